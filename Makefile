@@ -1,0 +1,33 @@
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+STAMP := $(VENV)/.installed
+
+.PHONY: run test test-all check bench clean
+
+run: $(STAMP)  ## the main job: the comparison on the block objects
+	$(BIN)/heft run blocks
+
+test: $(STAMP)  ## quick tests
+	$(BIN)/pytest -m "not slow"
+
+test-all: $(STAMP)  ## all tests
+	$(BIN)/pytest
+
+check: $(STAMP)  ## format, lint, types
+	$(BIN)/ruff format --check .
+	$(BIN)/ruff check .
+	$(BIN)/pyright
+
+bench: $(STAMP)  ## speed and memory, as ratios measured side by side
+	$(BIN)/python bench/bench.py
+
+clean:
+	rm -rf $(VENV) results dist build .pytest_cache .ruff_cache .hypothesis
+
+$(STAMP): pyproject.toml constraints.txt
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/pip install --quiet --upgrade pip
+	$(BIN)/pip install --quiet --constraint constraints.txt torch
+	$(BIN)/pip install --quiet --constraint constraints.txt --editable '.[dev,meshes]'
+	touch $@

@@ -1,0 +1,1 @@
+"""From trajectories to mass distributions: models, methods, choice of actions, metrics."""

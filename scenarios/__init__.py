@@ -1,0 +1,1 @@
+"""Scenario files, runs, storage, tables, the heft command."""

@@ -1,0 +1,61 @@
+"""Arrays inside frozen values: float64, finite, of the right shape, read-only; checked once."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from testbed.errors import InvalidValueError
+
+
+def frozen_array(name: str, values: ArrayLike, shape: tuple[int | None, ...], *, finite: bool = True) -> np.ndarray:
+    """A read-only float64 copy of `values`.
+
+    Args:
+        name: what to call it in an error.
+        values: anything array-like.
+        shape: expected shape; None matches any length.
+        finite: refuse NaN and infinity.
+
+    Raises:
+        InvalidValueError: wrong shape, not numeric, or not finite.
+    """
+    try:
+        given = np.asarray(values)
+    except (TypeError, ValueError):
+        given = None
+    if given is None or given.dtype.kind not in "iuf":
+        raise InvalidValueError(name, values, f"numbers of shape {_describe(shape)}")
+    array = np.array(given, dtype=np.float64)
+    if array.ndim != len(shape) or any(
+        want is not None and want != have for want, have in zip(shape, array.shape, strict=True)
+    ):
+        raise InvalidValueError(name, f"shape {array.shape}", f"shape {_describe(shape)}")
+    if finite and not np.isfinite(array).all():
+        raise InvalidValueError(name, f"{int((~np.isfinite(array)).sum())} NaN or infinite entries", "finite numbers")
+    array.flags.writeable = False
+    return array
+
+
+def check_positive(name: str, value: float) -> None:
+    """Raise InvalidValueError unless `value` is finite and > 0."""
+    if not (is_number(value) and value > 0):
+        raise InvalidValueError(name, value, "a finite number > 0")
+
+
+def is_number(value: object) -> bool:
+    """Whether it is a finite real number, and no bool."""
+    if isinstance(value, bool) or not isinstance(value, int | float | np.integer | np.floating):
+        return False
+    try:
+        return math.isfinite(value)
+    except OverflowError:
+        return False
+
+
+def _describe(shape: tuple[int | None, ...]) -> str:
+    return (
+        "(" + ", ".join("n" if size is None else str(size) for size in shape) + ("," if len(shape) == 1 else "") + ")"
+    )

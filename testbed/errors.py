@@ -1,0 +1,34 @@
+"""Errors that say what was wrong, what was given and what is allowed."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+
+class HeftError(Exception):
+    """Base of every error that heft raises on purpose; the command line prints it on one line and exits with 2."""
+
+
+class InvalidValueError(HeftError, ValueError):
+    """A value outside what is allowed.
+
+    Args:
+        field: name of the offending field.
+        given: the value as given.
+        allowed: what would have been accepted.
+        file: the file the value came from, if any.
+    """
+
+    def __init__(self, field: str, given: object, allowed: str, file: Path | str | None = None):
+        self.field, self.given, self.allowed, self.file = field, given, allowed, file
+        where = f"{file}: " if file is not None else ""
+        super().__init__(f"{where}{field}: got {_short(given)}; allowed: {allowed}")
+
+
+class InfeasibleTrialError(HeftError):
+    """A trial that the robot cannot do, refused before anything moves. The message says why and what could be done."""
+
+
+def _short(value: object, limit: int = 120) -> str:
+    text = repr(value)
+    return text if len(text) <= limit else text[: limit - 3] + "..."

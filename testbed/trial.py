@@ -1,0 +1,99 @@
+"""One trial: an object, an action, who carries the weight, how it is sensed; and who can run it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from types import TracebackType
+from typing import Protocol, Self, runtime_checkable
+
+from testbed.actions import Action, Weigh
+from testbed.errors import InvalidValueError
+from testbed.objects import ObjectModel
+from testbed.trajectory import Trajectory
+
+
+@dataclass(frozen=True)
+class Support:
+    """Who carries the object's weight on the table.
+
+    0 N/m: every mass group rests on its own weight (blocks joined by free vertical slides), as the paper assumes.
+    Infinite: one rigid body, whose weight spreads affinely over all its feet. In between: springs across the joints.
+    """
+
+    stiffness: float = 0.0
+    """Vertical stiffness between neighbouring groups, N/m."""
+
+    def __post_init__(self) -> None:
+        if math.isnan(self.stiffness) or self.stiffness < 0:
+            raise InvalidValueError(
+                "Support.stiffness", self.stiffness, "a number >= 0, N/m; infinite is one rigid body"
+            )
+
+    @property
+    def is_rigid(self) -> bool:
+        """Whether the object is one rigid body."""
+        return math.isinf(self.stiffness)
+
+    @property
+    def name(self) -> str:
+        """ "own_weight", "rigid", or the stiffness."""
+        return "rigid" if self.is_rigid else "own_weight" if self.stiffness == 0 else f"{self.stiffness:g} N/m"
+
+
+OWN_WEIGHT = Support(0.0)
+RIGID = Support(math.inf)
+
+
+def parse_support(text: str | float) -> Support:
+    """ "own_weight", "rigid", or a stiffness in N/m."""
+    named = {"own_weight": OWN_WEIGHT, "rigid": RIGID}
+    if text in named:
+        return named[str(text)]
+    try:
+        return Support(float(text))
+    except ValueError:
+        raise InvalidValueError("support", text, '"own_weight", "rigid", or a stiffness >= 0, N/m') from None
+
+
+@dataclass(frozen=True, eq=False)
+class Trial:
+    """What is asked of a runner."""
+
+    object: ObjectModel
+    """The object, truth included: a simulation needs it, a real bench has it on the table."""
+    action: Action
+    """What to do with it."""
+    support: Support = OWN_WEIGHT
+    """Who carries the weight."""
+    sensing: str = "ideal"
+    """Name of a sensing preset."""
+    seed: int = 0
+    """Seed of the sensing draw."""
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.action, Weigh) and self.action.grasp >= len(self.object.shape.grasps):
+            names = (
+                ", ".join(f"{i} ({g.name})" for i, g in enumerate(self.object.shape.grasps))
+                or "none: nothing is grippable"
+            )
+            raise InvalidValueError(f"{type(self.action).__name__}.grasp", self.action.grasp, names)
+
+
+@runtime_checkable
+class TrialRunner(Protocol):
+    """Runs trials: in MuJoCo, on the real arm, or from a record. Entering it connects, leaving it stops."""
+
+    def __enter__(self) -> Self: ...
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None: ...
+
+    def run(self, trial: Trial) -> Trajectory:
+        """Run one trial.
+
+        Raises:
+            InfeasibleTrialError: refused before moving.
+        """
+        ...

@@ -1,0 +1,174 @@
+"""Steady windows reduced to one wrench each, in the object frame, with its covariance.
+
+At constant speed the wrench is constant in the object frame in a turn (and in a slide, where that frame does not turn),
+so a whole window says as much as its mean; records are autocorrelated, so the mean's covariance uses the effective
+sample size.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from testbed.actions import Accelerate, Weigh
+from testbed.arrays import frozen_array
+from testbed.errors import InvalidValueError
+from testbed.frames import move_wrench, perpendicular, rotate_wrench, rotation_2d, rotation_matrix
+from testbed.objects import GRAVITY
+from testbed.trajectory import Phase, Trajectory
+
+TRIM_START = 1.0
+"""Left out at the start of a constant-speed window, s: the arm's outer loop is still settling."""
+TRIM_STEP = 0.2
+"""Left out after each step of acceleration, s."""
+TRIM_END = 0.05
+"""Left out at the end of a window, s."""
+
+
+@dataclass(frozen=True, eq=False)
+class SteadyWindow:
+    """One stretch of constant speed, or of constant acceleration."""
+
+    grasp: int
+    """Index of the grasp that was held."""
+    wrench: Float[np.ndarray, "6"]
+    """Mean of what the gripper does to the object, about the TCP, in axes that turn with the object (z up). N, N m."""
+    covariance: Float[np.ndarray, "6 6"]
+    """Of that mean, from the window's own scatter and effective sample size. The sensor's bias is not in it."""
+    twist: Float[np.ndarray, "3"]
+    """Mean velocity of the grasp point, object axes, m/s, and turn rate, rad/s."""
+    acceleration: Float[np.ndarray, "3"]
+    """Mean acceleration of the grasp point, object axes, m/s^2, and angular acceleration, rad/s^2."""
+    spin_square: float
+    """Mean square of the turn rate, rad^2/s^2; more than the square of its mean where the turn accelerates."""
+    tcp_height: float
+    """Mean height of the TCP over the table, m."""
+    bias_covariance: Float[np.ndarray, "6 6"]
+    """Of a constant error common to all windows of one trial, about the TCP as `wrench` is."""
+
+    def __post_init__(self) -> None:
+        for name, shape in (
+            ("wrench", (6,)),
+            ("covariance", (6, 6)),
+            ("twist", (3,)),
+            ("acceleration", (3,)),
+            ("bias_covariance", (6, 6)),
+        ):
+            object.__setattr__(self, name, frozen_array(f"SteadyWindow.{name}", getattr(self, name), shape))
+
+
+def steady_windows(trajectory: Trajectory) -> list[SteadyWindow]:
+    """Reduce every steady stretch of a trajectory.
+
+    Raises:
+        InvalidValueError: the trajectory is not `ok`, is a weighing, or has a stretch too short to trim.
+    """
+    if not trajectory.ok:
+        raise InvalidValueError(
+            "trajectory.status", trajectory.status, f"ok; this trial is no data: {trajectory.reason}"
+        )
+    if isinstance(trajectory.action, Weigh):
+        raise InvalidValueError(
+            "trajectory.action", trajectory.action, "a slide or a turn; read a weighing with weight_of"
+        )
+    trim = TRIM_STEP if isinstance(trajectory.action, Accelerate) else TRIM_START
+    into_object = rotation_2d(-trajectory.object_pose[:, 2])
+    turn = lambda v: np.einsum("nij,nj->ni", into_object, v)  # noqa: E731
+    wrench = trajectory.wrench_on_object_world
+    in_object = np.hstack([turn(wrench[:, :2]), wrench[:, 2:3], turn(wrench[:, 3:5]), wrench[:, 5:]])
+    twist = np.column_stack([turn(trajectory.tcp_velocity[:, :2]), trajectory.object_velocity[:, 2]])
+    world_twist = np.column_stack([trajectory.tcp_velocity[:, :2], trajectory.object_velocity[:, 2]])
+    bias = _bias_at_tcp(trajectory)
+    windows = []
+    for segment in range(trajectory.segment.max() + 1):
+        inside = np.flatnonzero(trajectory.segment == segment)
+        if len(inside) == 0:
+            raise InvalidValueError(
+                "Trajectory.segment", f"no sample of stretch {segment}", "stretches numbered from 0"
+            )
+        time = trajectory.time_s[inside]
+        kept = inside[(time >= time[0] + trim) & (time <= time[-1] - TRIM_END)]
+        if len(kept) < 10:
+            raise InvalidValueError(
+                "trajectory",
+                f"{len(kept)} samples in steady stretch {segment}",
+                f"at least 10 after trimming {trim + TRIM_END:g} s",
+            )
+        yaw = trajectory.object_pose[kept, 2]
+        windows.append(
+            SteadyWindow(
+                grasp=trajectory.action.grasp,
+                wrench=in_object[kept].mean(axis=0),
+                covariance=mean_covariance(in_object[kept]),
+                twist=twist[kept].mean(axis=0),
+                acceleration=_slopes(trajectory.time_s[kept], world_twist[kept], yaw),
+                spin_square=float(np.mean(twist[kept, 2] ** 2)),
+                tcp_height=float(trajectory.tcp_position[kept, 2].mean()),
+                bias_covariance=bias,
+            )
+        )
+    if not windows:
+        raise InvalidValueError("trajectory", "no steady stretch", f"samples in phase {Phase.STEADY.name}")
+    return windows
+
+
+def _bias_at_tcp(trajectory: Trajectory) -> np.ndarray:
+    """The tare's remaining error, moved from the sensor to the TCP and into object axes, (6, 6).
+
+    The hand holds the object, so one moment's axes serve for the whole trial.
+    """
+    bias = np.diag(trajectory.sensor_bias_std**2)
+    if trajectory.tool is None:
+        return bias
+    first = int(np.argmax(trajectory.segment >= 0))
+    axes = rotation_matrix(trajectory.sensor_orientation[first])
+    axes[:2] = rotation_2d(-trajectory.object_pose[first, 2]) @ axes[:2]
+    move = rotate_wrench(axes, move_wrench(np.eye(6), trajectory.tool.tcp)).T
+    return move @ bias @ move.T
+
+
+def _slopes(time: np.ndarray, twist: np.ndarray, yaw: np.ndarray) -> np.ndarray:
+    """Mean acceleration over a window, linear part in object axes, (3,).
+
+    A point that moves steadily with a turning object accelerates towards the centre of the turn; in object axes that is
+    constant, so derivative and rotation go together: a = R^T d(velocity)/dt.
+    """
+    into_object = rotation_2d(-yaw)
+    in_object = np.einsum("nij,nj->ni", into_object, twist[:, :2])
+    slopes = np.polynomial.polynomial.polyfit(time - time.mean(), np.column_stack([in_object, twist[:, 2]]), 1)[1]
+    # in turning axes: R^T dv/dt = d(R^T v)/dt + rate e_z x (R^T v)
+    turning = (twist[:, 2, None] * perpendicular(in_object)).mean(axis=0)
+    return np.array([*(slopes[:2] + turning), slopes[2]])
+
+
+def weight_of(trajectory: Trajectory) -> float:
+    """Mass read by a scale, kg."""
+    if not (isinstance(trajectory.action, Weigh) and trajectory.ok):
+        raise InvalidValueError("trajectory", f"{trajectory.action}, {trajectory.status}", "a Weigh with status ok")
+    return float(trajectory.wrench_on_object_world[:, 2].mean()) / GRAVITY
+
+
+def mean_covariance(samples: Float[np.ndarray, "T D"]) -> Float[np.ndarray, "D D"]:
+    """Covariance of the mean of autocorrelated samples, (D, D)."""
+    scatter = np.atleast_2d(np.cov(samples, rowvar=False))
+    size = np.sqrt(effective_samples(samples))
+    return scatter / np.outer(size, size)
+
+
+def effective_samples(samples: Float[np.ndarray, "T D"]) -> Float[np.ndarray, "D"]:
+    """Number of independent samples that a record of T is worth, per column, at least 1, (D,).
+
+    T over the integrated autocorrelation time, summed while pairs of neighbouring lags stay positive (Geyer 1992).
+    """
+    count = len(samples)
+    centred = samples - samples.mean(axis=0)
+    power = np.abs(np.fft.rfft(centred, 2 * count, axis=0)) ** 2
+    correlation = np.fft.irfft(power, axis=0)[:count]
+    variance = correlation[0]
+    correlation = correlation / np.where(variance > 0, variance, 1.0)
+    pairs = correlation[0 : count - count % 2 : 2] + correlation[1::2][: count // 2]
+    positive = np.cumprod(pairs > 0, axis=0)
+    time = np.maximum(2 * (pairs * positive).sum(axis=0) - 1, 1.0)
+    return np.where(variance > 0, np.maximum(count / time, 1.0), count)

@@ -1,0 +1,1 @@
+"""The bench in MuJoCo; the only room that imports it."""

@@ -1,0 +1,91 @@
+"""Whether the arm and the gripper can do a trial: asked before anything moves."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+
+from testbed.actions import Weigh
+from testbed.errors import InfeasibleTrialError
+from testbed.objects import GRAVITY
+from testbed.simulation.arm import JOINT_SPEED_LIMIT, arm_model
+from testbed.simulation.motion import Motion
+from testbed.simulation.settings import SimulationSettings
+from testbed.trial import Trial
+
+STROKE = 0.085
+"""Opening of the 2F-85, m."""
+PAD_WIDTH = 0.022
+"""Width of its pads, m."""
+MARGIN = 0.8
+"""Part of a limit that may be used: the estimates below are quasi-static."""
+MINIMUM_HEIGHT = 0.010
+"""An object lower than this gives the pads too little to hold, m."""
+
+
+def check_feasible(trial: Trial, motion: Motion, settings: SimulationSettings) -> None:
+    """Refuse what the bench cannot do.
+
+    Raises:
+        InfeasibleTrialError: too wide or too low to grip, friction beyond the grip, or drag beyond a joint's working
+            torque or speed; the message says by how much and what could be done.
+    """
+    assert not isinstance(trial.action, Weigh)
+    obj, shape = trial.object, trial.object.shape
+    grasp = shape.grasps[trial.action.grasp]
+    if grasp.width > STROKE - 0.005:
+        raise InfeasibleTrialError(
+            f"grip: block {grasp.name} is {grasp.width * 1e3:.0f} mm wide; the gripper opens to "
+            f"{STROKE * 1e3:.0f} mm and needs 5 mm of clearance; choose a narrower part"
+        )
+    if shape.height < MINIMUM_HEIGHT:
+        raise InfeasibleTrialError(
+            f"grip: the object is {shape.height * 1e3:.0f} mm high; the pads, 3 mm over the table, "
+            f"need {MINIMUM_HEIGHT * 1e3:.0f} mm"
+        )
+    friction = np.where(shape.friction_group >= 0, obj.truth.friction[np.maximum(shape.friction_group, 0)], 0.0)
+    load = friction * obj.particle_mass * GRAVITY
+    drag = float(load.sum())
+    torque = float(load @ np.linalg.norm(shape.particles - grasp.position, axis=1))
+    grip = settings.grip
+    if grip.mode == "friction":
+        holds = {
+            "drag": (drag, 2 * grip.force * min(grip.friction, 1.0), "N"),
+            "torque": (torque, grip.force * min(PAD_WIDTH, grasp.length), "N m"),
+        }
+        for what, (needed, held, unit) in holds.items():
+            if needed > MARGIN * held:
+                raise InfeasibleTrialError(
+                    f"grip: {what} of up to {needed:.2f} {unit} at block {grasp.name} against {MARGIN * held:.2f} "
+                    f"that a grip of {grip.force:g} N holds; take a block nearer the middle, a stronger grip (up to "
+                    "235 N) or a weld"
+                )
+    _check_torques(motion, drag, torque)
+    speed = np.abs(motion.qd) / JOINT_SPEED_LIMIT
+    if speed.max() > 1:
+        joint = int(speed.max(axis=0).argmax())
+        raise InfeasibleTrialError(
+            f"speed: joint {joint + 1} would need {speed.max():.2f} of its limit of "
+            f"{np.degrees(JOINT_SPEED_LIMIT[joint]):.0f} deg/s; move slower"
+        )
+
+
+def _check_torques(motion: Motion, drag: float, torque: float) -> None:
+    """Static joint torques at the ends and the middle of the path, with the drag in the worst direction."""
+    model = arm_model()
+    data = mujoco.MjData(model)
+    jacobian = np.zeros((6, model.nv))
+    limit = model.jnt_actfrcrange[:7, 1]
+    for q in motion.q[[0, len(motion.q) // 2, -1]]:
+        data.qpos[:7] = q
+        mujoco.mj_forward(model, data)
+        mujoco.mj_jacSite(model, data, jacobian[:3], jacobian[3:], model.site("gripper/tcp").id)
+        lever = np.hypot(jacobian[0, :7], jacobian[1, :7])
+        needed = np.abs(data.qfrc_bias[:7]) + lever * drag + np.abs(jacobian[5, :7]) * torque
+        over = needed / limit
+        if over.max() > 1:
+            joint = int(over.argmax())
+            raise InfeasibleTrialError(
+                f"torque: joint {joint + 1} would need up to {needed[joint]:.1f} N m of its {limit[joint]:g} N m to "
+                f"push a drag of {drag:.1f} N and {torque:.2f} N m; use a lighter object or less friction"
+            )

@@ -1,0 +1,172 @@
+"""Trials in MuJoCo: the arm grasps the object on the table and moves it; the sensor's record comes back."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import dataclass, field
+from types import TracebackType
+from typing import Self
+
+import mujoco
+import numpy as np
+
+from testbed.actions import Weigh
+from testbed.frames import perpendicular, pose_from_point, rotation_2d, rotation_matrix
+from testbed.sensing import draw_sensing, preset
+from testbed.simulation.arm import gripper_tool
+from testbed.simulation.contacts import ContactLog, ContactRecord
+from testbed.simulation.feasibility import STROKE, check_feasible
+from testbed.simulation.motion import Motion, plan_motion
+from testbed.simulation.outcome import Outcome, Watch
+from testbed.simulation.scale import weigh
+from testbed.simulation.scene import build_scene
+from testbed.simulation.servo import Servo
+from testbed.simulation.settings import SimulationSettings
+from testbed.trajectory import Trajectory
+from testbed.trial import Trial
+
+_SENSORS = {
+    "force": "ft/force",
+    "torque": "ft/torque",
+    "sensor_position": "ft/position",
+    "sensor_orientation": "ft/orientation",
+    "tcp_position": "gripper/tcp_position",
+    "tcp_orientation": "gripper/tcp_orientation",
+    "tcp_velocity": "gripper/tcp_velocity",
+    "tcp_angular_velocity": "gripper/tcp_angular_velocity",
+}
+
+
+@dataclass(frozen=True)
+class SimulationRunner:
+    """A `TrialRunner` on the simulated bench. Entering and leaving it costs nothing."""
+
+    settings: SimulationSettings = field(default_factory=SimulationSettings)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        return None
+
+    def run(self, trial: Trial) -> Trajectory:
+        """Run one trial: physics, then the trial's sensing draw.
+
+        Raises:
+            InfeasibleTrialError: the arm, the gripper or the table cannot do it; nothing has moved.
+        """
+        return draw_sensing(self.run_clean(trial), preset(trial.sensing), trial.seed)
+
+    def run_clean(self, trial: Trial) -> Trajectory:
+        """The physics alone, with a perfect sensor; sensing draws can be applied to it afterwards."""
+        return self._simulate(trial, None)
+
+    def run_with_contacts(self, trial: Trial) -> tuple[Trajectory, ContactRecord]:
+        """As `run_clean`, with the true force of the table on every foot: what no bench can measure."""
+        log = ContactLog()
+        trajectory = self._simulate(trial, log)
+        return trajectory, log.record()
+
+    def check(self, trial: Trial) -> None:
+        """Plan a trial without running it.
+
+        Raises:
+            InfeasibleTrialError: as `run` would.
+        """
+        if not isinstance(trial.action, Weigh):
+            check_feasible(trial, plan_motion(trial.action, trial.object.shape, self.settings), self.settings)
+
+    def _simulate(self, trial: Trial, log: ContactLog | None) -> Trajectory:
+        if isinstance(trial.action, Weigh):
+            return weigh(trial, self.settings)
+        shape = trial.object.shape
+        motion = plan_motion(trial.action, shape, self.settings)
+        check_feasible(trial, motion, self.settings)
+        scene = build_scene(trial.object, trial.support, shape.grasps[trial.action.grasp], self.settings)
+        model, data = scene.model, mujoco.MjData(scene.model)
+        place(model, data, motion)
+        if log is not None:
+            log.start(scene, len(motion.q))
+        servo = Servo(model, motion, self.settings)
+        watch = Watch(model, scene, motion, self.settings)
+        # A sensor integrates over its sample; one instant a tick would alias with the outer loop's steps
+        record, sample = np.empty((len(motion.q), model.nsensordata)), np.zeros(model.nsensordata)
+        steps = round(1 / self.settings.rate / self.settings.timestep)
+        count = len(motion.q)
+        for tick in range(len(motion.q)):
+            servo.command(data, tick)
+            sample[:] = 0.0
+            for _ in range(steps):
+                mujoco.mj_step(model, data)
+                sample += data.sensordata
+            record[tick] = sample / steps
+            servo.measure(data, tick)
+            if log is not None:
+                log.measure(model, data, tick)
+            if watch.trouble(data, tick):
+                count = max(tick, 1)
+                break
+        record = np.nan_to_num(record[:count])  # only a fault in the very first sample leaves something to clear
+        outcome = watch.outcome()
+        return _trajectory(trial, motion, model, record, self.settings, outcome)
+
+
+def place(model: mujoco.MjModel, data: mujoco.MjData, motion: Motion) -> None:
+    """Arm at its start, object where the motion expects it."""
+    x, y, yaw = motion.object_pose
+    data.qpos[:7] = data.act[:7] = motion.start
+    address = model.joint("object").qposadr[0]
+    data.qpos[address : address + 2] = x, y
+    data.qpos[address + 3 : address + 7] = math.cos(yaw / 2), 0.0, 0.0, math.sin(yaw / 2)
+    mujoco.mj_forward(model, data)
+
+
+def _trajectory(
+    trial: Trial,
+    motion: Motion,
+    model: mujoco.MjModel,
+    record: np.ndarray,
+    settings: SimulationSettings,
+    outcome: Outcome,
+) -> Trajectory:
+    assert not isinstance(trial.action, Weigh)
+    grasp = trial.object.shape.grasps[trial.action.grasp]
+    s = {
+        name: record[:, (a := model.sensor(key).adr[0]) : a + model.sensor(key).dim[0]]
+        for name, key in _SENSORS.items()
+    }
+    closing = rotation_matrix(s["tcp_orientation"])[:, :, 0]
+    yaw = np.unwrap(np.arctan2(closing[:, 1], closing[:, 0])) - grasp.angle
+    pose = pose_from_point(s["tcp_position"][:, :2], grasp.position, yaw)
+    lever = np.einsum("nij,j->ni", rotation_2d(yaw), -grasp.position)
+    rate = s["tcp_angular_velocity"][:, 2]
+    count = len(record)
+    joints = [model.sensor(f"arm/joint_{i}_position").adr[0] for i in range(1, 8)]
+    return Trajectory(
+        action=trial.action,
+        status=outcome.status,
+        reason=outcome.reason,
+        time_s=np.arange(count) / settings.rate,
+        phase=motion.phase[:count],
+        segment=motion.segment[:count],
+        object_pose=pose,
+        object_velocity=np.column_stack([s["tcp_velocity"][:, :2] + rate[:, None] * perpendicular(lever), rate]),
+        tcp_position=s["tcp_position"],
+        tcp_velocity=np.hstack([s["tcp_velocity"], s["tcp_angular_velocity"]]),
+        sensor_orientation=s["sensor_orientation"],
+        sensor_wrench=np.hstack([s["force"], s["torque"]]),
+        wrench_on_object_world=np.zeros((count, 6)),
+        joint_position=record[:, joints],
+        tool=gripper_tool(grasp.width if settings.grip.mode == "friction" else STROKE),
+        sensor_bias_std=np.zeros(6),
+        figures=outcome.figures,
+        provenance={
+            "runner": "simulation",
+            "mujoco": mujoco.__version__,
+            "support": trial.support.name,
+            **({"state": json.dumps(outcome.state)} if outcome.state else {}),
+        },
+    )

@@ -1,0 +1,89 @@
+"""The arm's outer loop at the record rate: integrates errors away, and nulls load and tilt after the grip closes."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+
+from testbed.simulation.motion import Motion
+from testbed.simulation.settings import SimulationSettings
+from testbed.trajectory import Phase
+
+_NULL_TIME_CONSTANT = 0.15
+_KEEP_OPEN = -5.0
+
+
+class Servo:
+    """State of one trial's outer loop.
+
+    The inner loop, inside MuJoCo, is the position servo of gen3.xml. Its actuators integrate a joint speed, so that
+    targets move smoothly between ticks without a call a step.
+    """
+
+    def __init__(self, model: mujoco.MjModel, motion: Motion, settings: SimulationSettings):
+        self._motion, self._settings = motion, settings
+        self._dt = 1 / settings.rate
+        self._stiffness = model.actuator_gainprm[:7, 0].copy()
+        self._lag = -model.actuator_biasprm[:7, 2] / self._stiffness
+        self._integral = np.zeros(7)
+        self._shift = np.zeros(7)
+        self._tare = np.zeros(6)
+        self._jacobian = np.zeros((6, model.nv))
+        self._tcp = model.site("gripper/tcp").id
+        self._wrench = model.site("ft/wrench").id
+        self._force = model.sensor("ft/force").adr[0]
+        self._torque = model.sensor("ft/torque").adr[0]
+
+        self._weld = model.equality("weld").id if settings.grip.mode == "weld" else None
+
+    def command(self, data: mujoco.MjData, tick: int) -> None:
+        """Set joint speeds and grip for the coming tick."""
+        reference = self._motion.q[tick] + self._shift
+        self._integral += self._settings.servo.integral_gain * self._dt * (reference - data.qpos[:7])
+        target = reference + self._lag * self._motion.qd[tick] + self._integral
+        data.ctrl[:7] = (target - data.act[:7]) / self._dt
+        if self._weld is None:
+            data.ctrl[7] = self._motion.grip[tick] * self._settings.grip.force
+        else:
+            self._hold(data, held=Phase.SETTLE <= self._motion.phase[tick] < Phase.RELEASE)
+
+    def _hold(self, data: mujoco.MjData, *, held: bool) -> None:
+        """Weld hand and object together as they stand, or let go; the fingers stay open."""
+        data.ctrl[7] = _KEEP_OPEN
+        if held and not data.eq_active[self._weld]:
+            model = data.model
+            hand, body = model.eq_obj1id[self._weld], model.eq_obj2id[self._weld]
+            back = np.zeros(4)
+            mujoco.mju_negQuat(back, data.xquat[hand])
+            relative = model.eq_data[self._weld]
+            relative[:3] = 0.0
+            mujoco.mju_rotVecQuat(relative[3:6], data.xpos[body] - data.xpos[hand], back)
+            mujoco.mju_mulQuat(relative[6:10], back, data.xquat[body])
+        data.eq_active[self._weld] = held
+
+    def measure(self, data: mujoco.MjData, tick: int) -> None:
+        """Read the sensor as the robot would: zero it while hovering, null load and tilt while asked."""
+        phase = self._motion.phase[tick]
+        if phase == Phase.TARE:
+            self._tare = self._wrench_world(data)
+        elif self._motion.nulling[tick]:
+            gain = self._settings.servo.null_gain if phase == Phase.SETTLE else self._settings.servo.comply_gain
+            self._shift -= gain * self._dt / _NULL_TIME_CONSTANT * self._deflection(data)
+
+    def _wrench_world(self, data: mujoco.MjData) -> np.ndarray:
+        rotation = data.site_xmat[self._wrench].reshape(3, 3)
+        force, torque = (data.sensordata[a : a + 3] for a in (self._force, self._torque))
+        return np.concatenate([rotation @ force, rotation @ torque])
+
+    def _deflection(self, data: mujoco.MjData) -> np.ndarray:
+        """Joint offsets by which the servo carries the unwanted load: vertical force, and tilt about the table."""
+        wrench = self._wrench_world(data) - self._tare
+        force = wrench[:3]
+        torque = wrench[3:] - np.cross(data.site_xpos[self._tcp] - data.site_xpos[self._wrench], force)
+        height = data.site_xpos[self._tcp][2]
+        unwanted = np.array([0, 0, force[2], torque[0] - height * force[1], torque[1] + height * force[0], 0])
+        return self._jacobian_at_tcp(data).T @ unwanted / self._stiffness
+
+    def _jacobian_at_tcp(self, data: mujoco.MjData) -> np.ndarray:
+        mujoco.mj_jacSite(data.model, data, self._jacobian[:3], self._jacobian[3:], self._tcp)
+        return self._jacobian[:, :7]

@@ -1,0 +1,162 @@
+"""The friction loads s = mu m g: Eq. dvs as a linear system, its rank, closed form, and descent (Eq. problem_si)."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from scipy.optimize import nnls
+from torch import Tensor
+
+from estimators.dynamics import Inertia, ParticleModel, cross
+from estimators.observations import Observations
+from estimators.protocol import Trace
+from estimators.support import own_weight
+from testbed.objects import GRAVITY
+
+OPTIMIZERS = ("adam", "rmsprop", "plain")
+
+
+@dataclass(frozen=True, eq=False)
+class LoadGroups:
+    """G_s: particles in contact that share both mass group and friction group share one s."""
+
+    index: Tensor
+    """Column of G_s for each particle, -1 without contact, (P,)."""
+    pairs: tuple[tuple[int, int], ...]
+    """(mass group, friction group) of each column."""
+
+    @staticmethod
+    def of(model: ParticleModel) -> LoadGroups:
+        """The groups of a model."""
+        both = torch.stack([model.mass_group, model.friction_group], 1)
+        pairs = sorted({(int(m), int(f)) for m, f in both.tolist() if f >= 0})
+        lookup = {pair: i for i, pair in enumerate(pairs)}
+        return LoadGroups(torch.tensor([lookup.get((m, f), -1) for m, f in both.tolist()]), tuple(pairs))
+
+    def gather(self, values: Float[Tensor, "... P"]) -> Float[Tensor, "... n_s"]:
+        """Sum over each group: values @ G_s^T."""
+        kept = self.index >= 0
+        out = torch.zeros(*values.shape[:-1], len(self.pairs), dtype=values.dtype)
+        return out.index_add(-1, self.index[kept], values[..., kept])
+
+
+@dataclass(frozen=True, eq=False)
+class LinearSystem:
+    """Q s = b, whitened: every row has unit variance. 3 rows a window."""
+
+    q: Float[Tensor, "R n_s"]
+    b: Float[Tensor, "R"]
+
+    def loss(self, s: Float[Tensor, "n_s"]) -> Tensor:
+        """Mean squared residual, Eq. problem_si in units of the data's own error."""
+        return (self.q @ s - self.b).square().mean()
+
+
+def friction_system(
+    model: ParticleModel,
+    groups: LoadGroups,
+    observations: Observations,
+    mass: Float[Tensor, "P"],
+    friction: Float[Tensor, "P"],
+    inertia: Inertia,
+    height: float,
+    *,
+    pivot_error: float,
+    force_error: float,
+    torque_error: float,
+) -> LinearSystem:
+    """Eq. dvs for every window, about the grasp point: friction of s balances the measured wrench.
+
+    The present mass and friction enter only through what the gripper carries (lift and tilt), which is small.
+
+    Args:
+        model: the object.
+        groups: G_s.
+        observations: windows of constant speed.
+        mass: present particle masses, kg.
+        friction: present friction coefficients.
+        inertia: present M and c.
+        height: of the object, m.
+        pivot_error: how well the centre of a turn is known, m; a particle nearer than that has no known direction.
+        force_error: model error of a force, as a part of the total drag.
+        torque_error: model error of a torque, as a part of the measured one.
+    """
+    load = observations.gripper_load(inertia, height)
+    support = own_weight(model.particles, model.mass_group, model.contact, mass, load)
+    lever = observations.lever(model)
+    fade = pivot_error * observations.twist[:, 2].abs()[:, None]
+    velocity = observations.particle_velocity(model)
+    speed = velocity.square().sum(-1).sqrt()
+    blurred = (speed.square() + fade.square() + 1e-18).sqrt()
+    unit = velocity / blurred[..., None]
+    rows = torch.stack([unit[..., 0], unit[..., 1], cross(lever, unit)], 1)
+    q = groups.gather(rows)
+    s = friction * support.share * GRAVITY
+    response = rows @ (friction[:, None] * support.response)
+    carried = (rows @ (friction * support.change(load))[..., None])[..., 0]
+    b = observations.wrench - observations.inertial_wrench(inertia) - carried
+    lost = (s * fade / blurred).square().sum(-1) / 2
+    drag = s.sum()
+    floor = torch.stack([lost + (force_error * drag) ** 2] * 2 + [(torque_error * observations.wrench[:, 2]) ** 2], -1)
+    uncertain = response @ torch.diag_embed(observations.load_variance) @ response.transpose(1, 2)
+    within = observations.covariance + torch.diag_embed(floor + 1e-10) + uncertain
+    # windows of one trial share what its tare left
+    together = observations.trial[:, None] == observations.trial
+    shared = together[:, None, :, None] * observations.bias_covariance[:, :, None, :]
+    covariance = torch.block_diag(*within) + shared.reshape(b.numel(), b.numel())
+    whiten = torch.linalg.inv(torch.linalg.cholesky(covariance))
+    return LinearSystem(whiten @ q.reshape(-1, q.shape[-1]), whiten @ b.reshape(-1))
+
+
+def rank_of(q: Float[np.ndarray, "R n_s"], tolerance: float = 1e-3) -> int:
+    """rank(Q) with columns scaled to unit length; a direction below `tolerance` of the strongest is not observed."""
+    scale = np.linalg.norm(q, axis=0)
+    values = np.linalg.svd(q / np.where(scale > 0, scale, 1.0), compute_uv=False)
+    return int((values > tolerance * values.max(initial=1e-300)).sum())
+
+
+def closed_form(system: LinearSystem) -> Float[np.ndarray, "n_s"]:
+    """Non-negative least squares: the exact minimum of Eq. problem_si over s >= 0."""
+    return nnls(system.q.numpy(), system.b.numpy())[0]
+
+
+def closed_form_covariance(system: LinearSystem) -> Float[np.ndarray, "n_s n_s"]:
+    """(Q^T Q)^-1 of the whitened system; infinite directions left at pinv's zero are the caller's to check by rank."""
+    return np.linalg.pinv((system.q.T @ system.q).numpy(), rcond=1e-12, hermitian=True)
+
+
+def descend(system: LinearSystem, optimizer: str, steps: int) -> tuple[Float[np.ndarray, "n_s"], Trace]:
+    """Gradient descent on Eq. problem_si from s = 0 (Algorithm 1 starts with zero friction).
+
+    It goes in coordinates in which the loss curves evenly (s = L^-T z with L L^T = Q^T Q): with pivots in a row the
+    loss is a narrow valley, in which no first-order method arrives in 500 steps. The bound s >= 0 comes at the end.
+    """
+    lower = torch.linalg.cholesky(system.q.T @ system.q)
+    to_s = torch.linalg.inv(lower).T
+    q = system.q @ to_s
+    z = torch.zeros(q.shape[1], dtype=torch.float64, requires_grad=True)
+    typical = float(system.b.norm() / len(z) ** 0.5)
+    if optimizer == "adam":
+        optim: torch.optim.Optimizer = torch.optim.Adam([z], lr=0.1 * typical)
+    elif optimizer == "rmsprop":
+        optim = torch.optim.RMSprop([z], lr=0.1 * typical)
+    else:
+        optim = torch.optim.SGD([z], lr=0.1 * len(q))
+    decay = torch.optim.lr_scheduler.LambdaLR(
+        optim, lambda i: 1.0 if optimizer == "plain" else max(1 - i / steps, 0.0) ** 4 + 1e-9
+    )
+    losses = []
+    begin = time.perf_counter()
+    for _ in range(steps):
+        optim.zero_grad()
+        loss = (q @ z - system.b).square().mean()
+        loss.backward()
+        optim.step()
+        decay.step()
+        losses.append(float(loss.detach()))
+    seconds = time.perf_counter() - begin
+    return (to_s @ z.detach()).clamp(min=0.0).numpy(), Trace(optimizer, tuple(losses), seconds)

@@ -1,0 +1,108 @@
+"""Moments of inertia from accelerated turns: I_j by slope (Eq. dvp), then c and I_cm (Eq. problem_com_inertia)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from estimators.observations import Observations
+
+RANK_TOLERANCE = 1e-6
+"""Directions of the pivots' spread below this part of the largest count as a straight row."""
+
+
+@dataclass(frozen=True, eq=False)
+class PivotInertia:
+    """I_j for each pivot j in S."""
+
+    pivot: Float[np.ndarray, "J 2"]
+    """p_j, m, object frame."""
+    inertia: Float[np.ndarray, "J"]
+    """I_j, kg m^2."""
+    variance: Float[np.ndarray, "J"]
+    """(kg m^2)^2."""
+
+
+@dataclass(frozen=True, eq=False)
+class ComInertia:
+    """What the pivots' inertias say of c and I_cm."""
+
+    center_of_mass: Float[np.ndarray, "2"]
+    """m; NaN in a component that is not observed."""
+    inertia_cm: float
+    """kg m^2; NaN where not observed."""
+    unobserved: str
+    """What is confounded, in words; empty where nothing is."""
+
+
+def pivot_inertias(
+    observations: Observations,
+    friction_torque: Float[np.ndarray, "K"],
+    inertial_torque: Float[np.ndarray, "K"],
+    relative_error: float,
+) -> PivotInertia | None:
+    """I_j by the slope of torque against angular acceleration, pivot by pivot.
+
+    Every trial has a constant of its own, so neither friction nor bias enters: only their change from window to window
+    does, and that is what the two corrections take away.
+
+    Args:
+        observations: accelerated windows.
+        friction_torque: torque that friction takes in each window, up to a constant a trial, N m, (K,).
+        inertial_torque: torque of the grasp point's own acceleration, N m, (K,).
+        relative_error: of I_j, beyond what the scatter shows.
+    """
+    if len(observations) == 0:
+        return None
+    torque = observations.wrench[:, 2].numpy() - friction_torque - inertial_torque
+    alpha = observations.acceleration[:, 2].numpy()
+    variance = np.maximum(observations.covariance[:, 2, 2].numpy(), 1e-12)
+    pivots, index = np.unique(observations.grasp.numpy().round(9), axis=0, return_inverse=True)
+    values, variances = np.empty(len(pivots)), np.empty(len(pivots))
+    for j in range(len(pivots)):
+        rows = np.flatnonzero(index.ravel() == j)
+        trials, trial = np.unique(observations.trial[rows].numpy(), return_inverse=True)
+        design = np.column_stack([alpha[rows], np.eye(len(trials))[trial]])
+        weight = 1 / np.sqrt(variance[rows])
+        solution, *_ = np.linalg.lstsq(design * weight[:, None], torque[rows] * weight, rcond=None)
+        residual = (torque[rows] - design @ solution) * weight
+        freedom = max(len(rows) - design.shape[1], 1)
+        inverse = np.linalg.inv((design * weight[:, None]).T @ (design * weight[:, None]))
+        values[j] = solution[0]
+        variances[j] = inverse[0, 0] * max(1.0, residual @ residual / freedom) + (relative_error * solution[0]) ** 2
+    return PivotInertia(pivots, values, variances)
+
+
+def com_and_inertia(pivots: PivotInertia | None, mass: float) -> ComInertia:
+    """Solve Eq. problem_com_inertia: I_j - M |p_j|^2 = (I_cm + M |c|^2) - 2 M p_j . c is linear in c and the bracket.
+
+    Pivots in a straight row leave the component of c across the row confounded with I_cm; it is named, not guessed.
+    """
+    if pivots is None or len(pivots.inertia) < 2:
+        return ComInertia(
+            np.full(2, np.nan), np.nan, "c and I_cm: fewer than two pivots were turned about with acceleration"
+        )
+    centre = pivots.pivot.mean(axis=0)
+    offsets = pivots.pivot - centre
+    _, spread, axes = np.linalg.svd(offsets, full_matrices=True)
+    spread = np.append(spread, [0.0, 0.0])[:2]
+    seen = spread > RANK_TOLERANCE**0.5 * spread[0]
+    along = axes[seen]
+    design = np.column_stack([np.ones(len(offsets)), -2 * mass * offsets @ along.T])
+    target = pivots.inertia - mass * np.sum(offsets**2, axis=1)
+    weight = 1 / np.sqrt(pivots.variance)
+    solution, *_ = np.linalg.lstsq(design * weight[:, None], target * weight, rcond=None)
+    shift = solution[1:]
+    if seen.all():
+        return ComInertia(centre + shift @ along, float(solution[0] - mass * shift @ shift), "")
+    row = axes[0]
+    com = np.where(np.abs(axes[1]) > 1e-9, np.nan, centre + shift @ along)
+    return ComInertia(
+        com,
+        np.nan,
+        f"the pivots lie in a straight row along ({row[0]:.2f}, {row[1]:.2f}): the centre of mass across it is "
+        f"confounded with I_cm; only I_cm + M (c_across - {float(centre @ axes[1]):.4f})^2 = "
+        f"{solution[0] - mass * shift @ shift:.6f} kg m^2 is known. Turn about a point off the row",
+    )

@@ -1,0 +1,146 @@
+"""What the trajectories say, as one batch of K steady windows in the object frame."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from estimators.dynamics import Inertia, ParticleModel, cross, turned
+from estimators.support import GripperLoad
+from testbed.actions import Accelerate, Weigh
+from testbed.errors import InvalidValueError
+from testbed.objects import ObjectShape
+from testbed.reduction import SteadyWindow, steady_windows
+from testbed.trajectory import Trajectory
+
+
+@dataclass(frozen=True, eq=False)
+class Observations:
+    """K windows of constant speed or constant acceleration. Object axes; moments about the grasp point."""
+
+    wrench: Float[Tensor, "K 3"]
+    """Mean f_x, f_y of the gripper on the object and torque about the grasp point, N and N m."""
+    covariance: Float[Tensor, "K 3 3"]
+    """Of that mean, from the window's own scatter."""
+    bias_covariance: Float[Tensor, "K 3 3"]
+    """Of the error that the sensor's tare leaves, one draw a trajectory."""
+    twist: Float[Tensor, "K 3"]
+    """Velocity of the grasp point, m/s, and turn rate, rad/s."""
+    acceleration: Float[Tensor, "K 3"]
+    """Acceleration of the grasp point, m/s^2, and angular acceleration, rad/s^2."""
+    spin_square: Float[Tensor, "K"]
+    """Mean square of the turn rate, rad^2/s^2."""
+    grasp: Float[Tensor, "K 2"]
+    """Grasp point, m, object frame."""
+    lift: Float[Tensor, "K"]
+    """Vertical force of the gripper on the object, N."""
+    tilt: Float[Tensor, "K 2"]
+    """(t_y + h f_x, -t_x + h f_y): moment that the feet supply where nothing accelerates, N m."""
+    load_variance: Float[Tensor, "K 3"]
+    """Of lift and tilt as given here, N^2 and (N m)^2."""
+    held: Int[Tensor, "K"]
+    """Mass group between the fingers."""
+    trial: Int[Tensor, "K"]
+    """Which trajectory a window is from."""
+    accelerated: Tensor
+    """Whether it is from an `Accelerate`, (K,) bool."""
+
+    def __len__(self) -> int:
+        return len(self.wrench)
+
+    def where(self, keep: Tensor) -> Observations:
+        """The windows that `keep` (K,) selects."""
+        return Observations(**{name: value[keep] for name, value in vars(self).items()})
+
+    def lever(self, model: ParticleModel) -> Float[Tensor, "K P 2"]:
+        """Particles from the grasp point, m."""
+        return model.particles - self.grasp[:, None]
+
+    def particle_velocity(self, model: ParticleModel) -> Float[Tensor, "K P 2"]:
+        """Velocity of each particle, m/s."""
+        return self.twist[:, None, :2] + self.twist[:, None, 2:] * turned(self.lever(model))
+
+    def com_acceleration(self, com: Float[Tensor, "2"]) -> Float[Tensor, "K 2"]:
+        """Acceleration of the centre of mass, m/s^2."""
+        arm = com - self.grasp
+        return self.acceleration[:, :2] + self.acceleration[:, 2:] * turned(arm) - self.spin_square[:, None] * arm
+
+    def inertial_wrench(self, inertia: Inertia) -> Float[Tensor, "K 3"]:
+        """Force and torque about the grasp point that the motion itself takes: M a_c, and without I_j alpha."""
+        force = inertia.mass * self.com_acceleration(inertia.com)
+        torque = inertia.mass * cross(inertia.com - self.grasp, self.acceleration[:, :2])
+        return torch.cat([force, torque[:, None]], -1)
+
+    def gripper_load(self, inertia: Inertia, height: float) -> GripperLoad:
+        """What the gripper carries; the mass accelerates at half the object's `height` (m) over the feet."""
+        moment = self.tilt - height / 2 * inertia.mass * self.com_acceleration(inertia.com)
+        return GripperLoad(self.lift, moment, self.held, self.grasp)
+
+
+def observe(shape: ObjectShape, trajectories: Sequence[Trajectory]) -> Observations | None:
+    """All usable trajectories of one object as one batch; None where there is none.
+
+    Weighings, trials that did not end well and those too short to reduce are left out.
+    """
+    windows: list[SteadyWindow] = []
+    trial: list[int] = []
+    accelerated: list[bool] = []
+    for index, trajectory in enumerate(trajectories):
+        if trajectory.ok and not isinstance(trajectory.action, Weigh):
+            try:
+                found = steady_windows(trajectory)
+            except InvalidValueError:  # no steady stretch long enough to trim
+                continue
+            windows += found
+            trial += [index] * len(found)
+            accelerated += [isinstance(trajectory.action, Accelerate)] * len(found)
+    if not windows:
+        return None
+    planar = [0, 1, 5]
+    wrench = np.array([w.wrench for w in windows])
+    carries = np.array([_load_map(w.tcp_height) for w in windows])
+    load = np.einsum("kij,kj->ki", carries, wrench)
+    # within a window the load itself wanders, and its mean is what counts: only the bias is an error
+    load_variance = np.einsum("kij,kjl,kil->ki", carries, np.array([w.bias_covariance for w in windows]), carries)
+    for kind in (True, False):  # an accelerating arm swings: its load is of another size
+        rows = np.array(accelerated) == kind
+        if rows.any():
+            load[rows], load_variance[rows] = _shrunk(load[rows], load_variance[rows])
+    points = np.array([shape.grasps[w.grasp].position for w in windows])
+    nearest = np.linalg.norm(shape.particles[None] - points[:, None], axis=-1).argmin(axis=1)
+    tensor = torch.tensor
+    return Observations(
+        wrench=tensor(wrench[:, planar]),
+        covariance=tensor(np.array([w.covariance for w in windows])[:, planar][:, :, planar]),
+        bias_covariance=tensor(np.array([w.bias_covariance for w in windows])[:, planar][:, :, planar]),
+        twist=tensor(np.array([w.twist for w in windows])),
+        acceleration=tensor(np.array([w.acceleration for w in windows])),
+        spin_square=tensor([w.spin_square for w in windows], dtype=torch.float64),
+        grasp=tensor(points),
+        lift=tensor(load[:, 0]),
+        tilt=tensor(load[:, 1:]),
+        load_variance=tensor(load_variance),
+        held=tensor(shape.mass_group[nearest]),
+        trial=tensor(trial),
+        accelerated=tensor(accelerated),
+    )
+
+
+def _load_map(height: float) -> np.ndarray:
+    """From a wrench to the gripper's load (fz, t_y + h f_x, -t_x + h f_y), (3, 6)."""
+    return np.array([[0, 0, 1, 0, 0, 0], [height, 0, 0, 0, 1, 0], [0, height, 0, -1, 0, 0]], dtype=float)
+
+
+def _shrunk(load: np.ndarray, variance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Loads drawn towards zero by how much of their scatter is the sensor's own error, and what is left of that error.
+
+    Empirical Bayes: a gripper that carries less than the sensor can tell is better taken to carry nothing.
+    """
+    real = np.maximum((load**2).mean(axis=0) - variance.mean(axis=0), 0.0)
+    kept = real / np.maximum(real + variance, 1e-300)
+    return kept * load, kept * variance

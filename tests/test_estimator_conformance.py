@@ -1,0 +1,116 @@
+"""The conformance suite itself: what keeps to the protocol passes, and every breach is caught."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any, cast
+
+import numpy as np
+import pytest
+from estimator_conformance import (
+    CONFORMANCE,
+    answers_in_the_shapes_groups,
+    does_not_care_for_the_order_of_particles_and_groups,
+    doubles_the_masses_when_all_wrenches_double,
+    gives_the_same_answer_to_the_same_seed,
+    says_so_when_there_is_too_little,
+    takes_extra_trajectories,
+)
+
+from estimators.hidden_states import HiddenStatesEstimator
+from estimators.protocol import Estimate, Estimator
+from testbed.objects import MassDistribution, ObjectModel, ObjectShape
+from testbed.trajectory import Trajectory
+
+REAL = HiddenStatesEstimator()
+BAD_LUCK = np.random.default_rng(0)
+
+
+def answering(change: Callable[[Estimate, ObjectShape], Estimate]) -> Estimator:
+    """The real estimator with its answer changed."""
+
+    def estimate(shape: ObjectShape, weight: float | None, trajectories: Sequence[Trajectory], seed: int) -> Estimate:
+        return change(REAL.estimate(shape, weight, trajectories, seed), shape)
+
+    return cast(Estimator, SimpleNamespace(estimate=estimate))
+
+
+def with_mass(answer: Estimate, mass: np.ndarray) -> Estimate:
+    if answer.distribution is None:
+        return answer
+    return replace(answer, distribution=MassDistribution(mass, answer.distribution.friction), covariance=None)
+
+
+def masses(answer: Estimate, shape: ObjectShape) -> np.ndarray:
+    return np.zeros(shape.n_m) if answer.distribution is None else answer.distribution.mass
+
+
+def short(answer: Estimate, shape: ObjectShape) -> Estimate:
+    return with_mass(answer, masses(answer, shape)[:-1])
+
+
+def drawn(answer: Estimate, shape: ObjectShape) -> Estimate:
+    return with_mass(answer, masses(answer, shape) * BAD_LUCK.uniform(0.9, 1.1))
+
+
+def fixed(answer: Estimate, shape: ObjectShape) -> Estimate:
+    return with_mass(answer, np.full(shape.n_m, 0.1))
+
+
+def first_is_heavy(answer: Estimate, shape: ObjectShape) -> Estimate:
+    return with_mass(answer, masses(answer, shape) * np.append(2.0, np.ones(shape.n_m - 1)))
+
+
+def guessing(answer: Estimate, shape: ObjectShape) -> Estimate:
+    if answer.distribution is not None:
+        return answer
+    return replace(answer, status="ok", distribution=MassDistribution(np.ones(shape.n_m), np.ones(shape.n_mu)))
+
+
+def fragile() -> Estimator:
+    """An estimator that takes only trials that went well."""
+
+    def estimate(shape: ObjectShape, weight: float | None, trajectories: Sequence[Trajectory], seed: int) -> Estimate:
+        if not all(t.ok for t in trajectories):
+            raise RuntimeError("a trial did not end well")
+        return REAL.estimate(shape, weight, trajectories, seed)
+
+    return cast(Estimator, SimpleNamespace(estimate=estimate))
+
+
+BREACHES: tuple[tuple[Callable[[Estimator], None], Estimator], ...] = (
+    (answers_in_the_shapes_groups, answering(short)),
+    (gives_the_same_answer_to_the_same_seed, answering(drawn)),
+    (doubles_the_masses_when_all_wrenches_double, answering(fixed)),
+    (does_not_care_for_the_order_of_particles_and_groups, answering(first_is_heavy)),
+    (takes_extra_trajectories, fragile()),
+    (says_so_when_there_is_too_little, answering(guessing)),
+)
+
+
+@pytest.mark.parametrize(("holds", "fake"), BREACHES, ids=[holds.__name__ for holds, _ in BREACHES])
+def test_a_breach_is_caught(holds, fake):
+    assert isinstance(fake, Estimator)
+    with pytest.raises((AssertionError, RuntimeError)):
+        holds(fake)
+
+
+def test_every_rule_has_a_breach():
+    assert {holds for holds, _ in BREACHES} == set(CONFORMANCE)
+
+
+@pytest.mark.parametrize("holds", CONFORMANCE, ids=lambda f: f.__name__)
+def test_an_estimator_is_handed_no_truth(holds):
+    given: list[Any] = []
+
+    def estimate(shape: Any, weight: Any, trajectories: Any, seed: Any) -> Estimate:
+        given.extend([shape, weight, seed, *trajectories])
+        return REAL.estimate(shape, weight, trajectories, seed)
+
+    holds(cast(Estimator, SimpleNamespace(estimate=estimate)))
+    kinds = {type(value) for value in given}
+    assert kinds <= {ObjectShape, float, int, Trajectory}
+    inside = [part for value in given if isinstance(value, Trajectory) for part in vars(value).values()]
+    assert not any(isinstance(part, ObjectModel | MassDistribution) for part in inside)

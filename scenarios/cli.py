@@ -1,0 +1,83 @@
+"""The `heft` command."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+from rich.console import Console
+
+from testbed.errors import HeftError
+
+
+def run(
+    scenario: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="SCENARIO")] = "blocks",
+    *,
+    out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None,
+    workers: Annotated[int | None, tyro.conf.arg(metavar="N")] = None,
+    seeds: Annotated[int | None, tyro.conf.arg(metavar="N")] = None,
+    objects: Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="OBJECT ...")] = None,
+) -> None:
+    """Run a scenario: try every object under every support, ask every method, print the tables.
+
+    Ctrl-C leaves whole files; the same command goes on from them. Example: heft run blocks --objects L2 my/object.toml
+
+    Args:
+        scenario: name in the library, or path to a TOML file.
+        out: folder for the results; results/<scenario> if left out.
+        workers: worker processes; one a core if left out, 0 runs everything in this process.
+        seeds: sensing draws of each trial; the scenario's own number if left out.
+        objects: names in the library or paths to TOML files, instead of the scenario's own.
+    """
+    from scenarios.main_run import run_and_show  # noqa: PLC0415  torch and MuJoCo take seconds that --help need not wait for
+
+    run_and_show(scenario, out, workers, seeds, objects)
+
+
+def objects() -> None:
+    """List the objects in the library."""
+    from scenarios.show import list_objects  # noqa: PLC0415
+
+    list_objects(Console())
+
+
+def scenarios() -> None:
+    """List the scenarios in the library."""
+    from scenarios.schema import LIBRARY, scenario_names  # noqa: PLC0415
+
+    for name in scenario_names():
+        first = (LIBRARY / f"{name}.toml").read_text(encoding="utf-8").splitlines()[0].lstrip("# ")
+        Console().print(f"{name}: {first}", highlight=False)
+
+
+def show(object_: Annotated[str, tyro.conf.Positional, tyro.conf.arg(name="object", metavar="OBJECT")]) -> None:
+    """Show one object: its blocks, mass, centre, inertia, and where it can be gripped.
+
+    Args:
+        object_: name in the library, or path to a TOML file.
+    """
+    from scenarios.show import show_object  # noqa: PLC0415
+
+    show_object(Console(), object_)
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Entry point: 0 done, 1 done but some trials or estimates failed, 2 a wrong argument or file, 130 interrupted."""
+    try:
+        tyro.extras.subcommand_cli_from_dict(
+            {"run": run, "objects": objects, "scenarios": scenarios, "show": show},
+            prog="heft",
+            description="What can a robot learn about how an object's mass is spread, from the wrench at its wrist?",
+            args=arguments,
+        )
+    except HeftError as error:
+        print(f"heft: {error}", file=sys.stderr)
+        sys.exit(2)
+    except OSError as error:
+        print(f"heft: {error.strerror or error}: {error.filename or ''}", file=sys.stderr)
+        sys.exit(2)
+    except KeyboardInterrupt:
+        print("heft: stopped; the same command goes on from here", file=sys.stderr)
+        sys.exit(130)

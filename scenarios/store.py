@@ -1,0 +1,139 @@
+"""Results on disk: one folder a trial, one file an estimate, each written whole; what is there is done.
+
+results/<scenario>/manifest.json
+                   trials/<key>/trajectory.parquet, trial.json    one physical trial, shared by every draw and method
+                   estimates/<key>/result.json                    one answer, with its error against the truth
+                                   error.txt                      or why there is none
+                   results.parquet                                derived from the above
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterable
+from dataclasses import asdict, dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from testbed.actions import action_to_dict
+from testbed.resources import asset_folder
+from testbed.simulation.settings import SimulationSettings
+from testbed.trajectory import (
+    SCHEMA_VERSION,
+    Trajectory,
+    TrajectoryFileError,
+    load_trajectory,
+    save_trajectory,
+    write_whole,
+)
+from testbed.trial import Trial
+
+
+def key_of(asked: dict[str, Any]) -> str:
+    """Content key: a hash of canonical JSON."""
+    return hashlib.sha256(json.dumps(asked, sort_keys=True, separators=(",", ":")).encode()).hexdigest()[:20]
+
+
+def trial_request(trial: Trial, settings: SimulationSettings) -> dict[str, Any]:
+    """All that decides a physical trial, as plain data; sensing is drawn afterwards and is not in it."""
+    shape, truth = trial.object.shape, trial.object.truth
+    return {
+        "schema": SCHEMA_VERSION,
+        "assets": _asset_hash(),
+        "object": {
+            "particles": shape.particles.tolist(),
+            "mass_group": shape.mass_group.tolist(),
+            "friction_group": shape.friction_group.tolist(),
+            "cell": shape.cell,
+            "height": shape.height,
+            "grasps": [[*g.position.tolist(), g.angle, g.width, g.length] for g in shape.grasps],
+            "mass": truth.mass.tolist(),
+            "friction": truth.friction.tolist(),
+        },
+        "action": action_to_dict(trial.action),
+        "support": trial.support.name,
+        "simulation": asdict(settings),
+    }
+
+
+@lru_cache(maxsize=1)
+def _asset_hash() -> str:
+    files = sorted(asset_folder("mjcf").glob("*.xml"))
+    return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()[:20]
+
+
+@dataclass(frozen=True)
+class Store:
+    """A results folder."""
+
+    root: Path
+
+    def has_trial(self, key: str) -> bool:
+        """Whether a trial is done."""
+        return (self.root / "trials" / key / "trial.json").is_file()
+
+    def put_trial(self, key: str, asked: dict[str, Any], trajectory: Trajectory) -> None:
+        """Write a trial; trial.json comes last and means done."""
+        folder = self.root / "trials" / key
+        save_trajectory(trajectory, folder / "trajectory.parquet")
+        said = {"status": trajectory.status, "reason": trajectory.reason, "figures": trajectory.figures}
+        write_json(folder / "trial.json", said | {"asked": asked})
+
+    def trajectory(self, key: str) -> Trajectory:
+        """Read a trial back; a damaged one is taken as not done.
+
+        Raises:
+            TrajectoryFileError: damaged; its trial.json is removed, so that the next run makes it again.
+        """
+        folder = self.root / "trials" / key
+        try:
+            return load_trajectory(folder / "trajectory.parquet")
+        except TrajectoryFileError:
+            (folder / "trial.json").unlink(missing_ok=True)
+            raise
+
+    def result(self, key: str) -> dict[str, Any] | None:
+        """A finished estimate's row, or None."""
+        return read_json(self.root / "estimates" / key / "result.json")
+
+    def put_result(self, key: str, row: dict[str, Any]) -> None:
+        """Write an estimate's row, whole."""
+        write_json(self.root / "estimates" / key / "result.json", row)
+
+    def put_error(self, key: str, text: str) -> None:
+        """Write why an estimate failed; it stays undone, and the next run tries again."""
+        write_whole(self.root / "estimates" / key / "error.txt", lambda part: part.write_text(text, encoding="utf-8"))
+
+    def put_table(self, rows: Iterable[dict[str, Any]]) -> pd.DataFrame:
+        """Write results.parquet, derived from the rows."""
+        frame = pd.DataFrame(list(rows))
+        write_whole(self.root / "results.parquet", lambda part: frame.to_parquet(part, compression="zstd"))
+        return frame
+
+
+def read_json(path: Path) -> dict[str, Any] | None:
+    """A JSON file, or None where it is missing or damaged."""
+    try:
+        return json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return None
+
+
+def write_json(path: Path, data: dict[str, Any]) -> None:
+    """Write JSON whole or not at all; NaN becomes null."""
+    write_whole(path, lambda part: part.write_text(json.dumps(_plain(data), indent=1) + "\n", encoding="utf-8"))
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {str(k): _plain(v) for k, v in value.items()}
+    if isinstance(value, list | tuple | np.ndarray):
+        return [_plain(v) for v in value]
+    if isinstance(value, float | np.floating):
+        return float(value) if np.isfinite(value) else None
+    return value.item() if isinstance(value, np.generic) else value

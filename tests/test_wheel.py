@@ -1,0 +1,41 @@
+"""The wheel holds all that heft needs, wherever it is run from."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parent.parent
+SCRIPT = """
+import testbed, pathlib, sys
+assert pathlib.Path(testbed.__file__).is_relative_to(sys.argv[1]), testbed.__file__
+from scenarios.cli import main
+from testbed.simulation.arm import arm_model
+arm_model()
+main(["objects"])
+main(["scenarios"])
+main(["show", "F2"])
+"""
+
+
+@pytest.mark.slow
+def test_a_wheel_runs_from_another_folder(tmp_path):
+    build = [sys.executable, "-m", "build", "--wheel", "--no-isolation", "--outdir", str(tmp_path), str(ROOT)]
+    subprocess.run(build, check=True, capture_output=True)
+    (wheel,) = tmp_path.glob("heft-*.whl")
+    target = tmp_path / "site"
+    install = [sys.executable, "-m", "pip", "install", "--quiet", "--no-deps", "--target", str(target), str(wheel)]
+    subprocess.run(install, check=True, capture_output=True)
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    done = subprocess.run(
+        [sys.executable, "-c", SCRIPT, str(target)],
+        check=False, capture_output=True, text=True, cwd=elsewhere, env=os.environ | {"PYTHONPATH": str(target)},
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert "I2" in done.stdout
+    assert "blocks" in done.stdout

@@ -1,0 +1,201 @@
+"""Speed and memory, as ratios measured side by side in one process: `make bench`."""
+
+from __future__ import annotations
+
+import resource
+import statistics
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+
+import mujoco
+import numpy as np
+import torch
+from rich import box
+from rich.console import Console
+from rich.table import Table
+
+from estimators.dynamics import ParticleModel, inertia_of, one_step
+from estimators.friction_loads import OPTIMIZERS, LoadGroups, closed_form, descend, friction_system
+from estimators.hidden_states import HiddenStatesEstimator
+from estimators.observations import observe
+from estimators.rank_driven import between_particles
+from testbed.actions import Accelerate, Rotate
+from testbed.object_files import load_object
+from testbed.objects import GRAVITY
+from testbed.sensing import draw_sensing, preset
+from testbed.simulation.motion import plan_motion
+from testbed.simulation.runner import SimulationRunner, place
+from testbed.simulation.scene import build_scene
+from testbed.simulation.servo import Servo
+from testbed.simulation.settings import SimulationSettings
+from testbed.trajectory import Trajectory
+from testbed.trial import OWN_WEIGHT, Trial
+
+SETTINGS = SimulationSettings()
+TURNS = 12
+
+
+def seconds(function: Callable[[], object], repeats: int = 5) -> float:
+    """Median wall time of a call, s, after one call to warm up."""
+    function()
+    times = []
+    for _ in range(repeats):
+        begin = time.perf_counter()
+        function()
+        times.append(time.perf_counter() - begin)
+    return statistics.median(times)
+
+
+def trial_against_bare_steps() -> tuple[float, float, int]:
+    """Wall time of a trial and of nothing but mj_step over the same model and commands; and the number of steps."""
+    model, action = load_object("L2"), Rotate(2, duration=6.0)
+    runner = SimulationRunner(SETTINGS)
+    steps = round(1 / SETTINGS.rate / SETTINGS.timestep)
+    motion = plan_motion(action, model.shape, SETTINGS)
+    scene = build_scene(model, OWN_WEIGHT, model.shape.grasps[2], SETTINGS)
+    data = mujoco.MjData(scene.model)
+    place(scene.model, data, motion)
+    servo = Servo(scene.model, motion, SETTINGS)
+    controls = []
+    for tick in range(len(motion.q)):
+        servo.command(data, tick)
+        controls.append(data.ctrl.copy())
+        mujoco.mj_step(scene.model, data, steps)
+        servo.measure(data, tick)
+
+    def bare() -> None:
+        place(scene.model, data, motion)
+        for control in controls:
+            data.ctrl[:] = control
+            mujoco.mj_step(scene.model, data, steps)
+
+    whole, loop = [], []
+    for _ in range(5):  # side by side, so that whatever else the machine does hits both
+        begin = time.perf_counter()
+        runner.run(Trial(model, action))
+        middle = time.perf_counter()
+        mujoco.mj_resetData(scene.model, data)
+        bare()
+        whole.append(middle - begin)
+        loop.append(time.perf_counter() - middle)
+    return statistics.median(whole), statistics.median(loop), len(controls) * steps
+
+
+def six_turns() -> tuple[list[Trajectory], float]:
+    """Three turns there and back (six turns) and three accelerated turns of L2, felt by an FT-300S."""
+    model, runner = load_object("L2"), SimulationRunner(SETTINGS)
+    turns = [
+        Rotate(g, duration=6.0, pivot=between_particles(model.shape, model.shape.grasps[g].position), back=True)
+        for g in (0, 2, 4)
+    ]
+    actions = [*turns, *(Accelerate(g) for g in (0, 2, 4))]
+    trials = [Trial(model, action, sensing="ft300s", seed=i) for i, action in enumerate(actions)]
+    return [runner.run(trial) for trial in trials], model.total_mass
+
+
+def loss_and_gradient(grid: int) -> tuple[int, Callable[[], None]]:
+    """One loss and gradient of the one-step model against mass and friction, with grid x grid particles a block."""
+    shape = load_object("L2", grid).shape
+    model = ParticleModel.of(shape)
+    mass = torch.full((shape.n_m,), 1.8 / len(shape.particles), dtype=torch.float64, requires_grad=True)
+    friction = torch.full((shape.n_mu,), 0.5, dtype=torch.float64, requires_grad=True)
+    pose = torch.zeros(TURNS, 1, 3, dtype=torch.float64)
+    velocity = torch.tensor([0.01, 0.02, 0.17], dtype=torch.float64).expand(TURNS, 1, 3)
+    wrench = torch.ones(TURNS, 1, 3, dtype=torch.float64)
+    grasp = torch.zeros(TURNS, 2, dtype=torch.float64)
+
+    def once() -> None:
+        particle_mass = model.particle_mass(mass)
+        load = (model.particle_friction(friction) * particle_mass * GRAVITY).expand(TURNS, 1, -1)
+        predicted = one_step(model, inertia_of(model, particle_mass), load, pose, velocity, wrench, grasp, 0.01)
+        (predicted - velocity).square().sum().backward()
+
+    return len(shape.particles), once
+
+
+def peak_memory_mb() -> float:
+    """Peak resident memory of a fresh process that runs a trial and an estimate, MiB."""
+    script = (
+        "import resource, torch; torch.set_num_threads(1)\n"
+        "from testbed.object_files import load_object; from testbed.actions import Rotate\n"
+        "from testbed.trial import Trial\n"
+        "from testbed.simulation.runner import SimulationRunner\n"
+        "from estimators.hidden_states import HiddenStatesEstimator\n"
+        "m = load_object('L2'); r = SimulationRunner()\n"
+        "t = [r.run(Trial(m, Rotate(g, back=True))) for g in (0, 2, 4)]\n"
+        "assert HiddenStatesEstimator().estimate(m.shape, m.total_mass, t, 0).status == 'ok'\n"
+        "print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)\n"
+    )
+    return float(subprocess.run([sys.executable, "-c", script], check=True, capture_output=True, text=True).stdout)
+
+
+def main() -> None:
+    """Print one table."""
+    torch.set_num_threads(1)
+    table = Table(box=box.SIMPLE_HEAD)
+    for column, justify in (
+        ("what", "left"),
+        ("measured", "right"),
+        ("against", "right"),
+        ("ratio", "right"),
+        ("goal", "right"),
+    ):
+        table.add_column(column, justify=justify)  # pyright: ignore[reportArgumentType]
+
+    whole, bare, steps = trial_against_bare_steps()
+    table.add_row("trial / bare mj_step loop", f"{whole:.2f} s", f"{bare:.2f} s", f"{whole / bare:.2f}", "<= 1.25")
+    table.add_row(
+        "mj_step, arm gripping six blocks, 54 feet",
+        f"{bare / steps * 1e6:.0f} us",
+        "1 ms",
+        f"{steps * 1e-3 / bare:.0f} x real time",
+        "",
+    )
+
+    trajectories, weight = six_turns()
+    shape = load_object("L2").shape
+    model = ParticleModel.of(shape)
+    groups = LoadGroups.of(model)
+    observed = observe(shape, trajectories)
+    assert observed is not None
+    steady = observed.where(~observed.accelerated)
+    mass = torch.full((len(shape.particles),), weight / len(shape.particles), dtype=torch.float64)
+    settings = HiddenStatesEstimator()
+    system = friction_system(
+        model, groups, steady, mass, torch.full_like(mass, 0.5), inertia_of(model, mass), shape.height,
+        pivot_error=settings.pivot_error, force_error=settings.force_error, torque_error=settings.torque_error,
+    )  # fmt: skip
+    exact = seconds(lambda: closed_form(system), 50)
+    table.add_row("closed form of s, six turns", f"{exact * 1e3:.2f} ms", "", "", "<= 10 ms")
+    reference = closed_form(system)
+    for optimizer in OPTIMIZERS:
+        took = seconds(lambda name=optimizer: descend(system, name, 500), 3)
+        error = np.abs(descend(system, optimizer, 500)[0] - reference).max() / reference.max()
+        table.add_row(f"500 gradient steps, {optimizer} (off by {error:.0e})", f"{took:.3f} s", f"{exact * 1e3:.2f} ms",
+                      f"{took / exact:.0f}", "<= 0.5 s")  # fmt: skip
+    took = seconds(lambda: settings.estimate(shape, weight, trajectories, 0))
+    table.add_row("whole estimate, closed form", f"{took * 1e3:.0f} ms", "", "", "")
+    took_draw = seconds(lambda: [draw_sensing(t, preset("ft300s"), 0) for t in trajectories])
+    table.add_row("a sensing draw of six trials", f"{took_draw * 1e3:.0f} ms", "", "", "")
+
+    scaling = [(count, seconds(once)) for count, once in map(loss_and_gradient, (4, 13, 41, 129))]
+    first = scaling[0]
+    for count, took in scaling:
+        each, growth = took / count * 1e9, took / first[1] / (count / first[0])
+        label = f"loss and gradient, {count} particles x {TURNS} turns"
+        table.add_row(label, f"{took * 1e3:.2f} ms", f"{each:.0f} ns/particle", f"{growth:.2f} x linear", "<= 1")
+    table.add_row("peak memory of a worker", f"{peak_memory_mb():.0f} MiB", "", "", "<= 1024 MiB")
+    table.add_row(
+        "peak memory of this process",
+        f"{resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024:.0f} MiB",
+        "",
+        "",
+        "",
+    )
+    Console(width=130).print(table)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,178 @@
+"""What the simulated bench is worth: python bench/physics.py [sensor|coulomb|levers|resolution|all]."""
+
+from __future__ import annotations
+
+import sys
+import tempfile
+from collections.abc import Callable
+from concurrent.futures import Future
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from rich import box
+from rich.console import Console
+from rich.table import Table
+
+from estimators.dynamics import ParticleModel, direction, friction_wrench, inertia_of
+from estimators.observations import observe
+from estimators.rank_driven import between_particles
+from estimators.support import own_weight, rigid_loads
+from scenarios.execution import default_workers, workers
+from scenarios.schema import Grid, Scenario, Simulation
+from scenarios.sweep import run_scenario
+from testbed.actions import Rotate, Slide
+from testbed.object_files import load_object
+from testbed.sensing import compensate
+from testbed.simulation.runner import SimulationRunner
+from testbed.simulation.settings import ContactSettings, ServoSettings, SimulationSettings
+from testbed.trajectory import Phase
+from testbed.trial import OWN_WEIGHT, RIGID, Support, Trial
+
+OBJECTS = ("I1", "I2", "L1", "L2", "F1", "F2")
+SUPPORTS = (OWN_WEIGHT, RIGID)
+BARE = ServoSettings(integral_gain=0.0, null_gain=0.0)
+# MuJoCo's damping ratio and time constant as first tried: stiff in the normal direction, strongly coupled to slip
+STIFF = ContactSettings(sag=0.0001, impedance=0.1, friction_damping=10.0, impratio=1e3)
+LEVERS = {
+    "bare position servo, stiff feet": (BARE, STIFF),
+    "bare position servo": (BARE, ContactSettings()),
+    "+ integral action": (ServoSettings(null_gain=0.0), ContactSettings()),
+    "+ nulling after the grip (default)": (ServoSettings(), ContactSettings()),
+    "+ compliance while moving": (ServoSettings(comply_gain=0.3), ContactSettings()),
+}
+
+
+def coulomb_error(name: str, support: Support, action: Rotate | Slide) -> tuple[float, float, float]:
+    """Simulated drag against Coulomb's, % of the whole drag and of its torque; feet that the model has lifted, %."""
+    model = load_object(name)
+    observed = observe(model.shape, [SimulationRunner().run(Trial(model, action, support))])
+    assert observed is not None
+    particles = ParticleModel.of(model.shape)
+    mass = torch.tensor(model.particle_mass)
+    inertia = inertia_of(particles, mass)
+    load = observed.gripper_load(inertia, model.shape.height)
+    if support.is_rigid:
+        normal = rigid_loads(particles.particles, particles.contact, mass, load)
+    else:
+        feet = own_weight(particles.particles, particles.mass_group, particles.contact, mass, load)
+        normal = feet.loads(load)
+    friction = particles.particle_friction(torch.tensor(model.truth.friction)) * normal
+    drag = -friction_wrench(friction, direction(observed.particle_velocity(particles)), observed.lever(particles))
+    error = (observed.wrench - observed.inertial_wrench(inertia) - drag)[0].numpy()
+    lever = float((friction[0] * observed.lever(particles)[0].norm(dim=-1)).sum())
+    lifted = 100 * float((normal[0] < 0).double().mean())
+    return 100 * float(np.hypot(*error[:2])) / float(friction[0].sum()), 100 * abs(float(error[2])) / lever, lifted
+
+
+def sensor_error(name: str, support: Support, action: Rotate) -> tuple[float, float, float]:
+    """Sensor against summed contact wrench over a turn, tared and compensated: % of force, % of torque; slip, deg."""
+    trajectory, contacts = SimulationRunner().run_with_contacts(Trial(load_object(name), action, support))
+    felt = compensate(trajectory).wrench_on_object_world
+    steady = trajectory.mask(Phase.STEADY)
+    off = np.abs((felt + contacts.wrench_at_tcp)[steady].mean(axis=0))
+    scale = np.linalg.norm(felt[steady][:, :2], axis=1).mean(), np.abs(felt[steady][:, 5]).mean()
+    slip = np.degrees(trajectory.figures["slip_rad"])
+    return 100 * off[:2].max() / scale[0], 100 * off[5] / scale[1], slip
+
+
+def gripper_load(servo: ServoSettings, contact: ContactSettings, support: Support) -> tuple[float, float, float, float]:
+    """Lift after settling; over a turn of L2 the largest lift and moment on the feet, and the torque's spread, %."""
+    model = load_object("L2")
+    runner = SimulationRunner(SimulationSettings(servo=servo, contact=contact))
+    trajectory = runner.run(Trial(model, Rotate(0, pivot=pivot_of_turn("L2", 0)), support))
+    wrench, height = trajectory.wrench_on_object_world, trajectory.tcp_position[:, 2]
+    settled = np.flatnonzero(trajectory.mask(Phase.SETTLE))[-1]
+    steady = np.flatnonzero(trajectory.mask(Phase.STEADY))[100:]
+    moment = np.hypot(wrench[:, 4] + height * wrench[:, 0], -wrench[:, 3] + height * wrench[:, 1])
+    torque = wrench[steady, 5]
+    return wrench[settled, 2], np.abs(wrench[steady, 2]).max(), moment[steady].max(), 100 * torque.std() / torque.mean()
+
+
+def pivot_of_turn(name: str, grasp: int) -> tuple[float, float] | None:
+    """The turn's centre that the rank-driven policy would take."""
+    shape = load_object(name).shape
+    return between_particles(shape, shape.grasps[grasp].position)
+
+
+def sensor(submit: Callable[..., Future[Any]], console: Console) -> None:
+    """Sensor against contact."""
+    table = _table(
+        "Sensor against summed contact wrench over a turn", "object", "support", "force, %", "torque, %", "slip, deg"
+    )
+    asked = [(n, s, Rotate(1, duration=18.0, pivot=pivot_of_turn(n, 1))) for n in OBJECTS for s in SUPPORTS]
+    for (name, support, _), future in [(a, submit(sensor_error, *a)) for a in asked]:
+        table.add_row(name, support.name, *(f"{x:.3f}" for x in future.result()))
+    console.print(table)
+
+
+def coulomb(submit: Callable[..., Future[Any]], console: Console) -> None:
+    """Drag against Coulomb's law, every object; the largest of several actions."""
+    columns = ("object", "support", "turns: force", "torque", "lifted feet", "slides: force", "torque", "lifted feet")
+    table = _table("Drag against Coulomb's law with the measured gripper load, largest error, %", *columns)
+    futures = {}
+    for name in OBJECTS:
+        grasps = range(len(load_object(name).shape.grasps))
+        turns = [Rotate(g, duration=6.0, pivot=pivot_of_turn(name, g)) for g in grasps]
+        slides = [Slide(g, direction=0.5 + g) for g in grasps]
+        for support in SUPPORTS:
+            for kind, actions in (("turns", turns), ("slides", slides)):
+                futures[name, support, kind] = [submit(coulomb_error, name, support, action) for action in actions]
+    for name in OBJECTS:
+        for support in SUPPORTS:
+            cells = [np.max([f.result() for f in futures[name, support, kind]], axis=0) for kind in ("turns", "slides")]
+            table.add_row(name, support.name, *(f"{x:.2f}" for x in np.concatenate(cells)))
+    console.print(table)
+
+
+def levers(submit: Callable[..., Future[Any]], console: Console) -> None:
+    """What each lever against the gripper's load brings."""
+    columns = ("lever", "support", "fz settled, N", "fz turning, N", "moment on feet, N m", "torque spread, %")
+    table = _table("Load on the gripper, a turn of L2 about block B1", *columns)
+    asked = [(name, (*pair, support)) for name, pair in LEVERS.items() for support in SUPPORTS]
+    for (name, arguments), future in [(a, submit(gripper_load, *a[1])) for a in asked]:
+        table.add_row(name, arguments[2].name, *(f"{x:.3f}" for x in future.result()))
+    console.print(table)
+
+
+def resolution(console: Console) -> None:
+    """NAD with a halved step, with other feet, and with feet that the particles do not match."""
+    table = _table("NAD, own weight, ideal, %", "change", "I2", "L2", "F2")
+    base = Scenario(objects=["I2", "L2", "F2"], methods={"hidden_states": {}})
+    changes = {
+        "none: 1 ms, 3 x 3 feet and particles": {},
+        "step 0.5 ms": {"simulation": Simulation(timestep_s=0.0005)},
+        "4 x 4 feet and particles": {"grid": Grid(feet=4, particles=4)},
+        "4 x 4 feet, 3 x 3 particles": {"grid": Grid(feet=4, particles=3)},
+        "welded grip": {"simulation": Simulation(grip="weld")},
+    }
+    for name, change in changes.items():
+        with tempfile.TemporaryDirectory() as folder:
+            rows = run_scenario(base.model_copy(update=change), Path(folder), default_workers(), lambda *_: None)
+        nad = dict(zip(rows["object"], rows["nad"], strict=True))
+        table.add_row(name, *(f"{100 * nad[o]:.2f}" for o in ("I2", "L2", "F2")))
+    console.print(table)
+
+
+def _table(title: str, *columns: str) -> Table:
+    table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD)
+    for column in columns:
+        table.add_column(column, justify="left" if column in ("object", "support", "lever", "change") else "right")
+    return table
+
+
+def main() -> None:
+    """Print the tables asked for."""
+    what = sys.argv[1] if len(sys.argv) > 1 else "all"
+    console = Console(width=120)
+    with workers(default_workers()) as submit:
+        for name, show in {"sensor": sensor, "coulomb": coulomb, "levers": levers}.items():
+            if what in (name, "all"):
+                show(submit, console)
+    if what in ("resolution", "all"):
+        resolution(console)
+
+
+if __name__ == "__main__":
+    main()

@@ -102,12 +102,12 @@ def friction_system(
     lost = (s * fade / blurred).square().sum(-1) / 2
     drag = s.sum()
     floor = torch.stack([lost + (force_error * drag) ** 2] * 2 + [(torque_error * observations.wrench[:, 2]) ** 2], -1)
-    uncertain = response @ torch.diag_embed(observations.load_variance) @ response.transpose(1, 2)
-    within = observations.covariance + torch.diag_embed(floor + 1e-10) + uncertain
-    # windows of one trial share what its tare left
-    together = observations.trial[:, None] == observations.trial
-    shared = together[:, None, :, None] * observations.bias_covariance[:, :, None, :]
-    covariance = torch.block_diag(*within) + shared.reshape(b.numel(), b.numel())
+    within = observations.covariance + torch.diag_embed(floor + 1e-10)
+    # windows of one trial share what its tare left, in the wrench and in what the gripper seems to carry
+    together = (observations.trial[:, None] == observations.trial)[:, None, :, None]
+    carried_error = response * observations.load_variance.sqrt()[:, None]
+    shared = observations.bias_covariance[:, :, None, :] + torch.einsum("kia,lja->kilj", carried_error, carried_error)
+    covariance = torch.block_diag(*within) + (together * shared).reshape(b.numel(), b.numel())
     whiten = torch.linalg.inv(torch.linalg.cholesky(covariance))
     return LinearSystem(whiten @ q.reshape(-1, q.shape[-1]), whiten @ b.reshape(-1))
 

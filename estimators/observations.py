@@ -110,7 +110,7 @@ def observe(shape: ObjectShape, trajectories: Sequence[Trajectory]) -> Observati
     for kind in (True, False):  # an accelerating arm swings: its load is of another size
         rows = np.array(accelerated) == kind
         if rows.any():
-            load[rows], load_variance[rows] = _shrunk(load[rows], load_variance[rows])
+            load[rows], load_variance[rows] = _shrunk(load[rows], load_variance[rows], np.array(trial)[rows])
     points = np.array([shape.grasps[w.grasp].position for w in windows])
     nearest = np.linalg.norm(shape.particles[None] - points[:, None], axis=-1).argmin(axis=1)
     tensor = torch.tensor
@@ -136,11 +136,17 @@ def _load_map(height: float) -> np.ndarray:
     return np.array([[0, 0, 1, 0, 0, 0], [height, 0, 0, 0, 1, 0], [0, height, 0, -1, 0, 0]], dtype=float)
 
 
-def _shrunk(load: np.ndarray, variance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Loads drawn towards zero by how much of their scatter is the sensor's own error, and what is left of that error.
+def _shrunk(load: np.ndarray, variance: np.ndarray, trial: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Loads with what is likely the sensor's bias taken off, and the variance of what is left of it.
 
-    Empirical Bayes: a gripper that carries less than the sensor can tell is better taken to carry nothing.
+    A bias is common to all windows of a trial, so what differs between them is real and kept. The common part is drawn
+    towards zero by how much of its scatter over trials the bias explains (empirical Bayes, beyond two standard errors):
+    a gripper that carries less than the sensor can tell is better taken to carry nothing.
     """
-    real = np.maximum((load**2).mean(axis=0) - variance.mean(axis=0), 0.0)
-    kept = real / np.maximum(real + variance, 1e-300)
-    return kept * load, kept * variance
+    trials, index = np.unique(trial, return_inverse=True)
+    common = np.array([load[index == t].mean(axis=0) for t in range(len(trials))])
+    bias = np.array([variance[index == t].mean(axis=0) for t in range(len(trials))])
+    explained = (1 + 2 * np.sqrt(2 / len(trials))) * bias.mean(axis=0)
+    real = np.maximum((common**2).mean(axis=0) - explained, 0.0)
+    kept = real / np.maximum(real + bias, 1e-300)
+    return load + ((kept - 1) * common)[index], (kept * bias)[index]

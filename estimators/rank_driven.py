@@ -92,4 +92,5 @@ def planned_rank(shape: ObjectShape, turns: Sequence[Rotate]) -> int:
     lever = model.particles - points[:, None]
     unit = direction(turned(lever), 1e-9)
     rows = torch.stack([unit[..., 0], unit[..., 1], cross(lever, unit)], 1)
-    return rank_of(LoadGroups.of(model).gather(rows).reshape(-1, len(LoadGroups.of(model).pairs)).numpy())
+    groups = LoadGroups.of(model)
+    return rank_of(groups.gather(rows).reshape(-1, len(groups.pairs)).numpy())

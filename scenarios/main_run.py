@@ -47,7 +47,7 @@ def run_and_show(
 
 
 def _changed(scenario: Scenario, seeds: int | None, objects: tuple[str, ...] | None) -> Scenario:
-    """The scenario with the command line's changes, checked again."""
+    """The scenario with the command line's changes."""
     if seeds is not None and seeds < 1:
         raise InvalidValueError("--seeds", seeds, "an integer >= 1")
     changes = {"seeds": seeds, "objects": list(objects) if objects else None}

@@ -15,7 +15,8 @@ from testbed.trajectory import Tool
 
 JOINT_SPEED_LIMIT = np.radians([80, 80, 80, 80, 70, 70, 70])
 """Joint speed limits of the Gen3, rad/s, (7,)."""
-_STROKE = 0.085
+STROKE = 0.085
+"""Opening of the 2F-85, m."""
 _TOLERANCE = 1e-7
 _ITERATIONS = 100
 # The arm has one joint more than it needs: turn the tool with the last one, and leave the fingers alone.
@@ -86,7 +87,7 @@ def gripper_tool(width: float) -> Tool:
     model = arm_model()
     data = mujoco.MjData(model)
     for finger in ("gripper/left_finger", "gripper/right_finger"):
-        data.qpos[model.joint(finger).qposadr[0]] = (_STROKE - width) / 2
+        data.qpos[model.joint(finger).qposadr[0]] = (STROKE - width) / 2
     mujoco.mj_forward(model, data)
     site = data.site("ft/wrench")
     axes = site.xmat.reshape(3, 3)

@@ -8,13 +8,11 @@ import numpy as np
 from testbed.actions import Weigh
 from testbed.errors import InfeasibleTrialError
 from testbed.objects import GRAVITY
-from testbed.simulation.arm import JOINT_SPEED_LIMIT, arm_model
+from testbed.simulation.arm import JOINT_SPEED_LIMIT, STROKE, arm_model
 from testbed.simulation.motion import Motion
 from testbed.simulation.settings import SimulationSettings
 from testbed.trial import Trial
 
-STROKE = 0.085
-"""Opening of the 2F-85, m."""
 PAD_WIDTH = 0.022
 """Width of its pads, m."""
 MARGIN = 0.8

@@ -1,4 +1,4 @@
-"""What the simulated bench is worth: python bench/physics.py [sensor|coulomb|levers|resolution|all]."""
+"""What the simulated bench is worth: python bench/physics.py [sensor|coulomb|tools|levers|resolution|all]."""
 
 from __future__ import annotations
 
@@ -22,14 +22,18 @@ from estimators.support import own_weight, rigid_loads
 from scenarios.execution import default_workers, workers
 from scenarios.schema import Grid, Scenario, Simulation
 from scenarios.sweep import run_scenario
-from testbed.actions import Rotate, Slide
+from testbed.actions import Rotate, Slide, Weigh
+from testbed.frames import cross_2d, perpendicular, rotation_2d
 from testbed.object_files import load_object
+from testbed.reduction import weight_of
 from testbed.sensing import compensate
+from testbed.simulation.resting import resting_loads
 from testbed.simulation.runner import SimulationRunner
 from testbed.simulation.settings import ContactSettings, ServoSettings, SimulationSettings
 from testbed.trajectory import Phase
 from testbed.trial import OWN_WEIGHT, RIGID, Support, Trial
 
+TOOLS = ("hammer", "wrench")
 OBJECTS = ("I1", "I2", "L1", "L2", "F1", "F2")
 SUPPORTS = (OWN_WEIGHT, RIGID)
 BARE = ServoSettings(integral_gain=0.0, null_gain=0.0)
@@ -75,6 +79,39 @@ def sensor_error(name: str, support: Support, action: Rotate) -> tuple[float, fl
     scale = np.linalg.norm(felt[steady][:, :2], axis=1).mean(), np.abs(felt[steady][:, 5]).mean()
     slip = np.degrees(trajectory.figures["slip_rad"])
     return 100 * off[:2].max() / scale[0], 100 * off[5] / scale[1], slip
+
+
+def foot_error(name: str, support: Support, action: Rotate) -> tuple[float, float, float, float]:
+    """Friction of a turn against Coulomb's law with the true load of every foot: % of force, % of torque; slip in the
+    grip, mm; part of the time that a foot is lifted, %."""
+    model = load_object(name)
+    trajectory, contacts = SimulationRunner().run_with_contacts(Trial(model, action, support))
+    assert trajectory.ok, trajectory.reason
+    steady = trajectory.mask(Phase.STEADY)
+    force = contacts.force_on_object[steady]
+    lever = (contacts.position - contacts.tcp_position[:, None])[steady, :, :2]
+    velocity = trajectory.object_velocity[steady, None]
+    feet = np.einsum(
+        "tij,pj->tpi", rotation_2d(trajectory.object_pose[steady, 2]), model.shape.particles[contacts.particle]
+    )
+    slip = velocity[..., :2] + velocity[..., 2:] * perpendicular(feet)
+    drag = model.truth.friction[model.shape.friction_group[contacts.particle]] * force[:, :, 2]
+    off = force[:, :, :2] + drag[..., None] * slip / np.linalg.norm(slip, axis=2, keepdims=True)
+    torque = (drag * np.linalg.norm(lever, axis=2)).sum(axis=1).mean()
+    return (
+        100 * float(np.linalg.norm(off.sum(axis=1).mean(axis=0)) / drag.sum(axis=1).mean()),
+        100 * float(abs(cross_2d(lever, off).sum(axis=1).mean()) / torque),
+        1e3 * trajectory.figures["slip_m"],
+        100 * float((force[:, :, 2] <= 0).mean()),
+    )
+
+
+def least_load(name: str, support: Support) -> float:
+    """Least load on a foot of the object at rest, % of the mean over its mass group's feet."""
+    model = load_object(name)
+    feet = model.shape.friction_group >= 0
+    loads, group = resting_loads(model, support, ContactSettings())[feet], model.shape.mass_group[feet]
+    return 100 * min(loads[group == g].min() / loads[group == g].mean() for g in range(model.shape.n_m))
 
 
 def gripper_load(servo: ServoSettings, contact: ContactSettings, support: Support) -> tuple[float, float, float, float]:
@@ -126,6 +163,27 @@ def coulomb(submit: Callable[..., Future[Any]], console: Console) -> None:
     console.print(table)
 
 
+def tools(submit: Callable[..., Future[Any]], console: Console) -> None:
+    """The objects made of meshes: weight, load at rest, friction on their own feet."""
+    columns = ("object", "support", "weight, %", "least load, %", "force, %", "torque, %", "slip, mm", "lifted, %")
+    table = _table("Tools: weighing, load at rest, and turns about every grasp (largest)", *columns)
+    futures = {
+        (name, support): [
+            submit(foot_error, name, support, Rotate(g, duration=4.0, back=True))
+            for g in range(len(load_object(name).shape.grasps))
+        ]
+        for name in TOOLS
+        for support in SUPPORTS
+    }
+    for (name, support), turns in futures.items():
+        model = load_object(name)
+        weighed = 100 * (weight_of(SimulationRunner().run(Trial(model, Weigh(), support))) / model.total_mass - 1)
+        worst = np.max([f.result() for f in turns], axis=0)
+        cells = (f"{abs(weighed):.4f}", f"{least_load(name, support):.0f}", *(f"{x:.2f}" for x in worst))
+        table.add_row(name, support.name, *cells)
+    console.print(table)
+
+
 def levers(submit: Callable[..., Future[Any]], console: Console) -> None:
     """What each lever against the gripper's load brings."""
     columns = ("lever", "support", "fz settled, N", "fz turning, N", "moment on feet, N m", "torque spread, %")
@@ -167,7 +225,7 @@ def main() -> None:
     what = sys.argv[1] if len(sys.argv) > 1 else "all"
     console = Console(width=120)
     with workers(default_workers()) as submit:
-        for name, show in {"sensor": sensor, "coulomb": coulomb, "levers": levers}.items():
+        for name, show in {"sensor": sensor, "coulomb": coulomb, "tools": tools, "levers": levers}.items():
             if what in (name, "all"):
                 show(submit, console)
     if what in ("resolution", "all"):

@@ -21,6 +21,7 @@ import numpy as np
 import pandas as pd
 
 from testbed.actions import action_to_dict
+from testbed.objects import Solid
 from testbed.resources import asset_folder
 from testbed.simulation.settings import SimulationSettings
 from testbed.trajectory import (
@@ -51,7 +52,8 @@ def trial_request(trial: Trial, settings: SimulationSettings) -> dict[str, Any]:
             "friction_group": shape.friction_group.tolist(),
             "cell": shape.cell,
             "height": shape.height,
-            "grasps": [[*g.position.tolist(), g.angle, g.width, g.length] for g in shape.grasps],
+            "grasps": [[*g.position.tolist(), g.angle, g.width, g.length, g.bottom, g.top] for g in shape.grasps],
+            "solids": [_solid_hash(solid) for solid in trial.object.solids],
             "mass": truth.mass.tolist(),
             "friction": truth.friction.tolist(),
         },
@@ -59,6 +61,11 @@ def trial_request(trial: Trial, settings: SimulationSettings) -> dict[str, Any]:
         "support": trial.support.name,
         "simulation": asdict(settings),
     }
+
+
+def _solid_hash(solid: Solid) -> str:
+    parts = (solid.vertices.tobytes(), solid.faces.astype(np.int64).tobytes(), np.float64(solid.mass).tobytes())
+    return hashlib.sha256(b"".join(parts)).hexdigest()[:20]
 
 
 @lru_cache(maxsize=1)

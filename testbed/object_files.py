@@ -8,10 +8,27 @@ friction = 0.5                               # or a list, one a friction group, 
 friction_group = [0, 0, 0, 0, 0, 0]          # optional: which friction each block has
 size_m = 0.05                                # optional: side of a block
 height_m = 0.03                              # optional: height of a block
+
+or, for an object made of meshes that lies as on the table z = 0,
+
+name = "hammer"
+[mesh]
+cell_m = 0.01                                # side of a particle's cell
+friction = [0.3, 0.45]
+[[mesh.parts]]                               # one mass group each
+name = "head"
+file = "hammer_head.stl"                     # beside this file, watertight, in metres
+mass_kg = 1.25
+friction_group = 0                           # optional where there is one friction
+[[mesh.grasps]]                              # where a parallel gripper takes it
+name = "handle_mid"
+at_m = [0.13, 0.0]                           # a point between the pads, in the mesh's own x and y
+closing_deg = 90                             # direction along which the pads close
 """
 
 from __future__ import annotations
 
+import math
 import tomllib
 from pathlib import Path
 from typing import Annotated, Any, Self, TypeVar
@@ -20,11 +37,14 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 
 from testbed.blocks import block_object, parse_layout
 from testbed.errors import HeftError, InvalidValueError
+from testbed.meshes import GraspPlace, Part, mesh_object, read_mesh
 from testbed.objects import ObjectModel
 from testbed.resources import asset_folder, find_file, library_names
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+Name = Annotated[str, Field(min_length=1, max_length=64, pattern=r"^[\w.-]+$")]
 FileModel = TypeVar("FileModel", bound=BaseModel)
 
 
@@ -50,43 +70,113 @@ class Blocks(BaseModel):
         return self
 
 
+class MeshPart(BaseModel):
+    """One [[mesh.parts]] table of an object file."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
+
+    name: Name
+    file: Annotated[str, Field(min_length=1)]
+    mass_kg: Positive
+    friction_group: Annotated[int, Field(ge=0)] | None = None
+
+
+class MeshGrasp(BaseModel):
+    """One [[mesh.grasps]] table of an object file."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
+
+    name: Name
+    at_m: Annotated[list[Finite], Field(min_length=2, max_length=2)]
+    closing_deg: Finite
+
+
+class Mesh(BaseModel):
+    """The [mesh] table of an object file."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
+
+    cell_m: Annotated[float, Field(ge=0.001, le=0.1, allow_inf_nan=False)]
+    friction: NonNegative | list[NonNegative] = 0.5
+    parts: Annotated[list[MeshPart], Field(min_length=1)]
+    grasps: list[MeshGrasp] = []
+
+    @model_validator(mode="after")
+    def _fits_together(self) -> Self:
+        for field, names in (("parts", [p.name for p in self.parts]), ("grasps", [g.name for g in self.grasps])):
+            if len(set(names)) < len(names):
+                raise InvalidValueError(field, names, "names that differ")
+        return self
+
+
 class ObjectFile(BaseModel):
-    """A whole object file."""
+    """A whole object file: blocks or a mesh."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    name: Annotated[str, Field(min_length=1, max_length=64, pattern=r"^[\w.-]+$")]
-    blocks: Blocks
+    name: Name
+    blocks: Blocks | None = None
+    mesh: Mesh | None = None
 
-    def build(self, grid: int) -> ObjectModel:
-        """The object with grid x grid particles a block."""
-        b = self.blocks
-        cells = parse_layout(b.layout)
-        friction: list[float] = list(b.friction) if isinstance(b.friction, list) else [b.friction]
-        if not friction:
-            raise InvalidValueError("blocks.friction", friction, "a number >= 0, or a list of one or more")
-        groups = b.friction_group
-        if groups is None and len(friction) == 1:
-            groups = [0] * len(cells)
-        if groups is None or len(groups) != len(cells) or set(groups) - {-1} != set(range(len(friction))):
-            allowed = (
-                f"{len(cells)} integers, one a block, that use every friction from 0 to {len(friction) - 1}, or -1"
-            )
-            raise InvalidValueError("blocks.friction_group", groups, allowed)
-        mass: list[float] = list(b.mass_kg) if isinstance(b.mass_kg, list) else [b.mass_kg] * len(cells)
-        if len(mass) != len(cells) or sum(mass) <= 0:
-            allowed = f"{len(cells)} numbers >= 0, one a block, bottom row first, left to right, with a sum > 0"
-            raise InvalidValueError("blocks.mass_kg", mass, allowed)
-        return block_object(
-            self.name,
-            cells,
-            size=b.size_m,
-            height=b.height_m,
-            mass=mass,
-            friction=friction,
-            friction_group=groups,
-            grid=grid,
-        )
+    @model_validator(mode="after")
+    def _one_kind(self) -> Self:
+        if (self.blocks is None) == (self.mesh is None):
+            given = "neither" if self.blocks is None else "both"
+            raise InvalidValueError("blocks or mesh", given, "exactly one of [blocks] and [mesh]")
+        return self
+
+    def build(self, grid: int, folder: Path) -> ObjectModel:
+        """The object, `grid` particles along a block's side; meshes are files of `folder`."""
+        return _build_blocks(self.name, self.blocks, grid) if self.blocks else self._build_mesh(grid, folder)
+
+    def _build_mesh(self, grid: int, folder: Path) -> ObjectModel:
+        assert self.mesh is not None
+        m = self.mesh
+        friction = _friction_list("mesh.friction", m.friction)
+        groups = [0 if p.friction_group is None and len(friction) == 1 else p.friction_group for p in m.parts]
+        if set(groups) != set(range(len(friction))):
+            allowed = f"an integer for each part, that use every friction from 0 to {len(friction) - 1}"
+            raise InvalidValueError("mesh.parts.friction_group", groups, allowed)
+        parts = []
+        for index, (part, group) in enumerate(zip(m.parts, groups, strict=True)):
+            assert group is not None
+            try:
+                parts.append(Part(part.name, read_mesh(folder / part.file), part.mass_kg, group))
+            except InvalidValueError as error:
+                raise InvalidValueError(f"mesh.parts.{index}.{error.field}", error.given, error.allowed) from None
+        places = [GraspPlace(g.name, (g.at_m[0], g.at_m[1]), math.radians(g.closing_deg)) for g in m.grasps]
+        return mesh_object(self.name, parts, places, friction=friction, cell=m.cell_m, grid=grid)
+
+
+def _build_blocks(name: str, b: Blocks, grid: int) -> ObjectModel:
+    cells = parse_layout(b.layout)
+    friction = _friction_list("blocks.friction", b.friction)
+    groups = b.friction_group
+    if groups is None and len(friction) == 1:
+        groups = [0] * len(cells)
+    if groups is None or len(groups) != len(cells) or set(groups) - {-1} != set(range(len(friction))):
+        allowed = f"{len(cells)} integers, one a block, that use every friction from 0 to {len(friction) - 1}, or -1"
+        raise InvalidValueError("blocks.friction_group", groups, allowed)
+    mass: list[float] = list(b.mass_kg) if isinstance(b.mass_kg, list) else [b.mass_kg] * len(cells)
+    if len(mass) != len(cells) or sum(mass) <= 0:
+        allowed = f"{len(cells)} numbers >= 0, one a block, bottom row first, left to right, with a sum > 0"
+        raise InvalidValueError("blocks.mass_kg", mass, allowed)
+    return block_object(
+        name,
+        cells,
+        size=b.size_m,
+        height=b.height_m,
+        mass=mass,
+        friction=friction,
+        friction_group=groups,
+        grid=grid,
+    )
+
+
+def _friction_list(field: str, friction: float | list[float]) -> list[float]:
+    if friction == []:
+        raise InvalidValueError(field, friction, "a number >= 0, or a list of one or more")
+    return list(friction) if isinstance(friction, list) else [friction]
 
 
 def load_object(name_or_path: str | Path, grid: int = 3) -> ObjectModel:
@@ -94,7 +184,8 @@ def load_object(name_or_path: str | Path, grid: int = 3) -> ObjectModel:
 
     Args:
         name_or_path: "L2", or "my/object.toml".
-        grid: particles along a block's side.
+        grid: particles along a block's side. A mesh's cells have a side of cell_m * 3 / grid: the default keeps the
+            file's, a larger grid cuts finer.
 
     Raises:
         InvalidValueError: no such object, or values out of range.
@@ -103,7 +194,7 @@ def load_object(name_or_path: str | Path, grid: int = 3) -> ObjectModel:
     path = find_file(name_or_path, asset_folder("objects"), "object")
     parsed = load_toml(path, ObjectFile)
     try:
-        return parsed.build(grid)
+        return parsed.build(grid, path.parent)
     except InvalidValueError as error:
         raise InvalidValueError(error.field, error.given, error.allowed, file=path) from None
 

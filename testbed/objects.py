@@ -31,6 +31,10 @@ class Grasp:
     """Distance between the two gripped faces, m."""
     length: float
     """Length of the gripped faces, m."""
+    bottom: float = 0.0
+    """Lower edge of the gripped faces over the table, m."""
+    top: float | None = None
+    """Their upper edge, m; None is the object's height."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "position", frozen_array("Grasp.position", self.position, (2,)))
@@ -38,6 +42,10 @@ class Grasp:
             raise InvalidValueError("Grasp.angle", self.angle, "a finite number, rad")
         for name in ("width", "length"):
             check_positive(f"Grasp.{name}", getattr(self, name))
+        if not (is_number(self.bottom) and self.bottom >= 0):
+            raise InvalidValueError("Grasp.bottom", self.bottom, "a finite number >= 0, m")
+        if self.top is not None and not (is_number(self.top) and self.top > self.bottom):
+            raise InvalidValueError("Grasp.top", self.top, f"a finite number > bottom ({self.bottom:g} m), or None")
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,12 +123,65 @@ class MassDistribution:
 
 
 @dataclass(frozen=True, eq=False)
+class Solid:
+    """A body of even density within a closed surface of triangles, which face outwards."""
+
+    vertices: Float[np.ndarray, "V 3"]
+    """m, object frame, z from the table."""
+    faces: Int[np.ndarray, "F 3"]
+    """Indices into the vertices, anticlockwise from outside."""
+    mass: float
+    """kg."""
+
+    def __post_init__(self) -> None:
+        vertices = frozen_array("Solid.vertices", self.vertices, (None, 3))
+        faces = np.array(self.faces)
+        if faces.ndim != 2 or faces.shape[1:] != (3,) or not np.issubdtype(faces.dtype, np.integer):
+            raise InvalidValueError("Solid.faces", f"shape {faces.shape}", "integers of shape (n, 3)")
+        if len(faces) == 0 or faces.min() < 0 or faces.max() >= len(vertices):
+            raise InvalidValueError("Solid.faces", faces.tolist(), f"indices from 0 to {len(vertices) - 1}")
+        check_positive("Solid.mass", self.mass)
+        faces.flags.writeable = False
+        object.__setattr__(self, "vertices", vertices)
+        object.__setattr__(self, "faces", faces)
+        if self.volume <= 0:
+            raise InvalidValueError("Solid.faces", f"a volume of {self.volume:g} m^3", "triangles that face outwards")
+
+    @property
+    def volume(self) -> float:
+        """m^3."""
+        return float(self._tetrahedra[1].sum())
+
+    @property
+    def center_of_mass(self) -> Float[np.ndarray, "3"]:
+        """m, object frame, (3,)."""
+        corners, volume = self._tetrahedra
+        return volume @ corners.sum(axis=1) / 4 / self.volume
+
+    @property
+    def inertia_z(self) -> float:
+        """About the vertical axis through its centre of mass, kg m^2."""
+        corners, volume = self._tetrahedra
+        planar = corners[:, :, :2]
+        squares = ((planar**2).sum(axis=1) + planar.sum(axis=1) ** 2).sum(axis=1) / 20
+        return float(self.mass * (volume @ squares / self.volume - self.center_of_mass[:2] @ self.center_of_mass[:2]))
+
+    @property
+    def _tetrahedra(self) -> tuple[Float[np.ndarray, "F 3 3"], Float[np.ndarray, "F"]]:
+        """Corners of every triangle, and the signed volume of the tetrahedron that it makes with the origin."""
+        corners = self.vertices[self.faces]
+        return corners, np.linalg.det(corners) / 6
+
+
+@dataclass(frozen=True, eq=False)
 class ObjectModel:
     """A shape together with its true mass distribution: what a simulation needs and an estimator never sees."""
 
     name: str
     shape: ObjectShape
     truth: MassDistribution = field(repr=False)
+    solids: tuple[Solid, ...] = field(default=(), repr=False)
+    """The body of each mass group, where it is known better than by its particles, as for a mesh; else empty."""
 
     def __post_init__(self) -> None:
         for given, expected, what in (
@@ -131,6 +192,13 @@ class ObjectModel:
                 raise InvalidValueError(f"ObjectModel.truth.{what}", given.tolist(), f"{expected} numbers, one a group")
         if self.total_mass <= 0:
             raise InvalidValueError("ObjectModel.truth.mass", self.truth.mass.tolist(), "a total mass > 0")
+        object.__setattr__(self, "solids", tuple(self.solids))
+        if self.solids:
+            masses = [solid.mass for solid in self.solids]
+            if len(masses) != self.shape.n_m or not np.allclose(masses, self.group_mass, rtol=1e-9, atol=0):
+                raise InvalidValueError(
+                    "ObjectModel.solids", f"masses {masses}", f"one a mass group, of {self.group_mass.tolist()} kg"
+                )
 
     @property
     def particle_mass(self) -> Float[np.ndarray, "P"]:
@@ -140,16 +208,24 @@ class ObjectModel:
     @property
     def total_mass(self) -> float:
         """M of Eq. mass, kg."""
-        return float(self.particle_mass.sum())
+        return float(sum(solid.mass for solid in self.solids) if self.solids else self.particle_mass.sum())
 
     @property
     def center_of_mass(self) -> Float[np.ndarray, "2"]:
-        """c of Eq. com, m, object frame, (2,)."""
+        """c of Eq. com, m, object frame, (2,); of the solids where there are any."""
+        if self.solids:
+            return np.sum([s.mass * s.center_of_mass[:2] for s in self.solids], axis=0) / self.total_mass
         return self.particle_mass @ self.shape.particles / self.total_mass
 
     @property
     def inertia_cm(self) -> float:
-        """I_cm of Eq. inertia, kg m^2, with each cell's own inertia m cell^2 / 6 added: cells are solid, not points."""
+        """I_cm of Eq. inertia, kg m^2, with each cell's own inertia m cell^2 / 6 added: cells are solid, not points.
+
+        Of the solids where there are any.
+        """
+        if self.solids:
+            center = self.center_of_mass
+            return sum(s.inertia_z + s.mass * float(np.sum((s.center_of_mass[:2] - center) ** 2)) for s in self.solids)
         offsets = self.shape.particles - self.center_of_mass
         return float(self.particle_mass @ (np.sum(offsets**2, axis=1) + self.shape.cell**2 / 6))
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,7 @@ from numpy.testing import assert_allclose
 
 from testbed.errors import HeftError, InvalidValueError
 from testbed.object_files import InvalidFileError, load_object, object_names
+from testbed.resources import asset_folder
 
 PAIR = 'name = "X"\n[blocks]\nlayout = ["11"]\n'
 
@@ -178,3 +180,78 @@ def test_loading_twice_gives_the_same_object():
     first, second = load_object("F2"), load_object("F2")
     assert np.array_equal(first.shape.particles, second.shape.particles)
     assert np.array_equal(first.truth.mass, second.truth.mass)
+
+
+PARTS = '[[mesh.parts]]\nname = "head"\nfile = "hammer_head.stl"\nmass_kg = 1.2\n'
+GRASP = '[[mesh.grasps]]\nname = "middle"\nat_m = [0.02, 0.0]\nclosing_deg = 0\n'
+
+
+@pytest.fixture
+def written_mesh(written, tmp_path: Path):
+    """Writes an object file of the hammer's head, with its mesh beside it, and returns its path."""
+    shutil.copy(asset_folder("objects") / "hammer_head.stl", tmp_path)
+
+    def write(mesh: str = "cell_m = 0.01\n", rest: str = PARTS + GRASP) -> Path:
+        return written(f'name = "X"\n[mesh]\n{mesh}{rest}')
+
+    return write
+
+
+def test_the_tools_are_in_the_library():
+    assert {"hammer", "wrench"} <= set(object_names())
+
+
+def test_a_mesh_file_with_defaults(written_mesh):
+    made = load_object(written_mesh())
+    assert made.truth.friction.tolist() == [0.5]
+    assert made.shape.group_names == ("head",)
+    assert [g.name for g in made.shape.grasps] == ["middle"]
+    assert_allclose(made.group_mass, [1.2], rtol=1e-12)
+    assert_allclose(made.shape.cell, 0.01)
+
+
+def test_a_file_has_blocks_or_a_mesh(written, written_mesh):
+    for text, given in (
+        ('name = "X"', "neither"),
+        (written_mesh().read_text() + "[blocks]\nlayout = ['1']\nmass_kg = 1", "both"),
+    ):
+        with pytest.raises(InvalidFileError) as refused:
+            load_object(written(text))
+        assert f"blocks or mesh: got '{given}'; allowed: exactly one of [blocks] and [mesh]" in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("mesh", "rest", "said"),
+    [
+        ("", PARTS, "mesh.cell_m: missing"),
+        ("cell_m = 0\n", PARTS, "mesh.cell_m: got 0"),
+        ("cell_m = 0.5\n", PARTS, "mesh.cell_m: got 0.5; allowed: less than or equal to 0.1"),
+        ("cell_m = nan\n", PARTS, "mesh.cell_m: got nan"),
+        ('cell_m = "0.01"\n', PARTS, "mesh.cell_m: got '0.01'; allowed: a valid number"),
+        ("cell_m = 0.01\nfriction = -1\n", PARTS, "mesh.friction: got -1; allowed: greater than or equal to 0"),
+        ("cell_m = 0.01\nfriction = []\n", PARTS, "mesh.friction: got []; allowed: a number >= 0, or a list of one"),
+        ("cell_m = 0.01\nfriction = [0.3, 0.4]\n", PARTS, "mesh.parts.friction_group: got [None]; allowed: an integer"),
+        ("cell_m = 0.01\n", PARTS + "friction_group = 1", "mesh.parts.friction_group: got [1]; allowed: an integer"),
+        ("cell_m = 0.01\n", PARTS + "friction_group = -1", "mesh.parts.0.friction_group: got -1"),
+        ("cell_m = 0.01\n", PARTS + "friction_group = true", "mesh.parts.0.friction_group: got True"),
+        ("cell_m = 0.01\nsize = 3\n", PARTS, "mesh.size: no such field; got 3"),
+        ("cell_m = 0.01\n", "parts = []", "mesh.parts: got []"),
+        ("cell_m = 0.01\n", "", "mesh.parts: missing"),
+        ("cell_m = 0.01\n", PARTS.replace("1.2", "0"), "mesh.parts.0.mass_kg: got 0; allowed: greater than 0"),
+        ("cell_m = 0.01\n", PARTS.replace("1.2", "inf"), "mesh.parts.0.mass_kg: got inf"),
+        ("cell_m = 0.01\n", PARTS + "weight = 1", "mesh.parts.0.weight: no such field; got 1"),
+        ("cell_m = 0.01\n", PARTS * 2, "mesh.parts: got ['head', 'head']; allowed: names that differ"),
+        ("cell_m = 0.01\n", PARTS.replace("head.stl", "tail.stl"), "mesh.parts.0.file: got 'hammer_tail.stl'"),
+        ("cell_m = 0.01\n", PARTS + GRASP.replace(", 0.0", ""), "mesh.grasps.0.at_m: got [0.02]"),
+        ("cell_m = 0.01\n", PARTS + GRASP.replace("0.02", "nan"), "mesh.grasps.0.at_m.0: got nan"),
+        ("cell_m = 0.01\n", PARTS + GRASP.replace("0\n", "true\n"), "mesh.grasps.0.closing_deg: got True"),
+        ("cell_m = 0.01\n", PARTS + GRASP * 2, "mesh.grasps: got ['middle', 'middle']; allowed: names that differ"),
+        ("cell_m = 0.01\n", PARTS + GRASP.replace("0.02", "0.2"), "mesh.grasps.0.at_m: got [0.2, 0.0]"),
+        ("cell_m = 0.01\n", PARTS + GRASP.replace("= 0\n", "= 90\n"), "mesh.grasps.0.at_m: got '110 mm across'"),
+    ],
+)  # fmt: skip
+def test_a_wrong_mesh_file_is_refused(written_mesh, mesh: str, rest: str, said: str):
+    path = written_mesh(mesh, rest)
+    with pytest.raises(HeftError) as refused:
+        load_object(path)
+    assert f"{path}: {said}" in str(refused.value)

@@ -11,7 +11,7 @@ from numpy.testing import assert_allclose
 from testbed.blocks import block_object, parse_layout
 from testbed.errors import InvalidValueError
 from testbed.object_files import load_object
-from testbed.objects import Grasp, MassDistribution, ObjectModel, ObjectShape
+from testbed.objects import Grasp, MassDistribution, ObjectModel, ObjectShape, Solid
 
 SIZE = 0.05
 ROW_MASS = [0.4, 0.1, 0.1, 0.4, 0.4, 0.4]
@@ -214,3 +214,71 @@ def test_strings_booleans_and_ragged_lists_are_no_numbers(mass: object):
 def test_a_grasp_without_width_is_refused():
     with pytest.raises(InvalidValueError, match=r"Grasp\.width: got 0\.0; allowed: a finite number > 0"):
         Grasp("A1", np.zeros(2), angle=0.0, width=0.0, length=0.05)
+
+
+CORNERS = [[0.0, 0, 0], [0.1, 0, 0], [0, 0.1, 0], [0, 0, 0.1]]
+OUTWARDS = [[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]
+
+
+def solid(**changes: object) -> Solid:
+    return Solid(**{"vertices": CORNERS, "faces": OUTWARDS, "mass": 0.6} | changes)  # type: ignore[arg-type]
+
+
+def test_a_tetrahedron_has_the_moments_of_the_textbook():
+    made = solid()
+    assert_allclose(made.volume, 0.1**3 / 6, rtol=1e-12)
+    assert_allclose(made.center_of_mass, [0.025] * 3, rtol=1e-12)
+    assert_allclose(made.inertia_z, 0.6 * 0.1**2 * 2 * (1 / 10 - 1 / 16), rtol=1e-12)
+
+
+def test_an_object_with_solids_has_their_moments():
+    two = (solid(mass=0.1), solid(vertices=np.array(CORNERS) + np.array([0.2, 0, 0]), mass=0.3))
+    made = ObjectModel("X", shape(), MassDistribution(np.array([0.1, 0.3]), np.array([0.5])), two)
+    assert_allclose(made.total_mass, 0.4, rtol=1e-12)
+    assert_allclose(made.center_of_mass, [0.175, 0.025], rtol=1e-12)
+    own = 0.4 * 0.1**2 * 2 * (1 / 10 - 1 / 16)
+    assert_allclose(made.inertia_cm, own + 0.1 * 0.15**2 + 0.3 * 0.05**2, rtol=1e-12)
+
+
+@pytest.mark.parametrize("mass", [[0.1, 0.2], [0.1]])
+def test_solids_must_be_the_mass_groups(mass: list[float]):
+    with pytest.raises(InvalidValueError, match=r"ObjectModel\.solids: .*one a mass group, of \[0\.1, 0\.3\] kg"):
+        ObjectModel(
+            "X",
+            shape(),
+            MassDistribution(np.array([0.1, 0.3]), np.array([0.5])),
+            tuple(solid(mass=m) for m in mass),
+        )
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"vertices": [[0, 0], [1, 1]]}, r"Solid\.vertices: got 'shape \(2, 2\)'; allowed: shape \(n, 3\)"),
+        ({"faces": [[0, 1]]}, r"Solid\.faces: got 'shape \(1, 2\)'; allowed: integers of shape \(n, 3\)"),
+        ({"faces": [[0.0, 1.0, 2.0]]}, r"Solid\.faces: .*integers"),
+        ({"faces": [[0, 1, 4]]}, r"Solid\.faces: got \[\[0, 1, 4\]\]; allowed: indices from 0 to 3"),
+        ({"faces": [face[::-1] for face in OUTWARDS]}, r"Solid\.faces: got 'a volume of -.*face outwards"),
+        ({"mass": 0.0}, r"Solid\.mass: got 0\.0; allowed: a finite number > 0"),
+    ],
+)
+def test_a_solid_out_of_range_is_refused(changes: dict[str, object], said: str):
+    with pytest.raises(InvalidValueError, match=said):
+        solid(**changes)
+
+
+@pytest.mark.parametrize(
+    ("faces", "said"),
+    [
+        ({"bottom": -0.001}, r"Grasp\.bottom: got -0\.001; allowed: a finite number >= 0, m"),
+        ({"bottom": np.nan}, r"Grasp\.bottom: got nan"),
+        (
+            {"bottom": 0.01, "top": 0.01},
+            r"Grasp\.top: got 0\.01; allowed: a finite number > bottom \(0\.01 m\), or None",
+        ),
+        ({"top": np.inf}, r"Grasp\.top: got inf"),
+    ],
+)
+def test_gripped_faces_out_of_range_are_refused(faces: dict[str, float], said: str):
+    with pytest.raises(InvalidValueError, match=said):
+        Grasp("A1", np.zeros(2), angle=0.0, width=0.05, length=0.05, **faces)

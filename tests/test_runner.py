@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from testbed.actions import Rotate, Slide, Weigh
+from testbed.actions import Accelerate, Rotate, Slide, Weigh
 from testbed.blocks import block_object, parse_layout
 from testbed.errors import InfeasibleTrialError
-from testbed.frames import cross_2d, perpendicular
+from testbed.frames import cross_2d, perpendicular, rotation_2d
 from testbed.object_files import load_object
 from testbed.objects import GRAVITY, ObjectModel
 from testbed.reduction import SteadyWindow, steady_windows, weight_of
@@ -91,6 +91,71 @@ def test_a_weighing_reads_the_mass():
     for support in (OWN_WEIGHT, RIGID):
         obj = load_object("F2")
         assert weight_of(RUNNER.run(Trial(obj, Weigh(), support))) == pytest.approx(obj.total_mass, rel=1e-5)
+
+
+@pytest.mark.parametrize("name", ["hammer", "wrench"])
+@pytest.mark.parametrize("support", [OWN_WEIGHT, RIGID], ids=lambda s: s.name)
+def test_a_tool_weighs_what_it_should(name: str, support):
+    obj = load_object(name)
+    assert weight_of(RUNNER.run(Trial(obj, Weigh(), support))) == pytest.approx(obj.total_mass, rel=1e-3)
+
+
+TURN_IN_BRIEF, STEPS = Rotate(0, duration=1.2, back=True), Accelerate(0)
+TOOL_TURNS = [("hammer", "handle_mid", OWN_WEIGHT, TURN_IN_BRIEF), ("wrench", "shank_a", RIGID, STEPS)]
+ALL_TOOL_TURNS = [
+    pytest.param(name, grasp.name, support, action, marks=pytest.mark.slow)
+    for name in ("hammer", "wrench")
+    for grasp in load_object(name).shape.grasps
+    for support in (OWN_WEIGHT, RIGID)
+    for action in (replace(TURN_IN_BRIEF, duration=4.0), STEPS)
+]
+
+
+@pytest.mark.parametrize(("name", "grasp", "support", "action"), TOOL_TURNS + ALL_TOOL_TURNS)
+def test_a_tool_drags_by_coulombs_law_on_its_own_feet(name: str, grasp: str, support, action):
+    obj = load_object(name)
+    index = [g.name for g in obj.shape.grasps].index(grasp)
+    trajectory, contacts = RUNNER.run_with_contacts(Trial(obj, replace(action, grasp=index), support))
+    assert trajectory.status == "ok", trajectory.reason
+    steady = trajectory.mask(Phase.STEADY)
+    force, lever = (
+        contacts.force_on_object[steady],
+        contacts.position[steady] - contacts.tcp_position[steady][:, None],
+    )
+    turn, velocity = rotation_2d(trajectory.object_pose[steady, 2]), trajectory.object_velocity[steady]
+    feet = np.einsum("tij,pj->tpi", turn, obj.shape.particles[contacts.particle])
+    slip = velocity[:, None, :2] + velocity[:, None, 2:] * perpendicular(feet)
+    drag = obj.truth.friction[obj.shape.friction_group[contacts.particle]] * force[:, :, 2]
+    off = force[:, :, :2] + drag[..., None] * slip / np.linalg.norm(slip, axis=2, keepdims=True)
+    assert np.linalg.norm(off.sum(axis=1).mean(axis=0)) < 0.01 * drag.sum(axis=1).mean()
+    torque = (drag * np.linalg.norm(lever[:, :, :2], axis=2)).sum(axis=1).mean()
+    assert abs(cross_2d(lever[:, :, :2], off).sum(axis=1).mean()) < 0.01 * torque
+    felt = compensate(trajectory).wrench_on_object_world[steady]
+    difference = (felt + contacts.wrench_at_tcp[steady]).mean(axis=0)
+    if isinstance(action, Rotate):  # in steps of acceleration its inertia is felt as well
+        assert np.abs(difference[:2]).max() < 5e-3 * drag.sum(axis=1).mean()
+        assert abs(difference[5]) < 5e-3 * torque
+
+
+def test_feet_that_the_objects_own_weight_lifts_are_refused():
+    obj = load_object("hammer")
+    touching = obj.shape.friction_group.copy()
+    end = np.flatnonzero((obj.shape.mass_group == 1) & (obj.shape.particles[:, 0] > 0.1))
+    touching[obj.shape.mass_group == 1] = -1
+    touching[end] = 1
+    tipping = replace(obj, shape=replace(obj.shape, friction_group=touching))
+    with pytest.raises(InfeasibleTrialError, match=r"rest: on own_weight the foot of handle at .* lift.*as rigid"):
+        RUNNER.check(Trial(tipping, Rotate(0)))
+    RUNNER.check(Trial(tipping, Rotate(0), RIGID))
+
+
+def test_faces_that_the_pads_hardly_meet_are_refused():
+    obj = load_object("hammer")
+    low = replace(obj.shape.grasps[0], bottom=0.014, top=0.019)
+    with pytest.raises(
+        InfeasibleTrialError, match=r"grip: the faces of handle_neck are 14\.0 to 19\.0 mm over the table"
+    ):
+        RUNNER.check(Trial(replace(obj, shape=replace(obj.shape, grasps=(low,))), Rotate(0)))
 
 
 def test_a_weld_feels_what_friction_feels():

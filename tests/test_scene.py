@@ -15,6 +15,7 @@ from testbed.errors import InvalidValueError
 from testbed.object_files import load_object
 from testbed.objects import GRAVITY, MassDistribution, ObjectModel, ObjectShape
 from testbed.simulation.arm import arm_model, gripper_tool, joint_path
+from testbed.simulation.resting import resting_loads
 from testbed.simulation.scene import HOME, Scene, build_scene
 from testbed.simulation.settings import SimulationSettings
 from testbed.trial import OWN_WEIGHT, RIGID, Support
@@ -119,6 +120,54 @@ def test_springs_lie_between_own_weight_and_rigid():
     loads = {s: at_rest(obj, Support(s))[1] for s in (0.0, 300.0, 1e5, math.inf)}
     distance = {s: np.abs(loads[s] - loads[0.0]).sum() for s in loads}
     assert 0 < distance[300.0] < distance[1e5] <= 1.05 * distance[math.inf]
+
+
+@pytest.mark.parametrize("name", ["L2", "hammer", "wrench"])
+@pytest.mark.parametrize("support", [OWN_WEIGHT, Support(300.0), RIGID], ids=lambda s: s.name)
+def test_an_object_rests_as_an_even_foundation_says(name: str, support: Support):
+    obj = load_object(name)
+    scene, loads = at_rest(obj, support)
+    expected = resting_loads(obj, support, SETTINGS.contact)
+    assert_allclose(expected.sum(), obj.total_mass * GRAVITY, rtol=1e-12)
+    assert_allclose(expected @ obj.shape.particles / expected.sum(), obj.center_of_mass, atol=1e-12)
+    # The hammer leans by a degree on its soft feet, and its centre of mass, 19 mm up, with it
+    assert_allclose(loads, expected[scene.foot_particles], atol=0.04 * expected.max())
+    assert expected[scene.foot_particles].min() > 0
+
+
+@pytest.mark.parametrize("name", ["hammer", "wrench"])
+@pytest.mark.parametrize("support", [OWN_WEIGHT, RIGID], ids=lambda s: s.name)
+def test_the_compiled_tool_has_its_solids_mass_and_moments(name: str, support: Support):
+    obj = load_object(name)
+    model = build_scene(obj, support, obj.shape.grasps[0], SETTINGS).model
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    parts = [b for b in range(model.nbody) if model.body(b).name.startswith("object")]
+    assert len(parts) == (1 if support.is_rigid else obj.shape.n_m)
+    mass = model.body_mass[parts]
+    assert_allclose(mass.sum(), obj.total_mass, rtol=1e-9)
+    com = mass @ data.xipos[parts] / mass.sum()
+    origin = data.xpos[parts[0]]
+    assert_allclose((com - origin)[:2], obj.center_of_mass, atol=1e-7)
+    height = sum(s.mass * s.center_of_mass[2] for s in obj.solids) / obj.total_mass
+    assert_allclose((com - origin)[2] + obj.shape.height / 2, height, atol=1e-7)
+    turned = np.einsum("bij,bj,bij->bi", data.ximat[parts].reshape(-1, 3, 3), model.body_inertia[parts],
+                       data.ximat[parts].reshape(-1, 3, 3))[:, 2]  # fmt: skip
+    inertia = turned.sum() + mass @ np.sum((data.xipos[parts] - com)[:, :2] ** 2, axis=1)
+    assert_allclose(inertia, obj.inertia_cm, rtol=1e-5)
+
+
+def test_pads_meet_a_tool_over_its_grasps_own_faces():
+    obj = load_object("hammer")
+    grasp = obj.shape.grasps[2]
+    assert grasp.top is not None
+    scene = build_scene(obj, OWN_WEIGHT, grasp, SETTINGS)
+    data = mujoco.MjData(scene.model)
+    mujoco.mj_forward(scene.model, data)
+    box = scene.model.geom("gripped")
+    assert scene.model.body(int(box.bodyid[0])).name == "object/handle"
+    assert_allclose(box.size, np.array([grasp.width, grasp.length, grasp.top - grasp.bottom]) / 2)
+    assert_allclose(data.geom("gripped").xpos[2], (grasp.bottom + grasp.top) / 2, atol=1e-12)
 
 
 def test_a_group_without_feet_cannot_rest_on_its_own_weight():

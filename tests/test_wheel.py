@@ -19,6 +19,7 @@ arm_model()
 main(["objects"])
 main(["scenarios"])
 main(["show", "F2"])
+main(["show", "hammer"])
 """
 
 

@@ -10,13 +10,12 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from testbed.errors import InfeasibleTrialError
+from testbed.gripper import STROKE
 from testbed.simulation.scene import arm_spec
 from testbed.trajectory import Tool
 
 JOINT_SPEED_LIMIT = np.radians([80, 80, 80, 80, 70, 70, 70])
 """Joint speed limits of the Gen3, rad/s, (7,)."""
-STROKE = 0.085
-"""Opening of the 2F-85, m."""
 _TOLERANCE = 1e-7
 _ITERATIONS = 100
 # The arm has one joint more than it needs: turn the tool with the last one, and leave the fingers alone.

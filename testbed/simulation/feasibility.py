@@ -7,26 +7,27 @@ import numpy as np
 
 from testbed.actions import Weigh
 from testbed.errors import InfeasibleTrialError
+from testbed.gripper import PAD_HEIGHT, PAD_WIDTH, STROKE
 from testbed.objects import GRAVITY
-from testbed.simulation.arm import JOINT_SPEED_LIMIT, STROKE, arm_model
+from testbed.simulation.arm import JOINT_SPEED_LIMIT, arm_model
 from testbed.simulation.motion import Motion
+from testbed.simulation.resting import resting_loads
 from testbed.simulation.settings import SimulationSettings
 from testbed.trial import Trial
 
-PAD_WIDTH = 0.022
-"""Width of its pads, m."""
 MARGIN = 0.8
 """Part of a limit that may be used: the estimates below are quasi-static."""
 MINIMUM_HEIGHT = 0.010
-"""An object lower than this gives the pads too little to hold, m."""
+"""A face from the table up that is lower than this gives the pads too little to hold, m."""
 
 
 def check_feasible(trial: Trial, motion: Motion, settings: SimulationSettings) -> None:
     """Refuse what the bench cannot do.
 
     Raises:
-        InfeasibleTrialError: too wide or too low to grip, friction beyond the grip, or drag beyond a joint's working
-            torque or speed; the message says by how much and what could be done.
+        InfeasibleTrialError: too wide or too low to grip, a foot that the object's own weight lifts, friction beyond
+            the grip, or drag beyond a joint's working torque or speed; the message says by how much and what could be
+            done.
     """
     assert not isinstance(trial.action, Weigh)
     obj, shape = trial.object, trial.object.shape
@@ -36,13 +37,19 @@ def check_feasible(trial: Trial, motion: Motion, settings: SimulationSettings) -
             f"grip: block {grasp.name} is {grasp.width * 1e3:.0f} mm wide; the gripper opens to "
             f"{STROKE * 1e3:.0f} mm and needs 5 mm of clearance; choose a narrower part"
         )
-    if shape.height < MINIMUM_HEIGHT:
-        raise InfeasibleTrialError(
-            f"grip: the object is {shape.height * 1e3:.0f} mm high; the pads, 3 mm over the table, "
-            f"need {MINIMUM_HEIGHT * 1e3:.0f} mm"
-        )
+    top = shape.height if grasp.top is None else grasp.top
+    # Below the pads' lower edge a face is of no use; above it, what counts is how much of it they meet
+    if top < MINIMUM_HEIGHT + max(grasp.bottom - PAD_HEIGHT[0], 0.0):
+        what, needed = f"the object is {top * 1e3:.0f} mm high", f"{MINIMUM_HEIGHT * 1e3:.0f} mm"
+        if grasp.bottom > 0:
+            what = f"the faces of {grasp.name} are {grasp.bottom * 1e3:.1f} to {top * 1e3:.1f} mm over the table"
+            needed = f"{(MINIMUM_HEIGHT - PAD_HEIGHT[0]) * 1e3:.0f} mm of face above that"
+        raise InfeasibleTrialError(f"grip: {what}; the pads, 3 mm over the table, need {needed}")
+    _check_rest(trial, settings)
     friction = np.where(shape.friction_group >= 0, obj.truth.friction[np.maximum(shape.friction_group, 0)], 0.0)
-    load = friction * obj.particle_mass * GRAVITY
+    feet = np.bincount(shape.mass_group[shape.friction_group >= 0], minlength=shape.n_m)
+    share = (shape.particles_per_group / np.maximum(feet, 1))[shape.mass_group]  # a group's feet carry all of it
+    load = friction * obj.particle_mass * share * GRAVITY
     drag = float(load.sum())
     torque = float(load @ np.linalg.norm(shape.particles - grasp.position, axis=1))
     grip = settings.grip
@@ -65,6 +72,22 @@ def check_feasible(trial: Trial, motion: Motion, settings: SimulationSettings) -
         raise InfeasibleTrialError(
             f"speed: joint {joint + 1} would need {speed.max():.2f} of its limit of "
             f"{np.degrees(JOINT_SPEED_LIMIT[joint]):.0f} deg/s; move slower"
+        )
+
+
+def _check_rest(trial: Trial, settings: SimulationSettings) -> None:
+    """No foot may have to pull: a lifted foot ends the laws by which loads are known."""
+    shape = trial.object.shape
+    loads = resting_loads(trial.object, trial.support, settings.contact)
+    feet = np.flatnonzero(shape.friction_group >= 0)
+    worst = feet[loads[feet].argmin()]
+    if loads[worst] < -1e-9 * loads[feet].mean():
+        x, y = (round(v) for v in shape.particles[worst] * 1e3)
+        raise InfeasibleTrialError(
+            f"rest: on {trial.support.name} the foot of {shape.group_names[shape.mass_group[worst]]} at ({x}, "
+            f"{y}) mm would carry {loads[worst]:.3f} N, that is lift, with {loads[feet].mean():.3f} N on the mean "
+            f"foot; {int((loads[feet] < 0).sum())} of {len(feet)} feet lift; give the object feet nearer under its "
+            "centre of mass" + ("" if trial.support.is_rigid else ", or use a stiffer support, as rigid")
         )
 
 

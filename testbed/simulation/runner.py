@@ -13,8 +13,9 @@ import numpy as np
 
 from testbed.actions import Weigh
 from testbed.frames import perpendicular, pose_from_point, rotation_2d, rotation_matrix
+from testbed.gripper import STROKE
 from testbed.sensing import draw_sensing, preset
-from testbed.simulation.arm import STROKE, gripper_tool
+from testbed.simulation.arm import gripper_tool
 from testbed.simulation.contacts import ContactLog, ContactRecord
 from testbed.simulation.feasibility import check_feasible
 from testbed.simulation.motion import Motion, plan_motion

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, distribution
 from pathlib import Path
@@ -11,15 +10,15 @@ import mujoco
 import numpy as np
 
 from testbed.errors import InvalidValueError
-from testbed.objects import GRAVITY, Grasp, ObjectModel, ObjectShape
+from testbed.objects import GRAVITY, Grasp, ObjectModel
 from testbed.resources import asset_folder
-from testbed.simulation.settings import ContactSettings, GripSettings, SimulationSettings
+from testbed.simulation.object_scene import add_feet, add_grip, add_object, soften_feet
+from testbed.simulation.settings import SimulationSettings
 from testbed.trial import Support
 
 HOME = (0.0, 0.62, 3.15, -1.81, -0.01, -0.71, 1.58)
 """Joint angles with the tool pointing down over the middle of the workspace, rad."""
 mujoco.set_mju_user_warning(lambda message: None)  # divergence is told by a trial's status, not by a log file
-_FOOT_COLORS = ((0.84, 0.66, 0.4, 1.0), (0.45, 0.58, 0.72, 1.0), (0.62, 0.74, 0.5, 1.0), (0.8, 0.52, 0.5, 1.0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,13 +71,13 @@ def build_scene(
         )
     if grasp is not None:
         attach_arm(spec, meshes=meshes)
-    bodies = _add_object(spec, obj, support)
-    feet = _add_feet(spec, obj, bodies, settings.contact)
+    bodies = add_object(spec, obj, support)
+    feet = add_feet(spec, obj, bodies, settings.contact)
     if grasp is not None:
-        _add_grip(spec, obj.shape, bodies, grasp, settings.grip)
+        add_grip(spec, obj.shape, bodies, grasp, settings.grip)
     model = spec.compile()
     foot_geoms = np.array([model.geom(f"foot_{i}").id for i in feet])
-    _soften_feet(model, obj, feet, foot_geoms, settings.contact)
+    soften_feet(model, obj, feet, foot_geoms, settings.contact)
     return Scene(
         model=model,
         object_body=model.body("object").id,
@@ -142,141 +141,3 @@ def _dress(arm: mujoco.MjSpec, folder: Path) -> None:
         geom.meshname = name
         geom.pos, geom.quat = (0, 0, 0), (1, 0, 0, 0)
         geom.fromto = np.full(6, np.nan)
-
-
-def _add_object(spec: mujoco.MjSpec, obj: ObjectModel, support: Support) -> list[mujoco.MjsBody]:
-    """One body a mass group (own weight, springs) or one for all (rigid). The first carries the free joint.
-
-    Own weight: the others hang on vertical slides, free or joined to their neighbours by springs, so that each group's
-    weight goes to its own feet while in the plane all move as one.
-    """
-    shape, height = obj.shape, obj.shape.height
-    root = spec.worldbody.add_body(name="object", pos=(0, 0, height / 2))
-    root.add_freejoint(name="object")
-    bodies = [root]
-    for group in range(shape.n_m):
-        if group == 0 or support.is_rigid:
-            body = root
-        else:
-            body = root.add_body(name=f"object/{shape.group_names[group]}")
-            body.add_joint(name=f"slide_{group}", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=(0, 0, 1), damping=1e-3)
-            bodies.append(body)
-        color = _FOOT_COLORS[group % len(_FOOT_COLORS)]
-        for particle in np.flatnonzero(shape.mass_group == group):
-            x, y = shape.particles[particle]
-            body.add_geom(
-                name=f"cell_{particle}",
-                type=mujoco.mjtGeom.mjGEOM_BOX,
-                pos=(x, y, 0),
-                rgba=color,
-                group=1,
-                size=(shape.cell / 2, shape.cell / 2, height / 2),
-                mass=max(obj.particle_mass[particle], 1e-6),
-                contype=0,
-                conaffinity=0,
-            )
-    if support.is_rigid:
-        return [root] * shape.n_m
-    if support.stiffness > 0:
-        for a, b in _touching_groups(shape):
-            tendon = spec.add_tendon(
-                name=f"spring_{a}_{b}", stiffness=[support.stiffness] * 3, damping=[2.0] * 3, springlength=(0, 0)
-            )
-            for group, coefficient in ((a, 1.0), (b, -1.0)):
-                if group > 0:
-                    tendon.wrap_joint(f"slide_{group}", coefficient)
-    return bodies
-
-
-def _touching_groups(shape: ObjectShape) -> list[tuple[int, int]]:
-    """Pairs of mass groups with particles one cell apart, each once."""
-    gaps = np.linalg.norm(shape.particles[:, None] - shape.particles[None], axis=-1)
-    a, b = np.nonzero(gaps < 1.01 * shape.cell)
-    pairs = np.sort(np.stack([shape.mass_group[a], shape.mass_group[b]], axis=1), axis=1)
-    return [(int(i), int(j)) for i, j in np.unique(pairs[pairs[:, 0] != pairs[:, 1]], axis=0)]
-
-
-def _add_feet(
-    spec: mujoco.MjSpec, obj: ObjectModel, bodies: list[mujoco.MjsBody], contact: ContactSettings
-) -> np.ndarray:
-    shape = obj.shape
-    feet = np.flatnonzero(shape.friction_group >= 0)
-    for particle in feet:
-        x, y = shape.particles[particle]
-        bodies[shape.mass_group[particle]].add_geom(
-            name=f"foot_{particle}",
-            type=mujoco.mjtGeom.mjGEOM_SPHERE,
-            size=(contact.foot_radius, 0, 0),
-            mass=0,
-            group=3,
-            pos=(x, y, contact.foot_radius - shape.height / 2),
-            contype=0,
-            conaffinity=0,
-            rgba=(0.2, 0.2, 0.2, 1),
-        )
-        mu = max(obj.truth.friction[shape.friction_group[particle]], 1e-5)
-        spec.add_pair(
-            name=f"foot_{particle}", geomname1=f"foot_{particle}", geomname2="top", condim=3, friction=[mu, mu, 0, 0, 0]
-        )
-    return feet
-
-
-def _soften_feet(
-    model: mujoco.MjModel, obj: ObjectModel, feet: np.ndarray, geoms: np.ndarray, contact: ContactSettings
-) -> None:
-    """Give every foot the same stiffness, that at which the whole object sinks by `sag` under its weight.
-
-    MuJoCo's stiffness is per unit of effective mass, which only the compiled model knows (body_invweight0): a static
-    contact with impedance d carries f = k r d / ((1 - d) A), with k in 1/s^2 and A the inverse effective mass.
-    """
-    d = contact.impedance
-    newtons_per_metre = obj.total_mass * GRAVITY / len(feet) / contact.sag
-    for particle, geom in zip(feet, geoms, strict=True):
-        inverse_mass = model.body_invweight0[model.geom_bodyid[geom], 0]
-        stiffness = newtons_per_metre * (1 - d) * inverse_mass / d
-        pair = model.pair(f"foot_{particle}")
-        pair.solref[:] = -stiffness * d, -2 * math.sqrt(stiffness) * d
-        pair.solimp[:2] = d
-        model.pair_solreffriction[pair.id] = -1e-6, -contact.friction_damping * d
-
-
-def _add_grip(
-    spec: mujoco.MjSpec, shape: ObjectShape, bodies: list[mujoco.MjsBody], grasp: Grasp, grip: GripSettings
-) -> None:
-    """A box with the two gripped faces on the body that the grasp holds, and the pads' contacts with it."""
-    nearest = int(np.argmin(np.linalg.norm(shape.particles - grasp.position, axis=1)))
-    body = bodies[shape.mass_group[nearest]]
-    half = grasp.angle / 2
-    body.add_geom(
-        name="gripped",
-        type=mujoco.mjtGeom.mjGEOM_BOX,
-        pos=(*grasp.position, 0),
-        mass=0,
-        group=4,
-        quat=(math.cos(half), 0, 0, math.sin(half)),
-        size=(grasp.width / 2, grasp.length / 2, shape.height / 2),
-        contype=0,
-        conaffinity=0,
-    )
-    if grip.mode == "weld":
-        weld = spec.add_equality(
-            name="weld",
-            type=mujoco.mjtEq.mjEQ_WELD,
-            objtype=mujoco.mjtObj.mjOBJ_BODY,
-            name1="gripper/base",
-            name2=body.name,
-            active=False,
-            solref=(0.004, 1),
-            solimp=[0.99, 0.999, 0.001, 0.5, 2],
-        )
-        weld.data[10] = 1.0
-        return
-    for pad in ("left_pad", "right_pad"):
-        spec.add_pair(
-            geomname1=f"gripper/{pad}",
-            geomname2="gripped",
-            condim=4,
-            friction=[grip.friction, grip.friction, 0.005, 0, 0],
-            solref=(0.004, 1),
-            solimp=[0.95, 0.99, 0.001, 0.5, 2],
-        )

@@ -1,0 +1,36 @@
+"""Content keys: what decides a trial changes its key."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from scenarios.store import key_of, trial_request
+from testbed.actions import Rotate
+from testbed.object_files import load_object
+from testbed.objects import ObjectModel
+from testbed.simulation.settings import SimulationSettings
+from testbed.trial import Trial
+
+
+def key(obj: ObjectModel) -> str:
+    return key_of(trial_request(Trial(obj, Rotate(0)), SimulationSettings()))
+
+
+def test_the_same_tool_has_the_same_key():
+    assert key(load_object("hammer")) == key(load_object("hammer"))
+
+
+def test_solids_and_gripped_faces_are_in_the_key():
+    obj = load_object("hammer")
+    first = obj.solids[0]
+    stretched = replace(first, vertices=first.vertices * [1.0, 1.0, 1.1])
+    grasp = obj.shape.grasps[0]
+    others = [
+        replace(obj, solids=()),
+        replace(obj, solids=(stretched, *obj.solids[1:])),
+        *(
+            replace(obj, shape=replace(obj.shape, grasps=(replace(grasp, **faces), *obj.shape.grasps[1:])))
+            for faces in ({"bottom": 0.001}, {"top": 0.03}, {"top": None})
+        ),
+    ]
+    assert len({key(each) for each in [obj, *others]}) == len(others) + 1

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,13 +10,12 @@ from jaxtyping import Float
 from scipy.optimize import nnls
 from torch import Tensor
 
-from estimators.dynamics import Inertia, ParticleModel, cross
+from estimators.descent import descend
+from estimators.dynamics import Inertia, ParticleModel
 from estimators.observations import Observations
 from estimators.protocol import Trace
 from estimators.support import own_weight
 from testbed.objects import GRAVITY
-
-OPTIMIZERS = ("adam", "rmsprop", "plain")
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,19 +85,13 @@ def friction_system(
     """
     load = observations.gripper_load(inertia, height)
     support = own_weight(model.particles, model.mass_group, model.contact, mass, load)
-    lever = observations.lever(model)
-    fade = pivot_error * observations.twist[:, 2].abs()[:, None]
-    velocity = observations.particle_velocity(model)
-    speed = velocity.square().sum(-1).sqrt()
-    blurred = (speed.square() + fade.square() + 1e-18).sqrt()
-    unit = velocity / blurred[..., None]
-    rows = torch.stack([unit[..., 0], unit[..., 1], cross(lever, unit)], 1)
+    rows, faded = observations.drag_rows(model, pivot_error)
     q = groups.gather(rows)
     s = friction * support.share * GRAVITY
     response = rows @ (friction[:, None] * support.response)
-    carried = (rows @ (friction * support.change(load))[..., None])[..., 0]
+    carried = (rows @ (friction * (support.lean + support.change(load)))[..., None])[..., 0]
     b = observations.wrench - observations.inertial_wrench(inertia) - carried
-    lost = (s * fade / blurred).square().sum(-1) / 2
+    lost = (s * faded).square().sum(-1) / 2
     drag = s.sum()
     floor = torch.stack([lost + (force_error * drag) ** 2] * 2 + [(torque_error * observations.wrench[:, 2]) ** 2], -1)
     within = observations.covariance + torch.diag_embed(floor + 1e-10)
@@ -129,8 +121,10 @@ def closed_form_covariance(system: LinearSystem) -> Float[np.ndarray, "n_s n_s"]
     return np.linalg.pinv((system.q.T @ system.q).numpy(), rcond=1e-12, hermitian=True)
 
 
-def descend(system: LinearSystem, optimizer: str, steps: int) -> tuple[Float[np.ndarray, "n_s"], Trace]:
-    """Gradient descent on Eq. problem_si from s = 0 (Algorithm 1 starts with zero friction).
+def descend_loads(
+    system: LinearSystem, optimizers: tuple[str, ...], steps: int, robot_seconds: float
+) -> tuple[Float[np.ndarray, "n_s"], tuple[Trace, ...]]:
+    """Gradient descent on Eq. problem_si from s = 0 (Algorithm 1 starts with zero friction); the best of `optimizers`.
 
     It goes in coordinates in which the loss curves evenly (s = L^-T z with L L^T = Q^T Q): with pivots in a row the
     loss is a narrow valley, in which no first-order method arrives in 500 steps. The bound s >= 0 comes at the end.
@@ -138,25 +132,13 @@ def descend(system: LinearSystem, optimizer: str, steps: int) -> tuple[Float[np.
     lower = torch.linalg.cholesky(system.q.T @ system.q)
     to_s = torch.linalg.inv(lower).T
     q = system.q @ to_s
-    z = torch.zeros(q.shape[1], dtype=torch.float64, requires_grad=True)
-    typical = float(system.b.norm() / len(z) ** 0.5)
-    if optimizer == "adam":
-        optim: torch.optim.Optimizer = torch.optim.Adam([z], lr=0.1 * typical)
-    elif optimizer == "rmsprop":
-        optim = torch.optim.RMSprop([z], lr=0.1 * typical)
-    else:
-        optim = torch.optim.SGD([z], lr=0.1 * len(q))
-    decay = torch.optim.lr_scheduler.LambdaLR(
-        optim, lambda i: 1.0 if optimizer == "plain" else max(1 - i / steps, 0.0) ** 4 + 1e-9
+    first = 0.1 * float(system.b.norm() / q.shape[1] ** 0.5)
+    rates = {"adam": first, "rmsprop": first, "plain": 0.1 * len(q)}
+    runs = descend(
+        lambda z: (z @ q.T - system.b).square().mean(-1),
+        torch.zeros(q.shape[1], dtype=torch.float64),
+        {name: rates[name] for name in optimizers},
+        steps,
+        robot_seconds=robot_seconds,
     )
-    losses = []
-    begin = time.perf_counter()
-    for _ in range(steps):
-        optim.zero_grad()
-        loss = (q @ z - system.b).square().mean()
-        loss.backward()
-        optim.step()
-        decay.step()
-        losses.append(float(loss.detach()))
-    seconds = time.perf_counter() - begin
-    return (to_s @ z.detach()).clamp(min=0.0).numpy(), Trace(optimizer, tuple(losses), seconds)
+    return (to_s @ runs[0].best).clamp(min=0.0).numpy(), tuple(run.trace for run in runs)

@@ -10,20 +10,20 @@ from typing import Literal, get_args
 import numpy as np
 import torch
 
+from estimators.descent import OPTIMIZERS, check_optimizers
 from estimators.dynamics import ParticleModel, direction, friction_wrench, inertia_of
 from estimators.friction_loads import (
-    OPTIMIZERS,
     LinearSystem,
     LoadGroups,
     closed_form,
     closed_form_covariance,
-    descend,
+    descend_loads,
     friction_system,
     rank_of,
 )
 from estimators.inertia import PivotInertia, com_and_inertia, pivot_inertias
 from estimators.mass_solve import MassSolution, solve_masses
-from estimators.observations import Observations, observe
+from estimators.observations import Observations, observe, robot_seconds
 from estimators.protocol import Estimate, HiddenStates, Trace
 from estimators.support import own_weight
 from testbed.arrays import check_positive, is_number
@@ -58,11 +58,7 @@ class HiddenStatesEstimator:
     """Error of the weighing, kg."""
 
     def __post_init__(self) -> None:
-        unknown = sorted(set(self.optimizers) - set(OPTIMIZERS))
-        if unknown or not self.optimizers:
-            raise InvalidValueError(
-                "HiddenStatesEstimator.optimizers", self.optimizers, f"some of {', '.join(OPTIMIZERS)}"
-            )
+        check_optimizers("HiddenStatesEstimator", self.optimizers)
         if self.solver not in get_args(Solver):
             raise InvalidValueError(
                 "HiddenStatesEstimator.solver", self.solver, f"one of {', '.join(get_args(Solver))}"
@@ -92,7 +88,7 @@ class HiddenStatesEstimator:
         if observed is None or bool(observed.accelerated.all()):
             why = "no trajectory with status ok that slides or turns at constant speed"
             return Estimate(None, "no_data", why, seconds=time.perf_counter() - begin)
-        problem = _Problem.of(shape, weight, observed)
+        problem = _Problem.of(shape, weight, observed, robot_seconds(trajectories))
         mass, friction = problem.first_guess()
         answer: _Round | None = None
         for _ in range(self.refinements):
@@ -129,9 +125,7 @@ class HiddenStatesEstimator:
         loads = closed_form(system)
         traces: tuple[Trace, ...] = ()
         if self.solver == "descent":
-            runs = [descend(system, optimizer, self.steps) for optimizer in self.optimizers]
-            loads = min(runs, key=lambda run: run[1].loss[-1])[0]
-            traces = tuple(trace for _, trace in runs)
+            loads, traces = descend_loads(system, self.optimizers, self.steps, problem.robot_seconds)
         pivots = self._pivots(problem, loads, mass, friction)
         solution = solve_masses(
             problem.shape,
@@ -156,7 +150,7 @@ class HiddenStatesEstimator:
         load = windows.gripper_load(inertia, problem.shape.height)
         support = own_weight(model.particles, model.mass_group, model.contact, particle_mass, load)
         own = torch.where(groups.index >= 0, torch.tensor(loads)[groups.index.clamp(min=0)], 0.0)
-        drag = own + model.particle_friction(friction) * support.change(load)
+        drag = own + model.particle_friction(friction) * (support.lean + support.change(load))
         unit = direction(windows.particle_velocity(model))
         felt = -friction_wrench(drag, unit, windows.lever(model))[:, 2]
         moved = windows.inertial_wrench(inertia)[:, 2]
@@ -198,12 +192,14 @@ class _Problem:
     """Windows of constant speed."""
     accelerated: Observations
     """Windows of constant acceleration."""
+    robot_seconds: float
+    """What the data cost, s."""
 
     @staticmethod
-    def of(shape: ObjectShape, weight: float, observed: Observations) -> _Problem:
+    def of(shape: ObjectShape, weight: float, observed: Observations, seconds: float) -> _Problem:
         model = ParticleModel.of(shape)
         steady, accelerated = observed.where(~observed.accelerated), observed.where(observed.accelerated)
-        return _Problem(shape, weight, model, LoadGroups.of(model), steady, accelerated)
+        return _Problem(shape, weight, model, LoadGroups.of(model), steady, accelerated, seconds)
 
     def first_guess(self) -> tuple[torch.Tensor, torch.Tensor]:
         """Uniform mass, as Algorithm 1 starts, and the largest drag felt over the weight, a lower bound of friction."""

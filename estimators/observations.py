@@ -41,6 +41,8 @@ class Observations:
     """Vertical force of the gripper on the object, N."""
     tilt: Float[Tensor, "K 2"]
     """(t_y + h f_x, -t_x + h f_y): moment that the feet supply where nothing accelerates, N m."""
+    yaw: Float[Tensor, "K 2"]
+    """Yaw of the object at a window's first and last sample, rad."""
     load_variance: Float[Tensor, "K 3"]
     """Of lift and tilt as given here, N^2 and (N m)^2."""
     held: Int[Tensor, "K"]
@@ -57,6 +59,17 @@ class Observations:
         """The windows that `keep` (K,) selects."""
         return Observations(**{name: value[keep] for name, value in vars(self).items()})
 
+    def merged(self, group: Int[Tensor, "K"]) -> Observations:
+        """Means over windows of the same group, 0 to G - 1; what is not a number is the first window's."""
+        first = torch.stack([torch.nonzero(group == g)[0, 0] for g in range(int(group.max()) + 1)])
+
+        def mean(values: Tensor) -> Tensor:
+            if not values.is_floating_point():
+                return values[first]
+            return torch.stack([values[group == g].mean(0) for g in range(len(first))])
+
+        return Observations(**{name: mean(value) for name, value in vars(self).items()})
+
     def lever(self, model: ParticleModel) -> Float[Tensor, "K P 2"]:
         """Particles from the grasp point, m."""
         return model.particles - self.grasp[:, None]
@@ -64,6 +77,23 @@ class Observations:
     def particle_velocity(self, model: ParticleModel) -> Float[Tensor, "K P 2"]:
         """Velocity of each particle, m/s."""
         return self.twist[:, None, :2] + self.twist[:, None, 2:] * turned(self.lever(model))
+
+    def drag_rows(
+        self, model: ParticleModel, pivot_error: float
+    ) -> tuple[Float[Tensor, "K 3 P"], Float[Tensor, "K P"]]:
+        """Wrench about the grasp point that drags a particle of unit friction, and how much of its direction is lost.
+
+        Args:
+            model: the object.
+            pivot_error: how well the centre of a turn is known, m; a particle nearer than that has no known direction,
+                and is lost by up to 1.
+        """
+        lever = self.lever(model)
+        fade = pivot_error * self.twist[:, 2].abs()[:, None]
+        velocity = self.particle_velocity(model)
+        blurred = (velocity.square().sum(-1) + fade.square() + 1e-18).sqrt()
+        unit = velocity / blurred[..., None]
+        return torch.stack([unit[..., 0], unit[..., 1], cross(lever, unit)], 1), fade / blurred
 
     def com_acceleration(self, com: Float[Tensor, "2"]) -> Float[Tensor, "K 2"]:
         """Acceleration of the centre of mass, m/s^2."""
@@ -82,16 +112,30 @@ class Observations:
         return GripperLoad(self.lift, moment, self.held, self.grasp)
 
 
+def robot_seconds(trajectories: Sequence[Trajectory]) -> float:
+    """Robot time that trajectories took, s."""
+    return float(sum(t.time_s[-1] - t.time_s[0] for t in trajectories))
+
+
 def observe(shape: ObjectShape, trajectories: Sequence[Trajectory]) -> Observations | None:
     """All usable trajectories of one object as one batch; None where there is none.
 
     Weighings, trials that did not end well and those too short to reduce are left out.
+
+    Raises:
+        InvalidValueError: a grasp that the shape does not have.
     """
     windows: list[SteadyWindow] = []
     trial: list[int] = []
     accelerated: list[bool] = []
     for index, trajectory in enumerate(trajectories):
         if trajectory.ok and not isinstance(trajectory.action, Weigh):
+            if trajectory.action.grasp >= len(shape.grasps):
+                raise InvalidValueError(
+                    f"trajectories[{index}].action.grasp",
+                    trajectory.action.grasp,
+                    f"one of the shape's {len(shape.grasps)} grasps, counted from 0: another object's trial?",
+                )
             try:
                 found = steady_windows(trajectory)
             except InvalidValueError:  # no steady stretch long enough to trim
@@ -124,6 +168,7 @@ def observe(shape: ObjectShape, trajectories: Sequence[Trajectory]) -> Observati
         grasp=tensor(points),
         lift=tensor(load[:, 0]),
         tilt=tensor(load[:, 1:]),
+        yaw=tensor(np.array([w.yaw for w in windows])),
         load_variance=tensor(load_variance),
         held=tensor(shape.mass_group[nearest]),
         trial=tensor(trial),

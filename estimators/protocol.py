@@ -35,16 +35,20 @@ class HiddenStates:
     """What the trajectories do not show, in words; empty where all is observed."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Trace:
-    """How an iterative method came to its answer."""
+    """How an iterative method came to its answer: I iterations."""
 
     method: str
-    """Optimiser."""
+    """Optimiser, or the search itself."""
     loss: tuple[float, ...]
     """Loss at each iteration."""
-    seconds: float
-    """Wall time of all iterations, s."""
+    seconds: tuple[float, ...]
+    """Wall time up to the end of each iteration, s."""
+    robot_seconds: float
+    """Robot time that the data took, s."""
+    mass: Float[np.ndarray, "I n_m"]
+    """Particle masses at each iteration, kg; (0, 0) where the method has none on its way."""
 
 
 @dataclass(frozen=True, eq=False)

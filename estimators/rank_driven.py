@@ -77,6 +77,27 @@ def between_particles(shape: ObjectShape, point: np.ndarray) -> tuple[float, flo
     return float(x), float(y)
 
 
+def held_out_turns(shape: ObjectShape, grasps: Sequence[int], count: int, duration: float, seed: int) -> list[Rotate]:
+    """Turns one way about points that `RankDriven` never turns about, for predicting what a method has not seen.
+
+    Args:
+        shape: the object.
+        grasps: grasps that may be used.
+        count: number of turns.
+        duration: of each, s.
+        seed: of the draw.
+    """
+    turns = []
+    for index in range(count):
+        grasp = _drawn(grasps, index, [seed, 3])
+        rng = np.random.default_rng([seed, 4, index])
+        sides = ((1, -1), (-1, 1), (-1, -1))[rng.integers(3)]
+        x, y = shape.grasps[grasp].position + shape.cell / 2 * np.array(sides)
+        speed = Rotate(grasp).speed * rng.choice((-1, 1))
+        turns.append(Rotate(grasp, speed=float(speed), duration=duration, pivot=(float(x), float(y))))
+    return turns
+
+
 def _drawn(allowed: Sequence[int], index: int, stream: list[int]) -> int:
     """The index-th of an endless run of shuffles of the allowed grasps."""
     rng = np.random.default_rng([*stream, index // len(allowed)])

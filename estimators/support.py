@@ -44,16 +44,18 @@ class GripperLoad:
 
 @dataclass(frozen=True, eq=False)
 class OwnWeight:
-    """Own-weight loads: N_i = share_i g, plus a linear response to what the gripper carries."""
+    """Own-weight loads: N_i = share_i g + lean_i, plus a linear response to what the gripper carries."""
 
     share: Float[Tensor, "P"]
     """Part of its mass group's mass that each particle carries, kg; 0 without contact."""
+    lean: Float[Tensor, "P"]
+    """What a weight beside the middle of its own feet adds to each particle's load, N; sums to 0 over a group."""
     response: Float[Tensor, "K P 3"]
     """Change of each particle's load with the gripper's lift (N per N) and moment (N per N m)."""
 
     def loads(self, load: GripperLoad) -> Float[Tensor, "K P"]:
         """N_i, N."""
-        return self.share * GRAVITY + self.change(load)
+        return self.share * GRAVITY + self.lean + self.change(load)
 
     def change(self, load: GripperLoad) -> Float[Tensor, "K P"]:
         """What the gripper adds to each particle's load, N."""
@@ -71,7 +73,8 @@ def own_weight(
     """Every mass group on its own weight: N_i = m_i g, plus what the gripper adds.
 
     The held group's weight is lightened by fz. All groups share one tilt on a foundation of even stiffness, so
-    each takes a part of the moment that is affine over its own feet.
+    each takes a part of the moment that is affine over its own feet: the gripper's, and that of a weight beside
+    its feet.
 
     Args:
         particles: m, object frame.
@@ -97,11 +100,14 @@ def own_weight(
     )
     offset = (particles - centre[group]) * contact[:, None]
     tilt = offset @ torch.linalg.pinv(offset.T @ offset, hermitian=True)
+    weight = zeros.index_add(0, group, mass) * GRAVITY
+    middle = torch.zeros(count, 2, dtype=torch.float64).index_add(0, group, particles * mass[:, None]) * GRAVITY
+    lean = tilt @ (middle - weight[:, None] * centre).sum(0)
     gripped = (group == load.held[:, None]) & contact
     lift = gripped / gripped.sum(-1, keepdim=True).clamp(min=1)
     # fz acts at the grasp point: what lies beside the middle of the held group's feet tilts
     aside = tilt @ (centre[load.held] - load.point).T
-    return OwnWeight(share, torch.cat([aside.T[..., None] - lift[..., None], tilt.expand(len(lift), -1, -1)], -1))
+    return OwnWeight(share, lean, torch.cat([aside.T[..., None] - lift[..., None], tilt.expand(len(lift), -1, -1)], -1))
 
 
 def rigid_loads(

@@ -10,7 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from testbed.actions import Accelerate, Weigh
 from testbed.arrays import frozen_array
@@ -45,6 +45,8 @@ class SteadyWindow:
     """Mean square of the turn rate, rad^2/s^2; more than the square of its mean where the turn accelerates."""
     tcp_height: float
     """Mean height of the TCP over the table, m."""
+    yaw: Float[np.ndarray, "2"]
+    """Yaw of the object at the window's first and last sample, rad."""
     bias_covariance: Float[np.ndarray, "6 6"]
     """Of a constant error common to all windows of one trial, about the TCP as `wrench` is."""
 
@@ -55,6 +57,7 @@ class SteadyWindow:
             ("twist", (3,)),
             ("acceleration", (3,)),
             ("bias_covariance", (6, 6)),
+            ("yaw", (2,)),
         ):
             object.__setattr__(self, name, frozen_array(f"SteadyWindow.{name}", getattr(self, name), shape))
 
@@ -73,7 +76,6 @@ def steady_windows(trajectory: Trajectory) -> list[SteadyWindow]:
         raise InvalidValueError(
             "trajectory.action", trajectory.action, "a slide or a turn; read a weighing with weight_of"
         )
-    trim = TRIM_STEP if isinstance(trajectory.action, Accelerate) else TRIM_START
     into_object = rotation_2d(-trajectory.object_pose[:, 2])
     turn = lambda v: np.einsum("nij,nj->ni", into_object, v)  # noqa: E731
     wrench = trajectory.wrench_on_object_world
@@ -82,6 +84,32 @@ def steady_windows(trajectory: Trajectory) -> list[SteadyWindow]:
     world_twist = np.column_stack([trajectory.tcp_velocity[:, :2], trajectory.object_velocity[:, 2]])
     bias = _bias_at_tcp(trajectory)
     windows = []
+    for kept in steady_samples(trajectory):
+        yaw = trajectory.object_pose[kept, 2]
+        windows.append(
+            SteadyWindow(
+                grasp=trajectory.action.grasp,
+                wrench=in_object[kept].mean(axis=0),
+                covariance=mean_covariance(in_object[kept]),
+                twist=twist[kept].mean(axis=0),
+                acceleration=_slopes(trajectory.time_s[kept], world_twist[kept], yaw),
+                spin_square=float(np.mean(twist[kept, 2] ** 2)),
+                tcp_height=float(trajectory.tcp_position[kept, 2].mean()),
+                yaw=yaw[[0, -1]],
+                bias_covariance=bias,
+            )
+        )
+    return windows
+
+
+def steady_samples(trajectory: Trajectory) -> list[Int[np.ndarray, "N"]]:
+    """Indices of the samples of every steady stretch, its start and end trimmed.
+
+    Raises:
+        InvalidValueError: there is none, or one is too short to trim.
+    """
+    trim = TRIM_STEP if isinstance(trajectory.action, Accelerate) else TRIM_START
+    stretches = []
     for segment in range(trajectory.segment.max() + 1):
         inside = np.flatnonzero(trajectory.segment == segment)
         if len(inside) == 0:
@@ -96,22 +124,10 @@ def steady_windows(trajectory: Trajectory) -> list[SteadyWindow]:
                 f"{len(kept)} samples in steady stretch {segment}",
                 f"at least 10 after trimming {trim + TRIM_END:g} s",
             )
-        yaw = trajectory.object_pose[kept, 2]
-        windows.append(
-            SteadyWindow(
-                grasp=trajectory.action.grasp,
-                wrench=in_object[kept].mean(axis=0),
-                covariance=mean_covariance(in_object[kept]),
-                twist=twist[kept].mean(axis=0),
-                acceleration=_slopes(trajectory.time_s[kept], world_twist[kept], yaw),
-                spin_square=float(np.mean(twist[kept, 2] ** 2)),
-                tcp_height=float(trajectory.tcp_position[kept, 2].mean()),
-                bias_covariance=bias,
-            )
-        )
-    if not windows:
+        stretches.append(kept)
+    if not stretches:
         raise InvalidValueError("trajectory", "no steady stretch", f"samples in phase {Phase.STEADY.name}")
-    return windows
+    return stretches
 
 
 def _bias_at_tcp(trajectory: Trajectory) -> np.ndarray:

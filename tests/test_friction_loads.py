@@ -10,14 +10,14 @@ import torch
 from analytic_world import drawn_object, felt, turns
 from numpy.testing import assert_allclose
 
+from estimators.descent import OPTIMIZERS
 from estimators.dynamics import ParticleModel, inertia_of
 from estimators.friction_loads import (
-    OPTIMIZERS,
     LinearSystem,
     LoadGroups,
     closed_form,
     closed_form_covariance,
-    descend,
+    descend_loads,
     friction_system,
     rank_of,
 )
@@ -111,7 +111,7 @@ def test_the_closed_form_keeps_to_the_bound_at_its_true_minimum():
 @pytest.mark.parametrize("name", NAMES)
 def test_descent_arrives_at_the_closed_form(name, optimizer):
     system = system_of(load_object(name), turns(load_object(name), noise=0.05))
-    found, trace = descend(system, optimizer, 500)
+    found, (trace,) = descend_loads(system, (optimizer,), 500, 0.0)
     exact = closed_form(system)
     # 500 steps: the slowest of the three is within two parts in ten thousand of the largest load
     assert_allclose(found, exact, atol=2e-4 * exact.max())

@@ -1,0 +1,193 @@
+"""Eq. problem on steady windows: how far predicted velocities miss the measured ones, for many candidates at once.
+
+In a window of constant speed, or of constant acceleration, state and wrench are constant in the object frame, so one
+prediction a window says what a prediction a sample would. With every group on its own weight the wrench is bilinear in
+mass and friction, and its parts are computed once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from estimators.dynamics import Inertia, ParticleModel, cross, inertia_of
+from estimators.friction_loads import LoadGroups, rank_of
+from estimators.observations import Observations, observe
+from estimators.protocol import Estimate
+from estimators.support import own_weight
+from testbed.errors import InvalidValueError
+from testbed.objects import GRAVITY, ObjectShape
+from testbed.trajectory import Trajectory
+
+STEP = 0.01
+"""Step of the prediction, that of a 100 Hz record, s."""
+MODEL_ERROR = 0.002
+"""Error of the particle model, as a part of the largest force and torque: under weighting "covariance"."""
+Weighting = Literal["velocity", "covariance"]
+
+
+@dataclass(frozen=True, eq=False)
+class AffineLoads:
+    """Normal load of every particle in every window, affine in the masses: own weight, and what the gripper presses."""
+
+    per_mass: Float[Tensor, "K P n_m"]
+    """N a kg of each particle mass."""
+    carried: Float[Tensor, "K P"]
+    """N."""
+
+    @staticmethod
+    def of(shape: ObjectShape, model: ParticleModel, windows: Observations) -> AffineLoads:
+        """Probed with one particle mass of 2 kg among ones."""
+
+        def loads(mass: Tensor) -> Tensor:
+            particle_mass = model.particle_mass(mass)
+            load = windows.gripper_load(inertia_of(model, particle_mass), shape.height)
+            return own_weight(model.particles, model.mass_group, model.contact, particle_mass, load).loads(load)
+
+        ones = torch.ones(shape.n_m, dtype=torch.float64)
+        base = loads(ones)
+        per_mass = torch.stack([loads(ones + one) - base for one in torch.diag(ones)], -1)
+        return AffineLoads(per_mass, base - per_mass.sum(-1))
+
+    def at(self, mass: Float[Tensor, "... n_m"]) -> Float[Tensor, "... K P"]:
+        """Loads under candidates' masses, N."""
+        flat = mass @ self.per_mass.flatten(0, 1).T
+        return flat.unflatten(-1, self.carried.shape) + self.carried
+
+
+@dataclass(frozen=True, eq=False)
+class WrenchModel:
+    """Wrench that the measured motion takes, (f_x, f_y, torque about the grasp point), bilinear in mass and friction.
+
+    wrench = inertial m + sum_k mu_k (weighed_k m + carried_k).
+    """
+
+    inertial: Float[Tensor, "K 3 n_m"]
+    """Of the motion itself, a kg of each particle mass."""
+    weighed: Float[Tensor, "n_mu K 3 n_m"]
+    """Drag of a friction of 1 under the weight of the masses."""
+    carried: Float[Tensor, "n_mu K 3"]
+    """Drag of a friction of 1 under what the gripper was measured to press."""
+
+    @staticmethod
+    def of(model: ParticleModel, windows: Observations, loads: AffineLoads, pivot_error: float) -> WrenchModel:
+        """The model of every window."""
+        rows, _ = windows.drag_rows(model, pivot_error)
+        rubbing = [rows * (model.friction_group == k) for k in range(int(model.friction_group.max()) + 1)]
+        spins = windows.lever(model).square().sum(-1) + model.cell**2 / 6
+        moves = []
+        for group in range(int(model.mass_group.max()) + 1):
+            mass = (model.mass_group == group).double()
+            moved = windows.inertial_wrench(inertia_of(model, mass))
+            moved[:, 2] += (mass * spins).sum(-1) * windows.acceleration[:, 2]
+            moves.append(moved)
+        weighed = torch.stack([part @ loads.per_mass for part in rubbing])
+        carried = torch.stack([(part @ loads.carried[..., None])[..., 0] for part in rubbing])
+        return WrenchModel(torch.stack(moves, -1), weighed, carried)
+
+    def wrench(self, mass: Float[Tensor, "... n_m"], friction: Float[Tensor, "... n_mu"]) -> Float[Tensor, "... K 3"]:
+        """Predicted wrench of the gripper on the object, N and N m."""
+        windows = self.inertial.shape[:2]
+        per_mass = mass @ self.inertial.flatten(0, 1).T
+        dragged = torch.einsum("kwm,...m->...kw", self.weighed.flatten(1, 2), mass) + self.carried.flatten(1, 2)
+        return (per_mass + (friction[..., None, :] @ dragged)[..., 0, :]).unflatten(-1, windows)
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """What a search works on: one object's windows, and whether M is known."""
+
+    shape: ObjectShape
+    model: ParticleModel
+    windows: Observations
+    loads: AffineLoads
+    wrenches: WrenchModel
+    weight: float | None
+    """M, kg, or None where the method is not given it."""
+    whiten: Tensor
+    """Takes wrench residuals to unit variance, (3 K, 3 K)."""
+
+    @staticmethod
+    def of(
+        shape: ObjectShape,
+        weight: float | None,
+        trajectories: Sequence[Trajectory],
+        *,
+        use_weight: bool,
+        pivot_error: float,
+    ) -> Problem | Estimate:
+        """The problem, or the answer that says why there is none.
+
+        Raises:
+            InvalidValueError: `use_weight` without a weight.
+        """
+        if use_weight and not (weight is not None and np.isfinite(weight) and weight > 0):
+            raise InvalidValueError("weight", weight, "M as weighed, a finite number > 0, kg, or use_weight = false")
+        windows = observe(shape, trajectories)
+        if windows is None or bool(windows.accelerated.all()):
+            return Estimate(None, "no_data", "no trajectory with status ok that slides or turns at constant speed")
+        model = ParticleModel.of(shape)
+        groups = LoadGroups.of(model)
+        steady = windows.where(~windows.accelerated)
+        seen = rank_of(groups.gather(steady.drag_rows(model, pivot_error)[0]).flatten(0, 1).numpy())
+        if seen < len(groups.pairs):
+            why = f"rank(Q) is {seen} and {len(groups.pairs)} friction loads are unknown: turn about more points"
+            return Estimate(None, "underdetermined", why)
+        loads = AffineLoads.of(shape, model, windows)
+        wrenches = WrenchModel.of(model, windows, loads, pivot_error)
+        return Problem(shape, model, windows, loads, wrenches, weight if use_weight else None, _whitening(windows))
+
+    @property
+    def per_group(self) -> Float[Tensor, "n_m"]:
+        """Particles in each mass group."""
+        return torch.tensor(self.shape.particles_per_group, dtype=torch.float64)
+
+    @property
+    def drag(self) -> float:
+        """Largest force felt at constant speed, N: a lower bound of mu M g."""
+        return float(self.windows.wrench[~self.windows.accelerated, :2].norm(dim=1).max())
+
+    @property
+    def scale_known(self) -> bool:
+        """Whether mass and friction can be told apart: by M, or by an acceleration."""
+        return self.weight is not None or bool(self.windows.accelerated.any())
+
+    def typical_mass(self, friction: Float[Tensor, "..."]) -> Float[Tensor, "..."]:
+        """Mean particle mass: M where known, else what explains the largest drag at that friction, kg."""
+        count = len(self.shape.particles)
+        if self.weight is not None:
+            return torch.full_like(friction, self.weight / count)
+        return self.drag / (friction * GRAVITY * count)
+
+    def inertia(self, mass: Float[Tensor, "... n_m"]) -> Inertia:
+        """M, c and I_cm of candidates."""
+        return inertia_of(self.model, self.model.particle_mass(mass))
+
+    def loss(
+        self, mass: Float[Tensor, "... n_m"], friction: Float[Tensor, "... n_mu"], weighting: Weighting = "velocity"
+    ) -> Float[Tensor, "..."]:
+        """Mean over windows of |v_predicted - v_measured|^2 one step on (Eq. problem), or of the whitened error."""
+        missing = self.windows.wrench - self.wrenches.wrench(mass, friction)
+        if weighting == "covariance":
+            return (missing.flatten(-2) @ self.whiten.T).square().mean(-1)
+        inertia = self.inertia(mass)
+        arm = inertia.com[..., None, :] - self.windows.grasp
+        spin = (missing[..., 2] - cross(arm, missing[..., :2])) / inertia.about_com[..., None]
+        along = missing[..., :2] / inertia.mass[..., None, None]
+        return STEP**2 * (along.square().sum(-1) + spin.square()).mean(-1)
+
+
+def _whitening(windows: Observations) -> Tensor:
+    """Inverse root of the wrenches' covariance; windows of a trial share their bias."""
+    size = torch.stack([windows.wrench[:, :2].norm(dim=1).max()] * 2 + [windows.wrench[:, 2].abs().max()])
+    within = windows.covariance + torch.diag_embed((MODEL_ERROR * size).square() + 1e-12)
+    together = (windows.trial[:, None] == windows.trial)[:, None, :, None]
+    count = 3 * len(windows)
+    shared = (together * windows.bias_covariance[:, :, None, :]).reshape(count, count)
+    return torch.linalg.inv(torch.linalg.cholesky(torch.block_diag(*within) + shared))

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import os
 import resource
 import statistics
 import subprocess
 import sys
 import time
 from collections.abc import Callable
+from pathlib import Path
+
+os.environ["OPENBLAS_NUM_THREADS"] = "1"  # before numpy starts its threads
+sys.path.insert(0, str(Path(__file__).parent.parent))  # for the tests' reference solver
 
 import mujoco
 import numpy as np
@@ -16,9 +21,11 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
-from estimators.dynamics import ParticleModel, inertia_of, one_step
-from estimators.friction_loads import OPTIMIZERS, LoadGroups, closed_form, descend, friction_system
+from estimators.descent import OPTIMIZERS
+from estimators.dynamics import ParticleModel, cross, direction, friction_wrench, inertia_of, one_step, rotate, turned
+from estimators.friction_loads import LoadGroups, closed_form, descend_loads, friction_system
 from estimators.hidden_states import HiddenStatesEstimator
+from estimators.lcp import LcpEngine, _Solve, polygon_sides, solve_step
 from estimators.observations import observe
 from estimators.rank_driven import between_particles
 from testbed.actions import Accelerate, Rotate
@@ -32,6 +39,7 @@ from testbed.simulation.servo import Servo
 from testbed.simulation.settings import SimulationSettings
 from testbed.trajectory import Trajectory
 from testbed.trial import OWN_WEIGHT, Trial
+from tests.lcp_oracle import Textbook, interior_point
 
 SETTINGS = SimulationSettings()
 TURNS = 12
@@ -115,6 +123,79 @@ def loss_and_gradient(grid: int) -> tuple[int, Callable[[], None]]:
     return len(shape.particles), once
 
 
+def turning_steps(count: int, directions: int, h: float) -> list[torch.Tensor]:
+    """Steps of a rollout, the L of six blocks (54 feet) turned at 10 deg/s: mass, momentum, lines and bounds."""
+    obj = load_object("L2")
+    model = ParticleModel.of(obj.shape)
+    particle = torch.tensor(obj.particle_mass)
+    inertia = inertia_of(model, particle)
+    friction = model.particle_friction(torch.tensor(obj.truth.friction)) * particle * GRAVITY
+    weights = torch.stack([inertia.mass, inertia.mass, inertia.about_com])
+    lever, grasp, rate = model.particles - inertia.com, torch.tensor(obj.shape.grasps[2].position), np.deg2rad(10)
+    yaw = h * rate * torch.arange(count, dtype=torch.float64)[:, None]
+    to_com, arms = rotate(yaw[:, 0], inertia.com - grasp), rotate(yaw, lever)
+    steady = torch.cat([rate * turned(to_com), torch.full((count, 1), rate, dtype=torch.float64)], -1)
+    drag = friction_wrench(friction, direction(steady[:, None, :2] + rate * turned(arms)), arms)
+    push = -torch.cat([drag[:, :2], (drag[:, 2] + cross(to_com, drag[:, :2]))[:, None]], -1)
+    start = torch.cat([to_com[0], yaw[0]])
+    engine = LcpEngine(directions, 1)
+    poses, velocities = engine.rollout(model, inertia, friction.expand(count, -1), start, steady[0], push, grasp, h)
+
+    arms, sides = rotate(poses[:, 2:], lever[model.contact]), polygon_sides(directions)
+    lines = torch.cat([sides.expand(*arms.shape[:-1], -1, -1), (turned(arms) @ sides.T)[..., None]], -1)
+    bound = (h * friction[model.contact]).repeat_interleave(len(sides)).expand(count, -1)
+    momentum = weights * velocities - h * drag
+    return [torch.diag(weights).repeat(count, 1, 1), momentum, lines.flatten(1, 2), bound.contiguous()]
+
+
+def time_lcp(table: Table) -> None:
+    """Rows of the complementarity step, and of a dense interior point on the same steps."""
+    batch, directions = 64, 8
+    steps = turning_steps(batch + 1, directions, 2.5e-3)
+    guesses = solve_step(*(x[:-1] for x in steps)).used  # pyright: ignore[reportArgumentType]
+    sides = polygon_sides(directions).numpy()
+    problems = [
+        Textbook.of(m, q, np.linalg.pinv(sides) @ rows.reshape(-1, len(sides), 3), b[:: len(sides)], directions)
+        for m, q, rows, b in zip(*(x[1:].numpy() for x in steps), strict=True)
+    ]
+    for count, goal in ((1, ">= 50"), (batch, ">= 500")):
+        chosen = [x[1 : count + 1].contiguous() for x in steps]
+        functions = lcp_functions(chosen, guesses[:count], problems[:count])
+        cold, warm, forward, whole, dense = side_by_side(functions)
+        found = solve_step(*chosen).velocity.numpy()  # pyright: ignore[reportArgumentType]
+        pairs = zip(problems, found, strict=False)
+        apart = max(np.abs(problem.velocity(interior_point(problem)) - v).max() for problem, v in pairs)
+        label, against = f"LCP step, 54 feet, batch {count}", f"dense {dense * 1e3:.0f} ms"
+        for name, took in ((f"no guess (apart {apart:.0e} m/s)", cold), ("guess from before", warm)):
+            table.add_row(f"{label}, {name}", f"{took * 1e3:.2f} ms", against, f"{dense / took:.0f}", goal)
+        back = f"{(whole - forward) * 1e3:.2f} ms"
+        table.add_row(f"{label}, forward, and backward", f"{forward * 1e3:.2f} ms", back, f"{whole / forward:.1f}", "")
+
+
+def lcp_functions(
+    steps: list[torch.Tensor], guess: torch.Tensor, problems: list[Textbook]
+) -> list[Callable[[], object]]:
+    """Without a guess, with one, forward, forward and backward, and the dense interior point one by one."""
+    mass, momentum, lines, bound = steps
+    leaves = [x.clone().requires_grad_() for x in steps]
+    return [
+        lambda: solve_step(mass, momentum, lines, bound),
+        lambda: solve_step(mass, momentum, lines, bound, guess),
+        lambda: _Solve.apply(*leaves, guess),
+        lambda: _Solve.apply(*leaves, guess)[0].sum().backward(),  # pyright: ignore
+        lambda: [interior_point(problem) for problem in problems],
+    ]
+
+
+def side_by_side(functions: list[Callable[[], object]], rounds: int = 7) -> list[float]:
+    """Median wall times, s, of functions called in turn, so that whatever else the machine does hits all."""
+    times = [[] for _ in functions]
+    for _ in range(rounds):
+        for function, taken in zip(functions, times, strict=True):
+            taken.append(seconds(function, 3))
+    return [statistics.median(taken) for taken in times]
+
+
 def peak_memory_mb() -> float:
     """Peak resident memory of a fresh process that runs a trial and an estimate, MiB."""
     script = (
@@ -171,8 +252,8 @@ def main() -> None:
     table.add_row("closed form of s, six turns", f"{exact * 1e3:.2f} ms", "", "", "<= 10 ms")
     reference = closed_form(system)
     for optimizer in OPTIMIZERS:
-        took = seconds(lambda name=optimizer: descend(system, name, 500), 3)
-        error = np.abs(descend(system, optimizer, 500)[0] - reference).max() / reference.max()
+        took = seconds(lambda name=optimizer: descend_loads(system, (name,), 500, 0.0), 3)
+        error = np.abs(descend_loads(system, (optimizer,), 500, 0.0)[0] - reference).max() / reference.max()
         table.add_row(f"500 gradient steps, {optimizer} (off by {error:.0e})", f"{took:.3f} s", f"{exact * 1e3:.2f} ms",
                       f"{took / exact:.0f}", "<= 0.5 s")  # fmt: skip
     took = seconds(lambda: settings.estimate(shape, weight, trajectories, 0))
@@ -186,6 +267,7 @@ def main() -> None:
         each, growth = took / count * 1e9, took / first[1] / (count / first[0])
         label = f"loss and gradient, {count} particles x {TURNS} turns"
         table.add_row(label, f"{took * 1e3:.2f} ms", f"{each:.0f} ns/particle", f"{growth:.2f} x linear", "<= 1")
+    time_lcp(table)
     table.add_row("peak memory of a worker", f"{peak_memory_mb():.0f} MiB", "", "", "<= 1024 MiB")
     table.add_row(
         "peak memory of this process",

@@ -4,17 +4,27 @@ from __future__ import annotations
 
 import sys
 import time
+from collections.abc import Sequence
 from pathlib import Path
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
+from scenarios.comparison import Row, select
 from scenarios.execution import default_workers
 from scenarios.schema import Scenario, load_scenario
+from scenarios.store import rows_of
 from scenarios.sweep import run_scenario
-from scenarios.tables import hidden_table, nad_table
+from scenarios.tables import METRICS, SUPPORT_NAMES, hidden_table, metric_table
 from testbed.errors import InvalidValueError
 from testbed.object_files import load_object
+from testbed.objects import ObjectShape
+from viz.heatmap import absolute_difference, save_figure
+
+NOTES = (
+    "Cells: mean and spread over draws of the sensor's errors, [95 % bootstrap interval of the mean], and the paper's "
+    "figure on the real robot. *: better than every other method in its column (paired by draw, p < 0.05). _M: given M."
+)
 
 
 def run_and_show(
@@ -30,11 +40,12 @@ def run_and_show(
     console = Console() if sys.stdout.isatty() else Console(width=120)
     begin = time.monotonic()
     with _progress(console) as show:
-        results = run_scenario(scenario, folder, count, show)
-    labels = [load_object(o, 1).name for o in scenario.objects]
-    console.print(nad_table(results, labels))
-    console.print(hidden_table(results, labels))
-    failed = [row for row in results.to_dict("records") if row["status"] != "ok"]
+        results = rows_of(run_scenario(scenario, folder, count, show))
+    shapes = {model.name: model.shape for model in (load_object(o) for o in scenario.objects)}
+    show_tables(console, scenario, results, list(shapes))
+    figures = save_figures(scenario, results, shapes, folder)
+    console.print(f"figures: {', '.join(figures)}", highlight=False)
+    failed = [row for row in results if row["status"] != "ok"]
     for line in dict.fromkeys(
         f"{row['object']}, {row['support']}, {row['method']}: {row['status']}: {row['message']}" for row in failed
     ):
@@ -44,6 +55,30 @@ def run_and_show(
     )
     if failed:
         sys.exit(1)
+
+
+def show_tables(console: Console, scenario: Scenario, results: Sequence[Row], objects: list[str]) -> None:
+    """Every metric under every support and sensing, and the hidden states."""
+    for support in scenario.supports():
+        for sensing in scenario.sensing:
+            for metric in METRICS:
+                if any(row.get(metric.column) is not None for row in results):
+                    console.print(metric_table(results, metric, support.name, sensing, objects))
+    console.print(NOTES, highlight=False)
+    console.print(hidden_table(results, objects))
+
+
+def save_figures(scenario: Scenario, results: Sequence[Row], shapes: dict[str, ObjectShape], folder: Path) -> list[str]:
+    """The heatmap of every support and sensing; paths without suffix."""
+    saved = []
+    for support in scenario.supports():
+        for sensing in scenario.sensing:
+            name = f"absolute_difference_{support.name}_{sensing}".replace(" ", "_").replace("/", "_per_")
+            rows = select(results, support=support.name, sensing=sensing)
+            title = f"{SUPPORT_NAMES.get(support.name, support.name)}, {sensing}"
+            save_figure(absolute_difference(rows, shapes, title), folder / "figures" / name)
+            saved.append(f"{folder / 'figures' / name}.pdf")
+    return saved
 
 
 def _changed(scenario: Scenario, seeds: int | None, objects: tuple[str, ...] | None) -> Scenario:

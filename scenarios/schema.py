@@ -8,17 +8,29 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
+from estimators.diff_lcp import DiffLcp
+from estimators.explicit_state import ExplicitState
 from estimators.hidden_states import HiddenStatesEstimator
 from estimators.protocol import Estimator
-from estimators.rank_driven import RankDriven
+from estimators.random_search import RandomSearch
+from estimators.rank_driven import RankDriven, held_out_turns
+from estimators.weighted_sampling import WeightedSampling
+from testbed.actions import Rotate
 from testbed.errors import InvalidValueError
 from testbed.object_files import load_toml
+from testbed.objects import ObjectShape
 from testbed.resources import find_file, library_names
 from testbed.sensing import preset
 from testbed.simulation.settings import ContactSettings, GripSettings, ServoSettings, SimulationSettings
 from testbed.trial import Support, parse_support
 
-METHODS: dict[str, type[Estimator]] = {"hidden_states": HiddenStatesEstimator}
+METHODS: dict[str, type[Estimator]] = {
+    "hidden_states": HiddenStatesEstimator,
+    "random_search": RandomSearch,
+    "weighted_sampling": WeightedSampling,
+    "explicit_state": ExplicitState,
+    "diff_lcp": DiffLcp,
+}
 """Methods by name; their settings are the fields of the class."""
 LIBRARY = Path(__file__).parent / "library"
 
@@ -46,15 +58,20 @@ class Policy(Strict):
     accelerated: Annotated[int, Field(ge=0)] = 6
     most: Count = 40
     seed: Annotated[int, Field(ge=0)] = 0
+    held_out: Annotated[int, Field(ge=0, le=100)] = 2
 
     @property
     def expected_trials(self) -> int:
         """Trials a cell where nothing goes wrong, the weighing among them."""
-        return 1 + self.accelerated + self.pivots
+        return 1 + self.accelerated + self.pivots + self.held_out
 
     def build(self, grasps: tuple[int, ...]) -> RankDriven:
         """The policy over the grasps that may be used."""
-        return RankDriven(**self.model_dump(), grasps=grasps)
+        return RankDriven(**self.model_dump(exclude={"held_out"}), grasps=grasps)
+
+    def build_held_out(self, shape: ObjectShape, grasps: tuple[int, ...]) -> list[Rotate]:
+        """Turns for prediction, which no method is given."""
+        return held_out_turns(shape, grasps, self.held_out, self.duration, self.seed)
 
 
 class Simulation(Strict):
@@ -113,18 +130,26 @@ class Scenario(Strict):
         """Who carries the weight, in order."""
         return [parse_support(value) for value in self.support]
 
-    def method(self, name: str) -> Estimator:
-        """A method by name, with the scenario's settings.
+    def kind(self, label: str) -> str:
+        """Which method a label stands for: the setting `method`, or the label itself."""
+        return str(self.methods.get(label, {}).get("method", label))
+
+    def method(self, label: str) -> Estimator:
+        """A method by its label, with the scenario's settings.
 
         Raises:
             InvalidValueError: unknown method or setting, or a value out of range.
         """
+        name, settings = self.kind(label), dict(self.methods.get(label, {}))
+        settings.pop("method", None)
         if name not in METHODS:
-            raise InvalidValueError("methods", name, f"one of {', '.join(METHODS)}")
-        kind, settings = METHODS[name], self.methods.get(name, {})
+            raise InvalidValueError(
+                "methods", name, f"one of {', '.join(METHODS)}, or any label with a method of these"
+            )
+        kind = METHODS[name]
         known = [f.name for f in fields(kind)]  # pyright: ignore[reportArgumentType]
         if unknown := sorted(set(settings) - set(known)):
-            raise InvalidValueError(f"methods.{name}", ", ".join(unknown), f"settings {', '.join(known)}")
+            raise InvalidValueError(f"methods.{label}", ", ".join(unknown), f"settings method, {', '.join(known)}")
         return kind(**{key: tuple(v) if isinstance(v, list) else v for key, v in settings.items()})
 
 

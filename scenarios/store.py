@@ -2,7 +2,8 @@
 
 results/<scenario>/manifest.json
                    trials/<key>/trajectory.parquet, trial.json    one physical trial, shared by every draw and method
-                   estimates/<key>/result.json                    one answer, with its error against the truth
+                   estimates/<key>/estimate.npz                   mass, friction, covariance, and every trace
+                                   result.json                    one answer, with its error against the truth
                                    error.txt                      or why there is none
                    results.parquet                                derived from the above
 """
@@ -20,6 +21,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from estimators.protocol import Estimate
 from testbed.actions import action_to_dict
 from testbed.objects import Solid
 from testbed.resources import asset_folder
@@ -108,9 +110,11 @@ class Store:
         """A finished estimate's row, or None."""
         return read_json(self.root / "estimates" / key / "result.json")
 
-    def put_result(self, key: str, row: dict[str, Any]) -> None:
-        """Write an estimate's row, whole."""
-        write_json(self.root / "estimates" / key / "result.json", row)
+    def put_estimate(self, key: str, row: dict[str, Any], answer: Estimate) -> None:
+        """Write an estimate: its arrays, then its row, which comes last and means done."""
+        folder = self.root / "estimates" / key
+        write_whole(folder / "estimate.npz", lambda part: _save_arrays(part, answer))
+        write_json(folder / "result.json", row)
 
     def put_error(self, key: str, text: str) -> None:
         """Write why an estimate failed; it stays undone, and the next run tries again."""
@@ -121,6 +125,28 @@ class Store:
         frame = pd.DataFrame(list(rows))
         write_whole(self.root / "results.parquet", lambda part: frame.to_parquet(part, compression="zstd"))
         return frame
+
+
+def rows_of(frame: pd.DataFrame) -> list[dict[str, Any]]:
+    """The rows of a results table; what is missing is None."""
+    return [{str(k): None if _missing(v) else v for k, v in row.items()} for row in frame.to_dict("records")]
+
+
+def _missing(value: Any) -> bool:
+    return value is None or (isinstance(value, float) and np.isnan(value))
+
+
+def _save_arrays(path: Path, answer: Estimate) -> None:
+    arrays: dict[str, Any] = {}
+    if answer.distribution is not None:
+        arrays |= {"mass": answer.distribution.mass, "friction": answer.distribution.friction}
+    if answer.covariance is not None:
+        arrays["covariance"] = answer.covariance
+    for trace in answer.traces:
+        name = trace.method.replace(" ", "_")
+        arrays |= {f"{name}.loss": trace.loss, f"{name}.seconds": trace.seconds, f"{name}.mass": trace.mass}
+    with open(path, "wb") as file:
+        np.savez_compressed(file, **arrays)
 
 
 def read_json(path: Path) -> dict[str, Any] | None:

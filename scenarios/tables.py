@@ -1,49 +1,90 @@
-"""Results as tables on a terminal."""
+"""Results as tables: methods down, objects across; ours, and in the same cell the paper's."""
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Iterable
+from dataclasses import dataclass
 
 import numpy as np
-import pandas as pd
 from rich import box
 from rich.table import Table
+from rich.text import Text
 
-PAPER_NAD = {"I1": 7.4, "I2": 9.2, "L1": 10.1, "L2": 7.3, "F1": 8.5, "F2": 14.2}
-"""NAD of the paper's own approach on the real robot, percent (tab:nad)."""
+from scenarios import paper
+from scenarios.comparison import Draws, Row, draws_of, select, significantly_best, summarize
+
 SUPPORT_NAMES = {"own_weight": "own weight", "rigid": "rigid body"}
 
 
-def nad_table(results: pd.DataFrame, objects: list[str]) -> Table:
-    """NAD in percent, object by support, sensing and method: mean and spread over the draws."""
-    rows = results.to_dict("records")
-    table = _table("Normalized absolute difference of the mass distribution (NAD), %", objects)
-    several = len({row["method"] for row in rows}) > 1
-    support = None
-    for kind in dict.fromkeys((row["support"], row["sensing"], row["method"]) for row in rows):
-        if support not in (None, kind[0]):
-            table.add_section()
-        support = kind[0]
-        label = f"{SUPPORT_NAMES.get(support, support)}, {kind[1]}" + (f", {kind[2]}" if several else "")
-        of_kind = [row for row in rows if (row["support"], row["sensing"], row["method"]) == kind]
-        table.add_row(label, *(_cell([row for row in of_kind if row["object"] == name]) for name in objects))
-    if any(name in PAPER_NAD for name in objects):
+@dataclass(frozen=True)
+class Metric:
+    """One measure of the comparison."""
+
+    column: str
+    """In the results."""
+    title: str
+    scale: float
+    """From the results' unit to the title's."""
+    paper: dict[str, dict[str, float]]
+    reference: str | None = None
+    """Column with what the truth itself would score."""
+
+
+NAD = Metric("nad", "Normalized absolute difference of the mass distribution (NAD), %", 100.0, paper.NAD)
+MPD_OPEN_LOOP = Metric(
+    "mpd_open_loop_m",
+    "Mean particle distance (MPD) after 1 s of open loop, cm",
+    100.0,
+    paper.MPD,
+    "mpd_open_loop_of_truth_m",
+)
+MPD_TURN = Metric(
+    "mpd_turn_m",
+    "Mean particle distance (MPD) over a whole turn, state reset each step, cm",
+    100.0,
+    paper.MPD,
+    "mpd_turn_of_truth_m",
+)
+METRICS = (NAD, MPD_OPEN_LOOP, MPD_TURN)
+
+
+def metric_table(results: Iterable[Row], metric: Metric, support: str, sensing: str, objects: list[str]) -> Table:
+    """One metric under one support and sensing. Cells: mean and spread over draws; interval; the paper's figure."""
+    rows = select(results, support=support, sensing=sensing)
+    table = _table(f"{metric.title}: {SUPPORT_NAMES.get(support, support)}, {sensing}", objects)
+    methods = list(dict.fromkeys(row["method"] for row in rows))
+    of = {name: {m: select(rows, object=name, method=m) for m in methods} for name in objects}
+    draws = {name: {m: draws_of(of[name][m], metric.column, metric.scale) for m in methods} for name in objects}
+    best = {name: significantly_best(draws[name]) for name in objects}
+    for method in methods:
+        cells = []
+        for name in objects:
+            cell = _cell(draws[name][method], best=best[name] == method)
+            if cell is None:
+                cell = Text(of[name][method][0]["status"] if of[name][method] else "-")
+            published = metric.paper.get(method, {}).get(name)
+            if published is not None:
+                cell.append(f"\npaper {published}", style="dim not bold")
+            cells.append(cell)
+        table.add_row(method, *cells)
+    if metric.reference and methods:
         table.add_section()
-        table.add_row("paper, real robot", *(str(PAPER_NAD.get(name, "")) for name in objects), style="dim")
+        scores = [draws_of(of[name][methods[0]], metric.reference, metric.scale) for name in objects]
+        table.add_row("the true masses", *(_cell(score, best=False) or "-" for score in scores), style="dim")
     return table
 
 
-def hidden_table(results: pd.DataFrame, objects: list[str]) -> Table:
-    """Errors of the centre of mass and of I_cm where blocks rest on their own weight: mean size over the draws."""
+def hidden_table(results: Iterable[Row], objects: list[str]) -> Table:
+    """Errors of the centre of mass and of I_cm where groups rest on their own weight: mean size over the draws."""
     table = _table("Hidden states, own weight: mean error", objects)
-    rows = [row for row in results.to_dict("records") if row["support"] == "own_weight" and row["status"] == "ok"]
+    rows = select(results, support="own_weight", status="ok", kind="hidden_states")
     for column, scale, label in (("com_error_m", 1e3, "c, mm"), ("inertia_error", 100, "I_cm, %")):
         for sensing in dict.fromkeys(row["sensing"] for row in rows):
             cells = []
             for name in objects:
-                found = [row for row in rows if row["object"] == name and row["sensing"] == sensing]
-                values = [row[column] for row in found]
-                seen = np.abs([value for value in values if value is not None and not np.isnan(value)]) * scale
+                found = select(rows, object=name, sensing=sensing)
+                values = np.array(list(draws_of(found, column, scale).values()))
+                seen = np.abs(values[~np.isnan(values)])
                 confounded = any("confounded" in row["unobserved"] for row in found)
                 cells.append(f"{seen.mean():.2f}" if len(seen) else "confounded" if confounded else "not felt")
             table.add_row(f"{label}, {sensing}", *cells)
@@ -58,12 +99,15 @@ def _table(title: str, objects: list[str]) -> Table:
     return table
 
 
-def _cell(rows: list[dict[Any, Any]]) -> str:
-    """Mean and standard deviation over draws, or why there is no number; "-n" counts draws without an answer."""
-    good = [100 * row["nad"] for row in rows if row["nad"] is not None and not np.isnan(row["nad"])]
-    if not good:
-        return rows[0]["status"] if rows else "-"
-    missing = f" -{len(rows) - len(good)}" if len(good) < len(rows) else ""
-    if len(good) == 1:
-        return f"{good[0]:.2f}{missing}"
-    return f"{np.mean(good):.1f}±{np.std(good, ddof=1):.1f}{missing}"
+def _cell(draws: Draws, *, best: bool) -> Text | None:
+    """ "0.6±0.3", and below it "[0.4 0.9]"; "-n" counts draws without an answer, "*" marks what is best for sure."""
+    summary = summarize(draws)
+    if summary is None:
+        return None
+    missing = f" -{summary.missing}" if summary.missing else ""
+    if np.isnan(summary.spread):
+        return Text(f"{summary.mean:.2f}{missing}")
+    digits = 1 if summary.mean < 100 else 0
+    text = f"{summary.mean:.{digits}f}±{summary.spread:.{digits}f}{'*' if best else ''}{missing}"
+    interval = f"\n[{summary.low:.{digits}f} {summary.high:.{digits}f}]"
+    return Text.assemble((text, "bold" if best else ""), (interval, "dim"))

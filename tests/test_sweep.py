@@ -10,6 +10,7 @@ import sys
 import time
 from pathlib import Path
 
+import numpy as np
 import pandas as pd
 import pytest
 
@@ -109,7 +110,7 @@ def test_the_librarys_scenarios_are_valid(name):
         ("colour = 1", r"colour: no such field"),
         ("[methods.magic]", r"methods: got 'magic'; allowed: one of hidden_states"),
         ("[methods.hidden_states]\nsteps = 0", r"steps: got 0; allowed: an integer >= 1"),
-        ("[methods.hidden_states]\nspeed = 1", r"got 'speed'; allowed: settings solver"),
+        ("[methods.hidden_states]\nspeed = 1", r"got 'speed'; allowed: settings method, solver"),
         ("[policy]\npivots = 0", r"policy.pivots: got 0"),
         ("[grid]\nfeet = 0", r"grid.feet: got 0"),
     ],
@@ -171,3 +172,22 @@ def test_help_teaches(capsys):
     said = capsys.readouterr().out
     assert "Ctrl-C leaves whole files" in said
     assert "--workers" in said
+
+
+def test_one_method_runs_under_two_labels(scenario, tmp_path):
+    text = scenario.read_text() + '[methods.bare]\nmethod = "random_search"\n[methods.told]\nmethod = "random_search"\n'
+    scenario.write_text(text + "use_weight = true\niterations = 20\n")
+    results = run(scenario, tmp_path / "out")
+    assert set(zip(results["method"], results["kind"], strict=True)) == {
+        ("bare", "random_search"),
+        ("told", "random_search"),
+    }
+    told = results[results["method"] == "told"].iloc[0]
+    assert sum(told["mass_kg"]) == pytest.approx(told["weight_kg"])
+    arrays = np.load(
+        next(p for p in (tmp_path / "out").glob("estimates/*/estimate.npz") if len(np.load(p)["random.loss"]) == 20)
+    )
+    assert arrays["random.mass"].shape == (20, 2)
+    assert (np.diff(arrays["random.loss"]) <= 0).all()
+    assert {"mpd_open_loop_m", "mpd_turn_m"} <= set(results.columns)
+    assert max(results["mpd_turn_of_truth_m"]) < 0.02

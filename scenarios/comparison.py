@@ -1,0 +1,83 @@
+"""Comparing methods on the same draws: mean, spread, bootstrap interval, and whether one is best for sure."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy import stats
+
+LEVEL = 0.95
+"""Of the bootstrap interval of the mean."""
+SIGNIFICANT = 0.05
+"""A method is marked best where its paired difference to every other is less likely than this by chance."""
+Row = Mapping[str, Any]
+"""One estimate of a run: a row of results.parquet."""
+Draws = Mapping[int, float]
+"""A number a draw, by its seed; NaN without an answer."""
+
+
+@dataclass(frozen=True)
+class Summary:
+    """One method on one object: N draws."""
+
+    mean: float
+    spread: float
+    """Standard deviation over draws; NaN for a single one."""
+    low: float
+    high: float
+    """Percentile bootstrap interval of the mean at LEVEL; NaN for a single draw."""
+    missing: int
+    """Draws without an answer."""
+
+
+def select(rows: Iterable[Row], **equal: object) -> list[Row]:
+    """Rows whose columns equal what is asked."""
+    return [row for row in rows if all(row[column] == value for column, value in equal.items())]
+
+
+def draws_of(rows: Iterable[Row], column: str, scale: float = 1.0) -> dict[int, float]:
+    """A column times `scale`, by draw; what is missing is NaN."""
+    return {row["seed"]: np.nan if row[column] is None else scale * row[column] for row in rows}
+
+
+def summarize(draws: Draws) -> Summary | None:
+    """None where no draw has an answer."""
+    values = np.array(list(draws.values()), dtype=float)
+    good = values[~np.isnan(values)]
+    missing = len(values) - len(good)
+    if len(good) == 0:
+        return None
+    if len(good) == 1:
+        return Summary(float(good[0]), np.nan, np.nan, np.nan, missing)
+    rng = np.random.default_rng(0)
+    interval = stats.bootstrap((good,), np.mean, confidence_level=LEVEL, method="percentile", rng=rng)
+    low, high = interval.confidence_interval
+    return Summary(float(good.mean()), float(good.std(ddof=1)), float(low), float(high), missing)
+
+
+def significantly_best(methods: Mapping[str, Draws]) -> str | None:
+    """The method with the least mean, if it beats every other: t-test of the differences, paired by draw.
+
+    A method without any answer is left out, and so is a draw that a method has no answer to.
+    """
+    answered = {name: draws for name, draws in methods.items() if not all(np.isnan(v) for v in draws.values())}
+    seeds = sorted(set.intersection(*(set(draws) for draws in answered.values()))) if answered else []
+    table = np.array([[draws[seed] for seed in seeds] for draws in answered.values()])
+    table = table[:, ~np.isnan(table).any(axis=0)] if table.size else table
+    if len(answered) < 2 or table.shape[1] < 2:
+        return None
+    best = int(table.mean(axis=1).argmin())
+    beaten = [_smaller(table[best], other) for other in np.delete(table, best, axis=0)]
+    return list(answered)[best] if all(beaten) else None
+
+
+def _smaller(first: Sequence[float], second: Sequence[float]) -> bool:
+    """Whether the first is smaller, for sure."""
+    difference = np.subtract(second, first)
+    if np.ptp(difference) == 0:
+        return bool(difference[0] > 0)
+    _, chance = stats.ttest_1samp(difference, 0.0, alternative="greater")
+    return bool(np.less(chance, SIGNIFICANT))

@@ -1,0 +1,96 @@
+"""The paper's Fig. absolute_diff: how far each block's mass is off, method by object, kilograms a block."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.collections import PatchCollection
+from matplotlib.colors import Normalize
+from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
+
+from testbed.objects import ObjectShape
+from testbed.trajectory import write_whole
+
+COLORS = "cividis_r"
+"""Even in lightness, so that it survives a grey print, and seen alike by the colour-blind; dark is wrong."""
+TOP = 95
+"""Percentile of all differences at which the scale ends: one lost method must not bleach the rest."""
+
+
+def absolute_difference(rows: Sequence[Mapping[str, Any]], shapes: Mapping[str, ObjectShape], title: str) -> Figure:
+    """One figure: a row an object, a column a method; each mass group in its place, with its number.
+
+    Args:
+        rows: of a scenario run, under one support and sensing; differences are means over the draws.
+        shapes: of every object, by name.
+        title: what the rows have in common.
+    """
+    methods = list(dict.fromkeys(row["method"] for row in rows))
+    differences = {
+        (name, method): _difference([row for row in rows if (row["object"], row["method"]) == (name, method)])
+        for name in shapes
+        for method in methods
+    }
+    known = [value for value in differences.values() if value is not None]
+    top = float(np.percentile(np.concatenate(known), TOP)) if known else 1.0
+    norm = Normalize(0.0, max(top, 1e-3))
+    with mpl.rc_context({"font.size": 8, "pdf.fonttype": 42}):
+        figure = Figure(figsize=(1.35 * len(methods) + 1.6, 1.35 * len(shapes) + 0.6), layout="constrained")
+        axes = figure.subplots(len(shapes), len(methods), squeeze=False)
+        for i, (name, shape) in enumerate(shapes.items()):
+            for j, method in enumerate(methods):
+                axis = axes[i, j]
+                _draw(axis, shape, differences[name, method], norm)
+                if i == 0:
+                    axis.set_title(method.replace("_", " ").replace(" ", "\n", 1), fontsize=8)
+                if j == 0:
+                    axis.set_ylabel(name, rotation=0, ha="right", va="center", fontsize=9)
+        scale = ScalarMappable(norm, COLORS)
+        bar = figure.colorbar(scale, ax=axes, extend="max", shrink=0.6, aspect=35, pad=0.01)
+        bar.set_label("absolute difference of mass, kg a group")
+        figure.suptitle(title, fontsize=9)
+    return figure
+
+
+def save_figure(figure: Figure, path: Path) -> None:
+    """Write a figure as PDF and PNG: `path` with each suffix."""
+    for suffix in (".pdf", ".png"):
+        write_whole(path.with_suffix(suffix), lambda part, kind=suffix[1:]: figure.savefig(part, format=kind, dpi=200))
+
+
+def _difference(rows: Sequence[Mapping[str, Any]]) -> np.ndarray | None:
+    """Mean over draws of |estimate - truth|, kg a group, (n_m,); None where no draw has an answer."""
+    off = [np.abs(np.subtract(row["mass_kg"], row["true_mass_kg"])) for row in rows if row["mass_kg"] is not None]
+    return np.mean(off, axis=0) if off else None
+
+
+def _draw(axis: Axes, shape: ObjectShape, difference: np.ndarray | None, norm: Normalize) -> None:
+    """One object: its cells coloured by their group's difference, a number at each group's middle."""
+    half = shape.cell / 2
+    cells = [Rectangle((x - half, y - half), shape.cell, shape.cell) for x, y in shape.particles]
+    if difference is None:
+        axis.add_collection(PatchCollection(cells, facecolor="white", edgecolor="0.7", hatch="////", linewidth=0.2))
+        axis.text(0.5, 0.5, "no answer", transform=axis.transAxes, ha="center", va="center", fontsize=6)
+    else:
+        patches = PatchCollection(cells, cmap=COLORS, norm=norm, linewidth=0, antialiased=False)
+        patches.set_array(difference[shape.mass_group])
+        axis.add_collection(patches)
+        for group, value in enumerate(difference):
+            x, y = shape.particles[shape.mass_group == group].mean(axis=0)
+            dark = norm(value) > 0.5
+            axis.text(x, y, f"{value:.2f}", ha="center", va="center", fontsize=5, color="white" if dark else "black")
+    low, high = shape.particles.min(axis=0) - 1.5 * half, shape.particles.max(axis=0) + 1.5 * half
+    axis.set_xlim(low[0], high[0])
+    axis.set_ylim(low[1], high[1])
+    axis.set_aspect("equal")
+    axis.set_xticks([])
+    axis.set_yticks([])
+    for side in axis.spines.values():
+        side.set_visible(False)

@@ -31,5 +31,5 @@ LCP_DIRECTIONS = 8
 """Corners of the friction polygon. Ours."""
 LCP_SUBSTEPS = 2
 """Steps of the LCP engine in one of the record's. Paper: smaller than the record's, wrench interpolated linearly."""
-LCP_SAMPLES = 2
+LCP_SAMPLES = 1
 """States along a steady turn that Diff-LCP predicts from; a polygon feels each turned state differently. Ours."""

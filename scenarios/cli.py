@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import tyro
 from rich.console import Console
@@ -16,24 +16,54 @@ def run(
     scenario: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="SCENARIO")] = "blocks",
     *,
     out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None,
+    executor: Literal["inline", "local", "ray"] = "local",
     workers: Annotated[int | None, tyro.conf.arg(metavar="N")] = None,
+    methods: Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="METHOD ...")] = None,
     seeds: Annotated[int | None, tyro.conf.arg(metavar="N")] = None,
     objects: Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="OBJECT ...")] = None,
+    dry_run: bool = False,
 ) -> None:
-    """Run a scenario: try every object under every support, ask every method, print the tables.
+    """Run a scenario: try every object under every support, ask every method, print the tables, write a report.
 
-    Ctrl-C leaves whole files; the same command goes on from them. Example: heft run blocks --objects L2 my/object.toml
+    Ctrl-C leaves whole files; the same command goes on from them, after kill -9 too.
+    Examples: heft run blocks --objects L2 my/object.toml
+              heft run my/scenario.toml --methods hidden_states explicit_state --seeds 20 --out results/tonight
 
     Args:
-        scenario: name in the library, or path to a TOML file.
+        scenario: name in the library (see heft scenarios), or path to a TOML file.
         out: folder for the results; results/<scenario> if left out.
+        executor: inline (this process), local (worker processes), or ray (extra "ray"; joins a running cluster).
         workers: worker processes; one a core if left out, 0 runs everything in this process.
+        methods: labels of the scenario's methods, instead of all.
         seeds: sensing draws of each trial; the scenario's own number if left out.
         objects: names in the library or paths to TOML files, instead of the scenario's own.
+        dry_run: say how many trials and estimates there are and how long they take, and run nothing.
     """
-    from scenarios.main_run import run_and_show  # noqa: PLC0415  torch and MuJoCo take seconds that --help need not wait for
+    from scenarios.main_run import Asked, run_and_show  # noqa: PLC0415  torch and MuJoCo take seconds that --help need not wait for
 
-    run_and_show(scenario, out, workers, seeds, objects)
+    run_and_show(scenario, Asked(out, workers, executor, seeds, objects, methods, dry_run))
+
+
+def status(folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DIR")]) -> None:
+    """Say how far a results folder is: trials and estimates done, failures with their reasons.
+
+    Args:
+        folder: of a run, finished, running or stopped.
+    """
+    from scenarios.status import show_status  # noqa: PLC0415
+
+    show_status(Console(), folder)
+
+
+def report(folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DIR")]) -> None:
+    """Write DIR/report.html: one file with tables, figures, failures and what is needed to run it again.
+
+    Args:
+        folder: of a finished run.
+    """
+    from scenarios.report_run import report as write  # noqa: PLC0415
+
+    print(write(folder))
 
 
 def objects() -> None:
@@ -67,7 +97,14 @@ def main(arguments: list[str] | None = None) -> None:
     """Entry point: 0 done, 1 done but some trials or estimates failed, 2 a wrong argument or file, 130 interrupted."""
     try:
         tyro.extras.subcommand_cli_from_dict(
-            {"run": run, "objects": objects, "scenarios": scenarios, "show": show},
+            {
+                "run": run,
+                "status": status,
+                "report": report,
+                "objects": objects,
+                "scenarios": scenarios,
+                "show": show,
+            },
             prog="heft",
             description="What can a robot learn about how an object's mass is spread, from the wrench at its wrist?",
             args=arguments,

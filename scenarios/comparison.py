@@ -35,12 +35,12 @@ class Summary:
 
 def select(rows: Iterable[Row], **equal: object) -> list[Row]:
     """Rows whose columns equal what is asked."""
-    return [row for row in rows if all(row[column] == value for column, value in equal.items())]
+    return [row for row in rows if all(row.get(column) == value for column, value in equal.items())]
 
 
 def draws_of(rows: Iterable[Row], column: str, scale: float = 1.0) -> dict[int, float]:
     """A column times `scale`, by draw; what is missing is NaN."""
-    return {row["seed"]: np.nan if row[column] is None else scale * row[column] for row in rows}
+    return {row["seed"]: np.nan if row.get(column) is None else scale * row[column] for row in rows}
 
 
 def summarize(draws: Draws) -> Summary | None:
@@ -79,5 +79,5 @@ def _smaller(first: Sequence[float], second: Sequence[float]) -> bool:
     difference = np.subtract(second, first)
     if np.ptp(difference) == 0:
         return bool(difference[0] > 0)
-    _, chance = stats.ttest_1samp(difference, 0.0, alternative="greater")
-    return bool(np.less(chance, SIGNIFICANT))
+    chance = np.asarray(stats.ttest_1samp(difference, 0.0, alternative="greater"))[1]
+    return bool(chance < SIGNIFICANT)

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import hashlib
 import math
-import traceback
-from concurrent.futures import Future
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from functools import lru_cache
 from importlib.metadata import version
 from typing import Any
 
@@ -14,10 +14,10 @@ import numpy as np
 
 from estimators.metrics import mean_particle_distance, normalized_absolute_difference
 from estimators.protocol import Estimate
-from scenarios.execution import Submit, finished
-from scenarios.schema import Scenario
-from scenarios.store import Store, key_of
-from scenarios.trials import Cell, Progress
+from scenarios.cells import Cell, Infeasible, Progress
+from scenarios.execution import Executor, Failure
+from scenarios.methods import build_method, kind_of
+from scenarios.store import Store, key_of, object_request
 from testbed.objects import ObjectModel
 from testbed.reduction import weight_of
 from testbed.sensing import draw_sensing, preset
@@ -25,85 +25,166 @@ from testbed.trajectory import Trajectory
 
 
 def run_estimates(
-    cells: list[Cell], scenario: Scenario, store: Store, submit: Submit, progress: Progress
+    cells: list[Cell], left_out: list[Infeasible], store: Store, executor: Executor, progress: Progress
 ) -> list[dict[str, Any]]:
     """Ask every method about every cell and sensing; a row a draw, in the scenario's order."""
-    running: set[Future[Any]] = set()
-    slowest_first = sorted(scenario.methods, key=lambda label: scenario.kind(label) != "diff_lcp")
-    for method in slowest_first:
-        for cell in cells:
-            for sensing in scenario.sensing:
-                running.add(submit(estimate, _asked_of(cell), sensing, method, scenario, store))
-    rows, total = [], len(running)
-    while running:
-        for future in finished(running):
-            rows += future.result()
-        progress("estimates", total - len(running), total)
-    order = {
-        "support": [s.name for s in scenario.supports()],
-        "sensing": scenario.sensing,
-        "method": [*scenario.methods],
-    }
-    return sorted(
-        rows, key=lambda row: (*(names.index(row[k]) for k, names in order.items()), row["object"], row["seed"])
-    )
+    rows: dict[tuple[int, ...], dict[str, Any]] = {}
+    waiting: list[tuple[tuple[int, ...], Asked]] = []
+    for index, cell in enumerate(cells):
+        for s, sensing in enumerate(cell.scenario.sensing):
+            for m, method in enumerate(cell.scenario.methods):
+                waiting.append(((s, m, index), Asked.of(cell, sensing, method)))
+    total, failed = sum(asked.seeds for _, asked in waiting), 0
+    waiting.sort(key=lambda item: item[1].kind != "diff_lcp")  # the slowest first
+
+    def put(place: tuple[int, ...], asked: Asked, key: str, row: dict[str, Any]) -> None:
+        nonlocal failed
+        rows[place] = row | asked.labels() | {"key": key}
+        failed += rows[place].get("status") == "failed"
+        progress("estimates", len(rows), total, failed)
+
+    failed = 0
+
+    def take(place: tuple[int, ...], asked: Asked, key: str, row: dict[str, Any]) -> None:
+        nonlocal failed
+        rows[place] = row | asked.labels() | {"key": key}
+        failed += row.get("status") == "failed"
+        progress("estimates", len(rows), total, failed)
+
+    def wait() -> None:
+        (place, asked, key), value = executor.wait()
+        if isinstance(value, Failure):
+            store.put_error(key, value.detail)
+            take(place, asked, key, _failed(place[-1], value.reason))
+        else:  # the row as the next run will read it
+            take(place, asked, key, store.result(key) or _failed(place[-1], "its result.json cannot be read back"))
+
+    for place, asked, key in _draws(waiting):
+        row = _failed(place[-1], asked.failure) if asked.failure else store.result(key)
+        if row is not None:
+            take(place, asked, key, row)
+            continue
+        while executor.running >= executor.capacity:
+            wait()
+        executor.start((place, asked, key), estimate, asked, place[-1], key, store)
+    while executor.running:
+        wait()
+    return [rows[place] for place in sorted(rows)] + [_infeasible(cell) for cell in left_out]
+
+
+def _failed(seed: int, why: str) -> dict[str, Any]:
+    return {"seed": seed, "status": "failed", "message": why}
+
+
+def _draws(waiting: Iterable[tuple[tuple[int, ...], Asked]]) -> Iterator[tuple[tuple[int, ...], Asked, str]]:
+    """Place, question and content key of every draw; a task each, so that one that hangs takes no other with it."""
+    for place, asked in waiting:
+        for seed, key in enumerate(asked.result_keys()):
+            yield (*place, seed), asked, key
 
 
 @dataclass(frozen=True, eq=False)
 class Asked:
-    """What a task is told of a cell."""
+    """One method on one cell's trials under one sensing: all that a task is told."""
 
     truth: ObjectModel
     """With the estimator's particles."""
     support: str
-    keys: list[str]
-    held_out: list[str]
+    axes: dict[str, Any]
+    keys: tuple[str, ...]
+    held_out: tuple[str, ...]
+    failure: str
+    """Why there are no trials, if there are none."""
+    sensing: str
+    seeds: int
+    method: str
+    """Its label."""
+    settings: dict[str, Any]
+    reference: bool
+    """Whether to say how the truth itself predicts the held-out turns: it is the same for every method."""
 
+    @staticmethod
+    def of(cell: Cell, sensing: str, method: str) -> Asked:
+        """Of a cell."""
+        scenario = cell.scenario
+        return Asked(
+            cell.particles,
+            cell.support.name,
+            cell.axes,
+            tuple(cell.keys),
+            tuple(cell.held_out_keys),
+            cell.failure,
+            sensing,
+            1 if sensing == "ideal" else scenario.seeds,
+            method,
+            dict(scenario.methods[method]),
+            method == next(iter(scenario.methods)),
+        )
 
-def _asked_of(cell: Cell) -> Asked:
-    return Asked(cell.particles, cell.support.name, cell.keys, cell.held_out_keys)
+    @property
+    def kind(self) -> str:
+        """Which method the label stands for."""
+        return kind_of(self.method, self.settings)
 
-
-def estimate(asked: Asked, sensing: str, method: str, scenario: Scenario, store: Store) -> list[dict[str, Any]]:
-    """Task: one method on one object's trials, every sensing draw; a row a draw."""
-    rows: list[dict[str, Any]] = []
-    clean: list[Trajectory] = []
-    for seed in range(1 if sensing == "ideal" else scenario.seeds):
-        request = {
-            "trials": asked.keys,
-            "held_out": asked.held_out,
-            "sensing": sensing,
-            "seed": seed,
-            "method": scenario.kind(method),
-            "settings": scenario.methods[method],
-            "particles": scenario.grid.particles,
-            "object": asked.truth.name,
-            "version": version("heft"),
+    def result_keys(self) -> list[str]:
+        """Content key of every draw's answer."""
+        said = {
+            "trials": list(self.keys),
+            "held_out": list(self.held_out),
+            "sensing": self.sensing,
+            "method": self.kind,
+            "settings": {k: v for k, v in self.settings.items() if k != "method"},
+            "object": object_request(self.truth),
+            "reference": self.reference,
+            "version": _version(),
         }
-        key = key_of(request)
-        said = {"object": asked.truth.name, "support": asked.support, "sensing": sensing, "seed": seed}
-        row = store.result(key)
-        if row is None:
-            every = asked.keys + asked.held_out
-            clean = clean or [store.trajectory(k) for k in every]
-            drawn = [draw_sensing(t, preset(sensing), _draw_seed(seed, i, every[i])) for i, t in enumerate(clean)]
-            seen, held_out = drawn[: len(asked.keys)], drawn[len(asked.keys) :]
-            try:
-                answer = scenario.method(method).estimate(asked.truth.shape, weight_of(seen[0]), seen[1:], seed)
-                row = said | judge(asked.truth, answer, seen, held_out)
-            except Exception as error:  # a method that raises is a row; the run goes on
-                store.put_error(key, traceback.format_exc())
-                row = said | {"status": "failed", "message": f"{type(error).__name__}: {error}", "nad": math.nan}
-            else:
-                store.put_estimate(key, row, answer)
-        rows.append(row | {"method": method, "kind": scenario.kind(method)})
-    return rows
+        return [key_of(said | {"seed": seed}) for seed in range(self.seeds)]
+
+    def labels(self) -> dict[str, Any]:
+        """What a row says of where it belongs."""
+        axes = {f"axis.{name}": value for name, value in self.axes.items()}
+        return {
+            "object": self.truth.name,
+            "support": self.support,
+            "sensing": self.sensing,
+            "method": self.method,
+            "kind": self.kind,
+        } | axes
 
 
-def judge(truth: ObjectModel, answer: Estimate, seen: list[Trajectory], held_out: list[Trajectory]) -> dict[str, Any]:
-    """Hold an answer against the truth, and against turns that it has not seen."""
+def estimate(asked: Asked, seed: int, key: str, store: Store) -> None:
+    """Task: the answer to one draw."""
+    every = asked.keys + asked.held_out
+    clean = _trajectories(store, every)
+    drawn = [draw_sensing(t, preset(asked.sensing), _draw_seed(seed, i, every[i])) for i, t in enumerate(clean)]
+    seen, held_out = drawn[: len(asked.keys)], drawn[len(asked.keys) :]
+    method = build_method(asked.method, asked.settings)
+    answer = method.estimate(asked.truth.shape, weight_of(seen[0]), seen[1:], seed)
+    row = {"seed": seed} | judge(asked.truth, answer, seen, held_out, reference=asked.reference)
+    store.put_estimate(key, row, answer)
+
+
+@lru_cache(maxsize=1)
+def _trajectories(store: Store, keys: tuple[str, ...]) -> tuple[Trajectory, ...]:
+    """Of one cell: a worker is mostly asked about the same cell as just before."""
+    return tuple(store.trajectory(key) for key in keys)
+
+
+def _infeasible(cell: Infeasible) -> dict[str, Any]:
+    axes = {f"axis.{name}": value for name, value in cell.axes.items()}
+    said = {"object": cell.name, "support": cell.support, "sensing": "", "seed": 0, "method": "", "kind": ""}
+    return said | axes | {"status": "infeasible", "message": cell.reason}
+
+
+def judge(
+    truth: ObjectModel, answer: Estimate, seen: list[Trajectory], held_out: list[Trajectory], *, reference: bool
+) -> dict[str, Any]:
+    """Hold an answer against the truth, and against turns that it has not seen.
+
+    With `reference`, also say how the truth itself predicts those turns: it is the same for every method.
+    """
     shape = truth.shape
-    best = mean_particle_distance(shape, truth.truth, held_out)
+    best = mean_particle_distance(shape, truth.truth, held_out) if reference else None
     row: dict[str, Any] = {
         "status": answer.status,
         "message": answer.message,
@@ -138,6 +219,11 @@ def judge(truth: ObjectModel, answer: Estimate, seen: list[Trajectory], held_out
         row["inertia_error"] = answer.hidden.inertia_cm / truth.inertia_cm - 1
         row["unobserved"] = answer.hidden.unobserved
     return row
+
+
+@lru_cache(maxsize=1)
+def _version() -> str:
+    return version("heft")
 
 
 def _draw_seed(seed: int, index: int, key: str) -> int:

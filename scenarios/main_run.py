@@ -1,21 +1,25 @@
-"""`heft run`: progress while it runs, tables when it is done."""
+"""`heft run`: progress while it runs, tables, figures and a report when it is done."""
 
 from __future__ import annotations
 
 import sys
 import time
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from scenarios.comparison import Row, select
 from scenarios.execution import default_workers
+from scenarios.methods import nearest
+from scenarios.plan import show_plan
+from scenarios.progress import show_progress
+from scenarios.report_run import report
 from scenarios.schema import Scenario, load_scenario
 from scenarios.store import rows_of
 from scenarios.sweep import run_scenario
-from scenarios.tables import METRICS, SUPPORT_NAMES, hidden_table, metric_table
+from scenarios.tables import METRICS, SUPPORT_NAMES, axes_of, hidden_table, metric_table, quantile_table
 from testbed.errors import InvalidValueError
 from testbed.object_files import load_object
 from testbed.objects import ObjectShape
@@ -25,51 +29,73 @@ NOTES = (
     "Cells: mean and spread over draws of the sensor's errors, [95 % bootstrap interval of the mean], and the paper's "
     "figure on the real robot. *: better than every other method in its column (paired by draw, p < 0.05). _M: given M."
 )
+MOST_OBJECTS = 12
+"""More objects than this are told by their quantiles."""
+MOST_LINES = 20
+"""Failures that are listed; the report has them all."""
 
 
-def run_and_show(
-    name_or_path: str, out: Path | None, worker_count: int | None, seeds: int | None, objects: tuple[str, ...] | None
-) -> None:
+@dataclass(frozen=True)
+class Asked:
+    """What the command line asks for beyond the scenario."""
+
+    out: Path | None = None
+    workers: int | None = None
+    executor: str = "local"
+    seeds: int | None = None
+    objects: tuple[str, ...] | None = None
+    methods: tuple[str, ...] | None = None
+    dry_run: bool = False
+
+
+def run_and_show(name_or_path: str, asked: Asked) -> None:
     """Run a scenario and print its tables; exit code 1 where a trial or an estimate failed."""
     name, scenario = load_scenario(name_or_path)
-    scenario = _changed(scenario, seeds, objects)
-    count = default_workers() if worker_count is None else worker_count
-    if count < 0:
-        raise InvalidValueError("--workers", count, "an integer >= 0")
-    folder = out or Path("results") / name
+    scenario = changed(scenario, asked)
+    workers = default_workers() if asked.workers is None else asked.workers
+    if workers < 0:
+        raise InvalidValueError("--workers", workers, "an integer >= 0")
+    folder = asked.out or Path("results") / name
     console = Console() if sys.stdout.isatty() else Console(width=120)
+    if asked.dry_run:
+        show_plan(console, scenario, folder, workers)
+        return
     begin = time.monotonic()
-    with _progress(console) as show:
-        results = rows_of(run_scenario(scenario, folder, count, show))
-    shapes = {model.name: model.shape for model in (load_object(o) for o in scenario.objects)}
-    show_tables(console, scenario, results, list(shapes))
-    figures = save_figures(scenario, results, shapes, folder)
-    console.print(f"figures: {', '.join(figures)}", highlight=False)
+    with show_progress(console) as told:
+        results = rows_of(run_scenario(scenario, folder, workers, told, asked.executor))
+    show_tables(console, scenario, results)
+    if not _many(results):
+        shapes = {model.name: model.shape for model in (load_object(o) for o in scenario.objects)}
+        for figure in save_figures(scenario, results, shapes, folder):
+            console.print(f"figure: {figure}", highlight=False, soft_wrap=True)
+    console.print(f"report: {report(folder)}", highlight=False, soft_wrap=True)
     failed = [row for row in results if row["status"] != "ok"]
-    for line in dict.fromkeys(
-        f"{row['object']}, {row['support']}, {row['method']}: {row['status']}: {row['message']}" for row in failed
-    ):
-        console.print(line, highlight=False)
-    console.print(
-        f"{len(results)} estimates in {time.monotonic() - begin:.0f} s; all of it in {folder}/", highlight=False
-    )
+    for line in list(_told(failed))[:MOST_LINES]:
+        console.print(line, highlight=False, soft_wrap=True)
+    took = f"{len(results)} estimates in {time.monotonic() - begin:.0f} s"
+    console.print(f"{took}, {len(failed)} not ok; all of it in {folder}/", highlight=False, soft_wrap=True)
     if failed:
         sys.exit(1)
 
 
-def show_tables(console: Console, scenario: Scenario, results: Sequence[Row], objects: list[str]) -> None:
-    """Every metric under every support and sensing, and the hidden states."""
+def show_tables(console: Console, scenario: Scenario, results: Sequence[Row]) -> None:
+    """Every metric under every support and sensing, and the hidden states; quantiles where there are many objects."""
+    objects = list(dict.fromkeys(row["object"] for row in results))
+    metrics = [metric for metric in METRICS if any(row.get(metric.column) is not None for row in results)]
+    if _many(results):
+        for metric in metrics:
+            console.print(quantile_table(results, metric))
+        return
     for support in scenario.supports():
         for sensing in scenario.sensing:
-            for metric in METRICS:
-                if any(row.get(metric.column) is not None for row in results):
-                    console.print(metric_table(results, metric, support.name, sensing, objects))
+            for metric in metrics:
+                console.print(metric_table(results, metric, support.name, sensing, objects))
     console.print(NOTES, highlight=False)
     console.print(hidden_table(results, objects))
 
 
 def save_figures(scenario: Scenario, results: Sequence[Row], shapes: dict[str, ObjectShape], folder: Path) -> list[str]:
-    """The heatmap of every support and sensing; paths without suffix."""
+    """The heatmap of every support and sensing; their paths."""
     saved = []
     for support in scenario.supports():
         for sensing in scenario.sensing:
@@ -81,46 +107,33 @@ def save_figures(scenario: Scenario, results: Sequence[Row], shapes: dict[str, O
     return saved
 
 
-def _changed(scenario: Scenario, seeds: int | None, objects: tuple[str, ...] | None) -> Scenario:
+def _many(results: Sequence[Row]) -> bool:
+    """Whether there is too much for a column an object."""
+    return bool(axes_of(results)) or len({row["object"] for row in results}) > MOST_OBJECTS
+
+
+def _told(failed: Sequence[Row]) -> dict[str, None]:
+    """A line for each kind of failure."""
+    return dict.fromkeys(
+        ", ".join(part for part in (row["object"], row["support"], row["method"]) if part)
+        + f": {row['status']}: {row.get('message') or ''}"
+        for row in failed
+    )
+
+
+def changed(scenario: Scenario, asked: Asked) -> Scenario:
     """The scenario with the command line's changes."""
-    if seeds is not None and seeds < 1:
-        raise InvalidValueError("--seeds", seeds, "an integer >= 1")
-    changes = {"seeds": seeds, "objects": list(objects) if objects else None}
-    return scenario.model_copy(update={key: value for key, value in changes.items() if value is not None})
-
-
-class _progress:
-    """Bars on a terminal, a plain line now and then elsewhere."""
-
-    def __init__(self, console: Console):
-        self._console = console
-        self._bars = Progress(
-            TextColumn("{task.description:<10}"),
-            BarColumn(),
-            MofNCompleteColumn(),
-            TimeElapsedColumn(),
-            TimeRemainingColumn(),
-            console=console,
-            transient=True,
-        )
-        self._tasks: dict[str, object] = {}
-        self._said = 0.0
-
-    def __enter__(self) -> _progress:
-        if self._console.is_terminal:
-            self._bars.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        if self._console.is_terminal:
-            self._bars.stop()
-
-    def __call__(self, stage: str, done: int, total: int) -> None:
-        if self._console.is_terminal:
-            task = self._tasks.setdefault(
-                stage, self._bars.add_task(stage, total=total) if stage not in self._tasks else None
-            )
-            self._bars.update(task, completed=done, total=total)  # pyright: ignore[reportArgumentType]
-        elif time.monotonic() - self._said > 10 or done == total:
-            self._said = time.monotonic()
-            print(f"{stage}: {done} of {'' if done == total else 'about '}{total}", flush=True)
+    if asked.seeds is not None and asked.seeds < 1:
+        raise InvalidValueError("--seeds", asked.seeds, "an integer >= 1")
+    changes: dict[str, object] = {}
+    if asked.seeds is not None:
+        changes["seeds"] = asked.seeds
+    if asked.objects:
+        changes |= {"objects": list(asked.objects), "random": []}
+    if asked.methods:
+        known = scenario.methods
+        if unknown := [label for label in asked.methods if label not in known]:
+            allowed = f"some of the scenario's {', '.join(known)}{nearest(unknown[0], known)}"
+            raise InvalidValueError("--methods", " ".join(unknown), allowed)
+        changes["methods"] = {label: known[label] for label in asked.methods}
+    return scenario.model_copy(update=changes)

@@ -2,36 +2,28 @@
 
 from __future__ import annotations
 
-from dataclasses import fields
+from copy import deepcopy
+from dataclasses import replace
+from itertools import product
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
+from zlib import crc32
 
-from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
-from estimators.diff_lcp import DiffLcp
-from estimators.explicit_state import ExplicitState
-from estimators.hidden_states import HiddenStatesEstimator
-from estimators.protocol import Estimator
-from estimators.random_search import RandomSearch
 from estimators.rank_driven import RankDriven, held_out_turns
-from estimators.weighted_sampling import WeightedSampling
+from scenarios.drawn_objects import Family
+from scenarios.methods import build_method
 from testbed.actions import Rotate
 from testbed.errors import InvalidValueError
-from testbed.object_files import load_toml
-from testbed.objects import ObjectShape
+from testbed.object_files import explained, load_toml
+from testbed.objects import MassDistribution, ObjectModel, ObjectShape
 from testbed.resources import find_file, library_names
 from testbed.sensing import preset
 from testbed.simulation.settings import ContactSettings, GripSettings, ServoSettings, SimulationSettings
 from testbed.trial import Support, parse_support
 
-METHODS: dict[str, type[Estimator]] = {
-    "hidden_states": HiddenStatesEstimator,
-    "random_search": RandomSearch,
-    "weighted_sampling": WeightedSampling,
-    "explicit_state": ExplicitState,
-    "diff_lcp": DiffLcp,
-}
-"""Methods by name; their settings are the fields of the class."""
 LIBRARY = Path(__file__).parent / "library"
 
 Count = Annotated[int, Field(ge=1, le=100_000)]
@@ -94,16 +86,62 @@ class Simulation(Strict):
         )
 
 
+class Truth(Strict):
+    """Changes to what is true of every object, which no method is told."""
+
+    friction: Annotated[float, Field(gt=0, le=2)] | None = None
+    friction_spread: Annotated[float, Field(ge=0, le=1)] = 0.0
+    seed: Annotated[int, Field(ge=0)] = 0
+
+    def applied(self, model: ObjectModel) -> ObjectModel:
+        """The object with another friction, or with one of its own under every group (log-normal about the group's)."""
+        shape, friction = model.shape, np.array(model.truth.friction)
+        if self.friction is not None:
+            friction = np.full_like(friction, self.friction)
+        if self.friction_spread:
+            touching = shape.friction_group >= 0
+            pairs = np.stack([shape.mass_group, shape.friction_group], axis=1)
+            found, index = np.unique(pairs[touching], axis=0, return_inverse=True)
+            groups = np.full(len(shape.particles), -1)
+            groups[touching] = index
+            noise = np.random.default_rng([self.seed, crc32(model.name.encode())]).standard_normal(len(found))
+            friction = friction[found[:, 1]] * np.exp(self.friction_spread * noise)
+            shape = replace(shape, friction_group=groups)
+        return replace(model, shape=shape, truth=MassDistribution(model.truth.mass, friction))
+
+
+class Sweep(Strict):
+    """Fields of the scenario that take several values: every combination (grid), or side by side (zip)."""
+
+    mode: Literal["grid", "zip"] = "grid"
+    axes: dict[str, Annotated[list[Any], Field(min_length=1)]] = {}
+
+    @model_validator(mode="after")
+    def _same_length(self) -> Self:
+        if self.mode == "zip" and len({len(values) for values in self.axes.values()}) > 1:
+            lengths = {name: len(values) for name, values in self.axes.items()}
+            raise InvalidValueError("sweep.axes", lengths, "equally many values on every axis, to go side by side")
+        return self
+
+    def points(self) -> list[dict[str, Any]]:
+        """Value of each axis, at every point."""
+        rows = zip(*self.axes.values(), strict=True) if self.mode == "zip" else product(*self.axes.values())
+        return [dict(zip(self.axes, row, strict=True)) for row in rows] or [{}]
+
+
 class Scenario(Strict):
     """A whole scenario file."""
 
-    objects: Annotated[list[str], Field(min_length=1)]
+    objects: list[str] = []
+    random: list[Family] = []
     support: Annotated[list[str | float], Field(min_length=1)] = ["own_weight"]
     sensing: Annotated[list[str], Field(min_length=1)] = ["ideal"]
     seeds: Count = 8
     grid: Grid = Grid()
     policy: Policy = Policy()
     simulation: Simulation = Simulation()
+    truth: Truth = Truth()
+    sweep: Sweep = Sweep()
     methods: Annotated[dict[str, dict[str, Any]], Field(min_length=1)] = {"hidden_states": {}}
 
     @field_validator("sensing", mode="after")
@@ -121,36 +159,49 @@ class Scenario(Strict):
         return values
 
     @model_validator(mode="after")
-    def _known_methods(self) -> Self:
-        for name in self.methods:
-            self.method(name)
+    def _whole(self) -> Self:
+        for label, settings in self.methods.items():
+            build_method(label, settings)
+        if not (self.objects or self.random):
+            raise InvalidValueError("objects", [], "one object or more: names, paths, or a [[random]] family")
+        names = [family.name for family in self.random]
+        if len(set(names)) < len(names):
+            raise InvalidValueError("random", names, "a name of its own for each family")
+        self.points()
         return self
 
     def supports(self) -> list[Support]:
         """Who carries the weight, in order."""
         return [parse_support(value) for value in self.support]
 
-    def kind(self, label: str) -> str:
-        """Which method a label stands for: the setting `method`, or the label itself."""
-        return str(self.methods.get(label, {}).get("method", label))
-
-    def method(self, label: str) -> Estimator:
-        """A method by its label, with the scenario's settings.
+    def points(self) -> list[tuple[dict[str, Any], Scenario]]:
+        """Every point of the sweep: the axes' values, and the scenario there.
 
         Raises:
-            InvalidValueError: unknown method or setting, or a value out of range.
+            InvalidValueError: an axis that is no field, or a value that does not fit its field.
         """
-        name, settings = self.kind(label), dict(self.methods.get(label, {}))
-        settings.pop("method", None)
-        if name not in METHODS:
-            raise InvalidValueError(
-                "methods", name, f"one of {', '.join(METHODS)}, or any label with a method of these"
-            )
-        kind = METHODS[name]
-        known = [f.name for f in fields(kind)]  # pyright: ignore[reportArgumentType]
-        if unknown := sorted(set(settings) - set(known)):
-            raise InvalidValueError(f"methods.{label}", ", ".join(unknown), f"settings method, {', '.join(known)}")
-        return kind(**{key: tuple(v) if isinstance(v, list) else v for key, v in settings.items()})
+        if not self.sweep.axes:
+            return [({}, self)]
+        plain = self.model_dump() | {"sweep": {}}
+        return [(point, self._at(plain, point)) for point in self.sweep.points()]
+
+    def _at(self, plain: dict[str, Any], point: dict[str, Any]) -> Scenario:
+        """The scenario with some fields changed."""
+        changed = deepcopy(plain)
+        for name, value in point.items():
+            table, *path = changed, *name.split(".")
+            for key in path[:-1]:
+                table = table[key] if isinstance(table, dict) and isinstance(table.get(key), dict) else None
+            if not isinstance(table, dict) or (path[-1] not in table and path[0] != "methods"):
+                known = [key for key in plain if key != "sweep"]
+                allowed = f"a field as it stands in the file, such as grid.feet; tables and fields: {', '.join(known)}"
+                raise InvalidValueError("sweep.axes", name, allowed)
+            table[path[-1]] = value
+        try:
+            return Scenario.model_validate(changed)
+        except ValidationError as error:
+            allowed = "; ".join(explained(error, Scenario))
+            raise InvalidValueError("sweep.axes", point, f"values that fit their fields: {allowed}") from None
 
 
 def load_scenario(name_or_path: str) -> tuple[str, Scenario]:

@@ -5,6 +5,8 @@ results/<scenario>/manifest.json
                    estimates/<key>/estimate.npz                   mass, friction, covariance, and every trace
                                    result.json                    one answer, with its error against the truth
                                    error.txt                      or why there is none
+                   objects/<key>/<name>.toml                      drawn objects
+                   notes/<key>.json                               what would take long to work out again
                    results.parquet                                derived from the above
 """
 
@@ -20,10 +22,13 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
 
 from estimators.protocol import Estimate
 from testbed.actions import action_to_dict
-from testbed.objects import Solid
+from testbed.object_files import ObjectFile
+from testbed.objects import ObjectModel, Solid
 from testbed.resources import asset_folder
 from testbed.simulation.settings import SimulationSettings
 from testbed.trajectory import (
@@ -44,24 +49,29 @@ def key_of(asked: dict[str, Any]) -> str:
 
 def trial_request(trial: Trial, settings: SimulationSettings) -> dict[str, Any]:
     """All that decides a physical trial, as plain data; sensing is drawn afterwards and is not in it."""
-    shape, truth = trial.object.shape, trial.object.truth
     return {
         "schema": SCHEMA_VERSION,
         "assets": _asset_hash(),
-        "object": {
-            "particles": shape.particles.tolist(),
-            "mass_group": shape.mass_group.tolist(),
-            "friction_group": shape.friction_group.tolist(),
-            "cell": shape.cell,
-            "height": shape.height,
-            "grasps": [[*g.position.tolist(), g.angle, g.width, g.length, g.bottom, g.top] for g in shape.grasps],
-            "solids": [_solid_hash(solid) for solid in trial.object.solids],
-            "mass": truth.mass.tolist(),
-            "friction": truth.friction.tolist(),
-        },
+        "object": object_request(trial.object),
         "action": action_to_dict(trial.action),
         "support": trial.support.name,
         "simulation": asdict(settings),
+    }
+
+
+def object_request(model: ObjectModel) -> dict[str, Any]:
+    """All that decides how an object behaves, as plain data."""
+    shape, truth = model.shape, model.truth
+    return {
+        "particles": shape.particles.tolist(),
+        "mass_group": shape.mass_group.tolist(),
+        "friction_group": shape.friction_group.tolist(),
+        "cell": shape.cell,
+        "height": shape.height,
+        "grasps": [[*g.position.tolist(), g.angle, g.width, g.length, g.bottom, g.top] for g in shape.grasps],
+        "solids": [_solid_hash(solid) for solid in model.solids],
+        "mass": truth.mass.tolist(),
+        "friction": truth.friction.tolist(),
     }
 
 
@@ -86,12 +96,22 @@ class Store:
         """Whether a trial is done."""
         return (self.root / "trials" / key / "trial.json").is_file()
 
+    def has_sound_trial(self, key: str) -> bool:
+        """Whether a trial is done, and its record not cut short since."""
+        try:
+            return (
+                self.has_trial(key) and pq.read_metadata(self.root / "trials" / key / "trajectory.parquet").num_rows > 0
+            )
+        except (OSError, pa.ArrowException):
+            return False
+
     def put_trial(self, key: str, asked: dict[str, Any], trajectory: Trajectory) -> None:
         """Write a trial; trial.json comes last and means done."""
         folder = self.root / "trials" / key
         save_trajectory(trajectory, folder / "trajectory.parquet")
         said = {"status": trajectory.status, "reason": trajectory.reason, "figures": trajectory.figures}
         write_json(folder / "trial.json", said | {"asked": asked})
+        (folder / "error.txt").unlink(missing_ok=True)
 
     def trajectory(self, key: str) -> Trajectory:
         """Read a trial back; a damaged one is taken as not done.
@@ -106,6 +126,21 @@ class Store:
             (folder / "trial.json").unlink(missing_ok=True)
             raise
 
+    def note(self, key: str) -> dict[str, Any] | None:
+        """Something worked out before, or None."""
+        return read_json(self.root / "notes" / f"{key}.json")
+
+    def put_note(self, key: str, data: dict[str, Any]) -> None:
+        """Keep something that would take long to work out again."""
+        write_json(self.root / "notes" / f"{key}.json", data)
+
+    def put_object(self, path: Path, file: ObjectFile) -> None:
+        """Write a drawn object as a file that a user can take."""
+        lines = [f"name = {json.dumps(file.name)}", "[blocks]"]
+        blocks = file.blocks.model_dump(exclude_none=True) if file.blocks else {}
+        text = "\n".join(lines + [f"{key} = {json.dumps(value)}" for key, value in blocks.items()]) + "\n"
+        write_whole(path, lambda part: part.write_text(text, encoding="utf-8"))
+
     def result(self, key: str) -> dict[str, Any] | None:
         """A finished estimate's row, or None."""
         return read_json(self.root / "estimates" / key / "result.json")
@@ -115,10 +150,20 @@ class Store:
         folder = self.root / "estimates" / key
         write_whole(folder / "estimate.npz", lambda part: _save_arrays(part, answer))
         write_json(folder / "result.json", row)
+        (folder / "error.txt").unlink(missing_ok=True)
+
+    def put_trial_error(self, key: str, text: str) -> None:
+        """Write why a trial failed; it stays undone, and the next run tries again."""
+        write_whole(self.root / "trials" / key / "error.txt", lambda part: part.write_text(text, encoding="utf-8"))
 
     def put_error(self, key: str, text: str) -> None:
         """Write why an estimate failed; it stays undone, and the next run tries again."""
         write_whole(self.root / "estimates" / key / "error.txt", lambda part: part.write_text(text, encoding="utf-8"))
+
+    def remove_leftovers(self) -> None:
+        """Remove what killed runs were still writing; nobody else may be writing now."""
+        for part in self.root.rglob(".*.part"):
+            part.unlink(missing_ok=True)
 
     def put_table(self, rows: Iterable[dict[str, Any]]) -> pd.DataFrame:
         """Write results.parquet, derived from the rows."""

@@ -9,27 +9,39 @@ from typing import Any
 
 import pandas as pd
 
+from scenarios.cells import Progress, cells_of
 from scenarios.estimates import run_estimates
-from scenarios.execution import workers
+from scenarios.execution import open_executor
+from scenarios.folder_lock import exclusive
 from scenarios.schema import Scenario
 from scenarios.store import Store, write_json
-from scenarios.trials import Progress, cells_of, run_trials
+from scenarios.trials import run_trials
 
 
-def run_scenario(scenario: Scenario, out: Path, worker_count: int, progress: Progress) -> pd.DataFrame:
+def run_scenario(
+    scenario: Scenario, out: Path, worker_count: int, progress: Progress, executor: str = "local"
+) -> pd.DataFrame:
     """Run or resume a scenario; a row an estimate.
 
+    Args:
+        scenario: what to run.
+        out: results folder; what is done there is not done again.
+        worker_count: workers; 0 is this process.
+        progress: told how far it is.
+        executor: inline, local or ray.
+
     Raises:
-        HeftError: something in the scenario cannot be done; nothing has been written.
+        HeftError: something in the scenario cannot be done, or another run writes to `out`.
+        OSError: `out` cannot be written to.
     """
-    settings = scenario.simulation.build()
-    cells = cells_of(scenario, settings)
-    store = Store(out)
-    write_json(out / "manifest.json", manifest(scenario))
-    with workers(worker_count) as submit:
-        run_trials(cells, settings, store, submit, progress, scenario.policy.expected_trials * len(cells))
-        rows = run_estimates(cells, scenario, store, submit, progress)
-    return store.put_table(rows)
+    store = Store(out.absolute())
+    with exclusive(out), open_executor(executor, worker_count) as tasks:
+        store.remove_leftovers()
+        cells, left_out = cells_of(scenario, store, progress)
+        write_json(out / "manifest.json", manifest(scenario))
+        run_trials(cells, store, tasks, progress)
+        rows = run_estimates(cells, left_out, store, tasks, progress)
+        return store.put_table(rows)
 
 
 def manifest(scenario: Scenario) -> dict[str, Any]:

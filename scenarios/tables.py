@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,6 +13,8 @@ from rich.text import Text
 from scenarios import paper
 from scenarios.comparison import Draws, Row, draws_of, select, significantly_best, summarize
 
+AXIS = "axis."
+"""Beginning of the column of a swept field."""
 SUPPORT_NAMES = {"own_weight": "own weight", "rigid": "rigid body"}
 
 
@@ -74,6 +76,53 @@ def metric_table(results: Iterable[Row], metric: Metric, support: str, sensing: 
     return table
 
 
+def quantile_table(results: Sequence[Row], metric: Metric) -> Table:
+    """One metric over many objects: a row a support, sensing, point of the sweep and method; quantiles over objects.
+
+    The draws of an object count as their mean, so that every object weighs the same.
+    """
+    table = Table(
+        title=f"{metric.title}, over objects", title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0)
+    )
+    axes = axes_of(results)
+    for column in ("support", "sensing", *(axis.removeprefix(AXIS) for axis in axes), "method"):
+        table.add_column(column, no_wrap=True)
+    for column in ("objects", "10 %", "median", "90 %", "mean", "no answer"):
+        table.add_column(column, justify="right", no_wrap=True)
+    asked = [row for row in results if row["status"] != "infeasible"]
+    for kind in dict.fromkeys(
+        (row["support"], row["sensing"], *(row[a] for a in axes), row["method"]) for row in asked
+    ):
+        support, sensing, *point, method = kind
+        rows = select(asked, support=support, sensing=sensing, method=method, **dict(zip(axes, point, strict=True)))
+        names = dict.fromkeys(row["object"] for row in rows)
+        means = [summarize(draws_of(select(rows, object=name), metric.column, metric.scale)) for name in names]
+        values = [mean.mean for mean in means if mean is not None]
+        missing = sum(np.isnan(value) for value in draws_for(rows, metric.column))
+        cells = (
+            [_short(float(q)) for q in (*np.quantile(values, (0.1, 0.5, 0.9)), np.mean(values))]
+            if values
+            else ["-"] * 4
+        )
+        said = [SUPPORT_NAMES.get(support, support), sensing, *(_told(v) for v in point), method]
+        table.add_row(*said, str(len(names)), *cells, f"{missing} of {len(rows)}" if missing else "")
+    return table
+
+
+def axes_of(results: Iterable[Row]) -> list[str]:
+    """Columns of the swept fields."""
+    return list(dict.fromkeys(column for row in results for column in row if column.startswith(AXIS)))
+
+
+def draws_for(rows: Iterable[Row], column: str) -> list[float]:
+    """A column, missing as NaN."""
+    return [np.nan if row.get(column) is None else float(row[column]) for row in rows]
+
+
+def _told(value: object) -> str:
+    return f"{value:g}" if isinstance(value, int | float) and not isinstance(value, bool) else str(value)
+
+
 def hidden_table(results: Iterable[Row], objects: list[str]) -> Table:
     """Errors of the centre of mass and of I_cm where groups rest on their own weight: mean size over the draws."""
     table = _table("Hidden states, own weight: mean error", objects)
@@ -93,7 +142,7 @@ def hidden_table(results: Iterable[Row], objects: list[str]) -> Table:
 
 def _table(title: str, objects: list[str]) -> Table:
     table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
-    table.add_column("", no_wrap=True)
+    table.add_column("", no_wrap=True, min_width=20)
     for name in objects:
         table.add_column(name, justify="right", no_wrap=True)
     return table
@@ -107,7 +156,11 @@ def _cell(draws: Draws, *, best: bool) -> Text | None:
     missing = f" -{summary.missing}" if summary.missing else ""
     if np.isnan(summary.spread):
         return Text(f"{summary.mean:.2f}{missing}")
-    digits = 1 if summary.mean < 100 else 0
-    text = f"{summary.mean:.{digits}f}±{summary.spread:.{digits}f}{'*' if best else ''}{missing}"
-    interval = f"\n[{summary.low:.{digits}f} {summary.high:.{digits}f}]"
+    text = f"{_short(summary.mean)}±{_short(summary.spread)}{'*' if best else ''}{missing}"
+    interval = f"\n[{_short(summary.low)} {_short(summary.high)}]"
     return Text.assemble((text, "bold" if best else ""), (interval, "dim"))
+
+
+def _short(number: float) -> str:
+    """Two digits or so."""
+    return f"{number:.0f}" if number >= 10 else f"{number:.1f}"

@@ -1,134 +1,108 @@
-"""The trials of a scenario: every object under every support, as the policy asks, and turns held out for prediction."""
+"""The trials of a scenario: every cell's, as its policy asks, and turns held out for prediction."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from concurrent.futures import Future
-from dataclasses import dataclass, field
-from typing import Any
+from collections import deque
+from dataclasses import asdict
 
-from estimators.protocol import ActionPolicy
-from scenarios.execution import Submit, finished
-from scenarios.schema import Scenario
-from scenarios.store import Store, key_of, trial_request
-from testbed.actions import Accelerate, Action, Rotate, Weigh
-from testbed.errors import InfeasibleTrialError
-from testbed.object_files import load_object
-from testbed.objects import ObjectModel
+from scenarios.cells import Cell, Progress
+from scenarios.execution import Executor, Failure
+from scenarios.store import Store, key_of, object_request, trial_request
+from testbed.actions import Action, Weigh, action_to_dict
 from testbed.simulation.runner import SimulationRunner
 from testbed.simulation.settings import SimulationSettings
-from testbed.trajectory import Trajectory, TrajectoryFileError
-from testbed.trial import Support, Trial
-
-Progress = Callable[[str, int, int], None]
-"""Told the stage ("trials" or "estimates"), how many are done, and how many there are as far as is known."""
+from testbed.trajectory import TrajectoryFileError
+from testbed.trial import Trial
 
 
-@dataclass(eq=False)
-class Cell:
-    """One object under one support: its trials are made one after the other, as the policy sees them."""
+def run_trials(cells: list[Cell], store: Store, executor: Executor, progress: Progress) -> None:
+    """Make the trials: some cells side by side, each cell's in order; a trial that two cells ask for is made once.
 
-    model: ObjectModel
-    """With the simulation's feet."""
-    particles: ObjectModel
-    """With the estimator's particles."""
-    support: Support
-    policy: ActionPolicy
-    held_out: list[Rotate]
-    """Turns that are still to be made for prediction."""
-    keys: list[str] = field(default_factory=list)
-    """Trials made so far; the weighing first."""
-    held_out_keys: list[str] = field(default_factory=list)
-    """Turns made for prediction."""
-    trajectories: list[Trajectory] = field(default_factory=list)
-    """What the policy sees."""
-    content: bool = False
-    """Whether the policy has asked for all it wants."""
-
-    def following(self) -> Action | None:
-        """What to do next; None when done."""
-        if not self.content:
-            action = self.policy.next(self.particles.shape, self.trajectories)
-            if action is not None:
-                return action
-            self.content = True
-            self.trajectories.clear()
-        return self.held_out.pop(0) if self.held_out else None
-
-
-def cells_of(scenario: Scenario, settings: SimulationSettings) -> list[Cell]:
-    """Every object under every support.
-
-    Raises:
-        HeftError: an object that cannot be read or handled.
+    A cell whose trial fails for good has the reason in `failure`, and goes no further.
     """
-    cells = []
-    for name in scenario.objects:
-        model, particles = load_object(name, scenario.grid.feet), load_object(name, scenario.grid.particles)
-        grasps = feasible_grasps(model, settings)
-        for support in scenario.supports():
-            held_out = scenario.policy.build_held_out(particles.shape, grasps)
-            cells.append(Cell(model, particles, support, scenario.policy.build(grasps), held_out))
-    return cells
+    expected = sum(cell.scenario.policy.expected_trials for cell in cells)
+    waiting, active, done = deque(cells), 0, 0
+    asking: dict[str, list[tuple[Cell, Action]]] = {}
 
-
-def feasible_grasps(model: ObjectModel, settings: SimulationSettings) -> tuple[int, ...]:
-    """Grasps about which the bench can turn the object at constant and at changing speed.
-
-    Raises:
-        InfeasibleTrialError: there is none; the message gives the reason of each.
-    """
-    runner = SimulationRunner(settings)
-    possible, reasons = [], []
-    for index, grasp in enumerate(model.shape.grasps):
-        try:
-            for action in (Rotate(index), Accelerate(index)):
-                runner.check(Trial(model, action))
-            possible.append(index)
-        except InfeasibleTrialError as error:
-            reasons.append(f"{grasp.name}: {error}")
-    if not possible:
-        why = "\n  ".join(reasons) or "no block has two opposite free faces"
-        raise InfeasibleTrialError(f"{model.name}: the bench cannot turn this object about any grasp\n  {why}")
-    return tuple(possible)
-
-
-def run_trials(
-    cells: list[Cell], settings: SimulationSettings, store: Store, submit: Submit, progress: Progress, expected: int
-) -> None:
-    """Make the trials: all cells side by side, each cell's in order."""
-    running: dict[Future[Any], tuple[Cell, Action]] = {}
-    done = 0
-
-    def submit_trial(cell: Cell, action: Action) -> None:
-        running[submit(simulate, Trial(cell.model, action, cell.support), settings, store)] = cell, action
-
-    for cell in cells:
-        submit_trial(cell, Weigh())
-    while running:
-        for future in finished(set(running)):
-            cell, action = running.pop(future)
-            key = future.result()
-            try:
-                trajectory = store.trajectory(key)
-            except TrajectoryFileError:  # damaged since it was made: made again
-                submit_trial(cell, action)
-                continue
-            (cell.held_out_keys if cell.content else cell.keys).append(key)
-            if not (cell.content or isinstance(action, Weigh)):
-                cell.trajectories.append(trajectory)
+    def go_on(cell: Cell, action: Action | None) -> None:
+        """From this action on: take what is there, and ask for the first trial that is not."""
+        nonlocal active, done
+        while action is not None:
+            trial, settings = Trial(cell.model, action, cell.support), cell.scenario.simulation.build()
+            key = key_of(trial_request(trial, settings))
+            if not (store.has_trial(key) and _taken(cell, action, key, store)):
+                asking.setdefault(key, []).append((cell, action))
+                if len(asking[key]) == 1:
+                    executor.start(key, simulate, trial, settings, store)
+                return
             done += 1
-            following = cell.following()
-            if following is not None:
-                submit_trial(cell, following)
-        progress("trials", done, max(done + len(running), expected))
-    progress("trials", done, done)
+            action = cell.following()
+        store.put_note(_key_of_cell(cell), {"keys": cell.keys, "held_out": cell.held_out_keys})
+        active -= 1
+
+    while waiting or executor.running:
+        while waiting and active < executor.capacity:  # the driver holds the trajectories of these and no others
+            cell = waiting.popleft()
+            if _recalled(cell, store):
+                done += len(cell.keys) + len(cell.held_out_keys)
+            else:
+                active += 1
+                go_on(cell, Weigh())
+        if executor.running:
+            key, value = executor.wait()
+            for cell, action in asking.pop(key):
+                if not isinstance(value, Failure):
+                    go_on(cell, action)
+                    continue
+                cell.failure = f"{type(action).__name__.lower()}: {value.reason}"
+                cell.trajectories.clear()
+                active -= 1
+                store.put_trial_error(key, value.detail)
+        failed = sum(bool(cell.failure) for cell in cells)
+        progress("trials", done, max(done + executor.running, expected), failed)
+    progress("trials", done, done, sum(bool(cell.failure) for cell in cells))
 
 
-def simulate(trial: Trial, settings: SimulationSettings, store: Store) -> str:
-    """Task: one physical trial, unless it is done; returns its key."""
+def _taken(cell: Cell, action: Action, key: str, store: Store) -> bool:
+    """Take a finished trial into the cell; False where its file is damaged and it has to be made again."""
+    if cell.content:
+        cell.held_out_keys.append(key)
+        return True
+    try:
+        trajectory = store.trajectory(key)
+    except TrajectoryFileError:
+        return False
+    cell.keys.append(key)
+    if not isinstance(action, Weigh):
+        cell.trajectories.append(trajectory)
+    return True
+
+
+def _recalled(cell: Cell, store: Store) -> bool:
+    """Whether all trials of a cell are there from an earlier run; then it has their keys."""
+    note = store.note(_key_of_cell(cell))
+    if note is None or not all(store.has_sound_trial(key) for key in note["keys"] + note["held_out"]):
+        return False
+    cell.keys, cell.held_out_keys = note["keys"], note["held_out"]
+    return True
+
+
+def _key_of_cell(cell: Cell) -> str:
+    asked = {
+        "object": object_request(cell.model),
+        "particles": object_request(cell.particles),
+        "support": cell.support.name,
+        "policy": cell.scenario.policy.model_dump(),
+        "grasps": list(cell.grasps),
+        "held_out": [action_to_dict(turn) for turn in cell.turns],
+        "simulation": asdict(cell.scenario.simulation.build()),
+    }
+    return key_of(asked)
+
+
+def simulate(trial: Trial, settings: SimulationSettings, store: Store) -> None:
+    """Task: one physical trial, unless it is done."""
     asked = trial_request(trial, settings)
     key = key_of(asked)
     if not store.has_trial(key):
         store.put_trial(key, asked, SimulationRunner(settings).run_clean(trial))
-    return key

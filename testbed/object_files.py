@@ -28,10 +28,11 @@ closing_deg = 90                             # direction along which the pads cl
 
 from __future__ import annotations
 
+import difflib
 import math
 import tomllib
 from pathlib import Path
-from typing import Annotated, Any, Self, TypeVar
+from typing import Annotated, Any, Self, TypeVar, get_args
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
@@ -217,8 +218,29 @@ def load_toml(path: Path, model: type[FileModel]) -> FileModel:
     try:
         return model.model_validate(data)
     except ValidationError as error:
-        lines = [f"{path}: {_explain(dict(item))}" for item in error.errors() if not _wrong_branch(dict(item))]
-        raise InvalidFileError("\n".join(dict.fromkeys(lines))) from None
+        raise InvalidFileError("\n".join(f"{path}: {line}" for line in explained(error, model))) from None
+
+
+def explained(error: ValidationError, model: type[BaseModel]) -> list[str]:
+    """Every error in the words of the file."""
+    names = sorted(_field_names(model))
+    items = [dict(item) for item in error.errors()]
+    telling = [item for item in items if not _wrong_branch(item)] or items
+    return list(dict.fromkeys(_explain(item, names) for item in telling))
+
+
+def _field_names(model: type[BaseModel]) -> set[str]:
+    """Of a model and all models within it."""
+    found: set[str] = set()
+    for name, field in model.model_fields.items():
+        found.add(name)
+        waiting = [field.annotation]
+        while waiting:
+            kind = waiting.pop()
+            if isinstance(kind, type) and issubclass(kind, BaseModel):
+                found |= _field_names(kind)
+            waiting += get_args(kind)
+    return found
 
 
 _BRANCHES = ("float", "constrained-float", "str", "int")
@@ -234,7 +256,7 @@ def _wrong_branch(item: dict[str, Any]) -> bool:
     )
 
 
-def _explain(item: dict[str, Any]) -> str:
+def _explain(item: dict[str, Any], names: list[str]) -> str:
     """One error in the words of the file: field, what was given, what is allowed."""
     field = ".".join(str(p) for p in item["loc"] if str(p) not in _BRANCHES and "[" not in str(p)) or "file"
     cause = (item.get("ctx") or {}).get("error")
@@ -244,5 +266,7 @@ def _explain(item: dict[str, Any]) -> str:
     if item["type"] == "missing":
         return f"{field}: missing"
     if item["type"] == "extra_forbidden":
-        return f"{field}: no such field; got {item['input']!r}"
+        close = difflib.get_close_matches(str(item["loc"][-1]), names, n=1, cutoff=0.6)
+        hint = f" (nearest: {close[0]})" if close else ""
+        return f"{field}: no such field{hint}; got {item['input']!r}"
     return f"{field}: got {item['input']!r}; allowed: {item['msg'].removeprefix('Input should be ')}"

@@ -42,12 +42,13 @@ def absolute_difference(rows: Sequence[Mapping[str, Any]], shapes: Mapping[str, 
     top = float(np.percentile(np.concatenate(known), TOP)) if known else 1.0
     norm = Normalize(0.0, max(top, 1e-3))
     with mpl.rc_context({"font.size": 8, "pdf.fonttype": 42}):
-        figure = Figure(figsize=(1.35 * len(methods) + 1.6, 1.35 * len(shapes) + 0.6), layout="constrained")
-        axes = figure.subplots(len(shapes), len(methods), squeeze=False)
+        heights = [_height(shape) for shape in shapes.values()]
+        figure = Figure(figsize=(1.35 * len(methods) + 1.6, 1.35 * sum(heights) + 0.9), layout="constrained")
+        axes = figure.subplots(len(shapes), len(methods), squeeze=False, height_ratios=heights)
         for i, (name, shape) in enumerate(shapes.items()):
             for j, method in enumerate(methods):
                 axis = axes[i, j]
-                _draw(axis, shape, differences[name, method], norm)
+                draw_groups(axis, shape, differences[name, method], norm)
                 if i == 0:
                     axis.set_title(method.replace("_", " ").replace(" ", "\n", 1), fontsize=8)
                 if j == 0:
@@ -71,20 +72,28 @@ def _difference(rows: Sequence[Mapping[str, Any]]) -> np.ndarray | None:
     return np.mean(off, axis=0) if off else None
 
 
-def _draw(axis: Axes, shape: ObjectShape, difference: np.ndarray | None, norm: Normalize) -> None:
-    """One object: its cells coloured by their group's difference, a number at each group's middle."""
+def _height(shape: ObjectShape) -> float:
+    """Of a panel, over its width: low objects need no tall one."""
+    width, height = np.ptp(shape.particles, axis=0) + shape.cell
+    return float(np.clip(height / width, 0.3, 1.0))
+
+
+def draw_groups(
+    axis: Axes, shape: ObjectShape, values: np.ndarray | None, norm: Normalize, colors: str = COLORS
+) -> None:
+    """One object: its cells coloured by their group's value, kg, (n_m,), and the number at each group's middle."""
     half = shape.cell / 2
     cells = [Rectangle((x - half, y - half), shape.cell, shape.cell) for x, y in shape.particles]
-    if difference is None:
+    if values is None:
         axis.add_collection(PatchCollection(cells, facecolor="white", edgecolor="0.7", hatch="////", linewidth=0.2))
         axis.text(0.5, 0.5, "no answer", transform=axis.transAxes, ha="center", va="center", fontsize=6)
     else:
-        patches = PatchCollection(cells, cmap=COLORS, norm=norm, linewidth=0, antialiased=False)
-        patches.set_array(difference[shape.mass_group])
+        patches = PatchCollection(cells, cmap=colors, norm=norm, linewidth=0, antialiased=False)
+        patches.set_array(values[shape.mass_group])
         axis.add_collection(patches)
-        for group, value in enumerate(difference):
+        for group, value in enumerate(values):
             x, y = shape.particles[shape.mass_group == group].mean(axis=0)
-            dark = norm(value) > 0.5
+            dark = mpl.colormaps[colors](norm(value))[1] < 0.5
             axis.text(x, y, f"{value:.2f}", ha="center", va="center", fontsize=5, color="white" if dark else "black")
     low, high = shape.particles.min(axis=0) - 1.5 * half, shape.particles.max(axis=0) + 1.5 * half
     axis.set_xlim(low[0], high[0])

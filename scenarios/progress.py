@@ -1,0 +1,89 @@
+"""Progress of a run: bars on a terminal, a plain line now and then elsewhere."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from rich.console import Console
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    TaskID,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
+
+from scenarios.cells import Progress as Told
+
+EVERY_S = 10.0
+"""Between two plain lines, s."""
+
+
+@contextmanager
+def show_progress(console: Console) -> Iterator[Told]:
+    """What is to be told how far a run is; it shows throughput and time left."""
+    if console.is_terminal:
+        with Progress(
+            TextColumn("{task.description:<10}"),
+            BarColumn(),
+            MofNCompleteColumn(),
+            TextColumn("{task.fields[rate]}"),
+            TimeElapsedColumn(),
+            TimeRemainingColumn(),
+            TextColumn("{task.fields[failed]}", style="red"),
+            console=console,
+            transient=True,
+        ) as bars:
+            yield _Bars(bars)
+    else:
+        yield _Lines()
+
+
+class _Stages:
+    """When each stage began, and at what count: what is there from an earlier run is no throughput."""
+
+    def __init__(self) -> None:
+        self._begun: dict[str, tuple[float, int]] = {}
+
+    def rate(self, stage: str, done: int) -> float:
+        """Done a second since the stage was first told of; 0 where nothing is known yet."""
+        since, first = self._begun.setdefault(stage, (time.monotonic(), done))
+        seconds = time.monotonic() - since
+        return (done - first) / seconds if seconds > 0.5 else 0.0
+
+
+class _Bars:
+    def __init__(self, bars: Progress):
+        self._bars, self._stages = bars, _Stages()
+        self._tasks: dict[str, TaskID] = {}
+
+    def __call__(self, stage: str, done: int, total: int, failed: int = 0) -> None:
+        rate = self._stages.rate(stage, done)
+        told, lost = f"{rate:.1f}/s" if rate else "", f"{failed} failed" if failed else ""
+        if stage not in self._tasks:
+            self._tasks[stage] = self._bars.add_task(stage, total=total, rate=told, failed=lost)
+        self._bars.update(self._tasks[stage], completed=done, total=total, rate=told, failed=lost)
+
+
+class _Lines:
+    def __init__(self) -> None:
+        self._stages, self._said, self._last = _Stages(), 0.0, ""
+
+    def __call__(self, stage: str, done: int, total: int, failed: int = 0) -> None:
+        rate = self._stages.rate(stage, done)
+        if time.monotonic() - self._said < EVERY_S and done != total:
+            return
+        self._said = time.monotonic()
+        parts = [f"{stage}: {done} of {'' if done == total else 'about '}{total}"]
+        if rate and done != total:
+            parts += [f"{rate:.1f}/s", f"about {(total - done) / rate:.0f} s left"]
+        if failed:
+            parts.append(f"{failed} failed")
+        line = ", ".join(parts)
+        if line != self._last:
+            self._last = line
+            print(line, flush=True)

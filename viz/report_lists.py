@@ -1,0 +1,111 @@
+"""The report's lists: the worst estimates, and what failed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+from scenarios.comparison import Row
+from scenarios.tables import SUPPORT_NAMES
+from viz.report_tables import AXIS, axes_of, number
+
+MOST_NAMES = 12
+"""Objects of a failure that are named one by one."""
+
+
+@dataclass(frozen=True)
+class Worst:
+    """One of the worst estimates."""
+
+    row: Row
+    nad: str
+    """%."""
+    support: str
+    swept: str
+    """Swept settings and their values."""
+    key: str
+    """Its folder; empty where not known."""
+    trials: tuple[str, ...]
+    """Folders of its trials."""
+
+
+@dataclass(frozen=True)
+class Failure:
+    """Estimates of one method that are not ok for the same reason."""
+
+    method: str
+    status: str
+    message: str
+    count: int
+    where: str
+    """Supports and sensings."""
+    objects: str
+    traceback: str
+    """As it was when the run ended; empty where there is none."""
+    path: str
+    """Of the file with the traceback."""
+
+
+def worst(
+    rows: Sequence[Row], keys: Sequence[str | None], trial_keys_of: Callable[[Row], Sequence[str]], count: int
+) -> list[Worst]:
+    """The estimates with the greatest NAD, worst first."""
+    axes = axes_of(rows)
+    answered = [(row, key) for row, key in zip(rows, keys, strict=True) if row["nad"] is not None]
+    answered.sort(key=lambda pair: -pair[0]["nad"])
+    return [
+        Worst(
+            row=row,
+            nad=number(100 * row["nad"]),
+            support=support_name(row),
+            swept=", ".join(f"{a.removeprefix(AXIS)} = {row[a]}" for a in axes if row.get(a) is not None),
+            key=key or "",
+            trials=tuple(trial_keys_of(row)),
+        )
+        for row, key in answered[:count]
+    ]
+
+
+def failures(rows: Sequence[Row], tracebacks: Mapping[str, str]) -> list[Failure]:
+    """Estimates that are not ok, by method, status and reason; the most frequent first."""
+    found: dict[tuple[str, str, str], list[Row]] = {}
+    for row in rows:
+        if row["status"] != "ok":
+            found.setdefault((row["method"], row["status"], row["message"] or ""), []).append(row)
+    ranked = sorted(found.items(), key=lambda item: -len(item[1]))
+    return [_failure(*said, of, tracebacks) for said, of in ranked]
+
+
+def support_name(row: Row) -> str:
+    """Who carries the weight, in words."""
+    return SUPPORT_NAMES.get(str(row["support"]), str(row["support"]))
+
+
+def names(every: Sequence[str]) -> str:
+    """The first few, and how many more."""
+    more = f" and {len(every) - MOST_NAMES} more" if len(every) > MOST_NAMES else ""
+    return ", ".join(every[:MOST_NAMES]) + more
+
+
+def _failure(method: str, status: str, message: str, rows: Sequence[Row], tracebacks: Mapping[str, str]) -> Failure:
+    where = dict.fromkeys(", ".join(filter(None, (support_name(row), row["sensing"]))) for row in rows)
+    path = _traceback_of(rows, status, message, tracebacks)
+    return Failure(
+        method=method or "every method",
+        status=status,
+        message=message,
+        count=len(rows),
+        where="; ".join(where),
+        objects=names(list(dict.fromkeys(row["object"] for row in rows))),
+        traceback=tracebacks.get(path, ""),
+        path=path,
+    )
+
+
+def _traceback_of(rows: Sequence[Row], status: str, message: str, tracebacks: Mapping[str, str]) -> str:
+    """Path of a traceback of these rows, or of one that ends in their message."""
+    paths = [f"estimates/{row.get('key')}/error.txt" for row in rows]
+    said = [path for path in paths if path in tracebacks]
+    if status == "failed" and message:
+        said += [path for path, text in tracebacks.items() if text.rstrip().endswith(message)]
+    return said[0] if said else ""

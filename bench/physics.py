@@ -5,7 +5,8 @@ from __future__ import annotations
 import sys
 import tempfile
 from collections.abc import Callable
-from concurrent.futures import Future
+from concurrent.futures import Future, ProcessPoolExecutor
+from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +20,7 @@ from estimators.dynamics import ParticleModel, direction, friction_wrench, inert
 from estimators.observations import observe
 from estimators.rank_driven import between_particles
 from estimators.support import own_weight, rigid_loads
-from scenarios.execution import default_workers, workers
+from scenarios.execution import default_workers
 from scenarios.schema import Grid, Scenario, Simulation
 from scenarios.sweep import run_scenario
 from testbed.actions import Rotate, Slide, Weigh
@@ -224,10 +225,11 @@ def main() -> None:
     """Print the tables asked for."""
     what = sys.argv[1] if len(sys.argv) > 1 else "all"
     console = Console(width=120)
-    with workers(default_workers()) as submit:
+    context = get_context("spawn")
+    with ProcessPoolExecutor(default_workers(), context, torch.set_num_threads, (1,)) as pool:
         for name, show in {"sensor": sensor, "coulomb": coulomb, "tools": tools, "levers": levers}.items():
             if what in (name, "all"):
-                show(submit, console)
+                show(pool.submit, console)
     if what in ("resolution", "all"):
         resolution(console)
 

@@ -268,5 +268,5 @@ def _explain(item: dict[str, Any], names: list[str]) -> str:
     if item["type"] == "extra_forbidden":
         close = difflib.get_close_matches(str(item["loc"][-1]), names, n=1, cutoff=0.6)
         hint = f" (nearest: {close[0]})" if close else ""
-        return f"{field}: no such field{hint}; got {item['input']!r}"
+        return f"{field}: no such field; got {item['input']!r}{hint}"
     return f"{field}: got {item['input']!r}; allowed: {item['msg'].removeprefix('Input should be ')}"

@@ -17,7 +17,7 @@ from scenarios.plan import show_plan
 from scenarios.progress import show_progress
 from scenarios.report_run import report
 from scenarios.schema import Scenario, load_scenario
-from scenarios.store import rows_of
+from scenarios.store import read_json, rows_of, write_json
 from scenarios.sweep import run_scenario
 from scenarios.tables import METRICS, SUPPORT_NAMES, axes_of, hidden_table, metric_table, quantile_table
 from testbed.errors import InvalidValueError
@@ -63,6 +63,8 @@ def run_and_show(name_or_path: str, asked: Asked) -> None:
     begin = time.monotonic()
     with show_progress(console) as told:
         results = rows_of(run_scenario(scenario, folder, workers, told, asked.executor))
+    said = {"name": name, "command": _command(name_or_path, asked), "wall_s": round(time.monotonic() - begin, 1)}
+    write_json(folder / "manifest.json", (read_json(folder / "manifest.json") or {}) | said)
     show_tables(console, scenario, results)
     if not _many(results):
         shapes = {model.name: model.shape for model in (load_object(o) for o in scenario.objects)}
@@ -105,6 +107,15 @@ def save_figures(scenario: Scenario, results: Sequence[Row], shapes: dict[str, O
             save_figure(absolute_difference(rows, shapes, title), folder / "figures" / name)
             saved.append(f"{folder / 'figures' / name}.pdf")
     return saved
+
+
+def _command(name_or_path: str, asked: Asked) -> str:
+    """What runs this again."""
+    parts = ["heft run", name_or_path]
+    for flag, value in (("seeds", asked.seeds), ("objects", asked.objects), ("methods", asked.methods)):
+        if value:
+            parts += [f"--{flag}", *([str(value)] if isinstance(value, int) else value)]
+    return " ".join(parts)
 
 
 def _many(results: Sequence[Row]) -> bool:

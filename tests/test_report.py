@@ -19,7 +19,7 @@ from testbed.errors import InvalidValueError
 from testbed.object_files import load_object
 from viz.loss_figure import normalised
 from viz.report import pictured_objects
-from viz.report_tables import case_means, metric_table, sweep_table
+from viz.report_tables import metric_table, object_means, sweep_table
 from viz.result_files import TrialFile, trial_keys_of
 from viz.svg import inline_svg
 
@@ -225,9 +225,9 @@ def test_a_folder_without_results_is_refused(tmp_path: Path):
     assert not (tmp_path / "report.html").exists()
 
 
-def test_swept_tables_and_means_keep_the_points_apart():
+def test_points_of_a_sweep_are_one_sample_of_an_object():
     rows = [row("a", s, 0.1 * k) | {"axis.k": k} for k in (1, 3) for s in (0, 1)]
-    assert case_means(rows, "a", "nad", 100) == {0: pytest.approx(10), 1: pytest.approx(30)}
+    assert object_means(rows, "a", "nad", 100) == {0: pytest.approx(20)}
     table = sweep_table(rows, "axis.k", "t")
     assert table.columns == ("1", "3")
     assert [cell.text for cell in table.rows[0][1]] == ["10.0", "30.0"]

@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import matplotlib as mpl
 import numpy as np
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
@@ -15,11 +14,10 @@ from matplotlib.figure import Figure
 from scenarios.comparison import Row
 from testbed.objects import ObjectShape
 from viz.heatmap import COLORS, TOP, draw_groups
-from viz.nad_figures import PALETTE
+from viz.nad_figures import MARKERS, PALETTE
 
 MASS_COLORS = "viridis"
 """Even in lightness and told apart by the colour-blind; bright is heavy."""
-HATCHES = ("", "////", "....", "\\\\\\\\")
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,20 +92,19 @@ def mass_maps(shape: ObjectShape, truth: np.ndarray, groups: Mapping[str, Sequen
 
 
 def mass_bars(names: Sequence[str], truth: np.ndarray, groups: Mapping[str, Sequence[Answer]]) -> Figure:
-    """The same without geometry: a bar a group, method, support and sensing."""
-    series = [("truth", truth)] + [(f"{a.method}, {label}", a.mass) for label, found in groups.items() for a in found]
-    with mpl.rc_context({"hatch.linewidth": 0.5}):
-        figure = Figure(figsize=(6.4, 0.16 * len(names) * (len(series) + 1) + 1.3), layout="constrained")
-        axis = figure.subplots()
-        for i, (label, values) in enumerate(series):
-            places = np.arange(len(names)) + 0.8 * (i + 0.5) / len(series) - 0.4
-            color = "0.25" if i == 0 else PALETTE[(i - 1) % len(PALETTE)]
-            hatch = HATCHES[i % len(HATCHES)]
-            axis.barh(places, values, 0.8 / len(series), color=color, hatch=hatch, edgecolor="white", label=label)
+    """The same without geometry: a bar to the truth of each group, a mark a method, support and sensing."""
+    series = [(f"{a.method}, {label}", a.mass) for label, found in groups.items() for a in found]
+    figure = Figure(figsize=(4.8, 0.3 * len(names) + 0.9 + 0.1 * len(series)), layout="constrained")
+    axis = figure.subplots()
+    axis.barh(np.arange(len(names)), truth, 0.7, color="0.82", edgecolor="0.3", label="truth")
+    for i, (label, values) in enumerate(series):
+        height = np.arange(len(names)) + 0.6 * ((i + 0.5) / len(series) - 0.5)
+        mark = MARKERS[i % len(MARKERS)]
+        axis.plot(values, height, mark, color=PALETTE[i % len(PALETTE)], markersize=4, label=label)
     axis.set_yticks(range(len(names)), names)
     axis.invert_yaxis()
     axis.set_xlabel("mass, kg a group")
-    figure.legend(loc="outside lower center", ncols=1 if len(series) < 3 else 2, fontsize=7, frameon=False)
+    figure.legend(loc="outside lower center", ncols=1, fontsize=8, frameon=False)
     for side in ("top", "right"):
         axis.spines[side].set_visible(False)
     return figure

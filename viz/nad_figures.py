@@ -19,6 +19,8 @@ MARKERS = "osD^vPX"
 DASHES = ("-", "--", ":", "-.")
 WIDE_RANGE = 20.0
 """Largest over smallest from which on an axis is logarithmic."""
+FEW = 8
+"""Up to as many values of a swept setting are all named on its axis."""
 MANY = 400
 """More points than this are drawn as pixels."""
 
@@ -39,10 +41,18 @@ def nad_distribution(rows: Sequence[Row]) -> Figure:
         if len(values) == 0:
             continue
         heights = place + rng.uniform(-0.22, 0.22, len(values))
-        axis.scatter(values, heights, s=9, color=PALETTE[0], alpha=0.55, linewidth=0, rasterized=len(values) > MANY)
+        axis.scatter(
+            values,
+            heights,
+            s=9,
+            color=PALETTE[0],
+            alpha=0.55 if len(values) < MANY else 0.15,
+            linewidth=0,
+            rasterized=len(values) > MANY,
+        )
         low, middle, high = np.quantile(values, (0.25, 0.5, 0.75))
-        axis.hlines(place, low, high, color="0.2", linewidth=9, alpha=0.22)
-        axis.vlines(middle, place - 0.32, place + 0.32, color=PALETTE[1], linewidth=2.2)
+        axis.hlines(place, low, high, color="0.2", linewidth=9, alpha=0.25, zorder=3)
+        axis.vlines(middle, place - 0.32, place + 0.32, color=PALETTE[1], linewidth=2.2, zorder=4)
     axis.set_yticks(range(len(methods)), labels)
     axis.set_ylim(len(methods) - 0.5, -0.5)
     _scale(axis.xaxis, np.concatenate(every) if every else np.array([]))
@@ -79,8 +89,8 @@ def nad_sweep(rows: Sequence[Row], axis_column: str) -> Figure:
         shown.append(quartiles.ravel())
     if numeric:
         _scale(axis.xaxis, places)
-    else:
-        axis.set_xticks(places, [str(value) for value in values])
+    if not numeric or len(places) <= FEW:
+        axis.set_xticks(places, [f"{v:g}" if isinstance(v, float) else str(v) for v in values])
     _scale(axis.yaxis, np.concatenate(shown) if shown else np.array([]))
     axis.set_xlabel(axis_column.removeprefix(AXIS))
     axis.set_ylabel("NAD, %")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -60,12 +60,6 @@ def methods_of(rows: Sequence[Row]) -> list[str]:
     return list(dict.fromkeys(row["method"] for row in rows))
 
 
-def cases_of(rows: Sequence[Row]) -> list[tuple[object, ...]]:
-    """What a number is averaged over its draws for: an object, at one point of the swept settings."""
-    axes = axes_of(rows)
-    return list(dict.fromkeys(_case(row, axes) for row in rows))
-
-
 def metric_table(rows: Sequence[Row], metric: Metric, title: str) -> Table | None:
     """One metric under one support and sensing; None where nobody has a number."""
     if all(row[metric.column] is None for row in rows):
@@ -87,46 +81,50 @@ def _by_object(rows: Sequence[Row], metric: Metric, title: str, objects: list[st
             status = of[name][method][0]["status"] if of[name][method] else "-"
             published = metric.paper.get(method, {}).get(name)
             paper = "" if published is None else f"{published:.1f}"
-            cells.append(_cell(draws[name][method], status, "draws", paper, best[name] == method))
+            cells.append(_cell(draws[name][method], status, paper, best[name] == method))
         lines.append((method, tuple(cells)))
     if metric.reference and methods:
         known = [row for row in rows if row[metric.reference] is not None]
         scores = [draws_of(select(known, object=name), metric.reference, metric.scale) for name in objects]
-        lines.append((TRUTH, tuple(_cell(score, "-", "draws") for score in scores)))
+        lines.append((TRUTH, tuple(_cell(score, "-") for score in scores)))
     return Table(title, tuple(objects), tuple(lines))
 
 
 def _over_objects(rows: Sequence[Row], metric: Metric, title: str) -> Table:
-    """Means over the draws first, then quantiles over the cases."""
-    means = {method: case_means(rows, method, metric.column, metric.scale) for method in methods_of(rows)}
+    """Means over draws and swept settings first, then quantiles over objects: points of one object are no sample."""
+    means = {method: object_means(rows, method, metric.column, metric.scale) for method in methods_of(rows)}
     best = significantly_best(means)
+    lines = []
+    for method, values in means.items():
+        missing = sum(row["method"] == method and row[metric.column] is None for row in rows)
+        note = f"{missing} estimates without an answer" if missing else ""
+        lines.append((method, _quantiles(values, note, best=method == best)))
     if metric.reference and means:
-        means[TRUTH] = case_means(rows, None, metric.reference, metric.scale)
-    lines = tuple((m, _quantiles(values, best=m == best)) for m, values in means.items())
-    return Table(title, ("mean", "10 %", "median", "90 %", "worst"), lines)
+        lines.append((TRUTH, _quantiles(object_means(rows, None, metric.reference, metric.scale), "", best=False)))
+    return Table(title, ("mean", "10\u00a0%", "median", "90\u00a0%", "worst"), tuple(lines))
 
 
-def case_means(rows: Sequence[Row], method: str | None, column: str, scale: float) -> dict[int, float]:
-    """Mean over the draws of every case, by the case's place in `cases_of`; NaN without an answer. None: any method."""
-    axes = axes_of(rows)
-    values: dict[tuple[object, ...], list[float]] = {case: [] for case in cases_of(rows)}
+def object_means(rows: Sequence[Row], method: str | None, column: str, scale: float) -> dict[int, float]:
+    """Mean over draws and swept settings, by the object's place; NaN without an answer. None: of any method."""
+    values: dict[str, list[float]] = {row["object"]: [] for row in rows}
     for row in rows:
         if method in (None, row["method"]) and row[column] is not None:
-            values[_case(row, axes)].append(scale * row[column])
+            values[row["object"]].append(scale * row[column])
     return {i: float(np.mean(v)) if v else np.nan for i, v in enumerate(values.values())}
 
 
-def _quantiles(cases: Draws, *, best: bool) -> tuple[Cell, ...]:
-    good = [value for value in cases.values() if not np.isnan(value)]
+def _quantiles(objects: Draws, note: str, *, best: bool) -> tuple[Cell, ...]:
+    good = [value for value in objects.values() if not np.isnan(value)]
     rest = np.quantile(good, (0.1, 0.5, 0.9, 1.0)) if good else (np.nan,) * 4
-    return _cell(cases, "-", "objects", "", best), *(Cell(number(float(value))) for value in rest)
+    first = replace(_cell(objects, "-", best=best), note=note)
+    return first, *(Cell(number(float(value))) for value in rest)
 
 
-def _cell(draws: Draws, status: str, what: str, paper: str = "", best: bool = False) -> Cell:
+def _cell(draws: Draws, status: str, paper: str = "", best: bool = False) -> Cell:
     summary = summarize(draws)
     if summary is None:
         return Cell(status, paper=paper)
-    note = f"{summary.missing} of {len(draws)} {what} without an answer" if summary.missing else ""
+    note = f"{summary.missing} of {len(draws)} draws without an answer" if summary.missing else ""
     if np.isnan(summary.spread):
         return Cell(number(summary.mean), paper=paper, note=note)
     mean, spread, low, high = (
@@ -139,7 +137,7 @@ def overview(groups: Mapping[str, Sequence[Row]]) -> Table:
     """Median NAD over objects: methods down, supports and sensings across."""
     methods = list(dict.fromkeys(m for rows in groups.values() for m in methods_of(rows)))
     median: Callable[[Sequence[Row], str], Cell] = lambda rows, m: _median(  # noqa: E731
-        list(case_means(rows, m, NAD.column, NAD.scale).values())
+        list(object_means(rows, m, NAD.column, NAD.scale).values())
     )
     lines = tuple((m, tuple(median(rows, m) for rows in groups.values())) for m in methods)
     return Table("Median over objects of the mean NAD, %", tuple(groups), lines)
@@ -164,7 +162,3 @@ def axis_values(rows: Sequence[Row], axis: str) -> list[object]:
 def _median(values: Sequence[float]) -> Cell:
     good = [value for value in values if not np.isnan(value)]
     return Cell(number(float(np.median(good))) if good else "-")
-
-
-def _case(row: Row, axes: Sequence[str]) -> tuple[object, ...]:
-    return row["object"], *(row.get(axis) for axis in axes)

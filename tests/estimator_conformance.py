@@ -6,21 +6,47 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from analytic_world import accelerated, drawn_object, turns
 from numpy.testing import assert_allclose
 
 from estimators.protocol import Estimator
-from testbed.objects import ObjectModel, ObjectShape
+from testbed.actions import Rotate
+from testbed.blocks import block_object, parse_layout
+from testbed.errors import InvalidValueError
+from testbed.objects import GRAVITY, MassDistribution, ObjectModel, ObjectShape
 from testbed.trajectory import Trajectory
+
+Draw = Callable[[int], ObjectModel]
+"""An object a number."""
+
+
+def small_object(seed: int) -> ObjectModel:
+    """Three blocks of 2 x 2 particles, for methods that take long.
+
+    Light, so that methods that know how dense things can be do not meet that bound.
+    """
+    rng = np.random.default_rng(seed)
+    return block_object(
+        "small",
+        parse_layout([["10", "11"], ["11", "01"], ["11", "10"]][seed % 3]),
+        size=0.05,
+        height=0.03,
+        mass=rng.uniform(0.002, 0.006, 3).tolist(),
+        friction=[float(rng.uniform(0.3, 0.7))],
+        friction_group=[0, 0, 0],
+        grid=2,
+    )
 
 
 def data(obj: ObjectModel) -> list[Trajectory]:
     """Turns and accelerated turns about every grasp, with a little noise."""
-    return turns(obj, noise=0.02) + accelerated(obj, noise=0.02)
+    noise = 0.001 * obj.total_mass * GRAVITY
+    return turns(obj, noise=noise) + accelerated(obj, noise=noise)
 
 
-def answers_in_the_shapes_groups(estimator: Estimator) -> None:
-    obj = drawn_object(0)
+def answers_in_the_shapes_groups(estimator: Estimator, draw: Draw = drawn_object) -> None:
+    obj = draw(0)
     answer = estimator.estimate(obj.shape, obj.total_mass, data(obj), 0)
     assert answer.status == "ok"
     assert answer.distribution is not None
@@ -30,8 +56,8 @@ def answers_in_the_shapes_groups(estimator: Estimator) -> None:
     assert answer.seconds > 0
 
 
-def gives_the_same_answer_to_the_same_seed(estimator: Estimator) -> None:
-    obj = drawn_object(1)
+def gives_the_same_answer_to_the_same_seed(estimator: Estimator, draw: Draw = drawn_object) -> None:
+    obj = draw(1)
     first, second = (estimator.estimate(obj.shape, obj.total_mass, data(obj), 7).distribution for _ in range(2))
     assert first is not None
     assert second is not None
@@ -39,8 +65,8 @@ def gives_the_same_answer_to_the_same_seed(estimator: Estimator) -> None:
     assert np.array_equal(first.friction, second.friction)
 
 
-def doubles_the_masses_when_all_wrenches_double(estimator: Estimator) -> None:
-    obj = drawn_object(1)
+def doubles_the_masses_when_all_wrenches_double(estimator: Estimator, draw: Draw = drawn_object) -> None:
+    obj = draw(1)
     twice = [replace(t, wrench_on_object_world=2 * t.wrench_on_object_world) for t in data(obj)]
     once = estimator.estimate(obj.shape, obj.total_mass, data(obj), 0).distribution
     double = estimator.estimate(obj.shape, 2 * obj.total_mass, twice, 0).distribution
@@ -50,10 +76,17 @@ def doubles_the_masses_when_all_wrenches_double(estimator: Estimator) -> None:
     assert_allclose(double.friction, once.friction, rtol=0.02)
 
 
-def does_not_care_for_the_order_of_particles_and_groups(estimator: Estimator) -> None:
-    obj = drawn_object(0)
-    rng = np.random.default_rng(0)
-    particles, groups = rng.permutation(len(obj.shape.particles)), rng.permutation(obj.shape.n_m)
+def does_not_care_for_the_order_of_particles(estimator: Estimator, draw: Draw = drawn_object) -> None:
+    _order_does_not_count(estimator, draw(0), np.arange(draw(0).shape.n_m))
+
+
+def does_not_care_for_the_order_of_groups(estimator: Estimator, draw: Draw = drawn_object) -> None:
+    """For methods that draw no masses: to others a group is its place in the draw."""
+    _order_does_not_count(estimator, draw(0), np.roll(np.arange(draw(0).shape.n_m), 1)[::-1])
+
+
+def _order_does_not_count(estimator: Estimator, obj: ObjectModel, groups: np.ndarray) -> None:
+    particles = np.random.default_rng(0).permutation(len(obj.shape.particles))
     place = np.argsort(groups)
     shuffled = ObjectShape(
         particles=obj.shape.particles[particles],
@@ -70,26 +103,72 @@ def does_not_care_for_the_order_of_particles_and_groups(estimator: Estimator) ->
     assert_allclose(mixed.mass, straight.mass[groups], rtol=1e-5, atol=1e-7)
 
 
-def takes_extra_trajectories(estimator: Estimator) -> None:
-    obj = drawn_object(2)
+def takes_extra_trajectories(estimator: Estimator, draw: Draw = drawn_object) -> None:
+    obj = draw(2)
     failed = replace(data(obj)[0], status="slipped", reason="it slipped")
     answer = estimator.estimate(obj.shape, obj.total_mass, [*data(obj), failed, *data(obj)[::-1]], 0)
     assert answer.status == "ok"
 
 
-def says_so_when_there_is_too_little(estimator: Estimator) -> None:
-    obj = drawn_object(0)
+def says_so_when_there_is_too_little(estimator: Estimator, draw: Draw = drawn_object) -> None:
+    obj = draw(0)
     for too_little in ([], turns(obj)[:1]):
         answer = estimator.estimate(obj.shape, obj.total_mass, too_little, 0)
         assert answer.status != "ok"
         assert answer.message
 
 
-CONFORMANCE: tuple[Callable[[Estimator], None], ...] = (
+def traces_its_way(estimator: Estimator, draw: Draw = drawn_object) -> None:
+    obj = draw(0)
+    answer = estimator.estimate(obj.shape, obj.total_mass, data(obj), 0)
+    for trace in answer.traces:
+        assert trace.method
+        assert len(trace.loss) == len(trace.seconds) > 0
+        assert np.isfinite(trace.loss).all()
+        assert (np.diff(trace.seconds) >= 0).all()
+        assert 0 <= trace.seconds[0] <= trace.seconds[-1] <= answer.seconds
+        assert trace.robot_seconds > 0
+        assert trace.mass.shape in ((0, 0), (len(trace.loss), obj.shape.n_m))
+
+
+def refuses_trials_of_another_shape(estimator: Estimator, draw: Draw = drawn_object) -> None:
+    obj = draw(0)
+    good = data(obj)
+    beyond = replace(good[0], action=Rotate(len(obj.shape.grasps), duration=2.5))
+    with pytest.raises(InvalidValueError, match=r"trajectories\[\d+\]\.action\.grasp: .*grasps"):
+        estimator.estimate(obj.shape, obj.total_mass, [*good, beyond], 0)
+
+
+def does_not_hide_that_trajectories_contradict_each_other(estimator: Estimator, draw: Draw = drawn_object) -> None:
+    """A status, or a misfit far above 1: what it is about where the answer explains what was felt."""
+    obj = draw(0)
+    for trials in (data(obj) + opposed(obj), data(obj) + of_another(obj)):
+        answer = estimator.estimate(obj.shape, obj.total_mass, trials, 0)
+        misfit = answer.diagnostics.get("misfit", answer.diagnostics.get("loss", 0.0))
+        assert answer.status != "ok" or misfit > 30
+
+
+def opposed(obj: ObjectModel) -> list[Trajectory]:
+    """Every turn again, its wrench the other way."""
+    return [replace(t, wrench_on_object_world=-t.wrench_on_object_world) for t in turns(obj)]
+
+
+def of_another(obj: ObjectModel) -> list[Trajectory]:
+    """Turns of an object of the same shape and weight, its masses the other way round."""
+    swapped = MassDistribution(obj.truth.mass[::-1] ** 2 / np.mean(obj.truth.mass), obj.truth.friction)
+    return turns(replace(obj, truth=swapped))
+
+
+CONFORMANCE: tuple[Callable[..., None], ...] = (
     answers_in_the_shapes_groups,
     gives_the_same_answer_to_the_same_seed,
     doubles_the_masses_when_all_wrenches_double,
-    does_not_care_for_the_order_of_particles_and_groups,
+    does_not_care_for_the_order_of_particles,
     takes_extra_trajectories,
     says_so_when_there_is_too_little,
+    traces_its_way,
+    refuses_trials_of_another_shape,
+    does_not_hide_that_trajectories_contradict_each_other,
 )
+WITHOUT_DRAWS: tuple[Callable[..., None], ...] = (does_not_care_for_the_order_of_groups,)
+"""For methods that draw no masses."""

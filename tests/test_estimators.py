@@ -2,29 +2,70 @@
 
 from __future__ import annotations
 
-import pytest
-from estimator_conformance import CONFORMANCE
+from dataclasses import replace
+from itertools import combinations
 
+import numpy as np
+import pytest
+from analytic_world import drawn_object, felt
+from estimator_conformance import CONFORMANCE, WITHOUT_DRAWS, data, small_object
+
+from estimators.baseline import GradientBaseline
+from estimators.diff_lcp import DiffLcp
+from estimators.explicit_state import ExplicitState
 from estimators.hidden_states import HiddenStatesEstimator
 from estimators.protocol import ActionPolicy, Estimator
+from estimators.random_search import RandomSearch
 from estimators.rank_driven import RankDriven, between_particles, planned_rank
-from scenarios.schema import METHODS
+from estimators.weighted_sampling import WeightedSampling
+from scenarios.methods import METHODS
 from testbed.actions import Accelerate, Rotate
 from testbed.object_files import load_object
 
-VARIANTS = {**{name: kind() for name, kind in METHODS.items()}, "descent": HiddenStatesEstimator(solver="descent")}
+BASELINES = {
+    "random_search": RandomSearch(),
+    "weighted_sampling": WeightedSampling(),
+    "explicit_state": ExplicitState(iterations=60),
+    # the rules do not ask how good an answer is, and this one takes long
+    "diff_lcp": DiffLcp(iterations=30),
+}
+VARIANTS = {
+    "hidden_states": (HiddenStatesEstimator(), drawn_object),
+    "descent": (HiddenStatesEstimator(solver="descent"), drawn_object),
+    **{name: (kind, small_object) for name, kind in BASELINES.items()},
+    **{f"{name} with M": (replace(kind, use_weight=True), small_object) for name, kind in BASELINES.items()},
+}
+RULES = [
+    pytest.param(estimator, draw, holds, id=f"{name}-{holds.__name__}")
+    for name, (estimator, draw) in VARIANTS.items()
+    for holds in (
+        *CONFORMANCE,
+        *(WITHOUT_DRAWS if isinstance(estimator, HiddenStatesEstimator | GradientBaseline) else ()),
+    )
+]
 
 
-@pytest.mark.parametrize("holds", CONFORMANCE, ids=lambda f: f.__name__)
-@pytest.mark.parametrize("estimator", VARIANTS.values(), ids=list(VARIANTS))
-def test_conformance(estimator, holds):
+@pytest.mark.parametrize(("estimator", "draw", "holds"), RULES)
+def test_conformance(estimator, draw, holds):
     assert isinstance(estimator, Estimator)
-    holds(estimator)
+    holds(estimator, draw)
+
+
+def test_every_method_of_the_registry_is_held_to_the_protocol():
+    assert set(METHODS.values()) == {type(estimator) for estimator, _ in VARIANTS.values()}
+
+
+@pytest.mark.parametrize("name", [name for name in VARIANTS if name != "hidden_states"])
+def test_an_iterative_method_shows_its_way(name):
+    estimator, draw = VARIANTS[name]
+    obj = draw(0)
+    answer = estimator.estimate(obj.shape, obj.total_mass, data(obj), 0)
+    steps = getattr(estimator, "iterations", getattr(estimator, "steps", 0))
+    assert answer.traces
+    assert all(len(trace.loss) == steps for trace in answer.traces)
 
 
 def test_the_policy_asks_until_the_rank_is_full(monkeypatch):
-    from analytic_world import felt  # noqa: PLC0415
-
     shape = (obj := load_object("L1")).shape
     policy = RankDriven(pivots=1, accelerated=3, duration=2.0)
     assert isinstance(policy, ActionPolicy)
@@ -39,8 +80,6 @@ def test_the_policy_asks_until_the_rank_is_full(monkeypatch):
 
 
 def test_the_policy_takes_every_grasp_before_any_again_and_only_those_allowed():
-    from analytic_world import felt  # noqa: PLC0415
-
     obj = load_object("I1")
     policy = RankDriven(pivots=4, accelerated=0, grasps=(1, 2, 4, 5))
     seen = []
@@ -53,8 +92,6 @@ def test_the_policy_takes_every_grasp_before_any_again_and_only_those_allowed():
 
 
 def test_turns_go_about_points_between_particles():
-    import numpy as np  # noqa: PLC0415
-
     for grid in (1, 2, 3, 4, 5):
         shape = load_object("L1", grid).shape
         for grasp in shape.grasps:
@@ -65,8 +102,6 @@ def test_turns_go_about_points_between_particles():
 
 @pytest.mark.parametrize(("name", "enough"), [("I1", 3), ("L1", 2), ("F1", 2)])
 def test_as_many_turns_as_the_shape_needs_can_fill_the_rank(name, enough):
-    from itertools import combinations  # noqa: PLC0415
-
     shape = load_object(name).shape
     ranks = {
         k: max(planned_rank(shape, [Rotate(g) for g in some]) for some in combinations(range(len(shape.grasps)), k))

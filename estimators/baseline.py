@@ -19,7 +19,7 @@ from estimators.protocol import Estimate, Trace
 from estimators.published import FRICTION_RANGE, ITERATIONS, LEARNING_RATE, OPTIMIZERS, USE_WEIGHT
 from testbed.arrays import check_positive, is_number
 from testbed.errors import InvalidValueError
-from testbed.objects import MassDistribution, ObjectShape
+from testbed.objects import GRAVITY, MassDistribution, ObjectShape
 from testbed.trajectory import Trajectory
 
 
@@ -123,8 +123,14 @@ class GradientBaseline(Baseline):
         check_positive(f"{type(self).__name__}.learning_rate", self.learning_rate)
 
     def _descend(self, problem: Problem, seed: int, loss: Callable[[Candidates], Tensor]) -> Searched:
-        """Descend from uniform mass and a friction drawn by `seed`: where M is not known, it decides."""
+        """Descend from uniform mass.
+
+        With M known the first friction is the largest drag over the weight, as in our method; without, `seed` draws it,
+        and it decides.
+        """
         first = float(np.random.default_rng(seed).uniform(*FRICTION_RANGE))
+        if problem.weight is not None:
+            first = problem.drag / (problem.weight * GRAVITY)
         coordinates = LogCoordinates(problem, first)
         with torch.no_grad():
             scale = float(loss(coordinates.candidates(coordinates.start[None]))[0])

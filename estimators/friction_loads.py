@@ -17,6 +17,12 @@ from estimators.protocol import Trace
 from estimators.support import own_weight
 from testbed.objects import GRAVITY
 
+CONTRADICTORY = 1000.0
+"""Mean squared residual, in units of the data's own error, beyond which no mass map explains the data.
+
+It is about 1 on own weight and up to 200 under one rigid body; a trial of another object, or one with its sign turned,
+makes it 1e4 and more."""
+
 
 @dataclass(frozen=True, eq=False)
 class LoadGroups:
@@ -102,6 +108,16 @@ def friction_system(
     covariance = torch.block_diag(*within) + (together * shared).reshape(b.numel(), b.numel())
     whiten = torch.linalg.inv(torch.linalg.cholesky(covariance))
     return LinearSystem(whiten @ q.reshape(-1, q.shape[-1]), whiten @ b.reshape(-1))
+
+
+def contradiction(loss: float) -> str:
+    """Why data with that least loss cannot be trusted; empty where they can."""
+    if loss <= CONTRADICTORY:
+        return ""
+    return (
+        f"the trajectories contradict each other: their mean squared misfit is {loss:.0f} where about 1 is expected; "
+        "is a trial of another object among them, or one with its signs turned?"
+    )
 
 
 def rank_of(q: Float[np.ndarray, "R n_s"], tolerance: float = 1e-3) -> int:

@@ -17,6 +17,7 @@ from estimators.friction_loads import (
     LoadGroups,
     closed_form,
     closed_form_covariance,
+    contradiction,
     descend_loads,
     friction_system,
     rank_of,
@@ -101,6 +102,8 @@ class HiddenStatesEstimator:
             found = answer.solution.distribution
             mass, friction = torch.tensor(found.mass), torch.tensor(found.friction)
         assert answer is not None
+        if why := contradiction(float(answer.system.loss(torch.tensor(answer.loads)))):
+            return Estimate(None, "contradictory", why, seconds=time.perf_counter() - begin)
         return self._answer(problem, answer, begin)
 
     def _system(self, problem: _Problem, mass: torch.Tensor, friction: torch.Tensor) -> LinearSystem:

@@ -14,7 +14,7 @@ from testbed.arrays import frozen_array
 from testbed.objects import MassDistribution, ObjectShape
 from testbed.trajectory import Trajectory
 
-EstimateStatus = Literal["ok", "underdetermined", "not_converged", "no_data"]
+EstimateStatus = Literal["ok", "underdetermined", "not_converged", "contradictory", "no_data"]
 
 
 @dataclass(frozen=True, eq=False)

@@ -208,7 +208,12 @@ def resolution(console: Console) -> None:
     }
     for name, change in changes.items():
         with tempfile.TemporaryDirectory() as folder:
-            rows = run_scenario(base.model_copy(update=change), Path(folder), default_workers(), lambda *_: None)
+            rows = run_scenario(
+                base.model_copy(update=change),
+                Path(folder),
+                default_workers(),
+                lambda stage, done, total, failed=0: None,
+            )
         nad = dict(zip(rows["object"], rows["nad"], strict=True))
         table.add_row(name, *(f"{100 * nad[o]:.2f}" for o in ("I2", "L2", "F2")))
     console.print(table)

@@ -30,8 +30,8 @@ class Limits:
     tries: int = 3
     """How often a task is begun whose worker died or was too slow, before it has failed."""
     memory_gib: float = 4.0
-    """Data of one worker, GiB. The greediest method on the greatest library object and a whole trial need 0.6 of them,
-    0.43 are there after the imports. Not held by `inline`."""
+    """Data of one worker, GiB: two and a half times the 1.6 that whole trials and every method on F2 and on the hammer
+    took at most, of which 1 is only reserved by an allocator; imports alone take 0.43. Not held by `inline`."""
 
 
 @dataclass(frozen=True)

@@ -124,6 +124,7 @@ class _Worker:
         """Begin a task, on a new process if the last one died meanwhile."""
         self.task = task
         task.tries += 1
+        cause: Exception | None = None
         for _ in range(2):
             try:
                 with _without_interrupts():

@@ -6,7 +6,6 @@ import faulthandler
 import importlib
 import logging
 import signal
-import sys
 import traceback
 from collections.abc import Callable
 from functools import lru_cache
@@ -70,6 +69,8 @@ class RayExecutor:
         label = self._labels.pop(task)
         try:
             value = self._ray.get(task)
+        except self._ray.exceptions.RayTaskError as error:  # arguments or a value that cannot be sent
+            value = Failure(str(error).strip().splitlines()[-1], f"{error}\n")
         except self._ray.exceptions.RayError as error:
             times = "once" if self._limits.tries == 1 else f"{self._limits.tries} times"
             kind = type(error).__name__
@@ -93,11 +94,9 @@ def _run(limits: Limits, function: Callable[..., Any], *arguments: Any) -> Any:
     """On a worker of the cluster: the task, with an end to it."""
     _set_up_once(limits)
     before = signal.signal(signal.SIGALRM, _stop)
-    signal.setitimer(signal.ITIMER_REAL, limits.timeout_s)
-    faulthandler.dump_traceback_later(
-        limits.timeout_s + _GRACE_S, exit=True, file=sys.__stderr__
-    )  # hung outside Python
     try:
+        signal.setitimer(signal.ITIMER_REAL, limits.timeout_s)
+        faulthandler.dump_traceback_later(limits.timeout_s + _GRACE_S, exit=True)  # hung outside Python
         return call(function, *arguments)
     except _TooSlow:
         return Failure(f"took longer than {limits.timeout_s:g} s", traceback.format_exc())

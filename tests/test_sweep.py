@@ -45,7 +45,7 @@ def scenario(tmp_path: Path) -> Path:
     return path
 
 
-def quiet(*_: object) -> None:
+def quiet(stage: str, done: int, total: int, failed: int = 0) -> None:
     """No progress."""
 
 

@@ -1,0 +1,219 @@
+"""What a sweep costs beside its tasks, and what it survives: python bench/sweeps.py [overhead|resume|memory|kills|all].
+
+overhead  wall time of a sweep on 2 warm workers over the sum of its tasks' times, and of 1 worker over 2
+resume    wall time of the same command on a finished sweep of 10,000 estimates
+memory    peak memory of the driver of 170 trials over that of 20
+kills     20 sweeps, each killed at a random moment and resumed; what happened to each
+"""
+
+from __future__ import annotations
+
+import json
+import resource
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from scenarios import sweep, trials
+from scenarios.cells import cells_of
+from scenarios.drawn_objects import Family
+from scenarios.estimates import Asked
+from scenarios.execution import Executor, open_executor
+from scenarios.schema import Policy, Scenario
+from scenarios.store import Store
+from scenarios.sweep import run_scenario
+from testbed.actions import Rotate
+from testbed.simulation.runner import SimulationRunner
+from testbed.simulation.settings import SimulationSettings
+from testbed.trajectory import Trajectory
+from testbed.trial import Trial
+from tests.sweep_kills import VICTIMS, done_in, draw_killing, kill_a_run, quiet, resumed, small_scenario
+
+METHODS = {f"search_{i}": {"method": "random_search", "iterations": i} for i in range(1, 11)}
+
+
+def timed(function: Callable[..., Any], *arguments: Any) -> tuple[Any, float]:
+    """Task: another task's value and wall time."""
+    begin = time.perf_counter()
+    return function(*arguments), time.perf_counter() - begin
+
+
+class Timed:
+    """An executor that adds up its tasks' times."""
+
+    def __init__(self, executor: Executor):
+        self._executor = executor
+        self.seconds: list[float] = []
+
+    @property
+    def capacity(self) -> int:
+        """As the executor's."""
+        return self._executor.capacity
+
+    @property
+    def running(self) -> int:
+        """As the executor's."""
+        return self._executor.running
+
+    def start(self, label: Any, function: Callable[..., Any], *arguments: Any) -> None:
+        """As the executor's."""
+        self._executor.start(label, timed, function, *arguments)
+
+    def wait(self) -> tuple[Any, Any]:
+        """As the executor's."""
+        label, (value, seconds) = self._executor.wait()
+        self.seconds.append(seconds)
+        return label, value
+
+
+def sweep_of(objects: int, **more: Any) -> Scenario:
+    """Random objects under two supports, turns of 2 s."""
+    policy = Policy(pivots=3, duration=2.0, accelerated=0, held_out=1)
+    family = Family(count=objects, blocks=[2, 3])
+    return Scenario(random=[family], support=["own_weight", "rigid"], policy=policy, sensing=["ft300s"], **more)
+
+
+@contextmanager
+def warm(workers: int) -> Iterator[Timed]:
+    """Workers that have imported everything, used by every run."""
+    before = sweep.open_executor
+    with open_executor("local", workers) as executor:
+        for index in range(workers):
+            executor.start(index, time.sleep, 1.0)
+        while executor.running:
+            executor.wait()
+        counted = Timed(executor)
+
+        @contextmanager
+        def same(*_: object) -> Iterator[Timed]:
+            yield counted
+
+        sweep.open_executor = same
+        try:
+            yield counted
+        finally:
+            sweep.open_executor = before
+
+
+def overhead() -> None:
+    """Of a sweep over its tasks; 1 worker over 2."""
+    scenario = sweep_of(3, seeds=8)
+    wall = {}
+    for workers in (2, 1):
+        with tempfile.TemporaryDirectory() as folder, warm(workers) as executor:
+            cells_of(scenario, Store(Path(folder)), quiet)
+            begin = time.perf_counter()
+            run_scenario(scenario, Path(folder), workers, quiet)
+            wall[workers] = time.perf_counter() - begin
+            share = wall[workers] * workers / sum(executor.seconds) - 1
+            print(f"{workers} workers, {len(executor.seconds)} tasks: sweep over their sum +{100 * share:.1f} %")
+    print(f"1 worker over 2: {wall[1] / wall[2]:.2f}")
+
+
+def canned() -> Trajectory:
+    """A turn of 2 s there and back, of a small object."""
+    with tempfile.TemporaryDirectory() as folder:
+        scenario = sweep_of(1)
+        cell = cells_of(scenario, Store(Path(folder)), quiet)[0][0]
+        turn = Rotate(cell.grasps[0], duration=2.0, back=True)
+        return SimulationRunner(scenario.simulation.build()).run_clean(Trial(cell.model, turn, cell.support))
+
+
+def resume() -> None:
+    """Of a finished sweep: 50 objects, 2 supports, 10 methods, 10 draws; trials are copies, keys are real."""
+    scenario = sweep_of(50, seeds=10, methods=METHODS)
+    with tempfile.TemporaryDirectory() as folder:
+        store = Store(Path(folder))
+        store.put_trial("canned", {}, canned())
+        cells, _ = cells_of(scenario, store, quiet)
+        for index, cell in enumerate(cells):
+            cell.keys, cell.held_out_keys = [f"{index}_{i}" for i in range(13)], [f"{index}_{i}" for i in (13, 14)]
+            for key in cell.keys + cell.held_out_keys:
+                shutil.copytree(store.root / "trials" / "canned", store.root / "trials" / key)
+            store.put_note(trials._key_of_cell(cell), {"keys": cell.keys, "held_out": cell.held_out_keys})
+            row = {"status": "ok", "message": "", "nad": 0.01, "mass_kg": [0.1] * 6, "friction": [0.5], "seconds": 1.0}
+            for method in scenario.methods:
+                for seed, key in enumerate(Asked.of(cell, "ft300s", method).result_keys()):
+                    path = store.root / "estimates" / key / "result.json"
+                    path.parent.mkdir(parents=True)
+                    path.write_text(json.dumps(row | {"seed": seed}), encoding="utf-8")
+        begin = time.perf_counter()
+        rows = run_scenario(scenario, store.root, 2, quiet)
+        seconds = time.perf_counter() - begin
+        assert set(rows["status"]) == {"ok"}
+        print(f"resume of {len(rows)} finished estimates of {15 * len(cells)} trials: {seconds:.1f} s")
+
+
+def memory() -> None:
+    """Of the driver: 170 trials over 20, their records copied from one turn."""
+    peak = {}
+    for objects in (2, 20):
+        said = subprocess.run(
+            [sys.executable, __file__, "driver", str(objects)], capture_output=True, text=True, check=True
+        )
+        made, mebibytes = said.stdout.split()
+        peak[int(made)] = float(mebibytes)
+    (few, least), (many, most) = sorted(peak.items())
+    print(f"driver's peak memory: {least:.0f} MiB with {few} trials, {most:.0f} MiB with {many}: {most / least:.2f}")
+
+
+def driver(objects: int) -> None:
+    """In a process of its own: trials and the peak memory after them, MiB."""
+    record = canned()
+    scenario = sweep_of(objects, seeds=1)
+
+    def copy(trial: Trial, settings: SimulationSettings, store: Store) -> None:
+        asked = trials.trial_request(trial, settings)
+        made = record if isinstance(trial.action, Rotate) else SimulationRunner(settings).run_clean(trial)
+        store.put_trial(trials.key_of(asked), asked, replace(made, action=trial.action))
+
+    trials.simulate = copy
+    with tempfile.TemporaryDirectory() as folder, open_executor("inline", 0) as executor:
+        store = Store(Path(folder))
+        cells, _ = cells_of(scenario, store, quiet)
+        trials.run_trials(cells, store, executor, quiet)
+        made = len([*store.root.glob("trials/*")])
+    print(made, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
+
+
+def kills(count: int = 20) -> None:
+    """Killed at random moments, resumed, and the same results to the bit."""
+    rng = np.random.default_rng(1)
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        scenario = small_scenario(folder)
+        undisturbed = resumed(scenario, folder / "undisturbed")
+        most = done_in(folder / "undisturbed")
+        same = 0
+        for index in range(count):
+            out = folder / f"killed_{index}"
+            said = kill_a_run(scenario, out, draw_killing(rng, VICTIMS[index % 3], most))
+            pd.testing.assert_frame_equal(resumed(scenario, out), undisturbed)
+            same += 1
+            print(f"{index + 1:2d}: {said}, resumed to {done_in(out)} of {most}, results the same", flush=True)
+        print(f"{same} of {count} runs resumed to the results of the undisturbed one")
+
+
+def main() -> None:
+    """Print the ratios asked for."""
+    what = sys.argv[1] if len(sys.argv) > 1 else "all"
+    if what == "driver":
+        driver(int(sys.argv[2]))
+        return
+    for name, show in {"overhead": overhead, "resume": resume, "memory": memory, "kills": kills}.items():
+        if what in (name, "all"):
+            show()
+
+
+if __name__ == "__main__":
+    main()

@@ -22,12 +22,16 @@ from rich.console import Console
 from rich.table import Table
 
 from estimators.descent import OPTIMIZERS
+from estimators.diff_lcp import DiffLcp
 from estimators.dynamics import ParticleModel, cross, direction, friction_wrench, inertia_of, one_step, rotate, turned
+from estimators.explicit_state import ExplicitState
 from estimators.friction_loads import LoadGroups, closed_form, descend_loads, friction_system
 from estimators.hidden_states import HiddenStatesEstimator
 from estimators.lcp import LcpEngine, _Solve, polygon_sides, solve_step
 from estimators.observations import observe
+from estimators.random_search import RandomSearch
 from estimators.rank_driven import between_particles
+from estimators.weighted_sampling import WeightedSampling
 from testbed.actions import Accelerate, Rotate
 from testbed.object_files import load_object
 from testbed.objects import GRAVITY
@@ -260,6 +264,12 @@ def main() -> None:
     table.add_row("whole estimate, closed form", f"{took * 1e3:.0f} ms", "", "", "")
     took_draw = seconds(lambda: [draw_sensing(t, preset("ft300s"), 0) for t in trajectories])
     table.add_row("a sensing draw of six trials", f"{took_draw * 1e3:.0f} ms", "", "", "")
+
+    quick = settings.estimate(shape, weight, trajectories, 0).seconds
+    for kind, goal in ((RandomSearch, 2), (WeightedSampling, 2), (ExplicitState, 5), (DiffLcp, 60)):
+        took = kind().estimate(shape, weight, trajectories, 0).seconds
+        label = f"{kind.__name__}, 500 iterations (each optimiser), against hidden_states"
+        table.add_row(label, f"{took:.2f} s", f"{quick:.3f} s", f"{took / quick:.0f}", f"<= {goal} s")
 
     scaling = [(count, seconds(once)) for count, once in map(loss_and_gradient, (4, 13, 41, 129))]
     first = scaling[0]

@@ -3,7 +3,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
-.PHONY: run test test-all check bench clean
+.PHONY: run test test-all check bench docs clean
 
 run: $(STAMP)  ## the main job: the comparison on the block objects
 	$(BIN)/heft run blocks
@@ -22,12 +22,15 @@ check: $(STAMP)  ## format, lint, types
 bench: $(STAMP)  ## speed and memory, as ratios measured side by side
 	$(BIN)/python bench/bench.py
 
+docs: $(STAMP)  ## the documentation as a site, in site/; a broken link is an error
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
+
 clean:
-	rm -rf $(VENV) results dist build .pytest_cache .ruff_cache .hypothesis
+	rm -rf $(VENV) results dist build site .pytest_cache .ruff_cache .hypothesis
 
 $(STAMP): pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/pip install --quiet --upgrade pip
 	$(BIN)/pip install --quiet --constraint constraints.txt torch
-	$(BIN)/pip install --quiet --constraint constraints.txt --editable '.[dev,meshes]'
+	$(BIN)/pip install --quiet --constraint constraints.txt --editable '.[dev,meshes,docs]'
 	touch $@

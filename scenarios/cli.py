@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from pathlib import Path
 from typing import Annotated, Literal
@@ -112,6 +113,8 @@ def main(arguments: list[str] | None = None) -> None:
     except HeftError as error:
         print(f"heft: {error}", file=sys.stderr)
         sys.exit(2)
+    except BrokenPipeError:  # what reads our output has read enough: `heft ... | head`
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     except OSError as error:
         print(f"heft: {error.strerror or error}: {error.filename or ''}", file=sys.stderr)
         sys.exit(2)

@@ -37,14 +37,6 @@ def run_estimates(
     total, failed = sum(asked.seeds for _, asked in waiting), 0
     waiting.sort(key=lambda item: item[1].kind != "diff_lcp")  # the slowest first
 
-    def put(place: tuple[int, ...], asked: Asked, key: str, row: dict[str, Any]) -> None:
-        nonlocal failed
-        rows[place] = row | asked.labels() | {"key": key}
-        failed += rows[place].get("status") == "failed"
-        progress("estimates", len(rows), total, failed)
-
-    failed = 0
-
     def take(place: tuple[int, ...], asked: Asked, key: str, row: dict[str, Any]) -> None:
         nonlocal failed
         rows[place] = row | asked.labels() | {"key": key}

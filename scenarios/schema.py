@@ -207,12 +207,21 @@ class Scenario(Strict):
 def load_scenario(name_or_path: str) -> tuple[str, Scenario]:
     """A scenario of the library by name, or of a TOML file by path, with its name.
 
+    Paths of objects are looked up beside the scenario's file first, then in the working folder.
+
     Raises:
         InvalidValueError: no such scenario.
         InvalidFileError: not TOML, or not fitting the schema.
     """
     path = find_file(name_or_path, LIBRARY, "scenario")
-    return path.stem, load_toml(path, Scenario)
+    scenario = load_toml(path, Scenario)
+    return path.stem, scenario.model_copy(update={"objects": [_beside(name, path.parent) for name in scenario.objects]})
+
+
+def _beside(name: str, folder: Path) -> str:
+    """An object's path as seen from the scenario's folder, where there is such a file; else the name as it is."""
+    beside = folder / name
+    return str(beside) if name.endswith(".toml") and beside.is_file() else name
 
 
 def scenario_names() -> list[str]:

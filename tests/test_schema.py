@@ -188,3 +188,13 @@ def test_a_broken_toml_is_refused(tmp_path):
             load_scenario(str(path))
     with pytest.raises(InvalidValueError, match="one of blocks"):
         load_scenario("bloks")
+
+
+def test_objects_are_looked_up_beside_the_scenario(tmp_path, monkeypatch):
+    (tmp_path / "deep").mkdir()
+    (tmp_path / "deep" / "pair.toml").write_text('name = "pair"\n[blocks]\nlayout = ["11"]\nmass_kg = 0.2\n')
+    (tmp_path / "deep" / "s.toml").write_text('objects = ["pair.toml", "I1", "elsewhere.toml"]\n')
+    monkeypatch.chdir(tmp_path)
+    _, scenario = load_scenario("deep/s.toml")
+    assert scenario.objects == ["deep/pair.toml", "I1", "elsewhere.toml"]
+    assert load_object(scenario.objects[0]).name == "pair"

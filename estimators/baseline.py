@@ -13,9 +13,10 @@ from torch import Tensor
 
 from estimators.candidates import Candidates, LogCoordinates
 from estimators.descent import check_optimizers, descend
+from estimators.friction_loads import CONTRADICTORY
 from estimators.observations import robot_seconds
 from estimators.prediction import Problem, Weighting
-from estimators.protocol import Estimate, Trace
+from estimators.protocol import Estimate, EstimateStatus, Trace
 from estimators.published import FRICTION_RANGE, ITERATIONS, LEARNING_RATE, OPTIMIZERS, USE_WEIGHT
 from testbed.arrays import check_positive, is_number
 from testbed.errors import InvalidValueError
@@ -96,15 +97,23 @@ class Baseline:
             return replace(problem, seconds=time.perf_counter() - begin)
         found = search(problem)
         # Eq. problem divides by mass, so that a heavy answer hides data that contradict each other: this does not
-        misfit = problem.loss(torch.tensor(found.mass), torch.tensor(found.friction), "covariance")
+        misfit = float(problem.loss(torch.tensor(found.mass), torch.tensor(found.friction), "covariance"))
         cost = robot_seconds(trajectories)
+        status: EstimateStatus = "ok"
+        why = ""
+        if not problem.scale_known:
+            status, why = "underdetermined", "without M or an accelerated turn only mass times friction is felt"
+        elif misfit > CONTRADICTORY:
+            status = "not_converged"
+            why = f"the best found misses what was felt by {misfit:.0f} mean squared errors: too short a search, or "
+            why += "trajectories that contradict each other"
         return Estimate(
             MassDistribution(found.mass, found.friction),
-            "ok" if problem.scale_known else "underdetermined",
-            "" if problem.scale_known else "without M or an accelerated turn only mass times friction is felt",
+            status,
+            why,
             traces=tuple(replace(trace, robot_seconds=cost) for trace in found.traces),
             seconds=time.perf_counter() - begin,
-            diagnostics={"loss": found.loss, "misfit": float(misfit)},
+            diagnostics={"loss": found.loss, "misfit": misfit},
         )
 
 

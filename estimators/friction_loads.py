@@ -17,11 +17,10 @@ from estimators.protocol import Trace
 from estimators.support import own_weight
 from testbed.objects import GRAVITY
 
-CONTRADICTORY = 1000.0
+CONTRADICTORY = 1e4
 """Mean squared residual, in units of the data's own error, beyond which no mass map explains the data.
 
-It is about 1 on own weight and up to 200 under one rigid body; a trial of another object, or one with its sign turned,
-makes it 1e4 and more."""
+It is about 1 on own weight and up to some hundreds under one rigid body; a trial with its sign turned makes it 1e5."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,7 +17,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from estimators.dynamics import Inertia, ParticleModel, cross, inertia_of
-from estimators.friction_loads import LoadGroups, closed_form, contradiction, friction_system, rank_of
+from estimators.friction_loads import LoadGroups, rank_of
 from estimators.observations import Observations, observe
 from estimators.protocol import Estimate
 from estimators.support import own_weight
@@ -139,8 +139,6 @@ class Problem:
         if seen < len(groups.pairs):
             why = f"rank(Q) is {seen} and {len(groups.pairs)} friction loads are unknown: turn about more points"
             return Estimate(None, "underdetermined", why)
-        if why := contradiction(_least_loss(shape, model, groups, steady, pivot_error)):
-            return Estimate(None, "contradictory", why)
         loads = AffineLoads.of(shape, model, windows)
         wrenches = WrenchModel.of(model, windows, loads, pivot_error)
         return Problem(shape, model, windows, loads, wrenches, weight if use_weight else None, _whitening(windows))
@@ -183,27 +181,6 @@ class Problem:
         spin = (missing[..., 2] - cross(arm, missing[..., :2])) / inertia.about_com[..., None]
         along = missing[..., :2] / inertia.mass[..., None, None]
         return STEP**2 * (along.square().sum(-1) + spin.square()).mean(-1)
-
-
-def _least_loss(
-    shape: ObjectShape, model: ParticleModel, groups: LoadGroups, steady: Observations, pivot_error: float
-) -> float:
-    """Of friction loads alone, whatever the masses: how well any answer could explain what was felt, Eq. problem_si."""
-    guess = 0.3 * torch.ones(len(shape.particles), dtype=torch.float64)
-    even = steady.wrench[:, :2].norm(dim=1).max() / (guess.sum() * GRAVITY) * torch.ones_like(guess)
-    system = friction_system(
-        model,
-        groups,
-        steady,
-        even,
-        guess,
-        inertia_of(model, even),
-        shape.height,
-        pivot_error=pivot_error,
-        force_error=MODEL_ERROR,
-        torque_error=MODEL_ERROR,
-    )
-    return float(system.loss(torch.tensor(closed_form(system))))
 
 
 def _whitening(windows: Observations) -> Tensor:

@@ -9,7 +9,7 @@ from rich.console import Console
 from scenarios.methods import kind_of
 from scenarios.schema import Scenario
 
-TRIAL_S = 1.7
+TRIAL_S = 2.8
 """Of one core: a trial of the default policy, on average over the library."""
 ESTIMATE_S = {"explicit_state": 1.0, "diff_lcp": 5.0}
 """Of one core: an estimate and its prediction of the held-out turns."""

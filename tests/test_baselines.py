@@ -321,7 +321,8 @@ def test_weighted_sampling_begins_on_a_grid_and_ends_near_its_best():
 @pytest.mark.parametrize("method", METHODS)
 def test_a_budget_of_one_is_an_answer(method):
     answer = ask(THREE, method(iterations=1))
-    assert answer.status == "ok"
+    assert answer.status in ("ok", "not_converged")
+    assert bool(answer.message) == (answer.status != "ok")
     assert answer.distribution is not None
     assert len(answer.traces[0].loss) == 1
 

@@ -9,7 +9,6 @@ import pytest
 from analytic_world import accelerated, drawn_object, felt, turns
 from numpy.testing import assert_allclose
 
-from estimators.explicit_state import ExplicitState
 from estimators.hidden_states import HiddenStatesEstimator
 from estimators.metrics import normalized_absolute_difference
 from estimators.protocol import Estimate
@@ -190,12 +189,7 @@ def test_wrong_settings_are_refused(settings):
 def test_data_that_contradict_each_other_are_no_answer():
     obj = load_object("L2")
     one = [replace(t, wrench_on_object_world=-t.wrench_on_object_world) for t in turns(obj)[:1]]
-    for estimator in (
-        HiddenStatesEstimator(),
-        ExplicitState(iterations=5),
-        ExplicitState(iterations=5, use_weight=True),
-    ):
-        answer = estimator.estimate(obj.shape, obj.total_mass, turns(obj)[1:] + one + accelerated(obj), 0)
-        assert answer.status == "contradictory"
-        assert answer.distribution is None
-        assert "contradict" in answer.message
+    answer = HiddenStatesEstimator().estimate(obj.shape, obj.total_mass, turns(obj)[1:] + one + accelerated(obj), 0)
+    assert answer.status == "contradictory"
+    assert answer.distribution is None
+    assert "contradict" in answer.message

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import get_args
@@ -36,12 +37,11 @@ class Searched:
     traces: tuple[Trace, ...]
 
     @staticmethod
-    def of_samples(method: str, problem: Problem, batches: Sequence[tuple[Candidates, Tensor, float]]) -> Searched:
+    def of_samples(method: str, batches: Sequence[tuple[Candidates, Tensor, float]]) -> Searched:
         """The best of all samples; its trace is the best so far, sample by sample.
 
         Args:
             method: name for the trace.
-            problem: what was searched.
             batches: candidates, their losses, and the time when they were done, s.
         """
         mass = torch.cat([c.mass for c, _, _ in batches]).numpy()
@@ -56,7 +56,7 @@ class Searched:
 
 
 @dataclass(frozen=True)
-class Baseline:
+class Baseline(ABC):
     """Settings of every baseline. Assumes, as Algorithm 1 does, that every mass group rests on its own weight."""
 
     iterations: int = ITERATIONS
@@ -79,23 +79,26 @@ class Baseline:
         if not (is_number(self.pivot_error) and self.pivot_error >= 0):
             raise InvalidValueError(f"{name}.pivot_error", self.pivot_error, "a finite number >= 0")
 
-    def _answer(
-        self,
-        shape: ObjectShape,
-        weight: float | None,
-        trajectories: Sequence[Trajectory],
-        search: Callable[[Problem], Searched],
+    @abstractmethod
+    def _search(self, problem: Problem, seed: int) -> Searched:
+        """The best that the method finds; `seed` for what it draws."""
+
+    def estimate(
+        self, shape: ObjectShape, weight: float | None, trajectories: Sequence[Trajectory], seed: int
     ) -> Estimate:
         """Reduce the trajectories, search, and say what came of it.
 
         "misfit" in the diagnostics is the mean squared wrench error over its covariance, about 1 or less where the
-        answer explains what was felt, whatever the search's own loss.
+        answer explains what was felt.
+
+        Raises:
+            InvalidValueError: `use_weight` without a weight.
         """
         begin = time.perf_counter()
         problem = Problem.of(shape, weight, trajectories, use_weight=self.use_weight, pivot_error=self.pivot_error)
         if isinstance(problem, Estimate):
             return replace(problem, seconds=time.perf_counter() - begin)
-        found = search(problem)
+        found = self._search(problem, seed)
         # Eq. problem divides by mass, so that a heavy answer hides data that contradict each other: this does not
         misfit = float(problem.loss(torch.tensor(found.mass), torch.tensor(found.friction), "covariance"))
         cost = robot_seconds(trajectories)

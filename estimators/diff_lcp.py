@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
@@ -15,11 +14,8 @@ from estimators.dynamics import rotate, turned
 from estimators.lcp import LcpEngine
 from estimators.observations import Observations
 from estimators.prediction import STEP, AffineLoads, Problem
-from estimators.protocol import Estimate
 from estimators.published import LCP_DIRECTIONS, LCP_SAMPLES, LCP_SUBSTEPS
 from testbed.errors import InvalidValueError
-from testbed.objects import ObjectShape
-from testbed.trajectory import Trajectory
 
 
 @dataclass(frozen=True)
@@ -40,16 +36,6 @@ class DiffLcp(GradientBaseline):
             raise InvalidValueError("DiffLcp.weighting", self.weighting, "velocity: the engine predicts velocities")
         if isinstance(self.samples, bool) or not (isinstance(self.samples, int) and self.samples >= 1):
             raise InvalidValueError("DiffLcp.samples", self.samples, "an integer >= 1")
-
-    def estimate(
-        self, shape: ObjectShape, weight: float | None, trajectories: Sequence[Trajectory], seed: int
-    ) -> Estimate:
-        """Estimate by descent; `seed` draws the friction to start from.
-
-        Raises:
-            InvalidValueError: `use_weight` without a weight.
-        """
-        return self._answer(shape, weight, trajectories, lambda problem: self._search(problem, seed))
 
     def _search(self, problem: Problem, seed: int) -> Searched:
         states = _States.of(problem, self.samples)

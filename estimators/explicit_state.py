@@ -2,30 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
-from estimators.baseline import GradientBaseline
-from estimators.protocol import Estimate
-from testbed.objects import ObjectShape
-from testbed.trajectory import Trajectory
+from estimators.baseline import GradientBaseline, Searched
+from estimators.prediction import Problem
 
 
 @dataclass(frozen=True)
 class ExplicitState(GradientBaseline):
     """Gradient descent on Eq. problem with respect to m and mu, without hidden states."""
 
-    def estimate(
-        self, shape: ObjectShape, weight: float | None, trajectories: Sequence[Trajectory], seed: int
-    ) -> Estimate:
-        """Estimate by descent; `seed` draws the friction to start from.
-
-        Raises:
-            InvalidValueError: `use_weight` without a weight.
-        """
-        return self._answer(
-            shape,
-            weight,
-            trajectories,
-            lambda problem: self._descend(problem, seed, lambda c: problem.loss(c.mass, c.friction, self.weighting)),
-        )
+    def _search(self, problem: Problem, seed: int) -> Searched:
+        """From uniform mass; without M, `seed` draws the friction to start from."""
+        return self._descend(problem, seed, lambda c: problem.loss(c.mass, c.friction, self.weighting))

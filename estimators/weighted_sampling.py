@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 import time
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,12 +12,9 @@ import torch
 from estimators.baseline import Baseline, Searched
 from estimators.candidates import Candidates, densest, from_unit, weighed
 from estimators.prediction import Problem
-from estimators.protocol import Estimate
 from estimators.published import DEVIATION_DECAY, FIRST_DEVIATION, GENERATION, GRID_PART
 from testbed.arrays import check_positive
 from testbed.errors import InvalidValueError
-from testbed.objects import ObjectShape
-from testbed.trajectory import Trajectory
 
 
 @dataclass(frozen=True)
@@ -44,16 +40,6 @@ class WeightedSampling(Baseline):
         if isinstance(self.generation, bool) or not (isinstance(self.generation, int) and self.generation >= 1):
             raise InvalidValueError("WeightedSampling.generation", self.generation, "an integer >= 1")
 
-    def estimate(
-        self, shape: ObjectShape, weight: float | None, trajectories: Sequence[Trajectory], seed: int
-    ) -> Estimate:
-        """Estimate by drawing.
-
-        Raises:
-            InvalidValueError: `use_weight` without a weight.
-        """
-        return self._answer(shape, weight, trajectories, lambda problem: self._search(problem, seed))
-
     def _search(self, problem: Problem, seed: int) -> Searched:
         begin = time.perf_counter()
         rng = np.random.default_rng(seed)
@@ -69,7 +55,7 @@ class WeightedSampling(Baseline):
                 lowest, best = float(loss.min()), guesses[loss.argmin()[None]]
             guesses = _around(problem, best, deviation, self.generation, rng)
             deviation *= self.decay
-        return Searched.of_samples("weighted sampling", problem, batches)
+        return Searched.of_samples("weighted sampling", batches)
 
 
 def _grid(problem: Problem, most: int) -> np.ndarray:

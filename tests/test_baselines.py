@@ -54,7 +54,7 @@ def ask(
     # the analytic world knows the centre of a turn exactly
     exact = replace(method, **{"pivot_error": 0.0} | settings)
     given = data(obj) if trajectories is None else trajectories
-    return exact.estimate(obj.shape, obj.total_mass, given, seed)  # pyright: ignore[reportAttributeAccessIssue]
+    return exact.estimate(obj.shape, obj.total_mass, given, seed)
 
 
 def quick(method: type[Baseline], **settings: object) -> Baseline:
@@ -194,15 +194,17 @@ def test_m_is_kept_exactly_where_it_is_given_and_not_looked_at_where_it_is_not(m
     assert_allclose(told.distribution.mass @ THREE.shape.particles_per_group, THREE.total_mass, rtol=1e-12)
     for trace in told.traces:
         assert_allclose(trace.mass @ THREE.shape.particles_per_group, THREE.total_mass, rtol=1e-12)
-    blind = [quick(method).estimate(THREE.shape, m, data(THREE), 0) for m in (None, 5.0)]  # pyright: ignore[reportAttributeAccessIssue]
-    assert np.array_equal(blind[0].distribution.mass, blind[1].distribution.mass)
+    blind, heavy = (quick(method).estimate(THREE.shape, m, data(THREE), 0).distribution for m in (None, 5.0))
+    assert blind is not None
+    assert heavy is not None
+    assert np.array_equal(blind.mass, heavy.mass)
 
 
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("weight", [None, 0.0, -1.0, float("nan"), float("inf")])
 def test_m_is_missed_where_it_is_to_be_used(method, weight):
     with pytest.raises(InvalidValueError, match=r"weight: .*as weighed"):
-        quick(method, use_weight=True).estimate(TWO.shape, weight, turns(TWO), 0)  # pyright: ignore[reportAttributeAccessIssue]
+        quick(method, use_weight=True).estimate(TWO.shape, weight, turns(TWO), 0)
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -223,8 +225,10 @@ def test_masses_double_exactly_with_the_wrenches(method, use_weight):
     light = blocks(["10", "11"], [0.003, 0.001, 0.002])
     twice = [replace(t, wrench_on_object_world=2 * t.wrench_on_object_world) for t in data(light)]
     kind = quick(method, use_weight=use_weight)
-    once = kind.estimate(light.shape, light.total_mass, data(light), 0).distribution  # pyright: ignore[reportAttributeAccessIssue]
-    double = kind.estimate(light.shape, 2 * light.total_mass, twice, 0).distribution  # pyright: ignore[reportAttributeAccessIssue]
+    once = kind.estimate(light.shape, light.total_mass, data(light), 0).distribution
+    double = kind.estimate(light.shape, 2 * light.total_mass, twice, 0).distribution
+    assert once is not None
+    assert double is not None
     # to rounding, which many steps carry on, the more so where it decides which side of a polygon's corner one ends
     rounding = 1e-4 if method is DiffLcp else 1e-6
     assert_allclose(double.mass, 2 * once.mass, rtol=rounding)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 
 from rich.console import Console
@@ -17,29 +18,49 @@ QUICK_S = 0.4
 """Of any other method."""
 
 
+@dataclass(frozen=True)
+class Plan:
+    """How much a scenario asks for, where nothing goes wrong and nothing is shared."""
+
+    objects: int
+    points: int
+    """Of the sweep."""
+    cells: int
+    trials: int
+    estimates: int
+    seconds: float
+    """Of one core."""
+
+    @staticmethod
+    def of(scenario: Scenario) -> Plan:
+        """Counted point by point of the sweep."""
+        points = scenario.points()
+        objects = len(scenario.objects) + sum(family.count for family in scenario.random)
+        cells = trials = estimates = 0
+        seconds = 0.0
+        for _, point in points:
+            here = objects * len(point.support)
+            draws = sum(point.draws(sensing) for sensing in point.sensing)
+            each = [ESTIMATE_S.get(kind_of(label, settings), QUICK_S) for label, settings in point.methods.items()]
+            cells += here
+            trials += here * point.policy.expected_trials
+            estimates += here * draws * len(point.methods)
+            seconds += here * (point.policy.expected_trials * TRIAL_S + draws * sum(each))
+        return Plan(objects, len(points), cells, trials, estimates, seconds)
+
+
 def show_plan(console: Console, scenario: Scenario, folder: Path, workers: int) -> None:
     """Say how many trials and estimates there are, and how long they take; nothing is run or written."""
-    points = scenario.points()
-    objects = len(scenario.objects) + sum(family.count for family in scenario.random)
-    cells = trials = estimates = 0
-    seconds = 0.0
-    for _, point in points:
-        here = objects * len(point.support)
-        draws = sum(1 if sensing == "ideal" else point.seeds for sensing in point.sensing)
-        cells += here
-        trials += here * point.policy.expected_trials
-        estimates += here * draws * len(point.methods)
-        of_methods = [ESTIMATE_S.get(kind_of(label, settings), QUICK_S) for label, settings in point.methods.items()]
-        seconds += here * (point.policy.expected_trials * TRIAL_S + draws * sum(of_methods))
-    swept = f" at {len(points)} points of the sweep" if len(points) > 1 else ""
+    plan = Plan.of(scenario)
+    swept = f" at {plan.points} points of the sweep" if plan.points > 1 else ""
     console.print(
-        f"{objects} object(s){swept}, {cells} cells: about {trials} trials and {estimates} estimates by "
-        f"{len(scenario.methods)} method(s); trials that points share are made once",
+        f"{plan.objects} object(s){swept}, {plan.cells} cells: about {plan.trials} trials and {plan.estimates} "
+        f"estimates by {len(scenario.methods)} method(s); trials that points share are made once",
         highlight=False,
     )
     on = max(workers, 1)
     console.print(
-        f"about {seconds / on / 60:.0f} min on {on} worker(s), {seconds / 60:.0f} min of computing; into {folder}/, "
-        "where what is done already is not done again",
+        f"about {plan.seconds / on / 60:.0f} min on {on} worker(s), {plan.seconds / 60:.0f} min of computing; into "
+        f"{folder}/, where what is done already is not done again",
         highlight=False,
     )

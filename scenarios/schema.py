@@ -174,6 +174,10 @@ class Scenario(Strict):
         """Who carries the weight, in order."""
         return [parse_support(value) for value in self.support]
 
+    def draws(self, sensing: str) -> int:
+        """Sensing draws of each trial: a perfect sensor needs one."""
+        return 1 if sensing == "ideal" else self.seeds
+
     def points(self) -> list[tuple[dict[str, Any], Scenario]]:
         """Every point of the sweep: the axes' values, and the scenario there.
 

@@ -8,6 +8,7 @@ from pathlib import Path
 from rich.console import Console
 
 from scenarios.folder_lock import FolderInUseError, exclusive
+from scenarios.plan import Plan
 from scenarios.schema import Scenario
 from scenarios.store import read_json
 from testbed.errors import InvalidValueError
@@ -34,29 +35,13 @@ def show_status(console: Console, folder: Path) -> None:
     done = sorted(folder.glob("estimates/*/result.json"))
     finished = {path.parent for path in done}
     failed = [path for path in folder.glob("estimates/*/error.txt") if path.parent not in finished]
+    plan = Plan.of(Scenario.model_validate(manifest["scenario"]))
     console.print(f"{folder}: {state}", highlight=False)
     console.print(
-        f"trials: {trials['trial.json']} done of about {_trials(manifest)}, {trials['error.txt']} failed; "
-        f"estimates: {len(done)} done of about {_estimates(manifest)}, {len(failed)} failed",
+        f"trials: {trials['trial.json']} done of about {plan.trials}, {trials['error.txt']} failed; "
+        f"estimates: {len(done)} done of about {plan.estimates}, {len(failed)} failed",
         highlight=False,
     )
     for error in [*failed, *folder.glob("trials/*/error.txt")][:MOST_LINES]:
         lines = error.read_text(encoding="utf-8").strip().splitlines()
         console.print(f"{error}: {lines[-1] if lines else 'no reason given'}", highlight=False, soft_wrap=True)
-
-
-def _points(manifest: dict) -> list[tuple[int, Scenario]]:
-    scenario = Scenario.model_validate(manifest["scenario"])
-    objects = len(scenario.objects) + sum(family.count for family in scenario.random)
-    return [(objects * len(point.support), point) for _, point in scenario.points()]
-
-
-def _trials(manifest: dict) -> int:
-    return sum(cells * point.policy.expected_trials for cells, point in _points(manifest))
-
-
-def _estimates(manifest: dict) -> int:
-    return sum(
-        cells * len(point.methods) * sum(1 if sensing == "ideal" else point.seeds for sensing in point.sensing)
-        for cells, point in _points(manifest)
-    )

@@ -15,6 +15,8 @@ SIGNIFICANT = 0.05
 """A method is marked best where its paired difference to every other is less likely than this by chance."""
 Row = Mapping[str, Any]
 """One estimate of a run: a row of results.parquet."""
+AXIS = "axis."
+"""Beginning of the column of a swept field."""
 Draws = Mapping[int, float]
 """A number a draw, by its seed; NaN without an answer."""
 
@@ -31,6 +33,17 @@ class Summary:
     """Percentile bootstrap interval of the mean at LEVEL; NaN for a single draw."""
     missing: int
     """Draws without an answer."""
+
+
+def axis_columns(axes: Mapping[str, Any]) -> dict[str, Any]:
+    """What a row says of the point of the sweep that it is from."""
+    return {f"{AXIS}{name}": value for name, value in axes.items()}
+
+
+def axes_of(rows: Sequence[Row]) -> list[str]:
+    """Columns with a swept setting that some row has."""
+    columns = dict.fromkeys(name for row in rows for name in row if name.startswith(AXIS))
+    return [name for name in columns if any(row.get(name) is not None for row in rows)]
 
 
 def select(rows: Iterable[Row], **equal: object) -> list[Row]:

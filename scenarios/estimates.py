@@ -15,6 +15,7 @@ import numpy as np
 from estimators.metrics import mean_particle_distance, normalized_absolute_difference
 from estimators.protocol import Estimate
 from scenarios.cells import Cell, Infeasible, Progress
+from scenarios.comparison import axis_columns
 from scenarios.execution import Executor, Failure
 from scenarios.methods import build_method, kind_of
 from scenarios.store import Store, key_of, object_request
@@ -107,7 +108,7 @@ class Asked:
             tuple(cell.held_out_keys),
             cell.failure,
             sensing,
-            1 if sensing == "ideal" else scenario.seeds,
+            scenario.draws(sensing),
             method,
             dict(scenario.methods[method]),
             method == next(iter(scenario.methods)),
@@ -134,14 +135,13 @@ class Asked:
 
     def labels(self) -> dict[str, Any]:
         """What a row says of where it belongs."""
-        axes = {f"axis.{name}": value for name, value in self.axes.items()}
         return {
             "object": self.truth.name,
             "support": self.support,
             "sensing": self.sensing,
             "method": self.method,
             "kind": self.kind,
-        } | axes
+        } | axis_columns(self.axes)
 
 
 def estimate(asked: Asked, seed: int, key: str, store: Store) -> None:
@@ -163,9 +163,8 @@ def _trajectories(store: Store, keys: tuple[str, ...]) -> tuple[Trajectory, ...]
 
 
 def _infeasible(cell: Infeasible) -> dict[str, Any]:
-    axes = {f"axis.{name}": value for name, value in cell.axes.items()}
     said = {"object": cell.name, "support": cell.support, "sensing": "", "seed": 0, "method": "", "kind": ""}
-    return said | axes | {"status": "infeasible", "message": cell.reason}
+    return said | axis_columns(cell.axes) | {"status": "infeasible", "message": cell.reason}
 
 
 def judge(

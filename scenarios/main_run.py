@@ -10,7 +10,7 @@ from pathlib import Path
 
 from rich.console import Console
 
-from scenarios.comparison import Row, select
+from scenarios.comparison import Row, axes_of, select
 from scenarios.execution import default_workers
 from scenarios.methods import nearest
 from scenarios.plan import show_plan
@@ -19,7 +19,7 @@ from scenarios.report_run import report
 from scenarios.schema import Scenario, load_scenario
 from scenarios.store import read_json, rows_of, write_json
 from scenarios.sweep import run_scenario
-from scenarios.tables import METRICS, SUPPORT_NAMES, axes_of, hidden_table, metric_table, quantile_table
+from scenarios.tables import METRICS, SUPPORT_NAMES, hidden_table, metric_table, quantile_table
 from testbed.errors import InvalidValueError
 from testbed.object_files import load_object
 from testbed.objects import ObjectShape

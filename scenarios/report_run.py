@@ -11,7 +11,7 @@ from typing import Any
 import pandas as pd
 from pyarrow import ArrowException
 
-from scenarios.comparison import Row
+from scenarios.comparison import AXIS, Row
 from scenarios.schema import Scenario, load_scenario
 from scenarios.store import read_json, rows_of
 from scenarios.tables import SUPPORT_NAMES
@@ -20,7 +20,6 @@ from testbed.object_files import load_object
 from testbed.objects import ObjectShape
 from viz.report import Results, write_report
 from viz.report_lists import names
-from viz.report_tables import AXIS
 from viz.result_files import ResultFiles, TrialFile, trial_keys_of
 
 

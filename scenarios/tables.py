@@ -11,10 +11,8 @@ from rich.table import Table
 from rich.text import Text
 
 from scenarios import paper
-from scenarios.comparison import Draws, Row, draws_of, select, significantly_best, summarize
+from scenarios.comparison import AXIS, Draws, Row, axes_of, draws_of, select, significantly_best, summarize
 
-AXIS = "axis."
-"""Beginning of the column of a swept field."""
 SUPPORT_NAMES = {"own_weight": "own weight", "rigid": "rigid body"}
 
 
@@ -98,7 +96,7 @@ def quantile_table(results: Sequence[Row], metric: Metric) -> Table:
         names = dict.fromkeys(row["object"] for row in rows)
         means = [summarize(draws_of(select(rows, object=name), metric.column, metric.scale)) for name in names]
         values = [mean.mean for mean in means if mean is not None]
-        missing = sum(np.isnan(value) for value in draws_for(rows, metric.column))
+        missing = sum(row.get(metric.column) is None for row in rows)
         cells = (
             [_short(float(q)) for q in (*np.quantile(values, (0.1, 0.5, 0.9)), np.mean(values))]
             if values
@@ -107,16 +105,6 @@ def quantile_table(results: Sequence[Row], metric: Metric) -> Table:
         said = [SUPPORT_NAMES.get(support, support), sensing, *(_told(v) for v in point), method]
         table.add_row(*said, str(len(names)), *cells, f"{missing} of {len(rows)}" if missing else "")
     return table
-
-
-def axes_of(results: Iterable[Row]) -> list[str]:
-    """Columns of the swept fields."""
-    return list(dict.fromkeys(column for row in results for column in row if column.startswith(AXIS)))
-
-
-def draws_for(rows: Iterable[Row], column: str) -> list[float]:
-    """A column, missing as NaN."""
-    return [np.nan if row.get(column) is None else float(row[column]) for row in rows]
 
 
 def _told(value: object) -> str:

@@ -9,13 +9,14 @@ import pytest
 from rich.console import Console
 
 from scenarios.cli import main
+from scenarios.comparison import axes_of
 from scenarios.plan import show_plan
 from scenarios.results import load_results, load_trajectories
 from scenarios.schema import Scenario, load_scenario
 from scenarios.status import show_status
 from scenarios.store import Store, key_of, rows_of
 from scenarios.sweep import run_scenario
-from scenarios.tables import NAD, axes_of, quantile_table
+from scenarios.tables import NAD, quantile_table
 from testbed.errors import InvalidValueError
 
 SMALL = """

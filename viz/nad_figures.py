@@ -10,8 +10,8 @@ from matplotlib.axis import Axis
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
-from scenarios.comparison import Row
-from viz.report_tables import AXIS, axis_values, methods_of
+from scenarios.comparison import AXIS, Row
+from viz.report_tables import axis_values, methods_of
 
 PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 """Okabe and Ito's, told apart by the colour-blind."""

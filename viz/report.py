@@ -13,7 +13,7 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup, escape
 from matplotlib.figure import Figure
 
-from scenarios.comparison import Row, select
+from scenarios.comparison import AXIS, Row, axes_of, select
 from scenarios.tables import METRICS
 from testbed.objects import ObjectShape
 from testbed.trajectory import write_whole
@@ -22,7 +22,7 @@ from viz.heatmap import absolute_difference
 from viz.loss_figure import loss_figure
 from viz.mass_maps import answer_of, as_pixels, mass_bars, mass_maps, shown_methods
 from viz.nad_figures import nad_distribution, nad_sweep
-from viz.report_tables import AXIS, MOST_OBJECTS, Table, axes_of, axis_values, metric_table, overview, sweep_table
+from viz.report_tables import MOST_OBJECTS, Table, axis_values, metric_table, overview, sweep_table
 from viz.svg import STYLE, inline_svg
 
 COLUMNS = (

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
-from scenarios.comparison import Row
+from scenarios.comparison import AXIS, Row, axes_of
 from scenarios.tables import SUPPORT_NAMES
-from viz.report_tables import AXIS, axes_of, number
+from viz.report_tables import number
 
 MOST_NAMES = 12
 """Objects of a failure that are named one by one."""

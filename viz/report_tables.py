@@ -7,13 +7,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from scenarios.comparison import Draws, Row, draws_of, select, significantly_best, summarize
+from scenarios.comparison import Draws, Row, axes_of, draws_of, select, significantly_best, summarize
 from scenarios.tables import NAD, Metric
 
 MOST_OBJECTS = 12
 """More objects than this are not shown one by one."""
-AXIS = "axis."
-"""Start of the name of a column with a swept setting."""
 TRUTH = "the true masses"
 
 
@@ -47,12 +45,6 @@ def number(value: float, like: float | None = None) -> str:
         return "-"
     size = abs(value if like is None else like)
     return f"{value:.{2 if size < 10 else 1 if size < 100 else 0}f}"
-
-
-def axes_of(rows: Sequence[Row]) -> list[str]:
-    """Columns with a swept setting that some row has."""
-    columns = dict.fromkeys(name for row in rows for name in row if name.startswith(AXIS))
-    return [name for name in columns if any(row.get(name) is not None for row in rows)]
 
 
 def methods_of(rows: Sequence[Row]) -> list[str]:

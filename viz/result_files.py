@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from scenarios.comparison import Row
+from scenarios.comparison import AXIS, Row
 
 MOST_TRACES = 40
 """Estimates of a method whose losses are read."""
@@ -100,7 +100,7 @@ def trial_keys_of(row: Row, trials: Sequence[TrialFile]) -> list[str]:
     said, masses = row.get("trial_keys"), row.get("true_mass_kg")
     if said is not None:
         return [str(key) for key in said]
-    if masses is None or any(name.startswith("axis.") for name in row):
+    if masses is None or any(name.startswith(AXIS) for name in row):
         return []
     found = [trial for trial in trials if trial.asked.get("support") == row["support"] and trial.of_masses(masses)]
     return [trial.key for trial in found] if len({trial.world() for trial in found}) == 1 else []

@@ -22,6 +22,7 @@ TESTBED = {
     "actions": {"errors", "arrays", "objects"},
     "frames": set(),
     "trajectory": {"errors", "arrays", "actions"},
+    "foot_forces": {"errors", "arrays", "trajectory"},
     "trial": {"errors", "objects", "actions", "trajectory"},
     "sensing": {"errors", "arrays", "objects", "frames", "trajectory"},
     "reduction": {"errors", "arrays", "objects", "actions", "frames", "trajectory"},
@@ -48,12 +49,14 @@ def name_of(path: Path) -> str:
 def test_a_room_imports_only_what_it_may(path: Path):
     room, name, used = path.relative_to(ROOT).parts[0], name_of(path), imports(path)
     tops = {module.split(".")[0] for module in used}
-    in_simulation = name.startswith("testbed.simulation")
+    in_simulation, in_robot = (name.startswith(f"testbed.{part}") for part in ("simulation", "robot"))
     assert in_simulation or not tops & {"mujoco", "mink", "dm_control"}, "MuJoCo lives in testbed/simulation alone"
+    assert in_robot or not tops & {"serial", "pymodbus", "kortex_api"}, "drivers live in testbed/robot alone"
     if room == "testbed":
         assert not tops & {"estimators", "scenarios", "viz"}
         inside = {m.split(".")[1] for m in used if m.startswith("testbed.")}
-        if not in_simulation and name != "testbed.__init__":
+        if not (in_simulation or in_robot) and name != "testbed.__init__":
+            assert "robot" not in inside, "a record says the same whoever made it"
             assert inside <= TESTBED[name.split(".")[1]], f"{name} may import {TESTBED[name.split('.')[1]]} of testbed"
     if room == "estimators":
         assert not tops & {"scenarios", "viz"}

@@ -21,6 +21,8 @@ TESTBED = {
     "object_files": {"errors", "objects", "blocks", "meshes", "resources"},
     "actions": {"errors", "arrays", "objects"},
     "frames": set(),
+    "profile": {"actions"},
+    "tool_path": {"actions", "frames", "objects"},
     "trajectory": {"errors", "arrays", "actions"},
     "foot_forces": {"errors", "arrays", "trajectory"},
     "trial": {"errors", "objects", "actions", "trajectory"},

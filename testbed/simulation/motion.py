@@ -7,21 +7,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from testbed.actions import Accelerate, Rotate, Slide, pivot_of
-from testbed.frames import pose_from_point, rotation_2d, transform_point
+from testbed.actions import Accelerate, Rotate, Slide
 from testbed.objects import ObjectShape
+from testbed.profile import PAUSE, Profile
 from testbed.simulation.arm import spline
 from testbed.simulation.scene import HOME
 from testbed.simulation.settings import SimulationSettings
+from testbed.tool_path import WORKSPACE, ToolPath
 from testbed.trajectory import Phase
 
-WORKSPACE = (0.45, 0.0)
-"""Where on the table things happen, m from the arm's base."""
 HOVER = 0.06
 """Height over the grasp at which the sensor is zeroed, m."""
-RAMP_TIME = 0.4
-"""Time to reach constant speed and to stop, s."""
-_TARE_TIME, _DESCENT_TIME, _CLOSE_TIME, _OPEN_TIME, _PAUSE = 0.5, 0.8, 0.8, 0.3, 0.3
+_TARE_TIME, _DESCENT_TIME, _CLOSE_TIME, _OPEN_TIME = 0.5, 0.8, 0.8, 0.3
 _STEP_TURN, _STEP_LINE = math.radians(10), 0.025
 
 
@@ -54,14 +51,15 @@ def plan_motion(action: Rotate | Accelerate | Slide, shape: ObjectShape, setting
         InfeasibleTrialError: part of the path is out of the arm's reach.
     """
     dt = 1.0 / settings.rate
-    distance, rate, segment = _profile(action, dt)
-    waypoints, object_pose = _tool_waypoints(action, shape, settings.grip.tcp_height, distance.max())
+    profile = Profile.of(action, dt)
+    distance, rate, segment, total = profile.distance, profile.rate, profile.segment, profile.length
+    waypoints, object_pose = _tool_waypoints(action, shape, settings.grip.tcp_height, total)
     start = waypoints[0].copy()
     start[2] += HOVER
     descent_path = spline(np.linspace(start, waypoints[0], 4), np.array(HOME))
     q_hover, q_grasp = descent_path(0.0), descent_path(1.0)
     work_path = spline(waypoints, q_grasp)
-    q_end = work_path(distance[-1] / distance.max())
+    q_end = work_path(distance[-1] / total)
 
     parts: list[tuple[Phase, np.ndarray, np.ndarray, np.ndarray, np.ndarray, bool]] = []
 
@@ -82,11 +80,10 @@ def plan_motion(action: Rotate | Accelerate | Slide, shape: ObjectShape, setting
             False,
         )
     )
-    hold(Phase.GRASP, q_grasp, _PAUSE, (-0.05, -0.05))
+    hold(Phase.GRASP, q_grasp, PAUSE, (-0.05, -0.05))
     hold(Phase.GRASP, q_grasp, _CLOSE_TIME, (0.05, 1.0))
     hold(Phase.SETTLE, q_grasp, settings.servo.null_time, (1.0, 1.0), settings.servo.null_gain > 0)
-    hold(Phase.SETTLE, q_grasp, _PAUSE, (1.0, 1.0))
-    total = distance.max()
+    hold(Phase.SETTLE, q_grasp, PAUSE, (1.0, 1.0))
     n = len(distance)
     phases = np.where(segment >= 0, Phase.STEADY, Phase.RAMP)
     q, qd = work_path(distance / total), work_path(distance / total, 1) * (rate / total)[:, None]
@@ -94,7 +91,7 @@ def plan_motion(action: Rotate | Accelerate | Slide, shape: ObjectShape, setting
         parts.append(
             (phases[i], q[i : i + 1], qd[i : i + 1], np.ones(1), segment[i : i + 1], settings.servo.comply_gain > 0)
         )
-    hold(Phase.RELEASE, q_end, _PAUSE, (1.0, 0.0))
+    hold(Phase.RELEASE, q_end, PAUSE, (1.0, 0.0))
     hold(Phase.RELEASE, q_end, _OPEN_TIME, (-0.05, -0.05))
 
     return Motion(
@@ -109,65 +106,19 @@ def plan_motion(action: Rotate | Accelerate | Slide, shape: ObjectShape, setting
     )
 
 
-def _profile(action: Rotate | Accelerate | Slide, dt: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Distance along the path, its rate, and the steady stretch, at each tick of the action itself."""
-    knots = [(0.0, 0.0)]
-    spans: list[tuple[float, float]] = []
-
-    def go(speed: float, seconds: float, *, steady: bool = False) -> None:
-        begin, end = knots[-1][0], knots[-1][0] + seconds
-        knots.append((end, speed))
-        if steady:
-            spans.append((begin, end))
-
-    if isinstance(action, Accelerate):
-        speed = abs(action.start_speed)
-        go(speed, RAMP_TIME)
-        go(speed, _PAUSE)
-        for acceleration in action.accelerations:
-            speed += math.copysign(acceleration, acceleration * action.start_speed) * action.hold
-            go(speed, action.hold, steady=True)
-        go(0.0, RAMP_TIME)
-    else:
-        there = abs(action.speed)
-        for speed in (there, -there) if isinstance(action, Rotate) and action.back else (there,):
-            go(speed, RAMP_TIME)
-            go(speed, action.duration, steady=True)
-            go(0.0, RAMP_TIME)
-    times, speeds = np.array(knots).T
-    t = np.arange(1, round(times[-1] / dt) + 1) * dt
-    rate = np.interp(t, times, speeds)
-    fine = np.interp(np.arange(0, len(t) * 10 + 1) * dt / 10, times, speeds)
-    distance = np.concatenate([[0.0], np.cumsum((fine[1:] + fine[:-1]) / 2) * dt / 10])[10::10]
-    segment = np.full(len(t), -1)
-    for i, (begin, end) in enumerate(spans):
-        segment[(t > begin + dt / 2) & (t < end + dt / 2)] = i
-    return distance, rate, segment
-
-
 def _tool_waypoints(
-    action: Rotate | Accelerate | Slide, shape: ObjectShape, height: float, distance: float
+    action: Rotate | Accelerate | Slide, shape: ObjectShape, height: float, length: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """Tool poses (x, y, z, yaw) evenly along the action's path, and the object's pose at its start.
 
     Turns and slides are centred: the middle of the path lies at the middle of the workspace.
     """
-    grasp = shape.grasps[action.grasp]
-    centre = np.array(WORKSPACE)
-    if isinstance(action, Slide):
-        yaw, n = -grasp.angle, max(math.ceil(distance / _STEP_LINE), 4)
-        along = rotation_2d(yaw) @ [math.cos(action.direction), math.sin(action.direction)]
-        points = centre + np.linspace(-0.5, 0.5, n + 1)[:, None] * distance * along
-        yaws = np.full(n + 1, yaw)
-    else:
-        signed = math.copysign(distance, action.start_speed if isinstance(action, Accelerate) else action.speed)
-        n = max(math.ceil(distance / _STEP_TURN), 4)
-        yaws = np.linspace(-0.5, 0.5, n + 1) * signed - grasp.angle
-        pivot = pivot_of(action, shape)
-        middle = transform_point(pose_from_point(centre, grasp.position, np.array(-grasp.angle)), pivot)
-        points = transform_point(pose_from_point(np.tile(middle, (n + 1, 1)), pivot, yaws), grasp.position)
-    poses = np.column_stack([points, np.full(n + 1, height), yaws + grasp.angle])
-    return poses, pose_from_point(points[0], grasp.position, yaws[0])
+    path = ToolPath.centred(action, shape, length, WORKSPACE)
+    step = _STEP_LINE if isinstance(action, Slide) else _STEP_TURN
+    n = max(math.ceil(length / step), 4)
+    part = np.linspace(-0.5, 0.5, n + 1)
+    tool = path.tool_pose(part)
+    return np.column_stack([tool[:, :2], np.full(n + 1, height), tool[:, 2]]), path.object_pose(part)[0]
 
 
 def _minimum_jerk(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -22,6 +22,17 @@ class RobotError(HeftError):
     """Something of the real bench that failed or refused; the message says what to do about it."""
 
 
+class MissingDriverError(RobotError, ImportError):
+    """A driver package that is not installed.
+
+    Args:
+        package: its name.
+    """
+
+    def __init__(self, package: str):
+        super().__init__(f"{package}: not installed; pip install 'heft[robot]'")
+
+
 class SensorLostError(RobotError):
     """The wrench sensor is gone, silent, or sends nothing that can be read."""
 

@@ -1,0 +1,80 @@
+"""How all that viz draws looks: colours, marks, fonts. Figures, the report and the Rerun views take them from here.
+
+Single colours are Okabe and Ito's, told apart by the colour-blind; colour maps are even in lightness, so that they also
+survive a grey print.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+from jaxtyping import Float, UInt8
+from matplotlib.colors import to_rgb
+
+BLUE, VERMILLION, GREEN, PURPLE, ORANGE, SKY, BLACK = (
+    "#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000",
+)  # fmt: skip
+PALETTE = (BLUE, VERMILLION, GREEN, PURPLE, ORANGE, SKY, BLACK)
+MARKERS = "osD^vPX"
+DASHES = ("-", "--", ":", "-.")
+
+MASS_COLORS = "viridis"
+"""Colour map of mass; bright is heavy."""
+DIFFERENCE_COLORS = "cividis_r"
+"""Colour map of absolute differences; dark is wrong."""
+TOP = 95
+"""Percentile of many answers at which a scale ends: one lost method must not bleach the rest."""
+
+TRUTH, ESTIMATE = "#B4B4B4", BLUE
+AXIS_COLORS = (VERMILLION, GREEN, BLUE)
+"""x, y and z of a force or a torque."""
+NORMAL_FORCE, FRICTION_FORCE = SKY, VERMILLION
+"""Arrows at the feet."""
+VELOCITY, OBJECT_VELOCITY, PADS = BLUE, BLACK, PURPLE
+"""Arrows of the particles and of the object, and the gripper's pads, as in the paper's Fig. trajectory."""
+BACKGROUND = "#FAFAF8"
+"""Of the planar views: as light as paper, so that colour maps read as in the figures."""
+EDGE = "#505050"
+"""Outlines, axes and what is written beside them."""
+NO_ANSWER = "#DCDCDA"
+"""Cells without a value."""
+
+STYLE: dict[Any, Any] = {
+    "font.size": 9.0,
+    "pdf.fonttype": 42,
+    "svg.fonttype": "none",
+    "svg.hashsalt": "heft",
+    "text.parse_math": False,
+    "path.simplify": True,
+}
+"""matplotlib's settings for a figure: text stays text, a $ too, and the same figure is the same file."""
+
+
+def rgb(color: str) -> tuple[int, int, int]:
+    """A colour by its name or #RRGGBB as three numbers from 0 to 255."""
+    red, green, blue = (round(255 * part) for part in to_rgb(color))
+    return red, green, blue
+
+
+def series_color(index: int) -> str:
+    """Colour of the `index`-th of many series: the palette without black, then the same colours lighter."""
+    base = PALETTE[:-1]
+    part = 0.5 * ((index // len(base)) % 2)
+    mixed = [(1 - part) * value + part for value in to_rgb(base[index % len(base)])]
+    return "#" + "".join(f"{round(255 * value):02X}" for value in mixed)
+
+
+def mapped(values: Float[np.ndarray, "..."], top: float, colors: str) -> UInt8[np.ndarray, "... 3"]:
+    """Values from 0 to `top` through a colour map, 0 to 255; what is above `top` is as `top`, NaN is NO_ANSWER."""
+    values = np.asarray(values, dtype=float)
+    shown = np.round(255 * mpl.colormaps[colors](np.clip(values / top, 0, 1))[..., :3]).astype(np.uint8)
+    shown[np.isnan(values)] = rgb(NO_ANSWER)
+    return shown
+
+
+def text_color(behind: UInt8[np.ndarray, "... 3"]) -> UInt8[np.ndarray, "... 3"]:
+    """Black or white, whichever reads better on a colour."""
+    light = np.asarray(behind) @ np.array([0.299, 0.587, 0.114]) > 140
+    return np.where(light[..., None], np.uint8(0), np.uint8(255)) * np.ones(3, dtype=np.uint8)

@@ -247,10 +247,10 @@ class Ft300s:
         if port is None:
             return
         self._stop.set()
-        if self._reader is not None:
-            self._reader.join()
         try:
-            _silenced(port, streams=self._reader is not None)
+            if self._reader is not None:
+                self._reader.join()
+                _silenced(port, streams=True)
         except OSError:
             pass  # gone already
         finally:

@@ -12,7 +12,7 @@ from types import TracebackType
 from typing import Self
 
 from testbed.arrays import check_positive
-from testbed.robot.ft300s_stream import RATE, FrameClock, FrameParser
+from testbed.robot.ft300s_stream import FRAME_BYTES, RATE, FrameClock, FrameParser
 from testbed.robot.ports import (
     MissingDriverError,
     RobotError,
@@ -21,6 +21,7 @@ from testbed.robot.ports import (
     SensorLostError,
     WrenchSample,
 )
+from testbed.robot.serial_reader import SerialReader
 
 try:
     import serial
@@ -40,6 +41,8 @@ _JAM = b"\xff" * 50
 """Ends a stream; while it lasts the sensor answers no request."""
 _QUIET = 0.1
 """Silence after which nothing streams, s."""
+_STARTING = 1.0
+"""Time that a stream may take to begin, s."""
 _DROPOUT = 0.05
 """Silence that counts as a dropout, s."""
 _BITS_PER_BYTE = 10
@@ -50,7 +53,10 @@ logging.getLogger("pymodbus").addHandler(logging.NullHandler())  # what it has t
 
 
 class Ft300s:
-    """A `WrenchSensor`. Frames pile up until they are drained: 100 a second, about 300 bytes each."""
+    """A `WrenchSensor`. A thread does no more than to read the port; frames are made of it when somebody asks.
+
+    What nobody drains piles up: 100 frames a second, some 300 bytes each.
+    """
 
     def __init__(self, port: str, *, stale_after: float = 0.1):
         """Name the sensor; nothing is opened.
@@ -68,13 +74,12 @@ class Ft300s:
         self._reset()
 
     def _reset(self) -> None:
+        self._reader: SerialReader | None = None
         self._parser, self._clock = FrameParser(), FrameClock()
         self._samples: list[WrenchSample] = []
         self._latest: WrenchSample | None = None
         self._sequence = self._dropouts = self._bytes_since = 0
-        self._failure = ""
-        self._lock, self._first, self._stop = threading.Lock(), threading.Event(), threading.Event()
-        self._reader: threading.Thread | None = None
+        self._lock = threading.Lock()
 
     @property
     def identity(self) -> SensorIdentity:
@@ -123,11 +128,13 @@ class Ft300s:
         client.socket = port
         self._identity = self._identified(client)
         client.write_registers(_STREAM, [_START], device_id=DEVICE, no_response_expected=True)
-        port.timeout = _DROPOUT
-        self._reader = threading.Thread(target=self._read, args=(port,), name=f"ft300s {self.port}", daemon=True)
-        self._reader.start()
-        if not self._first.wait(1.0):
-            raise SensorLostError(f"sensor {self.port}: it answers, but its stream does not start; {self._silence()}")
+        reader = self._reader = SerialReader(port.fileno(), FRAME_BYTES)
+        deadline = time.monotonic() + _STARTING
+        while math.isinf(self.health().age_s):
+            if time.monotonic() > deadline:
+                why = reader.failure or self._silence()
+                raise SensorLostError(f"sensor {self.port}: it answers, but its stream does not start; {why}")
+            time.sleep(0.01)
 
     def _identified(self, client: ModbusSerialClient) -> SensorIdentity:
         try:
@@ -158,33 +165,23 @@ class Ft300s:
             old.torque_range,
         )
 
-    def _read(self, port: serial.Serial) -> None:
-        """The reader's thread: bytes to samples until told to stop or the port is gone."""
-        try:
-            while not self._stop.is_set():
-                data = port.read(max(self._parser.needed, port.in_waiting))
-                if data:
-                    self._take(data, time.monotonic())
-        except (OSError, TypeError) as error:  # pyserial's TypeError is a port closed under it
-            self._failure = str(error)
-
-    def _take(self, data: bytes, now: float) -> None:
-        self._bytes_since += len(data)
-        for frame in self._parser.feed(data):
-            # what came after it took its time on the wire
-            arrival = now - frame.behind * _BITS_PER_BYTE / BAUD
-            before = self._latest
-            if before is not None:
-                arrival = max(arrival, before.time_s + 1e-6)
-                self._dropouts += arrival - before.time_s > _DROPOUT
-            self._clock.arrived(arrival)
-            frame.wrench.flags.writeable = False
-            sample = WrenchSample(arrival, frame.wrench, self._sequence)
-            self._sequence += 1
-            with self._lock:
-                self._samples.append(sample)
-                self._latest, self._bytes_since = sample, frame.behind
-            self._first.set()
+    def _update(self) -> None:
+        """Make samples of all that has come; with the lock held."""
+        for now, data in self._reader.take() if self._reader else ():
+            self._bytes_since += len(data)
+            for frame in self._parser.feed(data):
+                # what came after it took its time on the wire
+                arrival = now - frame.behind * _BITS_PER_BYTE / BAUD
+                before = self._latest
+                if before is not None:
+                    arrival = max(arrival, before.time_s + 1e-6)
+                    self._dropouts += arrival - before.time_s > _DROPOUT
+                self._clock.arrived(arrival)
+                frame.wrench.flags.writeable = False
+                self._latest = WrenchSample(arrival, frame.wrench, self._sequence)
+                self._samples.append(self._latest)
+                self._sequence += 1
+                self._bytes_since = frame.behind
 
     def latest(self) -> WrenchSample | None:
         """The newest frame; it stays for `drain`.
@@ -193,8 +190,10 @@ class Ft300s:
             SensorLostError: unplugged, or no frame for longer than `stale_after`.
             RobotError: not entered.
         """
-        self._check()
-        return self._latest
+        with self._lock:
+            self._update()
+            self._check()
+            return self._latest
 
     def drain(self) -> Sequence[WrenchSample]:
         """Every frame since the last drain, in order.
@@ -204,31 +203,33 @@ class Ft300s:
             RobotError: not entered.
         """
         with self._lock:
+            self._update()
             samples, self._samples = self._samples, []
-        if not samples:
-            self._check()
-        return samples
+            if not samples:
+                self._check()
+            return samples
 
     def health(self) -> SensorHealth:
         """Counts so far."""
-        return SensorHealth(
-            frames=self._sequence,
-            crc_errors=self._parser.crc_errors,
-            resyncs=self._parser.resyncs,
-            lost_frames=self._clock.lost,
-            dropouts=self._dropouts,
-            age_s=self._age(),
-        )
+        with self._lock:
+            self._update()
+            return SensorHealth(
+                frames=self._sequence,
+                crc_errors=self._parser.crc_errors,
+                resyncs=self._parser.resyncs,
+                lost_frames=self._clock.lost,
+                dropouts=self._dropouts,
+                age_s=self._age(),
+            )
 
     def _age(self) -> float:
-        latest = self._latest
-        return math.inf if latest is None else time.monotonic() - latest.time_s
+        return math.inf if self._latest is None else time.monotonic() - self._latest.time_s
 
     def _check(self) -> None:
-        if self._serial is None:
+        if self._serial is None or self._reader is None:
             raise RobotError(f"sensor {self.port}: not open; use it in a with statement")
-        if self._failure:
-            raise SensorLostError(f"sensor {self.port}: unplugged or gone: {self._failure}")
+        if self._reader.failure:
+            raise SensorLostError(f"sensor {self.port}: unplugged or gone: {self._reader.failure}")
         if self._age() > self.stale_after:
             raise SensorLostError(f"sensor {self.port}: {self._silence()}")
 
@@ -246,10 +247,9 @@ class Ft300s:
         port, self._serial = self._serial, None
         if port is None:
             return
-        self._stop.set()
         try:
             if self._reader is not None:
-                self._reader.join()
+                self._reader.stop()
                 _silenced(port, streams=True)
         except OSError:
             pass  # gone already

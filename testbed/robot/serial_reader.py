@@ -1,0 +1,71 @@
+"""A serial port read by a thread that does nothing else: every piece of bytes with the time at which it came."""
+
+from __future__ import annotations
+
+import os
+import select
+import termios
+import threading
+import time
+from collections import deque
+from typing import NamedTuple
+
+_LONGEST_WAIT = 0.05
+"""Time after which the thread looks for bytes too few to wake it, and whether it is to end, s."""
+
+
+class Piece(NamedTuple):
+    """Bytes that were there when the reader looked."""
+
+    time_s: float
+    """`time.monotonic()`, s."""
+    data: bytes
+
+
+class SerialReader:
+    """Reads from its making until `stop`, or until the port is gone."""
+
+    def __init__(self, descriptor: int, wake_at: int):
+        """Start reading.
+
+        Args:
+            descriptor: of an open terminal device, raw and not blocking, as pyserial opens it.
+            wake_at: bytes to wait for. An adapter hands bytes on one by one: waking for each would cost the most.
+
+        Raises:
+            OSError: the port is gone.
+        """
+        self.failure = ""
+        """Why reading ended, if by itself."""
+        self._descriptor, self._pieces, self._stop = descriptor, deque[Piece](), threading.Event()
+        try:
+            settings = termios.tcgetattr(descriptor)
+            settings[6][termios.VMIN], settings[6][termios.VTIME] = wake_at, 0
+            termios.tcsetattr(descriptor, termios.TCSANOW, settings)
+        except termios.error as error:
+            raise OSError(*error.args) from None
+        self._thread = threading.Thread(target=self._run, name="serial reader", daemon=True)
+        self._thread.start()
+
+    def take(self) -> list[Piece]:
+        """All that came since the last time, in order. For one thread at a time."""
+        return [self._pieces.popleft() for _ in range(len(self._pieces))]
+
+    def stop(self) -> None:
+        """End reading."""
+        self._stop.set()
+        self._thread.join()
+
+    def _run(self) -> None:
+        try:
+            while not self._stop.is_set():
+                select.select([self._descriptor], [], [], _LONGEST_WAIT)
+                try:
+                    data = os.read(self._descriptor, 4096)
+                except BlockingIOError:
+                    continue
+                if not data:
+                    raise OSError("the device hung up")
+                self._pieces.append(Piece(time.monotonic(), data))
+        except OSError as error:
+            self.failure = str(error)

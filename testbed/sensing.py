@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from jaxtyping import Float, Int
 from scipy.signal import lfilter, savgol_filter
 
 from testbed.arrays import frozen_array
@@ -130,7 +131,7 @@ def draw_sensing(clean: Trajectory, sensing: Sensing, seed: int) -> Trajectory:
     bias = sensing.bias_std * rng.standard_normal(6)
     walk_std = np.repeat([sensing.force_drift, sensing.torque_drift], 3) * np.sqrt(dt)
     walk = np.cumsum(walk_std * rng.standard_normal((count, 6)), axis=0)
-    tared = clean.phase > Phase.TARE
+    tared = np.maximum.accumulate(clean.phase > Phase.TARE)
     raw = clean.sensor_wrench + noise_std * coloured + walk + np.outer(tared, bias)
     accelerations = np.repeat([sensing.linear_acceleration_noise, sensing.angular_acceleration_noise], 3)
     jitter = accelerations * dt / np.sqrt(2) * rng.standard_normal((count, 6))
@@ -151,26 +152,40 @@ def draw_sensing(clean: Trajectory, sensing: Sensing, seed: int) -> Trajectory:
 def compensate(trajectory: Trajectory) -> Trajectory:
     """Fill `wrench_on_object_world` from the raw sensor record: the one path that every bench shares.
 
-    Tare: the mean of the raw record while hovering, less what the tool weighs there, is the sensor's bias. Tool:
-    gravity and inertia of all that hangs below the sensor, from the hand's own motion. What remains is moved to the
-    TCP, world axes.
+    Tare: the mean of the raw record while hovering, less what the tool weighs there, is the sensor's bias; where a
+    trial ends with another tare, that one only shows the drift. Tool: gravity and inertia of all that hangs below the
+    sensor, from the hand's own motion. What remains is moved to the TCP, world axes.
 
     Raises:
         InvalidValueError: no tare samples, or no tool.
     """
-    tool = trajectory.tool
-    tare = trajectory.mask(Phase.TARE)
-    if tool is None or not tare.any():
+    tool, tares = trajectory.tool, _tares(trajectory)
+    if tool is None or not tares:
         raise InvalidValueError(
             "Trajectory", "no tool" if tool is None else "no samples in phase TARE", "a record with a tool and a tare"
         )
-    settled = np.flatnonzero(tare)[int(tare.sum()) // 3 :]
     axes = rotation_matrix(trajectory.sensor_orientation)
     load = _tool_wrench(tool, trajectory, axes)
-    bias = (trajectory.sensor_wrench - load)[settled].mean(axis=0)
+    bias = (trajectory.sensor_wrench - load)[tares[0]].mean(axis=0)
     at_sensor = trajectory.sensor_wrench - bias - load
     world = rotate_wrench(axes, move_wrench(at_sensor, tool.tcp))
     return replace(trajectory, wrench_on_object_world=world)
+
+
+def tare_biases(trajectory: Trajectory) -> list[Float[np.ndarray, "6"]]:
+    """The sensor's bias at every tare of a record, in order, N and N m; empty where there is no tare or no tool."""
+    tool, tares = trajectory.tool, _tares(trajectory)
+    if tool is None or not tares:
+        return []
+    load = _tool_wrench(tool, trajectory, rotation_matrix(trajectory.sensor_orientation))
+    return [(trajectory.sensor_wrench - load)[tare].mean(axis=0) for tare in tares]
+
+
+def _tares(trajectory: Trajectory) -> list[Int[np.ndarray, "N"]]:
+    """Indices of the samples of every tare, its first third left out: the arm has only just come to rest."""
+    inside = np.flatnonzero(trajectory.phase == Phase.TARE)
+    stretches = np.split(inside, np.flatnonzero(np.diff(inside) > 1) + 1) if len(inside) else []
+    return [stretch[len(stretch) // 3 :] for stretch in stretches]
 
 
 def _tool_wrench(tool: Tool, trajectory: Trajectory, axes: np.ndarray) -> np.ndarray:

@@ -28,6 +28,7 @@ TESTBED = {
     "trial": {"errors", "objects", "actions", "trajectory"},
     "sensing": {"errors", "arrays", "objects", "frames", "trajectory"},
     "reduction": {"errors", "arrays", "objects", "actions", "frames", "trajectory"},
+    "drift": {"arrays", "sensing", "trajectory"},
 }
 MODULES = sorted(path for room in ROOMS for path in (ROOT / room).rglob("*.py"))
 

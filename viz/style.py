@@ -38,6 +38,8 @@ BACKGROUND = "#FAFAF8"
 """Of the planar views: as light as paper, so that colour maps read as in the figures."""
 EDGE = "#505050"
 """Outlines, axes and what is written beside them."""
+LIGHT = 175.0
+"""Luminance, 0 to 255, from which on text on a colour is black: Rerun's own frame around a text darkens what is behind."""
 NO_ANSWER = "#DCDCDA"
 """Cells without a value."""
 
@@ -76,5 +78,5 @@ def mapped(values: Float[np.ndarray, "..."], top: float, colors: str) -> UInt8[n
 
 def text_color(behind: UInt8[np.ndarray, "... 3"]) -> UInt8[np.ndarray, "... 3"]:
     """Black or white, whichever reads better on a colour."""
-    light = np.asarray(behind) @ np.array([0.299, 0.587, 0.114]) > 140
+    light = np.asarray(behind) @ np.array([0.299, 0.587, 0.114]) > LIGHT
     return np.where(light[..., None], np.uint8(0), np.uint8(255)) * np.ones(3, dtype=np.uint8)

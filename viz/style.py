@@ -39,7 +39,7 @@ BACKGROUND = "#FAFAF8"
 EDGE = "#505050"
 """Outlines, axes and what is written beside them."""
 LIGHT = 175.0
-"""Luminance, 0 to 255, from which on text on a colour is black: Rerun's own frame around a text darkens what is behind."""
+"""Luminance, 0 to 255, from which on text on a colour is black; Rerun's frame around a text darkens what is behind."""
 NO_ANSWER = "#DCDCDA"
 """Cells without a value."""
 

@@ -7,59 +7,75 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
+from testbed.foot_forces import FootForces
 from testbed.simulation.scene import Scene
 
 
 @dataclass(frozen=True, eq=False)
 class ContactRecord:
-    """Contact forces over one trial: T samples, F feet, world axes."""
+    """Contact forces over one trial: N samples, F feet, world axes."""
 
+    tick: np.ndarray
+    """Which samples of the trajectory these are, (N,)."""
     force_on_object: np.ndarray
-    """Force of the table on each foot, N, (T, F, 3)."""
+    """Force of the table on each foot, N, (N, F, 3)."""
     position: np.ndarray
-    """Where it acts, m, (T, F, 3)."""
+    """Where it acts, m, (N, F, 3)."""
     tcp_position: np.ndarray
-    """m, (T, 3)."""
+    """m, (N, 3)."""
     particle: np.ndarray
     """Particle over each foot, (F,)."""
 
     @property
     def wrench_at_tcp(self) -> np.ndarray:
-        """Sum of all contact forces as a wrench on the object about the TCP, world axes, (T, 6)."""
+        """Sum of all contact forces as a wrench on the object about the TCP, world axes, (N, 6)."""
         lever = self.position - self.tcp_position[:, None]
         return np.concatenate([self.force_on_object.sum(1), np.cross(lever, self.force_on_object).sum(1)], axis=1)
 
+    def foot_forces(self, time_s: np.ndarray) -> FootForces:
+        """As kept beside a trial; `time_s` (T,) is the trajectory's."""
+        kept = self.tick < len(time_s)
+        return FootForces(time_s[self.tick[kept]], self.particle, self.force_on_object[kept])
+
 
 class ContactLog:
-    """Gathers a `ContactRecord` while a trial runs."""
+    """Gathers a `ContactRecord` while a trial runs, at every `every`-th tick."""
+
+    def __init__(self, every: int = 1) -> None:
+        self._every = every
+        self._ticks: list[int] = []
 
     def start(self, scene: Scene, ticks: int) -> None:
-        """Make room for `ticks` samples."""
-        self._foot = {int(geom): i for i, geom in enumerate(scene.foot_geoms)}
+        """Make room for a trial of `ticks` samples."""
+        rows, feet = -(-ticks // self._every), len(scene.foot_geoms)
+        self._foot = np.full(scene.model.ngeom, -1)
+        self._foot[scene.foot_geoms] = np.arange(feet)
         self._particle = scene.foot_particles
         self._tcp_site = scene.model.site("gripper/tcp").id
-        self._force = np.zeros((ticks, len(self._foot), 3))
-        self._position = np.zeros((ticks, len(self._foot), 3))
-        self._tcp = np.zeros((ticks, 3))
-        self._count = 0
+        self._force = np.zeros((rows, feet, 3))
+        self._position = np.zeros((rows, feet, 3))
+        self._tcp = np.zeros((rows, 3))
 
-    def measure(self, model: mujoco.MjModel, data: mujoco.MjData, tick: int) -> None:
+    def measure(self, data: mujoco.MjData, tick: int) -> None:
         """Read all contacts of the feet."""
-        wrench = np.zeros(6)
-        for index in range(data.ncon):
-            contact = data.contact[index]
-            foot = self._foot.get(int(contact.geom1), self._foot.get(int(contact.geom2)))
-            if foot is None:
-                continue
-            mujoco.mj_contactForce(model, data, index, wrench)
-            # MuJoCo gives the force on the second geom; the feet come first or second as the pair was sorted
-            sign = 1.0 if int(contact.geom2) in self._foot else -1.0
-            self._force[tick, foot] = sign * contact.frame.reshape(3, 3).T @ wrench[:3]
-            self._position[tick, foot] = contact.pos
-        self._tcp[tick] = data.site_xpos[self._tcp_site]
-        self._count = tick + 1
+        if tick % self._every:
+            return
+        row, contact = len(self._ticks), data.contact
+        feet = self._foot[contact.geom]
+        found = np.flatnonzero((feet.max(axis=1, initial=-1) >= 0) & (contact.efc_address >= 0))
+        foot = feet[found].max(axis=1)
+        # An elliptic cone's rows are the force itself, in the contact's frame: normal, then the two tangents
+        along = data.efc_force[contact.efc_address[found][:, None] + np.arange(3)]
+        on_second = np.einsum("ci,cij->cj", along, contact.frame[found].reshape(-1, 3, 3))
+        sign = np.where(feet[found, 1] >= 0, 1.0, -1.0)  # the feet come first or second as the pair was sorted
+        self._force[row, foot] = sign[:, None] * on_second
+        self._position[row, foot] = contact.pos[found]
+        self._tcp[row] = data.site_xpos[self._tcp_site]
+        self._ticks.append(tick)
 
     def record(self) -> ContactRecord:
         """All that was gathered."""
-        n = self._count
-        return ContactRecord(self._force[:n], self._position[:n], self._tcp[:n], self._particle)
+        n = len(self._ticks)
+        return ContactRecord(
+            np.array(self._ticks, dtype=np.int64), self._force[:n], self._position[:n], self._tcp[:n], self._particle
+        )

@@ -12,6 +12,7 @@ import mujoco
 import numpy as np
 
 from testbed.actions import Weigh
+from testbed.errors import InvalidValueError
 from testbed.frames import perpendicular, pose_from_point, rotation_2d, rotation_matrix
 from testbed.gripper import STROKE
 from testbed.sensing import draw_sensing, preset
@@ -65,9 +66,16 @@ class SimulationRunner:
         """The physics alone, with a perfect sensor; sensing draws can be applied to it afterwards."""
         return self._simulate(trial, None)
 
-    def run_with_contacts(self, trial: Trial) -> tuple[Trajectory, ContactRecord]:
-        """As `run_clean`, with the true force of the table on every foot: what no bench can measure."""
-        log = ContactLog()
+    def run_with_contacts(self, trial: Trial, every: int = 1) -> tuple[Trajectory, ContactRecord]:
+        """As `run_clean`, with the true force of the table on every foot: what no bench can measure.
+
+        Args:
+            trial: a slide or a turn; a scale has no feet to tell of.
+            every: read the contacts at one sample in so many.
+        """
+        if isinstance(trial.action, Weigh):
+            raise InvalidValueError("trial.action", trial.action, "a slide or a turn")
+        log = ContactLog(every)
         trajectory = self._simulate(trial, log)
         return trajectory, log.record()
 
@@ -106,7 +114,7 @@ class SimulationRunner:
             record[tick] = sample / steps
             servo.measure(data, tick)
             if log is not None:
-                log.measure(model, data, tick)
+                log.measure(data, tick)
             if watch.trouble(data, tick):
                 count = max(tick, 1)
                 break

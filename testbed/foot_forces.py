@@ -1,0 +1,74 @@
+"""The table's force on every foot of a simulated object: for looking at a trial, never for estimating."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+from jaxtyping import Float, Int
+
+from testbed.arrays import frozen_array
+from testbed.errors import HeftError, InvalidValueError
+from testbed.trajectory import write_whole
+
+_AXES = ("fx_N", "fy_N", "fz_N")
+
+
+class FootForcesFileError(HeftError):
+    """A file of foot forces that is damaged."""
+
+
+@dataclass(frozen=True, eq=False)
+class FootForces:
+    """N samples of F feet. No bench can measure them: a record of the real arm has none."""
+
+    time_s: Float[np.ndarray, "N"]
+    """s, on the trajectory's clock."""
+    particle: Int[np.ndarray, "F"]
+    """Particle over each foot."""
+    force: Float[np.ndarray, "N F 3"]
+    """Of the table on the object, world axes, N: friction, and the normal load along z."""
+
+    def __post_init__(self) -> None:
+        particle = np.array(self.particle)
+        if particle.ndim != 1 or not np.issubdtype(particle.dtype, np.integer):
+            raise InvalidValueError("FootForces.particle", f"{particle.dtype} of shape {particle.shape}", "integers")
+        time = frozen_array("FootForces.time_s", self.time_s, (None,))
+        object.__setattr__(self, "time_s", time)
+        object.__setattr__(self, "particle", particle)
+        object.__setattr__(self, "force", frozen_array("FootForces.force", self.force, (len(time), len(particle), 3)))
+
+
+def save_foot_forces(feet: FootForces, path: Path) -> None:
+    """Write as Parquet in single precision, a list of feet a sample, whole or not at all."""
+    count = len(feet.particle)
+    lists = {
+        axis: pa.FixedSizeListArray.from_arrays(pa.array(feet.force[:, :, i].astype(np.float32).ravel()), count)
+        for i, axis in enumerate(_AXES)
+    }
+    table = pa.table({"time_s": feet.time_s} | lists)
+    table = table.replace_schema_metadata({b"particle": ",".join(map(str, feet.particle)).encode()})
+    split = {name: "BYTE_STREAM_SPLIT" for name in ("time_s", *(f"{axis}.list.element" for axis in _AXES))}
+    write_whole(
+        path,
+        lambda part: pq.write_table(table, part, compression="zstd", use_dictionary=False, column_encoding=split),
+    )
+
+
+def load_foot_forces(path: Path) -> FootForces:
+    """Read foot forces back.
+
+    Raises:
+        FootForcesFileError: damaged.
+    """
+    try:
+        table = pq.read_table(path)
+        particle = np.array((table.schema.metadata or {})[b"particle"].decode().split(","), dtype=np.int64)
+        axes = [table.column(a).combine_chunks().flatten().to_numpy(zero_copy_only=False) for a in _AXES]
+        force = np.stack([axis.reshape(table.num_rows, len(particle)) for axis in axes], axis=-1)
+        return FootForces(table.column("time_s").to_numpy(), particle, force)
+    except (OSError, pa.ArrowException, KeyError, ValueError, AttributeError) as error:
+        raise FootForcesFileError(f"{path}: not a whole file of foot forces: {error}") from None

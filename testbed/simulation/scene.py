@@ -49,7 +49,7 @@ def build_scene(
     Raises:
         InvalidValueError: a mass group without feet, and a support that has each rest on its own.
     """
-    spec = _part("table")
+    spec = part("table")
     spec.modelname = f"heft_{obj.name}"
     option = spec.option
     option.timestep = settings.timestep
@@ -86,7 +86,8 @@ def build_scene(
     )
 
 
-def _part(name: str) -> mujoco.MjSpec:
+def part(name: str) -> mujoco.MjSpec:
+    """A part of the bench, as it stands in assets/mjcf."""
     return mujoco.MjSpec.from_file(str(asset_folder("mjcf") / f"{name}.xml"))
 
 
@@ -99,14 +100,14 @@ def arm_spec() -> mujoco.MjSpec:
 
 def attach_arm(spec: mujoco.MjSpec, *, meshes: bool = False) -> None:
     """Arm on the world, sensor on its flange, gripper on the sensor. Names: "joint_1", "ft/force", "gripper/tcp"."""
-    arm = _part("gen3")
+    arm = part("gen3")
     folder = mesh_folder() if meshes else None
     if folder is not None:
         _dress(arm, folder)
     spec.attach(arm, prefix="arm/", frame=spec.worldbody.add_frame())
-    sensor = _part("ft300s")
+    sensor = part("ft300s")
     spec.attach(sensor, prefix="ft/", site=spec.site("arm/flange"))
-    spec.attach(_part("gripper_2f85"), prefix="gripper/", site=spec.site("ft/mount"))
+    spec.attach(part("gripper_2f85"), prefix="gripper/", site=spec.site("ft/mount"))
 
 
 def mesh_folder() -> Path | None:

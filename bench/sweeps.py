@@ -120,13 +120,14 @@ def overhead() -> None:
     print(f"1 worker over 2: {wall[1] / wall[2]:.2f}")
 
 
-def canned() -> Trajectory:
+def canned() -> tuple[Trial, Trajectory]:
     """A turn of 2 s there and back, of a small object."""
     with tempfile.TemporaryDirectory() as folder:
         scenario = sweep_of(1)
         cell = cells_of(scenario, Store(Path(folder)), quiet)[0][0]
         turn = Rotate(cell.grasps[0], duration=2.0, back=True)
-        return SimulationRunner(scenario.simulation.build()).run_clean(Trial(cell.model, turn, cell.support))
+        trial = Trial(cell.model, turn, cell.support)
+        return trial, SimulationRunner(scenario.simulation.build()).run_clean(trial)
 
 
 def resume() -> None:
@@ -134,7 +135,8 @@ def resume() -> None:
     scenario = sweep_of(50, seeds=10, methods=METHODS)
     with tempfile.TemporaryDirectory() as folder:
         store = Store(Path(folder))
-        store.put_trial("canned", {}, canned())
+        trial, record = canned()
+        store.put_trial("canned", trial, {}, record)
         cells, _ = cells_of(scenario, store, quiet)
         for index, cell in enumerate(cells):
             cell.keys, cell.held_out_keys = [f"{index}_{i}" for i in range(13)], [f"{index}_{i}" for i in (13, 14)]
@@ -169,13 +171,13 @@ def memory() -> None:
 
 def driver(objects: int) -> None:
     """In a process of its own: trials and the peak memory after them, MiB."""
-    record = canned()
+    _, record = canned()
     scenario = sweep_of(objects, seeds=1)
 
     def copy(trial: Trial, settings: SimulationSettings, store: Store) -> None:
         asked = trials.trial_request(trial, settings)
         made = record if isinstance(trial.action, Rotate) else SimulationRunner(settings).run_clean(trial)
-        store.put_trial(trials.key_of(asked), asked, replace(made, action=trial.action))
+        store.put_trial(trials.key_of(asked), trial, asked, replace(made, action=trial.action))
 
     trials.simulate = copy
     with tempfile.TemporaryDirectory() as folder, open_executor("inline", 0) as executor:

@@ -152,7 +152,8 @@ def estimate(asked: Asked, seed: int, key: str, store: Store) -> None:
     seen, held_out = drawn[: len(asked.keys)], drawn[len(asked.keys) :]
     method = build_method(asked.method, asked.settings)
     answer = method.estimate(asked.truth.shape, weight_of(seen[0]), seen[1:], seed)
-    row = {"seed": seed} | judge(asked.truth, answer, seen, held_out, reference=asked.reference)
+    said = asked.labels() | {"trial_keys": list(asked.keys), "held_out_keys": list(asked.held_out)}
+    row = {"seed": seed} | said | judge(asked.truth, answer, seen, held_out, reference=asked.reference)
     store.put_estimate(key, row, answer)
 
 

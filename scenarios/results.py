@@ -20,6 +20,8 @@ Columns of the table, a row an estimate (one method, one draw of the sensor's er
 | trials, robot_s | what the method was given, and the robot time it took |
 | seconds | computing time of the estimate |
 | key | folder of the estimate in estimates/ |
+| trial_keys | folders in trials/ of what the method was given, the weighing first |
+| held_out_keys | folders in trials/ of the turns that its prediction was held against |
 """
 
 from __future__ import annotations

@@ -2,6 +2,7 @@
 
 results/<scenario>/manifest.json
                    trials/<key>/trajectory.parquet, trial.json    one physical trial, shared by every draw and method
+                                foot_forces.parquet               the table's force on each foot, where simulated
                    estimates/<key>/estimate.npz                   mass, friction, covariance, and every trace
                                    result.json                    one answer, with its error against the truth
                                    error.txt                      or why there is none
@@ -27,6 +28,7 @@ import pyarrow.parquet as pq
 
 from estimators.protocol import Estimate
 from testbed.actions import action_to_dict
+from testbed.foot_forces import FootForces, save_foot_forces
 from testbed.object_files import ObjectFile
 from testbed.objects import ObjectModel, Solid
 from testbed.resources import asset_folder
@@ -105,12 +107,17 @@ class Store:
         except (OSError, pa.ArrowException):
             return False
 
-    def put_trial(self, key: str, asked: dict[str, Any], trajectory: Trajectory) -> None:
+    def put_trial(
+        self, key: str, trial: Trial, asked: dict[str, Any], trajectory: Trajectory, feet: FootForces | None = None
+    ) -> None:
         """Write a trial; trial.json comes last and means done."""
-        folder = self.root / "trials" / key
+        folder, shape = self.root / "trials" / key, trial.object.shape
         save_trajectory(trajectory, folder / "trajectory.parquet")
+        if feet is not None:
+            save_foot_forces(feet, folder / "foot_forces.parquet")
         said = {"status": trajectory.status, "reason": trajectory.reason, "figures": trajectory.figures}
-        write_json(folder / "trial.json", said | {"asked": asked})
+        names = {"object": trial.object.name, "groups": shape.group_names, "grasps": [g.name for g in shape.grasps]}
+        write_json(folder / "trial.json", said | {"names": names, "asked": asked})
         (folder / "error.txt").unlink(missing_ok=True)
 
     def trajectory(self, key: str) -> Trajectory:

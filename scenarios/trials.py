@@ -14,6 +14,9 @@ from testbed.simulation.settings import SimulationSettings
 from testbed.trajectory import TrajectoryFileError
 from testbed.trial import Trial
 
+FEET_RATE = 10.0
+"""At which the table's forces on the feet are kept, for looking, Hz."""
+
 
 def run_trials(cells: list[Cell], store: Store, executor: Executor, progress: Progress) -> None:
     """Make the trials: some cells side by side, each cell's in order; a trial that two cells ask for is made once.
@@ -104,5 +107,12 @@ def simulate(trial: Trial, settings: SimulationSettings, store: Store) -> None:
     """Task: one physical trial, unless it is done."""
     asked = trial_request(trial, settings)
     key = key_of(asked)
-    if not store.has_trial(key):
-        store.put_trial(key, asked, SimulationRunner(settings).run_clean(trial))
+    if store.has_trial(key):
+        return
+    runner, feet = SimulationRunner(settings), None
+    if isinstance(trial.action, Weigh):
+        trajectory = runner.run_clean(trial)
+    else:
+        trajectory, contacts = runner.run_with_contacts(trial, every=round(settings.rate / FEET_RATE))
+        feet = contacts.foot_forces(trajectory.time_s)
+    store.put_trial(key, trial, asked, trajectory, feet)

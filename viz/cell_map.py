@@ -11,13 +11,15 @@ from jaxtyping import Float, Int
 
 from testbed.objects import ObjectShape
 from viz.frames import Frames
-from viz.planar import LINE, MARGIN, Box, Canvas, have_room, hung, log_lines, log_texts, log_upright, ticks
+from viz.planar import LINE, MARGIN, Box, Canvas, have_room, hung, log_lines, log_texts, log_upright, text_width, ticks
 from viz.style import BACKGROUND, mapped, rgb, text_color
 
 MOST_NAMED = 30
 """More groups than this have no room for names."""
 FINE = 4
 """Pixels along a cell's side where cells do not lie on one lattice."""
+FITTING = 0.75
+"""A number may stick out of its group by no more than this, as the group's width over the text's."""
 SHADES = 64
 """Of a colour bar."""
 BELOW = 2 * LINE + 6 * MARGIN
@@ -150,7 +152,7 @@ class CellMap:
         if self.named and have_room(both, [*self.shape.group_names, *texts[-1]], pixel):
             log_texts(stream, f"{entity}/names", middles + apart, self.shape.group_names, pixel, shades[-1])
             middles = middles - apart
-        elif not have_room(middles, texts[-1], pixel):
+        elif not have_room(middles, texts[-1], pixel) or self._narrowest() < FITTING * text_width(texts[-1][0]) * pixel:
             return
         place = rr.Points2D(hung(middles, pixel), radii=1e-6, show_labels=True)
         stream.log(f"{entity}/masses", place, static=True, strict=True)
@@ -161,6 +163,11 @@ class CellMap:
                 labels=[text for i in k for text in texts[i]], colors=packed(shades[k]).ravel()
             ).partition([count] * len(k)),
         )
+
+    def _narrowest(self) -> float:
+        """Width of the narrowest group, m."""
+        of = [self.shape.particles[self.shape.mass_group == group, 0] for group in range(self.shape.n_m)]
+        return self.shape.cell + min(float(np.ptp(x)) for x in of)
 
 
 def log_raster(stream: rr.RecordingStream, entity: str, raster: Raster, colors: np.ndarray, frames: Frames) -> None:
@@ -191,14 +198,18 @@ def log_bar(stream: rr.RecordingStream, entity: str, scale: Scale, box: Box, pix
     strip = rr.Image(bytes=shades.tobytes(), width=SHADES, height=1, color_model="RGB", datatype="U8")
     stream.log(f"{entity}/colors", place, strip, static=True, strict=True)
     values, texts = ticks(scale.top)
+    if scale.open:
+        last = f"≥ {scale.top:.2g}"
+        room = pixel * text_width(last) / box.width * scale.top
+        kept = [i for i, value in enumerate(values) if value < scale.top - room]
+        values, texts = np.append(values[kept], scale.top), [*(texts[i] for i in kept), last]
     x = box.left + box.width * values / scale.top
     marks = [np.array([[each, box.bottom], [each, box.bottom - MARGIN * pixel]]) for each in x]
     log_lines(stream, f"{entity}/outline", [box.corners, *marks])
     below = box.bottom - (2 * MARGIN + LINE / 2) * pixel
     log_texts(stream, f"{entity}/ticks", np.column_stack([x, np.full(len(x), below)]), texts, pixel)
-    said = f"{scale.title} ({scale.top:.2g} and more)" if scale.open else scale.title
     middle = np.array([[(box.left + box.right) / 2, below - (LINE + 2 * MARGIN) * pixel]])
-    log_texts(stream, f"{entity}/title", middle, [said], pixel)
+    log_texts(stream, f"{entity}/title", middle, [scale.title], pixel)
 
 
 def packed(colors: np.ndarray) -> np.ndarray:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import rerun as rr
@@ -21,10 +21,12 @@ WINDOW = Canvas(1590, 910)
 """What all views share in a window of 1600 by 1000, pixels."""
 BARS = 250.0
 """Height of the bars' view, pixels."""
-GAP = 16.0
+MOST_COLUMNS = 5
+"""More views in a row have no room for their titles."""
+GAP = 12.0
 """Around the colour bars, pixels."""
-BAR = 0.06
-"""Thickness of a colour bar over its length."""
+BAR = 14.0
+"""Thickness of a colour bar, pixels."""
 
 
 def log_comparison(stream: rr.RecordingStream, root: str, shown: Sequence[EstimateShown]) -> None:
@@ -56,7 +58,12 @@ def comparison_blueprint(root: str, shown: Sequence[EstimateShown]) -> rrb.Conta
         nad = "" if each.nad is None else f": NAD {100 * each.nad:.1f} %"
         nad = nad if each.answer is not None else ": no answer"
         views.append(planar_view(f"{root}/methods/{index}", layout.box, f"{each.method}{nad}"))
-    views.append(planar_view(f"{root}/scales", _scales_box(layout), "scales of all maps"))
+    where = "mass left, difference right" if layout.beside[0] else "mass above, difference below"
+    views.append(
+        planar_view(
+            f"{root}/scales", Box(0.0, -layout.cell.height, layout.cell.width, 0.0), where if known else "scale"
+        )
+    )
     bars = planar_view(f"{root}/bars", _bars(shown).box, "mass of each group, all methods")
     grid = rrb.Grid(*views, grid_columns=layout.columns)
     return rrb.Vertical(grid, bars, row_shares=[WINDOW.height - BARS, BARS], name="comparison")
@@ -89,22 +96,21 @@ class _Layout:
         plain, known = Raster.of(first).box, shown[0].truth is not None
         count = len(shown) + 1 + known
         best: tuple[float, int, Canvas, tuple[float, float], Box] | None = None
-        for columns in range(1, count + 1):
+        for columns in range(1, min(count, MOST_COLUMNS) + 1):
             rows = int(np.ceil(count / columns))
             cell = Canvas(WINDOW.width / columns, (WINDOW.height - BARS) / rows - TITLE)
-            for beside in ((1.12 * plain.width, 0.0), (0.0, -1.2 * plain.height)):
+            gap = 0.06 * (plain.width + plain.height)
+            for beside in ((plain.width + gap, 0.0), (0.0, -plain.height - gap)):
                 box = cell.framed(plain.joined(plain.moved(*beside)) if known else plain, 8, 8, 8)
                 if best is None or cell.pixel(box) < best[0]:
                     best = cell.pixel(box), columns, cell, beside, box
         assert best is not None
         _, columns, cell, beside, box = best
-        return _Layout(
-            columns, cell, beside, box, *_scales(shown, ("left", "right") if beside[0] else ("top", "bottom"))
-        )
+        return _Layout(columns, cell, beside, box, *_scales(shown))
 
 
-def _scales(shown: Sequence[EstimateShown], places: tuple[str, str]) -> tuple[Scale, Scale | None]:
-    """Of mass and difference: up to most of the values, and to the truth in any case; titles say which map is where."""
+def _scales(shown: Sequence[EstimateShown]) -> tuple[Scale, Scale | None]:
+    """Of mass and difference: up to most of the values, and to the truth in any case."""
     every = list(shown)
     truths = [float(each.true_mass.max()) for each in every if each.true_mass is not None]
     tops = []
@@ -112,27 +118,25 @@ def _scales(shown: Sequence[EstimateShown], places: tuple[str, str]) -> tuple[Sc
         known = [value for value in values if value is not None]
         tops.append(float(np.percentile(np.concatenate(known), TOP)) if known else 0.0)
     mass = mass_scale_of(every, max([tops[0], *truths]))
-    if not truths:
-        return mass, None
-    off = difference_scale_of(every, tops[1])
-    return replace(mass, title=f"{places[0]}: {mass.title}"), replace(off, title=f"{places[1]}: {off.title}")
+    return mass, difference_scale_of(every, tops[1]) if truths else None
 
 
-def _scales_box(layout: _Layout) -> Box:
-    """One or two colour bars, one below the other."""
-    count = 1 if layout.difference_scale is None else 2
-    return layout.cell.framed(Box(0.0, -count * BAR, 1.0, 0.0), 60, GAP, count * (BELOW + GAP))
+def _bar_boxes(cell: Canvas) -> list[Box]:
+    """Places of the two colour bars in a scene whose unit is a pixel: one below the other, or side by side."""
+    if cell.height < 2 * (BAR + BELOW) + 2 * GAP:
+        length = (cell.width - 12 * GAP) / 2
+        return [Box(x, -GAP - BAR, x + length, -GAP) for x in (3 * GAP, length + 9 * GAP)]
+    tops = [-GAP, -GAP - BAR - BELOW]
+    return [Box(4 * GAP, top - BAR, cell.width - 4 * GAP, top) for top in tops]
 
 
 def _log_scales(stream: rr.RecordingStream, entity: str, layout: _Layout) -> None:
     """The colour bars that all maps share."""
-    box = _scales_box(layout)
-    pixel = layout.cell.pixel(box)
     log_upright(stream, f"{entity}/bars")
-    for index, scale in enumerate((layout.mass_scale, layout.difference_scale)):
+    scales = (layout.mass_scale, layout.difference_scale)
+    for index, (scale, box) in enumerate(zip(scales, _bar_boxes(layout.cell), strict=True)):
         if scale is not None:
-            top = -index * (BAR + (BELOW + GAP) * pixel)
-            log_bar(stream, f"{entity}/bars/{index}", scale, Box(0.0, top - BAR, 1.0, top), pixel)
+            log_bar(stream, f"{entity}/bars/{index}", scale, box, 1.0)
 
 
 def _bars(shown: Sequence[EstimateShown]) -> BarScene:

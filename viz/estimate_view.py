@@ -134,7 +134,8 @@ def log_estimate(stream: rr.RecordingStream, root: str, shown: EstimateShown) ->
         off = None if way is None else np.abs(way - truth)
         _log_map(stream, f"{root}/difference", CellMap(shown.shape, off, off_scale, layout.map), frames)
     _log_map(stream, f"{root}/estimated_mass", CellMap(shown.shape, way, mass_scale, layout.map), frames)
-    bars_of(shown, layout.lower).log(stream, f"{root}/bars/scene")
+    if way is not None or truth is not None:
+        bars_of(shown, layout.lower).log(stream, f"{root}/bars/scene")
     if way is not None:
         _loads(shown, layout.side).log(stream, f"{root}/loads/scene", frames)
         _log_masses(stream, f"{root}/mass_by_iteration", shown.shape, frames, way)
@@ -156,9 +157,9 @@ def estimate_blueprint(root: str, shown: EstimateShown) -> rrb.Container:
     if shown.truth is not None:
         maps.insert(0, planar_view(f"{root}/true_mass", box, "true mass"))
         maps.append(planar_view(f"{root}/difference", box, f"absolute difference{when}"))
-    lower: list[rrb.View | rrb.Container] = [
-        planar_view(f"{root}/bars", bars_of(shown, layout.lower).box, "mass of each group")
-    ]
+    lower: list[rrb.View | rrb.Container] = []
+    if shown.answer is not None or shown.truth is not None:
+        lower.append(planar_view(f"{root}/bars", bars_of(shown, layout.lower).box, "mass of each group"))
     if shown.traces:
         lower.append(_iterations(root, moves=moves))
     if shown.trajectory is not None and TurnScene.shows(shown.trajectory):
@@ -168,9 +169,9 @@ def estimate_blueprint(root: str, shown: EstimateShown) -> rrb.Container:
     if shown.answer is not None:
         loads = _loads(shown, layout.side)
         side.append(planar_view(f"{root}/loads", loads.box, "particles: mass and friction load"))
-    shares = [layout.map.height, layout.lower.height]
+    rows = [rrb.Horizontal(*row) for row in (maps, lower) if row]
     return rrb.Horizontal(
-        rrb.Vertical(rrb.Horizontal(*maps), rrb.Horizontal(*lower), row_shares=shares),
+        rrb.Vertical(*rows, row_shares=[layout.map.height, layout.lower.height][: len(rows)]),
         rrb.Vertical(*side, row_shares=[MAIN.height - layout.side.height, layout.side.height][: len(side)]),
         column_shares=[MAIN.width, SIDE.width],
         name=shown.title,
@@ -189,7 +190,8 @@ class _Layout:
     def of(shown: EstimateShown) -> _Layout:
         """Long objects leave more room below their maps."""
         columns = 1 if shown.truth is None else 3
-        views = 1 + bool(shown.traces) + TurnScene.shows(shown.trajectory)
+        known = shown.answer is not None or shown.truth is not None
+        views = max(known + bool(shown.traces) + TurnScene.shows(shown.trajectory), 1)
         width, least, most = MAIN.width / columns, 0.28 * MAIN.height, 0.56 * MAIN.height
         needed = CellMap(shown.shape, None, mass_scale_of([shown]), Canvas(width, most)).box()
         upper = float(np.clip(width * needed.height / needed.width, least, most))

@@ -133,9 +133,14 @@ def hung(middles: Float[np.ndarray, "N 2"], pixel: float) -> Float[np.ndarray, "
     return np.asarray(middles) + np.array([0, (LINE / 2 + 3) * pixel])
 
 
+def text_width(text: str) -> float:
+    """Of a label with its frame, pixels."""
+    return CHARACTER * len(text) + 2 * MARGIN
+
+
 def have_room(middles: Float[np.ndarray, "N 2"], texts: Sequence[str], pixel: float) -> bool:
     """Whether no two texts about these middles overlap."""
-    width = (CHARACTER * np.array([len(text) for text in texts]) + 2 * MARGIN) * pixel
+    width = np.array([text_width(text) for text in texts]) * pixel
     apart = np.abs(middles[:, None] - middles[None])
     clash = (apart[..., 0] < (width[:, None] + width) / 2) & (apart[..., 1] < LINE * pixel)
     return int(clash.sum()) == len(texts)

@@ -21,7 +21,7 @@ MOST_ARROWS = 150
 """Particles beyond these have no arrow of their own."""
 PAD = 0.006
 """Thickness of a drawn pad, m."""
-LONGEST = 0.25
+LONGEST = 0.35
 """Largest arrow over the object's size, at most."""
 HORIZONS = (0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0)
 """An arrow is the way of one of these times, s."""

@@ -12,7 +12,8 @@ import rerun.blueprint as rrb
 from testbed.errors import InvalidValueError
 from viz.bar_scene import BarScene, Series
 from viz.cell_map import BELOW, CellMap, Raster, Scale, log_bar
-from viz.estimate_view import TITLE, EstimateShown, difference_scale_of, mass_scale_of
+from viz.estimate_shown import EstimateShown, difference_scale_of, mass_scale_of
+from viz.estimate_view import TITLE
 from viz.frames import Frames
 from viz.planar import Box, Canvas, log_upright, planar_view
 from viz.style import TOP, series_color
@@ -111,14 +112,13 @@ class _Layout:
 
 def _scales(shown: Sequence[EstimateShown]) -> tuple[Scale, Scale | None]:
     """Of mass and difference: up to most of the values, and to the truth in any case."""
-    every = list(shown)
-    truths = [float(each.true_mass.max()) for each in every if each.true_mass is not None]
+    truths = [float(each.true_mass.max()) for each in shown if each.true_mass is not None]
     tops = []
-    for values in ([each.mass for each in every], [each.difference for each in every]):
+    for values in ([each.mass for each in shown], [each.difference for each in shown]):
         known = [value for value in values if value is not None]
         tops.append(float(np.percentile(np.concatenate(known), TOP)) if known else 0.0)
-    mass = mass_scale_of(every, max([tops[0], *truths]))
-    return mass, difference_scale_of(every, tops[1]) if truths else None
+    mass = mass_scale_of(shown, max([tops[0], *truths]))
+    return mass, difference_scale_of(shown, tops[1]) if truths else None
 
 
 def _bar_boxes(cell: Canvas) -> list[Box]:

@@ -17,11 +17,7 @@ from matplotlib.patches import Rectangle
 
 from testbed.objects import ObjectShape
 from testbed.trajectory import write_whole
-
-COLORS = "cividis_r"
-"""Even in lightness, so that it survives a grey print, and seen alike by the colour-blind; dark is wrong."""
-TOP = 95
-"""Percentile of all differences at which the scale ends: one lost method must not bleach the rest."""
+from viz.style import DIFFERENCE_COLORS, STYLE, TOP
 
 
 def absolute_difference(rows: Sequence[Mapping[str, Any]], shapes: Mapping[str, ObjectShape], title: str) -> Figure:
@@ -41,7 +37,7 @@ def absolute_difference(rows: Sequence[Mapping[str, Any]], shapes: Mapping[str, 
     known = [value for value in differences.values() if value is not None]
     top = float(np.percentile(np.concatenate(known), TOP)) if known else 1.0
     norm = Normalize(0.0, max(top, 1e-3))
-    with mpl.rc_context({"font.size": 8, "pdf.fonttype": 42}):
+    with mpl.rc_context({**STYLE, "font.size": 8.0}):
         heights = [_height(shape) for shape in shapes.values()]
         figure = Figure(figsize=(1.35 * len(methods) + 1.6, 1.35 * sum(heights) + 0.9), layout="constrained")
         axes = figure.subplots(len(shapes), len(methods), squeeze=False, height_ratios=heights)
@@ -53,7 +49,7 @@ def absolute_difference(rows: Sequence[Mapping[str, Any]], shapes: Mapping[str, 
                     axis.set_title(method.replace("_", " ").replace(" ", "\n", 1), fontsize=8)
                 if j == 0:
                     axis.set_ylabel(name, rotation=0, ha="right", va="center", fontsize=9)
-        scale = ScalarMappable(norm, COLORS)
+        scale = ScalarMappable(norm, DIFFERENCE_COLORS)
         bar = figure.colorbar(scale, ax=axes, extend="max", shrink=0.6, aspect=35, pad=0.01)
         bar.set_label("absolute difference of mass, kg a group")
         figure.suptitle(title, fontsize=9)
@@ -62,8 +58,11 @@ def absolute_difference(rows: Sequence[Mapping[str, Any]], shapes: Mapping[str, 
 
 def save_figure(figure: Figure, path: Path) -> None:
     """Write a figure as PDF and PNG: `path` with each suffix."""
-    for suffix in (".pdf", ".png"):
-        write_whole(path.with_suffix(suffix), lambda part, kind=suffix[1:]: figure.savefig(part, format=kind, dpi=200))
+    stamps: dict[str, dict[str, Any]] = {"pdf": {"CreationDate": None}, "png": {"Software": None}}
+    with mpl.rc_context(STYLE):
+        for kind, stamp in stamps.items():  # the same figure is the same file
+            file = path.with_name(f"{path.name}.{kind}")
+            write_whole(file, lambda part, k=kind, s=stamp: figure.savefig(part, format=k, dpi=200, metadata=s))
 
 
 def _difference(rows: Sequence[Mapping[str, Any]]) -> np.ndarray | None:
@@ -79,7 +78,7 @@ def _height(shape: ObjectShape) -> float:
 
 
 def draw_groups(
-    axis: Axes, shape: ObjectShape, values: np.ndarray | None, norm: Normalize, colors: str = COLORS
+    axis: Axes, shape: ObjectShape, values: np.ndarray | None, norm: Normalize, colors: str = DIFFERENCE_COLORS
 ) -> None:
     """One object: its cells coloured by their group's value, kg, (n_m,), and the number at each group's middle."""
     half = shape.cell / 2

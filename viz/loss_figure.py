@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
+import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, NullFormatter
 
-from viz.nad_figures import DASHES, PALETTE
+from viz.style import DASHES, PALETTE, STYLE
 
 
+@mpl.rc_context(STYLE)
 def loss_figure(traces: Mapping[str, Sequence[np.ndarray]]) -> Figure:
     """One method.
 

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import matplotlib as mpl
 import numpy as np
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
@@ -13,11 +14,8 @@ from matplotlib.figure import Figure
 
 from scenarios.comparison import Row
 from testbed.objects import ObjectShape
-from viz.heatmap import COLORS, TOP, draw_groups
-from viz.nad_figures import MARKERS, PALETTE
-
-MASS_COLORS = "viridis"
-"""Even in lightness and told apart by the colour-blind; bright is heavy."""
+from viz.heatmap import draw_groups
+from viz.style import DIFFERENCE_COLORS, MARKERS, MASS_COLORS, PALETTE, STYLE, TOP
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,6 +50,7 @@ def shown_methods(rows: Sequence[Row]) -> list[str]:
     return own[:1] + others[: 1 if own else 2]
 
 
+@mpl.rc_context(STYLE)
 def mass_maps(shape: ObjectShape, truth: np.ndarray, groups: Mapping[str, Sequence[Answer]]) -> Figure:
     """A row a support and sensing; the truth, then each method's mass and difference.
 
@@ -86,11 +85,14 @@ def mass_maps(shape: ObjectShape, truth: np.ndarray, groups: Mapping[str, Sequen
     left = figure.colorbar(ScalarMappable(mass_norm, MASS_COLORS), ax=axes[:, : most + 1].ravel().tolist(), **half)
     left.set_label("mass, true and estimated, kg a group", fontsize=8)
     if most:
-        right = figure.colorbar(ScalarMappable(off_norm, COLORS), ax=axes[:, most + 1 :].ravel().tolist(), **half)
+        right = figure.colorbar(
+            ScalarMappable(off_norm, DIFFERENCE_COLORS), ax=axes[:, most + 1 :].ravel().tolist(), **half
+        )
         right.set_label("absolute difference, kg a group", fontsize=8)
     return figure
 
 
+@mpl.rc_context(STYLE)
 def mass_bars(names: Sequence[str], truth: np.ndarray, groups: Mapping[str, Sequence[Answer]]) -> Figure:
     """The same without geometry: a bar to the truth of each group, a mark a method, support and sensing."""
     series = [(f"{a.method}, {label}", a.mass) for label, found in groups.items() for a in found]

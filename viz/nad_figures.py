@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
@@ -12,11 +13,8 @@ from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from scenarios.comparison import AXIS, Row
 from viz.report_tables import axis_values, methods_of
+from viz.style import DASHES, MARKERS, PALETTE, STYLE
 
-PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
-"""Okabe and Ito's, told apart by the colour-blind."""
-MARKERS = "osD^vPX"
-DASHES = ("-", "--", ":", "-.")
 WIDE_RANGE = 20.0
 """Largest over smallest from which on an axis is logarithmic."""
 FEW = 8
@@ -25,6 +23,7 @@ MANY = 400
 """More points than this are drawn as pixels."""
 
 
+@mpl.rc_context(STYLE)
 def nad_distribution(rows: Sequence[Row]) -> Figure:
     """A line a method: every estimate a point, a bar from the lower to the upper quartile, a stroke at the median."""
     methods = methods_of(rows)
@@ -61,6 +60,7 @@ def nad_distribution(rows: Sequence[Row]) -> Figure:
     return figure
 
 
+@mpl.rc_context(STYLE)
 def nad_sweep(rows: Sequence[Row], axis_column: str) -> Figure:
     """A line a method through the medians, a band from the lower to the upper quartile."""
     values = axis_values(rows, axis_column)

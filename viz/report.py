@@ -23,7 +23,8 @@ from viz.loss_figure import loss_figure
 from viz.mass_maps import answer_of, as_pixels, mass_bars, mass_maps, shown_methods
 from viz.nad_figures import nad_distribution, nad_sweep
 from viz.report_tables import MOST_OBJECTS, Table, axis_values, metric_table, overview, sweep_table
-from viz.svg import STYLE, inline_svg
+from viz.style import STYLE
+from viz.svg import inline_svg
 
 COLUMNS = (
     "nad", "mpd_open_loop_m", "mpd_turn_m", "mpd_open_loop_of_truth_m", "mpd_turn_of_truth_m", "seconds", "robot_s",

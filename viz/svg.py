@@ -5,25 +5,18 @@ from __future__ import annotations
 import io
 import re
 import warnings
-from typing import Any
 from xml.etree import ElementTree
 
 import matplotlib as mpl
 from markupsafe import Markup
 from matplotlib.figure import Figure
 
+from viz.style import STYLE
+
 _REFERENCE = re.compile(r"(?:url\(#|^#)([^)]+)")
 _CONTROL = re.compile(rb"[\x00-\x08\x0b\x0c\x0e-\x1f]")
 """Characters that XML cannot hold."""
 _DROPPED = ("metadata", "style")
-STYLE: dict[Any, Any] = {
-    "svg.fonttype": "none",
-    "svg.hashsalt": "heft",
-    "text.parse_math": False,
-    "font.size": 9.0,
-    "path.simplify": True,
-}
-"""matplotlib's settings for a figure: text stays text, a $ too, and the same figure is the same file."""
 
 
 def inline_svg(figure: Figure, title: str, prefix: str) -> Markup:

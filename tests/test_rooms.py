@@ -29,6 +29,7 @@ TESTBED = {
     "sensing": {"errors", "arrays", "objects", "frames", "trajectory"},
     "reduction": {"errors", "arrays", "objects", "actions", "frames", "trajectory"},
     "drift": {"arrays", "sensing", "trajectory"},
+    "replay": {"errors", "actions", "sensing", "trajectory", "trial"},
 }
 MODULES = sorted(path for room in ROOMS for path in (ROOT / room).rglob("*.py"))
 

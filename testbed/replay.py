@@ -1,0 +1,157 @@
+"""Recorded trials played back: a `TrialRunner` whose bench is a folder of trajectories."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from testbed.actions import Action, action_from_dict, action_to_dict
+from testbed.errors import InfeasibleTrialError, InvalidValueError
+from testbed.sensing import draw_sensing, preset
+from testbed.trajectory import Trajectory, TrajectoryFileError, load_trajectory
+from testbed.trial import Trial
+
+UNNAMED = "an object without a name"
+"""Of a results folder that does not say which object a trial had; it matches no trial."""
+_TOLERANCE = 1e-6
+_MOST_LISTED = 8
+
+
+@dataclass(frozen=True)
+class Recording:
+    """What a recorded trajectory says of itself; the record itself stays in its file."""
+
+    path: Path
+    """Its Parquet file."""
+    action: Action
+    """What was done."""
+    object: str | None
+    """Name of the object, where it is known."""
+    support: str | None
+    """Who carried its weight, where it is known."""
+
+    def fits(self, trial: Trial) -> bool:
+        """Whether a trial asks for this: the same action, and the same object and support where they are known."""
+        return (
+            self.object in (None, trial.object.name)
+            and self.support in (None, trial.support.name)
+            and _same(action_to_dict(self.action), action_to_dict(trial.action))
+        )
+
+    @property
+    def said(self) -> str:
+        """In a few words."""
+        settings = action_to_dict(self.action)
+        kind = settings.pop("kind")
+        rest = ", ".join(f"{k} {v:.4g}" if isinstance(v, float) else f"{k} {v}" for k, v in settings.items())
+        return f"{self.object or 'any object'}: {kind}{' (' if rest else ''}{rest}{')' if rest else ''}"
+
+
+class ReplayRunner:
+    """A `TrialRunner` that gives back what was recorded, repeats in the order of recording.
+
+    A simulated record of a results folder has no sensing in it yet: it gets the trial's own draw, as in a simulation.
+    What a bench measured is given back as it is. Entering it starts every repeat over again.
+    """
+
+    def __init__(self, folder: str | Path):
+        """Look through a folder; no record is read yet.
+
+        Args:
+            folder: a results folder, or a folder of trajectory files. Within it, files are taken in order of their
+                `recorded` provenance, then of their names.
+
+        Raises:
+            InvalidValueError: no such folder, or nothing recorded in it.
+            TrajectoryFileError: a file that is no trajectory.
+        """
+        root = Path(folder)
+        finished = [p.with_name("trajectory.parquet") for p in sorted((root / "trials").glob("*/trial.json"))]
+        files = finished or sorted(root.glob("*.parquet"))
+        if not files:
+            raise InvalidValueError("replay folder", str(folder), "a results folder, or one of trajectory files")
+        told = sorted(((_header(path), path) for path in files), key=lambda t: (t[0][1].get("recorded", ""), t[1]))
+        self.recordings: tuple[Recording, ...] = tuple(_recording(path, *header) for header, path in told)
+        """All that there is, in order of recording."""
+        self._folder = root
+        self._played: set[Path] = set()
+
+    def __enter__(self) -> Self:
+        self._played.clear()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        return None
+
+    def run(self, trial: Trial) -> Trajectory:
+        """The next recording of this trial.
+
+        Raises:
+            InfeasibleTrialError: it was never recorded, or all its repeats have been played; the message says what
+                there is.
+            TrajectoryFileError: its file is damaged.
+        """
+        fitting = [r for r in self.recordings if r.fits(trial)]
+        left = [r for r in fitting if r.path not in self._played]
+        if not left:
+            raise InfeasibleTrialError(f"replay: {self._missing(trial, len(fitting))}")
+        self._played.add(left[0].path)
+        trajectory = load_trajectory(left[0].path)
+        if trajectory.provenance.get("runner") == "simulation" and "sensing" not in trajectory.provenance:
+            return draw_sensing(trajectory, preset(trial.sensing), trial.seed)
+        return trajectory
+
+    def _missing(self, trial: Trial, played: int) -> str:
+        asked = Recording(Path(), trial.action, trial.object.name, trial.support.name).said
+        if played:
+            return f"{asked}: all {played} recordings have been played; enter the runner again to start over"
+        there = list(dict.fromkeys(r.said for r in self.recordings))
+        shown = "; ".join(there[:_MOST_LISTED]) + (f"; {len(there) - _MOST_LISTED} more" * (len(there) > _MOST_LISTED))
+        return f"{self._folder} has no {asked}, support {trial.support.name}; it has {shown}"
+
+
+def _header(path: Path) -> tuple[dict[str, Any], dict[str, str]]:
+    """Action and provenance of a trajectory file, without its samples."""
+    try:
+        header = json.loads((pq.read_schema(path).metadata or {})[b"heft"])
+        return header["action"], header["provenance"]
+    except (OSError, pa.ArrowException, KeyError, ValueError, TypeError) as error:
+        raise TrajectoryFileError(f"{path}: not a trajectory file: {error}") from None
+
+
+def _recording(path: Path, action: dict[str, Any], provenance: Mapping[str, str]) -> Recording:
+    return Recording(path, action_from_dict(action), _object_of(path, provenance), provenance.get("support"))
+
+
+def _object_of(path: Path, provenance: Mapping[str, str]) -> str | None:
+    """The object's name: from the record itself, or from the trial.json that a results folder has beside it."""
+    if "object" in provenance:
+        return provenance["object"]
+    trial = path.with_name("trial.json")
+    if not (path.name == "trajectory.parquet" and trial.is_file()):
+        return None
+    try:
+        return str(json.loads(trial.read_text(encoding="utf-8"))["names"]["object"])
+    except (OSError, ValueError, KeyError, TypeError):
+        return UNNAMED
+
+
+def _same(a: Any, b: Any) -> bool:
+    """Whether two plain values are the same, numbers within rounding."""
+    if isinstance(a, dict) and isinstance(b, dict):
+        return a.keys() == b.keys() and all(_same(a[k], b[k]) for k in a)
+    if isinstance(a, list | tuple) and isinstance(b, list | tuple):
+        return len(a) == len(b) and all(_same(x, y) for x, y in zip(a, b, strict=True))
+    if isinstance(a, float) and isinstance(b, float):
+        return math.isclose(a, b, rel_tol=_TOLERANCE, abs_tol=_TOLERANCE)
+    return a == b

@@ -51,7 +51,8 @@ class Recording:
         """In a few words."""
         settings = action_to_dict(self.action)
         kind = settings.pop("kind")
-        rest = ", ".join(f"{k} {v:.4g}" if isinstance(v, float) else f"{k} {v}" for k, v in settings.items())
+        given = {k: f"{v:.4g}" if isinstance(v, float) else v for k, v in settings.items() if v is not None}
+        rest = ", ".join(f"{name} {value}" for name, value in given.items())
         return f"{self.object or 'any object'}: {kind}{' (' if rest else ''}{rest}{')' if rest else ''}"
 
 

@@ -67,7 +67,7 @@ def what_cannot_be_done_is_refused_before_anything_moves(bench: Bench) -> None:
         after = bench.moved()
     assert after == before
     assert len(refusals) == 2
-    assert all(re.match(r"\w+: \w+", why) for why in refusals), refusals
+    assert all(re.match(r"\w+: .+", why) for why in refusals), refusals
 
 
 RUNNER_RULES: tuple[Callable[[Bench], None], ...] = (

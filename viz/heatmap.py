@@ -56,13 +56,14 @@ def absolute_difference(rows: Sequence[Mapping[str, Any]], shapes: Mapping[str, 
     return figure
 
 
-def save_figure(figure: Figure, path: Path) -> None:
-    """Write a figure as PDF and PNG: `path` with each suffix."""
+def save_figure(figure: Figure, path: Path) -> list[Path]:
+    """Write a figure as PDF and PNG; the files, which are `path` with each suffix."""
     stamps: dict[str, dict[str, Any]] = {"pdf": {"CreationDate": None}, "png": {"Software": None}}
+    files = {kind: path.with_name(f"{path.name}.{kind}") for kind in stamps}
     with mpl.rc_context(STYLE):
         for kind, stamp in stamps.items():  # the same figure is the same file
-            file = path.with_name(f"{path.name}.{kind}")
-            write_whole(file, lambda part, k=kind, s=stamp: figure.savefig(part, format=k, dpi=200, metadata=s))
+            write_whole(files[kind], lambda part, k=kind, s=stamp: figure.savefig(part, format=k, dpi=200, metadata=s))
+    return list(files.values())
 
 
 def _difference(rows: Sequence[Mapping[str, Any]]) -> np.ndarray | None:
@@ -78,9 +79,23 @@ def _height(shape: ObjectShape) -> float:
 
 
 def draw_groups(
-    axis: Axes, shape: ObjectShape, values: np.ndarray | None, norm: Normalize, colors: str = DIFFERENCE_COLORS
+    axis: Axes,
+    shape: ObjectShape,
+    values: np.ndarray | None,
+    norm: Normalize,
+    colors: str = DIFFERENCE_COLORS,
+    digits: int = 2,
 ) -> None:
-    """One object: its cells coloured by their group's value, kg, (n_m,), and the number at each group's middle."""
+    """One object: its cells coloured by their group's value, kg, (n_m,), and the number at each group's middle.
+
+    Args:
+        axis: where to.
+        shape: geometry.
+        values: kg a group, (n_m,); None where there is no answer.
+        norm: of the colours.
+        colors: name of the colour map.
+        digits: of the numbers, after the point.
+    """
     half = shape.cell / 2
     cells = [Rectangle((x - half, y - half), shape.cell, shape.cell) for x, y in shape.particles]
     if values is None:
@@ -93,7 +108,9 @@ def draw_groups(
         for group, value in enumerate(values):
             x, y = shape.particles[shape.mass_group == group].mean(axis=0)
             dark = mpl.colormaps[colors](norm(value))[1] < 0.5
-            axis.text(x, y, f"{value:.2f}", ha="center", va="center", fontsize=5, color="white" if dark else "black")
+            axis.text(
+                x, y, f"{value:.{digits}f}", ha="center", va="center", fontsize=5, color="white" if dark else "black"
+            )
     low, high = shape.particles.min(axis=0) - 1.5 * half, shape.particles.max(axis=0) + 1.5 * half
     axis.set_xlim(low[0], high[0])
     axis.set_ylim(low[1], high[1])

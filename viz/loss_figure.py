@@ -7,9 +7,8 @@ from collections.abc import Mapping, Sequence
 import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, NullFormatter
 
-from viz.style import DASHES, PALETTE, STYLE
+from viz.style import DASHES, PALETTE, STYLE, bare, plain_numbers
 
 
 @mpl.rc_context(STYLE)
@@ -34,15 +33,12 @@ def loss_figure(traces: Mapping[str, Sequence[np.ndarray]]) -> Figure:
     axis.set_xscale("log")
     axis.set_yscale("log")
     for each in (axis.xaxis, axis.yaxis):
-        each.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-        each.set_minor_formatter(NullFormatter())
+        plain_numbers(each)
     axis.set_xlabel("iteration")
     axis.set_ylabel("loss over first loss")
-    axis.grid(color="0.88", linewidth=0.6)
+    bare(axis)
     if axis.get_legend_handles_labels()[0]:
         axis.legend(fontsize=8, frameon=False, handlelength=3, loc="lower left")
-    for side in ("top", "right"):
-        axis.spines[side].set_visible(False)
     return figure
 
 

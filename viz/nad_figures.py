@@ -6,19 +6,21 @@ from collections.abc import Sequence
 
 import matplotlib as mpl
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+from matplotlib.ticker import LogLocator
 
 from scenarios.comparison import AXIS, Row
 from viz.report_tables import axis_values, methods_of
-from viz.style import DASHES, MARKERS, PALETTE, STYLE
+from viz.style import DASHES, MARKERS, PALETTE, STYLE, bare, plain_numbers
 
 WIDE_RANGE = 20.0
 """Largest over smallest from which on an axis is logarithmic."""
 FEW = 8
 """Up to as many values of a swept setting are all named on its axis."""
+UNITS = {"support": "N/m", "duration": "s", "pivot_error": "m"}
+"""Of settings that do not say it in their name."""
+SUFFIXES = {"_kg": "kg", "_N": "N", "_m": "m", "_s": "s"}
 MANY = 400
 """More points than this are drawn as pixels."""
 
@@ -56,13 +58,18 @@ def nad_distribution(rows: Sequence[Row]) -> Figure:
     axis.set_ylim(len(methods) - 0.5, -0.5)
     _scale(axis.xaxis, np.concatenate(every) if every else np.array([]))
     axis.set_xlabel("NAD, %")
-    _plain(axis)
+    bare(axis)
     return figure
 
 
 @mpl.rc_context(STYLE)
 def nad_sweep(rows: Sequence[Row], axis_column: str) -> Figure:
-    """A line a method through the medians, a band from the lower to the upper quartile."""
+    """NAD against a swept setting: a line a method through the medians, a band from the lower to the upper quartile.
+
+    Args:
+        rows: of a scenario run; `kind`, `method`, `nad` and the swept column are read.
+        axis_column: of the swept setting.
+    """
     values = axis_values(rows, axis_column)
     numeric = all(isinstance(value, int | float) for value in values)
     places = np.array(values, dtype=float) if numeric else np.arange(len(values), dtype=float)
@@ -92,12 +99,20 @@ def nad_sweep(rows: Sequence[Row], axis_column: str) -> Figure:
     if not numeric or len(places) <= FEW:
         axis.set_xticks(places, [f"{v:g}" if isinstance(v, float) else str(v) for v in values])
     _scale(axis.yaxis, np.concatenate(shown) if shown else np.array([]))
-    axis.set_xlabel(axis_column.removeprefix(AXIS))
+    axis.set_xlabel(axis_label(axis_column))
     axis.set_ylabel("NAD, %")
     if shown:
         figure.legend(loc="outside lower center", ncols=3, fontsize=7, frameon=False, handlelength=3)
-    _plain(axis)
+    bare(axis)
     return figure
+
+
+def axis_label(axis_column: str) -> str:
+    """Name of a swept setting, with its unit where it has one."""
+    name = axis_column.removeprefix(AXIS)
+    last = name.rsplit(".", 1)[-1]
+    unit = UNITS.get(last) or next((unit for end, unit in SUFFIXES.items() if last.endswith(end)), "")
+    return f"{name}, {unit}" if unit else name
 
 
 def _scale(axis: Axis, values: np.ndarray) -> None:
@@ -112,12 +127,4 @@ def _scale(axis: Axis, values: np.ndarray) -> None:
         set_scale("log")
         decades = np.log10(positive.max() / positive.min())
         axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if decades < 2.5 else (1.0,)))
-    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    axis.set_minor_formatter(NullFormatter())
-
-
-def _plain(axis: Axes) -> None:
-    axis.grid(color="0.88", linewidth=0.6)
-    axis.set_axisbelow(True)
-    for side in ("top", "right"):
-        axis.spines[side].set_visible(False)
+    plain_numbers(axis)

@@ -11,7 +11,10 @@ from typing import Any
 import matplotlib as mpl
 import numpy as np
 from jaxtyping import Float, UInt8
+from matplotlib.axes import Axes
+from matplotlib.axis import Axis
 from matplotlib.colors import to_rgb
+from matplotlib.ticker import FuncFormatter, NullFormatter
 
 BLUE, VERMILLION, GREEN, PURPLE, ORANGE, SKY, BLACK = (
     "#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000",
@@ -34,6 +37,8 @@ NORMAL_FORCE, FRICTION_FORCE = SKY, VERMILLION
 """Arrows at the feet."""
 VELOCITY, OBJECT_VELOCITY, PADS = BLUE, BLACK, PURPLE
 """Arrows of the particles and of the object, and the gripper's pads, as in the paper's Fig. trajectory."""
+PHASE_COLORS = ("#8C8C8C", "#BFBFBF", ORANGE, SKY, PURPLE, GREEN, "#BFBFBF")
+"""Of what the robot is doing, in the order of `Phase`."""
 BACKGROUND = "#FAFAF8"
 """Of the planar views: as light as paper, so that colour maps read as in the figures."""
 EDGE = "#505050"
@@ -52,6 +57,20 @@ STYLE: dict[Any, Any] = {
     "path.simplify": True,
 }
 """matplotlib's settings for a figure: text stays text, a $ too, and the same figure is the same file."""
+
+
+def bare(axis: Axes) -> None:
+    """A light grid, and no frame above and to the right."""
+    axis.grid(color="0.88", linewidth=0.6)
+    axis.set_axisbelow(True)
+    for side in ("top", "right"):
+        axis.spines[side].set_visible(False)
+
+
+def plain_numbers(axis: Axis) -> None:
+    """Numbers as one writes them on a logarithmic axis, and none at its small marks."""
+    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axis.set_minor_formatter(NullFormatter())
 
 
 def rgb(color: str) -> tuple[int, int, int]:

@@ -1,0 +1,28 @@
+"""Short simulated trials in a results folder, as a run leaves them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from scenarios.store import Store, key_of, trial_request
+from testbed.actions import Action
+from testbed.object_files import load_object
+from testbed.simulation.runner import SimulationRunner
+from testbed.simulation.settings import SimulationSettings
+from testbed.trial import OWN_WEIGHT, Support, Trial
+
+
+def put_trial(
+    root: Path,
+    name: str,
+    action: Action,
+    support: Support = OWN_WEIGHT,
+    settings: SimulationSettings | None = None,
+) -> str:
+    """Simulate a trial, store it, and return its key."""
+    settings = settings or SimulationSettings()
+    trial = Trial(load_object(name), action, support)
+    asked = trial_request(trial, settings)
+    key = key_of(asked)
+    Store(root).put_trial(key, trial, asked, SimulationRunner(settings).run_clean(trial))
+    return key

@@ -1,0 +1,96 @@
+"""Pictures as a file: an MP4 or GIF of many, a PNG of one; each written whole or not at all."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from fractions import Fraction
+from pathlib import Path
+
+import av
+import numpy as np
+from jaxtyping import UInt8
+from PIL import Image, ImageDraw, ImageFont
+
+from testbed.errors import InvalidValueError
+from testbed.trajectory import write_whole
+
+KINDS = (".mp4", ".gif", ".png")
+MOST_PIXELS = 3840
+"""On a side."""
+MOST_FPS = 120.0
+_QUALITY = 20
+"""x264's constant rate factor: 18 looks lossless, 23 is its default."""
+
+Picture = UInt8[np.ndarray, "H W 3"]
+
+
+def check_film(path: Path, width: int, height: int, fps: float) -> None:
+    """Refuse what no file can be made of, before anything is drawn.
+
+    Raises:
+        InvalidValueError: an unknown kind of file, a size or a rate.
+    """
+    if path.suffix.lower() not in KINDS:
+        raise InvalidValueError("--out", str(path), f"a file name that ends in {', '.join(KINDS)}")
+    for name, side in (("--width", width), ("--height", height)):
+        if not 16 <= side <= MOST_PIXELS or side % 2:
+            raise InvalidValueError(name, side, f"an even number of pixels from 16 to {MOST_PIXELS}")
+    if not 1 <= fps <= MOST_FPS:
+        raise InvalidValueError("--fps", fps, f"pictures a second, from 1 to {MOST_FPS:g}")
+
+
+def write_film(pictures: Iterable[Picture], path: Path, fps: float) -> None:
+    """Write pictures of one size as the file's ending says; a PNG has the last of them.
+
+    Args:
+        pictures: drawn as they are asked for.
+        path: of the file.
+        fps: pictures a second; a GIF keeps time to 10 ms, a picture at a time.
+    """
+    write = {".mp4": _write_mp4, ".gif": _write_gif, ".png": _write_png}[path.suffix.lower()]
+    write_whole(path, lambda part: write(pictures, part, fps))
+
+
+def captioned(picture: Picture, text: str) -> Picture:
+    """The picture with a line of text in its lower left corner."""
+    image = Image.fromarray(picture)
+    size = max(image.height // 28, 10)
+    draw = ImageDraw.Draw(image)
+    place = (size, image.height - size)
+    draw.text(place, text, fill=(40, 44, 52), font=ImageFont.load_default(size), anchor="ls")
+    return np.asarray(image)
+
+
+def _write_mp4(pictures: Iterable[Picture], part: Path, fps: float) -> None:
+    """H.264 with 4:2:0 colours and its index in front: what every browser plays."""
+    with av.open(str(part), "w", format="mp4", options={"movflags": "+faststart"}) as container:
+        stream = container.add_stream("libx264", rate=Fraction(fps).limit_denominator(1000))
+        stream.pix_fmt, stream.options = "yuv420p", {"crf": str(_QUALITY)}
+        for count, picture in enumerate(pictures):
+            if count == 0:
+                stream.height, stream.width = picture.shape[:2]
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(picture, format="rgb24")))
+        container.mux(stream.encode(None))
+
+
+def _write_gif(pictures: Iterable[Picture], part: Path, fps: float) -> None:
+    """All pictures in the colours of the first, so that what stands still does not flicker."""
+    images = _in_one_palette(pictures)
+    first, rest = next(images), list(images)
+    ends = np.round(np.arange(len(rest) + 2) * 100 / fps).astype(int) * 10  # ms, on a GIF's clock
+    durations = np.diff(ends).tolist()
+    first.save(part, format="gif", save_all=True, append_images=rest, duration=durations, loop=0, optimize=False)
+
+
+def _in_one_palette(pictures: Iterable[Picture]) -> Iterator[Image.Image]:
+    palette: Image.Image | None = None
+    for picture in pictures:
+        image = Image.fromarray(picture)
+        if palette is None:
+            palette = image.quantize(255, method=Image.Quantize.MEDIANCUT)
+        yield image.quantize(palette=palette, dither=Image.Dither.NONE)
+
+
+def _write_png(pictures: Iterable[Picture], part: Path, _: float) -> None:
+    *_rest, last = pictures
+    Image.fromarray(last).save(part, format="png", optimize=True)

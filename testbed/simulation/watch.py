@@ -1,0 +1,123 @@
+"""The bench in dm-control's interactive viewer: a trial simulated as one looks, or a record played back."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+
+import dm_control.mujoco
+import dm_env
+import mujoco
+import numpy as np
+from dm_control.mujoco.wrapper import MjModel
+from dm_env.specs import BoundedArray
+
+from testbed.actions import Weigh
+from testbed.errors import InvalidValueError
+from testbed.simulation.feasibility import check_feasible
+from testbed.simulation.motion import plan_motion
+from testbed.simulation.outcome import Outcome, Watch
+from testbed.simulation.playback import Playback
+from testbed.simulation.runner import place
+from testbed.simulation.scene import build_scene
+from testbed.simulation.servo import Servo
+from testbed.simulation.settings import SimulationSettings
+from testbed.simulation.views import light
+from testbed.trial import Trial
+
+KEYS = "space starts and stops, backspace begins again, F1 lists all keys; drag to turn, scroll to come nearer"
+"""What a user of the viewer must know."""
+
+
+class _Scripted:
+    """What the viewer asks of an environment: physics, `reset` and `step`; here there is no action to be chosen."""
+
+    physics: dm_control.mujoco.Physics
+
+    def action_spec(self) -> BoundedArray:
+        return BoundedArray((0,), float, 0.0, 0.0)
+
+
+class LiveTrial(_Scripted):
+    """A trial that is simulated as it is looked at; a step is one sample of its record."""
+
+    def __init__(self, trial: Trial, settings: SimulationSettings | None = None):
+        """Plan it and put the object on the bench.
+
+        Raises:
+            InvalidValueError: a weighing.
+            InfeasibleTrialError: the arm, the gripper or the table cannot do it.
+        """
+        if isinstance(trial.action, Weigh):
+            raise InvalidValueError("action", "weigh", "a slide or a turn: on a scale nothing moves")
+        self._settings = settings or SimulationSettings()
+        shape = trial.object.shape
+        self._motion = plan_motion(trial.action, shape, self._settings)
+        check_feasible(trial, self._motion, self._settings)
+        grasp = shape.grasps[trial.action.grasp]
+        self._scene = build_scene(trial.object, trial.support, grasp, self._settings, meshes=True)
+        light(self._scene.model)
+        self.physics = dm_control.mujoco.Physics.from_model(MjModel(self._scene.model))
+        self._steps = round(1 / self._settings.rate / self._settings.timestep)
+        self.reset()
+
+    def reset(self) -> dm_env.TimeStep:
+        """Begin the trial again."""
+        model, data = self._scene.model, self.physics.data.ptr
+        mujoco.mj_resetData(model, data)
+        place(model, data, self._motion)
+        self._servo = Servo(model, self._motion, self._settings)
+        self._watch = Watch(model, self._scene, self._motion, self._settings)
+        self._tick = 0
+        return dm_env.restart({})
+
+    def step(self, action: np.ndarray) -> dm_env.TimeStep:
+        """Simulate one sample, as the runner does."""
+        model, data = self._scene.model, self.physics.data.ptr
+        self._servo.command(data, self._tick)
+        mujoco.mj_step(model, data, self._steps)
+        self._servo.measure(data, self._tick)
+        trouble = self._watch.trouble(data, self._tick)
+        self._tick += 1
+        over = trouble or self._tick == len(self._motion.q)
+        return dm_env.termination(0.0, {}) if over else dm_env.transition(0.0, {})
+
+    @property
+    def duration(self) -> float:
+        """Of the whole trial, s."""
+        return len(self._motion.q) / self._settings.rate
+
+    def outcome(self) -> Outcome:
+        """What it has come to so far."""
+        return self._watch.outcome()
+
+
+class Replay(_Scripted):
+    """A record played back; a step is one sample."""
+
+    def __init__(self, playback: Playback):
+        self._playback = playback
+        self.physics = dm_control.mujoco.Physics.from_model(MjModel(playback.model))
+        playback.data = self.physics.data.ptr  # what the viewer looks at
+        self.reset()
+
+    def reset(self) -> dm_env.TimeStep:
+        """Begin at the first sample."""
+        self._sample = 0
+        self._playback.show(0)
+        return dm_env.restart({})
+
+    def step(self, action: np.ndarray) -> dm_env.TimeStep:
+        """Show the next sample."""
+        last = len(self._playback.trajectory.time_s) - 1
+        self._sample = min(self._sample + 1, last)
+        self._playback.show(self._sample)
+        over = self._sample == last
+        return dm_env.termination(0.0, {}) if over else dm_env.transition(0.0, {})
+
+
+def watch(shown: LiveTrial | Replay, title: str) -> None:
+    """Open a window on it, and return when it is closed or Ctrl-C pressed; `graphics.choose_window` comes before."""
+    from dm_control import viewer  # noqa: PLC0415  it needs a display as soon as it is imported
+
+    with suppress(KeyboardInterrupt):
+        viewer.launch(shown, title=title)

@@ -67,6 +67,74 @@ def report(folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="
     print(write(folder))
 
 
+def render(
+    folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DIR")],
+    trial: Annotated[str | None, tyro.conf.Positional, tyro.conf.arg(metavar="TRIAL")] = None,
+    *,
+    out: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None,
+    width: Annotated[int, tyro.conf.arg(metavar="PX")] = 960,
+    height: Annotated[int, tyro.conf.arg(metavar="PX")] = 640,
+    fps: Annotated[float, tyro.conf.arg(metavar="N")] = 25.0,
+    speed: Annotated[float, tyro.conf.arg(metavar="X")] = 1.0,
+    camera: Literal["bench", "object", "above"] = "bench",
+    at: Annotated[float | None, tyro.conf.arg(metavar="S")] = None,
+    caption: bool = True,
+) -> None:
+    """Draw a recorded trial, simulated or real: a film (.mp4, .gif) or one picture (.png). Needs no display.
+
+    Examples: heft render results/blocks                 (lists the trials)
+              heft render results/blocks 3f9a --speed 4
+              heft render results/blocks 3f9a --out turn.gif --camera above --width 480 --height 320 --fps 12.5
+
+    Args:
+        folder: of a run.
+        trial: its key, or a beginning of it that no other has; left out, the trials are listed.
+        out: file that ends in .mp4, .gif or .png; DIR/trials/TRIAL/trial.mp4 if left out.
+        width: of the picture, px; even.
+        height: of the picture, px; even.
+        fps: pictures a second of film.
+        speed: seconds of trial a second of film.
+        camera: bench (all of it), object (close), or above (the object alone, with the arm out of the way).
+        at: instant of the one picture of a .png, s; the middle if left out.
+        caption: say in each picture what it shows, and when.
+    """
+    from scenarios.render_run import Wish, list_trials, render_trial  # noqa: PLC0415
+
+    if trial is None:
+        list_trials(Console(), folder)
+    else:
+        print(render_trial(folder, trial, Wish(out, width, height, fps, speed, camera, at, caption)))
+
+
+def watch(
+    what: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="OBJECT|DIR")] = "L2",
+    trial: Annotated[str | None, tyro.conf.Positional, tyro.conf.arg(metavar="TRIAL")] = None,
+    *,
+    action: Literal["rotate", "slide", "accelerate"] = "rotate",
+    grasp: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None,
+    support: Annotated[str, tyro.conf.arg(metavar="SUPPORT")] = "own_weight",
+) -> None:
+    """Open a window on a trial: heft watch OBJECT simulates one as you look, heft watch DIR TRIAL plays a recorded one.
+
+    Needs a display; heft render needs none. Space starts and stops, backspace begins again, F1 lists all keys.
+    Examples: heft watch hammer --action slide --grasp handle_mid
+              heft watch results/blocks 3f9a
+
+    Args:
+        what: an object, by name in the library or path to a TOML file; or the folder of a run.
+        trial: key of a trial in that folder, or a beginning of it that no other has.
+        action: what to simulate; with the action's own speed and duration.
+        grasp: where it is gripped (see heft show); the first grasp if left out.
+        support: who carries the weight: own_weight, rigid, or a stiffness in N/m.
+    """
+    from scenarios.watch_run import watch_live, watch_record  # noqa: PLC0415
+
+    if trial is None:
+        watch_live(what, action, grasp, support)
+    else:
+        watch_record(Path(what), trial)
+
+
 def objects() -> None:
     """List the objects in the library."""
     from scenarios.show import list_objects  # noqa: PLC0415
@@ -102,6 +170,8 @@ def main(arguments: list[str] | None = None) -> None:
                 "run": run,
                 "status": status,
                 "report": report,
+                "render": render,
+                "watch": watch,
                 "objects": objects,
                 "scenarios": scenarios,
                 "show": show,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import TYPE_CHECKING
 
 from rich.console import Console
 from rich.progress import (
@@ -17,7 +18,8 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 
-from scenarios.cells import Progress as Told
+if TYPE_CHECKING:
+    from scenarios.cells import Progress as Told  # who draws a film need not wait for torch
 
 EVERY_S = 10.0
 """Between two plain lines, s."""

@@ -171,6 +171,10 @@ def test_every_command_is_understood(page, line, inside, monkeypatch):
     monkeypatch.setattr("scenarios.main_run.run_and_show", lambda *_: ran.append("run"))
     monkeypatch.setattr("scenarios.status.show_status", lambda *_: ran.append("status"))
     monkeypatch.setattr("scenarios.report_run.report", lambda _: ran.append("report"))
+    for name in ("list_trials", "render_trial"):
+        monkeypatch.setattr(f"scenarios.render_run.{name}", lambda *_: ran.append("render"))
+    for name in ("watch_live", "watch_record"):
+        monkeypatch.setattr(f"scenarios.watch_run.{name}", lambda *_: ran.append("watch"))
     words = line.split()[1:]
     if words[0].startswith("--tyro-"):
         words[-1] = str(inside / "completion")

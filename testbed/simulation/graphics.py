@@ -45,7 +45,7 @@ def choose_window() -> None:
     if not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
         raise NoGraphicsError(
             "cannot open a window: there is no display (neither DISPLAY nor WAYLAND_DISPLAY is set); "
-            "heft render makes a film without one, heft view shows a record in a browser"
+            "heft render makes a film without one; see also heft view"
         )
     os.environ["MUJOCO_GL"] = "glfw"
     said = _why_no_window()

@@ -48,6 +48,7 @@ def choose_window() -> None:
             "heft render makes a film without one; see also heft view"
         )
     os.environ["MUJOCO_GL"] = "glfw"
+    os.environ.pop("PYOPENGL_PLATFORM", None)  # a process that draws without a display leaves "egl" to its children
     said = _why_no_window()
     if said is not None:
         where = os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")

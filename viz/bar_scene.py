@@ -188,7 +188,7 @@ def filled(left: float, right: float, height: float, stroke: float) -> tuple[Flo
     """A line and half its width that cover a bar from 0 to `height` and no more: planar boxes are outlines in Rerun."""
     radius = min(stroke, height / 2, (right - left) / 2)
     # each stroke covers half of the one before, or seams would show
-    x = np.linspace(left + radius, right - radius, int(np.ceil((right - left) / stroke)))
+    x = np.linspace(left + radius, right - radius, max(int(np.ceil((right - left) / stroke)), 2))
     low, high = radius, height - radius
     around = [[x[0], low], [x[-1], low], [x[-1], high], [x[0], high]]
     strokes = [[at, end] for i, at in enumerate(x) for end in ((high, low), (low, high))[(i + 1) % 2]]

@@ -14,7 +14,7 @@ from testbed.errors import InvalidValueError
 from testbed.objects import MassDistribution, ObjectShape
 from testbed.trajectory import Trajectory
 from viz.cell_map import Scale
-from viz.frames import ITERATION, Frames, evenly
+from viz.frames import ITERATION, MOST_FRAMES, Frames, evenly
 from viz.style import DIFFERENCE_COLORS, MASS_COLORS
 
 LEVEL, DEVIATIONS = "90 %", 1.645
@@ -107,7 +107,7 @@ class EstimateShown:
         if not self.traces or not self.traces[0].mass.size:
             return Frames.still(), mass[None]
         way = self.traces[0].mass * self.shape.particles_per_group
-        kept = evenly(len(way))
+        kept = evenly(len(way), MOST_FRAMES - 1)
         frames = Frames(ITERATION, np.append(kept, len(way)).astype(float), len(kept))
         return frames, np.vstack([way[kept], mass])
 

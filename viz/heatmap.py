@@ -61,6 +61,8 @@ def save_figure(figure: Figure, path: Path) -> list[Path]:
     stamps: dict[str, dict[str, Any]] = {"pdf": {"CreationDate": None}, "png": {"Software": None}}
     files = {kind: path.with_name(f"{path.name}.{kind}") for kind in stamps}
     with mpl.rc_context(STYLE):
+        figure.draw_without_rendering()  # lays it out, once for both files
+        figure.set_layout_engine("none")
         for kind, stamp in stamps.items():  # the same figure is the same file
             write_whole(files[kind], lambda part, k=kind, s=stamp: figure.savefig(part, format=k, dpi=200, metadata=s))
     return list(files.values())

@@ -12,7 +12,7 @@ import rerun.blueprint as rrb
 from testbed.errors import InvalidValueError
 from viz.bar_scene import BarScene, Series
 from viz.cell_map import BELOW, CellMap, Raster, Scale, log_bar
-from viz.estimate_shown import EstimateShown, difference_scale_of, mass_scale_of
+from viz.estimate_shown import LEVEL, EstimateShown, difference_scale_of, mass_scale_of
 from viz.estimate_view import TITLE
 from viz.frames import Frames
 from viz.planar import Box, Canvas, log_upright, planar_view
@@ -60,12 +60,10 @@ def comparison_blueprint(root: str, shown: Sequence[EstimateShown]) -> rrb.Conta
         nad = nad if each.answer is not None else ": no answer"
         views.append(planar_view(f"{root}/methods/{index}", layout.box, f"{each.method}{nad}"))
     where = "mass left, difference right" if layout.beside[0] else "mass above, difference below"
-    views.append(
-        planar_view(
-            f"{root}/scales", Box(0.0, -layout.cell.height, layout.cell.width, 0.0), where if known else "scale"
-        )
-    )
-    bars = planar_view(f"{root}/bars", _bars(shown).box, "mass of each group, all methods")
+    whole = Box(0.0, -layout.cell.height, layout.cell.width, 0.0)
+    views.append(planar_view(f"{root}/scales", whole, where if known else "scale"))
+    lines = f"; lines: {LEVEL} intervals" if any(each.half_width is not None for each in shown) else ""
+    bars = planar_view(f"{root}/bars", _bars(shown).box, f"mass of each group, all methods{lines}")
     grid = rrb.Grid(*views, grid_columns=layout.columns)
     return rrb.Vertical(grid, bars, row_shares=[WINDOW.height - BARS, BARS], name="comparison")
 

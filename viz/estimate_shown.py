@@ -113,20 +113,25 @@ class EstimateShown:
 
 
 def mass_scale_of(every: Sequence[EstimateShown], top: float | None = None) -> Scale:
-    """One scale for the true and all estimated masses; by default up to the largest."""
+    """One scale for the true and all estimated masses; by default up to the largest of them."""
     masses = [m for shown in every for m in (shown.true_mass, shown.mass) if m is not None]
-    return _scale(masses, top, 0.0, MASS_COLORS, "mass, kg a group")
+    ways = [shown.history[1] for shown in every if shown.history is not None]
+    return _scale(masses, ways, top, 0.0, MASS_COLORS, "mass, kg a group")
 
 
 def difference_scale_of(every: Sequence[EstimateShown], top: float | None = None) -> Scale:
-    """One scale for all absolute differences; by default up to the largest."""
-    truths = [float(shown.true_mass.max()) for shown in every if shown.true_mass is not None]
-    least = LEAST_DIFFERENCE * max(truths, default=0.0)
-    off = [shown.difference for shown in every if shown.difference is not None]
-    return _scale(off, top, least, DIFFERENCE_COLORS, "|difference|, kg a group")
+    """One scale for all absolute differences; by default up to the largest of the answers."""
+    known = [(shown, shown.true_mass) for shown in every if shown.true_mass is not None]
+    off = [shown.difference for shown, _ in known if shown.difference is not None]
+    ways = [np.abs(shown.history[1] - truth) for shown, truth in known if shown.history is not None]
+    least = LEAST_DIFFERENCE * max((float(truth.max()) for _, truth in known), default=0.0)
+    return _scale(off, ways, top, least, DIFFERENCE_COLORS, "|difference|, kg a group")
 
 
-def _scale(values: list[np.ndarray], top: float | None, least: float, colors: str, title: str) -> Scale:
-    largest = max((float(v.max()) for v in values), default=1.0)
+def _scale(
+    ends: Sequence[np.ndarray], ways: Sequence[np.ndarray], top: float | None, least: float, colors: str, title: str
+) -> Scale:
+    """Up to `top`, or to the largest of `ends`; open where an end or something on the way to it is larger."""
+    largest = max((float(values.max()) for values in ends), default=1.0)
     end = max(largest if top is None else top, least, 1e-6)
-    return Scale(end, colors, title, open=largest > end * (1 + 1e-9))
+    return Scale(end, colors, title, open=any(float(values.max()) > end * (1 + 1e-9) for values in (*ends, *ways)))

@@ -1,0 +1,100 @@
+"""Figures for papers, as PDF and PNG: of a whole results folder, or of one of its estimates."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+from matplotlib.figure import Figure
+
+from scenarios.comparison import AXIS, Row, axes_of, select
+from scenarios.results import load_results
+from scenarios.seen import estimate_shown, fits_of
+from scenarios.store import rows_of
+from scenarios.tables import SUPPORT_NAMES
+from testbed.errors import HeftError
+from testbed.objects import ObjectShape
+from viz.estimate_figure import estimate_bars, estimate_losses, estimate_maps
+from viz.heatmap import absolute_difference, save_figure
+from viz.loss_figure import loss_figure
+from viz.nad_figures import nad_distribution, nad_sweep
+from viz.report_tables import MOST_OBJECTS, axis_values
+from viz.result_files import ResultFiles
+from viz.wrench_fit_figure import wrench_fit_figure
+
+TRIALS_A_FIGURE = 4
+"""Wrench fits that fit side by side on a page."""
+
+
+def figures(folder: Path, what: Row | None = None) -> list[Path]:
+    """Write figures into folder/figures, each whole or not at all; their paths.
+
+    Args:
+        folder: results folder.
+        what: one of its rows; None for what there is to say of all of them.
+
+    Raises:
+        InvalidValueError: no results, or an estimate that does not say what it is of.
+        HeftError: a file that is damaged.
+    """
+    drawn = _of_all(folder) if what is None else _of_estimate(folder, what)
+    return [path for name, figure in drawn for path in save_figure(figure, folder / "figures" / file_name(name))]
+
+
+def file_name(said: str) -> str:
+    """Letters, digits, dots, dashes and underscores, and nothing else."""
+    return re.sub(r"[^A-Za-z0-9.-]+", "_", said.replace("/", " per ")).strip("_.")
+
+
+def _of_all(folder: Path) -> Iterator[tuple[str, Figure]]:
+    """NAD by method and against every swept setting, differences by object, and losses."""
+    rows = [row for row in rows_of(load_results(folder)) if row["method"]]
+    for first in {(row["support"], row["sensing"]): row for row in rows}.values():
+        found = select(rows, support=first["support"], sensing=first["sensing"])
+        under = f"{first['support']} {first['sensing']}"
+        title = f"{SUPPORT_NAMES.get(first['support'], first['support'])}, {first['sensing']}"
+        yield f"nad {under}", nad_distribution(found)
+        shapes = _shapes(folder, found)
+        if shapes:
+            yield f"absolute_difference {under}", absolute_difference(found, shapes, title)
+    for axis in axes_of(rows):
+        split = {(row["support"], row["sensing"]): row for row in rows}.values()
+        groups = {
+            f" {first['support']} {first['sensing']}": select(rows, support=first["support"], sensing=first["sensing"])
+            for first in split
+        }
+        swept = {under: found for under, found in groups.items() if len(axis_values(found, axis)) > 1}
+        for under, found in (swept or {"": rows}).items():
+            yield f"nad_against {axis.removeprefix(AXIS)}{under}", nad_sweep(found, axis)
+    files = ResultFiles(folder)
+    for method, losses in files.losses(rows, files.estimate_keys(rows)).items():
+        yield f"loss {method}", loss_figure(losses)
+
+
+def _of_estimate(folder: Path, row: Row) -> Iterator[tuple[str, Figure]]:
+    """Maps, bars, losses, and how the answer explains each of its trials."""
+    shown = estimate_shown(folder, row)
+    name = f"{row['object']} {row['method']} {str(row['key'])[:8]}"
+    yield f"{name} maps", estimate_maps(shown)
+    yield f"{name} bars", estimate_bars(shown)
+    losses = estimate_losses(shown)
+    if losses is not None:
+        yield f"{name} loss", losses
+    fits = fits_of(folder, row, shown)[-1]
+    for page, begin in enumerate(range(0, len(fits), TRIALS_A_FIGURE)):
+        yield f"{name} wrenches {page + 1}", wrench_fit_figure(fits[begin : begin + TRIALS_A_FIGURE])
+
+
+def _shapes(folder: Path, rows: Sequence[Row]) -> dict[str, ObjectShape]:
+    """Geometry of each object; none where something is swept, or there are too many for a picture each."""
+    first = {row["object"]: row for row in reversed(rows) if row.get("key") and row["mass_kg"] is not None}
+    if axes_of(rows) or len(first) > MOST_OBJECTS:
+        return {}
+    shapes = {}
+    for name in dict.fromkeys(row["object"] for row in rows if row["object"] in first):
+        try:
+            shapes[name] = estimate_shown(folder, first[name]).shape
+        except HeftError:  # written by a version that did not keep it
+            continue
+    return shapes

@@ -45,6 +45,8 @@ class Faults:
     """Probability that a byte has a bit flipped."""
     garbage: float = 0.0
     """Probability that a few random bytes come before a frame."""
+    latency: float = 0.0
+    """The adapter hands its bytes on only this often, s."""
     stalled: bool = False
     """The sensor sends nothing."""
     deaf: bool = False
@@ -73,7 +75,8 @@ class FakeFt300s:
         self._rng = np.random.default_rng(seed)
         self._framer = FramerRTU(DecodePDU(True))
         self._received = b""
-        self._due = 0.0
+        self._due = self._handed_on = 0.0
+        self._held = b""
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, daemon=True)
 
@@ -102,7 +105,8 @@ class FakeFt300s:
     def _run(self) -> None:
         while not self._stop.is_set():
             # what is overdue goes out in one go, as from the buffer of a real port
-            wait = max(self._due - time.monotonic(), 0.0) if self.streaming else 0.02
+            next_ = min(self._due, self._handed_on + self.faults.latency) if self._held else self._due
+            wait = max(next_ - time.monotonic(), 0.0) if self.streaming else 0.02
             if select.select([self._master], [], [], wait)[0]:
                 self._hear(os.read(self._master, 4096))
             if not self.streaming:
@@ -110,6 +114,9 @@ class FakeFt300s:
             elif time.monotonic() >= self._due:
                 self._send_frame(self._due)
                 self._due += self._period
+            if self._held and time.monotonic() >= self._handed_on + self.faults.latency:
+                self._write(self._held)
+                self._held, self._handed_on = b"", time.monotonic()
 
     def _hear(self, data: bytes) -> None:
         if termios.tcgetattr(self._slave)[5] != SPEEDS[self._baud]:
@@ -150,7 +157,7 @@ class FakeFt300s:
             data = self._rng.bytes(int(self._rng.integers(1, 8))) + data
         if self.faults.corrupt or self.faults.drop:
             data = self._damaged(data)
-        self._write(data)
+        self._held += data
 
     def _damaged(self, data: bytes) -> bytes:
         bytes_ = np.frombuffer(data, np.uint8)

@@ -155,6 +155,15 @@ def test_damage_on_the_wire_costs_frames_and_never_makes_one(fake: FakeFt300s, f
         assert health.frames + health.lost_frames == pytest.approx(sent, abs=3)
 
 
+def test_an_adapter_that_hands_bytes_on_in_bunches_loses_nothing(fake: FakeFt300s):
+    fake.faults.latency = 0.016
+    with sensor_on(fake) as sensor:
+        samples = collect(sensor, 200)
+        assert sensor.health().lost_frames == 0
+    assert wrenches(samples) == said_by(fake)[: len(samples)]
+    assert (np.diff([s.time_s for s in samples]) > 0).all()
+
+
 def test_a_stall_is_told_and_ends_by_itself(fake: FakeFt300s):
     with sensor_on(fake, stale_after=0.3) as sensor:
         collect(sensor, 10)

@@ -7,6 +7,7 @@ import math
 import threading
 import time
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
 from typing import Self
@@ -149,20 +150,15 @@ class Ft300s:
             ) from None
         if firmware.isError() or number.isError():
             raise RobotError(f"sensor {self.port}: the device refuses to say what it is: {firmware}, {number}")
-        letters = b"".join(r.to_bytes(2, "big") for r in firmware.registers)
-        if letters[:1] != b"F":
-            raise RobotError(f"sensor {self.port}: got firmware {letters!r}; allowed: an FT sensor's, F first")
-        old = self._identity
-        words = number.registers
-        digits = words[3] << 16 | words[2]  # low word first
-        name = b"".join(r.to_bytes(2, "big") for r in words[:2])[:3].decode("ascii", "replace")
-        return SensorIdentity(
-            old.name,
-            f"{name}-{digits:04d}" if digits else "unknown",
-            f"{letters[:3].decode('ascii', 'replace')}-{letters[3]}.{letters[4]}.{letters[5]}",
-            old.rate_hz,
-            old.force_range,
-            old.torque_range,
+        words = [*firmware.registers, *number.registers]
+        said = b"".join(word.to_bytes(2, "big") for word in words)
+        if len(words) != _FIRMWARE[1] + _SERIAL[1] or said[:1] != b"F":
+            raise RobotError(f"sensor {self.port}: got firmware {said[:6]!r}; allowed: an FT sensor's, F first")
+        digits = words[6] << 16 | words[5]  # low word first
+        return replace(
+            self._identity,
+            serial=f"{said[6:9].decode('ascii', 'replace')}-{digits:04d}" if digits else "unknown",
+            firmware=f"{said[:3].decode('ascii', 'replace')}-{said[3]}.{said[4]}.{said[5]}",
         )
 
     def _update(self) -> None:

@@ -77,12 +77,11 @@ def steady_windows(trajectory: Trajectory) -> list[SteadyWindow]:
             "trajectory.action", trajectory.action, "a slide or a turn; read a weighing with weight_of"
         )
     into_object = rotation_2d(-trajectory.object_pose[:, 2])
-    turn = lambda v: np.einsum("nij,nj->ni", into_object, v)  # noqa: E731
-    wrench = trajectory.wrench_on_object_world
-    in_object = np.hstack([turn(wrench[:, :2]), wrench[:, 2:3], turn(wrench[:, 3:5]), wrench[:, 5:]])
-    twist = np.column_stack([turn(trajectory.tcp_velocity[:, :2]), trajectory.object_velocity[:, 2]])
+    in_object = wrench_in_object(trajectory)
+    linear = np.einsum("nij,nj->ni", into_object, trajectory.tcp_velocity[:, :2])
+    twist = np.column_stack([linear, trajectory.object_velocity[:, 2]])
     world_twist = np.column_stack([trajectory.tcp_velocity[:, :2], trajectory.object_velocity[:, 2]])
-    bias = _bias_at_tcp(trajectory)
+    bias = _at_tcp(trajectory, np.diag(trajectory.sensor_bias_std**2))
     windows = []
     for kept in steady_samples(trajectory):
         yaw = trajectory.object_pose[kept, 2]
@@ -130,19 +129,36 @@ def steady_samples(trajectory: Trajectory) -> list[Int[np.ndarray, "N"]]:
     return stretches
 
 
-def _bias_at_tcp(trajectory: Trajectory) -> np.ndarray:
-    """The tare's remaining error, moved from the sensor to the TCP and into object axes, (6, 6).
+def wrench_in_object(trajectory: Trajectory) -> Float[np.ndarray, "T 6"]:
+    """What the gripper does to the object, about the TCP, in axes that turn with the object (z up), N and N m."""
+    into_object = rotation_2d(-trajectory.object_pose[:, 2])
+    force, torque = trajectory.wrench_on_object_world[:, :3], trajectory.wrench_on_object_world[:, 3:]
+    planar = [np.einsum("nij,nj->ni", into_object, part[:, :2]) for part in (force, torque)]
+    return np.hstack([planar[0], force[:, 2:], planar[1], torque[:, 2:]])
+
+
+def sample_deviation(trajectory: Trajectory) -> Float[np.ndarray, "6"]:
+    """How far the sensor's errors take a single sample of `wrench_in_object` off, one standard deviation, N and N m.
+
+    Its noise as it was seen while hovering, and the constant error that the tare may leave.
+    """
+    hovering = trajectory.sensor_wrench[trajectory.mask(Phase.TARE)]
+    noise = np.cov(hovering, rowvar=False) if len(hovering) > 1 else np.zeros((6, 6))
+    return np.sqrt(np.diag(_at_tcp(trajectory, noise + np.diag(trajectory.sensor_bias_std**2))))
+
+
+def _at_tcp(trajectory: Trajectory, covariance: Float[np.ndarray, "6 6"]) -> Float[np.ndarray, "6 6"]:
+    """Covariance of an error of the sensor, moved to the TCP and into object axes, (6, 6).
 
     The hand holds the object, so one moment's axes serve for the whole trial.
     """
-    bias = np.diag(trajectory.sensor_bias_std**2)
     if trajectory.tool is None:
-        return bias
+        return covariance
     first = int(np.argmax(trajectory.segment >= 0))
     axes = rotation_matrix(trajectory.sensor_orientation[first])
     axes[:2] = rotation_2d(-trajectory.object_pose[first, 2]) @ axes[:2]
     move = rotate_wrench(axes, move_wrench(np.eye(6), trajectory.tool.tcp)).T
-    return move @ bias @ move.T
+    return move @ covariance @ move.T
 
 
 def _slopes(time: np.ndarray, twist: np.ndarray, yaw: np.ndarray) -> np.ndarray:

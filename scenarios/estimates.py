@@ -146,15 +146,26 @@ class Asked:
 
 def estimate(asked: Asked, seed: int, key: str, store: Store) -> None:
     """Task: the answer to one draw."""
-    every = asked.keys + asked.held_out
-    clean = _trajectories(store, every)
-    drawn = [draw_sensing(t, preset(asked.sensing), _draw_seed(seed, i, every[i])) for i, t in enumerate(clean)]
+    drawn = sensed(store, asked.keys + asked.held_out, asked.sensing, seed)
     seen, held_out = drawn[: len(asked.keys)], drawn[len(asked.keys) :]
     method = build_method(asked.method, asked.settings)
     answer = method.estimate(asked.truth.shape, weight_of(seen[0]), seen[1:], seed)
     said = asked.labels() | {"trial_keys": list(asked.keys), "held_out_keys": list(asked.held_out)}
     row = {"seed": seed} | said | judge(asked.truth, answer, seen, held_out, reference=asked.reference)
-    store.put_estimate(key, row, answer)
+    store.put_estimate(key, row, answer, asked.truth.shape)
+
+
+def sensed(store: Store, keys: tuple[str, ...], sensing: str, seed: int) -> list[Trajectory]:
+    """Trials as one draw of a sensor's errors has them.
+
+    Args:
+        store: where they are.
+        keys: in the order in which they were asked for, the weighing first, the held-out ones last.
+        sensing: name of the preset.
+        seed: of the draw.
+    """
+    clean = _trajectories(store, keys)
+    return [draw_sensing(t, preset(sensing), _draw_seed(seed, i, keys[i])) for i, t in enumerate(clean)]
 
 
 @lru_cache(maxsize=1)

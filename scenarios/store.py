@@ -30,7 +30,7 @@ from estimators.protocol import Estimate
 from testbed.actions import action_to_dict
 from testbed.foot_forces import FootForces, save_foot_forces
 from testbed.object_files import ObjectFile
-from testbed.objects import ObjectModel, Solid
+from testbed.objects import ObjectModel, ObjectShape, Solid
 from testbed.resources import asset_folder
 from testbed.simulation.settings import SimulationSettings
 from testbed.trajectory import (
@@ -152,10 +152,10 @@ class Store:
         """A finished estimate's row, or None."""
         return read_json(self.root / "estimates" / key / "result.json")
 
-    def put_estimate(self, key: str, row: dict[str, Any], answer: Estimate) -> None:
+    def put_estimate(self, key: str, row: dict[str, Any], answer: Estimate, shape: ObjectShape) -> None:
         """Write an estimate: its arrays, then its row, which comes last and means done."""
         folder = self.root / "estimates" / key
-        write_whole(folder / "estimate.npz", lambda part: _save_arrays(part, answer))
+        write_whole(folder / "estimate.npz", lambda part: _save_arrays(part, answer, shape))
         write_json(folder / "result.json", row)
         (folder / "error.txt").unlink(missing_ok=True)
 
@@ -188,8 +188,13 @@ def _missing(value: Any) -> bool:
     return value is None or (isinstance(value, float) and np.isnan(value))
 
 
-def _save_arrays(path: Path, answer: Estimate) -> None:
-    arrays: dict[str, Any] = {}
+def _save_arrays(path: Path, answer: Estimate, shape: ObjectShape) -> None:
+    arrays: dict[str, Any] = {
+        "particles": shape.particles,
+        "mass_group": shape.mass_group,
+        "friction_group": shape.friction_group,
+        "cell": shape.cell,
+    }
     if answer.distribution is not None:
         arrays |= {"mass": answer.distribution.mass, "friction": answer.distribution.friction}
     if answer.covariance is not None:

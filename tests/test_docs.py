@@ -287,7 +287,7 @@ def test_columns_and_header_of_a_trajectory(tmp_path):
 def test_arrays_of_an_estimate(tmp_path):
     trace = Trace("adam", (1.0,), (0.1,), 1.0, np.ones((1, 2)))
     answer = Estimate(MassDistribution(np.ones(2), np.ones(1)), "ok", covariance=np.eye(2), traces=(trace,))
-    Store(tmp_path).put_estimate("key", {}, answer)
+    Store(tmp_path).put_estimate("key", {}, answer, load_object("L2").shape)
     with np.load(tmp_path / "estimates/key/estimate.npz") as arrays:
         written = [name.replace("adam", "<optimizer>") for name in arrays.files]
     assert names(table("formats.md", "estimate.npz")) == written

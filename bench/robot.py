@@ -21,6 +21,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 from fake_ft300s import FakeFt300s  # pyright: ignore[reportMissingImports]
 
 from testbed.robot.ft300s import Ft300s
+from testbed.robot.ports import WrenchSample
 
 _WRAP = 30_000
 """Numbers that one axis can say."""
@@ -45,20 +46,18 @@ def sensor(minutes: float) -> None:
     command = [sys.executable, __file__, "play"]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as other:
         assert other.stdout is not None
-        numbers: list[int] = []
-        times: list[float] = []
+        samples: list[WrenchSample] = []
         with Ft300s(other.stdout.readline().strip(), stale_after=1.0) as reader:
             begin, begin_cpu = time.monotonic(), time.process_time()
             while time.monotonic() < begin + 60 * minutes:
                 time.sleep(0.1)
-                for sample in reader.drain():
-                    numbers.append(round(sample.wrench[0] * 100) + _WRAP * round(sample.wrench[1] * 100))
-                    times.append(sample.time_s)
+                samples += reader.drain()
             cpu, wall = time.process_time() - begin_cpu, time.monotonic() - begin
             health = reader.health()
         other.communicate()
+    numbers = [round(s.wrench[0] * 100) + _WRAP * round(s.wrench[1] * 100) for s in samples]
     missing = np.diff(numbers) - 1
-    gaps = np.diff(times) * 1e3
+    gaps = np.diff([s.time_s for s in samples]) * 1e3
     table = Table("figure", "value", box=box.SIMPLE)
     for figure, value in (
         ("time", f"{wall:.1f} s"),

@@ -246,7 +246,10 @@ class Arm(Protocol):
         ...
 
     def stop(self) -> None:
-        """Stop all motion. From any thread, as often as wanted, also where nothing moves or nothing is connected."""
+        """Stop all motion. From any thread, as often as wanted, also where nothing moves or nothing is connected.
+
+        A twist or a pose that was asked for before no longer counts, also where it is still on its way.
+        """
         ...
 
     def clear_faults(self) -> None:

@@ -1,0 +1,158 @@
+"""What the real bench must never do: one set of limits, checked on the planned path and at every tick of motion."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from testbed.arrays import check_positive, frozen_array
+from testbed.errors import InvalidValueError
+from testbed.frames import rotation_matrix
+from testbed.robot.ports import ArmLimits, ArmState, RobotError
+
+_OVERSHOOT = 1.25
+"""Measured speed over commanded speed that is no fault of the command."""
+
+
+@dataclass(frozen=True)
+class SafetyLimits:
+    """What the tool may do. Base frame of the arm."""
+
+    low: tuple[float, float, float] = (0.25, -0.35, 0.015)
+    """Corner of the box that the TCP must stay in, m."""
+    high: tuple[float, float, float] = (0.65, 0.35, 0.40)
+    """The opposite corner, m."""
+    linear_speed: float = 0.15
+    """Of the TCP, m/s."""
+    angular_speed: float = 1.2
+    """Of the tool, rad/s."""
+    tilt: float = math.radians(5)
+    """Angle of the approach axis from straight down, rad."""
+    force: float = 60.0
+    """Change of the sensor's force since the tare, N."""
+    torque: float = 8.0
+    """Change of the sensor's torque since the tare, N m."""
+    joint_margin: float = math.radians(3)
+    """Distance to keep from the end of a joint's range, rad."""
+    age: float = 0.1
+    """Age of the newest feedback and of the newest wrench, s."""
+
+    def __post_init__(self) -> None:
+        for name in ("low", "high"):
+            corner = frozen_array(f"SafetyLimits.{name}", getattr(self, name), (3,))
+            object.__setattr__(self, name, tuple(corner.tolist()))
+        if not all(a < b for a, b in zip(self.low, self.high, strict=True)):
+            raise InvalidValueError("SafetyLimits.high", self.high, f"a corner beyond the low one {self.low}, m")
+        for name in ("linear_speed", "angular_speed", "tilt", "force", "torque", "age"):
+            check_positive(f"SafetyLimits.{name}", getattr(self, name))
+        if not 0 <= self.joint_margin < math.pi / 2:
+            raise InvalidValueError("SafetyLimits.joint_margin", self.joint_margin, "0 to pi / 2, rad")
+
+
+@dataclass(frozen=True)
+class Violation:
+    """A limit that was passed."""
+
+    limit: str
+    """Which."""
+    value: float
+    """How far."""
+    allowed: float
+    """What would have been allowed."""
+    unit: str
+    """Of both."""
+    broken: bool = False
+    """Whether something of the bench has failed, rather than been asked for too much."""
+
+    def __str__(self) -> str:
+        side = "at least" if self.value < self.allowed else "at most"
+        return f"{self.limit}: {self.value:.3g} {self.unit}; allowed: {side} {self.allowed:.3g} {self.unit}"
+
+
+class UnsafeError(RobotError):
+    """Motion ended by a limit; the arm has been stopped."""
+
+    def __init__(self, violation: Violation):
+        self.violation = violation
+        super().__init__(str(violation))
+
+
+@dataclass(frozen=True, eq=False)
+class Snapshot:
+    """What is known at one tick."""
+
+    now: float
+    """s."""
+    state: ArmState
+    """Newest feedback."""
+    wrench_time: float
+    """Arrival of the newest wrench, s."""
+    load: Float[np.ndarray, "6"]
+    """Newest wrench less the tare, sensor axes, N and N m."""
+    command: Float[np.ndarray, "6"]
+    """Twist that is commanded, base axes, m/s and rad/s."""
+
+
+def violations(limits: SafetyLimits, arm: ArmLimits, at: Snapshot) -> Iterator[Violation]:
+    """Every limit that is passed at a tick, the worst kind first."""
+    state = at.state
+    if state.faulted:
+        yield Violation(f"arm in a fault ({state.message or 'unnamed'})", 1.0, 0.0, "faults", broken=True)
+    for name, time_s in (("feedback of the arm", state.time_s), ("wrench", at.wrench_time)):
+        if not at.now - time_s <= limits.age:
+            yield Violation(f"age of the {name}", at.now - time_s, limits.age, "s", broken=True)
+    for name, load, allowed, unit in (
+        ("force", at.load[:3], limits.force, "N"),
+        ("torque", at.load[3:], limits.torque, "N m"),
+    ):
+        if not np.linalg.norm(load) <= allowed:
+            yield Violation(name, float(np.linalg.norm(load)), allowed, unit)
+    yield from _too_fast("commanded", limits, at.command, 1.0 + 1e-9)
+    yield from _too_fast("measured", limits, state.tcp_twist, _OVERSHOOT)
+    yield from _outside(limits, state.tcp_pose.position)
+    down = -rotation_matrix(state.tcp_pose.orientation)[2, 2]
+    if not math.acos(min(max(down, -1.0), 1.0)) <= limits.tilt:
+        yield Violation("tilt of the tool", math.acos(min(max(down, -1.0), 1.0)), limits.tilt, "rad")
+    yield from _joints(limits, arm, state)
+
+
+def path_violations(
+    limits: SafetyLimits, positions: Float[np.ndarray, "N 3"], twists: Float[np.ndarray, "N 6"]
+) -> Iterator[Violation]:
+    """Every limit that a planned path of the TCP passes: positions, m, and twists, m/s and rad/s, base frame."""
+    yield from _outside(limits, positions.min(axis=0))
+    yield from _outside(limits, positions.max(axis=0))
+    for part in (slice(0, 3), slice(3, 6)):
+        fastest = twists[np.linalg.norm(twists[:, part], axis=1).argmax()].copy()
+        fastest[[i for i in range(6) if not part.start <= i < part.stop]] = 0.0
+        yield from _too_fast("planned", limits, fastest, 1.0 + 1e-9)
+
+
+def _too_fast(what: str, limits: SafetyLimits, twist: np.ndarray, factor: float) -> Iterator[Violation]:
+    for name, part, allowed, unit in (
+        ("speed", twist[:3], limits.linear_speed, "m/s"),
+        ("turn rate", twist[3:], limits.angular_speed, "rad/s"),
+    ):
+        if not np.linalg.norm(part) <= allowed * factor:
+            yield Violation(f"{what} {name}", float(np.linalg.norm(part)), allowed, unit)
+
+
+def _outside(limits: SafetyLimits, position: np.ndarray) -> Iterator[Violation]:
+    for axis, value, low, high in zip("xyz", position.tolist(), limits.low, limits.high, strict=True):
+        if not low <= value <= high:
+            yield Violation(f"{axis} of the tool", value, low if value < low else high, "m")
+
+
+def _joints(limits: SafetyLimits, arm: ArmLimits, state: ArmState) -> Iterator[Violation]:
+    low, high = arm.joint_range.T
+    for joint in range(7):
+        q, speed = float(state.joint_position[joint]), float(abs(state.joint_velocity[joint]))
+        bounds = low[joint] + limits.joint_margin, high[joint] - limits.joint_margin
+        if not bounds[0] <= q <= bounds[1]:
+            yield Violation(f"joint {joint + 1}", q, float(bounds[0] if q < bounds[0] else bounds[1]), "rad")
+        if not speed <= arm.joint_speed[joint]:
+            yield Violation(f"speed of joint {joint + 1}", speed, float(arm.joint_speed[joint]), "rad/s")

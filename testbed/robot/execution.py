@@ -1,0 +1,189 @@
+"""One trial as the arm does it: hover, zero, go down, grip, settle, act, let go, go up, zero again."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from testbed.frames import move_wrench, rotate_wrench
+from testbed.robot.clock import Clock
+from testbed.robot.doubts import Evidence
+from testbed.robot.guard import Guard
+from testbed.robot.legs import Leg
+from testbed.robot.plan import RobotPlan, closing_yaw, tool_down
+from testbed.robot.ports import Arm, ArmState, Gripper, Pose, WrenchSensor
+from testbed.robot.recorder import Mark
+from testbed.robot.safety import UnsafeError, Violation
+from testbed.robot.settings import RobotSettings
+from testbed.trajectory import Phase
+
+RESPONSE = 0.15
+"""Delay with which an arm may follow its commands, s: what a moving tool may be behind its path."""
+READ_TIME = 2.0
+"""How long a lifted object is weighed, s."""
+_STILL = 0.3
+"""Time in which the arm comes to rest, s."""
+
+
+class Execution:
+    """One run of a plan; what it left is in its fields, also where it ended early."""
+
+    def __init__(
+        self,
+        plan: RobotPlan,
+        arm: Arm,
+        gripper: Gripper,
+        sensor: WrenchSensor,
+        guard: Guard,
+        settings: RobotSettings,
+        clock: Clock,
+    ):
+        self.evidence: Evidence | None = None
+        self.figures: dict[str, float] = {}
+        self._plan, self._arm, self._gripper, self._sensor, self._guard = plan, arm, gripper, sensor, guard
+        self._settings, self._clock = settings, clock
+        self._sent: list[float] = []
+        self._off_path = 0.0
+        self._rest, self._raised, self._tilt = np.zeros(6), np.zeros(3), Rotation.identity()
+
+    def run(self) -> None:
+        """Do it.
+
+        Raises:
+            RobotError: something failed, or a limit was passed; the guard has stopped the arm.
+        """
+        lost = self._sensor.health().lost_frames
+        self._go_to_hover()
+        self._rest = self._tare()
+        self._guard.rest(self._rest)
+        before = self._grip()
+        self._act()
+        after = self._let_go()
+        self._tare()
+        self.evidence = Evidence(self._sensor.health().lost_frames - lost, (before, after), None)
+
+    def _go_to_hover(self) -> None:
+        """Up first where the tool is low, so that nothing is swept off the table."""
+        hover, speed = self._plan.hover, self._settings.travel_speed
+        now = self._guard.state().tcp_pose
+        self._gripper.open()
+        self._guard.check()
+        if now.position[2] < hover.position[2]:
+            self._arm.move_to(Pose(np.append(now.position[:2], hover.position[2]), now.orientation), speed)
+            self._guard.check()
+        self._arm.move_to(hover, speed)
+        self._guard.check()
+
+    def _tare(self) -> np.ndarray:
+        """Mean wrench at rest over the object, its first third left out, (6,)."""
+        begin = self._clock.now()
+        self._guard.recorder.mark(Mark(begin, Phase.TARE))
+        self._wait(self._settings.tare_time)
+        return self._guard.recorder.mean_wrench(begin + self._settings.tare_time / 3, self._clock.now())
+
+    def _grip(self) -> float:
+        """Down, close, settle; the opening while it holds, m."""
+        settings, mark = self._settings, self._guard.recorder.mark
+        mark(Mark(self._clock.now(), Phase.APPROACH))
+        self._follow(self._plan.descent)
+        mark(Mark(self._clock.now(), Phase.GRASP))
+        self._gripper.close_on(self._plan.grasp.width, settings.grip_force)
+        self._guard.check()
+        mark(Mark(self._clock.now(), Phase.SETTLE))
+        self._settle()
+        return self._gripper.width()
+
+    def _settle(self) -> None:
+        """Give way to vertical load and tilt, as a hand would; the object then moves at the height that this led to."""
+        settings, step = self._settings, 1 / self._settings.rate
+        begin, way = self._clock.now(), np.zeros(6)
+        for tick in range(round(settings.settle_time * settings.rate)):
+            self._clock.sleep(begin + tick * step - self._clock.now())
+            fx, fy, fz, tx, ty, _ = self._load(self._guard.state())
+            # what the feet would have to answer: vertical force, and moments about the table
+            moment = np.array([tx - settings.grip_height * fy, ty + settings.grip_height * fx])
+            twist = np.array([0.0, 0.0, -settings.null_gain[0] * fz, *(-settings.null_gain[1] * moment), 0.0])
+            far = np.linalg.norm((way + twist * step)[:3]), np.linalg.norm((way + twist * step)[3:])
+            twist[:3] *= far[0] <= settings.null_travel[0]
+            twist[3:] *= far[1] <= settings.null_travel[1]
+            way += twist * step
+            self._guard.twist(twist[:3], twist[3:])
+        self._guard.twist(np.zeros(3), np.zeros(3))
+        self._wait(_STILL)
+        pose = self._guard.state().tcp_pose
+        upright = Rotation.from_quat(
+            tool_down(float(closing_yaw(pose.orientation, settings)), settings), scalar_first=True
+        )
+        self._tilt = upright.inv() * Rotation.from_quat(pose.orientation, scalar_first=True)
+        self._raised[2] = pose.position[2] - settings.table_height - settings.grip_height
+
+    def _load(self, state: ArmState) -> np.ndarray:
+        """What the gripper does to the object, about the TCP, base axes, (6,)."""
+        sample = self._guard.recorder.sample
+        assert sample is not None
+        tool = Rotation.from_quat(state.tcp_pose.orientation, scalar_first=True)
+        axes = tool * Rotation.from_quat(self._settings.sensor_orientation, scalar_first=True)
+        felt = self._settings.sensor_sign * (sample.wrench - self._rest)
+        return rotate_wrench(axes.as_matrix(), move_wrench(felt, self._settings.tool.tcp))
+
+    def _act(self) -> None:
+        mark, plan = self._guard.recorder.mark, self._plan
+        if plan.act is not None:
+            mark(Mark(self._clock.now(), Phase.RAMP, plan.act.profile))
+            self._follow(plan.act)
+            return
+        lift, down = plan.lift_and_down
+        mark(Mark(self._clock.now(), Phase.RAMP))
+        self._follow(lift)
+        self._wait(self._settings.settle_time)
+        mark(Mark(self._clock.now(), Phase.STEADY))
+        self._wait(READ_TIME)
+        mark(Mark(self._clock.now(), Phase.RAMP))
+        self._follow(down)
+
+    def _let_go(self) -> float:
+        """Open and go up; the opening before, m."""
+        held = self._gripper.width()
+        self._guard.recorder.mark(Mark(self._clock.now(), Phase.RELEASE))
+        self._gripper.open()
+        self._guard.check()
+        self._follow(self._plan.rise)
+        return held
+
+    def _wait(self, seconds: float) -> None:
+        """Stand still, looking whether all is well."""
+        until = self._clock.now() + seconds
+        while (left := until - self._clock.now()) > 0:
+            self._guard.check()
+            self._clock.sleep(min(left, 1 / self._settings.rate))
+        self._guard.check()
+
+    def _follow(self, leg: Leg) -> None:
+        """Follow a leg by twists: what its path asks, and what takes the error of pose back."""
+        begin, step = self._clock.now(), 1 / self._settings.rate
+        for tick in range(math.ceil(leg.duration / step)):
+            self._clock.sleep(begin + tick * step - self._clock.now())
+            self._sent.append(self._clock.now() - begin - tick * step)
+            self._guard.twist(*self._correction(leg, self._guard.state(), begin))
+        self._clock.sleep(begin + leg.duration - self._clock.now())
+        self._guard.twist(np.zeros(3), np.zeros(3))
+        late = np.array(self._sent)
+        self.figures |= {"command_late_p99_s": float(np.quantile(late, 0.99)), "off_path_m": self._off_path}
+
+    def _correction(self, leg: Leg, state: ArmState, begin: float) -> tuple[np.ndarray, np.ndarray]:
+        settings = self._settings
+        then, ahead = leg.at(state.time_s - begin), leg.at(self._clock.now() - begin + 0.5 / settings.rate)
+        off = then.position + self._raised - state.tcp_pose.position
+        wanted = Rotation.from_quat(tool_down(then.yaw, settings), scalar_first=True) * self._tilt
+        turn = (wanted * Rotation.from_quat(state.tcp_pose.orientation, scalar_first=True).inv()).as_rotvec()
+        self._off_path = max(self._off_path, float(np.linalg.norm(off)))
+        for name, error, rate, allowed, unit in (
+            ("distance from the path", off, then.velocity, settings.off_path[0], "m"),
+            ("angle from the path", turn, then.yaw_rate, settings.off_path[1], "rad"),
+        ):
+            limit = allowed + RESPONSE * float(np.linalg.norm(rate))
+            if not np.linalg.norm(error) <= limit:
+                raise UnsafeError(Violation(name, float(np.linalg.norm(error)), limit, unit))
+        return ahead.velocity + settings.gain * off, np.array([0.0, 0.0, ahead.yaw_rate]) + settings.gain * turn

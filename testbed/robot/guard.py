@@ -1,0 +1,154 @@
+"""The guard: watches arm, sensor and control loop while a trial runs, and stops the arm whatever the loop is doing."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+from contextlib import ExitStack
+from types import TracebackType
+from typing import Self
+
+import numpy as np
+from jaxtyping import Float
+
+from testbed.robot.clock import Clock
+from testbed.robot.ports import Arm, ArmState, RobotError, WrenchSensor
+from testbed.robot.recorder import Recorder
+from testbed.robot.safety import SafetyLimits, Snapshot, UnsafeError, Violation, violations
+
+PERIOD = 0.01
+"""Time between looks, s."""
+_GATE_TIME = 0.02
+"""How long a twist that is being sent may keep the guard from stopping the arm, s."""
+_STOP_AGAIN = 0.1
+
+
+class Guard:
+    """Looks every 10 ms, from a thread of its own, and takes the trial's record while it does.
+
+    Once tripped it stays so: the arm is stopped, and no twist goes through any more.
+    """
+
+    def __init__(self, arm: Arm, sensor: WrenchSensor, limits: SafetyLimits, clock: Clock):
+        self.recorder = Recorder(arm, sensor)
+        self.trouble: RobotError | None = None
+        """Why it has tripped."""
+        self._arm, self._limits, self._clock = arm, limits, clock
+        self._gate = threading.Lock()
+        self._rest: Float[np.ndarray, "6"] | None = None
+        self._command = np.zeros(6)
+        self._looked = self._beat = clock.now()
+        self._stopped = -np.inf
+        self._running = ExitStack()
+
+    def __enter__(self) -> Self:
+        """Start looking; waits for the first frame and the first feedback.
+
+        Raises:
+            RobotError: neither comes, or something is wrong from the start.
+        """
+        self._running.enter_context(self._clock.every(PERIOD, self._look))
+        deadline = self._clock.now() + 1.0
+        try:
+            while self.recorder.sample is None or self.recorder.state is None:
+                self._clock.sleep(PERIOD)
+                self.check()
+                if self._clock.now() > deadline:
+                    raise RobotError("the bench is silent: no frame of the sensor, or no feedback of the arm")
+        except BaseException:
+            self.__exit__(None, None, None)
+            raise
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        try:
+            self._arm.stop()
+        finally:
+            self._running.close()
+
+    def rest(self, wrench: Float[np.ndarray, "6"]) -> None:
+        """From now on, a load is what differs from this wrench, sensor axes."""
+        self._rest = wrench
+
+    def check(self) -> None:
+        """The control loop lives.
+
+        Raises:
+            RobotError: tripped, or the guard itself no longer looks.
+        """
+        self._beat = self._clock.now()
+        if self.trouble is None and self._beat - self._looked > self._limits.age:
+            self._trip(_silent("age of the guard's last look", self._beat - self._looked, self._limits.age))
+        if self.trouble is not None:
+            raise self.trouble
+
+    def state(self) -> ArmState:
+        """The newest feedback.
+
+        Raises:
+            RobotError: as `check`.
+        """
+        self.check()
+        assert self.recorder.state is not None
+        return self.recorder.state
+
+    def twist(self, linear: Float[np.ndarray, "3"], angular: Float[np.ndarray, "3"]) -> None:
+        """Command a twist, base axes, m/s and rad/s, if nothing is wrong with it or with anything else.
+
+        Raises:
+            RobotError: as `check`, or the twist is beyond a limit.
+        """
+        self.check()
+        command = np.concatenate([linear, angular])
+        found = next(self._violations(self._beat, command), None)
+        if found is not None:
+            self._trip(UnsafeError(found))
+        with self._gate:
+            if self.trouble is None:
+                self._command = command
+                self._arm.twist(linear, angular)
+        self.check()
+
+    def _violations(self, now: float, command: np.ndarray) -> Iterator[Violation]:
+        state, sample = self.recorder.state, self.recorder.sample
+        if state is not None and sample is not None:
+            load = np.zeros(6) if self._rest is None else sample.wrench - self._rest
+            at = Snapshot(now, state, sample.time_s, load, command)
+            yield from violations(self._limits, self._arm.limits, at)
+
+    def _look(self) -> None:
+        now = self._clock.now()
+        try:
+            self.recorder.take()
+            found = next(self._violations(now, self._command), None)
+            if found is not None:
+                raise UnsafeError(found)
+            if self._command.any() and now - self._beat > self._limits.age:
+                raise _silent("silence of the control loop", now - self._beat, self._limits.age)
+        except RobotError as error:
+            self._trip(error)
+        except Exception as error:  # a guard that dies of a driver's mistake guards nothing
+            self._trip(RobotError(f"{type(error).__name__}: {error}"))
+        self._looked = now
+        if self.trouble is not None and now - self._stopped > _STOP_AGAIN:
+            self._stopped = now
+            self._arm.stop()
+
+    def _trip(self, error: RobotError) -> None:
+        """Stop the arm. A twist that hangs on its way does not delay it: `stop` drops that twist."""
+        if self.trouble is not None:
+            return
+        entered = self._gate.acquire(timeout=_GATE_TIME)
+        self.trouble = error
+        self._stopped = self._clock.now()
+        try:
+            self._arm.stop()
+        finally:
+            if entered:
+                self._gate.release()
+
+
+def _silent(what: str, age: float, allowed: float) -> UnsafeError:
+    return UnsafeError(Violation(what, age, allowed, "s", broken=True))

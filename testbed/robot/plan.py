@@ -1,0 +1,167 @@
+"""A trial as legs of the tool's path in Cartesian space: what a real arm is asked to do, known before it moves."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+from scipy.spatial.transform import Rotation
+
+from testbed.actions import Weigh
+from testbed.errors import InfeasibleTrialError
+from testbed.frames import pose_from_point, transform_point
+from testbed.objects import Grasp, ObjectShape
+from testbed.profile import Profile
+from testbed.robot.legs import Along, Leg, Line, Target, sampled
+from testbed.robot.ports import Pose
+from testbed.robot.safety import path_violations
+from testbed.robot.settings import RobotSettings
+from testbed.tool_path import WORKSPACE, ToolPath
+from testbed.trial import Trial
+
+PROFILE_STEP = 0.01
+"""Time between the ticks of an action's profile, s: the record's."""
+_UP = np.array([0.0, 0.0, 1.0])
+
+
+@dataclass(frozen=True, eq=False)
+class RobotPlan:
+    """Where a trial takes the tool."""
+
+    trial: Trial
+    grasp: Grasp
+    """The faces that are gripped."""
+    object_pose: Float[np.ndarray, "3"]
+    """Where the object lies, planar pose, m and rad, base frame."""
+    hover: Pose
+    """Where the sensor is zeroed."""
+    descent: Line
+    act: Along | None
+    """None for a weighing."""
+    lift: Line | None
+    """For a weighing only."""
+    rise: Line
+
+    @property
+    def lift_and_down(self) -> tuple[Line, Line]:
+        """How a weighing lifts the object, and puts it down again."""
+        assert self.lift is not None
+        return self.lift, Line(self.lift.end, self.lift.start, self.lift.yaw, self.lift.duration)
+
+    @property
+    def legs(self) -> dict[str, Leg]:
+        """What is followed by twists, in order, by name."""
+        work: dict[str, Leg]
+        if self.act is not None:
+            work = {"the action": self.act}
+        else:
+            work = dict(zip(("lift", "put down"), self.lift_and_down, strict=True))
+        return {"down to the object": self.descent, **work, "up again": self.rise}
+
+    def duration(self, settings: RobotSettings) -> float:
+        """About how long it takes, without the way to the first place, s."""
+        waits = 2 * settings.tare_time + settings.settle_time + 2.0
+        return waits + sum(leg.duration for leg in self.legs.values())
+
+    def check(self, settings: RobotSettings) -> None:
+        """Refuse what passes a limit.
+
+        Raises:
+            InfeasibleTrialError: a place outside the box, or a speed beyond its limit.
+        """
+        for name, leg in self.legs.items():
+            positions, twists = sampled(leg)
+            for violation in path_violations(settings.limits, positions, twists):
+                raise InfeasibleTrialError(
+                    f"limit: {name}: {violation}; choose another place, a shorter or a slower action"
+                )
+
+
+def starting_pose(trial: Trial) -> Float[np.ndarray, "3"]:
+    """Where to put the object so that its trial is the simulated bench's: planar pose, m and rad."""
+    if isinstance(trial.action, Weigh):
+        grasp = weighing_grasp(trial.object.shape)
+        return pose_from_point(np.array(WORKSPACE), grasp.position, np.array(-grasp.angle))
+    length = Profile.of(trial.action, PROFILE_STEP).length
+    path = ToolPath.centred(trial.action, trial.object.shape, length, WORKSPACE)
+    return path.object_pose(np.array([-0.5]))[0]
+
+
+def weighing_grasp(shape: ObjectShape) -> Grasp:
+    """The grasp nearest the middle: where the object is taken to be lifted.
+
+    Raises:
+        InfeasibleTrialError: there is none.
+    """
+    if not shape.grasps:
+        raise InfeasibleTrialError("grip: nothing is grippable, so it cannot be lifted; weigh it on a scale")
+    return min(shape.grasps, key=lambda grasp: float(np.linalg.norm(grasp.position)))
+
+
+def plan_trial(trial: Trial, object_pose: Float[np.ndarray, "3"], settings: RobotSettings) -> RobotPlan:
+    """Plan a trial for an object that lies at a planar pose, m and rad, base frame; nothing is checked yet."""
+    shape, action = trial.object.shape, trial.action
+    height = settings.table_height + settings.grip_height
+    if isinstance(action, Weigh):
+        grasp, act = weighing_grasp(shape), None
+        x, y = transform_point(object_pose, grasp.position)
+        yaw = float(object_pose[2]) + grasp.angle
+    else:
+        grasp, profile = shape.grasps[action.grasp], Profile.of(action, PROFILE_STEP)
+        path = ToolPath.from_object(action, shape, profile.length, object_pose)
+        act = Along(path, profile, height)
+        x, y, yaw = path.tool_pose(np.array([-0.5]))[0]
+    hold = np.array([x, y, height])
+    hover, lifted = hold + settings.hover * _UP, hold + settings.lift * _UP
+    last = act.at(act.duration) if act is not None else Target(hold, yaw, np.zeros(3), 0.0)
+    return RobotPlan(
+        trial=trial,
+        grasp=grasp,
+        object_pose=np.asarray(object_pose, dtype=float),
+        hover=Pose(hover, tool_down(yaw, settings)),
+        descent=Line.at_most(hover, hold, yaw, settings.descent_speed),
+        act=act,
+        lift=Line.at_most(hold, lifted, yaw, settings.descent_speed) if act is None else None,
+        rise=Line.at_most(last.position, last.position + settings.hover * _UP, last.yaw, settings.descent_speed),
+    )
+
+
+def tool_down(yaw: float, settings: RobotSettings) -> Float[np.ndarray, "4"]:
+    """Orientation of the arm's tool frame, wxyz, with its z axis down and the pads closing along `yaw` (rad)."""
+    turn = Rotation.from_euler("ZXZ", [yaw, math.pi, -settings.closing_angle])
+    return turn.as_quat(scalar_first=True)
+
+
+def closing_yaw(orientation: Float[np.ndarray, "N 4"], settings: RobotSettings) -> Float[np.ndarray, "N"]:
+    """Yaw of the closing direction of a tool frame, rad, (N,): the inverse of `tool_down`."""
+    c, s = math.cos(settings.closing_angle), math.sin(settings.closing_angle)
+    along = Rotation.from_quat(orientation, scalar_first=True).apply([c, s, 0.0])
+    return np.arctan2(along[..., 1], along[..., 0])
+
+
+def described(plan: RobotPlan, settings: RobotSettings) -> str:
+    """The motion in words, a line a leg: places, speeds, times, and how near the path comes to its limits."""
+    x, y, yaw = plan.object_pose
+    place = ", ".join(f"{v:.3f}" for v in plan.hover.position)
+    lines = [
+        f"{type(plan.trial.action).__name__.lower()} of {plan.trial.object.name} at {plan.grasp.name}, "
+        f"{plan.duration(settings):.0f} s",
+        f"object: its middle at ({x:.3f}, {y:.3f}) m, turned by {math.degrees(yaw):.1f} deg, base frame of the arm",
+        f"travel: to ({place}) m, at most {settings.travel_speed:.2f} m/s; zeroed there for {settings.tare_time:g} s",
+    ]
+    everywhere = []
+    for name, leg in plan.legs.items():
+        positions, twists = sampled(leg)
+        everywhere.append(positions)
+        ends = " to ".join(f"({p[0]:.3f}, {p[1]:.3f}, {p[2]:.3f})" for p in positions[[0, -1]])
+        speed, turn = (np.linalg.norm(twists[:, part], axis=1).max() for part in (slice(0, 3), slice(3, 6)))
+        lines.append(
+            f"{name}: {ends} m in {leg.duration:.1f} s, at most {speed:.3f} m/s and {math.degrees(turn):.1f} deg/s"
+        )
+    low, high = np.concatenate(everywhere).min(axis=0), np.concatenate(everywhere).max(axis=0)
+    box = zip("xyz", low, high, settings.limits.low, settings.limits.high, strict=True)
+    return "\n".join(
+        lines + [f"{axis}: {a:.3f} to {b:.3f} m; allowed {c:.3f} to {d:.3f} m" for axis, a, b, c, d in box]
+    )

@@ -1,0 +1,188 @@
+"""Trials on a real arm: a `TrialRunner` on the ports. Nothing moves before the motion was shown and confirmed."""
+
+from __future__ import annotations
+
+import math
+import signal
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import replace
+from types import TracebackType
+from typing import Self
+
+import numpy as np
+
+from testbed.actions import Weigh
+from testbed.arrays import check_positive
+from testbed.drift import judge_drift
+from testbed.robot.assembly import lifted, object_poses, read_off, trajectory_of
+from testbed.robot.clock import Clock, MonotonicClock
+from testbed.robot.doubts import doubts
+from testbed.robot.execution import Execution
+from testbed.robot.guard import Guard
+from testbed.robot.plan import RobotPlan, described, plan_trial
+from testbed.robot.ports import Arm, ArmLimits, Gripper, ObjectPose, RobotError, WrenchSensor
+from testbed.robot.recorder import Record
+from testbed.robot.safety import UnsafeError
+from testbed.robot.settings import RobotSettings
+from testbed.trajectory import Phase, Trajectory
+from testbed.trial import Trial
+
+
+class RealRunner:
+    """A `TrialRunner` on a real arm, gripper and wrench sensor. Entering it connects and moves nothing.
+
+    Whatever ends a trial - its end, an error, a limit, Ctrl-C, SIGTERM, a lost sensor or arm - stops the arm.
+    """
+
+    def __init__(
+        self,
+        arm: Arm,
+        gripper: Gripper,
+        sensor: WrenchSensor,
+        object_pose: ObjectPose,
+        settings: RobotSettings,
+        *,
+        confirm: Callable[[str], bool],
+        tracker: ObjectPose | None = None,
+        weight: float | None = None,
+        clock: Clock | None = None,
+    ):
+        """Name the bench; nothing is connected.
+
+        Args:
+            arm: entered with the runner, as the sensor is.
+            gripper: on that arm.
+            sensor: between the two.
+            object_pose: where the object lies before each trial.
+            settings: table, tool, speeds and limits.
+            confirm: shown the first motion in words, answers whether it may be made.
+            tracker: measures where the object is after a trial, by which slip in the grip is known; else it is not.
+            weight: what a scale said, kg; None weighs by lifting.
+            clock: the ports' clock; the computer's own if left out.
+        """
+        if weight is not None:
+            check_positive("RealRunner.weight", weight)
+        self._arm, self._gripper, self._sensor, self._object_pose = arm, gripper, sensor, object_pose
+        self._settings, self._confirm, self._tracker, self._weight = settings, confirm, tracker, weight
+        self._clock = MonotonicClock() if clock is None else clock
+        self._confirmed = False
+        self._connections: ExitStack | None = None
+
+    @property
+    def limits(self) -> ArmLimits:
+        """What the arm can do; known before connecting."""
+        return self._arm.limits
+
+    def __enter__(self) -> Self:
+        """Connect sensor and arm.
+
+        Raises:
+            RobotError: one of them cannot be reached, or is not what it should be.
+        """
+        with ExitStack() as stack:
+            stack.enter_context(_terminable())
+            stack.enter_context(self._sensor)
+            stack.enter_context(self._arm)
+            stack.callback(self._arm.stop)
+            self._connections = stack.pop_all()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        connections, self._connections = self._connections, None
+        if connections is not None:
+            connections.close()
+
+    def plan(self, trial: Trial) -> RobotPlan:
+        """Where a trial would take the tool. Moves nothing, and needs no connection but the object's pose.
+
+        Raises:
+            InfeasibleTrialError: a place outside the box, or a speed beyond its limit.
+            RobotError: the object's pose is not known.
+        """
+        plan = plan_trial(trial, np.array(self._object_pose.read()), self._settings)
+        plan.check(self._settings)
+        return plan
+
+    def dry_run(self, trial: Trial) -> str:
+        """The motion of a trial in words; raises as `plan`."""
+        return described(self.plan(trial), self._settings)
+
+    def run(self, trial: Trial) -> Trajectory:
+        """Run one trial.
+
+        Returns:
+            What was measured. Status `limit` where a limit ended it, `fault` where something failed or the record is
+            no data, `slipped` where the object moved in the grip; each with its reason.
+
+        Raises:
+            InfeasibleTrialError: refused before moving.
+            RobotError: not confirmed, not entered, or ended before anything was recorded.
+        """
+        if isinstance(trial.action, Weigh) and self._weight is not None:
+            return read_off(self._weight)
+        if self._connections is None:
+            raise RobotError("the bench is not connected: use the runner in a with statement")
+        plan = self.plan(trial)
+        if not self._confirmed:
+            self._confirmed = self._confirm(described(plan, self._settings))
+            if not self._confirmed:
+                raise RobotError("the motion was not confirmed; nothing has moved")
+        return self._run(plan)
+
+    def _run(self, plan: RobotPlan) -> Trajectory:
+        guard = Guard(self._arm, self._sensor, self._settings.limits, self._clock)
+        execution = Execution(plan, self._arm, self._gripper, self._sensor, guard, self._settings, self._clock)
+        failure = None
+        try:
+            with guard:
+                execution.run()
+        except RobotError as error:
+            failure = error
+        record = guard.recorder.record(self._clock.now())
+        if record is None:
+            raise failure or RobotError("nothing was recorded")
+        figures = execution.figures | {"sensor_gap_s": record.wrench_gap, "feedback_gap_s": record.feedback_gap}
+        status, reason = "ok", ""
+        if failure is not None or execution.evidence is None:
+            limit = isinstance(failure, UnsafeError) and not failure.violation.broken
+            status, reason = "limit" if limit else "fault", str(failure)
+        else:
+            evidence = replace(execution.evidence, slip=self._slip(plan, record))
+            figures |= evidence.figures
+            profile = None if plan.act is None else plan.act.profile
+            status, reason = next(doubts(record, evidence, profile), ("ok", ""))
+        provenance = {
+            "runner": "robot",
+            "sensor": " ".join((self._sensor.identity.name, self._sensor.identity.serial)),
+            "slip": "measured by a tracker" if "slip_m" in figures else "not known, but for the opening of the gripper",
+        }
+        whole = trajectory_of(plan, record, self._settings, status, reason, figures, provenance)
+        judged = judge_drift(whole, self._settings.drift)
+        return lifted(judged) if isinstance(plan.trial.action, Weigh) and judged.ok else judged
+
+    def _slip(self, plan: RobotPlan, record: Record) -> tuple[float, float] | None:
+        """How far the object is from where the hand believes to have left it, m and rad; None where nothing tells."""
+        if self._tracker is None:
+            return None
+        held = np.flatnonzero(record.during(Phase.RAMP, Phase.STEADY))[-1]
+        believed = object_poses(plan, record, self._settings)[held]
+        off = np.array(self._tracker.read()) - believed
+        return float(np.hypot(off[0], off[1])), abs(math.remainder(off[2], math.tau))
+
+
+@contextmanager
+def _terminable() -> Iterator[None]:
+    """SIGTERM ends the program as an error would, so that whatever must be stopped is; in the main thread only."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)

@@ -1,0 +1,49 @@
+"""Trials on the real path over fakes at the wire, in real time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+from fake_rig import FakeRig, python_with_fake_kortex
+from robot_faults import Placed
+
+from testbed.actions import Rotate
+from testbed.objects import ObjectModel
+from testbed.robot.ft300s import Ft300s
+from testbed.robot.kortex_arm import KortexArm, KortexSettings
+from testbed.robot.kortex_gripper import KortexGripper
+from testbed.robot.plan import starting_pose
+from testbed.robot.runner import RealRunner
+from testbed.robot.settings import RobotSettings
+from testbed.simulation.arm import gripper_tool
+from testbed.trajectory import Trajectory
+from testbed.trial import Trial
+
+ATTEMPTS = 5
+"""A busy computer is a silent one, and ends a trial: times that each is begun."""
+
+
+def over_wires(
+    model: ObjectModel, actions: Sequence[Rotate], said: Callable[[str], None] = lambda _: None
+) -> list[Trajectory]:
+    """Turns on a fake Gen3 with a fake FT-300S, each by the drivers themselves; those that are data."""
+    python_with_fake_kortex()
+    done = []
+    with FakeRig(model) as rig:
+        for action in actions:
+            trial = Trial(model, action)
+            pose = starting_pose(trial)
+            arm = KortexArm(KortexSettings("127.0.0.1", port=rig.wires.arm_port))
+            settings = RobotSettings(gripper_tool(model.shape.grasps[action.grasp].width))
+            sensor = Ft300s(rig.wires.sensor_port)
+            for _ in range(ATTEMPTS):
+                rig.do("place", pose, action.grasp)
+                with RealRunner(
+                    arm, KortexGripper(arm), sensor, Placed(pose), settings, confirm=lambda _: True
+                ) as runner:
+                    record = runner.run(trial)
+                said(f"{len(done) + record.ok} of {len(actions)}: {record.status} {record.reason}")
+                if record.ok:
+                    done.append(record)
+                    break
+    return done

@@ -1,0 +1,32 @@
+"""Turns over the wires of fakes, in real time: they must end in the masses that the pure simulation ends in."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from real_path import over_wires
+
+from estimators.hidden_states import HiddenStatesEstimator
+from estimators.metrics import normalized_absolute_difference
+from estimators.rank_driven import RankDriven
+from testbed.object_files import load_object
+from testbed.simulation.runner import SimulationRunner
+from testbed.trial import Trial
+
+
+@pytest.mark.slow
+def test_the_real_path_ends_in_the_simulations_masses():
+    torch.set_num_threads(1)
+    model, policy, runner = load_object("L2"), RankDriven(pivots=4, duration=4.0, accelerated=0), SimulationRunner()
+    simulated = []
+    while (action := policy.next(model.shape, simulated)) is not None:
+        simulated.append(runner.run(Trial(model, action)))
+    real = over_wires(model, [t.action for t in simulated])
+    assert len(real) == len(simulated)
+    nad = []
+    for trajectories in (simulated, real):
+        answer = HiddenStatesEstimator().estimate(model.shape, model.total_mass, trajectories, 0)
+        assert answer.distribution is not None
+        nad.append(100 * normalized_absolute_difference(model.shape, answer.distribution, model.truth))
+    assert nad[1] < nad[0] + 1.0
+    assert all(t.figures["lost_frames"] == 0 for t in real)

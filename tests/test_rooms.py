@@ -70,6 +70,7 @@ def test_a_room_imports_only_what_it_may(path: Path):
     if room == "testbed":
         assert not tops & {"estimators", "scenarios", "viz"}
         inside = {m.split(".")[1] for m in used if m.startswith("testbed.")}
+        assert not (in_robot and "simulation" in inside), "the real bench needs no simulator"
         if not (in_simulation or in_robot) and name != "testbed.__init__":
             assert "robot" not in inside, "a record says the same whoever made it"
             assert inside <= TESTBED[name.split(".")[1]], f"{name} may import {TESTBED[name.split('.')[1]]} of testbed"

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 from fake_rig import FakeRig, python_with_fake_kortex
-from robot_faults import Placed
+from fault_trials import Placed
 
 from testbed.actions import Rotate
 from testbed.objects import ObjectModel

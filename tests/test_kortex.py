@@ -17,9 +17,9 @@ import numpy as np
 import pytest
 from fake_gen3 import FakeGen3
 from fake_rig import KORTEX
+from fault_trials import small_object
 from gen3_world import Gen3World
 from numpy.testing import assert_allclose
-from robot_faults import small_object
 
 from testbed.errors import InvalidValueError
 from testbed.robot import kortex_messages, kortex_process, kortex_session

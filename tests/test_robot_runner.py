@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from fault_trials import ACTION, BOUND, FAULTS, bench_for, small_object, struck_by
 from gen3_world import BIAS
 from numpy.testing import assert_allclose
-from robot_faults import ACTION, BOUND, FAULTS, bench_for, small_object, struck_by
 from runner_conformance import RECORD_RULES, RUNNER_RULES, Bench, it_comes_back_from_a_file
 
 from testbed.actions import Accelerate, Rotate, Slide, Weigh

@@ -32,5 +32,5 @@ $(STAMP): pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/pip install --quiet --upgrade pip
 	$(BIN)/pip install --quiet --constraint constraints.txt torch
-	$(BIN)/pip install --quiet --constraint constraints.txt --editable '.[dev,meshes,docs]'
+	$(BIN)/pip install --quiet --constraint constraints.txt --editable '.[dev,meshes,docs,robot]'
 	touch $@

@@ -24,6 +24,10 @@ MOST_DRAWS = 100
 """Draws of a random object before its family is given up."""
 
 
+Made = Callable[[str, str], None]
+"""Told of each "trial" and "estimate" that is made, by its key, when it is done."""
+
+
 class Progress(Protocol):
     """Told how far a run is."""
 

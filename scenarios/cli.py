@@ -10,6 +10,7 @@ from typing import Annotated, Literal
 import tyro
 from rich.console import Console
 
+from scenarios.robot_command import robot
 from testbed.errors import HeftError
 
 
@@ -22,6 +23,8 @@ def run(
     methods: Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="METHOD ...")] = None,
     seeds: Annotated[int | None, tyro.conf.arg(metavar="N")] = None,
     objects: Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="OBJECT ...")] = None,
+    record: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False,
+    live: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False,
     dry_run: bool = False,
 ) -> None:
     """Run a scenario: try every object under every support, ask every method, print the tables, write a report.
@@ -38,11 +41,13 @@ def run(
         methods: labels of the scenario's methods, instead of all.
         seeds: sensing draws of each trial; the scenario's own number if left out.
         objects: names in the library or paths to TOML files, instead of the scenario's own.
+        record: write a recording of every trial and estimate as it is done, into DIR/recordings.
+        live: show every trial and estimate as it is done in an open viewer, or in a new one.
         dry_run: say how many trials and estimates there are and how long they take, and run nothing.
     """
     from scenarios.main_run import Asked, run_and_show  # noqa: PLC0415  torch and MuJoCo take seconds that --help need not wait for
 
-    run_and_show(scenario, Asked(out, workers, executor, seeds, objects, methods, dry_run))
+    run_and_show(scenario, Asked(out, workers, executor, seeds, objects, methods, dry_run, record, live))
 
 
 def status(folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DIR")]) -> None:
@@ -135,6 +140,63 @@ def watch(
         watch_record(Path(what), trial)
 
 
+def view(
+    folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DIR")],
+    what: Annotated[str | None, tyro.conf.Positional, tyro.conf.arg(metavar="WHAT")] = None,
+    *,
+    web: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False,
+) -> None:
+    """Open a trial, an estimate or a comparison of methods in the Rerun viewer.
+
+    Examples: heft view results/blocks            every object under every method
+              heft view results/blocks L2         one object under every method
+              heft view results/blocks 3f9a       the trial or the estimate whose key begins so (see its report)
+
+    Args:
+        folder: of a run, finished or still running.
+        what: an object, or the beginning of a trial's or an estimate's key; everything if left out.
+        web: serve the viewer to a browser on this machine instead of opening a window.
+    """
+    from scenarios.view_run import view as show_page  # noqa: PLC0415
+
+    show_page(folder, what, web=web)
+
+
+def record(
+    folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DIR")],
+    what: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="WHAT")] = (),
+    *,
+    all_: Annotated[bool, tyro.conf.arg(name="all"), tyro.conf.FlagCreatePairsOff] = False,
+) -> None:
+    """Write Rerun recordings: DIR/recording.rrd, or DIR/recordings/WHAT.rrd.
+
+    `rerun FILE` opens one on any machine; it needs nothing else of the folder.
+
+    Args:
+        folder: of a run, finished or still running.
+        what: objects, or beginnings of trials' or estimates' keys; every object under every method if left out.
+        all_: every trial and estimate that has no recording yet, instead.
+    """
+    from scenarios.view_run import record as write  # noqa: PLC0415
+
+    write(folder, what, Console(), everything=all_)
+
+
+def figures(
+    folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DIR")],
+    what: Annotated[str | None, tyro.conf.Positional, tyro.conf.arg(metavar="ESTIMATE")] = None,
+) -> None:
+    """Draw figures for a paper, as PDF and PNG, into DIR/figures.
+
+    Args:
+        folder: of a finished run.
+        what: beginning of an estimate's key: its maps, bars, losses and wrench fits; of the whole run if left out.
+    """
+    from scenarios.figures_run import show_figures  # noqa: PLC0415
+
+    show_figures(Console(), folder, what)
+
+
 def objects() -> None:
     """List the objects in the library."""
     from scenarios.show import list_objects  # noqa: PLC0415
@@ -170,11 +232,15 @@ def main(arguments: list[str] | None = None) -> None:
                 "run": run,
                 "status": status,
                 "report": report,
+                "view": view,
+                "record": record,
+                "figures": figures,
                 "render": render,
                 "watch": watch,
                 "objects": objects,
                 "scenarios": scenarios,
                 "show": show,
+                "robot": robot,
             },
             prog="heft",
             description="What can a robot learn about how an object's mass is spread, from the wrench at its wrist?",

@@ -14,7 +14,7 @@ import numpy as np
 
 from estimators.metrics import mean_particle_distance, normalized_absolute_difference
 from estimators.protocol import Estimate
-from scenarios.cells import Cell, Infeasible, Progress
+from scenarios.cells import Cell, Infeasible, Made, Progress
 from scenarios.comparison import axis_columns
 from scenarios.execution import Executor, Failure
 from scenarios.methods import build_method, kind_of
@@ -26,7 +26,12 @@ from testbed.trajectory import Trajectory
 
 
 def run_estimates(
-    cells: list[Cell], left_out: list[Infeasible], store: Store, executor: Executor, progress: Progress
+    cells: list[Cell],
+    left_out: list[Infeasible],
+    store: Store,
+    executor: Executor,
+    progress: Progress,
+    made: Made | None = None,
 ) -> list[dict[str, Any]]:
     """Ask every method about every cell and sensing; a row a draw, in the scenario's order."""
     rows: dict[tuple[int, ...], dict[str, Any]] = {}
@@ -50,6 +55,8 @@ def run_estimates(
             store.put_error(key, value.detail)
             take(place, asked, key, _failed(place[-1], value.reason))
         else:  # the row as the next run will read it
+            if made is not None:
+                made("estimate", key)
             take(place, asked, key, store.result(key) or _failed(place[-1], "its result.json cannot be read back"))
 
     for place, asked, key in _draws(waiting):

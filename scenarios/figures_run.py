@@ -7,13 +7,14 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from matplotlib.figure import Figure
+from rich.console import Console
 
 from scenarios.comparison import AXIS, Row, axes_of, select
 from scenarios.results import load_results
 from scenarios.seen import estimate_shown, fits_of
 from scenarios.store import rows_of
 from scenarios.tables import SUPPORT_NAMES
-from testbed.errors import HeftError
+from testbed.errors import HeftError, InvalidValueError
 from testbed.objects import ObjectShape
 from viz.estimate_figure import estimate_bars, estimate_losses, estimate_maps
 from viz.heatmap import absolute_difference, save_figure
@@ -40,6 +41,23 @@ def figures(folder: Path, what: Row | None = None) -> list[Path]:
     """
     drawn = _of_all(folder) if what is None else _of_estimate(folder, what)
     return [path for name, figure in drawn for path in save_figure(figure, folder / "figures" / file_name(name))]
+
+
+def show_figures(console: Console, folder: Path, beginning: str | None) -> None:
+    """Write figures of a folder, or of its estimate whose key has this beginning, and say where they are.
+
+    Raises:
+        InvalidValueError: no such estimate, or more than one.
+    """
+    row = None
+    if beginning is not None:
+        found = [row for row in rows_of(load_results(folder)) if str(row.get("key") or "").startswith(beginning)]
+        if len(found) != 1:
+            allowed = f"the beginning of one estimate's key in {folder}/estimates; {len(found)} begin so"
+            raise InvalidValueError("ESTIMATE", beginning, allowed)
+        row = found[0]
+    for path in figures(folder, row):
+        console.print(f"figure: {path}", highlight=False, soft_wrap=True)
 
 
 def file_name(said: str) -> str:

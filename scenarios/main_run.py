@@ -10,8 +10,9 @@ from pathlib import Path
 
 from rich.console import Console
 
-from scenarios.comparison import Row, axes_of, select
+from scenarios.comparison import Row, axes_of
 from scenarios.execution import default_workers
+from scenarios.figures_run import figures
 from scenarios.methods import nearest
 from scenarios.plan import show_plan
 from scenarios.progress import show_progress
@@ -19,11 +20,10 @@ from scenarios.report_run import report
 from scenarios.schema import Scenario, load_scenario
 from scenarios.store import read_json, rows_of, write_json
 from scenarios.sweep import run_scenario
-from scenarios.tables import METRICS, SUPPORT_NAMES, hidden_table, metric_table, quantile_table
-from testbed.errors import InvalidValueError
-from testbed.object_files import load_object
-from testbed.objects import ObjectShape
-from viz.heatmap import absolute_difference, save_figure
+from scenarios.tables import METRICS, hidden_table, metric_table, quantile_table
+from scenarios.view_run import Recorder, record_all, record_results, record_worst
+from testbed.errors import HeftError, InvalidValueError
+from viz import viewer
 
 NOTES = (
     "Cells: mean and spread over draws of the sensor's errors, [95 % bootstrap interval of the mean], and the paper's "
@@ -47,6 +47,8 @@ class Asked:
     objects: tuple[str, ...] | None = None
     methods: tuple[str, ...] | None = None
     dry_run: bool = False
+    record: bool = False
+    live: bool = False
 
 
 def run_and_show(name_or_path: str, asked: Asked) -> None:
@@ -61,16 +63,25 @@ def run_and_show(name_or_path: str, asked: Asked) -> None:
     if asked.dry_run:
         show_plan(console, scenario, folder, workers)
         return
+    url = viewer.waiting() if asked.live else None
+    seen = Recorder(folder, console, asked.record, url) if asked.record or asked.live else None
     begin = time.monotonic()
     with show_progress(console) as told:
-        results = rows_of(run_scenario(scenario, folder, workers, told, asked.executor))
+        results = rows_of(run_scenario(scenario, folder, workers, told, asked.executor, seen))
     said = {"name": name, "command": _command(name_or_path, asked), "wall_s": round(time.monotonic() - begin, 1)}
     write_json(folder / "manifest.json", (read_json(folder / "manifest.json") or {}) | said)
     show_tables(console, scenario, results)
-    if not _many(results):
-        shapes = {model.name: model.shape for model in (load_object(o) for o in scenario.objects)}
-        for figure in save_figures(scenario, results, shapes, folder):
+    for figure in figures(folder):
+        if figure.suffix == ".pdf":
             console.print(f"figure: {figure}", highlight=False, soft_wrap=True)
+    if asked.record:
+        record_all(folder, console)
+    try:
+        record_worst(folder, results)
+        if not _many(results):
+            console.print(f"recording: {record_results(folder)}", highlight=False, soft_wrap=True)
+    except HeftError as error:  # nothing to be seen takes the tables away
+        console.print(f"no recording: {error}", highlight=False, soft_wrap=True)
     console.print(f"report: {report(folder)}", highlight=False, soft_wrap=True)
     failed = [row for row in results if row["status"] != "ok"]
     for line in list(_told(failed))[:MOST_LINES]:
@@ -95,19 +106,6 @@ def show_tables(console: Console, scenario: Scenario, results: Sequence[Row]) ->
                 console.print(metric_table(results, metric, support.name, sensing, objects))
     console.print(NOTES, highlight=False)
     console.print(hidden_table(results, objects))
-
-
-def save_figures(scenario: Scenario, results: Sequence[Row], shapes: dict[str, ObjectShape], folder: Path) -> list[str]:
-    """The heatmap of every support and sensing; their paths."""
-    saved = []
-    for support in scenario.supports():
-        for sensing in scenario.sensing:
-            name = f"absolute_difference_{support.name}_{sensing}".replace(" ", "_").replace("/", "_per_")
-            rows = select(results, support=support.name, sensing=sensing)
-            title = f"{SUPPORT_NAMES.get(support.name, support.name)}, {sensing}"
-            save_figure(absolute_difference(rows, shapes, title), folder / "figures" / name)
-            saved.append(f"{folder / 'figures' / name}.pdf")
-    return saved
 
 
 def _command(name_or_path: str, asked: Asked) -> str:

@@ -10,7 +10,7 @@ import rerun.blueprint as rrb
 
 from scenarios.comparison import select
 from scenarios.methods import nearest
-from scenarios.seen import estimate_shown, fits_of, rows_in, settings_of, show_trial, trial_shown
+from scenarios.seen import estimate_shown, fits_of, rows_in, settings_of, show_trial, trial_shown, typical_trial
 from testbed.errors import InvalidValueError
 from viz.comparison_view import comparison_blueprint, log_comparison
 from viz.estimate_shown import EstimateShown
@@ -56,9 +56,9 @@ def page_of(folder: Path, what: str | None) -> Page:
     )
 
 
-def trial_page(folder: Path, key: str) -> Page:
-    """One trial."""
-    shown = trial_shown(folder, key)
+def trial_page(folder: Path, key: str, *, light: bool = False) -> Page:
+    """One trial; `light`, with capsules for an arm, at a tenth of the size."""
+    shown = trial_shown(folder, key, meshes=not light)
     return Page(
         shown.title,
         f"trial {key}",
@@ -68,23 +68,18 @@ def trial_page(folder: Path, key: str) -> Page:
     )
 
 
-def estimate_page(folder: Path, key: str) -> Page:
-    """One estimate, the trials behind it as it explains them, and one of these whole."""
+def estimate_page(folder: Path, key: str, *, light: bool = False) -> Page:
+    """One estimate, the trials behind it as it explains them, and one of these whole; `light`, without the last."""
     row = next(iter(select(rows_in(folder), key=key)), None)
     if row is None:
         raise InvalidValueError("WHAT", key, f"an estimate of the last run into {folder}")
     shown = estimate_shown(folder, row)
     records, trajectories, fits = fits_of(folder, row, shown)
-    trial = None
-    if records:
-        trial = show_trial(
-            records[0],
-            trajectories[0],
-            shown.shape,
-            shown.answer,
-            f"{shown.method}'s masses",
-            {"sensing": row["sensing"]},
-        )
+    typical, trial = typical_trial(folder, row), None
+    for record, trajectory in zip(records, trajectories, strict=True):
+        if record.folder == typical.folder and trial is None and not light:
+            said = {"sensing": f"{row['sensing']}, draw {row['seed']}"}
+            trial = show_trial(record, trajectory, shown.shape, shown.answer, f"{shown.method}'s masses", said)
 
     def log(stream: rr.RecordingStream) -> None:
         log_estimate(stream, "estimate", shown)

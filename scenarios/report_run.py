@@ -47,6 +47,7 @@ def report(folder: Path) -> Path:
         losses=files.losses(rows, keys),
         tracebacks=files.tracebacks(),
         trial_keys_of=lambda row: trial_keys_of(row, trials),
+        recording_of=lambda key: name if (folder / (name := f"recordings/{key}.rrd")).is_file() else "",
         bad_trials=_bad(trials),
     )
     write_report(results, folder / "report.html")

@@ -36,7 +36,7 @@ PLANAR = (0, 1, 5)
 """Force x, y and torque z of a wrench."""
 
 
-def rows_in(folder: Path) -> list[Row]:
+def rows_in(folder: Path) -> Sequence[Row]:
     """The rows of the estimates that are done; of a finished run in the order in which they were asked for."""
     if (folder / "results.parquet").is_file():
         return rows_of(load_results(folder))
@@ -50,8 +50,14 @@ def sensing_of(folder: Path) -> str:
     return next((name for name in asked if name != "ideal"), "ideal")
 
 
-def trial_shown(folder: Path, key: str) -> TrialShown:
+def trial_shown(folder: Path, key: str, *, seed: int = 0, meshes: bool = True) -> TrialShown:
     """A trial by its key; a simulated one is given a draw of the sensor's errors, and the true masses as a model.
+
+    Args:
+        folder: results folder.
+        key: whole, or a beginning that no other has.
+        seed: of the draw.
+        meshes: dress the arm in its own meshes where the extra "meshes" is installed.
 
     Raises:
         InvalidValueError: a weighing, where nothing moves.
@@ -61,10 +67,11 @@ def trial_shown(folder: Path, key: str) -> TrialShown:
     trajectory, said = record.trajectory, "as measured"
     if is_simulated(trajectory):
         sensing = sensing_of(folder)
-        trajectory = sensed(Store(folder), (record.folder.name,), sensing, 0)[0]
-        said = f"{sensing}, draw 0"
+        trajectory = sensed(Store(folder), (record.folder.name,), sensing, seed)[0]
+        said = f"{sensing}, draw {seed}"
     model = record.object.truth if is_simulated(trajectory) else None
-    return show_trial(record, trajectory, record.object.shape, model, "the true masses", {"sensing": said})
+    called = "the true masses"
+    return show_trial(record, trajectory, record.object.shape, model, called, {"sensing": said}, meshes=meshes)
 
 
 def is_simulated(trajectory: Trajectory) -> bool:
@@ -79,6 +86,8 @@ def show_trial(
     model: MassDistribution | None,
     called: str,
     facts: dict[str, str],
+    *,
+    meshes: bool = True,
 ) -> TrialShown:
     """A trial with what a model says of it.
 
@@ -89,6 +98,7 @@ def show_trial(
         model: masses and friction that the wrench is predicted from; None without.
         called: which masses those are.
         facts: more to be said.
+        meshes: as `trial_shown`.
     """
     action = trajectory.action
     if isinstance(action, Weigh):
@@ -102,7 +112,7 @@ def show_trial(
         title=f"{record.object.name}: {name}",
         shape=record.object.shape,
         trajectory=trajectory,
-        poses=body_poses(trajectory, record.grip_width, every=POSES_EVERY),
+        poses=body_poses(trajectory, record.grip_width, meshes=meshes, every=POSES_EVERY),
         pose_times=trajectory.time_s[::POSES_EVERY],
         fit=wrench_fit(name, trajectory, predicted),
         model=called if model is not None else "",
@@ -161,7 +171,7 @@ def estimate_shown(folder: Path, row: Row) -> EstimateShown:
         HeftError: a file of it is damaged.
     """
     arrays = _arrays(folder / "estimates" / row["key"] / "estimate.npz")
-    record = _first_trial(folder, row)
+    record = typical_trial(folder, row)
     shape = ObjectShape(
         arrays["particles"],
         arrays["mass_group"],
@@ -216,19 +226,24 @@ def settings_of(rows: Sequence[Row]) -> list[tuple[str, list[Row]]]:
     for (support, sensing, *values), found in groups.items():
         swept = [f"{axis.removeprefix('axis.')} {value}" for axis, value in zip(axes, values, strict=True)]
         first = select(found, seed=min(row["seed"] for row in found))
-        named.append((", ".join([SUPPORT_NAMES.get(support, support), sensing, *swept]), first))
+        named.append((", ".join([str(SUPPORT_NAMES.get(support, support)), str(sensing), *swept]), first))
     return named
 
 
-def _first_trial(folder: Path, row: Row) -> TrialRecord:
+def typical_trial(folder: Path, row: Row) -> TrialRecord:
+    """The first turn at constant speed behind an estimate, or else what there is.
+
+    Raises:
+        InvalidValueError: the estimate does not say which trials it is from.
+        HeftError: a file of it is damaged.
+    """
     keys = row.get("trial_keys")
     if keys is None or len(keys) == 0:
         raise InvalidValueError("ESTIMATE", row["key"], "one that says which trials it is from: run it again")
-    for key in keys[1:]:
-        record = read_trial(folder, key)
-        if not isinstance(record.trajectory.action, Weigh):
-            return record
-    return read_trial(folder, keys[0])
+    records = [read_trial(folder, key) for key in keys]
+    turns = [record for record in records if isinstance(record.trajectory.action, Rotate)]
+    moved = [record for record in records if not isinstance(record.trajectory.action, Weigh)]
+    return next(iter(turns or moved or records))
 
 
 def _facts(row: Row) -> dict[str, str]:
@@ -236,7 +251,7 @@ def _facts(row: Row) -> dict[str, str]:
     return {
         "method": str(row["method"]),
         "object": str(row["object"]),
-        "support": SUPPORT_NAMES.get(row["support"], row["support"]),
+        "support": str(SUPPORT_NAMES.get(row["support"], row["support"])),
         "sensing": f"{row['sensing']}, draw {row['seed']}",
         "status": str(row["status"]),
         "why": str(row.get("message") or ""),

@@ -9,7 +9,7 @@ from typing import Any
 
 import pandas as pd
 
-from scenarios.cells import Progress, cells_of
+from scenarios.cells import Made, Progress, cells_of
 from scenarios.estimates import run_estimates
 from scenarios.execution import open_executor
 from scenarios.folder_lock import exclusive
@@ -19,7 +19,12 @@ from scenarios.trials import run_trials
 
 
 def run_scenario(
-    scenario: Scenario, out: Path, worker_count: int, progress: Progress, executor: str = "local"
+    scenario: Scenario,
+    out: Path,
+    worker_count: int,
+    progress: Progress,
+    executor: str = "local",
+    made: Made | None = None,
 ) -> pd.DataFrame:
     """Run or resume a scenario; a row an estimate.
 
@@ -29,6 +34,7 @@ def run_scenario(
         worker_count: workers; 0 is this process.
         progress: told how far it is.
         executor: inline, local or ray.
+        made: told of each "trial" and "estimate" that is made, by its key, when it is done.
 
     Raises:
         HeftError: something in the scenario cannot be done, or another run writes to `out`.
@@ -39,8 +45,8 @@ def run_scenario(
         store.remove_leftovers()
         cells, left_out = cells_of(scenario, store, progress)
         write_json(out / "manifest.json", manifest(scenario))
-        run_trials(cells, store, tasks, progress)
-        rows = run_estimates(cells, left_out, store, tasks, progress)
+        run_trials(cells, store, tasks, progress, made)
+        rows = run_estimates(cells, left_out, store, tasks, progress, made)
         return store.put_table(rows)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import deque
 from dataclasses import asdict
 
-from scenarios.cells import Cell, Progress
+from scenarios.cells import Cell, Made, Progress
 from scenarios.execution import Executor, Failure
 from scenarios.store import Store, key_of, object_request, trial_request
 from testbed.actions import Action, Weigh, action_to_dict
@@ -18,7 +18,9 @@ FEET_RATE = 10.0
 """At which the table's forces on the feet are kept, for looking, Hz."""
 
 
-def run_trials(cells: list[Cell], store: Store, executor: Executor, progress: Progress) -> None:
+def run_trials(
+    cells: list[Cell], store: Store, executor: Executor, progress: Progress, made: Made | None = None
+) -> None:
     """Make the trials: some cells side by side, each cell's in order; a trial that two cells ask for is made once.
 
     A cell whose trial fails for good has the reason in `failure`, and goes no further.
@@ -53,6 +55,8 @@ def run_trials(cells: list[Cell], store: Store, executor: Executor, progress: Pr
                 go_on(cell, Weigh())
         if executor.running:
             key, value = executor.wait()
+            if made is not None and not isinstance(value, Failure):
+                made("trial", key)
             for cell, action in asking.pop(key):
                 if not isinstance(value, Failure):
                     go_on(cell, action)

@@ -5,9 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 from scenarios.store import Store, key_of, trial_request
+from scenarios.trials import simulate
 from testbed.actions import Action
 from testbed.object_files import load_object
-from testbed.simulation.runner import SimulationRunner
 from testbed.simulation.settings import SimulationSettings
 from testbed.trial import OWN_WEIGHT, Support, Trial
 
@@ -22,7 +22,5 @@ def put_trial(
     """Simulate a trial, store it, and return its key."""
     settings = settings or SimulationSettings()
     trial = Trial(load_object(name), action, support)
-    asked = trial_request(trial, settings)
-    key = key_of(asked)
-    Store(root).put_trial(key, trial, asked, SimulationRunner(settings).run_clean(trial))
-    return key
+    simulate(trial, settings, Store(root))
+    return key_of(trial_request(trial, settings))

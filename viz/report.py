@@ -63,6 +63,8 @@ class Results:
     """Of estimates that failed, by folder."""
     trial_keys_of: Callable[[Row], Sequence[str]] = lambda _: ()
     """Folders of the trials behind an estimate."""
+    recording_of: Callable[[str], str] = lambda _: ""
+    """Path of an estimate's recording by its folder; empty where there is none."""
     bad_trials: Mapping[tuple[str, str], Sequence[str]] = field(default_factory=dict)
     """Folders of trials that are no good, by status and reason."""
 
@@ -100,6 +102,11 @@ def _render(results: Results) -> str:
         )
         for first in {(row["support"], row["sensing"]): row for row in asked}.values()
     }
+    folder_of = {id(row): key for row, key in zip(rows, results.keys, strict=True)}
+    worst, worst_own = (
+        report_lists.worst(found, lambda row: folder_of[id(row)], results.trial_keys_of, results.recording_of)
+        for found in report_lists.worst_of(rows)
+    )
     draw = _Drawer()
     objects = list(dict.fromkeys(row["object"] for row in asked))
     pictured = pictured_objects(asked, objects)
@@ -118,12 +125,8 @@ def _render(results: Results) -> str:
         losses=[draw(loss_figure(traces), _loss_caption(m, traces)) for m, traces in results.losses.items()],
         maps=_maps(groups, pictured, results.shape_of, draw),
         left_out=len(objects) - len(pictured),
-        worst=report_lists.worst(rows, results.keys, results.trial_keys_of, 10),
-        worst_own=report_lists.worst(
-            [row for row in rows if row["kind"] == "hidden_states"],
-            [key for row, key in zip(rows, results.keys, strict=True) if row["kind"] == "hidden_states"],
-            results.trial_keys_of, 5,
-        ),
+        worst=worst,
+        worst_own=worst_own,
         most_failures=MOST_FAILURES,
         failures=report_lists.failures(rows, results.tracebacks),
     )  # fmt: skip

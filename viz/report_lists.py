@@ -27,6 +27,8 @@ class Worst:
     """Its folder; empty where not known."""
     trials: tuple[str, ...]
     """Folders of its trials."""
+    recording: str
+    """Path of its recording; empty where there is none."""
 
 
 @dataclass(frozen=True)
@@ -46,23 +48,36 @@ class Failure:
     """Of the file with the traceback."""
 
 
+def worst_first(rows: Sequence[Row]) -> list[Row]:
+    """Those with a NAD, the greatest first."""
+    return sorted((row for row in rows if row["nad"] is not None), key=lambda row: -row["nad"])
+
+
+def worst_of(rows: Sequence[Row]) -> tuple[list[Row], list[Row]]:
+    """The estimates that the report shows: the ten with the greatest NAD, and the five of the hidden states."""
+    own = [row for row in rows if row["kind"] == "hidden_states"]
+    return worst_first(rows)[:10], worst_first(own)[:5]
+
+
 def worst(
-    rows: Sequence[Row], keys: Sequence[str | None], trial_keys_of: Callable[[Row], Sequence[str]], count: int
+    rows: Sequence[Row],
+    key_of: Callable[[Row], str | None],
+    trial_keys_of: Callable[[Row], Sequence[str]],
+    recording_of: Callable[[str], str],
 ) -> list[Worst]:
-    """The estimates with the greatest NAD, worst first."""
+    """These estimates, with their files."""
     axes = axes_of(rows)
-    answered = [(row, key) for row, key in zip(rows, keys, strict=True) if row["nad"] is not None]
-    answered.sort(key=lambda pair: -pair[0]["nad"])
     return [
         Worst(
             row=row,
             nad=number(100 * row["nad"]),
             support=support_name(row),
             swept=", ".join(f"{a.removeprefix(AXIS)} = {row[a]}" for a in axes if row.get(a) is not None),
-            key=key or "",
+            key=(key := key_of(row) or ""),
             trials=tuple(trial_keys_of(row)),
+            recording=recording_of(key) if key else "",
         )
-        for row, key in answered[:count]
+        for row in rows
     ]
 
 

@@ -1,0 +1,310 @@
+"""One support model fitted to all that was felt: who carries the weight, and what friction and masses follow.
+
+Both models, every group on its own weight and one rigid body, give loads that are affine in the masses, so the wrench
+is bilinear in friction and mass: one fit serves both, with the same data and the same stated errors.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from scipy.optimize import nnls
+from torch import Tensor
+
+from estimators.dynamics import ParticleModel, inertia_of
+from estimators.inertia import PivotInertia, pivot_inertias
+from estimators.observations import Observations
+from estimators.prediction import AffineLoads, WrenchModel
+from estimators.support import GripperLoad, own_weight, rigid_loads
+from testbed.objects import GRAVITY, ObjectShape
+
+FittedSupport = Literal["own_weight", "rigid"]
+ROUNDS = 6
+"""Of Gauss-Newton: friction is tight from the first on."""
+FRICTION_PRIOR = 1.0
+"""Standard deviation of every friction coefficient beforehand; so wide that it decides nothing."""
+
+
+@dataclass(frozen=True)
+class ModelErrors:
+    """How far the models themselves are taken to be off."""
+
+    pivot: float = 2e-4
+    """How well the centre of a turn is known, m."""
+    force: float = 0.002
+    """Of a force, as a part of the total drag."""
+    torque: float = 0.001
+    """Of a torque, as a part of itself."""
+    height: float = 0.001
+    """How well the TCP's height over the feet is known, m; one draw for all windows."""
+    balance: float = 1e-4
+    """How far the loads' own centre may lie from where weight and gripper put it, m; one draw for all windows."""
+    inertia: float = 0.01
+    """Of I_j, as a part of itself; once of each, and once of all together."""
+    weight: float = 1e-3
+    """Of the weighing, kg."""
+
+
+@dataclass(frozen=True, eq=False)
+class SupportFit:
+    """Wrenches linear in (friction, mass) about a support model's best fit, whitened: R = 3 K rows of unit error."""
+
+    support: FittedSupport
+    friction: Float[np.ndarray, "n_mu"]
+    mass: Float[np.ndarray, "n_m"]
+    """Of a particle, kg; under one rigid body only M, c and I_cm of it are known."""
+    of_friction: Float[np.ndarray, "R n_mu"]
+    of_mass: Float[np.ndarray, "R n_m"]
+    wider: Float[np.ndarray, "R w"]
+    """Of loads that this support has no place for: on own weight those rising along x or y, else each group's own."""
+    target: Float[np.ndarray, "R"]
+    """What of_friction friction + of_mass mass should be."""
+    log_volume: float
+    """Half the log determinant of the wrenches' covariance."""
+    pivots: PivotInertia | None
+    """I_j, with friction's change taken away as this support has it."""
+    known: Float[np.ndarray, "1+J n_m"]
+    """Rows of the weight and of each I_j, in units of their errors."""
+    known_target: Float[np.ndarray, "1+J"]
+    known_log_volume: float
+
+    @property
+    def misfit(self) -> float:
+        """Squared residual of the wrenches, R where the model holds."""
+        missing = self.target - self.of_friction @ self.friction - self.of_mass @ self.mass
+        return float(missing @ missing)
+
+    def on_mass(self) -> tuple[Float[np.ndarray, "r n_m"], Float[np.ndarray, "r"]]:
+        """All that is known of the masses, friction eliminated: rows a with a m = y, independent and of unit error.
+
+        The first row is the surest; r is n_m where every mass is known, and 4 at most under one rigid body.
+        """
+        q, _ = np.linalg.qr(self.of_friction)
+        free = self.of_mass - q @ (q.T @ self.of_mass)
+        rows = np.vstack([free, self.known])
+        values = np.concatenate([self.target - q @ (q.T @ self.target), self.known_target])
+        left, strength, right = np.linalg.svd(rows, full_matrices=False)
+        kept = strength > 1e-6 * strength[0]
+        return strength[kept, None] * right[kept], left[:, kept].T @ values
+
+    def log_evidence(self, mean: Float[np.ndarray, "n_m"], covariance: Float[np.ndarray, "n_m n_m"]) -> float:
+        """Log of the data's probability density, exact for Gaussian masses and wide Gaussian friction beforehand."""
+        n_mu, n_m = len(self.friction), len(self.mass)
+        design = np.zeros((len(self.target) + len(self.known), n_mu + n_m))
+        design[: len(self.target)] = np.hstack([self.of_friction, self.of_mass])
+        design[len(self.target) :, n_mu:] = self.known
+        values = np.concatenate([self.target, self.known_target])
+        root = np.zeros((n_mu + n_m, n_mu + n_m))
+        root[:n_mu, :n_mu] = FRICTION_PRIOR * np.eye(n_mu)
+        scale, axes = np.linalg.eigh(covariance)
+        root[n_mu:, n_mu:] = axes * np.sqrt(np.maximum(scale, 0.0))
+        missing = values - design @ np.concatenate([self.friction, mean])
+        spread = design @ root
+        inner = np.eye(n_mu + n_m) + spread.T @ spread
+        explained = spread.T @ missing
+        chi = missing @ missing - explained @ np.linalg.solve(inner, explained)
+        volume = np.linalg.slogdet(inner)[1] / 2 + self.log_volume + self.known_log_volume
+        return float(-chi / 2 - volume)
+
+
+def fit_support(
+    shape: ObjectShape, weight: float, observed: Observations, support: FittedSupport, errors: ModelErrors
+) -> SupportFit:
+    """Fit friction and masses under one support model, by Gauss-Newton with neither negative.
+
+    Args:
+        shape: geometry and groups.
+        weight: M, kg.
+        observed: windows of constant speed, and of constant acceleration where there are any.
+        support: which model.
+        errors: how far it may be off.
+    """
+    model = ParticleModel.of(shape)
+    steady, accelerated = observed.where(~observed.accelerated), observed.where(observed.accelerated)
+    loads_of = _LOADS[support]
+    mass = np.full(shape.n_m, weight / len(shape.particles))
+    drag = float(steady.wrench[:, :2].norm(dim=1).max()) / (weight * GRAVITY)
+    friction = np.full(shape.n_mu, drag)
+    loads = _affine(shape, model, steady, loads_of)
+    wrenches = WrenchModel.of(model, steady, loads, errors.pivot)
+    response = _response(model, steady, loads_of)
+    weak, even = _weak_prior(shape, weight)
+    fit: SupportFit | None = None
+    for _ in range(ROUNDS):
+        at_mass, at_friction = torch.tensor(mass), torch.tensor(friction)
+        pushed = model.particle_friction(at_friction) * loads.at(at_mass)
+        root = torch.linalg.cholesky(
+            _covariance(model, steady, weight, pushed, model.particle_friction(at_friction)[:, None] * response, errors)
+        )
+        whiten = torch.linalg.inv(root)
+        of_friction = (wrenches.weighed @ at_mass + wrenches.carried).flatten(1).T
+        of_mass = (wrenches.inertial + torch.einsum("k,kwim->wim", at_friction, wrenches.weighed)).flatten(0, 1)
+        off = steady.wrench - wrenches.wrench(at_mass, at_friction)
+        linear = off.flatten() + of_friction @ at_friction + of_mass @ at_mass
+        rows, _ = steady.drag_rows(model, errors.pivot)
+        excluded = model.particle_friction(at_friction)[:, None] * _excluded(model, support)
+        pivots = _pivots(model, shape, accelerated, at_mass, at_friction, loads_of, errors)
+        known, known_target, known_volume = _known(shape, weight, pivots, errors)
+        fit = SupportFit(
+            support,
+            friction,
+            mass,
+            (whiten @ of_friction).numpy(),
+            (whiten @ of_mass).numpy(),
+            (whiten @ (rows @ excluded).flatten(0, 1)).numpy(),
+            (whiten @ linear).numpy(),
+            float(torch.log(torch.diagonal(root)).sum()),
+            pivots,
+            known,
+            known_target,
+            known_volume,
+        )
+        n_mu = shape.n_mu
+        system = np.block(
+            [
+                [fit.of_friction, fit.of_mass],
+                [np.zeros((len(known), n_mu)), known],
+                [np.zeros((shape.n_m, n_mu)), weak],
+            ]
+        )
+        solved, _ = nnls(system, np.concatenate([fit.target, known_target, even]))
+        friction, mass = solved[:n_mu], solved[n_mu:]
+    assert fit is not None
+    return replace(fit, friction=friction, mass=mass)
+
+
+def prior_masses(shape: ObjectShape, weight: float) -> tuple[Float[np.ndarray, "n_m"], Float[np.ndarray, "n_m n_m"]]:
+    """Mean and covariance of particle masses before anything is felt, where all ways to share M are as likely.
+
+    Shares of a Dirichlet distribution, in proportion to the groups' sizes: for blocks of one size it is even over the
+    simplex.
+    """
+    count = shape.particles_per_group
+    part = count / count.sum()
+    covariance = (np.diag(part) - np.outer(part, part)) / (shape.n_m + 1)
+    return weight * part / count, weight**2 * covariance / np.outer(count, count)
+
+
+def _weak_prior(shape: ObjectShape, weight: float) -> tuple[np.ndarray, np.ndarray]:
+    """Rows that draw a mass of which nothing is known to the mean, and touch no other noticeably."""
+    mean, covariance = prior_masses(shape, weight)
+    rows = np.diag(0.1 / np.sqrt(np.maximum(np.diag(covariance), (1e-3 * mean) ** 2)))
+    return rows, rows @ mean
+
+
+_Loads = Callable[[ParticleModel, Tensor, GripperLoad], Tensor]
+
+
+def _own(model: ParticleModel, mass: Tensor, load: GripperLoad) -> Tensor:
+    return own_weight(model.particles, model.mass_group, model.contact, mass, load).loads(load)
+
+
+def _rigid(model: ParticleModel, mass: Tensor, load: GripperLoad) -> Tensor:
+    return rigid_loads(model.particles, model.contact, mass, load)
+
+
+_LOADS: dict[FittedSupport, _Loads] = {"own_weight": _own, "rigid": _rigid}
+
+
+def _excluded(model: ParticleModel, support: FittedSupport) -> Float[Tensor, "P w"]:
+    """Loads that a support model has no place for, and the other has."""
+    if support == "own_weight":
+        return model.particles - model.particles.mean(0)
+    return torch.nn.functional.one_hot(model.mass_group).double()
+
+
+def _affine(shape: ObjectShape, model: ParticleModel, windows: Observations, loads_of: _Loads) -> AffineLoads:
+    """Loads as an affine function of the masses, probed with one particle mass of 2 kg among ones."""
+
+    def loads(mass: Tensor) -> Tensor:
+        particle_mass = model.particle_mass(mass)
+        return loads_of(model, particle_mass, windows.gripper_load(inertia_of(model, particle_mass), shape.height))
+
+    ones = torch.ones(shape.n_m, dtype=torch.float64)
+    base = loads(ones)
+    per_mass = torch.stack([loads(ones + one) - base for one in torch.diag(ones)], -1)
+    return AffineLoads(per_mass, base - per_mass.sum(-1))
+
+
+def _response(model: ParticleModel, windows: Observations, loads_of: _Loads) -> Float[Tensor, "K P 3"]:
+    """Change of every load with what the gripper carries: lift, and moment along x and y."""
+    mass = torch.ones(len(model.particles), dtype=torch.float64)
+    zero = torch.zeros_like(windows.lift), torch.zeros_like(windows.tilt)
+
+    def loads(lift: float, x: float, y: float) -> Tensor:
+        moment = zero[1] + torch.tensor([x, y], dtype=torch.float64)
+        return loads_of(model, mass, GripperLoad(zero[0] + lift, moment, windows.held, windows.grasp))
+
+    base = loads(0.0, 0.0, 0.0)
+    return torch.stack([loads(*one) - base for one in torch.eye(3).tolist()], -1)
+
+
+def _covariance(
+    model: ParticleModel, windows: Observations, weight: float, drag: Tensor, response: Tensor, errors: ModelErrors
+) -> Float[Tensor, "R R"]:
+    """Of all windows' wrenches: the sensor's, the model's, and that of what the gripper seems to carry.
+
+    Args:
+        model: the object.
+        windows: of constant speed.
+        weight: M, kg.
+        drag: mu N of every particle, N, (K, P).
+        response: its change with what the gripper carries, (K, P, 3).
+        errors: of the model.
+    """
+    rows, faded = windows.drag_rows(model, errors.pivot)
+    lost = (drag * faded).square().sum(-1) / 2
+    force = (errors.force * drag.sum(-1)).square()
+    floor = torch.stack([lost + force] * 2 + [(errors.torque * windows.wrench[:, 2]).square()], -1)
+    within = windows.covariance + torch.diag_embed(floor + 1e-10)
+    carried = rows @ response
+    wrong = carried * windows.load_variance.sqrt()[:, None]
+    together = (windows.trial[:, None] == windows.trial)[:, None, :, None]
+    shared = windows.shared_covariance() + together * torch.einsum("kia,lja->kilj", wrong, wrong)
+    raised = errors.height * (carried[..., 1:] @ windows.wrench[:, :2, None]).flatten()
+    count = 3 * len(windows)
+    pressed = errors.balance * weight * GRAVITY * carried[..., 1:].flatten(0, 1)
+    return torch.block_diag(*within) + shared.reshape(count, count) + torch.outer(raised, raised) + pressed @ pressed.T
+
+
+def _pivots(
+    model: ParticleModel,
+    shape: ObjectShape,
+    windows: Observations,
+    mass: Tensor,
+    friction: Tensor,
+    loads_of: _Loads,
+    errors: ModelErrors,
+) -> PivotInertia | None:
+    """I_j, with the change of friction that the gripper's changing load brings taken away."""
+    if len(windows) == 0:
+        return None
+    particle_mass = model.particle_mass(mass)
+    inertia = inertia_of(model, particle_mass)
+    loads = loads_of(model, particle_mass, windows.gripper_load(inertia, shape.height))
+    rows, _ = windows.drag_rows(model, 0.0)
+    felt = (rows @ (model.particle_friction(friction) * loads)[..., None])[:, 2, 0]
+    moved = windows.inertial_wrench(inertia)[:, 2]
+    return pivot_inertias(windows, felt.numpy(), moved.numpy(), errors.inertia)
+
+
+def _known(
+    shape: ObjectShape, weight: float, pivots: PivotInertia | None, errors: ModelErrors
+) -> tuple[np.ndarray, np.ndarray, float]:
+    """Rows of the weight and of the inertia about every pivot, their values, and half their log volume, whitened."""
+    rows = [shape.particles_per_group.astype(float)]
+    values, covariance = np.array([weight]), np.array([[errors.weight**2]])
+    if pivots is not None:
+        for point in pivots.pivot:
+            squares = np.sum((shape.particles - point) ** 2, axis=1) + shape.cell**2 / 6
+            rows.append(np.bincount(shape.mass_group, squares, shape.n_m))
+        values = np.append(values, pivots.inertia)
+        covariance = np.diag(np.append(errors.weight**2, pivots.variance))
+        covariance[1:, 1:] += errors.inertia**2 * np.outer(pivots.inertia, pivots.inertia)
+    root = np.linalg.cholesky(covariance)
+    return np.linalg.solve(root, np.array(rows)), np.linalg.solve(root, values), float(np.log(np.diag(root)).sum())

@@ -1,0 +1,116 @@
+"""Where M, c and I_cm are known and no more: the masses that fit, none negative, and what can be said of each.
+
+Under one rigid body friction shows M and c, and acceleration I_cm: four numbers for n_m masses. The masses that agree
+with them are a polytope, blurred by the numbers' own errors.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Float
+from scipy.linalg import null_space
+from scipy.optimize import linprog
+from scipy.special import ndtr, ndtri
+from scipy.stats import norm
+
+CHAINS, STEPS, SETTLING = 256, 240, 60
+"""Of hit and run."""
+SMALLEST, FAR = 1e-300, 1e300
+
+
+@dataclass(frozen=True, eq=False)
+class MassPolytope:
+    """Masses m >= 0 with rows m = values, every row an independent measurement of unit error."""
+
+    rows: Float[np.ndarray, "r n_m"]
+    values: Float[np.ndarray, "r"]
+
+    @cached_property
+    def inside(self) -> tuple[Float[np.ndarray, "n_m"], float]:
+        """A mass map well inside, as far from every bound as can be, and by how many standard errors its rows miss.
+
+        They miss by more than a few only where no mass map agrees with what was measured.
+        """
+        count, n = self.rows.shape
+        norms = np.linalg.norm(self.rows, axis=0)
+        # unknowns: masses, the least mass in units of what one row's error allows, and the miss
+        size = max(float(np.abs(self.values).max() / norms.max()), SMALLEST)
+        above = np.hstack([self.rows * size, np.zeros((count, 1)), -np.ones((count, 1))])
+        below = np.hstack([-self.rows * size, np.zeros((count, 1)), -np.ones((count, 1))])
+        deep = np.hstack([-np.eye(n), np.ones((n, 1)), np.zeros((n, 1))])
+        cost = np.append(np.zeros(n), [-1.0, 1.0])
+        found = linprog(
+            cost,
+            np.vstack([above, below, deep]),
+            np.concatenate([self.values, -self.values, np.zeros(n)]),
+            bounds=[(0, None)] * (n + 2),
+            method="highs",
+        )
+        return found.x[:n] * size, float(found.x[-1])
+
+    def ranges(self, confidence: float) -> tuple[Float[np.ndarray, "n_m"], Float[np.ndarray, "n_m"]]:
+        """Least and greatest mass of each group over all maps within the measurements' joint errors, kg.
+
+        Every row may miss by the same number of standard errors, such that all do with probability `confidence`; where
+        no map does, by as little more as is needed.
+        """
+        count, n = self.rows.shape
+        reach = float(norm.ppf((1 + confidence ** (1 / count)) / 2))
+        reach = max(reach, self.inside[1] * (1 + 1e-6) + 1e-9)
+        scale = np.linalg.norm(self.rows, axis=1)[:, None]
+        limits = np.vstack([self.rows, -self.rows]) / np.vstack([scale, scale])
+        most = np.concatenate([self.values + reach, reach - self.values]) / np.concatenate([scale, scale])[:, 0]
+        ends = np.empty((2, n))
+        for group, direction in enumerate(np.eye(n)):
+            for side, sign in enumerate((1.0, -1.0)):
+                found = linprog(sign * direction, limits, most, bounds=(0, None), method="highs")
+                ends[side, group] = found.x[group] if found.status == 0 else self.inside[0][group]
+        return ends[0], ends[1]
+
+    def posterior(self, seed: int) -> tuple[Float[np.ndarray, "n_m"], Float[np.ndarray, "n_m n_m"]]:
+        """Mean and covariance of the masses given the measurements, where beforehand all masses >= 0 are as likely.
+
+        By hit and run, many chains side by side. The mean has the least expected squared error, and is itself a map
+        that fits: the set is convex.
+        """
+        rng = np.random.default_rng(seed)
+        start, _ = self.inside
+        blind = null_space(self.rows, rcond=1e-9) * max(float(start.sum()), SMALLEST)
+        seen = np.linalg.pinv(self.rows)
+        masses = np.tile(start, (CHAINS, 1))
+        total, square, taken = np.zeros(len(start)), np.zeros((len(start), len(start))), 0
+        for step in range(STEPS):
+            ways = (blind, seen) if blind.shape[1] else (seen,)
+            basis = ways[step % len(ways)]
+            way = rng.standard_normal((CHAINS, basis.shape[1])) @ basis.T
+            masses = np.maximum(masses + self._along(masses, way, rng)[:, None] * way, 0.0)
+            if step >= SETTLING:
+                total += masses.sum(axis=0)
+                square += masses.T @ masses
+                taken += CHAINS
+        mean = total / taken
+        return mean, square / taken - np.outer(mean, mean)
+
+    def _along(self, masses: np.ndarray, way: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+        """How far each chain goes along its way: a draw from the density on the line, within the bounds."""
+        with np.errstate(divide="ignore", invalid="ignore"):
+            to_zero = -masses / way
+        low = np.where(way > 0, to_zero, -FAR).max(axis=1)
+        high = np.where(way < 0, to_zero, FAR).min(axis=1)
+        slope = way @ self.rows.T
+        precision = np.maximum((slope**2).sum(axis=1), SMALLEST)
+        middle = (slope * (self.values - masses @ self.rows.T)).sum(axis=1) / precision
+        error = 1 / np.sqrt(precision)
+        even = error > 1e3 * (high - low)  # nothing measured changes along the way
+        a, b = (low - middle) / error, (high - middle) / error
+        turned = a > 0  # in the upper tail the distribution function is 1 to rounding
+        a, b = np.where(turned, -b, a), np.where(turned, -a, b)
+        part = rng.random(len(masses))
+        drawn = ndtri(np.clip(ndtr(a) + part * (ndtr(b) - ndtr(a)), SMALLEST, 1 - 1e-16))
+        drawn = np.clip(drawn, a, b)
+        drawn = middle + error * np.where(turned, -drawn, drawn)
+        drawn[even] = (low + part * (high - low))[even]
+        return np.clip(drawn, low, high)

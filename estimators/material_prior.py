@@ -1,0 +1,137 @@
+"""Blocks of a few known materials: every assignment of one to each block, ranked by how well it fits what was measured.
+
+Exact: every assignment is either scored or shown to be too far off to matter. The assignments of either half of the
+blocks are listed, and of their pairs only those whose sum is near what the surest measurement says are scored.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import reduce
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.special import logsumexp
+from scipy.stats import chi2
+
+from testbed.errors import InvalidValueError
+
+MOST_BLOCKS = 20
+"""Beyond this the list is not exhausted in seconds."""
+MOST_PAIRS = 4e9
+"""Assignments that may be scored."""
+LEFT_OUT = 1e-6
+"""Share of probability that may be left unscored, at most."""
+KEPT = 100_000
+"""Best assignments that are kept one by one."""
+CHUNK = 1 << 22
+"""Pairs scored at a time."""
+
+
+@dataclass(frozen=True, eq=False)
+class RankedAssignments:
+    """The S best assignments, most probable first."""
+
+    material: Int[np.ndarray, "S n_m"]
+    """Index of each group's material."""
+    probability: Float[np.ndarray, "S"]
+    """Of each, given that one of all is true and that beforehand all were as likely."""
+    misfit: float
+    """Squared residual of the best, in units of the measurements' errors."""
+    fits: float
+    """p-value of that misfit: small where no assignment explains the measurements."""
+
+    def holding(self, share: float) -> int | None:
+        """How many of the best hold that share of the probability; None where more than are listed."""
+        within = np.cumsum(self.probability)
+        return int(np.searchsorted(within, share) + 1) if within[-1] >= share else None
+
+    def moments(
+        self, options: Float[np.ndarray, "n_m k"]
+    ) -> tuple[Float[np.ndarray, "n_m"], Float[np.ndarray, "n_m n_m"]]:
+        """Mean and covariance of the groups' masses over the listed assignments."""
+        masses = np.take_along_axis(options[None], self.material[:, :, None], 2)[..., 0]
+        share = self.probability / self.probability.sum()
+        mean = share @ masses
+        return mean, (masses - mean).T @ ((masses - mean) * share[:, None])
+
+
+def rank_assignments(
+    rows: Float[np.ndarray, "r n_m"], values: Float[np.ndarray, "r"], options: Float[np.ndarray, "n_m k"]
+) -> RankedAssignments:
+    """Rank all k^n_m assignments by how well they agree with measurements.
+
+    Args:
+        rows: of the groups' masses, every row an independent measurement of unit error, the surest first.
+        values: what each row should give.
+        options: mass of each group in each material, kg.
+
+    Raises:
+        InvalidValueError: more blocks or more assignments than can be ranked exactly.
+    """
+    n, k = options.shape
+    if n > MOST_BLOCKS or float(k) ** n > MOST_PAIRS:
+        allowed = f"at most {MOST_BLOCKS} mass groups and {MOST_PAIRS:.0e} assignments"
+        raise InvalidValueError("materials", f"{k} materials for {n} mass groups", allowed)
+    half = n // 2
+    first = _sums(rows[:, :half], options[:half]) - values
+    second = _sums(rows[:, half:], options[half:])
+    # beyond this many standard errors of the surest row, all together weigh less than LEFT_OUT of the best
+    best = _quick(first, second)
+    reach = np.sqrt(best + 2 * np.log(float(k) ** n / LEFT_OUT))
+    up = np.argsort(second[:, 0], kind="stable")
+    second = second[up]
+    squares = (second**2).sum(axis=1)
+    order = np.argsort(first[:, 0], kind="stable")
+    step = max(CHUNK // len(second), 1)
+    total = -np.inf
+    scores, which = np.empty(0), np.empty((0, 2), dtype=np.int64)
+    for begin in range(0, len(order), step):
+        chosen = order[begin : begin + step]
+        some = first[chosen]
+        low, high = np.searchsorted(second[:, 0], [-some[-1, 0] - reach, -some[0, 0] + reach])
+        if low == high:
+            continue
+        chi = (some**2).sum(axis=1)[:, None] + squares[low:high] + 2 * some @ second[low:high].T
+        total = np.logaddexp(total, logsumexp(-chi / 2))
+        near = np.flatnonzero(chi.ravel() <= (np.inf if len(scores) < KEPT else scores[-1]))
+        if len(near) > KEPT:
+            near = near[np.argpartition(chi.ravel()[near], KEPT)[:KEPT]]
+        pairs = np.column_stack([chosen[near // (high - low)], up[low + near % (high - low)]])
+        scores, which = np.append(scores, chi.ravel()[near]), np.vstack([which, pairs])
+        kept = np.argsort(scores, kind="stable")[:KEPT]
+        scores, which = scores[kept], which[kept]
+    # scores were differences of large squares: the listed ones again, exactly
+    digits = np.hstack([_digits(which[:, 0], k, half), _digits(which[:, 1], k, n - half)])
+    masses = np.take_along_axis(options[None], digits[:, :, None], 2)[..., 0]
+    exact = ((masses @ rows.T - values) ** 2).sum(axis=1)
+    kept = np.argsort(exact, kind="stable")
+    listed = exact[kept]
+    probability = np.exp(-listed / 2 - max(total, float(logsumexp(-listed / 2))))
+    return RankedAssignments(digits[kept], probability, float(listed[0]), float(chi2.sf(listed[0], len(rows))))
+
+
+def _sums(rows: np.ndarray, options: np.ndarray) -> np.ndarray:
+    """What every assignment of some groups adds to each row, (k^n, r); the last group's material changes fastest."""
+    parts = [rows[:, g][None] * options[g][:, None] for g in range(len(options))]
+    empty = np.zeros((1, len(rows)))
+    return reduce(lambda sums, part: (sums[:, None] + part[None]).reshape(-1, len(rows)), parts, empty)
+
+
+def _digits(index: np.ndarray, base: int, count: int) -> np.ndarray:
+    """Materials of an assignment of some groups by its place in the list, (S, count)."""
+    return index[:, None] // base ** np.arange(count - 1, -1, -1) % base
+
+
+def _quick(first: np.ndarray, second: np.ndarray) -> float:
+    """Squared residual of a good assignment, by descent over either half in turn: an upper bound of the least."""
+    at = 0
+    best = np.inf
+    for _ in range(10):
+        place = int(((first[at] + second) ** 2).sum(axis=1).argmin())
+        chi = ((first + second[place]) ** 2).sum(axis=1)
+        at = int(chi.argmin())
+        if chi[at] >= best:
+            break
+        best = float(chi[at])
+    return best

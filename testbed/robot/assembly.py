@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from datetime import UTC, datetime
 
 import numpy as np
 from jaxtyping import Float
@@ -111,5 +112,10 @@ def read_off(weight: float) -> Trajectory:
         joint_position=np.zeros((1, 7)),
         tool=None,
         sensor_bias_std=np.zeros(6),
-        provenance={"runner": "robot", "weight": "read off a scale"},
+        provenance={"runner": "robot", "recorded": now_in_words(), "weight": "read off a scale"},
     )
+
+
+def now_in_words() -> str:
+    """The moment, in UTC, as ISO 8601 has it."""
+    return datetime.now(UTC).isoformat(timespec="milliseconds")

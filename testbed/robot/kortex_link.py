@@ -19,9 +19,10 @@ PYTHON_VARIABLE = "HEFT_KORTEX_PYTHON"
 """Environment variable that names the Python which has `kortex_api`; heft's own if not set."""
 WHEEL = "https://artifactory.kinovaapps.com/artifactory/generic-public/kortex/API/2.6.0/kortex_api-2.6.0.post3-py3-none-any.whl"
 """Where the maker has its wheel; it is not on the package index."""
+_ROOT = str(Path(__file__).parents[2])
 _START = (
-    "import sys; sys.path.insert(0, {root!r}); from testbed.robot.kortex_process import serve; "
-    "sys.path.remove({root!r}); serve()"
+    f"import sys; sys.path.insert(0, {_ROOT!r}); from testbed.robot.kortex_process import serve; "
+    f"sys.path.remove({_ROOT!r}); serve()"
 )
 _CONNECT_TIME = 15.0
 _LAST_WORDS = 5
@@ -40,7 +41,7 @@ class KortexLink:
         Raises:
             RobotError: no such interpreter, no `kortex_api` in it, or no arm at the address.
         """
-        self.python = python or os.environ.get(PYTHON_VARIABLE) or sys.executable
+        self.python = _python(python)
         self.feedback: Feedback | None = None
         """The newest."""
         self.lost = ""
@@ -52,10 +53,9 @@ class KortexLink:
         self._writing, self._news = threading.Lock(), threading.Condition()
         self._greeting: dict[str, Any] | None = None
         self._stderr: deque[str] = deque(maxlen=_LAST_WORDS)
-        start = _START.format(root=str(Path(__file__).parents[2]))
         try:
             self._process = subprocess.Popen(
-                [self.python, "-c", start],
+                [self.python, "-c", _START],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=subprocess.PIPE,
@@ -77,10 +77,7 @@ class KortexLink:
 
     def _refusal(self, greeting: dict[str, Any], configuration: Configuration) -> RobotError:
         if "missing" in greeting:
-            return RobotError(
-                f"kortex_api: not usable in {self.python} ({greeting['missing']}); make a virtual environment for it, "
-                f"pip install {WHEEL} there, and set {PYTHON_VARIABLE} to its python"
-            )
+            return RobotError(f"kortex_api: {_how_to_get_it(self.python, greeting['missing'])}")
         why = greeting.get("failed") or " ".join(self._stderr) or f"no answer in {_CONNECT_TIME:.0f} s"
         return ArmLostError(
             f"arm {configuration.address}: cannot be connected: {why}; check its power, the cable, that this computer "
@@ -170,3 +167,27 @@ class KortexLink:
     def _read_errors(self) -> None:
         assert self._process.stderr is not None
         self._stderr.extend(text.strip() for text in self._process.stderr if text.strip())
+
+
+def missing_api(python: str | None = None) -> str:
+    """Why `kortex_api` cannot be imported and what to do about it, else empty; the interpreter as in `KortexLink`."""
+    interpreter = _python(python)
+    code = (
+        f"import sys; sys.path.insert(0, {_ROOT!r}); from testbed.robot.kortex_session import kortex_api; kortex_api()"
+    )
+    try:
+        run = subprocess.run([interpreter, "-c", code], capture_output=True, text=True, check=False, timeout=60)
+    except (OSError, subprocess.TimeoutExpired) as error:
+        return _how_to_get_it(interpreter, str(error))
+    return _how_to_get_it(interpreter, run.stderr.strip().splitlines()[-1]) if run.returncode else ""
+
+
+def _python(python: str | None) -> str:
+    return python or os.environ.get(PYTHON_VARIABLE) or sys.executable
+
+
+def _how_to_get_it(python: str, why: str) -> str:
+    return (
+        f"not usable in {python} ({why}); make a virtual environment for it, pip install {WHEEL} there, and set "
+        f"{PYTHON_VARIABLE} to its python"
+    )

@@ -144,11 +144,12 @@ def closing_yaw(orientation: Float[np.ndarray, "N 4"], settings: RobotSettings) 
 def described(plan: RobotPlan, settings: RobotSettings) -> str:
     """The motion in words, a line a leg: places, speeds, times, and how near the path comes to its limits."""
     x, y, yaw = plan.object_pose
+    turned = math.degrees(math.remainder(yaw, math.tau))
     place = ", ".join(f"{v:.3f}" for v in plan.hover.position)
     lines = [
         f"{type(plan.trial.action).__name__.lower()} of {plan.trial.object.name} at {plan.grasp.name}, "
         f"{plan.duration(settings):.0f} s",
-        f"object: its middle at ({x:.3f}, {y:.3f}) m, turned by {math.degrees(yaw):.1f} deg, base frame of the arm",
+        f"object: its middle at ({x:.3f}, {y:.3f}) m, turned by {turned:.1f} deg, base frame of the arm",
         f"travel: to ({place}) m, at most {settings.travel_speed:.2f} m/s; zeroed there for {settings.tare_time:g} s",
     ]
     everywhere = []

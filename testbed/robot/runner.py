@@ -17,7 +17,7 @@ import numpy as np
 from testbed.actions import Weigh
 from testbed.arrays import check_positive
 from testbed.drift import judge_drift
-from testbed.robot.assembly import lifted, object_poses, read_off, trajectory_of
+from testbed.robot.assembly import lifted, now_in_words, object_poses, read_off, trajectory_of
 from testbed.robot.clock import Clock, MonotonicClock
 from testbed.robot.doubts import doubts
 from testbed.robot.execution import Execution
@@ -158,6 +158,7 @@ class RealRunner:
             status, reason = next(doubts(record, evidence, profile), ("ok", ""))
         provenance = {
             "runner": "robot",
+            "recorded": now_in_words(),
             "sensor": " ".join((self._sensor.identity.name, self._sensor.identity.serial)),
             "slip": "measured by a tracker" if "slip_m" in figures else "not known, but for the opening of the gripper",
         }

@@ -1,0 +1,128 @@
+"""heft robot: check, sensor, calibrate, trial. Signatures alone, so that --help loads nothing heavy."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+
+Config = Annotated[Path, tyro.conf.arg(metavar="FILE")]
+Seconds = Annotated[float, tyro.conf.arg(metavar="S")]
+
+
+def check(*, config: Config = Path("robot.toml")) -> None:
+    """Say what of the real bench is there, what is missing, and what to do about it. Moves nothing.
+
+    Exit code: 0 all that a trial needs is there, 1 something is missing.
+
+    Args:
+        config: of the bench; its defaults where there is no such file.
+    """
+    from rich.console import Console  # noqa: PLC0415
+
+    from scenarios.robot_check import check_bench  # noqa: PLC0415
+
+    _end(check_bench(config, Console()))
+
+
+def sensor(
+    *,
+    config: Config = Path("robot.toml"),
+    port: Annotated[str | None, tyro.conf.arg(metavar="DEVICE")] = None,
+    seconds: Seconds = 30.0,
+    mass: Annotated[float | None, tyro.conf.arg(metavar="KG")] = None,
+    viewer: bool = True,
+) -> None:
+    """Show the FT-300S live in Rerun, or as a line a second; or check it against a known mass. Moves nothing.
+
+    Exit code: 1 where it disagrees with the mass.
+
+    Args:
+        config: of the bench; only its sensor is used.
+        port: device file of the sensor, instead of the config's.
+        seconds: how long.
+        mass: a known mass: asked for, weighed, and compared.
+        viewer: Rerun; without it, or where none can open, numbers.
+    """
+    from scenarios.robot_sensor import show_sensor  # noqa: PLC0415
+
+    _end(show_sensor(config, port, seconds, mass, viewer=viewer))
+
+
+def calibrate(*, config: Config = Path("robot.toml"), seconds: Seconds = 3.0) -> None:
+    """Find how the sensor sits, its sign, and what the tool weighs. Moves nothing: you move the arm, by its joystick.
+
+    Bring the arm into six or more poses, tilted by 30 degrees and more about two axes and both ways, one of them upside
+    down or level; at each, wait until it stands and press Enter.
+
+    Args:
+        config: of the bench; names the file to write.
+        seconds: of measuring in each pose.
+    """
+    from scenarios.robot_calibrate import calibrate_sensor  # noqa: PLC0415
+
+    calibrate_sensor(config, seconds)
+
+
+def trial(
+    object_: Annotated[str, tyro.conf.Positional, tyro.conf.arg(name="object", metavar="OBJECT")],
+    *,
+    action: Literal["rotate", "slide", "accelerate", "weigh"] = "rotate",
+    grasp: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None,
+    seconds: Seconds | None = None,
+    speed: Annotated[float | None, tyro.conf.arg(metavar="V")] = None,
+    pivot: Annotated[tuple[float, float] | None, tyro.conf.arg(metavar="X Y")] = None,
+    direction: Annotated[float, tyro.conf.arg(metavar="DEG")] = 0.0,
+    back: bool = True,
+    at: Annotated[tuple[float, float, float] | None, tyro.conf.arg(metavar="X Y DEG")] = None,
+    weight: Annotated[float | None, tyro.conf.arg(metavar="KG")] = None,
+    support: Annotated[str, tyro.conf.arg(metavar="SUPPORT")] = "own_weight",
+    config: Config = Path("robot.toml"),
+    out: Annotated[Path, tyro.conf.arg(metavar="DIR")] = Path("results/robot"),
+    dry_run: bool = False,
+) -> None:
+    """Run one trial on the real arm and store it. The motion is shown, and made only after you have typed yes.
+
+    Exit code: 1 where the trial is no data.
+
+    Args:
+        object_: name in the library, or path to a TOML file.
+        action: what to do.
+        grasp: where to grip, as heft show names it; the first one if left out.
+        seconds: at constant speed; the action's own if left out.
+        speed: deg/s of a turn, m/s of a slide.
+        pivot: centre of a turn, mm from the object's middle; between particles beside the grasp if left out.
+        direction: of a slide, in the object's frame.
+        back: turn back again in the same grasp.
+        at: where the object's middle lies, m, and how it is turned, base frame of the arm; where it must be put for the
+            simulated bench's path if left out.
+        weight: what a scale said; --action weigh then moves nothing.
+        support: who carries the object's weight, as far as you know; kept with the record.
+        config: of the bench.
+        out: results folder.
+        dry_run: say where everything would go and how fast, and connect to nothing.
+    """
+    from scenarios.robot_trial import Asked, run_trial  # noqa: PLC0415
+
+    asked = Asked(action, grasp, seconds, speed, pivot, direction, back, at, weight, support)
+    _end(run_trial(object_, asked, config, out, dry_run=dry_run))
+
+
+def _end(code: int) -> None:
+    """With this exit code, where it is not that of success."""
+    if code:
+        sys.exit(code)
+
+
+Task = (
+    Annotated[None, tyro.conf.subcommand(name="check", constructor=check)]
+    | Annotated[None, tyro.conf.subcommand(name="sensor", constructor=sensor)]
+    | Annotated[None, tyro.conf.subcommand(name="calibrate", constructor=calibrate)]
+    | Annotated[None, tyro.conf.subcommand(name="trial", constructor=trial)]
+)
+
+
+def robot(task: Annotated[Task, tyro.conf.arg(name="")]) -> None:
+    """The real bench: check it, look at its sensor, calibrate it, run a trial on it."""

@@ -172,7 +172,7 @@ class FakeArm:
         self._bench = bench
         self._pending: list[tuple[float, int, np.ndarray]] = []
         self._stops = 0
-        self._last_twist = 0.0
+        self._last_twist = self._in_touch = 0.0
         self._heard: Reading = bench.world.reading
         self.stopped: list[float] = []
         """When it was told to stop, s."""
@@ -190,7 +190,9 @@ class FakeArm:
     def tick(self) -> None:
         """What arm and port do by themselves."""
         world, troubles, now = self._bench.world, self._bench.troubles, self._bench.clock.now()
-        if troubles.arm_faulted or (world.twist.any() and now - self._last_twist > SILENCE):
+        self._in_touch = self._in_touch if troubles.arm_lost else now
+        silent = (world.twist.any() and now - self._last_twist > SILENCE) or now - self._in_touch > SILENCE
+        if troubles.arm_faulted or silent:
             world.stop()
         for entry in [entry for entry in self._pending if entry[0] <= now]:
             self._pending.remove(entry)

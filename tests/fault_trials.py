@@ -82,14 +82,16 @@ class Fault:
     """Does it."""
     blinds: bool = False
     """Whether the arm's feedback ends."""
+    until: float = 0.95
+    """Part of the trial in which it may strike."""
 
 
-def _trouble(name: str, *, blinds: bool = False, **changes: object) -> Fault:
+def _trouble(name: str, *, blinds: bool = False, until: float = 0.95, **changes: object) -> Fault:
     def strike(bench: FakeBench) -> None:
         for field, value in changes.items():
             setattr(bench.troubles, field, value)
 
-    return Fault(name, strike, blinds)
+    return Fault(name, strike, blinds, until)
 
 
 def _hang_the_loop(bench: FakeBench) -> None:
@@ -133,8 +135,8 @@ FAULTS = (
     _trouble("feedback of the arm says it stands", feedback_lies=True),
     _trouble("arm goes into a fault", arm_faulted=True),
     _trouble("arm refuses twists", refuses_twists=True),
-    _trouble("arm refuses poses", refuses_poses=True),
-    _trouble("arm stops short of poses", misses_poses=True),
+    _trouble("arm refuses poses", until=0.05, refuses_poses=True),
+    _trouble("arm stops short of poses", until=0.08, misses_poses=True),
     _trouble("arm ignores twists", ignores_twists=True),
     _trouble("twists in the wrong unit", twist_scale=57.3),
     _trouble("twists in the wrong direction", twist_scale=-1.0),
@@ -195,7 +197,7 @@ def undisturbed() -> tuple[Trajectory, float]:
 def struck_by(fault: Fault, seed: int) -> Outcome:
     """Run the trial with one fault at a random moment of it."""
     _, duration = undisturbed()
-    at = float(np.random.default_rng([seed, 5]).uniform(0.0, 0.95) * duration)
+    at = float(np.random.default_rng([seed, 5]).uniform(0.0, fault.until) * duration)
     done: list[float] = []
 
     def watch(bench: FakeBench) -> None:

@@ -83,7 +83,7 @@ def estimate_page(folder: Path, key: str, *, light: bool = False) -> Page:
 
     def log(stream: rr.RecordingStream) -> None:
         log_estimate(stream, "estimate", shown)
-        log_fits(stream, "fits", fits, f"{shown.method}'s masses")
+        log_fits(stream, "fits", fits)
         if trial is not None:
             log_trial(stream, "trial", trial)
 

@@ -70,7 +70,7 @@ def trial_shown(folder: Path, key: str, *, seed: int = 0, meshes: bool = True) -
         trajectory = sensed(Store(folder), (record.folder.name,), sensing, seed)[0]
         said = f"{sensing}, draw {seed}"
     model = record.object.truth if is_simulated(trajectory) else None
-    called = "the true masses"
+    called = "the true masses, each on its own weight"
     return show_trial(record, trajectory, record.object.shape, model, called, {"sensing": said}, meshes=meshes)
 
 

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import itertools
 import tempfile
+import webbrowser
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
+from threading import Event
 
 from rich.console import Console
 
@@ -18,6 +21,7 @@ from testbed.errors import HeftError
 from viz import viewer
 from viz.recording import save, send
 from viz.report_lists import worst_of
+from viz.web_viewer import served
 
 
 def view(folder: Path, what: str | None, *, web: bool) -> None:
@@ -32,7 +36,15 @@ def view(folder: Path, what: str | None, *, web: bool) -> None:
     with tempfile.TemporaryDirectory(prefix="heft-") as place:
         path = Path(place) / "page.rrd"
         save(page, path)
-        viewer.open_files([path], web=web)
+        if not web:
+            viewer.open_file(path)
+            return
+        with served(path) as address:
+            print(f"viewer: {address}\nCtrl-C ends it", flush=True)
+            if viewer.has_display():
+                webbrowser.open(address)
+            with suppress(KeyboardInterrupt):
+                Event().wait()
 
 
 def record(folder: Path, whats: Sequence[str], console: Console, *, everything: bool) -> None:

@@ -1,0 +1,90 @@
+"""Rerun's viewer without a window, and what it shows."""
+
+from __future__ import annotations
+
+import io
+import os
+import shutil
+import subprocess
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+from rerun.experimental import ViewerClient
+
+from viz.viewer import HOST, environment, free_port, program, url_of
+
+needs_vulkan = pytest.mark.skipif(
+    not any(
+        Path(folder).glob("*.json")
+        for folder in ("/usr/share/vulkan/icd.d", "/etc/vulkan/icd.d")
+        if Path(folder).is_dir()
+    ),
+    reason="no Vulkan driver for the viewer: apt install mesa-vulkan-drivers",
+)
+needs_browser = pytest.mark.skipif(shutil.which("chromium") is None, reason="no browser: apt install chromium")
+
+
+@contextmanager
+def viewer(path: Path, home: Path) -> Iterator[ViewerClient]:
+    """The native viewer with a recording open, its home elsewhere."""
+    port = free_port()
+    command = [*program(), str(path), "--headless", "--bind", HOST, "--port", str(port), "--window-size", "1600x1000"]
+    process = subprocess.Popen(command, env=environment() | {"HOME": str(home)}, stderr=subprocess.DEVNULL)
+    try:
+        client = _connected(process, port)
+        yield client
+    finally:
+        process.kill()
+        process.wait()
+
+
+def _connected(process: subprocess.Popen[bytes], port: int) -> ViewerClient:
+    until = time.monotonic() + 60
+    while process.poll() is None and time.monotonic() < until:
+        try:
+            client = ViewerClient.connect(url_of(port))
+            state = client.get_state()
+            if state.recordings and not state.loading and state.views:
+                return client
+        except Exception:  # it does not answer yet, and says so in many ways
+            pass
+        time.sleep(0.1)
+    raise AssertionError(f"the viewer did not show the recording; it ended with {process.poll()}")
+
+
+def picture(client: ViewerClient) -> np.ndarray:
+    """What the window shows, (H, W, 3), when two looks agree that it is drawn."""
+    seen = np.zeros(0)
+    for _ in range(40):
+        time.sleep(0.25)
+        now = np.asarray(Image.open(io.BytesIO(client.take_screenshot())).convert("RGB")).astype(int)
+        if seen.shape == now.shape and np.abs(now - seen).mean() < 0.5 and not is_blank(now):
+            return now
+        seen = now
+    return seen
+
+
+def is_blank(pixels: np.ndarray) -> bool:
+    """Whether there is next to nothing in a picture: few colours, or nearly all of one."""
+    colors, counts = np.unique(pixels.reshape(-1, 3) // 8, axis=0, return_counts=True)
+    return len(colors) < 40 or counts.max() > 0.97 * counts.sum()
+
+
+def has_color(pixels: np.ndarray, color: tuple[int, int, int], least: int = 30, within: int = 24) -> bool:
+    """Whether at least so many pixels are about of a colour."""
+    return int((np.abs(pixels - np.array(color)).max(axis=-1) < within).sum()) >= least
+
+
+def browse(address: str, folder: Path) -> tuple[np.ndarray, str]:
+    """What a browser shows of a page, (H, W, 3), and its log of connections."""
+    out, log = folder / "page.png", folder / "net.json"
+    command = ["chromium", "--headless=new", "--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader",
+               "--ignore-gpu-blocklist", f"--user-data-dir={folder / 'profile'}", "--window-size=1400,900",
+               "--virtual-time-budget=60000", f"--log-net-log={log}", f"--screenshot={out}", address]  # fmt: skip
+    subprocess.run(command, check=True, capture_output=True, timeout=120, env=dict(os.environ))
+    return np.asarray(Image.open(out).convert("RGB")).astype(int), log.read_text(encoding="utf-8", errors="replace")

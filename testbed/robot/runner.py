@@ -145,7 +145,9 @@ class RealRunner:
             failure = error
         record = guard.recorder.record(self._clock.now())
         if record is None:
-            raise failure or RobotError("nothing was recorded")
+            raise RobotError(
+                f"before the sensor was zeroed: {failure}; the tool must point down over the table"
+            ) from failure
         figures = execution.figures | {"sensor_gap_s": record.wrench_gap, "feedback_gap_s": record.feedback_gap}
         status, reason = "ok", ""
         if failure is not None or execution.evidence is None:
@@ -172,7 +174,10 @@ class RealRunner:
             return None
         held = np.flatnonzero(record.during(Phase.RAMP, Phase.STEADY))[-1]
         believed = object_poses(plan, record, self._settings)[held]
-        off = np.array(self._tracker.read()) - believed
+        try:
+            off = np.array(self._tracker.read()) - believed
+        except RobotError:  # it does not see the object now; the record is whole all the same
+            return None
         return float(np.hypot(off[0], off[1])), abs(math.remainder(off[2], math.tau))
 
 

@@ -1,0 +1,45 @@
+"""The page on the real bench: its tables are the code's."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+import pytest
+from pydantic import BaseModel
+
+from scenarios.cli import main
+from scenarios.robot_file import ArmTable, BenchTable, LimitsTable, SensorTable
+
+PAGE = (Path(__file__).parent.parent / "docs" / "hardware.md").read_text(encoding="utf-8")
+TABLES: dict[str, type[BaseModel]] = {
+    "arm": ArmTable,
+    "sensor": SensorTable,
+    "bench": BenchTable,
+    "limits": LimitsTable,
+}
+
+
+def rows(heading: str) -> list[list[str]]:
+    """Cells of the first table under a heading, without its head."""
+    found = re.search(rf"^#+ {heading}\n(.*?)(?=^#+ |\Z)", PAGE, re.MULTILINE | re.DOTALL)
+    assert found, heading
+    lines = [line for line in found[1].splitlines() if line.startswith("|")]
+    return [[cell.strip() for cell in line.strip("|").split("|")] for line in lines[2:]]
+
+
+@pytest.mark.parametrize("heading", TABLES)
+def test_a_table_of_fields_is_the_files(heading):
+    fields = TABLES[heading].model_fields
+    assert [cells[0].strip("`") for cells in rows(heading)] == list(fields)
+    for (_, default, meaning), field in zip(rows(heading), fields.values(), strict=True):
+        assert default == ("none" if field.default is None else f"`{json.dumps(field.default)}`")
+        assert meaning
+
+
+def test_every_option_of_a_trial_is_told(capsys):
+    with pytest.raises(SystemExit):
+        main(["robot", "trial", "--help"])
+    options = set(re.findall(r"--[a-z][a-z-]+", capsys.readouterr().out)) - {"--help", "--no-back", "--no-dry-run"}
+    assert options == {name.strip("`").split()[0] for name, *_ in rows("The commands")}

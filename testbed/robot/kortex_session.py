@@ -23,8 +23,6 @@ from testbed.robot.kortex_messages import Configuration, Feedback
 
 RATE = 100.0
 """Feedback a second."""
-CALL_TIME = 100
-"""Time that a call to the arm may take, ms."""
 POSE_TIME = 60.0
 """Time that reaching a pose may take, s."""
 _NOBODYS = -1
@@ -152,7 +150,7 @@ class Gen3:
 
     def _options(self) -> Any:
         options = self._api.RouterClientSendOptions()
-        options.timeout_ms = CALL_TIME
+        options.timeout_ms = round(self._silence * 1000)  # a call that takes longer is a silence too
         return options
 
     def _reply(self, request: dict, **said: Any) -> None:
@@ -165,7 +163,7 @@ class Gen3:
             try:
                 self._base.ApplyEmergencyStop(0, self._options())
             except self._api.Failure:
-                self._line.say(lost=f"the arm could not be told to stop: {error}")
+                self._line.say(lost=f"the arm could not be told to stop: {_said(error)}")
 
     def _on_action(self, notification: Any, *_: Any) -> None:
         base = self._api.Base
@@ -198,7 +196,7 @@ class Gen3:
                 self._base.SendTwistCommand(command, 0, self._options())
                 self._moving = any(request["twist"]) or self._wanted is not None
             except self._api.Failure as error:
-                self._reply(request, error=f"twist refused: {error}")
+                self._reply(request, error=f"twist refused: {_said(error)}")
             finally:
                 self._sending.release()
 
@@ -211,7 +209,7 @@ class Gen3:
                 got = self._cyclic.RefreshFeedback(0, self._options())
             except self._api.Failure as error:
                 if time.monotonic() - self._fed > self._silence:
-                    self._line.say(lost=f"no feedback: {error}")
+                    self._line.say(lost=f"no feedback: {_said(error)}")
                 continue
             self._fed = time.monotonic()
             self._line.say(state=asdict(_feedback(got, self._fed, self._api)))
@@ -243,6 +241,11 @@ def _feedback(got: Any, now: float, api: Any) -> Feedback:
         faulted=in_fault or any(banks),
         message=f"fault banks {banks[0]:#x} {banks[1]:#x}" if in_fault or any(banks) else "",
     )
+
+
+def _said(error: BaseException) -> str:
+    """Name and text of an error: a call that takes too long has no text."""
+    return f"{type(error).__name__} {error}".strip()
 
 
 def kortex_api() -> Any:

@@ -175,6 +175,8 @@ def test_every_command_is_understood(page, line, inside, monkeypatch):
         monkeypatch.setattr(f"scenarios.render_run.{name}", lambda *_: ran.append("render"))
     for name in ("watch_live", "watch_record"):
         monkeypatch.setattr(f"scenarios.watch_run.{name}", lambda *_: ran.append("watch"))
+    for name in ("check.check_bench", "sensor.show_sensor", "calibrate.calibrate_sensor", "trial.run_trial"):
+        monkeypatch.setattr(f"scenarios.robot_{name}", lambda *_, **__: ran.append("robot"))
     words = line.split()[1:]
     if words[0].startswith("--tyro-"):
         words[-1] = str(inside / "completion")

@@ -17,6 +17,7 @@ from testbed.arrays import frozen_array
 from testbed.errors import InvalidValueError
 from testbed.frames import move_wrench, perpendicular, rotate_wrench, rotation_2d, rotation_matrix
 from testbed.objects import GRAVITY
+from testbed.sensing import tare_samples
 from testbed.trajectory import Phase, Trajectory
 
 TRIM_START = 1.0
@@ -25,6 +26,10 @@ TRIM_STEP = 0.2
 """Left out after each step of acceleration, s."""
 TRIM_END = 0.05
 """Left out at the end of a window, s."""
+BATCH = 0.2
+"""Stretch whose mean is one sample of the noise, s: longer than it remembers, shorter than the load wanders."""
+LEAST_BATCHES = 8
+"""A window of fewer is judged by its whole scatter."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,7 +41,8 @@ class SteadyWindow:
     wrench: Float[np.ndarray, "6"]
     """Mean of what the gripper does to the object, about the TCP, in axes that turn with the object (z up). N, N m."""
     covariance: Float[np.ndarray, "6 6"]
-    """Of that mean, from the window's own scatter and effective sample size. The sensor's bias is not in it."""
+    """Of that mean, from the window's own noise. Slow wander is not in it: the load's is real and felt, the sensor's is
+    drift."""
     twist: Float[np.ndarray, "3"]
     """Mean velocity of the grasp point, object axes, m/s, and turn rate, rad/s."""
     acceleration: Float[np.ndarray, "3"]
@@ -48,7 +54,11 @@ class SteadyWindow:
     yaw: Float[np.ndarray, "2"]
     """Yaw of the object at the window's first and last sample, rad."""
     bias_covariance: Float[np.ndarray, "6 6"]
-    """Of a constant error common to all windows of one trial, about the TCP as `wrench` is."""
+    """Of a constant error common to all windows of one trial, about the TCP as `wrench` is: bias and the tare's own."""
+    drift_covariance: Float[np.ndarray, "6 6"]
+    """What the walk of the sensor's zero adds a second, about the TCP as `wrench` is."""
+    since_tare: Float[np.ndarray, "2"]
+    """Time from the tare to the window's first and last sample, s."""
 
     def __post_init__(self) -> None:
         for name, shape in (
@@ -57,6 +67,8 @@ class SteadyWindow:
             ("twist", (3,)),
             ("acceleration", (3,)),
             ("bias_covariance", (6, 6)),
+            ("drift_covariance", (6, 6)),
+            ("since_tare", (2,)),
             ("yaw", (2,)),
         ):
             object.__setattr__(self, name, frozen_array(f"SteadyWindow.{name}", getattr(self, name), shape))
@@ -81,7 +93,12 @@ def steady_windows(trajectory: Trajectory) -> list[SteadyWindow]:
     linear = np.einsum("nij,nj->ni", into_object, trajectory.tcp_velocity[:, :2])
     twist = np.column_stack([linear, trajectory.object_velocity[:, 2]])
     world_twist = np.column_stack([trajectory.tcp_velocity[:, :2], trajectory.object_velocity[:, 2]])
-    bias = _at_tcp(trajectory, np.diag(trajectory.sensor_bias_std**2))
+    tare = tare_samples(trajectory)
+    own = mean_covariance(trajectory.sensor_wrench[tare]) if len(tare) > 1 else np.zeros((6, 6))
+    bias = _at_tcp(trajectory, np.diag(trajectory.sensor_bias_std**2) + own)
+    drift = _at_tcp(trajectory, np.diag(trajectory.sensor_drift_std**2))
+    tared = trajectory.time_s[tare].mean() if len(tare) else trajectory.time_s[0]
+    rate = 1 / float(np.median(np.diff(trajectory.time_s)))
     windows = []
     for kept in steady_samples(trajectory):
         yaw = trajectory.object_pose[kept, 2]
@@ -89,13 +106,15 @@ def steady_windows(trajectory: Trajectory) -> list[SteadyWindow]:
             SteadyWindow(
                 grasp=trajectory.action.grasp,
                 wrench=in_object[kept].mean(axis=0),
-                covariance=mean_covariance(in_object[kept]),
+                covariance=_noise_of_mean(in_object[kept], round(BATCH * rate)),
                 twist=twist[kept].mean(axis=0),
                 acceleration=_slopes(trajectory.time_s[kept], world_twist[kept], yaw),
                 spin_square=float(np.mean(twist[kept, 2] ** 2)),
                 tcp_height=float(trajectory.tcp_position[kept, 2].mean()),
                 yaw=yaw[[0, -1]],
                 bias_covariance=bias,
+                drift_covariance=drift,
+                since_tare=trajectory.time_s[kept[[0, -1]]] - tared,
             )
         )
     return windows
@@ -173,6 +192,20 @@ def _slopes(time: np.ndarray, twist: np.ndarray, yaw: np.ndarray) -> np.ndarray:
     # in turning axes: R^T dv/dt = d(R^T v)/dt + rate e_z x (R^T v)
     turning = (twist[:, 2, None] * perpendicular(in_object)).mean(axis=0)
     return np.array([*(slopes[:2] + turning), slopes[2]])
+
+
+def _noise_of_mean(samples: Float[np.ndarray, "T D"], length: int) -> Float[np.ndarray, "D D"]:
+    """Covariance of the mean of a record, of its noise alone, (D, D).
+
+    From second differences of means over `length` samples, which a slow change leaves out (von Neumann 1941); of the
+    whole scatter where there are fewer than `LEAST_BATCHES` of them.
+    """
+    count = len(samples) // length
+    if count < LEAST_BATCHES:
+        return mean_covariance(samples)
+    means = samples[len(samples) - count * length :].reshape(count, length, -1).mean(axis=1)
+    change = np.diff(means, 2, axis=0)
+    return change.T @ change / (6 * len(change) * count)
 
 
 def weight_of(trajectory: Trajectory) -> float:

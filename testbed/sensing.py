@@ -63,6 +63,11 @@ class Sensing:
         """Constant error that the tare may leave, N and N m, (6,)."""
         return np.repeat([self.force_bias, self.torque_bias], 3)
 
+    @property
+    def drift_std(self) -> np.ndarray:
+        """Random walk of the zero, N and N m per square root of a second, (6,)."""
+        return np.repeat([self.force_drift, self.torque_drift], 3)
+
 
 def _grid(name: str, force: float, torque: float, angular: float, linear: float) -> Sensing:
     return Sensing(
@@ -129,8 +134,7 @@ def draw_sensing(clean: Trajectory, sensing: Sensing, seed: int) -> Trajectory:
     white[1:] *= np.sqrt(1 - sensing.lag1**2)
     coloured = lfilter([1.0], [1.0, -sensing.lag1], white, axis=0)
     bias = sensing.bias_std * rng.standard_normal(6)
-    walk_std = np.repeat([sensing.force_drift, sensing.torque_drift], 3) * np.sqrt(dt)
-    walk = np.cumsum(walk_std * rng.standard_normal((count, 6)), axis=0)
+    walk = np.cumsum(sensing.drift_std * np.sqrt(dt) * rng.standard_normal((count, 6)), axis=0)
     tared = np.maximum.accumulate(clean.phase > Phase.TARE)
     raw = clean.sensor_wrench + noise_std * coloured + walk + np.outer(tared, bias)
     accelerations = np.repeat([sensing.linear_acceleration_noise, sensing.angular_acceleration_noise], 3)
@@ -144,6 +148,7 @@ def draw_sensing(clean: Trajectory, sensing: Sensing, seed: int) -> Trajectory:
         tcp_velocity=velocity,
         object_velocity=planar,
         sensor_bias_std=sensing.bias_std,
+        sensor_drift_std=sensing.drift_std,
         provenance=clean.provenance | _said(sensing, seed),
     )
     return compensate(noisy)
@@ -179,6 +184,11 @@ def tare_biases(trajectory: Trajectory) -> list[Float[np.ndarray, "6"]]:
         return []
     load = _tool_wrench(tool, trajectory, rotation_matrix(trajectory.sensor_orientation))
     return [(trajectory.sensor_wrench - load)[tare].mean(axis=0) for tare in tares]
+
+
+def tare_samples(trajectory: Trajectory) -> Int[np.ndarray, "N"]:
+    """Indices of the samples from which the wrench is counted; empty where there is no tare."""
+    return next(iter(_tares(trajectory)), np.empty(0, dtype=np.int64))
 
 
 def _tares(trajectory: Trajectory) -> list[Int[np.ndarray, "N"]]:

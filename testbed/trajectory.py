@@ -107,6 +107,8 @@ class Trajectory:
     """What hangs below the sensor; None on a scale."""
     sensor_bias_std: Float[np.ndarray, "6"]
     """Constant error that the tare may leave, one standard deviation, as the sensor's data sheet has it. N, N m."""
+    sensor_drift_std: Float[np.ndarray, "6"] = field(default_factory=lambda: np.zeros(6))
+    """Random walk of the zero from the tare on, one standard deviation, N and N m per square root of a second."""
     figures: dict[str, float] = field(default_factory=dict)
     """Numbers behind the status: peak torque and speed over their limits, slip, grip force, ..."""
     provenance: dict[str, str] = field(default_factory=dict)
@@ -123,9 +125,8 @@ class Trajectory:
             object.__setattr__(
                 self, name, frozen_array(f"Trajectory.{name}", getattr(self, name), (len(time), len(columns)))
             )
-        object.__setattr__(
-            self, "sensor_bias_std", frozen_array("Trajectory.sensor_bias_std", self.sensor_bias_std, (6,))
-        )
+        for name in ("sensor_bias_std", "sensor_drift_std"):
+            object.__setattr__(self, name, frozen_array(f"Trajectory.{name}", getattr(self, name), (6,)))
         for name in ("phase", "segment"):
             values = np.array(getattr(self, name))
             lowest, highest = (0, int(max(Phase))) if name == "phase" else (-1, np.iinfo(np.int64).max)
@@ -179,6 +180,7 @@ def save_trajectory(trajectory: Trajectory, path: Path) -> None:
         "figures": trajectory.figures,
         "provenance": trajectory.provenance,
         "sensor_bias_std": trajectory.sensor_bias_std.tolist(),
+        "sensor_drift_std": trajectory.sensor_drift_std.tolist(),
         "tool": None if tool is None else {k: np.asarray(v).tolist() for k, v in asdict(tool).items()},
     }
     table = pa.table(columns).replace_schema_metadata({b"heft": json.dumps(header).encode()})
@@ -220,6 +222,7 @@ def load_trajectory(path: Path) -> Trajectory:
             **series,
             tool=None if header["tool"] is None else Tool(**header["tool"]),
             sensor_bias_std=header["sensor_bias_std"],
+            sensor_drift_std=header.get("sensor_drift_std", [0.0] * 6),  # records from before it was kept
             figures=header["figures"],
             provenance=header["provenance"],
         )

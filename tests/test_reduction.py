@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from records import DOWN, TOOL, coloured_noise, record, turn_record
+from records import DOWN, RATE, TOOL, coloured_noise, record, turn_record
 from scipy.spatial.transform import Rotation
 
 from testbed.actions import Accelerate, Rotate, Slide, Weigh
@@ -59,7 +59,11 @@ def test_each_stretch_of_constant_acceleration_is_its_own_window():
 
 def joined(first: Trajectory, second: Trajectory) -> Trajectory:
     """One record of two stretches, one after the other in the same grasp."""
-    names = [n for n, v in vars(first).items() if isinstance(v, np.ndarray) and n != "sensor_bias_std"]
+    names = [
+        n
+        for n, v in vars(first).items()
+        if isinstance(v, np.ndarray) and n not in ("sensor_bias_std", "sensor_drift_std")
+    ]
     series = {name: np.concatenate([getattr(first, name), getattr(second, name)]) for name in names}
     count = len(first.time_s)
     step = first.time_s[1] - first.time_s[0]
@@ -190,8 +194,8 @@ def test_the_covariance_of_a_mean_is_what_repetition_shows(lag1: float, rng: np.
 def test_standardised_window_means_have_unit_spread(rng: np.random.Generator):
     scores = []
     for _ in range(60):
-        noisy = WRENCH + coloured_noise(400, 6, 0.5, rng)
-        (window,) = steady_windows(turn_record(noisy, grasp=GRASP, pivot=PIVOT))
+        noisy = WRENCH + coloured_noise(1900, 6, 0.5, rng)
+        (window,) = steady_windows(turn_record(noisy, grasp=GRASP, pivot=PIVOT, count=1900))
         scores.append((window.wrench - WRENCH) / np.sqrt(np.diag(window.covariance)))
     assert np.std(scores) == pytest.approx(1.0, rel=0.15)
 
@@ -233,3 +237,24 @@ def test_a_failed_weighing_gives_no_weight(status: str):
         InvalidValueError, match=rf"trajectory: got 'Weigh\(\), {status}'; allowed: a Weigh with status ok"
     ):
         weight_of(weighed)
+
+
+def test_a_load_that_wanders_is_no_noise(rng: np.random.Generator):
+    wander = np.outer(np.sin(np.linspace(0, 2, 1900)), np.ones(6))
+    noise = 0.1 * coloured_noise(1900, 6, 0.3, rng)
+    (still,) = steady_windows(turn_record(WRENCH + noise, grasp=GRASP, pivot=PIVOT, count=1900))
+    (moved,) = steady_windows(turn_record(WRENCH + noise + wander, grasp=GRASP, pivot=PIVOT, count=1900))
+    assert_allclose(moved.covariance, still.covariance, rtol=0.05, atol=0.05 * still.covariance[0, 0])
+
+
+def test_the_tare_adds_its_own_error_and_the_walk_counts_from_it():
+    noisy = np.zeros((400, 6))
+    noisy[:100, 0] = np.tile([0.1, -0.1], 50)
+    steps = np.array([0.2, 0, 0, 0, 0, 0])
+    held = {"sensor_wrench": noisy, "sensor_bias_std": np.zeros(6), "sensor_drift_std": steps}
+    (window,) = steady_windows(record(**held))
+    kept = np.flatnonzero(np.arange(400) >= 200)[:-5]
+    tared = np.arange(33, 100).mean() / RATE
+    assert_allclose(window.since_tare, kept[[0, -1]] / RATE - tared)
+    assert window.bias_covariance[0, 0] == pytest.approx(0.01 / 67, rel=0.1)
+    assert_allclose(np.trace(window.drift_covariance[:3, :3]), 0.04)

@@ -71,6 +71,8 @@ def friction_system(
     pivot_error: float,
     force_error: float,
     torque_error: float,
+    height_error: float = 0.0,
+    lift_error: float = 0.0,
 ) -> LinearSystem:
     """Eq. dvs for every window, about the grasp point: friction of s balances the measured wrench.
 
@@ -87,6 +89,9 @@ def friction_system(
         pivot_error: how well the centre of a turn is known, m; a particle nearer than that has no known direction.
         force_error: model error of a force, as a part of the total drag.
         torque_error: model error of a torque, as a part of the measured one.
+        height_error: how well the TCP's height over the feet is known, m; one draw for all windows.
+        lift_error: what the gripper may carry where the sensor cannot tell, N; half of its variance is common to all
+            windows, half to those of a trial.
     """
     load = observations.gripper_load(inertia, height)
     support = own_weight(model.particles, model.mass_group, model.contact, mass, load)
@@ -101,10 +106,13 @@ def friction_system(
     floor = torch.stack([lost + (force_error * drag) ** 2] * 2 + [(torque_error * observations.wrench[:, 2]) ** 2], -1)
     within = observations.covariance + torch.diag_embed(floor + 1e-10)
     # windows of one trial share what its tare left, in the wrench and in what the gripper seems to carry
-    together = (observations.trial[:, None] == observations.trial)[:, None, :, None]
-    carried_error = response * observations.load_variance.sqrt()[:, None]
-    shared = observations.bias_covariance[:, :, None, :] + torch.einsum("kia,lja->kilj", carried_error, carried_error)
-    covariance = torch.block_diag(*within) + (together * shared).reshape(b.numel(), b.numel())
+    carried_error = torch.einsum("kia,lja,kla->kilj", response, response, observations.load_covariance())
+    hidden = lift_error * observations.lift_unseen[:, None] * response[..., 0]
+    alike = (1 + (observations.trial[:, None] == observations.trial).double()) / 2
+    shared = observations.shared_covariance() + carried_error + torch.einsum("ki,kl,lj->kilj", hidden, alike, hidden)
+    # the drag's own moment about the feet is as wrong as the height over them
+    raised = height_error * (response[..., 1:] @ observations.wrench[:, :2, None]).reshape(-1)
+    covariance = torch.block_diag(*within) + shared.reshape(b.numel(), b.numel()) + torch.outer(raised, raised)
     whiten = torch.linalg.inv(torch.linalg.cholesky(covariance))
     return LinearSystem(whiten @ q.reshape(-1, q.shape[-1]), whiten @ b.reshape(-1))
 

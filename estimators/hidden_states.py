@@ -47,12 +47,16 @@ class HiddenStatesEstimator:
     """Optimisers to descend with; the one with the lowest loss is taken."""
     refinements: int = 3
     """Rounds of solving with what the gripper carries worked out from the round before."""
-    pivot_error: float = 2e-4
+    pivot_error: float = 8e-5
     """How well the centre of a turn is known, m."""
-    force_error: float = 0.002
+    force_error: float = 0.0005
     """Model error of a force, as a part of the total drag."""
-    torque_error: float = 0.001
+    torque_error: float = 0.0006
     """Model error of a torque, as a part of itself."""
+    height_error: float = 0.0009
+    """How well the TCP's height over the feet is known, m."""
+    lift_error: float = 0.06
+    """Vertical force of a nulled gripper that the sensor cannot tell, N."""
     inertia_error: float = 0.01
     """Model error of I_j, as a part of itself."""
     weight_error: float = 1e-3
@@ -68,7 +72,7 @@ class HiddenStatesEstimator:
             value = getattr(self, name)
             if isinstance(value, bool) or not (isinstance(value, int) and value >= 1):
                 raise InvalidValueError(f"HiddenStatesEstimator.{name}", value, "an integer >= 1")
-        for name in ("pivot_error", "force_error", "torque_error", "inertia_error"):
+        for name in ("pivot_error", "force_error", "torque_error", "height_error", "lift_error", "inertia_error"):
             value = getattr(self, name)
             if not (is_number(value) and value >= 0):
                 raise InvalidValueError(f"HiddenStatesEstimator.{name}", value, "a finite number >= 0")
@@ -121,6 +125,8 @@ class HiddenStatesEstimator:
             pivot_error=self.pivot_error,
             force_error=self.force_error,
             torque_error=self.torque_error,
+            height_error=self.height_error,
+            lift_error=self.lift_error,
         )
 
     def _round(self, problem: _Problem, system: LinearSystem, mass: torch.Tensor, friction: torch.Tensor) -> _Round:

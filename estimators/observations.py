@@ -29,6 +29,10 @@ class Observations:
     """Of that mean, from the window's own scatter."""
     bias_covariance: Float[Tensor, "K 3 3"]
     """Of the error that the sensor's tare leaves, one draw a trajectory."""
+    drift_covariance: Float[Tensor, "K 3 3"]
+    """What the walk of the sensor's zero adds a second."""
+    since_tare: Float[Tensor, "K 2"]
+    """Time from the tare to a window's first and last sample, s."""
     twist: Float[Tensor, "K 3"]
     """Velocity of the grasp point, m/s, and turn rate, rad/s."""
     acceleration: Float[Tensor, "K 3"]
@@ -44,7 +48,11 @@ class Observations:
     yaw: Float[Tensor, "K 2"]
     """Yaw of the object at a window's first and last sample, rad."""
     load_variance: Float[Tensor, "K 3"]
-    """Of lift and tilt as given here, N^2 and (N m)^2."""
+    """Of what lift and tilt as given here share in a trial, N^2 and (N m)^2."""
+    load_drift: Float[Tensor, "K 3"]
+    """What the walk of the sensor's zero adds to the variance of lift and tilt a second."""
+    lift_unseen: Float[Tensor, "K"]
+    """Part of the lift that the sensor's bias hides, 0 to 1: it was taken to be none."""
     held: Int[Tensor, "K"]
     """Mass group between the fingers."""
     trial: Int[Tensor, "K"]
@@ -69,6 +77,33 @@ class Observations:
             return torch.stack([values[group == g].mean(0) for g in range(len(first))])
 
         return Observations(**{name: mean(value) for name, value in vars(self).items()})
+
+    def shared_covariance(self) -> Float[Tensor, "K 3 K 3"]:
+        """Of what the windows of one trial share: what its tare left, and how the sensor's zero has walked since."""
+        left = self._together[:, None, :, None] * self.bias_covariance[:, :, None, :]
+        return left + self._walked[:, None, :, None] * self.drift_covariance[:, :, None, :]
+
+    def load_covariance(self) -> Float[Tensor, "K K 3"]:
+        """Of lift and tilt, between windows, N^2 and (N m)^2."""
+        deviation = self.load_variance.sqrt()
+        # the common part of a trial was drawn towards zero, drift and all: what its windows differ by was not
+        centred = torch.eye(len(self), dtype=torch.float64) - self._together / self._together.sum(1, keepdim=True)
+        apart = centred @ self._walked @ centred.T
+        return self._together[..., None] * deviation[:, None] * deviation + apart[..., None] * self.load_drift[:, None]
+
+    @property
+    def _together(self) -> Float[Tensor, "K K"]:
+        """1 for windows of the same trial."""
+        return (self.trial[:, None] == self.trial).double()
+
+    @property
+    def _walked(self) -> Float[Tensor, "K K"]:
+        """Covariance of the means over two windows of a random walk of 1 a second that began at their trial's tare."""
+        begin, end = self.since_tare[:, 0], self.since_tare[:, 1]
+        middle = (begin + end) / 2
+        walked = torch.minimum(middle[:, None], middle)  # of the walk at two times: the earlier of them
+        walked.diagonal().copy_(begin + (end - begin) / 3)
+        return self._together * walked
 
     def lever(self, model: ParticleModel) -> Float[Tensor, "K P 2"]:
         """Particles from the grasp point, m."""
@@ -149,12 +184,16 @@ def observe(shape: ObjectShape, trajectories: Sequence[Trajectory]) -> Observati
     wrench = np.array([w.wrench for w in windows])
     carries = np.array([_load_map(w.tcp_height) for w in windows])
     load = np.einsum("kij,kj->ki", carries, wrench)
-    # within a window the load itself wanders, and its mean is what counts: only the bias is an error
-    load_variance = np.einsum("kij,kjl,kil->ki", carries, np.array([w.bias_covariance for w in windows]), carries)
+    # within a window the load itself wanders, and its mean is what counts: only bias and drift are an error
+    off = np.array([w.bias_covariance + w.since_tare.mean() * w.drift_covariance for w in windows])
+    load_variance = np.einsum("kij,kjl,kil->ki", carries, off, carries)
+    load_drift = np.einsum("kij,kjl,kil->ki", carries, np.array([w.drift_covariance for w in windows]), carries)
+    unseen = np.zeros_like(load)
     for kind in (True, False):  # an accelerating arm swings: its load is of another size
         rows = np.array(accelerated) == kind
         if rows.any():
-            load[rows], load_variance[rows] = _shrunk(load[rows], load_variance[rows], np.array(trial)[rows])
+            shrunk = _shrunk(load[rows], load_variance[rows], np.array(trial)[rows])
+            load[rows], load_variance[rows], unseen[rows] = shrunk
     points = np.array([shape.grasps[w.grasp].position for w in windows])
     nearest = np.linalg.norm(shape.particles[None] - points[:, None], axis=-1).argmin(axis=1)
     tensor = torch.tensor
@@ -162,6 +201,8 @@ def observe(shape: ObjectShape, trajectories: Sequence[Trajectory]) -> Observati
         wrench=tensor(wrench[:, planar]),
         covariance=tensor(np.array([w.covariance for w in windows])[:, planar][:, :, planar]),
         bias_covariance=tensor(np.array([w.bias_covariance for w in windows])[:, planar][:, :, planar]),
+        drift_covariance=tensor(np.array([w.drift_covariance for w in windows])[:, planar][:, :, planar]),
+        since_tare=tensor(np.array([w.since_tare for w in windows])),
         twist=tensor(np.array([w.twist for w in windows])),
         acceleration=tensor(np.array([w.acceleration for w in windows])),
         spin_square=tensor([w.spin_square for w in windows], dtype=torch.float64),
@@ -170,6 +211,8 @@ def observe(shape: ObjectShape, trajectories: Sequence[Trajectory]) -> Observati
         tilt=tensor(load[:, 1:]),
         yaw=tensor(np.array([w.yaw for w in windows])),
         load_variance=tensor(load_variance),
+        load_drift=tensor(load_drift),
+        lift_unseen=tensor(unseen[:, 0]),
         held=tensor(shape.mass_group[nearest]),
         trial=tensor(trial),
         accelerated=tensor(accelerated),
@@ -181,8 +224,8 @@ def _load_map(height: float) -> np.ndarray:
     return np.array([[0, 0, 1, 0, 0, 0], [height, 0, 0, 0, 1, 0], [0, height, 0, -1, 0, 0]], dtype=float)
 
 
-def _shrunk(load: np.ndarray, variance: np.ndarray, trial: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Loads with what is likely the sensor's bias taken off, and the variance of what is left of it.
+def _shrunk(load: np.ndarray, variance: np.ndarray, trial: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Loads with what is likely the sensor's bias taken off, the variance of what is left of it, and the part taken.
 
     A bias is common to all windows of a trial, so what differs between them is real and kept. The common part is drawn
     towards zero by how much of its scatter over trials the bias explains (empirical Bayes, beyond two standard errors):
@@ -194,4 +237,4 @@ def _shrunk(load: np.ndarray, variance: np.ndarray, trial: np.ndarray) -> tuple[
     explained = (1 + 2 * np.sqrt(2 / len(trials))) * bias.mean(axis=0)
     real = np.maximum((common**2).mean(axis=0) - explained, 0.0)
     kept = real / np.maximum(real + bias, 1e-300)
-    return load + ((kept - 1) * common)[index], (kept * bias)[index]
+    return load + ((kept - 1) * common)[index], (kept * bias)[index], (1 - kept)[index]

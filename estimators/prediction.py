@@ -187,7 +187,6 @@ def _whitening(windows: Observations) -> Tensor:
     """Inverse root of the wrenches' covariance; windows of a trial share their bias."""
     size = torch.stack([windows.wrench[:, :2].norm(dim=1).max()] * 2 + [windows.wrench[:, 2].abs().max()])
     within = windows.covariance + torch.diag_embed((MODEL_ERROR * size).square() + 1e-12)
-    together = (windows.trial[:, None] == windows.trial)[:, None, :, None]
     count = 3 * len(windows)
-    shared = (together * windows.bias_covariance[:, :, None, :]).reshape(count, count)
+    shared = windows.shared_covariance().reshape(count, count)
     return torch.linalg.inv(torch.linalg.cholesky(torch.block_diag(*within) + shared))

@@ -27,7 +27,7 @@ TESTBED = {
     "foot_forces": {"errors", "arrays", "trajectory"},
     "trial": {"errors", "objects", "actions", "trajectory"},
     "sensing": {"errors", "arrays", "objects", "frames", "trajectory"},
-    "reduction": {"errors", "arrays", "objects", "actions", "frames", "trajectory"},
+    "reduction": {"errors", "arrays", "objects", "actions", "frames", "sensing", "trajectory"},
     "drift": {"arrays", "sensing", "trajectory"},
     "replay": {"errors", "actions", "sensing", "trajectory", "trial"},
     "lab_logs": {

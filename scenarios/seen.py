@@ -8,6 +8,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float
+from scipy.spatial import KDTree
 
 from estimators.protocol import Trace
 from estimators.wrench_prediction import predicted_wrenches
@@ -20,7 +22,7 @@ from scenarios.trial_record import TrialRecord, read_trial
 from testbed.actions import Rotate, Slide, Weigh
 from testbed.errors import HeftError, InvalidValueError
 from testbed.foot_forces import load_foot_forces
-from testbed.objects import MassDistribution, ObjectShape
+from testbed.objects import MassDistribution, ObjectModel, ObjectShape
 from testbed.reduction import sample_deviation, steady_samples, wrench_in_object
 from testbed.simulation.replay import body_poses
 from testbed.trajectory import Trajectory
@@ -181,7 +183,9 @@ def estimate_shown(folder: Path, row: Row) -> EstimateShown:
         record.object.shape.grasps,
         tuple(row["group_names"]),
     )
-    truth = MassDistribution(np.array(row["true_mass_kg"]) / shape.particles_per_group, record.object.truth.friction)
+    truth = MassDistribution(
+        np.array(row["true_mass_kg"]) / shape.particles_per_group, friction_of(record.object, shape)
+    )
     answer = MassDistribution(arrays["mass"], arrays["friction"]) if "mass" in arrays else None
     support = SUPPORT_NAMES.get(row["support"], row["support"])
     return EstimateShown(
@@ -194,6 +198,14 @@ def estimate_shown(folder: Path, row: Row) -> EstimateShown:
         trajectory=record.trajectory,
         facts=_facts(row),
     )
+
+
+def friction_of(truth: ObjectModel, shape: ObjectShape) -> Float[np.ndarray, "n_mu"]:
+    """The object's friction by the friction groups of an estimator's shape: their mean, where it has more of them."""
+    touching = truth.shape.friction_group >= 0
+    each = truth.truth.friction[truth.shape.friction_group[touching]]
+    near = KDTree(truth.shape.particles[touching]).query(shape.particles)[1]
+    return np.array([each[near[shape.friction_group == group]].mean() for group in range(shape.n_mu)])
 
 
 def fits_of(

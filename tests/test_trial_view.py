@@ -5,6 +5,7 @@ from __future__ import annotations
 import signal
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,11 +16,13 @@ from numpy.testing import assert_allclose
 from recorded import put_trial
 
 from scenarios.pages import page_of, trial_page
-from scenarios.seen import POSES_EVERY, trial_shown, wrench_fit
+from scenarios.seen import POSES_EVERY, friction_of, trial_shown, wrench_fit
 from scenarios.store import Store
 from testbed.actions import Rotate, Weigh
 from testbed.errors import HeftError, InvalidValueError
 from testbed.frames import rotation_2d
+from testbed.object_files import load_object
+from testbed.objects import MassDistribution, ObjectModel
 from testbed.sensing import draw_sensing, preset
 from testbed.trajectory import Phase, load_trajectory
 from viz.frames import SIM_TIME
@@ -211,3 +214,12 @@ def test_a_recording_cut_by_a_kill_is_not_there(tmp_path):
     assert not path.exists()
     Store(tmp_path).remove_leftovers()
     assert not list(tmp_path.iterdir())
+
+
+def test_frictions_that_no_method_is_told_of_are_meant_in_the_mean():
+    shape = load_object("I2").shape
+    groups = np.arange(len(shape.particles)) % 2  # a friction for every other particle
+    finer = replace(shape, friction_group=groups)
+    model = ObjectModel("I2", finer, MassDistribution(np.ones(shape.n_m), np.array([0.3, 0.5])))
+    assert_allclose(friction_of(model, shape), [0.4])
+    assert_allclose(friction_of(load_object("I2"), shape), load_object("I2").truth.friction)

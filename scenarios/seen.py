@@ -204,7 +204,7 @@ def friction_of(truth: ObjectModel, shape: ObjectShape) -> Float[np.ndarray, "n_
     """The object's friction by the friction groups of an estimator's shape: their mean, where it has more of them."""
     touching = truth.shape.friction_group >= 0
     each = truth.truth.friction[truth.shape.friction_group[touching]]
-    near = KDTree(truth.shape.particles[touching]).query(shape.particles)[1]
+    near = np.asarray(KDTree(truth.shape.particles[touching]).query(shape.particles)[1])
     return np.array([each[near[shape.friction_group == group]].mean() for group in range(shape.n_mu)])
 
 

@@ -77,14 +77,13 @@ def _package(name: str, hint: str, *, needed: bool) -> Line:
 
 def _sensor(file: RobotFile) -> Iterator[Line]:
     try:
-        from serial.tools.list_ports import comports  # noqa: PLC0415
-
         from testbed.robot.ft300s import Ft300s  # noqa: PLC0415
-    except (MissingDriverError, ImportError):
+        from testbed.robot.serial_ports import usb_serial_ports  # noqa: PLC0415
+    except MissingDriverError:
         yield Line("sensor", "missing", "needs pyserial and pymodbus")
         return
     if file.sensor.port is None:
-        found = ", ".join(f"{port.device} ({port.description})" for port in comports() if port.vid is not None)
+        found = ", ".join(usb_serial_ports())
         yield Line(
             "sensor",
             "missing",

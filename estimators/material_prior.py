@@ -22,7 +22,7 @@ MOST_PAIRS = 4e9
 """Assignments that may be scored."""
 LEFT_OUT = 1e-6
 """Share of probability that may be left unscored, at most."""
-KEPT = 100_000
+KEPT = 20_000
 """Best assignments that are kept one by one."""
 CHUNK = 1 << 22
 """Pairs scored at a time."""

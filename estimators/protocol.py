@@ -9,12 +9,13 @@ from typing import Literal, Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Float
 
+from estimators.identifiability import Identifiability
 from testbed.actions import Action
 from testbed.arrays import frozen_array
 from testbed.objects import MassDistribution, ObjectShape
 from testbed.trajectory import Trajectory
 
-EstimateStatus = Literal["ok", "underdetermined", "not_converged", "contradictory", "no_data"]
+EstimateStatus = Literal["ok", "underdetermined", "not_converged", "contradictory", "no_data", "assumption_violated"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,7 +63,9 @@ class Estimate:
     message: str = ""
     """A sentence where status is not ok."""
     covariance: Float[np.ndarray, "n_m n_m"] | None = None
-    """Of the particle masses, kg^2, or None where the method gives none."""
+    """Of the particle masses, kg^2, infinite where they are not observed; None where the method gives none."""
+    identifiability: Identifiability | None = None
+    """What the trajectories show and leave open, for methods that say so."""
     hidden: HiddenStates | None = None
     """Hidden states, for methods that have them."""
     traces: tuple[Trace, ...] = ()

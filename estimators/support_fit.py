@@ -44,6 +44,10 @@ class ModelErrors:
     """How well the TCP's height over the feet is known, m; one draw for all windows."""
     balance: float = 1e-4
     """How far the loads' own centre may lie from where weight and gripper put it, m; one draw for all windows."""
+    lift: float = 0.05
+    """What the gripper may carry unseen, beyond the measured lift, N; one draw a trial."""
+    moment: float = 0.005
+    """And beyond the measured moment, N m."""
     inertia: float = 0.01
     """Of I_j, as a part of itself; once of each, and once of all together."""
     weight: float = 1e-3
@@ -263,9 +267,10 @@ def _covariance(
     floor = torch.stack([lost + force] * 2 + [(errors.torque * windows.wrench[:, 2]).square()], -1)
     within = windows.covariance + torch.diag_embed(floor + 1e-10)
     carried = rows @ response
-    wrong = carried * windows.load_variance.sqrt()[:, None]
-    together = (windows.trial[:, None] == windows.trial)[:, None, :, None]
-    shared = windows.shared_covariance() + together * torch.einsum("kia,lja->kilj", wrong, wrong)
+    unseen = torch.tensor([errors.lift, errors.moment, errors.moment], dtype=torch.float64).square()
+    together = (windows.trial[:, None] == windows.trial)[..., None]
+    load_covariance = windows.load_covariance() + together * unseen
+    shared = windows.shared_covariance() + torch.einsum("kia,lja,kla->kilj", carried, carried, load_covariance)
     raised = errors.height * (carried[..., 1:] @ windows.wrench[:, :2, None]).flatten()
     count = 3 * len(windows)
     pressed = errors.balance * weight * GRAVITY * carried[..., 1:].flatten(0, 1)

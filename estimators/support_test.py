@@ -11,14 +11,14 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.stats import f as f_distribution
 
 from estimators.observations import Observations
 from estimators.support_fit import ModelErrors, SupportFit, fit_support, prior_masses
 from testbed.objects import ObjectShape
 
 SupportKind = Literal["own_weight", "rigid", "between", "undecided"]
-DECISIVE = 1.0
+DECISIVE = 2.0
 """log10 of the Bayes factor from which one model is taken over the other."""
 UNLIKE = 10.0
 """Mean squared residual beyond which one rigid body does not explain the wrenches either."""
@@ -57,7 +57,7 @@ class SupportTest:
             "rigid": "the weight is spread as under one rigid body, not group by group",
             "between": "neither own weight nor one rigid body explains the wrenches: the support is something between, "
             "or the shape is not as told",
-            "undecided": "own weight and one rigid body cannot be told apart: friction is the same under both",
+            "undecided": "own weight and one rigid body cannot be told apart: what was felt is alike under both",
         }
         return f"{said[self.kind]} ({odds})"
 
@@ -72,10 +72,10 @@ def support_test(
 ) -> SupportTest:
     """Fit both support models to the same windows with the same errors, and say which holds.
 
-    p-values are chi-square tests of each model within one that holds both: on own weight, of a load that rises over
-    all feet and of a wrong second moment; under one rigid body, of loads of each group's own. The Bayes factor is exact
-    for Gaussian evidence linear about each fit; beforehand an object is as likely of one material throughout as of any
-    other masses.
+    p-values are F tests of each model within one that holds both: on own weight, of a load that rises over all feet and
+    of a wrong second moment; under one rigid body, of loads of each group's own. The errors count as told, but as no
+    better known than the residuals could tell. The Bayes factor is exact for Gaussian evidence linear about each fit;
+    beforehand an object is as likely of one material throughout as of any other masses.
 
     Args:
         shape: geometry and groups.
@@ -120,7 +120,8 @@ def _within_wider(fit: SupportFit) -> tuple[float, float, float]:
     values = np.concatenate([fit.target, fit.known_target])
     without, rank_without, _ = _least_squares(base, values)
     least, rank, solution = _least_squares(np.hstack([base, extra]), values)
-    p = float(chi2.sf(without - least, rank - rank_without)) if rank > rank_without else 1.0
+    wider, freedom = rank - rank_without, max(rows - rank, 1)
+    p = float(f_distribution.sf((without - least) / wider, wider, freedom)) if wider else 1.0
     if not own:
         return p, np.nan, np.nan
     whole = np.hstack([base, extra])

@@ -12,11 +12,13 @@ from estimators.explicit_state import ExplicitState
 from estimators.hidden_states import HiddenStatesEstimator
 from estimators.protocol import Estimator
 from estimators.random_search import RandomSearch
+from estimators.support_aware import SupportAware
 from estimators.weighted_sampling import WeightedSampling
 from testbed.errors import InvalidValueError
 
 METHODS: dict[str, type[Estimator]] = {
     "hidden_states": HiddenStatesEstimator,
+    "support_aware": SupportAware,
     "random_search": RandomSearch,
     "weighted_sampling": WeightedSampling,
     "explicit_state": ExplicitState,

@@ -17,6 +17,7 @@ from estimators.hidden_states import HiddenStatesEstimator
 from estimators.protocol import ActionPolicy, Estimator
 from estimators.random_search import RandomSearch
 from estimators.rank_driven import RankDriven, between_particles, planned_rank
+from estimators.support_aware import SupportAware
 from estimators.weighted_sampling import WeightedSampling
 from scenarios.methods import METHODS
 from testbed.actions import Accelerate, Rotate
@@ -32,9 +33,12 @@ BASELINES = {
 VARIANTS = {
     "hidden_states": (HiddenStatesEstimator(), drawn_object),
     "descent": (HiddenStatesEstimator(solver="descent"), drawn_object),
+    "support_aware": (SupportAware(), drawn_object),
+    "support_aware of materials": (SupportAware(materials_kg=(0.1, 0.4)), drawn_object),
     **{name: (kind, small_object) for name, kind in BASELINES.items()},
     **{f"{name} with M": (replace(kind, use_weight=True), small_object) for name, kind in BASELINES.items()},
 }
+CLOSED_FORM = ("hidden_states", "support_aware", "support_aware of materials")
 RULES = [
     pytest.param(estimator, draw, holds, id=f"{name}-{holds.__name__}")
     for name, (estimator, draw) in VARIANTS.items()
@@ -55,7 +59,7 @@ def test_every_method_of_the_registry_is_held_to_the_protocol():
     assert set(METHODS.values()) == {type(estimator) for estimator, _ in VARIANTS.values()}
 
 
-@pytest.mark.parametrize("name", [name for name in VARIANTS if name != "hidden_states"])
+@pytest.mark.parametrize("name", [name for name in VARIANTS if name not in CLOSED_FORM])
 def test_an_iterative_method_shows_its_way(name):
     estimator, draw = VARIANTS[name]
     obj = draw(0)

@@ -8,6 +8,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
+import numpy as np
+
 from estimators.rank_driven import between_particles
 from scenarios.robot_file import RobotFile, calibration_of, load_robot_file, sensor_port
 from scenarios.store import Store, key_of, object_request
@@ -16,10 +18,9 @@ from testbed.errors import InvalidValueError
 from testbed.object_files import load_object
 from testbed.objects import ObjectShape
 from testbed.robot.assembly import read_off
-from testbed.robot.ft300s import Ft300s
 from testbed.robot.kortex_arm import KortexArm
 from testbed.robot.kortex_gripper import KortexGripper
-from testbed.robot.plan import starting_pose, weighing_grasp
+from testbed.robot.plan import described, plan_trial, starting_pose, weighing_grasp
 from testbed.robot.runner import RealRunner
 from testbed.robot.settings import RobotSettings
 from testbed.simulation.runner import SimulationRunner
@@ -66,7 +67,9 @@ def run_trial(name: str, asked: Asked, config: Path, out: Path, *, dry_run: bool
     calibration = None if dry_run else calibration_of(file, config)
     settings = file.settings(calibration, _width(trial))
     if dry_run:
-        print(_runner(file, settings, placed, port="").dry_run(trial))
+        plan = plan_trial(trial, np.array(placed.read()), settings)
+        plan.check(settings)
+        print(described(plan, settings))
         return 0
     if calibration is None:
         where = config.parent / file.sensor.calibration
@@ -124,6 +127,8 @@ def _width(trial: Trial) -> float:
 
 
 def _runner(file: RobotFile, settings: RobotSettings, placed: Placed, port: str) -> RealRunner:
+    from testbed.robot.ft300s import Ft300s  # noqa: PLC0415  a dry run needs no driver
+
     arm = KortexArm(file.kortex())
     return RealRunner(arm, KortexGripper(arm), Ft300s(port), placed, settings, confirm=_confirmed)
 

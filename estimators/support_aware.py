@@ -14,7 +14,7 @@ from estimators.material_prior import RankedAssignments, rank_assignments
 from estimators.observations import Observations, observe
 from estimators.protocol import Estimate, HiddenStates
 from estimators.support_fit import SupportFit
-from estimators.support_test import SupportTest, support_test
+from estimators.support_test import DECISIVE, SupportTest, support_test
 from testbed.arrays import is_number
 from testbed.errors import InvalidValueError
 from testbed.objects import MassDistribution, ObjectShape
@@ -78,7 +78,7 @@ class SupportAware:
     def _answer(self, shape: ObjectShape, weight: float, observed: Observations, own: Estimate, seed: int) -> Estimate:
         test = support_test(shape, weight, observed, level=self.false_alarms)
         own = replace(own, diagnostics=own.diagnostics | _numbers(test))
-        rigid = test.kind == "rigid" or (test.kind == "between" and test.log10_bayes_factor < 0)
+        rigid = test.log10_bayes_factor < -DECISIVE
         answer = self._rigid(shape, test, own, seed) if rigid else own
         if self.materials_kg or self.materials_kg_m3:
             answer = self._with_materials(shape, test.rigid if rigid else test.own_weight, answer)

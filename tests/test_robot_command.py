@@ -32,6 +32,7 @@ from testbed.robot.plan import starting_pose
 from testbed.robot.ports import ArmState, Pose, SensorHealth, SensorIdentity, WrenchSample
 from testbed.robot.settings import RobotSettings
 from testbed.trial import Trial
+from viz.sensor_stream import SensorStream
 
 NOBODY = '[arm]\naddress = "127.0.0.1"\nport = 1\n'
 
@@ -284,3 +285,28 @@ def test_a_trial_over_wires_is_shown_confirmed_run_and_stored(folder, capsys, mo
     assert done
     kept = json.loads(done[-1].path.with_name("trial.json").read_text(encoding="utf-8"))
     assert kept["names"]["object"] == "L2"
+
+
+def test_what_a_viewer_is_sent_is_what_came(monkeypatch):
+    sent: list[tuple[str, np.ndarray]] = []
+    stream = SensorStream("rerun+http://127.0.0.1:9/proxy", "sensor")
+    monkeypatch.setattr(
+        stream,
+        "_stream",
+        type(
+            "Stream",
+            (),
+            {
+                "send_columns": lambda _, path, time, data: sent.append(
+                    (path, time[0].as_arrow_array().cast("int64").to_numpy())
+                )
+            },
+        )(),
+    )
+    stream.send([], np.zeros((0, 6)))
+    assert sent == []
+    stream.send([5.0, 5.01], np.arange(12.0).reshape(2, 6))
+    stream.send([6.0], np.zeros((1, 6)))
+    assert [path for path, _ in sent[:6]] == ["force/x", "force/y", "force/z", "torque/x", "torque/y", "torque/z"]
+    np.testing.assert_allclose(sent[0][1], [0, 1e7], atol=10)  # ns, from the first sample
+    np.testing.assert_allclose(sent[6][1], [1e9], atol=10)

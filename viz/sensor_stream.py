@@ -10,7 +10,7 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
-from viz.style import AXIS_COLORS
+from viz.style import AXIS_COLORS, rgb
 
 _TIMELINE = "time"
 
@@ -35,7 +35,9 @@ class SensorStream:
         self._begin: float | None = None
         for kind in ("force", "torque"):
             for axis, color in zip("xyz", AXIS_COLORS, strict=True):
-                self._stream.log(f"{kind}/{axis}", rr.SeriesLines(colors=color, names=axis), static=True)
+                self._stream.log(
+                    f"{kind}/{axis}", rr.SeriesLines(colors=rgb(color), names=axis), static=True, strict=True
+                )
 
     def __enter__(self) -> Self:
         return self

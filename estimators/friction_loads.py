@@ -104,15 +104,13 @@ def friction_system(
     lost = (s * faded).square().sum(-1) / 2
     drag = s.sum()
     floor = torch.stack([lost + (force_error * drag) ** 2] * 2 + [(torque_error * observations.wrench[:, 2]) ** 2], -1)
-    within = observations.covariance + torch.diag_embed(floor + 1e-10)
-    # windows of one trial share what its tare left, in the wrench and in what the gripper seems to carry
-    carried_error = torch.einsum("kia,lja,kla->kilj", response, response, observations.load_covariance())
-    hidden = lift_error * observations.lift_unseen[:, None] * response[..., 0]
+    floor = torch.diag_embed(floor + 1e-10)
+    hidden = (lift_error * (1 - observations.load_kept[:, :1]) * response[..., 0]).reshape(-1)
     alike = (1 + (observations.trial[:, None] == observations.trial).double()) / 2
-    shared = observations.shared_covariance() + carried_error + torch.einsum("ki,kl,lj->kilj", hidden, alike, hidden)
+    unseen = torch.outer(hidden, hidden) * alike.repeat_interleave(3, 0).repeat_interleave(3, 1)
     # the drag's own moment about the feet is as wrong as the height over them
     raised = height_error * (response[..., 1:] @ observations.wrench[:, :2, None]).reshape(-1)
-    covariance = torch.block_diag(*within) + shared.reshape(b.numel(), b.numel()) + torch.outer(raised, raised)
+    covariance = observations.sensor_error(response) + torch.block_diag(*floor) + unseen + torch.outer(raised, raised)
     whiten = torch.linalg.inv(torch.linalg.cholesky(covariance))
     return LinearSystem(whiten @ q.reshape(-1, q.shape[-1]), whiten @ b.reshape(-1))
 

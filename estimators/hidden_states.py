@@ -22,14 +22,15 @@ from estimators.friction_loads import (
     friction_system,
     rank_of,
 )
+from estimators.identifiability import Identifiability, identifiability
 from estimators.inertia import PivotInertia, com_and_inertia, pivot_inertias
-from estimators.mass_solve import MassSolution, solve_masses
+from estimators.mass_solve import MassSolution, evenly_rough, fixed_rows, load_jacobian, solve_masses
 from estimators.observations import Observations, observe, robot_seconds
 from estimators.protocol import Estimate, HiddenStates, Trace
 from estimators.support import own_weight
 from testbed.arrays import check_positive, is_number
 from testbed.errors import InvalidValueError
-from testbed.objects import GRAVITY, ObjectShape
+from testbed.objects import GRAVITY, MassDistribution, ObjectShape
 from testbed.trajectory import Trajectory
 
 Solver = Literal["closed_form", "descent"]
@@ -101,7 +102,12 @@ class HiddenStatesEstimator:
             rank, unknowns = rank_of(system.q.numpy()), len(problem.groups.pairs)
             if rank < unknowns:
                 why = f"rank(Q) is {rank} and {unknowns} friction loads are unknown: turn about more points"
-                return Estimate(None, "underdetermined", why, seconds=time.perf_counter() - begin)
+                guess = MassDistribution(mass.numpy(), friction.numpy())
+                loads = load_jacobian(problem.shape, problem.groups.pairs, guess)[:, : len(mass)] @ guess.mass
+                report = self._report(problem, system, self._pivots(problem, loads, mass, friction), guess)
+                return Estimate(
+                    None, "underdetermined", why, identifiability=report, seconds=time.perf_counter() - begin
+                )
             answer = self._round(problem, system, mass, friction)
             found = answer.solution.distribution
             mass, friction = torch.tensor(found.mass), torch.tensor(found.friction)
@@ -165,20 +171,37 @@ class HiddenStatesEstimator:
         moved = windows.inertial_wrench(inertia)[:, 2]
         return pivot_inertias(windows, felt.numpy(), moved.numpy(), self.inertia_error)
 
-    @staticmethod
-    def _answer(problem: _Problem, last: _Round, begin: float) -> Estimate:
+    def _report(
+        self, problem: _Problem, system: LinearSystem, pivots: PivotInertia | None, at: MassDistribution
+    ) -> Identifiability:
+        """What Q, the weight and I_j show of masses and frictions."""
+        shape = problem.shape
+        fixed, _ = fixed_rows(shape, problem.weight, self.weight_error, pivots, shape.n_m + shape.n_mu)
+        of_loads = system.q.numpy() @ load_jacobian(shape, problem.groups.pairs, at)
+        return identifiability(shape, at, np.vstack([of_loads, fixed]))
+
+    def _answer(self, problem: _Problem, last: _Round, begin: float) -> Estimate:
+        found, shape = last.solution.distribution, problem.shape
+        if (
+            last.solution.rank < last.solution.unknowns
+        ):  # then the answer is any of many, at a bound: read off amidst them
+            found = evenly_rough(shape, problem.weight, problem.groups.pairs, last.loads)
+        report = self._report(problem, last.system, last.pivots, found)
         com = com_and_inertia(last.pivots, problem.weight)
         hidden = HiddenStates(
             problem.weight, com.inertia_cm, com.center_of_mass, last.loads, problem.groups.pairs, com.unobserved
         )
-        open_ = last.solution.unknowns - last.solution.rank
+        open_ = report.unknowns - report.rank
         q = last.system.q.numpy()
         return Estimate(
             last.solution.distribution,
             "underdetermined" if open_ else "ok",
-            f"mass and friction cannot be told apart in {open_} direction(s)" if open_ else "",
-            covariance=last.solution.covariance,
+            f"mass and friction cannot be told apart in {open_} direction(s): {'; '.join(report.unobservable)}"
+            if open_
+            else "",
+            covariance=report.covariance / np.outer(shape.particles_per_group, shape.particles_per_group),
             hidden=hidden,
+            identifiability=report,
             traces=last.traces,
             seconds=time.perf_counter() - begin,
             diagnostics={

@@ -57,22 +57,44 @@ def pivot_inertias(
     if len(observations) == 0:
         return None
     torque = observations.wrench[:, 2].numpy() - friction_torque - inertial_torque
-    alpha = observations.acceleration[:, 2].numpy()
-    variance = np.maximum(observations.covariance[:, 2, 2].numpy(), 1e-12)
-    pivots, index = np.unique(observations.grasp.numpy().round(9), axis=0, return_inverse=True)
+    pivots, designs = _whitened_designs(observations)
     values, variances = np.empty(len(pivots)), np.empty(len(pivots))
-    for j in range(len(pivots)):
-        rows = np.flatnonzero(index.ravel() == j)
-        trials, trial = np.unique(observations.trial[rows].numpy(), return_inverse=True)
-        design = np.column_stack([alpha[rows], np.eye(len(trials))[trial]])
-        weight = 1 / np.sqrt(variance[rows])
-        solution, *_ = np.linalg.lstsq(design * weight[:, None], torque[rows] * weight, rcond=None)
-        residual = (torque[rows] - design @ solution) * weight
+    for j, (rows, whiten, design) in enumerate(designs):
+        felt = whiten @ torque[rows]
+        solution, *_ = np.linalg.lstsq(design, felt, rcond=None)
+        residual = felt - design @ solution
         freedom = max(len(rows) - design.shape[1], 1)
-        inverse = np.linalg.inv((design * weight[:, None]).T @ (design * weight[:, None]))
+        inverse = np.linalg.inv(design.T @ design)
         values[j] = solution[0]
         variances[j] = inverse[0, 0] * max(1.0, residual @ residual / freedom) + (relative_error * solution[0]) ** 2
     return PivotInertia(pivots, values, variances)
+
+
+def slope_variance(observations: Observations) -> tuple[Float[np.ndarray, "J 2"], Float[np.ndarray, "J"]]:
+    """The pivots, m, and the variance of I_j by slope, (kg m^2)^2, that noise and drift of the sensor alone give it."""
+    pivots, designs = _whitened_designs(observations)
+    return pivots, np.array([np.linalg.inv(design.T @ design)[0, 0] for _, _, design in designs])
+
+
+def _whitened_designs(
+    observations: Observations,
+) -> tuple[np.ndarray, list[tuple[np.ndarray, np.ndarray, np.ndarray]]]:
+    """For every pivot: its windows, what takes their torques to unit variance, and the design of slope and constants.
+
+    What the tare left is in the constant of the trial; noise and drift are not.
+    """
+    alpha = observations.acceleration[:, 2].numpy()
+    within = np.maximum(observations.covariance[:, 2, 2].numpy(), 1e-12)
+    walked = observations.walk_covariance()[:, 2, :, 2].numpy()
+    pivots, index = np.unique(observations.grasp.numpy().round(9), axis=0, return_inverse=True)
+    designs = []
+    for j in range(len(pivots)):
+        rows = np.flatnonzero(index.ravel() == j)
+        trials, trial = np.unique(observations.trial[rows].numpy(), return_inverse=True)
+        covariance = np.diag(within[rows]) + walked[np.ix_(rows, rows)]
+        whiten = np.linalg.inv(np.linalg.cholesky(covariance))
+        designs.append((rows, whiten, whiten @ np.column_stack([alpha[rows], np.eye(len(trials))[trial]])))
+    return pivots, designs
 
 
 def com_and_inertia(pivots: PivotInertia | None, mass: float) -> ComInertia:

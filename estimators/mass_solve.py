@@ -70,7 +70,7 @@ def solve_masses(
     for row, ((m, _), load) in enumerate(zip(held, loads[kept], strict=True)):
         s_rows[row, m] = GRAVITY * count[m] / feet[m]
         s_rows[row, n_m + nu_of[row]] = -load
-    fixed, values = _fixed_rows(shape, weight, weight_error, pivots, unknowns)
+    fixed, values = fixed_rows(shape, weight, weight_error, pivots, unknowns)
     target = np.concatenate([np.zeros(len(held)), values])
     lower = np.linalg.cholesky(load_covariance[np.ix_(kept, kept)] + 1e-18 * np.eye(len(held)))
 
@@ -100,7 +100,31 @@ def _gripping_groups(
     return gripping
 
 
-def _fixed_rows(
+def evenly_rough(
+    shape: ObjectShape, weight: float, pairs: tuple[tuple[int, int], ...], loads: Float[np.ndarray, "n_s"]
+) -> MassDistribution:
+    """The masses that explain s with one friction for all."""
+    count = shape.particles_per_group
+    on_group = np.bincount([m for m, _ in pairs], feet_of(shape, pairs) * loads, shape.n_m)
+    drag = max(float(on_group.sum()), NEGLIGIBLE_LOAD)
+    return MassDistribution(weight * on_group / drag / count, np.full(shape.n_mu, drag / (weight * GRAVITY)))
+
+
+def load_jacobian(
+    shape: ObjectShape, pairs: tuple[tuple[int, int], ...], distribution: MassDistribution
+) -> Float[np.ndarray, "n_s unknowns"]:
+    """Derivatives of every s in particle masses, N/kg, and frictions, N."""
+    count = shape.particles_per_group
+    feet = np.bincount(shape.mass_group[shape.friction_group >= 0], minlength=shape.n_m)
+    slopes = np.zeros((len(pairs), shape.n_m + shape.n_mu))
+    for row, (m, f) in enumerate(pairs):
+        carried = GRAVITY * count[m] / feet[m]
+        slopes[row, m] = distribution.friction[f] * carried
+        slopes[row, shape.n_m + f] = distribution.mass[m] * carried
+    return slopes
+
+
+def fixed_rows(
     shape: ObjectShape, weight: float, weight_error: float, pivots: PivotInertia | None, unknowns: int
 ) -> tuple[np.ndarray, np.ndarray]:
     """Rows of the weight and of the inertia about every pivot, and their values, in units of their errors."""

@@ -18,6 +18,9 @@ from testbed.objects import ObjectShape
 from testbed.reduction import SteadyWindow, steady_windows
 from testbed.trajectory import Trajectory
 
+PLANAR = [0, 1, 5]
+"""f_x, f_y and the torque about the vertical, of a wrench's six components."""
+
 
 @dataclass(frozen=True, eq=False)
 class Observations:
@@ -25,12 +28,12 @@ class Observations:
 
     wrench: Float[Tensor, "K 3"]
     """Mean f_x, f_y of the gripper on the object and torque about the grasp point, N and N m."""
-    covariance: Float[Tensor, "K 3 3"]
-    """Of that mean, from the window's own scatter."""
-    bias_covariance: Float[Tensor, "K 3 3"]
-    """Of the error that the sensor's tare leaves, one draw a trajectory."""
-    drift_covariance: Float[Tensor, "K 3 3"]
-    """What the walk of the sensor's zero adds a second."""
+    noise: Float[Tensor, "K 6 6"]
+    """Covariance of the mean of all six components, about the TCP, from the window's own noise."""
+    bias: Float[Tensor, "K 6 6"]
+    """Covariance of what the sensor's tare leaves in them, one draw a trajectory."""
+    drift: Float[Tensor, "K 6 6"]
+    """What the walk of the sensor's zero adds to their covariance a second."""
     since_tare: Float[Tensor, "K 2"]
     """Time from the tare to a window's first and last sample, s."""
     twist: Float[Tensor, "K 3"]
@@ -47,12 +50,10 @@ class Observations:
     """(t_y + h f_x, -t_x + h f_y): moment that the feet supply where nothing accelerates, N m."""
     yaw: Float[Tensor, "K 2"]
     """Yaw of the object at a window's first and last sample, rad."""
-    load_variance: Float[Tensor, "K 3"]
-    """Of what lift and tilt as given here share in a trial, N^2 and (N m)^2."""
-    load_drift: Float[Tensor, "K 3"]
-    """What the walk of the sensor's zero adds to the variance of lift and tilt a second."""
-    lift_unseen: Float[Tensor, "K"]
-    """Part of the lift that the sensor's bias hides, 0 to 1: it was taken to be none."""
+    load_map: Float[Tensor, "K 3 6"]
+    """From the wrench to lift and tilt."""
+    load_kept: Float[Tensor, "K 3"]
+    """Part of a trial's common lift and tilt that stands out of the bias, 0 to 1; the rest is taken as none."""
     held: Int[Tensor, "K"]
     """Mass group between the fingers."""
     trial: Int[Tensor, "K"]
@@ -78,18 +79,50 @@ class Observations:
 
         return Observations(**{name: mean(value) for name, value in vars(self).items()})
 
+    @property
+    def covariance(self) -> Float[Tensor, "K 3 3"]:
+        """Of `wrench`, from the window's own noise."""
+        return self.noise[:, PLANAR][:, :, PLANAR]
+
     def shared_covariance(self) -> Float[Tensor, "K 3 K 3"]:
         """Of what the windows of one trial share: what its tare left, and how the sensor's zero has walked since."""
-        left = self._together[:, None, :, None] * self.bias_covariance[:, :, None, :]
-        return left + self._walked[:, None, :, None] * self.drift_covariance[:, :, None, :]
+        left = self._together[:, None, :, None] * self.bias[:, PLANAR][:, :, PLANAR][:, :, None]
+        return left + self.walk_covariance()
+
+    def walk_covariance(self) -> Float[Tensor, "K 3 K 3"]:
+        """Of what the walk of the sensor's zero has added to each window since its trial's tare."""
+        return self._walked[:, None, :, None] * self.drift[:, PLANAR][:, :, PLANAR][:, :, None]
 
     def load_covariance(self) -> Float[Tensor, "K K 3"]:
-        """Of lift and tilt, between windows, N^2 and (N m)^2."""
-        deviation = self.load_variance.sqrt()
-        # the common part of a trial was drawn towards zero, drift and all: what its windows differ by was not
-        centred = torch.eye(len(self), dtype=torch.float64) - self._together / self._together.sum(1, keepdim=True)
-        apart = centred @ self._walked @ centred.T
-        return self._together[..., None] * deviation[:, None] * deviation + apart[..., None] * self.load_drift[:, None]
+        """Of what the sensor's errors make of lift and tilt, between windows, N^2 and (N m)^2."""
+        error = self._load_error()
+        size = (len(self), 3, len(self), 3)
+        whole = (error @ self._sensor_covariance() @ error.T).reshape(size)
+        return torch.diagonal(whole, dim1=1, dim2=3)
+
+    def sensor_error(self, response: Float[Tensor, "K 3 3"]) -> Float[Tensor, "3K 3K"]:
+        """Covariance of wrenches, less the `response` to lift and tilt, from all of the sensor's errors.
+
+        One force feeds both, so what is common to a wrench and to the load on the feet counts once.
+        """
+        rows = 3 * len(self)
+        planar = torch.block_diag(*[torch.eye(6, dtype=torch.float64)[PLANAR]] * len(self))
+        carried = torch.block_diag(*response) @ self._load_error()
+        error = planar - carried
+        return (error @ self._sensor_covariance() @ error.T).reshape(rows, rows)
+
+    def _sensor_covariance(self) -> Float[Tensor, "6K 6K"]:
+        """Of all windows' six components."""
+        shared = self._together[:, None, :, None] * self.bias[:, :, None] + (
+            self._walked[:, None, :, None] * self.drift[:, :, None]
+        )
+        return shared.reshape(6 * len(self), 6 * len(self)) + torch.block_diag(*self.noise)
+
+    def _load_error(self) -> Float[Tensor, "3K 6K"]:
+        """Errors of lift and tilt as given here from the sensor's: of the mean over a trial only a part was kept."""
+        mean = self._together / self._together.sum(1, keepdim=True)
+        own = torch.eye(len(self), dtype=torch.float64)[:, None] - (1 - self.load_kept)[..., None] * mean[:, None]
+        return torch.einsum("kal,lai->kali", own, self.load_map).reshape(3 * len(self), 6 * len(self))
 
     @property
     def _together(self) -> Float[Tensor, "K K"]:
@@ -180,28 +213,25 @@ def observe(shape: ObjectShape, trajectories: Sequence[Trajectory]) -> Observati
             accelerated += [isinstance(trajectory.action, Accelerate)] * len(found)
     if not windows:
         return None
-    planar = [0, 1, 5]
     wrench = np.array([w.wrench for w in windows])
-    carries = np.array([_load_map(w.tcp_height) for w in windows])
+    carries = np.array([load_map(w.tcp_height) for w in windows])
     load = np.einsum("kij,kj->ki", carries, wrench)
-    # within a window the load itself wanders, and its mean is what counts: only bias and drift are an error
+    # a load that wanders within a window is real, and its mean is what counts: bias and drift are its errors
     off = np.array([w.bias_covariance + w.since_tare.mean() * w.drift_covariance for w in windows])
-    load_variance = np.einsum("kij,kjl,kil->ki", carries, off, carries)
-    load_drift = np.einsum("kij,kjl,kil->ki", carries, np.array([w.drift_covariance for w in windows]), carries)
-    unseen = np.zeros_like(load)
+    variance = np.einsum("kij,kjl,kil->ki", carries, off, carries)
+    kept = np.ones_like(load)
     for kind in (True, False):  # an accelerating arm swings: its load is of another size
         rows = np.array(accelerated) == kind
         if rows.any():
-            shrunk = _shrunk(load[rows], load_variance[rows], np.array(trial)[rows])
-            load[rows], load_variance[rows], unseen[rows] = shrunk
+            load[rows], kept[rows] = _shrunk(load[rows], variance[rows], np.array(trial)[rows])
     points = np.array([shape.grasps[w.grasp].position for w in windows])
     nearest = np.linalg.norm(shape.particles[None] - points[:, None], axis=-1).argmin(axis=1)
     tensor = torch.tensor
     return Observations(
-        wrench=tensor(wrench[:, planar]),
-        covariance=tensor(np.array([w.covariance for w in windows])[:, planar][:, :, planar]),
-        bias_covariance=tensor(np.array([w.bias_covariance for w in windows])[:, planar][:, :, planar]),
-        drift_covariance=tensor(np.array([w.drift_covariance for w in windows])[:, planar][:, :, planar]),
+        wrench=tensor(wrench[:, PLANAR]),
+        noise=tensor(np.array([w.covariance for w in windows])),
+        bias=tensor(np.array([w.bias_covariance for w in windows])),
+        drift=tensor(np.array([w.drift_covariance for w in windows])),
         since_tare=tensor(np.array([w.since_tare for w in windows])),
         twist=tensor(np.array([w.twist for w in windows])),
         acceleration=tensor(np.array([w.acceleration for w in windows])),
@@ -210,22 +240,21 @@ def observe(shape: ObjectShape, trajectories: Sequence[Trajectory]) -> Observati
         lift=tensor(load[:, 0]),
         tilt=tensor(load[:, 1:]),
         yaw=tensor(np.array([w.yaw for w in windows])),
-        load_variance=tensor(load_variance),
-        load_drift=tensor(load_drift),
-        lift_unseen=tensor(unseen[:, 0]),
+        load_map=tensor(carries),
+        load_kept=tensor(kept),
         held=tensor(shape.mass_group[nearest]),
         trial=tensor(trial),
         accelerated=tensor(accelerated),
     )
 
 
-def _load_map(height: float) -> np.ndarray:
+def load_map(height: float) -> np.ndarray:
     """From a wrench to the gripper's load (fz, t_y + h f_x, -t_x + h f_y), (3, 6)."""
     return np.array([[0, 0, 1, 0, 0, 0], [height, 0, 0, 0, 1, 0], [0, height, 0, -1, 0, 0]], dtype=float)
 
 
-def _shrunk(load: np.ndarray, variance: np.ndarray, trial: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Loads with what is likely the sensor's bias taken off, the variance of what is left of it, and the part taken.
+def _shrunk(load: np.ndarray, variance: np.ndarray, trial: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Loads with what is likely the sensor's bias taken off, and the part of a trial's common load that was kept.
 
     A bias is common to all windows of a trial, so what differs between them is real and kept. The common part is drawn
     towards zero by how much of its scatter over trials the bias explains (empirical Bayes, beyond two standard errors):
@@ -236,5 +265,5 @@ def _shrunk(load: np.ndarray, variance: np.ndarray, trial: np.ndarray) -> tuple[
     bias = np.array([variance[index == t].mean(axis=0) for t in range(len(trials))])
     explained = (1 + 2 * np.sqrt(2 / len(trials))) * bias.mean(axis=0)
     real = np.maximum((common**2).mean(axis=0) - explained, 0.0)
-    kept = real / np.maximum(real + bias, 1e-300)
-    return load + ((kept - 1) * common)[index], (kept * bias)[index], (1 - kept)[index]
+    kept = np.where(bias > 0, real / np.maximum(real + bias, 1e-300), 1.0)
+    return load + ((kept - 1) * common)[index], kept[index]

@@ -1,0 +1,120 @@
+"""What actions would show, before any trial: their steady windows with the errors that a sensor would leave in them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from jaxtyping import Float
+
+from estimators.observations import Observations, load_map
+from testbed.actions import Accelerate, Action, Rotate, Slide, Weigh, pivot_of
+from testbed.errors import InvalidValueError
+from testbed.frames import move_wrench, perpendicular, rotation_2d
+from testbed.objects import ObjectShape
+from testbed.reduction import TRIM_END, TRIM_START, TRIM_STEP
+from testbed.sensing import Sensing
+
+RATE = 100.0
+"""Samples a second."""
+BEFORE = 4.3
+"""From the middle of the tare to the first steady stretch, as the simulated bench takes it, s."""
+BETWEEN = 0.8
+"""From a turn to its turn back, s."""
+TARED = 0.33
+"""Of the tare that is used, s."""
+REACH = 0.174
+"""From the sensor to the TCP, m."""
+HEIGHT = 0.022
+"""Of the TCP over the table, m."""
+
+
+@dataclass(frozen=True)
+class _Stretch:
+    """A steady stretch to come: velocity and rate of the grasp point, object axes, and the time since the tare."""
+
+    twist: tuple[float, float, float]
+    alpha: float
+    begin: float
+    end: float
+
+
+def planned_observations(shape: ObjectShape, actions: Sequence[Action], sensing: Sensing) -> Observations | None:
+    """The windows of some actions, their wrenches left at zero; None where no action moves the object.
+
+    The gripper carries nothing, as after nulling, as far as the sensor can tell.
+
+    Args:
+        shape: geometry and grasps.
+        actions: what would be done.
+        sensing: how the sensor errs.
+
+    Raises:
+        InvalidValueError: a grasp that the shape does not have.
+    """
+    stretches, trial, grasp = [], [], []
+    for index, action in enumerate(a for a in actions if not isinstance(a, Weigh)):
+        if action.grasp >= len(shape.grasps):
+            raise InvalidValueError("action.grasp", action.grasp, f"one of the shape's {len(shape.grasps)} grasps")
+        found = _stretches(shape, action)
+        stretches += [(stretch, isinstance(action, Accelerate)) for stretch in found]
+        trial += [index] * len(found)
+        grasp += [action.grasp] * len(found)
+    if not stretches:
+        return None
+    count = len(stretches)
+    points = np.array([shape.grasps[g].position for g in grasp])
+    nearest = np.linalg.norm(shape.particles[None] - points[:, None], axis=-1).argmin(axis=1)
+    tensor = lambda values: torch.tensor(np.array(values, dtype=float))  # noqa: E731
+    std = np.array([*sensing.force_noise, *sensing.torque_noise])
+    std[[0, 1, 3, 4]] = np.sqrt((std[[0, 0, 3, 3]] ** 2 + std[[1, 1, 4, 4]] ** 2) / 2)  # whichever way the hand turned
+    noise, to_tcp = std**2 / (RATE * (1 - sensing.lag1) / (1 + sensing.lag1)), _to_tcp()
+    at_tcp = lambda variance: to_tcp @ np.diag(variance) @ to_tcp.T  # noqa: E731
+    zeros = torch.zeros(count, dtype=torch.float64)
+    turning = [s.twist[2] for s, _ in stretches]
+    return Observations(
+        wrench=torch.zeros(count, 3, dtype=torch.float64),
+        noise=tensor([at_tcp(noise / (s.end - s.begin)) for s, _ in stretches]),
+        bias=tensor([at_tcp(sensing.bias_std**2 + noise / TARED)] * count),
+        drift=tensor([at_tcp(sensing.drift_std**2)] * count),
+        since_tare=tensor([(s.begin, s.end) for s, _ in stretches]),
+        twist=tensor([s.twist for s, _ in stretches]),
+        acceleration=tensor([(0.0, 0.0, s.alpha) for s, _ in stretches]),
+        spin_square=tensor(turning).square(),
+        grasp=tensor(points),
+        lift=zeros,
+        tilt=torch.zeros(count, 2, dtype=torch.float64),
+        yaw=torch.zeros(count, 2, dtype=torch.float64),
+        load_map=tensor([load_map(HEIGHT)] * count),
+        load_kept=torch.full((count, 3), float(sensing.force_bias == 0), dtype=torch.float64),
+        held=torch.tensor(shape.mass_group[nearest]),
+        trial=torch.tensor(trial),
+        accelerated=torch.tensor([accelerated for _, accelerated in stretches]),
+    )
+
+
+def _to_tcp() -> Float[np.ndarray, "6 6"]:
+    """Moves a wrench from the sensor down to the TCP, axes up."""
+    return move_wrench(np.eye(6), np.array([0.0, 0.0, -REACH])).T
+
+
+def _stretches(shape: ObjectShape, action: Rotate | Slide | Accelerate) -> list[_Stretch]:
+    """Steady stretches of one action, trimmed as a record is."""
+    if isinstance(action, Slide):
+        along = rotation_2d(action.direction) @ [action.speed, 0.0]
+        return [_Stretch((along[0], along[1], 0.0), 0.0, BEFORE + TRIM_START, BEFORE + action.duration - TRIM_END)]
+    arm = shape.grasps[action.grasp].position - pivot_of(action, shape)
+    if isinstance(action, Rotate):
+        x, y = action.speed * perpendicular(arm)
+        there = _Stretch((x, y, action.speed), 0.0, BEFORE + TRIM_START, BEFORE + action.duration - TRIM_END)
+        later = action.duration + BETWEEN
+        back = _Stretch((-x, -y, -action.speed), 0.0, there.begin + later, there.end + later)
+        return [there, back] if action.back else [there]
+    sign, time, found = math.copysign(1.0, action.start_speed), BEFORE, []
+    for alpha in action.accelerations:
+        found.append(_Stretch((0.0, 0.0, sign), alpha, time + TRIM_STEP, time + action.hold - TRIM_END))
+        time += action.hold
+    return found

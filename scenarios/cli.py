@@ -224,6 +224,41 @@ def show(object_: Annotated[str, tyro.conf.Positional, tyro.conf.arg(name="objec
     show_object(Console(), object_)
 
 
+def identify(
+    object_: Annotated[str, tyro.conf.Positional, tyro.conf.arg(name="object", metavar="OBJECT")],
+    *,
+    sensing: Annotated[str, tyro.conf.arg(metavar="PRESET")] = "ft300s",
+    support: Literal["own_weight", "rigid"] = "own_weight",
+    pivots: Annotated[int, tyro.conf.arg(metavar="N")] = 6,
+    accelerated: Annotated[int, tyro.conf.arg(metavar="N")] = 6,
+    slides: Annotated[int, tyro.conf.arg(metavar="N")] = 0,
+    duration: Annotated[float, tyro.conf.arg(metavar="S")] = 18.0,
+    grasps: Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="NAME ...")] = None,
+    out: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None,
+) -> None:
+    """Say what trials of an object would show of its masses, before any is made: errors to expect, and what stays open.
+
+    Examples: heft identify L2
+              heft identify F2 --support rigid --sensing ideal
+              heft identify L2 --pivots 0 --slides 6 --out results/L2_slides
+
+    Args:
+        object_: name in the library, or path to a TOML file.
+        sensing: preset of the sensor.
+        support: who carries the weight.
+        pivots: turns there and back, as the rank-driven policy draws them; 0 for none, accelerated ones neither.
+        accelerated: accelerated turns.
+        slides: slides, in directions spread over the circle.
+        duration: of a turn each way, s.
+        grasps: grasps that may be used, by name (see heft show); all if left out, whether the arm reaches them or not.
+        out: heatmap of the expected errors, written as FILE.pdf and FILE.png.
+    """
+    from scenarios.identify_run import Wish  # noqa: PLC0415
+    from scenarios.identify_run import identify as say  # noqa: PLC0415
+
+    say(Console(), object_, Wish(sensing, support, pivots, accelerated, slides, duration, grasps, out))
+
+
 def main(arguments: list[str] | None = None) -> None:
     """Entry point: 0 done, 1 done but some trials or estimates failed, 2 a wrong argument or file, 130 interrupted."""
     try:
@@ -240,6 +275,7 @@ def main(arguments: list[str] | None = None) -> None:
                 "objects": objects,
                 "scenarios": scenarios,
                 "show": show,
+                "identify": identify,
                 "robot": robot,
             },
             prog="heft",

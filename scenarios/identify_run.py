@@ -1,0 +1,105 @@
+"""`heft identify`: what trials of an object would show of its masses, before any is made."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import cast
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from estimators.fisher import Question, expected
+from estimators.identifiability import Identifiability
+from estimators.rank_driven import RankDriven
+from testbed.actions import Action, Slide, Weigh
+from testbed.errors import InvalidValueError
+from testbed.object_files import load_object
+from testbed.objects import ObjectModel
+from testbed.sensing import preset
+from testbed.trajectory import Trajectory
+from viz.error_figure import error_figure
+from viz.heatmap import save_figure
+
+
+@dataclass(frozen=True)
+class Wish:
+    """What would be done with the object, and how it would be felt."""
+
+    sensing: str = "ft300s"
+    support: str = "own_weight"
+    pivots: int = 6
+    accelerated: int = 6
+    slides: int = 0
+    duration: float = 18.0
+    grasps: tuple[str, ...] | None = None
+    out: Path | None = None
+
+
+@dataclass(frozen=True)
+class _Done:
+    """A trial as the policy sees it, as if it had gone well."""
+
+    action: Action
+    ok: bool = True
+
+
+def identify(console: Console, name: str, wish: Wish) -> None:
+    """Print the report, and draw it where a file is given.
+
+    Raises:
+        InvalidValueError: a grasp, sensor or support that is not there.
+    """
+    model = load_object(name)
+    actions = planned_actions(model, wish)
+    report = expected(model.shape, model.truth, actions, preset(wish.sensing), Question(wish.support))
+    kinds = [type(action).__name__.lower() for action in actions]
+    done = ", ".join(f"{kinds.count(kind)} {kind}" for kind in dict.fromkeys(kinds))
+    title = f"{model.name}, {wish.support}, {wish.sensing}"
+    console.print(f"[bold]{title}[/bold]: {done}", highlight=False)
+    console.print(_table(model, report))
+    said = f"condition {report.condition:.0f}" if np.isfinite(report.condition) else "nothing is seen"
+    console.print(f"{report.sentence}; {said}", highlight=False)
+    if wish.out is not None:
+        for path in save_figure(error_figure(model, report.standard_error, title), wish.out):
+            console.print(str(path), highlight=False, soft_wrap=True)
+
+
+def planned_actions(model: ObjectModel, wish: Wish) -> list[Action]:
+    """A weighing, what the rank-driven policy would ask for, and slides of spread directions."""
+    shape = model.shape
+    names = [grasp.name for grasp in shape.grasps]
+    chosen = names if wish.grasps is None else list(wish.grasps)
+    if unknown := sorted(set(chosen) - set(names)):
+        raise InvalidValueError("grasps", ", ".join(unknown), f"grasps of {model.name}: {', '.join(names)}")
+    allowed = tuple(names.index(grasp) for grasp in chosen)
+    if wish.slides < 0:
+        raise InvalidValueError("slides", wish.slides, "an integer >= 0")
+    done: list[Action] = []
+    if wish.pivots:
+        policy = RankDriven(wish.pivots, wish.duration, wish.accelerated, grasps=allowed)
+        while (action := policy.next(shape, cast(Sequence[Trajectory], [_Done(a) for a in done]))) is not None:
+            done.append(action)
+    golden = math.pi * (3 - math.sqrt(5))
+    slides = [Slide(allowed[i % len(allowed)], i * golden) for i in range(wish.slides)] if allowed else []
+    return [Weigh(), *done, *slides]
+
+
+def _table(model: ObjectModel, report: Identifiability) -> Table:
+    """Mass and expected standard error of every group, and of every friction."""
+    table = Table()
+    for column in ("group", "mass, kg", "standard error, g", "part of the mass, %"):
+        table.add_column(column, justify="right")
+    for label, mass, error in zip(report.group_names, model.group_mass, report.standard_error, strict=True):
+        table.add_row(label, f"{mass:.3f}", _number(1e3 * error), _number(100 * error / mass if mass else np.inf))
+    for k, (friction, error) in enumerate(zip(model.truth.friction, report.friction_error, strict=True)):
+        name = "friction" if model.shape.n_mu == 1 else f"friction {k}"
+        table.add_row(name, f"{friction:g}", "", _number(100 * error / friction if friction else np.inf))
+    return table
+
+
+def _number(value: float) -> str:
+    return f"{value:.3g}" if np.isfinite(value) else "not seen"

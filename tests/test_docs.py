@@ -171,6 +171,9 @@ def test_every_command_is_understood(page, line, inside, monkeypatch):
     monkeypatch.setattr("scenarios.main_run.run_and_show", lambda *_: ran.append("run"))
     monkeypatch.setattr("scenarios.status.show_status", lambda *_: ran.append("status"))
     monkeypatch.setattr("scenarios.report_run.report", lambda _: ran.append("report"))
+    for name in ("view", "record"):
+        monkeypatch.setattr(f"scenarios.view_run.{name}", lambda *_, name=name, **__: ran.append(name))
+    monkeypatch.setattr("scenarios.figures_run.show_figures", lambda *_: ran.append("figures"))
     for name in ("list_trials", "render_trial"):
         monkeypatch.setattr(f"scenarios.render_run.{name}", lambda *_: ran.append("render"))
     for name in ("watch_live", "watch_record"):

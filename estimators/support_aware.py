@@ -130,11 +130,7 @@ class SupportAware:
         rows, values = fit.on_mass()
         options = self._options(shape)
         ranked = rank_assignments(rows / count, values, options)
-        numbers = answer.diagnostics | {
-            "assignment_probability": float(ranked.probability[0]),
-            "assignment_misfit": ranked.misfit,
-            "assignment_fits": ranked.fits,
-        }
+        numbers = answer.diagnostics | {"assignment_misfit": ranked.misfit, "assignment_fits": ranked.fits}
         if ranked.fits < UNFIT:
             why = "no assignment of the materials given agrees with what was felt"
             return replace(answer, message=_joined(why, answer.message), diagnostics=numbers)
@@ -142,6 +138,7 @@ class SupportAware:
         _, covariance = ranked.moments(options)
         assert answer.distribution is not None
         many = ranked.holding(0.9)
+        numbers["assignment_probability"] = float(ranked.probability[0])
         numbers["assignments_holding_90"] = float(many) if many is not None else np.inf
         sure = many == 1
         return replace(

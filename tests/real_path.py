@@ -13,6 +13,7 @@ from testbed.robot.ft300s import Ft300s
 from testbed.robot.kortex_arm import KortexArm, KortexSettings
 from testbed.robot.kortex_gripper import KortexGripper
 from testbed.robot.plan import starting_pose
+from testbed.robot.ports import RobotError
 from testbed.robot.runner import RealRunner
 from testbed.robot.settings import RobotSettings
 from testbed.simulation.arm import gripper_tool
@@ -38,10 +39,14 @@ def over_wires(
             sensor = Ft300s(rig.wires.sensor_port)
             for _ in range(ATTEMPTS):
                 rig.do("place", pose, action.grasp)
-                with RealRunner(
-                    arm, KortexGripper(arm), sensor, Placed(pose), settings, confirm=lambda _: True
-                ) as runner:
-                    record = runner.run(trial)
+                try:
+                    with RealRunner(
+                        arm, KortexGripper(arm), sensor, Placed(pose), settings, confirm=lambda _: True
+                    ) as runner:
+                        record = runner.run(trial)
+                except RobotError as error:
+                    said(f"{len(done)} of {len(actions)}: {error}")
+                    continue
                 said(f"{len(done) + record.ok} of {len(actions)}: {record.status} {record.reason}")
                 if record.ok:
                     done.append(record)

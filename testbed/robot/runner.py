@@ -145,9 +145,8 @@ class RealRunner:
             failure = error
         record = guard.recorder.record(self._clock.now())
         if record is None:
-            raise RobotError(
-                f"before the sensor was zeroed: {failure}; the tool must point down over the table"
-            ) from failure
+            place = "; the tool must point down over the table" if isinstance(failure, UnsafeError) else ""
+            raise RobotError(f"before the sensor was zeroed: {failure}{place}") from failure
         figures = execution.figures | {"sensor_gap_s": record.wrench_gap, "feedback_gap_s": record.feedback_gap}
         status, reason = "ok", ""
         if failure is not None or execution.evidence is None:

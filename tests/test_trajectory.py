@@ -181,7 +181,9 @@ def test_nan_and_infinity_are_refused(name: str, bad: float):
         dataclasses.replace(record(5), **{name: values})
 
 
-@pytest.mark.parametrize("name", [name for name in SERIES if name not in ("time_s", "sensor_bias_std", "sensor_drift_std")])
+@pytest.mark.parametrize(
+    "name", [name for name in SERIES if name not in ("time_s", "sensor_bias_std", "sensor_drift_std")]
+)
 def test_series_of_another_length_are_refused(name: str):
     with pytest.raises(InvalidValueError, match=rf"Trajectory\.{name}: got '.*shape \(4.*\)'; allowed: .*5"):
         dataclasses.replace(record(5), **{name: getattr(record(4), name)})

@@ -418,3 +418,13 @@ def test_what_cannot_be_compared_is_refused():
     other = EstimateShown("hammer", load_object("hammer").shape)
     with pytest.raises(InvalidValueError, match="another shape"):
         comparison_blueprint("c", [block_estimate(), other])
+
+
+def test_a_mass_that_is_not_known_has_no_interval():
+    shape = load_object("I2").shape
+    covariance = np.diag([np.inf, *[1e-6] * (shape.n_m - 1)])
+    each = MassDistribution(np.full(shape.n_m, 0.02), np.array([0.5]))
+    half = EstimateShown("I2", shape, each, each, covariance).half_width
+    assert half is not None
+    assert np.isnan(half[0])
+    assert np.isfinite(half[1:]).all()

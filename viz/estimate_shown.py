@@ -91,11 +91,11 @@ class EstimateShown:
 
     @property
     def half_width(self) -> Float[np.ndarray, "n_m"] | None:
-        """Half of the interval of each group's mass, kg; NaN where the variance is none."""
+        """Half of the interval of each group's mass, kg; NaN where the variance is none or infinite."""
         if self.covariance is None:
             return None
         variance = np.diagonal(self.covariance)
-        deviation = np.sqrt(np.where(variance >= 0, variance, np.nan))
+        deviation = np.sqrt(np.where((variance >= 0) & np.isfinite(variance), variance, np.nan))
         return DEVIATIONS * deviation * self.shape.particles_per_group
 
     @property

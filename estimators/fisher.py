@@ -14,7 +14,8 @@ from estimators.dynamics import ParticleModel, inertia_of
 from estimators.friction_loads import LoadGroups, friction_system
 from estimators.hidden_states import HiddenStatesEstimator
 from estimators.identifiability import Identifiability, identifiability
-from estimators.inertia import slope_variance
+from estimators.inertia import PivotInertia, slope_variance
+from estimators.mass_solve import inertia_map
 from estimators.observations import Observations, observe
 from estimators.planned import planned_observations
 from estimators.support import GripperLoad, own_weight, rigid_loads
@@ -139,7 +140,8 @@ def _inertia_rows(
 ) -> np.ndarray:
     """Of I_j about every pivot, by the slope of torque against acceleration."""
     pivots, variance = slope_variance(windows)
-    squares = np.sum((shape.particles[None] - pivots[:, None]) ** 2, axis=2) + shape.cell**2 / 6
-    rows = np.stack([np.bincount(shape.mass_group, each, shape.n_m) for each in squares])
-    deviation = np.sqrt(variance + (inertia_error * rows @ distribution.mass) ** 2)
-    return np.hstack([rows / deviation[:, None], np.zeros((len(rows), shape.n_mu))])
+    rows = inertia_map(shape, pivots)
+    inertia = rows @ distribution.mass
+    covariance = PivotInertia(pivots, inertia, variance + (inertia_error * inertia) ** 2, inertia_error).covariance
+    whitened = np.linalg.solve(np.linalg.cholesky(covariance), rows)
+    return np.hstack([whitened, np.zeros((len(rows), shape.n_mu))])

@@ -53,6 +53,8 @@ class LinearSystem:
 
     q: Float[Tensor, "R n_s"]
     b: Float[Tensor, "R"]
+    whiten: Float[Tensor, "R R"]
+    """What took them there: the inverse root of their covariance."""
 
     def loss(self, s: Float[Tensor, "n_s"]) -> Tensor:
         """Mean squared residual, Eq. problem_si in units of the data's own error."""
@@ -112,7 +114,7 @@ def friction_system(
     raised = height_error * (response[..., 1:] @ observations.wrench[:, :2, None]).reshape(-1)
     covariance = observations.sensor_error(response) + torch.block_diag(*floor) + unseen + torch.outer(raised, raised)
     whiten = torch.linalg.inv(torch.linalg.cholesky(covariance))
-    return LinearSystem(whiten @ q.reshape(-1, q.shape[-1]), whiten @ b.reshape(-1))
+    return LinearSystem(whiten @ q.reshape(-1, q.shape[-1]), whiten @ b.reshape(-1), whiten)
 
 
 def contradiction(loss: float) -> str:

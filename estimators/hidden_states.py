@@ -58,8 +58,8 @@ class HiddenStatesEstimator:
     """How well the TCP's height over the feet is known, m."""
     lift_error: float = 0.06
     """Vertical force of a nulled gripper that the sensor cannot tell, N."""
-    inertia_error: float = 0.01
-    """Model error of I_j, as a part of itself."""
+    inertia_error: float = 0.007
+    """Model error of I_j, as a part of itself: once of each, and once of all together."""
     weight_error: float = 1e-3
     """Error of the weighing, kg."""
 

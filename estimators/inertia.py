@@ -22,7 +22,14 @@ class PivotInertia:
     inertia: Float[np.ndarray, "J"]
     """I_j, kg m^2."""
     variance: Float[np.ndarray, "J"]
-    """(kg m^2)^2."""
+    """Of each, (kg m^2)^2."""
+    common_error: float = 0.0
+    """One error of all together, as a part of I_j."""
+
+    @property
+    def covariance(self) -> Float[np.ndarray, "J J"]:
+        """(kg m^2)^2."""
+        return np.diag(self.variance) + self.common_error**2 * np.outer(self.inertia, self.inertia)
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,7 +59,7 @@ def pivot_inertias(
         observations: accelerated windows.
         friction_torque: torque that friction takes in each window, up to a constant a trial, N m, (K,).
         inertial_torque: torque of the grasp point's own acceleration, N m, (K,).
-        relative_error: of I_j, beyond what the scatter shows.
+        relative_error: of I_j, beyond what the scatter shows: once of each, and once of all together.
     """
     if len(observations) == 0:
         return None
@@ -67,7 +74,7 @@ def pivot_inertias(
         inverse = np.linalg.inv(design.T @ design)
         values[j] = solution[0]
         variances[j] = inverse[0, 0] * max(1.0, residual @ residual / freedom) + (relative_error * solution[0]) ** 2
-    return PivotInertia(pivots, values, variances)
+    return PivotInertia(pivots, values, variances, relative_error)
 
 
 def slope_variance(observations: Observations) -> tuple[Float[np.ndarray, "J 2"], Float[np.ndarray, "J"]]:

@@ -128,15 +128,18 @@ def fixed_rows(
     shape: ObjectShape, weight: float, weight_error: float, pivots: PivotInertia | None, unknowns: int
 ) -> tuple[np.ndarray, np.ndarray]:
     """Rows of the weight and of the inertia about every pivot, and their values, in units of their errors."""
-    rows, values, errors = [shape.particles_per_group.astype(float)], [weight], [weight_error]
+    rows, values = shape.particles_per_group[None] / weight_error, np.array([weight / weight_error])
     if pivots is not None:
-        for point, inertia, variance in zip(pivots.pivot, pivots.inertia, pivots.variance, strict=True):
-            squares = np.sum((shape.particles - point) ** 2, axis=1) + shape.cell**2 / 6
-            rows.append(np.bincount(shape.mass_group, squares, shape.n_m))
-            values.append(inertia)
-            errors.append(np.sqrt(variance))
-    scaled = np.array(rows) / np.array(errors)[:, None]
-    return np.hstack([scaled, np.zeros((len(rows), unknowns - shape.n_m))]), np.array(values) / errors
+        whiten = np.linalg.inv(np.linalg.cholesky(pivots.covariance))
+        rows = np.vstack([rows, whiten @ inertia_map(shape, pivots.pivot)])
+        values = np.append(values, whiten @ pivots.inertia)
+    return np.hstack([rows, np.zeros((len(rows), unknowns - shape.n_m))]), values
+
+
+def inertia_map(shape: ObjectShape, points: Float[np.ndarray, "J 2"]) -> Float[np.ndarray, "J n_m"]:
+    """From particle masses to the inertia about each point, m^2; cells are solid."""
+    squares = np.sum((shape.particles[None] - points[:, None]) ** 2, axis=2) + shape.cell**2 / 6
+    return np.stack([np.bincount(shape.mass_group, each, shape.n_m) for each in squares])
 
 
 def _covariance(system: np.ndarray) -> tuple[np.ndarray, int]:

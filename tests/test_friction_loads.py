@@ -100,7 +100,7 @@ def test_the_closed_form_is_least_squares_while_all_loads_are_positive(name):
 def test_the_closed_form_keeps_to_the_bound_at_its_true_minimum():
     rng = np.random.default_rng(0)
     q, s = rng.normal(size=(30, 5)), np.array([1.0, -0.5, 0.3, -0.2, 0.8])
-    found = closed_form(LinearSystem(torch.tensor(q), torch.tensor(q @ s)))
+    found = closed_form(LinearSystem(torch.tensor(q), torch.tensor(q @ s), torch.eye(len(q))))
     slope = q.T @ (q @ found - q @ s)
     assert (found == 0).any()
     assert_allclose(slope[found > 0], 0, atol=1e-9)

@@ -2,20 +2,29 @@
 
 from __future__ import annotations
 
+import io
 import re
 import socket
 import sys
+import time
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from chunks import read_chunks
 from recorded import put_trial
+from rich.console import Console
 from viewer_windows import browse, has_color, is_blank, needs_browser, needs_vulkan, picture, viewer
 
 from scenarios.cli import main
 from scenarios.pages import page_of
 from scenarios.schema import Scenario
+from scenarios.seen import trial_shown
 from scenarios.sweep import run_scenario
+from scenarios.view_run import Recorder
 from testbed.actions import Rotate
+from testbed.sensing import draw_sensing, preset
+from testbed.trajectory import load_trajectory, save_trajectory
 from viz import viewer as viewers
 from viz.recording import save
 from viz.style import AXIS_COLORS, NORMAL_FORCE, rgb
@@ -108,6 +117,42 @@ def test_a_browser_shows_it_and_talks_to_nobody_else(trial, tmp_path):
     asked = set(re.findall(r'"url":"(https?://[^/"]+)', log))
     foreign = {host for host in asked if "127.0.0.1" not in host and not re.search(r"google|gvt1", host)}
     assert not foreign, "the browser's own maker aside"
+
+
+@pytest.mark.slow
+@needs_vulkan
+def test_a_viewer_that_is_open_is_shown_what_is_done(folder, tmp_path):
+    port = viewers.free_port()
+    turn = next(p.parent.name for p in folder.glob("trials/*/foot_forces.parquet"))
+    with viewer(None, tmp_path, port) as client:
+        told = Recorder(folder, Console(file=io.StringIO()), url=viewers.waiting(port))
+        told("trial", turn)
+        told("estimate", key_of(folder, "hidden_states"))
+        for _ in range(100):
+            found = " ".join(recording.store_id for recording in client.get_state().recordings)
+            if "trial" in found and "estimate" in found:
+                break
+            time.sleep(0.1)
+    assert f"trial {turn}" in found
+    assert "estimate" in found
+
+
+def test_a_trial_of_another_bench_is_seen_from_its_files(folder, tmp_path):
+    """As measured: no draw of errors, no truth behind it, and nobody knows the forces on the feet."""
+    key = next(p.parent.name for p in folder.glob("trials/*/foot_forces.parquet"))
+    clean = load_trajectory(folder / "trials" / key / "trajectory.parquet")
+    felt = draw_sensing(clean, preset("ft300s"), 5)
+    there = tmp_path / "trials" / key
+    there.mkdir(parents=True)
+    save_trajectory(replace(felt, provenance={"runner": "robot"}), there / "trajectory.parquet")
+    (there / "trial.json").write_bytes((folder / "trials" / key / "trial.json").read_bytes())
+    shown = trial_shown(tmp_path, key)
+    assert shown.truth is None
+    assert shown.feet is None
+    assert not shown.model
+    assert (shown.trajectory.wrench_on_object_world == felt.wrench_on_object_world).all()
+    save(page_of(tmp_path, key), tmp_path / "x.rrd")
+    assert "trial/wrench/force/x/measured" in read_chunks(tmp_path / "x.rrd")
 
 
 def test_without_a_display_it_is_told_what_to_do(folder_of_nothing, monkeypatch, capsys):

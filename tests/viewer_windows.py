@@ -30,26 +30,27 @@ needs_browser = pytest.mark.skipif(shutil.which("chromium") is None, reason="no 
 
 
 @contextmanager
-def viewer(path: Path, home: Path) -> Iterator[ViewerClient]:
-    """The native viewer with a recording open, its home elsewhere."""
-    port = free_port()
-    command = [*program(), str(path), "--headless", "--bind", HOST, "--port", str(port), "--window-size", "1600x1000"]
+def viewer(path: Path | None, home: Path, port: int | None = None) -> Iterator[ViewerClient]:
+    """The native viewer with a recording open, or with none, its home elsewhere."""
+    port = port or free_port()
+    opened = [] if path is None else [str(path)]
+    command = [*program(), *opened, "--headless", "--bind", HOST, "--port", str(port), "--window-size", "1600x1000"]
     process = subprocess.Popen(command, env=environment() | {"HOME": str(home)}, stderr=subprocess.DEVNULL)
     try:
-        client = _connected(process, port)
+        client = _connected(process, port, empty=path is None)
         yield client
     finally:
         process.kill()
         process.wait()
 
 
-def _connected(process: subprocess.Popen[bytes], port: int) -> ViewerClient:
+def _connected(process: subprocess.Popen[bytes], port: int, *, empty: bool) -> ViewerClient:
     until = time.monotonic() + 60
     while process.poll() is None and time.monotonic() < until:
         try:
             client = ViewerClient.connect(url_of(port))
             state = client.get_state()
-            if state.recordings and not state.loading and state.views:
+            if empty or (state.recordings and not state.loading and state.views):
                 return client
         except Exception:  # it does not answer yet, and says so in many ways
             pass

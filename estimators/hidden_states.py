@@ -12,6 +12,7 @@ import torch
 
 from estimators.descent import OPTIMIZERS, check_optimizers
 from estimators.dynamics import ParticleModel, direction, friction_wrench, inertia_of
+from estimators.evidence import Evidence
 from estimators.friction_loads import (
     LinearSystem,
     LoadGroups,
@@ -115,6 +116,27 @@ class HiddenStatesEstimator:
         if why := contradiction(float(answer.system.loss(torch.tensor(answer.loads)))):
             return Estimate(None, "contradictory", why, seconds=time.perf_counter() - begin)
         return self._answer(problem, answer, begin)
+
+    def evidence(
+        self, shape: ObjectShape, weight: float, trajectories: Sequence[Trajectory], at: MassDistribution
+    ) -> Evidence:
+        """What the trials say, with what the gripper carries worked out at an answer: for a posterior.
+
+        Raises:
+            InvalidValueError: no trajectory at constant speed.
+        """
+        observed = observe(shape, trajectories)
+        if observed is None or bool(observed.accelerated.all()):
+            raise InvalidValueError(
+                "trajectories", len(trajectories), "one or more that slide or turn at constant speed"
+            )
+        problem = _Problem.of(shape, weight, observed, robot_seconds(trajectories))
+        mass, friction = torch.tensor(at.mass), torch.tensor(at.friction)
+        system, pairs = self._system(problem, mass, friction), problem.groups.pairs
+        loads = load_jacobian(shape, pairs, at)[:, : shape.n_m] @ at.mass
+        pivots = self._pivots(problem, loads, mass, friction)
+        fixed, values = fixed_rows(shape, weight, self.weight_error, pivots, shape.n_m)
+        return Evidence(shape, pairs, system.q.numpy(), system.b.numpy(), fixed, values)
 
     def _system(self, problem: _Problem, mass: torch.Tensor, friction: torch.Tensor) -> LinearSystem:
         """Q s = b, with what the gripper carries worked out from a guess of mass and friction."""

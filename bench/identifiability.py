@@ -1,0 +1,306 @@
+"""How honest the error bars are, and how far from the limit the answers: python bench/identifiability.py WHAT [FOLDER].
+
+coverage FOLDER  how often the 90 % intervals of Algorithm 1 hold the truth, object by object of a results folder, under
+                 fresh draws of a sensor's errors over its trials
+bound FOLDER     root mean square error of every method over the Cramer-Rao bound, with the model errors and without
+errors FOLDER    the model errors that explain noise-free trials best, at the true masses (maximum likelihood)
+speed            a report for a shape before any trial
+share FOLDER     what report and covariance add to the time of Algorithm 1
+
+Objects without a place in a folder are left out; options: --draws N (8), --objects N (all), --support, --sensing.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import time
+from collections import defaultdict
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from statistics import median
+
+import numpy as np
+import torch
+from rich.console import Console
+from rich.table import Table
+from scipy.optimize import minimize
+
+from estimators.dynamics import ParticleModel, inertia_of
+from estimators.fisher import Question, expected, observed
+from estimators.friction_loads import LoadGroups, friction_system
+from estimators.hidden_states import HiddenStatesEstimator
+from estimators.mass_solve import load_jacobian
+from estimators.observations import Observations, observe
+from scenarios.estimates import sensed
+from scenarios.identify_run import Wish, planned_actions
+from scenarios.results import load_results
+from scenarios.store import Store, read_json, rows_of
+from testbed.object_files import load_object, object_names
+from testbed.objects import ObjectModel
+from testbed.reduction import weight_of
+from testbed.sensing import preset
+from testbed.trajectory import Trajectory
+
+LEVEL, DEVIATIONS = 0.9, 1.6449
+LEAST = {"accelerate": 2, "rotate": 3}
+"""Trials of a kind without which an object of a folder is not done."""
+EXACT = HiddenStatesEstimator(
+    pivot_error=0.0, force_error=0.0, torque_error=0.0, height_error=0.0, lift_error=0.0, inertia_error=0.0
+)
+"""Errors of the sensor and of nothing else."""
+
+
+@dataclass(frozen=True)
+class Tried:
+    """An object of a results folder, and its trials: the weighing first, turns held out for prediction left out."""
+
+    model: ObjectModel
+    store: Store
+    keys: tuple[str, ...]
+
+    def draw(self, sensing: str, seed: int) -> tuple[float, list[Trajectory]]:
+        """M as weighed and the trials, as one draw of a sensor's errors has them."""
+        weighed, *trials = sensed(self.store, self.keys, sensing, seed)
+        return weight_of(weighed), trials
+
+
+@cache
+def library() -> dict[str, str]:
+    """Names of the library's objects by their masses and frictions, for records that do not name theirs."""
+    models = map(load_object, object_names())
+    return {json.dumps([m.truth.mass.tolist(), m.shape.particles.tolist()]): m.name for m in models}
+
+
+def tried(folder: Path, support: str, most: int) -> Iterator[Tried]:
+    """Objects with all their trials, in the order of their names."""
+    files = {path.stem: path for path in folder.glob("objects/*/*.toml")}
+    found: dict[str, list[tuple[str, str]]] = defaultdict(list)
+    for path in sorted(folder.glob("trials/*/trial.json")):
+        said = read_json(path)
+        if said is None or said["asked"]["support"] != support:
+            continue
+        asked, action = said["asked"]["object"], said["asked"]["action"]
+        name = said.get("names", {}).get("object") or library().get(json.dumps([asked["mass"], asked["particles"]]))
+        if name and not (action["kind"] == "rotate" and not action["back"]):
+            found[name].append((action["kind"], path.parent.name))
+    done = 0
+    for name, trials in sorted(found.items()):
+        kinds = [kind for kind, _ in trials]
+        if kinds.count("weigh") == 1 and all(kinds.count(kind) >= n for kind, n in LEAST.items()) and done < most:
+            done += 1
+            keys = [key for wanted in ("weigh", "accelerate", "rotate") for kind, key in trials if kind == wanted]
+            yield Tried(load_object(str(files.get(name, name))), Store(folder), tuple(keys))
+
+
+def coverage(folder: Path, options: argparse.Namespace) -> None:
+    """A row an object."""
+    table = Table(title=f"90 % intervals of hidden_states, {options.support}, {options.sensing}, {options.draws} draws")
+    for column in ("object", "blocks", "held, %", "error over claimed", "NAD, %"):
+        table.add_column(column, justify="right")
+    scores, draws = [], 1 if options.sensing == "ideal" else options.draws
+    for each in tried(folder, options.support, options.objects):
+        truth, off = each.model.truth.mass, []
+        claimed, unanswered = [], 0
+        for seed in range(draws):
+            answer = HiddenStatesEstimator().estimate(each.model.shape, *each.draw(options.sensing, seed), seed)
+            if answer.distribution is None or answer.covariance is None or not np.isfinite(answer.covariance).all():
+                unanswered += 1
+                continue
+            off.append(answer.distribution.mass - truth)
+            claimed.append(np.sqrt(np.diagonal(answer.covariance)))
+        if not off:
+            table.add_row(each.model.name, str(len(truth)), f"no answer in {unanswered}", "", "")
+            continue
+        score = np.array(off) / np.array(claimed)
+        scores.append(score)
+        nad = 100 * np.mean(np.abs(off) @ each.model.shape.particles_per_group) / each.model.total_mass
+        row = f"{100 * _held(score):.0f}", f"{math.sqrt(np.mean(score**2)):.2f}", f"{nad:.2f}"
+        table.add_row(each.model.name, str(len(truth)), *row)
+    Console().print(table)
+    if not scores:
+        return
+    by_object = np.array([_held(score) for score in scores])
+    whole = np.concatenate([score.ravel() for score in scores])
+    error = by_object.std(ddof=1) / math.sqrt(len(by_object)) if len(by_object) > 1 else math.nan
+    print(
+        f"{len(scores)} objects, {len(whole)} intervals: {100 * _held(whole):.1f} % hold the truth (by object "
+        f"{100 * by_object.mean():.1f} +- {100 * error:.1f}); error over claimed {math.sqrt(np.mean(whole**2)):.2f}"
+    )
+
+
+def _held(score: np.ndarray) -> float:
+    return float((np.abs(score) < DEVIATIONS).mean())
+
+
+def bound(folder: Path, options: argparse.Namespace) -> None:
+    """Pooled over objects: sum of squared errors over sum of squared bounds, and the median object."""
+    objects = list(tried(folder, options.support, options.objects))
+    limits, of_sensor, own = {}, {}, {}
+    for each in objects:
+        name, shape, truth = each.model.name, each.model.shape, each.model.truth
+        answers, stated, sensor = [], [], []
+        for seed in range(options.draws):
+            weight, trials = each.draw(options.sensing, seed)
+            if seed == 0:
+                stated.append(observed(shape, truth, trials).standard_error)
+                sensor.append(observed(shape, truth, trials, Question(errors=EXACT)).standard_error)
+            answer = HiddenStatesEstimator().estimate(shape, weight, trials, seed)
+            if answer.distribution is not None:
+                answers.append((answer.distribution.mass - truth.mass) * shape.particles_per_group)
+        limits[name], of_sensor[name], own[name] = stated[0], sensor[0], np.array(answers)
+    errors = {"hidden_states (fresh draws)": own} | _stored(folder, options, set(limits))
+    table = Table(
+        title=f"error over the Cramer-Rao bound, {options.support}, {options.sensing}, {len(objects)} objects"
+    )
+    for column in ("method", "objects", "pooled", "median", "sensor alone: pooled", "median"):
+        table.add_column(column, justify="right" if column != "method" else "left")
+    for method, off in errors.items():
+        cells = []
+        for limit in (limits, of_sensor):
+            parts = [(np.mean(off[n] ** 2, axis=0).sum(), (limit[n] ** 2).sum()) for n in off if len(off[n])]
+            pooled = math.sqrt(np.mean([a / b for a, b in parts]))
+            cells += [f"{pooled:.2f}", f"{median(math.sqrt(a / b) for a, b in parts):.2f}"]
+        table.add_row(method, str(len(off)), *cells)
+    Console().print(table)
+
+
+def _stored(folder: Path, options: argparse.Namespace, names: set[str]) -> dict[str, dict[str, np.ndarray]]:
+    """Errors of the answers in the folder, kg a group: by method and object."""
+    found: dict[str, dict[str, list[np.ndarray]]] = defaultdict(lambda: defaultdict(list))
+    for row in rows_of(load_results(folder)):
+        if row["object"] not in names or row["mass_kg"] is None:
+            continue
+        if (row["support"], row["sensing"]) == (options.support, options.sensing):
+            found[row["method"]][row["object"]].append(np.subtract(row["mass_kg"], row["true_mass_kg"]))
+    return {method: {name: np.array(off) for name, off in by.items()} for method, by in sorted(found.items())}
+
+
+def errors(folder: Path, options: argparse.Namespace) -> None:
+    """Maximum likelihood of (force, torque, pivot, height), with the loads at the truth, over noise-free trials."""
+    cases: list[tuple[ObjectModel, Observations]] = []
+    for each in tried(folder, options.support, options.objects):
+        windows = observe(each.model.shape, each.draw("ideal", 0)[1])
+        if windows is not None and not each.model.solids:
+            cases.append((each.model, windows.where(~windows.accelerated)))
+
+    def minus_log_likelihood(logs: np.ndarray) -> float:
+        force, torque, pivot, height = np.exp(logs)
+        total = 0.0
+        for model, windows in cases:
+            q, b, log_volume = _at_truth(model, windows, force, torque, pivot, height)
+            missing = b - q
+            total += float(missing @ missing) / 2 + log_volume
+        return total
+
+    start = np.log([5e-4, 1e-3, 1e-4, 1e-3])
+    found = minimize(minus_log_likelihood, start, method="Nelder-Mead", options={"xatol": 0.02, "fatol": 0.3})
+    force, torque, pivot, height = np.exp(found.x)
+    print(
+        f"{len(cases)} objects: force {force:.2g} of the drag, torque {torque:.2g} of itself, pivot {pivot:.2g} m, "
+        f"height {height:.2g} m"
+    )
+    lifts = torch.cat([windows.lift for _, windows in cases]).numpy()
+    print(
+        f"lift of the nulled gripper: mean {lifts.mean():.3f} N, root mean square {math.sqrt(np.mean(lifts**2)):.3f} N"
+    )
+
+
+def _at_truth(
+    model: ObjectModel, windows: Observations, force: float, torque: float, pivot: float, height: float
+) -> tuple[np.ndarray, np.ndarray, float]:
+    """Whitened Q s and b at the true loads, and half the log determinant of the covariance."""
+    shape, particles = model.shape, ParticleModel.of(model.shape)
+    groups, mass = LoadGroups.of(particles), torch.tensor(model.particle_mass)
+    system = friction_system(
+        particles,
+        groups,
+        windows,
+        mass,
+        particles.particle_friction(torch.tensor(model.truth.friction)),
+        inertia_of(particles, mass),
+        shape.height,
+        pivot_error=pivot,
+        force_error=force,
+        torque_error=torque,
+        height_error=height,
+    )
+    loads = load_jacobian(shape, groups.pairs, model.truth)[:, : shape.n_m] @ model.truth.mass
+    return system.q.numpy() @ loads, system.b.numpy(), -float(torch.linalg.slogdet(system.whiten)[1])
+
+
+def speed() -> None:
+    """Medians, side by side."""
+    for name in ("I2", "L2", "F2", "hammer"):
+        model = load_object(name)
+        actions, sensing = planned_actions(model, Wish()), preset("ft300s")
+        for support in ("own_weight", "rigid"):
+            question = Question(support)
+            took = _median(lambda m=model, a=actions, q=question, s=sensing: expected(m.shape, m.truth, a, s, q))
+            print(f"a report for {name}, {support}: {1e3 * took:.1f} ms")
+
+
+def share(folder: Path, options: argparse.Namespace) -> None:
+    """Time of Algorithm 1 with its report over that without, side by side."""
+    ratios = []
+    for each in tried(folder, options.support, options.objects):
+        weight, trials = each.draw(options.sensing, 0)
+        whole, part = [], []
+        for _ in range(options.draws):
+            spent = 0.0
+            original = HiddenStatesEstimator._report
+
+            def timed(*arguments: object, of: Callable[..., object] = original) -> object:
+                nonlocal spent
+                begin = time.perf_counter()
+                report = of(*arguments)
+                spent += time.perf_counter() - begin
+                return report
+
+            HiddenStatesEstimator._report = timed  # pyright: ignore[reportAttributeAccessIssue]
+            try:
+                whole.append(
+                    _timed(lambda m=each.model, w=weight, t=trials: HiddenStatesEstimator().estimate(m.shape, w, t, 0))
+                )
+            finally:
+                HiddenStatesEstimator._report = original
+            part.append(spent)
+        ratios.append(median(w / (w - p) for w, p in zip(whole, part, strict=True)))
+    print(f"Algorithm 1 with its report over without: median {median(ratios):.3f} of {len(ratios)} objects")
+
+
+def _timed(function: Callable[[], object]) -> float:
+    begin = time.perf_counter()
+    function()
+    return time.perf_counter() - begin
+
+
+def _median(function: Callable[[], object]) -> float:
+    function()
+    return median(_timed(function) for _ in range(15))
+
+
+def main() -> None:
+    """Run one of the measurements."""
+    torch.set_num_threads(1)
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("what", choices=("coverage", "bound", "errors", "speed", "share"))
+    parser.add_argument("folder", type=Path, nargs="?")
+    parser.add_argument("--draws", type=int, default=8)
+    parser.add_argument("--objects", type=int, default=10_000)
+    parser.add_argument("--support", default="own_weight")
+    parser.add_argument("--sensing", default="ft300s")
+    options = parser.parse_args()
+    if options.what == "speed":
+        speed()
+    elif options.folder is None:
+        parser.error(f"{options.what} needs a results folder")
+    else:
+        {"coverage": coverage, "bound": bound, "errors": errors, "share": share}[options.what](options.folder, options)
+
+
+if __name__ == "__main__":
+    main()

@@ -128,6 +128,7 @@ def test_a_viewer_that_is_open_is_shown_what_is_done(folder, tmp_path):
         told = Recorder(folder, Console(file=io.StringIO()), url=viewers.waiting(port))
         told("trial", turn)
         told("estimate", key_of(folder, "hidden_states"))
+        found = ""
         for _ in range(100):
             found = " ".join(recording.store_id for recording in client.get_state().recordings)
             if "trial" in found and "estimate" in found:

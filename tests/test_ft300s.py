@@ -20,6 +20,8 @@ from testbed.errors import InvalidValueError
 from testbed.robot.ft300s import Ft300s, latency_warning
 from testbed.robot.ports import RobotError, SensorLostError, WrenchSample, WrenchSensor
 
+pytestmark = pytest.mark.slow  # real lines and threads in real time
+
 PATIENT = 2.0
 """Silence allowed where silence is not what is tested: a busy machine keeps threads waiting."""
 

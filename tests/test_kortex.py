@@ -29,6 +29,8 @@ from testbed.robot.kortex_link import PYTHON_VARIABLE
 from testbed.robot.ports import Arm, ArmLostError, ArmRefusedError, Gripper, Pose, RobotError
 from testbed.simulation.arm import arm_model
 
+pytestmark = pytest.mark.slow  # real lines and processes in real time
+
 STAND = np.zeros(3)
 
 

@@ -7,7 +7,7 @@ errors FOLDER    the model errors that explain noise-free trials best, at the tr
 speed            a report for a shape before any trial
 share FOLDER     what report and covariance add to the time of Algorithm 1
 
-Objects without a place in a folder are left out; options: --draws N (8), --objects N (all), --support, --sensing.
+Options: --draws N (8), --objects N (all), --support, --sensing.
 """
 
 from __future__ import annotations
@@ -46,8 +46,6 @@ from testbed.sensing import preset
 from testbed.trajectory import Trajectory
 
 LEVEL, DEVIATIONS = 0.9, 1.6449
-LEAST = {"accelerate": 2, "rotate": 3}
-"""Trials of a kind without which an object of a folder is not done."""
 EXACT = HiddenStatesEstimator(
     pivot_error=0.0, force_error=0.0, torque_error=0.0, height_error=0.0, lift_error=0.0, inertia_error=0.0
 )
@@ -75,9 +73,23 @@ def library() -> dict[str, str]:
     return {json.dumps([m.truth.mass.tolist(), m.shape.particles.tolist()]): m.name for m in models}
 
 
-def tried(folder: Path, support: str, most: int) -> Iterator[Tried]:
-    """Objects with all their trials, in the order of their names."""
+def tried(folder: Path, options: argparse.Namespace) -> Iterator[Tried]:
+    """Objects with the trials that every method was given, in the order of their names."""
     files = {path.stem: path for path in folder.glob("objects/*/*.toml")}
+    given = _given(folder, options.support) or _made(folder, options.support)
+    for name, keys in sorted(given.items())[: options.objects]:
+        yield Tried(load_object(str(files.get(name, name))), Store(folder), keys)
+
+
+def _given(folder: Path, support: str) -> dict[str, tuple[str, ...]]:
+    """Trials by object as the estimates name them, a trial that was asked for twice twice."""
+    rows = filter(None, map(read_json, sorted(folder.glob("estimates/*/result.json"))))
+    named = [row for row in rows if row.get("trial_keys") and row.get("support") == support]
+    return {row["object"]: tuple(row["trial_keys"]) for row in named}
+
+
+def _made(folder: Path, support: str) -> dict[str, tuple[str, ...]]:
+    """The same from the trials themselves, for folders whose estimates do not name theirs."""
     found: dict[str, list[tuple[str, str]]] = defaultdict(list)
     for path in sorted(folder.glob("trials/*/trial.json")):
         said = read_json(path)
@@ -87,13 +99,10 @@ def tried(folder: Path, support: str, most: int) -> Iterator[Tried]:
         name = said.get("names", {}).get("object") or library().get(json.dumps([asked["mass"], asked["particles"]]))
         if name and not (action["kind"] == "rotate" and not action["back"]):
             found[name].append((action["kind"], path.parent.name))
-    done = 0
-    for name, trials in sorted(found.items()):
-        kinds = [kind for kind, _ in trials]
-        if kinds.count("weigh") == 1 and all(kinds.count(kind) >= n for kind, n in LEAST.items()) and done < most:
-            done += 1
-            keys = [key for wanted in ("weigh", "accelerate", "rotate") for kind, key in trials if kind == wanted]
-            yield Tried(load_object(str(files.get(name, name))), Store(folder), tuple(keys))
+    order = ("weigh", "accelerate", "rotate", "slide")
+    return {
+        name: tuple(key for wanted in order for kind, key in made if kind == wanted) for name, made in found.items()
+    }
 
 
 def coverage(folder: Path, options: argparse.Namespace) -> None:
@@ -102,7 +111,7 @@ def coverage(folder: Path, options: argparse.Namespace) -> None:
     for column in ("object", "blocks", "held, %", "error over claimed", "NAD, %"):
         table.add_column(column, justify="right")
     scores, draws = [], 1 if options.sensing == "ideal" else options.draws
-    for each in tried(folder, options.support, options.objects):
+    for each in tried(folder, options):
         truth, off = each.model.truth.mass, []
         claimed, unanswered = [], 0
         for seed in range(draws):
@@ -138,7 +147,7 @@ def _held(score: np.ndarray) -> float:
 
 def bound(folder: Path, options: argparse.Namespace) -> None:
     """Pooled over objects: sum of squared errors over sum of squared bounds, and the median object."""
-    objects = list(tried(folder, options.support, options.objects))
+    objects = list(tried(folder, options))
     limits, of_sensor, own = {}, {}, {}
     for each in objects:
         name, shape, truth = each.model.name, each.model.shape, each.model.truth
@@ -182,7 +191,7 @@ def _stored(folder: Path, options: argparse.Namespace, names: set[str]) -> dict[
 def errors(folder: Path, options: argparse.Namespace) -> None:
     """Maximum likelihood of (force, torque, pivot, height), with the loads at the truth, over noise-free trials."""
     cases: list[tuple[ObjectModel, Observations]] = []
-    for each in tried(folder, options.support, options.objects):
+    for each in tried(folder, options):
         windows = observe(each.model.shape, each.draw("ideal", 0)[1])
         if windows is not None and not each.model.solids:
             cases.append((each.model, windows.where(~windows.accelerated)))
@@ -246,7 +255,7 @@ def speed() -> None:
 def share(folder: Path, options: argparse.Namespace) -> None:
     """Time of Algorithm 1 with its report over that without, side by side."""
     ratios = []
-    for each in tried(folder, options.support, options.objects):
+    for each in tried(folder, options):
         weight, trials = each.draw(options.sensing, 0)
         whole, part = [], []
         for _ in range(options.draws):

@@ -173,7 +173,7 @@ def bound(folder: Path, options: argparse.Namespace) -> None:
             parts = [(np.mean(off[n] ** 2, axis=0).sum(), (limit[n] ** 2).sum()) for n in off if len(off[n])]
             pooled = math.sqrt(np.mean([a / b for a, b in parts]))
             cells += [f"{pooled:.2f}", f"{median(math.sqrt(a / b) for a, b in parts):.2f}"]
-        table.add_row(method, str(len(off)), *cells)
+        table.add_row(method, str(sum(len(each) > 0 for each in off.values())), *cells)
     Console().print(table)
 
 

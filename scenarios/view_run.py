@@ -16,7 +16,7 @@ from rich.console import Console
 from scenarios.comparison import Row
 from scenarios.pages import estimate_page, folder_page, page_of, trial_page
 from scenarios.progress import show_progress
-from scenarios.store import read_json
+from scenarios.seen import kind_of_trial
 from testbed.errors import HeftError
 from viz import viewer
 from viz.recording import save, send
@@ -106,7 +106,7 @@ class Recorder:
     def __call__(self, kind: str, key: str) -> None:
         """Record one that is done; `kind` is "trial" or "estimate". What cannot be shown is told and left out."""
         make = trial_page if kind == "trial" else estimate_page
-        if kind == "trial" and not _moves(self.folder, key):
+        if kind == "trial" and kind_of_trial(self.folder, key) == "weigh":
             return
         try:
             if self.files:
@@ -115,9 +115,3 @@ class Recorder:
                 send(make(self.folder, key, light=True), self.url)
         except HeftError as error:
             self.console.print(f"no recording of {kind} {key[:8]}: {error}", highlight=False, soft_wrap=True)
-
-
-def _moves(folder: Path, key: str) -> bool:
-    """Whether it is more than a weighing."""
-    asked = (read_json(folder / "trials" / key / "trial.json") or {}).get("asked") or {}
-    return (asked.get("action") or {}).get("kind") != "weigh"

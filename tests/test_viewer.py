@@ -110,10 +110,18 @@ def test_a_comparison_is_seen(folder, tmp_path):
 @pytest.mark.slow
 @needs_browser
 def test_a_browser_shows_it_and_talks_to_nobody_else(trial, tmp_path):
+    log = ""
     with served(trial) as address:
-        pixels, log = browse(address, tmp_path)
+        for attempt in range(3):  # the browser's clock runs ahead of a busy machine, and it may look too early
+            place = tmp_path / str(attempt)
+            place.mkdir()
+            pixels, connections = browse(address, place)
+            log += connections
+            if has_color(pixels, rgb(AXIS_COLORS[0])):
+                break
+        else:
+            pytest.fail("the force along x is not drawn")
     assert not is_blank(pixels)
-    assert has_color(pixels, rgb(AXIS_COLORS[0]))
     asked = set(re.findall(r'"url":"(https?://[^/"]+)', log))
     foreign = {host for host in asked if "127.0.0.1" not in host and not re.search(r"google|gvt1", host)}
     assert not foreign, "the browser's own maker aside"

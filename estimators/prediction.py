@@ -7,7 +7,7 @@ mass and friction, and its parts are computed once.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -20,7 +20,7 @@ from estimators.dynamics import Inertia, ParticleModel, cross, inertia_of
 from estimators.friction_loads import LoadGroups, rank_of
 from estimators.observations import Observations, observe
 from estimators.protocol import Estimate
-from estimators.support import own_weight
+from estimators.support import GripperLoad, own_weight
 from testbed.errors import InvalidValueError
 from testbed.objects import GRAVITY, ObjectShape
 from testbed.trajectory import Trajectory
@@ -32,9 +32,18 @@ MODEL_ERROR = 0.002
 Weighting = Literal["velocity", "covariance"]
 
 
+LoadsOf = Callable[[ParticleModel, Tensor, GripperLoad], Tensor]
+"""A support model: particle masses, kg, (P,), and what the gripper carries to loads, N, (K, P)."""
+
+
+def own_weight_loads(model: ParticleModel, mass: Tensor, load: GripperLoad) -> Tensor:
+    """Every mass group on its own weight."""
+    return own_weight(model.particles, model.mass_group, model.contact, mass, load).loads(load)
+
+
 @dataclass(frozen=True, eq=False)
 class AffineLoads:
-    """Normal load of every particle in every window, affine in the masses: own weight, and what the gripper presses."""
+    """Normal load of every particle in every window, affine in the masses: weight, and what the gripper presses."""
 
     per_mass: Float[Tensor, "K P n_m"]
     """N a kg of each particle mass."""
@@ -42,13 +51,14 @@ class AffineLoads:
     """N."""
 
     @staticmethod
-    def of(shape: ObjectShape, model: ParticleModel, windows: Observations) -> AffineLoads:
-        """Probed with one particle mass of 2 kg among ones."""
+    def of(
+        shape: ObjectShape, model: ParticleModel, windows: Observations, loads_of: LoadsOf = own_weight_loads
+    ) -> AffineLoads:
+        """A support model's loads, probed with one particle mass of 2 kg among ones."""
 
         def loads(mass: Tensor) -> Tensor:
             particle_mass = model.particle_mass(mass)
-            load = windows.gripper_load(inertia_of(model, particle_mass), shape.height)
-            return own_weight(model.particles, model.mass_group, model.contact, particle_mass, load).loads(load)
+            return loads_of(model, particle_mass, windows.gripper_load(inertia_of(model, particle_mass), shape.height))
 
         ones = torch.ones(shape.n_m, dtype=torch.float64)
         base = loads(ones)

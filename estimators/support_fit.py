@@ -6,21 +6,22 @@ is bilinear in friction and mass: one fit serves both, with the same data and th
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 import torch
 from jaxtyping import Float
+from scipy.linalg import block_diag
 from scipy.optimize import nnls
 from torch import Tensor
 
 from estimators.dynamics import ParticleModel, inertia_of
 from estimators.inertia import PivotInertia, pivot_inertias
+from estimators.mass_solve import inertia_map
 from estimators.observations import Observations
-from estimators.prediction import AffineLoads, WrenchModel
-from estimators.support import GripperLoad, own_weight, rigid_loads
+from estimators.prediction import AffineLoads, LoadsOf, WrenchModel, own_weight_loads
+from estimators.support import GripperLoad, rigid_loads
 from testbed.objects import GRAVITY, ObjectShape
 
 FittedSupport = Literal["own_weight", "rigid"]
@@ -134,7 +135,7 @@ def fit_support(
     mass = np.full(shape.n_m, weight / len(shape.particles))
     drag = float(steady.wrench[:, :2].norm(dim=1).max()) / (weight * GRAVITY)
     friction = np.full(shape.n_mu, drag)
-    loads = _affine(shape, model, steady, loads_of)
+    loads = AffineLoads.of(shape, model, steady, loads_of)
     wrenches = WrenchModel.of(model, steady, loads, errors.pivot)
     response = _response(model, steady, loads_of)
     weak, even = _weak_prior(shape, weight)
@@ -201,18 +202,11 @@ def _weak_prior(shape: ObjectShape, weight: float) -> tuple[np.ndarray, np.ndarr
     return rows, rows @ mean
 
 
-_Loads = Callable[[ParticleModel, Tensor, GripperLoad], Tensor]
-
-
-def _own(model: ParticleModel, mass: Tensor, load: GripperLoad) -> Tensor:
-    return own_weight(model.particles, model.mass_group, model.contact, mass, load).loads(load)
-
-
 def _rigid(model: ParticleModel, mass: Tensor, load: GripperLoad) -> Tensor:
     return rigid_loads(model.particles, model.contact, mass, load)
 
 
-_LOADS: dict[FittedSupport, _Loads] = {"own_weight": _own, "rigid": _rigid}
+_LOADS: dict[FittedSupport, LoadsOf] = {"own_weight": own_weight_loads, "rigid": _rigid}
 
 
 def _excluded(model: ParticleModel, support: FittedSupport) -> Float[Tensor, "P w"]:
@@ -222,20 +216,7 @@ def _excluded(model: ParticleModel, support: FittedSupport) -> Float[Tensor, "P 
     return torch.nn.functional.one_hot(model.mass_group).double()
 
 
-def _affine(shape: ObjectShape, model: ParticleModel, windows: Observations, loads_of: _Loads) -> AffineLoads:
-    """Loads as an affine function of the masses, probed with one particle mass of 2 kg among ones."""
-
-    def loads(mass: Tensor) -> Tensor:
-        particle_mass = model.particle_mass(mass)
-        return loads_of(model, particle_mass, windows.gripper_load(inertia_of(model, particle_mass), shape.height))
-
-    ones = torch.ones(shape.n_m, dtype=torch.float64)
-    base = loads(ones)
-    per_mass = torch.stack([loads(ones + one) - base for one in torch.diag(ones)], -1)
-    return AffineLoads(per_mass, base - per_mass.sum(-1))
-
-
-def _response(model: ParticleModel, windows: Observations, loads_of: _Loads) -> Float[Tensor, "K P 3"]:
+def _response(model: ParticleModel, windows: Observations, loads_of: LoadsOf) -> Float[Tensor, "K P 3"]:
     """Change of every load with what the gripper carries: lift, and moment along x and y."""
     mass = torch.ones(len(model.particles), dtype=torch.float64)
     zero = torch.zeros_like(windows.lift), torch.zeros_like(windows.tilt)
@@ -283,7 +264,7 @@ def _pivots(
     windows: Observations,
     mass: Tensor,
     friction: Tensor,
-    loads_of: _Loads,
+    loads_of: LoadsOf,
     errors: ModelErrors,
 ) -> PivotInertia | None:
     """I_j, with the change of friction that the gripper's changing load brings taken away."""
@@ -302,14 +283,11 @@ def _known(
     shape: ObjectShape, weight: float, pivots: PivotInertia | None, errors: ModelErrors
 ) -> tuple[np.ndarray, np.ndarray, float]:
     """Rows of the weight and of the inertia about every pivot, their values, and half their log volume, whitened."""
-    rows = [shape.particles_per_group.astype(float)]
-    values, covariance = np.array([weight]), np.array([[errors.weight**2]])
+    rows, values = shape.particles_per_group[None].astype(float), np.array([weight])
+    covariance = np.array([[errors.weight**2]])
     if pivots is not None:
-        for point in pivots.pivot:
-            squares = np.sum((shape.particles - point) ** 2, axis=1) + shape.cell**2 / 6
-            rows.append(np.bincount(shape.mass_group, squares, shape.n_m))
+        rows = np.vstack([rows, inertia_map(shape, pivots.pivot)])
         values = np.append(values, pivots.inertia)
-        covariance = np.diag(np.append(errors.weight**2, pivots.variance))
-        covariance[1:, 1:] += errors.inertia**2 * np.outer(pivots.inertia, pivots.inertia)
+        covariance = np.asarray(block_diag(covariance, pivots.covariance))
     root = np.linalg.cholesky(covariance)
-    return np.linalg.solve(root, np.array(rows)), np.linalg.solve(root, values), float(np.log(np.diag(root)).sum())
+    return np.linalg.solve(root, rows), np.linalg.solve(root, values), float(np.log(np.diag(root)).sum())

@@ -11,7 +11,7 @@ from rich.console import Console
 
 from scenarios.comparison import AXIS, Row, axes_of, select
 from scenarios.results import load_results
-from scenarios.seen import estimate_shown, fits_of
+from scenarios.seen_estimates import estimate_shown, fits_of
 from scenarios.store import rows_of
 from scenarios.tables import SUPPORT_NAMES
 from testbed.errors import HeftError, InvalidValueError
@@ -99,7 +99,7 @@ def _of_estimate(folder: Path, row: Row) -> Iterator[tuple[str, Figure]]:
     losses = estimate_losses(shown)
     if losses is not None:
         yield f"{name} loss", losses
-    fits = fits_of(folder, row, shown)[-1]
+    fits = [fit for _, _, fit in fits_of(folder, row, shown)]
     for page, begin in enumerate(range(0, len(fits), TRIALS_A_FIGURE)):
         yield f"{name} wrenches {page + 1}", wrench_fit_figure(fits[begin : begin + TRIALS_A_FIGURE])
 

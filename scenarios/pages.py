@@ -10,7 +10,9 @@ import rerun.blueprint as rrb
 
 from scenarios.comparison import select
 from scenarios.methods import nearest
-from scenarios.seen import estimate_shown, fits_of, rows_in, settings_of, show_trial, trial_shown, typical_trial
+from scenarios.seen_estimates import estimate_shown, fits_of, rows_in, settings_of, typical_trial
+from scenarios.seen_trials import show_trial, trial_shown
+from scenarios.store import Store
 from testbed.errors import InvalidValueError
 from viz.comparison_view import comparison_blueprint, log_comparison
 from viz.estimate_shown import EstimateShown
@@ -70,16 +72,18 @@ def trial_page(folder: Path, key: str, *, light: bool = False) -> Page:
 
 def estimate_page(folder: Path, key: str, *, light: bool = False) -> Page:
     """One estimate, the trials behind it as it explains them, and one of these whole; `light`, without the last."""
-    row = next(iter(select(rows_in(folder), key=key)), None)
+    row = Store(folder).result(key)  # its own file: a sweep records each estimate as it is done
     if row is None:
-        raise InvalidValueError("WHAT", key, f"an estimate of the last run into {folder}")
+        raise InvalidValueError("WHAT", key, f"an estimate of {folder} with a whole result.json")
+    row |= {"key": key}
     shown = estimate_shown(folder, row)
-    records, trajectories, fits = fits_of(folder, row, shown)
+    explained = fits_of(folder, row, shown)
+    fits = [fit for _, _, fit in explained]
     typical, trial = typical_trial(folder, row), None
-    for record, trajectory in zip(records, trajectories, strict=True):
-        if record.folder == typical.folder and trial is None and not light:
-            said = {"sensing": f"{row['sensing']}, draw {row['seed']}"}
-            trial = show_trial(record, trajectory, shown.shape, shown.answer, f"{shown.method}'s masses", said)
+    as_sensed = next((trajectory for of, trajectory, _ in explained if of == typical.folder.name), None)
+    if as_sensed is not None and not light:
+        said = {"sensing": f"{row['sensing']}, draw {row['seed']}"}
+        trial = show_trial(typical, as_sensed, shown.shape, shown.answer, f"{shown.method}'s masses", said)
 
     def log(stream: rr.RecordingStream) -> None:
         log_estimate(stream, "estimate", shown)

@@ -16,7 +16,7 @@ from rich.console import Console
 from scenarios.comparison import Row
 from scenarios.pages import estimate_page, folder_page, page_of, trial_page
 from scenarios.progress import show_progress
-from scenarios.seen import kind_of_trial
+from scenarios.seen_trials import kind_of_trial
 from testbed.errors import HeftError
 from viz import viewer
 from viz.recording import save, send

@@ -16,7 +16,8 @@ from numpy.testing import assert_allclose
 from recorded import put_trial
 
 from scenarios.pages import page_of, trial_page
-from scenarios.seen import POSES_EVERY, friction_of, trial_shown, wrench_fit
+from scenarios.seen_estimates import friction_of
+from scenarios.seen_trials import POSES_EVERY, trial_shown, wrench_fit
 from scenarios.store import Store
 from testbed.actions import Rotate, Weigh
 from testbed.errors import HeftError, InvalidValueError

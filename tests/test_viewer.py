@@ -19,7 +19,7 @@ from viewer_windows import browse, has_color, is_blank, needs_browser, needs_vul
 from scenarios.cli import main
 from scenarios.pages import page_of
 from scenarios.schema import Scenario
-from scenarios.seen import trial_shown
+from scenarios.seen_trials import trial_shown
 from scenarios.sweep import run_scenario
 from scenarios.view_run import Recorder
 from testbed.actions import Rotate

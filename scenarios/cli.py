@@ -38,7 +38,7 @@ def run(
         out: folder for the results; results/<scenario> if left out.
         executor: inline (this process), local (worker processes), or ray (extra "ray"; joins a running cluster).
         workers: worker processes; one a core if left out, 0 runs everything in this process.
-        methods: labels of the scenario's methods, instead of all.
+        methods: labels of the scenario's methods, instead of all; or others: by name, or package:Class.
         seeds: sensing draws of each trial; the scenario's own number if left out.
         objects: names in the library or paths to TOML files, instead of the scenario's own.
         record: write a recording of every trial and estimate as it is done, into DIR/recordings.

@@ -17,7 +17,7 @@ from estimators.protocol import Estimate
 from scenarios.cells import Cell, Infeasible, Made, Progress
 from scenarios.comparison import axis_columns
 from scenarios.execution import Executor, Failure
-from scenarios.methods import build_method, kind_of
+from scenarios.methods import build_method, code_of, kind_of
 from scenarios.store import Store, key_of, object_request
 from testbed.objects import ObjectModel
 from testbed.reduction import weight_of
@@ -137,7 +137,7 @@ class Asked:
             "object": object_request(self.truth),
             "reference": self.reference,
             "version": _version(),
-        }
+        } | code_of(self.kind)
         return [key_of(said | {"seed": seed}) for seed in range(self.seeds)]
 
     def labels(self) -> dict[str, Any]:

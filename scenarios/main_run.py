@@ -10,10 +10,11 @@ from pathlib import Path
 
 from rich.console import Console
 
+from estimators.plugins import nearest
 from scenarios.comparison import Row, axes_of
 from scenarios.execution import default_workers
 from scenarios.figures_run import figures
-from scenarios.methods import nearest
+from scenarios.methods import build_method, is_method
 from scenarios.plan import show_plan
 from scenarios.progress import show_progress
 from scenarios.report_run import report
@@ -142,8 +143,10 @@ def changed(scenario: Scenario, asked: Asked) -> Scenario:
         changes |= {"objects": list(asked.objects), "random": []}
     if asked.methods:
         known = scenario.methods
-        if unknown := [label for label in asked.methods if label not in known]:
-            allowed = f"some of the scenario's {', '.join(known)}{nearest(unknown[0], known)}"
-            raise InvalidValueError("--methods", " ".join(unknown), allowed)
-        changes["methods"] = {label: known[label] for label in asked.methods}
+        if unknown := [label for label in asked.methods if not (label in known or is_method(label))]:
+            allowed = f"some of the scenario's {', '.join(known)}{nearest(unknown[0], known)}; or any other method"
+            raise InvalidValueError("--methods", " ".join(unknown), f"{allowed} by name or package:Class")
+        changes["methods"] = {label: known.get(label, {}) for label in asked.methods}
+        for label in asked.methods:
+            build_method(label, known.get(label, {}))
     return scenario.model_copy(update=changes)

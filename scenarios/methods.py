@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Mapping
-from dataclasses import fields
 from typing import Any
 
 from estimators.diff_lcp import DiffLcp
 from estimators.explicit_state import ExplicitState
 from estimators.hidden_states import HiddenStatesEstimator
+from estimators.plugins import configured, installed, load_estimator, nearest, source_hash
 from estimators.protocol import Estimator
 from estimators.random_search import RandomSearch
 from estimators.support_aware import SupportAware
@@ -24,12 +23,17 @@ METHODS: dict[str, type[Estimator]] = {
     "explicit_state": ExplicitState,
     "diff_lcp": DiffLcp,
 }
-"""Methods by name; their settings are the fields of the class."""
+"""heft's own methods by name; their settings are the fields of the class."""
 
 
 def kind_of(label: str, settings: Mapping[str, Any]) -> str:
     """Which method a label stands for: the setting `method`, or the label itself."""
     return str(settings.get("method", label))
+
+
+def is_method(name: str) -> bool:
+    """Whether a name is that of a method by itself: heft's own, an installed one, or "package:Class"."""
+    return name in METHODS or ":" in name or name in installed()
 
 
 def build_method(label: str, settings: Mapping[str, Any]) -> Estimator:
@@ -38,22 +42,23 @@ def build_method(label: str, settings: Mapping[str, Any]) -> Estimator:
     Raises:
         InvalidValueError: unknown method or setting, or a value out of range.
     """
-    name = kind_of(label, settings)
-    if name not in METHODS:
-        allowed = f"one of {', '.join(METHODS)}{nearest(name, METHODS)}, or any label with a method of these"
-        raise InvalidValueError("methods", name, allowed)
-    given = {key: value for key, value in settings.items() if key != "method"}
-    known = [f.name for f in fields(METHODS[name])]  # pyright: ignore[reportArgumentType]
-    if unknown := sorted(set(given) - set(known)):
-        allowed = f"settings method, {', '.join(known)}{nearest(unknown[0], known)}"
-        raise InvalidValueError(f"methods.{label}", ", ".join(unknown), allowed)
-    try:
-        return METHODS[name](**{key: tuple(v) if isinstance(v, list) else v for key, v in given.items()})
-    except TypeError as error:  # a table where a number belongs
-        raise InvalidValueError(f"methods.{label}", given, f"values of the settings' types ({error})") from None
+    kind = _class_of(kind_of(label, settings))
+    return configured(kind, {key: v for key, v in settings.items() if key != "method"}, f"methods.{label}")
 
 
-def nearest(name: str, names: Mapping[str, Any] | list[str]) -> str:
-    """ " (nearest: ...)" for a name that is nearly one of `names`, else nothing."""
-    close = difflib.get_close_matches(name.casefold(), [*names], n=1, cutoff=0.5)
-    return f" (nearest: {close[0]})" if close else ""
+def code_of(name: str) -> dict[str, str]:
+    """What decides the answers of a method beyond heft's version: the source of one that is not heft's own."""
+    return {} if name in METHODS else {"source": source_hash(_class_of(name))}
+
+
+def _class_of(name: str) -> type[Estimator]:
+    if name in METHODS:
+        return METHODS[name]
+    if ":" in name:
+        return load_estimator(name, "methods")
+    others = installed()
+    if name in others:
+        return load_estimator(others[name], f"methods.{name}")
+    known = [*METHODS, *others]
+    allowed = f"one of {', '.join(known)}{nearest(name, known)}, package:Class, or any label with a method of these"
+    raise InvalidValueError("methods", name, allowed)

@@ -102,3 +102,25 @@ def test_a_trial_that_failed_otherwise_keeps_its_reason():
 def test_a_limit_of_nothing_is_refused():
     with pytest.raises(InvalidValueError, match=r"DriftLimit\.torque"):
         DriftLimit(torque=0.0)
+
+
+def test_estimators_weigh_a_record_by_what_its_tares_show_and_no_less_than_was_assumed():
+    """A steady drift of the whole change is within the walk it is taken for at every moment of the trial."""
+    assumed = np.repeat([0.005, 0.0003], 3)
+    judged = judge_drift(closed(record(sensor_drift_std=assumed)), DriftLimit(1.0, 1.0))
+    seconds = 3.0  # from the end of one tare to the end of the other
+    assert_allclose(judged.sensor_drift_std[:3], 0.5 / np.sqrt(3 * seconds))
+    assert_allclose(judged.sensor_drift_std[3:], 0.05 / np.sqrt(3 * seconds))
+    assert "tares 3 s apart show 0.17 N and 0.017 N m per root second" in judged.provenance["drift"]
+    (window,) = steady_windows(judged)
+    change, passed = np.linalg.norm(AFTER[:3] - BEFORE[:3]), window.since_tare.mean()
+    covered = np.sqrt(passed * np.trace(window.drift_covariance[:3, :3]))
+    assert change * passed / seconds < covered <= change
+    quiet = judge_drift(closed(record(sensor_drift_std=assumed), BEFORE, BEFORE), DriftLimit())
+    assert_allclose(quiet.sensor_drift_std, assumed)
+
+
+def test_with_one_tare_the_walk_is_the_assumed_one_and_says_so():
+    judged = judge_drift(record(sensor_drift_std=np.repeat([0.005, 0.0003], 3)), DriftLimit())
+    assert_allclose(judged.sensor_drift_std, np.repeat([0.005, 0.0003], 3))
+    assert judged.provenance["drift"].startswith("assumed, for want of a second tare: 0.005 N and 0.0003 N m")

@@ -13,13 +13,13 @@ import pytest
 from lab_bench import at_other_rates, columns, mapping_of, write_csv, write_joined_csv, write_toml
 from numpy.testing import assert_allclose
 
-from testbed.actions import Accelerate, Rotate, Slide
-from testbed.errors import HeftError
+from testbed.actions import Accelerate, Rotate, Slide, action_to_dict
+from testbed.errors import HeftError, InvalidValueError
 from testbed.lab_logs.importer import import_trajectory
 from testbed.lab_logs.logs import LogError
 from testbed.object_files import load_object
 from testbed.reduction import steady_windows
-from testbed.sensing import compensate
+from testbed.sensing import compensate, preset
 from testbed.simulation.runner import SimulationRunner
 from testbed.trajectory import Phase, Trajectory, load_trajectory, save_trajectory
 from testbed.trial import Trial
@@ -84,7 +84,10 @@ def test_it_says_where_it_comes_from_and_can_be_kept(imported: Trajectory, tmp_p
     assert imported.provenance["runner"] == "import"
     assert imported.provenance["object"] == "L2"
     assert imported.provenance["log"] == "log.csv"
+    assert imported.provenance["recorded"] == "2026-01-01T00:00:00.000+00:00"
     assert imported.figures["bias_before_fx_N"] == pytest.approx(0.0, abs=0.1)
+    assert_allclose(imported.sensor_drift_std, preset("ft300s").drift_std)
+    assert "assumed, for want of a second tare: 0.005 N" in imported.provenance["drift"]
     save_trajectory(imported, tmp_path / "t.parquet")
     assert load_trajectory(tmp_path / "t.parquet").provenance == imported.provenance
 
@@ -121,6 +124,8 @@ def test_a_second_tare_is_found_and_its_drift_judged(turn: Trajectory, tmp_path:
     )
     assert again.phase[-1] == Phase.TARE
     assert again.figures["drift_N"] == pytest.approx(0.5, abs=0.1)
+    seconds = again.time_s[-1] - 0.5  # between the ends of the two tares
+    assert_allclose(again.sensor_drift_std[:3], again.figures["drift_N"] / np.sqrt(3 * seconds), rtol=0.05)
     assert again.status == "fault"
     assert "drift" in again.reason
 
@@ -332,3 +337,39 @@ def test_a_logged_velocity_is_taken_as_it_is(turn: Trajectory, tmp_path: Path):
     assert again.provenance["velocity"] == "as logged"
     assert again.provenance["joints"] == "not logged: zeros"
     assert not again.joint_position.any()
+
+
+def test_all_that_is_wrong_is_told_at_once(turn: Trajectory, tmp_path: Path):
+    asked = mapping_of(turn)
+    asked |= {"object": "L3", "time": asked["time"] | {"column": "time"}}
+    asked["sensor"] |= {"force": ["Fx", "Fy", "fz"]}
+    asked["hand"] |= {"position": ["px", "py", "pzz"]}
+    path = write_csv(tmp_path / "log.csv", turn)
+    lines = refused(path, asked).splitlines()
+    for told in ("object: got 'L3'", "time.column: got 'time'", "got 'Fx'", "got 'Fy'", "got 'pzz'"):
+        assert sum(told in line for line in lines) == 1, told
+    assert len(lines) == 5
+
+
+def test_one_file_serves_logs_of_several_actions(turn: Trajectory, slide: Trajectory, tmp_path: Path):
+    (tmp_path / "logs").mkdir()
+    first, second = (write_csv(tmp_path / "logs" / f"{i}.csv", t) for i, t in enumerate((turn, slide)))
+    entries = [{"file": "logs/0.csv"}, {"file": "logs/1.csv", "action": action_to_dict(slide.action)}]
+    mapping = write_toml(tmp_path / "map.toml", mapping_of(turn, logs=entries))
+    assert import_trajectory(first, mapping).action == turn.action
+    assert import_trajectory(second, mapping).action == slide.action
+    none = write_toml(tmp_path / "none.toml", mapping_of(turn, action=None, logs=entries))
+    assert import_trajectory(second, none).action == slide.action
+    with pytest.raises(InvalidValueError, match=r"action: got None; allowed: a table: \{ kind"):
+        import_trajectory(first, none)
+    bad = write_toml(tmp_path / "bad.toml", mapping_of(turn, logs=[{"file": "a", "action": {"kind": "weigh"}}]))
+    with pytest.raises(HeftError, match=r"bad\.toml: logs\.0\.action\.kind: got 'weigh'; allowed: rotate"):
+        import_trajectory(first, bad)
+
+
+def test_an_object_beside_the_mapping_is_found(turn: Trajectory, tmp_path: Path):
+    (tmp_path / "mine.toml").write_text(
+        'name = "mine"\n[blocks]\nlayout = ["1", "1", "1", "111"]\nmass_kg = 0.3\n', encoding="utf-8"
+    )
+    mapping = write_toml(tmp_path / "map.toml", mapping_of(turn, object="mine.toml"))
+    assert import_trajectory(write_csv(tmp_path / "log.csv", turn), mapping).provenance["object"] == "mine"

@@ -2,27 +2,31 @@
 
 from __future__ import annotations
 
+from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
 from scipy.signal import savgol_filter
 from scipy.spatial.transform import Rotation
 
+from testbed.actions import Accelerate, Rotate, Slide
 from testbed.drift import DriftLimit, judge_drift
 from testbed.errors import InvalidValueError
 from testbed.frames import perpendicular, pose_from_point, rotation_2d
-from testbed.lab_logs.logs import Log, LogError, Series, open_log
+from testbed.lab_logs.logs import Log, LogError, Series, all_of, open_log
 from testbed.lab_logs.mapping import HandMap, JointMap, Mapping, TimeMap, VelocityMap
 from testbed.lab_logs.phases import Phases, found_phases, given_phases
 from testbed.lab_logs.resampling import RATE, common_base, resampled, resampled_rotation
 from testbed.lab_logs.units import factor
 from testbed.object_files import load_object, load_toml
-from testbed.objects import Grasp
+from testbed.objects import Grasp, ObjectModel
 from testbed.sensing import compensate
 from testbed.trajectory import Tool, Trajectory
 
 _SLOPE_WINDOW = 0.15
 """Time over which a logged pose is differentiated, s."""
+_SINCE_1970 = 1e9, 4e9
+"""Clocks between these count seconds since 1970: from 2001 to 2096."""
 
 
 def import_trajectory(log: Path, mapping: Path, limit: DriftLimit | None = None) -> Trajectory:
@@ -30,23 +34,23 @@ def import_trajectory(log: Path, mapping: Path, limit: DriftLimit | None = None)
 
     Args:
         log: a .csv or .mcap file.
-        mapping: a TOML file that says what its columns are; see `testbed.lab_logs.mapping`.
+        mapping: a TOML file that says what its columns are; see docs/formats.md.
         limit: drift beyond which it is no data, where it ends with a second tare.
 
     Raises:
         InvalidFileError: the mapping does not fit its schema; a line for each error.
         InvalidValueError: a column, topic, object or grasp that is not there; the message names the nearest.
-        LogError: numbers or times that are none, gaps, or phases that cannot be told.
+        LogError: numbers or times that are none, gaps, or phases that cannot be told; or several errors, a line each.
     """
-    asked = load_toml(mapping, Mapping)
-    action, source = asked.done(), open_log(log, asked.separator)
-    model = load_object(asked.object)
-    if action.grasp >= len(model.shape.grasps):
-        names = ", ".join(f"{i} ({g.name})" for i, g in enumerate(model.shape.grasps))
-        raise InvalidValueError("action.grasp", action.grasp, names or "none: nothing is grippable", file=mapping)
-    wrench, pose = _wrench(source, asked), _pose(source, asked)
-    joints = _joints(source, asked.joints, asked.time) if asked.joints else None
-    velocity = _velocity(source, asked.velocity, asked.time) if asked.velocity else None
+    asked = load_toml(mapping, Mapping).of(log, mapping.parent)
+    source = open_log(log, asked.separator)
+    (action, model), wrench, pose, joints, velocity = all_of(
+        lambda: _held(asked, mapping),
+        lambda: _wrench(source, asked),
+        lambda: _pose(source, asked),
+        lambda: _joints(source, asked.joints, asked.time) if asked.joints else None,
+        lambda: _velocity(source, asked.velocity, asked.time) if asked.velocity else None,
+    )
     base = common_base([s for s in (wrench, pose[0], joints, velocity) if s is not None], asked.longest_gap_s)
     time, count = np.arange(len(base)) / RATE, len(base)
     hand = resampled_rotation(pose[0].time_s, pose[1], base)
@@ -75,16 +79,44 @@ def import_trajectory(log: Path, mapping: Path, limit: DriftLimit | None = None)
         joint_position=np.zeros((count, 7)) if joints is None else resampled(joints, base),
         tool=Tool(tool.mass_kg, np.array(tool.com_m), np.array(tool.inertia_kg_m2), np.array(tool.tcp_m)),
         sensor_bias_std=np.repeat([asked.sensor.bias_std_N, asked.sensor.bias_std_Nm], 3),
+        sensor_drift_std=np.repeat([asked.sensor.drift_std_N, asked.sensor.drift_std_Nm], 3),
         provenance={
             "runner": "import",
             "object": model.name,
             "log": log.name,
+            **({"recorded": _moment(base[0])} if _SINCE_1970[0] < base[0] < _SINCE_1970[1] else {}),
             "joints": "as logged" if joints else "not logged: zeros",
             "velocity": "as logged" if velocity else "from the pose",
             "phases": "as mapped" if asked.phases else "from the motion",
         },
     )
     return judge_drift(compensate(trajectory), limit or DriftLimit())
+
+
+def object_of(asked: Mapping, mapping: Path) -> ObjectModel:
+    """The object that a mapping file names: a file beside it first, as in a scenario.
+
+    Raises:
+        HeftError: there is none, or its file does not fit; the message names both files.
+    """
+    beside = mapping.parent / asked.object
+    try:
+        return load_object(beside if asked.object.endswith(".toml") and beside.is_file() else asked.object)
+    except InvalidValueError as error:
+        raise InvalidValueError(error.field, error.given, error.allowed, file=error.file or mapping) from None
+
+
+def _held(asked: Mapping, mapping: Path) -> tuple[Rotate | Accelerate | Slide, ObjectModel]:
+    """What was done with which object."""
+    action, model = asked.done(), object_of(asked, mapping)
+    if action.grasp >= len(model.shape.grasps):
+        names = ", ".join(f"{i} ({g.name})" for i, g in enumerate(model.shape.grasps))
+        raise InvalidValueError("action.grasp", action.grasp, names or "none: nothing is grippable", file=mapping)
+    return action, model
+
+
+def _moment(seconds: float) -> str:
+    return datetime.fromtimestamp(seconds, UTC).isoformat(timespec="milliseconds")
 
 
 def _wrench(log: Log, asked: Mapping) -> Series:

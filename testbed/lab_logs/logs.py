@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import difflib
 import json
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
@@ -21,6 +22,26 @@ _MOST_LISTED = 12
 
 class LogError(HeftError):
     """A log that cannot be read; the message names the file, and what could be."""
+
+
+def all_of(*reads: Callable[[], Any]) -> list[Any]:
+    """What each reads.
+
+    Raises:
+        HeftError: the one that was met.
+        LogError: all that were met, a line each.
+    """
+    done, met = [], []
+    for read in reads:
+        try:
+            done.append(read())
+        except HeftError as error:
+            met.append(error)
+    if len(met) == 1:
+        raise met[0]
+    if met:
+        raise LogError("\n".join(dict.fromkeys(line for error in met for line in str(error).splitlines())))
+    return done
 
 
 class Series(NamedTuple):
@@ -82,10 +103,8 @@ class CsvLog:
         """See `Log`."""
         if topic is not None:
             raise InvalidValueError(f"{field}.topic", topic, "none: a table has no topics", file=self._path)
-        for asked, name in [("time.column", time.column), *((field, name) for name in names)]:
-            if name not in self._table.columns:
-                raise _unknown(asked, name, list(self._table.columns), self._path)
-        columns = [self._numbers(name) for name in (time.column, *names)]
+        asked = [("time.column", time.column), *((field, name) for name in names)]
+        columns = all_of(*(partial(self._numbers, *pair) for pair in asked))
         rows = np.column_stack(columns)
         there = ~np.isnan(rows[:, 1:]).all(axis=1)
         rows, lines = rows[there], np.flatnonzero(there) + 2
@@ -94,7 +113,9 @@ class CsvLog:
             raise LogError(f"{self._path}: line {lines[row]}: {(time.column, *names)[column]} is blank or not finite")
         return _in_order(self._path, field, rows[:, 0] * factor("time", time.unit), rows[:, 1:])
 
-    def _numbers(self, name: str) -> np.ndarray:
+    def _numbers(self, field: str, name: str) -> np.ndarray:
+        if name not in self._table.columns:
+            raise _unknown(field, name, list(self._table.columns), self._path)
         cells = self._table[name]
         numbers = np.asarray(pd.to_numeric(cells, errors="coerce"), dtype=float)
         wrong = np.flatnonzero(np.isnan(numbers) & cells.notna())
@@ -137,7 +158,7 @@ class McapLog:
                 "convert it, or export the columns as CSV"
             )
         messages = self._messages[topic]
-        columns = [self._column(field, name, topic) for name in names]
+        columns = all_of(*(partial(self._column, field, name, topic) for name in names))
         if time.column in ("log_time", "publish_time"):
             seconds = np.array([m[time.column == "publish_time"] for m in messages]) * 1e-9  # exact to 0.2 us
         else:

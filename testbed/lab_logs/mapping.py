@@ -1,51 +1,11 @@
-"""The mapping file: which columns of a log are what, and in which unit.
-
-object = "L2"                        # a library name or a file, as in a scenario
-action = { kind = "rotate", grasp = 1, speed = 0.1745, duration = 18.0, back = true }   # as done; rad/s and s
-
-[time]
-column = "t"                         # of an MCAP: "log_time", "publish_time", or a field of the messages
-unit = "ms"
-
-[sensor]
-topic = "/ft"                        # of an MCAP; likewise below
-force = ["fx", "fy", "fz"]           # fields of a message with dots: "wrench.force.x"
-torque = ["tx", "ty", "tz"]
-force_unit = "N"
-torque_unit = "N m"
-sign = -1                            # where the sensor reports what the tool does to the arm
-in_hand_wxyz = [1, 0, 0, 0]          # how it sits on the hand
-
-[hand]                               # the frame whose pose the arm reports
-position = ["x", "y", "z"]           # in the arm's base frame, z up
-position_unit = "mm"
-orientation = ["qw", "qx", "qy", "qz"]
-orientation_as = "wxyz"              # or xyzw, rotation_vector, roll_pitch_yaw
-tcp_in_hand_m = [0, 0, 0.12]         # where the hand is not the TCP
-closing_deg = 0                      # direction of the pads' closing, from the hand's x axis about its z axis
-table_height_m = 0.0                 # of the table in the base frame
-
-[tool]                               # what hangs below the sensor, sensor frame
-mass_kg = 0.925
-com_m = [0, 0, 0.06]
-inertia_kg_m2 = [[0.003, 0, 0], [0, 0.003, 0], [0, 0, 0.0006]]
-tcp_m = [0, 0, 0.174]
-
-[joints]                             # optional
-position = ["q1", "q2", "q3", "q4", "q5", "q6", "q7"]
-unit = "deg"
-
-[[phases]]                           # optional: found from the motion of a turn or a slide
-phase = "tare"                       # tare and steady at least; s from the log's first sample
-from_s = 0.2
-to_s = 1.0
-"""
+"""The mapping file: which columns of a log are what, in which unit. docs/formats.md has every field, and an example."""
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
 
 from testbed.actions import Accelerate, Rotate, Slide, action_from_dict
 from testbed.errors import InvalidValueError
@@ -85,6 +45,8 @@ class SensorMap(BaseModel):
     in_hand_wxyz: Quaternion = [1.0, 0.0, 0.0, 0.0]
     bias_std_N: NonNegative = preset("ft300s").force_bias
     bias_std_Nm: NonNegative = preset("ft300s").torque_bias
+    drift_std_N: NonNegative = preset("ft300s").force_drift
+    drift_std_Nm: NonNegative = preset("ft300s").torque_drift
 
     @model_validator(mode="after")
     def _turns(self) -> Self:
@@ -170,13 +132,48 @@ class PhaseWindow(BaseModel):
         return Phase[self.phase.upper()]
 
 
+def _in_order(windows: list[PhaseWindow]) -> list[PhaseWindow]:
+    last = 0.0
+    for window in windows:
+        if window.from_s < last - 1e-9:
+            raise InvalidValueError("phases", window.from_s, f"windows in order, from_s not before {last:g}")
+        last = window.to_s
+    return windows
+
+
+def _known_action(said: dict[str, Any]) -> dict[str, Any]:
+    _action_of(said)
+    return said
+
+
+def _action_of(said: dict[str, Any]) -> Rotate | Accelerate | Slide:
+    action = action_from_dict(said)
+    if not isinstance(action, Rotate | Accelerate | Slide):
+        raise InvalidValueError("kind", said.get("kind"), "rotate, accelerate or slide")
+    return action
+
+
+Windows = Annotated[list[PhaseWindow], AfterValidator(_in_order)]
+Done = Annotated[dict[str, Any], AfterValidator(_known_action)]
+
+
+class LogMap(BaseModel):
+    """One [[logs]] table: a log, and what of it differs from the rest of the file."""
+
+    model_config = _STRICT
+
+    file: Text
+    action: Done | None = None
+    phases: Windows | None = None
+
+
 class Mapping(BaseModel):
     """A whole mapping file."""
 
     model_config = _STRICT
 
     object: Text
-    action: dict[str, Any]
+    action: Done | None = None
     separator: Text = ","
     longest_gap_s: Positive = 0.1
     time: TimeMap
@@ -185,25 +182,25 @@ class Mapping(BaseModel):
     tool: ToolMap
     velocity: VelocityMap | None = None
     joints: JointMap | None = None
-    phases: list[PhaseWindow] = []
+    phases: Windows = []
+    logs: list[LogMap] = []
 
-    @model_validator(mode="after")
-    def _does_something(self) -> Self:
-        self.done()
-        last = 0.0
-        for window in self.phases:
-            if window.from_s < last - 1e-9:
-                raise InvalidValueError("phases", window.from_s, f"windows in order, from_s not before {last:g}")
-            last = window.to_s
-        return self
+    def of(self, log: Path, folder: Path) -> Mapping:
+        """As it is for one log; `folder` is the mapping file's own."""
+        own = next((entry for entry in self.logs if (folder / entry.file).resolve() == log.resolve()), None)
+        changes = {} if own is None else own.model_dump(include={"action", "phases"}, exclude_none=True)
+        if own is not None and own.phases is not None:
+            changes["phases"] = own.phases
+        return self.model_copy(update={"logs": [], **changes})
 
     def done(self) -> Rotate | Accelerate | Slide:
         """The action.
 
         Raises:
-            InvalidValueError: not a turn or a slide, or out of range.
+            InvalidValueError: it is not said.
         """
-        action = action_from_dict(self.action)
-        if not isinstance(action, Rotate | Accelerate | Slide):
-            raise InvalidValueError("action.kind", self.action.get("kind"), "rotate, accelerate or slide")
-        return action
+        if self.action is None:
+            raise InvalidValueError(
+                "action", None, 'a table: { kind = "rotate", grasp = 1, ... }, for all logs or each'
+            )
+        return _action_of(self.action)

@@ -52,6 +52,7 @@ def trajectory_of(
         joint_position=record.joint_position,
         tool=settings.tool,
         sensor_bias_std=np.repeat(settings.bias_std, 3),
+        sensor_drift_std=np.repeat(settings.drift_std, 3),
         figures=figures,
         provenance=provenance,
     )
@@ -67,13 +68,16 @@ def object_poses(plan: RobotPlan, record: Record, settings: RobotSettings) -> Fl
 def lifted(felt: Trajectory) -> Trajectory:
     """A lift as a scale's reading: what hung in the gripper, wrench_on_object_world z.
 
-    `figures["weight_std_kg"]` is its standard error: what the tare may leave, and the scatter of both readings.
+    `figures["weight_std_kg"]` is its standard error: what the tare may leave, how far the zero may have walked since,
+    and the scatter of both readings.
     """
     kept = felt.mask(Phase.STEADY)
     axes = rotation_matrix(felt.sensor_orientation[kept][0])
     empty = np.flatnonzero(felt.mask(Phase.TARE) & (felt.time_s < felt.time_s[kept][0]))
     empty = empty[len(empty) // 3 :]
-    reading = weigh(felt.sensor_wrench[empty], felt.sensor_wrench[kept], axes[2], drift=felt.sensor_bias_std[2])
+    since = felt.time_s[kept].mean() - felt.time_s[empty].mean()
+    moved = float(np.hypot(felt.sensor_bias_std[2], felt.sensor_drift_std[2] * np.sqrt(since)))
+    reading = weigh(felt.sensor_wrench[empty], felt.sensor_wrench[kept], axes[2], drift=moved)
     return replace(
         felt,
         time_s=felt.time_s[kept] - felt.time_s[kept][0],

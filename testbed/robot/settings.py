@@ -61,6 +61,9 @@ class RobotSettings:
     """How far the sensor's zero may move over a trial that is still data."""
     bias_std: tuple[float, float] = (preset("ft300s").force_bias, preset("ft300s").torque_bias)
     """What a tare may leave, one standard deviation, N and N m."""
+    drift_std: tuple[float, float] = (preset("ft300s").force_drift, preset("ft300s").torque_drift)
+    """How the sensor's zero walks at least, N and N m per square root of a second; no maker's figure is known. A trial
+    whose two tares show more counts with that."""
     limits: SafetyLimits = field(default_factory=SafetyLimits)
     """What must never be done."""
 
@@ -79,7 +82,7 @@ class RobotSettings:
             *("lift", "rate", "gain"),
         ):
             check_positive(f"RobotSettings.{name}", getattr(self, name))
-        for name in ("off_path", "bias_std", "null_gain", "null_travel"):
+        for name in ("off_path", "bias_std", "drift_std", "null_gain", "null_travel"):
             pair = frozen_array(f"RobotSettings.{name}", getattr(self, name), (2,))
             if not (pair >= 0).all():
                 raise InvalidValueError(f"RobotSettings.{name}", pair.tolist(), "two numbers >= 0")

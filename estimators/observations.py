@@ -38,6 +38,8 @@ class Observations:
     """Time from the tare to a window's first and last sample, s."""
     twist: Float[Tensor, "K 3"]
     """Velocity of the grasp point, m/s, and turn rate, rad/s."""
+    twists: Float[Tensor, "K S 3"]
+    """The same over each of S equal parts of a window."""
     acceleration: Float[Tensor, "K 3"]
     """Acceleration of the grasp point, m/s^2, and angular acceleration, rad/s^2."""
     spin_square: Float[Tensor, "K"]
@@ -151,17 +153,21 @@ class Observations:
     ) -> tuple[Float[Tensor, "K 3 P"], Float[Tensor, "K P"]]:
         """Wrench about the grasp point that drags a particle of unit friction, and how much of its direction is lost.
 
+        Means over the parts of each window: where the centre of a turn wanders, the mean of the directions of a
+        particle near it is not the direction of its mean velocity.
+
         Args:
             model: the object.
             pivot_error: how well the centre of a turn is known, m; a particle nearer than that has no known direction,
                 and is lost by up to 1.
         """
         lever = self.lever(model)
-        fade = pivot_error * self.twist[:, 2].abs()[:, None]
-        velocity = self.particle_velocity(model)
+        spin = self.twists[..., 2, None]
+        velocity = self.twists[..., None, :2] + spin[..., None] * turned(lever)[:, None]
+        fade = pivot_error * spin.abs()
         blurred = (velocity.square().sum(-1) + fade.square() + 1e-18).sqrt()
-        unit = velocity / blurred[..., None]
-        return torch.stack([unit[..., 0], unit[..., 1], cross(lever, unit)], 1), fade / blurred
+        unit = (velocity / blurred[..., None]).mean(1)
+        return torch.stack([unit[..., 0], unit[..., 1], cross(lever, unit)], 1), (fade / blurred).mean(1)
 
     def com_acceleration(self, com: Float[Tensor, "2"]) -> Float[Tensor, "K 2"]:
         """Acceleration of the centre of mass, m/s^2."""
@@ -234,6 +240,7 @@ def observe(shape: ObjectShape, trajectories: Sequence[Trajectory]) -> Observati
         drift=tensor(np.array([w.drift_covariance for w in windows])),
         since_tare=tensor(np.array([w.since_tare for w in windows])),
         twist=tensor(np.array([w.twist for w in windows])),
+        twists=tensor(np.array([w.twists for w in windows])),
         acceleration=tensor(np.array([w.acceleration for w in windows])),
         spin_square=tensor([w.spin_square for w in windows], dtype=torch.float64),
         grasp=tensor(points),

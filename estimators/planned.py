@@ -82,6 +82,7 @@ def planned_observations(shape: ObjectShape, actions: Sequence[Action], sensing:
         drift=tensor([at_tcp(sensing.drift_std**2)] * count),
         since_tare=tensor([(s.begin, s.end) for s, _ in stretches]),
         twist=tensor([s.twist for s, _ in stretches]),
+        twists=tensor([[s.twist] for s, _ in stretches]),
         acceleration=tensor([(0.0, 0.0, s.alpha) for s, _ in stretches]),
         spin_square=tensor(turning).square(),
         grasp=tensor(points),

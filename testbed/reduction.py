@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
-from testbed.actions import Accelerate, Weigh
+from testbed.actions import Accelerate, Action, Lift, Weigh
 from testbed.arrays import frozen_array
 from testbed.errors import InvalidValueError
 from testbed.frames import move_wrench, perpendicular, rotate_wrench, rotation_2d, rotation_matrix
@@ -28,6 +28,8 @@ TRIM_END = 0.05
 """Left out at the end of a window, s."""
 BATCH = 0.2
 """Stretch whose mean is one sample of the noise, s: longer than it remembers, shorter than the load wanders."""
+PARTS = 10
+"""Of a window whose motion is told apart; each needs a sample."""
 LEAST_BATCHES = 8
 """A window of fewer is judged by its whole scatter."""
 
@@ -45,6 +47,9 @@ class SteadyWindow:
     drift."""
     twist: Float[np.ndarray, "3"]
     """Mean velocity of the grasp point, object axes, m/s, and turn rate, rad/s."""
+    twists: Float[np.ndarray, "S 3"]
+    """The same over each of `PARTS` equal parts of the window: an arm that gives way under the drag moves the centre of
+    a turn by millimetres."""
     acceleration: Float[np.ndarray, "3"]
     """Mean acceleration of the grasp point, object axes, m/s^2, and angular acceleration, rad/s^2."""
     spin_square: float
@@ -65,6 +70,7 @@ class SteadyWindow:
             ("wrench", (6,)),
             ("covariance", (6, 6)),
             ("twist", (3,)),
+            ("twists", (PARTS, 3)),
             ("acceleration", (3,)),
             ("bias_covariance", (6, 6)),
             ("drift_covariance", (6, 6)),
@@ -84,9 +90,11 @@ def steady_windows(trajectory: Trajectory) -> list[SteadyWindow]:
         raise InvalidValueError(
             "trajectory.status", trajectory.status, f"ok; this trial is no data: {trajectory.reason}"
         )
-    if isinstance(trajectory.action, Weigh):
+    if isinstance(trajectory.action, Weigh | Lift):
         raise InvalidValueError(
-            "trajectory.action", trajectory.action, "a slide or a turn; read a weighing with weight_of"
+            "trajectory.action",
+            trajectory.action,
+            "a slide or a turn; read a weighing with weight_of, a lift with lift_windows",
         )
     into_object = rotation_2d(-trajectory.object_pose[:, 2])
     in_object = wrench_in_object(trajectory)
@@ -108,6 +116,7 @@ def steady_windows(trajectory: Trajectory) -> list[SteadyWindow]:
                 wrench=in_object[kept].mean(axis=0),
                 covariance=_noise_of_mean(in_object[kept], round(BATCH * rate)),
                 twist=twist[kept].mean(axis=0),
+                twists=np.array([part.mean(axis=0) for part in np.array_split(twist[kept], PARTS)]),
                 acceleration=_slopes(trajectory.time_s[kept], world_twist[kept], yaw),
                 spin_square=float(np.mean(twist[kept, 2] ** 2)),
                 tcp_height=float(trajectory.tcp_position[kept, 2].mean()),
@@ -126,7 +135,6 @@ def steady_samples(trajectory: Trajectory) -> list[Int[np.ndarray, "N"]]:
     Raises:
         InvalidValueError: there is none, or one is too short to trim.
     """
-    trim = TRIM_STEP if isinstance(trajectory.action, Accelerate) else TRIM_START
     stretches = []
     for segment in range(trajectory.segment.max() + 1):
         inside = np.flatnonzero(trajectory.segment == segment)
@@ -135,6 +143,7 @@ def steady_samples(trajectory: Trajectory) -> list[Int[np.ndarray, "N"]]:
                 "Trajectory.segment", f"no sample of stretch {segment}", "stretches numbered from 0"
             )
         time = trajectory.time_s[inside]
+        trim = trim_start(trajectory.action, segment)
         kept = inside[(time >= time[0] + trim) & (time <= time[-1] - TRIM_END)]
         if len(kept) < 10:
             raise InvalidValueError(
@@ -146,6 +155,12 @@ def steady_samples(trajectory: Trajectory) -> list[Int[np.ndarray, "N"]]:
     if not stretches:
         raise InvalidValueError("trajectory", "no steady stretch", f"samples in phase {Phase.STEADY.name}")
     return stretches
+
+
+def trim_start(action: Action, segment: int) -> float:
+    """What is left out at the start of a steady stretch of an action, s."""
+    steps = isinstance(action, Accelerate) or (isinstance(action, Lift) and action.rocks(segment))
+    return TRIM_STEP if steps else TRIM_START
 
 
 def wrench_in_object(trajectory: Trajectory) -> Float[np.ndarray, "T 6"]:

@@ -17,8 +17,10 @@ from fake_gen3 import FakeGen3
 from gen3_world import Gen3World
 
 from testbed.objects import ObjectModel
+from testbed.sensing import Sensing, preset
 from testbed.trial import OWN_WEIGHT, Support
 
+FT300S = preset("ft300s")
 KORTEX = str(Path(__file__).parent / "fake_kortex")
 """Folder of the fake `kortex_api`, for PYTHONPATH."""
 
@@ -34,7 +36,7 @@ class Wires:
 class FakeRig:
     """Runs while it is entered. What happens on the bench is asked for by `do`."""
 
-    def __init__(self, obj: ObjectModel, support: Support = OWN_WEIGHT, *, noise: str = "ft300s", seed: int = 0):
+    def __init__(self, obj: ObjectModel, support: Support = OWN_WEIGHT, *, noise: Sensing = FT300S, seed: int = 0):
         self._asked = (obj, support, noise, seed)
 
     def __enter__(self) -> Self:
@@ -58,7 +60,7 @@ class FakeRig:
         return self._ours.recv()
 
 
-def _live(theirs: Connection, obj: ObjectModel, support: Support, noise: str, seed: int) -> None:
+def _live(theirs: Connection, obj: ObjectModel, support: Support, noise: Sensing, seed: int) -> None:
     world = Gen3World(obj, support, noise=noise, seed=seed)
     with FakeGen3(world) as arm, FakeFt300s(lambda _: world.wrench) as sensor:
         theirs.send(Wires(arm.port, sensor.port))

@@ -20,6 +20,7 @@ from testbed.robot.execution import Execution
 from testbed.robot.plan import starting_pose
 from testbed.robot.runner import RealRunner
 from testbed.robot.settings import RobotSettings
+from testbed.sensing import preset
 from testbed.simulation.settings import GripSettings, SimulationSettings
 from testbed.trajectory import Trajectory
 from testbed.trial import Trial
@@ -63,7 +64,7 @@ def bench_for(
 ) -> tuple[FakeBench, RealRunner]:
     """A fake bench with the object in its place, and a runner for it; `of_runner` goes to the runner."""
     grip = SimulationSettings(grip=GripSettings(force=60.0))
-    world = Gen3World(trial.object, trial.support, settings=grip, noise="ft300s", seed=seed)
+    world = Gen3World(trial.object, trial.support, settings=grip, noise=preset("ft300s"), seed=seed)
     bench = FakeBench(world, watch, seed)
     pose = starting_pose(trial)
     grasp = getattr(trial.action, "grasp", 0)

@@ -15,12 +15,13 @@ from scipy.spatial.transform import Rotation
 from testbed.gripper import STROKE
 from testbed.objects import ObjectModel
 from testbed.robot.settings import RobotSettings
-from testbed.sensing import PRESETS
+from testbed.sensing import Sensing, preset
 from testbed.simulation.arm import gripper_tool, joint_path
 from testbed.simulation.scene import HOME, build_scene
 from testbed.simulation.settings import SimulationSettings
 from testbed.trial import OWN_WEIGHT, Support
 
+IDEAL = preset("ideal")
 TICK = 0.01
 """Time between two looks at commands and two samples of the sensor, s."""
 START = (0.45, 0.0, 0.12, 0.0)
@@ -56,14 +57,14 @@ class Gen3World:
         support: Support = OWN_WEIGHT,
         *,
         settings: SimulationSettings | None = None,
-        noise: str = "ideal",
+        noise: Sensing = IDEAL,
         seed: int = 0,
     ):
         self.obj, self.support = obj, support
         self.settings = SimulationSettings() if settings is None else settings
         self.time = 0.0
         self.bias, self.mount = BIAS.copy(), np.ones(6)
-        self._sensing, self._rng, self._noise = PRESETS[noise], np.random.default_rng(seed), np.zeros(6)
+        self._sensing, self._rng, self._noise = noise, np.random.default_rng(seed), np.zeros(6)
         self.twist = np.zeros(6)
         """Commanded, base axes, m/s and rad/s."""
         self.goal: tuple[np.ndarray, Rotation, float] | None = None

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
-from fake_rig import FakeRig, python_with_fake_kortex
+from fake_rig import FT300S, FakeRig, python_with_fake_kortex
 from fault_trials import Placed
 
 from testbed.actions import Rotate
@@ -16,21 +17,32 @@ from testbed.robot.plan import starting_pose
 from testbed.robot.ports import RobotError
 from testbed.robot.runner import RealRunner
 from testbed.robot.settings import RobotSettings
+from testbed.sensing import Sensing
 from testbed.simulation.arm import gripper_tool
 from testbed.trajectory import Trajectory
 from testbed.trial import Trial
 
+QUIET = replace(
+    FT300S,
+    force_noise=tuple(n / 10 for n in FT300S.force_noise),
+    torque_noise=tuple(n / 10 for n in FT300S.torque_noise),
+)
+"""An FT-300S with a tenth of its noise: what it shows is the path's own error. Without any its frames would repeat, and
+a sensor that repeats itself is taken for dead."""
 ATTEMPTS = 5
 """A busy computer is a silent one, and ends a trial: times that each is begun."""
 
 
 def over_wires(
-    model: ObjectModel, actions: Sequence[Rotate], said: Callable[[str], None] = lambda _: None
+    model: ObjectModel,
+    actions: Sequence[Rotate],
+    noise: Sensing = FT300S,
+    said: Callable[[str], None] = lambda _: None,
 ) -> list[Trajectory]:
-    """Turns on a fake Gen3 with a fake FT-300S, each by the drivers themselves; those that are data."""
+    """Turns on a fake Gen3 with a fake FT-300S of some noise, each by the drivers themselves; those that are data."""
     python_with_fake_kortex()
     done = []
-    with FakeRig(model) as rig:
+    with FakeRig(model, noise=noise) as rig:
         for action in actions:
             trial = Trial(model, action)
             pose = starting_pose(trial)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 import torch
-from real_path import over_wires
+from real_path import QUIET, over_wires
 
 from estimators.hidden_states import HiddenStatesEstimator
 from estimators.metrics import normalized_absolute_difference
@@ -21,7 +21,7 @@ def test_the_real_path_ends_in_the_simulations_masses():
     simulated = []
     while (action := policy.next(model.shape, simulated)) is not None:
         simulated.append(runner.run(Trial(model, action)))
-    real = over_wires(model, [t.action for t in simulated])
+    real = over_wires(model, [t.action for t in simulated], QUIET)
     if len(real) < len(simulated):
         pytest.skip("this machine is too busy for real time: trials ended as faults, rightly")
     nad = []

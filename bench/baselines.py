@@ -11,7 +11,6 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import cache
-from pathlib import Path
 from statistics import median
 
 import numpy as np
@@ -32,13 +31,11 @@ from estimators.prediction import Problem, Weighting
 from estimators.protocol import Estimate
 from estimators.published import FRICTION_RANGE, ITERATIONS, LCP_DIRECTIONS, LCP_SUBSTEPS
 from estimators.random_search import RandomSearch
+from estimators.testing.analytic_world import accelerated, turns
 from estimators.weighted_sampling import WeightedSampling
 from testbed.object_files import load_object
 from testbed.objects import MassDistribution, ObjectModel
 from testbed.trajectory import Trajectory
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
-from analytic_world import accelerated, turns  # pyright: ignore[reportMissingImports]
 
 OBJECTS = ("I2", "L2", "F2")
 SEEDS = range(5)

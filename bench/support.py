@@ -11,7 +11,6 @@ speed   2^16 and more assignments ranked, and the whole of support_aware, in the
 from __future__ import annotations
 
 import argparse
-import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
@@ -30,6 +29,7 @@ from estimators.hidden_states import HiddenStatesEstimator
 from estimators.material_prior import rank_assignments
 from estimators.metrics import normalized_absolute_difference
 from estimators.support_aware import SupportAware
+from estimators.testing.analytic_world import accelerated, turns
 from scenarios.estimates import sensed
 from scenarios.store import Store, read_json
 from scenarios.trial_record import object_of
@@ -38,9 +38,6 @@ from testbed.objects import ObjectModel
 from testbed.reduction import weight_of
 from testbed.trajectory import Trajectory, write_whole
 from viz.style import PALETTE, STYLE, bare, plain_numbers
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
-from analytic_world import accelerated, turns  # pyright: ignore[reportMissingImports]
 
 CONFIDENCE = 0.9
 LEVELS = (0.001, 0.01, 0.05, 0.1)

@@ -8,7 +8,6 @@ from statistics import median
 
 import numpy as np
 import pytest
-from analytic_world import accelerated, drawn_object, turns
 from numpy.testing import assert_allclose
 
 from estimators.baseline import Baseline
@@ -18,6 +17,7 @@ from estimators.metrics import normalized_absolute_difference
 from estimators.protocol import Estimate
 from estimators.published import DENSEST, ITERATIONS, OPTIMIZERS
 from estimators.random_search import RandomSearch
+from estimators.testing.analytic_world import accelerated, drawn_object, turns
 from estimators.weighted_sampling import WeightedSampling
 from testbed.blocks import block_object, parse_layout
 from testbed.errors import InvalidValueError

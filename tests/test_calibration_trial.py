@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from analytic_world import drawn_object, felt
 from scipy.spatial.transform import Rotation
 
+from estimators.testing.analytic_world import drawn_object, felt
 from testbed.actions import Rotate, Slide
 from testbed.errors import InvalidValueError
 from testbed.frames import rotate_wrench

@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
-from analytic_world import drawn_object
 from numpy.testing import assert_allclose
 
 from estimators.dynamics import ParticleModel, acceleration, inertia_of, one_step, rollout, rotate
 from estimators.friction_loads import LoadGroups
 from estimators.metrics import normalized_absolute_difference
 from estimators.support import GripperLoad, own_weight, rigid_loads
+from estimators.testing.analytic_world import drawn_object
 from testbed.errors import InvalidValueError
 from testbed.object_files import load_object
 from testbed.objects import GRAVITY, MassDistribution

@@ -9,7 +9,10 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
-from estimator_conformance import (
+
+from estimators.hidden_states import HiddenStatesEstimator
+from estimators.protocol import Estimate, Estimator, Trace
+from estimators.testing.conformance import (
     CONFORMANCE,
     WITHOUT_DRAWS,
     answers_in_the_shapes_groups,
@@ -23,9 +26,6 @@ from estimator_conformance import (
     takes_extra_trajectories,
     traces_its_way,
 )
-
-from estimators.hidden_states import HiddenStatesEstimator
-from estimators.protocol import Estimate, Estimator, Trace
 from testbed.objects import MassDistribution, ObjectModel, ObjectShape
 from testbed.trajectory import Trajectory
 

@@ -7,8 +7,6 @@ from itertools import combinations
 
 import numpy as np
 import pytest
-from analytic_world import drawn_object, felt
-from estimator_conformance import CONFORMANCE, WITHOUT_DRAWS, data, small_object
 
 from estimators.baseline import GradientBaseline
 from estimators.diff_lcp import DiffLcp
@@ -18,6 +16,8 @@ from estimators.protocol import ActionPolicy, Estimator
 from estimators.random_search import RandomSearch
 from estimators.rank_driven import RankDriven, between_particles, planned_rank
 from estimators.support_aware import SupportAware
+from estimators.testing.analytic_world import drawn_object, felt
+from estimators.testing.conformance import CONFORMANCE, WITHOUT_DRAWS, data, small_object
 from estimators.weighted_sampling import WeightedSampling
 from scenarios.methods import METHODS
 from testbed.actions import Accelerate, Rotate

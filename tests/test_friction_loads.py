@@ -7,7 +7,6 @@ from itertools import combinations
 import numpy as np
 import pytest
 import torch
-from analytic_world import drawn_object, felt, turns
 from numpy.testing import assert_allclose
 
 from estimators.descent import OPTIMIZERS
@@ -22,6 +21,7 @@ from estimators.friction_loads import (
     rank_of,
 )
 from estimators.observations import observe
+from estimators.testing.analytic_world import drawn_object, felt, turns
 from testbed.actions import Rotate, Slide
 from testbed.object_files import load_object
 from testbed.objects import GRAVITY, ObjectModel

@@ -6,12 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from analytic_world import accelerated, drawn_object, felt, turns
 from numpy.testing import assert_allclose
 
 from estimators.hidden_states import HiddenStatesEstimator
 from estimators.metrics import normalized_absolute_difference
 from estimators.protocol import Estimate
+from estimators.testing.analytic_world import accelerated, drawn_object, felt, turns
 from testbed.actions import Rotate, Slide
 from testbed.errors import InvalidValueError
 from testbed.object_files import load_object

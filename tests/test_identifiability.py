@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from analytic_world import accelerated, drawn_object, turns
 from numpy.testing import assert_allclose
 
 from estimators.fisher import Question, expected, information_root, observed
@@ -14,6 +13,7 @@ from estimators.hidden_states import HiddenStatesEstimator
 from estimators.identifiability import identifiability
 from estimators.planned import planned_observations
 from estimators.rank_driven import between_particles
+from estimators.testing.analytic_world import accelerated, drawn_object, turns
 from testbed.actions import Accelerate, Action, Rotate, Slide, Weigh
 from testbed.errors import InvalidValueError
 from testbed.object_files import load_object

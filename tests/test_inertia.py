@@ -6,11 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from analytic_world import accelerated, drawn_object, felt
 from numpy.testing import assert_allclose
 
 from estimators.inertia import PivotInertia, com_and_inertia, pivot_inertias
 from estimators.observations import Observations, observe
+from estimators.testing.analytic_world import accelerated, drawn_object, felt
 from testbed.actions import Accelerate
 from testbed.object_files import load_object
 from testbed.objects import ObjectModel

@@ -8,13 +8,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 import torch
-from analytic_world import drawn_object
 from lcp_oracle import Textbook, interior_point, lemke
 from numpy.testing import assert_allclose
 
 from estimators.dry_friction import LcpError
 from estimators.dynamics import Inertia, ParticleModel, inertia_of, rollout, rotate
 from estimators.lcp import LcpEngine, Step, _Solve, polygon_sides, solve_step
+from estimators.testing.analytic_world import drawn_object
 from testbed.errors import InvalidValueError
 from testbed.objects import GRAVITY
 

@@ -6,11 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from analytic_world import drawn_object
 from numpy.testing import assert_allclose
 
 from estimators.inertia import PivotInertia
 from estimators.mass_solve import MassSolution, feet_of, solve_masses
+from estimators.testing.analytic_world import drawn_object
 from testbed.blocks import block_object, parse_layout
 from testbed.object_files import load_object
 from testbed.objects import GRAVITY, ObjectModel

@@ -8,7 +8,6 @@ from itertools import pairwise
 import numpy as np
 import pytest
 import torch
-from analytic_world import drawn_object, turns
 
 from estimators import steady_turn
 from estimators.dynamics import ParticleModel, inertia_of, rollout, rotate
@@ -16,6 +15,7 @@ from estimators.metrics import OPEN_LOOP, ParticleDistance, mean_particle_distan
 from estimators.observations import observe
 from estimators.prediction import AffineLoads
 from estimators.steady_turn import SteadyTurn
+from estimators.testing.analytic_world import drawn_object, turns
 from testbed.errors import InvalidValueError
 from testbed.object_files import load_object
 from testbed.objects import MassDistribution, ObjectModel, ObjectShape

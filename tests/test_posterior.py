@@ -6,13 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from analytic_world import accelerated, drawn_object, turns
 from numpy.testing import assert_allclose
 
 from estimators.evidence import Evidence
 from estimators.hidden_states import HiddenStatesEstimator
 from estimators.posterior import friction_profile, sample_posterior
 from estimators.protocol import Estimate
+from estimators.testing.analytic_world import accelerated, drawn_object, turns
 from testbed.errors import InvalidValueError
 from testbed.object_files import load_object
 from testbed.objects import MassDistribution, ObjectModel

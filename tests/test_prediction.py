@@ -4,11 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
-import analytic_world
 import numpy as np
 import pytest
 import torch
-from analytic_world import accelerated, drawn_object, felt, turns
 from numpy.testing import assert_allclose
 
 from estimators.dynamics import ParticleModel, inertia_of, one_step, rotate, turned
@@ -16,6 +14,8 @@ from estimators.observations import Observations, observe
 from estimators.prediction import STEP, AffineLoads, Problem, WrenchModel
 from estimators.protocol import Estimate
 from estimators.support import own_weight
+from estimators.testing import analytic_world
+from estimators.testing.analytic_world import accelerated, drawn_object, felt, turns
 from testbed.actions import Slide
 from testbed.blocks import block_object, parse_layout
 from testbed.errors import InvalidValueError

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
-from analytic_world import drawn_object
 from numpy.testing import assert_allclose
 
 from estimators.support import GripperLoad, own_weight, rigid_loads
+from estimators.testing.analytic_world import drawn_object
 from testbed.blocks import block_object, parse_layout
 from testbed.errors import InvalidValueError
 from testbed.objects import GRAVITY, ObjectModel

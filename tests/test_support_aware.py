@@ -9,7 +9,6 @@ from itertools import product
 import numpy as np
 import pytest
 import torch
-from analytic_world import accelerated, drawn_object, turns
 from numpy.testing import assert_allclose
 from scipy.special import logsumexp
 from scipy.stats import kstest
@@ -22,6 +21,7 @@ from estimators.protocol import Estimate
 from estimators.support_aware import SupportAware
 from estimators.support_fit import ModelErrors
 from estimators.support_test import SupportTest, support_test
+from estimators.testing.analytic_world import accelerated, drawn_object, turns
 from testbed.blocks import block_object, parse_layout
 from testbed.errors import InvalidValueError
 from testbed.object_files import load_object

@@ -1,0 +1,6 @@
+"""The conformance kit: what every estimator must do, and known blocks to recover from recorded trials. No simulator.
+
+    pytest --pyargs estimators.testing --estimator package:Class
+
+The pytest plugin gives tests of one's own the fixtures `known_block`, `sensing` and `recorded_trials`.
+"""

@@ -1,0 +1,181 @@
+"""A world of exact Coulomb friction: what an object would give, in plain numpy, without a simulator."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from estimators.testing.records import RATE, record
+from testbed.actions import Accelerate, Rotate, Slide, pivot_of
+from testbed.blocks import block_object, parse_layout
+from testbed.frames import cross_2d, perpendicular, pose_from_point, rotation_2d
+from testbed.objects import GRAVITY, ObjectModel
+from testbed.trajectory import Phase, Trajectory
+
+HEIGHT = 0.022
+"""Of the TCP over the table, m."""
+
+
+def felt(
+    obj: ObjectModel,
+    action: Rotate | Accelerate | Slide,
+    *,
+    rigid: bool = False,
+    lift: float = 0.0,
+    moment: tuple[float, float] = (0.0, 0.0),
+    wander: float = 0.0,
+    noise: float = 0.0,
+    seed: int = 0,
+) -> Trajectory:
+    """The record of one action.
+
+    Args:
+        obj: the object, truth included.
+        action: what is done with it.
+        rigid: one rigid body; else every group rests on its own weight.
+        lift: vertical force of the gripper, N.
+        moment: what the feet supply beyond the weights, about the grasp point, N m, object axes.
+        wander: how far the centre of a turn moves to and fro, as under an arm that gives way, m.
+        noise: white noise on the wrench, N and 0.1 N m.
+        seed: of the noise.
+    """
+    shape = obj.shape
+    grasp = shape.grasps[action.grasp].position
+    along, rate, rate_slope, segment = _motion(action)
+    count = len(along)
+    if isinstance(action, Slide):
+        heading = np.array([math.cos(action.direction), math.sin(action.direction)])
+        yaw, spin, spin_slope = np.zeros(count), np.zeros(count), np.zeros(count)
+        hand = along[:, None] * heading + [0.4, 0.1]
+        hand_velocity, hand_acceleration = rate[:, None] * heading, np.zeros((count, 2))
+    else:
+        yaw, spin, spin_slope = along, rate, rate_slope
+        arm = rotation_2d(yaw) @ (grasp - pivot_of(action, shape))
+        hand = arm + np.array([0.4, 0.1])
+        hand_velocity = spin[:, None] * perpendicular(arm)
+        hand_acceleration = spin_slope[:, None] * perpendicular(arm) - spin[:, None] ** 2 * arm
+        off = wander * np.column_stack([np.sin(3 * yaw), np.cos(5 * yaw)])
+        hand_velocity += spin[:, None] * perpendicular(off)
+    turn = rotation_2d(yaw)
+    into = turn.transpose(0, 2, 1)
+    velocity = np.einsum("nij,nj->ni", into, hand_velocity)
+    acceleration = np.einsum("nij,nj->ni", into, hand_acceleration)
+
+    lever = shape.particles - grasp
+    to_com = obj.center_of_mass - grasp
+    com_acceleration = acceleration + spin_slope[:, None] * perpendicular(to_com) - spin[:, None] ** 2 * to_com
+    inertia = obj.inertia_cm + obj.total_mass * to_com @ to_com
+    load = _rigid(obj, lever, lift, moment) if rigid else _own_weight(obj, lever, lift, moment)
+    drag = np.where(shape.friction_group >= 0, obj.truth.friction[shape.friction_group], 0.0) * load
+    particle = velocity[:, None] + spin[:, None, None] * perpendicular(lever)
+    speed = np.linalg.norm(particle, axis=-1, keepdims=True)
+    push = drag[:, None] * np.divide(particle, speed, out=np.zeros_like(particle), where=speed > 1e-9)
+    force = push.sum(axis=1) + obj.total_mass * com_acceleration
+    torque = cross_2d(lever, push).sum(axis=1) + inertia * spin_slope + obj.total_mass * cross_2d(to_com, acceleration)
+
+    # the feet's moment is what the gripper's torque leaves, with the mass at half the object's height
+    on_feet = np.asarray(moment) + shape.height / 2 * obj.total_mass * com_acceleration
+    tilt = np.column_stack([-(on_feet[:, 1] - HEIGHT * force[:, 1]), on_feet[:, 0] - HEIGHT * force[:, 0]])
+    wrench = np.column_stack([force, np.full(count, lift), tilt, torque])
+    rng = np.random.default_rng(seed)
+    wrench = wrench + noise * np.array([1, 1, 1, 0.1, 0.1, 0.1]) * rng.standard_normal((count, 6))
+    world = np.array(wrench)
+    for part in (slice(0, 2), slice(3, 5)):
+        world[:, part] = np.einsum("nij,nj->ni", turn, wrench[:, part])
+    origin = np.einsum("nij,j->ni", turn, -grasp)
+    still = np.zeros((count, 2))
+    return record(
+        count,
+        tare=0,
+        action=action,
+        time_s=np.arange(count) / RATE,
+        phase=np.where(segment >= 0, Phase.STEADY, Phase.RAMP),
+        segment=segment,
+        object_pose=pose_from_point(hand, grasp, yaw),
+        object_velocity=np.column_stack([hand_velocity + spin[:, None] * perpendicular(origin), spin]),
+        tcp_position=np.column_stack([hand, np.full(count, HEIGHT)]),
+        tcp_velocity=np.column_stack([hand_velocity, still, still[:, 0], spin]),
+        wrench_on_object_world=world,
+    )
+
+
+def turns(obj: ObjectModel, grasps: list[int] | None = None, **world: object) -> list[Trajectory]:
+    """A turn there and back about every grasp, beside its centre."""
+    chosen = range(len(obj.shape.grasps)) if grasps is None else grasps
+    beside = obj.shape.cell / 2
+    pivots = [tuple(obj.shape.grasps[g].position + beside) for g in chosen]
+    actions = [Rotate(g, duration=2.5, pivot=p, back=True) for g, p in zip(chosen, pivots, strict=True)]
+    return [felt(obj, a, seed=i, **world) for i, a in enumerate(actions)]  # pyright: ignore[reportArgumentType]
+
+
+def accelerated(obj: ObjectModel, grasps: list[int] | None = None, **world: object) -> list[Trajectory]:
+    """An accelerated turn about every grasp."""
+    chosen = range(len(obj.shape.grasps)) if grasps is None else grasps
+    return [felt(obj, Accelerate(g), seed=100 + g, **world) for g in chosen]  # pyright: ignore[reportArgumentType]
+
+
+def drawn_object(seed: int, layout: list[str] | None = None, friction_groups: int = 1) -> ObjectModel:
+    """A random layout of joined blocks with random masses and frictions."""
+    rng = np.random.default_rng(seed)
+    cells = parse_layout(layout or [["1111", "0100", "0100"], ["101", "101", "111"], ["110", "011"]][seed % 3])
+    groups = (rng.permutation(len(cells)) % friction_groups).tolist()
+    return block_object(
+        "drawn",
+        cells,
+        size=0.05,
+        height=0.03,
+        mass=rng.uniform(0.05, 0.6, len(cells)).tolist(),
+        friction=rng.uniform(0.2, 0.8, friction_groups).tolist(),
+        friction_group=groups,
+        grid=3,
+    )
+
+
+def _motion(action: Rotate | Accelerate | Slide) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Way along the path, its rate and slope, and the steady stretch, at every sample."""
+    if isinstance(action, Accelerate):
+        stretches = [(a, action.hold) for a in action.accelerations]
+        start = action.start_speed
+    else:
+        stretches = [(0.0, action.duration)]
+        start = action.speed
+    slope = np.concatenate([np.full(round(t * RATE), a) for a, t in stretches])
+    segment = np.concatenate([np.full(round(t * RATE), i) for i, (_, t) in enumerate(stretches)])
+    time = np.arange(len(slope)) / RATE
+    knots = np.concatenate([[0.0], np.cumsum([t for _, t in stretches])])
+    speeds = start + np.concatenate([[0.0], np.cumsum([a * t for a, t in stretches])])
+    ways = np.concatenate([[0.0], np.cumsum((speeds[1:] + speeds[:-1]) / 2 * np.diff(knots))])
+    since = time - knots[segment]
+    rate = speeds[segment] + slope * since
+    along = ways[segment] + speeds[segment] * since + slope * since**2 / 2
+    if isinstance(action, Rotate) and action.back:
+        along = np.concatenate([along, along[::-1]])
+        rate, slope = np.concatenate([rate, -rate]), np.concatenate([slope, slope])
+        segment = np.concatenate([segment, segment + 1])
+    return along, rate, slope, segment
+
+
+def _own_weight(obj: ObjectModel, lever: np.ndarray, lift: float, moment: tuple[float, float]) -> np.ndarray:
+    """Every group's weight on its own feet; the lift off the held one; one tilt on an even foundation."""
+    shape = obj.shape
+    feet = shape.friction_group >= 0
+    load = np.zeros(len(lever))
+    offset = np.zeros_like(lever)
+    for group in range(shape.n_m):
+        inside = shape.mass_group == group
+        under = inside & feet
+        load[under] = obj.particle_mass[inside].sum() * GRAVITY / under.sum()
+        offset[under] = lever[under] - lever[under].mean(axis=0)
+    held = feet & (shape.mass_group == shape.mass_group[np.argmin(np.linalg.norm(lever, axis=1))])
+    tilt = offset @ np.linalg.solve(offset.T @ offset, np.asarray(moment))
+    return load - held * lift / held.sum() + tilt
+
+
+def _rigid(obj: ObjectModel, lever: np.ndarray, lift: float, moment: tuple[float, float]) -> np.ndarray:
+    """Loads affine over the feet, in balance with weight, lift and moment."""
+    feet = obj.shape.friction_group >= 0
+    basis = np.column_stack([np.ones(len(lever)), lever]) * feet[:, None]
+    weight = obj.particle_mass * GRAVITY
+    wanted = np.append(weight.sum() - lift, weight @ lever + moment)
+    return basis @ np.linalg.solve(basis.T @ basis, wanted)

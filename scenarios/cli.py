@@ -10,6 +10,7 @@ from typing import Annotated, Literal
 import tyro
 from rich.console import Console
 
+from scenarios.recorded_command import estimate, import_
 from scenarios.robot_command import robot
 from testbed.errors import HeftError
 
@@ -197,6 +198,32 @@ def figures(
     show_figures(Console(), folder, what)
 
 
+def export(
+    folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DIR")],
+    what: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="ESTIMATE")],
+    *,
+    format_: Annotated[Literal["mjcf", "urdf", "toml"], tyro.conf.arg(name="format")] = "mjcf",
+    inertial: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False,
+    out: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None,
+) -> None:
+    """Write an estimate for another simulator: a box a block. A JSON beside it says how sure every mass is.
+
+    Examples: heft export results/blocks 3f9a
+              heft export results/blocks 3f9a --format urdf --inertial --out my_robot/hammer.urdf
+
+    Args:
+        folder: of a run.
+        what: beginning of an estimate's key (see its report).
+        format_: mjcf, urdf, or toml: an object file that heft itself can run.
+        inertial: one mass, centre and inertia for the whole object instead.
+        out: DIR/exports/OBJECT_KEY if left out, with the format's ending.
+    """
+    from scenarios.export_run import export as write  # noqa: PLC0415
+
+    for path in write(folder, what, format_, out, inertial=inertial):
+        print(path)
+
+
 def objects() -> None:
     """List the objects in the library."""
     from scenarios.show import list_objects  # noqa: PLC0415
@@ -270,6 +297,7 @@ def main(arguments: list[str] | None = None) -> None:
                 "view": view,
                 "record": record,
                 "figures": figures,
+                "export": export,
                 "render": render,
                 "watch": watch,
                 "objects": objects,
@@ -277,6 +305,8 @@ def main(arguments: list[str] | None = None) -> None:
                 "show": show,
                 "identify": identify,
                 "robot": robot,
+                "import": import_,
+                "estimate": estimate,
             },
             prog="heft",
             description="What can a robot learn about how an object's mass is spread, from the wrench at its wrist?",

@@ -163,7 +163,7 @@ def estimate(asked: Asked, seed: int, key: str, store: Store) -> None:
 
 
 def sensed(store: Store, keys: tuple[str, ...], sensing: str, seed: int) -> list[Trajectory]:
-    """Trials as one draw of a sensor's errors has them.
+    """Trials as one draw of a sensor's errors has them; measured ones as they are.
 
     Args:
         store: where they are.
@@ -171,8 +171,15 @@ def sensed(store: Store, keys: tuple[str, ...], sensing: str, seed: int) -> list
         sensing: name of the preset.
         seed: of the draw.
     """
-    clean = _trajectories(store, keys)
-    return [draw_sensing(t, preset(sensing), _draw_seed(seed, i, keys[i])) for i, t in enumerate(clean)]
+    return [
+        draw_sensing(t, preset(sensing), _draw_seed(seed, i, keys[i])) if is_simulated(t) else t
+        for i, t in enumerate(_trajectories(store, keys))
+    ]
+
+
+def is_simulated(trajectory: Trajectory) -> bool:
+    """Whether a record is a simulation's, whose sensor had no errors."""
+    return trajectory.provenance.get("runner") == "simulation"
 
 
 @lru_cache(maxsize=1)

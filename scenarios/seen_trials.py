@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from estimators.wrench_prediction import predicted_wrenches
-from scenarios.estimates import sensed
+from scenarios.estimates import is_simulated, sensed
 from scenarios.store import Store, read_json
 from scenarios.tables import SUPPORT_NAMES
 from scenarios.trial_record import TrialRecord, read_trial
@@ -57,11 +57,6 @@ def trial_shown(folder: Path, key: str, *, seed: int = 0, meshes: bool = True) -
     model = record.object.truth if is_simulated(trajectory) else None
     called = "the true masses, each on its own weight"
     return show_trial(record, trajectory, record.object.shape, model, called, {"sensing": said}, meshes=meshes)
-
-
-def is_simulated(trajectory: Trajectory) -> bool:
-    """Whether the truth behind a record is known."""
-    return trajectory.provenance.get("runner") == "simulation"
 
 
 def show_trial(

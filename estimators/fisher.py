@@ -100,7 +100,7 @@ def _friction_rows(
     each = LoadGroups(torch.arange(len(shape.particles)), tuple((int(p), 0) for p in range(len(shape.particles))))
     mass, friction = torch.tensor(distribution.mass), torch.tensor(distribution.friction)
     particle_mass, particle_friction = model.particle_mass(mass), model.particle_friction(friction)
-    per_mass = _loads_per_mass(model, shape.n_m, question.support)
+    per_mass = loads_per_mass(model, shape.n_m, question.support)
     load = per_mass @ mass
     felt = windows.drag_rows(model, question.errors.pivot_error)[0] @ (particle_friction * load)
     errors = question.errors
@@ -122,7 +122,7 @@ def _friction_rows(
     return (system.q @ torch.cat([particle_friction[:, None] * per_mass, of_friction], 1)).numpy()
 
 
-def _loads_per_mass(model: ParticleModel, n_m: int, support: str) -> Float[Tensor, "P n_m"]:
+def loads_per_mass(model: ParticleModel, n_m: int, support: str) -> Float[Tensor, "P n_m"]:
     """Load on each particle a kg of each particle mass, N, where the gripper carries nothing."""
     none, columns = GripperLoad.none(1), []
     for group in range(n_m):

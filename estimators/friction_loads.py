@@ -61,7 +61,38 @@ class LinearSystem:
         return (self.q @ s - self.b).square().mean()
 
 
+@dataclass(frozen=True, eq=False)
+class FrictionEquations:
+    """Q s = b as it is felt, with its errors. R = 3 K rows, 3 a window."""
+
+    q: Float[Tensor, "R n_s"]
+    b: Float[Tensor, "R"]
+    apart: Float[Tensor, "R R"]
+    """Covariance of the errors that no two trials share."""
+    common: Float[Tensor, "R 2"]
+    """What one standard deviation of the lift and of the height that all windows share adds to each row."""
+
+    def whitened(self) -> LinearSystem:
+        """In units of the error, all of it together."""
+        whiten = torch.linalg.inv(torch.linalg.cholesky(self.apart + self.common @ self.common.T))
+        return LinearSystem(whiten @ self.q, whiten @ self.b, whiten)
+
+
 def friction_system(
+    model: ParticleModel,
+    groups: LoadGroups,
+    observations: Observations,
+    mass: Float[Tensor, "P"],
+    friction: Float[Tensor, "P"],
+    inertia: Inertia,
+    height: float,
+    **errors: float,
+) -> LinearSystem:
+    """Eq. dvs for every window, whitened; arguments as of `friction_equations`."""
+    return friction_equations(model, groups, observations, mass, friction, inertia, height, **errors).whitened()
+
+
+def friction_equations(
     model: ParticleModel,
     groups: LoadGroups,
     observations: Observations,
@@ -75,7 +106,7 @@ def friction_system(
     torque_error: float,
     height_error: float = 0.0,
     lift_error: float = 0.0,
-) -> LinearSystem:
+) -> FrictionEquations:
     """Eq. dvs for every window, about the grasp point: friction of s balances the measured wrench.
 
     The present mass and friction enter only through what the gripper carries (lift and tilt), which is small.
@@ -107,14 +138,13 @@ def friction_system(
     drag = s.sum()
     floor = torch.stack([lost + (force_error * drag) ** 2] * 2 + [(torque_error * observations.wrench[:, 2]) ** 2], -1)
     floor = torch.diag_embed(floor + 1e-10)
-    hidden = (lift_error * (1 - observations.load_kept[:, :1]) * response[..., 0]).reshape(-1)
-    alike = (1 + (observations.trial[:, None] == observations.trial).double()) / 2
-    unseen = torch.outer(hidden, hidden) * alike.repeat_interleave(3, 0).repeat_interleave(3, 1)
+    hidden = (lift_error * (1 - observations.load_kept[:, :1]) * response[..., 0]).reshape(-1) / 2**0.5
+    together = (observations.trial[:, None] == observations.trial).double()
+    unseen = torch.outer(hidden, hidden) * together.repeat_interleave(3, 0).repeat_interleave(3, 1)
     # the drag's own moment about the feet is as wrong as the height over them
     raised = height_error * (response[..., 1:] @ observations.wrench[:, :2, None]).reshape(-1)
-    covariance = observations.sensor_error(response) + torch.block_diag(*floor) + unseen + torch.outer(raised, raised)
-    whiten = torch.linalg.inv(torch.linalg.cholesky(covariance))
-    return LinearSystem(whiten @ q.reshape(-1, q.shape[-1]), whiten @ b.reshape(-1), whiten)
+    apart = observations.sensor_error(response) + torch.block_diag(*floor) + unseen
+    return FrictionEquations(q.reshape(-1, q.shape[-1]), b.reshape(-1), apart, torch.stack([hidden, raised], 1))
 
 
 def contradiction(loss: float) -> str:

@@ -1,0 +1,158 @@
+"""Actions to choose from: a continuous family over grasps, pivots, directions, speeds and durations, sampled."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from testbed.actions import Accelerate, Action, Rotate, Slide
+from testbed.arrays import is_number
+from testbed.errors import InvalidValueError
+from testbed.frames import rotation_2d
+from testbed.objects import ObjectShape
+from testbed.tool_path import WORKSPACE
+
+REACH = (0.20, 0.70)
+"""Distance of the TCP from the arm's base, m: the simulated arm's inverse kinematics fail beyond."""
+SWEEP_POINTS = 7
+"""At which the path of a turn is held against the reach."""
+SLIDE_PART, ACCELERATED_PART = 0.1, 0.02
+"""Of all candidates; the rest are turns."""
+
+
+@dataclass(frozen=True)
+class ActionFamily:
+    """Which actions are thought of. Turns go there and back: friction flips, and a constant bias does not."""
+
+    duration: tuple[float, float] = (4.0, 18.0)
+    """Least and longest time at constant speed of a turn each way, s."""
+    speed_deg_s: tuple[float, float] = (6.0, 12.0)
+    """Slowest and fastest turn."""
+    arm: float = 0.2
+    """Farthest pivot from the grasp, m."""
+    slides: bool = True
+    accelerated: bool = True
+    one_way: bool = False
+    """Turn one way only: shorter, and the sensor's bias stays in."""
+
+    def __post_init__(self) -> None:
+        for name, least in (("duration", 1.5), ("speed_deg_s", 0.0)):
+            low, high = getattr(self, name)
+            if not (is_number(low) and is_number(high) and least < low <= high):
+                raise InvalidValueError(
+                    f"ActionFamily.{name}", (low, high), f"the least and the most, above {least:g}, in that order"
+                )
+        if not (is_number(self.arm) and self.arm >= 0):
+            raise InvalidValueError("ActionFamily.arm", self.arm, "a finite number >= 0, m")
+
+    def sample(self, shape: ObjectShape, grasps: Sequence[int], count: int, seed: int) -> tuple[Action, ...]:
+        """Draw actions that the arm can reach; none where there is no grasp.
+
+        Pivots are even over direction and distance from the grasp, durations over their logarithm.
+
+        Args:
+            shape: geometry and grasps.
+            grasps: grasps that may be used.
+            count: how many to draw; what is out of reach is drawn again.
+            seed: of the draw.
+
+        Raises:
+            InvalidValueError: fewer than one to draw.
+        """
+        if count < 1:
+            raise InvalidValueError("count", count, "an integer >= 1")
+        if len(grasps) == 0:
+            return ()
+        rng = np.random.default_rng(seed)
+        allowed = np.asarray(grasps, dtype=int)
+        slides = round(SLIDE_PART * count) if self.slides else 0
+        accelerated = max(round(ACCELERATED_PART * count), 1) if self.accelerated else 0
+        return (
+            *self._accelerated(allowed, accelerated, rng),
+            *self._slides(allowed, slides, rng),
+            *self._turns(shape, allowed, max(count - slides - accelerated, 1), rng),
+        )
+
+    def _turns(
+        self, shape: ObjectShape, allowed: Int[np.ndarray, "G"], count: int, rng: np.random.Generator
+    ) -> list[Rotate]:
+        found: list[Rotate] = []
+        positions = np.array([grasp.position for grasp in shape.grasps])
+        angles = np.array([grasp.angle for grasp in shape.grasps])
+        for _ in range(20):  # a few rounds fill it, unless next to nothing is in reach
+            grasp = rng.choice(allowed, 2 * count)
+            radius, way = self.arm * rng.random(2 * count), rng.uniform(0, 2 * math.pi, 2 * count)
+            pivot = (positions[grasp] + radius[:, None] * np.column_stack([np.cos(way), np.sin(way)])).round(4)
+            low, high = np.log(self.duration)
+            duration = np.exp(rng.uniform(low, high, 2 * count)).round(1)
+            slow, fast = np.radians(self.speed_deg_s)
+            speed = rng.choice((-1.0, 1.0), 2 * count) * rng.uniform(slow, fast, 2 * count)
+            fits = clear_of_particles(shape, pivot)
+            fits &= sweep_in_reach(positions[grasp], angles[grasp], pivot, speed * (duration + 0.4))
+            for i in np.flatnonzero(fits)[: count - len(found)]:
+                x, y = pivot[i]
+                turn = Rotate(
+                    int(grasp[i]), float(speed[i]), float(duration[i]), (float(x), float(y)), not self.one_way
+                )
+                found.append(turn)
+            if len(found) >= count:
+                break
+        return found
+
+    def _slides(self, allowed: Int[np.ndarray, "G"], count: int, rng: np.random.Generator) -> list[Slide]:
+        """Straight lines of 5 cm/s; centred in the workspace, so all within reach."""
+        grasps, ways = rng.choice(allowed, count), rng.uniform(-math.pi, math.pi, count)
+        durations = np.exp(rng.uniform(np.log(1.6), np.log(4.0), count)).round(1)
+        rows = zip(grasps, ways, durations, strict=True)
+        return [Slide(int(g), float(w), duration=float(t)) for g, w, t in rows]
+
+    def _accelerated(self, allowed: Int[np.ndarray, "G"], count: int, rng: np.random.Generator) -> list[Accelerate]:
+        """Turns of stepped acceleration both ways, whole or half as long as the default."""
+        found = []
+        for index in range(count):
+            grasp, sign = int(allowed[index % len(allowed)]), (1.0, -1.0)[(index // len(allowed)) % 2]
+            whole = Accelerate(grasp)
+            steps = whole.accelerations[: (None, 4)[int(rng.integers(2))]]
+            if index < 2 * len(allowed):
+                steps = whole.accelerations
+            found.append(Accelerate(grasp, tuple(sign * a for a in steps), whole.hold, sign * whole.start_speed))
+        return list(dict.fromkeys(found))
+
+
+def clear_of_particles(shape: ObjectShape, points: Float[np.ndarray, "N 2"]) -> np.ndarray:
+    """Which points lie well between particles, (N,) bool: one at the very centre of a turn has no direction."""
+    distance = np.linalg.norm(shape.particles[None] - points[:, None], axis=-1).min(axis=1)
+    return distance > shape.cell / 4
+
+
+def sweep_in_reach(
+    grasp: Float[np.ndarray, "N 2"],
+    grasp_angle: Float[np.ndarray, "N"],
+    pivot: Float[np.ndarray, "N 2"],
+    turn: Float[np.ndarray, "N"],
+    margin: float = 0.0,
+) -> np.ndarray:
+    """Which turns keep the TCP within the arm's reach, their middle at the middle of the workspace, (N,) bool.
+
+    A cheap check, for sieving many; inverse kinematics have the last word.
+
+    Args:
+        grasp: grasp point, m, object frame.
+        grasp_angle: closing direction, rad, object frame.
+        pivot: centre of the turn, m, object frame.
+        turn: angle of the whole sweep, rad.
+        margin: to keep from the ends of the reach, m.
+    """
+    into_world = rotation_2d(-grasp_angle)
+    arm = np.einsum("nij,nj->ni", into_world, grasp - pivot)
+    centre = np.array(WORKSPACE) - arm
+    fits = np.ones(len(grasp), dtype=bool)
+    for part in np.linspace(-0.5, 0.5, SWEEP_POINTS):
+        place = centre + np.einsum("nij,nj->ni", rotation_2d(part * turn), arm)
+        distance = np.linalg.norm(place, axis=1)
+        fits &= (distance > REACH[0] + margin) & (distance < REACH[1] - margin)
+    return fits

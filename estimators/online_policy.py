@@ -1,0 +1,180 @@
+"""The next action from all that was felt so far: the answer, how sure it is, and what would make it surer."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
+
+import numpy as np
+
+from estimators.candidate_actions import ActionFamily
+from estimators.design import Belief, Criterion, Design, Guess, before_trials, expected_nad
+from estimators.hidden_states import HiddenStatesEstimator
+from estimators.mass_solve import load_jacobian
+from estimators.observations import Observations, observe, robot_seconds
+from estimators.protocol import Estimate, Estimator
+from estimators.robot_time import RobotTime
+from estimators.support_aware import SupportAware
+from estimators.support_test import DECISIVE
+from estimators.touch_plan import Asked, Feasible, Goal, anything, greedy_choice
+from estimators.trial_information import Settling, trial_information
+from testbed.actions import Action
+from testbed.objects import GRAVITY, MassDistribution, ObjectShape
+from testbed.trajectory import Trajectory
+
+DISAGREE = 5.0
+"""Mean squared misfit from which trials disagree by more than their stated errors; about 1 where the model holds."""
+LOWEST_FRICTION = 0.02
+"""No guess of a friction is lower."""
+
+
+@dataclass(frozen=True, eq=False)
+class Decision:
+    """What to do next, and why."""
+
+    action: Action | None
+    why: str
+    """Why there is nothing more to do, or why a trial is done again; else empty."""
+    estimate: Estimate | None
+    """From what was felt so far; None before anything was."""
+    nad: float
+    """Expected of the answer as it is; a part of 1."""
+    nad_after: float
+    """Expected once the action is done."""
+    supports: tuple[str, ...]
+    """Support models that are still thought possible."""
+    rejected: tuple[tuple[Action, str], ...] = ()
+    """What would have taught more, and why the bench cannot do it."""
+
+
+@dataclass(frozen=True)
+class OnlineTouches:
+    """After every trial the action that teaches most a second, given the answer so far and how sure it is."""
+
+    guess: Guess
+    """M, the sensor, and who may carry the weight until the trials tell."""
+    goal: Goal = field(default_factory=Goal)
+    criterion: Criterion = "I"
+    family: ActionFamily = field(default_factory=ActionFamily)
+    candidates: int = 4000
+    """How many actions are thought of."""
+    grasps: tuple[int, ...] | None = None
+    """Grasps that may be used; None is all."""
+    seed: int = 0
+    estimator: Estimator = field(default_factory=SupportAware)
+    feasible: Feasible = anything
+    """What the bench says of an action: empty, or why it cannot be done."""
+
+    def next(self, shape: ObjectShape, trajectories: Sequence[Trajectory]) -> Action | None:
+        """As `decide`."""
+        return self.decide(shape, trajectories).action
+
+    def decide(self, shape: ObjectShape, trajectories: Sequence[Trajectory]) -> Decision:
+        """The next action, or why there is none.
+
+        Args:
+            shape: geometry and grasps.
+            trajectories: what was felt, the weighing left out.
+        """
+        windows = observe(shape, trajectories)
+        estimate = self.estimator.estimate(shape, self.guess.weight, trajectories, self.seed) if trajectories else None
+        guess = replace(self.guess, supports=_supports(self.guess, estimate))
+        at = _where(shape, guess, windows, estimate)
+        misfit = estimate.diagnostics.get("loss", 1.0) if estimate is not None else 1.0
+        own = guess.supports == ("own_weight",)
+        belief = _belief(shape, guess, at, windows, len(trajectories), max(misfit, 1.0) if own else 1.0)
+        nad = _nad(belief, estimate)
+        done = [trajectory.action for trajectory in trajectories]
+
+        def say(action: Action | None, why: str, after: float = nad, asked: Asked | None = None) -> Decision:
+            return Decision(action, why, estimate, nad, after, guess.supports, asked.rejected if asked else ())
+
+        if self.goal.met(nad):
+            return say(None, "the target is met")
+        if len(trajectories) >= self.goal.most:
+            return say(None, f"{self.goal.most} trials were made, the most that may be")
+        left = self.goal.left(spent_seconds(shape, trajectories))
+        if own and misfit > DISAGREE and windows is not None:
+            worst = trajectories[_least_explained(shape, guess.weight, trajectories, windows, at)].action
+            if done.count(worst) == 1 and RobotTime().of(worst) <= left:
+                return say(worst, f"the trials disagree (misfit {misfit:.0f}); the one that fits least is done again")
+        failed = {trajectory.action for trajectory in trajectories if not trajectory.ok}
+        grasps = range(len(shape.grasps)) if self.grasps is None else self.grasps
+        candidates = [a for a in self.family.sample(shape, grasps, self.candidates, self.seed) if a not in failed]
+        design, asked = Design.of(shape, candidates, guess, self.criterion, at), Asked(self.feasible)
+        index, why = greedy_choice(design, belief, done, self.goal, left, asked)
+        if index is None:
+            return say(None, why, nad, asked)
+        after = belief.after(design.taught(index)).expected_nad
+        return say(design.candidates[index], "", after, asked)
+
+
+def spent_seconds(shape: ObjectShape, trajectories: Sequence[Trajectory]) -> float:
+    """Robot time so far, the ways between grasps included, s."""
+    time, actions = RobotTime(), [None, *(t.action for t in trajectories)]
+    ways = sum(time.between(shape, a, b) for a, b in pairwise(actions) if b is not None)
+    return robot_seconds(trajectories) + ways
+
+
+def _supports(guess: Guess, estimate: Estimate | None) -> tuple[str, ...]:
+    """Who may carry the weight, by the test where it is decisive."""
+    factor = 0.0 if estimate is None else estimate.diagnostics.get("log10_bayes_factor", 0.0)
+    if len(guess.supports) == 1 or abs(factor) < DECISIVE:
+        return guess.supports
+    return ("own_weight",) if factor > 0 else ("rigid",)
+
+
+def _where(
+    shape: ObjectShape, guess: Guess, windows: Observations | None, estimate: Estimate | None
+) -> MassDistribution:
+    """Where information is taken: the answer, or uniform masses and the friction that the drag felt makes likely."""
+    if estimate is not None and estimate.distribution is not None:
+        found = estimate.distribution
+        return MassDistribution(found.mass, np.maximum(found.friction, LOWEST_FRICTION))
+    if windows is not None and not bool(windows.accelerated.all()):
+        drag = float(windows.wrench[~windows.accelerated][:, :2].norm(dim=1).max())
+        guess = replace(guess, friction=max(drag / (guess.weight * GRAVITY), LOWEST_FRICTION))
+    return guess.uniform(shape)
+
+
+def _belief(
+    shape: ObjectShape,
+    guess: Guess,
+    at: MassDistribution,
+    windows: Observations | None,
+    count: int,
+    inflated: float,
+) -> Belief:
+    """The weighing, the prior, and all trials felt, their errors as much larger as they disagree."""
+    before = before_trials(shape, guess)
+    felt = [
+        trial_information(shape, at, windows, count, question, Settling()).information() / inflated
+        for question in guess.questions()
+    ]
+    return before.after(np.stack(felt))
+
+
+def _nad(belief: Belief, estimate: Estimate | None) -> float:
+    """Expected of the answer: by the information, or, under a rigid body, by what the masses' polytope leaves."""
+    nad = belief.expected_nad
+    if estimate is not None and estimate.covariance is not None and estimate.status == "assumption_violated":
+        left = estimate.covariance * np.outer(belief.count, belief.count)
+        if np.isfinite(left).all():
+            nad = min(nad, float(expected_nad(left, belief.weight)))
+    return nad
+
+
+def _least_explained(
+    shape: ObjectShape,
+    weight: float,
+    trajectories: Sequence[Trajectory],
+    windows: Observations,
+    at: MassDistribution,
+) -> int:
+    """The trial whose windows are least what those before them, and the answer, would have them be."""
+    evidence = HiddenStatesEstimator().evidence(shape, weight, trajectories, at)
+    loads = load_jacobian(shape, evidence.pairs, at)[:, : shape.n_m] @ at.mass
+    misses = ((evidence.q @ loads - evidence.b) ** 2).reshape(-1, 3).mean(axis=1)
+    trial = windows.trial[~windows.accelerated].numpy()
+    return int(np.argmax(np.bincount(trial, misses) / np.maximum(np.bincount(trial), 1)))

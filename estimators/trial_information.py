@@ -1,0 +1,229 @@
+"""What each trial alone would show, so that the information of any set of trials is a sum.
+
+Two trials share some errors: the lift that a nulled gripper hides, the height of the TCP over the feet, and those of
+the moments of inertia. With these as unknowns of their own, of unit spread beforehand, trials are independent and their
+information adds; what is left once they are eliminated is that of `fisher.information_root`, exactly.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from estimators.dynamics import ParticleModel, inertia_of
+from estimators.fisher import Question, loads_per_mass
+from estimators.friction_loads import LoadGroups, friction_equations
+from estimators.inertia import slope_variance
+from estimators.mass_solve import inertia_map
+from estimators.observations import Observations
+from estimators.planned import planned_observations
+from testbed.actions import Action, Weigh
+from testbed.objects import MassDistribution, ObjectShape
+from testbed.sensing import Sensing
+
+ROWS = 6
+"""Of a trial; one with fewer has rows of zeros."""
+CHUNK = 1024
+"""Trials that are worked on at once."""
+
+
+@dataclass(frozen=True)
+class Settling:
+    """What is left of a turn's beginning where its steady window begins; the stated errors do not know of it.
+
+    Measured in simulation, noise-free: what a turn feels early on against what it feels after 5 s, root mean square
+    over turns about points up to 0.2 m from the grasp (`python bench/planning.py settling`).
+    """
+
+    force: float = 0.010
+    """Of a force where a window begins, as a part of the drag."""
+    force_time: float = 1.7
+    """In which it falls to a third, s."""
+    torque: float = 0.016
+    """Of a torque, as a part of that of turning in place."""
+    torque_time: float = 0.8
+
+    def of_means(self, length: Float[Tensor, "K"]) -> Float[Tensor, "K 3"]:
+        """What the means over windows keep of it, for windows of a length, s."""
+        keep = [
+            start * time / length * (1 - torch.exp(-length / time))
+            for start, time in ((self.force, self.force_time), (self.torque, self.torque_time))
+        ]
+        return torch.stack([keep[0], keep[0], keep[1]], -1)
+
+
+@dataclass(frozen=True, eq=False)
+class TrialInformation:
+    """Whitened rows of C trials, each in masses, frictions and shared errors: U = n_m + n_mu + 3 + J unknowns."""
+
+    rows: Float[np.ndarray, "C ROWS U"]
+    known: int
+    """n_m + n_mu: the unknowns that are asked for come first."""
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    def information(self, chosen: Sequence[int] | None = None) -> Float[np.ndarray, "U U"]:
+        """Of some of the trials together, or of all; a trial may be named more than once."""
+        rows = self.rows if chosen is None else self.rows[list(chosen)]
+        flat = rows.reshape(-1, self.rows.shape[-1])
+        return flat.T @ flat
+
+
+def shared_errors(shape: ObjectShape) -> int:
+    """Number of errors that trials share: lift, height, all moments of inertia, and those about each grasp point."""
+    return 3 + len(_points(shape))
+
+
+def before_any_trial(shape: ObjectShape, weight_error: float) -> Float[np.ndarray, "U U"]:
+    """Information of a weighing, and of shared errors that are of unit spread."""
+    known = shape.n_m + shape.n_mu
+    information = np.diag(np.concatenate([np.zeros(known), np.ones(shared_errors(shape))]))
+    weighed = shape.particles_per_group / weight_error
+    information[: shape.n_m, : shape.n_m] += np.outer(weighed, weighed)
+    return information
+
+
+def of_masses(information: Float[np.ndarray, "U U"], known: int) -> Float[np.ndarray, "known known"]:
+    """Information of masses and frictions once the shared errors are eliminated."""
+    across = information[:known, known:]
+    return information[:known, :known] - across @ np.linalg.solve(information[known:, known:], across.T)
+
+
+def planned_information(
+    shape: ObjectShape,
+    distribution: MassDistribution,
+    actions: Sequence[Action],
+    sensing: Sensing,
+    question: Question,
+    settling: Settling | None = None,
+) -> TrialInformation:
+    """Of actions before they are done, a trial each, in their order.
+
+    Args:
+        shape: geometry and grasps.
+        distribution: masses and frictions at which it is taken, true or guessed.
+        actions: slides and turns.
+        sensing: how the sensor errs.
+        question: support model and stated errors.
+        settling: what is left of a trial's beginning; as measured if left out.
+    """
+    moving = [action for action in actions if not isinstance(action, Weigh)]
+    windows = planned_observations(shape, moving, sensing) if moving else None
+    return trial_information(shape, distribution, windows, len(moving), question, settling or Settling())
+
+
+def trial_information(
+    shape: ObjectShape,
+    distribution: MassDistribution,
+    windows: Observations | None,
+    count: int,
+    question: Question,
+    settling: Settling,
+) -> TrialInformation:
+    """Of trials by their windows, planned or felt.
+
+    Args:
+        shape: geometry and grasps.
+        distribution: masses and frictions at which it is taken.
+        windows: of all trials.
+        count: number of trials; one without windows has rows of zeros.
+        question: support model and stated errors.
+        settling: what is left of a trial's beginning.
+    """
+    known = shape.n_m + shape.n_mu
+    rows = np.zeros((count, ROWS, known + shared_errors(shape)))
+    if windows is not None:
+        trial = windows.trial.numpy()
+        for accelerated in (False, True):
+            of_kind = windows.accelerated.numpy() == accelerated
+            sizes = np.bincount(trial[of_kind], minlength=count)
+            for size in np.unique(sizes[sizes > 0]):
+                chosen = np.flatnonzero(sizes == size)
+                of_size = np.flatnonzero(of_kind & (sizes[trial] == size))
+                fields = {
+                    name: value[of_size].reshape(len(chosen), size, *value.shape[1:])
+                    for name, value in vars(windows).items()
+                }
+                found = (
+                    _accelerated_rows(shape, distribution, fields, question)
+                    if accelerated
+                    else _steady_rows(shape, distribution, fields, question, settling)
+                )
+                rows[chosen, : found.shape[1]] = found
+    return TrialInformation(rows, known)
+
+
+def _steady_rows(
+    shape: ObjectShape,
+    distribution: MassDistribution,
+    fields: dict[str, Tensor],
+    question: Question,
+    settling: Settling,
+) -> Float[np.ndarray, "C R U"]:
+    """Of trials with as many steady windows each: `friction_equations` of one trial, mapped over all."""
+    model, errors = ParticleModel.of(shape), question.errors
+    each = LoadGroups(torch.arange(len(shape.particles)), tuple((int(p), 0) for p in range(len(shape.particles))))
+    mass, friction = torch.tensor(distribution.mass), torch.tensor(distribution.friction)
+    particle_mass, particle_friction = model.particle_mass(mass), model.particle_friction(friction)
+    per_mass = loads_per_mass(model, shape.n_m, question.support)
+    load = per_mass @ mass
+    of_friction = torch.stack([(model.friction_group == k) * load for k in range(shape.n_mu)], 1)
+    slopes = torch.cat([particle_friction[:, None] * per_mass, of_friction], 1)
+    inertia = inertia_of(model, particle_mass)
+
+    def of_trial(of_one: dict[str, Tensor]) -> Tensor:
+        windows = Observations(**of_one)
+        felt = windows.drag_rows(model, errors.pivot_error)[0] @ (particle_friction * load)
+        equations = friction_equations(
+            model,
+            each,
+            Observations(**(of_one | {"wrench": felt})),
+            particle_mass,
+            particle_friction,
+            inertia,
+            shape.height,
+            pivot_error=errors.pivot_error,
+            force_error=errors.force_error,
+            torque_error=errors.torque_error,
+            height_error=errors.height_error,
+            lift_error=errors.lift_error,
+        )
+        pressed = particle_friction * load
+        in_place = windows.lever(model).norm(dim=-1) @ pressed
+        scale = torch.stack([pressed.sum().expand_as(in_place)] * 2 + [in_place], -1)
+        begun = scale * settling.of_means(windows.since_tare[:, 1] - windows.since_tare[:, 0])
+        root = torch.linalg.cholesky(equations.apart + torch.diag_embed(begun.square().reshape(-1)))
+        felt_of = torch.cat([equations.q @ slopes, equations.common], 1)
+        return torch.linalg.solve_triangular(root, felt_of, upper=False)
+
+    found = torch.vmap(of_trial, chunk_size=CHUNK)(fields).numpy()
+    return np.pad(found, ((0, 0), (0, 0), (0, shared_errors(shape) - 2)))
+
+
+def _accelerated_rows(
+    shape: ObjectShape, distribution: MassDistribution, fields: dict[str, Tensor], question: Question
+) -> Float[np.ndarray, "C 1 U"]:
+    """I_j about the grasp point of every trial, by the slope of torque against acceleration."""
+    points, known, error = _points(shape), shape.n_m + shape.n_mu, question.errors.inertia_error
+    count = len(fields["trial"])
+    rows = np.zeros((count, 1, known + shared_errors(shape)))
+    for c in range(count):
+        pivots, variance = slope_variance(Observations(**{name: value[c] for name, value in fields.items()}))
+        of_mass = inertia_map(shape, pivots)[0]
+        shared = error * of_mass @ distribution.mass
+        point = int(np.linalg.norm(points - pivots[0], axis=1).argmin())
+        rows[c, 0, : shape.n_m] = of_mass
+        rows[c, 0, [known + 2, known + 3 + point]] = shared
+        rows[c] /= np.sqrt(variance[0])
+    return rows
+
+
+def _points(shape: ObjectShape) -> Float[np.ndarray, "J 2"]:
+    """Where the object can be gripped; two grasps may share a point."""
+    return np.unique(np.array([grasp.position for grasp in shape.grasps]).reshape(-1, 2).round(9), axis=0)

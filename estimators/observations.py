@@ -12,7 +12,7 @@ from torch import Tensor
 
 from estimators.dynamics import Inertia, ParticleModel, cross, turned
 from estimators.support import GripperLoad
-from testbed.actions import Accelerate, Weigh
+from testbed.actions import Accelerate, Lift, Weigh
 from testbed.errors import InvalidValueError
 from testbed.objects import ObjectShape
 from testbed.reduction import SteadyWindow, steady_windows
@@ -194,7 +194,7 @@ def robot_seconds(trajectories: Sequence[Trajectory]) -> float:
 def observe(shape: ObjectShape, trajectories: Sequence[Trajectory]) -> Observations | None:
     """All usable trajectories of one object as one batch; None where there is none.
 
-    Weighings, trials that did not end well and those too short to reduce are left out.
+    Weighings, lifts, trials that did not end well and those too short to reduce are left out.
 
     Raises:
         InvalidValueError: a grasp that the shape does not have.
@@ -203,7 +203,7 @@ def observe(shape: ObjectShape, trajectories: Sequence[Trajectory]) -> Observati
     trial: list[int] = []
     accelerated: list[bool] = []
     for index, trajectory in enumerate(trajectories):
-        if trajectory.ok and not isinstance(trajectory.action, Weigh):
+        if trajectory.ok and not isinstance(trajectory.action, Weigh | Lift):
             if trajectory.action.grasp >= len(shape.grasps):
                 raise InvalidValueError(
                     f"trajectories[{index}].action.grasp",

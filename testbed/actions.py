@@ -12,6 +12,9 @@ from testbed.arrays import check_positive, frozen_array, is_number
 from testbed.errors import InvalidValueError
 from testbed.objects import ObjectShape
 
+STEEPEST = math.radians(30)
+"""Tilt in the air beyond which no object is taken, rad."""
+
 
 @dataclass(frozen=True)
 class Weigh:
@@ -99,8 +102,51 @@ class Slide:
             raise InvalidValueError("Slide.direction", self.direction, "a finite angle, rad")
 
 
-Action = Weigh | Rotate | Accelerate | Slide
-_KINDS: dict[str, type[Action]] = {"weigh": Weigh, "rotate": Rotate, "accelerate": Accelerate, "slide": Slide}
+@dataclass(frozen=True)
+class Lift:
+    """Lift the object clear of the table, hold it still, and rock it there about its own x, y and z axis.
+
+    Still, the wrench is its weight at its centre of mass, with no friction in it; rocking adds the second moments. It
+    rocks about the TCP between tilts of either sign, at one angular acceleration of alternating sign.
+    """
+
+    grasp: int
+    """Index into the shape's grasps."""
+    tilt: float = math.radians(6)
+    """How far it is tilted, and turned, either way, rad; 0 only holds it still and level."""
+    acceleration: float = 2.5
+    """Angular acceleration while rocking, rad/s^2."""
+    swings: int = 6
+    """Stretches of such acceleration about each axis; 0 holds still at every tilt and does not rock."""
+    hold: float = 2.0
+    """Time held still, level and at every tilt, s."""
+    height: float = 0.08
+    """How far it is lifted, m."""
+
+    def __post_init__(self) -> None:
+        _check_index("Lift.grasp", self.grasp)
+        if not (is_number(self.tilt) and 0 <= self.tilt <= STEEPEST):
+            raise InvalidValueError("Lift.tilt", self.tilt, f"an angle from 0 to {STEEPEST:.2f}, rad")
+        for name in ("acceleration", "hold", "height"):
+            check_positive(f"Lift.{name}", getattr(self, name))
+        if isinstance(self.swings, bool) or not (isinstance(self.swings, int) and self.swings >= 0):
+            raise InvalidValueError("Lift.swings", self.swings, "an integer >= 0")
+
+    def rocks(self, segment: int) -> bool:
+        """Whether it rocks in a stretch, from 0, or holds still: level first, then at either end of each rocking."""
+        return segment > 0 and self.swings > 0 and (segment - 1) % (self.swings + 2) not in (0, self.swings + 1)
+
+
+TableAction = Rotate | Accelerate | Slide
+"""Moves the object over the table."""
+Action = Weigh | TableAction | Lift
+_KINDS: dict[str, type[Action]] = {
+    "weigh": Weigh,
+    "rotate": Rotate,
+    "accelerate": Accelerate,
+    "slide": Slide,
+    "lift": Lift,
+}
 
 
 def action_to_dict(action: Action) -> dict[str, Any]:

@@ -200,11 +200,7 @@ def _tares(trajectory: Trajectory) -> list[Int[np.ndarray, "N"]]:
 
 def _tool_wrench(tool: Tool, trajectory: Trajectory, axes: np.ndarray) -> np.ndarray:
     """What the arm must do to the tool alone to move it as it moved, sensor axes, about the sensor's origin, (T, 6)."""
-    twist = trajectory.tcp_velocity
-    rate = 1 / float(np.median(np.diff(trajectory.time_s)))
-    window = min(11, len(twist) - 1 + len(twist) % 2)
-    rates = savgol_filter(twist, window, 2, deriv=1, delta=1 / rate, axis=0) if window > 2 else np.zeros_like(twist)
-    rates = np.asarray(rates)
+    twist, rates = trajectory.tcp_velocity, twist_rates(trajectory)
     into = axes.transpose(0, 2, 1)
     linear = np.einsum("nij,nj->ni", into, rates[:, :3])
     spin, spin_rate = (np.einsum("nij,nj->ni", into, x) for x in (twist[:, 3:], rates[:, 3:]))
@@ -214,6 +210,15 @@ def _tool_wrench(tool: Tool, trajectory: Trajectory, axes: np.ndarray) -> np.nda
     force = tool.mass * (acceleration - gravity)
     torque = spin_rate @ tool.inertia.T + np.cross(spin, spin @ tool.inertia.T) + np.cross(tool.com, force)
     return np.hstack([force, torque])
+
+
+def twist_rates(trajectory: Trajectory) -> Float[np.ndarray, "T 6"]:
+    """Acceleration of the tool at the TCP, linear and angular, world axes, m/s^2 and rad/s^2."""
+    twist = trajectory.tcp_velocity
+    rate = 1 / float(np.median(np.diff(trajectory.time_s)))
+    window = min(11, len(twist) - 1 + len(twist) % 2)
+    rates = savgol_filter(twist, window, 2, deriv=1, delta=1 / rate, axis=0) if window > 2 else np.zeros_like(twist)
+    return np.asarray(rates)
 
 
 def _said(sensing: Sensing, seed: int) -> dict[str, str]:

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from testbed.actions import Accelerate, Action, Rotate, Slide, Weigh, action_from_dict, action_to_dict, pivot_of
+from testbed.actions import Accelerate, Action, Lift, Rotate, Slide, Weigh, action_from_dict, action_to_dict, pivot_of
 from testbed.errors import InvalidValueError
 from testbed.object_files import load_object
 
@@ -40,6 +40,7 @@ ACTIONS = st.one_of(
     ),
     st.builds(Slide, GRASP, direction=FINITE, speed=POSITIVE, duration=POSITIVE),
     accelerate(),
+    st.builds(Lift, GRASP, tilt=st.floats(0, 0.5), acceleration=POSITIVE, swings=st.integers(0, 9), hold=POSITIVE),
 )
 
 

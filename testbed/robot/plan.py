@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
-from testbed.actions import Weigh
+from testbed.actions import Lift, Weigh
 from testbed.errors import InfeasibleTrialError
 from testbed.frames import pose_from_point, transform_point
 from testbed.objects import Grasp, ObjectShape
@@ -80,7 +80,13 @@ class RobotPlan:
 
 
 def starting_pose(trial: Trial) -> Float[np.ndarray, "3"]:
-    """Where to put the object so that its trial is the simulated bench's: planar pose, m and rad."""
+    """Where to put the object so that its trial is the simulated bench's: planar pose, m and rad.
+
+    Raises:
+        InfeasibleTrialError: a lift.
+    """
+    if isinstance(trial.action, Lift):
+        raise _not_lifted()
     if isinstance(trial.action, Weigh):
         grasp = weighing_grasp(trial.object.shape)
         return pose_from_point(np.array(WORKSPACE), grasp.position, np.array(-grasp.angle))
@@ -101,9 +107,15 @@ def weighing_grasp(shape: ObjectShape) -> Grasp:
 
 
 def plan_trial(trial: Trial, object_pose: Float[np.ndarray, "3"], settings: RobotSettings) -> RobotPlan:
-    """Plan a trial for an object that lies at a planar pose, m and rad, base frame; nothing is checked yet."""
+    """Plan a trial for an object that lies at a planar pose, m and rad, base frame; nothing is checked yet.
+
+    Raises:
+        InfeasibleTrialError: a lift.
+    """
     shape, action = trial.object.shape, trial.action
     height = settings.table_height + settings.grip_height
+    if isinstance(action, Lift):
+        raise _not_lifted()
     if isinstance(action, Weigh):
         grasp, act = weighing_grasp(shape), None
         x, y = transform_point(object_pose, grasp.position)
@@ -125,6 +137,13 @@ def plan_trial(trial: Trial, object_pose: Float[np.ndarray, "3"], settings: Robo
         act=act,
         lift=Line.at_most(hold, lifted, yaw, settings.descent_speed) if act is None else None,
         rise=Line.at_most(last.position, last.position + settings.hover * _UP, last.yaw, settings.descent_speed),
+    )
+
+
+def _not_lifted() -> InfeasibleTrialError:
+    return InfeasibleTrialError(
+        "lift: the real arm keeps its tool straight down and does not rock what it holds; lift in simulation, or "
+        "weigh, turn and slide"
     )
 
 

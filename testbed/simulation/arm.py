@@ -29,10 +29,11 @@ def arm_model() -> mujoco.MjModel:
 
 
 def joint_path(poses: np.ndarray, start: np.ndarray) -> np.ndarray:
-    """Joint angles through tool poses, the tool pointing straight down.
+    """Joint angles through tool poses, the tool pointing straight down or turned away from that.
 
     Args:
-        poses: x, y, z of the TCP, m, and yaw of the closing direction, rad, world frame, (N, 4).
+        poses: x, y, z of the TCP, m, and yaw of the closing direction, rad, world frame, (N, 4); or with the rotation
+            vector, rad, world frame, by which the tool is turned away from pointing straight down, (N, 7).
         start: joint angles to start the search from, rad, (7,).
 
     Returns:
@@ -58,7 +59,8 @@ def _solve(pose: tuple[float, ...], start: tuple[float, ...]) -> tuple[float, ..
     configuration.update(full)
     task = mink.FrameTask("gripper/tcp", "site", position_cost=1.0, orientation_cost=0.3)
     damping = mink.DampingTask(model, cost=_MOVE_LAST_JOINT_FIRST[: model.nv])
-    task.set_target(mink.SE3.from_rotation_and_translation(_tool_down(pose[3]), np.array(pose[:3])))
+    turned = _tool_down(pose[3]) if len(pose) == 4 else mink.SO3.exp(np.array(pose[4:])) @ _tool_down(pose[3])
+    task.set_target(mink.SE3.from_rotation_and_translation(turned, np.array(pose[:3])))
     limits = [mink.ConfigurationLimit(model)]
     for _ in range(_ITERATIONS):
         if np.abs(task.compute_error(configuration)).max() < _TOLERANCE:
@@ -68,8 +70,13 @@ def _solve(pose: tuple[float, ...], start: tuple[float, ...]) -> tuple[float, ..
     left = np.abs(task.compute_error(configuration)).max()
     raise InfeasibleTrialError(
         f"reach: the arm cannot put the tool at x={pose[0]:.3f} y={pose[1]:.3f} z={pose[2]:.3f} m, "
-        f"yaw {np.degrees(pose[3]):.0f} deg (misses by {left:.3g}); choose a nearer pivot or a shorter slide"
+        f"yaw {np.degrees(pose[3]):.0f} deg{_told_tilt(pose[4:])} (misses by {left:.3g}); "
+        "choose a nearer pivot or a shorter slide"
     )
+
+
+def _told_tilt(turn: tuple[float, ...]) -> str:
+    return f", turned by {np.degrees(np.linalg.norm(turn)):.1f} deg" if turn else ""
 
 
 def _tool_down(yaw: float) -> mink.SO3:

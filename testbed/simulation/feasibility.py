@@ -5,18 +5,17 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
-from testbed.actions import Weigh
+from testbed.actions import Lift, Weigh
 from testbed.errors import InfeasibleTrialError
 from testbed.gripper import PAD_HEIGHT, PAD_WIDTH, STROKE
-from testbed.objects import GRAVITY
+from testbed.objects import GRAVITY, Grasp
 from testbed.simulation.arm import JOINT_SPEED_LIMIT, arm_model
+from testbed.simulation.lift_feasibility import check_lift
 from testbed.simulation.motion import Motion
 from testbed.simulation.resting import resting_loads
-from testbed.simulation.settings import SimulationSettings
+from testbed.simulation.settings import MARGIN, SimulationSettings
 from testbed.trial import Trial
 
-MARGIN = 0.8
-"""Part of a limit that may be used: the estimates below are quasi-static."""
 MINIMUM_HEIGHT = 0.010
 """A face from the table up that is lower than this gives the pads too little to hold, m."""
 
@@ -26,11 +25,11 @@ def check_feasible(trial: Trial, motion: Motion, settings: SimulationSettings) -
 
     Raises:
         InfeasibleTrialError: too wide or too low to grip, a foot that the object's own weight lifts, friction beyond
-            the grip, or drag beyond a joint's working torque or speed; the message says by how much and what could be
-            done.
+            the grip, drag beyond a joint's working torque or speed, or what cannot be lifted; the message says by how
+            much and what could be done.
     """
     assert not isinstance(trial.action, Weigh)
-    obj, shape = trial.object, trial.object.shape
+    shape = trial.object.shape
     grasp = shape.grasps[trial.action.grasp]
     if grasp.width > STROKE - 0.005:
         raise InfeasibleTrialError(
@@ -46,6 +45,22 @@ def check_feasible(trial: Trial, motion: Motion, settings: SimulationSettings) -
             needed = f"{(MINIMUM_HEIGHT - PAD_HEIGHT[0]) * 1e3:.0f} mm of face above that"
         raise InfeasibleTrialError(f"grip: {what}; the pads, 3 mm over the table, need {needed}")
     _check_rest(trial, settings)
+    if isinstance(trial.action, Lift):
+        check_lift(trial, trial.action, motion, settings)
+    else:
+        _check_drag(trial, grasp, motion, settings)
+    speed = np.abs(motion.qd) / JOINT_SPEED_LIMIT
+    if speed.max() > 1:
+        joint = int(speed.max(axis=0).argmax())
+        raise InfeasibleTrialError(
+            f"speed: joint {joint + 1} would need {speed.max():.2f} of its limit of "
+            f"{np.degrees(JOINT_SPEED_LIMIT[joint]):.0f} deg/s; move slower"
+        )
+
+
+def _check_drag(trial: Trial, grasp: Grasp, motion: Motion, settings: SimulationSettings) -> None:
+    """Friction under the object against what grip and joints can push."""
+    obj, shape = trial.object, trial.object.shape
     friction = np.where(shape.friction_group >= 0, obj.truth.friction[np.maximum(shape.friction_group, 0)], 0.0)
     feet = np.bincount(shape.mass_group[shape.friction_group >= 0], minlength=shape.n_m)
     share = (shape.particles_per_group / np.maximum(feet, 1))[shape.mass_group]  # a group's feet carry all of it
@@ -66,13 +81,6 @@ def check_feasible(trial: Trial, motion: Motion, settings: SimulationSettings) -
                     "235 N) or a weld"
                 )
     _check_torques(motion, drag, torque)
-    speed = np.abs(motion.qd) / JOINT_SPEED_LIMIT
-    if speed.max() > 1:
-        joint = int(speed.max(axis=0).argmax())
-        raise InfeasibleTrialError(
-            f"speed: joint {joint + 1} would need {speed.max():.2f} of its limit of "
-            f"{np.degrees(JOINT_SPEED_LIMIT[joint]):.0f} deg/s; move slower"
-        )
 
 
 def _check_rest(trial: Trial, settings: SimulationSettings) -> None:

@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
-from testbed.actions import Accelerate, Rotate, Slide
+from testbed.actions import Lift, Slide, TableAction
+from testbed.frames import pose_from_point
+from testbed.lift_profile import LiftProfile
 from testbed.objects import ObjectShape
 from testbed.profile import PAUSE, Profile
 from testbed.simulation.arm import spline
+from testbed.simulation.lifting import lifted_joints
 from testbed.simulation.scene import HOME
 from testbed.simulation.settings import SimulationSettings
 from testbed.tool_path import WORKSPACE, ToolPath
@@ -42,24 +46,24 @@ class Motion:
     """Part of the grip force, -1 (opening) to 1, (N,)."""
     nulling: np.ndarray
     """Whether load and tilt are being nulled, (N,) bool."""
+    in_the_air: bool
+    """Whether the object leaves the table."""
 
 
-def plan_motion(action: Rotate | Accelerate | Slide, shape: ObjectShape, settings: SimulationSettings) -> Motion:
+def plan_motion(action: TableAction | Lift, shape: ObjectShape, settings: SimulationSettings) -> Motion:
     """Plan a whole trial: where the object lies, and what the arm and the fingers do at every tick.
 
     Raises:
         InfeasibleTrialError: part of the path is out of the arm's reach.
     """
     dt = 1.0 / settings.rate
-    profile = Profile.of(action, dt)
-    distance, rate, segment, total = profile.distance, profile.rate, profile.segment, profile.length
-    waypoints, object_pose = _tool_waypoints(action, shape, settings.grip.tcp_height, total)
-    start = waypoints[0].copy()
+    lifts = isinstance(action, Lift)
+    work = _lifting(action, shape, settings) if lifts else _on_table(action, shape, settings)
+    start = work.hold.copy()
     start[2] += HOVER
-    descent_path = spline(np.linspace(start, waypoints[0], 4), np.array(HOME))
+    descent_path = spline(np.linspace(start, work.hold, 4), np.array(HOME))
     q_hover, q_grasp = descent_path(0.0), descent_path(1.0)
-    work_path = spline(waypoints, q_grasp)
-    q_end = work_path(distance[-1] / total)
+    q, qd = work.joints(q_grasp)
 
     parts: list[tuple[Phase, np.ndarray, np.ndarray, np.ndarray, np.ndarray, bool]] = []
 
@@ -84,41 +88,68 @@ def plan_motion(action: Rotate | Accelerate | Slide, shape: ObjectShape, setting
     hold(Phase.GRASP, q_grasp, _CLOSE_TIME, (0.05, 1.0))
     hold(Phase.SETTLE, q_grasp, settings.servo.null_time, (1.0, 1.0), settings.servo.null_gain > 0)
     hold(Phase.SETTLE, q_grasp, PAUSE, (1.0, 1.0))
-    n = len(distance)
-    phases = np.where(segment >= 0, Phase.STEADY, Phase.RAMP)
-    q, qd = work_path(distance / total), work_path(distance / total, 1) * (rate / total)[:, None]
-    for i in range(n):
-        parts.append(
-            (phases[i], q[i : i + 1], qd[i : i + 1], np.ones(1), segment[i : i + 1], settings.servo.comply_gain > 0)
-        )
-    hold(Phase.RELEASE, q_end, PAUSE, (1.0, 0.0))
-    hold(Phase.RELEASE, q_end, _OPEN_TIME, (-0.05, -0.05))
+    phases = np.where(work.segment >= 0, Phase.STEADY, Phase.RAMP)
+    for i in range(len(q)):
+        parts.append((phases[i], q[i : i + 1], qd[i : i + 1], np.ones(1), work.segment[i : i + 1], work.complies))
+    hold(Phase.RELEASE, q[-1], PAUSE, (1.0, 0.0))
+    hold(Phase.RELEASE, q[-1], _OPEN_TIME, (-0.05, -0.05))
 
     return Motion(
         start=q_hover,
-        object_pose=object_pose,
+        object_pose=work.object_pose,
         phase=np.concatenate([np.full(len(p[1]), p[0]) for p in parts]),
         segment=np.concatenate([p[4] for p in parts]),
         q=np.concatenate([p[1] for p in parts]),
         qd=np.concatenate([p[2] for p in parts]),
         grip=np.concatenate([p[3] for p in parts]),
         nulling=np.concatenate([np.full(len(p[1]), p[5]) for p in parts]),
+        in_the_air=lifts,
     )
 
 
-def _tool_waypoints(
-    action: Rotate | Accelerate | Slide, shape: ObjectShape, height: float, length: float
-) -> tuple[np.ndarray, np.ndarray]:
-    """Tool poses (x, y, z, yaw) evenly along the action's path, and the object's pose at its start.
+@dataclass(frozen=True, eq=False)
+class _Work:
+    """The action itself, between grasp and release."""
 
-    Turns and slides are centred: the middle of the path lies at the middle of the workspace.
-    """
-    path = ToolPath.centred(action, shape, length, WORKSPACE)
-    step = _STEP_LINE if isinstance(action, Slide) else _STEP_TURN
-    n = max(math.ceil(length / step), 4)
+    hold: np.ndarray
+    """Tool pose at which it grips: x, y, z, yaw, (4,)."""
+    object_pose: np.ndarray
+    """Where the object lies, planar pose, (3,)."""
+    segment: np.ndarray
+    """Steady stretch of every tick, (N,), -1 outside."""
+    joints: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
+    """From the joint angles at the grip to those of every tick, rad, and their speeds, rad/s, (N, 7)."""
+    complies: bool
+    """Whether load and tilt are nulled meanwhile."""
+
+
+def _on_table(action: TableAction, shape: ObjectShape, settings: SimulationSettings) -> _Work:
+    """Turns and slides are centred: the middle of the path lies at the middle of the workspace."""
+    profile = Profile.of(action, 1.0 / settings.rate)
+    distance, rate, total = profile.distance, profile.rate, profile.length
+    path = ToolPath.centred(action, shape, total, WORKSPACE)
+    n = max(math.ceil(total / (_STEP_LINE if isinstance(action, Slide) else _STEP_TURN)), 4)
     part = np.linspace(-0.5, 0.5, n + 1)
     tool = path.tool_pose(part)
-    return np.column_stack([tool[:, :2], np.full(n + 1, height), tool[:, 2]]), path.object_pose(part)[0]
+    waypoints = np.column_stack([tool[:, :2], np.full(n + 1, settings.grip.tcp_height), tool[:, 2]])
+
+    def joints(q_grasp: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        along = spline(waypoints, q_grasp)
+        return along(distance / total), along(distance / total, 1) * (rate / total)[:, None]
+
+    complies = settings.servo.comply_gain > 0
+    return _Work(waypoints[0], path.object_pose(part)[0], profile.segment, joints, complies)
+
+
+def _lifting(action: Lift, shape: ObjectShape, settings: SimulationSettings) -> _Work:
+    """The TCP stays over the middle of the workspace, the pads closing along x."""
+    profile = LiftProfile.of(action, 1.0 / settings.rate)
+    grasp = shape.grasps[action.grasp]
+    hold = np.array([*WORKSPACE, settings.grip.tcp_height, 0.0])
+    pose = pose_from_point(hold[:2], grasp.position, np.array(-grasp.angle))
+    return _Work(
+        hold, pose, profile.segment, lambda q_grasp: lifted_joints(action, profile, hold, pose[2], q_grasp), False
+    )
 
 
 def _minimum_jerk(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import mujoco
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from testbed.simulation.arm import JOINT_SPEED_LIMIT
 from testbed.simulation.motion import Motion
@@ -35,7 +36,10 @@ class Outcome:
 
 
 class Watch:
-    """Looks for slip, saturation, speed and divergence at every tick of one trial."""
+    """Looks for slip, saturation, speed and divergence at every tick of one trial.
+
+    Slip is counted over the table; in the air in all directions, since there the object may also fall or nod.
+    """
 
     def __init__(self, model: mujoco.MjModel, scene: Scene, motion: Motion, settings: SimulationSettings):
         self._rate = settings.rate
@@ -46,7 +50,8 @@ class Watch:
         self._limit = model.jnt_actfrcrange[:7, 1]
         self._held = motion.phase >= Phase.SETTLE
         self._held &= motion.phase != Phase.RELEASE
-        self._grasped: np.ndarray | None = None
+        self._shift = _shift_in_space if motion.in_the_air else _shift_on_table
+        self._grasped: tuple[np.ndarray, np.ndarray] | None = None
         self._saturated = np.zeros(7)
         self._torque = self._speed = self._slip = self._turn = 0.0
         self._status: Status = "ok"
@@ -86,19 +91,14 @@ class Watch:
 
     def _slipped(self, data: mujoco.MjData, tick: int) -> bool:
         hand = data.site_xmat[self._tcp].reshape(3, 3)
-        relative = np.append(
+        placed = (
             hand.T @ (data.xpos[self._body] - data.site_xpos[self._tcp]),
-            (hand.T @ data.xmat[self._body].reshape(3, 3))[:2, 0],
+            hand.T @ data.xmat[self._body].reshape(3, 3),
         )
         if self._grasped is None:
-            self._grasped = relative
-        before = self._grasped
-        turn = math.atan2(before[3] * relative[4] - before[4] * relative[3], before[3:] @ relative[3:])
-        self._turn = max(self._turn, abs(turn))
-        # the body's origin is not the grasp point: take the part of its shift that the turn explains away
-        c, s = math.cos(turn), math.sin(turn)
-        moved = relative[:2] - np.array([[c, -s], [s, c]]) @ before[:2]
-        self._slip = max(self._slip, float(np.linalg.norm(moved)))
+            self._grasped = placed
+        moved, turn = self._shift(self._grasped, placed)
+        self._turn, self._slip = max(self._turn, turn), max(self._slip, moved)
         if self._slip > SLIP_LIMIT[0] or self._turn > SLIP_LIMIT[1]:
             return self._end(
                 "slipped",
@@ -120,3 +120,24 @@ class Watch:
             "slip_rad": float(self._turn),
         }
         return Outcome(self._status, self._reason, figures, self._state or None)
+
+
+_Placed = tuple[np.ndarray, np.ndarray]
+"""Position, m, and orientation of the object in the hand."""
+
+
+def _shift_on_table(before: _Placed, now: _Placed) -> tuple[float, float]:
+    """How far the grasp point moved, m, and how far the object turned, rad, both across the approach axis."""
+    (x, y), (u, v) = before[1][:2, 0], now[1][:2, 0]
+    turn = math.atan2(x * v - y * u, np.array([x, y]) @ [u, v])
+    # the body's origin is not the grasp point: take the part of its shift that the turn explains away
+    c, s = math.cos(turn), math.sin(turn)
+    return float(np.linalg.norm(now[0][:2] - np.array([[c, -s], [s, c]]) @ before[0][:2])), abs(turn)
+
+
+def _shift_in_space(before: _Placed, now: _Placed) -> tuple[float, float]:
+    """The same in all directions."""
+    turn = now[1] @ before[1].T
+    return float(np.linalg.norm(now[0] - turn @ before[0])), float(
+        np.linalg.norm(Rotation.from_matrix(turn).as_rotvec())
+    )

@@ -8,6 +8,9 @@ from typing import Literal
 from testbed.arrays import check_positive
 from testbed.errors import InvalidValueError
 
+MARGIN = 0.8
+"""Part of a limit of grip that may be used: what is estimated beforehand is quasi-static."""
+
 
 @dataclass(frozen=True)
 class ContactSettings:

@@ -16,6 +16,8 @@ TESTBED = {
     "resources": {"errors"},
     "objects": {"errors", "arrays"},
     "blocks": {"errors", "arrays", "objects"},
+    "rigid_body": {"arrays", "objects"},
+    "export": {"errors", "objects", "rigid_body"},
     "gripper": set(),
     "meshes": {"errors", "gripper", "objects"},
     "object_files": {"errors", "objects", "blocks", "meshes", "resources"},

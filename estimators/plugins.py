@@ -53,13 +53,16 @@ def load_estimator(path: str, field: str) -> type[Estimator]:
     return kind
 
 
-def configured(kind: type[Estimator], settings: Mapping[str, Any], field: str) -> Estimator:
+def configured(
+    kind: type[Estimator], settings: Mapping[str, Any], field: str, beside: tuple[str, ...] = ()
+) -> Estimator:
     """An estimator with its settings, which are the arguments of its class.
 
     Args:
         kind: the class.
         settings: as a file or a command line has them; a list becomes a tuple.
         field: what to call them in an error.
+        beside: what may stand beside them where they are written, for the error.
 
     Raises:
         InvalidValueError: an unknown or missing setting, or a value that the class refuses.
@@ -68,7 +71,7 @@ def configured(kind: type[Estimator], settings: Mapping[str, Any], field: str) -
     known = [a.name for a in arguments if a.kind in (a.POSITIONAL_OR_KEYWORD, a.KEYWORD_ONLY)]
     any_name = any(a.kind is a.VAR_KEYWORD for a in arguments)
     if (unknown := sorted(set(settings) - set(known))) and not any_name:
-        allowed = f"settings method, {', '.join(known)}{nearest(unknown[0], known)}"
+        allowed = f"settings {', '.join([*beside, *known])}{nearest(unknown[0], known)}"
         raise InvalidValueError(field, ", ".join(unknown), allowed)
     if missing := [a.name for a in arguments if a.name in known and a.default is a.empty and a.name not in settings]:
         raise InvalidValueError(field, dict(settings), f"settings {', '.join(missing)} as well: they have no default")

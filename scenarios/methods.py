@@ -43,7 +43,8 @@ def build_method(label: str, settings: Mapping[str, Any]) -> Estimator:
         InvalidValueError: unknown method or setting, or a value out of range.
     """
     kind = _class_of(kind_of(label, settings))
-    return configured(kind, {key: v for key, v in settings.items() if key != "method"}, f"methods.{label}")
+    own = {key: value for key, value in settings.items() if key != "method"}
+    return configured(kind, own, f"methods.{label}", ("method",))
 
 
 def code_of(name: str) -> dict[str, str]:

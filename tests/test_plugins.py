@@ -118,7 +118,7 @@ def test_what_is_no_estimator_is_refused_in_a_scenario_and_on_the_command_line(p
         (
             "Even",
             {"fricton": 0.3},
-            r"mine: got 'fricton'; allowed: settings method, friction, times \(nearest: friction\)",
+            r"mine: got 'fricton'; allowed: settings friction, times \(nearest: friction\)",
         ),
         ("Even", {"friction": 3.0}, r"friction is not from 0 to 2"),
         ("Even", {"friction": {}}, r"values of the settings' types"),

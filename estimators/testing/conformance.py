@@ -1,4 +1,4 @@
-"""What every estimator must do: run on each of them, our own and others'."""
+"""What every estimator must do, heft's own and others'. Each rule raises an AssertionError where it is broken."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.testing import assert_allclose
 
-from estimators.protocol import Estimator
+from estimators.protocol import Estimate, Estimator
 from estimators.testing.analytic_world import accelerated, drawn_object, turns
 from testbed.actions import Rotate
 from testbed.blocks import block_object, parse_layout
@@ -46,9 +46,11 @@ def data(obj: ObjectModel) -> list[Trajectory]:
 
 
 def answers_in_the_shapes_groups(estimator: Estimator, draw: Draw = drawn_object) -> None:
+    """Enough clean trials get status ok, one mass a mass group, one friction a friction group, and the time it took."""
     obj = draw(0)
     answer = estimator.estimate(obj.shape, obj.total_mass, data(obj), 0)
-    assert answer.status == "ok"
+    assert isinstance(answer, Estimate), "estimate() returns an Estimate of estimators.protocol"
+    assert answer.status == "ok", answer.message
     assert answer.distribution is not None
     assert answer.distribution.mass.shape == (obj.shape.n_m,)
     assert answer.distribution.friction.shape == (obj.shape.n_mu,)
@@ -57,6 +59,7 @@ def answers_in_the_shapes_groups(estimator: Estimator, draw: Draw = drawn_object
 
 
 def gives_the_same_answer_to_the_same_seed(estimator: Estimator, draw: Draw = drawn_object) -> None:
+    """The same trials and seed give the same masses and frictions, to the last bit."""
     obj = draw(1)
     first, second = (estimator.estimate(obj.shape, obj.total_mass, data(obj), 7).distribution for _ in range(2))
     assert first is not None
@@ -66,6 +69,7 @@ def gives_the_same_answer_to_the_same_seed(estimator: Estimator, draw: Draw = dr
 
 
 def doubles_the_masses_when_all_wrenches_double(estimator: Estimator, draw: Draw = drawn_object) -> None:
+    """Twice the weight and twice every wrench is twice every mass, at the same friction."""
     obj = draw(1)
     twice = [replace(t, wrench_on_object_world=2 * t.wrench_on_object_world) for t in data(obj)]
     once = estimator.estimate(obj.shape, obj.total_mass, data(obj), 0).distribution
@@ -77,6 +81,7 @@ def doubles_the_masses_when_all_wrenches_double(estimator: Estimator, draw: Draw
 
 
 def does_not_care_for_the_order_of_particles(estimator: Estimator, draw: Draw = drawn_object) -> None:
+    """Particles in another order are the same object."""
     _order_does_not_count(estimator, draw(0), np.arange(draw(0).shape.n_m))
 
 
@@ -104,6 +109,7 @@ def _order_does_not_count(estimator: Estimator, obj: ObjectModel, groups: np.nda
 
 
 def takes_extra_trajectories(estimator: Estimator, draw: Draw = drawn_object) -> None:
+    """Trials given twice, and one that did not end well, are no obstacle."""
     obj = draw(2)
     failed = replace(data(obj)[0], status="slipped", reason="it slipped")
     answer = estimator.estimate(obj.shape, obj.total_mass, [*data(obj), failed, *data(obj)[::-1]], 0)
@@ -111,14 +117,16 @@ def takes_extra_trajectories(estimator: Estimator, draw: Draw = drawn_object) ->
 
 
 def says_so_when_there_is_too_little(estimator: Estimator, draw: Draw = drawn_object) -> None:
+    """No trial, or a single turn, is no answer: a status other than ok, and why in words."""
     obj = draw(0)
     for too_little in ([], turns(obj)[:1]):
         answer = estimator.estimate(obj.shape, obj.total_mass, too_little, 0)
-        assert answer.status != "ok"
+        assert answer.status != "ok", f"{len(too_little)} trial(s) got status ok"
         assert answer.message
 
 
 def traces_its_way(estimator: Estimator, draw: Draw = drawn_object) -> None:
+    """A trace has a loss and a time for every iteration, and masses where it has any."""
     obj = draw(0)
     answer = estimator.estimate(obj.shape, obj.total_mass, data(obj), 0)
     for trace in answer.traces:
@@ -132,6 +140,7 @@ def traces_its_way(estimator: Estimator, draw: Draw = drawn_object) -> None:
 
 
 def refuses_trials_of_another_shape(estimator: Estimator, draw: Draw = drawn_object) -> None:
+    """A trial of a grasp that the shape has not is refused by name."""
     obj = draw(0)
     good = data(obj)
     beyond = replace(good[0], action=Rotate(len(obj.shape.grasps), duration=2.5))
@@ -151,7 +160,7 @@ def does_not_hide_that_trajectories_contradict_each_other(estimator: Estimator, 
     for trials in (data(obj) + opposed(obj), data(obj) + of_another(obj)):
         answer = estimator.estimate(obj.shape, obj.total_mass, trials, 0)
         misfit = answer.diagnostics.get("misfit", answer.diagnostics.get("loss", 0.0))
-        assert answer.status != "ok" or misfit > 30
+        assert answer.status != "ok" or misfit > 30, f"status ok, diagnostics {answer.diagnostics}"
 
 
 def opposed(obj: ObjectModel) -> list[Trajectory]:

@@ -56,6 +56,10 @@ class KnownBlock:
         """Object and support, such as L2-rigid."""
         return f"{self.model.name}-{self.support}"
 
+    def weighed(self, sensing: str, seed: int = 0) -> float:
+        """M as a scale with this preset's error reads it, kg."""
+        return self.model.total_mass + preset(sensing).scale * np.random.default_rng([seed, 1]).standard_normal()
+
     def trials(self, sensing: str, seed: int = 0) -> list[Trajectory]:
         """The trials as one draw of a sensor's errors has them.
 
@@ -88,7 +92,7 @@ def load_block(name: str) -> KnownBlock:
     trials = []
     for index, said in enumerate(header["trials"]):
         here = columns["trial"] == index
-        series = {
+        series: dict[str, Any] = {
             key: np.stack([columns[f"{key}.{i}"][here] * quantum for i, quantum in enumerate(quanta)], axis=1)
             for key, quanta in _QUANTA.items()
         }

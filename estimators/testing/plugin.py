@@ -1,0 +1,89 @@
+"""The pytest plugin: options that name an estimator, and known blocks as fixtures for tests of one's own.
+
+Every pytest loads this where heft is installed, so it imports nothing of heft until it is asked for.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+if TYPE_CHECKING:
+    from estimators.protocol import Estimator
+    from estimators.testing.recorded import KnownBlock
+    from testbed.trajectory import Trajectory
+
+BLOCKS = sorted(path.stem for path in (Path(__file__).parent / "blocks").glob("*.parquet"))
+SENSORS = ("ideal", "ft300s", "low", "moderate", "high")
+_ASKED = pytest.StashKey[Any]()
+
+pytest.register_assert_rewrite("estimators.testing.conformance")
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """What is tested, and what is asked of it."""
+    group = parser.getgroup("heft", "an estimator held to heft's rules: pytest --pyargs estimators.testing")
+    group.addoption("--estimator", metavar="PACKAGE:CLASS", help="the estimator; or the name of its entry point")
+    group.addoption("--estimator-settings", metavar="TOML", default="", help='as "iterations = 60, use_weight = true"')
+    group.addoption(
+        "--estimator-support",
+        choices=("own_weight", "rigid", "both"),
+        default="both",
+        help="who carries the weight of the blocks that it claims to know (default: both)",
+    )
+    group.addoption(
+        "--estimator-slack", metavar="X", type=float, default=1.0, help="factor on the NAD that is allowed (default: 1)"
+    )
+    group.addoption(
+        "--estimator-small", action="store_true", help="hold the rules against small objects, where it takes long"
+    )
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Build the estimator before anything runs: what is wrong with it is one line."""
+    name = config.getoption("--estimator")
+    if name is None:
+        return
+    import torch  # noqa: PLC0415
+
+    from estimators.plugins import configured, installed, load_estimator  # noqa: PLC0415
+    from testbed.errors import InvalidValueError  # noqa: PLC0415
+
+    torch.set_num_threads(1)
+    try:
+        settings = tomllib.loads(f"of = {{ {config.getoption('--estimator-settings')} }}")["of"]
+        kind = load_estimator(str(installed().get(name, name)), "--estimator")
+        config.stash[_ASKED] = configured(kind, settings, "--estimator-settings")
+    except (InvalidValueError, tomllib.TOMLDecodeError) as error:
+        raise pytest.UsageError(str(error)) from None
+
+
+@pytest.fixture(scope="session")
+def estimator(pytestconfig: pytest.Config) -> Estimator:
+    """The estimator that `--estimator` names."""
+    if _ASKED not in pytestconfig.stash:
+        pytest.exit("which estimator? --estimator package:Class", returncode=pytest.ExitCode.USAGE_ERROR)
+    return pytestconfig.stash[_ASKED]
+
+
+@pytest.fixture(scope="session", params=BLOCKS)
+def known_block(request: pytest.FixtureRequest) -> KnownBlock:
+    """A known block; each in turn, or those named with `parametrize("known_block", [...], indirect=True)`."""
+    from estimators.testing.recorded import load_block  # noqa: PLC0415
+
+    return load_block(request.param)
+
+
+@pytest.fixture(scope="session", params=SENSORS)
+def sensing(request: pytest.FixtureRequest) -> str:
+    """A sensing preset; each in turn, or those named with `parametrize("sensing", [...], indirect=True)`."""
+    return request.param
+
+
+@pytest.fixture
+def recorded_trials(known_block: KnownBlock, sensing: str) -> list[Trajectory]:
+    """The known block's trials as that sensor would have given them: what an estimator is given."""
+    return known_block.trials(sensing)

@@ -1,0 +1,71 @@
+"""Whether an estimator recovers a known block, or says that it cannot."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from estimators.metrics import normalized_absolute_difference
+from estimators.protocol import Estimate, Estimator
+from estimators.rank_driven import planned_rank
+from estimators.testing.recorded import KnownBlock
+from testbed.actions import Rotate
+from testbed.trajectory import Trajectory
+
+ALLOWED = {"ideal": 0.08, "low": 0.1, "moderate": 0.1, "ft300s": 0.1, "high": 0.2}
+"""NAD that an answer of status ok may have under each preset, a part of 1."""
+
+
+def recovers(
+    estimator: Estimator, block: KnownBlock, sensing: str, trials: Sequence[Trajectory], slack: float = 1.0
+) -> None:
+    """An answer of status ok is right; any other status says why in a sentence.
+
+    On its own weight, to a perfect sensor, a block whose trials show every mass has an answer and must be given one.
+
+    Args:
+        estimator: what is tested.
+        block: the truth.
+        sensing: preset of the trials.
+        trials: what the estimator is given.
+        slack: factor on `ALLOWED`.
+
+    Raises:
+        AssertionError: with a sentence on what was answered and what is allowed.
+    """
+    model, limit = block.model, slack * ALLOWED[sensing]
+    answer = estimator.estimate(model.shape, block.weighed(sensing), list(trials), 0)
+    assert isinstance(answer, Estimate), f"estimate() gave a {type(answer).__name__}, not an Estimate"
+    where = f"{model.name}, {block.support}, sensing {sensing}"
+    if answer.status != "ok":
+        assert answer.message, f"{where}: status {answer.status} without a message"
+        must = sensing == "ideal" and block.support == "own_weight" and shows_every_mass(block)
+        assert not must, f"{where}: status {answer.status} ({answer.message}), where these trials show every mass"
+        return
+    assert answer.distribution is not None, f"{where}: status ok without a mass distribution"
+    nad = normalized_absolute_difference(model.shape, answer.distribution, model.truth)
+    assert nad <= limit, _told(where, answer, block, nad, limit)
+
+
+def shows_every_mass(block: KnownBlock) -> bool:
+    """Whether the turns have full rank and there is one friction, so that the masses follow where M is known."""
+    turns = [trial.action for trial in block.clean if isinstance(trial.action, Rotate)]
+    return block.model.shape.n_mu == 1 and planned_rank(block.model.shape, turns) == block.model.shape.n_m
+
+
+def _told(where: str, answer: Estimate, block: KnownBlock, nad: float, limit: float) -> str:
+    shape = block.model.shape
+    assert answer.distribution is not None
+    found = answer.distribution.mass * shape.particles_per_group
+    masses = ", ".join(
+        f"{name} {mine:.3f} ({true:.3f})"
+        for name, mine, true in zip(shape.group_names, found, block.model.group_mass, strict=True)
+    )
+    frictions = ", ".join(f"{mine:.2f}" for mine in answer.distribution.friction)
+    true_frictions = ", ".join(f"{mu:.2f}" for mu in block.model.truth.friction)
+    hint = f"status ok claims no more than {100 * limit:.0f} %"
+    if block.support == "rigid":
+        hint += "; friction under one rigid body shows M and its centre alone: say so, or claim own_weight only"
+    return (
+        f"{where}: NAD {100 * nad:.1f} %; {hint}\n"
+        f"  masses, kg (truth): {masses}\n  friction (truth): {frictions} ({true_frictions})"
+    )

@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from scenarios.robot_file import load_robot_file, sensor_port
 from scenarios.robot_sensor import reading
+from testbed.arrays import check_positive
 from testbed.errors import HeftError
 from testbed.robot.calibration import CalibrationError, StaticPose, calibrate, in_words, static_pose
 from testbed.robot.calibration_file import save_calibration
@@ -28,8 +29,10 @@ def calibrate_sensor(config: Path, seconds: float) -> None:
     """Take poses until a person has had enough, then say and save what they mean.
 
     Raises:
+        InvalidValueError: a time that is not above 0.
         RobotError: sensor or arm cannot be reached, or the poses do not settle it.
     """
+    check_positive("--seconds", seconds)
     file = load_robot_file(config)
     where = config.parent / file.sensor.calibration
     with ExitStack() as stack:

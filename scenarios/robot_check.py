@@ -60,8 +60,9 @@ def _lines(config: Path) -> Iterator[Line]:
     yield Line(
         "kortex_api", "missing" if lack else "ok", lack or "can be imported by the process that speaks to the arm"
     )
-    yield from _sensor(file)
-    yield from _calibration(file, config)
+    serial: list[str] = []
+    yield from _sensor(file, serial)
+    yield from _calibration(file, config, *serial)
     yield from _arm(file, can_connect=not lack)
     box = file.limits
     spans = ", ".join(f"{axis} {a:g} to {b:g}" for axis, a, b in zip("xyz", box.low_m, box.high_m, strict=True))
@@ -75,7 +76,8 @@ def _package(name: str, hint: str, *, needed: bool) -> Line:
         return Line(name, "missing" if needed else "note", f"not installed: {hint}")
 
 
-def _sensor(file: RobotFile) -> Iterator[Line]:
+def _sensor(file: RobotFile, serial: list[str]) -> Iterator[Line]:
+    """Its serial number goes to `serial` where it answers."""
     try:
         from testbed.robot.ft300s import Ft300s  # noqa: PLC0415
         from testbed.robot.serial_ports import usb_serial_ports  # noqa: PLC0415
@@ -87,13 +89,14 @@ def _sensor(file: RobotFile) -> Iterator[Line]:
         yield Line(
             "sensor",
             "missing",
-            f"sensor.port is not in the config; USB serial ports: {found or 'none: plug in the USB adapter'}",
+            f'no [sensor] port = "..." in the config; USB serial ports: {found or "none: plug in the USB adapter"}',
         )
         return
     try:
         with Ft300s(file.sensor.port) as sensor:
             time.sleep(1.0)
             health, identity = sensor.health(), sensor.identity
+            serial.append(identity.serial)
             said = f"{identity.name} {identity.serial}, firmware {identity.firmware}, {health.frames} frames in 1 s"
             yield Line("sensor", "ok" if health.frames > 90 else "missing", said)
             for warning in sensor.warnings:
@@ -102,15 +105,20 @@ def _sensor(file: RobotFile) -> Iterator[Line]:
         yield Line("sensor", "missing", str(error))
 
 
-def _calibration(file: RobotFile, config: Path) -> Iterator[Line]:
-    calibration = calibration_of(file, config)
+def _calibration(file: RobotFile, config: Path, serial: str | None = None) -> Iterator[Line]:
     where = config.parent / file.sensor.calibration
+    try:
+        calibration = calibration_of(file, config, serial)
+    except HeftError as error:
+        yield Line("calibration", "missing", str(error).replace("\n", "; "))
+        return
     if calibration is None:
         yield Line("calibration", "missing", f"no {where}: heft robot calibrate makes it")
         return
     mass = f"sign {calibration.sign:+d}, tool {calibration.mass:.3f} +- {calibration.mass_std:.3f} kg"
     bad = calibration.misfit > MISFIT
-    yield Line("calibration", "note" if bad else "ok", f"{where}: {mass}, misfit {calibration.misfit:.1f}")
+    worse = f"; allowed: {MISFIT:g}: calibrate again" if bad else ""
+    yield Line("calibration", "note" if bad else "ok", f"{where}: {mass}, misfit {calibration.misfit:.1f}{worse}")
 
 
 def _arm(file: RobotFile, *, can_connect: bool) -> Iterator[Line]:

@@ -15,10 +15,14 @@ Seconds = Annotated[float, tyro.conf.arg(metavar="S")]
 def check(*, config: Config = Path("robot.toml")) -> None:
     """Say what of the real bench is there, what is missing, and what to do about it. Moves nothing.
 
+    The bench is described by a file, robot.toml in the current folder: where its sensor, arm and table are, and what
+    must never be done. docs/hardware.md has every field and the way from here to a first trial, step by step.
+
     Exit code: 0 all that a trial needs is there, 1 something is missing.
+    Example: heft robot check --config benches/left.toml
 
     Args:
-        config: of the bench; its defaults where there is no such file.
+        config: of the bench; without a robot.toml, its defaults.
     """
     from rich.console import Console  # noqa: PLC0415
 
@@ -37,13 +41,16 @@ def sensor(
 ) -> None:
     """Show the FT-300S live in Rerun, or as a line a second; or check it against a known mass. Moves nothing.
 
-    Exit code: 1 where it disagrees with the mass.
+    Numbers are mean +- standard deviation over a second, forces then torques, with the sensor's own zero and sign.
+    Exit code: 1 where it disagrees with the mass, or loses more than one frame in a hundred.
+    Examples: heft robot sensor --port /dev/ttyUSB0 --no-viewer --seconds 5
+              heft robot sensor --mass 2
 
     Args:
         config: of the bench; only its sensor is used.
         port: device file of the sensor, instead of the config's.
-        seconds: how long.
-        mass: a known mass: asked for, weighed, and compared.
+        seconds: how long to show it.
+        mass: a known mass to hang from the tool: asked for, weighed, and compared.
         viewer: Rerun; without it, or where none can open, numbers.
     """
     from scenarios.robot_sensor import show_sensor  # noqa: PLC0415
@@ -55,10 +62,11 @@ def calibrate(*, config: Config = Path("robot.toml"), seconds: Seconds = 3.0) ->
     """Find how the sensor sits, its sign, and what the tool weighs. Moves nothing: you move the arm, by its joystick.
 
     Bring the arm into six or more poses, tilted by 30 degrees and more about two axes and both ways, one of them upside
-    down or level; at each, wait until it stands and press Enter.
+    down or level; at each, wait until it stands and press Enter. From the sixth on it says how well all is known. The
+    result goes to calibration.toml beside the bench's file, for this sensor and what hangs from it alone.
 
     Args:
-        config: of the bench; names the file to write.
+        config: of the bench; names the file to write ([sensor] calibration).
         seconds: of measuring in each pose.
     """
     from scenarios.robot_calibrate import calibrate_sensor  # noqa: PLC0415
@@ -71,7 +79,7 @@ def trial(
     *,
     action: Literal["rotate", "slide", "accelerate", "weigh"] = "rotate",
     grasp: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None,
-    seconds: Seconds | None = None,
+    seconds: Annotated[float | None, tyro.conf.arg(metavar="S")] = None,
     speed: Annotated[float | None, tyro.conf.arg(metavar="V")] = None,
     pivot: Annotated[tuple[float, float] | None, tyro.conf.arg(metavar="X Y")] = None,
     direction: Annotated[float, tyro.conf.arg(metavar="DEG")] = 0.0,
@@ -86,6 +94,10 @@ def trial(
     """Run one trial on the real arm and store it. The motion is shown, and made only after you have typed yes.
 
     Exit code: 1 where the trial is no data.
+    Examples: heft robot trial L2 --grasp A2 --dry-run
+              heft robot trial L2 --grasp A2 --speed 5 --seconds 2 --out results/lab
+              heft robot trial L2 --action weigh --weight 1.8 --out results/lab
+              heft estimate results/lab
 
     Args:
         object_: name in the library, or path to a TOML file.
@@ -98,7 +110,7 @@ def trial(
         back: turn back again in the same grasp.
         at: where the object's middle lies, m, and how it is turned, base frame of the arm; where it must be put for the
             simulated bench's path if left out.
-        weight: what a scale said; --action weigh then moves nothing.
+        weight: what a scale said, with --action weigh; nothing moves then.
         support: who carries the object's weight, as far as you know; kept with the record.
         config: of the bench.
         out: results folder.

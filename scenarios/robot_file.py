@@ -175,10 +175,15 @@ def load_robot_file(path: Path) -> RobotFile:
     return RobotFile()
 
 
-def calibration_of(file: RobotFile, path: Path) -> Calibration | None:
-    """The calibration that the file names, beside it; None where there is none yet."""
+def calibration_of(file: RobotFile, path: Path, sensor: str | None = None) -> Calibration | None:
+    """The calibration that the file names, beside it; None where there is none yet.
+
+    Raises:
+        InvalidFileError: it is not such a file.
+        InvalidValueError: it was made with another sensor than the one of this serial number.
+    """
     where = path.parent / file.sensor.calibration
-    return load_calibration(where) if where.is_file() else None
+    return load_calibration(where, sensor) if where.is_file() else None
 
 
 def sensor_port(file: RobotFile) -> str:
@@ -189,6 +194,8 @@ def sensor_port(file: RobotFile) -> str:
     """
     if file.sensor.port is None:
         raise InvalidValueError(
-            "sensor.port", None, "a device file, as /dev/serial/by-id/...; heft robot check lists them"
+            "sensor.port",
+            None,
+            '[sensor] port = "/dev/serial/by-id/..." in robot.toml; heft robot check lists the ports there are',
         )
     return file.sensor.port

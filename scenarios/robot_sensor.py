@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from scenarios.robot_file import load_robot_file, sensor_port
+from testbed.arrays import check_positive
 from testbed.robot.ft300s import Ft300s
 from testbed.robot.ports import WrenchSensor
 from testbed.robot.weighing import check_known_mass, weigh
@@ -19,7 +20,15 @@ _WEIGHING_TIME = 3.0
 
 
 def show_sensor(config: Path, port: str | None, seconds: float, mass: float | None, *, viewer: bool) -> int:
-    """Show the sensor, or check it against a mass (kg); 0 where all is well, else 1."""
+    """Show the sensor, or check it against a mass (kg); 0 where all is well, else 1.
+
+    Raises:
+        InvalidValueError: a time or a mass that is not above 0.
+        RobotError: the sensor cannot be reached.
+    """
+    check_positive("--seconds", seconds)
+    if mass is not None:
+        check_positive("--mass", mass)
     with Ft300s(port or sensor_port(load_robot_file(config))) as sensor:
         identity = sensor.identity
         print(f"{identity.name}, serial {identity.serial}, firmware {identity.firmware}, {identity.rate_hz:g} Hz")

@@ -14,6 +14,7 @@ from estimators.rank_driven import between_particles
 from scenarios.robot_file import RobotFile, calibration_of, load_robot_file, sensor_port
 from scenarios.store import Store, key_of, object_request
 from testbed.actions import Accelerate, Action, Rotate, Slide, Weigh, action_to_dict
+from testbed.arrays import check_positive
 from testbed.errors import InvalidValueError
 from testbed.object_files import load_object
 from testbed.objects import ObjectShape
@@ -21,8 +22,8 @@ from testbed.robot.assembly import read_off
 from testbed.robot.kortex_arm import KortexArm
 from testbed.robot.kortex_gripper import KortexGripper
 from testbed.robot.plan import described, plan_trial, starting_pose, weighing_grasp
+from testbed.robot.ports import WrenchSensor
 from testbed.robot.runner import RealRunner
-from testbed.robot.settings import RobotSettings
 from testbed.simulation.runner import SimulationRunner
 from testbed.trajectory import SCHEMA_VERSION, Trajectory
 from testbed.trial import Trial, parse_support
@@ -60,6 +61,10 @@ class Placed:
 def run_trial(name: str, asked: Asked, config: Path, out: Path, *, dry_run: bool) -> int:
     """Plan and, if it is not a dry run and a person says yes, run one trial; 0 where it is data, else 1."""
     file, model = load_robot_file(config), load_object(name)
+    if asked.weight is not None:
+        check_positive("--weight", asked.weight)
+        if asked.action != "weigh":
+            raise InvalidValueError("--weight", asked.weight, "a weight with --action weigh alone")
     trial = Trial(model, action_of(asked, model.shape), parse_support(asked.support))
     if isinstance(trial.action, Weigh) and asked.weight is not None:
         return _stored(read_off(asked.weight), trial, file, out)
@@ -74,7 +79,10 @@ def run_trial(name: str, asked: Asked, config: Path, out: Path, *, dry_run: bool
     if calibration is None:
         where = config.parent / file.sensor.calibration
         raise InvalidValueError("sensor.calibration", str(where), "a file that heft robot calibrate has made")
-    with _runner(file, settings, placed, port=sensor_port(file)) as runner:
+    sensor = _sensor(sensor_port(file))
+    arm = KortexArm(file.kortex())
+    with RealRunner(arm, KortexGripper(arm), sensor, placed, settings, confirm=_confirmed) as runner:
+        calibration_of(file, config, sensor.identity.serial)
         return _stored(runner.run(trial), trial, file, out)
 
 
@@ -126,11 +134,10 @@ def _width(trial: Trial) -> float:
     return (weighing_grasp(shape) if isinstance(action, Weigh) else shape.grasps[action.grasp]).width
 
 
-def _runner(file: RobotFile, settings: RobotSettings, placed: Placed, port: str) -> RealRunner:
+def _sensor(port: str) -> WrenchSensor:
     from testbed.robot.ft300s import Ft300s  # noqa: PLC0415  a dry run needs no driver
 
-    arm = KortexArm(file.kortex())
-    return RealRunner(arm, KortexGripper(arm), Ft300s(port), placed, settings, confirm=_confirmed)
+    return Ft300s(port)
 
 
 def _confirmed(motion: str) -> bool:

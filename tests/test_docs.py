@@ -22,10 +22,24 @@ from estimators.protocol import Estimate, Trace
 from scenarios.cli import main
 from scenarios.drawn_objects import Family
 from scenarios.methods import METHODS
+from scenarios.robot_file import RobotFile
 from scenarios.schema import Grid, Policy, Scenario, Simulation, Sweep, Truth, load_scenario
 from scenarios.store import Store
-from testbed.object_files import Blocks, Mesh, MeshGrasp, MeshPart, ObjectFile, load_object
+from testbed.lab_logs.mapping import (
+    HandMap,
+    JointMap,
+    LogMap,
+    Mapping,
+    PhaseWindow,
+    SensorMap,
+    TimeMap,
+    ToolMap,
+    VelocityMap,
+)
+from testbed.lab_logs.units import FACTORS
+from testbed.object_files import Blocks, Mesh, MeshGrasp, MeshPart, ObjectFile, load_object, load_toml
 from testbed.objects import MassDistribution
+from testbed.robot.calibration_file import CalibrationFile
 from testbed.sensing import PRESETS
 from testbed.trajectory import SCHEMA_VERSION, Phase, save_trajectory
 
@@ -48,7 +62,19 @@ SECTIONS: dict[str, type[BaseModel]] = {
     "simulation": Simulation,
     "truth": Truth,
     "sweep": Sweep,
+    "Fields of a calibration": CalibrationFile,
+    "Top of a mapping file": Mapping,
+    "mapping.time": TimeMap,
+    "mapping.sensor": SensorMap,
+    "mapping.hand": HandMap,
+    "mapping.tool": ToolMap,
+    "mapping.velocity": VelocityMap,
+    "mapping.joints": JointMap,
+    "mapping.phases": PhaseWindow,
+    "mapping.logs": LogMap,
 }
+OTHER_FILES: dict[str, type[BaseModel]] = {"bench": RobotFile, "calibration": CalibrationFile, "mapping": Mapping}
+"""Marks of blocks that are files of these kinds."""
 
 
 @dataclass(frozen=True)
@@ -134,8 +160,12 @@ def test_every_toml_block_loads(block, inside, tmp_path):
         path = inside / block.title
         path.write_text(block.text, encoding="utf-8")
         assert load_object(path).name == path.stem
+    elif block.mark in OTHER_FILES:
+        path = tmp_path / block.title
+        path.write_text(block.text, encoding="utf-8")
+        load_toml(path, OTHER_FILES[block.mark])
     else:
-        assert block.mark == "scenario", "mark the block as <!-- object --> or <!-- scenario -->"
+        assert block.mark == "scenario", "mark the block as object, scenario, bench, calibration or mapping"
         path = tmp_path / block.title
         path.write_text(block.text, encoding="utf-8")
         _, scenario = load_scenario(str(path))
@@ -180,6 +210,8 @@ def test_every_command_is_understood(page, line, inside, monkeypatch):
         monkeypatch.setattr(f"scenarios.watch_run.{name}", lambda *_: ran.append("watch"))
     for name in ("check.check_bench", "sensor.show_sensor", "calibrate.calibrate_sensor", "trial.run_trial"):
         monkeypatch.setattr(f"scenarios.robot_{name}", lambda *_, **__: ran.append("robot"))
+    monkeypatch.setattr("scenarios.import_run.import_logs", lambda *_: ran.append("import"))
+    monkeypatch.setattr("scenarios.estimate_run.estimate_recorded", lambda *_: ran.append("estimate"))
     words = line.split()[1:]
     if words[0].startswith("--tyro-"):
         words[-1] = str(inside / "completion")
@@ -223,7 +255,7 @@ def test_every_link_leads_somewhere(page, target):
 def bounds(kind: Any, metadata: list[Any]) -> str:
     """Bounds of a number as the tables write them; empty where there are none."""
     for part in get_args(kind):  # X | None keeps the bounds of X within
-        metadata = metadata + [m for inner in getattr(part, "__metadata__", ()) for m in inner.metadata]
+        metadata = metadata + [m for inner in getattr(part, "__metadata__", ()) for m in getattr(inner, "metadata", ())]
     signs = {annotated_types.Gt: "> {0.gt}", annotated_types.Ge: ">= {0.ge}"}
     signs |= {annotated_types.Lt: "< {0.lt}", annotated_types.Le: "<= {0.le}"}
     return ", ".join(signs[type(m)].format(m) for m in metadata if type(m) in signs)
@@ -272,6 +304,11 @@ def test_sensors_are_the_presets():
         for said, noise in zip(row[1:3], (preset.force_noise, preset.torque_noise), strict=True):
             assert said == ", ".join(f"{x:g}" for x in (noise if len(set(noise)) > 1 else noise[:1]))
         assert row[3:] == [f"{preset.force_bias:g}", f"{preset.torque_bias:g}"]
+
+
+def test_units_of_logs_are_those_that_are_known():
+    rows = table("formats.md", "Units")
+    assert {row[0]: re.findall(r"`([^`]+)`", row[1]) for row in rows} == {q: [*units] for q, units in FACTORS.items()}
 
 
 def test_columns_of_results_are_those_of_the_docstring():

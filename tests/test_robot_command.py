@@ -83,7 +83,7 @@ def test_a_check_without_hardware_says_what_is_missing_and_what_to_do(folder, ca
     assert lines["pyserial"].startswith("ok")
     assert "pip install https://artifactory" in lines["kortex_api"]
     assert "HEFT_KORTEX_PYTHON" in lines["kortex_api"]
-    assert "sensor.port is not in the config" in lines["sensor"]
+    assert 'no [sensor] port = "..." in the config' in lines["sensor"]
     assert "heft robot calibrate makes it" in lines["calibration"]
     assert "Connection refused; power it" in lines["arm"]
     assert said.splitlines()[-1].startswith("4 missing")
@@ -218,6 +218,38 @@ def test_a_scales_reading_is_stored_and_moves_nothing(folder, capsys):
     assert ended("trial", "L2", "--action", "weigh", "--weight", "1.8", "--out", "out") == 0
     assert capsys.readouterr().out.startswith("ok")
     assert len(ReplayRunner(folder / "out").recordings) == 1
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (
+            ("sensor", "--port", "/dev/ttyNONE"),
+            "sensor /dev/ttyNONE: cannot be opened: no such device; USB serial ports: ",
+        ),
+        (("sensor", "--port", __file__), "cannot be opened: no serial port; USB serial ports: "),
+        (("sensor",), 'sensor.port: got None; allowed: [sensor] port = "/dev/serial/by-id/..." in robot.toml'),
+        (("sensor", "--port", "x", "--mass", "0"), "--mass: got 0.0; allowed: a finite number > 0"),
+        (("sensor", "--port", "x", "--seconds", "nan"), "--seconds: got nan; allowed: a finite number > 0"),
+        (("calibrate", "--seconds", "-1"), "--seconds: got -1.0; allowed: a finite number > 0"),
+        (("check", "--config", "mine.toml"), "config: got 'mine.toml'; allowed: a path to an existing .toml file"),
+        (("trial", "L2", "--action", "weigh", "--weight", "-1"), "--weight: got -1.0; allowed: a finite number > 0"),
+        (("trial", "L2", "--weight", "1.8"), "--weight: got 1.8; allowed: a weight with --action weigh alone"),
+    ],
+)
+def test_bad_input_is_one_clear_line(folder, capsys, words, said):
+    assert ended(*words) == 2
+    told = capsys.readouterr().err
+    assert said in told
+    assert len(told.splitlines()) == 1
+
+
+def test_a_calibration_of_another_sensor_is_told(folder, capsys):
+    save_calibration(folder / "calibration.toml", straight(), "FSC-9", "2026-01-01")
+    with FakeFt300s() as sensor:
+        (folder / "robot.toml").write_text(f'{NOBODY}[sensor]\nport = "{sensor.port}"\n', encoding="utf-8")
+        assert ended("check") == 1
+    assert "missing calibration: calibration.toml: sensor: got 'FSC-9'; allowed: FSC-1234" in capsys.readouterr().out
 
 
 def test_without_a_calibration_nothing_moves(folder, capsys):

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import re
+import sys
 from pathlib import Path
 
 import pytest
@@ -43,3 +45,33 @@ def test_every_option_of_a_trial_is_told(capsys):
         main(["robot", "trial", "--help"])
     options = set(re.findall(r"--[a-z][a-z-]+", capsys.readouterr().out)) - {"--help", "--no-back", "--no-dry-run"}
     assert options == {name.strip("`").split()[0] for name, *_ in rows("The commands")}
+
+
+@pytest.mark.parametrize("command", ["import", "estimate"])
+def test_every_option_of_the_commands_for_measured_data_is_told(command, capsys):
+    page = (Path(__file__).parent.parent / "docs" / "command_line.md").read_text(encoding="utf-8")
+    with pytest.raises(SystemExit):
+        main([command, "--help"])
+    options = set(re.findall(r"--[a-z][a-z-]+", capsys.readouterr().out)) - {"--help"}
+    said = page.split(f"## heft {command}\n")[1].split("\n## ")[0]
+    assert options == set(re.findall(r"^\| `(--[a-z-]+)", said, re.MULTILINE))
+
+
+def test_the_shown_check_is_what_is_printed_without_hardware(tmp_path, monkeypatch, capsys):
+    def nobody(*_: object) -> None:
+        raise OSError(errno.EHOSTUNREACH, "No route to host")
+
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.delenv("HEFT_KORTEX_PYTHON", raising=False)
+    monkeypatch.setattr("socket.create_connection", nobody)
+    monkeypatch.setattr("testbed.robot.serial_ports.usb_serial_ports", list)
+    with pytest.raises(SystemExit, match="1"):
+        main(["robot", "check"])
+    printed = capsys.readouterr().out.replace(sys.executable, "python")
+    shown = (
+        PAGE.split("Without any hardware it says:\n\n```\n")[1].split("```")[0].replace(".venv/bin/python3", "python")
+    )
+    versions = r"(?<=: )\d+\.\d+(\.\d+)?$"
+    assert [re.sub(versions, "X", line) for line in printed.splitlines()] == [
+        re.sub(versions, "X", line) for line in shown.splitlines()
+    ]

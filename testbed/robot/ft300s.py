@@ -22,6 +22,7 @@ from testbed.robot.ports import (
     SensorLostError,
     WrenchSample,
 )
+from testbed.robot.serial_ports import why_closed
 from testbed.robot.serial_reader import SerialReader
 
 try:
@@ -99,7 +100,7 @@ class Ft300s:
             # exclusive: two readers would each get half the bytes
             self._serial = serial.Serial(self.port, BAUD, timeout=_QUIET, write_timeout=1.0, exclusive=True)
         except (OSError, ValueError) as error:
-            raise RobotError(f"sensor {self.port}: cannot be opened: {error}") from None
+            raise RobotError(f"sensor {self.port}: cannot be opened: {why_closed(self.port, error)}") from None
         try:
             self._open(self._serial)
         except OSError as error:

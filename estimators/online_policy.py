@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
 import numpy as np
+from jaxtyping import Float
 
 from estimators.candidate_actions import ActionFamily
 from estimators.design import Belief, Criterion, Design, Guess, before_trials, expected_nad
@@ -40,6 +41,8 @@ class Decision:
     """From what was felt so far; None before anything was."""
     nad: float
     """Expected of the answer as it is; a part of 1."""
+    standard_error: Float[np.ndarray, "n_m"]
+    """Of each group's mass, by all that was felt, and what is left of each turn's beginning counted, kg."""
     nad_after: float
     """Expected once the action is done."""
     supports: tuple[str, ...]
@@ -88,7 +91,8 @@ class OnlineTouches:
         done = [trajectory.action for trajectory in trajectories]
 
         def say(action: Action | None, why: str, after: float = nad, asked: Asked | None = None) -> Decision:
-            return Decision(action, why, estimate, nad, after, guess.supports, asked.rejected if asked else ())
+            rejected = asked.rejected if asked else ()
+            return Decision(action, why, estimate, nad, belief.standard_error, after, guess.supports, rejected)
 
         if self.goal.met(nad):
             return say(None, "the target is met")

@@ -206,6 +206,7 @@ def test_every_command_is_understood(page, line, inside, monkeypatch):
     monkeypatch.setattr("scenarios.figures_run.show_figures", lambda *_: ran.append("figures"))
     for name in ("list_trials", "render_trial"):
         monkeypatch.setattr(f"scenarios.render_run.{name}", lambda *_: ran.append("render"))
+    monkeypatch.setattr("scenarios.touch_run.touch", lambda *_: ran.append("touch"))
     for name in ("watch_live", "watch_record"):
         monkeypatch.setattr(f"scenarios.watch_run.{name}", lambda *_: ran.append("watch"))
     for name in ("check.check_bench", "sensor.show_sensor", "calibrate.calibrate_sensor", "trial.run_trial"):

@@ -1,0 +1,35 @@
+"""What the simulated bench says of an action, before it is planned: asked at guessed masses and friction."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from estimators.design import Guess
+from testbed.actions import Action
+from testbed.errors import InfeasibleTrialError
+from testbed.objects import ObjectModel, ObjectShape
+from testbed.simulation.runner import SimulationRunner
+from testbed.simulation.settings import SimulationSettings
+from testbed.trial import RIGID, Trial
+
+
+@dataclass(frozen=True)
+class BenchCheck:
+    """Grip, clearance, reach and joints over the whole sweep, working torques, speeds: as before a trial is run.
+
+    The truth is not known, so it is asked of an object of uniform mass: a trial may still be refused when it is run. It
+    is one rigid body here, since how it rests is no matter of the action.
+    """
+
+    shape: ObjectShape
+    guess: Guess
+    settings: SimulationSettings = field(default_factory=SimulationSettings)
+
+    def __call__(self, action: Action) -> str:
+        """Empty where the bench can do it, or why it cannot."""
+        try:
+            model = ObjectModel("guess", self.shape, self.guess.uniform(self.shape))
+            SimulationRunner(self.settings).check(Trial(model, action, RIGID))
+        except InfeasibleTrialError as error:
+            return str(error)
+        return ""

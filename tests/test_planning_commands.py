@@ -1,0 +1,89 @@
+"""`heft plan` and `heft touch`: what they print, write and refuse."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from estimators.design import Guess
+from scenarios.amounts import percent, seconds
+from scenarios.bench_check import BenchCheck
+from scenarios.cli import main
+from scenarios.plan_run import Wish, planned
+from scenarios.results import load_results
+from testbed.actions import Rotate
+from testbed.errors import InvalidValueError
+from testbed.object_files import load_object
+from testbed.sensing import preset
+
+
+def test_a_plan_is_told_and_drawn(tmp_path, capsys):
+    main(["plan", "L2", "--budget", "60s", "--candidates", "300", "--figure", str(tmp_path / "plan")])
+    said = " ".join(capsys.readouterr().out.split())
+    assert "L2, own_weight, ft300s: greedy; weighed 1.800 kg" in said
+    assert "the budget is spent" in said and "all 7 masses and frictions are seen" in said
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["plan.pdf", "plan.png"]
+
+
+def test_a_budget_too_small_for_all_is_said_with_what_stays_open(capsys):
+    main(["plan", "L2", "--budget", "20s", "--until", "1%", "--candidates", "300"])
+    said = " ".join(capsys.readouterr().out.split())
+    assert "1 touch(es)" in said and "the target of 1 % is not reached" in said and "open:" in said
+
+
+def test_planning_takes_less_than_the_papers_choice_for_the_same():
+    model = load_object("L2")
+    paper = planned(model, Wish(policy="paper", most=30))
+    nad = paper.after.expected_nad
+    greedy = planned(model, Wish(until=f"{100 * nad:.4f}%", candidates=1000, most=20))
+    assert greedy.after.expected_nad <= nad * 1.001 and greedy.seconds < paper.seconds / 2
+
+
+def test_what_cannot_be_gripped_is_told(tmp_path, capsys):
+    blocks = f'layout = ["111", "111", "111"]\nmass_kg = {[0.1] * 9}\nfriction = 0.5\n'
+    (tmp_path / "slab.toml").write_text(f'name = "slab"\n[blocks]\n{blocks}')
+    main(["plan", str(tmp_path / "slab.toml"), "--until", "5%"])
+    said = " ".join(capsys.readouterr().out.split())
+    assert "nothing to grip" in said and "the target of 5 % is not reached" in said
+
+
+def test_the_bench_says_why_it_cannot():
+    shape = load_object("L2").shape
+    guess = Guess(1.8, preset("ft300s"))
+    assert BenchCheck(shape, guess)(Rotate(0, duration=4.0, back=True)) == ""
+    assert "reach" in BenchCheck(shape, guess)(Rotate(0, pivot=(0.6, 0.0), duration=18.0))
+    assert "grip" in BenchCheck(shape, Guess(80.0, preset("ft300s")))(Rotate(0, duration=4.0))
+
+
+def test_amounts_are_read_as_typed():
+    assert (percent("5%", "x"), percent("0.05", "x"), percent(None, "x")) == (0.05, 0.05, None)
+    assert (seconds("60s", "x"), seconds("60", "x"), seconds("2min", "x"), seconds(None, "x")) == (60, 60, 120, None)
+    for wrong in ("0%", "150%", "much"):
+        with pytest.raises(InvalidValueError):
+            percent(wrong, "--until")
+    for wrong in ("0s", "-3", "soon"):
+        with pytest.raises(InvalidValueError):
+            seconds(wrong, "--budget")
+
+
+@pytest.mark.slow
+def test_an_active_run_stops_by_itself_and_is_right(tmp_path, capsys):
+    out = tmp_path / "run"
+    main(["touch", "docs/objects/T.toml", "--until", "5%", "--candidates", "600", "--out", str(out)])
+    said = capsys.readouterr().out
+    assert "stopped: the target is met" in said
+    row = load_results(out).iloc[0]
+    assert row["nad"] < 0.1 and row["object"] == "T" and len(row["trial_keys"]) >= 3
+    assert len(list((out / "trials").glob("*/trial.json"))) == len(row["trial_keys"])
+    assert (out / "recording.rrd").stat().st_size > 1000
+    main(["touch", "docs/objects/T.toml", "--until", "5%", "--candidates", "600", "--out", str(out)])
+    assert np.isclose(load_results(out).iloc[0]["nad"], row["nad"])
+
+
+@pytest.mark.slow
+def test_under_a_rigid_body_it_finds_out_and_says_what_stays_unknown(tmp_path, capsys):
+    out = tmp_path / "run"
+    main(["touch", "L2", "--support", "rigid", "--until", "2%", "--candidates", "600", "--out", str(out)])
+    said = " ".join(capsys.readouterr().out.split())
+    assert "stopped: no action teaches more" in said
+    assert "the target of 2 % is not reached" in said and "assumption_violated" in said

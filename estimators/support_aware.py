@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from estimators.hidden_states import HiddenStatesEstimator
+from estimators.lifted import LiftedRows, lifted_rows
 from estimators.mass_polytope import MassPolytope
 from estimators.material_prior import RankedAssignments, rank_assignments
 from estimators.observations import Observations, observe
@@ -29,6 +30,8 @@ MOST_SAID = 8
 @dataclass(frozen=True)
 class SupportAware:
     """Tests who carries the weight, and answers by the model that holds.
+
+    Lifts, where there are any, add what the object weighs and how it turns in the air, whoever carries it on the table.
 
     On own weight the answer is Algorithm 1's. Under one rigid body friction shows M and c only: the answer is the mean
     of all masses that agree with M, c and I_cm, its covariance says how far they reach, and the message gives their
@@ -72,14 +75,23 @@ class SupportAware:
         if own.distribution is None or observed is None:
             return own
         assert weight is not None
-        answer = self._answer(shape, weight, observed, own, seed)
+        lifted = lifted_rows(shape, weight, trajectories)
+        answer = self._answer(shape, weight, observed, lifted, own, seed)
         return replace(answer, seconds=time.perf_counter() - begin)
 
-    def _answer(self, shape: ObjectShape, weight: float, observed: Observations, own: Estimate, seed: int) -> Estimate:
-        test = support_test(shape, weight, observed, level=self.false_alarms)
+    def _answer(
+        self,
+        shape: ObjectShape,
+        weight: float,
+        observed: Observations,
+        lifted: LiftedRows,
+        own: Estimate,
+        seed: int,
+    ) -> Estimate:
+        test = support_test(shape, weight, observed, level=self.false_alarms, lifted=lifted)
         own = replace(own, diagnostics=own.diagnostics | _numbers(test))
         rigid = test.log10_bayes_factor < -DECISIVE
-        answer = self._rigid(shape, test, own, seed) if rigid else own
+        answer = self._rigid(shape, test, own, seed, felt=_felt(lifted)) if rigid else own
         if self.materials_kg or self.materials_kg_m3:
             answer = self._with_materials(shape, test.rigid if rigid else test.own_weight, answer)
         if test.violated:
@@ -88,8 +100,8 @@ class SupportAware:
             answer = self._undecided(shape, test, answer, seed)
         return answer
 
-    def _rigid(self, shape: ObjectShape, test: SupportTest, own: Estimate, seed: int) -> Estimate:
-        """The masses that agree with M, c and I_cm."""
+    def _rigid(self, shape: ObjectShape, test: SupportTest, own: Estimate, seed: int, *, felt: str) -> Estimate:
+        """The masses that agree with M, c and I_cm, or with whatever else was `felt`, in words."""
         fit, count = test.rigid, shape.particles_per_group
         polytope = MassPolytope(*fit.on_mass())
         mean, covariance = polytope.posterior(seed)
@@ -103,7 +115,7 @@ class SupportAware:
             com,
             np.zeros(0),
             (),
-            f"{shape.n_m} masses from M, c and I_cm alone, under one rigid body",
+            f"{shape.n_m} masses from {felt} alone, under one rigid body",
         )
         shown = [
             f"{name} {a * n:.3f} to {b * n:.3f} kg"
@@ -118,7 +130,7 @@ class SupportAware:
         return Estimate(
             MassDistribution(mean, fit.friction),
             "underdetermined",
-            f"M, c and I_cm hold the masses to ({100 * self.confidence:g} %): {said}",
+            f"{felt} hold the masses to ({100 * self.confidence:g} %): {said}",
             covariance=covariance,
             hidden=hidden,
             diagnostics=own.diagnostics | ends | {"polytope_miss": polytope.inside[1]},
@@ -178,6 +190,11 @@ def _numbers(test: SupportTest) -> dict[str, float]:
         "moment_ratio": test.moment_ratio,
         "moment_ratio_error": test.moment_ratio_error,
     }
+
+
+def _felt(lifted: LiftedRows) -> str:
+    """What holds the masses under one rigid body."""
+    return "M, c and the second moments" if len(lifted.rows) else "M, c and I_cm"
 
 
 def _how_many(ranked: RankedAssignments, many: int | None) -> str:

@@ -18,6 +18,7 @@ from torch import Tensor
 
 from estimators.dynamics import ParticleModel, inertia_of
 from estimators.inertia import PivotInertia, pivot_inertias
+from estimators.lifted import LiftedRows
 from estimators.mass_solve import inertia_map
 from estimators.observations import Observations
 from estimators.prediction import AffineLoads, LoadsOf, WrenchModel, own_weight_loads
@@ -73,10 +74,15 @@ class SupportFit:
     """Half the log determinant of the wrenches' covariance."""
     pivots: PivotInertia | None
     """I_j, with friction's change taken away as this support has it."""
-    known: Float[np.ndarray, "1+J n_m"]
-    """Rows of the weight and of each I_j, in units of their errors."""
-    known_target: Float[np.ndarray, "1+J"]
+    known: Float[np.ndarray, "1+J+L n_m"]
+    """Rows of the weight, of each I_j and of all lifts, in units of their errors."""
+    known_target: Float[np.ndarray, "1+J+L"]
     known_log_volume: float
+
+    @property
+    def moments(self) -> slice:
+        """Which rows of `known` are of the I_j."""
+        return slice(1, 1 if self.pivots is None else 1 + len(self.pivots.inertia))
 
     @property
     def misfit(self) -> float:
@@ -87,7 +93,8 @@ class SupportFit:
     def on_mass(self) -> tuple[Float[np.ndarray, "r n_m"], Float[np.ndarray, "r"]]:
         """All that is known of the masses, friction eliminated: rows a with a m = y, independent and of unit error.
 
-        The first row is the surest; r is n_m where every mass is known, and 4 at most under one rigid body.
+        The first row is the surest; r is n_m where every mass is known, and 4 at most under one rigid
+        body, or 6 with lifts.
         """
         q, _ = np.linalg.qr(self.of_friction)
         free = self.of_mass - q @ (q.T @ self.of_mass)
@@ -118,7 +125,12 @@ class SupportFit:
 
 
 def fit_support(
-    shape: ObjectShape, weight: float, observed: Observations, support: FittedSupport, errors: ModelErrors
+    shape: ObjectShape,
+    weight: float,
+    observed: Observations,
+    support: FittedSupport,
+    errors: ModelErrors,
+    lifted: LiftedRows | None = None,
 ) -> SupportFit:
     """Fit friction and masses under one support model, by Gauss-Newton with neither negative.
 
@@ -128,7 +140,9 @@ def fit_support(
         observed: windows of constant speed, and of constant acceleration where there are any.
         support: which model.
         errors: how far it may be off.
+        lifted: what lifts say of the masses, whoever carries the weight on the table.
     """
+    lifted = lifted or LiftedRows.none(shape)
     model = ParticleModel.of(shape)
     steady, accelerated = observed.where(~observed.accelerated), observed.where(observed.accelerated)
     loads_of = _LOADS[support]
@@ -154,7 +168,7 @@ def fit_support(
         rows, _ = steady.drag_rows(model, errors.pivot)
         excluded = model.particle_friction(at_friction)[:, None] * _excluded(model, support)
         pivots = _pivots(model, shape, accelerated, at_mass, at_friction, loads_of, errors)
-        known, known_target, known_volume = _known(shape, weight, pivots, errors)
+        known, known_target, known_volume = _known(shape, weight, pivots, errors, lifted)
         fit = SupportFit(
             support,
             friction,
@@ -280,9 +294,12 @@ def _pivots(
 
 
 def _known(
-    shape: ObjectShape, weight: float, pivots: PivotInertia | None, errors: ModelErrors
+    shape: ObjectShape, weight: float, pivots: PivotInertia | None, errors: ModelErrors, lifted: LiftedRows
 ) -> tuple[np.ndarray, np.ndarray, float]:
-    """Rows of the weight and of the inertia about every pivot, their values, and half their log volume, whitened."""
+    """Rows of the weight, of the inertia about every pivot and of lifts, their values, and half their log volume.
+
+    All whitened; the lifts' volume is left out, being the same whoever carries the weight.
+    """
     rows, values = shape.particles_per_group[None].astype(float), np.array([weight])
     covariance = np.array([[errors.weight**2]])
     if pivots is not None:
@@ -290,4 +307,6 @@ def _known(
         values = np.append(values, pivots.inertia)
         covariance = np.asarray(block_diag(covariance, pivots.covariance))
     root = np.linalg.cholesky(covariance)
-    return np.linalg.solve(root, rows), np.linalg.solve(root, values), float(np.log(np.diag(root)).sum())
+    whitened, targets = np.linalg.solve(root, rows), np.linalg.solve(root, values)
+    volume = float(np.log(np.diag(root)).sum())
+    return np.vstack([whitened, lifted.rows]), np.concatenate([targets, lifted.values]), volume

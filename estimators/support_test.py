@@ -13,6 +13,7 @@ from typing import Literal
 import numpy as np
 from scipy.stats import f as f_distribution
 
+from estimators.lifted import LiftedRows
 from estimators.observations import Observations
 from estimators.support_fit import ModelErrors, SupportFit, fit_support, prior_masses
 from testbed.objects import ObjectShape
@@ -69,6 +70,7 @@ def support_test(
     *,
     level: float = 0.01,
     errors: ModelErrors | None = None,
+    lifted: LiftedRows | None = None,
 ) -> SupportTest:
     """Fit both support models to the same windows with the same errors, and say which holds.
 
@@ -83,10 +85,11 @@ def support_test(
         observed: windows with rank(Q) full; accelerated ones add the second moment.
         level: rate of false alarms.
         errors: how far the models may be off.
+        lifted: what lifts say of the masses.
     """
     errors = errors or ModelErrors()
-    own = fit_support(shape, weight, observed, "own_weight", errors)
-    rigid = fit_support(shape, weight, observed, "rigid", errors)
+    own = fit_support(shape, weight, observed, "own_weight", errors, lifted)
+    rigid = fit_support(shape, weight, observed, "rigid", errors, lifted)
     p_own, ratio, ratio_error = _within_wider(own)
     p_rigid, _, _ = _within_wider(rigid)
     bayes = float(_log_evidence(own, shape, weight) - _log_evidence(rigid, shape, weight)) / math.log(10)
@@ -107,7 +110,7 @@ def _within_wider(fit: SupportFit) -> tuple[float, float, float]:
 
     Only on own weight are the masses known without the second moment, so only there can it disagree.
     """
-    n_mu, felt, moments = len(fit.friction), len(fit.target), fit.known[1:] @ fit.mass
+    n_mu, felt, moments = len(fit.friction), len(fit.target), fit.known[fit.moments] @ fit.mass
     own = fit.support == "own_weight" and len(moments) > 0
     rows = felt + len(fit.known)
     base = np.zeros((rows, n_mu + len(fit.mass)))
@@ -116,7 +119,7 @@ def _within_wider(fit: SupportFit) -> tuple[float, float, float]:
     extra = np.zeros((rows, fit.wider.shape[1] + own))
     extra[:felt, : fit.wider.shape[1]] = fit.wider
     if own:
-        extra[felt + 1 :, -1] = moments
+        extra[felt + 1 : felt + 1 + len(moments), -1] = moments
     values = np.concatenate([fit.target, fit.known_target])
     without, rank_without, _ = _least_squares(base, values)
     least, rank, solution = _least_squares(np.hstack([base, extra]), values)

@@ -36,15 +36,31 @@ class Measured:
 
 
 @dataclass(frozen=True, eq=False)
-class _Trial:
+class MeasuredTrial:
+    """One trial as it lies in the folder."""
+
     key: str
     asked: dict[str, Any]
+    """All that decided it."""
     names: dict[str, Any]
+    """Of its object, and of that one's groups and grasps."""
     trajectory: Trajectory
 
     @property
     def object(self) -> str:
+        """Name of what was moved."""
         return str(self.names["object"])
+
+
+def measured_trials(folder: Path) -> list[MeasuredTrial]:
+    """All trials of a folder in order of recording, those that are no data among them.
+
+    Raises:
+        InvalidValueError: not a results folder, or simulated trials.
+        HeftError: a file is damaged.
+    """
+    trials = [_read(folder, key) for key in keys_of(folder)]
+    return sorted(trials, key=lambda t: (t.trajectory.provenance.get("recorded", ""), t.key))
 
 
 def measured_in(
@@ -64,7 +80,7 @@ def measured_in(
     """
     if held_out < 0:
         raise InvalidValueError("--held-out", held_out, "an integer >= 0")
-    trials = sorted((_read(folder, key) for key in keys_of(folder)), key=lambda t: (_recorded(t), t.key))
+    trials = measured_trials(folder)
     names = list(dict.fromkeys(t.object for t in trials))
     if unknown := [name for name in objects or () if name not in names]:
         raise InvalidValueError("--objects", " ".join(unknown), f"objects of {folder}: {', '.join(names)}")
@@ -76,7 +92,7 @@ def measured_in(
     ]
     sound = [t for t in wanted if t.trajectory.ok]
     weighings = {t.object: t.key for t in sound if isinstance(t.trajectory.action, Weigh)}
-    groups: dict[tuple[str, str], list[_Trial]] = {}
+    groups: dict[tuple[str, str], list[MeasuredTrial]] = {}
     for t in sound:
         if not isinstance(t.trajectory.action, Weigh):
             groups.setdefault((t.object, str(t.asked["support"])), []).append(t)
@@ -87,7 +103,7 @@ def measured_in(
     return [_measured(folder, group, weighings, held_out) for group in groups.values()], left_out
 
 
-def _read(folder: Path, key: str) -> _Trial:
+def _read(folder: Path, key: str) -> MeasuredTrial:
     path = folder / "trials" / key
     said, trajectory = read_json(path / "trial.json") or {}, load_trajectory(path / "trajectory.parquet")
     if trajectory.provenance.get("runner") == "simulation":
@@ -95,7 +111,7 @@ def _read(folder: Path, key: str) -> _Trial:
             "DIR", str(folder), f"a folder of measured trials, but {key[:8]} is simulated: heft run asks about these"
         )
     try:
-        trial = _Trial(key, said["asked"], said["names"], trajectory)
+        trial = MeasuredTrial(key, said["asked"], said["names"], trajectory)
         if trial.object and trial.asked["support"] and trial.asked["object"]:
             return trial
     except (KeyError, TypeError):
@@ -103,11 +119,7 @@ def _read(folder: Path, key: str) -> _Trial:
     raise HeftError(f"{path / 'trial.json'}: not a whole trial file")
 
 
-def _recorded(trial: _Trial) -> str:
-    return trial.trajectory.provenance.get("recorded", "")
-
-
-def _measured(folder: Path, group: list[_Trial], weighings: dict[str, str], held_out: int) -> Measured:
+def _measured(folder: Path, group: list[MeasuredTrial], weighings: dict[str, str], held_out: int) -> Measured:
     last, name = group[-1], group[-1].object
     if name not in weighings:
         allowed = f"a folder in which {name} was weighed: heft robot trial --action weigh --weight KG, or heft import"

@@ -1,4 +1,4 @@
-"""heft robot: check, sensor, calibrate, trial. Signatures alone, so that --help loads nothing heavy."""
+"""heft robot: check, sensor, calibrate, trial, verify. Signatures alone, so that --help loads nothing heavy."""
 
 from __future__ import annotations
 
@@ -122,6 +122,28 @@ def trial(
     _end(run_trial(object_, asked, config, out, dry_run=dry_run))
 
 
+def verify(
+    folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DIR")],
+) -> None:
+    """Say whether the sensor's sign, rotation and zero hold, by measured trials and physics alone. Moves nothing.
+
+    A hanging object pulls down, friction takes work out of every turn and slide, a slide is felt against its motion,
+    and what is felt in a turn flips when it is turned back: that needs no masses. A scale's reading in the folder is
+    held against the lift. Best are a weighing by lifting, a turn there and back, and two slides.
+
+    Exit code: 1 where something is wrong.
+    Example: heft robot verify results/lab
+
+    Args:
+        folder: results folder of heft robot trial or heft import.
+    """
+    from rich.console import Console  # noqa: PLC0415
+
+    from scenarios.robot_verify import verify as say  # noqa: PLC0415
+
+    _end(say(folder, Console()))
+
+
 def _end(code: int) -> None:
     """With this exit code, where it is not that of success."""
     if code:
@@ -133,8 +155,9 @@ Task = (
     | Annotated[None, tyro.conf.subcommand(name="sensor", constructor=sensor)]
     | Annotated[None, tyro.conf.subcommand(name="calibrate", constructor=calibrate)]
     | Annotated[None, tyro.conf.subcommand(name="trial", constructor=trial)]
+    | Annotated[None, tyro.conf.subcommand(name="verify", constructor=verify)]
 )
 
 
 def robot(task: Annotated[Task, tyro.conf.arg(name="")]) -> None:
-    """The real bench: check it, look at its sensor, calibrate it, run a trial on it."""
+    """The real bench: check it, look at its sensor, calibrate it, run a trial on it, and see what trials say of it."""

@@ -209,7 +209,13 @@ def test_every_command_is_understood(page, line, inside, monkeypatch):
     monkeypatch.setattr("scenarios.touch_run.touch", lambda *_: ran.append("touch"))
     for name in ("watch_live", "watch_record"):
         monkeypatch.setattr(f"scenarios.watch_run.{name}", lambda *_: ran.append("watch"))
-    for name in ("check.check_bench", "sensor.show_sensor", "calibrate.calibrate_sensor", "trial.run_trial"):
+    for name in (
+        "check.check_bench",
+        "sensor.show_sensor",
+        "calibrate.calibrate_sensor",
+        "trial.run_trial",
+        "verify.verify",
+    ):
         monkeypatch.setattr(f"scenarios.robot_{name}", lambda *_, **__: ran.append("robot"))
     monkeypatch.setattr("scenarios.import_run.import_logs", lambda *_: ran.append("import"))
     monkeypatch.setattr("scenarios.estimate_run.estimate_recorded", lambda *_: ran.append("estimate"))

@@ -52,8 +52,8 @@ class Finding:
 
 
 def check_trial(
-    lift: Float[np.ndarray, "6"],
-    lift_covariance: Float[np.ndarray, "6 6"],
+    lift: Float[np.ndarray, "6"] | None,
+    lift_covariance: Float[np.ndarray, "6 6"] | None,
     windows: Sequence[SteadyWindow],
     *,
     mass: float | None = None,
@@ -62,7 +62,8 @@ def check_trial(
     """What a lift, turns and slides tell about sign, rotation and lever arm.
 
     Args:
-        lift: mean of what the gripper does to the hanging object, about the TCP, world axes, N and N m.
+        lift: mean of what the gripper does to the hanging object, about the TCP, world axes, N and N m; None where
+            it was not lifted.
         lift_covariance: of that mean.
         windows: steady stretches of turns and slides, as `steady_windows` gives them.
         mass: the object's, kg, where it is known.
@@ -71,11 +72,13 @@ def check_trial(
     Raises:
         InvalidValueError: wrong shapes, or a mass that is none.
     """
-    wrench = frozen_array("check_trial.lift", lift, (6,))
-    covariance = frozen_array("check_trial.lift_covariance", lift_covariance, (6, 6))
-    findings = _of_lift(wrench, covariance, mass)
-    if centre is not None and findings[0].ok:
-        findings.append(_of_lever(wrench, covariance, frozen_array("check_trial.centre", centre, (2,))))
+    findings: list[Finding] = []
+    if lift is not None and lift_covariance is not None:
+        wrench = frozen_array("check_trial.lift", lift, (6,))
+        covariance = frozen_array("check_trial.lift_covariance", lift_covariance, (6, 6))
+        findings += _of_lift(wrench, covariance, mass)
+        if centre is not None and findings[0].ok:
+            findings.append(_of_lever(wrench, covariance, frozen_array("check_trial.centre", centre, (2,))))
     findings += [_of_work(window) for window in windows]
     turns = [w for w in windows if abs(w.twist[2]) >= SLIDING]
     there = [w for w in turns if w.twist[2] > 0]

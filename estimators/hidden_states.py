@@ -4,37 +4,42 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, get_args
 
 import numpy as np
 import torch
 
 from estimators.descent import OPTIMIZERS, check_optimizers
-from estimators.dynamics import ParticleModel, direction, friction_wrench, inertia_of
+from estimators.dynamics import direction, friction_wrench, inertia_of
 from estimators.evidence import Evidence
 from estimators.friction_loads import (
+    FrictionEquations,
     LinearSystem,
-    LoadGroups,
     closed_form,
     closed_form_covariance,
     contradiction,
     descend_loads,
-    friction_system,
+    friction_equations,
     rank_of,
 )
+from estimators.hidden_problem import Problem
 from estimators.identifiability import Identifiability, identifiability
 from estimators.inertia import PivotInertia, com_and_inertia, pivot_inertias
+from estimators.joint_loads import JointLoads
 from estimators.mass_solve import MassSolution, evenly_rough, fixed_rows, load_jacobian, solve_masses
+from estimators.nuisance import Layout, Nuisances, grained, restated
 from estimators.observations import Observations, observe, robot_seconds
 from estimators.protocol import Estimate, HiddenStates, Trace
 from estimators.support import own_weight
 from testbed.arrays import check_positive, is_number
 from testbed.errors import InvalidValueError
-from testbed.objects import GRAVITY, MassDistribution, ObjectShape
+from testbed.objects import MassDistribution, ObjectShape
 from testbed.trajectory import Trajectory
 
 Solver = Literal["closed_form", "descent"]
+SETTLING = 3
+"""Rounds more where something of the bench is unknown: it is not linear in the wrench."""
 
 
 @dataclass(frozen=True)
@@ -63,6 +68,12 @@ class HiddenStatesEstimator:
     """Model error of I_j, as a part of itself: once of each, and once of all together."""
     weight_error: float = 1e-3
     """Error of the weighing, kg."""
+    unknown: tuple[str, ...] = ()
+    """What of the bench is estimated with the loads: any of bias, grasp_offset, anisotropy."""
+    offset_error: float = 0.003
+    """How far an unknown grasp offset is thought to go along each axis, m."""
+    grain_error: float = 0.3
+    """How far each component of an unknown anisotropy is thought to go."""
 
     def __post_init__(self) -> None:
         check_optimizers("HiddenStatesEstimator", self.optimizers)
@@ -78,7 +89,9 @@ class HiddenStatesEstimator:
             value = getattr(self, name)
             if not (is_number(value) and value >= 0):
                 raise InvalidValueError(f"HiddenStatesEstimator.{name}", value, "a finite number >= 0")
-        check_positive("HiddenStatesEstimator.weight_error", self.weight_error)
+        for name in ("weight_error", "offset_error", "grain_error"):
+            check_positive(f"HiddenStatesEstimator.{name}", getattr(self, name))
+        Nuisances(self.unknown)
 
     def estimate(
         self, shape: ObjectShape, weight: float | None, trajectories: Sequence[Trajectory], seed: int
@@ -91,31 +104,46 @@ class HiddenStatesEstimator:
         begin = time.perf_counter()
         if weight is None or not (np.isfinite(weight) and weight > 0):
             raise InvalidValueError("weight", weight, "M as weighed, a finite number > 0, kg")
+        found = self._once(shape, weight, trajectories, begin)
+        if "bias" in self.unknown:
+            found = self._once(shape, weight, restated(trajectories, found.diagnostics), begin)
+        return found
+
+    def _once(self, shape: ObjectShape, weight: float, trajectories: Sequence[Trajectory], begin: float) -> Estimate:
+        """Algorithm 1, with the sensor's errors as the trajectories state them."""
         observed = observe(shape, trajectories)
         if observed is None or bool(observed.accelerated.all()):
             why = "no trajectory with status ok that slides or turns at constant speed"
             return Estimate(None, "no_data", why, seconds=time.perf_counter() - begin)
-        problem = _Problem.of(shape, weight, observed, robot_seconds(trajectories))
+        problem = Problem.of(shape, weight, observed, robot_seconds(trajectories))
         mass, friction = problem.first_guess()
         answer: _Round | None = None
-        for _ in range(self.refinements):
-            system = self._system(problem, mass, friction)
+        joint: JointLoads | None = None
+        for _ in range(self.refinements + (SETTLING if self.unknown else 0)):
+            if self.unknown:
+                loads = answer.loads if answer else problem.loads(MassDistribution(mass.numpy(), friction.numpy()))
+                joint = self._joint(problem, mass, friction, loads, joint)
+                problem = problem.on(joint)
+            system = self._system(problem, mass, friction, joint)
             rank, unknowns = rank_of(system.q.numpy()), len(problem.groups.pairs)
             if rank < unknowns:
                 why = f"rank(Q) is {rank} and {unknowns} friction loads are unknown: turn about more points"
                 guess = MassDistribution(mass.numpy(), friction.numpy())
-                loads = load_jacobian(problem.shape, problem.groups.pairs, guess)[:, : len(mass)] @ guess.mass
+                loads = problem.loads(guess)
                 report = self._report(problem, system, self._pivots(problem, loads, mass, friction), guess)
-                return Estimate(
+                none = Estimate(
                     None, "underdetermined", why, identifiability=report, seconds=time.perf_counter() - begin
                 )
-            answer = self._round(problem, system, mass, friction)
+                return joint.told(none, closed_form(system)) if joint else none
+            answer = replace(self._round(problem, system, mass, friction), joint=joint)
             found = answer.solution.distribution
             mass, friction = torch.tensor(found.mass), torch.tensor(found.friction)
         assert answer is not None
         if why := contradiction(float(answer.system.loss(torch.tensor(answer.loads)))):
-            return Estimate(None, "contradictory", why, seconds=time.perf_counter() - begin)
-        return self._answer(problem, answer, begin)
+            found = Estimate(None, "contradictory", why, seconds=time.perf_counter() - begin)
+        else:
+            found = self._answer(problem, answer, begin)
+        return answer.joint.told(found, answer.loads) if answer.joint else found
 
     def evidence(
         self, shape: ObjectShape, weight: float, trajectories: Sequence[Trajectory], at: MassDistribution
@@ -130,19 +158,30 @@ class HiddenStatesEstimator:
             raise InvalidValueError(
                 "trajectories", len(trajectories), "one or more that slide or turn at constant speed"
             )
-        problem = _Problem.of(shape, weight, observed, robot_seconds(trajectories))
+        problem = Problem.of(shape, weight, observed, robot_seconds(trajectories))
         mass, friction = torch.tensor(at.mass), torch.tensor(at.friction)
-        system, pairs = self._system(problem, mass, friction), problem.groups.pairs
-        loads = load_jacobian(shape, pairs, at)[:, : shape.n_m] @ at.mass
+        pairs = problem.groups.pairs
+        loads = problem.loads(at)
+        joint: JointLoads | None = None
+        for _ in range(SETTLING if self.unknown else 0):
+            joint = self._joint(problem, mass, friction, loads, joint)
+        problem = problem.on(joint)
+        system = self._system(problem, mass, friction, joint)
         pivots = self._pivots(problem, loads, mass, friction)
         fixed, values = fixed_rows(shape, weight, self.weight_error, pivots, shape.n_m)
         return Evidence(shape, pairs, system.q.numpy(), system.b.numpy(), fixed, values)
 
-    def _system(self, problem: _Problem, mass: torch.Tensor, friction: torch.Tensor) -> LinearSystem:
+    def _system(
+        self, problem: Problem, mass: torch.Tensor, friction: torch.Tensor, joint: JointLoads | None
+    ) -> LinearSystem:
+        """Q s = b, whitened, with what is unknown of the bench put in as it fits best."""
+        return joint.reduced() if joint else self._equations(problem, mass, friction).whitened()
+
+    def _equations(self, problem: Problem, mass: torch.Tensor, friction: torch.Tensor) -> FrictionEquations:
         """Q s = b, with what the gripper carries worked out from a guess of mass and friction."""
         model = problem.model
         particle_mass = model.particle_mass(mass)
-        return friction_system(
+        return friction_equations(
             model,
             problem.groups,
             problem.steady,
@@ -157,7 +196,28 @@ class HiddenStatesEstimator:
             lift_error=self.lift_error,
         )
 
-    def _round(self, problem: _Problem, system: LinearSystem, mass: torch.Tensor, friction: torch.Tensor) -> _Round:
+    def _joint(
+        self,
+        problem: Problem,
+        mass: torch.Tensor,
+        friction: torch.Tensor,
+        loads: np.ndarray,
+        last: JointLoads | None,
+    ) -> JointLoads:
+        """The same with what is unknown of the bench, about the round before's."""
+
+        def equations(windows: Observations) -> FrictionEquations:
+            return self._equations(replace(problem, steady=windows), mass, friction)
+
+        layout = last.layout if last else Layout.of(self._nuisances, problem.steady)
+        at = last.unknowns(loads) if last else torch.zeros(len(layout.names), dtype=torch.float64)
+        return JointLoads.of(equations, problem.steady, layout, at, loads)
+
+    @property
+    def _nuisances(self) -> Nuisances:
+        return Nuisances(self.unknown, grasp_offset=self.offset_error, anisotropy=self.grain_error)
+
+    def _round(self, problem: Problem, system: LinearSystem, mass: torch.Tensor, friction: torch.Tensor) -> _Round:
         """s, I_j, and mass and friction from them."""
         loads = closed_form(system)
         traces: tuple[Trace, ...] = ()
@@ -176,7 +236,7 @@ class HiddenStatesEstimator:
         return _Round(system, loads, traces, pivots, solution)
 
     def _pivots(
-        self, problem: _Problem, loads: np.ndarray, mass: torch.Tensor, friction: torch.Tensor
+        self, problem: Problem, loads: np.ndarray, mass: torch.Tensor, friction: torch.Tensor
     ) -> PivotInertia | None:
         """I_j, with the change of friction that the gripper's changing load brings taken away."""
         windows, model, groups = problem.accelerated, problem.model, problem.groups
@@ -188,13 +248,14 @@ class HiddenStatesEstimator:
         support = own_weight(model.particles, model.mass_group, model.contact, particle_mass, load)
         own = torch.where(groups.index >= 0, torch.tensor(loads)[groups.index.clamp(min=0)], 0.0)
         drag = own + model.particle_friction(friction) * (support.lean + support.change(load))
-        unit = direction(windows.particle_velocity(model))
+        unit = grained(windows, direction(windows.particle_velocity(model)))
         felt = -friction_wrench(drag, unit, windows.lever(model))[:, 2]
         moved = windows.inertial_wrench(inertia)[:, 2]
-        return pivot_inertias(windows, felt.numpy(), moved.numpy(), self.inertia_error)
+        pivots = pivot_inertias(windows, felt.numpy(), moved.numpy(), self.inertia_error)
+        return self._nuisances.loosened(pivots, windows, problem.weight, inertia.com.numpy()) if pivots else None
 
     def _report(
-        self, problem: _Problem, system: LinearSystem, pivots: PivotInertia | None, at: MassDistribution
+        self, problem: Problem, system: LinearSystem, pivots: PivotInertia | None, at: MassDistribution
     ) -> Identifiability:
         """What Q, the weight and I_j show of masses and frictions."""
         shape = problem.shape
@@ -202,7 +263,7 @@ class HiddenStatesEstimator:
         of_loads = system.q.numpy() @ load_jacobian(shape, problem.groups.pairs, at)
         return identifiability(shape, at, np.vstack([of_loads, fixed]))
 
-    def _answer(self, problem: _Problem, last: _Round, begin: float) -> Estimate:
+    def _answer(self, problem: Problem, last: _Round, begin: float) -> Estimate:
         found, shape = last.solution.distribution, problem.shape
         if (
             last.solution.rank < last.solution.unknowns
@@ -235,34 +296,6 @@ class HiddenStatesEstimator:
 
 
 @dataclass(frozen=True, eq=False)
-class _Problem:
-    """What one call of `estimate` works on."""
-
-    shape: ObjectShape
-    weight: float
-    model: ParticleModel
-    groups: LoadGroups
-    steady: Observations
-    """Windows of constant speed."""
-    accelerated: Observations
-    """Windows of constant acceleration."""
-    robot_seconds: float
-    """What the data cost, s."""
-
-    @staticmethod
-    def of(shape: ObjectShape, weight: float, observed: Observations, seconds: float) -> _Problem:
-        model = ParticleModel.of(shape)
-        steady, accelerated = observed.where(~observed.accelerated), observed.where(observed.accelerated)
-        return _Problem(shape, weight, model, LoadGroups.of(model), steady, accelerated, seconds)
-
-    def first_guess(self) -> tuple[torch.Tensor, torch.Tensor]:
-        """Uniform mass, as Algorithm 1 starts, and the largest drag felt over the weight, a lower bound of friction."""
-        mass = torch.full((self.shape.n_m,), self.weight / len(self.shape.particles), dtype=torch.float64)
-        drag = self.steady.wrench[:, :2].norm(dim=1).max() / (self.weight * GRAVITY)
-        return mass, drag.expand(self.shape.n_mu)
-
-
-@dataclass(frozen=True, eq=False)
 class _Round:
     """One pass through Algorithm 1."""
 
@@ -271,3 +304,4 @@ class _Round:
     traces: tuple[Trace, ...]
     pivots: PivotInertia | None
     solution: MassSolution
+    joint: JointLoads | None = None

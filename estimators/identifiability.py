@@ -43,6 +43,8 @@ class Identifiability:
     """What can be added to the masses (kg a group) and frictions unseen, one a row, touching as few as can be."""
     unobservable: tuple[str, ...]
     """The same in words."""
+    bench: tuple[str, ...] = ()
+    """What is seen of the bench's own unknowns, in words, where they were asked for."""
 
     def __post_init__(self) -> None:
         n_m, n_mu = len(self.group_names), len(self.friction_error)
@@ -58,9 +60,10 @@ class Identifiability:
     @property
     def sentence(self) -> str:
         """What is seen and what is not, in words."""
-        if self.rank == self.unknowns:
-            return f"all {self.unknowns} masses and frictions are seen"
-        return f"{self.rank} of {self.unknowns} masses and frictions are seen; open: {'; '.join(self.unobservable)}"
+        told = f"all {self.unknowns} masses and frictions are seen"
+        if self.rank < self.unknowns:
+            told = f"{self.rank} of {self.unknowns} masses and frictions are seen; open: {'; '.join(self.unobservable)}"
+        return "; ".join([told, *self.bench])
 
 
 def identifiability(

@@ -111,7 +111,7 @@ def cells_of(scenario: Scenario, store: Store, progress: Progress) -> tuple[list
             else:
                 for support in point.supports():
                     turns = tuple(point.policy.build_held_out(particles.shape, grasps))
-                    policy = point.policy.build(grasps)
+                    policy = point.policy.build(grasps, particles, settings)
                     cells.append(Cell(point, axes, model, particles, support, grasps, policy, turns))
             done += 1
             progress("objects", done, total)

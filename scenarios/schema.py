@@ -12,7 +12,12 @@ from zlib import crc32
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
+from estimators.design import Guess
+from estimators.planned_policy import PlannedTouches
+from estimators.protocol import ActionPolicy
 from estimators.rank_driven import RankDriven, held_out_turns
+from estimators.touch_plan import Goal
+from scenarios.bench_check import BenchCheck
 from scenarios.drawn_objects import Family
 from scenarios.methods import build_method
 from testbed.actions import Rotate
@@ -43,23 +48,49 @@ class Grid(Strict):
 
 
 class Policy(Strict):
-    """Settings of the rank-driven choice of actions."""
+    """How actions are chosen: by the paper's rank, or by a plan made from shape and weight before anything is felt."""
 
+    kind: Literal["paper", "greedy", "batch", "random"] = "paper"
     pivots: Annotated[int, Field(ge=1)] = 6
     duration: Annotated[float, Field(gt=1.5, le=60)] = 18.0
     accelerated: Annotated[int, Field(ge=0)] = 6
     most: Count = 40
     seed: Annotated[int, Field(ge=0)] = 0
     held_out: Annotated[int, Field(ge=0, le=100)] = 2
+    touches: Count = 8
+    until: Annotated[float, Field(gt=0, lt=1)] | None = None
+    budget_s: Annotated[float, Field(gt=0, allow_inf_nan=False)] | None = None
+    criterion: Literal["I", "A", "D"] = "I"
+    plan_for: str = "ft300s"
+    candidates: Annotated[int, Field(ge=1, le=100_000)] = 4000
+
+    @field_validator("plan_for", mode="after")
+    @classmethod
+    def _known_sensor(cls, name: str) -> str:
+        preset(name)
+        return name
 
     @property
     def expected_trials(self) -> int:
         """Trials a cell where nothing goes wrong, the weighing among them."""
-        return 1 + self.accelerated + self.pivots + self.held_out
+        chosen = self.accelerated + self.pivots if self.kind == "paper" else self.touches
+        return 1 + chosen + self.held_out
 
-    def build(self, grasps: tuple[int, ...]) -> RankDriven:
-        """The policy over the grasps that may be used."""
-        return RankDriven(**self.model_dump(exclude={"held_out"}), grasps=grasps)
+    def build(self, grasps: tuple[int, ...], particles: ObjectModel, settings: SimulationSettings) -> ActionPolicy:
+        """The policy over the grasps that may be used; of the object it is told shape and weight."""
+        if self.kind == "paper":
+            return RankDriven(self.pivots, self.duration, self.accelerated, self.most, self.seed, grasps)
+        guess = Guess(particles.total_mass, preset(self.plan_for))
+        return PlannedTouches(
+            guess,
+            self.kind,
+            self.criterion,
+            Goal(self.until, self.budget_s, self.touches),
+            candidates=self.candidates,
+            grasps=grasps,
+            seed=self.seed,
+            feasible=BenchCheck(particles.shape, guess, settings),
+        )
 
     def build_held_out(self, shape: ObjectShape, grasps: tuple[int, ...]) -> list[Rotate]:
         """Turns for prediction, which no method is given."""

@@ -4,17 +4,22 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from pydantic import ValidationError
 
 from estimators.design import Guess
+from estimators.planned_policy import PlannedTouches
+from estimators.rank_driven import RankDriven
 from scenarios.amounts import percent, seconds
 from scenarios.bench_check import BenchCheck
 from scenarios.cli import main
 from scenarios.plan_run import Wish, planned
 from scenarios.results import load_results
+from scenarios.schema import Policy
 from testbed.actions import Rotate
 from testbed.errors import InvalidValueError
 from testbed.object_files import load_object
 from testbed.sensing import preset
+from testbed.simulation.settings import SimulationSettings
 
 
 def test_a_plan_is_told_and_drawn(tmp_path, capsys):
@@ -87,3 +92,16 @@ def test_under_a_rigid_body_it_finds_out_and_says_what_stays_unknown(tmp_path, c
     said = " ".join(capsys.readouterr().out.split())
     assert "stopped: no action teaches more" in said
     assert "the target of 2 % is not reached" in said and "assumption_violated" in said
+
+
+def test_a_scenario_may_choose_its_touches_by_a_plan():
+    model, settings = load_object("L2"), SimulationSettings()
+    paper = Policy().build((0, 1), model, settings)
+    assert isinstance(paper, RankDriven) and (paper.pivots, paper.most, paper.grasps) == (6, 40, (0, 1))
+    batch = Policy(kind="batch", touches=2, until=0.05, candidates=200)
+    chosen = batch.build((2, 3, 4), model, settings)
+    assert isinstance(chosen, PlannedTouches) and batch.expected_trials == 1 + 2 + 2
+    actions = chosen.plan(model.shape).actions
+    assert 1 <= len(actions) <= 2 and {a.grasp for a in actions if isinstance(a, Rotate)} <= {2, 3, 4}
+    with pytest.raises(ValidationError, match="one of ideal"):
+        Policy(kind="greedy", plan_for="nose")

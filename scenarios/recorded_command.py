@@ -11,7 +11,7 @@ import tyro
 
 def import_(
     mapping: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="MAPPING")],
-    logs: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="LOG")] = (),
+    logs: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="[LOG ...]")] = (),
     *,
     out: Annotated[Path, tyro.conf.arg(metavar="DIR")] = Path("results/lab"),
     weight: Annotated[float | None, tyro.conf.arg(metavar="KG")] = None,

@@ -15,6 +15,7 @@ from scenarios.comparison import AXIS, Row
 from scenarios.schema import Scenario, load_scenario
 from scenarios.store import read_json, rows_of
 from scenarios.tables import SUPPORT_NAMES
+from scenarios.trial_record import object_of
 from testbed.errors import HeftError, InvalidValueError
 from testbed.object_files import load_object
 from testbed.objects import ObjectShape
@@ -162,7 +163,7 @@ def _value(value: Any) -> str:
 
 
 def _shape(name: str, scenario: Mapping[str, Any], rows: Sequence[Row], folder: Path) -> ObjectShape | None:
-    """Geometry of an object: from the folder, the scenario or the library; None if it is not the same now."""
+    """Geometry of an object: from the folder, the scenario, the library or a trial; None if it is not the same now."""
     row = next((row for row in rows if row["object"] == name and row.get("group_names") is not None), None)
     drawn = [str(path) for path in sorted((folder / "objects").glob("*/*.toml")) if path.stem == name]
     files = [asked for asked in scenario.get("objects", ()) if Path(asked).stem == name]
@@ -173,6 +174,10 @@ def _shape(name: str, scenario: Mapping[str, Any], rows: Sequence[Row], folder: 
             continue
         if model.name == name and (row is None or list(row["group_names"]) == list(model.shape.group_names)):
             return model.shape
+    for path in sorted((folder / "trials").glob("*/trial.json")):
+        said = read_json(path) or {}
+        if (said.get("names") or {}).get("object") == name and "asked" in said:
+            return object_of(said["asked"]["object"], said["names"]).shape
     return None
 
 

@@ -104,6 +104,7 @@ def show_trial(
             "support": SUPPORT_NAMES.get(record.support, record.support) if is_simulated(trajectory) else "",
             "trial": record.folder.name,
             "runner": trajectory.provenance.get("runner", ""),
+            "arm": "" if trajectory.joint_position.any() else "not where it was: its joints were not logged",
             "feet": "" if feet.is_file() else "forces not known: no foot_forces.parquet beside this trial",
         }
         | facts,

@@ -14,6 +14,7 @@ from recorded import put_trial
 from estimators.hidden_states import HiddenStatesEstimator
 from scenarios.cli import main
 from scenarios.results import load_results, load_trajectories
+from scenarios.seen_trials import trial_shown
 from scenarios.store import Store
 from testbed.actions import Rotate, Slide, action_to_dict
 from testbed.lab_logs.importer import import_trajectory
@@ -142,11 +143,18 @@ def test_every_method_answers_from_what_was_measured(lab: Path, capsys: pytest.C
 
 
 @pytest.mark.slow
-def test_measured_trials_and_their_estimates_are_shown_as_simulated_ones_are(lab: Path):
+def test_measured_trials_and_their_estimates_are_shown_as_simulated_ones_are(lab: Path, records: list[Trajectory]):
+    """Of an object of one's own, of a log without joints too."""
+    blocks = 'layout = ["1", "1", "1", "111"]\nmass_kg = [0.4, 0.1, 0.1, 0.4, 0.4, 0.4]'
+    (lab / "mine.toml").write_text(f'name = "mine"\n[blocks]\n{blocks}\n', encoding="utf-8")
+    named = [{"file": f"{i}.csv", "action": action_to_dict(turn)} for i, turn in enumerate(TURNS)]
+    write_toml(lab / "lab.toml", mapping_of(records[0], object="mine.toml", action=None, logs=named, joints=None))
     assert ended("import", "lab.toml", "--out", "lab", "--weight", "1.8") == 0
     assert ended("estimate", "lab", "--methods", "hidden_states", "--workers", "2") == 0
     row = load_results("lab").iloc[0]
-    for what in ("L2", row["key"], row["trial_keys"][1]):
+    assert (lab / "lab/report.html").read_text(encoding="utf-8").count("<svg") == 3  # the map too
+    assert "its joints were not logged" in trial_shown(lab / "lab", row["trial_keys"][1]).facts["arm"]
+    for what in ("mine", row["key"], row["trial_keys"][1]):
         assert ended("record", "lab", what) == 0
     assert ended("figures", "lab", row["key"]) == 0
     assert len(list((lab / "lab/recordings").glob("*.rrd"))) == 3

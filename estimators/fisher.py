@@ -1,4 +1,4 @@
-"""Fisher information of the reduced data: steady wrenches, moments of inertia about pivots, and M as weighed."""
+"""Fisher information of the reduced data: steady wrenches, moments of inertia about pivots, lifts, and M as weighed."""
 
 from __future__ import annotations
 
@@ -15,12 +15,15 @@ from estimators.friction_loads import LoadGroups, friction_system
 from estimators.hidden_states import HiddenStatesEstimator
 from estimators.identifiability import Identifiability, identifiability
 from estimators.inertia import PivotInertia, slope_variance
+from estimators.lifted import lift_information, lifts_among
 from estimators.mass_solve import inertia_map
 from estimators.observations import Observations, observe
 from estimators.planned import planned_observations
+from estimators.planned_lift import planned_lift
 from estimators.support import GripperLoad, own_weight, rigid_loads
-from testbed.actions import Action
+from testbed.actions import Action, Lift
 from testbed.errors import InvalidValueError
+from testbed.lift_reduction import LiftWindow
 from testbed.objects import GRAVITY, MassDistribution, ObjectShape
 from testbed.sensing import Sensing
 from testbed.trajectory import Trajectory
@@ -62,7 +65,8 @@ def expected(
     scale = max(sensing.scale, 1e-6)
     asked = replace(question, errors=replace(question.errors, weight_error=scale))
     windows = planned_observations(shape, actions, sensing)
-    return identifiability(shape, distribution, information_root(shape, distribution, windows, asked))
+    lifts = [planned_lift(action, sensing) for action in actions if isinstance(action, Lift)]
+    return identifiability(shape, distribution, information_root(shape, distribution, windows, asked, lifts))
 
 
 def observed(
@@ -72,12 +76,17 @@ def observed(
     question: Question | None = None,
 ) -> Identifiability:
     """What some trials show of an object with such masses and frictions."""
-    windows = observe(shape, trajectories)
-    return identifiability(shape, distribution, information_root(shape, distribution, windows, question or Question()))
+    windows, lifts = observe(shape, trajectories), lifts_among(shape, trajectories)
+    root = information_root(shape, distribution, windows, question or Question(), lifts)
+    return identifiability(shape, distribution, root)
 
 
 def information_root(
-    shape: ObjectShape, distribution: MassDistribution, windows: Observations | None, question: Question
+    shape: ObjectShape,
+    distribution: MassDistribution,
+    windows: Observations | None,
+    question: Question,
+    lifts: Sequence[Sequence[LiftWindow]] = (),
 ) -> Float[np.ndarray, "R unknowns"]:
     """Derivatives of the data in particle masses and frictions, over the data's errors, (R, n_m + n_mu)."""
     count = shape.particles_per_group.astype(float)
@@ -89,6 +98,9 @@ def information_root(
             rows.append(_friction_rows(shape, distribution, steady, question))
         if len(accelerated):
             rows.append(_inertia_rows(shape, distribution, accelerated, question.errors.inertia_error))
+    for lift in lifts:
+        in_air, _ = lift_information(shape, lift, distribution.mass)
+        rows.append(np.hstack([in_air, np.zeros((len(in_air), shape.n_mu))]))
     return np.vstack(rows)
 
 

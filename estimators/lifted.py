@@ -69,6 +69,23 @@ def lifted_rows(
     Raises:
         InvalidValueError: a grasp that the shape does not have.
     """
+    trials = lifts_among(shape, trajectories)
+    if not trials:
+        return LiftedRows.none(shape)
+    even = np.full(shape.n_m, weight / len(shape.particles))
+    known = _compressed(shape, trials, even, errors)
+    for _ in range(ROUNDS):
+        fitting = even + np.linalg.pinv(known.rows) @ (known.values - known.rows @ even)
+        known = _compressed(shape, trials, fitting, errors)
+    return known
+
+
+def lifts_among(shape: ObjectShape, trajectories: Sequence[Trajectory]) -> list[list[LiftWindow]]:
+    """The windows of every lift among some trajectories that ended well.
+
+    Raises:
+        InvalidValueError: a grasp that the shape does not have.
+    """
     trials = []
     for index, trajectory in enumerate(trajectories):
         if not (trajectory.ok and isinstance(trajectory.action, Lift)):
@@ -83,14 +100,7 @@ def lifted_rows(
             trials.append(lift_windows(trajectory))
         except InvalidValueError:  # no stretch long enough to trim
             continue
-    if not trials:
-        return LiftedRows.none(shape)
-    even = np.full(shape.n_m, weight / len(shape.particles))
-    known = _compressed(shape, trials, even, errors)
-    for _ in range(ROUNDS):
-        fitting = even + np.linalg.pinv(known.rows) @ (known.values - known.rows @ even)
-        known = _compressed(shape, trials, fitting, errors)
-    return known
+    return trials
 
 
 def _compressed(

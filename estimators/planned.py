@@ -8,10 +8,9 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from jaxtyping import Float
 
 from estimators.observations import Observations, load_map
-from testbed.actions import Accelerate, Action, Rotate, Slide, Weigh, pivot_of
+from testbed.actions import Accelerate, Action, Lift, Rotate, Slide, TableAction, Weigh, pivot_of
 from testbed.errors import InvalidValueError
 from testbed.frames import move_wrench, perpendicular, rotation_2d
 from testbed.objects import ObjectShape
@@ -43,9 +42,9 @@ class _Stretch:
 
 
 def planned_observations(shape: ObjectShape, actions: Sequence[Action], sensing: Sensing) -> Observations | None:
-    """The windows of some actions, their wrenches left at zero; None where no action moves the object.
+    """The windows of some actions, their wrenches left at zero; None where no action moves the object over the table.
 
-    The gripper carries nothing, as after nulling, as far as the sensor can tell.
+    The gripper carries nothing, as after nulling, as far as the sensor can tell. Lifts are left out.
 
     Args:
         shape: geometry and grasps.
@@ -56,7 +55,7 @@ def planned_observations(shape: ObjectShape, actions: Sequence[Action], sensing:
         InvalidValueError: a grasp that the shape does not have.
     """
     stretches, trial, grasp = [], [], []
-    for index, action in enumerate(a for a in actions if not isinstance(a, Weigh)):
+    for index, action in enumerate(a for a in actions if not isinstance(a, Weigh | Lift)):
         if action.grasp >= len(shape.grasps):
             raise InvalidValueError("action.grasp", action.grasp, f"one of the shape's {len(shape.grasps)} grasps")
         found = _stretches(shape, action)
@@ -69,17 +68,14 @@ def planned_observations(shape: ObjectShape, actions: Sequence[Action], sensing:
     points = np.array([shape.grasps[g].position for g in grasp])
     nearest = np.linalg.norm(shape.particles[None] - points[:, None], axis=-1).argmin(axis=1)
     tensor = lambda values: torch.tensor(np.array(values, dtype=float))  # noqa: E731
-    std = np.array([*sensing.force_noise, *sensing.torque_noise])
-    std[[0, 1, 3, 4]] = np.sqrt((std[[0, 0, 3, 3]] ** 2 + std[[1, 1, 4, 4]] ** 2) / 2)  # whichever way the hand turned
-    noise, to_tcp = std**2 / (RATE * (1 - sensing.lag1) / (1 + sensing.lag1)), _to_tcp()
-    at_tcp = lambda variance: to_tcp @ np.diag(variance) @ to_tcp.T  # noqa: E731
+    noise, bias, drift = sensor_at_tcp(sensing)
     zeros = torch.zeros(count, dtype=torch.float64)
     turning = [s.twist[2] for s, _ in stretches]
     return Observations(
         wrench=torch.zeros(count, 3, dtype=torch.float64),
-        noise=tensor([at_tcp(noise / (s.end - s.begin)) for s, _ in stretches]),
-        bias=tensor([at_tcp(sensing.bias_std**2 + noise / TARED)] * count),
-        drift=tensor([at_tcp(sensing.drift_std**2)] * count),
+        noise=tensor([noise / (s.end - s.begin) for s, _ in stretches]),
+        bias=tensor([bias] * count),
+        drift=tensor([drift] * count),
         since_tare=tensor([(s.begin, s.end) for s, _ in stretches]),
         twist=tensor([s.twist for s, _ in stretches]),
         twists=tensor([[s.twist] for s, _ in stretches]),
@@ -97,12 +93,21 @@ def planned_observations(shape: ObjectShape, actions: Sequence[Action], sensing:
     )
 
 
-def _to_tcp() -> Float[np.ndarray, "6 6"]:
-    """Moves a wrench from the sensor down to the TCP, axes up."""
-    return move_wrench(np.eye(6), np.array([0.0, 0.0, -REACH])).T
+def sensor_at_tcp(sensing: Sensing) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Covariances of a sensor's errors about the TCP, axes up, each (6, 6).
+
+    Those of the noise of a mean over one second, of what the tare leaves, and of what the zero walks in one second.
+    """
+    std = np.array([*sensing.force_noise, *sensing.torque_noise])
+    std[[0, 1, 3, 4]] = np.sqrt((std[[0, 0, 3, 3]] ** 2 + std[[1, 1, 4, 4]] ** 2) / 2)  # whichever way the hand turned
+    noise = std**2 / (RATE * (1 - sensing.lag1) / (1 + sensing.lag1))
+    down = move_wrench(np.eye(6), np.array([0.0, 0.0, -REACH])).T
+    each = (noise, sensing.bias_std**2 + noise / TARED, sensing.drift_std**2)
+    first, second, third = (down @ np.diag(variance) @ down.T for variance in each)
+    return first, second, third
 
 
-def _stretches(shape: ObjectShape, action: Rotate | Slide | Accelerate) -> list[_Stretch]:
+def _stretches(shape: ObjectShape, action: TableAction) -> list[_Stretch]:
     """Steady stretches of one action, trimmed as a record is."""
     if isinstance(action, Slide):
         along = rotation_2d(action.direction) @ [action.speed, 0.0]

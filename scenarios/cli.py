@@ -259,6 +259,7 @@ def identify(
     pivots: Annotated[int, tyro.conf.arg(metavar="N")] = 6,
     accelerated: Annotated[int, tyro.conf.arg(metavar="N")] = 6,
     slides: Annotated[int, tyro.conf.arg(metavar="N")] = 0,
+    lifts: Annotated[int, tyro.conf.arg(metavar="N")] = 0,
     duration: Annotated[float, tyro.conf.arg(metavar="S")] = 18.0,
     grasps: Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="NAME ...")] = None,
     out: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None,
@@ -267,6 +268,7 @@ def identify(
 
     Examples: heft identify L2
               heft identify F2 --support rigid --sensing ideal
+              heft identify L2 --support rigid --lifts 1
               heft identify L2 --pivots 0 --slides 6 --out results/L2_slides
 
     Args:
@@ -276,6 +278,7 @@ def identify(
         pivots: turns there and back, as the rank-driven policy draws them; 0 for none, accelerated ones neither.
         accelerated: accelerated turns.
         slides: slides, in directions spread over the circle.
+        lifts: lifts, held still and rocked in the air, of the grasps nearest the middle; under rigid support alone.
         duration: of a turn each way, s.
         grasps: grasps that may be used, by name (see heft show); all if left out, whether the arm reaches them or not.
         out: heatmap of the expected errors, written as FILE.pdf and FILE.png.
@@ -283,7 +286,7 @@ def identify(
     from scenarios.identify_run import Wish  # noqa: PLC0415
     from scenarios.identify_run import identify as say  # noqa: PLC0415
 
-    say(Console(), object_, Wish(sensing, support, pivots, accelerated, slides, duration, grasps, out))
+    say(Console(), object_, Wish(sensing, support, pivots, accelerated, slides, lifts, duration, grasps, out))
 
 
 def plan(

@@ -15,7 +15,7 @@ from rich.table import Table
 from estimators.fisher import Question, expected
 from estimators.identifiability import Identifiability
 from estimators.rank_driven import RankDriven
-from testbed.actions import Action, Slide, Weigh
+from testbed.actions import Action, Lift, Slide, Weigh
 from testbed.errors import InvalidValueError
 from testbed.object_files import load_object
 from testbed.objects import ObjectModel
@@ -34,6 +34,7 @@ class Wish:
     pivots: int = 6
     accelerated: int = 6
     slides: int = 0
+    lifts: int = 0
     duration: float = 18.0
     grasps: tuple[str, ...] | None = None
     out: Path | None = None
@@ -69,7 +70,10 @@ def identify(console: Console, name: str, wish: Wish) -> None:
 
 
 def planned_actions(model: ObjectModel, wish: Wish) -> list[Action]:
-    """A weighing, what the rank-driven policy would ask for, and slides of spread directions."""
+    """A weighing, what the rank-driven policy would ask for, slides of spread directions, and lifts.
+
+    Lifts are of the grasps nearest the middle, where the object hangs by its weight with the least moment.
+    """
     shape = model.shape
     names = [grasp.name for grasp in shape.grasps]
     chosen = names if wish.grasps is None else list(wish.grasps)
@@ -78,6 +82,9 @@ def planned_actions(model: ObjectModel, wish: Wish) -> list[Action]:
     allowed = tuple(names.index(grasp) for grasp in chosen)
     if wish.slides < 0:
         raise InvalidValueError("slides", wish.slides, "an integer >= 0")
+    most = 0 if wish.support != "rigid" else math.inf
+    if not 0 <= wish.lifts <= most:
+        raise InvalidValueError("lifts", wish.lifts, "an integer >= 0, and 0 unless the support is rigid")
     done: list[Action] = []
     if wish.pivots:
         policy = RankDriven(wish.pivots, wish.duration, wish.accelerated, grasps=allowed)
@@ -85,7 +92,9 @@ def planned_actions(model: ObjectModel, wish: Wish) -> list[Action]:
             done.append(action)
     golden = math.pi * (3 - math.sqrt(5))
     slides = [Slide(allowed[i % len(allowed)], i * golden) for i in range(wish.slides)] if allowed else []
-    return [Weigh(), *done, *slides]
+    inner = sorted(allowed, key=lambda grasp: float(np.linalg.norm(shape.grasps[grasp].position)))
+    lifts = [Lift(inner[i % len(inner)]) for i in range(wish.lifts)] if inner else []
+    return [Weigh(), *done, *slides, *lifts]
 
 
 def _table(model: ObjectModel, report: Identifiability) -> Table:

@@ -7,7 +7,7 @@ import pytest
 
 from scenarios.cli import main
 from scenarios.identify_run import Wish, planned_actions
-from testbed.actions import Accelerate, Rotate, Slide, Weigh
+from testbed.actions import Accelerate, Lift, Rotate, Slide, Weigh
 from testbed.errors import InvalidValueError
 from testbed.object_files import load_object
 from viz.error_figure import error_figure
@@ -29,6 +29,21 @@ def test_only_the_grasps_that_are_named_are_used():
     assert {a.grasp for a in actions if not isinstance(a, Weigh)} == {1}
     with pytest.raises(InvalidValueError, match="grasps of L2: "):
         planned_actions(model, Wish(grasps=("nose",)))
+
+
+def test_lifts_are_of_inner_grasps_and_of_rigid_bodies_alone():
+    model = load_object("I2")
+    actions = planned_actions(model, Wish(support="rigid", lifts=3))
+    assert [a.grasp for a in actions if isinstance(a, Lift)] == [2, 3, 1]
+    for wrong in (Wish(support="rigid", lifts=-1), Wish(lifts=1)):
+        with pytest.raises(InvalidValueError, match="lifts"):
+            planned_actions(model, wrong)
+
+
+def test_a_lift_shows_two_more_of_an_f_and_leaves_one_way_open(capsys):
+    main(["identify", "F2", "--support", "rigid", "--lifts", "1"])
+    said = " ".join(capsys.readouterr().out.split())
+    assert "6 of 7 masses and frictions are seen" in said
 
 
 def test_it_says_what_is_seen(capsys):

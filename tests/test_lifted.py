@@ -10,11 +10,14 @@ from scipy.stats import chi2
 
 from estimators.hidden_states import HiddenStatesEstimator
 from estimators.lifted import LiftErrors, lifted_rows
+from estimators.planned_lift import planned_lift
 from estimators.support_aware import SupportAware
 from estimators.testing.analytic_world import accelerated, drawn_object, turns
 from testbed.actions import Lift
 from testbed.errors import InvalidValueError
+from testbed.lift_reduction import lift_windows
 from testbed.object_files import load_object
+from testbed.sensing import preset
 
 SHORT = Lift(0, hold=1.4)
 
@@ -45,6 +48,17 @@ def test_held_still_it_shows_m_and_c_alone(action, rank):
     seen = lifted_rows(obj.shape, obj.total_mass, [lifted(obj, action, errors=1.0)])
     strength = np.linalg.norm(seen.rows / obj.shape.particles_per_group, axis=1) * obj.total_mass
     assert (strength > 5).sum() == rank
+
+
+def test_what_is_planned_is_what_is_recorded():
+    planned = planned_lift(SHORT, preset("ft300s"))
+    found = lift_windows(lifted(load_object("L2"), SHORT))
+    assert len(planned) == len(found)
+    for a, b in zip(planned, found, strict=True):  # a window may begin a sample earlier or later
+        assert_allclose(a.pull, b.pull, atol=5e-3)
+        assert_allclose(a.angular_acceleration, b.angular_acceleration, atol=1e-3)
+        assert_allclose(a.spin_products, b.spin_products, atol=0.015)
+        assert_allclose(np.diff(a.since_tare), np.diff(b.since_tare), atol=0.015)
 
 
 @pytest.mark.slow

@@ -1,0 +1,84 @@
+"""The next touch from what was felt, in a world of exact friction."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from estimators.design import Guess
+from estimators.hidden_states import HiddenStatesEstimator
+from estimators.metrics import normalized_absolute_difference
+from estimators.online_policy import Decision, OnlineTouches
+from estimators.testing.analytic_world import drawn_object, felt
+from estimators.touch_plan import Goal
+from testbed.actions import Accelerate, Rotate, Slide
+from testbed.objects import ObjectModel
+from testbed.sensing import preset
+from testbed.trajectory import Trajectory
+
+
+def policy(obj: ObjectModel, goal: Goal, **changes: object) -> OnlineTouches:
+    guess = Guess(obj.total_mass, preset("ft300s"))
+    return replace(
+        OnlineTouches(guess, goal, candidates=120, estimator=HiddenStatesEstimator()),
+        **changes,  # pyright: ignore[reportArgumentType]
+    )
+
+
+def run(obj: ObjectModel, chooser: OnlineTouches, most: int = 12, **world: object) -> tuple[list[Trajectory], Decision]:
+    trials: list[Trajectory] = []
+    for seed in range(most):
+        decision = chooser.decide(obj.shape, trials)
+        if decision.action is None:
+            return trials, decision
+        assert isinstance(decision.action, Rotate | Accelerate | Slide)
+        trials.append(felt(obj, decision.action, seed=seed, **world))  # pyright: ignore[reportArgumentType]
+    return trials, chooser.decide(obj.shape, trials)
+
+
+@pytest.mark.parametrize("seed", [0, 2])
+def test_it_touches_until_the_masses_are_known(seed):
+    obj = drawn_object(seed)
+    chooser = policy(obj, Goal(until=0.02))
+    trials, last = run(obj, chooser, noise=0.05)
+    assert last.why == "the target is met" and last.nad <= 0.02 and 2 <= len(trials) <= 8
+    assert last.estimate is not None and last.estimate.distribution is not None
+    assert normalized_absolute_difference(obj.shape, last.estimate.distribution, obj.truth) < 0.04
+    nad = [chooser.decide(obj.shape, trials[:n]).nad for n in range(len(trials) + 1)]
+    assert (np.diff(nad) < 0).all()
+
+
+def test_time_and_trials_end_it_too():
+    obj = drawn_object(0)
+    first = policy(obj, Goal(until=1e-4, most=1))
+    trials, last = run(obj, first)
+    assert len(trials) == 1 and "1 trials were made" in last.why
+    _, short = run(obj, policy(obj, Goal(budget_s=4.0)))
+    assert "the budget is spent" in short.why and short.nad > 0.4
+
+
+def test_what_failed_is_not_asked_for_again():
+    obj = drawn_object(0)
+    chooser = policy(obj, Goal())
+    first = chooser.decide(obj.shape, []).action
+    assert isinstance(first, Rotate)
+    slipped = replace(felt(obj, first), status="slipped", reason="it slipped")
+    decision = chooser.decide(obj.shape, [slipped])
+    assert decision.action not in (None, first) and decision.nad == chooser.decide(obj.shape, []).nad
+
+
+def test_trials_that_disagree_are_believed_less_and_the_odd_one_is_done_again():
+    obj = drawn_object(0)
+    chooser = policy(obj, Goal(until=1e-4))
+    trials, _ = run(obj, policy(obj, Goal(until=1e-4, most=6)), noise=0.02)
+    calm = chooser.decide(obj.shape, trials)
+    assert calm.why != "" or calm.action not in [t.action for t in trials]
+    odd = 4
+    pushed = replace(trials[odd], wrench_on_object_world=trials[odd].wrench_on_object_world * 1.1)
+    upset = chooser.decide(obj.shape, [*trials[:odd], pushed, *trials[odd + 1 :]])
+    assert upset.nad > 2 * calm.nad
+    assert "disagree" in upset.why and upset.action == trials[odd].action
+    again = chooser.decide(obj.shape, [*trials[:odd], pushed, *trials[odd + 1 :], trials[odd]])
+    assert again.action != trials[odd].action  # once is enough

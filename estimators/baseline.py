@@ -18,10 +18,10 @@ from estimators.friction_loads import CONTRADICTORY
 from estimators.observations import robot_seconds
 from estimators.prediction import Problem, Weighting
 from estimators.protocol import Estimate, EstimateStatus, Trace
-from estimators.published import FRICTION_RANGE, ITERATIONS, LEARNING_RATE, OPTIMIZERS, USE_WEIGHT
+from estimators.published import ITERATIONS, LEARNING_RATE, OPTIMIZERS, USE_WEIGHT
 from testbed.arrays import check_positive, is_number
 from testbed.errors import InvalidValueError
-from testbed.objects import GRAVITY, MassDistribution, ObjectShape
+from testbed.objects import MassDistribution, ObjectShape
 from testbed.trajectory import Trajectory
 
 
@@ -135,15 +135,8 @@ class GradientBaseline(Baseline):
         check_positive(f"{type(self).__name__}.learning_rate", self.learning_rate)
 
     def _descend(self, problem: Problem, seed: int, loss: Callable[[Candidates], Tensor]) -> Searched:
-        """Descend from uniform mass.
-
-        With M known the first friction is the largest drag over the weight, as in our method; without, `seed` draws it,
-        and it decides.
-        """
-        first = float(np.random.default_rng(seed).uniform(*FRICTION_RANGE))
-        if problem.weight is not None:
-            first = problem.drag / (problem.weight * GRAVITY)
-        coordinates = LogCoordinates(problem, first)
+        """Descend from uniform mass; without M, `seed` draws the friction to start from."""
+        coordinates = LogCoordinates.of(problem, seed)
         with torch.no_grad():
             scale = float(loss(coordinates.candidates(coordinates.start[None]))[0])
         scale = max(scale, 1e-300)

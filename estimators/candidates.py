@@ -12,6 +12,7 @@ from torch import Tensor
 
 from estimators.prediction import Problem
 from estimators.published import DENSEST, FRICTION_RANGE, LARGEST_SHARE
+from testbed.objects import GRAVITY
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,6 +60,18 @@ class LogCoordinates:
     problem: Problem
     first_friction: float
     """Friction to start from; the mass to start from is uniform, as in Algorithm 1."""
+
+    @staticmethod
+    def of(problem: Problem, seed: int) -> LogCoordinates:
+        """About uniform mass.
+
+        With M known the first friction is the largest drag over the weight, as in our method; without, `seed` draws it,
+        and it decides.
+        """
+        first = float(np.random.default_rng(seed).uniform(*FRICTION_RANGE))
+        if problem.weight is not None:
+            first = problem.drag / (problem.weight * GRAVITY)
+        return LogCoordinates(problem, first)
 
     @property
     def start(self) -> Float[Tensor, "n"]:

@@ -7,6 +7,7 @@ mass and friction, and its parts are computed once.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Literal
@@ -186,11 +187,25 @@ class Problem:
         missing = self.windows.wrench - self.wrenches.wrench(mass, friction)
         if weighting == "covariance":
             return (missing.flatten(-2) @ self.whiten.T).square().mean(-1)
+        along, spin = self._missing_acceleration(mass, missing)
+        return STEP**2 * (along.square().sum(-1) + spin.square()).mean(-1)
+
+    def residuals(
+        self, mass: Float[Tensor, "n_m"], friction: Float[Tensor, "n_mu"], weighting: Weighting
+    ) -> Float[Tensor, "3K"]:
+        """What `loss` is the sum of the squares of."""
+        missing = self.windows.wrench - self.wrenches.wrench(mass, friction)
+        if weighting == "covariance":
+            return (missing.flatten(-2) @ self.whiten.T) / math.sqrt(missing.numel())
+        along, spin = self._missing_acceleration(mass, missing)
+        return STEP / math.sqrt(len(self.windows)) * torch.cat([along.flatten(), spin])
+
+    def _missing_acceleration(self, mass: Tensor, missing: Float[Tensor, "... K 3"]) -> tuple[Tensor, Tensor]:
+        """Of the centre of mass and of the turn, that what is missing would cause, (..., K, 2) and (..., K)."""
         inertia = self.inertia(mass)
         arm = inertia.com[..., None, :] - self.windows.grasp
         spin = (missing[..., 2] - cross(arm, missing[..., :2])) / inertia.about_com[..., None]
-        along = missing[..., :2] / inertia.mass[..., None, None]
-        return STEP**2 * (along.square().sum(-1) + spin.square()).mean(-1)
+        return missing[..., :2] / inertia.mass[..., None, None], spin
 
 
 def _whitening(windows: Observations) -> Tensor:

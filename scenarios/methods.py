@@ -5,9 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from estimators.cma_es import CmaEs
 from estimators.diff_lcp import DiffLcp
 from estimators.explicit_state import ExplicitState
 from estimators.hidden_states import HiddenStatesEstimator
+from estimators.least_squares import LeastSquares
+from estimators.nelder_mead import NelderMead
 from estimators.plugins import configured, installed, load_estimator, nearest, source_hash
 from estimators.protocol import Estimator
 from estimators.random_search import RandomSearch
@@ -22,6 +25,9 @@ METHODS: dict[str, type[Estimator]] = {
     "weighted_sampling": WeightedSampling,
     "explicit_state": ExplicitState,
     "diff_lcp": DiffLcp,
+    "cma_es": CmaEs,
+    "nelder_mead": NelderMead,
+    "least_squares": LeastSquares,
 }
 """heft's own methods by name; their settings are the fields of the class."""
 

@@ -9,9 +9,12 @@ import numpy as np
 import pytest
 
 from estimators.baseline import GradientBaseline
+from estimators.cma_es import CmaEs
 from estimators.diff_lcp import DiffLcp
 from estimators.explicit_state import ExplicitState
 from estimators.hidden_states import HiddenStatesEstimator
+from estimators.least_squares import LeastSquares
+from estimators.nelder_mead import NelderMead
 from estimators.protocol import ActionPolicy, Estimator
 from estimators.random_search import RandomSearch
 from estimators.rank_driven import RankDriven, between_particles, planned_rank
@@ -30,6 +33,11 @@ BASELINES = {
     # the rules do not ask how good an answer is, and this one takes long
     "diff_lcp": DiffLcp(iterations=30),
 }
+PEERS = {
+    "cma_es": CmaEs(iterations=600),
+    "nelder_mead": NelderMead(iterations=600),
+    "least_squares": LeastSquares(),
+}
 VARIANTS = {
     "hidden_states": (HiddenStatesEstimator(), drawn_object),
     "descent": (HiddenStatesEstimator(solver="descent"), drawn_object),
@@ -37,6 +45,7 @@ VARIANTS = {
     "support_aware of materials": (SupportAware(materials_kg=(0.1, 0.4)), drawn_object),
     **{name: (kind, small_object) for name, kind in BASELINES.items()},
     **{f"{name} with M": (replace(kind, use_weight=True), small_object) for name, kind in BASELINES.items()},
+    **{name: (kind, small_object) for name, kind in PEERS.items()},
 }
 CLOSED_FORM = ("hidden_states", "support_aware", "support_aware of materials")
 RULES = [
@@ -44,7 +53,7 @@ RULES = [
     for name, (estimator, draw) in VARIANTS.items()
     for holds in (
         *CONFORMANCE,
-        *(WITHOUT_DRAWS if isinstance(estimator, HiddenStatesEstimator | GradientBaseline) else ()),
+        *(WITHOUT_DRAWS if isinstance(estimator, HiddenStatesEstimator | GradientBaseline | LeastSquares) else ()),
     )
 ]
 
@@ -66,7 +75,8 @@ def test_an_iterative_method_shows_its_way(name):
     answer = estimator.estimate(obj.shape, obj.total_mass, data(obj), 0)
     steps = getattr(estimator, "iterations", getattr(estimator, "steps", 0))
     assert answer.traces
-    assert all(len(trace.loss) == steps for trace in answer.traces)
+    for trace in answer.traces:
+        assert len(trace.loss) <= steps if name in PEERS else len(trace.loss) == steps
 
 
 def test_the_policy_asks_until_the_rank_is_full(monkeypatch):

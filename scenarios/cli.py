@@ -304,6 +304,7 @@ def plan(
     grasps: Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="NAME ...")] = None,
     seed: Annotated[int, tyro.conf.arg(metavar="N")] = 0,
     figure: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None,
+    record: Annotated[Path | None, tyro.conf.arg(metavar="FILE.rrd")] = None,
 ) -> None:
     """Plan touches: where to grasp and which way to turn, to know an object's masses in as little robot time as can be.
 
@@ -325,12 +326,13 @@ def plan(
         grasps: grasps that may be used, by name (see heft show); all if left out.
         seed: of the candidates.
         figure: the plan as a picture, written as FILE.pdf and FILE.png.
+        record: the plan as a Rerun recording: `rerun FILE.rrd` opens it.
     """
     from scenarios.plan_run import Wish  # noqa: PLC0415
     from scenarios.plan_run import plan as say  # noqa: PLC0415
 
-    wish = Wish(budget, until, policy, criterion, sensing, support, friction, most, candidates, grasps, seed, figure)
-    say(Console(), object_, wish)
+    of_plan = (budget, until, policy, criterion, sensing, support, friction)
+    say(Console(), object_, Wish(*of_plan, most, candidates, grasps, seed, figure, record))
 
 
 def touch(

@@ -27,7 +27,10 @@ from testbed.objects import ObjectModel, ObjectShape
 from testbed.sensing import preset
 from testbed.trajectory import Trajectory
 from viz.heatmap import save_figure
-from viz.plan_figure import PlanShown, plan_figure
+from viz.plan_figure import plan_figure
+from viz.plan_shown import PlanShown
+from viz.plan_view import plan_page
+from viz.recording import save
 
 SUPPORTS = {"own_weight": ("own_weight",), "rigid": ("rigid",), "either": ("own_weight", "rigid")}
 """Who may carry the weight, by the name on the command line."""
@@ -53,6 +56,7 @@ class Wish:
     grasps: tuple[str, ...] | None = None
     seed: int = 0
     figure: Path | None = None
+    record: Path | None = None
 
 
 @dataclass(frozen=True)
@@ -77,12 +81,21 @@ def plan(console: Console, name: str, wish: Wish) -> None:
         console.print(plan_table(model.shape, made))
     for line in said(model, made, wish):
         console.print(line, highlight=False)
-    if wish.figure is not None:
-        shown = PlanShown(
-            model.shape, made.actions, made.before.standard_error, made.after.standard_error, model.total_mass, title
-        )
-        for path in save_figure(plan_figure(shown), wish.figure):
-            console.print(str(path), highlight=False, soft_wrap=True)
+    if wish.figure is not None or wish.record is not None:
+        shown = shown_of(model, made, title)
+        if wish.figure is not None:
+            for path in save_figure(plan_figure(shown), wish.figure):
+                console.print(str(path), highlight=False, soft_wrap=True)
+        if wish.record is not None:
+            save(plan_page(shown), wish.record)
+            console.print(f"recording: {wish.record}", highlight=False, soft_wrap=True)
+
+
+def shown_of(model: ObjectModel, made: Plan, title: str) -> PlanShown:
+    """What is drawn of a plan."""
+    errors = np.array([made.before.standard_error, *(step.belief.standard_error for step in made.steps)])
+    words = tuple(" ".join(part for part in in_words(model.shape, action) if part) for action in made.actions)
+    return PlanShown(model.shape, made.actions, errors, model.total_mass, title, words)
 
 
 def planned(model: ObjectModel, wish: Wish) -> Plan:

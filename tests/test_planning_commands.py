@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from chunks import read_chunks
 from pydantic import ValidationError
 
 from estimators.design import Guess
@@ -12,22 +13,26 @@ from estimators.rank_driven import RankDriven
 from scenarios.amounts import percent, seconds
 from scenarios.bench_check import BenchCheck
 from scenarios.cli import main
-from scenarios.plan_run import Wish, planned
+from scenarios.plan_run import Wish, planned, shown_of
 from scenarios.results import load_results
 from scenarios.schema import Policy
-from testbed.actions import Rotate
+from testbed.actions import Rotate, Slide
 from testbed.errors import InvalidValueError
 from testbed.object_files import load_object
 from testbed.sensing import preset
 from testbed.simulation.settings import SimulationSettings
+from viz.plan_shown import TouchShown
+from viz.plan_view import plan_page
+from viz.recording import save
 
 
 def test_a_plan_is_told_and_drawn(tmp_path, capsys):
-    main(["plan", "L2", "--budget", "60s", "--candidates", "300", "--figure", str(tmp_path / "plan")])
+    files = ["--figure", str(tmp_path / "plan"), "--record", str(tmp_path / "plan.rrd")]
+    main(["plan", "L2", "--budget", "60s", "--candidates", "300", *files])
     said = " ".join(capsys.readouterr().out.split())
     assert "L2, own_weight, ft300s: greedy; weighed 1.800 kg" in said
     assert "the budget is spent" in said and "all 7 masses and frictions are seen" in said
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["plan.pdf", "plan.png"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["plan.pdf", "plan.png", "plan.rrd"]
 
 
 def test_a_budget_too_small_for_all_is_said_with_what_stays_open(capsys):
@@ -105,3 +110,30 @@ def test_a_scenario_may_choose_its_touches_by_a_plan():
     assert 1 <= len(actions) <= 2 and {a.grasp for a in actions if isinstance(a, Rotate)} <= {2, 3, 4}
     with pytest.raises(ValidationError, match="one of ideal"):
         Policy(kind="greedy", plan_for="nose")
+
+
+def test_an_arrow_begins_at_the_grasp_and_goes_the_way_of_the_turn():
+    shape = load_object("L2").shape
+    grasp = shape.grasps[2].position
+    for speed in (0.2, -0.2):
+        touch = TouchShown.of(shape, Rotate(2, speed=speed, pivot=(0.05, 0.02)))
+        arms = touch.way - np.array([0.05, 0.02])
+        np.testing.assert_allclose(touch.way[0], grasp, atol=1e-12)
+        np.testing.assert_allclose(np.linalg.norm(arms, axis=1), np.linalg.norm(arms[0]))
+        turned = arms[0, 0] * arms[1, 1] - arms[0, 1] * arms[1, 0]
+        assert np.sign(turned) == np.sign(speed)
+    slide = TouchShown.of(shape, Slide(2, direction=np.pi / 2))
+    assert slide.about is None
+    np.testing.assert_allclose(slide.way[1] - grasp, [0.0, 0.05], atol=1e-12)
+
+
+def test_a_plan_is_recorded_step_by_step(tmp_path):
+    model = load_object("L2")
+    made = planned(model, Wish(most=3, candidates=200))
+    shown = shown_of(model, made, "a plan")
+    assert shown.errors.shape == (4, 6) and (np.diff(shown.errors.sum(axis=1)) < 0).all()
+    save(plan_page(shown), tmp_path / "plan.rrd")
+    logged = read_chunks(tmp_path / "plan.rrd")
+    assert {f"plan/touches/scene/{n}/way" for n in (1, 2, 3)} <= set(logged)
+    colors = logged["plan/error/map/cells"].times["iteration"]
+    assert all(times.tolist() == [0, 1, 2, 3] for times in colors.values())

@@ -99,7 +99,7 @@ def blocks_of(page: Path) -> list[Block]:
 
 
 BLOCKS = [block for page in PAGES for block in blocks_of(page)]
-TUTORIAL = [block for block in BLOCKS if block.page == "tutorial.md"]
+TUTORIAL = [block for block in BLOCKS if block.page in ("tutorial.md", "write_an_estimator.md")]
 COMMANDS = [
     (block.page, line)
     for block in BLOCKS
@@ -204,6 +204,7 @@ def test_every_command_is_understood(page, line, inside, monkeypatch):
     for name in ("view", "record"):
         monkeypatch.setattr(f"scenarios.view_run.{name}", lambda *_, name=name, **__: ran.append(name))
     monkeypatch.setattr("scenarios.figures_run.show_figures", lambda *_: ran.append("figures"))
+    monkeypatch.setattr("scenarios.export_run.export", lambda *_, **__: ran.append("export") or [])
     for name in ("list_trials", "render_trial"):
         monkeypatch.setattr(f"scenarios.render_run.{name}", lambda *_: ran.append("render"))
     monkeypatch.setattr("scenarios.touch_run.touch", lambda *_: ran.append("touch"))

@@ -151,7 +151,9 @@ def refuses_trials_of_another_shape(estimator: Estimator, draw: Draw = drawn_obj
     else:
         said = "nothing was raised"
     wanted = r"trajectories\[\d+\]\.action\.grasp: .*grasps"
-    assert re.search(wanted, said), f"a grasp that the shape has not: an InvalidValueError as {wanted}; got: {said}"
+    assert re.search(wanted, said), (
+        f"wanted: an InvalidValueError of trajectories[i].action.grasp, as observe() raises; got: {said}"
+    )
 
 
 def does_not_hide_that_trajectories_contradict_each_other(estimator: Estimator, draw: Draw = drawn_object) -> None:

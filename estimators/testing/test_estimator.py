@@ -23,7 +23,7 @@ def told(check: Callable[[], None], what: str = "") -> None:
     try:
         check()
     except AssertionError as error:
-        breach = str(error)
+        breach = str(error).partition("\nassert ")[0]  # the sentence; what pytest makes of the line is left out
     if breach is not None:
         pytest.fail(f"{what}{breach}", pytrace=False)
 

@@ -20,7 +20,7 @@ from estimators.rank_driven import RankDriven
 from estimators.touch_plan import Asked, Goal, Plan, as_plan
 from scenarios.amounts import percent, seconds
 from scenarios.bench_check import BenchCheck
-from testbed.actions import Accelerate, Action, Rotate, Slide
+from testbed.actions import Accelerate, Action, Rotate, Slide, Weigh
 from testbed.errors import InvalidValueError
 from testbed.object_files import load_object
 from testbed.objects import ObjectModel, ObjectShape
@@ -94,7 +94,7 @@ def plan(console: Console, name: str, wish: Wish) -> None:
 def shown_of(model: ObjectModel, made: Plan, title: str) -> PlanShown:
     """What is drawn of a plan."""
     errors = np.array([made.before.standard_error, *(step.belief.standard_error for step in made.steps)])
-    words = tuple(" ".join(part for part in in_words(model.shape, action) if part) for action in made.actions)
+    words = tuple(sentence(model.shape, action) for action in made.actions)
     return PlanShown(model.shape, made.actions, errors, model.total_mass, title, words)
 
 
@@ -164,7 +164,7 @@ def plan_table(shape: ObjectShape, made: Plan) -> Table:
     for number, step in enumerate(made.steps, start=1):
         spent += step.seconds
         kind, about, way = in_words(shape, step.action)
-        grasp = "" if not hasattr(step.action, "grasp") else shape.grasps[step.action.grasp].name  # pyright: ignore
+        grasp = "" if isinstance(step.action, Weigh) else shape.grasps[step.action.grasp].name
         nad = f"{100 * step.belief.expected_nad:.3g}"
         table.add_row(
             str(number), kind, grasp, about, way, f"{step.seconds:.1f}", f"{spent:.0f}", nad,
@@ -186,6 +186,13 @@ def in_words(shape: ObjectShape, action: Action) -> tuple[str, str, str]:
     if isinstance(action, Slide):
         return "slide", "", f"towards {math.degrees(action.direction):.0f} deg"
     return type(action).__name__.lower(), "", ""
+
+
+def sentence(shape: ObjectShape, action: Action) -> str:
+    """All of an action in one line."""
+    kind, about, way = in_words(shape, action)
+    at = "" if isinstance(action, Weigh) else f" at {shape.grasps[action.grasp].name}"
+    return f"{kind}{at} about {about} mm, {way}" if about else f"{kind}{at}, {way}"
 
 
 def taught(shape: ObjectShape, before: Belief, after: Belief) -> str:

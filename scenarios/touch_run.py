@@ -16,7 +16,7 @@ from scenarios.amounts import percent, seconds
 from scenarios.bench_check import BenchCheck
 from scenarios.estimates import Asked, estimate, sensed
 from scenarios.folder_lock import exclusive
-from scenarios.plan_run import SUPPORTS, in_words, named_grasps
+from scenarios.plan_run import SUPPORTS, in_words, named_grasps, sentence
 from scenarios.schema import Scenario
 from scenarios.store import Store, key_of, trial_request, write_json
 from scenarios.sweep import manifest
@@ -151,10 +151,7 @@ class _Run:
         return sensed(self.store, tuple(keys), self.wish.sensing, self.wish.seed)
 
     def _say(self, number: int, trial: Trajectory, decision: Decision) -> None:
-        shape, action = self.model.shape, trial.action
-        kind, about, way = in_words(shape, action)
-        at = "" if isinstance(action, Weigh) else f" at {shape.grasps[action.grasp].name}"
-        what = f"{kind}{at} about {about}, {way}" if about else f"{kind}{at}, {way}"
+        what = sentence(self.model.shape, trial.action)
         went = "" if trial.ok else f" [{trial.status}: {trial.reason}]"
         again = f"; {decision.why}" if decision.action is not None and decision.why else ""
         sure = f"{self.robot_s:.0f} s of the robot, expected NAD {100 * decision.nad:.3g} %"

@@ -10,7 +10,7 @@ import rerun.blueprint as rrb
 from viz.cell_map import CellMap, Raster, Scale
 from viz.frames import ITERATION, Frames
 from viz.plan_shown import PlanShown
-from viz.planar import Box, Canvas, log_lines, log_texts, log_upright, planar_view
+from viz.planar import LINE, Box, Canvas, log_lines, log_texts, log_upright, planar_view
 from viz.recording import Page
 from viz.style import DIFFERENCE_COLORS
 
@@ -70,7 +70,7 @@ def _log_touches(stream: rr.RecordingStream, entity: str, shown: PlanShown) -> N
         stream.log(f"{place}/marks", points, static=True, strict=True)
         if touch.about is not None:
             log_lines(stream, f"{place}/arm", [np.array(marks)])
-        log_texts(stream, f"{place}/number", touch.label[None], [str(number)], pixel)
+        log_texts(stream, f"{place}/number", touch.label[None] + [0.0, LINE * pixel], [str(number)], pixel)
 
 
 def _around(shown: PlanShown) -> Box:

@@ -11,7 +11,7 @@ from scenarios.estimates import is_simulated, sensed
 from scenarios.store import Store, read_json
 from scenarios.tables import SUPPORT_NAMES
 from scenarios.trial_record import TrialRecord, read_trial
-from testbed.actions import Rotate, Slide, Weigh
+from testbed.actions import Lift, Rotate, Slide, Weigh
 from testbed.errors import InvalidValueError
 from testbed.foot_forces import load_foot_forces
 from testbed.objects import MassDistribution, ObjectShape
@@ -121,6 +121,8 @@ def describe(trajectory: Trajectory, shape: ObjectShape) -> str:
         return f"slide at {held}, towards {np.degrees(action.direction):.0f} deg"
     if isinstance(action, Rotate):
         return f"turn at {held}, {np.degrees(action.speed):+.0f} deg/s{' and back' if action.back else ''}"
+    if isinstance(action, Lift):
+        return f"lift at {held}"
     return f"accelerated turn at {held}"
 
 
@@ -145,6 +147,6 @@ def wrench_fit(label: str, trajectory: Trajectory, predicted: np.ndarray | None)
 
 
 def kind_of_trial(folder: Path, key: str) -> str:
-    """What was done: "weigh", "rotate", "accelerate" or "slide"; empty where its trial.json does not say."""
+    """What was done: "weigh", "rotate", "accelerate", "slide" or "lift"; empty where its trial.json does not say."""
     asked = (read_json(folder / "trials" / key / "trial.json") or {}).get("asked") or {}
     return str((asked.get("action") or {}).get("kind") or "")

@@ -69,18 +69,17 @@ def lift_windows(trajectory: Trajectory) -> list[LiftWindow]:
     """
     if not (isinstance(trajectory.action, Lift) and trajectory.ok):
         raise InvalidValueError("trajectory", f"{trajectory.action}, {trajectory.status}", "a Lift with status ok")
-    held, tare = np.flatnonzero(trajectory.mask(Phase.SETTLE)), tare_samples(trajectory)
-    if len(held) == 0 or len(tare) < 2 or trajectory.tool is None:
-        raise InvalidValueError("trajectory", "no settling, tare or tool", "the record of a whole lift")
-    flat, sensor = held[-1], rotation_matrix(trajectory.sensor_orientation)
-    mount = sensor[flat].T @ _about_z(float(trajectory.object_pose[flat, 2]))  # the object's axes in the sensor's
-    into_object = (sensor @ mount).transpose(0, 2, 1)
+    tool, tare = trajectory.tool, tare_samples(trajectory)
+    if len(tare) < 2 or tool is None:
+        raise InvalidValueError("trajectory", "no tare, or no tool", "the record of a whole lift")
+    flat, mount, axes = _held_axes(trajectory)
+    into_object = axes.transpose(0, 2, 1)
     wrench = rotate_wrench(into_object, trajectory.wrench_on_object_world)
     spin = np.einsum("nij,nj->ni", into_object, trajectory.tcp_velocity[:, 3:])
     motion = rotate_wrench(into_object, twist_rates(trajectory) + np.array([0.0, 0.0, GRAVITY, 0.0, 0.0, 0.0]))
 
     def of_constant(covariance: np.ndarray) -> np.ndarray:
-        moved = rotate_wrench(mount.T, move_wrench(np.eye(6), trajectory.tool.tcp)).T  # pyright: ignore[reportOptionalMemberAccess]
+        moved = rotate_wrench(mount.T, move_wrench(np.eye(6), tool.tcp)).T
         return moved @ covariance @ moved.T
 
     own = mean_covariance(trajectory.sensor_wrench[tare])
@@ -104,6 +103,31 @@ def lift_windows(trajectory: Trajectory) -> list[LiftWindow]:
             )
         )
     return windows
+
+
+def poses_in_space(trajectory: Trajectory) -> tuple[Float[np.ndarray, "T 3"], Float[np.ndarray, "T 3 3"]]:
+    """Where the hand has the object in a lift: its frame's origin on its bottom, m, and its axes; at rest before.
+
+    Raises:
+        InvalidValueError: a record without its settling.
+    """
+    flat, _, axes = _held_axes(trajectory)
+    lies = np.append(trajectory.object_pose[flat, :2], 0.0)
+    lever = axes[flat].T @ (lies - trajectory.tcp_position[flat])
+    let_go = np.flatnonzero(trajectory.mask(Phase.RELEASE))
+    last = let_go[0] - 1 if len(let_go) else len(axes) - 1
+    held = np.clip(np.arange(len(axes)), flat, max(last, flat))
+    return trajectory.tcp_position[held] + axes[held] @ lever, axes[held]
+
+
+def _held_axes(trajectory: Trajectory) -> tuple[int, Float[np.ndarray, "3 3"], Float[np.ndarray, "T 3 3"]]:
+    """The last sample that lies flat, the object's axes in the sensor's, and in the world as if always held."""
+    held = np.flatnonzero(trajectory.mask(Phase.SETTLE))
+    if len(held) == 0:
+        raise InvalidValueError("trajectory", "no settling of the grip", "the record of a whole lift")
+    flat, sensor = int(held[-1]), rotation_matrix(trajectory.sensor_orientation)
+    mount = sensor[flat].T @ _about_z(float(trajectory.object_pose[flat, 2]))
+    return flat, mount, sensor @ mount
 
 
 def _noise_of_mean(time: Float[np.ndarray, "T"], samples: Float[np.ndarray, "T 6"]) -> Float[np.ndarray, "6 6"]:

@@ -7,20 +7,26 @@ import math
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from recorded import put_trial
 
 from estimators.lifted import wrench_of_mass
 from estimators.testing.records import record
+from scenarios.pages import page_of
+from scenarios.seen_trials import trial_shown
 from testbed.actions import Lift
 from testbed.blocks import block_object, parse_layout
 from testbed.errors import InfeasibleTrialError, InvalidValueError
 from testbed.lift_profile import LiftProfile
-from testbed.lift_reduction import lift_windows
+from testbed.lift_reduction import lift_windows, poses_in_space
 from testbed.object_files import load_object
 from testbed.objects import GRAVITY, ObjectModel
 from testbed.reduction import steady_windows
 from testbed.sensing import draw_sensing, preset
+from testbed.simulation.playback import Playback
 from testbed.simulation.runner import SimulationRunner
+from testbed.trajectory import Phase
 from testbed.trial import OWN_WEIGHT, RIGID, Support, Trial
+from viz.recording import save
 
 RUNNER = SimulationRunner()
 STILL = Lift(1, tilt=0.0, hold=1.2)
@@ -112,3 +118,22 @@ def test_tilted_and_rocked_the_wrench_is_newtons_and_eulers(name):
     weight = (obj.total_mass + TOOL * math.sin(Lift(0).tilt)) * GRAVITY
     assert_allclose(missing[:, :3], 0, atol=0.005 * weight)
     assert_allclose(missing[:, 3:], 0, atol=0.005 * weight * 0.1)
+
+
+def test_a_lift_is_seen_in_space(tmp_path):
+    key = put_trial(tmp_path, "L2", Lift(2, tilt=0.1, swings=0, hold=0.1, height=0.12), RIGID)
+    shown = trial_shown(tmp_path, key, meshes=False)
+    assert shown.title == "L2: lift at A2"
+    place, axes = poses_in_space(shown.trajectory)
+    steady = shown.trajectory.mask(Phase.STEADY)
+    assert_allclose(place[0, 2], 0, atol=1e-3)
+    assert place[steady, 2].max() == pytest.approx(0.12, abs=0.02)
+    assert_allclose(np.arccos(axes[steady, 2, 2]).max(), 0.1, atol=0.01)
+    grasp = shown.shape.grasps[2].position
+    held = place + axes @ [*grasp, shown.trajectory.tcp_position[~steady][200, 2]]
+    assert_allclose(held[steady], shown.trajectory.tcp_position[steady], atol=2e-3)
+    save(page_of(tmp_path, key[:6]), tmp_path / "lift.rrd")
+    playback = Playback(shown.trajectory, load_object("L2"), 0.05, meshes=False)
+    playback.show(int(np.flatnonzero(steady)[-1]))
+    body = playback.data.body("object")
+    assert_allclose(body.xpos - 0.015 * body.xmat.reshape(3, 3)[:, 2], place[np.flatnonzero(steady)[-1]], atol=1e-9)

@@ -4,14 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 from jaxtyping import Float
+from scipy.spatial.transform import Rotation
 
+from testbed.actions import Lift
 from testbed.foot_forces import FootForces
 from testbed.frames import rotation_2d
+from testbed.lift_reduction import poses_in_space
 from testbed.objects import MassDistribution, ObjectShape
 from testbed.trajectory import Phase, Trajectory
 from viz.bench_scene import Poses, log_bench
@@ -133,7 +137,7 @@ def facts_text(shown: TrialShown) -> str:
 
 def _log_object(stream: rr.RecordingStream, entity: str, shown: TrialShown) -> None:
     """Its cells by mass, where known, and its pose."""
-    shape, pose = shown.shape, shown.trajectory.object_pose
+    shape = shown.shape
     half = np.array([shape.cell / 2, shape.cell / 2, shape.height / 2])
     centres = np.column_stack([shape.particles, np.full(len(shape.particles), shape.height / 2)])
     if shown.truth is None:
@@ -146,11 +150,20 @@ def _log_object(stream: rr.RecordingStream, entity: str, shown: TrialShown) -> N
     stream.send_columns(
         entity,
         [rr.TimeColumn(SIM_TIME, duration=shown.trajectory.time_s)],
-        rr.Transform3D.columns(
-            translation=np.column_stack([pose[:, :2], np.zeros(len(pose))]),
-            rotation_axis_angle=[rr.RotationAxisAngle((0, 0, 1), radians=float(yaw)) for yaw in pose[:, 2]],
-        ),
+        rr.Transform3D.columns(**_poses(shown.trajectory)),
     )
+
+
+def _poses(trajectory: Trajectory) -> dict[str, Any]:
+    """Of the object: over the table, or in space where it is lifted and was gripped."""
+    if isinstance(trajectory.action, Lift) and trajectory.mask(Phase.SETTLE).any():
+        place, axes = poses_in_space(trajectory)
+        return {"translation": place, "quaternion": Rotation.from_matrix(axes).as_quat()}
+    pose = trajectory.object_pose
+    return {
+        "translation": np.column_stack([pose[:, :2], np.zeros(len(pose))]),
+        "rotation_axis_angle": [rr.RotationAxisAngle((0, 0, 1), radians=float(yaw)) for yaw in pose[:, 2]],
+    }
 
 
 def _log_hand(stream: rr.RecordingStream, entity: str, trajectory: Trajectory) -> None:

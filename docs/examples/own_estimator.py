@@ -1,0 +1,41 @@
+"""An estimator of one's own in one fit of force and torque, asked about a recorded block without a simulator."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import nnls
+
+from estimators.dynamics import ParticleModel
+from estimators.metrics import normalized_absolute_difference
+from estimators.observations import observe
+from estimators.protocol import Estimate
+from estimators.testing.recorded import load_block
+from testbed.objects import GRAVITY, MassDistribution
+
+
+@dataclass(frozen=True)
+class DragFit:
+    """Shares M out as the drag of the turns says; `arm` weighs torques against forces, m."""
+
+    arm: float = 0.05
+
+    def estimate(self, shape, weight, trajectories, seed):
+        windows = observe(shape, trajectories)
+        if windows is None:
+            return Estimate(None, "no_data", "no usable trial")
+        turns = windows.where(~windows.accelerated)
+        of_particles, _ = turns.drag_rows(ParticleModel.of(shape), 2e-4)
+        scale = np.array([1, 1, 1 / self.arm])[:, None]
+        rows = scale * of_particles.numpy() @ np.eye(shape.n_m)[shape.mass_group]
+        drag, _ = nnls(rows.reshape(-1, shape.n_m), (scale[:, 0] * turns.wrench.numpy()).ravel())
+        total = drag @ shape.particles_per_group
+        return Estimate(MassDistribution(weight * drag / total, np.array([total / (weight * GRAVITY)])), "ok")
+
+
+if __name__ == "__main__":
+    block = load_block("L2-own_weight")
+    answer = DragFit().estimate(block.model.shape, block.model.total_mass, block.trials("ft300s"), seed=0)
+    nad = normalized_absolute_difference(block.model.shape, answer.distribution, block.model.truth)
+    print("masses, kg:", (answer.distribution.mass * block.model.shape.particles_per_group).round(3))
+    print("in truth:  ", block.model.group_mass.round(3))
+    print(f"NAD {100 * nad:.1f} %")

@@ -1,0 +1,18 @@
+"""A sweep's results with pandas: python read_a_sweep.py results/blocks. NAD by method and object, and what it cost."""
+
+import sys
+
+from scenarios.results import load_results
+
+results = load_results(sys.argv[1])
+answered = results[results["status"] == "ok"]
+by = ["support", "sensing", "method", "object"]
+print((100 * answered.groupby(by)["nad"].median()).unstack("object").round(1).to_string())
+print(answered.groupby("method")[["seconds", "robot_s", "trials"]].mean().round(2).to_string())
+worst = answered.loc[answered["nad"].idxmax()]
+print(
+    f"worst: {worst['object']} by {worst['method']}, kg, and in truth:",
+    worst["mass_kg"],
+    worst["true_mass_kg"],
+    sep="\n",
+)

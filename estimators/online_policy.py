@@ -86,7 +86,7 @@ class OnlineTouches:
         at = _where(shape, guess, windows, estimate)
         misfit = estimate.diagnostics.get("loss", 1.0) if estimate is not None else 1.0
         own = guess.supports == ("own_weight",)
-        belief = _belief(shape, guess, at, windows, len(trajectories), max(misfit, 1.0) if own else 1.0)
+        belief = _belief(shape, guess, at, windows, len(trajectories), misfit if own and misfit > DISAGREE else 1.0)
         nad = _nad(belief, estimate)
         done = [trajectory.action for trajectory in trajectories]
 

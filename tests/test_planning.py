@@ -99,7 +99,8 @@ def test_small_plans_are_as_good_as_the_best_of_all_sets(seed):
 @pytest.mark.parametrize(("name", "turns"), [("I1", 3), ("L2", 2), ("F2", 2)])
 def test_a_plan_is_as_short_as_it_can_be(name, turns):
     model = load_object(name)
-    policy = PlannedTouches(guess(name), goal=Goal(until=0.05), candidates=1500, family=ActionFamily(slides=False))
+    turns_alone = ActionFamily(slides=False, accelerated=False)
+    policy = PlannedTouches(guess(name), goal=Goal(until=0.05), candidates=1500, family=turns_alone)
     plan = policy.plan(model.shape)
     assert [type(action) for action in plan.actions] == [Rotate] * turns
     report = expected(model.shape, model.truth, plan.actions, FT300S)

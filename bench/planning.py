@@ -1,0 +1,329 @@
+"""Planning: its speed, and what it saves: python bench/planning.py WHAT [options].
+
+speed      sampling, information of all candidates, the next action, plans of six actions; with brute force beside it
+settling   what is left of a turn's beginning in its steady window, against the same turn later on, noise-free
+policies   NAD against robot seconds for every policy, expected against achieved, in simulation under a sensor
+more       what more turns buy: expected NAD after 1 to 8 planned turns
+
+Options: --objects N drawn objects beside the library's (4), --draws N of the sensor (4), --sensing (ft300s),
+--figure FILE, --rows FILE (keeps what was measured; goes on from it).
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from functools import cache
+from itertools import zip_longest
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from matplotlib.figure import Figure
+
+from estimators.candidate_actions import ActionFamily
+from estimators.design import Design, Guess, before_trials
+from estimators.hidden_states import HiddenStatesEstimator
+from estimators.metrics import normalized_absolute_difference
+from estimators.online_policy import OnlineTouches, spent_seconds
+from estimators.planned_policy import PlannedTouches
+from estimators.protocol import ActionPolicy
+from estimators.rank_driven import RankDriven
+from estimators.touch_plan import Asked, Goal, batch_plan, greedy_choice, greedy_plan
+from estimators.trial_information import Settling
+from estimators.wrench_prediction import predicted_wrenches
+from scenarios.bench_check import BenchCheck
+from scenarios.cells import feasible_grasps
+from scenarios.drawn_objects import Family
+from testbed.actions import Action, Rotate
+from testbed.errors import HeftError, InfeasibleTrialError
+from testbed.object_files import load_object
+from testbed.objects import GRAVITY, ObjectModel
+from testbed.reduction import TRIM_START, wrench_in_object
+from testbed.sensing import draw_sensing, preset
+from testbed.simulation.runner import SimulationRunner
+from testbed.simulation.settings import SimulationSettings
+from testbed.trajectory import Trajectory
+from testbed.trial import Trial
+
+LIBRARY = ("I1", "I2", "L1", "L2", "F1", "F2")
+SETTLED = 5.0
+"""From here on a turn is taken to have settled, s."""
+TURNS = 5
+"""There and back: the paper's ten."""
+BUDGET = 120.0
+"""Robot time of a planned run, s."""
+TIMES = (20, 30, 45, 60, 75, 90, 105, 120, 180, 240)
+"""At which policies are compared, s."""
+
+
+@cache
+def drawn(count: int, seed: int) -> tuple[ObjectModel, ...]:
+    """Random block objects that the bench can turn about some grasp."""
+    family, found = Family(name="drawn", count=count, seed=seed), []
+    for index in range(count):
+        for attempt in range(100):
+            model = family.draw(index, attempt).build(3, Path())
+            try:
+                feasible_grasps(model, SimulationSettings())
+            except InfeasibleTrialError:
+                continue
+            found.append(model)
+            break
+    return tuple(found)
+
+
+def settling(options: argparse.Namespace) -> None:
+    """Error of force and torque in half seconds after the ramp, over drag and torque of turning in place."""
+    runner, found = SimulationRunner(), []
+    starts = np.arange(TRIM_START, SETTLED, 0.5)
+    for model in drawn(options.objects, options.seed):
+        shape = model.shape
+        family = ActionFamily(duration=(7.9, 8.0), slides=False, accelerated=False)
+        load = model.truth.friction[shape.friction_group] * model.particle_mass * GRAVITY
+        for action in family.sample(shape, range(len(shape.grasps)), 5, options.seed):
+            try:
+                record = draw_sensing(runner.run_clean(Trial(model, action)), preset("ideal"), 0)
+            except InfeasibleTrialError:
+                continue
+            if not (record.ok and isinstance(action, Rotate)):
+                continue
+            off = wrench_in_object(record)[:, [0, 1, 5]] - predicted_wrenches(shape, model.truth, [record])[0]
+            lever = np.linalg.norm(shape.particles - shape.grasps[action.grasp].position, axis=1)
+            off /= [load.sum(), load.sum(), load @ lever]
+            for way in range(2):
+                inside = np.flatnonzero(record.segment == way)
+                passed = record.time_s[inside] - record.time_s[inside[0]]
+                late = off[inside][(passed > SETTLED) & (passed < passed[-1] - 0.1)].mean(axis=0)
+                found.append([off[inside][(passed >= t) & (passed < t + 0.5)].mean(axis=0) - late for t in starts])
+    each, taken = np.array(found), Settling()
+    size = np.sqrt((each**2).mean(axis=0))
+    print(f"{len(found)} ways; root mean square, % of the drag (x, y), % of the torque of turning in place")
+    for start, row in zip(starts, size, strict=True):
+        print(f"  {start:.1f} s: " + ", ".join(f"{100 * v:.2f}" for v in row))
+    print("mean over a window, root mean square, and as the planner has it")
+    for count in (2, 4, 6, 8):
+        mean = np.sqrt((each[:, :count].mean(axis=1) ** 2).mean(axis=0))
+        planned = taken.of_means(torch.tensor([0.5 * count], dtype=torch.float64))[0].numpy()
+        force = math.hypot(mean[0], mean[1]) / math.sqrt(2)
+        print(f"  {0.5 * count:.1f} s: force {100 * force:.3f} ({100 * planned[0]:.3f}), ", end="")
+        print(f"torque {100 * mean[2]:.3f} ({100 * planned[2]:.3f}) %")
+
+
+def speed(options: argparse.Namespace) -> None:
+    """Seconds of one core, best of three, for 10 000 candidates."""
+    for name in ("L2", "hammer"):
+        model = load_object(name)
+        shape, guess = model.shape, Guess(model.total_mass, preset(options.sensing))
+        family, grasps = ActionFamily(), range(len(shape.grasps))
+        candidates = family.sample(shape, grasps, 10_000, 0)
+        design, before = Design.of(shape, candidates, guess), before_trials(shape, guess)
+        few = replace(
+            design,
+            candidates=candidates[:200],
+            teaches=tuple(replace(t, rows=t.rows[:200]) for t in design.teaches),
+        )
+        print(f"{name}: {len(candidates)} candidates")
+        print(f"  sampling {_best(lambda: family.sample(shape, grasps, 10_000, 0)):.3f} s")  # noqa: B023
+        print(f"  information of all {_best(lambda: Design.of(shape, candidates, guess)):.3f} s")  # noqa: B023
+        one = _best(lambda: greedy_choice(design, before, [], Goal(), np.inf, Asked()))  # noqa: B023
+        print(f"  next action {one:.3f} s")
+        print(f"  greedy plan of six {_best(lambda: greedy_plan(design, before, Goal(most=6), Asked())):.3f} s")  # noqa: B023
+        print(f"  batch plan of six {_best(lambda: batch_plan(design, before, Goal(most=6), Asked())):.3f} s")  # noqa: B023
+        update = _best(lambda: few.values_after(before))  # noqa: B023
+        afresh = _best(lambda: [few.value(before.after(few.taught(i))) for i in range(200)])  # noqa: B023
+        print(f"  against an inverse a candidate: {afresh / update:.0f} times as fast (200 candidates)")
+
+
+def _best(call: Callable[[], object]) -> float:
+    found = []
+    for _ in range(3):
+        begin = time.perf_counter()
+        call()
+        found.append(time.perf_counter() - begin)
+    return min(found)
+
+
+def more(options: argparse.Namespace) -> None:
+    """Expected NAD in percent after each turn of a greedy plan."""
+    print("expected NAD, %, after so many planned turns; robot seconds")
+    for name in LIBRARY:
+        model = load_object(name)
+        guess = Guess(model.total_mass, preset(options.sensing))
+        family = ActionFamily(slides=False, accelerated=False)
+        plan = PlannedTouches(guess, goal=Goal(most=8), family=family, feasible=BenchCheck(model.shape, guess)).plan(
+            model.shape
+        )
+        spent = np.cumsum([step.seconds for step in plan.steps])
+        row = [f"{100 * s.belief.expected_nad:.2f} ({t:.0f} s)" for s, t in zip(plan.steps, spent, strict=True)]
+        print(f"| {name} | " + " | ".join(row) + " |")
+
+
+def policies(options: argparse.Namespace) -> None:
+    """Run every policy on every object, then tell."""
+    rows: list[dict[str, Any]] = []
+    if options.rows is not None and options.rows.is_file():
+        rows = json.loads(options.rows.read_text())
+    known = {row["object"] for row in rows}
+    library = [load_object(name) for name in LIBRARY]
+    for model in [m for pair in zip_longest(drawn(options.objects, options.seed), library) for m in pair if m]:
+        if model.name not in known:
+            rows += list(_runs(model, options))
+            print(f"{model.name}: {time.process_time():.0f} s", flush=True)
+            if options.rows is not None:
+                options.rows.write_text(json.dumps(rows))
+    _told(rows)
+    if options.figure is not None:
+        _draw(rows, options.figure)
+
+
+def _runs(model: ObjectModel, options: argparse.Namespace) -> Iterator[dict[str, Any]]:
+    """Rows of an object: NAD after each trial of each policy, mean over draws; 1 draw where the policy sees it."""
+    shape, sensing = model.shape, preset(options.sensing)
+    guess, runner = Guess(model.total_mass, sensing), SimulationRunner()
+    check = BenchCheck(shape, guess)
+    goal = Goal(budget_s=BUDGET, most=20)
+    ahead: dict[str, ActionPolicy] = {
+        "paper": RankDriven(TURNS, accelerated=0, grasps=feasible_grasps(model, SimulationSettings()), most=TURNS),
+        **{
+            kind: PlannedTouches(guess, kind, goal=goal, feasible=check)  # pyright: ignore[reportArgumentType]
+            for kind in ("random", "greedy", "batch")
+        },
+    }
+    for name, policy in ahead.items():
+        clean: list[Trajectory] = []
+        while (action := policy.next(shape, clean)) is not None:
+            clean.append(_made(runner, model, action))
+        drawn_ = [
+            [draw_sensing(t, sensing, 1000 * seed + i) for i, t in enumerate(clean)] for seed in range(options.draws)
+        ]
+        plan = policy.plan(shape) if isinstance(policy, PlannedTouches) else None
+        for count in range(1, len(clean) + 1):
+            yield {
+                "object": model.name,
+                "policy": name,
+                "robot_s": spent_seconds(shape, clean[:count]),
+                "nad": float(np.mean([_nad(model, seen[:count]) for seen in drawn_])),
+                "expected": None if plan is None else plan.steps[count - 1].belief.expected_nad,
+            }
+    online = OnlineTouches(guess, goal, candidates=2000, feasible=check, estimator=HiddenStatesEstimator())
+    felt: list[Trajectory] = []
+    decision = online.decide(shape, felt)
+    while decision.action is not None:
+        felt.append(draw_sensing(_made(runner, model, decision.action), sensing, len(felt)))
+        decision = online.decide(shape, felt)
+        yield {
+            "object": model.name,
+            "policy": "online",
+            "robot_s": spent_seconds(shape, felt),
+            "nad": _nad(model, felt),
+            "expected": decision.nad,
+        }
+
+
+def _made(runner: SimulationRunner, model: ObjectModel, action: Action) -> Trajectory:
+    return runner.run_clean(Trial(model, action))
+
+
+def _nad(model: ObjectModel, felt: Sequence[Trajectory]) -> float:
+    """Of Algorithm 1's answer, or of uniform masses where it has none."""
+    shape = model.shape
+    answer = HiddenStatesEstimator().estimate(shape, model.total_mass, felt, 0)
+    found = answer.distribution
+    if found is None:
+        found = Guess(model.total_mass, preset("ideal")).uniform(shape)
+    return normalized_absolute_difference(shape, found, model.truth)
+
+
+def _at(rows: Sequence[dict[str, Any]], seconds: float) -> float:
+    """NAD of one run as it is after so much robot time; NaN before its first trial."""
+    done = [row["nad"] for row in rows if row["robot_s"] <= seconds]
+    return done[-1] if done else math.nan
+
+
+def _told(rows: list[dict[str, Any]]) -> None:
+    """NAD over time, the time to the paper's NAD, and expected over achieved."""
+    objects, kinds = (list(dict.fromkeys(row[key] for row in rows)) for key in ("object", "policy"))
+    run = {(o, k): [r for r in rows if (r["object"], r["policy"]) == (o, k)] for o in objects for k in kinds}
+    print(f"NAD, %, after so many robot seconds: median [quartiles] of {len(objects)} objects")
+    for kind in kinds:
+        cells = []
+        for seconds in TIMES:
+            found = np.array([_at(run[o, kind], seconds) for o in objects])
+            found = 100 * found[np.isfinite(found)]
+            cells.append("-" if len(found) < len(objects) / 2 else _band(found))
+        print(f"| {kind} | " + " | ".join(cells) + " |")
+    last = {o: run[o, "paper"][-1] for o in objects if run[o, "paper"]}
+    median = np.median([row["robot_s"] for row in last.values()])
+    print(f"robot time to the paper's NAD after {2 * TURNS} turns, as a part of its own (median {median:.0f} s)")
+    for kind in [k for k in kinds if k != "paper"]:
+        parts = []
+        for o, row in last.items():
+            there = [r["robot_s"] for r in run[o, kind] if r["nad"] <= row["nad"]]
+            parts.append(there[0] / row["robot_s"] if there else math.inf)
+        reached = np.isfinite(parts).sum()
+        equal = sum(_at(run[o, kind], row["robot_s"]) <= row["nad"] for o, row in last.items())
+        print(
+            f"| {kind} | median {np.median(parts):.2f} | reached on {reached} of {len(parts)} | "
+            f"no worse in the paper's time on {equal} |"
+        )
+    for kind in kinds:
+        pairs = [
+            (r["nad"], r["expected"]) for r in rows if r["policy"] == kind and r["expected"] and r["expected"] < 0.05
+        ]
+        if pairs:
+            ratio = np.array([achieved / expected for achieved, expected in pairs])
+            print(f"{kind}: achieved over expected NAD (where below 5 %): {_band(ratio)}, {len(ratio)} steps")
+
+
+def _band(values: np.ndarray) -> str:
+    low, middle, high = np.percentile(values, [25, 50, 75])
+    return f"{middle:.2g} [{low:.2g} {high:.2g}]"
+
+
+def _draw(rows: list[dict[str, Any]], path: Path) -> None:
+    """Median and quartiles of NAD against robot time, logarithmic."""
+    objects, kinds = (list(dict.fromkeys(row[key] for row in rows)) for key in ("object", "policy"))
+    figure = Figure(figsize=(6.5, 3.6), layout="constrained")
+    axis, grid = figure.subplots(), np.arange(15, 235, 2.0)
+    for kind in kinds:
+        runs = [[r for r in rows if (r["object"], r["policy"]) == (o, kind)] for o in objects]
+        found = 100 * np.array([[_at(one, t) for t in grid] for one in runs])
+        shown = np.isfinite(found).mean(axis=0) > 0.5
+        low, middle, high = np.nanpercentile(found[:, shown], [25, 50, 75], axis=0)
+        axis.plot(grid[shown], middle, label=kind, drawstyle="steps-post")
+        axis.fill_between(grid[shown], low, high, step="post", alpha=0.12)
+    axis.set_yscale("log")
+    axis.set_xlabel("robot time, s")
+    axis.set_ylabel("NAD, %")
+    axis.set_title(f"median and quartiles of {len(objects)} objects")
+    axis.legend(fontsize=8)
+    figure.savefig(path, dpi=150)
+
+
+def main() -> None:
+    """Choose what to measure."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    kinds = {"speed": speed, "settling": settling, "policies": policies, "more": more}
+    parser.add_argument("what", choices=kinds)
+    parser.add_argument("--objects", type=int, default=4)
+    parser.add_argument("--draws", type=int, default=4)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--sensing", default="ft300s")
+    parser.add_argument("--figure", type=Path, default=None)
+    parser.add_argument("--rows", type=Path, default=None)
+    options = parser.parse_args()
+    torch.set_num_threads(1)
+    try:
+        kinds[options.what](options)
+    except HeftError as error:
+        parser.error(str(error))
+
+
+if __name__ == "__main__":
+    main()

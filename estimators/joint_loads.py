@@ -103,11 +103,13 @@ class JointLoads:
         numbers |= {f"{name}_error": float(e) for name, e in zip(self.layout.names, errors, strict=True)}
         if "anisotropy" in self.layout.kind:
             numbers["friction_ratio"], numbers["friction_axis_rad"] = ellipse(self.layout.grain(values))
-        report, said = estimate.identifiability, self.layout.in_words(np.isfinite(errors))
+        report, hidden, said = estimate.identifiability, estimate.hidden, self.layout.in_words(np.isfinite(errors))
+        blind = [each for each in said if not each.endswith(" seen")]
         return replace(
             estimate,
-            message="; ".join(filter(None, [estimate.message, *(said if estimate.distribution is None else ())])),
+            message="; ".join(filter(None, [estimate.message, *(blind if estimate.distribution is None else ())])),
             identifiability=replace(report, bench=said) if report else None,
+            hidden=replace(hidden, unobserved="; ".join(filter(None, [hidden.unobserved, *blind]))) if hidden else None,
             diagnostics=estimate.diagnostics | numbers,
         )
 

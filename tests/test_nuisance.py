@@ -123,6 +123,9 @@ def test_an_offset_that_is_not_seen_is_said_to_be_as_open_as_before():
     assert answer.identifiability is not None
     assert "grasp offset of trials 0, 1, 2 and 3 no closer" in answer.identifiability.sentence
     assert np.isinf(answer.diagnostics["grasp_offset_0_x_m_error"])
+    assert answer.hidden is not None
+    assert "grasp offset of trials 0, 1, 2 and 3 no closer" in answer.hidden.unobserved
+    assert "bias" not in answer.hidden.unobserved
 
 
 def test_slopes_are_those_of_finite_differences():

@@ -14,6 +14,7 @@ from estimators.design import NORMAL_MEAN, Belief, Design, Guess, before_trials
 from estimators.fisher import Question, expected, information_root
 from estimators.planned import planned_observations
 from estimators.planned_policy import PlannedTouches
+from estimators.rank_driven import planned_rank
 from estimators.robot_time import RobotTime
 from estimators.touch_plan import Asked, Goal, batch_plan, exhaustive, greedy_plan
 from estimators.trial_information import Settling, before_any_trial, of_masses, planned_information, shared_errors
@@ -213,3 +214,30 @@ def test_robot_time_is_that_of_the_simulated_bench():
 
 def test_shared_errors_are_of_the_points_that_can_be_gripped():
     assert shared_errors(load_object("L2").shape) == 3 + 5
+
+
+@pytest.mark.parametrize("name", ["I1", "L1", "F1"])
+def test_a_turn_shows_three_numbers_and_in_a_straight_row_two(name):
+    shape, rng = load_object(name).shape, np.random.default_rng(0)
+    low, high = shape.particles.min(axis=0) - 0.05, shape.particles.max(axis=0) + 0.05
+    drawn = [[Rotate(0, pivot=tuple(rng.uniform(low, high))) for _ in range(2)] for _ in range(60)]
+    assert max(planned_rank(shape, turns[:1]) for turns in drawn) == 3  # so one turn never shows six loads
+    assert max(planned_rank(shape, turns) for turns in drawn) == 6
+    if name == "I1":  # two that lie in its row show no force along it
+        in_row = [[Rotate(0, pivot=(float(x), 0.0)) for x in rng.uniform(low[0], high[0], 3)] for _ in range(60)]
+        assert max(planned_rank(shape, turns[:2]) for turns in in_row) == 4
+        assert max(planned_rank(shape, turns) for turns in in_row) == 6
+
+
+def test_of_turns_in_a_straight_row_a_plan_needs_three():
+    shape = load_object("I1").shape
+    points = [(x, 0.0) for x in np.linspace(-0.19, 0.19, 40)]
+    clear = clear_of_particles(shape, np.array(points))
+    turns = [
+        Rotate(g, pivot=p, duration=8.0, back=True) for g in range(6) for p, c in zip(points, clear, strict=True) if c
+    ]
+    plan = greedy_plan(
+        Design.of(shape, turns, guess("I1")), before_trials(shape, guess("I1")), Goal(until=0.1), Asked()
+    )
+    ranks = [planned_rank(shape, cast(list[Rotate], plan.actions[:n])) for n in range(1, len(plan.steps) + 1)]
+    assert ranks[:3] == [2, 4, 6]

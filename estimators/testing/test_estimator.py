@@ -55,7 +55,8 @@ def test_known_block(
     recorded_trials: list[Trajectory],
     pytestconfig: pytest.Config,
 ) -> None:
-    if pytestconfig.getoption("--estimator-support") not in (known_block.support, "both"):
+    claims = str(pytestconfig.getoption("--estimator-support"))
+    if claims not in (known_block.support, "both"):
         pytest.skip(f"not claimed: {known_block.support}")
     slack: Any = pytestconfig.getoption("--estimator-slack")
-    told(partial(recovers, estimator, known_block, sensing, recorded_trials, slack))
+    told(partial(recovers, estimator, known_block, sensing, recorded_trials, slack, claims))

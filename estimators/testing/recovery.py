@@ -25,8 +25,8 @@ def recovers(
 ) -> None:
     """An answer of status ok is right; any other status says why in a sentence.
 
-    Where own weight is all that it claims to know, to a perfect sensor, a block whose trials show every mass has an answer
-    and must be given one. A method that claims more is not told who carries the weight, and a block may not show that.
+    Where own weight is all that it claims to know, it must answer where a perfect sensor's trials show every mass. A
+    method that claims more is not told who carries the weight, and a block may not show that.
 
     Args:
         estimator: what is tested.

@@ -10,6 +10,7 @@ from numpy.testing import assert_allclose
 from recorded import put_trial
 
 from estimators.lifted import wrench_of_mass
+from estimators.testing.records import TOOL as HAND
 from estimators.testing.records import record
 from scenarios.pages import page_of
 from scenarios.seen_trials import trial_shown
@@ -21,6 +22,8 @@ from testbed.lift_reduction import lift_windows, poses_in_space
 from testbed.object_files import load_object
 from testbed.objects import GRAVITY, ObjectModel
 from testbed.reduction import steady_windows
+from testbed.robot.plan import plan_trial, starting_pose
+from testbed.robot.settings import RobotSettings
 from testbed.sensing import draw_sensing, preset
 from testbed.simulation.playback import Playback
 from testbed.simulation.runner import SimulationRunner
@@ -90,6 +93,13 @@ def test_a_lift_out_of_range_is_refused():
 def test_what_cannot_be_lifted_is_refused_before_moving(obj, action, support, said):
     with pytest.raises(InfeasibleTrialError, match=f"^{said}"):
         RUNNER.check(Trial(obj, action, support))
+
+
+def test_the_real_bench_refuses_a_lift_before_moving():
+    trial = Trial(load_object("L2"), Lift(2), RIGID)
+    for plan in (starting_pose, lambda t: plan_trial(t, np.zeros(3), RobotSettings(HAND))):
+        with pytest.raises(InfeasibleTrialError, match="the real arm keeps its tool straight down"):
+            plan(trial)
 
 
 def test_a_lift_is_no_turn():

@@ -18,7 +18,7 @@ from estimators.fisher import SUPPORTS, Question
 from estimators.robot_time import RobotTime
 from estimators.support_fit import FRICTION_PRIOR, prior_masses
 from estimators.trial_information import TrialInformation, before_any_trial, planned_information
-from testbed.actions import Action, Rotate, Weigh
+from testbed.actions import Action, Rotate, Slide, Weigh
 from testbed.errors import InvalidValueError
 from testbed.objects import MassDistribution, ObjectShape
 from testbed.sensing import Sensing
@@ -201,9 +201,13 @@ class Design:
         return self.durations + [none if isinstance(a, Weigh) else way[a.grasp] for a in self.candidates]
 
     def unlike(self, done: Sequence[Action]) -> np.ndarray:
-        """Which candidates are none of those done, nor all but the same, (C,) bool."""
+        """Which candidates are none of those done, nor all but the same, (C,) bool.
+
+        Accelerated turns are none before anything has moved at constant speed: alone they have no answer.
+        """
         taken = {action for action in done if not isinstance(action, Rotate)}
-        keep = np.array([action not in taken for action in self.candidates], dtype=bool)
+        begun = any(steady(action) for action in done)
+        keep = np.array([(begun or steady(a)) and a not in taken for a in self.candidates], dtype=bool)
         turns = [action for action in done if isinstance(action, Rotate)]
         if turns and keep.size:
             mine, where = zip(*[_place(self.shape, a) for a in self.candidates], strict=True)
@@ -211,6 +215,11 @@ class Design:
                 grasp, point = _place(self.shape, turn)
                 keep &= (np.array(mine) != grasp) | (np.linalg.norm(np.array(where) - point, axis=1) > APART)
         return keep
+
+
+def steady(action: Action) -> bool:
+    """Whether it moves the object at constant speed: without any such trial no method has an answer."""
+    return isinstance(action, Rotate | Slide)
 
 
 def before_trials(shape: ObjectShape, guess: Guess) -> Belief:

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from estimators.candidate_actions import ActionFamily
-from estimators.design import Belief, Criterion, Design, Guess, before_trials, expected_nad
+from estimators.design import Belief, Criterion, Design, Guess, before_trials, expected_nad, steady
 from estimators.hidden_states import HiddenStatesEstimator
 from estimators.mass_solve import load_jacobian
 from estimators.observations import Observations, observe, robot_seconds
@@ -18,9 +18,9 @@ from estimators.protocol import Estimate, Estimator
 from estimators.robot_time import RobotTime
 from estimators.support_aware import SupportAware
 from estimators.support_test import DECISIVE
-from estimators.touch_plan import Asked, Feasible, Goal, anything, greedy_choice
+from estimators.touch_plan import MOST_ASKED, Asked, Feasible, Goal, anything, greedy_choice
 from estimators.trial_information import Settling, trial_information
-from testbed.actions import Action
+from testbed.actions import Accelerate, Action, Rotate
 from testbed.objects import GRAVITY, MassDistribution, ObjectShape
 from testbed.trajectory import Trajectory
 
@@ -28,6 +28,8 @@ DISAGREE = 5.0
 """Mean squared misfit from which trials disagree by more than their stated errors; about 1 where the model holds."""
 LOWEST_FRICTION = 0.02
 """No guess of a friction is lower."""
+SMALLEST_PART = 0.05
+"""And none of a mass, as a part of the mean particle's."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,7 +96,8 @@ class OnlineTouches:
             rejected = asked.rejected if asked else ()
             return Decision(action, why, estimate, nad, belief.standard_error, after, guess.supports, rejected)
 
-        if self.goal.met(nad):
+        answered = estimate is not None and estimate.covariance is not None and np.isfinite(estimate.covariance).all()
+        if self.goal.met(nad) and answered:
             return say(None, "the target is met")
         if len(trajectories) >= self.goal.most:
             return say(None, f"{self.goal.most} trials were made, the most that may be")
@@ -107,11 +110,34 @@ class OnlineTouches:
         grasps = range(len(shape.grasps)) if self.grasps is None else self.grasps
         candidates = [a for a in self.family.sample(shape, grasps, self.candidates, self.seed) if a not in failed]
         design, asked = Design.of(shape, candidates, guess, self.criterion, at), Asked(self.feasible)
-        index, why = greedy_choice(design, belief, done, self.goal, left, asked)
+        if self.goal.met(nad):
+            index, why = _for_an_answer(design, done, left, asked), "there is no answer, and nothing feasible gives one"
+        else:
+            index, why = greedy_choice(design, belief, done, self.goal, left, asked)
         if index is None:
             return say(None, why, nad, asked)
         after = belief.after(design.taught(index)).expected_nad
         return say(design.candidates[index], "", after, asked)
+
+
+def _for_an_answer(design: Design, done: Sequence[Action], left: float, asked: Asked) -> int | None:
+    """What is known well enough may not yet be enough for a method: the shortest touch of the kind that is missing.
+
+    First a turn or a slide, then an accelerated turn, which parts masses from frictions, then other turns, as long as
+    there are fewer of them than could be needed.
+    """
+    if sum(steady(action) for action in done) > design.shape.n_m + design.shape.n_mu:
+        return None
+    accelerate = any(steady(action) for action in done) and not any(isinstance(a, Accelerate) for a in done)
+    seconds = design.seconds(done[-1] if done else None)
+    for index in np.argsort(seconds):
+        action = design.candidates[index]
+        kind = isinstance(action, Accelerate) if accelerate else isinstance(action, Rotate)
+        if seconds[index] > left or len(asked.answers) >= MOST_ASKED:
+            return None
+        if kind and action not in done and not asked.refused(action):
+            return int(index)
+    return None
 
 
 def spent_seconds(shape: ObjectShape, trajectories: Sequence[Trajectory]) -> float:
@@ -132,10 +158,14 @@ def _supports(guess: Guess, estimate: Estimate | None) -> tuple[str, ...]:
 def _where(
     shape: ObjectShape, guess: Guess, windows: Observations | None, estimate: Estimate | None
 ) -> MassDistribution:
-    """Where information is taken: the answer, or uniform masses and the friction that the drag felt makes likely."""
-    if estimate is not None and estimate.distribution is not None:
+    """Where information is taken: the answer, or uniform masses and the friction that the drag felt makes likely.
+
+    An answer that is any of many may have a mass at zero, where nothing depends on its friction: it would seem known.
+    """
+    if estimate is not None and estimate.distribution is not None and estimate.status != "underdetermined":
         found = estimate.distribution
-        return MassDistribution(found.mass, np.maximum(found.friction, LOWEST_FRICTION))
+        mass = np.maximum(found.mass, SMALLEST_PART * guess.weight / len(shape.particles))
+        return MassDistribution(mass, np.maximum(found.friction, LOWEST_FRICTION))
     if windows is not None and not bool(windows.accelerated.all()):
         drag = float(windows.wrench[~windows.accelerated][:, :2].norm(dim=1).max())
         guess = replace(guess, friction=max(drag / (guess.weight * GRAVITY), LOWEST_FRICTION))

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from jaxtyping import Float, Int
 
-from estimators.design import LEAST_GAIN, Belief, Design, Step
+from estimators.design import LEAST_GAIN, Belief, Design, Step, steady
 from testbed.actions import Action
 from testbed.arrays import is_number
 from testbed.errors import InvalidValueError
@@ -204,7 +204,7 @@ def _exchanged(
     spent = _seconds(design, others)
     now, mine = _value(design, before, chosen), _seconds(design, chosen)
     meets = goal.until is not None and design.criterion == "I" and now <= goal.until
-    if meets and goal.met(design.value(without)):
+    if meets and goal.met(design.value(without)) and any(steady(design.candidates[c]) for c in others):
         return others
     after = design.values_after(without)
     seconds = spent + design.seconds(design.candidates[others[-1]] if others else None)

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from analytic_world import HEIGHT, felt
 
+from estimators.testing.analytic_world import HEIGHT, felt
 from testbed.actions import Accelerate, Rotate, Slide
 from testbed.frames import cross_2d, move_wrench, perpendicular, rotate_wrench, rotation_2d, rotation_matrix
 from testbed.objects import GRAVITY, ObjectModel

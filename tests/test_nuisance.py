@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from analytic_world import accelerated, drawn_object, felt, turns
 from flawed_bench import GRAIN, at_tcp, biased, held_beside, on_grain
 from numpy.testing import assert_allclose
 
@@ -19,6 +18,7 @@ from estimators.metrics import normalized_absolute_difference
 from estimators.nuisance import UNKNOWNS, Layout, Nuisances, corrected
 from estimators.observations import Observations, observe
 from estimators.protocol import Estimate
+from estimators.testing.analytic_world import accelerated, drawn_object, felt, turns
 from testbed.actions import Rotate
 from testbed.errors import InvalidValueError
 from testbed.object_files import load_object

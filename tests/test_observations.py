@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import pytest
-from analytic_world import drawn_object, turns
 
 from estimators.hidden_states import HiddenStatesEstimator
 from estimators.metrics import normalized_absolute_difference
+from estimators.testing.analytic_world import drawn_object, turns
 
 
 @pytest.mark.parametrize("seed", range(3))

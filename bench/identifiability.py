@@ -47,7 +47,13 @@ from testbed.trajectory import Trajectory
 
 LEVEL, DEVIATIONS = 0.9, 1.6449
 EXACT = HiddenStatesEstimator(
-    pivot_error=0.0, force_error=0.0, torque_error=0.0, height_error=0.0, lift_error=0.0, inertia_error=0.0
+    pivot_error=0.0,
+    force_error=0.0,
+    torque_error=0.0,
+    height_error=0.0,
+    lift_error=0.0,
+    tilt_error=0.0,
+    inertia_error=0.0,
 )
 """Errors of the sensor and of nothing else."""
 

@@ -12,15 +12,18 @@ from torch import Tensor
 
 from estimators.descent import descend
 from estimators.dynamics import Inertia, ParticleModel
+from estimators.model_errors import ModelErrors
 from estimators.observations import Observations
 from estimators.protocol import Trace
 from estimators.support import own_weight
+from estimators.wrench_errors import wrench_errors
 from testbed.objects import GRAVITY
 
-CONTRADICTORY = 1e4
+CONTRADICTORY = 5e4
 """Mean squared residual, in units of the data's own error, beyond which no mass map explains the data.
 
-It is about 1 on own weight and up to some hundreds under one rigid body; a trial with its sign turned makes it 1e5."""
+It is about 1 on own weight and up to 2e4 under one rigid body; a trial with its sign turned makes it 1e5 and more.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,12 +103,7 @@ def friction_equations(
     friction: Float[Tensor, "P"],
     inertia: Inertia,
     height: float,
-    *,
-    pivot_error: float,
-    force_error: float,
-    torque_error: float,
-    height_error: float = 0.0,
-    lift_error: float = 0.0,
+    **errors: float,
 ) -> FrictionEquations:
     """Eq. dvs for every window, about the grasp point: friction of s balances the measured wrench.
 
@@ -119,32 +117,19 @@ def friction_equations(
         friction: present friction coefficients.
         inertia: present M and c.
         height: of the object, m.
-        pivot_error: how well the centre of a turn is known, m; a particle nearer than that has no known direction.
-        force_error: model error of a force, as a part of the total drag.
-        torque_error: model error of a torque, as a part of the measured one.
-        height_error: how well the TCP's height over the feet is known, m; one draw for all windows.
-        lift_error: what the gripper may carry where the sensor cannot tell, N; half of its variance is common to all
-            windows, half to those of a trial.
+        errors: as `ModelErrors` names them; the rest are as stated there.
     """
+    stated = ModelErrors(**errors)
     load = observations.gripper_load(inertia, height)
     support = own_weight(model.particles, model.mass_group, model.contact, mass, load)
-    rows, faded = observations.drag_rows(model, pivot_error)
+    rows, _ = observations.drag_rows(model, stated.pivot_error)
     q = groups.gather(rows)
     s = friction * support.share * GRAVITY
     response = rows @ (friction[:, None] * support.response)
     carried = (rows @ (friction * (support.lean + support.change(load)))[..., None])[..., 0]
     b = observations.wrench - observations.inertial_wrench(inertia) - carried
-    lost = (s * faded).square().sum(-1) / 2
-    drag = s.sum()
-    floor = torch.stack([lost + (force_error * drag) ** 2] * 2 + [(torque_error * observations.wrench[:, 2]) ** 2], -1)
-    floor = torch.diag_embed(floor + 1e-10)
-    hidden = (lift_error * (1 - observations.load_kept[:, :1]) * response[..., 0]).reshape(-1) / 2**0.5
-    together = (observations.trial[:, None] == observations.trial).double()
-    unseen = torch.outer(hidden, hidden) * together.repeat_interleave(3, 0).repeat_interleave(3, 1)
-    # the drag's own moment about the feet is as wrong as the height over them
-    raised = height_error * (response[..., 1:] @ observations.wrench[:, :2, None]).reshape(-1)
-    apart = observations.sensor_error(response) + torch.block_diag(*floor) + unseen
-    return FrictionEquations(q.reshape(-1, q.shape[-1]), b.reshape(-1), apart, torch.stack([hidden, raised], 1))
+    apart, common = wrench_errors(observations, model, s.expand(len(rows), -1), response, stated)
+    return FrictionEquations(q.reshape(-1, q.shape[-1]), b.reshape(-1), apart, common)
 
 
 def contradiction(loss: float) -> str:

@@ -28,11 +28,13 @@ from estimators.identifiability import Identifiability, identifiability
 from estimators.inertia import PivotInertia, com_and_inertia, pivot_inertias
 from estimators.joint_loads import JointLoads
 from estimators.mass_solve import MassSolution, evenly_rough, fixed_rows, load_jacobian, solve_masses
+from estimators.model_errors import ModelErrors
 from estimators.nuisance import Layout, Nuisances, grained, restated
 from estimators.observations import Observations, observe, robot_seconds
 from estimators.protocol import Estimate, HiddenStates, Trace
 from estimators.support import own_weight
-from testbed.arrays import check_positive, is_number
+from estimators.wrench_errors import torque_covariance
+from testbed.arrays import check_positive
 from testbed.errors import InvalidValueError
 from testbed.objects import MassDistribution, ObjectShape
 from testbed.trajectory import Trajectory
@@ -43,7 +45,7 @@ SETTLING = 3
 
 
 @dataclass(frozen=True)
-class HiddenStatesEstimator:
+class HiddenStatesEstimator(ModelErrors):
     """Multi-stage Hidden States estimation, Algorithm 1. Assumes that every mass group rests on its own weight."""
 
     solver: Solver = "closed_form"
@@ -54,20 +56,6 @@ class HiddenStatesEstimator:
     """Optimisers to descend with; the one with the lowest loss is taken."""
     refinements: int = 3
     """Rounds of solving with what the gripper carries worked out from the round before."""
-    pivot_error: float = 8e-5
-    """How well the centre of a turn is known, m."""
-    force_error: float = 0.0005
-    """Model error of a force, as a part of the total drag."""
-    torque_error: float = 0.0006
-    """Model error of a torque, as a part of itself."""
-    height_error: float = 0.0009
-    """How well the TCP's height over the feet is known, m."""
-    lift_error: float = 0.06
-    """Vertical force of a nulled gripper that the sensor cannot tell, N."""
-    inertia_error: float = 0.007
-    """Model error of I_j, as a part of itself: once of each, and once of all together."""
-    weight_error: float = 1e-3
-    """Error of the weighing, kg."""
     unknown: tuple[str, ...] = ()
     """What of the bench is estimated with the loads: any of bias, grasp_offset, anisotropy."""
     offset_error: float = 0.003
@@ -85,11 +73,8 @@ class HiddenStatesEstimator:
             value = getattr(self, name)
             if isinstance(value, bool) or not (isinstance(value, int) and value >= 1):
                 raise InvalidValueError(f"HiddenStatesEstimator.{name}", value, "an integer >= 1")
-        for name in ("pivot_error", "force_error", "torque_error", "height_error", "lift_error", "inertia_error"):
-            value = getattr(self, name)
-            if not (is_number(value) and value >= 0):
-                raise InvalidValueError(f"HiddenStatesEstimator.{name}", value, "a finite number >= 0")
-        for name in ("weight_error", "offset_error", "grain_error"):
+        super().__post_init__()
+        for name in ("offset_error", "grain_error"):
             check_positive(f"HiddenStatesEstimator.{name}", getattr(self, name))
         Nuisances(self.unknown)
 
@@ -111,7 +96,7 @@ class HiddenStatesEstimator:
 
     def _once(self, shape: ObjectShape, weight: float, trajectories: Sequence[Trajectory], begin: float) -> Estimate:
         """Algorithm 1, with the sensor's errors as the trajectories state them."""
-        observed = observe(shape, trajectories)
+        observed = observe(shape, trajectories, self)
         if observed is None or bool(observed.accelerated.all()):
             why = "no trajectory with status ok that slides or turns at constant speed"
             return Estimate(None, "no_data", why, seconds=time.perf_counter() - begin)
@@ -153,7 +138,7 @@ class HiddenStatesEstimator:
         Raises:
             InvalidValueError: no trajectory at constant speed.
         """
-        observed = observe(shape, trajectories)
+        observed = observe(shape, trajectories, self)
         if observed is None or bool(observed.accelerated.all()):
             raise InvalidValueError(
                 "trajectories", len(trajectories), "one or more that slide or turn at constant speed"
@@ -189,11 +174,7 @@ class HiddenStatesEstimator:
             model.particle_friction(friction),
             inertia_of(model, particle_mass),
             problem.shape.height,
-            pivot_error=self.pivot_error,
-            force_error=self.force_error,
-            torque_error=self.torque_error,
-            height_error=self.height_error,
-            lift_error=self.lift_error,
+            **self.stated,
         )
 
     def _joint(
@@ -251,7 +232,9 @@ class HiddenStatesEstimator:
         unit = grained(windows, direction(windows.particle_velocity(model)))
         felt = -friction_wrench(drag, unit, windows.lever(model))[:, 2]
         moved = windows.inertial_wrench(inertia)[:, 2]
-        pivots = pivot_inertias(windows, felt.numpy(), moved.numpy(), self.inertia_error)
+        response = windows.drag_rows(model, 0.0)[0] @ (model.particle_friction(friction)[:, None] * support.response)
+        error = torque_covariance(windows, response)
+        pivots = pivot_inertias(windows, felt.numpy(), moved.numpy(), self.inertia_error, error)
         return self._nuisances.loosened(pivots, windows, problem.weight, inertia.com.numpy()) if pivots else None
 
     def _report(

@@ -49,6 +49,7 @@ def pivot_inertias(
     friction_torque: Float[np.ndarray, "K"],
     inertial_torque: Float[np.ndarray, "K"],
     relative_error: float,
+    covariance: Float[np.ndarray, "K K"] | None = None,
 ) -> PivotInertia | None:
     """I_j by the slope of torque against angular acceleration, pivot by pivot.
 
@@ -60,11 +61,12 @@ def pivot_inertias(
         friction_torque: torque that friction takes in each window, up to a constant a trial, N m, (K,).
         inertial_torque: torque of the grasp point's own acceleration, N m, (K,).
         relative_error: of I_j, beyond what the scatter shows: once of each, and once of all together.
+        covariance: of the torques less their corrections, (N m)^2; of the torques alone where it is not given.
     """
     if len(observations) == 0:
         return None
     torque = observations.wrench[:, 2].numpy() - friction_torque - inertial_torque
-    pivots, designs = _whitened_designs(observations)
+    pivots, designs = _whitened_designs(observations, covariance)
     values, variances = np.empty(len(pivots)), np.empty(len(pivots))
     for j, (rows, whiten, design) in enumerate(designs):
         felt = whiten @ torque[rows]
@@ -77,29 +79,33 @@ def pivot_inertias(
     return PivotInertia(pivots, values, variances, relative_error)
 
 
-def slope_variance(observations: Observations) -> tuple[Float[np.ndarray, "J 2"], Float[np.ndarray, "J"]]:
+def slope_variance(
+    observations: Observations, covariance: Float[np.ndarray, "K K"] | None = None
+) -> tuple[Float[np.ndarray, "J 2"], Float[np.ndarray, "J"]]:
     """The pivots, m, and the variance of I_j by slope, (kg m^2)^2, that noise and drift of the sensor alone give it."""
-    pivots, designs = _whitened_designs(observations)
+    pivots, designs = _whitened_designs(observations, covariance)
     return pivots, np.array([np.linalg.inv(design.T @ design)[0, 0] for _, _, design in designs])
 
 
 def _whitened_designs(
-    observations: Observations,
+    observations: Observations, covariance: np.ndarray | None
 ) -> tuple[np.ndarray, list[tuple[np.ndarray, np.ndarray, np.ndarray]]]:
     """For every pivot: its windows, what takes their torques to unit variance, and the design of slope and constants.
 
     What the tare left is in the constant of the trial; noise and drift are not.
     """
     alpha = observations.acceleration[:, 2].numpy()
-    within = np.maximum(observations.covariance[:, 2, 2].numpy(), 1e-12)
-    walked = observations.walk_covariance()[:, 2, :, 2].numpy()
+    if covariance is None:
+        covariance = (
+            np.diag(observations.covariance[:, 2, 2].numpy()) + observations.walk_covariance()[:, 2, :, 2].numpy()
+        )
+    covariance = covariance + 1e-12 * np.eye(len(alpha))
     pivots, index = np.unique(observations.grasp.numpy().round(9), axis=0, return_inverse=True)
     designs = []
     for j in range(len(pivots)):
         rows = np.flatnonzero(index.ravel() == j)
         trials, trial = np.unique(observations.trial[rows].numpy(), return_inverse=True)
-        covariance = np.diag(within[rows]) + walked[np.ix_(rows, rows)]
-        whiten = np.linalg.inv(np.linalg.cholesky(covariance))
+        whiten = np.linalg.inv(np.linalg.cholesky(covariance[np.ix_(rows, rows)]))
         designs.append((rows, whiten, whiten @ np.column_stack([alpha[rows], np.eye(len(trials))[trial]])))
     return pivots, designs
 

@@ -11,6 +11,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from estimators.dynamics import Inertia, ParticleModel, cross, turned
+from estimators.model_errors import ModelErrors
 from estimators.support import GripperLoad
 from testbed.actions import Accelerate, Lift, Weigh
 from testbed.errors import InvalidValueError
@@ -20,6 +21,8 @@ from testbed.trajectory import Trajectory
 
 PLANAR = [0, 1, 5]
 """f_x, f_y and the torque about the vertical, of a wrench's six components."""
+TURNED, SWUNG = np.array([0.0064, 0.0027, 0.0027]), np.array([0.14, 6e-4, 6e-4])
+"""Change of a nulled gripper's lift, N, and moment, N m, between directions of a turn, and as it accelerates."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,6 +59,8 @@ class Observations:
     """From the wrench to lift and tilt."""
     load_kept: Float[Tensor, "K 3"]
     """Part of a trial's common lift and tilt that stands out of the bias, 0 to 1; the rest is taken as none."""
+    load_followed: Float[Tensor, "K 3"]
+    """Part of their change from window to window of a trial that stands out of the noise, 0 to 1."""
     held: Int[Tensor, "K"]
     """Mass group between the fingers."""
     trial: Int[Tensor, "K"]
@@ -96,10 +101,9 @@ class Observations:
         return self._walked[:, None, :, None] * self.drift[:, PLANAR][:, :, PLANAR][:, :, None]
 
     def load_covariance(self) -> Float[Tensor, "K K 3"]:
-        """Of what the sensor's errors make of lift and tilt, between windows, N^2 and (N m)^2."""
-        error = self._load_error()
-        size = (len(self), 3, len(self), 3)
-        whole = (error @ self._sensor_covariance() @ error.T).reshape(size)
+        """Of what the sensor's errors make of lift and tilt as felt, between windows, N^2 and (N m)^2."""
+        error = torch.block_diag(*self.load_map)
+        whole = (error @ self._sensor_covariance() @ error.T).reshape(len(self), 3, len(self), 3)
         return torch.diagonal(whole, dim1=1, dim2=3)
 
     def sensor_error(self, response: Float[Tensor, "K 3 3"]) -> Float[Tensor, "3K 3K"]:
@@ -121,10 +125,41 @@ class Observations:
         return shared.reshape(6 * len(self), 6 * len(self)) + torch.block_diag(*self.noise)
 
     def _load_error(self) -> Float[Tensor, "3K 6K"]:
-        """Errors of lift and tilt as given here from the sensor's: of the mean over a trial only a part was kept."""
-        mean = self._together / self._together.sum(1, keepdim=True)
-        own = torch.eye(len(self), dtype=torch.float64)[:, None] - (1 - self.load_kept)[..., None] * mean[:, None]
+        """Errors of lift and tilt as given here from the sensor's: only parts of mean and change were kept."""
+        own = self._change[:, None] * self.load_followed[..., None] + self._mean[:, None] * self.load_kept[..., None]
         return torch.einsum("kal,lai->kali", own, self.load_map).reshape(3 * len(self), 6 * len(self))
+
+    def unseen_load(
+        self, response: Float[Tensor, "K 3 3"], nulled: Float[Tensor, "3"], shared: Float[Tensor, "3"]
+    ) -> Float[Tensor, "3K 3K"]:
+        """Covariance of wrenches from the lift and tilt that were taken for the sensor's error.
+
+        Where a part k of a load was kept against a sensor's error of variance b, the load scatters by k b / (1 - k),
+        and (1 - k) of it went: k (1 - k) b is its variance. A trial's mean is taken to scatter by no less than `nulled`
+        about what all trials share, which scatters by `shared` and is not in it (N, N m, one standard deviation).
+        """
+        error = self.load_covariance()
+        of_mean, of_change = (torch.einsum("kl,lma,nm->kna", part, error, part) for part in (self._mean, self._change))
+        dropped = 1 - self.load_kept
+        scatter = self.load_kept * dropped * torch.diagonal(of_mean).T - (dropped * shared).square()
+        hidden = torch.maximum(scatter, (dropped * nulled).square()).sqrt()
+        missed = torch.diagonal(of_change).T.clamp(min=0) * self.load_followed * (1 - self.load_followed)
+        alpha = self.acceleration[:, 2]
+        along = alpha / (self._mean @ alpha.square()).sqrt().clamp(min=1e-9)
+        swung = self._together * along[:, None] * along  # what a swing of the arm changes goes with its acceleration
+        change = torch.where(self.accelerated[:, None], swung, self._change)[..., None] * missed.sqrt()
+        load = self._together[..., None] * hidden[:, None] * hidden + change * missed.sqrt()[:, None]
+        return torch.einsum("kia,kla,lja->kilj", response, load, response).reshape(3 * len(self), 3 * len(self))
+
+    @property
+    def _mean(self) -> Float[Tensor, "K K"]:
+        """Takes values to the means over their trials."""
+        return self._together / self._together.sum(1, keepdim=True)
+
+    @property
+    def _change(self) -> Float[Tensor, "K K"]:
+        """Takes values to what they have beyond the means over their trials."""
+        return torch.eye(len(self), dtype=torch.float64) - self._mean
 
     @property
     def _together(self) -> Float[Tensor, "K K"]:
@@ -162,12 +197,47 @@ class Observations:
                 and is lost by up to 1.
         """
         lever = self.lever(model)
+        velocity, blurred, fade = self._blurred(lever, pivot_error)
+        unit = (velocity / blurred[..., None]).mean(1)
+        return torch.stack([unit[..., 0], unit[..., 1], cross(lever, unit)], 1), (fade / blurred).mean(1)
+
+    def drag_slopes(
+        self, model: ParticleModel, drag: Float[Tensor, "K P"], pivot_error: float
+    ) -> Float[Tensor, "K 3 3"]:
+        """Change of the drag with the twist of a window: (f_x, f_y, torque) by (v_x, v_y, rate).
+
+        Args:
+            model: the object.
+            drag: friction of every particle, N.
+            pivot_error: as of `drag_rows`.
+        """
+        lever = self.lever(model)
+        velocity, blurred, _ = self._blurred(lever, pivot_error)
+        square = velocity[..., :, None] * velocity[..., None, :] / blurred.square()[..., None, None]
+        turn = ((torch.eye(2, dtype=torch.float64) - square) / blurred[..., None, None]).mean(1)
+        by = torch.cat([turn, turn @ turned(lever)[..., None]], -1)
+        torque = lever[..., :1] * by[..., 1, :] - lever[..., 1:] * by[..., 0, :]
+        return torch.einsum("kp,kpij->kij", drag, torch.cat([by, torque[..., None, :]], -2))
+
+    @property
+    def twist_noise(self) -> Float[Tensor, "3"]:
+        """Variance of a window's mean twist from the noise of the measured motion, the same in all windows.
+
+        From fifth differences of its parts, which a centre that wanders leaves out.
+        """
+        parts = self.twists.shape[1]
+        if parts < 6:
+            return torch.zeros(3, dtype=torch.float64)
+        return torch.diff(self.twists, 5, dim=1).square().mean(1).median(0).values / (252 * parts)
+
+    def _blurred(
+        self, lever: Float[Tensor, "K P 2"], pivot_error: float
+    ) -> tuple[Float[Tensor, "K S P 2"], Float[Tensor, "K S P"], Float[Tensor, "K S 1"]]:
+        """Velocity of each particle in each part of a window, its speed, and the least speed with a known direction."""
         spin = self.twists[..., 2, None]
         velocity = self.twists[..., None, :2] + spin[..., None] * turned(lever)[:, None]
         fade = pivot_error * spin.abs()
-        blurred = (velocity.square().sum(-1) + fade.square() + 1e-18).sqrt()
-        unit = (velocity / blurred[..., None]).mean(1)
-        return torch.stack([unit[..., 0], unit[..., 1], cross(lever, unit)], 1), (fade / blurred).mean(1)
+        return velocity, (velocity.square().sum(-1) + fade.square() + 1e-18).sqrt(), fade
 
     def com_acceleration(self, com: Float[Tensor, "2"]) -> Float[Tensor, "K 2"]:
         """Acceleration of the centre of mass, m/s^2."""
@@ -182,8 +252,13 @@ class Observations:
 
     def gripper_load(self, inertia: Inertia, height: float) -> GripperLoad:
         """What the gripper carries; the mass accelerates at half the object's `height` (m) over the feet."""
-        moment = self.tilt - height / 2 * inertia.mass * self.com_acceleration(inertia.com)
-        return GripperLoad(self.lift, moment, self.held, self.grasp)
+        moved = height / 2 * inertia.mass * self.com_acceleration(inertia.com)
+        # of what the mass takes only the parts that were kept of the tilt, which held it; at one speed it takes as much
+        # there and back
+        kept, followed = self.load_kept[:, 1:], self.load_followed[:, 1:]
+        swung = kept * (self._mean @ moved) + followed * (self._change @ moved)
+        taken = torch.where(self.accelerated[:, None], swung, kept * moved)
+        return GripperLoad(self.lift, self.tilt - taken, self.held, self.grasp)
 
 
 def robot_seconds(trajectories: Sequence[Trajectory]) -> float:
@@ -191,14 +266,18 @@ def robot_seconds(trajectories: Sequence[Trajectory]) -> float:
     return float(sum(t.time_s[-1] - t.time_s[0] for t in trajectories))
 
 
-def observe(shape: ObjectShape, trajectories: Sequence[Trajectory]) -> Observations | None:
+def observe(
+    shape: ObjectShape, trajectories: Sequence[Trajectory], errors: ModelErrors | None = None
+) -> Observations | None:
     """All usable trajectories of one object as one batch; None where there is none.
 
-    Weighings, lifts, trials that did not end well and those too short to reduce are left out.
+    Weighings, lifts, trials that did not end well and those too short to reduce are left out. Of `errors`, what a
+    nulled gripper carries counts here.
 
     Raises:
         InvalidValueError: a grasp that the shape does not have.
     """
+    errors = errors or ModelErrors()
     windows: list[SteadyWindow] = []
     trial: list[int] = []
     accelerated: list[bool] = []
@@ -220,23 +299,25 @@ def observe(shape: ObjectShape, trajectories: Sequence[Trajectory]) -> Observati
     if not windows:
         return None
     wrench = np.array([w.wrench for w in windows])
+    noise, bias = _pooled(windows, np.array(trial), np.array(accelerated))
     carries = np.array([load_map(w.tcp_height) for w in windows])
     load = np.einsum("kij,kj->ki", carries, wrench)
-    # a load that wanders within a window is real, and its mean is what counts: bias and drift are its errors
-    off = np.array([w.bias_covariance + w.since_tare.mean() * w.drift_covariance for w in windows])
-    variance = np.einsum("kij,kjl,kil->ki", carries, off, carries)
-    kept = np.ones_like(load)
+    off = bias + np.array([w.since_tare.mean() * w.drift_covariance for w in windows])
+    common, own = (np.einsum("kij,kjl,kil->ki", carries, each, carries) for each in (off, noise))
+    kept, followed = np.ones_like(load), np.ones_like(load)
     for kind in (True, False):  # an accelerating arm swings: its load is of another size
         rows = np.array(accelerated) == kind
         if rows.any():
-            load[rows], kept[rows] = _shrunk(load[rows], variance[rows], np.array(trial)[rows])
+            load[rows], kept[rows], followed[rows] = _shrunk(
+                load[rows], common[rows], own[rows], np.array(trial)[rows], errors.nulled, SWUNG if kind else TURNED
+            )
     points = np.array([shape.grasps[w.grasp].position for w in windows])
     nearest = np.linalg.norm(shape.particles[None] - points[:, None], axis=-1).argmin(axis=1)
     tensor = torch.tensor
     return Observations(
         wrench=tensor(wrench[:, PLANAR]),
-        noise=tensor(np.array([w.covariance for w in windows])),
-        bias=tensor(np.array([w.bias_covariance for w in windows])),
+        noise=tensor(noise),
+        bias=tensor(bias),
         drift=tensor(np.array([w.drift_covariance for w in windows])),
         since_tare=tensor(np.array([w.since_tare for w in windows])),
         twist=tensor(np.array([w.twist for w in windows])),
@@ -249,6 +330,7 @@ def observe(shape: ObjectShape, trajectories: Sequence[Trajectory]) -> Observati
         yaw=tensor(np.array([w.yaw for w in windows])),
         load_map=tensor(carries),
         load_kept=tensor(kept),
+        load_followed=tensor(followed),
         held=tensor(shape.mass_group[nearest]),
         trial=tensor(trial),
         accelerated=tensor(accelerated),
@@ -260,17 +342,54 @@ def load_map(height: float) -> np.ndarray:
     return np.array([[0, 0, 1, 0, 0, 0], [height, 0, 0, 0, 1, 0], [0, height, 0, -1, 0, 0]], dtype=float)
 
 
-def _shrunk(load: np.ndarray, variance: np.ndarray, trial: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Loads with what is likely the sensor's bias taken off, and the part of a trial's common load that was kept.
+def _pooled(windows: list[SteadyWindow], trial: np.ndarray, accelerated: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Covariance of the means of noise, and of what a tare leaves, (K, 6, 6).
 
-    A bias is common to all windows of a trial, so what differs between them is real and kept. The common part is drawn
-    towards zero by how much of its scatter over trials the bias explains (empirical Bayes, beyond two standard errors):
-    a gripper that carries less than the sensor can tell is better taken to carry nothing.
+    A short window's own scatter tells its noise badly, one that happens to scatter little would count for too much,
+    and an accelerating arm swings: its noise a second is taken from the windows of constant speed, where there are any.
+    Tares are alike in all trials.
+    """
+    length = np.array([np.ptp(w.since_tare) for w in windows])[:, None, None]
+    density = np.array([w.covariance for w in windows]) * length
+    quiet = accelerated if accelerated.all() else ~accelerated
+    pooled = np.where(accelerated[:, None, None], density[quiet].mean(axis=0), density)
+    noise, bias = pooled / length, np.array([w.bias_covariance for w in windows])
+    first = np.unique(trial, return_index=True)[1]
+    return noise, np.broadcast_to(bias[first].mean(axis=0), bias.shape)
+
+
+def _shrunk(
+    load: np.ndarray,
+    bias: np.ndarray,
+    noise: np.ndarray,
+    trial: np.ndarray,
+    mean_least: np.ndarray,
+    change_least: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Loads with what is likely the sensor's error taken off, and the parts of mean and change that were kept.
+
+    Both a trial's mean load and its change from window to window are drawn towards zero by how much of their scatter
+    the sensor explains (empirical Bayes): a gripper that carries less than the sensor can tell is better taken to carry
+    nothing. Either has to stand out by two standard errors, or it is taken to scatter as a nulled gripper's: least,
+    one standard deviation.
     """
     trials, index = np.unique(trial, return_inverse=True)
-    common = np.array([load[index == t].mean(axis=0) for t in range(len(trials))])
-    bias = np.array([variance[index == t].mean(axis=0) for t in range(len(trials))])
-    explained = (1 + 2 * np.sqrt(2 / len(trials))) * bias.mean(axis=0)
-    real = np.maximum((common**2).mean(axis=0) - explained, 0.0)
-    kept = np.where(bias > 0, real / np.maximum(real + bias, 1e-300), 1.0)
-    return load + ((kept - 1) * common)[index], kept[index]
+    mean, together = np.eye(len(trials))[index].T, np.bincount(index)
+    mean = mean / together[:, None]
+    common = mean @ load
+    change, free = load - common[index], max(len(load) - len(trials), 1)
+    blurred, explained = noise.mean(axis=0), (mean @ bias + mean @ noise / together[:, None]).mean(axis=0)
+    kept = _part((common**2).mean(axis=0), explained, len(trials), mean_least)
+    followed = _part((change**2).sum(axis=0) / free, blurred, free, change_least)
+    shape = load.shape
+    return (
+        kept * common[index] + followed * change,
+        np.broadcast_to(kept, shape).copy(),
+        np.broadcast_to(followed, shape).copy(),
+    )
+
+
+def _part(scatter: np.ndarray, error: np.ndarray, count: int, least: np.ndarray) -> np.ndarray:
+    """Of what was felt `count` times, how much is real: 1 where there is no error."""
+    real = np.maximum(scatter - (1 + 2 * np.sqrt(2 / count)) * error, least**2)
+    return np.where(error > 0, real / np.maximum(real + error, 1e-300), 1.0)

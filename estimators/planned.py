@@ -87,6 +87,7 @@ def planned_observations(shape: ObjectShape, actions: Sequence[Action], sensing:
         yaw=torch.zeros(count, 2, dtype=torch.float64),
         load_map=tensor([load_map(HEIGHT)] * count),
         load_kept=torch.full((count, 3), float(sensing.force_bias == 0), dtype=torch.float64),
+        load_followed=torch.ones(count, 3, dtype=torch.float64),
         held=torch.tensor(shape.mass_group[nearest]),
         trial=torch.tensor(trial),
         accelerated=torch.tensor([accelerated for _, accelerated in stretches]),

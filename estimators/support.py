@@ -30,6 +30,11 @@ class GripperLoad:
     point: Float[Tensor, "K 2"]
     """Grasp point, m, object frame."""
 
+    @property
+    def carried(self) -> Float[Tensor, "K 3"]:
+        """Lift and moment, N and N m."""
+        return torch.cat([self.lift[:, None], self.moment], -1)
+
     @staticmethod
     def none(count: int) -> GripperLoad:
         """A gripper that carries nothing, for `count` windows."""
@@ -59,8 +64,7 @@ class OwnWeight:
 
     def change(self, load: GripperLoad) -> Float[Tensor, "K P"]:
         """What the gripper adds to each particle's load, N."""
-        carried = torch.cat([load.lift[:, None], load.moment], -1)
-        return (self.response @ carried[..., None])[..., 0]
+        return (self.response @ load.carried[..., None])[..., 0]
 
 
 def own_weight(

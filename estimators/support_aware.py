@@ -12,9 +12,10 @@ from estimators.hidden_states import HiddenStatesEstimator
 from estimators.lifted import LiftedRows, lifted_rows
 from estimators.mass_polytope import MassPolytope
 from estimators.material_prior import RankedAssignments, rank_assignments
+from estimators.model_errors import RIGID, ModelErrors
 from estimators.observations import Observations, observe
 from estimators.protocol import Estimate, HiddenStates
-from estimators.support_fit import SupportFit
+from estimators.support_fit import SupportFit, fit_support
 from estimators.support_test import DECISIVE, SupportTest, support_test
 from testbed.arrays import is_number
 from testbed.errors import InvalidValueError
@@ -71,12 +72,12 @@ class SupportAware:
         """
         begin = time.perf_counter()
         own = HiddenStatesEstimator().estimate(shape, weight, trajectories, seed)
-        observed = observe(shape, trajectories)
-        if own.distribution is None or observed is None:
+        observed, of_rigid = (observe(shape, trajectories, errors) for errors in (ModelErrors(), RIGID))
+        if own.distribution is None or observed is None or of_rigid is None:
             return own
         assert weight is not None
         lifted = lifted_rows(shape, weight, trajectories)
-        answer = self._answer(shape, weight, observed, lifted, own, seed)
+        answer = self._answer(shape, weight, observed, of_rigid, lifted, own, seed)
         return replace(answer, seconds=time.perf_counter() - begin)
 
     def _answer(
@@ -84,25 +85,30 @@ class SupportAware:
         shape: ObjectShape,
         weight: float,
         observed: Observations,
+        of_rigid: Observations,
         lifted: LiftedRows,
         own: Estimate,
         seed: int,
     ) -> Estimate:
-        test = support_test(shape, weight, observed, level=self.false_alarms, lifted=lifted)
+        test = support_test(shape, weight, of_rigid, level=self.false_alarms, lifted=lifted)
         own = replace(own, diagnostics=own.diagnostics | _numbers(test))
         rigid = test.log10_bayes_factor < -DECISIVE
-        answer = self._rigid(shape, test, own, seed, felt=_felt(lifted)) if rigid else own
+        # which support it is was asked without the gripper's spread; given the support, that is known
+        as_rigid = fit_support(shape, weight, of_rigid, "rigid", RIGID, lifted)
+        answer = self._rigid(shape, as_rigid, own, seed, felt=_felt(lifted)) if rigid else own
         if self.materials_kg or self.materials_kg_m3:
-            answer = self._with_materials(shape, test.rigid if rigid else test.own_weight, answer)
+            as_own = fit_support(shape, weight, observed, "own_weight", ModelErrors(), lifted)
+            fits = {"rigid": (as_rigid,), "own_weight": (as_own,), "between": (as_rigid if rigid else as_own,)}
+            answer = self._with_materials(shape, fits.get(test.kind, (as_own, as_rigid)), answer)
         if test.violated:
             answer = replace(answer, status="assumption_violated", message=_joined(test.sentence, answer.message))
         elif test.kind == "undecided":
-            answer = self._undecided(shape, test, answer, seed)
+            answer = self._undecided(shape, test, as_rigid, answer, seed)
         return answer
 
-    def _rigid(self, shape: ObjectShape, test: SupportTest, own: Estimate, seed: int, *, felt: str) -> Estimate:
+    def _rigid(self, shape: ObjectShape, fit: SupportFit, own: Estimate, seed: int, *, felt: str) -> Estimate:
         """The masses that agree with M, c and I_cm, or with whatever else was `felt`, in words."""
-        fit, count = test.rigid, shape.particles_per_group
+        count = shape.particles_per_group
         polytope = MassPolytope(*fit.on_mass())
         mean, covariance = polytope.posterior(seed)
         low, high = polytope.ranges(self.confidence)
@@ -136,12 +142,16 @@ class SupportAware:
             diagnostics=own.diagnostics | ends | {"polytope_miss": polytope.inside[1]},
         )
 
-    def _with_materials(self, shape: ObjectShape, fit: SupportFit, answer: Estimate) -> Estimate:
-        """The most probable assignment of the materials, or the answer as it was where none fits."""
+    def _with_materials(self, shape: ObjectShape, fits: tuple[SupportFit, ...], answer: Estimate) -> Estimate:
+        """The most probable assignment of the materials, or the answer as it was where none fits.
+
+        Where the support is not decided, by the first of its fits with which any assignment agrees.
+        """
         count = shape.particles_per_group
-        rows, values = fit.on_mass()
         options = self._options(shape)
-        ranked = rank_assignments(rows / count, values, options)
+        known = [fit.on_mass() for fit in fits]
+        each = [rank_assignments(rows / count, values, options) for rows, values in known]
+        ranked = next((ranks for ranks in each if ranks.fits >= UNFIT), each[0])
         numbers = answer.diagnostics | {"assignment_misfit": ranked.misfit, "assignment_fits": ranked.fits}
         if ranked.fits < UNFIT:
             why = "no assignment of the materials given agrees with what was felt"
@@ -169,12 +179,14 @@ class SupportAware:
         volume = shape.particles_per_group * shape.cell**2 * shape.height
         return np.outer(volume, self.materials_kg_m3)
 
-    def _undecided(self, shape: ObjectShape, test: SupportTest, answer: Estimate, seed: int) -> Estimate:
+    def _undecided(
+        self, shape: ObjectShape, test: SupportTest, fit: SupportFit, answer: Estimate, seed: int
+    ) -> Estimate:
         """Algorithm 1's answer, with the errors of either model, as likely as the data make it."""
         assert answer.distribution is not None and answer.covariance is not None
         odds = 10**test.log10_bayes_factor
         share = 1 / (1 + odds)
-        mean, covariance = MassPolytope(*test.rigid.on_mass()).posterior(seed)
+        mean, covariance = MassPolytope(*fit.on_mass()).posterior(seed)
         apart = mean - answer.distribution.mass
         both = (1 - share) * answer.covariance + share * (covariance + np.outer(apart, apart))
         return replace(

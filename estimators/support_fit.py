@@ -20,9 +20,11 @@ from estimators.dynamics import ParticleModel, inertia_of
 from estimators.inertia import PivotInertia, pivot_inertias
 from estimators.lifted import LiftedRows
 from estimators.mass_solve import inertia_map
+from estimators.model_errors import ModelErrors
 from estimators.observations import Observations
 from estimators.prediction import AffineLoads, LoadsOf, WrenchModel, own_weight_loads
 from estimators.support import GripperLoad, rigid_loads
+from estimators.wrench_errors import torque_covariance, wrench_errors
 from testbed.objects import GRAVITY, ObjectShape
 
 FittedSupport = Literal["own_weight", "rigid"]
@@ -30,30 +32,6 @@ ROUNDS = 6
 """Of Gauss-Newton: friction is tight from the first on."""
 FRICTION_PRIOR = 1.0
 """Standard deviation of every friction coefficient beforehand; so wide that it decides nothing."""
-
-
-@dataclass(frozen=True)
-class ModelErrors:
-    """How far the models themselves are taken to be off."""
-
-    pivot: float = 2e-4
-    """How well the centre of a turn is known, m."""
-    force: float = 0.002
-    """Of a force, as a part of the total drag."""
-    torque: float = 0.001
-    """Of a torque, as a part of itself."""
-    height: float = 0.001
-    """How well the TCP's height over the feet is known, m; one draw for all windows."""
-    balance: float = 1e-4
-    """How far the loads' own centre may lie from where weight and gripper put it, m; one draw for all windows."""
-    lift: float = 0.05
-    """What the gripper may carry unseen, beyond the measured lift, N; one draw a trial."""
-    moment: float = 0.005
-    """And beyond the measured moment, N m."""
-    inertia: float = 0.01
-    """Of I_j, as a part of itself; once of each, and once of all together."""
-    weight: float = 1e-3
-    """Of the weighing, kg."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,6 +109,8 @@ def fit_support(
     support: FittedSupport,
     errors: ModelErrors,
     lifted: LiftedRows | None = None,
+    *,
+    spread_known: bool = True,
 ) -> SupportFit:
     """Fit friction and masses under one support model, by Gauss-Newton with neither negative.
 
@@ -141,6 +121,8 @@ def fit_support(
         support: which model.
         errors: how far it may be off.
         lifted: what lifts say of the masses, whoever carries the weight on the table.
+        spread_known: whether the gripper's lift and moment are known to spread over the feet as this model has it; else
+            as either model has it, or anywhere near: then nothing is told from that spread.
     """
     lifted = lifted or LiftedRows.none(shape)
     model = ParticleModel.of(shape)
@@ -150,24 +132,30 @@ def fit_support(
     drag = float(steady.wrench[:, :2].norm(dim=1).max()) / (weight * GRAVITY)
     friction = np.full(shape.n_mu, drag)
     loads = AffineLoads.of(shape, model, steady, loads_of)
-    wrenches = WrenchModel.of(model, steady, loads, errors.pivot)
+    wrenches = WrenchModel.of(model, steady, loads, errors.pivot_error)
     response = _response(model, steady, loads_of)
+    other = next(loads for name, loads in _LOADS.items() if name != support)
+    elsewhere = _response(model, steady, other)
+    unsure = 0.0 if spread_known else 1.0
     weak, even = _weak_prior(shape, weight)
     fit: SupportFit | None = None
     for _ in range(ROUNDS):
         at_mass, at_friction = torch.tensor(mass), torch.tensor(friction)
         pushed = model.particle_friction(at_friction) * loads.at(at_mass)
-        root = torch.linalg.cholesky(
-            _covariance(model, steady, weight, pushed, model.particle_friction(at_friction)[:, None] * response, errors)
-        )
+        rows, _ = steady.drag_rows(model, errors.pivot_error)
+        carried = rows @ (model.particle_friction(at_friction)[:, None] * response)
+        apart, common = wrench_errors(steady, model, pushed, carried, errors)
+        otherwise = rows @ (model.particle_friction(at_friction)[:, None] * elsewhere)
+        pressing = steady.gripper_load(inertia_of(model, model.particle_mass(at_mass)), shape.height).carried
+        spread = unsure * ((otherwise - carried) * pressing[:, None]).flatten(0, 1)
+        root = torch.linalg.cholesky(apart + common @ common.T + spread @ spread.T)
         whiten = torch.linalg.inv(root)
         of_friction = (wrenches.weighed @ at_mass + wrenches.carried).flatten(1).T
         of_mass = (wrenches.inertial + torch.einsum("k,kwim->wim", at_friction, wrenches.weighed)).flatten(0, 1)
         off = steady.wrench - wrenches.wrench(at_mass, at_friction)
         linear = off.flatten() + of_friction @ at_friction + of_mass @ at_mass
-        rows, _ = steady.drag_rows(model, errors.pivot)
         excluded = model.particle_friction(at_friction)[:, None] * _excluded(model, support)
-        pivots = _pivots(model, shape, accelerated, at_mass, at_friction, loads_of, errors)
+        pivots = _pivots(model, shape, accelerated, at_mass, at_friction, loads_of, other, unsure, errors)
         known, known_target, known_volume = _known(shape, weight, pivots, errors, lifted)
         fit = SupportFit(
             support,
@@ -243,35 +231,6 @@ def _response(model: ParticleModel, windows: Observations, loads_of: LoadsOf) ->
     return torch.stack([loads(*one) - base for one in torch.eye(3).tolist()], -1)
 
 
-def _covariance(
-    model: ParticleModel, windows: Observations, weight: float, drag: Tensor, response: Tensor, errors: ModelErrors
-) -> Float[Tensor, "R R"]:
-    """Of all windows' wrenches: the sensor's, the model's, and that of what the gripper seems to carry.
-
-    Args:
-        model: the object.
-        windows: of constant speed.
-        weight: M, kg.
-        drag: mu N of every particle, N, (K, P).
-        response: its change with what the gripper carries, (K, P, 3).
-        errors: of the model.
-    """
-    rows, faded = windows.drag_rows(model, errors.pivot)
-    lost = (drag * faded).square().sum(-1) / 2
-    force = (errors.force * drag.sum(-1)).square()
-    floor = torch.stack([lost + force] * 2 + [(errors.torque * windows.wrench[:, 2]).square()], -1)
-    within = windows.covariance + torch.diag_embed(floor + 1e-10)
-    carried = rows @ response
-    unseen = torch.tensor([errors.lift, errors.moment, errors.moment], dtype=torch.float64).square()
-    together = (windows.trial[:, None] == windows.trial)[..., None]
-    load_covariance = windows.load_covariance() + together * unseen
-    shared = windows.shared_covariance() + torch.einsum("kia,lja,kla->kilj", carried, carried, load_covariance)
-    raised = errors.height * (carried[..., 1:] @ windows.wrench[:, :2, None]).flatten()
-    count = 3 * len(windows)
-    pressed = errors.balance * weight * GRAVITY * carried[..., 1:].flatten(0, 1)
-    return torch.block_diag(*within) + shared.reshape(count, count) + torch.outer(raised, raised) + pressed @ pressed.T
-
-
 def _pivots(
     model: ParticleModel,
     shape: ObjectShape,
@@ -279,6 +238,8 @@ def _pivots(
     mass: Tensor,
     friction: Tensor,
     loads_of: LoadsOf,
+    other: LoadsOf,
+    unsure: float,
     errors: ModelErrors,
 ) -> PivotInertia | None:
     """I_j, with the change of friction that the gripper's changing load brings taken away."""
@@ -286,11 +247,16 @@ def _pivots(
         return None
     particle_mass = model.particle_mass(mass)
     inertia = inertia_of(model, particle_mass)
-    loads = loads_of(model, particle_mass, windows.gripper_load(inertia, shape.height))
+    load = windows.gripper_load(inertia, shape.height)
+    loads = loads_of(model, particle_mass, load)
     rows, _ = windows.drag_rows(model, 0.0)
     felt = (rows @ (model.particle_friction(friction) * loads)[..., None])[:, 2, 0]
     moved = windows.inertial_wrench(inertia)[:, 2]
-    return pivot_inertias(windows, felt.numpy(), moved.numpy(), errors.inertia)
+    rubbed = rows @ model.particle_friction(friction).diag()
+    response, otherwise = (rubbed @ _response(model, windows, each) for each in (loads_of, other))
+    spread = unsure * ((otherwise - response)[:, 2] * load.carried).numpy()
+    error = torque_covariance(windows, response) + spread @ spread.T
+    return pivot_inertias(windows, felt.numpy(), moved.numpy(), errors.inertia_error, error)
 
 
 def _known(
@@ -301,7 +267,7 @@ def _known(
     All whitened; the lifts' volume is left out, being the same whoever carries the weight.
     """
     rows, values = shape.particles_per_group[None].astype(float), np.array([weight])
-    covariance = np.array([[errors.weight**2]])
+    covariance = np.array([[errors.weight_error**2]])
     if pivots is not None:
         rows = np.vstack([rows, inertia_map(shape, pivots.pivot)])
         values = np.append(values, pivots.inertia)

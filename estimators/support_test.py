@@ -14,8 +14,9 @@ import numpy as np
 from scipy.stats import f as f_distribution
 
 from estimators.lifted import LiftedRows
+from estimators.model_errors import RIGID, ModelErrors
 from estimators.observations import Observations
-from estimators.support_fit import ModelErrors, SupportFit, fit_support, prior_masses
+from estimators.support_fit import SupportFit, fit_support, prior_masses
 from testbed.objects import ObjectShape
 
 SupportKind = Literal["own_weight", "rigid", "between", "undecided"]
@@ -82,14 +83,15 @@ def support_test(
     Args:
         shape: geometry and groups.
         weight: M, kg.
-        observed: windows with rank(Q) full; accelerated ones add the second moment.
+        observed: windows with rank(Q) full, by `observe` with `RIGID`: nothing that the gripper may carry is taken for
+            the sensor's error. Accelerated ones add the second moment.
         level: rate of false alarms.
-        errors: how far the models may be off.
+        errors: how far both models may be off, the same for both: a model is not taken for how exact it is.
         lifted: what lifts say of the masses.
     """
-    errors = errors or ModelErrors()
-    own = fit_support(shape, weight, observed, "own_weight", errors, lifted)
-    rigid = fit_support(shape, weight, observed, "rigid", errors, lifted)
+    errors = errors or RIGID
+    own = fit_support(shape, weight, observed, "own_weight", errors, lifted, spread_known=False)
+    rigid = fit_support(shape, weight, observed, "rigid", errors, lifted, spread_known=False)
     p_own, ratio, ratio_error = _within_wider(own)
     p_rigid, _, _ = _within_wider(rigid)
     bayes = float(_log_evidence(own, shape, weight) - _log_evidence(rigid, shape, weight)) / math.log(10)

@@ -5,8 +5,8 @@ settling   what is left of a turn's beginning in its steady window, against the 
 policies   NAD against robot seconds for every policy, expected against achieved, in simulation under a sensor
 more       what more turns buy: expected NAD after 1 to 8 planned turns
 
-Options: --objects N drawn objects beside the library's (4), --draws N of the sensor (4), --sensing (ft300s),
---figure FILE, --rows FILE (keeps what was measured; goes on from it).
+Options: --objects N drawn objects, in turn with the library's six (4), --first N of these (all), --draws N of the
+sensor (4), --sensing (ft300s), --figure FILE, --rows FILE (keeps what was measured; goes on from it).
 """
 
 from __future__ import annotations
@@ -171,7 +171,8 @@ def policies(options: argparse.Namespace) -> None:
         rows = json.loads(options.rows.read_text())
     known = {row["object"] for row in rows}
     library = [load_object(name) for name in LIBRARY]
-    for model in [m for pair in zip_longest(drawn(options.objects, options.seed), library) for m in pair if m]:
+    both = [m for pair in zip_longest(drawn(options.objects, options.seed), library) for m in pair if m]
+    for model in both[: options.first]:
         if model.name not in known:
             rows += list(_runs(model, options))
             print(f"{model.name}: {time.process_time():.0f} s", flush=True)
@@ -312,6 +313,7 @@ def main() -> None:
     kinds = {"speed": speed, "settling": settling, "policies": policies, "more": more}
     parser.add_argument("what", choices=kinds)
     parser.add_argument("--objects", type=int, default=4)
+    parser.add_argument("--first", type=int, default=None)
     parser.add_argument("--draws", type=int, default=4)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--sensing", default="ft300s")

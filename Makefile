@@ -8,8 +8,8 @@ STAMP := $(VENV)/.installed
 run: $(STAMP)  ## the main job: the comparison on the block objects
 	$(BIN)/heft run blocks
 
-test: $(STAMP)  ## quick tests
-	$(BIN)/pytest -m "not slow"
+test: $(STAMP)  ## quick tests, on two cores
+	OMP_NUM_THREADS=1 $(BIN)/pytest -m "not slow" --numprocesses 2 --dist worksteal
 
 test-all: $(STAMP)  ## all tests
 	$(BIN)/pytest

@@ -42,6 +42,7 @@ def test_without_noise_all_comes_back(mount: Rotation, sign: int):
     assert found.misfit < 1e-9
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("mount", "sign"), [(MOUNTS[1], 1), (MOUNTS[6], -1)])
 def test_with_noise_errors_are_as_large_as_it_says(mount: Rotation, sign: int):
     draws = 60

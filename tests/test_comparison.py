@@ -109,6 +109,7 @@ def test_the_papers_tables_are_whole():
     assert_allclose(sum(paper.MPD["hidden_states"].values()), 11.6)
 
 
+@pytest.mark.slow
 def test_the_heatmap_shows_every_group_of_every_object_and_method(tmp_path):
     rows = [row(m, s, e, name) for name in ("L2", "hammer") for m, e in (("good", 0.01), ("bad", 0.5)) for s in (0, 1)]
     rows += [row("silent", 0, None, name) for name in ("L2", "hammer")]

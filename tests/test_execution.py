@@ -45,6 +45,7 @@ def test_a_full_disk_ends_the_run():
     assert error.value.errno == errno.ENOSPC
 
 
+@pytest.mark.slow
 def test_whatever_a_task_does_comes_back_as_a_value():
     ways = ("well", "raise", "exit", "eat", "hang", "crash")  # those that cost a worker last
     with open_executor("local", 2, QUICK) as executor:

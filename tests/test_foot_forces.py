@@ -55,5 +55,5 @@ def test_in_a_turn_they_carry_the_weight_and_oppose_the_motion():
 
 
 def test_a_scale_has_no_feet():
-    with pytest.raises(InvalidValueError, match="slide or a turn"):
+    with pytest.raises(InvalidValueError, match="anything but a weighing"):
         SimulationRunner().run_with_contacts(Trial(load_object("L2"), Weigh()))

@@ -72,7 +72,8 @@ def copied(undisturbed, tmp_path) -> Path:
     return out
 
 
-@pytest.mark.parametrize("victim", [pytest.param("worker", marks=pytest.mark.slow), "both"])
+@pytest.mark.slow
+@pytest.mark.parametrize("victim", ["worker", "both"])
 def test_a_killed_run_goes_on(scenario, undisturbed, tmp_path, victim):
     frame, _ = undisturbed
     kill_a_run(scenario, tmp_path / "out", draw_killing(np.random.default_rng(7), victim, 4), workers=1)

@@ -319,6 +319,7 @@ def test_a_trial_over_wires_is_shown_confirmed_run_and_stored(folder, capsys, mo
     assert kept["names"]["object"] == "L2"
 
 
+@pytest.mark.slow
 def test_what_a_viewer_is_sent_is_what_came(monkeypatch):
     sent: list[tuple[str, np.ndarray]] = []
     stream = SensorStream("rerun+http://127.0.0.1:9/proxy", "sensor")

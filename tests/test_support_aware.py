@@ -107,6 +107,7 @@ def test_without_acceleration_friction_alone_decides():
         assert np.isnan(found.moment_ratio)
 
 
+@pytest.mark.slow
 def test_p_values_are_even_where_the_errors_are_as_told():
     obj = load_object("L2")
     exact = windows(obj, data(obj, rigid=False, noise=0.0))

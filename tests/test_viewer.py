@@ -146,6 +146,7 @@ def test_a_viewer_that_is_open_is_shown_what_is_done(folder, tmp_path):
     assert "estimate" in found
 
 
+@pytest.mark.slow
 def test_a_trial_of_another_bench_is_seen_from_its_files(folder, tmp_path):
     """As measured: no draw of errors, no truth behind it, and nobody knows the forces on the feet."""
     key = next(p.parent.name for p in folder.glob("trials/*/foot_forces.parquet"))

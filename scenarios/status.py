@@ -27,7 +27,8 @@ def show_status(console: Console, folder: Path) -> None:
     """
     manifest = read_json(folder / "manifest.json")
     if manifest is None:
-        raise InvalidValueError("DIR", str(folder), "a folder with a manifest.json, as `heft run` and `heft estimate` make it")
+        allowed = "a folder with a manifest.json, as `heft run` and `heft estimate` make it"
+        raise InvalidValueError("DIR", str(folder), allowed)
     try:
         with exclusive(folder):
             state = "nothing is running here"

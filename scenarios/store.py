@@ -174,9 +174,18 @@ class Store:
 
     def put_table(self, rows: Iterable[dict[str, Any]]) -> pd.DataFrame:
         """Write results.parquet, derived from the rows."""
-        frame = pd.DataFrame(list(rows))
+        frame = pd.DataFrame(list(rows)).apply(_of_one_kind)
         write_whole(self.root / "results.parquet", lambda part: frame.to_parquet(part, compression="zstd"))
         return frame
+
+
+def _of_one_kind(column: pd.Series) -> pd.Series:
+    """A column of words and numbers, as of a swept support, in words: Parquet has one type a column."""
+    kept = [v[0] if isinstance(v, list) and len(v) == 1 else v for v in column]
+    words, numbers = ([isinstance(v, kind) for v in kept] for kind in (str, (int, float)))
+    if not (any(words) and any(number and not _missing(v) for number, v in zip(numbers, kept, strict=True))):
+        return column
+    return pd.Series([v if _missing(v) else str(v) for v in kept], column.index)
 
 
 def rows_of(frame: pd.DataFrame) -> list[dict[str, Any]]:

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from scenarios.store import key_of, trial_request
+import pandas as pd
+
+from scenarios.store import Store, key_of, trial_request
 from testbed.actions import Rotate
 from testbed.object_files import load_object
 from testbed.objects import ObjectModel
@@ -34,3 +36,10 @@ def test_solids_and_gripped_faces_are_in_the_key():
         ),
     ]
     assert len({key(each) for each in [obj, *others]}) == len(others) + 1
+
+
+def test_a_swept_setting_of_words_and_numbers_is_kept_in_words(tmp_path):
+    rows = [{"axis.support": value} for value in (["own_weight"], [10], [1000.0], ["rigid"], None)]
+    kept = Store(tmp_path).put_table(rows)["axis.support"]
+    assert list(pd.read_parquet(tmp_path / "results.parquet")["axis.support"].dropna()) == list(kept.dropna())
+    assert list(kept)[:4] == ["own_weight", "10", "1000.0", "rigid"]

@@ -174,7 +174,8 @@ class Store:
 
     def put_table(self, rows: Iterable[dict[str, Any]]) -> pd.DataFrame:
         """Write results.parquet, derived from the rows."""
-        frame = pd.DataFrame(list(rows)).apply(_of_one_kind)
+        frame = pd.DataFrame(list(rows))
+        frame = pd.DataFrame({name: _of_one_kind(frame[name]) for name in frame.columns})
         write_whole(self.root / "results.parquet", lambda part: frame.to_parquet(part, compression="zstd"))
         return frame
 

@@ -175,18 +175,16 @@ class Store:
     def put_table(self, rows: Iterable[dict[str, Any]]) -> pd.DataFrame:
         """Write results.parquet, derived from the rows."""
         frame = pd.DataFrame(list(rows))
-        frame = pd.DataFrame({name: _of_one_kind(frame[name]) for name in frame.columns})
+        frame = pd.DataFrame({name: _of_one_kind(list(column)) for name, column in frame.items()})
         write_whole(self.root / "results.parquet", lambda part: frame.to_parquet(part, compression="zstd"))
         return frame
 
 
-def _of_one_kind(column: pd.Series) -> pd.Series:
+def _of_one_kind(column: list[Any]) -> list[Any]:
     """A column of words and numbers, as of a swept support, in words: Parquet has one type a column."""
     kept = [v[0] if isinstance(v, list) and len(v) == 1 else v for v in column]
-    words, numbers = ([isinstance(v, kind) for v in kept] for kind in (str, (int, float)))
-    if not (any(words) and any(number and not _missing(v) for number, v in zip(numbers, kept, strict=True))):
-        return column
-    return pd.Series([v if _missing(v) else str(v) for v in kept], column.index)
+    kinds = [str if isinstance(v, str) else float for v in kept if isinstance(v, (str, int, float)) and not _missing(v)]
+    return [v if _missing(v) else str(v) for v in kept] if len(set(kinds)) > 1 else column
 
 
 def rows_of(frame: pd.DataFrame) -> list[dict[str, Any]]:

@@ -5,6 +5,9 @@ judge OUT.parquet FOLDER... [--sensing NAME]... [--draws N] [--materials KG]...
         support_aware answers, a row a draw
 show OUT.parquet [FIGURE.png]
         rates of false alarms and detection, coverage and assignments; and the curve of one rate against the other
+stiffness OUT.parquet FIGURE.png
+        the same draws by who carries the weight, from own weight over springs between the blocks to one rigid body
+        (judge results of `heft run support`): verdicts and NAD, as a table and a figure
 speed   2^16 and more assignments ranked, and the whole of support_aware, in the tests' exact world
 """
 
@@ -37,6 +40,7 @@ from testbed.object_files import load_object
 from testbed.objects import ObjectModel
 from testbed.reduction import weight_of
 from testbed.trajectory import Trajectory, write_whole
+from testbed.trial import parse_support
 from viz.style import PALETTE, STYLE, bare, plain_numbers
 
 CONFIDENCE = 0.9
@@ -163,6 +167,42 @@ def show(rows: pd.DataFrame, figure: Path | None) -> None:
         write_whole(figure, lambda part: curves(rows).savefig(part, format="png", dpi=150))
 
 
+def by_stiffness(rows: pd.DataFrame, figure: Path) -> None:
+    """Verdicts and NAD against the stiffness of the springs between blocks, over all objects."""
+    rows = rows.loc[rows.sensing == "ft300s"]
+    names = sorted(rows.support.unique(), key=_stiffness)
+    body = []
+    for name in names:
+        part = rows.loc[rows.support == name]
+        said = [100 * (part.status == s).mean() for s in ("ok", "underdetermined", "assumption_violated")]
+        nads = [100 * part[column].mean() for column in ("nad_plain", "nad")]
+        factor = part.log10_bayes_factor.median()
+        body.append([name, len(part), *said, factor, *nads])
+    titles = ["support", "draws", "own weight", "undecided", "violated", "log10 B", "hidden_states", "support_aware"]
+    shown = [[str(v) if isinstance(v, (str, int)) else f"{v:.3g}" for v in row] for row in body]
+    table("verdicts in % of draws, median Bayes factor, mean NAD in %", titles, shown)
+    with mpl.rc_context(STYLE):
+        drawn = Figure(figsize=(6.4, 3.2), layout="constrained")
+        verdict, error = drawn.subplots(1, 2)
+        for index, (axis, column) in enumerate(((verdict, 2), (verdict, 3), (verdict, 4), (error, 6), (error, 7))):
+            values = [row[column] for row in body]
+            axis.plot(range(len(body)), values, "o-", color=PALETTE[index], label=titles[column])
+        for axis, what in ((verdict, "draws, %"), (error, "NAD, %")):
+            labels = ["own", *(n.removesuffix(" N/m") for n in names[1:-1]), "rigid"]
+            axis.set_xticks(range(len(body)), labels, rotation=45)
+            axis.set_xlabel("stiffness between blocks, N/m")
+            axis.set_ylabel(what)
+            axis.set_ylim(0)
+            bare(axis)
+            axis.legend(fontsize=8, frameon=False)
+        write_whole(figure, lambda part: drawn.savefig(part, format="png", dpi=150))
+
+
+def _stiffness(name: str) -> float:
+    support = parse_support(name.removesuffix(" N/m"))
+    return support.stiffness
+
+
 def _group(rows: pd.DataFrame) -> pd.Series:
     """Library objects by name; drawn ones by their family."""
     named = rows.object.str.split(" ").str[0]
@@ -251,6 +291,9 @@ def main() -> None:
     showing = commands.add_parser("show")
     showing.add_argument("out", type=Path)
     showing.add_argument("figure", type=Path, nargs="?")
+    stiff = commands.add_parser("stiffness")
+    stiff.add_argument("out", type=Path)
+    stiff.add_argument("figure", type=Path)
     commands.add_parser("speed")
     asked = parser.parse_args()
     torch.set_num_threads(1)
@@ -258,6 +301,8 @@ def main() -> None:
         judge(asked.out, asked.folders, asked.sensing, asked.draws, asked.materials)
     elif asked.command == "show":
         show(pd.read_parquet(asked.out), asked.figure)
+    elif asked.command == "stiffness":
+        by_stiffness(pd.read_parquet(asked.out), asked.figure)
     else:
         speed()
 

@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
+import base64
 import io
-import os
+import itertools
+import json
 import shutil
 import subprocess
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from urllib.request import urlopen
 
 import numpy as np
 import pytest
 from PIL import Image
 from rerun.experimental import ViewerClient
+from websockets.sync.client import connect
 
 from viz.viewer import HOST, environment, free_port, program, url_of
 
@@ -81,11 +85,47 @@ def has_color(pixels: np.ndarray, color: tuple[int, int, int], least: int = 30, 
     return int((np.abs(pixels - np.array(color)).max(axis=-1) < within).sum()) >= least
 
 
-def browse(address: str, folder: Path) -> tuple[np.ndarray, str]:
-    """What a browser shows of a page, (H, W, 3), and its log of connections."""
-    out, log = folder / "page.png", folder / "net.json"
+@contextmanager
+def browser(address: str, folder: Path) -> Iterator[Callable[[], np.ndarray]]:
+    """A browser without a window that has a page open; called, what it shows now, (H, W, 3).
+
+    It is asked over its debugging port: a picture that a browser takes by itself comes too early on a busy machine. Its
+    log of connections is in net.json.
+    """
+    profile = folder / "profile"
     command = ["chromium", "--headless=new", "--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader",
-               "--ignore-gpu-blocklist", f"--user-data-dir={folder / 'profile'}", "--window-size=1400,900",
-               "--virtual-time-budget=60000", f"--log-net-log={log}", f"--screenshot={out}", address]  # fmt: skip
-    subprocess.run(command, check=True, capture_output=True, timeout=120, env=dict(os.environ))
-    return np.asarray(Image.open(out).convert("RGB")).astype(int), log.read_text(encoding="utf-8", errors="replace")
+               "--ignore-gpu-blocklist", f"--user-data-dir={profile}", "--window-size=1400,900",
+               "--remote-debugging-port=0", f"--log-net-log={folder / 'net.json'}", address]  # fmt: skip
+    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    try:
+        with connect(_debugged(profile / "DevToolsActivePort"), max_size=None) as page:
+            asked = itertools.count(1)
+
+            def look() -> np.ndarray:
+                mine = next(asked)
+                page.send(json.dumps({"id": mine, "method": "Page.captureScreenshot"}))
+                while (said := json.loads(page.recv(timeout=60))).get("id") != mine:
+                    pass
+                png = base64.b64decode(said["result"]["data"])
+                return np.asarray(Image.open(io.BytesIO(png)).convert("RGB")).astype(int)
+
+            yield look
+    finally:
+        process.terminate()  # not killed: its log is whole only then
+        process.wait(30)
+
+
+def _debugged(told: Path) -> str:
+    """Where the only page of a browser that has just been started can be asked."""
+    until = time.monotonic() + 60
+    while time.monotonic() < until:
+        time.sleep(0.2)
+        try:
+            port = told.read_text(encoding="utf-8").split()[0]
+            with urlopen(f"http://{HOST}:{port}/json", timeout=10) as reply:
+                pages = [target for target in json.load(reply) if target["type"] == "page"]
+        except (OSError, IndexError, ValueError):  # it does not listen yet
+            continue
+        if pages:
+            return pages[0]["webSocketDebuggerUrl"]
+    raise AssertionError("the browser did not start")

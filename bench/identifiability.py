@@ -7,7 +7,8 @@ errors FOLDER    the model errors that explain noise-free trials best, at the tr
 speed            a report for a shape before any trial
 share FOLDER     what report and covariance add to the time of Algorithm 1
 
-Options: --draws N (8), --objects N (all), --support, --sensing.
+Options: --draws N (8), --objects N (all), --support, --sensing; of coverage also --figure FILE.png, which draws how
+many intervals of every nominal level hold the truth.
 """
 
 from __future__ import annotations
@@ -23,11 +24,14 @@ from functools import cache
 from pathlib import Path
 from statistics import median
 
+import matplotlib as mpl
 import numpy as np
 import torch
+from matplotlib.figure import Figure
 from rich.console import Console
 from rich.table import Table
 from scipy.optimize import minimize
+from scipy.stats import norm
 
 from estimators.dynamics import ParticleModel, inertia_of
 from estimators.fisher import Question, expected, observed
@@ -43,7 +47,8 @@ from testbed.object_files import load_object, object_names
 from testbed.objects import ObjectModel
 from testbed.reduction import weight_of
 from testbed.sensing import preset
-from testbed.trajectory import Trajectory
+from testbed.trajectory import Trajectory, write_whole
+from viz.style import PALETTE, STYLE, bare
 
 LEVEL, DEVIATIONS = 0.9, 1.6449
 EXACT = HiddenStatesEstimator(
@@ -141,10 +146,27 @@ def coverage(folder: Path, options: argparse.Namespace) -> None:
     by_object = np.array([_held(score) for score in scores])
     whole = np.concatenate([score.ravel() for score in scores])
     error = by_object.std(ddof=1) / math.sqrt(len(by_object)) if len(by_object) > 1 else math.nan
+    if options.figure is not None:
+        write_whole(options.figure, lambda part: levels(whole, options.sensing).savefig(part, format="png", dpi=150))
     print(
         f"{len(scores)} objects, {len(whole)} intervals: {100 * _held(whole):.1f} % hold the truth (by object "
         f"{100 * by_object.mean():.1f} +- {100 * error:.1f}); error over claimed {math.sqrt(np.mean(whole**2)):.2f}"
     )
+
+
+def levels(scores: np.ndarray, sensing: str) -> Figure:
+    """Share of intervals that hold the truth against the share that should."""
+    nominal = np.linspace(0.01, 0.99, 99)
+    held = (np.abs(scores)[:, None] <= norm.ppf((1 + nominal) / 2)).mean(axis=0)
+    with mpl.rc_context(STYLE):
+        figure = Figure(figsize=(3.6, 3.4), layout="constrained")
+        axis = figure.subplots()
+        axis.plot([0, 100], [0, 100], color="0.6", linewidth=1, label="honest")
+        axis.plot(100 * nominal, 100 * held, color=PALETTE[0], label=sensing)
+        axis.set(xlabel="nominal, %", ylabel="hold the truth, %", xlim=(0, 100), ylim=(0, 100), aspect="equal")
+        bare(axis)
+        axis.legend(fontsize=8, frameon=False, loc="upper left")
+    return figure
 
 
 def _held(score: np.ndarray) -> float:
@@ -308,6 +330,7 @@ def main() -> None:
     parser.add_argument("--objects", type=int, default=10_000)
     parser.add_argument("--support", default="own_weight")
     parser.add_argument("--sensing", default="ft300s")
+    parser.add_argument("--figure", type=Path)
     options = parser.parse_args()
     if options.what == "speed":
         speed()

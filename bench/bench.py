@@ -25,7 +25,7 @@ from estimators.descent import OPTIMIZERS
 from estimators.diff_lcp import DiffLcp
 from estimators.dynamics import ParticleModel, cross, direction, friction_wrench, inertia_of, one_step, rotate, turned
 from estimators.explicit_state import ExplicitState
-from estimators.friction_loads import LoadGroups, closed_form, descend_loads, friction_system
+from estimators.friction_loads import LoadGroups, closed_form, descend_loads, friction_equations
 from estimators.hidden_states import HiddenStatesEstimator
 from estimators.lcp import LcpEngine, _Solve, polygon_sides, solve_step
 from estimators.observations import observe
@@ -248,10 +248,9 @@ def main() -> None:
     steady = observed.where(~observed.accelerated)
     mass = torch.full((len(shape.particles),), weight / len(shape.particles), dtype=torch.float64)
     settings = HiddenStatesEstimator()
-    system = friction_system(
-        model, groups, steady, mass, torch.full_like(mass, 0.5), inertia_of(model, mass), shape.height,
-        pivot_error=settings.pivot_error, force_error=settings.force_error, torque_error=settings.torque_error,
-    )  # fmt: skip
+    system = friction_equations(
+        model, groups, steady, mass, torch.full_like(mass, 0.5), inertia_of(model, mass), shape.height, settings
+    ).whitened()  # fmt: skip
     exact = seconds(lambda: closed_form(system), 50)
     table.add_row("closed form of s, six turns", f"{exact * 1e3:.2f} ms", "", "", "<= 10 ms")
     reference = closed_form(system)

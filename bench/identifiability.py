@@ -35,9 +35,10 @@ from scipy.stats import norm
 
 from estimators.dynamics import ParticleModel, inertia_of
 from estimators.fisher import Question, expected, observed
-from estimators.friction_loads import LoadGroups, friction_system
+from estimators.friction_loads import LoadGroups, friction_equations
 from estimators.hidden_states import HiddenStatesEstimator
 from estimators.mass_solve import load_jacobian
+from estimators.model_errors import EXACT, ModelErrors
 from estimators.observations import Observations, observe
 from scenarios.estimates import sensed
 from scenarios.identify_run import Wish, planned_actions
@@ -51,16 +52,6 @@ from testbed.trajectory import Trajectory, write_whole
 from viz.style import PALETTE, STYLE, bare
 
 LEVEL, DEVIATIONS = 0.9, 1.6449
-EXACT = HiddenStatesEstimator(
-    pivot_error=0.0,
-    force_error=0.0,
-    torque_error=0.0,
-    height_error=0.0,
-    lift_error=0.0,
-    tilt_error=0.0,
-    inertia_error=0.0,
-)
-"""Errors of the sensor and of nothing else."""
 
 
 @dataclass(frozen=True)
@@ -252,7 +243,7 @@ def _at_truth(
     """Whitened Q s and b at the true loads, and half the log determinant of the covariance."""
     shape, particles = model.shape, ParticleModel.of(model.shape)
     groups, mass = LoadGroups.of(particles), torch.tensor(model.particle_mass)
-    system = friction_system(
+    system = friction_equations(
         particles,
         groups,
         windows,
@@ -260,11 +251,8 @@ def _at_truth(
         particles.particle_friction(torch.tensor(model.truth.friction)),
         inertia_of(particles, mass),
         shape.height,
-        pivot_error=pivot,
-        force_error=force,
-        torque_error=torque,
-        height_error=height,
-    )
+        ModelErrors(pivot_error=pivot, force_error=force, torque_error=torque, height_error=height),
+    ).whitened()
     loads = load_jacobian(shape, groups.pairs, model.truth)[:, : shape.n_m] @ model.truth.mass
     return system.q.numpy() @ loads, system.b.numpy(), -float(torch.linalg.slogdet(system.whiten)[1])
 

@@ -6,25 +6,21 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-import torch
 from jaxtyping import Float
-from torch import Tensor
 
-from estimators.dynamics import ParticleModel, inertia_of
-from estimators.friction_loads import LoadGroups, friction_system
-from estimators.hidden_states import HiddenStatesEstimator
 from estimators.identifiability import Identifiability, identifiability
 from estimators.inertia import PivotInertia, slope_variance
 from estimators.lifted import lift_information, lifts_among
 from estimators.mass_solve import inertia_map
+from estimators.model_errors import ModelErrors
 from estimators.observations import Observations, observe
+from estimators.particle_loads import ParticleLoads
 from estimators.planned import planned_observations
 from estimators.planned_lift import planned_lift
-from estimators.support import GripperLoad, own_weight, rigid_loads
 from testbed.actions import Action, Lift
 from testbed.errors import InvalidValueError
 from testbed.lift_reduction import LiftWindow
-from testbed.objects import GRAVITY, MassDistribution, ObjectShape
+from testbed.objects import MassDistribution, ObjectShape
 from testbed.sensing import Sensing
 from testbed.trajectory import Trajectory
 
@@ -37,8 +33,8 @@ class Question:
 
     support: str = "own_weight"
     """own_weight or rigid."""
-    errors: HiddenStatesEstimator = field(default_factory=HiddenStatesEstimator)
-    """Whose stated errors the data have beyond the sensor's own."""
+    errors: ModelErrors = field(default_factory=ModelErrors)
+    """Which the data have beyond the sensor's own."""
 
     def __post_init__(self) -> None:
         if self.support not in SUPPORTS:
@@ -95,56 +91,14 @@ def information_root(
     if windows is not None:
         steady, accelerated = windows.where(~windows.accelerated), windows.where(windows.accelerated)
         if len(steady):
-            rows.append(_friction_rows(shape, distribution, steady, question))
+            loads = ParticleLoads.of(shape, distribution, question.support)
+            rows.append((loads.equations(steady, question.errors).whitened().q @ loads.slopes).numpy())
         if len(accelerated):
             rows.append(_inertia_rows(shape, distribution, accelerated, question.errors.inertia_error))
     for lift in lifts:
         in_air, _ = lift_information(shape, lift, distribution.mass)
         rows.append(np.hstack([in_air, np.zeros((len(in_air), shape.n_mu))]))
     return np.vstack(rows)
-
-
-def _friction_rows(
-    shape: ObjectShape, distribution: MassDistribution, windows: Observations, question: Question
-) -> np.ndarray:
-    """Of every steady window's wrench: Q for each particle, times what the load on it owes to each mass."""
-    model = ParticleModel.of(shape)
-    each = LoadGroups(torch.arange(len(shape.particles)), tuple((int(p), 0) for p in range(len(shape.particles))))
-    mass, friction = torch.tensor(distribution.mass), torch.tensor(distribution.friction)
-    particle_mass, particle_friction = model.particle_mass(mass), model.particle_friction(friction)
-    per_mass = loads_per_mass(model, shape.n_m, question.support)
-    load = per_mass @ mass
-    felt = windows.drag_rows(model, question.errors.pivot_error)[0] @ (particle_friction * load)
-    errors = question.errors
-    system = friction_system(
-        model,
-        each,
-        replace(windows, wrench=felt),
-        particle_mass,
-        particle_friction,
-        inertia_of(model, particle_mass),
-        shape.height,
-        pivot_error=errors.pivot_error,
-        force_error=errors.force_error,
-        torque_error=errors.torque_error,
-        height_error=errors.height_error,
-        lift_error=errors.lift_error,
-    )
-    of_friction = torch.stack([(model.friction_group == k) * load for k in range(shape.n_mu)], 1)
-    return (system.q @ torch.cat([particle_friction[:, None] * per_mass, of_friction], 1)).numpy()
-
-
-def loads_per_mass(model: ParticleModel, n_m: int, support: str) -> Float[Tensor, "P n_m"]:
-    """Load on each particle a kg of each particle mass, N, where the gripper carries nothing."""
-    none, columns = GripperLoad.none(1), []
-    for group in range(n_m):
-        mass = (model.mass_group == group).double()
-        if support == "rigid":
-            columns.append(rigid_loads(model.particles, model.contact, mass, none)[0])
-        else:
-            resting = own_weight(model.particles, model.mass_group, model.contact, mass, none)
-            columns.append(resting.share * GRAVITY + resting.lean)
-    return torch.stack(columns, 1)
 
 
 def _inertia_rows(

@@ -81,20 +81,6 @@ class FrictionEquations:
         return LinearSystem(whiten @ self.q, whiten @ self.b, whiten)
 
 
-def friction_system(
-    model: ParticleModel,
-    groups: LoadGroups,
-    observations: Observations,
-    mass: Float[Tensor, "P"],
-    friction: Float[Tensor, "P"],
-    inertia: Inertia,
-    height: float,
-    **errors: float,
-) -> LinearSystem:
-    """Eq. dvs for every window, whitened; arguments as of `friction_equations`."""
-    return friction_equations(model, groups, observations, mass, friction, inertia, height, **errors).whitened()
-
-
 def friction_equations(
     model: ParticleModel,
     groups: LoadGroups,
@@ -103,7 +89,7 @@ def friction_equations(
     friction: Float[Tensor, "P"],
     inertia: Inertia,
     height: float,
-    **errors: float,
+    errors: ModelErrors,
 ) -> FrictionEquations:
     """Eq. dvs for every window, about the grasp point: friction of s balances the measured wrench.
 
@@ -117,18 +103,17 @@ def friction_equations(
         friction: present friction coefficients.
         inertia: present M and c.
         height: of the object, m.
-        errors: as `ModelErrors` names them; the rest are as stated there.
+        errors: of the model.
     """
-    stated = ModelErrors(**errors)
     load = observations.gripper_load(inertia, height)
     support = own_weight(model.particles, model.mass_group, model.contact, mass, load)
-    rows, _ = observations.drag_rows(model, stated.pivot_error)
+    rows, _ = observations.drag_rows(model, errors.pivot_error)
     q = groups.gather(rows)
     s = friction * support.share * GRAVITY
     response = rows @ (friction[:, None] * support.response)
     carried = (rows @ (friction * (support.lean + support.change(load)))[..., None])[..., 0]
     b = observations.wrench - observations.inertial_wrench(inertia) - carried
-    apart, common = wrench_errors(observations, model, s.expand(len(rows), -1), response, stated)
+    apart, common = wrench_errors(observations, model, s.expand(len(rows), -1), response, errors)
     return FrictionEquations(q.reshape(-1, q.shape[-1]), b.reshape(-1), apart, common)
 
 

@@ -174,7 +174,7 @@ class HiddenStatesEstimator(ModelErrors):
             model.particle_friction(friction),
             inertia_of(model, particle_mass),
             problem.shape.height,
-            **self.stated,
+            self,
         )
 
     def _joint(

@@ -40,16 +40,21 @@ class ModelErrors:
         check_positive(f"{type(self).__name__}.weight_error", self.weight_error)
 
     @property
-    def stated(self) -> dict[str, float]:
-        """By name."""
-        return {field.name: getattr(self, field.name) for field in fields(ModelErrors)}
-
-    @property
     def nulled(self) -> Float[np.ndarray, "3"]:
         """Lift and moments that a nulled gripper carries on average over a trial, N and N m."""
         return np.array([self.lift_error, self.tilt_error, self.tilt_error])
 
 
+EXACT = ModelErrors(
+    pivot_error=0.0,
+    force_error=0.0,
+    torque_error=0.0,
+    height_error=0.0,
+    lift_error=0.0,
+    tilt_error=0.0,
+    inertia_error=0.0,
+)
+"""None but the weighing's: what a perfect model of the bench would leave."""
 RIGID = ModelErrors(force_error=0.0025, torque_error=0.003, lift_error=0.8, tilt_error=0.07, inertia_error=0.06)
 """Under one rigid body: its loads are not quite affine over the feet, and a gripper that is nulled before the motion
 carries far more of a body that cannot give way to it than of blocks that slide apart."""

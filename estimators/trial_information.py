@@ -15,12 +15,11 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from estimators.dynamics import ParticleModel, inertia_of
-from estimators.fisher import Question, loads_per_mass
-from estimators.friction_loads import LoadGroups, friction_equations
+from estimators.fisher import Question
 from estimators.inertia import slope_variance
 from estimators.mass_solve import inertia_map
 from estimators.observations import Observations
+from estimators.particle_loads import ParticleLoads
 from estimators.planned import planned_observations
 from testbed.actions import Action, Weigh
 from testbed.objects import MassDistribution, ObjectShape
@@ -167,40 +166,17 @@ def _steady_rows(
     question: Question,
     settling: Settling,
 ) -> Float[np.ndarray, "C R U"]:
-    """Of trials with as many steady windows each: `friction_equations` of one trial, mapped over all."""
-    model, errors = ParticleModel.of(shape), question.errors
-    each = LoadGroups(torch.arange(len(shape.particles)), tuple((int(p), 0) for p in range(len(shape.particles))))
-    mass, friction = torch.tensor(distribution.mass), torch.tensor(distribution.friction)
-    particle_mass, particle_friction = model.particle_mass(mass), model.particle_friction(friction)
-    per_mass = loads_per_mass(model, shape.n_m, question.support)
-    load = per_mass @ mass
-    of_friction = torch.stack([(model.friction_group == k) * load for k in range(shape.n_mu)], 1)
-    slopes = torch.cat([particle_friction[:, None] * per_mass, of_friction], 1)
-    inertia = inertia_of(model, particle_mass)
+    """Of trials with as many steady windows each: the equations of one trial, mapped over all."""
+    loads = ParticleLoads.of(shape, distribution, question.support)
 
     def of_trial(of_one: dict[str, Tensor]) -> Tensor:
         windows = Observations(**of_one)
-        felt = windows.drag_rows(model, errors.pivot_error)[0] @ (particle_friction * load)
-        equations = friction_equations(
-            model,
-            each,
-            Observations(**(of_one | {"wrench": felt})),
-            particle_mass,
-            particle_friction,
-            inertia,
-            shape.height,
-            pivot_error=errors.pivot_error,
-            force_error=errors.force_error,
-            torque_error=errors.torque_error,
-            height_error=errors.height_error,
-            lift_error=errors.lift_error,
-        )
-        pressed = particle_friction * load
-        in_place = windows.lever(model).norm(dim=-1) @ pressed
-        scale = torch.stack([pressed.sum().expand_as(in_place)] * 2 + [in_place], -1)
+        equations = loads.equations(windows, question.errors)
+        in_place = windows.lever(loads.model).norm(dim=-1) @ loads.load
+        scale = torch.stack([loads.load.sum().expand_as(in_place)] * 2 + [in_place], -1)
         begun = scale * settling.of_means(windows.since_tare[:, 1] - windows.since_tare[:, 0])
         root = torch.linalg.cholesky(equations.apart + torch.diag_embed(begun.square().reshape(-1)))
-        felt_of = torch.cat([equations.q @ slopes, equations.common], 1)
+        felt_of = torch.cat([equations.q @ loads.slopes, equations.common], 1)
         return torch.linalg.solve_triangular(root, felt_of, upper=False)
 
     found = torch.vmap(of_trial, chunk_size=CHUNK)(fields).numpy()

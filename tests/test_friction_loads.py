@@ -17,9 +17,10 @@ from estimators.friction_loads import (
     closed_form,
     closed_form_covariance,
     descend_loads,
-    friction_system,
+    friction_equations,
     rank_of,
 )
+from estimators.model_errors import ModelErrors
 from estimators.observations import observe
 from estimators.testing.analytic_world import drawn_object, felt, turns
 from testbed.actions import Rotate, Slide
@@ -35,7 +36,7 @@ def system_of(obj: ObjectModel, trajectories: list[Trajectory]) -> LinearSystem:
     model, observed = ParticleModel.of(obj.shape), observe(obj.shape, trajectories)
     assert observed is not None
     mass = model.particle_mass(torch.tensor(obj.truth.mass))
-    return friction_system(
+    return friction_equations(
         model,
         LoadGroups.of(model),
         observed,
@@ -43,10 +44,8 @@ def system_of(obj: ObjectModel, trajectories: list[Trajectory]) -> LinearSystem:
         model.particle_friction(torch.tensor(obj.truth.friction)),
         inertia_of(model, mass),
         obj.shape.height,
-        pivot_error=0.0,
-        force_error=0.002,
-        torque_error=0.001,
-    )
+        ModelErrors(pivot_error=0.0, force_error=0.002, torque_error=0.001),
+    ).whitened()
 
 
 def true_loads(obj: ObjectModel) -> np.ndarray:

@@ -15,6 +15,7 @@ from estimators.friction_loads import FrictionEquations, LoadGroups, closed_form
 from estimators.hidden_states import HiddenStatesEstimator
 from estimators.joint_loads import JointLoads
 from estimators.metrics import normalized_absolute_difference
+from estimators.model_errors import ModelErrors
 from estimators.nuisance import UNKNOWNS, Layout, Nuisances, corrected
 from estimators.observations import Observations, observe
 from estimators.protocol import Estimate
@@ -172,9 +173,7 @@ def linear(obj: ObjectModel, nuisances: Nuisances = Nuisances(UNKNOWNS)) -> tupl
             friction,
             inertia_of(model, mass),
             obj.shape.height,
-            pivot_error=1e-4,
-            force_error=1e-3,
-            torque_error=1e-3,
+            ModelErrors(pivot_error=1e-4, force_error=1e-3, torque_error=1e-3),
         )
 
     layout = Layout.of(nuisances, windows)

@@ -16,7 +16,7 @@ from scipy.stats import kstest
 from estimators.hidden_states import HiddenStatesEstimator
 from estimators.mass_polytope import MassPolytope
 from estimators.material_prior import rank_assignments
-from estimators.model_errors import RIGID, ModelErrors
+from estimators.model_errors import EXACT, RIGID, ModelErrors
 from estimators.observations import PLANAR, Observations, observe
 from estimators.protocol import Estimate
 from estimators.support_aware import SupportAware
@@ -31,7 +31,6 @@ from testbed.trajectory import Trajectory
 NOISE = 0.02
 """Of a sample, N, and a tenth of it in N m."""
 MATERIALS = (0.1, 0.4)
-NO_ERRORS = ModelErrors(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 """Here the models are exact."""
 
 
@@ -119,7 +118,7 @@ def test_p_values_are_even_where_the_errors_are_as_told():
     for seed in range(40):
         noise = error * torch.tensor(np.random.default_rng(seed).standard_normal(exact.wrench.shape))
         observed = replace(exact, wrench=exact.wrench + noise)
-        found = support_test(obj.shape, obj.total_mass, observed, errors=NO_ERRORS)
+        found = support_test(obj.shape, obj.total_mass, observed, errors=EXACT)
         values.append(found.p_own_weight)
     assert kstest(values, "uniform").pvalue > 0.01
 

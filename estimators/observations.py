@@ -11,6 +11,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from estimators.dynamics import Inertia, ParticleModel, cross, turned
+from estimators.felt_load import likely_load, load_map
 from estimators.model_errors import ModelErrors
 from estimators.support import GripperLoad
 from testbed.actions import Accelerate, Lift, Weigh
@@ -21,8 +22,6 @@ from testbed.trajectory import Trajectory
 
 PLANAR = [0, 1, 5]
 """f_x, f_y and the torque about the vertical, of a wrench's six components."""
-TURNED, SWUNG = np.array([0.0064, 0.0027, 0.0027]), np.array([0.14, 6e-4, 6e-4])
-"""Change of a nulled gripper's lift, N, and moment, N m, between directions of a turn, and as it accelerates."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -301,16 +300,15 @@ def observe(
     wrench = np.array([w.wrench for w in windows])
     noise, bias = _pooled(windows, np.array(trial), np.array(accelerated))
     carries = np.array([load_map(w.tcp_height) for w in windows])
-    load = np.einsum("kij,kj->ki", carries, wrench)
     off = bias + np.array([w.since_tare.mean() * w.drift_covariance for w in windows])
-    common, own = (np.einsum("kij,kjl,kil->ki", carries, each, carries) for each in (off, noise))
-    kept, followed = np.ones_like(load), np.ones_like(load)
-    for kind in (True, False):  # an accelerating arm swings: its load is of another size
-        rows = np.array(accelerated) == kind
-        if rows.any():
-            load[rows], kept[rows], followed[rows] = _shrunk(
-                load[rows], common[rows], own[rows], np.array(trial)[rows], errors.nulled, SWUNG if kind else TURNED
-            )
+    load, kept, followed = likely_load(
+        np.einsum("kij,kj->ki", carries, wrench),
+        np.einsum("kij,kjl,kil->ki", carries, off, carries),
+        np.einsum("kij,kjl,kil->ki", carries, noise, carries),
+        np.array(trial),
+        np.array(accelerated),
+        errors.nulled,
+    )
     points = np.array([shape.grasps[w.grasp].position for w in windows])
     nearest = np.linalg.norm(shape.particles[None] - points[:, None], axis=-1).argmin(axis=1)
     tensor = torch.tensor
@@ -337,11 +335,6 @@ def observe(
     )
 
 
-def load_map(height: float) -> np.ndarray:
-    """From a wrench to the gripper's load (fz, t_y + h f_x, -t_x + h f_y), (3, 6)."""
-    return np.array([[0, 0, 1, 0, 0, 0], [height, 0, 0, 0, 1, 0], [0, height, 0, -1, 0, 0]], dtype=float)
-
-
 def _pooled(windows: list[SteadyWindow], trial: np.ndarray, accelerated: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Covariance of the means of noise, and of what a tare leaves, (K, 6, 6).
 
@@ -356,40 +349,3 @@ def _pooled(windows: list[SteadyWindow], trial: np.ndarray, accelerated: np.ndar
     noise, bias = pooled / length, np.array([w.bias_covariance for w in windows])
     first = np.unique(trial, return_index=True)[1]
     return noise, np.broadcast_to(bias[first].mean(axis=0), bias.shape)
-
-
-def _shrunk(
-    load: np.ndarray,
-    bias: np.ndarray,
-    noise: np.ndarray,
-    trial: np.ndarray,
-    mean_least: np.ndarray,
-    change_least: np.ndarray,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Loads with what is likely the sensor's error taken off, and the parts of mean and change that were kept.
-
-    Both a trial's mean load and its change from window to window are drawn towards zero by how much of their scatter
-    the sensor explains (empirical Bayes): a gripper that carries less than the sensor can tell is better taken to carry
-    nothing. Either has to stand out by two standard errors, or it is taken to scatter as a nulled gripper's: least,
-    one standard deviation.
-    """
-    trials, index = np.unique(trial, return_inverse=True)
-    mean, together = np.eye(len(trials))[index].T, np.bincount(index)
-    mean = mean / together[:, None]
-    common = mean @ load
-    change, free = load - common[index], max(len(load) - len(trials), 1)
-    blurred, explained = noise.mean(axis=0), (mean @ bias + mean @ noise / together[:, None]).mean(axis=0)
-    kept = _part((common**2).mean(axis=0), explained, len(trials), mean_least)
-    followed = _part((change**2).sum(axis=0) / free, blurred, free, change_least)
-    shape = load.shape
-    return (
-        kept * common[index] + followed * change,
-        np.broadcast_to(kept, shape).copy(),
-        np.broadcast_to(followed, shape).copy(),
-    )
-
-
-def _part(scatter: np.ndarray, error: np.ndarray, count: int, least: np.ndarray) -> np.ndarray:
-    """Of what was felt `count` times, how much is real: 1 where there is no error."""
-    real = np.maximum(scatter - (1 + 2 * np.sqrt(2 / count)) * error, least**2)
-    return np.where(error > 0, real / np.maximum(real + error, 1e-300), 1.0)

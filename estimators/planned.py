@@ -9,7 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from estimators.observations import Observations, load_map
+from estimators.felt_load import load_map
+from estimators.observations import Observations
 from testbed.actions import Accelerate, Action, Lift, Rotate, Slide, TableAction, Weigh, pivot_of
 from testbed.errors import InvalidValueError
 from testbed.frames import move_wrench, perpendicular, rotation_2d

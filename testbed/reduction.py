@@ -8,6 +8,7 @@ sample size.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -80,6 +81,10 @@ class SteadyWindow:
             object.__setattr__(self, name, frozen_array(f"SteadyWindow.{name}", getattr(self, name), shape))
 
 
+_REDUCED: WeakKeyDictionary[Trajectory, list[SteadyWindow]] = WeakKeyDictionary()
+"""A record never changes and every method reduces it: once is enough."""
+
+
 def steady_windows(trajectory: Trajectory) -> list[SteadyWindow]:
     """Reduce every steady stretch of a trajectory.
 
@@ -96,6 +101,13 @@ def steady_windows(trajectory: Trajectory) -> list[SteadyWindow]:
             trajectory.action,
             "a slide or a turn; read a weighing with weight_of, a lift with lift_windows",
         )
+    if trajectory not in _REDUCED:
+        _REDUCED[trajectory] = _reduced(trajectory, trajectory.action.grasp)
+    return list(_REDUCED[trajectory])
+
+
+def _reduced(trajectory: Trajectory, grasp: int) -> list[SteadyWindow]:
+    """Of every steady stretch."""
     into_object = rotation_2d(-trajectory.object_pose[:, 2])
     in_object = wrench_in_object(trajectory)
     linear = np.einsum("nij,nj->ni", into_object, trajectory.tcp_velocity[:, :2])
@@ -112,7 +124,7 @@ def steady_windows(trajectory: Trajectory) -> list[SteadyWindow]:
         yaw = trajectory.object_pose[kept, 2]
         windows.append(
             SteadyWindow(
-                grasp=trajectory.action.grasp,
+                grasp=grasp,
                 wrench=in_object[kept].mean(axis=0),
                 covariance=_noise_of_mean(in_object[kept], round(BATCH * rate)),
                 twist=twist[kept].mean(axis=0),

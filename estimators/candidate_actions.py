@@ -14,7 +14,9 @@ from testbed.arrays import is_number
 from testbed.errors import InvalidValueError
 from testbed.frames import rotation_2d
 from testbed.objects import ObjectShape
-from testbed.tool_path import WORKSPACE
+from testbed.profile import RAMP_TIME, Profile
+from testbed.table import outline, overhang, overhang_of
+from testbed.tool_path import WORKSPACE, ToolPath
 
 REACH = (0.20, 0.70)
 """Distance of the TCP from the arm's base, m: the simulated arm's inverse kinematics fail beyond."""
@@ -50,14 +52,14 @@ class ActionFamily:
             raise InvalidValueError("ActionFamily.arm", self.arm, "a finite number >= 0, m")
 
     def sample(self, shape: ObjectShape, grasps: Sequence[int], count: int, seed: int) -> tuple[Action, ...]:
-        """Draw actions that the arm can reach; none where there is no grasp.
+        """Draw actions that the arm can reach and that keep the object on the table; none where there is no grasp.
 
         Pivots are even over direction and distance from the grasp, durations over their logarithm.
 
         Args:
             shape: geometry and grasps.
             grasps: grasps that may be used.
-            count: how many to draw; what is out of reach is drawn again.
+            count: how many to draw; turns that are not possible are drawn again.
             seed: of the draw.
 
         Raises:
@@ -72,8 +74,8 @@ class ActionFamily:
         slides = round(SLIDE_PART * count) if self.slides else 0
         accelerated = max(round(ACCELERATED_PART * count), 1) if self.accelerated else 0
         return (
-            *self._accelerated(allowed, accelerated, rng),
-            *self._slides(allowed, slides, rng),
+            *self._accelerated(shape, allowed, accelerated, rng),
+            *self._slides(shape, allowed, slides, rng),
             *self._turns(shape, allowed, max(count - slides - accelerated, 1), rng),
         )
 
@@ -81,8 +83,8 @@ class ActionFamily:
         self, shape: ObjectShape, allowed: Int[np.ndarray, "G"], count: int, rng: np.random.Generator
     ) -> list[Rotate]:
         found: list[Rotate] = []
-        positions = np.array([grasp.position for grasp in shape.grasps])
-        angles = np.array([grasp.angle for grasp in shape.grasps])
+        positions, angles = _places(shape)
+        corners = outline(shape)
         for _ in range(20):  # a few rounds fill it, unless next to nothing is in reach
             grasp = rng.choice(allowed, 2 * count)
             radius, way = self.arm * rng.random(2 * count), rng.uniform(0, 2 * math.pi, 2 * count)
@@ -92,25 +94,34 @@ class ActionFamily:
             slow, fast = np.radians(self.speed_deg_s)
             speed = rng.choice((-1.0, 1.0), 2 * count) * rng.uniform(slow, fast, 2 * count)
             fits = clear_of_particles(shape, pivot)
-            fits &= sweep_in_reach(positions[grasp], angles[grasp], pivot, speed * (duration + 0.4))
+            turn = speed * (duration + RAMP_TIME)
+            fits &= sweep_in_reach(positions[grasp], angles[grasp], pivot, turn)
+            fits &= stays_on_table(corners, positions[grasp], angles[grasp], pivot, turn)
             for i in np.flatnonzero(fits)[: count - len(found)]:
                 x, y = pivot[i]
-                turn = Rotate(
-                    int(grasp[i]), float(speed[i]), float(duration[i]), (float(x), float(y)), not self.one_way
-                )
-                found.append(turn)
+                about = float(x), float(y)
+                found.append(Rotate(int(grasp[i]), float(speed[i]), float(duration[i]), about, not self.one_way))
             if len(found) >= count:
                 break
         return found
 
-    def _slides(self, allowed: Int[np.ndarray, "G"], count: int, rng: np.random.Generator) -> list[Slide]:
+    def _slides(
+        self, shape: ObjectShape, allowed: Int[np.ndarray, "G"], count: int, rng: np.random.Generator
+    ) -> list[Slide]:
         """Straight lines of 5 cm/s; centred in the workspace, so all within reach."""
+        positions, angles = _places(shape)
         grasps, ways = rng.choice(allowed, count), rng.uniform(-math.pi, math.pi, count)
         durations = np.exp(rng.uniform(np.log(1.6), np.log(4.0), count)).round(1)
-        rows = zip(grasps, ways, durations, strict=True)
+        length = Slide.speed * (durations + RAMP_TIME)
+        along = length[:, None] * np.column_stack([np.cos(ways), np.sin(ways)])
+        at = positions[grasps]
+        fits = stays_on_table(outline(shape), at, angles[grasps], at, np.zeros(count), along)
+        rows = zip(grasps[fits], ways[fits], durations[fits], strict=True)
         return [Slide(int(g), float(w), duration=float(t)) for g, w, t in rows]
 
-    def _accelerated(self, allowed: Int[np.ndarray, "G"], count: int, rng: np.random.Generator) -> list[Accelerate]:
+    def _accelerated(
+        self, shape: ObjectShape, allowed: Int[np.ndarray, "G"], count: int, rng: np.random.Generator
+    ) -> list[Accelerate]:
         """Turns of stepped acceleration both ways, whole or half as long as the default."""
         found = []
         for index in range(count):
@@ -120,13 +131,44 @@ class ActionFamily:
             if index < 2 * len(allowed):
                 steps = whole.accelerations
             found.append(Accelerate(grasp, tuple(sign * a for a in steps), whole.hold, sign * whole.start_speed))
-        return list(dict.fromkeys(found))
+        each = dict.fromkeys(found)
+        paths = {a: ToolPath.centred(a, shape, Profile.of(a, 0.01).length, WORKSPACE) for a in each}
+        return [action for action, path in paths.items() if (overhang_of(shape, path) <= 0).all()]
 
 
 def clear_of_particles(shape: ObjectShape, points: Float[np.ndarray, "N 2"]) -> np.ndarray:
     """Which points lie well between particles, (N,) bool: one at the very centre of a turn has no direction."""
     distance = np.linalg.norm(shape.particles[None] - points[:, None], axis=-1).min(axis=1)
     return distance > shape.cell / 4
+
+
+def _places(shape: ObjectShape) -> tuple[Float[np.ndarray, "G 2"], Float[np.ndarray, "G"]]:
+    """Grasp points, m, and closing directions, rad, object frame."""
+    return np.array([grasp.position for grasp in shape.grasps]), np.array([grasp.angle for grasp in shape.grasps])
+
+
+def stays_on_table(
+    corners: Float[np.ndarray, "K 2"],
+    grasp: Float[np.ndarray, "N 2"],
+    grasp_angle: Float[np.ndarray, "N"],
+    pivot: Float[np.ndarray, "N 2"],
+    turn: Float[np.ndarray, "N"],
+    slide: Float[np.ndarray, "N 2"] | None = None,
+) -> np.ndarray:
+    """Which actions keep the whole outline on the table, the TCP's middle at the middle of the workspace, (N,) bool.
+
+    Args:
+        corners: of the object's outline, m, object frame.
+        grasp: grasp point, m, object frame.
+        grasp_angle: closing direction, rad, object frame.
+        pivot: centre of the turn, m, object frame; of a slide, the grasp point.
+        turn: angle of the whole sweep, rad.
+        slide: displacement over the whole way, m, object frame; none if left out.
+    """
+    into_world = rotation_2d(-grasp_angle)
+    centre = np.array(WORKSPACE) - np.einsum("nij,nj->ni", into_world, grasp - pivot)
+    along = np.zeros_like(centre) if slide is None else np.einsum("nij,nj->ni", into_world, slide)
+    return overhang(corners, pivot, centre, -grasp_angle, turn, along).max(axis=1) <= 0
 
 
 def sweep_in_reach(

@@ -26,6 +26,7 @@ TESTBED = {
     "profile": {"actions"},
     "lift_profile": {"actions"},
     "tool_path": {"actions", "frames", "objects"},
+    "table": {"objects", "tool_path"},
     "trajectory": {"errors", "arrays", "actions"},
     "foot_forces": {"errors", "arrays", "trajectory"},
     "trial": {"errors", "objects", "actions", "trajectory"},

@@ -9,11 +9,14 @@ from testbed.actions import Lift, Weigh
 from testbed.errors import InfeasibleTrialError
 from testbed.gripper import PAD_HEIGHT, PAD_WIDTH, STROKE
 from testbed.objects import GRAVITY, Grasp
+from testbed.profile import Profile
 from testbed.simulation.arm import JOINT_SPEED_LIMIT, arm_model
 from testbed.simulation.lift_feasibility import check_lift
 from testbed.simulation.motion import Motion
 from testbed.simulation.resting import resting_loads
 from testbed.simulation.settings import MARGIN, SimulationSettings
+from testbed.table import EDGES, HIGH, LOW, outline, overhang, overhang_of
+from testbed.tool_path import ToolPath
 from testbed.trial import Trial
 
 MINIMUM_HEIGHT = 0.010
@@ -24,9 +27,9 @@ def check_feasible(trial: Trial, motion: Motion, settings: SimulationSettings) -
     """Refuse what the bench cannot do.
 
     Raises:
-        InfeasibleTrialError: too wide or too low to grip, a foot that the object's own weight lifts, friction beyond
-            the grip, drag beyond a joint's working torque or speed, or what cannot be lifted; the message says by how
-            much and what could be done.
+        InfeasibleTrialError: too wide or too low to grip, an object that would pass the table's edge, a foot that the
+            object's own weight lifts, friction beyond the grip, drag beyond a joint's working torque or speed, or what
+            cannot be lifted; the message says by how much and what could be done.
     """
     assert not isinstance(trial.action, Weigh)
     shape = trial.object.shape
@@ -44,6 +47,7 @@ def check_feasible(trial: Trial, motion: Motion, settings: SimulationSettings) -
             what = f"the faces of {grasp.name} are {grasp.bottom * 1e3:.1f} to {top * 1e3:.1f} mm over the table"
             needed = f"{(MINIMUM_HEIGHT - PAD_HEIGHT[0]) * 1e3:.0f} mm of face above that"
         raise InfeasibleTrialError(f"grip: {what}; the pads, 3 mm over the table, need {needed}")
+    _check_table(trial, motion, settings)
     _check_rest(trial, settings)
     if isinstance(trial.action, Lift):
         check_lift(trial, trial.action, motion, settings)
@@ -55,6 +59,29 @@ def check_feasible(trial: Trial, motion: Motion, settings: SimulationSettings) -
         raise InfeasibleTrialError(
             f"speed: joint {joint + 1} would need {speed.max():.2f} of its limit of "
             f"{np.degrees(JOINT_SPEED_LIMIT[joint]):.0f} deg/s; move slower"
+        )
+
+
+def _check_table(trial: Trial, motion: Motion, settings: SimulationSettings) -> None:
+    """All of the object stays over the table, where it lies at first and wherever it is moved.
+
+    Nothing in the scene happens at the edge: the plane that feet touch has no end.
+    """
+    action, shape = trial.action, trial.object.shape
+    assert not isinstance(action, Weigh)
+    x, y, yaw = motion.object_pose
+    if isinstance(action, Lift):
+        still = (np.zeros((1, 2)), np.array([[x, y]]), np.array([yaw]), np.zeros(1), np.zeros((1, 2)))
+        beyond = overhang(outline(shape), *still)[0]
+    else:
+        length = Profile.of(action, 1 / settings.rate).length
+        beyond = overhang_of(shape, ToolPath.from_object(action, shape, length, motion.object_pose))
+    worst = int(beyond.argmax())
+    if beyond[worst] > 1e-9:
+        raise InfeasibleTrialError(
+            f"table: the object's outline would pass the table's {EDGES[worst]} edge by {beyond[worst] * 1e3:.0f} mm; "
+            f"all of it must stay within x {LOW[0]:.2f} to {HIGH[0]:.2f} m and y {LOW[1]:.2f} to {HIGH[1]:.2f} m; take "
+            "a shorter way, a turn about a point nearer the object, or a block nearer its middle"
         )
 
 

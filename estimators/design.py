@@ -24,6 +24,7 @@ from testbed.objects import MassDistribution, ObjectShape
 from testbed.sensing import Sensing
 
 Criterion = Literal["A", "D", "I"]
+"""What a plan makes small: the trace of the masses' covariance, its volume, or the expected NAD."""
 NORMAL_MEAN = math.sqrt(2 / math.pi)
 """Mean size of a standard normal number."""
 LEAST_GAIN = 0.01
@@ -90,6 +91,7 @@ class Guess:
     weight: float
     """M as weighed, kg."""
     sensing: Sensing
+    """How the sensor errs."""
     friction: float = 0.5
     """Of every friction group."""
     supports: tuple[str, ...] = ("own_weight",)
@@ -118,6 +120,7 @@ class Step:
     """One action of a plan."""
 
     action: Action
+    """What to do."""
     seconds: float
     """Of the robot, travel included."""
     belief: Belief

@@ -37,6 +37,7 @@ class Decision:
     """What to do next, and why."""
 
     action: Action | None
+    """None where there is nothing more to do."""
     why: str
     """Why there is nothing more to do, or why a trial is done again; else empty."""
     estimate: Estimate | None
@@ -60,14 +61,19 @@ class OnlineTouches:
     guess: Guess
     """M, the sensor, and who may carry the weight until the trials tell."""
     goal: Goal = field(default_factory=Goal)
+    """When to stop."""
     criterion: Criterion = "I"
+    """What is made small."""
     family: ActionFamily = field(default_factory=ActionFamily)
+    """Which actions are thought of."""
     candidates: int = 4000
     """How many actions are thought of."""
     grasps: tuple[int, ...] | None = None
     """Grasps that may be used; None is all."""
     seed: int = 0
+    """Of the draw of candidates."""
     estimator: Estimator = field(default_factory=SupportAware)
+    """Who is asked after every trial."""
     feasible: Feasible = anything
     """What the bench says of an action: empty, or why it cannot be done."""
 

@@ -31,13 +31,17 @@ class PlannedTouches:
     kind: Kind = "greedy"
     """greedy: each the best of its moment; batch: the whole exchanged until nothing is better; random: any."""
     criterion: Criterion = "I"
+    """What is made small."""
     goal: Goal = field(default_factory=Goal)
+    """When to stop."""
     family: ActionFamily = field(default_factory=ActionFamily)
+    """Which actions are thought of."""
     candidates: int = 4000
     """How many actions are thought of."""
     grasps: tuple[int, ...] | None = None
     """Grasps that may be used; None is all."""
     seed: int = 0
+    """Of the draw of candidates, and of `random`'s order."""
     feasible: Feasible = anything
     """What the bench says of an action: empty, or why it cannot be done."""
 

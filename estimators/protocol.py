@@ -16,6 +16,7 @@ from testbed.objects import MassDistribution, ObjectShape
 from testbed.trajectory import Trajectory
 
 EstimateStatus = Literal["ok", "underdetermined", "not_converged", "contradictory", "no_data", "assumption_violated"]
+"""Whether there is an answer, or what keeps it from being one."""
 
 
 @dataclass(frozen=True, eq=False)

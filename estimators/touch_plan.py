@@ -80,6 +80,7 @@ class Plan:
     before: Belief
     """After the weighing alone."""
     steps: tuple[Step, ...]
+    """In order."""
     why: str
     """Why it ends."""
     rejected: tuple[tuple[Action, str], ...]

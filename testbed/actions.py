@@ -140,6 +140,7 @@ class Lift:
 TableAction = Rotate | Accelerate | Slide
 """Moves the object over the table."""
 Action = Weigh | TableAction | Lift
+"""What can be done with an object."""
 _KINDS: dict[str, type[Action]] = {
     "weigh": Weigh,
     "rotate": Rotate,

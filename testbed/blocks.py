@@ -14,7 +14,9 @@ class Cell(NamedTuple):
     """Column and row of a block; row 0 is the bottom."""
 
     column: int
+    """From 0 at the left."""
     row: int
+    """From 0 at the bottom."""
 
     @property
     def name(self) -> str:

@@ -27,6 +27,7 @@ class Exported:
     name: str
     """The object's."""
     shape: ObjectShape
+    """Where its masses are."""
     distribution: MassDistribution
     """Its masses and frictions, as estimated."""
     covariance: Float[np.ndarray, "n_m n_m"] | None = None
@@ -59,7 +60,7 @@ class Exported:
 
 
 def to_mjcf(exported: Exported, *, inertial: bool = False) -> str:
-    """A free body of boxes, as MJCF.
+    """A free body of boxes, as MJCF: the text of the file.
 
     Args:
         exported: the answer.

@@ -178,8 +178,11 @@ class ObjectModel:
     """A shape together with its true mass distribution: what a simulation needs and an estimator never sees."""
 
     name: str
+    """What it is called in files and tables."""
     shape: ObjectShape
+    """What an estimator is told."""
     truth: MassDistribution = field(repr=False)
+    """What an estimator is asked for."""
     solids: tuple[Solid, ...] = field(default=(), repr=False)
     """The body of each mass group, where it is known better than by its particles, as for a mesh; else empty."""
 

@@ -236,7 +236,11 @@ def _noise_of_mean(samples: Float[np.ndarray, "T D"], length: int) -> Float[np.n
 
 
 def weight_of(trajectory: Trajectory) -> float:
-    """Mass read by a scale, kg."""
+    """Mass read by a scale, kg.
+
+    Raises:
+        InvalidValueError: not a weighing, or one that is not `ok`.
+    """
     if not (isinstance(trajectory.action, Weigh) and trajectory.ok):
         raise InvalidValueError("trajectory", f"{trajectory.action}, {trajectory.status}", "a Weigh with status ok")
     return float(trajectory.wrench_on_object_world[:, 2].mean()) / GRAVITY

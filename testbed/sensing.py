@@ -19,6 +19,7 @@ from testbed.objects import GRAVITY
 from testbed.trajectory import Phase, Tool, Trajectory
 
 Axes = tuple[float, float, float]
+"""A number for each axis: x, y, z."""
 
 
 @dataclass(frozen=True)
@@ -102,6 +103,7 @@ PRESETS: dict[str, Sensing] = {
         _grid("high", 0.33, 0.0067, 1.0, 0.1),
     )
 }
+"""By name: `ideal`, `ft300s`, `low`, `moderate`, `high`."""
 
 
 def preset(name: str) -> Sensing:

@@ -19,7 +19,9 @@ from testbed.arrays import frozen_array, is_number
 from testbed.errors import HeftError, InvalidValueError
 
 SCHEMA_VERSION = 1
+"""Of trajectory files; another one is refused."""
 Status = Literal["ok", "slipped", "limit", "fault"]
+"""How a trial ended; only one that is ok may be used as data."""
 
 
 class Phase(IntEnum):

@@ -42,11 +42,17 @@ class Support:
 
 
 OWN_WEIGHT = Support(0.0)
+"""Every mass group rests on its own weight, as the paper assumes."""
 RIGID = Support(math.inf)
+"""One rigid body."""
 
 
 def parse_support(text: str | float) -> Support:
-    """ "own_weight", "rigid", or a stiffness in N/m."""
+    """A support by name, "own_weight" or "rigid", or by its stiffness in N/m.
+
+    Raises:
+        InvalidValueError: neither.
+    """
     named = {"own_weight": OWN_WEIGHT, "rigid": RIGID}
     if text in named:
         return named[str(text)]

@@ -11,7 +11,7 @@ import pytest
 
 ROOT = Path(__file__).parent.parent
 SCRIPT = """
-import estimators, testbed, pathlib, sys
+import estimators, pathlib, scenarios, sys, testbed, viz
 assert pathlib.Path(testbed.__file__).is_relative_to(sys.argv[1]), testbed.__file__
 from scenarios.cli import main
 from testbed.simulation.arm import arm_model
@@ -22,7 +22,8 @@ main(["show", "F2"])
 main(["show", "hammer"])
 from estimators.testing.recorded import load_block
 assert load_block("L2-rigid").clean
-assert all((pathlib.Path(room.__file__).parent / "py.typed").is_file() for room in (testbed, estimators))
+for room in (testbed, estimators, scenarios, viz):
+    assert (pathlib.Path(room.__file__).parent / "py.typed").is_file(), room
 """
 
 

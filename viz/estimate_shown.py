@@ -30,6 +30,7 @@ class EstimateShown:
     title: str
     """What is shown: object, method, sensing."""
     shape: ObjectShape
+    """Of the object."""
     truth: MassDistribution | None = None
     """None on a real object."""
     answer: MassDistribution | None = None

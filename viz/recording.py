@@ -26,6 +26,7 @@ class Page:
     log: Callable[[rr.RecordingStream], None]
     """Logs everything."""
     layout: rrb.View | rrb.Container
+    """The views."""
     timeline: str
     """On which it opens: SIM_TIME, playing from the start, or ITERATION, at the last one."""
 

@@ -46,7 +46,9 @@ class TrialShown:
     """A trial with all that is known about it."""
 
     title: str
+    """What is shown: object and action."""
     shape: ObjectShape
+    """Of the object."""
     trajectory: Trajectory
     """As sensed: with the wrench on the object."""
     poses: Poses

@@ -187,5 +187,6 @@ CONFORMANCE: tuple[Callable[..., None], ...] = (
     refuses_trials_of_another_shape,
     does_not_hide_that_trajectories_contradict_each_other,
 )
+"""The rules: call each with an estimator."""
 WITHOUT_DRAWS: tuple[Callable[..., None], ...] = (does_not_care_for_the_order_of_groups,)
 """For methods that draw no masses."""

@@ -49,6 +49,7 @@ class SimulationRunner:
     """A `TrialRunner` on the simulated bench. Entering and leaving it costs nothing."""
 
     settings: SimulationSettings = field(default_factory=SimulationSettings)
+    """Of the simulated bench."""
 
     def __enter__(self) -> Self:
         return self

@@ -76,5 +76,8 @@ class SimulationSettings:
     rate: float = 100.0
     """Record rate of the sensor and of the outer loop, Hz."""
     contact: ContactSettings = ContactSettings()
+    """Between feet and table."""
     grip: GripSettings = GripSettings()
+    """Between pads and object."""
     servo: ServoSettings = ServoSettings()
+    """Of the arm."""

@@ -11,12 +11,11 @@ from estimators.explicit_state import ExplicitState
 from estimators.hidden_states import HiddenStatesEstimator
 from estimators.least_squares import LeastSquares
 from estimators.nelder_mead import NelderMead
-from estimators.plugins import configured, installed, load_estimator, nearest, source_hash
+from estimators.plugins import ESTIMATOR, configured, find_class, installed, source_hash
 from estimators.protocol import Estimator
 from estimators.random_search import RandomSearch
 from estimators.support_aware import SupportAware
 from estimators.weighted_sampling import WeightedSampling
-from testbed.errors import InvalidValueError
 
 METHODS: dict[str, type[Estimator]] = {
     "hidden_states": HiddenStatesEstimator,
@@ -39,7 +38,7 @@ def kind_of(label: str, settings: Mapping[str, Any]) -> str:
 
 def is_method(name: str) -> bool:
     """Whether a name is that of a method by itself: heft's own, an installed one, or "package:Class"."""
-    return name in METHODS or ":" in name or name in installed()
+    return name in METHODS or ":" in name or name in installed(ESTIMATOR)
 
 
 def build_method(label: str, settings: Mapping[str, Any]) -> Estimator:
@@ -61,11 +60,4 @@ def code_of(name: str) -> dict[str, str]:
 def _class_of(name: str) -> type[Estimator]:
     if name in METHODS:
         return METHODS[name]
-    if ":" in name:
-        return load_estimator(name, "methods")
-    others = installed()
-    if name in others:
-        return load_estimator(others[name], f"methods.{name}")
-    known = [*METHODS, *others]
-    allowed = f"one of {', '.join(known)}{nearest(name, known)}, package:Class, or any label with a method of these"
-    raise InvalidValueError("methods", name, allowed)
+    return find_class(name, ESTIMATOR, "methods", METHODS, "package:Class, or any label with a method of these")

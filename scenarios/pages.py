@@ -8,8 +8,8 @@ from pathlib import Path
 import rerun as rr
 import rerun.blueprint as rrb
 
+from estimators.plugins import nearest
 from scenarios.comparison import select
-from scenarios.methods import nearest
 from scenarios.seen_estimates import estimate_shown, fits_of, rows_in, settings_of, typical_trial
 from scenarios.seen_trials import show_trial, trial_shown
 from scenarios.store import Store

@@ -20,6 +20,7 @@ from estimators.touch_plan import Goal
 from scenarios.bench_check import BenchCheck
 from scenarios.drawn_objects import Family
 from scenarios.methods import build_method
+from scenarios.policies import Told, build_policy, code_of
 from testbed.actions import Rotate
 from testbed.errors import InvalidValueError
 from testbed.object_files import explained, load_toml
@@ -47,10 +48,14 @@ class Grid(Strict):
     particles: Annotated[int, Field(ge=1, le=20)] = 3
 
 
-class Policy(Strict):
-    """How actions are chosen: by the paper's rank, or by a plan made from shape and weight before anything is felt."""
+POLICIES = ("paper", "greedy", "batch", "random")
+"""heft's own policies."""
 
-    kind: Literal["paper", "greedy", "batch", "random"] = "paper"
+
+class Policy(Strict):
+    """How actions are chosen: by the paper's rank, by a plan before anything is felt, or by code of your own."""
+
+    kind: str = "paper"
     pivots: Annotated[int, Field(ge=1)] = 6
     duration: Annotated[float, Field(gt=1.5, le=60)] = 18.0
     accelerated: Annotated[int, Field(ge=0)] = 6
@@ -63,12 +68,22 @@ class Policy(Strict):
     criterion: Literal["I", "A", "D"] = "I"
     plan_for: str = "ft300s"
     candidates: Annotated[int, Field(ge=1, le=100_000)] = 4000
+    settings: dict[str, Any] = {}
 
     @field_validator("plan_for", mode="after")
     @classmethod
     def _known_sensor(cls, name: str) -> str:
         preset(name)
         return name
+
+    @model_validator(mode="after")
+    def _known_kind(self) -> Self:
+        if self.kind not in POLICIES:
+            build_policy(self.kind, self.settings, POLICIES, self.touches, Told())
+        elif self.settings:
+            allowed = f'none: {self.kind} has its fields in [policy]; settings are for a kind = "package:Class"'
+            raise InvalidValueError("settings", self.settings, allowed)
+        return self
 
     @property
     def expected_trials(self) -> int:
@@ -81,16 +96,24 @@ class Policy(Strict):
         if self.kind == "paper":
             return RankDriven(self.pivots, self.duration, self.accelerated, self.most, self.seed, grasps)
         guess = Guess(particles.total_mass, preset(self.plan_for))
+        check = BenchCheck(particles.shape, guess, settings)
+        if self.kind not in POLICIES:
+            told = Told(grasps, particles.total_mass, check)
+            return build_policy(self.kind, self.settings, POLICIES, self.touches, told)
         return PlannedTouches(
             guess,
-            self.kind,
+            self.kind,  # pyright: ignore[reportArgumentType]  one of POLICIES
             self.criterion,
             Goal(self.until, self.budget_s, self.touches),
             candidates=self.candidates,
             grasps=grasps,
             seed=self.seed,
-            feasible=BenchCheck(particles.shape, guess, settings),
+            feasible=check,
         )
+
+    def asked(self) -> dict[str, Any]:
+        """All that decides its choices, as plain data."""
+        return self.model_dump() | ({} if self.kind in POLICIES else code_of(self.kind))
 
     def build_held_out(self, shape: ObjectShape, grasps: tuple[int, ...]) -> list[Rotate]:
         """Turns for prediction, which no method is given."""
@@ -227,7 +250,7 @@ class Scenario(Strict):
             table, *path = changed, *name.split(".")
             for key in path[:-1]:
                 table = table[key] if isinstance(table, dict) and isinstance(table.get(key), dict) else None
-            if not isinstance(table, dict) or (path[-1] not in table and path[0] != "methods"):
+            if not isinstance(table, dict) or (path[-1] not in table and not {"methods", "settings"} & {*path[:-1]}):
                 known = [key for key in plain if key != "sweep"]
                 allowed = f"a field as it stands in the file, such as grid.feet; tables and fields: {', '.join(known)}"
                 raise InvalidValueError("sweep.axes", name, allowed)

@@ -9,6 +9,7 @@ from scenarios.cells import Cell, Made, Progress
 from scenarios.execution import Executor, Failure
 from scenarios.store import Store, key_of, object_request, trial_request
 from testbed.actions import Action, Weigh, action_to_dict
+from testbed.errors import HeftError
 from testbed.simulation.runner import SimulationRunner
 from testbed.simulation.settings import SimulationSettings
 from testbed.trajectory import TrajectoryFileError
@@ -29,6 +30,12 @@ def run_trials(
     waiting, active, done = deque(cells), 0, 0
     asking: dict[str, list[tuple[Cell, Action]]] = {}
 
+    def give_up(cell: Cell, why: str) -> None:
+        nonlocal active
+        cell.failure = why
+        cell.trajectories.clear()
+        active -= 1
+
     def go_on(cell: Cell, action: Action | None) -> None:
         """From this action on: take what is there, and ask for the first trial that is not."""
         nonlocal active, done
@@ -41,7 +48,11 @@ def run_trials(
                     executor.start(key, simulate, trial, settings, store)
                 return
             done += 1
-            action = cell.following()
+            try:
+                action = cell.following()
+            except HeftError as error:  # a policy that cannot go on takes its own cell with it
+                give_up(cell, f"policy: {error}")
+                return
         store.put_note(_key_of_cell(cell), {"keys": cell.keys, "held_out": cell.held_out_keys})
         active -= 1
 
@@ -61,9 +72,7 @@ def run_trials(
                 if not isinstance(value, Failure):
                     go_on(cell, action)
                     continue
-                cell.failure = f"{type(action).__name__.lower()}: {value.reason}"
-                cell.trajectories.clear()
-                active -= 1
+                give_up(cell, f"{type(action).__name__.lower()}: {value.reason}")
                 store.put_trial_error(key, value.detail)
         failed = sum(bool(cell.failure) for cell in cells)
         progress("trials", done, max(done + executor.running, expected), failed)
@@ -99,7 +108,7 @@ def _key_of_cell(cell: Cell) -> str:
         "object": object_request(cell.model),
         "particles": object_request(cell.particles),
         "support": cell.support.name,
-        "policy": cell.scenario.policy.model_dump(),
+        "policy": cell.scenario.policy.asked(),
         "grasps": list(cell.grasps),
         "held_out": [action_to_dict(turn) for turn in cell.turns],
         "simulation": asdict(cell.scenario.simulation.build()),

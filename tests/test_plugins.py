@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from estimators import plugins
-from estimators.plugins import configured, load_estimator, source_hash
+from estimators.plugins import ESTIMATOR, configured, load_class, source_hash
 from scenarios.cli import main
 from scenarios.main_run import Asked, changed
 from scenarios.methods import METHODS, build_method
@@ -127,12 +127,12 @@ def test_what_is_no_estimator_is_refused_in_a_scenario_and_on_the_command_line(p
 )
 def test_a_wrong_setting_is_refused(name, settings, message):
     with pytest.raises(InvalidValueError, match=message):
-        configured(load_estimator(f"of_a_user:{name}", "mine"), settings, "mine")
+        configured(load_class(f"of_a_user:{name}", ESTIMATOR, "mine"), settings, "mine")
 
 
 @pytest.mark.usefixtures("here")
 def test_an_entry_point_is_a_method_by_name(monkeypatch):
-    points = EntryPoints([EntryPoint("even", "of_a_user:Even", plugins.GROUP)])
+    points = EntryPoints([EntryPoint("even", "of_a_user:Even", ESTIMATOR.group)])
     monkeypatch.setattr(plugins, "entry_points", lambda *, group: points.select(group=group))
     assert type(build_method("even", {"friction": 0.2})).__name__ == "Even"
     assert changed(Scenario(objects=["I1"]), Asked(methods=("even",))).methods == {"even": {}}
@@ -145,14 +145,14 @@ def test_an_answer_is_kept_under_the_source_that_gave_it(tmp_path, monkeypatch):
     kinds = []
     for name, text in (("one_source", MODULE), ("other_source", MODULE), ("third_source", MODULE + "# more\n")):
         (tmp_path / f"{name}.py").write_text(text, encoding="utf-8")
-        kinds.append(load_estimator(f"{name}:Even", "x"))
+        kinds.append(load_class(f"{name}:Even", ESTIMATOR, "x"))
     first, same, other = map(source_hash, kinds)
     assert first == same != other
 
 
 def test_every_method_of_heft_is_what_others_must_be():
     for name, kind in METHODS.items():
-        assert load_estimator(f"{kind.__module__}:{kind.__name__}", name) is kind
+        assert load_class(f"{kind.__module__}:{kind.__name__}", ESTIMATOR, name) is kind
         assert configured(kind, {}, name) == kind()
 
 

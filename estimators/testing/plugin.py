@@ -49,13 +49,13 @@ def pytest_configure(config: pytest.Config) -> None:
         return
     import torch  # noqa: PLC0415
 
-    from estimators.plugins import configured, installed, load_estimator  # noqa: PLC0415
+    from estimators.plugins import ESTIMATOR, configured, find_class  # noqa: PLC0415
     from testbed.errors import InvalidValueError  # noqa: PLC0415
 
     torch.set_num_threads(1)
     try:
         settings = tomllib.loads(f"of = {{ {config.getoption('--estimator-settings')} }}")["of"]
-        kind = load_estimator(str(installed().get(name, name)), "--estimator")
+        kind = find_class(str(name), ESTIMATOR, "--estimator")
         config.stash[_ASKED] = configured(kind, settings, "--estimator-settings")
     except (InvalidValueError, tomllib.TOMLDecodeError) as error:
         raise pytest.UsageError(str(error)) from None

@@ -1,14 +1,14 @@
-"""What the simulated bench says of an action, before it is planned: asked at guessed masses and friction."""
+"""What the bench says of an action, before it is planned: asked at guessed masses and friction."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
 
 from estimators.design import Guess
+from scenarios.benches import BenchSettings, check_trial
 from testbed.actions import Action
 from testbed.errors import InfeasibleTrialError
 from testbed.objects import ObjectModel, ObjectShape
-from testbed.simulation.runner import SimulationRunner
 from testbed.simulation.settings import SimulationSettings
 from testbed.trial import RIGID, Trial
 
@@ -23,13 +23,13 @@ class BenchCheck:
 
     shape: ObjectShape
     guess: Guess
-    settings: SimulationSettings = field(default_factory=SimulationSettings)
+    settings: BenchSettings = field(default_factory=SimulationSettings)
 
     def __call__(self, action: Action) -> str:
         """Empty where the bench can do it, or why it cannot."""
         try:
             model = ObjectModel("guess", self.shape, self.guess.uniform(self.shape))
-            SimulationRunner(self.settings).check(Trial(model, action, RIGID))
+            check_trial(Trial(model, action, RIGID), self.settings)
         except InfeasibleTrialError as error:
             return str(error)
         return ""

@@ -8,6 +8,7 @@ from functools import partial
 from typing import Any, Protocol
 
 from estimators.protocol import ActionPolicy
+from scenarios.benches import BenchSettings, check_trial
 from scenarios.drawn_objects import Family
 from scenarios.schema import Scenario
 from scenarios.store import Store, key_of, object_request
@@ -15,8 +16,6 @@ from testbed.actions import Accelerate, Action, Rotate
 from testbed.errors import InfeasibleTrialError, InvalidValueError
 from testbed.object_files import load_object
 from testbed.objects import ObjectModel
-from testbed.simulation.runner import SimulationRunner
-from testbed.simulation.settings import SimulationSettings
 from testbed.trajectory import Trajectory
 from testbed.trial import Support, Trial
 
@@ -133,7 +132,7 @@ def _sources(scenario: Scenario, feasible: _Grasps, store: Store) -> Iterator[tu
             yield name, partial(load_object, _drawn(family, index, scenario.simulation.build(), feasible, store))
 
 
-def _drawn(family: Family, index: int, settings: SimulationSettings, feasible: _Grasps, store: Store) -> str:
+def _drawn(family: Family, index: int, settings: BenchSettings, feasible: _Grasps, store: Store) -> str:
     """The file of a drawn object that the bench can handle, made if it is not there.
 
     Raises:
@@ -163,7 +162,7 @@ class _Grasps:
         self._store = store
         self._new: dict[str, dict[str, Any]] = {}
 
-    def of(self, model: ObjectModel, settings: SimulationSettings) -> tuple[int, ...]:
+    def of(self, model: ObjectModel, settings: BenchSettings) -> tuple[int, ...]:
         """Raises InfeasibleTrialError where there are none."""
         key = key_of({"object": object_request(model), "simulation": asdict(settings), "what": "grasps"})
         known = self._new.get(key) or self._store.note(key)
@@ -183,18 +182,17 @@ class _Grasps:
             self._store.put_note(key, note)
 
 
-def feasible_grasps(model: ObjectModel, settings: SimulationSettings) -> tuple[int, ...]:
+def feasible_grasps(model: ObjectModel, settings: BenchSettings) -> tuple[int, ...]:
     """Grasps about which the bench can turn the object at constant and at changing speed.
 
     Raises:
         InfeasibleTrialError: there is none; the message gives the reason of each.
     """
-    runner = SimulationRunner(settings)
     possible, reasons = [], []
     for index, grasp in enumerate(model.shape.grasps):
         try:
             for action in (Rotate(index), Accelerate(index)):
-                runner.check(Trial(model, action))
+                check_trial(Trial(model, action), settings)
             possible.append(index)
         except InfeasibleTrialError as error:
             reasons.append(f"{grasp.name}: {error}")

@@ -18,6 +18,7 @@ from estimators.protocol import ActionPolicy
 from estimators.rank_driven import RankDriven, held_out_turns
 from estimators.touch_plan import Goal
 from scenarios.bench_check import BenchCheck
+from scenarios.benches import BenchSettings, OtherBench
 from scenarios.drawn_objects import Family
 from scenarios.methods import build_method
 from scenarios.policies import Told, build_policy, code_of
@@ -91,7 +92,7 @@ class Policy(Strict):
         chosen = self.accelerated + self.pivots if self.kind == "paper" else self.touches
         return 1 + chosen + self.held_out
 
-    def build(self, grasps: tuple[int, ...], particles: ObjectModel, settings: SimulationSettings) -> ActionPolicy:
+    def build(self, grasps: tuple[int, ...], particles: ObjectModel, settings: BenchSettings) -> ActionPolicy:
         """The policy over the grasps that may be used; of the object it is told shape and weight."""
         if self.kind == "paper":
             return RankDriven(self.pivots, self.duration, self.accelerated, self.most, self.seed, grasps)
@@ -121,7 +122,7 @@ class Policy(Strict):
 
 
 class Simulation(Strict):
-    """Settings of the simulated bench; what is left out keeps its measured default."""
+    """Settings of the simulated bench, what is left out keeping its measured default; or somebody else's bench."""
 
     timestep_s: Annotated[float, Field(gt=0, le=0.002)] = 0.001
     grip: Literal["friction", "weld"] = "friction"
@@ -129,9 +130,26 @@ class Simulation(Strict):
     sag_m: Annotated[float, Field(gt=0, le=0.01)] = ContactSettings().sag
     integral_gain: Annotated[float, Field(ge=0, le=10)] = ServoSettings().integral_gain
     null_gain: Annotated[float, Field(ge=0, le=2)] = ServoSettings().null_gain
+    runner: str | None = None
+    settings: dict[str, Any] = {}
 
-    def build(self) -> SimulationSettings:
-        """The runner's settings."""
+    @model_validator(mode="after")
+    def _one_bench(self) -> Self:
+        if self.runner is None:
+            if self.settings:
+                allowed = "none: the simulated bench has its fields in [simulation]; settings are for a runner"
+                raise InvalidValueError("settings", self.settings, allowed)
+            return self
+        fields = set(type(self).model_fields) - {"runner", "settings"}
+        if ours := sorted(name for name in fields if getattr(self, name) != type(self).model_fields[name].default):
+            raise InvalidValueError("runner", self.runner, f"settings of its own in place of {', '.join(ours)}")
+        OtherBench.of(self.runner, self.settings).open()
+        return self
+
+    def build(self) -> BenchSettings:
+        """The bench's settings."""
+        if self.runner is not None:
+            return OtherBench.of(self.runner, self.settings)
         return SimulationSettings(
             timestep=self.timestep_s,
             contact=ContactSettings(sag=self.sag_m),

@@ -27,12 +27,12 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from estimators.protocol import Estimate
+from scenarios.benches import BenchSettings
 from testbed.actions import action_to_dict
 from testbed.foot_forces import FootForces, save_foot_forces
 from testbed.object_files import ObjectFile
 from testbed.objects import ObjectModel, ObjectShape, Solid
 from testbed.resources import asset_folder
-from testbed.simulation.settings import SimulationSettings
 from testbed.trajectory import (
     SCHEMA_VERSION,
     Trajectory,
@@ -49,7 +49,7 @@ def key_of(asked: dict[str, Any]) -> str:
     return hashlib.sha256(json.dumps(asked, sort_keys=True, separators=(",", ":")).encode()).hexdigest()[:20]
 
 
-def trial_request(trial: Trial, settings: SimulationSettings) -> dict[str, Any]:
+def trial_request(trial: Trial, settings: BenchSettings) -> dict[str, Any]:
     """All that decides a physical trial, as plain data; sensing is drawn afterwards and is not in it."""
     return {
         "schema": SCHEMA_VERSION,

@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections import deque
 from dataclasses import asdict
 
+from scenarios.benches import BenchSettings, OtherBench
 from scenarios.cells import Cell, Made, Progress
 from scenarios.execution import Executor, Failure
 from scenarios.store import Store, key_of, object_request, trial_request
 from testbed.actions import Action, Weigh, action_to_dict
 from testbed.errors import HeftError
 from testbed.simulation.runner import SimulationRunner
-from testbed.simulation.settings import SimulationSettings
 from testbed.trajectory import TrajectoryFileError
 from testbed.trial import Trial
 
@@ -116,16 +116,19 @@ def _key_of_cell(cell: Cell) -> str:
     return key_of(asked)
 
 
-def simulate(trial: Trial, settings: SimulationSettings, store: Store) -> None:
+def simulate(trial: Trial, settings: BenchSettings, store: Store) -> None:
     """Task: one physical trial, unless it is done."""
     asked = trial_request(trial, settings)
     key = key_of(asked)
     if store.has_trial(key):
         return
-    runner, feet = SimulationRunner(settings), None
-    if isinstance(trial.action, Weigh):
-        trajectory = runner.run_clean(trial)
+    feet = None
+    if isinstance(settings, OtherBench):
+        trajectory = settings.run(trial)
+    elif isinstance(trial.action, Weigh):
+        trajectory = SimulationRunner(settings).run_clean(trial)
     else:
+        runner = SimulationRunner(settings)
         trajectory, contacts = runner.run_with_contacts(trial, every=round(settings.rate / FEET_RATE))
         feet = contacts.foot_forces(trajectory.time_s)
     store.put_trial(key, trial, asked, trajectory, feet)

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
-from testbed.actions import Accelerate, Action, Rotate, Slide
+from testbed.actions import Accelerate, Action, Lift, Rotate, Slide
 from testbed.arrays import is_number
 from testbed.errors import InvalidValueError
 from testbed.frames import rotation_2d
@@ -22,7 +22,7 @@ REACH = (0.20, 0.70)
 """Distance of the TCP from the arm's base, m: the simulated arm's inverse kinematics fail beyond."""
 SWEEP_POINTS = 7
 """At which the path of a turn is held against the reach."""
-SLIDE_PART, ACCELERATED_PART = 0.1, 0.02
+SLIDE_PART, ACCELERATED_PART, LIFT_PART = 0.1, 0.02, 0.005
 """Of all candidates; the rest are turns."""
 
 
@@ -40,6 +40,8 @@ class ActionFamily:
     accelerated: bool = True
     one_way: bool = False
     """Turn one way only: shorter, and the sensor's bias stays in."""
+    lifts: bool = False
+    """Lift and rock it too: a bench may not, and what is no rigid body cannot be lifted."""
 
     def __post_init__(self) -> None:
         for name, least in (("duration", 1.5), ("speed_deg_s", 0.0)):
@@ -71,12 +73,14 @@ class ActionFamily:
             return ()
         rng = np.random.default_rng(seed)
         allowed = np.asarray(grasps, dtype=int)
+        lifts = max(round(LIFT_PART * count), len(allowed)) if self.lifts else 0
         slides = round(SLIDE_PART * count) if self.slides else 0
         accelerated = max(round(ACCELERATED_PART * count), 1) if self.accelerated else 0
         return (
             *self._accelerated(shape, allowed, accelerated, rng),
             *self._slides(shape, allowed, slides, rng),
-            *self._turns(shape, allowed, max(count - slides - accelerated, 1), rng),
+            *self._turns(shape, allowed, max(count - slides - accelerated - lifts, 1), rng),
+            *self._lifts(shape, allowed, lifts, rng),
         )
 
     def _turns(
@@ -134,6 +138,22 @@ class ActionFamily:
         each = dict.fromkeys(found)
         paths = {a: ToolPath.centred(a, shape, Profile.of(a, 0.01).length, WORKSPACE) for a in each}
         return [action for action, path in paths.items() if (overhang_of(shape, path) <= 0).all()]
+
+    def _lifts(
+        self, shape: ObjectShape, allowed: Int[np.ndarray, "G"], count: int, rng: np.random.Generator
+    ) -> list[Lift]:
+        """One as by default a grasp first; then held for shorter or longer, rocked for shorter or longer.
+
+        Tilt and acceleration are those at which the errors of a lift were measured.
+        """
+        found = [Lift(int(grasp)) for grasp in allowed[:count]]
+        for index in range(count - len(found)):
+            hold, swings = float(np.exp(rng.uniform(np.log(1.5), np.log(4.0))).round(1)), 2 * int(rng.integers(1, 6))
+            found.append(Lift(int(allowed[index % len(allowed)]), hold=hold, swings=swings))
+        positions, angles = _places(shape)
+        at = np.array([lift.grasp for lift in found], dtype=int)
+        fits = stays_on_table(outline(shape), positions[at], angles[at], positions[at], np.zeros(len(at)))
+        return [lift for lift, stays in zip(found, fits, strict=True) if stays]
 
 
 def clear_of_particles(shape: ObjectShape, points: Float[np.ndarray, "N 2"]) -> np.ndarray:

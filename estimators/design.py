@@ -206,7 +206,7 @@ class Design:
     def unlike(self, done: Sequence[Action]) -> np.ndarray:
         """Which candidates are none of those done, nor all but the same, (C,) bool.
 
-        Accelerated turns are none before anything has moved at constant speed: alone they have no answer.
+        Accelerated turns and lifts are none before anything has moved at constant speed: alone they have no answer.
         """
         taken = {action for action in done if not isinstance(action, Rotate)}
         begun = any(steady(action) for action in done)

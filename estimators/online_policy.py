@@ -12,6 +12,7 @@ from jaxtyping import Float
 from estimators.candidate_actions import ActionFamily
 from estimators.design import Belief, Criterion, Design, Guess, before_trials, expected_nad, steady
 from estimators.hidden_states import HiddenStatesEstimator
+from estimators.lifted import lifts_among
 from estimators.mass_solve import load_jacobian
 from estimators.observations import Observations, observe, robot_seconds
 from estimators.protocol import Estimate, Estimator
@@ -94,7 +95,7 @@ class OnlineTouches:
         at = _where(shape, guess, windows, estimate)
         misfit = estimate.diagnostics.get("loss", 1.0) if estimate is not None else 1.0
         own = guess.supports == ("own_weight",)
-        belief = _belief(shape, guess, at, windows, len(trajectories), misfit if own and misfit > DISAGREE else 1.0)
+        belief = _belief(shape, guess, at, windows, trajectories, misfit if own and misfit > DISAGREE else 1.0)
         nad = _nad(belief, estimate)
         done = [trajectory.action for trajectory in trajectories]
 
@@ -183,13 +184,16 @@ def _belief(
     guess: Guess,
     at: MassDistribution,
     windows: Observations | None,
-    count: int,
+    trajectories: Sequence[Trajectory],
     inflated: float,
 ) -> Belief:
     """The weighing, the prior, and all trials felt, their errors as much larger as they disagree."""
-    before = before_trials(shape, guess)
+    before, count = before_trials(shape, guess), len(trajectories)
+    lifts = {
+        index: found[0] for index in range(count) if (found := lifts_among(shape, trajectories[index : index + 1]))
+    }
     felt = [
-        trial_information(shape, at, windows, count, question, Settling()).information() / inflated
+        trial_information(shape, at, windows, count, question, Settling(), lifts).information() / inflated
         for question in guess.questions()
     ]
     return before.after(np.stack(felt))

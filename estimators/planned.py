@@ -45,7 +45,7 @@ class _Stretch:
 def planned_observations(shape: ObjectShape, actions: Sequence[Action], sensing: Sensing) -> Observations | None:
     """The windows of some actions, their wrenches left at zero; None where no action moves the object over the table.
 
-    The gripper carries nothing, as after nulling, as far as the sensor can tell. Lifts are left out.
+    The gripper carries nothing, as after nulling, as far as the sensor can tell. Lifts are left out, and numbered.
 
     Args:
         shape: geometry and grasps.
@@ -56,7 +56,9 @@ def planned_observations(shape: ObjectShape, actions: Sequence[Action], sensing:
         InvalidValueError: a grasp that the shape does not have.
     """
     stretches, trial, grasp = [], [], []
-    for index, action in enumerate(a for a in actions if not isinstance(a, Weigh | Lift)):
+    for index, action in enumerate(actions):
+        if isinstance(action, Weigh | Lift):
+            continue
         if action.grasp >= len(shape.grasps):
             raise InvalidValueError("action.grasp", action.grasp, f"one of the shape's {len(shape.grasps)} grasps")
         found = _stretches(shape, action)

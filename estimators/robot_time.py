@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
-from testbed.actions import Accelerate, Action, Rotate, Slide, Weigh
-from testbed.errors import InvalidValueError
+from testbed.actions import Accelerate, Action, Lift, Rotate, Weigh
+from testbed.lift_profile import LiftProfile
 from testbed.objects import ObjectShape
 from testbed.profile import PAUSE, RAMP_TIME
 
@@ -33,19 +34,15 @@ class RobotTime:
     """Of the hand on the way, rad/s, where that takes longer."""
 
     def of(self, action: Action) -> float:
-        """Of one trial, as its record has it, s.
-
-        Raises:
-            InvalidValueError: an action that leaves the table.
-        """
+        """Of one trial, as its record has it, s."""
         if isinstance(action, Weigh):
             return self.weighing
         if isinstance(action, Accelerate):
             return self.around + 2 * RAMP_TIME + PAUSE + len(action.accelerations) * action.hold
-        if isinstance(action, Rotate | Slide):
-            ways = 2 if isinstance(action, Rotate) and action.back else 1
-            return self.around + ways * (2 * RAMP_TIME + action.duration)
-        raise InvalidValueError("action", action, "a weighing, a turn or a slide")
+        if isinstance(action, Lift):
+            return self.around + _in_the_air(action)
+        ways = 2 if isinstance(action, Rotate) and action.back else 1
+        return self.around + ways * (2 * RAMP_TIME + action.duration)
 
     def between(self, shape: ObjectShape, last: Action | None, action: Action) -> float:
         """From where one action ends to where the next begins, up and over the object, s."""
@@ -60,3 +57,9 @@ class RobotTime:
         """Of actions one after the other, s."""
         lasts = [None, *actions]
         return sum(self.of(a) + self.between(shape, last, a) for last, a in zip(lasts, actions, strict=False))
+
+
+@lru_cache(maxsize=1024)
+def _in_the_air(action: Lift) -> float:
+    """Up, held, rocked and down, s."""
+    return LiftProfile.of(action, 0.01).duration

@@ -7,7 +7,7 @@ information adds; what is left once they are eliminated is that of `fisher.infor
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,16 +17,19 @@ from torch import Tensor
 
 from estimators.fisher import Question
 from estimators.inertia import slope_variance
+from estimators.lifted import lift_information
 from estimators.mass_solve import inertia_map
 from estimators.observations import Observations
 from estimators.particle_loads import ParticleLoads
 from estimators.planned import planned_observations
-from testbed.actions import Action, Weigh
+from estimators.planned_lift import planned_lift
+from testbed.actions import Action, Lift, Weigh
+from testbed.lift_reduction import LiftWindow
 from testbed.objects import MassDistribution, ObjectShape
 from testbed.sensing import Sensing
 
 ROWS = 6
-"""Of a trial; one with fewer has rows of zeros."""
+"""Of a trial; one with fewer has rows of zeros. None shows more: a lift M, c and three second moments."""
 CHUNK = 1024
 """Trials that are worked on at once."""
 
@@ -105,17 +108,24 @@ def planned_information(
 ) -> TrialInformation:
     """Of actions before they are done, a trial each, in their order.
 
+    On own weight a lift teaches nothing: no block but the one that is gripped would come along.
+
     Args:
         shape: geometry and grasps.
         distribution: masses and frictions at which it is taken, true or guessed.
-        actions: slides and turns.
+        actions: slides, turns and lifts.
         sensing: how the sensor errs.
         question: support model and stated errors.
         settling: what is left of a trial's beginning; as measured if left out.
     """
     moving = [action for action in actions if not isinstance(action, Weigh)]
     windows = planned_observations(shape, moving, sensing) if moving else None
-    return trial_information(shape, distribution, windows, len(moving), question, settling or Settling())
+    lifts = {
+        index: planned_lift(action, sensing)
+        for index, action in enumerate(moving)
+        if isinstance(action, Lift) and question.support == "rigid"
+    }
+    return trial_information(shape, distribution, windows, len(moving), question, settling or Settling(), lifts)
 
 
 def trial_information(
@@ -125,6 +135,7 @@ def trial_information(
     count: int,
     question: Question,
     settling: Settling,
+    lifts: Mapping[int, Sequence[LiftWindow]] | None = None,
 ) -> TrialInformation:
     """Of trials by their windows, planned or felt.
 
@@ -135,6 +146,7 @@ def trial_information(
         count: number of trials; one without windows has rows of zeros.
         question: support model and stated errors.
         settling: what is left of a trial's beginning.
+        lifts: windows of the trials that are lifts, by the trial's number.
     """
     known = shape.n_m + shape.n_mu
     rows = np.zeros((count, ROWS, known + shared_errors(shape)))
@@ -156,6 +168,9 @@ def trial_information(
                     else _steady_rows(shape, distribution, fields, question, settling)
                 )
                 rows[chosen, : found.shape[1]] = found
+    for trial_number, in_air in (lifts or {}).items():
+        found = _lifted_rows(shape, distribution, in_air)
+        rows[trial_number, : len(found), : shape.n_m] = found
     return TrialInformation(rows, known)
 
 
@@ -199,6 +214,17 @@ def _accelerated_rows(
         rows[c, 0, [known + 2, known + 3 + point]] = shared
         rows[c] /= np.sqrt(variance[0])
     return rows
+
+
+def _lifted_rows(
+    shape: ObjectShape, distribution: MassDistribution, windows: Sequence[LiftWindow]
+) -> Float[np.ndarray, "R n_m"]:
+    """Of a lift, as few rows as say the same; it shares no error with other trials."""
+    if not windows:
+        return np.zeros((0, shape.n_m))
+    rows, _ = lift_information(shape, windows, distribution.mass)
+    _, strength, right = np.linalg.svd(rows, full_matrices=False)
+    return strength[:ROWS, None] * right[:ROWS]
 
 
 def _points(shape: ObjectShape) -> Float[np.ndarray, "J 2"]:

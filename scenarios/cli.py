@@ -298,6 +298,7 @@ def plan(
     criterion: Literal["I", "A", "D"] = "I",
     sensing: Annotated[str, tyro.conf.arg(metavar="PRESET")] = "ft300s",
     support: Literal["own_weight", "rigid", "either"] = "own_weight",
+    lifts: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False,
     friction: Annotated[float, tyro.conf.arg(metavar="MU")] = 0.5,
     most: Annotated[int, tyro.conf.arg(metavar="N")] = 8,
     candidates: Annotated[int, tyro.conf.arg(metavar="N")] = 4000,
@@ -311,6 +312,7 @@ def plan(
     Of the object only its shape and its weight are looked at.
     Examples: heft plan L2 --budget 60s
               heft plan L2 --until 2% --policy batch --figure results/L2_plan
+              heft plan L2 --support rigid --lifts
 
     Args:
         object_: name in the library, or path to a TOML file.
@@ -320,6 +322,7 @@ def plan(
         criterion: what is made small: I (the expected NAD), A (trace of the covariance) or D (its volume).
         sensing: preset of the sensor.
         support: who carries the weight; either serves both models, and tells them apart.
+        lifts: think of lifts too, held still and rocked in the air; not with support own_weight.
         friction: guessed.
         most: touches at most.
         candidates: actions that are thought of.
@@ -332,7 +335,7 @@ def plan(
     from scenarios.plan_run import plan as say  # noqa: PLC0415
 
     of_plan = (budget, until, policy, criterion, sensing, support, friction)
-    say(Console(), object_, Wish(*of_plan, most, candidates, grasps, seed, figure, record))
+    say(Console(), object_, Wish(*of_plan, most, candidates, grasps, seed, figure, record, lifts))
 
 
 def touch(
@@ -343,6 +346,7 @@ def touch(
     sensing: Annotated[str, tyro.conf.arg(metavar="PRESET")] = "ft300s",
     support: Annotated[str, tyro.conf.arg(metavar="SUPPORT")] = "own_weight",
     thought: Literal["own_weight", "rigid", "either"] = "either",
+    lifts: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False,
     most: Annotated[int, tyro.conf.arg(metavar="N")] = 20,
     candidates: Annotated[int, tyro.conf.arg(metavar="N")] = 4000,
     grasps: Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="NAME ...")] = None,
@@ -363,6 +367,7 @@ def touch(
         sensing: preset of the sensor.
         support: who truly carries the weight: own_weight, rigid, or a stiffness in N/m.
         thought: who may carry it as far as the robot is told; with either it finds out.
+        lifts: think of lifts too, held still and rocked in the air; not where own_weight is thought.
         most: touches at most.
         candidates: actions that are thought of before each touch.
         grasps: grasps that may be used, by name (see heft show); all if left out.
@@ -373,7 +378,7 @@ def touch(
     from scenarios.touch_run import Wish  # noqa: PLC0415
     from scenarios.touch_run import touch as run_it  # noqa: PLC0415
 
-    wish = Wish(until, budget, sensing, support, thought, most, candidates, grasps, seed, out, record)
+    wish = Wish(until, budget, sensing, support, thought, most, candidates, grasps, seed, out, record, lifts)
     run_it(Console(), object_, wish)
 
 

@@ -20,7 +20,7 @@ from estimators.rank_driven import RankDriven
 from estimators.touch_plan import Asked, Goal, Plan, as_plan
 from scenarios.amounts import percent, seconds
 from scenarios.bench_check import BenchCheck
-from testbed.actions import Accelerate, Action, Rotate, Slide, Weigh
+from testbed.actions import Accelerate, Action, Lift, Rotate, Slide, Weigh
 from testbed.errors import InvalidValueError
 from testbed.object_files import load_object
 from testbed.objects import ObjectModel, ObjectShape
@@ -57,6 +57,7 @@ class Wish:
     seed: int = 0
     figure: Path | None = None
     record: Path | None = None
+    lifts: bool = False
 
 
 @dataclass(frozen=True)
@@ -113,13 +114,25 @@ def planned(model: ObjectModel, wish: Wish) -> Plan:
         wish.policy,  # pyright: ignore[reportArgumentType]
         wish.criterion,  # pyright: ignore[reportArgumentType]
         goal,
-        ActionFamily(),
+        family_of(wish.support, lifts=wish.lifts),
         wish.candidates,
         grasps,
         wish.seed,
         BenchCheck(shape, guess),
     )
     return policy.plan(shape)
+
+
+def family_of(support: str, *, lifts: bool) -> ActionFamily:
+    """Which actions are thought of.
+
+    Raises:
+        InvalidValueError: lifts of what cannot be one rigid body.
+    """
+    if lifts and "rigid" not in SUPPORTS[support]:
+        allowed = "no lifts where every block rests on its own weight, and only what is gripped would come along"
+        raise InvalidValueError("lifts", lifts, f"{allowed}; lift under support rigid or either")
+    return ActionFamily(lifts=lifts)
 
 
 def named_grasps(model: ObjectModel, chosen: tuple[str, ...] | None) -> tuple[int, ...]:
@@ -185,6 +198,8 @@ def in_words(shape: ObjectShape, action: Action) -> tuple[str, str, str]:
         return "accelerate", "the grasp", "left" if action.start_speed > 0 else "right"
     if isinstance(action, Slide):
         return "slide", "", f"towards {math.degrees(action.direction):.0f} deg"
+    if isinstance(action, Lift):
+        return "lift", "", f"{action.swings} swings, held {action.hold:g} s"
     return type(action).__name__.lower(), "", ""
 
 
@@ -220,9 +235,8 @@ def said(model: ObjectModel, made: Plan, wish: Wish) -> list[str]:
         lines.append(f"the target of {100 * until:g} % is not reached; {nad} is the best that this can have")
     guess = Guess(model.total_mass, preset(wish.sensing), wish.friction)
     for support in SUPPORTS[wish.support]:
-        report = expected(
-            model.shape, guess.uniform(model.shape), made.actions, preset(wish.sensing), Question(support)
-        )
+        actions = [a for a in made.actions if support == "rigid" or not isinstance(a, Lift)]
+        report = expected(model.shape, guess.uniform(model.shape), actions, preset(wish.sensing), Question(support))
         lines.append(f"{support}: {report.sentence}")
     reasons = dict.fromkeys(f"{in_words(model.shape, action)[0]}: {why}" for action, why in made.rejected)
     lines += [f"not feasible: {reason}" for reason in list(reasons)[:MOST_REJECTED]]

@@ -9,6 +9,7 @@ from typing import Any
 
 from rich.console import Console
 
+from estimators.candidate_actions import ActionFamily
 from estimators.design import Guess
 from estimators.online_policy import Decision, OnlineTouches, spent_seconds
 from estimators.touch_plan import Goal
@@ -16,7 +17,7 @@ from scenarios.amounts import percent, seconds
 from scenarios.bench_check import BenchCheck
 from scenarios.estimates import Asked, estimate, sensed
 from scenarios.folder_lock import exclusive
-from scenarios.plan_run import SUPPORTS, in_words, named_grasps, sentence
+from scenarios.plan_run import SUPPORTS, family_of, in_words, named_grasps, sentence
 from scenarios.schema import Scenario
 from scenarios.store import Store, key_of, trial_request, write_json
 from scenarios.sweep import manifest
@@ -51,6 +52,7 @@ class Wish:
     seed: int = 0
     out: Path | None = None
     record: bool = False
+    lifts: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,12 +79,13 @@ def touch(console: Console, name: str, wish: Wish) -> Outcome:
     model, begin = load_object(name), time.monotonic()
     folder = wish.out or Path("results") / f"touch_{model.name}"
     goal = Goal(percent(wish.until, "--until"), seconds(wish.budget, "--budget"), wish.most)
+    family = family_of(wish.thought, lifts=wish.lifts)
     parse_support(wish.support)  # before anything is written
     preset(wish.sensing)
     store = Store(folder.absolute())
     with exclusive(folder):
         store.remove_leftovers()
-        run = _Run(console, model, wish, store)
+        run = _Run(console, model, wish, store, family)
         last, keys = run.until(goal)
         row = _answer(model, wish, keys, store)
         scenario = Scenario(objects=[name], support=[wish.support], sensing=[wish.sensing], seeds=1)
@@ -109,6 +112,7 @@ class _Run:
     model: ObjectModel
     wish: Wish
     store: Store
+    family: ActionFamily
     robot_s: float = 0.0
 
     def until(self, goal: Goal) -> tuple[Decision, list[str]]:
@@ -122,6 +126,7 @@ class _Run:
         policy = OnlineTouches(
             guess,
             goal,
+            family=self.family,
             candidates=self.wish.candidates,
             grasps=named_grasps(self.model, self.wish.grasps),
             seed=self.wish.seed,

@@ -13,12 +13,13 @@ from estimators.candidate_actions import REACH, ActionFamily, clear_of_particles
 from estimators.design import NORMAL_MEAN, Belief, Design, Guess, before_trials
 from estimators.fisher import Question, expected, information_root
 from estimators.planned import planned_observations
+from estimators.planned_lift import planned_lift
 from estimators.planned_policy import PlannedTouches
 from estimators.rank_driven import planned_rank
 from estimators.robot_time import RobotTime
 from estimators.touch_plan import Asked, Goal, batch_plan, exhaustive, greedy_plan
 from estimators.trial_information import Settling, before_any_trial, of_masses, planned_information, shared_errors
-from testbed.actions import Accelerate, Rotate, Slide
+from testbed.actions import Accelerate, Lift, Rotate, Slide
 from testbed.errors import InvalidValueError
 from testbed.object_files import load_object
 from testbed.objects import ObjectShape
@@ -49,15 +50,18 @@ def test_information_of_trials_adds_up_to_that_of_all_together(support):
     actions = [
         Rotate(4, pivot=(0.01, 0.06), duration=5.0, back=True),
         Rotate(2, pivot=(-0.04, 0.02)),
+        Lift(4),
         Slide(0, 0.7),
         Accelerate(1),
         Accelerate(1, start_speed=-0.15, accelerations=tuple(-a for a in Accelerate(1).accelerations)),
         Accelerate(3),
         Rotate(4, pivot=(0.01, 0.06), duration=5.0, back=True),
+        Lift(2, hold=1.5, swings=2),
     ]
     alone = planned_information(shape, model.truth, actions, FT300S, question, SETTLED)
     added = of_masses(before_any_trial(shape, question.errors.weight_error) + alone.information(), alone.known)
-    root = information_root(shape, model.truth, planned_observations(shape, actions, FT300S), question)
+    lifts = [planned_lift(lift, FT300S) for lift in (actions[2], actions[8]) if support == "rigid"]  # else none can be
+    root = information_root(shape, model.truth, planned_observations(shape, actions, FT300S), question, lifts)
     together = root.T @ root
     size = np.sqrt(np.diag(together))
     np.testing.assert_allclose(added / np.outer(size, size), together / np.outer(size, size), atol=1e-11)
@@ -137,6 +141,22 @@ def test_where_support_is_not_known_a_plan_accelerates():
     assert not any(isinstance(action, Accelerate) for action in own.actions)
 
 
+def test_a_lift_is_planned_where_it_teaches_more_a_second():
+    """Under one rigid body it parts the second moments; of a straight row there is only one, and turns show it."""
+
+    def lifts(name: str, support: str, *, allowed: bool = True) -> tuple[int, float]:
+        family = ActionFamily(lifts=allowed)
+        made = PlannedTouches(guess(name, supports=(support,)), goal=Goal(budget_s=80.0), candidates=400, family=family)
+        plan = made.plan(load_object(name).shape)
+        return sum(isinstance(action, Lift) for action in plan.actions), plan.after.expected_nad
+
+    for name in ("L2", "F2"):
+        some, with_lifts = lifts(name, "rigid")
+        _, without = lifts(name, "rigid", allowed=False)
+        assert some and with_lifts < 0.8 * without
+    assert lifts("I2", "rigid")[0] == lifts("L2", "own_weight")[0] == 0
+
+
 def test_what_the_bench_refuses_is_not_planned_and_said():
     free = PlannedTouches(guess("L2"), goal=Goal(most=3), candidates=500)
     wanted = free.plan(load_object("L2").shape).actions[0].grasp
@@ -207,7 +227,8 @@ def test_candidates_stay_in_reach_and_clear_of_particles():
 def test_robot_time_is_that_of_the_simulated_bench():
     shape, settings = load_object("L2").shape, SimulationSettings()
     half = Accelerate(0, (1.0, -1.0, 1.5, -1.5))
-    for action in (Rotate(0, duration=2.3, back=True), Rotate(1, duration=3.0), Slide(0, duration=1.7), half):
+    moves = (Rotate(0, duration=2.3, back=True), Rotate(1, duration=3.0), Slide(0, duration=1.7), half)
+    for action in (*moves, Lift(4), Lift(4, tilt=0.0, hold=1.7)):
         samples = len(plan_motion(action, shape, settings).q)
         assert RobotTime().of(action) == pytest.approx((samples - 1) / settings.rate, abs=0.02)
 

@@ -35,6 +35,17 @@ def test_a_plan_is_told_and_drawn(tmp_path, capsys):
     assert sorted(path.name for path in tmp_path.iterdir()) == ["plan.pdf", "plan.png", "plan.rrd"]
 
 
+def test_lifts_are_planned_where_asked_for_and_possible(tmp_path, capsys):
+    more = ["--lifts", "--most", "3", "--candidates", "300", "--record", str(tmp_path / "plan.rrd")]
+    main(["plan", "L2", "--support", "rigid", "--figure", str(tmp_path / "plan"), *more])
+    said = " ".join(capsys.readouterr().out.split())
+    assert "lift" in said and "held" in said and "6 of 7 masses and frictions are seen" in said
+    assert "plan/touches/scene/3/lift" in read_chunks(tmp_path / "plan.rrd")
+    with pytest.raises(SystemExit, match="2"):
+        main(["plan", "L2", "--lifts"])
+    assert "lift under support rigid or either" in capsys.readouterr().err
+
+
 def test_a_budget_too_small_for_all_is_said_with_what_stays_open(capsys):
     main(["plan", "L2", "--budget", "20s", "--until", "1%", "--candidates", "300"])
     said = " ".join(capsys.readouterr().out.split())

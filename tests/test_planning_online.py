@@ -6,14 +6,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from lifted_world import lifted
 
 from estimators.design import Guess
 from estimators.hidden_states import HiddenStatesEstimator
 from estimators.metrics import normalized_absolute_difference
 from estimators.online_policy import Decision, OnlineTouches
+from estimators.support_aware import SupportAware
 from estimators.testing.analytic_world import drawn_object, felt
 from estimators.touch_plan import Goal
-from testbed.actions import Accelerate, Rotate, Slide
+from testbed.actions import Accelerate, Lift, Rotate, Slide
+from testbed.object_files import load_object
 from testbed.objects import ObjectModel
 from testbed.sensing import preset
 from testbed.trajectory import Trajectory
@@ -67,6 +70,19 @@ def test_what_failed_is_not_asked_for_again():
     slipped = replace(felt(obj, first), status="slipped", reason="it slipped")
     decision = chooser.decide(obj.shape, [slipped])
     assert decision.action not in (None, first) and decision.nad == chooser.decide(obj.shape, []).nad
+
+
+def test_a_lift_that_was_felt_counts():
+    obj = load_object("L2")
+    chooser = policy(obj, Goal())
+    chooser = replace(chooser, guess=replace(chooser.guess, supports=("rigid",)), estimator=SupportAware())
+    table = [
+        felt(obj, action, rigid=True, noise=0.05) for action in (Rotate(2, duration=6.0, back=True), Accelerate(2))
+    ]
+    before = chooser.decide(obj.shape, table)
+    after = chooser.decide(obj.shape, [*table, lifted(obj, Lift(2), errors=1.0)])
+    assert after.nad < 0.8 * before.nad
+    assert (after.standard_error <= before.standard_error * 1.05).all()
 
 
 def test_trials_that_disagree_are_believed_less_and_the_odd_one_is_done_again():

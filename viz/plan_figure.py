@@ -46,14 +46,20 @@ def plan_figure(shown: PlanShown) -> Figure:
 
 
 def _draw_actions(axis: Axes, shown: PlanShown) -> None:
-    """Cells in grey; numbered from 1: a dot at each pivot, a thin line to the grasp, an arrow the way it turns."""
+    """Cells in grey; numbered from 1: a dot at each pivot, a thin line to the grasp, an arrow the way it turns.
+
+    A lift is a triangle at its grasp.
+    """
     shape = shown.shape
     draw_groups(axis, shape, np.full(shape.n_m, GREY), Normalize(0.0, 1.0), colors="Greys")
     for text in list(axis.texts):
         text.remove()
-    colors = mpl.colormaps["viridis"](np.linspace(0.0, 0.85, max(len(shown.touches), 1)))
+    colors = mpl.colormaps["viridis"](np.linspace(0.0, 0.85, max(len(shown.actions), 1)))
     for number, touch in shown.touches.items():
         _draw_action(axis, number, touch, colors[number - 1])
+    for number, point in shown.lifts.items():
+        axis.plot(*point, marker="^", color=colors[number - 1], markersize=6, markerfacecolor="none")
+        _write_number(axis, number, point, colors[number - 1], (-9, -9))
     points = np.concatenate([shape.particles, *(touch.points for touch in shown.touches.values())])
     low, high = points.min(axis=0) - shape.cell, points.max(axis=0) + shape.cell
     axis.set_xlim(low[0], high[0])
@@ -70,5 +76,10 @@ def _draw_action(axis: Axes, number: int, touch: TouchShown, color: np.ndarray) 
         axis.plot(*np.array([touch.grasp, touch.about]).T, color=color, linewidth=0.5, linestyle=":")
         axis.plot(*touch.about, marker="x" if touch.accelerated else "o", color=color, markersize=4)
     axis.plot(*touch.grasp, marker="s", color=color, markersize=3, markerfacecolor="none")
-    place = tuple(touch.label)
-    axis.annotate(str(number), place, xytext=(3, 3), textcoords="offset points", fontsize=6, color=color)
+    _write_number(axis, number, touch.label, color)
+
+
+def _write_number(
+    axis: Axes, number: int, place: np.ndarray, color: np.ndarray, beside: tuple[float, float] = (3, 3)
+) -> None:
+    axis.annotate(str(number), tuple(place), xytext=beside, textcoords="offset points", fontsize=6, color=color)

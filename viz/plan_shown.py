@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from testbed.actions import Accelerate, Action, Rotate, Slide, pivot_of
+from testbed.actions import Accelerate, Action, Lift, Rotate, Slide, pivot_of
 from testbed.objects import ObjectShape
 
 SHOWN_ARC, SHOWN_WAY = math.radians(70), 0.05
@@ -76,3 +76,9 @@ class PlanShown:
         """Those that move the object over the table, by their number from 1."""
         numbered = enumerate(self.actions, start=1)
         return {n: TouchShown.of(self.shape, a) for n, a in numbered if isinstance(a, Rotate | Accelerate | Slide)}
+
+    @property
+    def lifts(self) -> dict[int, Float[np.ndarray, "2"]]:
+        """Where those hold it that lift it, m, by their number from 1."""
+        numbered = enumerate(self.actions, start=1)
+        return {n: self.shape.grasps[a.grasp].position for n, a in numbered if isinstance(a, Lift)}

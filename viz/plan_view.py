@@ -71,6 +71,12 @@ def _log_touches(stream: rr.RecordingStream, entity: str, shown: PlanShown) -> N
         if touch.about is not None:
             log_lines(stream, f"{place}/arm", [np.array(marks)])
         log_texts(stream, f"{place}/number", touch.label[None] + [0.0, LINE * pixel], [str(number)], pixel)
+    for number, point in shown.lifts.items():
+        place = f"{entity}/{number}"
+        up = point + 8 * pixel * np.array([[-1.0, -0.7], [1.0, -0.7], [0.0, 1.0], [-1.0, -0.7]])
+        triangle = rr.LineStrips2D([up], colors=[colors[number - 1]], radii=THICK, draw_order=30.0)
+        stream.log(f"{place}/lift", triangle, static=True, strict=True)
+        log_texts(stream, f"{place}/number", point[None] + [0.0, LINE * pixel], [str(number)], pixel)
 
 
 def _around(shown: PlanShown) -> Box:

@@ -19,6 +19,7 @@ from estimators.support_aware import SupportAware
 from estimators.testing import plugin, recorded
 from estimators.testing.recorded import KnownBlock, block_names, load_block, save_block
 from estimators.testing.recovery import ALLOWED, recovers, shows_every_mass
+from estimators.testing.test_estimator import cases
 from testbed.actions import Rotate
 from testbed.errors import InvalidValueError
 from testbed.object_files import Blocks, ObjectFile
@@ -51,6 +52,15 @@ def test_the_plugin_knows_what_there_is_without_importing_it():
     assert {*plugin.SENSORS} == {*PRESETS} == {*ALLOWED}
     assert len(OWN_WEIGHT) * 2 == len(block_names())
     assert sum(path.stat().st_size for path in recorded.FOLDER.iterdir()) < 5e6
+
+
+def test_every_block_and_every_sensor_is_met_on_both_supports():
+    few, all_ = (cases(thorough=thorough) for thorough in (False, True))
+    assert len({*all_}) == len(all_) == len(plugin.BLOCKS) * len(plugin.SENSORS)
+    assert {*few} < {*all_}
+    assert {block for block, sensing in few if sensing == "ideal"} == {*plugin.BLOCKS}
+    met = {(block.partition("-")[2], sensing) for block, sensing in few}
+    assert len(met) == 2 * len(plugin.SENSORS)
 
 
 def test_a_known_block_comes_back_from_its_file(tmp_path):
@@ -138,7 +148,7 @@ def kit(tmp_path, *arguments: str) -> subprocess.CompletedProcess[str]:
     ("path", "support"), [("hidden_states:HiddenStatesEstimator", "own_weight"), ("support_aware:SupportAware", "both")]
 )
 def test_the_whole_kit_passes(tmp_path, path, support):
-    done = kit(tmp_path, "--estimator", f"estimators.{path}", "--estimator-support", support)
+    done = kit(tmp_path, "--estimator", f"estimators.{path}", "--estimator-support", support, "--estimator-thorough")
     assert done.returncode == 0, done.stdout
     assert " passed" in done.stdout
 

@@ -40,6 +40,11 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     group.addoption(
         "--estimator-small", action="store_true", help="hold the rules against small objects, where it takes long"
     )
+    group.addoption(
+        "--estimator-thorough",
+        action="store_true",
+        help="every block under every sensor, not under a perfect one and one other",
+    )
 
 
 def pytest_configure(config: pytest.Config) -> None:

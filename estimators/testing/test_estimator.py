@@ -12,9 +12,27 @@ import pytest
 from estimators.protocol import Estimator
 from estimators.testing.analytic_world import drawn_object
 from estimators.testing.conformance import CONFORMANCE, WITHOUT_DRAWS, Draw, data, small_object
+from estimators.testing.plugin import BLOCKS, SENSORS
 from estimators.testing.recorded import KnownBlock
 from estimators.testing.recovery import recovers
 from testbed.trajectory import Trajectory
+
+
+def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
+    """Which blocks are met under which sensors."""
+    if metafunc.function is test_known_block:
+        met = cases(thorough=bool(metafunc.config.getoption("--estimator-thorough")))
+        mark = pytest.mark.parametrize(("known_block", "sensing"), met, indirect=True, scope="session")
+        metafunc.definition.add_marker(mark)  # in place of what the fixtures would give: every block, every sensor
+
+
+def cases(*, thorough: bool) -> list[tuple[str, str]]:
+    """Every block under a perfect sensor and under one of the others, in turn: each is met on both supports; or all."""
+    perfect, *others = SENSORS
+    if thorough:
+        return [(block, sensing) for block in BLOCKS for sensing in SENSORS]
+    turn = [others[(i // 2 + i % 2) % len(others)] for i in range(len(BLOCKS))]  # a block has a place for each support
+    return [(block, sensing) for block, other in zip(BLOCKS, turn, strict=True) for sensing in (perfect, other)]
 
 
 def told(check: Callable[[], None], what: str = "") -> None:

@@ -1,12 +1,11 @@
 """Planning: its speed, and what it saves: python bench/planning.py WHAT [options].
 
 speed      sampling, information of all candidates, the next action, plans of six actions; with brute force beside it
-settling   what is left of a turn's beginning in its steady window, against the same turn later on, noise-free
 policies   NAD against robot seconds for every policy, expected against achieved, in simulation under a sensor
 more       what more turns buy: expected NAD after 1 to 8 planned turns
 
 Options: --objects N drawn objects, in turn with the library's six (4), --first N of these (all), --draws N of the
-sensor (4), --sensing (ft300s), --figure FILE, --rows FILE (keeps what was measured; goes on from it).
+sensor (4), --workers N (2), --sensing (ft300s), --figure FILE, --rows FILE (keeps what was measured; goes on from it).
 """
 
 from __future__ import annotations
@@ -16,9 +15,10 @@ import json
 import math
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
+from concurrent.futures import ProcessPoolExecutor, as_completed
 from functools import cache
 from itertools import zip_longest
+from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -35,30 +35,25 @@ from estimators.planned_policy import PlannedTouches
 from estimators.protocol import ActionPolicy
 from estimators.rank_driven import RankDriven
 from estimators.touch_plan import Asked, Goal, batch_plan, greedy_choice, greedy_plan
-from estimators.trial_information import Settling
-from estimators.wrench_prediction import predicted_wrenches
 from scenarios.bench_check import BenchCheck
 from scenarios.cells import feasible_grasps
 from scenarios.drawn_objects import Family
-from testbed.actions import Action, Rotate
+from testbed.actions import Action
 from testbed.errors import HeftError, InfeasibleTrialError
 from testbed.object_files import load_object
-from testbed.objects import GRAVITY, ObjectModel
-from testbed.reduction import TRIM_START, wrench_in_object
+from testbed.objects import ObjectModel
 from testbed.sensing import draw_sensing, preset
 from testbed.simulation.runner import SimulationRunner
 from testbed.simulation.settings import SimulationSettings
-from testbed.trajectory import Trajectory
+from testbed.trajectory import Trajectory, write_whole
 from testbed.trial import Trial
 
 LIBRARY = ("I1", "I2", "L1", "L2", "F1", "F2")
-SETTLED = 5.0
-"""From here on a turn is taken to have settled, s."""
 TURNS = 5
 """There and back: the paper's ten."""
-BUDGET = 120.0
+BUDGET = 110.0
 """Robot time of a planned run, s."""
-TIMES = (20, 30, 45, 60, 75, 90, 105, 120, 180, 240)
+TIMES = (20, 30, 45, 60, 75, 90, 110, 180, 240)
 """At which policies are compared, s."""
 
 
@@ -78,43 +73,6 @@ def drawn(count: int, seed: int) -> tuple[ObjectModel, ...]:
     return tuple(found)
 
 
-def settling(options: argparse.Namespace) -> None:
-    """Error of force and torque in half seconds after the ramp, over drag and torque of turning in place."""
-    runner, found = SimulationRunner(), []
-    starts = np.arange(TRIM_START, SETTLED, 0.5)
-    for model in drawn(options.objects, options.seed):
-        shape = model.shape
-        family = ActionFamily(duration=(7.9, 8.0), slides=False, accelerated=False)
-        load = model.truth.friction[shape.friction_group] * model.particle_mass * GRAVITY
-        for action in family.sample(shape, range(len(shape.grasps)), 5, options.seed):
-            try:
-                record = draw_sensing(runner.run_clean(Trial(model, action)), preset("ideal"), 0)
-            except InfeasibleTrialError:
-                continue
-            if not (record.ok and isinstance(action, Rotate)):
-                continue
-            off = wrench_in_object(record)[:, [0, 1, 5]] - predicted_wrenches(shape, model.truth, [record])[0]
-            lever = np.linalg.norm(shape.particles - shape.grasps[action.grasp].position, axis=1)
-            off /= [load.sum(), load.sum(), load @ lever]
-            for way in range(2):
-                inside = np.flatnonzero(record.segment == way)
-                passed = record.time_s[inside] - record.time_s[inside[0]]
-                late = off[inside][(passed > SETTLED) & (passed < passed[-1] - 0.1)].mean(axis=0)
-                found.append([off[inside][(passed >= t) & (passed < t + 0.5)].mean(axis=0) - late for t in starts])
-    each, taken = np.array(found), Settling()
-    size = np.sqrt((each**2).mean(axis=0))
-    print(f"{len(found)} ways; root mean square, % of the drag (x, y), % of the torque of turning in place")
-    for start, row in zip(starts, size, strict=True):
-        print(f"  {start:.1f} s: " + ", ".join(f"{100 * v:.2f}" for v in row))
-    print("mean over a window, root mean square, and as the planner has it")
-    for count in (2, 4, 6, 8):
-        mean = np.sqrt((each[:, :count].mean(axis=1) ** 2).mean(axis=0))
-        planned = taken.of_means(torch.tensor([0.5 * count], dtype=torch.float64))[0].numpy()
-        force = math.hypot(mean[0], mean[1]) / math.sqrt(2)
-        print(f"  {0.5 * count:.1f} s: force {100 * force:.3f} ({100 * planned[0]:.3f}), ", end="")
-        print(f"torque {100 * mean[2]:.3f} ({100 * planned[2]:.3f}) %")
-
-
 def speed(options: argparse.Namespace) -> None:
     """Seconds of one core, best of three, for 10 000 candidates."""
     for name in ("L2", "hammer"):
@@ -123,11 +81,7 @@ def speed(options: argparse.Namespace) -> None:
         family, grasps = ActionFamily(), range(len(shape.grasps))
         candidates = family.sample(shape, grasps, 10_000, 0)
         design, before = Design.of(shape, candidates, guess), before_trials(shape, guess)
-        few = replace(
-            design,
-            candidates=candidates[:200],
-            teaches=tuple(replace(t, rows=t.rows[:200]) for t in design.teaches),
-        )
+        few = design.of_some(range(200))
         print(f"{name}: {len(candidates)} candidates")
         print(f"  sampling {_best(lambda: family.sample(shape, grasps, 10_000, 0)):.3f} s")  # noqa: B023
         print(f"  information of all {_best(lambda: Design.of(shape, candidates, guess)):.3f} s")  # noqa: B023
@@ -172,20 +126,32 @@ def policies(options: argparse.Namespace) -> None:
     known = {row["object"] for row in rows}
     library = [load_object(name) for name in LIBRARY]
     both = [m for pair in zip_longest(drawn(options.objects, options.seed), library) for m in pair if m]
-    for model in both[: options.first]:
-        if model.name not in known:
-            rows += list(_runs(model, options))
-            print(f"{model.name}: {time.process_time():.0f} s", flush=True)
+    asked = [model for model in both[: options.first] if model.name not in known]
+    begin = time.perf_counter()
+    with ProcessPoolExecutor(options.workers, get_context("spawn"), torch.set_num_threads, (1,)) as pool:
+        tasks = [pool.submit(_runs, model, options.sensing, options.draws) for model in asked]
+        for count, task in enumerate(as_completed(tasks), 1):
+            rows += task.result()
+            print(f"{count} of {len(asked)} objects, {time.perf_counter() - begin:.0f} s", flush=True)
             if options.rows is not None:
-                options.rows.write_text(json.dumps(rows))
+                _keep(rows, options.rows)
     _told(rows)
     if options.figure is not None:
         _draw(rows, options.figure)
 
 
-def _runs(model: ObjectModel, options: argparse.Namespace) -> Iterator[dict[str, Any]]:
+def _keep(rows: list[dict[str, Any]], path: Path) -> None:
+    write_whole(path, lambda part: part.write_text(json.dumps(rows)))
+
+
+def _runs(model: ObjectModel, sensing_name: str, draws: int) -> list[dict[str, Any]]:
+    """Of one object."""
+    return list(_rows(model, sensing_name, draws))
+
+
+def _rows(model: ObjectModel, sensing_name: str, draws: int) -> Iterator[dict[str, Any]]:
     """Rows of an object: NAD after each trial of each policy, mean over draws; 1 draw where the policy sees it."""
-    shape, sensing = model.shape, preset(options.sensing)
+    shape, sensing = model.shape, preset(sensing_name)
     guess, runner = Guess(model.total_mass, sensing), SimulationRunner()
     check = BenchCheck(shape, guess)
     goal = Goal(budget_s=BUDGET, most=20)
@@ -200,9 +166,7 @@ def _runs(model: ObjectModel, options: argparse.Namespace) -> Iterator[dict[str,
         clean: list[Trajectory] = []
         while (action := policy.next(shape, clean)) is not None:
             clean.append(_made(runner, model, action))
-        drawn_ = [
-            [draw_sensing(t, sensing, 1000 * seed + i) for i, t in enumerate(clean)] for seed in range(options.draws)
-        ]
+        drawn_ = [[draw_sensing(t, sensing, 1000 * seed + i) for i, t in enumerate(clean)] for seed in range(draws)]
         plan = policy.plan(shape) if isinstance(policy, PlannedTouches) else None
         for count in range(1, len(clean) + 1):
             yield {
@@ -310,11 +274,12 @@ def _draw(rows: list[dict[str, Any]], path: Path) -> None:
 def main() -> None:
     """Choose what to measure."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    kinds = {"speed": speed, "settling": settling, "policies": policies, "more": more}
+    kinds = {"speed": speed, "policies": policies, "more": more}
     parser.add_argument("what", choices=kinds)
     parser.add_argument("--objects", type=int, default=4)
     parser.add_argument("--first", type=int, default=None)
     parser.add_argument("--draws", type=int, default=4)
+    parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--sensing", default="ft300s")
     parser.add_argument("--figure", type=Path, default=None)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal, get_args
 
 import numpy as np
@@ -167,6 +167,11 @@ class Design:
         )
         return Design(shape, tuple(candidates), teaches, criterion)
 
+    def of_some(self, kept: Sequence[int]) -> Design:
+        """Of some of the candidates."""
+        teaches = tuple(replace(each, rows=each.rows[list(kept)]) for each in self.teaches)
+        return replace(self, candidates=tuple(self.candidates[i] for i in kept), teaches=teaches)
+
     @property
     def durations(self) -> Float[np.ndarray, "C"]:
         """Of every candidate alone, s."""
@@ -231,7 +236,7 @@ def before_trials(shape: ObjectShape, guess: Guess) -> Belief:
     covariance = prior_masses(shape, guess.weight)[1]
     both = []
     for question in guess.questions():
-        information = before_any_trial(shape, max(guess.sensing.scale, question.errors.weight_error))
+        information = before_any_trial(shape, max(guess.sensing.scale, question.stated.weight_error))
         information[:n_m, :n_m] += np.linalg.pinv(covariance, rcond=1e-9, hermitian=True)
         information[n_m : n_m + n_mu, n_m : n_m + n_mu] += np.eye(n_mu) / FRICTION_PRIOR**2
         both.append(information)

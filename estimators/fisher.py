@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
@@ -12,7 +12,7 @@ from estimators.identifiability import Identifiability, identifiability
 from estimators.inertia import PivotInertia, slope_variance
 from estimators.lifted import lift_information, lifts_among
 from estimators.mass_solve import inertia_map
-from estimators.model_errors import ModelErrors
+from estimators.model_errors import RIGID, ModelErrors
 from estimators.observations import Observations, observe
 from estimators.particle_loads import ParticleLoads
 from estimators.planned import planned_observations
@@ -33,12 +33,17 @@ class Question:
 
     support: str = "own_weight"
     """own_weight or rigid."""
-    errors: ModelErrors = field(default_factory=ModelErrors)
-    """Which the data have beyond the sensor's own."""
+    errors: ModelErrors | None = None
+    """Which the data have beyond the sensor's own; None is what was measured under this support."""
 
     def __post_init__(self) -> None:
         if self.support not in SUPPORTS:
             raise InvalidValueError("support", self.support, f"one of {', '.join(SUPPORTS)}")
+
+    @property
+    def stated(self) -> ModelErrors:
+        """The errors that count."""
+        return self.errors or (RIGID if self.support == "rigid" else ModelErrors())
 
 
 def expected(
@@ -59,7 +64,7 @@ def expected(
     """
     question = question or Question()
     scale = max(sensing.scale, 1e-6)
-    asked = replace(question, errors=replace(question.errors, weight_error=scale))
+    asked = replace(question, errors=replace(question.stated, weight_error=scale))
     windows = planned_observations(shape, actions, sensing)
     lifts = [planned_lift(action, sensing) for action in actions if isinstance(action, Lift)]
     return identifiability(shape, distribution, information_root(shape, distribution, windows, asked, lifts))
@@ -86,15 +91,15 @@ def information_root(
 ) -> Float[np.ndarray, "R unknowns"]:
     """Derivatives of the data in particle masses and frictions, over the data's errors, (R, n_m + n_mu)."""
     count = shape.particles_per_group.astype(float)
-    weighed = np.append(count, np.zeros(shape.n_mu)) / question.errors.weight_error
+    weighed = np.append(count, np.zeros(shape.n_mu)) / question.stated.weight_error
     rows = [weighed[None]]
     if windows is not None:
         steady, accelerated = windows.where(~windows.accelerated), windows.where(windows.accelerated)
         if len(steady):
             loads = ParticleLoads.of(shape, distribution, question.support)
-            rows.append((loads.equations(steady, question.errors).whitened().q @ loads.slopes).numpy())
+            rows.append((loads.equations(steady, question.stated).whitened().q @ loads.slopes).numpy())
         if len(accelerated):
-            rows.append(_inertia_rows(shape, distribution, accelerated, question.errors.inertia_error))
+            rows.append(_inertia_rows(shape, distribution, accelerated, question.stated.inertia_error))
     for lift in lifts:
         in_air, _ = lift_information(shape, lift, distribution.mass)
         rows.append(np.hstack([in_air, np.zeros((len(in_air), shape.n_mu))]))

@@ -20,7 +20,7 @@ from estimators.robot_time import RobotTime
 from estimators.support_aware import SupportAware
 from estimators.support_test import DECISIVE
 from estimators.touch_plan import MOST_ASKED, Asked, Feasible, Goal, anything, greedy_choice
-from estimators.trial_information import Settling, trial_information
+from estimators.trial_information import trial_information
 from testbed.actions import Accelerate, Action, Rotate
 from testbed.objects import GRAVITY, MassDistribution, ObjectShape
 from testbed.trajectory import Trajectory
@@ -46,7 +46,7 @@ class Decision:
     nad: float
     """Expected of the answer as it is; a part of 1."""
     standard_error: Float[np.ndarray, "n_m"]
-    """Of each group's mass, by all that was felt, and what is left of each turn's beginning counted, kg."""
+    """Of each group's mass, by all that was felt, kg."""
     nad_after: float
     """Expected once the action is done."""
     supports: tuple[str, ...]
@@ -193,7 +193,7 @@ def _belief(
         index: found[0] for index in range(count) if (found := lifts_among(shape, trajectories[index : index + 1]))
     }
     felt = [
-        trial_information(shape, at, windows, count, question, Settling(), lifts).information() / inflated
+        trial_information(shape, at, windows, count, question, lifts).information() / inflated
         for question in guess.questions()
     ]
     return before.after(np.stack(felt))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -17,6 +17,8 @@ MOST_ASKED = 60
 """Candidates whose feasibility is asked for one choice, before it is given up."""
 PASSES = 4
 """Of exchanges over a whole plan."""
+STARTS = 2
+"""Plans that exchange begins with."""
 Feasible = Callable[[Action], str]
 """Whether the bench can do an action: empty, or why not."""
 
@@ -169,13 +171,34 @@ def random_plan(design: Design, before: Belief, goal: Goal, asked: Asked) -> Pla
 def batch_plan(design: Design, before: Belief, goal: Goal, asked: Asked) -> Plan:
     """The greedy plan, made better by exchange: each trial against every candidate, the others held fast.
 
-    Where a target is met it is made shorter; else what it leaves unknown is made less, within its time.
+    Where a target is met it is made shorter; else what it leaves unknown is made less, within its time. Exchange ends
+    where no single one is better, so it begins anew with a greedy plan of what no plan before began with, and the best
+    of all ends is taken.
     """
-    first = greedy_plan(design, before, goal, asked)
     index_of = {action: i for i, action in enumerate(design.candidates)}
-    chosen = [index_of[action] for action in first.actions]
-    time = first.seconds
-    left = goal.budget_s if goal.budget_s is not None else time
+    first = greedy_plan(design, before, goal, asked)
+    left = goal.budget_s if goal.budget_s is not None else first.seconds
+    start, begun, ends = first, set(), []
+    for _ in range(STARTS):
+        chosen = [index_of[action] for action in start.actions]
+        begun |= {*chosen}
+        ends.append(_settled(design, before, chosen, goal, left, asked))
+        rest = [i for i in range(len(design.candidates)) if i not in begun]
+        start = greedy_plan(design.of_some(rest), before, replace(goal, budget_s=left), asked)
+    best = min(ends, key=lambda chosen: _rank(design, before, chosen, goal))
+    return as_plan(design, before, best, first.why, asked)
+
+
+def exhaustive(design: Design, before: Belief, size: int) -> tuple[tuple[int, ...], float]:
+    """The best set of so many candidates by trying them all, and the criterion after it: for small designs."""
+    from itertools import combinations  # noqa: PLC0415
+
+    best = min(combinations(range(len(design.candidates)), size), key=lambda s: _value(design, before, s))
+    return best, _value(design, before, best)
+
+
+def _settled(design: Design, before: Belief, chosen: list[int], goal: Goal, left: float, asked: Asked) -> list[int]:
+    """The set when no exchange makes it better."""
     for _ in range(PASSES):
         settled, place = True, 0
         while place < len(chosen):
@@ -185,15 +208,14 @@ def batch_plan(design: Design, before: Belief, goal: Goal, asked: Asked) -> Plan
                 chosen, settled = better, False
         if settled:
             break
-    return as_plan(design, before, chosen, first.why, asked)
+    return chosen
 
 
-def exhaustive(design: Design, before: Belief, size: int) -> tuple[tuple[int, ...], float]:
-    """The best set of so many candidates by trying them all, and the criterion after it: for small designs."""
-    from itertools import combinations  # noqa: PLC0415
-
-    best = min(combinations(range(len(design.candidates)), size), key=lambda s: _value(design, before, s))
-    return best, _value(design, before, best)
+def _rank(design: Design, before: Belief, chosen: list[int], goal: Goal) -> tuple[bool, float]:
+    """Less is better: whether the target is missed, then time where it is met, else what is left unknown."""
+    if goal.met(before.after(_taught(design, chosen)).expected_nad):
+        return False, _seconds(design, chosen)
+    return True, _value(design, before, chosen)
 
 
 def _exchanged(

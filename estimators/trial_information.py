@@ -34,32 +34,6 @@ CHUNK = 1024
 """Trials that are worked on at once."""
 
 
-@dataclass(frozen=True)
-class Settling:
-    """What is left of a turn's beginning where its steady window begins; the stated errors do not know of it.
-
-    Measured in simulation, noise-free: the mean over a window of 3 to 4 s against what the same turn feels after 5 s,
-    root mean square over 60 ways of drawn objects about points up to 0.2 m from the grasp
-    (`python bench/planning.py settling --objects 6`).
-    """
-
-    force: float = 0.0055
-    """Of a force where a window begins, as a part of the drag."""
-    force_time: float = 1.9
-    """In which it falls to a third, s."""
-    torque: float = 0.0083
-    """Of a torque, as a part of that of turning in place."""
-    torque_time: float = 0.6
-
-    def of_means(self, length: Float[Tensor, "K"]) -> Float[Tensor, "K 3"]:
-        """What the means over windows keep of it, for windows of a length, s."""
-        keep = [
-            start * time / length * (1 - torch.exp(-length / time))
-            for start, time in ((self.force, self.force_time), (self.torque, self.torque_time))
-        ]
-        return torch.stack([keep[0], keep[0], keep[1]], -1)
-
-
 @dataclass(frozen=True, eq=False)
 class TrialInformation:
     """Whitened rows of C trials, each in masses, frictions and shared errors: U = n_m + n_mu + 3 + J unknowns."""
@@ -104,7 +78,6 @@ def planned_information(
     actions: Sequence[Action],
     sensing: Sensing,
     question: Question,
-    settling: Settling | None = None,
 ) -> TrialInformation:
     """Of actions before they are done, a trial each, in their order.
 
@@ -116,7 +89,6 @@ def planned_information(
         actions: slides, turns and lifts.
         sensing: how the sensor errs.
         question: support model and stated errors.
-        settling: what is left of a trial's beginning; as measured if left out.
     """
     moving = [action for action in actions if not isinstance(action, Weigh)]
     windows = planned_observations(shape, moving, sensing) if moving else None
@@ -125,7 +97,7 @@ def planned_information(
         for index, action in enumerate(moving)
         if isinstance(action, Lift) and question.support == "rigid"
     }
-    return trial_information(shape, distribution, windows, len(moving), question, settling or Settling(), lifts)
+    return trial_information(shape, distribution, windows, len(moving), question, lifts)
 
 
 def trial_information(
@@ -134,7 +106,6 @@ def trial_information(
     windows: Observations | None,
     count: int,
     question: Question,
-    settling: Settling,
     lifts: Mapping[int, Sequence[LiftWindow]] | None = None,
 ) -> TrialInformation:
     """Of trials by their windows, planned or felt.
@@ -145,7 +116,6 @@ def trial_information(
         windows: of all trials.
         count: number of trials; one without windows has rows of zeros.
         question: support model and stated errors.
-        settling: what is left of a trial's beginning.
         lifts: windows of the trials that are lifts, by the trial's number.
     """
     known = shape.n_m + shape.n_mu
@@ -165,7 +135,7 @@ def trial_information(
                 found = (
                     _accelerated_rows(shape, distribution, fields, question)
                     if accelerated
-                    else _steady_rows(shape, distribution, fields, question, settling)
+                    else _steady_rows(shape, distribution, fields, question)
                 )
                 rows[chosen, : found.shape[1]] = found
     for trial_number, in_air in (lifts or {}).items():
@@ -179,18 +149,14 @@ def _steady_rows(
     distribution: MassDistribution,
     fields: dict[str, Tensor],
     question: Question,
-    settling: Settling,
 ) -> Float[np.ndarray, "C R U"]:
     """Of trials with as many steady windows each: the equations of one trial, mapped over all."""
     loads = ParticleLoads.of(shape, distribution, question.support)
 
     def of_trial(of_one: dict[str, Tensor]) -> Tensor:
         windows = Observations(**of_one)
-        equations = loads.equations(windows, question.errors)
-        in_place = windows.lever(loads.model).norm(dim=-1) @ loads.load
-        scale = torch.stack([loads.load.sum().expand_as(in_place)] * 2 + [in_place], -1)
-        begun = scale * settling.of_means(windows.since_tare[:, 1] - windows.since_tare[:, 0])
-        root = torch.linalg.cholesky(equations.apart + torch.diag_embed(begun.square().reshape(-1)))
+        equations = loads.equations(windows, question.stated)
+        root = torch.linalg.cholesky(equations.apart)
         felt_of = torch.cat([equations.q @ loads.slopes, equations.common], 1)
         return torch.linalg.solve_triangular(root, felt_of, upper=False)
 
@@ -202,7 +168,7 @@ def _accelerated_rows(
     shape: ObjectShape, distribution: MassDistribution, fields: dict[str, Tensor], question: Question
 ) -> Float[np.ndarray, "C 1 U"]:
     """I_j about the grasp point of every trial, by the slope of torque against acceleration."""
-    points, known, error = _points(shape), shape.n_m + shape.n_mu, question.errors.inertia_error
+    points, known, error = _points(shape), shape.n_m + shape.n_mu, question.stated.inertia_error
     count = len(fields["trial"])
     rows = np.zeros((count, 1, known + shared_errors(shape)))
     for c in range(count):

@@ -117,7 +117,7 @@ def test_a_plan_says_what_the_trials_then_say():
     obj = drawn_object(0)
     actions = [t.action for t in (*accelerated(obj), *turns(obj))]
     seen = observed(obj.shape, obj.truth, [*accelerated(obj), *turns(obj)])
-    quiet = replace(preset("ideal"), scale=Question().errors.weight_error)
+    quiet = replace(preset("ideal"), scale=Question().stated.weight_error)
     planned = expected(obj.shape, obj.truth, actions, quiet)
     # a record trims its stretches by whole samples, and its slopes are measured
     assert_allclose(planned.standard_error, seen.standard_error, rtol=0.05)
@@ -129,7 +129,7 @@ def test_the_root_is_the_derivative_of_what_is_felt():
     assert windows is not None
     root = information_root(obj.shape, obj.truth, windows, Question())
     assert root.shape == (1 + 3 * int((~windows.accelerated).sum()) + len(obj.shape.grasps), obj.shape.n_m + 1)
-    assert root[0] @ np.append(obj.truth.mass, 0.0) == pytest.approx(obj.total_mass / Question().errors.weight_error)
+    assert root[0] @ np.append(obj.truth.mass, 0.0) == pytest.approx(obj.total_mass / Question().stated.weight_error)
     # drag is bilinear: what scales all masses up scales the friction down
     felt = root[1 : 1 + 3 * int((~windows.accelerated).sum())]
     assert_allclose(felt[:, :-1] @ obj.truth.mass, felt[:, -1] * obj.truth.friction[0], rtol=1e-6, atol=1e-6)

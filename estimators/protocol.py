@@ -16,7 +16,11 @@ from testbed.objects import MassDistribution, ObjectShape
 from testbed.trajectory import Trajectory
 
 EstimateStatus = Literal["ok", "underdetermined", "not_converged", "contradictory", "no_data", "assumption_violated"]
-"""Whether there is an answer, or what keeps it from being one."""
+"""Whether there is an answer, or what keeps it from being one.
+
+underdetermined: the trials leave something open. not_converged: the best that was found does not explain them.
+contradictory: nothing does. no_data: no trial is usable. assumption_violated: groups do not rest on their own weight.
+"""
 
 
 @dataclass(frozen=True, eq=False)

@@ -29,8 +29,10 @@ def test_every_example_has_its_test():
         "first_trial.py",
         "own_estimator.py",
         "own_log.py",
+        "own_mesh.py",
         "read_a_sweep.py",
     }
+    assert [path.name for path in EXAMPLES.glob("*.ipynb")] == ["rerun_inline.ipynb"]
 
 
 def test_own_estimator(example):
@@ -46,6 +48,13 @@ def test_first_trial(example):
 
 
 @pytest.mark.slow
+def test_own_mesh(example):
+    said = example("own_mesh.py")
+    assert "status ok" in said
+    assert float(said.rsplit("NAD ", 1)[1].split()[0]) < 5
+
+
+@pytest.mark.slow
 def test_own_log_and_how_its_results_are_read(example):
     said = example("own_log.py")
     assert "4 trials of L2 in results/lab, 0 of them no data" in said
@@ -54,3 +63,25 @@ def test_own_log_and_how_its_results_are_read(example):
     read = example("read_a_sweep.py", "results/lab")
     assert "worst: L2 by" in read
     assert read.count("least_squares") >= 2
+
+
+@pytest.mark.slow
+def test_the_notebook_shows_viewers_inline():
+    nbformat = pytest.importorskip("nbformat", reason="needs the extra notebook")
+    nbclient = pytest.importorskip("nbclient", reason="needs the extra notebook")
+    for package in ("ipykernel", "rerun_notebook"):
+        pytest.importorskip(package, reason="needs the extra notebook")
+    notebook = nbformat.read(EXAMPLES / "rerun_inline.ipynb", as_version=4)
+    assert not any(cell.get("outputs") for cell in notebook.cells), "it is kept without outputs"
+    nbclient.NotebookClient(notebook, timeout=300, kernel_name="python3").execute()
+    outputs = {cell["id"]: cell["outputs"] for cell in notebook.cells if cell["cell_type"] == "code"}
+    assert outputs["run"][0]["data"]["text/plain"] == "['ok', 'ok', 'ok']"
+    assert float(outputs["estimate"][0]["text"].rsplit("NAD ", 1)[1].split()[0]) < 5
+    widget = "application/vnd.jupyter.widget-view+json"
+    state = notebook["metadata"]["widgets"]["application/vnd.jupyter.widget-state+json"]["state"]
+    for cell in ("trial", "shown"):
+        shown = next(output["data"][widget]["model_id"] for output in outputs[cell] if widget in output.get("data", {}))
+        inside = [state[child.removeprefix("IPY_MODEL_")] for child in state[shown]["state"]["children"]]
+        viewer = next(model for model in inside if model["model_module"] == "anywidget")
+        assert "app.rerun.io" not in viewer["state"]["_esm"][:200], "the viewer comes from its package"
+        assert viewer["state"]["_height"] == 640

@@ -10,8 +10,10 @@ import rerun as rr
 from jaxtyping import Float, Int
 from rerun import ComponentColumn, TimeColumn
 
-ITERATION, SIM_TIME = "iteration", "sim_time"
-"""The timelines: a count, and seconds from the start of the tare."""
+ITERATION = "iteration"
+"""The timeline of an estimate: a count."""
+SIM_TIME = "sim_time"
+"""The timeline of a trial: s from the start of the tare."""
 MOST_FRAMES = 200
 """More than these show nothing more."""
 Columns = Callable[[Int[np.ndarray, "K"]], Iterable[ComponentColumn]]

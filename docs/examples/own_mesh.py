@@ -1,0 +1,61 @@
+"""An object from one's own meshes: a paddle of two parts, its object file, one turn on the bench, and an estimate."""
+
+from pathlib import Path
+
+import trimesh
+
+from estimators.hidden_states import HiddenStatesEstimator
+from estimators.metrics import normalized_absolute_difference
+from testbed.actions import Rotate
+from testbed.object_files import load_object
+from testbed.simulation.runner import SimulationRunner
+from testbed.trial import Trial
+
+PADDLE = """
+name = "paddle"
+
+[mesh]
+cell_m = 0.01
+friction = 0.4
+
+[[mesh.parts]]
+name = "blade"
+file = "blade.stl"
+mass_kg = 0.35
+
+[[mesh.parts]]
+name = "handle"
+file = "handle.stl"
+mass_kg = 0.15
+
+[[mesh.grasps]]
+name = "neck"
+at_m = [0.10, 0.0]
+closing_deg = 90
+"""
+
+
+def write_paddle(folder: Path) -> Path:
+    """Its meshes, watertight, in metres and standing on z = 0, and beside them its object file, whose path it is."""
+    blade = trimesh.creation.cylinder(radius=0.06, height=0.03, sections=64)
+    handle = trimesh.creation.box((0.14, 0.04, 0.03))
+    for name, mesh, x in (("blade", blade, 0.0), ("handle", handle, 0.13)):
+        mesh.apply_translation((x, 0.0, 0.015))
+        mesh.export(folder / f"{name}.stl")
+    path = folder / "paddle.toml"
+    path.write_text(PADDLE, encoding="utf-8")
+    return path
+
+
+if __name__ == "__main__":
+    paddle = load_object(write_paddle(Path()))
+    trial = Trial(paddle, Rotate(grasp=0, duration=6.0, back=True), sensing="ft300s", seed=1)
+    with SimulationRunner() as bench:
+        trajectory = bench.run(trial)
+    answer = HiddenStatesEstimator().estimate(paddle.shape, paddle.total_mass, [trajectory], seed=0)
+    print(len(paddle.shape.particles), "particles; status", answer.status, answer.message)
+    masses = answer.distribution.mass * paddle.shape.particles_per_group
+    for name, found, true in zip(paddle.shape.group_names, masses, paddle.group_mass, strict=True):
+        print(f"{name}: {found:.3f} kg, in truth {true:.3f} kg")
+    nad = normalized_absolute_difference(paddle.shape, answer.distribution, paddle.truth)
+    print(f"friction {answer.distribution.friction[0]:.3f}, NAD {100 * nad:.1f} %")

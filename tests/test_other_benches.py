@@ -60,14 +60,14 @@ SHORT = {"pivots": 3, "duration": 2.0, "accelerated": 2, "held_out": 1}
 
 @pytest.fixture
 def here(tmp_path, monkeypatch) -> Path:
-    """A folder with the documentation's bench and policy, as the current one; all of it is forgotten again."""
+    """A folder with the documentation's own code, as the current one; all of it is forgotten again."""
     for block in BLOCKS:
-        if block.title in ("my_bench.py", "my_policy.py"):
+        if block.title in ("my_bench.py", "my_estimator.py", "my_policy.py"):
             (tmp_path / block.title).write_text(block.text, encoding="utf-8")
     (tmp_path / "more.py").write_text(MORE, encoding="utf-8")
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("sys.path", [p for p in sys.path if p not in ("", str(tmp_path))])
-    for name in ("more", "my_bench", "my_policy"):
+    for name in ("more", "my_bench", "my_estimator", "my_policy"):
         monkeypatch.delitem(sys.modules, name, raising=False)
     return tmp_path
 
@@ -149,3 +149,20 @@ def test_an_entry_point_is_a_runner_by_name(monkeypatch):
     assert bench.open().tare == 3.0
     with pytest.raises(InfeasibleTrialError, match="weighs and turns"):
         bench.check(Trial(load_object("L2"), Slide(0)))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("executor", ["local", "ray"])
+def test_workers_find_the_runner_the_policy_and_the_estimator_in_the_current_folder(here, executor):
+    if executor == "ray":
+        pytest.importorskip("ray", reason="Ray is not installed: pip install 'heft[ray]'")
+    asked = {
+        "objects": ["L2"],
+        "simulation": {"runner": "my_bench:DragBench"},
+        "policy": SHORT | {"kind": "my_policy:FarthestFirst", "settings": {"turns": 4, "duration": 2.0}},
+        "methods": {"mine": {"method": "my_estimator:LeastSquares"}},
+    }
+    run_scenario(Scenario.model_validate(asked), here / "out", 1, lambda *_, **__: None, executor)
+    (row,) = load_results(here / "out").to_dict("records")
+    assert (row["status"], row["kind"]) == ("ok", "my_estimator:LeastSquares"), row["message"]
+    assert row["nad"] < 0.02

@@ -37,7 +37,9 @@ class ActionFamily:
     arm: float = 0.2
     """Farthest pivot from the grasp, m."""
     slides: bool = True
+    """Slide it too."""
     accelerated: bool = True
+    """Turn it at changing speed too."""
     one_way: bool = False
     """Turn one way only: shorter, and the sensor's bias stays in."""
     lifts: bool = False

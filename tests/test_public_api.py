@@ -167,6 +167,15 @@ def test_the_documentation_imports_public_names_only():
     assert sorted(pair for pair in imported if pair[1] not in public) == []
 
 
+@pytest.mark.slow
+def test_python_of_the_reference_runs(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    for page in sorted((DOCS / "api").glob("*.md")):
+        for code in PYTHON.findall(page.read_text(encoding="utf-8")):
+            exec(compile(code, page.name, "exec"), {"__name__": "__main__"})
+    assert "estimates: 2 of 2, 0 failed" in capsys.readouterr().out
+
+
 def test_the_citation_is_of_this_version():
     assert f"version = {{{version('heft')}}}" in (DOCS / "cite.md").read_text(encoding="utf-8")
 

@@ -54,7 +54,7 @@ class TrialShown:
     poses: Poses
     """Of the bench's bodies, N samples."""
     pose_times: Float[np.ndarray, "N"]
-    """s."""
+    """Of the poses, s."""
     fit: WrenchFit
     """The wrench in the object's axes, and what a model says that it should be."""
     model: str = ""

@@ -18,8 +18,11 @@ from testbed.trajectory import Trajectory
 EstimateStatus = Literal["ok", "underdetermined", "not_converged", "contradictory", "no_data", "assumption_violated"]
 """Whether there is an answer, or what keeps it from being one.
 
-underdetermined: the trials leave something open. not_converged: the best that was found does not explain them.
-contradictory: nothing does. no_data: no trial is usable. assumption_violated: groups do not rest on their own weight.
+* `underdetermined`: the trials leave something open.
+* `not_converged`: the best that was found does not explain them.
+* `contradictory`: nothing does.
+* `no_data`: no trial is usable.
+* `assumption_violated`: the mass groups do not rest on their own weight.
 """
 
 

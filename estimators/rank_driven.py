@@ -44,23 +44,33 @@ class RankDriven:
 
     def next(self, shape: ObjectShape, trajectories: Sequence[Trajectory]) -> Action | None:
         """The next accelerated turn or turn; None when done, when nothing is grippable, or after `most` trials."""
+        return self._after(shape, [t.action for t in trajectories], [t.action for t in trajectories if t.ok])
+
+    def foreseen(self, shape: ObjectShape) -> list[Action]:
+        """All that it will ask for where every trial goes well."""
+        done: list[Action] = []
+        while (action := self._after(shape, done, done)) is not None:
+            done.append(action)
+        return done
+
+    def _after(self, shape: ObjectShape, tried: Sequence[Action], good: Sequence[Action]) -> Action | None:
         allowed = range(len(shape.grasps)) if self.grasps is None else self.grasps
-        if not allowed or len(trajectories) >= self.most:
+        if not allowed or len(tried) >= self.most:
             return None
-        accelerated = sum(isinstance(t.action, Accelerate) for t in trajectories)
+        accelerated = sum(isinstance(action, Accelerate) for action in tried)
         if accelerated < self.accelerated:
             grasp = _drawn(allowed, accelerated, [self.seed, 1])
             action = Accelerate(grasp)
             if (accelerated + accelerated // len(allowed)) % 2:
                 return Accelerate(grasp, tuple(-a for a in action.accelerations), action.hold, -action.start_speed)
             return action
-        turns = [t for t in trajectories if isinstance(t.action, Rotate)]
-        if len(turns) >= self.pivots:
-            done = [t.action for t in turns if t.ok and isinstance(t.action, Rotate)]
+        turns = sum(isinstance(action, Rotate) for action in tried)
+        if turns >= self.pivots:
+            done = [action for action in good if isinstance(action, Rotate)]
             within_reach = planned_rank(shape, [Rotate(grasp) for grasp in allowed])
             if planned_rank(shape, done) == within_reach:
                 return None
-        grasp = _drawn(allowed, len(turns), [self.seed, 2])
+        grasp = _drawn(allowed, turns, [self.seed, 2])
         pivot = between_particles(shape, shape.grasps[grasp].position)
         return Rotate(grasp, duration=self.duration, pivot=pivot, back=True)
 

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import cast
 
 import numpy as np
 from rich.console import Console
@@ -15,12 +13,12 @@ from rich.table import Table
 from estimators.fisher import Question, expected
 from estimators.identifiability import Identifiability
 from estimators.rank_driven import RankDriven
+from scenarios.plan_run import named_grasps
 from testbed.actions import Action, Lift, Slide, Weigh
 from testbed.errors import InvalidValueError
 from testbed.object_files import load_object
 from testbed.objects import ObjectModel
 from testbed.sensing import preset
-from testbed.trajectory import Trajectory
 from viz.error_figure import error_figure
 from viz.heatmap import save_figure
 
@@ -38,14 +36,6 @@ class Wish:
     duration: float = 18.0
     grasps: tuple[str, ...] | None = None
     out: Path | None = None
-
-
-@dataclass(frozen=True)
-class _Done:
-    """A trial as the policy sees it, as if it had gone well."""
-
-    action: Action
-    ok: bool = True
 
 
 def identify(console: Console, name: str, wish: Wish) -> None:
@@ -75,11 +65,7 @@ def planned_actions(model: ObjectModel, wish: Wish) -> list[Action]:
     Lifts are of the grasps nearest the middle, where the object hangs by its weight with the least moment.
     """
     shape = model.shape
-    names = [grasp.name for grasp in shape.grasps]
-    chosen = names if wish.grasps is None else list(wish.grasps)
-    if unknown := sorted(set(chosen) - set(names)):
-        raise InvalidValueError("grasps", ", ".join(unknown), f"grasps of {model.name}: {', '.join(names)}")
-    allowed = tuple(names.index(grasp) for grasp in chosen)
+    allowed = named_grasps(model, wish.grasps)
     if wish.slides < 0:
         raise InvalidValueError("slides", wish.slides, "an integer >= 0")
     most = 0 if wish.support != "rigid" else math.inf
@@ -87,9 +73,7 @@ def planned_actions(model: ObjectModel, wish: Wish) -> list[Action]:
         raise InvalidValueError("lifts", wish.lifts, "an integer >= 0, and 0 unless the support is rigid")
     done: list[Action] = []
     if wish.pivots:
-        policy = RankDriven(wish.pivots, wish.duration, wish.accelerated, grasps=allowed)
-        while (action := policy.next(shape, cast(Sequence[Trajectory], [_Done(a) for a in done]))) is not None:
-            done.append(action)
+        done = RankDriven(wish.pivots, wish.duration, wish.accelerated, grasps=allowed).foreseen(shape)
     golden = math.pi * (3 - math.sqrt(5))
     slides = [Slide(allowed[i % len(allowed)], i * golden) for i in range(wish.slides)] if allowed else []
     inner = sorted(allowed, key=lambda grasp: float(np.linalg.norm(shape.grasps[grasp].position)))

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import cast
 
 import numpy as np
 from rich.console import Console
@@ -25,7 +23,6 @@ from testbed.errors import InvalidValueError
 from testbed.object_files import load_object
 from testbed.objects import ObjectModel, ObjectShape
 from testbed.sensing import preset
-from testbed.trajectory import Trajectory
 from viz.heatmap import save_figure
 from viz.plan_figure import plan_figure
 from viz.plan_shown import PlanShown
@@ -58,14 +55,6 @@ class Wish:
     figure: Path | None = None
     record: Path | None = None
     lifts: bool = False
-
-
-@dataclass(frozen=True)
-class _Done:
-    """A trial as a policy sees it, as if it had gone well."""
-
-    action: Action
-    ok: bool = True
 
 
 def plan(console: Console, name: str, wish: Wish) -> None:
@@ -151,9 +140,7 @@ def named_grasps(model: ObjectModel, chosen: tuple[str, ...] | None) -> tuple[in
 
 def _paper(shape: ObjectShape, guess: Guess, goal: Goal, grasps: tuple[int, ...], seed: int) -> Plan:
     """What the rank-driven policy would do, as far as the goal goes."""
-    policy, done = RankDriven(grasps=grasps, seed=seed), list[Action]()
-    while (action := policy.next(shape, cast(Sequence[Trajectory], [_Done(a) for a in done]))) is not None:
-        done.append(action)
+    done = RankDriven(grasps=grasps, seed=seed).foreseen(shape)
     design, before = Design.of(shape, done, guess), before_trials(shape, guess)
     whole = as_plan(design, before, range(len(done)), "the policy is content", Asked())
     kept, spent = 0, 0.0

@@ -35,6 +35,12 @@ class Searched:
     """(n_mu,)."""
     loss: float
     traces: tuple[Trace, ...]
+    covariance: np.ndarray | None = None
+    """Of `mass`, kg^2, where the search gives one."""
+    misfit: float | None = None
+    """By the model that was searched, where that is not `Problem`'s."""
+    rollouts: int | None = None
+    """Guesses held against all data, where the traces do not have one each."""
 
     @staticmethod
     def of_samples(method: str, batches: Sequence[tuple[Candidates, Tensor, float]]) -> Searched:
@@ -89,7 +95,7 @@ class Baseline(ABC):
         """Reduce the trajectories, search, and say what came of it.
 
         "misfit" in the diagnostics is the mean squared wrench error over its covariance, about 1 or less where the
-        answer explains what was felt.
+        answer explains what was felt; "rollouts" is how many guesses were held against all data.
 
         Raises:
             InvalidValueError: `use_weight` without a weight.
@@ -100,7 +106,10 @@ class Baseline(ABC):
             return replace(problem, seconds=time.perf_counter() - begin)
         found = self._search(problem, seed)
         # Eq. problem divides by mass, so that a heavy answer hides data that contradict each other: this does not
-        misfit = float(problem.loss(torch.tensor(found.mass), torch.tensor(found.friction), "covariance"))
+        misfit = found.misfit
+        if misfit is None:
+            misfit = float(problem.loss(torch.tensor(found.mass), torch.tensor(found.friction), "covariance"))
+        rollouts = found.rollouts or sum(len(trace.loss) for trace in found.traces)
         cost = robot_seconds(trajectories)
         status: EstimateStatus = "ok"
         why = ""
@@ -114,9 +123,10 @@ class Baseline(ABC):
             MassDistribution(found.mass, found.friction),
             status,
             why,
+            found.covariance,
             traces=tuple(replace(trace, robot_seconds=cost) for trace in found.traces),
             seconds=time.perf_counter() - begin,
-            diagnostics={"loss": found.loss, "misfit": misfit},
+            diagnostics={"loss": found.loss, "misfit": misfit, "rollouts": float(rollouts)},
         )
 
 

@@ -223,6 +223,7 @@ def judge(
         "unobserved": "",
         "optimizer": answer.traces[0].method if answer.traces else "",
         "loss": min((min(trace.loss) for trace in answer.traces), default=math.nan),
+        "rollouts": answer.diagnostics.get("rollouts", 0.0),
     }
     if answer.distribution is not None:
         row["nad"] = normalized_absolute_difference(shape, answer.distribution, truth.truth)

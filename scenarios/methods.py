@@ -16,6 +16,7 @@ from estimators.protocol import Estimator
 from estimators.random_search import RandomSearch
 from estimators.support_aware import SupportAware
 from estimators.weighted_sampling import WeightedSampling
+from scenarios.mujoco_sysid import MujocoSysid
 
 METHODS: dict[str, type[Estimator]] = {
     "hidden_states": HiddenStatesEstimator,
@@ -27,6 +28,7 @@ METHODS: dict[str, type[Estimator]] = {
     "cma_es": CmaEs,
     "nelder_mead": NelderMead,
     "least_squares": LeastSquares,
+    "mujoco_sysid": MujocoSysid,
 }
 """heft's own methods by name; their settings are the fields of the class."""
 

@@ -17,6 +17,7 @@ Columns of the table, a row an estimate (one method, one draw of the sensor's er
 | com_error_m, inertia_error, unobserved | of methods with hidden states: distance of c, I_cm over the truth minus 1 |
 | weight_kg | M as weighed |
 | loss, optimizer | least loss of the search, and who found it |
+| rollouts | guesses that the search held against all data; 0 of methods that do not search |
 | trials, robot_s | what the method was given, and the robot time it took |
 | seconds | computing time of the estimate |
 | key | folder of the estimate in estimates/ |

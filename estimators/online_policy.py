@@ -44,9 +44,9 @@ class Decision:
     estimate: Estimate | None
     """From what was felt so far; None before anything was."""
     nad: float
-    """Expected of the answer as it is; a part of 1."""
+    """Expected of the answer as it is, or of even masses where there is none; a part of 1."""
     standard_error: Float[np.ndarray, "n_m"]
-    """Of each group's mass, by all that was felt, kg."""
+    """Of each group's mass, kg: the answer's own, or the planner's where that is wider."""
     nad_after: float
     """Expected once the action is done."""
     supports: tuple[str, ...]
@@ -94,17 +94,22 @@ class OnlineTouches:
         guess = replace(self.guess, supports=_supports(self.guess, estimate))
         at = _where(shape, guess, windows, estimate)
         misfit = estimate.diagnostics.get("loss", 1.0) if estimate is not None else 1.0
-        own = guess.supports == ("own_weight",)
-        belief = _belief(shape, guess, at, windows, trajectories, misfit if own and misfit > DISAGREE else 1.0)
-        nad = _nad(belief, estimate)
+        own, contradicted = (
+            guess.supports == ("own_weight",),
+            estimate is not None and estimate.status == "contradictory",
+        )
+        belief = before_trials(shape, guess)
+        if not contradicted:  # else nothing that was felt can be believed
+            inflated = misfit if own and misfit > DISAGREE else 1.0
+            belief = belief.after(_felt(shape, guess, at, windows, trajectories) / inflated)
+        nad, error = _sure(belief, estimate)
         done = [trajectory.action for trajectory in trajectories]
 
         def say(action: Action | None, why: str, after: float = nad, asked: Asked | None = None) -> Decision:
             rejected = asked.rejected if asked else ()
-            return Decision(action, why, estimate, nad, belief.standard_error, after, guess.supports, rejected)
+            return Decision(action, why, estimate, nad, error, after, guess.supports, rejected)
 
-        answered = estimate is not None and estimate.covariance is not None and np.isfinite(estimate.covariance).all()
-        if self.goal.met(nad) and answered:
+        if self.goal.met(nad) and _covariance(estimate) is not None:
             return say(None, "the target is met")
         if len(trajectories) >= self.goal.most:
             return say(None, f"{self.goal.most} trials were made, the most that may be")
@@ -117,7 +122,7 @@ class OnlineTouches:
         grasps = range(len(shape.grasps)) if self.grasps is None else self.grasps
         candidates = [a for a in self.family.sample(shape, grasps, self.candidates, self.seed) if a not in failed]
         design, asked = Design.of(shape, candidates, guess, self.criterion, at), Asked(self.feasible)
-        if self.goal.met(nad):
+        if self.goal.met(nad) or contradicted:
             index, why = _for_an_answer(design, done, left, asked), "there is no answer, and nothing feasible gives one"
         else:
             index, why = greedy_choice(design, belief, done, self.goal, left, asked)
@@ -179,34 +184,43 @@ def _where(
     return guess.uniform(shape)
 
 
-def _belief(
+def _felt(
     shape: ObjectShape,
     guess: Guess,
     at: MassDistribution,
     windows: Observations | None,
     trajectories: Sequence[Trajectory],
-    inflated: float,
-) -> Belief:
-    """The weighing, the prior, and all trials felt, their errors as much larger as they disagree."""
-    before, count = before_trials(shape, guess), len(trajectories)
+) -> Float[np.ndarray, "S U U"]:
+    """Information of all trials felt, under each support model."""
+    count = len(trajectories)
     lifts = {
         index: found[0] for index in range(count) if (found := lifts_among(shape, trajectories[index : index + 1]))
     }
-    felt = [
-        trial_information(shape, at, windows, count, question, lifts).information() / inflated
-        for question in guess.questions()
-    ]
-    return before.after(np.stack(felt))
+    return np.stack(
+        [trial_information(shape, at, windows, count, question, lifts).information() for question in guess.questions()]
+    )
 
 
-def _nad(belief: Belief, estimate: Estimate | None) -> float:
-    """Expected of the answer: by the information, or, under a rigid body, by what the masses' polytope leaves."""
-    nad = belief.expected_nad
-    if estimate is not None and estimate.covariance is not None and estimate.status == "assumption_violated":
-        left = estimate.covariance * np.outer(belief.count, belief.count)
-        if np.isfinite(left).all():
-            nad = min(nad, float(expected_nad(left, belief.weight)))
-    return nad
+def _covariance(estimate: Estimate | None) -> Float[np.ndarray, "n_m n_m"] | None:
+    """Of the answer, by itself; None where there is no answer, or one that leaves something open without bound."""
+    found = None if estimate is None or estimate.distribution is None else estimate.covariance
+    return found if found is not None and np.isfinite(found).all() else None
+
+
+def _sure(belief: Belief, estimate: Estimate | None) -> tuple[float, Float[np.ndarray, "n_m"]]:
+    """Expected NAD, and the standard error of each group, kg: the wider of what the planner and the answer say.
+
+    The answer's knows of support models that disagree, and of masses that cannot be below zero: under one rigid body it
+    alone counts.
+    """
+    covariance = _covariance(estimate)
+    if estimate is None or covariance is None:
+        return belief.expected_nad, belief.standard_error
+    its_own = covariance * np.outer(belief.count, belief.count)
+    nad = float(expected_nad(its_own, belief.weight))
+    if estimate.status != "assumption_violated" and nad <= belief.expected_nad:
+        return belief.expected_nad, belief.standard_error
+    return nad, np.sqrt(np.diag(its_own))
 
 
 def _least_explained(

@@ -125,7 +125,7 @@ def greedy_choice(
             f"{seconds[useful].min():.0f} s"
         )
     score = np.where(affordable, gain / seconds, -np.inf)
-    if goal.until is not None and design.criterion == "I":
+    if goal.until is not None and design.criterion == "I" and now > goal.until:
         ends = affordable & (after <= goal.until)
         score = np.where(ends, 1e6 / seconds, score)
     for count, index in enumerate(_in_order(score)):

@@ -7,11 +7,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from rich.console import Console
 
 from estimators.candidate_actions import ActionFamily
 from estimators.design import Guess
-from estimators.online_policy import Decision, OnlineTouches, spent_seconds
+from estimators.online_policy import DISAGREE, Decision, OnlineTouches, spent_seconds
 from estimators.touch_plan import Goal
 from scenarios.amounts import percent, seconds
 from scenarios.bench_check import BenchCheck
@@ -186,22 +187,32 @@ def _answer(model: ObjectModel, wish: Wish, keys: list[str], store: Store) -> di
 
 
 def _tell(console: Console, model: ObjectModel, outcome: Outcome, goal: Goal) -> None:
-    """How it ended, what the masses are, and what stays unknown."""
+    """How it ended, what the masses are and whether they can be trusted, and what stays unknown."""
     last, row, answer = outcome.last, outcome.row, outcome.last.estimate
+    answered = answer is not None and answer.covariance is not None and bool(np.isfinite(answer.covariance).all())
     console.print(f"stopped: {last.why}", highlight=False)
     reached = f"expected NAD {100 * last.nad:.3g} %"
-    if goal.until is not None and not goal.met(last.nad):
+    if not answered:
+        why = (answer.message if answer is not None else "") or "nothing was felt"
+        console.print(f"there is no answer: {why}", highlight=False)
+        best = f"the best to be had is the weight, {row['weight_kg']:.3f} kg, and even masses"
+        console.print(f"{best}: {reached}", highlight=False)
+    elif goal.until is not None and not goal.met(last.nad):
         console.print(f"the target of {100 * goal.until:g} % is not reached: {reached} is the best to be had")
-    elif row.get("nad") is not None:
+    if answered and np.isfinite(row["nad"]):
         reached += f", against the truth {100 * row['nad']:.3g} %"
     console.print(f"{len(outcome.keys) - 1} touches, {outcome.robot_s:.0f} s of the robot; {reached}", highlight=False)
-    if row.get("mass_kg") is not None:
+    misfit = answer.diagnostics.get("loss", 1.0) if answer is not None else 1.0
+    if answered and last.supports == ("own_weight",) and misfit > DISAGREE:
+        said = "the touches disagree by more than their errors, which are taken to be as much larger"
+        console.print(f"{said}: mean squared misfit {misfit:.3g} where about 1 is expected", highlight=False)
+    if answered and row.get("mass_kg") is not None:
         masses = zip(row["group_names"], row["mass_kg"], last.standard_error, strict=True)
         console.print(", ".join(f"{g} {m:.3f} ± {e:.3f}" for g, m, e in masses) + " kg", highlight=False)
     open_ = answer.identifiability.unobservable if answer is not None and answer.identifiability is not None else ()
     for part in open_:
         console.print(f"not known: {part}", highlight=False)
-    if row.get("message"):
+    if answered and row.get("message"):
         console.print(f"{row['status']}: {row['message']}", highlight=False)
     for action, why in last.rejected[:3]:
         console.print(f"not feasible: {in_words(model.shape, action)[0]}: {why}", highlight=False)

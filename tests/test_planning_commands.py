@@ -110,6 +110,15 @@ def test_under_a_rigid_body_it_finds_out_and_says_what_stays_unknown(tmp_path, c
     assert "the target of 2 % is not reached" in said and "assumption_violated" in said
 
 
+@pytest.mark.slow
+def test_where_there_is_no_answer_it_says_so_and_why(tmp_path, capsys):
+    main(["touch", "hammer", "--most", "1", "--candidates", "300", "--out", str(tmp_path / "run")])
+    said = " ".join(capsys.readouterr().out.split())
+    assert "stopped: 1 trials were made, the most that may be there is no answer: " in said
+    assert "the best to be had is the weight, 1.361 kg, and even masses: expected NAD" in said
+    assert "±" not in said
+
+
 def test_a_scenario_may_choose_its_touches_by_a_plan():
     model, settings = load_object("L2"), SimulationSettings()
     paper = Policy().build((0, 1), model, settings)

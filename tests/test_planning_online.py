@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from lifted_world import lifted
 
-from estimators.design import Guess
+from estimators.design import NORMAL_MEAN, Guess
 from estimators.hidden_states import HiddenStatesEstimator
 from estimators.metrics import normalized_absolute_difference
 from estimators.online_policy import Decision, OnlineTouches
@@ -70,6 +70,33 @@ def test_what_failed_is_not_asked_for_again():
     slipped = replace(felt(obj, first), status="slipped", reason="it slipped")
     decision = chooser.decide(obj.shape, [slipped])
     assert decision.action not in (None, first) and decision.nad == chooser.decide(obj.shape, []).nad
+
+
+def test_trials_that_contradict_each_other_teach_nothing():
+    obj = drawn_object(0)
+    chooser = policy(obj, Goal(until=0.02))
+    trials, _ = run(obj, chooser, noise=0.02)
+    turned = [replace(trials[0], wrench_on_object_world=-trials[0].wrench_on_object_world), *trials[1:]]
+    last = chooser.decide(obj.shape, turned)
+    assert last.estimate is not None and last.estimate.status == "contradictory"
+    assert last.nad == chooser.decide(obj.shape, []).nad and last.why != "the target is met"
+
+
+def test_an_answer_is_no_surer_than_it_says_itself():
+    obj, wide = drawn_object(0), 10.0
+
+    class Modest(HiddenStatesEstimator):
+        def estimate(self, shape, weight, trajectories, seed):
+            found = super().estimate(shape, weight, trajectories, seed)
+            return found if found.covariance is None else replace(found, covariance=wide**2 * found.covariance)
+
+    trials, last = run(obj, policy(obj, Goal(until=0.02)), noise=0.05)
+    modest = policy(obj, Goal(until=0.02), estimator=Modest()).decide(obj.shape, trials)
+    assert modest.estimate is not None and modest.estimate.covariance is not None and modest.action is not None
+    count = obj.shape.particles_per_group
+    its_own = np.sqrt(np.diag(modest.estimate.covariance)) * count
+    np.testing.assert_allclose(modest.standard_error, its_own)
+    assert modest.nad == pytest.approx(NORMAL_MEAN * its_own.sum() / obj.total_mass) and modest.nad > last.nad
 
 
 def test_a_lift_that_was_felt_counts():

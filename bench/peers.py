@@ -1,16 +1,23 @@
-"""Algorithm 1 beside the field's optimisers, on the known blocks that the conformance kit ships: no simulator.
+"""Algorithm 1 beside the paper's baselines and the field's tools.
 
-    python bench/peers.py [DRAWS]      about two minutes of one core with five draws
+    python bench/peers.py kit [DRAWS]    recorded blocks of the conformance kit: two minutes of one core with five draws
+    python bench/peers.py nine [FOLDER]  all nine methods on the simulated bench: half an hour of one core
+    python bench/peers.py rigid          MuJoCo's toolbox where there is no answer: ten minutes
 
-Every method is given the same seven trials of each block on its own weight, felt by an FT-300S, and M. Here
+In `kit` every method is given the same seven trials of a block on its own weight, felt by an FT-300S, and M;
 `explicit_state` is the paper's baseline with M and errors by their covariance, `explicit_state_M_cov` of `blocks`.
+`nine` is `heft run bench/peers.toml`, and goes on where it was left. `rigid` is a world of exact friction in which one
+rigid body carries the weight. `nine` and `rigid` need the extra sysid.
 """
 
 from __future__ import annotations
 
 import sys
+from collections.abc import Sequence
+from pathlib import Path
 from statistics import mean, median
 
+import numpy as np
 import torch
 from rich import box
 from rich.console import Console
@@ -23,7 +30,13 @@ from estimators.least_squares import LeastSquares
 from estimators.metrics import normalized_absolute_difference
 from estimators.nelder_mead import NelderMead
 from estimators.protocol import Estimator
+from estimators.support_aware import SupportAware
+from estimators.testing.analytic_world import accelerated, turns
 from estimators.testing.recorded import load_block
+from scenarios.cli import main as heft
+from scenarios.mujoco_sysid import MujocoSysid
+from scenarios.results import load_results
+from testbed.object_files import load_object
 
 METHODS: dict[str, Estimator] = {
     "hidden_states": HiddenStatesEstimator(),
@@ -35,14 +48,11 @@ METHODS: dict[str, Estimator] = {
 OBJECTS = ("I1", "I2", "L1", "L2", "F1", "F2", "T", "U", "drawn_a", "drawn_b", "drawn_d")
 
 
-def main(draws: int) -> None:
-    """Print a row a method: median NAD of every block, losses evaluated and seconds on average."""
-    torch.set_num_threads(1)
-    table = Table("NAD, %", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
-    for column in (*OBJECTS, "losses", "s"):
-        table.add_column(column, justify="right")
+def kit(draws: int) -> None:
+    """Print a row a method: median NAD of every block, guesses held against the data and seconds on average."""
+    table = _table("NAD, %", (*OBJECTS, "rollouts", "s"))
     for name, method in METHODS.items():
-        cells, losses, seconds = [], [], []
+        cells, rollouts, seconds = [], [], []
         for known in OBJECTS:
             block, nads = load_block(f"{known}-own_weight"), []
             for seed in range(draws):
@@ -50,12 +60,81 @@ def main(draws: int) -> None:
                 answer = method.estimate(shape, block.weighed("ft300s", seed), block.trials("ft300s", seed), seed)
                 assert answer.distribution is not None, answer.message
                 nads.append(100 * normalized_absolute_difference(shape, answer.distribution, block.model.truth))
-                losses.append(sum(len(trace.loss) for trace in answer.traces))
+                rollouts.append(answer.diagnostics.get("rollouts", 0))
                 seconds.append(answer.seconds)
             cells.append(f"{median(nads):.1f}")
-        table.add_row(name, *cells, f"{mean(losses):.0f}", f"{mean(seconds):.2g}")
+        table.add_row(name, *cells, f"{mean(rollouts):.0f}", f"{mean(seconds):.2g}")
     Console(width=120).print(table)
 
 
+def nine(folder: str) -> None:
+    """Run the scenario and print, a sensor a table, a row a method: NAD of every object, the rest on average."""
+    heft(["run", str(Path(__file__).with_suffix(".toml")), "--out", folder])
+    results = load_results(folder)
+    names = list(dict.fromkeys(results["object"]))
+    for sensing, rows in results.groupby("sensing", sort=False):
+        table = _table(f"{sensing}: NAD, %", (*names, "MPD, cm", "s", "rollouts", "robot s"))
+        for method, own in rows.groupby("method", sort=False):
+            nads = [f"{100 * own[own['object'] == name]['nad'].mean():.1f}" for name in names]
+            rest = (100 * own["mpd_open_loop_m"].mean(), own["seconds"].mean())
+            table.add_row(
+                str(method),
+                *nads,
+                *(f"{v:.2g}" for v in rest),
+                f"{own['rollouts'].mean():.0f}",
+                f"{own['robot_s'].mean():.0f}",
+            )
+        best = 100 * rows["mpd_open_loop_of_truth_m"].mean()
+        table.add_row("the true masses", *[""] * len(names), f"{best:.2g}", "", "", "")
+        Console(width=120).print(table)
+
+
+def rigid() -> None:
+    """Print a row an object and method: NAD, misfit, status, and how many directions of the masses the answer tells."""
+    methods = {
+        "mujoco_sysid, rigid": MujocoSysid(support="rigid"),
+        "mujoco_sysid": MujocoSysid(),
+        "hidden_states": HiddenStatesEstimator(),
+        "support_aware": SupportAware(),
+    }
+    table = _table("one rigid body", ("NAD, %", "misfit", "told", "rollouts", "s", "status"))
+    for name in ("I2", "L2", "F2"):
+        obj = load_object(name)
+        trials = turns(obj, rigid=True) + accelerated(obj, rigid=True)
+        for label, method in methods.items():
+            answer = method.estimate(obj.shape, obj.total_mass, trials, 0)
+            assert answer.distribution is not None, answer.message
+            nad = 100 * normalized_absolute_difference(obj.shape, answer.distribution, obj.truth)
+            told = "-"
+            if answer.covariance is not None and np.isfinite(answer.covariance).all():
+                spread = np.sqrt(np.linalg.eigvalsh(answer.covariance).clip(min=0))
+                told = f"{(spread < 0.1 * obj.truth.mass.mean()).sum()} of {obj.shape.n_m}"
+            misfit, rollouts = (answer.diagnostics.get(key, 0.0) for key in ("misfit", "rollouts"))
+            table.add_row(
+                f"{name}, {label}",
+                f"{nad:.1f}",
+                f"{misfit:.2g}",
+                told,
+                f"{rollouts:.0f}",
+                f"{answer.seconds:.2g}",
+                answer.status,
+            )
+    Console(width=120).print(table)
+
+
+def _table(title: str, columns: Sequence[str]) -> Table:
+    table = Table(title, box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
+    for column in columns:
+        table.add_column(column, justify="right")
+    return table
+
+
 if __name__ == "__main__":
-    main(int(sys.argv[1]) if len(sys.argv) > 1 else 5)
+    torch.set_num_threads(1)
+    part, *given = sys.argv[1:] or ["kit"]
+    if part == "nine":
+        nine(*given or ["results/peers"])
+    elif part == "rigid":
+        rigid()
+    else:
+        kit(int(given[0]) if given else 5)

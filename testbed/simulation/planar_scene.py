@@ -16,7 +16,7 @@ from testbed.simulation.object_scene import add_feet, foot_stiffness, soften_fee
 from testbed.simulation.settings import ContactSettings
 from testbed.trial import Support
 
-TIMESTEP = 0.001
+TIMESTEP = 0.002
 """Physics step, s."""
 CONTACT = ContactSettings(sag=1e-4, impedance=1e-3)
 """Of the feet: it settles in a third of the bench's time."""

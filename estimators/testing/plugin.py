@@ -43,7 +43,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     group.addoption(
         "--estimator-thorough",
         action="store_true",
-        help="every block under every sensor, not under a perfect one and one other",
+        help="every block under every sensor, not under one or two of them",
     )
 
 

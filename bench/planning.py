@@ -1,6 +1,7 @@
 """Planning: its speed, and what it saves: python bench/planning.py WHAT [options].
 
 speed      sampling, information of all candidates, the next action, plans of six actions; with brute force beside it
+length     what the model misses in turns of 4, 8 and 16 s each way, noise-free, both ways' mean and half difference
 policies   NAD against robot seconds for every policy, expected against achieved, in simulation under a sensor
 more       what more turns buy: expected NAD after 1 to 8 planned turns
 
@@ -17,7 +18,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from functools import cache
-from itertools import zip_longest
+from itertools import product, zip_longest
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
@@ -28,9 +29,14 @@ from matplotlib.figure import Figure
 
 from estimators.candidate_actions import ActionFamily
 from estimators.design import Design, Guess, before_trials
+from estimators.dynamics import inertia_of
+from estimators.friction_loads import LoadGroups, friction_equations
 from estimators.hidden_states import HiddenStatesEstimator
 from estimators.metrics import normalized_absolute_difference
+from estimators.model_errors import ModelErrors
+from estimators.observations import Observations, observe
 from estimators.online_policy import OnlineTouches, spent_seconds
+from estimators.particle_loads import ParticleLoads
 from estimators.planned_policy import PlannedTouches
 from estimators.protocol import ActionPolicy
 from estimators.rank_driven import RankDriven
@@ -101,6 +107,38 @@ def _best(call: Callable[[], object]) -> float:
         call()
         found.append(time.perf_counter() - begin)
     return min(found)
+
+
+def length(options: argparse.Namespace) -> None:
+    """Wrenches less the model's at the true masses, as parts of the drag and of the torque of turning in place."""
+    runner, table = SimulationRunner(), {seconds: list[np.ndarray]() for seconds in (4.0, 8.0, 16.0)}
+    for model, seconds in product(drawn(options.objects, options.seed), table):
+        shape, family = model.shape, ActionFamily(duration=(seconds - 0.01, seconds), slides=False, accelerated=False)
+        for action in family.sample(shape, range(len(shape.grasps)), 5, options.seed):
+            try:
+                windows = observe(shape, [draw_sensing(_made(runner, model, action), preset("ideal"), 0)])
+            except InfeasibleTrialError:
+                continue
+            if windows is not None and len(windows) == 2:
+                table[seconds].append(_missed(model, windows))
+    print("root mean square, %: force x, force y, torque")
+    for seconds, found in table.items():
+        there, back = np.moveaxis(np.array(found), 1, 0)
+        parts = [", ".join(f"{100 * v:.3f}" for v in np.sqrt((x**2).mean(0))) for x in (there + back, there - back)]
+        print(
+            f"{seconds:4.0f} s each way, {len(found)} turns: mean of both {parts[0]}; half their difference {parts[1]}"
+        )
+
+
+def _missed(model: ObjectModel, windows: Observations) -> np.ndarray:
+    """Of a turn there and back, halved, (2, 3)."""
+    loads = ParticleLoads.of(model.shape, model.truth, "own_weight")
+    each = LoadGroups(torch.arange(len(loads.load)), tuple((particle, 0) for particle in range(len(loads.load))))
+    at = (loads.mass, loads.friction, inertia_of(loads.model, loads.mass), model.shape.height)
+    equations = friction_equations(loads.model, each, windows, *at, ModelErrors())
+    in_place = windows.lever(loads.model)[0].norm(dim=-1) @ loads.load
+    scale = torch.stack([loads.load.sum(), loads.load.sum(), in_place])
+    return ((equations.b - equations.q @ loads.load).reshape(2, 3) / scale / 2).numpy()
 
 
 def more(options: argparse.Namespace) -> None:
@@ -274,7 +312,7 @@ def _draw(rows: list[dict[str, Any]], path: Path) -> None:
 def main() -> None:
     """Choose what to measure."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    kinds = {"speed": speed, "policies": policies, "more": more}
+    kinds = {"speed": speed, "length": length, "policies": policies, "more": more}
     parser.add_argument("what", choices=kinds)
     parser.add_argument("--objects", type=int, default=4)
     parser.add_argument("--first", type=int, default=None)

@@ -104,14 +104,14 @@ def test_small_plans_are_as_good_as_the_best_of_all_sets(seed):
 def test_a_plan_is_as_short_as_it_can_be(name, turns):
     model = load_object(name)
     turns_alone = ActionFamily(slides=False, accelerated=False)
-    policy = PlannedTouches(guess(name), goal=Goal(until=0.05), candidates=1500, family=turns_alone)
+    policy = PlannedTouches(guess(name), goal=Goal(until=0.03), candidates=1500, family=turns_alone)
     plan = policy.plan(model.shape)
     assert [type(action) for action in plan.actions] == [Rotate] * turns
     report = expected(model.shape, model.truth, plan.actions, FT300S)
     assert report.rank == report.unknowns
     one = expected(model.shape, model.truth, plan.actions[:1], FT300S)  # three rows and six loads
     assert one.rank < one.unknowns
-    assert plan.after.expected_nad <= 0.05 < plan.steps[-2].belief.expected_nad
+    assert plan.after.expected_nad <= 0.03 < plan.steps[-2].belief.expected_nad
 
 
 def test_errors_fall_with_every_step_and_time_adds_up():

@@ -36,8 +36,12 @@ class Summary:
 
 
 def axis_columns(axes: Mapping[str, Any]) -> dict[str, Any]:
-    """What a row says of the point of the sweep that it is from."""
-    return {f"{AXIS}{name}": value for name, value in axes.items()}
+    """What a row says of the point of the sweep that it is from; a table of settings in words."""
+    return {f"{AXIS}{name}": _in_words(value) if isinstance(value, dict) else value for name, value in axes.items()}
+
+
+def _in_words(settings: Mapping[str, Any]) -> str:
+    return ", ".join(f"{name} = {value}" for name, value in settings.items()) or "none"
 
 
 def axes_of(rows: Sequence[Row]) -> list[str]:

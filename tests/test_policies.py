@@ -13,6 +13,7 @@ import pytest
 from estimators import plugins
 from estimators.plugins import POLICY, find_class
 from estimators.protocol import ActionPolicy
+from scenarios.comparison import axis_columns
 from scenarios.results import load_results
 from scenarios.schema import Policy, Scenario, load_scenario
 from scenarios.store import read_json
@@ -148,6 +149,14 @@ def test_what_was_tried_is_kept_under_the_source_and_the_settings(here):
     assert first != asked(MODULE + "# more\n", here)
     assert first != asked(MODULE, here, settings={"turns": 1})
     assert "source" not in Policy().asked()
+
+
+@pytest.mark.usefixtures("here")
+def test_its_settings_are_swept_side_by_side_with_the_kinds():
+    axes = {"policy.kind": ["paper", "of_mine:Outermost"], "policy.settings": [{}, {"turns": 1}]}
+    points = Scenario.model_validate({"objects": ["I1"], "sweep": {"mode": "zip", "axes": axes}}).points()
+    assert [point.policy.settings for _, point in points] == [{}, {"turns": 1}]
+    assert [axis_columns(at)["axis.policy.settings"] for at, _ in points] == ["none", "turns = 1"]
 
 
 @pytest.mark.slow

@@ -37,7 +37,11 @@ class Progress(Protocol):
 
 @dataclass(eq=False)
 class Cell:
-    """One object under one support: its trials are made one after the other, as the policy sees them."""
+    """One object under one support: its trials are made one after the other, as the policy sees them.
+
+    Most policies see the physics alone, and all draws of all sensors share a cell. Where each touch follows from what
+    was felt, a cell is of one draw.
+    """
 
     scenario: Scenario
     """At its point of the sweep."""
@@ -63,6 +67,8 @@ class Cell:
     """Whether the policy has asked for all it wants."""
     failure: str = ""
     """Why a trial of it could not be made, if one could not."""
+    felt: tuple[str, int] | None = None
+    """Sensor and seed of the one draw that it is of; None where all share it."""
 
     def following(self) -> Action | None:
         """What to do next; None when done."""
@@ -110,8 +116,10 @@ def cells_of(scenario: Scenario, store: Store, progress: Progress) -> tuple[list
             else:
                 for support in point.supports():
                     turns = tuple(point.policy.build_held_out(particles.shape, grasps))
-                    policy = point.policy.build(grasps, particles, settings)
-                    cells.append(Cell(point, axes, model, particles, support, grasps, policy, turns))
+                    for felt in point.own_draws():
+                        policy = point.policy.build(grasps, particles, settings, felt[0] if felt else None)
+                        one = Cell(point, axes, model, particles, support, grasps, policy, turns, felt=felt)
+                        cells.append(one)
             done += 1
             progress("objects", done, total)
     if not cells:

@@ -38,9 +38,11 @@ def run_estimates(
     waiting: list[tuple[tuple[int, ...], Asked]] = []
     for index, cell in enumerate(cells):
         for s, sensing in enumerate(cell.scenario.sensing):
+            if cell.felt and cell.felt[0] != sensing:
+                continue
             for m, method in enumerate(cell.scenario.methods):
                 waiting.append(((s, m, index), Asked.of(cell, sensing, method)))
-    total, failed = sum(asked.seeds for _, asked in waiting), 0
+    total, failed = sum(len(asked.seeds) for _, asked in waiting), 0
     waiting.sort(key=lambda item: item[1].kind != "diff_lcp")  # the slowest first
 
     def take(place: tuple[int, ...], asked: Asked, key: str, row: dict[str, Any]) -> None:
@@ -79,7 +81,7 @@ def _failed(seed: int, why: str) -> dict[str, Any]:
 def _draws(waiting: Iterable[tuple[tuple[int, ...], Asked]]) -> Iterator[tuple[tuple[int, ...], Asked, str]]:
     """Place, question and content key of every draw; a task each, so that one that hangs takes no other with it."""
     for place, asked in waiting:
-        for seed, key in enumerate(asked.result_keys()):
+        for seed, key in zip(asked.seeds, asked.result_keys(), strict=True):
             yield (*place, seed), asked, key
 
 
@@ -96,7 +98,8 @@ class Asked:
     failure: str
     """Why there are no trials, if there are none."""
     sensing: str
-    seeds: int
+    seeds: tuple[int, ...]
+    """Of the draws that are asked about."""
     method: str
     """Its label."""
     settings: dict[str, Any]
@@ -115,7 +118,7 @@ class Asked:
             tuple(cell.held_out_keys),
             cell.failure,
             sensing,
-            scenario.draws(sensing),
+            (cell.felt[1],) if cell.felt else tuple(range(scenario.draws(sensing))),
             method,
             dict(scenario.methods[method]),
             method == next(iter(scenario.methods)),
@@ -138,7 +141,7 @@ class Asked:
             "reference": self.reference,
             "version": _version(),
         } | code_of(self.kind)
-        return [key_of(said | {"seed": seed}) for seed in range(self.seeds)]
+        return [key_of(said | {"seed": seed}) for seed in self.seeds]
 
     def labels(self) -> dict[str, Any]:
         """What a row says of where it belongs."""
@@ -171,10 +174,14 @@ def sensed(store: Store, keys: tuple[str, ...], sensing: str, seed: int) -> list
         sensing: name of the preset.
         seed: of the draw.
     """
-    return [
-        draw_sensing(t, preset(sensing), _draw_seed(seed, i, keys[i])) if is_simulated(t) else t
-        for i, t in enumerate(_trajectories(store, keys))
-    ]
+    return [as_felt(t, sensing, seed, i, keys[i]) for i, t in enumerate(_trajectories(store, keys))]
+
+
+def as_felt(trajectory: Trajectory, sensing: str, seed: int, index: int, key: str) -> Trajectory:
+    """One of them, the `index`-th of its cell."""
+    if not is_simulated(trajectory):
+        return trajectory
+    return draw_sensing(trajectory, preset(sensing), _draw_seed(seed, index, key))
 
 
 def is_simulated(trajectory: Trajectory) -> bool:

@@ -16,6 +16,8 @@ ESTIMATE_S = {"explicit_state": 1.0, "diff_lcp": 5.0}
 """Of one core: an estimate and its prediction of the held-out turns."""
 QUICK_S = 0.4
 """Of any other method."""
+DECISION_S = 1.0
+"""Of one core: the next touch of an online policy, over 4000 candidates."""
 
 
 @dataclass(frozen=True)
@@ -42,10 +44,13 @@ class Plan:
             here = objects * len(point.support)
             draws = sum(point.draws(sensing) for sensing in point.sensing)
             each = [ESTIMATE_S.get(kind_of(label, settings), QUICK_S) for label, settings in point.methods.items()]
-            cells += here
-            trials += here * point.policy.expected_trials
+            in_order = here * len(point.own_draws())
+            cells += in_order
+            trials += in_order * point.policy.expected_trials
             estimates += here * draws * len(point.methods)
-            seconds += here * (point.policy.expected_trials * TRIAL_S + draws * sum(each))
+            seconds += in_order * point.policy.expected_trials * TRIAL_S + here * draws * sum(each)
+            if point.policy.own_draw:
+                seconds += in_order * point.policy.touches * DECISION_S
         return Plan(objects, len(points), cells, trials, estimates, seconds)
 
 

@@ -13,6 +13,8 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
 from estimators.design import Guess
+from estimators.fisher import SUPPORTS
+from estimators.online_policy import OnlineTouches
 from estimators.planned_policy import PlannedTouches
 from estimators.protocol import ActionPolicy
 from estimators.rank_driven import RankDriven, held_out_turns
@@ -49,12 +51,12 @@ class Grid(Strict):
     particles: Annotated[int, Field(ge=1, le=20)] = 3
 
 
-POLICIES = ("paper", "greedy", "batch", "random")
+POLICIES = ("paper", "greedy", "batch", "random", "online")
 """heft's own policies."""
 
 
 class Policy(Strict):
-    """How actions are chosen: by the paper's rank, by a plan before anything is felt, or by code of your own."""
+    """How actions are chosen: by the paper's rank, by a plan before any touch or after each, or by code of your own."""
 
     kind: str = "paper"
     pivots: Annotated[int, Field(ge=1)] = 6
@@ -69,6 +71,7 @@ class Policy(Strict):
     criterion: Literal["I", "A", "D"] = "I"
     plan_for: str = "ft300s"
     candidates: Annotated[int, Field(ge=1, le=100_000)] = 4000
+    thought: Literal["own_weight", "rigid", "either"] = "either"
     settings: dict[str, Any] = {}
 
     @field_validator("plan_for", mode="after")
@@ -87,13 +90,27 @@ class Policy(Strict):
         return self
 
     @property
+    def own_draw(self) -> bool:
+        """Whether each draw of a sensor's errors has trials of its own: what was felt decides the next."""
+        return self.kind == "online"
+
+    @property
     def expected_trials(self) -> int:
         """Trials a cell where nothing goes wrong, the weighing among them."""
         chosen = self.accelerated + self.pivots if self.kind == "paper" else self.touches
         return 1 + chosen + self.held_out
 
-    def build(self, grasps: tuple[int, ...], particles: ObjectModel, settings: BenchSettings) -> ActionPolicy:
-        """The policy over the grasps that may be used; of the object it is told shape and weight."""
+    def build(
+        self, grasps: tuple[int, ...], particles: ObjectModel, settings: BenchSettings, sensing: str | None = None
+    ) -> ActionPolicy:
+        """The policy over the grasps that may be used; of the object it is told shape and weight.
+
+        Args:
+            grasps: which may be used.
+            particles: the object, with the estimator's particles.
+            settings: of the bench, which is asked what it can do.
+            sensing: how a policy feels whose draws have trials of their own; `plan_for` if left out.
+        """
         if self.kind == "paper":
             return RankDriven(self.pivots, self.duration, self.accelerated, self.most, self.seed, grasps)
         guess = Guess(particles.total_mass, preset(self.plan_for))
@@ -101,11 +118,17 @@ class Policy(Strict):
         if self.kind not in POLICIES:
             told = Told(grasps, particles.total_mass, check)
             return build_policy(self.kind, self.settings, POLICIES, self.touches, told)
+        goal = Goal(self.until, self.budget_s, self.touches)
+        if self.kind == "online":
+            supports = SUPPORTS if self.thought == "either" else (self.thought,)
+            guess = Guess(particles.total_mass, preset(sensing or self.plan_for), supports=supports)
+            told = {"candidates": self.candidates, "grasps": grasps, "seed": self.seed, "feasible": check}
+            return OnlineTouches(guess, goal, self.criterion, **told)
         return PlannedTouches(
             guess,
             self.kind,  # pyright: ignore[reportArgumentType]  one of POLICIES
             self.criterion,
-            Goal(self.until, self.budget_s, self.touches),
+            goal,
             candidates=self.candidates,
             grasps=grasps,
             seed=self.seed,
@@ -249,6 +272,12 @@ class Scenario(Strict):
     def draws(self, sensing: str) -> int:
         """Sensing draws of each trial: a perfect sensor needs one."""
         return 1 if sensing == "ideal" else self.seeds
+
+    def own_draws(self) -> list[tuple[str, int] | None]:
+        """Sensor and seed of every draw that has trials of its own; one None where all draws share theirs."""
+        if not self.policy.own_draw:
+            return [None]
+        return [(sensing, seed) for sensing in self.sensing for seed in range(self.draws(sensing))]
 
     def points(self) -> list[tuple[dict[str, Any], Scenario]]:
         """Every point of the sweep: the axes' values, and the scenario there.

@@ -174,12 +174,12 @@ def _answer(model: ObjectModel, wish: Wish, keys: list[str], store: Store) -> di
         held_out=(),
         failure="",
         sensing=wish.sensing,
-        seeds=wish.seed + 1,
+        seeds=(wish.seed,),
         method=METHOD,
         settings={},
         reference=False,
     )
-    key = asked.result_keys()[wish.seed]
+    key = asked.result_keys()[0]
     estimate(asked, wish.seed, key, store)
     row = store.result(key)
     assert row is not None

@@ -7,6 +7,7 @@ from dataclasses import asdict
 
 from scenarios.benches import BenchSettings, OtherBench
 from scenarios.cells import Cell, Made, Progress
+from scenarios.estimates import as_felt
 from scenarios.execution import Executor, Failure
 from scenarios.store import Store, key_of, object_request, trial_request
 from testbed.actions import Action, Weigh, action_to_dict
@@ -88,9 +89,9 @@ def _taken(cell: Cell, action: Action, key: str, store: Store) -> bool:
         trajectory = store.trajectory(key)
     except TrajectoryFileError:
         return False
-    cell.keys.append(key)
     if not isinstance(action, Weigh):
-        cell.trajectories.append(trajectory)
+        cell.trajectories.append(as_felt(trajectory, *cell.felt, len(cell.keys), key) if cell.felt else trajectory)
+    cell.keys.append(key)
     return True
 
 
@@ -113,7 +114,7 @@ def _key_of_cell(cell: Cell) -> str:
         "held_out": [action_to_dict(turn) for turn in cell.turns],
         "simulation": asdict(cell.scenario.simulation.build()),
     }
-    return key_of(asked)
+    return key_of(asked | ({"felt": list(cell.felt)} if cell.felt else {}))
 
 
 def simulate(trial: Trial, settings: BenchSettings, store: Store) -> None:

@@ -12,9 +12,9 @@ from jaxtyping import Bool, Float, Int
 from testbed.frames import rotation_2d
 from testbed.simulation.planar_scene import TIMESTEP
 
-SETTLE = 30
+SETTLE = 60
 """Steps before the first part of a stretch counts: until the feet carry what a guess of the masses puts on them."""
-PART = 1
+PART = 2
 """Steps that count of each part of a stretch."""
 
 

@@ -18,8 +18,8 @@ from testbed.simulation.planar_motion import PlanarMotion
 from testbed.simulation.planar_scene import FORCE, TIMESTEP, TORQUE, compiled, planar_scene, sinking
 from testbed.trial import Support
 
-LEAST = 1e-3
-"""Least mass of a group, as a part of all that is guessed: no body weighs nothing."""
+LEAST = 0.05
+"""Least mass of a group, as a part of an even share: the feet of a lighter one would shake at the scene's step."""
 MOST = 20.0
 """Most, where M is not known."""
 FRICTIONS = (0.01, 2.0)
@@ -60,8 +60,6 @@ class Identified:
     """Wall time up to each, s."""
     guesses: int
     """Masses and frictions that were simulated, each over all stretches."""
-    converged: bool
-    """Whether it stopped before its iterations ran out."""
 
 
 def identify(guess: ObjectModel, support: Support, measured: Measured, max_iters: int) -> Identified:
@@ -100,7 +98,6 @@ def identify(guess: ObjectModel, support: Support, measured: Measured, max_iters
         np.array([2 * fit.scale**2 * log.objective / len(result.jac) for log, _ in logged]),
         np.array([at for _, at in logged]),
         guesses,
-        len(logged) <= max_iters,
     )
 
 
@@ -123,7 +120,8 @@ class _Fit:
     def parameters(self) -> sysid.ParameterDict:
         """Each group's mass, kg, then each friction, from those that are guessed."""
         guess, found = self._guess, sysid.ParameterDict()
-        least, most = LEAST * guess.total_mass, guess.total_mass * (MOST if self._measured.weight is None else 1)
+        least = LEAST * guess.total_mass / guess.shape.n_m
+        most = guess.total_mass * (MOST if self._measured.weight is None else 1)
         for group, mass in enumerate(guess.group_mass):
             cells = [f"cell_{i}" for i in np.flatnonzero(guess.shape.mass_group == group)]
             found.add(sysid.Parameter(f"mass_{group}", mass, least, most, modifier=_masses(cells)))

@@ -1,13 +1,11 @@
 """Algorithm 1 beside the paper's baselines and the field's tools.
 
     python bench/peers.py kit [DRAWS]    recorded blocks of the conformance kit: two minutes of one core with five draws
-    python bench/peers.py nine [FOLDER]  all nine methods on the simulated bench: half an hour of one core
-    python bench/peers.py rigid          MuJoCo's toolbox where there is no answer: ten minutes
+    python bench/peers.py nine [FOLDER]  all nine methods on the simulated bench: most of an hour of one core
 
 In `kit` every method is given the same seven trials of a block on its own weight, felt by an FT-300S, and M;
 `explicit_state` is the paper's baseline with M and errors by their covariance, `explicit_state_M_cov` of `blocks`.
-`nine` is `heft run bench/peers.toml`, and goes on where it was left. `rigid` is a world of exact friction in which one
-rigid body carries the weight. `nine` and `rigid` need the extra sysid.
+`nine` is `heft run bench/peers.toml`, needs the extra sysid, and goes on where it was left.
 """
 
 from __future__ import annotations
@@ -17,7 +15,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from statistics import mean, median
 
-import numpy as np
 import torch
 from rich import box
 from rich.console import Console
@@ -30,13 +27,9 @@ from estimators.least_squares import LeastSquares
 from estimators.metrics import normalized_absolute_difference
 from estimators.nelder_mead import NelderMead
 from estimators.protocol import Estimator
-from estimators.support_aware import SupportAware
-from estimators.testing.analytic_world import accelerated, turns
 from estimators.testing.recorded import load_block
 from scenarios.cli import main as heft
-from scenarios.mujoco_sysid import MujocoSysid
 from scenarios.results import load_results
-from testbed.object_files import load_object
 
 METHODS: dict[str, Estimator] = {
     "hidden_states": HiddenStatesEstimator(),
@@ -89,39 +82,6 @@ def nine(folder: str) -> None:
         Console(width=120).print(table)
 
 
-def rigid() -> None:
-    """Print a row an object and method: NAD, misfit, status, and how many directions of the masses the answer tells."""
-    methods = {
-        "mujoco_sysid, rigid": MujocoSysid(support="rigid"),
-        "mujoco_sysid": MujocoSysid(),
-        "hidden_states": HiddenStatesEstimator(),
-        "support_aware": SupportAware(),
-    }
-    table = _table("one rigid body", ("NAD, %", "misfit", "told", "rollouts", "s", "status"))
-    for name in ("I2", "L2", "F2"):
-        obj = load_object(name)
-        trials = turns(obj, rigid=True) + accelerated(obj, rigid=True)
-        for label, method in methods.items():
-            answer = method.estimate(obj.shape, obj.total_mass, trials, 0)
-            assert answer.distribution is not None, answer.message
-            nad = 100 * normalized_absolute_difference(obj.shape, answer.distribution, obj.truth)
-            told = "-"
-            if answer.covariance is not None and np.isfinite(answer.covariance).all():
-                spread = np.sqrt(np.linalg.eigvalsh(answer.covariance).clip(min=0))
-                told = f"{(spread < 0.1 * obj.truth.mass.mean()).sum()} of {obj.shape.n_m}"
-            misfit, rollouts = (answer.diagnostics.get(key, 0.0) for key in ("misfit", "rollouts"))
-            table.add_row(
-                f"{name}, {label}",
-                f"{nad:.1f}",
-                f"{misfit:.2g}",
-                told,
-                f"{rollouts:.0f}",
-                f"{answer.seconds:.2g}",
-                answer.status,
-            )
-    Console(width=120).print(table)
-
-
 def _table(title: str, columns: Sequence[str]) -> Table:
     table = Table(title, box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
     for column in columns:
@@ -134,7 +94,5 @@ if __name__ == "__main__":
     part, *given = sys.argv[1:] or ["kit"]
     if part == "nine":
         nine(*given or ["results/peers"])
-    elif part == "rigid":
-        rigid()
     else:
         kit(int(given[0]) if given else 5)

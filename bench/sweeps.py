@@ -127,7 +127,7 @@ def canned() -> tuple[Trial, Trajectory]:
         cell = cells_of(scenario, Store(Path(folder)), quiet)[0][0]
         turn = Rotate(cell.grasps[0], duration=2.0, back=True)
         trial = Trial(cell.model, turn, cell.support)
-        return trial, SimulationRunner(scenario.simulation.build()).run_clean(trial)
+        return trial, SimulationRunner().run_clean(trial)
 
 
 def resume() -> None:

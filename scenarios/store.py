@@ -19,7 +19,7 @@ from collections.abc import Iterable
 from dataclasses import asdict, dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
@@ -27,7 +27,6 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from estimators.protocol import Estimate
-from scenarios.benches import BenchSettings
 from testbed.actions import action_to_dict
 from testbed.foot_forces import FootForces, save_foot_forces
 from testbed.object_files import ObjectFile
@@ -42,6 +41,9 @@ from testbed.trajectory import (
     write_whole,
 )
 from testbed.trial import Trial
+
+if TYPE_CHECKING:  # it needs MuJoCo, which needs a display
+    from scenarios.benches import BenchSettings
 
 
 def key_of(asked: dict[str, Any]) -> str:

@@ -20,6 +20,8 @@ TIMESTEP = 0.001
 """Physics step, s: at twice it the feet of a light guess shake."""
 CONTACT = ContactSettings(sag=1e-4, impedance=1e-3)
 """Of the feet: it settles in a third of the bench's time."""
+ARENA = 2**22
+"""Of a simulation, bytes: a tenth is used, and the toolbox keeps many at once, each MuJoCo's own 14 MB large."""
 DRIVE = 1e6
 """Inertia of the drive, kg and kg m^2: the drag of an object does not slow it down."""
 FORCE, TORQUE = "wrist_force", "wrist_torque"
@@ -36,6 +38,7 @@ def planar_scene(guess: ObjectModel, support: Support, grasp: Float[np.ndarray, 
             the joints, and where a foot hardly moves that is not small: a turn is best driven from near its centre.
     """
     spec = mujoco.MjSpec()
+    spec.memory = ARENA
     option = spec.option
     option.timestep, option.gravity = TIMESTEP, (0.0, 0.0, -GRAVITY)
     option.integrator = mujoco.mjtIntegrator.mjINT_EULER

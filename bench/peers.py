@@ -1,7 +1,8 @@
 """Algorithm 1 beside the paper's baselines and the field's tools.
 
     python bench/peers.py kit [DRAWS]    recorded blocks of the conformance kit: two minutes of one core with five draws
-    python bench/peers.py nine [FOLDER]  all nine methods on the simulated bench: most of an hour of one core
+    python bench/peers.py nine [FOLDER]  all nine methods on the simulated bench: half an hour of one core
+    python bench/peers.py rigid          the toolbox and `support_aware` where one rigid body hides the masses: minutes
 
 In `kit` every method is given the same seven trials of a block on its own weight, felt by an FT-300S, and M;
 `explicit_state` is the paper's baseline with M and errors by their covariance, `explicit_state_M_cov` of `blocks`.
@@ -12,9 +13,11 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
+from itertools import product
 from pathlib import Path
 from statistics import mean, median
 
+import numpy as np
 import torch
 from rich import box
 from rich.console import Console
@@ -27,8 +30,10 @@ from estimators.least_squares import LeastSquares
 from estimators.metrics import normalized_absolute_difference
 from estimators.nelder_mead import NelderMead
 from estimators.protocol import Estimator
+from estimators.support_aware import SupportAware
 from estimators.testing.recorded import load_block
 from scenarios.cli import main as heft
+from scenarios.mujoco_sysid import MujocoSysid
 from scenarios.results import load_results
 
 METHODS: dict[str, Estimator] = {
@@ -38,6 +43,7 @@ METHODS: dict[str, Estimator] = {
     "nelder_mead": NelderMead(),
     "explicit_state": ExplicitState(use_weight=True, weighting="covariance"),
 }
+RIGID: dict[str, Estimator] = {"mujoco_sysid": MujocoSysid(support="rigid"), "support_aware": SupportAware()}
 OBJECTS = ("I1", "I2", "L1", "L2", "F1", "F2", "T", "U", "drawn_a", "drawn_b", "drawn_d")
 
 
@@ -74,12 +80,33 @@ def nine(folder: str) -> None:
                 str(method),
                 *nads,
                 *(f"{v:.2g}" for v in rest),
-                f"{own['rollouts'].mean():.0f}",
+                f"{own['rollouts'].fillna(0).mean():.0f}",
                 f"{own['robot_s'].mean():.0f}",
             )
         best = 100 * rows["mpd_open_loop_of_truth_m"].mean()
         table.add_row("the true masses", *[""] * len(names), f"{best:.2g}", "", "", "")
         Console(width=120).print(table)
+
+
+def rigid() -> None:
+    """Print NAD, misfit, the widest standard error of a block and the status under one rigid body, a perfect sensor."""
+    table = _table("one rigid body, ideal", ("block", "NAD, %", "misfit", "widest error, kg", "status", "s"))
+    for known, (name, method) in product(("I2", "L2", "F2"), RIGID.items()):
+        block = load_block(f"{known}-rigid")
+        answer = method.estimate(block.model.shape, block.weighed("ideal", 0), block.trials("ideal", 0), 0)
+        assert answer.distribution is not None and answer.covariance is not None, answer.message
+        error = np.sqrt(np.diagonal(answer.covariance)) * block.model.shape.particles_per_group
+        nad = normalized_absolute_difference(block.model.shape, answer.distribution, block.model.truth)
+        misfit = answer.diagnostics.get("misfit")
+        row = (
+            f"{100 * nad:.1f}",
+            "" if misfit is None else f"{misfit:.2g}",
+            f"{error.max():.2g}",
+            answer.status,
+            f"{answer.seconds:.2g}",
+        )
+        table.add_row(name, known, *row)
+    Console(width=120).print(table)
 
 
 def _table(title: str, columns: Sequence[str]) -> Table:
@@ -94,5 +121,7 @@ if __name__ == "__main__":
     part, *given = sys.argv[1:] or ["kit"]
     if part == "nine":
         nine(*given or ["results/peers"])
+    elif part == "rigid":
+        rigid()
     else:
         kit(int(given[0]) if given else 5)

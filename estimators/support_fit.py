@@ -6,6 +6,7 @@ is bilinear in friction and mass: one fit serves both, with the same data and th
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -136,13 +137,14 @@ def fit_support(
     response = _response(model, steady, loads_of)
     other = next(loads for name, loads in _LOADS.items() if name != support)
     elsewhere = _response(model, steady, other)
+    swung = [_response(model, accelerated, each) for each in (loads_of, other)]
+    rows, _ = steady.drag_rows(model, errors.pivot_error)
     unsure = 0.0 if spread_known else 1.0
     weak, even = _weak_prior(shape, weight)
     fit: SupportFit | None = None
     for _ in range(ROUNDS):
         at_mass, at_friction = torch.tensor(mass), torch.tensor(friction)
         pushed = model.particle_friction(at_friction) * loads.at(at_mass)
-        rows, _ = steady.drag_rows(model, errors.pivot_error)
         carried = rows @ (model.particle_friction(at_friction)[:, None] * response)
         apart, common = wrench_errors(steady, model, pushed, carried, errors)
         otherwise = rows @ (model.particle_friction(at_friction)[:, None] * elsewhere)
@@ -155,7 +157,7 @@ def fit_support(
         off = steady.wrench - wrenches.wrench(at_mass, at_friction)
         linear = off.flatten() + of_friction @ at_friction + of_mass @ at_mass
         excluded = model.particle_friction(at_friction)[:, None] * _excluded(model, support)
-        pivots = _pivots(model, shape, accelerated, at_mass, at_friction, loads_of, other, unsure, errors)
+        pivots = _pivots(model, shape, accelerated, at_mass, at_friction, loads_of, swung, unsure, errors)
         known, known_target, known_volume = _known(shape, weight, pivots, errors, lifted)
         fit = SupportFit(
             support,
@@ -238,11 +240,14 @@ def _pivots(
     mass: Tensor,
     friction: Tensor,
     loads_of: LoadsOf,
-    other: LoadsOf,
+    responses: Sequence[Float[Tensor, "K P 3"]],
     unsure: float,
     errors: ModelErrors,
 ) -> PivotInertia | None:
-    """I_j, with the change of friction that the gripper's changing load brings taken away."""
+    """I_j, with the change of friction that the gripper's changing load brings taken away.
+
+    Of its `responses`, the first is by this support model, the second by the other.
+    """
     if len(windows) == 0:
         return None
     particle_mass = model.particle_mass(mass)
@@ -253,7 +258,7 @@ def _pivots(
     felt = (rows @ (model.particle_friction(friction) * loads)[..., None])[:, 2, 0]
     moved = windows.inertial_wrench(inertia)[:, 2]
     rubbed = rows @ model.particle_friction(friction).diag()
-    response, otherwise = (rubbed @ _response(model, windows, each) for each in (loads_of, other))
+    response, otherwise = (rubbed @ each for each in responses)
     spread = unsure * ((otherwise - response)[:, 2] * load.carried).numpy()
     error = torque_covariance(windows, response) + spread @ spread.T
     return pivot_inertias(windows, felt.numpy(), moved.numpy(), errors.inertia_error, error)

@@ -178,13 +178,13 @@ def batch_plan(design: Design, before: Belief, goal: Goal, asked: Asked) -> Plan
     index_of = {action: i for i, action in enumerate(design.candidates)}
     first = greedy_plan(design, before, goal, asked)
     left = goal.budget_s if goal.budget_s is not None else first.seconds
-    start, begun, ends = first, set(), []
-    for _ in range(STARTS):
-        chosen = [index_of[action] for action in start.actions]
-        begun |= {*chosen}
-        ends.append(_settled(design, before, chosen, goal, left, asked))
+    starts = [[index_of[action] for action in first.actions]]
+    while len(starts) < STARTS:
+        begun = {index for chosen in starts for index in chosen}
         rest = [i for i in range(len(design.candidates)) if i not in begun]
         start = greedy_plan(design.of_some(rest), before, replace(goal, budget_s=left), asked)
+        starts.append([index_of[action] for action in start.actions])
+    ends = [_settled(design, before, chosen, goal, left, asked) for chosen in starts]
     best = min(ends, key=lambda chosen: _rank(design, before, chosen, goal))
     return as_plan(design, before, best, first.why, asked)
 

@@ -77,7 +77,7 @@ def observed(
     question: Question | None = None,
 ) -> Identifiability:
     """What some trials show of an object with such masses and frictions."""
-    windows, lifts = observe(shape, trajectories), lifts_among(shape, trajectories)
+    windows, lifts = observe(shape, trajectories), list(lifts_among(shape, trajectories).values())
     root = information_root(shape, distribution, windows, question or Question(), lifts)
     return identifiability(shape, distribution, root)
 

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
+from estimators.reduced_trials import reduced_trials
 from testbed.actions import Lift
-from testbed.errors import InvalidValueError
 from testbed.lift_reduction import LiftWindow, lift_windows
 from testbed.objects import GRAVITY, ObjectShape
 from testbed.trajectory import Trajectory
@@ -69,7 +69,7 @@ def lifted_rows(
     Raises:
         InvalidValueError: a grasp that the shape does not have.
     """
-    trials = lifts_among(shape, trajectories)
+    trials = list(lifts_among(shape, trajectories).values())
     if not trials:
         return LiftedRows.none(shape)
     even = np.full(shape.n_m, weight / len(shape.particles))
@@ -80,27 +80,13 @@ def lifted_rows(
     return known
 
 
-def lifts_among(shape: ObjectShape, trajectories: Sequence[Trajectory]) -> list[list[LiftWindow]]:
-    """The windows of every lift among some trajectories that ended well.
+def lifts_among(shape: ObjectShape, trajectories: Sequence[Trajectory]) -> dict[int, list[LiftWindow]]:
+    """The windows of every lift among some trajectories that ended well, by its place among them.
 
     Raises:
         InvalidValueError: a grasp that the shape does not have.
     """
-    trials = []
-    for index, trajectory in enumerate(trajectories):
-        if not (trajectory.ok and isinstance(trajectory.action, Lift)):
-            continue
-        if trajectory.action.grasp >= len(shape.grasps):
-            raise InvalidValueError(
-                f"trajectories[{index}].action.grasp",
-                trajectory.action.grasp,
-                f"one of the shape's {len(shape.grasps)} grasps, counted from 0: another object's trial?",
-            )
-        try:
-            trials.append(lift_windows(trajectory))
-        except InvalidValueError:  # no stretch long enough to trim
-            continue
-    return trials
+    return reduced_trials(shape, trajectories, (Lift,), lift_windows)
 
 
 def _compressed(

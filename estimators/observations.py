@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import get_args
 
 import numpy as np
 import torch
@@ -13,9 +14,9 @@ from torch import Tensor
 from estimators.dynamics import Inertia, ParticleModel, cross, turned
 from estimators.felt_load import likely_load, load_map
 from estimators.model_errors import ModelErrors
+from estimators.reduced_trials import reduced_trials
 from estimators.support import GripperLoad
-from testbed.actions import Accelerate, Lift, Weigh
-from testbed.errors import InvalidValueError
+from testbed.actions import Accelerate, TableAction
 from testbed.objects import ObjectShape
 from testbed.reduction import SteadyWindow, steady_windows
 from testbed.trajectory import Trajectory
@@ -280,21 +281,10 @@ def observe(
     windows: list[SteadyWindow] = []
     trial: list[int] = []
     accelerated: list[bool] = []
-    for index, trajectory in enumerate(trajectories):
-        if trajectory.ok and not isinstance(trajectory.action, Weigh | Lift):
-            if trajectory.action.grasp >= len(shape.grasps):
-                raise InvalidValueError(
-                    f"trajectories[{index}].action.grasp",
-                    trajectory.action.grasp,
-                    f"one of the shape's {len(shape.grasps)} grasps, counted from 0: another object's trial?",
-                )
-            try:
-                found = steady_windows(trajectory)
-            except InvalidValueError:  # no steady stretch long enough to trim
-                continue
-            windows += found
-            trial += [index] * len(found)
-            accelerated += [isinstance(trajectory.action, Accelerate)] * len(found)
+    for index, found in reduced_trials(shape, trajectories, get_args(TableAction), steady_windows).items():
+        windows += found
+        trial += [index] * len(found)
+        accelerated += [isinstance(trajectories[index].action, Accelerate)] * len(found)
     if not windows:
         return None
     wrench = np.array([w.wrench for w in windows])

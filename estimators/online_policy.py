@@ -54,6 +54,11 @@ class Decision:
     rejected: tuple[tuple[Action, str], ...] = ()
     """What would have taught more, and why the bench cannot do it."""
 
+    @property
+    def answered(self) -> bool:
+        """Whether there is an answer, and one that leaves nothing open without bound."""
+        return _covariance(self.estimate) is not None
+
 
 @dataclass(frozen=True)
 class OnlineTouches:
@@ -94,10 +99,8 @@ class OnlineTouches:
         guess = replace(self.guess, supports=_supports(self.guess, estimate))
         at = _where(shape, guess, windows, estimate)
         misfit = estimate.diagnostics.get("loss", 1.0) if estimate is not None else 1.0
-        own, contradicted = (
-            guess.supports == ("own_weight",),
-            estimate is not None and estimate.status == "contradictory",
-        )
+        own = guess.supports == ("own_weight",)
+        contradicted = estimate is not None and estimate.status == "contradictory"
         belief = before_trials(shape, guess)
         if not contradicted:  # else nothing that was felt can be believed
             inflated = misfit if own and misfit > DISAGREE else 1.0
@@ -193,9 +196,7 @@ def _felt(
 ) -> Float[np.ndarray, "S U U"]:
     """Information of all trials felt, under each support model."""
     count = len(trajectories)
-    lifts = {
-        index: found[0] for index in range(count) if (found := lifts_among(shape, trajectories[index : index + 1]))
-    }
+    lifts = lifts_among(shape, trajectories)
     return np.stack(
         [trial_information(shape, at, windows, count, question, lifts).information() for question in guess.questions()]
     )

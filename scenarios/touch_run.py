@@ -189,7 +189,7 @@ def _answer(model: ObjectModel, wish: Wish, keys: list[str], store: Store) -> di
 def _tell(console: Console, model: ObjectModel, outcome: Outcome, goal: Goal) -> None:
     """How it ended, what the masses are and whether they can be trusted, and what stays unknown."""
     last, row, answer = outcome.last, outcome.row, outcome.last.estimate
-    answered = answer is not None and answer.covariance is not None and bool(np.isfinite(answer.covariance).all())
+    answered = last.answered
     console.print(f"stopped: {last.why}", highlight=False)
     reached = f"expected NAD {100 * last.nad:.3g} %"
     if not answered:

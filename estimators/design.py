@@ -25,6 +25,8 @@ from testbed.sensing import Sensing
 
 Criterion = Literal["A", "D", "I"]
 """What a plan makes small: the trace of the masses' covariance, its volume, or the expected NAD."""
+THOUGHT: dict[str, tuple[str, ...]] = {**{support: (support,) for support in SUPPORTS}, "either": SUPPORTS}
+"""Support models that are thought possible, by the name on a command line and in a file."""
 NORMAL_MEAN = math.sqrt(2 / math.pi)
 """Mean size of a standard normal number."""
 LEAST_GAIN = 0.01

@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.table import Table
 
 from estimators.candidate_actions import ActionFamily
-from estimators.design import Belief, Design, Guess, before_trials
+from estimators.design import THOUGHT, Belief, Design, Guess, before_trials
 from estimators.fisher import Question, expected
 from estimators.planned_policy import PlannedTouches
 from estimators.rank_driven import RankDriven
@@ -29,8 +29,6 @@ from viz.plan_shown import PlanShown
 from viz.plan_view import plan_page
 from viz.recording import save
 
-SUPPORTS = {"own_weight": ("own_weight",), "rigid": ("rigid",), "either": ("own_weight", "rigid")}
-"""Who may carry the weight, by the name on the command line."""
 MOST_REJECTED = 5
 """Reasons that are printed."""
 MOST_NAMED = 3
@@ -91,9 +89,9 @@ def shown_of(model: ObjectModel, made: Plan, title: str) -> PlanShown:
 def planned(model: ObjectModel, wish: Wish) -> Plan:
     """The plan; of the object, only shape and weight are looked at."""
     shape = model.shape
-    if wish.support not in SUPPORTS:
-        raise InvalidValueError("support", wish.support, f"one of {', '.join(SUPPORTS)}")
-    guess = Guess(model.total_mass, preset(wish.sensing), wish.friction, SUPPORTS[wish.support])
+    if wish.support not in THOUGHT:
+        raise InvalidValueError("support", wish.support, f"one of {', '.join(THOUGHT)}")
+    guess = Guess(model.total_mass, preset(wish.sensing), wish.friction, THOUGHT[wish.support])
     goal = Goal(percent(wish.until, "--until"), seconds(wish.budget, "--budget"), wish.most)
     grasps = named_grasps(model, wish.grasps)
     if wish.policy == "paper":
@@ -118,7 +116,7 @@ def family_of(support: str, *, lifts: bool) -> ActionFamily:
     Raises:
         InvalidValueError: lifts of what cannot be one rigid body.
     """
-    if lifts and "rigid" not in SUPPORTS[support]:
+    if lifts and "rigid" not in THOUGHT[support]:
         allowed = "no lifts where every block rests on its own weight, and only what is gripped would come along"
         raise InvalidValueError("lifts", lifts, f"{allowed}; lift under support rigid or either")
     return ActionFamily(lifts=lifts)
@@ -221,7 +219,7 @@ def said(model: ObjectModel, made: Plan, wish: Wish) -> list[str]:
     if until is not None and made.after.expected_nad > until:
         lines.append(f"the target of {100 * until:g} % is not reached; {nad} is the best that this can have")
     guess = Guess(model.total_mass, preset(wish.sensing), wish.friction)
-    for support in SUPPORTS[wish.support]:
+    for support in THOUGHT[wish.support]:
         actions = [a for a in made.actions if support == "rigid" or not isinstance(a, Lift)]
         report = expected(model.shape, guess.uniform(model.shape), actions, preset(wish.sensing), Question(support))
         lines.append(f"{support}: {report.sentence}")

@@ -11,14 +11,14 @@ import numpy as np
 from rich.console import Console
 
 from estimators.candidate_actions import ActionFamily
-from estimators.design import Guess
+from estimators.design import THOUGHT, Guess
 from estimators.online_policy import DISAGREE, Decision, OnlineTouches, spent_seconds
 from estimators.touch_plan import Goal
 from scenarios.amounts import percent, seconds
 from scenarios.bench_check import BenchCheck
 from scenarios.estimates import Asked, estimate, sensed
 from scenarios.folder_lock import exclusive
-from scenarios.plan_run import SUPPORTS, family_of, in_words, named_grasps, sentence
+from scenarios.plan_run import family_of, in_words, named_grasps, sentence
 from scenarios.schema import Scenario
 from scenarios.store import Store, key_of, trial_request, write_json
 from scenarios.sweep import manifest
@@ -75,8 +75,8 @@ def touch(console: Console, name: str, wish: Wish) -> Outcome:
     Raises:
         InvalidValueError: a grasp, sensor, support or amount that is not there.
     """
-    if wish.thought not in SUPPORTS:
-        raise InvalidValueError("support", wish.thought, f"one of {', '.join(SUPPORTS)}")
+    if wish.thought not in THOUGHT:
+        raise InvalidValueError("support", wish.thought, f"one of {', '.join(THOUGHT)}")
     model, begin = load_object(name), time.monotonic()
     folder = wish.out or Path("results") / f"touch_{model.name}"
     goal = Goal(percent(wish.until, "--until"), seconds(wish.budget, "--budget"), wish.most)
@@ -121,7 +121,7 @@ class _Run:
         keys = [self._made(Weigh())]
         weight = weight_of(self._felt(keys)[0])
         self.console.print(f"weighed: {weight:.3f} kg", highlight=False)
-        guess = Guess(weight, preset(self.wish.sensing), supports=SUPPORTS[self.wish.thought])
+        guess = Guess(weight, preset(self.wish.sensing), supports=THOUGHT[self.wish.thought])
         shape, refused = self.model.shape, dict[Action, str]()
         check = BenchCheck(shape, guess)
         policy = OnlineTouches(

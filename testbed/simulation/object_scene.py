@@ -14,6 +14,20 @@ from testbed.trial import Support
 _GROUP_COLORS = ((0.84, 0.66, 0.4, 1.0), (0.45, 0.58, 0.72, 1.0), (0.62, 0.74, 0.5, 1.0), (0.8, 0.52, 0.5, 1.0))
 
 
+def set_solver(spec: mujoco.MjSpec, timestep: float, contact: ContactSettings) -> None:
+    """Gravity, and how contacts that slide steadily are solved; `timestep` in s."""
+    option = spec.option
+    option.timestep = timestep
+    option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET  # divergence must be seen, not repaired
+    option.gravity = (0.0, 0.0, -GRAVITY)
+    # Explicit damping: an implicit integrator moves by another acceleration than the one its sensors report
+    option.integrator = mujoco.mjtIntegrator.mjINT_EULER
+    option.disableflags |= mujoco.mjtDisableBit.mjDSBL_EULERDAMP
+    option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
+    option.jacobian = mujoco.mjtJacobian.mjJAC_SPARSE  # a quarter faster here than dense
+    option.impratio = contact.impratio
+
+
 def add_object(spec: mujoco.MjSpec, obj: ObjectModel, support: Support) -> list[mujoco.MjsBody]:
     """One body a mass group (own weight, springs) or one for all (rigid). The first carries the free joint.
 

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from testbed.objects import GRAVITY, ObjectModel
-from testbed.simulation.object_scene import add_feet, foot_stiffness, soften_feet
+from testbed.simulation.object_scene import add_feet, foot_stiffness, set_solver, soften_feet
 from testbed.simulation.settings import ContactSettings
 from testbed.trial import Support
 
@@ -39,12 +39,8 @@ def planar_scene(guess: ObjectModel, support: Support, grasp: Float[np.ndarray, 
     """
     spec = mujoco.MjSpec()
     spec.memory = ARENA
-    option = spec.option
-    option.timestep, option.gravity = TIMESTEP, (0.0, 0.0, -GRAVITY)
-    option.integrator = mujoco.mjtIntegrator.mjINT_EULER
-    option.disableflags |= mujoco.mjtDisableBit.mjDSBL_EULERDAMP | mujoco.mjtDisableBit.mjDSBL_AUTORESET
-    option.cone, option.jacobian = mujoco.mjtCone.mjCONE_ELLIPTIC, mujoco.mjtJacobian.mjJAC_SPARSE
-    option.impratio, option.tolerance = CONTACT.impratio, 1e-20  # slopes are differences of 1e-8
+    set_solver(spec, TIMESTEP, CONTACT)
+    spec.option.tolerance = 1e-20  # slopes are differences of 1e-8
     spec.worldbody.add_geom(name="top", type=mujoco.mjtGeom.mjGEOM_PLANE, size=(1, 1, 0.1), contype=0, conaffinity=0)
     add_feet(spec, guess, _add_groups(spec, _add_drive(spec), guess, support, grasp), CONTACT)
     return spec

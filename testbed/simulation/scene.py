@@ -10,9 +10,9 @@ import mujoco
 import numpy as np
 
 from testbed.errors import InvalidValueError
-from testbed.objects import GRAVITY, Grasp, ObjectModel
+from testbed.objects import Grasp, ObjectModel
 from testbed.resources import asset_folder
-from testbed.simulation.object_scene import add_feet, add_grip, add_object, soften_feet
+from testbed.simulation.object_scene import add_feet, add_grip, add_object, set_solver, soften_feet
 from testbed.simulation.settings import SimulationSettings
 from testbed.trial import Support
 
@@ -51,16 +51,7 @@ def build_scene(
     """
     spec = part("table")
     spec.modelname = f"heft_{obj.name}"
-    option = spec.option
-    option.timestep = settings.timestep
-    option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET  # divergence must be seen, not repaired
-    option.gravity = (0.0, 0.0, -GRAVITY)
-    # Explicit damping: an implicit integrator moves by another acceleration than the one its sensors report
-    option.integrator = mujoco.mjtIntegrator.mjINT_EULER
-    option.disableflags |= mujoco.mjtDisableBit.mjDSBL_EULERDAMP
-    option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
-    option.jacobian = mujoco.mjtJacobian.mjJAC_SPARSE  # a quarter faster here than dense
-    option.impratio = settings.contact.impratio
+    set_solver(spec, settings.timestep, settings.contact)
     standing = np.unique(obj.shape.mass_group[obj.shape.friction_group >= 0])
     if not support.is_rigid and len(standing) < obj.shape.n_m:
         clear = sorted(set(range(obj.shape.n_m)) - set(standing.tolist()))

@@ -22,6 +22,7 @@ from itertools import product, zip_longest
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
+from zlib import crc32
 
 import numpy as np
 import torch
@@ -48,7 +49,7 @@ from testbed.actions import Action
 from testbed.errors import HeftError, InfeasibleTrialError
 from testbed.object_files import load_object
 from testbed.objects import ObjectModel
-from testbed.sensing import draw_sensing, preset
+from testbed.sensing import Sensing, draw_sensing, preset
 from testbed.simulation.runner import SimulationRunner
 from testbed.simulation.settings import SimulationSettings
 from testbed.trajectory import Trajectory, write_whole
@@ -204,7 +205,7 @@ def _rows(model: ObjectModel, sensing_name: str, draws: int) -> Iterator[dict[st
         clean: list[Trajectory] = []
         while (action := policy.next(shape, clean)) is not None:
             clean.append(_made(runner, model, action))
-        drawn_ = [[draw_sensing(t, sensing, 1000 * seed + i) for i, t in enumerate(clean)] for seed in range(draws)]
+        drawn_ = [[_felt(t, sensing, model, name, draw, i) for i, t in enumerate(clean)] for draw in range(draws)]
         plan = policy.plan(shape) if isinstance(policy, PlannedTouches) else None
         for count in range(1, len(clean) + 1):
             yield {
@@ -218,7 +219,7 @@ def _rows(model: ObjectModel, sensing_name: str, draws: int) -> Iterator[dict[st
     felt: list[Trajectory] = []
     decision = online.decide(shape, felt)
     while decision.action is not None:
-        felt.append(draw_sensing(_made(runner, model, decision.action), sensing, len(felt)))
+        felt.append(_felt(_made(runner, model, decision.action), sensing, model, "online", 0, len(felt)))
         decision = online.decide(shape, felt)
         yield {
             "object": model.name,
@@ -231,6 +232,11 @@ def _rows(model: ObjectModel, sensing_name: str, draws: int) -> Iterator[dict[st
 
 def _made(runner: SimulationRunner, model: ObjectModel, action: Action) -> Trajectory:
     return runner.run_clean(Trial(model, action))
+
+
+def _felt(clean: Trajectory, sensing: Sensing, model: ObjectModel, policy: str, draw: int, trial: int) -> Trajectory:
+    """With errors that no other trial of any object has: else every median would be over the same few draws."""
+    return draw_sensing(clean, sensing, crc32(f"{model.name} {policy} {draw} {trial}".encode()))
 
 
 def _nad(model: ObjectModel, felt: Sequence[Trajectory]) -> float:

@@ -192,6 +192,7 @@ def _rows(model: ObjectModel, sensing_name: str, draws: int) -> Iterator[dict[st
     """Rows of an object: NAD after each trial of each policy, mean over draws; 1 draw where the policy sees it."""
     shape, sensing = model.shape, preset(sensing_name)
     guess, runner = Guess(model.total_mass, sensing), SimulationRunner()
+    made = cache(lambda action: _made(runner, model, action))  # greedy and batch have actions in common
     check = BenchCheck(shape, guess)
     goal = Goal(budget_s=BUDGET, most=20)
     ahead: dict[str, ActionPolicy] = {
@@ -204,7 +205,7 @@ def _rows(model: ObjectModel, sensing_name: str, draws: int) -> Iterator[dict[st
     for name, policy in ahead.items():
         clean: list[Trajectory] = []
         while (action := policy.next(shape, clean)) is not None:
-            clean.append(_made(runner, model, action))
+            clean.append(made(action))
         drawn_ = [[_felt(t, sensing, model, name, draw, i) for i, t in enumerate(clean)] for draw in range(draws)]
         plan = policy.plan(shape) if isinstance(policy, PlannedTouches) else None
         for count in range(1, len(clean) + 1):
@@ -219,7 +220,7 @@ def _rows(model: ObjectModel, sensing_name: str, draws: int) -> Iterator[dict[st
     felt: list[Trajectory] = []
     decision = online.decide(shape, felt)
     while decision.action is not None:
-        felt.append(_felt(_made(runner, model, decision.action), sensing, model, "online", 0, len(felt)))
+        felt.append(_felt(made(decision.action), sensing, model, "online", 0, len(felt)))
         decision = online.decide(shape, felt)
         yield {
             "object": model.name,

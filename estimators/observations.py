@@ -93,87 +93,36 @@ class Observations:
 
     def shared_covariance(self) -> Float[Tensor, "K 3 K 3"]:
         """Of what the windows of one trial share: what its tare left, and how the sensor's zero has walked since."""
-        left = self._together[:, None, :, None] * self.bias[:, PLANAR][:, :, PLANAR][:, :, None]
+        left = self.together[:, None, :, None] * self.bias[:, PLANAR][:, :, PLANAR][:, :, None]
         return left + self.walk_covariance()
 
     def walk_covariance(self) -> Float[Tensor, "K 3 K 3"]:
         """Of what the walk of the sensor's zero has added to each window since its trial's tare."""
-        return self._walked[:, None, :, None] * self.drift[:, PLANAR][:, :, PLANAR][:, :, None]
-
-    def load_covariance(self) -> Float[Tensor, "K K 3"]:
-        """Of what the sensor's errors make of lift and tilt as felt, between windows, N^2 and (N m)^2."""
-        error = torch.block_diag(*self.load_map)
-        whole = (error @ self._sensor_covariance() @ error.T).reshape(len(self), 3, len(self), 3)
-        return torch.diagonal(whole, dim1=1, dim2=3)
-
-    def sensor_error(self, response: Float[Tensor, "K 3 3"]) -> Float[Tensor, "3K 3K"]:
-        """Covariance of wrenches, less the `response` to lift and tilt, from all of the sensor's errors.
-
-        One force feeds both, so what is common to a wrench and to the load on the feet counts once.
-        """
-        rows = 3 * len(self)
-        planar = torch.block_diag(*[torch.eye(6, dtype=torch.float64)[PLANAR]] * len(self))
-        carried = torch.block_diag(*response) @ self._load_error()
-        error = planar - carried
-        return (error @ self._sensor_covariance() @ error.T).reshape(rows, rows)
-
-    def _sensor_covariance(self) -> Float[Tensor, "6K 6K"]:
-        """Of all windows' six components."""
-        shared = self._together[:, None, :, None] * self.bias[:, :, None] + (
-            self._walked[:, None, :, None] * self.drift[:, :, None]
-        )
-        return shared.reshape(6 * len(self), 6 * len(self)) + torch.block_diag(*self.noise)
-
-    def _load_error(self) -> Float[Tensor, "3K 6K"]:
-        """Errors of lift and tilt as given here from the sensor's: only parts of mean and change were kept."""
-        own = self._change[:, None] * self.load_followed[..., None] + self._mean[:, None] * self.load_kept[..., None]
-        return torch.einsum("kal,lai->kali", own, self.load_map).reshape(3 * len(self), 6 * len(self))
-
-    def unseen_load(
-        self, response: Float[Tensor, "K 3 3"], nulled: Float[Tensor, "3"], shared: Float[Tensor, "3"]
-    ) -> Float[Tensor, "3K 3K"]:
-        """Covariance of wrenches from the lift and tilt that were taken for the sensor's error.
-
-        Where a part k of a load was kept against a sensor's error of variance b, the load scatters by k b / (1 - k),
-        and (1 - k) of it went: k (1 - k) b is its variance. A trial's mean is taken to scatter by no less than `nulled`
-        about what all trials share, which scatters by `shared` and is not in it (N, N m, one standard deviation).
-        """
-        error = self.load_covariance()
-        of_mean, of_change = (torch.einsum("kl,lma,nm->kna", part, error, part) for part in (self._mean, self._change))
-        dropped = 1 - self.load_kept
-        scatter = self.load_kept * dropped * torch.diagonal(of_mean).T - (dropped * shared).square()
-        hidden = torch.maximum(scatter, (dropped * nulled).square()).sqrt()
-        missed = torch.diagonal(of_change).T.clamp(min=0) * self.load_followed * (1 - self.load_followed)
-        alpha = self.acceleration[:, 2]
-        along = alpha / (self._mean @ alpha.square()).sqrt().clamp(min=1e-9)
-        swung = self._together * along[:, None] * along  # what a swing of the arm changes goes with its acceleration
-        change = torch.where(self.accelerated[:, None], swung, self._change)[..., None] * missed.sqrt()
-        load = self._together[..., None] * hidden[:, None] * hidden + change * missed.sqrt()[:, None]
-        return torch.einsum("kia,kla,lja->kilj", response, load, response).reshape(3 * len(self), 3 * len(self))
+        return self.walked[:, None, :, None] * self.drift[:, PLANAR][:, :, PLANAR][:, :, None]
 
     @property
-    def _mean(self) -> Float[Tensor, "K K"]:
+    def trial_mean(self) -> Float[Tensor, "K K"]:
         """Takes values to the means over their trials."""
-        return self._together / self._together.sum(1, keepdim=True)
+        return self.together / self.together.sum(1, keepdim=True)
 
     @property
-    def _change(self) -> Float[Tensor, "K K"]:
+    def trial_change(self) -> Float[Tensor, "K K"]:
         """Takes values to what they have beyond the means over their trials."""
-        return torch.eye(len(self), dtype=torch.float64) - self._mean
+        return torch.eye(len(self), dtype=torch.float64) - self.trial_mean
 
     @property
-    def _together(self) -> Float[Tensor, "K K"]:
+    def together(self) -> Float[Tensor, "K K"]:
         """1 for windows of the same trial."""
         return (self.trial[:, None] == self.trial).double()
 
     @property
-    def _walked(self) -> Float[Tensor, "K K"]:
+    def walked(self) -> Float[Tensor, "K K"]:
         """Covariance of the means over two windows of a random walk of 1 a second that began at their trial's tare."""
         begin, end = self.since_tare[:, 0], self.since_tare[:, 1]
         middle = (begin + end) / 2
         walked = torch.minimum(middle[:, None], middle)  # of the walk at two times: the earlier of them
         walked.diagonal().copy_(begin + (end - begin) / 3)
-        return self._together * walked
+        return self.together * walked
 
     def lever(self, model: ParticleModel) -> Float[Tensor, "K P 2"]:
         """Particles from the grasp point, m."""
@@ -256,7 +205,7 @@ class Observations:
         # of what the mass takes only the parts that were kept of the tilt, which held it; at one speed it takes as much
         # there and back
         kept, followed = self.load_kept[:, 1:], self.load_followed[:, 1:]
-        swung = kept * (self._mean @ moved) + followed * (self._change @ moved)
+        swung = kept * (self.trial_mean @ moved) + followed * (self.trial_change @ moved)
         taken = torch.where(self.accelerated[:, None], swung, kept * moved)
         return GripperLoad(self.lift, self.tilt - taken, self.held, self.grasp)
 

@@ -13,7 +13,7 @@ from estimators.felt_load import load_map
 from estimators.observations import Observations
 from testbed.actions import Accelerate, Action, Lift, Rotate, Slide, TableAction, Weigh, pivot_of
 from testbed.errors import InvalidValueError
-from testbed.frames import move_wrench, perpendicular, rotation_2d
+from testbed.frames import move_wrench, rotation_2d
 from testbed.objects import ObjectShape
 from testbed.reduction import TRIM_END, TRIM_START, TRIM_STEP
 from testbed.sensing import Sensing
@@ -70,25 +70,25 @@ def planned_observations(shape: ObjectShape, actions: Sequence[Action], sensing:
     count = len(stretches)
     points = np.array([shape.grasps[g].position for g in grasp])
     nearest = np.linalg.norm(shape.particles[None] - points[:, None], axis=-1).argmin(axis=1)
-    tensor = lambda values: torch.tensor(np.array(values, dtype=float))  # noqa: E731
-    noise, bias, drift = sensor_at_tcp(sensing)
+    noise, bias, drift = (torch.tensor(each).expand(count, 6, 6) for each in sensor_at_tcp(sensing))
+    since_tare = torch.tensor([(s.begin, s.end) for s, _ in stretches], dtype=torch.float64)
+    twist = torch.tensor([s.twist for s, _ in stretches], dtype=torch.float64)
     zeros = torch.zeros(count, dtype=torch.float64)
-    turning = [s.twist[2] for s, _ in stretches]
     return Observations(
         wrench=torch.zeros(count, 3, dtype=torch.float64),
-        noise=tensor([noise / (s.end - s.begin) for s, _ in stretches]),
-        bias=tensor([bias] * count),
-        drift=tensor([drift] * count),
-        since_tare=tensor([(s.begin, s.end) for s, _ in stretches]),
-        twist=tensor([s.twist for s, _ in stretches]),
-        twists=tensor([[s.twist] for s, _ in stretches]),
-        acceleration=tensor([(0.0, 0.0, s.alpha) for s, _ in stretches]),
-        spin_square=tensor(turning).square(),
-        grasp=tensor(points),
+        noise=noise / since_tare.diff()[..., None],
+        bias=bias,
+        drift=drift,
+        since_tare=since_tare,
+        twist=twist,
+        twists=twist[:, None],
+        acceleration=torch.tensor([(0.0, 0.0, s.alpha) for s, _ in stretches], dtype=torch.float64),
+        spin_square=twist[:, 2].square(),
+        grasp=torch.tensor(points),
         lift=zeros,
         tilt=torch.zeros(count, 2, dtype=torch.float64),
         yaw=torch.zeros(count, 2, dtype=torch.float64),
-        load_map=tensor([load_map(HEIGHT)] * count),
+        load_map=torch.tensor(load_map(HEIGHT)).expand(count, 3, 6),
         load_kept=torch.full((count, 3), float(sensing.force_bias == 0), dtype=torch.float64),
         load_followed=torch.ones(count, 3, dtype=torch.float64),
         held=torch.tensor(shape.mass_group[nearest]),
@@ -116,9 +116,9 @@ def _stretches(shape: ObjectShape, action: TableAction) -> list[_Stretch]:
     if isinstance(action, Slide):
         along = rotation_2d(action.direction) @ [action.speed, 0.0]
         return [_Stretch((along[0], along[1], 0.0), 0.0, BEFORE + TRIM_START, BEFORE + action.duration - TRIM_END)]
-    arm = shape.grasps[action.grasp].position - pivot_of(action, shape)
     if isinstance(action, Rotate):
-        x, y = action.speed * perpendicular(arm)
+        (at_x, at_y), (about_x, about_y) = shape.grasps[action.grasp].position, pivot_of(action, shape)
+        x, y = -action.speed * (at_y - about_y), action.speed * (at_x - about_x)
         there = _Stretch((x, y, action.speed), 0.0, BEFORE + TRIM_START, BEFORE + action.duration - TRIM_END)
         later = action.duration + BETWEEN
         back = _Stretch((-x, -y, -action.speed), 0.0, there.begin + later, there.end + later)

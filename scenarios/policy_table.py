@@ -46,7 +46,7 @@ class Policy(BaseModel):
     criterion: Literal["I", "A", "D"] = "I"
     plan_for: str = "ft300s"
     candidates: Annotated[int, Field(ge=1, le=100_000)] = 4000
-    thought: Literal["own_weight", "rigid", "either"] = "either"
+    thought: Literal["own_weight", "rigid", "either"] | None = None
     settings: dict[str, Any] = {}
 
     @field_validator("plan_for", mode="after")
@@ -96,8 +96,9 @@ class Policy(BaseModel):
         goal = Goal(self.until, self.budget_s, self.touches)
         searched = {"candidates": self.candidates, "grasps": grasps, "seed": self.seed, "feasible": check}
         if self.kind == "online":
-            guess = replace(guess, sensing=preset(sensing or self.plan_for), supports=THOUGHT[self.thought])
+            guess = replace(guess, sensing=preset(sensing or self.plan_for), supports=THOUGHT[self.thought or "either"])
             return OnlineTouches(guess, goal, self.criterion, **searched)
+        guess = replace(guess, supports=THOUGHT[self.thought or "own_weight"])
         return PlannedTouches(guess, self.kind, self.criterion, goal, **searched)  # pyright: ignore[reportArgumentType]
 
     def asked(self) -> dict[str, Any]:

@@ -8,6 +8,8 @@ from chunks import read_chunks
 from pydantic import ValidationError
 
 from estimators.design import Guess
+from estimators.fisher import SUPPORTS
+from estimators.online_policy import OnlineTouches
 from estimators.planned_policy import PlannedTouches
 from estimators.rank_driven import RankDriven
 from scenarios.amounts import percent, seconds
@@ -16,7 +18,7 @@ from scenarios.cli import main
 from scenarios.plan_run import Wish, planned, shown_of
 from scenarios.results import load_results
 from scenarios.schema import Policy
-from testbed.actions import Rotate, Slide
+from testbed.actions import Accelerate, Rotate, Slide
 from testbed.errors import InvalidValueError
 from testbed.object_files import load_object
 from testbed.sensing import preset
@@ -130,6 +132,27 @@ def test_a_scenario_may_choose_its_touches_by_a_plan():
     assert 1 <= len(actions) <= 2 and {a.grasp for a in actions if isinstance(a, Rotate)} <= {2, 3, 4}
     with pytest.raises(ValidationError, match="one of ideal"):
         Policy(kind="greedy", plan_for="nose")
+
+
+def test_a_policy_is_told_who_may_carry_the_weight():
+    model, settings = load_object("L2"), SimulationSettings()
+
+    def told(kind: str, thought: str | None) -> PlannedTouches | OnlineTouches:
+        made = Policy.model_validate({"kind": kind, "thought": thought, "candidates": 300, "touches": 4})
+        policy = made.build((2, 3, 4), model, settings)
+        assert isinstance(policy, PlannedTouches | OnlineTouches)
+        return policy
+
+    plan = {thought: told("greedy", thought) for thought in (None, "own_weight", "rigid", "either")}
+    assert [p.guess.supports for p in plan.values()] == [("own_weight",), ("own_weight",), ("rigid",), SUPPORTS]
+    assert told("online", None).guess.supports == SUPPORTS
+    # where one body may carry it all, nothing but an accelerated turn shows its second moment
+    accelerated = {
+        thought: any(isinstance(action, Accelerate) for action in p.plan(model.shape).actions)
+        for thought, p in plan.items()
+        if isinstance(p, PlannedTouches)
+    }
+    assert accelerated == {None: False, "own_weight": False, "rigid": True, "either": True}
 
 
 def test_an_arrow_begins_at_the_grasp_and_goes_the_way_of_the_turn():

@@ -277,11 +277,13 @@ def _told(rows: list[dict[str, Any]]) -> None:
             there = [r["robot_s"] for r in run[o, kind] if r["nad"] <= row["nad"]]
             parts.append(there[0] / row["robot_s"] if there else math.inf)
         reached = np.isfinite(parts).sum()
-        equal = sum(_at(run[o, kind], row["robot_s"]) <= row["nad"] for o, row in last.items())
-        print(
-            f"| {kind} | median {np.median(parts):.2f} | reached on {reached} of {len(parts)} | "
-            f"no worse in the paper's time on {equal} |"
-        )
+        half = sum(part <= 0.5 for part in parts)
+        print(f"| {kind} | {_band(np.array(parts))} | reached on {reached} of {len(parts)}, in half on {half} |")
+    print(f"objects of {len(last)} with no worse NAD than the paper's after so many seconds, and after its last turn")
+    for kind in [k for k in kinds if k != "paper"]:
+        at = [sum(not _at(run[o, kind], t) > _at(run[o, "paper"], t) for o in last) for t in TIMES]
+        in_its = sum(_at(run[o, kind], row["robot_s"]) <= row["nad"] for o, row in last.items())
+        print(f"| {kind} | " + " | ".join(map(str, [*at, in_its])) + " |")
     for kind in kinds:
         pairs = [
             (r["nad"], r["expected"]) for r in rows if r["policy"] == kind and r["expected"] and r["expected"] < 0.05
@@ -292,7 +294,7 @@ def _told(rows: list[dict[str, Any]]) -> None:
 
 
 def _band(values: np.ndarray) -> str:
-    low, middle, high = np.percentile(values, [25, 50, 75])
+    low, middle, high = np.percentile(values, [25, 50, 75], method="nearest")  # a run that never gets there is infinite
     return f"{middle:.2g} [{low:.2g} {high:.2g}]"
 
 

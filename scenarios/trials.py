@@ -82,13 +82,13 @@ def run_trials(
 
 def _taken(cell: Cell, action: Action, key: str, store: Store) -> bool:
     """Take a finished trial into the cell; False where its file is damaged and it has to be made again."""
-    if cell.content:
-        cell.held_out_keys.append(key)
-        return True
     try:
         trajectory = store.trajectory(key)
     except TrajectoryFileError:
         return False
+    if cell.content:
+        cell.held_out_keys.append(key)
+        return True
     if not isinstance(action, Weigh):
         cell.trajectories.append(as_felt(trajectory, *cell.felt, len(cell.keys), key) if cell.felt else trajectory)
     cell.keys.append(key)

@@ -103,6 +103,15 @@ def test_a_finished_run_is_read_again_without_work(scenario, undisturbed, copied
     assert stamps == {path: path.stat().st_mtime_ns for path in stamps}
 
 
+@pytest.mark.parametrize("which", range(5))  # of a weighing, of what methods see, and of what is held out
+def test_any_record_cut_short_is_made_again(scenario, undisturbed, copied, which):
+    record = sorted(copied.glob("trials/*/trajectory.parquet"))[which]
+    record.write_bytes(record.read_bytes()[:5000])
+    (estimate := next(copied.glob("estimates/*/result.json"))).unlink()
+    pd.testing.assert_frame_equal(resumed(scenario, copied), undisturbed[0])
+    assert len(record.read_bytes()) > 5000 and estimate.is_file()
+
+
 def test_damage_and_leftovers_are_made_good_and_nothing_else_is_touched(scenario, undisturbed, copied):
     trials, estimates = sorted(copied.glob("trials/*")), sorted(copied.glob("estimates/*"))
     record = trials[0] / "trajectory.parquet"

@@ -1,4 +1,4 @@
-"""What the simulated bench is worth: python bench/physics.py [sensor|coulomb|tools|levers|resolution|all]."""
+"""What the simulated bench is worth: python bench/physics.py [sensor|coulomb|swing|tools|levers|resolution|all]."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from testbed.reduction import weight_of
 from testbed.sensing import compensate
 from testbed.simulation.resting import resting_loads
 from testbed.simulation.runner import SimulationRunner
-from testbed.simulation.settings import ContactSettings, ServoSettings, SimulationSettings
+from testbed.simulation.settings import ContactSettings, GripSettings, ServoSettings, SimulationSettings
 from testbed.trajectory import Phase
 from testbed.trial import OWN_WEIGHT, RIGID, Support, Trial
 
@@ -49,10 +49,22 @@ LEVERS = {
 }
 
 
-def coulomb_error(name: str, support: Support, action: Rotate | Slide) -> tuple[float, float, float]:
+SWINGING = (
+    ("L2", Rotate(3, speed=-0.1074, duration=4.0, pivot=(0.025, -0.0779))),
+    ("L1", Rotate(3, speed=-0.159, duration=4.0, pivot=(-0.0147, -0.0497))),
+    ("I1", Rotate(1, speed=-0.137, duration=4.0, pivot=(0.0094, 0.0058))),
+    ("F2", Rotate(2, duration=4.0, pivot=(0.042, 0.042))),
+)
+"""Turns in which stiff pads let what is held swing."""
+PADS = (1.0, 1.5, 2.0, 3.0)
+
+
+def coulomb_error(
+    name: str, support: Support, action: Rotate | Slide, grip: GripSettings | None = None
+) -> tuple[float, float, float]:
     """Simulated drag against Coulomb's, % of the whole drag and of its torque; feet that the model has lifted, %."""
-    model = load_object(name)
-    observed = observe(model.shape, [SimulationRunner().run(Trial(model, action, support))])
+    model, settings = load_object(name), SimulationSettings(grip=grip or GripSettings())
+    observed = observe(model.shape, [SimulationRunner(settings).run(Trial(model, action, support))])
     assert observed is not None
     particles = ParticleModel.of(model.shape)
     mass = torch.tensor(model.particle_mass)
@@ -185,6 +197,16 @@ def tools(submit: Callable[..., Future[Any]], console: Console) -> None:
     console.print(table)
 
 
+def swing(submit: Callable[..., Future[Any]], console: Console) -> None:
+    """What too springy a pad does, which a record does not show by itself."""
+    table = _table("Drag against Coulomb's law by damping of the pads: force, torque, %", "turn", *map(str, PADS))
+    for name, turn in SWINGING:
+        found = [submit(coulomb_error, name, OWN_WEIGHT, turn, GripSettings(pad_damping=damping)) for damping in PADS]
+        cells = ("{:.2f} {:.2f}".format(*future.result()[:2]) for future in found)
+        table.add_row(f"{name}, grasp {turn.grasp}, about {turn.pivot}", *cells)
+    console.print(table)
+
+
 def levers(submit: Callable[..., Future[Any]], console: Console) -> None:
     """What each lever against the gripper's load brings."""
     columns = ("lever", "support", "fz settled, N", "fz turning, N", "moment on feet, N m", "torque spread, %")
@@ -222,7 +244,9 @@ def resolution(console: Console) -> None:
 def _table(title: str, *columns: str) -> Table:
     table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD)
     for column in columns:
-        table.add_column(column, justify="left" if column in ("object", "support", "lever", "change") else "right")
+        table.add_column(
+            column, justify="left" if column in ("object", "support", "lever", "change", "turn") else "right"
+        )
     return table
 
 
@@ -230,9 +254,10 @@ def main() -> None:
     """Print the tables asked for."""
     what = sys.argv[1] if len(sys.argv) > 1 else "all"
     console = Console(width=120)
+    parts = {"sensor": sensor, "coulomb": coulomb, "swing": swing, "tools": tools, "levers": levers}
     context = get_context("spawn")
     with ProcessPoolExecutor(default_workers(), context, torch.set_num_threads, (1,)) as pool:
-        for name, show in {"sensor": sensor, "coulomb": coulomb, "tools": tools, "levers": levers}.items():
+        for name, show in parts.items():
             if what in (name, "all"):
                 show(pool.submit, console)
     if what in ("resolution", "all"):

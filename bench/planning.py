@@ -216,7 +216,7 @@ def _rows(model: ObjectModel, sensing_name: str, draws: int) -> Iterator[dict[st
                 "nad": float(np.mean([_nad(model, seen[:count]) for seen in drawn_])),
                 "expected": None if plan is None else plan.steps[count - 1].belief.expected_nad,
             }
-    online = OnlineTouches(guess, goal, candidates=2000, feasible=check, estimator=HiddenStatesEstimator())
+    online = OnlineTouches(guess, goal, feasible=check, estimator=HiddenStatesEstimator())
     felt: list[Trajectory] = []
     decision = online.decide(shape, felt)
     while decision.action is not None:

@@ -194,6 +194,6 @@ def add_grip(
             geomname2="gripped",
             condim=4,
             friction=[grip.friction, grip.friction, 0.005, 0, 0],
-            solref=(0.004, 1),
+            solref=(0.004, grip.pad_damping),
             solimp=[0.95, 0.99, 0.001, 0.5, 2],
         )

@@ -49,6 +49,9 @@ class GripSettings:
     """Force at each finger, N; the 2F-85 gives 20 to 235."""
     friction: float = 0.6
     """Pad friction: the lower of the two published values."""
+    pad_damping: float = 2.0
+    """Damping ratio of the pads against a face. At 1 what is held swings at 80 to 120 Hz in some turns about a point by
+    light blocks, faster at smaller steps: the arm's damping is explicit. From 1.5 up nothing does."""
     tcp_height: float = 0.022
     """Height of the TCP over the table while holding, m: the pads clear the table by 3 mm."""
 

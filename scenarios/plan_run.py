@@ -192,7 +192,8 @@ def sentence(shape: ObjectShape, action: Action) -> str:
     """All of an action in one line."""
     kind, about, way = in_words(shape, action)
     at = "" if isinstance(action, Weigh) else f" at {shape.grasps[action.grasp].name}"
-    return f"{kind}{at} about {about} mm, {way}" if about else f"{kind}{at}, {way}"
+    unit = " mm" if isinstance(action, Rotate) else ""
+    return f"{kind}{at} about {about}{unit}, {way}" if about else f"{kind}{at}, {way}"
 
 
 def taught(shape: ObjectShape, before: Belief, after: Belief) -> str:

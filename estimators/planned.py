@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import torch
 
 from estimators.felt_load import load_map
 from estimators.observations import Observations
-from testbed.actions import Accelerate, Action, Lift, Rotate, Slide, TableAction, Weigh, pivot_of
+from testbed.actions import Accelerate, Action, Lift, Rotate, Slide, TableAction, Weigh
 from testbed.errors import InvalidValueError
-from testbed.frames import move_wrench, rotation_2d
+from testbed.frames import move_wrench
 from testbed.objects import ObjectShape
 from testbed.reduction import TRIM_END, TRIM_START, TRIM_STEP
 from testbed.sensing import Sensing
@@ -32,8 +32,7 @@ HEIGHT = 0.022
 """Of the TCP over the table, m."""
 
 
-@dataclass(frozen=True)
-class _Stretch:
+class _Stretch(NamedTuple):
     """A steady stretch to come: velocity and rate of the grasp point, object axes, and the time since the tare."""
 
     twist: tuple[float, float, float]
@@ -55,21 +54,21 @@ def planned_observations(shape: ObjectShape, actions: Sequence[Action], sensing:
     Raises:
         InvalidValueError: a grasp that the shape does not have.
     """
-    stretches, trial, grasp = [], [], []
+    places = np.array([grasp.position for grasp in shape.grasps]).reshape(-1, 2)
+    held = np.linalg.norm(shape.particles - places[:, None], axis=-1).argmin(axis=1)
+    at, stretches, trial, grasp = [tuple(place) for place in places.tolist()], [], [], []
     for index, action in enumerate(actions):
         if isinstance(action, Weigh | Lift):
             continue
         if action.grasp >= len(shape.grasps):
             raise InvalidValueError("action.grasp", action.grasp, f"one of the shape's {len(shape.grasps)} grasps")
-        found = _stretches(shape, action)
+        found = _stretches(at[action.grasp], action)
         stretches += [(stretch, isinstance(action, Accelerate)) for stretch in found]
         trial += [index] * len(found)
         grasp += [action.grasp] * len(found)
     if not stretches:
         return None
     count = len(stretches)
-    points = np.array([shape.grasps[g].position for g in grasp])
-    nearest = np.linalg.norm(shape.particles[None] - points[:, None], axis=-1).argmin(axis=1)
     noise, bias, drift = (torch.tensor(each).expand(count, 6, 6) for each in sensor_at_tcp(sensing))
     since_tare = torch.tensor([(s.begin, s.end) for s, _ in stretches], dtype=torch.float64)
     twist = torch.tensor([s.twist for s, _ in stretches], dtype=torch.float64)
@@ -84,14 +83,14 @@ def planned_observations(shape: ObjectShape, actions: Sequence[Action], sensing:
         twists=twist[:, None],
         acceleration=torch.tensor([(0.0, 0.0, s.alpha) for s, _ in stretches], dtype=torch.float64),
         spin_square=twist[:, 2].square(),
-        grasp=torch.tensor(points),
+        grasp=torch.tensor(places[grasp]),
         lift=zeros,
         tilt=torch.zeros(count, 2, dtype=torch.float64),
         yaw=torch.zeros(count, 2, dtype=torch.float64),
         load_map=torch.tensor(load_map(HEIGHT)).expand(count, 3, 6),
         load_kept=torch.full((count, 3), float(sensing.force_bias == 0), dtype=torch.float64),
         load_followed=torch.ones(count, 3, dtype=torch.float64),
-        held=torch.tensor(shape.mass_group[nearest]),
+        held=torch.tensor(shape.mass_group[held[grasp]]),
         trial=torch.tensor(trial),
         accelerated=torch.tensor([accelerated for _, accelerated in stretches]),
     )
@@ -111,14 +110,14 @@ def sensor_at_tcp(sensing: Sensing) -> tuple[np.ndarray, np.ndarray, np.ndarray]
     return first, second, third
 
 
-def _stretches(shape: ObjectShape, action: TableAction) -> list[_Stretch]:
-    """Steady stretches of one action, trimmed as a record is."""
+def _stretches(at: tuple[float, float], action: TableAction) -> list[_Stretch]:
+    """Steady stretches of one action of the grasp `at` (m), trimmed as a record is."""
     if isinstance(action, Slide):
-        along = rotation_2d(action.direction) @ [action.speed, 0.0]
-        return [_Stretch((along[0], along[1], 0.0), 0.0, BEFORE + TRIM_START, BEFORE + action.duration - TRIM_END)]
+        x, y = action.speed * math.cos(action.direction), action.speed * math.sin(action.direction)
+        return [_Stretch((x, y, 0.0), 0.0, BEFORE + TRIM_START, BEFORE + action.duration - TRIM_END)]
     if isinstance(action, Rotate):
-        (at_x, at_y), (about_x, about_y) = shape.grasps[action.grasp].position, pivot_of(action, shape)
-        x, y = -action.speed * (at_y - about_y), action.speed * (at_x - about_x)
+        about = at if action.pivot is None else action.pivot
+        x, y = -action.speed * (at[1] - about[1]), action.speed * (at[0] - about[0])
         there = _Stretch((x, y, action.speed), 0.0, BEFORE + TRIM_START, BEFORE + action.duration - TRIM_END)
         later = action.duration + BETWEEN
         back = _Stretch((-x, -y, -action.speed), 0.0, there.begin + later, there.end + later)

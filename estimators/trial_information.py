@@ -30,7 +30,7 @@ from testbed.sensing import Sensing
 
 ROWS = 6
 """Of a trial; one with fewer has rows of zeros. None shows more: a lift M, c and three second moments."""
-CHUNK = 1024
+CHUNK = 512
 """Trials that are worked on at once."""
 
 

@@ -271,7 +271,8 @@ def _told(rows: list[dict[str, Any]]) -> None:
     last = {o: run[o, "paper"][-1] for o in objects if run[o, "paper"]}
     median = np.median([row["robot_s"] for row in last.values()])
     print(f"robot time to the paper's NAD after {2 * TURNS} turns, as a part of its own (median {median:.0f} s)")
-    for kind in [k for k in kinds if k != "paper"]:
+    others = [kind for kind in kinds if kind != "paper"]
+    for kind in others:
         parts = []
         for o, row in last.items():
             there = [r["robot_s"] for r in run[o, kind] if r["nad"] <= row["nad"]]
@@ -280,7 +281,7 @@ def _told(rows: list[dict[str, Any]]) -> None:
         half = sum(part <= 0.5 for part in parts)
         print(f"| {kind} | {_band(np.array(parts))} | reached on {reached} of {len(parts)}, in half on {half} |")
     print(f"objects of {len(last)} with no worse NAD than the paper's after so many seconds, and after its last turn")
-    for kind in [k for k in kinds if k != "paper"]:
+    for kind in others:
         at = [sum(not _at(run[o, kind], t) > _at(run[o, "paper"], t) for o in last) for t in TIMES]
         in_its = sum(_at(run[o, kind], row["robot_s"]) <= row["nad"] for o, row in last.items())
         print(f"| {kind} | " + " | ".join(map(str, [*at, in_its])) + " |")

@@ -44,7 +44,7 @@ def wrench_errors(
     lift, tilt = errors.lift_error, errors.tilt_error
     shared = torch.tensor([lift / 2**0.5, 0.0, 0.0], dtype=torch.float64)
     alone = torch.tensor([lift / 2**0.5, tilt, tilt], dtype=torch.float64)
-    apart = _sensor_error(windows, response) + _unseen_load(windows, response, alone, shared) + _block_diagonal(within)
+    apart = _sensor_error(windows, response, alone, shared) + _block_diagonal(within)
     hidden = (response * (shared * (1 - windows.load_kept))[:, None]).sum(-1)
     # the drag's own moment about the feet is as wrong as the height over them
     raised = errors.height_error * (response[..., 1:] @ windows.wrench[:, :2, None])[..., 0]
@@ -54,11 +54,20 @@ def wrench_errors(
 def torque_covariance(windows: Observations, response: Float[Tensor, "K 3 3"]) -> Float[np.ndarray, "K K"]:
     """Of accelerated windows' torques less what the gripper carries; a trial's constant is not in it."""
     none = torch.zeros(3, dtype=torch.float64)
-    whole = _sensor_error(windows, response) + _unseen_load(windows, response, none, none)
-    return whole[2::3, 2::3].numpy()
+    return _sensor_error(windows, response, none, none)[2::3, 2::3].numpy()
 
 
-def _sensor_error(windows: Observations, response: Float[Tensor, "K 3 3"]) -> Float[Tensor, "R R"]:
+def _sensor_error(
+    windows: Observations, response: Float[Tensor, "K 3 3"], nulled: Float[Tensor, "3"], shared: Float[Tensor, "3"]
+) -> Float[Tensor, "R R"]:
+    """Covariance of wrenches, less the `response` to lift and tilt: the sensor's errors, and loads taken for them."""
+    sensed = _sensor_covariance(windows)
+    return _felt_error(windows, sensed, response) + _unseen_load(windows, sensed, response, nulled, shared)
+
+
+def _felt_error(
+    windows: Observations, sensed: Float[Tensor, "6K 6K"], response: Float[Tensor, "K 3 3"]
+) -> Float[Tensor, "R R"]:
     """Covariance of wrenches, less the `response` to lift and tilt, from all of the sensor's errors.
 
     One force feeds both, so what is common to a wrench and to the load on the feet counts once.
@@ -67,11 +76,15 @@ def _sensor_error(windows: Observations, response: Float[Tensor, "K 3 3"]) -> Fl
     carried = response @ _load_error(windows).reshape(count, 3, 6 * count)
     planar = torch.eye(6, dtype=torch.float64)[PLANAR].expand(count, 3, 6)
     error = _block_diagonal(planar) - carried.reshape(3 * count, 6 * count)
-    return error @ _sensor_covariance(windows) @ error.T
+    return error @ sensed @ error.T
 
 
 def _unseen_load(
-    windows: Observations, response: Float[Tensor, "K 3 3"], nulled: Float[Tensor, "3"], shared: Float[Tensor, "3"]
+    windows: Observations,
+    sensed: Float[Tensor, "6K 6K"],
+    response: Float[Tensor, "K 3 3"],
+    nulled: Float[Tensor, "3"],
+    shared: Float[Tensor, "3"],
 ) -> Float[Tensor, "R R"]:
     """Covariance of wrenches from the lift and tilt that were taken for the sensor's error.
 
@@ -79,7 +92,7 @@ def _unseen_load(
     and (1 - k) of it went: k (1 - k) b is its variance. A trial's mean is taken to scatter by no less than `nulled`
     about what all trials share, which scatters by `shared` and is not in it (N, N m, one standard deviation).
     """
-    error, mean, change = _load_covariance(windows), windows.trial_mean, windows.trial_change
+    error, mean, change = _load_covariance(windows, sensed), windows.trial_mean, windows.trial_change
     of_mean, of_change = (torch.einsum("kl,lma,nm->kna", part, error, part) for part in (mean, change))
     dropped = 1 - windows.load_kept
     scatter = windows.load_kept * dropped * torch.diagonal(of_mean).T - (dropped * shared).square()
@@ -93,10 +106,10 @@ def _unseen_load(
     return torch.einsum("kia,kla,lja->kilj", response, load, response).reshape(3 * len(windows), 3 * len(windows))
 
 
-def _load_covariance(windows: Observations) -> Float[Tensor, "K K 3"]:
+def _load_covariance(windows: Observations, sensed: Float[Tensor, "6K 6K"]) -> Float[Tensor, "K K 3"]:
     """Of what the sensor's errors make of lift and tilt as felt, between windows, N^2 and (N m)^2."""
     error, count = _block_diagonal(windows.load_map), len(windows)
-    whole = (error @ _sensor_covariance(windows) @ error.T).reshape(count, 3, count, 3)
+    whole = (error @ sensed @ error.T).reshape(count, 3, count, 3)
     return torch.diagonal(whole, dim1=1, dim2=3)
 
 

@@ -181,3 +181,38 @@ def test_a_window_opens_and_the_trial_runs_in_it(display):
     assert process.returncode == 0, errors
     assert "space starts" in printed
     assert "ok until" in printed and "ok until 0.0" not in printed
+
+
+INTERRUPTED = """
+import os, signal
+from testbed.simulation.graphics import choose_window
+choose_window()
+from testbed.actions import Slide
+from testbed.object_files import load_object
+from testbed.simulation.watch import LiveTrial, watch
+from testbed.trial import Trial
+
+class Pressed(LiveTrial):
+    def reset(self):
+        begun = super().reset()
+        if shown:
+            os.kill(os.getpid(), signal.SIGINT)
+            print("pressed", flush=True)
+        return begun
+
+shown = False
+live = Pressed(Trial(load_object("L2"), Slide(1, duration=0.1)))
+shown, before = True, signal.getsignal(signal.SIGINT)
+watch(live, "L2")
+print("closed", signal.getsignal(signal.SIGINT) is before)
+"""
+
+
+@pytest.mark.slow
+def test_ctrl_c_within_a_step_is_heard(display):
+    env = NO_DISPLAY | {"DISPLAY": display}
+    done = subprocess.run(
+        [sys.executable, "-c", INTERRUPTED], cwd=ROOT, env=env, capture_output=True, text=True, check=False, timeout=60
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.split() == ["pressed", "closed", "True"]

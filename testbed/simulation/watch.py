@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import signal
+import threading
 from contextlib import suppress
 
 import dm_control.mujoco
@@ -117,7 +119,24 @@ class Replay(_Scripted):
 
 def watch(shown: LiveTrial | Replay, title: str) -> None:
     """Open a window on it, and return when it is closed or Ctrl-C pressed; `graphics.choose_window` comes before."""
-    from dm_control import viewer  # noqa: PLC0415  it needs a display as soon as it is imported
+    from dm_control.viewer.application import Application  # noqa: PLC0415  needs a display as soon as it is imported
 
-    with suppress(KeyboardInterrupt):
-        viewer.launch(shown, title=title)
+    interrupted = threading.Event()
+
+    class Window(Application):
+        def _tick(self):
+            if interrupted.is_set():
+                raise KeyboardInterrupt
+            super()._tick()
+
+    def interrupt(*_) -> None:
+        interrupted.set()
+        signal.signal(signal.SIGINT, before)  # pressed again, it ends a frame that hangs
+
+    # Between frames: the viewer takes whatever is raised within a step for an error of the environment's, and goes on
+    before = signal.signal(signal.SIGINT, interrupt)
+    try:
+        with suppress(KeyboardInterrupt):
+            Window(title=title).launch(shown)
+    finally:
+        signal.signal(signal.SIGINT, before)

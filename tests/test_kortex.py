@@ -141,6 +141,7 @@ def test_stop_ends_motion_also_of_a_pose_under_way(arm, gen3):
 def test_it_stops_where_no_twist_comes_any_more(arm, gen3):
     moved_by(arm, np.array([0.03, 0, 0]), STAND, gen3, count=5)
     assert until(lambda: not gen3.world.driven)
+    assert until(lambda: arm._link.lost != "")  # it stops first, then says so
     with pytest.raises(ArmLostError, match="silence for more than 1000 ms while the arm moved"):
         arm.twist(STAND, STAND)
     arm.stop()

@@ -31,6 +31,8 @@ class ParticleModel:
     """Column of G_mu; -1 without contact."""
     cell: float
     """Side of a particle's cell, m."""
+    fill: Float[Tensor, "P"]
+    """Material in each cell over the mean of its group's."""
 
     @staticmethod
     def of(shape: ObjectShape) -> ParticleModel:
@@ -40,6 +42,7 @@ class ParticleModel:
             torch.tensor(shape.mass_group),
             torch.tensor(shape.friction_group),
             shape.cell,
+            torch.tensor(shape.fill),
         )
 
     @property
@@ -48,8 +51,13 @@ class ParticleModel:
         return self.friction_group >= 0
 
     def particle_mass(self, mass: Float[Tensor, "... n_m"]) -> Float[Tensor, "... P"]:
-        """G_m^T m."""
-        return mass[..., self.mass_group]
+        """G_m^T m, each cell as far as it is filled."""
+        return mass[..., self.mass_group] * self.fill
+
+    @property
+    def parts(self) -> Float[Tensor, "n_m P"]:
+        """Particle masses of a kg a particle in one group and none in the others."""
+        return self.particle_mass(torch.eye(int(self.mass_group.max()) + 1, dtype=torch.float64))
 
     def particle_friction(self, friction: Float[Tensor, "... n_mu"]) -> Float[Tensor, "... P"]:
         """G_mu^T mu; 0 without contact."""

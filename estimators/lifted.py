@@ -162,7 +162,7 @@ def wrench_of_mass(
         turned = (upright - across) * np.array([spin[1, 2], -spin[0, 2], 0.0])
         torque = brick * window.angular_acceleration + turned
     each = np.hstack([force, np.cross(lever, force) + torque])
-    return np.stack([np.bincount(shape.mass_group, row, shape.n_m) for row in each.T])
+    return shape.per_group(each.T)
 
 
 def _sensor_covariance(windows: Sequence[LiftWindow]) -> Float[np.ndarray, "R R"]:

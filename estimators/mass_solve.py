@@ -139,7 +139,7 @@ def fixed_rows(
 def inertia_map(shape: ObjectShape, points: Float[np.ndarray, "J 2"]) -> Float[np.ndarray, "J n_m"]:
     """From particle masses to the inertia about each point, m^2; cells are solid."""
     squares = np.sum((shape.particles[None] - points[:, None]) ** 2, axis=2) + shape.cell**2 / 6
-    return np.stack([np.bincount(shape.mass_group, each, shape.n_m) for each in squares])
+    return shape.per_group(squares)
 
 
 def _covariance(system: np.ndarray) -> tuple[np.ndarray, int]:

@@ -141,9 +141,10 @@ def _for_an_answer(design: Design, done: Sequence[Action], left: float, asked: A
     First a turn or a slide, then an accelerated turn, which parts masses from frictions, then other turns, as long as
     there are fewer of them than could be needed.
     """
-    if sum(steady(action) for action in done) > design.shape.n_m + design.shape.n_mu:
+    turned = sum(steady(action) for action in done)
+    accelerate = turned > 0 and not any(isinstance(action, Accelerate) for action in done)
+    if not accelerate and turned > design.shape.n_m + design.shape.n_mu:
         return None
-    accelerate = any(steady(action) for action in done) and not any(isinstance(a, Accelerate) for a in done)
     seconds = design.seconds(done[-1] if done else None)
     for index in np.argsort(seconds):
         action = design.candidates[index]

@@ -36,7 +36,7 @@ class ParticleLoads:
         model = ParticleModel.of(shape)
         mass, friction = torch.tensor(distribution.mass), torch.tensor(distribution.friction)
         of_particle = model.particle_friction(friction)
-        per_mass = _loads_per_mass(model, shape.n_m, support)
+        per_mass = _loads_per_mass(model, support)
         normal = per_mass @ mass
         of_friction = torch.stack([(model.friction_group == k) * normal for k in range(shape.n_mu)], 1)
         slopes = torch.cat([of_particle[:, None] * per_mass, of_friction], 1)
@@ -54,11 +54,10 @@ class ParticleLoads:
         )
 
 
-def _loads_per_mass(model: ParticleModel, n_m: int, support: str) -> Float[Tensor, "P n_m"]:
+def _loads_per_mass(model: ParticleModel, support: str) -> Float[Tensor, "P n_m"]:
     """Load on each particle a kg of each particle mass, N."""
     none, columns = GripperLoad.none(1), []
-    for group in range(n_m):
-        mass = (model.mass_group == group).double()
+    for mass in model.parts:
         if support == "rigid":
             columns.append(rigid_loads(model.particles, model.contact, mass, none)[0])
         else:

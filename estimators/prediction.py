@@ -93,8 +93,7 @@ class WrenchModel:
         rubbing = [rows * (model.friction_group == k) for k in range(int(model.friction_group.max()) + 1)]
         spins = windows.lever(model).square().sum(-1) + model.cell**2 / 6
         moves = []
-        for group in range(int(model.mass_group.max()) + 1):
-            mass = (model.mass_group == group).double()
+        for mass in model.parts:
             moved = windows.inertial_wrench(inertia_of(model, mass))
             moved[:, 2] += (mass * spins).sum(-1) * windows.acceleration[:, 2]
             moves.append(moved)

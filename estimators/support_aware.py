@@ -221,10 +221,10 @@ def _joined(first: str, second: str) -> str:
 
 def _moments(shape: ObjectShape) -> np.ndarray:
     """Sum of the particles of each group, m, (n_m, 2)."""
-    return np.column_stack([np.bincount(shape.mass_group, axis, shape.n_m) for axis in shape.particles.T])
+    return shape.per_group(shape.particles.T).T
 
 
 def _squares(shape: ObjectShape) -> np.ndarray:
     """Second moment about the origin of each group's particles, m^2, (n_m,)."""
     squares = np.sum(shape.particles**2, axis=1) + shape.cell**2 / 6
-    return np.bincount(shape.mass_group, squares, shape.n_m)
+    return shape.per_group(squares)

@@ -15,7 +15,7 @@ from testbed.objects import ObjectModel
 from testbed.trajectory import Trajectory, load_trajectory
 from testbed.trial import Support, parse_support
 
-_SHAPE = ("particles", "mass_group", "friction_group", "grasps")
+_SHAPE = ("particles", "mass_group", "friction_group", "grasps", "fill")
 """What all trials of an object must have been asked for with."""
 
 
@@ -125,7 +125,7 @@ def _measured(folder: Path, group: list[MeasuredTrial], weighings: dict[str, str
         allowed = f"a folder in which {name} was weighed: heft robot trial --action weigh --weight KG, or heft import"
         raise InvalidValueError("DIR", str(folder), f"{allowed} --weight KG")
     for other in group:
-        if any(other.asked["object"][part] != last.asked["object"][part] for part in _SHAPE):
+        if any(other.asked["object"].get(part) != last.asked["object"].get(part) for part in _SHAPE):
             allowed = f"trials of one shape; {other.key[:8]} and {last.key[:8]} differ: import them again, or apart"
             raise InvalidValueError(name, f"two shapes in {folder}", allowed)
     turns = [t.key for t in group if isinstance(t.trajectory.action, Rotate)]

@@ -54,6 +54,7 @@ def estimate_shown(folder: Path, row: Row) -> EstimateShown:
         record.object.shape.height,
         record.object.shape.grasps,
         tuple(row["group_names"]),
+        arrays.get("fill", np.ones(0)),  # not in folders from before it was kept
     )
     truth = MassDistribution(
         np.array(row["true_mass_kg"]) / shape.particles_per_group, friction_of(record.object, shape)

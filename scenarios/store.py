@@ -66,7 +66,8 @@ def trial_request(trial: Trial, settings: BenchSettings) -> dict[str, Any]:
 def object_request(model: ObjectModel) -> dict[str, Any]:
     """All that decides how an object behaves, as plain data."""
     shape, truth = model.shape, model.truth
-    return {
+    uneven = {} if (shape.fill == 1).all() else {"fill": shape.fill.tolist()}
+    return uneven | {
         "particles": shape.particles.tolist(),
         "mass_group": shape.mass_group.tolist(),
         "friction_group": shape.friction_group.tolist(),
@@ -204,6 +205,7 @@ def _save_arrays(path: Path, answer: Estimate, shape: ObjectShape) -> None:
         "mass_group": shape.mass_group,
         "friction_group": shape.friction_group,
         "cell": shape.cell,
+        "fill": shape.fill,
     }
     if answer.distribution is not None:
         arrays |= {"mass": answer.distribution.mass, "friction": answer.distribution.friction}

@@ -75,6 +75,7 @@ def object_of(asked: dict[str, Any], names: dict[str, Any]) -> ObjectModel:
         height=asked["height"],
         grasps=tuple(grasps),
         group_names=tuple(names.get("groups") or ()),
+        fill=np.array(asked.get("fill", [])),
     )
     truth = MassDistribution(np.array(asked["mass"]), np.array(asked["friction"]))
     model = ObjectModel(str(names.get("object") or "object"), shape, truth)

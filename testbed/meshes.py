@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import trimesh
 from jaxtyping import Bool, Float, Int
+from scipy.spatial.distance import cdist
 
 from testbed.errors import InvalidValueError
 from testbed.gripper import FINGER_DEPTH, PAD_HEIGHT, PAD_WIDTH, STROKE
@@ -97,7 +98,7 @@ def mesh_object(
         raise InvalidValueError(
             "mesh.parts", f"lowest point at z = {lowest:.4g} m", f"resting on z = 0, to {TOUCH * 1e3:g} mm"
         )
-    centres, group, touches = _partition(parts, cell * 3 / grid)
+    centres, group, touches, fill = _partition(parts, cell * 3 / grid)
     per_group = np.bincount(group, minlength=len(parts))
     for index, part in enumerate(parts):
         for what, found in (("particle", per_group[index]), ("foot", (touches & (group == index)).sum())):
@@ -117,6 +118,7 @@ def mesh_object(
         height=float(whole.bounds[1, 2]),
         grasps=tuple(_grasp(whole, place, origin, index) for index, place in enumerate(places)),
         group_names=tuple(part.name for part in parts),
+        fill=fill * per_group[group],
     )
     mass = np.array([part.mass for part in parts])
     solids = tuple(Solid(part.mesh.vertices - [*origin, 0.0], part.mesh.faces, part.mass) for part in parts)
@@ -131,8 +133,11 @@ def _joined(meshes: list[trimesh.Trimesh]) -> trimesh.Trimesh:
 
 def _partition(
     parts: list[Part], cell: float
-) -> tuple[Float[np.ndarray, "P 2"], Int[np.ndarray, "P"], Bool[np.ndarray, "P"]]:
-    """Centres of the particles in the mesh's x and y, the part of each, and whether it touches."""
+) -> tuple[Float[np.ndarray, "P 2"], Int[np.ndarray, "P"], Bool[np.ndarray, "P"], Float[np.ndarray, "P"]]:
+    """Centres of the particles in the mesh's x and y, the part of each, whether it touches, and how much of it it is.
+
+    What a part has in cells that are not its own is counted to the nearest that is.
+    """
     low = np.min([part.mesh.bounds[0, :2] for part in parts], axis=0)
     high = np.max([part.mesh.bounds[1, :2] for part in parts], axis=0)
     count = np.ceil((high - low) / cell - 1e-3).astype(int)  # a length of whole cells needs no cell more
@@ -157,10 +162,17 @@ def _partition(
         np.minimum.at(underside[index], over[ray], hits + below)
     per_cell = (len(parts), len(centres), -1)
     covered = (material > 0).any(axis=0).reshape(per_cell[1:]).mean(axis=1)
-    owner = material.reshape(per_cell).sum(axis=2).argmax(axis=0)
+    columns = material.reshape(per_cell).sum(axis=2)
+    owner = columns.argmax(axis=0)
     touching = (underside < TOUCH).reshape(per_cell).mean(axis=2)[owner, np.arange(len(centres))]
     kept = covered >= 0.5
-    return centres[kept], owner[kept], (touching >= 0.5)[kept]
+    fill = np.zeros(len(centres))
+    for index, held in enumerate(columns):
+        own, full = np.flatnonzero(kept & (owner == index)), np.flatnonzero(held > 0)
+        if len(own):
+            nearest = own[cdist(centres[full], centres[own]).argmin(axis=1)]
+            fill += np.bincount(nearest, held[full] / held.sum(), len(centres))
+    return centres[kept], owner[kept], (touching >= 0.5)[kept], fill[kept]
 
 
 def _hits(

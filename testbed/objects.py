@@ -66,6 +66,8 @@ class ObjectShape:
     """Where a parallel gripper can take it."""
     group_names: tuple[str, ...] = ()
     """What the user calls each mass group; "m0", "m1", ... if left out."""
+    fill: Float[np.ndarray, "P"] = field(default_factory=lambda: np.ones(0))
+    """Material in each cell over the mean of its group's: 1 of a block's cells, and everywhere if left out."""
 
     def __post_init__(self) -> None:
         particles = frozen_array("ObjectShape.particles", self.particles, (None, 2))
@@ -83,6 +85,12 @@ class ObjectShape:
         names = self.group_names or tuple(f"m{i}" for i in range(mass_group.max() + 1))
         if len(names) != mass_group.max() + 1:
             raise InvalidValueError("ObjectShape.group_names", names, f"{mass_group.max() + 1} names, one a mass group")
+        fill = frozen_array("ObjectShape.fill", self.fill if len(self.fill) else np.ones(count), (count,))
+        means = np.bincount(mass_group, fill) / np.bincount(mass_group)
+        if (fill < 0).any() or not np.allclose(means, 1.0, rtol=1e-9):
+            allowed = "numbers >= 0 with a mean of 1 in each mass group"
+            raise InvalidValueError("ObjectShape.fill", f"means {means.tolist()}, least {fill.min():g}", allowed)
+        object.__setattr__(self, "fill", fill)
         object.__setattr__(self, "particles", particles)
         object.__setattr__(self, "mass_group", mass_group)
         object.__setattr__(self, "friction_group", friction_group)
@@ -104,13 +112,17 @@ class ObjectShape:
         """Number of particles in each mass group, (n_m,)."""
         return np.bincount(self.mass_group, minlength=self.n_m)
 
+    def per_group(self, of_particles: Float[np.ndarray, "... P"]) -> Float[np.ndarray, "... n_m"]:
+        """Sum over each group's particles, each as far as it is filled: what a mass of 1 a particle makes of it."""
+        return (of_particles * self.fill) @ np.eye(self.n_m)[self.mass_group]
+
 
 @dataclass(frozen=True, eq=False)
 class MassDistribution:
     """Mass and friction of every group: the truth, or an answer."""
 
     mass: Float[np.ndarray, "n_m"]
-    """Mass of one particle of each mass group, kg."""
+    """Mass of one particle of each mass group, kg: the mean, where cells hold more or less material."""
     friction: Float[np.ndarray, "n_mu"]
     """Coulomb friction coefficient of each friction group."""
 
@@ -206,7 +218,7 @@ class ObjectModel:
     @property
     def particle_mass(self) -> Float[np.ndarray, "P"]:
         """Mass of each particle, kg, (P,)."""
-        return self.truth.mass[self.shape.mass_group]
+        return self.truth.mass[self.shape.mass_group] * self.shape.fill
 
     @property
     def total_mass(self) -> float:

@@ -68,14 +68,15 @@ class RigidBody:
 
 
 def boxes_of(shape: ObjectShape, distribution: MassDistribution) -> list[Box]:
-    """A box a mass group where its cells fill a rectangle of one friction; else a box a cell."""
+    """A box a mass group where its cells, all alike, fill a rectangle of one friction; else a box a cell."""
     boxes = []
     for group, name in enumerate(shape.group_names):
         inside = np.flatnonzero(shape.mass_group == group)
         low, high = shape.particles[inside].min(axis=0), shape.particles[inside].max(axis=0)
         cells = np.rint((high - low) / shape.cell) + 1
         frictions = set(shape.friction_group[inside].tolist())
-        parts = [inside] if int(cells.prod()) == len(inside) and len(frictions) == 1 else list(inside[:, None])
+        even = len(frictions) == 1 and (shape.fill[inside] == 1).all()
+        parts = [inside] if even and int(cells.prod()) == len(inside) else list(inside[:, None])
         for index, part in enumerate(parts):
             low, high = shape.particles[part].min(axis=0), shape.particles[part].max(axis=0)
             under = int(shape.friction_group[part[0]])
@@ -84,7 +85,7 @@ def boxes_of(shape: ObjectShape, distribution: MassDistribution) -> list[Box]:
                     name if len(parts) == 1 else f"{name}_{index}",
                     np.array([*(low + high) / 2, shape.height / 2]),
                     np.array([*(high - low + shape.cell), shape.height]),
-                    float(distribution.mass[group]) * len(part),
+                    float(distribution.mass[group] * shape.fill[part].sum()),
                     group,
                     None if under < 0 else float(distribution.friction[under]),
                 )

@@ -136,6 +136,32 @@ def test_a_tool_has_its_parts_masses_and_nearly_their_area(name: str):
     assert len(tool.shape.grasps) >= 5
 
 
+@pytest.mark.parametrize("name", list(TOOLS))
+@pytest.mark.parametrize("grid", [3, 6])
+def test_particles_weigh_as_the_material_in_their_cells_does(name: str, grid: int):
+    made = load_object(name, grid)
+    shape = made.shape
+    for group, solid in enumerate(made.solids):
+        inside = shape.mass_group == group
+        part, places = shape.fill[inside] / inside.sum(), shape.particles[inside]
+        middle = part @ places
+        assert_allclose(middle, solid.center_of_mass[:2], atol=shape.cell / 15)
+        squares = part @ (np.sum((places - middle) ** 2, axis=1) + shape.cell**2 / 6)
+        assert_allclose(squares, solid.inertia_z / solid.mass, rtol=0.015)
+    assert_allclose(made.particle_mass.sum(), made.total_mass)
+    assert_allclose(shape.per_group(np.ones(len(shape.particles))), shape.particles_per_group)
+
+
+def test_what_a_part_has_in_cells_of_another_is_counted_to_its_own():
+    thick, thin = box((0.045, 0.02, 0.02)), box((0.035, 0.02, 0.02), (0.045, 0, 0))
+    shape = cut(thick, thin).shape
+    rays = 3 / 7  # of the fifth cell's that meet the first part; the second has the cell
+    assert_allclose(shape.particles_per_group, [8, 8])
+    columns = [shape.fill[np.isclose(shape.particles[:, 0], x)] for x in (-0.035, -0.005, 0.005, 0.035)]
+    assert_allclose(columns[1], (1 + rays) * columns[0])
+    assert_allclose(columns[2], (1 - rays) * columns[3])
+
+
 def test_a_hammer_lies_on_its_head_and_on_the_end_of_its_handle():
     shape = load_object("hammer").shape
     head, touches = shape.mass_group == 0, shape.friction_group >= 0

@@ -136,6 +136,17 @@ def test_a_shape_is_frozen_and_its_arrays_are_read_only():
             array[0] = 0
 
 
+def test_a_particle_weighs_as_its_cell_is_filled():
+    uneven = shape(particles=[[0.0, 0.0], [0.1, 0.0], [0.2, 0.0]], mass_group=[0, 1, 1], friction_group=[0, 0, 0])
+    uneven = dataclasses.replace(uneven, fill=np.array([1.0, 0.5, 1.5]))
+    made = ObjectModel("X", uneven, MassDistribution(np.array([0.2, 0.1]), np.array([0.5])))
+    assert_allclose(made.particle_mass, [0.2, 0.05, 0.15])
+    assert_allclose(made.group_mass, [0.2, 0.2])
+    assert_allclose(made.center_of_mass, [(0.05 * 0.1 + 0.15 * 0.2) / 0.4, 0])
+    assert_allclose(uneven.per_group(uneven.particles[:, 0]), [0, 0.35])
+    assert_allclose(shape().fill, 1)
+
+
 def test_a_distribution_does_not_follow_the_array_it_was_made_from():
     mass = np.array([0.4, 0.1])
     made = MassDistribution(mass, np.array([0.5]))
@@ -162,6 +173,9 @@ def test_a_distribution_does_not_follow_the_array_it_was_made_from():
             {"friction_group": [-1, -1]},
             r"ObjectShape\.friction_group: got '-1 everywhere'; allowed: .*in contact \(>= 0\)",
         ),
+        ({"fill": [1.0]}, r"ObjectShape\.fill: got 'shape \(1,\)'; allowed: shape \(2,\)"),
+        ({"fill": [1.0, 2.0]}, r"ObjectShape\.fill: got 'means \[1\.0, 2\.0\], least 1'; allowed: .* a mean of 1"),
+        ({"fill": [1.0, -1.0]}, r"ObjectShape\.fill: got .*least -1'; allowed: numbers >= 0"),
         ({"group_names": ("only",)}, r"ObjectShape\.group_names: got \('only',\); allowed: 2 names"),
     ],
 )

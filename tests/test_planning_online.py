@@ -99,6 +99,24 @@ def test_an_answer_is_no_surer_than_it_says_itself():
     assert modest.nad == pytest.approx(NORMAL_MEAN * its_own.sum() / obj.total_mass) and modest.nad > last.nad
 
 
+def test_a_kind_of_touch_that_an_answer_needs_is_made_after_however_many_of_another():
+    obj = drawn_object(0)
+
+    class Careful(HiddenStatesEstimator):
+        def estimate(self, shape, weight, trajectories, seed):
+            found = super().estimate(shape, weight, trajectories, seed)
+            enough = any(isinstance(t.action, Accelerate) for t in trajectories)
+            return found if enough else replace(found, covariance=None, status="underdetermined")
+
+    chooser = policy(obj, Goal(until=0.1, most=100), estimator=Careful())
+    count = obj.shape.n_m + obj.shape.n_mu + 1
+    turns = [felt(obj, Rotate(0, duration=4.0, back=True, pivot=(0.05 * i, 0.01)), seed=i) for i in range(count)]
+    last = chooser.decide(obj.shape, turns)
+    assert last.nad < 0.1 and not last.answered and isinstance(last.action, Accelerate)
+    met = chooser.decide(obj.shape, [*turns, felt(obj, last.action, seed=count)])
+    assert met.answered and met.why == "the target is met"
+
+
 def test_a_lift_that_was_felt_counts():
     obj = load_object("L2")
     chooser = policy(obj, Goal())

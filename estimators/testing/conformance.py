@@ -113,6 +113,7 @@ def _order_does_not_count(estimator: Estimator, draw: Draw, mix: Callable[[np.nd
         cell=obj.shape.cell,
         height=obj.shape.height,
         grasps=obj.shape.grasps,
+        fill=obj.shape.fill[particles],
     )
     straight = answer.distribution
     mixed = estimator.estimate(shuffled, obj.total_mass, data(obj), 0).distribution

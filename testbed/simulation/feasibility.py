@@ -90,8 +90,7 @@ def _check_drag(trial: Trial, grasp: Grasp, motion: Motion, settings: Simulation
     obj, shape = trial.object, trial.object.shape
     friction = np.where(shape.friction_group >= 0, obj.truth.friction[np.maximum(shape.friction_group, 0)], 0.0)
     feet = np.bincount(shape.mass_group[shape.friction_group >= 0], minlength=shape.n_m)
-    share = (shape.particles_per_group / np.maximum(feet, 1))[shape.mass_group]  # a group's feet carry all of it
-    load = friction * obj.particle_mass * share * GRAVITY
+    load = friction * (obj.group_mass / np.maximum(feet, 1))[shape.mass_group] * GRAVITY  # a group's feet carry it all
     drag = float(load.sum())
     torque = float(load @ np.linalg.norm(shape.particles - grasp.position, axis=1))
     grip = settings.grip

@@ -123,7 +123,8 @@ class _Fit:
         least = LEAST * guess.total_mass / guess.shape.n_m
         most = guess.total_mass * (MOST if self._measured.weight is None else 1)
         for group, mass in enumerate(guess.group_mass):
-            cells = [f"cell_{i}" for i in np.flatnonzero(guess.shape.mass_group == group)]
+            inside = np.flatnonzero(guess.shape.mass_group == group)
+            cells = {f"cell_{i}": guess.shape.fill[i] / len(inside) for i in inside}
             found.add(sysid.Parameter(f"mass_{group}", mass, least, most, modifier=_masses(cells)))
         for group, friction in enumerate(guess.truth.friction):
             feet = [f"foot_{i}" for i in np.flatnonzero(guess.shape.friction_group == group)]
@@ -187,12 +188,12 @@ def _sequences(guess: ObjectModel, support: Support, measured: Measured) -> list
     return found
 
 
-def _masses(cells: list[str]) -> Callable[[mujoco.MjSpec, sysid.Parameter], None]:
-    """Spreads a mass evenly over cells."""
+def _masses(cells: dict[str, float]) -> Callable[[mujoco.MjSpec, sysid.Parameter], None]:
+    """Spreads a mass over cells, each its part."""
 
     def write(spec: mujoco.MjSpec, parameter: sysid.Parameter) -> None:
-        for name in cells:
-            spec.geom(name).mass = parameter.value[0] / len(cells)
+        for name, part in cells.items():
+            spec.geom(name).mass = parameter.value[0] * part
 
     return write
 

@@ -193,7 +193,8 @@ def _rows(model: ObjectModel, sensing_name: str, draws: int) -> Iterator[dict[st
     shape, sensing = model.shape, preset(sensing_name)
     guess, runner = Guess(model.total_mass, sensing), SimulationRunner()
     made = cache(lambda action: _made(runner, model, action))  # greedy and batch have actions in common
-    check = BenchCheck(shape, guess)
+    refused: dict[Action, str] = {}
+    check = BenchCheck(shape, guess, refused=refused)
     goal = Goal(budget_s=BUDGET, most=20)
     ahead: dict[str, ActionPolicy] = {
         "paper": RankDriven(TURNS, accelerated=0, grasps=feasible_grasps(model, SimulationSettings()), most=TURNS),
@@ -204,23 +205,34 @@ def _rows(model: ObjectModel, sensing_name: str, draws: int) -> Iterator[dict[st
     }
     for name, policy in ahead.items():
         clean: list[Trajectory] = []
-        while (action := policy.next(shape, clean)) is not None:
-            clean.append(made(action))
+        refused.clear()
+        while (action := policy.next(shape, clean)) is not None and action not in refused:
+            try:
+                clean.append(made(action))
+            except InfeasibleTrialError as error:  # at the true masses
+                refused[action] = str(error)
         drawn_ = [[_felt(t, sensing, model, name, draw, i) for i, t in enumerate(clean)] for draw in range(draws)]
-        plan = policy.plan(shape) if isinstance(policy, PlannedTouches) else None
+        plan = policy.plan(shape, tuple(refused)) if isinstance(policy, PlannedTouches) else None
         for count in range(1, len(clean) + 1):
+            as_planned = plan is not None and plan.actions[:count] == tuple(t.action for t in clean[:count])
             yield {
                 "object": model.name,
                 "policy": name,
                 "robot_s": spent_seconds(shape, clean[:count]),
                 "nad": float(np.mean([_nad(model, seen[:count]) for seen in drawn_])),
-                "expected": None if plan is None else plan.steps[count - 1].belief.expected_nad,
+                "expected": plan.steps[count - 1].belief.expected_nad if plan is not None and as_planned else None,
             }
     online = OnlineTouches(guess, goal, feasible=check, estimator=HiddenStatesEstimator())
     felt: list[Trajectory] = []
+    refused.clear()
     decision = online.decide(shape, felt)
     while decision.action is not None:
-        felt.append(_felt(made(decision.action), sensing, model, "online", 0, len(felt)))
+        try:
+            felt.append(_felt(made(decision.action), sensing, model, "online", 0, len(felt)))
+        except InfeasibleTrialError as error:
+            refused[decision.action] = str(error)
+            decision = online.decide(shape, felt)
+            continue
         decision = online.decide(shape, felt)
         yield {
             "object": model.name,

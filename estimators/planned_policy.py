@@ -11,6 +11,7 @@ import numpy as np
 
 from estimators.candidate_actions import ActionFamily
 from estimators.design import Criterion, Design, Guess, before_trials
+from estimators.robot_time import RobotTime
 from estimators.touch_plan import Asked, Feasible, Goal, Plan, anything, batch_plan, greedy_plan, random_plan
 from testbed.actions import Action
 from testbed.errors import InvalidValueError
@@ -52,14 +53,27 @@ class PlannedTouches:
             raise InvalidValueError("PlannedTouches.candidates", self.candidates, "an integer >= 1")
 
     def next(self, shape: ObjectShape, trajectories: Sequence[Trajectory]) -> Action | None:
-        """The first action of the plan that was not tried; where trials failed, of a plan that does without them."""
-        failed = tuple(t.action for t in trajectories if not t.ok)
-        tried = {t.action for t in trajectories}
-        return next((action for action in _planned(self, shape, failed).actions if action not in tried), None)
+        """The first action of the plan that was not tried; where trials failed, of a plan that does without them.
 
-    def plan(self, shape: ObjectShape) -> Plan:
-        """What to do, and what it is expected to teach."""
-        return _planned(self, shape, ())
+        So it is where the bench has come to refuse an action that it was asked of before. The goal's trials and time
+        hold for all that is done.
+        """
+        failed = tuple(t.action for t in trajectories if not t.ok)
+        tried = [t.action for t in trajectories]
+        if len(tried) >= self.goal.most:
+            return None
+        while True:
+            action = next((a for a in self.plan(shape, failed).actions if a not in tried), None)
+            if action is None or not self.feasible(action):
+                break
+            failed = (*failed, action)
+        if action is None or (failed and self.goal.left(RobotTime().total(shape, [*tried, action])) < 0):
+            return None
+        return action
+
+    def plan(self, shape: ObjectShape, without: tuple[Action, ...] = ()) -> Plan:
+        """What to do, without actions that have come to nothing, and what it is expected to teach."""
+        return _planned(self, shape, without)
 
     def sampled(self, shape: ObjectShape) -> tuple[Action, ...]:
         """The candidates."""

@@ -57,6 +57,8 @@ class Cell:
     policy: ActionPolicy
     turns: tuple[Rotate, ...]
     """Turns to be made for prediction, which no method is given."""
+    refused: dict[Action, str] = field(default_factory=dict)
+    """What the bench refused when it was run, and why; the policy chooses something else."""
     keys: list[str] = field(default_factory=list)
     """Trials made so far; the weighing first."""
     held_out_keys: list[str] = field(default_factory=list)
@@ -117,8 +119,10 @@ def cells_of(scenario: Scenario, store: Store, progress: Progress) -> tuple[list
                 for support in point.supports():
                     turns = tuple(point.policy.build_held_out(particles.shape, grasps))
                     for felt in point.own_draws():
-                        policy = point.policy.build(grasps, particles, settings, felt[0] if felt else None)
-                        one = Cell(point, axes, model, particles, support, grasps, policy, turns, felt=felt)
+                        refused: dict[Action, str] = {}
+                        sensing = felt[0] if felt else None
+                        policy = point.policy.build(grasps, particles, settings, sensing, refused)
+                        one = Cell(point, axes, model, particles, support, grasps, policy, turns, refused, felt=felt)
                         cells.append(one)
             done += 1
             progress("objects", done, total)

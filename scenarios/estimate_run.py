@@ -93,9 +93,18 @@ def _in_a_file(one: Measured) -> str | float:
 
 def _cell(one: Measured, scenario: Scenario) -> Cell:
     """Its trials are made: nothing is left to a policy."""
-    keys, held_out = [one.weighing, *one.moved], list(one.held_out)
-    policy = scenario.policy.build((), one.object, scenario.simulation.build())
-    return Cell(scenario, {}, one.object, one.object, one.support, (), policy, (), keys, held_out)
+    cell = Cell(
+        scenario,
+        {},
+        one.object,
+        one.object,
+        one.support,
+        grasps=(),
+        policy=scenario.policy.build((), one.object, scenario.simulation.build()),
+        turns=(),
+    )
+    cell.keys, cell.held_out_keys = [one.weighing, *one.moved], list(one.held_out)
+    return cell
 
 
 def _shown(scenario: Scenario) -> dict[str, Any]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Annotated, Any, Literal, Self
 
@@ -16,7 +17,7 @@ from estimators.touch_plan import Goal
 from scenarios.bench_check import BenchCheck
 from scenarios.benches import BenchSettings
 from scenarios.policies import Told, build_policy, code_of
-from testbed.actions import Rotate
+from testbed.actions import Action, Rotate
 from testbed.errors import InvalidValueError
 from testbed.objects import ObjectModel, ObjectShape
 from testbed.sensing import preset
@@ -76,7 +77,12 @@ class Policy(BaseModel):
         return 1 + chosen + self.held_out
 
     def build(
-        self, grasps: tuple[int, ...], particles: ObjectModel, settings: BenchSettings, sensing: str | None = None
+        self,
+        grasps: tuple[int, ...],
+        particles: ObjectModel,
+        settings: BenchSettings,
+        sensing: str | None = None,
+        refused: Mapping[Action, str] | None = None,
     ) -> ActionPolicy:
         """The policy over the grasps that may be used; of the object it is told shape and weight.
 
@@ -85,11 +91,12 @@ class Policy(BaseModel):
             particles: the object, with the estimator's particles.
             settings: of the bench, which is asked what it can do.
             sensing: how a policy feels whose draws have trials of their own; `plan_for` if left out.
+            refused: what the bench refused when it was run; may grow later.
         """
         if self.kind == "paper":
             return RankDriven(self.pivots, self.duration, self.accelerated, self.most, self.seed, grasps)
         guess = Guess(particles.total_mass, preset(self.plan_for))
-        check = BenchCheck(particles.shape, guess, settings)
+        check = BenchCheck(particles.shape, guess, settings, {} if refused is None else refused)
         if self.kind not in POLICIES:
             told = Told(grasps, particles.total_mass, check)
             return build_policy(self.kind, self.settings, POLICIES, self.touches, told)

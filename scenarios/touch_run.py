@@ -123,7 +123,6 @@ class _Run:
         self.console.print(f"weighed: {weight:.3f} kg", highlight=False)
         guess = Guess(weight, preset(self.wish.sensing), supports=THOUGHT[self.wish.thought])
         shape, refused = self.model.shape, dict[Action, str]()
-        check = BenchCheck(shape, guess)
         policy = OnlineTouches(
             guess,
             goal,
@@ -131,7 +130,7 @@ class _Run:
             candidates=self.wish.candidates,
             grasps=named_grasps(self.model, self.wish.grasps),
             seed=self.wish.seed,
-            feasible=lambda action: refused.get(action) or check(action),
+            feasible=BenchCheck(shape, guess, refused=refused),
         )
         while True:
             felt = self._felt(keys)[1:]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import asdict
+from dataclasses import asdict, dataclass, field
 
 from scenarios.benches import BenchSettings, OtherBench
 from scenarios.cells import Cell, Made, Progress
@@ -11,7 +11,7 @@ from scenarios.estimates import as_felt
 from scenarios.execution import Executor, Failure
 from scenarios.store import Store, key_of, object_request, trial_request
 from testbed.actions import Action, Weigh, action_to_dict
-from testbed.errors import HeftError
+from testbed.errors import HeftError, InfeasibleTrialError
 from testbed.simulation.runner import SimulationRunner
 from testbed.trajectory import TrajectoryFileError
 from testbed.trial import Trial
@@ -25,59 +25,88 @@ def run_trials(
 ) -> None:
     """Make the trials: some cells side by side, each cell's in order; a trial that two cells ask for is made once.
 
-    A cell whose trial fails for good has the reason in `failure`, and goes no further.
+    What the bench refuses at the true masses is told to the policy, which chooses something else. A cell whose trial
+    fails for good, or whose policy asks again for what was refused, has the reason in `failure`, and goes no further.
     """
     expected = sum(cell.scenario.policy.expected_trials for cell in cells)
-    waiting, active, done = deque(cells), 0, 0
-    asking: dict[str, list[tuple[Cell, Action]]] = {}
+    waiting, run = deque(cells), _Run(store, executor)
+    while waiting or executor.running:
+        while waiting and run.active < executor.capacity:  # the driver holds the trajectories of these and no others
+            run.begin(waiting.popleft())
+        if executor.running:
+            key, refusal = executor.wait()
+            if made is not None and refusal == "":
+                made("trial", key)
+            run.end(key, refusal)
+        failed = sum(bool(cell.failure) for cell in cells)
+        progress("trials", run.done, max(run.done + executor.running, expected), failed)
+    progress("trials", run.done, run.done, sum(bool(cell.failure) for cell in cells))
 
-    def give_up(cell: Cell, why: str) -> None:
-        nonlocal active
-        cell.failure = why
-        cell.trajectories.clear()
-        active -= 1
 
-    def go_on(cell: Cell, action: Action | None) -> None:
+@dataclass(eq=False)
+class _Run:
+    """Cells under way, and who waits for which trial."""
+
+    store: Store
+    executor: Executor
+    active: int = 0
+    """Cells begun and not yet done or given up."""
+    done: int = 0
+    """Trials that are there."""
+    asking: dict[str, list[tuple[Cell, Action]]] = field(default_factory=dict)
+    """Who asked for each trial in flight."""
+
+    def begin(self, cell: Cell) -> None:
+        if _recalled(cell, self.store):
+            self.done += len(cell.keys) + len(cell.held_out_keys)
+        else:
+            self.active += 1
+            self._go_on(cell, Weigh())
+
+    def end(self, key: str, refusal: str | Failure) -> None:
+        """A trial is made where `refusal` is empty."""
+        for cell, action in self.asking.pop(key):
+            if refusal == "":
+                self._go_on(cell, action)
+            elif isinstance(refusal, Failure):
+                self._give_up(cell, f"{type(action).__name__.lower()}: {refusal.reason}")
+                self.store.put_trial_error(key, refusal.detail)
+            else:
+                cell.refused[action] = refusal
+                self._go_on(cell, self._following(cell))
+
+    def _go_on(self, cell: Cell, action: Action | None) -> None:
         """From this action on: take what is there, and ask for the first trial that is not."""
-        nonlocal active, done
         while action is not None:
             trial, settings = Trial(cell.model, action, cell.support), cell.scenario.simulation.build()
             key = key_of(trial_request(trial, settings))
-            if not (store.has_trial(key) and _taken(cell, action, key, store)):
-                asking.setdefault(key, []).append((cell, action))
-                if len(asking[key]) == 1:
-                    executor.start(key, simulate, trial, settings, store)
+            if not (self.store.has_trial(key) and _taken(cell, action, key, self.store)):
+                self.asking.setdefault(key, []).append((cell, action))
+                if len(self.asking[key]) == 1:
+                    self.executor.start(key, _tried, trial, settings, self.store)
                 return
-            done += 1
-            try:
-                action = cell.following()
-            except HeftError as error:  # a policy that cannot go on takes its own cell with it
-                give_up(cell, f"policy: {error}")
-                return
-        store.put_note(_key_of_cell(cell), {"keys": cell.keys, "held_out": cell.held_out_keys})
-        active -= 1
+            self.done += 1
+            action = self._following(cell)
+        if not cell.failure:
+            self.store.put_note(_key_of_cell(cell), {"keys": cell.keys, "held_out": cell.held_out_keys})
+            self.active -= 1
 
-    while waiting or executor.running:
-        while waiting and active < executor.capacity:  # the driver holds the trajectories of these and no others
-            cell = waiting.popleft()
-            if _recalled(cell, store):
-                done += len(cell.keys) + len(cell.held_out_keys)
-            else:
-                active += 1
-                go_on(cell, Weigh())
-        if executor.running:
-            key, value = executor.wait()
-            if made is not None and not isinstance(value, Failure):
-                made("trial", key)
-            for cell, action in asking.pop(key):
-                if not isinstance(value, Failure):
-                    go_on(cell, action)
-                    continue
-                give_up(cell, f"{type(action).__name__.lower()}: {value.reason}")
-                store.put_trial_error(key, value.detail)
-        failed = sum(bool(cell.failure) for cell in cells)
-        progress("trials", done, max(done + executor.running, expected), failed)
-    progress("trials", done, done, sum(bool(cell.failure) for cell in cells))
+    def _following(self, cell: Cell) -> Action | None:
+        """As the cell has it; a policy that cannot go on takes its own cell with it."""
+        try:
+            action = cell.following()
+        except HeftError as error:
+            self._give_up(cell, f"policy: {error}")
+            return None
+        if action in cell.refused:
+            self._give_up(cell, f"{type(action).__name__.lower()}: {cell.refused[action]}")
+            return None
+        return action
+
+    def _give_up(self, cell: Cell, why: str) -> None:
+        cell.failure = why
+        cell.trajectories.clear()
+        self.active -= 1
 
 
 def _taken(cell: Cell, action: Action, key: str, store: Store) -> bool:
@@ -117,8 +146,21 @@ def _key_of_cell(cell: Cell) -> str:
     return key_of(asked | ({"felt": list(cell.felt)} if cell.felt else {}))
 
 
+def _tried(trial: Trial, settings: BenchSettings, store: Store) -> str:
+    """Task: a trial; why the bench refused it, or empty where it is made."""
+    try:
+        simulate(trial, settings, store)
+    except InfeasibleTrialError as error:
+        return str(error)
+    return ""
+
+
 def simulate(trial: Trial, settings: BenchSettings, store: Store) -> None:
-    """Task: one physical trial, unless it is done."""
+    """One physical trial, unless it is done.
+
+    Raises:
+        InfeasibleTrialError: the bench refused it; nothing has moved.
+    """
     asked = trial_request(trial, settings)
     key = key_of(asked)
     if store.has_trial(key):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import sys
 from importlib.metadata import EntryPoint, EntryPoints
@@ -36,6 +37,13 @@ class Narrow(DragBench):
     def check(self, trial):
         if trial.action.grasp > 1:
             raise InfeasibleTrialError("reach: too far")
+
+class Stiff(DragBench):
+    """It turns one way only, and says so too late."""
+    def run(self, trial):
+        if getattr(trial.action, "speed", 0) > 0:
+            raise InfeasibleTrialError("joints: not that way")
+        return super().run(trial)
 
 class Bare:
     """No more than it must have."""
@@ -106,6 +114,25 @@ def test_a_runners_own_check_says_which_grasps_can_be_used():
     }
     assert grasps["Narrow"] == (0, 1)
     assert grasps["Bare"] == grasps["Measured"] == tuple(range(len(l2.shape.grasps)))
+
+
+@pytest.mark.parametrize("kind", ["greedy", "batch", "random", "online"])
+def test_what_the_bench_refuses_when_it_is_run_is_chosen_around(here, kind):
+    policy = {"kind": kind, "touches": 3, "candidates": 120, "held_out": 0, "thought": "own_weight"}
+    (row,) = ran(here, "out", "more:Stiff", policy=policy, sensing=["ft300s"], seeds=1)
+    assert row["status"] == "ok", row["message"]
+    said = [json.loads(path.read_text())["asked"]["action"] for path in here.glob("out/trials/*/trial.json")]
+    turns = [action for action in said if action["kind"] == "rotate"]
+    assert len(said) == 4 and turns and all(action["speed"] < 0 for action in turns)
+    assert not [*here.glob("out/trials/*/error.txt")]
+    before = sorted(path.stat().st_mtime_ns for path in here.glob("out/trials/*/*"))
+    ran(here, "out", "more:Stiff", policy=policy, sensing=["ft300s"], seeds=1)
+    assert sorted(path.stat().st_mtime_ns for path in here.glob("out/trials/*/*")) == before
+
+
+def test_a_policy_that_asks_again_for_what_was_refused_ends_its_cell(here):
+    (row,) = ran(here, "out", "more:Stiff")
+    assert row["status"] == "failed" and row["message"] == "rotate: joints: not that way"
 
 
 @pytest.mark.parametrize(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import io
 import time
 from collections.abc import Callable
@@ -138,6 +139,7 @@ class _Fit:
         """
         self.guesses += x.shape[1] if x.ndim == 2 else 1
         self._models.clear()
+        gc.collect()  # guesses before left models in cycles, gigabytes of which Python knows only the handles
         missing, predicted, felt = self._stretches(x, params)
         parts = [self._measured.whiten @ np.concatenate(missing)]
         if self._measured.weight is not None:

@@ -117,7 +117,7 @@ def length(options: argparse.Namespace) -> None:
         shape, family = model.shape, ActionFamily(duration=(seconds - 0.01, seconds), slides=False, accelerated=False)
         for action in family.sample(shape, range(len(shape.grasps)), 5, options.seed):
             try:
-                windows = observe(shape, [draw_sensing(_made(runner, model, action), preset("ideal"), 0)])
+                windows = observe(shape, [draw_sensing(runner.run_clean(Trial(model, action)), preset("ideal"), 0)])
             except InfeasibleTrialError:
                 continue
             if windows is not None and len(windows) == 2:
@@ -192,8 +192,16 @@ def _rows(model: ObjectModel, sensing_name: str, draws: int) -> Iterator[dict[st
     """Rows of an object: NAD after each trial of each policy, mean over draws; 1 draw where the policy sees it."""
     shape, sensing = model.shape, preset(sensing_name)
     guess, runner = Guess(model.total_mass, sensing), SimulationRunner()
-    made = cache(lambda action: _made(runner, model, action))  # greedy and batch have actions in common
+    made = cache(lambda action: runner.run_clean(Trial(model, action)))  # greedy and batch have actions in common
     refused: dict[Action, str] = {}
+
+    def tried(action: Action) -> Iterator[Trajectory]:
+        """The trial, or none where the bench refuses it at the true masses."""
+        try:
+            yield made(action)
+        except InfeasibleTrialError as error:
+            refused[action] = str(error)
+
     check = BenchCheck(shape, guess, refused=refused)
     goal = Goal(budget_s=BUDGET, most=20)
     ahead: dict[str, ActionPolicy] = {
@@ -207,10 +215,7 @@ def _rows(model: ObjectModel, sensing_name: str, draws: int) -> Iterator[dict[st
         clean: list[Trajectory] = []
         refused.clear()
         while (action := policy.next(shape, clean)) is not None and action not in refused:
-            try:
-                clean.append(made(action))
-            except InfeasibleTrialError as error:  # at the true masses
-                refused[action] = str(error)
+            clean += tried(action)
         drawn_ = [[_felt(t, sensing, model, name, draw, i) for i, t in enumerate(clean)] for draw in range(draws)]
         plan = policy.plan(shape, tuple(refused)) if isinstance(policy, PlannedTouches) else None
         for count in range(1, len(clean) + 1):
@@ -226,14 +231,11 @@ def _rows(model: ObjectModel, sensing_name: str, draws: int) -> Iterator[dict[st
     felt: list[Trajectory] = []
     refused.clear()
     decision = online.decide(shape, felt)
-    while decision.action is not None:
-        try:
-            felt.append(_felt(made(decision.action), sensing, model, "online", 0, len(felt)))
-        except InfeasibleTrialError as error:
-            refused[decision.action] = str(error)
-            decision = online.decide(shape, felt)
-            continue
+    while (action := decision.action) is not None:
+        felt += [_felt(trial, sensing, model, "online", 0, len(felt)) for trial in tried(action)]
         decision = online.decide(shape, felt)
+        if action in refused:
+            continue
         yield {
             "object": model.name,
             "policy": "online",
@@ -241,10 +243,6 @@ def _rows(model: ObjectModel, sensing_name: str, draws: int) -> Iterator[dict[st
             "nad": _nad(model, felt),
             "expected": decision.nad,
         }
-
-
-def _made(runner: SimulationRunner, model: ObjectModel, action: Action) -> Trajectory:
-    return runner.run_clean(Trial(model, action))
 
 
 def _felt(clean: Trajectory, sensing: Sensing, model: ObjectModel, policy: str, draw: int, trial: int) -> Trajectory:

@@ -7,7 +7,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import torch
 
+from estimators.dynamics import ParticleModel, inertia_of
 from estimators.hidden_states import HiddenStatesEstimator
 from estimators.lifted import LiftedRows, lifted_rows
 from estimators.mass_polytope import MassPolytope
@@ -112,13 +114,12 @@ class SupportAware:
         polytope = MassPolytope(*fit.on_mass())
         mean, covariance = polytope.posterior(seed)
         low, high = polytope.ranges(self.confidence)
-        mass = mean * count
-        com = mean @ _moments(shape) / mass.sum()
-        inertia = float(mean @ _squares(shape) - mass.sum() * com @ com)
+        model = ParticleModel.of(shape)
+        whole = inertia_of(model, model.particle_mass(torch.tensor(mean)))
         hidden = HiddenStates(
-            own.hidden.mass if own.hidden else float(mass.sum()),
-            inertia if fit.pivots is not None else np.nan,
-            com,
+            own.hidden.mass if own.hidden else float(whole.mass),
+            float(whole.about_com) if fit.pivots is not None else np.nan,
+            whole.com.numpy(),
             np.zeros(0),
             (),
             f"{shape.n_m} masses from {felt} alone, under one rigid body",
@@ -217,14 +218,3 @@ def _how_many(ranked: RankedAssignments, many: int | None) -> str:
 
 def _joined(first: str, second: str) -> str:
     return f"{first}; {second}" if first and second else first or second
-
-
-def _moments(shape: ObjectShape) -> np.ndarray:
-    """Sum of the particles of each group, m, (n_m, 2)."""
-    return shape.per_group(shape.particles.T).T
-
-
-def _squares(shape: ObjectShape) -> np.ndarray:
-    """Second moment about the origin of each group's particles, m^2, (n_m,)."""
-    squares = np.sum(shape.particles**2, axis=1) + shape.cell**2 / 6
-    return shape.per_group(squares)

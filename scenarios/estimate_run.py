@@ -93,18 +93,10 @@ def _in_a_file(one: Measured) -> str | float:
 
 def _cell(one: Measured, scenario: Scenario) -> Cell:
     """Its trials are made: nothing is left to a policy."""
-    cell = Cell(
-        scenario,
-        {},
-        one.object,
-        one.object,
-        one.support,
-        grasps=(),
-        policy=scenario.policy.build((), one.object, scenario.simulation.build()),
-        turns=(),
-    )
-    cell.keys, cell.held_out_keys = [one.weighing, *one.moved], list(one.held_out)
-    return cell
+    keys, held_out = [one.weighing, *one.moved], list(one.held_out)
+    policy = scenario.policy.build((), one.object, scenario.simulation.build())
+    obj = one.object
+    return Cell(scenario, {}, obj, obj, one.support, (), policy, (), keys=keys, held_out_keys=held_out)
 
 
 def _shown(scenario: Scenario) -> dict[str, Any]:

@@ -21,20 +21,18 @@ from rich.table import Table
 from scipy.optimize import minimize
 from torch import Tensor
 
-from estimators.baseline import Baseline
-from estimators.candidates import LogCoordinates
+from estimators.base import Estimate
+from estimators.baselines.base import FRICTION_RANGE, ITERATIONS, LCP_DIRECTIONS, LCP_SUBSTEPS, Baseline, LogCoordinates
+from estimators.baselines.diff_lcp import DiffLcp
+from estimators.baselines.explicit_state import ExplicitState
+from estimators.baselines.random_search import RandomSearch
+from estimators.baselines.weighted_sampling import WeightedSampling
 from estimators.descent import OPTIMIZERS
-from estimators.diff_lcp import DiffLcp
-from estimators.explicit_state import ExplicitState
-from estimators.metrics import normalized_absolute_difference
-from estimators.prediction import Problem, Weighting
-from estimators.protocol import Estimate
-from estimators.published import FRICTION_RANGE, ITERATIONS, LCP_DIRECTIONS, LCP_SUBSTEPS
-from estimators.random_search import RandomSearch
+from estimators.evaluation.metrics import normalized_absolute_difference
+from estimators.particles.wrench import Problem, Weighting
 from estimators.testing.analytic_world import accelerated, turns
-from estimators.weighted_sampling import WeightedSampling
-from testbed.object_files import load_object
-from testbed.objects import MassDistribution, ObjectModel
+from testbed.objects.files import load_object
+from testbed.objects.model import MassDistribution, ObjectModel
 from testbed.trajectory import Trajectory
 
 OBJECTS = ("I2", "L2", "F2")

@@ -21,29 +21,38 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
+from estimators.action_selection.rank import between_particles
+from estimators.baselines.diff_lcp import DiffLcp
+from estimators.baselines.explicit_state import ExplicitState
+from estimators.baselines.lcp import LcpEngine, _Solve, polygon_sides, solve_step
+from estimators.baselines.random_search import RandomSearch
+from estimators.baselines.weighted_sampling import WeightedSampling
 from estimators.descent import OPTIMIZERS
-from estimators.diff_lcp import DiffLcp
-from estimators.dynamics import ParticleModel, cross, direction, friction_wrench, inertia_of, one_step, rotate, turned
-from estimators.explicit_state import ExplicitState
-from estimators.friction_loads import LoadGroups, closed_form, descend_loads, friction_equations
-from estimators.hidden_states import HiddenStatesEstimator
-from estimators.lcp import LcpEngine, _Solve, polygon_sides, solve_step
-from estimators.observations import observe
-from estimators.random_search import RandomSearch
-from estimators.rank_driven import between_particles
-from estimators.weighted_sampling import WeightedSampling
-from testbed.actions import Accelerate, Rotate
-from testbed.object_files import load_object
-from testbed.objects import GRAVITY
-from testbed.sensing import draw_sensing, preset
+from estimators.hidden_states.algorithm import HiddenStatesEstimator
+from estimators.hidden_states.friction import LoadGroups, closed_form, descend_loads, friction_equations
+from estimators.particles.model import (
+    ParticleModel,
+    cross,
+    direction,
+    friction_wrench,
+    inertia_of,
+    one_step,
+    rotate,
+    turned,
+)
+from estimators.particles.windows import observe
+from testbed.actions.base import Accelerate, Rotate
+from testbed.objects.files import load_object
+from testbed.objects.model import GRAVITY
+from testbed.sensing.presets import draw_sensing, preset
+from testbed.simulation.controller import Servo
 from testbed.simulation.motion import plan_motion
 from testbed.simulation.runner import SimulationRunner, place
 from testbed.simulation.scene import build_scene
-from testbed.simulation.servo import Servo
 from testbed.simulation.settings import SimulationSettings
 from testbed.trajectory import Trajectory
 from testbed.trial import OWN_WEIGHT, Trial
-from tests.lcp_oracle import Textbook, interior_point
+from tests.helpers.lcp_oracle import Textbook, interior_point
 
 SETTINGS = SimulationSettings()
 TURNS = 12
@@ -204,10 +213,10 @@ def peak_memory_mb() -> float:
     """Peak resident memory of a fresh process that runs a trial and an estimate, MiB."""
     script = (
         "import resource, torch; torch.set_num_threads(1)\n"
-        "from testbed.object_files import load_object; from testbed.actions import Rotate\n"
+        "from testbed.objects.files import load_object; from testbed.actions.base import Rotate\n"
         "from testbed.trial import Trial\n"
         "from testbed.simulation.runner import SimulationRunner\n"
-        "from estimators.hidden_states import HiddenStatesEstimator\n"
+        "from estimators.hidden_states.algorithm import HiddenStatesEstimator\n"
         "m = load_object('L2'); r = SimulationRunner()\n"
         "t = [r.run(Trial(m, Rotate(g, back=True))) for g in (0, 2, 4)]\n"
         "assert HiddenStatesEstimator().estimate(m.shape, m.total_mass, t, 0).status == 'ok'\n"

@@ -33,21 +33,21 @@ from rich.table import Table
 from scipy.optimize import minimize
 from scipy.stats import norm
 
-from estimators.dynamics import ParticleModel, inertia_of
-from estimators.fisher import Question, expected, observed
-from estimators.friction_loads import LoadGroups, friction_equations
-from estimators.hidden_states import HiddenStatesEstimator
-from estimators.mass_solve import load_jacobian
-from estimators.model_errors import EXACT, ModelErrors
-from estimators.observations import Observations, observe
-from scenarios.estimates import sensed
-from scenarios.identify_run import Wish, planned_actions
-from scenarios.results import load_results
-from scenarios.store import Store, read_json, rows_of
-from testbed.object_files import load_object, object_names
-from testbed.objects import ObjectModel
-from testbed.reduction import weight_of
-from testbed.sensing import preset
+from estimators.hidden_states.algorithm import HiddenStatesEstimator
+from estimators.hidden_states.friction import LoadGroups, friction_equations
+from estimators.hidden_states.masses import load_jacobian
+from estimators.identifiability.information import Question, expected, observed
+from estimators.particles.errors import EXACT, ModelErrors
+from estimators.particles.model import ParticleModel, inertia_of
+from estimators.particles.windows import Observations, observe
+from scenarios.cli.identify import Wish, planned_actions
+from scenarios.results.load import load_results
+from scenarios.results.store import Store, read_json, rows_of
+from scenarios.study.estimates import sensed
+from testbed.objects.files import load_object, object_names
+from testbed.objects.model import ObjectModel
+from testbed.sensing.presets import preset
+from testbed.sensing.windows import weight_of
 from testbed.trajectory import Trajectory, write_whole
 from viz.style import PALETTE, STYLE, bare
 

@@ -20,16 +20,16 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
-from estimators.lifted import wrench_of_mass
-from estimators.rank_driven import between_particles
-from estimators.support_aware import SupportAware
-from scenarios.drawn_objects import Family
-from testbed.actions import Accelerate, Action, Lift, Rotate
+from estimators.action_selection.rank import between_particles
+from estimators.particles.lifts import wrench_of_mass
+from estimators.support_models.estimator import SupportAware
+from testbed.actions.base import Accelerate, Action, Lift, Rotate
 from testbed.errors import InfeasibleTrialError
-from testbed.lift_reduction import lift_windows
-from testbed.object_files import load_object
-from testbed.objects import ObjectModel
-from testbed.sensing import draw_sensing, preset
+from testbed.objects.files import load_object
+from testbed.objects.model import ObjectModel
+from testbed.objects.random import Family
+from testbed.sensing.lift_windows import lift_windows
+from testbed.sensing.presets import draw_sensing, preset
 from testbed.simulation.runner import SimulationRunner
 from testbed.trajectory import Trajectory, write_whole
 from testbed.trial import RIGID, Trial

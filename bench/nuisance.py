@@ -26,22 +26,22 @@ from rich.console import Console
 from rich.table import Table
 
 import testbed.simulation.runner as bench
-from estimators.hidden_states import HiddenStatesEstimator
-from estimators.metrics import normalized_absolute_difference
-from estimators.nuisance import UNKNOWNS
-from estimators.rank_driven import RankDriven
-from scenarios.drawn_objects import Family
-from testbed.actions import Accelerate, Action, Rotate, Slide
-from testbed.object_files import load_object
-from testbed.objects import ObjectModel
-from testbed.sensing import draw_sensing, preset
+from estimators.action_selection.rank import RankDriven
+from estimators.evaluation.metrics import normalized_absolute_difference
+from estimators.hidden_states.algorithm import HiddenStatesEstimator
+from estimators.hidden_states.nuisance import UNKNOWNS
+from testbed.actions.base import Accelerate, Action, Rotate, Slide
+from testbed.objects.files import load_object
+from testbed.objects.model import ObjectModel
+from testbed.objects.random import Family
+from testbed.sensing.presets import draw_sensing, preset
 from testbed.simulation.runner import SimulationRunner
 from testbed.simulation.scene import Scene
 from testbed.trajectory import Trajectory
 from testbed.trial import Trial
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
-from flawed_bench import biased, held_beside, on_grain  # pyright: ignore[reportMissingImports]
+sys.path.insert(0, str(Path(__file__).parents[1]))
+from tests.fakes.flawed_bench import biased, held_beside, on_grain  # pyright: ignore[reportMissingImports]
 
 BIAS = np.repeat([0.2, 0.01], 3)
 """Left after the tare, one standard deviation, N and N m."""

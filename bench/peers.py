@@ -23,18 +23,16 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
-from estimators.cma_es import CmaEs
-from estimators.explicit_state import ExplicitState
-from estimators.hidden_states import HiddenStatesEstimator
-from estimators.least_squares import LeastSquares
-from estimators.metrics import normalized_absolute_difference
-from estimators.nelder_mead import NelderMead
-from estimators.protocol import Estimator
-from estimators.support_aware import SupportAware
+from estimators.base import Estimator
+from estimators.baselines.explicit_state import ExplicitState
+from estimators.baselines.mujoco_sysid import MujocoSysid
+from estimators.baselines.optimizers import CmaEs, LeastSquares, NelderMead
+from estimators.evaluation.metrics import normalized_absolute_difference
+from estimators.hidden_states.algorithm import HiddenStatesEstimator
+from estimators.support_models.estimator import SupportAware
 from estimators.testing.recorded import load_block
-from scenarios.cli import main as heft
-from scenarios.mujoco_sysid import MujocoSysid
-from scenarios.results import load_results
+from scenarios.cli.main import main as heft
+from scenarios.results.load import load_results
 
 METHODS: dict[str, Estimator] = {
     "hidden_states": HiddenStatesEstimator(),

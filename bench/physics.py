@@ -16,21 +16,26 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
-from estimators.dynamics import ParticleModel, direction, friction_wrench, inertia_of
-from estimators.observations import observe
-from estimators.rank_driven import between_particles
-from estimators.support import own_weight, rigid_loads
-from scenarios.execution import default_workers
-from scenarios.schema import Grid, Scenario, Simulation
-from scenarios.sweep import run_scenario
-from testbed.actions import Rotate, Slide, Weigh
+from estimators.action_selection.rank import between_particles
+from estimators.particles.model import ParticleModel, direction, friction_wrench, inertia_of
+from estimators.particles.support import own_weight, rigid_loads
+from estimators.particles.windows import observe
+from scenarios.config import Grid, Scenario, Simulation
+from scenarios.execution.executor import default_workers
+from scenarios.study.run import run_scenario
+from testbed.actions.base import Rotate, Slide, Weigh
 from testbed.frames import cross_2d, perpendicular, rotation_2d
-from testbed.object_files import load_object
-from testbed.reduction import weight_of
-from testbed.sensing import compensate
-from testbed.simulation.resting import resting_loads
+from testbed.objects.files import load_object
+from testbed.sensing.presets import compensate
+from testbed.sensing.windows import weight_of
+from testbed.simulation.contacts import resting_loads
 from testbed.simulation.runner import SimulationRunner
-from testbed.simulation.settings import ContactSettings, GripSettings, ServoSettings, SimulationSettings
+from testbed.simulation.settings import (
+    ContactSettings,
+    GripSettings,
+    ServoSettings,
+    SimulationSettings,
+)
 from testbed.trajectory import Phase
 from testbed.trial import OWN_WEIGHT, RIGID, Support, Trial
 

@@ -28,28 +28,27 @@ import numpy as np
 import torch
 from matplotlib.figure import Figure
 
-from estimators.candidate_actions import ActionFamily
-from estimators.design import Design, Guess, before_trials
-from estimators.dynamics import inertia_of
-from estimators.friction_loads import LoadGroups, friction_equations
-from estimators.hidden_states import HiddenStatesEstimator
-from estimators.metrics import normalized_absolute_difference
-from estimators.model_errors import ModelErrors
-from estimators.observations import Observations, observe
-from estimators.online_policy import OnlineTouches, spent_seconds
-from estimators.particle_loads import ParticleLoads
-from estimators.planned_policy import PlannedTouches
-from estimators.protocol import ActionPolicy
-from estimators.rank_driven import RankDriven
-from estimators.touch_plan import Asked, Goal, batch_plan, greedy_choice, greedy_plan
-from scenarios.bench_check import BenchCheck
-from scenarios.cells import feasible_grasps
-from scenarios.drawn_objects import Family
-from testbed.actions import Action
+from estimators.action_selection.candidates import ActionFamily
+from estimators.action_selection.design import Design, Guess, before_trials
+from estimators.action_selection.greedy import Asked, Goal, PlannedTouches, batch_plan, greedy_choice, greedy_plan
+from estimators.action_selection.online import OnlineTouches, spent_seconds
+from estimators.action_selection.rank import RankDriven
+from estimators.base import ActionPolicy
+from estimators.evaluation.metrics import normalized_absolute_difference
+from estimators.hidden_states.algorithm import HiddenStatesEstimator
+from estimators.hidden_states.friction import LoadGroups, friction_equations
+from estimators.particles.errors import ModelErrors
+from estimators.particles.model import inertia_of
+from estimators.particles.windows import Observations, observe
+from estimators.particles.wrench import ParticleLoads
+from scenarios.study.benches import BenchCheck
+from scenarios.study.experiment import feasible_grasps
+from testbed.actions.base import Action
 from testbed.errors import HeftError, InfeasibleTrialError
-from testbed.object_files import load_object
-from testbed.objects import ObjectModel
-from testbed.sensing import Sensing, draw_sensing, preset
+from testbed.objects.files import load_object
+from testbed.objects.model import ObjectModel
+from testbed.objects.random import Family
+from testbed.sensing.presets import Sensing, draw_sensing, preset
 from testbed.simulation.runner import SimulationRunner
 from testbed.simulation.settings import SimulationSettings
 from testbed.trajectory import Trajectory, write_whole

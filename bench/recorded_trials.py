@@ -16,12 +16,11 @@ from importlib.metadata import version
 from pathlib import Path
 
 from estimators.testing.recorded import FOLDER, save_block
-from scenarios.drawn_objects import Family
-from scenarios.schema import Scenario
-from scenarios.store import Store
-from scenarios.sweep import run_scenario
-from testbed.object_files import Blocks, ObjectFile
-from testbed.resources import asset_folder
+from scenarios.config import Scenario
+from scenarios.results.store import Store
+from scenarios.study.run import run_scenario
+from testbed.objects.files import Blocks, ObjectFile, asset_folder
+from testbed.objects.random import Family
 
 LIBRARY = ("I1", "I2", "L1", "L2", "F1", "F2")
 TUTORIAL = ("T", "U")

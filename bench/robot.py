@@ -17,11 +17,10 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
-from fake_ft300s import FakeFt300s  # pyright: ignore[reportMissingImports]
-
-from testbed.robot.ft300s import Ft300s
-from testbed.robot.ports import WrenchSample
+sys.path.insert(0, str(Path(__file__).parents[1]))
+from testbed.robot.interfaces import WrenchSample
+from testbed.robot.robotiq.ft300s import Ft300s
+from tests.fakes.ft300s import FakeFt300s  # pyright: ignore[reportMissingImports]
 
 _WRAP = 30_000
 """Numbers that one axis can say."""

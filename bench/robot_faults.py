@@ -15,8 +15,8 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
-from fault_trials import BOUND, FAULTS, Outcome, struck_by  # pyright: ignore[reportMissingImports]
+sys.path.insert(0, str(Path(__file__).parents[1]))
+from tests.helpers.fault_trials import BOUND, FAULTS, Outcome, struck_by  # pyright: ignore[reportMissingImports]
 
 
 def row(outcomes: list[Outcome]) -> tuple[str, ...]:

@@ -18,21 +18,20 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
+sys.path.insert(0, str(Path(__file__).parents[1]))
 
-from fake_rig import FT300S  # pyright: ignore[reportMissingImports]
-from real_path import QUIET, over_wires  # pyright: ignore[reportMissingImports]
-
-from estimators.hidden_states import HiddenStatesEstimator
-from estimators.metrics import normalized_absolute_difference
-from estimators.rank_driven import RankDriven
-from testbed.actions import Rotate
-from testbed.object_files import load_object
-from testbed.objects import ObjectModel
-from testbed.sensing import Sensing, draw_sensing, preset
+from estimators.action_selection.rank import RankDriven
+from estimators.evaluation.metrics import normalized_absolute_difference
+from estimators.hidden_states.algorithm import HiddenStatesEstimator
+from testbed.actions.base import Rotate
+from testbed.objects.files import load_object
+from testbed.objects.model import ObjectModel
+from testbed.sensing.presets import Sensing, draw_sensing, preset
 from testbed.simulation.runner import SimulationRunner
 from testbed.trajectory import Trajectory
 from testbed.trial import Trial
+from tests.fakes.rig import FT300S  # pyright: ignore[reportMissingImports]
+from tests.helpers.real_path import QUIET, over_wires  # pyright: ignore[reportMissingImports]
 
 TURNS = 4
 SHOWN = (

@@ -28,17 +28,17 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
-from estimators.hidden_states import HiddenStatesEstimator
-from estimators.material_prior import rank_assignments
-from estimators.metrics import normalized_absolute_difference
-from estimators.support_aware import SupportAware
+from estimators.evaluation.metrics import normalized_absolute_difference
+from estimators.hidden_states.algorithm import HiddenStatesEstimator
+from estimators.support_models.estimator import SupportAware
+from estimators.support_models.materials import rank_assignments
 from estimators.testing.analytic_world import accelerated, turns
-from scenarios.estimates import sensed
-from scenarios.store import Store, read_json
-from scenarios.trial_record import object_of
-from testbed.object_files import load_object
-from testbed.objects import ObjectModel
-from testbed.reduction import weight_of
+from scenarios.results.store import Store, read_json
+from scenarios.results.trials import object_of
+from scenarios.study.estimates import sensed
+from testbed.objects.files import load_object
+from testbed.objects.model import ObjectModel
+from testbed.sensing.windows import weight_of
 from testbed.trajectory import Trajectory, write_whole
 from testbed.trial import parse_support
 from viz.style import PALETTE, STYLE, bare, plain_numbers

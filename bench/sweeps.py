@@ -24,20 +24,21 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from scenarios import sweep, trials
-from scenarios.cells import cells_of
-from scenarios.drawn_objects import Family
-from scenarios.estimates import Asked
-from scenarios.execution import Executor, open_executor
-from scenarios.schema import Policy, Scenario
-from scenarios.store import Store
-from scenarios.sweep import run_scenario
-from testbed.actions import Rotate
+from scenarios.config import Policy, Scenario
+from scenarios.execution.executor import Executor, open_executor
+from scenarios.results.store import Store
+from scenarios.study import run as sweep
+from scenarios.study import trials
+from scenarios.study.estimates import Asked
+from scenarios.study.experiment import cells_of
+from scenarios.study.run import run_scenario
+from testbed.actions.base import Rotate
+from testbed.objects.random import Family
 from testbed.simulation.runner import SimulationRunner
 from testbed.simulation.settings import SimulationSettings
 from testbed.trajectory import Trajectory
 from testbed.trial import Trial
-from tests.sweep_kills import VICTIMS, done_in, draw_killing, kill_a_run, quiet, resumed, small_scenario
+from tests.helpers.sweep_kills import VICTIMS, done_in, draw_killing, kill_a_run, quiet, resumed, small_scenario
 
 METHODS = {f"search_{i}": {"method": "random_search", "iterations": i} for i in range(1, 11)}
 

@@ -13,15 +13,15 @@ from pathlib import Path
 import psutil
 from rerun.experimental import ViewerClient
 
-from scenarios.pages import trial_page
-from scenarios.store import Store, key_of, trial_request
-from scenarios.trials import simulate
-from testbed.actions import Rotate
-from testbed.object_files import load_object
+from scenarios.cli.view import trial_page
+from scenarios.results.store import Store, key_of, trial_request
+from scenarios.study.trials import simulate
+from testbed.actions.base import Rotate
+from testbed.objects.files import load_object
 from testbed.simulation.settings import SimulationSettings
 from testbed.trial import Trial
-from viz.recording import save
-from viz.viewer import HOST, environment, free_port, program, url_of
+from viz.recordings.page import save
+from viz.recordings.viewer import HOST, environment, free_port, program, url_of
 
 REPEATS = 5
 

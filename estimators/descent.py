@@ -11,7 +11,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from estimators.protocol import Trace
+from estimators.base import Trace
 from testbed.errors import InvalidValueError
 
 OPTIMIZERS = ("adam", "rmsprop", "plain")

@@ -1,1 +1,1 @@
-"""Scenario files, runs, storage, tables, the heft command."""
+"""Scenario files, studies, results on disk, and the heft command."""

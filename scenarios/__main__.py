@@ -1,6 +1,6 @@
 """`python -m scenarios` is `heft`."""
 
-from scenarios.cli import main
+from scenarios.cli.main import main
 
 if __name__ == "__main__":
     main()

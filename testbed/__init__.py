@@ -1,1 +1,1 @@
-"""What is measured: objects, actions, trials, trajectories, sensing."""
+"""What is measured: objects, actions, trials, trajectories, sensing; the bench that makes them, simulated or real."""

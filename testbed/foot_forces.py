@@ -10,9 +10,9 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from jaxtyping import Float, Int
 
-from testbed.arrays import frozen_array
 from testbed.errors import HeftError, InvalidValueError
 from testbed.trajectory import write_whole
+from testbed.validation import frozen_array
 
 _AXES = ("fx_N", "fy_N", "fz_N")
 

@@ -13,9 +13,9 @@ from typing import Any, Self
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from testbed.actions import Action, action_from_dict, action_to_dict
+from testbed.actions.base import Action, action_from_dict, action_to_dict
 from testbed.errors import InfeasibleTrialError, InvalidValueError
-from testbed.sensing import draw_sensing, preset
+from testbed.sensing.presets import draw_sensing, preset
 from testbed.trajectory import Trajectory, TrajectoryFileError, load_trajectory
 from testbed.trial import Trial
 

@@ -14,9 +14,9 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from jaxtyping import Float, Int
 
-from testbed.actions import Action, action_from_dict, action_to_dict
-from testbed.arrays import frozen_array, is_number
+from testbed.actions.base import Action, action_from_dict, action_to_dict
 from testbed.errors import HeftError, InvalidValueError
+from testbed.validation import frozen_array, is_number
 
 SCHEMA_VERSION = 1
 """Of trajectory files; another one is refused."""

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from types import TracebackType
 from typing import Protocol, Self, runtime_checkable
 
-from testbed.actions import Action, Weigh
+from testbed.actions.base import Action, Weigh
 from testbed.errors import InvalidValueError
-from testbed.objects import ObjectModel
+from testbed.objects.model import ObjectModel
 from testbed.trajectory import Trajectory
 
 

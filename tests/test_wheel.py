@@ -13,8 +13,8 @@ ROOT = Path(__file__).parent.parent
 SCRIPT = """
 import estimators, pathlib, scenarios, sys, testbed, viz
 assert pathlib.Path(testbed.__file__).is_relative_to(sys.argv[1]), testbed.__file__
-from scenarios.cli import main
-from testbed.simulation.arm import arm_model
+from scenarios.cli.main import main
+from testbed.simulation.motion import arm_model
 arm_model()
 main(["objects"])
 main(["scenarios"])

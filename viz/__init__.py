@@ -1,1 +1,1 @@
-"""Views of values and files."""
+"""Views of values: figures, Rerun recordings, the report, films."""

@@ -1,8 +1,8 @@
 """A first trial in ten lines: turn L2 there and back on the simulated bench, and look at what was felt."""
 
-from testbed.actions import Rotate
-from testbed.object_files import load_object
-from testbed.reduction import steady_windows
+from testbed.actions.base import Rotate
+from testbed.objects.files import load_object
+from testbed.sensing.windows import steady_windows
 from testbed.simulation.runner import SimulationRunner
 from testbed.trial import Trial
 

@@ -5,12 +5,12 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import nnls
 
-from estimators.dynamics import ParticleModel
-from estimators.metrics import normalized_absolute_difference
-from estimators.observations import observe
-from estimators.protocol import Estimate
+from estimators.base import Estimate
+from estimators.evaluation.metrics import normalized_absolute_difference
+from estimators.particles.model import ParticleModel
+from estimators.particles.windows import observe
 from estimators.testing.recorded import load_block
-from testbed.objects import GRAVITY, MassDistribution
+from testbed.objects.model import GRAVITY, MassDistribution
 
 
 @dataclass(frozen=True)

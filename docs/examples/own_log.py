@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from estimators.testing.recorded import load_block
-from scenarios.cli import main
-from testbed.actions import Rotate
+from scenarios.cli.main import main
+from testbed.actions.base import Rotate
 
 COLUMNS = "ms,fx,fy,fz,tx,ty,tz,x_mm,y_mm,z_mm,qw,qx,qy,qz"
 MAPPING = """

@@ -4,10 +4,10 @@ from pathlib import Path
 
 import trimesh
 
-from estimators.hidden_states import HiddenStatesEstimator
-from estimators.metrics import normalized_absolute_difference
-from testbed.actions import Rotate
-from testbed.object_files import load_object
+from estimators.evaluation.metrics import normalized_absolute_difference
+from estimators.hidden_states.algorithm import HiddenStatesEstimator
+from testbed.actions.base import Rotate
+from testbed.objects.files import load_object
 from testbed.simulation.runner import SimulationRunner
 from testbed.trial import Trial
 

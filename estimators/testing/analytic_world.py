@@ -7,10 +7,10 @@ import math
 import numpy as np
 
 from estimators.testing.records import RATE, record
-from testbed.actions import Accelerate, Rotate, Slide, pivot_of
-from testbed.blocks import block_object, parse_layout
+from testbed.actions.base import Accelerate, Rotate, Slide, pivot_of
 from testbed.frames import cross_2d, perpendicular, pose_from_point, rotation_2d
-from testbed.objects import GRAVITY, ObjectModel
+from testbed.objects.blocks import block_object, parse_layout
+from testbed.objects.model import GRAVITY, ObjectModel
 from testbed.trajectory import Phase, Trajectory
 
 HEIGHT = 0.022

@@ -9,12 +9,12 @@ from dataclasses import replace
 import numpy as np
 from numpy.testing import assert_allclose
 
-from estimators.protocol import Estimate, Estimator
+from estimators.base import Estimate, Estimator
 from estimators.testing.analytic_world import accelerated, drawn_object, turns
-from testbed.actions import Rotate
-from testbed.blocks import block_object, parse_layout
+from testbed.actions.base import Rotate
 from testbed.errors import InvalidValueError
-from testbed.objects import GRAVITY, MassDistribution, ObjectModel, ObjectShape
+from testbed.objects.blocks import block_object, parse_layout
+from testbed.objects.model import GRAVITY, MassDistribution, ObjectModel, ObjectShape
 from testbed.trajectory import Trajectory
 
 Draw = Callable[[int], ObjectModel]
@@ -60,7 +60,7 @@ def clean_answer(estimator: Estimator, draw: Draw) -> tuple[ObjectModel, Estimat
 def answers_in_the_shapes_groups(estimator: Estimator, draw: Draw = drawn_object) -> None:
     """Enough clean trials get status ok, one mass a mass group, one friction a friction group, and the time it took."""
     obj, answer = clean_answer(estimator, draw)
-    assert isinstance(answer, Estimate), "estimate() returns an Estimate of estimators.protocol"
+    assert isinstance(answer, Estimate), "estimate() returns an Estimate of estimators.base"
     assert answer.status == "ok", answer.message
     assert answer.distribution is not None
     assert answer.distribution.mass.shape == (obj.shape.n_m,)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 if TYPE_CHECKING:
-    from estimators.protocol import Estimator
+    from estimators.base import Estimator
     from estimators.testing.recorded import KnownBlock
     from testbed.trajectory import Trajectory
 
@@ -54,7 +54,7 @@ def pytest_configure(config: pytest.Config) -> None:
         return
     import torch  # noqa: PLC0415
 
-    from estimators.plugins import ESTIMATOR, configured, find_class  # noqa: PLC0415
+    from estimators.registry import ESTIMATOR, configured, find_class  # noqa: PLC0415
     from testbed.errors import InvalidValueError  # noqa: PLC0415
 
     torch.set_num_threads(1)

@@ -17,11 +17,11 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from testbed.actions import action_from_dict, action_to_dict
+from testbed.actions.base import action_from_dict, action_to_dict
 from testbed.errors import InvalidValueError
-from testbed.object_files import ObjectFile
-from testbed.objects import ObjectModel
-from testbed.sensing import compensate, draw_sensing, preset
+from testbed.objects.files import ObjectFile
+from testbed.objects.model import ObjectModel
+from testbed.sensing.presets import compensate, draw_sensing, preset
 from testbed.trajectory import Tool, Trajectory, write_whole
 
 FOLDER = Path(__file__).parent / "blocks"

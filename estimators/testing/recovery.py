@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from estimators.metrics import normalized_absolute_difference
-from estimators.protocol import Estimate, Estimator
-from estimators.rank_driven import planned_rank
+from estimators.action_selection.rank import planned_rank
+from estimators.base import Estimate, Estimator
+from estimators.evaluation.metrics import normalized_absolute_difference
 from estimators.testing.recorded import KnownBlock
-from testbed.actions import Rotate
+from testbed.actions.base import Rotate
 from testbed.trajectory import Trajectory
 
 ALLOWED = {"ideal": 0.08, "low": 0.1, "moderate": 0.1, "ft300s": 0.1, "high": 0.2}

@@ -10,9 +10,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from estimators.protocol import Estimator
+from estimators.base import Estimator
 from estimators.testing.analytic_world import drawn_object
-from estimators.testing.conformance import CONFORMANCE, WITHOUT_DRAWS, Draw, clean_answer, data, small_object
+from estimators.testing.conformance import (
+    CONFORMANCE,
+    WITHOUT_DRAWS,
+    Draw,
+    clean_answer,
+    data,
+    small_object,
+)
 from estimators.testing.plugin import BLOCKS, SENSORS
 from estimators.testing.recorded import KnownBlock
 from estimators.testing.recovery import recovers

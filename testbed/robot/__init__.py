@@ -1,1 +1,1 @@
-"""The real bench: ports of the arm, gripper, wrench sensor and object pose, and the drivers behind them."""
+"""The real bench: interfaces of arm, gripper, sensor and pose source, the trial runner on them, and its guards."""

@@ -8,15 +8,12 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from testbed.frames import move_wrench, rotate_wrench
-from testbed.robot.clock import Clock
-from testbed.robot.doubts import Evidence
+from testbed.robot.config import RobotSettings
 from testbed.robot.guard import Guard
-from testbed.robot.legs import Leg
-from testbed.robot.plan import RobotPlan, closing_yaw, tool_down
-from testbed.robot.ports import Arm, ArmState, Gripper, Pose, WrenchSensor
-from testbed.robot.recorder import Mark
+from testbed.robot.interfaces import Arm, ArmState, Clock, Gripper, Pose, WrenchSensor
+from testbed.robot.path import Leg, RobotPlan, closing_yaw, tool_down
+from testbed.robot.recorder import Evidence, Mark
 from testbed.robot.safety import UnsafeError, Violation
-from testbed.robot.settings import RobotSettings
 from testbed.trajectory import Phase
 
 RESPONSE = 0.15

@@ -11,8 +11,7 @@ from typing import Self
 import numpy as np
 from jaxtyping import Float
 
-from testbed.robot.clock import Clock
-from testbed.robot.ports import Arm, ArmState, RobotError, WrenchSensor
+from testbed.robot.interfaces import Arm, ArmState, Clock, RobotError, WrenchSensor
 from testbed.robot.recorder import Recorder
 from testbed.robot.safety import SafetyLimits, Snapshot, UnsafeError, Violation, violations
 

@@ -9,10 +9,10 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from testbed.arrays import check_positive, frozen_array
 from testbed.errors import InvalidValueError
 from testbed.frames import rotation_matrix
-from testbed.robot.ports import ArmLimits, ArmState, RobotError
+from testbed.robot.interfaces import ArmLimits, ArmState, RobotError
+from testbed.validation import check_positive, frozen_array
 
 _OVERSHOOT = 1.25
 """Measured speed over commanded speed that is no fault of the command."""

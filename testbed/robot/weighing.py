@@ -8,10 +8,10 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float
 
-from testbed.arrays import check_positive, frozen_array, is_number
 from testbed.errors import InvalidValueError
-from testbed.objects import GRAVITY
-from testbed.reduction import mean_covariance
+from testbed.objects.model import GRAVITY
+from testbed.sensing.windows import mean_covariance
+from testbed.validation import check_positive, frozen_array, is_number
 
 GAIN_ERROR = 0.02
 """Part of a known mass by which a sensor may be off; a choice of ours, the maker states no figure."""

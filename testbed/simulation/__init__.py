@@ -1,1 +1,1 @@
-"""The bench in MuJoCo; the only room that imports it."""
+"""The bench in MuJoCo; the only package that imports it."""

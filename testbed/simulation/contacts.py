@@ -6,9 +6,14 @@ from dataclasses import dataclass
 
 import mujoco
 import numpy as np
+from jaxtyping import Float
 
 from testbed.foot_forces import FootForces
-from testbed.simulation.scene import Scene
+from testbed.objects.model import GRAVITY, ObjectModel
+from testbed.simulation.scene import Scene, build_scene, foot_stiffness, touching_groups
+from testbed.simulation.settings import ContactSettings, SimulationSettings
+from testbed.trajectory import Phase, Trajectory
+from testbed.trial import Support, Trial
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,3 +84,70 @@ class ContactLog:
         return ContactRecord(
             np.array(self._ticks, dtype=np.int64), self._force[:n], self._position[:n], self._tcp[:n], self._particle
         )
+
+
+def resting_loads(obj: ObjectModel, support: Support, contact: ContactSettings) -> Float[np.ndarray, "P"]:
+    """Load on every particle, N, (P,); 0 without contact, and below 0 where a foot would have to pull.
+
+    A foundation of even stiffness: the groups share one tilt, and each has a height of its own (own weight), a height
+    joined to its neighbours' by springs, or the height of all (rigid). A group's weight acts at its centre of mass.
+    """
+    shape = obj.shape
+    feet = np.flatnonzero(shape.friction_group >= 0)
+    group = np.zeros(len(feet), dtype=int) if support.is_rigid else shape.mass_group[feet]
+    heights = 1 if support.is_rigid else shape.n_m
+    sinks = np.column_stack([np.eye(heights)[group], shape.particles[feet]])
+    stiffness = foot_stiffness(obj, contact)
+    matrix = stiffness * sinks.T @ sinks
+    if not support.is_rigid:
+        for a, b in touching_groups(shape):
+            matrix[[a, b], [a, b]] += support.stiffness
+            matrix[[a, b], [b, a]] -= support.stiffness
+    weight = [obj.total_mass * GRAVITY] if support.is_rigid else obj.group_mass * GRAVITY
+    wanted = np.append(weight, obj.total_mass * GRAVITY * obj.center_of_mass)
+    # A straight row of feet leaves the tilt across it open: the least-norm solution has none
+    loads = np.zeros(len(shape.particles))
+    loads[feet] = stiffness * sinks @ np.linalg.lstsq(matrix, wanted, rcond=1e-9)[0]
+    return loads
+
+
+_SETTLE_TIME, _READ_TIME = 1.0, 0.5
+
+
+def weigh(trial: Trial, settings: SimulationSettings) -> Trajectory:
+    """Let the object come to rest and read its weight at the record rate: wrench_on_object_world, z."""
+    scene = build_scene(trial.object, trial.support, None, settings)
+    model, data = scene.model, mujoco.MjData(scene.model)
+    mujoco.mj_step(model, data, round(_SETTLE_TIME / settings.timestep))
+    count = round(_READ_TIME * settings.rate)
+    weight = np.empty(count)
+    force = np.zeros(6)
+    for tick in range(count):
+        mujoco.mj_step(model, data, round(1 / settings.rate / settings.timestep))
+        weight[tick] = 0.0
+        for contact in range(data.ncon):
+            mujoco.mj_contactForce(model, data, contact, force)
+            weight[tick] += force[0]
+    pose = np.tile([0.0, 0.0, 0.0], (count, 1))
+    wrench = np.zeros((count, 6))
+    wrench[:, 2] = weight
+    orientation = np.tile([1.0, 0.0, 0.0, 0.0], (count, 1))
+    return Trajectory(
+        action=trial.action,
+        status="ok",
+        reason="",
+        time_s=np.arange(count) / settings.rate,
+        phase=np.full(count, Phase.STEADY),
+        segment=np.zeros(count, dtype=int),
+        object_pose=pose,
+        object_velocity=np.zeros((count, 3)),
+        tcp_position=np.zeros((count, 3)),
+        tcp_velocity=np.zeros((count, 6)),
+        sensor_orientation=orientation,
+        sensor_wrench=wrench,
+        wrench_on_object_world=wrench,
+        joint_position=np.zeros((count, 7)),
+        tool=None,
+        sensor_bias_std=np.zeros(6),
+        provenance={"runner": "simulation", "mujoco": mujoco.__version__, "support": trial.support.name},
+    )

@@ -1,24 +1,179 @@
-"""A trial as a tool path in time: approach, grasp, settle, the action itself, release."""
+"""The arm's kinematics: tool poses over the table to joint angles, by mink on the arm alone."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 
+import mink
+import mujoco
 import numpy as np
+from scipy.interpolate import CubicSpline
 
-from testbed.actions import Lift, Slide, TableAction
-from testbed.frames import pose_from_point
-from testbed.lift_profile import LiftProfile
-from testbed.objects import ObjectShape
-from testbed.profile import PAUSE, Profile
-from testbed.simulation.arm import spline
-from testbed.simulation.lifting import lifted_joints
-from testbed.simulation.scene import HOME
+from testbed.actions.base import Lift, Slide, TableAction
+from testbed.actions.lift import LiftProfile
+from testbed.actions.path import PAUSE, WORKSPACE, Profile, ToolPath
+from testbed.errors import InfeasibleTrialError
+from testbed.frames import pose_from_point, rotation_2d
+from testbed.objects.gripper import STROKE
+from testbed.objects.model import ObjectShape
+from testbed.simulation.scene import HOME, arm_spec
 from testbed.simulation.settings import SimulationSettings
-from testbed.tool_path import WORKSPACE, ToolPath
-from testbed.trajectory import Phase
+from testbed.trajectory import Phase, Tool
+
+JOINT_SPEED_LIMIT = np.radians([80, 80, 80, 80, 70, 70, 70])
+"""Joint speed limits of the Gen3, rad/s, (7,)."""
+_TOLERANCE = 1e-7
+_ITERATIONS = 100
+# The arm has one joint more than it needs: turn the tool with the last one, and leave the fingers alone.
+_MOVE_LAST_JOINT_FIRST = np.array([1e-4] * 6 + [1e-6] + [1e-4] * 2)
+
+
+@lru_cache(maxsize=1)
+def arm_model() -> mujoco.MjModel:
+    """Arm, sensor and gripper alone, compiled once a process."""
+    return arm_spec().compile()
+
+
+def joint_path(poses: np.ndarray, start: np.ndarray) -> np.ndarray:
+    """Joint angles through tool poses, the tool pointing straight down or turned away from that.
+
+    Args:
+        poses: x, y, z of the TCP, m, and yaw of the closing direction, rad, world frame, (N, 4); or with the rotation
+            vector, rad, world frame, by which the tool is turned away from pointing straight down, (N, 7).
+        start: joint angles to start the search from, rad, (7,).
+
+    Returns:
+        Joint angles, rad, (N, 7), continuous along the path.
+
+    Raises:
+        InfeasibleTrialError: a pose out of reach or beyond a joint's range.
+    """
+    path, q = np.empty((len(poses), 7)), tuple(start)
+    for i, pose in enumerate(poses):
+        q = _solve(tuple(np.round(pose, 9)), tuple(np.round(q, 9)))
+        path[i] = q
+    return path
+
+
+@lru_cache(maxsize=4096)
+def _solve(pose: tuple[float, ...], start: tuple[float, ...]) -> tuple[float, ...]:
+    """One pose from nearby angles; cached, since trials share their approach."""
+    model = arm_model()
+    configuration = mink.Configuration(model)
+    full = configuration.q.copy()
+    full[:7] = start
+    configuration.update(full)
+    task = mink.FrameTask("gripper/tcp", "site", position_cost=1.0, orientation_cost=0.3)
+    damping = mink.DampingTask(model, cost=_MOVE_LAST_JOINT_FIRST[: model.nv])
+    turned = _tool_down(pose[3]) if len(pose) == 4 else mink.SO3.exp(np.array(pose[4:])) @ _tool_down(pose[3])
+    task.set_target(mink.SE3.from_rotation_and_translation(turned, np.array(pose[:3])))
+    limits = [mink.ConfigurationLimit(model)]
+    for _ in range(_ITERATIONS):
+        if np.abs(task.compute_error(configuration)).max() < _TOLERANCE:
+            return tuple(configuration.q[:7])
+        velocity = mink.solve_ik(configuration, [task, damping], dt=1.0, solver="daqp", limits=limits)
+        configuration.integrate_inplace(velocity, 1.0)
+    left = np.abs(task.compute_error(configuration)).max()
+    raise InfeasibleTrialError(
+        f"reach: the arm cannot put the tool at x={pose[0]:.3f} y={pose[1]:.3f} z={pose[2]:.3f} m, "
+        f"yaw {np.degrees(pose[3]):.0f} deg{_told_tilt(pose[4:])} (misses by {left:.3g}); "
+        "choose a nearer pivot or a shorter slide"
+    )
+
+
+def _told_tilt(turn: tuple[float, ...]) -> str:
+    return f", turned by {np.degrees(np.linalg.norm(turn)):.1f} deg" if turn else ""
+
+
+def _tool_down(yaw: float) -> mink.SO3:
+    return mink.SO3.from_z_radians(yaw) @ mink.SO3.from_x_radians(np.pi)
+
+
+def spline(poses: np.ndarray, start: np.ndarray) -> CubicSpline:
+    """Joint angles as a smooth function of a path parameter that runs over 0..1 through `poses` (N, 4)."""
+    return CubicSpline(np.linspace(0.0, 1.0, len(poses)), joint_path(poses, start))
+
+
+def gripper_tool(width: float) -> Tool:
+    """The gripper as the sensor carries it, its pads `width` (m) apart, in the sensor frame."""
+    model = arm_model()
+    data = mujoco.MjData(model)
+    for finger in ("gripper/left_finger", "gripper/right_finger"):
+        data.qpos[model.joint(finger).qposadr[0]] = (STROKE - width) / 2
+    mujoco.mj_forward(model, data)
+    site = data.site("ft/wrench")
+    axes = site.xmat.reshape(3, 3)
+    root = model.body("gripper/base").id
+    parts = [b for b in range(model.nbody) if root in (b, model.body_parentid[b])]
+    mass = model.body_mass[parts].sum()
+    com = model.body_mass[parts] @ data.xipos[parts] / mass
+    inertia = np.zeros((3, 3))
+    for body in parts:
+        turn = data.ximat[body].reshape(3, 3)
+        offset = data.xipos[body] - com
+        inertia += turn @ np.diag(model.body_inertia[body]) @ turn.T
+        inertia += model.body_mass[body] * (offset @ offset * np.eye(3) - np.outer(offset, offset))
+    tcp = data.site("gripper/tcp").xpos
+    return Tool(
+        mass=float(mass),
+        com=axes.T @ (com - site.xpos),
+        inertia=axes.T @ inertia @ axes,
+        tcp=axes.T @ (tcp - site.xpos),
+    )
+
+
+_EACH_WAY = 4
+"""Waypoints from level to a tilt."""
+_RISE = 5
+"""Waypoints on the way up."""
+
+
+def lifted_joints(
+    action: Lift, profile: LiftProfile, hold: np.ndarray, yaw: float, q_hold: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Joint angles and speeds over a lift.
+
+    Height and every axis have a path of their own, and all start from the same joint angles: the arm has a joint to
+    spare, and would else come back to a pose by other angles.
+
+    Args:
+        action: the lift.
+        profile: its ticks, N.
+        hold: tool pose with the object on the table: x, y, z, m, and yaw of the closing direction, rad, (4,).
+        yaw: of the object, rad, world.
+        q_hold: joint angles there, (7,).
+
+    Returns:
+        Angles, rad, and speeds, rad/s, each (N, 7).
+
+    Raises:
+        InfeasibleTrialError: a pose out of reach or beyond a joint's range.
+    """
+    rise = np.tile(hold, (_RISE, 1))
+    rise[:, 2] += np.linspace(0.0, action.height, _RISE)
+    path = CubicSpline(np.linspace(0.0, action.height, _RISE), joint_path(rise, q_hold))
+    q, qd = path(profile.height), path(profile.height, 1) * profile.height_rate[:, None]
+    q_up = path(action.height)
+    axes = np.eye(3)
+    axes[:2, :2] = rotation_2d(yaw).T  # the object's axes in the world, a row each
+    for k, axis in enumerate(axes if action.tilt > 0 else ()):
+        angles = np.linspace(0.0, action.tilt, _EACH_WAY + 1)
+        ways = [joint_path(_tilted(rise[-1], sign * angles[1:], axis), q_up) for sign in (-1, 1)]
+        knots = np.concatenate([-angles[:0:-1], angles])
+        path = CubicSpline(knots, np.concatenate([ways[0][::-1], q_up[None], ways[1]]))
+        moved = (profile.angle[:, k] != 0) | (profile.rate[:, k] != 0)
+        q[moved] = path(profile.angle[moved, k])
+        qd[moved] = path(profile.angle[moved, k], 1) * profile.rate[moved, k, None]
+    return q, qd
+
+
+def _tilted(pose: np.ndarray, angles: np.ndarray, axis: np.ndarray) -> np.ndarray:
+    """A tool pose turned about an axis of the world through the TCP: x, y, z, yaw and a rotation vector, (N, 7)."""
+    return np.hstack([np.tile(pose, (len(angles), 1)), np.outer(angles, axis)])
+
 
 HOVER = 0.06
 """Height over the grasp at which the sensor is zeroed, m."""

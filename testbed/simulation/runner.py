@@ -11,19 +11,17 @@ from typing import Self
 import mujoco
 import numpy as np
 
-from testbed.actions import Weigh
+from testbed.actions.base import Weigh
 from testbed.errors import InvalidValueError
 from testbed.frames import perpendicular, pose_from_point, rotation_2d, rotation_matrix
-from testbed.gripper import STROKE
-from testbed.sensing import draw_sensing, preset
-from testbed.simulation.arm import gripper_tool
-from testbed.simulation.contacts import ContactLog, ContactRecord
+from testbed.objects.gripper import STROKE
+from testbed.sensing.presets import draw_sensing, preset
+from testbed.simulation.contacts import ContactLog, ContactRecord, weigh
+from testbed.simulation.controller import Servo
 from testbed.simulation.feasibility import check_feasible
-from testbed.simulation.motion import Motion, plan_motion
-from testbed.simulation.outcome import Outcome, Watch
-from testbed.simulation.scale import weigh
+from testbed.simulation.monitor import Outcome, Watch
+from testbed.simulation.motion import Motion, gripper_tool, plan_motion
 from testbed.simulation.scene import build_scene
-from testbed.simulation.servo import Servo
 from testbed.simulation.settings import SimulationSettings
 from testbed.trajectory import Trajectory
 from testbed.trial import Trial

@@ -1,7 +1,8 @@
-"""The scene: arm, sensor, gripper, table and object, composed with MjSpec from the parts in assets/mjcf."""
+"""The object in the scene: a body a mass group, feet under its particles in contact, the faces that pads hold."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, distribution
 from pathlib import Path
@@ -10,11 +11,198 @@ import mujoco
 import numpy as np
 
 from testbed.errors import InvalidValueError
-from testbed.objects import Grasp, ObjectModel
-from testbed.resources import asset_folder
-from testbed.simulation.object_scene import add_feet, add_grip, add_object, set_solver, soften_feet
-from testbed.simulation.settings import SimulationSettings
+from testbed.objects.files import asset_folder
+from testbed.objects.model import GRAVITY, Grasp, ObjectModel, ObjectShape
+from testbed.simulation.settings import ContactSettings, GripSettings, SimulationSettings
 from testbed.trial import Support
+
+_GROUP_COLORS = ((0.84, 0.66, 0.4, 1.0), (0.45, 0.58, 0.72, 1.0), (0.62, 0.74, 0.5, 1.0), (0.8, 0.52, 0.5, 1.0))
+
+
+def set_solver(spec: mujoco.MjSpec, timestep: float, contact: ContactSettings) -> None:
+    """Gravity, and how contacts that slide steadily are solved; `timestep` in s."""
+    option = spec.option
+    option.timestep = timestep
+    option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET  # divergence must be seen, not repaired
+    option.gravity = (0.0, 0.0, -GRAVITY)
+    # Explicit damping: an implicit integrator moves by another acceleration than the one its sensors report
+    option.integrator = mujoco.mjtIntegrator.mjINT_EULER
+    option.disableflags |= mujoco.mjtDisableBit.mjDSBL_EULERDAMP
+    option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
+    option.jacobian = mujoco.mjtJacobian.mjJAC_SPARSE  # a quarter faster here than dense
+    option.impratio = contact.impratio
+
+
+def add_object(spec: mujoco.MjSpec, obj: ObjectModel, support: Support) -> list[mujoco.MjsBody]:
+    """One body a mass group (own weight, springs) or one for all (rigid). The first carries the free joint.
+
+    Own weight: the others hang on vertical slides, free or joined to their neighbours by springs, so that each group's
+    weight goes to its own feet while in the plane all move as one.
+    """
+    shape, height = obj.shape, obj.shape.height
+    root = spec.worldbody.add_body(name="object", pos=(0, 0, height / 2))
+    root.add_freejoint(name="object")
+    bodies = [root]
+    for group in range(shape.n_m):
+        if group == 0 or support.is_rigid:
+            body = root
+        else:
+            body = root.add_body(name=f"object/{shape.group_names[group]}")
+            body.add_joint(name=f"slide_{group}", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=(0, 0, 1), damping=1e-3)
+            bodies.append(body)
+        color = _GROUP_COLORS[group % len(_GROUP_COLORS)]
+        if obj.solids:
+            _add_solid(spec, body, obj, group, color)
+            continue
+        for particle in np.flatnonzero(shape.mass_group == group):
+            x, y = shape.particles[particle]
+            body.add_geom(
+                name=f"cell_{particle}",
+                type=mujoco.mjtGeom.mjGEOM_BOX,
+                pos=(x, y, 0),
+                rgba=color,
+                group=1,
+                size=(shape.cell / 2, shape.cell / 2, height / 2),
+                mass=max(obj.particle_mass[particle], 1e-6),
+                contype=0,
+                conaffinity=0,
+            )
+    if support.is_rigid:
+        return [root] * shape.n_m
+    if support.stiffness > 0:
+        for a, b in touching_groups(shape):
+            tendon = spec.add_tendon(
+                name=f"spring_{a}_{b}", stiffness=[support.stiffness] * 3, damping=[2.0] * 3, springlength=(0, 0)
+            )
+            for group, coefficient in ((a, 1.0), (b, -1.0)):
+                if group > 0:
+                    tendon.wrap_joint(f"slide_{group}", coefficient)
+    return bodies
+
+
+def _add_solid(
+    spec: mujoco.MjSpec, body: mujoco.MjsBody, obj: ObjectModel, group: int, color: tuple[float, ...]
+) -> None:
+    """The solid of a mass group, with its own mass and inertia; its feet carry it, so it touches nothing itself."""
+    solid, name = obj.solids[group], f"solid_{group}"
+    spec.add_mesh(
+        name=name,
+        uservert=(solid.vertices - [0, 0, obj.shape.height / 2]).ravel(),
+        userface=solid.faces.ravel(),
+        inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_EXACT,  # of the body itself, not of its convex hull
+    )
+    body.add_geom(
+        name=name,
+        type=mujoco.mjtGeom.mjGEOM_MESH,
+        meshname=name,
+        mass=solid.mass,
+        rgba=color,
+        group=1,
+        contype=0,
+        conaffinity=0,
+    )
+
+
+def touching_groups(shape: ObjectShape) -> list[tuple[int, int]]:
+    """Pairs of mass groups with particles one cell apart, each once."""
+    gaps = np.linalg.norm(shape.particles[:, None] - shape.particles[None], axis=-1)
+    a, b = np.nonzero(gaps < 1.01 * shape.cell)
+    pairs = np.sort(np.stack([shape.mass_group[a], shape.mass_group[b]], axis=1), axis=1)
+    return [(int(i), int(j)) for i, j in np.unique(pairs[pairs[:, 0] != pairs[:, 1]], axis=0)]
+
+
+def add_feet(
+    spec: mujoco.MjSpec, obj: ObjectModel, bodies: list[mujoco.MjsBody], contact: ContactSettings
+) -> np.ndarray:
+    """A foot under every particle in contact, and its contact with the table; the particles of the feet, (n_feet,)."""
+    shape = obj.shape
+    feet = np.flatnonzero(shape.friction_group >= 0)
+    for particle in feet:
+        x, y = shape.particles[particle]
+        bodies[shape.mass_group[particle]].add_geom(
+            name=f"foot_{particle}",
+            type=mujoco.mjtGeom.mjGEOM_SPHERE,
+            size=(contact.foot_radius, 0, 0),
+            mass=0,
+            group=3,
+            pos=(x, y, contact.foot_radius - shape.height / 2),
+            contype=0,
+            conaffinity=0,
+            rgba=(0.2, 0.2, 0.2, 1),
+        )
+        mu = max(obj.truth.friction[shape.friction_group[particle]], 1e-5)
+        spec.add_pair(
+            name=f"foot_{particle}", geomname1=f"foot_{particle}", geomname2="top", condim=3, friction=[mu, mu, 0, 0, 0]
+        )
+    return feet
+
+
+def foot_stiffness(obj: ObjectModel, contact: ContactSettings) -> float:
+    """Stiffness of every foot, N/m: that at which the whole object sinks by `sag` under its weight."""
+    return obj.total_mass * GRAVITY / int((obj.shape.friction_group >= 0).sum()) / contact.sag
+
+
+def soften_feet(
+    model: mujoco.MjModel, obj: ObjectModel, feet: np.ndarray, geoms: np.ndarray, contact: ContactSettings
+) -> None:
+    """Give every foot the same stiffness, that at which the whole object sinks by `sag` under its weight.
+
+    MuJoCo's stiffness is per unit of effective mass, which only the compiled model knows (body_invweight0): a static
+    contact with impedance d carries f = k r d / ((1 - d) A), with k in 1/s^2 and A the inverse effective mass.
+    """
+    d = contact.impedance
+    newtons_per_metre = foot_stiffness(obj, contact)
+    for particle, geom in zip(feet, geoms, strict=True):
+        inverse_mass = model.body_invweight0[model.geom_bodyid[geom], 0]
+        stiffness = newtons_per_metre * (1 - d) * inverse_mass / d
+        pair = model.pair(f"foot_{particle}")
+        pair.solref[:] = -stiffness * d, -2 * math.sqrt(stiffness) * d
+        pair.solimp[:2] = d
+        model.pair_solreffriction[pair.id] = -1e-6, -contact.friction_damping * d
+
+
+def add_grip(
+    spec: mujoco.MjSpec, shape: ObjectShape, bodies: list[mujoco.MjsBody], grasp: Grasp, grip: GripSettings
+) -> None:
+    """A box with the two gripped faces on the body that the grasp holds, and the pads' contacts with it."""
+    top = shape.height if grasp.top is None else grasp.top
+    nearest = int(np.argmin(np.linalg.norm(shape.particles - grasp.position, axis=1)))
+    body = bodies[shape.mass_group[nearest]]
+    half = grasp.angle / 2
+    body.add_geom(
+        name="gripped",
+        type=mujoco.mjtGeom.mjGEOM_BOX,
+        pos=(*grasp.position, (grasp.bottom + top) / 2 - shape.height / 2),
+        mass=0,
+        group=4,
+        quat=(math.cos(half), 0, 0, math.sin(half)),
+        size=(grasp.width / 2, grasp.length / 2, (top - grasp.bottom) / 2),
+        contype=0,
+        conaffinity=0,
+    )
+    if grip.mode == "weld":
+        weld = spec.add_equality(
+            name="weld",
+            type=mujoco.mjtEq.mjEQ_WELD,
+            objtype=mujoco.mjtObj.mjOBJ_BODY,
+            name1="gripper/base",
+            name2=body.name,
+            active=False,
+            solref=(0.004, 1),
+            solimp=[0.99, 0.999, 0.001, 0.5, 2],
+        )
+        weld.data[10] = 1.0
+        return
+    for pad in ("left_pad", "right_pad"):
+        spec.add_pair(
+            geomname1=f"gripper/{pad}",
+            geomname2="gripped",
+            condim=4,
+            friction=[grip.friction, grip.friction, 0.005, 0, 0],
+            solref=(0.004, grip.pad_damping),
+            solimp=[0.95, 0.99, 0.001, 0.5, 2],
+        )
+
 
 HOME = (0.0, 0.62, 3.15, -1.81, -0.01, -0.71, 1.58)
 """Joint angles with the tool pointing down over the middle of the workspace, rad."""

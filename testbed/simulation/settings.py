@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-from testbed.arrays import check_positive
 from testbed.errors import InvalidValueError
+from testbed.validation import check_positive
 
 MARGIN = 0.8
 """Part of a limit of grip that may be used: what is estimated beforehand is quasi-static."""

@@ -13,17 +13,17 @@ import numpy as np
 from dm_control.mujoco.wrapper import MjModel
 from dm_env.specs import BoundedArray
 
-from testbed.actions import Weigh
+from testbed.actions.base import Weigh
 from testbed.errors import InvalidValueError
+from testbed.simulation.controller import Servo
 from testbed.simulation.feasibility import check_feasible
+from testbed.simulation.monitor import Outcome, Watch
 from testbed.simulation.motion import plan_motion
-from testbed.simulation.outcome import Outcome, Watch
 from testbed.simulation.playback import Playback
+from testbed.simulation.rendering import light
 from testbed.simulation.runner import place
 from testbed.simulation.scene import build_scene
-from testbed.simulation.servo import Servo
 from testbed.simulation.settings import SimulationSettings
-from testbed.simulation.views import light
 from testbed.trial import Trial
 
 KEYS = "space starts and stops, backspace begins again, F1 lists all keys; drag to turn, scroll to come nearer"

@@ -1,0 +1,220 @@
+"""Actions to choose from: a continuous family over grasps, pivots, directions, speeds and durations, sampled."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from testbed.actions.base import Accelerate, Action, Lift, Rotate, Slide
+from testbed.actions.path import RAMP_TIME, WORKSPACE, Profile, ToolPath, outline, overhang, overhang_of
+from testbed.errors import InvalidValueError
+from testbed.frames import rotation_2d
+from testbed.objects.model import ObjectShape
+from testbed.validation import is_number
+
+REACH = (0.20, 0.70)
+"""Distance of the TCP from the arm's base, m: the simulated arm's inverse kinematics fail beyond."""
+SWEEP_POINTS = 7
+"""At which the path of a turn is held against the reach."""
+SLIDE_PART, ACCELERATED_PART, LIFT_PART = 0.1, 0.02, 0.005
+"""Of all candidates; the rest are turns."""
+
+
+@dataclass(frozen=True)
+class ActionFamily:
+    """Which actions are thought of. Turns go there and back: friction flips, and a constant bias does not."""
+
+    duration: tuple[float, float] = (4.0, 18.0)
+    """Least and longest time at constant speed of a turn each way, s."""
+    speed_deg_s: tuple[float, float] = (6.0, 12.0)
+    """Slowest and fastest turn."""
+    arm: float = 0.2
+    """Farthest pivot from the grasp, m."""
+    slides: bool = True
+    """Slide it too."""
+    accelerated: bool = True
+    """Turn it at changing speed too."""
+    one_way: bool = False
+    """Turn one way only: shorter, and the sensor's bias stays in."""
+    lifts: bool = False
+    """Lift and rock it too: a bench may not, and what is no rigid body cannot be lifted."""
+
+    def __post_init__(self) -> None:
+        for name, least in (("duration", 1.5), ("speed_deg_s", 0.0)):
+            low, high = getattr(self, name)
+            if not (is_number(low) and is_number(high) and least < low <= high):
+                raise InvalidValueError(
+                    f"ActionFamily.{name}", (low, high), f"the least and the most, above {least:g}, in that order"
+                )
+        if not (is_number(self.arm) and self.arm >= 0):
+            raise InvalidValueError("ActionFamily.arm", self.arm, "a finite number >= 0, m")
+
+    def sample(self, shape: ObjectShape, grasps: Sequence[int], count: int, seed: int) -> tuple[Action, ...]:
+        """Draw actions that the arm can reach and that keep the object on the table; none where there is no grasp.
+
+        Pivots are even over direction and distance from the grasp, durations over their logarithm.
+
+        Args:
+            shape: geometry and grasps.
+            grasps: grasps that may be used.
+            count: how many to draw; turns that are not possible are drawn again.
+            seed: of the draw.
+
+        Raises:
+            InvalidValueError: fewer than one to draw.
+        """
+        if count < 1:
+            raise InvalidValueError("count", count, "an integer >= 1")
+        if len(grasps) == 0:
+            return ()
+        rng = np.random.default_rng(seed)
+        allowed = np.asarray(grasps, dtype=int)
+        lifts = max(round(LIFT_PART * count), len(allowed)) if self.lifts else 0
+        slides = round(SLIDE_PART * count) if self.slides else 0
+        accelerated = max(round(ACCELERATED_PART * count), 1) if self.accelerated else 0
+        return (
+            *self._accelerated(shape, allowed, accelerated, rng),
+            *self._slides(shape, allowed, slides, rng),
+            *self._turns(shape, allowed, max(count - slides - accelerated - lifts, 1), rng),
+            *self._lifts(shape, allowed, lifts, rng),
+        )
+
+    def _turns(
+        self, shape: ObjectShape, allowed: Int[np.ndarray, "G"], count: int, rng: np.random.Generator
+    ) -> list[Rotate]:
+        found: list[Rotate] = []
+        positions, angles = _places(shape)
+        corners = outline(shape)
+        for _ in range(20):  # a few rounds fill it, unless next to nothing is in reach
+            grasp = rng.choice(allowed, 2 * count)
+            radius, way = self.arm * rng.random(2 * count), rng.uniform(0, 2 * math.pi, 2 * count)
+            pivot = (positions[grasp] + radius[:, None] * np.column_stack([np.cos(way), np.sin(way)])).round(4)
+            low, high = np.log(self.duration)
+            duration = np.exp(rng.uniform(low, high, 2 * count)).round(1)
+            slow, fast = np.radians(self.speed_deg_s)
+            speed = rng.choice((-1.0, 1.0), 2 * count) * rng.uniform(slow, fast, 2 * count)
+            fits = clear_of_particles(shape, pivot)
+            turn = speed * (duration + RAMP_TIME)
+            fits &= sweep_in_reach(positions[grasp], angles[grasp], pivot, turn)
+            fits &= stays_on_table(corners, positions[grasp], angles[grasp], pivot, turn)
+            for i in np.flatnonzero(fits)[: count - len(found)]:
+                x, y = pivot[i]
+                about = float(x), float(y)
+                found.append(Rotate(int(grasp[i]), float(speed[i]), float(duration[i]), about, not self.one_way))
+            if len(found) >= count:
+                break
+        return found
+
+    def _slides(
+        self, shape: ObjectShape, allowed: Int[np.ndarray, "G"], count: int, rng: np.random.Generator
+    ) -> list[Slide]:
+        """Straight lines of 5 cm/s; centred in the workspace, so all within reach."""
+        positions, angles = _places(shape)
+        grasps, ways = rng.choice(allowed, count), rng.uniform(-math.pi, math.pi, count)
+        durations = np.exp(rng.uniform(np.log(1.6), np.log(4.0), count)).round(1)
+        length = Slide.speed * (durations + RAMP_TIME)
+        along = length[:, None] * np.column_stack([np.cos(ways), np.sin(ways)])
+        at = positions[grasps]
+        fits = stays_on_table(outline(shape), at, angles[grasps], at, np.zeros(count), along)
+        rows = zip(grasps[fits], ways[fits], durations[fits], strict=True)
+        return [Slide(int(g), float(w), duration=float(t)) for g, w, t in rows]
+
+    def _accelerated(
+        self, shape: ObjectShape, allowed: Int[np.ndarray, "G"], count: int, rng: np.random.Generator
+    ) -> list[Accelerate]:
+        """Turns of stepped acceleration both ways, whole or half as long as the default."""
+        found = []
+        for index in range(count):
+            grasp, sign = int(allowed[index % len(allowed)]), (1.0, -1.0)[(index // len(allowed)) % 2]
+            whole = Accelerate(grasp)
+            steps = whole.accelerations[: (None, 4)[int(rng.integers(2))]]
+            if index < 2 * len(allowed):
+                steps = whole.accelerations
+            found.append(Accelerate(grasp, tuple(sign * a for a in steps), whole.hold, sign * whole.start_speed))
+        each = dict.fromkeys(found)
+        paths = {a: ToolPath.centred(a, shape, Profile.of(a, 0.01).length, WORKSPACE) for a in each}
+        return [action for action, path in paths.items() if (overhang_of(shape, path) <= 0).all()]
+
+    def _lifts(
+        self, shape: ObjectShape, allowed: Int[np.ndarray, "G"], count: int, rng: np.random.Generator
+    ) -> list[Lift]:
+        """One as by default a grasp first; then held for shorter or longer, rocked for shorter or longer.
+
+        Tilt and acceleration are those at which the errors of a lift were measured.
+        """
+        found = [Lift(int(grasp)) for grasp in allowed[:count]]
+        for index in range(count - len(found)):
+            hold, swings = float(np.exp(rng.uniform(np.log(1.5), np.log(4.0))).round(1)), 2 * int(rng.integers(1, 6))
+            found.append(Lift(int(allowed[index % len(allowed)]), hold=hold, swings=swings))
+        positions, angles = _places(shape)
+        at = np.array([lift.grasp for lift in found], dtype=int)
+        fits = stays_on_table(outline(shape), positions[at], angles[at], positions[at], np.zeros(len(at)))
+        return [lift for lift, stays in zip(found, fits, strict=True) if stays]
+
+
+def clear_of_particles(shape: ObjectShape, points: Float[np.ndarray, "N 2"]) -> np.ndarray:
+    """Which points lie well between particles, (N,) bool: one at the very centre of a turn has no direction."""
+    distance = np.linalg.norm(shape.particles[None] - points[:, None], axis=-1).min(axis=1)
+    return distance > shape.cell / 4
+
+
+def _places(shape: ObjectShape) -> tuple[Float[np.ndarray, "G 2"], Float[np.ndarray, "G"]]:
+    """Grasp points, m, and closing directions, rad, object frame."""
+    return np.array([grasp.position for grasp in shape.grasps]), np.array([grasp.angle for grasp in shape.grasps])
+
+
+def stays_on_table(
+    corners: Float[np.ndarray, "K 2"],
+    grasp: Float[np.ndarray, "N 2"],
+    grasp_angle: Float[np.ndarray, "N"],
+    pivot: Float[np.ndarray, "N 2"],
+    turn: Float[np.ndarray, "N"],
+    slide: Float[np.ndarray, "N 2"] | None = None,
+) -> np.ndarray:
+    """Which actions keep the whole outline on the table, the TCP's middle at the middle of the workspace, (N,) bool.
+
+    Args:
+        corners: of the object's outline, m, object frame.
+        grasp: grasp point, m, object frame.
+        grasp_angle: closing direction, rad, object frame.
+        pivot: centre of the turn, m, object frame; of a slide, the grasp point.
+        turn: angle of the whole sweep, rad.
+        slide: displacement over the whole way, m, object frame; none if left out.
+    """
+    into_world = rotation_2d(-grasp_angle)
+    centre = np.array(WORKSPACE) - np.einsum("nij,nj->ni", into_world, grasp - pivot)
+    along = np.zeros_like(centre) if slide is None else np.einsum("nij,nj->ni", into_world, slide)
+    return overhang(corners, pivot, centre, -grasp_angle, turn, along).max(axis=1) <= 0
+
+
+def sweep_in_reach(
+    grasp: Float[np.ndarray, "N 2"],
+    grasp_angle: Float[np.ndarray, "N"],
+    pivot: Float[np.ndarray, "N 2"],
+    turn: Float[np.ndarray, "N"],
+    margin: float = 0.0,
+) -> np.ndarray:
+    """Which turns keep the TCP within the arm's reach, their middle at the middle of the workspace, (N,) bool.
+
+    A cheap check, for sieving many; inverse kinematics have the last word.
+
+    Args:
+        grasp: grasp point, m, object frame.
+        grasp_angle: closing direction, rad, object frame.
+        pivot: centre of the turn, m, object frame.
+        turn: angle of the whole sweep, rad.
+        margin: to keep from the ends of the reach, m.
+    """
+    into_world = rotation_2d(-grasp_angle)
+    arm = np.einsum("nij,nj->ni", into_world, grasp - pivot)
+    centre = np.array(WORKSPACE) - arm
+    fits = np.ones(len(grasp), dtype=bool)
+    for part in np.linspace(-0.5, 0.5, SWEEP_POINTS):
+        place = centre + np.einsum("nij,nj->ni", rotation_2d(part * turn), arm)
+        distance = np.linalg.norm(place, axis=1)
+        fits &= (distance > REACH[0] + margin) & (distance < REACH[1] - margin)
+    return fits

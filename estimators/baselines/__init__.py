@@ -1,0 +1,1 @@
+"""The paper's baselines, and other people's optimisers on the same loss."""

@@ -1,0 +1,204 @@
+"""Time stepping of the planar particle body with Coulomb friction by linear complementarity, batched with gradient.
+
+Velocity level (Cline 2002; de Avila Belbute-Peres et al. 2018; Song and Boularias 2020): over a step h the impulse of
+particle i lies in a polygon with corners c_i d_k, c_i = h mu_i N_i, and the velocity v after it obeys
+
+    M (v - v_before) = h u + sum_i J_i^T sum_k d_k beta_ik,
+    0 <= beta_ik  _|_  lambda_i + d_k . J_i v >= 0,     0 <= lambda_i  _|_  c_i - sum_k beta_ik >= 0.
+
+With the normal loads fixed these are the optimality conditions of a convex problem in the body's three velocities,
+
+    min_v  1/2 (v - v_free)^T M (v - v_free) + sum_i c_i max_k d_k . J_i v.
+
+A regular polygon with an even number of corners is a sum of segments, so that maximum is a sum of |e_j . J_i v| over
+the directions e_j of its sides, and each side is a dry friction of its own: f_ij in [-b_ij, b_ij] against t_ij =
+e_j . J_i v. `dry_friction` solves that, with one 3 x 3 system a correction of which sides stick; the gradient follows
+from the same 3 x 3 system by implicit differentiation.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+from torch.autograd.function import once_differentiable
+
+from estimators.baselines.dry_friction import STICKS, solve, stiffness
+from estimators.particles.model import Inertia, ParticleModel, cross, rotate, turned
+from testbed.errors import InvalidValueError
+
+STIFFNESS = 1e9
+"""Of a sticking side against the body's inertia in the gradient, where it stands for infinity."""
+
+
+@dataclass(frozen=True, eq=False)
+class Step:
+    """A solved step: B bodies, L dry frictions each."""
+
+    velocity: Float[Tensor, "B 3"]
+    """v after the step, m/s and rad/s."""
+    impulse: Float[Tensor, "B L"]
+    """f of every side, N s; it acts on the body with -lines^T f."""
+    used: Float[Tensor, "B L"]
+    """f over its bound, -1 to 1; inside, the side sticks. A guess for a step like this one."""
+
+
+def polygon_sides(directions: int) -> Float[Tensor, "{directions//2} 2"]:
+    """Sides of the regular polygon with `directions` corners on the unit circle, one of each parallel pair, halved.
+
+    Raises:
+        InvalidValueError: an odd number, or less than 4.
+    """
+    if isinstance(directions, bool) or not isinstance(directions, int) or directions < 4 or directions % 2:
+        raise InvalidValueError("directions", directions, "an even integer >= 4")
+    angle = torch.arange(directions // 2, dtype=torch.float64) * (2 * math.pi / directions)
+    along = angle + math.pi / directions + math.pi / 2
+    return math.sin(math.pi / directions) * torch.stack([along.cos(), along.sin()], -1)
+
+
+def solve_step(
+    mass: Float[Tensor, "B 3 3"],
+    momentum: Float[Tensor, "B 3"],
+    lines: Float[Tensor, "B L 3"],
+    bound: Float[Tensor, "B L"],
+    guess: Float[Tensor, "B L"] | None = None,
+) -> Step:
+    """min_v 1/2 v^T mass v - momentum . v + sum_l bound_l |lines_l . v|, for B bodies at once, without gradient.
+
+    Args:
+        mass: M, positive definite.
+        momentum: M v_before + h u, N s and N m s.
+        lines: one row a dry friction, t = lines v its sliding speed.
+        bound: largest impulse of each, N s, >= 0.
+        guess: `used` of a step like this one; it saves work where its sticking set is nearly right.
+
+    Raises:
+        LcpError: no solution.
+    """
+    guessed = None if guess is None else guess.detach().numpy()
+    arrays = [x.detach().numpy() for x in (mass, momentum, lines, bound)]
+    v, f, used = solve(arrays[0], arrays[1], arrays[2], arrays[3], guessed)
+    return Step(torch.from_numpy(v), torch.from_numpy(f), torch.from_numpy(used))
+
+
+class _Solve(torch.autograd.Function):
+    """`solve_step` with its gradient.
+
+    Where M v - q + lines^T f = 0, and f = +-b on sliding sides while t = 0 on sticking ones, a small change obeys
+    (M + lines^T W lines) dv = dq - dM v - dlines^T f - lines^T (W dlines v + df), W infinite on sticking sides.
+    """
+
+    @staticmethod
+    def forward(  # type: ignore[override]
+        ctx: Any, mass: Tensor, momentum: Tensor, lines: Tensor, bound: Tensor, guess: Tensor | None
+    ) -> tuple[Tensor, Tensor]:
+        step = solve_step(mass, momentum, lines, bound, guess)
+        ctx.save_for_backward(mass, lines, step.velocity, step.impulse, step.used)
+        ctx.mark_non_differentiable(step.used)
+        return step.velocity, step.used
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, ...]:  # type: ignore[override]
+        mass, lines, v, f, used = ctx.saved_tensors
+        sticks = (used.abs() < STICKS)[..., None]
+        stiff = stiffness(mass.numpy(), lines.numpy().swapaxes(1, 2), STIFFNESS)
+        weight = torch.where(sticks, torch.from_numpy(stiff)[..., None], 0.0)
+        p = torch.linalg.solve(mass + lines.transpose(-1, -2) @ (weight * lines), gradients[0][..., None])
+        along = lines @ p
+        to_lines = -(f[..., None] @ p.transpose(-1, -2)) - (weight * along) @ v[:, None]
+        to_bound = torch.where(sticks, 0.0, -used[..., None] * along)[..., 0]
+        return -p @ v[:, None], p[..., 0], to_lines, to_bound, None
+
+
+@dataclass(frozen=True)
+class LcpEngine:
+    """The particle body on the table, its friction cone a polygon."""
+
+    directions: int = 8
+    """Corners of the friction polygon; 4, 8, 16."""
+    substeps: int = 4
+    """Steps of the engine in one step of the record; the wrench goes linearly from one sample to the next."""
+
+    def __post_init__(self) -> None:
+        polygon_sides(self.directions)
+        if isinstance(self.substeps, bool) or not isinstance(self.substeps, int) or self.substeps < 1:
+            raise InvalidValueError("LcpEngine.substeps", self.substeps, "an integer >= 1")
+
+    def advance(
+        self,
+        model: ParticleModel,
+        inertia: Inertia,
+        friction: Float[Tensor, "... P"],
+        pose: Float[Tensor, "... 3"],
+        velocity: Float[Tensor, "... 3"],
+        wrench: tuple[Float[Tensor, "... 3"], Float[Tensor, "... 3"]],
+        grasp: Float[Tensor, "... 2"],
+        dt: float,
+        guesses: list[Tensor] | None = None,
+    ) -> tuple[Float[Tensor, "... 3"], Float[Tensor, "... 3"]]:
+        """Pose and velocity of the centre of mass one step of the record on.
+
+        Arguments as `dynamics.acceleration`; `friction` is mu_i N_i, N.
+
+        Args:
+            wrench: planar, about the grasped point, at the beginning and at the end.
+            dt: of the record, s.
+            guesses: a guess for each substep, or nothing yet; replaced by this step's.
+        """
+        touching = model.contact
+        levers = model.particles[touching] - inertia.com[..., None, :]
+        sides = polygon_sides(self.directions)
+        h = dt / self.substeps
+        zero = torch.zeros_like(inertia.mass)
+        diagonal = torch.stack([inertia.mass, inertia.mass, inertia.about_com], -1)
+        batch = torch.broadcast_shapes(
+            pose.shape[:-1], velocity.shape[:-1], friction.shape[:-1], zero.shape, wrench[0].shape[:-1]
+        )
+        bound = (h * friction[..., touching, None]).expand(*batch, -1, len(sides)).flatten(-2)
+        bound = bound.clamp(min=0.0).reshape(-1, bound.shape[-1])
+        mass = torch.diag_embed(diagonal).expand(*batch, 3, 3).reshape(-1, 3, 3)
+        solved = []
+        for k in range(self.substeps):
+            part = (k + 1) / self.substeps
+            u = wrench[0] * (1 - part) + wrench[1] * part
+            yaw = pose[..., 2]
+            torque = u[..., 2] + cross(rotate(yaw, grasp - inertia.com), u[..., :2])
+            push = torch.cat([u[..., :2].expand(*batch, 2), torque[..., None].expand(*batch, 1)], -1)
+            momentum = diagonal * velocity + h * push
+            arms = turned(rotate(yaw[..., None], levers))
+            lines = torch.cat([sides.expand(*arms.shape[:-1], -1, -1), (arms @ sides.T)[..., None]], -1).flatten(-3, -2)
+            lines = lines.expand(*batch, -1, -1).reshape(-1, *lines.shape[-2:])
+            guess = guesses[k] if guesses else None
+            moved, used = _Solve.apply(mass, momentum.expand(*batch, 3).reshape(-1, 3), lines, bound, guess)
+            solved.append(used)
+            velocity = moved.reshape(*batch, 3)
+            pose = pose + h * velocity
+        if guesses is not None:
+            guesses[:] = solved
+        return pose, velocity
+
+    def rollout(
+        self,
+        model: ParticleModel,
+        inertia: Inertia,
+        friction: Float[Tensor, "... T P"],
+        pose: Float[Tensor, "... 3"],
+        velocity: Float[Tensor, "... 3"],
+        wrench: Float[Tensor, "... T 3"],
+        grasp: Float[Tensor, "... 2"],
+        dt: float,
+    ) -> tuple[Float[Tensor, "... T 3"], Float[Tensor, "... T 3"]]:
+        """As `dynamics.rollout`: open loop over T wrenches, the last one held."""
+        poses, velocities, guesses = [], [], []
+        for t in range(wrench.shape[-2]):
+            following = wrench[..., min(t + 1, wrench.shape[-2] - 1), :]
+            ends = (wrench[..., t, :], following)
+            pose, velocity = self.advance(model, inertia, friction[..., t, :], pose, velocity, ends, grasp, dt, guesses)
+            poses.append(pose)
+            velocities.append(velocity)
+        return torch.stack(poses, -2), torch.stack(velocities, -2)

@@ -1,0 +1,87 @@
+"""MuJoCo's own system identification, the official toolbox, as a method: on a planar scene of the object."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+import torch
+
+from estimators.base import Trace
+from estimators.baselines.base import LogCoordinates, Peer, Searched
+from estimators.particles.errors import ModelErrors
+from estimators.particles.windows import Observations
+from estimators.particles.wrench import Problem
+from testbed.errors import InvalidValueError
+from testbed.objects.model import MassDistribution, ObjectModel
+from testbed.trial import OWN_WEIGHT, RIGID
+
+if TYPE_CHECKING:  # MuJoCo and its toolbox take a second to import: only who asks this method waits
+    from testbed.simulation.planar_sysid import PlanarMotion
+
+SUPPORTS = {"own_weight": OWN_WEIGHT, "rigid": RIGID}
+
+
+@dataclass(frozen=True)
+class MujocoSysid(Peer):
+    """Fits mass and friction by `mujoco.sysid`: rollouts of a planar MuJoCo scene, the toolbox's default optimiser.
+
+    It is given what every peer is, M and the errors' covariance, and starts where they do. Its covariance is the
+    toolbox's. Needs the extra `sysid`.
+    """
+
+    iterations: int = 200
+    """Of the toolbox's optimiser, at most: its default."""
+    support: str = "own_weight"
+    """Who carries the weight in its scene: own_weight, as every baseline takes it, or rigid."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.support not in SUPPORTS:
+            raise InvalidValueError("MujocoSysid.support", self.support, f"one of {', '.join(SUPPORTS)}")
+        if self.weighting != "covariance":
+            raise InvalidValueError("MujocoSysid.weighting", self.weighting, "covariance: it fits wrenches")
+
+    def _search(self, problem: Problem, seed: int) -> Searched:
+        from testbed.simulation.planar_sysid import Measured, identify  # noqa: PLC0415  see above
+
+        shape, windows = problem.shape, problem.windows
+        coordinates = LogCoordinates.of(problem, seed)
+        first = coordinates.candidates(coordinates.start[None])
+        guess = ObjectModel("guess", shape, MassDistribution(first.mass[0].numpy(), first.friction[0].numpy()))
+        measured = Measured(
+            motion_of(windows),
+            windows.wrench.numpy(),
+            problem.whiten.numpy(),
+            problem.weight,
+            ModelErrors().weight_error,
+        )
+        found = identify(guess, SUPPORTS[self.support], measured, self.iterations)
+        count = shape.particles_per_group
+        trace = Trace("mujoco_sysid", tuple(found.losses), tuple(found.seconds), 0.0, found.masses / count)
+        return Searched(
+            found.group_mass / count,
+            found.friction,
+            float(found.losses[-1]),
+            (trace,),
+            covariance=found.covariance / np.outer(count, count),
+            misfit=float(found.losses[-1]),
+            rollouts=found.guesses,
+        )
+
+
+def motion_of(windows: Observations) -> PlanarMotion:
+    """The windows as a planar scene is driven through them; an accelerated one goes at one rate through its parts."""
+    from testbed.simulation.planar_sysid import PlanarMotion  # noqa: PLC0415
+
+    rate = windows.spin_square.sqrt()[:, None] / windows.twists[..., 2].abs()
+    at_one_rate = torch.where(windows.accelerated[:, None], rate, 1.0)[..., None]
+    return PlanarMotion(
+        twists=(windows.twists * at_one_rate).numpy(),
+        spin_up=torch.where(windows.accelerated, windows.acceleration[:, 2], 0.0).numpy(),
+        moment=torch.stack([-windows.tilt[:, 1], windows.tilt[:, 0]], -1).numpy(),
+        lift=windows.lift.numpy(),
+        held=windows.held.numpy(),
+        grasp=windows.grasp.numpy(),
+    )

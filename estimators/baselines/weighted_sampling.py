@@ -1,0 +1,88 @@
+"""Weighted Sampling Search, a baseline of the paper: a grid, then draws around the best, ever closer."""
+
+from __future__ import annotations
+
+import itertools
+import time
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+
+from estimators.baselines.base import (
+    DEVIATION_DECAY,
+    FIRST_DEVIATION,
+    GENERATION,
+    GRID_PART,
+    Baseline,
+    Candidates,
+    Searched,
+    densest,
+    from_unit,
+    weighed,
+)
+from estimators.particles.wrench import Problem
+from testbed.errors import InvalidValueError
+from testbed.validation import check_positive
+
+
+@dataclass(frozen=True)
+class WeightedSampling(Baseline):
+    """Starts on a grid, then draws generations from a Gaussian around the best so far, with falling deviation."""
+
+    grid_part: float = GRID_PART
+    """Part of the samples that may go to the grid."""
+    generation: int = GENERATION
+    """Samples a generation."""
+    first_deviation: float = FIRST_DEVIATION
+    """First deviation, as a part of the best sample's mean mass and friction."""
+    decay: float = DEVIATION_DECAY
+    """Factor on the deviation after each generation."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for name, value in (("grid_part", self.grid_part), ("decay", self.decay)):
+            check_positive(f"WeightedSampling.{name}", value)
+            if value > 1:
+                raise InvalidValueError(f"WeightedSampling.{name}", value, "a number > 0 and <= 1")
+        check_positive("WeightedSampling.first_deviation", self.first_deviation)
+        if isinstance(self.generation, bool) or not (isinstance(self.generation, int) and self.generation >= 1):
+            raise InvalidValueError("WeightedSampling.generation", self.generation, "an integer >= 1")
+
+    def _search(self, problem: Problem, seed: int) -> Searched:
+        begin = time.perf_counter()
+        rng = np.random.default_rng(seed)
+        batches = []
+        best, lowest, left, deviation = None, np.inf, self.iterations, self.first_deviation
+        guesses = from_unit(problem, _grid(problem, max(round(self.grid_part * self.iterations), 1)))
+        while left > 0:
+            guesses = guesses[:left]
+            loss = problem.loss(guesses.mass, guesses.friction, self.weighting)
+            batches.append((guesses, loss, time.perf_counter() - begin))
+            left -= len(loss)
+            if float(loss.min()) < lowest or best is None:
+                lowest, best = float(loss.min()), guesses[loss.argmin()[None]]
+            guesses = _around(problem, best, deviation, self.generation, rng)
+            deviation *= self.decay
+        return Searched.of_samples("weighted sampling", batches)
+
+
+def _grid(problem: Problem, most: int) -> np.ndarray:
+    """A full grid over the unit cube of frictions and masses, as fine as `most` points allow.
+
+    Where not even two levels a side fit, masses are taken alike and only friction and their common size are gridded.
+    """
+    n_mu, n_m = problem.shape.n_mu, problem.shape.n_m
+    alike = 2 ** (n_mu + n_m) > most
+    sides = 2 if alike else n_mu + n_m
+    levels = max(int(most ** (1 / sides) + 1e-9), 1)
+    axis = (np.arange(levels) + 0.5) / levels
+    points = np.array(list(itertools.product(axis, repeat=sides)))
+    return points[:, [0] * n_mu + [1] * n_m] if alike else points
+
+
+def _around(problem: Problem, best: Candidates, deviation: float, count: int, rng: np.random.Generator) -> Candidates:
+    """Gaussian draws around the best; what would be negative is reflected."""
+    mass = best.mass + deviation * best.mass.mean() * torch.tensor(rng.standard_normal((count, problem.shape.n_m)))
+    friction = best.friction * (1 + deviation * torch.tensor(rng.standard_normal((count, problem.shape.n_mu))))
+    return weighed(problem, Candidates(mass.abs().clamp(max=densest(problem)), friction.abs()))

@@ -1,0 +1,1 @@
+"""Metrics, statistics over draws, and the paper's own figures."""

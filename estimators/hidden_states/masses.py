@@ -1,0 +1,161 @@
+"""Last line of Algorithm 1: mass and friction from the hidden states, by weighted non-negative least squares.
+
+With nu = 1 / mu every hidden state is linear in (m, nu): s_h nu_k = g m_h, sum m = M, and the inertia about every
+pivot, I_j = sum m_i |p_i - p_j|^2, which holds c and I_cm without having to name the part of them that is confounded.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+from scipy.optimize import nnls
+
+from estimators.hidden_states.inertia import PivotInertia
+from testbed.objects.model import GRAVITY, MassDistribution, ObjectShape
+
+ROUNDS = 8
+"""Reweighting rounds: the error of s nu depends on nu."""
+NEGLIGIBLE_LOAD = 1e-9
+"""A friction group with less drag than this is frictionless, N."""
+SMALLEST_PART = 1e-3
+"""No friction is taken to be more than the smallest over this."""
+OPEN = 1e-9
+"""A direction with less than this part of the strongest's weight is open."""
+
+
+@dataclass(frozen=True, eq=False)
+class MassSolution:
+    """Mass and friction with what the solve knows of its own errors."""
+
+    distribution: MassDistribution
+    covariance: Float[np.ndarray, "n_m n_m"]
+    """Of particle masses, kg^2; infinite variance where the data leave a direction open."""
+    rank: int
+    """Of the system, out of `unknowns`."""
+    unknowns: int
+    """n_m + n_mu."""
+
+
+def solve_masses(
+    shape: ObjectShape,
+    weight: float,
+    weight_error: float,
+    pairs: tuple[tuple[int, int], ...],
+    loads: Float[np.ndarray, "n_s"],
+    load_covariance: Float[np.ndarray, "n_s n_s"],
+    pivots: PivotInertia | None,
+) -> MassSolution:
+    """Split s into mass and friction.
+
+    Args:
+        shape: geometry and groups.
+        weight: M, kg.
+        weight_error: of M, kg.
+        pairs: mass and friction group of each s.
+        loads: s of one particle in each group pair, N.
+        load_covariance: N^2.
+        pivots: I_j, if any accelerated turn was given.
+    """
+    n_m, count = shape.n_m, shape.particles_per_group
+    gripping = _gripping_groups(shape, pairs, loads, load_covariance)
+    kept = np.array([f in gripping for _, f in pairs])
+    held = [pair for pair, keep in zip(pairs, kept, strict=True) if keep]
+    nu_of = np.array([gripping.index(f) for _, f in held], dtype=int)
+    unknowns = n_m + len(gripping)
+
+    feet = np.bincount(shape.mass_group[shape.friction_group >= 0], minlength=n_m)
+    s_rows = np.zeros((len(held), unknowns))
+    for row, ((m, _), load) in enumerate(zip(held, loads[kept], strict=True)):
+        s_rows[row, m] = GRAVITY * count[m] / feet[m]
+        s_rows[row, n_m + nu_of[row]] = -load
+    fixed, values = fixed_rows(shape, weight, weight_error, pivots, unknowns)
+    target = np.concatenate([np.zeros(len(held)), values])
+    lower = np.linalg.cholesky(load_covariance[np.ix_(kept, kept)] + 1e-18 * np.eye(len(held)))
+
+    nu = np.full(len(gripping), weight * GRAVITY / max(loads @ feet_of(shape, pairs), NEGLIGIBLE_LOAD))
+    unknown, system = np.zeros(unknowns), fixed
+    for _ in range(ROUNDS):
+        nu = np.maximum(nu, SMALLEST_PART * nu.max(initial=1.0))
+        system = np.vstack([np.linalg.solve(lower, s_rows / nu[nu_of, None]), fixed])
+        unknown, _ = nnls(system, target)
+        nu = unknown[n_m:]
+    friction = np.zeros(shape.n_mu)
+    friction[list(gripping)] = 1 / np.maximum(nu, SMALLEST_PART * nu.max(initial=1.0))
+    covariance, rank = _covariance(system)
+    return MassSolution(MassDistribution(unknown[:n_m], friction), covariance[:n_m, :n_m], rank, unknowns)
+
+
+def _gripping_groups(
+    shape: ObjectShape, pairs: tuple[tuple[int, int], ...], loads: np.ndarray, covariance: np.ndarray
+) -> list[int]:
+    """Friction groups whose drag stands out of its error; of the others s says nothing about mass."""
+    feet = feet_of(shape, pairs)
+    gripping = []
+    for group in range(shape.n_mu):
+        part = feet * np.array([f == group for _, f in pairs])
+        if part @ loads > max(NEGLIGIBLE_LOAD, 3 * np.sqrt(part @ covariance @ part)):
+            gripping.append(group)
+    return gripping
+
+
+def evenly_rough(
+    shape: ObjectShape, weight: float, pairs: tuple[tuple[int, int], ...], loads: Float[np.ndarray, "n_s"]
+) -> MassDistribution:
+    """The masses that explain s with one friction for all."""
+    count = shape.particles_per_group
+    on_group = np.bincount([m for m, _ in pairs], feet_of(shape, pairs) * loads, shape.n_m)
+    drag = max(float(on_group.sum()), NEGLIGIBLE_LOAD)
+    return MassDistribution(weight * on_group / drag / count, np.full(shape.n_mu, drag / (weight * GRAVITY)))
+
+
+def load_jacobian(
+    shape: ObjectShape, pairs: tuple[tuple[int, int], ...], distribution: MassDistribution
+) -> Float[np.ndarray, "n_s unknowns"]:
+    """Derivatives of every s in particle masses, N/kg, and frictions, N."""
+    count = shape.particles_per_group
+    feet = np.bincount(shape.mass_group[shape.friction_group >= 0], minlength=shape.n_m)
+    slopes = np.zeros((len(pairs), shape.n_m + shape.n_mu))
+    for row, (m, f) in enumerate(pairs):
+        carried = GRAVITY * count[m] / feet[m]
+        slopes[row, m] = distribution.friction[f] * carried
+        slopes[row, shape.n_m + f] = distribution.mass[m] * carried
+    return slopes
+
+
+def fixed_rows(
+    shape: ObjectShape, weight: float, weight_error: float, pivots: PivotInertia | None, unknowns: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Rows of the weight and of the inertia about every pivot, and their values, in units of their errors."""
+    rows, values = shape.particles_per_group[None] / weight_error, np.array([weight / weight_error])
+    if pivots is not None:
+        whiten = np.linalg.inv(np.linalg.cholesky(pivots.covariance))
+        rows = np.vstack([rows, whiten @ inertia_map(shape, pivots.pivot)])
+        values = np.append(values, whiten @ pivots.inertia)
+    return np.hstack([rows, np.zeros((len(rows), unknowns - shape.n_m))]), values
+
+
+def inertia_map(shape: ObjectShape, points: Float[np.ndarray, "J 2"]) -> Float[np.ndarray, "J n_m"]:
+    """From particle masses to the inertia about each point, m^2; cells are solid."""
+    squares = np.sum((shape.particles[None] - points[:, None]) ** 2, axis=2) + shape.cell**2 / 6
+    return shape.per_group(squares)
+
+
+def _covariance(system: np.ndarray) -> tuple[np.ndarray, int]:
+    """Covariance of a least-squares answer, infinite wherever a direction is open, and the system's rank."""
+    scale = np.maximum(np.linalg.norm(system, axis=0), 1e-300)
+    _, values, directions = np.linalg.svd(system / scale, full_matrices=True)
+    values = np.append(values, np.zeros(len(directions) - len(values)))
+    open_ = values < OPEN * values[0]
+    covariance = (directions[~open_].T / values[~open_] ** 2 @ directions[~open_]) / np.outer(scale, scale)
+    moves = np.abs(directions[open_] / scale)
+    blind = (moves > OPEN * moves.max(initial=1e-300)).any(axis=0)
+    covariance[np.ix_(blind, blind)] = np.inf
+    return covariance, int((~open_).sum())
+
+
+def feet_of(shape: ObjectShape, pairs: tuple[tuple[int, int], ...]) -> np.ndarray:
+    """Number of particles in contact in each pair of groups, (n_s,)."""
+    both = list(zip(shape.mass_group.tolist(), shape.friction_group.tolist(), strict=True))
+    return np.array([both.count(pair) for pair in pairs])

@@ -1,0 +1,1 @@
+"""What trials can show of the masses, before or after they are made."""

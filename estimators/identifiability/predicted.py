@@ -1,0 +1,171 @@
+"""What actions would show, before any trial: their steady windows with the errors that a sensor would leave in them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+import torch
+
+from estimators.particles.gripper_load import load_map
+from estimators.particles.windows import Observations
+from testbed.actions.base import Accelerate, Action, Lift, Rotate, Slide, TableAction, Weigh
+from testbed.actions.lift import LiftProfile
+from testbed.errors import InvalidValueError
+from testbed.frames import move_wrench
+from testbed.objects.model import GRAVITY, ObjectShape
+from testbed.sensing.lift_windows import LiftWindow
+from testbed.sensing.presets import Sensing
+from testbed.sensing.windows import TRIM_END, TRIM_START, TRIM_STEP, trim_start
+
+RATE = 100.0
+"""Samples a second."""
+BEFORE = 4.3
+"""From the middle of the tare to the first steady stretch, as the simulated bench takes it, s."""
+BETWEEN = 0.8
+"""From a turn to its turn back, s."""
+TARED = 0.33
+"""Of the tare that is used, s."""
+REACH = 0.174
+"""From the sensor to the TCP, m."""
+HEIGHT = 0.022
+"""Of the TCP over the table, m."""
+
+
+class _Stretch(NamedTuple):
+    """A steady stretch to come: velocity and rate of the grasp point, object axes, and the time since the tare."""
+
+    twist: tuple[float, float, float]
+    alpha: float
+    begin: float
+    end: float
+
+
+def planned_observations(shape: ObjectShape, actions: Sequence[Action], sensing: Sensing) -> Observations | None:
+    """The windows of some actions, their wrenches left at zero; None where no action moves the object over the table.
+
+    The gripper carries nothing, as after nulling, as far as the sensor can tell. Lifts are left out, and numbered.
+
+    Args:
+        shape: geometry and grasps.
+        actions: what would be done.
+        sensing: how the sensor errs.
+
+    Raises:
+        InvalidValueError: a grasp that the shape does not have.
+    """
+    places = np.array([grasp.position for grasp in shape.grasps]).reshape(-1, 2)
+    held = np.linalg.norm(shape.particles - places[:, None], axis=-1).argmin(axis=1)
+    at, stretches, trial, grasp = [tuple(place) for place in places.tolist()], [], [], []
+    for index, action in enumerate(actions):
+        if isinstance(action, Weigh | Lift):
+            continue
+        if action.grasp >= len(shape.grasps):
+            raise InvalidValueError("action.grasp", action.grasp, f"one of the shape's {len(shape.grasps)} grasps")
+        found = _stretches(at[action.grasp], action)
+        stretches += [(stretch, isinstance(action, Accelerate)) for stretch in found]
+        trial += [index] * len(found)
+        grasp += [action.grasp] * len(found)
+    if not stretches:
+        return None
+    count = len(stretches)
+    noise, bias, drift = (torch.tensor(each).expand(count, 6, 6) for each in sensor_at_tcp(sensing))
+    since_tare = torch.tensor([(s.begin, s.end) for s, _ in stretches], dtype=torch.float64)
+    twist = torch.tensor([s.twist for s, _ in stretches], dtype=torch.float64)
+    zeros = torch.zeros(count, dtype=torch.float64)
+    return Observations(
+        wrench=torch.zeros(count, 3, dtype=torch.float64),
+        noise=noise / since_tare.diff()[..., None],
+        bias=bias,
+        drift=drift,
+        since_tare=since_tare,
+        twist=twist,
+        twists=twist[:, None],
+        acceleration=torch.tensor([(0.0, 0.0, s.alpha) for s, _ in stretches], dtype=torch.float64),
+        spin_square=twist[:, 2].square(),
+        grasp=torch.tensor(places[grasp]),
+        lift=zeros,
+        tilt=torch.zeros(count, 2, dtype=torch.float64),
+        yaw=torch.zeros(count, 2, dtype=torch.float64),
+        load_map=torch.tensor(load_map(HEIGHT)).expand(count, 3, 6),
+        load_kept=torch.full((count, 3), float(sensing.force_bias == 0), dtype=torch.float64),
+        load_followed=torch.ones(count, 3, dtype=torch.float64),
+        held=torch.tensor(shape.mass_group[held[grasp]]),
+        trial=torch.tensor(trial),
+        accelerated=torch.tensor([accelerated for _, accelerated in stretches]),
+    )
+
+
+def sensor_at_tcp(sensing: Sensing) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Covariances of a sensor's errors about the TCP, axes up, each (6, 6).
+
+    Those of the noise of a mean over one second, of what the tare leaves, and of what the zero walks in one second.
+    """
+    std = np.array([*sensing.force_noise, *sensing.torque_noise])
+    std[[0, 1, 3, 4]] = np.sqrt((std[[0, 0, 3, 3]] ** 2 + std[[1, 1, 4, 4]] ** 2) / 2)  # whichever way the hand turned
+    noise = std**2 / (RATE * (1 - sensing.lag1) / (1 + sensing.lag1))
+    down = move_wrench(np.eye(6), np.array([0.0, 0.0, -REACH])).T
+    each = (noise, sensing.bias_std**2 + noise / TARED, sensing.drift_std**2)
+    first, second, third = (down @ np.diag(variance) @ down.T for variance in each)
+    return first, second, third
+
+
+def _stretches(at: tuple[float, float], action: TableAction) -> list[_Stretch]:
+    """Steady stretches of one action of the grasp `at` (m), trimmed as a record is."""
+    if isinstance(action, Slide):
+        x, y = action.speed * math.cos(action.direction), action.speed * math.sin(action.direction)
+        return [_Stretch((x, y, 0.0), 0.0, BEFORE + TRIM_START, BEFORE + action.duration - TRIM_END)]
+    if isinstance(action, Rotate):
+        about = at if action.pivot is None else action.pivot
+        x, y = -action.speed * (at[1] - about[1]), action.speed * (at[0] - about[0])
+        there = _Stretch((x, y, action.speed), 0.0, BEFORE + TRIM_START, BEFORE + action.duration - TRIM_END)
+        later = action.duration + BETWEEN
+        back = _Stretch((-x, -y, -action.speed), 0.0, there.begin + later, there.end + later)
+        return [there, back] if action.back else [there]
+    sign, time, found = math.copysign(1.0, action.start_speed), BEFORE, []
+    for alpha in action.accelerations:
+        found.append(_Stretch((0.0, 0.0, sign), alpha, time + TRIM_STEP, time + action.hold - TRIM_END))
+        time += action.hold
+    return found
+
+
+def planned_lift(action: Lift, sensing: Sensing) -> list[LiftWindow]:
+    """The windows of one lift, their wrenches left at zero.
+
+    Args:
+        action: what would be done.
+        sensing: how the sensor errs.
+    """
+    profile = LiftProfile.of(action, 1 / RATE)
+    noise, bias, drift = sensor_at_tcp(sensing)
+    upwards = _upwards(profile.angle)
+    windows = []
+    for segment in range(profile.segment.max() + 1):
+        inside = np.flatnonzero(profile.segment == segment)
+        kept = inside[round(trim_start(action, segment) * RATE) : len(inside) - round(TRIM_END * RATE)]
+        if len(kept) < 2:  # too short to trim
+            continue
+        spin = profile.rate[kept]
+        windows.append(
+            LiftWindow(
+                grasp=action.grasp,
+                wrench=np.zeros(6),
+                covariance=noise * RATE / len(kept),
+                pull=GRAVITY * upwards[kept].mean(axis=0),
+                angular_acceleration=profile.acceleration[kept].mean(axis=0),
+                spin_products=spin.T @ spin / len(kept),
+                tcp_height=HEIGHT,
+                bias_covariance=bias,
+                drift_covariance=drift,
+                since_tare=BEFORE + kept[[0, -1]] / RATE,
+            )
+        )
+    return windows
+
+
+def _upwards(angle: np.ndarray) -> np.ndarray:
+    """The vertical in the object's axes, where it is turned about one of them, (N, 3)."""
+    x, y = angle[:, 0], angle[:, 1]
+    return np.column_stack([-np.sin(y), np.sin(x), np.cos(x) * np.cos(y)])

@@ -1,0 +1,1 @@
+"""The particle model: dynamics, steady windows, support, and the errors of each."""

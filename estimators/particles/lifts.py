@@ -1,0 +1,179 @@
+"""What a lift says of the masses: in the air the wrench is linear in them, with no friction between.
+
+Held still it shows M and c, rocked the second moments about the TCP: with x, y and z of their own six numbers, where
+turns on the table show four.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from estimators.particles.windows import reduced_trials
+from testbed.actions.base import Lift
+from testbed.objects.model import GRAVITY, ObjectShape
+from testbed.sensing.lift_windows import LiftWindow, lift_windows
+from testbed.trajectory import Trajectory
+
+ROUNDS = 2
+"""Of solving for the masses by which the errors are weighed."""
+
+
+@dataclass(frozen=True)
+class LiftErrors:
+    """How far what is taken as known of a lifted object may be off; one draw a trial, where nothing else is said."""
+
+    grip: float = 5e-4
+    """Where the object sits between the pads, along x and along y, m."""
+    height: float = 0.25
+    """Height of the centre of mass, as a part of the object's: the tilts show it themselves."""
+    inertia: float = 0.005
+    """Of what acceleration takes, as a part of itself."""
+    gain: float = 3e-4
+    """Of all wrenches, as a part of themselves."""
+    wrench: float = 3e-4
+    """Of each window's wrench by itself, as a part of the weight, and of the weight at the particles' mean distance."""
+
+
+@dataclass(frozen=True, eq=False)
+class LiftedRows:
+    """All that lifts show of the masses: rows a with a m = y, independent and of unit error."""
+
+    rows: Float[np.ndarray, "r n_m"]
+    values: Float[np.ndarray, "r"]
+    misfit: float
+    """Squared residual of the lifts' wrenches about the masses that fit them best."""
+    freedom: int
+    """What that should be."""
+
+    @classmethod
+    def none(cls, shape: ObjectShape) -> LiftedRows:
+        """Of no lift."""
+        return cls(np.empty((0, shape.n_m)), np.empty(0), 0.0, 0)
+
+
+def lifted_rows(
+    shape: ObjectShape, weight: float, trajectories: Sequence[Trajectory], errors: LiftErrors | None = None
+) -> LiftedRows:
+    """What the lifts among some trajectories say.
+
+    Args:
+        shape: geometry and groups.
+        weight: M, kg; by it alone the errors are weighed at first.
+        trajectories: lifts that ended well are read, all others left out.
+        errors: of what is taken as known.
+
+    Raises:
+        InvalidValueError: a grasp that the shape does not have.
+    """
+    trials = list(lifts_among(shape, trajectories).values())
+    if not trials:
+        return LiftedRows.none(shape)
+    even = np.full(shape.n_m, weight / len(shape.particles))
+    known = _compressed(shape, trials, even, errors)
+    for _ in range(ROUNDS):
+        fitting = even + np.linalg.pinv(known.rows) @ (known.values - known.rows @ even)
+        known = _compressed(shape, trials, fitting, errors)
+    return known
+
+
+def lifts_among(shape: ObjectShape, trajectories: Sequence[Trajectory]) -> dict[int, list[LiftWindow]]:
+    """The windows of every lift among some trajectories that ended well, by its place among them.
+
+    Raises:
+        InvalidValueError: a grasp that the shape does not have.
+    """
+    return reduced_trials(shape, trajectories, (Lift,), lift_windows)
+
+
+def _compressed(
+    shape: ObjectShape, trials: Sequence[Sequence[LiftWindow]], mass: np.ndarray, errors: LiftErrors | None
+) -> LiftedRows:
+    """All windows' rows as few that say the same, their errors weighed by some masses."""
+    whitened = [lift_information(shape, windows, mass, errors) for windows in trials]
+    rows, values = np.vstack([r for r, _ in whitened]), np.concatenate([v for _, v in whitened])
+    left, strength, right = np.linalg.svd(rows, full_matrices=False)
+    seen = strength > 1e-6 * strength[0]
+    felt = left[:, seen].T @ values
+    missing = values - left[:, seen] @ felt
+    return LiftedRows(strength[seen, None] * right[seen], felt, float(missing @ missing), len(values) - len(felt))
+
+
+def lift_information(
+    shape: ObjectShape,
+    windows: Sequence[LiftWindow],
+    mass: Float[np.ndarray, "n_m"],
+    errors: LiftErrors | None = None,
+) -> tuple[Float[np.ndarray, "R n_m"], Float[np.ndarray, "R"]]:
+    """Rows and values of one trial's K windows, R = 6 K, independent and of unit error.
+
+    Args:
+        shape: geometry and groups.
+        windows: of one trial, K.
+        mass: of a particle, kg, by which the errors are weighed.
+        errors: of what is taken as known.
+    """
+    errors = errors or LiftErrors()
+    maps = np.vstack([wrench_of_mass(shape, window) for window in windows])
+    still = np.vstack([wrench_of_mass(shape, window, moving=False) for window in windows])
+    step = 1e-3
+    shifted = [
+        np.vstack([wrench_of_mass(shape, w, s * step * axis) for w in windows]) @ mass
+        for axis in np.eye(3)
+        for s in (1, -1)
+    ]
+    by_shift = np.column_stack([(shifted[2 * k] - shifted[2 * k + 1]) / (2 * step) for k in range(3)])
+    by_shift *= [errors.grip, errors.grip, errors.height * shape.height]
+    inertial = errors.inertia * (maps - still) @ mass
+    common = np.column_stack([by_shift, inertial, errors.gain * maps @ mass])
+    covariance = _sensor_covariance(windows) + common @ common.T
+    size = errors.wrench * GRAVITY * float(mass @ shape.particles_per_group)
+    lever = np.linalg.norm(shape.particles - shape.grasps[windows[0].grasp].position, axis=1).mean()
+    covariance += np.diag(np.tile(np.square([size] * 3 + [size * lever] * 3), len(windows)))
+    root = np.linalg.cholesky(covariance)
+    felt = np.concatenate([w.wrench for w in windows])
+    return np.linalg.solve(root, maps), np.linalg.solve(root, felt)
+
+
+def wrench_of_mass(
+    shape: ObjectShape, window: LiftWindow, shift: Float[np.ndarray, "3"] | None = None, *, moving: bool = True
+) -> Float[np.ndarray, "6 n_m"]:
+    """The wrench that a window takes a kg of each particle mass, N and N m: every particle a brick of its cell.
+
+    Args:
+        shape: geometry and groups.
+        window: how the object moved.
+        shift: of the object in the grip, m, object axes.
+        moving: with what the turning takes, else gravity and the TCP's own acceleration alone.
+    """
+    grasp = shape.grasps[window.grasp].position
+    middle = np.full(len(shape.particles), shape.height / 2 - window.tcp_height)
+    lever = np.column_stack([shape.particles - grasp, middle]) + (np.zeros(3) if shift is None else shift)
+    force, torque = np.tile(window.pull, (len(lever), 1)), np.zeros(3)
+    if moving:
+        spin = window.spin_products
+        force = force + np.cross(window.angular_acceleration, lever)
+        force = force + lever @ (spin - np.trace(spin) * np.eye(3))
+        across, upright = (shape.cell**2 + shape.height**2) / 12, shape.cell**2 / 6
+        brick = np.array([across, across, upright])
+        turned = (upright - across) * np.array([spin[1, 2], -spin[0, 2], 0.0])
+        torque = brick * window.angular_acceleration + turned
+    each = np.hstack([force, np.cross(lever, force) + torque])
+    return shape.per_group(each.T)
+
+
+def _sensor_covariance(windows: Sequence[LiftWindow]) -> Float[np.ndarray, "R R"]:
+    """Of all windows' wrenches: each one's noise, what the tare left in all, and the walk of the zero since."""
+    count = len(windows)
+    begin, end = np.array([w.since_tare for w in windows]).T
+    middle = (begin + end) / 2
+    walked = np.minimum(middle[:, None], middle)
+    np.fill_diagonal(walked, begin + (end - begin) / 3)
+    covariance = np.kron(np.ones((count, count)), windows[0].bias_covariance)
+    covariance += np.kron(walked, windows[0].drift_covariance)
+    for k, window in enumerate(windows):
+        covariance[6 * k : 6 * k + 6, 6 * k : 6 * k + 6] += window.covariance
+    return covariance

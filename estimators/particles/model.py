@@ -1,0 +1,181 @@
+"""The paper's particle model in torch: Eqs. mass to dv and the updates update1, update2.
+
+Batched, float64, differentiable. States are of the centre of mass, in the world: pose (x, y, yaw) and velocity.
+Wrenches are planar (f_x, f_y, torque about the grasped point). Leading dimensions `...` are batch dimensions:
+trajectories, samples, seeds.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from testbed.objects.model import ObjectShape
+
+REST_SPEED = 1e-6
+"""Speed below which a particle's direction fades out, m/s: friction has no direction at rest."""
+
+
+@dataclass(frozen=True, eq=False)
+class ParticleModel:
+    """An object's shape as tensors: particles and the group maps G_m and G_mu."""
+
+    particles: Float[Tensor, "P 2"]
+    """m, object frame."""
+    mass_group: Int[Tensor, "P"]
+    """Column of G_m."""
+    friction_group: Int[Tensor, "P"]
+    """Column of G_mu; -1 without contact."""
+    cell: float
+    """Side of a particle's cell, m."""
+    fill: Float[Tensor, "P"]
+    """Material in each cell over the mean of its group's."""
+
+    @staticmethod
+    def of(shape: ObjectShape) -> ParticleModel:
+        """The model of a shape."""
+        return ParticleModel(
+            torch.tensor(shape.particles),
+            torch.tensor(shape.mass_group),
+            torch.tensor(shape.friction_group),
+            shape.cell,
+            torch.tensor(shape.fill),
+        )
+
+    @property
+    def contact(self) -> Tensor:
+        """Which particles touch the table, (P,) bool."""
+        return self.friction_group >= 0
+
+    def particle_mass(self, mass: Float[Tensor, "... n_m"]) -> Float[Tensor, "... P"]:
+        """G_m^T m, each cell as far as it is filled."""
+        return mass[..., self.mass_group] * self.fill
+
+    @property
+    def parts(self) -> Float[Tensor, "n_m P"]:
+        """Particle masses of a kg a particle in one group and none in the others."""
+        return self.particle_mass(torch.eye(int(self.mass_group.max()) + 1, dtype=torch.float64))
+
+    def particle_friction(self, friction: Float[Tensor, "... n_mu"]) -> Float[Tensor, "... P"]:
+        """G_mu^T mu; 0 without contact."""
+        return torch.where(self.contact, friction[..., self.friction_group.clamp(min=0)], 0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Inertia:
+    """Object-level parameters: Eqs. mass, com, inertia."""
+
+    mass: Float[Tensor, "..."]
+    """M, kg."""
+    com: Float[Tensor, "... 2"]
+    """c, m, object frame."""
+    about_com: Float[Tensor, "..."]
+    """I_cm, kg m^2, cells solid."""
+
+
+def inertia_of(model: ParticleModel, particle_mass: Float[Tensor, "... P"]) -> Inertia:
+    """M, c and I_cm of particle masses."""
+    total = particle_mass.sum(-1)
+    com = particle_mass @ model.particles / total[..., None]
+    squares = (model.particles - com[..., None, :]).square().sum(-1) + model.cell**2 / 6
+    return Inertia(total, com, (particle_mass * squares).sum(-1))
+
+
+def turned(vector: Float[Tensor, "... 2"]) -> Float[Tensor, "... 2"]:
+    """The vector turned by +90 degrees."""
+    return torch.stack([-vector[..., 1], vector[..., 0]], -1)
+
+
+def cross(a: Float[Tensor, "... 2"], b: Float[Tensor, "... 2"]) -> Float[Tensor, "..."]:
+    """z of a x b."""
+    return a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
+
+
+def rotate(angle: Float[Tensor, "..."], vector: Float[Tensor, "... 2"]) -> Float[Tensor, "... 2"]:
+    """`vector` turned by `angle`, rad."""
+    return torch.cos(angle)[..., None] * vector + torch.sin(angle)[..., None] * turned(vector)
+
+
+def direction(velocity: Float[Tensor, "... 2"], rest_speed: float = REST_SPEED) -> Float[Tensor, "... 2"]:
+    """Unit velocity, fading to zero below `rest_speed` (m/s)."""
+    return velocity / (velocity.square().sum(-1, keepdim=True) + rest_speed**2).sqrt()
+
+
+def friction_wrench(
+    magnitude: Float[Tensor, "... P"], unit_velocity: Float[Tensor, "... P 2"], lever: Float[Tensor, "... P 2"]
+) -> Float[Tensor, "... 3"]:
+    """Sum of f_i,f (Eq. fif): friction of `magnitude` (N) against each particle's motion, about the levers' origin."""
+    force = -magnitude[..., None] * unit_velocity
+    return torch.cat([force.sum(-2), cross(lever, force).sum(-1, keepdim=True)], -1)
+
+
+def acceleration(
+    model: ParticleModel,
+    inertia: Inertia,
+    friction: Float[Tensor, "... P"],
+    pose: Float[Tensor, "... 3"],
+    velocity: Float[Tensor, "... 3"],
+    wrench: Float[Tensor, "... 3"],
+    grasp: Float[Tensor, "... 2"],
+) -> Float[Tensor, "... 3"]:
+    """Acceleration of the centre of mass and angular acceleration, Eq. dv.
+
+    Args:
+        model: the object.
+        inertia: M, c, I_cm.
+        friction: mu_i N_i of each particle, N; mu m g where each rests on its own weight.
+        pose: of the centre of mass, m and rad.
+        velocity: of the centre of mass, m/s and rad/s.
+        wrench: f_x, f_y of the gripper on the object, world axes, and torque about the grasped point.
+        grasp: grasped point, m, object frame.
+    """
+    yaw = pose[..., 2]
+    lever = rotate(yaw[..., None], model.particles - inertia.com[..., None, :])
+    particle_velocity = velocity[..., None, :2] + velocity[..., None, 2:] * turned(lever)
+    drag = friction_wrench(friction, direction(particle_velocity), lever)
+    torque = wrench[..., 2] + cross(rotate(yaw, grasp - inertia.com), wrench[..., :2])
+    total = torch.cat([wrench[..., :2], torque[..., None]], -1) + drag
+    return total / torch.stack([inertia.mass, inertia.mass, inertia.about_com], -1)
+
+
+def step(pose: Tensor, velocity: Tensor, accelerations: Tensor, dt: float) -> tuple[Tensor, Tensor]:
+    """Eqs. update1 and update2."""
+    return pose + velocity * dt, velocity + accelerations * dt
+
+
+def rollout(
+    model: ParticleModel,
+    inertia: Inertia,
+    friction: Float[Tensor, "... T P"],
+    pose: Float[Tensor, "... 3"],
+    velocity: Float[Tensor, "... 3"],
+    wrench: Float[Tensor, "... T 3"],
+    grasp: Float[Tensor, "... 2"],
+    dt: float,
+) -> tuple[Float[Tensor, "... T 3"], Float[Tensor, "... T 3"]]:
+    """Open loop over T wrenches: poses and velocities after each step. Friction is mu_i N_i at each step, N."""
+    poses, velocities = [], []
+    for t in range(wrench.shape[-2]):
+        a = acceleration(model, inertia, friction[..., t, :], pose, velocity, wrench[..., t, :], grasp)
+        pose, velocity = step(pose, velocity, a, dt)
+        poses.append(pose)
+        velocities.append(velocity)
+    return torch.stack(poses, -2), torch.stack(velocities, -2)
+
+
+def one_step(
+    model: ParticleModel,
+    inertia: Inertia,
+    friction: Float[Tensor, "... T P"],
+    pose: Float[Tensor, "... T 3"],
+    velocity: Float[Tensor, "... T 3"],
+    wrench: Float[Tensor, "... T 3"],
+    grasp: Float[Tensor, "... 2"],
+    dt: float,
+) -> Float[Tensor, "... T 3"]:
+    """Phi of the problem formulation: the velocity one step on, from each measured state on its own."""
+    a = acceleration(model, inertia, friction, pose, velocity, wrench, grasp[..., None, :])
+    return velocity + a * dt

@@ -1,0 +1,327 @@
+"""Trials of one kind, reduced: what can be used of many records."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import TypeVar, get_args
+
+import numpy as np
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from estimators.particles.errors import ModelErrors
+from estimators.particles.gripper_load import likely_load, load_map
+from estimators.particles.model import Inertia, ParticleModel, cross, turned
+from estimators.particles.support import GripperLoad
+from testbed.actions.base import Accelerate, TableAction, Weigh
+from testbed.errors import InvalidValueError
+from testbed.objects.model import ObjectShape
+from testbed.sensing.windows import SteadyWindow, steady_windows
+from testbed.trajectory import Trajectory
+
+Window = TypeVar("Window")
+
+
+def reduced_trials(
+    shape: ObjectShape,
+    trajectories: Sequence[Trajectory],
+    kinds: tuple[type, ...],
+    reduce: Callable[[Trajectory], list[Window]],
+) -> dict[int, list[Window]]:
+    """The windows of every trial of some kinds of action, by its place among all.
+
+    Trials that did not end well, and those with a stretch too short to trim, are left out.
+
+    Args:
+        shape: the object's.
+        trajectories: of one object.
+        kinds: of actions, all with a grasp.
+        reduce: from a record to its windows; it raises InvalidValueError where a stretch is too short.
+
+    Raises:
+        InvalidValueError: a grasp that the shape does not have.
+    """
+    found = {}
+    for index, trajectory in enumerate(trajectories):
+        action = trajectory.action
+        if not trajectory.ok or isinstance(action, Weigh) or not isinstance(action, kinds):
+            continue
+        if action.grasp >= len(shape.grasps):
+            allowed = f"one of the shape's {len(shape.grasps)} grasps, counted from 0: another object's trial?"
+            raise InvalidValueError(f"trajectories[{index}].action.grasp", action.grasp, allowed)
+        try:
+            found[index] = reduce(trajectory)
+        except InvalidValueError:  # too short
+            continue
+    return found
+
+
+PLANAR = [0, 1, 5]
+"""f_x, f_y and the torque about the vertical, of a wrench's six components."""
+
+
+@dataclass(frozen=True, eq=False)
+class Observations:
+    """K windows of constant speed or constant acceleration. Object axes; moments about the grasp point."""
+
+    wrench: Float[Tensor, "K 3"]
+    """Mean f_x, f_y of the gripper on the object and torque about the grasp point, N and N m."""
+    noise: Float[Tensor, "K 6 6"]
+    """Covariance of the mean of all six components, about the TCP, from the window's own noise."""
+    bias: Float[Tensor, "K 6 6"]
+    """Covariance of what the sensor's tare leaves in them, one draw a trajectory."""
+    drift: Float[Tensor, "K 6 6"]
+    """What the walk of the sensor's zero adds to their covariance a second."""
+    since_tare: Float[Tensor, "K 2"]
+    """Time from the tare to a window's first and last sample, s."""
+    twist: Float[Tensor, "K 3"]
+    """Velocity of the grasp point, m/s, and turn rate, rad/s."""
+    twists: Float[Tensor, "K S 3"]
+    """The same over each of S equal parts of a window."""
+    acceleration: Float[Tensor, "K 3"]
+    """Acceleration of the grasp point, m/s^2, and angular acceleration, rad/s^2."""
+    spin_square: Float[Tensor, "K"]
+    """Mean square of the turn rate, rad^2/s^2."""
+    grasp: Float[Tensor, "K 2"]
+    """Grasp point, m, object frame."""
+    lift: Float[Tensor, "K"]
+    """Vertical force of the gripper on the object, N."""
+    tilt: Float[Tensor, "K 2"]
+    """(t_y + h f_x, -t_x + h f_y): moment that the feet supply where nothing accelerates, N m."""
+    yaw: Float[Tensor, "K 2"]
+    """Yaw of the object at a window's first and last sample, rad."""
+    load_map: Float[Tensor, "K 3 6"]
+    """From the wrench to lift and tilt."""
+    load_kept: Float[Tensor, "K 3"]
+    """Part of a trial's common lift and tilt that stands out of the bias, 0 to 1; the rest is taken as none."""
+    load_followed: Float[Tensor, "K 3"]
+    """Part of their change from window to window of a trial that stands out of the noise, 0 to 1."""
+    held: Int[Tensor, "K"]
+    """Mass group between the fingers."""
+    trial: Int[Tensor, "K"]
+    """Which trajectory a window is from."""
+    accelerated: Tensor
+    """Whether it is from an `Accelerate`, (K,) bool."""
+
+    def __len__(self) -> int:
+        return len(self.wrench)
+
+    def where(self, keep: Tensor) -> Observations:
+        """The windows that `keep` (K,) selects."""
+        return Observations(**{name: value[keep] for name, value in vars(self).items()})
+
+    def merged(self, group: Int[Tensor, "K"]) -> Observations:
+        """Means over windows of the same group, 0 to G - 1; what is not a number is the first window's."""
+        first = torch.stack([torch.nonzero(group == g)[0, 0] for g in range(int(group.max()) + 1)])
+
+        def mean(values: Tensor) -> Tensor:
+            if not values.is_floating_point():
+                return values[first]
+            return torch.stack([values[group == g].mean(0) for g in range(len(first))])
+
+        return Observations(**{name: mean(value) for name, value in vars(self).items()})
+
+    @property
+    def covariance(self) -> Float[Tensor, "K 3 3"]:
+        """Of `wrench`, from the window's own noise."""
+        return self.noise[:, PLANAR][:, :, PLANAR]
+
+    def shared_covariance(self) -> Float[Tensor, "K 3 K 3"]:
+        """Of what the windows of one trial share: what its tare left, and how the sensor's zero has walked since."""
+        left = self.together[:, None, :, None] * self.bias[:, PLANAR][:, :, PLANAR][:, :, None]
+        return left + self.walk_covariance()
+
+    def walk_covariance(self) -> Float[Tensor, "K 3 K 3"]:
+        """Of what the walk of the sensor's zero has added to each window since its trial's tare."""
+        return self.walked[:, None, :, None] * self.drift[:, PLANAR][:, :, PLANAR][:, :, None]
+
+    @property
+    def trial_mean(self) -> Float[Tensor, "K K"]:
+        """Takes values to the means over their trials."""
+        return self.together / self.together.sum(1, keepdim=True)
+
+    @property
+    def trial_change(self) -> Float[Tensor, "K K"]:
+        """Takes values to what they have beyond the means over their trials."""
+        return torch.eye(len(self), dtype=torch.float64) - self.trial_mean
+
+    @property
+    def together(self) -> Float[Tensor, "K K"]:
+        """1 for windows of the same trial."""
+        return (self.trial[:, None] == self.trial).double()
+
+    @property
+    def walked(self) -> Float[Tensor, "K K"]:
+        """Covariance of the means over two windows of a random walk of 1 a second that began at their trial's tare."""
+        begin, end = self.since_tare[:, 0], self.since_tare[:, 1]
+        middle = (begin + end) / 2
+        walked = torch.minimum(middle[:, None], middle)  # of the walk at two times: the earlier of them
+        walked.diagonal().copy_(begin + (end - begin) / 3)
+        return self.together * walked
+
+    def lever(self, model: ParticleModel) -> Float[Tensor, "K P 2"]:
+        """Particles from the grasp point, m."""
+        return model.particles - self.grasp[:, None]
+
+    def particle_velocity(self, model: ParticleModel) -> Float[Tensor, "K P 2"]:
+        """Velocity of each particle, m/s."""
+        return self.twist[:, None, :2] + self.twist[:, None, 2:] * turned(self.lever(model))
+
+    def drag_rows(
+        self, model: ParticleModel, pivot_error: float
+    ) -> tuple[Float[Tensor, "K 3 P"], Float[Tensor, "K P"]]:
+        """Wrench about the grasp point that drags a particle of unit friction, and how much of its direction is lost.
+
+        Means over the parts of each window: where the centre of a turn wanders, the mean of the directions of a
+        particle near it is not the direction of its mean velocity.
+
+        Args:
+            model: the object.
+            pivot_error: how well the centre of a turn is known, m; a particle nearer than that has no known direction,
+                and is lost by up to 1.
+        """
+        lever = self.lever(model)
+        velocity, blurred, fade = self._blurred(lever, pivot_error)
+        unit = (velocity / blurred[..., None]).mean(1)
+        return torch.stack([unit[..., 0], unit[..., 1], cross(lever, unit)], 1), (fade / blurred).mean(1)
+
+    def drag_slopes(
+        self, model: ParticleModel, drag: Float[Tensor, "K P"], pivot_error: float
+    ) -> Float[Tensor, "K 3 3"]:
+        """Change of the drag with the twist of a window: (f_x, f_y, torque) by (v_x, v_y, rate).
+
+        Args:
+            model: the object.
+            drag: friction of every particle, N.
+            pivot_error: as of `drag_rows`.
+        """
+        lever = self.lever(model)
+        velocity, blurred, _ = self._blurred(lever, pivot_error)
+        square = velocity[..., :, None] * velocity[..., None, :] / blurred.square()[..., None, None]
+        turn = ((torch.eye(2, dtype=torch.float64) - square) / blurred[..., None, None]).mean(1)
+        by = torch.cat([turn, turn @ turned(lever)[..., None]], -1)
+        torque = lever[..., :1] * by[..., 1, :] - lever[..., 1:] * by[..., 0, :]
+        return torch.einsum("kp,kpij->kij", drag, torch.cat([by, torque[..., None, :]], -2))
+
+    @property
+    def twist_noise(self) -> Float[Tensor, "3"]:
+        """Variance of a window's mean twist from the noise of the measured motion, the same in all windows.
+
+        From fifth differences of its parts, which a centre that wanders leaves out.
+        """
+        parts = self.twists.shape[1]
+        if parts < 6:
+            return torch.zeros(3, dtype=torch.float64)
+        return torch.diff(self.twists, 5, dim=1).square().mean(1).median(0).values / (252 * parts)
+
+    def _blurred(
+        self, lever: Float[Tensor, "K P 2"], pivot_error: float
+    ) -> tuple[Float[Tensor, "K S P 2"], Float[Tensor, "K S P"], Float[Tensor, "K S 1"]]:
+        """Velocity of each particle in each part of a window, its speed, and the least speed with a known direction."""
+        spin = self.twists[..., 2, None]
+        velocity = self.twists[..., None, :2] + spin[..., None] * turned(lever)[:, None]
+        fade = pivot_error * spin.abs()
+        return velocity, (velocity.square().sum(-1) + fade.square() + 1e-18).sqrt(), fade
+
+    def com_acceleration(self, com: Float[Tensor, "2"]) -> Float[Tensor, "K 2"]:
+        """Acceleration of the centre of mass, m/s^2."""
+        arm = com - self.grasp
+        return self.acceleration[:, :2] + self.acceleration[:, 2:] * turned(arm) - self.spin_square[:, None] * arm
+
+    def inertial_wrench(self, inertia: Inertia) -> Float[Tensor, "K 3"]:
+        """Force and torque about the grasp point that the motion itself takes: M a_c, and without I_j alpha."""
+        force = inertia.mass * self.com_acceleration(inertia.com)
+        torque = inertia.mass * cross(inertia.com - self.grasp, self.acceleration[:, :2])
+        return torch.cat([force, torque[:, None]], -1)
+
+    def gripper_load(self, inertia: Inertia, height: float) -> GripperLoad:
+        """What the gripper carries; the mass accelerates at half the object's `height` (m) over the feet."""
+        moved = height / 2 * inertia.mass * self.com_acceleration(inertia.com)
+        # of what the mass takes only the parts that were kept of the tilt, which held it; at one speed it takes as much
+        # there and back
+        kept, followed = self.load_kept[:, 1:], self.load_followed[:, 1:]
+        swung = kept * (self.trial_mean @ moved) + followed * (self.trial_change @ moved)
+        taken = torch.where(self.accelerated[:, None], swung, kept * moved)
+        return GripperLoad(self.lift, self.tilt - taken, self.held, self.grasp)
+
+
+def robot_seconds(trajectories: Sequence[Trajectory]) -> float:
+    """Robot time that trajectories took, s."""
+    return float(sum(t.time_s[-1] - t.time_s[0] for t in trajectories))
+
+
+def observe(
+    shape: ObjectShape, trajectories: Sequence[Trajectory], errors: ModelErrors | None = None
+) -> Observations | None:
+    """All usable trajectories of one object as one batch; None where there is none.
+
+    Weighings, lifts, trials that did not end well and those too short to reduce are left out. Of `errors`, what a
+    nulled gripper carries counts here.
+
+    Raises:
+        InvalidValueError: a grasp that the shape does not have.
+    """
+    errors = errors or ModelErrors()
+    windows: list[SteadyWindow] = []
+    trial: list[int] = []
+    accelerated: list[bool] = []
+    for index, found in reduced_trials(shape, trajectories, get_args(TableAction), steady_windows).items():
+        windows += found
+        trial += [index] * len(found)
+        accelerated += [isinstance(trajectories[index].action, Accelerate)] * len(found)
+    if not windows:
+        return None
+    wrench = np.array([w.wrench for w in windows])
+    noise, bias = _pooled(windows, np.array(trial), np.array(accelerated))
+    carries = np.array([load_map(w.tcp_height) for w in windows])
+    off = bias + np.array([w.since_tare.mean() * w.drift_covariance for w in windows])
+    load, kept, followed = likely_load(
+        np.einsum("kij,kj->ki", carries, wrench),
+        np.einsum("kij,kjl,kil->ki", carries, off, carries),
+        np.einsum("kij,kjl,kil->ki", carries, noise, carries),
+        np.array(trial),
+        np.array(accelerated),
+        errors.nulled,
+    )
+    points = np.array([shape.grasps[w.grasp].position for w in windows])
+    nearest = np.linalg.norm(shape.particles[None] - points[:, None], axis=-1).argmin(axis=1)
+    tensor = torch.tensor
+    return Observations(
+        wrench=tensor(wrench[:, PLANAR]),
+        noise=tensor(noise),
+        bias=tensor(bias),
+        drift=tensor(np.array([w.drift_covariance for w in windows])),
+        since_tare=tensor(np.array([w.since_tare for w in windows])),
+        twist=tensor(np.array([w.twist for w in windows])),
+        twists=tensor(np.array([w.twists for w in windows])),
+        acceleration=tensor(np.array([w.acceleration for w in windows])),
+        spin_square=tensor([w.spin_square for w in windows], dtype=torch.float64),
+        grasp=tensor(points),
+        lift=tensor(load[:, 0]),
+        tilt=tensor(load[:, 1:]),
+        yaw=tensor(np.array([w.yaw for w in windows])),
+        load_map=tensor(carries),
+        load_kept=tensor(kept),
+        load_followed=tensor(followed),
+        held=tensor(shape.mass_group[nearest]),
+        trial=tensor(trial),
+        accelerated=tensor(accelerated),
+    )
+
+
+def _pooled(windows: list[SteadyWindow], trial: np.ndarray, accelerated: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Covariance of the means of noise, and of what a tare leaves, (K, 6, 6).
+
+    A short window's own scatter tells its noise badly, one that happens to scatter little would count for too much,
+    and an accelerating arm swings: its noise a second is taken from the windows of constant speed, where there are any.
+    Tares are alike in all trials.
+    """
+    length = np.array([np.ptp(w.since_tare) for w in windows])[:, None, None]
+    density = np.array([w.covariance for w in windows]) * length
+    quiet = accelerated if accelerated.all() else ~accelerated
+    pooled = np.where(accelerated[:, None, None], density[quiet].mean(axis=0), density)
+    noise, bias = pooled / length, np.array([w.bias_covariance for w in windows])
+    first = np.unique(trial, return_index=True)[1]
+    return noise, np.broadcast_to(bias[first].mean(axis=0), bias.shape)

@@ -1,0 +1,1 @@
+"""Estimation where it is not known who carries the object's weight."""

@@ -1,0 +1,283 @@
+"""One support model fitted to all that was felt: who carries the weight, and what friction and masses follow.
+
+Both models, every group on its own weight and one rigid body, give loads that are affine in the masses, so the wrench
+is bilinear in friction and mass: one fit serves both, with the same data and the same stated errors.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from scipy.linalg import block_diag
+from scipy.optimize import nnls
+from torch import Tensor
+
+from estimators.hidden_states.inertia import PivotInertia, pivot_inertias
+from estimators.hidden_states.masses import inertia_map
+from estimators.particles.errors import ModelErrors
+from estimators.particles.lifts import LiftedRows
+from estimators.particles.model import ParticleModel, inertia_of
+from estimators.particles.support import GripperLoad, rigid_loads
+from estimators.particles.windows import Observations
+from estimators.particles.wrench import AffineLoads, LoadsOf, WrenchModel, own_weight_loads
+from estimators.particles.wrench_errors import torque_covariance, wrench_errors
+from testbed.objects.model import GRAVITY, ObjectShape
+
+FittedSupport = Literal["own_weight", "rigid"]
+ROUNDS = 6
+"""Of Gauss-Newton: friction is tight from the first on."""
+FRICTION_PRIOR = 1.0
+"""Standard deviation of every friction coefficient beforehand; so wide that it decides nothing."""
+
+
+@dataclass(frozen=True, eq=False)
+class SupportFit:
+    """Wrenches linear in (friction, mass) about a support model's best fit, whitened: R = 3 K rows of unit error."""
+
+    support: FittedSupport
+    friction: Float[np.ndarray, "n_mu"]
+    mass: Float[np.ndarray, "n_m"]
+    """Of a particle, kg; under one rigid body only M, c and I_cm of it are known."""
+    of_friction: Float[np.ndarray, "R n_mu"]
+    of_mass: Float[np.ndarray, "R n_m"]
+    wider: Float[np.ndarray, "R w"]
+    """Of loads that this support has no place for: on own weight those rising along x or y, else each group's own."""
+    target: Float[np.ndarray, "R"]
+    """What of_friction friction + of_mass mass should be."""
+    log_volume: float
+    """Half the log determinant of the wrenches' covariance."""
+    pivots: PivotInertia | None
+    """I_j, with friction's change taken away as this support has it."""
+    known: Float[np.ndarray, "1+J+L n_m"]
+    """Rows of the weight, of each I_j and of all lifts, in units of their errors."""
+    known_target: Float[np.ndarray, "1+J+L"]
+    known_log_volume: float
+
+    @property
+    def moments(self) -> slice:
+        """Which rows of `known` are of the I_j."""
+        return slice(1, 1 if self.pivots is None else 1 + len(self.pivots.inertia))
+
+    @property
+    def misfit(self) -> float:
+        """Squared residual of the wrenches, R where the model holds."""
+        missing = self.target - self.of_friction @ self.friction - self.of_mass @ self.mass
+        return float(missing @ missing)
+
+    def on_mass(self) -> tuple[Float[np.ndarray, "r n_m"], Float[np.ndarray, "r"]]:
+        """All that is known of the masses, friction eliminated: rows a with a m = y, independent and of unit error.
+
+        The first row is the surest; r is n_m where every mass is known, and 4 at most under one rigid
+        body, or 6 with lifts.
+        """
+        q, _ = np.linalg.qr(self.of_friction)
+        free = self.of_mass - q @ (q.T @ self.of_mass)
+        rows = np.vstack([free, self.known])
+        values = np.concatenate([self.target - q @ (q.T @ self.target), self.known_target])
+        left, strength, right = np.linalg.svd(rows, full_matrices=False)
+        kept = strength > 1e-6 * strength[0]
+        return strength[kept, None] * right[kept], left[:, kept].T @ values
+
+    def log_evidence(self, mean: Float[np.ndarray, "n_m"], covariance: Float[np.ndarray, "n_m n_m"]) -> float:
+        """Log of the data's probability density, exact for Gaussian masses and wide Gaussian friction beforehand."""
+        n_mu, n_m = len(self.friction), len(self.mass)
+        design = np.zeros((len(self.target) + len(self.known), n_mu + n_m))
+        design[: len(self.target)] = np.hstack([self.of_friction, self.of_mass])
+        design[len(self.target) :, n_mu:] = self.known
+        values = np.concatenate([self.target, self.known_target])
+        root = np.zeros((n_mu + n_m, n_mu + n_m))
+        root[:n_mu, :n_mu] = FRICTION_PRIOR * np.eye(n_mu)
+        scale, axes = np.linalg.eigh(covariance)
+        root[n_mu:, n_mu:] = axes * np.sqrt(np.maximum(scale, 0.0))
+        missing = values - design @ np.concatenate([self.friction, mean])
+        spread = design @ root
+        inner = np.eye(n_mu + n_m) + spread.T @ spread
+        explained = spread.T @ missing
+        chi = missing @ missing - explained @ np.linalg.solve(inner, explained)
+        volume = np.linalg.slogdet(inner)[1] / 2 + self.log_volume + self.known_log_volume
+        return float(-chi / 2 - volume)
+
+
+def fit_support(
+    shape: ObjectShape,
+    weight: float,
+    observed: Observations,
+    support: FittedSupport,
+    errors: ModelErrors,
+    lifted: LiftedRows | None = None,
+    *,
+    spread_known: bool = True,
+) -> SupportFit:
+    """Fit friction and masses under one support model, by Gauss-Newton with neither negative.
+
+    Args:
+        shape: geometry and groups.
+        weight: M, kg.
+        observed: windows of constant speed, and of constant acceleration where there are any.
+        support: which model.
+        errors: how far it may be off.
+        lifted: what lifts say of the masses, whoever carries the weight on the table.
+        spread_known: whether the gripper's lift and moment are known to spread over the feet as this model has it; else
+            as either model has it, or anywhere near: then nothing is told from that spread.
+    """
+    lifted = lifted or LiftedRows.none(shape)
+    model = ParticleModel.of(shape)
+    steady, accelerated = observed.where(~observed.accelerated), observed.where(observed.accelerated)
+    loads_of = _LOADS[support]
+    mass = np.full(shape.n_m, weight / len(shape.particles))
+    drag = float(steady.wrench[:, :2].norm(dim=1).max()) / (weight * GRAVITY)
+    friction = np.full(shape.n_mu, drag)
+    loads = AffineLoads.of(shape, model, steady, loads_of)
+    wrenches = WrenchModel.of(model, steady, loads, errors.pivot_error)
+    response = _response(model, steady, loads_of)
+    other = next(loads for name, loads in _LOADS.items() if name != support)
+    elsewhere = _response(model, steady, other)
+    swung = [_response(model, accelerated, each) for each in (loads_of, other)]
+    rows, _ = steady.drag_rows(model, errors.pivot_error)
+    unsure = 0.0 if spread_known else 1.0
+    weak, even = _weak_prior(shape, weight)
+    fit: SupportFit | None = None
+    for _ in range(ROUNDS):
+        at_mass, at_friction = torch.tensor(mass), torch.tensor(friction)
+        pushed = model.particle_friction(at_friction) * loads.at(at_mass)
+        carried = rows @ (model.particle_friction(at_friction)[:, None] * response)
+        apart, common = wrench_errors(steady, model, pushed, carried, errors)
+        otherwise = rows @ (model.particle_friction(at_friction)[:, None] * elsewhere)
+        pressing = steady.gripper_load(inertia_of(model, model.particle_mass(at_mass)), shape.height).carried
+        spread = unsure * ((otherwise - carried) * pressing[:, None]).flatten(0, 1)
+        root = torch.linalg.cholesky(apart + common @ common.T + spread @ spread.T)
+        whiten = torch.linalg.inv(root)
+        of_friction = (wrenches.weighed @ at_mass + wrenches.carried).flatten(1).T
+        of_mass = (wrenches.inertial + torch.einsum("k,kwim->wim", at_friction, wrenches.weighed)).flatten(0, 1)
+        off = steady.wrench - wrenches.wrench(at_mass, at_friction)
+        linear = off.flatten() + of_friction @ at_friction + of_mass @ at_mass
+        excluded = model.particle_friction(at_friction)[:, None] * _excluded(model, support)
+        pivots = _pivots(model, shape, accelerated, at_mass, at_friction, loads_of, swung, unsure, errors)
+        known, known_target, known_volume = _known(shape, weight, pivots, errors, lifted)
+        fit = SupportFit(
+            support,
+            friction,
+            mass,
+            (whiten @ of_friction).numpy(),
+            (whiten @ of_mass).numpy(),
+            (whiten @ (rows @ excluded).flatten(0, 1)).numpy(),
+            (whiten @ linear).numpy(),
+            float(torch.log(torch.diagonal(root)).sum()),
+            pivots,
+            known,
+            known_target,
+            known_volume,
+        )
+        n_mu = shape.n_mu
+        system = np.block(
+            [
+                [fit.of_friction, fit.of_mass],
+                [np.zeros((len(known), n_mu)), known],
+                [np.zeros((shape.n_m, n_mu)), weak],
+            ]
+        )
+        solved, _ = nnls(system, np.concatenate([fit.target, known_target, even]))
+        friction, mass = solved[:n_mu], solved[n_mu:]
+    assert fit is not None
+    return replace(fit, friction=friction, mass=mass)
+
+
+def prior_masses(shape: ObjectShape, weight: float) -> tuple[Float[np.ndarray, "n_m"], Float[np.ndarray, "n_m n_m"]]:
+    """Mean and covariance of particle masses before anything is felt, where all ways to share M are as likely.
+
+    Shares of a Dirichlet distribution, in proportion to the groups' sizes: for blocks of one size it is even over the
+    simplex.
+    """
+    count = shape.particles_per_group
+    part = count / count.sum()
+    covariance = (np.diag(part) - np.outer(part, part)) / (shape.n_m + 1)
+    return weight * part / count, weight**2 * covariance / np.outer(count, count)
+
+
+def _weak_prior(shape: ObjectShape, weight: float) -> tuple[np.ndarray, np.ndarray]:
+    """Rows that draw a mass of which nothing is known to the mean, and touch no other noticeably."""
+    mean, covariance = prior_masses(shape, weight)
+    rows = np.diag(0.1 / np.sqrt(np.maximum(np.diag(covariance), (1e-3 * mean) ** 2)))
+    return rows, rows @ mean
+
+
+def _rigid(model: ParticleModel, mass: Tensor, load: GripperLoad) -> Tensor:
+    return rigid_loads(model.particles, model.contact, mass, load)
+
+
+_LOADS: dict[FittedSupport, LoadsOf] = {"own_weight": own_weight_loads, "rigid": _rigid}
+
+
+def _excluded(model: ParticleModel, support: FittedSupport) -> Float[Tensor, "P w"]:
+    """Loads that a support model has no place for, and the other has."""
+    if support == "own_weight":
+        return model.particles - model.particles.mean(0)
+    return torch.nn.functional.one_hot(model.mass_group).double()
+
+
+def _response(model: ParticleModel, windows: Observations, loads_of: LoadsOf) -> Float[Tensor, "K P 3"]:
+    """Change of every load with what the gripper carries: lift, and moment along x and y."""
+    mass = torch.ones(len(model.particles), dtype=torch.float64)
+    zero = torch.zeros_like(windows.lift), torch.zeros_like(windows.tilt)
+
+    def loads(lift: float, x: float, y: float) -> Tensor:
+        moment = zero[1] + torch.tensor([x, y], dtype=torch.float64)
+        return loads_of(model, mass, GripperLoad(zero[0] + lift, moment, windows.held, windows.grasp))
+
+    base = loads(0.0, 0.0, 0.0)
+    return torch.stack([loads(*one) - base for one in torch.eye(3).tolist()], -1)
+
+
+def _pivots(
+    model: ParticleModel,
+    shape: ObjectShape,
+    windows: Observations,
+    mass: Tensor,
+    friction: Tensor,
+    loads_of: LoadsOf,
+    responses: Sequence[Float[Tensor, "K P 3"]],
+    unsure: float,
+    errors: ModelErrors,
+) -> PivotInertia | None:
+    """I_j, with the change of friction that the gripper's changing load brings taken away.
+
+    Of its `responses`, the first is by this support model, the second by the other.
+    """
+    if len(windows) == 0:
+        return None
+    particle_mass = model.particle_mass(mass)
+    inertia = inertia_of(model, particle_mass)
+    load = windows.gripper_load(inertia, shape.height)
+    loads = loads_of(model, particle_mass, load)
+    rows, _ = windows.drag_rows(model, 0.0)
+    felt = (rows @ (model.particle_friction(friction) * loads)[..., None])[:, 2, 0]
+    moved = windows.inertial_wrench(inertia)[:, 2]
+    rubbed = rows @ model.particle_friction(friction).diag()
+    response, otherwise = (rubbed @ each for each in responses)
+    spread = unsure * ((otherwise - response)[:, 2] * load.carried).numpy()
+    error = torque_covariance(windows, response) + spread @ spread.T
+    return pivot_inertias(windows, felt.numpy(), moved.numpy(), errors.inertia_error, error)
+
+
+def _known(
+    shape: ObjectShape, weight: float, pivots: PivotInertia | None, errors: ModelErrors, lifted: LiftedRows
+) -> tuple[np.ndarray, np.ndarray, float]:
+    """Rows of the weight, of the inertia about every pivot and of lifts, their values, and half their log volume.
+
+    All whitened; the lifts' volume is left out, being the same whoever carries the weight.
+    """
+    rows, values = shape.particles_per_group[None].astype(float), np.array([weight])
+    covariance = np.array([[errors.weight_error**2]])
+    if pivots is not None:
+        rows = np.vstack([rows, inertia_map(shape, pivots.pivot)])
+        values = np.append(values, pivots.inertia)
+        covariance = np.asarray(block_diag(covariance, pivots.covariance))
+    root = np.linalg.cholesky(covariance)
+    whitened, targets = np.linalg.solve(root, rows), np.linalg.solve(root, values)
+    volume = float(np.log(np.diag(root)).sum())
+    return np.vstack([whitened, lifted.rows]), np.concatenate([targets, lifted.values]), volume

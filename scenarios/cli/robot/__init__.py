@@ -1,0 +1,1 @@
+"""heft robot: the commands of the real bench."""

@@ -1,0 +1,1 @@
+"""Executors: in this process, on worker processes, on a Ray cluster."""

@@ -1,0 +1,153 @@
+"""Running tasks: in this process, on worker processes, or on a Ray cluster. A task that fails comes back as a value."""
+
+from __future__ import annotations
+
+import errno
+import os
+import resource
+import traceback
+from collections import deque
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any, Literal, Protocol, get_args
+
+import torch
+
+from testbed.errors import InvalidValueError
+
+ExecutorName = Literal["inline", "local", "ray"]
+_DISK = {errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EACCES, errno.EPERM, errno.EIO}
+"""What a full, read-only or broken disk says: no fault of the task's, and the next task would meet it too."""
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What a task may use."""
+
+    timeout_s: float = 600.0
+    """A task that takes longer has hung. Not held by `inline`."""
+    tries: int = 3
+    """How often a task is begun whose worker died or was too slow, before it has failed."""
+    memory_gib: float = 4.0
+    """Data of one worker, GiB: two and a half times the 1.6 that whole trials and every method on F2 and on the hammer
+    took at most, of which 1 is only reserved by an allocator; imports alone take 0.43. Not held by `inline`."""
+
+
+@dataclass(frozen=True)
+class Failure:
+    """Why a task has no value."""
+
+    reason: str
+    """One line."""
+    detail: str
+    """Traceback, or all that is known."""
+
+
+class Executor(Protocol):
+    """Starts tasks and gives them back as they end, in any order."""
+
+    @property
+    def capacity(self) -> int:
+        """Tasks in flight that keep every worker busy; more would only take memory."""
+        ...
+
+    @property
+    def running(self) -> int:
+        """Tasks started and not yet given back."""
+        ...
+
+    def start(self, label: Any, function: Callable[..., Any], *arguments: Any) -> None:
+        """Start a task: a module-level function and its arguments; its value should be small."""
+        ...
+
+    def wait(self) -> tuple[Any, Any]:
+        """The label and the value, or `Failure`, of a task that has ended.
+
+        Raises:
+            OSError: a task could not write: disk full, read-only, broken.
+        """
+        ...
+
+
+class InlineExecutor:
+    """Every task in this process, when it is started; a task that hangs or crashes takes the run with it."""
+
+    capacity = 1
+
+    def __init__(self) -> None:
+        torch.set_num_threads(1)
+        self._done: deque[tuple[Any, Any]] = deque()
+
+    @property
+    def running(self) -> int:
+        """Tasks started and not yet given back."""
+        return len(self._done)
+
+    def start(self, label: Any, function: Callable[..., Any], *arguments: Any) -> None:
+        """Run a task."""
+        self._done.append((label, call(function, *arguments)))
+
+    def wait(self) -> tuple[Any, Any]:
+        """What the oldest task gave."""
+        return given_back(*self._done.popleft())
+
+
+@contextmanager
+def open_executor(name: str, workers: int, limits: Limits | None = None) -> Iterator[Executor]:
+    """An executor by name, `local` with 0 workers being `inline`. Leaving it stops its workers.
+
+    Raises:
+        InvalidValueError: no such executor, or a number of workers below 0.
+        HeftError: Ray is not installed.
+    """
+    if name not in get_args(ExecutorName):
+        raise InvalidValueError("--executor", name, f"one of {', '.join(get_args(ExecutorName))}")
+    if workers < 0:
+        raise InvalidValueError("--workers", workers, "an integer >= 0")
+    limits = limits or Limits()
+    if name == "inline" or (name == "local" and workers == 0):
+        yield InlineExecutor()
+    elif name == "local":
+        from scenarios.execution.local import LocalExecutor  # noqa: PLC0415  uses this module
+
+        with LocalExecutor(workers, limits) as executor:
+            yield executor
+    else:
+        from scenarios.execution.ray import RayExecutor  # noqa: PLC0415  uses this module
+
+        with RayExecutor(workers, limits) as executor:
+            yield executor
+
+
+def call(function: Callable[..., Any], *arguments: Any) -> Any:
+    """Run a task where it is: its value, a `Failure` where it raises, or an OSError where the disk is at fault."""
+    try:
+        return function(*arguments)
+    except (Exception, SystemExit) as error:
+        if isinstance(error, OSError) and error.errno in _DISK:
+            return OSError(error.errno, error.strerror, error.filename)
+        said = f"{type(error).__name__}: {error}".removesuffix(": ")
+        return Failure(said, traceback.format_exc())
+
+
+def given_back(label: Any, value: Any) -> tuple[Any, Any]:
+    """The pair; what ends the whole run is raised."""
+    if isinstance(value, OSError):
+        raise value
+    return label, value
+
+
+def set_up_worker(limits: Limits) -> None:
+    """One thread a worker, as two workers on two cores must not fight; bounded memory; first to go if that runs out."""
+    torch.set_num_threads(1)
+    size = int(limits.memory_gib * 2**30)
+    # RLIMIT_DATA counts what is really taken; RLIMIT_AS would count address space that libraries only reserve
+    resource.setrlimit(resource.RLIMIT_DATA, (size, resource.getrlimit(resource.RLIMIT_DATA)[1]))
+    with open("/proc/self/oom_score_adj", "w", encoding="ascii") as file:
+        file.write("1000")
+
+
+def default_workers() -> int:
+    """One worker a core that this process may use."""
+    return len(os.sched_getaffinity(0))

@@ -1,0 +1,218 @@
+"""Worker processes on this machine: spawned, reusing what they have imported, replaced when they die or hang."""
+
+from __future__ import annotations
+
+import ctypes
+import importlib
+import multiprocessing
+import os
+import signal
+from collections import deque
+from collections.abc import Callable, Iterator
+from concurrent.futures import FIRST_COMPLETED, Future, wait
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
+from dataclasses import dataclass
+from multiprocessing import resource_tracker
+from types import TracebackType
+from typing import Any, Self
+
+from pebble import ProcessExpired, ProcessPool
+
+from scenarios.execution.executor import Failure, Limits, call, given_back, set_up_worker
+from testbed.errors import HeftError
+
+_PR_SET_PDEATHSIG = 1
+"""linux/prctl.h"""
+_POLL_S = 1.0
+"""How often workers that left without a word are looked for."""
+
+
+@dataclass(eq=False)
+class _Task:
+    label: Any
+    function: Callable[..., Any]
+    arguments: tuple[Any, ...]
+    tries: int = 0
+
+
+class LocalExecutor:
+    """Tasks on worker processes. A task whose worker dies or is too slow is begun again on a new one."""
+
+    def __init__(self, workers: int, limits: Limits):
+        self._limits = limits
+        self._workers = [_Worker(limits) for _ in range(workers)]
+        self._waiting: deque[_Task] = deque()
+        self._done: deque[tuple[Any, Any]] = deque()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        for worker in self._workers:
+            worker.stop()
+        for worker in self._workers:
+            worker.join()
+
+    @property
+    def capacity(self) -> int:
+        """One task running and one waiting for each worker."""
+        return 2 * len(self._workers)
+
+    @property
+    def running(self) -> int:
+        """Tasks started and not yet given back."""
+        return len(self._waiting) + len(self._done) + sum(worker.task is not None for worker in self._workers)
+
+    def start(self, label: Any, function: Callable[..., Any], *arguments: Any) -> None:
+        """Give a task to an idle worker, or keep it until there is one."""
+        self._waiting.append(_Task(label, function, arguments))
+        self._hand_out()
+
+    def wait(self) -> tuple[Any, Any]:
+        """The label and the value, or `Failure`, of a task that has ended; its worker has its next one already."""
+        while True:
+            busy = {worker.future: worker for worker in self._workers if worker.future is not None}
+            ended, _ = wait(busy, timeout=0.0 if self._done else _POLL_S, return_when=FIRST_COMPLETED)
+            for future, worker in busy.items():
+                if future in ended or worker.left_without_a_word():
+                    self._take(worker)
+            self._hand_out()
+            if self._done:
+                return given_back(*self._done.popleft())
+
+    def _hand_out(self) -> None:
+        for worker in self._workers:
+            if self._waiting and worker.task is None:
+                worker.give(self._waiting.popleft())
+
+    def _take(self, worker: _Worker) -> None:
+        task, ending = worker.take()
+        if not isinstance(ending, _Lost):
+            self._done.append((task.label, ending))
+        elif task.tries < self._limits.tries:
+            self._waiting.append(task)
+        else:
+            times = "once" if task.tries == 1 else f"{task.tries} times"
+            reason = f"{ending.why} (tried {times})"
+            self._done.append((task.label, Failure(reason, f"{task.function.__name__}: {reason}\n")))
+
+
+@dataclass(frozen=True)
+class _Lost:
+    """A task that did not end by itself."""
+
+    why: str
+
+
+class _Worker:
+    """One worker process, in a pool of its own.
+
+    A worker that is killed may leave behind a lock that it held or half a message: all of that is thrown away with it.
+    """
+
+    def __init__(self, limits: Limits):
+        self._limits = limits
+        self._pool: ProcessPool | None = None
+        self._starts: Any = None
+        self.task: _Task | None = None
+        self.future: Future[Any] | None = None
+
+    def give(self, task: _Task) -> None:
+        """Begin a task, on a new process if the last one died meanwhile."""
+        self.task = task
+        task.tries += 1
+        cause: Exception | None = None
+        for _ in range(2):
+            try:
+                with _without_interrupts():
+                    self.future = self._open().schedule(
+                        call, args=(task.function, *task.arguments), timeout=self._limits.timeout_s
+                    )
+                return
+            except RuntimeError as error:  # the pool found its process dead
+                cause = error
+                self._throw_away()
+        raise HeftError(f"a worker process cannot be started: {cause}")
+
+    def left_without_a_word(self) -> bool:
+        """Whether the process left with exit code 0 in the middle of its task: another one has taken its place."""
+        return self._starts is not None and self._starts.value > 1
+
+    def take(self) -> tuple[_Task, Any]:
+        """The task that has ended, and its value, a `Failure`, or why it is lost."""
+        task, future = self.task, self.future
+        assert task is not None and future is not None
+        self.task = self.future = None
+        if not future.done():
+            ending: Any = _Lost("its worker process exited with code 0")
+        else:
+            error = future.exception()
+            if error is None:
+                ending = future.result()
+            elif isinstance(error, TimeoutError):
+                ending = _Lost(f"took longer than {self._limits.timeout_s:g} s")
+            elif isinstance(error, ProcessExpired):
+                ending = _Lost(f"its worker process {_told(error.exitcode)}")
+            elif isinstance(error, BrokenProcessPool):
+                ending = _Lost("its worker process died before the task began")
+            else:  # arguments or a value that cannot be sent
+                ending = Failure(f"{type(error).__name__}: {error}", f"{task.function.__name__}: {error!r}\n")
+        if isinstance(ending, _Lost):
+            self._throw_away()
+        return task, ending
+
+    def stop(self) -> None:
+        """Tell the process to stop; `join` waits for it."""
+        if self._pool is not None:
+            self._pool.stop()
+
+    def join(self) -> None:
+        """Wait until the process is gone."""
+        if self._pool is not None:
+            self._pool.join()
+
+    def _open(self) -> ProcessPool:
+        if self._pool is None:
+            context = multiprocessing.get_context("spawn")
+            self._starts = context.RawValue(ctypes.c_int, 0)
+            self._pool = ProcessPool(
+                max_workers=1, initializer=_begin, initargs=(os.getpid(), self._limits, self._starts), context=context
+            )
+        return self._pool
+
+    def _throw_away(self) -> None:
+        self.stop()
+        self.join()
+        self._pool = self._starts = None
+
+
+def _begin(parent: int, limits: Limits, starts: Any) -> None:
+    """In the worker, first of all."""
+    # Killed with the process that started it, however that ends: nothing may go on writing behind the next run
+    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+    if os.getppid() != parent:
+        os._exit(1)
+    starts.value += 1
+    set_up_worker(limits)
+    importlib.import_module("scenarios.study.run")  # all that tasks need, before the clock of the first one runs
+
+
+def _told(exitcode: int) -> str:
+    if exitcode >= 0:
+        return f"exited with code {exitcode}"
+    name = signal.Signals(-exitcode).name if -exitcode in {*signal.Signals} else f"signal {-exitcode}"
+    return f"was killed by {name}{' (out of memory?)' if -exitcode == signal.SIGKILL else ''}"
+
+
+@contextmanager
+def _without_interrupts() -> Iterator[None]:
+    """Ctrl-C waits, and a process started meanwhile never hears it: stopping is up to the one that started it."""
+    resource_tracker.ensure_running()  # else its start would let Ctrl-C through again
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)

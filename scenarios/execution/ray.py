@@ -1,0 +1,115 @@
+"""Tasks on a Ray cluster. They write to the results folder, which all its machines must share."""
+
+from __future__ import annotations
+
+import faulthandler
+import importlib
+import logging
+import signal
+import traceback
+from collections.abc import Callable
+from functools import lru_cache
+from types import FrameType, TracebackType
+from typing import Any, Self
+
+from scenarios.execution.executor import Failure, Limits, call, given_back, set_up_worker
+from testbed.errors import HeftError
+
+_IN_FLIGHT = 3
+"""Tasks handed to the cluster for each of its CPUs: enough to hide the way there, few enough for flat memory."""
+_GRACE_S = 10.0
+"""How long a task that is too slow has to end by itself."""
+
+
+class RayExecutor:
+    """Tasks on the running cluster, or on one on this machine with `workers` CPUs where none is running."""
+
+    def __init__(self, workers: int, limits: Limits):
+        self._ray = _import_ray()
+        self._limits = limits
+        self._joined = self._ray.is_initialized()
+        if not self._joined:
+            quiet = {"logging_level": logging.ERROR, "log_to_driver": False}
+            try:
+                self._ray.init(address="auto", **quiet)
+            except ConnectionError:
+                self._ray.init(address="local", num_cpus=max(workers, 1), include_dashboard=False, **quiet)
+        # A task lost with its worker or its machine is begun again by Ray, somewhere else
+        self._run = self._ray.remote(num_cpus=1, max_retries=limits.tries - 1)(_run)
+        self._labels: dict[Any, Any] = {}
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        for task in self._labels:
+            self._ray.cancel(task, force=True)
+        if not self._joined:
+            self._ray.shutdown()
+
+    @property
+    def capacity(self) -> int:
+        """A few tasks for every CPU there is now; machines come and go."""
+        return _IN_FLIGHT * max(int(self._ray.cluster_resources().get("CPU", 1)), 1)
+
+    @property
+    def running(self) -> int:
+        """Tasks started and not yet given back."""
+        return len(self._labels)
+
+    def start(self, label: Any, function: Callable[..., Any], *arguments: Any) -> None:
+        """Hand a task to the cluster."""
+        self._labels[self._run.remote(self._limits, function, *arguments)] = label
+
+    def wait(self) -> tuple[Any, Any]:
+        """The label and the value, or `Failure`, of a task that has ended."""
+        (task, *_), _ = self._ray.wait(list(self._labels), num_returns=1)
+        label = self._labels.pop(task)
+        try:
+            value = self._ray.get(task)
+        except self._ray.exceptions.RayTaskError as error:  # arguments or a value that cannot be sent
+            value = Failure(str(error).strip().splitlines()[-1], f"{error}\n")
+        except self._ray.exceptions.RayError as error:
+            times = "once" if self._limits.tries == 1 else f"{self._limits.tries} times"
+            kind = type(error).__name__
+            reason = f"its worker process was lost, or hung for {self._limits.timeout_s:g} s: {kind} (tried {times})"
+            value = Failure(reason, f"{error}\n")
+        return given_back(label, value)
+
+
+def _import_ray() -> Any:
+    try:
+        return importlib.import_module("ray")
+    except ImportError:
+        raise HeftError("--executor ray needs Ray, which is not installed: pip install 'heft[ray]'") from None
+
+
+class _TooSlow(BaseException):
+    """Raised in the middle of a task; no Exception, so that no method swallows it."""
+
+
+def _run(limits: Limits, function: Callable[..., Any], *arguments: Any) -> Any:
+    """On a worker of the cluster: the task, with an end to it."""
+    _set_up_once(limits)
+    before = signal.signal(signal.SIGALRM, _stop)
+    try:
+        signal.setitimer(signal.ITIMER_REAL, limits.timeout_s)
+        faulthandler.dump_traceback_later(limits.timeout_s + _GRACE_S, exit=True)  # hung outside Python
+        return call(function, *arguments)
+    except _TooSlow:
+        return Failure(f"took longer than {limits.timeout_s:g} s", traceback.format_exc())
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        faulthandler.cancel_dump_traceback_later()
+        signal.signal(signal.SIGALRM, before)
+
+
+def _stop(number: int, frame: FrameType | None) -> None:
+    raise _TooSlow
+
+
+@lru_cache(maxsize=1)
+def _set_up_once(limits: Limits) -> None:
+    set_up_worker(limits)

@@ -1,0 +1,1 @@
+"""A study: the experiments of a scenario, their trials and estimates."""

@@ -1,0 +1,205 @@
+"""Logs as columns of numbers over time: CSV tables, and MCAP files with JSON messages."""
+
+from __future__ import annotations
+
+import difflib
+import json
+from collections.abc import Callable, Iterable, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+import pandas as pd
+from jaxtyping import Float
+
+from testbed.errors import HeftError, InvalidValueError
+from testbed.importers.mapping import TimeMap, factor
+
+_MOST_LISTED = 12
+
+
+class LogError(HeftError):
+    """A log that cannot be read; the message names the file, and what could be."""
+
+
+def all_of(*reads: Callable[[], Any]) -> list[Any]:
+    """What each reads.
+
+    Raises:
+        HeftError: the one that was met.
+        LogError: all that were met, a line each.
+    """
+    done, met = [], []
+    for read in reads:
+        try:
+            done.append(read())
+        except HeftError as error:
+            met.append(error)
+    if len(met) == 1:
+        raise met[0]
+    if met:
+        raise LogError("\n".join(dict.fromkeys(line for error in met for line in str(error).splitlines())))
+    return done
+
+
+class Series(NamedTuple):
+    """Some columns with their own times."""
+
+    time_s: Float[np.ndarray, "N"]
+    """Strictly increasing, s, by the log's own clock."""
+    values: Float[np.ndarray, "N K"]
+    """As logged, without units."""
+
+
+class Log(Protocol):
+    """Columns by name."""
+
+    def series(self, field: str, names: Sequence[str], topic: str | None, time: TimeMap) -> Series:
+        """The named columns.
+
+        Args:
+            field: what the mapping calls them, for errors.
+            names: columns of a table, or fields of a message.
+            topic: where the messages are, for a log that has topics.
+            time: which column is the time.
+
+        Raises:
+            InvalidValueError: no such column, field or topic; the message names the nearest.
+            LogError: cells that are no numbers, or times that go back.
+        """
+        ...
+
+
+def open_log(path: Path, separator: str = ",") -> Log:
+    """Open a log by its ending.
+
+    Raises:
+        InvalidValueError: another ending than .csv and .mcap, or no such file.
+        LogError: it cannot be read.
+    """
+    if not path.is_file():
+        raise InvalidValueError("log", str(path), "an existing .csv or .mcap file")
+    if path.suffix == ".csv":
+        return CsvLog(path, separator)
+    if path.suffix == ".mcap":
+        return McapLog(path)
+    raise InvalidValueError("log", str(path), "a file that ends in .csv or .mcap")
+
+
+class CsvLog:
+    """A table with a header line. A row may leave a group of columns blank, where logs of several rates were joined."""
+
+    def __init__(self, path: Path, separator: str):
+        self._path = path
+        try:
+            self._table = pd.read_csv(path, sep=separator, dtype=str, skipinitialspace=True, skip_blank_lines=False)
+        except (OSError, ValueError, UnicodeDecodeError) as error:
+            raise LogError(f"{path}: cannot be read as a table: {str(error).strip()}") from None
+        self._table.columns = [str(name).strip() for name in self._table.columns]
+
+    def series(self, field: str, names: Sequence[str], topic: str | None, time: TimeMap) -> Series:
+        """See `Log`."""
+        if topic is not None:
+            raise InvalidValueError(f"{field}.topic", topic, "none: a table has no topics", file=self._path)
+        asked = [("time.column", time.column), *((field, name) for name in names)]
+        columns = all_of(*(partial(self._numbers, *pair) for pair in asked))
+        rows = np.column_stack(columns)
+        there = ~np.isnan(rows[:, 1:]).all(axis=1)
+        rows, lines = rows[there], np.flatnonzero(there) + 2
+        if (bad := ~np.isfinite(rows)).any():
+            row, column = np.argwhere(bad)[0]
+            raise LogError(f"{self._path}: line {lines[row]}: {(time.column, *names)[column]} is blank or not finite")
+        return _in_order(self._path, field, rows[:, 0] * factor("time", time.unit), rows[:, 1:])
+
+    def _numbers(self, field: str, name: str) -> np.ndarray:
+        if name not in self._table.columns:
+            raise _unknown(field, name, list(self._table.columns), self._path)
+        cells = self._table[name]
+        numbers = np.asarray(pd.to_numeric(cells, errors="coerce"), dtype=float)
+        wrong = np.flatnonzero(np.isnan(numbers) & cells.notna())
+        if len(wrong):
+            at = int(wrong[0])
+            raise LogError(f"{self._path}: line {at + 2}: {name}: got {cells.iloc[at]!r}; allowed: a number, or blank")
+        return numbers
+
+
+class McapLog:
+    """An MCAP file. Messages are decoded where they are JSON; other encodings need their own decoders."""
+
+    def __init__(self, path: Path):
+        self._path = path
+        try:
+            from mcap.exceptions import McapError  # noqa: PLC0415  an extra: only who reads such files needs it
+            from mcap.reader import make_reader  # noqa: PLC0415
+        except ImportError:
+            raise LogError(f"{path}: reading MCAP needs mcap: not installed; pip install 'heft[robot]'") from None
+        self._messages: dict[str, list[tuple[int, int, dict[str, Any]]]] = {}
+        self._encodings: dict[str, str] = {}
+        try:
+            with path.open("rb") as file:
+                for _, channel, message in make_reader(file).iter_messages():
+                    self._encodings[channel.topic] = channel.message_encoding
+                    if channel.message_encoding == "json":
+                        said = dict(_leaves(json.loads(message.data)))
+                        stamped = (message.log_time, message.publish_time, said)
+                        self._messages.setdefault(channel.topic, []).append(stamped)
+        except (OSError, ValueError, McapError) as error:
+            raise LogError(f"{path}: not a whole MCAP file: {error}") from None
+
+    def series(self, field: str, names: Sequence[str], topic: str | None, time: TimeMap) -> Series:
+        """See `Log`."""
+        if topic is None or topic not in self._encodings:
+            raise _unknown(f"{field}.topic", topic, sorted(self._encodings), self._path)
+        if self._encodings[topic] != "json":
+            raise LogError(
+                f"{self._path}: topic {topic} is encoded as {self._encodings[topic]}; allowed: json; "
+                "convert it, or export the columns as CSV"
+            )
+        messages = self._messages[topic]
+        columns = all_of(*(partial(self._column, field, name, topic) for name in names))
+        if time.column in ("log_time", "publish_time"):
+            seconds = np.array([m[time.column == "publish_time"] for m in messages]) * 1e-9  # exact to 0.2 us
+        else:
+            seconds = self._column("time.column", time.column, topic) * factor("time", time.unit)
+        return _in_order(self._path, field, seconds, np.column_stack(columns))
+
+    def _column(self, field: str, name: str, topic: str) -> np.ndarray:
+        values = np.empty(len(self._messages[topic]))
+        for i, (_, _, said) in enumerate(self._messages[topic]):
+            if name not in said:
+                raise _unknown(field, name, sorted(said), self._path)
+            value = said[name]
+            if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value):
+                raise LogError(f"{self._path}: topic {topic}, message {i}: {name}: got {value!r}; allowed: a number")
+            values[i] = value
+        return values
+
+
+def _leaves(data: Any, path: str = "") -> Iterable[tuple[str, Any]]:
+    """Every value within nested JSON, by its dotted path; list items by number."""
+    inner = data.items() if isinstance(data, dict) else enumerate(data) if isinstance(data, list) else None
+    if inner is None:
+        yield path, data
+        return
+    for key, value in inner:
+        yield from _leaves(value, f"{path}.{key}" if path else str(key))
+
+
+def _in_order(path: Path, field: str, time: np.ndarray, values: np.ndarray) -> Series:
+    if len(time) < 2:
+        raise LogError(f"{path}: {field}: got {len(time)} samples; allowed: 2 or more")
+    steps = np.diff(time)
+    if (steps < 0).any():
+        at = int(np.argmax(steps < 0)) + 1
+        raise LogError(f"{path}: {field}: time goes back by {-steps[at - 1]:g} s at sample {at}")
+    first = np.concatenate([[True], steps > 0])  # of samples with one stamp, none is nearer to it than the first
+    return Series(time[first], values[first])
+
+
+def _unknown(field: str, name: str | None, known: list[str], path: Path) -> InvalidValueError:
+    folded = {one.casefold(): one for one in known}
+    close = difflib.get_close_matches(str(name).casefold(), folded, n=1, cutoff=0.4)
+    shown = ", ".join(known[:_MOST_LISTED]) + (", ..." if len(known) > _MOST_LISTED else "")
+    hint = f" (nearest: {folded[close[0]]})" if close else ""
+    return InvalidValueError(field, name, f"one of {shown or 'nothing: it is empty'}{hint}", file=path)

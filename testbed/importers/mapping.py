@@ -1,0 +1,263 @@
+"""Units that a log may be in, and what they are in SI."""
+
+from __future__ import annotations
+
+import difflib
+import math
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
+
+from testbed.actions.base import Accelerate, Rotate, Slide, action_from_dict
+from testbed.errors import InvalidValueError
+from testbed.objects.files import Finite, NonNegative, Positive
+from testbed.sensing.presets import preset
+from testbed.trajectory import Phase
+
+_GRAVITY = 9.80665  # of the kilogram-force and the pound-force, by definition
+_POUND = 0.45359237
+_DEGREE = math.pi / 180
+FACTORS: dict[str, dict[str, float]] = {
+    "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9},
+    "length": {"m": 1.0, "cm": 1e-2, "mm": 1e-3},
+    "angle": {"rad": 1.0, "deg": _DEGREE},
+    "speed": {"m/s": 1.0, "cm/s": 1e-2, "mm/s": 1e-3},
+    "turn rate": {"rad/s": 1.0, "deg/s": _DEGREE},
+    "force": {"N": 1.0, "mN": 1e-3, "kN": 1e3, "kgf": _GRAVITY, "gf": _GRAVITY / 1e3, "lbf": _GRAVITY * _POUND},
+    "torque": {
+        "N m": 1.0,
+        "mN m": 1e-3,
+        "N mm": 1e-3,
+        "N cm": 1e-2,
+        "kgf m": _GRAVITY,
+        "kgf cm": _GRAVITY / 1e2,
+        "lbf in": _GRAVITY * _POUND * 0.0254,
+    },
+}
+"""Quantity, unit, and how many of the SI unit it is."""
+
+
+def factor(quantity: str, unit: str) -> float:
+    """What to multiply by to be in SI.
+
+    Raises:
+        InvalidValueError: no such unit of that quantity; the message names those there are, and the nearest.
+    """
+    known = FACTORS[quantity]
+    if unit not in known:
+        folded = {name.replace(" ", "").casefold(): name for name in known}
+        plain = "".join(c for c in unit if c not in " *.·").casefold()
+        close = difflib.get_close_matches(plain, folded, n=1, cutoff=0.6)
+        hint = f" (nearest: {folded[close[0]]})" if close else ""
+        raise InvalidValueError("unit", unit, f"a unit of {quantity}: {', '.join(known)}{hint}")
+    return known[unit]
+
+
+def _of(quantity: str) -> AfterValidator:
+    def check(unit: str) -> str:
+        factor(quantity, unit)
+        return unit
+
+    return AfterValidator(check)
+
+
+TimeUnit = Annotated[str, _of("time")]
+LengthUnit = Annotated[str, _of("length")]
+AngleUnit = Annotated[str, _of("angle")]
+SpeedUnit = Annotated[str, _of("speed")]
+TurnRateUnit = Annotated[str, _of("turn rate")]
+ForceUnit = Annotated[str, _of("force")]
+TorqueUnit = Annotated[str, _of("torque")]
+
+
+Text = Annotated[str, Field(min_length=1)]
+Three = Annotated[list[Text], Field(min_length=3, max_length=3)]
+Vector = Annotated[list[Finite], Field(min_length=3, max_length=3)]
+Quaternion = Annotated[list[Finite], Field(min_length=4, max_length=4)]
+OrientationAs = Literal["wxyz", "xyzw", "rotation_vector", "roll_pitch_yaw"]
+_STRICT = ConfigDict(extra="forbid", frozen=True)
+
+
+class TimeMap(BaseModel):
+    """The [time] table."""
+
+    model_config = _STRICT
+
+    column: Text = "log_time"
+    unit: TimeUnit = "s"
+
+
+class SensorMap(BaseModel):
+    """The [sensor] table."""
+
+    model_config = _STRICT
+
+    topic: Text | None = None
+    force: Three
+    torque: Three
+    force_unit: ForceUnit = "N"
+    torque_unit: TorqueUnit = "N m"
+    sign: Literal[1, -1] = 1
+    in_hand_wxyz: Quaternion = [1.0, 0.0, 0.0, 0.0]
+    bias_std_N: NonNegative = preset("ft300s").force_bias
+    bias_std_Nm: NonNegative = preset("ft300s").torque_bias
+    drift_std_N: NonNegative = preset("ft300s").force_drift
+    drift_std_Nm: NonNegative = preset("ft300s").torque_drift
+
+    @model_validator(mode="after")
+    def _turns(self) -> Self:
+        if not 0.999 < sum(q * q for q in self.in_hand_wxyz) < 1.001:
+            raise InvalidValueError("in_hand_wxyz", self.in_hand_wxyz, "a unit quaternion, wxyz")
+        return self
+
+
+class HandMap(BaseModel):
+    """The [hand] table."""
+
+    model_config = _STRICT
+
+    topic: Text | None = None
+    position: Three
+    position_unit: LengthUnit = "m"
+    orientation: Annotated[list[Text], Field(min_length=3, max_length=4)]
+    orientation_as: OrientationAs = "wxyz"
+    angle_unit: AngleUnit = "rad"
+    tcp_in_hand_m: Vector = [0.0, 0.0, 0.0]
+    closing_deg: Finite = 0.0
+    table_height_m: Finite = 0.0
+
+    @model_validator(mode="after")
+    def _has_all_parts(self) -> Self:
+        parts = 4 if self.orientation_as in ("wxyz", "xyzw") else 3
+        if len(self.orientation) != parts:
+            raise InvalidValueError("orientation", self.orientation, f"{parts} columns for {self.orientation_as}")
+        return self
+
+
+class VelocityMap(BaseModel):
+    """The [velocity] table: of the TCP, base axes; without it the pose is differentiated."""
+
+    model_config = _STRICT
+
+    topic: Text | None = None
+    linear: Three
+    angular: Three
+    linear_unit: SpeedUnit = "m/s"
+    angular_unit: TurnRateUnit = "rad/s"
+
+
+class JointMap(BaseModel):
+    """The [joints] table."""
+
+    model_config = _STRICT
+
+    topic: Text | None = None
+    position: Annotated[list[Text], Field(min_length=7, max_length=7)]
+    unit: AngleUnit = "rad"
+
+
+class ToolMap(BaseModel):
+    """The [tool] table."""
+
+    model_config = _STRICT
+
+    mass_kg: NonNegative
+    com_m: Vector
+    inertia_kg_m2: Annotated[list[Vector], Field(min_length=3, max_length=3)]
+    tcp_m: Vector
+
+
+class PhaseWindow(BaseModel):
+    """One [[phases]] table; steady ones are numbered in their order."""
+
+    model_config = _STRICT
+
+    phase: Literal["tare", "approach", "grasp", "settle", "ramp", "steady", "release"]
+    from_s: NonNegative
+    to_s: Positive
+
+    @model_validator(mode="after")
+    def _lasts(self) -> Self:
+        if self.to_s <= self.from_s:
+            raise InvalidValueError("to_s", self.to_s, f"more than from_s ({self.from_s:g})")
+        return self
+
+    @property
+    def kind(self) -> Phase:
+        """As a `Phase`."""
+        return Phase[self.phase.upper()]
+
+
+def _in_order(windows: list[PhaseWindow]) -> list[PhaseWindow]:
+    last = 0.0
+    for window in windows:
+        if window.from_s < last - 1e-9:
+            raise InvalidValueError("phases", window.from_s, f"windows in order, from_s not before {last:g}")
+        last = window.to_s
+    return windows
+
+
+def _known_action(said: dict[str, Any]) -> dict[str, Any]:
+    _action_of(said)
+    return said
+
+
+def _action_of(said: dict[str, Any]) -> Rotate | Accelerate | Slide:
+    action = action_from_dict(said)
+    if not isinstance(action, Rotate | Accelerate | Slide):
+        raise InvalidValueError("kind", said.get("kind"), "rotate, accelerate or slide")
+    return action
+
+
+Windows = Annotated[list[PhaseWindow], AfterValidator(_in_order)]
+Done = Annotated[dict[str, Any], AfterValidator(_known_action)]
+
+
+class LogMap(BaseModel):
+    """One [[logs]] table: a log, and what of it differs from the rest of the file."""
+
+    model_config = _STRICT
+
+    file: Text
+    action: Done | None = None
+    phases: Windows | None = None
+
+
+class Mapping(BaseModel):
+    """A whole mapping file."""
+
+    model_config = _STRICT
+
+    object: Text
+    action: Done | None = None
+    separator: Text = ","
+    longest_gap_s: Positive = 0.1
+    time: TimeMap
+    sensor: SensorMap
+    hand: HandMap
+    tool: ToolMap
+    velocity: VelocityMap | None = None
+    joints: JointMap | None = None
+    phases: Windows = []
+    logs: list[LogMap] = []
+
+    def of(self, log: Path, folder: Path) -> Mapping:
+        """As it is for one log; `folder` is the mapping file's own."""
+        own = next((entry for entry in self.logs if (folder / entry.file).resolve() == log.resolve()), None)
+        changes = {} if own is None else own.model_dump(include={"action", "phases"}, exclude_none=True)
+        if own is not None and own.phases is not None:
+            changes["phases"] = own.phases
+        return self.model_copy(update={"logs": [], **changes})
+
+    def done(self) -> Rotate | Accelerate | Slide:
+        """The action.
+
+        Raises:
+            InvalidValueError: it is not said.
+        """
+        if self.action is None:
+            raise InvalidValueError(
+                "action", None, 'a table: { kind = "rotate", grasp = 1, ... }, for all logs or each'
+            )
+        return _action_of(self.action)

@@ -1,0 +1,165 @@
+"""Series of several clocks' rates brought onto one base of 100 Hz."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.interpolate import make_interp_spline
+from scipy.ndimage import uniform_filter1d
+from scipy.spatial.transform import Rotation, Slerp
+
+from testbed.actions.base import Accelerate, Rotate, Slide
+from testbed.importers.logs import LogError, Series
+from testbed.importers.mapping import PhaseWindow
+from testbed.trajectory import Phase
+
+RATE = 100.0
+"""Samples a second of every trajectory."""
+_FAST = 1.5
+"""Times that rate, above which samples are averaged instead of interpolated."""
+
+
+def common_base(series: Iterable[Series], longest_gap: float) -> Float[np.ndarray, "T"]:
+    """Times at 100 Hz over the stretch that all series cover, s, by the log's clock.
+
+    Raises:
+        LogError: a series is silent for longer than `longest_gap` (s), or they do not overlap.
+    """
+    begins, ends = [], []
+    for one in series:
+        gaps = np.diff(one.time_s)
+        at = int(np.argmax(gaps))
+        if gaps[at] > longest_gap:
+            raise LogError(
+                f"log: silent for {gaps[at]:.3g} s at {one.time_s[at] - one.time_s[0]:.2f} s; allowed: "
+                f"{longest_gap:g} s (longest_gap_s): what would be put there was never measured"
+            )
+        begins.append(one.time_s[0])
+        ends.append(one.time_s[-1])
+    begin, end = max(begins), min(ends)
+    if end - begin < 1.0:
+        raise LogError(f"log: its columns have {max(end - begin, 0.0):.2f} s in common; allowed: 1 s or more")
+    return begin + np.arange(int((end - begin) * RATE + 1e-6) + 1) / RATE
+
+
+def resampled(series: Series, base: Float[np.ndarray, "T"]) -> Float[np.ndarray, "T K"]:
+    """Values at the base's times: averaged over each sample where they came faster, else interpolated."""
+    time, values = series
+    if np.median(np.diff(time)) * RATE * _FAST > 1:
+        return np.column_stack([np.interp(base, time, column) for column in values.T])
+    # a sensor integrates over its sample, and what is faster than the base must not fold into it
+    total = make_interp_spline(time, values, k=1).antiderivative()
+    low, high = (np.clip(base + side / (2 * RATE), time[0], time[-1]) for side in (-1, 1))
+    return (total(high) - total(low)) / (high - low)[:, None]
+
+
+def resampled_rotation(time: Float[np.ndarray, "N"], rotations: Rotation, base: Float[np.ndarray, "T"]) -> Rotation:
+    """Orientations at the base's times, along the shortest turns between those logged."""
+    return Slerp(time, rotations)(np.clip(base, time[0], time[-1]))
+
+
+Phases = tuple[Int[np.ndarray, "T"], Int[np.ndarray, "T"]]
+"""Phase and steady stretch of every sample, (T,), the latter -1 outside."""
+STEADY_WITHIN = 0.1
+"""Part of its speed by which a stretch at constant speed may vary."""
+STILL = (0.002, np.radians(0.5))
+"""Speed below which the tool is at rest, m/s and rad/s."""
+ABOVE = 0.01
+"""Height over where it holds the object from which the tool holds nothing, m."""
+_SHORTEST_TARE = 0.3
+_SMOOTHING = 0.25
+"""Time over which motion is averaged before it is judged, s."""
+
+
+def given_phases(windows: Sequence[PhaseWindow], time: Float[np.ndarray, "T"]) -> Phases:
+    """Phases by the mapping's windows; what no window covers is the way to the next one.
+
+    Raises:
+        LogError: no tare before the first steady window, no steady window, or one beyond the log's end.
+    """
+    phase, segment = np.full(len(time), Phase.RELEASE), np.full(len(time), -1)
+    steady = [w for w in windows if w.kind == Phase.STEADY]
+    if not steady or not any(w.kind == Phase.TARE and w.from_s < steady[0].from_s for w in windows):
+        raise LogError('phases: allowed: one or more "steady", after one or more "tare"')
+    phase[time < steady[-1].to_s] = Phase.RAMP
+    phase[time < steady[0].from_s] = Phase.APPROACH
+    for window in windows:
+        inside = (time >= window.from_s) & (time < window.to_s)
+        if not inside.any() or window.to_s > time[-1] + 1.5 / RATE:
+            raise LogError(
+                f"phases: {window.phase} until {window.to_s:g} s; allowed: within the log's {time[-1]:.2f} s"
+            )
+        phase[inside] = window.kind
+    for i, window in enumerate(steady):
+        segment[(time >= window.from_s) & (time < window.to_s)] = i
+    segment[phase != Phase.STEADY] = -1
+    return phase, segment
+
+
+def found_phases(
+    action: Rotate | Accelerate | Slide, height: Float[np.ndarray, "T"], velocity: Float[np.ndarray, "T 6"]
+) -> Phases:
+    """Phases of a turn or a slide from the tool's own motion, at 100 Hz.
+
+    Steady is where it goes at the action's speed; a tare is where it rests higher than it holds the object, before and,
+    if there is one, after.
+
+    Args:
+        action: as it was done.
+        height: of the TCP, m.
+        velocity: of the TCP, m/s and rad/s, base axes.
+
+    Raises:
+        LogError: an accelerated turn, or not as many steady stretches as the action has, or no tare.
+    """
+    if isinstance(action, Accelerate):
+        raise LogError("phases: those of an accelerated turn are not found from motion; give them as [[phases]]")
+    smooth = uniform_filter1d(velocity, round(_SMOOTHING * RATE), axis=0)
+    rate = smooth[:, 5] if isinstance(action, Rotate) else np.linalg.norm(smooth[:, :2], axis=1)
+    stretches = _steady(action, rate)
+    count, first, last = len(rate), int(stretches[0][0]), int(stretches[-1][-1])
+    still = np.linalg.norm(smooth[:, :3], axis=1) < STILL[0]
+    still &= np.linalg.norm(smooth[:, 3:], axis=1) < STILL[1]
+    held = float(np.median(height[np.concatenate(stretches)]))
+    tares = [run for run in _runs(still & (height > held + ABOVE)) if len(run) >= _SHORTEST_TARE * RATE]
+    before, after = [t for t in tares if t[-1] < first], [t for t in tares if t[0] > last]
+    if not before:
+        raise LogError(
+            f"phases: no tare: the tool never rests for {_SHORTEST_TARE:g} s, {1e3 * ABOVE:.0f} mm or more over where "
+            "it holds the object, before it moves it; give [[phases]]"
+        )
+    phase, segment = np.full(count, Phase.RELEASE), np.full(count, -1)
+    down = int(np.flatnonzero(height[:first] > held + ABOVE / 5)[-1]) + 1
+    starts = int(np.flatnonzero(still[:first])[-1]) + 1
+    stops = last + 1 + int(np.argmax(np.append(still[last + 1 :], True)))
+    phase[:down] = Phase.APPROACH
+    phase[down:starts] = Phase.SETTLE
+    phase[starts:stops] = Phase.RAMP
+    for i, stretch in enumerate(stretches):
+        phase[stretch], segment[stretch] = Phase.STEADY, i
+    for tare in (before[-1], *after[-1:]):
+        phase[tare] = Phase.TARE
+    return phase, segment
+
+
+def _steady(action: Rotate | Slide, rate: np.ndarray) -> list[np.ndarray]:
+    """The stretches at the action's speed, in order; at least half as long as they should be."""
+    close = np.abs(np.abs(rate) - abs(action.speed)) < STEADY_WITHIN * abs(action.speed)
+    stretches = [run for run in _runs(close) if len(run) >= action.duration * RATE / 2]
+    wanted = [action.speed, -action.speed][: 1 + action.back] if isinstance(action, Rotate) else [action.speed]
+    if [np.sign(rate[s].mean()) for s in stretches] == np.sign(wanted).tolist():
+        return stretches
+    found = ", ".join(f"{rate[s].mean():+.3g} for {len(s) / RATE:.1f} s" for s in stretches) or "none"
+    raise LogError(
+        f"phases: the steady stretches found are {found}; the action has "
+        f"{', '.join(f'{w:+.3g} for {action.duration:g} s' for w in wanted)} (rad/s or m/s); correct its speed and "
+        "duration, or give [[phases]]"
+    )
+
+
+def _runs(inside: np.ndarray) -> list[np.ndarray]:
+    """Indices of every unbroken stretch."""
+    indices = np.flatnonzero(inside)
+    return np.split(indices, np.flatnonzero(np.diff(indices) > 1) + 1) if len(indices) else []

@@ -1,0 +1,1 @@
+"""Objects: blocks and meshes, from files or drawn at random, and their export."""

@@ -1,0 +1,133 @@
+"""Block objects: square blocks on a grid, joined edge to edge, as in the paper's re-configurable set."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from testbed.errors import InvalidValueError
+from testbed.objects.model import Grasp, MassDistribution, ObjectModel, ObjectShape
+
+
+class Cell(NamedTuple):
+    """Column and row of a block; row 0 is the bottom."""
+
+    column: int
+    """From 0 at the left."""
+    row: int
+    """From 0 at the bottom."""
+
+    @property
+    def name(self) -> str:
+        """Column as a letter, row counted from 1 at the bottom: A1, A2, B1, ..."""
+        return f"{_letters(self.column)}{self.row + 1}"
+
+
+def parse_layout(rows: list[str]) -> list[Cell]:
+    """Blocks of a drawn layout, bottom row first and left to right in each row.
+
+    Args:
+        rows: one string a row, top to bottom; "1" is a block, "0", "." or a space is none.
+
+    Raises:
+        InvalidValueError: an unknown character, no block, or blocks not joined edge to edge.
+    """
+    unknown = sorted({c for row in rows for c in row} - set("10. "))
+    if unknown:
+        raise InvalidValueError("layout", "".join(unknown), 'rows of "1" (block) and "0", "." or space (none)')
+    cells = [
+        Cell(column, row)
+        for row, line in enumerate(reversed(rows))
+        for column, character in enumerate(line)
+        if character == "1"
+    ]
+    if not cells:
+        raise InvalidValueError("layout", rows, 'at least one "1"')
+    joined, frontier = {cells[0]}, [cells[0]]
+    while frontier:
+        for neighbour in neighbours(frontier.pop()):
+            if neighbour in cells and neighbour not in joined:
+                joined.add(neighbour)
+                frontier.append(neighbour)
+    apart = [cell.name for cell in cells if cell not in joined]
+    if apart:
+        raise InvalidValueError(
+            "layout", f"{', '.join(apart)} apart from {cells[0].name}", "blocks joined edge to edge"
+        )
+    return cells
+
+
+def neighbours(cell: Cell) -> tuple[Cell, Cell, Cell, Cell]:
+    """The four cells that share an edge with `cell`: right, top, left, bottom."""
+    column, row = cell
+    return Cell(column + 1, row), Cell(column, row + 1), Cell(column - 1, row), Cell(column, row - 1)
+
+
+def block_object(
+    name: str,
+    cells: list[Cell],
+    *,
+    size: float,
+    height: float,
+    mass: list[float],
+    friction: list[float],
+    friction_group: list[int],
+    grid: int,
+) -> ObjectModel:
+    """A block object as particles.
+
+    Args:
+        name: the object's name.
+        cells: where blocks are, in the order of `mass`.
+        size: side of a block, m.
+        height: height of a block, m.
+        mass: mass of each block, kg.
+        friction: friction coefficient of each friction group.
+        friction_group: index into `friction` of each block.
+        grid: particles along a block's side; a block becomes grid x grid particles.
+
+    Raises:
+        InvalidValueError: grid < 1, lengths that do not match, or values out of range.
+    """
+    if isinstance(grid, bool) or not isinstance(grid, int) or grid < 1:
+        raise InvalidValueError("grid", grid, "an integer >= 1, particles along a block's side")
+    if len(mass) != len(cells):
+        raise InvalidValueError("mass", mass, f"{len(cells)} numbers, one a block, bottom row first, left to right")
+    if len(friction_group) != len(cells):
+        raise InvalidValueError("friction_group", friction_group, f"{len(cells)} integers, one a block")
+    centres = np.array([[cell.column, cell.row] for cell in cells], dtype=float) * size
+    centres -= centres.mean(axis=0)
+    steps = ((np.arange(grid) + 0.5) / grid - 0.5) * size
+    offsets = np.stack(np.meshgrid(steps, steps, indexing="ij"), axis=-1).reshape(-1, 2)
+    per_block = grid * grid
+    shape = ObjectShape(
+        particles=(centres[:, None] + offsets).reshape(-1, 2),
+        mass_group=np.repeat(np.arange(len(cells)), per_block),
+        friction_group=np.repeat(friction_group, per_block),
+        cell=size / grid,
+        height=height,
+        grasps=_grasps(cells, centres, size),
+        group_names=tuple(cell.name for cell in cells),
+    )
+    return ObjectModel(name, shape, MassDistribution(np.asarray(mass) / per_block, np.asarray(friction)))
+
+
+def _grasps(cells: list[Cell], centres: np.ndarray, size: float) -> tuple[Grasp, ...]:
+    """A block can be taken where two opposite faces are free: across x if they are left and right, else across y."""
+    grasps = []
+    for cell, centre in zip(cells, centres, strict=True):
+        right, top, left, bottom = (neighbour in cells for neighbour in neighbours(cell))
+        if not (right or left):
+            grasps.append(Grasp(cell.name, centre, angle=0.0, width=size, length=size))
+        elif not (top or bottom):
+            grasps.append(Grasp(cell.name, centre, angle=np.pi / 2, width=size, length=size))
+    return tuple(grasps)
+
+
+def _letters(column: int) -> str:
+    name = ""
+    while column >= 0:
+        name = chr(ord("A") + column % 26) + name
+        column = column // 26 - 1
+    return name

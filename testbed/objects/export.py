@@ -1,0 +1,264 @@
+"""A mass distribution as one rigid body: mass, centre and inertia in space, from the boxes that it is made of."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any
+from xml.etree import ElementTree
+from xml.etree.ElementTree import Element, SubElement
+
+import numpy as np
+from jaxtyping import Float
+
+from testbed.errors import InvalidValueError
+from testbed.objects.model import MassDistribution, ObjectShape
+from testbed.validation import frozen_array
+
+
+@dataclass(frozen=True, eq=False)
+class Box:
+    """A box of even density, its sides along the object's axes."""
+
+    name: str
+    """The block's, or the block's and a number."""
+    center: Float[np.ndarray, "3"]
+    """m, object frame, z from the table."""
+    size: Float[np.ndarray, "3"]
+    """Sides, m."""
+    mass: float
+    """kg."""
+    group: int
+    """Mass group."""
+    friction: float | None
+    """Under it; None where it does not touch the table."""
+
+
+@dataclass(frozen=True, eq=False)
+class RigidBody:
+    """Inertial properties, object frame, z from the table."""
+
+    mass: float
+    """kg."""
+    center: Float[np.ndarray, "3"]
+    """Of mass, m."""
+    inertia: Float[np.ndarray, "3 3"]
+    """About the centre of mass, kg m^2."""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "center", frozen_array("RigidBody.center", self.center, (3,)))
+        object.__setattr__(self, "inertia", frozen_array("RigidBody.inertia", self.inertia, (3, 3)))
+
+    @staticmethod
+    def of(boxes: Sequence[Box]) -> RigidBody:
+        """All boxes as one body."""
+        mass = np.array([box.mass for box in boxes])
+        centers = np.array([box.center for box in boxes])
+        total = float(mass.sum())
+        center = mass @ centers / total
+        inertia = np.zeros((3, 3))
+        for box in boxes:
+            sides, off = box.size**2, box.center - center
+            own = np.diag(sides.sum() - sides) / 12
+            inertia += box.mass * (own + off @ off * np.eye(3) - np.outer(off, off))
+        return RigidBody(total, center, inertia)
+
+    @property
+    def pseudo_inertia(self) -> Float[np.ndarray, "4 4"]:
+        """Positive definite for every body that can exist (Wensing, Kim and Slotine 2018)."""
+        second = np.trace(self.inertia) / 2 * np.eye(3) - self.inertia + self.mass * np.outer(self.center, self.center)
+        first = self.mass * self.center
+        return np.block([[second, first[:, None]], [first[None], np.array([[self.mass]])]])
+
+
+def boxes_of(shape: ObjectShape, distribution: MassDistribution) -> list[Box]:
+    """A box a mass group where its cells, all alike, fill a rectangle of one friction; else a box a cell."""
+    boxes = []
+    for group, name in enumerate(shape.group_names):
+        inside = np.flatnonzero(shape.mass_group == group)
+        low, high = shape.particles[inside].min(axis=0), shape.particles[inside].max(axis=0)
+        cells = np.rint((high - low) / shape.cell) + 1
+        frictions = set(shape.friction_group[inside].tolist())
+        even = len(frictions) == 1 and (shape.fill[inside] == 1).all()
+        parts = [inside] if even and int(cells.prod()) == len(inside) else list(inside[:, None])
+        for index, part in enumerate(parts):
+            low, high = shape.particles[part].min(axis=0), shape.particles[part].max(axis=0)
+            under = int(shape.friction_group[part[0]])
+            boxes.append(
+                Box(
+                    name if len(parts) == 1 else f"{name}_{index}",
+                    np.array([*(low + high) / 2, shape.height / 2]),
+                    np.array([*(high - low + shape.cell), shape.height]),
+                    float(distribution.mass[group] * shape.fill[part].sum()),
+                    group,
+                    None if under < 0 else float(distribution.friction[under]),
+                )
+            )
+    return boxes
+
+
+@dataclass(frozen=True, eq=False)
+class Exported:
+    """An answer to be written down."""
+
+    name: str
+    """The object's."""
+    shape: ObjectShape
+    """Where its masses are."""
+    distribution: MassDistribution
+    """Its masses and frictions, as estimated."""
+    covariance: Float[np.ndarray, "n_m n_m"] | None = None
+    """Of the particle masses, kg^2, infinite where they are not observed; None where the method gives none."""
+    notes: tuple[str, ...] = ()
+    """Where it comes from, a line each."""
+
+    @property
+    def boxes(self) -> list[Box]:
+        """The object as boxes."""
+        return boxes_of(self.shape, self.distribution)
+
+    @property
+    def group_deviation(self) -> list[float] | None:
+        """Standard deviation of each group's mass, kg."""
+        if self.covariance is None:
+            return None
+        return (np.sqrt(np.diag(self.covariance)) * self.shape.particles_per_group).tolist()
+
+    @property
+    def comment(self) -> str:
+        """Notes, and every group's mass with its standard deviation."""
+        mass = self.distribution.mass * self.shape.particles_per_group
+        deviation = self.group_deviation or [None] * len(mass)
+        lines = [*self.notes, "masses, kg, with one standard deviation:"]
+        for name, kg, off in zip(self.shape.group_names, mass, deviation, strict=True):
+            lines.append(f"  {name}: {kg:.4g} " + ("(not given)" if off is None else f"+- {off:.2g}"))
+        lines.append("friction on the table: " + ", ".join(f"{mu:.4g}" for mu in self.distribution.friction))
+        return "\n".join(lines).replace("--", "- -")
+
+
+def to_mjcf(exported: Exported, *, inertial: bool = False) -> str:
+    """A free body of boxes, as MJCF: the text of the file.
+
+    Args:
+        exported: the answer.
+        inertial: one inertial for the whole, and boxes without mass; else every box has its own.
+    """
+    root = Element("mujoco", model=exported.name)
+    root.append(ElementTree.Comment(f"\n{exported.comment}\n"))
+    body = SubElement(SubElement(root, "worldbody"), "body", name=exported.name)
+    SubElement(body, "freejoint", name=exported.name)
+    if inertial:
+        whole = RigidBody.of(exported.boxes)
+        SubElement(
+            body, "inertial", pos=_row(whole.center), mass=_row([whole.mass]), fullinertia=_row(_six(whole.inertia))
+        )
+    for box in exported.boxes:
+        said = {"name": box.name, "type": "box", "pos": _row(box.center), "size": _row(box.size / 2)}
+        if box.friction is not None:
+            said["friction"] = _row([box.friction, 0.005, 0.0001])
+        SubElement(body, "geom", said, mass=_row([0.0 if inertial else box.mass]))
+    return _text(root)
+
+
+def to_urdf(exported: Exported, *, inertial: bool = False) -> str:
+    """A link of boxes, as URDF, which has no friction: that is in its comment.
+
+    Args:
+        exported: the answer.
+        inertial: one link with one inertial for the whole; else a link a box, fixed to a root without mass.
+    """
+    robot = Element("robot", name=exported.name)
+    robot.append(ElementTree.Comment(f"\n{exported.comment}\n"))
+    root, boxes = SubElement(robot, "link", name=exported.name), exported.boxes
+    if inertial:
+        _add_inertial(root, RigidBody.of(boxes))
+    for box in boxes:
+        link = root
+        if not inertial:
+            link = SubElement(robot, "link", name=box.name)
+            _add_inertial(link, RigidBody.of([box]))
+            joint = SubElement(robot, "joint", name=f"{box.name}_fixed", type="fixed")
+            SubElement(joint, "parent", link=exported.name)
+            SubElement(joint, "child", link=box.name)
+        for kind in ("visual", "collision"):
+            part = SubElement(link, kind, name=f"{box.name}_{kind}")
+            SubElement(part, "origin", xyz=_row(box.center), rpy="0 0 0")
+            SubElement(SubElement(part, "geometry"), "box", size=_row(box.size))
+    return _text(robot)
+
+
+def to_object_file(exported: Exported) -> str:
+    """An object file of heft, with what was estimated as its truth.
+
+    Raises:
+        InvalidValueError: the object is not of square blocks alike.
+    """
+    shape, boxes = exported.shape, exported.boxes
+    size = float(boxes[0].size[0])
+    square = all(np.allclose(box.size[:2], size, rtol=1e-6) for box in boxes)
+    if not (square and len(boxes) == shape.n_m):
+        allowed = "an object of square blocks alike; of other parts heft needs their meshes: mjcf or urdf"
+        raise InvalidValueError("--format", "toml", allowed)
+    corner = np.min([box.center for box in boxes], axis=0)
+    places = [tuple(np.rint((box.center - corner)[:2] / size).astype(int).tolist()) for box in boxes]
+    order = sorted(range(len(boxes)), key=lambda i: (places[i][1], places[i][0]))
+    columns, rows = (max(place[axis] for place in places) + 1 for axis in (0, 1))
+    layout = ["".join("10"[(c, r) not in places] for c in range(columns)) for r in reversed(range(rows))]
+    first = [int(np.flatnonzero(shape.mass_group == boxes[i].group)[0]) for i in order]
+    fields: dict[str, Any] = {
+        "layout": layout,
+        "mass_kg": [boxes[i].mass for i in order],
+        "friction": exported.distribution.friction.tolist(),
+        "friction_group": [int(shape.friction_group[particle]) for particle in first],
+        "size_m": size,
+        "height_m": shape.height,
+    }
+    lines = [f"# {line}" for line in exported.comment.splitlines()]
+    lines += [f"name = {json.dumps(exported.name)}", "", "[blocks]"]
+    return "\n".join(lines + [f"{key} = {json.dumps(value)}" for key, value in fields.items()]) + "\n"
+
+
+def to_sidecar(exported: Exported) -> str:
+    """All that was estimated and how surely, as JSON; null where it is not observed or not given."""
+    shape, whole = exported.shape, RigidBody.of(exported.boxes)
+    count = shape.particles_per_group
+    covariance = None if exported.covariance is None else exported.covariance * np.outer(count, count)
+    said = {
+        "name": exported.name,
+        "notes": list(exported.notes),
+        "groups": list(shape.group_names),
+        "mass_kg": (exported.distribution.mass * count).tolist(),
+        "mass_std_kg": _finite(exported.group_deviation),
+        "mass_covariance_kg2": None if covariance is None else [_finite(row) for row in covariance.tolist()],
+        "friction": exported.distribution.friction.tolist(),
+        "total_mass_kg": whole.mass,
+        "center_of_mass_m": whole.center.tolist(),
+        "inertia_about_center_kg_m2": whole.inertia.tolist(),
+    }
+    return json.dumps(said, indent=1) + "\n"
+
+
+def _add_inertial(link: Element, body: RigidBody) -> None:
+    part = SubElement(link, "inertial")
+    SubElement(part, "origin", xyz=_row(body.center), rpy="0 0 0")
+    SubElement(part, "mass", value=_row([body.mass]))
+    names = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
+    SubElement(part, "inertia", {n: _row([v]) for n, v in zip(names, _six(body.inertia), strict=True)})
+
+
+def _six(inertia: np.ndarray) -> list[float]:
+    return [float(inertia[i, j]) for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))]
+
+
+def _row(values: Iterable[float]) -> str:
+    return " ".join(repr(float(value)) for value in values)
+
+
+def _text(root: Element) -> str:
+    ElementTree.indent(root)
+    return '<?xml version="1.0"?>\n' + ElementTree.tostring(root, encoding="unicode") + "\n"
+
+
+def _finite(values: Sequence[float] | None) -> list[float | None] | None:
+    return None if values is None else [value if np.isfinite(value) else None for value in values]

@@ -1,0 +1,282 @@
+"""Where heft's own data files are, installed or in a checkout, and how names and paths are told apart."""
+
+from __future__ import annotations
+
+import difflib
+import math
+import tomllib
+from pathlib import Path
+from typing import Annotated, Any, Self, TypeVar, get_args
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from testbed.errors import HeftError, InvalidValueError
+from testbed.objects.blocks import block_object, parse_layout
+from testbed.objects.meshes import GraspPlace, Part, mesh_object, read_mesh
+from testbed.objects.model import ObjectModel
+
+
+def asset_folder(kind: str) -> Path:
+    """Folder of assets of one kind: "mjcf" or "objects"."""
+    package = Path(__file__).parents[1]
+    for root in (package / "assets", package.parent / "assets"):
+        if (root / kind).is_dir():
+            return root / kind
+    raise FileNotFoundError(f"heft's assets/{kind} is neither in {package} nor beside it: reinstall heft")
+
+
+def find_file(name_or_path: str | Path, library: Path, what: str) -> Path:
+    """A library name ("L2") or a path to a TOML file, as a path.
+
+    Raises:
+        InvalidValueError: no such name and no such file; the message lists the names and the nearest one.
+    """
+    text = str(name_or_path)
+    if text.endswith(".toml") or "/" in text:
+        path = Path(text)
+        if not path.is_file():
+            raise InvalidValueError(what, text, "a path to an existing .toml file")
+        return path
+    path = library / f"{text}.toml"
+    if path.is_file():
+        return path
+    names = library_names(library)
+    folded = {name.casefold(): name for name in names}
+    nearest = difflib.get_close_matches(text.casefold(), folded, n=1, cutoff=0.4)
+    hint = f" (nearest: {folded[nearest[0]]})" if nearest else ""
+    raise InvalidValueError(what, text, f"one of {', '.join(names)}{hint}, or a path to a .toml file")
+
+
+def library_names(library: Path) -> list[str]:
+    """Names that a library folder offers, sorted."""
+    return sorted(path.stem for path in library.glob("*.toml"))
+
+
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+Name = Annotated[str, Field(min_length=1, max_length=64, pattern=r"^[\w.-]+$")]
+FileModel = TypeVar("FileModel", bound=BaseModel)
+
+
+class InvalidFileError(HeftError, ValueError):
+    """A TOML file that cannot be read or does not fit its schema: every error at once, each with its field."""
+
+
+class Blocks(BaseModel):
+    """The [blocks] table of an object file."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
+
+    layout: list[str]
+    mass_kg: Positive | list[NonNegative]
+    friction: NonNegative | list[NonNegative] = 0.5
+    friction_group: list[int] | None = None
+    size_m: Positive = 0.05
+    height_m: Positive = 0.03
+
+    @model_validator(mode="after")
+    def _fits_together(self) -> Self:
+        parse_layout(self.layout)
+        return self
+
+
+class MeshPart(BaseModel):
+    """One [[mesh.parts]] table of an object file."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
+
+    name: Name
+    file: Annotated[str, Field(min_length=1)]
+    mass_kg: Positive
+    friction_group: Annotated[int, Field(ge=0)] | None = None
+
+
+class MeshGrasp(BaseModel):
+    """One [[mesh.grasps]] table of an object file."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
+
+    name: Name
+    at_m: Annotated[list[Finite], Field(min_length=2, max_length=2)]
+    closing_deg: Finite
+
+
+class Mesh(BaseModel):
+    """The [mesh] table of an object file."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
+
+    cell_m: Annotated[float, Field(ge=0.001, le=0.1, allow_inf_nan=False)]
+    friction: NonNegative | list[NonNegative] = 0.5
+    parts: Annotated[list[MeshPart], Field(min_length=1)]
+    grasps: list[MeshGrasp] = []
+
+    @model_validator(mode="after")
+    def _fits_together(self) -> Self:
+        for field, names in (("parts", [p.name for p in self.parts]), ("grasps", [g.name for g in self.grasps])):
+            if len(set(names)) < len(names):
+                raise InvalidValueError(field, names, "names that differ")
+        return self
+
+
+class ObjectFile(BaseModel):
+    """A whole object file: blocks or a mesh."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    name: Name
+    blocks: Blocks | None = None
+    mesh: Mesh | None = None
+
+    @model_validator(mode="after")
+    def _one_kind(self) -> Self:
+        if (self.blocks is None) == (self.mesh is None):
+            given = "neither" if self.blocks is None else "both"
+            raise InvalidValueError("blocks or mesh", given, "exactly one of [blocks] and [mesh]")
+        return self
+
+    def build(self, grid: int, folder: Path) -> ObjectModel:
+        """The object, `grid` particles along a block's side; meshes are files of `folder`."""
+        return _build_blocks(self.name, self.blocks, grid) if self.blocks else self._build_mesh(grid, folder)
+
+    def _build_mesh(self, grid: int, folder: Path) -> ObjectModel:
+        assert self.mesh is not None
+        m = self.mesh
+        friction = _friction_list("mesh.friction", m.friction)
+        groups = [0 if p.friction_group is None and len(friction) == 1 else p.friction_group for p in m.parts]
+        if set(groups) != set(range(len(friction))):
+            allowed = f"an integer for each part, that use every friction from 0 to {len(friction) - 1}"
+            raise InvalidValueError("mesh.parts.friction_group", groups, allowed)
+        parts = []
+        for index, (part, group) in enumerate(zip(m.parts, groups, strict=True)):
+            assert group is not None
+            try:
+                parts.append(Part(part.name, read_mesh(folder / part.file), part.mass_kg, group))
+            except InvalidValueError as error:
+                raise InvalidValueError(f"mesh.parts.{index}.{error.field}", error.given, error.allowed) from None
+        places = [GraspPlace(g.name, (g.at_m[0], g.at_m[1]), math.radians(g.closing_deg)) for g in m.grasps]
+        return mesh_object(self.name, parts, places, friction=friction, cell=m.cell_m, grid=grid)
+
+
+def _build_blocks(name: str, b: Blocks, grid: int) -> ObjectModel:
+    cells = parse_layout(b.layout)
+    friction = _friction_list("blocks.friction", b.friction)
+    groups = b.friction_group
+    if groups is None and len(friction) == 1:
+        groups = [0] * len(cells)
+    if groups is None or len(groups) != len(cells) or set(groups) - {-1} != set(range(len(friction))):
+        allowed = f"{len(cells)} integers, one a block, that use every friction from 0 to {len(friction) - 1}, or -1"
+        raise InvalidValueError("blocks.friction_group", groups, allowed)
+    mass: list[float] = list(b.mass_kg) if isinstance(b.mass_kg, list) else [b.mass_kg] * len(cells)
+    if len(mass) != len(cells) or sum(mass) <= 0:
+        allowed = f"{len(cells)} numbers >= 0, one a block, bottom row first, left to right, with a sum > 0"
+        raise InvalidValueError("blocks.mass_kg", mass, allowed)
+    return block_object(
+        name,
+        cells,
+        size=b.size_m,
+        height=b.height_m,
+        mass=mass,
+        friction=friction,
+        friction_group=groups,
+        grid=grid,
+    )
+
+
+def _friction_list(field: str, friction: float | list[float]) -> list[float]:
+    if friction == []:
+        raise InvalidValueError(field, friction, "a number >= 0, or a list of one or more")
+    return list(friction) if isinstance(friction, list) else [friction]
+
+
+def load_object(name_or_path: str | Path, grid: int = 3) -> ObjectModel:
+    """An object of the library by name, or of a TOML file by path.
+
+    Args:
+        name_or_path: "L2", or "my/object.toml".
+        grid: particles along a block's side. A mesh's cells have a side of cell_m * 3 / grid: the default keeps the
+            file's, a larger grid cuts finer.
+
+    Raises:
+        InvalidValueError: no such object, or values out of range.
+        InvalidFileError: a file that is not TOML or does not fit the schema.
+    """
+    path = find_file(name_or_path, asset_folder("objects"), "object")
+    parsed = load_toml(path, ObjectFile)
+    try:
+        return parsed.build(grid, path.parent)
+    except InvalidValueError as error:
+        raise InvalidValueError(error.field, error.given, error.allowed, file=path) from None
+
+
+def object_names() -> list[str]:
+    """Names of the objects in the library."""
+    return library_names(asset_folder("objects"))
+
+
+def load_toml(path: Path, model: type[FileModel]) -> FileModel:
+    """Read a TOML file into a pydantic model.
+
+    Raises:
+        InvalidFileError: unreadable, not TOML, or not fitting; the message has a line for each error.
+    """
+    try:
+        data = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise InvalidFileError(f"{path}: cannot be read as TOML: {error}") from None
+    try:
+        return model.model_validate(data)
+    except ValidationError as error:
+        raise InvalidFileError("\n".join(f"{path}: {line}" for line in explained(error, model))) from None
+
+
+def explained(error: ValidationError, model: type[BaseModel]) -> list[str]:
+    """Every error in the words of the file."""
+    names = sorted(_field_names(model))
+    items = [dict(item) for item in error.errors()]
+    telling = [item for item in items if not _wrong_branch(item)] or items
+    return list(dict.fromkeys(_explain(item, names) for item in telling))
+
+
+def _field_names(model: type[BaseModel]) -> set[str]:
+    """Of a model and all models within it."""
+    found: set[str] = set()
+    for name, field in model.model_fields.items():
+        found.add(name)
+        waiting = [field.annotation]
+        while waiting:
+            kind = waiting.pop()
+            if isinstance(kind, type) and issubclass(kind, BaseModel):
+                found |= _field_names(kind)
+            waiting += get_args(kind)
+    return found
+
+
+_BRANCHES = ("float", "constrained-float", "str", "int")
+"""Names that pydantic gives to the scalar side of "a number or a list"."""
+
+
+def _wrong_branch(item: dict[str, Any]) -> bool:
+    """Whether an error only says that a scalar is no list, or a list no scalar, where a field takes either."""
+    branch = next((str(p) for p in item["loc"] if str(p) in _BRANCHES or "[" in str(p)), None)
+    return branch is not None and (
+        (item["type"] == "list_type" and not isinstance(item["input"], list))
+        or (branch in _BRANCHES and isinstance(item["input"], list))
+    )
+
+
+def _explain(item: dict[str, Any], names: list[str]) -> str:
+    """One error in the words of the file: field, what was given, what is allowed."""
+    field = ".".join(str(p) for p in item["loc"] if str(p) not in _BRANCHES and "[" not in str(p)) or "file"
+    cause = (item.get("ctx") or {}).get("error")
+    if isinstance(cause, InvalidValueError):
+        name = f"{field}.{cause.field}".removeprefix("file.") if cause.field not in field else field
+        return f"{name}: got {cause.given!r}; allowed: {cause.allowed}"
+    if item["type"] == "missing":
+        return f"{field}: missing"
+    if item["type"] == "extra_forbidden":
+        close = difflib.get_close_matches(str(item["loc"][-1]), names, n=1, cutoff=0.6)
+        hint = f" (nearest: {close[0]})" if close else ""
+        return f"{field}: no such field; got {item['input']!r}{hint}"
+    return f"{field}: got {item['input']!r}; allowed: {item['msg'].removeprefix('Input should be ')}"

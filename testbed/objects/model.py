@@ -1,0 +1,264 @@
+"""Objects: what is known of them (shape), what is asked (mass and friction), and both together.
+
+Planar, in the object frame: origin at the mean of the particles, SI units.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from testbed.errors import InvalidValueError
+from testbed.validation import check_positive, frozen_array, is_number
+
+GRAVITY = 9.81
+"""Magnitude of gravity, m/s^2."""
+
+
+@dataclass(frozen=True, eq=False)
+class Grasp:
+    """One way for a parallel gripper to take the object: pads on two opposite faces."""
+
+    name: str
+    """What the user calls it: the block it holds."""
+    position: Float[np.ndarray, "2"]
+    """Midpoint between the pads, m, object frame; the TCP is put here."""
+    angle: float
+    """Direction along which the pads close, rad, object frame."""
+    width: float
+    """Distance between the two gripped faces, m."""
+    length: float
+    """Length of the gripped faces, m."""
+    bottom: float = 0.0
+    """Lower edge of the gripped faces over the table, m."""
+    top: float | None = None
+    """Their upper edge, m; None is the object's height."""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "position", frozen_array("Grasp.position", self.position, (2,)))
+        if not is_number(self.angle):
+            raise InvalidValueError("Grasp.angle", self.angle, "a finite number, rad")
+        for name in ("width", "length"):
+            check_positive(f"Grasp.{name}", getattr(self, name))
+        if not (is_number(self.bottom) and self.bottom >= 0):
+            raise InvalidValueError("Grasp.bottom", self.bottom, "a finite number >= 0, m")
+        if self.top is not None and not (is_number(self.top) and self.top > self.bottom):
+            raise InvalidValueError("Grasp.top", self.top, f"a finite number > bottom ({self.bottom:g} m), or None")
+
+
+@dataclass(frozen=True, eq=False)
+class ObjectShape:
+    """All that an estimator is told about an object: geometry and grouping, never mass or friction."""
+
+    particles: Float[np.ndarray, "P 2"]
+    """Centres of the square cells that the object is made of, m, object frame."""
+    mass_group: Int[np.ndarray, "P"]
+    """Index of each particle's mass group, 0 to n_m - 1 (G_m of the paper)."""
+    friction_group: Int[np.ndarray, "P"]
+    """Index of each particle's friction group, 0 to n_mu - 1 (G_mu); -1 where it does not touch the table."""
+    cell: float
+    """Side of a particle's cell, m."""
+    height: float
+    """Height of the object, m."""
+    grasps: tuple[Grasp, ...] = ()
+    """Where a parallel gripper can take it."""
+    group_names: tuple[str, ...] = ()
+    """What the user calls each mass group; "m0", "m1", ... if left out."""
+    fill: Float[np.ndarray, "P"] = field(default_factory=lambda: np.ones(0))
+    """Material in each cell over the mean of its group's: 1 of a block's cells, and everywhere if left out."""
+
+    def __post_init__(self) -> None:
+        particles = frozen_array("ObjectShape.particles", self.particles, (None, 2))
+        count = len(particles)
+        if count == 0:
+            raise InvalidValueError("ObjectShape.particles", "none", "at least one particle")
+        mass_group = _checked_groups("ObjectShape.mass_group", self.mass_group, count, lowest=0)
+        friction_group = _checked_groups("ObjectShape.friction_group", self.friction_group, count, lowest=-1)
+        if friction_group.max() < 0:
+            raise InvalidValueError(
+                "ObjectShape.friction_group", "-1 everywhere", "at least one particle in contact (>= 0)"
+            )
+        check_positive("ObjectShape.cell", self.cell)
+        check_positive("ObjectShape.height", self.height)
+        names = self.group_names or tuple(f"m{i}" for i in range(mass_group.max() + 1))
+        if len(names) != mass_group.max() + 1:
+            raise InvalidValueError("ObjectShape.group_names", names, f"{mass_group.max() + 1} names, one a mass group")
+        fill = frozen_array("ObjectShape.fill", self.fill if len(self.fill) else np.ones(count), (count,))
+        means = np.bincount(mass_group, fill) / np.bincount(mass_group)
+        if (fill < 0).any() or not np.allclose(means, 1.0, rtol=1e-9):
+            allowed = "numbers >= 0 with a mean of 1 in each mass group"
+            raise InvalidValueError("ObjectShape.fill", f"means {means.tolist()}, least {fill.min():g}", allowed)
+        object.__setattr__(self, "fill", fill)
+        object.__setattr__(self, "particles", particles)
+        object.__setattr__(self, "mass_group", mass_group)
+        object.__setattr__(self, "friction_group", friction_group)
+        object.__setattr__(self, "grasps", tuple(self.grasps))
+        object.__setattr__(self, "group_names", tuple(names))
+
+    @property
+    def n_m(self) -> int:
+        """Number of mass groups."""
+        return int(self.mass_group.max()) + 1
+
+    @property
+    def n_mu(self) -> int:
+        """Number of friction groups."""
+        return int(self.friction_group.max()) + 1
+
+    @property
+    def particles_per_group(self) -> Int[np.ndarray, "n_m"]:
+        """Number of particles in each mass group, (n_m,)."""
+        return np.bincount(self.mass_group, minlength=self.n_m)
+
+    def per_group(self, of_particles: Float[np.ndarray, "... P"]) -> Float[np.ndarray, "... n_m"]:
+        """Sum over each group's particles, each as far as it is filled: what a mass of 1 a particle makes of it."""
+        return (of_particles * self.fill) @ np.eye(self.n_m)[self.mass_group]
+
+
+@dataclass(frozen=True, eq=False)
+class MassDistribution:
+    """Mass and friction of every group: the truth, or an answer."""
+
+    mass: Float[np.ndarray, "n_m"]
+    """Mass of one particle of each mass group, kg: the mean, where cells hold more or less material."""
+    friction: Float[np.ndarray, "n_mu"]
+    """Coulomb friction coefficient of each friction group."""
+
+    def __post_init__(self) -> None:
+        for name in ("mass", "friction"):
+            values = frozen_array(f"MassDistribution.{name}", getattr(self, name), (None,))
+            if (values < 0).any():
+                raise InvalidValueError(f"MassDistribution.{name}", values.tolist(), "numbers >= 0")
+            object.__setattr__(self, name, values)
+
+
+@dataclass(frozen=True, eq=False)
+class Solid:
+    """A body of even density within a closed surface of triangles, which face outwards."""
+
+    vertices: Float[np.ndarray, "V 3"]
+    """m, object frame, z from the table."""
+    faces: Int[np.ndarray, "F 3"]
+    """Indices into the vertices, anticlockwise from outside."""
+    mass: float
+    """kg."""
+
+    def __post_init__(self) -> None:
+        vertices = frozen_array("Solid.vertices", self.vertices, (None, 3))
+        faces = np.array(self.faces)
+        if faces.ndim != 2 or faces.shape[1:] != (3,) or not np.issubdtype(faces.dtype, np.integer):
+            raise InvalidValueError("Solid.faces", f"shape {faces.shape}", "integers of shape (n, 3)")
+        if len(faces) == 0 or faces.min() < 0 or faces.max() >= len(vertices):
+            raise InvalidValueError("Solid.faces", faces.tolist(), f"indices from 0 to {len(vertices) - 1}")
+        check_positive("Solid.mass", self.mass)
+        faces.flags.writeable = False
+        object.__setattr__(self, "vertices", vertices)
+        object.__setattr__(self, "faces", faces)
+        if self.volume <= 0:
+            raise InvalidValueError("Solid.faces", f"a volume of {self.volume:g} m^3", "triangles that face outwards")
+
+    @property
+    def volume(self) -> float:
+        """m^3."""
+        return float(self._tetrahedra[1].sum())
+
+    @property
+    def center_of_mass(self) -> Float[np.ndarray, "3"]:
+        """m, object frame, (3,)."""
+        corners, volume = self._tetrahedra
+        return volume @ corners.sum(axis=1) / 4 / self.volume
+
+    @property
+    def inertia_z(self) -> float:
+        """About the vertical axis through its centre of mass, kg m^2."""
+        corners, volume = self._tetrahedra
+        planar = corners[:, :, :2]
+        squares = ((planar**2).sum(axis=1) + planar.sum(axis=1) ** 2).sum(axis=1) / 20
+        return float(self.mass * (volume @ squares / self.volume - self.center_of_mass[:2] @ self.center_of_mass[:2]))
+
+    @property
+    def _tetrahedra(self) -> tuple[Float[np.ndarray, "F 3 3"], Float[np.ndarray, "F"]]:
+        """Corners of every triangle, and the signed volume of the tetrahedron that it makes with the origin."""
+        corners = self.vertices[self.faces]
+        return corners, np.linalg.det(corners) / 6
+
+
+@dataclass(frozen=True, eq=False)
+class ObjectModel:
+    """A shape together with its true mass distribution: what a simulation needs and an estimator never sees."""
+
+    name: str
+    """What it is called in files and tables."""
+    shape: ObjectShape
+    """What an estimator is told."""
+    truth: MassDistribution = field(repr=False)
+    """What an estimator is asked for."""
+    solids: tuple[Solid, ...] = field(default=(), repr=False)
+    """The body of each mass group, where it is known better than by its particles, as for a mesh; else empty."""
+
+    def __post_init__(self) -> None:
+        for given, expected, what in (
+            (self.truth.mass, self.shape.n_m, "mass"),
+            (self.truth.friction, self.shape.n_mu, "friction"),
+        ):
+            if len(given) != expected:
+                raise InvalidValueError(f"ObjectModel.truth.{what}", given.tolist(), f"{expected} numbers, one a group")
+        if self.total_mass <= 0:
+            raise InvalidValueError("ObjectModel.truth.mass", self.truth.mass.tolist(), "a total mass > 0")
+        object.__setattr__(self, "solids", tuple(self.solids))
+        if self.solids:
+            masses = [solid.mass for solid in self.solids]
+            if len(masses) != self.shape.n_m or not np.allclose(masses, self.group_mass, rtol=1e-9, atol=0):
+                raise InvalidValueError(
+                    "ObjectModel.solids", f"masses {masses}", f"one a mass group, of {self.group_mass.tolist()} kg"
+                )
+
+    @property
+    def particle_mass(self) -> Float[np.ndarray, "P"]:
+        """Mass of each particle, kg, (P,)."""
+        return self.truth.mass[self.shape.mass_group] * self.shape.fill
+
+    @property
+    def total_mass(self) -> float:
+        """M of Eq. mass, kg."""
+        return float(sum(solid.mass for solid in self.solids) if self.solids else self.particle_mass.sum())
+
+    @property
+    def center_of_mass(self) -> Float[np.ndarray, "2"]:
+        """c of Eq. com, m, object frame, (2,); of the solids where there are any."""
+        if self.solids:
+            return np.sum([s.mass * s.center_of_mass[:2] for s in self.solids], axis=0) / self.total_mass
+        return self.particle_mass @ self.shape.particles / self.total_mass
+
+    @property
+    def inertia_cm(self) -> float:
+        """I_cm of Eq. inertia, kg m^2, with each cell's own inertia m cell^2 / 6 added: cells are solid, not points.
+
+        Of the solids where there are any.
+        """
+        if self.solids:
+            center = self.center_of_mass
+            return sum(s.inertia_z + s.mass * float(np.sum((s.center_of_mass[:2] - center) ** 2)) for s in self.solids)
+        offsets = self.shape.particles - self.center_of_mass
+        return float(self.particle_mass @ (np.sum(offsets**2, axis=1) + self.shape.cell**2 / 6))
+
+    @property
+    def group_mass(self) -> Float[np.ndarray, "n_m"]:
+        """Mass of each whole mass group (a block), kg, (n_m,)."""
+        return self.truth.mass * self.shape.particles_per_group
+
+
+def _checked_groups(name: str, values: np.ndarray, count: int, lowest: int) -> np.ndarray:
+    array = np.asarray(values)
+    if array.shape != (count,) or not np.issubdtype(array.dtype, np.integer):
+        raise InvalidValueError(name, values, f"{count} integers, one a particle")
+    present = np.unique(array[array >= 0])
+    if array.min() < lowest or not np.array_equal(present, np.arange(len(present))):
+        raise InvalidValueError(
+            name, np.unique(array).tolist(), f"indices from {lowest}, every index up to the largest in use"
+        )
+    array = array.astype(np.int64)
+    array.flags.writeable = False
+    return array

@@ -1,0 +1,1 @@
+"""Calibration of the sensor's mount, the tool and a pose source."""

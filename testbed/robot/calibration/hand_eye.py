@@ -1,0 +1,77 @@
+"""Where a tracker sees the arm's base: points that the TCP touched, and what the tracker said of the same points."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+from scipy.spatial.transform import Rotation
+
+from testbed.errors import InvalidValueError
+from testbed.frames import rotation_matrix
+from testbed.robot.calibration.static_poses import CalibrationError
+from testbed.robot.interfaces import Pose
+from testbed.validation import frozen_array
+
+SPREAD = 0.02
+"""Least distance by which points must lie off one line, root mean square, m."""
+
+
+@dataclass(frozen=True, eq=False)
+class HandEye:
+    """A tracker's frame in the arm's base frame."""
+
+    tracker_in_base: Pose
+    """Where it is."""
+    residual: float
+    """Root mean square distance left between the points, m."""
+    standard_error: float
+    """Of a position given by it, near the points, m: grows with the residual, falls with their number."""
+
+    def to_base(self, points: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N 3"]:
+        """Points of the tracker's frame in the base frame, m."""
+        return points @ rotation_matrix(self.tracker_in_base.orientation).T + self.tracker_in_base.position
+
+    def planar_to_base(self, x: float, y: float, yaw: float) -> tuple[float, float, float]:
+        """A pose in the tracker's x-y plane as one in the base's: x, y (m), yaw (rad), as an `ObjectPose` reads."""
+        here, ahead = self.to_base(np.array([[x, y, 0.0], [x + np.cos(yaw), y + np.sin(yaw), 0.0]]))
+        along = ahead - here
+        return float(here[0]), float(here[1]), float(np.arctan2(along[1], along[0]))
+
+
+def align(seen: Float[np.ndarray, "N 3"], touched: Float[np.ndarray, "N 3"]) -> HandEye:
+    """Kabsch's rigid motion between the two sets of points.
+
+    Args:
+        seen: points in the tracker's frame, m.
+        touched: the same points as the TCP's positions in the base frame, m.
+
+    Raises:
+        InvalidValueError: not as many of one as of the other, or not three coordinates each.
+        CalibrationError: fewer than 4 points, or all on one line.
+    """
+    a = frozen_array("hand_eye.seen", seen, (None, 3))
+    b = frozen_array("hand_eye.touched", touched, (None, 3))
+    if len(a) != len(b):
+        raise InvalidValueError("hand_eye.touched", f"{len(b)} points", f"{len(a)}, one for each that was seen")
+    if len(a) < 4:
+        raise CalibrationError(f"hand-eye: got {len(a)} points; allowed: 4 or more, not on one line")
+    middle_a, middle_b = a.mean(axis=0), b.mean(axis=0)
+    off_line = np.linalg.svd(b - middle_b, compute_uv=False)[1] / np.sqrt(len(b))
+    if off_line < SPREAD:
+        raise CalibrationError(
+            f"hand-eye: the points lie within {1e3 * off_line:.0f} mm of one line; allowed: {1e3 * SPREAD:.0f} mm or "
+            "more off it: spread them over the table"
+        )
+    rotation = Rotation.align_vectors(b - middle_b, a - middle_a)[0]
+    turn = rotation.as_matrix()
+    position = middle_b - turn @ middle_a
+    left = b - (a @ turn.T + position)
+    freedom = 3 * len(a) - 6
+    scatter = float(np.sqrt(np.sum(left**2) / freedom))
+    return HandEye(
+        Pose(position, rotation.as_quat(scalar_first=True)),
+        residual=float(np.sqrt(np.mean(np.sum(left**2, axis=1)))),
+        standard_error=scatter * float(np.sqrt(3 * 2 / len(a))),
+    )

@@ -1,0 +1,238 @@
+"""Sensor mount and tool by static poses: how the sensor sits on the hand, its sign and bias, what hangs below it.
+
+At rest the arm holds the tool up. With u the unit vector that points up, in sensor axes, m and c the tool's mass and
+centre of mass,
+
+    force = sign m g u + bias,    torque = sign m g (c x u) + bias,
+
+and u is known in the hand's frame from the arm's pose. Sign is +1 for a sensor that reports what the arm does to the
+tool, as heft counts, and -1 for one that reports what the tool does to the arm. A sensor with one axis mirrored, in
+force and torque, is the same thing as one negated and turned by 180 degrees about that axis.
+
+The hand is the frame whose pose the arm reports; its z axis points out of the flange. The arm's base is taken as level.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Float
+from scipy.optimize import OptimizeResult, least_squares
+from scipy.spatial.transform import Rotation
+
+from testbed.errors import InvalidValueError
+from testbed.objects.model import GRAVITY
+from testbed.robot.interfaces import RobotError
+from testbed.sensing.windows import mean_covariance
+from testbed.trajectory import Tool
+from testbed.validation import check_positive, frozen_array
+
+Sign = Literal[1, -1]
+TELLING = 25.0
+"""Difference of squared misfit between the two signs that settles which it is: five standard deviations."""
+MISFIT = 3.0
+"""Squared misfit, one where all is as assumed, beyond which something else than noise is at work."""
+
+
+class CalibrationError(RobotError):
+    """Poses that do not settle a calibration; the message says which to add."""
+
+
+@dataclass(frozen=True, eq=False)
+class StaticPose:
+    """The sensor's reading while the hand is held still."""
+
+    hand: Float[np.ndarray, "4"]
+    """Orientation of the hand in the arm's base frame, wxyz."""
+    wrench: Float[np.ndarray, "6"]
+    """Mean reading, as the sensor reports it, N and N m."""
+    standard_error: Float[np.ndarray, "6"]
+    """Of that mean."""
+
+    def __post_init__(self) -> None:
+        for name, size in (("hand", 4), ("wrench", 6), ("standard_error", 6)):
+            object.__setattr__(self, name, frozen_array(f"StaticPose.{name}", getattr(self, name), (size,)))
+        if abs(np.linalg.norm(self.hand) - 1) > 1e-3:
+            raise InvalidValueError("StaticPose.hand", self.hand.tolist(), "a unit quaternion, wxyz")
+        if not (self.standard_error > 0).all():
+            raise InvalidValueError("StaticPose.standard_error", self.standard_error.tolist(), "numbers > 0")
+
+    @property
+    def up(self) -> Float[np.ndarray, "3"]:
+        """Unit vector that points up, hand axes."""
+        return Rotation.from_quat(self.hand, scalar_first=True).inv().apply([0.0, 0.0, 1.0])
+
+
+def static_pose(hand: Float[np.ndarray, "4"], samples: Float[np.ndarray, "T 6"]) -> StaticPose:
+    """A static pose from what the sensor reported there.
+
+    Raises:
+        InvalidValueError: too few samples, or none that differ: then the sensor does not measure.
+    """
+    samples = frozen_array("static_pose.samples", samples, (None, 6))
+    if len(samples) < 10:
+        raise InvalidValueError("static_pose.samples", len(samples), "10 or more samples")
+    return StaticPose(hand, samples.mean(axis=0), np.sqrt(np.diag(mean_covariance(samples))))
+
+
+@dataclass(frozen=True, eq=False)
+class Calibration:
+    """How the sensor sits and what hangs below it, each with its standard deviation."""
+
+    sign: Sign
+    """What to multiply the sensor's reading by, so that it is what the arm does to the tool."""
+    sensor_in_hand: Float[np.ndarray, "4"]
+    """Orientation of the sensor's frame in the hand, wxyz."""
+    sensor_in_hand_std: Float[np.ndarray, "3"]
+    """Of a turn about each axis of the sensor, rad."""
+    bias: Float[np.ndarray, "6"]
+    """What the sensor reports with nothing on it, as it reports it: N and N m. It drifts: every trial is tared anew."""
+    bias_std: Float[np.ndarray, "6"]
+    """N and N m."""
+    mass: float
+    """Of the tool, kg: all that hangs below the sensor's gauges."""
+    mass_std: float
+    """kg."""
+    com: Float[np.ndarray, "3"]
+    """Centre of mass of the tool, m, sensor frame."""
+    com_std: Float[np.ndarray, "3"]
+    """m."""
+    misfit: float
+    """Mean squared distance between readings and model, in standard errors; about 1 where all is as assumed."""
+    poses: int
+    """How many poses it is made of."""
+
+    def __post_init__(self) -> None:
+        if self.sign not in (1, -1):
+            raise InvalidValueError("Calibration.sign", self.sign, "1 or -1")
+        for name in ("mass", "mass_std"):
+            check_positive(f"Calibration.{name}", getattr(self, name))
+        sizes = {"sensor_in_hand": 4, "sensor_in_hand_std": 3, "bias": 6, "bias_std": 6, "com": 3, "com_std": 3}
+        for name, size in sizes.items():
+            object.__setattr__(self, name, frozen_array(f"Calibration.{name}", getattr(self, name), (size,)))
+        if abs(np.linalg.norm(self.sensor_in_hand) - 1) > 1e-3:
+            raise InvalidValueError("Calibration.sensor_in_hand", self.sensor_in_hand.tolist(), "a unit quaternion")
+
+    def tool(self, tcp: Float[np.ndarray, "3"], inertia: Float[np.ndarray, "3 3"]) -> Tool:
+        """The tool, with what static poses do not show.
+
+        Args:
+            tcp: tool centre point, m, sensor frame.
+            inertia: about the centre of mass, kg m^2, sensor axes, as from the gripper's data sheet.
+        """
+        return Tool(self.mass, self.com, inertia, tcp)
+
+
+def calibrate(poses: Sequence[StaticPose]) -> Calibration:
+    """Mount, bias and tool that explain the readings best, weighed least squares.
+
+    Standard deviations come from the readings' own; where they scatter more than they should, from that scatter.
+
+    Raises:
+        CalibrationError: too few poses, or too alike to tell rotation, sign or tool.
+    """
+    if len(poses) < 4:
+        raise CalibrationError(f"calibration: got {len(poses)} poses; allowed: 4 or more, each tilted another way")
+    fits = {sign: _fit(poses, sign) for sign in (1, -1)}
+    sign, other = sorted(fits, key=lambda s: fits[s].cost)
+    best = fits[sign]
+    freedom = 6 * len(poses) - len(best.x)
+    misfit = 2 * best.cost / freedom
+    jacobian = best.jac
+    lengths = np.linalg.norm(jacobian, axis=0)
+    if not (lengths > 0).all() or np.linalg.matrix_rank(jacobian / lengths, tol=1e-4) < len(best.x):
+        raise CalibrationError(
+            "calibration: the poses are too alike to tell how the sensor sits; "
+            "tilt the hand by 30 deg or more, about two axes and both ways"
+        )
+    if 2 * (fits[other].cost - best.cost) < TELLING * max(misfit, 1.0):
+        raise CalibrationError(
+            "calibration: the poses do not tell the sensor's sign; add some with the hand level and upside down, "
+            "so that gravity is seen along all three of its axes"
+        )
+    covariance = np.linalg.inv(jacobian.T @ jacobian) * max(misfit, 1.0)
+    mass, com = best.x[3], best.x[4:7] / best.x[3]
+    to_com = np.hstack([-com[:, None] / mass, np.eye(3) / mass])
+    com_std = np.sqrt(np.diag(to_com @ covariance[3:7, 3:7] @ to_com.T))
+    std = np.sqrt(np.diag(covariance))
+    rotation = best.start * Rotation.from_rotvec(best.x[:3])
+    ahead = rotation.as_matrix()[2]
+    if ahead @ com < -3 * np.linalg.norm(ahead * com_std):
+        raise CalibrationError(
+            f"calibration: the tool's centre of mass comes out {-ahead @ com * 1e3:.0f} mm behind the sensor; "
+            "the signs of its force and its torque do not belong together, or the arm reports another frame's pose"
+        )
+    return Calibration(
+        sign=1 if sign == 1 else -1,
+        sensor_in_hand=rotation.as_quat(scalar_first=True),
+        sensor_in_hand_std=std[:3],
+        bias=best.x[7:],
+        bias_std=std[7:],
+        mass=float(mass),
+        mass_std=float(std[3]),
+        com=com,
+        com_std=com_std,
+        misfit=float(misfit),
+        poses=len(poses),
+    )
+
+
+def _fit(poses: Sequence[StaticPose], sign: int) -> OptimizeResult:
+    """Least squares under one sign: turn from `start` (rad, sensor axes), mass, mass times centre, bias."""
+    up, wrench, error = (np.array([getattr(p, name) for p in poses]) for name in ("up", "wrench", "standard_error"))
+    force, middle = sign * wrench[:, :3], up - up.mean(axis=0)
+    # differences are free of the bias: Kabsch for the rotation, then all the rest is linear
+    start = Rotation.align_vectors(middle, force - force.mean(axis=0))[0]
+    mass = max(float(np.sum(start.apply(force) * middle) / max(np.sum(middle**2), 1e-12) / GRAVITY), 1e-3)
+
+    def residuals(x: np.ndarray) -> np.ndarray:
+        held = (start * Rotation.from_rotvec(x[:3])).inv().apply(up)
+        load = GRAVITY * np.hstack([x[3] * held, np.cross(x[4:7], held)])
+        return ((sign * load + x[7:] - wrench) / error).ravel()
+
+    guess = np.concatenate([np.zeros(3), [mass], np.zeros(3), wrench.mean(axis=0)])
+    scale = np.concatenate([np.ones(3), [1.0], np.full(3, 0.1), np.ones(3), np.full(3, 0.1)])
+    lowest = np.full(13, -np.inf)
+    lowest[3] = 1e-6  # a negative mass would be the other sign over again
+    fit = least_squares(residuals, guess, bounds=(lowest, np.inf), x_scale=scale, xtol=1e-10, ftol=1e-10, gtol=1e-10)
+    fit.start = start
+    return fit
+
+
+def in_words(calibration: Calibration) -> list[str]:
+    """What a calibration found, a sentence each: sign, rotation, tool, and whether to believe it."""
+    rotation = Rotation.from_quat(calibration.sensor_in_hand, scalar_first=True)
+    turn, mirrored = turn_in_words(rotation)
+    said = []
+    if calibration.sign < 0:
+        also = f" (the same thing: its {mirrored} axis is mirrored)" if mirrored else ""
+        said.append(f"the sensor reports what the tool does to the arm: set sign = -1{also}")
+    said.append(f"the sensor is {turn} +- {np.degrees(calibration.sensor_in_hand_std.max()):.2g} deg")
+    com = ", ".join(
+        f"{1e3 * c:.1f} +- {1e3 * s:.2g}" for c, s in zip(calibration.com, calibration.com_std, strict=True)
+    )
+    said.append(f"the tool weighs {calibration.mass:.4f} +- {calibration.mass_std:.2g} kg; its centre is at {com} mm")
+    if calibration.misfit > MISFIT:
+        said.append(
+            f"the readings scatter {np.sqrt(calibration.misfit):.1f} times as much as their noise: a cable that pulls, "
+            "a sensor not yet warm, or poses not at rest; the standard deviations allow for it"
+        )
+    return said
+
+
+def turn_in_words(rotation: Rotation) -> tuple[str, str]:
+    """A rotation in words, and the axis about which it is half a turn, if it is one of the frame's own."""
+    vector = rotation.as_rotvec(degrees=True)
+    angle = float(np.linalg.norm(vector))
+    if angle < 1.0:
+        return f"not turned ({angle:.2g} deg)", ""
+    axis = vector / angle
+    nearest = int(np.argmax(np.abs(axis)))
+    if np.degrees(np.arccos(min(abs(axis[nearest]), 1.0))) > 2.0:
+        return f"turned by {angle:.1f} deg about ({axis[0]:.2f}, {axis[1]:.2f}, {axis[2]:.2f})", ""
+    name, signed = "xyz"[nearest], angle * np.sign(axis[nearest])
+    half = abs(angle - 180) < 2.0
+    return f"turned by {180 if half else signed:.{0 if half else 1}f} deg about {name}", name if half else ""

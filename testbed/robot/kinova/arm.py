@@ -1,0 +1,265 @@
+"""A Kinova Gen3 over Kortex: an `Arm` by way of another process."""
+
+from __future__ import annotations
+
+import math
+import time
+from dataclasses import dataclass
+from types import TracebackType
+from typing import Self
+
+import numpy as np
+from jaxtyping import Float
+from scipy.spatial.transform import Rotation
+
+from testbed.errors import InvalidValueError
+from testbed.robot.interfaces import (
+    ArmLimits,
+    ArmLostError,
+    ArmRefusedError,
+    ArmState,
+    Pose,
+    RobotError,
+)
+from testbed.robot.kinova.link import KortexLink
+from testbed.robot.kinova.messages import Configuration, Feedback
+from testbed.validation import check_positive
+
+_ENDLESS = (-math.inf, math.inf)
+GEN3 = ArmLimits(
+    joint_range=np.array([_ENDLESS, (-2.24, 2.24), _ENDLESS, (-2.57, 2.57), _ENDLESS, (-2.09, 2.09), _ENDLESS]),
+    joint_speed=np.radians([80, 80, 80, 80, 70, 70, 70]),
+    linear_speed=0.5,
+    angular_speed=math.radians(100),
+    payload=4.0,
+    rate_hz=40.0,
+)
+"""The seven-joint Gen3's, as Kinova publishes them; payload at mid range."""
+_ARRIVED = 0.002, math.radians(0.5)
+_ALIVE = 0.025
+
+
+@dataclass(frozen=True)
+class KortexSettings:
+    """How to reach a Gen3, and what must be stored in it."""
+
+    address: str = "192.168.1.10"
+    """Of the arm."""
+    username: str = "admin"
+    """Of a user of the arm's own."""
+    password: str = "admin"
+    """Of that user."""
+    port: int = 10000
+    """TCP port of the arm."""
+    python: str | None = None
+    """Interpreter that has `kortex_api`; else what HEFT_KORTEX_PYTHON names, else heft's own."""
+    tool_length: float = 0.2115
+    """From the arm's interface to the tool centre point along its axis, m: sensor, coupling and gripper."""
+    turn_speed: float = math.radians(30)
+    """At which a pose is turned to, rad/s."""
+    silence: float = 0.1
+    """Time without a command, or without feedback, after which a moving arm is stopped; also the age of feedback at
+    which the arm counts as lost, s."""
+
+    def __post_init__(self) -> None:
+        for name in ("tool_length", "turn_speed", "silence"):
+            check_positive(f"KortexSettings.{name}", getattr(self, name))
+        if not 0 < self.port < 2**16:
+            raise InvalidValueError("KortexSettings.port", self.port, "a TCP port")
+
+
+class KortexArm:
+    """An `Arm`. Entering connects and sets the servoing mode; it moves nothing and clears no fault."""
+
+    def __init__(self, settings: KortexSettings | None = None):
+        self.settings = KortexSettings() if settings is None else settings
+        self._link: KortexLink | None = None
+        self._epoch = 0
+
+    @property
+    def limits(self) -> ArmLimits:
+        """What it can do; known before connecting."""
+        return GEN3
+
+    def __enter__(self) -> Self:
+        """Connect.
+
+        Raises:
+            RobotError: no `kortex_api`, no arm, or another tool stored in it than expected.
+        """
+        s = self.settings
+        self._epoch = 0
+        self._link = KortexLink(Configuration(s.address, s.port, s.username, s.password, s.silence), s.python)
+        x, y, z = self._link.tool["position"]
+        if max(abs(x), abs(y), abs(z - s.tool_length)) > 1e-3:
+            self.__exit__(None, None, None)
+            raise RobotError(
+                f"arm {s.address}: its stored tool has its centre at ({x:.4f}, {y:.4f}, {z:.4f}) m; expected "
+                f"(0, 0, {s.tool_length:.4f}) m; set it in the arm's Web App under Configurations, Robot, Arm, Tool"
+            )
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        link, self._link = self._link, None
+        if link is not None:
+            link.close()
+
+    def state(self) -> ArmState:
+        """The newest feedback.
+
+        Raises:
+            ArmLostError: not connected, or no fresh feedback.
+        """
+        f = self._feedback()
+        return ArmState(
+            time_s=f.time_s,
+            joint_position=np.array(f.joint_position),
+            joint_velocity=np.array(f.joint_velocity),
+            tcp_pose=_pose(f),
+            tcp_twist=np.array(f.tool_twist),
+            faulted=f.faulted,
+            message=f.message,
+        )
+
+    def move_to(self, pose: Pose, speed: float) -> None:
+        """Reach a pose at no more than `speed`, m/s; returns when it is there, or when `stop` was called.
+
+        Raises:
+            ArmRefusedError: in a fault, refused, aborted, or said to be there and not there.
+            ArmLostError: the connection was lost on the way.
+        """
+        link, epoch = self._ready(), self._epoch
+        angles = Rotation.from_quat(pose.orientation, scalar_first=True).as_euler("xyz")
+        number = link.ask(
+            "pose",
+            position=pose.position.tolist(),
+            angles=angles.tolist(),
+            speed=min(speed, GEN3.linear_speed),
+            turn=self.settings.turn_speed,
+            epoch=epoch,
+        )
+        while (reply := link.reply(number, _ALIVE)) is None:
+            link.send(do="alive")
+        if epoch != self._epoch:
+            return
+        if "error" in reply:
+            raise ArmRefusedError(f"arm: the pose was not reached: {reply['error']}")
+        self._check_arrival(pose)
+
+    def _check_arrival(self, pose: Pose) -> None:
+        """The arm reports an action's end also where it has not quite got there: give it a moment, then look."""
+        until = time.monotonic() + 0.5
+        while True:
+            off = _distance(self.state().tcp_pose, pose)
+            if off[0] <= _ARRIVED[0] and off[1] <= _ARRIVED[1]:
+                return
+            if time.monotonic() > until:
+                raise ArmRefusedError(
+                    f"arm: it says that it has arrived, {off[0] * 1e3:.1f} mm and {math.degrees(off[1]):.2f} deg off; "
+                    "choose a slower or nearer pose"
+                )
+            time.sleep(_ALIVE)
+
+    def twist(self, linear: Float[np.ndarray, "3"], angular: Float[np.ndarray, "3"]) -> None:
+        """Move at a velocity until the next command, or until none comes for too long; base axes, m/s and rad/s.
+
+        Raises:
+            ArmRefusedError: in a fault, beyond the arm's limits, or the twist before was refused.
+            ArmLostError: no connection.
+        """
+        link = self._ready()
+        fast = float(np.linalg.norm(linear)), float(np.linalg.norm(angular))
+        if not (fast[0] <= GEN3.linear_speed and fast[1] <= GEN3.angular_speed):
+            raise ArmRefusedError(
+                f"arm: a twist of {fast[0]:.3g} m/s and {fast[1]:.3g} rad/s; allowed: {GEN3.linear_speed:g} m/s and "
+                f"{GEN3.angular_speed:.3g} rad/s"
+            )
+        if said := link.refused():
+            raise ArmRefusedError(f"arm: {said}")
+        link.ask("twist", twist=[*map(float, linear), *map(float, angular)], epoch=self._epoch)
+
+    def stop(self) -> None:
+        """Stop all motion; from any thread, as often as wanted. What was asked before no longer counts."""
+        link = self._link
+        if link is None:
+            return
+        self._epoch += 1
+        try:
+            link.send(do="stop", epoch=self._epoch)
+        except ArmLostError:
+            return  # it stops by itself: nobody is heard any more
+        if not link.dead:
+            link.lost = ""
+
+    def clear_faults(self) -> None:
+        """Ask the arm to forget its faults; moves nothing.
+
+        Raises:
+            ArmRefusedError: a fault remains.
+            ArmLostError: no connection.
+        """
+        self.ask("clear")
+        time.sleep(0.5)
+        state = self.state()
+        if state.faulted:
+            raise ArmRefusedError(f"arm: still in a fault ({state.message}); look at its Web App")
+
+    def ask(self, do: str, seconds: float = 1.0, **request: float) -> None:
+        """A request that is answered at once.
+
+        Raises:
+            ArmRefusedError: it was refused.
+            ArmLostError: no connection, or no answer.
+        """
+        link = self._connected()
+        reply = link.reply(link.ask(do, **request), seconds)
+        if reply is None:
+            raise ArmLostError(f"arm: no answer to {do} in {seconds:g} s")
+        if "error" in reply:
+            raise ArmRefusedError(f"arm: {do}: {reply['error']}")
+
+    def closed_part(self) -> float:
+        """How far the gripper is closed, 0 to 1.
+
+        Raises:
+            ArmRefusedError: no gripper is connected to the arm.
+            ArmLostError: no connection.
+        """
+        part = self._feedback().gripper
+        if part < 0:
+            raise ArmRefusedError("gripper: the arm has none at its interface; check its wiring through the sensor")
+        return part
+
+    def _connected(self) -> KortexLink:
+        if self._link is None:
+            raise ArmLostError("arm: not connected; use it in a with statement")
+        return self._link
+
+    def _feedback(self) -> Feedback:
+        link = self._connected()
+        feedback = link.feedback
+        age = math.inf if feedback is None else time.monotonic() - feedback.time_s
+        if link.lost or feedback is None or age > self.settings.silence:
+            raise ArmLostError(f"arm: {link.lost or f'no feedback for {age * 1e3:.0f} ms'}")
+        return feedback
+
+    def _ready(self) -> KortexLink:
+        feedback = self._feedback()
+        if feedback.faulted:
+            raise ArmRefusedError(f"arm: in a fault ({feedback.message}); clear it")
+        return self._connected()
+
+
+def _distance(a: Pose, b: Pose) -> tuple[float, float]:
+    """m, and rad."""
+    turn = Rotation.from_quat(a.orientation, scalar_first=True).inv() * Rotation.from_quat(
+        b.orientation, scalar_first=True
+    )
+    return float(np.linalg.norm(a.position - b.position)), float(turn.magnitude())
+
+
+def _pose(feedback: Feedback) -> Pose:
+    turn = Rotation.from_euler("xyz", feedback.tool_angles)
+    return Pose(np.array(feedback.tool_position), turn.as_quat(scalar_first=True))

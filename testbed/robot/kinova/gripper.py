@@ -1,0 +1,54 @@
+"""The Robotiq 2F-85 at a Gen3's interface, over Kortex."""
+
+from __future__ import annotations
+
+import time
+
+from testbed.objects.gripper import STROKE
+from testbed.robot.interfaces import ArmRefusedError
+from testbed.robot.kinova.arm import KortexArm
+
+_GRIP_TIME, _STILL = 5.0, 0.3
+_STEP = 1 / 255
+"""Of the fingers' position, as the gripper tells it."""
+_WIDTH_ERROR = 0.006
+"""The fingers' position is not quite proportional to their opening, m."""
+
+
+class KortexGripper:
+    """A `Gripper` at a Gen3's interface: a Robotiq 2F-85. Kortex commands where its fingers go, not how hard."""
+
+    def __init__(self, arm: KortexArm):
+        self._arm = arm
+
+    def width(self) -> float:
+        """Opening between the pads, m, taken as proportional to the fingers' position."""
+        return STROKE * (1 - self._arm.closed_part())
+
+    def close_on(self, width: float, force: float) -> None:
+        """Close until something stops the fingers. `force` (N) is not commanded: Kortex has no such command.
+
+        Raises:
+            ArmRefusedError: closed on nothing `width` (m) wide.
+        """
+        self._go(1.0)
+        if (found := self.width()) < width - _WIDTH_ERROR:
+            raise ArmRefusedError(f"gripper: closed to {found * 1e3:.0f} mm; expected {width * 1e3:.0f} mm: on nothing")
+
+    def open(self) -> None:
+        """Open fully."""
+        self._go(0.0)
+
+    def _go(self, part: float) -> None:
+        """Send the fingers, and wait until they stand."""
+        self._arm.ask("grip", position=part)
+        begin = still_since = time.monotonic()
+        last = self._arm.closed_part()
+        while (now := time.monotonic()) - begin < _GRIP_TIME:
+            time.sleep(0.02)
+            here = self._arm.closed_part()
+            if abs(here - last) > 1.5 * _STEP:
+                last, still_since = here, now
+            elif now - still_since > _STILL:
+                return
+        raise ArmRefusedError(f"gripper: still moving after {_GRIP_TIME:g} s")

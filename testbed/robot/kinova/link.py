@@ -1,0 +1,193 @@
+"""The pipe to the process that speaks Kortex: requests out, replies and feedback in."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import threading
+from collections import deque
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from testbed.robot.interfaces import ArmLostError, RobotError
+from testbed.robot.kinova.messages import Configuration, Feedback
+
+PYTHON_VARIABLE = "HEFT_KORTEX_PYTHON"
+"""Environment variable that names the Python which has `kortex_api`; heft's own if not set."""
+WHEEL = "https://artifactory.kinovaapps.com/artifactory/generic-public/kortex/API/2.6.0/kortex_api-2.6.0.post3-py3-none-any.whl"
+"""Where the maker has its wheel; it is not on the package index."""
+_ROOT = str(Path(__file__).parents[3])
+_START = (
+    f"import sys; sys.path.insert(0, {_ROOT!r}); from testbed.robot.kinova.process import serve; "
+    f"sys.path.remove({_ROOT!r}); serve()"
+)
+_CONNECT_TIME = 15.0
+_LAST_WORDS = 5
+
+
+class KortexLink:
+    """The other process. Feedback is kept as it comes; a reply wakes whoever asked."""
+
+    def __init__(self, configuration: Configuration, python: str | None = None):
+        """Start it and connect.
+
+        Args:
+            configuration: how to reach the arm.
+            python: interpreter with `kortex_api`; else what HEFT_KORTEX_PYTHON names, else heft's own.
+
+        Raises:
+            RobotError: no such interpreter, no `kortex_api` in it, or no arm at the address.
+        """
+        self.python = _python(python)
+        self.feedback: Feedback | None = None
+        """The newest."""
+        self.lost = ""
+        """Why the arm cannot be trusted to do what it is told, else empty."""
+        self.tool: dict[str, list[float]] = {}
+        """The tool stored in the arm: position, m, and angles, rad."""
+        self._replies: dict[int, dict[str, Any]] = {}
+        self._count = 0
+        self._writing, self._news = threading.Lock(), threading.Condition()
+        self._greeting: dict[str, Any] | None = None
+        self._stderr: deque[str] = deque(maxlen=_LAST_WORDS)
+        try:
+            self._process = subprocess.Popen(
+                [self.python, "-c", _START],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.PIPE,
+                text=True,
+                encoding="utf-8",
+            )
+        except OSError as error:
+            raise RobotError(f"{PYTHON_VARIABLE}: got {self.python}, which does not start: {error.strerror}") from None
+        for read in (self._read, self._read_errors):
+            threading.Thread(target=read, name=f"kortex {read.__name__}", daemon=True).start()
+        self.send(**asdict(configuration))
+        with self._news:
+            self._news.wait_for(lambda: self._greeted or self.dead, _CONNECT_TIME)
+        greeting = self._greeting or {}
+        if "connected" not in greeting or self.feedback is None:
+            self.close()
+            raise self._refusal(greeting, configuration)
+        self.tool = greeting["connected"]
+
+    def _refusal(self, greeting: dict[str, Any], configuration: Configuration) -> RobotError:
+        if "missing" in greeting:
+            return RobotError(f"kortex_api: {_how_to_get_it(self.python, greeting['missing'])}")
+        why = greeting.get("failed") or " ".join(self._stderr) or f"no answer in {_CONNECT_TIME:.0f} s"
+        return ArmLostError(
+            f"arm {configuration.address}: cannot be connected: {why}; check its power, the cable, that this computer "
+            "has an address in its network, and that no other session controls it"
+        )
+
+    @property
+    def _greeted(self) -> bool:
+        """Whether it has said that it is connected, and fed; or that it cannot."""
+        return self._greeting is not None and ("connected" not in self._greeting or self.feedback is not None)
+
+    @property
+    def dead(self) -> bool:
+        """Whether the other process has ended."""
+        return self._process.poll() is not None
+
+    def send(self, **message: Any) -> None:
+        """Send a message that gets no reply.
+
+        Raises:
+            ArmLostError: nobody is there.
+        """
+        with self._writing:
+            try:
+                assert self._process.stdin is not None
+                self._process.stdin.write(json.dumps(message) + "\n")
+                self._process.stdin.flush()
+            except (OSError, ValueError):
+                raise ArmLostError(f"arm: the process that speaks to it has ended; {' '.join(self._stderr)}") from None
+
+    def ask(self, do: str, **request: Any) -> int:
+        """Send a request; the number by which `reply` knows it."""
+        self._count += 1
+        self.send(id=self._count, do=do, **request)
+        return self._count
+
+    def reply(self, number: int, seconds: float) -> dict[str, Any] | None:
+        """The reply to a request if it comes within `seconds`, else None.
+
+        Raises:
+            ArmLostError: the arm is lost, and no reply will come.
+        """
+        with self._news:
+            self._news.wait_for(lambda: number in self._replies or self.lost or self.dead, seconds)
+            reply = self._replies.pop(number, None)
+            if reply is None and (self.lost or self.dead):
+                raise ArmLostError(f"arm: {self.lost or 'the process that speaks to it has ended'}")
+            return reply
+
+    def refused(self) -> str:
+        """What a twist was refused for since it was asked last, else empty."""
+        with self._news:
+            said = [reply["error"] for reply in self._replies.values() if "twist refused" in reply.get("error", "")]
+            self._replies = {n: r for n, r in self._replies.items() if "twist refused" not in r.get("error", "")}
+        return said[0] if said else ""
+
+    def close(self) -> None:
+        """End the other process; it stops the arm first."""
+        try:
+            assert self._process.stdin is not None
+            self._process.stdin.close()
+        except OSError:
+            pass
+        try:
+            self._process.wait(2.0)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+
+    def _read(self) -> None:
+        assert self._process.stdout is not None
+        for text in self._process.stdout:
+            message = json.loads(text)
+            with self._news:
+                if "state" in message:
+                    self.feedback = Feedback(**message["state"])
+                elif "id" in message:
+                    self._replies[message["id"]] = message
+                elif "lost" in message:
+                    self.lost = message["lost"]
+                else:
+                    self._greeting = message
+                self._news.notify_all()
+        with self._news:
+            self._news.notify_all()
+
+    def _read_errors(self) -> None:
+        assert self._process.stderr is not None
+        self._stderr.extend(text.strip() for text in self._process.stderr if text.strip())
+
+
+def missing_api(python: str | None = None) -> str:
+    """Why `kortex_api` cannot be imported and what to do about it, else empty; the interpreter as in `KortexLink`."""
+    interpreter = _python(python)
+    code = (
+        f"import sys; sys.path.insert(0, {_ROOT!r}); from testbed.robot.kinova.session import kortex_api; kortex_api()"
+    )
+    try:
+        run = subprocess.run([interpreter, "-c", code], capture_output=True, text=True, check=False, timeout=60)
+    except (OSError, subprocess.TimeoutExpired) as error:
+        return _how_to_get_it(interpreter, str(error))
+    return _how_to_get_it(interpreter, run.stderr.strip().splitlines()[-1]) if run.returncode else ""
+
+
+def _python(python: str | None) -> str:
+    return python or os.environ.get(PYTHON_VARIABLE) or sys.executable
+
+
+def _how_to_get_it(python: str, why: str) -> str:
+    return (
+        f"not usable in {python} ({why}); make a virtual environment for it, pip install {WHEEL} there, and set "
+        f"{PYTHON_VARIABLE} to its python"
+    )

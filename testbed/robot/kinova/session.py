@@ -1,0 +1,263 @@
+"""A session with a Gen3 over Kinova's `kortex_api`, in the process beside heft; it stops the arm by itself.
+
+It does so when nobody is heard for a while in which the arm moves, when feedback ends, and when it is closed. The
+arm's own estimate of the wrench is never read. Written for Python 3.8. SI units and radians towards heft; metres,
+degrees and degrees a second towards the arm.
+"""
+
+from __future__ import annotations
+
+import collections
+import collections.abc
+import importlib
+import math
+import sys
+import threading
+import time
+from concurrent.futures import TimeoutError as Timeout
+from dataclasses import asdict
+from types import SimpleNamespace
+from typing import Any
+
+from testbed.robot.kinova.messages import Configuration, Feedback
+
+RATE = 100.0
+"""Feedback a second."""
+POSE_TIME = 60.0
+"""Time that reaching a pose may take, s."""
+_NOBODYS = -1
+"""Epoch after a stop that heft did not ask for."""
+_STUBS, _MESSAGES = "autogen.client_stubs", "autogen.messages"
+_USED = {
+    "BaseClient": f"{_STUBS}.BaseClientRpc",
+    "BaseCyclicClient": f"{_STUBS}.BaseCyclicClientRpc",
+    "ControlConfigClient": f"{_STUBS}.ControlConfigClientRpc",
+    "KException": "Exceptions.KException",
+    "RouterClient": "RouterClient",
+    "RouterClientSendOptions": "RouterClient",
+    "SessionManager": "SessionManager",
+    "TCPTransport": "TCPTransport",
+}
+"""Classes of `kortex_api` that are used, and the modules that have them."""
+
+
+class Gen3:
+    """One session with the arm, and the two threads that watch over it."""
+
+    def __init__(self, configuration: Configuration, line: Any):
+        self._line, self._api, self._silence = line, kortex_api(), configuration.silence
+        self._transport = self._api.TCPTransport()
+        router = self._api.RouterClient(self._transport, lambda error: print(error, file=sys.stderr))
+        self._transport.connect(configuration.address, configuration.port)
+        info = self._api.Session.CreateSessionInfo()
+        info.username, info.password = configuration.username, configuration.password
+        info.session_inactivity_timeout = 60000
+        info.connection_inactivity_timeout = round(configuration.silence * 1000)
+        self._session = self._api.SessionManager(router)
+        self._session.CreateSession(info)
+        self._base, self._cyclic = self._api.BaseClient(router), self._api.BaseCyclicClient(router)
+        self._control = self._api.ControlConfigClient(router)
+        mode = self._api.Base.ServoingModeInformation()
+        mode.servoing_mode = self._api.Base.SINGLE_LEVEL_SERVOING
+        self._base.SetServoingMode(mode, 0, self._options())
+        self._action_over, self._action_end = threading.Event(), ""
+        self._base.OnNotificationActionTopic(self._on_action, self._api.Base.NotificationOptions())
+        self._epoch = 0
+        self._moving = False
+        self._heard = self._fed = time.monotonic()
+        self._wanted = None  # the twist to send next, and its request
+        self._something = threading.Condition()
+        self._sending = threading.Lock()
+        self._over = threading.Event()
+        for run in (self._feed, self._watch, self._send):
+            threading.Thread(target=run, name=run.__name__, daemon=True).start()
+
+    def tool(self) -> dict[str, list[float]]:
+        """The tool that is stored in the arm: where its centre point is from the interface, m and rad."""
+        t = self._control.GetToolConfiguration(0, self._options()).tool_transform
+        return {"position": [t.x, t.y, t.z], "angles": [math.radians(a) for a in (t.theta_x, t.theta_y, t.theta_z)]}
+
+    def hear(self) -> None:
+        """Somebody is there."""
+        self._heard = time.monotonic()
+
+    def twist(self, request: dict) -> None:
+        """Send a twist as soon as the one before has gone; of several that wait, the newest."""
+        with self._something:
+            if request["epoch"] == self._epoch:
+                self._wanted = request
+                self._moving = self._moving or any(request["twist"])
+                self._something.notify()
+
+    def stop(self, epoch: int = _NOBODYS) -> None:
+        """Stop; requests of another epoch no longer count. A twist that is on its way then is stopped after."""
+        with self._something:
+            self._epoch, self._wanted = epoch, None
+        under_way = self._sending.locked()
+        self._stop_now()
+        if under_way:
+            with self._sending:
+                self._stop_now()
+        self._moving = False
+
+    def pose(self, request: dict) -> None:
+        """Reach a pose; the reply goes out when the arm says that it has, or has given up."""
+        if request["epoch"] != self._epoch:
+            self._reply(request, error="stopped before it began")
+            return
+        action = self._api.Base.Action()
+        action.name, action.application_data = "heft", ""
+        target, speed = action.reach_pose.target_pose, action.reach_pose.constraint.speed
+        target.x, target.y, target.z = request["position"]
+        target.theta_x, target.theta_y, target.theta_z = (math.degrees(a) for a in request["angles"])
+        speed.translation, speed.orientation = request["speed"], math.degrees(request["turn"])
+        self._action_over.clear()
+        self._moving = True
+        self._base.ExecuteAction(action, 0, self._options())
+        if not self._action_over.wait(POSE_TIME):
+            self.stop()
+            self._reply(request, error=f"not there after {POSE_TIME:.0f} s")
+            return
+        self._moving = False
+        if self._action_end:
+            self._reply(request, error=self._action_end, stopped=request["epoch"] != self._epoch)
+        else:
+            self._reply(request)
+
+    def grip(self, request: dict) -> None:
+        """Send the fingers to a position, 0 open to 1 closed."""
+        command = self._api.Base.GripperCommand()
+        command.mode = self._api.Base.GRIPPER_POSITION
+        finger = command.gripper.finger.add()
+        finger.finger_identifier, finger.value = 1, request["position"]
+        self._base.SendGripperCommand(command, 0, self._options())
+        self._reply(request)
+
+    def clear(self, request: dict) -> None:
+        """Clear faults."""
+        self._base.ClearFaults(0, self._options())
+        self._reply(request)
+
+    def close(self) -> None:
+        """Stop, and end the session."""
+        self._over.set()
+        self.stop()
+        try:
+            self._session.CloseSession(self._options())
+        except self._api.Failure:
+            pass
+        self._transport.disconnect()
+
+    def _options(self) -> Any:
+        options = self._api.RouterClientSendOptions()
+        options.timeout_ms = round(self._silence * 1000)  # a call that takes longer is a silence too
+        return options
+
+    def _reply(self, request: dict, **said: Any) -> None:
+        self._line.say(id=request["id"], **said)
+
+    def _stop_now(self) -> None:
+        try:
+            self._base.Stop(0, self._options())
+        except self._api.Failure as error:
+            try:
+                self._base.ApplyEmergencyStop(0, self._options())
+            except self._api.Failure:
+                self._line.say(lost=f"the arm could not be told to stop: {_said(error)}")
+
+    def _on_action(self, notification: Any, *_: Any) -> None:
+        base = self._api.Base
+        if notification.action_event == base.ACTION_END:
+            self._action_end = ""
+        elif notification.action_event == base.ACTION_ABORT:
+            self._action_end = f"aborted by the arm (detail {notification.abort_details})"
+        else:
+            return
+        self._action_over.set()
+
+    def _send(self) -> None:
+        """Thread: one twist after the other. A call takes the arm some 25 ms."""
+        command = self._api.Base.TwistCommand()
+        command.reference_frame = self._api.Common.CARTESIAN_REFERENCE_FRAME_BASE
+        command.duration = 0  # not implemented by the arm: it moves on until told otherwise
+        while not self._over.is_set():
+            with self._something:
+                if self._wanted is None:
+                    self._something.wait(self._silence)
+                if self._wanted is None:
+                    continue
+                self._sending.acquire()
+                request, self._wanted = self._wanted, None
+            try:
+                vx, vy, vz, wx, wy, wz = request["twist"]
+                t = command.twist
+                t.linear_x, t.linear_y, t.linear_z = vx, vy, vz
+                t.angular_x, t.angular_y, t.angular_z = (math.degrees(w) for w in (wx, wy, wz))
+                self._base.SendTwistCommand(command, 0, self._options())
+                self._moving = any(request["twist"]) or self._wanted is not None
+            except self._api.Failure as error:
+                self._reply(request, error=f"twist refused: {_said(error)}")
+            finally:
+                self._sending.release()
+
+    def _feed(self) -> None:
+        """Thread: feedback, 100 times a second."""
+        due = time.monotonic()
+        while not self._over.wait(max(due - time.monotonic(), 0.0)):
+            due = max(due + 1 / RATE, time.monotonic())
+            try:
+                got = self._cyclic.RefreshFeedback(0, self._options())
+            except self._api.Failure as error:
+                if time.monotonic() - self._fed > self._silence:
+                    self._line.say(lost=f"no feedback: {_said(error)}")
+                continue
+            self._fed = time.monotonic()
+            self._line.say(state=asdict(_feedback(got, self._fed, self._api)))
+
+    def _watch(self) -> None:
+        """Thread: stop an arm that moves while nobody is heard, or nothing is heard of it."""
+        while not self._over.wait(0.01):
+            now = time.monotonic()
+            silent = now - self._heard > self._silence or now - self._fed > self._silence
+            if self._moving and silent:
+                self.stop()
+                self._line.say(lost=f"stopped: silence for more than {self._silence * 1e3:.0f} ms while the arm moved")
+
+
+def _feedback(got: Any, now: float, api: Any) -> Feedback:
+    base = got.base
+    banks = (base.fault_bank_a, base.fault_bank_b)
+    in_fault = base.active_state == api.Common.ARMSTATE_IN_FAULT
+    motors = got.interconnect.gripper_feedback.motor
+    return Feedback(
+        time_s=now,
+        joint_position=[math.remainder(math.radians(a.position), math.tau) for a in got.actuators],
+        joint_velocity=[math.radians(a.velocity) for a in got.actuators],
+        tool_position=[base.tool_pose_x, base.tool_pose_y, base.tool_pose_z],
+        tool_angles=[math.radians(a) for a in (base.tool_pose_theta_x, base.tool_pose_theta_y, base.tool_pose_theta_z)],
+        tool_twist=[base.tool_twist_linear_x, base.tool_twist_linear_y, base.tool_twist_linear_z]
+        + [math.radians(w) for w in (base.tool_twist_angular_x, base.tool_twist_angular_y, base.tool_twist_angular_z)],
+        gripper=motors[0].position / 100 if len(motors) else -1.0,
+        faulted=in_fault or any(banks),
+        message=f"fault banks {banks[0]:#x} {banks[1]:#x}" if in_fault or any(banks) else "",
+    )
+
+
+def _said(error: BaseException) -> str:
+    """Name and text of an error: a call that takes too long has no text."""
+    return f"{type(error).__name__} {error}".strip()
+
+
+def kortex_api() -> Any:
+    """What is used of `kortex_api`: its classes, the messages Base, Common and Session, and Failure, what calls raise.
+
+    Raises:
+        ImportError: it is not installed, or its protobuf does not fit this Python.
+    """
+    for name in ("MutableMapping", "MutableSequence"):  # protobuf 3.5 on Python 3.10 and later
+        if not hasattr(collections, name):
+            setattr(collections, name, getattr(collections.abc, name))
+    used = {name: getattr(importlib.import_module(f"kortex_api.{module}"), name) for name, module in _USED.items()}
+    for name in ("Base", "Common", "Session"):
+        used[name] = importlib.import_module(f"kortex_api.{_MESSAGES}.{name}_pb2")
+    return SimpleNamespace(Failure=(used["KException"], OSError, Timeout), **used)

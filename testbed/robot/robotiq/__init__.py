@@ -1,0 +1,1 @@
+"""Robotiq FT-300S on a serial line."""

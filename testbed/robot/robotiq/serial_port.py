@@ -1,0 +1,101 @@
+"""The serial ports of this computer that are USB adapters."""
+
+from __future__ import annotations
+
+import errno
+import os
+import select
+import termios
+import threading
+import time
+from collections import deque
+from pathlib import Path
+from typing import NamedTuple
+
+from testbed.robot.interfaces import MissingDriverError
+
+try:
+    from serial.tools.list_ports import comports
+except ImportError:
+    raise MissingDriverError("pyserial") from None
+
+
+def usb_serial_ports() -> list[str]:
+    """Each with what it says of itself, as "/dev/ttyUSB0 (USB-RS485 adapter)"."""
+    return [f"{port.device} ({port.description})" for port in comports() if port.vid is not None]
+
+
+def why_closed(port: str, error: Exception) -> str:
+    """Why a port cannot be opened, in a sentence that says what to do."""
+    there = ", ".join(usb_serial_ports()) or "none: plug in the USB adapter"
+    if not Path(port).exists():
+        return f"no such device; USB serial ports: {there}"
+    if getattr(error, "errno", None) == errno.EACCES:
+        return "not allowed; add yourself to the group that it belongs to (dialout), and log in again"
+    if getattr(error, "errno", None) in (errno.EAGAIN, errno.EBUSY):
+        return "in use by another program; end that first"
+    return f"no serial port; USB serial ports: {there} ({error})"
+
+
+_LONGEST_WAIT_MS = 50
+"""Time after which the thread looks for bytes too few to wake it, and whether it is to end, ms."""
+
+
+class Piece(NamedTuple):
+    """Bytes that were there when the reader looked."""
+
+    time_s: float
+    """`time.monotonic()`, s."""
+    data: bytes
+
+
+class SerialReader:
+    """Reads from its making until `stop`, or until the port is gone."""
+
+    def __init__(self, descriptor: int, wake_at: int):
+        """Start reading.
+
+        Args:
+            descriptor: of an open terminal device, raw and not blocking, as pyserial opens it.
+            wake_at: bytes to wait for. An adapter hands bytes on one by one: waking for each would cost the most.
+
+        Raises:
+            OSError: the port is gone.
+        """
+        self.failure = ""
+        """Why reading ended, if by itself."""
+        self._descriptor, self._pieces, self._stopped = descriptor, deque[Piece](), False
+        try:
+            settings = termios.tcgetattr(descriptor)
+            settings[6][termios.VMIN], settings[6][termios.VTIME] = wake_at, 0
+            termios.tcsetattr(descriptor, termios.TCSANOW, settings)
+        except termios.error as error:
+            raise OSError(*error.args) from None
+        self._thread = threading.Thread(target=self._run, name="serial reader", daemon=True)
+        self._thread.start()
+
+    def take(self) -> list[Piece]:
+        """All that came since the last time, in order. For one thread at a time."""
+        return [self._pieces.popleft() for _ in range(len(self._pieces))]
+
+    def stop(self) -> None:
+        """End reading."""
+        self._stopped = True
+        self._thread.join()
+
+    def _run(self) -> None:
+        # a hundred times a second, with cold caches: the least that there can be
+        bytes_there = select.poll()
+        bytes_there.register(self._descriptor, select.POLLIN)
+        try:
+            while not self._stopped:
+                bytes_there.poll(_LONGEST_WAIT_MS)
+                try:
+                    data = os.read(self._descriptor, 4096)
+                except BlockingIOError:
+                    continue
+                if not data:
+                    raise OSError("the device hung up")
+                self._pieces.append(Piece(time.monotonic(), data))
+        except OSError as error:
+            self.failure = str(error)

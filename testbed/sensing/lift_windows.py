@@ -1,0 +1,144 @@
+"""A lift's stretches reduced to one wrench each, in axes that tilt with the object, with the motion that took it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from testbed.actions.base import Lift
+from testbed.errors import InvalidValueError
+from testbed.frames import move_wrench, rotate_wrench, rotation_matrix
+from testbed.objects.model import GRAVITY
+from testbed.sensing.presets import tare_samples, twist_rates
+from testbed.sensing.windows import mean_covariance, steady_samples
+from testbed.trajectory import Phase, Trajectory
+from testbed.validation import frozen_array
+
+
+@dataclass(frozen=True, eq=False)
+class LiftWindow:
+    """One stretch held still, or rocked at constant acceleration. Object axes; moments about the TCP.
+
+    What the gripper must do to a body is linear in the three numbers of its motion, so their means go with its mean.
+    """
+
+    grasp: int
+    """Index of the grasp that was held."""
+    wrench: Float[np.ndarray, "6"]
+    """Mean of what the gripper does to the object, N and N m."""
+    covariance: Float[np.ndarray, "6 6"]
+    """Of that mean, from the window's own noise."""
+    pull: Float[np.ndarray, "3"]
+    """Mean acceleration of the TCP less gravity, m/s^2."""
+    angular_acceleration: Float[np.ndarray, "3"]
+    """Mean, rad/s^2."""
+    spin_products: Float[np.ndarray, "3 3"]
+    """Mean of the products of the angular velocity's components, rad^2/s^2."""
+    tcp_height: float
+    """Of the TCP over the object's bottom, m."""
+    bias_covariance: Float[np.ndarray, "6 6"]
+    """Of a constant error common to all windows of one trial, as `wrench` is: bias and the tare's own."""
+    drift_covariance: Float[np.ndarray, "6 6"]
+    """What the walk of the sensor's zero adds a second, as `wrench` is."""
+    since_tare: Float[np.ndarray, "2"]
+    """Time from the tare to the window's first and last sample, s."""
+
+    def __post_init__(self) -> None:
+        for name, shape in (
+            ("wrench", (6,)),
+            ("covariance", (6, 6)),
+            ("pull", (3,)),
+            ("angular_acceleration", (3,)),
+            ("spin_products", (3, 3)),
+            ("bias_covariance", (6, 6)),
+            ("drift_covariance", (6, 6)),
+            ("since_tare", (2,)),
+        ):
+            object.__setattr__(self, name, frozen_array(f"LiftWindow.{name}", getattr(self, name), shape))
+
+
+def lift_windows(trajectory: Trajectory) -> list[LiftWindow]:
+    """Reduce every stretch of a lift.
+
+    The object lies flat while the grip settles: that is what tells its orientation from the hand's later on.
+
+    Raises:
+        InvalidValueError: not a lift, not `ok`, without its settling, or with a stretch too short to trim.
+    """
+    if not (isinstance(trajectory.action, Lift) and trajectory.ok):
+        raise InvalidValueError("trajectory", f"{trajectory.action}, {trajectory.status}", "a Lift with status ok")
+    tool, tare = trajectory.tool, tare_samples(trajectory)
+    if len(tare) < 2 or tool is None:
+        raise InvalidValueError("trajectory", "no tare, or no tool", "the record of a whole lift")
+    flat, mount, axes = _held_axes(trajectory)
+    into_object = axes.transpose(0, 2, 1)
+    wrench = rotate_wrench(into_object, trajectory.wrench_on_object_world)
+    spin = np.einsum("nij,nj->ni", into_object, trajectory.tcp_velocity[:, 3:])
+    motion = rotate_wrench(into_object, twist_rates(trajectory) + np.array([0.0, 0.0, GRAVITY, 0.0, 0.0, 0.0]))
+
+    def of_constant(covariance: np.ndarray) -> np.ndarray:
+        moved = rotate_wrench(mount.T, move_wrench(np.eye(6), tool.tcp)).T
+        return moved @ covariance @ moved.T
+
+    own = mean_covariance(trajectory.sensor_wrench[tare])
+    bias = of_constant(np.diag(trajectory.sensor_bias_std**2) + own)
+    drift = of_constant(np.diag(trajectory.sensor_drift_std**2))
+    tared = trajectory.time_s[tare].mean()
+    windows = []
+    for kept in steady_samples(trajectory):
+        windows.append(
+            LiftWindow(
+                grasp=trajectory.action.grasp,
+                wrench=wrench[kept].mean(axis=0),
+                covariance=_noise_of_mean(trajectory.time_s[kept], wrench[kept]),
+                pull=motion[kept, :3].mean(axis=0),
+                angular_acceleration=motion[kept, 3:].mean(axis=0),
+                spin_products=spin[kept].T @ spin[kept] / len(kept),
+                tcp_height=float(trajectory.tcp_position[flat, 2]),
+                bias_covariance=bias,
+                drift_covariance=drift,
+                since_tare=trajectory.time_s[kept[[0, -1]]] - tared,
+            )
+        )
+    return windows
+
+
+def poses_in_space(trajectory: Trajectory) -> tuple[Float[np.ndarray, "T 3"], Float[np.ndarray, "T 3 3"]]:
+    """Where the hand has the object in a lift: its frame's origin on its bottom, m, and its axes; at rest before.
+
+    Raises:
+        InvalidValueError: a record without its settling.
+    """
+    flat, _, axes = _held_axes(trajectory)
+    lies = np.append(trajectory.object_pose[flat, :2], 0.0)
+    lever = axes[flat].T @ (lies - trajectory.tcp_position[flat])
+    let_go = np.flatnonzero(trajectory.mask(Phase.RELEASE))
+    last = let_go[0] - 1 if len(let_go) else len(axes) - 1
+    held = np.clip(np.arange(len(axes)), flat, max(last, flat))
+    return trajectory.tcp_position[held] + axes[held] @ lever, axes[held]
+
+
+def _held_axes(trajectory: Trajectory) -> tuple[int, Float[np.ndarray, "3 3"], Float[np.ndarray, "T 3 3"]]:
+    """The last sample that lies flat, the object's axes in the sensor's, and in the world as if always held."""
+    held = np.flatnonzero(trajectory.mask(Phase.SETTLE))
+    if len(held) == 0:
+        raise InvalidValueError("trajectory", "no settling of the grip", "the record of a whole lift")
+    flat, sensor = int(held[-1]), rotation_matrix(trajectory.sensor_orientation)
+    mount = sensor[flat].T @ _about_z(float(trajectory.object_pose[flat, 2]))
+    return flat, mount, sensor @ mount
+
+
+def _noise_of_mean(time: Float[np.ndarray, "T"], samples: Float[np.ndarray, "T 6"]) -> Float[np.ndarray, "6 6"]:
+    """Covariance of the mean of a record about its parabola: while it rocks, gravity comes from ever another side."""
+    since = time - time.mean()
+    curve = np.polynomial.polynomial.polyfit(since, samples, 2)
+    left = samples - np.polynomial.polynomial.polyval(since, curve).T
+    return mean_covariance(left) * len(time) / (len(time) - 3)
+
+
+def _about_z(yaw: float) -> Float[np.ndarray, "3 3"]:
+    turn = np.eye(3)
+    turn[:2, :2] = [[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]]
+    return turn

@@ -1,0 +1,276 @@
+"""Steady windows reduced to one wrench each, in the object frame, with its covariance.
+
+At constant speed the wrench is constant in the object frame in a turn (and in a slide, where that frame does not turn),
+so a whole window says as much as its mean; records are autocorrelated, so the mean's covariance uses the effective
+sample size.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from weakref import WeakKeyDictionary
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from testbed.actions.base import Accelerate, Action, Lift, Weigh
+from testbed.errors import InvalidValueError
+from testbed.frames import (
+    move_wrench,
+    perpendicular,
+    rotate_wrench,
+    rotation_2d,
+    rotation_matrix,
+)
+from testbed.objects.model import GRAVITY
+from testbed.sensing.presets import tare_samples
+from testbed.trajectory import Phase, Trajectory
+from testbed.validation import frozen_array
+
+TRIM_START = 1.0
+"""Left out at the start of a constant-speed window, s: the arm's outer loop is still settling."""
+TRIM_STEP = 0.2
+"""Left out after each step of acceleration, s."""
+TRIM_END = 0.05
+"""Left out at the end of a window, s."""
+BATCH = 0.2
+"""Stretch whose mean is one sample of the noise, s: longer than it remembers, shorter than the load wanders."""
+PARTS = 10
+"""Of a window whose motion is told apart; each needs a sample."""
+LEAST_BATCHES = 8
+"""A window of fewer is judged by its whole scatter."""
+
+
+@dataclass(frozen=True, eq=False)
+class SteadyWindow:
+    """One stretch of constant speed, or of constant acceleration."""
+
+    grasp: int
+    """Index of the grasp that was held."""
+    wrench: Float[np.ndarray, "6"]
+    """Mean of what the gripper does to the object, about the TCP, in axes that turn with the object (z up). N, N m."""
+    covariance: Float[np.ndarray, "6 6"]
+    """Of that mean, from the window's own noise. Slow wander is not in it: the load's is real and felt, the sensor's is
+    drift."""
+    twist: Float[np.ndarray, "3"]
+    """Mean velocity of the grasp point, object axes, m/s, and turn rate, rad/s."""
+    twists: Float[np.ndarray, "S 3"]
+    """The same over each of `PARTS` equal parts of the window: an arm that gives way under the drag moves the centre of
+    a turn by millimetres."""
+    acceleration: Float[np.ndarray, "3"]
+    """Mean acceleration of the grasp point, object axes, m/s^2, and angular acceleration, rad/s^2."""
+    spin_square: float
+    """Mean square of the turn rate, rad^2/s^2; more than the square of its mean where the turn accelerates."""
+    tcp_height: float
+    """Mean height of the TCP over the table, m."""
+    yaw: Float[np.ndarray, "2"]
+    """Yaw of the object at the window's first and last sample, rad."""
+    bias_covariance: Float[np.ndarray, "6 6"]
+    """Of a constant error common to all windows of one trial, about the TCP as `wrench` is: bias and the tare's own."""
+    drift_covariance: Float[np.ndarray, "6 6"]
+    """What the walk of the sensor's zero adds a second, about the TCP as `wrench` is."""
+    since_tare: Float[np.ndarray, "2"]
+    """Time from the tare to the window's first and last sample, s."""
+
+    def __post_init__(self) -> None:
+        for name, shape in (
+            ("wrench", (6,)),
+            ("covariance", (6, 6)),
+            ("twist", (3,)),
+            ("twists", (PARTS, 3)),
+            ("acceleration", (3,)),
+            ("bias_covariance", (6, 6)),
+            ("drift_covariance", (6, 6)),
+            ("since_tare", (2,)),
+            ("yaw", (2,)),
+        ):
+            object.__setattr__(self, name, frozen_array(f"SteadyWindow.{name}", getattr(self, name), shape))
+
+
+_REDUCED: WeakKeyDictionary[Trajectory, list[SteadyWindow]] = WeakKeyDictionary()
+"""A record never changes and every method reduces it: once is enough."""
+
+
+def steady_windows(trajectory: Trajectory) -> list[SteadyWindow]:
+    """Reduce every steady stretch of a trajectory.
+
+    Raises:
+        InvalidValueError: the trajectory is not `ok`, is a weighing, or has a stretch too short to trim.
+    """
+    if not trajectory.ok:
+        raise InvalidValueError(
+            "trajectory.status", trajectory.status, f"ok; this trial is no data: {trajectory.reason}"
+        )
+    if isinstance(trajectory.action, Weigh | Lift):
+        raise InvalidValueError(
+            "trajectory.action",
+            trajectory.action,
+            "a slide or a turn; read a weighing with weight_of, a lift with lift_windows",
+        )
+    if trajectory not in _REDUCED:
+        _REDUCED[trajectory] = _reduced(trajectory, trajectory.action.grasp)
+    return list(_REDUCED[trajectory])
+
+
+def _reduced(trajectory: Trajectory, grasp: int) -> list[SteadyWindow]:
+    """Of every steady stretch."""
+    into_object = rotation_2d(-trajectory.object_pose[:, 2])
+    in_object = wrench_in_object(trajectory)
+    linear = np.einsum("nij,nj->ni", into_object, trajectory.tcp_velocity[:, :2])
+    twist = np.column_stack([linear, trajectory.object_velocity[:, 2]])
+    world_twist = np.column_stack([trajectory.tcp_velocity[:, :2], trajectory.object_velocity[:, 2]])
+    tare = tare_samples(trajectory)
+    own = mean_covariance(trajectory.sensor_wrench[tare]) if len(tare) > 1 else np.zeros((6, 6))
+    bias = _at_tcp(trajectory, np.diag(trajectory.sensor_bias_std**2) + own)
+    drift = _at_tcp(trajectory, np.diag(trajectory.sensor_drift_std**2))
+    tared = trajectory.time_s[tare].mean() if len(tare) else trajectory.time_s[0]
+    rate = 1 / float(np.median(np.diff(trajectory.time_s)))
+    windows = []
+    for kept in steady_samples(trajectory):
+        yaw = trajectory.object_pose[kept, 2]
+        windows.append(
+            SteadyWindow(
+                grasp=grasp,
+                wrench=in_object[kept].mean(axis=0),
+                covariance=_noise_of_mean(in_object[kept], round(BATCH * rate)),
+                twist=twist[kept].mean(axis=0),
+                twists=np.array([part.mean(axis=0) for part in np.array_split(twist[kept], PARTS)]),
+                acceleration=_slopes(trajectory.time_s[kept], world_twist[kept], yaw),
+                spin_square=float(np.mean(twist[kept, 2] ** 2)),
+                tcp_height=float(trajectory.tcp_position[kept, 2].mean()),
+                yaw=yaw[[0, -1]],
+                bias_covariance=bias,
+                drift_covariance=drift,
+                since_tare=trajectory.time_s[kept[[0, -1]]] - tared,
+            )
+        )
+    return windows
+
+
+def steady_samples(trajectory: Trajectory) -> list[Int[np.ndarray, "N"]]:
+    """Indices of the samples of every steady stretch, its start and end trimmed.
+
+    Raises:
+        InvalidValueError: there is none, or one is too short to trim.
+    """
+    stretches = []
+    for segment in range(trajectory.segment.max() + 1):
+        inside = np.flatnonzero(trajectory.segment == segment)
+        if len(inside) == 0:
+            raise InvalidValueError(
+                "Trajectory.segment", f"no sample of stretch {segment}", "stretches numbered from 0"
+            )
+        time = trajectory.time_s[inside]
+        trim = trim_start(trajectory.action, segment)
+        kept = inside[(time >= time[0] + trim) & (time <= time[-1] - TRIM_END)]
+        if len(kept) < 10:
+            raise InvalidValueError(
+                "trajectory",
+                f"{len(kept)} samples in steady stretch {segment}",
+                f"at least 10 after trimming {trim + TRIM_END:g} s",
+            )
+        stretches.append(kept)
+    if not stretches:
+        raise InvalidValueError("trajectory", "no steady stretch", f"samples in phase {Phase.STEADY.name}")
+    return stretches
+
+
+def trim_start(action: Action, segment: int) -> float:
+    """What is left out at the start of a steady stretch of an action, s."""
+    steps = isinstance(action, Accelerate) or (isinstance(action, Lift) and action.rocks(segment))
+    return TRIM_STEP if steps else TRIM_START
+
+
+def wrench_in_object(trajectory: Trajectory) -> Float[np.ndarray, "T 6"]:
+    """What the gripper does to the object, about the TCP, in axes that turn with the object (z up), N and N m."""
+    into_object = rotation_2d(-trajectory.object_pose[:, 2])
+    force, torque = trajectory.wrench_on_object_world[:, :3], trajectory.wrench_on_object_world[:, 3:]
+    planar = [np.einsum("nij,nj->ni", into_object, part[:, :2]) for part in (force, torque)]
+    return np.hstack([planar[0], force[:, 2:], planar[1], torque[:, 2:]])
+
+
+def sample_deviation(trajectory: Trajectory) -> Float[np.ndarray, "6"]:
+    """How far the sensor's errors take a single sample of `wrench_in_object` off, one standard deviation, N and N m.
+
+    Its noise as it was seen while hovering, and the constant error that the tare may leave.
+    """
+    hovering = trajectory.sensor_wrench[trajectory.mask(Phase.TARE)]
+    noise = np.cov(hovering, rowvar=False) if len(hovering) > 1 else np.zeros((6, 6))
+    return np.sqrt(np.diag(_at_tcp(trajectory, noise + np.diag(trajectory.sensor_bias_std**2))))
+
+
+def _at_tcp(trajectory: Trajectory, covariance: Float[np.ndarray, "6 6"]) -> Float[np.ndarray, "6 6"]:
+    """Covariance of an error of the sensor, moved to the TCP and into object axes, (6, 6).
+
+    The hand holds the object, so one moment's axes serve for the whole trial.
+    """
+    if trajectory.tool is None:
+        return covariance
+    first = int(np.argmax(trajectory.segment >= 0))
+    axes = rotation_matrix(trajectory.sensor_orientation[first])
+    axes[:2] = rotation_2d(-trajectory.object_pose[first, 2]) @ axes[:2]
+    move = rotate_wrench(axes, move_wrench(np.eye(6), trajectory.tool.tcp)).T
+    return move @ covariance @ move.T
+
+
+def _slopes(time: np.ndarray, twist: np.ndarray, yaw: np.ndarray) -> np.ndarray:
+    """Mean acceleration over a window, linear part in object axes, (3,).
+
+    A point that moves steadily with a turning object accelerates towards the centre of the turn; in object axes that is
+    constant, so derivative and rotation go together: a = R^T d(velocity)/dt.
+    """
+    into_object = rotation_2d(-yaw)
+    in_object = np.einsum("nij,nj->ni", into_object, twist[:, :2])
+    slopes = np.polynomial.polynomial.polyfit(time - time.mean(), np.column_stack([in_object, twist[:, 2]]), 1)[1]
+    # in turning axes: R^T dv/dt = d(R^T v)/dt + rate e_z x (R^T v)
+    turning = (twist[:, 2, None] * perpendicular(in_object)).mean(axis=0)
+    return np.array([*(slopes[:2] + turning), slopes[2]])
+
+
+def _noise_of_mean(samples: Float[np.ndarray, "T D"], length: int) -> Float[np.ndarray, "D D"]:
+    """Covariance of the mean of a record, of its noise alone, (D, D).
+
+    From second differences of means over `length` samples, which a slow change leaves out (von Neumann 1941); of the
+    whole scatter where there are fewer than `LEAST_BATCHES` of them.
+    """
+    count = len(samples) // length
+    if count < LEAST_BATCHES:
+        return mean_covariance(samples)
+    means = samples[len(samples) - count * length :].reshape(count, length, -1).mean(axis=1)
+    change = np.diff(means, 2, axis=0)
+    return change.T @ change / (6 * len(change) * count)
+
+
+def weight_of(trajectory: Trajectory) -> float:
+    """Mass read by a scale, kg.
+
+    Raises:
+        InvalidValueError: not a weighing, or one that is not `ok`.
+    """
+    if not (isinstance(trajectory.action, Weigh) and trajectory.ok):
+        raise InvalidValueError("trajectory", f"{trajectory.action}, {trajectory.status}", "a Weigh with status ok")
+    return float(trajectory.wrench_on_object_world[:, 2].mean()) / GRAVITY
+
+
+def mean_covariance(samples: Float[np.ndarray, "T D"]) -> Float[np.ndarray, "D D"]:
+    """Covariance of the mean of autocorrelated samples, (D, D)."""
+    scatter = np.atleast_2d(np.cov(samples, rowvar=False))
+    size = np.sqrt(effective_samples(samples))
+    return scatter / np.outer(size, size)
+
+
+def effective_samples(samples: Float[np.ndarray, "T D"]) -> Float[np.ndarray, "D"]:
+    """Number of independent samples that a record of T is worth, per column, at least 1, (D,).
+
+    T over the integrated autocorrelation time, summed while pairs of neighbouring lags stay positive (Geyer 1992).
+    """
+    count = len(samples)
+    centred = samples - samples.mean(axis=0)
+    power = np.abs(np.fft.rfft(centred, 2 * count, axis=0)) ** 2
+    correlation = np.fft.irfft(power, axis=0)[:count]
+    variance = correlation[0]
+    correlation = correlation / np.where(variance > 0, variance, 1.0)
+    pairs = correlation[0 : count - count % 2 : 2] + correlation[1::2][: count // 2]
+    positive = np.cumprod(pairs > 0, axis=0)
+    time = np.maximum(2 * (pairs * positive).sum(axis=0) - 1, 1.0)
+    return np.where(variance > 0, np.maximum(count / time, 1.0), count)

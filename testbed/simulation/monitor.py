@@ -1,0 +1,142 @@
+"""How a trial ended: watched while it runs, told apart, with the numbers."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from testbed.simulation.motion import JOINT_SPEED_LIMIT, Motion
+from testbed.simulation.scene import Scene
+from testbed.simulation.settings import SimulationSettings
+from testbed.trajectory import Phase, Status
+
+SLIP_LIMIT = (0.003, math.radians(1.5))
+"""Slip in the grip beyond which a trial is no data: m, rad."""
+IMPOSSIBLE_SPEED = 20.0
+"""Times its limit that no joint can reach: the simulation has diverged."""
+SATURATION_TIME = 0.1
+"""A joint at its working torque for longer than this is a limit, s."""
+_FAULTS = (mujoco.mjtWarning.mjWARN_BADQPOS, mujoco.mjtWarning.mjWARN_BADQVEL, mujoco.mjtWarning.mjWARN_BADQACC)
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """Status of a trial, why, and the numbers behind it."""
+
+    status: Status
+    reason: str
+    figures: dict[str, float]
+    state: dict[str, list[float]] | None = None
+    """Last state before a fault."""
+
+
+class Watch:
+    """Looks for slip, saturation, speed and divergence at every tick of one trial.
+
+    Slip is counted over the table; in the air in all directions, since there the object may also fall or nod.
+    """
+
+    def __init__(self, model: mujoco.MjModel, scene: Scene, motion: Motion, settings: SimulationSettings):
+        self._rate = settings.rate
+        self._tcp = model.site("gripper/tcp").id
+        self._body = scene.object_body
+        first = model.sensor("arm/joint_1_torque").adr[0]
+        self._torques = slice(first, first + 7)
+        self._limit = model.jnt_actfrcrange[:7, 1]
+        self._held = motion.phase >= Phase.SETTLE
+        self._held &= motion.phase != Phase.RELEASE
+        self._shift = _shift_in_space if motion.in_the_air else _shift_on_table
+        self._grasped: tuple[np.ndarray, np.ndarray] | None = None
+        self._saturated = np.zeros(7)
+        self._torque = self._speed = self._slip = self._turn = 0.0
+        self._status: Status = "ok"
+        self._reason = ""
+        self._state: dict[str, list[float]] = {}
+        self._good: dict[str, list[float]] = {}
+
+    def trouble(self, data: mujoco.MjData, tick: int) -> bool:
+        """Take one tick in; true where the trial must end."""
+        speed = np.abs(data.qvel[:7]) / JOINT_SPEED_LIMIT
+        warned = any(data.warning[w].number for w in _FAULTS)
+        if warned or not np.isfinite(data.sensordata).all() or not speed.max() < IMPOSSIBLE_SPEED:
+            self._state = {
+                "qpos": np.nan_to_num(data.qpos).tolist(),
+                "qvel": np.nan_to_num(data.qvel).tolist(),
+                "last_good_qpos": self._good.get("qpos", []),
+            }
+            return self._end("fault", f"the simulation diverged at {tick / self._rate:.2f} s")
+        if tick % 50 == 0:
+            self._good = {"qpos": data.qpos.tolist()}
+        torque = np.abs(data.sensordata[self._torques]) / self._limit
+        self._torque, self._speed = max(self._torque, torque.max()), max(self._speed, speed.max())
+        self._saturated = np.where(torque > 0.999, self._saturated + 1 / self._rate, 0.0)
+        if self._saturated.max() > SATURATION_TIME:
+            joint = int(self._saturated.argmax())
+            return self._end(
+                "limit",
+                f"torque: joint {joint + 1} at its working torque of {self._limit[joint]:g} N m "
+                f"at {tick / self._rate:.2f} s",
+            )
+        if speed.max() > 1.05:
+            joint = int(speed.argmax())
+            return self._end(
+                "limit", f"speed: joint {joint + 1} at {speed.max():.2f} of its limit at {tick / self._rate:.2f} s"
+            )
+        return self._held[tick] and self._slipped(data, tick)
+
+    def _slipped(self, data: mujoco.MjData, tick: int) -> bool:
+        hand = data.site_xmat[self._tcp].reshape(3, 3)
+        placed = (
+            hand.T @ (data.xpos[self._body] - data.site_xpos[self._tcp]),
+            hand.T @ data.xmat[self._body].reshape(3, 3),
+        )
+        if self._grasped is None:
+            self._grasped = placed
+        moved, turn = self._shift(self._grasped, placed)
+        self._turn, self._slip = max(self._turn, turn), max(self._slip, moved)
+        if self._slip > SLIP_LIMIT[0] or self._turn > SLIP_LIMIT[1]:
+            return self._end(
+                "slipped",
+                f"the object moved {self._slip * 1e3:.1f} mm and {math.degrees(self._turn):.2f} deg "
+                f"in the grip at {tick / self._rate:.2f} s",
+            )
+        return False
+
+    def _end(self, status: Status, reason: str) -> bool:
+        self._status, self._reason = status, reason
+        return True
+
+    def outcome(self) -> Outcome:
+        """What it came to."""
+        figures = {
+            "peak_torque_over_limit": float(self._torque),
+            "peak_speed_over_limit": float(self._speed),
+            "slip_m": float(self._slip),
+            "slip_rad": float(self._turn),
+        }
+        return Outcome(self._status, self._reason, figures, self._state or None)
+
+
+_Placed = tuple[np.ndarray, np.ndarray]
+"""Position, m, and orientation of the object in the hand."""
+
+
+def _shift_on_table(before: _Placed, now: _Placed) -> tuple[float, float]:
+    """How far the grasp point moved, m, and how far the object turned, rad, both across the approach axis."""
+    (x, y), (u, v) = before[1][:2, 0], now[1][:2, 0]
+    turn = math.atan2(x * v - y * u, np.array([x, y]) @ [u, v])
+    # the body's origin is not the grasp point: take the part of its shift that the turn explains away
+    c, s = math.cos(turn), math.sin(turn)
+    return float(np.linalg.norm(now[0][:2] - np.array([[c, -s], [s, c]]) @ before[0][:2])), abs(turn)
+
+
+def _shift_in_space(before: _Placed, now: _Placed) -> tuple[float, float]:
+    """The same in all directions."""
+    turn = now[1] @ before[1].T
+    return float(np.linalg.norm(now[0] - turn @ before[0])), float(
+        np.linalg.norm(Rotation.from_matrix(turn).as_rotvec())
+    )

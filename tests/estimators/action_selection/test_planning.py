@@ -1,0 +1,268 @@
+"""Planning: information that adds, designs that are the best there is, plans that end for a reason."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any, cast
+
+import numpy as np
+import pytest
+
+from estimators.action_selection.candidates import REACH, ActionFamily, clear_of_particles
+from estimators.action_selection.cost import RobotTime
+from estimators.action_selection.design import NORMAL_MEAN, Belief, Design, Guess, before_trials
+from estimators.action_selection.greedy import Asked, Goal, PlannedTouches, batch_plan, exhaustive, greedy_plan
+from estimators.action_selection.rank import planned_rank
+from estimators.identifiability.information import (
+    Question,
+    before_any_trial,
+    expected,
+    information_root,
+    of_masses,
+    planned_information,
+    shared_errors,
+)
+from estimators.identifiability.predicted import planned_lift, planned_observations
+from testbed.actions.base import Accelerate, Lift, Rotate, Slide
+from testbed.actions.path import WORKSPACE, ToolPath
+from testbed.errors import InvalidValueError
+from testbed.objects.files import load_object
+from testbed.objects.model import ObjectShape
+from testbed.sensing.presets import preset
+from testbed.simulation.motion import plan_motion
+from testbed.simulation.settings import SimulationSettings
+from testbed.trajectory import Trajectory
+
+FT300S = preset("ft300s")
+
+
+def guess(name: str, **changes: object) -> Guess:
+    return replace(Guess(load_object(name).total_mass, FT300S), **changes)
+
+
+def design(name: str, count: int, seed: int = 0, **changes: object) -> tuple[Design, Belief]:
+    shape = load_object(name).shape
+    candidates = ActionFamily().sample(shape, range(len(shape.grasps)), count, seed)
+    return Design.of(shape, candidates, guess(name, **changes)), before_trials(shape, guess(name, **changes))
+
+
+@pytest.mark.parametrize("support", ["own_weight", "rigid"])
+def test_information_of_trials_adds_up_to_that_of_all_together(support):
+    model = load_object("L2")
+    shape, question = model.shape, Question(support)
+    actions = [
+        Rotate(4, pivot=(0.01, 0.06), duration=5.0, back=True),
+        Rotate(2, pivot=(-0.04, 0.02)),
+        Lift(4),
+        Slide(0, 0.7),
+        Accelerate(1),
+        Accelerate(1, start_speed=-0.15, accelerations=tuple(-a for a in Accelerate(1).accelerations)),
+        Accelerate(3),
+        Rotate(4, pivot=(0.01, 0.06), duration=5.0, back=True),
+        Lift(2, hold=1.5, swings=2),
+    ]
+    alone = planned_information(shape, model.truth, actions, FT300S, question)
+    added = of_masses(before_any_trial(shape, question.stated.weight_error) + alone.information(), alone.known)
+    lifts = [planned_lift(lift, FT300S) for lift in (actions[2], actions[8]) if support == "rigid"]  # else none can be
+    root = information_root(shape, model.truth, planned_observations(shape, actions, FT300S), question, lifts)
+    together = root.T @ root
+    size = np.sqrt(np.diag(together))
+    np.testing.assert_allclose(added / np.outer(size, size), together / np.outer(size, size), atol=1e-11)
+
+
+def test_the_errors_planned_are_those_of_the_report():
+    model = load_object("F2")
+    shape = model.shape
+    actions = [Rotate(0, pivot=(0.01, 0.04), back=True), Rotate(2, pivot=(0.03, -0.04), back=True)]
+    actions.append(Rotate(1, pivot=(-0.04, -0.09), back=True))
+    alone = planned_information(shape, model.truth, actions, FT300S, Question())
+    information = before_any_trial(shape, FT300S.scale) + alone.information()
+    belief = Belief(information[None], shape.particles_per_group, model.total_mass)
+    report = expected(shape, model.truth, actions, FT300S)
+    np.testing.assert_allclose(belief.standard_error, report.standard_error, rtol=1e-6)
+    assert belief.expected_nad == pytest.approx(NORMAL_MEAN * report.standard_error.sum() / model.total_mass, rel=1e-6)
+
+
+@pytest.mark.parametrize("criterion", ["A", "D", "I"])
+def test_the_update_is_the_inverse_done_afresh(criterion):
+    small, before = design("L2", 40, supports=("own_weight", "rigid"))
+    small = replace(small, criterion=criterion)
+    belief = before.after(small.taught(5))
+    afresh = [small.value(belief.after(small.taught(i))) for i in range(len(small.candidates))]
+    np.testing.assert_allclose(small.values_after(belief), afresh, rtol=1e-6)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_small_plans_are_as_good_as_the_best_of_all_sets(seed):
+    small, before = design("L2", 14, seed)
+    small = replace(small, time=RobotTime(around=1e6))  # next to alike for all
+    everything, least = exhaustive(small, before, 3)
+    found = batch_plan(small, before, Goal(most=3, budget_s=4e6), Asked())
+    assert len(everything) == len(found.steps) == 3
+    assert found.steps[-1].criterion == pytest.approx(least)
+    one = greedy_plan(small, before, Goal(most=1), Asked()).steps[0]
+    assert one.criterion == pytest.approx(exhaustive(small, before, 1)[1])
+
+
+@pytest.mark.parametrize(("name", "turns"), [("I1", 3), ("L2", 2), ("F2", 2)])
+def test_a_plan_is_as_short_as_it_can_be(name, turns):
+    model = load_object(name)
+    turns_alone = ActionFamily(slides=False, accelerated=False)
+    policy = PlannedTouches(guess(name), goal=Goal(until=0.03), candidates=1500, family=turns_alone)
+    plan = policy.plan(model.shape)
+    assert [type(action) for action in plan.actions] == [Rotate] * turns
+    report = expected(model.shape, model.truth, plan.actions, FT300S)
+    assert report.rank == report.unknowns
+    one = expected(model.shape, model.truth, plan.actions[:1], FT300S)  # three rows and six loads
+    assert one.rank < one.unknowns
+    assert plan.after.expected_nad <= 0.03 < plan.steps[-2].belief.expected_nad
+
+
+def test_errors_fall_with_every_step_and_time_adds_up():
+    plan = PlannedTouches(guess("L2"), goal=Goal(budget_s=70.0), candidates=600).plan(load_object("L2").shape)
+    nad = [plan.before.expected_nad, *(step.belief.expected_nad for step in plan.steps)]
+    assert len(plan.steps) >= 3 and (np.diff(nad) < 0).all()
+    assert plan.seconds == pytest.approx(RobotTime().total(load_object("L2").shape, plan.actions))
+    assert plan.seconds <= 70.0 and "budget is spent" in plan.why
+
+
+def test_exchange_makes_a_plan_no_longer_and_no_worse():
+    whole, before = design("I2", 600)
+    for goal in (Goal(until=0.02), Goal(budget_s=80.0)):
+        first, better = greedy_plan(whole, before, goal, Asked()), batch_plan(whole, before, goal, Asked())
+        if goal.until is not None:
+            assert better.seconds <= first.seconds + 1e-9 and better.after.expected_nad <= goal.until
+        else:
+            assert better.after.expected_nad <= first.after.expected_nad * (1 + 1e-9) and better.seconds <= 80.0
+
+
+def test_where_support_is_not_known_a_plan_accelerates():
+    shape = load_object("L2").shape
+    both = PlannedTouches(guess("L2", supports=("own_weight", "rigid")), goal=Goal(most=6), candidates=800).plan(shape)
+    assert any(isinstance(action, Accelerate) for action in both.actions)
+    own = PlannedTouches(guess("L2"), goal=Goal(most=6), candidates=800).plan(shape)
+    assert not any(isinstance(action, Accelerate) for action in own.actions)
+
+
+def test_a_lift_is_planned_where_it_teaches_more_a_second():
+    """Under one rigid body it parts the second moments, and shows them better than an arm that swings on the table."""
+
+    def lifts(name: str, support: str, *, allowed: bool = True) -> tuple[int, float]:
+        family = ActionFamily(lifts=allowed)
+        made = PlannedTouches(guess(name, supports=(support,)), goal=Goal(budget_s=80.0), candidates=400, family=family)
+        plan = made.plan(load_object(name).shape)
+        return sum(isinstance(action, Lift) for action in plan.actions), plan.after.expected_nad
+
+    for name in ("L2", "F2"):
+        some, with_lifts = lifts(name, "rigid")
+        _, without = lifts(name, "rigid", allowed=False)
+        assert some and with_lifts < 0.8 * without
+    assert lifts("L2", "own_weight")[0] == 0
+
+
+def test_what_the_bench_refuses_is_not_planned_and_said():
+    free = PlannedTouches(guess("L2"), goal=Goal(most=3), candidates=500)
+    wanted = free.plan(load_object("L2").shape).actions[0].grasp
+    asked = []
+
+    def not_there(action):
+        asked.append(action)
+        return "out of reach" if action.grasp == wanted else ""
+
+    plan = replace(free, feasible=not_there).plan(load_object("L2").shape)
+    assert len(plan.steps) == 3 and all(action.grasp != wanted for action in plan.actions)
+    assert {why for _, why in plan.rejected} == {"out of reach"}
+    assert len(asked) == len(set(asked)) < 500
+
+
+def test_plain_answers_where_little_can_be_had():
+    shape = load_object("L2").shape
+    nothing = ObjectShape(shape.particles, shape.mass_group, shape.friction_group, shape.cell, shape.height)
+    plan = PlannedTouches(guess("L2")).plan(nothing)
+    assert not plan.steps and "nothing to grip" in plan.why
+    short = PlannedTouches(guess("L2"), goal=Goal(budget_s=5.0), candidates=200).plan(shape)
+    assert not short.steps and "the budget is spent: 5 s are left" in short.why
+    rigid = PlannedTouches(guess("L2", supports=("rigid",)), goal=Goal(until=0.01, most=30), candidates=300).plan(shape)
+    assert rigid.why == "no action teaches more" and rigid.after.expected_nad > 0.1
+    never = PlannedTouches(guess("L2"), candidates=100, feasible=lambda _: "no").plan(shape)
+    assert not never.steps and "the bench can do none" in never.why
+    wrongs: list[dict[str, Any]] = [{"until": -0.1}, {"budget_s": 0.0}, {"most": 0}]
+    for wrong in wrongs:
+        with pytest.raises(InvalidValueError):
+            Goal(**wrong)
+
+
+@pytest.mark.parametrize("kind", ["random", "greedy", "batch"])
+def test_a_policy_goes_through_its_plan_and_around_what_failed(kind):
+    model = load_object("F2")
+    policy = PlannedTouches(guess("F2"), kind, goal=Goal(most=3), candidates=300)
+    plan = policy.plan(model.shape)
+
+    class Done:
+        def __init__(self, action, ok=True):
+            self.action, self.ok = action, ok
+
+    done = []
+    while (action := policy.next(model.shape, cast(Sequence[Trajectory], done))) is not None:
+        done.append(Done(action))
+    assert tuple(d.action for d in done) == plan.actions
+    first = plan.actions[0]
+    after = policy.next(model.shape, cast(Sequence[Trajectory], [Done(first, ok=False)]))
+    assert after is not None and after != first
+
+
+def test_candidates_stay_in_reach_and_clear_of_particles():
+    shape = load_object("I2").shape
+    family = ActionFamily()
+    found = family.sample(shape, range(len(shape.grasps)), 1000, 1)
+    assert found == family.sample(shape, range(len(shape.grasps)), 1000, 1)
+    turns = [action for action in found if isinstance(action, Rotate)]
+    assert len(turns) > 800 and {np.sign(t.speed) for t in turns} == {-1.0, 1.0}
+    assert {t.grasp for t in turns} == set(range(len(shape.grasps)))
+    assert clear_of_particles(shape, np.array([t.pivot for t in turns])).all()
+    for turn in turns[::40]:
+        path = ToolPath.centred(turn, shape, abs(turn.speed) * (turn.duration + 0.4), WORKSPACE)
+        distance = np.linalg.norm(path.tool_pose(np.linspace(-0.5, 0.5, 7))[:, :2], axis=1)
+        assert REACH[0] < distance.min() and distance.max() < REACH[1]
+    assert family.sample(shape, [], 10, 0) == ()
+
+
+def test_robot_time_is_that_of_the_simulated_bench():
+    shape, settings = load_object("L2").shape, SimulationSettings()
+    half = Accelerate(0, (1.0, -1.0, 1.5, -1.5))
+    moves = (Rotate(0, duration=2.3, back=True), Rotate(1, duration=3.0), Slide(0, duration=1.7), half)
+    for action in (*moves, Lift(4), Lift(4, tilt=0.0, hold=1.7)):
+        samples = len(plan_motion(action, shape, settings).q)
+        assert RobotTime().of(action) == pytest.approx((samples - 1) / settings.rate, abs=0.02)
+
+
+def test_shared_errors_are_of_the_points_that_can_be_gripped():
+    assert shared_errors(load_object("L2").shape) == 3 + 5
+
+
+@pytest.mark.parametrize("name", ["I1", "L1", "F1"])
+def test_a_turn_shows_three_numbers_and_in_a_straight_row_two(name):
+    shape, rng = load_object(name).shape, np.random.default_rng(0)
+    low, high = shape.particles.min(axis=0) - 0.05, shape.particles.max(axis=0) + 0.05
+    drawn = [[Rotate(0, pivot=tuple(rng.uniform(low, high))) for _ in range(2)] for _ in range(60)]
+    assert max(planned_rank(shape, turns[:1]) for turns in drawn) == 3  # so one turn never shows six loads
+    assert max(planned_rank(shape, turns) for turns in drawn) == 6
+    if name == "I1":  # two that lie in its row show no force along it
+        in_row = [[Rotate(0, pivot=(float(x), 0.0)) for x in rng.uniform(low[0], high[0], 3)] for _ in range(60)]
+        assert max(planned_rank(shape, turns[:2]) for turns in in_row) == 4
+        assert max(planned_rank(shape, turns) for turns in in_row) == 6
+
+
+def test_of_turns_in_a_straight_row_a_plan_needs_three():
+    shape = load_object("I1").shape
+    points = [(x, 0.0) for x in np.linspace(-0.19, 0.19, 40)]
+    clear = clear_of_particles(shape, np.array(points))
+    turns = [
+        Rotate(g, pivot=p, duration=8.0, back=True) for g in range(6) for p, c in zip(points, clear, strict=True) if c
+    ]
+    plan = greedy_plan(
+        Design.of(shape, turns, guess("I1")), before_trials(shape, guess("I1")), Goal(until=0.1), Asked()
+    )
+    ranks = [planned_rank(shape, cast(list[Rotate], plan.actions[:n])) for n in range(1, len(plan.steps) + 1)]
+    assert ranks[:3] == [2, 4, 6]

@@ -1,0 +1,191 @@
+"""`heft plan` and `heft touch`: what they print, write and refuse."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from pydantic import ValidationError
+
+from estimators.action_selection.design import Guess
+from estimators.action_selection.greedy import PlannedTouches
+from estimators.action_selection.online import OnlineTouches
+from estimators.action_selection.rank import RankDriven
+from estimators.identifiability.information import SUPPORTS
+from scenarios.cli.main import main
+from scenarios.cli.plan import Wish, percent, planned, seconds, sentence, shown_of
+from scenarios.config import Policy
+from scenarios.results.load import load_results
+from scenarios.study.benches import BenchCheck
+from testbed.actions.base import Accelerate, Lift, Rotate, Slide
+from testbed.errors import InvalidValueError
+from testbed.objects.files import load_object
+from testbed.sensing.presets import preset
+from testbed.simulation.settings import SimulationSettings
+from tests.helpers.chunks import read_chunks
+from viz.figures.plan import TouchShown
+from viz.recordings.page import save
+from viz.recordings.plan import plan_page
+
+
+def test_a_plan_is_told_and_drawn(tmp_path, capsys):
+    files = ["--figure", str(tmp_path / "plan"), "--record", str(tmp_path / "plan.rrd")]
+    main(["plan", "L2", "--budget", "60s", "--candidates", "300", *files])
+    said = " ".join(capsys.readouterr().out.split())
+    assert "L2, own_weight, ft300s: greedy; weighed 1.800 kg" in said
+    assert "the budget is spent" in said and "all 7 masses and frictions are seen" in said
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["plan.pdf", "plan.png", "plan.rrd"]
+
+
+def test_lifts_are_planned_where_asked_for_and_possible(tmp_path, capsys):
+    more = ["--lifts", "--most", "3", "--candidates", "300", "--record", str(tmp_path / "plan.rrd")]
+    main(["plan", "L2", "--support", "rigid", "--figure", str(tmp_path / "plan"), *more])
+    said = " ".join(capsys.readouterr().out.split())
+    assert "lift" in said and "held" in said and "6 of 7 masses and frictions are seen" in said
+    assert "plan/touches/scene/3/lift" in read_chunks(tmp_path / "plan.rrd")
+    with pytest.raises(SystemExit, match="2"):
+        main(["plan", "L2", "--lifts"])
+    assert "lift under support rigid or either" in capsys.readouterr().err
+
+
+def test_a_budget_too_small_for_all_is_said_with_what_stays_open(capsys):
+    main(["plan", "L2", "--budget", "20s", "--until", "1%", "--candidates", "300"])
+    said = " ".join(capsys.readouterr().out.split())
+    assert "1 touch(es)" in said and "the target of 1 % is not reached" in said and "open:" in said
+
+
+def test_planning_takes_less_than_the_papers_choice_for_the_same():
+    model = load_object("L2")
+    paper = planned(model, Wish(policy="paper", most=30))
+    nad = paper.after.expected_nad
+    greedy = planned(model, Wish(until=f"{100 * nad:.4f}%", candidates=1000, most=20))
+    assert greedy.after.expected_nad <= nad * 1.001 and greedy.seconds < paper.seconds / 2
+
+
+def test_what_cannot_be_gripped_is_told(tmp_path, capsys):
+    blocks = f'layout = ["111", "111", "111"]\nmass_kg = {[0.1] * 9}\nfriction = 0.5\n'
+    (tmp_path / "slab.toml").write_text(f'name = "slab"\n[blocks]\n{blocks}')
+    main(["plan", str(tmp_path / "slab.toml"), "--until", "5%"])
+    said = " ".join(capsys.readouterr().out.split())
+    assert "nothing to grip" in said and "the target of 5 % is not reached" in said
+
+
+def test_the_bench_says_why_it_cannot():
+    shape = load_object("L2").shape
+    guess = Guess(1.8, preset("ft300s"))
+    assert BenchCheck(shape, guess)(Rotate(0, duration=4.0, back=True)) == ""
+    assert "reach" in BenchCheck(shape, guess)(Rotate(0, pivot=(0.6, 0.0), duration=18.0))
+    assert "grip" in BenchCheck(shape, Guess(80.0, preset("ft300s")))(Rotate(0, duration=4.0))
+
+
+def test_amounts_are_read_as_typed():
+    assert (percent("5%", "x"), percent("0.05", "x"), percent(None, "x")) == (0.05, 0.05, None)
+    assert (seconds("60s", "x"), seconds("60", "x"), seconds("2min", "x"), seconds(None, "x")) == (60, 60, 120, None)
+    for wrong in ("0%", "150%", "much"):
+        with pytest.raises(InvalidValueError):
+            percent(wrong, "--until")
+    for wrong in ("0s", "-3", "soon"):
+        with pytest.raises(InvalidValueError):
+            seconds(wrong, "--budget")
+
+
+@pytest.mark.slow
+def test_an_active_run_stops_by_itself_and_is_right(tmp_path, capsys):
+    out = tmp_path / "run"
+    main(["touch", "docs/objects/T.toml", "--until", "5%", "--candidates", "600", "--out", str(out)])
+    said = capsys.readouterr().out
+    assert "stopped: the target is met" in said
+    row = load_results(out).iloc[0]
+    assert row["nad"] < 0.1 and row["object"] == "T" and len(row["trial_keys"]) >= 3
+    assert len(list((out / "trials").glob("*/trial.json"))) == len(row["trial_keys"])
+    assert (out / "recording.rrd").stat().st_size > 1000
+    main(["touch", "docs/objects/T.toml", "--until", "5%", "--candidates", "600", "--out", str(out)])
+    assert np.isclose(load_results(out).iloc[0]["nad"], row["nad"])
+
+
+@pytest.mark.slow
+def test_under_a_rigid_body_it_finds_out_and_says_what_stays_unknown(tmp_path, capsys):
+    out = tmp_path / "run"
+    main(["touch", "L2", "--support", "rigid", "--until", "2%", "--candidates", "600", "--out", str(out)])
+    said = " ".join(capsys.readouterr().out.split())
+    assert "stopped: no action teaches more" in said
+    assert "the target of 2 % is not reached" in said and "assumption_violated" in said
+
+
+@pytest.mark.slow
+def test_where_there_is_no_answer_it_says_so_and_why(tmp_path, capsys):
+    main(["touch", "hammer", "--most", "1", "--candidates", "300", "--out", str(tmp_path / "run")])
+    said = " ".join(capsys.readouterr().out.split())
+    assert "stopped: 1 trials were made, the most that may be there is no answer: " in said
+    assert "the best to be had is the weight, 1.360 kg, and even masses: expected NAD" in said
+    assert "±" not in said
+
+
+def test_a_scenario_may_choose_its_touches_by_a_plan():
+    model, settings = load_object("L2"), SimulationSettings()
+    paper = Policy().build((0, 1), model, settings)
+    assert isinstance(paper, RankDriven) and (paper.pivots, paper.most, paper.grasps) == (6, 40, (0, 1))
+    batch = Policy(kind="batch", touches=2, until=0.05, candidates=200)
+    chosen = batch.build((2, 3, 4), model, settings)
+    assert isinstance(chosen, PlannedTouches) and batch.expected_trials == 1 + 2 + 2
+    actions = chosen.plan(model.shape).actions
+    assert 1 <= len(actions) <= 2 and {a.grasp for a in actions if isinstance(a, Rotate)} <= {2, 3, 4}
+    with pytest.raises(ValidationError, match="one of ideal"):
+        Policy(kind="greedy", plan_for="nose")
+
+
+def test_every_action_is_a_sentence():
+    shape = load_object("L2").shape
+    asked = (Rotate(0, speed=-0.2, pivot=(0.05, 0.02), back=True), Accelerate(0), Slide(0, direction=0.0), Lift(0))
+    turn, accelerated, slide, lift = (sentence(shape, action) for action in asked)
+    name = shape.grasps[0].name
+    assert turn == f"turn at {name} about (50, 20) mm, right and back, 11 deg/s"
+    assert accelerated == f"accelerate at {name} about the grasp, left"
+    assert slide == f"slide at {name}, towards 0 deg" and lift == f"lift at {name}, 6 swings, held 2 s"
+
+
+def test_a_policy_is_told_who_may_carry_the_weight():
+    model, settings = load_object("L2"), SimulationSettings()
+
+    def told(kind: str, thought: str | None) -> PlannedTouches | OnlineTouches:
+        made = Policy.model_validate({"kind": kind, "thought": thought, "candidates": 300, "touches": 4})
+        policy = made.build((2, 3, 4), model, settings)
+        assert isinstance(policy, PlannedTouches | OnlineTouches)
+        return policy
+
+    plan = {thought: told("greedy", thought) for thought in (None, "own_weight", "rigid", "either")}
+    assert [p.guess.supports for p in plan.values()] == [("own_weight",), ("own_weight",), ("rigid",), SUPPORTS]
+    assert told("online", None).guess.supports == SUPPORTS
+    # where one body may carry it all, nothing but an accelerated turn shows its second moment
+    accelerated = {
+        thought: any(isinstance(action, Accelerate) for action in p.plan(model.shape).actions)
+        for thought, p in plan.items()
+        if isinstance(p, PlannedTouches)
+    }
+    assert accelerated == {None: False, "own_weight": False, "rigid": True, "either": True}
+
+
+def test_an_arrow_begins_at_the_grasp_and_goes_the_way_of_the_turn():
+    shape = load_object("L2").shape
+    grasp = shape.grasps[2].position
+    for speed in (0.2, -0.2):
+        touch = TouchShown.of(shape, Rotate(2, speed=speed, pivot=(0.05, 0.02)))
+        arms = touch.way - np.array([0.05, 0.02])
+        np.testing.assert_allclose(touch.way[0], grasp, atol=1e-12)
+        np.testing.assert_allclose(np.linalg.norm(arms, axis=1), np.linalg.norm(arms[0]))
+        turned = arms[0, 0] * arms[1, 1] - arms[0, 1] * arms[1, 0]
+        assert np.sign(turned) == np.sign(speed)
+    slide = TouchShown.of(shape, Slide(2, direction=np.pi / 2))
+    assert slide.about is None
+    np.testing.assert_allclose(slide.way[1] - grasp, [0.0, 0.05], atol=1e-12)
+
+
+def test_a_plan_is_recorded_step_by_step(tmp_path):
+    model = load_object("L2")
+    made = planned(model, Wish(most=3, candidates=200))
+    shown = shown_of(model, made, "a plan")
+    assert shown.errors.shape == (4, 6) and (np.diff(shown.errors.sum(axis=1)) < 0).all()
+    save(plan_page(shown), tmp_path / "plan.rrd")
+    logged = read_chunks(tmp_path / "plan.rrd")
+    assert {f"plan/touches/scene/{n}/way" for n in (1, 2, 3)} <= set(logged)
+    colors = logged["plan/error/map/cells"].times["iteration"]
+    assert all(times.tolist() == [0, 1, 2, 3] for times in colors.values())

@@ -1,0 +1,145 @@
+"""The next touch from what was felt, in a world of exact friction."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from estimators.action_selection.design import NORMAL_MEAN, Guess
+from estimators.action_selection.greedy import Goal
+from estimators.action_selection.online import Decision, OnlineTouches
+from estimators.evaluation.metrics import normalized_absolute_difference
+from estimators.hidden_states.algorithm import HiddenStatesEstimator
+from estimators.support_models.estimator import SupportAware
+from estimators.testing.analytic_world import drawn_object, felt
+from testbed.actions.base import Accelerate, Lift, Rotate, Slide
+from testbed.objects.files import load_object
+from testbed.objects.model import ObjectModel
+from testbed.sensing.presets import preset
+from testbed.trajectory import Trajectory
+from tests.fakes.lifted_world import lifted
+
+
+def policy(obj: ObjectModel, goal: Goal, **changes: object) -> OnlineTouches:
+    guess = Guess(obj.total_mass, preset("ft300s"))
+    return replace(
+        OnlineTouches(guess, goal, candidates=120, estimator=HiddenStatesEstimator()),
+        **changes,  # pyright: ignore[reportArgumentType]
+    )
+
+
+def run(obj: ObjectModel, chooser: OnlineTouches, most: int = 12, **world: object) -> tuple[list[Trajectory], Decision]:
+    trials: list[Trajectory] = []
+    for seed in range(most):
+        decision = chooser.decide(obj.shape, trials)
+        if decision.action is None:
+            return trials, decision
+        assert isinstance(decision.action, Rotate | Accelerate | Slide)
+        trials.append(felt(obj, decision.action, seed=seed, **world))  # pyright: ignore[reportArgumentType]
+    return trials, chooser.decide(obj.shape, trials)
+
+
+@pytest.mark.parametrize("seed", [0, 2])
+def test_it_touches_until_the_masses_are_known(seed):
+    obj = drawn_object(seed)
+    chooser = policy(obj, Goal(until=0.02))
+    trials, last = run(obj, chooser, noise=0.05)
+    assert last.why == "the target is met" and last.nad <= 0.02 and 2 <= len(trials) <= 8
+    assert last.estimate is not None and last.estimate.distribution is not None
+    assert normalized_absolute_difference(obj.shape, last.estimate.distribution, obj.truth) < 0.04
+    nad = [chooser.decide(obj.shape, trials[:n]).nad for n in range(len(trials) + 1)]
+    assert (np.diff(nad) < 0).all()
+
+
+def test_time_and_trials_end_it_too():
+    obj = drawn_object(0)
+    first = policy(obj, Goal(until=1e-4, most=1))
+    trials, last = run(obj, first)
+    assert len(trials) == 1 and "1 trials were made" in last.why
+    _, short = run(obj, policy(obj, Goal(budget_s=4.0)))
+    assert "the budget is spent" in short.why and short.nad > 0.4
+
+
+def test_what_failed_is_not_asked_for_again():
+    obj = drawn_object(0)
+    chooser = policy(obj, Goal())
+    first = chooser.decide(obj.shape, []).action
+    assert isinstance(first, Rotate)
+    slipped = replace(felt(obj, first), status="slipped", reason="it slipped")
+    decision = chooser.decide(obj.shape, [slipped])
+    assert decision.action not in (None, first) and decision.nad == chooser.decide(obj.shape, []).nad
+
+
+def test_trials_that_contradict_each_other_teach_nothing():
+    obj = drawn_object(0)
+    chooser = policy(obj, Goal(until=0.02))
+    trials, _ = run(obj, chooser, noise=0.02)
+    turned = [replace(trials[0], wrench_on_object_world=-trials[0].wrench_on_object_world), *trials[1:]]
+    last = chooser.decide(obj.shape, turned)
+    assert last.estimate is not None and last.estimate.status == "contradictory"
+    assert last.nad == chooser.decide(obj.shape, []).nad and last.why != "the target is met"
+
+
+def test_an_answer_is_no_surer_than_it_says_itself():
+    obj, wide = drawn_object(0), 10.0
+
+    class Modest(HiddenStatesEstimator):
+        def estimate(self, shape, weight, trajectories, seed):
+            found = super().estimate(shape, weight, trajectories, seed)
+            return found if found.covariance is None else replace(found, covariance=wide**2 * found.covariance)
+
+    trials, last = run(obj, policy(obj, Goal(until=0.02)), noise=0.05)
+    modest = policy(obj, Goal(until=0.02), estimator=Modest()).decide(obj.shape, trials)
+    assert modest.estimate is not None and modest.estimate.covariance is not None and modest.action is not None
+    count = obj.shape.particles_per_group
+    its_own = np.sqrt(np.diag(modest.estimate.covariance)) * count
+    np.testing.assert_allclose(modest.standard_error, its_own)
+    assert modest.nad == pytest.approx(NORMAL_MEAN * its_own.sum() / obj.total_mass) and modest.nad > last.nad
+
+
+def test_a_kind_of_touch_that_an_answer_needs_is_made_after_however_many_of_another():
+    obj = drawn_object(0)
+
+    class Careful(HiddenStatesEstimator):
+        def estimate(self, shape, weight, trajectories, seed):
+            found = super().estimate(shape, weight, trajectories, seed)
+            enough = any(isinstance(t.action, Accelerate) for t in trajectories)
+            return found if enough else replace(found, covariance=None, status="underdetermined")
+
+    chooser = policy(obj, Goal(until=0.1, most=100), estimator=Careful())
+    count = obj.shape.n_m + obj.shape.n_mu + 1
+    turns = [felt(obj, Rotate(0, duration=4.0, back=True, pivot=(0.05 * i, 0.01)), seed=i) for i in range(count)]
+    last = chooser.decide(obj.shape, turns)
+    assert last.nad < 0.1 and not last.answered and isinstance(last.action, Accelerate)
+    met = chooser.decide(obj.shape, [*turns, felt(obj, last.action, seed=count)])
+    assert met.answered and met.why == "the target is met"
+
+
+def test_a_lift_that_was_felt_counts():
+    obj = load_object("L2")
+    chooser = policy(obj, Goal())
+    chooser = replace(chooser, guess=replace(chooser.guess, supports=("rigid",)), estimator=SupportAware())
+    table = [
+        felt(obj, action, rigid=True, noise=0.05) for action in (Rotate(2, duration=6.0, back=True), Accelerate(2))
+    ]
+    before = chooser.decide(obj.shape, table)
+    after = chooser.decide(obj.shape, [*table, lifted(obj, Lift(2), errors=1.0)])
+    assert after.nad < 0.8 * before.nad
+    assert (after.standard_error <= before.standard_error * 1.05).all()
+
+
+def test_trials_that_disagree_are_believed_less_and_the_odd_one_is_done_again():
+    obj = drawn_object(0)
+    chooser = policy(obj, Goal(until=1e-4))
+    trials, _ = run(obj, policy(obj, Goal(until=1e-4, most=6)), noise=0.02)
+    calm = chooser.decide(obj.shape, trials)
+    assert calm.why != "" or calm.action not in [t.action for t in trials]
+    odd = 4
+    pushed = replace(trials[odd], wrench_on_object_world=trials[odd].wrench_on_object_world * 1.1)
+    upset = chooser.decide(obj.shape, [*trials[:odd], pushed, *trials[odd + 1 :]])
+    assert upset.nad > 2 * calm.nad
+    assert "disagree" in upset.why and upset.action == trials[odd].action
+    again = chooser.decide(obj.shape, [*trials[:odd], pushed, *trials[odd + 1 :], trials[odd]])
+    assert again.action != trials[odd].action  # once is enough

@@ -1,0 +1,131 @@
+"""Means, intervals and marks of the comparison; tables and the heatmap made of them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from rich.console import Console
+
+from estimators.evaluation import paper
+from estimators.evaluation.statistics import draws_of, select, significantly_best, summarize
+from testbed.objects.files import load_object
+from viz.figures.maps import absolute_difference, save_figure
+from viz.report.terminal import METRICS, NAD, metric_table
+
+
+def row(method: str, seed: int, nad: float | None, name: str = "L2", **more: object) -> dict:
+    """One estimate."""
+    model = load_object(name)
+    mass = None if nad is None else (model.group_mass * (1 + nad)).tolist()
+    said = {
+        "object": name,
+        "support": "own_weight",
+        "sensing": "ft300s",
+        "seed": seed,
+        "method": method,
+        "kind": method,
+        "status": "ok" if nad is not None else "underdetermined",
+        "nad": nad,
+        "mass_kg": mass,
+        "true_mass_kg": model.group_mass.tolist(),
+        "mpd_open_loop_m": 0.01,
+        "mpd_turn_m": 0.02,
+        "mpd_open_loop_of_truth_m": 0.005,
+        "mpd_turn_of_truth_m": 0.004,
+    }
+    return said | more
+
+
+def test_a_summary_is_mean_spread_and_an_interval_that_holds_the_mean():
+    rng = np.random.default_rng(0)
+    covered = 0
+    for _ in range(200):
+        summary = summarize(dict(enumerate(rng.normal(3.0, 1.0, 30).tolist())))
+        assert summary is not None
+        covered += summary.low <= 3.0 <= summary.high
+    assert 0.88 < covered / 200 < 0.99
+    exact = summarize({0: 1.0, 1: 3.0, 2: np.nan})
+    assert exact is not None
+    assert (exact.mean, exact.spread, exact.missing) == (2.0, pytest.approx(2**0.5), 1)
+    assert summarize({0: np.nan}) is None
+    alone = summarize({0: 4.0})
+    assert alone is not None
+    assert np.isnan(alone.low)
+
+
+def test_the_best_is_marked_only_where_it_is_sure():
+    rng = np.random.default_rng(1)
+    common = rng.normal(0, 5, 8)
+    draws = lambda mean, noise: dict(enumerate((20 + mean + common + noise * rng.normal(size=8)).tolist()))  # noqa: E731
+    # paired: a difference of 1 stands out although each method scatters by 5
+    assert significantly_best({"a": draws(0, 0.1), "b": draws(1, 0.1), "c": draws(3, 0.1)}) == "a"
+    assert significantly_best({"a": draws(0, 3.0), "b": draws(0.1, 3.0)}) is None
+    assert significantly_best({"a": draws(0, 0.1)}) is None
+    assert significantly_best({"a": {0: 1.0}, "b": {0: 2.0}}) is None, "one draw tells nothing"
+    assert significantly_best({"a": {0: 1.0, 1: 1.0}, "b": {0: 1.0, 1: 1.0}}) is None
+    assert significantly_best({"a": {0: 1.0, 1: 1.5}, "b": {0: np.nan, 1: np.nan}}) is None
+
+
+def test_false_marks_are_rare():
+    rng = np.random.default_rng(2)
+    tables = [{name: dict(enumerate(rng.normal(size=6).tolist())) for name in "abc"} for _ in range(400)]
+    assert sum(significantly_best(table) is not None for table in tables) < 0.1 * len(tables)
+
+
+def test_rows_are_selected_and_scaled():
+    rows = [row("a", 0, 0.1), row("b", 0, None), row("a", 1, 0.2)]
+    assert len(select(rows, method="a", seed=1)) == 1
+    assert draws_of(select(rows, method="a"), "nad", 100) == {0: 10.0, 1: 20.0}
+    assert np.isnan(draws_of(select(rows, method="b"), "nad")[0])
+
+
+def text_of(table: object) -> str:
+    console = Console(width=120)
+    with console.capture() as captured:
+        console.print(table)
+    return captured.get()
+
+
+def test_a_table_has_ours_the_papers_and_the_truths():
+    rows = [row("hidden_states", s, 0.01 + 0.001 * s) for s in range(5)]
+    rows += [row("random_search", s, 0.4 + 0.01 * s) for s in range(5)]
+    rows += [row("random_search_M", s, None) for s in range(5)]
+    text = text_of(metric_table(rows, NAD, "own_weight", "ft300s", ["L2"]))
+    assert "1.2±0.2*" in text
+    assert "paper 7.3" in text
+    assert "paper 46.4" in text
+    assert "underdetermined" in text
+    assert text.count("paper") == 2, "a variant of ours has no figure in the paper"
+    distance = text_of(metric_table(rows, METRICS[1], "own_weight", "ft300s", ["L2"]))
+    assert "the true masses" in distance
+    assert "0.5±0.0" in distance
+
+
+def test_the_papers_tables_are_whole():
+    assert {name: len(row) for name, row in paper.NAD.items()} == dict.fromkeys(paper.NAD, 6)
+    assert {name: len(row) for name, row in paper.MPD.items()} == dict.fromkeys(paper.NAD, 8)
+    assert_allclose(sum(paper.NAD["diff_lcp"].values()), 283.3)
+    assert_allclose(sum(paper.MPD["hidden_states"].values()), 11.6)
+
+
+@pytest.mark.slow
+def test_the_heatmap_shows_every_group_of_every_object_and_method(tmp_path):
+    rows = [row(m, s, e, name) for name in ("L2", "hammer") for m, e in (("good", 0.01), ("bad", 0.5)) for s in (0, 1)]
+    rows += [row("silent", 0, None, name) for name in ("L2", "hammer")]
+    shapes = {name: load_object(name).shape for name in ("L2", "hammer")}
+    figure = absolute_difference(rows, shapes, "own weight, ft300s")
+    panels, bar = figure.axes[:6], figure.axes[6]
+    numbers = [[t.get_text() for t in axis.texts] for axis in panels]
+    assert [len(n) for n in numbers] == [6, 6, 1, 2, 2, 1]
+    assert numbers[1][0] == f"{0.5 * load_object('L2').group_mass[0]:.2f}"
+    assert numbers[2] == ["no answer"]
+    assert "kg" in bar.get_ylabel()
+    colours = panels[1].collections[0].get_array()
+    assert colours is not None
+    assert_allclose(np.unique(colours), np.unique(0.5 * load_object("L2").group_mass))
+    assert all(axis.collections[0].norm is panels[0].collections[0].norm for axis in (panels[1], panels[3]))
+    save_figure(figure, tmp_path / "deep" / "map")
+    assert (tmp_path / "deep" / "map.pdf").read_bytes().startswith(b"%PDF")
+    assert (tmp_path / "deep" / "map.png").read_bytes().startswith(b"\x89PNG")
+    assert len(list((tmp_path / "deep").iterdir())) == 2

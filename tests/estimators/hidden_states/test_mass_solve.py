@@ -1,0 +1,146 @@
+"""Mass and friction from hidden states: exact from exact ones, and honest about what they leave open."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from estimators.hidden_states.inertia import PivotInertia
+from estimators.hidden_states.masses import MassSolution, feet_of, solve_masses
+from estimators.testing.analytic_world import drawn_object
+from testbed.objects.blocks import block_object, parse_layout
+from testbed.objects.files import load_object
+from testbed.objects.model import GRAVITY, ObjectModel
+
+PRECISE = 1e-6
+"""Error of every load, N, and of the weight, kg, where the hidden states are exact."""
+
+
+def exact_loads(obj: ObjectModel) -> tuple[tuple[tuple[int, int], ...], np.ndarray]:
+    """Pairs of groups in contact and s = mu m g of one particle of each, all weight on the pair's own feet, N."""
+    shape = obj.shape
+    both = zip(shape.mass_group.tolist(), shape.friction_group.tolist(), strict=True)
+    pairs = tuple(sorted({pair for pair in both if pair[1] >= 0}))
+    feet = np.bincount(shape.mass_group[shape.friction_group >= 0], minlength=shape.n_m)
+    weight = obj.group_mass * GRAVITY / np.maximum(feet, 1)
+    return pairs, np.array([obj.truth.friction[f] * weight[m] for m, f in pairs])
+
+
+def exact_pivots(obj: ObjectModel, error: float = 1e-8) -> PivotInertia:
+    """I_j about every grasp, kg m^2."""
+    points = np.array([grasp.position for grasp in obj.shape.grasps])
+    squares = np.sum((obj.shape.particles - points[:, None]) ** 2, axis=2) + obj.shape.cell**2 / 6
+    return PivotInertia(points, squares @ obj.particle_mass, np.full(len(points), error**2))
+
+
+def solved(obj: ObjectModel, pivots: PivotInertia | None) -> MassSolution:
+    pairs, loads = exact_loads(obj)
+    return solve_masses(obj.shape, obj.total_mass, PRECISE, pairs, loads, PRECISE**2 * np.eye(len(loads)), pivots)
+
+
+def grouped(layout: list[str], friction: list[float], groups: list[int]) -> ObjectModel:
+    """Six blocks of different mass in given friction groups."""
+    mass = [0.4, 0.1, 0.2, 0.3, 0.4, 0.2]
+    cells = parse_layout(layout)
+    return block_object("o", cells, size=0.05, height=0.03, mass=mass, friction=friction, friction_group=groups, grid=3)
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize("groups", [1, 2, 3])
+def test_exact_hidden_states_give_exact_masses(groups, seed):
+    obj = drawn_object(seed, friction_groups=groups)
+    found = solved(obj, exact_pivots(obj))
+    assert_allclose(found.distribution.mass, obj.truth.mass, rtol=1e-9)
+    assert_allclose(found.distribution.friction, obj.truth.friction, rtol=1e-9)
+    assert found.rank == found.unknowns == obj.shape.n_m + obj.shape.n_mu
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_one_friction_needs_the_weight_alone(seed):
+    obj = drawn_object(seed)
+    found = solved(obj, None)
+    assert_allclose(found.distribution.mass, obj.truth.mass, rtol=1e-9)
+    assert found.rank == found.unknowns
+
+
+def test_a_block_that_stands_on_part_of_itself_weighs_all_of_it():
+    whole = load_object("L2")
+    friction_group = np.array(whole.shape.friction_group)
+    friction_group[::2] = -1
+    obj = replace(whole, shape=replace(whole.shape, friction_group=friction_group))
+    found = solved(obj, exact_pivots(obj))
+    assert_allclose(found.distribution.mass, obj.truth.mass, rtol=1e-9)
+    pairs, _ = exact_loads(obj)
+    assert feet_of(obj.shape, pairs).sum() == (friction_group >= 0).sum()
+
+
+@pytest.mark.parametrize(
+    ("name", "layout", "most"),
+    [("I", ["111111"], 3), ("L", ["1", "1", "1", "111"], 4), ("F", ["10", "11", "10", "11"], 4)],
+)
+def test_as_many_frictions_as_claimed_are_told_apart_and_no_more(name, layout, most):
+    for count in (most, most + 1):
+        groups = [i % count for i in range(6)]
+        obj = grouped(layout, np.linspace(0.3, 0.7, count).tolist(), groups)
+        found = solved(obj, exact_pivots(obj))
+        assert (found.rank == found.unknowns) == (count == most), name
+
+
+@pytest.mark.parametrize("groups", [1, 2])
+def test_the_covariance_is_the_scatter_of_the_answers(groups):
+    obj = drawn_object(0, friction_groups=groups)
+    pairs, loads = exact_loads(obj)
+    pivots = exact_pivots(obj, error=1e-5)
+    rng = np.random.default_rng(0)
+    root = 1e-4 * (np.eye(len(loads)) + 0.3 * rng.normal(size=(len(loads), len(loads))))
+    found, claimed = [], []
+    for _ in range(400):
+        drawn = replace(pivots, inertia=pivots.inertia + 1e-5 * rng.normal(size=len(pivots.inertia)))
+        weight = obj.total_mass + 1e-3 * rng.normal()
+        noisy = loads + root @ rng.normal(size=len(loads))
+        solution = solve_masses(obj.shape, weight, 1e-3, pairs, noisy, root @ root.T, drawn)
+        found.append(solution.distribution.mass)
+        claimed.append(solution.covariance)
+    mean = np.mean(claimed, axis=0)
+    scale = np.sqrt(np.diag(mean))
+    # a standard deviation from 400 draws is good to 4 %, a correlation to 0.05
+    assert_allclose(np.std(found, axis=0), scale, rtol=0.15)
+    assert_allclose(np.corrcoef(np.array(found).T), mean / np.outer(scale, scale), atol=0.2)
+
+
+def test_two_frictions_without_inertia_are_not_of_full_rank():
+    obj = drawn_object(0, friction_groups=2)
+    found = solved(obj, None)
+    assert found.rank == found.unknowns - 1
+    assert np.isinf(np.diag(found.covariance)).any()
+
+
+def test_every_mass_that_a_blind_direction_moves_has_infinite_variance():
+    # one group heavier, the other lighter: no mass keeps still in it
+    found = solved(drawn_object(0, friction_groups=2), None)
+    assert np.isinf(np.diag(found.covariance)).all()
+
+
+def test_the_mass_of_a_frictionless_group_comes_from_weight_and_inertia():
+    obj = grouped(["1", "1", "1", "111"], [0.5, 0.0], [0, 0, 0, 0, 0, 1])
+    found = solved(obj, exact_pivots(obj))
+    assert_allclose(found.distribution.mass, obj.truth.mass, rtol=1e-6)
+    assert_allclose(found.distribution.friction, obj.truth.friction, atol=1e-6)
+
+
+def test_a_nearly_frictionless_group_is_no_trouble():
+    obj = grouped(["1", "1", "1", "111"], [0.5, 1e-5], [0, 0, 0, 0, 0, 1])
+    found = solved(obj, exact_pivots(obj))
+    assert_allclose(found.distribution.mass, obj.truth.mass, rtol=1e-6)
+
+
+def test_no_mass_is_below_zero_when_the_loads_are_noise():
+    obj = drawn_object(0)
+    pairs, loads = exact_loads(obj)
+    loads = np.where(np.arange(len(loads)) == 2, 0.0, loads)
+    found = solve_masses(obj.shape, obj.total_mass, PRECISE, pairs, loads, 1e-4 * np.eye(len(loads)), None)
+    assert (found.distribution.mass >= 0).all()
+    assert found.distribution.mass[2] == pytest.approx(0, abs=1e-9)

@@ -1,0 +1,230 @@
+"""Bias, grasp offset and the table's grain as unknowns beside the masses, in a world of exact Coulomb friction."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from numpy.testing import assert_allclose
+
+from estimators.base import Estimate
+from estimators.evaluation.metrics import normalized_absolute_difference
+from estimators.hidden_states.algorithm import HiddenStatesEstimator
+from estimators.hidden_states.friction import (
+    FrictionEquations,
+    LoadGroups,
+    closed_form_covariance,
+    friction_equations,
+)
+from estimators.hidden_states.nuisance import UNKNOWNS, JointLoads, Layout, Nuisances, corrected
+from estimators.particles.errors import ModelErrors
+from estimators.particles.model import ParticleModel, inertia_of
+from estimators.particles.windows import Observations, observe
+from estimators.testing.analytic_world import accelerated, drawn_object, felt, turns
+from testbed.actions.base import Rotate
+from testbed.errors import InvalidValueError
+from testbed.objects.files import load_object
+from testbed.objects.model import ObjectModel
+from testbed.trajectory import Trajectory
+from tests.fakes.flawed_bench import GRAIN, at_tcp, biased, held_beside, on_grain
+
+EXACT = HiddenStatesEstimator(
+    pivot_error=0.0,
+    force_error=0.0,
+    torque_error=0.0,
+    height_error=0.0,
+    lift_error=0.0,
+    inertia_error=0.0,
+    refinements=6,
+    offset_error=0.01,
+)
+"""In this world there are no other errors."""
+BIAS = np.array([0.2, -0.15, 0, 0, 0, 0.01])
+
+
+def flawed(obj: ObjectModel, kinds: tuple[str, ...], seed: int = 0, noise: float = 0.0) -> tuple[list, np.ndarray]:
+    """Turns there and back about three points in every grasp, and the true offset of each."""
+    rng = np.random.default_rng(seed)
+    trials, offsets = [], []
+    for grasp in range(len(obj.shape.grasps)):
+        for beside in obj.shape.cell / 2 * np.array([(1, 1), (-3, 1), (1, -5)]):
+            point = obj.shape.grasps[grasp].position + beside
+            action = Rotate(grasp, duration=4.0, pivot=(float(point[0]), float(point[1])), back=True)
+            offset = 0.002 * rng.uniform(-1, 1, 2) if "grasp_offset" in kinds else np.zeros(2)
+            trial = held_beside(obj, action, offset, noise=noise, seed=len(trials) + 100 * seed)
+            trial = replace(trial, action=action)
+            if "anisotropy" in kinds:
+                trial = on_grain(obj, trial, *GRAIN, offset=offset)
+            if "bias" in kinds:
+                trial = biased(trial, BIAS * rng.uniform(-1, 1, 6))
+            trials.append(trial)
+            offsets.append(offset)
+    return trials, np.array(offsets)
+
+
+def ask(obj: ObjectModel, trials: list[Trajectory], estimator: HiddenStatesEstimator) -> Estimate:
+    return estimator.estimate(obj.shape, obj.total_mass, trials, 0)
+
+
+def nad(obj: ObjectModel, answer: Estimate) -> float:
+    assert answer.distribution is not None, answer.message
+    return normalized_absolute_difference(obj.shape, answer.distribution, obj.truth)
+
+
+@pytest.mark.parametrize("kinds", [(kind,) for kind in UNKNOWNS] + [UNKNOWNS])
+@pytest.mark.parametrize("obj", [load_object("L2"), drawn_object(2)], ids=["L2", "drawn"])
+def test_what_the_bench_hides_is_recovered_with_the_masses(obj, kinds):
+    trials, offsets = flawed(obj, kinds)
+    answer = ask(obj, trials, replace(EXACT, unknown=kinds))
+    found = answer.diagnostics
+    assert nad(obj, answer) < 1e-3
+    unaware = ask(obj, trials, HiddenStatesEstimator())
+    assert unaware.status == "contradictory" or nad(obj, unaware) > 3e-3
+    assert answer.identifiability is not None
+    assert len(answer.identifiability.bench) == len(kinds)
+    assert all(said.endswith("seen") for said in answer.identifiability.bench)
+    if "grasp_offset" in kinds:
+        names = [f"grasp_offset_{trial}_{axis}_m" for trial in range(len(trials)) for axis in "xy"]
+        assert_allclose([found[name] for name in names], offsets.ravel(), atol=2e-5)
+    if "anisotropy" in kinds:
+        assert_allclose((found["friction_ratio"], found["friction_axis_rad"]), GRAIN, rtol=2e-3)
+
+
+def test_the_bias_of_every_trial_is_found():
+    obj = load_object("I2")
+    trials = [biased(t, k * BIAS) for k, t in enumerate(turns(obj))]
+    found = ask(obj, trials, replace(EXACT, unknown=("bias",))).diagnostics
+    for k in range(len(trials)):
+        given = [found[f"bias_{k}_{axis}"] for axis in ("fx_N", "fy_N", "tz_Nm")]
+        assert_allclose(given, at_tcp(trials[k], k * BIAS)[[0, 1, 5]], atol=1e-5)
+        assert 0 < found[f"bias_{k}_fx_N_error"] < 1e-3
+
+
+def test_one_way_a_bias_passes_for_friction():
+    obj = load_object("L2")
+    one_way = [felt(obj, replace(t.action, back=False)) for t in turns(obj) if isinstance(t.action, Rotate)]
+    asked = replace(EXACT, unknown=("bias",))
+    answer = ask(obj, one_way, asked)
+    assert answer.status == "underdetermined"
+    assert answer.distribution is None
+    assert "one way" in answer.message
+    errors = [value for name, value in answer.diagnostics.items() if name.endswith("_error")]
+    assert len(errors) == 3 * len(one_way)
+    assert np.isinf(errors).all()
+    assert answer.identifiability is not None
+    assert np.isinf(answer.identifiability.standard_error).all()
+    assert "bias of trials 0, 1, 2, 3 and 4 not at all" in answer.identifiability.sentence
+    # among turns there and back the friction is known, and so is what one way shows beyond it
+    mixed = ask(obj, [*turns(obj), biased(one_way[0], BIAS)], asked)
+    assert nad(obj, mixed) < 1e-3
+    assert_allclose(mixed.diagnostics["bias_5_fx_N"], at_tcp(one_way[0], BIAS)[0], atol=1e-4)
+
+
+def test_an_offset_that_is_not_seen_is_said_to_be_as_open_as_before():
+    obj = load_object("F2")
+    answer = ask(obj, turns(obj) + accelerated(obj), replace(EXACT, unknown=UNKNOWNS, offset_error=1e-6))
+    assert answer.identifiability is not None
+    assert "grasp offset of trials 0, 1, 2 and 3 no closer" in answer.identifiability.sentence
+    assert np.isinf(answer.diagnostics["grasp_offset_0_x_m_error"])
+    assert answer.hidden is not None
+    assert "grasp offset of trials 0, 1, 2 and 3 no closer" in answer.hidden.unobserved
+    assert "bias" not in answer.hidden.unobserved
+
+
+def test_slopes_are_those_of_finite_differences():
+    system, equations, windows, layout = linear(drawn_object(0))
+    model_loads = torch.tensor(some_loads(drawn_object(0)))
+    apart = torch.linalg.inv(system.system.whiten)
+
+    def missing(at: torch.Tensor) -> torch.Tensor:
+        found = equations(corrected(windows, layout.spread(at)))
+        return found.b - found.q @ model_loads
+
+    for k, step in enumerate(1e-5 * layout.whole):
+        to = torch.zeros(len(layout.names), dtype=torch.float64)
+        to[k] = step
+        slope = (missing(system.at + to) - missing(system.at - to)) / (2 * step)
+        assert_allclose(apart @ system.slopes[:, k], slope, rtol=1e-5, atol=1e-6 * float(slope.abs().max()))
+
+
+def test_an_unknown_of_known_size_is_as_good_as_an_error_of_that_size():
+    system = linear(drawn_object(0), Nuisances(UNKNOWNS, bias=0.02))[0]
+    added = system.slopes @ torch.diag(system.layout.width**2) @ system.slopes.T
+    q = system.system.q
+    information = q.T @ torch.linalg.solve(torch.eye(len(added), dtype=torch.float64) + added, q)
+    assert_allclose(closed_form_covariance(system.reduced()), torch.linalg.inv(information), rtol=1e-6)
+
+
+def some_loads(obj: ObjectModel) -> np.ndarray:
+    return np.linspace(0.05, 0.2, len(LoadGroups.of(ParticleModel.of(obj.shape)).pairs))
+
+
+def linear(obj: ObjectModel, nuisances: Nuisances = Nuisances(UNKNOWNS)) -> tuple:  # noqa: B008
+    """A system about a bench with some of everything, its equations, windows and layout."""
+    windows = observe(obj.shape, turns(obj, noise=0.05))
+    assert windows is not None
+    model, mass = ParticleModel.of(obj.shape), torch.tensor(obj.particle_mass)
+
+    def equations(these: Observations) -> FrictionEquations:
+        friction = model.particle_friction(torch.tensor(obj.truth.friction))
+        return friction_equations(
+            model,
+            LoadGroups.of(model),
+            these,
+            mass,
+            friction,
+            inertia_of(model, mass),
+            obj.shape.height,
+            ModelErrors(pivot_error=1e-4, force_error=1e-3, torque_error=1e-3),
+        )
+
+    layout = Layout.of(nuisances, windows)
+    at = 0.1 * layout.whole * torch.linspace(-1, 1, len(layout.whole))
+    return JointLoads.of(equations, windows, layout, at, some_loads(obj)), equations, windows, layout
+
+
+def test_errors_are_the_scatter():
+    obj = drawn_object(2)
+    names = [f"bias_{t}_{axis}" for t in range(2) for axis in ("fx_N", "fy_N", "tz_Nm")]
+    off = []
+    for seed in range(12):
+        trials = [felt(obj, t.action, noise=0.3, seed=1000 * seed + i) for i, t in enumerate(turns(obj))]  # pyright: ignore[reportArgumentType]
+        found = ask(obj, trials, replace(EXACT, unknown=("bias",), refinements=1)).diagnostics
+        off.append([found[name] / found[f"{name}_error"] for name in names])
+    assert 0.75 < np.sqrt(np.mean(np.square(off))) < 1.25
+
+
+def test_masses_and_frictions_are_never_negative():
+    obj = load_object("F2")
+    trials = [biased(t, BIAS) for t in turns(obj, noise=1.0)]
+    answer = ask(obj, trials + accelerated(obj, noise=1.0), HiddenStatesEstimator(unknown=UNKNOWNS))
+    assert answer.distribution is not None
+    assert (answer.distribution.mass >= 0).all()
+    assert (answer.distribution.friction >= 0).all()
+
+
+def test_where_nothing_is_asked_nothing_changes():
+    obj = drawn_object(1)
+    trials = turns(obj, noise=0.1) + accelerated(obj, noise=0.1)
+    plain = ask(obj, trials, HiddenStatesEstimator()).distribution
+    other = ask(obj, trials, HiddenStatesEstimator(offset_error=0.1, grain_error=1.0)).distribution
+    assert plain is not None
+    assert other is not None
+    assert np.array_equal(plain.mass, other.mass)
+    windows = observe(obj.shape, trials)
+    assert windows is not None
+    same = corrected(windows, torch.zeros(len(windows), 7, dtype=torch.float64))
+    model = ParticleModel.of(obj.shape)
+    for one, two in zip(same.drag_rows(model, 1e-4), windows.drag_rows(model, 1e-4), strict=True):
+        assert_allclose(one, two, atol=1e-14)
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [{"unknown": ("yaw",)}, {"unknown": "bias"}, {"unknown": ("bias", "bias")}, {"offset_error": 0.0}],
+)
+def test_wrong_settings_are_refused(settings):
+    with pytest.raises(InvalidValueError, match=r"unknown: .*bias, grasp_offset, anisotropy|offset_error: .*> 0"):
+        HiddenStatesEstimator(**settings)

@@ -1,0 +1,185 @@
+"""What can be known: open directions by name, the bound against the scatter, infinity where nothing is seen."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from estimators.action_selection.rank import between_particles
+from estimators.hidden_states.algorithm import HiddenStatesEstimator
+from estimators.identifiability.information import Question, expected, information_root, observed
+from estimators.identifiability.predicted import planned_observations
+from estimators.identifiability.report import identifiability
+from estimators.testing.analytic_world import accelerated, drawn_object, turns
+from testbed.actions.base import Accelerate, Action, Rotate, Slide, Weigh
+from testbed.errors import InvalidValueError
+from testbed.objects.files import load_object
+from testbed.objects.model import ObjectModel
+from testbed.sensing.presets import preset
+
+NAMES = ("I1", "I2", "L1", "L2", "F1", "F2")
+
+
+def all_turns(obj: ObjectModel) -> list[Action]:
+    shape = obj.shape
+    beside = [between_particles(shape, grasp.position) for grasp in shape.grasps]
+    back_and_forth = [Rotate(g, pivot=pivot, back=True) for g, pivot in enumerate(beside)]
+    return [Weigh(), *map(Accelerate, range(len(shape.grasps))), *back_and_forth]
+
+
+def of_rows(rows: list[list[float]]):
+    """What rows of unit error over the masses of L2 and its friction show."""
+    obj = load_object("L2")
+    return identifiability(obj.shape, obj.truth, 1e3 * np.array(rows, dtype=float))
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_on_own_weight_every_mass_is_seen(name):
+    obj = load_object(name)
+    report = expected(obj.shape, obj.truth, all_turns(obj), preset("ft300s"))
+    assert report.rank == report.unknowns == obj.shape.n_m + 1
+    assert np.isfinite(report.standard_error).all()
+    assert report.unobservable == ()
+    assert report.sentence == "all 7 masses and frictions are seen"
+
+
+@pytest.mark.parametrize(("name", "rank"), [("I2", 4), ("L2", 5), ("F2", 5)])
+def test_under_one_rigid_body_only_weight_centre_and_inertia_are_seen(name, rank):
+    obj = load_object(name)
+    report = expected(obj.shape, obj.truth, all_turns(obj), preset("ideal"), Question("rigid"))
+    assert report.rank == rank
+    assert np.isinf(report.standard_error).all()
+    of_mass = report.open_directions[:, :-1]
+    middles = np.array([obj.shape.particles[obj.shape.mass_group == g].mean(axis=0) for g in range(obj.shape.n_m)])
+    assert_allclose(of_mass.sum(axis=1), 0, atol=1e-6)
+    assert_allclose(of_mass @ middles, 0, atol=1e-6)
+    assert_allclose(of_mass @ (middles**2).sum(axis=1), 0, atol=1e-6)
+    assert_allclose(report.open_directions[:, -1], 0, atol=1e-6)
+
+
+def test_open_directions_of_f2_under_one_rigid_body_by_name():
+    obj = load_object("F2")
+    report = expected(obj.shape, obj.truth, all_turns(obj), preset("ft300s"), Question("rigid"))
+    assert report.unobservable == ("the combination A1 - B1 - A3 + B3", "the combination A1 - 3 A2 + 3 A3 - A4")
+
+
+def test_masses_that_only_change_places_are_named_as_a_sum():
+    sums = of_rows([[1, 0, 0, 0, 0, 0, 0], [0, 1, 1, 0, 0, 0, 0], [0, 0, 0, 1, 1, 1, 0], [0, 0, 0, 0, 0, 0, 1]])
+    assert sums.unobservable == ("B1 and C1 only as a sum", "A2, A3 and A4 only as a sum")
+    assert np.isinf(sums.standard_error).tolist() == [False, True, True, True, True, True]
+    assert (sums.rank, sums.unknowns) == (4, 7)
+
+
+def test_a_mass_that_nothing_touches_is_named_alone():
+    rows = np.eye(7)[[0, 1, 2, 3, 4, 6]]
+    assert of_rows(rows.tolist()).unobservable == ("A4 not at all",)
+
+
+def test_an_error_as_large_as_the_object_is_no_observation():
+    obj = load_object("L2")
+    rows = np.eye(7) * 100.0
+    rows[0, 0] = 1e-3
+    found = identifiability(obj.shape, obj.truth, rows)
+    assert found.unobservable == ("A1 not at all",)
+    assert np.isinf(found.standard_error[0])
+
+
+def test_slides_show_the_friction_and_the_centre_only():
+    obj = load_object("L2")
+    slides = [Slide(g, direction) for g in range(len(obj.shape.grasps)) for direction in (0.0, 1.0, 2.0)]
+    report = expected(obj.shape, obj.truth, slides, preset("ft300s"))
+    assert report.rank == 4
+
+
+def test_nothing_but_a_weighing_shows_the_weight():
+    obj = load_object("L2")
+    report = expected(obj.shape, obj.truth, [Weigh()], preset("ft300s"))
+    assert report.rank == 1
+    assert np.isinf(report.standard_error).all()
+
+
+def test_a_better_sensor_and_more_trials_show_more():
+    obj = load_object("L2")
+    errors = {
+        name: expected(obj.shape, obj.truth, all_turns(obj), preset(name)).standard_error
+        for name in ("ideal", "low", "ft300s", "high")
+    }
+    assert (errors["ideal"] < errors["low"]).all()
+    assert (errors["low"] < errors["high"]).all()
+    twice = expected(obj.shape, obj.truth, 2 * all_turns(obj), preset("ft300s")).standard_error
+    assert (twice < errors["ft300s"]).all()
+
+
+def test_a_plan_says_what_the_trials_then_say():
+    obj = drawn_object(0)
+    actions = [t.action for t in (*accelerated(obj), *turns(obj))]
+    seen = observed(obj.shape, obj.truth, [*accelerated(obj), *turns(obj)])
+    quiet = replace(preset("ideal"), scale=Question().stated.weight_error)
+    planned = expected(obj.shape, obj.truth, actions, quiet)
+    # a record trims its stretches by whole samples, and its slopes are measured
+    assert_allclose(planned.standard_error, seen.standard_error, rtol=0.05)
+
+
+def test_the_root_is_the_derivative_of_what_is_felt():
+    obj = drawn_object(1)
+    windows = planned_observations(obj.shape, all_turns(obj), preset("ft300s"))
+    assert windows is not None
+    root = information_root(obj.shape, obj.truth, windows, Question())
+    assert root.shape == (1 + 3 * int((~windows.accelerated).sum()) + len(obj.shape.grasps), obj.shape.n_m + 1)
+    assert root[0] @ np.append(obj.truth.mass, 0.0) == pytest.approx(obj.total_mass / Question().stated.weight_error)
+    # drag is bilinear: what scales all masses up scales the friction down
+    felt = root[1 : 1 + 3 * int((~windows.accelerated).sum())]
+    assert_allclose(felt[:, :-1] @ obj.truth.mass, felt[:, -1] * obj.truth.friction[0], rtol=1e-6, atol=1e-6)
+
+
+def test_every_answer_carries_the_report():
+    obj = load_object("L2")
+    answer = HiddenStatesEstimator().estimate(obj.shape, obj.total_mass, [*accelerated(obj), *turns(obj)], 0)
+    report = answer.identifiability
+    assert report is not None and answer.covariance is not None
+    assert report.rank == report.unknowns
+    particles = np.sqrt(np.diagonal(answer.covariance))
+    assert_allclose(report.standard_error, particles * obj.shape.particles_per_group)
+
+
+def test_too_few_turns_say_what_they_leave_open():
+    obj = load_object("L2")
+    answer = HiddenStatesEstimator().estimate(obj.shape, obj.total_mass, turns(obj, [0]), 0)
+    report = answer.identifiability
+    assert answer.status == "underdetermined"
+    assert report is not None
+    assert report.rank < report.unknowns
+    assert report.unobservable
+    assert np.isinf(report.standard_error).any()
+
+
+def test_a_grasp_that_is_not_there_is_refused():
+    obj = load_object("L2")
+    with pytest.raises(InvalidValueError, match="one of the shape's 5 grasps"):
+        expected(obj.shape, obj.truth, [Rotate(9)], preset("ideal"))
+    with pytest.raises(InvalidValueError, match="own_weight, rigid"):
+        Question("floating")
+
+
+@pytest.mark.parametrize("name", ["L2", "F2"])
+def test_answers_scatter_as_the_bound_says(name):
+    """In a world of exact Coulomb friction with white noise, Algorithm 1 reaches the Cramer-Rao bound."""
+    obj = load_object(name)
+    exact = HiddenStatesEstimator(
+        force_error=0.0, torque_error=0.0, pivot_error=0.0, height_error=0.0, lift_error=0.0, weight_error=1e-6
+    )
+    off, noisy = [], []
+    for seed in range(40):
+        noisy = []
+        for i, turn in enumerate(turns(obj)):
+            rng = np.random.default_rng([seed, i])
+            noise = 0.2 * np.array([1, 1, 1, 0.1, 0.1, 0.1]) * rng.standard_normal((len(turn.time_s), 6))
+            noisy.append(replace(turn, wrench_on_object_world=turn.wrench_on_object_world + noise))
+        answer = exact.estimate(obj.shape, obj.total_mass, noisy, 0)
+        assert answer.distribution is not None
+        off.append((answer.distribution.mass - obj.truth.mass) * obj.shape.particles_per_group)
+    last = observed(obj.shape, obj.truth, noisy, Question(errors=exact))
+    assert_allclose(np.sqrt(np.mean(np.square(off), axis=0)), last.standard_error, rtol=0.35)

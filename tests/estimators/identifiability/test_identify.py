@@ -1,0 +1,86 @@
+"""`heft identify`: the actions it plans, what it prints, what it draws."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from scenarios.cli.identify import Wish, planned_actions
+from scenarios.cli.main import main
+from testbed.actions.base import Accelerate, Lift, Rotate, Slide, Weigh
+from testbed.errors import InvalidValueError
+from testbed.objects.files import load_object
+from viz.figures.maps import error_figure
+
+
+def test_the_plan_is_the_policys():
+    actions = planned_actions(load_object("L2"), Wish(slides=3, duration=9.0))
+    kinds = [type(action) for action in actions]
+    assert [kinds.count(kind) for kind in (Weigh, Accelerate, Rotate, Slide)] == [1, 6, 6, 3]
+    assert all(a.back and a.duration == 9.0 for a in actions if isinstance(a, Rotate))
+    directions = [a.direction for a in actions if isinstance(a, Slide)]
+    assert len(set(directions)) == 3
+
+
+def test_only_the_grasps_that_are_named_are_used():
+    model = load_object("L2")
+    name = model.shape.grasps[1].name
+    actions = planned_actions(model, Wish(grasps=(name,)))
+    assert {a.grasp for a in actions if not isinstance(a, Weigh)} == {1}
+    with pytest.raises(InvalidValueError, match="grasps of L2: "):
+        planned_actions(model, Wish(grasps=("nose",)))
+
+
+def test_lifts_are_of_inner_grasps_and_of_rigid_bodies_alone():
+    model = load_object("I2")
+    actions = planned_actions(model, Wish(support="rigid", lifts=3))
+    assert [a.grasp for a in actions if isinstance(a, Lift)] == [2, 3, 1]
+    for wrong in (Wish(support="rigid", lifts=-1), Wish(lifts=1)):
+        with pytest.raises(InvalidValueError, match="lifts"):
+            planned_actions(model, wrong)
+
+
+def test_a_lift_shows_two_more_of_an_f_and_leaves_one_way_open(capsys):
+    main(["identify", "F2", "--support", "rigid", "--lifts", "1"])
+    said = " ".join(capsys.readouterr().out.split())
+    assert "6 of 7 masses and frictions are seen" in said
+
+
+def test_it_says_what_is_seen(capsys):
+    main(["identify", "L2"])
+    said = capsys.readouterr().out
+    assert "L2, own_weight, ft300s: 1 weigh, 6 accelerate, 6 rotate" in said
+    assert "all 7 masses and frictions are seen" in said
+    main(["identify", "F2", "--support", "rigid"])
+    said = " ".join(capsys.readouterr().out.split())
+    assert "the combination A1 - B1 - A3 + B3" in said
+    assert said.count("not seen") == 12
+
+
+def test_a_weighing_alone_shows_one_direction(capsys):
+    main(["identify", "I1", "--pivots", "0"])
+    assert "1 of 7 masses and frictions are seen" in capsys.readouterr().out
+
+
+def test_a_sensor_that_is_not_there_is_refused(capsys):
+    with pytest.raises(SystemExit) as end:
+        main(["identify", "L2", "--sensing", "nose"])
+    assert end.value.code == 2
+    assert "one of ideal, ft300s" in capsys.readouterr().err
+
+
+def test_the_heatmap_is_written_whole(tmp_path, capsys):
+    main(["identify", "L2", "--out", str(tmp_path / "errors")])
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["errors.pdf", "errors.png"]
+    assert "errors.png" in capsys.readouterr().out
+
+
+def test_what_is_not_seen_is_hatched_and_said():
+    model = load_object("L2")
+    figure = error_figure(model, np.array([0.01, np.inf, 0.02, 0.03, 0.01, 0.01]), "some trials")
+    axis, bar = figure.axes
+    assert [text.get_text() for text in axis.texts] == ["3.3", "not seen", "6.7", "10.0", "3.3", "3.3"]
+    assert "standard error" in bar.get_xlabel()
+    hatched = [patches for patches in axis.collections if patches.get_hatch()]
+    assert len(hatched) == 1 and len(hatched[0].get_paths()) == 9
+    assert len(error_figure(model, np.full(6, np.inf), "nothing").axes) == 1

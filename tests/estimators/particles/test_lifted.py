@@ -1,0 +1,105 @@
+"""What lifts say of the masses, against a world of Newton's law alone."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from scipy.stats import chi2
+
+from estimators.hidden_states.algorithm import HiddenStatesEstimator
+from estimators.identifiability.predicted import planned_lift
+from estimators.particles.lifts import LiftErrors, lifted_rows
+from estimators.support_models.estimator import SupportAware
+from estimators.testing.analytic_world import accelerated, drawn_object, turns
+from testbed.actions.base import Lift
+from testbed.errors import InvalidValueError
+from testbed.objects.files import load_object
+from testbed.sensing.lift_windows import lift_windows
+from testbed.sensing.presets import preset
+from tests.fakes.lifted_world import lifted
+
+SHORT = Lift(0, hold=1.4)
+
+
+def quadratics(shape) -> np.ndarray:
+    """1, x, y, x^2, y^2 and x y of every particle, summed over its group, (6, n_m)."""
+    x, y = shape.particles.T
+    return np.array([np.bincount(shape.mass_group, v, shape.n_m) for v in (x * 0 + 1, x, y, x * x, y * y, x * y)])
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_lifts_show_six_numbers_and_all_six_are_right(seed):
+    obj = drawn_object(seed)
+    seen = lifted_rows(obj.shape, obj.total_mass, [lifted(obj, SHORT)])
+    numbers = quadratics(obj.shape)
+    assert len(seen.rows) == np.linalg.matrix_rank(numbers, tol=1e-9)
+    assert_allclose(
+        np.linalg.lstsq(numbers.T, seen.rows.T, rcond=None)[0].T @ numbers,
+        seen.rows,
+        atol=1e-4 * np.abs(seen.rows).max(),
+    )
+    assert_allclose(seen.rows @ obj.truth.mass, seen.values, atol=0.05)
+
+
+@pytest.mark.parametrize(("action", "rank"), [(Lift(0, tilt=0.0), 3), (Lift(0, swings=0), 3), (Lift(0), 5)])
+def test_held_still_it_shows_m_and_c_alone(action, rank):
+    obj = load_object("L2")
+    seen = lifted_rows(obj.shape, obj.total_mass, [lifted(obj, action, errors=1.0)])
+    strength = np.linalg.norm(seen.rows / obj.shape.particles_per_group, axis=1) * obj.total_mass
+    assert (strength > 5).sum() == rank
+
+
+def test_what_is_planned_is_what_is_recorded():
+    planned = planned_lift(SHORT, preset("ft300s"))
+    found = lift_windows(lifted(load_object("L2"), SHORT))
+    assert len(planned) == len(found)
+    for a, b in zip(planned, found, strict=True):  # a window may begin a sample earlier or later
+        assert_allclose(a.pull, b.pull, atol=5e-3)
+        assert_allclose(a.angular_acceleration, b.angular_acceleration, atol=1e-3)
+        assert_allclose(a.spin_products, b.spin_products, atol=0.015)
+        assert_allclose(np.diff(a.since_tare), np.diff(b.since_tare), atol=0.015)
+
+
+@pytest.mark.slow
+def test_its_errors_are_as_large_as_they_are_said_to_be():
+    """Bias, noise, and an offset in the grip, drawn as told: squared misses of the truth follow chi squared."""
+    obj, rng, misses, left = drawn_object(1), np.random.default_rng(0), [], []
+    said = LiftErrors()
+    for seed in range(24):
+        x, y, z = rng.standard_normal(3) * [said.grip, said.grip, said.height * obj.shape.height]
+        seen = lifted_rows(obj.shape, obj.total_mass, [lifted(obj, SHORT, offset=(x, y, z), errors=1.0, seed=seed)])
+        misses.append(np.sum((seen.values - seen.rows @ obj.truth.mass) ** 2))
+        left.append(seen.misfit / seen.freedom)
+    count = len(misses) * 6
+    assert chi2.cdf(np.sum(misses), count) < 0.995
+    assert np.sum(misses) > 0.3 * count
+    assert np.mean(left) < 1.2
+
+
+def test_what_is_no_lift_says_nothing_and_a_lift_is_nothing_to_others():
+    obj = load_object("L2")
+    table = [*turns(obj, rigid=True), *accelerated(obj, rigid=True)]
+    assert len(lifted_rows(obj.shape, obj.total_mass, table).rows) == 0
+    with_lift = [lifted(obj, SHORT), *table]
+    plain, beside = (HiddenStatesEstimator().estimate(obj.shape, obj.total_mass, t, 0) for t in (table, with_lift))
+    assert plain.distribution is not None and beside.distribution is not None
+    assert_allclose(beside.distribution.mass, plain.distribution.mass)
+    with pytest.raises(InvalidValueError, match="grasp"):
+        lifted_rows(obj.shape, obj.total_mass, [lifted(load_object("I2"), Lift(5))])
+
+
+@pytest.mark.parametrize("obj", [load_object("F2"), drawn_object(1)], ids=["F2", "U"])
+def test_a_lift_narrows_what_one_rigid_body_leaves_open(obj):
+    table = [*turns(obj, rigid=True, noise=0.05), *accelerated(obj, rigid=True, noise=0.05)]
+    lift = lifted(obj, SHORT, errors=1.0, seed=3)
+    error = []
+    for trials in (table, [*table, lift]):
+        answer = SupportAware().estimate(obj.shape, obj.total_mass, trials, 0)
+        assert answer.status == "assumption_violated" and answer.covariance is not None
+        ends = np.array(
+            [[answer.diagnostics[f"{end}_{g}_kg"] for g in range(obj.shape.n_m)] for end in ("least", "most")]
+        )
+        assert (ends[0] <= obj.group_mass).all() and (obj.group_mass <= ends[1]).all()
+        error.append(np.sqrt(np.diag(answer.covariance)).mean())
+    assert error[1] < 0.75 * error[0]

@@ -1,0 +1,261 @@
+"""Eq. problem on steady windows: predicted wrench, loss and gradient, against plain numpy and the dynamics."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from numpy.testing import assert_allclose
+
+from estimators.base import Estimate
+from estimators.particles.model import ParticleModel, inertia_of, one_step, rotate, turned
+from estimators.particles.support import own_weight
+from estimators.particles.windows import Observations, observe
+from estimators.particles.wrench import STEP, AffineLoads, Problem, WrenchModel
+from estimators.testing import analytic_world
+from estimators.testing.analytic_world import accelerated, drawn_object, felt, turns
+from testbed.actions.base import Slide
+from testbed.errors import InvalidValueError
+from testbed.objects.blocks import block_object, parse_layout
+from testbed.objects.model import GRAVITY, ObjectModel
+from testbed.trajectory import Trajectory
+
+CARRIED = {"lift": 0.4, "moment": (0.004, -0.003)}
+ROUNDING = 1e-12
+# Below this speed, m/s, `dynamics` fades the direction of friction; the windows are given the same blur
+REST_SPEED, SPEED = 1e-6, np.radians(10)
+
+
+def cut(grid: int, friction_groups: int = 1) -> ObjectModel:
+    """Five blocks of drawn masses, cut `grid` x `grid`."""
+    rng = np.random.default_rng(grid)
+    cells = parse_layout(["101", "111"])
+    return block_object(
+        "cut",
+        cells,
+        size=0.05,
+        height=0.03,
+        mass=rng.uniform(0.05, 0.6, len(cells)).tolist(),
+        friction=rng.uniform(0.2, 0.8, friction_groups).tolist(),
+        friction_group=[i % friction_groups for i in range(len(cells))],
+        grid=grid,
+    )
+
+
+def problem_of(obj: ObjectModel, trajectories: list[Trajectory], pivot_error: float = 0.0) -> Problem:
+    problem = Problem.of(obj.shape, obj.total_mass, trajectories, use_weight=False, pivot_error=pivot_error)
+    assert isinstance(problem, Problem), problem
+    return problem
+
+
+def truth(obj: ObjectModel) -> tuple[torch.Tensor, torch.Tensor]:
+    return torch.tensor(obj.truth.mass), torch.tensor(obj.truth.friction)
+
+
+def guesses(obj: ObjectModel, count: int, seed: int = 0) -> tuple[torch.Tensor, torch.Tensor]:
+    """Masses and frictions within a factor of two of the truth."""
+    rng = np.random.default_rng(seed)
+    return tuple(t * torch.tensor(rng.uniform(0.5, 2, (count, len(t)))) for t in truth(obj))  # pyright: ignore[reportReturnType]
+
+
+def one_foot_a_block(obj: ObjectModel, lever: np.ndarray, lift: float, moment: object) -> np.ndarray:
+    """Loads where a block stands on one foot, which carries no tilt: the analytic world has none for it."""
+    del moment
+    return obj.particle_mass * GRAVITY - lift * (np.linalg.norm(lever, axis=1) < 1e-9)
+
+
+def everything(obj: ObjectModel, **carried: Any) -> list[Trajectory]:
+    """Turns, accelerated turns and a slide."""
+    slide = felt(obj, Slide(0, direction=0.7, duration=2.5), **carried)
+    return [*turns(obj, **carried), *accelerated(obj, **carried), slide]
+
+
+@pytest.mark.parametrize("grid", [1, 2, 3, 4])
+@pytest.mark.parametrize("friction_groups", [1, 2, 3])
+def test_the_wrench_of_the_truth_is_the_one_felt(grid, friction_groups, monkeypatch):
+    if grid == 1:
+        monkeypatch.setattr(analytic_world, "_own_weight", one_foot_a_block)
+    obj = cut(grid, friction_groups)
+    problem = problem_of(obj, everything(obj, **CARRIED))
+    assert bool(problem.windows.accelerated.any())
+    predicted = problem.wrenches.wrench(*truth(obj))
+    assert_allclose(predicted, problem.windows.wrench, atol=1e-9 * problem.drag)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_wrench_of_drawn_objects_is_the_one_felt(seed):
+    obj = drawn_object(seed, friction_groups=2)
+    problem = problem_of(obj, everything(obj, **CARRIED))
+    assert_allclose(problem.wrenches.wrench(*truth(obj)), problem.windows.wrench, atol=1e-9 * problem.drag)
+
+
+@pytest.mark.parametrize("grid", [2, 3])
+def test_the_blur_of_the_pivot_is_all_that_it_changes(grid):
+    blur, obj = 2e-4, cut(grid)
+    problem = problem_of(obj, turns(obj), blur)
+    away = problem.windows.particle_velocity(problem.model).norm(dim=-1) / problem.windows.twist[:, 2:].abs()
+    load = problem.model.particle_friction(truth(obj)[1]) * problem.loads.at(truth(obj)[0])
+    largest = (load * blur**2 / (2 * away**2)).sum(-1, keepdim=True)
+    missing = (problem.wrenches.wrench(*truth(obj)) - problem.windows.wrench)[:, :2].abs()
+    assert (missing <= largest + 1e-9).all()
+    assert missing.max() > 1e-6
+
+
+def test_candidates_are_predicted_one_by_one_or_together():
+    obj = cut(2, 2)
+    problem = problem_of(obj, everything(obj))
+    mass, friction = guesses(obj, 12)
+    together, loss = problem.wrenches.wrench(mass, friction), problem.loss(mass, friction)
+    for k in range(12):
+        assert_allclose(problem.wrenches.wrench(mass[k], friction[k]), together[k], atol=ROUNDING)
+        assert_allclose(problem.loss(mass[k], friction[k]), loss[k], rtol=1e-9)
+    assert problem.loss(mass.reshape(3, 4, -1), friction.reshape(3, 4, -1)).shape == (3, 4)
+
+
+def stepped(problem: Problem, mass: torch.Tensor, friction: torch.Tensor) -> torch.Tensor:
+    """The loss by `dynamics.one_step`, from states built of the windows at some yaw."""
+    w, model = problem.windows, problem.model
+    inertia = inertia_of(model, model.particle_mass(mass))
+    drag = model.particle_friction(friction) * problem.loads.at(mass)
+    yaw = torch.linspace(-2, 3, len(w), dtype=torch.float64)
+    arm = inertia.com - w.grasp
+    velocity = torch.cat([rotate(yaw, w.twist[:, :2] + w.twist[:, 2:] * turned(arm)), w.twist[:, 2:]], -1)
+    change = torch.cat([rotate(yaw, w.com_acceleration(inertia.com)), w.acceleration[:, 2:]], -1)
+    pose = torch.cat([torch.ones(len(w), 2, dtype=torch.float64), yaw[:, None]], -1)
+    wrench = torch.cat([rotate(yaw, w.wrench[:, :2]), w.wrench[:, 2:]], -1)
+    after = torch.stack(
+        [
+            one_step(
+                model,
+                inertia,
+                drag[k : k + 1],
+                pose[k : k + 1],
+                velocity[k : k + 1],
+                wrench[k : k + 1],
+                w.grasp[k],
+                STEP,
+            )[0]
+            for k in range(len(w))
+        ]
+    )
+    return (after - velocity - STEP * change).square().sum(-1).mean()
+
+
+@pytest.mark.parametrize("friction_groups", [1, 2])
+def test_the_loss_is_the_velocity_error_of_the_dynamics_one_step_on(friction_groups):
+    obj = drawn_object(0, friction_groups=friction_groups)
+    steady = problem_of(obj, turns(obj, **CARRIED), pivot_error=REST_SPEED / SPEED)
+    both = problem_of(obj, everything(obj, **CARRIED))
+    for mass, friction in zip(*guesses(obj, 5), strict=True):
+        assert_allclose(steady.loss(mass, friction), stepped(steady, mass, friction), rtol=1e-9)
+        # an accelerated turn has no one speed at which to blur alike; its slowest particle moves at 1 mm/s or so
+        assert_allclose(both.loss(mass, friction), stepped(both, mass, friction), rtol=1e-6)
+
+
+@pytest.mark.parametrize("weighting", ["velocity", "covariance"])
+@pytest.mark.parametrize("seed", range(3))
+def test_the_truth_has_no_loss_and_everything_else_has(seed, weighting):
+    obj = drawn_object(seed, friction_groups=1 + seed % 2)
+    problem = problem_of(obj, everything(obj, **CARRIED))
+    assert float(problem.loss(*truth(obj), weighting)) < 1e-15
+    assert float(problem.loss(*guesses(obj, 50), weighting).min()) > 1e-7
+
+
+@pytest.mark.parametrize("grid", [1, 2, 3])
+def test_affine_loads_are_the_loads_of_the_support_model(grid, monkeypatch):
+    if grid == 1:
+        monkeypatch.setattr(analytic_world, "_own_weight", one_foot_a_block)
+    obj = cut(grid)
+    windows, model = observe(obj.shape, everything(obj, **CARRIED)), ParticleModel.of(obj.shape)
+    assert isinstance(windows, Observations)
+    loads = AffineLoads.of(obj.shape, model, windows)
+    masses = guesses(obj, 6)[0]
+    for mass, found in zip(masses, loads.at(masses), strict=True):
+        particle = model.particle_mass(mass)
+        pressed = windows.gripper_load(inertia_of(model, particle), obj.shape.height)
+        feet = own_weight(model.particles, model.mass_group, model.contact, particle, pressed)
+        assert_allclose(found, feet.loads(pressed), atol=1e-11)
+
+
+@pytest.mark.parametrize("weighting", ["velocity", "covariance"])
+def test_the_gradient_of_the_loss_is_that_of_finite_differences(weighting):
+    obj = cut(2, 2)
+    problem = problem_of(obj, everything(obj, **CARRIED))
+    mass, friction = (x.requires_grad_() for x in guesses(obj, 3, seed=4))
+    assert torch.autograd.gradcheck(lambda m, f: problem.loss(m, f, weighting), (mass, friction), eps=1e-7, rtol=1e-4)
+
+
+def test_the_wrench_is_linear_in_mass_and_in_friction():
+    obj = cut(2, 2)
+    problem = problem_of(obj, everything(obj))
+    (mass, other), (friction, another) = guesses(obj, 2)
+
+    def wrench(m: torch.Tensor, f: torch.Tensor) -> torch.Tensor:
+        return problem.wrenches.wrench(m, f)
+
+    zero = wrench(0 * mass, friction)
+    assert_allclose(wrench(mass + other, friction) + zero, wrench(mass, friction) + wrench(other, friction), atol=1e-11)
+    still = wrench(mass, 0 * friction)
+    assert_allclose(
+        wrench(mass, friction + another) + still, wrench(mass, friction) + wrench(mass, another), atol=1e-11
+    )
+
+
+def test_covariance_weighting_is_the_whitened_error():
+    obj = drawn_object(0)
+    problem = problem_of(obj, turns(obj, noise=0.05))
+    mass, friction = guesses(obj, 1)
+    error = (problem.windows.wrench - problem.wrenches.wrench(mass[0], friction[0])).flatten()
+    covariance = torch.linalg.inv(problem.whiten.T @ problem.whiten)
+    by_hand = error @ torch.linalg.solve(covariance, error) / len(error)
+    assert_allclose(problem.loss(mass[0], friction[0], "covariance"), by_hand, rtol=1e-6)
+    within = torch.stack([covariance[3 * k : 3 * k + 3, 3 * k : 3 * k + 3] for k in range(len(problem.windows))])
+    assert (torch.diagonal(within - problem.windows.covariance, dim1=-2, dim2=-1) > 0).all()
+
+
+def test_mass_is_known_by_weighing_or_by_an_acceleration_alone():
+    obj = drawn_object(0)
+    steady = problem_of(obj, turns(obj))
+    assert not steady.scale_known
+    assert problem_of(obj, turns(obj) + accelerated(obj, [0])).scale_known
+    told = Problem.of(obj.shape, obj.total_mass, turns(obj), use_weight=True, pivot_error=0.0)
+    assert isinstance(told, Problem)
+    assert told.scale_known
+    assert_allclose(told.typical_mass(torch.ones(3)) * len(obj.shape.particles), obj.total_mass)
+    # what the largest drag weighs at a friction; a turn beside the middle never feels the whole of it
+    light = steady.typical_mass(torch.tensor(obj.truth.friction)) * len(obj.shape.particles)
+    assert 0.3 * obj.total_mass < float(light[0]) <= obj.total_mass
+
+
+@pytest.mark.parametrize("weight", [None, 0.0, -1.0, float("nan"), float("inf")])
+def test_no_weight_is_refused_where_it_is_used_and_not_missed_where_it_is_not(weight):
+    obj = drawn_object(0)
+    with pytest.raises(InvalidValueError, match=r"weight: .*as weighed"):
+        Problem.of(obj.shape, weight, turns(obj), use_weight=True, pivot_error=0.0)
+    assert isinstance(Problem.of(obj.shape, weight, turns(obj), use_weight=False, pivot_error=0.0), Problem)
+
+
+def test_too_little_to_solve_is_an_answer_and_not_a_problem():
+    obj = drawn_object(0)
+    for given, status in (
+        ([], "no_data"),
+        (accelerated(obj), "no_data"),
+        (turns(obj)[:1], "underdetermined"),
+    ):
+        answer = Problem.of(obj.shape, None, given, use_weight=False, pivot_error=0.0)
+        assert isinstance(answer, Estimate)
+        assert answer.status == status
+        assert answer.distribution is None
+        assert answer.message
+
+
+def test_the_wrench_model_has_one_part_a_friction_group():
+    obj = cut(2, 3)
+    problem = problem_of(obj, everything(obj, **CARRIED))
+    windows = len(problem.windows)
+    assert isinstance(problem.wrenches, WrenchModel)
+    assert problem.wrenches.weighed.shape == (3, windows, 3, obj.shape.n_m)
+    assert problem.wrenches.carried.shape == (3, windows, 3)
+    assert problem.wrenches.inertial.shape == (windows, 3, obj.shape.n_m)

@@ -1,0 +1,272 @@
+"""Who carries the weight, and what can be known of the masses under one rigid body."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import product
+
+import numpy as np
+import pytest
+import torch
+from numpy.testing import assert_allclose
+from scipy.special import logsumexp
+from scipy.stats import kstest
+
+from estimators.base import Estimate
+from estimators.hidden_states.algorithm import HiddenStatesEstimator
+from estimators.particles.errors import EXACT, RIGID, ModelErrors
+from estimators.particles.windows import PLANAR, Observations, observe
+from estimators.support_models.estimator import SupportAware
+from estimators.support_models.materials import rank_assignments
+from estimators.support_models.polytope import MassPolytope
+from estimators.support_models.selection import SupportTest, support_test
+from estimators.testing.analytic_world import accelerated, drawn_object, turns
+from testbed.errors import InvalidValueError
+from testbed.objects.blocks import block_object, parse_layout
+from testbed.objects.files import load_object
+from testbed.objects.model import MassDistribution, ObjectModel
+from testbed.trajectory import Trajectory
+
+NOISE = 0.02
+"""Of a sample, N, and a tenth of it in N m."""
+MATERIALS = (0.1, 0.4)
+"""Here the models are exact."""
+
+
+def data(obj: ObjectModel, *, rigid: bool, noise: float = NOISE) -> list[Trajectory]:
+    return turns(obj, rigid=rigid, noise=noise) + accelerated(obj, rigid=rigid, noise=noise)
+
+
+def windows(obj: ObjectModel, trajectories: Sequence[Trajectory]) -> Observations:
+    observed = observe(obj.shape, trajectories)
+    assert observed is not None
+    return observed
+
+
+def told(obj: ObjectModel, *, rigid: bool) -> SupportTest:
+    return support_test(obj.shape, obj.total_mass, windows(obj, data(obj, rigid=rigid)))
+
+
+def ask(obj: ObjectModel, method: SupportAware, *, rigid: bool = True) -> Estimate:
+    return method.estimate(obj.shape, obj.total_mass, data(obj, rigid=rigid), 0)
+
+
+def masses(answer: Estimate) -> np.ndarray:
+    assert answer.distribution is not None, answer.message
+    return answer.distribution.mass
+
+
+@pytest.mark.parametrize("rigid", [False, True])
+@pytest.mark.parametrize("name", ["I2", "L2", "F2"])
+def test_the_support_is_told_from_what_was_felt(name, rigid):
+    found = told(load_object(name), rigid=rigid)
+    assert found.kind == ("rigid" if rigid else "own_weight")
+    assert found.violated == rigid
+    assert (found.p_rigid if rigid else found.p_own_weight) > 0.01
+    assert rigid or found.p_rigid < 1e-6
+    assert ("rigid" in found.sentence.split("(")[0]) == rigid
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_it_is_told_of_other_objects_with_two_friction_groups(seed):
+    obj = drawn_object(seed, friction_groups=1 + seed % 2)
+    for rigid in (False, True):
+        assert told(obj, rigid=rigid).violated == rigid
+
+
+@pytest.mark.parametrize("rigid", [False, True])
+def test_one_material_throughout_drags_the_same_either_way_and_it_says_so(rigid):
+    obj = load_object("I1")
+    found = told(obj, rigid=rigid)
+    assert found.kind == "undecided"
+    assert "cannot be told apart" in found.sentence
+    answer = ask(obj, SupportAware(), rigid=rigid)
+    assert answer.status == "underdetermined"
+    assert answer.covariance is not None
+    apart = np.diag(answer.covariance) * obj.shape.particles_per_group**2
+    assert (np.sqrt(apart) > 0.02).all()  # a rigid one may hide its masses
+
+
+def test_second_moments_agree_on_own_weight_alone():
+    obj = load_object("I2")
+    own, rigid = (
+        support_test(obj.shape, obj.total_mass, windows(obj, data(obj, rigid=rigid)), errors=ModelErrors())
+        for rigid in (False, True)
+    )
+    assert abs(own.moment_ratio - 1) < 3 * own.moment_ratio_error
+    assert abs(rigid.moment_ratio - 1) > 3 * own.moment_ratio_error
+
+
+def test_without_acceleration_friction_alone_decides():
+    obj = load_object("L2")
+    for rigid in (False, True):
+        found = support_test(obj.shape, obj.total_mass, windows(obj, turns(obj, rigid=rigid, noise=NOISE)))
+        assert found.violated == rigid
+        assert np.isnan(found.moment_ratio)
+
+
+@pytest.mark.slow
+def test_p_values_are_even_where_the_errors_are_as_told():
+    obj = load_object("L2")
+    exact = windows(obj, data(obj, rigid=False, noise=0.0))
+    error = torch.tensor([0.01, 0.01, 0.001], dtype=torch.float64)
+    covariance = torch.zeros(len(exact), 6, 6, dtype=torch.float64)
+    covariance[:, PLANAR, PLANAR] = error**2
+    exact = replace(exact, noise=covariance, load_map=torch.zeros_like(exact.load_map))
+    values = []
+    for seed in range(40):
+        noise = error * torch.tensor(np.random.default_rng(seed).standard_normal(exact.wrench.shape))
+        observed = replace(exact, wrench=exact.wrench + noise)
+        found = support_test(obj.shape, obj.total_mass, observed, errors=EXACT)
+        values.append(found.p_own_weight)
+    assert kstest(values, "uniform").pvalue > 0.01
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_own_weight_is_answered_as_by_algorithm_1(seed):
+    obj = drawn_object(seed)
+    trajectories = data(obj, rigid=False)
+    answer = SupportAware().estimate(obj.shape, obj.total_mass, trajectories, 0)
+    plain = HiddenStatesEstimator().estimate(obj.shape, obj.total_mass, trajectories, 0)
+    assert np.array_equal(masses(answer), masses(plain))
+    assert answer.status == "ok"
+    assert answer.diagnostics["log10_bayes_factor"] > 1
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_rigid_body_is_answered_by_masses_that_agree_with_what_is_known(seed):
+    obj = drawn_object(seed)
+    answer = ask(obj, SupportAware())
+    found = ObjectModel("answer", obj.shape, MassDistribution(masses(answer), obj.truth.friction))
+    assert answer.status == "assumption_violated"
+    assert_allclose(found.total_mass, obj.total_mass, atol=3e-3)
+    assert_allclose(found.center_of_mass, obj.center_of_mass, atol=1e-3)
+    assert_allclose(found.inertia_cm, obj.inertia_cm, rtol=RIGID.inertia_error)
+    assert answer.distribution is not None
+    assert_allclose(answer.distribution.friction, obj.truth.friction, rtol=0.01)
+    assert answer.covariance is not None
+    error = np.sqrt(np.diag(answer.covariance))
+    assert (np.abs(masses(answer) - obj.truth.mass) < 3.5 * error).all()
+    for group, mass in enumerate(obj.group_mass):
+        assert answer.diagnostics[f"least_{group}_kg"] - 1e-6 <= mass <= answer.diagnostics[f"most_{group}_kg"] + 1e-6
+
+
+@pytest.mark.parametrize("rigid", [False, True])
+@pytest.mark.parametrize("name", ["I1", "I2", "L1", "L2", "F1", "F2"])
+def test_two_materials_make_it_a_finite_search(name, rigid):
+    obj = load_object(name)
+    answer = ask(obj, SupportAware(materials_kg=MATERIALS), rigid=rigid)
+    assert_allclose(masses(answer), obj.truth.mass, rtol=1e-9)
+    assert answer.diagnostics["assignment_probability"] > 0.5
+
+
+def test_densities_are_masses_of_the_groups_volume():
+    obj = load_object("L2")
+    volume = obj.shape.particles_per_group[0] * obj.shape.cell**2 * obj.shape.height
+    dense = SupportAware(materials_kg_m3=tuple(m / volume for m in MATERIALS))
+    assert_allclose(masses(ask(obj, dense)), masses(ask(obj, SupportAware(materials_kg=MATERIALS))), rtol=1e-9)
+
+
+def test_the_wrong_materials_are_not_forced_on_it():
+    obj = load_object("L2")
+    answer = ask(obj, SupportAware(materials_kg=(0.15, 0.25)))
+    assert "no assignment of the materials" in answer.message
+    assert_allclose(masses(answer), masses(ask(obj, SupportAware())))
+
+
+def test_many_assignments_that_fit_are_counted():
+    """Sixteen blocks: four numbers cannot tell them."""
+    rng = np.random.default_rng(3)
+    obj = block_object(
+        "comb",
+        parse_layout(["10101010", "10101010", "11111111"]),
+        size=0.05,
+        height=0.03,
+        mass=rng.choice(MATERIALS, 16).tolist(),
+        friction=[0.5],
+        friction_group=[0] * 16,
+        grid=3,
+    )
+    trajectories = data(obj, rigid=True, noise=1.0)
+    answer = SupportAware(materials_kg=MATERIALS).estimate(obj.shape, obj.total_mass, trajectories, 0)
+    assert answer.diagnostics["assignments_holding_90"] > 1
+    assert "assignments of the materials hold 90 %" in answer.message
+    chosen = masses(answer) * obj.shape.particles_per_group
+    assert np.isclose(chosen[:, None], MATERIALS).any(axis=1).tolist() == [True] * 16
+
+
+@pytest.mark.parametrize("settings", [{"materials_kg": (0.1, -1.0)}, {"confidence": 1.0}, {"false_alarms": 0.0}])
+def test_settings_out_of_range_are_refused(settings):
+    with pytest.raises(InvalidValueError, match=f"SupportAware.{next(iter(settings))}"):
+        SupportAware(**settings)
+
+
+def test_masses_and_densities_are_not_given_together():
+    with pytest.raises(InvalidValueError, match="not both"):
+        SupportAware(materials_kg=MATERIALS, materials_kg_m3=(1000.0,))
+
+
+def brute(rows: np.ndarray, values: np.ndarray, options: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Every assignment and its probability, one by one."""
+    every = np.array(list(product(range(options.shape[1]), repeat=len(options))))
+    sums = np.take_along_axis(options[None], every[:, :, None], 2)[..., 0]
+    log = -((sums @ rows.T - values) ** 2).sum(axis=1) / 2
+    return every, np.exp(log - logsumexp(log))
+
+
+@pytest.mark.parametrize(("count", "kinds", "rank"), [(1, 2, 1), (6, 2, 4), (7, 3, 4), (9, 2, 9)])
+def test_ranking_is_that_of_every_assignment(count, kinds, rank):
+    rng = np.random.default_rng(count)
+    rows, options = rng.standard_normal((rank, count)), rng.uniform(0.1, 1.0, (count, kinds))
+    values = rows @ options[:, 0] + 0.3 * rng.standard_normal(rank)
+    every, probability = brute(rows, values, options)
+    order = np.argsort(-probability)
+    ranked = rank_assignments(rows, values, options)
+    assert np.array_equal(ranked.material[:5], every[order[:5]])
+    assert_allclose(ranked.probability[:5], probability[order[:5]], rtol=1e-6)
+    many = ranked.holding(0.9)
+    assert many == np.searchsorted(np.cumsum(probability[order]), 0.9) + 1
+
+
+def test_twenty_blocks_are_ranked_and_more_are_refused():
+    rng = np.random.default_rng(0)
+    rows = np.vstack([1e3 * np.ones(20), 30 * rng.standard_normal((3, 20))])
+    true = rng.integers(0, 2, 20)
+    values = rows @ np.array(MATERIALS)[true]
+    ranked = rank_assignments(rows, values, np.tile(MATERIALS, (20, 1)))
+    assert np.array_equal(ranked.material[0], true)
+    assert ranked.misfit < 1e-9
+    with pytest.raises(InvalidValueError, match="at most 20"):
+        rank_assignments(np.ones((1, 21)), np.ones(1), np.tile(MATERIALS, (21, 1)))
+
+
+def test_a_polytope_of_one_number_is_a_simplex():
+    """M alone: the mean is even, a group's variance that of a flat Dirichlet, and each may have all or nothing."""
+    polytope = MassPolytope(np.full((1, 4), 1e4), np.array([1e4]))
+    mean, covariance = polytope.posterior(0)
+    low, high = polytope.ranges(0.9)
+    assert_allclose(mean, 0.25, atol=0.01)
+    assert_allclose(np.sqrt(np.diag(covariance)), np.sqrt(3 / 80), rtol=0.05)
+    assert_allclose(low, 0, atol=1e-3)
+    assert_allclose(high, 1, atol=1e-3)
+    assert polytope.inside[1] < 1e-6
+
+
+def test_a_polytope_of_full_rank_is_a_gaussian():
+    rng = np.random.default_rng(1)
+    rows = 50 * rng.standard_normal((5, 3))
+    truth = np.array([1.0, 2.0, 3.0])
+    left, strength, right = np.linalg.svd(rows, full_matrices=False)
+    polytope = MassPolytope(strength[:, None] * right, left.T @ (rows @ truth))
+    mean, covariance = polytope.posterior(0)
+    assert_allclose(mean, truth, atol=0.01)
+    assert_allclose(covariance, np.linalg.inv(rows.T @ rows), rtol=0.15, atol=1e-5)
+
+
+def test_numbers_that_no_masses_have_are_shown_to_miss():
+    impossible = MassPolytope(np.array([[100.0, 100.0], [0.0, 100.0]]), np.array([100.0, -50.0]))
+    assert impossible.inside[1] > 3
+    low, high = impossible.ranges(0.9)
+    assert (low <= high + 1e-9).all()
+    assert (impossible.posterior(0)[0] >= 0).all()

@@ -1,0 +1,181 @@
+"""The conformance kit: its known blocks, what it says of a wrong answer, and heft's own estimators held to it."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import cast
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from estimators.base import Estimate, Estimator
+from estimators.hidden_states.algorithm import HiddenStatesEstimator
+from estimators.support_models.estimator import SupportAware
+from estimators.testing import plugin, recorded
+from estimators.testing.recorded import KnownBlock, block_names, load_block, save_block
+from estimators.testing.recovery import ALLOWED, recovers, shows_every_mass
+from estimators.testing.test_estimator import cases
+from testbed.actions.base import Rotate
+from testbed.errors import InvalidValueError
+from testbed.objects.files import Blocks, ObjectFile
+from testbed.objects.model import GRAVITY, MassDistribution
+from testbed.sensing.presets import PRESETS
+from testbed.sensing.windows import steady_windows
+
+OWN_WEIGHT = [name for name in block_names() if name.endswith("own_weight")]
+
+
+def answering(say: Callable[[KnownBlock], Estimate], block: KnownBlock) -> Estimator:
+    return cast(Estimator, SimpleNamespace(estimate=lambda *_: say(block)))
+
+
+def right(block: KnownBlock) -> Estimate:
+    return Estimate(block.model.truth, "ok")
+
+
+def even(block: KnownBlock) -> Estimate:
+    count = len(block.model.shape.particles)
+    return Estimate(replace_mass(block, np.full(block.model.shape.n_m, block.model.total_mass / count)), "ok")
+
+
+def replace_mass(block: KnownBlock, mass: np.ndarray) -> MassDistribution:
+    return replace(block.model.truth, mass=mass)
+
+
+def test_the_plugin_knows_what_there_is_without_importing_it():
+    assert plugin.BLOCKS == block_names()
+    assert {*plugin.SENSORS} == {*PRESETS} == {*ALLOWED}
+    assert len(OWN_WEIGHT) * 2 == len(block_names())
+    assert sum(path.stat().st_size for path in recorded.FOLDER.iterdir()) < 5e6
+
+
+def test_every_block_and_every_sensor_is_met_on_both_supports():
+    few, all_ = (cases(thorough=thorough) for thorough in (False, True))
+    assert len({*all_}) == len(all_) == len(plugin.BLOCKS) * len(plugin.SENSORS)
+    assert {*few} < {*all_}
+    assert {block for block, _ in few} == {*plugin.BLOCKS}
+    assert {block for block, sensing in few if sensing == "ideal"} > {*OWN_WEIGHT}
+    met = {(block.partition("-")[2], sensing) for block, sensing in few}
+    assert len(met) == 2 * len(plugin.SENSORS)
+
+
+def test_a_known_block_comes_back_from_its_file(tmp_path):
+    block = load_block("two_frictions-own_weight")
+    assert not shows_every_mass(block)
+    blocks = Blocks(
+        layout=["10", "10", "111"], mass_kg=block.model.group_mass.tolist(), friction=[0.3, 0.6],
+        friction_group=[0, 0, 1, 1, 1],
+    )  # fmt: skip
+    path = save_block(ObjectFile(name="two_frictions", blocks=blocks), "own_weight", block.clean, {}, tmp_path)
+    assert path.read_bytes()[:4] == b"PAR1"
+    before = recorded.pq.read_table(recorded.FOLDER / path.name)
+    after = recorded.pq.read_table(path)
+    assert after.equals(before)
+    with pytest.raises(InvalidValueError, match="one of F1-own_weight"):
+        load_block("I3-rigid")
+
+
+@pytest.mark.parametrize("name", block_names())
+def test_the_wrenches_of_a_known_block_are_its_friction(name):
+    """No force beyond mu times what the table carries, and at the farthest pivot much of it."""
+    block = load_block(name)
+    turns = [trial for trial in block.clean if isinstance(trial.action, Rotate)]
+    windows = [window for turn in turns for window in steady_windows(turn)]
+    carried = [block.model.total_mass * GRAVITY - window.wrench[2] for window in windows]
+    dragged = [np.linalg.norm(window.wrench[:2]) for window in windows]
+    share = np.array(dragged) / carried / max(block.model.truth.friction)
+    assert 0.4 < share.max() < 1.02
+    assert all(trial.provenance["bench"] == "simulated" for trial in block.clean)
+
+
+def test_every_draw_has_errors_of_its_own_and_the_same_ones_again():
+    block = load_block("L2-own_weight")
+    drawn = [[t.wrench_on_object_world for t in block.trials("ft300s", seed)] for seed in (0, 0, 1)]
+    for first, again, other in zip(*drawn, strict=True):
+        assert_allclose(first, again)
+        assert 0.05 < np.std((first - other)[:, 0]) < 0.2
+    assert block.weighed("ideal") == block.model.total_mass != block.weighed("ft300s")
+
+
+def test_the_truth_passes_and_a_wrong_answer_is_told_in_words():
+    own, rigid, few = (load_block(name) for name in ("L2-own_weight", "L2-rigid", "drawn_c-own_weight"))
+    for block in (own, rigid):
+        recovers(answering(right, block), block, "ideal", [])
+    with pytest.raises(
+        AssertionError, match=r"L2, own_weight, sensing ideal: NAD 44\.4 %; .*no more than 8 %\n.*A1 0\.300"
+    ):
+        recovers(answering(even, own), own, "ideal", [])
+    with pytest.raises(AssertionError, match="claim own_weight only"):
+        recovers(answering(even, rigid), rigid, "ideal", [])
+    recovers(answering(even, own), own, "ideal", [], slack=6.0)
+    silent = Estimate(None, "underdetermined", "too few turns")
+    for block, sensing in ((few, "ideal"), (rigid, "ideal"), (own, "high")):
+        recovers(answering(lambda _: silent, block), block, sensing, [])
+    with pytest.raises(AssertionError, match=r"underdetermined \(too few turns\), where these trials show every mass"):
+        recovers(answering(lambda _: silent, own), own, "ideal", [])
+    with pytest.raises(AssertionError, match="without a message"):
+        recovers(answering(lambda _: replace(silent, message=""), rigid), rigid, "ideal", [])
+    with pytest.raises(AssertionError, match="gave a NoneType"):
+        recovers(answering(lambda _: cast(Estimate, None), own), own, "ideal", [])
+
+
+@pytest.mark.parametrize("name", OWN_WEIGHT)
+def test_algorithm_1_recovers_every_block_on_its_own_weight(name):
+    block = load_block(name)
+    for sensing in ("ideal", "ft300s"):
+        recovers(HiddenStatesEstimator(), block, sensing, block.trials(sensing))
+
+
+@pytest.mark.parametrize("name", ["L2-rigid", "drawn_a-rigid"])
+def test_a_rigid_body_is_what_support_aware_knows_and_algorithm_1_does_not(name):
+    block = load_block(name)
+    recovers(SupportAware(), block, "ideal", block.trials("ideal"))
+    with pytest.raises(AssertionError, match="claim own_weight only"):
+        recovers(HiddenStatesEstimator(), block, "ideal", block.trials("ideal"))
+
+
+def kit(tmp_path, *arguments: str) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "pytest", "-p", "estimators.testing.plugin", "--pyargs", "estimators.testing"]
+    return subprocess.run([*command, *arguments], check=False, capture_output=True, text=True, cwd=tmp_path)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("path", "support"), [("hidden_states:HiddenStatesEstimator", "own_weight"), ("support_aware:SupportAware", "both")]
+)
+def test_the_whole_kit_passes(tmp_path, path, support):
+    done = kit(tmp_path, "--estimator", f"estimators.{path}", "--estimator-support", support, "--estimator-thorough")
+    assert done.returncode == 0, done.stdout
+    assert " passed" in done.stdout
+
+
+@pytest.mark.slow
+def test_the_kit_says_what_is_wrong(tmp_path):
+    (tmp_path / "lazy.py").write_text(
+        "class Lazy:\n    def estimate(self, shape, weight, trajectories, seed):\n        return None\n",
+        encoding="utf-8",
+    )
+    done = kit(tmp_path, "--estimator", "lazy:Lazy", "-k", "shapes_groups or L2-own_weight-ideal")
+    assert done.returncode == 1
+    assert "estimate() returns an Estimate of estimators.base" in done.stdout
+    assert "estimate() gave a NoneType, not an Estimate" in done.stdout
+    done = kit(tmp_path, "--estimator", "lazy:Lasy")
+    assert done.returncode == 4
+    assert "(nearest: Lazy)" in done.stderr
+    assert "which estimator? --estimator package:Class" in kit(tmp_path).stdout
+    (tmp_path / "test_mine.py").write_text(
+        "import pytest\n"
+        '@pytest.mark.parametrize("known_block", ["L2-rigid"], indirect=True)\n'
+        '@pytest.mark.parametrize("sensing", ["high"], indirect=True)\n'
+        "def test_mine(known_block, sensing, recorded_trials):\n"
+        '    assert (known_block.name, sensing, len(recorded_trials)) == ("L2-rigid", "high", 7)\n',
+        encoding="utf-8",
+    )
+    mine = [sys.executable, "-m", "pytest", "-p", "estimators.testing.plugin", "test_mine.py"]
+    done = subprocess.run(mine, check=False, capture_output=True, text=True, cwd=tmp_path)
+    assert "1 passed" in done.stdout, done.stdout

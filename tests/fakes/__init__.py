@@ -1,0 +1,1 @@
+"""Fakes: benches, arms, sensors and worlds that tests run against."""

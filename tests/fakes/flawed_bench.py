@@ -1,0 +1,92 @@
+"""What a real bench adds to the world of exact Coulomb friction: a bias, a grasp beside its place, a table's grain."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from estimators.testing.analytic_world import HEIGHT, felt
+from testbed.actions.base import Accelerate, Rotate, Slide
+from testbed.frames import (
+    cross_2d,
+    move_wrench,
+    perpendicular,
+    rotate_wrench,
+    rotation_2d,
+    rotation_matrix,
+)
+from testbed.objects.model import GRAVITY, ObjectModel
+from testbed.trajectory import Trajectory
+
+GRAIN = (0.8, 0.5)
+"""Least over most friction, and the table's direction of most, rad."""
+
+
+def biased(trajectory: Trajectory, bias: np.ndarray, stated: np.ndarray | float = 0.0) -> Trajectory:
+    """With a constant error of the sensor, N and N m, (6,), and the size of it that the sensor states."""
+    wrench = trajectory.wrench_on_object_world + rotate_wrench(_upright(trajectory), at_tcp(trajectory, bias)[None])
+    return replace(trajectory, wrench_on_object_world=wrench, sensor_bias_std=np.broadcast_to(stated, 6))
+
+
+def at_tcp(trajectory: Trajectory, bias: np.ndarray) -> np.ndarray:
+    """A sensor's bias about the TCP, in the axes of the object, which the hand holds, (6,)."""
+    assert trajectory.tool is not None
+    first = int(np.argmax(trajectory.segment >= 0))
+    to_world = rotation_matrix(trajectory.sensor_orientation[first])
+    return rotate_wrench(_upright(trajectory)[first].T @ to_world, move_wrench(bias, trajectory.tool.tcp))
+
+
+def held_beside(
+    obj: ObjectModel, action: Rotate | Accelerate | Slide, offset: np.ndarray, **world: object
+) -> Trajectory:
+    """One action with the object held at its grasp point plus `offset`, m, (2,), which the hand does not know."""
+    grasps = tuple(replace(g, position=g.position + offset) for g in obj.shape.grasps)
+    moved = replace(obj, shape=replace(obj.shape, grasps=grasps))
+    if isinstance(action, Rotate) and action.pivot is not None:  # the hand goes as it would have gone
+        action = replace(action, pivot=tuple(np.add(action.pivot, offset)))
+    return felt(moved, action, **world)  # pyright: ignore[reportArgumentType]
+
+
+def on_grain(
+    obj: ObjectModel, trajectory: Trajectory, ratio: float, direction: float, offset: object = 0.0
+) -> Trajectory:
+    """As it would be on a table with a grain, the gripper carrying nothing: friction gives the pull of most power.
+
+    Args:
+        obj: the object on its own weight.
+        trajectory: the same action on an even table.
+        ratio: least over most friction; their geometric mean is the object's.
+        direction: of most friction, world, rad.
+        offset: as in `held_beside`, m.
+    """
+    shape = obj.shape
+    assert isinstance(trajectory.action, Rotate | Accelerate | Slide)
+    yaw, turn = trajectory.object_pose[:, 2], _upright(trajectory)[:, :2, :2]
+    lever = turn[:, None] @ (shape.particles - shape.grasps[trajectory.action.grasp].position - offset)[..., None]
+    lever = lever[..., 0]
+    velocity = trajectory.tcp_velocity[:, None, :2] + trajectory.object_velocity[:, 2, None, None] * perpendicular(
+        lever
+    )
+    feet = shape.friction_group >= 0
+    drag = np.where(feet, obj.truth.friction[shape.friction_group] * obj.particle_mass * GRAVITY, 0.0)
+    ellipse = rotation_2d(direction) * [ratio**-0.5, ratio**0.5]
+    more = drag[:, None] * (_pull(velocity, ellipse) - _pull(velocity, np.eye(2)))
+    force, torque = more.sum(axis=1), cross_2d(lever, more).sum(axis=1)
+    tilt = HEIGHT * -perpendicular(force)
+    wrench = trajectory.wrench_on_object_world + np.column_stack([force, 0 * yaw, tilt, torque])
+    return replace(trajectory, wrench_on_object_world=wrench)
+
+
+def _pull(velocity: np.ndarray, ellipse: np.ndarray) -> np.ndarray:
+    """Of unit friction: the point of the ellipse furthest along the velocity."""
+    along = velocity @ ellipse
+    size = np.linalg.norm(along, axis=-1, keepdims=True)
+    return np.divide(along @ ellipse.T, size, out=np.zeros_like(along), where=size > 1e-9)
+
+
+def _upright(trajectory: Trajectory) -> np.ndarray:
+    """From object axes to the world's, (T, 3, 3)."""
+    axes = np.zeros((len(trajectory.time_s), 3, 3))
+    axes[:, :2, :2], axes[:, 2, 2] = rotation_2d(trajectory.object_pose[:, 2]), 1.0
+    return axes

@@ -1,0 +1,231 @@
+"""A Gen3 at the other end of the wire: a MuJoCo simulation stepped in real time behind the calls of Kortex.
+
+`tests/fakes/kortex` is what speaks to it; the process that heft starts runs unmodified. Like the real one it turns in
+degrees a second, moves on until it is told otherwise, ignores a twist's duration, reports an action's end by a
+notification, and stops when a connection has been silent for as long as it was told to allow.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import socket
+import threading
+import time
+from contextlib import suppress
+from dataclasses import dataclass
+from types import TracebackType
+from typing import Any, Self
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from testbed.objects.gripper import STROKE
+from tests.fakes.gen3_world import TICK, Gen3World
+
+PASSWORD = "admin"
+NOT_READY, IN_FAULT, INVALID = (3, 21), (3, 22), (3, 3)
+"""Error and sub-error codes, as the maker numbers them."""
+
+
+@dataclass
+class Faults:
+    """What goes wrong from now on; tests change it while the arm runs."""
+
+    fault_bank: int = 0
+    """Not 0: the arm is in a fault, and refuses to move until it is cleared."""
+    refuse: str = ""
+    """A call that is refused, as "Base.SendTwistCommand"."""
+    mute: str = ""
+    """A call that gets no answer."""
+    aborts: bool = False
+    """Poses are aborted half way."""
+    short: bool = False
+    """Poses end before they are reached, and are said to be reached."""
+    latency: float = 0.0
+    """Before every answer, s."""
+
+
+class FakeGen3:
+    """Runs while it is entered. `port` is where it listens."""
+
+    def __init__(self, world: Gen3World, *, tool_length: float = 0.2115, twist_time: float = 0.02):
+        self.world, self.faults = world, Faults()
+        self.lock = threading.RLock()
+        """Held while the world ticks."""
+        self.commands: list[tuple[float, str]] = []
+        """When each call that may move the arm came, and its name."""
+        self.motion: list[tuple[float, float, bool]] = []
+        """Time (monotonic), speed, and whether the arm was driven, at every tick."""
+        self._tool_length, self._twist_time = tool_length, twist_time
+        self._over = threading.Event()
+        self._connections: set[socket.socket] = set()
+        self._allowed = math.inf
+        self._heard = time.monotonic()
+        self._listening = socket.create_server(("127.0.0.1", 0))
+        self.port = self._listening.getsockname()[1]
+        self._reaching = False
+
+    def __enter__(self) -> Self:
+        for run in (self._live, self._accept):
+            threading.Thread(target=run, daemon=True).start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._over.set()
+        self._listening.close()
+        self.drop()
+
+    def drop(self) -> None:
+        """Pull the cable: nothing goes through any more, and nobody is told."""
+        for connection in list(self._connections):
+            self._connections.discard(connection)
+            with suppress(OSError):
+                connection.shutdown(socket.SHUT_RDWR)
+
+    def driven_after(self, moment: float) -> float:
+        """How long the arm went on being driven after a moment (monotonic), s."""
+        return max((at - moment for at, _, driven in self.motion if at > moment and driven), default=0.0)
+
+    def _live(self) -> None:
+        due = time.monotonic()
+        while not self._over.wait(max(due - time.monotonic(), 0.0)):
+            due += TICK
+            with self.lock:
+                if time.monotonic() - self._heard > self._allowed or self.faults.fault_bank:
+                    self.world.stop()
+                self._end_of_pose()
+                self.world.tick()
+                self.motion.append((time.monotonic(), self.world.speed, self.world.driven))
+
+    def _end_of_pose(self) -> None:
+        if not self._reaching:
+            return
+        goal, half_way = self.world.goal, self.faults.aborts or self.faults.short
+        if goal is not None and half_way and np.linalg.norm(goal[0] - self.world.reading.position) < 0.01:
+            self.world.stop()
+        if self.world.goal is None:
+            self._reaching = False
+            self._notify(2 if self.faults.aborts or self.faults.fault_bank or self._stopped else 1)
+
+    def _accept(self) -> None:
+        while not self._over.is_set():
+            try:
+                connection, _ = self._listening.accept()
+            except OSError:
+                return
+            connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            self._connections.add(connection)
+            threading.Thread(target=self._serve, args=(connection,), daemon=True).start()
+
+    def _serve(self, connection: socket.socket) -> None:
+        answering = threading.Lock()
+        try:
+            for line in connection.makefile("r", encoding="utf-8"):
+                self._heard = time.monotonic()
+                threading.Thread(
+                    target=self._answer, args=(connection, answering, json.loads(line)), daemon=True
+                ).start()
+        except OSError:
+            pass
+        self._connections.discard(connection)
+
+    def _answer(self, connection: socket.socket, answering: threading.Lock, frame: dict[str, Any]) -> None:
+        name, answer = frame["call"], {"id": frame["id"]}
+        if name == self.faults.mute:
+            return
+        try:
+            if name == self.faults.refuse:
+                raise Refusal(*INVALID, "refused by order of the test")
+            with self.lock:
+                reply = getattr(self, "_" + name.replace(".", "_"))(frame["message"])
+            time.sleep(self.faults.latency + (self._twist_time if name == "Base.SendTwistCommand" else 0.0))
+            answer["reply"] = reply or {}
+        except Refusal as refusal:
+            answer["error"] = list(refusal.args)
+        with answering, suppress(OSError):
+            connection.sendall((json.dumps(answer) + "\n").encode())
+
+    def _notify(self, event: int) -> None:
+        data = json.dumps({"notification": {"action_event": event, "abort_details": 55 if event == 2 else 0}}) + "\n"
+        for connection in list(self._connections):
+            with suppress(OSError):
+                connection.sendall(data.encode())
+
+    def _Session_CreateSession(self, info: dict[str, Any]) -> None:
+        if info["password"] != PASSWORD:
+            raise Refusal(3, 15, "wrong password")
+        self._allowed = info["connection_inactivity_timeout"] / 1000
+
+    def _Session_CloseSession(self, _: dict[str, Any]) -> None:
+        self._allowed = math.inf
+
+    def _Base_SetServoingMode(self, mode: dict[str, Any]) -> None:
+        assert mode["servoing_mode"] == 2
+
+    def _Base_SendTwistCommand(self, command: dict[str, Any]) -> None:
+        self._check("SendTwistCommand")
+        t = command["twist"]
+        linear = np.array([t["linear_x"], t["linear_y"], t["linear_z"]])
+        angular = np.radians([t["angular_x"], t["angular_y"], t["angular_z"]])
+        if command["reference_frame"] != 3:  # the tool's axes
+            tool = Rotation.from_quat(self.world.reading.orientation, scalar_first=True)
+            linear, angular = tool.apply(linear), tool.apply(angular)
+        self.world.goal, self.world.twist = None, np.concatenate([linear, angular])
+
+    def _Base_ExecuteAction(self, action: dict[str, Any]) -> None:
+        self._check("ExecuteAction")
+        pose, speed = action["reach_pose"]["target_pose"], action["reach_pose"]["constraint"]["speed"]
+        if math.hypot(pose["x"], pose["y"]) > 0.9:
+            raise Refusal(3, 56, "outside the workspace")
+        turn = Rotation.from_euler("xyz", [pose["theta_x"], pose["theta_y"], pose["theta_z"]], degrees=True)
+        self._stopped, self._reaching = False, True
+        self.world.goal = (np.array([pose["x"], pose["y"], pose["z"]]), turn, speed["translation"])
+
+    def _Base_Stop(self, _: dict[str, Any]) -> None:
+        self.commands.append((time.monotonic(), "Stop"))
+        self._stopped = True
+        self.world.stop()
+
+    _Base_ApplyEmergencyStop = _Base_Stop
+
+    def _Base_ClearFaults(self, _: dict[str, Any]) -> None:
+        self.faults.fault_bank = 0
+
+    def _Base_SendGripperCommand(self, command: dict[str, Any]) -> None:
+        self._check("SendGripperCommand")
+        self.world.grip = 1.0 if command["gripper"]["finger"][0]["value"] > 0.5 else -0.05
+
+    def _BaseCyclic_RefreshFeedback(self, _: dict[str, Any]) -> dict[str, Any]:
+        r, single = self.world.reading, lambda values: np.asarray(values, np.float32).tolist()
+        pose = single(
+            [*r.position, *Rotation.from_quat(r.orientation, scalar_first=True).as_euler("xyz", degrees=True)]
+        )
+        twist = single([*r.twist[:3], *np.degrees(r.twist[3:])])
+        names = ("x", "y", "z", "theta_x", "theta_y", "theta_z")
+        base = {f"tool_pose_{name}": value for name, value in zip(names, pose, strict=True)}
+        kinds = [f"tool_twist_{kind}_{axis}" for kind in ("linear", "angular") for axis in "xyz"]
+        base |= dict(zip(kinds, twist, strict=True))
+        base |= {"fault_bank_a": self.faults.fault_bank, "active_state": 4 if self.faults.fault_bank else 7}
+        # positions run from 0 to 360 degrees
+        joints = zip(single(np.degrees(r.q) % 360), single(np.degrees(r.qd)), strict=True)
+        closed = round(255 * (1 - min(max(self.world.width / STROKE, 0.0), 1.0))) / 255
+        return {
+            "base": base,
+            "actuators": [{"position": q, "velocity": qd} for q, qd in joints],
+            "interconnect": {"gripper_feedback": {"motor": [{"position": 100 * closed}]}},
+        }
+
+    def _ControlConfig_GetToolConfiguration(self, _: dict[str, Any]) -> dict[str, Any]:
+        return {"tool_transform": {"z": self._tool_length}, "tool_mass": 1.37}
+
+    def _check(self, name: str) -> None:
+        self.commands.append((time.monotonic(), name))
+        if self.faults.fault_bank:
+            raise Refusal(*IN_FAULT, "robot in fault")
+
+
+class Refusal(Exception):
+    """Error code, sub-error code and text."""

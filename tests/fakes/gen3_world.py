@@ -1,0 +1,214 @@
+"""A Gen3 with sensor, gripper and an object on the table, moved by twists, poses and grip commands: MuJoCo, by ticks.
+
+What a maker's controller does is not known; this one follows a twist with the joint servo of the simulated bench.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import mujoco
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from testbed.objects.gripper import STROKE
+from testbed.objects.model import ObjectModel
+from testbed.robot.config import RobotSettings
+from testbed.sensing.presets import Sensing, preset
+from testbed.simulation.motion import gripper_tool, joint_path
+from testbed.simulation.scene import HOME, build_scene
+from testbed.simulation.settings import SimulationSettings
+from testbed.trial import OWN_WEIGHT, Support
+
+IDEAL = preset("ideal")
+TICK = 0.01
+"""Time between two looks at commands and two samples of the sensor, s."""
+START = (0.45, 0.0, 0.12, 0.0)
+"""Where the tool is at first: x, y, z, m, and yaw."""
+FASTEST = 0.5, math.radians(100)
+"""Twists beyond this are not followed, m/s and rad/s: the arm's own limit."""
+BIAS = np.array([3.1, -2.2, 5.4, 0.11, -0.06, 0.02])
+"""What the sensor reads without load, N and N m."""
+_CLOSING, _OPENING = 0.8, 0.3
+_LAST_JOINT_FIRST = np.array([1.0] * 6 + [100.0])
+_FASTEST_TURN = math.radians(30)
+_THERE = 5e-4, math.radians(0.05)
+
+
+@dataclass(frozen=True, eq=False)
+class Reading:
+    """What the arm knows of itself at a tick."""
+
+    time_s: float
+    q: np.ndarray
+    qd: np.ndarray
+    position: np.ndarray
+    orientation: np.ndarray
+    twist: np.ndarray
+
+
+class Gen3World:
+    """Physics and inner control; whoever has it calls `tick` 100 times a second of its time."""
+
+    def __init__(
+        self,
+        obj: ObjectModel,
+        support: Support = OWN_WEIGHT,
+        *,
+        settings: SimulationSettings | None = None,
+        noise: Sensing = IDEAL,
+        seed: int = 0,
+    ):
+        self.obj, self.support = obj, support
+        self.settings = SimulationSettings() if settings is None else settings
+        self.time = 0.0
+        self.bias, self.mount = BIAS.copy(), np.ones(6)
+        self._sensing, self._rng, self._noise = noise, np.random.default_rng(seed), np.zeros(6)
+        self.twist = np.zeros(6)
+        """Commanded, base axes, m/s and rad/s."""
+        self.goal: tuple[np.ndarray, Rotation, float] | None = None
+        """Position, orientation and speed to go there, while a pose is being reached."""
+        self.grip = -0.05
+        """Part of the grip's force that is commanded; below 0 opens."""
+        self.strength = 1.0
+        """Of the fingers, over what they should have."""
+        self._grip = -0.05
+        self._push = (0, np.zeros(3))
+        self._integral = np.zeros(7)
+        q = joint_path(np.array([START]), np.array(HOME))[0]
+        self._build(q, 0, np.array([0.45, 0.0, 0.0]))
+
+    def place(self, pose: np.ndarray, grasp: int) -> None:
+        """Put the object at a planar pose, where a hand would; only the faces of `grasp` can then be gripped."""
+        self._build(self.data.qpos[:7].copy(), grasp, pose)
+
+    def _build(self, q: np.ndarray, grasp: int, pose: np.ndarray) -> None:
+        scene = build_scene(self.obj, self.support, self.obj.shape.grasps[grasp], self.settings)
+        model, data = scene.model, mujoco.MjData(scene.model)
+        address = model.joint("object").qposadr[0]
+        data.qpos[:7] = data.act[:7] = self._reference = q
+        data.qpos[address : address + 2] = pose[:2]
+        data.qpos[address + 3 : address + 7] = math.cos(pose[2] / 2), 0.0, 0.0, math.sin(pose[2] / 2)
+        self.model, self.data, self._body = model, data, scene.object_body
+        self._fingers = [model.joint(f"gripper/{side}_finger").qposadr[0] for side in ("left", "right")]
+        self._tcp = model.site("gripper/tcp").id
+        self._ft = model.sensor("ft/force").adr[0], model.sensor("ft/torque").adr[0]
+        stiffness = model.actuator_gainprm[:7, 0]
+        self._lag = -model.actuator_biasprm[:7, 2] / stiffness
+        self._jacobian = np.zeros((6, model.nv))
+        mujoco.mj_forward(model, data)
+        self.reading = self._read()
+        self.wrench = self._felt(data.sensordata)
+
+    def tick(self) -> None:
+        """10 ms: take in the commands, step, measure."""
+        speed = self._joint_speeds(self._wanted_twist())
+        dt = TICK
+        self._reference = self._reference + speed * dt
+        self._integral += self.settings.servo.integral_gain * dt * (self._reference - self.data.qpos[:7])
+        target = self._reference + self._lag * speed + self._integral
+        self.data.ctrl[:7] = (target - self.data.act[:7]) / dt
+        rate = 1 / _CLOSING if self.grip > self._grip else 1 / _OPENING
+        self._grip += float(np.clip(self.grip - self._grip, -rate * dt, rate * dt))
+        self.data.ctrl[7] = self._grip * self.settings.grip.force * self.strength
+        left, push = self._push
+        self._push = (left - 1, push)
+        self.data.xfrc_applied[self._body, :3] = push * (left > 0)
+        steps = round(dt / self.settings.timestep)
+        felt = np.zeros(self.model.nsensordata)
+        for _ in range(steps):
+            mujoco.mj_step(self.model, self.data)
+            felt += self.data.sensordata
+        self.time += dt
+        self.reading = self._read()
+        self.wrench = self._felt(felt / steps)
+
+    def stop(self) -> None:
+        """Ask for no motion."""
+        self.twist, self.goal = np.zeros(6), None
+
+    def shove(self, force: np.ndarray, seconds: float) -> None:
+        """Push the object, N, world axes."""
+        self._push = (round(seconds / TICK), force)
+
+    @property
+    def object_in_hand(self) -> np.ndarray:
+        """Planar place of the object in the hand's axes, m, (2,)."""
+        axes = self.data.site_xmat[self._tcp].reshape(3, 3)
+        return (axes.T @ (self.data.xpos[self._body] - self.data.site_xpos[self._tcp]))[:2]
+
+    @property
+    def width(self) -> float:
+        """Opening between the pads, m."""
+        return STROKE - float(self.data.qpos[self._fingers].sum())
+
+    @property
+    def object_pose(self) -> np.ndarray:
+        """Where the object truly is, planar, m and rad, (3,)."""
+        x, y, _ = self.data.xpos[self._body]
+        axes = self.data.xmat[self._body].reshape(3, 3)
+        return np.array([x, y, math.atan2(axes[1, 0], axes[0, 0])])
+
+    @property
+    def driven(self) -> bool:
+        """Whether something is asked of it that is motion."""
+        return self.goal is not None or bool(self.twist.any())
+
+    @property
+    def speed(self) -> float:
+        """Of the tool, m/s, a radian counted as a tenth of a metre."""
+        return float(np.linalg.norm(self.reading.twist * [1, 1, 1, 0.1, 0.1, 0.1]))
+
+    def _wanted_twist(self) -> np.ndarray:
+        if self.goal is None:
+            linear, angular = self.twist[:3], self.twist[3:]
+            fast = max(float(np.linalg.norm(linear)) / FASTEST[0], float(np.linalg.norm(angular)) / FASTEST[1], 1.0)
+            return self.twist / fast
+        position, orientation, speed = self.goal
+        way = position - self.reading.position
+        turn = (orientation * Rotation.from_quat(self.reading.orientation, scalar_first=True).inv()).as_rotvec()
+        if np.linalg.norm(way) < _THERE[0] and np.linalg.norm(turn) < _THERE[1]:
+            self.stop()
+            return self.twist
+        linear, angular = 4.0 * way, 4.0 * turn
+        linear *= min(1.0, speed / max(float(np.linalg.norm(linear)), 1e-9))
+        angular *= min(1.0, _FASTEST_TURN / max(float(np.linalg.norm(angular)), 1e-9))
+        return np.concatenate([linear, angular])
+
+    def _joint_speeds(self, twist: np.ndarray) -> np.ndarray:
+        """Weighted least squares: the arm has a joint more than it needs, and turns the tool with the last one."""
+        j = self._jacobian_at_tcp()
+        weighted = _LAST_JOINT_FIRST[:, None] * j.T
+        return weighted @ np.linalg.solve(j @ weighted + 1e-8 * np.eye(6), twist)
+
+    def _jacobian_at_tcp(self) -> np.ndarray:
+        mujoco.mj_jacSite(self.model, self.data, self._jacobian[:3], self._jacobian[3:], self._tcp)
+        return self._jacobian[:, :7]
+
+    def _read(self) -> Reading:
+        quaternion = np.zeros(4)
+        mujoco.mju_mat2Quat(quaternion, self.data.site_xmat[self._tcp])
+        qd = self.data.qvel[:7].copy()
+        return Reading(
+            self.time,
+            self.data.qpos[:7].copy(),
+            qd,
+            self.data.site_xpos[self._tcp].copy(),
+            quaternion,
+            self._jacobian_at_tcp() @ qd,
+        )
+
+    def _felt(self, data: np.ndarray) -> np.ndarray:
+        """The sensor's next frame: what the arm does to the tool, its zero, its noise."""
+        sensing, (force, torque) = self._sensing, self._ft
+        white = np.array([*sensing.force_noise, *sensing.torque_noise]) * self._rng.standard_normal(6)
+        self._noise = sensing.lag1 * self._noise + math.sqrt(1 - sensing.lag1**2) * white
+        felt = np.concatenate([data[force : force + 3], data[torque : torque + 3]])
+        return self.mount * felt + self.bias + self._noise
+
+
+def world_settings(world: Gen3World, grasp: int, base: RobotSettings | None = None) -> RobotSettings:
+    """Settings of a bench whose tool is the world's, its fingers closed on a grasp."""
+    tool = gripper_tool(world.obj.shape.grasps[grasp].width)
+    return RobotSettings(tool) if base is None else replace(base, tool=tool)

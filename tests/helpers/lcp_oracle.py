@@ -1,0 +1,181 @@
+"""The time step of `estimators.baselines.lcp` as the textbook's complementarity problem, and two solvers of it.
+
+Unknown are the impulse beta_ik along each corner d_k of each contact's friction polygon and its sliding speed lambda_i:
+z = [beta; lambda] >= 0, w = matrix z + offset >= 0, z . w = 0 (Anitescu and Potra 1997; Cline 2002).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.linalg
+from jaxtyping import Float
+
+MOST_PIVOTS, MOST_ITERATIONS = 5000, 100
+
+
+@dataclass(frozen=True, eq=False)
+class Textbook:
+    """One body's step: C contacts, K corners, n = C (K + 1) unknowns."""
+
+    matrix: Float[np.ndarray, "n n"]
+    """[[D^T M^-1 D, E], [-E^T, 0]], D the columns J_i^T d_k and E the contact of each."""
+    offset: Float[np.ndarray, "n"]
+    """[D^T v_free; c]: m/s, then N s."""
+    columns: Float[np.ndarray, "3 CK"]
+    """D."""
+    corners: Float[np.ndarray, "K 2"]
+    """d_k."""
+    inverse: Float[np.ndarray, "3 3"]
+    """M^-1."""
+    free: Float[np.ndarray, "3"]
+    """Velocity that the step would end with without friction, m/s and rad/s."""
+    jacobians: Float[np.ndarray, "C 2 3"]
+    """J_i, from the body's velocity to the contact's."""
+
+    @staticmethod
+    def of(
+        mass: Float[np.ndarray, "3 3"],
+        momentum: Float[np.ndarray, "3"],
+        jacobians: Float[np.ndarray, "C 2 3"],
+        bound: Float[np.ndarray, "C"],
+        directions: int,
+    ) -> Textbook:
+        """The problem of M, M v_before + h u, contacts, h mu_i N_i and a polygon with `directions` corners."""
+        angle = 2 * np.pi * np.arange(directions) / directions
+        corners = np.column_stack([np.cos(angle), np.sin(angle)])
+        columns = np.einsum("kd,cdn->nck", corners, jacobians).reshape(3, -1)
+        inverse = np.linalg.inv(mass)
+        owner = np.repeat(np.eye(len(bound)), directions, axis=0)
+        matrix = np.block([[columns.T @ inverse @ columns, owner], [-owner.T, np.zeros((len(bound),) * 2)]])
+        free = inverse @ momentum
+        return Textbook(matrix, np.append(columns.T @ free, bound), columns, corners, inverse, free, jacobians)
+
+    def velocity(self, z: Float[np.ndarray, "n"]) -> Float[np.ndarray, "3"]:
+        """v = v_free + M^-1 D beta."""
+        return self.free + self.inverse @ self.columns @ z[: self.columns.shape[1]]
+
+    def residual(self, z: Float[np.ndarray, "n"]) -> float:
+        """max |min(z, w)|, N s and m/s."""
+        return float(np.abs(np.minimum(z, self.matrix @ z + self.offset)).max())
+
+    def unknowns(
+        self, velocity: Float[np.ndarray, "3"], impulse: Float[np.ndarray, "CS"], sides: Float[np.ndarray, "S 2"]
+    ) -> Float[np.ndarray, "n"]:
+        """z of a velocity and of every side's impulse, which acts with -sides^T impulse.
+
+        A contact's impulse lies in the cone of two neighbouring corners, so beta has at most two entries a contact.
+        """
+        count = len(self.corners)
+        friction = -impulse.reshape(-1, len(sides)) @ sides
+        beta = np.zeros((len(friction), count))
+        turn = np.arctan2(friction[:, 1], friction[:, 0]) % (2 * np.pi)
+        low = np.floor(turn * count / (2 * np.pi)).astype(int) % count
+        for i, k in enumerate(low):
+            pair = [k, (k + 1) % count]
+            beta[i, pair] = np.maximum(np.linalg.solve(self.corners[pair].T, friction[i]), 0.0)
+        speed = -(self.jacobians @ velocity) @ self.corners.T
+        return np.append(beta.ravel(), speed.max(axis=1))
+
+
+def lemke(problem: Textbook) -> Float[np.ndarray, "n"]:
+    """z by Lemke's complementary pivoting with a covering vector of ones, ties broken lexicographically.
+
+    Raises:
+        RuntimeError: it ends on a ray, or does not end.
+    """
+    contacts, corners = len(problem.jacobians), len(problem.corners)
+    rubs = problem.offset[contacts * corners :] > 0  # the others only lengthen the way
+    kept = np.append(np.repeat(rubs, corners), rubs)
+    matrix, offset = problem.matrix[np.ix_(kept, kept)], problem.offset[kept]
+    impulses = int(rubs.sum()) * corners
+    push = offset[impulses:].max(initial=1e-30)
+    speed = push * problem.matrix.diagonal().max()
+    unit = np.repeat([push, speed], [impulses, len(offset) - impulses])  # of z, which w has the other way round
+    unit_w = np.repeat([speed, push], [impulses, len(offset) - impulses])
+    z = np.zeros(len(kept))
+    z[kept] = unit * _pivoted(matrix * unit / unit_w[:, None], offset / unit_w)
+    z[contacts * corners :] = -(problem.jacobians @ problem.velocity(z) @ problem.corners.T).min(axis=1)
+    return z
+
+
+def _pivoted(matrix: np.ndarray, offset: np.ndarray) -> np.ndarray:
+    """z of numbers of size one."""
+    n = len(offset)
+    if (offset >= 0).all():
+        return np.zeros(n)
+    # columns: w, z, the covering variable and the right-hand side; those of w hold the inverse of the basis
+    table = np.column_stack([np.eye(n), -matrix, -np.ones(n), offset])
+    basis, entering, row = np.arange(n), 2 * n, int(np.flatnonzero(offset <= offset.min() + 1e-12)[-1])
+    for _ in range(MOST_PIVOTS):
+        leaving = basis[row]
+        table[row] /= table[row, entering]
+        others = np.arange(n) != row
+        table[others] -= np.outer(table[others, entering], table[row])
+        basis[row] = entering
+        if leaving == 2 * n:
+            break
+        entering = (leaving + n) % (2 * n)
+        row = _leaving(table, basis, entering)
+    else:
+        raise RuntimeError(f"Lemke's method did not end in {MOST_PIVOTS} pivots")
+    z, held = np.zeros(n), basis[basis >= n] - n
+    z[held] = np.linalg.solve(matrix[np.ix_(held, held)], -offset[held])  # without the pivots' rounding
+    return z
+
+
+def _leaving(table: np.ndarray, basis: np.ndarray, entering: int) -> int:
+    """The row whose variable first reaches zero as `entering` grows."""
+    n = len(table)
+    rows = np.flatnonzero(table[:, entering] > 1e-10)
+    if not len(rows):
+        raise RuntimeError("Lemke's method ended on a ray")
+    for column in (-1, *range(n)):
+        ratio = table[rows, column] / table[rows, entering]
+        rows = rows[ratio <= ratio.min() + 1e-12]
+        cover = rows[basis[rows] == 2 * n]
+        if column == -1 and len(cover):
+            return int(cover[0])
+        if len(rows) == 1:
+            break
+    return int(rows[0])
+
+
+def interior_point(problem: Textbook, tolerance: float = 1e-10) -> Float[np.ndarray, "n"]:
+    """z by Mehrotra's predictor and corrector, one dense LU of the n x n Newton matrix an iteration.
+
+    Args:
+        problem: the step.
+        tolerance: of z . w and of |w - matrix z - offset|, as a part of where it starts.
+
+    Raises:
+        RuntimeError: it does not end.
+    """
+    matrix, offset = problem.matrix, problem.offset
+    impulses = problem.columns.shape[1]
+    push = offset[impulses:].mean() / len(problem.corners)
+    speed = np.abs(offset[:impulses]).mean() + push * matrix.diagonal()[:impulses].mean()
+    z = np.append(np.full(impulses, push), np.full(len(offset) - impulses, speed))
+    w = np.append(np.full(impulses, speed), np.full(len(offset) - impulses, push))
+    first = z @ w
+    for _ in range(MOST_ITERATIONS):
+        miss = matrix @ z + offset - w
+        gap = z @ w
+        if gap <= tolerance * first and np.abs(miss).max() <= tolerance * np.abs(offset).max():
+            return z
+        newton = scipy.linalg.lu_factor(matrix + np.diag(w / z), check_finite=False)
+        dz = scipy.linalg.lu_solve(newton, -miss - w, check_finite=False)
+        dw = matrix @ dz + miss
+        reach = _reach(z, dz, w, dw)
+        centre = ((z + reach * dz) @ (w + reach * dw) / gap) ** 3 * gap / len(z)
+        dz = scipy.linalg.lu_solve(newton, -miss - w - (dz * dw - centre) / z, check_finite=False)
+        dw = matrix @ dz + miss
+        reach = 0.995 * _reach(z, dz, w, dw)
+        z, w = z + reach * dz, w + reach * dw
+    raise RuntimeError(f"the interior point did not end in {MOST_ITERATIONS} iterations")
+
+
+def _reach(z: np.ndarray, dz: np.ndarray, w: np.ndarray, dw: np.ndarray) -> float:
+    """Longest step, at most 1, that keeps z and w positive."""
+    return 1 / max(1.0, (-dz / z).max(), (-dw / w).max())

@@ -1,0 +1,366 @@
+"""The documentation holds: its files load, its code runs, its links lead somewhere, its tables are the code's."""
+
+from __future__ import annotations
+
+import json
+import re
+import tomllib
+from collections.abc import Iterator
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any, get_args
+
+import annotated_types
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+from pydantic import BaseModel
+
+import scenarios.results.load
+from estimators.base import Estimate, Trace
+from estimators.registry import METHODS
+from scenarios.cli.main import main
+from scenarios.config import (
+    Grid,
+    Policy,
+    Scenario,
+    Simulation,
+    Sweep,
+    Truth,
+    load_scenario,
+)
+from scenarios.results.store import Store
+from testbed.importers.mapping import (
+    FACTORS,
+    HandMap,
+    JointMap,
+    LogMap,
+    Mapping,
+    PhaseWindow,
+    SensorMap,
+    TimeMap,
+    ToolMap,
+    VelocityMap,
+)
+from testbed.objects.files import (
+    Blocks,
+    Mesh,
+    MeshGrasp,
+    MeshPart,
+    ObjectFile,
+    load_object,
+    load_toml,
+)
+from testbed.objects.model import MassDistribution
+from testbed.objects.random import Family
+from testbed.robot.calibration.file import CalibrationFile
+from testbed.robot.config import RobotFile
+from testbed.sensing.presets import PRESETS
+from testbed.trajectory import SCHEMA_VERSION, Phase, save_trajectory
+from tests.helpers.records import record
+
+ROOT = Path(__file__).parents[3]
+DOCS = ROOT / "docs"
+PAGES = sorted(DOCS.glob("*.md"))
+FENCE = re.compile(
+    r"(?:^<!-- (?P<mark>[^\n]+) -->\n)?^```(?P<info>[^\n]*)\n(?P<text>.*?)^```$", re.MULTILINE | re.DOTALL
+)
+SECTIONS: dict[str, type[BaseModel]] = {
+    "Top of an object file": ObjectFile,
+    "blocks": Blocks,
+    "mesh": Mesh,
+    "mesh.parts": MeshPart,
+    "mesh.grasps": MeshGrasp,
+    "Top of a scenario file": Scenario,
+    "random": Family,
+    "grid": Grid,
+    "policy": Policy,
+    "simulation": Simulation,
+    "truth": Truth,
+    "sweep": Sweep,
+    "Fields of a calibration": CalibrationFile,
+    "Top of a mapping file": Mapping,
+    "mapping.time": TimeMap,
+    "mapping.sensor": SensorMap,
+    "mapping.hand": HandMap,
+    "mapping.tool": ToolMap,
+    "mapping.velocity": VelocityMap,
+    "mapping.joints": JointMap,
+    "mapping.phases": PhaseWindow,
+    "mapping.logs": LogMap,
+}
+OTHER_FILES: dict[str, type[BaseModel]] = {"bench": RobotFile, "calibration": CalibrationFile, "mapping": Mapping}
+"""Marks of blocks that are files of these kinds."""
+
+
+@dataclass(frozen=True)
+class Block:
+    """A fenced block of a page."""
+
+    page: str
+    mark: str
+    """What the comment above it says: object, scenario, slow, output: ..."""
+    language: str
+    title: str
+    text: str
+
+
+def blocks_of(page: Path) -> list[Block]:
+    found = []
+    for match in FENCE.finditer(page.read_text(encoding="utf-8")):
+        language, _, rest = match["info"].partition(" ")
+        title = re.search(r'title="([^"]+)"', rest)
+        found.append(Block(page.name, match["mark"] or "", language, title[1] if title else "", match["text"]))
+    return found
+
+
+BLOCKS = [block for page in PAGES for block in blocks_of(page)]
+TUTORIAL = [block for block in BLOCKS if block.page in ("tutorial.md", "write_an_estimator.md")]
+COMMANDS = [
+    (block.page, line)
+    for block in BLOCKS
+    if block.language == "sh"
+    for line in block.text.splitlines()
+    if line.startswith("heft ")
+]
+
+
+def section(page: str, heading: str) -> str:
+    """Text under a heading, up to the next one of any level."""
+    text = (DOCS / page).read_text(encoding="utf-8")
+    found = re.search(rf"^#+ {re.escape(heading)}\n(.*?)(?=^#+ |\Z)", text, re.MULTILINE | re.DOTALL)
+    assert found, f"{page} has no section {heading}"
+    return found[1]
+
+
+def table(page: str, heading: str) -> list[list[str]]:
+    """Cells of the first table of a section, without its head."""
+    lines = [line for line in section(page, heading).splitlines() if line.startswith("|")]
+    return [[cell.strip() for cell in line.strip("|").split("|")] for line in lines[2:]]
+
+
+def names(cells: list[list[str]]) -> list[str]:
+    """All code names in the first column."""
+    return [name for row in cells for name in re.findall(r"`([^`]+)`", row[0])]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory) -> Path:
+    """A folder with every titled file of the tutorial; Python that makes files has been run."""
+    path = tmp_path_factory.mktemp("tutorial")
+    for block in TUTORIAL:
+        if block.title:
+            (path / block.title).write_text(block.text, encoding="utf-8")
+    return path
+
+
+@pytest.fixture
+def inside(folder, monkeypatch) -> Path:
+    """The tutorial's folder as the current one, its modules and the conformance suite importable."""
+    monkeypatch.chdir(folder)
+    monkeypatch.syspath_prepend(str(folder))
+    run("make_mallet.py")
+    return folder
+
+
+def run(name: str) -> None:
+    """Run a Python file of the current folder as a script."""
+    code = compile(Path(name).read_text(encoding="utf-8"), name, "exec", dont_inherit=True)
+    exec(code, {"__name__": "__main__"})
+
+
+@pytest.mark.parametrize("block", [b for b in BLOCKS if b.language == "toml"], ids=lambda b: f"{b.page}-{b.title}")
+def test_every_toml_block_loads(block, inside, tmp_path):
+    assert block.title, "a file needs a name"
+    if block.mark == "object":
+        path = inside / block.title
+        path.write_text(block.text, encoding="utf-8")
+        assert load_object(path).name == path.stem
+    elif block.mark in OTHER_FILES:
+        path = tmp_path / block.title
+        path.write_text(block.text, encoding="utf-8")
+        load_toml(path, OTHER_FILES[block.mark])
+    else:
+        assert block.mark == "scenario", "mark the block as object, scenario, bench, calibration or mapping"
+        path = tmp_path / block.title
+        path.write_text(block.text, encoding="utf-8")
+        _, scenario = load_scenario(str(path))
+        for name in scenario.objects:
+            load_object(name)
+
+
+QUICK = [b.title for b in TUTORIAL if b.language == "python" and b.mark != "slow"]
+SLOW = [b.title for b in TUTORIAL if b.language == "python" and b.mark == "slow"]
+
+
+@pytest.mark.parametrize("name", QUICK)
+def test_every_quick_python_block_runs(name, inside, capsys):
+    run(name)
+    shown = [b.text for b in TUTORIAL if not b.language]
+    printed = capsys.readouterr().out
+    assert not printed or printed in shown
+
+
+@pytest.mark.slow
+def test_every_slow_python_block_runs(inside, capsys):
+    short = (inside / "first.toml").read_text(encoding="utf-8").replace("iterations = 200", "iterations = 2")
+    (inside / "first.toml").write_text(short, encoding="utf-8")
+    main(["run", "first.toml", "--seeds", "2", "--workers", "2"])
+    for name in SLOW:
+        run(name)
+    assert "NAD: 0.0" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(("page", "line"), COMMANDS)
+def test_every_command_is_understood(page, line, inside, monkeypatch):
+    ran: list[str] = []
+    monkeypatch.setattr("scenarios.cli.run.run_and_show", lambda *_: ran.append("run"))
+    monkeypatch.setattr("scenarios.cli.progress.show_status", lambda *_: ran.append("status"))
+    monkeypatch.setattr("scenarios.cli.report.report", lambda _: ran.append("report"))
+    for name in ("view", "record"):
+        monkeypatch.setattr(f"scenarios.cli.view.{name}", lambda *_, name=name, **__: ran.append(name))
+    monkeypatch.setattr("scenarios.cli.report.show_figures", lambda *_: ran.append("figures"))
+    monkeypatch.setattr("scenarios.cli.export.export", lambda *_, **__: ran.append("export") or [])
+    for name in ("list_trials", "render_trial"):
+        monkeypatch.setattr(f"scenarios.cli.render.{name}", lambda *_: ran.append("render"))
+    monkeypatch.setattr("scenarios.cli.touch.touch", lambda *_: ran.append("touch"))
+    for name in ("watch_live", "watch_record"):
+        monkeypatch.setattr(f"scenarios.cli.render.{name}", lambda *_: ran.append("watch"))
+    for name in (
+        "check.check_bench",
+        "sensor.show_sensor",
+        "calibrate.calibrate_sensor",
+        "trial.run_trial",
+        "verify.verify",
+    ):
+        monkeypatch.setattr(f"scenarios.cli.robot.{name}", lambda *_, **__: ran.append("robot"))
+    monkeypatch.setattr("scenarios.cli.data.import_logs", lambda *_: ran.append("import"))
+    monkeypatch.setattr("scenarios.cli.data.estimate_recorded", lambda *_: ran.append("estimate"))
+    words = line.split()[1:]
+    if words[0].startswith("--tyro-"):
+        words[-1] = str(inside / "completion")
+        with pytest.raises(SystemExit) as end:
+            main(words)
+        assert not end.value.code
+        return
+    main(words)
+    assert ran in ([], [words[0]])
+
+
+@pytest.mark.parametrize("block", [b for b in BLOCKS if b.mark.startswith("output: heft ")], ids=lambda b: b.mark)
+def test_shown_output_is_what_the_command_prints(block, inside, monkeypatch, capsys):
+    width = max(len(line) for line in block.text.splitlines())
+    monkeypatch.setenv("COLUMNS", "80" if width <= 80 else "120")
+    main(block.mark.removeprefix("output: heft ").split())
+    assert [line.rstrip() for line in capsys.readouterr().out.rstrip().splitlines()] == block.text.splitlines()
+
+
+def anchors(page: Path) -> set[str]:
+    text = FENCE.sub("", page.read_text(encoding="utf-8"))
+    heads = re.findall(r"^#+ (.+)$", text, re.MULTILINE)
+    return {re.sub(r"[-\s]+", "-", re.sub(r"[^\w\s-]", "", head).strip().lower()) for head in heads}
+
+
+def links() -> Iterator[tuple[str, str]]:
+    for page in (*PAGES, ROOT / "README.md", ROOT / "CONTRIBUTING.md"):
+        for target in re.findall(r"\]\(([^)\s]+)\)", FENCE.sub("", page.read_text(encoding="utf-8"))):
+            if not re.match(r"[a-z]+:", target):
+                yield str(page.relative_to(ROOT)), target
+
+
+@pytest.mark.parametrize(("page", "target"), list(links()))
+def test_every_link_leads_somewhere(page, target):
+    path, _, anchor = target.partition("#")
+    there = (ROOT / page).parent / path if path else ROOT / page
+    assert there.exists()
+    assert not anchor or anchor in anchors(there)
+
+
+def bounds(kind: Any, metadata: list[Any]) -> str:
+    """Bounds of a number as the tables write them; empty where there are none."""
+    for part in get_args(kind):  # X | None keeps the bounds of X within
+        metadata = metadata + [m for inner in getattr(part, "__metadata__", ()) for m in getattr(inner, "metadata", ())]
+    signs = {annotated_types.Gt: "> {0.gt}", annotated_types.Ge: ">= {0.ge}"}
+    signs |= {annotated_types.Lt: "< {0.lt}", annotated_types.Le: "<= {0.le}"}
+    return ", ".join(signs[type(m)].format(m) for m in metadata if type(m) in signs)
+
+
+def as_written(default: Any) -> str:
+    if default is None:
+        return "none"
+    return "defaults" if isinstance(default, BaseModel) else f"`{json.dumps(default)}`"
+
+
+@pytest.mark.parametrize("heading", SECTIONS)
+def test_a_table_of_fields_is_the_models(heading):
+    rows, model = table("formats.md", heading), SECTIONS[heading]
+    assert names(rows) == list(model.model_fields)
+    for (_, _, default, allowed, meaning), field in zip(rows, model.model_fields.values(), strict=True):
+        assert meaning
+        assert default == ("required" if field.is_required() else as_written(field.default))
+        union = "list" in str(field.annotation)  # "a number or a list" is told in words
+        assert union or allowed == (bounds(field.annotation, field.metadata) or allowed)
+
+
+@pytest.mark.parametrize("name", METHODS)
+def test_a_table_of_settings_is_the_methods(name):
+    rows, settings = table("formats.md", name), fields(METHODS[name])  # pyright: ignore[reportArgumentType]
+    assert names(rows) == [f.name for f in settings]
+    assert [row[2] for row in rows] == [as_written(f.default) for f in settings]
+
+
+def test_every_method_has_its_section():
+    heads = re.findall(r"^#### (.+)$", (DOCS / "formats.md").read_text(encoding="utf-8"), re.MULTILINE)
+    assert heads == list(METHODS)
+
+
+def test_the_example_of_every_table_is_the_default():
+    text = next(b.text for b in BLOCKS if b.title == "every_table.toml")
+    data = tomllib.loads(text)
+    assert Scenario.model_validate(data) == Scenario(objects=data["objects"])
+    assert {*data, "random"} == {*Scenario.model_fields}
+
+
+def test_sensors_are_the_presets():
+    rows = table("formats.md", "Sensors")
+    assert names(rows) == list(PRESETS)
+    for row, preset in zip(rows, PRESETS.values(), strict=True):
+        for said, noise in zip(row[1:3], (preset.force_noise, preset.torque_noise), strict=True):
+            assert said == ", ".join(f"{x:g}" for x in (noise if len(set(noise)) > 1 else noise[:1]))
+        assert row[3:] == [f"{preset.force_bias:g}", f"{preset.torque_bias:g}"]
+
+
+def test_units_of_logs_are_those_that_are_known():
+    rows = table("formats.md", "Units")
+    assert {row[0]: re.findall(r"`([^`]+)`", row[1]) for row in rows} == {q: [*units] for q, units in FACTORS.items()}
+
+
+def test_columns_of_results_are_those_of_the_docstring():
+    lines = [line for line in (scenarios.results.load.__doc__ or "").splitlines() if line.startswith("| ")]
+    said = [name.strip() for line in lines[1:] for name in line.split("|")[1].split(",")]
+    assert sorted(names(table("formats.md", "results.parquet"))) == sorted(said)
+
+
+def test_columns_and_header_of_a_trajectory(tmp_path):
+    save_trajectory(record(), tmp_path / "trajectory.parquet")
+    schema = pq.read_schema(tmp_path / "trajectory.parquet")
+    assert names(table("formats.md", "trajectory.parquet")) == schema.names
+    assert names(table("formats.md", "Header")) == list(json.loads(schema.metadata[b"heft"]))
+    assert [row[:2] for row in table("formats.md", "Phases")] == [[str(int(p)), p.name.lower()] for p in Phase]
+    assert f"The version of the trajectory schema is **{SCHEMA_VERSION}**" in (DOCS / "formats.md").read_text("utf-8")
+
+
+def test_arrays_of_an_estimate(tmp_path):
+    trace = Trace("adam", (1.0,), (0.1,), 1.0, np.ones((1, 2)))
+    answer = Estimate(MassDistribution(np.ones(2), np.ones(1)), "ok", covariance=np.eye(2), traces=(trace,))
+    Store(tmp_path).put_estimate("key", {}, answer, load_object("L2").shape)
+    with np.load(tmp_path / "estimates/key/estimate.npz") as arrays:
+        written = [name.replace("adam", "<optimizer>") for name in arrays.files]
+    assert names(table("formats.md", "estimate.npz")) == written
+
+
+def test_every_option_of_run_is_told(capsys):
+    with pytest.raises(SystemExit):
+        main(["run", "--help"])
+    options = set(re.findall(r"--[a-z][a-z-]+", capsys.readouterr().out)) - {"--help", "--no-dry-run"}
+    assert options == {name.split()[0] for name in names(table("command_line.md", "heft run"))}

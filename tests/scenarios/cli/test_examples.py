@@ -1,0 +1,87 @@
+"""The examples of the documentation run, and say what they say they do."""
+
+from __future__ import annotations
+
+import runpy
+import sys
+from pathlib import Path
+
+import pytest
+
+EXAMPLES = Path(__file__).parents[3] / "docs" / "examples"
+
+
+@pytest.fixture
+def example(tmp_path, monkeypatch, capsys):
+    """Runs an example as a script in a folder of its own; what it prints."""
+    monkeypatch.chdir(tmp_path)
+
+    def run(name: str, *arguments: str) -> str:
+        monkeypatch.setattr(sys, "argv", [name, *arguments])
+        runpy.run_path(str(EXAMPLES / name), run_name="__main__")
+        return capsys.readouterr().out
+
+    return run
+
+
+def test_every_example_has_its_test():
+    assert {path.name for path in EXAMPLES.glob("*.py")} == {
+        "first_trial.py",
+        "own_estimator.py",
+        "own_log.py",
+        "own_mesh.py",
+        "read_a_sweep.py",
+    }
+    assert [path.name for path in EXAMPLES.glob("*.ipynb")] == ["rerun_inline.ipynb"]
+
+
+def test_own_estimator(example):
+    said = example("own_estimator.py")
+    assert float(said.rsplit("NAD ", 1)[1].split()[0]) < 5
+
+
+@pytest.mark.slow
+def test_first_trial(example):
+    there, back = example("first_trial.py").splitlines()
+    assert there.startswith("+0.17")
+    assert back.startswith("-0.17")
+
+
+@pytest.mark.slow
+def test_own_mesh(example):
+    said = example("own_mesh.py")
+    assert "status ok" in said
+    assert float(said.rsplit("NAD ", 1)[1].split()[0]) < 5
+
+
+@pytest.mark.slow
+def test_own_log_and_how_its_results_are_read(example):
+    said = example("own_log.py")
+    assert "4 trials of L2 in results/lab, 0 of them no data" in said
+    nad = next(line for line in said.splitlines() if line.split()[:1] == ["hidden_states"]).split()
+    assert float(nad[1]) < 5
+    read = example("read_a_sweep.py", "results/lab")
+    assert "worst: L2 by" in read
+    assert read.count("least_squares") >= 2
+
+
+@pytest.mark.slow
+def test_the_notebook_shows_viewers_inline():
+    nbformat = pytest.importorskip("nbformat", reason="needs the extra notebook")
+    nbclient = pytest.importorskip("nbclient", reason="needs the extra notebook")
+    for package in ("ipykernel", "rerun_notebook"):
+        pytest.importorskip(package, reason="needs the extra notebook")
+    notebook = nbformat.read(EXAMPLES / "rerun_inline.ipynb", as_version=4)
+    assert not any(cell.get("outputs") for cell in notebook.cells), "it is kept without outputs"
+    nbclient.NotebookClient(notebook, timeout=300, kernel_name="python3").execute()
+    outputs = {cell["id"]: cell["outputs"] for cell in notebook.cells if cell["cell_type"] == "code"}
+    assert outputs["run"][0]["data"]["text/plain"] == "['ok', 'ok', 'ok']"
+    assert float(outputs["estimate"][0]["text"].rsplit("NAD ", 1)[1].split()[0]) < 5
+    widget = "application/vnd.jupyter.widget-view+json"
+    state = notebook["metadata"]["widgets"]["application/vnd.jupyter.widget-state+json"]["state"]
+    for cell in ("trial", "shown"):
+        shown = next(output["data"][widget]["model_id"] for output in outputs[cell] if widget in output.get("data", {}))
+        inside = [state[child.removeprefix("IPY_MODEL_")] for child in state[shown]["state"]["children"]]
+        viewer = next(model for model in inside if model["model_module"] == "anywidget")
+        assert "app.rerun.io" not in viewer["state"]["_esm"][:200], "the viewer comes from its package"
+        assert viewer["state"]["_height"] == 640

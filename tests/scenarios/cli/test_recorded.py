@@ -1,0 +1,193 @@
+"""heft import and heft estimate: another bench's logs become trials, and every method answers from them."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from numpy.testing import assert_allclose
+
+from estimators.hidden_states.algorithm import HiddenStatesEstimator
+from scenarios.cli.main import main
+from scenarios.results.load import load_results, load_trajectories
+from scenarios.results.store import Store
+from scenarios.results.trials import trial_shown
+from testbed.actions.base import Rotate, Slide, action_to_dict
+from testbed.importers.importer import import_trajectory
+from testbed.objects.files import load_object
+from testbed.replay import ReplayRunner
+from testbed.sensing.presets import compensate
+from testbed.simulation.runner import SimulationRunner
+from testbed.trajectory import Trajectory
+from testbed.trial import Trial
+from tests.fakes.lab_bench import mapping_of, write_csv, write_toml
+from tests.helpers.recorded import put_trial
+
+PIVOTS = {0: (0.008, -0.07), 2: (-0.033, 0.025), 4: (-0.05, 0.07), 3: (-0.02, 0.0)}
+TURNS = [Rotate(grasp, duration=2.0, pivot=pivot, back=True) for grasp, pivot in PIVOTS.items()]
+L2 = load_object("L2")
+
+
+@pytest.fixture(scope="module")
+def records() -> list[Trajectory]:
+    bench = SimulationRunner()
+    return [compensate(bench.run_clean(Trial(L2, turn))) for turn in TURNS]
+
+
+@pytest.fixture
+def lab(records: list[Trajectory], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder with a log of each turn, and lab.toml, which names them."""
+    monkeypatch.chdir(tmp_path)
+    for i, record in enumerate(records):
+        write_csv(tmp_path / f"{i}.csv", replace(record, time_s=record.time_s + 100 * i))
+    named = [{"file": f"{i}.csv", "action": action_to_dict(turn)} for i, turn in enumerate(TURNS)]
+    write_toml(tmp_path / "lab.toml", mapping_of(records[0], action=None, logs=named))
+    return tmp_path
+
+
+def ended(*words: str) -> int:
+    try:
+        main([*words])
+    except SystemExit as end:
+        return int(end.code or 0)
+    return 0
+
+
+def test_logs_become_trials_that_play_again(lab: Path, capsys: pytest.CaptureFixture[str]):
+    assert ended("import", "lab.toml", "--out", "lab", "--weight", "1.8") == 0
+    said = capsys.readouterr().out
+    assert "ok      1.csv: L2: rotate (grasp 2, " in said
+    assert "drift: assumed, for want of a second tare" in said
+    assert "4 trials of L2 in lab, 0 of them no data; heft estimate lab" in said
+    for i, turn in enumerate(TURNS):
+        with ReplayRunner(lab / "lab") as bench:
+            played = bench.run(Trial(L2, turn))
+        asked = import_trajectory(lab / f"{i}.csv", lab / "lab.toml")
+        assert_allclose(played.wrench_on_object_world, asked.wrench_on_object_world)
+        assert played.provenance == asked.provenance
+    before = sorted(key for key, _ in load_trajectories(lab / "lab"))
+    assert len(before) == 5
+    assert ended("import", "lab.toml", "--out", "lab", "--weight", "1.8") == 0
+    assert sorted(key for key, _ in load_trajectories(lab / "lab")) == before
+
+
+def test_a_corrected_mapping_takes_the_place_of_the_wrong_one(lab: Path, records: list[Trajectory]):
+    assert ended("import", "lab.toml", "--out", "lab") == 0
+    mapping = mapping_of(records[0])
+    write_toml(lab / "second.toml", mapping | {"sensor": mapping["sensor"] | {"bias_std_N": 0.2}})
+    assert ended("import", "second.toml", "0.csv", "--out", "lab") == 0
+    biases = sorted(t.sensor_bias_std[0] for _, t in load_trajectories(lab / "lab"))
+    assert_allclose(biases, [0.05, 0.05, 0.05, 0.2])
+
+
+def test_what_is_wrong_with_all_logs_is_told_at_once_and_nothing_is_written(
+    lab: Path, capsys: pytest.CaptureFixture[str]
+):
+    table = (lab / "0.csv").read_text(encoding="utf-8")
+    (lab / "0.csv").write_text(table.replace("fx,fy", "fx,f_y", 1), encoding="utf-8")
+    (lab / "2.csv").write_text("\n".join(table.splitlines()[:60]), encoding="utf-8")
+    assert ended("import", "lab.toml", "--out", "lab") == 2
+    lines = capsys.readouterr().err.removeprefix("heft: ").splitlines()
+    assert len(lines) == 2
+    assert lines[0].startswith("0.csv: sensor.force, sensor.torque: got 'fy'; allowed: one of stamp, fx, f_y")
+    assert lines[1].startswith("2.csv: log: its columns have 0.58 s in common; allowed: 1 s or more")
+    assert not (lab / "lab").exists()
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("import", "none.toml", "0.csv"), "none.toml: cannot be read as TOML"),
+        (("import", "lab.toml", "9.csv"), "log: got '9.csv'; allowed: an existing .csv or .mcap file"),
+        (("import", "lab.toml", "--weight", "-1"), "--weight: got -1.0; allowed: "),
+        (("import", "lab.toml", "--support", "soft"), 'support: got \'soft\'; allowed: "own_weight", "rigid"'),
+        (("estimate", "none"), "DIR: got 'none'; allowed: a results folder, with trials in it"),
+        (("estimate", "lab"), "a folder in which L2 was weighed: heft robot trial --action weigh --weight KG, or heft"),
+        (("estimate", "lab", "--objects", "F2"), "--objects: got 'F2'; allowed: objects of lab: L2"),
+        (("estimate", "lab", "--methods", "hiden"), "--methods: got 'hiden'; allowed: some of the scenario's hidden_s"),
+        (("estimate", "lab", "--held-out", "-1"), "--held-out: got -1; allowed: an integer >= 0"),
+    ],
+)
+def test_bad_input_is_one_clear_line(lab: Path, capsys: pytest.CaptureFixture[str], words: tuple[str, ...], said: str):
+    assert words[:2] != ("estimate", "lab") or ended("import", "lab.toml", "--out", "lab") == 0
+    capsys.readouterr()
+    assert ended(*words) == 2
+    told = capsys.readouterr().err
+    assert said in told
+    assert len(told.splitlines()) == 1
+
+
+def test_every_method_answers_from_what_was_measured(lab: Path, capsys: pytest.CaptureFixture[str]):
+    """As it does when it is asked directly: nothing is drawn, and the truth is only compared."""
+    assert ended("import", "lab.toml", "--out", "lab", "--weight", "1.8") == 0
+    asked = ("estimate", "lab", "--methods", "hidden_states", "random_search_M", "--held-out", "1", "--workers", "0")
+    assert ended(*asked) == 0
+    said = capsys.readouterr().out
+    assert "own weight, as measured" in said.replace("\n", " ")
+    rows = load_results("lab").to_dict("records")
+    assert [row["method"] for row in rows] == ["hidden_states", "random_search_M"]
+    trials = [import_trajectory(lab / f"{i}.csv", lab / "lab.toml") for i in (0, 1, 2)]
+    answer = HiddenStatesEstimator().estimate(L2.shape, 1.8, trials, seed=0)
+    assert answer.distribution is not None
+    assert_allclose(rows[0]["mass_kg"], answer.distribution.mass * L2.shape.particles_per_group, rtol=1e-9)
+    assert rows[0]["nad"] < 0.1
+    assert rows[0]["mpd_turn_m"] < 0.01
+    assert len(rows[0]["trial_keys"]) == 4 and len(rows[0]["held_out_keys"]) == 1
+    assert ended("status", "lab") == 0
+    assert "estimates: 2 done, 0 failed" in capsys.readouterr().out
+    assert "heft estimate lab --methods hidden_states random_search_M --held-out 1" in (
+        lab / "lab/report.html"
+    ).read_text(encoding="utf-8")
+
+
+@pytest.mark.slow
+def test_measured_trials_and_their_estimates_are_shown_as_simulated_ones_are(lab: Path, records: list[Trajectory]):
+    """Of an object of one's own, of a log without joints too."""
+    blocks = 'layout = ["1", "1", "1", "111"]\nmass_kg = [0.4, 0.1, 0.1, 0.4, 0.4, 0.4]'
+    (lab / "mine.toml").write_text(f'name = "mine"\n[blocks]\n{blocks}\n', encoding="utf-8")
+    named = [{"file": f"{i}.csv", "action": action_to_dict(turn)} for i, turn in enumerate(TURNS)]
+    write_toml(lab / "lab.toml", mapping_of(records[0], object="mine.toml", action=None, logs=named, joints=None))
+    assert ended("import", "lab.toml", "--out", "lab", "--weight", "1.8") == 0
+    assert ended("estimate", "lab", "--methods", "hidden_states", "--workers", "2") == 0
+    row = load_results("lab").iloc[0]
+    assert (lab / "lab/report.html").read_text(encoding="utf-8").count("<svg") == 3  # the map too
+    assert "its joints were not logged" in trial_shown(lab / "lab", row["trial_keys"][1]).facts["arm"]
+    for what in ("mine", row["key"], row["trial_keys"][1]):
+        assert ended("record", "lab", what) == 0
+    assert ended("figures", "lab", row["key"]) == 0
+    assert len(list((lab / "lab/recordings").glob("*.rrd"))) == 3
+
+
+def test_a_trial_that_is_no_data_is_told_and_left_out(
+    lab: Path, records: list[Trajectory], capsys: pytest.CaptureFixture[str]
+):
+    assert ended("import", "lab.toml", "--out", "lab", "--weight", "1.8") == 0
+    store, bad = Store(lab / "lab"), replace(records[2], status="slipped", reason="it slid", provenance={})
+    path = next(p for p in store.root.glob("trials/*/trial.json") if '"2.csv"' in p.read_text(encoding="utf-8"))
+    store.put_trial(path.parent.name, Trial(L2, TURNS[2]), json.loads(path.read_text("utf-8"))["asked"], bad)
+    capsys.readouterr()
+    assert ended("estimate", "lab", "--methods", "hidden_states", "--workers", "0") == 0
+    assert f"trial {path.parent.name[:8]} of L2 is left out: slipped: it slid" in capsys.readouterr().out
+    assert path.parent.name not in load_results("lab")["trial_keys"][0]
+
+
+def test_simulated_trials_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    put_trial(tmp_path, "L2", Slide(1, duration=1.5))
+    assert ended("estimate", str(tmp_path)) == 2
+    assert "is simulated: heft run asks about these" in capsys.readouterr().err
+
+
+def test_trials_of_two_shapes_are_not_put_together(
+    lab: Path, records: list[Trajectory], capsys: pytest.CaptureFixture[str]
+):
+    assert ended("import", "lab.toml", "--out", "lab", "--weight", "1.8") == 0
+    text = 'name = "L2"\n[blocks]\nlayout = ["1", "1", "1", "111"]\nmass_kg = 0.3\nheight_m = {}\nsize_m = {}\n'
+    for size, code in ((0.05, 0), (0.06, 2)):  # other masses are another truth; another size is another object
+        (lab / "mine.toml").write_text(text.format(0.03, size), encoding="utf-8")
+        write_toml(lab / "second.toml", mapping_of(records[0], action=action_to_dict(TURNS[3]), object="mine.toml"))
+        assert ended("import", "second.toml", "3.csv", "--out", "lab") == 0
+        assert ended("estimate", "lab", "--methods", "hidden_states", "--workers", "0") == code
+    assert "allowed: trials of one shape; " in capsys.readouterr().err
+    assert_allclose(load_results("lab")["true_mass_kg"][0], 0.3)

@@ -1,0 +1,104 @@
+"""Executors: values come back, failures come back as values, and workers are replaced."""
+
+from __future__ import annotations
+
+import errno
+import multiprocessing
+import os
+import sys
+from collections.abc import Mapping
+from typing import Any
+
+import pytest
+
+from scenarios.execution.executor import Executor, Failure, Limits, open_executor
+from testbed.errors import HeftError, InvalidValueError
+from tests.fakes.misbehaving import crash_once, misbehave, who, write
+
+QUICK = Limits(timeout_s=4.0, tries=1, memory_gib=1.0)
+
+
+def all_of(executor: Executor, tasks: Mapping[Any, tuple[Any, ...]]) -> dict[Any, Any]:
+    """Every task's value."""
+    for label, (function, *arguments) in tasks.items():
+        executor.start(label, function, *arguments)
+    values = {}
+    while executor.running:
+        label, value = executor.wait()
+        values[label] = value
+    return values
+
+
+def test_inline_gives_values_and_failures():
+    with open_executor("inline", 5) as executor:
+        assert all_of(executor, {1: (who,)})[1] == (os.getpid(), 1)
+        values = all_of(executor, {way: (misbehave, way) for way in ("well", "raise", "exit")})
+    assert values["well"] == "well"
+    assert values["raise"].reason == "RuntimeError: out of ideas"
+    assert "Traceback" in values["raise"].detail
+    assert values["exit"].reason == "SystemExit: 3"
+
+
+def test_a_full_disk_ends_the_run():
+    with open_executor("inline", 0) as executor, pytest.raises(OSError) as error:
+        all_of(executor, {1: (write, "/dev/full")})
+    assert error.value.errno == errno.ENOSPC
+
+
+@pytest.mark.slow
+def test_whatever_a_task_does_comes_back_as_a_value():
+    ways = ("well", "raise", "exit", "eat", "hang", "crash")  # those that cost a worker last
+    with open_executor("local", 2, QUICK) as executor:
+        values = all_of(executor, {"who": (who,)} | {way: (misbehave, way) for way in ways})
+        assert values["who"][1] == 1
+        assert values["who"][0] != os.getpid()
+    assert values["well"] == "well"
+    reasons = {way: value.reason for way, value in values.items() if isinstance(value, Failure)}
+    assert reasons["raise"] == "RuntimeError: out of ideas"
+    assert reasons["exit"] == "SystemExit: 3"
+    assert reasons["hang"] == "took longer than 4 s (tried once)"
+    assert reasons["crash"] == "its worker process was killed by SIGSEGV (tried once)"
+    assert "MemoryError: Unable to allocate" in reasons["eat"]
+    assert not multiprocessing.active_children()
+
+
+@pytest.mark.slow
+def test_a_task_is_begun_again_up_to_a_number_of_times(tmp_path):
+    with open_executor("local", 1, Limits(tries=2)) as executor:
+        values = all_of(executor, {1: (crash_once, str(tmp_path / "marker")), 2: (misbehave, "crash")})
+    assert values[1] == "well"
+    assert values[2].reason == "its worker process was killed by SIGSEGV (tried 2 times)"
+
+
+@pytest.mark.slow
+def test_a_task_that_ends_its_process_without_an_error_is_noticed():
+    with open_executor("local", 1, Limits(tries=1)) as executor:
+        values = all_of(executor, {1: (misbehave, "leave"), 2: (misbehave, "well")})
+    assert values[1].reason == "its worker process exited with code 0 (tried once)"
+    assert values[2] == "well"
+
+
+@pytest.mark.slow
+def test_whatever_a_task_does_on_ray_comes_back_as_a_value():
+    pytest.importorskip("ray", reason="Ray is not installed: pip install 'heft[ray]'")
+    with open_executor("ray", 2, Limits(timeout_s=8.0, tries=1, memory_gib=1.5)) as executor:
+        values = all_of(executor, {way: (misbehave, way) for way in ("well", "raise", "exit", "hang", "crash", "eat")})
+    assert values["well"] == "well"
+    assert values["raise"].reason == "RuntimeError: out of ideas"
+    assert values["exit"].reason == "SystemExit: 3"
+    assert values["hang"].reason == "took longer than 8 s"
+    assert "its worker process was lost" in values["crash"].reason
+    assert "MemoryError: Unable to allocate" in values["eat"].reason
+
+
+def test_what_is_not_an_executor_is_refused():
+    with pytest.raises(InvalidValueError, match="--executor: got 'slurm'; allowed: one of inline, local, ray"):
+        open_executor("slurm", 2).__enter__()
+    with pytest.raises(InvalidValueError, match="--workers: got -1"):
+        open_executor("local", -1).__enter__()
+
+
+def test_without_ray_one_line_says_how_to_get_it(monkeypatch):
+    monkeypatch.setitem(sys.modules, "ray", None)
+    with pytest.raises(HeftError, match=r"pip install 'heft\[ray\]'"):
+        open_executor("ray", 2).__enter__()

@@ -1,0 +1,125 @@
+"""Sweeps whose every touch follows from what was felt: each draw of the sensor has trials of its own."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from rich.console import Console
+
+from estimators.action_selection.online import OnlineTouches
+from scenarios.cli.progress import show_status
+from scenarios.config import Scenario, load_scenario
+from scenarios.results.store import Store
+from scenarios.study.dry_run import Plan
+from scenarios.study.estimates import sensed
+from scenarios.study.experiment import cells_of
+from testbed.actions.base import Action
+from testbed.objects.model import ObjectShape
+from testbed.trajectory import Trajectory
+from tests.helpers.sweep_kills import Killing, kill_a_run, quiet, resumed, small_scenario
+
+ONLINE = """
+held_out = 1
+kind = "online"
+touches = 3
+candidates = 60
+seed = 1
+[simulation]
+grip = "weld"
+timestep_s = 0.002
+[grid]
+feet = 2
+particles = 2
+"""
+
+
+@dataclass(frozen=True)
+class Swept:
+    """A run that is done."""
+
+    out: Path
+    rows: pd.DataFrame
+    given: set[tuple[bytes, ...]]
+    """All that the policy was given to choose by: a record a trial."""
+
+
+def records(trajectories: Sequence[Trajectory]) -> tuple[bytes, ...]:
+    return tuple(trajectory.sensor_wrench.tobytes() for trajectory in trajectories)
+
+
+@pytest.fixture(scope="module")
+def scenario(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return small_scenario(tmp_path_factory.mktemp("scenario"), ("own_weight",), ONLINE)
+
+
+@pytest.fixture(scope="module")
+def swept(scenario: Path, tmp_path_factory: pytest.TempPathFactory) -> Swept:
+    out, given, choose = tmp_path_factory.mktemp("online") / "out", set(), OnlineTouches.next
+
+    def spied(self: OnlineTouches, shape: ObjectShape, trajectories: Sequence[Trajectory]) -> Action | None:
+        given.add(records(trajectories))
+        return choose(self, shape, trajectories)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(OnlineTouches, "next", spied)
+        return Swept(out, resumed(scenario, out, executor="inline"), given)
+
+
+@pytest.mark.slow
+def test_each_draw_follows_what_it_felt(scenario: Path, swept: Swept):
+    rows, store = swept.rows, Store(swept.out)
+    assert rows[["sensing", "seed"]].to_numpy().tolist() == [["ideal", 0], ["ft300s", 0], ["ft300s", 1]]
+    assert "failed" not in set(rows["status"]) and set(rows["trials"]) == {4}
+    cells, _ = cells_of(load_scenario(str(scenario))[1], store, quiet)
+    felt_by_any = set()
+    for cell, row in zip(cells, rows.to_dict("records"), strict=True):
+        assert cell.felt == (row["sensing"], row["seed"])
+        felt = sensed(store, tuple(row["trial_keys"]), row["sensing"], row["seed"])[1:]
+        so_far = [felt[:n] for n in range(len(felt) + 1)]
+        felt_by_any |= {records(some) for some in so_far}
+        chosen = [cell.policy.next(cell.particles.shape, some) for some in so_far]
+        assert chosen == [*(trial.action for trial in felt), None]
+    assert swept.given == felt_by_any and len(felt_by_any) == 1 + 3 * 3  # each draw its own, and nothing but these
+
+
+@pytest.mark.slow
+def test_a_draw_goes_on_from_its_own_trials(scenario: Path, swept: Swept):
+    out, rows = swept.out, swept.rows
+    stamps = {path: path.stat().st_mtime_ns for path in out.glob("trials/*/trial.json")}
+    lost = out / "trials" / rows["trial_keys"][2][2]
+    (lost / "trial.json").unlink()
+    for path in out.glob("estimates/*/result.json"):
+        path.unlink()
+    pd.testing.assert_frame_equal(resumed(scenario, out, executor="inline"), rows)
+    kept = [path for path in stamps if path.parent != lost]
+    assert kept and all(path.stat().st_mtime_ns == stamps[path] for path in kept)
+
+
+@pytest.mark.slow
+def test_it_goes_on_after_being_killed(scenario: Path, swept: Swept, tmp_path: Path):
+    kill_a_run(scenario, tmp_path / "out", Killing("both", 4, 0.1, 0))
+    pd.testing.assert_frame_equal(resumed(scenario, tmp_path / "out", executor="inline"), swept.rows)
+
+
+@pytest.mark.slow
+def test_its_trials_are_counted(scenario: Path, swept: Swept, capsys: pytest.CaptureFixture[str]):
+    show_status(Console(width=200), swept.out)
+    said = capsys.readouterr().out
+    made = len(set(np.concatenate([*swept.rows["trial_keys"], *swept.rows["held_out_keys"]])))
+    assert f"trials: {made} done of about 15, 0 failed; estimates: 3 done of about 3, 0 failed" in said
+
+
+def test_a_run_is_counted_before_it_is_made():
+    policy = {"kind": "online", "touches": 3, "held_out": 1}
+    asked = {"objects": ["I1", "L2"], "sensing": ["ideal", "ft300s"], "seeds": 4, "support": ["own_weight", "rigid"]}
+    online, planned = (
+        Plan.of(Scenario.model_validate(asked | {"policy": policy | {"kind": k}})) for k in ("online", "greedy")
+    )
+    assert (planned.cells, planned.trials, planned.estimates) == (4, 4 * 5, 4 * 5)
+    assert (online.cells, online.trials, online.estimates) == (4 * 5, 4 * 5 * 5, 4 * 5)
+    assert online.seconds > planned.seconds

@@ -1,0 +1,195 @@
+"""Runners of somebody else's: the documentation's own bench in a scenario, and what is said of others."""
+
+from __future__ import annotations
+
+import json
+import re
+import sys
+from importlib.metadata import EntryPoint, EntryPoints
+from pathlib import Path
+from typing import Any
+
+import pytest
+from test_docs import BLOCKS
+
+from estimators import registry as plugins
+from estimators.registry import RUNNER
+from scenarios.config import Scenario, Simulation, load_scenario
+from scenarios.results.load import load_results
+from scenarios.study.experiment import feasible_grasps
+from scenarios.study.run import run_scenario
+from testbed.actions.base import Slide
+from testbed.errors import InfeasibleTrialError
+from testbed.objects.files import InvalidFileError, load_object
+from testbed.trial import Trial, TrialRunner
+
+MORE = '''
+from dataclasses import replace
+from my_bench import DragBench, InfeasibleTrialError, Weigh
+
+class Measured(DragBench):
+    """The same, said to be measured."""
+    def run(self, trial):
+        return replace(super().run(trial), provenance={"runner": "of mine"})
+
+class Narrow(DragBench):
+    """It reaches the first grasps only."""
+    def check(self, trial):
+        if trial.action.grasp > 1:
+            raise InfeasibleTrialError("reach: too far")
+
+class Stiff(DragBench):
+    """It turns one way only, and says so too late."""
+    def run(self, trial):
+        if getattr(trial.action, "speed", 0) > 0:
+            raise InfeasibleTrialError("joints: not that way")
+        return super().run(trial)
+
+class Bare:
+    """No more than it must have."""
+    def __enter__(self):
+        return self
+    def __exit__(self, kind, error, trace):
+        pass
+    def run(self, trial):
+        record = DragBench().run(trial)
+        return record if isinstance(trial.action, Weigh) else replace(record, tool=None)
+
+class Words(Bare):
+    def run(self, trial):
+        return "it went well"
+
+class Open:
+    def run(self, trial):
+        raise NotImplementedError
+'''
+SHORT = {"pivots": 3, "duration": 2.0, "accelerated": 2, "held_out": 1}
+
+
+@pytest.fixture
+def here(tmp_path, monkeypatch) -> Path:
+    """A folder with the documentation's own code, as the current one; all of it is forgotten again."""
+    for block in BLOCKS:
+        if block.title in ("my_bench.py", "my_estimator.py", "my_policy.py"):
+            (tmp_path / block.title).write_text(block.text, encoding="utf-8")
+    (tmp_path / "more.py").write_text(MORE, encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("sys.path", [p for p in sys.path if p not in ("", str(tmp_path))])
+    for name in ("more", "my_bench", "my_estimator", "my_policy"):
+        monkeypatch.delitem(sys.modules, name, raising=False)
+    return tmp_path
+
+
+def ran(folder: Path, out: str, runner: str, **fields: Any) -> list[dict[str, Any]]:
+    asked = {"objects": ["L2"], "simulation": {"runner": runner}, "policy": SHORT} | fields
+    run_scenario(Scenario.model_validate(asked), folder / out, 0, lambda *_, **__: None)
+    return load_results(folder / out).to_dict("records")  # pyright: ignore[reportReturnType]
+
+
+def test_the_bench_of_the_documentation_with_its_policy_gives_the_truth_back(here):
+    policy = SHORT | {"kind": "my_policy:FarthestFirst", "touches": 5, "settings": {"turns": 4, "duration": 2.0}}
+    (row,) = ran(here, "out", "my_bench:DragBench", policy=policy)
+    assert row["status"] == "ok", row["message"]
+    assert row["nad"] < 2e-3
+    made = {path.parent.name for path in here.glob("out/trials/*/trial.json")}
+    assert len(made) == 1 + 5 + 1
+    (here / "my_bench.py").write_text((here / "my_bench.py").read_text() + "# more\n", encoding="utf-8")
+    del sys.modules["my_bench"]
+    ran(here, "out", "my_bench:DragBench", policy=policy)
+    assert len({*here.glob("out/trials/*/trial.json")}) == 2 * len(made), "another source makes trials of its own"
+
+
+def test_a_sensors_errors_are_drawn_on_what_is_simulated_and_on_nothing_else(here):
+    drawn = ran(here, "drawn", "my_bench:DragBench", sensing=["ft300s"], seeds=2)
+    measured = ran(here, "measured", "more:Measured", sensing=["ft300s"], seeds=2)
+    assert drawn[0]["nad"] != drawn[1]["nad"]
+    assert measured[0]["nad"] == measured[1]["nad"] < 2e-3
+
+
+@pytest.mark.usefixtures("here")
+def test_a_runners_own_check_says_which_grasps_can_be_used():
+    l2 = load_object("L2")
+    grasps = {
+        name: feasible_grasps(l2, Simulation(runner=f"more:{name}").build()) for name in ("Narrow", "Bare", "Measured")
+    }
+    assert grasps["Narrow"] == (0, 1)
+    assert grasps["Bare"] == grasps["Measured"] == tuple(range(len(l2.shape.grasps)))
+
+
+@pytest.mark.parametrize("kind", ["greedy", "batch", "random", "online"])
+def test_what_the_bench_refuses_when_it_is_run_is_chosen_around(here, kind):
+    policy = {"kind": kind, "touches": 3, "candidates": 120, "held_out": 0, "thought": "own_weight"}
+    (row,) = ran(here, "out", "more:Stiff", policy=policy, sensing=["ft300s"], seeds=1)
+    assert row["status"] == "ok", row["message"]
+    said = [json.loads(path.read_text())["asked"]["action"] for path in here.glob("out/trials/*/trial.json")]
+    turns = [action for action in said if action["kind"] == "rotate"]
+    assert len(said) == 4 and turns and all(action["speed"] < 0 for action in turns)
+    assert not [*here.glob("out/trials/*/error.txt")]
+    before = sorted(path.stat().st_mtime_ns for path in here.glob("out/trials/*/*"))
+    ran(here, "out", "more:Stiff", policy=policy, sensing=["ft300s"], seeds=1)
+    assert sorted(path.stat().st_mtime_ns for path in here.glob("out/trials/*/*")) == before
+
+
+def test_a_policy_that_asks_again_for_what_was_refused_ends_its_cell(here):
+    (row,) = ran(here, "out", "more:Stiff")
+    assert row["status"] == "failed" and row["message"] == "rotate: joints: not that way"
+
+
+@pytest.mark.parametrize(
+    ("runner", "message"),
+    [
+        ("more:Words", r"weigh: InvalidValueError: more:Words.run\(\): got 'it went well'; allowed: a Trajectory"),
+        ("more:Bare", r"accelerate: InvalidValueError: more:Bare.run\(\).tool: got None; allowed: the Tool below"),
+    ],
+)
+def test_what_cannot_be_used_fails_in_words(here, runner, message):
+    (row,) = ran(here, "out", runner)
+    assert row["status"] == "failed"
+    assert re.search(message, row["message"])
+
+
+@pytest.mark.usefixtures("here")
+@pytest.mark.parametrize(
+    ("simulation", "message"),
+    [
+        ('runner = "more:Open"', r"simulation.runner: got 'more:Open'; .*__enter__\(self\) and __exit__.*no __enter__"),
+        ('runner = "more:Naro"', r"a class of more: .*nearest: Narrow"),
+        ('runner = "drag"', r"simulation.runner: got 'drag'; allowed: package:Class"),
+        ('runner = "my_bench:DragBench"\nsettings = {tar = 1}', r"settings: got 'tar'; .*nearest: tare"),
+        ('runner = "my_bench:DragBench"\ngrip = "weld"', r"settings of its own in place of grip"),
+        ("settings = {tare = 1}", r"settings are for a runner"),
+    ],
+)
+def test_what_is_wrong_is_said_before_anything_runs(simulation, message, tmp_path):
+    file = tmp_path / "s.toml"
+    file.write_text(f'objects = ["I1"]\n[simulation]\n{simulation}\n', encoding="utf-8")
+    with pytest.raises(InvalidFileError, match=message):
+        load_scenario(str(file))
+
+
+@pytest.mark.usefixtures("here")
+def test_an_entry_point_is_a_runner_by_name(monkeypatch):
+    points = EntryPoints([EntryPoint("drag", "my_bench:DragBench", RUNNER.group)])
+    monkeypatch.setattr(plugins, "entry_points", lambda *, group: points.select(group=group))
+    bench: Any = Simulation(runner="drag", settings={"tare": 3.0}).build()
+    assert isinstance(bench.open(), TrialRunner)
+    assert bench.open().tare == 3.0
+    with pytest.raises(InfeasibleTrialError, match="weighs and turns"):
+        bench.check(Trial(load_object("L2"), Slide(0)))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("executor", ["local", "ray"])
+def test_workers_find_the_runner_the_policy_and_the_estimator_in_the_current_folder(here, executor):
+    if executor == "ray":
+        pytest.importorskip("ray", reason="Ray is not installed: pip install 'heft[ray]'")
+    asked = {
+        "objects": ["L2"],
+        "simulation": {"runner": "my_bench:DragBench"},
+        "policy": SHORT | {"kind": "my_policy:FarthestFirst", "settings": {"turns": 4, "duration": 2.0}},
+        "methods": {"mine": {"method": "my_estimator:LeastSquares"}},
+    }
+    run_scenario(Scenario.model_validate(asked), here / "out", 1, lambda *_, **__: None, executor)
+    (row,) = load_results(here / "out").to_dict("records")
+    assert (row["status"], row["kind"]) == ("ok", "my_estimator:LeastSquares"), row["message"]
+    assert row["nad"] < 0.02

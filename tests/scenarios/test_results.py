@@ -1,0 +1,131 @@
+"""What a results folder says: read as tables and trajectories, counted by `heft status`, planned by --dry-run."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+from estimators.evaluation.statistics import axes_of
+from scenarios.cli.main import main
+from scenarios.cli.progress import show_status
+from scenarios.config import Scenario, load_scenario
+from scenarios.results.load import load_results, load_trajectories
+from scenarios.results.store import Store, key_of, rows_of
+from scenarios.study.dry_run import show_plan
+from scenarios.study.run import run_scenario
+from testbed.errors import InvalidValueError
+from viz.report.terminal import NAD, quantile_table
+
+SMALL = """
+sensing = ["ft300s"]
+seeds = 2
+[[random]]
+name = "drawn"
+count = 2
+blocks = [2, 2]
+[policy]
+pivots = 2
+duration = 2.0
+accelerated = 0
+held_out = 1
+[sweep]
+axes = { "methods.hidden_states.refinements" = [1, 3] }
+[methods.hidden_states]
+"""
+AXIS = "axis.methods.hidden_states.refinements"
+
+
+@pytest.fixture(scope="module")
+def swept(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A finished folder: two drawn objects, one method with two settings, on the same trials."""
+    folder = tmp_path_factory.mktemp("swept")
+    (folder / "small.toml").write_text(SMALL)
+    run_scenario(load_scenario(str(folder / "small.toml"))[1], folder / "out", 0, lambda *_, **__: None)
+    return folder / "out"
+
+
+def test_points_that_differ_in_the_estimator_alone_share_their_trials(swept):
+    results = load_results(swept)
+    assert len(results) == 2 * 2 * 2
+    assert sorted(set(results[AXIS])) == [1, 3]
+    assert len(list(swept.glob("trials/*/trial.json"))) == 2 * (1 + 2 + 1)
+    by_rounds = {rounds: rows["nad"].tolist() for rounds, rows in results.groupby(AXIS)}
+    assert by_rounds[1] != by_rounds[3]
+    assert {path.name for path in (swept / "estimates").iterdir()} == set(results["key"])
+
+
+def test_drawn_objects_are_files_that_a_user_can_take(swept):
+    files = sorted(swept.glob("objects/*/*.toml"))
+    assert [path.stem for path in files] == ["drawn_0", "drawn_1"]
+    results = rows_of(load_results(swept))
+    from testbed.objects.files import load_object  # noqa: PLC0415
+
+    for path in files:
+        model = load_object(path)
+        row = next(row for row in results if row["object"] == model.name)
+        assert np.allclose(row["true_mass_kg"], model.group_mass)
+
+
+def test_trajectories_are_read_one_by_one(swept):
+    found = dict(load_trajectories(swept))
+    assert len(found) == 8
+    assert all(trajectory.ok for trajectory in found.values())
+    with pytest.raises(InvalidValueError, match="trials/"):
+        list(load_trajectories(swept / "estimates"))
+    with pytest.raises(InvalidValueError, match=r"results\.parquet"):
+        load_results(swept / "trials")
+
+
+def said(show: object, *arguments: object) -> str:
+    console = Console(width=200)
+    with console.capture() as captured:
+        show(console, *arguments)  # pyright: ignore[reportCallIssue]
+    return captured.get()
+
+
+def test_status_counts_what_is_there(swept):
+    text = said(show_status, swept)
+    assert "nothing is running" in text
+    assert "trials: 8 done of about 16, 0 failed" in text
+    assert "estimates: 8 done of about 8, 0 failed" in text
+    Store(swept).put_error("0" * 20, "Traceback\nValueError: it broke\n")
+    again = said(show_status, swept)
+    assert "1 failed" in again
+    assert "ValueError: it broke" in again
+    with pytest.raises(InvalidValueError, match=r"manifest\.json"):
+        show_status(Console(), swept / "trials")
+
+
+def test_a_dry_run_counts_and_writes_nothing(tmp_path):
+    scenario = Scenario(objects=["I1", "L1"], support=["own_weight", "rigid"], sensing=["ideal", "low"], seeds=3)
+    text = said(show_plan, scenario, tmp_path / "out", 2)
+    assert "4 cells" in text
+    assert f"{4 * (1 + 6 + 6 + 2)} trials" in text
+    assert f"{4 * (1 + 3)} estimates" in text
+    with pytest.raises(SystemExit) as exit_:
+        main(["run", "blocks", "--dry-run", "--out", str(tmp_path / "out"), "--methods", "hidden"])
+    assert exit_.value.code == 2
+    main(["run", "blocks", "--dry-run", "--out", str(tmp_path / "out")])
+    assert not (tmp_path / "out").exists()
+
+
+def test_many_objects_are_told_by_quantiles():
+    rows = [
+        {"object": f"o{i}", "support": "rigid", "sensing": "low", "axis.seeds": 1, "method": "a", "seed": s}
+        | {"status": "ok", "nad": (i + 0.1 * s) / 100}
+        for i in range(11)
+        for s in (-1, 0, 1)
+    ]
+    rows.append(rows[0] | {"object": "lost", "status": "failed", "nad": None})
+    assert axes_of(rows) == ["axis.seeds"]
+    text = said(lambda console: console.print(quantile_table(rows, NAD)))
+    line = next(line for line in text.splitlines() if "rigid" in line)
+    assert line.split() == ["rigid", "body", "low", "1", "a", "12", "1.0", "5.0", "9.0", "5.0", "1", "of", "34"]
+
+
+def test_keys_do_not_depend_on_the_order_of_what_is_asked():
+    assert key_of({"a": 1, "b": [1, 2]}) == key_of({"b": [1, 2], "a": 1})
+    assert key_of({"a": 1}) != key_of({"a": 2})

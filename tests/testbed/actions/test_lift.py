@@ -1,0 +1,149 @@
+"""Lifts: the profile, what the bench refuses, and the wrench against Newton and Euler."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from estimators.particles.lifts import wrench_of_mass
+from estimators.testing.records import TOOL as HAND
+from estimators.testing.records import record
+from scenarios.cli.view import page_of
+from scenarios.results.trials import trial_shown
+from testbed.actions.base import Lift
+from testbed.actions.lift import LiftProfile
+from testbed.errors import InfeasibleTrialError, InvalidValueError
+from testbed.objects.blocks import block_object, parse_layout
+from testbed.objects.files import load_object
+from testbed.objects.model import GRAVITY, ObjectModel
+from testbed.robot.config import RobotSettings
+from testbed.robot.path import plan_trial, starting_pose
+from testbed.sensing.lift_windows import lift_windows, poses_in_space
+from testbed.sensing.presets import draw_sensing, preset
+from testbed.sensing.windows import steady_windows
+from testbed.simulation.playback import Playback
+from testbed.simulation.runner import SimulationRunner
+from testbed.trajectory import Phase
+from testbed.trial import OWN_WEIGHT, RIGID, Support, Trial
+from tests.helpers.recorded import put_trial
+from viz.recordings.page import save
+
+RUNNER = SimulationRunner()
+STILL = Lift(1, tilt=0.0, hold=1.2)
+TOOL = 0.925
+"""Mass of the gripper, kg."""
+SAG = 0.002
+"""How far the object may lie below its place between the pads, m: the feet's felt, and the pads' give."""
+
+
+def blocks(mass: list[float], layout: tuple[str, ...] = ("10", "11")) -> ObjectModel:
+    cells = parse_layout(list(layout))
+    groups = [0] * len(cells)
+    return block_object("b", cells, size=0.05, height=0.03, mass=mass, friction=[0.5], friction_group=groups, grid=3)
+
+
+def felt_and_due(obj: ObjectModel, action: Lift) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Wrench of every stretch, what Newton and Euler ask for, (K, 6), and its change with the object's height, a m."""
+    windows = lift_windows(draw_sensing(RUNNER.run_clean(Trial(obj, action, RIGID)), preset("ideal"), 0))
+    due, up = (
+        np.array([wrench_of_mass(obj.shape, w, np.array([0.0, 0.0, z])) @ obj.truth.mass for w in windows])
+        for z in (0.0, 1.0)
+    )
+    return np.array([w.wrench for w in windows]), due, up - due
+
+
+@pytest.mark.parametrize("action", [Lift(0), Lift(0, tilt=0.05, swings=3, acceleration=4.0), Lift(0, swings=0)])
+def test_a_lift_goes_up_rocks_about_each_axis_and_comes_down(action):
+    profile = LiftProfile.of(action, 0.01)
+    assert_allclose(profile.height[[0, -1]], 0, atol=1e-4)
+    assert_allclose(profile.angle[-1], 0, atol=1e-12)
+    assert profile.height.max() == pytest.approx(action.height)
+    assert_allclose(np.abs(profile.angle).max(axis=0), action.tilt, rtol=1e-6)
+    assert ((profile.angle != 0).sum(axis=1) <= 1).all()
+    middle = (profile.rate[1:] + profile.rate[:-1]) / 2
+    assert_allclose(np.diff(profile.angle, axis=0), middle * 0.01, atol=1e-4 * action.tilt)
+    for segment in range(profile.segment.max() + 1):
+        inside = profile.segment == segment
+        found = np.abs(profile.acceleration[inside]).max(axis=1)
+        assert_allclose(found, found[0])
+        assert (found[0] > 0) == action.rocks(segment)
+        assert_allclose(found[0], action.acceleration if action.rocks(segment) else 0, rtol=0.1)
+
+
+def test_a_lift_out_of_range_is_refused():
+    for wrong in ({"tilt": -0.1}, {"tilt": 1.0}, {"swings": 1.5}, {"hold": 0.0}, {"height": -1.0}):
+        with pytest.raises(InvalidValueError):
+            Lift(0, **wrong)  # pyright: ignore[reportArgumentType]
+
+
+@pytest.mark.parametrize(
+    ("obj", "action", "support", "said"),
+    [
+        (load_object("L2"), Lift(2), OWN_WEIGHT, "support"),
+        (load_object("L2"), Lift(2), Support(1e4), "support"),
+        (blocks([1.0, 1.0, 0.7]), Lift(1), RIGID, "payload"),
+        (load_object("I2"), Lift(0), RIGID, "grip"),
+        (load_object("I2"), Lift(2, height=0.02), RIGID, "clearance"),
+        (load_object("L2"), Lift(2, acceleration=6.0), RIGID, "speed"),
+    ],
+)
+def test_what_cannot_be_lifted_is_refused_before_moving(obj, action, support, said):
+    with pytest.raises(InfeasibleTrialError, match=f"^{said}"):
+        RUNNER.check(Trial(obj, action, support))
+
+
+def test_the_real_bench_refuses_a_lift_before_moving():
+    trial = Trial(load_object("L2"), Lift(2), RIGID)
+    for plan in (starting_pose, lambda t: plan_trial(t, np.zeros(3), RobotSettings(HAND))):
+        with pytest.raises(InfeasibleTrialError, match="the real arm keeps its tool straight down"):
+            plan(trial)
+
+
+def test_a_lift_is_no_turn():
+    with pytest.raises(InvalidValueError, match="lift_windows"):
+        steady_windows(record(action=STILL))
+
+
+@pytest.mark.parametrize("mass", [[0.5, 0.1, 0.3], [0.0005, 0.0003, 0.0004]])
+def test_held_still_an_object_weighs_what_it_weighs_where_it_does(mass):
+    """Next to no mass is the tool alone, compensated."""
+    obj = blocks(mass)
+    felt, due, _ = felt_and_due(obj, STILL)
+    tolerance = max(0.005 * obj.total_mass, 5e-4 * TOOL) * GRAVITY
+    assert_allclose(felt[:, :3], due[:, :3], atol=tolerance)
+    assert_allclose(felt[:, 3:], due[:, 3:], atol=0.05 * tolerance)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["L2", "tool alone"])
+def test_tilted_and_rocked_the_wrench_is_newtons_and_eulers(name):
+    obj = load_object(name) if name == "L2" else blocks([5e-4, 3e-4, 4e-4])
+    felt, due, with_height = felt_and_due(obj, Lift(2 if name == "L2" else 1))
+    low = with_height.ravel() @ (felt - due).ravel() / np.sum(with_height**2)
+    assert abs(low) < SAG or name != "L2"
+    missing = felt - due - low * with_height
+    weight = (obj.total_mass + TOOL * math.sin(Lift(0).tilt)) * GRAVITY
+    assert_allclose(missing[:, :3], 0, atol=0.005 * weight)
+    assert_allclose(missing[:, 3:], 0, atol=0.005 * weight * 0.1)
+
+
+def test_a_lift_is_seen_in_space(tmp_path):
+    key = put_trial(tmp_path, "L2", Lift(2, tilt=0.1, swings=0, hold=0.1, height=0.12), RIGID)
+    shown = trial_shown(tmp_path, key, meshes=False)
+    assert shown.title == "L2: lift at A2"
+    place, axes = poses_in_space(shown.trajectory)
+    steady = shown.trajectory.mask(Phase.STEADY)
+    assert_allclose(place[0, 2], 0, atol=1e-3)
+    assert place[steady, 2].max() == pytest.approx(0.12, abs=0.02)
+    assert_allclose(np.arccos(axes[steady, 2, 2]).max(), 0.1, atol=0.01)
+    grasp = shown.shape.grasps[2].position
+    held = place + axes @ [*grasp, shown.trajectory.tcp_position[~steady][200, 2]]
+    assert_allclose(held[steady], shown.trajectory.tcp_position[steady], atol=2e-3)
+    save(page_of(tmp_path, key[:6]), tmp_path / "lift.rrd")
+    playback = Playback(shown.trajectory, load_object("L2"), 0.05, meshes=False)
+    playback.show(int(np.flatnonzero(steady)[-1]))
+    body = playback.data.body("object")
+    assert_allclose(body.xpos - 0.015 * body.xmat.reshape(3, 3)[:, 2], place[np.flatnonzero(steady)[-1]], atol=1e-9)

@@ -1,0 +1,77 @@
+"""Profiles and tool paths: what simulation and the real bench both follow."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from testbed.actions.base import Accelerate, Rotate, Slide
+from testbed.actions.path import RAMP_TIME, WORKSPACE, Profile, ToolPath
+from testbed.frames import transform_point
+from testbed.objects.files import load_object
+
+SHAPE = load_object("L2").shape
+ACTIONS = [
+    Rotate(2, pivot=(0.01, -0.02), back=True, duration=3.0),
+    Rotate(0, speed=-0.3, duration=2.0),
+    Slide(1, direction=0.7, duration=2.0),
+    Accelerate(1),
+    Accelerate(0, (-1.0, 1.0), 0.6, -0.7),
+]
+
+
+@pytest.mark.parametrize("action", ACTIONS, ids=str)
+def test_distance_is_the_integral_of_the_rate(action):
+    profile = Profile.of(action, 0.01)
+    rate = np.concatenate([[0.0], profile.rate])
+    assert_allclose(profile.distance, np.cumsum((rate[1:] + rate[:-1]) / 2) * 0.01, atol=1e-12)
+    assert rate[-1] == pytest.approx(0.0)
+
+
+@pytest.mark.parametrize("action", ACTIONS, ids=str)
+def test_between_ticks_a_profile_is_what_finer_ticks_say(action):
+    profile, fine = Profile.of(action, 0.01), Profile.of(action, 0.001)
+    times = np.arange(1, len(fine.distance) + 1) * 0.001
+    said = np.array([profile.at(t) for t in times[::37]])
+    assert_allclose(said[:, 0], fine.distance[::37], atol=3e-5)
+    assert_allclose(said[:, 1], fine.rate[::37], atol=1e-9)
+    assert profile.at(-1.0) == (0.0, 0.0)
+    assert profile.at(1e3) == (profile.distance[-1], 0.0)
+
+
+def test_a_turn_there_and_back_ends_where_it_began():
+    profile = Profile.of(ACTIONS[0], 0.01)  # pyright: ignore[reportArgumentType]
+    assert profile.distance[-1] == pytest.approx(0.0, abs=1e-12)
+    assert profile.length == pytest.approx(math.radians(10) * (3.0 + RAMP_TIME))
+
+
+@pytest.mark.parametrize("action", ACTIONS, ids=str)
+def test_a_path_keeps_its_pivot_and_its_grasp(action):
+    path = ToolPath.centred(action, SHAPE, 0.6, WORKSPACE)
+    part = np.linspace(-0.5, 0.5, 11)
+    objects, tools = path.object_pose(part), path.tool_pose(part)
+    grasp = SHAPE.grasps[action.grasp]
+    assert_allclose(tools[5, :2], WORKSPACE, atol=1e-12)
+    assert_allclose(tools[5, 2], 0.0, atol=1e-12)
+    assert_allclose(transform_point(objects, grasp.position), tools[:, :2], atol=1e-12)
+    assert_allclose(tools[:, 2] - objects[:, 2], grasp.angle)
+    pivot = transform_point(objects, path.pivot)
+    if isinstance(action, Slide):
+        assert_allclose(np.linalg.norm(pivot[-1] - pivot[0]), 0.6)
+        heading = np.arctan2(*(pivot[-1] - pivot[0])[::-1]) - objects[0, 2]
+        assert heading == pytest.approx(action.direction)
+    else:
+        assert_allclose(pivot, np.tile(pivot[0], (11, 1)), atol=1e-12)
+        speed = action.start_speed if isinstance(action, Accelerate) else action.speed
+        assert objects[-1, 2] - objects[0, 2] == pytest.approx(math.copysign(0.6, speed))
+
+
+@pytest.mark.parametrize("action", ACTIONS, ids=str)
+def test_from_where_the_centred_path_starts_leads_the_same_path(action):
+    path = ToolPath.centred(action, SHAPE, 0.6, WORKSPACE)
+    part = np.linspace(-0.5, 0.5, 11)
+    again = ToolPath.from_object(action, SHAPE, 0.6, path.object_pose(part)[0])
+    assert_allclose(again.tool_pose(part), path.tool_pose(part), atol=1e-12)

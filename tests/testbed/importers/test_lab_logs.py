@@ -1,0 +1,375 @@
+"""Logs of another bench come back as the trajectory they were made from, whatever their units, frames and rates."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+from numpy.testing import assert_allclose
+
+from testbed.actions.base import Accelerate, Rotate, Slide, action_to_dict
+from testbed.errors import HeftError, InvalidValueError
+from testbed.importers.importer import import_trajectory
+from testbed.importers.logs import LogError
+from testbed.objects.files import load_object
+from testbed.sensing.presets import compensate, preset
+from testbed.sensing.windows import steady_windows
+from testbed.simulation.runner import SimulationRunner
+from testbed.trajectory import Phase, Trajectory, load_trajectory, save_trajectory
+from testbed.trial import Trial
+from tests.fakes.lab_bench import at_other_rates, columns, mapping_of, write_csv, write_joined_csv, write_toml
+
+TURN = Rotate(2, duration=2.0, pivot=(-0.0333, 0.025), back=True)
+
+
+def simulated(action: Rotate | Slide | Accelerate) -> Trajectory:
+    return compensate(SimulationRunner().run_clean(Trial(load_object("L2"), action)))
+
+
+@pytest.fixture(scope="module")
+def turn() -> Trajectory:
+    return simulated(TURN)
+
+
+@pytest.fixture(scope="module")
+def slide() -> Trajectory:
+    return simulated(Slide(1, direction=0.4, duration=2.0))
+
+
+@pytest.fixture
+def imported(turn: Trajectory, tmp_path: Path) -> Trajectory:
+    return import_trajectory(write_csv(tmp_path / "log.csv", turn), write_toml(tmp_path / "map.toml", mapping_of(turn)))
+
+
+def windows_agree(imported: Trajectory, original: Trajectory, part: float) -> None:
+    """What estimators see: steady wrenches within a part of the drag, 1 % of it in metres for torque."""
+    ours, theirs = steady_windows(imported), steady_windows(original)
+    assert len(ours) == len(theirs)
+    for a, b in zip(ours, theirs, strict=True):
+        scale = part * np.linalg.norm(b.wrench[:2]) * np.array([1, 1, 1, 0.05, 0.05, 0.05])
+        assert (np.abs(a.wrench - b.wrench) < np.maximum(scale, part * np.abs(b.wrench[5]))).all()
+        assert_allclose(a.twist, b.twist, atol=2e-3)
+        assert_allclose(a.tcp_height, b.tcp_height, atol=1e-4)
+
+
+def test_every_column_comes_back(imported: Trajectory, turn: Trajectory):
+    assert imported.action == turn.action
+    for name, tolerance in (
+        ("time_s", 1e-9),
+        ("tcp_position", 1e-6),
+        ("sensor_wrench", 1e-3),
+        ("joint_position", 1e-6),
+    ):
+        assert_allclose(getattr(imported, name), getattr(turn, name), atol=tolerance, err_msg=name)
+    same = np.abs(np.sum(imported.sensor_orientation * turn.sensor_orientation, axis=1))
+    assert_allclose(same, 1.0, atol=1e-9)
+    held = turn.mask(Phase.STEADY)
+    assert_allclose(imported.object_pose[held], turn.object_pose[held], atol=1e-3)
+    assert_allclose(imported.tcp_velocity[held], turn.tcp_velocity[held], atol=5e-3)
+    assert_allclose(imported.object_velocity[held], turn.object_velocity[held], atol=5e-3)
+
+
+def test_an_estimator_sees_the_same(imported: Trajectory, turn: Trajectory):
+    held = turn.mask(Phase.STEADY)
+    off = imported.wrench_on_object_world[held] - turn.wrench_on_object_world[held]
+    assert (np.abs(off) < [5e-3, 5e-3, 5e-3, 5e-4, 5e-4, 5e-4]).all()
+
+
+def test_it_says_where_it_comes_from_and_can_be_kept(imported: Trajectory, tmp_path: Path):
+    assert imported.provenance["runner"] == "import"
+    assert imported.provenance["object"] == "L2"
+    assert imported.provenance["log"] == "log.csv"
+    assert imported.provenance["recorded"] == "2026-01-01T00:00:00.000+00:00"
+    assert imported.figures["bias_before_fx_N"] == pytest.approx(0.0, abs=0.1)
+    assert_allclose(imported.sensor_drift_std, preset("ft300s").drift_std)
+    assert "assumed, for want of a second tare: 0.005 N" in imported.provenance["drift"]
+    save_trajectory(imported, tmp_path / "t.parquet")
+    assert load_trajectory(tmp_path / "t.parquet").provenance == imported.provenance
+
+
+@pytest.mark.parametrize("which", ["turn", "slide"])
+def test_phases_are_found_from_the_motion(which: str, request: pytest.FixtureRequest, tmp_path: Path):
+    original: Trajectory = request.getfixturevalue(which)
+    found = import_trajectory(
+        write_csv(tmp_path / "log.csv", original), write_toml(tmp_path / "map.toml", mapping_of(original))
+    )
+    for segment in range(original.segment.max() + 1):
+        mine, theirs = (np.flatnonzero(t.segment == segment) for t in (found, original))
+        assert_allclose([mine[0], mine[-1]], [theirs[0], theirs[-1]], atol=10)
+    tare = np.flatnonzero(found.phase == Phase.TARE)
+    assert set(original.phase[tare]) == {Phase.TARE}
+    assert len(tare) > 25
+    windows_agree(found, original, 0.03)  # the drag still settles when a stretch begins
+
+
+def test_a_second_tare_is_found_and_its_drift_judged(turn: Trajectory, tmp_path: Path):
+    """The hand goes up again where it came down, and its sensor has drifted by then."""
+    approach = np.flatnonzero(turn.phase <= Phase.APPROACH)[::-1]
+    turned = {
+        n: np.concatenate([v, v[approach]]) for n, v in vars(turn).items() if np.shape(v)[:1] == turn.time_s.shape
+    }
+    turned["tcp_position"][len(turn.time_s) :, :2] = turn.tcp_position[-1, :2]
+    turned["sensor_orientation"][len(turn.time_s) :] = turn.sensor_orientation[-1]
+    turned["tcp_velocity"][len(turn.time_s) :] = 0.0
+    turned["time_s"] = np.arange(len(turned["time_s"])) / 100
+    turned["sensor_wrench"][len(turn.time_s) :] += [0.0, 0.5, 0.0, 0.0, 0.0, 0.0]
+    longer = replace(turn, **turned)
+    again = import_trajectory(
+        write_csv(tmp_path / "log.csv", longer), write_toml(tmp_path / "map.toml", mapping_of(longer))
+    )
+    assert again.phase[-1] == Phase.TARE
+    assert again.figures["drift_N"] == pytest.approx(0.5, abs=0.1)
+    seconds = again.time_s[-1] - 0.5  # between the ends of the two tares
+    assert_allclose(again.sensor_drift_std[:3], again.figures["drift_N"] / np.sqrt(3 * seconds), rtol=0.05)
+    assert again.status == "fault"
+    assert "drift" in again.reason
+
+
+def test_phases_can_be_given(tmp_path: Path):
+    original = simulated(Accelerate(1))
+    path, windows = write_csv(tmp_path / "log.csv", original), []
+    for phase, inside in [
+        ("tare", original.phase == Phase.TARE),
+        *[("steady", original.segment == i) for i in range(original.segment.max() + 1)],
+    ]:
+        at = np.flatnonzero(inside)
+        windows.append({"phase": phase, "from_s": max(at[0] / 100 - 0.005, 0.0), "to_s": at[-1] / 100 + 0.005})
+    given = import_trajectory(path, write_toml(tmp_path / "map.toml", mapping_of(original, phases=windows)))
+    assert np.array_equal(given.segment, original.segment)
+    windows_agree(given, original, 0.05)
+    with pytest.raises(LogError, match=r"accelerated turn are not found from motion; give them as \[\[phases\]\]"):
+        import_trajectory(path, write_toml(tmp_path / "none.toml", mapping_of(original)))
+
+
+@pytest.mark.parametrize(("sensor_hz", "hand_hz"), [(100.0, 40.0), (62.5, 100.0), (1000.0, 500.0)])
+def test_rates_are_brought_together(turn: Trajectory, tmp_path: Path, sensor_hz: float, hand_hz: float):
+    path = write_joined_csv(tmp_path / "log.csv", *at_other_rates(turn, sensor_hz, hand_hz))
+    asked = mapping_of(turn, time={"column": "stamp"})
+    found = import_trajectory(path, write_toml(tmp_path / "map.toml", asked))
+    assert_allclose(np.diff(found.time_s), 0.01, atol=1e-12)
+    windows_agree(found, turn, 0.03)
+
+
+def write_mcap(path: Path, sensor: pd.DataFrame, hand: pd.DataFrame, encoding: str = "json") -> Path:
+    pytest.importorskip("mcap")
+    from mcap.writer import Writer  # noqa: PLC0415  an extra
+
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        rows = []
+        for topic, table in (("/ft", sensor), ("/arm", hand)):
+            channel = writer.register_channel(topic, encoding, writer.register_schema(topic, "jsonschema", b"{}"))
+            for row in table.to_dict("records"):
+                said: dict[str, Any] = {str(name): float(value) for name, value in row.items()}
+                stamp = 1_767_225_600_000_000_000 + round(1e9 * said.pop("stamp"))
+                if topic == "/ft":
+                    force, torque = {a: said[f"f{a}"] for a in "xyz"}, [said[f"t{a}"] for a in "xyz"]
+                    said = {"frame": "sensor", "wrench": {"force": force, "torque": torque}}
+                rows.append((stamp, channel, said))
+        for stamp, channel, data in sorted(rows, key=lambda r: r[0]):
+            writer.add_message(channel, stamp, json.dumps(data).encode(), stamp)
+        writer.finish()
+    return path
+
+
+def of_mcap(turn: Trajectory) -> dict[str, Any]:
+    asked = mapping_of(turn, time={"column": "log_time"})
+    asked["sensor"] |= {
+        "topic": "/ft",
+        "force": [f"wrench.force.{a}" for a in "xyz"],
+        "torque": [f"wrench.torque.{i}" for i in range(3)],
+    }
+    asked["hand"] |= {"topic": "/arm"}
+    asked["joints"] |= {"topic": "/arm"}
+    return asked
+
+
+def test_an_mcap_comes_back(turn: Trajectory, tmp_path: Path):
+    sensor, hand = at_other_rates(turn, 100.0, 40.0)
+    path = write_mcap(tmp_path / "log.mcap", sensor, hand)
+    windows_agree(import_trajectory(path, write_toml(tmp_path / "map.toml", of_mcap(turn))), turn, 0.03)
+
+
+def refused(log: Path, said: dict[str, Any]) -> str:
+    with pytest.raises(HeftError) as error:
+        import_trajectory(log, write_toml(log.parent / "map.toml", said))
+    return str(error.value)
+
+
+def test_what_an_mcap_does_not_have_is_told(turn: Trajectory, tmp_path: Path):
+    sensor, hand = at_other_rates(turn, 100.0, 40.0)
+    path, asked = write_mcap(tmp_path / "log.mcap", sensor, hand), of_mcap(turn)
+    other = asked | {"sensor": asked["sensor"] | {"topic": "/fts"}}
+    assert (
+        "log.mcap: sensor.force, sensor.torque.topic: got '/fts'; allowed: one of /arm, /ft (nearest: /ft)"
+        in refused(path, other)
+    )
+    other = asked | {"sensor": asked["sensor"] | {"force": ["wrench.forces.x", "wrench.force.y", "wrench.force.z"]}}
+    assert "got 'wrench.forces.x'" in refused(path, other)
+    assert "(nearest: wrench.force.x)" in refused(path, other)
+    cdr = write_mcap(tmp_path / "ros.mcap", sensor, hand, encoding="cdr")
+    assert "topic /ft is encoded as cdr; allowed: json" in refused(cdr, asked)
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(path.read_bytes()[:2000])
+    assert "cut.mcap: not a whole MCAP file" in refused(cut, asked)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"sensor": {"force": ["Fx", "fy", "fz"]}}, "sensor.force, sensor.torque: got 'Fx'; allowed: one of stamp, fx"),
+        ({"sensor": {"force": ["Fx", "fy", "fz"]}}, "(nearest: fx)"),
+        ({"time": {"column": "time"}}, "time.column: got 'time'"),
+        ({"sensor": {"force_unit": "n"}}, "sensor.force_unit: got 'n'; allowed: a unit of force: N, mN, kN, kgf"),
+        ({"sensor": {"torque_unit": "Nm"}}, "torque_unit: got 'Nm'; allowed: a unit of torque"),
+        ({"sensor": {"torque_unit": "Nm"}}, "(nearest: N m)"),
+        ({"hand": {"position_unit": "inch"}}, "a unit of length: m, cm, mm"),
+        ({"sensor": {"sign": 0}}, "sensor.sign: got 0"),
+        ({"sensor": {"tipoc": "/ft"}}, "sensor.tipoc: no such field; got '/ft' (nearest: topic)"),
+        ({"sensor": {"topic": "/ft"}}, "topic: got '/ft'; allowed: none: a table has no topics"),
+        ({"hand": {"orientation_as": "roll_pitch_yaw"}}, "3 columns for roll_pitch_yaw"),
+        ({"sensor": {"in_hand_wxyz": [1.0, 1.0, 0.0, 0.0]}}, "a unit quaternion, wxyz"),
+        ({"action": {"kind": "weigh"}}, "rotate, accelerate or slide"),
+        ({"action": {"kind": "rotate"}}, "fields grasp as well"),
+        ({"action": {"kind": "rotate", "grasp": 99}}, "action.grasp: got 99; allowed: 0 ("),
+        ({"action": {"kind": "rotate", "grasp": 2, "speed": 0.4}}, "the steady stretches found are none; the action"),
+        ({"action": {"kind": "rotate", "grasp": 2, "speed": -0.1745, "duration": 2.0, "back": True}}, "correct its"),
+        ({"object": "L3"}, "object: got 'L3'"),
+        (
+            {"phases": [{"phase": "steady", "from_s": 1.0, "to_s": 2.0}]},
+            'one or more "steady", after one or more "tare"',
+        ),
+        ({"phases": [{"phase": "tare", "from_s": 1.0, "to_s": 0.5}]}, "to_s: got 0.5; allowed: more than from_s (1)"),
+        ({"phases": [{"phase": "tear", "from_s": 0.0, "to_s": 0.5}]}, "phases.0.phase: got 'tear'"),
+        ({"longest_gap_s": 0.005}, "log: silent for 0.01 s at"),
+    ],
+)
+def test_a_mapping_that_does_not_fit_is_told(turn: Trajectory, tmp_path: Path, change: dict[str, Any], said: str):
+    asked = mapping_of(turn)
+    for table, fields in change.items():
+        asked[table] = asked[table] | fields if table in ("sensor", "hand", "time") else fields
+    told = refused(write_csv(tmp_path / "log.csv", turn), asked)
+    assert said in told
+    assert "Traceback" not in told
+
+
+def test_a_log_that_is_none_is_told(turn: Trajectory, tmp_path: Path):
+    asked = mapping_of(turn)
+    path = write_csv(tmp_path / "log.csv", turn)
+    table = pd.read_csv(path, dtype=str)
+    for column, row, cell, said in (
+        ("fy", 7, "high", "line 9: fy: got 'high'; allowed: a number, or blank"),
+        ("fy", 7, "", "line 9: fy is blank or not finite"),
+        ("stamp", 7, "", "line 9: stamp is blank or not finite"),
+        ("tz", 3, "inf", "line 5: tz is blank or not finite"),
+        ("stamp", 7, "0", "time goes back by"),
+        ("qw", 9, "0.9", "hand.orientation: length"),
+    ):
+        wrong = table.copy()
+        wrong.loc[row, column] = cell
+        wrong.to_csv(tmp_path / "wrong.csv", index=False)
+        assert said in refused(tmp_path / "wrong.csv", asked)
+    gone = pd.concat([table[:300], table[340:]])
+    gone.to_csv(tmp_path / "gone.csv", index=False)
+    assert "silent for 0.41 s at 2.99 s; allowed: 0.1 s (longest_gap_s)" in refused(tmp_path / "gone.csv", asked)
+    table[:50].to_csv(tmp_path / "short.csv", index=False)
+    assert "have 0.49 s in common; allowed: 1 s or more" in refused(tmp_path / "short.csv", asked)
+    (tmp_path / "empty.csv").write_text("")
+    assert "empty.csv: cannot be read as a table" in refused(tmp_path / "empty.csv", asked)
+    (tmp_path / "log.txt").write_text("")
+    assert "a file that ends in .csv or .mcap" in refused(tmp_path / "log.txt", asked)
+    assert "an existing .csv or .mcap file" in refused(tmp_path / "none.csv", asked)
+
+
+def test_a_log_without_a_tare_is_told(turn: Trajectory, tmp_path: Path):
+    late = {n: v[~turn.mask(Phase.TARE)] for n, v in vars(turn).items() if np.shape(v)[:1] == turn.time_s.shape}
+    path = write_csv(tmp_path / "log.csv", replace(turn, **late))
+    assert "phases: no tare: the tool never rests" in refused(path, mapping_of(turn))
+
+
+def test_blank_rows_and_repeated_stamps_do_no_harm(turn: Trajectory, tmp_path: Path):
+    path = write_csv(tmp_path / "log.csv", turn)
+    lines = path.read_text().splitlines()
+    lines.insert(50, "")
+    lines.insert(80, lines[79])
+    path.write_text("\n".join(lines) + "\n")
+    again = import_trajectory(path, write_toml(tmp_path / "map.toml", mapping_of(turn)))
+    assert_allclose(again.sensor_wrench, turn.sensor_wrench, atol=1e-3)
+
+
+def test_orientations_may_be_said_in_other_ways(turn: Trajectory, tmp_path: Path):
+    from scipy.spatial.transform import Rotation  # noqa: PLC0415  of this test alone
+
+    said = columns(turn)
+    hand = Rotation.from_quat(np.column_stack([said[f"q{a}"] for a in "xyzw"]))
+    vectors, angles = hand.as_rotvec(degrees=True), hand.as_euler("xyz", degrees=True)
+    more = {f"{n}{i}": v[:, i] for n, v in (("v", vectors), ("e", angles)) for i in range(3)}
+    path = write_csv(tmp_path / "log.csv", turn, **more)
+    for kind, letter in (("rotation_vector", "v"), ("roll_pitch_yaw", "e")):
+        asked = mapping_of(turn)
+        asked["hand"] |= {
+            "orientation": [f"{letter}{i}" for i in range(3)],
+            "orientation_as": kind,
+            "angle_unit": "deg",
+        }
+        again = import_trajectory(path, write_toml(tmp_path / "map.toml", asked))
+        same = np.abs(np.sum(again.sensor_orientation * turn.sensor_orientation, axis=1))
+        assert_allclose(same, 1.0, atol=1e-9)
+
+
+def test_a_logged_velocity_is_taken_as_it_is(turn: Trajectory, tmp_path: Path):
+    names = {f"v{i}": (1e3 if i < 3 else 180 / np.pi) * turn.tcp_velocity[:, i] for i in range(6)}
+    path = write_csv(tmp_path / "log.csv", turn, **names)
+    velocity = {
+        "linear": ["v0", "v1", "v2"],
+        "angular": ["v3", "v4", "v5"],
+        "linear_unit": "mm/s",
+        "angular_unit": "deg/s",
+    }
+    again = import_trajectory(path, write_toml(tmp_path / "map.toml", mapping_of(turn, velocity=velocity, joints=None)))
+    assert_allclose(again.tcp_velocity, turn.tcp_velocity, atol=1e-5)
+    assert again.provenance["velocity"] == "as logged"
+    assert again.provenance["joints"] == "not logged: zeros"
+    assert not again.joint_position.any()
+
+
+def test_all_that_is_wrong_is_told_at_once(turn: Trajectory, tmp_path: Path):
+    asked = mapping_of(turn)
+    asked |= {"object": "L3", "time": asked["time"] | {"column": "time"}}
+    asked["sensor"] |= {"force": ["Fx", "Fy", "fz"]}
+    asked["hand"] |= {"position": ["px", "py", "pzz"]}
+    path = write_csv(tmp_path / "log.csv", turn)
+    lines = refused(path, asked).splitlines()
+    for told in ("object: got 'L3'", "time.column: got 'time'", "got 'Fx'", "got 'Fy'", "got 'pzz'"):
+        assert sum(told in line for line in lines) == 1, told
+    assert len(lines) == 5
+
+
+def test_one_file_serves_logs_of_several_actions(turn: Trajectory, slide: Trajectory, tmp_path: Path):
+    (tmp_path / "logs").mkdir()
+    first, second = (write_csv(tmp_path / "logs" / f"{i}.csv", t) for i, t in enumerate((turn, slide)))
+    entries = [{"file": "logs/0.csv"}, {"file": "logs/1.csv", "action": action_to_dict(slide.action)}]
+    mapping = write_toml(tmp_path / "map.toml", mapping_of(turn, logs=entries))
+    assert import_trajectory(first, mapping).action == turn.action
+    assert import_trajectory(second, mapping).action == slide.action
+    none = write_toml(tmp_path / "none.toml", mapping_of(turn, action=None, logs=entries))
+    assert import_trajectory(second, none).action == slide.action
+    with pytest.raises(InvalidValueError, match=r"action: got None; allowed: a table: \{ kind"):
+        import_trajectory(first, none)
+    bad = write_toml(tmp_path / "bad.toml", mapping_of(turn, logs=[{"file": "a", "action": {"kind": "weigh"}}]))
+    with pytest.raises(HeftError, match=r"bad\.toml: logs\.0\.action\.kind: got 'weigh'; allowed: rotate"):
+        import_trajectory(first, bad)
+
+
+def test_an_object_beside_the_mapping_is_found(turn: Trajectory, tmp_path: Path):
+    (tmp_path / "mine.toml").write_text(
+        'name = "mine"\n[blocks]\nlayout = ["1", "1", "1", "111"]\nmass_kg = 0.3\n', encoding="utf-8"
+    )
+    mapping = write_toml(tmp_path / "map.toml", mapping_of(turn, object="mine.toml"))
+    assert import_trajectory(write_csv(tmp_path / "log.csv", turn), mapping).provenance["object"] == "mine"

@@ -1,0 +1,146 @@
+"""Exported estimates: the same body everywhere, and in heft's own bench the wrench of the estimate."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from scipy.spatial.transform import Rotation
+
+from estimators.particles.wrench import predicted_wrenches
+from estimators.testing.analytic_world import drawn_object, turns
+from scenarios.cli.main import main
+from testbed.actions.base import Rotate
+from testbed.errors import InvalidValueError
+from testbed.objects.export import Exported, RigidBody, boxes_of, to_mjcf, to_object_file, to_sidecar, to_urdf
+from testbed.objects.files import load_object
+from testbed.objects.model import GRAVITY, MassDistribution, ObjectModel
+from testbed.sensing.windows import steady_samples, wrench_in_object
+from testbed.simulation.runner import SimulationRunner
+from testbed.trial import Trial
+
+FREE = '<link name="world"/><joint name="free" type="floating"><parent link="world"/><child link="{}"/></joint></robot>'
+"""A URDF's root is part of MuJoCo's world unless it floats in it."""
+
+
+def exported(model: ObjectModel) -> Exported:
+    covariance = np.diag(np.arange(1.0, model.shape.n_m + 1) * 1e-6)
+    return Exported(model.name, model.shape, model.truth, covariance, ("by hand -- for a test",))
+
+
+def two_frictions(model: ObjectModel) -> ObjectModel:
+    """The same with another friction to the right, so that one block has both."""
+    groups = np.where(model.shape.particles[:, 0] < 0.02, 0, 1)
+    truth = replace(model.truth, friction=np.array([0.3, 0.6]))
+    return replace(model, shape=replace(model.shape, friction_group=groups), truth=truth, solids=())
+
+
+MODELS = {
+    "drawn": drawn_object(0),
+    "another": drawn_object(1, friction_groups=2),
+    "hammer": load_object("hammer"),
+    "cut": two_frictions(load_object("I2")),
+}
+
+
+def body_of(text: str, name: str) -> RigidBody:
+    """What MuJoCo makes of it."""
+    model = mujoco.MjSpec.from_string(text.replace("</robot>", FREE.format(name))).compile()
+    body = model.body(name)
+    turn = Rotation.from_quat(body.iquat, scalar_first=True).as_matrix()
+    return RigidBody(float(body.mass[0]), body.ipos, turn @ np.diag(body.inertia) @ turn.T)
+
+
+@pytest.mark.parametrize("inertial", [False, True], ids=["blocks", "inertial"])
+@pytest.mark.parametrize("write", [to_mjcf, to_urdf])
+@pytest.mark.parametrize("model", MODELS.values(), ids=MODELS)
+def test_mass_centre_and_inertia_come_back(model, write, inertial):
+    given = exported(model)
+    whole, back = RigidBody.of(given.boxes), body_of(write(given, inertial=inertial), model.name)
+    assert_allclose(back.mass, whole.mass, rtol=1e-9)
+    assert_allclose(back.center, whole.center, atol=1e-9)
+    assert_allclose(back.inertia, whole.inertia, atol=1e-9 * np.trace(whole.inertia))
+    assert (np.linalg.eigvalsh(back.pseudo_inertia) > 0).all()
+
+
+@pytest.mark.parametrize("model", MODELS.values(), ids=MODELS)
+def test_boxes_are_the_particles(model):
+    bare = replace(model, solids=())  # an estimate is of particles
+    whole = RigidBody.of(boxes_of(model.shape, model.truth))
+    assert_allclose(whole.mass, bare.total_mass)
+    assert_allclose(whole.center, [*bare.center_of_mass, bare.shape.height / 2], atol=1e-12)
+    assert_allclose(whole.inertia[2, 2], bare.inertia_cm)
+
+
+def test_an_object_file_is_the_object():
+    for name in ("drawn", "another"):
+        model = MODELS[name]
+        wrenches = []
+        for obj in (model, load(to_object_file(exported(model)))):
+            wrenches.append([t.wrench_on_object_world for t in turns(obj)])
+        for mine, theirs in zip(*wrenches, strict=True):
+            assert_allclose(theirs, mine, atol=1e-9)
+    for name in ("hammer", "cut"):
+        with pytest.raises(InvalidValueError, match="square blocks"):
+            to_object_file(exported(MODELS[name]))
+
+
+def load(text: str) -> ObjectModel:
+    path = Path("exported.toml")
+    path.write_text(text, encoding="utf-8")
+    return load_object(path)
+
+
+@pytest.fixture(autouse=True)
+def _in_a_folder_of_its_own(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+
+
+def test_what_is_not_observed_is_null_in_the_sidecar_and_said_in_comments():
+    model = MODELS["drawn"]
+    covariance = np.diag(np.full(model.shape.n_m, 1e-6))
+    covariance[0, 0] = np.inf
+    given = replace(exported(model), covariance=covariance)
+    said = json.loads(to_sidecar(given))
+    assert said["mass_std_kg"][0] is None
+    assert said["mass_std_kg"][1:] == pytest.approx([9e-3] * (model.shape.n_m - 1))
+    assert said["mass_covariance_kg2"][0][0] is None
+    assert_allclose(said["inertia_about_center_kg_m2"], RigidBody.of(given.boxes).inertia)
+    assert "A3: " in to_mjcf(given) or "+- inf" in to_mjcf(given)
+    assert "by hand - - for a test" in to_urdf(given)
+
+
+@pytest.mark.slow
+def test_an_exported_estimate_dragged_in_heft_gives_the_wrench_of_the_estimate(tmp_path):
+    (tmp_path / "s.toml").write_text(
+        'objects = ["bar.toml"]\n[policy]\npivots = 3\nduration = 3.0\naccelerated = 2\nheld_out = 0\n',
+        encoding="utf-8",
+    )
+    (tmp_path / "bar.toml").write_text(
+        'name = "bar"\n[blocks]\nlayout = ["10", "11"]\nmass_kg = [0.3, 0.1, 0.2]\nfriction = 0.4\n', encoding="utf-8"
+    )
+    main(["run", "s.toml", "--out", "out", "--workers", "0"])
+    (key,) = [path.name for path in (tmp_path / "out/estimates").iterdir()]
+    for kind in ("mjcf", "urdf", "toml"):
+        main(["export", "out", key[:6], "--format", kind, "--out", f"answer.{kind}"])
+    answer = load_object("answer.toml")
+    body = body_of(Path("answer.mjcf").read_text(encoding="utf-8"), "bar")
+    assert_allclose([body.mass, *body.center[:2]], [answer.total_mass, *answer.center_of_mass], atol=1e-9)
+    even = MassDistribution(np.full(3, answer.total_mass / len(answer.shape.particles)), answer.truth.friction)
+    drag = answer.truth.friction[0] * answer.total_mass * GRAVITY
+    with SimulationRunner() as bench:
+        for grasp in range(2):
+            turn = bench.run(Trial(answer, Rotate(grasp, duration=3.0, back=True)))
+            felt = wrench_in_object(turn)[:, [0, 1, 5]]
+            off = []
+            for masses in (answer.truth, even):
+                (predicted,) = predicted_wrenches(answer.shape, masses, [turn])
+                missed = [(predicted - felt)[kept].mean(axis=0) for kept in steady_samples(turn)]
+                off.append(np.abs(missed / (drag * np.array([1, 1, 0.05]))).max())
+            assert off[0] < 0.02
+            assert off[1] > 5 * off[0]

@@ -1,0 +1,303 @@
+"""Objects made of meshes: partition into particles, solids, and what a gripper's pads find."""
+
+from __future__ import annotations
+
+import importlib.util
+import io
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+from numpy.testing import assert_allclose
+
+from testbed.errors import InvalidValueError
+from testbed.objects.files import asset_folder, load_object
+from testbed.objects.meshes import GraspPlace, Part, mesh_object, read_mesh
+from testbed.objects.model import ObjectModel, Solid
+
+OBJECTS = asset_folder("objects")
+TOOLS = {"hammer": ("hammer_head", "hammer_handle"), "wrench": ("wrench_jaw", "wrench_ring")}
+
+
+def box(size: tuple[float, float, float], corner: tuple[float, float, float] = (0, 0, 0)) -> trimesh.Trimesh:
+    """A box with its lowest corner at `corner`, m."""
+    mesh = trimesh.creation.box(size)
+    mesh.apply_translation(np.array(corner) + np.array(size) / 2)
+    return mesh
+
+
+def together(*meshes: trimesh.Trimesh) -> trimesh.Trimesh:
+    """Several bodies as one mesh."""
+    made = trimesh.util.concatenate(list(meshes))
+    assert isinstance(made, trimesh.Trimesh)
+    return made
+
+
+def cut(
+    *meshes: trimesh.Trimesh,
+    mass: float = 0.4,
+    cell: float = 0.01,
+    grid: int = 3,
+    places: list[GraspPlace] | None = None,
+) -> ObjectModel:
+    """Meshes as an object, a part each, all of one friction."""
+    parts = [Part(f"p{i}", mesh, mass, 0) for i, mesh in enumerate(meshes)]
+    return mesh_object("X", parts, places or [], friction=[0.5], cell=cell, grid=grid)
+
+
+def across(x: float, y: float, degrees: float = 90.0) -> list[GraspPlace]:
+    """One place to grip."""
+    return [GraspPlace("here", (x, y), np.radians(degrees))]
+
+
+def test_a_box_is_cut_into_the_cells_of_its_footprint():
+    made = cut(box((0.06, 0.04, 0.02), (0.3, -0.1, 0)))
+    assert len(made.shape.particles) == 24
+    assert_allclose(made.shape.particles.mean(axis=0), 0, atol=1e-15)
+    assert_allclose(np.ptp(made.shape.particles, axis=0), [0.05, 0.03], atol=1e-12)
+    assert (made.shape.friction_group == 0).all()
+    assert_allclose(made.shape.height, 0.02)
+    assert_allclose(made.total_mass, 0.4, rtol=1e-15)
+    assert_allclose(made.center_of_mass, 0, atol=1e-12)
+    assert_allclose(made.inertia_cm, 0.4 * (0.06**2 + 0.04**2) / 12, rtol=1e-9)
+    assert_allclose(made.truth.mass, [0.4 / 24])
+
+
+@pytest.mark.parametrize(("grid", "side"), [(1, 0.03), (2, 0.015), (3, 0.01), (6, 0.005)])
+def test_the_grid_sets_the_cell_against_the_files_at_three(grid: int, side: float):
+    made = cut(box((0.06, 0.06, 0.02)), grid=grid)
+    assert_allclose(made.shape.cell, side)
+    assert len(made.shape.particles) == (2 * grid) ** 2
+
+
+def test_cells_touch_only_where_the_underside_is_at_the_table():
+    table = together(
+        box((0.02, 0.03, 0.02)), box((0.02, 0.03, 0.02), (0.08, 0, 0)), box((0.06, 0.02, 0.01), (0.02, 0.005, 0.01))
+    )
+    made = cut(table)
+    column = np.round((made.shape.particles[:, 0] - made.shape.particles[:, 0].min()) / 0.01).astype(int)
+    touches = made.shape.friction_group >= 0
+    assert set(column[touches]) == {0, 1, 8, 9}
+    assert set(column[~touches]) == {2, 3, 4, 5, 6, 7}
+
+
+def test_a_cell_belongs_to_the_part_with_most_material_in_it():
+    # the middle cells hold 4 mm of the first part, 6 mm of the second along x, but the first is thrice as high
+    first, second = box((0.024, 0.02, 0.03)), box((0.026, 0.02, 0.01), (0.024, 0, 0))
+    assert cut(first, second).shape.mass_group.tolist() == [0] * 6 + [1] * 4
+    first, second = box((0.024, 0.02, 0.01)), box((0.026, 0.02, 0.01), (0.024, 0, 0))
+    assert cut(first, second).shape.mass_group.tolist() == [0] * 4 + [1] * 6
+
+
+def test_finer_cells_come_nearer_to_the_area_and_the_moments_of_a_disc():
+    disc = trimesh.creation.cylinder(radius=0.03, height=0.02, sections=90)
+    disc.apply_translation([0, 0, 0.01])
+    errors = []
+    for grid in (3, 6, 9):
+        shape = cut(disc, grid=grid).shape
+        area = len(shape.particles) * shape.cell**2 / (np.pi * 0.03**2)
+        inertia = np.mean(np.sum(shape.particles**2, axis=1)) / (0.03**2 / 2)
+        errors.append(max(abs(area - 1), abs(inertia - 1)))
+    assert errors[0] < 0.15
+    assert errors[2] < 0.02
+    assert errors[2] < errors[0]
+
+
+@pytest.mark.parametrize("name", [part for parts in TOOLS.values() for part in parts])
+def test_a_solid_has_the_moments_that_trimesh_finds(name: str):
+    mesh = read_mesh(OBJECTS / f"{name}.stl")
+    solid = Solid(mesh.vertices, mesh.faces, 0.7)
+    assert_allclose(solid.volume, mesh.volume, rtol=1e-9)
+    assert_allclose(solid.center_of_mass, mesh.center_mass, atol=1e-9)
+    assert_allclose(solid.inertia_z, 0.7 * mesh.moment_inertia[2, 2] / mesh.volume, rtol=1e-6)
+
+
+def test_a_solid_may_lie_anywhere():
+    near, far = box((0.1, 0.02, 0.03)), box((0.1, 0.02, 0.03), (0.7, -0.4, 0.2))
+    a, b = (Solid(m.vertices, m.faces, 2.0) for m in (near, far))
+    assert_allclose(b.center_of_mass - a.center_of_mass, [0.7, -0.4, 0.2], atol=1e-12)
+    assert_allclose([a.inertia_z, b.inertia_z], 2 * (0.1**2 + 0.02**2) / 12, rtol=1e-9)
+
+
+@pytest.mark.parametrize("name", TOOLS)
+def test_a_tool_has_its_parts_masses_and_nearly_their_area(name: str):
+    tool = load_object(name)
+    assert tool.shape.n_m == 2
+    assert_allclose(tool.group_mass, [solid.mass for solid in tool.solids], rtol=1e-12)
+    assert_allclose(tool.total_mass, {"hammer": 1.361, "wrench": 0.516}[name])
+    density = tool.group_mass / [solid.volume for solid in tool.solids]
+    assert_allclose(density, [7850, 700] if name == "hammer" else [7850, 7850], rtol=0.03)
+    fine = load_object(name, 6).shape
+    assert_allclose(len(tool.shape.particles) * tool.shape.cell**2, len(fine.particles) * fine.cell**2, rtol=0.05)
+    of_particles = tool.particle_mass @ tool.shape.particles / tool.total_mass
+    assert_allclose(of_particles, tool.center_of_mass, atol=0.003)
+    assert len(tool.shape.grasps) >= 5
+
+
+@pytest.mark.parametrize("name", list(TOOLS))
+@pytest.mark.parametrize("grid", [3, 6])
+def test_particles_weigh_as_the_material_in_their_cells_does(name: str, grid: int):
+    made = load_object(name, grid)
+    shape = made.shape
+    for group, solid in enumerate(made.solids):
+        inside = shape.mass_group == group
+        part, places = shape.fill[inside] / inside.sum(), shape.particles[inside]
+        middle = part @ places
+        assert_allclose(middle, solid.center_of_mass[:2], atol=shape.cell / 15)
+        squares = part @ (np.sum((places - middle) ** 2, axis=1) + shape.cell**2 / 6)
+        assert_allclose(squares, solid.inertia_z / solid.mass, rtol=0.015)
+    assert_allclose(made.particle_mass.sum(), made.total_mass)
+    assert_allclose(shape.per_group(np.ones(len(shape.particles))), shape.particles_per_group)
+
+
+def test_what_a_part_has_in_cells_of_another_is_counted_to_its_own():
+    thick, thin = box((0.045, 0.02, 0.02)), box((0.035, 0.02, 0.02), (0.045, 0, 0))
+    shape = cut(thick, thin).shape
+    rays = 3 / 7  # of the fifth cell's that meet the first part; the second has the cell
+    assert_allclose(shape.particles_per_group, [8, 8])
+    columns = [shape.fill[np.isclose(shape.particles[:, 0], x)] for x in (-0.035, -0.005, 0.005, 0.035)]
+    assert_allclose(columns[1], (1 + rays) * columns[0])
+    assert_allclose(columns[2], (1 - rays) * columns[3])
+
+
+def test_a_hammer_lies_on_its_head_and_on_the_end_of_its_handle():
+    shape = load_object("hammer").shape
+    head, touches = shape.mass_group == 0, shape.friction_group >= 0
+    assert touches[head].mean() > 0.9
+    assert set(shape.friction_group[head]) <= {0, -1}
+    assert set(shape.friction_group[~head]) == {1, -1}
+    x = shape.particles[:, 0]
+    assert x[touches & ~head].min() > x.max() - 0.1
+    assert x[~touches & ~head].min() < x[head].max() + shape.cell * 1.01
+
+
+def test_a_tool_cut_finer_stays_in_its_frame():
+    coarse, fine = load_object("wrench"), load_object("wrench", 4)
+    assert_allclose(fine.center_of_mass, coarse.center_of_mass, atol=1e-12)
+    assert_allclose(fine.inertia_cm, coarse.inertia_cm, rtol=1e-12)
+    for a, b in zip(coarse.shape.grasps, fine.shape.grasps, strict=True):
+        assert_allclose(a.position, b.position, atol=1e-12)
+    assert_allclose(coarse.shape.particles.mean(axis=0), 0, atol=1e-15)
+
+
+def test_the_script_makes_the_meshes_that_are_there():
+    spec = importlib.util.spec_from_file_location("make_meshes", OBJECTS / "make_meshes.py")
+    assert spec is not None
+    assert spec.loader is not None
+    script = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(script)
+    made = script.meshes()
+    assert set(made) == {path.name for path in OBJECTS.glob("*.stl")}
+    for name, mesh in made.items():
+        again = trimesh.load_mesh(io.BytesIO(mesh.export(file_type="stl")), file_type="stl", process=False)
+        there = trimesh.load_mesh(OBJECTS / name, process=False)
+        assert_allclose(again.triangles, there.triangles, rtol=0, atol=1e-7)
+
+
+def test_a_grasps_faces_are_measured_on_the_mesh():
+    made = cut(box((0.2, 0.03, 0.02), (0, 0, 0)), places=across(0.05, 0.012))
+    (grasp,) = made.shape.grasps
+    assert_allclose(grasp.position, [-0.05, 0], atol=1e-9)
+    assert_allclose([grasp.width, grasp.length], [0.03, 0.022], rtol=1e-9)
+    assert grasp.top is not None
+    assert_allclose([grasp.bottom, grasp.top], [0.003, 0.020], atol=1e-9)
+
+
+def test_round_sides_are_held_where_they_are_widest():
+    bar = trimesh.creation.cylinder(radius=0.015, height=0.2, sections=180)
+    bar.apply_transform(trimesh.transformations.rotation_matrix(np.pi / 2, [0, 1, 0], [0, 0, 0]))
+    bar.apply_translation([0, 0, 0.015])
+    (grasp,) = cut(together(bar, box((0.02, 0.03, 0.002), (0.1, -0.015, 0))), places=across(0, 0)).shape.grasps
+    assert grasp.top is not None
+    assert_allclose(grasp.width, 0.03, atol=1e-4)
+    assert_allclose([grasp.bottom, grasp.top], 0.015 + np.array([-1, 1]) * np.sqrt(0.015**2 - 0.014**2), atol=1.5e-3)
+
+
+def test_the_open_fingers_need_room_beside_the_faces():
+    fork = together(box((0.1, 0.02, 0.02)), box((0.1, 0.02, 0.02), (0, 0.05, 0)))
+    with pytest.raises(InvalidValueError, match=r"grasps\.0\.at_m: got 'the object again 40 mm beside .*50\.5 mm free"):
+        cut(fork, places=across(0.05, 0.01))
+
+
+@pytest.mark.parametrize(
+    ("place", "said"),
+    [
+        (
+            across(0.05, 0.2),
+            r"mesh\.grasps\.0\.at_m: got \[0\.05, 0\.2\]; allowed: a point of the object between 3 and 40",
+        ),
+        (across(0.05, 0.02, 0.0), r"got '100 mm across'; allowed: .*it opens to 85 mm"),
+    ],
+    ids=["thin air", "too wide"],
+)
+def test_a_grasp_where_there_is_nothing_to_hold_is_refused(place: list[GraspPlace], said: str):
+    with pytest.raises(InvalidValueError, match=said):
+        cut(box((0.1, 0.04, 0.02)), places=place)
+
+
+def test_a_hole_is_thin_air():
+    ring = trimesh.creation.annulus(r_min=0.012, r_max=0.022, height=0.014)
+    ring.apply_translation([0, 0, 0.007])
+    with pytest.raises(InvalidValueError, match="a point of the object"):
+        cut(ring, cell=0.005, places=across(0, 0))
+
+
+def test_slanted_sides_give_the_pads_no_faces_across_from_each_other():
+    bar = box((0.1, 0.03, 0.02), (-0.05, -0.015, 0))
+    bar.apply_transform(trimesh.transformations.rotation_matrix(np.radians(30), [0, 0, 1]))
+    with pytest.raises(InvalidValueError, match="two faces across from each other"):
+        cut(bar, places=across(0, 0))
+
+
+@pytest.mark.parametrize("height", [0.002, -0.002])
+def test_an_object_that_does_not_rest_on_the_table_is_refused(height: float):
+    with pytest.raises(
+        InvalidValueError, match=rf"lowest point at z = {height} m'; allowed: resting on z = 0, to 1 mm"
+    ):
+        cut(box((0.05, 0.05, 0.02), (0, 0, height)))
+
+
+def test_a_part_without_a_foot_or_a_particle_is_refused():
+    on_table, raised, thread = (
+        box((0.04, 0.04, 0.02)),
+        box((0.04, 0.04, 0.01), (0.04, 0, 0.005)),
+        box((0.02, 0.001, 0.01), (0.04, 0, 0)),
+    )
+    with pytest.raises(
+        InvalidValueError, match=r"mesh\.parts\.1: got 'p1 without a foot'; allowed: .*one cell of 10 mm"
+    ):
+        cut(on_table, raised)
+    with pytest.raises(InvalidValueError, match="'p1 without a particle'"):
+        cut(on_table, thread)
+    with pytest.raises(InvalidValueError, match="'p0 without a particle'"):
+        cut(box((0.05, 0.004, 0.02)))
+    with pytest.raises(InvalidValueError, match=r"mesh\.cell_m: got 0\.01; allowed: a cell that the parts fill"):
+        cut(box((0.05, 0.004, 0.02)), grid=12)
+
+
+def test_meshes_in_millimetres_are_refused_before_they_fill_the_memory():
+    with pytest.raises(InvalidValueError, match=r"mesh\.cell_m: got '4000 x 4000 cells of 0\.01 m'.*meshes in metres"):
+        cut(box((40, 40, 20)))
+
+
+def test_a_mesh_that_is_open_or_no_mesh_is_refused(tmp_path: Path):
+    whole = box((0.05, 0.05, 0.02))
+    trimesh.Trimesh(whole.vertices, whole.faces[1:]).export(tmp_path / "open.stl")
+    (tmp_path / "text.stl").write_text("not a mesh")
+    (tmp_path / "text.xyz123").write_text("not a mesh")
+    for name, said in (
+        ("open.stl", "file: got 'open.stl'; allowed: a watertight mesh"),
+        ("text.stl", "file: got 'text.stl'; allowed: a mesh"),
+        ("text.xyz123", "file: got 'text.xyz123'; allowed: a mesh"),
+        ("none.stl", f"file: got 'none.stl'; allowed: a mesh file beside the object's; there is none in {tmp_path}"),
+    ):
+        with pytest.raises(InvalidValueError) as refused:
+            read_mesh(tmp_path / name)
+        assert str(refused.value).startswith(said)
+
+
+@pytest.mark.parametrize("grid", [0, -1, True, 1.5])
+def test_a_grid_that_is_no_count_is_refused(grid: object):
+    with pytest.raises(InvalidValueError, match=rf"grid: got {grid}; allowed: an integer >= 1"):
+        cut(box((0.05, 0.05, 0.02)), grid=grid)  # type: ignore[arg-type]

@@ -1,0 +1,256 @@
+"""Object files: what the library holds, and what a wrong file is told."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from testbed.errors import HeftError, InvalidValueError
+from testbed.objects.files import InvalidFileError, asset_folder, load_object, object_names
+
+PAIR = 'name = "X"\n[blocks]\nlayout = ["11"]\n'
+
+
+@pytest.fixture
+def written(tmp_path: Path):
+    """Writes an object file and returns its path."""
+
+    def write(text: str) -> Path:
+        path = tmp_path / "thing.toml"
+        path.write_text(text, encoding="utf-8")
+        return path
+
+    return write
+
+
+def test_every_object_of_the_library_can_be_loaded():
+    assert {"I1", "I2", "L1", "L2", "F1", "F2"} <= set(object_names())
+    for name in object_names():
+        assert load_object(name).name == name
+
+
+@pytest.mark.parametrize("name", ["I2", "L2", "F2"])
+def test_second_variants_have_two_light_blocks(name: str):
+    assert_allclose(load_object(name).group_mass, [0.4, 0.1, 0.1, 0.4, 0.4, 0.4], rtol=1e-12)
+
+
+@pytest.mark.parametrize("grid", [1, 2, 4])
+def test_the_grid_changes_particles_but_not_the_object(grid: int):
+    made, reference = load_object("L2", grid), load_object("L2")
+    assert len(made.shape.particles) == 6 * grid**2
+    assert_allclose(made.center_of_mass, reference.center_of_mass, atol=1e-15)
+    assert_allclose(made.inertia_cm, reference.inertia_cm, rtol=1e-12)
+
+
+def test_a_file_by_path_with_friction_by_group(written):
+    made = load_object(written(PAIR + "mass_kg = [0.2, 0.3]\nfriction = [0.4, 0.6]\nfriction_group = [1, 0]"), grid=2)
+    assert made.truth.friction.tolist() == [0.4, 0.6]
+    assert made.shape.friction_group.tolist() == [1] * 4 + [0] * 4
+    assert_allclose(made.group_mass, [0.2, 0.3], rtol=1e-12)
+
+
+def test_one_mass_stands_for_all_blocks_and_sizes_have_defaults(written):
+    made = load_object(written(PAIR + "mass_kg = 0.2"), grid=1)
+    assert_allclose(made.group_mass, [0.2, 0.2], rtol=1e-12)
+    assert (made.shape.cell, made.shape.height) == (0.05, 0.03)
+
+
+def test_a_block_may_hang_clear_of_the_table(written):
+    made = load_object(written(PAIR + "mass_kg = 0.2\nfriction_group = [0, -1]"), grid=1)
+    assert made.shape.friction_group.tolist() == [0, -1]
+
+
+@pytest.mark.parametrize(("given", "nearest"), [("l2", "L2"), ("f1", "F1"), ("i2", "I2"), ("L3", "L2"), ("F12", "F2")])
+def test_an_unknown_object_lists_the_names_and_the_nearest(given: str, nearest: str):
+    with pytest.raises(InvalidValueError, match=rf"object: got '{given}'; .*F1, F2, I1.*nearest: {nearest}\)"):
+        load_object(given)
+
+
+def test_a_path_to_no_file_is_refused(tmp_path: Path):
+    with pytest.raises(InvalidValueError, match=r"no\.toml'; allowed: a path to an existing \.toml file"):
+        load_object(tmp_path / "no.toml")
+
+
+@pytest.mark.parametrize("content", [b"name = ", b"\xff\xfe", b"[blocks]\n[blocks]\n"])
+def test_a_file_that_is_not_toml_is_named(tmp_path: Path, content: bytes):
+    path = tmp_path / "thing.toml"
+    path.write_bytes(content)
+    with pytest.raises(InvalidFileError, match=r"thing\.toml: cannot be read as TOML"):
+        load_object(path)
+
+
+@pytest.mark.parametrize(
+    ("line", "field", "given", "allowed"),
+    [
+        ("mass_kg = -0.4", "blocks.mass_kg", "got -0.4", "greater than 0"),
+        ("mass_kg = 0", "blocks.mass_kg", "got 0", "greater than 0"),
+        ("mass_kg = [0.4, -0.1]", "blocks.mass_kg", "got -0.1", "greater than or equal to 0"),
+        ("mass_kg = nan", "blocks.mass_kg", "got nan", "finite number"),
+        ("mass_kg = [0.4, inf]", "blocks.mass_kg", "got inf", "finite number"),
+        ('mass_kg = "heavy"', "blocks.mass_kg", "got 'heavy'", "valid number"),
+        ("mass_kg = [0.4]", "blocks.mass_kg: ", "got [0.4]", "2 numbers >= 0, one a block, bottom row first"),
+        ("mass_kg = [0, 0]", "blocks.mass_kg: ", "got [0.0, 0.0]", "with a sum > 0"),
+        ("mass_kg = 0.4\nfriction = -0.5", "blocks.friction", "got -0.5", "greater than or equal to 0"),
+        ("mass_kg = 0.4\nfriction = nan", "blocks.friction", "got nan", "finite number"),
+        ("mass_kg = 0.4\nfriction = []", "blocks.friction: ", "got []", "a number >= 0, or a list of one or more"),
+        ("mass_kg = 0.4\nfriction = [0.4, 0.5]", "blocks.friction_group: ", "got None", "2 integers, one a block"),
+        ("mass_kg = 0.4\nfriction_group = [0]", "blocks.friction_group: ", "got [0]", "2 integers, one a block"),
+        (
+            "mass_kg = 0.4\nfriction_group = [0, 7]",
+            "blocks.friction_group: ",
+            "got [0, 7]",
+            "every friction from 0 to 0",
+        ),
+        (
+            "mass_kg = 0.4\nfriction_group = [0, 1]",
+            "blocks.friction_group: ",
+            "got [0, 1]",
+            "every friction from 0 to 0",
+        ),
+        ("mass_kg = 0.4\nfriction_group = [0, -2]", "blocks.friction_group: ", "got [0, -2]", ", or -1"),
+        (
+            "mass_kg = 0.4\nfriction_group = [-1, -1]",
+            "blocks.friction_group: ",
+            "got [-1, -1]",
+            "every friction from 0",
+        ),
+        ('mass_kg = "0.4"', "blocks.mass_kg: ", "got '0.4'", "a valid number"),
+        ("mass_kg = true", "blocks.mass_kg: ", "got True", "a valid number"),
+        ('mass_kg = ["0.4", 0.1]', "blocks.mass_kg.0: ", "got '0.4'", "a valid number"),
+        ("mass_kg = [0.4, true]", "blocks.mass_kg.1: ", "got True", "a valid number"),
+        ('mass_kg = 0.4\nfriction = "0.5"', "blocks.friction: ", "got '0.5'", "a valid number"),
+        ("mass_kg = 0.4\nfriction = [true]", "blocks.friction.0: ", "got True", "a valid number"),
+        ('mass_kg = 0.4\nfriction_group = ["0", 0]', "blocks.friction_group.0: ", "got '0'", "a valid integer"),
+        ("mass_kg = 0.4\nfriction_group = [0, true]", "blocks.friction_group.1: ", "got True", "a valid integer"),
+        ('mass_kg = 0.4\nsize_m = "0.05"', "blocks.size_m: ", "got '0.05'", "a valid number"),
+        ("mass_kg = 0.4\nheight_m = true", "blocks.height_m: ", "got True", "a valid number"),
+        ("mass_kg = 0.4\nsize_m = 0", "blocks.size_m", "got 0", "greater than 0"),
+        ("mass_kg = 0.4\nheight_m = inf", "blocks.height_m", "got inf", "finite number"),
+        ("mass_kg = 0.4\nweight = 3", "blocks.weight", "got 3", "no such field"),
+    ],
+)
+def test_a_wrong_field_is_refused_with_file_field_value_and_what_is_allowed(
+    written, line: str, field: str, given: str, allowed: str
+):
+    path = written(PAIR + line)
+    with pytest.raises(HeftError) as refused:
+        load_object(path)
+    for part in (f"{path}: ", field, given, allowed):
+        assert part in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("layout", "said"),
+    [
+        ('["1", "0", "1"]', "blocks.layout: got 'A3 apart from A1'; allowed: blocks joined edge to edge"),
+        ('["1x"]', "blocks.layout: got 'x'; allowed: rows"),
+        ("[]", "blocks.layout: got []; allowed: at least one"),
+    ],
+)
+def test_a_wrong_layout_is_refused(written, layout: str, said: str):
+    with pytest.raises(InvalidFileError) as refused:
+        load_object(written(f'name = "X"\n[blocks]\nmass_kg = 0.4\nlayout = {layout}'))
+    assert said in str(refused.value)
+
+
+def test_all_errors_of_a_file_are_told_at_once(written):
+    with pytest.raises(InvalidFileError) as refused:
+        load_object(written(PAIR + "size_m = -1\ncolour = 3"))
+    for said in ("blocks.mass_kg: missing", "blocks.size_m: got -1", "blocks.colour: no such field"):
+        assert said in str(refused.value)
+
+
+@pytest.mark.parametrize("grid", [0, -1, True, 1.5])
+def test_a_grid_that_is_no_count_is_refused(grid: object):
+    with pytest.raises(InvalidValueError, match=rf"grid: got {grid}; allowed: an integer >= 1"):
+        load_object("I1", grid)  # type: ignore[arg-type]
+
+
+def test_whole_numbers_are_still_numbers(written):
+    made = load_object(written(PAIR + "mass_kg = [1, 2]\nfriction = 1"), grid=1)
+    assert (made.group_mass.tolist(), made.truth.friction.tolist()) == ([1.0, 2.0], [1.0])
+
+
+def test_loading_twice_gives_the_same_object():
+    first, second = load_object("F2"), load_object("F2")
+    assert np.array_equal(first.shape.particles, second.shape.particles)
+    assert np.array_equal(first.truth.mass, second.truth.mass)
+
+
+PARTS = '[[mesh.parts]]\nname = "head"\nfile = "hammer_head.stl"\nmass_kg = 1.2\n'
+GRASP = '[[mesh.grasps]]\nname = "middle"\nat_m = [0.02, 0.0]\nclosing_deg = 0\n'
+
+
+@pytest.fixture
+def written_mesh(written, tmp_path: Path):
+    """Writes an object file of the hammer's head, with its mesh beside it, and returns its path."""
+    shutil.copy(asset_folder("objects") / "hammer_head.stl", tmp_path)
+
+    def write(mesh: str = "cell_m = 0.01\n", rest: str = PARTS + GRASP) -> Path:
+        return written(f'name = "X"\n[mesh]\n{mesh}{rest}')
+
+    return write
+
+
+def test_the_tools_are_in_the_library():
+    assert {"hammer", "wrench"} <= set(object_names())
+
+
+def test_a_mesh_file_with_defaults(written_mesh):
+    made = load_object(written_mesh())
+    assert made.truth.friction.tolist() == [0.5]
+    assert made.shape.group_names == ("head",)
+    assert [g.name for g in made.shape.grasps] == ["middle"]
+    assert_allclose(made.group_mass, [1.2], rtol=1e-12)
+    assert_allclose(made.shape.cell, 0.01)
+
+
+def test_a_file_has_blocks_or_a_mesh(written, written_mesh):
+    for text, given in (
+        ('name = "X"', "neither"),
+        (written_mesh().read_text() + "[blocks]\nlayout = ['1']\nmass_kg = 1", "both"),
+    ):
+        with pytest.raises(InvalidFileError) as refused:
+            load_object(written(text))
+        assert f"blocks or mesh: got '{given}'; allowed: exactly one of [blocks] and [mesh]" in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("mesh", "rest", "said"),
+    [
+        ("", PARTS, "mesh.cell_m: missing"),
+        ("cell_m = 0\n", PARTS, "mesh.cell_m: got 0"),
+        ("cell_m = 0.5\n", PARTS, "mesh.cell_m: got 0.5; allowed: less than or equal to 0.1"),
+        ("cell_m = nan\n", PARTS, "mesh.cell_m: got nan"),
+        ('cell_m = "0.01"\n', PARTS, "mesh.cell_m: got '0.01'; allowed: a valid number"),
+        ("cell_m = 0.01\nfriction = -1\n", PARTS, "mesh.friction: got -1; allowed: greater than or equal to 0"),
+        ("cell_m = 0.01\nfriction = []\n", PARTS, "mesh.friction: got []; allowed: a number >= 0, or a list of one"),
+        ("cell_m = 0.01\nfriction = [0.3, 0.4]\n", PARTS, "mesh.parts.friction_group: got [None]; allowed: an integer"),
+        ("cell_m = 0.01\n", PARTS + "friction_group = 1", "mesh.parts.friction_group: got [1]; allowed: an integer"),
+        ("cell_m = 0.01\n", PARTS + "friction_group = -1", "mesh.parts.0.friction_group: got -1"),
+        ("cell_m = 0.01\n", PARTS + "friction_group = true", "mesh.parts.0.friction_group: got True"),
+        ("cell_m = 0.01\nsize = 3\n", PARTS, "mesh.size: no such field; got 3"),
+        ("cell_m = 0.01\n", "parts = []", "mesh.parts: got []"),
+        ("cell_m = 0.01\n", "", "mesh.parts: missing"),
+        ("cell_m = 0.01\n", PARTS.replace("1.2", "0"), "mesh.parts.0.mass_kg: got 0; allowed: greater than 0"),
+        ("cell_m = 0.01\n", PARTS.replace("1.2", "inf"), "mesh.parts.0.mass_kg: got inf"),
+        ("cell_m = 0.01\n", PARTS + "weight = 1", "mesh.parts.0.weight: no such field; got 1"),
+        ("cell_m = 0.01\n", PARTS * 2, "mesh.parts: got ['head', 'head']; allowed: names that differ"),
+        ("cell_m = 0.01\n", PARTS.replace("head.stl", "tail.stl"), "mesh.parts.0.file: got 'hammer_tail.stl'"),
+        ("cell_m = 0.01\n", PARTS + GRASP.replace(", 0.0", ""), "mesh.grasps.0.at_m: got [0.02]"),
+        ("cell_m = 0.01\n", PARTS + GRASP.replace("0.02", "nan"), "mesh.grasps.0.at_m.0: got nan"),
+        ("cell_m = 0.01\n", PARTS + GRASP.replace("0\n", "true\n"), "mesh.grasps.0.closing_deg: got True"),
+        ("cell_m = 0.01\n", PARTS + GRASP * 2, "mesh.grasps: got ['middle', 'middle']; allowed: names that differ"),
+        ("cell_m = 0.01\n", PARTS + GRASP.replace("0.02", "0.2"), "mesh.grasps.0.at_m: got [0.2, 0.0]"),
+        ("cell_m = 0.01\n", PARTS + GRASP.replace("= 0\n", "= 90\n"), "mesh.grasps.0.at_m: got '110 mm across'"),
+    ],
+)  # fmt: skip
+def test_a_wrong_mesh_file_is_refused(written_mesh, mesh: str, rest: str, said: str):
+    path = written_mesh(mesh, rest)
+    with pytest.raises(HeftError) as refused:
+        load_object(path)
+    assert f"{path}: {said}" in str(refused.value)

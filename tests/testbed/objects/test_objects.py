@@ -1,0 +1,298 @@
+"""Block objects as particles: layouts, grasps, and the moments of a solid slab."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from testbed.errors import InvalidValueError
+from testbed.objects.blocks import block_object, parse_layout
+from testbed.objects.files import load_object
+from testbed.objects.model import Grasp, MassDistribution, ObjectModel, ObjectShape, Solid
+
+SIZE = 0.05
+ROW_MASS = [0.4, 0.1, 0.1, 0.4, 0.4, 0.4]
+
+
+def blocks(rows: list[str], mass: list[float] | None = None, grid: int = 3) -> ObjectModel:
+    cells = parse_layout(rows)
+    return block_object(
+        "X",
+        cells,
+        size=SIZE,
+        height=0.03,
+        mass=mass or [0.4] * len(cells),
+        friction=[0.5],
+        friction_group=[0] * len(cells),
+        grid=grid,
+    )
+
+
+def shape(**changes: object) -> ObjectShape:
+    values = {
+        "particles": [[0.0, 0.0], [0.1, 0.0]],
+        "mass_group": [0, 1],
+        "friction_group": [0, 0],
+        "cell": 0.1,
+        "height": 0.03,
+    }
+    return ObjectShape(**values | changes)  # type: ignore[arg-type]
+
+
+def test_blocks_are_named_bottom_row_first_and_left_to_right():
+    assert [cell.name for cell in parse_layout(["1", "1", "1", "111"])] == ["A1", "B1", "C1", "A2", "A3", "A4"]
+
+
+def test_columns_past_the_alphabet_get_two_letters():
+    assert [cell.name for cell in parse_layout(["1" * 28])][25:] == ["Z1", "AA1", "AB1"]
+
+
+@pytest.mark.parametrize("nothing", ["0", ".", " "])
+def test_zero_dot_and_space_are_all_empty(nothing: str):
+    assert parse_layout([f"1{nothing}", "11"]) == parse_layout(["1", "11"])
+
+
+@pytest.mark.parametrize(("rows", "block"), [(["1", "0", "1"], "A3"), (["101"], "C1"), (["01", "10"], "B2")])
+def test_blocks_not_joined_edge_to_edge_are_refused_by_name(rows: list[str], block: str):
+    with pytest.raises(InvalidValueError, match=rf"{block} apart from A1.*joined edge to edge"):
+        parse_layout(rows)
+
+
+@pytest.mark.parametrize("rows", [[], [""], ["00", ". "]])
+def test_a_layout_without_blocks_is_refused(rows: list[str]):
+    with pytest.raises(InvalidValueError, match='at least one "1"'):
+        parse_layout(rows)
+
+
+def test_unknown_characters_in_a_layout_are_listed():
+    with pytest.raises(InvalidValueError, match=r"'2x'.*none"):
+        parse_layout(["1x1", "121"])
+
+
+@pytest.mark.parametrize(
+    ("name", "grippable"),
+    [
+        ("I1", ["A1", "B1", "C1", "D1", "E1", "F1"]),
+        ("L1", ["B1", "C1", "A2", "A3", "A4"]),
+        ("F1", ["B1", "A2", "B3", "A4"]),
+    ],
+)
+def test_a_block_can_be_gripped_only_where_two_opposite_faces_are_free(name: str, grippable: list[str]):
+    assert [grasp.name for grasp in load_object(name).shape.grasps] == grippable
+
+
+def test_inner_blocks_of_a_row_are_gripped_across_it():
+    grasps = blocks(["111111"]).shape.grasps
+    assert [grasp.angle for grasp in grasps] == [np.pi / 2] * 6
+    assert_allclose([grasp.position for grasp in grasps], [[(i - 2.5) * SIZE, 0] for i in range(6)], atol=1e-15)
+
+
+def test_a_square_of_four_cannot_be_gripped():
+    assert blocks(["11", "11"]).shape.grasps == ()
+
+
+@pytest.mark.parametrize("grid", [1, 2, 3, 5])
+@pytest.mark.parametrize(("columns", "rows"), [(1, 1), (6, 1), (3, 2)])
+def test_a_uniform_slab_has_the_moments_of_a_solid_rectangle(columns: int, rows: int, grid: int):
+    slab = blocks(["1" * columns] * rows, grid=grid)
+    mass = 0.4 * columns * rows
+    assert_allclose(slab.total_mass, mass, rtol=1e-12)
+    assert_allclose(slab.center_of_mass, 0, atol=1e-15)
+    assert_allclose(slab.inertia_cm, mass * SIZE**2 * (columns**2 + rows**2) / 12, rtol=1e-12)
+
+
+@pytest.mark.parametrize("grid", [1, 2, 4])
+def test_an_uneven_row_has_the_moments_of_its_blocks(grid: int):
+    row = blocks(["111111"], mass=ROW_MASS, grid=grid)
+    mass, x = np.array(ROW_MASS), (np.arange(6) - 2.5) * SIZE
+    center = mass @ x / mass.sum()
+    assert_allclose(row.center_of_mass, [center, 0], atol=1e-15)
+    assert_allclose(row.inertia_cm, mass @ ((x - center) ** 2 + SIZE**2 / 6), rtol=1e-12)
+    assert_allclose(row.group_mass, mass, rtol=1e-12)
+
+
+@pytest.mark.parametrize("grid", [1, 3])
+def test_particles_fill_their_blocks_about_a_common_origin(grid: int):
+    made = blocks(["1", "1", "1", "111"], grid=grid).shape
+    assert_allclose(made.particles.mean(axis=0), 0, atol=1e-15)
+    assert_allclose(len(made.particles) * made.cell**2, 6 * SIZE**2, rtol=1e-12)
+    assert made.particles_per_group.tolist() == [grid**2] * 6
+
+
+def test_groups_are_named_after_blocks_and_numbered_without_names():
+    assert blocks(["11"]).shape.group_names == ("A1", "B1")
+    assert shape().group_names == ("m0", "m1")
+
+
+def test_a_shape_is_frozen_and_its_arrays_are_read_only():
+    made = shape()
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        made.cell = 1.0  # type: ignore[misc]
+    for array in (made.particles, made.mass_group, made.friction_group):
+        with pytest.raises(ValueError, match="read-only"):
+            array[0] = 0
+
+
+def test_a_particle_weighs_as_its_cell_is_filled():
+    uneven = shape(particles=[[0.0, 0.0], [0.1, 0.0], [0.2, 0.0]], mass_group=[0, 1, 1], friction_group=[0, 0, 0])
+    uneven = dataclasses.replace(uneven, fill=np.array([1.0, 0.5, 1.5]))
+    made = ObjectModel("X", uneven, MassDistribution(np.array([0.2, 0.1]), np.array([0.5])))
+    assert_allclose(made.particle_mass, [0.2, 0.05, 0.15])
+    assert_allclose(made.group_mass, [0.2, 0.2])
+    assert_allclose(made.center_of_mass, [(0.05 * 0.1 + 0.15 * 0.2) / 0.4, 0])
+    assert_allclose(uneven.per_group(uneven.particles[:, 0]), [0, 0.35])
+    assert_allclose(shape().fill, 1)
+
+
+def test_a_distribution_does_not_follow_the_array_it_was_made_from():
+    mass = np.array([0.4, 0.1])
+    made = MassDistribution(mass, np.array([0.5]))
+    mass[0] = 9.0
+    assert made.mass.tolist() == [0.4, 0.1]
+    with pytest.raises(ValueError, match="read-only"):
+        made.mass[0] = 9.0
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"cell": 0.0}, r"ObjectShape\.cell: got 0\.0; allowed: a finite number > 0"),
+        ({"cell": np.nan}, r"ObjectShape\.cell: got nan"),
+        ({"height": -0.03}, r"ObjectShape\.height: got -0\.03; allowed: a finite number > 0"),
+        ({"particles": [[0, 0], [np.inf, 0]]}, r"ObjectShape\.particles: got '1 NaN or infinite entries'"),
+        ({"particles": [[0, 0, 0]]}, r"ObjectShape\.particles: got 'shape \(1, 3\)'; allowed: shape \(n, 2\)"),
+        ({"particles": np.zeros((0, 2))}, r"ObjectShape\.particles: .*at least one particle"),
+        ({"mass_group": [0, 2]}, r"ObjectShape\.mass_group: got \[0, 2\]; .*every index up to the largest"),
+        ({"mass_group": [0, -1]}, r"ObjectShape\.mass_group: .*indices from 0"),
+        ({"mass_group": [0]}, r"ObjectShape\.mass_group: got \[0\]; allowed: 2 integers"),
+        ({"mass_group": [0.0, 1.0]}, r"ObjectShape\.mass_group: got \[0\.0, 1\.0\]; allowed: 2 integers"),
+        (
+            {"friction_group": [-1, -1]},
+            r"ObjectShape\.friction_group: got '-1 everywhere'; allowed: .*in contact \(>= 0\)",
+        ),
+        ({"fill": [1.0]}, r"ObjectShape\.fill: got 'shape \(1,\)'; allowed: shape \(2,\)"),
+        ({"fill": [1.0, 2.0]}, r"ObjectShape\.fill: got 'means \[1\.0, 2\.0\], least 1'; allowed: .* a mean of 1"),
+        ({"fill": [1.0, -1.0]}, r"ObjectShape\.fill: got .*least -1'; allowed: numbers >= 0"),
+        ({"group_names": ("only",)}, r"ObjectShape\.group_names: got \('only',\); allowed: 2 names"),
+    ],
+)
+def test_a_shape_out_of_range_is_refused(changes: dict[str, object], said: str):
+    with pytest.raises(InvalidValueError, match=said):
+        shape(**changes)
+
+
+@pytest.mark.parametrize(
+    ("mass", "friction", "said"),
+    [
+        ([-0.1, 0.4], [0.5], r"MassDistribution\.mass: got \[-0\.1, 0\.4\]; allowed: numbers >= 0"),
+        ([np.nan, 0.4], [0.5], r"MassDistribution\.mass: .*finite"),
+        ([np.inf, 0.4], [0.5], r"MassDistribution\.mass: .*finite"),
+        ([0.1, 0.4], [-0.5], r"MassDistribution\.friction: got \[-0\.5\]; allowed: numbers >= 0"),
+        (["heavy"], [0.5], r"MassDistribution\.mass: got \['heavy'\]; allowed: numbers"),
+    ],
+)
+def test_a_distribution_out_of_range_is_refused(mass: list[float], friction: list[float], said: str):
+    with pytest.raises(InvalidValueError, match=said):
+        MassDistribution(mass, friction)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("mass", "friction", "said"),
+    [
+        ([0.4], [0.5], r"truth\.mass: got \[0\.4\]; allowed: 2 numbers"),
+        ([0.4, 0.1], [0.5, 0.5], r"truth\.friction: got \[0\.5, 0\.5\]; allowed: 1 numbers"),
+        ([0.0, 0.0], [0.5], r"truth\.mass: .*a total mass > 0"),
+    ],
+)
+def test_a_truth_that_does_not_fit_its_shape_is_refused(mass: list[float], friction: list[float], said: str):
+    with pytest.raises(InvalidValueError, match=said):
+        ObjectModel("X", shape(), MassDistribution(np.array(mass), np.array(friction)))
+
+
+@pytest.mark.parametrize("angle", [np.nan, np.inf, None, "0", True])
+def test_a_grasp_angle_that_is_no_finite_number_is_refused(angle: object):
+    with pytest.raises(InvalidValueError, match=rf"Grasp\.angle: got {angle!r}; allowed: a finite number, rad"):
+        Grasp("A1", np.zeros(2), angle, width=0.05, length=0.05)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("mass", [["0.4", "0.1"], [True, False], [None, 0.1], [[0.4], [0.1, 0.2]]])
+def test_strings_booleans_and_ragged_lists_are_no_numbers(mass: object):
+    with pytest.raises(InvalidValueError) as refused:
+        MassDistribution(mass, np.array([0.5]))  # type: ignore[arg-type]
+    assert f"MassDistribution.mass: got {mass!r}; allowed: numbers of shape (n,)" in str(refused.value)
+
+
+def test_a_grasp_without_width_is_refused():
+    with pytest.raises(InvalidValueError, match=r"Grasp\.width: got 0\.0; allowed: a finite number > 0"):
+        Grasp("A1", np.zeros(2), angle=0.0, width=0.0, length=0.05)
+
+
+CORNERS = [[0.0, 0, 0], [0.1, 0, 0], [0, 0.1, 0], [0, 0, 0.1]]
+OUTWARDS = [[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]
+
+
+def solid(**changes: object) -> Solid:
+    return Solid(**{"vertices": CORNERS, "faces": OUTWARDS, "mass": 0.6} | changes)  # type: ignore[arg-type]
+
+
+def test_a_tetrahedron_has_the_moments_of_the_textbook():
+    made = solid()
+    assert_allclose(made.volume, 0.1**3 / 6, rtol=1e-12)
+    assert_allclose(made.center_of_mass, [0.025] * 3, rtol=1e-12)
+    assert_allclose(made.inertia_z, 0.6 * 0.1**2 * 2 * (1 / 10 - 1 / 16), rtol=1e-12)
+
+
+def test_an_object_with_solids_has_their_moments():
+    two = (solid(mass=0.1), solid(vertices=np.array(CORNERS) + np.array([0.2, 0, 0]), mass=0.3))
+    made = ObjectModel("X", shape(), MassDistribution(np.array([0.1, 0.3]), np.array([0.5])), two)
+    assert_allclose(made.total_mass, 0.4, rtol=1e-12)
+    assert_allclose(made.center_of_mass, [0.175, 0.025], rtol=1e-12)
+    own = 0.4 * 0.1**2 * 2 * (1 / 10 - 1 / 16)
+    assert_allclose(made.inertia_cm, own + 0.1 * 0.15**2 + 0.3 * 0.05**2, rtol=1e-12)
+
+
+@pytest.mark.parametrize("mass", [[0.1, 0.2], [0.1]])
+def test_solids_must_be_the_mass_groups(mass: list[float]):
+    with pytest.raises(InvalidValueError, match=r"ObjectModel\.solids: .*one a mass group, of \[0\.1, 0\.3\] kg"):
+        ObjectModel(
+            "X",
+            shape(),
+            MassDistribution(np.array([0.1, 0.3]), np.array([0.5])),
+            tuple(solid(mass=m) for m in mass),
+        )
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"vertices": [[0, 0], [1, 1]]}, r"Solid\.vertices: got 'shape \(2, 2\)'; allowed: shape \(n, 3\)"),
+        ({"faces": [[0, 1]]}, r"Solid\.faces: got 'shape \(1, 2\)'; allowed: integers of shape \(n, 3\)"),
+        ({"faces": [[0.0, 1.0, 2.0]]}, r"Solid\.faces: .*integers"),
+        ({"faces": [[0, 1, 4]]}, r"Solid\.faces: got \[\[0, 1, 4\]\]; allowed: indices from 0 to 3"),
+        ({"faces": [face[::-1] for face in OUTWARDS]}, r"Solid\.faces: got 'a volume of -.*face outwards"),
+        ({"mass": 0.0}, r"Solid\.mass: got 0\.0; allowed: a finite number > 0"),
+    ],
+)
+def test_a_solid_out_of_range_is_refused(changes: dict[str, object], said: str):
+    with pytest.raises(InvalidValueError, match=said):
+        solid(**changes)
+
+
+@pytest.mark.parametrize(
+    ("faces", "said"),
+    [
+        ({"bottom": -0.001}, r"Grasp\.bottom: got -0\.001; allowed: a finite number >= 0, m"),
+        ({"bottom": np.nan}, r"Grasp\.bottom: got nan"),
+        (
+            {"bottom": 0.01, "top": 0.01},
+            r"Grasp\.top: got 0\.01; allowed: a finite number > bottom \(0\.01 m\), or None",
+        ),
+        ({"top": np.inf}, r"Grasp\.top: got inf"),
+    ],
+)
+def test_gripped_faces_out_of_range_are_refused(faces: dict[str, float], said: str):
+    with pytest.raises(InvalidValueError, match=said):
+        Grasp("A1", np.zeros(2), angle=0.0, width=0.05, length=0.05, **faces)

@@ -1,0 +1,240 @@
+"""Calibration by static poses: recovers mount, sign, bias and tool, knows how well, and says what it cannot tell."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from scipy.spatial.transform import Rotation
+
+from testbed.errors import InvalidValueError
+from testbed.objects.files import InvalidFileError
+from testbed.robot.calibration.file import load_calibration, save_calibration
+from testbed.robot.calibration.static_poses import (
+    Calibration,
+    CalibrationError,
+    StaticPose,
+    calibrate,
+    in_words,
+    static_pose,
+)
+from testbed.simulation.motion import arm_model, gripper_tool
+from tests.fakes.static_hand import BIAS, COM, DOWN, ERROR, MASS, POSES, readings
+from tests.helpers.records import coloured_noise
+
+MOUNTS = [
+    Rotation.from_euler("xyz", angles, degrees=True)
+    for angles in ((0, 0, 0), (0, 0, 90), (0, 0, -90), (0, 0, 180), (180, 0, 0), (0, 0, 37), (10, -20, 130))
+]
+
+
+def off(calibration: Calibration, mount: Rotation) -> float:
+    """Angle between the found and the true mount, rad."""
+    found = Rotation.from_quat(calibration.sensor_in_hand, scalar_first=True)
+    return float((mount.inv() * found).magnitude())
+
+
+@pytest.mark.parametrize("mount", MOUNTS, ids=str)
+@pytest.mark.parametrize("sign", [1, -1])
+def test_without_noise_all_comes_back(mount: Rotation, sign: int):
+    found = calibrate(readings(mount, sign))
+    assert found.sign == sign
+    assert off(found, mount) < 1e-7
+    assert found.mass == pytest.approx(MASS, rel=1e-8)
+    assert_allclose(found.com, mount.inv().apply(COM), atol=1e-8)
+    assert_allclose(found.bias, BIAS, atol=1e-7)
+    assert found.misfit < 1e-9
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("mount", "sign"), [(MOUNTS[1], 1), (MOUNTS[6], -1)])
+def test_with_noise_errors_are_as_large_as_it_says(mount: Rotation, sign: int):
+    draws = 60
+    scores = []
+    for seed in range(draws):
+        found = calibrate(readings(mount, sign, noise=1.0, seed=seed))
+        assert found.sign == sign
+        turn = (mount.inv() * Rotation.from_quat(found.sensor_in_hand, scalar_first=True)).as_rotvec()
+        scores.append(
+            np.concatenate(
+                [
+                    turn / found.sensor_in_hand_std,
+                    [(found.mass - MASS) / found.mass_std],
+                    (found.com - mount.inv().apply(COM)) / found.com_std,
+                    (found.bias - BIAS) / found.bias_std,
+                ]
+            )
+        )
+    z = np.array(scores)
+    assert_allclose(np.mean(z**2, axis=0), 1.0, atol=0.75)  # 4 standard errors of a variance of 60
+    assert np.mean(np.abs(z) < 2) > 0.9
+    assert (np.abs(z.mean(axis=0)) < 4 / np.sqrt(draws)).all()
+
+
+def test_readings_that_scatter_more_than_they_say_widen_the_answer():
+    honest, shaky = (calibrate(readings(MOUNTS[0], noise=n, seed=3)) for n in (1.0, 10.0))
+    assert honest.misfit < 3 < shaky.misfit
+    assert shaky.mass_std / honest.mass_std == pytest.approx(np.sqrt(shaky.misfit / max(honest.misfit, 1)), rel=0.1)
+    assert any("times as much as their noise" in line for line in in_words(shaky))
+    assert not any("times as much" in line for line in in_words(honest))
+
+
+def test_it_finds_the_simulated_gripper_at_rest():
+    model = arm_model()
+    data = mujoco.MjData(model)
+    rng = np.random.default_rng(0)
+    poses = []
+    hand = DOWN
+    for _ in range(8):
+        data.qpos[:7] = rng.uniform(-1.5, 1.5, 7)
+        mujoco.mj_fwdPosition(model, data)
+        mujoco.mj_fwdVelocity(model, data)
+        data.qacc[:] = 0.0
+        mujoco.mj_rnePostConstraint(model, data)
+        mujoco.mj_sensorAcc(model, data)
+        wrench = np.concatenate([data.sensor("ft/force").data, data.sensor("ft/torque").data])
+        hand = Rotation.from_matrix(data.site("gripper/tcp").xmat.reshape(3, 3))
+        poses.append(StaticPose(hand.as_quat(scalar_first=True), wrench + BIAS, ERROR))
+    found, tool = calibrate(poses), gripper_tool(0.085)
+    sensor = Rotation.from_matrix(data.site("ft/wrench").xmat.reshape(3, 3))
+    assert found.sign == 1
+    assert off(found, hand.inv() * sensor) < 1e-6
+    assert found.mass == pytest.approx(tool.mass, rel=1e-6)
+    assert_allclose(found.com, tool.com, atol=1e-7)
+    assert_allclose(found.bias, BIAS, atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("turn", "sign", "said"),
+    [
+        ((0, 0, 0), 1, ["not turned"]),
+        ((0, 0, 90), 1, ["turned by 90.0 deg about z"]),
+        ((0, 0, -90), 1, ["turned by -90.0 deg about z"]),
+        ((0, 0, 45), -1, ["what the tool does to the arm: set sign = -1", "turned by 45.0 deg about z"]),
+        ((0, 0, 180), -1, ["set sign = -1 (the same thing: its z axis is mirrored)", "turned by 180 deg about z"]),
+        ((180, 0, 0), 1, ["turned by 180 deg about x"]),
+        ((18.0, 24.0, 40.0), 1, ["turned by 50.0 deg about (0.36, 0.48, 0.80)"]),
+    ],
+)
+def test_it_says_in_words_how_the_sensor_sits(turn: tuple[float, ...], sign: int, said: list[str]):
+    words = "; ".join(in_words(calibrate(readings(Rotation.from_rotvec(turn, degrees=True), sign))))
+    for sentence in said:
+        assert sentence in words
+    assert ("sign = -1" in words) == (sign < 0)
+
+
+def test_a_mirrored_axis_is_recognised():
+    """A driver that flips z of force and torque makes a left-handed frame."""
+    flip = np.array([1, 1, -1, 1, 1, -1])
+    mirrored = [StaticPose(p.hand, flip * p.wrench, p.standard_error) for p in readings(MOUNTS[0])]
+    found = calibrate(mirrored)
+    words = "; ".join(in_words(found))
+    assert "its z axis is mirrored" in words
+    # and what it says to do works: readings become what the arm does to the tool
+    mount = Rotation.from_quat(found.sensor_in_hand, scalar_first=True)
+    for pose, given in zip(mirrored, readings(MOUNTS[0]), strict=True):
+        felt = found.sign * (pose.wrench - found.bias)
+        truth = given.wrench - BIAS
+        assert_allclose(mount.apply(felt.reshape(2, 3)), truth.reshape(2, 3), atol=1e-6)
+
+
+def test_torque_of_the_other_sign_is_told():
+    with pytest.raises(CalibrationError, match="61 mm behind the sensor; the signs of its force and its torque"):
+        calibrate(readings(MOUNTS[0], torque_sign=-1))
+
+
+@pytest.mark.parametrize(
+    ("hands", "why"),
+    [
+        (POSES[:3], "got 3 poses; allowed: 4 or more"),
+        ([DOWN] * 6, "too alike"),
+        ([DOWN * Rotation.from_euler("z", 30.0 * i, degrees=True) for i in range(6)], "too alike"),
+        ([DOWN * Rotation.from_euler("x", 20.0 * i, degrees=True) for i in range(6)], "do not tell the sensor's sign"),
+    ],
+    ids=["few", "one", "about the vertical", "about one axis"],
+)
+def test_poses_that_do_not_settle_it_are_refused(hands: list[Rotation], why: str):
+    for seed in range(5):
+        with pytest.raises(CalibrationError, match=why):
+            calibrate(readings(MOUNTS[5], noise=1.0, seed=seed, hands=hands))
+
+
+def test_small_tilts_are_enough_and_cost_certainty():
+    small = [DOWN * Rotation.from_euler("xy", a, degrees=True) for a in ((0, 0), (25, 0), (-25, 0), (0, 25), (0, -25))]
+    found, wide = (calibrate(readings(MOUNTS[1], noise=1.0, hands=hands)) for hands in (small, POSES))
+    assert off(found, MOUNTS[1]) < 4 * np.linalg.norm(found.sensor_in_hand_std)
+    assert found.mass_std > wide.mass_std
+
+
+def test_a_pose_is_the_mean_of_its_samples_with_its_error():
+    rng = np.random.default_rng(0)
+    spread = np.array([0.067, 0.083, 0.065, 0.0034, 0.0030, 0.0010])
+    hand = DOWN.as_quat(scalar_first=True)
+    means, errors = [], []
+    for _ in range(200):
+        pose = static_pose(hand, BIAS + spread * coloured_noise(300, 6, 0.3, rng))
+        means.append(pose.wrench)
+        errors.append(pose.standard_error)
+    assert_allclose(np.std(means, axis=0), np.mean(errors, axis=0), rtol=0.2)
+    assert_allclose(np.mean(means, axis=0), BIAS, atol=0.003)
+    assert_allclose(StaticPose(hand, BIAS, ERROR).up, DOWN.inv().apply([0, 0, 1]))
+    with pytest.raises(InvalidValueError, match="10 or more samples"):
+        static_pose(hand, np.zeros((9, 6)))
+    with pytest.raises(InvalidValueError, match=r"StaticPose\.standard_error"):
+        static_pose(hand, np.zeros((100, 6)))  # a dead sensor
+    with pytest.raises(InvalidValueError, match=r"StaticPose\.hand"):
+        StaticPose(np.ones(4), BIAS, ERROR)
+
+
+def test_the_tool_is_the_one_that_compensation_takes():
+    found = calibrate(readings(MOUNTS[0]))
+    tool = found.tool(np.array([0, 0, 0.17]), np.eye(3) * 1e-3)
+    assert tool.mass == pytest.approx(MASS)
+    assert_allclose(tool.com, COM, atol=1e-7)
+
+
+def test_a_file_brings_it_back(tmp_path: Path):
+    found = calibrate(readings(MOUNTS[6], -1, noise=1.0))
+    path = tmp_path / "new" / "mount.toml"
+    save_calibration(path, found, "FSC-1234", "2026-01-31")
+    for serial in (None, "unknown", "FSC-1234"):
+        back = load_calibration(path, serial)
+        for name, value in vars(found).items():
+            assert np.array_equal(getattr(back, name), value), name
+    with pytest.raises(
+        InvalidValueError, match=r"mount\.toml: sensor: got 'FSC-1234'; allowed: FSC-9, which is plugged"
+    ):
+        load_calibration(path, "FSC-9")
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("sign = -1", "sign = 2", r"sign: got 2; allowed: 1 or -1"),
+        ("sign = -1", "sigm = -1", r"sigm: no such field.*nearest: sign"),
+        ("tool_mass_kg = 0", "tool_mass_kg = -0", r"tool_mass_kg: got -0\.\d+; allowed: greater than 0"),
+        ("sensor_in_hand_wxyz = [", "sensor_in_hand_wxyz = [3.0, ", r"sensor_in_hand_wxyz"),
+        ("poses = 8", "", r"poses: missing"),
+    ],
+)
+def test_a_damaged_file_is_refused(tmp_path: Path, old: str, new: str, said: str):
+    path = tmp_path / "mount.toml"
+    save_calibration(path, calibrate(readings(MOUNTS[6], -1, noise=1.0)), "FSC-1234", "2026-01-31")
+    text = path.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new))
+    with pytest.raises(InvalidFileError, match=said):
+        load_calibration(path)
+
+
+def test_a_quaternion_that_is_none_is_refused(tmp_path: Path):
+    path = tmp_path / "mount.toml"
+    save_calibration(path, calibrate(readings(MOUNTS[0])), "FSC-1234", "2026-01-31")
+    lines = path.read_text().splitlines()
+    changed = [line if "wxyz" not in line else "sensor_in_hand_wxyz = [1.0, 1.0, 0.0, 0.0]" for line in lines]
+    path.write_text("\n".join(changed))
+    with pytest.raises(InvalidFileError, match="a unit quaternion"):
+        load_calibration(path)

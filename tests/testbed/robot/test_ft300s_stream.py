@@ -1,0 +1,169 @@
+"""The stream's parser and clock: every whole frame is found, no other, whatever comes between and however it is cut."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose
+
+pytest.importorskip("pymodbus")
+from testbed.robot.robotiq.stream import FRAME_BYTES, HEADER, FrameClock, FrameParser, checksum
+from tests.fakes.ft300s import frame_of
+
+COUNTS = st.lists(st.integers(-(2**15), 2**15 - 1), min_size=6, max_size=6)
+GARBAGE = st.one_of(
+    st.binary(max_size=40),
+    st.lists(st.sampled_from([HEADER, HEADER[:1], HEADER[1:], b"\xff", b"\x00"]), max_size=30).map(b"".join),
+)
+"""Bytes that may look like the beginning of a frame."""
+
+
+def raw_frame(counts: list[int]) -> bytes:
+    data = HEADER + np.array(counts, "<i2").tobytes()
+    return data + checksum(data)
+
+
+def in_newtons(counts: list[int]) -> list[float]:
+    return [c / (100 if i < 3 else 1000) for i, c in enumerate(counts)]
+
+
+def places(stream: bytes) -> list[int]:
+    """Wherever 16 bytes pass for a frame."""
+    windows = [stream[i : i + FRAME_BYTES] for i in range(len(stream) - FRAME_BYTES + 1)]
+    return [i for i, w in enumerate(windows) if w.startswith(HEADER) and checksum(w[:-2]) == w[-2:]]
+
+
+@st.composite
+def streams(draw: st.DrawFn) -> tuple[bytes, list[list[int]], list[int]]:
+    """Bytes, what their frames say, and where the frames begin; nothing else in it passes for a frame."""
+    said = draw(st.lists(COUNTS, max_size=6))
+    stream, begins = draw(GARBAGE), []
+    for counts in said:
+        begins.append(len(stream))
+        stream += raw_frame(counts) + draw(GARBAGE)
+    assume(places(stream) == begins)  # chance is 2^-16 a header
+    return stream, said, begins
+
+
+@given(streams())
+def test_every_frame_is_found_whatever_lies_between(drawn):
+    stream, said, _ = drawn
+    parser = FrameParser()
+    found = parser.feed(stream)
+    assert [f.wrench.tolist() for f in found] == [in_newtons(counts) for counts in said]
+    assert parser.frames == len(said)
+
+
+@given(streams(), st.lists(st.integers(1, 40), min_size=1, max_size=20))
+def test_how_the_bytes_are_cut_makes_no_difference(drawn, cuts):
+    stream, said, _ = drawn
+    whole, cut, found, at = FrameParser(), FrameParser(), [], 0
+    whole.feed(stream)
+    for i in range(len(stream)):
+        if at >= len(stream):
+            break
+        step = cuts[i % len(cuts)]
+        found += cut.feed(stream[at : at + step])
+        at += step
+    assert [f.wrench.tolist() for f in found] == [in_newtons(counts) for counts in said]
+    assert (cut.crc_errors, cut.resyncs) == (whole.crc_errors, whole.resyncs)
+
+
+@given(streams())
+def test_waiting_for_the_bytes_needed_delays_no_frame(drawn):
+    stream, said, begins = drawn
+    parser, at, ends = FrameParser(), 0, []
+    while at < len(stream):
+        step = min(parser.needed, len(stream) - at)
+        at += step
+        for frame in parser.feed(stream[at - step : at]):
+            assert frame.behind == 0
+            ends.append(at)
+    assert ends == [begin + FRAME_BYTES for begin in begins]
+    assert len(ends) == len(said)
+
+
+@given(
+    st.lists(COUNTS, min_size=3, max_size=5),
+    st.integers(0, 2),
+    st.integers(0, FRAME_BYTES - 1),
+    st.integers(1, 255),
+)
+def test_a_damaged_byte_costs_its_own_frame_alone(said, which, place, flip):
+    stream = bytearray(b"".join(raw_frame(counts) for counts in said))
+    stream[which * FRAME_BYTES + place] ^= flip
+    rest = said[:which] + said[which + 1 :]
+    assume(len(places(bytes(stream))) == len(rest))
+    parser = FrameParser()
+    assert [f.wrench.tolist() for f in parser.feed(bytes(stream))] == [in_newtons(counts) for counts in rest]
+    assert parser.resyncs == (1 if which > 0 else 0)
+
+
+@given(st.lists(COUNTS, min_size=3, max_size=5), st.integers(0, 2), st.integers(0, FRAME_BYTES - 1))
+def test_a_lost_byte_costs_its_own_frame_alone(said, which, place):
+    stream = b"".join(raw_frame(counts) for counts in said)
+    at = which * FRAME_BYTES + place
+    short = stream[:at] + stream[at + 1 :]
+    rest = said[:which] + said[which + 1 :]
+    assume(len(places(short)) == len(rest))
+    assert [f.wrench.tolist() for f in FrameParser().feed(short)] == [in_newtons(counts) for counts in rest]
+
+
+@settings(max_examples=20)
+@given(st.integers(0, 2**32 - 1))
+def test_noise_alone_makes_next_to_no_frame(seed):
+    noise = np.random.default_rng(seed).bytes(20_000)
+    assert FrameParser().feed(noise) == []  # one in 2^32 windows: one run in 10,000 of this test
+
+
+@given(COUNTS, st.binary(max_size=15).filter(lambda tail: HEADER not in tail))
+def test_a_frame_knows_what_came_behind_it(counts, tail):
+    (frame,) = FrameParser().feed(raw_frame(counts) + tail)
+    assert frame.behind == len(tail)
+
+
+def test_a_frame_says_newtons_and_newton_metres():
+    wrench = [1.23, -45.67, 300.0, 0.001, -29.999, 12.345]
+    (frame,) = FrameParser().feed(frame_of(wrench))
+    assert_allclose(frame.wrench, wrench, atol=1e-12)
+
+
+def times(count: int, period: float = 0.01) -> np.ndarray:
+    return np.arange(count) * period
+
+
+def lost(arrivals: np.ndarray) -> int:
+    clock = FrameClock()
+    for t in arrivals:
+        clock.arrived(float(t))
+    return clock.lost
+
+
+@pytest.mark.parametrize("missing", [1, 2, 7, 40])
+def test_frames_that_never_come_are_counted(missing: int):
+    gone = slice(30, 30 + missing)
+    assert lost(np.delete(times(140), gone)) == missing
+
+
+def test_single_frames_lost_here_and_there_are_counted():
+    gone = np.arange(25, 900, 50)
+    assert lost(np.delete(times(1000), gone)) == len(gone)
+
+
+@pytest.mark.parametrize("period", [0.0098, 0.0102])
+def test_a_sensor_that_is_a_little_fast_or_slow_loses_nothing(period: float):
+    assert lost(times(5000, period)) == 0
+
+
+@given(st.integers(0, 2**32 - 1))
+def test_late_frames_are_not_lost(seed):
+    rng = np.random.default_rng(seed)
+    sent = times(400)
+    kept_waiting = rng.integers(0, 400, 10)
+    arrivals = sent + rng.uniform(0, 0.004, 400)
+    for i in kept_waiting:  # the reader sleeps up to 80 ms, and reads all that came meanwhile at once
+        awake = sent[i] + rng.uniform(0, 0.08)
+        arrivals = np.where((sent >= sent[i]) & (arrivals < awake), awake, arrivals)
+    assert lost(np.maximum.accumulate(arrivals)) == 0

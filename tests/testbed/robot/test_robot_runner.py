@@ -1,0 +1,248 @@
+"""Whole trials through the ports of a real bench, on a fake one in simulated time."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from testbed.actions.base import Accelerate, Rotate, Slide, Weigh
+from testbed.errors import InfeasibleTrialError
+from testbed.robot.config import RobotSettings
+from testbed.robot.interfaces import RobotError
+from testbed.robot.path import closing_yaw, plan_trial, starting_pose, tool_down
+from testbed.sensing.windows import steady_windows, weight_of
+from testbed.simulation.runner import SimulationRunner
+from testbed.trajectory import Phase, Tool, load_trajectory, save_trajectory
+from testbed.trial import RIGID, Trial, TrialRunner
+from tests.fakes.gen3_world import BIAS
+from tests.helpers.fault_trials import ACTION, BOUND, FAULTS, bench_for, small_object, struck_by
+from tests.helpers.runner_conformance import RECORD_RULES, RUNNER_RULES, Bench, it_comes_back_from_a_file
+
+OBJECT = small_object()
+TOOL = Tool(0.9, np.zeros(3), np.eye(3) * 1e-3, np.array([0, 0, 0.17]))
+
+
+def run(action, support=None, **of_runner):
+    trial = Trial(OBJECT, action) if support is None else Trial(OBJECT, action, support)
+    bench, runner = bench_for(trial, **of_runner)
+    with runner:
+        return runner.run(trial), bench
+
+
+@pytest.mark.parametrize(
+    ("action", "allowed"),
+    [
+        (replace(ACTION, back=True), 0.1),
+        (Slide(0, direction=0.5, duration=1.6), 0.1),
+        (Accelerate(1, (1.0, -1.0), 0.6, 0.2), 0.3),  # the arm still gives way when a stretch begins
+    ],
+    ids=["turn", "slide", "accelerated turn"],
+)
+def test_the_real_path_gives_what_the_simulated_bench_gives(action, allowed, tmp_path):
+    trajectory, _ = run(action)
+    assert trajectory.ok, trajectory.reason
+    usual = SimulationRunner().run(Trial(OBJECT, action))
+    for ours, theirs in zip(steady_windows(trajectory), steady_windows(usual), strict=True):
+        assert_allclose((ours.wrench - theirs.wrench)[[0, 1, 5]] / [allowed, allowed, 0.004], 0, atol=1)
+        assert_allclose((ours.twist - theirs.twist) / [2e-3, 2e-3, 0.02], 0, atol=1)
+        assert ours.tcp_height == pytest.approx(theirs.tcp_height, abs=5e-4)
+        assert_allclose(np.ptp(ours.yaw), np.ptp(theirs.yaw), atol=0.03)
+    moving = usual.mask(Phase.RAMP, Phase.STEADY)
+    assert_allclose(
+        trajectory.object_pose[trajectory.mask(Phase.RAMP, Phase.STEADY)][0], usual.object_pose[moving][0], atol=2e-3
+    )
+    phases = trajectory.phase[np.flatnonzero(np.diff(trajectory.phase, prepend=-1))]
+    assert list(phases[:4]) == [Phase.TARE, Phase.APPROACH, Phase.GRASP, Phase.SETTLE]
+    assert list(phases[-2:]) == [Phase.RELEASE, Phase.TARE]
+    assert trajectory.figures["drift_N"] < 0.1
+    assert trajectory.provenance["runner"] == "robot"
+    save_trajectory(trajectory, tmp_path / "t.parquet")
+    assert load_trajectory(tmp_path / "t.parquet").figures == trajectory.figures
+
+
+def test_the_raw_record_is_kept_with_its_bias():
+    trajectory, _ = run(ACTION)
+    tool = trajectory.tool
+    assert tool is not None
+    tare = trajectory.sensor_wrench[trajectory.mask(Phase.TARE)]
+    held = np.array([0, 0, -tool.mass * 9.81])  # the tool points down, and so does the sensor's z axis
+    assert_allclose(tare.mean(axis=0)[:3], BIAS[:3] + held, atol=0.05)
+    assert_allclose(trajectory.wrench_on_object_world[trajectory.mask(Phase.TARE)].mean(axis=0), 0, atol=0.05)
+
+
+def test_a_sensor_that_is_turned_and_negated_gives_the_same():
+    """The mount's calibration undoes what the mount does."""
+    trial, about_z = Trial(OBJECT, ACTION), np.array([-1.0, -1.0, 1.0])
+    bench, runner = bench_for(
+        trial,
+        change=lambda settings: replace(
+            settings,
+            tool=replace(settings.tool, com=settings.tool.com * about_z, tcp=settings.tool.tcp * about_z),
+            sensor_orientation=np.array([0.0, 0.0, 0.0, 1.0]),
+            sensor_sign=-1,
+        ),
+    )
+    bench.world.mount = -np.tile(about_z, 2)
+    with runner:
+        trajectory = runner.run(trial)
+    assert trajectory.ok, trajectory.reason
+    (ours,), (theirs,) = steady_windows(trajectory), steady_windows(run(ACTION)[0])
+    assert_allclose((ours.wrench - theirs.wrench) / [0.05, 0.05, 0.1, 0.01, 0.01, 0.003], 0, atol=1)
+
+
+def test_lifting_weighs_the_object_with_its_error():
+    trajectory, _ = run(Weigh(), RIGID)
+    assert trajectory.ok, trajectory.reason
+    error = trajectory.figures["weight_std_kg"]
+    assert 0.002 < error < 0.02
+    assert weight_of(trajectory) == pytest.approx(OBJECT.total_mass, abs=3 * error)
+    assert weight_of(trajectory) == pytest.approx(trajectory.figures["weight_kg"], abs=1e-3)
+
+
+def test_a_scales_reading_moves_nothing():
+    trajectory, bench = run(Weigh(), weight=0.71)
+    assert weight_of(trajectory) == pytest.approx(0.71)
+    assert bench.driven_after(0.0) == 0.0
+
+
+def test_it_is_a_trial_runner_and_knows_its_limits_unconnected():
+    _, runner = bench_for(Trial(OBJECT, ACTION))
+    assert isinstance(runner, TrialRunner)
+    assert runner.limits.joint_speed.shape == (7,)
+    with pytest.raises(RobotError, match="not connected: use the runner in a with statement"):
+        runner.run(Trial(OBJECT, ACTION))
+
+
+def test_nothing_moves_before_the_motion_was_shown_and_confirmed():
+    shown: list[str] = []
+    trial = Trial(OBJECT, ACTION)
+    bench, runner = bench_for(trial, confirm=lambda text: shown.append(text) is not None)
+    with runner:
+        bench.clock.sleep(0.5)
+        with pytest.raises(RobotError, match="not confirmed; nothing has moved"):
+            runner.run(trial)
+    assert bench.driven_after(0.0) == 0.0
+    assert "down to the object" in shown[0]
+    assert "the action" in shown[0]
+
+
+def test_a_motion_is_confirmed_once():
+    asked: list[str] = []
+    trial = Trial(OBJECT, replace(ACTION, duration=1.3))
+    bench, runner = bench_for(trial, confirm=lambda text: asked.append(text) is None)
+    with runner:
+        for _ in range(2):
+            bench.world.place(starting_pose(trial), 0)
+            assert runner.run(trial).ok
+    assert len(asked) == 1
+
+
+def test_a_dry_run_names_places_speeds_and_bounds():
+    _, runner = bench_for(Trial(OBJECT, ACTION))
+    said = runner.dry_run(Trial(OBJECT, ACTION))
+    assert "turned by" in said
+    assert "17.2 deg/s" in said
+    assert "x: 0.4" in said and "allowed 0.250 to 0.650 m" in said
+
+
+@pytest.mark.parametrize(
+    ("action", "why"),
+    [
+        (Slide(0, duration=14.0), r"down to the object: y of the tool: 0\.36 m; allowed: at most 0\.35 m"),
+        (Rotate(0, speed=1.4, duration=1.0), r"the action: planned turn rate: 1\.4 rad/s; allowed: at most 1\.2"),
+    ],
+)
+def test_what_passes_a_limit_is_refused_before_it_moves(action, why):
+    trial = Trial(OBJECT, action)
+    bench, runner = bench_for(trial)
+    with runner, pytest.raises(InfeasibleTrialError, match=why):
+        runner.run(trial)
+    assert bench.driven_after(0.0) == 0.0
+
+
+def test_without_a_tracker_slip_is_said_not_to_be_known():
+    trajectory, _ = run(ACTION, tracker=None)
+    assert trajectory.ok
+    assert "slip_m" not in trajectory.figures
+    assert "not known" in trajectory.provenance["slip"]
+    seen, _ = run(ACTION)
+    assert seen.figures["slip_m"] < 1e-3
+
+
+@pytest.mark.parametrize("angle", [0.0, 0.7, -2.0])
+def test_the_tools_orientation_and_its_yaw_are_inverses(angle):
+    settings = RobotSettings(TOOL, closing_angle=angle)
+    yaw = np.linspace(-3, 3, 7)
+    orientation = np.array([tool_down(float(y), settings) for y in yaw])
+    assert_allclose(closing_yaw(orientation, settings), yaw, atol=1e-12)
+
+
+def test_a_plan_follows_the_object_where_it_lies():
+    settings = RobotSettings(TOOL, table_height=-0.02)
+    pose = np.array([0.5, -0.1, 0.4])
+    plan = plan_trial(Trial(OBJECT, ACTION), pose, settings)
+    grasp = OBJECT.shape.grasps[0]
+    c, s = math.cos(0.4), math.sin(0.4)
+    x, y = pose[:2] + np.array([[c, -s], [s, c]]) @ grasp.position
+    assert_allclose(plan.descent.end, [x, y, settings.grip_height - 0.02], atol=1e-12)
+    assert plan.descent.yaw == pytest.approx(0.4 + grasp.angle)
+    assert plan.act is not None
+    for leg in plan.legs.values():  # velocities are those of the positions
+        times = np.linspace(0.1, leg.duration - 0.1, 9)
+        ahead, behind = ([leg.at(t + d) for t in times] for d in (0.01, -0.01))
+        slope = np.array([(a.position - b.position) / 0.02 for a, b in zip(ahead, behind, strict=True)])
+        assert_allclose(slope, [leg.at(t).velocity for t in times], atol=2e-3)
+
+
+CONFORMING = Trial(OBJECT, replace(ACTION, speed=math.radians(20), duration=1.6, back=True))
+TOO_FAST = Trial(OBJECT, replace(ACTION, speed=2.0))
+
+
+@pytest.fixture(scope="module")
+def bench() -> Bench:
+    """The fake bench as the suite wants it: how long its arm has been driven is how much was commanded."""
+    fake, runner = bench_for(CONFORMING)
+    return Bench(lambda: runner, CONFORMING, TOO_FAST, moved=lambda: float(sum(m[2] for m in fake.motion)))
+
+
+@pytest.mark.parametrize("rule", RUNNER_RULES, ids=lambda f: f.__name__)
+def test_the_runner_keeps(rule, bench):
+    rule(bench)
+
+
+@pytest.fixture(scope="module")
+def record(bench):
+    with bench.make() as runner:
+        return runner.run(CONFORMING)
+
+
+@pytest.mark.parametrize("rule", RECORD_RULES, ids=lambda f: f.__name__)
+def test_the_record_keeps(rule, record):
+    rule(record, CONFORMING)
+
+
+def test_the_record_comes_back_from_a_file(record, tmp_path):
+    it_comes_back_from_a_file(record, CONFORMING, tmp_path)
+
+
+QUICK = ("connection of the arm lost", "feedback of the arm stalls", "a twist hangs for 1 s", "Ctrl-C", "SIGTERM")
+CASES = [
+    pytest.param(
+        fault, seed, id=f"{fault.name}, {seed}", marks=() if fault.name in QUICK and seed == 0 else pytest.mark.slow
+    )
+    for fault in FAULTS
+    for seed in (0, 1)
+]
+
+
+@pytest.mark.parametrize(("fault", "seed"), CASES)
+def test_whatever_goes_wrong_nothing_drives_the_arm_on_and_no_bad_record_is_data(fault, seed):
+    outcome = struck_by(fault, seed)
+    assert outcome.after_stop <= BOUND
+    assert outcome.after_loss <= BOUND
+    assert not outcome.wrong
+    assert outcome.ended == "ok" or outcome.reason or outcome.ended == "KeyboardInterrupt"

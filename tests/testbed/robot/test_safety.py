@@ -1,0 +1,119 @@
+"""Limits of the real bench: each one alone is found, named, and told with what is allowed."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from testbed.errors import InvalidValueError
+from testbed.robot.interfaces import ArmState, Pose
+from testbed.robot.safety import (
+    SafetyLimits,
+    Snapshot,
+    UnsafeError,
+    Violation,
+    path_violations,
+    violations,
+)
+from tests.fakes.bench import GEN3
+
+DOWN = (0.0, 1.0, 0.0, 0.0)
+LIMITS = SafetyLimits()
+
+
+def snapshot(**changes) -> Snapshot:
+    """A moment at which all is well, but for the changes, of the state or of the snapshot."""
+    state = {
+        "time_s": 10.0,
+        "joint_position": np.array([0.0, 0.6, 3.1, -1.8, 0.0, -0.7, 1.6]),
+        "joint_velocity": np.zeros(7),
+        "tcp_pose": Pose(np.array([0.45, 0.0, 0.1]), np.array(DOWN)),
+        "tcp_twist": np.zeros(6),
+    }
+    rest = {"now": 10.01, "wrench_time": 10.0, "load": np.zeros(6), "command": np.zeros(6)}
+    for name, value in changes.items():
+        (state if name not in rest else rest)[name] = value
+    return Snapshot(state=ArmState(**state), **rest)
+
+
+def tilted(angle: float) -> Pose:
+    return Pose(np.array([0.45, 0.0, 0.1]), np.array([0.0, math.cos(angle / 2), 0.0, math.sin(angle / 2)]))
+
+
+def at(x: float, y: float, z: float) -> Pose:
+    return Pose(np.array([x, y, z]), np.array(DOWN))
+
+
+def test_nothing_is_found_where_all_is_well():
+    assert list(violations(LIMITS, GEN3, snapshot())) == []
+
+
+@pytest.mark.parametrize(
+    ("changes", "said", "broken"),
+    [
+        ({"faulted": True, "message": "joint fault"}, r"arm in a fault \(joint fault\)", True),
+        ({"time_s": 9.9}, r"age of the feedback of the arm: 0\.11 s; allowed: at most 0\.1 s", True),
+        ({"wrench_time": 9.8}, r"age of the wrench: 0\.21 s; allowed: at most 0\.1 s", True),
+        ({"load": np.array([0, 50.0, 40.0, 0, 0, 0])}, r"force: 64 N; allowed: at most 60 N", False),
+        ({"load": np.array([0, 0, 0, 6.0, 6.0, 0])}, r"torque: 8\.49 N m; allowed: at most 8 N m", False),
+        ({"command": np.array([0.16, 0, 0, 0, 0, 0])}, r"commanded speed: 0\.16 m/s", False),
+        ({"command": np.array([0, 0, 0, 0, 0, -1.3])}, r"commanded turn rate: 1\.3 rad/s", False),
+        ({"tcp_twist": np.array([0, 0.2, 0, 0, 0, 0])}, r"measured speed: 0\.2 m/s", False),
+        ({"tcp_pose": at(0.24, 0.0, 0.1)}, r"x of the tool: 0\.24 m; allowed: at least 0\.25 m", False),
+        ({"tcp_pose": at(0.45, 0.36, 0.1)}, r"y of the tool: 0\.36 m; allowed: at most 0\.35 m", False),
+        ({"tcp_pose": at(0.45, 0.0, 0.01)}, r"z of the tool: 0\.01 m; allowed: at least 0\.015 m", False),
+        ({"tcp_pose": tilted(0.1)}, r"tilt of the tool: 0\.1 rad; allowed: at most 0\.0873 rad", False),
+        (
+            {"joint_position": np.array([0, 2.2, 0, 0, 0, 0, 0])},
+            r"joint 2: 2\.2 rad; allowed: at most 2\.19 rad",
+            False,
+        ),
+        ({"joint_velocity": np.array([0, 0, 0, 0, 0, 0, -1.3])}, r"speed of joint 7: 1\.3 rad/s", False),
+    ],
+    ids=lambda v: v if isinstance(v, str) else None,
+)
+def test_each_limit_is_found_alone(changes, said, broken):
+    found = list(violations(LIMITS, GEN3, snapshot(**changes)))
+    assert len(found) == 1
+    assert found[0].broken == broken
+    with pytest.raises(UnsafeError, match=said):
+        raise UnsafeError(found[0])
+
+
+def test_what_is_no_number_passes_no_limit():
+    nan = np.full(6, np.nan)
+    assert {v.limit for v in violations(LIMITS, GEN3, snapshot(load=nan))} == {"force", "torque"}
+    assert {v.limit for v in violations(LIMITS, GEN3, snapshot(command=nan))} == {
+        "commanded speed",
+        "commanded turn rate",
+    }
+    assert any(v.broken for v in violations(LIMITS, GEN3, snapshot(wrench_time=np.nan)))
+
+
+def test_a_path_is_judged_by_its_farthest_place_and_its_fastest_moment():
+    positions = np.array([[0.4, 0.0, 0.1], [0.7, -0.4, 0.1], [0.4, 0.0, 0.1]])
+    twists = np.array([[0, 0, 0, 0, 0, 0], [0.1, 0, 0, 0, 0, 1.3], [0.2, 0, 0, 0, 0, 0.0]])
+    found = [str(v) for v in path_violations(LIMITS, positions, twists)]
+    assert len(found) == 4
+    for said, name in zip(
+        found, ("y of the tool", "x of the tool", "planned speed: 0.2", "planned turn rate: 1.3"), strict=True
+    ):
+        assert said.startswith(name)
+    assert list(path_violations(LIMITS, positions[:1], twists[:1])) == []
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [("high", (0.2, 0.2, 0.2)), ("force", 0.0), ("age", math.nan), ("joint_margin", -0.1), ("low", (1.0, 2.0))],
+)
+def test_limits_that_make_no_sense_are_refused(field, value):
+    with pytest.raises(InvalidValueError, match=f"SafetyLimits.{field}"):
+        replace(LIMITS, **{field: value})
+
+
+def test_a_violation_names_value_and_bound():
+    assert str(Violation("force", 75.0, 60.0, "N")) == "force: 75 N; allowed: at most 60 N"
+    assert str(Violation("z", 0.01, 0.02, "m")) == "z: 0.01 m; allowed: at least 0.02 m"

@@ -1,0 +1,126 @@
+"""Drift: seen between two tares, whatever the tool weighs; too much of it makes a trial no data."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from testbed.errors import InvalidValueError
+from testbed.sensing.drift import DriftLimit, drift_of, judge_drift
+from testbed.sensing.presets import PRESETS, compensate, draw_sensing, tare_biases
+from testbed.sensing.windows import steady_windows
+from testbed.trajectory import Phase, Trajectory
+from tests.helpers.records import coloured_noise, moving_hand, record
+
+BEFORE = np.array([3.0, -2.0, 5.0, 0.3, -0.2, 0.1])
+AFTER = BEFORE + np.array([0.3, 0.0, 0.4, 0.0, -0.03, 0.04])
+
+
+def closed(hand: Trajectory, before: np.ndarray = BEFORE, after: np.ndarray = AFTER) -> Trajectory:
+    """The record with another tare at its end, its zero wandering evenly from one to the other."""
+    count = len(hand.time_s)
+    phase, segment = hand.phase.copy(), hand.segment.copy()
+    phase[-90:], segment[-90:] = Phase.TARE, -1
+    at = np.clip((np.arange(count) - 100) / (count - 190), 0, 1)[:, None]
+    return dataclasses.replace(
+        hand, phase=phase, segment=segment, sensor_wrench=hand.sensor_wrench + before + at * (after - before)
+    )
+
+
+@pytest.mark.parametrize("hand", [record(), moving_hand(count=400)], ids=["at rest", "moving"])
+def test_both_biases_are_found_whatever_the_hand_does(hand: Trajectory):
+    loadless = dataclasses.replace(hand, sensor_wrench=hand.sensor_wrench)
+    base = tare_biases(closed(loadless, np.zeros(6), np.zeros(6)))
+    first, last = tare_biases(closed(hand))
+    assert_allclose(first - base[0], BEFORE, atol=1e-12)
+    assert_allclose(last - base[1], AFTER, atol=1e-12)
+
+
+def test_the_first_tare_alone_is_the_zero():
+    hand = moving_hand(wrench_world=np.arange(6.0), count=400)
+    whole = compensate(closed(hand, BEFORE, BEFORE))
+    assert_allclose(whole.wrench_on_object_world[100:-90], compensate(hand).wrench_on_object_world[100:-90], atol=1e-9)
+    drifted = compensate(closed(hand, BEFORE, AFTER))
+    assert_allclose(drifted.wrench_on_object_world[:101], whole.wrench_on_object_world[:101], atol=1e-9)
+
+
+def test_a_bias_drawn_after_the_tare_stays_to_the_end():
+    clean = closed(record(), np.zeros(6), np.zeros(6))
+    drawn = draw_sensing(clean, dataclasses.replace(PRESETS["ideal"], force_bias=1.0), seed=1)
+    assert_allclose(drawn.sensor_wrench[100:], np.tile(drawn.sensor_wrench[100], (300, 1)))
+    assert abs(drawn.sensor_wrench[-1, 0]) > 0
+
+
+def test_drift_is_logged_and_too_much_is_no_data():
+    drift = drift_of(closed(moving_hand(count=400)))
+    assert drift is not None
+    judged = judge_drift(closed(record(tare=100)), DriftLimit())
+    assert judged.status == "fault"
+    assert "zero moved by 0.50 N and 0.0500 N m; allowed: 0.2 N and 0.01 N m" in judged.reason
+    assert judged.figures["drift_N"] == pytest.approx(0.5)
+    assert judged.figures["drift_Nm"] == pytest.approx(0.05)
+    change = [judged.figures[f"bias_after_{a}"] - judged.figures[f"bias_before_{a}"] for a in ("fx_N", "fz_N", "tz_Nm")]
+    assert_allclose(change, (AFTER - BEFORE)[[0, 2, 5]], atol=1e-9)
+    with pytest.raises(InvalidValueError, match="drift: the sensor's zero moved"):
+        steady_windows(judged)
+
+
+@pytest.mark.parametrize(("axis", "allowed", "beyond"), [(1, 0.199, 0.201), (4, 0.0099, 0.0101)])
+def test_the_limit_is_where_it_says(axis: int, allowed: float, beyond: float):
+    for change, status in ((allowed, "ok"), (-allowed, "ok"), (beyond, "fault"), (-beyond, "fault")):
+        after = BEFORE + change * np.eye(6)[axis]
+        assert judge_drift(closed(record(), BEFORE, after), DriftLimit()).status == status
+
+
+def test_the_noise_of_the_sensor_is_no_drift():
+    rng = np.random.default_rng(0)
+    preset = PRESETS["ft300s"]
+    noise = np.array([*preset.force_noise, *preset.torque_noise])
+    for _ in range(50):
+        still = closed(record(sensor_wrench=noise * coloured_noise(400, 6, preset.lag1, rng)), BEFORE, BEFORE)
+        assert judge_drift(still, DriftLimit()).ok
+
+
+def test_a_record_with_one_tare_says_its_bias_and_no_more():
+    judged = judge_drift(record(), DriftLimit())
+    assert judged.ok
+    assert "bias_before_fx_N" in judged.figures
+    assert not {"bias_after_fx_N", "drift_N"} & set(judged.figures)
+    assert drift_of(record(tare=0)) is drift_of(record(tool=None)) is None
+
+
+def test_a_trial_that_failed_otherwise_keeps_its_reason():
+    slipped = closed(record(status="slipped", reason="it slipped"))
+    judged = judge_drift(slipped, DriftLimit())
+    assert (judged.status, judged.reason) == ("slipped", "it slipped")
+    assert judged.figures["drift_N"] > 0.2
+
+
+def test_a_limit_of_nothing_is_refused():
+    with pytest.raises(InvalidValueError, match=r"DriftLimit\.torque"):
+        DriftLimit(torque=0.0)
+
+
+def test_estimators_weigh_a_record_by_what_its_tares_show_and_no_less_than_was_assumed():
+    """A steady drift of the whole change is within the walk it is taken for at every moment of the trial."""
+    assumed = np.repeat([0.005, 0.0003], 3)
+    judged = judge_drift(closed(record(sensor_drift_std=assumed)), DriftLimit(1.0, 1.0))
+    seconds = 3.0  # from the end of one tare to the end of the other
+    assert_allclose(judged.sensor_drift_std[:3], 0.5 / np.sqrt(3 * seconds))
+    assert_allclose(judged.sensor_drift_std[3:], 0.05 / np.sqrt(3 * seconds))
+    assert "tares 3 s apart show 0.17 N and 0.017 N m per root second" in judged.provenance["drift"]
+    (window,) = steady_windows(judged)
+    change, passed = np.linalg.norm(AFTER[:3] - BEFORE[:3]), window.since_tare.mean()
+    covered = np.sqrt(passed * np.trace(window.drift_covariance[:3, :3]))
+    assert change * passed / seconds < covered <= change
+    quiet = judge_drift(closed(record(sensor_drift_std=assumed), BEFORE, BEFORE), DriftLimit())
+    assert_allclose(quiet.sensor_drift_std, assumed)
+
+
+def test_with_one_tare_the_walk_is_the_assumed_one_and_says_so():
+    judged = judge_drift(record(sensor_drift_std=np.repeat([0.005, 0.0003], 3)), DriftLimit())
+    assert_allclose(judged.sensor_drift_std, np.repeat([0.005, 0.0003], 3))
+    assert judged.provenance["drift"].startswith("assumed, for want of a second tare: 0.005 N and 0.0003 N m")

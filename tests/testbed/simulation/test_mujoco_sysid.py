@@ -1,0 +1,88 @@
+"""MuJoCo's own system identification: what its scene feels, what it recovers, and what it says where it is missing."""
+
+from __future__ import annotations
+
+import re
+
+import mujoco
+import numpy as np
+import pytest
+from mujoco import sysid
+from numpy.testing import assert_allclose
+
+from estimators.baselines.mujoco_sysid import MujocoSysid, motion_of
+from estimators.evaluation.metrics import normalized_absolute_difference
+from estimators.particles.windows import observe
+from estimators.testing.analytic_world import accelerated, drawn_object, turns
+from estimators.testing.conformance import CONFORMANCE, WITHOUT_DRAWS, small_object
+from testbed.errors import InvalidValueError
+from testbed.objects.blocks import block_object, parse_layout
+from testbed.simulation.planar_sysid import compiled, planar_scene, sinking
+from testbed.trial import OWN_WEIGHT, RIGID
+
+PAIR = block_object(
+    "pair",
+    parse_layout(["11"]),
+    size=0.05,
+    height=0.03,
+    mass=[0.4, 0.1],
+    friction=[0.5],
+    friction_group=[0, 0],
+    grid=2,
+)
+with_toolbox = pytest.mark.skipif(
+    not hasattr(sysid, "SystemTrajectory"), reason="MuJoCo's toolbox lacks its needs: pip install 'heft[sysid]'"
+)
+
+
+@pytest.mark.parametrize("rigid", [False, True])
+def test_the_scene_feels_what_coulomb_says(rigid):
+    obj, world = drawn_object(2), {"rigid": rigid, "lift": 0.1, "moment": (0.01, -0.015)}
+    windows = observe(obj.shape, turns(obj, [0], **world) + accelerated(obj, [0], **world))
+    assert windows is not None
+    support = RIGID if rigid else OWN_WEIGHT
+    motion, sunk = motion_of(windows), sinking(obj, support)
+    model = compiled(planar_scene(obj, support, motion.grasp[0]), obj)
+    for k, controls in enumerate(motion.controls(len(sunk))):
+        data, felt = mujoco.MjData(model), []
+        data.qpos[5:], data.qvel[:3] = -sunk, motion.velocity(0)[k]
+        for told in controls:
+            data.ctrl[:] = told
+            mujoco.mj_step(model, data)
+            felt.append(data.sensordata[[0, 1, 5]])
+        mean = np.array(felt)[motion.counted].mean(axis=0)
+        size = np.abs(windows.wrench.numpy()).max(axis=0)
+        assert_allclose(mean, windows.wrench[k].numpy(), atol=0.01 * size.max(), err_msg=f"stretch {k}")
+
+
+@pytest.mark.slow  # quick, but quick tests run without the extra
+@with_toolbox
+def test_known_masses_are_recovered_with_their_errors():
+    answer = MujocoSysid().estimate(PAIR.shape, PAIR.total_mass, turns(PAIR) + accelerated(PAIR, [0]), 0)
+    assert answer.status == "ok"
+    assert answer.distribution is not None
+    assert answer.covariance is not None
+    assert normalized_absolute_difference(PAIR.shape, answer.distribution, PAIR.truth) < 0.01
+    assert_allclose(answer.distribution.friction, PAIR.truth.friction, rtol=0.01)
+    assert answer.diagnostics["misfit"] < 1
+    assert answer.diagnostics["rollouts"] > len(answer.traces[0].loss)
+    assert (np.linalg.eigvalsh(answer.covariance) > 0).all()
+
+
+def test_a_toolbox_without_its_needs_says_which_command_installs_them(monkeypatch):
+    monkeypatch.delattr(sysid, "SystemTrajectory", raising=False)
+    with pytest.raises(InvalidValueError, match=re.escape("pip install 'heft[sysid]'")):
+        MujocoSysid().estimate(PAIR.shape, PAIR.total_mass, turns(PAIR), 0)
+
+
+@pytest.mark.parametrize("wrong", [{"support": "springs"}, {"weighting": "velocity"}, {"iterations": 0}], ids=str)
+def test_a_wrong_setting_is_refused_by_name(wrong):
+    with pytest.raises(InvalidValueError, match=rf"MujocoSysid\.{next(iter(wrong))}"):
+        MujocoSysid(**wrong)
+
+
+@pytest.mark.slow
+@with_toolbox
+@pytest.mark.parametrize("holds", (*CONFORMANCE, *WITHOUT_DRAWS), ids=lambda rule: rule.__name__)
+def test_conformance(holds):
+    holds(MujocoSysid(), small_object)

@@ -1,0 +1,218 @@
+"""The interactive viewer shows the runner's own trial, or the record; where no window can be opened it says so."""
+
+from __future__ import annotations
+
+import ctypes
+import ctypes.util
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+from PIL import ImageGrab
+
+from scenarios.cli.main import main
+from scenarios.cli.render import grasp_index
+from scenarios.results.trials import read_trial
+from testbed.actions.base import Rotate, Slide, Weigh
+from testbed.errors import InvalidValueError
+from testbed.objects.files import load_object
+from testbed.simulation import feasibility
+from testbed.simulation.playback import Playback
+from testbed.simulation.runner import SimulationRunner
+from testbed.simulation.settings import GripSettings, SimulationSettings
+from testbed.simulation.watch import LiveTrial, Replay
+from testbed.trial import Trial
+from tests.helpers.recorded import put_trial
+
+ROOT = Path(__file__).parents[3]
+NO_ACTION = np.zeros(0)
+TURN = Trial(load_object("L2"), Rotate(2, duration=0.5))
+NO_DISPLAY = {name: value for name, value in os.environ.items() if name not in ("DISPLAY", "WAYLAND_DISPLAY")}
+
+
+def steps(shown: LiveTrial | Replay) -> int:
+    """Run it to its end."""
+    assert shown.reset().first()
+    for count in range(1, 100_000):
+        if shown.step(NO_ACTION).last():
+            return count
+    raise AssertionError("it never ends")
+
+
+def test_a_live_trial_is_the_runners():
+    trajectory, live = SimulationRunner().run_clean(TURN), LiveTrial(TURN)
+    assert steps(live) == len(trajectory.time_s) == round(live.duration * 100)
+    assert live.outcome().figures == trajectory.figures
+    assert live.outcome().status == "ok"
+    assert_allclose(live.physics.time(), live.duration)
+
+
+def test_beginning_again_is_the_same_trial():
+    live = LiveTrial(TURN)
+    ends = []
+    for _ in range(2):
+        steps(live)
+        ends.append(np.array(live.physics.data.qpos))
+    assert_array_equal(ends[0], ends[1])
+
+
+def test_a_live_trial_ends_where_the_object_slips(monkeypatch):
+    monkeypatch.setattr(feasibility, "MARGIN", 100.0)
+    weak = SimulationSettings(grip=GripSettings(force=20.0, friction=0.1))
+    trial = Trial(load_object("L2"), Slide(1, duration=2.0))
+    trajectory, live = SimulationRunner(weak).run_clean(trial), LiveTrial(trial, weak)
+    assert steps(live) == len(trajectory.time_s) + 1 < live.duration * 100  # the runner leaves the last sample out
+    assert trajectory.status == live.outcome().status == "slipped"
+    assert live.outcome().reason == trajectory.reason
+
+
+def test_a_weighing_is_refused():
+    with pytest.raises(InvalidValueError, match="a slide or a turn"):
+        LiveTrial(Trial(load_object("L2"), Weigh()))
+
+
+def test_a_replay_steps_through_the_record(tmp_path):
+    record = read_trial(tmp_path, put_trial(tmp_path, "L2", Slide(1, duration=0.3)))
+    replay = Replay(Playback(record.trajectory, record.object, record.grip_width, meshes=False))
+    time_s, joints = record.trajectory.time_s, record.trajectory.joint_position
+    assert replay.physics.time() == time_s[0]
+    for sample in (1, 2, 3):
+        replay.step(NO_ACTION)
+        assert replay.physics.time() == time_s[sample]
+        assert_array_equal(replay.physics.data.qpos[:7], joints[sample])
+    assert steps(replay) == len(time_s) - 1
+    assert_array_equal(replay.physics.data.qpos[:7], joints[-1])
+    replay.step(NO_ACTION)
+    assert replay.physics.time() == time_s[-1]
+
+
+def test_grasps_are_named():
+    shape = load_object("hammer").shape
+    names = [grasp.name for grasp in shape.grasps]
+    assert [grasp_index(shape, name) for name in (None, *names)] == [0, *range(len(names))]
+    with pytest.raises(InvalidValueError, match=f"^--grasp: got 'nose'; allowed: {names[0]}"):
+        grasp_index(shape, "nose")
+
+
+@pytest.mark.parametrize("words", [["L2"], ["RESULTS", "KEY"]])
+def test_without_a_display_a_line_says_what_to_do(tmp_path, monkeypatch, capsys, words: list[str]):
+    key = put_trial(tmp_path, "L2", Slide(1, duration=0.1)) if "KEY" in words else ""
+    monkeypatch.delenv("DISPLAY", raising=False)
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    with pytest.raises(SystemExit) as end:
+        main(["watch", *({"RESULTS": str(tmp_path), "KEY": key}.get(word, word) for word in words)])
+    assert end.value.code == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "no display" in line and "DISPLAY" in line and "heft render" in line
+
+
+def test_a_display_that_does_not_answer_is_told():
+    command = [sys.executable, "-m", "scenarios", "watch", "L2"]
+    env = NO_DISPLAY | {"DISPLAY": ":9871"}
+    done = subprocess.run(command, cwd=ROOT, env=env, capture_output=True, text=True, check=False, timeout=60)
+    assert done.returncode == 2
+    (line,) = done.stderr.splitlines()
+    assert line.startswith("heft: cannot open a window on display :9871") and "apt-get install" in line
+
+
+@pytest.fixture
+def display():
+    """A display that nobody sees."""
+    if shutil.which("Xvfb") is None or ctypes.util.find_library("Xtst") is None:
+        pytest.skip("no Xvfb, or no keys for it, here (Debian: apt-get install xvfb libxtst6)")
+    reading, writing = os.pipe()
+    command = ["Xvfb", "-displayfd", str(writing), "-screen", "0", "1100x850x24", "-nolisten", "tcp"]
+    server = subprocess.Popen(command, pass_fds=(writing,), stderr=subprocess.DEVNULL)
+    os.close(writing)
+    with os.fdopen(reading) as told:
+        name = f":{told.readline().strip()}"
+    yield name
+    server.terminate()
+    server.wait(timeout=30)
+
+
+def seen(name: str) -> np.ndarray:
+    return np.asarray(ImageGrab.grab(xdisplay=name).convert("RGB"))
+
+
+def wait_for(met, process: subprocess.Popen[str], seconds: float = 120.0) -> None:
+    begun = time.monotonic()
+    while not met():
+        assert process.poll() is None, process.communicate()
+        assert time.monotonic() - begun < seconds
+        time.sleep(0.5)
+
+
+def press_space(name: str) -> None:
+    """As a keyboard would."""
+    x11, test = ctypes.CDLL("libX11.so.6"), ctypes.CDLL("libXtst.so.6")
+    x11.XOpenDisplay.restype = ctypes.c_void_p
+    screen = ctypes.c_void_p(x11.XOpenDisplay(name.encode()))
+    code = x11.XKeysymToKeycode(screen, ctypes.c_ulong(0x20))
+    for down in (1, 0):
+        test.XTestFakeKeyEvent(screen, code, down, ctypes.c_ulong(0))
+    x11.XCloseDisplay(screen)
+
+
+@pytest.mark.slow
+def test_a_window_opens_and_the_trial_runs_in_it(display):
+    command = [sys.executable, "-m", "scenarios", "watch", "L2", "--action", "slide"]
+    env = NO_DISPLAY | {"DISPLAY": display}
+    process = subprocess.Popen(command, cwd=ROOT, env=env, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    try:
+        wait_for(lambda: len(np.unique(seen(display) // 32)) > 4, process)
+        still = seen(display)
+        table = still[..., 0].astype(int) - still[..., 2] > 15
+        assert 0.1 < table.mean() < 0.8
+        press_space(display)
+        arm = (slice(0, 600), slice(0, 1024))  # the window's upper part, without its panel of figures
+        wait_for(lambda: (np.abs(seen(display)[arm].astype(int) - still[arm]) > 40).mean() > 0.005, process)
+        process.send_signal(signal.SIGINT)
+        printed, errors = process.communicate(timeout=60)
+    finally:
+        process.kill()
+    assert process.returncode == 0, errors
+    assert "space starts" in printed
+    assert "ok until" in printed and "ok until 0.0" not in printed
+
+
+INTERRUPTED = """
+import os, signal
+from testbed.simulation.rendering import choose_window
+choose_window()
+from testbed.actions.base import Slide
+from testbed.objects.files import load_object
+from testbed.simulation.watch import LiveTrial, watch
+from testbed.trial import Trial
+
+class Pressed(LiveTrial):
+    def reset(self):
+        begun = super().reset()
+        if shown:
+            os.kill(os.getpid(), signal.SIGINT)
+            print("pressed", flush=True)
+        return begun
+
+shown = False
+live = Pressed(Trial(load_object("L2"), Slide(1, duration=0.1)))
+shown, before = True, signal.getsignal(signal.SIGINT)
+watch(live, "L2")
+print("closed", signal.getsignal(signal.SIGINT) is before)
+"""
+
+
+@pytest.mark.slow
+def test_ctrl_c_within_a_step_is_heard(display):
+    env = NO_DISPLAY | {"DISPLAY": display}
+    done = subprocess.run(
+        [sys.executable, "-c", INTERRUPTED], cwd=ROOT, env=env, capture_output=True, text=True, check=False, timeout=60
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.split() == ["pressed", "closed", "True"]

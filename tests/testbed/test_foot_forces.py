@@ -1,0 +1,64 @@
+"""What the table does to the feet, as it is kept beside a trial."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from testbed.actions.base import Rotate, Weigh
+from testbed.errors import InvalidValueError
+from testbed.foot_forces import (
+    FootForces,
+    FootForcesFileError,
+    load_foot_forces,
+    save_foot_forces,
+)
+from testbed.objects.files import load_object
+from testbed.objects.model import GRAVITY
+from testbed.simulation.runner import SimulationRunner
+from testbed.trajectory import Phase
+from testbed.trial import Trial
+
+
+def test_they_come_back_as_they_were(tmp_path):
+    rng = np.random.default_rng(0)
+    feet = FootForces(np.arange(4) / 10, np.array([5, 1, 7]), rng.normal(size=(4, 3, 3)))
+    save_foot_forces(feet, tmp_path / "feet.parquet")
+    back = load_foot_forces(tmp_path / "feet.parquet")
+    np.testing.assert_array_equal(back.time_s, feet.time_s)
+    np.testing.assert_array_equal(back.particle, feet.particle)
+    np.testing.assert_allclose(back.force, feet.force, rtol=1e-6)
+
+
+def test_a_cut_file_is_told(tmp_path):
+    feet = FootForces(np.arange(4) / 10, np.array([0]), np.zeros((4, 1, 3)))
+    save_foot_forces(feet, tmp_path / "feet.parquet")
+    whole = (tmp_path / "feet.parquet").read_bytes()
+    (tmp_path / "feet.parquet").write_bytes(whole[: len(whole) // 2])
+    with pytest.raises(FootForcesFileError, match=r"feet\.parquet"):
+        load_foot_forces(tmp_path / "feet.parquet")
+
+
+@pytest.mark.parametrize("force", [np.zeros((4, 2, 3)), np.full((4, 1, 3), np.nan)])
+def test_other_shapes_and_nan_are_refused(force):
+    with pytest.raises(InvalidValueError, match="force"):
+        FootForces(np.arange(4) / 10, np.array([0]), force)
+
+
+def test_in_a_turn_they_carry_the_weight_and_oppose_the_motion():
+    obj = load_object("L2")
+    trajectory, contacts = SimulationRunner().run_with_contacts(Trial(obj, Rotate(0, duration=2.0)), every=10)
+    feet = contacts.foot_forces(trajectory.time_s)
+    assert feet.force.shape == (-(-len(trajectory.time_s) // 10), 54, 3)
+    np.testing.assert_array_equal(feet.time_s, trajectory.time_s[::10])
+    steady = np.flatnonzero(trajectory.phase[::10] == Phase.STEADY)[10:-1]
+    weight = feet.force[steady, :, 2].sum(1)
+    np.testing.assert_allclose(weight, obj.total_mass * GRAVITY, rtol=0.05)  # the rest hangs on the gripper
+    drag = np.linalg.norm(feet.force[steady, :, :2], axis=2)
+    far = np.linalg.norm(obj.shape.particles[feet.particle] - obj.shape.grasps[0].position, axis=1) > 0.03
+    np.testing.assert_allclose(drag[:, far], 0.5 * feet.force[steady][:, far, 2], rtol=0.01)
+
+
+def test_a_scale_has_no_feet():
+    with pytest.raises(InvalidValueError, match="anything but a weighing"):
+        SimulationRunner().run_with_contacts(Trial(load_object("L2"), Weigh()))

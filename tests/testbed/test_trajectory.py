@@ -1,0 +1,267 @@
+"""Trajectories: checked at construction, and the same bits back from a file."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import pickle
+from pathlib import Path
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+
+from testbed.actions.base import Accelerate, Action, Rotate, Slide, Weigh
+from testbed.errors import InvalidValueError
+from testbed.trajectory import (
+    Phase,
+    Tool,
+    Trajectory,
+    TrajectoryFileError,
+    load_trajectory,
+    save_trajectory,
+    write_whole,
+)
+from tests.helpers.records import TOOL, record
+
+SERIES = [name for name, value in vars(record(3)).items() if isinstance(value, np.ndarray)]
+"""Names of all arrays of a trajectory."""
+
+
+@pytest.fixture
+def full() -> Trajectory:
+    """A record with odd numbers in every field."""
+    rng = np.random.default_rng(3)
+    noise = {name: rng.normal(size=getattr(record(50), name).shape) for name in SERIES}
+    noise |= {"time_s": np.cumsum(rng.uniform(0.001, 0.02, 50)), "phase": rng.integers(0, 7, 50)}
+    noise |= {"segment": rng.integers(-1, 3, 50)}
+    turned = noise["sensor_orientation"]
+    noise["sensor_orientation"] = turned / np.linalg.norm(turned, axis=1, keepdims=True)
+    noise["sensor_wrench"][:3, 0] = [-0.0, 5e-324, -1.7976931348623157e308]
+    return record(
+        50,
+        action=Rotate(2, -0.1, 3.0, (0.1, -0.0)),
+        status="slipped",
+        reason="moved 3 mm in the grip \N{GREEK SMALL LETTER MU}",
+        figures={"slip_m": 0.003, "grip_N": 1 / 3},
+        provenance={"runner": "by hand", "seed": "7"},
+        **noise,
+    )
+
+
+def same_bits(a: np.ndarray, b: np.ndarray) -> bool:
+    return a.dtype == b.dtype and a.shape == b.shape and a.tobytes() == b.tobytes()
+
+
+def test_a_trajectory_comes_back_bit_for_bit(full: Trajectory, tmp_path: Path):
+    save_trajectory(full, tmp_path / "t.parquet")
+    back = load_trajectory(tmp_path / "t.parquet")
+    for name in SERIES:
+        assert same_bits(getattr(back, name), getattr(full, name)), name
+    for name in ("action", "status", "reason", "figures", "provenance"):
+        assert getattr(back, name) == getattr(full, name), name
+    assert back.tool is not None and back.tool.mass == TOOL.mass
+    for name in ("com", "inertia", "tcp"):
+        assert same_bits(getattr(back.tool, name), getattr(TOOL, name)), name
+
+
+def test_minus_zero_keeps_its_sign(full: Trajectory, tmp_path: Path):
+    save_trajectory(full, tmp_path / "t.parquet")
+    assert np.signbit(load_trajectory(tmp_path / "t.parquet").sensor_wrench[0, 0])
+
+
+@pytest.mark.parametrize("action", [Weigh(), Rotate(0), Accelerate(1), Slide(2, 0.5)], ids=lambda a: type(a).__name__)
+def test_every_action_and_a_missing_tool_come_back(action: Action, tmp_path: Path):
+    save_trajectory(record(20, action=action, tool=None), tmp_path / "t.parquet")
+    back = load_trajectory(tmp_path / "t.parquet")
+    assert back.action == action
+    assert back.tool is None
+
+
+def test_a_file_is_plain_parquet_with_a_json_header(full: Trajectory, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    def refuse(*_: object, **__: object) -> None:
+        raise AssertionError("pickled")
+
+    for name in ("dump", "dumps", "load", "loads"):
+        monkeypatch.setattr(pickle, name, refuse)
+    save_trajectory(full, tmp_path / "t.parquet")
+    assert load_trajectory(tmp_path / "t.parquet").status == "slipped"
+    table = pq.read_table(tmp_path / "t.parquet")
+    assert {str(kind) for kind in table.schema.types} == {"double", "int64"}
+    assert json.loads(table.schema.metadata[b"heft"])["action"]["kind"] == "rotate"
+
+
+@pytest.mark.parametrize("kept", [0, 0.3, 0.99])
+def test_a_truncated_file_is_refused(full: Trajectory, tmp_path: Path, kept: float):
+    path = tmp_path / "t.parquet"
+    save_trajectory(full, path)
+    path.write_bytes(path.read_bytes()[: int(kept * path.stat().st_size)])
+    with pytest.raises(TrajectoryFileError, match=r"t\.parquet: not a whole trajectory file"):
+        load_trajectory(path)
+
+
+def test_a_missing_file_and_a_stranger_are_refused(tmp_path: Path):
+    (tmp_path / "t.parquet").write_text("time_s\n0.1\n")
+    for name in ("t.parquet", "none.parquet"):
+        with pytest.raises(TrajectoryFileError, match=rf"{name}: not a whole trajectory file"):
+            load_trajectory(tmp_path / name)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda header: header | {"schema_version": 99}, "schema 99; this version of heft reads 1"),
+        (lambda header: header | {"action": {"kind": "push"}}, "action.kind: got 'push'"),
+        (lambda header: header | {"action": {"kind": "rotate"}}, "allowed: fields grasp as well"),
+        (lambda header: header | {"status": "fine"}, "Trajectory.status: got 'fine'; allowed: one of ok, slipped"),
+        (lambda header: header | {"tool": header["tool"] | {"mass": None}}, "Tool.mass: got None; allowed: a finite"),
+        (lambda header: {k: v for k, v in header.items() if k != "tool"}, "not a whole trajectory file: 'tool'"),
+    ],
+)
+def test_a_header_of_another_kind_is_refused(full: Trajectory, tmp_path: Path, change, said: str):
+    path = tmp_path / "t.parquet"
+    save_trajectory(full, path)
+    table = pq.read_table(path)
+    header = change(json.loads(table.schema.metadata[b"heft"]))
+    pq.write_table(table.replace_schema_metadata({b"heft": json.dumps(header).encode()}), path)
+    with pytest.raises(TrajectoryFileError) as refused:
+        load_trajectory(path)
+    assert said in str(refused.value)
+
+
+def test_a_missing_column_is_refused(full: Trajectory, tmp_path: Path):
+    path = tmp_path / "t.parquet"
+    save_trajectory(full, path)
+    pq.write_table(pq.read_table(path).drop_columns(["sensor_wrench.fz_N"]), path)
+    with pytest.raises(TrajectoryFileError, match=r"sensor_wrench\.fz_N"):
+        load_trajectory(path)
+
+
+def test_a_reader_of_the_old_file_keeps_it_while_a_new_one_is_written(tmp_path: Path):
+    path = tmp_path / "t.txt"
+    write_whole(path, lambda part: part.write_text("old"))
+    with path.open() as reader:
+        write_whole(path, lambda part: part.write_text("new"))
+        assert reader.read() == "old"
+    assert path.read_text() == "new"
+
+
+def test_a_writer_that_fails_leaves_nothing(tmp_path: Path):
+    def fail(part: Path) -> None:
+        part.write_text("half")
+        raise RuntimeError("power cut")
+
+    with pytest.raises(RuntimeError, match="power cut"):
+        write_whole(tmp_path / "new" / "t.parquet", fail)
+    assert list((tmp_path / "new").iterdir()) == []
+
+
+def test_a_writer_that_fails_leaves_the_old_file(full: Trajectory, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    path = tmp_path / "t.parquet"
+    save_trajectory(full, path)
+    before = path.read_bytes()
+
+    def fail(table: object, part: Path, **_: object) -> None:
+        part.write_bytes(b"PAR1")
+        raise OSError("disk full")
+
+    monkeypatch.setattr(pq, "write_table", fail)
+    with pytest.raises(OSError, match="disk full"):
+        save_trajectory(record(), path)
+    assert path.read_bytes() == before
+    assert list(tmp_path.iterdir()) == [path]
+
+
+@pytest.mark.parametrize("name", [name for name in SERIES if name not in ("phase", "segment")])
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+def test_nan_and_infinity_are_refused(name: str, bad: float):
+    values = np.array(getattr(record(5), name))
+    values.flat[2] = bad
+    with pytest.raises(InvalidValueError, match=rf"Trajectory\.{name}: got '1 NaN or infinite entries'; .*finite"):
+        dataclasses.replace(record(5), **{name: values})
+
+
+@pytest.mark.parametrize(
+    "name", [name for name in SERIES if name not in ("time_s", "sensor_bias_std", "sensor_drift_std")]
+)
+def test_series_of_another_length_are_refused(name: str):
+    with pytest.raises(InvalidValueError, match=rf"Trajectory\.{name}: got '.*shape \(4.*\)'; allowed: .*5"):
+        dataclasses.replace(record(5), **{name: getattr(record(4), name)})
+
+
+@pytest.mark.parametrize("time", [[], [0.0, 0.0, 0.1], [0.1, 0.0, 0.2]])
+def test_time_that_does_not_run_forward_is_refused(time: list[float]):
+    with pytest.raises(InvalidValueError, match=r"Trajectory\.time_s: .*strictly increasing"):
+        record(3, time_s=time)
+
+
+@pytest.mark.parametrize(
+    ("name", "values", "given", "allowed"),
+    [
+        ("phase", [0, 0, 1, 5, 7], "[7]", "integers from 0 to 6, one a sample, (5,)"),
+        ("phase", [-1, 0, 1, 5, 9], "[-1, 9]", "integers from 0 to 6, one a sample, (5,)"),
+        ("phase", [0.0, 0.0, 1.0, 5.0, 6.0], "'float64 of shape (5,)'", "integers from 0 to 6"),
+        ("phase", [True] * 5, "'bool of shape (5,)'", "integers from 0 to 6"),
+        ("segment", [-2, -1, 0, 0, 1], "[-2]", "integers from -1, one a sample, (5,)"),
+        ("segment", [0.5] * 5, "'float64 of shape (5,)'", "integers from -1"),
+        ("segment", np.full(5, 2**63, dtype=np.uint64), f"[{2**63}]", "integers from -1"),
+    ],
+)
+def test_phases_and_segments_are_integers_within_bounds(name: str, values: object, given: str, allowed: str):
+    with pytest.raises(InvalidValueError) as refused:
+        record(5, **{name: values})  # type: ignore[arg-type]
+    assert f"Trajectory.{name}: got {given}; allowed: {allowed}" in str(refused.value)
+
+
+def test_a_trajectory_does_not_follow_the_arrays_it_was_made_from():
+    given = {name: np.array(getattr(record(5), name)) for name in SERIES}
+    made = record(5, **given)  # type: ignore[arg-type]
+    for name, values in given.items():
+        before = getattr(made, name).copy()
+        assert values.flags.writeable, name
+        values[...] = 1
+        assert np.array_equal(getattr(made, name), before), name
+
+
+@pytest.mark.parametrize("status", ["fine", "OK", "", None])
+def test_an_unknown_status_is_refused(status: object):
+    said = rf"Trajectory\.status: got {status!r}; allowed: one of ok, slipped, limit, fault"
+    with pytest.raises(InvalidValueError, match=said):
+        record(5, status=status)
+
+
+@pytest.mark.parametrize(
+    ("quaternion", "length"), [([0, 0, 0, 0], "0"), ([0, 2, 0, 0], "2"), ([0.6, 0, 0, 0.9], "1.08")]
+)
+def test_quaternions_not_of_unit_length_are_refused(quaternion: list[float], length: str):
+    turned = np.array(record(5).sensor_orientation)
+    turned[3] = quaternion
+    said = rf"Trajectory\.sensor_orientation: got 'length {length}.* at sample 3'; allowed: unit quaternions, wxyz"
+    with pytest.raises(InvalidValueError, match=said):
+        record(5, sensor_orientation=turned)
+
+
+@pytest.mark.parametrize("mass", [-0.1, np.nan, np.inf, None, "0.9", True])
+def test_a_tool_without_a_mass_is_refused(mass: object):
+    with pytest.raises(InvalidValueError, match=rf"Tool\.mass: got {mass!r}; allowed: a finite number >= 0, kg"):
+        Tool(mass, np.zeros(3), np.eye(3), np.zeros(3))  # type: ignore[arg-type]
+
+
+def test_a_tool_with_nan_is_refused():
+    with pytest.raises(InvalidValueError, match=r"Tool\.com: .*finite"):
+        Tool(0.9, np.array([0, 0, np.nan]), np.eye(3), np.zeros(3))
+
+
+def test_a_trajectory_is_frozen_and_its_arrays_are_read_only():
+    made = record(5)
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        made.status = "fault"  # type: ignore[misc]
+    for name in SERIES:
+        with pytest.raises(ValueError, match="read-only"):
+            getattr(made, name)[0] = 0
+
+
+def test_masks_pick_phases_and_only_ok_is_data():
+    made = record(6, phase=[0, 0, 1, 4, 5, 6])
+    assert made.mask(Phase.TARE, Phase.STEADY).tolist() == [True, True, False, False, True, False]
+    assert [record(3, status=s).ok for s in ("ok", "slipped", "limit", "fault")] == [True, False, False, False]

@@ -1,0 +1,266 @@
+"""Figures for papers: what they draw is what was given, units stand on every axis, and files are whole."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+import pytest
+from matplotlib.colors import to_rgb
+from matplotlib.figure import Figure
+from numpy.testing import assert_allclose, assert_array_equal
+
+from estimators.base import Trace
+from scenarios.cli.report import figures, file_name
+from scenarios.config import load_scenario
+from scenarios.results.load import load_results
+from scenarios.results.store import rows_of
+from scenarios.study.run import run_scenario
+from testbed.errors import InvalidValueError
+from testbed.objects.files import load_object
+from testbed.objects.model import MassDistribution
+from viz.figures.maps import estimate_bars, estimate_losses, estimate_maps, save_figure
+from viz.figures.nad import axis_label, nad_distribution, nad_sweep
+from viz.figures.wrench import WrenchFit, wrench_fit_figure
+from viz.recordings.estimate import EstimateShown
+from viz.style import (
+    DIFFERENCE_COLORS,
+    MASS_COLORS,
+    PALETTE,
+    series_color,
+    text_color,
+)
+
+UNITS = re.compile(r", (kg|kg a group|N|N m|N/m|m|s|%)$")
+WITHOUT_UNIT = {"iteration", "loss", "group", "loss over first loss", "truth.friction", "k"}
+DICHROMATS = {
+    "normal": np.eye(3),
+    "deuteranope": np.array([[0.367, 0.861, -0.228], [0.280, 0.673, 0.047], [-0.012, 0.043, 0.969]]),
+    "protanope": np.array([[0.152, 1.053, -0.205], [0.115, 0.786, 0.099], [-0.004, -0.048, 1.052]]),
+}
+"""What linear RGB looks like to them: Machado, Oliveira and Fernandes 2009, severity 1."""
+
+
+def lab(rgb: np.ndarray, seen_by: np.ndarray) -> np.ndarray:
+    """CIELAB of sRGB colours, (N, 3), as somebody sees them."""
+    linear = np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4)
+    to_xyz = np.array([[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]])
+    xyz = np.clip(linear @ seen_by.T, 0, 1) @ to_xyz.T / [0.9505, 1.0, 1.089]
+    f = np.where(xyz > 0.008856, np.cbrt(xyz), 7.787 * xyz + 16 / 116)
+    return np.stack([116 * f[:, 1] - 16, 500 * (f[:, 0] - f[:, 1]), 200 * (f[:, 1] - f[:, 2])], axis=1)
+
+
+@pytest.mark.parametrize("who", DICHROMATS)
+def test_colours_are_told_apart_by_everybody(who: str):
+    seen = lab(np.array([to_rgb(color) for color in PALETTE]), DICHROMATS[who])
+    apart = np.linalg.norm(seen[:, None] - seen, axis=-1)[np.triu_indices(len(seen), 1)]
+    assert apart.min() > 15
+    for name in (MASS_COLORS, DIFFERENCE_COLORS):
+        light = lab(mpl.colormaps[name](np.linspace(0, 1, 64))[:, :3], DICHROMATS[who])[:, 0]
+        steps = np.abs(np.diff(light))
+        assert np.abs(np.diff(light).sum()) == pytest.approx(steps.sum()), "lightness goes one way"
+        assert steps.max() < 3 * steps.min(), "and evenly"
+
+
+def test_twelve_series_have_twelve_colours_and_text_is_legible():
+    assert len({series_color(i) for i in range(12)}) == 12
+    assert_array_equal(text_color(np.array([[255, 255, 255], [0, 0, 80]], dtype=np.uint8)), [[0] * 3, [255] * 3])
+
+
+def check_units(figure: Figure) -> None:
+    """Raises where an axis with numbers does not say what they are."""
+    figure.draw_without_rendering()
+    for axis in figure.axes:
+        for each in (axis.xaxis, axis.yaxis):
+            numbers = [t.get_text() for t in each.get_ticklabels() if t.get_visible() and t.get_text()]
+            shown = each.get_visible() and axis.get_visible() and any(re.search(r"\d", text) for text in numbers)
+            if shown and any(tick.label1.get_visible() or tick.label2.get_visible() for tick in each.get_major_ticks()):
+                label = each.get_label_text()
+                assert UNITS.search(label) or label in WITHOUT_UNIT, f"{label!r} beside {numbers}"
+
+
+def estimate(**changes: Any) -> EstimateShown:
+    """L2 with a covariance and two traces."""
+    model = load_object("L2")
+    answer = MassDistribution(model.truth.mass * [1.0, 1.2, 0.7, 1.0, 1.4, 0.9], np.array([0.45]))
+    traces = tuple(
+        Trace(name, tuple(np.geomspace(1, 1e-4, count).tolist()), tuple(range(count)), 1.0, np.zeros((0, 0)))
+        for name, count in (("adam", 50), ("plain", 20))
+    )
+    values: dict[str, Any] = {
+        "title": "L2: by hand", "shape": model.shape, "truth": model.truth, "answer": answer,
+        "covariance": np.diag((1e-3 * np.arange(1, 7)) ** 2), "traces": traces,
+    }  # fmt: skip
+    return EstimateShown(**values | changes)
+
+
+def test_maps_have_the_truth_the_answer_and_the_difference():
+    shown = estimate()
+    assert shown.mass is not None
+    assert shown.true_mass is not None
+    figure = estimate_maps(shown)
+    check_units(figure)
+    truth, answer, off = figure.axes[:3]
+    assert [axis.get_title() for axis in (truth, answer, off)] == ["true mass", "estimated mass", "absolute difference"]
+    expected = (shown.true_mass, shown.mass, np.abs(shown.mass - shown.true_mass))
+    for axis, values in zip((truth, answer, off), expected, strict=True):
+        (cells,) = axis.collections
+        assert_allclose(np.asarray(cells.get_array()), values[shown.shape.mass_group])
+        assert [float(text.get_text()) for text in axis.texts] == pytest.approx(values, abs=0.006)
+    assert truth.collections[0].get_clim() == answer.collections[0].get_clim() == (0.0, pytest.approx(shown.mass.max()))
+    assert off.collections[0].get_clim()[1] == pytest.approx(expected[2].max())
+    assert {truth.collections[0].get_cmap().name, off.collections[0].get_cmap().name} == {
+        MASS_COLORS,
+        DIFFERENCE_COLORS,
+    }
+    assert [axis.get_xlabel() for axis in figure.axes[3:]] == ["mass, kg a group", "|difference|, kg a group"]
+    assert truth.get_ylim()[0] < truth.get_ylim()[1], "y is up"
+
+
+def test_maps_without_a_truth_or_an_answer():
+    alone = estimate_maps(estimate(truth=None))
+    assert [axis.get_title() for axis in alone.axes[:1]] == ["estimated mass"]
+    assert len(alone.axes) == 2
+    silent = estimate_maps(estimate(answer=None, covariance=None))
+    assert [[text.get_text() for text in axis.texts] for axis in silent.axes[1:3]] == [["no answer"]] * 2
+    check_units(silent)
+
+
+def test_bars_are_the_masses_with_their_intervals():
+    shown = estimate()
+    assert shown.mass is not None
+    assert shown.true_mass is not None
+    figure = estimate_bars(shown)
+    check_units(figure)
+    truth, answer = (container for container in figure.axes[0].containers if hasattr(container, "patches"))
+    assert_allclose([bar.get_height() for bar in truth.patches], shown.true_mass)
+    assert_allclose([bar.get_height() for bar in answer.patches], shown.mass)
+    lines = np.array(figure.axes[0].collections[0].get_segments())  # pyright: ignore[reportAttributeAccessIssue]
+    deviation = 1e-3 * np.arange(1, 7) * shown.shape.particles_per_group
+    assert_allclose(lines[:, 1, 1] - lines[:, 0, 1], 2 * 1.645 * deviation)
+    assert [tick.get_text() for tick in figure.axes[0].get_xticklabels()] == list(shown.shape.group_names)
+
+
+def test_losses_are_the_traces():
+    shown = estimate()
+    figure = estimate_losses(shown)
+    assert figure is not None
+    check_units(figure)
+    for line, trace in zip(figure.axes[0].lines, shown.traces, strict=True):
+        assert line.get_label() == trace.method
+        assert_allclose(np.asarray(line.get_ydata(), dtype=float), trace.loss)
+    assert estimate_losses(estimate(traces=())) is None
+
+
+def fit(label: str, offset: float, count: int = 400) -> WrenchFit:
+    """A trial in which the second and third quarter are steady, and measured `offset` beside the prediction."""
+    time = np.arange(count) / 100
+    steady = (np.arange(count) // (count // 4) % 3) > 0
+    level = np.array([3.0, -2.0, 0.5])
+    predicted = np.where(steady[:, None], level, np.nan)
+    measured = np.where(steady[:, None], level + offset, 0.1)
+    return WrenchFit(label, time, measured, steady, predicted, np.full((count, 3), 0.2))
+
+
+def test_wrench_fits_show_measured_predicted_band_and_what_is_off():
+    fits = [fit("turn about A1", 0.05), fit("slide", -0.1, 4000)]
+    figure = wrench_fit_figure(fits)
+    check_units(figure)
+    axes = np.array(figure.axes).reshape(6, 2)
+    for column, each in enumerate(fits):
+        assert axes[0, column].get_title() == each.label
+        for row in range(3):
+            values, off = axes[2 * row, column], axes[2 * row + 1, column]
+            rest, steady, predicted = values.lines
+            assert_array_equal(np.unique(steady.get_ydata()), [each.measured[each.steady][0, row]])
+            assert_array_equal(np.unique(rest.get_ydata()), [0.1])
+            drawn = np.asarray(predicted.get_ydata(), dtype=float)
+            assert_array_equal(np.isfinite(drawn), each.steady)
+            assert_allclose(off.lines[0].get_ydata(), 0.05 if column == 0 else -0.1)
+            band = values.collections[0].get_datalim(values.transData)
+            assert (band.y0, band.y1) == pytest.approx(each.predicted[each.steady][0, row] + np.array([-0.2, 0.2]))
+            low, high = values.get_ylim()
+            assert low < each.measured[each.steady][0, row] < high
+    for row in axes:
+        assert row[0].get_ylim() == row[1].get_ylim()
+    with pytest.raises(InvalidValueError, match="at least one"):
+        wrench_fit_figure([])
+    check_units(wrench_fit_figure([replace(fits[0], predicted=np.full((400, 3), np.nan))]))
+
+
+def test_nad_against_a_setting_alone():
+    rows = [
+        {"method": m, "kind": m, "nad": base * k * (1 + 0.01 * seed), "seed": seed, "axis.truth.friction": k / 10}
+        for m, base in (("a", 0.01), ("b", 0.2))
+        for k in (1, 2, 4)
+        for seed in (0, 1, 2)
+    ]
+    figure = nad_sweep(rows, "axis.truth.friction")
+    check_units(figure)
+    for line, base in zip(figure.axes[0].lines, (0.01, 0.2), strict=True):
+        assert_allclose(np.asarray(line.get_xdata(), dtype=float), [0.1, 0.2, 0.4])
+        assert_allclose(np.asarray(line.get_ydata(), dtype=float), 100 * base * 1.01 * np.array([1, 2, 4]))
+    check_units(nad_distribution(rows))
+    assert axis_label("axis.support") == "support, N/m"
+    assert axis_label("axis.simulation.grip_force_N") == "simulation.grip_force_N, N"
+    assert axis_label("axis.policy.duration") == "policy.duration, s"
+    assert axis_label("axis.grid.feet") == "grid.feet"
+
+
+def test_files_are_whole_and_the_same_again(tmp_path, monkeypatch):
+    first = save_figure(estimate_bars(estimate()), tmp_path / "a.b" / "bars.v1")
+    assert [path.name for path in first] == ["bars.v1.pdf", "bars.v1.png"]
+    pdf, png = (path.read_bytes() for path in first)
+    assert pdf.startswith(b"%PDF")
+    assert b"/FontFile2" in pdf, "text stays text, in a font that a publisher takes"
+    assert png.startswith(b"\x89PNG")
+    again = save_figure(estimate_bars(estimate()), tmp_path / "again")
+    assert [path.read_bytes() for path in again] == [pdf, png]
+    broken = estimate_bars(estimate())
+    monkeypatch.setattr(broken, "savefig", lambda part, **_: Path(part).write_bytes(b"half") and 1 / 0)
+    with pytest.raises(ZeroDivisionError):
+        save_figure(broken, tmp_path / "deep" / "broken")
+    assert list((tmp_path / "deep").iterdir()) == []
+    assert file_name("nad_against support 10 N/m, ft300s/..") == "nad_against_support_10_N_per_m_ft300s_per"
+
+
+SMALL = """
+sensing = ["ft300s"]
+seeds = 2
+[[random]]
+name = "drawn"
+count = 1
+blocks = [2, 2]
+[policy]
+pivots = 2
+duration = 2.0
+accelerated = 0
+held_out = 0
+[methods.hidden_states]
+[methods.explicit_state_M]
+method = "explicit_state"
+use_weight = true
+iterations = 20
+"""
+
+
+@pytest.mark.slow
+def test_figures_of_a_folder_and_of_an_estimate(tmp_path):
+    (tmp_path / "small.toml").write_text(SMALL)
+    folder = tmp_path / "out"
+    run_scenario(load_scenario(str(tmp_path / "small.toml"))[1], folder, 0, lambda *_, **__: None)
+    written = figures(folder)
+    names = {path.stem for path in written}
+    assert names == {"nad_own_weight_ft300s", "absolute_difference_own_weight_ft300s", "loss_explicit_state_M"}
+    row = next(row for row in rows_of(load_results(folder)) if row["kind"] == "explicit_state")
+    of_one = figures(folder, row)
+    start = f"{row['object']}_explicit_state_M_{row['key'][:8]}"
+    assert {path.stem for path in of_one} == {f"{start}_{what}" for what in ("maps", "bars", "loss", "wrenches_1")}
+    for path in written + of_one:
+        assert path.parent == folder / "figures"
+        assert path.read_bytes().startswith(b"%PDF" if path.suffix == ".pdf" else b"\x89PNG")
+    assert not list(folder.rglob("*.part"))

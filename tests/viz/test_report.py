@@ -1,0 +1,278 @@
+"""The report: whole, right, harmless, and written only as a whole."""
+
+from __future__ import annotations
+
+import json
+import re
+import tomllib
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from matplotlib.figure import Figure
+
+from scenarios.cli.report import report, to_toml
+from scenarios.results.files import TrialFile, trial_keys_of
+from testbed.errors import InvalidValueError
+from testbed.objects.files import load_object
+from viz.figures.loss import normalised
+from viz.report.report import pictured_objects
+from viz.report.svg import inline_svg
+from viz.report.tables import metric_table, object_means, sweep_table
+from viz.report.terminal import NAD as NAD_METRIC
+
+EVIL = "<script>alert('x')</script>"
+REASON = '"><img src=x onerror=alert(1)> & more'
+SECTIONS = ("run", "tables", "distributions", "losses", "maps", "worst", "failures")
+VOID = {"meta", "br", "wbr", "img", "hr", "link", "input"}
+NAD = {"hidden_states": (0.0123, 0.0151), "random_search": (0.411, 0.473), "diff_lcp": (0.2, 0.3)}
+
+
+def row(method: str, seed: int, nad: float | None, name: str = "L2", **more: object) -> dict:
+    """One estimate."""
+    mass = np.array(load_object("L2").group_mass)
+    said = {
+        "object": name, "support": "own_weight", "sensing": "ft300s", "seed": seed, "method": method, "kind": method,
+        "status": "ok", "message": "", "nad": nad, "seconds": 1.0 + seed + (nad or 0), "robot_s": 300.0,
+        "mass_kg": None if nad is None else (mass * (1 + nad)).tolist(), "true_mass_kg": mass.tolist(),
+        "group_names": list(load_object("L2").shape.group_names),
+        "mpd_open_loop_m": 0.0111, "mpd_turn_m": 0.0222,
+        "mpd_open_loop_of_truth_m": 0.0033, "mpd_turn_of_truth_m": 0.0044,
+    }  # fmt: skip
+    return said | more
+
+
+def failed(method: str, seed: int, name: str) -> dict:
+    """One estimate that raised: most columns are missing."""
+    said = {"object": name, "support": "rigid", "sensing": "ft300s", "seed": seed, "method": method, "kind": method}
+    return said | {"status": "failed", "message": f"ValueError: {REASON}", "nad": np.nan}
+
+
+def write(folder: Path, rows: list[dict]) -> Path:
+    """A results folder."""
+    folder.mkdir(parents=True, exist_ok=True)
+    pd.DataFrame(rows).to_parquet(folder / "results.parquet")
+    scenario = {"objects": ["L2"], "seeds": 2, "methods": {"random_search": {"iterations": 7}}, "grid": {"feet": 3}}
+    manifest = {"scenario": scenario, "python": "3.11.0", "packages": {"heft": "9.8.7"}}
+    (folder / "manifest.json").write_text(json.dumps(manifest), encoding="utf-8")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two objects, one of them no longer known and with a bad name; a failed method; traces; a traceback; no trials."""
+    rows = [row(m, s, v) for m, values in NAD.items() for s, v in enumerate(values)]
+    rows += [
+        row("hidden_states", s, v, EVIL, group_names=[f"$\\x{i}\x01<" for i in range(6)])
+        for s, v in enumerate((0.02, 0.03))
+    ]
+    rows += [row("random_search", 0, None, EVIL, status="underdetermined", message="too few turns")]
+    rows += [failed("diff_lcp", s, EVIL) for s in (0, 1)]
+    folder = write(tmp_path_factory.mktemp("results") / "made up", rows)
+    done = folder / "estimates" / "0123abcd"
+    done.mkdir(parents=True)
+    (done / "result.json").write_text(json.dumps(rows[3]), encoding="utf-8")
+    np.savez(done / "estimate.npz", allow_pickle=False, **{"random.loss": np.geomspace(8, 0.1, 50)})
+    undone = folder / "estimates" / "ffff"
+    undone.mkdir()
+    (undone / "error.txt").write_text(f"Traceback: </pre>{EVIL}\nValueError: {REASON}\n", encoding="utf-8")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def page(folder: Path) -> str:
+    """Its report."""
+    path = report(folder)
+    assert path == folder / "report.html"
+    return path.read_text(encoding="utf-8")
+
+
+class Reader(HTMLParser):
+    """Text, identifiers and addresses; fails on tags that do not balance."""
+
+    def __init__(self, page: str):
+        super().__init__()
+        self.open, self.ids, self.links, self.tags, self.rows = [], [], [], set(), []
+        self.feed(page)
+        self.close()
+        assert self.open == []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.add(tag)
+        self.ids += [value for name, value in attrs if name == "id"]
+        self.links += [value for name, value in attrs if name in ("src", "href", "xlink:href", "action") and value]
+        assert not any(name.startswith("on") for name, _ in attrs)
+        if tag not in VOID:
+            self.open.append(tag)
+        if tag == "tr":
+            self.rows.append("")
+
+    def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.handle_starttag(tag, attrs)
+        if tag not in VOID:
+            self.open.pop()
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+    def handle_data(self, data: str) -> None:
+        if "tr" in self.open:
+            self.rows[-1] += data + "|" if data.strip() else ""
+
+
+@pytest.fixture(scope="module")
+def read(page: str) -> Reader:
+    return Reader(page)
+
+
+def test_every_section_is_there_and_reachable(page: str, read: Reader):
+    assert set(SECTIONS) <= set(read.ids)
+    assert len(set(read.ids)) == len(read.ids)
+    assert {f"#{name}" for name in SECTIONS} <= set(read.links)
+    assert '<meta name="viewport"' in page
+    assert "@media print" in page
+    assert page.count("<figure") == page.count("<figcaption>") == page.count('role="img"') > 4
+
+
+def test_numbers_are_the_frames(page: str, read: Reader):
+    own = next(line for line in read.rows if line.startswith("hidden_|states|") and "paper 7.3" in line)
+    values = 100 * np.array(NAD["hidden_states"])
+    assert f"{values.mean():.2f} ± {values.std(ddof=1):.2f}" in own
+    assert f"[{values[0]:.2f}, {values[1]:.2f}]" in own, "the interval of two draws reaches from one to the other"
+    truth = [line for line in read.rows if line.startswith("the true masses")]
+    assert any("0.33 ± 0.00" in line for line in truth)
+    assert any("0.44 ± 0.00" in line for line in truth)
+    assert "iterations = 7" in page
+    assert "heft 9.8.7" in page
+
+
+def test_the_worst_and_their_files_are_listed(read: Reader):
+    worst = next(line for line in read.rows if line.startswith("L2|47.3|random_|search"))
+    assert "estimates/0123abcd/" in worst
+    assert "estimates/0123abcd/result.json" in read.links
+    assert any(line.startswith("L2|41.1|") and "folder not known" in line for line in read.rows)
+
+
+def test_failures_are_listed_with_their_reason(read: Reader):
+    line = next(line for line in read.rows if line.startswith("diff_|lcp|failed|2|"))
+    assert f"ValueError: {REASON}" in line
+    assert "estimates/ffff/error.txt" in line
+    assert "rigid body, ft300s" in line
+    assert any("underdetermined" in line and "too few turns" in line for line in read.rows)
+
+
+def test_names_and_messages_do_no_harm(page: str, read: Reader):
+    assert not read.tags & {"script", "img", "iframe", "object", "embed", "link", "base"}
+    assert EVIL not in page
+    assert any(EVIL in line for line in read.rows)
+    assert all(re.match(r"#|estimates/|trials/|data:image/png;base64,", link) for link in read.links)
+    assert not re.search(r"https?://", page)
+    assert "default-src 'none'" in page
+
+
+def test_a_stopped_writing_leaves_the_old_file(folder: Path, page: str, monkeypatch: pytest.MonkeyPatch):
+    def stop(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("viz.report.report.render", lambda _: "half")
+    monkeypatch.setattr("os.replace", stop)
+    with pytest.raises(KeyboardInterrupt):
+        report(folder)
+    assert (folder / "report.html").read_text(encoding="utf-8") == page
+    assert not list(folder.glob(".*part"))
+
+
+def test_many_objects_swept_are_aggregated(tmp_path: Path):
+    """Only the columns that every row has; some rows are of objects that no method was asked about."""
+    rows = [
+        {"object": f"o{i:02d}", "support": "rigid", "sensing": "low", "seed": s, "method": m, "kind": m, "status": "ok",
+         "nad": 0.01 * (1 + i) * (1 + s) * (1 + (m == "b")), "axis.grid.feet": feet, "axis.truth.who": who}
+        for i in range(20) for s in (0, 1) for m in ("a", "b") for feet, who in ((2, "x"), (4, "y"))
+    ]  # fmt: skip
+    rows += [rows[0] | {"object": "odd", "method": "", "kind": "", "sensing": "", "status": "infeasible", "nad": np.nan,
+                        "message": "too wide"}]  # fmt: skip
+    page = report(write(tmp_path / "many", rows)).read_text(encoding="utf-8")
+    read = Reader(page)
+    nads = np.array([1.5 * (1 + i) for i in range(20)])
+    (line,) = [line for line in read.rows if line.startswith("a|") and "±" in line]
+    assert line.startswith(f"a|{nads.mean():.1f} ± ")
+    assert f"{np.median(nads):.1f}" in line
+    assert f"{nads.max():.1f}" in line
+    assert "★" in line, "a beats b on every object"
+    assert "NAD against grid.feet" in page
+    assert "NAD against truth.who" in page
+    assert "5 objects are left out" in page
+    assert any(line.startswith("every method|infeasible|1|too wide") for line in read.rows)
+
+
+def test_the_pictured_are_the_worst_and_a_few_others():
+    rows = [{"object": f"o{i}", "kind": "hidden_states", "nad": 0.01 * i} for i in range(40)]
+    shown = pictured_objects(rows, [r["object"] for r in rows])
+    assert shown[:10] == [f"o{i}" for i in range(39, 29, -1)]
+    assert len(set(shown)) == 15
+    assert {"o29", "o0"} <= set(shown)
+    assert pictured_objects(rows[:12], ["o1"]) == ["o1"]
+
+
+def test_a_folder_without_results_is_refused(tmp_path: Path):
+    with pytest.raises(InvalidValueError, match="heft run"):
+        report(tmp_path)
+    (tmp_path / "results.parquet").write_bytes(b"half of it")
+    with pytest.raises(InvalidValueError, match="heft run"):
+        report(tmp_path)
+    assert not (tmp_path / "report.html").exists()
+
+
+def test_points_of_a_sweep_are_one_sample_of_an_object():
+    rows = [row("a", s, 0.1 * k) | {"axis.k": k} for k in (1, 3) for s in (0, 1)]
+    assert object_means(rows, "a", "nad", 100) == {0: pytest.approx(20)}
+    table = sweep_table(rows, "axis.k", "t")
+    assert table.columns == ("1", "3")
+    assert [cell.text for cell in table.rows[0][1]] == ["10.0", "30.0"]
+    assert metric_table([row("a", 0, None)], NAD_METRIC, "t") is None
+
+
+def test_the_same_identifiers_in_two_figures_do_not_clash():
+    figure = Figure()
+    figure.subplots().plot([1, 2], [1, 2], marker="o")
+    first, second = inline_svg(figure, 'a "title" <b>', "f1"), inline_svg(figure, "b", "f2")
+    ids = [set(re.findall(r' id="([^"]+)"', svg)) for svg in (first, second)]
+    assert ids[0]
+    assert not ids[0] & ids[1]
+    for svg, known in zip((first, second), ids, strict=True):
+        assert set(re.findall(r'(?:href="#|url\(#)([^")]+)', svg)) == known
+    assert "<b>" not in first
+    assert first == inline_svg(figure, 'a "title" <b>', "f1")
+
+
+def test_losses_start_at_one_and_may_differ_in_length():
+    table = normalised([np.array([4.0, 2.0, 1.0]), np.array([2.0, np.inf]), np.array([np.nan, 1.0]), np.array([])])
+    np.testing.assert_array_equal(table, [[1.0, 0.5, 0.25], [1.0, np.inf, np.nan]])
+
+
+def test_trials_are_named_only_where_they_are_sure():
+    def trial(key: str, mass: float, feet: int, support: str = "rigid") -> TrialFile:
+        asked = {"object": {"mass": [mass], "mass_group": [0] * feet}, "support": support, "action": key}
+        return TrialFile(key, "ok", "", asked)
+
+    one = {"support": "rigid", "true_mass_kg": [0.4]}
+    trials = [trial("a", 0.1, 4), trial("b", 0.1, 4), trial("c", 0.2, 4), trial("d", 0.1, 4, "own_weight")]
+    assert trial_keys_of(one, trials) == ["a", "b"]
+    assert trial_keys_of(one, [*trials, trial("e", 0.2, 2)]) == [], "another object of the same mass"
+    assert trial_keys_of(one | {"axis.k": 1}, trials) == []
+    assert trial_keys_of(one | {"trial_keys": ["q"]}, trials) == ["q"]
+
+
+def test_the_scenario_reads_back_from_the_report():
+    scenario = {
+        "objects": ['odd "name"', "L2"],
+        "support": ["rigid", 500.0],
+        "truth": {"friction": None, "seed": 0},
+        "random": [{"name": "r", "count": 2}],
+        "sweep": {"mode": "grid", "axes": {"grid.feet": [2, 3]}},
+        "methods": {"hidden_states": {}, "x y": {"method": "diff_lcp", "use_weight": True}},
+    }
+    back = tomllib.loads(to_toml(scenario))
+    assert back == scenario | {"truth": {"seed": 0}}

@@ -1,0 +1,209 @@
+"""What the viewer shows, in its window and in a browser; and what is said where it cannot open."""
+
+from __future__ import annotations
+
+import io
+import re
+import socket
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from rich.console import Console
+
+from scenarios.cli.main import main
+from scenarios.cli.view import Recorder, page_of
+from scenarios.config import Scenario
+from scenarios.results.trials import trial_shown
+from scenarios.study.run import run_scenario
+from testbed.actions.base import Rotate
+from testbed.sensing.presets import draw_sensing, preset
+from testbed.trajectory import load_trajectory, save_trajectory
+from tests.helpers.chunks import read_chunks
+from tests.helpers.recorded import put_trial
+from tests.helpers.viewer_windows import browser, has_color, is_blank, needs_browser, needs_vulkan, picture, viewer
+from viz.recordings import viewer as viewers
+from viz.recordings.page import save
+from viz.recordings.viewer import served
+from viz.style import AXIS_COLORS, NORMAL_FORCE, rgb
+
+SMALL = {
+    "objects": ["I2"],
+    "support": ["own_weight"],
+    "sensing": ["ft300s"],
+    "seeds": 1,
+    "policy": {"pivots": 3, "duration": 2.0, "accelerated": 2, "held_out": 0},
+    "methods": {"hidden_states": {}, "explicit_state": {"iterations": 40}},
+}
+
+
+def quiet(stage: str, done: int, total: int, failed: int = 0) -> None:
+    """Tells nobody how far a run is."""
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory) -> Path:
+    """A small finished run."""
+    root = tmp_path_factory.mktemp("results")
+    run_scenario(Scenario.model_validate(SMALL), root, 0, quiet, "inline")
+    return root
+
+
+@pytest.fixture(scope="module")
+def trial(tmp_path_factory) -> Path:
+    """The recording of a short turn."""
+    root = tmp_path_factory.mktemp("trial")
+    save(page_of(root, put_trial(root, "L2", Rotate(0, duration=2.0))), root / "trial.rrd")
+    return root / "trial.rrd"
+
+
+def key_of(folder: Path, method: str) -> str:
+    found = [p for p in folder.glob("estimates/*/result.json") if f'"{method}"' in p.read_text(encoding="utf-8")]
+    return found[0].parent.name
+
+
+@pytest.mark.slow
+@needs_vulkan
+def test_a_trial_is_seen(trial, tmp_path):
+    with viewer(trial, tmp_path) as client:
+        client.set_time("sim_time", duration=4.5, play_state="paused")
+        pixels, state = picture(client), client.get_state()
+    assert not is_blank(pixels)
+    assert {view.view_class for view in state.views} == {"3D", "TimeSeries", "StateTimeline", "TextDocument"}
+    assert not [(view.name, report.summary) for view in state.views for report in view.reports]
+    assert [t.name for t in state.recordings[0].timelines] == ["sim_time"]
+    half = pixels.shape[1] * 11 // 20
+    assert has_color(pixels[:, half:], rgb(AXIS_COLORS[0])), "the force along x is drawn"
+    assert has_color(pixels[:, :half], rgb(NORMAL_FORCE), least=5, within=60), "loads stand at the feet"
+    assert not list(tmp_path.rglob("analytics*")), "nothing is kept to be sent"
+
+
+@pytest.mark.slow
+@needs_vulkan
+def test_an_estimate_is_seen(folder, tmp_path):
+    save(page_of(folder, key_of(folder, "explicit_state")), tmp_path / "x.rrd")
+    with viewer(tmp_path / "x.rrd", tmp_path) as client:
+        pixels, state = picture(client), client.get_state()
+    names = " | ".join(view.name for view in state.views)
+    for said in ("true mass", "estimated mass", "absolute difference", "mass of each group", "log10 of the loss",
+                 "velocities", "facts"):  # fmt: skip
+        assert said in names
+    assert not [(view.name, report.summary) for view in state.views for report in view.reports]
+    assert not is_blank(pixels)
+
+
+@pytest.mark.slow
+@needs_vulkan
+def test_a_comparison_is_seen(folder, tmp_path):
+    save(page_of(folder, "I2"), tmp_path / "x.rrd")
+    with viewer(tmp_path / "x.rrd", tmp_path) as client:
+        pixels, state = picture(client), client.get_state()
+    names = [view.name for view in state.views]
+    assert [name for name in names if name.startswith("hidden_states: NAD")]
+    assert [name for name in names if name.startswith("explicit_state: NAD")]
+    assert not is_blank(pixels)
+
+
+@pytest.mark.slow
+@needs_browser
+def test_a_browser_shows_it_and_talks_to_nobody_else(trial, tmp_path):
+    with served(trial) as address, browser(address, tmp_path) as look:
+        until = time.monotonic() + 120
+        while not has_color(pixels := look(), rgb(AXIS_COLORS[0])):
+            assert time.monotonic() < until, "the force along x is not drawn"
+            time.sleep(1)
+    log = (tmp_path / "net.json").read_text(encoding="utf-8", errors="replace")
+    assert not is_blank(pixels)
+    asked = set(re.findall(r'"url":"(https?://[^/"]+)', log))
+    foreign = {host for host in asked if "127.0.0.1" not in host and not re.search(r"google|gvt1", host)}
+    assert not foreign, "the browser's own maker aside"
+
+
+@pytest.mark.slow
+@needs_vulkan
+def test_a_viewer_that_is_open_is_shown_what_is_done(folder, tmp_path):
+    port = viewers.free_port()
+    turn = next(p.parent.name for p in folder.glob("trials/*/foot_forces.parquet"))
+    with viewer(None, tmp_path, port) as client:
+        told = Recorder(folder, Console(file=io.StringIO()), url=viewers.waiting(port))
+        told("trial", turn)
+        told("estimate", key_of(folder, "hidden_states"))
+        found = ""
+        for _ in range(100):
+            found = " ".join(recording.store_id for recording in client.get_state().recordings)
+            if "trial" in found and "estimate" in found:
+                break
+            time.sleep(0.1)
+    assert f"trial {turn}" in found
+    assert "estimate" in found
+
+
+@pytest.mark.slow
+def test_a_trial_of_another_bench_is_seen_from_its_files(folder, tmp_path):
+    """As measured: no draw of errors, no truth behind it, and nobody knows the forces on the feet."""
+    key = next(p.parent.name for p in folder.glob("trials/*/foot_forces.parquet"))
+    clean = load_trajectory(folder / "trials" / key / "trajectory.parquet")
+    felt = draw_sensing(clean, preset("ft300s"), 5)
+    there = tmp_path / "trials" / key
+    there.mkdir(parents=True)
+    save_trajectory(replace(felt, provenance={"runner": "robot"}), there / "trajectory.parquet")
+    (there / "trial.json").write_bytes((folder / "trials" / key / "trial.json").read_bytes())
+    shown = trial_shown(tmp_path, key)
+    assert shown.truth is None
+    assert shown.feet is None
+    assert not shown.model
+    assert (shown.trajectory.wrench_on_object_world == felt.wrench_on_object_world).all()
+    save(page_of(tmp_path, key), tmp_path / "x.rrd")
+    assert "trial/wrench/force/x/measured" in read_chunks(tmp_path / "x.rrd")
+
+
+def test_without_a_display_it_is_told_what_to_do(folder_of_nothing, monkeypatch, capsys):
+    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setattr(sys, "platform", "linux")
+    with pytest.raises(SystemExit) as ended:
+        main(["view", str(folder_of_nothing)])
+    said = capsys.readouterr().err
+    assert ended.value.code == 2
+    assert said.count("\n") == 1
+    assert "--web" in said
+
+
+@pytest.fixture
+def folder_of_nothing(tmp_path) -> Path:
+    return tmp_path
+
+
+def test_live_needs_a_viewer_or_a_display(monkeypatch):
+    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(name, raising=False)
+    with pytest.raises(viewers.ViewerError, match="no viewer listens"):
+        viewers.waiting(viewers.free_port())
+
+
+def test_a_viewer_that_is_open_is_taken():
+    with socket.create_server((viewers.HOST, 0)) as server:
+        port = server.getsockname()[1]
+        assert viewers.waiting(port) == f"rerun+http://127.0.0.1:{port}/proxy"
+
+
+@pytest.mark.parametrize(
+    ("said", "told"),
+    [
+        ("thread 'main' panicked\nNo graphics adapter was found", "mesa-vulkan-drivers"),
+        ("one\n\nthe last line\n", "the last line"),
+        ("", "no reason given"),
+    ],
+)
+def test_why_a_viewer_ended_is_one_line(said, told):
+    assert told in viewers.reason(said)
+    assert "\n" not in viewers.reason(said)
+
+
+def test_no_usage_data_is_sent_by_the_viewer(monkeypatch):
+    monkeypatch.setenv("FORCE_RERUN_ANALYTICS", "1")
+    said = viewers.environment()
+    assert said["CI"] == "true"
+    assert "FORCE_RERUN_ANALYTICS" not in said

@@ -1,0 +1,130 @@
+"""NAD by method as a distribution, and NAD against a swept setting."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.axis import Axis
+from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator
+
+from estimators.evaluation.statistics import AXIS, Row
+from viz.report.tables import axis_values, methods_of
+from viz.style import DASHES, MARKERS, PALETTE, STYLE, bare, plain_numbers
+
+WIDE_RANGE = 20.0
+"""Largest over smallest from which on an axis is logarithmic."""
+FEW = 8
+"""Up to as many values of a swept setting are all named on its axis."""
+UNITS = {"support": "N/m", "duration": "s", "pivot_error": "m"}
+"""Of settings that do not say it in their name."""
+SUFFIXES = {"_kg": "kg", "_N": "N", "_m": "m", "_s": "s"}
+MANY = 400
+"""More points than this are drawn as pixels."""
+
+
+@mpl.rc_context(STYLE)
+def nad_distribution(rows: Sequence[Row]) -> Figure:
+    """A line a method: every estimate a point, a bar from the lower to the upper quartile, a stroke at the median."""
+    methods = methods_of(rows)
+    figure = Figure(figsize=(5.4, 0.36 * len(methods) + 0.8), layout="constrained")
+    axis = figure.subplots()
+    labels, every = [], []
+    rng = np.random.default_rng(0)
+    for place, method in enumerate(methods):
+        found = [row["nad"] for row in rows if row["method"] == method]
+        values = 100 * np.array([value for value in found if value is not None])
+        missing = len(found) - len(values)
+        labels.append(method + (f" ({missing} none)" if missing else ""))
+        every.append(values)
+        if len(values) == 0:
+            continue
+        heights = place + rng.uniform(-0.22, 0.22, len(values))
+        axis.scatter(
+            values,
+            heights,
+            s=9,
+            color=PALETTE[0],
+            alpha=0.55 if len(values) < MANY else 0.15,
+            linewidth=0,
+            rasterized=len(values) > MANY,
+        )
+        low, middle, high = np.quantile(values, (0.25, 0.5, 0.75))
+        axis.hlines(place, low, high, color="0.2", linewidth=9, alpha=0.25, zorder=3)
+        axis.vlines(middle, place - 0.32, place + 0.32, color=PALETTE[1], linewidth=2.2, zorder=4)
+    axis.set_yticks(range(len(methods)), labels)
+    axis.set_ylim(len(methods) - 0.5, -0.5)
+    _scale(axis.xaxis, np.concatenate(every) if every else np.array([]))
+    axis.set_xlabel("NAD, %")
+    bare(axis)
+    return figure
+
+
+@mpl.rc_context(STYLE)
+def nad_sweep(rows: Sequence[Row], axis_column: str) -> Figure:
+    """NAD against a swept setting: a line a method through the medians, a band from the lower to the upper quartile.
+
+    Args:
+        rows: of a scenario run; `kind`, `method`, `nad` and the swept column are read.
+        axis_column: of the swept setting.
+    """
+    values = axis_values(rows, axis_column)
+    numeric = all(isinstance(value, int | float) for value in values)
+    places = np.array(values, dtype=float) if numeric else np.arange(len(values), dtype=float)
+    figure = Figure(figsize=(5.4, 4.2), layout="constrained")
+    axis = figure.subplots()
+    kinds = list(dict.fromkeys(row["kind"] for row in rows))
+    seen: dict[str, int] = dict.fromkeys(kinds, 0)
+    shown = []
+    for method in methods_of(rows):
+        of = [row for row in rows if row["method"] == method and row["nad"] is not None]
+        if not of:
+            continue
+        kind = of[0]["kind"]
+        found = [100 * np.array([row["nad"] for row in of if row.get(axis_column) == value]) for value in values]
+        has = np.array([len(each) > 0 for each in found])
+        quartiles = np.array([np.quantile(each, (0.25, 0.5, 0.75)) for each in found if len(each)]).T
+        which = kinds.index(kind) % len(PALETTE)
+        axis.fill_between(places[has], quartiles[0], quartiles[2], color=PALETTE[which], alpha=0.12, linewidth=0)
+        axis.plot(
+            places[has], quartiles[1], color=PALETTE[which], marker=MARKERS[which], markersize=4, linewidth=1.4,
+            linestyle=DASHES[seen[kind] % len(DASHES)], label=method,
+        )  # fmt: skip
+        seen[kind] += 1
+        shown.append(quartiles.ravel())
+    if numeric:
+        _scale(axis.xaxis, places)
+    if not numeric or len(places) <= FEW:
+        axis.set_xticks(places, [f"{v:g}" if isinstance(v, float) else str(v) for v in values])
+    _scale(axis.yaxis, np.concatenate(shown) if shown else np.array([]))
+    axis.set_xlabel(axis_label(axis_column))
+    axis.set_ylabel("NAD, %")
+    if shown:
+        figure.legend(loc="outside lower center", ncols=3, fontsize=7, frameon=False, handlelength=3)
+    bare(axis)
+    return figure
+
+
+def axis_label(axis_column: str) -> str:
+    """Name of a swept setting, with its unit where it has one."""
+    name = axis_column.removeprefix(AXIS)
+    last = name.rsplit(".", 1)[-1]
+    unit = UNITS.get(last) or next((unit for end, unit in SUFFIXES.items() if last.endswith(end)), "")
+    return f"{name}, {unit}" if unit else name
+
+
+def _scale(axis: Axis, values: np.ndarray) -> None:
+    """Logarithmic where the values are positive and span much; linear in the first decade where some are zero."""
+    positive = values[values > 0]
+    if len(positive) == 0 or values.min() < 0 or positive.max() < WIDE_RANGE * positive.min():
+        return
+    set_scale = axis.axes.set_xscale if axis is axis.axes.xaxis else axis.axes.set_yscale
+    if len(positive) < len(values):
+        set_scale("symlog", linthresh=positive.min())
+    else:
+        set_scale("log")
+        decades = np.log10(positive.max() / positive.min())
+        axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if decades < 2.5 else (1.0,)))
+    plain_numbers(axis)

@@ -1,0 +1,133 @@
+"""The wrench of one trial, measured and as a model has it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+from jaxtyping import Bool, Float
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from testbed.errors import InvalidValueError
+from testbed.validation import frozen_array
+from viz.recordings.page import evenly
+from viz.style import AXIS_COLORS, EDGE, STYLE, bare
+
+
+@dataclass(frozen=True, eq=False)
+class WrenchFit:
+    """T samples of what the gripper does to the object: force x and y, N, and torque about z, N m."""
+
+    label: str
+    """The trial, in words."""
+    time_s: Float[np.ndarray, "T"]
+    """s."""
+    measured: Float[np.ndarray, "T 3"]
+    """After tare and tool compensation."""
+    steady: Bool[np.ndarray, "T"]
+    """Which samples an estimator is given."""
+    predicted: Float[np.ndarray, "T 3"]
+    """NaN outside the steady stretches, or everywhere without a model."""
+    band: Float[np.ndarray, "T 3"]
+    """Half the width of the band around the prediction in which the sensor's errors leave 95 % of single samples."""
+    frame: str = "object axes, about the grasp point"
+    """In which axes, and about which point."""
+
+    def __post_init__(self) -> None:
+        time = frozen_array("WrenchFit.time_s", self.time_s, (None,))
+        object.__setattr__(self, "time_s", time)
+        for name in ("measured", "predicted", "band"):
+            values = frozen_array(f"WrenchFit.{name}", getattr(self, name), (len(time), 3), finite=False)
+            object.__setattr__(self, name, values)
+        steady = np.array(self.steady)
+        if steady.dtype != bool or steady.shape != time.shape:
+            allowed = f"true or false a sample, ({len(time)},)"
+            raise InvalidValueError("WrenchFit.steady", f"{steady.dtype} of shape {steady.shape}", allowed)
+        object.__setattr__(self, "steady", steady)
+
+
+LABELS = (("force x, N", "off, N"), ("force y, N", "off, N"), ("torque z, N m", "off, N m"))
+"""Of each component, and of what is measured beyond the prediction."""
+MOST_DOTS = 1500
+"""Samples of a trial that are drawn one by one; of more an even choice."""
+HEIGHTS = (1.2, 0.65)
+"""Of a component's panel, and of the one below with what the prediction is off, inches."""
+BAND: dict[str, Any] = {"color": EDGE, "alpha": 0.25, "linewidth": 0}
+TAIL = 0.002
+"""Part of the samples, at each end, that an axis need not show: the sensor jumps as the gripper closes."""
+
+
+@mpl.rc_context(STYLE)
+def wrench_fit_figure(fits: Sequence[WrenchFit]) -> Figure:
+    """A column a trial; force x, force y and torque z below each other, each on the scale of all trials.
+
+    Grey is what is not steady, coloured what is; the line is the prediction, with its 95 % band. Below each component
+    is by how much the measured one is off the prediction.
+
+    Raises:
+        InvalidValueError: no trial at all.
+    """
+    if not fits:
+        raise InvalidValueError("fits", "none", "at least one trial")
+    size = 0.9 + 2.5 * len(fits), 3 * sum(HEIGHTS) + 0.8
+    figure = Figure(figsize=size, layout="constrained")
+    axes = figure.subplots(6, len(fits), squeeze=False, sharex="col", sharey="row", height_ratios=HEIGHTS * 3)
+    for column, fit in enumerate(fits):
+        for row, color in enumerate(AXIS_COLORS):
+            _draw(axes[2 * row, column], fit, row, color)
+            _draw_off(axes[2 * row + 1, column], fit, row, color)
+        axes[0, column].set_title(fit.label, fontsize=8)
+        axes[-1, column].set_xlabel("time, s")
+    for row, (label, off) in enumerate(LABELS):
+        axes[2 * row, 0].set_ylabel(label)
+        axes[2 * row + 1, 0].set_ylabel(off, fontsize=7)
+        axes[2 * row, 0].set_ylim(*_limits(fits, row))
+    figure.align_ylabels(axes[:, 0])
+    handles, labels = axes[0, 0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=4, fontsize=8, frameon=False)
+    frames = list(dict.fromkeys(fit.frame for fit in fits))
+    figure.suptitle(f"wrench on the object, {' / '.join(frames)}", fontsize=9)
+    return figure
+
+
+def _draw(axis: Axes, fit: WrenchFit, row: int, color: str) -> None:
+    """One component of one trial."""
+    for which, shade, label in ((~fit.steady, "0.75", "measured"), (fit.steady, color, "measured, steady")):
+        _dots(axis, fit, which, fit.measured[:, row], shade, label)
+    # NaN breaks the line and the band between steady stretches
+    middle, half = fit.predicted[:, row], fit.band[:, row]
+    axis.fill_between(fit.time_s, middle - half, middle + half, label="95 % band", **BAND)
+    axis.plot(fit.time_s, middle, color="black", linewidth=1.0, label="predicted")
+    bare(axis)
+
+
+def _draw_off(axis: Axes, fit: WrenchFit, row: int, color: str) -> None:
+    """Measured less predicted, where it is steady."""
+    half = np.where(np.isfinite(fit.predicted[:, row]), fit.band[:, row], np.nan)
+    _dots(axis, fit, fit.steady, fit.measured[:, row] - fit.predicted[:, row], color, None)
+    axis.fill_between(fit.time_s, -half, half, **BAND)
+    axis.axhline(0.0, color="black", linewidth=0.6)
+    bare(axis)
+
+
+def _dots(axis: Axes, fit: WrenchFit, which: np.ndarray, values: np.ndarray, color: str, label: str | None) -> None:
+    kept = evenly(len(fit.time_s), MOST_DOTS)
+    at = kept[which[kept]]
+    look = {"markersize": 1.6, "markeredgewidth": 0, "rasterized": True, "alpha": 0.6}
+    axis.plot(fit.time_s[at], values[at], "o", color=color, label=label, **look)
+
+
+def _limits(fits: Sequence[WrenchFit], row: int) -> tuple[float, float]:
+    """Of all that is steady or predicted, and of nearly all that is not."""
+    low, high = np.quantile(np.concatenate([fit.measured[:, row] for fit in fits]), (TAIL, 1 - TAIL))
+    for fit in fits:
+        band = np.concatenate([fit.predicted[:, row] - fit.band[:, row], fit.predicted[:, row] + fit.band[:, row]])
+        values = np.concatenate([fit.measured[fit.steady, row], band[np.isfinite(band)]])
+        if values.size:
+            low, high = min(low, float(values.min())), max(high, float(values.max()))
+    margin = 0.06 * max(high - low, 1e-6)
+    return float(low - margin), float(high + margin)

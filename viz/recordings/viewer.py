@@ -1,0 +1,200 @@
+"""The Rerun viewer as a process of its own: on the screen, in a browser, or one that is already open."""
+
+from __future__ import annotations
+
+import os
+import socket
+import subprocess
+import sys
+import time
+import urllib.parse
+import urllib.request
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from functools import partial
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from importlib.util import find_spec
+from pathlib import Path
+from threading import Thread
+
+from testbed.errors import HeftError
+
+HOST, PORT = "127.0.0.1", 9876
+"""Where a viewer listens: on this machine alone."""
+_NO_GRAPHICS = ("No graphics adapter", "No suitable", "wgpu", "NoSuitableAdapterFound")
+
+
+class ViewerError(HeftError):
+    """The viewer cannot open here, or there is none."""
+
+
+def url_of(port: int = PORT) -> str:
+    """Address at which a viewer of this machine takes what is sent."""
+    return f"rerun+http://{HOST}:{port}/proxy"
+
+
+def listens(port: int = PORT) -> bool:
+    """Whether something on this machine listens at a port."""
+    with socket.socket() as probe:
+        probe.settimeout(0.5)
+        return probe.connect_ex((HOST, port)) == 0
+
+
+def free_port() -> int:
+    """A port of this machine that nobody listens at."""
+    with socket.socket() as probe:
+        probe.bind((HOST, 0))
+        return probe.getsockname()[1]
+
+
+def has_display(environment: Mapping[str, str] = os.environ) -> bool:
+    """Whether a window can open."""
+    return sys.platform != "linux" or bool(environment.get("DISPLAY") or environment.get("WAYLAND_DISPLAY"))
+
+
+def check_display(*, web: bool) -> None:
+    """Whether there is something to show it on.
+
+    Raises:
+        ViewerError: no display, and no browser asked for.
+    """
+    if not web and not has_display():
+        raise ViewerError(
+            "no display (neither DISPLAY nor WAYLAND_DISPLAY is set): --web serves the viewer to a browser, "
+            "heft record writes the file to be opened elsewhere, heft render makes a film"
+        )
+
+
+def open_file(path: Path) -> None:
+    """Open a recording in the viewer, and wait until it is closed.
+
+    Raises:
+        ViewerError: no display, no graphics, or the viewer did not start.
+    """
+    check_display(web=False)
+    command = [*program(), str(path), "--bind", HOST, "--port", str(free_port())]
+    run = subprocess.run(command, env=environment(), stderr=subprocess.PIPE, text=True, check=False)
+    if run.returncode:
+        raise ViewerError(reason(run.stderr))
+
+
+def waiting(port: int = PORT) -> str:
+    """Address of a viewer that takes what is sent: the one that is open, or a new one.
+
+    Raises:
+        ViewerError: none is open, and none can be opened.
+    """
+    if listens(port):
+        return url_of(port)
+    if not has_display():
+        raise ViewerError(
+            f"no viewer listens at {HOST}:{port}, and there is no display to open one on (neither DISPLAY nor "
+            "WAYLAND_DISPLAY is set): --record writes files, which `heft view --web` shows in a browser"
+        )
+    command = [*program(), "--bind", HOST, "--port", str(port), "--hide-welcome-screen", "--expect-data-soon"]
+    process = subprocess.Popen(command, env=environment(), stderr=subprocess.DEVNULL, start_new_session=True)
+    while process.poll() is None:
+        if listens(port):
+            return url_of(port)
+        time.sleep(0.1)
+    raise ViewerError("the viewer did not start: `rerun` says why")
+
+
+def program() -> list[str]:
+    """The viewer that is installed beside this Python, else the one on the path."""
+    package = find_spec("rerun_cli")
+    for folder in (package.submodule_search_locations or []) if package else []:
+        for name in ("rerun", "rerun.exe"):  # the program itself: ending a wrapper would leave it running
+            if (Path(folder) / name).is_file():
+                return [str(Path(folder) / name)]
+    raise ViewerError("the Rerun viewer is not installed: pip install 'rerun-sdk>=0.41,<0.42'")
+
+
+def environment() -> dict[str, str]:
+    """For the viewer: it sends no usage data where it takes itself to run in continuous integration."""
+    said = {name: value for name, value in os.environ.items() if name != "FORCE_RERUN_ANALYTICS"}
+    return said | {"CI": "true", "RUST_LOG": "warn"}
+
+
+def reason(said: str) -> str:
+    """One line on why a viewer ended, from what it wrote."""
+    lines = [line.strip() for line in said.splitlines() if line.strip()]
+    if any(word in line for line in lines for word in _NO_GRAPHICS):
+        return "the viewer found no graphics: install a driver, or Mesa's: apt install mesa-vulkan-drivers libegl1"
+    return f"the viewer ended: {lines[-1] if lines else 'no reason given'}"
+
+
+POLICY = (
+    "default-src 'self' blob: data: 'unsafe-inline' 'unsafe-eval' 'wasm-unsafe-eval'; connect-src 'self' data: blob:; "
+    "font-src 'self' data:; style-src 'self' 'unsafe-inline'; form-action 'none'; frame-ancestors 'none'"
+)
+RECORDING = "recording.rrd"
+_STARTING_S = 20.0
+
+
+@contextmanager
+def served(recording: Path) -> Iterator[str]:
+    """Serve the viewer with a recording while the block lasts; gives the address to open.
+
+    Raises:
+        ViewerError: the viewer did not start.
+    """
+    source = free_port()
+    command = [*program(), "--serve-web", "--bind", HOST, "--port", str(free_port()), "--web-viewer-port", str(source)]
+    process = subprocess.Popen(command, env=environment(), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    try:
+        _wait(process, f"http://{HOST}:{source}/")
+        server = ThreadingHTTPServer((HOST, 0), partial(_Handler, recording, f"http://{HOST}:{source}"))
+        Thread(target=server.serve_forever, daemon=True).start()
+        address = f"http://{HOST}:{server.server_address[1]}"
+        try:
+            recorded = urllib.parse.quote(f"{address}/{RECORDING}", safe="")
+            yield f"{address}/?url={recorded}&hide_welcome_screen&persist=0"
+        finally:
+            server.shutdown()
+            server.server_close()
+    finally:
+        process.kill()
+        process.wait()
+
+
+class _Handler(BaseHTTPRequestHandler):
+    """The recording, and what Rerun's server has."""
+
+    def __init__(self, recording: Path, source: str, *rest):
+        self._recording, self._source = recording, source
+        super().__init__(*rest)
+
+    def do_GET(self) -> None:
+        """Pass a file on, under the policy."""
+        path = urllib.parse.urlsplit(self.path).path
+        try:
+            if path == f"/{RECORDING}":
+                kind, content = "application/octet-stream", self._recording.read_bytes()
+            else:
+                with urllib.request.urlopen(self._source + path, timeout=_STARTING_S) as found:
+                    kind, content = found.headers.get_content_type(), found.read()
+        except (OSError, ValueError):
+            self.send_error(404)
+            return
+        self.send_response(200)
+        self.send_header("Content-Type", kind)
+        self.send_header("Content-Length", str(len(content)))
+        self.send_header("Content-Security-Policy", POLICY)
+        self.send_header("Cache-Control", "no-store")
+        self.end_headers()
+        self.wfile.write(content)
+
+    def log_message(self, format: str, *args: object) -> None:
+        """Nobody reads it."""
+
+
+def _wait(process: subprocess.Popen[bytes], address: str) -> None:
+    until = time.monotonic() + _STARTING_S
+    while process.poll() is None and time.monotonic() < until:
+        try:
+            urllib.request.urlopen(address, timeout=2).close()
+            return
+        except OSError:
+            time.sleep(0.1)
+    raise ViewerError("the web viewer did not start: `rerun --serve-web` says why")

@@ -1,0 +1,126 @@
+"""The report's lists: the worst estimates, and what failed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+from estimators.evaluation.statistics import AXIS, Row, axes_of
+from viz.report.tables import number
+from viz.report.terminal import SUPPORT_NAMES
+
+MOST_NAMES = 12
+"""Objects of a failure that are named one by one."""
+
+
+@dataclass(frozen=True)
+class Worst:
+    """One of the worst estimates."""
+
+    row: Row
+    nad: str
+    """%."""
+    support: str
+    swept: str
+    """Swept settings and their values."""
+    key: str
+    """Its folder; empty where not known."""
+    trials: tuple[str, ...]
+    """Folders of its trials."""
+    recording: str
+    """Path of its recording; empty where there is none."""
+
+
+@dataclass(frozen=True)
+class Failure:
+    """Estimates of one method that are not ok for the same reason."""
+
+    method: str
+    status: str
+    message: str
+    count: int
+    where: str
+    """Supports and sensings."""
+    objects: str
+    traceback: str
+    """As it was when the run ended; empty where there is none."""
+    path: str
+    """Of the file with the traceback."""
+
+
+def worst_first(rows: Sequence[Row]) -> list[Row]:
+    """Those with a NAD, the greatest first."""
+    return sorted((row for row in rows if row["nad"] is not None), key=lambda row: -row["nad"])
+
+
+def worst_of(rows: Sequence[Row]) -> tuple[list[Row], list[Row]]:
+    """The estimates that the report shows: the ten with the greatest NAD, and the five of the hidden states."""
+    own = [row for row in rows if row["kind"] == "hidden_states"]
+    return worst_first(rows)[:10], worst_first(own)[:5]
+
+
+def worst(
+    rows: Sequence[Row],
+    key_of: Callable[[Row], str | None],
+    trial_keys_of: Callable[[Row], Sequence[str]],
+    recording_of: Callable[[str], str],
+) -> list[Worst]:
+    """These estimates, with their files."""
+    axes = axes_of(rows)
+    return [
+        Worst(
+            row=row,
+            nad=number(100 * row["nad"]),
+            support=support_name(row),
+            swept=", ".join(f"{a.removeprefix(AXIS)} = {row[a]}" for a in axes if row.get(a) is not None),
+            key=(key := key_of(row) or ""),
+            trials=tuple(trial_keys_of(row)),
+            recording=recording_of(key) if key else "",
+        )
+        for row in rows
+    ]
+
+
+def failures(rows: Sequence[Row], tracebacks: Mapping[str, str]) -> list[Failure]:
+    """Estimates that are not ok, by method, status and reason; the most frequent first."""
+    found: dict[tuple[str, str, str], list[Row]] = {}
+    for row in rows:
+        if row["status"] != "ok":
+            found.setdefault((row["method"], row["status"], row["message"] or ""), []).append(row)
+    ranked = sorted(found.items(), key=lambda item: -len(item[1]))
+    return [_failure(*said, of, tracebacks) for said, of in ranked]
+
+
+def support_name(row: Row) -> str:
+    """Who carries the weight, in words."""
+    return SUPPORT_NAMES.get(str(row["support"]), str(row["support"]))
+
+
+def names(every: Sequence[str]) -> str:
+    """The first few, and how many more."""
+    more = f" and {len(every) - MOST_NAMES} more" if len(every) > MOST_NAMES else ""
+    return ", ".join(every[:MOST_NAMES]) + more
+
+
+def _failure(method: str, status: str, message: str, rows: Sequence[Row], tracebacks: Mapping[str, str]) -> Failure:
+    where = dict.fromkeys(", ".join(filter(None, (support_name(row), row["sensing"]))) for row in rows)
+    path = _traceback_of(rows, status, message, tracebacks)
+    return Failure(
+        method=method or "every method",
+        status=status,
+        message=message,
+        count=len(rows),
+        where="; ".join(where),
+        objects=names(list(dict.fromkeys(row["object"] for row in rows))),
+        traceback=tracebacks.get(path, ""),
+        path=path,
+    )
+
+
+def _traceback_of(rows: Sequence[Row], status: str, message: str, tracebacks: Mapping[str, str]) -> str:
+    """Path of a traceback of these rows, or of one that ends in their message."""
+    paths = [f"estimates/{row.get('key')}/error.txt" for row in rows]
+    said = [path for path in paths if path in tracebacks]
+    if status == "failed" and message:
+        said += [path for path, text in tracebacks.items() if text.rstrip().endswith(message)]
+    return said[0] if said else ""

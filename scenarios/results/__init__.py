@@ -1,0 +1,1 @@
+"""Results on disk: written whole, read back as values."""

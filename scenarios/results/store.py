@@ -1,0 +1,241 @@
+"""Results on disk: one folder a trial, one file an estimate, each written whole; what is there is done.
+
+results/<scenario>/manifest.json
+                   trials/<key>/trajectory.parquet, trial.json    one physical trial, shared by every draw and method
+                                foot_forces.parquet               the table's force on each foot, where simulated
+                   estimates/<key>/estimate.npz                   mass, friction, covariance, and every trace
+                                   result.json                    one answer, with its error against the truth
+                                   error.txt                      or why there is none
+                   objects/<key>/<name>.toml                      drawn objects
+                   notes/<key>.json                               what would take long to work out again
+                   results.parquet                                derived from the above
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterable
+from dataclasses import asdict, dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from estimators.base import Estimate
+from testbed.actions.base import action_to_dict
+from testbed.foot_forces import FootForces, save_foot_forces
+from testbed.objects.files import ObjectFile
+from testbed.objects.model import ObjectModel, ObjectShape, Solid
+from testbed.objects.files import asset_folder
+from testbed.trajectory import (
+    SCHEMA_VERSION,
+    Trajectory,
+    TrajectoryFileError,
+    load_trajectory,
+    save_trajectory,
+    write_whole,
+)
+from testbed.trial import Trial
+
+if TYPE_CHECKING:  # it needs MuJoCo, which needs a display
+    from scenarios.study.benches import BenchSettings
+
+
+def key_of(asked: dict[str, Any]) -> str:
+    """Content key: a hash of canonical JSON."""
+    return hashlib.sha256(json.dumps(asked, sort_keys=True, separators=(",", ":")).encode()).hexdigest()[:20]
+
+
+def trial_request(trial: Trial, settings: BenchSettings) -> dict[str, Any]:
+    """All that decides a physical trial, as plain data; sensing is drawn afterwards and is not in it."""
+    return {
+        "schema": SCHEMA_VERSION,
+        "assets": _asset_hash(),
+        "object": object_request(trial.object),
+        "action": action_to_dict(trial.action),
+        "support": trial.support.name,
+        "simulation": asdict(settings),
+    }
+
+
+def object_request(model: ObjectModel) -> dict[str, Any]:
+    """All that decides how an object behaves, as plain data."""
+    shape, truth = model.shape, model.truth
+    uneven = {} if (shape.fill == 1).all() else {"fill": shape.fill.tolist()}
+    return uneven | {
+        "particles": shape.particles.tolist(),
+        "mass_group": shape.mass_group.tolist(),
+        "friction_group": shape.friction_group.tolist(),
+        "cell": shape.cell,
+        "height": shape.height,
+        "grasps": [[*g.position.tolist(), g.angle, g.width, g.length, g.bottom, g.top] for g in shape.grasps],
+        "solids": [_solid_hash(solid) for solid in model.solids],
+        "mass": truth.mass.tolist(),
+        "friction": truth.friction.tolist(),
+    }
+
+
+def _solid_hash(solid: Solid) -> str:
+    parts = (solid.vertices.tobytes(), solid.faces.astype(np.int64).tobytes(), np.float64(solid.mass).tobytes())
+    return hashlib.sha256(b"".join(parts)).hexdigest()[:20]
+
+
+@lru_cache(maxsize=1)
+def _asset_hash() -> str:
+    files = sorted(asset_folder("mjcf").glob("*.xml"))
+    return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()[:20]
+
+
+@dataclass(frozen=True)
+class Store:
+    """A results folder."""
+
+    root: Path
+
+    def has_trial(self, key: str) -> bool:
+        """Whether a trial is done."""
+        return (self.root / "trials" / key / "trial.json").is_file()
+
+    def has_sound_trial(self, key: str) -> bool:
+        """Whether a trial is done, and its record not cut short since."""
+        try:
+            return (
+                self.has_trial(key) and pq.read_metadata(self.root / "trials" / key / "trajectory.parquet").num_rows > 0
+            )
+        except (OSError, pa.ArrowException):
+            return False
+
+    def put_trial(
+        self, key: str, trial: Trial, asked: dict[str, Any], trajectory: Trajectory, feet: FootForces | None = None
+    ) -> None:
+        """Write a trial; trial.json comes last and means done."""
+        folder, shape = self.root / "trials" / key, trial.object.shape
+        save_trajectory(trajectory, folder / "trajectory.parquet")
+        if feet is not None:
+            save_foot_forces(feet, folder / "foot_forces.parquet")
+        said = {"status": trajectory.status, "reason": trajectory.reason, "figures": trajectory.figures}
+        names = {"object": trial.object.name, "groups": shape.group_names, "grasps": [g.name for g in shape.grasps]}
+        write_json(folder / "trial.json", said | {"names": names, "asked": asked})
+        (folder / "error.txt").unlink(missing_ok=True)
+
+    def trajectory(self, key: str) -> Trajectory:
+        """Read a trial back; a damaged one is taken as not done.
+
+        Raises:
+            TrajectoryFileError: damaged; its trial.json is removed, so that the next run makes it again.
+        """
+        folder = self.root / "trials" / key
+        try:
+            return load_trajectory(folder / "trajectory.parquet")
+        except TrajectoryFileError:
+            (folder / "trial.json").unlink(missing_ok=True)
+            raise
+
+    def note(self, key: str) -> dict[str, Any] | None:
+        """Something worked out before, or None."""
+        return read_json(self.root / "notes" / f"{key}.json")
+
+    def put_note(self, key: str, data: dict[str, Any]) -> None:
+        """Keep something that would take long to work out again."""
+        write_json(self.root / "notes" / f"{key}.json", data)
+
+    def put_object(self, path: Path, file: ObjectFile) -> None:
+        """Write a drawn object as a file that a user can take."""
+        lines = [f"name = {json.dumps(file.name)}", "[blocks]"]
+        blocks = file.blocks.model_dump(exclude_none=True) if file.blocks else {}
+        text = "\n".join(lines + [f"{key} = {json.dumps(value)}" for key, value in blocks.items()]) + "\n"
+        write_whole(path, lambda part: part.write_text(text, encoding="utf-8"))
+
+    def result(self, key: str) -> dict[str, Any] | None:
+        """A finished estimate's row, or None."""
+        return read_json(self.root / "estimates" / key / "result.json")
+
+    def put_estimate(self, key: str, row: dict[str, Any], answer: Estimate, shape: ObjectShape) -> None:
+        """Write an estimate: its arrays, then its row, which comes last and means done."""
+        folder = self.root / "estimates" / key
+        write_whole(folder / "estimate.npz", lambda part: _save_arrays(part, answer, shape))
+        write_json(folder / "result.json", row)
+        (folder / "error.txt").unlink(missing_ok=True)
+
+    def put_trial_error(self, key: str, text: str) -> None:
+        """Write why a trial failed; it stays undone, and the next run tries again."""
+        write_whole(self.root / "trials" / key / "error.txt", lambda part: part.write_text(text, encoding="utf-8"))
+
+    def put_error(self, key: str, text: str) -> None:
+        """Write why an estimate failed; it stays undone, and the next run tries again."""
+        write_whole(self.root / "estimates" / key / "error.txt", lambda part: part.write_text(text, encoding="utf-8"))
+
+    def remove_leftovers(self) -> None:
+        """Remove what killed runs were still writing; nobody else may be writing now."""
+        for part in self.root.rglob(".*.part"):
+            part.unlink(missing_ok=True)
+
+    def put_table(self, rows: Iterable[dict[str, Any]]) -> pd.DataFrame:
+        """Write results.parquet, derived from the rows."""
+        frame = pd.DataFrame(list(rows))
+        frame = pd.DataFrame({name: _of_one_kind(list(column)) for name, column in frame.items()})
+        write_whole(self.root / "results.parquet", lambda part: frame.to_parquet(part, compression="zstd"))
+        return frame
+
+
+def _of_one_kind(column: list[Any]) -> list[Any]:
+    """A column of words and numbers, as of a swept support, in words: Parquet has one type a column."""
+    kept = [v[0] if isinstance(v, list) and len(v) == 1 else v for v in column]
+    kinds = [str if isinstance(v, str) else float for v in kept if isinstance(v, (str, int, float)) and not _missing(v)]
+    return [v if _missing(v) else str(v) for v in kept] if len(set(kinds)) > 1 else column
+
+
+def rows_of(frame: pd.DataFrame) -> list[dict[str, Any]]:
+    """The rows of a results table; what is missing is None."""
+    return [{str(k): None if _missing(v) else v for k, v in row.items()} for row in frame.to_dict("records")]
+
+
+def _missing(value: Any) -> bool:
+    return value is None or (isinstance(value, float) and np.isnan(value))
+
+
+def _save_arrays(path: Path, answer: Estimate, shape: ObjectShape) -> None:
+    arrays: dict[str, Any] = {
+        "particles": shape.particles,
+        "mass_group": shape.mass_group,
+        "friction_group": shape.friction_group,
+        "cell": shape.cell,
+        "fill": shape.fill,
+    }
+    if answer.distribution is not None:
+        arrays |= {"mass": answer.distribution.mass, "friction": answer.distribution.friction}
+    if answer.covariance is not None:
+        arrays["covariance"] = answer.covariance
+    for trace in answer.traces:
+        name = trace.method.replace(" ", "_")
+        arrays |= {f"{name}.loss": trace.loss, f"{name}.seconds": trace.seconds, f"{name}.mass": trace.mass}
+    with open(path, "wb") as file:
+        np.savez_compressed(file, **arrays)
+
+
+def read_json(path: Path) -> dict[str, Any] | None:
+    """A JSON file, or None where it is missing or damaged."""
+    try:
+        return json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return None
+
+
+def write_json(path: Path, data: dict[str, Any]) -> None:
+    """Write JSON whole or not at all; NaN becomes null."""
+    write_whole(path, lambda part: part.write_text(json.dumps(_plain(data), indent=1) + "\n", encoding="utf-8"))
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {str(k): _plain(v) for k, v in value.items()}
+    if isinstance(value, list | tuple | np.ndarray):
+        return [_plain(v) for v in value]
+    if isinstance(value, float | np.floating):
+        return float(value) if np.isfinite(value) else None
+    return value.item() if isinstance(value, np.generic) else value

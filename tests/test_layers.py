@@ -24,7 +24,7 @@ NAMES = {name_of(path): path for path in MODULES}
 
 
 def imports(path: Path, *, at_start: bool = False) -> set[str]:
-    """Modules that a file imports, anywhere in it or only while it is loaded; `from package import module` counts too."""
+    """Modules that a file imports, anywhere in it or only while it loads; `from package import module` counts too."""
     tree = ast.parse(path.read_text(encoding="utf-8"))
     found: set[str] = set()
     for node in tree.body if at_start else ast.walk(tree):

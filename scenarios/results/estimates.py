@@ -13,20 +13,19 @@ from jaxtyping import Float
 from scipy.spatial import KDTree
 
 from estimators.base import Trace
-from estimators.particles.wrench import predicted_wrenches
 from estimators.evaluation.statistics import AXIS, Row, axes_of, select
-from scenarios.study.estimates import sensed
+from estimators.particles.wrench import predicted_wrenches
 from scenarios.results.load import load_results
-from scenarios.results.trials import describe, kind_of_trial, wrench_fit
 from scenarios.results.store import Store, read_json, rows_of
-from viz.report.terminal import SUPPORT_NAMES
-from scenarios.results.trials import TrialRecord, read_trial
+from scenarios.results.trials import TrialRecord, describe, kind_of_trial, read_trial, wrench_fit
+from scenarios.study.estimates import sensed
 from testbed.actions.base import Weigh
 from testbed.errors import HeftError, InvalidValueError
 from testbed.objects.model import MassDistribution, ObjectModel, ObjectShape
 from testbed.trajectory import Trajectory
-from viz.recordings.estimate import EstimateShown
 from viz.figures.wrench import WrenchFit
+from viz.recordings.estimate import EstimateShown
+from viz.report.terminal import SUPPORT_NAMES
 
 
 def rows_in(folder: Path) -> Sequence[Row]:

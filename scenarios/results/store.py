@@ -29,9 +29,8 @@ import pyarrow.parquet as pq
 from estimators.base import Estimate
 from testbed.actions.base import action_to_dict
 from testbed.foot_forces import FootForces, save_foot_forces
-from testbed.objects.files import ObjectFile
+from testbed.objects.files import ObjectFile, asset_folder
 from testbed.objects.model import ObjectModel, ObjectShape, Solid
-from testbed.objects.files import asset_folder
 from testbed.trajectory import (
     SCHEMA_VERSION,
     Trajectory,

@@ -5,28 +5,24 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
+
 import numpy as np
-from scenarios.results.store import object_request, read_json
-from testbed.actions.base import Weigh
-from testbed.errors import HeftError, InvalidValueError
-from testbed.objects.gripper import STROKE
-from testbed.objects.files import load_object
-from testbed.objects.model import Grasp, MassDistribution, ObjectModel, ObjectShape
-from testbed.trajectory import Trajectory, load_trajectory
+
 from estimators.particles.wrench import predicted_wrenches
+from scenarios.results.store import Store, object_request, read_json
 from scenarios.study.estimates import is_simulated, sensed
-from scenarios.results.store import Store, read_json
-from viz.report.terminal import SUPPORT_NAMES
 from testbed.actions.base import Lift, Rotate, Slide, Weigh
-from testbed.errors import InvalidValueError
+from testbed.errors import HeftError, InvalidValueError
 from testbed.foot_forces import load_foot_forces
-from testbed.objects.model import MassDistribution, ObjectShape
+from testbed.objects.files import load_object
+from testbed.objects.gripper import STROKE
+from testbed.objects.model import Grasp, MassDistribution, ObjectModel, ObjectShape
 from testbed.sensing.windows import sample_deviation, steady_samples, wrench_in_object
 from testbed.simulation.playback import body_poses
-from testbed.trajectory import Trajectory
-from viz.recordings.trial import TrialShown
+from testbed.trajectory import Trajectory, load_trajectory
 from viz.figures.wrench import WrenchFit
-
+from viz.recordings.trial import TrialShown
+from viz.report.terminal import SUPPORT_NAMES
 
 _MOST_NAMED = 6
 """Keys that an error lists."""

@@ -19,7 +19,7 @@ from testbed.trajectory import write_whole
 from viz.figures.loss import loss_figure
 from viz.figures.maps import absolute_difference, answer_of, as_pixels, mass_bars, mass_maps, shown_methods
 from viz.figures.nad import nad_distribution, nad_sweep
-from viz.report.report import lists as report_lists
+from viz.report import lists as report_lists
 from viz.report.svg import inline_svg
 from viz.report.tables import (
     MOST_OBJECTS,

@@ -28,7 +28,7 @@ from estimators.baselines.lcp import LcpEngine, _Solve, polygon_sides, solve_ste
 from estimators.baselines.random_search import RandomSearch
 from estimators.baselines.weighted_sampling import WeightedSampling
 from estimators.descent import OPTIMIZERS
-from estimators.hidden_states.algorithm import HiddenStatesEstimator
+from estimators.hidden_states.algorithm import HiddenStates
 from estimators.hidden_states.friction import LoadGroups, closed_form, descend_loads, friction_equations
 from estimators.particles.model import (
     ParticleModel,
@@ -216,10 +216,10 @@ def peak_memory_mb() -> float:
         "from testbed.objects.files import load_object; from testbed.actions.base import Rotate\n"
         "from testbed.trial import Trial\n"
         "from testbed.simulation.runner import SimulationRunner\n"
-        "from estimators.hidden_states.algorithm import HiddenStatesEstimator\n"
+        "from estimators.hidden_states.algorithm import HiddenStates\n"
         "m = load_object('L2'); r = SimulationRunner()\n"
         "t = [r.run(Trial(m, Rotate(g, back=True))) for g in (0, 2, 4)]\n"
-        "assert HiddenStatesEstimator().estimate(m.shape, m.total_mass, t, 0).status == 'ok'\n"
+        "assert HiddenStates().estimate(m.shape, m.total_mass, t, 0).status == 'ok'\n"
         "print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)\n"
     )
     return float(subprocess.run([sys.executable, "-c", script], check=True, capture_output=True, text=True).stdout)
@@ -256,7 +256,7 @@ def main() -> None:
     assert observed is not None
     steady = observed.where(~observed.accelerated)
     mass = torch.full((len(shape.particles),), weight / len(shape.particles), dtype=torch.float64)
-    settings = HiddenStatesEstimator()
+    settings = HiddenStates()
     system = friction_equations(
         model, groups, steady, mass, torch.full_like(mass, 0.5), inertia_of(model, mass), shape.height, settings
     ).whitened()  # fmt: skip

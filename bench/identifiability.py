@@ -33,7 +33,7 @@ from rich.table import Table
 from scipy.optimize import minimize
 from scipy.stats import norm
 
-from estimators.hidden_states.algorithm import HiddenStatesEstimator
+from estimators.hidden_states.algorithm import HiddenStates
 from estimators.hidden_states.friction import LoadGroups, friction_equations
 from estimators.hidden_states.masses import load_jacobian
 from estimators.identifiability.information import Question, expected, observed
@@ -117,7 +117,7 @@ def coverage(folder: Path, options: argparse.Namespace) -> None:
         truth, off = each.model.truth.mass, []
         claimed, unanswered = [], 0
         for seed in range(draws):
-            answer = HiddenStatesEstimator().estimate(each.model.shape, *each.draw(options.sensing, seed), seed)
+            answer = HiddenStates().estimate(each.model.shape, *each.draw(options.sensing, seed), seed)
             if answer.distribution is None or answer.covariance is None or not np.isfinite(answer.covariance).all():
                 unanswered += 1
                 continue
@@ -176,7 +176,7 @@ def bound(folder: Path, options: argparse.Namespace) -> None:
             if seed == 0:
                 stated.append(observed(shape, truth, trials).standard_error)
                 sensor.append(observed(shape, truth, trials, Question(errors=EXACT)).standard_error)
-            answer = HiddenStatesEstimator().estimate(shape, weight, trials, seed)
+            answer = HiddenStates().estimate(shape, weight, trials, seed)
             if answer.distribution is not None:
                 answers.append((answer.distribution.mass - truth.mass) * shape.particles_per_group)
         limits[name], of_sensor[name], own[name] = stated[0], sensor[0], np.array(answers)
@@ -276,7 +276,7 @@ def share(folder: Path, options: argparse.Namespace) -> None:
         whole, part = [], []
         for _ in range(options.draws):
             spent = 0.0
-            original = HiddenStatesEstimator._report
+            original = HiddenStates._report
 
             def timed(*arguments: object, of: Callable[..., object] = original) -> object:
                 nonlocal spent
@@ -285,13 +285,11 @@ def share(folder: Path, options: argparse.Namespace) -> None:
                 spent += time.perf_counter() - begin
                 return report
 
-            HiddenStatesEstimator._report = timed  # pyright: ignore[reportAttributeAccessIssue]
+            HiddenStates._report = timed  # pyright: ignore[reportAttributeAccessIssue]
             try:
-                whole.append(
-                    _timed(lambda m=each.model, w=weight, t=trials: HiddenStatesEstimator().estimate(m.shape, w, t, 0))
-                )
+                whole.append(_timed(lambda m=each.model, w=weight, t=trials: HiddenStates().estimate(m.shape, w, t, 0)))
             finally:
-                HiddenStatesEstimator._report = original
+                HiddenStates._report = original
             part.append(spent)
         ratios.append(median(w / (w - p) for w, p in zip(whole, part, strict=True)))
     print(f"Algorithm 1 with its report over without: median {median(ratios):.3f} of {len(ratios)} objects")

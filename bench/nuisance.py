@@ -28,7 +28,7 @@ from rich.table import Table
 import testbed.simulation.runner as bench
 from estimators.action_selection.rank import RankDriven
 from estimators.evaluation.metrics import normalized_absolute_difference
-from estimators.hidden_states.algorithm import HiddenStatesEstimator
+from estimators.hidden_states.algorithm import HiddenStates
 from estimators.hidden_states.nuisance import UNKNOWNS
 from testbed.actions.base import Accelerate, Action, Rotate, Slide
 from testbed.objects.files import load_object
@@ -174,7 +174,7 @@ def objects(drawn: int) -> list[ObjectModel]:
 
 def answered(obj: ObjectModel, made: list[Trajectory], unknown: tuple[str, ...]) -> tuple[float, np.ndarray] | None:
     """NAD and errors over claimed errors; None where there is no answer, or part of it is open."""
-    answer = HiddenStatesEstimator(unknown=unknown).estimate(obj.shape, obj.total_mass, made, 0)
+    answer = HiddenStates(unknown=unknown).estimate(obj.shape, obj.total_mass, made, 0)
     if answer.distribution is None or answer.covariance is None or not np.isfinite(answer.covariance).all():
         return None
     off = (answer.distribution.mass - obj.truth.mass) / np.sqrt(np.diagonal(answer.covariance))

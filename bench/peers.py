@@ -28,14 +28,14 @@ from estimators.baselines.explicit_state import ExplicitState
 from estimators.baselines.mujoco_sysid import MujocoSysid
 from estimators.baselines.optimizers import CmaEs, LeastSquares, NelderMead
 from estimators.evaluation.metrics import normalized_absolute_difference
-from estimators.hidden_states.algorithm import HiddenStatesEstimator
+from estimators.hidden_states.algorithm import HiddenStates
 from estimators.support_models.estimator import SupportAware
 from estimators.testing.recorded import load_block
 from scenarios.cli.main import main as heft
 from scenarios.results.load import load_results
 
 METHODS: dict[str, Estimator] = {
-    "hidden_states": HiddenStatesEstimator(),
+    "hidden_states": HiddenStates(),
     "least_squares": LeastSquares(),
     "cma_es": CmaEs(),
     "nelder_mead": NelderMead(),

@@ -35,7 +35,7 @@ from estimators.action_selection.online import OnlineTouches, spent_seconds
 from estimators.action_selection.rank import RankDriven
 from estimators.base import ActionPolicy
 from estimators.evaluation.metrics import normalized_absolute_difference
-from estimators.hidden_states.algorithm import HiddenStatesEstimator
+from estimators.hidden_states.algorithm import HiddenStates
 from estimators.hidden_states.friction import LoadGroups, friction_equations
 from estimators.particles.errors import ModelErrors
 from estimators.particles.model import inertia_of
@@ -226,7 +226,7 @@ def _rows(model: ObjectModel, sensing_name: str, draws: int) -> Iterator[dict[st
                 "nad": float(np.mean([_nad(model, seen[:count]) for seen in drawn_])),
                 "expected": plan.steps[count - 1].belief.expected_nad if plan is not None and as_planned else None,
             }
-    online = OnlineTouches(guess, goal, feasible=check, estimator=HiddenStatesEstimator())
+    online = OnlineTouches(guess, goal, feasible=check, estimator=HiddenStates())
     felt: list[Trajectory] = []
     refused.clear()
     decision = online.decide(shape, felt)
@@ -252,7 +252,7 @@ def _felt(clean: Trajectory, sensing: Sensing, model: ObjectModel, policy: str, 
 def _nad(model: ObjectModel, felt: Sequence[Trajectory]) -> float:
     """Of Algorithm 1's answer, or of uniform masses where it has none."""
     shape = model.shape
-    answer = HiddenStatesEstimator().estimate(shape, model.total_mass, felt, 0)
+    answer = HiddenStates().estimate(shape, model.total_mass, felt, 0)
     found = answer.distribution
     if found is None:
         found = Guess(model.total_mass, preset("ideal")).uniform(shape)

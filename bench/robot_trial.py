@@ -22,7 +22,7 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from estimators.action_selection.rank import RankDriven
 from estimators.evaluation.metrics import normalized_absolute_difference
-from estimators.hidden_states.algorithm import HiddenStatesEstimator
+from estimators.hidden_states.algorithm import HiddenStates
 from testbed.actions.base import Rotate
 from testbed.objects.files import load_object
 from testbed.objects.model import ObjectModel
@@ -57,7 +57,7 @@ def simulated(model: ObjectModel, seconds: float) -> tuple[list[Trajectory], lis
 
 def nad(model: ObjectModel, trajectories: list[Trajectory]) -> float:
     """Of hidden_states, in percent."""
-    answer = HiddenStatesEstimator().estimate(model.shape, model.total_mass, trajectories, 0)
+    answer = HiddenStates().estimate(model.shape, model.total_mass, trajectories, 0)
     assert answer.distribution is not None
     return 100 * normalized_absolute_difference(model.shape, answer.distribution, model.truth)
 

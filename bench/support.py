@@ -29,7 +29,7 @@ from rich.console import Console
 from rich.table import Table
 
 from estimators.evaluation.metrics import normalized_absolute_difference
-from estimators.hidden_states.algorithm import HiddenStatesEstimator
+from estimators.hidden_states.algorithm import HiddenStates
 from estimators.support_models.estimator import SupportAware
 from estimators.support_models.materials import rank_assignments
 from estimators.testing.analytic_world import accelerated, turns
@@ -88,7 +88,7 @@ def judged(obj: ObjectModel, drawn: Sequence[Trajectory], materials: Sequence[fl
     """One draw's answers against the truth."""
     shape, weight = obj.shape, weight_of(drawn[0])
     count, truth = shape.particles_per_group, obj.group_mass
-    plain = HiddenStatesEstimator().estimate(shape, weight, drawn[1:], 0)
+    plain = HiddenStates().estimate(shape, weight, drawn[1:], 0)
     answer = SupportAware(confidence=CONFIDENCE).estimate(shape, weight, drawn[1:], 0)
     row: dict[str, object] = {"groups": shape.n_m, "status": answer.status, "uneven": float(np.ptp(obj.truth.mass))}
     if answer.distribution is None or plain.distribution is None:
@@ -249,7 +249,7 @@ def speed() -> None:
     obj = load_object("F2")
     for rigid in (False, True):
         felt = turns(obj, rigid=rigid, noise=0.02) + accelerated(obj, rigid=rigid, noise=0.02)
-        for method in (HiddenStatesEstimator(), SupportAware(), SupportAware(materials_kg=(0.1, 0.4))):
+        for method in (HiddenStates(), SupportAware(), SupportAware(materials_kg=(0.1, 0.4))):
             name = f"{type(method).__name__}{' of materials' if getattr(method, 'materials_kg', ()) else ''}"
             spent = timed(lambda m=method, f=felt: m.estimate(obj.shape, obj.total_mass, f, 0))
             body.append([f"{name}, F2 {RIGID if rigid else OWN_WEIGHT}", f"{1e3 * spent:.0f}"])

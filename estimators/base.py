@@ -27,7 +27,7 @@ EstimateStatus = Literal["ok", "underdetermined", "not_converged", "contradictor
 
 
 @dataclass(frozen=True, eq=False)
-class HiddenStates:
+class HiddenStateEstimate:
     """H of the paper: what the wrench shows before it is split into mass and friction."""
 
     mass: float
@@ -74,7 +74,7 @@ class Estimate:
     """Of the particle masses, kg^2, infinite where they are not observed; None where the method gives none."""
     identifiability: Identifiability | None = None
     """What the trajectories show and leave open, for methods that say so."""
-    hidden: HiddenStates | None = None
+    hidden: HiddenStateEstimate | None = None
     """Hidden states, for methods that have them."""
     traces: tuple[Trace, ...] = ()
     """One a run of an optimiser."""

@@ -23,7 +23,7 @@ from estimators.baselines.mujoco_sysid import MujocoSysid
 from estimators.baselines.optimizers import CmaEs, LeastSquares, NelderMead
 from estimators.baselines.random_search import RandomSearch
 from estimators.baselines.weighted_sampling import WeightedSampling
-from estimators.hidden_states.algorithm import HiddenStatesEstimator
+from estimators.hidden_states.algorithm import HiddenStates
 from estimators.support_models.estimator import SupportAware
 from testbed.errors import InvalidValueError
 from testbed.trial import TrialRunner
@@ -215,7 +215,7 @@ def _breach(kind: Any, role: Role[Any]) -> str:
 
 
 METHODS: dict[str, type[Estimator]] = {
-    "hidden_states": HiddenStatesEstimator,
+    "hidden_states": HiddenStates,
     "support_aware": SupportAware,
     "random_search": RandomSearch,
     "weighted_sampling": WeightedSampling,

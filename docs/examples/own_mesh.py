@@ -5,7 +5,7 @@ from pathlib import Path
 import trimesh
 
 from estimators.evaluation.metrics import normalized_absolute_difference
-from estimators.hidden_states.algorithm import HiddenStatesEstimator
+from estimators.hidden_states.algorithm import HiddenStates
 from testbed.actions.base import Rotate
 from testbed.objects.files import load_object
 from testbed.simulation.runner import SimulationRunner
@@ -52,7 +52,7 @@ if __name__ == "__main__":
     trial = Trial(paddle, Rotate(grasp=0, duration=6.0, back=True), sensing="ft300s", seed=1)
     with SimulationRunner() as bench:
         trajectory = bench.run(trial)
-    answer = HiddenStatesEstimator().estimate(paddle.shape, paddle.total_mass, [trajectory], seed=0)
+    answer = HiddenStates().estimate(paddle.shape, paddle.total_mass, [trajectory], seed=0)
     print(len(paddle.shape.particles), "particles; status", answer.status, answer.message)
     masses = answer.distribution.mass * paddle.shape.particles_per_group
     for name, found, true in zip(paddle.shape.group_names, masses, paddle.group_mass, strict=True):

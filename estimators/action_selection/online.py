@@ -22,7 +22,7 @@ from estimators.action_selection.design import (
 )
 from estimators.action_selection.greedy import MOST_ASKED, Asked, Feasible, Goal, anything, greedy_choice
 from estimators.base import Estimate, Estimator
-from estimators.hidden_states.algorithm import HiddenStatesEstimator
+from estimators.hidden_states.algorithm import HiddenStates
 from estimators.hidden_states.masses import load_jacobian
 from estimators.identifiability.information import trial_information
 from estimators.particles.lifts import lifts_among
@@ -241,7 +241,7 @@ def _least_explained(
     at: MassDistribution,
 ) -> int:
     """The trial whose windows are least what those before them, and the answer, would have them be."""
-    evidence = HiddenStatesEstimator().evidence(shape, weight, trajectories, at)
+    evidence = HiddenStates().evidence(shape, weight, trajectories, at)
     loads = load_jacobian(shape, evidence.pairs, at)[:, : shape.n_m] @ at.mass
     misses = ((evidence.q @ loads - evidence.b) ** 2).reshape(-1, 3).mean(axis=1)
     trial = windows.trial[~windows.accelerated].numpy()

@@ -10,7 +10,7 @@ from typing import Literal, get_args
 import numpy as np
 import torch
 
-from estimators.base import Estimate, HiddenStates, Trace
+from estimators.base import Estimate, HiddenStateEstimate, Trace
 from estimators.descent import OPTIMIZERS, check_optimizers
 from estimators.hidden_states.friction import (
     FrictionEquations,
@@ -92,7 +92,7 @@ SETTLING = 3
 
 
 @dataclass(frozen=True)
-class HiddenStatesEstimator(ModelErrors):
+class HiddenStates(ModelErrors):
     """Multi-stage Hidden States estimation, Algorithm 1. Assumes that every mass group rests on its own weight."""
 
     solver: Solver = "closed_form"
@@ -111,18 +111,16 @@ class HiddenStatesEstimator(ModelErrors):
     """How far each component of an unknown anisotropy is thought to go."""
 
     def __post_init__(self) -> None:
-        check_optimizers("HiddenStatesEstimator", self.optimizers)
+        check_optimizers("HiddenStates", self.optimizers)
         if self.solver not in get_args(Solver):
-            raise InvalidValueError(
-                "HiddenStatesEstimator.solver", self.solver, f"one of {', '.join(get_args(Solver))}"
-            )
+            raise InvalidValueError("HiddenStates.solver", self.solver, f"one of {', '.join(get_args(Solver))}")
         for name in ("steps", "refinements"):
             value = getattr(self, name)
             if isinstance(value, bool) or not (isinstance(value, int) and value >= 1):
-                raise InvalidValueError(f"HiddenStatesEstimator.{name}", value, "an integer >= 1")
+                raise InvalidValueError(f"HiddenStates.{name}", value, "an integer >= 1")
         super().__post_init__()
         for name in ("offset_error", "grain_error"):
-            check_positive(f"HiddenStatesEstimator.{name}", getattr(self, name))
+            check_positive(f"HiddenStates.{name}", getattr(self, name))
         Nuisances(self.unknown)
 
     def estimate(
@@ -301,7 +299,7 @@ class HiddenStatesEstimator(ModelErrors):
             found = evenly_rough(shape, problem.weight, problem.groups.pairs, last.loads)
         report = self._report(problem, last.system, last.pivots, found)
         com = com_and_inertia(last.pivots, problem.weight)
-        hidden = HiddenStates(
+        hidden = HiddenStateEstimate(
             problem.weight, com.inertia_cm, com.center_of_mass, last.loads, problem.groups.pairs, com.unobserved
         )
         open_ = report.unknowns - report.rank

@@ -9,8 +9,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 
-from estimators.base import Estimate, HiddenStates
-from estimators.hidden_states.algorithm import HiddenStatesEstimator
+from estimators.base import Estimate, HiddenStateEstimate
+from estimators.hidden_states.algorithm import HiddenStates
 from estimators.particles.errors import RIGID, ModelErrors
 from estimators.particles.lifts import LiftedRows, lifted_rows
 from estimators.particles.model import ParticleModel, inertia_of
@@ -73,7 +73,7 @@ class SupportAware:
             InvalidValueError: no weight, or more materials than can be ranked.
         """
         begin = time.perf_counter()
-        own = HiddenStatesEstimator().estimate(shape, weight, trajectories, seed)
+        own = HiddenStates().estimate(shape, weight, trajectories, seed)
         observed, of_rigid = (observe(shape, trajectories, errors) for errors in (ModelErrors(), RIGID))
         if own.distribution is None or observed is None or of_rigid is None:
             return own
@@ -116,7 +116,7 @@ class SupportAware:
         low, high = polytope.ranges(self.confidence)
         model = ParticleModel.of(shape)
         whole = inertia_of(model, model.particle_mass(torch.tensor(mean)))
-        hidden = HiddenStates(
+        hidden = HiddenStateEstimate(
             own.hidden.mass if own.hidden else float(whole.mass),
             float(whole.about_com) if fit.pivots is not None else np.nan,
             whole.com.numpy(),

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from estimators.base import Estimate, Estimator, Trace
-from estimators.hidden_states.algorithm import HiddenStatesEstimator
+from estimators.hidden_states.algorithm import HiddenStates
 from estimators.testing.conformance import (
     CONFORMANCE,
     WITHOUT_DRAWS,
@@ -29,7 +29,7 @@ from estimators.testing.conformance import (
 from testbed.objects.model import MassDistribution, ObjectModel, ObjectShape
 from testbed.trajectory import Trajectory
 
-REAL = HiddenStatesEstimator()
+REAL = HiddenStates()
 BAD_LUCK = np.random.default_rng(0)
 
 

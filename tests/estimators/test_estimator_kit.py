@@ -14,7 +14,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from estimators.base import Estimate, Estimator
-from estimators.hidden_states.algorithm import HiddenStatesEstimator
+from estimators.hidden_states.algorithm import HiddenStates
 from estimators.support_models.estimator import SupportAware
 from estimators.testing import plugin, recorded
 from estimators.testing.recorded import KnownBlock, block_names, load_block, save_block
@@ -128,7 +128,7 @@ def test_the_truth_passes_and_a_wrong_answer_is_told_in_words():
 def test_algorithm_1_recovers_every_block_on_its_own_weight(name):
     block = load_block(name)
     for sensing in ("ideal", "ft300s"):
-        recovers(HiddenStatesEstimator(), block, sensing, block.trials(sensing))
+        recovers(HiddenStates(), block, sensing, block.trials(sensing))
 
 
 @pytest.mark.parametrize("name", ["L2-rigid", "drawn_a-rigid"])
@@ -136,7 +136,7 @@ def test_a_rigid_body_is_what_support_aware_knows_and_algorithm_1_does_not(name)
     block = load_block(name)
     recovers(SupportAware(), block, "ideal", block.trials("ideal"))
     with pytest.raises(AssertionError, match="claim own_weight only"):
-        recovers(HiddenStatesEstimator(), block, "ideal", block.trials("ideal"))
+        recovers(HiddenStates(), block, "ideal", block.trials("ideal"))
 
 
 def kit(tmp_path, *arguments: str) -> subprocess.CompletedProcess[str]:
@@ -146,7 +146,7 @@ def kit(tmp_path, *arguments: str) -> subprocess.CompletedProcess[str]:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("path", "support"), [("hidden_states:HiddenStatesEstimator", "own_weight"), ("support_aware:SupportAware", "both")]
+    ("path", "support"), [("hidden_states:HiddenStates", "own_weight"), ("support_aware:SupportAware", "both")]
 )
 def test_the_whole_kit_passes(tmp_path, path, support):
     done = kit(tmp_path, "--estimator", f"estimators.{path}", "--estimator-support", support, "--estimator-thorough")

@@ -17,7 +17,7 @@ from estimators.baselines.mujoco_sysid import MujocoSysid
 from estimators.baselines.optimizers import CmaEs, LeastSquares, NelderMead
 from estimators.baselines.random_search import RandomSearch
 from estimators.baselines.weighted_sampling import WeightedSampling
-from estimators.hidden_states.algorithm import HiddenStatesEstimator
+from estimators.hidden_states.algorithm import HiddenStates
 from estimators.registry import METHODS
 from estimators.support_models.estimator import SupportAware
 from estimators.testing.analytic_world import drawn_object, felt
@@ -38,8 +38,8 @@ PEERS = {
     "least_squares": LeastSquares(),
 }
 VARIANTS = {
-    "hidden_states": (HiddenStatesEstimator(), drawn_object),
-    "descent": (HiddenStatesEstimator(solver="descent"), drawn_object),
+    "hidden_states": (HiddenStates(), drawn_object),
+    "descent": (HiddenStates(solver="descent"), drawn_object),
     "support_aware": (SupportAware(), drawn_object),
     "support_aware of materials": (SupportAware(materials_kg=(0.1, 0.4)), drawn_object),
     **{name: (kind, small_object) for name, kind in BASELINES.items()},
@@ -52,7 +52,7 @@ RULES = [
     for name, (estimator, draw) in VARIANTS.items()
     for holds in (
         *CONFORMANCE,
-        *(WITHOUT_DRAWS if isinstance(estimator, HiddenStatesEstimator | GradientBaseline | LeastSquares) else ()),
+        *(WITHOUT_DRAWS if isinstance(estimator, HiddenStates | GradientBaseline | LeastSquares) else ()),
     )
 ]
 

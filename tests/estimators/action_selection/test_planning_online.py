@@ -11,7 +11,7 @@ from estimators.action_selection.design import NORMAL_MEAN, Guess
 from estimators.action_selection.greedy import Goal
 from estimators.action_selection.online import Decision, OnlineTouches
 from estimators.evaluation.metrics import normalized_absolute_difference
-from estimators.hidden_states.algorithm import HiddenStatesEstimator
+from estimators.hidden_states.algorithm import HiddenStates
 from estimators.support_models.estimator import SupportAware
 from estimators.testing.analytic_world import drawn_object, felt
 from testbed.actions.base import Accelerate, Lift, Rotate, Slide
@@ -25,7 +25,7 @@ from tests.fakes.lifted_world import lifted
 def policy(obj: ObjectModel, goal: Goal, **changes: object) -> OnlineTouches:
     guess = Guess(obj.total_mass, preset("ft300s"))
     return replace(
-        OnlineTouches(guess, goal, candidates=120, estimator=HiddenStatesEstimator()),
+        OnlineTouches(guess, goal, candidates=120, estimator=HiddenStates()),
         **changes,  # pyright: ignore[reportArgumentType]
     )
 
@@ -85,7 +85,7 @@ def test_trials_that_contradict_each_other_teach_nothing():
 def test_an_answer_is_no_surer_than_it_says_itself():
     obj, wide = drawn_object(0), 10.0
 
-    class Modest(HiddenStatesEstimator):
+    class Modest(HiddenStates):
         def estimate(self, shape, weight, trajectories, seed):
             found = super().estimate(shape, weight, trajectories, seed)
             return found if found.covariance is None else replace(found, covariance=wide**2 * found.covariance)
@@ -102,7 +102,7 @@ def test_an_answer_is_no_surer_than_it_says_itself():
 def test_a_kind_of_touch_that_an_answer_needs_is_made_after_however_many_of_another():
     obj = drawn_object(0)
 
-    class Careful(HiddenStatesEstimator):
+    class Careful(HiddenStates):
         def estimate(self, shape, weight, trajectories, seed):
             found = super().estimate(shape, weight, trajectories, seed)
             enough = any(isinstance(t.action, Accelerate) for t in trajectories)

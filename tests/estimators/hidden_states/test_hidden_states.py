@@ -10,7 +10,7 @@ from numpy.testing import assert_allclose
 
 from estimators.base import Estimate
 from estimators.evaluation.metrics import normalized_absolute_difference
-from estimators.hidden_states.algorithm import HiddenStatesEstimator
+from estimators.hidden_states.algorithm import HiddenStates
 from estimators.testing.analytic_world import accelerated, drawn_object, felt, turns
 from testbed.actions.base import Rotate, Slide
 from testbed.errors import InvalidValueError
@@ -18,7 +18,7 @@ from testbed.objects.files import load_object
 from testbed.objects.model import ObjectModel
 
 # Here the centre of a turn is known exactly; the default blurs the directions of particles within 0.08 mm of it
-ESTIMATOR = HiddenStatesEstimator(pivot_error=0.0)
+ESTIMATOR = HiddenStates(pivot_error=0.0)
 EXACT = 1e-6
 NAMES = ("I1", "I2", "L1", "L2", "F1", "F2")
 # NAD of the own-weight answer to exact rigid data: what no sensor can mend
@@ -182,14 +182,14 @@ def test_no_weight_is_refused(weight):
     "settings", [{"optimizers": ("newton",)}, {"optimizers": ()}, {"steps": 0}, {"refinements": 0}]
 )
 def test_wrong_settings_are_refused(settings):
-    with pytest.raises(InvalidValueError, match="HiddenStatesEstimator"):
-        HiddenStatesEstimator(**settings)
+    with pytest.raises(InvalidValueError, match="HiddenStates"):
+        HiddenStates(**settings)
 
 
 def test_data_that_contradict_each_other_are_no_answer():
     obj = load_object("L2")
     one = [replace(t, wrench_on_object_world=-t.wrench_on_object_world) for t in turns(obj)[:1]]
-    answer = HiddenStatesEstimator().estimate(obj.shape, obj.total_mass, turns(obj)[1:] + one + accelerated(obj), 0)
+    answer = HiddenStates().estimate(obj.shape, obj.total_mass, turns(obj)[1:] + one + accelerated(obj), 0)
     assert answer.status == "contradictory"
     assert answer.distribution is None
     assert "contradict" in answer.message

@@ -11,7 +11,7 @@ from numpy.testing import assert_allclose
 
 from estimators.base import Estimate
 from estimators.evaluation.metrics import normalized_absolute_difference
-from estimators.hidden_states.algorithm import HiddenStatesEstimator
+from estimators.hidden_states.algorithm import HiddenStates
 from estimators.hidden_states.friction import (
     FrictionEquations,
     LoadGroups,
@@ -30,7 +30,7 @@ from testbed.objects.model import ObjectModel
 from testbed.trajectory import Trajectory
 from tests.fakes.flawed_bench import GRAIN, at_tcp, biased, held_beside, on_grain
 
-EXACT = HiddenStatesEstimator(
+EXACT = HiddenStates(
     pivot_error=0.0,
     force_error=0.0,
     torque_error=0.0,
@@ -64,7 +64,7 @@ def flawed(obj: ObjectModel, kinds: tuple[str, ...], seed: int = 0, noise: float
     return trials, np.array(offsets)
 
 
-def ask(obj: ObjectModel, trials: list[Trajectory], estimator: HiddenStatesEstimator) -> Estimate:
+def ask(obj: ObjectModel, trials: list[Trajectory], estimator: HiddenStates) -> Estimate:
     return estimator.estimate(obj.shape, obj.total_mass, trials, 0)
 
 
@@ -80,7 +80,7 @@ def test_what_the_bench_hides_is_recovered_with_the_masses(obj, kinds):
     answer = ask(obj, trials, replace(EXACT, unknown=kinds))
     found = answer.diagnostics
     assert nad(obj, answer) < 1e-3
-    unaware = ask(obj, trials, HiddenStatesEstimator())
+    unaware = ask(obj, trials, HiddenStates())
     assert unaware.status == "contradictory" or nad(obj, unaware) > 3e-3
     assert answer.identifiability is not None
     assert len(answer.identifiability.bench) == len(kinds)
@@ -199,7 +199,7 @@ def test_errors_are_the_scatter():
 def test_masses_and_frictions_are_never_negative():
     obj = load_object("F2")
     trials = [biased(t, BIAS) for t in turns(obj, noise=1.0)]
-    answer = ask(obj, trials + accelerated(obj, noise=1.0), HiddenStatesEstimator(unknown=UNKNOWNS))
+    answer = ask(obj, trials + accelerated(obj, noise=1.0), HiddenStates(unknown=UNKNOWNS))
     assert answer.distribution is not None
     assert (answer.distribution.mass >= 0).all()
     assert (answer.distribution.friction >= 0).all()
@@ -208,8 +208,8 @@ def test_masses_and_frictions_are_never_negative():
 def test_where_nothing_is_asked_nothing_changes():
     obj = drawn_object(1)
     trials = turns(obj, noise=0.1) + accelerated(obj, noise=0.1)
-    plain = ask(obj, trials, HiddenStatesEstimator()).distribution
-    other = ask(obj, trials, HiddenStatesEstimator(offset_error=0.1, grain_error=1.0)).distribution
+    plain = ask(obj, trials, HiddenStates()).distribution
+    other = ask(obj, trials, HiddenStates(offset_error=0.1, grain_error=1.0)).distribution
     assert plain is not None
     assert other is not None
     assert np.array_equal(plain.mass, other.mass)
@@ -227,4 +227,4 @@ def test_where_nothing_is_asked_nothing_changes():
 )
 def test_wrong_settings_are_refused(settings):
     with pytest.raises(InvalidValueError, match=r"unknown: .*bias, grasp_offset, anisotropy|offset_error: .*> 0"):
-        HiddenStatesEstimator(**settings)
+        HiddenStates(**settings)

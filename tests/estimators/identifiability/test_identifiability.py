@@ -9,7 +9,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from estimators.action_selection.rank import between_particles
-from estimators.hidden_states.algorithm import HiddenStatesEstimator
+from estimators.hidden_states.algorithm import HiddenStates
 from estimators.identifiability.information import Question, expected, information_root, observed
 from estimators.identifiability.predicted import planned_observations
 from estimators.identifiability.report import identifiability
@@ -137,7 +137,7 @@ def test_the_root_is_the_derivative_of_what_is_felt():
 
 def test_every_answer_carries_the_report():
     obj = load_object("L2")
-    answer = HiddenStatesEstimator().estimate(obj.shape, obj.total_mass, [*accelerated(obj), *turns(obj)], 0)
+    answer = HiddenStates().estimate(obj.shape, obj.total_mass, [*accelerated(obj), *turns(obj)], 0)
     report = answer.identifiability
     assert report is not None and answer.covariance is not None
     assert report.rank == report.unknowns
@@ -147,7 +147,7 @@ def test_every_answer_carries_the_report():
 
 def test_too_few_turns_say_what_they_leave_open():
     obj = load_object("L2")
-    answer = HiddenStatesEstimator().estimate(obj.shape, obj.total_mass, turns(obj, [0]), 0)
+    answer = HiddenStates().estimate(obj.shape, obj.total_mass, turns(obj, [0]), 0)
     report = answer.identifiability
     assert answer.status == "underdetermined"
     assert report is not None
@@ -168,7 +168,7 @@ def test_a_grasp_that_is_not_there_is_refused():
 def test_answers_scatter_as_the_bound_says(name):
     """In a world of exact Coulomb friction with white noise, Algorithm 1 reaches the Cramer-Rao bound."""
     obj = load_object(name)
-    exact = HiddenStatesEstimator(
+    exact = HiddenStates(
         force_error=0.0, torque_error=0.0, pivot_error=0.0, height_error=0.0, lift_error=0.0, weight_error=1e-6
     )
     off, noisy = [], []

@@ -9,7 +9,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from estimators.base import Estimate
-from estimators.hidden_states.algorithm import HiddenStatesEstimator
+from estimators.hidden_states.algorithm import HiddenStates
 from estimators.identifiability.information import Evidence
 from estimators.identifiability.posterior import friction_profile, sample_posterior
 from estimators.testing.analytic_world import accelerated, drawn_object, turns
@@ -17,7 +17,7 @@ from testbed.errors import InvalidValueError
 from testbed.objects.files import load_object
 from testbed.objects.model import MassDistribution, ObjectModel
 
-ESTIMATOR = HiddenStatesEstimator()
+ESTIMATOR = HiddenStates()
 
 
 def asked(obj: ObjectModel, *, inertia: bool = True) -> tuple[Estimate, Evidence]:

@@ -7,7 +7,7 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.stats import chi2
 
-from estimators.hidden_states.algorithm import HiddenStatesEstimator
+from estimators.hidden_states.algorithm import HiddenStates
 from estimators.identifiability.predicted import planned_lift
 from estimators.particles.lifts import LiftErrors, lifted_rows
 from estimators.support_models.estimator import SupportAware
@@ -82,7 +82,7 @@ def test_what_is_no_lift_says_nothing_and_a_lift_is_nothing_to_others():
     table = [*turns(obj, rigid=True), *accelerated(obj, rigid=True)]
     assert len(lifted_rows(obj.shape, obj.total_mass, table).rows) == 0
     with_lift = [lifted(obj, SHORT), *table]
-    plain, beside = (HiddenStatesEstimator().estimate(obj.shape, obj.total_mass, t, 0) for t in (table, with_lift))
+    plain, beside = (HiddenStates().estimate(obj.shape, obj.total_mass, t, 0) for t in (table, with_lift))
     assert plain.distribution is not None and beside.distribution is not None
     assert_allclose(beside.distribution.mass, plain.distribution.mass)
     with pytest.raises(InvalidValueError, match="grasp"):

@@ -14,7 +14,7 @@ from scipy.special import logsumexp
 from scipy.stats import kstest
 
 from estimators.base import Estimate
-from estimators.hidden_states.algorithm import HiddenStatesEstimator
+from estimators.hidden_states.algorithm import HiddenStates
 from estimators.particles.errors import EXACT, RIGID, ModelErrors
 from estimators.particles.windows import PLANAR, Observations, observe
 from estimators.support_models.estimator import SupportAware
@@ -128,7 +128,7 @@ def test_own_weight_is_answered_as_by_algorithm_1(seed):
     obj = drawn_object(seed)
     trajectories = data(obj, rigid=False)
     answer = SupportAware().estimate(obj.shape, obj.total_mass, trajectories, 0)
-    plain = HiddenStatesEstimator().estimate(obj.shape, obj.total_mass, trajectories, 0)
+    plain = HiddenStates().estimate(obj.shape, obj.total_mass, trajectories, 0)
     assert np.array_equal(masses(answer), masses(plain))
     assert answer.status == "ok"
     assert answer.diagnostics["log10_bayes_factor"] > 1

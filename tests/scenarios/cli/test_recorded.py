@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from numpy.testing import assert_allclose
 
-from estimators.hidden_states.algorithm import HiddenStatesEstimator
+from estimators.hidden_states.algorithm import HiddenStates
 from scenarios.cli.main import main
 from scenarios.results.load import load_results, load_trajectories
 from scenarios.results.store import Store
@@ -129,7 +129,7 @@ def test_every_method_answers_from_what_was_measured(lab: Path, capsys: pytest.C
     rows = load_results("lab").to_dict("records")
     assert [row["method"] for row in rows] == ["hidden_states", "random_search_M"]
     trials = [import_trajectory(lab / f"{i}.csv", lab / "lab.toml") for i in (0, 1, 2)]
-    answer = HiddenStatesEstimator().estimate(L2.shape, 1.8, trials, seed=0)
+    answer = HiddenStates().estimate(L2.shape, 1.8, trials, seed=0)
     assert answer.distribution is not None
     assert_allclose(rows[0]["mass_kg"], answer.distribution.mass * L2.shape.particles_per_group, rtol=1e-9)
     assert rows[0]["nad"] < 0.1

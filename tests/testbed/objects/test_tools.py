@@ -6,7 +6,7 @@ import pytest
 
 from estimators.action_selection.rank import between_particles
 from estimators.evaluation.metrics import normalized_absolute_difference
-from estimators.hidden_states.algorithm import HiddenStatesEstimator
+from estimators.hidden_states.algorithm import HiddenStates
 from testbed.actions.base import Accelerate, Rotate
 from testbed.objects.files import load_object
 from testbed.simulation.runner import SimulationRunner
@@ -27,7 +27,7 @@ def test_without_noise_the_masses_come_out(name: str):
                 Accelerate(grasp),
             )
         ]
-    answer = HiddenStatesEstimator().estimate(shape, tool.total_mass, felt, seed=0)
+    answer = HiddenStates().estimate(shape, tool.total_mass, felt, seed=0)
     assert answer.status == "ok" and answer.distribution is not None
     nad = normalized_absolute_difference(shape, answer.distribution, tool.truth)
     print(f"{name}: NAD {100 * nad:.2f} %")

@@ -7,7 +7,7 @@ import torch
 
 from estimators.action_selection.rank import RankDriven
 from estimators.evaluation.metrics import normalized_absolute_difference
-from estimators.hidden_states.algorithm import HiddenStatesEstimator
+from estimators.hidden_states.algorithm import HiddenStates
 from testbed.objects.files import load_object
 from testbed.simulation.runner import SimulationRunner
 from testbed.trial import Trial
@@ -26,7 +26,7 @@ def test_the_real_path_ends_in_the_simulations_masses():
         pytest.skip("this machine is too busy for real time: trials ended as faults, rightly")
     nad = []
     for trajectories in (simulated, real):
-        answer = HiddenStatesEstimator().estimate(model.shape, model.total_mass, trajectories, 0)
+        answer = HiddenStates().estimate(model.shape, model.total_mass, trajectories, 0)
         assert answer.distribution is not None
         nad.append(100 * normalized_absolute_difference(model.shape, answer.distribution, model.truth))
     assert nad[1] < nad[0] + 1.0

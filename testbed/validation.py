@@ -45,6 +45,12 @@ def check_positive(name: str, value: float) -> None:
         raise InvalidValueError(name, value, "a finite number > 0")
 
 
+def check_integer(name: str, value: int, least: int = 1) -> None:
+    """Raise InvalidValueError unless `value` is an integer >= `least`, and no bool."""
+    if isinstance(value, bool) or not (isinstance(value, int) and value >= least):
+        raise InvalidValueError(name, value, f"an integer >= {least}")
+
+
 def is_number(value: object) -> bool:
     """Whether it is a finite real number, and no bool."""
     if isinstance(value, bool) or not isinstance(value, int | float | np.integer | np.floating):

@@ -54,8 +54,9 @@ def pytest_configure(config: pytest.Config) -> None:
         return
     import torch  # noqa: PLC0415
 
-    from estimators.registry import ESTIMATOR, configured, find_class  # noqa: PLC0415
+    from estimators.registry import ESTIMATOR  # noqa: PLC0415
     from testbed.errors import InvalidValueError  # noqa: PLC0415
+    from testbed.plugins import configured, find_class  # noqa: PLC0415
 
     torch.set_num_threads(1)
     try:

@@ -11,7 +11,7 @@ from pathlib import Path
 from rich.console import Console
 
 from estimators.evaluation.statistics import Row, axes_of
-from estimators.registry import build_method, is_method, nearest
+from estimators.registry import build_method, is_method
 from scenarios.cli.progress import show_progress
 from scenarios.cli.report import figures, report
 from scenarios.cli.view import Recorder, record_all, record_results, record_worst
@@ -21,6 +21,7 @@ from scenarios.results.store import read_json, rows_of, write_json
 from scenarios.study.dry_run import show_plan
 from scenarios.study.run import run_scenario
 from testbed.errors import HeftError, InvalidValueError
+from testbed.plugins import nearest
 from viz.recordings import viewer
 from viz.report.terminal import METRICS, hidden_table, metric_table, quantile_table
 

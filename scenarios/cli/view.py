@@ -16,12 +16,12 @@ import rerun.blueprint as rrb
 from rich.console import Console
 
 from estimators.evaluation.statistics import Row, select
-from estimators.registry import nearest
 from scenarios.cli.progress import show_progress
 from scenarios.results.estimates import estimate_shown, fits_of, rows_in, settings_of, typical_trial
 from scenarios.results.store import Store
 from scenarios.results.trials import kind_of_trial, show_trial, trial_shown
 from testbed.errors import HeftError, InvalidValueError
+from testbed.plugins import nearest
 from viz.recordings import viewer
 from viz.recordings.comparison import comparison_blueprint, log_comparison
 from viz.recordings.estimate import EstimateShown, estimate_blueprint, log_estimate

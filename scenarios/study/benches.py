@@ -7,10 +7,10 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from estimators.action_selection.design import Guess
-from estimators.registry import RUNNER, configured, find_class, source_hash
 from testbed.actions.base import Action, Weigh
 from testbed.errors import InfeasibleTrialError, InvalidValueError
 from testbed.objects.model import ObjectModel, ObjectShape
+from testbed.plugins import RUNNER, configured, find_class, source_hash
 from testbed.simulation.runner import SimulationRunner
 from testbed.simulation.settings import SimulationSettings
 from testbed.trajectory import Trajectory

@@ -9,10 +9,11 @@ from traceback import extract_tb
 from typing import Any, get_args
 
 from estimators.base import ActionPolicy
-from estimators.registry import POLICY, configured, find_class, source_hash
+from estimators.registry import POLICY
 from testbed.actions.base import Action, Weigh
 from testbed.errors import HeftError, InvalidValueError
 from testbed.objects.model import ObjectShape
+from testbed.plugins import configured, find_class, source_hash
 from testbed.trajectory import Trajectory
 
 

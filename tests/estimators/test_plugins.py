@@ -8,14 +8,15 @@ from pathlib import Path
 
 import pytest
 
-from estimators import registry as plugins
-from estimators.registry import ESTIMATOR, METHODS, build_method, configured, load_class, source_hash
+from estimators.registry import ESTIMATOR, METHODS, build_method
 from scenarios.cli.main import main
 from scenarios.cli.run import Asked, changed
 from scenarios.config import Scenario, load_scenario
 from scenarios.results.load import load_results
+from testbed import plugins
 from testbed.errors import InvalidValueError
 from testbed.objects.files import InvalidFileError
+from testbed.plugins import configured, load_class, source_hash
 
 MODULE = '''
 from dataclasses import dataclass

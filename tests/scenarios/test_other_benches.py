@@ -12,15 +12,15 @@ from typing import Any
 import pytest
 from test_docs import BLOCKS
 
-from estimators import registry as plugins
-from estimators.registry import RUNNER
 from scenarios.config import Scenario, Simulation, load_scenario
 from scenarios.results.load import load_results
 from scenarios.study.experiment import feasible_grasps
 from scenarios.study.run import run_scenario
+from testbed import plugins
 from testbed.actions.base import Slide
 from testbed.errors import InfeasibleTrialError
 from testbed.objects.files import InvalidFileError, load_object
+from testbed.plugins import RUNNER
 from testbed.trial import Trial, TrialRunner
 
 MORE = '''

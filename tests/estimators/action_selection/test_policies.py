@@ -10,18 +10,19 @@ from typing import Any
 
 import pytest
 
-from estimators import registry as plugins
 from estimators.base import ActionPolicy
 from estimators.evaluation.statistics import axis_columns
-from estimators.registry import POLICY, find_class
+from estimators.registry import POLICY
 from scenarios.config import Policy, Scenario, load_scenario
 from scenarios.results.load import load_results
 from scenarios.results.store import read_json
 from scenarios.study.run import run_scenario
+from testbed import plugins
 from testbed.actions.base import Rotate
 from testbed.errors import HeftError, InvalidValueError
 from testbed.objects.files import InvalidFileError, load_object
 from testbed.objects.model import ObjectShape
+from testbed.plugins import find_class
 from testbed.simulation.settings import SimulationSettings
 
 MODULE = '''

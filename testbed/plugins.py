@@ -1,0 +1,197 @@
+"""Classes from outside the house: found by "package:Class" or by entry point, with nothing to register, and set up."""
+
+from __future__ import annotations
+
+import difflib
+import hashlib
+import importlib
+import inspect
+import os
+import re
+import sys
+from collections.abc import Callable, Collection, Iterable, Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+from importlib.metadata import entry_points
+from pathlib import Path
+from typing import Any, Generic, TypeVar
+
+from testbed.errors import InvalidValueError
+from testbed.trial import TrialRunner
+
+T = TypeVar("T")
+_PATH = re.compile(r"[^\W\d]\w*(\.[^\W\d]\w*)*:[^\W\d]\w*")
+
+
+@dataclass(frozen=True)
+class Role(Generic[T]):
+    """A kind of class that others can bring: its protocol, and the entry points that name such classes."""
+
+    protocol: str
+    """Import path of the protocol that it fulfils."""
+    calls: tuple[str, ...]
+    """Methods of the protocol, as they are called."""
+    group: str
+    """Entry-point group of such classes."""
+    example: str
+    """A path for error messages, "package:Class"."""
+
+
+RUNNER: Role[TrialRunner] = Role(
+    "testbed.trial.TrialRunner",
+    ("__enter__(self)", "__exit__(self, kind, error, trace)", "run(self, trial)"),
+    "heft.runners",
+    "my_bench:DragBench",
+)
+
+
+def installed(role: Role[Any]) -> dict[str, str]:
+    """ "package:Class" of every installed class of a role, by its entry point's name."""
+    return {point.name: point.value for point in sorted(entry_points(group=role.group), key=lambda point: point.name)}
+
+
+def find_class(
+    name: str, role: Role[T], field: str, known: Collection[str] = (), also: str = "or package:Class"
+) -> type[T]:
+    """The class that a name or a path stands for.
+
+    Args:
+        name: of an entry point, or "package.module:Class", as the user gave it.
+        role: what it is to be.
+        field: what to call it in an error.
+        known: names beside those of entry points, for the error.
+        also: what else is allowed, for the error.
+
+    Raises:
+        InvalidValueError: neither, or what `load_class` says.
+    """
+    if ":" in name:
+        return load_class(name, role, field)
+    others = installed(role)
+    if name in others:
+        return load_class(others[name], role, f"{field} ({name})")
+    names = [*known, *others]
+    listed = f"one of {', '.join(names)}{nearest(name, names)}, " if names else ""
+    raise InvalidValueError(field, name, listed + (also if names else also.removeprefix("or ")))
+
+
+def load_class(path: str, role: Role[T], field: str) -> type[T]:
+    """The class behind "package.module:Class"; modules of the current folder are found too.
+
+    Args:
+        path: as the user gave it.
+        role: what it is to be.
+        field: what to call it in an error.
+
+    Raises:
+        InvalidValueError: no such module, no such class, or not of the role's protocol.
+    """
+    if not _PATH.fullmatch(path):
+        raise InvalidValueError(field, path, f'"package.module:Class", such as {role.example}')
+    name, _, attribute = path.partition(":")
+    module = _imported(name, path, field)
+    kind = getattr(module, attribute, None)
+    if kind is None:
+        own = [key for key, value in vars(module).items() if inspect.isclass(value) and value.__module__ == name]
+        known = f"a class of {name}: {', '.join(own) or 'it defines none'}{nearest(attribute, own)}"
+        raise InvalidValueError(field, path, known)
+    if wrong := _breach(kind, role):
+        raise InvalidValueError(field, path, f"a class with {' and '.join(role.calls)}, as {role.protocol}; {wrong}")
+    return kind
+
+
+def configured(
+    kind: Callable[..., T],
+    settings: Mapping[str, Any],
+    field: str,
+    beside: tuple[str, ...] = (),
+    given: Mapping[str, Any] | None = None,
+) -> T:
+    """An object with its settings, which are the arguments of its class.
+
+    Args:
+        kind: the class.
+        settings: as a file or a command line has them; a list becomes a tuple.
+        field: what to call them in an error.
+        beside: what may stand beside them where they are written, for the error.
+        given: arguments that heft fills in, where the class takes them; they are no settings.
+
+    Raises:
+        InvalidValueError: an unknown or missing setting, or a value that the class refuses.
+    """
+    arguments = inspect.signature(kind).parameters.values()
+    named = [a.name for a in arguments if a.kind in (a.POSITIONAL_OR_KEYWORD, a.KEYWORD_ONLY)]
+    filled = {name: value for name, value in (given or {}).items() if name in named}
+    known = [name for name in named if name not in filled]
+    any_name = any(a.kind is a.VAR_KEYWORD for a in arguments)
+    if (unknown := sorted(set(settings) - set(known))) and not any_name:
+        allowed = f"settings {', '.join([*beside, *known]) or '(it has none)'}{nearest(unknown[0], known)}"
+        if filled:
+            allowed += f"; heft itself gives {', '.join(filled)}"
+        raise InvalidValueError(field, ", ".join(unknown), allowed)
+    if missing := [a.name for a in arguments if a.name in known and a.default is a.empty and a.name not in settings]:
+        raise InvalidValueError(field, dict(settings), f"settings {', '.join(missing)} as well: they have no default")
+    try:
+        return kind(**{key: tuple(v) if isinstance(v, list) else v for key, v in settings.items()}, **filled)
+    except InvalidValueError:
+        raise
+    except (TypeError, ValueError) as error:  # a table where a number belongs
+        raise InvalidValueError(field, dict(settings), f"values of the settings' types ({error})") from None
+
+
+@lru_cache
+def source_hash(kind: type[Any]) -> str:
+    """Hash of the source that a class is made of: of every module of its package, or of its one module.
+
+    What it answers is kept under it, so that a changed class is asked again.
+    """
+    top = sys.modules[kind.__module__.partition(".")[0]]
+    folders = [Path(folder) for folder in getattr(top, "__path__", ())]
+    files = [file for folder in folders for file in sorted(folder.rglob("*.py"))]
+    if not folders and top.__file__:
+        files = [Path(top.__file__)]
+    return hashlib.sha256(b"\0".join(file.read_bytes() for file in files)).hexdigest()[:20]
+
+
+def nearest(name: str, names: Iterable[str]) -> str:
+    """ " (nearest: ...)" for a name that is nearly one of `names`, else nothing."""
+    folded = {known.casefold(): known for known in names}
+    close = difflib.get_close_matches(name.casefold(), folded, n=1, cutoff=0.5)
+    return f" (nearest: {folded[close[0]]})" if close else ""
+
+
+def _imported(name: str, path: str, field: str) -> Any:
+    here = os.getcwd()
+    if not {"", here} & {*sys.path}:
+        sys.path.append(here)  # the `heft` command does not look where it was called, as `python` does
+    importlib.invalidate_caches()
+    try:
+        return importlib.import_module(name)
+    except ModuleNotFoundError as error:
+        missing = error.name or name
+        if f"{name}.".startswith(f"{missing}."):
+            why = f"a module that is installed or lies in {here}; there is no {missing}"
+        else:
+            why = f"a module that can be imported; {name} needs {missing}, which is not installed"
+        raise InvalidValueError(field, path, why) from None
+    except Exception as error:
+        why = f"a module that can be imported; {name} ends in {type(error).__name__}: {error}"
+        raise InvalidValueError(field, path, why) from error
+
+
+def _breach(kind: Any, role: Role[Any]) -> str:
+    """The reason that something is no class of a role, else empty."""
+    if not inspect.isclass(kind):
+        return f"this is a {type(kind).__name__}"
+    if inspect.isabstract(kind):
+        return f"{kind.__name__} is abstract"
+    for call in role.calls:
+        name = call.partition("(")[0]
+        method = getattr(kind, name, None)
+        if not callable(method):
+            return f"{kind.__name__} has no {name}"
+        try:
+            inspect.signature(method).bind(*[None] * (call.count(",") + 1))
+        except TypeError:
+            return f"{kind.__name__} has {name}{inspect.signature(method)}"
+    return ""

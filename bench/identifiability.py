@@ -40,7 +40,7 @@ from estimators.identifiability.information import Question, expected, observed
 from estimators.particles.errors import EXACT, ModelErrors
 from estimators.particles.model import ParticleModel, inertia_of
 from estimators.particles.windows import Observations, observe
-from scenarios.cli.identify import Wish, planned_actions
+from scenarios.cli.identify import actions_of
 from scenarios.results.load import load_results
 from scenarios.results.store import Store, read_json, rows_of
 from scenarios.study.estimates import sensed
@@ -261,7 +261,7 @@ def speed() -> None:
     """Medians, side by side."""
     for name in ("I2", "L2", "F2", "hammer"):
         model = load_object(name)
-        actions, sensing = planned_actions(model, Wish()), preset("ft300s")
+        actions, sensing = actions_of(model), preset("ft300s")
         for support in ("own_weight", "rigid"):
             question = Question(support)
             took = _median(lambda m=model, a=actions, q=question, s=sensing: expected(m.shape, m.truth, a, s, q))

@@ -13,6 +13,7 @@ from jaxtyping import Float, Int
 from estimators.action_selection.candidates import ActionFamily
 from estimators.action_selection.cost import RobotTime
 from estimators.action_selection.design import LEAST_GAIN, Belief, Criterion, Design, Guess, Step, before_trials, steady
+from estimators.action_selection.rank import RankDriven
 from testbed.actions.base import Action
 from testbed.errors import InvalidValueError
 from testbed.objects.model import ObjectShape
@@ -283,6 +284,22 @@ def as_plan(design: Design, before: Belief, chosen: Sequence[int], why: str, ask
         done = [step.action for step in steps]
         steps.append(_step(design, steps[-1].belief if steps else before, done, index))
     return Plan(before, tuple(steps), why, asked.rejected)
+
+
+def rank_driven_plan(shape: ObjectShape, guess: Guess, goal: Goal, grasps: tuple[int, ...], seed: int) -> Plan:
+    """The rank-driven policy's actions, as far as the goal goes."""
+    actions = RankDriven(grasps=grasps, seed=seed).foreseen(shape)
+    design, before = Design.of(shape, actions, guess), before_trials(shape, guess)
+    if not actions:
+        return Plan(before, (), "there is nothing to grip", ())
+    whole = as_plan(design, before, range(len(actions)), "the policy has all that it wants", Asked())
+    kept, spent = 0, 0.0
+    for step in whole.steps:
+        last = whole.steps[kept - 1].belief if kept else before
+        if kept == goal.most or goal.met(last.expected_nad) or step.seconds > goal.left(spent):
+            return Plan(before, whole.steps[:kept], "the goal's trials or time are used, or its target is met", ())
+        kept, spent = kept + 1, spent + step.seconds
+    return whole
 
 
 def _taught(design: Design, chosen: Sequence[int] | Int[np.ndarray, "N"]) -> Float[np.ndarray, "S U U"]:

@@ -1,30 +1,143 @@
-"""Amounts as they are typed: "5%" and "60s"."""
+"""`heft plan`: which actions make the masses of an object known in the least robot time."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
 
-import numpy as np
-from rich.console import Console
-from rich.table import Table
+import tyro
 
-from estimators.action_selection.candidates import ActionFamily
-from estimators.action_selection.design import THOUGHT, Belief, Design, Guess, before_trials
-from estimators.action_selection.greedy import Asked, Goal, Plan, PlannedTouches, as_plan
-from estimators.action_selection.rank import RankDriven
-from estimators.identifiability.information import Question, expected
-from scenarios.study.benches import BenchCheck
-from testbed.actions.base import Accelerate, Action, Lift, Rotate, Slide, Weigh
 from testbed.errors import InvalidValueError
-from testbed.objects.files import load_object
-from testbed.objects.model import ObjectModel, ObjectShape
-from testbed.sensing.presets import preset
-from viz.figures.maps import save_figure
-from viz.figures.plan import PlanShown, plan_figure
-from viz.recordings.page import save
-from viz.recordings.plan import plan_page
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from rich.console import Console
+    from rich.table import Table
+
+    from estimators.action_selection.candidates import ActionFamily
+    from estimators.action_selection.design import Belief, Guess
+    from estimators.action_selection.greedy import Goal, Plan
+    from testbed.actions.base import Action
+    from testbed.objects.model import ObjectModel, ObjectShape
+    from viz.figures.plan import PlanShown
+
+MOST_REJECTED = 5
+"""Refusals that are printed."""
+MOST_NAMED = 3
+"""Groups that a row of the table names."""
+
+
+def plan(
+    object_: Annotated[str, tyro.conf.Positional, tyro.conf.arg(name="object", metavar="OBJECT")],
+    *,
+    budget: Annotated[str | None, tyro.conf.arg(metavar="TIME")] = None,
+    until: Annotated[str | None, tyro.conf.arg(metavar="PERCENT")] = None,
+    policy: Literal["greedy", "batch", "random", "paper"] = "greedy",
+    criterion: Literal["I", "A", "D"] = "I",
+    sensing: Annotated[str, tyro.conf.arg(metavar="PRESET")] = "ft300s",
+    support: Literal["own_weight", "rigid", "either"] = "own_weight",
+    lifts: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False,
+    friction: Annotated[float, tyro.conf.arg(metavar="MU")] = 0.5,
+    most: Annotated[int, tyro.conf.arg(metavar="N")] = 8,
+    candidates: Annotated[int, tyro.conf.arg(metavar="N")] = 4000,
+    grasps: Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="NAME ...")] = None,
+    seed: Annotated[int, tyro.conf.arg(metavar="N")] = 0,
+    figure: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None,
+    record: Annotated[Path | None, tyro.conf.arg(metavar="FILE.rrd")] = None,
+) -> None:
+    """Plan actions: where to grasp and which way to turn, to know an object's masses in little robot time.
+
+    Of the object the planner uses only its shape and its weight.
+    Examples: heft plan L2 --budget 60s
+              heft plan L2 --until 2% --policy batch --figure results/L2_plan
+              heft plan L2 --support rigid --lifts
+
+    Args:
+        object_: name in the library, or path to a TOML file.
+        budget: robot time, travel included, as 60s or 2min; no limit if left out.
+        until: expected NAD to reach, as 5%.
+        policy: greedy (the best of each moment), batch (the whole made better by exchange), random, or paper.
+        criterion: quantity to minimize: I (the expected NAD), A (trace of the covariance) or D (its volume).
+        sensing: preset of the sensor.
+        support: what carries the weight; either serves both models, and tells them apart.
+        lifts: consider lifts too, held still and rocked in the air; not with support own_weight.
+        friction: assumed coefficient.
+        most: greatest number of actions.
+        candidates: number of actions to consider.
+        grasps: allowed grasps, by name (see heft show); all if left out.
+        seed: seed of the candidates.
+        figure: the plan as a picture, written as FILE.pdf and FILE.png.
+        record: the plan as a Rerun recording: `rerun FILE.rrd` opens it.
+    """
+    from rich.console import Console
+
+    from estimators.action_selection.design import THOUGHT, Guess
+    from estimators.action_selection.greedy import Goal, PlannedTouches, rank_driven_plan
+    from scenarios.study.benches import BenchCheck
+    from testbed.objects.files import load_object
+    from testbed.sensing.presets import preset
+
+    console, model = Console(), load_object(object_)
+    guess = Guess(model.total_mass, preset(sensing), friction, THOUGHT[support])
+    goal = Goal(percent(until, "--until"), seconds(budget, "--budget"), most)
+    allowed = named_grasps(model, grasps)
+    if policy == "paper":
+        made = rank_driven_plan(model.shape, guess, goal, allowed, seed)
+    else:
+        check, family = BenchCheck(model.shape, guess), action_family(support, lifts=lifts)
+        made = PlannedTouches(guess, policy, criterion, goal, family, candidates, allowed, seed, check).plan(
+            model.shape
+        )
+    title = f"{model.name}, {support}, {sensing}: {policy}"
+    console.print(f"[bold]{title}[/bold]; weighed {model.total_mass:.3f} kg", highlight=False)
+    if made.steps:
+        console.print(_table(model.shape, made))
+    for line in _conclusion(model.shape, made, guess, goal):
+        console.print(line, highlight=False)
+    if figure is not None or record is not None:
+        _draw(console, plan_shown(model, made, title), figure, record)
+
+
+def plan_shown(model: ObjectModel, made: Plan, title: str) -> PlanShown:
+    """The plan with the errors expected after each step, for a figure or a recording."""
+    import numpy as np
+
+    from viz.figures.plan import PlanShown
+
+    errors = np.array([made.before.standard_error, *(step.belief.standard_error for step in made.steps)])
+    words = tuple(sentence(model.shape, action) for action in made.actions)
+    return PlanShown(model.shape, made.actions, errors, model.total_mass, title, words)
+
+
+def action_family(support: str, *, lifts: bool) -> ActionFamily:
+    """The candidates' family under an assumed support.
+
+    Raises:
+        InvalidValueError: lifts of what cannot be one rigid body.
+    """
+    from estimators.action_selection.candidates import ActionFamily
+    from estimators.action_selection.design import THOUGHT
+
+    if lifts and "rigid" not in THOUGHT[support]:
+        allowed = "no lifts where every block rests on its own weight, and only what is gripped would come along"
+        raise InvalidValueError("lifts", lifts, f"{allowed}; lift under support rigid or either")
+    return ActionFamily(lifts=lifts)
+
+
+def named_grasps(model: ObjectModel, names: tuple[str, ...] | None) -> tuple[int, ...]:
+    """Indices of the named grasps, or of all.
+
+    Raises:
+        InvalidValueError: a grasp that the object does not have.
+    """
+    known = [grasp.name for grasp in model.shape.grasps]
+    if names is None:
+        return tuple(range(len(known)))
+    if unknown := sorted(set(names) - set(known)):
+        raise InvalidValueError("grasps", ", ".join(unknown), f"grasps of {model.name}: {', '.join(known)}")
+    return tuple(known.index(name) for name in names)
 
 
 def percent(text: str | None, name: str) -> float | None:
@@ -68,132 +181,29 @@ def _number(bare: str, name: str, text: str, allowed: str) -> float:
         raise InvalidValueError(name, text, allowed) from None
 
 
-MOST_REJECTED = 5
-"""Reasons that are printed."""
-MOST_NAMED = 3
-"""Groups that a step names."""
+def _draw(console: Console, shown: PlanShown, figure: Path | None, record: Path | None) -> None:
+    from viz.figures.maps import save_figure
+    from viz.figures.plan import plan_figure
+    from viz.recordings.page import save
+    from viz.recordings.plan import plan_page
+
+    if figure is not None:
+        for path in save_figure(plan_figure(shown), figure):
+            console.print(str(path), highlight=False, soft_wrap=True)
+    if record is not None:
+        save(plan_page(shown), record)
+        console.print(f"recording: {record}", highlight=False, soft_wrap=True)
 
 
-@dataclass(frozen=True)
-class Wish:
-    """What the plan is for."""
+def _table(shape: ObjectShape, made: Plan) -> Table:
+    """A row an action: robot time, and the error expected after it."""
+    from rich.table import Table
 
-    budget: str | None = None
-    until: str | None = None
-    policy: str = "greedy"
-    criterion: str = "I"
-    sensing: str = "ft300s"
-    support: str = "own_weight"
-    friction: float = 0.5
-    most: int = 8
-    candidates: int = 4000
-    grasps: tuple[str, ...] | None = None
-    seed: int = 0
-    figure: Path | None = None
-    record: Path | None = None
-    lifts: bool = False
+    from testbed.actions.base import Weigh
 
-
-def plan(console: Console, name: str, wish: Wish) -> None:
-    """Print the plan, and draw it where a file is given.
-
-    Raises:
-        InvalidValueError: a grasp, sensor, support, policy or amount that is not there.
-    """
-    model = load_object(name)
-    made = planned(model, wish)
-    title = f"{model.name}, {wish.support}, {wish.sensing}: {wish.policy}"
-    console.print(f"[bold]{title}[/bold]; weighed {model.total_mass:.3f} kg", highlight=False)
-    if made.steps:
-        console.print(plan_table(model.shape, made))
-    for line in said(model, made, wish):
-        console.print(line, highlight=False)
-    if wish.figure is not None or wish.record is not None:
-        shown = shown_of(model, made, title)
-        if wish.figure is not None:
-            for path in save_figure(plan_figure(shown), wish.figure):
-                console.print(str(path), highlight=False, soft_wrap=True)
-        if wish.record is not None:
-            save(plan_page(shown), wish.record)
-            console.print(f"recording: {wish.record}", highlight=False, soft_wrap=True)
-
-
-def shown_of(model: ObjectModel, made: Plan, title: str) -> PlanShown:
-    """What is drawn of a plan."""
-    errors = np.array([made.before.standard_error, *(step.belief.standard_error for step in made.steps)])
-    words = tuple(sentence(model.shape, action) for action in made.actions)
-    return PlanShown(model.shape, made.actions, errors, model.total_mass, title, words)
-
-
-def planned(model: ObjectModel, wish: Wish) -> Plan:
-    """The plan; of the object, only shape and weight are looked at."""
-    shape = model.shape
-    if wish.support not in THOUGHT:
-        raise InvalidValueError("support", wish.support, f"one of {', '.join(THOUGHT)}")
-    guess = Guess(model.total_mass, preset(wish.sensing), wish.friction, THOUGHT[wish.support])
-    goal = Goal(percent(wish.until, "--until"), seconds(wish.budget, "--budget"), wish.most)
-    grasps = named_grasps(model, wish.grasps)
-    if wish.policy == "paper":
-        return _paper(shape, guess, goal, grasps, wish.seed)
-    policy = PlannedTouches(
-        guess,
-        wish.policy,  # pyright: ignore[reportArgumentType]
-        wish.criterion,  # pyright: ignore[reportArgumentType]
-        goal,
-        family_of(wish.support, lifts=wish.lifts),
-        wish.candidates,
-        grasps,
-        wish.seed,
-        BenchCheck(shape, guess),
-    )
-    return policy.plan(shape)
-
-
-def family_of(support: str, *, lifts: bool) -> ActionFamily:
-    """Which actions are thought of.
-
-    Raises:
-        InvalidValueError: lifts of what cannot be one rigid body.
-    """
-    if lifts and "rigid" not in THOUGHT[support]:
-        allowed = "no lifts where every block rests on its own weight, and only what is gripped would come along"
-        raise InvalidValueError("lifts", lifts, f"{allowed}; lift under support rigid or either")
-    return ActionFamily(lifts=lifts)
-
-
-def named_grasps(model: ObjectModel, chosen: tuple[str, ...] | None) -> tuple[int, ...]:
-    """Indices of the grasps named; of all where none is.
-
-    Raises:
-        InvalidValueError: a grasp that is not there.
-    """
-    names = [grasp.name for grasp in model.shape.grasps]
-    if chosen is None:
-        return tuple(range(len(names)))
-    if unknown := sorted(set(chosen) - set(names)):
-        raise InvalidValueError("grasps", ", ".join(unknown), f"grasps of {model.name}: {', '.join(names)}")
-    return tuple(names.index(grasp) for grasp in chosen)
-
-
-def _paper(shape: ObjectShape, guess: Guess, goal: Goal, grasps: tuple[int, ...], seed: int) -> Plan:
-    """What the rank-driven policy would do, as far as the goal goes."""
-    done = RankDriven(grasps=grasps, seed=seed).foreseen(shape)
-    design, before = Design.of(shape, done, guess), before_trials(shape, guess)
-    whole = as_plan(design, before, range(len(done)), "the policy is content", Asked())
-    kept, spent = 0, 0.0
-    for step in whole.steps:
-        last = whole.steps[kept - 1].belief if kept else before
-        if kept == goal.most or goal.met(last.expected_nad) or step.seconds > goal.left(spent):
-            return Plan(before, whole.steps[:kept], "the goal's trials or time are used, or its target is met", ())
-        kept, spent = kept + 1, spent + step.seconds
-    return whole if done else Plan(before, (), "there is nothing to grip", ())
-
-
-def plan_table(shape: ObjectShape, made: Plan) -> Table:
-    """A row a touch: what is done, how long it takes, what is expected to be known after it."""
     table = Table()
     for column, justify in (
-        *(("", "right"), ("touch", "left"), ("grasp", "left"), ("about, mm", "right"), ("way", "left")),
+        *(("", "right"), ("action", "left"), ("grasp", "left"), ("about, mm", "right"), ("way", "left")),
         *(("robot, s", "right"), ("in all, s", "right"), ("NAD, %", "right"), ("teaches", "left")),
     ):
         table.add_column(column, justify=justify)  # pyright: ignore[reportArgumentType]
@@ -205,7 +215,7 @@ def plan_table(shape: ObjectShape, made: Plan) -> Table:
         nad = f"{100 * step.belief.expected_nad:.3g}"
         table.add_row(
             str(number), kind, grasp, about, way, f"{step.seconds:.1f}", f"{spent:.0f}", nad,
-            taught(shape, belief, step.belief),
+            _largest_gains(shape, belief, step.belief),
         )  # fmt: skip
         belief = step.belief
     return table
@@ -213,6 +223,8 @@ def plan_table(shape: ObjectShape, made: Plan) -> Table:
 
 def in_words(shape: ObjectShape, action: Action) -> tuple[str, str, str]:
     """Kind, centre and direction of an action."""
+    from testbed.actions.base import Accelerate, Lift, Rotate, Slide
+
     if isinstance(action, Rotate):
         x, y = shape.grasps[action.grasp].position if action.pivot is None else action.pivot
         way = "left" if action.speed > 0 else "right"
@@ -228,15 +240,19 @@ def in_words(shape: ObjectShape, action: Action) -> tuple[str, str, str]:
 
 
 def sentence(shape: ObjectShape, action: Action) -> str:
-    """All of an action in one line."""
+    """An action in one line."""
+    from testbed.actions.base import Rotate, Weigh
+
     kind, about, way = in_words(shape, action)
     at = "" if isinstance(action, Weigh) else f" at {shape.grasps[action.grasp].name}"
     unit = " mm" if isinstance(action, Rotate) else ""
     return f"{kind}{at} about {about}{unit}, {way}" if about else f"{kind}{at}, {way}"
 
 
-def taught(shape: ObjectShape, before: Belief, after: Belief) -> str:
-    """The groups whose expected error falls most, grams before and after."""
+def _largest_gains(shape: ObjectShape, before: Belief, after: Belief) -> str:
+    """Groups whose expected error falls most, g before and after."""
+    import numpy as np
+
     old, new = before.standard_error, after.standard_error
     order = np.argsort(new / np.maximum(old, 1e-12), kind="stable")[:MOST_NAMED]
     named = [(shape.group_names[g], float(old[g]), float(new[g])) for g in order if new[g] < 0.95 * old[g]]
@@ -248,23 +264,22 @@ def _grams(mass: float) -> str:
     return f"{1e3 * mass:.2g}" if mass < 0.1 else f"{1e3 * mass:.0f}"
 
 
-def said(model: ObjectModel, made: Plan, wish: Wish) -> list[str]:
-    """How it ends, what it leaves open, and what the bench could not do."""
+def _conclusion(shape: ObjectShape, made: Plan, guess: Guess, goal: Goal) -> Iterator[str]:
+    """Lines on how the plan ends, what it leaves open, and what is not feasible."""
+    from estimators.identifiability.information import Question, expected
+    from testbed.actions.base import Lift
+
     nad = f"{100 * made.after.expected_nad:.3g} %"
-    lines = [
-        f"{made.why}: {len(made.steps)} touch(es) in {made.seconds:.0f} s of the robot, expected NAD {nad} "
+    yield (
+        f"{made.why}: {len(made.steps)} action(s) in {made.seconds:.0f} s of the robot, expected NAD {nad} "
         f"({100 * made.before.expected_nad:.0f} % from the weighing alone)"
-    ]
-    until = percent(wish.until, "--until")
-    if until is not None and made.after.expected_nad > until:
-        lines.append(f"the target of {100 * until:g} % is not reached; {nad} is the best that this can have")
-    guess = Guess(model.total_mass, preset(wish.sensing), wish.friction)
-    for support in THOUGHT[wish.support]:
+    )
+    if goal.until is not None and made.after.expected_nad > goal.until:
+        yield f"the target of {100 * goal.until:g} % is not reached; {nad} is the best that this can have"
+    for support in guess.supports:
         actions = [a for a in made.actions if support == "rigid" or not isinstance(a, Lift)]
-        report = expected(model.shape, guess.uniform(model.shape), actions, preset(wish.sensing), Question(support))
-        lines.append(f"{support}: {report.sentence}")
-    reasons = dict.fromkeys(f"{in_words(model.shape, action)[0]}: {why}" for action, why in made.rejected)
-    lines += [f"not feasible: {reason}" for reason in list(reasons)[:MOST_REJECTED]]
+        yield f"{support}: {expected(shape, guess.uniform(shape), actions, guess.sensing, Question(support)).sentence}"
+    reasons = dict.fromkeys(f"{in_words(shape, action)[0]}: {why}" for action, why in made.rejected)
+    yield from (f"not feasible: {reason}" for reason in list(reasons)[:MOST_REJECTED])
     if len(made.rejected) > MOST_REJECTED:
-        lines.append(f"{len(made.rejected)} touches in all would have taught more and are not feasible")
-    return lines
+        yield f"{len(made.rejected)} actions in all would have taught more and are not feasible"

@@ -7,12 +7,12 @@ import pytest
 from pydantic import ValidationError
 
 from estimators.action_selection.design import Guess
-from estimators.action_selection.greedy import PlannedTouches
+from estimators.action_selection.greedy import Goal, PlannedTouches, rank_driven_plan
 from estimators.action_selection.online import OnlineTouches
 from estimators.action_selection.rank import RankDriven
 from estimators.identifiability.information import SUPPORTS
 from scenarios.cli.main import main
-from scenarios.cli.plan import Wish, percent, planned, seconds, sentence, shown_of
+from scenarios.cli.plan import percent, plan_shown, seconds, sentence
 from scenarios.config import Policy
 from scenarios.results.load import load_results
 from scenarios.study.benches import BenchCheck
@@ -50,14 +50,16 @@ def test_lifts_are_planned_where_asked_for_and_possible(tmp_path, capsys):
 def test_a_budget_too_small_for_all_is_said_with_what_stays_open(capsys):
     main(["plan", "L2", "--budget", "20s", "--until", "1%", "--candidates", "300"])
     said = " ".join(capsys.readouterr().out.split())
-    assert "1 touch(es)" in said and "the target of 1 % is not reached" in said and "open:" in said
+    assert "1 action(s)" in said and "the target of 1 % is not reached" in said and "open:" in said
 
 
 def test_planning_takes_less_than_the_papers_choice_for_the_same():
     model = load_object("L2")
-    paper = planned(model, Wish(policy="paper", most=30))
+    guess, grasps = Guess(model.total_mass, preset("ft300s")), tuple(range(len(model.shape.grasps)))
+    paper = rank_driven_plan(model.shape, guess, Goal(most=30), grasps, 0)
     nad = paper.after.expected_nad
-    greedy = planned(model, Wish(until=f"{100 * nad:.4f}%", candidates=1000, most=20))
+    check = BenchCheck(model.shape, guess)
+    greedy = PlannedTouches(guess, goal=Goal(until=nad, most=20), candidates=1000, feasible=check).plan(model.shape)
     assert greedy.after.expected_nad <= nad * 1.001 and greedy.seconds < paper.seconds / 2
 
 
@@ -181,8 +183,9 @@ def test_an_arrow_begins_at_the_grasp_and_goes_the_way_of_the_turn():
 
 def test_a_plan_is_recorded_step_by_step(tmp_path):
     model = load_object("L2")
-    made = planned(model, Wish(most=3, candidates=200))
-    shown = shown_of(model, made, "a plan")
+    guess = Guess(model.total_mass, preset("ft300s"))
+    made = PlannedTouches(guess, goal=Goal(most=3), candidates=200).plan(model.shape)
+    shown = plan_shown(model, made, "a plan")
     assert shown.errors.shape == (4, 6) and (np.diff(shown.errors.sum(axis=1)) < 0).all()
     save(plan_page(shown), tmp_path / "plan.rrd")
     logged = read_chunks(tmp_path / "plan.rrd")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from scenarios.cli.identify import Wish, planned_actions
+from scenarios.cli.identify import actions_of
 from scenarios.cli.main import main
 from testbed.actions.base import Accelerate, Lift, Rotate, Slide, Weigh
 from testbed.errors import InvalidValueError
@@ -14,7 +14,7 @@ from viz.figures.maps import error_figure
 
 
 def test_the_plan_is_the_policys():
-    actions = planned_actions(load_object("L2"), Wish(slides=3, duration=9.0))
+    actions = actions_of(load_object("L2"), slides=3, duration=9.0)
     kinds = [type(action) for action in actions]
     assert [kinds.count(kind) for kind in (Weigh, Accelerate, Rotate, Slide)] == [1, 6, 6, 3]
     assert all(a.back and a.duration == 9.0 for a in actions if isinstance(a, Rotate))
@@ -25,19 +25,19 @@ def test_the_plan_is_the_policys():
 def test_only_the_grasps_that_are_named_are_used():
     model = load_object("L2")
     name = model.shape.grasps[1].name
-    actions = planned_actions(model, Wish(grasps=(name,)))
+    actions = actions_of(model, grasps=(name,))
     assert {a.grasp for a in actions if not isinstance(a, Weigh)} == {1}
     with pytest.raises(InvalidValueError, match="grasps of L2: "):
-        planned_actions(model, Wish(grasps=("nose",)))
+        actions_of(model, grasps=("nose",))
 
 
 def test_lifts_are_of_inner_grasps_and_of_rigid_bodies_alone():
     model = load_object("I2")
-    actions = planned_actions(model, Wish(support="rigid", lifts=3))
+    actions = actions_of(model, support="rigid", lifts=3)
     assert [a.grasp for a in actions if isinstance(a, Lift)] == [2, 3, 1]
-    for wrong in (Wish(support="rigid", lifts=-1), Wish(lifts=1)):
+    for support, lifts in (("rigid", -1), ("own_weight", 1)):
         with pytest.raises(InvalidValueError, match="lifts"):
-            planned_actions(model, wrong)
+            actions_of(model, support, lifts=lifts)
 
 
 def test_a_lift_shows_two_more_of_an_f_and_leaves_one_way_open(capsys):

@@ -25,11 +25,11 @@ from estimators.base import Estimate
 from estimators.baselines.base import FRICTION_RANGE, ITERATIONS, LCP_DIRECTIONS, LCP_SUBSTEPS, Baseline, LogCoordinates
 from estimators.baselines.diff_lcp import DiffLcp
 from estimators.baselines.explicit_state import ExplicitState
+from estimators.baselines.problem import Problem, Weighting
 from estimators.baselines.random_search import RandomSearch
 from estimators.baselines.weighted_sampling import WeightedSampling
 from estimators.descent import OPTIMIZERS
 from estimators.evaluation.metrics import normalized_absolute_difference
-from estimators.particles.wrench import Problem, Weighting
 from estimators.testing.analytic_world import accelerated, turns
 from testbed.objects.files import load_object
 from testbed.objects.model import MassDistribution, ObjectModel

@@ -29,7 +29,8 @@ from estimators.baselines.random_search import RandomSearch
 from estimators.baselines.weighted_sampling import WeightedSampling
 from estimators.descent import OPTIMIZERS
 from estimators.hidden_states.algorithm import HiddenStates
-from estimators.hidden_states.friction import LoadGroups, closed_form, descend_loads, friction_equations
+from estimators.hidden_states.friction import closed_form, descend_loads
+from estimators.particles.friction_system import LoadGroups, friction_equations
 from estimators.particles.model import (
     ParticleModel,
     cross,

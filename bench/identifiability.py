@@ -34,10 +34,10 @@ from scipy.optimize import minimize
 from scipy.stats import norm
 
 from estimators.hidden_states.algorithm import HiddenStates
-from estimators.hidden_states.friction import LoadGroups, friction_equations
 from estimators.hidden_states.masses import load_jacobian
 from estimators.identifiability.information import Question, expected, observed
 from estimators.particles.errors import EXACT, ModelErrors
+from estimators.particles.friction_system import LoadGroups, friction_equations
 from estimators.particles.model import ParticleModel, inertia_of
 from estimators.particles.windows import Observations, observe
 from scenarios.cli.identify import actions_of

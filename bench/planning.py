@@ -36,8 +36,8 @@ from estimators.action_selection.rank import RankDriven
 from estimators.base import ActionPolicy
 from estimators.evaluation.metrics import normalized_absolute_difference
 from estimators.hidden_states.algorithm import HiddenStates
-from estimators.hidden_states.friction import LoadGroups, friction_equations
 from estimators.particles.errors import ModelErrors
+from estimators.particles.friction_system import LoadGroups, friction_equations
 from estimators.particles.model import inertia_of
 from estimators.particles.windows import Observations, observe
 from estimators.particles.wrench import ParticleLoads

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from estimators.hidden_states.friction import LoadGroups, rank_of
+from estimators.particles.friction_system import LoadGroups, rank_of
 from estimators.particles.model import ParticleModel, cross, direction, turned
 from testbed.actions.base import Accelerate, Action, Rotate
 from testbed.errors import InvalidValueError

@@ -18,10 +18,10 @@ from jaxtyping import Float
 from torch import Tensor
 
 from estimators.base import Estimate, EstimateStatus, Trace
+from estimators.baselines.problem import Problem, Weighting
 from estimators.descent import check_optimizers, descend
 from estimators.hidden_states.friction import CONTRADICTORY
 from estimators.particles.windows import robot_seconds
-from estimators.particles.wrench import Problem, Weighting
 from testbed.errors import InvalidValueError
 from testbed.objects.model import GRAVITY, MassDistribution, ObjectShape
 from testbed.trajectory import Trajectory

@@ -10,9 +10,10 @@ from torch import Tensor
 
 from estimators.baselines.base import LCP_DIRECTIONS, LCP_SAMPLES, LCP_SUBSTEPS, Candidates, GradientBaseline, Searched
 from estimators.baselines.lcp import LcpEngine
+from estimators.baselines.problem import STEP, Problem
 from estimators.particles.model import rotate, turned
 from estimators.particles.windows import Observations
-from estimators.particles.wrench import STEP, AffineLoads, Problem
+from estimators.particles.wrench import AffineLoads
 from testbed.errors import InvalidValueError
 
 

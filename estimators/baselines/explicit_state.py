@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from estimators.baselines.base import GradientBaseline, Searched
-from estimators.particles.wrench import Problem
+from estimators.baselines.problem import Problem
 
 
 @dataclass(frozen=True)

@@ -10,9 +10,9 @@ import torch
 
 from estimators.base import Trace
 from estimators.baselines.base import LogCoordinates, Peer, Searched
+from estimators.baselines.problem import Problem
 from estimators.particles.errors import ModelErrors
 from estimators.particles.windows import Observations
-from estimators.particles.wrench import Problem
 from testbed.errors import InvalidValueError
 from testbed.objects.model import MassDistribution, ObjectModel
 from testbed.trial import OWN_WEIGHT, RIGID

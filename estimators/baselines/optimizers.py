@@ -10,7 +10,7 @@ from cmaes import CMA
 from scipy.optimize import least_squares, minimize
 
 from estimators.baselines.base import FIRST_DEVIATION, Objective, Peer, Searched
-from estimators.particles.wrench import Problem
+from estimators.baselines.problem import Problem
 from testbed.errors import InvalidValueError
 from testbed.validation import check_positive
 

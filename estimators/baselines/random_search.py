@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from estimators.baselines.base import Baseline, Searched, from_unit
-from estimators.particles.wrench import Problem
+from estimators.baselines.problem import Problem
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,7 @@ from estimators.baselines.base import (
     from_unit,
     weighed,
 )
-from estimators.particles.wrench import Problem
+from estimators.baselines.problem import Problem
 from testbed.errors import InvalidValueError
 from testbed.validation import check_positive
 

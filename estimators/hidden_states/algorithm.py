@@ -12,18 +12,8 @@ import torch
 
 from estimators.base import Estimate, HiddenStateEstimate, Trace
 from estimators.descent import OPTIMIZERS, check_optimizers
-from estimators.hidden_states.friction import (
-    FrictionEquations,
-    LinearSystem,
-    LoadGroups,
-    closed_form,
-    closed_form_covariance,
-    contradiction,
-    descend_loads,
-    friction_equations,
-    rank_of,
-)
-from estimators.hidden_states.inertia import PivotInertia, com_and_inertia, pivot_inertias
+from estimators.hidden_states.friction import closed_form, closed_form_covariance, contradiction, descend_loads
+from estimators.hidden_states.inertia import com_and_inertia
 from estimators.hidden_states.masses import (
     MassSolution,
     evenly_rough,
@@ -35,7 +25,15 @@ from estimators.hidden_states.nuisance import JointLoads, Layout, Nuisances, cor
 from estimators.identifiability.information import Evidence
 from estimators.identifiability.report import Identifiability, identifiability
 from estimators.particles.errors import ModelErrors
+from estimators.particles.friction_system import (
+    FrictionEquations,
+    LinearSystem,
+    LoadGroups,
+    friction_equations,
+    rank_of,
+)
 from estimators.particles.model import ParticleModel, direction, friction_wrench, inertia_of
+from estimators.particles.pivots import PivotInertia, pivot_inertias
 from estimators.particles.support import own_weight
 from estimators.particles.windows import Observations, observe, robot_seconds
 from estimators.particles.wrench_errors import torque_covariance

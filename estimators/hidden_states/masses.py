@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.optimize import nnls
 
-from estimators.hidden_states.inertia import PivotInertia
+from estimators.particles.pivots import PivotInertia, inertia_map
 from testbed.objects.model import GRAVITY, MassDistribution, ObjectShape
 
 ROUNDS = 8
@@ -134,12 +134,6 @@ def fixed_rows(
         rows = np.vstack([rows, whiten @ inertia_map(shape, pivots.pivot)])
         values = np.append(values, whiten @ pivots.inertia)
     return np.hstack([rows, np.zeros((len(rows), unknowns - shape.n_m))]), values
-
-
-def inertia_map(shape: ObjectShape, points: Float[np.ndarray, "J 2"]) -> Float[np.ndarray, "J n_m"]:
-    """From particle masses to the inertia about each point, m^2; cells are solid."""
-    squares = np.sum((shape.particles[None] - points[:, None]) ** 2, axis=2) + shape.cell**2 / 6
-    return shape.per_group(squares)
 
 
 def _covariance(system: np.ndarray) -> tuple[np.ndarray, int]:

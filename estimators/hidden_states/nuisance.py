@@ -21,9 +21,9 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from estimators.base import Estimate
-from estimators.hidden_states.friction import FrictionEquations, LinearSystem
-from estimators.hidden_states.inertia import PivotInertia
+from estimators.particles.friction_system import FrictionEquations, LinearSystem
 from estimators.particles.model import ParticleModel, cross
+from estimators.particles.pivots import PivotInertia
 from estimators.particles.windows import PLANAR, Observations
 from testbed.errors import InvalidValueError
 from testbed.trajectory import Trajectory

@@ -10,12 +10,11 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from estimators.hidden_states.inertia import PivotInertia, slope_variance
-from estimators.hidden_states.masses import inertia_map
 from estimators.identifiability.predicted import planned_lift, planned_observations
 from estimators.identifiability.report import Identifiability, identifiability
 from estimators.particles.errors import RIGID, ModelErrors
 from estimators.particles.lifts import lift_information, lifts_among
+from estimators.particles.pivots import PivotInertia, inertia_map, slope_variance
 from estimators.particles.windows import Observations, observe
 from estimators.particles.wrench import ParticleLoads
 from testbed.actions.base import Action, Lift, Weigh

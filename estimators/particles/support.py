@@ -13,38 +13,9 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from estimators.particles.gripper_load import GripperLoad
 from testbed.errors import InvalidValueError
 from testbed.objects.model import GRAVITY
-
-
-@dataclass(frozen=True, eq=False)
-class GripperLoad:
-    """What the gripper carries, from the measured wrench: K windows."""
-
-    lift: Float[Tensor, "K"]
-    """Vertical force of the gripper on the object, fz, N."""
-    moment: Float[Tensor, "K 2"]
-    """What the feet must supply beyond the object's own weight: (sum x N, sum y N) about the grasp point, N m."""
-    held: Int[Tensor, "K"]
-    """Mass group between the fingers."""
-    point: Float[Tensor, "K 2"]
-    """Grasp point, m, object frame."""
-
-    @property
-    def carried(self) -> Float[Tensor, "K 3"]:
-        """Lift and moment, N and N m."""
-        return torch.cat([self.lift[:, None], self.moment], -1)
-
-    @staticmethod
-    def none(count: int) -> GripperLoad:
-        """A gripper that carries nothing, for `count` windows."""
-        zeros = torch.zeros
-        return GripperLoad(
-            zeros(count, dtype=torch.float64),
-            zeros(count, 2, dtype=torch.float64),
-            zeros(count, dtype=torch.int64),
-            zeros(count, 2, dtype=torch.float64),
-        )
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,9 +12,8 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from estimators.particles.errors import ModelErrors
-from estimators.particles.gripper_load import likely_load, load_map
+from estimators.particles.gripper_load import GripperLoad, likely_load, load_map
 from estimators.particles.model import Inertia, ParticleModel, cross, turned
-from estimators.particles.support import GripperLoad
 from testbed.actions.base import Accelerate, TableAction, Weigh
 from testbed.errors import InvalidValueError
 from testbed.objects.model import ObjectShape

@@ -17,12 +17,12 @@ from scipy.linalg import block_diag
 from scipy.optimize import nnls
 from torch import Tensor
 
-from estimators.hidden_states.inertia import PivotInertia, pivot_inertias
-from estimators.hidden_states.masses import inertia_map
 from estimators.particles.errors import ModelErrors
+from estimators.particles.gripper_load import GripperLoad
 from estimators.particles.lifts import LiftedRows
 from estimators.particles.model import ParticleModel, inertia_of
-from estimators.particles.support import GripperLoad, rigid_loads
+from estimators.particles.pivots import PivotInertia, inertia_map, pivot_inertias
+from estimators.particles.support import rigid_loads
 from estimators.particles.windows import Observations
 from estimators.particles.wrench import AffineLoads, LoadsOf, WrenchModel, own_weight_loads
 from estimators.particles.wrench_errors import torque_covariance, wrench_errors

@@ -10,16 +10,9 @@ import torch
 from numpy.testing import assert_allclose
 
 from estimators.descent import OPTIMIZERS
-from estimators.hidden_states.friction import (
-    LinearSystem,
-    LoadGroups,
-    closed_form,
-    closed_form_covariance,
-    descend_loads,
-    friction_equations,
-    rank_of,
-)
+from estimators.hidden_states.friction import closed_form, closed_form_covariance, descend_loads
 from estimators.particles.errors import ModelErrors
+from estimators.particles.friction_system import LinearSystem, LoadGroups, friction_equations, rank_of
 from estimators.particles.model import ParticleModel, inertia_of
 from estimators.particles.windows import observe
 from estimators.testing.analytic_world import drawn_object, felt, turns

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from estimators.hidden_states.inertia import PivotInertia, com_and_inertia, pivot_inertias
+from estimators.hidden_states.inertia import com_and_inertia
+from estimators.particles.pivots import PivotInertia, pivot_inertias
 from estimators.particles.windows import Observations, observe
 from estimators.testing.analytic_world import accelerated, drawn_object, felt
 from testbed.actions.base import Accelerate

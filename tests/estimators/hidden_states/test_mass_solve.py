@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from estimators.hidden_states.inertia import PivotInertia
 from estimators.hidden_states.masses import MassSolution, feet_of, solve_masses
+from estimators.particles.pivots import PivotInertia
 from estimators.testing.analytic_world import drawn_object
 from testbed.objects.blocks import block_object, parse_layout
 from testbed.objects.files import load_object

@@ -12,14 +12,10 @@ from numpy.testing import assert_allclose
 from estimators.base import Estimate
 from estimators.evaluation.metrics import normalized_absolute_difference
 from estimators.hidden_states.algorithm import HiddenStates
-from estimators.hidden_states.friction import (
-    FrictionEquations,
-    LoadGroups,
-    closed_form_covariance,
-    friction_equations,
-)
+from estimators.hidden_states.friction import closed_form_covariance
 from estimators.hidden_states.nuisance import UNKNOWNS, JointLoads, Layout, Nuisances, corrected
 from estimators.particles.errors import ModelErrors
+from estimators.particles.friction_system import FrictionEquations, LoadGroups, friction_equations
 from estimators.particles.model import ParticleModel, inertia_of
 from estimators.particles.windows import Observations, observe
 from estimators.testing.analytic_world import accelerated, drawn_object, felt, turns

@@ -8,7 +8,8 @@ import torch
 from numpy.testing import assert_allclose
 
 from estimators.evaluation.metrics import normalized_absolute_difference
-from estimators.hidden_states.friction import LoadGroups
+from estimators.particles.friction_system import LoadGroups
+from estimators.particles.gripper_load import GripperLoad
 from estimators.particles.model import (
     ParticleModel,
     acceleration,
@@ -17,7 +18,7 @@ from estimators.particles.model import (
     rollout,
     rotate,
 )
-from estimators.particles.support import GripperLoad, own_weight, rigid_loads
+from estimators.particles.support import own_weight, rigid_loads
 from estimators.testing.analytic_world import drawn_object
 from testbed.errors import InvalidValueError
 from testbed.objects.files import load_object

@@ -7,7 +7,8 @@ import pytest
 import torch
 from numpy.testing import assert_allclose
 
-from estimators.particles.support import GripperLoad, own_weight, rigid_loads
+from estimators.particles.gripper_load import GripperLoad
+from estimators.particles.support import own_weight, rigid_loads
 from estimators.testing.analytic_world import drawn_object
 from testbed.errors import InvalidValueError
 from testbed.objects.blocks import block_object, parse_layout

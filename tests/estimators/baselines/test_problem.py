@@ -10,10 +10,11 @@ import torch
 from numpy.testing import assert_allclose
 
 from estimators.base import Estimate
+from estimators.baselines.problem import STEP, Problem
 from estimators.particles.model import ParticleModel, inertia_of, one_step, rotate, turned
 from estimators.particles.support import own_weight
 from estimators.particles.windows import Observations, observe
-from estimators.particles.wrench import STEP, AffineLoads, Problem, WrenchModel
+from estimators.particles.wrench import AffineLoads, WrenchModel
 from estimators.testing import analytic_world
 from estimators.testing.analytic_world import accelerated, drawn_object, felt, turns
 from testbed.actions.base import Slide

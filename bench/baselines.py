@@ -22,7 +22,7 @@ from scipy.optimize import minimize
 from torch import Tensor
 
 from estimators.base import Estimate
-from estimators.baselines.base import FRICTION_RANGE, ITERATIONS, LCP_DIRECTIONS, LCP_SUBSTEPS, Baseline, LogCoordinates
+from estimators.baselines.base import FRICTION_RANGE, ITERATIONS, Baseline, LogCoordinates
 from estimators.baselines.diff_lcp import DiffLcp
 from estimators.baselines.explicit_state import ExplicitState
 from estimators.baselines.problem import Problem, Weighting
@@ -44,7 +44,7 @@ DECAYS = (0.5, 0.7, 0.8, 0.85, 0.9, 0.95, 0.98)
 STEPS = {"as published": BUDGETS, "with M": (500,), "covariance": (500,), "with M, covariance": (500, 5000)}
 """Budgets of Explicit State."""
 RATES = (0.05, 0.1, 0.2)
-"""First steps of Adam and RMSProp; 0.05 is published.py's."""
+"""First steps of Adam and RMSProp; 0.05 is the default."""
 CASES: tuple[tuple[str, bool, Weighting], ...] = (
     ("as published", False, "velocity"),
     ("with M", True, "velocity"),
@@ -242,7 +242,7 @@ def diff_lcp() -> None:
         rows.append(
             [f"{directions}", *(friction_and_nad(n, a) for n, a in answers.items()), f"{radius(directions):.3f}"]
         )
-    title = f"Diff-LCP with M, {LCP_SUBSTEPS} substeps, first friction 0.30: NAD, %, and mu M g over the truth's"
+    title = f"Diff-LCP with M, {DiffLcp.substeps} substeps, first friction 0.30: NAD, %, and mu M g over the truth's"
     show(title, ["corners", *OBJECTS, "1 / mean radius"], rows)
     rows = []
     for substeps in (2, 4, 8):
@@ -250,8 +250,8 @@ def diff_lcp() -> None:
         rows.append([f"{substeps} substeps, {ITERATIONS} steps", friction_and_nad("L2", answer)])
     for budget in (125, 2000):
         answer = ask("L2", DiffLcp(iterations=budget, use_weight=True), BELOW)
-        rows.append([f"{LCP_SUBSTEPS} substeps, {budget} steps", friction_and_nad("L2", answer)])
-    title = f"Diff-LCP with M, {LCP_DIRECTIONS} corners, first friction 0.30: NAD, %, and mu M g over the truth's"
+        rows.append([f"{DiffLcp.substeps} substeps, {budget} steps", friction_and_nad("L2", answer)])
+    title = f"Diff-LCP with M, {DiffLcp.directions} corners, first friction 0.30: NAD, %, and mu M g over the truth's"
     show(title, ["", "L2"], rows)
     rows = []
     for use_weight in (True, False):
@@ -260,7 +260,7 @@ def diff_lcp() -> None:
             best = answer.traces[0]
             now = [friction_and_nad("L2", answer), f"{best.loss[0]:.2g}", f"{answer.diagnostics['loss']:.2g}"]
             rows.append([f"{'with M' if use_weight else 'as published'}, {first_friction(seed):.2f}", *now])
-    title = f"Diff-LCP, {LCP_DIRECTIONS} corners, {ITERATIONS} steps: by the friction that it starts from; truth 0.5"
+    title = f"Diff-LCP, {DiffLcp.directions} corners, {ITERATIONS} steps: by the first friction; truth 0.5"
     show(title, ["", "L2", "loss at the start", "lowest"], rows)
 
 

@@ -1,4 +1,4 @@
-"""Gradient descent with several optimisers side by side, with its trace."""
+"""Gradient descent with several optimizers side by side, and its trace."""
 
 from __future__ import annotations
 
@@ -16,21 +16,21 @@ from testbed.errors import InvalidValueError
 
 OPTIMIZERS = ("adam", "rmsprop", "plain")
 SHRINK, GROW = 0.5, 1.2
-"""What plain descent does to its step after the loss rose, and after it fell."""
+"""Factors on the step of plain descent after the loss rose, and after it fell."""
 Loss = Callable[[Float[Tensor, "O n"]], Float[Tensor, "O"]]
 
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """One optimiser's descent."""
+    """Descent of one optimizer."""
 
     best: Float[Tensor, "n"]
-    """Where the loss was lowest."""
+    """Point of lowest loss."""
     trace: Trace
 
 
 def check_optimizers(owner: str, names: tuple[str, ...]) -> None:
-    """Raises InvalidValueError unless there is at least one name, and all are known."""
+    """Raise InvalidValueError unless there is at least one name, and all are known."""
     if not names or set(names) - set(OPTIMIZERS):
         raise InvalidValueError(f"{owner}.optimizers", names, f"some of {', '.join(OPTIMIZERS)}")
 
@@ -43,20 +43,20 @@ def descend(
     masses: Callable[[Tensor], Tensor] | None = None,
     robot_seconds: float = 0.0,
 ) -> list[Run]:
-    """Descend from `start` with every optimiser of `rates`, all in one batch; the best run first.
+    """Descend from `start` with every optimizer of `rates`, all in one batch; the best run first.
 
     Args:
-        loss: of a batch of points, one a row.
+        loss: loss of each row of a batch of points.
         start: first point.
-        rates: first step of each optimiser; it falls to zero as a square. Plain descent takes back a step that raised
+        rates: first step of each optimizer; it falls to zero as a square. Plain descent takes back a step that raised
             the loss, halves it and goes on.
-        steps: gradient evaluations of each.
-        masses: particle masses of a point, for the trace.
-        robot_seconds: what the data cost, for the trace.
+        steps: gradient evaluations of each optimizer.
+        masses: particle masses of each point, for the trace.
+        robot_seconds: robot time of the data [s], for the trace.
     """
     points = [start.clone().requires_grad_() for _ in rates]
     lanes = [_optimizer(name, point, rate) for (name, rate), point in zip(rates.items(), points, strict=True)]
-    losses, seconds, shown = [], [], []
+    losses, seconds, history = [], [], []
     best, lowest = torch.stack([start] * len(points)), torch.full((len(points),), torch.inf, dtype=torch.float64)
     begin = time.perf_counter()
     for i in range(steps):
@@ -74,11 +74,11 @@ def descend(
         losses.append(values.numpy())
         seconds.append(time.perf_counter() - begin)
         if masses is not None:
-            shown.append(masses(batch.detach()).numpy())
+            history.append(masses(batch.detach()).numpy())
     runs = []
     for lane, name in enumerate(rates):
-        history = np.array(shown)[:, lane] if shown else np.empty((0, 0))
-        trace = Trace(name, tuple(np.array(losses)[:, lane].tolist()), tuple(seconds), robot_seconds, history)
+        mass = np.array(history)[:, lane] if history else np.empty((0, 0))
+        trace = Trace(name, tuple(np.array(losses)[:, lane].tolist()), tuple(seconds), robot_seconds, mass)
         runs.append(Run(best[lane], trace))
     return [runs[lane] for lane in lowest.argsort().tolist()]
 

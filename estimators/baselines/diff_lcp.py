@@ -8,65 +8,64 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from estimators.baselines.base import LCP_DIRECTIONS, LCP_SAMPLES, LCP_SUBSTEPS, Candidates, GradientBaseline, Searched
+from estimators.baselines.base import Candidates, GradientBaseline, SearchResult
 from estimators.baselines.lcp import LcpEngine
 from estimators.baselines.problem import STEP, Problem
 from estimators.particles.model import rotate, turned
 from estimators.particles.windows import Observations
 from estimators.particles.wrench import AffineLoads
 from testbed.errors import InvalidValueError
+from testbed.validation import check_integer
 
 
 @dataclass(frozen=True)
 class DiffLcp(GradientBaseline):
     """Gradient descent in m and mu on the velocities that the LCP engine predicts (Song & Boularias 2020)."""
 
-    directions: int = LCP_DIRECTIONS
-    """Corners of the friction polygon."""
-    substeps: int = LCP_SUBSTEPS
-    """Steps of the engine in one of the record's; the wrench is interpolated linearly."""
-    samples: int = LCP_SAMPLES
-    """States along each turn at constant speed to predict from."""
+    directions: int = 8
+    """Corners of the friction polygon. Ours."""
+    substeps: int = 2
+    """Engine steps per sample of the record. Paper: smaller than the record's, wrench interpolated linearly."""
+    samples: int = 1
+    """States along each turn at constant speed to predict from; a polygon acts differently in each. Ours."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
         LcpEngine(self.directions, self.substeps)
         if self.weighting != "velocity":
             raise InvalidValueError("DiffLcp.weighting", self.weighting, "velocity: the engine predicts velocities")
-        if isinstance(self.samples, bool) or not (isinstance(self.samples, int) and self.samples >= 1):
-            raise InvalidValueError("DiffLcp.samples", self.samples, "an integer >= 1")
+        check_integer("DiffLcp.samples", self.samples)
 
-    def _search(self, problem: Problem, seed: int) -> Searched:
+    def _search(self, problem: Problem, seed: int) -> SearchResult:
         states = _States.of(problem, self.samples)
         engine, guesses = LcpEngine(self.directions, self.substeps), {}
 
         def loss(candidates: Candidates) -> Tensor:
-            known = guesses.setdefault(len(candidates.mass), [])
-            return states.loss(problem, engine, candidates, known)
+            return states.loss(problem, engine, candidates, guesses.setdefault(len(candidates.mass), []))
 
         return self._descend(problem, seed, loss)
 
 
 @dataclass(frozen=True, eq=False)
 class _States:
-    """N measured states to predict one step from, world axes, and what follows them."""
+    """N measured states to predict one step from, world axes."""
 
     windows: Observations
     """The window of each state."""
     loads: AffineLoads
-    """Normal loads in each."""
+    """Normal loads in each state."""
     yaw: Float[Tensor, "N"]
-    """rad."""
+    """Yaw of the object [rad]."""
     share: Float[Tensor, "N"]
-    """Part of the loss that falls to each state: that of the windows that it stands for."""
+    """Weight of each state in the loss: the part of the windows that it represents."""
 
     @staticmethod
     def of(problem: Problem, samples: int) -> _States:
-        """`samples` states spread over every turn at constant speed; one for speeding up and one for slowing down.
+        """`samples` states spread over every turn at constant speed; one for each sign of acceleration.
 
-        In an accelerated turn friction keeps its direction, so that windows differ in momentum alone, in which a step
-        is linear: those of one sign are merged. Where a turn is sampled moves on from window to window, so that all
-        together see the polygon from every side.
+        In an accelerated turn friction keeps its direction, so windows differ in momentum alone, in which a step is
+        linear: those of one sign are merged. The sampled places shift from window to window, so that together they
+        meet the polygon at every angle.
         """
         golden = 0.6180339887498949
         alike: dict[tuple[int, ...], int] = {}
@@ -88,13 +87,9 @@ class _States:
         return _States(windows, AffineLoads.of(problem.shape, problem.model, windows), yaw, size[of_state])
 
     def loss(self, problem: Problem, engine: LcpEngine, guessed: Candidates, known: list[Tensor]) -> Tensor:
-        """Mean over windows of |v_predicted - v_measured|^2 one step of the record on, one a candidate, (S,).
+        """Mean over windows of |v_predicted - v_measured|^2 after one step of the record, shape (S,).
 
-        Args:
-            problem: what is searched.
-            engine: the forward simulation.
-            guessed: S candidates.
-            known: sticking sets of the last call, replaced by this one's.
+        `known` holds the sticking sets of the last call and receives this call's.
         """
         model, w = problem.model, self.windows
         inertia = problem.inertia(guessed.mass[:, None])

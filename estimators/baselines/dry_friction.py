@@ -1,8 +1,7 @@
 """Steps of a body with dry friction on many sides: min over v of 1/2 v^T M v - q . v + sum_l b_l |l . v|, batched.
 
-In numpy, of which a call costs a third of one of torch's, and these are calls on a few numbers. Exact solves, each with
-one 3 x 3 system, correct which sides stick until all agree; where they go in circles, an interior-point method on the
-box of the impulses finds the set for them.
+In numpy, since a call on a few numbers costs a third of torch's. Exact solves, each with one 3 x 3 system, correct the
+set of sticking sides until all agree; if they cycle, an interior-point method on the box of the impulses finds the set.
 """
 
 from __future__ import annotations
@@ -15,29 +14,29 @@ from jaxtyping import Float
 from testbed.errors import InvalidValueError
 
 GAPS = (1e-6, 1e-11, 1e-15)
-"""Duality gap at which the interior point hands over to the exact solve, as a part of friction times speed; the next
-one where the last left a set that does not settle."""
+"""Duality gaps at which the interior point hands over to the exact solve, as parts of friction times speed; in turn
+until the set settles."""
 IDLE = 1e-12
-"""A side with a smaller part of the mean bound has no friction."""
+"""Part of the mean bound below which a side has no friction."""
 STICKS = 1 - 1e-9
-"""A side with less than this part of its bound in use sticks."""
+"""Part of its bound below which a side sticks."""
 STIFFNESS = 1e5
-"""Of a sticking side against the body's inertia, in the exact solve, whose three rounds each gain that factor."""
+"""Stiffness of a sticking side relative to the body's inertia: what each of three rounds of the exact solve gains."""
 ROUNDING = 1e-11
-"""Of an impulse against its bound, and of a sliding speed against those without friction."""
+"""Tolerance of an impulse relative to its bound, and of a sliding speed relative to those without friction."""
 MOST_ITERATIONS, MOST_ROUNDS = 40, 6
 SIGN = np.array([1.0, -1.0])[:, None, None]
-"""Of the two layers."""
+"""Signs of the two layers, u and w."""
 
 
 class LcpError(InvalidValueError):
-    """A step without a solution: its inputs are not finite, or the mass matrix is not positive."""
+    """Step without a solution: inputs that are not finite, or a mass matrix that is not positive."""
 
 
 def solve(
     mass: np.ndarray, momentum: np.ndarray, lines: np.ndarray, bound: np.ndarray, guess: np.ndarray | None
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Velocity, impulse, and impulse over bound; arguments and errors as `lcp.solve_step`, in numpy."""
+    """Velocity, impulse, and impulse over bound; arguments and errors of `lcp.solve_step`, in numpy."""
     bound = np.maximum(bound, 0.0)
     mean = bound.mean(1, keepdims=True) + 1e-30
     idle = bound <= IDLE * mean
@@ -52,7 +51,7 @@ def solve(
             for gap in GAPS:
                 if not wrong.any():
                     break
-                left = bodies.those(wrong)
+                left = bodies.subset(wrong)
                 v[wrong], f[wrong], wrong[wrong] = _exact(left, _interior_point(left, gap))
         except np.linalg.LinAlgError as error:
             raise LcpError("mass", mass, needed) from error
@@ -67,7 +66,7 @@ def solve(
 
 @dataclass(frozen=True, eq=False)
 class _Bodies:
-    """Steps to be solved: B bodies of L sides each."""
+    """B bodies of L sides each, for one step."""
 
     mass: Float[np.ndarray, "B 3 3"]
     momentum: Float[np.ndarray, "B 3"]
@@ -79,25 +78,23 @@ class _Bodies:
 
     @staticmethod
     def of(mass: np.ndarray, momentum: np.ndarray, lines: np.ndarray, bound: np.ndarray) -> _Bodies:
-        """Bodies of `solve_step`'s arguments."""
         across = np.ascontiguousarray(lines.swapaxes(1, 2))
         squares = (across[:, :, None] * across[:, None]).reshape(len(lines), 9, -1)
         return _Bodies(mass, momentum, across, squares, bound)
 
-    def those(self, chosen: np.ndarray) -> _Bodies:
-        """Some of them."""
+    def subset(self, chosen: np.ndarray) -> _Bodies:
         return _Bodies(*(x[chosen] for x in (self.mass, self.momentum, self.across, self.squares, self.bound)))
 
     def sliding(self, velocity: np.ndarray) -> np.ndarray:
-        """t, (B, L)."""
+        """Sliding speeds t, shape (B, L)."""
         return (velocity[:, None] @ self.across)[:, 0]
 
     def moved(self, inverse: np.ndarray, impulse: np.ndarray) -> np.ndarray:
-        """inverse (momentum - lines^T impulse), (B, 3)."""
+        """inverse (momentum - lines^T impulse), shape (B, 3)."""
         return _times(inverse, self.momentum - _times(self.across, impulse))
 
     def inverse(self, weight: np.ndarray | None = None) -> np.ndarray:
-        """Of M + lines^T weight lines, (B, 3, 3)."""
+        """Inverse of M + lines^T weight lines, shape (B, 3, 3)."""
         if weight is None:
             return np.linalg.inv(self.mass)
         return np.linalg.inv(self.mass + _times(self.squares, weight).reshape(-1, 3, 3))
@@ -138,20 +135,20 @@ def _interior_point(bodies: _Bodies, least: float) -> np.ndarray:
 
 
 def _mean(slack: np.ndarray, z: np.ndarray) -> np.ndarray:
-    """Mean of slack z over both layers of a body, (B, 1)."""
+    """Mean of slack z over both layers of a body, shape (B, 1)."""
     return (slack * z).sum((0, 2))[:, None] / (2 * z.shape[2])
 
 
 def _length(dz: np.ndarray, df: np.ndarray, z: np.ndarray, slack: np.ndarray) -> np.ndarray:
-    """Longest step, at most 1, that keeps z and slack positive, (B, 1)."""
+    """Longest step, at most 1, that keeps z and slack positive, shape (B, 1)."""
     return 1 / np.maximum(np.maximum(-dz / z, df / slack).max((0, 2)), 1.0)[:, None]
 
 
 def _exact(bodies: _Bodies, f: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Solve with the sticking set of f, and correct the set until friction and motion agree on every side.
 
-    Returns velocity, impulse, and where no agreement was found, (B,) bool; f itself is the answer there, since a side
-    at rest and at its bound at once has no set that settles.
+    Returns velocity, impulse, and True where no agreement was found, shape (B,); f itself is the answer there, since a
+    side at rest and at its bound at once has no set that settles.
     """
     inverse = bodies.inverse()
     velocity, impulse, left = bodies.moved(inverse, f), f.copy(), np.arange(len(f))
@@ -175,14 +172,14 @@ def _exact(bodies: _Bodies, f: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.n
             break
         f, sticks = np.where(over, np.sign(f) * bodies.bound, f), sticks ^ off
         if len(left) < len(still):
-            bodies, stiff, rest, f, sticks = bodies.those(still), stiff[still], rest[still], f[still], sticks[still]
+            bodies, stiff, rest, f, sticks = bodies.subset(still), stiff[still], rest[still], f[still], sticks[still]
     wrong = np.zeros(len(velocity), dtype=bool)
     wrong[left] = True
     return velocity, impulse, wrong
 
 
 def stiffness(mass: np.ndarray, across: np.ndarray, times: float) -> np.ndarray:
-    """Of a sticking side, N s per m/s, so that it outweighs `times` the inertia that it holds, (B, 1)."""
+    """Stiffness of a sticking side [N s per m/s], `times` the inertia that it holds, shape (B, 1)."""
     inertia = mass.trace(axis1=1, axis2=2)
     return times * (inertia / ((across * across).sum((1, 2)) + 1e-30) * across.shape[2])[:, None]
 

@@ -1,10 +1,10 @@
-"""Explicit State, a baseline of the paper: the same dynamics, descended in mass and friction themselves."""
+"""Explicit State, a baseline of the paper: gradient descent in mass and friction themselves."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
-from estimators.baselines.base import GradientBaseline, Searched
+from estimators.baselines.base import GradientBaseline, SearchResult
 from estimators.baselines.problem import Problem
 
 
@@ -12,6 +12,5 @@ from estimators.baselines.problem import Problem
 class ExplicitState(GradientBaseline):
     """Gradient descent on Eq. problem with respect to m and mu, without hidden states."""
 
-    def _search(self, problem: Problem, seed: int) -> Searched:
-        """From uniform mass; without M, `seed` draws the friction to start from."""
+    def _search(self, problem: Problem, seed: int) -> SearchResult:
         return self._descend(problem, seed, lambda c: problem.loss(c.mass, c.friction, self.weighting))

@@ -30,9 +30,10 @@ from torch.autograd.function import once_differentiable
 from estimators.baselines.dry_friction import STICKS, solve, stiffness
 from estimators.particles.model import Inertia, ParticleModel, cross, rotate, turned
 from testbed.errors import InvalidValueError
+from testbed.validation import check_integer
 
-STIFFNESS = 1e9
-"""Of a sticking side against the body's inertia in the gradient, where it stands for infinity."""
+GRADIENT_STIFFNESS = 1e9
+"""Stiffness of a sticking side relative to the body's inertia in the gradient, where it stands for infinity."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,11 +41,11 @@ class Step:
     """A solved step: B bodies, L dry frictions each."""
 
     velocity: Float[Tensor, "B 3"]
-    """v after the step, m/s and rad/s."""
+    """v after the step [m/s, rad/s]."""
     impulse: Float[Tensor, "B L"]
-    """f of every side, N s; it acts on the body with -lines^T f."""
+    """f of every side [N s]; it acts on the body with -lines^T f."""
     used: Float[Tensor, "B L"]
-    """f over its bound, -1 to 1; inside, the side sticks. A guess for a step like this one."""
+    """f over its bound, -1 to 1; inside, the side sticks. Serves as guess for a similar step."""
 
 
 def polygon_sides(directions: int) -> Float[Tensor, "{directions//2} 2"]:
@@ -71,10 +72,10 @@ def solve_step(
 
     Args:
         mass: M, positive definite.
-        momentum: M v_before + h u, N s and N m s.
-        lines: one row a dry friction, t = lines v its sliding speed.
-        bound: largest impulse of each, N s, >= 0.
-        guess: `used` of a step like this one; it saves work where its sticking set is nearly right.
+        momentum: M v_before + h u [N s, N m s].
+        lines: one row per dry friction; t = lines v is its sliding speed.
+        bound: largest impulse of each [N s], >= 0.
+        guess: `used` of a similar step; it saves work if its sticking set is nearly right.
 
     Raises:
         LcpError: no solution.
@@ -106,7 +107,7 @@ class _Solve(torch.autograd.Function):
     def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, ...]:  # type: ignore[override]
         mass, lines, v, f, used = ctx.saved_tensors
         sticks = (used.abs() < STICKS)[..., None]
-        stiff = stiffness(mass.numpy(), lines.numpy().swapaxes(1, 2), STIFFNESS)
+        stiff = stiffness(mass.numpy(), lines.numpy().swapaxes(1, 2), GRADIENT_STIFFNESS)
         weight = torch.where(sticks, torch.from_numpy(stiff)[..., None], 0.0)
         p = torch.linalg.solve(mass + lines.transpose(-1, -2) @ (weight * lines), gradients[0][..., None])
         along = lines @ p
@@ -117,17 +118,16 @@ class _Solve(torch.autograd.Function):
 
 @dataclass(frozen=True)
 class LcpEngine:
-    """The particle body on the table, its friction cone a polygon."""
+    """Time stepping of the particle body on the table, its friction cone a polygon."""
 
     directions: int = 8
     """Corners of the friction polygon; 4, 8, 16."""
     substeps: int = 4
-    """Steps of the engine in one step of the record; the wrench goes linearly from one sample to the next."""
+    """Engine steps per sample of the record; the wrench goes linearly from one sample to the next."""
 
     def __post_init__(self) -> None:
         polygon_sides(self.directions)
-        if isinstance(self.substeps, bool) or not isinstance(self.substeps, int) or self.substeps < 1:
-            raise InvalidValueError("LcpEngine.substeps", self.substeps, "an integer >= 1")
+        check_integer("LcpEngine.substeps", self.substeps)
 
     def advance(
         self,
@@ -141,14 +141,12 @@ class LcpEngine:
         dt: float,
         guesses: list[Tensor] | None = None,
     ) -> tuple[Float[Tensor, "... 3"], Float[Tensor, "... 3"]]:
-        """Pose and velocity of the centre of mass one step of the record on.
-
-        Arguments as `dynamics.acceleration`; `friction` is mu_i N_i, N.
+        """Pose and velocity of the center of mass after one step of the record; other arguments as in `acceleration`.
 
         Args:
-            wrench: planar, about the grasped point, at the beginning and at the end.
-            dt: of the record, s.
-            guesses: a guess for each substep, or nothing yet; replaced by this step's.
+            wrench: planar wrench about the grasped point at the beginning and at the end of the step.
+            dt: step of the record [s].
+            guesses: one guess per substep, or empty; receives this step's.
         """
         touching = model.contact
         levers = model.particles[touching] - inertia.com[..., None, :]
@@ -193,7 +191,7 @@ class LcpEngine:
         grasp: Float[Tensor, "... 2"],
         dt: float,
     ) -> tuple[Float[Tensor, "... T 3"], Float[Tensor, "... T 3"]]:
-        """As `dynamics.rollout`: open loop over T wrenches, the last one held."""
+        """Poses and velocities after each of T wrenches in open loop; arguments as in `particles.model.rollout`."""
         poses, velocities, guesses = [], [], []
         for t in range(wrench.shape[-2]):
             following = wrench[..., min(t + 1, wrench.shape[-2] - 1), :]

@@ -1,4 +1,4 @@
-"""MuJoCo's own system identification, the official toolbox, as a method: on a planar scene of the object."""
+"""MuJoCo's system identification toolbox as a method, on a planar scene of the object."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 import torch
 
 from estimators.base import Trace
-from estimators.baselines.base import LogCoordinates, Peer, Searched
+from estimators.baselines.base import LogCoordinates, Peer, SearchResult
 from estimators.baselines.problem import Problem
 from estimators.particles.errors import ModelErrors
 from estimators.particles.windows import Observations
@@ -17,7 +17,7 @@ from testbed.errors import InvalidValueError
 from testbed.objects.model import MassDistribution, ObjectModel
 from testbed.trial import OWN_WEIGHT, RIGID
 
-if TYPE_CHECKING:  # MuJoCo and its toolbox take a second to import: only who asks this method waits
+if TYPE_CHECKING:  # MuJoCo and its toolbox take a second to import: only this method waits for them
     from testbed.simulation.planar_sysid import PlanarMotion
 
 SUPPORTS = {"own_weight": OWN_WEIGHT, "rigid": RIGID}
@@ -27,14 +27,14 @@ SUPPORTS = {"own_weight": OWN_WEIGHT, "rigid": RIGID}
 class MujocoSysid(Peer):
     """Fits mass and friction by `mujoco.sysid`: rollouts of a planar MuJoCo scene, the toolbox's default optimiser.
 
-    It is given what every peer is, M and the errors' covariance, and starts where they do. Its covariance is the
-    toolbox's. Needs the extra `sysid`.
+    It gets M and the errors' covariance and starts at uniform mass, as every peer. Its covariance is the toolbox's.
+    Needs the extra `sysid`.
     """
 
     iterations: int = 200
-    """Of the toolbox's optimiser, at most: its default."""
+    """Most iterations of the toolbox's optimizer: its default."""
     support: str = "own_weight"
-    """Who carries the weight in its scene: own_weight, as every baseline takes it, or rigid."""
+    """Support in its scene: own_weight, as every baseline assumes, or rigid."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -43,7 +43,7 @@ class MujocoSysid(Peer):
         if self.weighting != "covariance":
             raise InvalidValueError("MujocoSysid.weighting", self.weighting, "covariance: it fits wrenches")
 
-    def _search(self, problem: Problem, seed: int) -> Searched:
+    def _search(self, problem: Problem, seed: int) -> SearchResult:
         from testbed.simulation.planar_sysid import Measured, identify  # noqa: PLC0415  see above
 
         shape, windows = problem.shape, problem.windows
@@ -60,7 +60,7 @@ class MujocoSysid(Peer):
         found = identify(guess, SUPPORTS[self.support], measured, self.iterations)
         count = shape.particles_per_group
         trace = Trace("mujoco_sysid", tuple(found.losses), tuple(found.seconds), 0.0, found.masses / count)
-        return Searched(
+        return SearchResult(
             found.group_mass / count,
             found.friction,
             float(found.losses[-1]),
@@ -72,7 +72,7 @@ class MujocoSysid(Peer):
 
 
 def motion_of(windows: Observations) -> PlanarMotion:
-    """The windows as a planar scene is driven through them; an accelerated one goes at one rate through its parts."""
+    """Motion of the planar scene through the windows; an accelerated window keeps one rate through its parts."""
     from testbed.simulation.planar_sysid import PlanarMotion  # noqa: PLC0415
 
     rate = windows.spin_square.sqrt()[:, None] / windows.twists[..., 2].abs()

@@ -1,7 +1,8 @@
-"""CMA-ES on the explicit model: an evolving covariance (Hansen 2016), as the cmaes package has it."""
+"""General optimizers on the explicit model: CMA-ES, Nelder-Mead and nonlinear least squares, with their defaults."""
 
 from __future__ import annotations
 
+import time
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,21 +10,55 @@ import torch
 from cmaes import CMA
 from scipy.optimize import least_squares, minimize
 
-from estimators.baselines.base import FIRST_DEVIATION, Objective, Peer, Searched
-from estimators.baselines.problem import Problem
+from estimators.baselines.base import FIRST_DEVIATION, LogCoordinates, Peer, SearchResult
+from estimators.baselines.problem import Problem, Weighting
 from testbed.errors import InvalidValueError
 from testbed.validation import check_positive
 
 
+class Objective:
+    """Loss over that of the first guess, as a function of log mass and log friction; keeps every evaluation."""
+
+    def __init__(self, problem: Problem, weighting: Weighting, seed: int):
+        self.coordinates = LogCoordinates.of(problem, seed)
+        self.start = self.coordinates.start.numpy()
+        self._problem = problem
+        self._weighting: Weighting = weighting
+        self._begin = time.perf_counter()
+        self._evaluated: list[tuple[np.ndarray, np.ndarray, float]] = []
+        self._scale = 1.0
+        self._scale = max(self.loss(self.start), 1e-300)
+        self._evaluated.clear()
+
+    def losses(self, points: np.ndarray) -> np.ndarray:
+        """Losses of S points (S, n), shape (S,)."""
+        guessed = self.coordinates.candidates(torch.tensor(points))
+        loss = self._problem.loss(guessed.mass, guessed.friction, self._weighting).numpy()
+        self._evaluated.append((points, loss, time.perf_counter() - self._begin))
+        return loss / self._scale
+
+    def loss(self, point: np.ndarray) -> float:
+        """Loss of one point (n,)."""
+        return float(self.losses(point[None])[0])
+
+    def result(self, method: str) -> SearchResult:
+        """The best of all evaluations."""
+        batches = [
+            (self.coordinates.candidates(torch.tensor(points)), torch.tensor(loss), at)
+            for points, loss, at in self._evaluated
+        ]
+        return SearchResult.of_samples(method, batches)
+
+
 @dataclass(frozen=True)
 class CmaEs(Peer):
-    """Draws generations from a Gaussian in log mass and log friction whose covariance learns from the best of each.
+    """Evolving Gaussian in log mass and log friction (Hansen 2016): its covariance learns from the best of each draw.
 
-    All but the first deviation is the package's default.
+    All but the first deviation is the default of the cmaes package.
     """
 
     first_deviation: float = FIRST_DEVIATION
-    """Of log mass and log friction; the package has no default."""
+    """First deviation of log mass and log friction; the package has no default."""
     population: int = 0
     """Samples a generation; 0 is the package's 4 + 3 ln(n)."""
 
@@ -34,7 +69,7 @@ class CmaEs(Peer):
         if not (whole and (self.population == 0 or self.population >= 5)):
             raise InvalidValueError("CmaEs.population", self.population, "0, or an integer >= 5")
 
-    def _search(self, problem: Problem, seed: int) -> Searched:
+    def _search(self, problem: Problem, seed: int) -> SearchResult:
         objective = Objective(problem, self.weighting, seed)
         size = self.population or None
         search = CMA(objective.start, self.first_deviation, seed=seed % 2**32, population_size=size)
@@ -45,24 +80,24 @@ class CmaEs(Peer):
             left -= len(losses)
             if len(losses) == len(points):
                 search.tell(list(zip(points, losses.tolist(), strict=True)))
-        return objective.searched("cma_es")
+        return objective.result("cma_es")
 
 
 @dataclass(frozen=True)
 class NelderMead(Peer):
-    """Moves a simplex downhill in log mass and log friction."""
+    """Downhill simplex in log mass and log friction."""
 
-    def _search(self, problem: Problem, seed: int) -> Searched:
+    def _search(self, problem: Problem, seed: int) -> SearchResult:
         objective = Objective(problem, self.weighting, seed)
         minimize(objective.loss, objective.start, method="Nelder-Mead", options={"maxfev": self.iterations})
-        return objective.searched("nelder_mead")
+        return objective.result("nelder_mead")
 
 
 @dataclass(frozen=True)
 class LeastSquares(Peer):
-    """Fits mass and friction to every wrench at once, in log mass and log friction; slopes are differences."""
+    """Fit of all wrenches at once in log mass and log friction, with difference quotients for slopes."""
 
-    def _search(self, problem: Problem, seed: int) -> Searched:
+    def _search(self, problem: Problem, seed: int) -> SearchResult:
         objective = Objective(problem, self.weighting, seed)
 
         def residuals(point: np.ndarray) -> np.ndarray:
@@ -70,6 +105,6 @@ class LeastSquares(Peer):
             guess = objective.coordinates.candidates(torch.tensor(point[None]))
             return problem.residuals(guess.mass[0], guess.friction[0], self.weighting).numpy()
 
-        steps = self.iterations // (len(objective.start) + 1)  # a difference along every direction each
+        steps = self.iterations // (len(objective.start) + 1)  # one difference along every direction
         least_squares(residuals, objective.start, max_nfev=max(steps, 1))
-        return objective.searched("least_squares")
+        return objective.result("least_squares")

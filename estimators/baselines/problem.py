@@ -22,7 +22,7 @@ from testbed.objects.model import GRAVITY, ObjectShape
 from testbed.trajectory import Trajectory
 
 STEP = 0.01
-"""Step of the prediction, that of a 100 Hz record, s."""
+"""Step of the prediction [s], that of a 100 Hz record."""
 MODEL_ERROR = 0.002
 """Error of the particle model, as a part of the largest force and torque: under weighting "covariance"."""
 Weighting = Literal["velocity", "covariance"]
@@ -30,7 +30,7 @@ Weighting = Literal["velocity", "covariance"]
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """What a search works on: one object's windows, and whether M is known."""
+    """Data of a search: the windows of one object, and M if the search gets it."""
 
     shape: ObjectShape
     model: ParticleModel
@@ -38,9 +38,9 @@ class Problem:
     loads: AffineLoads
     wrenches: WrenchModel
     weight: float | None
-    """M, kg, or None where the method is not given it."""
+    """M [kg], or None if the method does not get it."""
     whiten: Tensor
-    """Takes wrench residuals to unit variance, (3 K, 3 K)."""
+    """Map of wrench residuals to unit variance, shape (3 K, 3 K)."""
 
     @staticmethod
     def of(
@@ -51,7 +51,7 @@ class Problem:
         use_weight: bool,
         pivot_error: float,
     ) -> Problem | Estimate:
-        """The problem, or the answer that says why there is none.
+        """The problem, or the estimate that says why there is none.
 
         Raises:
             InvalidValueError: `use_weight` without a weight.
@@ -74,21 +74,21 @@ class Problem:
 
     @property
     def per_group(self) -> Float[Tensor, "n_m"]:
-        """Particles in each mass group."""
+        """Number of particles in each mass group."""
         return torch.tensor(self.shape.particles_per_group, dtype=torch.float64)
 
     @property
     def drag(self) -> float:
-        """Largest force felt at constant speed, N: a lower bound of mu M g."""
+        """Largest force measured at constant speed [N]: a lower bound of mu M g."""
         return float(self.windows.wrench[~self.windows.accelerated, :2].norm(dim=1).max())
 
     @property
     def scale_known(self) -> bool:
-        """Whether mass and friction can be told apart: by M, or by an acceleration."""
+        """True if M or an acceleration separates mass from friction."""
         return self.weight is not None or bool(self.windows.accelerated.any())
 
     def typical_mass(self, friction: Float[Tensor, "..."]) -> Float[Tensor, "..."]:
-        """Mean particle mass: M where known, else what explains the largest drag at that friction, kg."""
+        """Mean particle mass [kg]: by M if known, else by the largest drag at that friction."""
         count = len(self.shape.particles)
         if self.weight is not None:
             return torch.full_like(friction, self.weight / count)
@@ -111,7 +111,7 @@ class Problem:
     def residuals(
         self, mass: Float[Tensor, "n_m"], friction: Float[Tensor, "n_mu"], weighting: Weighting
     ) -> Float[Tensor, "3K"]:
-        """What `loss` is the sum of the squares of."""
+        """Residuals whose squares sum to `loss`."""
         missing = self.windows.wrench - self.wrenches.wrench(mass, friction)
         if weighting == "covariance":
             return (missing.flatten(-2) @ self.whiten.T) / math.sqrt(missing.numel())
@@ -119,7 +119,7 @@ class Problem:
         return STEP / math.sqrt(len(self.windows)) * torch.cat([along.flatten(), spin])
 
     def _missing_acceleration(self, mass: Tensor, missing: Float[Tensor, "... K 3"]) -> tuple[Tensor, Tensor]:
-        """Of the centre of mass and of the turn, that what is missing would cause, (..., K, 2) and (..., K)."""
+        """Acceleration of the center of mass and of the turn by a missing wrench, shapes (..., K, 2) and (..., K)."""
         inertia = self.inertia(mass)
         arm = inertia.com[..., None, :] - self.windows.grasp
         spin = (missing[..., 2] - cross(arm, missing[..., :2])) / inertia.about_com[..., None]

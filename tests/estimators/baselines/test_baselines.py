@@ -11,11 +11,12 @@ import pytest
 from numpy.testing import assert_allclose
 
 from estimators.base import Estimate
-from estimators.baselines.base import DENSEST, ITERATIONS, OPTIMIZERS, Baseline
+from estimators.baselines.base import DENSEST, ITERATIONS, Baseline
 from estimators.baselines.diff_lcp import DiffLcp
 from estimators.baselines.explicit_state import ExplicitState
 from estimators.baselines.random_search import RandomSearch
 from estimators.baselines.weighted_sampling import WeightedSampling
+from estimators.descent import OPTIMIZERS
 from estimators.evaluation.metrics import normalized_absolute_difference
 from estimators.testing.analytic_world import accelerated, drawn_object, turns
 from testbed.errors import InvalidValueError

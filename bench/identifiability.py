@@ -35,7 +35,7 @@ from scipy.stats import norm
 
 from estimators.hidden_states.algorithm import HiddenStates
 from estimators.hidden_states.masses import load_jacobian
-from estimators.identifiability.information import Question, expected, observed
+from estimators.identifiability.information import Assumptions, expected, observed
 from estimators.particles.errors import EXACT, ModelErrors
 from estimators.particles.friction_system import LoadGroups, friction_equations
 from estimators.particles.model import ParticleModel, inertia_of
@@ -175,7 +175,7 @@ def bound(folder: Path, options: argparse.Namespace) -> None:
             weight, trials = each.draw(options.sensing, seed)
             if seed == 0:
                 stated.append(observed(shape, truth, trials).standard_error)
-                sensor.append(observed(shape, truth, trials, Question(errors=EXACT)).standard_error)
+                sensor.append(observed(shape, truth, trials, Assumptions(errors=EXACT)).standard_error)
             answer = HiddenStates().estimate(shape, weight, trials, seed)
             if answer.distribution is not None:
                 answers.append((answer.distribution.mass - truth.mass) * shape.particles_per_group)
@@ -263,7 +263,7 @@ def speed() -> None:
         model = load_object(name)
         actions, sensing = actions_of(model), preset("ft300s")
         for support in ("own_weight", "rigid"):
-            question = Question(support)
+            question = Assumptions(support)
             took = _median(lambda m=model, a=actions, q=question, s=sensing: expected(m.shape, m.truth, a, s, q))
             print(f"a report for {name}, {support}: {1e3 * took:.1f} ms")
 

@@ -29,9 +29,16 @@ import torch
 from matplotlib.figure import Figure
 
 from estimators.action_selection.candidates import ActionFamily
-from estimators.action_selection.design import Design, Guess, before_trials
-from estimators.action_selection.greedy import Asked, Goal, PlannedTouches, batch_plan, greedy_choice, greedy_plan
-from estimators.action_selection.online import OnlineTouches, spent_seconds
+from estimators.action_selection.design import Design, Guess, prior_belief
+from estimators.action_selection.greedy import (
+    FeasibilityLog,
+    Goal,
+    PlannedPolicy,
+    batch_plan,
+    greedy_choice,
+    greedy_plan,
+)
+from estimators.action_selection.online import OnlinePolicy, spent_seconds
 from estimators.action_selection.rank import RankDriven
 from estimators.base import ActionPolicy
 from estimators.evaluation.metrics import normalized_absolute_difference
@@ -86,15 +93,16 @@ def speed(options: argparse.Namespace) -> None:
         shape, guess = model.shape, Guess(model.total_mass, preset(options.sensing))
         family, grasps = ActionFamily(), range(len(shape.grasps))
         candidates = family.sample(shape, grasps, 10_000, 0)
-        design, before = Design.of(shape, candidates, guess), before_trials(shape, guess)
+        design, before = Design.of(shape, candidates, guess), prior_belief(shape, guess)
         few = design.of_some(range(200))
         print(f"{name}: {len(candidates)} candidates")
         print(f"  sampling {_best(lambda: family.sample(shape, grasps, 10_000, 0)):.3f} s")  # noqa: B023
         print(f"  information of all {_best(lambda: Design.of(shape, candidates, guess)):.3f} s")  # noqa: B023
-        one = _best(lambda: greedy_choice(design, before, [], Goal(), np.inf, Asked()))  # noqa: B023
+        goal, free = Goal(most=6), FeasibilityLog
+        one = _best(lambda: greedy_choice(design, before, [], Goal(), np.inf, free()))  # noqa: B023
         print(f"  next action {one:.3f} s")
-        print(f"  greedy plan of six {_best(lambda: greedy_plan(design, before, Goal(most=6), Asked())):.3f} s")  # noqa: B023
-        print(f"  batch plan of six {_best(lambda: batch_plan(design, before, Goal(most=6), Asked())):.3f} s")  # noqa: B023
+        print(f"  greedy plan of six {_best(lambda: greedy_plan(design, before, goal, free())):.3f} s")  # noqa: B023
+        print(f"  batch plan of six {_best(lambda: batch_plan(design, before, goal, free())):.3f} s")  # noqa: B023
         update = _best(lambda: few.values_after(before))  # noqa: B023
         afresh = _best(lambda: [few.value(before.after(few.taught(i))) for i in range(200)])  # noqa: B023
         print(f"  against an inverse a candidate: {afresh / update:.0f} times as fast (200 candidates)")
@@ -148,7 +156,7 @@ def more(options: argparse.Namespace) -> None:
         model = load_object(name)
         guess = Guess(model.total_mass, preset(options.sensing))
         family = ActionFamily(slides=False, accelerated=False)
-        plan = PlannedTouches(guess, goal=Goal(most=8), family=family, feasible=BenchCheck(model.shape, guess)).plan(
+        plan = PlannedPolicy(guess, goal=Goal(most=8), family=family, feasible=BenchCheck(model.shape, guess)).plan(
             model.shape
         )
         spent = np.cumsum([step.seconds for step in plan.steps])
@@ -206,7 +214,7 @@ def _rows(model: ObjectModel, sensing_name: str, draws: int) -> Iterator[dict[st
     ahead: dict[str, ActionPolicy] = {
         "paper": RankDriven(TURNS, accelerated=0, grasps=feasible_grasps(model, SimulationSettings()), most=TURNS),
         **{
-            kind: PlannedTouches(guess, kind, goal=goal, feasible=check)  # pyright: ignore[reportArgumentType]
+            kind: PlannedPolicy(guess, kind, goal=goal, feasible=check)  # pyright: ignore[reportArgumentType]
             for kind in ("random", "greedy", "batch")
         },
     }
@@ -216,7 +224,7 @@ def _rows(model: ObjectModel, sensing_name: str, draws: int) -> Iterator[dict[st
         while (action := policy.next(shape, clean)) is not None and action not in refused:
             clean += tried(action)
         drawn_ = [[_felt(t, sensing, model, name, draw, i) for i, t in enumerate(clean)] for draw in range(draws)]
-        plan = policy.plan(shape, tuple(refused)) if isinstance(policy, PlannedTouches) else None
+        plan = policy.plan(shape, tuple(refused)) if isinstance(policy, PlannedPolicy) else None
         for count in range(1, len(clean) + 1):
             as_planned = plan is not None and plan.actions[:count] == tuple(t.action for t in clean[:count])
             yield {
@@ -226,7 +234,7 @@ def _rows(model: ObjectModel, sensing_name: str, draws: int) -> Iterator[dict[st
                 "nad": float(np.mean([_nad(model, seen[:count]) for seen in drawn_])),
                 "expected": plan.steps[count - 1].belief.expected_nad if plan is not None and as_planned else None,
             }
-    online = OnlineTouches(guess, goal, feasible=check, estimator=HiddenStates())
+    online = OnlinePolicy(guess, goal, feasible=check, estimator=HiddenStates())
     felt: list[Trajectory] = []
     refused.clear()
     decision = online.decide(shape, felt)

@@ -7,8 +7,8 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from estimators.action_selection.greedy import PlannedTouches
-    from estimators.action_selection.online import OnlineTouches
+    from estimators.action_selection.greedy import PlannedPolicy
+    from estimators.action_selection.online import OnlinePolicy
     from estimators.action_selection.rank import RankDriven
     from estimators.base import ActionPolicy, Estimate, Estimator, HiddenStateEstimate, Trace
     from estimators.baselines.diff_lcp import DiffLcp
@@ -27,8 +27,8 @@ if TYPE_CHECKING:
     from estimators.support_models.estimator import SupportAware
 
 _MODULES = {
-    "action_selection.greedy": ("PlannedTouches",),
-    "action_selection.online": ("OnlineTouches",),
+    "action_selection.greedy": ("PlannedPolicy",),
+    "action_selection.online": ("OnlinePolicy",),
     "action_selection.rank": ("RankDriven",),
     "base": ("ActionPolicy", "Estimate", "Estimator", "HiddenStateEstimate", "Trace"),
     "baselines.diff_lcp": ("DiffLcp",),
@@ -64,8 +64,8 @@ __all__ = [
     "MujocoSysid",
     "NelderMead",
     "Observations",
-    "OnlineTouches",
-    "PlannedTouches",
+    "OnlinePolicy",
+    "PlannedPolicy",
     "RandomSearch",
     "RankDriven",
     "SupportAware",

@@ -13,9 +13,9 @@ from zlib import crc32
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
-from estimators.action_selection.design import THOUGHT, Guess
-from estimators.action_selection.greedy import Goal, PlannedTouches
-from estimators.action_selection.online import OnlineTouches
+from estimators.action_selection.design import ASSUMED_SUPPORTS, Guess
+from estimators.action_selection.greedy import Goal, PlannedPolicy
+from estimators.action_selection.online import OnlinePolicy
 from estimators.action_selection.rank import RankDriven, held_out_turns
 from estimators.base import ActionPolicy
 from estimators.registry import build_method
@@ -116,10 +116,12 @@ class Policy(BaseModel):
         goal = Goal(self.until, self.budget_s, self.touches)
         searched = {"candidates": self.candidates, "grasps": grasps, "seed": self.seed, "feasible": check}
         if self.kind == "online":
-            guess = replace(guess, sensing=preset(sensing or self.plan_for), supports=THOUGHT[self.thought or "either"])
-            return OnlineTouches(guess, goal, self.criterion, **searched)
-        guess = replace(guess, supports=THOUGHT[self.thought or "own_weight"])
-        return PlannedTouches(guess, self.kind, self.criterion, goal, **searched)  # pyright: ignore[reportArgumentType]
+            guess = replace(
+                guess, sensing=preset(sensing or self.plan_for), supports=ASSUMED_SUPPORTS[self.thought or "either"]
+            )
+            return OnlinePolicy(guess, goal, self.criterion, **searched)
+        guess = replace(guess, supports=ASSUMED_SUPPORTS[self.thought or "own_weight"])
+        return PlannedPolicy(guess, self.kind, self.criterion, goal, **searched)  # pyright: ignore[reportArgumentType]
 
     def asked(self) -> dict[str, Any]:
         """All that decides its choices, as plain data."""

@@ -17,10 +17,10 @@ from jaxtyping import Float, Int
 from estimators.action_selection.cost import RobotTime
 from estimators.identifiability.information import (
     SUPPORTS,
-    Question,
+    Assumptions,
     TrialInformation,
-    before_any_trial,
-    planned_information,
+    predicted_information,
+    prior_information,
 )
 from estimators.support_models.fit import FRICTION_PRIOR, prior_masses
 from testbed.actions.base import Action, Rotate, Slide, Weigh
@@ -30,7 +30,7 @@ from testbed.sensing.presets import Sensing
 
 Criterion = Literal["A", "D", "I"]
 """What a plan makes small: the trace of the masses' covariance, its volume, or the expected NAD."""
-THOUGHT: dict[str, tuple[str, ...]] = {**{support: (support,) for support in SUPPORTS}, "either": SUPPORTS}
+ASSUMED_SUPPORTS: dict[str, tuple[str, ...]] = {**{support: (support,) for support in SUPPORTS}, "either": SUPPORTS}
 """Support models that are thought possible, by the name on a command line and in a file."""
 NORMAL_MEAN = math.sqrt(2 / math.pi)
 """Mean size of a standard normal number."""
@@ -112,9 +112,9 @@ class Guess:
         if not self.supports or set(self.supports) - set(SUPPORTS):
             raise InvalidValueError("Guess.supports", self.supports, f"one or more of {', '.join(SUPPORTS)}")
 
-    def questions(self) -> tuple[Question, ...]:
+    def questions(self) -> tuple[Assumptions, ...]:
         """One a support model."""
-        return tuple(Question(support) for support in self.supports)
+        return tuple(Assumptions(support) for support in self.supports)
 
     def uniform(self, shape: ObjectShape) -> MassDistribution:
         """All particles of one mass."""
@@ -123,7 +123,7 @@ class Guess:
 
 
 @dataclass(frozen=True, eq=False)
-class Step:
+class PlanStep:
     """One action of a plan."""
 
     action: Action
@@ -170,7 +170,7 @@ class Design:
         """
         where = guess.uniform(shape) if at is None else at
         teaches = tuple(
-            planned_information(shape, where, candidates, guess.sensing, question) for question in guess.questions()
+            predicted_information(shape, where, candidates, guess.sensing, question) for question in guess.questions()
         )
         return Design(shape, tuple(candidates), teaches, criterion)
 
@@ -237,13 +237,13 @@ def steady(action: Action) -> bool:
     return isinstance(action, Rotate | Slide)
 
 
-def before_trials(shape: ObjectShape, guess: Guess) -> Belief:
+def prior_belief(shape: ObjectShape, guess: Guess) -> Belief:
     """The weighing, and all ways to share M as likely."""
     n_m, n_mu, count = shape.n_m, shape.n_mu, shape.particles_per_group
     covariance = prior_masses(shape, guess.weight)[1]
     both = []
     for question in guess.questions():
-        information = before_any_trial(shape, max(guess.sensing.scale, question.stated.weight_error))
+        information = prior_information(shape, max(guess.sensing.scale, question.stated.weight_error))
         information[:n_m, :n_m] += np.linalg.pinv(covariance, rcond=1e-9, hermitian=True)
         information[n_m : n_m + n_mu, n_m : n_m + n_mu] += np.eye(n_mu) / FRICTION_PRIOR**2
         both.append(information)

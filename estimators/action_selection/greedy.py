@@ -12,7 +12,16 @@ from jaxtyping import Float, Int
 
 from estimators.action_selection.candidates import ActionFamily
 from estimators.action_selection.cost import RobotTime
-from estimators.action_selection.design import LEAST_GAIN, Belief, Criterion, Design, Guess, Step, before_trials, steady
+from estimators.action_selection.design import (
+    LEAST_GAIN,
+    Belief,
+    Criterion,
+    Design,
+    Guess,
+    PlanStep,
+    prior_belief,
+    steady,
+)
 from estimators.action_selection.rank import RankDriven
 from testbed.actions.base import Action
 from testbed.errors import InvalidValueError
@@ -64,7 +73,7 @@ class Goal:
 
 
 @dataclass(eq=False)
-class Asked:
+class FeasibilityLog:
     """What the bench has said of candidates; each is asked at most once."""
 
     feasible: Feasible = anything
@@ -88,7 +97,7 @@ class Plan:
 
     before: Belief
     """After the weighing alone."""
-    steps: tuple[Step, ...]
+    steps: tuple[PlanStep, ...]
     """In order."""
     why: str
     """Why it ends."""
@@ -112,7 +121,7 @@ class Plan:
 
 
 def greedy_choice(
-    design: Design, belief: Belief, done: Sequence[Action], goal: Goal, left: float, asked: Asked
+    design: Design, belief: Belief, done: Sequence[Action], goal: Goal, left: float, asked: FeasibilityLog
 ) -> tuple[int | None, str]:
     """The candidate that teaches most a second of robot time, and if none, why there is none.
 
@@ -143,9 +152,9 @@ def greedy_choice(
     return None, f"the bench can do none of the {min(MOST_ASKED, int(affordable.sum()))} best"
 
 
-def greedy_plan(design: Design, before: Belief, goal: Goal, asked: Asked) -> Plan:
+def greedy_plan(design: Design, before: Belief, goal: Goal, asked: FeasibilityLog) -> Plan:
     """One action after the other, each the best of its moment."""
-    steps: list[Step] = []
+    steps: list[PlanStep] = []
     belief, spent, why = before, 0.0, ""
     while not why:
         why = _ended(belief, len(steps), goal)
@@ -158,9 +167,9 @@ def greedy_plan(design: Design, before: Belief, goal: Goal, asked: Asked) -> Pla
     return Plan(before, tuple(steps), why, asked.rejected)
 
 
-def random_plan(design: Design, before: Belief, goal: Goal, asked: Asked) -> Plan:
+def random_plan(design: Design, before: Belief, goal: Goal, asked: FeasibilityLog) -> Plan:
     """Candidates as they come, where the bench can do them and there is time for them."""
-    steps: list[Step] = []
+    steps: list[PlanStep] = []
     belief, spent, why = before, 0.0, "there is nothing to grip, or nothing within reach"
     for index, action in enumerate(design.candidates):
         why = _ended(belief, len(steps), goal)
@@ -175,7 +184,7 @@ def random_plan(design: Design, before: Belief, goal: Goal, asked: Asked) -> Pla
     return Plan(before, tuple(steps), why, asked.rejected)
 
 
-def batch_plan(design: Design, before: Belief, goal: Goal, asked: Asked) -> Plan:
+def batch_plan(design: Design, before: Belief, goal: Goal, asked: FeasibilityLog) -> Plan:
     """The greedy plan, made better by exchange: each trial against every candidate, the others held fast.
 
     Where a target is met it is made shorter; else what it leaves unknown is made less, within its time. Exchange ends
@@ -204,7 +213,9 @@ def exhaustive(design: Design, before: Belief, size: int) -> tuple[tuple[int, ..
     return best, _value(design, before, best)
 
 
-def _settled(design: Design, before: Belief, chosen: list[int], goal: Goal, left: float, asked: Asked) -> list[int]:
+def _settled(
+    design: Design, before: Belief, chosen: list[int], goal: Goal, left: float, asked: FeasibilityLog
+) -> list[int]:
     """The set when no exchange makes it better."""
     for _ in range(PASSES):
         settled, place = True, 0
@@ -226,7 +237,7 @@ def _rank(design: Design, before: Belief, chosen: list[int], goal: Goal) -> tupl
 
 
 def _exchanged(
-    design: Design, before: Belief, chosen: list[int], place: int, goal: Goal, left: float, asked: Asked
+    design: Design, before: Belief, chosen: list[int], place: int, goal: Goal, left: float, asked: FeasibilityLog
 ) -> list[int] | None:
     """The set with one trial exchanged or dropped, where that is better."""
     others = [c for i, c in enumerate(chosen) if i != place]
@@ -269,17 +280,17 @@ def _in_order(score: Float[np.ndarray, "C"]) -> Iterator[int]:
         yield int(index)
 
 
-def _step(design: Design, belief: Belief, done: Sequence[Action], index: int) -> Step:
+def _step(design: Design, belief: Belief, done: Sequence[Action], index: int) -> PlanStep:
     action = design.candidates[index]
     last = done[-1] if done else None
     after = belief.after(design.taught(index))
     seconds = design.time.of(action) + design.time.between(design.shape, last, action)
-    return Step(action, seconds, after, design.value(after))
+    return PlanStep(action, seconds, after, design.value(after))
 
 
-def as_plan(design: Design, before: Belief, chosen: Sequence[int], why: str, asked: Asked) -> Plan:
+def as_plan(design: Design, before: Belief, chosen: Sequence[int], why: str, asked: FeasibilityLog) -> Plan:
     """Candidates in that order, whatever they teach."""
-    steps: list[Step] = []
+    steps: list[PlanStep] = []
     for index in chosen:
         done = [step.action for step in steps]
         steps.append(_step(design, steps[-1].belief if steps else before, done, index))
@@ -288,11 +299,11 @@ def as_plan(design: Design, before: Belief, chosen: Sequence[int], why: str, ask
 
 def rank_driven_plan(shape: ObjectShape, guess: Guess, goal: Goal, grasps: tuple[int, ...], seed: int) -> Plan:
     """The rank-driven policy's actions, as far as the goal goes."""
-    actions = RankDriven(grasps=grasps, seed=seed).foreseen(shape)
-    design, before = Design.of(shape, actions, guess), before_trials(shape, guess)
+    actions = RankDriven(grasps=grasps, seed=seed).predicted_actions(shape)
+    design, before = Design.of(shape, actions, guess), prior_belief(shape, guess)
     if not actions:
         return Plan(before, (), "there is nothing to grip", ())
-    whole = as_plan(design, before, range(len(actions)), "the policy has all that it wants", Asked())
+    whole = as_plan(design, before, range(len(actions)), "the policy has all that it wants", FeasibilityLog())
     kept, spent = 0, 0.0
     for step in whole.steps:
         last = whole.steps[kept - 1].belief if kept else before
@@ -320,7 +331,7 @@ LOOKED_AT = 20
 
 
 @dataclass(frozen=True)
-class PlannedTouches:
+class PlannedPolicy:
     """Actions planned before anything is felt, from uniform masses. A trial that goes wrong is planned around."""
 
     guess: Guess
@@ -344,9 +355,9 @@ class PlannedTouches:
 
     def __post_init__(self) -> None:
         if self.kind not in get_args(Kind):
-            raise InvalidValueError("PlannedTouches.kind", self.kind, f"one of {', '.join(get_args(Kind))}")
+            raise InvalidValueError("PlannedPolicy.kind", self.kind, f"one of {', '.join(get_args(Kind))}")
         if self.candidates < 1:
-            raise InvalidValueError("PlannedTouches.candidates", self.candidates, "an integer >= 1")
+            raise InvalidValueError("PlannedPolicy.candidates", self.candidates, "an integer >= 1")
 
     def next(self, shape: ObjectShape, trajectories: Sequence[Trajectory]) -> Action | None:
         """The first action of the plan that was not tried; where trials failed, of a plan that does without them.
@@ -378,13 +389,15 @@ class PlannedTouches:
 
 
 @lru_cache(maxsize=8)
-def _planned(policy: PlannedTouches, shape: ObjectShape, failed: tuple[Action, ...]) -> Plan:
+def _planned(policy: PlannedPolicy, shape: ObjectShape, failed: tuple[Action, ...]) -> Plan:
     candidates = tuple(action for action in policy.sampled(shape) if action not in failed)
     if policy.kind == "random":  # those that it will look at
         order = np.random.default_rng(policy.seed).permutation(len(candidates))
         candidates = tuple(candidates[i] for i in order[: LOOKED_AT * policy.goal.most])
     design = Design.of(shape, candidates, policy.guess, policy.criterion)
-    return _SEARCHES[policy.kind](design, before_trials(shape, policy.guess), policy.goal, Asked(policy.feasible))
+    return _SEARCHES[policy.kind](
+        design, prior_belief(shape, policy.guess), policy.goal, FeasibilityLog(policy.feasible)
+    )
 
 
 _SEARCHES = {"random": random_plan, "greedy": greedy_plan, "batch": batch_plan}

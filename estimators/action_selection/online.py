@@ -16,11 +16,11 @@ from estimators.action_selection.design import (
     Criterion,
     Design,
     Guess,
-    before_trials,
     expected_nad,
+    prior_belief,
     steady,
 )
-from estimators.action_selection.greedy import MOST_ASKED, Asked, Feasible, Goal, anything, greedy_choice
+from estimators.action_selection.greedy import MOST_ASKED, FeasibilityLog, Feasible, Goal, anything, greedy_choice
 from estimators.base import Estimate, Estimator
 from estimators.hidden_states.algorithm import HiddenStates
 from estimators.hidden_states.masses import load_jacobian
@@ -69,7 +69,7 @@ class Decision:
 
 
 @dataclass(frozen=True)
-class OnlineTouches:
+class OnlinePolicy:
     """After every trial the action that teaches most a second, given the answer so far and how sure it is."""
 
     guess: Guess
@@ -109,14 +109,14 @@ class OnlineTouches:
         misfit = estimate.diagnostics.get("loss", 1.0) if estimate is not None else 1.0
         own = guess.supports == ("own_weight",)
         contradicted = estimate is not None and estimate.status == "contradictory"
-        belief = before_trials(shape, guess)
+        belief = prior_belief(shape, guess)
         if not contradicted:  # else nothing that was felt can be believed
             inflated = misfit if own and misfit > DISAGREE else 1.0
             belief = belief.after(_felt(shape, guess, at, windows, trajectories) / inflated)
         nad, error = _sure(belief, estimate)
         done = [trajectory.action for trajectory in trajectories]
 
-        def say(action: Action | None, why: str, after: float = nad, asked: Asked | None = None) -> Decision:
+        def say(action: Action | None, why: str, after: float = nad, asked: FeasibilityLog | None = None) -> Decision:
             rejected = asked.rejected if asked else ()
             return Decision(action, why, estimate, nad, error, after, guess.supports, rejected)
 
@@ -132,7 +132,7 @@ class OnlineTouches:
         failed = {trajectory.action for trajectory in trajectories if not trajectory.ok}
         grasps = range(len(shape.grasps)) if self.grasps is None else self.grasps
         candidates = [a for a in self.family.sample(shape, grasps, self.candidates, self.seed) if a not in failed]
-        design, asked = Design.of(shape, candidates, guess, self.criterion, at), Asked(self.feasible)
+        design, asked = Design.of(shape, candidates, guess, self.criterion, at), FeasibilityLog(self.feasible)
         if self.goal.met(nad) or contradicted:
             index, why = _for_an_answer(design, done, left, asked), "there is no answer, and nothing feasible gives one"
         else:
@@ -143,7 +143,7 @@ class OnlineTouches:
         return say(design.candidates[index], "", after, asked)
 
 
-def _for_an_answer(design: Design, done: Sequence[Action], left: float, asked: Asked) -> int | None:
+def _for_an_answer(design: Design, done: Sequence[Action], left: float, asked: FeasibilityLog) -> int | None:
     """What is known well enough may not yet be enough for a method: the shortest touch of the kind that is missing.
 
     First a turn or a slide, then an accelerated turn, which parts masses from frictions, then other turns, as long as

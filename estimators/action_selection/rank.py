@@ -46,7 +46,7 @@ class RankDriven:
         """The next accelerated turn or turn; None when done, when nothing is grippable, or after `most` trials."""
         return self._after(shape, [t.action for t in trajectories], [t.action for t in trajectories if t.ok])
 
-    def foreseen(self, shape: ObjectShape) -> list[Action]:
+    def predicted_actions(self, shape: ObjectShape) -> list[Action]:
         """All that it will ask for where every trial goes well."""
         done: list[Action] = []
         while (action := self._after(shape, done, done)) is not None:
@@ -67,8 +67,8 @@ class RankDriven:
         turns = sum(isinstance(action, Rotate) for action in tried)
         if turns >= self.pivots:
             done = [action for action in good if isinstance(action, Rotate)]
-            within_reach = planned_rank(shape, [Rotate(grasp) for grasp in allowed])
-            if planned_rank(shape, done) == within_reach:
+            within_reach = predicted_rank(shape, [Rotate(grasp) for grasp in allowed])
+            if predicted_rank(shape, done) == within_reach:
                 return None
         grasp = _drawn(allowed, turns, [self.seed, 2])
         pivot = between_particles(shape, shape.grasps[grasp].position)
@@ -114,7 +114,7 @@ def _drawn(allowed: Sequence[int], index: int, stream: list[int]) -> int:
     return int(rng.permutation(np.asarray(allowed))[index % len(allowed)])
 
 
-def planned_rank(shape: ObjectShape, turns: Sequence[Rotate]) -> int:
+def predicted_rank(shape: ObjectShape, turns: Sequence[Rotate]) -> int:
     """rank(Q) that these turns would give, from geometry alone."""
     if not turns:
         return 0

@@ -22,7 +22,7 @@ from estimators.hidden_states.masses import (
     solve_masses,
 )
 from estimators.hidden_states.nuisance import JointLoads, Layout, Nuisances, corrected, grained, restated
-from estimators.identifiability.information import Evidence
+from estimators.identifiability.information import Likelihood
 from estimators.identifiability.report import Identifiability, identifiability
 from estimators.particles.errors import ModelErrors
 from estimators.particles.friction_system import (
@@ -175,7 +175,7 @@ class HiddenStates(ModelErrors):
 
     def evidence(
         self, shape: ObjectShape, weight: float, trajectories: Sequence[Trajectory], at: MassDistribution
-    ) -> Evidence:
+    ) -> Likelihood:
         """What the trials say, with what the gripper carries worked out at an answer: for a posterior.
 
         Raises:
@@ -197,7 +197,7 @@ class HiddenStates(ModelErrors):
         system = self._system(problem, mass, friction, joint)
         pivots = self._pivots(problem, loads, mass, friction)
         fixed, values = fixed_rows(shape, weight, self.weight_error, pivots, shape.n_m)
-        return Evidence(shape, pairs, system.q.numpy(), system.b.numpy(), fixed, values)
+        return Likelihood(shape, pairs, system.q.numpy(), system.b.numpy(), fixed, values)
 
     def _system(
         self, problem: Problem, mass: torch.Tensor, friction: torch.Tensor, joint: JointLoads | None

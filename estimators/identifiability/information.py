@@ -10,7 +10,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from estimators.identifiability.predicted import planned_lift, planned_observations
+from estimators.identifiability.predicted import predicted_lift, predicted_windows
 from estimators.identifiability.report import Identifiability, identifiability
 from estimators.particles.errors import RIGID, ModelErrors
 from estimators.particles.lifts import lift_information, lifts_among
@@ -26,7 +26,7 @@ from testbed.trajectory import Trajectory
 
 
 @dataclass(frozen=True, eq=False)
-class Evidence:
+class Likelihood:
     """Residuals of unit variance: Q s - b for the friction loads, and a linear system in the masses."""
 
     shape: ObjectShape
@@ -70,7 +70,7 @@ SUPPORTS = ("own_weight", "rigid")
 
 
 @dataclass(frozen=True)
-class Question:
+class Assumptions:
     """Under which support, and with which errors of model and weighing, information is counted."""
 
     support: str = "own_weight"
@@ -93,7 +93,7 @@ def expected(
     distribution: MassDistribution,
     actions: Sequence[Action],
     sensing: Sensing,
-    question: Question | None = None,
+    question: Assumptions | None = None,
 ) -> Identifiability:
     """What some actions would show, before any trial: at the truth, its errors are the Cramer-Rao bound.
 
@@ -104,11 +104,11 @@ def expected(
         sensing: how the sensor errs.
         question: support model and stated errors.
     """
-    question = question or Question()
+    question = question or Assumptions()
     scale = max(sensing.scale, 1e-6)
     asked = replace(question, errors=replace(question.stated, weight_error=scale))
-    windows = planned_observations(shape, actions, sensing)
-    lifts = [planned_lift(action, sensing) for action in actions if isinstance(action, Lift)]
+    windows = predicted_windows(shape, actions, sensing)
+    lifts = [predicted_lift(action, sensing) for action in actions if isinstance(action, Lift)]
     return identifiability(shape, distribution, information_root(shape, distribution, windows, asked, lifts))
 
 
@@ -116,11 +116,11 @@ def observed(
     shape: ObjectShape,
     distribution: MassDistribution,
     trajectories: Sequence[Trajectory],
-    question: Question | None = None,
+    question: Assumptions | None = None,
 ) -> Identifiability:
     """What some trials show of an object with such masses and frictions."""
     windows, lifts = observe(shape, trajectories), list(lifts_among(shape, trajectories).values())
-    root = information_root(shape, distribution, windows, question or Question(), lifts)
+    root = information_root(shape, distribution, windows, question or Assumptions(), lifts)
     return identifiability(shape, distribution, root)
 
 
@@ -128,7 +128,7 @@ def information_root(
     shape: ObjectShape,
     distribution: MassDistribution,
     windows: Observations | None,
-    question: Question,
+    question: Assumptions,
     lifts: Sequence[Sequence[LiftWindow]] = (),
 ) -> Float[np.ndarray, "R unknowns"]:
     """Derivatives of the data in particle masses and frictions, over the data's errors, (R, n_m + n_mu)."""
@@ -184,15 +184,15 @@ class TrialInformation:
         return flat.T @ flat
 
 
-def shared_errors(shape: ObjectShape) -> int:
+def shared_error_count(shape: ObjectShape) -> int:
     """Number of errors that trials share: lift, height, all moments of inertia, and those about each grasp point."""
     return 3 + len(_points(shape))
 
 
-def before_any_trial(shape: ObjectShape, weight_error: float) -> Float[np.ndarray, "U U"]:
+def prior_information(shape: ObjectShape, weight_error: float) -> Float[np.ndarray, "U U"]:
     """Information of a weighing, and of shared errors that are of unit spread."""
     known = shape.n_m + shape.n_mu
-    information = np.diag(np.concatenate([np.zeros(known), np.ones(shared_errors(shape))]))
+    information = np.diag(np.concatenate([np.zeros(known), np.ones(shared_error_count(shape))]))
     weighed = shape.particles_per_group / weight_error
     information[: shape.n_m, : shape.n_m] += np.outer(weighed, weighed)
     return information
@@ -204,12 +204,12 @@ def of_masses(information: Float[np.ndarray, "U U"], known: int) -> Float[np.nda
     return information[:known, :known] - across @ np.linalg.solve(information[known:, known:], across.T)
 
 
-def planned_information(
+def predicted_information(
     shape: ObjectShape,
     distribution: MassDistribution,
     actions: Sequence[Action],
     sensing: Sensing,
-    question: Question,
+    question: Assumptions,
 ) -> TrialInformation:
     """Of actions before they are done, a trial each, in their order.
 
@@ -223,9 +223,9 @@ def planned_information(
         question: support model and stated errors.
     """
     moving = [action for action in actions if not isinstance(action, Weigh)]
-    windows = planned_observations(shape, moving, sensing) if moving else None
+    windows = predicted_windows(shape, moving, sensing) if moving else None
     lifts = {
-        index: planned_lift(action, sensing)
+        index: predicted_lift(action, sensing)
         for index, action in enumerate(moving)
         if isinstance(action, Lift) and question.support == "rigid"
     }
@@ -237,7 +237,7 @@ def trial_information(
     distribution: MassDistribution,
     windows: Observations | None,
     count: int,
-    question: Question,
+    question: Assumptions,
     lifts: Mapping[int, Sequence[LiftWindow]] | None = None,
 ) -> TrialInformation:
     """Of trials by their windows, planned or felt.
@@ -251,7 +251,7 @@ def trial_information(
         lifts: windows of the trials that are lifts, by the trial's number.
     """
     known = shape.n_m + shape.n_mu
-    rows = np.zeros((count, ROWS, known + shared_errors(shape)))
+    rows = np.zeros((count, ROWS, known + shared_error_count(shape)))
     if windows is not None:
         trial = windows.trial.numpy()
         for accelerated in (False, True):
@@ -280,7 +280,7 @@ def _steady_rows(
     shape: ObjectShape,
     distribution: MassDistribution,
     fields: dict[str, Tensor],
-    question: Question,
+    question: Assumptions,
 ) -> Float[np.ndarray, "C R U"]:
     """Of trials with as many steady windows each: the equations of one trial, mapped over all."""
     loads = ParticleLoads.of(shape, distribution, question.support)
@@ -293,16 +293,16 @@ def _steady_rows(
         return torch.linalg.solve_triangular(root, felt_of, upper=False)
 
     found = torch.vmap(of_trial, chunk_size=CHUNK)(fields).numpy()
-    return np.pad(found, ((0, 0), (0, 0), (0, shared_errors(shape) - 2)))
+    return np.pad(found, ((0, 0), (0, 0), (0, shared_error_count(shape) - 2)))
 
 
 def _accelerated_rows(
-    shape: ObjectShape, distribution: MassDistribution, fields: dict[str, Tensor], question: Question
+    shape: ObjectShape, distribution: MassDistribution, fields: dict[str, Tensor], question: Assumptions
 ) -> Float[np.ndarray, "C 1 U"]:
     """I_j about the grasp point of every trial, by the slope of torque against acceleration."""
     points, known, error = _points(shape), shape.n_m + shape.n_mu, question.stated.inertia_error
     count = len(fields["trial"])
-    rows = np.zeros((count, 1, known + shared_errors(shape)))
+    rows = np.zeros((count, 1, known + shared_error_count(shape)))
     for c in range(count):
         pivots, variance = slope_variance(Observations(**{name: value[c] for name, value in fields.items()}))
         of_mass = inertia_map(shape, pivots)[0]

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.optimize import nnls
 
-from estimators.identifiability.information import Evidence
+from estimators.identifiability.information import Likelihood
 from testbed.errors import InvalidValueError
 from testbed.objects.model import MassDistribution
 
@@ -44,7 +44,7 @@ class Posterior:
 
 
 def sample_posterior(
-    evidence: Evidence,
+    evidence: Likelihood,
     start: MassDistribution,
     seed: int,
     *,
@@ -102,7 +102,7 @@ def sample_posterior(
 
 
 def friction_profile(
-    evidence: Evidence, friction: Float[np.ndarray, "n"]
+    evidence: Likelihood, friction: Float[np.ndarray, "n"]
 ) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n n_m"]]:
     """Least of the minus log likelihood over non-negative masses at each friction, and those masses, kg a group.
 

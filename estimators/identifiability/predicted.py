@@ -43,7 +43,7 @@ class _Stretch(NamedTuple):
     end: float
 
 
-def planned_observations(shape: ObjectShape, actions: Sequence[Action], sensing: Sensing) -> Observations | None:
+def predicted_windows(shape: ObjectShape, actions: Sequence[Action], sensing: Sensing) -> Observations | None:
     """The windows of some actions, their wrenches left at zero; None where no action moves the object over the table.
 
     The gripper carries nothing, as after nulling, as far as the sensor can tell. Lifts are left out, and numbered.
@@ -131,7 +131,7 @@ def _stretches(at: tuple[float, float], action: TableAction) -> list[_Stretch]:
     return found
 
 
-def planned_lift(action: Lift, sensing: Sensing) -> list[LiftWindow]:
+def predicted_lift(action: Lift, sensing: Sensing) -> list[LiftWindow]:
     """The windows of one lift, their wrenches left at zero.
 
     Args:

@@ -17,7 +17,7 @@ HEIGHT = 0.022
 """Of the TCP over the table, m."""
 
 
-def felt(
+def analytic_trial(
     obj: ObjectModel,
     action: Rotate | Accelerate | Slide,
     *,
@@ -106,13 +106,13 @@ def turns(obj: ObjectModel, grasps: list[int] | None = None, **world: object) ->
     beside = obj.shape.cell / 2
     pivots = [tuple(obj.shape.grasps[g].position + beside) for g in chosen]
     actions = [Rotate(g, duration=2.5, pivot=p, back=True) for g, p in zip(chosen, pivots, strict=True)]
-    return [felt(obj, a, seed=i, **world) for i, a in enumerate(actions)]  # pyright: ignore[reportArgumentType]
+    return [analytic_trial(obj, a, seed=i, **world) for i, a in enumerate(actions)]  # pyright: ignore[reportArgumentType]
 
 
 def accelerated(obj: ObjectModel, grasps: list[int] | None = None, **world: object) -> list[Trajectory]:
     """An accelerated turn about every grasp."""
     chosen = range(len(obj.shape.grasps)) if grasps is None else grasps
-    return [felt(obj, Accelerate(g), seed=100 + g, **world) for g in chosen]  # pyright: ignore[reportArgumentType]
+    return [analytic_trial(obj, Accelerate(g), seed=100 + g, **world) for g in chosen]  # pyright: ignore[reportArgumentType]
 
 
 def drawn_object(seed: int, layout: list[str] | None = None, friction_groups: int = 1) -> ObjectModel:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from estimators.action_selection.rank import planned_rank
+from estimators.action_selection.rank import predicted_rank
 from estimators.base import Estimate, Estimator
 from estimators.evaluation.metrics import normalized_absolute_difference
 from estimators.testing.recorded import KnownBlock
@@ -56,7 +56,7 @@ def recovers(
 def shows_every_mass(block: KnownBlock) -> bool:
     """Whether the turns have full rank and there is one friction, so that the masses follow where M is known."""
     turns = [trial.action for trial in block.clean if isinstance(trial.action, Rotate)]
-    return block.model.shape.n_mu == 1 and planned_rank(block.model.shape, turns) == block.model.shape.n_m
+    return block.model.shape.n_mu == 1 and predicted_rank(block.model.shape, turns) == block.model.shape.n_m
 
 
 def _told(where: str, answer: Estimate, block: KnownBlock, nad: float, limit: float) -> str:

@@ -50,14 +50,14 @@ def identify(
     """
     from rich.console import Console
 
-    from estimators.identifiability.information import Question, expected
+    from estimators.identifiability.information import Assumptions, expected
     from testbed.objects.files import load_object
     from testbed.sensing.presets import preset
     from viz.figures.maps import error_figure, save_figure
 
     console, model = Console(), load_object(object_)
     actions = actions_of(model, support, pivots, accelerated, slides, lifts, duration, grasps)
-    report = expected(model.shape, model.truth, actions, preset(sensing), Question(support))
+    report = expected(model.shape, model.truth, actions, preset(sensing), Assumptions(support))
     kinds = [type(action).__name__.lower() for action in actions]
     counts = ", ".join(f"{kinds.count(kind)} {kind}" for kind in dict.fromkeys(kinds))
     title = f"{model.name}, {support}, {sensing}"
@@ -100,7 +100,7 @@ def actions_of(
     most = 0 if support != "rigid" else math.inf
     if not 0 <= lifts <= most:
         raise InvalidValueError("lifts", lifts, "an integer >= 0, and 0 unless the support is rigid")
-    turns = RankDriven(pivots, duration, accelerated, grasps=allowed).foreseen(shape) if pivots else []
+    turns = RankDriven(pivots, duration, accelerated, grasps=allowed).predicted_actions(shape) if pivots else []
     golden = math.pi * (3 - math.sqrt(5))
     slid = [Slide(allowed[i % len(allowed)], i * golden) for i in range(slides)] if allowed else []
     inner = sorted(allowed, key=lambda grasp: float(np.linalg.norm(shape.grasps[grasp].position)))

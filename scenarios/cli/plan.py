@@ -73,23 +73,21 @@ def plan(
     """
     from rich.console import Console
 
-    from estimators.action_selection.design import THOUGHT, Guess
-    from estimators.action_selection.greedy import Goal, PlannedTouches, rank_driven_plan
+    from estimators.action_selection.design import ASSUMED_SUPPORTS, Guess
+    from estimators.action_selection.greedy import Goal, PlannedPolicy, rank_driven_plan
     from scenarios.study.benches import BenchCheck
     from testbed.objects.files import load_object
     from testbed.sensing.presets import preset
 
     console, model = Console(), load_object(object_)
-    guess = Guess(model.total_mass, preset(sensing), friction, THOUGHT[support])
+    guess = Guess(model.total_mass, preset(sensing), friction, ASSUMED_SUPPORTS[support])
     goal = Goal(percent(until, "--until"), seconds(budget, "--budget"), most)
     allowed = named_grasps(model, grasps)
     if policy == "paper":
         made = rank_driven_plan(model.shape, guess, goal, allowed, seed)
     else:
         check, family = BenchCheck(model.shape, guess), action_family(support, lifts=lifts)
-        made = PlannedTouches(guess, policy, criterion, goal, family, candidates, allowed, seed, check).plan(
-            model.shape
-        )
+        made = PlannedPolicy(guess, policy, criterion, goal, family, candidates, allowed, seed, check).plan(model.shape)
     title = f"{model.name}, {support}, {sensing}: {policy}"
     console.print(f"[bold]{title}[/bold]; weighed {model.total_mass:.3f} kg", highlight=False)
     if made.steps:
@@ -118,9 +116,9 @@ def action_family(support: str, *, lifts: bool) -> ActionFamily:
         InvalidValueError: lifts of what cannot be one rigid body.
     """
     from estimators.action_selection.candidates import ActionFamily
-    from estimators.action_selection.design import THOUGHT
+    from estimators.action_selection.design import ASSUMED_SUPPORTS
 
-    if lifts and "rigid" not in THOUGHT[support]:
+    if lifts and "rigid" not in ASSUMED_SUPPORTS[support]:
         allowed = "no lifts where every block rests on its own weight, and only what is gripped would come along"
         raise InvalidValueError("lifts", lifts, f"{allowed}; lift under support rigid or either")
     return ActionFamily(lifts=lifts)
@@ -266,7 +264,7 @@ def _grams(mass: float) -> str:
 
 def _conclusion(shape: ObjectShape, made: Plan, guess: Guess, goal: Goal) -> Iterator[str]:
     """Lines on how the plan ends, what it leaves open, and what is not feasible."""
-    from estimators.identifiability.information import Question, expected
+    from estimators.identifiability.information import Assumptions, expected
     from testbed.actions.base import Lift
 
     nad = f"{100 * made.after.expected_nad:.3g} %"
@@ -278,7 +276,8 @@ def _conclusion(shape: ObjectShape, made: Plan, guess: Guess, goal: Goal) -> Ite
         yield f"the target of {100 * goal.until:g} % is not reached; {nad} is the best that this can have"
     for support in guess.supports:
         actions = [a for a in made.actions if support == "rigid" or not isinstance(a, Lift)]
-        yield f"{support}: {expected(shape, guess.uniform(shape), actions, guess.sensing, Question(support)).sentence}"
+        report = expected(shape, guess.uniform(shape), actions, guess.sensing, Assumptions(support))
+        yield f"{support}: {report.sentence}"
     reasons = dict.fromkeys(f"{in_words(shape, action)[0]}: {why}" for action, why in made.rejected)
     yield from (f"not feasible: {reason}" for reason in list(reasons)[:MOST_REJECTED])
     if len(made.rejected) > MOST_REJECTED:

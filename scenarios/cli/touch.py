@@ -62,7 +62,7 @@ def touch(
     """
     from rich.console import Console
 
-    from estimators.action_selection.design import THOUGHT
+    from estimators.action_selection.design import ASSUMED_SUPPORTS
     from estimators.action_selection.greedy import Goal
     from scenarios.cli.plan import action_family, named_grasps, percent, seconds, sentence
     from scenarios.cli.view import record_all, record_results
@@ -93,7 +93,9 @@ def touch(
     store = Store(folder.absolute())
     with exclusive(folder):
         store.remove_leftovers()
-        run = ActiveRun(model, store, goal, family, carrier, THOUGHT[thought], sensing, candidates, allowed, seed)
+        run = ActiveRun(
+            model, store, goal, family, carrier, ASSUMED_SUPPORTS[thought], sensing, candidates, allowed, seed
+        )
         result = run.carry_out(say_trial, lambda weight: say(f"weighed: {weight:.3f} kg"))
         scenario = Scenario(objects=[object_], support=[support], sensing=[sensing], seeds=1)
         facts = manifest(scenario) | {"name": folder.name, "command": f"heft touch {object_}"}

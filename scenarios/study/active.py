@@ -9,7 +9,7 @@ from typing import Any
 from estimators.action_selection.candidates import ActionFamily
 from estimators.action_selection.design import Guess
 from estimators.action_selection.greedy import Goal
-from estimators.action_selection.online import Decision, OnlineTouches, spent_seconds
+from estimators.action_selection.online import Decision, OnlinePolicy, spent_seconds
 from scenarios.results.store import Store, key_of, trial_request
 from scenarios.study.benches import BenchCheck
 from scenarios.study.estimates import Asked, estimate, sensed
@@ -74,7 +74,7 @@ class ActiveRun:
         on_weight(weight)
         guess = Guess(weight, preset(self.sensing), supports=self.assumed)
         shape, refused = self.model.shape, dict[Action, str]()
-        policy = OnlineTouches(
+        policy = OnlinePolicy(
             guess,
             self.goal,
             family=self.family,

@@ -8,7 +8,7 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from estimators.action_selection.rank import RankDriven, between_particles, planned_rank
+from estimators.action_selection.rank import RankDriven, between_particles, predicted_rank
 from estimators.base import ActionPolicy, Estimator
 from estimators.baselines.base import GradientBaseline
 from estimators.baselines.diff_lcp import DiffLcp
@@ -20,7 +20,7 @@ from estimators.baselines.weighted_sampling import WeightedSampling
 from estimators.hidden_states.algorithm import HiddenStates
 from estimators.registry import METHODS
 from estimators.support_models.estimator import SupportAware
-from estimators.testing.analytic_world import drawn_object, felt
+from estimators.testing.analytic_world import analytic_trial, drawn_object
 from estimators.testing.conformance import CONFORMANCE, WITHOUT_DRAWS, data, small_object
 from testbed.actions.base import Accelerate, Rotate
 from testbed.objects.files import load_object
@@ -86,10 +86,10 @@ def test_the_policy_asks_until_the_rank_is_full(monkeypatch):
     seen = []
     while (action := policy.next(shape, seen)) is not None:
         assert isinstance(action, Accelerate | Rotate)
-        seen.append(felt(obj, action))
+        seen.append(analytic_trial(obj, action))
     turns = [t.action for t in seen if isinstance(t.action, Rotate)]
-    assert planned_rank(shape, turns) == 6
-    assert planned_rank(shape, turns[:-1]) < 6
+    assert predicted_rank(shape, turns) == 6
+    assert predicted_rank(shape, turns[:-1]) < 6
     assert sum(isinstance(t.action, Accelerate) for t in seen) == 3
 
 
@@ -99,7 +99,7 @@ def test_the_policy_takes_every_grasp_before_any_again_and_only_those_allowed():
     seen = []
     while (action := policy.next(obj.shape, seen)) is not None:
         assert isinstance(action, Rotate)
-        seen.append(felt(obj, action))
+        seen.append(analytic_trial(obj, action))
     assert sorted(t.action.grasp for t in seen) == [1, 2, 4, 5]
     assert RankDriven(grasps=()).next(obj.shape, []) is None
     assert RankDriven(most=1).next(obj.shape, seen) is None
@@ -118,7 +118,7 @@ def test_turns_go_about_points_between_particles():
 def test_as_many_turns_as_the_shape_needs_can_fill_the_rank(name, enough):
     shape = load_object(name).shape
     ranks = {
-        k: max(planned_rank(shape, [Rotate(g) for g in some]) for some in combinations(range(len(shape.grasps)), k))
+        k: max(predicted_rank(shape, [Rotate(g) for g in some]) for some in combinations(range(len(shape.grasps)), k))
         for k in (enough - 1, enough)
     }
     assert ranks[enough] == 6

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from estimators.testing.analytic_world import HEIGHT, felt
+from estimators.testing.analytic_world import HEIGHT, analytic_trial
 from testbed.actions.base import Accelerate, Rotate, Slide
 from testbed.frames import (
     cross_2d,
@@ -45,7 +45,7 @@ def held_beside(
     moved = replace(obj, shape=replace(obj.shape, grasps=grasps))
     if isinstance(action, Rotate) and action.pivot is not None:  # the hand goes as it would have gone
         action = replace(action, pivot=tuple(np.add(action.pivot, offset)))
-    return felt(moved, action, **world)  # pyright: ignore[reportArgumentType]
+    return analytic_trial(moved, action, **world)  # pyright: ignore[reportArgumentType]
 
 
 def on_grain(

@@ -11,7 +11,7 @@ import pandas as pd
 import pytest
 from rich.console import Console
 
-from estimators.action_selection.online import OnlineTouches
+from estimators.action_selection.online import OnlinePolicy
 from scenarios.cli.progress import show_status
 from scenarios.config import Scenario, load_scenario
 from scenarios.results.store import Store
@@ -59,14 +59,14 @@ def scenario(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def swept(scenario: Path, tmp_path_factory: pytest.TempPathFactory) -> Swept:
-    out, given, choose = tmp_path_factory.mktemp("online") / "out", set(), OnlineTouches.next
+    out, given, choose = tmp_path_factory.mktemp("online") / "out", set(), OnlinePolicy.next
 
-    def spied(self: OnlineTouches, shape: ObjectShape, trajectories: Sequence[Trajectory]) -> Action | None:
+    def spied(self: OnlinePolicy, shape: ObjectShape, trajectories: Sequence[Trajectory]) -> Action | None:
         given.add(records(trajectories))
         return choose(self, shape, trajectories)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(OnlineTouches, "next", spied)
+        patch.setattr(OnlinePolicy, "next", spied)
         return Swept(out, resumed(scenario, out, executor="inline"), given)
 
 

@@ -11,19 +11,19 @@ import pytest
 
 from estimators.action_selection.candidates import REACH, ActionFamily, clear_of_particles
 from estimators.action_selection.cost import RobotTime
-from estimators.action_selection.design import NORMAL_MEAN, Belief, Design, Guess, before_trials
-from estimators.action_selection.greedy import Asked, Goal, PlannedTouches, batch_plan, exhaustive, greedy_plan
-from estimators.action_selection.rank import planned_rank
+from estimators.action_selection.design import NORMAL_MEAN, Belief, Design, Guess, prior_belief
+from estimators.action_selection.greedy import FeasibilityLog, Goal, PlannedPolicy, batch_plan, exhaustive, greedy_plan
+from estimators.action_selection.rank import predicted_rank
 from estimators.identifiability.information import (
-    Question,
-    before_any_trial,
+    Assumptions,
     expected,
     information_root,
     of_masses,
-    planned_information,
-    shared_errors,
+    predicted_information,
+    prior_information,
+    shared_error_count,
 )
-from estimators.identifiability.predicted import planned_lift, planned_observations
+from estimators.identifiability.predicted import predicted_lift, predicted_windows
 from testbed.actions.base import Accelerate, Lift, Rotate, Slide
 from testbed.actions.path import WORKSPACE, ToolPath
 from testbed.errors import InvalidValueError
@@ -44,13 +44,13 @@ def guess(name: str, **changes: object) -> Guess:
 def design(name: str, count: int, seed: int = 0, **changes: object) -> tuple[Design, Belief]:
     shape = load_object(name).shape
     candidates = ActionFamily().sample(shape, range(len(shape.grasps)), count, seed)
-    return Design.of(shape, candidates, guess(name, **changes)), before_trials(shape, guess(name, **changes))
+    return Design.of(shape, candidates, guess(name, **changes)), prior_belief(shape, guess(name, **changes))
 
 
 @pytest.mark.parametrize("support", ["own_weight", "rigid"])
 def test_information_of_trials_adds_up_to_that_of_all_together(support):
     model = load_object("L2")
-    shape, question = model.shape, Question(support)
+    shape, question = model.shape, Assumptions(support)
     actions = [
         Rotate(4, pivot=(0.01, 0.06), duration=5.0, back=True),
         Rotate(2, pivot=(-0.04, 0.02)),
@@ -62,10 +62,12 @@ def test_information_of_trials_adds_up_to_that_of_all_together(support):
         Rotate(4, pivot=(0.01, 0.06), duration=5.0, back=True),
         Lift(2, hold=1.5, swings=2),
     ]
-    alone = planned_information(shape, model.truth, actions, FT300S, question)
-    added = of_masses(before_any_trial(shape, question.stated.weight_error) + alone.information(), alone.known)
-    lifts = [planned_lift(lift, FT300S) for lift in (actions[2], actions[8]) if support == "rigid"]  # else none can be
-    root = information_root(shape, model.truth, planned_observations(shape, actions, FT300S), question, lifts)
+    alone = predicted_information(shape, model.truth, actions, FT300S, question)
+    added = of_masses(prior_information(shape, question.stated.weight_error) + alone.information(), alone.known)
+    lifts = [
+        predicted_lift(lift, FT300S) for lift in (actions[2], actions[8]) if support == "rigid"
+    ]  # else none can be
+    root = information_root(shape, model.truth, predicted_windows(shape, actions, FT300S), question, lifts)
     together = root.T @ root
     size = np.sqrt(np.diag(together))
     np.testing.assert_allclose(added / np.outer(size, size), together / np.outer(size, size), atol=1e-11)
@@ -76,8 +78,8 @@ def test_the_errors_planned_are_those_of_the_report():
     shape = model.shape
     actions = [Rotate(0, pivot=(0.01, 0.04), back=True), Rotate(2, pivot=(0.03, -0.04), back=True)]
     actions.append(Rotate(1, pivot=(-0.04, -0.09), back=True))
-    alone = planned_information(shape, model.truth, actions, FT300S, Question())
-    information = before_any_trial(shape, FT300S.scale) + alone.information()
+    alone = predicted_information(shape, model.truth, actions, FT300S, Assumptions())
+    information = prior_information(shape, FT300S.scale) + alone.information()
     belief = Belief(information[None], shape.particles_per_group, model.total_mass)
     report = expected(shape, model.truth, actions, FT300S)
     np.testing.assert_allclose(belief.standard_error, report.standard_error, rtol=1e-6)
@@ -98,10 +100,10 @@ def test_small_plans_are_as_good_as_the_best_of_all_sets(seed):
     small, before = design("L2", 14, seed)
     small = replace(small, time=RobotTime(around=1e6))  # next to alike for all
     everything, least = exhaustive(small, before, 3)
-    found = batch_plan(small, before, Goal(most=3, budget_s=4e6), Asked())
+    found = batch_plan(small, before, Goal(most=3, budget_s=4e6), FeasibilityLog())
     assert len(everything) == len(found.steps) == 3
     assert found.steps[-1].criterion == pytest.approx(least)
-    one = greedy_plan(small, before, Goal(most=1), Asked()).steps[0]
+    one = greedy_plan(small, before, Goal(most=1), FeasibilityLog()).steps[0]
     assert one.criterion == pytest.approx(exhaustive(small, before, 1)[1])
 
 
@@ -109,7 +111,7 @@ def test_small_plans_are_as_good_as_the_best_of_all_sets(seed):
 def test_a_plan_is_as_short_as_it_can_be(name, turns):
     model = load_object(name)
     turns_alone = ActionFamily(slides=False, accelerated=False)
-    policy = PlannedTouches(guess(name), goal=Goal(until=0.03), candidates=1500, family=turns_alone)
+    policy = PlannedPolicy(guess(name), goal=Goal(until=0.03), candidates=1500, family=turns_alone)
     plan = policy.plan(model.shape)
     assert [type(action) for action in plan.actions] == [Rotate] * turns
     report = expected(model.shape, model.truth, plan.actions, FT300S)
@@ -120,7 +122,7 @@ def test_a_plan_is_as_short_as_it_can_be(name, turns):
 
 
 def test_errors_fall_with_every_step_and_time_adds_up():
-    plan = PlannedTouches(guess("L2"), goal=Goal(budget_s=70.0), candidates=600).plan(load_object("L2").shape)
+    plan = PlannedPolicy(guess("L2"), goal=Goal(budget_s=70.0), candidates=600).plan(load_object("L2").shape)
     nad = [plan.before.expected_nad, *(step.belief.expected_nad for step in plan.steps)]
     assert len(plan.steps) >= 3 and (np.diff(nad) < 0).all()
     assert plan.seconds == pytest.approx(RobotTime().total(load_object("L2").shape, plan.actions))
@@ -130,7 +132,10 @@ def test_errors_fall_with_every_step_and_time_adds_up():
 def test_exchange_makes_a_plan_no_longer_and_no_worse():
     whole, before = design("I2", 600)
     for goal in (Goal(until=0.02), Goal(budget_s=80.0)):
-        first, better = greedy_plan(whole, before, goal, Asked()), batch_plan(whole, before, goal, Asked())
+        first, better = (
+            greedy_plan(whole, before, goal, FeasibilityLog()),
+            batch_plan(whole, before, goal, FeasibilityLog()),
+        )
         if goal.until is not None:
             assert better.seconds <= first.seconds + 1e-9 and better.after.expected_nad <= goal.until
         else:
@@ -139,9 +144,9 @@ def test_exchange_makes_a_plan_no_longer_and_no_worse():
 
 def test_where_support_is_not_known_a_plan_accelerates():
     shape = load_object("L2").shape
-    both = PlannedTouches(guess("L2", supports=("own_weight", "rigid")), goal=Goal(most=6), candidates=800).plan(shape)
+    both = PlannedPolicy(guess("L2", supports=("own_weight", "rigid")), goal=Goal(most=6), candidates=800).plan(shape)
     assert any(isinstance(action, Accelerate) for action in both.actions)
-    own = PlannedTouches(guess("L2"), goal=Goal(most=6), candidates=800).plan(shape)
+    own = PlannedPolicy(guess("L2"), goal=Goal(most=6), candidates=800).plan(shape)
     assert not any(isinstance(action, Accelerate) for action in own.actions)
 
 
@@ -150,7 +155,7 @@ def test_a_lift_is_planned_where_it_teaches_more_a_second():
 
     def lifts(name: str, support: str, *, allowed: bool = True) -> tuple[int, float]:
         family = ActionFamily(lifts=allowed)
-        made = PlannedTouches(guess(name, supports=(support,)), goal=Goal(budget_s=80.0), candidates=400, family=family)
+        made = PlannedPolicy(guess(name, supports=(support,)), goal=Goal(budget_s=80.0), candidates=400, family=family)
         plan = made.plan(load_object(name).shape)
         return sum(isinstance(action, Lift) for action in plan.actions), plan.after.expected_nad
 
@@ -162,7 +167,7 @@ def test_a_lift_is_planned_where_it_teaches_more_a_second():
 
 
 def test_what_the_bench_refuses_is_not_planned_and_said():
-    free = PlannedTouches(guess("L2"), goal=Goal(most=3), candidates=500)
+    free = PlannedPolicy(guess("L2"), goal=Goal(most=3), candidates=500)
     wanted = free.plan(load_object("L2").shape).actions[0].grasp
     asked = []
 
@@ -179,13 +184,13 @@ def test_what_the_bench_refuses_is_not_planned_and_said():
 def test_plain_answers_where_little_can_be_had():
     shape = load_object("L2").shape
     nothing = ObjectShape(shape.particles, shape.mass_group, shape.friction_group, shape.cell, shape.height)
-    plan = PlannedTouches(guess("L2")).plan(nothing)
+    plan = PlannedPolicy(guess("L2")).plan(nothing)
     assert not plan.steps and "nothing to grip" in plan.why
-    short = PlannedTouches(guess("L2"), goal=Goal(budget_s=5.0), candidates=200).plan(shape)
+    short = PlannedPolicy(guess("L2"), goal=Goal(budget_s=5.0), candidates=200).plan(shape)
     assert not short.steps and "the budget is spent: 5 s are left" in short.why
-    rigid = PlannedTouches(guess("L2", supports=("rigid",)), goal=Goal(until=0.01, most=30), candidates=300).plan(shape)
+    rigid = PlannedPolicy(guess("L2", supports=("rigid",)), goal=Goal(until=0.01, most=30), candidates=300).plan(shape)
     assert rigid.why == "no action teaches more" and rigid.after.expected_nad > 0.1
-    never = PlannedTouches(guess("L2"), candidates=100, feasible=lambda _: "no").plan(shape)
+    never = PlannedPolicy(guess("L2"), candidates=100, feasible=lambda _: "no").plan(shape)
     assert not never.steps and "the bench can do none" in never.why
     wrongs: list[dict[str, Any]] = [{"until": -0.1}, {"budget_s": 0.0}, {"most": 0}]
     for wrong in wrongs:
@@ -196,7 +201,7 @@ def test_plain_answers_where_little_can_be_had():
 @pytest.mark.parametrize("kind", ["random", "greedy", "batch"])
 def test_a_policy_goes_through_its_plan_and_around_what_failed(kind):
     model = load_object("F2")
-    policy = PlannedTouches(guess("F2"), kind, goal=Goal(most=3), candidates=300)
+    policy = PlannedPolicy(guess("F2"), kind, goal=Goal(most=3), candidates=300)
     plan = policy.plan(model.shape)
 
     class Done:
@@ -238,7 +243,7 @@ def test_robot_time_is_that_of_the_simulated_bench():
 
 
 def test_shared_errors_are_of_the_points_that_can_be_gripped():
-    assert shared_errors(load_object("L2").shape) == 3 + 5
+    assert shared_error_count(load_object("L2").shape) == 3 + 5
 
 
 @pytest.mark.parametrize("name", ["I1", "L1", "F1"])
@@ -246,12 +251,12 @@ def test_a_turn_shows_three_numbers_and_in_a_straight_row_two(name):
     shape, rng = load_object(name).shape, np.random.default_rng(0)
     low, high = shape.particles.min(axis=0) - 0.05, shape.particles.max(axis=0) + 0.05
     drawn = [[Rotate(0, pivot=tuple(rng.uniform(low, high))) for _ in range(2)] for _ in range(60)]
-    assert max(planned_rank(shape, turns[:1]) for turns in drawn) == 3  # so one turn never shows six loads
-    assert max(planned_rank(shape, turns) for turns in drawn) == 6
+    assert max(predicted_rank(shape, turns[:1]) for turns in drawn) == 3  # so one turn never shows six loads
+    assert max(predicted_rank(shape, turns) for turns in drawn) == 6
     if name == "I1":  # two that lie in its row show no force along it
         in_row = [[Rotate(0, pivot=(float(x), 0.0)) for x in rng.uniform(low[0], high[0], 3)] for _ in range(60)]
-        assert max(planned_rank(shape, turns[:2]) for turns in in_row) == 4
-        assert max(planned_rank(shape, turns) for turns in in_row) == 6
+        assert max(predicted_rank(shape, turns[:2]) for turns in in_row) == 4
+        assert max(predicted_rank(shape, turns) for turns in in_row) == 6
 
 
 def test_of_turns_in_a_straight_row_a_plan_needs_three():
@@ -262,7 +267,7 @@ def test_of_turns_in_a_straight_row_a_plan_needs_three():
         Rotate(g, pivot=p, duration=8.0, back=True) for g in range(6) for p, c in zip(points, clear, strict=True) if c
     ]
     plan = greedy_plan(
-        Design.of(shape, turns, guess("I1")), before_trials(shape, guess("I1")), Goal(until=0.1), Asked()
+        Design.of(shape, turns, guess("I1")), prior_belief(shape, guess("I1")), Goal(until=0.1), FeasibilityLog()
     )
-    ranks = [planned_rank(shape, cast(list[Rotate], plan.actions[:n])) for n in range(1, len(plan.steps) + 1)]
+    ranks = [predicted_rank(shape, cast(list[Rotate], plan.actions[:n])) for n in range(1, len(plan.steps) + 1)]
     assert ranks[:3] == [2, 4, 6]

@@ -7,8 +7,8 @@ import pytest
 from pydantic import ValidationError
 
 from estimators.action_selection.design import Guess
-from estimators.action_selection.greedy import Goal, PlannedTouches, rank_driven_plan
-from estimators.action_selection.online import OnlineTouches
+from estimators.action_selection.greedy import Goal, PlannedPolicy, rank_driven_plan
+from estimators.action_selection.online import OnlinePolicy
 from estimators.action_selection.rank import RankDriven
 from estimators.identifiability.information import SUPPORTS
 from scenarios.cli.main import main
@@ -59,7 +59,7 @@ def test_planning_takes_less_than_the_papers_choice_for_the_same():
     paper = rank_driven_plan(model.shape, guess, Goal(most=30), grasps, 0)
     nad = paper.after.expected_nad
     check = BenchCheck(model.shape, guess)
-    greedy = PlannedTouches(guess, goal=Goal(until=nad, most=20), candidates=1000, feasible=check).plan(model.shape)
+    greedy = PlannedPolicy(guess, goal=Goal(until=nad, most=20), candidates=1000, feasible=check).plan(model.shape)
     assert greedy.after.expected_nad <= nad * 1.001 and greedy.seconds < paper.seconds / 2
 
 
@@ -128,7 +128,7 @@ def test_a_scenario_may_choose_its_touches_by_a_plan():
     assert isinstance(paper, RankDriven) and (paper.pivots, paper.most, paper.grasps) == (6, 40, (0, 1))
     batch = Policy(kind="batch", touches=2, until=0.05, candidates=200)
     chosen = batch.build((2, 3, 4), model, settings)
-    assert isinstance(chosen, PlannedTouches) and batch.expected_trials == 1 + 2 + 2
+    assert isinstance(chosen, PlannedPolicy) and batch.expected_trials == 1 + 2 + 2
     actions = chosen.plan(model.shape).actions
     assert 1 <= len(actions) <= 2 and {a.grasp for a in actions if isinstance(a, Rotate)} <= {2, 3, 4}
     with pytest.raises(ValidationError, match="one of ideal"):
@@ -148,10 +148,10 @@ def test_every_action_is_a_sentence():
 def test_a_policy_is_told_who_may_carry_the_weight():
     model, settings = load_object("L2"), SimulationSettings()
 
-    def told(kind: str, thought: str | None) -> PlannedTouches | OnlineTouches:
+    def told(kind: str, thought: str | None) -> PlannedPolicy | OnlinePolicy:
         made = Policy.model_validate({"kind": kind, "thought": thought, "candidates": 300, "touches": 4})
         policy = made.build((2, 3, 4), model, settings)
-        assert isinstance(policy, PlannedTouches | OnlineTouches)
+        assert isinstance(policy, PlannedPolicy | OnlinePolicy)
         return policy
 
     plan = {thought: told("greedy", thought) for thought in (None, "own_weight", "rigid", "either")}
@@ -161,7 +161,7 @@ def test_a_policy_is_told_who_may_carry_the_weight():
     accelerated = {
         thought: any(isinstance(action, Accelerate) for action in p.plan(model.shape).actions)
         for thought, p in plan.items()
-        if isinstance(p, PlannedTouches)
+        if isinstance(p, PlannedPolicy)
     }
     assert accelerated == {None: False, "own_weight": False, "rigid": True, "either": True}
 
@@ -184,7 +184,7 @@ def test_an_arrow_begins_at_the_grasp_and_goes_the_way_of_the_turn():
 def test_a_plan_is_recorded_step_by_step(tmp_path):
     model = load_object("L2")
     guess = Guess(model.total_mass, preset("ft300s"))
-    made = PlannedTouches(guess, goal=Goal(most=3), candidates=200).plan(model.shape)
+    made = PlannedPolicy(guess, goal=Goal(most=3), candidates=200).plan(model.shape)
     shown = plan_shown(model, made, "a plan")
     assert shown.errors.shape == (4, 6) and (np.diff(shown.errors.sum(axis=1)) < 0).all()
     save(plan_page(shown), tmp_path / "plan.rrd")

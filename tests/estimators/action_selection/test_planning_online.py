@@ -9,11 +9,11 @@ import pytest
 
 from estimators.action_selection.design import NORMAL_MEAN, Guess
 from estimators.action_selection.greedy import Goal
-from estimators.action_selection.online import Decision, OnlineTouches
+from estimators.action_selection.online import Decision, OnlinePolicy
 from estimators.evaluation.metrics import normalized_absolute_difference
 from estimators.hidden_states.algorithm import HiddenStates
 from estimators.support_models.estimator import SupportAware
-from estimators.testing.analytic_world import drawn_object, felt
+from estimators.testing.analytic_world import analytic_trial, drawn_object
 from testbed.actions.base import Accelerate, Lift, Rotate, Slide
 from testbed.objects.files import load_object
 from testbed.objects.model import ObjectModel
@@ -22,22 +22,22 @@ from testbed.trajectory import Trajectory
 from tests.fakes.lifted_world import lifted
 
 
-def policy(obj: ObjectModel, goal: Goal, **changes: object) -> OnlineTouches:
+def policy(obj: ObjectModel, goal: Goal, **changes: object) -> OnlinePolicy:
     guess = Guess(obj.total_mass, preset("ft300s"))
     return replace(
-        OnlineTouches(guess, goal, candidates=120, estimator=HiddenStates()),
+        OnlinePolicy(guess, goal, candidates=120, estimator=HiddenStates()),
         **changes,  # pyright: ignore[reportArgumentType]
     )
 
 
-def run(obj: ObjectModel, chooser: OnlineTouches, most: int = 12, **world: object) -> tuple[list[Trajectory], Decision]:
+def run(obj: ObjectModel, chooser: OnlinePolicy, most: int = 12, **world: object) -> tuple[list[Trajectory], Decision]:
     trials: list[Trajectory] = []
     for seed in range(most):
         decision = chooser.decide(obj.shape, trials)
         if decision.action is None:
             return trials, decision
         assert isinstance(decision.action, Rotate | Accelerate | Slide)
-        trials.append(felt(obj, decision.action, seed=seed, **world))  # pyright: ignore[reportArgumentType]
+        trials.append(analytic_trial(obj, decision.action, seed=seed, **world))  # pyright: ignore[reportArgumentType]
     return trials, chooser.decide(obj.shape, trials)
 
 
@@ -67,7 +67,7 @@ def test_what_failed_is_not_asked_for_again():
     chooser = policy(obj, Goal())
     first = chooser.decide(obj.shape, []).action
     assert isinstance(first, Rotate)
-    slipped = replace(felt(obj, first), status="slipped", reason="it slipped")
+    slipped = replace(analytic_trial(obj, first), status="slipped", reason="it slipped")
     decision = chooser.decide(obj.shape, [slipped])
     assert decision.action not in (None, first) and decision.nad == chooser.decide(obj.shape, []).nad
 
@@ -110,10 +110,12 @@ def test_a_kind_of_touch_that_an_answer_needs_is_made_after_however_many_of_anot
 
     chooser = policy(obj, Goal(until=0.1, most=100), estimator=Careful())
     count = obj.shape.n_m + obj.shape.n_mu + 1
-    turns = [felt(obj, Rotate(0, duration=4.0, back=True, pivot=(0.05 * i, 0.01)), seed=i) for i in range(count)]
+    turns = [
+        analytic_trial(obj, Rotate(0, duration=4.0, back=True, pivot=(0.05 * i, 0.01)), seed=i) for i in range(count)
+    ]
     last = chooser.decide(obj.shape, turns)
     assert last.nad < 0.1 and not last.answered and isinstance(last.action, Accelerate)
-    met = chooser.decide(obj.shape, [*turns, felt(obj, last.action, seed=count)])
+    met = chooser.decide(obj.shape, [*turns, analytic_trial(obj, last.action, seed=count)])
     assert met.answered and met.why == "the target is met"
 
 
@@ -122,7 +124,8 @@ def test_a_lift_that_was_felt_counts():
     chooser = policy(obj, Goal())
     chooser = replace(chooser, guess=replace(chooser.guess, supports=("rigid",)), estimator=SupportAware())
     table = [
-        felt(obj, action, rigid=True, noise=0.05) for action in (Rotate(2, duration=6.0, back=True), Accelerate(2))
+        analytic_trial(obj, action, rigid=True, noise=0.05)
+        for action in (Rotate(2, duration=6.0, back=True), Accelerate(2))
     ]
     before = chooser.decide(obj.shape, table)
     after = chooser.decide(obj.shape, [*table, lifted(obj, Lift(2), errors=1.0)])

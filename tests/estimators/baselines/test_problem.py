@@ -16,7 +16,7 @@ from estimators.particles.support import own_weight
 from estimators.particles.windows import Observations, observe
 from estimators.particles.wrench import AffineLoads, WrenchModel
 from estimators.testing import analytic_world
-from estimators.testing.analytic_world import accelerated, drawn_object, felt, turns
+from estimators.testing.analytic_world import accelerated, analytic_trial, drawn_object, turns
 from testbed.actions.base import Slide
 from testbed.errors import InvalidValueError
 from testbed.objects.blocks import block_object, parse_layout
@@ -69,7 +69,7 @@ def one_foot_a_block(obj: ObjectModel, lever: np.ndarray, lift: float, moment: o
 
 def everything(obj: ObjectModel, **carried: Any) -> list[Trajectory]:
     """Turns, accelerated turns and a slide."""
-    slide = felt(obj, Slide(0, direction=0.7, duration=2.5), **carried)
+    slide = analytic_trial(obj, Slide(0, direction=0.7, duration=2.5), **carried)
     return [*turns(obj, **carried), *accelerated(obj, **carried), slide]
 
 

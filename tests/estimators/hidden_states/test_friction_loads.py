@@ -15,7 +15,7 @@ from estimators.particles.errors import ModelErrors
 from estimators.particles.friction_system import LinearSystem, LoadGroups, friction_equations, rank_of
 from estimators.particles.model import ParticleModel, inertia_of
 from estimators.particles.windows import observe
-from estimators.testing.analytic_world import drawn_object, felt, turns
+from estimators.testing.analytic_world import analytic_trial, drawn_object, turns
 from testbed.actions.base import Rotate, Slide
 from testbed.objects.files import load_object
 from testbed.objects.model import GRAVITY, ObjectModel
@@ -75,7 +75,7 @@ def test_gather_is_the_groups_matrix(groups):
 def test_the_truth_solves_the_system(name, moment):
     obj = load_object(name)
     lift = 0.5 if moment[0] else 0.0
-    slides = [felt(obj, Slide(1, direction=0.7), lift=lift, moment=moment)]
+    slides = [analytic_trial(obj, Slide(1, direction=0.7), lift=lift, moment=moment)]
     system = system_of(obj, turns(obj, lift=lift, moment=moment) + slides)
     assert_allclose(system.q.numpy() @ true_loads(obj), system.b, atol=1e-6 * float(system.b.abs().max()))
     assert_allclose(closed_form(system), true_loads(obj), rtol=1e-6)
@@ -136,7 +136,7 @@ def test_slides_alone_never_fill_the_rank(name, most):
     obj = load_object(name)
     slides = [Slide(i % len(obj.shape.grasps), direction=0.3 + i, duration=2.5) for i in range(6)]
     for count in range(1, len(slides) + 1):
-        system = system_of(obj, [felt(obj, slide) for slide in slides[:count]])
+        system = system_of(obj, [analytic_trial(obj, slide) for slide in slides[:count]])
         rank = rank_of(system.q.numpy())
         assert rank <= min(count + 1, most)
         assert rank == rank_of(np.vstack([directions(obj, slide) for slide in slides[:count]]))

@@ -11,7 +11,7 @@ from numpy.testing import assert_allclose
 from estimators.base import Estimate
 from estimators.evaluation.metrics import normalized_absolute_difference
 from estimators.hidden_states.algorithm import HiddenStates
-from estimators.testing.analytic_world import accelerated, drawn_object, felt, turns
+from estimators.testing.analytic_world import accelerated, analytic_trial, drawn_object, turns
 from testbed.actions.base import Rotate, Slide
 from testbed.errors import InvalidValueError
 from testbed.objects.files import load_object
@@ -130,7 +130,7 @@ def test_the_error_bars_are_the_scatter_of_the_answers():
     obj = load_object("L2")
     answers = []
     for seed in range(60):
-        data = [felt(obj, t.action, noise=0.3, seed=1000 * seed + i) for i, t in enumerate(turns(obj))]  # pyright: ignore[reportArgumentType]
+        data = [analytic_trial(obj, t.action, noise=0.3, seed=1000 * seed + i) for i, t in enumerate(turns(obj))]  # pyright: ignore[reportArgumentType]
         answers.append(ask(obj, data, force_error=0.0, torque_error=0.0, pivot_error=0.0, weight_error=1e-6))
     scatter = np.std([a.distribution.mass for a in answers], axis=0)
     claimed = np.mean([np.sqrt(np.diag(a.covariance)) for a in answers], axis=0)
@@ -155,8 +155,8 @@ def test_a_bias_common_to_there_and_back_does_no_harm():
 def test_too_little_is_a_status_and_no_number():
     obj = load_object("L2")
     nothing = ask(obj, [])
-    slides = ask(obj, [felt(obj, Slide(0, direction=d)) for d in (0.0, 1.0, 2.0)])
-    one = ask(obj, [felt(obj, Rotate(0, duration=2.5))])
+    slides = ask(obj, [analytic_trial(obj, Slide(0, direction=d)) for d in (0.0, 1.0, 2.0)])
+    one = ask(obj, [analytic_trial(obj, Rotate(0, duration=2.5))])
     failed = ask(obj, [replace(t, status="slipped", reason="") for t in turns(obj)])
     inertia_only = ask(obj, accelerated(obj))
     for answer, status in (

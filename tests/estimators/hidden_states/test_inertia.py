@@ -11,7 +11,7 @@ from numpy.testing import assert_allclose
 from estimators.hidden_states.inertia import com_and_inertia
 from estimators.particles.pivots import PivotInertia, pivot_inertias
 from estimators.particles.windows import Observations, observe
-from estimators.testing.analytic_world import accelerated, drawn_object, felt
+from estimators.testing.analytic_world import accelerated, analytic_trial, drawn_object
 from testbed.actions.base import Accelerate
 from testbed.objects.files import load_object
 from testbed.objects.model import ObjectModel
@@ -59,14 +59,14 @@ def test_turns_of_both_directions_about_one_point_are_one_pivot():
     obj = load_object("L2")
     there = Accelerate(1)
     back = Accelerate(1, tuple(-a for a in there.accelerations), start_speed=-there.start_speed)
-    found = slopes(obj, [felt(obj, there), felt(obj, back)])
+    found = slopes(obj, [analytic_trial(obj, there), analytic_trial(obj, back)])
     assert_allclose(found.pivot, [obj.shape.grasps[1].position], atol=1e-9)
     assert_allclose(found.inertia, about(obj, found.pivot[0]), rtol=1e-5)
 
 
 def test_a_constant_torque_of_its_own_in_every_trial_changes_nothing():
     obj = load_object("F2")
-    clean = [felt(obj, Accelerate(0)), felt(obj, Accelerate(0)), felt(obj, Accelerate(2))]
+    clean = [analytic_trial(obj, Accelerate(0)), analytic_trial(obj, Accelerate(0)), analytic_trial(obj, Accelerate(2))]
     offset = [
         replace(t, wrench_on_object_world=t.wrench_on_object_world + np.array([0, 0, 0, 0, 0, shift]))
         for t, shift in zip(clean, (0.3, -0.2, 0.1), strict=True)
@@ -91,11 +91,11 @@ def test_known_torques_are_taken_away():
 
 def test_the_variance_is_the_scatter_of_the_slopes():
     obj = load_object("L2")
-    runs = [slopes(obj, [felt(obj, Accelerate(0), noise=0.2, seed=s)]) for s in range(150)]
+    runs = [slopes(obj, [analytic_trial(obj, Accelerate(0), noise=0.2, seed=s)]) for s in range(150)]
     scatter = np.std([run.inertia[0] for run in runs])
     claimed = np.sqrt(np.mean([run.variance[0] for run in runs]))
     assert claimed == pytest.approx(scatter, rel=0.3)
-    bound = slopes(obj, [felt(obj, Accelerate(0))], relative_error=0.01)
+    bound = slopes(obj, [analytic_trial(obj, Accelerate(0))], relative_error=0.01)
     assert np.sqrt(bound.variance[0]) >= 0.01 * bound.inertia[0]
 
 

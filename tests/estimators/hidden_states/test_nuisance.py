@@ -18,7 +18,7 @@ from estimators.particles.errors import ModelErrors
 from estimators.particles.friction_system import FrictionEquations, LoadGroups, friction_equations
 from estimators.particles.model import ParticleModel, inertia_of
 from estimators.particles.windows import Observations, observe
-from estimators.testing.analytic_world import accelerated, drawn_object, felt, turns
+from estimators.testing.analytic_world import accelerated, analytic_trial, drawn_object, turns
 from testbed.actions.base import Rotate
 from testbed.errors import InvalidValueError
 from testbed.objects.files import load_object
@@ -100,7 +100,7 @@ def test_the_bias_of_every_trial_is_found():
 
 def test_one_way_a_bias_passes_for_friction():
     obj = load_object("L2")
-    one_way = [felt(obj, replace(t.action, back=False)) for t in turns(obj) if isinstance(t.action, Rotate)]
+    one_way = [analytic_trial(obj, replace(t.action, back=False)) for t in turns(obj) if isinstance(t.action, Rotate)]
     asked = replace(EXACT, unknown=("bias",))
     answer = ask(obj, one_way, asked)
     assert answer.status == "underdetermined"
@@ -186,7 +186,7 @@ def test_errors_are_the_scatter():
     names = [f"bias_{t}_{axis}" for t in range(2) for axis in ("fx_N", "fy_N", "tz_Nm")]
     off = []
     for seed in range(12):
-        trials = [felt(obj, t.action, noise=0.3, seed=1000 * seed + i) for i, t in enumerate(turns(obj))]  # pyright: ignore[reportArgumentType]
+        trials = [analytic_trial(obj, t.action, noise=0.3, seed=1000 * seed + i) for i, t in enumerate(turns(obj))]  # pyright: ignore[reportArgumentType]
         found = ask(obj, trials, replace(EXACT, unknown=("bias",), refinements=1)).diagnostics
         off.append([found[name] / found[f"{name}_error"] for name in names])
     assert 0.75 < np.sqrt(np.mean(np.square(off))) < 1.25

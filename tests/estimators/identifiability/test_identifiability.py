@@ -10,8 +10,8 @@ from numpy.testing import assert_allclose
 
 from estimators.action_selection.rank import between_particles
 from estimators.hidden_states.algorithm import HiddenStates
-from estimators.identifiability.information import Question, expected, information_root, observed
-from estimators.identifiability.predicted import planned_observations
+from estimators.identifiability.information import Assumptions, expected, information_root, observed
+from estimators.identifiability.predicted import predicted_windows
 from estimators.identifiability.report import identifiability
 from estimators.testing.analytic_world import accelerated, drawn_object, turns
 from testbed.actions.base import Accelerate, Action, Rotate, Slide, Weigh
@@ -49,7 +49,7 @@ def test_on_own_weight_every_mass_is_seen(name):
 @pytest.mark.parametrize(("name", "rank"), [("I2", 4), ("L2", 5), ("F2", 5)])
 def test_under_one_rigid_body_only_weight_centre_and_inertia_are_seen(name, rank):
     obj = load_object(name)
-    report = expected(obj.shape, obj.truth, all_turns(obj), preset("ideal"), Question("rigid"))
+    report = expected(obj.shape, obj.truth, all_turns(obj), preset("ideal"), Assumptions("rigid"))
     assert report.rank == rank
     assert np.isinf(report.standard_error).all()
     of_mass = report.open_directions[:, :-1]
@@ -62,7 +62,7 @@ def test_under_one_rigid_body_only_weight_centre_and_inertia_are_seen(name, rank
 
 def test_open_directions_of_f2_under_one_rigid_body_by_name():
     obj = load_object("F2")
-    report = expected(obj.shape, obj.truth, all_turns(obj), preset("ft300s"), Question("rigid"))
+    report = expected(obj.shape, obj.truth, all_turns(obj), preset("ft300s"), Assumptions("rigid"))
     assert report.unobservable == ("the combination A1 - B1 - A3 + B3", "the combination A1 - 3 A2 + 3 A3 - A4")
 
 
@@ -117,7 +117,7 @@ def test_a_plan_says_what_the_trials_then_say():
     obj = drawn_object(0)
     actions = [t.action for t in (*accelerated(obj), *turns(obj))]
     seen = observed(obj.shape, obj.truth, [*accelerated(obj), *turns(obj)])
-    quiet = replace(preset("ideal"), scale=Question().stated.weight_error)
+    quiet = replace(preset("ideal"), scale=Assumptions().stated.weight_error)
     planned = expected(obj.shape, obj.truth, actions, quiet)
     # a record trims its stretches by whole samples, and its slopes are measured
     assert_allclose(planned.standard_error, seen.standard_error, rtol=0.05)
@@ -125,11 +125,11 @@ def test_a_plan_says_what_the_trials_then_say():
 
 def test_the_root_is_the_derivative_of_what_is_felt():
     obj = drawn_object(1)
-    windows = planned_observations(obj.shape, all_turns(obj), preset("ft300s"))
+    windows = predicted_windows(obj.shape, all_turns(obj), preset("ft300s"))
     assert windows is not None
-    root = information_root(obj.shape, obj.truth, windows, Question())
+    root = information_root(obj.shape, obj.truth, windows, Assumptions())
     assert root.shape == (1 + 3 * int((~windows.accelerated).sum()) + len(obj.shape.grasps), obj.shape.n_m + 1)
-    assert root[0] @ np.append(obj.truth.mass, 0.0) == pytest.approx(obj.total_mass / Question().stated.weight_error)
+    assert root[0] @ np.append(obj.truth.mass, 0.0) == pytest.approx(obj.total_mass / Assumptions().stated.weight_error)
     # drag is bilinear: what scales all masses up scales the friction down
     felt = root[1 : 1 + 3 * int((~windows.accelerated).sum())]
     assert_allclose(felt[:, :-1] @ obj.truth.mass, felt[:, -1] * obj.truth.friction[0], rtol=1e-6, atol=1e-6)
@@ -161,7 +161,7 @@ def test_a_grasp_that_is_not_there_is_refused():
     with pytest.raises(InvalidValueError, match="one of the shape's 5 grasps"):
         expected(obj.shape, obj.truth, [Rotate(9)], preset("ideal"))
     with pytest.raises(InvalidValueError, match="own_weight, rigid"):
-        Question("floating")
+        Assumptions("floating")
 
 
 @pytest.mark.parametrize("name", ["L2", "F2"])
@@ -181,5 +181,5 @@ def test_answers_scatter_as_the_bound_says(name):
         answer = exact.estimate(obj.shape, obj.total_mass, noisy, 0)
         assert answer.distribution is not None
         off.append((answer.distribution.mass - obj.truth.mass) * obj.shape.particles_per_group)
-    last = observed(obj.shape, obj.truth, noisy, Question(errors=exact))
+    last = observed(obj.shape, obj.truth, noisy, Assumptions(errors=exact))
     assert_allclose(np.sqrt(np.mean(np.square(off), axis=0)), last.standard_error, rtol=0.35)

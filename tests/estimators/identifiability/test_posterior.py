@@ -10,7 +10,7 @@ from numpy.testing import assert_allclose
 
 from estimators.base import Estimate
 from estimators.hidden_states.algorithm import HiddenStates
-from estimators.identifiability.information import Evidence
+from estimators.identifiability.information import Likelihood
 from estimators.identifiability.posterior import friction_profile, sample_posterior
 from estimators.testing.analytic_world import accelerated, drawn_object, turns
 from testbed.errors import InvalidValueError
@@ -20,7 +20,7 @@ from testbed.objects.model import MassDistribution, ObjectModel
 ESTIMATOR = HiddenStates()
 
 
-def asked(obj: ObjectModel, *, inertia: bool = True) -> tuple[Estimate, Evidence]:
+def asked(obj: ObjectModel, *, inertia: bool = True) -> tuple[Estimate, Likelihood]:
     data = turns(obj, noise=0.3) + (accelerated(obj) if inertia else [])
     answer = ESTIMATOR.estimate(obj.shape, obj.total_mass, data, 0)
     assert answer.distribution is not None

@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose
 from scipy.stats import chi2
 
 from estimators.hidden_states.algorithm import HiddenStates
-from estimators.identifiability.predicted import planned_lift
+from estimators.identifiability.predicted import predicted_lift
 from estimators.particles.lifts import LiftErrors, lifted_rows
 from estimators.support_models.estimator import SupportAware
 from estimators.testing.analytic_world import accelerated, drawn_object, turns
@@ -51,7 +51,7 @@ def test_held_still_it_shows_m_and_c_alone(action, rank):
 
 
 def test_what_is_planned_is_what_is_recorded():
-    planned = planned_lift(SHORT, preset("ft300s"))
+    planned = predicted_lift(SHORT, preset("ft300s"))
     found = lift_windows(lifted(load_object("L2"), SHORT))
     assert len(planned) == len(found)
     for a, b in zip(planned, found, strict=True):  # a window may begin a sample earlier or later

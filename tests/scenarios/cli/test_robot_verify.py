@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from estimators.testing.analytic_world import drawn_object, felt
+from estimators.testing.analytic_world import analytic_trial, drawn_object
 from scenarios.cli.main import main
 from scenarios.results.store import Store, object_request
 from testbed.actions.base import Action, Rotate, Slide, Weigh, action_to_dict
@@ -23,7 +23,7 @@ from tests.helpers.recorded import put_trial
 
 def hung(obj: ObjectModel) -> Trajectory:
     """The object lifted, as `testbed.robot.runner.lifted` leaves it."""
-    held = felt(obj, Slide(0, duration=2.5), noise=0.05)
+    held = analytic_trial(obj, Slide(0, duration=2.5), noise=0.05)
     wrench = held.wrench_on_object_world - held.wrench_on_object_world.mean(axis=0)
     wrench[:, 2] += obj.total_mass * GRAVITY
     figures = {"weight_std_kg": 0.005}
@@ -33,7 +33,7 @@ def hung(obj: ObjectModel) -> Trajectory:
 def folder_of(root: Path, obj: ObjectModel, change: np.ndarray) -> Path:
     """Trials whose every wrench went through a 6 x 6 matrix, and a scale's reading."""
     moves: tuple[Action, ...] = (Rotate(0, duration=2.5, pivot=(0.1, 0.15), back=True), Slide(0, 0.4, duration=2.5))
-    records = [hung(obj), *(felt(obj, move, noise=0.05) for move in moves)]
+    records = [hung(obj), *(analytic_trial(obj, move, noise=0.05) for move in moves)]
     records = [replace(t, wrench_on_object_world=t.wrench_on_object_world @ change.T) for t in records]
     for i, record in enumerate([*records, read_off(obj.total_mass)]):
         asked = {"object": object_request(obj), "action": action_to_dict(record.action), "support": "own_weight"}

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from estimators.testing.analytic_world import drawn_object, felt
+from estimators.testing.analytic_world import analytic_trial, drawn_object
 from testbed.actions.base import Rotate, Slide
 from testbed.errors import InvalidValueError
 from testbed.frames import rotate_wrench
@@ -38,7 +38,9 @@ def centre(obj: ObjectModel) -> np.ndarray:
 
 def moves(obj: ObjectModel) -> list[Trajectory]:
     turn = Rotate(0, duration=2.5, pivot=(0.1, 0.15), back=True)
-    return [felt(obj, a, noise=0.05) for a in (turn, Slide(0, 0.4, duration=2.5), Slide(0, 2.0, duration=2.5))]
+    return [
+        analytic_trial(obj, a, noise=0.05) for a in (turn, Slide(0, 0.4, duration=2.5), Slide(0, 2.0, duration=2.5))
+    ]
 
 
 def seen(obj: ObjectModel, change: np.ndarray) -> list[Finding]:
@@ -130,7 +132,7 @@ def test_nothing_lifted_is_told(obj: ObjectModel):
 
 
 def test_a_hand_that_scarcely_feels_anything_is_not_believed(obj: ObjectModel):
-    slide = felt(obj, Slide(0, duration=2.5), noise=0.0)
+    slide = analytic_trial(obj, Slide(0, duration=2.5), noise=0.0)
     rng = np.random.default_rng(0)
     faint = replace(slide, wrench_on_object_world=5.0 * rng.standard_normal((len(slide.time_s), 6)))
     said = wrong(check_trial(hanging(obj), COVARIANCE, steady_windows(faint)))

@@ -354,8 +354,8 @@ def test_every_option_of_render_and_watch_is_told(capsys):
 
 def test_the_picture_of_the_readme_is_of_a_trial_of_the_main_run():
     """Keys are of what was asked: this is a turn that Algorithm 1's policy asks for on L2."""
-    readme = (ROOT / "README.md").read_text(encoding="utf-8")
-    found = re.search(r"heft render results/blocks ([0-9a-f]+) [^`]*--out docs/bench.png", readme)
+    page = (ROOT / "docs" / "tutorial.md").read_text(encoding="utf-8")
+    found = re.search(r"heft render results/blocks ([0-9a-f]+) [^`]*--out docs/bench.png", page)
     assert found
     turn = Rotate(4, pivot=(-0.01666666666666667, 0.10833333333333334), back=True)
     asked = trial_request(Trial(load_object("L2"), turn), SimulationSettings())

@@ -1,0 +1,102 @@
+"""A simulator of your own, in numpy: a table with Coulomb friction, under a rigid hand."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from testbed import GRAVITY, OWN_WEIGHT, Accelerate, InfeasibleTrialError, Phase, Rotate, Tool, Trajectory, Weigh
+from testbed.actions.base import pivot_of
+from testbed.frames import cross_2d, perpendicular, rotation_2d
+
+RATE = 100.0
+TOOL = Tool(mass=0.0, com=np.zeros(3), inertia=np.zeros((3, 3)), tcp=np.zeros(3))  # the sensor is in the fingertips
+
+
+@dataclass(frozen=True)
+class DragSimulator:
+    """A table with Coulomb friction and nothing else, and a rigid hand at its level."""
+
+    tare: float = 1.0
+    """Time before each action with nothing in the hand [s]."""
+
+    def __enter__(self):  # a real robot connects here
+        return self
+
+    def __exit__(self, kind, error, trace):  # and stops here, whatever happened
+        return None
+
+    def check(self, trial):
+        """Optional: refuses an action before any trial; heft finds the usable grasps with it."""
+        if not isinstance(trial.action, Weigh | Rotate | Accelerate):
+            raise InfeasibleTrialError("this simulator weighs and turns, and does nothing else")
+
+    def run(self, trial):
+        self.check(trial)
+        if trial.support != OWN_WEIGHT:
+            raise InfeasibleTrialError("in this simulator every block rests on its own weight")
+        obj, action = trial.object, trial.action
+        if isinstance(action, Weigh):
+            scale = np.tile([0, 0, obj.total_mass * GRAVITY, 0, 0, 0], (50, 1))
+            return record(action, np.zeros(50, int), scale, np.zeros((50, 3)), np.zeros((50, 2)), None)
+        slope, spin, segment = motion(action, round(self.tare * RATE))
+        pivot, grasp = pivot_of(action, obj.shape), obj.shape.grasps[action.grasp].position
+
+        # object axes: friction against the velocity of every particle, and inertia
+        way = perpendicular(obj.shape.particles - pivot)
+        way /= np.linalg.norm(way, axis=1, keepdims=True) + 1e-12
+        friction = np.where(obj.shape.friction_group < 0, 0, obj.truth.friction[obj.shape.friction_group])
+        push = (friction * obj.particle_mass * GRAVITY)[:, None] * way
+        arm = obj.center_of_mass - pivot
+        inertial = obj.total_mass * (slope[:, None] * perpendicular(arm) - spin[:, None] ** 2 * arm)
+        force = np.sign(spin)[:, None] * push.sum(axis=0) + inertial
+        torque = np.sign(spin) * cross_2d(obj.shape.particles - grasp, push).sum()
+        torque += obj.inertia_cm * slope + cross_2d(obj.center_of_mass - grasp, inertial)
+
+        # world axes: the wrench at the hand, and the poses
+        yaw = np.cumsum(spin) / RATE
+        turn = rotation_2d(yaw)
+        wrench = np.zeros((len(yaw), 6))
+        wrench[:, :2] = np.einsum("nij,nj->ni", turn, force)
+        wrench[:, 3:5] = obj.shape.height / 2 * np.einsum("nij,nj->ni", turn, perpendicular(inertial))
+        wrench[:, 5] = torque
+        origin, hand = turn @ -pivot, turn @ (grasp - pivot)
+        return record(action, segment, wrench, np.column_stack([origin, yaw]), hand, TOOL)
+
+
+def motion(action, waits):
+    """Angular acceleration, speed and steady stretch at every sample."""
+    if isinstance(action, Accelerate):
+        steps = [(action.start_speed, slope, action.hold) for slope in action.accelerations]
+    else:
+        steps = [(speed, 0.0, action.duration) for speed in (action.speed, -action.speed)[: 1 + action.back]]
+    counts = [round(seconds * RATE) for _, _, seconds in steps]
+    slope = np.repeat([slope for _, slope, _ in steps], counts)
+    spin = np.repeat([speed for speed, _, _ in steps], counts) + np.cumsum(slope) / RATE
+    segment = np.repeat(np.arange(len(steps)), counts)
+    return np.pad(slope, (waits, 0)), np.pad(spin, (waits, 0)), np.pad(segment, (waits, 0), constant_values=-1)
+
+
+def record(action, segment, wrench, pose, hand, tool):
+    """Trajectory for heft; velocities are the slopes of the poses, as on a real robot."""
+    count = len(segment)
+    pose_rate, hand_rate = (np.gradient(where, 1 / RATE, axis=0) for where in (pose, hand))
+    still = np.zeros((count, 3))
+    return Trajectory(
+        action=action,
+        status="ok",
+        reason="",
+        time_s=np.arange(count) / RATE,
+        phase=np.where(segment < 0, Phase.TARE, Phase.STEADY),
+        segment=segment,
+        object_pose=pose,
+        object_velocity=pose_rate,
+        tcp_position=np.column_stack([hand, still[:, 0]]),
+        tcp_velocity=np.column_stack([hand_rate, still, pose_rate[:, 2]]),
+        sensor_orientation=np.tile([1.0, 0, 0, 0], (count, 1)),  # its axes are the world's
+        sensor_wrench=wrench,
+        wrench_on_object_world=wrench,
+        joint_position=np.zeros((count, 7)),
+        tool=tool,
+        sensor_bias_std=np.zeros(6),
+        provenance={"runner": "simulation", "simulator": "DragSimulator"},
+    )

@@ -7,10 +7,10 @@ import re
 import sys
 from importlib.metadata import EntryPoint, EntryPoints
 from pathlib import Path
+from shutil import copy
 from typing import Any
 
 import pytest
-from test_docs import BLOCKS
 
 from scenarios.config import Scenario, Simulation, load_scenario
 from scenarios.results.load import load_results
@@ -22,23 +22,24 @@ from testbed.errors import InfeasibleTrialError
 from testbed.objects.files import InvalidFileError, load_object
 from testbed.plugins import RUNNER
 from testbed.trial import Trial, TrialRunner
+from tests.helpers.pages import BLOCKS, EXAMPLES
 
 MORE = '''
 from dataclasses import replace
-from my_bench import DragBench, InfeasibleTrialError, Weigh
+from own_simulator import DragSimulator, InfeasibleTrialError, Weigh
 
-class Measured(DragBench):
+class Measured(DragSimulator):
     """The same, said to be measured."""
     def run(self, trial):
         return replace(super().run(trial), provenance={"runner": "of mine"})
 
-class Narrow(DragBench):
+class Narrow(DragSimulator):
     """It reaches the first grasps only."""
     def check(self, trial):
         if trial.action.grasp > 1:
             raise InfeasibleTrialError("reach: too far")
 
-class Stiff(DragBench):
+class Stiff(DragSimulator):
     """It turns one way only, and says so too late."""
     def run(self, trial):
         if getattr(trial.action, "speed", 0) > 0:
@@ -52,7 +53,7 @@ class Bare:
     def __exit__(self, kind, error, trace):
         pass
     def run(self, trial):
-        record = DragBench().run(trial)
+        record = DragSimulator().run(trial)
         return record if isinstance(trial.action, Weigh) else replace(record, tool=None)
 
 class Words(Bare):
@@ -69,13 +70,14 @@ SHORT = {"pivots": 3, "duration": 2.0, "accelerated": 2, "held_out": 1}
 @pytest.fixture
 def here(tmp_path, monkeypatch) -> Path:
     """A folder with the documentation's own code, as the current one; all of it is forgotten again."""
-    for block in BLOCKS:
-        if block.title in ("my_bench.py", "my_estimator.py", "my_policy.py"):
-            (tmp_path / block.title).write_text(block.text, encoding="utf-8")
+    (estimator,) = (block.text for block in BLOCKS if block.title == "my_estimator.py")
+    (tmp_path / "my_estimator.py").write_text(estimator, encoding="utf-8")
+    for name in ("own_policy.py", "own_simulator.py"):
+        copy(EXAMPLES / name, tmp_path)
     (tmp_path / "more.py").write_text(MORE, encoding="utf-8")
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("sys.path", [p for p in sys.path if p not in ("", str(tmp_path))])
-    for name in ("more", "my_bench", "my_estimator", "my_policy"):
+    for name in ("more", "own_simulator", "my_estimator", "own_policy"):
         monkeypatch.delitem(sys.modules, name, raising=False)
     return tmp_path
 
@@ -87,20 +89,20 @@ def ran(folder: Path, out: str, runner: str, **fields: Any) -> list[dict[str, An
 
 
 def test_the_bench_of_the_documentation_with_its_policy_gives_the_truth_back(here):
-    policy = SHORT | {"kind": "my_policy:FarthestFirst", "touches": 5, "settings": {"turns": 4, "duration": 2.0}}
-    (row,) = ran(here, "out", "my_bench:DragBench", policy=policy)
+    policy = SHORT | {"kind": "own_policy:FarthestFirst", "touches": 5, "settings": {"turns": 4, "duration": 2.0}}
+    (row,) = ran(here, "out", "own_simulator:DragSimulator", policy=policy)
     assert row["status"] == "ok", row["message"]
     assert row["nad"] < 2e-3
     made = {path.parent.name for path in here.glob("out/trials/*/trial.json")}
     assert len(made) == 1 + 5 + 1
-    (here / "my_bench.py").write_text((here / "my_bench.py").read_text() + "# more\n", encoding="utf-8")
-    del sys.modules["my_bench"]
-    ran(here, "out", "my_bench:DragBench", policy=policy)
+    (here / "own_simulator.py").write_text((here / "own_simulator.py").read_text() + "# more\n", encoding="utf-8")
+    del sys.modules["own_simulator"]
+    ran(here, "out", "own_simulator:DragSimulator", policy=policy)
     assert len({*here.glob("out/trials/*/trial.json")}) == 2 * len(made), "another source makes trials of its own"
 
 
 def test_a_sensors_errors_are_drawn_on_what_is_simulated_and_on_nothing_else(here):
-    drawn = ran(here, "drawn", "my_bench:DragBench", sensing=["ft300s"], seeds=2)
+    drawn = ran(here, "drawn", "own_simulator:DragSimulator", sensing=["ft300s"], seeds=2)
     measured = ran(here, "measured", "more:Measured", sensing=["ft300s"], seeds=2)
     assert drawn[0]["nad"] != drawn[1]["nad"]
     assert measured[0]["nad"] == measured[1]["nad"] < 2e-3
@@ -155,8 +157,8 @@ def test_what_cannot_be_used_fails_in_words(here, runner, message):
         ('runner = "more:Open"', r"simulation.runner: got 'more:Open'; .*__enter__\(self\) and __exit__.*no __enter__"),
         ('runner = "more:Naro"', r"a class of more: .*nearest: Narrow"),
         ('runner = "drag"', r"simulation.runner: got 'drag'; allowed: package:Class"),
-        ('runner = "my_bench:DragBench"\nsettings = {tar = 1}', r"settings: got 'tar'; .*nearest: tare"),
-        ('runner = "my_bench:DragBench"\ngrip = "weld"', r"settings of its own in place of grip"),
+        ('runner = "own_simulator:DragSimulator"\nsettings = {tar = 1}', r"settings: got 'tar'; .*nearest: tare"),
+        ('runner = "own_simulator:DragSimulator"\ngrip = "weld"', r"settings of its own in place of grip"),
         ("settings = {tare = 1}", r"settings are for a runner"),
     ],
 )
@@ -169,7 +171,7 @@ def test_what_is_wrong_is_said_before_anything_runs(simulation, message, tmp_pat
 
 @pytest.mark.usefixtures("here")
 def test_an_entry_point_is_a_runner_by_name(monkeypatch):
-    points = EntryPoints([EntryPoint("drag", "my_bench:DragBench", RUNNER.group)])
+    points = EntryPoints([EntryPoint("drag", "own_simulator:DragSimulator", RUNNER.group)])
     monkeypatch.setattr(plugins, "entry_points", lambda *, group: points.select(group=group))
     bench: Any = Simulation(runner="drag", settings={"tare": 3.0}).build()
     assert isinstance(bench.open(), TrialRunner)
@@ -185,8 +187,8 @@ def test_workers_find_the_runner_the_policy_and_the_estimator_in_the_current_fol
         pytest.importorskip("ray", reason="Ray is not installed: pip install 'heft[ray]'")
     asked = {
         "objects": ["L2"],
-        "simulation": {"runner": "my_bench:DragBench"},
-        "policy": SHORT | {"kind": "my_policy:FarthestFirst", "settings": {"turns": 4, "duration": 2.0}},
+        "simulation": {"runner": "own_simulator:DragSimulator"},
+        "policy": SHORT | {"kind": "own_policy:FarthestFirst", "settings": {"turns": 4, "duration": 2.0}},
         "methods": {"mine": {"method": "my_estimator:LeastSquares"}},
     }
     run_scenario(Scenario.model_validate(asked), here / "out", 1, lambda *_, **__: None, executor)

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import json
 import re
-import tomllib
 from collections.abc import Iterator
-from dataclasses import dataclass, fields
+from dataclasses import fields
 from pathlib import Path
 from typing import Any, get_args
 
@@ -57,14 +56,9 @@ from testbed.robot.calibration.file import CalibrationFile
 from testbed.robot.config import RobotFile
 from testbed.sensing.presets import PRESETS
 from testbed.trajectory import SCHEMA_VERSION, Phase, save_trajectory
+from tests.helpers.pages import BLOCKS, DOCS, FENCE, PAGES, ROOT, names, options, section, table
 from tests.helpers.records import record
 
-ROOT = Path(__file__).parents[3]
-DOCS = ROOT / "docs"
-PAGES = sorted(DOCS.glob("*.md"))
-FENCE = re.compile(
-    r"(?:^<!-- (?P<mark>[^\n]+) -->\n)?^```(?P<info>[^\n]*)\n(?P<text>.*?)^```$", re.MULTILINE | re.DOTALL
-)
 SECTIONS: dict[str, type[BaseModel]] = {
     "Top of an object file": ObjectFile,
     "blocks": Blocks,
@@ -93,28 +87,6 @@ OTHER_FILES: dict[str, type[BaseModel]] = {"bench": RobotFile, "calibration": Ca
 """Marks of blocks that are files of these kinds."""
 
 
-@dataclass(frozen=True)
-class Block:
-    """A fenced block of a page."""
-
-    page: str
-    mark: str
-    """What the comment above it says: object, scenario, slow, output: ..."""
-    language: str
-    title: str
-    text: str
-
-
-def blocks_of(page: Path) -> list[Block]:
-    found = []
-    for match in FENCE.finditer(page.read_text(encoding="utf-8")):
-        language, _, rest = match["info"].partition(" ")
-        title = re.search(r'title="([^"]+)"', rest)
-        found.append(Block(page.name, match["mark"] or "", language, title[1] if title else "", match["text"]))
-    return found
-
-
-BLOCKS = [block for page in PAGES for block in blocks_of(page)]
 TUTORIAL = [block for block in BLOCKS if block.page in ("tutorial.md", "write_an_estimator.md")]
 COMMANDS = [
     (block.page, line)
@@ -123,25 +95,6 @@ COMMANDS = [
     for line in block.text.splitlines()
     if line.startswith("heft ")
 ]
-
-
-def section(page: str, heading: str) -> str:
-    """Text under a heading, up to the next one of any level."""
-    text = (DOCS / page).read_text(encoding="utf-8")
-    found = re.search(rf"^#+ {re.escape(heading)}\n(.*?)(?=^#+ |\Z)", text, re.MULTILINE | re.DOTALL)
-    assert found, f"{page} has no section {heading}"
-    return found[1]
-
-
-def table(page: str, heading: str) -> list[list[str]]:
-    """Cells of the first table of a section, without its head."""
-    lines = [line for line in section(page, heading).splitlines() if line.startswith("|")]
-    return [[cell.strip() for cell in line.strip("|").split("|")] for line in lines[2:]]
-
-
-def names(cells: list[list[str]]) -> list[str]:
-    """All code names in the first column."""
-    return [name for row in cells for name in re.findall(r"`([^`]+)`", row[0])]
 
 
 @pytest.fixture(scope="module")
@@ -326,13 +279,6 @@ def test_every_method_has_its_section():
     assert heads == ["Settings of every search", *METHODS]
 
 
-def test_the_example_of_every_table_is_the_default():
-    text = next(b.text for b in BLOCKS if b.title == "every_table.toml")
-    data = tomllib.loads(text)
-    assert Scenario.model_validate(data) == Scenario(objects=data["objects"])
-    assert {*data, "random"} == {*Scenario.model_fields}
-
-
 def test_sensors_are_the_presets():
     rows = table("formats.md", "Sensors")
     assert names(rows) == list(PRESETS)
@@ -371,8 +317,20 @@ def test_arrays_of_an_estimate(tmp_path):
     assert names(table("formats.md", "estimate.npz")) == written
 
 
-def test_every_option_of_run_is_told(capsys):
+UNLISTED = {"--help", "--no-back", "--no-caption", "--no-dry-run"}
+"""Options that no table lists: of every command, and opposites of listed ones."""
+
+
+@pytest.mark.parametrize(
+    ("command", "page", "heading"),
+    [
+        *((name, "command_line.md", f"heft {name}") for name in ("run", "render", "watch", "import", "estimate")),
+        *((name, "command_line.md", f"heft {name}") for name in ("identify", "plan", "touch", "export")),
+        ("robot trial", "hardware.md", "The commands"),
+    ],
+)
+def test_every_option_is_listed(command, page, heading, capsys):
     with pytest.raises(SystemExit):
-        main(["run", "--help"])
-    options = set(re.findall(r"--[a-z][a-z-]+", capsys.readouterr().out)) - {"--help", "--no-dry-run"}
-    assert options == {name.split()[0] for name in names(table("command_line.md", "heft run"))}
+        main([*command.split(), "--help"])
+    of_command = set(re.findall(r"--[a-z][a-z-]+", capsys.readouterr().out))
+    assert of_command - UNLISTED == options(page, heading) - UNLISTED

@@ -340,18 +340,6 @@ def test_ctrl_c_leaves_nothing_half_written(egl, root, turn, tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_every_option_of_render_and_watch_is_told(capsys):
-    page = (ROOT / "docs" / "command_line.md").read_text(encoding="utf-8")
-    for command in ("render", "watch"):
-        with pytest.raises(SystemExit):
-            main([command, "--help"])
-        options = set(re.findall(r"--[a-z][a-z-]+", capsys.readouterr().out)) - {"--help"}
-        section = page.split(f"\n## heft {command}\n")[1].split("\n## ")[0]
-        cells = "".join(re.findall(r"^\| (`--[^|]+)", section, re.MULTILINE))
-        told = set(re.findall(r"--[a-z][a-z-]+", cells)) - {"--no-caption"}
-        assert options - {"--no-caption"} == told
-
-
 def test_the_picture_of_the_readme_is_of_a_trial_of_the_main_run():
     """Keys are of what was asked: this is a turn that Algorithm 1's policy asks for on L2."""
     page = (ROOT / "docs" / "tutorial.md").read_text(encoding="utf-8")

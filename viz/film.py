@@ -1,4 +1,4 @@
-"""Pictures as a file: an MP4 or GIF of many, a PNG of one; each written whole or not at all."""
+"""Films: pictures as an MP4 or GIF, or one as a PNG, written whole or not at all."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from testbed.trajectory import write_whole
 
 KINDS = (".mp4", ".gif", ".png")
 MOST_PIXELS = 3840
-"""On a side."""
+"""Largest side of a picture [pixels]."""
 MOST_FPS = 120.0
 _QUALITY = 20
 """x264's constant rate factor: 18 looks lossless, 23 is its default."""
@@ -25,7 +25,7 @@ Picture = UInt8[np.ndarray, "H W 3"]
 
 
 def check_film(path: Path, width: int, height: int, fps: float) -> None:
-    """Refuse what no file can be made of, before anything is drawn.
+    """Check a film's settings before anything is drawn.
 
     Raises:
         InvalidValueError: an unknown kind of file, a size or a rate.
@@ -43,9 +43,9 @@ def write_film(pictures: Iterable[Picture], path: Path, fps: float) -> None:
     """Write pictures of one size as the file's ending says; a PNG has the last of them.
 
     Args:
-        pictures: drawn as they are asked for.
+        pictures: drawn one by one.
         path: of the file.
-        fps: pictures a second; a GIF keeps time to 10 ms, a picture at a time.
+        fps: pictures a second; a GIF keeps time to 10 ms.
     """
     write = {".mp4": _write_mp4, ".gif": _write_gif, ".png": _write_png}[path.suffix.lower()]
     write_whole(path, lambda part: write(pictures, part, fps))
@@ -62,7 +62,7 @@ def captioned(picture: Picture, text: str) -> Picture:
 
 
 def _write_mp4(pictures: Iterable[Picture], part: Path, fps: float) -> None:
-    """H.264 with 4:2:0 colours and its index in front: what every browser plays."""
+    """Write H.264 with 4:2:0 colours and the index in front, which every browser plays."""
     with av.open(str(part), "w", format="mp4", options={"movflags": "+faststart"}) as container:
         stream = container.add_stream("libx264", rate=Fraction(fps).limit_denominator(1000))
         stream.pix_fmt, stream.options = "yuv420p", {"crf": str(_QUALITY)}
@@ -74,7 +74,7 @@ def _write_mp4(pictures: Iterable[Picture], part: Path, fps: float) -> None:
 
 
 def _write_gif(pictures: Iterable[Picture], part: Path, fps: float) -> None:
-    """All pictures in the colours of the first, so that what stands still does not flicker."""
+    """Write all pictures in the colours of the first, so that still parts do not flicker."""
     images = _in_one_palette(pictures)
     first, rest = next(images), list(images)
     ends = np.round(np.arange(len(rest) + 2) * 100 / fps).astype(int) * 10  # ms, on a GIF's clock

@@ -1,4 +1,4 @@
-"""How all that viz draws looks: colours, marks, fonts. Figures, the report and the Rerun views take them from here.
+"""Colours, marks and fonts of figures, the report and the Rerun views.
 
 Single colours are Okabe and Ito's, told apart by the colour-blind; colour maps are even in lightness, so that they also
 survive a grey print.
@@ -32,21 +32,21 @@ TOP = 95
 
 TRUTH, ESTIMATE = "#B4B4B4", BLUE
 AXIS_COLORS = (VERMILLION, GREEN, BLUE)
-"""x, y and z of a force or a torque."""
+"""Colours of x, y and z of a force or a torque."""
 NORMAL_FORCE, FRICTION_FORCE = SKY, VERMILLION
-"""Arrows at the feet."""
+"""Colours of the arrows at the feet."""
 VELOCITY, OBJECT_VELOCITY, PADS = BLUE, BLACK, PURPLE
-"""Arrows of the particles and of the object, and the gripper's pads, as in the paper's Fig. trajectory."""
+"""Colours of the particles' and the object's arrows and of the gripper's pads, as in the paper's Fig. trajectory."""
 PHASE_COLORS = ("#8C8C8C", "#BFBFBF", ORANGE, SKY, PURPLE, GREEN, "#BFBFBF")
-"""Of what the robot is doing, in the order of `Phase`."""
+"""Colours of the phases of a trial, in the order of `Phase`."""
 BACKGROUND = "#FAFAF8"
-"""Of the planar views: as light as paper, so that colour maps read as in the figures."""
+"""Background of the planar views: as light as paper, so that colour maps read as in the figures."""
 EDGE = "#505050"
-"""Outlines, axes and what is written beside them."""
+"""Colour of outlines and axes."""
 LIGHT = 175.0
-"""Luminance, 0 to 255, from which on text on a colour is black; Rerun's frame around a text darkens what is behind."""
+"""Luminance, 0 to 255, above which text on a colour is black; Rerun's frame around a text darkens its background."""
 NO_ANSWER = "#DCDCDA"
-"""Cells without a value."""
+"""Colour of cells without a value."""
 
 STYLE: dict[Any, Any] = {
     "font.size": 9.0,
@@ -60,7 +60,7 @@ STYLE: dict[Any, Any] = {
 
 
 def bare(axis: Axes) -> None:
-    """A light grid, and no frame above and to the right."""
+    """Draw a light grid, and no frame above and to the right."""
     axis.grid(color="0.88", linewidth=0.6)
     axis.set_axisbelow(True)
     for side in ("top", "right"):
@@ -68,13 +68,13 @@ def bare(axis: Axes) -> None:
 
 
 def plain_numbers(axis: Axis) -> None:
-    """Numbers as one writes them on a logarithmic axis, and none at its small marks."""
+    """Write plain numbers on a logarithmic axis, and none at its small marks."""
     axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axis.set_minor_formatter(NullFormatter())
 
 
 def rgb(color: str) -> tuple[int, int, int]:
-    """A colour by its name or #RRGGBB as three numbers from 0 to 255."""
+    """Red, green and blue, 0 to 255, of a colour's name or #RRGGBB."""
     red, green, blue = (round(255 * part) for part in to_rgb(color))
     return red, green, blue
 
@@ -87,12 +87,17 @@ def series_color(index: int) -> str:
     return "#" + "".join(f"{round(255 * value):02X}" for value in mixed)
 
 
+def action_colors(count: int) -> Float[np.ndarray, "T 4"]:
+    """Colours of the actions of a plan in their order, RGBA from 0 to 1."""
+    return mpl.colormaps["viridis"](np.linspace(0.0, 0.85, max(count, 1)))
+
+
 def mapped(values: Float[np.ndarray, "..."], top: float, colors: str) -> UInt8[np.ndarray, "... 3"]:
-    """Values from 0 to `top` through a colour map, 0 to 255; what is above `top` is as `top`, NaN is NO_ANSWER."""
+    """Colours, 0 to 255, of values from 0 to `top`; values above have the colour of `top`, NaN has NO_ANSWER."""
     values = np.asarray(values, dtype=float)
-    shown = np.round(255 * mpl.colormaps[colors](np.clip(values / top, 0, 1))[..., :3]).astype(np.uint8)
-    shown[np.isnan(values)] = rgb(NO_ANSWER)
-    return shown
+    colored = np.round(255 * mpl.colormaps[colors](np.clip(values / top, 0, 1))[..., :3]).astype(np.uint8)
+    colored[np.isnan(values)] = rgb(NO_ANSWER)
+    return colored
 
 
 def text_color(behind: UInt8[np.ndarray, "... 3"]) -> UInt8[np.ndarray, "... 3"]:

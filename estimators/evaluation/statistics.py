@@ -50,6 +50,18 @@ def axes_of(rows: Sequence[Row]) -> list[str]:
     return [name for name in columns if any(row.get(name) is not None for row in rows)]
 
 
+def axis_values(rows: Sequence[Row], axis: str) -> list[object]:
+    """Values of a swept setting: numbers in order, words as they come."""
+    values = list(dict.fromkeys(row[axis] for row in rows if row.get(axis) is not None))
+    numbers = all(isinstance(value, int | float) for value in values)
+    return sorted(values) if numbers else values
+
+
+def methods_of(rows: Iterable[Row]) -> list[str]:
+    """Names of the methods, in the order of the rows."""
+    return list(dict.fromkeys(row["method"] for row in rows))
+
+
 def select(rows: Iterable[Row], **equal: object) -> list[Row]:
     """Rows whose columns equal what is asked."""
     return [row for row in rows if all(row.get(column) == value for column, value in equal.items())]

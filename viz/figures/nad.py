@@ -1,4 +1,4 @@
-"""NAD by method as a distribution, and NAD against a swept setting."""
+"""Normalized absolute difference (NAD): its distribution by method, and its course over a swept setting."""
 
 from __future__ import annotations
 
@@ -10,16 +10,15 @@ from matplotlib.axis import Axis
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator
 
-from estimators.evaluation.statistics import AXIS, Row
-from viz.report.tables import axis_values, methods_of
+from estimators.evaluation.statistics import AXIS, Row, axis_values, methods_of
 from viz.style import DASHES, MARKERS, PALETTE, STYLE, bare, plain_numbers
 
 WIDE_RANGE = 20.0
-"""Largest over smallest from which on an axis is logarithmic."""
+"""Ratio of the largest to the smallest value from which on an axis is logarithmic."""
 FEW = 8
-"""Up to as many values of a swept setting are all named on its axis."""
+"""Largest number of values of a swept setting that are all named on its axis."""
 UNITS = {"support": "N/m", "duration": "s", "pivot_error": "m"}
-"""Of settings that do not say it in their name."""
+"""Units of settings that do not have it in their name."""
 SUFFIXES = {"_kg": "kg", "_N": "N", "_m": "m", "_s": "s"}
 MANY = 400
 """More points than this are drawn as pixels."""
@@ -27,7 +26,7 @@ MANY = 400
 
 @mpl.rc_context(STYLE)
 def nad_distribution(rows: Sequence[Row]) -> Figure:
-    """A line a method: every estimate a point, a bar from the lower to the upper quartile, a stroke at the median."""
+    """One line a method: a point an estimate, a bar from the lower to the upper quartile, a stroke at the median."""
     methods = methods_of(rows)
     figure = Figure(figsize=(5.4, 0.36 * len(methods) + 0.8), layout="constrained")
     axis = figure.subplots()
@@ -42,15 +41,8 @@ def nad_distribution(rows: Sequence[Row]) -> Figure:
         if len(values) == 0:
             continue
         heights = place + rng.uniform(-0.22, 0.22, len(values))
-        axis.scatter(
-            values,
-            heights,
-            s=9,
-            color=PALETTE[0],
-            alpha=0.55 if len(values) < MANY else 0.15,
-            linewidth=0,
-            rasterized=len(values) > MANY,
-        )
+        alpha, as_pixels = 0.55 if len(values) < MANY else 0.15, len(values) > MANY
+        axis.scatter(values, heights, s=9, color=PALETTE[0], alpha=alpha, linewidth=0, rasterized=as_pixels)
         low, middle, high = np.quantile(values, (0.25, 0.5, 0.75))
         axis.hlines(place, low, high, color="0.2", linewidth=9, alpha=0.25, zorder=3)
         axis.vlines(middle, place - 0.32, place + 0.32, color=PALETTE[1], linewidth=2.2, zorder=4)
@@ -76,8 +68,8 @@ def nad_sweep(rows: Sequence[Row], axis_column: str) -> Figure:
     figure = Figure(figsize=(5.4, 4.2), layout="constrained")
     axis = figure.subplots()
     kinds = list(dict.fromkeys(row["kind"] for row in rows))
-    seen: dict[str, int] = dict.fromkeys(kinds, 0)
-    shown = []
+    drawn: list[str] = []
+    quartiles = []
     for method in methods_of(rows):
         of = [row for row in rows if row["method"] == method and row["nad"] is not None]
         if not of:
@@ -85,23 +77,23 @@ def nad_sweep(rows: Sequence[Row], axis_column: str) -> Figure:
         kind = of[0]["kind"]
         found = [100 * np.array([row["nad"] for row in of if row.get(axis_column) == value]) for value in values]
         has = np.array([len(each) > 0 for each in found])
-        quartiles = np.array([np.quantile(each, (0.25, 0.5, 0.75)) for each in found if len(each)]).T
+        low, middle, high = np.array([np.quantile(each, (0.25, 0.5, 0.75)) for each in found if len(each)]).T
         which = kinds.index(kind) % len(PALETTE)
-        axis.fill_between(places[has], quartiles[0], quartiles[2], color=PALETTE[which], alpha=0.12, linewidth=0)
+        axis.fill_between(places[has], low, high, color=PALETTE[which], alpha=0.12, linewidth=0)
         axis.plot(
-            places[has], quartiles[1], color=PALETTE[which], marker=MARKERS[which], markersize=4, linewidth=1.4,
-            linestyle=DASHES[seen[kind] % len(DASHES)], label=method,
+            places[has], middle, color=PALETTE[which], marker=MARKERS[which], markersize=4, linewidth=1.4,
+            linestyle=DASHES[drawn.count(kind) % len(DASHES)], label=method,
         )  # fmt: skip
-        seen[kind] += 1
-        shown.append(quartiles.ravel())
+        drawn.append(kind)
+        quartiles += [low, middle, high]
     if numeric:
         _scale(axis.xaxis, places)
     if not numeric or len(places) <= FEW:
         axis.set_xticks(places, [f"{v:g}" if isinstance(v, float) else str(v) for v in values])
-    _scale(axis.yaxis, np.concatenate(shown) if shown else np.array([]))
+    _scale(axis.yaxis, np.concatenate(quartiles) if quartiles else np.array([]))
     axis.set_xlabel(axis_label(axis_column))
     axis.set_ylabel("NAD, %")
-    if shown:
+    if drawn:
         figure.legend(loc="outside lower center", ncols=3, fontsize=7, frameon=False, handlelength=3)
     bare(axis)
     return figure
@@ -116,7 +108,7 @@ def axis_label(axis_column: str) -> str:
 
 
 def _scale(axis: Axis, values: np.ndarray) -> None:
-    """Logarithmic where the values are positive and span much; linear in the first decade where some are zero."""
+    """Make an axis logarithmic where values are positive and span much; linear in the first decade with zeros."""
     positive = values[values > 0]
     if len(positive) == 0 or values.min() < 0 or positive.max() < WIDE_RANGE * positive.min():
         return

@@ -1,72 +1,37 @@
-"""The wrench of one trial, measured and as a model has it."""
+"""Wrench of trials, measured and predicted, and their difference."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import matplotlib as mpl
 import numpy as np
-from jaxtyping import Bool, Float
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from testbed.errors import InvalidValueError
-from testbed.validation import frozen_array
-from viz.recordings.page import evenly
 from viz.style import AXIS_COLORS, EDGE, STYLE, bare
-
-
-@dataclass(frozen=True, eq=False)
-class WrenchFit:
-    """T samples of what the gripper does to the object: force x and y, N, and torque about z, N m."""
-
-    label: str
-    """The trial, in words."""
-    time_s: Float[np.ndarray, "T"]
-    """s."""
-    measured: Float[np.ndarray, "T 3"]
-    """After tare and tool compensation."""
-    steady: Bool[np.ndarray, "T"]
-    """Which samples an estimator is given."""
-    predicted: Float[np.ndarray, "T 3"]
-    """NaN outside the steady stretches, or everywhere without a model."""
-    band: Float[np.ndarray, "T 3"]
-    """Half the width of the band around the prediction in which the sensor's errors leave 95 % of single samples."""
-    frame: str = "object axes, about the grasp point"
-    """In which axes, and about which point."""
-
-    def __post_init__(self) -> None:
-        time = frozen_array("WrenchFit.time_s", self.time_s, (None,))
-        object.__setattr__(self, "time_s", time)
-        for name in ("measured", "predicted", "band"):
-            values = frozen_array(f"WrenchFit.{name}", getattr(self, name), (len(time), 3), finite=False)
-            object.__setattr__(self, name, values)
-        steady = np.array(self.steady)
-        if steady.dtype != bool or steady.shape != time.shape:
-            allowed = f"true or false a sample, ({len(time)},)"
-            raise InvalidValueError("WrenchFit.steady", f"{steady.dtype} of shape {steady.shape}", allowed)
-        object.__setattr__(self, "steady", steady)
+from viz.values import WrenchFit, evenly
 
 
 LABELS = (("force x, N", "off, N"), ("force y, N", "off, N"), ("torque z, N m", "off, N m"))
-"""Of each component, and of what is measured beyond the prediction."""
+"""Labels of each component, and of its difference from the prediction."""
 MOST_DOTS = 1500
-"""Samples of a trial that are drawn one by one; of more an even choice."""
+"""Largest number of samples of a trial that are drawn; of more an even choice."""
 HEIGHTS = (1.2, 0.65)
-"""Of a component's panel, and of the one below with what the prediction is off, inches."""
+"""Heights [inches] of a component's panel, and of the one below with its difference from the prediction."""
 BAND: dict[str, Any] = {"color": EDGE, "alpha": 0.25, "linewidth": 0}
 TAIL = 0.002
-"""Part of the samples, at each end, that an axis need not show: the sensor jumps as the gripper closes."""
+"""Share of the samples, at each end, that an axis may leave out: the sensor jumps as the gripper closes."""
 
 
 @mpl.rc_context(STYLE)
 def wrench_fit_figure(fits: Sequence[WrenchFit]) -> Figure:
-    """A column a trial; force x, force y and torque z below each other, each on the scale of all trials.
+    """One column a trial; force x, force y and torque z below each other, each on the scale of all trials.
 
-    Grey is what is not steady, coloured what is; the line is the prediction, with its 95 % band. Below each component
-    is by how much the measured one is off the prediction.
+    Steady samples are coloured, the others grey; the line is the prediction, with its 95 % band. Below each component
+    is the difference measured - predicted.
 
     Raises:
         InvalidValueError: no trial at all.
@@ -95,7 +60,7 @@ def wrench_fit_figure(fits: Sequence[WrenchFit]) -> Figure:
 
 
 def _draw(axis: Axes, fit: WrenchFit, row: int, color: str) -> None:
-    """One component of one trial."""
+    """Draw one component of one trial."""
     for which, shade, label in ((~fit.steady, "0.75", "measured"), (fit.steady, color, "measured, steady")):
         _dots(axis, fit, which, fit.measured[:, row], shade, label)
     # NaN breaks the line and the band between steady stretches
@@ -106,7 +71,7 @@ def _draw(axis: Axes, fit: WrenchFit, row: int, color: str) -> None:
 
 
 def _draw_off(axis: Axes, fit: WrenchFit, row: int, color: str) -> None:
-    """Measured less predicted, where it is steady."""
+    """Draw measured - predicted of the steady samples."""
     half = np.where(np.isfinite(fit.predicted[:, row]), fit.band[:, row], np.nan)
     _dots(axis, fit, fit.steady, fit.measured[:, row] - fit.predicted[:, row], color, None)
     axis.fill_between(fit.time_s, -half, half, **BAND)
@@ -122,7 +87,7 @@ def _dots(axis: Axes, fit: WrenchFit, which: np.ndarray, values: np.ndarray, col
 
 
 def _limits(fits: Sequence[WrenchFit], row: int) -> tuple[float, float]:
-    """Of all that is steady or predicted, and of nearly all that is not."""
+    """Limits that show all steady samples and predictions, and nearly all others."""
     low, high = np.quantile(np.concatenate([fit.measured[:, row] for fit in fits]), (TAIL, 1 - TAIL))
     for fit in fits:
         band = np.concatenate([fit.predicted[:, row] - fit.band[:, row], fit.predicted[:, row] + fit.band[:, row]])

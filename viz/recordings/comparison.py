@@ -11,115 +11,116 @@ import rerun.blueprint as rrb
 
 from testbed.errors import InvalidValueError
 from viz.recordings.bars import BarScene, Series
-from viz.recordings.estimate import LEVEL, TITLE, EstimateShown, difference_scale_of, mass_scale_of
-from viz.recordings.mass_map import BELOW, CellMap, Raster, Scale, log_bar
+from viz.recordings.estimate import frames_of
+from viz.recordings.mass_map import BELOW, MassMap, Raster, log_bar
 from viz.recordings.page import Frames
-from viz.recordings.planar import Box, Canvas, log_upright, planar_view
+from viz.recordings.planar import TITLE, Box, Canvas, log_upright, planar_view
+from viz.scales import Scale, difference_scale, mass_scale
 from viz.style import TOP, series_color
+from viz.values import LEVEL, EstimateView
 
 WINDOW = Canvas(1590, 910)
-"""What all views share in a window of 1600 by 1000, pixels."""
+"""Size of all views together in a window of 1600 by 1000 pixels."""
 BARS = 250.0
-"""Height of the bars' view, pixels."""
+"""Height of the bars' view [pixels]."""
 MOST_COLUMNS = 5
-"""More views in a row have no room for their titles."""
+"""Largest number of views in a row whose titles have room."""
 GAP = 12.0
-"""Around the colour bars, pixels."""
+"""Distance around the colour bars [pixels]."""
 BAR = 14.0
-"""Thickness of a colour bar, pixels."""
+"""Thickness of a colour bar [pixels]."""
 
 
-def log_comparison(stream: rr.RecordingStream, root: str, shown: Sequence[EstimateShown]) -> None:
+def log_comparison(stream: rr.RecordingStream, root: str, views: Sequence[EstimateView]) -> None:
     """Log estimates of one object below `root`: the truth, each method, and the bars of all."""
-    layout = _Layout.of(shown)
-    first = shown[0]
+    layout, first = _Layout.of(views), views[0]
+    mass, difference = layout.scales
     if first.true_mass is not None:
-        truth = CellMap(first.shape, first.true_mass[None], layout.mass_scale, layout.cell, named=False)
+        truth = MassMap(first.shape, first.true_mass[None], mass, layout.cell, named=False)
         truth.log(stream, f"{root}/truth/mass", Frames.still(), layout.box)
-    for index, each in enumerate(shown):
-        frames, way = each.history or (Frames.still(), None)
-        entity, truth = f"{root}/methods/{index}", each.true_mass
-        mass = CellMap(each.shape, way, layout.mass_scale, layout.cell, named=False)
-        mass.log(stream, f"{entity}/mass", frames, layout.box)
-        if truth is not None and layout.difference_scale is not None:
-            off = None if way is None else np.abs(way - truth)
-            difference = CellMap(each.shape, off, layout.difference_scale, layout.cell, named=False)
-            difference.log(stream, f"{entity}/difference", frames, layout.box, layout.beside)
-    _log_scales(stream, f"{root}/scales", layout)
-    _bars(shown).log(stream, f"{root}/bars/scene")
+    for index, view in enumerate(views):
+        frames, way = frames_of(view)
+        entity, truth = f"{root}/methods/{index}", view.true_mass
+        MassMap(view.shape, way, mass, layout.cell, named=False).log(stream, f"{entity}/mass", frames, layout.box)
+        if truth is not None and difference is not None:
+            off = MassMap(view.shape, None if way is None else np.abs(way - truth), difference, layout.cell, named=False)
+            off.log(stream, f"{entity}/difference", frames, layout.box, layout.beside)
+    log_upright(stream, f"{root}/scales/bars")
+    for index, (scale, box) in enumerate(zip(layout.scales, _bar_boxes(layout.cell), strict=True)):
+        if scale is not None:
+            log_bar(stream, f"{root}/scales/bars/{index}", scale, box, 1.0)
+    _bars(views).log(stream, f"{root}/bars/scene")
 
 
-def comparison_blueprint(root: str, shown: Sequence[EstimateShown]) -> rrb.Container:
-    """The views of what `log_comparison` logs below `root`."""
-    layout = _Layout.of(shown)
-    known = shown[0].truth is not None
-    views = [planar_view(f"{root}/truth", layout.box, "true mass")] if known else []
-    for index, each in enumerate(shown):
-        nad = "" if each.nad is None else f": NAD {100 * each.nad:.1f} %"
-        nad = nad if each.answer is not None else ": no answer"
-        views.append(planar_view(f"{root}/methods/{index}", layout.box, f"{each.method}{nad}"))
+def comparison_blueprint(root: str, views: Sequence[EstimateView]) -> rrb.Container:
+    """Views of the entities that `log_comparison` logs below `root`."""
+    layout = _Layout.of(views)
+    known = views[0].truth is not None
+    maps = [planar_view(f"{root}/truth", layout.box, "true mass")] if known else []
+    for index, view in enumerate(views):
+        nad = "" if view.nad is None else f": NAD {100 * view.nad:.1f} %"
+        nad = nad if view.answer is not None else ": no answer"
+        maps.append(planar_view(f"{root}/methods/{index}", layout.box, f"{view.method}{nad}"))
     where = "mass left, difference right" if layout.beside[0] else "mass above, difference below"
     whole = Box(0.0, -layout.cell.height, layout.cell.width, 0.0)
-    views.append(planar_view(f"{root}/scales", whole, where if known else "scale"))
-    lines = f"; lines: {LEVEL} intervals" if any(each.half_width is not None for each in shown) else ""
-    bars = planar_view(f"{root}/bars", _bars(shown).box, f"mass of each group, all methods{lines}")
-    grid = rrb.Grid(*views, grid_columns=layout.columns)
+    maps.append(planar_view(f"{root}/scales", whole, where if known else "scale"))
+    lines = f"; lines: {LEVEL} intervals" if any(view.half_width is not None for view in views) else ""
+    bars = planar_view(f"{root}/bars", _bars(views).box, f"mass of each group, all methods{lines}")
+    grid = rrb.Grid(*maps, grid_columns=layout.columns)
     return rrb.Vertical(grid, bars, row_shares=[WINDOW.height - BARS, BARS], name="comparison")
 
 
 @dataclass(frozen=True)
 class _Layout:
-    """What the views of a comparison have in common."""
+    """Sizes and scales that the views of a comparison share."""
 
     columns: int
     cell: Canvas
-    """Of the view of a method."""
+    """Size of a method's view."""
     beside: tuple[float, float]
-    """From a method's mass map to its map of differences, m."""
+    """Vector from a method's mass map to its map of differences [m]."""
     box: Box
-    """Of the scene of a method."""
-    mass_scale: Scale
-    difference_scale: Scale | None
-    """None where the truth is not known."""
+    """Box around the scene of a method."""
+    scales: tuple[Scale, Scale | None]
+    """Scales of mass and difference; the second is None where the truth is not known."""
 
     @staticmethod
-    def of(shown: Sequence[EstimateShown]) -> _Layout:
+    def of(views: Sequence[EstimateView]) -> _Layout:
         """Raises InvalidValueError where there is nothing to compare, or shapes differ."""
-        if not shown:
-            raise InvalidValueError("shown", "none", "at least one estimate")
-        first = shown[0].shape
-        for each in shown[1:]:
-            if each.shape.n_m != first.n_m or not np.array_equal(each.shape.particles, first.particles):
-                raise InvalidValueError("shown", f"{each.title}, of another shape", f"the shape of {shown[0].title}")
-        plain, known = Raster.of(first).box, shown[0].truth is not None
-        count = len(shown) + 1 + known
-        best: tuple[float, int, Canvas, tuple[float, float], Box] | None = None
+        if not views:
+            raise InvalidValueError("views", "none", "at least one estimate")
+        first = views[0].shape
+        for view in views[1:]:
+            if view.shape.n_m != first.n_m or not np.array_equal(view.shape.particles, first.particles):
+                raise InvalidValueError("views", f"{view.title}, of another shape", f"the shape of {views[0].title}")
+        plain, known = Raster.of(first).box, views[0].truth is not None
+        count = len(views) + 1 + known
+        gap = 0.06 * (plain.width + plain.height)
+        places = ((plain.width + gap, 0.0), (0.0, -plain.height - gap))
+        found: list[tuple[int, Canvas, tuple[float, float], Box]] = []
         for columns in range(1, min(count, MOST_COLUMNS) + 1):
             rows = int(np.ceil(count / columns))
             cell = Canvas(WINDOW.width / columns, (WINDOW.height - BARS) / rows - TITLE)
-            gap = 0.06 * (plain.width + plain.height)
-            for beside in ((plain.width + gap, 0.0), (0.0, -plain.height - gap)):
+            for beside in places:
                 box = cell.framed(plain.joined(plain.moved(*beside)) if known else plain, 8, 8, 8)
-                if best is None or cell.pixel(box) < best[0]:
-                    best = cell.pixel(box), columns, cell, beside, box
-        assert best is not None
-        _, columns, cell, beside, box = best
-        return _Layout(columns, cell, beside, box, *_scales(shown))
+                found.append((columns, cell, beside, box))
+        best = min(found, key=lambda each: each[1].pixel(each[3]))
+        return _Layout(*best, scales=_scales(views))
 
 
-def _scales(shown: Sequence[EstimateShown]) -> tuple[Scale, Scale | None]:
-    """Of mass and difference: up to most of the values, and to the truth in any case."""
-    truths = [float(each.true_mass.max()) for each in shown if each.true_mass is not None]
+def _scales(views: Sequence[EstimateView]) -> tuple[Scale, Scale | None]:
+    """Scales of mass and difference: up to most of the values, and to the truth in any case."""
+    truths = [float(view.true_mass.max()) for view in views if view.true_mass is not None]
     tops = []
-    for values in ([each.mass for each in shown], [each.difference for each in shown]):
+    for values in ([view.mass for view in views], [view.difference for view in views]):
         known = [value for value in values if value is not None]
         tops.append(float(np.percentile(np.concatenate(known), TOP)) if known else 0.0)
-    mass = mass_scale_of(shown, max([tops[0], *truths]))
-    return mass, difference_scale_of(shown, tops[1]) if truths else None
+    mass = mass_scale(views, max([tops[0], *truths]))
+    return mass, difference_scale(views, tops[1]) if truths else None
 
 
 def _bar_boxes(cell: Canvas) -> list[Box]:
-    """Places of the two colour bars in a scene whose unit is a pixel: one below the other, or side by side."""
+    """Places of the two colour bars [pixels]: one below the other, or side by side."""
     if cell.height < 2 * (BAR + BELOW) + 2 * GAP:
         length = (cell.width - 12 * GAP) / 2
         return [Box(x, -GAP - BAR, x + length, -GAP) for x in (3 * GAP, length + 9 * GAP)]
@@ -127,18 +128,11 @@ def _bar_boxes(cell: Canvas) -> list[Box]:
     return [Box(4 * GAP, top - BAR, cell.width - 4 * GAP, top) for top in tops]
 
 
-def _log_scales(stream: rr.RecordingStream, entity: str, layout: _Layout) -> None:
-    """The colour bars that all maps share."""
-    log_upright(stream, f"{entity}/bars")
-    scales = (layout.mass_scale, layout.difference_scale)
-    for index, (scale, box) in enumerate(zip(scales, _bar_boxes(layout.cell), strict=True)):
-        if scale is not None:
-            log_bar(stream, f"{entity}/bars/{index}", scale, box, 1.0)
-
-
-def _bars(shown: Sequence[EstimateShown]) -> BarScene:
+def _bars(views: Sequence[EstimateView]) -> BarScene:
     series = []
-    for index, each in enumerate(shown):
-        if each.history is not None:
-            series.append(Series(each.method, series_color(index), each.history[1], each.history[0], each.half_width))
-    return BarScene(shown[0].shape.group_names, shown[0].true_mass, tuple(series), Canvas(WINDOW.width, BARS - TITLE))
+    for index, view in enumerate(views):
+        frames, way = frames_of(view)
+        if way is not None:
+            series.append(Series(view.method, series_color(index), way, frames, view.half_width))
+    canvas = Canvas(WINDOW.width, BARS - TITLE)
+    return BarScene(views[0].shape.group_names, views[0].true_mass, tuple(series), canvas)

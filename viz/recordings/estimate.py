@@ -1,9 +1,8 @@
-"""One estimate as it is shown: the answer with the truth, and all that is known of how it came about."""
+"""One estimate in Rerun: mass maps, bars, losses, friction loads, and the velocities in one of its trials."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 import rerun as rr
@@ -11,273 +10,215 @@ import rerun.blueprint as rrb
 from jaxtyping import Float
 
 from estimators.base import Trace
-from testbed.errors import InvalidValueError
-from testbed.objects.model import MassDistribution, ObjectShape
-from testbed.trajectory import Trajectory
-from testbed.validation import frozen_array
+from testbed.objects.model import GRAVITY, MassDistribution, ObjectShape
 from viz.recordings.bars import BarScene, Series
-from viz.recordings.loads import LoadScene
-from viz.recordings.mass_map import CellMap, Scale
-from viz.recordings.motion import TurnScene
-from viz.recordings.page import ITERATION, MOST_FRAMES, Frames, evenly, facts_markdown
-from viz.recordings.planar import Canvas, planar_view
-from viz.style import DIFFERENCE_COLORS, ESTIMATE, MASS_COLORS, rgb, series_color
-
-LEVEL, DEVIATIONS = "90 %", 1.645
-"""Probability of an interval, and its half width in standard deviations."""
-LEAST_DIFFERENCE = 0.02
-"""Least end of the scale of differences, over the heaviest group: noise is not blown up."""
-
-
-@dataclass(frozen=True, eq=False)
-class EstimateShown:
-    """An estimate with all that is known about it."""
-
-    title: str
-    """What is shown: object, method, sensing."""
-    shape: ObjectShape
-    """Of the object."""
-    truth: MassDistribution | None = None
-    """None on a real object."""
-    answer: MassDistribution | None = None
-    """None where the method has none."""
-    covariance: Float[np.ndarray, "n_m n_m"] | None = None
-    """Of the particle masses, kg^2."""
-    traces: tuple[Trace, ...] = ()
-    """The one that led to the answer first."""
-    trajectory: Trajectory | None = None
-    """A trial to show the particles' velocities in."""
-    facts: Mapping[str, str] = field(default_factory=dict)
-    """What else is said in words; "method" names it in a comparison."""
-
-    def __post_init__(self) -> None:
-        shape = self.shape
-        for name, given in (("truth", self.truth), ("answer", self.answer)):
-            for what, count in (("mass", shape.n_m), ("friction", shape.n_mu)) if given is not None else ():
-                values = getattr(given, what)
-                if len(values) != count:
-                    raise InvalidValueError(
-                        f"EstimateShown.{name}.{what}", values.tolist(), f"{count} numbers, one a group"
-                    )
-        if self.covariance is not None:
-            square = (shape.n_m, shape.n_m)
-            checked = frozen_array("EstimateShown.covariance", self.covariance, square, finite=False)
-            object.__setattr__(self, "covariance", checked)
-        for trace in self.traces:
-            if trace.mass.size and trace.mass.shape != (len(trace.loss), shape.n_m):
-                allowed = f"({len(trace.loss)}, {shape.n_m}), or none"
-                raise InvalidValueError(f"EstimateShown.traces.{trace.method}.mass", trace.mass.shape, allowed)
-        object.__setattr__(self, "traces", tuple(self.traces))
-
-    @property
-    def method(self) -> str:
-        """Name of the method."""
-        return self.facts.get("method", self.title)
-
-    @property
-    def true_mass(self) -> Float[np.ndarray, "n_m"] | None:
-        """kg a group."""
-        return None if self.truth is None else self.truth.mass * self.shape.particles_per_group
-
-    @property
-    def mass(self) -> Float[np.ndarray, "n_m"] | None:
-        """The answer, kg a group."""
-        return None if self.answer is None else self.answer.mass * self.shape.particles_per_group
-
-    @property
-    def difference(self) -> Float[np.ndarray, "n_m"] | None:
-        """|answer - truth|, kg a group."""
-        mass, truth = self.mass, self.true_mass
-        return None if mass is None or truth is None else np.abs(mass - truth)
-
-    @property
-    def nad(self) -> float | None:
-        """The paper's eta_1: what is misplaced, over the whole mass."""
-        off, truth = self.difference, self.true_mass
-        return None if off is None or truth is None else float(off.sum() / truth.sum())
-
-    @property
-    def half_width(self) -> Float[np.ndarray, "n_m"] | None:
-        """Half of the interval of each group's mass, kg; NaN where the variance is none or infinite."""
-        if self.covariance is None:
-            return None
-        variance = np.diagonal(self.covariance)
-        deviation = np.sqrt(np.where((variance >= 0) & np.isfinite(variance), variance, np.nan))
-        return DEVIATIONS * deviation * self.shape.particles_per_group
-
-    @property
-    def history(self) -> tuple[Frames, Float[np.ndarray, "F n_m"]] | None:
-        """The masses on the way of the trace that led to the answer, kg a group, and the answer itself at the end."""
-        mass = self.mass
-        if mass is None:
-            return None
-        if not self.traces or not self.traces[0].mass.size:
-            return Frames.still(), mass[None]
-        way = self.traces[0].mass * self.shape.particles_per_group
-        kept = evenly(len(way), MOST_FRAMES - 1)
-        frames = Frames(ITERATION, np.append(kept, len(way)).astype(float), len(kept))
-        return frames, np.vstack([way[kept], mass])
-
-
-def mass_scale_of(every: Sequence[EstimateShown], top: float | None = None) -> Scale:
-    """One scale for the true and all estimated masses; by default up to the largest of them."""
-    masses = [m for shown in every for m in (shown.true_mass, shown.mass) if m is not None]
-    ways = [shown.history[1] for shown in every if shown.history is not None]
-    return _scale(masses, ways, top, 0.0, MASS_COLORS, "mass, kg a group")
-
-
-def difference_scale_of(every: Sequence[EstimateShown], top: float | None = None) -> Scale:
-    """One scale for all absolute differences; by default up to the largest of the answers."""
-    known = [(shown, shown.true_mass) for shown in every if shown.true_mass is not None]
-    off = [shown.difference for shown, _ in known if shown.difference is not None]
-    ways = [np.abs(shown.history[1] - truth) for shown, truth in known if shown.history is not None]
-    least = LEAST_DIFFERENCE * max((float(truth.max()) for _, truth in known), default=0.0)
-    return _scale(off, ways, top, least, DIFFERENCE_COLORS, "|difference|, kg a group")
-
-
-def _scale(
-    ends: Sequence[np.ndarray], ways: Sequence[np.ndarray], top: float | None, least: float, colors: str, title: str
-) -> Scale:
-    """Up to `top`, or to the largest of `ends`; open where an end or something on the way to it is larger."""
-    largest = max((float(values.max()) for values in ends), default=1.0)
-    end = max(largest if top is None else top, least, 1e-6)
-    return Scale(end, colors, title, open=any(float(values.max()) > end * (1 + 1e-9) for values in (*ends, *ways)))
-
+from viz.recordings.mass_map import BELOW, MassMap, Raster, bar_box, log_bar
+from viz.recordings.page import ITERATION, Frames, log_facts
+from viz.recordings.planar import (
+    HAIR,
+    LINE,
+    MARGIN,
+    TITLE,
+    Box,
+    Canvas,
+    log_lines,
+    log_texts,
+    log_upright,
+    packed,
+    planar_view,
+)
+from viz.recordings.turn import TurnScene, moves_on_table
+from viz.scales import Scale, difference_scale, mass_scale
+from viz.style import BLACK, ESTIMATE, MASS_COLORS, rgb, series_color
+from viz.values import LEVEL, EstimateView
 
 MAIN, SIDE = Canvas(1260, 910), Canvas(325, 910)
-"""What the views of the main and the side column share in a window of 1600 by 1000, pixels."""
-TITLE = 30.0
-"""Height of a view's title, pixels."""
+"""Sizes of the main and the side column in a window of 1600 by 1000 pixels."""
+FULL_CELL = 0.46
+"""Radius of the particle with the largest load, over its cell's side."""
 
 
-def log_estimate(stream: rr.RecordingStream, root: str, shown: EstimateShown) -> None:
+def log_estimate(stream: rr.RecordingStream, root: str, view: EstimateView) -> None:
     """Log an estimate below `root`: static, on `iteration`, and its trial on `sim_time`."""
-    layout, truth = _Layout.of(shown), shown.true_mass
-    mass_scale, off_scale = mass_scale_of([shown]), difference_scale_of([shown])
-    frames, way = shown.history or (Frames.still(), None)
+    layout, truth, shape = _Layout.of(view), view.true_mass, view.shape
+    mass, difference = mass_scale([view]), difference_scale([view])
+    frames, way = frames_of(view)
     if truth is not None:
-        _log_map(stream, f"{root}/true_mass", CellMap(shown.shape, truth[None], mass_scale, layout.map), Frames.still())
-        off = None if way is None else np.abs(way - truth)
-        _log_map(stream, f"{root}/difference", CellMap(shown.shape, off, off_scale, layout.map), frames)
-    _log_map(stream, f"{root}/estimated_mass", CellMap(shown.shape, way, mass_scale, layout.map), frames)
+        true_map = MassMap(shape, truth[None], mass, layout.map)
+        true_map.log_with_bar(stream, f"{root}/true_mass/object", Frames.still())
+        off = MassMap(shape, None if way is None else np.abs(way - truth), difference, layout.map)
+        off.log_with_bar(stream, f"{root}/difference/object", frames)
+    MassMap(shape, way, mass, layout.map).log_with_bar(stream, f"{root}/estimated_mass/object", frames)
     if way is not None or truth is not None:
-        bars_of(shown, layout.lower).log(stream, f"{root}/bars/scene")
+        _bars(view, layout.lower).log(stream, f"{root}/bars/scene")
     if way is not None:
-        _loads(shown, layout.side).log(stream, f"{root}/loads/scene", frames)
-        _log_masses(stream, f"{root}/mass_by_iteration", shown.shape, frames, way)
-    for index, trace in enumerate(shown.traces):
+        _loads(view, layout.side).log(stream, f"{root}/loads/scene", frames)
+        _log_masses(stream, f"{root}/mass_by_iteration", shape, frames, way)
+    for index, trace in enumerate(view.traces):
         _log_loss(stream, f"{root}/loss/{index}", trace, series_color(index))
-    if shown.trajectory is not None and TurnScene.shows(shown.trajectory):
-        TurnScene(shown.shape, shown.trajectory, layout.lower).log(stream, f"{root}/turn/scene")
-    document = rr.TextDocument(facts_text(shown), media_type=rr.MediaType.MARKDOWN)
-    stream.log(f"{root}/facts", document, static=True, strict=True)
+    if view.trajectory is not None and moves_on_table(view.trajectory):
+        TurnScene(shape, view.trajectory, layout.lower).log(stream, f"{root}/turn/scene")
+    nad = {} if view.nad is None else {"NAD": f"{100 * view.nad:.2f} %"}
+    log_facts(stream, f"{root}/facts", view.title, "estimate", nad | dict(view.facts))
 
 
-def estimate_blueprint(root: str, shown: EstimateShown) -> rrb.Container:
-    """The views of what `log_estimate` logs below `root`."""
-    layout = _Layout.of(shown)
-    box = CellMap(shown.shape, None, mass_scale_of([shown]), layout.map).box()
-    moves = shown.history is not None and shown.history[0].timeline is not None
+def estimate_blueprint(root: str, view: EstimateView) -> rrb.Container:
+    """Views of the entities that `log_estimate` logs below `root`."""
+    layout = _Layout.of(view)
+    box = MassMap(view.shape, None, mass_scale([view]), layout.map).box
+    moves = frames_of(view)[0].timeline is not None
     when = ", by iteration" if moves else ""
     maps = [planar_view(f"{root}/estimated_mass", box, f"estimated mass{when}")]
-    if shown.truth is not None:
+    if view.truth is not None:
         maps.insert(0, planar_view(f"{root}/true_mass", box, "true mass"))
         maps.append(planar_view(f"{root}/difference", box, f"absolute difference{when}"))
     lower: list[rrb.View | rrb.Container] = []
-    if shown.answer is not None or shown.truth is not None:
-        lower.append(planar_view(f"{root}/bars", bars_of(shown, layout.lower).box, "mass of each group"))
-    if shown.traces:
-        lower.append(_iterations(root, moves=moves))
-    if shown.trajectory is not None and TurnScene.shows(shown.trajectory):
-        turn = TurnScene(shown.shape, shown.trajectory, layout.lower)
+    if view.answer is not None or view.truth is not None:
+        lower.append(planar_view(f"{root}/bars", _bars(view, layout.lower).box, "mass of each group"))
+    if view.traces:
+        legend = rrb.PlotLegend(corner=rrb.Corner2D.RightTop)
+        loss = rrb.TimeSeriesView(origin=f"{root}/loss", name="log10 of the loss", plot_legend=legend)
+        mass = rrb.TimeSeriesView(origin=f"{root}/mass_by_iteration", name="mass, kg a group", plot_legend=legend)
+        lower.append(rrb.Tabs(loss, mass, active_tab=0) if moves else loss)
+    if view.trajectory is not None and moves_on_table(view.trajectory):
+        turn = TurnScene(view.shape, view.trajectory, layout.lower)
         lower.append(planar_view(f"{root}/turn", turn.box, "velocities in a trial, from above"))
     side: list[rrb.View] = [rrb.TextDocumentView(origin=f"{root}/facts", name="facts")]
-    if shown.answer is not None:
-        loads = _loads(shown, layout.side)
+    if view.answer is not None:
+        loads = _loads(view, layout.side)
         side.append(planar_view(f"{root}/loads", loads.box, "particles: mass and friction load"))
     rows = [rrb.Horizontal(*row) for row in (maps, lower) if row]
     return rrb.Horizontal(
         rrb.Vertical(*rows, row_shares=[layout.map.height, layout.lower.height][: len(rows)]),
         rrb.Vertical(*side, row_shares=[MAIN.height - layout.side.height, layout.side.height][: len(side)]),
         column_shares=[MAIN.width, SIDE.width],
-        name=shown.title,
+        name=view.title,
     )
+
+
+def frames_of(view: EstimateView) -> tuple[Frames, Float[np.ndarray, "F n_m"] | None]:
+    """Frames of an estimate's iterates, and the mass of each group [kg] at them; None without an answer."""
+    if view.iterates is None:
+        return Frames.still(), None
+    iterations, masses = view.iterates
+    return Frames.of(iterations), masses
 
 
 @dataclass(frozen=True)
 class _Layout:
-    """What each view can count on."""
+    """Sizes of the views."""
 
     map: Canvas
     lower: Canvas
     side: Canvas
 
     @staticmethod
-    def of(shown: EstimateShown) -> _Layout:
-        """Long objects leave more room below their maps."""
-        columns = 1 if shown.truth is None else 3
-        known = shown.answer is not None or shown.truth is not None
-        views = max(known + bool(shown.traces) + TurnScene.shows(shown.trajectory), 1)
+    def of(view: EstimateView) -> _Layout:
+        """Sizes for an estimate; long objects leave more room below their maps."""
+        columns = 1 if view.truth is None else 3
+        known = view.answer is not None or view.truth is not None
+        views = max(known + bool(view.traces) + moves_on_table(view.trajectory), 1)
         width, least, most = MAIN.width / columns, 0.28 * MAIN.height, 0.56 * MAIN.height
-        needed = CellMap(shown.shape, None, mass_scale_of([shown]), Canvas(width, most)).box()
+        needed = MassMap(view.shape, None, mass_scale([view]), Canvas(width, most)).box
         upper = float(np.clip(width * needed.height / needed.width, least, most))
         lower, side = MAIN.height - upper - 2 * TITLE, 0.45 * SIDE.height
         return _Layout(Canvas(width, upper), Canvas(MAIN.width / views, lower), Canvas(SIDE.width, side))
 
 
-def bars_of(shown: EstimateShown, canvas: Canvas) -> BarScene:
-    """Its bars."""
-    history = shown.history
-    series = ()
-    if history is not None:
-        label = "estimate" if shown.covariance is None else f"estimate, {LEVEL} interval"
-        series = (Series(label, ESTIMATE, history[1], history[0], shown.half_width),)
-    return BarScene(shown.shape.group_names, shown.true_mass, series, canvas)
-
-
-def facts_text(shown: EstimateShown) -> str:
-    """Title and facts as Markdown."""
-    facts = {} if shown.nad is None else {"NAD": f"{100 * shown.nad:.2f} %"}
-    return facts_markdown(shown.title, "estimate", facts | dict(shown.facts))
+def _bars(view: EstimateView, canvas: Canvas) -> BarScene:
+    frames, way = frames_of(view)
+    label = "estimate" if view.covariance is None else f"estimate, {LEVEL} interval"
+    series = () if way is None else (Series(label, ESTIMATE, way, frames, view.half_width),)
+    return BarScene(view.shape.group_names, view.true_mass, series, canvas)
 
 
 def _log_loss(stream: rr.RecordingStream, entity: str, trace: Trace, color: str) -> None:
-    """The decadic logarithm of a trace's loss; where the loss is not above 0 there is a gap."""
+    """Log the decadic logarithm of a trace's loss; losses of 0 or less leave a gap."""
     loss = np.array(trace.loss, dtype=float)
-    shown = np.log10(np.where(loss > 0, loss, np.nan))
     stream.log(entity, rr.SeriesLines(colors=rgb(color), names=trace.method, widths=2.0), static=True, strict=True)
     index = rr.TimeColumn(ITERATION, sequence=np.arange(len(loss)))
-    stream.send_columns(entity, [index], rr.Scalars.columns(scalars=shown), strict=True)
-
-
-def _log_map(stream: rr.RecordingStream, entity: str, drawn: CellMap, frames: Frames) -> None:
-    drawn.log(stream, f"{entity}/object", frames, drawn.box())
-    drawn.log_bar(stream, f"{entity}/object/bar", drawn.box())
+    logarithm = np.log10(np.where(loss > 0, loss, np.nan))
+    stream.send_columns(entity, [index], rr.Scalars.columns(scalars=logarithm), strict=True)
 
 
 def _log_masses(
     stream: rr.RecordingStream, entity: str, shape: ObjectShape, frames: Frames, way: Float[np.ndarray, "F n_m"]
 ) -> None:
-    """The numbers behind the maps, kg a group."""
+    """Log the mass of each group [kg] as lines."""
     names, count = list(shape.group_names), shape.n_m
     colors = [rgb(series_color(i)) for i in range(count)]
     stream.log(entity, rr.SeriesLines(colors=colors, names=names, widths=[1.5] * count), static=True, strict=True)
     frames.send(stream, entity, lambda k: rr.Scalars.columns(scalars=way[k].ravel()).partition([count] * len(k)))
 
 
-def _iterations(root: str, *, moves: bool) -> rrb.View | rrb.Container:
-    """The loss, and behind it the masses where they are known on the way."""
-    legend = rrb.PlotLegend(corner=rrb.Corner2D.RightTop)
-    loss = rrb.TimeSeriesView(origin=f"{root}/loss", name="log10 of the loss", plot_legend=legend)
-    mass = rrb.TimeSeriesView(origin=f"{root}/mass_by_iteration", name="mass, kg a group", plot_legend=legend)
-    return rrb.Tabs(loss, mass, active_tab=0) if moves else loss
+def friction_load(
+    shape: ObjectShape, mass: Float[np.ndarray, "... n_m"], friction: Float[np.ndarray, "n_mu"]
+) -> Float[np.ndarray, "... P"]:
+    """Friction load mu m g of every particle [N]; 0 where it does not touch the table."""
+    pressed = np.where(shape.friction_group < 0, 0.0, np.append(friction, 0.0)[shape.friction_group])
+    return pressed * np.asarray(mass)[..., shape.mass_group] * GRAVITY
 
 
-def _loads(shown: EstimateShown, canvas: Canvas) -> LoadScene:
-    history, answer = shown.history, shown.answer
-    assert history is not None
-    assert answer is not None
-    each = history[1] / shown.shape.particles_per_group
-    tops = [float(answer.mass.max())] + ([] if shown.truth is None else [float(shown.truth.mass.max())])
+def _loads(view: EstimateView, canvas: Canvas) -> _LoadScene:
+    _, way = frames_of(view)
+    answer = view.answer
+    assert way is not None and answer is not None
+    tops = [float(each.mass.max()) for each in (answer, view.truth) if each is not None]
     scale = Scale(max(*tops, 1e-9), MASS_COLORS, "mass, kg a particle")
-    return LoadScene(shown.shape, each, answer.friction, shown.truth, scale, canvas)
+    return _LoadScene(view.shape, way / view.shape.particles_per_group, answer.friction, view.truth, scale, canvas)
+
+
+@dataclass(frozen=True, eq=False)
+class _LoadScene:
+    """Particles coloured by mass [kg] and sized by friction load in F frames; rings show the true load."""
+
+    shape: ObjectShape
+    mass: Float[np.ndarray, "F n_m"]
+    friction: Float[np.ndarray, "n_mu"]
+    truth: MassDistribution | None
+    scale: Scale
+    canvas: Canvas
+
+    @property
+    def largest(self) -> float:
+        """Load that fills a cell [N]: the largest of estimate and truth."""
+        known = [friction_load(self.shape, self.mass[-1], self.friction)]
+        if self.truth is not None:
+            known.append(friction_load(self.shape, self.truth.mass, self.truth.friction))
+        return max(float(np.max(known)), 1e-12)
+
+    def radius(self, load: np.ndarray) -> np.ndarray:
+        """Radius [m] of a disc whose area is as its load; a load above the largest fills its cell and no more."""
+        return FULL_CELL * self.shape.cell * np.sqrt(np.clip(load / self.largest, 0.0, 1.0))
+
+    @property
+    def box(self) -> Box:
+        """Box around the whole drawing."""
+        box = Raster.of(self.shape).box
+        return self.canvas.framed(box.joined(bar_box(box)), 24, LINE + 3 * MARGIN, BELOW)
+
+    def log(self, stream: rr.RecordingStream, entity: str, frames: Frames) -> None:
+        """Log it below `entity`."""
+        log_upright(stream, entity)
+        raster, pixel, count = Raster.of(self.shape), self.canvas.pixel(self.box), len(self.shape.particles)
+        log_lines(stream, f"{entity}/outlines", raster.outlines())
+        load = friction_load(self.shape, self.mass, self.friction)
+        colors = packed(self.scale.color(self.mass[:, self.shape.mass_group]))
+        # the smallest disc still shows the colour of a particle that carries no load
+        radii = np.maximum(self.radius(load), 0.1 * self.shape.cell)
+        stream.log(f"{entity}/particles", rr.Points2D(self.shape.particles), static=True, strict=True)
+        frames.send(
+            stream,
+            f"{entity}/particles",
+            lambda k: rr.Points2D.columns(colors=colors[k].ravel(), radii=radii[k].ravel()).partition([count] * len(k)),
+        )
+        if self.truth is not None:
+            ring = self.radius(friction_load(self.shape, self.truth.mass, self.truth.friction))
+            half, middles = np.column_stack([ring, ring])[ring > 0], self.shape.particles[ring > 0]
+            look = {"colors": rgb(BLACK), "line_radii": HAIR, "draw_order": 40}
+            rings = rr.Ellipses2D(half_sizes=half, centers=middles, **look)
+            stream.log(f"{entity}/true_load", rings, static=True, strict=True)
+        log_bar(stream, f"{entity}/bar", self.scale, bar_box(raster.box), pixel)
+        place = np.array([[raster.box.middle[0], raster.box.top + (LINE / 2 + 1.5 * MARGIN) * pixel]])
+        ring = ", ring: truth" if self.truth is not None else ""
+        log_texts(stream, f"{entity}/key", place, [f"full cell: {self.largest:.2g} N{ring}"], pixel)

@@ -1,9 +1,8 @@
-"""A number for each mass group of an object, as a coloured map in Rerun: cells, outlines, names, colour bar."""
+"""Mass maps in Rerun: an object's cells in the colour of their group's value, with outlines, numbers and colour bar."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import cast
 
 import numpy as np
 import rerun as rr
@@ -21,41 +20,23 @@ from viz.recordings.planar import (
     log_lines,
     log_texts,
     log_upright,
+    packed,
     text_width,
     ticks,
 )
+from viz.scales import MOST_NAMED, Scale, group_middles, narrowest_group
 from viz.style import BACKGROUND, mapped, rgb, text_color
 
-MOST_NAMED = 30
-"""More groups than this have no room for names."""
 FINE = 4
 """Pixels along a cell's side where cells do not lie on one lattice."""
 FITTING = 0.75
-"""A number may stick out of its group by no more than this, as the group's width over the text's."""
+"""Least width of a group over that of its number: a number may stick out a little."""
 SHADES = 64
-"""Of a colour bar."""
+"""Number of colours of a colour bar."""
 BELOW = 2 * LINE + 6 * MARGIN
-"""Room for what is written below a colour bar, pixels."""
+"""Room for the texts below a colour bar [pixels]."""
 GAP = 0.05
-"""Between a map and its colour bar, over the map's size."""
-
-
-@dataclass(frozen=True)
-class Scale:
-    """A colour scale from 0 to `top`; what is above has the colour of `top`."""
-
-    top: float
-    colors: str
-    """Name of the colour map."""
-    title: str
-    """Quantity and unit."""
-    open: bool = False
-    """Whether there are values above `top`."""
-
-    @property
-    def digits(self) -> int:
-        """After the point: two that count."""
-        return int(np.clip(1 - np.floor(np.log10(self.top)), 2, 4))
+"""Distance between a map and its colour bar, over the map's size."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,13 +47,13 @@ class Raster:
     """Mass group at each pixel, the lowest row first; -1 beside the object."""
     left: float
     bottom: float
-    """Its lower left corner, m, object frame."""
+    """Lower left corner [m], object frame."""
     pixel: float
-    """Side of a pixel, m."""
+    """Side of a pixel [m]."""
 
     @staticmethod
     def of(shape: ObjectShape) -> Raster:
-        """A pixel a cell where the cells lie on one lattice."""
+        """One pixel a cell where the cells lie on one lattice, else FINE."""
         low = shape.particles.min(axis=0)
         at = (shape.particles - low) / shape.cell
         fine = 1 if np.abs(at - at.round()).max() < 0.02 else FINE
@@ -86,12 +67,12 @@ class Raster:
 
     @property
     def box(self) -> Box:
-        """Around the object, m, object frame."""
+        """Box around the object [m], object frame."""
         height, width = self.group.shape
         return Box(self.left, self.bottom, self.left + width * self.pixel, self.bottom + height * self.pixel)
 
     def outlines(self) -> list[Float[np.ndarray, "2 2"]]:
-        """Borders between groups and around the object, m, object frame."""
+        """Borders between groups and around the object [m], object frame."""
         around = np.pad(self.group, 1, constant_values=-1)
         corner, found = np.array([self.left, self.bottom]), []
         for upright, grid in ((True, around), (False, around.T)):
@@ -107,25 +88,40 @@ class Raster:
         beside = np.broadcast_to(np.array(rgb(BACKGROUND), dtype=np.uint8), (*colors.shape[:-2], 1, 3))
         return np.concatenate([colors, beside], axis=-2)[..., self.group, :]  # -1 is the last
 
+    def log(self, stream: rr.RecordingStream, entity: str, colors: np.ndarray, frames: Frames) -> None:
+        """Log the pixels in the object frame; colours (F, n_m, 3)."""
+        height, width = self.group.shape
+        place = rr.Transform3D(translation=[self.left, self.bottom, 0], scale=[self.pixel, self.pixel, 1])
+        look = rr.components.ImageFormat(width=width, height=height, color_model="RGB", channel_datatype="U8")
+        sharp = rr.components.MagnificationFilter.Nearest
+        image = rr.Image.from_fields(format=look, magnification_filter=sharp)
+        stream.log(entity, place, image, static=True, strict=True)
+        frames.send(
+            stream,
+            entity,
+            lambda k: rr.Image.columns(buffer=np.ascontiguousarray(self.image(colors[k]).reshape(len(k), -1))),
+        )
+
 
 @dataclass(frozen=True, eq=False)
-class CellMap:
-    """Numbers of the mass groups, F frames of them."""
+class MassMap:
+    """Values of the mass groups, F frames of them."""
 
     shape: ObjectShape
+    """Geometry of the object."""
     values: Float[np.ndarray, "F n_m"] | None
-    """None where there is no answer."""
+    """Values; None where there is no answer."""
     scale: Scale
+    """Colour scale."""
     canvas: Canvas
-    """What the view can count on."""
+    """Size of the view."""
     named: bool = True
-    """Whether cells say the group's name too, where there is room."""
+    """True if cells have the group's name too, where there is room."""
 
-    def box(self, *, bar: bool = True) -> Box:
-        """Of the map, its colour bar included if there is one."""
+    @property
+    def box(self) -> Box:
+        """Box around the map and its colour bar."""
         box = Raster.of(self.shape).box
-        if not bar:
-            return self.canvas.framed(box, 10, 10, 10)
         return self.canvas.framed(box.joined(bar_box(box)), 26, 10, BELOW)
 
     def log(
@@ -136,35 +132,37 @@ class CellMap:
         box: Box,
         at: tuple[float, float] = (0.0, 0.0),
     ) -> None:
-        """Draw it below `entity`, its object frame at `at` of a scene of which the view shows `box`."""
+        """Log it below `entity`, its object frame at `at` of a scene of which the view shows `box`."""
         log_upright(stream, entity, at)
         raster, pixel = Raster.of(self.shape), self.canvas.pixel(box)
         values = np.full((1, self.shape.n_m), np.nan) if self.values is None else self.values
-        log_raster(stream, f"{entity}/cells", raster, mapped(values, self.scale.top, self.scale.colors), frames)
+        raster.log(stream, f"{entity}/cells", self.scale.color(values), frames)
         log_lines(stream, f"{entity}/outlines", raster.outlines())
         if self.values is None:
-            middle = np.array([[(raster.box.left + raster.box.right) / 2, (raster.box.bottom + raster.box.top) / 2]])
-            log_texts(stream, f"{entity}/groups", middle, ["no answer"], pixel)
+            log_texts(stream, f"{entity}/groups", raster.box.middle[None], ["no answer"], pixel)
         elif self.shape.n_m <= MOST_NAMED:
-            self._log_texts(stream, f"{entity}/groups", frames, pixel)
+            self._log_texts(stream, f"{entity}/groups", frames, self.values, pixel)
 
-    def log_bar(self, stream: rr.RecordingStream, entity: str, box: Box) -> None:
-        """Draw its colour bar below `entity`, in the same place and scene as the map."""
-        log_bar(stream, entity, self.scale, bar_box(Raster.of(self.shape).box), self.canvas.pixel(box))
+    def log_with_bar(self, stream: rr.RecordingStream, entity: str, frames: Frames) -> None:
+        """Log it with its colour bar, as alone in its view."""
+        self.log(stream, entity, frames, self.box)
+        place = bar_box(Raster.of(self.shape).box)
+        log_bar(stream, f"{entity}/bar", self.scale, place, self.canvas.pixel(self.box))
 
-    def _log_texts(self, stream: rr.RecordingStream, entity: str, frames: Frames, pixel: float) -> None:
-        """A number a group and its name above, where there is room."""
-        assert self.values is not None
-        groups, count = range(self.shape.n_m), self.shape.n_m
-        middles = np.array([self.shape.particles[self.shape.mass_group == group].mean(axis=0) for group in groups])
-        texts = [[f"{value:.{self.scale.digits}f}" for value in row] for row in self.values]
+    def _log_texts(
+        self, stream: rr.RecordingStream, entity: str, frames: Frames, values: Float[np.ndarray, "F n_m"], pixel: float
+    ) -> None:
+        """Log a number a group and its name above, where there is room."""
+        count, middles = self.shape.n_m, group_middles(self.shape)
+        texts = [[f"{value:.{self.scale.digits}f}" for value in row] for row in values]
         apart = np.array([0.0, LINE * pixel / 2])
         both = np.concatenate([middles + apart, middles - apart])
-        shades = text_color(mapped(self.values, self.scale.top, self.scale.colors))
+        shades = text_color(self.scale.color(values))
+        narrow = narrowest_group(self.shape) < FITTING * text_width(texts[-1][0]) * pixel
         if self.named and have_room(both, [*self.shape.group_names, *texts[-1]], pixel):
             log_texts(stream, f"{entity}/names", middles + apart, self.shape.group_names, pixel, shades[-1])
             middles = middles - apart
-        elif not have_room(middles, texts[-1], pixel) or self._narrowest() < FITTING * text_width(texts[-1][0]) * pixel:
+        elif narrow or not have_room(middles, texts[-1], pixel):
             return
         place = rr.Points2D(hung(middles, pixel), radii=1e-6, show_labels=True)
         stream.log(f"{entity}/masses", place, static=True, strict=True)
@@ -176,25 +174,6 @@ class CellMap:
             ).partition([count] * len(k)),
         )
 
-    def _narrowest(self) -> float:
-        """Width of the narrowest group, m."""
-        of = [self.shape.particles[self.shape.mass_group == group, 0] for group in range(self.shape.n_m)]
-        return self.shape.cell + min(float(np.ptp(x)) for x in of)
-
-
-def log_raster(stream: rr.RecordingStream, entity: str, raster: Raster, colors: np.ndarray, frames: Frames) -> None:
-    """An object's pixels in its own frame; colours (F, n_m, 3)."""
-    height, width = raster.group.shape
-    place = rr.Transform3D(translation=[raster.left, raster.bottom, 0], scale=[raster.pixel, raster.pixel, 1])
-    look = rr.components.ImageFormat(width=width, height=height, color_model="RGB", channel_datatype="U8")
-    sharp = rr.components.MagnificationFilter.Nearest
-    stream.log(entity, place, rr.Image.from_fields(format=look, magnification_filter=sharp), static=True, strict=True)
-    frames.send(
-        stream,
-        entity,
-        lambda k: rr.Image.columns(buffer=np.ascontiguousarray(raster.image(colors[k]).reshape(len(k), -1))),
-    )
-
 
 def bar_box(box: Box) -> Box:
     """Place of the colour bar below a map at `box`: as wide as the map, wider under a tall one."""
@@ -204,7 +183,7 @@ def bar_box(box: Box) -> Box:
 
 
 def log_bar(stream: rr.RecordingStream, entity: str, scale: Scale, box: Box, pixel: float) -> None:
-    """A colour bar at `box`, with ticks and title below it."""
+    """Log a colour bar at `box`, with ticks and title below it."""
     shades = mapped((np.arange(SHADES) + 0.5) / SHADES, 1.0, scale.colors)
     place = rr.Transform3D(translation=[box.left, box.bottom, 0], scale=[box.width / SHADES, box.height, 1])
     strip = rr.Image(bytes=shades.tobytes(), width=SHADES, height=1, color_model="RGB", datatype="U8")
@@ -220,11 +199,5 @@ def log_bar(stream: rr.RecordingStream, entity: str, scale: Scale, box: Box, pix
     log_lines(stream, f"{entity}/outline", [box.corners, *marks])
     below = box.bottom - (2 * MARGIN + LINE / 2) * pixel
     log_texts(stream, f"{entity}/ticks", np.column_stack([x, np.full(len(x), below)]), texts, pixel)
-    middle = np.array([[(box.left + box.right) / 2, below - (LINE + 2 * MARGIN) * pixel]])
-    log_texts(stream, f"{entity}/title", middle, [scale.title], pixel)
-
-
-def packed(colors: np.ndarray) -> np.ndarray:
-    """RGB 0 to 255, (..., 3), as Rerun's 0xRRGGBBAA, (...)."""
-    red, green, blue = (cast(np.ndarray, colors[..., i]).astype(np.uint32) for i in range(3))
-    return (red << 24) | (green << 16) | (blue << 8) | np.uint32(255)
+    title = np.array([[box.middle[0], below - (LINE + 2 * MARGIN) * pixel]])
+    log_texts(stream, f"{entity}/title", title, [scale.title], pixel)

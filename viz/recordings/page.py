@@ -1,4 +1,4 @@
-"""When a value of a recording holds: over the iterations of an estimate, over the time of a trial, or always."""
+"""Recordings: pages that are written or sent whole, and the timelines on which their values hold."""
 
 from __future__ import annotations
 
@@ -14,31 +14,38 @@ from rerun import ComponentColumn, TimeColumn
 
 from testbed.trajectory import write_whole
 
+APPLICATION = "heft"
 ITERATION = "iteration"
-"""The timeline of an estimate: a count."""
+"""Timeline of an estimate: a count."""
 SIM_TIME = "sim_time"
-"""The timeline of a trial: s from the start of the tare."""
-MOST_FRAMES = 200
-"""More than these show nothing more."""
+"""Timeline of a trial: time [s] from the start of the tare."""
+LONG = 45
+"""Number of letters from which on a fact is a paragraph of its own."""
 Columns = Callable[[Int[np.ndarray, "K"]], Iterable[ComponentColumn]]
-"""The component columns of some frames, given by their index."""
+"""Component columns of some frames, given by their index."""
 
 
 @dataclass(frozen=True, eq=False)
 class Frames:
-    """F moments of one timeline. On the other timeline one of them, the one at `rest`, always holds."""
+    """F moments of one timeline; on the other timeline the one at `rest` always holds."""
 
     timeline: str | None
     """ITERATION or SIM_TIME; None for one frame that always holds."""
     times: Float[np.ndarray, "F"]
-    """Iterations, or s."""
+    """Iterations, or time [s]."""
     rest: int
-    """Index of the frame that tells most without a timeline."""
+    """Index of the frame that holds on the other timeline."""
 
     @staticmethod
     def still() -> Frames:
         """A single frame, which always holds."""
         return Frames(None, np.zeros(1), 0)
+
+    @staticmethod
+    def of(iterations: Int[np.ndarray, "F"]) -> Frames:
+        """Frames of an estimate, of which the last is the answer."""
+        last = len(iterations) - 1
+        return Frames(ITERATION, iterations.astype(float), last) if last else Frames.still()
 
     def send(self, stream: rr.RecordingStream, entity: str, columns: Columns) -> None:
         """Log an entity's components at every frame."""
@@ -46,16 +53,10 @@ class Frames:
         if self.timeline is None:
             stream.send_columns(entity, [], columns(rest), strict=True)
             return
-        stream.send_columns(
-            entity, [_index(self.timeline, self.times)], columns(np.arange(len(self.times))), strict=True
-        )
+        every = columns(np.arange(len(self.times)))
+        stream.send_columns(entity, [_index(self.timeline, self.times)], every, strict=True)
         other = SIM_TIME if self.timeline == ITERATION else ITERATION  # an entity has data on every timeline or none
         stream.send_columns(entity, [_index(other, np.zeros(1))], columns(rest), strict=True)
-
-
-def evenly(count: int, most: int = MOST_FRAMES) -> Int[np.ndarray, "F"]:
-    """Indices of at most `most` of `count` samples, evenly spread, the first and the last among them."""
-    return np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(np.int64))
 
 
 def _index(timeline: str, times: np.ndarray) -> TimeColumn:
@@ -64,40 +65,38 @@ def _index(timeline: str, times: np.ndarray) -> TimeColumn:
     return TimeColumn(timeline, duration=times)
 
 
-LONG = 45
-"""Letters from which on a fact is a paragraph of its own."""
+def log_facts(stream: rr.RecordingStream, entity: str, title: str, kind: str, facts: Mapping[str, str]) -> None:
+    """Log short facts in a table headed by `kind`, and long ones below it; those without a value are left out."""
+    texts = {_plain(name): _plain(value) for name, value in facts.items() if value}
+    rows = [f"| {name} | {value} |" for name, value in texts.items() if len(value) < LONG]
+    rest = [f"**{name}**: {value}\n" for name, value in texts.items() if len(value) >= LONG]
+    log_markdown(stream, entity, "\n".join([f"### {_plain(title)}", "", f"| {kind} | |", "|---|---|", *rows, "", *rest]))
 
 
-def facts_markdown(title: str, kind: str, facts: Mapping[str, str]) -> str:
-    """Short facts in a table headed by `kind`, long ones below it; those without a value are left out."""
-    said = {_plain(name): _plain(value) for name, value in facts.items() if value}
-    rows = [f"| {name} | {value} |" for name, value in said.items() if len(value) < LONG]
-    rest = [f"**{name}**: {value}\n" for name, value in said.items() if len(value) >= LONG]
-    return "\n".join([f"### {_plain(title)}", "", f"| {kind} | |", "|---|---|", *rows, "", *rest])
+def log_markdown(stream: rr.RecordingStream, entity: str, text: str) -> None:
+    """Log a document."""
+    stream.log(entity, rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN), static=True, strict=True)
 
 
 def _plain(text: str) -> str:
-    """Text that Markdown leaves as it is."""
+    """Text with Markdown's signs escaped."""
     return "".join(f"\\{c}" if c in "\\`*_[]<>#|" else c for c in " ".join(str(text).split()))
-
-
-APPLICATION = "heft"
 
 
 @dataclass(frozen=True, eq=False)
 class Page:
-    """One recording: what is logged, and how it is laid out."""
+    """One recording, and how the viewer lays it out."""
 
     name: str
-    """What the viewer calls it."""
+    """Name in the viewer."""
     identity: str
-    """A viewer takes two recordings of one identity for one."""
+    """Identifier; a viewer takes two recordings of one identity for one."""
     log: Callable[[rr.RecordingStream], None]
-    """Logs everything."""
+    """Function that logs everything."""
     layout: rrb.View | rrb.Container
-    """The views."""
+    """Views."""
     timeline: str
-    """On which it opens: SIM_TIME, playing from the start, or ITERATION, at the last one."""
+    """Timeline on which it opens: SIM_TIME, playing from the start, or ITERATION, at the last one."""
 
     @property
     def blueprint(self) -> rrb.Blueprint:
@@ -125,7 +124,7 @@ def send(page: Page, url: str) -> None:
 
 def _send(page: Page, sink: rr.FileSink | rr.GrpcSink) -> None:
     stream = rr.RecordingStream(APPLICATION, recording_id=page.identity)
-    stream.set_log_time_enabled(False)  # what is seen has the trial's own time, not that of its logging
+    stream.set_log_time_enabled(False)  # a trial has its own time, not that of its logging
     stream.set_log_tick_enabled(False)
     stream.set_sinks(sink, default_blueprint=page.blueprint)
     try:

@@ -1,93 +1,79 @@
-"""A plan of touches in Rerun: the touches on the object, and the errors that are left after each, by iteration."""
+"""A plan in Rerun: its actions on the object, and the errors that are expected after each, by iteration."""
 
 from __future__ import annotations
 
-import matplotlib as mpl
 import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
-from viz.figures.plan import PlanShown
-from viz.recordings.mass_map import CellMap, Raster, Scale
-from viz.recordings.page import ITERATION, Frames, Page
-from viz.recordings.planar import (
-    LINE,
-    Box,
-    Canvas,
-    log_lines,
-    log_texts,
-    log_upright,
-    planar_view,
-)
-from viz.style import DIFFERENCE_COLORS
+from viz.recordings.mass_map import MassMap, Raster
+from viz.recordings.page import ITERATION, Frames, Page, log_markdown
+from viz.recordings.planar import LINE, Box, Canvas, log_lines, log_texts, log_upright, planar_view
+from viz.scales import Scale
+from viz.style import DIFFERENCE_COLORS, action_colors
+from viz.values import PlanView
 
 CANVAS = Canvas(640, 700)
-"""What each view can count on, pixels."""
+"""Size of each view [pixels]."""
 THICK = rr.Radius.ui_points(1.6)
 """Half the width of an arrow."""
 
 
-def plan_page(shown: PlanShown) -> Page:
+def plan_page(plan: PlanView) -> Page:
     """The recording of a plan."""
-    errors = _error_map(shown)
-    count = len(shown.errors)
+    # on the scale of the errors after the first actions: those after the weighing alone are above it
+    top = float(plan.percent[min(2, len(plan.errors) - 1)].max())
+    scale = Scale(max(top, 0.1), DIFFERENCE_COLORS, "expected error, % of the mean group", open=True)
+    errors = MassMap(plan.shape, plan.percent, scale, CANVAS)
 
     def log(stream: rr.RecordingStream) -> None:
-        _log_touches(stream, "plan/touches/scene", shown)
-        frames = Frames(ITERATION, np.arange(count), count - 1) if count > 1 else Frames.still()
-        errors.log(stream, "plan/error/map", frames, errors.box())
-        errors.log_bar(stream, "plan/error/map/bar", errors.box())
-        lines = "\n".join(f"{i}. {text}" for i, text in enumerate(shown.words, start=1))
-        text = rr.TextDocument(f"{shown.title}\n\n{lines}", media_type=rr.MediaType.MARKDOWN)
-        stream.log("plan/words", text, static=True, strict=True)
+        _log_actions(stream, "plan/actions/scene", plan)
+        errors.log_with_bar(stream, "plan/error/map", Frames.of(np.arange(len(plan.errors))))
+        lines = "\n".join(f"{i}. {text}" for i, text in enumerate(plan.words, start=1))
+        log_markdown(stream, "plan/words", f"{plan.title}\n\n{lines}")
 
     layout = rrb.Horizontal(
-        planar_view("plan/touches", _around(shown), "what is turned about where"),
-        planar_view("plan/error", errors.box(), "expected error after each touch, by iteration"),
-        rrb.TextDocumentView(origin="plan/words", name="touches"),
+        planar_view("plan/actions", _around(plan), "what is turned about where"),
+        planar_view("plan/error", errors.box, "expected error after each action, by iteration"),
+        rrb.TextDocumentView(origin="plan/words", name="actions"),
         column_shares=[CANVAS.width, CANVAS.width, 320],
-        name=shown.title,
+        name=plan.title,
     )
-    return Page(shown.title, f"plan {shown.title}", log, layout, ITERATION)
+    return Page(plan.title, f"plan {plan.title}", log, layout, ITERATION)
 
 
-def _error_map(shown: PlanShown) -> CellMap:
-    """On the scale of what the first touches leave: what the weighing alone leaves is beyond it."""
-    part = 100 * shown.errors / (shown.weight / shown.shape.n_m)
-    top = float(part[min(2, len(part) - 1)].max())
-    scale = Scale(max(top, 0.1), DIFFERENCE_COLORS, "expected error, % of the mean group", open=True)
-    return CellMap(shown.shape, part, scale, CANVAS)
-
-
-def _log_touches(stream: rr.RecordingStream, entity: str, shown: PlanShown) -> None:
+def _log_actions(stream: rr.RecordingStream, entity: str, plan: PlanView) -> None:
     log_upright(stream, entity)
-    log_lines(stream, f"{entity}/outlines", Raster.of(shown.shape).outlines())
-    pixel = CANVAS.pixel(_around(shown))
-    colors = (255 * mpl.colormaps["viridis"](np.linspace(0.0, 0.85, max(len(shown.actions), 1)))).astype(np.uint8)
-    for number, touch in shown.touches.items():
+    log_lines(stream, f"{entity}/outlines", Raster.of(plan.shape).outlines())
+    pixel = CANVAS.pixel(_around(plan))
+    colors = (255 * action_colors(len(plan.actions))).astype(np.uint8)
+
+    def log_stroke(path: str, strips: list[np.ndarray], color: np.ndarray) -> None:
+        look = rr.LineStrips2D(strips, colors=[color], radii=THICK, draw_order=30.0)
+        stream.log(path, look, static=True, strict=True)
+
+    def log_number(number: int, at: np.ndarray) -> None:
+        log_texts(stream, f"{entity}/{number}/number", at[None] + [0.0, LINE * pixel], [str(number)], pixel)
+
+    for number, arrow in plan.arrows.items():
         place, color = f"{entity}/{number}", colors[number - 1]
-        back = touch.way[-1] - touch.way[-2]
+        tip = arrow.way[-1]
+        back = tip - arrow.way[-2]
         back = back / np.linalg.norm(back) * 10 * pixel
         aside = np.array([-back[1], back[0]]) / 2
-        head = np.array([touch.way[-1] - back + aside, touch.way[-1], touch.way[-1] - back - aside])
-        arrow = rr.LineStrips2D([touch.way, head], colors=[color], radii=THICK, draw_order=30.0)
-        stream.log(f"{place}/way", arrow, static=True, strict=True)
-        marks = [touch.grasp] if touch.about is None else [touch.grasp, touch.about]
+        log_stroke(f"{place}/way", [arrow.way, np.array([tip - back + aside, tip, tip - back - aside])], color)
+        marks = [arrow.grasp] if arrow.pivot is None else [arrow.grasp, arrow.pivot]
         points = rr.Points2D(marks, colors=[color], radii=rr.Radius.ui_points(4.0), draw_order=31.0)
         stream.log(f"{place}/marks", points, static=True, strict=True)
-        if touch.about is not None:
+        if arrow.pivot is not None:
             log_lines(stream, f"{place}/arm", [np.array(marks)])
-        log_texts(stream, f"{place}/number", touch.label[None] + [0.0, LINE * pixel], [str(number)], pixel)
-    for number, point in shown.lifts.items():
-        place = f"{entity}/{number}"
-        up = point + 8 * pixel * np.array([[-1.0, -0.7], [1.0, -0.7], [0.0, 1.0], [-1.0, -0.7]])
-        triangle = rr.LineStrips2D([up], colors=[colors[number - 1]], radii=THICK, draw_order=30.0)
-        stream.log(f"{place}/lift", triangle, static=True, strict=True)
-        log_texts(stream, f"{place}/number", point[None] + [0.0, LINE * pixel], [str(number)], pixel)
+        log_number(number, arrow.label)
+    for number, point in plan.lifts.items():
+        triangle = point + 8 * pixel * np.array([[-1.0, -0.7], [1.0, -0.7], [0.0, 1.0], [-1.0, -0.7]])
+        log_stroke(f"{entity}/{number}/lift", [triangle], colors[number - 1])
+        log_number(number, point)
 
 
-def _around(shown: PlanShown) -> Box:
-    """The object and all touches."""
-    points = np.concatenate([shown.shape.particles, *(touch.points for touch in shown.touches.values())])
-    low, high = points.min(axis=0) - shown.shape.cell, points.max(axis=0) + shown.shape.cell
-    return CANVAS.framed(Box(float(low[0]), float(low[1]), float(high[0]), float(high[1])), 10, 10, 10)
+def _around(plan: PlanView) -> Box:
+    """Box around the object and all arrows."""
+    return CANVAS.framed(Box.around(plan.bounds), 10, 10, 10)

@@ -1,7 +1,7 @@
 """Planar scenes in Rerun: y upwards, a length or a mass as the unit, and text that fits.
 
-Rerun's planar views have y downwards; everything here is logged below an entity that turns it over, so that what is
-stored are the object's own coordinates.
+Rerun's planar views have y downwards; scenes are logged below an entity that turns them over, so that the stored
+coordinates are the object's own.
 """
 
 from __future__ import annotations
@@ -12,54 +12,62 @@ from dataclasses import dataclass
 import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
-from jaxtyping import Float, UInt8
+from jaxtyping import Float, UInt8, UInt32
 from matplotlib.ticker import MaxNLocator
 
 from viz.style import BACKGROUND, BLACK, EDGE, rgb
 
 CHARACTER, LINE = 7.5, 22.0
-"""Size of a label in the viewer, pixels: a letter's width, and the height with its frame."""
+"""Width of a label's letter, and height of a label with its frame [pixels]."""
 MARGIN = 4.0
-"""Between a label and what it is not about, pixels."""
+"""Distance between a label and its surroundings [pixels]."""
 HAIR = rr.Radius.ui_points(0.75)
 """Half the width of an outline."""
+TITLE = 30.0
+"""Height of a view's title [pixels]."""
 
 
 @dataclass(frozen=True)
 class Box:
-    """A part of the plane, y upwards."""
+    """A rectangle, y upwards."""
 
     left: float
     bottom: float
     right: float
     top: float
 
+    @staticmethod
+    def around(points: Float[np.ndarray, "... 2"]) -> Box:
+        """The least box around points."""
+        low, high = points.reshape(-1, 2).min(axis=0), points.reshape(-1, 2).max(axis=0)
+        return Box(float(low[0]), float(low[1]), float(high[0]), float(high[1]))
+
     @property
     def width(self) -> float:
-        """Along x."""
+        """Length along x."""
         return self.right - self.left
 
     @property
     def height(self) -> float:
-        """Along y."""
+        """Length along y."""
         return self.top - self.bottom
 
+    @property
+    def middle(self) -> Float[np.ndarray, "2"]:
+        """Its middle."""
+        return np.array([(self.left + self.right) / 2, (self.bottom + self.top) / 2])
+
     def moved(self, x: float, y: float) -> Box:
-        """The same elsewhere."""
+        """The box elsewhere."""
         return Box(self.left + x, self.bottom + y, self.right + x, self.top + y)
 
-    def grown(self, left: float, bottom: float, right: float, top: float) -> Box:
-        """With room added on each side."""
-        return Box(self.left - left, self.bottom - bottom, self.right + right, self.top + top)
+    def grown(self, sides: float, below: float, above: float) -> Box:
+        """The box with room around it."""
+        return Box(self.left - sides, self.bottom - below, self.right + sides, self.top + above)
 
     def joined(self, other: Box) -> Box:
         """The least box around both."""
-        return Box(
-            min(self.left, other.left),
-            min(self.bottom, other.bottom),
-            max(self.right, other.right),
-            max(self.top, other.top),
-        )
+        return Box.around(np.concatenate([self.corners, other.corners]))
 
     @property
     def corners(self) -> Float[np.ndarray, "5 2"]:
@@ -70,7 +78,7 @@ class Box:
 
 @dataclass(frozen=True)
 class Canvas:
-    """Pixels that a view can count on; decides which labels have room."""
+    """Size of a view [pixels], which decides which labels have room."""
 
     width: float
     height: float
@@ -82,17 +90,17 @@ class Canvas:
     def framed(self, box: Box, sides: float, above: float, below: float) -> Box:
         """The box with room for so many pixels around it."""
         pixel = max(box.width / (self.width - 2 * sides), box.height / (self.height - above - below))
-        return box.grown(sides * pixel, below * pixel, sides * pixel, above * pixel)
+        return box.grown(sides * pixel, below * pixel, above * pixel)
 
 
 def planar_view(origin: str, box: Box, name: str) -> rrb.Spatial2DView:
-    """A view of the scene below `origin`, showing at least `box`."""
+    """A view of the scene below `origin` that shows at least `box`."""
     bounds = rrb.VisualBounds2D(x_range=(box.left, box.right), y_range=(-box.top, -box.bottom))
     return rrb.Spatial2DView(origin=origin, name=name, background=rgb(BACKGROUND), visual_bounds=bounds)
 
 
 def log_upright(stream: rr.RecordingStream, entity: str, at: tuple[float, float] = (0.0, 0.0)) -> None:
-    """Make an entity the root of what is drawn y upwards, with its own origin at `at` of the scene."""
+    """Make an entity the root of a scene with y upwards, with its own origin at `at` of the view."""
     place = rr.Transform3D(translation=[at[0], -at[1], 0], mat3x3=np.diag([1.0, -1.0, 1.0]))
     stream.log(entity, place, static=True, strict=True)
 
@@ -100,7 +108,7 @@ def log_upright(stream: rr.RecordingStream, entity: str, at: tuple[float, float]
 def log_lines(
     stream: rr.RecordingStream, entity: str, lines: Sequence[np.ndarray], color: str = EDGE, order: float = 20.0
 ) -> None:
-    """Thin lines, each (N, 2); those of higher `order` lie on top."""
+    """Log thin lines, each (N, 2); those of higher `order` lie on top."""
     strips = rr.LineStrips2D(lines, colors=rgb(color), radii=HAIR, draw_order=order)
     stream.log(entity, strips, static=True, strict=True)
 
@@ -113,33 +121,33 @@ def log_texts(
     pixel: float,
     colors: UInt8[np.ndarray, "N 3"] | str = BLACK,
 ) -> None:
-    """Texts about their middles.
+    """Log texts about their middles.
 
     Args:
         stream: recording.
-        entity: below which.
+        entity: path of the texts.
         middles: of each text.
         texts: one each, of one line.
         pixel: size of a pixel in the scene's unit.
         colors: of the letters.
     """
     shade = rgb(colors) if isinstance(colors, str) else colors
-    said = rr.Points2D(hung(middles, pixel), radii=1e-6, labels=texts, show_labels=True, colors=shade)
-    stream.log(entity, said, static=True, strict=True)
+    labels = rr.Points2D(hung(middles, pixel), radii=1e-6, labels=texts, show_labels=True, colors=shade)
+    stream.log(entity, labels, static=True, strict=True)
 
 
 def hung(middles: Float[np.ndarray, "N 2"], pixel: float) -> Float[np.ndarray, "N 2"]:
-    """Where a point must be for its label, which hangs below it, to lie about `middles`."""
+    """Points whose labels, which hang below them, lie about `middles`."""
     return np.asarray(middles) + np.array([0, (LINE / 2 + 3) * pixel])
 
 
 def text_width(text: str) -> float:
-    """Of a label with its frame, pixels."""
+    """Width of a label with its frame [pixels]."""
     return CHARACTER * len(text) + 2 * MARGIN
 
 
 def have_room(middles: Float[np.ndarray, "N 2"], texts: Sequence[str], pixel: float) -> bool:
-    """Whether no two texts about these middles overlap."""
+    """True if no two texts about these middles overlap."""
     width = np.array([text_width(text) for text in texts]) * pixel
     apart = np.abs(middles[:, None] - middles[None])
     clash = (apart[..., 0] < (width[:, None] + width) / 2) & (apart[..., 1] < LINE * pixel)
@@ -147,7 +155,13 @@ def have_room(middles: Float[np.ndarray, "N 2"], texts: Sequence[str], pixel: fl
 
 
 def ticks(top: float, most: int = 4) -> tuple[Float[np.ndarray, "K"], list[str]]:
-    """Round values from 0 to at most `top`, and how they are written."""
+    """Round values from 0 to at most `top`, and their texts."""
     values = np.array(MaxNLocator(most, steps=[1, 2, 2.5, 5, 10]).tick_values(0.0, top))
     values = values[(values >= 0) & (values <= top * (1 + 1e-9))]
     return values, [f"{value:.6g}" for value in values]
+
+
+def packed(colors: UInt8[np.ndarray, "... 3"]) -> UInt32[np.ndarray, "..."]:
+    """Colours, 0 to 255, as Rerun's 0xRRGGBBAA."""
+    red, green, blue = np.moveaxis(np.asarray(colors).astype(np.uint32), -1, 0)
+    return (red << 24) | (green << 16) | (blue << 8) | np.uint32(255)

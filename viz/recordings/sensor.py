@@ -1,29 +1,28 @@
-"""A wrench sensor live in Rerun: force and torque as they come."""
+"""Live wrench of a sensor in Rerun."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from types import TracebackType
-from typing import Self
 
 import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
+from viz.recordings.trial import WRENCH
 from viz.style import AXIS_COLORS, rgb
 
 _TIMELINE = "time"
 
 
 class SensorStream:
-    """Sends what it is given to a viewer, while it is entered."""
+    """Connection that sends a sensor's samples to a viewer."""
 
     def __init__(self, url: str, title: str):
-        """Name the viewer.
+        """Connect to a viewer.
 
         Args:
             url: of a viewer that listens.
-            title: what the recording is called.
+            title: name of the recording.
         """
         views = [
             rrb.TimeSeriesView(origin=kind, name=name)
@@ -35,24 +34,14 @@ class SensorStream:
         self._begin: float | None = None
         for kind in ("force", "torque"):
             for axis, color in zip("xyz", AXIS_COLORS, strict=True):
-                self._stream.log(
-                    f"{kind}/{axis}", rr.SeriesLines(colors=rgb(color), names=axis), static=True, strict=True
-                )
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._stream.disconnect()
+                look = rr.SeriesLines(colors=rgb(color), names=axis)
+                self._stream.log(f"{kind}/{axis}", look, static=True, strict=True)
 
     def send(self, times: Sequence[float], wrenches: np.ndarray) -> None:
-        """Samples: times, s, and wrenches, N and N m, (T, 6)."""
+        """Send samples: times [s], (T,), and wrenches [N, N m], (T, 6)."""
         if not len(times):
             return
         self._begin = times[0] if self._begin is None else self._begin
         column = rr.TimeColumn(_TIMELINE, duration=np.asarray(times) - self._begin)
-        for index in range(6):
-            path = f"{('force', 'torque')[index // 3]}/{'xyz'[index % 3]}"
-            self._stream.send_columns(path, [column], rr.Scalars.columns(scalars=wrenches[:, index]))
+        for path, values in zip(WRENCH, wrenches.T, strict=True):
+            self._stream.send_columns(path, [column], rr.Scalars.columns(scalars=values))

@@ -1,4 +1,4 @@
-"""The Rerun viewer as a process of its own: on the screen, in a browser, or one that is already open."""
+"""Rerun's viewer as a process of its own: on the screen, in a browser, or one that is already open."""
 
 from __future__ import annotations
 
@@ -20,40 +20,40 @@ from threading import Thread
 from testbed.errors import HeftError
 
 HOST, PORT = "127.0.0.1", 9876
-"""Where a viewer listens: on this machine alone."""
+"""Address at which a viewer listens: on this machine alone."""
 _NO_GRAPHICS = ("No graphics adapter", "No suitable", "wgpu", "NoSuitableAdapterFound")
 
 
 class ViewerError(HeftError):
-    """The viewer cannot open here, or there is none."""
+    """No viewer, or none that can open here."""
 
 
 def url_of(port: int = PORT) -> str:
-    """Address at which a viewer of this machine takes what is sent."""
+    """Address at which a viewer of this machine takes recordings."""
     return f"rerun+http://{HOST}:{port}/proxy"
 
 
 def listens(port: int = PORT) -> bool:
-    """Whether something on this machine listens at a port."""
+    """True if a process of this machine listens at a port."""
     with socket.socket() as probe:
         probe.settimeout(0.5)
         return probe.connect_ex((HOST, port)) == 0
 
 
 def free_port() -> int:
-    """A port of this machine that nobody listens at."""
+    """A port of this machine that is not in use."""
     with socket.socket() as probe:
         probe.bind((HOST, 0))
         return probe.getsockname()[1]
 
 
 def has_display(environment: Mapping[str, str] = os.environ) -> bool:
-    """Whether a window can open."""
+    """True if a window can open."""
     return sys.platform != "linux" or bool(environment.get("DISPLAY") or environment.get("WAYLAND_DISPLAY"))
 
 
 def check_display(*, web: bool) -> None:
-    """Whether there is something to show it on.
+    """Check that there is a display or a browser.
 
     Raises:
         ViewerError: no display, and no browser asked for.
@@ -79,7 +79,7 @@ def open_file(path: Path) -> None:
 
 
 def waiting(port: int = PORT) -> str:
-    """Address of a viewer that takes what is sent: the one that is open, or a new one.
+    """Address of a viewer that takes recordings: the one that is open, or a new one.
 
     Raises:
         ViewerError: none is open, and none can be opened.
@@ -101,7 +101,7 @@ def waiting(port: int = PORT) -> str:
 
 
 def program() -> list[str]:
-    """The viewer that is installed beside this Python, else the one on the path."""
+    """Command of the viewer that is installed beside this Python."""
     package = find_spec("rerun_cli")
     for folder in (package.submodule_search_locations or []) if package else []:
         for name in ("rerun", "rerun.exe"):  # the program itself: ending a wrapper would leave it running
@@ -111,14 +111,14 @@ def program() -> list[str]:
 
 
 def environment() -> dict[str, str]:
-    """For the viewer: it sends no usage data where it takes itself to run in continuous integration."""
-    said = {name: value for name, value in os.environ.items() if name != "FORCE_RERUN_ANALYTICS"}
-    return said | {"CI": "true", "RUST_LOG": "warn"}
+    """Environment of the viewer: it sends no usage data in continuous integration."""
+    own = {name: value for name, value in os.environ.items() if name != "FORCE_RERUN_ANALYTICS"}
+    return own | {"CI": "true", "RUST_LOG": "warn"}
 
 
-def reason(said: str) -> str:
-    """One line on why a viewer ended, from what it wrote."""
-    lines = [line.strip() for line in said.splitlines() if line.strip()]
+def reason(output: str) -> str:
+    """Reason why a viewer ended, in one line, from its output."""
+    lines = [line.strip() for line in output.splitlines() if line.strip()]
     if any(word in line for line in lines for word in _NO_GRAPHICS):
         return "the viewer found no graphics: install a driver, or Mesa's: apt install mesa-vulkan-drivers libegl1"
     return f"the viewer ended: {lines[-1] if lines else 'no reason given'}"
@@ -159,7 +159,7 @@ def served(recording: Path) -> Iterator[str]:
 
 
 class _Handler(BaseHTTPRequestHandler):
-    """The recording, and what Rerun's server has."""
+    """Server of the recording and of the files of Rerun's server."""
 
     def __init__(self, recording: Path, source: str, *rest):
         self._recording, self._source = recording, source
@@ -186,7 +186,7 @@ class _Handler(BaseHTTPRequestHandler):
         self.wfile.write(content)
 
     def log_message(self, format: str, *args: object) -> None:
-        """Nobody reads it."""
+        """Keep quiet."""
 
 
 def _wait(process: subprocess.Popen[bytes], address: str) -> None:

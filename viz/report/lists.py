@@ -1,4 +1,4 @@
-"""The report's lists: the worst estimates, and what failed."""
+"""Lists of the report: the worst estimates, and the failures."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 from estimators.evaluation.statistics import AXIS, Row, axes_of
 from viz.report.tables import number
-from viz.report.terminal import SUPPORT_NAMES
+from viz.values import support_name
 
 MOST_NAMES = 12
-"""Objects of a failure that are named one by one."""
+"""Largest number of objects of a failure that are named."""
 
 
 @dataclass(frozen=True)
@@ -19,12 +19,12 @@ class Worst:
 
     row: Row
     nad: str
-    """%."""
+    """NAD [%]."""
     support: str
     swept: str
     """Swept settings and their values."""
     key: str
-    """Its folder; empty where not known."""
+    """Folder of the estimate; empty where not known."""
     trials: tuple[str, ...]
     """Folders of its trials."""
     recording: str
@@ -43,20 +43,15 @@ class Failure:
     """Supports and sensings."""
     objects: str
     traceback: str
-    """As it was when the run ended; empty where there is none."""
+    """Traceback at the end of the run; empty where there is none."""
     path: str
-    """Of the file with the traceback."""
-
-
-def worst_first(rows: Sequence[Row]) -> list[Row]:
-    """Those with a NAD, the greatest first."""
-    return sorted((row for row in rows if row["nad"] is not None), key=lambda row: -row["nad"])
+    """File with the traceback."""
 
 
 def worst_of(rows: Sequence[Row]) -> tuple[list[Row], list[Row]]:
-    """The estimates that the report shows: the ten with the greatest NAD, and the five of the hidden states."""
-    own = [row for row in rows if row["kind"] == "hidden_states"]
-    return worst_first(rows)[:10], worst_first(own)[:5]
+    """The ten estimates with the greatest NAD, and the five of the hidden states."""
+    ranked = sorted((row for row in rows if row["nad"] is not None), key=lambda row: -row["nad"])
+    return ranked[:10], [row for row in ranked if row["kind"] == "hidden_states"][:5]
 
 
 def worst(
@@ -65,13 +60,13 @@ def worst(
     trial_keys_of: Callable[[Row], Sequence[str]],
     recording_of: Callable[[str], str],
 ) -> list[Worst]:
-    """These estimates, with their files."""
+    """Estimates with their files."""
     axes = axes_of(rows)
     return [
         Worst(
             row=row,
             nad=number(100 * row["nad"]),
-            support=support_name(row),
+            support=support_name(row["support"]),
             swept=", ".join(f"{a.removeprefix(AXIS)} = {row[a]}" for a in axes if row.get(a) is not None),
             key=(key := key_of(row) or ""),
             trials=tuple(trial_keys_of(row)),
@@ -88,12 +83,7 @@ def failures(rows: Sequence[Row], tracebacks: Mapping[str, str]) -> list[Failure
         if row["status"] != "ok":
             found.setdefault((row["method"], row["status"], row["message"] or ""), []).append(row)
     ranked = sorted(found.items(), key=lambda item: -len(item[1]))
-    return [_failure(*said, of, tracebacks) for said, of in ranked]
-
-
-def support_name(row: Row) -> str:
-    """Who carries the weight, in words."""
-    return SUPPORT_NAMES.get(str(row["support"]), str(row["support"]))
+    return [_failure(*reason, of, tracebacks) for reason, of in ranked]
 
 
 def names(every: Sequence[str]) -> str:
@@ -103,7 +93,7 @@ def names(every: Sequence[str]) -> str:
 
 
 def _failure(method: str, status: str, message: str, rows: Sequence[Row], tracebacks: Mapping[str, str]) -> Failure:
-    where = dict.fromkeys(", ".join(filter(None, (support_name(row), row["sensing"]))) for row in rows)
+    where = dict.fromkeys(", ".join(filter(None, (support_name(row["support"]), row["sensing"]))) for row in rows)
     path = _traceback_of(rows, status, message, tracebacks)
     return Failure(
         method=method or "every method",
@@ -120,7 +110,7 @@ def _failure(method: str, status: str, message: str, rows: Sequence[Row], traceb
 def _traceback_of(rows: Sequence[Row], status: str, message: str, tracebacks: Mapping[str, str]) -> str:
     """Path of a traceback of these rows, or of one that ends in their message."""
     paths = [f"estimates/{row.get('key')}/error.txt" for row in rows]
-    said = [path for path in paths if path in tracebacks]
+    known = [path for path in paths if path in tracebacks]
     if status == "failed" and message:
-        said += [path for path, text in tracebacks.items() if text.rstrip().endswith(message)]
-    return said[0] if said else ""
+        known += [path for path, text in tracebacks.items() if text.rstrip().endswith(message)]
+    return known[0] if known else ""

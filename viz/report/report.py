@@ -1,4 +1,4 @@
-"""The report of a run: one HTML file with everything in it, to read, print, or send."""
+"""Report of a run: one HTML file with everything in it, to read, print, or send."""
 
 from __future__ import annotations
 
@@ -13,24 +13,17 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup, escape
 from matplotlib.figure import Figure
 
-from estimators.evaluation.statistics import AXIS, Row, axes_of, select
+from estimators.evaluation.statistics import AXIS, Row, axes_of, axis_values, select
 from testbed.objects.model import ObjectShape
 from testbed.trajectory import write_whole
 from viz.figures.loss import loss_figure
-from viz.figures.maps import absolute_difference, answer_of, as_pixels, mass_bars, mass_maps, shown_methods
+from viz.figures.maps import MeanAnswer, absolute_difference, as_pixels, compared_methods, mass_bars, mass_maps
 from viz.figures.nad import nad_distribution, nad_sweep
-from viz.report import lists as report_lists
+from viz.report.lists import failures, worst, worst_of
 from viz.report.svg import inline_svg
-from viz.report.tables import (
-    MOST_OBJECTS,
-    Table,
-    axis_values,
-    metric_table,
-    overview,
-    sweep_table,
-)
-from viz.report.terminal import METRICS
+from viz.report.tables import METRICS, MOST_OBJECTS, Table, metric_table, over_objects, overview, sweep_table
 from viz.style import STYLE
+from viz.values import support_name
 
 COLUMNS = (
     "nad", "mpd_open_loop_m", "mpd_turn_m", "mpd_open_loop_of_truth_m", "mpd_turn_of_truth_m", "seconds", "robot_s",
@@ -38,27 +31,28 @@ COLUMNS = (
 )  # fmt: skip
 """Columns that a row may lack; they are then None."""
 MOST_FAILURES = 50
-"""Kinds of failure that are listed."""
+"""Largest number of kinds of failure that are listed."""
 PIXELS_PER_INCH = 80
 """Least scale of a figure with small print."""
 WORST_OBJECTS, OTHER_OBJECTS = 10, 5
-"""Pictured where there are too many for a picture each."""
+"""Numbers of objects with a mass map where there are too many for one each."""
 
 
 @dataclass(frozen=True, eq=False)
 class Results:
-    """All that a report is made of."""
+    """All values of a report."""
 
     name: str
     facts: Mapping[str, str]
-    """What ran, when and with what, in words."""
+    """Facts of the run by name."""
     methods: Mapping[str, str]
     """Settings of each method, in words."""
     command: str
-    """Makes the same results again."""
+    """Command that makes the same results again."""
     scenario_toml: str
     """The scenario as it ran, as a file."""
     rows: Sequence[Row]
+    """Rows of results.parquet."""
     keys: Sequence[str | None]
     """Folder of each row's estimate."""
     shape_of: Callable[[str], ObjectShape | None]
@@ -66,23 +60,23 @@ class Results:
     losses: Mapping[str, Mapping[str, Sequence[np.ndarray]]] = field(default_factory=dict)
     """Losses of the estimates, (I,) each, by method and optimiser."""
     tracebacks: Mapping[str, str] = field(default_factory=dict)
-    """Of estimates that failed, by folder."""
+    """Tracebacks of estimates that failed, by path."""
     trial_keys_of: Callable[[Row], Sequence[str]] = lambda _: ()
     """Folders of the trials behind an estimate."""
     recording_of: Callable[[str], str] = lambda _: ""
     """Path of an estimate's recording by its folder; empty where there is none."""
     bad_trials: Mapping[tuple[str, str], Sequence[str]] = field(default_factory=dict)
-    """Folders of trials that are no good, by status and reason."""
+    """Folders of trials that are not ok, by status and reason."""
 
 
 @dataclass(frozen=True)
 class Picture:
-    """A figure in words and lines."""
+    """A figure with its caption."""
 
     svg: Markup
     caption: str
     least: int | None = None
-    """Width, px, below which it scrolls in a box of its own; None where it may shrink to any screen."""
+    """Width [px] below which it scrolls in a box of its own; None where it may shrink to any screen."""
 
 
 def write_report(results: Results, path: Path) -> None:
@@ -91,31 +85,28 @@ def write_report(results: Results, path: Path) -> None:
     write_whole(path, lambda part: part.write_text(page, encoding="utf-8"))
 
 
+@mpl.rc_context(STYLE)
 def render(results: Results) -> str:
     """The report as HTML."""
-    with mpl.rc_context(STYLE):
-        return _render(results)
-
-
-def _render(results: Results) -> str:
     rows: list[dict[str, Any]] = [
         dict.fromkeys(COLUMNS) | {k: _plain(k, v) for k, v in row.items()} for row in results.rows
     ]
-    asked = [row for row in rows if row["method"]]  # the others are objects that no method was asked about
+    estimates = [row for row in rows if row["method"]]  # the others are objects without any estimate
     groups = {
-        f"{report_lists.support_name(first)}, {first['sensing']}": select(
-            asked, support=first["support"], sensing=first["sensing"]
+        f"{support_name(first['support'])}, {first['sensing']}": select(
+            estimates, support=first["support"], sensing=first["sensing"]
         )
-        for first in {(row["support"], row["sensing"]): row for row in asked}.values()
+        for first in {(row["support"], row["sensing"]): row for row in estimates}.values()
     }
     folder_of = {id(row): key for row, key in zip(rows, results.keys, strict=True)}
-    worst, worst_own = (
-        report_lists.worst(found, lambda row: folder_of[id(row)], results.trial_keys_of, results.recording_of)
-        for found in report_lists.worst_of(rows)
+    worst_all, worst_own = (
+        worst(found, lambda row: folder_of[id(row)], results.trial_keys_of, results.recording_of)
+        for found in worst_of(rows)
     )
     draw = _Drawer()
-    objects = list(dict.fromkeys(row["object"] for row in asked))
-    pictured = pictured_objects(asked, objects)
+    objects = list(dict.fromkeys(row["object"] for row in estimates))
+    mapped = mapped_objects(estimates, objects)
+    good = sum(row["status"] == "ok" for row in estimates)
     environment = Environment(
         loader=FileSystemLoader(Path(__file__).parent), autoescape=True, undefined=StrictUndefined, trim_blocks=True,
         lstrip_blocks=True,
@@ -123,19 +114,19 @@ def _render(results: Results) -> str:
     environment.filters["breakable"] = breakable
     return environment.get_template("report.html.j2").render(
         results=results,
-        counts={"estimates": len(asked), "objects": len(objects), "good": sum(row["status"] == "ok" for row in asked)},
+        counts={"estimates": len(estimates), "objects": len(objects), "good": good},
         overview=overview(groups),
         tables={label: _tables(found) for label, found in groups.items()},
         distributions=[draw(nad_distribution(found), f"NAD by method: {label}") for label, found in groups.items()],
-        sweeps=_sweeps(asked, groups, draw),
+        sweeps=_sweeps(estimates, groups, draw),
         losses=[draw(loss_figure(traces), _loss_caption(m, traces)) for m, traces in results.losses.items()],
-        maps=_maps(groups, pictured, results.shape_of, draw),
-        left_out=len(objects) - len(pictured),
-        worst=worst,
+        maps=_maps(groups, mapped, results.shape_of, draw),
+        left_out=len(objects) - len(mapped),
+        worst=worst_all,
         worst_own=worst_own,
         most_failures=MOST_FAILURES,
-        failures=report_lists.failures(rows, results.tracebacks),
-    )  # fmt: skip
+        failures=failures(rows, results.tracebacks),
+    )
 
 
 def breakable(name: object) -> Markup:
@@ -144,7 +135,7 @@ def breakable(name: object) -> Markup:
 
 
 class _Drawer:
-    """Turns figures into pictures, each with identifiers of its own."""
+    """Converter of figures to pictures, each with identifiers of its own."""
 
     def __init__(self) -> None:
         self._count = 0
@@ -156,35 +147,35 @@ class _Drawer:
 
 
 def _plain(column: str, value: Any) -> Any:
-    """Values of swept settings can be compared; text is text."""
+    """Value that can be compared: a swept setting that is no number becomes text."""
     if column.startswith(AXIS) and not isinstance(value, int | float | str | None):
         return str(value)
     return value
 
 
 def _tables(rows: Sequence[Row]) -> list[Table]:
-    tables = (metric_table(rows, metric, metric.title) for metric in METRICS)
-    return [table for table in tables if table is not None]
+    """A table a metric that has a number, by object or over many of them."""
+    many = len({row["object"] for row in rows}) > MOST_OBJECTS or axes_of(rows)
+    known = [metric for metric in METRICS if any(row[metric.column] is not None for row in rows)]
+    return [(over_objects if many else metric_table)(rows, metric, metric.title) for metric in known]
 
 
 def _sweeps(
     rows: Sequence[Row], groups: Mapping[str, Sequence[Row]], draw: _Drawer
 ) -> dict[str, list[tuple[Picture, Table]]]:
-    """Of each swept setting: a picture and a table for every support and sensing under which it changes."""
-    sweeps = {}
+    """A picture and a table of each swept setting for every support and sensing under which it changes."""
+    sweeps: dict[str, list[tuple[Picture, Table]]] = {}
     for axis in axes_of(rows):
         split = {label: found for label, found in groups.items() if len(axis_values(found, axis)) > 1}
-        name, shown = axis.removeprefix(AXIS), []
+        name = axis.removeprefix(AXIS)
         for label, found in (split or {"all": rows}).items():
-            caption = f"NAD against {name}: {label}"
-            shown.append(
-                (draw(nad_sweep(found, axis), caption), sweep_table(found, axis, f"Median NAD, %, by {name}: {label}"))
-            )
-        sweeps[name] = shown
+            picture = draw(nad_sweep(found, axis), f"NAD against {name}: {label}")
+            table = sweep_table(found, axis, f"Median NAD, %, by {name}: {label}")
+            sweeps.setdefault(name, []).append((picture, table))
     return sweeps
 
 
-def pictured_objects(rows: Sequence[Row], objects: Sequence[str]) -> list[str]:
+def mapped_objects(rows: Sequence[Row], objects: Sequence[str]) -> list[str]:
     """All objects; of many, the ten with the worst NAD and a few spread evenly over the rest.
 
     The worst are those of the hidden states, where that method ran.
@@ -204,39 +195,37 @@ def pictured_objects(rows: Sequence[Row], objects: Sequence[str]) -> list[str]:
 
 def _maps(
     groups: Mapping[str, Sequence[Row]],
-    pictured: Sequence[str],
+    objects: Sequence[str],
     shape_of: Callable[[str], ObjectShape | None],
     draw: _Drawer,
 ) -> list[Picture]:
-    rows = [row for found in groups.values() for row in found]
+    """Differences under each support and sensing, then the maps of each object whose truth is known."""
     shapes, pictures = {}, []
-    for name in pictured:
-        known = [row for row in select(rows, object=name) if row["true_mass_kg"] is not None]
-        if not known:
-            continue
-        truth = np.array(known[0]["true_mass_kg"], dtype=float)
-        of = {label: select(known, object=name, support=found[0]["support"], sensing=found[0]["sensing"])
-              for label, found in groups.items()}  # fmt: skip
+    for name in objects:
+        of = {label: [r for r in select(rows, object=name) if r["true_mass_kg"] is not None]
+              for label, rows in groups.items()}  # fmt: skip
         of = {label: found for label, found in of.items() if found}
+        if not of:
+            continue
+        first = next(iter(of.values()))[0]
+        truth, shape = np.array(first["true_mass_kg"], dtype=float), shape_of(name)
         answers = {
-            label: [a for m in shown_methods(found) if (a := answer_of(found, m))] for label, found in of.items()
+            label: [a for m in compared_methods(found) if (a := MeanAnswer.of(found, m))] for label, found in of.items()
         }
-        shape = shape_of(name)
         if shape is not None and shape.n_m == len(truth):
             shapes[name] = shape
-            figure, wide = as_pixels(mass_maps(shape, truth, answers)), True
             caption = f"{name}: true mass, estimated mass and absolute difference, kg a group"
+            pictures.append(draw(as_pixels(mass_maps(shape, truth, answers)), caption, wide=True))
         else:
-            said = known[0]["group_names"]
-            names = [f"m{i}" for i in range(len(truth))] if said is None else said
-            figure, wide = mass_bars([str(each) for each in names], truth, answers), False
+            known = first["group_names"]
+            names = [f"m{i}" if known is None else str(known[i]) for i in range(len(truth))]
             caption = f"{name}: true and estimated mass, kg a group (its geometry is not known any more)"
-        pictures.append(draw(figure, caption, wide=wide))
+            pictures.append(draw(mass_bars(names, truth, answers), caption))
     overall = []
     for label, found in groups.items():
-        seen = {name: shape for name, shape in shapes.items() if select(found, object=name)}
-        if seen:
-            figure = as_pixels(absolute_difference(found, seen, ""))
+        present = {name: shape for name, shape in shapes.items() if select(found, object=name)}
+        if present:
+            figure = as_pixels(absolute_difference(found, present, ""))
             caption = f"Absolute difference of mass, every method and object: {label}"
             overall.append(draw(figure, caption, wide=True))
     return overall + pictures

@@ -1,4 +1,4 @@
-"""Figures as SVG inside HTML: no namespaces, no metadata, identifiers that do not clash, a title for who cannot see."""
+"""Figures as SVG inside HTML: no namespaces, no metadata, identifiers that do not clash, a title for screen readers."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ def inline_svg(figure: Figure, title: str, prefix: str) -> Markup:
     """A figure as an <svg> element.
 
     Args:
-        figure: what to draw.
-        title: what it shows, in words; its alternative text.
+        figure: matplotlib's figure.
+        title: its alternative text.
         prefix: of its identifiers; one of its own for each figure of a page.
     """
     file = io.BytesIO()
@@ -50,7 +50,7 @@ def inline_svg(figure: Figure, title: str, prefix: str) -> Markup:
 
 
 def _forget_namespaces(root: ElementTree.Element) -> None:
-    """HTML knows svg and href by their bare names."""
+    """Drop namespaces: HTML knows svg and href by their bare names."""
     for parent in list(root.iter()):
         for child in list(parent):
             if child.tag.split("}")[-1] in _DROPPED:

@@ -1,50 +1,64 @@
-"""The report's tables of numbers: methods down; objects, or quantiles over many objects, across."""
+"""Tables of metrics: methods down; objects, or quantiles over many objects, across. HTML and terminal draw the same."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from estimators.evaluation import paper
 from estimators.evaluation.statistics import (
+    AXIS,
     Draws,
     Row,
+    Summary,
     axes_of,
+    axis_values,
     draws_of,
+    methods_of,
     select,
     significantly_best,
     summarize,
 )
-from viz.report.terminal import NAD, Metric
+from viz.values import support_name
 
 MOST_OBJECTS = 12
-"""More objects than this are not shown one by one."""
+"""Largest number of objects with a column each."""
 TRUTH = "the true masses"
 
 
 @dataclass(frozen=True)
-class Cell:
-    """One number and what is known of it."""
+class Metric:
+    """One measure of the comparison."""
 
-    text: str
-    interval: str = ""
-    """Bootstrap interval of the mean."""
-    paper: str = ""
-    """The paper's figure for the same cell."""
-    note: str = ""
-    """Draws or objects without an answer."""
-    best: bool = False
-    """Better than every other method, for sure."""
-
-
-@dataclass(frozen=True)
-class Table:
-    """A head and rows; each row has a label and a cell a column."""
-
+    column: str
+    """Column of the results."""
     title: str
-    columns: tuple[str, ...]
-    rows: tuple[tuple[str, tuple[Cell, ...]], ...]
+    scale: float
+    """Factor from the results' unit to the title's."""
+    paper: dict[str, dict[str, float]]
+    """The paper's figures by method and object."""
+    reference: str | None = None
+    """Column with the score of the true masses."""
+
+
+NAD = Metric("nad", "Normalized absolute difference of the mass distribution (NAD), %", 100.0, paper.NAD)
+MPD_OPEN_LOOP = Metric(
+    "mpd_open_loop_m",
+    "Mean particle distance (MPD) after 1 s of open loop, cm",
+    100.0,
+    paper.MPD,
+    "mpd_open_loop_of_truth_m",
+)
+MPD_TURN = Metric(
+    "mpd_turn_m",
+    "Mean particle distance (MPD) over a whole turn, state reset each step, cm",
+    100.0,
+    paper.MPD,
+    "mpd_turn_of_truth_m",
+)
+METRICS = (NAD, MPD_OPEN_LOOP, MPD_TURN)
 
 
 def number(value: float, like: float | None = None) -> str:
@@ -55,52 +69,101 @@ def number(value: float, like: float | None = None) -> str:
     return f"{value:.{2 if size < 10 else 1 if size < 100 else 0}f}"
 
 
-def methods_of(rows: Sequence[Row]) -> list[str]:
-    """Methods, in the order of the rows."""
-    return list(dict.fromkeys(row["method"] for row in rows))
+@dataclass(frozen=True)
+class Cell:
+    """A mean over draws or objects, or a text."""
+
+    text: str = ""
+    """Text where there is no summary."""
+    summary: Summary | None = None
+    """Mean, spread and interval."""
+    missing: str = ""
+    """Number of draws or estimates without an answer, in words."""
+    paper: float | None = None
+    """The paper's figure."""
+    best: bool = False
+    """True if significantly better than every other method."""
+
+    @staticmethod
+    def of(draws: Draws, status: str = "-", published: float | None = None, *, best: bool = False) -> Cell:
+        """Summary of draws; the status where none has an answer."""
+        summary = summarize(draws)
+        if summary is None:
+            return Cell(status, paper=published)
+        missing = f"{summary.missing} of {len(draws)} draws without an answer" if summary.missing else ""
+        return Cell("", summary, missing, published, best and not np.isnan(summary.spread))
+
+    @property
+    def words(self) -> str:
+        """Mean and spread, or the text."""
+        if self.summary is None:
+            return self.text
+        mean, spread = self.summary.mean, self.summary.spread
+        return number(mean) if np.isnan(spread) else f"{number(mean)} ± {number(spread, mean)}"
+
+    @property
+    def interval(self) -> str:
+        """Bootstrap interval of the mean; empty without one."""
+        if self.summary is None or np.isnan(self.summary.spread):
+            return ""
+        return f"[{number(self.summary.low, self.summary.mean)}, {number(self.summary.high, self.summary.mean)}]"
 
 
-def metric_table(rows: Sequence[Row], metric: Metric, title: str) -> Table | None:
-    """One metric under one support and sensing; None where nobody has a number."""
-    if all(row[metric.column] is None for row in rows):
-        return None
-    objects = list(dict.fromkeys(row["object"] for row in rows))
-    aggregated = len(objects) > MOST_OBJECTS or axes_of(rows)
-    return _over_objects(rows, metric, title) if aggregated else _by_object(rows, metric, title, objects)
+@dataclass(frozen=True)
+class Table:
+    """A head, and rows of labels and cells."""
+
+    title: str
+    columns: tuple[str, ...]
+    """Heads of the cells."""
+    rows: tuple[tuple[tuple[str, ...], tuple[Cell, ...]], ...]
+    """Labels and cells of each row."""
+    labels: tuple[str, ...] = ("method",)
+    """Heads of the labels."""
 
 
-def _by_object(rows: Sequence[Row], metric: Metric, title: str, objects: list[str]) -> Table:
+def metric_table(rows: Sequence[Row], metric: Metric, title: str, objects: Sequence[str] | None = None) -> Table:
+    """One metric under one support and sensing: methods down, objects across."""
     methods = methods_of(rows)
+    objects = list(dict.fromkeys(row["object"] for row in rows)) if objects is None else objects
     of = {name: {m: select(rows, object=name, method=m) for m in methods} for name in objects}
     draws = {name: {m: draws_of(of[name][m], metric.column, metric.scale) for m in methods} for name in objects}
     best = {name: significantly_best(draws[name]) for name in objects}
     lines = []
     for method in methods:
-        cells = []
-        for name in objects:
-            status = of[name][method][0]["status"] if of[name][method] else "-"
-            published = metric.paper.get(method, {}).get(name)
-            paper = "" if published is None else f"{published:.1f}"
-            cells.append(_cell(draws[name][method], status, paper, best[name] == method))
-        lines.append((method, tuple(cells)))
+        published = metric.paper.get(method, {})
+        cells = [
+            Cell.of(
+                draws[name][method],
+                of[name][method][0]["status"] if of[name][method] else "-",
+                published.get(name),
+                best=best[name] == method,
+            )
+            for name in objects
+        ]
+        lines.append(((method,), tuple(cells)))
     if metric.reference and methods:
-        known = [row for row in rows if row[metric.reference] is not None]
+        known = [row for row in rows if row.get(metric.reference) is not None]
         scores = [draws_of(select(known, object=name), metric.reference, metric.scale) for name in objects]
-        lines.append((TRUTH, tuple(_cell(score, "-") for score in scores)))
+        lines.append(((TRUTH,), tuple(Cell.of(score) for score in scores)))
     return Table(title, tuple(objects), tuple(lines))
 
 
-def _over_objects(rows: Sequence[Row], metric: Metric, title: str) -> Table:
-    """Means over draws and swept settings first, then quantiles over objects: points of one object are no sample."""
+def over_objects(rows: Sequence[Row], metric: Metric, title: str) -> Table:
+    """One metric under one support and sensing: methods down, mean and quantiles over objects across.
+
+    Means over draws and swept settings come first: points of one object are no sample.
+    """
     means = {method: object_means(rows, method, metric.column, metric.scale) for method in methods_of(rows)}
     best = significantly_best(means)
     lines = []
     for method, values in means.items():
         missing = sum(row["method"] == method and row[metric.column] is None for row in rows)
-        note = f"{missing} estimates without an answer" if missing else ""
-        lines.append((method, _quantiles(values, note, best=method == best)))
+        words = f"{missing} estimates without an answer" if missing else ""
+        lines.append(((method,), _quantiles(values, words, best=method == best)))
     if metric.reference and means:
-        lines.append((TRUTH, _quantiles(object_means(rows, None, metric.reference, metric.scale), "", best=False)))
+        truth = object_means(rows, None, metric.reference, metric.scale)
+        lines.append(((TRUTH,), _quantiles(truth, "", best=False)))
     return Table(title, ("mean", "10\u00a0%", "median", "90\u00a0%", "worst"), tuple(lines))
 
 
@@ -113,52 +176,84 @@ def object_means(rows: Sequence[Row], method: str | None, column: str, scale: fl
     return {i: float(np.mean(v)) if v else np.nan for i, v in enumerate(values.values())}
 
 
-def _quantiles(objects: Draws, note: str, *, best: bool) -> tuple[Cell, ...]:
+def _quantiles(objects: Draws, missing: str, *, best: bool) -> tuple[Cell, ...]:
     good = [value for value in objects.values() if not np.isnan(value)]
     rest = np.quantile(good, (0.1, 0.5, 0.9, 1.0)) if good else (np.nan,) * 4
-    first = replace(_cell(objects, "-", best=best), note=note)
+    first = replace(Cell.of(objects, best=best), missing=missing)
     return first, *(Cell(number(float(value))) for value in rest)
-
-
-def _cell(draws: Draws, status: str, paper: str = "", best: bool = False) -> Cell:
-    summary = summarize(draws)
-    if summary is None:
-        return Cell(status, paper=paper)
-    note = f"{summary.missing} of {len(draws)} draws without an answer" if summary.missing else ""
-    if np.isnan(summary.spread):
-        return Cell(number(summary.mean), paper=paper, note=note)
-    mean, spread, low, high = (
-        number(v, summary.mean) for v in (summary.mean, summary.spread, summary.low, summary.high)
-    )
-    return Cell(f"{mean} ± {spread}", f"[{low}, {high}]", paper, note, best)
 
 
 def overview(groups: Mapping[str, Sequence[Row]]) -> Table:
     """Median NAD over objects: methods down, supports and sensings across."""
     methods = list(dict.fromkeys(m for rows in groups.values() for m in methods_of(rows)))
-    median: Callable[[Sequence[Row], str], Cell] = lambda rows, m: _median(  # noqa: E731
-        list(object_means(rows, m, NAD.column, NAD.scale).values())
-    )
-    lines = tuple((m, tuple(median(rows, m) for rows in groups.values())) for m in methods)
+    means = lambda rows, m: object_means(rows, m, NAD.column, NAD.scale).values()  # noqa: E731
+    lines = tuple(((m,), tuple(_median(means(rows, m)) for rows in groups.values())) for m in methods)
     return Table("Median over objects of the mean NAD, %", tuple(groups), lines)
 
 
 def sweep_table(rows: Sequence[Row], axis: str, title: str) -> Table:
     """Median NAD at each value of a swept setting."""
     values = axis_values(rows, axis)
-    at = {value: [row for row in rows if row.get(axis) == value] for value in values}
-    column = lambda found, m: [NAD.scale * r["nad"] for r in found if r["method"] == m and r["nad"] is not None]  # noqa: E731
-    lines = tuple((m, tuple(_median(column(at[value], m)) for value in values)) for m in methods_of(rows))
+    at = {value: [row for row in rows if row.get(axis) == value and row["nad"] is not None] for value in values}
+    nads = lambda value, m: [NAD.scale * row["nad"] for row in at[value] if row["method"] == m]  # noqa: E731
+    lines = tuple(((m,), tuple(_median(nads(value, m)) for value in values)) for m in methods_of(rows))
     return Table(title, tuple(f"{v:g}" if isinstance(v, float) else str(v) for v in values), lines)
 
 
-def axis_values(rows: Sequence[Row], axis: str) -> list[object]:
-    """Values of a swept setting: numbers in order, words as they come."""
-    values = list(dict.fromkeys(row[axis] for row in rows if row.get(axis) is not None))
-    numbers = all(isinstance(value, int | float) for value in values)
-    return sorted(values) if numbers else values
-
-
-def _median(values: Sequence[float]) -> Cell:
+def _median(values: Iterable[float]) -> Cell:
     good = [value for value in values if not np.isnan(value)]
     return Cell(number(float(np.median(good))) if good else "-")
+
+
+def quantile_table(results: Sequence[Row], metric: Metric) -> Table:
+    """One metric over many objects: a row a support, sensing, point of the sweep and method; quantiles over objects.
+
+    The draws of an object count as their mean, so that every object weighs the same.
+    """
+    axes = axes_of(results)
+    estimates = [row for row in results if row["status"] != "infeasible"]
+    lines = []
+    for kind in dict.fromkeys(
+        (row["support"], row["sensing"], *(row[a] for a in axes), row["method"]) for row in estimates
+    ):
+        support, sensing, *point, method = kind
+        rows = select(estimates, support=support, sensing=sensing, method=method, **dict(zip(axes, point, strict=True)))
+        names = dict.fromkeys(row["object"] for row in rows)
+        means = [summarize(draws_of(select(rows, object=name), metric.column, metric.scale)) for name in names]
+        values = [mean.mean for mean in means if mean is not None]
+        missing = sum(row.get(metric.column) is None for row in rows)
+        texts = ["-"] * 4
+        if values:
+            texts = [short(float(q)) for q in (*np.quantile(values, (0.1, 0.5, 0.9)), np.mean(values))]
+        labels = (support_name(support), sensing, *(_setting(value) for value in point), method)
+        cells = (str(len(names)), *texts, f"{missing} of {len(rows)}" if missing else "")
+        lines.append((labels, tuple(Cell(text) for text in cells)))
+    heads = ("support", "sensing", *(axis.removeprefix(AXIS) for axis in axes), "method")
+    columns = ("objects", "10 %", "median", "90 %", "mean", "no answer")
+    return Table(f"{metric.title}, over objects", columns, tuple(lines), heads)
+
+
+def _setting(value: object) -> str:
+    return f"{value:g}" if isinstance(value, int | float) and not isinstance(value, bool) else str(value)
+
+
+def short(value: float) -> str:
+    """Two digits or so."""
+    return f"{value:.0f}" if value >= 10 else f"{value:.1f}"
+
+
+def hidden_table(results: Iterable[Row], objects: Sequence[str]) -> Table:
+    """Errors of the center of mass and of I_cm where groups rest on their own weight: mean size over the draws."""
+    rows = select(results, support="own_weight", status="ok", kind="hidden_states")
+    lines = []
+    for column, scale, label in (("com_error_m", 1e3, "c, mm"), ("inertia_error", 100, "I_cm, %")):
+        for sensing in dict.fromkeys(row["sensing"] for row in rows):
+            cells = []
+            for name in objects:
+                found = select(rows, object=name, sensing=sensing)
+                values = np.array(list(draws_of(found, column, scale).values()))
+                known = np.abs(values[~np.isnan(values)])
+                confounded = any("confounded" in row["unobserved"] for row in found)
+                cells.append(Cell(f"{known.mean():.2f}" if len(known) else "confounded" if confounded else "unobserved"))
+            lines.append(((f"{label}, {sensing}",), tuple(cells)))
+    return Table("Hidden states, own weight: mean error", tuple(objects), tuple(lines), ("",))

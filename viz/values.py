@@ -1,0 +1,270 @@
+"""Values that figures, recordings and reports draw: an estimate, a trial, its wrench, and a plan of actions."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from estimators.base import Trace
+from testbed.actions.base import Accelerate, Action, Lift, Rotate, Slide, pivot_of
+from testbed.errors import InvalidValueError
+from testbed.foot_forces import FootForces
+from testbed.objects.model import MassDistribution, ObjectShape
+from testbed.trajectory import Trajectory
+from testbed.validation import frozen_array
+
+if TYPE_CHECKING:
+    from testbed.simulation.playback import BodyPoses
+
+LEVEL, DEVIATIONS = "90 %", 1.645
+"""Probability of an interval, and its half width in standard deviations."""
+MOST_FRAMES = 200
+"""Largest number of moments of a recording; more show nothing more."""
+ARC, WAY = math.radians(70), 0.05
+"""Longest part of a motion that its arrow covers: angle [rad], and length [m]."""
+IN_PLACE, PLACE_RADIUS = 0.008, 0.012
+"""A turn whose radius [m] is below the first is drawn with the second."""
+_SUPPORT_NAMES = {"own_weight": "own weight", "rigid": "rigid body"}
+
+
+def support_name(support: object) -> str:
+    """Name of a support model on screen."""
+    return _SUPPORT_NAMES.get(str(support), str(support))
+
+
+def evenly(count: int, most: int = MOST_FRAMES) -> Int[np.ndarray, "F"]:
+    """Indices of at most `most` of `count` samples, evenly spread, with the first and the last."""
+    return np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(np.int64))
+
+
+@dataclass(frozen=True, eq=False)
+class EstimateView:
+    """An estimate with all that is known about it."""
+
+    title: str
+    """Object, method and sensing."""
+    shape: ObjectShape
+    """Geometry of the object."""
+    truth: MassDistribution | None = None
+    """True masses and friction; None on a real object."""
+    answer: MassDistribution | None = None
+    """Estimated masses and friction; None where the method has no answer."""
+    covariance: Float[np.ndarray, "n_m n_m"] | None = None
+    """Covariance of the particle masses [kg^2]."""
+    traces: tuple[Trace, ...] = ()
+    """Iterations of the method; those that led to the answer first."""
+    trajectory: Trajectory | None = None
+    """Trial in which the particles' velocities are drawn."""
+    facts: Mapping[str, str] = field(default_factory=dict)
+    """Further facts by name; "method" names the estimate in a comparison."""
+
+    def __post_init__(self) -> None:
+        shape = self.shape
+        for name, masses in (("truth", self.truth), ("answer", self.answer)):
+            for part, count in (("mass", shape.n_m), ("friction", shape.n_mu)) if masses is not None else ():
+                values = getattr(masses, part)
+                if len(values) != count:
+                    allowed = f"{count} numbers, one a group"
+                    raise InvalidValueError(f"EstimateView.{name}.{part}", values.tolist(), allowed)
+        if self.covariance is not None:
+            square = (shape.n_m, shape.n_m)
+            checked = frozen_array("EstimateView.covariance", self.covariance, square, finite=False)
+            object.__setattr__(self, "covariance", checked)
+        for trace in self.traces:
+            if trace.mass.size and trace.mass.shape != (len(trace.loss), shape.n_m):
+                allowed = f"({len(trace.loss)}, {shape.n_m}), or none"
+                raise InvalidValueError(f"EstimateView.traces.{trace.method}.mass", trace.mass.shape, allowed)
+        object.__setattr__(self, "traces", tuple(self.traces))
+
+    @property
+    def method(self) -> str:
+        """Name of the method."""
+        return self.facts.get("method", self.title)
+
+    @property
+    def true_mass(self) -> Float[np.ndarray, "n_m"] | None:
+        """True mass of each group [kg]."""
+        return None if self.truth is None else self.truth.mass * self.shape.particles_per_group
+
+    @property
+    def mass(self) -> Float[np.ndarray, "n_m"] | None:
+        """Estimated mass of each group [kg]."""
+        return None if self.answer is None else self.answer.mass * self.shape.particles_per_group
+
+    @property
+    def difference(self) -> Float[np.ndarray, "n_m"] | None:
+        """Absolute difference |estimate - truth| of each group [kg]."""
+        mass, truth = self.mass, self.true_mass
+        return None if mass is None or truth is None else np.abs(mass - truth)
+
+    @property
+    def nad(self) -> float | None:
+        """Normalized absolute difference, the paper's eta_1: misplaced over whole mass."""
+        off, truth = self.difference, self.true_mass
+        return None if off is None or truth is None else float(off.sum() / truth.sum())
+
+    @property
+    def half_width(self) -> Float[np.ndarray, "n_m"] | None:
+        """Half of the interval of each group's mass [kg]; NaN where the variance is not known or infinite."""
+        if self.covariance is None:
+            return None
+        variance = np.diagonal(self.covariance)
+        deviation = np.sqrt(np.where((variance >= 0) & np.isfinite(variance), variance, np.nan))
+        return DEVIATIONS * deviation * self.shape.particles_per_group
+
+    @property
+    def iterates(self) -> tuple[Int[np.ndarray, "F"], Float[np.ndarray, "F n_m"]] | None:
+        """Iterations, and the mass of each group [kg] at them; the last is the answer, which may be the only one."""
+        mass = self.mass
+        if mass is None:
+            return None
+        if not self.traces or not self.traces[0].mass.size:
+            return np.zeros(1, dtype=np.int64), mass[None]
+        way = self.traces[0].mass * self.shape.particles_per_group
+        kept = evenly(len(way), MOST_FRAMES - 1)
+        return np.append(kept, len(way)), np.vstack([way[kept], mass])
+
+
+@dataclass(frozen=True, eq=False)
+class WrenchFit:
+    """Wrench on the object in one trial, measured and predicted: force x and y [N], torque about z [N m], T samples."""
+
+    label: str
+    """Name of the trial."""
+    time_s: Float[np.ndarray, "T"]
+    """Time [s]."""
+    measured: Float[np.ndarray, "T 3"]
+    """Measured wrench after tare and tool compensation."""
+    steady: Bool[np.ndarray, "T"]
+    """True where an estimator is given the sample."""
+    predicted: Float[np.ndarray, "T 3"]
+    """Predicted wrench; NaN outside the steady stretches, or everywhere without a model."""
+    band: Float[np.ndarray, "T 3"]
+    """Half the width of the band around the prediction in which the sensor's errors leave 95 % of single samples."""
+    frame: str = "object axes, about the grasp point"
+    """Axes and reference point."""
+
+    def __post_init__(self) -> None:
+        time = frozen_array("WrenchFit.time_s", self.time_s, (None,))
+        object.__setattr__(self, "time_s", time)
+        for name in ("measured", "predicted", "band"):
+            values = frozen_array(f"WrenchFit.{name}", getattr(self, name), (len(time), 3), finite=False)
+            object.__setattr__(self, name, values)
+        steady = np.array(self.steady)
+        if steady.dtype != bool or steady.shape != time.shape:
+            allowed = f"true or false a sample, ({len(time)},)"
+            raise InvalidValueError("WrenchFit.steady", f"{steady.dtype} of shape {steady.shape}", allowed)
+        object.__setattr__(self, "steady", steady)
+
+
+@dataclass(frozen=True, eq=False)
+class TrialView:
+    """A trial with all that is known about it."""
+
+    title: str
+    """Object and action."""
+    shape: ObjectShape
+    """Geometry of the object."""
+    trajectory: Trajectory
+    """Trajectory as sensed, with the wrench on the object."""
+    poses: BodyPoses
+    """Poses of the robot's bodies at N samples."""
+    pose_times: Float[np.ndarray, "N"]
+    """Times of the poses [s]."""
+    fit: WrenchFit
+    """Wrench in the object's axes, measured and predicted."""
+    model: str = ""
+    """Name of the masses that the prediction uses; empty without a prediction."""
+    truth: MassDistribution | None = None
+    """True masses and friction; None on a real object."""
+    feet: FootForces | None = None
+    """Forces on the feet; None where they are not known."""
+    facts: Mapping[str, str] = field(default_factory=dict)
+    """Further facts by name."""
+
+
+@dataclass(frozen=True, eq=False)
+class ActionArrow:
+    """An action as it is drawn on the object, object frame."""
+
+    grasp: Float[np.ndarray, "2"]
+    """Grasp point [m]."""
+    pivot: Float[np.ndarray, "2"] | None
+    """Center of the turn [m]; None for a slide."""
+    way: Float[np.ndarray, "N 2"]
+    """Line of the arrow [m]; its head is the last point."""
+    accelerated: bool
+    """True if the turn is accelerated."""
+
+    @staticmethod
+    def of(shape: ObjectShape, action: Rotate | Accelerate | Slide) -> ActionArrow:
+        """Arrow along the first part of an action's motion."""
+        grasp = shape.grasps[action.grasp].position
+        if isinstance(action, Slide):
+            along = np.array([math.cos(action.direction), math.sin(action.direction)])
+            return ActionArrow(grasp, None, grasp + WAY * np.outer([0.0, 1.0], along), accelerated=False)
+        pivot, accelerated = pivot_of(action, shape), isinstance(action, Accelerate)
+        speed = action.start_speed if isinstance(action, Accelerate) else action.speed
+        arm = grasp - pivot
+        radius, begin = float(np.linalg.norm(arm)), math.atan2(arm[1], arm[0])
+        if radius < IN_PLACE:
+            radius, begin = PLACE_RADIUS, 0.0
+        angle = begin + math.copysign(min(ARC, WAY / radius), speed) * np.linspace(0.0, 1.0, 12)
+        way = pivot + radius * np.column_stack([np.cos(angle), np.sin(angle)])
+        return ActionArrow(grasp, pivot, way, accelerated)
+
+    @property
+    def label(self) -> Float[np.ndarray, "2"]:
+        """Place of the action's number [m]."""
+        return self.way[-1] if self.pivot is None else self.pivot
+
+    @property
+    def points(self) -> Float[np.ndarray, "N 2"]:
+        """All points of the drawing [m]."""
+        return np.vstack([self.way, self.grasp, self.label])
+
+
+@dataclass(frozen=True, eq=False)
+class PlanView:
+    """A plan of T actions, and the errors that are expected after them."""
+
+    shape: ObjectShape
+    """Geometry of the object."""
+    actions: tuple[Action, ...]
+    """Actions in order."""
+    errors: Float[np.ndarray, "T+1 n_m"]
+    """Expected standard error of each group's mass [kg]: after the weighing, then after each action."""
+    weight: float
+    """Total mass M [kg]."""
+    title: str
+    """Object and settings."""
+    words: tuple[str, ...] = ()
+    """Each action in words."""
+
+    @property
+    def arrows(self) -> dict[int, ActionArrow]:
+        """Arrows of the actions on the table, by their number from 1."""
+        numbered = enumerate(self.actions, start=1)
+        return {n: ActionArrow.of(self.shape, a) for n, a in numbered if isinstance(a, Rotate | Accelerate | Slide)}
+
+    @property
+    def lifts(self) -> dict[int, Float[np.ndarray, "2"]]:
+        """Grasp points [m] of the lifts, by their number from 1."""
+        numbered = enumerate(self.actions, start=1)
+        return {n: self.shape.grasps[a.grasp].position for n, a in numbered if isinstance(a, Lift)}
+
+    @property
+    def percent(self) -> Float[np.ndarray, "T+1 n_m"]:
+        """Expected errors [% of the mean group's mass]."""
+        return 100 * self.errors / (self.weight / self.shape.n_m)
+
+    @property
+    def bounds(self) -> Float[np.ndarray, "2 2"]:
+        """Lower left and upper right corner around the object and all arrows [m]."""
+        points = np.concatenate([self.shape.particles, *(arrow.points for arrow in self.arrows.values())])
+        return np.stack([points.min(axis=0) - self.shape.cell, points.max(axis=0) + self.shape.cell])

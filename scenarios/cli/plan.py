@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from estimators.action_selection.greedy import Goal, Plan
     from testbed.actions.base import Action
     from testbed.objects.model import ObjectModel, ObjectShape
-    from viz.figures.plan import PlanShown
+    from viz.values import PlanView
 
 MOST_REJECTED = 5
 """Refusals that are printed."""
@@ -98,15 +98,15 @@ def plan(
         _draw(console, plan_shown(model, made, title), figure, record)
 
 
-def plan_shown(model: ObjectModel, made: Plan, title: str) -> PlanShown:
+def plan_shown(model: ObjectModel, made: Plan, title: str) -> PlanView:
     """The plan with the errors expected after each step, for a figure or a recording."""
     import numpy as np
 
-    from viz.figures.plan import PlanShown
+    from viz.values import PlanView
 
     errors = np.array([made.before.standard_error, *(step.belief.standard_error for step in made.steps)])
     words = tuple(sentence(model.shape, action) for action in made.actions)
-    return PlanShown(model.shape, made.actions, errors, model.total_mass, title, words)
+    return PlanView(model.shape, made.actions, errors, model.total_mass, title, words)
 
 
 def action_family(support: str, *, lifts: bool) -> ActionFamily:
@@ -179,7 +179,7 @@ def _number(bare: str, name: str, text: str, allowed: str) -> float:
         raise InvalidValueError(name, text, allowed) from None
 
 
-def _draw(console: Console, shown: PlanShown, figure: Path | None, record: Path | None) -> None:
+def _draw(console: Console, shown: PlanView, figure: Path | None, record: Path | None) -> None:
     from viz.figures.maps import save_figure
     from viz.figures.plan import plan_figure
     from viz.recordings.page import save

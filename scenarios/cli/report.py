@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from pyarrow import ArrowException
 from rich.console import Console
 
-from estimators.evaluation.statistics import AXIS, Row, axes_of, select
+from estimators.evaluation.statistics import AXIS, Row, axes_of, axis_values, select
 from scenarios.config import Scenario, load_scenario
 from scenarios.results.estimates import estimate_shown, fits_of
 from scenarios.results.files import ResultFiles, TrialFile, trial_keys_of
@@ -24,14 +24,14 @@ from scenarios.results.trials import object_of
 from testbed.errors import HeftError, InvalidValueError
 from testbed.objects.files import load_object
 from testbed.objects.model import ObjectShape
-from viz.figures.loss import loss_figure
-from viz.figures.maps import absolute_difference, estimate_bars, estimate_losses, estimate_maps, save_figure
+from viz.figures.loss import estimate_losses, loss_figure
+from viz.figures.maps import absolute_difference, estimate_bars, estimate_maps, save_figure
 from viz.figures.nad import nad_distribution, nad_sweep
 from viz.figures.wrench import wrench_fit_figure
 from viz.report.lists import names
 from viz.report.report import Results, write_report
-from viz.report.tables import MOST_OBJECTS, axis_values
-from viz.report.terminal import SUPPORT_NAMES
+from viz.report.tables import MOST_OBJECTS
+from viz.values import support_name
 
 
 def report(folder: Path) -> Path:
@@ -94,7 +94,7 @@ def _facts(manifest: Mapping[str, Any], rows: Sequence[Row], table: Path) -> dic
     wall = manifest.get("wall_s")
     facts = {
         "objects": names(_each(rows, "object")),
-        "supports": names([SUPPORT_NAMES.get(name, name) for name in _each(rows, "support")]),
+        "supports": names([support_name(name) for name in _each(rows, "support")]),
         "sensing": names(_each(rows, "sensing")),
         "seeds": f"{scenario['seeds']} draws of the sensor's errors" if "seeds" in scenario else "",
         "swept": "; ".join(f"{axis}: {names(values)}" for axis, values in axes.items()),
@@ -246,7 +246,7 @@ def _of_all(folder: Path) -> Iterator[tuple[str, Figure]]:
     for first in {(row["support"], row["sensing"]): row for row in rows}.values():
         found = select(rows, support=first["support"], sensing=first["sensing"])
         under = f"{first['support']} {first['sensing']}"
-        title = f"{SUPPORT_NAMES.get(first['support'], first['support'])}, {first['sensing']}"
+        title = f"{support_name(first['support'])}, {first['sensing']}"
         yield f"nad {under}", nad_distribution(found)
         shapes = _shapes(folder, found)
         if shapes:

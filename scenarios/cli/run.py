@@ -10,7 +10,7 @@ from pathlib import Path
 
 from rich.console import Console
 
-from estimators.evaluation.statistics import Row, axes_of
+from estimators.evaluation.statistics import Row, axes_of, select
 from estimators.registry import build_method, is_method
 from scenarios.cli.progress import show_progress
 from scenarios.cli.report import figures, report
@@ -23,7 +23,9 @@ from scenarios.study.run import run_scenario
 from testbed.errors import HeftError, InvalidValueError
 from testbed.plugins import nearest
 from viz.recordings import viewer
-from viz.report.terminal import METRICS, hidden_table, metric_table, quantile_table
+from viz.report.tables import METRICS, hidden_table, metric_table, quantile_table
+from viz.report.terminal import rich_table
+from viz.values import support_name
 
 NOTES = (
     "Cells: mean and spread over draws of the sensor's errors, [95 % bootstrap interval of the mean], and the paper's "
@@ -98,14 +100,16 @@ def show_tables(console: Console, scenario: Scenario, results: Sequence[Row]) ->
     metrics = [metric for metric in METRICS if any(row.get(metric.column) is not None for row in results)]
     if _many(results):
         for metric in metrics:
-            console.print(quantile_table(results, metric))
+            console.print(rich_table(quantile_table(results, metric)))
         return
     for support in scenario.supports():
         for sensing in scenario.sensing:
+            rows = select(results, support=support.name, sensing=sensing)
             for metric in metrics:
-                console.print(metric_table(results, metric, support.name, sensing, objects))
+                title = f"{metric.title}: {support_name(support.name)}, {sensing}"
+                console.print(rich_table(metric_table(rows, metric, title, objects)))
     console.print(NOTES, highlight=False)
-    console.print(hidden_table(results, objects))
+    console.print(rich_table(hidden_table(results, objects)))
 
 
 def _command(name_or_path: str, asked: Asked) -> str:

@@ -24,11 +24,12 @@ from testbed.errors import HeftError, InvalidValueError
 from testbed.plugins import nearest
 from viz.recordings import viewer
 from viz.recordings.comparison import comparison_blueprint, log_comparison
-from viz.recordings.estimate import EstimateShown, estimate_blueprint, log_estimate
+from viz.recordings.estimate import estimate_blueprint, log_estimate
 from viz.recordings.page import ITERATION, SIM_TIME, Page, save, send
 from viz.recordings.trial import fits_blueprint, log_fits, log_trial, trial_blueprint
 from viz.recordings.viewer import served
 from viz.report.lists import worst_of
+from viz.values import EstimateView
 
 MOST_NAMED = 12
 """Objects that an error lists."""
@@ -121,7 +122,7 @@ def folder_page(folder: Path) -> Page:
 
 def _comparisons(folder: Path, objects: Sequence[str], name: str, identity: str) -> Page:
     rows = rows_in(folder)
-    compared: list[tuple[str, str, list[EstimateShown]]] = [
+    compared: list[tuple[str, str, list[EstimateView]]] = [
         (each, setting, [estimate_shown(folder, row) for row in found])
         for each in objects
         for setting, found in settings_of(select(rows, object=each))

@@ -23,9 +23,7 @@ from testbed.actions.base import Weigh
 from testbed.errors import HeftError, InvalidValueError
 from testbed.objects.model import MassDistribution, ObjectModel, ObjectShape
 from testbed.trajectory import Trajectory
-from viz.figures.wrench import WrenchFit
-from viz.recordings.estimate import EstimateShown
-from viz.report.terminal import SUPPORT_NAMES
+from viz.values import EstimateView, WrenchFit, support_name
 
 
 def rows_in(folder: Path) -> Sequence[Row]:
@@ -36,7 +34,7 @@ def rows_in(folder: Path) -> Sequence[Row]:
     return [{"key": path.parent.name} | said for path in done if (said := read_json(path))]
 
 
-def estimate_shown(folder: Path, row: Row) -> EstimateShown:
+def estimate_shown(folder: Path, row: Row) -> EstimateView:
     """An estimate by its row.
 
     Raises:
@@ -59,8 +57,8 @@ def estimate_shown(folder: Path, row: Row) -> EstimateShown:
         np.array(row["true_mass_kg"]) / shape.particles_per_group, friction_of(record.object, shape)
     )
     answer = MassDistribution(arrays["mass"], arrays["friction"]) if "mass" in arrays else None
-    support = SUPPORT_NAMES.get(row["support"], row["support"])
-    return EstimateShown(
+    support = support_name(row["support"])
+    return EstimateView(
         title=f"{row['object']}, {support}, {row['sensing']}: {row['method']}",
         shape=shape,
         truth=truth,
@@ -80,7 +78,7 @@ def friction_of(truth: ObjectModel, shape: ObjectShape) -> Float[np.ndarray, "n_
     return np.array([each[near[shape.friction_group == group]].mean() for group in range(shape.n_mu)])
 
 
-def fits_of(folder: Path, row: Row, shown: EstimateShown) -> list[tuple[str, Trajectory, WrenchFit]]:
+def fits_of(folder: Path, row: Row, shown: EstimateView) -> list[tuple[str, Trajectory, WrenchFit]]:
     """The moved trials behind an estimate in order: key, record as sensed, and how the answer explains it."""
     keys = tuple(row["trial_keys"])
     drawn = zip(keys, sensed(Store(folder), keys, row["sensing"], int(row["seed"])), strict=True)
@@ -106,7 +104,7 @@ def settings_of(rows: Sequence[Row]) -> list[tuple[str, list[Row]]]:
     for (support, sensing, *values), found in groups.items():
         swept = [f"{axis.removeprefix(AXIS)} {value}" for axis, value in zip(axes, values, strict=True)]
         first = select(found, seed=min(row["seed"] for row in found))
-        named.append((", ".join([str(SUPPORT_NAMES.get(support, support)), str(sensing), *swept]), first))
+        named.append((", ".join([support_name(support), str(sensing), *swept]), first))
     return named
 
 
@@ -136,7 +134,7 @@ def _facts(row: Row) -> dict[str, str]:
     return {
         "method": str(row["method"]),
         "object": str(row["object"]),
-        "support": str(SUPPORT_NAMES.get(row["support"], row["support"])),
+        "support": support_name(row["support"]),
         "sensing": f"{row['sensing']}, draw {row['seed']}",
         "status": str(row["status"]),
         "why": str(row.get("message") or ""),

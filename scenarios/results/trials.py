@@ -20,9 +20,7 @@ from testbed.objects.model import Grasp, MassDistribution, ObjectModel, ObjectSh
 from testbed.sensing.windows import sample_deviation, steady_samples, wrench_in_object
 from testbed.simulation.playback import body_poses
 from testbed.trajectory import Trajectory, load_trajectory
-from viz.figures.wrench import WrenchFit
-from viz.recordings.trial import TrialShown
-from viz.report.terminal import SUPPORT_NAMES
+from viz.values import TrialView, WrenchFit, support_name
 
 _MOST_NAMED = 6
 """Keys that an error lists."""
@@ -134,7 +132,7 @@ def sensing_of(folder: Path) -> str:
     return next((name for name in asked if name != "ideal"), "ideal")
 
 
-def trial_shown(folder: Path, key: str, *, seed: int = 0, meshes: bool = True) -> TrialShown:
+def trial_shown(folder: Path, key: str, *, seed: int = 0, meshes: bool = True) -> TrialView:
     """A trial by its key; a simulated one is given a draw of the sensor's errors, and the true masses as a model.
 
     Args:
@@ -167,7 +165,7 @@ def show_trial(
     facts: dict[str, str],
     *,
     meshes: bool = True,
-) -> TrialShown:
+) -> TrialView:
     """A trial with what a model says of it.
 
     Args:
@@ -187,7 +185,7 @@ def show_trial(
     feet = record.folder / "foot_forces.parquet"
     predicted = None if model is None else predicted_wrenches(shape, model, [trajectory])[0]
     name = f"{describe(trajectory, record.object.shape)}"
-    return TrialShown(
+    return TrialView(
         title=f"{record.object.name}: {name}",
         shape=record.object.shape,
         trajectory=trajectory,
@@ -200,7 +198,7 @@ def show_trial(
         facts={
             "object": record.object.name,
             "action": name,
-            "support": SUPPORT_NAMES.get(record.support, record.support) if is_simulated(trajectory) else "",
+            "support": support_name(record.support) if is_simulated(trajectory) else "",
             "trial": record.folder.name,
             "runner": trajectory.provenance.get("runner", ""),
             "arm": "" if trajectory.joint_position.any() else "not where it was: its joints were not logged",

@@ -17,7 +17,8 @@ from scenarios.results.store import Store, key_of, rows_of
 from scenarios.study.dry_run import show_plan
 from scenarios.study.run import run_scenario
 from testbed.errors import InvalidValueError
-from viz.report.terminal import NAD, quantile_table
+from viz.report.tables import NAD, quantile_table
+from viz.report.terminal import rich_table
 
 SMALL = """
 sensing = ["ft300s"]
@@ -121,7 +122,7 @@ def test_many_objects_are_told_by_quantiles():
     ]
     rows.append(rows[0] | {"object": "lost", "status": "failed", "nad": None})
     assert axes_of(rows) == ["axis.seeds"]
-    text = said(lambda console: console.print(quantile_table(rows, NAD)))
+    text = said(lambda console: console.print(rich_table(quantile_table(rows, NAD))))
     line = next(line for line in text.splitlines() if "rigid" in line)
     assert line.split() == ["rigid", "body", "low", "1", "a", "12", "1.0", "5.0", "9.0", "5.0", "1", "of", "34"]
 

@@ -23,10 +23,10 @@ from scenarios.study.run import run_scenario
 from testbed.errors import InvalidValueError
 from testbed.objects.files import load_object
 from testbed.objects.model import MassDistribution
-from viz.figures.maps import estimate_bars, estimate_losses, estimate_maps, save_figure
+from viz.figures.loss import estimate_losses
+from viz.figures.maps import estimate_bars, estimate_maps, save_figure
 from viz.figures.nad import axis_label, nad_distribution, nad_sweep
-from viz.figures.wrench import WrenchFit, wrench_fit_figure
-from viz.recordings.estimate import EstimateShown
+from viz.figures.wrench import wrench_fit_figure
 from viz.style import (
     DIFFERENCE_COLORS,
     MASS_COLORS,
@@ -34,6 +34,7 @@ from viz.style import (
     series_color,
     text_color,
 )
+from viz.values import EstimateView, WrenchFit
 
 UNITS = re.compile(r", (kg|kg a group|N|N m|N/m|m|s|%)$")
 WITHOUT_UNIT = {"iteration", "loss", "group", "loss over first loss", "truth.friction", "k"}
@@ -83,7 +84,7 @@ def check_units(figure: Figure) -> None:
                 assert UNITS.search(label) or label in WITHOUT_UNIT, f"{label!r} beside {numbers}"
 
 
-def estimate(**changes: Any) -> EstimateShown:
+def estimate(**changes: Any) -> EstimateView:
     """L2 with a covariance and two traces."""
     model = load_object("L2")
     answer = MassDistribution(model.truth.mass * [1.0, 1.2, 0.7, 1.0, 1.4, 0.9], np.array([0.45]))
@@ -95,7 +96,7 @@ def estimate(**changes: Any) -> EstimateShown:
         "title": "L2: by hand", "shape": model.shape, "truth": model.truth, "answer": answer,
         "covariance": np.diag((1e-3 * np.arange(1, 7)) ** 2), "traces": traces,
     }  # fmt: skip
-    return EstimateShown(**values | changes)
+    return EstimateView(**values | changes)
 
 
 def test_maps_have_the_truth_the_answer_and_the_difference():

@@ -18,10 +18,9 @@ from scenarios.results.files import TrialFile, trial_keys_of
 from testbed.errors import InvalidValueError
 from testbed.objects.files import load_object
 from viz.figures.loss import normalised
-from viz.report.report import pictured_objects
+from viz.report.report import mapped_objects
 from viz.report.svg import inline_svg
-from viz.report.tables import metric_table, object_means, sweep_table
-from viz.report.terminal import NAD as NAD_METRIC
+from viz.report.tables import object_means, sweep_table
 
 EVIL = "<script>alert('x')</script>"
 REASON = '"><img src=x onerror=alert(1)> & more'
@@ -209,11 +208,11 @@ def test_many_objects_swept_are_aggregated(tmp_path: Path):
 
 def test_the_pictured_are_the_worst_and_a_few_others():
     rows = [{"object": f"o{i}", "kind": "hidden_states", "nad": 0.01 * i} for i in range(40)]
-    shown = pictured_objects(rows, [r["object"] for r in rows])
+    shown = mapped_objects(rows, [r["object"] for r in rows])
     assert shown[:10] == [f"o{i}" for i in range(39, 29, -1)]
     assert len(set(shown)) == 15
     assert {"o29", "o0"} <= set(shown)
-    assert pictured_objects(rows[:12], ["o1"]) == ["o1"]
+    assert mapped_objects(rows[:12], ["o1"]) == ["o1"]
 
 
 def test_a_folder_without_results_is_refused(tmp_path: Path):
@@ -231,7 +230,6 @@ def test_points_of_a_sweep_are_one_sample_of_an_object():
     table = sweep_table(rows, "axis.k", "t")
     assert table.columns == ("1", "3")
     assert [cell.text for cell in table.rows[0][1]] == ["10.0", "30.0"]
-    assert metric_table([row("a", 0, None)], NAD_METRIC, "t") is None
 
 
 def test_the_same_identifiers_in_two_figures_do_not_clash():

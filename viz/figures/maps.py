@@ -157,7 +157,9 @@ def absolute_difference(rows: Sequence[Row], shapes: Mapping[str, ObjectShape], 
         for method in methods
     }
     known = [answer.difference for answer in answers.values() if answer]
-    scale = Scale(max(_top(known), 1e-3) if known else 1.0, DIFFERENCE_COLORS, "absolute difference of mass, kg a group")
+    scale = Scale(
+        max(_top(known), 1e-3) if known else 1.0, DIFFERENCE_COLORS, "absolute difference of mass, kg a group"
+    )
     with mpl.rc_context({**STYLE, "font.size": 8.0}):
         heights = [aspect(shape, 0.3, 1.0) for shape in shapes.values()]
         figure = Figure(figsize=(1.35 * len(methods) + 1.6, 1.35 * sum(heights) + 0.9), layout="constrained")
@@ -253,7 +255,9 @@ def error_figure(model: ObjectModel, standard_error: Float[np.ndarray, "n_m"], t
     shape = model.shape
     error = 100 * standard_error / (model.total_mass / shape.n_m)
     known = error[np.isfinite(error)]
-    scale = Scale(max([0.1, *known]) if known.size else 1.0, DIFFERENCE_COLORS, "standard error, % of the mean group's mass")
+    scale = Scale(
+        max([0.1, *known]) if known.size else 1.0, DIFFERENCE_COLORS, "standard error, % of the mean group's mass"
+    )
     height = ERROR_WIDTH * aspect(shape, 0.2, 1.4) * 0.8 + 1.2
     figure = Figure(figsize=(ERROR_WIDTH, height), layout="constrained")
     axis = figure.subplots()
@@ -267,7 +271,7 @@ def error_figure(model: ObjectModel, standard_error: Float[np.ndarray, "n_m"], t
 
 @mpl.rc_context(STYLE)
 def estimate_maps(view: EstimateView) -> Figure:
-    """True mass, estimated mass and their absolute difference, as in the Rerun view; the estimate alone without a truth."""
+    """True mass, estimated mass and absolute difference, as in the Rerun view; the estimate alone without a truth."""
     mass, off, shape = mass_scale([view]), difference_scale([view]), view.shape
     panels: list[tuple[str, np.ndarray | None, Scale]] = [("estimated mass", view.mass, mass)]
     if view.truth is not None:

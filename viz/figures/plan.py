@@ -26,7 +26,10 @@ def plan_figure(plan: PlanView) -> Figure:
     figure = Figure(figsize=(WIDTH, tall), layout="constrained")
     where, before, after = figure.subplots(1, 3)
     _draw_actions(where, plan)
-    for axis, error, title in ((before, plan.percent[0], "before: weighed"), (after, plan.percent[-1], "after the plan")):
+    for axis, error, title in (
+        (before, plan.percent[0], "before: weighed"),
+        (after, plan.percent[-1], "after the plan"),
+    ):
         scale = Scale(max(float(error.max()), 1e-3), DIFFERENCE_COLORS, "expected error, % of the mean group")
         draw_groups(axis, plan.shape, error, scale, digits=1 if error.max() >= 1 else 2)
         axis.set_title(title, fontsize=8)

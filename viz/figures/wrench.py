@@ -14,7 +14,6 @@ from testbed.errors import InvalidValueError
 from viz.style import AXIS_COLORS, EDGE, STYLE, bare
 from viz.values import WrenchFit, evenly
 
-
 LABELS = (("force x, N", "off, N"), ("force y, N", "off, N"), ("torque z, N m", "off, N m"))
 """Labels of each component, and of its difference from the prediction."""
 MOST_DOTS = 1500

@@ -43,7 +43,9 @@ def log_comparison(stream: rr.RecordingStream, root: str, views: Sequence[Estima
         entity, truth = f"{root}/methods/{index}", view.true_mass
         MassMap(view.shape, way, mass, layout.cell, named=False).log(stream, f"{entity}/mass", frames, layout.box)
         if truth is not None and difference is not None:
-            off = MassMap(view.shape, None if way is None else np.abs(way - truth), difference, layout.cell, named=False)
+            off = MassMap(
+                view.shape, None if way is None else np.abs(way - truth), difference, layout.cell, named=False
+            )
             off.log(stream, f"{entity}/difference", frames, layout.box, layout.beside)
     log_upright(stream, f"{root}/scales/bars")
     for index, (scale, box) in enumerate(zip(layout.scales, _bar_boxes(layout.cell), strict=True)):

@@ -70,7 +70,9 @@ def log_facts(stream: rr.RecordingStream, entity: str, title: str, kind: str, fa
     texts = {_plain(name): _plain(value) for name, value in facts.items() if value}
     rows = [f"| {name} | {value} |" for name, value in texts.items() if len(value) < LONG]
     rest = [f"**{name}**: {value}\n" for name, value in texts.items() if len(value) >= LONG]
-    log_markdown(stream, entity, "\n".join([f"### {_plain(title)}", "", f"| {kind} | |", "|---|---|", *rows, "", *rest]))
+    log_markdown(
+        stream, entity, "\n".join([f"### {_plain(title)}", "", f"| {kind} | |", "|---|---|", *rows, "", *rest])
+    )
 
 
 def log_markdown(stream: rr.RecordingStream, entity: str, text: str) -> None:

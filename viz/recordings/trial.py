@@ -48,7 +48,9 @@ def log_trial(stream: rr.RecordingStream, root: str, view: TrialView) -> None:
     hand = rr.Arrows3D.columns(
         origins=trajectory.tcp_position, vectors=HAND_ARROW * trajectory.wrench_on_object_world[:, :3]
     )
-    stream.log(f"{root}/scene/gripper_force", rr.Arrows3D.from_fields(colors=rgb(OBJECT_VELOCITY), radii=0.003), static=True)
+    stream.log(
+        f"{root}/scene/gripper_force", rr.Arrows3D.from_fields(colors=rgb(OBJECT_VELOCITY), radii=0.003), static=True
+    )
     stream.send_columns(f"{root}/scene/gripper_force", [_times(trajectory.time_s)], hand)
     if view.feet is not None:
         _log_feet(stream, f"{root}/scene/object/feet", view, view.feet)

@@ -254,6 +254,8 @@ def hidden_table(results: Iterable[Row], objects: Sequence[str]) -> Table:
                 values = np.array(list(draws_of(found, column, scale).values()))
                 known = np.abs(values[~np.isnan(values)])
                 confounded = any("confounded" in row["unobserved"] for row in found)
-                cells.append(Cell(f"{known.mean():.2f}" if len(known) else "confounded" if confounded else "unobserved"))
+                cells.append(
+                    Cell(f"{known.mean():.2f}" if len(known) else "confounded" if confounded else "unobserved")
+                )
             lines.append(((f"{label}, {sensing}",), tuple(cells)))
     return Table("Hidden states, own weight: mean error", tuple(objects), tuple(lines), ("",))

@@ -22,9 +22,9 @@ from testbed.objects.files import load_object
 from testbed.sensing.presets import preset
 from testbed.simulation.settings import SimulationSettings
 from tests.helpers.chunks import read_chunks
-from viz.figures.plan import TouchShown
 from viz.recordings.page import save
 from viz.recordings.plan import plan_page
+from viz.values import ActionArrow
 
 
 def test_a_plan_is_told_and_drawn(tmp_path, capsys):
@@ -41,7 +41,7 @@ def test_lifts_are_planned_where_asked_for_and_possible(tmp_path, capsys):
     main(["plan", "L2", "--support", "rigid", "--figure", str(tmp_path / "plan"), *more])
     said = " ".join(capsys.readouterr().out.split())
     assert "lift" in said and "held" in said and "6 of 7 masses and frictions are seen" in said
-    assert "plan/touches/scene/3/lift" in read_chunks(tmp_path / "plan.rrd")
+    assert "plan/actions/scene/3/lift" in read_chunks(tmp_path / "plan.rrd")
     with pytest.raises(SystemExit, match="2"):
         main(["plan", "L2", "--lifts"])
     assert "lift under support rigid or either" in capsys.readouterr().err
@@ -170,14 +170,14 @@ def test_an_arrow_begins_at_the_grasp_and_goes_the_way_of_the_turn():
     shape = load_object("L2").shape
     grasp = shape.grasps[2].position
     for speed in (0.2, -0.2):
-        touch = TouchShown.of(shape, Rotate(2, speed=speed, pivot=(0.05, 0.02)))
+        touch = ActionArrow.of(shape, Rotate(2, speed=speed, pivot=(0.05, 0.02)))
         arms = touch.way - np.array([0.05, 0.02])
         np.testing.assert_allclose(touch.way[0], grasp, atol=1e-12)
         np.testing.assert_allclose(np.linalg.norm(arms, axis=1), np.linalg.norm(arms[0]))
         turned = arms[0, 0] * arms[1, 1] - arms[0, 1] * arms[1, 0]
         assert np.sign(turned) == np.sign(speed)
-    slide = TouchShown.of(shape, Slide(2, direction=np.pi / 2))
-    assert slide.about is None
+    slide = ActionArrow.of(shape, Slide(2, direction=np.pi / 2))
+    assert slide.pivot is None
     np.testing.assert_allclose(slide.way[1] - grasp, [0.0, 0.05], atol=1e-12)
 
 
@@ -189,6 +189,6 @@ def test_a_plan_is_recorded_step_by_step(tmp_path):
     assert shown.errors.shape == (4, 6) and (np.diff(shown.errors.sum(axis=1)) < 0).all()
     save(plan_page(shown), tmp_path / "plan.rrd")
     logged = read_chunks(tmp_path / "plan.rrd")
-    assert {f"plan/touches/scene/{n}/way" for n in (1, 2, 3)} <= set(logged)
+    assert {f"plan/actions/scene/{n}/way" for n in (1, 2, 3)} <= set(logged)
     colors = logged["plan/error/map/cells"].times["iteration"]
     assert all(times.tolist() == [0, 1, 2, 3] for times in colors.values())

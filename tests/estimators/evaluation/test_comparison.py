@@ -11,7 +11,8 @@ from estimators.evaluation import paper
 from estimators.evaluation.statistics import draws_of, select, significantly_best, summarize
 from testbed.objects.files import load_object
 from viz.figures.maps import absolute_difference, save_figure
-from viz.report.terminal import METRICS, NAD, metric_table
+from viz.report.tables import METRICS, NAD, Table, metric_table
+from viz.report.terminal import rich_table
 
 
 def row(method: str, seed: int, nad: float | None, name: str = "L2", **more: object) -> dict:
@@ -80,10 +81,10 @@ def test_rows_are_selected_and_scaled():
     assert np.isnan(draws_of(select(rows, method="b"), "nad")[0])
 
 
-def text_of(table: object) -> str:
+def text_of(table: Table) -> str:
     console = Console(width=120)
     with console.capture() as captured:
-        console.print(table)
+        console.print(rich_table(table))
     return captured.get()
 
 
@@ -91,13 +92,13 @@ def test_a_table_has_ours_the_papers_and_the_truths():
     rows = [row("hidden_states", s, 0.01 + 0.001 * s) for s in range(5)]
     rows += [row("random_search", s, 0.4 + 0.01 * s) for s in range(5)]
     rows += [row("random_search_M", s, None) for s in range(5)]
-    text = text_of(metric_table(rows, NAD, "own_weight", "ft300s", ["L2"]))
+    text = text_of(metric_table(rows, NAD, "NAD", ["L2"]))
     assert "1.2±0.2*" in text
     assert "paper 7.3" in text
     assert "paper 46.4" in text
     assert "underdetermined" in text
     assert text.count("paper") == 2, "a variant of ours has no figure in the paper"
-    distance = text_of(metric_table(rows, METRICS[1], "own_weight", "ft300s", ["L2"]))
+    distance = text_of(metric_table(rows, METRICS[1], "MPD", ["L2"]))
     assert "the true masses" in distance
     assert "0.5±0.0" in distance
 

@@ -27,7 +27,8 @@ from testbed.trajectory import Phase, load_trajectory
 from tests.helpers.chunks import Entity, read_chunks, verify
 from tests.helpers.recorded import put_trial
 from viz.recordings.page import SIM_TIME, Page, save
-from viz.recordings.trial import FOOT_ARROW, TrialShown
+from viz.recordings.trial import FOOT_ARROW
+from viz.values import TrialView
 
 IDEAL = preset("ideal")
 
@@ -47,7 +48,7 @@ def key(folder) -> str:
 
 
 @pytest.fixture(scope="module")
-def shown(folder, key) -> TrialShown:
+def shown(folder, key) -> TrialView:
     return trial_shown(folder, key)
 
 

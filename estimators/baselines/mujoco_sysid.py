@@ -44,13 +44,13 @@ class MujocoSysid(Peer):
             raise InvalidValueError("MujocoSysid.weighting", self.weighting, "covariance: it fits wrenches")
 
     def _search(self, problem: Problem, seed: int) -> SearchResult:
-        from testbed.simulation.planar_sysid import Measured, identify  # noqa: PLC0415  see above
+        from testbed.simulation.planar_sysid import PlanarData, identify  # noqa: PLC0415  see above
 
         shape, windows = problem.shape, problem.windows
         coordinates = LogCoordinates.of(problem, seed)
         first = coordinates.candidates(coordinates.start[None])
         guess = ObjectModel("guess", shape, MassDistribution(first.mass[0].numpy(), first.friction[0].numpy()))
-        measured = Measured(
+        measured = PlanarData(
             motion_of(windows),
             windows.wrench.numpy(),
             problem.whiten.numpy(),

@@ -55,18 +55,7 @@ def add_object(spec: mujoco.MjSpec, obj: ObjectModel, support: Support) -> list[
             _add_solid(spec, body, obj, group, color)
             continue
         for particle in np.flatnonzero(shape.mass_group == group):
-            x, y = shape.particles[particle]
-            body.add_geom(
-                name=f"cell_{particle}",
-                type=mujoco.mjtGeom.mjGEOM_BOX,
-                pos=(x, y, 0),
-                rgba=color,
-                group=1,
-                size=(shape.cell / 2, shape.cell / 2, height / 2),
-                mass=max(obj.particle_mass[particle], 1e-6),
-                contype=0,
-                conaffinity=0,
-            )
+            add_cell(body, shape, particle, max(obj.particle_mass[particle], 1e-6), rgba=color, group=1)
     if support.is_rigid:
         return [root] * shape.n_m
     if support.stiffness > 0:
@@ -78,6 +67,20 @@ def add_object(spec: mujoco.MjSpec, obj: ObjectModel, support: Support) -> list[
                 if group > 0:
                     tendon.wrap_joint(f"slide_{group}", coefficient)
     return bodies
+
+
+def add_cell(body: mujoco.MjsBody, shape: ObjectShape, particle: int, mass: float, **looks: object) -> None:
+    """Add the box of a particle's cell, which touches nothing; mass in kg."""
+    body.add_geom(
+        name=f"cell_{particle}",
+        type=mujoco.mjtGeom.mjGEOM_BOX,
+        pos=(*shape.particles[particle], 0),
+        size=(shape.cell / 2, shape.cell / 2, shape.height / 2),
+        mass=mass,
+        contype=0,
+        conaffinity=0,
+        **looks,
+    )
 
 
 def _add_solid(

@@ -17,7 +17,7 @@ from estimators.testing.analytic_world import accelerated, drawn_object, turns
 from estimators.testing.conformance import CONFORMANCE, WITHOUT_DRAWS, small_object
 from testbed.errors import InvalidValueError
 from testbed.objects.blocks import block_object, parse_layout
-from testbed.simulation.planar_sysid import compiled, planar_scene, sinking
+from testbed.simulation.planar_sysid import compile_scene, planar_scene, sink_depths
 from testbed.trial import OWN_WEIGHT, RIGID
 
 PAIR = block_object(
@@ -41,8 +41,8 @@ def test_the_scene_feels_what_coulomb_says(rigid):
     windows = observe(obj.shape, turns(obj, [0], **world) + accelerated(obj, [0], **world))
     assert windows is not None
     support = RIGID if rigid else OWN_WEIGHT
-    motion, sunk = motion_of(windows), sinking(obj, support)
-    model = compiled(planar_scene(obj, support, motion.grasp[0]), obj)
+    motion, sunk = motion_of(windows), sink_depths(obj, support)
+    model = compile_scene(planar_scene(obj, support, motion.grasp[0]), obj)
     for k, controls in enumerate(motion.controls(len(sunk))):
         data, felt = mujoco.MjData(model), []
         data.qpos[5:], data.qvel[:3] = -sunk, motion.velocity(0)[k]

@@ -40,6 +40,14 @@ def perpendicular(vector: Float[np.ndarray, "... 2"]) -> Float[np.ndarray, "... 
     return np.stack([-vector[..., 1], vector[..., 0]], axis=-1)
 
 
+def origin_velocity(
+    twist: Float[np.ndarray, "N 6"], yaw: Float[np.ndarray, "N"], point: Float[np.ndarray, "2"]
+) -> Float[np.ndarray, "N 3"]:
+    """Planar velocity of a body's origin [m/s, m/s, rad/s] from the twist of its `point` [m/s, rad/s], world axes."""
+    lever = np.einsum("nij,j->ni", rotation_2d(yaw), -point)
+    return np.column_stack([twist[:, :2] + twist[:, 5:] * perpendicular(lever), twist[:, 5]])
+
+
 def rotation_matrix(quaternion: Float[np.ndarray, "... 4"]) -> Float[np.ndarray, "... 3 3"]:
     """Rotation matrices of wxyz quaternions, (..., 3, 3)."""
     return Rotation.from_quat(quaternion, scalar_first=True).as_matrix()

@@ -29,7 +29,7 @@ from scenarios.study.run import manifest
 from testbed.actions.base import action_to_dict
 from testbed.errors import HeftError, InvalidValueError
 from testbed.importers.importer import import_trajectory, object_of
-from testbed.importers.logs import LogError, all_of
+from testbed.importers.logs import LogError, read_all
 from testbed.importers.mapping import Mapping
 from testbed.objects.files import load_toml
 from testbed.objects.model import ObjectModel
@@ -64,7 +64,7 @@ def import_logs(console: Console, mapping: Path, logs: Sequence[Path], wish: Imp
     with show_progress(console) as progress:
         told = partial(progress, "logs", total=len(paths))
         reads = [partial(_read, path, mapping, partial(told, i + 1)) for i, path in enumerate(paths)]
-        model, *trajectories = all_of(lambda: object_of(asked, mapping), *reads)
+        model, *trajectories = read_all(lambda: object_of(asked, mapping), *reads)
     with exclusive(wish.out):
         store = Store(wish.out.absolute())
         store.remove_leftovers()

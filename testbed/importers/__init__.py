@@ -1,1 +1,7 @@
-"""Logs of other benches, CSV or MCAP, read into trajectories by a mapping of their columns and units."""
+"""Import of logs from other robots, CSV or MCAP, by a mapping of their columns and units."""
+
+from testbed.importers.importer import import_trajectory
+from testbed.importers.logs import LogError
+from testbed.importers.mapping import Mapping
+
+__all__ = ["LogError", "Mapping", "import_trajectory"]

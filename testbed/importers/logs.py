@@ -20,63 +20,63 @@ _MOST_LISTED = 12
 
 
 class LogError(HeftError):
-    """A log that cannot be read; the message names the file, and what could be."""
+    """Log that cannot be read; the message names the file and what is allowed."""
 
 
-def all_of(*reads: Callable[[], Any]) -> list[Any]:
-    """What each reads.
+def read_all(*reads: Callable[[], Any]) -> list[Any]:
+    """Results of all reads.
 
     Raises:
-        HeftError: the one that was met.
-        LogError: all that were met, a line each.
+        HeftError: the error, if one read failed.
+        LogError: one line per error, if several failed.
     """
-    done, met = [], []
+    results, errors = [], []
     for read in reads:
         try:
-            done.append(read())
+            results.append(read())
         except HeftError as error:
-            met.append(error)
-    if len(met) == 1:
-        raise met[0]
-    if met:
-        raise LogError("\n".join(dict.fromkeys(line for error in met for line in str(error).splitlines())))
-    return done
+            errors.append(error)
+    if len(errors) == 1:
+        raise errors[0]
+    if errors:
+        raise LogError("\n".join(dict.fromkeys(line for error in errors for line in str(error).splitlines())))
+    return results
 
 
 class Series(NamedTuple):
-    """Some columns with their own times."""
+    """Columns with a clock of their own."""
 
     time_s: Float[np.ndarray, "N"]
-    """Strictly increasing, s, by the log's own clock."""
+    """Time by the log's clock [s], strictly increasing."""
     values: Float[np.ndarray, "N K"]
-    """As logged, without units."""
+    """Values in the log's units."""
 
 
 class Log(Protocol):
-    """Columns by name."""
+    """Log with columns by name."""
 
     def series(self, field: str, names: Sequence[str], topic: str | None, time: TimeMap) -> Series:
-        """The named columns.
+        """Columns by name.
 
         Args:
-            field: what the mapping calls them, for errors.
+            field: the mapping's name for them, in errors.
             names: columns of a table, or fields of a message.
-            topic: where the messages are, for a log that has topics.
-            time: which column is the time.
+            topic: topic of the messages, for a log with topics.
+            time: column and unit of the time.
 
         Raises:
             InvalidValueError: no such column, field or topic; the message names the nearest.
-            LogError: cells that are no numbers, or times that go back.
+            LogError: cells that are not numbers, or times that go back.
         """
         ...
 
 
 def open_log(path: Path, separator: str = ",") -> Log:
-    """Open a log by its ending.
+    """Open a log by its suffix.
 
     Raises:
-        InvalidValueError: another ending than .csv and .mcap, or no such file.
-        LogError: it cannot be read.
+        InvalidValueError: a suffix other than .csv and .mcap, or no such file.
+        LogError: a file that cannot be read.
     """
     if not path.is_file():
         raise InvalidValueError("log", str(path), "an existing .csv or .mcap file")
@@ -88,7 +88,7 @@ def open_log(path: Path, separator: str = ",") -> Log:
 
 
 class CsvLog:
-    """A table with a header line. A row may leave a group of columns blank, where logs of several rates were joined."""
+    """CSV table with a header line. A row may leave a group of columns blank, if the table joins several rates."""
 
     def __init__(self, path: Path, separator: str):
         self._path = path
@@ -102,9 +102,8 @@ class CsvLog:
         """See `Log`."""
         if topic is not None:
             raise InvalidValueError(f"{field}.topic", topic, "none: a table has no topics", file=self._path)
-        asked = [("time.column", time.column), *((field, name) for name in names)]
-        columns = all_of(*(partial(self._numbers, *pair) for pair in asked))
-        rows = np.column_stack(columns)
+        fields = [("time.column", time.column), *((field, name) for name in names)]
+        rows = np.column_stack(read_all(*(partial(self._numbers, *pair) for pair in fields)))
         there = ~np.isnan(rows[:, 1:]).all(axis=1)
         rows, lines = rows[there], np.flatnonzero(there) + 2
         if (bad := ~np.isfinite(rows)).any():
@@ -125,12 +124,12 @@ class CsvLog:
 
 
 class McapLog:
-    """An MCAP file. Messages are decoded where they are JSON; other encodings need their own decoders."""
+    """MCAP file with JSON messages."""
 
     def __init__(self, path: Path):
         self._path = path
         try:
-            from mcap.exceptions import McapError  # noqa: PLC0415  an extra: only who reads such files needs it
+            from mcap.exceptions import McapError  # noqa: PLC0415  an extra, needed by such files alone
             from mcap.reader import make_reader  # noqa: PLC0415
         except ImportError:
             raise LogError(f"{path}: reading MCAP needs mcap: not installed; pip install 'heft[robot]'") from None
@@ -141,8 +140,8 @@ class McapLog:
                 for _, channel, message in make_reader(file).iter_messages():
                     self._encodings[channel.topic] = channel.message_encoding
                     if channel.message_encoding == "json":
-                        said = dict(_leaves(json.loads(message.data)))
-                        stamped = (message.log_time, message.publish_time, said)
+                        fields = dict(_leaves(json.loads(message.data)))
+                        stamped = (message.log_time, message.publish_time, fields)
                         self._messages.setdefault(channel.topic, []).append(stamped)
         except (OSError, ValueError, McapError) as error:
             raise LogError(f"{path}: not a whole MCAP file: {error}") from None
@@ -157,7 +156,7 @@ class McapLog:
                 "convert it, or export the columns as CSV"
             )
         messages = self._messages[topic]
-        columns = all_of(*(partial(self._column, field, name, topic) for name in names))
+        columns = read_all(*(partial(self._column, field, name, topic) for name in names))
         if time.column in ("log_time", "publish_time"):
             seconds = np.array([m[time.column == "publish_time"] for m in messages]) * 1e-9  # exact to 0.2 us
         else:
@@ -166,10 +165,10 @@ class McapLog:
 
     def _column(self, field: str, name: str, topic: str) -> np.ndarray:
         values = np.empty(len(self._messages[topic]))
-        for i, (_, _, said) in enumerate(self._messages[topic]):
-            if name not in said:
-                raise _unknown(field, name, sorted(said), self._path)
-            value = said[name]
+        for i, (_, _, fields) in enumerate(self._messages[topic]):
+            if name not in fields:
+                raise _unknown(field, name, sorted(fields), self._path)
+            value = fields[name]
             if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value):
                 raise LogError(f"{self._path}: topic {topic}, message {i}: {name}: got {value!r}; allowed: a number")
             values[i] = value
@@ -177,7 +176,7 @@ class McapLog:
 
 
 def _leaves(data: Any, path: str = "") -> Iterable[tuple[str, Any]]:
-    """Every value within nested JSON, by its dotted path; list items by number."""
+    """Values within nested JSON by dotted path; list items by number."""
     inner = data.items() if isinstance(data, dict) else enumerate(data) if isinstance(data, list) else None
     if inner is None:
         yield path, data
@@ -193,13 +192,13 @@ def _in_order(path: Path, field: str, time: np.ndarray, values: np.ndarray) -> S
     if (steps < 0).any():
         at = int(np.argmax(steps < 0)) + 1
         raise LogError(f"{path}: {field}: time goes back by {-steps[at - 1]:g} s at sample {at}")
-    first = np.concatenate([[True], steps > 0])  # of samples with one stamp, none is nearer to it than the first
+    first = np.concatenate([[True], steps > 0])  # the first of samples with one stamp is the nearest to it
     return Series(time[first], values[first])
 
 
 def _unknown(field: str, name: str | None, known: list[str], path: Path) -> InvalidValueError:
     folded = {one.casefold(): one for one in known}
     close = difflib.get_close_matches(str(name).casefold(), folded, n=1, cutoff=0.4)
-    shown = ", ".join(known[:_MOST_LISTED]) + (", ..." if len(known) > _MOST_LISTED else "")
+    listed = ", ".join(known[:_MOST_LISTED]) + (", ..." if len(known) > _MOST_LISTED else "")
     hint = f" (nearest: {folded[close[0]]})" if close else ""
-    return InvalidValueError(field, name, f"one of {shown or 'nothing: it is empty'}{hint}", file=path)
+    return InvalidValueError(field, name, f"one of {listed or 'nothing: it is empty'}{hint}", file=path)

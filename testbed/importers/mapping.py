@@ -1,4 +1,4 @@
-"""Units that a log may be in, and what they are in SI."""
+"""Schema of a mapping file: the columns of a log, their units and frames, and the action they record."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import math
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, PlainValidator, model_validator
 
 from testbed.actions.base import Accelerate, Rotate, Slide, action_from_dict
 from testbed.errors import InvalidValueError
@@ -35,14 +35,14 @@ FACTORS: dict[str, dict[str, float]] = {
         "lbf in": _GRAVITY * _POUND * 0.0254,
     },
 }
-"""Quantity, unit, and how many of the SI unit it is."""
+"""SI value of each unit, by quantity."""
 
 
 def factor(quantity: str, unit: str) -> float:
-    """What to multiply by to be in SI.
+    """SI value of a unit.
 
     Raises:
-        InvalidValueError: no such unit of that quantity; the message names those there are, and the nearest.
+        InvalidValueError: no such unit of that quantity; the message names the known ones and the nearest.
     """
     known = FACTORS[quantity]
     if unit not in known:
@@ -54,7 +54,7 @@ def factor(quantity: str, unit: str) -> float:
     return known[unit]
 
 
-def _of(quantity: str) -> AfterValidator:
+def _unit_of(quantity: str) -> AfterValidator:
     def check(unit: str) -> str:
         factor(quantity, unit)
         return unit
@@ -62,36 +62,33 @@ def _of(quantity: str) -> AfterValidator:
     return AfterValidator(check)
 
 
-TimeUnit = Annotated[str, _of("time")]
-LengthUnit = Annotated[str, _of("length")]
-AngleUnit = Annotated[str, _of("angle")]
-SpeedUnit = Annotated[str, _of("speed")]
-TurnRateUnit = Annotated[str, _of("turn rate")]
-ForceUnit = Annotated[str, _of("force")]
-TorqueUnit = Annotated[str, _of("torque")]
-
-
+TimeUnit = Annotated[str, _unit_of("time")]
+LengthUnit = Annotated[str, _unit_of("length")]
+AngleUnit = Annotated[str, _unit_of("angle")]
+SpeedUnit = Annotated[str, _unit_of("speed")]
+TurnRateUnit = Annotated[str, _unit_of("turn rate")]
+ForceUnit = Annotated[str, _unit_of("force")]
+TorqueUnit = Annotated[str, _unit_of("torque")]
 Text = Annotated[str, Field(min_length=1)]
 Three = Annotated[list[Text], Field(min_length=3, max_length=3)]
 Vector = Annotated[list[Finite], Field(min_length=3, max_length=3)]
 Quaternion = Annotated[list[Finite], Field(min_length=4, max_length=4)]
 OrientationAs = Literal["wxyz", "xyzw", "rotation_vector", "roll_pitch_yaw"]
-_STRICT = ConfigDict(extra="forbid", frozen=True)
 
 
-class TimeMap(BaseModel):
+class _Table(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class TimeMap(_Table):
     """The [time] table."""
-
-    model_config = _STRICT
 
     column: Text = "log_time"
     unit: TimeUnit = "s"
 
 
-class SensorMap(BaseModel):
+class SensorMap(_Table):
     """The [sensor] table."""
-
-    model_config = _STRICT
 
     topic: Text | None = None
     force: Three
@@ -106,16 +103,14 @@ class SensorMap(BaseModel):
     drift_std_Nm: NonNegative = preset("ft300s").torque_drift
 
     @model_validator(mode="after")
-    def _turns(self) -> Self:
+    def _is_rotation(self) -> Self:
         if not 0.999 < sum(q * q for q in self.in_hand_wxyz) < 1.001:
             raise InvalidValueError("in_hand_wxyz", self.in_hand_wxyz, "a unit quaternion, wxyz")
         return self
 
 
-class HandMap(BaseModel):
+class HandMap(_Table):
     """The [hand] table."""
-
-    model_config = _STRICT
 
     topic: Text | None = None
     position: Three
@@ -135,10 +130,8 @@ class HandMap(BaseModel):
         return self
 
 
-class VelocityMap(BaseModel):
-    """The [velocity] table: of the TCP, base axes; without it the pose is differentiated."""
-
-    model_config = _STRICT
+class VelocityMap(_Table):
+    """The [velocity] table: TCP velocity, base axes; without it the pose is differentiated."""
 
     topic: Text | None = None
     linear: Three
@@ -147,20 +140,16 @@ class VelocityMap(BaseModel):
     angular_unit: TurnRateUnit = "rad/s"
 
 
-class JointMap(BaseModel):
+class JointMap(_Table):
     """The [joints] table."""
-
-    model_config = _STRICT
 
     topic: Text | None = None
     position: Annotated[list[Text], Field(min_length=7, max_length=7)]
     unit: AngleUnit = "rad"
 
 
-class ToolMap(BaseModel):
+class ToolMap(_Table):
     """The [tool] table."""
-
-    model_config = _STRICT
 
     mass_kg: NonNegative
     com_m: Vector
@@ -168,24 +157,21 @@ class ToolMap(BaseModel):
     tcp_m: Vector
 
 
-class PhaseWindow(BaseModel):
+class PhaseWindow(_Table):
     """One [[phases]] table; steady ones are numbered in their order."""
-
-    model_config = _STRICT
 
     phase: Literal["tare", "approach", "grasp", "settle", "ramp", "steady", "release"]
     from_s: NonNegative
     to_s: Positive
 
     @model_validator(mode="after")
-    def _lasts(self) -> Self:
+    def _ends_after_start(self) -> Self:
         if self.to_s <= self.from_s:
             raise InvalidValueError("to_s", self.to_s, f"more than from_s ({self.from_s:g})")
         return self
 
     @property
     def kind(self) -> Phase:
-        """As a `Phase`."""
         return Phase[self.phase.upper()]
 
 
@@ -198,39 +184,30 @@ def _in_order(windows: list[PhaseWindow]) -> list[PhaseWindow]:
     return windows
 
 
-def _known_action(said: dict[str, Any]) -> dict[str, Any]:
-    _action_of(said)
-    return said
-
-
-def _action_of(said: dict[str, Any]) -> Rotate | Accelerate | Slide:
-    action = action_from_dict(said)
+def _moving_action(table: dict[str, Any]) -> Rotate | Accelerate | Slide:
+    action = action_from_dict(table)
     if not isinstance(action, Rotate | Accelerate | Slide):
-        raise InvalidValueError("kind", said.get("kind"), "rotate, accelerate or slide")
+        raise InvalidValueError("kind", table.get("kind"), "rotate, accelerate or slide")
     return action
 
 
 Windows = Annotated[list[PhaseWindow], AfterValidator(_in_order)]
-Done = Annotated[dict[str, Any], AfterValidator(_known_action)]
+MovingAction = Annotated[Rotate | Accelerate | Slide, PlainValidator(_moving_action)]
 
 
-class LogMap(BaseModel):
-    """One [[logs]] table: a log, and what of it differs from the rest of the file."""
-
-    model_config = _STRICT
+class LogMap(_Table):
+    """One [[logs]] table: a log, and its differences from the rest of the file."""
 
     file: Text
-    action: Done | None = None
+    action: MovingAction | None = None
     phases: Windows | None = None
 
 
-class Mapping(BaseModel):
-    """A whole mapping file."""
-
-    model_config = _STRICT
+class Mapping(_Table):
+    """A mapping file."""
 
     object: Text
-    action: Done | None = None
+    action: MovingAction | None = None
     separator: Text = ","
     longest_gap_s: Positive = 0.1
     time: TimeMap
@@ -242,22 +219,19 @@ class Mapping(BaseModel):
     phases: Windows = []
     logs: list[LogMap] = []
 
-    def of(self, log: Path, folder: Path) -> Mapping:
-        """As it is for one log; `folder` is the mapping file's own."""
+    def for_log(self, log: Path, folder: Path) -> Mapping:
+        """Mapping of one log; `folder` is the mapping file's."""
         own = next((entry for entry in self.logs if (folder / entry.file).resolve() == log.resolve()), None)
-        changes = {} if own is None else own.model_dump(include={"action", "phases"}, exclude_none=True)
-        if own is not None and own.phases is not None:
-            changes["phases"] = own.phases
-        return self.model_copy(update={"logs": [], **changes})
+        changes = {} if own is None else {"action": own.action, "phases": own.phases}
+        return self.model_copy(update={"logs": [], **{k: v for k, v in changes.items() if v is not None}})
 
-    def done(self) -> Rotate | Accelerate | Slide:
-        """The action.
+    def recorded_action(self) -> Rotate | Accelerate | Slide:
+        """The action in the log.
 
         Raises:
-            InvalidValueError: it is not said.
+            InvalidValueError: the file gives none.
         """
         if self.action is None:
-            raise InvalidValueError(
-                "action", None, 'a table: { kind = "rotate", grasp = 1, ... }, for all logs or each'
-            )
-        return _action_of(self.action)
+            allowed = 'a table: { kind = "rotate", grasp = 1, ... }, for all logs or each'
+            raise InvalidValueError("action", None, allowed)
+        return self.action

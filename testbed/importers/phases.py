@@ -1,4 +1,4 @@
-"""Series of several clocks' rates brought onto one base of 100 Hz."""
+"""Series of several rates on one time base of 100 Hz, and the phases of a trial on it."""
 
 from __future__ import annotations
 
@@ -16,16 +16,27 @@ from testbed.importers.mapping import PhaseWindow
 from testbed.trajectory import Phase
 
 RATE = 100.0
-"""Samples a second of every trajectory."""
+"""Sample rate of every trajectory [Hz]."""
 _FAST = 1.5
-"""Times that rate, above which samples are averaged instead of interpolated."""
+"""Multiple of that rate above which samples are averaged instead of interpolated."""
+Phases = tuple[Int[np.ndarray, "T"], Int[np.ndarray, "T"]]
+"""Phase and steady stretch of every sample, each of shape (T,); the stretch is -1 outside."""
+STEADY_WITHIN = 0.1
+"""Largest deviation of a stretch from the action's speed, as a part of it."""
+STILL = (0.002, np.radians(0.5))
+"""Speeds below which the tool is at rest [m/s, rad/s]."""
+ABOVE = 0.01
+"""Height over the grasp from which the tool holds nothing [m]."""
+_SHORTEST_TARE = 0.3
+_SMOOTHING = 0.25
+"""Time over which motion is averaged [s]."""
 
 
 def common_base(series: Iterable[Series], longest_gap: float) -> Float[np.ndarray, "T"]:
-    """Times at 100 Hz over the stretch that all series cover, s, by the log's clock.
+    """Times at 100 Hz over the stretch that all series cover, by the log's clock [s].
 
     Raises:
-        LogError: a series is silent for longer than `longest_gap` (s), or they do not overlap.
+        LogError: a series has a gap longer than `longest_gap` [s], or they do not overlap.
     """
     begins, ends = [], []
     for one in series:
@@ -34,7 +45,7 @@ def common_base(series: Iterable[Series], longest_gap: float) -> Float[np.ndarra
         if gaps[at] > longest_gap:
             raise LogError(
                 f"log: silent for {gaps[at]:.3g} s at {one.time_s[at] - one.time_s[0]:.2f} s; allowed: "
-                f"{longest_gap:g} s (longest_gap_s): what would be put there was never measured"
+                f"{longest_gap:g} s (longest_gap_s): interpolated values would not be measurements"
             )
         begins.append(one.time_s[0])
         ends.append(one.time_s[-1])
@@ -45,36 +56,23 @@ def common_base(series: Iterable[Series], longest_gap: float) -> Float[np.ndarra
 
 
 def resampled(series: Series, base: Float[np.ndarray, "T"]) -> Float[np.ndarray, "T K"]:
-    """Values at the base's times: averaged over each sample where they came faster, else interpolated."""
+    """Values at the base's times: averaged over each sample if the series is faster, else interpolated."""
     time, values = series
     if np.median(np.diff(time)) * RATE * _FAST > 1:
         return np.column_stack([np.interp(base, time, column) for column in values.T])
-    # a sensor integrates over its sample, and what is faster than the base must not fold into it
+    # averaging, as a sensor does over its sample, keeps fast signals from aliasing
     total = make_interp_spline(time, values, k=1).antiderivative()
     low, high = (np.clip(base + side / (2 * RATE), time[0], time[-1]) for side in (-1, 1))
     return (total(high) - total(low)) / (high - low)[:, None]
 
 
 def resampled_rotation(time: Float[np.ndarray, "N"], rotations: Rotation, base: Float[np.ndarray, "T"]) -> Rotation:
-    """Orientations at the base's times, along the shortest turns between those logged."""
+    """Orientations at the base's times, along the shortest turns between logged ones."""
     return Slerp(time, rotations)(np.clip(base, time[0], time[-1]))
 
 
-Phases = tuple[Int[np.ndarray, "T"], Int[np.ndarray, "T"]]
-"""Phase and steady stretch of every sample, (T,), the latter -1 outside."""
-STEADY_WITHIN = 0.1
-"""Part of its speed by which a stretch at constant speed may vary."""
-STILL = (0.002, np.radians(0.5))
-"""Speed below which the tool is at rest, m/s and rad/s."""
-ABOVE = 0.01
-"""Height over where it holds the object from which the tool holds nothing, m."""
-_SHORTEST_TARE = 0.3
-_SMOOTHING = 0.25
-"""Time over which motion is averaged before it is judged, s."""
-
-
-def given_phases(windows: Sequence[PhaseWindow], time: Float[np.ndarray, "T"]) -> Phases:
-    """Phases by the mapping's windows; what no window covers is the way to the next one.
+def phases_from_windows(windows: Sequence[PhaseWindow], time: Float[np.ndarray, "T"]) -> Phases:
+    """Phases by the mapping's windows; a gap belongs to the way to the next one.
 
     Raises:
         LogError: no tare before the first steady window, no steady window, or one beyond the log's end.
@@ -98,21 +96,20 @@ def given_phases(windows: Sequence[PhaseWindow], time: Float[np.ndarray, "T"]) -
     return phase, segment
 
 
-def found_phases(
+def phases_from_motion(
     action: Rotate | Accelerate | Slide, height: Float[np.ndarray, "T"], velocity: Float[np.ndarray, "T 6"]
 ) -> Phases:
-    """Phases of a turn or a slide from the tool's own motion, at 100 Hz.
+    """Phases of a turn or a slide from the tool's motion at 100 Hz.
 
-    Steady is where it goes at the action's speed; a tare is where it rests higher than it holds the object, before and,
-    if there is one, after.
+    The tool is steady at the action's speed, and tares where it rests above the grasp, before and perhaps after.
 
     Args:
-        action: as it was done.
-        height: of the TCP, m.
-        velocity: of the TCP, m/s and rad/s, base axes.
+        action: the recorded action.
+        height: height of the TCP [m].
+        velocity: velocity of the TCP, base axes [m/s, rad/s].
 
     Raises:
-        LogError: an accelerated turn, or not as many steady stretches as the action has, or no tare.
+        LogError: an accelerated turn, another number of steady stretches than the action has, or no tare.
     """
     if isinstance(action, Accelerate):
         raise LogError("phases: those of an accelerated turn are not found from motion; give them as [[phases]]")
@@ -145,7 +142,7 @@ def found_phases(
 
 
 def _steady(action: Rotate | Slide, rate: np.ndarray) -> list[np.ndarray]:
-    """The stretches at the action's speed, in order; at least half as long as they should be."""
+    """Stretches at the action's speed, in order, each at least half as long as it should be."""
     close = np.abs(np.abs(rate) - abs(action.speed)) < STEADY_WITHIN * abs(action.speed)
     stretches = [run for run in _runs(close) if len(run) >= action.duration * RATE / 2]
     wanted = [action.speed, -action.speed][: 1 + action.back] if isinstance(action, Rotate) else [action.speed]
@@ -160,6 +157,6 @@ def _steady(action: Rotate | Slide, rate: np.ndarray) -> list[np.ndarray]:
 
 
 def _runs(inside: np.ndarray) -> list[np.ndarray]:
-    """Indices of every unbroken stretch."""
+    """Indices of every unbroken stretch of True."""
     indices = np.flatnonzero(inside)
     return np.split(indices, np.flatnonzero(np.diff(indices) > 1) + 1) if len(indices) else []

@@ -18,7 +18,7 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from testbed.actions.base import Weigh
-from testbed.frames import perpendicular, pose_from_point, rotation_2d, rotation_matrix
+from testbed.frames import origin_velocity, pose_from_point, rotation_matrix
 from testbed.objects.model import GRAVITY
 from testbed.robot.config import RobotSettings
 from testbed.robot.execution import Execution
@@ -54,8 +54,7 @@ def trajectory_of(
     provenance: dict[str, str],
 ) -> Trajectory:
     """The trajectory of a turn, a slide or a lift, compensated where the sensor has been zeroed."""
-    pose, rate = object_poses(plan, record, settings), record.tcp_velocity[:, 5]
-    lever = np.einsum("nij,j->ni", rotation_2d(pose[:, 2]), -plan.grasp.position)
+    pose = object_poses(plan, record, settings)
     tool = Rotation.from_quat(record.tcp_orientation, scalar_first=True)
     sensor = tool * Rotation.from_quat(settings.sensor_orientation, scalar_first=True)
     count = len(record.time_s)
@@ -67,7 +66,7 @@ def trajectory_of(
         phase=record.phase,
         segment=record.segment,
         object_pose=pose,
-        object_velocity=np.column_stack([record.tcp_velocity[:, :2] + rate[:, None] * perpendicular(lever), rate]),
+        object_velocity=origin_velocity(record.tcp_velocity, pose[:, 2], plan.grasp.position),
         tcp_position=record.tcp_position - [0.0, 0.0, settings.table_height],
         tcp_velocity=record.tcp_velocity,
         sensor_orientation=sensor.as_quat(scalar_first=True),

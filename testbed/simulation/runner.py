@@ -13,7 +13,7 @@ import numpy as np
 
 from testbed.actions.base import Weigh
 from testbed.errors import InvalidValueError
-from testbed.frames import perpendicular, pose_from_point, rotation_2d, rotation_matrix
+from testbed.frames import origin_velocity, pose_from_point, rotation_matrix
 from testbed.objects.gripper import STROKE
 from testbed.sensing.presets import draw_sensing, preset
 from testbed.simulation.contacts import ContactLog, ContactRecord, weigh
@@ -155,8 +155,7 @@ def _trajectory(
     closing = rotation_matrix(s["tcp_orientation"])[:, :, 0]
     yaw = np.unwrap(np.arctan2(closing[:, 1], closing[:, 0])) - grasp.angle
     pose = pose_from_point(s["tcp_position"][:, :2], grasp.position, yaw)
-    lever = np.einsum("nij,j->ni", rotation_2d(yaw), -grasp.position)
-    rate = s["tcp_angular_velocity"][:, 2]
+    twist = np.hstack([s["tcp_velocity"], s["tcp_angular_velocity"]])
     count = len(record)
     joints = [model.sensor(f"arm/joint_{i}_position").adr[0] for i in range(1, 8)]
     return Trajectory(
@@ -167,9 +166,9 @@ def _trajectory(
         phase=motion.phase[:count],
         segment=motion.segment[:count],
         object_pose=pose,
-        object_velocity=np.column_stack([s["tcp_velocity"][:, :2] + rate[:, None] * perpendicular(lever), rate]),
+        object_velocity=origin_velocity(twist, yaw, grasp.position),
         tcp_position=s["tcp_position"],
-        tcp_velocity=np.hstack([s["tcp_velocity"], s["tcp_angular_velocity"]]),
+        tcp_velocity=twist,
         sensor_orientation=s["sensor_orientation"],
         sensor_wrench=np.hstack([s["force"], s["torque"]]),
         wrench_on_object_world=np.zeros((count, 6)),

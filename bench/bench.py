@@ -28,7 +28,7 @@ from estimators.baselines.lcp import LcpEngine, _Solve, polygon_sides, solve_ste
 from estimators.baselines.random_search import RandomSearch
 from estimators.baselines.weighted_sampling import WeightedSampling
 from estimators.descent import OPTIMIZERS
-from estimators.hidden_states.algorithm import HiddenStates
+from estimators.hidden_states.estimator import HiddenStates
 from estimators.hidden_states.friction import closed_form, descend_loads
 from estimators.particles.friction_system import LoadGroups, friction_equations
 from estimators.particles.model import (
@@ -217,7 +217,7 @@ def peak_memory_mb() -> float:
         "from testbed.objects.files import load_object; from testbed.actions.base import Rotate\n"
         "from testbed.trial import Trial\n"
         "from testbed.simulation.runner import SimulationRunner\n"
-        "from estimators.hidden_states.algorithm import HiddenStates\n"
+        "from estimators.hidden_states.estimator import HiddenStates\n"
         "m = load_object('L2'); r = SimulationRunner()\n"
         "t = [r.run(Trial(m, Rotate(g, back=True))) for g in (0, 2, 4)]\n"
         "assert HiddenStates().estimate(m.shape, m.total_mass, t, 0).status == 'ok'\n"
@@ -259,7 +259,7 @@ def main() -> None:
     mass = torch.full((len(shape.particles),), weight / len(shape.particles), dtype=torch.float64)
     settings = HiddenStates()
     system = friction_equations(
-        model, groups, steady, mass, torch.full_like(mass, 0.5), inertia_of(model, mass), shape.height, settings
+        model, groups, steady, mass, torch.full_like(mass, 0.5), shape.height, settings
     ).whitened()  # fmt: skip
     exact = seconds(lambda: closed_form(system), 50)
     table.add_row("closed form of s, six turns", f"{exact * 1e3:.2f} ms", "", "", "<= 10 ms")

@@ -33,12 +33,12 @@ from rich.table import Table
 from scipy.optimize import minimize
 from scipy.stats import norm
 
-from estimators.hidden_states.algorithm import HiddenStates
-from estimators.hidden_states.masses import load_jacobian
+from estimators.hidden_states.estimator import HiddenStates
+from estimators.hidden_states.masses import friction_loads
 from estimators.identifiability.information import Assumptions, expected, observed
 from estimators.particles.errors import EXACT, ModelErrors
 from estimators.particles.friction_system import LoadGroups, friction_equations
-from estimators.particles.model import ParticleModel, inertia_of
+from estimators.particles.model import ParticleModel
 from estimators.particles.windows import Observations, observe
 from scenarios.cli.identify import actions_of
 from scenarios.results.load import load_results
@@ -249,11 +249,10 @@ def _at_truth(
         windows,
         mass,
         particles.particle_friction(torch.tensor(model.truth.friction)),
-        inertia_of(particles, mass),
         shape.height,
         ModelErrors(pivot_error=pivot, force_error=force, torque_error=torque, height_error=height),
     ).whitened()
-    loads = load_jacobian(shape, groups.pairs, model.truth)[:, : shape.n_m] @ model.truth.mass
+    loads = friction_loads(shape, groups.pairs, model.truth)
     return system.q.numpy() @ loads, system.b.numpy(), -float(torch.linalg.slogdet(system.whiten)[1])
 
 

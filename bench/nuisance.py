@@ -28,7 +28,7 @@ from rich.table import Table
 import testbed.simulation.runner as bench
 from estimators.action_selection.rank import RankDriven
 from estimators.evaluation.metrics import normalized_absolute_difference
-from estimators.hidden_states.algorithm import HiddenStates
+from estimators.hidden_states.estimator import HiddenStates
 from estimators.hidden_states.nuisance import UNKNOWNS
 from testbed.actions.base import Accelerate, Action, Rotate, Slide
 from testbed.objects.files import load_object

@@ -28,7 +28,7 @@ from estimators.baselines.explicit_state import ExplicitState
 from estimators.baselines.mujoco_sysid import MujocoSysid
 from estimators.baselines.optimizers import CmaEs, LeastSquares, NelderMead
 from estimators.evaluation.metrics import normalized_absolute_difference
-from estimators.hidden_states.algorithm import HiddenStates
+from estimators.hidden_states.estimator import HiddenStates
 from estimators.support_models.estimator import SupportAware
 from estimators.testing.recorded import load_block
 from scenarios.cli.main import main as heft

@@ -42,10 +42,9 @@ from estimators.action_selection.online import OnlinePolicy, spent_seconds
 from estimators.action_selection.rank import RankDriven
 from estimators.base import ActionPolicy
 from estimators.evaluation.metrics import normalized_absolute_difference
-from estimators.hidden_states.algorithm import HiddenStates
+from estimators.hidden_states.estimator import HiddenStates
 from estimators.particles.errors import ModelErrors
 from estimators.particles.friction_system import LoadGroups, friction_equations
-from estimators.particles.model import inertia_of
 from estimators.particles.windows import Observations, observe
 from estimators.particles.wrench import ParticleLoads
 from scenarios.study.benches import BenchCheck
@@ -142,7 +141,7 @@ def _missed(model: ObjectModel, windows: Observations) -> np.ndarray:
     """Of a turn there and back, halved, (2, 3)."""
     loads = ParticleLoads.of(model.shape, model.truth, "own_weight")
     each = LoadGroups(torch.arange(len(loads.load)), tuple((particle, 0) for particle in range(len(loads.load))))
-    at = (loads.mass, loads.friction, inertia_of(loads.model, loads.mass), model.shape.height)
+    at = (loads.mass, loads.friction, model.shape.height)
     equations = friction_equations(loads.model, each, windows, *at, ModelErrors())
     in_place = windows.lever(loads.model)[0].norm(dim=-1) @ loads.load
     scale = torch.stack([loads.load.sum(), loads.load.sum(), in_place])

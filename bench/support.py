@@ -29,7 +29,7 @@ from rich.console import Console
 from rich.table import Table
 
 from estimators.evaluation.metrics import normalized_absolute_difference
-from estimators.hidden_states.algorithm import HiddenStates
+from estimators.hidden_states.estimator import HiddenStates
 from estimators.support_models.estimator import SupportAware
 from estimators.support_models.materials import rank_assignments
 from estimators.testing.analytic_world import accelerated, turns

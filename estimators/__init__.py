@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from estimators.baselines.random_search import RandomSearch
     from estimators.baselines.weighted_sampling import WeightedSampling
     from estimators.evaluation.metrics import mean_particle_distance, normalized_absolute_difference
-    from estimators.hidden_states.algorithm import HiddenStates
+    from estimators.hidden_states.estimator import HiddenStates
     from estimators.identifiability.information import expected, observed
     from estimators.identifiability.report import Identifiability
     from estimators.particles.errors import ModelErrors
@@ -38,7 +38,7 @@ _MODULES = {
     "baselines.random_search": ("RandomSearch",),
     "baselines.weighted_sampling": ("WeightedSampling",),
     "evaluation.metrics": ("mean_particle_distance", "normalized_absolute_difference"),
-    "hidden_states.algorithm": ("HiddenStates",),
+    "hidden_states.estimator": ("HiddenStates",),
     "identifiability.information": ("expected", "observed"),
     "identifiability.report": ("Identifiability",),
     "particles.errors": ("ModelErrors",),

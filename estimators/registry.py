@@ -12,7 +12,7 @@ from estimators.baselines.mujoco_sysid import MujocoSysid
 from estimators.baselines.optimizers import CmaEs, LeastSquares, NelderMead
 from estimators.baselines.random_search import RandomSearch
 from estimators.baselines.weighted_sampling import WeightedSampling
-from estimators.hidden_states.algorithm import HiddenStates
+from estimators.hidden_states.estimator import HiddenStates
 from estimators.support_models.estimator import SupportAware
 from testbed.plugins import Role, configured, find_class, installed, source_hash
 

@@ -24,7 +24,7 @@ class DragFit:
         if windows is None:
             return Estimate(None, "no_data", "no usable trial")
         turns = windows.where(~windows.accelerated)
-        of_particles, _ = turns.drag_rows(ParticleModel.of(shape), 2e-4)
+        of_particles = turns.drag_rows(ParticleModel.of(shape), 2e-4)
         scale = np.array([1, 1, 1 / self.arm])[:, None]
         rows = scale * of_particles.numpy() @ np.eye(shape.n_m)[shape.mass_group]
         drag, _ = nnls(rows.reshape(-1, shape.n_m), (scale[:, 0] * turns.wrench.numpy()).ravel())

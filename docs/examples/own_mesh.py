@@ -5,7 +5,7 @@ from pathlib import Path
 import trimesh
 
 from estimators.evaluation.metrics import normalized_absolute_difference
-from estimators.hidden_states.algorithm import HiddenStates
+from estimators.hidden_states.estimator import HiddenStates
 from testbed.actions.base import Rotate
 from testbed.objects.files import load_object
 from testbed.simulation.runner import SimulationRunner

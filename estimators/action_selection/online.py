@@ -22,8 +22,8 @@ from estimators.action_selection.design import (
 )
 from estimators.action_selection.greedy import MOST_ASKED, FeasibilityLog, Feasible, Goal, anything, greedy_choice
 from estimators.base import Estimate, Estimator
-from estimators.hidden_states.algorithm import HiddenStates
-from estimators.hidden_states.masses import load_jacobian
+from estimators.hidden_states.estimator import HiddenStates
+from estimators.hidden_states.masses import friction_loads
 from estimators.identifiability.information import trial_information
 from estimators.particles.lifts import lifts_among
 from estimators.particles.windows import Observations, observe, robot_seconds
@@ -241,8 +241,8 @@ def _least_explained(
     at: MassDistribution,
 ) -> int:
     """The trial whose windows are least what those before them, and the answer, would have them be."""
-    evidence = HiddenStates().evidence(shape, weight, trajectories, at)
-    loads = load_jacobian(shape, evidence.pairs, at)[:, : shape.n_m] @ at.mass
+    evidence = HiddenStates().likelihood(shape, weight, trajectories, at)
+    loads = friction_loads(shape, evidence.pairs, at)
     misses = ((evidence.q @ loads - evidence.b) ** 2).reshape(-1, 3).mean(axis=1)
     trial = windows.trial[~windows.accelerated].numpy()
     return int(np.argmax(np.bincount(trial, misses) / np.maximum(np.bincount(trial), 1)))

@@ -64,7 +64,7 @@ class Problem:
         model = ParticleModel.of(shape)
         groups = LoadGroups.of(model)
         steady = windows.where(~windows.accelerated)
-        seen = rank_of(groups.gather(steady.drag_rows(model, pivot_error)[0]).flatten(0, 1).numpy())
+        seen = rank_of(groups.gather(steady.drag_rows(model, pivot_error)).flatten(0, 1).numpy())
         if seen < len(groups.pairs):
             why = f"rank(Q) is {seen} and {len(groups.pairs)} friction loads are unknown: turn about more points"
             return Estimate(None, "underdetermined", why)

@@ -19,7 +19,7 @@ It is about 1 on own weight and up to 2e4 under one rigid body; a trial with its
 
 
 def contradiction(loss: float) -> str:
-    """Why data with that least loss cannot be trusted; empty where they can."""
+    """Reason why data with that least loss cannot be trusted; empty where they can."""
     if loss <= CONTRADICTORY:
         return ""
     return (
@@ -34,7 +34,7 @@ def closed_form(system: LinearSystem) -> Float[np.ndarray, "n_s"]:
 
 
 def closed_form_covariance(system: LinearSystem) -> Float[np.ndarray, "n_s n_s"]:
-    """(Q^T Q)^-1 of the whitened system; infinite directions left at pinv's zero are the caller's to check by rank."""
+    """(Q^T Q)^-1 of the whitened system, by its pseudo-inverse: only of use where rank(Q) = n_s."""
     return np.linalg.pinv((system.q.T @ system.q).numpy(), rcond=1e-12, hermitian=True)
 
 
@@ -43,7 +43,7 @@ def descend_loads(
 ) -> tuple[Float[np.ndarray, "n_s"], tuple[Trace, ...]]:
     """Gradient descent on Eq. problem_si from s = 0 (Algorithm 1 starts with zero friction); the best of `optimizers`.
 
-    It goes in coordinates in which the loss curves evenly (s = L^-T z with L L^T = Q^T Q): with pivots in a row the
+    It descends in coordinates in which the loss curves evenly (s = L^-T z with L L^T = Q^T Q): with pivots in a row the
     loss is a narrow valley, in which no first-order method arrives in 500 steps. The bound s >= 0 comes at the end.
     """
     lower = torch.linalg.cholesky(system.q.T @ system.q)

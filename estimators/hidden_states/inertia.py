@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -13,14 +13,13 @@ RANK_TOLERANCE = 1e-6
 """Directions of the pivots' spread below this part of the largest count as a straight row."""
 
 
-@dataclass(frozen=True, eq=False)
-class ComInertia:
-    """What the pivots' inertias say of c and I_cm."""
+class ComInertia(NamedTuple):
+    """c and I_cm as far as the pivots show them."""
 
     center_of_mass: Float[np.ndarray, "2"]
-    """m; NaN in a component that is not observed."""
+    """Center of mass, m; NaN in a component that is not observed."""
     inertia_cm: float
-    """kg m^2; NaN where not observed."""
+    """Moment of inertia about it, kg m^2; NaN where not observed."""
     unobserved: str
     """What is confounded, in words; empty where nothing is."""
 
@@ -31,11 +30,10 @@ def com_and_inertia(pivots: PivotInertia | None, mass: float) -> ComInertia:
     Pivots in a straight row leave the component of c across the row confounded with I_cm; it is named, not guessed.
     """
     if pivots is None or len(pivots.inertia) < 2:
-        return ComInertia(
-            np.full(2, np.nan), np.nan, "c and I_cm: fewer than two pivots were turned about with acceleration"
-        )
-    centre = pivots.pivot.mean(axis=0)
-    offsets = pivots.pivot - centre
+        why = "c and I_cm: fewer than two pivots were turned about with acceleration"
+        return ComInertia(np.full(2, np.nan), np.nan, why)
+    center = pivots.pivot.mean(axis=0)
+    offsets = pivots.pivot - center
     _, spread, axes = np.linalg.svd(offsets, full_matrices=True)
     spread = np.append(spread, [0.0, 0.0])[:2]
     seen = spread > RANK_TOLERANCE**0.5 * spread[0]
@@ -45,14 +43,14 @@ def com_and_inertia(pivots: PivotInertia | None, mass: float) -> ComInertia:
     weight = 1 / np.sqrt(pivots.variance)
     solution, *_ = np.linalg.lstsq(design * weight[:, None], target * weight, rcond=None)
     shift = solution[1:]
+    rest = float(solution[0] - mass * shift @ shift)
     if seen.all():
-        return ComInertia(centre + shift @ along, float(solution[0] - mass * shift @ shift), "")
+        return ComInertia(center + shift @ along, rest, "")
     row = axes[0]
-    com = np.where(np.abs(axes[1]) > 1e-9, np.nan, centre + shift @ along)
-    return ComInertia(
-        com,
-        np.nan,
-        f"the pivots lie in a straight row along ({row[0]:.2f}, {row[1]:.2f}): the centre of mass across it is "
-        f"confounded with I_cm; only I_cm + M (c_across - {float(centre @ axes[1]):.4f})^2 = "
-        f"{solution[0] - mass * shift @ shift:.6f} kg m^2 is known. Turn about a point off the row",
+    com = np.where(np.abs(axes[1]) > 1e-9, np.nan, center + shift @ along)
+    why = (
+        f"the pivots lie in a straight row along ({row[0]:.2f}, {row[1]:.2f}): the center of mass across it is "
+        f"confounded with I_cm; only I_cm + M (c_across - {float(center @ axes[1]):.4f})^2 = {rest:.6f} kg m^2 is "
+        "known. Turn about a point off the row"
     )
+    return ComInertia(com, np.nan, why)

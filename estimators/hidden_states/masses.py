@@ -18,22 +18,25 @@ from testbed.objects.model import GRAVITY, MassDistribution, ObjectShape
 ROUNDS = 8
 """Reweighting rounds: the error of s nu depends on nu."""
 NEGLIGIBLE_LOAD = 1e-9
-"""A friction group with less drag than this is frictionless, N."""
+"""Drag below which a friction group is frictionless, N."""
 SMALLEST_PART = 1e-3
-"""No friction is taken to be more than the smallest over this."""
+"""Least ratio of two frictions."""
 OPEN = 1e-9
-"""A direction with less than this part of the strongest's weight is open."""
+"""Weight of a direction, as a part of the strongest's, below which it is open."""
+
+Pairs = tuple[tuple[int, int], ...]
+"""Mass group and friction group of each s."""
 
 
 @dataclass(frozen=True, eq=False)
 class MassSolution:
-    """Mass and friction with what the solve knows of its own errors."""
+    """Mass and friction, and how well they are determined."""
 
     distribution: MassDistribution
     covariance: Float[np.ndarray, "n_m n_m"]
-    """Of particle masses, kg^2; infinite variance where the data leave a direction open."""
+    """Covariance of the particle masses, kg^2; infinite variance where the data leave a direction open."""
     rank: int
-    """Of the system, out of `unknowns`."""
+    """Rank of the system, out of `unknowns`."""
     unknowns: int
     """n_m + n_mu."""
 
@@ -42,7 +45,7 @@ def solve_masses(
     shape: ObjectShape,
     weight: float,
     weight_error: float,
-    pairs: tuple[tuple[int, int], ...],
+    pairs: Pairs,
     loads: Float[np.ndarray, "n_s"],
     load_covariance: Float[np.ndarray, "n_s n_s"],
     pivots: PivotInertia | None,
@@ -52,29 +55,27 @@ def solve_masses(
     Args:
         shape: geometry and groups.
         weight: M, kg.
-        weight_error: of M, kg.
+        weight_error: standard deviation of M, kg.
         pairs: mass and friction group of each s.
         loads: s of one particle in each group pair, N.
-        load_covariance: N^2.
+        load_covariance: covariance of s, N^2.
         pivots: I_j, if any accelerated turn was given.
     """
-    n_m, count = shape.n_m, shape.particles_per_group
-    gripping = _gripping_groups(shape, pairs, loads, load_covariance)
-    kept = np.array([f in gripping for _, f in pairs])
-    held = [pair for pair, keep in zip(pairs, kept, strict=True) if keep]
-    nu_of = np.array([gripping.index(f) for _, f in held], dtype=int)
-    unknowns = n_m + len(gripping)
+    n_m = shape.n_m
+    rough = _rough_groups(shape, pairs, loads, load_covariance)
+    kept = np.array([f in rough for _, f in pairs])
+    nu_of = np.array([rough.index(f) for _, f in pairs if f in rough], dtype=int)
+    unknowns = n_m + len(rough)
+    mass_of = np.array([m for m, f in pairs if f in rough], dtype=int)
 
-    feet = np.bincount(shape.mass_group[shape.friction_group >= 0], minlength=n_m)
-    s_rows = np.zeros((len(held), unknowns))
-    for row, ((m, _), load) in enumerate(zip(held, loads[kept], strict=True)):
-        s_rows[row, m] = GRAVITY * count[m] / feet[m]
-        s_rows[row, n_m + nu_of[row]] = -load
+    s_rows = np.zeros((len(nu_of), unknowns))
+    s_rows[np.arange(len(nu_of)), mass_of] = weight_per_mass(shape, pairs)[kept]
+    s_rows[np.arange(len(nu_of)), n_m + nu_of] = -loads[kept]
     fixed, values = fixed_rows(shape, weight, weight_error, pivots, unknowns)
-    target = np.concatenate([np.zeros(len(held)), values])
-    lower = np.linalg.cholesky(load_covariance[np.ix_(kept, kept)] + 1e-18 * np.eye(len(held)))
+    target = np.concatenate([np.zeros(len(nu_of)), values])
+    lower = np.linalg.cholesky(load_covariance[np.ix_(kept, kept)] + 1e-18 * np.eye(len(nu_of)))
 
-    nu = np.full(len(gripping), weight * GRAVITY / max(loads @ feet_of(shape, pairs), NEGLIGIBLE_LOAD))
+    nu = np.full(len(rough), weight * GRAVITY / max(loads @ feet_of(shape, pairs), NEGLIGIBLE_LOAD))
     unknown, system = np.zeros(unknowns), fixed
     for _ in range(ROUNDS):
         nu = np.maximum(nu, SMALLEST_PART * nu.max(initial=1.0))
@@ -82,45 +83,44 @@ def solve_masses(
         unknown, _ = nnls(system, target)
         nu = unknown[n_m:]
     friction = np.zeros(shape.n_mu)
-    friction[list(gripping)] = 1 / np.maximum(nu, SMALLEST_PART * nu.max(initial=1.0))
+    friction[rough] = 1 / np.maximum(nu, SMALLEST_PART * nu.max(initial=1.0))
     covariance, rank = _covariance(system)
     return MassSolution(MassDistribution(unknown[:n_m], friction), covariance[:n_m, :n_m], rank, unknowns)
 
 
-def _gripping_groups(
-    shape: ObjectShape, pairs: tuple[tuple[int, int], ...], loads: np.ndarray, covariance: np.ndarray
-) -> list[int]:
-    """Friction groups whose drag stands out of its error; of the others s says nothing about mass."""
+def _rough_groups(shape: ObjectShape, pairs: Pairs, loads: np.ndarray, covariance: np.ndarray) -> list[int]:
+    """Friction groups whose drag stands out of its error; of the others s tells nothing about mass."""
     feet = feet_of(shape, pairs)
-    gripping = []
+    rough = []
     for group in range(shape.n_mu):
         part = feet * np.array([f == group for _, f in pairs])
         if part @ loads > max(NEGLIGIBLE_LOAD, 3 * np.sqrt(part @ covariance @ part)):
-            gripping.append(group)
-    return gripping
+            rough.append(group)
+    return rough
 
 
-def evenly_rough(
-    shape: ObjectShape, weight: float, pairs: tuple[tuple[int, int], ...], loads: Float[np.ndarray, "n_s"]
+def one_friction_masses(
+    shape: ObjectShape, weight: float, pairs: Pairs, loads: Float[np.ndarray, "n_s"]
 ) -> MassDistribution:
-    """The masses that explain s with one friction for all."""
-    count = shape.particles_per_group
+    """Masses that explain s with one friction for all groups."""
     on_group = np.bincount([m for m, _ in pairs], feet_of(shape, pairs) * loads, shape.n_m)
     drag = max(float(on_group.sum()), NEGLIGIBLE_LOAD)
-    return MassDistribution(weight * on_group / drag / count, np.full(shape.n_mu, drag / (weight * GRAVITY)))
+    mass = weight * on_group / drag / shape.particles_per_group
+    return MassDistribution(mass, np.full(shape.n_mu, drag / (weight * GRAVITY)))
 
 
-def load_jacobian(
-    shape: ObjectShape, pairs: tuple[tuple[int, int], ...], distribution: MassDistribution
-) -> Float[np.ndarray, "n_s unknowns"]:
+def friction_loads(shape: ObjectShape, pairs: Pairs, at: MassDistribution) -> Float[np.ndarray, "n_s"]:
+    """s = mu m g of one particle of each pair under given masses and frictions, N."""
+    return load_jacobian(shape, pairs, at)[:, : shape.n_m] @ at.mass
+
+
+def load_jacobian(shape: ObjectShape, pairs: Pairs, at: MassDistribution) -> Float[np.ndarray, "n_s unknowns"]:
     """Derivatives of every s in particle masses, N/kg, and frictions, N."""
-    count = shape.particles_per_group
-    feet = np.bincount(shape.mass_group[shape.friction_group >= 0], minlength=shape.n_m)
-    slopes = np.zeros((len(pairs), shape.n_m + shape.n_mu))
-    for row, (m, f) in enumerate(pairs):
-        carried = GRAVITY * count[m] / feet[m]
-        slopes[row, m] = distribution.friction[f] * carried
-        slopes[row, shape.n_m + f] = distribution.mass[m] * carried
+    slopes, rows = np.zeros((len(pairs), shape.n_m + shape.n_mu)), np.arange(len(pairs))
+    mass_of, friction_of = np.array(pairs, dtype=int).reshape(-1, 2).T
+    per_mass = weight_per_mass(shape, pairs)
+    slopes[rows, mass_of] = at.friction[friction_of] * per_mass
+    slopes[rows, shape.n_m + friction_of] = at.mass[mass_of] * per_mass
     return slopes
 
 
@@ -149,7 +149,13 @@ def _covariance(system: np.ndarray) -> tuple[np.ndarray, int]:
     return covariance, int((~open_).sum())
 
 
-def feet_of(shape: ObjectShape, pairs: tuple[tuple[int, int], ...]) -> np.ndarray:
-    """Number of particles in contact in each pair of groups, (n_s,)."""
+def weight_per_mass(shape: ObjectShape, pairs: Pairs) -> Float[np.ndarray, "n_s"]:
+    """Weight on one particle in contact of each pair a kg of its group's particle mass, N/kg."""
+    feet = np.bincount(shape.mass_group[shape.friction_group >= 0], minlength=shape.n_m)
+    return np.array([GRAVITY * shape.particles_per_group[m] / feet[m] for m, _ in pairs])
+
+
+def feet_of(shape: ObjectShape, pairs: Pairs) -> Float[np.ndarray, "n_s"]:
+    """Number of particles in contact in each pair of groups."""
     both = list(zip(shape.mass_group.tolist(), shape.friction_group.tolist(), strict=True))
     return np.array([both.count(pair) for pair in pairs])

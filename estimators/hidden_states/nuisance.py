@@ -1,9 +1,9 @@
-"""What the bench itself may hide, and what takes it off the windows: the sensor's bias, the grasp's place, a grain.
+"""Nuisance parameters of the setup as unknowns beside s: sensor bias, grasp offset and friction anisotropy.
 
-Each is a correction of the steady windows. A bias is what the tare of a trial left in f_x, f_y and the torque, constant
-in object axes since the hand holds both sensor and object; what it left in the others is taken to be as large. A grasp
-offset is how far the object lies from where the hand takes it to be, one a trial, and shifts every particle against the
-TCP; its yaw is held by flat pads on flat faces. A grain is the table's, not the object's: elliptic Coulomb friction
+Each corrects the steady windows. A bias is left by the tare of a trial in f_x, f_y and the torque, constant in object
+axes since the hand holds both sensor and object; the other components are taken to have as large a one. A grasp offset
+is the distance of the object from where the hand takes it to be, one a trial, and shifts every particle against the
+TCP; flat pads on flat faces hold its yaw. Anisotropy belongs to the table, not to the object: elliptic Coulomb friction
 f = -N A v / sqrt(v . A v), of most dissipation within the ellipse of friction, A = mu^2 (1 + H) / sqrt(1 - h . h),
 H = [[h_1, h_2], [h_2, -h_1]]. It turns against the object as that turns, and a half turn averages it away to first
 order.
@@ -12,49 +12,50 @@ order.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from collections.abc import Callable
+from dataclasses import dataclass, fields
 
 import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from estimators.base import Estimate
 from estimators.particles.friction_system import FrictionEquations, LinearSystem
 from estimators.particles.model import ParticleModel, cross
-from estimators.particles.pivots import PivotInertia
 from estimators.particles.windows import PLANAR, Observations
 from testbed.errors import InvalidValueError
-from testbed.trajectory import Trajectory
 from testbed.validation import is_number
 
 UNKNOWNS = ("bias", "grasp_offset", "anisotropy")
-BIAS, OFFSET, GRAIN = slice(0, 3), slice(3, 5), slice(5, 7)
+BIAS, OFFSET, ANISOTROPY = slice(0, 3), slice(3, 5), slice(5, 7)
 """Places of a window's seven corrections."""
 STRONGEST = 0.9
-"""Length of the grain that is not gone beyond: frictions of 1 to 4.4."""
+"""Largest norm of the anisotropy h: frictions of 1 to 4.4."""
 NOUNS = {"bias": "bias", "grasp_offset": "grasp offset", "anisotropy": "anisotropy of friction"}
 WHY_NOT = {
     "bias": "not at all: one way, a constant bias passes for friction; turn back in the same grasp",
-    "grasp_offset": "no closer than was thought before: turn about more points",
-    "anisotropy": "no closer than was thought before: half turns average it away; turn through less, from other yaws",
+    "grasp_offset": "no closer than assumed: turn about more points",
+    "anisotropy": "no closer than assumed: half turns average it away; turn through less, from other yaws",
 }
 YAWS, SHARES = np.polynomial.legendre.leggauss(12)
+FAR = 100.0
+"""Spread of a bias and of the loads that counts as nothing known, as a multiple of the largest measured."""
+ROUNDING = 1e-9
+"""Part of a column below which rounding alone is left."""
 
 
 @dataclass(frozen=True)
-class Nuisances:
-    """Which of them are unknown, and how far they are thought to go: one standard deviation."""
+class NuisancePrior:
+    """Parameters of the setup that are unknown, and their spread: one standard deviation."""
 
     unknown: tuple[str, ...] = ()
     """Any of bias, grasp_offset, anisotropy."""
     bias: float = math.inf
-    """N and N m; infinite: nothing is assumed of it."""
+    """Spread of a bias, N and N m; infinite: nothing is assumed of it."""
     grasp_offset: float = 0.003
-    """Along each axis, m."""
+    """Spread of an offset along each axis, m."""
     anisotropy: float = 0.3
-    """Of each component of the grain; 0.22 is a friction of 0.8 to 1."""
+    """Spread of each component of h; 0.22 is a friction of 0.8 to 1."""
 
     def __post_init__(self) -> None:
         known = isinstance(self.unknown, tuple) and set(self.unknown) <= set(UNKNOWNS)
@@ -63,129 +64,50 @@ class Nuisances:
         for name in UNKNOWNS:
             value = getattr(self, name)
             if not ((is_number(value) and value > 0) or (name == "bias" and value == math.inf)):
-                raise InvalidValueError(f"Nuisances.{name}", value, "a number > 0")
-
-    def loosened(
-        self, pivots: PivotInertia, windows: Observations, mass: float, com: Float[np.ndarray, "2"]
-    ) -> PivotInertia:
-        """I_j with what an offset of the grasp may add to it: 2 M (p_j - c) . offset, another draw in every trial."""
-        if "grasp_offset" not in self.unknown:
-            return pivots
-        at = np.linalg.norm(windows.grasp.numpy()[:, None] - pivots.pivot, axis=-1).argmin(axis=1)
-        trials = np.array([len(np.unique(windows.trial.numpy()[at == j])) for j in range(len(pivots.pivot))])
-        slope = 2 * mass * np.linalg.norm(pivots.pivot - com, axis=1)
-        moved = (slope * self.grasp_offset) ** 2 / trials
-        return PivotInertia(pivots.pivot, pivots.inertia, pivots.variance + moved, pivots.common_error)
+                raise InvalidValueError(f"NuisancePrior.{name}", value, "a number > 0")
 
 
 @dataclass(frozen=True, eq=False)
-class Corrected(Observations):
-    """Windows with bias and offset taken off, over a table with a grain."""
+class CorrectedWindows(Observations):
+    """Windows with bias and offset taken off, on a table with anisotropic friction."""
 
-    grain: Float[Tensor, "K 2"]
+    anisotropy: Float[Tensor, "K 2"]
     """h = r (cos 2 phi, sin 2 phi): phi the table's direction of most friction, most over least ((1+r)/(1-r))^0.5."""
 
-    def drag_rows(
-        self, model: ParticleModel, pivot_error: float
-    ) -> tuple[Float[Tensor, "K 3 P"], Float[Tensor, "K P"]]:
-        """As of `Observations`, each particle's drag turned and stretched by the grain."""
-        rows, lost = super().drag_rows(model, pivot_error)
-        unit = grained(self, rows[:, :2].transpose(1, 2))
-        return torch.stack([unit[..., 0], unit[..., 1], cross(self.lever(model), unit)], 1), lost
+    def drag_rows(self, model: ParticleModel, pivot_error: float) -> Float[Tensor, "K 3 P"]:
+        """Rows of `Observations`, each particle's drag turned and stretched by the anisotropy."""
+        unit = self._anisotropic(super().drag_rows(model, pivot_error)[:, :2].transpose(1, 2))
+        return torch.stack([unit[..., 0], unit[..., 1], cross(self.lever(model), unit)], 1)
+
+    def drag_directions(self, model: ParticleModel) -> Float[Tensor, "K P 2"]:
+        """Directions of `Observations`, turned and stretched by the anisotropy."""
+        return self._anisotropic(super().drag_directions(model))
+
+    def _anisotropic(self, unit: Float[Tensor, "K P 2"]) -> Float[Tensor, "K P 2"]:
+        """Directions of drag from those of motion, object axes.
+
+        The mean over the yaws of each window, which is that over a turn at constant speed.
+        """
+        begin, end = self.since_tare.T
+        yaw = self.yaw[:, :1] + (self.twist[:, 2] * (end - begin))[:, None] * torch.tensor((1 + YAWS) / 2)
+        cos, sin, (h1, h2) = torch.cos(2 * yaw), torch.sin(2 * yaw), self.anisotropy.T[..., None]
+        ahead, aside = (each[:, None] for each in (cos * h1 + sin * h2, cos * h2 - sin * h1))  # h in object axes
+        u, v = unit[..., :1], unit[..., 1:]
+        dragged = torch.stack([(1 + ahead) * u + aside * v, aside * u + (1 - ahead) * v], -1)  # (K, P, yaws, 2)
+        along = (dragged * unit[:, :, None]).sum(-1)
+        scale = ((unit.square().sum(-1)[..., None] + 1e-30) / (along + 1e-30)).sqrt()
+        scale = scale / (1 - self.anisotropy.square().sum(-1))[:, None, None] ** 0.25
+        return (dragged * scale[..., None] * torch.tensor(SHARES / 2)[:, None]).sum(2)
 
 
-@dataclass(frozen=True, eq=False)
-class Layout:
-    """A vector of n unknowns, and which of them correct which window."""
-
-    names: tuple[str, ...]
-    """One a unknown: kind, trial and component, with the unit."""
-    kind: tuple[str, ...]
-    trial: tuple[int, ...]
-    """-1 for those of all trials."""
-    width: Float[Tensor, "n"]
-    """How far each is thought to go."""
-    whole: Float[Tensor, "n"]
-    """As far as it could go by sight: the width, and of a bias the most that was felt."""
-    index: Int[Tensor, "K 7"]
-    """Of each window's corrections; -1 where there is none."""
-
-    @staticmethod
-    def of(nuisances: Nuisances, windows: Observations) -> Layout:
-        """The unknowns of some windows."""
-        names: list[str] = []
-        kinds: list[str] = []
-        trials: list[int] = []
-        whole: list[float] = []
-        index = torch.full((len(windows), 7), -1)
-        felt = windows.wrench.abs().amax(0).tolist()
-        most = max(felt[:2])
-
-        def add(kind: str, trial: int, place: int, name: str, most: float) -> None:
-            index[(windows.trial == trial) | (trial < 0), place] = len(names)
-            names.append(name)
-            kinds.append(kind)
-            trials.append(trial)
-            whole.append(most)
-
-        for trial in windows.trial.unique().tolist():
-            if "bias" in nuisances.unknown:
-                for place, (axis, size) in enumerate((("fx_N", most), ("fy_N", most), ("tz_Nm", felt[2]))):
-                    add("bias", trial, place, f"bias_{trial}_{axis}", min(nuisances.bias, max(size, 1e-6)))
-            if "grasp_offset" in nuisances.unknown:
-                for place, axis in enumerate("xy"):
-                    add("grasp_offset", trial, 3 + place, f"grasp_offset_{trial}_{axis}_m", nuisances.grasp_offset)
-        if "anisotropy" in nuisances.unknown:
-            for place, axis in enumerate("xy"):
-                add("anisotropy", -1, 5 + place, f"grain_{axis}", nuisances.anisotropy)
-        width = torch.tensor([getattr(nuisances, kind) for kind in kinds], dtype=torch.float64)
-        sizes = torch.tensor(whole, dtype=torch.float64)
-        return Layout(tuple(names), tuple(kinds), tuple(trials), width, sizes, index)
-
-    def spread(self, values: Float[Tensor, "n"]) -> Float[Tensor, "K 7"]:
-        """Corrections of every window."""
-        return torch.where(self.index >= 0, values[self.index.clamp(min=0)], 0.0)
-
-    def gathered(self, slopes: Float[Tensor, "K 3 7"]) -> Float[Tensor, "3K n"]:
-        """Derivatives in the unknowns from those in every window's own corrections."""
-        one_hot = (self.index[..., None] == torch.arange(len(self.names))).double()
-        return (slopes @ one_hot).reshape(-1, len(self.names))
-
-    def grain(self, values: Float[Tensor, "n"]) -> Float[Tensor, "2"]:
-        """The table's, zero where it is not unknown."""
-        grain = [i for i, kind in enumerate(self.kind) if kind == "anisotropy"]
-        return values[grain] if grain else torch.zeros(2, dtype=torch.float64)
-
-    def in_words(self, seen: Bool[np.ndarray, "n"]) -> tuple[str, ...]:
-        """What was seen of each kind, and why not where it was not."""
-        said = []
-        for kind, noun in NOUNS.items():
-            of_kind = [i for i, each in enumerate(self.kind) if each == kind]
-            if kind == "anisotropy" and of_kind:
-                said.append(f"{noun} {'seen' if seen[of_kind].all() else WHY_NOT[kind]}")
-                continue
-            blind = sorted({self.trial[i] for i in of_kind if not seen[i]})
-            if clear := sorted({self.trial[i] for i in of_kind} - set(blind)):
-                said.append(f"{noun} of {_trials(clear)} seen")
-            if blind:
-                said.append(f"{noun} of {_trials(blind)} {WHY_NOT[kind]}")
-        return tuple(said)
-
-    def kept_within(self, values: Float[Tensor, "n"]) -> Float[Tensor, "n"]:
-        """The same, no grain stronger than any, no offset that nobody would overlook."""
-        of_table = torch.tensor([kind == "anisotropy" for kind in self.kind])
-        values = torch.where(of_table, values * STRONGEST / self.grain(values).norm().clamp(min=STRONGEST), values)
-        return torch.where(of_table, values, torch.maximum(torch.minimum(values, 3 * self.width), -3 * self.width))
-
-
-def corrected(windows: Observations, by: Float[Tensor, "K 7"], *, biased: bool = False) -> Corrected:
+def corrected(windows: Observations, by: Float[Tensor, "K 7"], *, biased: bool = False) -> CorrectedWindows:
     """Windows with the corrections made; differentiable in them.
 
     Args:
         windows: as measured.
-        by: bias, offset and grain of each.
-        biased: the bias is unknown: what it makes likely of f_z, t_x and t_y goes with it, and only what it leaves open
-            of them counts as an error.
+        by: bias, offset and anisotropy of each.
+        biased: the bias is unknown: the part of f_z, t_x and t_y that it makes likely goes with it, and only the rest
+            counts as an error.
     """
     planar, left = torch.tensor(PLANAR), windows.bias
     likely = torch.zeros_like(left[:, :, planar])
@@ -196,86 +118,109 @@ def corrected(windows: Observations, by: Float[Tensor, "K 7"], *, biased: bool =
     likely = likely.index_copy(1, planar, torch.eye(3, dtype=by.dtype).expand(len(by), 3, 3))
     whole = (likely @ by[:, BIAS, None])[..., 0]
     carried = windows.load_kept * (windows.load_map @ whole[..., None])[..., 0]
+    changed = {
+        "wrench": windows.wrench - whole[:, PLANAR],
+        "lift": windows.lift - carried[:, 0],
+        "tilt": windows.tilt - carried[:, 1:],
+        "grasp": windows.grasp + by[:, OFFSET],
+        "bias": left,
+    }
     given = {field.name: getattr(windows, field.name) for field in fields(Observations)}
-    return Corrected(
-        **given
-        | {
-            "wrench": windows.wrench - whole[:, PLANAR],
-            "lift": windows.lift - carried[:, 0],
-            "tilt": windows.tilt - carried[:, 1:],
-            "grasp": windows.grasp + by[:, OFFSET],
-            "bias": left,
-        },
-        grain=by[:, GRAIN],
-    )
-
-
-def grained(windows: Observations, unit: Float[Tensor, "K P 2"]) -> Float[Tensor, "K P 2"]:
-    """Directions of drag from those of motion, object axes; the same without a grain.
-
-    The mean over the yaws of each window, which is that over a turn at constant speed.
-    """
-    if not isinstance(windows, Corrected):
-        return unit
-    begin, end = windows.since_tare.T
-    yaw = windows.yaw[:, :1] + (windows.twist[:, 2] * (end - begin))[:, None] * torch.tensor((1 + YAWS) / 2)
-    cos, sin, (h1, h2) = torch.cos(2 * yaw), torch.sin(2 * yaw), windows.grain.T[..., None]
-    ahead, aside = (each[:, None] for each in (cos * h1 + sin * h2, cos * h2 - sin * h1))  # the grain in object axes
-    u, v = unit[..., :1], unit[..., 1:]
-    dragged = torch.stack([(1 + ahead) * u + aside * v, aside * u + (1 - ahead) * v], -1)  # (K, P, yaws, 2)
-    along = (dragged * unit[:, :, None]).sum(-1)
-    scale = ((unit.square().sum(-1)[..., None] + 1e-30) / (along + 1e-30)).sqrt()
-    scale = scale / (1 - windows.grain.square().sum(-1))[:, None, None] ** 0.25
-    return (dragged * scale[..., None] * torch.tensor(SHARES / 2)[:, None]).sum(2)
-
-
-def restated(trajectories: Sequence[Trajectory], found: Mapping[str, float]) -> list[Trajectory]:
-    """Trajectories whose sensor states no less bias than was found in what is seen of it.
-
-    f_z, t_x and t_y bias the gripper's load, which is friction's own size and no constant: their bias is not seen, but
-    is as large as that of the others.
-
-    Args:
-        trajectories: as the sensor stated it.
-        found: biases and their errors by name, as an answer's diagnostics have them.
-    """
-
-    def size(*axes: str) -> float:
-        names = [n for n in found if n.startswith("bias_") and n.endswith(axes) and np.isfinite(found[f"{n}_error"])]
-        squares = [found[name] ** 2 - found[f"{name}_error"] ** 2 for name in names]
-        return math.sqrt(max(float(np.mean(squares)), 0.0)) if squares else 0.0
-
-    least = np.repeat([size("_fx_N", "_fy_N"), size("_tz_Nm")], 3)
-    return [replace(t, sensor_bias_std=np.maximum(t.sensor_bias_std, least)) for t in trajectories]
-
-
-def ellipse(grain: Float[Tensor, "2"]) -> tuple[float, float]:
-    """Least over most friction, and the table's direction of most, rad."""
-    r = float(grain.norm())
-    return math.sqrt((1 - r) / (1 + r)), math.atan2(float(grain[1]), float(grain[0])) / 2
-
-
-def _trials(numbers: list[int]) -> str:
-    """Trials by their numbers, counted from 0."""
-    first = ", ".join(map(str, numbers[:-1]))
-    return f"trials {first} and {numbers[-1]}" if first else f"trial {numbers[0]}"
-
-
-FAR = 100.0
-"""Of a bias and of the loads, how many times the most that was felt is as good as nothing known."""
-NOTHING = 1e-9
-"""Part of a column that is left where rounding is all that is left."""
+    return CorrectedWindows(**given | changed, anisotropy=by[:, ANISOTROPY])
 
 
 @dataclass(frozen=True, eq=False)
-class JointLoads:
-    """Q s - J (n - n_0) = b of unit variance, linear about the unknowns n_0 that b was worked out with."""
+class NuisanceLayout:
+    """Places of n nuisance parameters in one vector, and the windows that each corrects."""
+
+    names: tuple[str, ...]
+    """Name of each: kind, trial and component, with the unit."""
+    kind: tuple[str, ...]
+    trial: tuple[int, ...]
+    """Trial of each; -1 for those of all trials."""
+    width: Float[Tensor, "n"]
+    """Spread of each beforehand."""
+    whole: Float[Tensor, "n"]
+    """Size that each can have: its width, and for a bias at most the largest wrench."""
+    index: Int[Tensor, "K 7"]
+    """Parameter of each of a window's corrections; -1 where there is none."""
+
+    @staticmethod
+    def of(prior: NuisancePrior, windows: Observations) -> NuisanceLayout:
+        """The parameters of some windows."""
+        largest = windows.wrench.abs().amax(0).tolist()
+        force, torque = max(largest[:2]), largest[2]
+        rows: list[tuple[str, int, int, str, float]] = []  # kind, trial, place, name, size
+        for trial in windows.trial.unique().tolist():
+            if "bias" in prior.unknown:
+                for place, (axis, most) in enumerate((("fx_N", force), ("fy_N", force), ("tz_Nm", torque))):
+                    rows.append(("bias", trial, place, f"bias_{trial}_{axis}", min(prior.bias, max(most, 1e-6))))
+            if "grasp_offset" in prior.unknown:
+                for place, axis in enumerate("xy", OFFSET.start):
+                    name = f"grasp_offset_{trial}_{axis}_m"
+                    rows.append(("grasp_offset", trial, place, name, prior.grasp_offset))
+        if "anisotropy" in prior.unknown:
+            for place, axis in enumerate("xy", ANISOTROPY.start):
+                rows.append(("anisotropy", -1, place, f"grain_{axis}", prior.anisotropy))
+        index = torch.full((len(windows), 7), -1)
+        for parameter, (_, trial, place, _, _) in enumerate(rows):
+            index[(windows.trial == trial) | (trial < 0), place] = parameter
+        kinds, trials, _, names, sizes = zip(*rows, strict=True)
+        width = torch.tensor([getattr(prior, kind) for kind in kinds], dtype=torch.float64)
+        return NuisanceLayout(names, kinds, trials, width, torch.tensor(sizes, dtype=torch.float64), index)
+
+    def spread(self, values: Float[Tensor, "n"]) -> Float[Tensor, "K 7"]:
+        """Corrections of every window."""
+        return torch.where(self.index >= 0, values[self.index.clamp(min=0)], 0.0)
+
+    def gathered(self, slopes: Float[Tensor, "K 3 7"]) -> Float[Tensor, "3K n"]:
+        """Derivatives in the parameters from those in every window's own corrections."""
+        one_hot = (self.index[..., None] == torch.arange(len(self.names))).double()
+        return (slopes @ one_hot).reshape(-1, len(self.names))
+
+    def anisotropy(self, values: Float[Tensor, "n"]) -> Float[Tensor, "2"]:
+        """h of the table, zero where it is not unknown."""
+        places = [i for i, kind in enumerate(self.kind) if kind == "anisotropy"]
+        return values[places] if places else torch.zeros(2, dtype=torch.float64)
+
+    def bounded(self, values: Float[Tensor, "n"]) -> Float[Tensor, "n"]:
+        """Values with h no longer than STRONGEST and the others within three widths."""
+        of_table = torch.tensor([kind == "anisotropy" for kind in self.kind])
+        norm = self.anisotropy(values).norm().clamp(min=STRONGEST)
+        values = torch.where(of_table, values * STRONGEST / norm, values)
+        return torch.where(of_table, values, torch.maximum(torch.minimum(values, 3 * self.width), -3 * self.width))
+
+    def sentences(self, seen: Bool[np.ndarray, "n"]) -> tuple[str, ...]:
+        """Kinds and trials that were seen, and those that were not with the reason."""
+        found = []
+        for kind, noun in NOUNS.items():
+            of_kind = [i for i, each in enumerate(self.kind) if each == kind]
+            if kind == "anisotropy" and of_kind:
+                found.append(f"{noun} {'seen' if seen[of_kind].all() else WHY_NOT[kind]}")
+                continue
+            blind = sorted({self.trial[i] for i in of_kind if not seen[i]})
+            if clear := sorted({self.trial[i] for i in of_kind} - set(blind)):
+                found.append(f"{noun} of {_listed(clear)} seen")
+            if blind:
+                found.append(f"{noun} of {_listed(blind)} {WHY_NOT[kind]}")
+        return tuple(found)
+
+
+def _listed(trials: list[int]) -> str:
+    """Trials by their numbers, counted from 0."""
+    first = ", ".join(map(str, trials[:-1]))
+    return f"trials {first} and {trials[-1]}" if first else f"trial {trials[0]}"
+
+
+@dataclass(frozen=True, eq=False)
+class NuisanceSystem:
+    """Q s - J (n - n_0) = b of unit variance, linear about the parameters n_0 at which b was worked out."""
 
     system: LinearSystem
     """Q s = b at n_0."""
     slopes: Float[Tensor, "R n"]
     """J = db/dn - dQ/dn s."""
-    layout: Layout
+    layout: NuisanceLayout
     at: Float[Tensor, "n"]
     """n_0."""
 
@@ -283,16 +228,16 @@ class JointLoads:
     def of(
         equations: Callable[[Observations], FrictionEquations],
         windows: Observations,
-        layout: Layout,
+        layout: NuisanceLayout,
         at: Float[Tensor, "n"],
         loads: Float[np.ndarray, "n_s"],
-    ) -> JointLoads:
-        """Linearised about some unknowns and loads.
+    ) -> NuisanceSystem:
+        """Linearize about some parameters and loads.
 
         Args:
-            equations: the friction equations of windows.
-            windows: of constant speed, as measured.
-            layout: what is unknown.
+            equations: friction equations of given windows.
+            windows: windows of constant speed, as measured.
+            layout: the parameters.
             at: n_0, as found in the round before, or zero.
             loads: s, as found or guessed, N.
         """
@@ -303,28 +248,29 @@ class JointLoads:
         system = found.whitened()
         whiten = system.whiten.detach()
         plain = LinearSystem(system.q.detach(), system.b.detach(), whiten)
-        return JointLoads(plain, whiten @ layout.gathered(torch.stack(each, 1)), layout, at)
+        return NuisanceSystem(plain, whiten @ layout.gathered(torch.stack(each, 1)), layout, at)
 
     def reduced(self) -> LinearSystem:
-        """What is left for s when the unknowns fit as well as they can and like: their best is put in for every s."""
-        first = torch.linalg.qr(self._unknown_rows() * self.layout.whole, mode="complete")[0]
+        """The system for s alone, the parameters eliminated: for every s they take their best values."""
+        first = torch.linalg.qr(self._parameter_rows() * self.layout.whole, mode="complete")[0]
         left = first[:, len(self.at) :].T
         rows = len(self.system.q)
         q = left[:, :rows] @ self.system.q
-        q = torch.where(q.abs() > NOTHING * self.system.q.norm(dim=0), q, 0.0)
-        return LinearSystem(q, left @ self._felt(), left[:, :rows] @ self.system.whiten)
+        q = torch.where(q.abs() > ROUNDING * self.system.q.norm(dim=0), q, 0.0)
+        return LinearSystem(q, left @ self._targets(), left[:, :rows] @ self.system.whiten)
 
-    def unknowns(self, loads: Float[np.ndarray, "n_s"]) -> Float[Tensor, "n"]:
+    def parameters(self, loads: Float[np.ndarray, "n_s"]) -> Float[Tensor, "n"]:
         """n that fits best with some loads."""
-        rows = self._unknown_rows() * self.layout.whole
-        missing = self._felt() - torch.cat([self.system.q @ torch.tensor(loads), torch.zeros_like(self.at)])
+        rows = self._parameter_rows() * self.layout.whole
+        missing = self._targets() - torch.cat([self.system.q @ torch.tensor(loads), torch.zeros_like(self.at)])
         step = torch.linalg.lstsq(rows, missing[:, None], driver="gelsd").solution[:, 0] * self.layout.whole
-        return self.layout.kept_within(self.at + step)
+        return self.layout.bounded(self.at + step)
 
     def standard_error(self) -> Float[np.ndarray, "n"]:
-        """Of each unknown, with all loads unknown as well; infinite where the trials say less than was thought before.
+        """Standard error of each parameter, with all loads unknown as well; infinite where it is not seen.
 
-        Seen is what the trials alone tell closer than its width, and of a bias than the most that was felt.
+        A parameter is seen where the trials alone show it closer than its width, and a bias closer than the largest
+        wrench.
         """
         layout, count = self.layout, self.system.q.shape[1]
         flat = torch.isinf(layout.width)
@@ -337,30 +283,8 @@ class JointLoads:
         seen = torch.where(flat, error < layout.whole, error < layout.width / 2**0.5)
         return torch.where(seen, error, torch.inf).numpy()
 
-    @property
-    def grain(self) -> Float[Tensor, "2"]:
-        """Of the table, as b was worked out with; zero where it is not unknown."""
-        return self.layout.grain(self.at)
-
-    def told(self, estimate: Estimate, loads: Float[np.ndarray, "n_s"]) -> Estimate:
-        """An answer with the unknowns that fit its loads, their errors, and in its report which of them were seen."""
-        values, errors = self.unknowns(loads), self.standard_error()
-        numbers = dict(zip(self.layout.names, values.tolist(), strict=True))
-        numbers |= {f"{name}_error": float(e) for name, e in zip(self.layout.names, errors, strict=True)}
-        if "anisotropy" in self.layout.kind:
-            numbers["friction_ratio"], numbers["friction_axis_rad"] = ellipse(self.layout.grain(values))
-        report, hidden, said = estimate.identifiability, estimate.hidden, self.layout.in_words(np.isfinite(errors))
-        blind = [each for each in said if not each.endswith(" seen")]
-        return replace(
-            estimate,
-            message="; ".join(filter(None, [estimate.message, *(blind if estimate.distribution is None else ())])),
-            identifiability=replace(report, bench=said) if report else None,
-            hidden=replace(hidden, unobserved="; ".join(filter(None, [hidden.unobserved, *blind]))) if hidden else None,
-            diagnostics=estimate.diagnostics | numbers,
-        )
-
-    def _unknown_rows(self) -> Float[Tensor, "R+n n"]:
+    def _parameter_rows(self) -> Float[Tensor, "R+n n"]:
         return torch.cat([-self.slopes, torch.diag(1 / self.layout.width)])
 
-    def _felt(self) -> Float[Tensor, "R+n"]:
+    def _targets(self) -> Float[Tensor, "R+n"]:
         return torch.cat([self.system.b, -self.at / self.layout.width])

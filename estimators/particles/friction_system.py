@@ -10,7 +10,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from estimators.particles.errors import ModelErrors
-from estimators.particles.model import Inertia, ParticleModel
+from estimators.particles.model import ParticleModel, inertia_of
 from estimators.particles.support import own_weight
 from estimators.particles.windows import Observations
 from estimators.particles.wrench_errors import wrench_errors
@@ -29,16 +29,20 @@ class LoadGroups:
     @staticmethod
     def of(model: ParticleModel) -> LoadGroups:
         """The groups of a model."""
-        both = torch.stack([model.mass_group, model.friction_group], 1)
-        pairs = sorted({(int(m), int(f)) for m, f in both.tolist() if f >= 0})
-        lookup = {pair: i for i, pair in enumerate(pairs)}
-        return LoadGroups(torch.tensor([lookup.get((m, f), -1) for m, f in both.tolist()]), tuple(pairs))
+        both = list(zip(model.mass_group.tolist(), model.friction_group.tolist(), strict=True))
+        pairs = sorted({(m, f) for m, f in both if f >= 0})
+        column = {pair: i for i, pair in enumerate(pairs)}
+        return LoadGroups(torch.tensor([column.get(pair, -1) for pair in both]), tuple(pairs))
 
     def gather(self, values: Float[Tensor, "... P"]) -> Float[Tensor, "... n_s"]:
         """Sum over each group: values @ G_s^T."""
         kept = self.index >= 0
         out = torch.zeros(*values.shape[:-1], len(self.pairs), dtype=values.dtype)
         return out.index_add(-1, self.index[kept], values[..., kept])
+
+    def spread(self, s: Float[np.ndarray, "n_s"]) -> Float[Tensor, "P"]:
+        """Friction load of each particle, G_s^T s, N; 0 without contact."""
+        return torch.where(self.index >= 0, torch.tensor(s)[self.index.clamp(min=0)], 0.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,26 +52,31 @@ class LinearSystem:
     q: Float[Tensor, "R n_s"]
     b: Float[Tensor, "R"]
     whiten: Float[Tensor, "R R"]
-    """What took them there: the inverse root of their covariance."""
+    """Inverse root of the rows' covariance, which whitened them."""
 
-    def loss(self, s: Float[Tensor, "n_s"]) -> Tensor:
+    @property
+    def rank(self) -> int:
+        """rank(Q)."""
+        return rank_of(self.q.numpy())
+
+    def loss(self, s: Float[np.ndarray, "n_s"]) -> float:
         """Mean squared residual, Eq. problem_si in units of the data's own error."""
-        return (self.q @ s - self.b).square().mean()
+        return float((self.q @ torch.tensor(s) - self.b).square().mean())
 
 
 @dataclass(frozen=True, eq=False)
 class FrictionEquations:
-    """Q s = b as it is felt, with its errors. R = 3 K rows, 3 a window."""
+    """Q s = b in N and N m, with its errors. R = 3 K rows, 3 a window."""
 
     q: Float[Tensor, "R n_s"]
     b: Float[Tensor, "R"]
     apart: Float[Tensor, "R R"]
     """Covariance of the errors that no two trials share."""
     common: Float[Tensor, "R 2"]
-    """What one standard deviation of the lift and of the height that all windows share adds to each row."""
+    """Effect on each row of one standard deviation of the lift and of the height that all windows share."""
 
     def whitened(self) -> LinearSystem:
-        """In units of the error, all of it together."""
+        """The system in units of its errors."""
         whiten = torch.linalg.inv(torch.linalg.cholesky(self.apart + self.common @ self.common.T))
         return LinearSystem(whiten @ self.q, whiten @ self.b, whiten)
 
@@ -75,36 +84,35 @@ class FrictionEquations:
 def friction_equations(
     model: ParticleModel,
     groups: LoadGroups,
-    observations: Observations,
+    windows: Observations,
     mass: Float[Tensor, "P"],
     friction: Float[Tensor, "P"],
-    inertia: Inertia,
     height: float,
     errors: ModelErrors,
 ) -> FrictionEquations:
     """Eq. dvs for every window, about the grasp point: friction of s balances the measured wrench.
 
-    The present mass and friction enter only through what the gripper carries (lift and tilt), which is small.
+    The present mass and friction enter only through the gripper's load (lift and tilt), which is small.
 
     Args:
-        model: the object.
+        model: particles of the object.
         groups: G_s.
-        observations: windows of constant speed.
+        windows: windows of constant speed.
         mass: present particle masses, kg.
         friction: present friction coefficients.
-        inertia: present M and c.
-        height: of the object, m.
-        errors: of the model.
+        height: height of the object, m.
+        errors: errors of the model.
     """
-    load = observations.gripper_load(inertia, height)
+    inertia = inertia_of(model, mass)
+    load = windows.gripper_load(inertia, height)
     support = own_weight(model.particles, model.mass_group, model.contact, mass, load)
-    rows, _ = observations.drag_rows(model, errors.pivot_error)
+    rows = windows.drag_rows(model, errors.pivot_error)
     q = groups.gather(rows)
     s = friction * support.share * GRAVITY
     response = rows @ (friction[:, None] * support.response)
     carried = (rows @ (friction * (support.lean + support.change(load)))[..., None])[..., 0]
-    b = observations.wrench - observations.inertial_wrench(inertia) - carried
-    apart, common = wrench_errors(observations, model, s.expand(len(rows), -1), response, errors)
+    b = windows.wrench - windows.inertial_wrench(inertia) - carried
+    apart, common = wrench_errors(windows, model, s.expand(len(rows), -1), response, errors)
     return FrictionEquations(q.reshape(-1, q.shape[-1]), b.reshape(-1), apart, common)
 
 

@@ -13,7 +13,7 @@ from torch import Tensor
 
 from estimators.particles.errors import ModelErrors
 from estimators.particles.gripper_load import GripperLoad, likely_load, load_map
-from estimators.particles.model import Inertia, ParticleModel, cross, turned
+from estimators.particles.model import Inertia, ParticleModel, cross, direction, turned
 from testbed.actions.base import Accelerate, TableAction, Weigh
 from testbed.errors import InvalidValueError
 from testbed.objects.model import ObjectShape
@@ -168,23 +168,24 @@ class Observations:
         """Velocity of each particle, m/s."""
         return self.twist[:, None, :2] + self.twist[:, None, 2:] * turned(self.lever(model))
 
-    def drag_rows(
-        self, model: ParticleModel, pivot_error: float
-    ) -> tuple[Float[Tensor, "K 3 P"], Float[Tensor, "K P"]]:
-        """Wrench about the grasp point that drags a particle of unit friction, and how much of its direction is lost.
+    def drag_directions(self, model: ParticleModel) -> Float[Tensor, "K P 2"]:
+        """Direction of each particle's mean velocity, along which friction drags."""
+        return direction(self.particle_velocity(model))
+
+    def drag_rows(self, model: ParticleModel, pivot_error: float) -> Float[Tensor, "K 3 P"]:
+        """Wrench about the grasp point that drags each particle against a friction of 1 N.
 
         Means over the parts of each window: where the centre of a turn wanders, the mean of the directions of a
         particle near it is not the direction of its mean velocity.
 
         Args:
             model: the object.
-            pivot_error: how well the centre of a turn is known, m; a particle nearer than that has no known direction,
-                and is lost by up to 1.
+            pivot_error: error of the center of a turn, m; the drag of a particle nearer than that fades.
         """
         lever = self.lever(model)
-        velocity, blurred, fade = self._blurred(lever, pivot_error)
-        unit = (velocity / blurred[..., None]).mean(1)
-        return torch.stack([unit[..., 0], unit[..., 1], cross(lever, unit)], 1), (fade / blurred).mean(1)
+        velocity, speed = self._blurred(lever, pivot_error)
+        unit = (velocity / speed[..., None]).mean(1)
+        return torch.stack([unit[..., 0], unit[..., 1], cross(lever, unit)], 1)
 
     def drag_slopes(
         self, model: ParticleModel, drag: Float[Tensor, "K P"], pivot_error: float
@@ -197,9 +198,9 @@ class Observations:
             pivot_error: as of `drag_rows`.
         """
         lever = self.lever(model)
-        velocity, blurred, _ = self._blurred(lever, pivot_error)
-        square = velocity[..., :, None] * velocity[..., None, :] / blurred.square()[..., None, None]
-        turn = ((torch.eye(2, dtype=torch.float64) - square) / blurred[..., None, None]).mean(1)
+        velocity, speed = self._blurred(lever, pivot_error)
+        square = velocity[..., :, None] * velocity[..., None, :] / speed.square()[..., None, None]
+        turn = ((torch.eye(2, dtype=torch.float64) - square) / speed[..., None, None]).mean(1)
         by = torch.cat([turn, turn @ turned(lever)[..., None]], -1)
         torque = lever[..., :1] * by[..., 1, :] - lever[..., 1:] * by[..., 0, :]
         return torch.einsum("kp,kpij->kij", drag, torch.cat([by, torque[..., None, :]], -2))
@@ -217,12 +218,12 @@ class Observations:
 
     def _blurred(
         self, lever: Float[Tensor, "K P 2"], pivot_error: float
-    ) -> tuple[Float[Tensor, "K S P 2"], Float[Tensor, "K S P"], Float[Tensor, "K S 1"]]:
-        """Velocity of each particle in each part of a window, its speed, and the least speed with a known direction."""
+    ) -> tuple[Float[Tensor, "K S P 2"], Float[Tensor, "K S P"]]:
+        """Velocity of each particle in each part of a window, and its speed, blurred by the pivot's error."""
         spin = self.twists[..., 2, None]
         velocity = self.twists[..., None, :2] + spin[..., None] * turned(lever)[:, None]
         fade = pivot_error * spin.abs()
-        return velocity, (velocity.square().sum(-1) + fade.square() + 1e-18).sqrt(), fade
+        return velocity, (velocity.square().sum(-1) + fade.square() + 1e-18).sqrt()
 
     def com_acceleration(self, com: Float[Tensor, "2"]) -> Float[Tensor, "K 2"]:
         """Acceleration of the centre of mass, m/s^2."""

@@ -51,12 +51,9 @@ class ParticleLoads:
         """Eq. dvs with a column a particle, where these loads are what is felt."""
         count = len(self.load)
         each = LoadGroups(torch.arange(count), tuple((particle, 0) for particle in range(count)))
-        felt = windows.drag_rows(self.model, errors.pivot_error)[0] @ self.load
-        inertia = inertia_of(self.model, self.mass)
+        felt = windows.drag_rows(self.model, errors.pivot_error) @ self.load
         felt_windows = replace(windows, wrench=felt)
-        return friction_equations(
-            self.model, each, felt_windows, self.mass, self.friction, inertia, self.height, errors
-        )
+        return friction_equations(self.model, each, felt_windows, self.mass, self.friction, self.height, errors)
 
 
 def _loads_per_mass(model: ParticleModel, support: str) -> Float[Tensor, "P n_m"]:
@@ -127,7 +124,7 @@ class WrenchModel:
     @staticmethod
     def of(model: ParticleModel, windows: Observations, loads: AffineLoads, pivot_error: float) -> WrenchModel:
         """The model of every window."""
-        rows, _ = windows.drag_rows(model, pivot_error)
+        rows = windows.drag_rows(model, pivot_error)
         rubbing = [rows * (model.friction_group == k) for k in range(int(model.friction_group.max()) + 1)]
         spins = windows.lever(model).square().sum(-1) + model.cell**2 / 6
         moves = []

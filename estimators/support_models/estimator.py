@@ -10,7 +10,7 @@ import numpy as np
 import torch
 
 from estimators.base import Estimate, HiddenStateEstimate
-from estimators.hidden_states.algorithm import HiddenStates
+from estimators.hidden_states.estimator import HiddenStates
 from estimators.particles.errors import RIGID, ModelErrors
 from estimators.particles.lifts import LiftedRows, lifted_rows
 from estimators.particles.model import ParticleModel, inertia_of

@@ -138,7 +138,7 @@ def fit_support(
     other = next(loads for name, loads in _LOADS.items() if name != support)
     elsewhere = _response(model, steady, other)
     swung = [_response(model, accelerated, each) for each in (loads_of, other)]
-    rows, _ = steady.drag_rows(model, errors.pivot_error)
+    rows = steady.drag_rows(model, errors.pivot_error)
     unsure = 0.0 if spread_known else 1.0
     weak, even = _weak_prior(shape, weight)
     fit: SupportFit | None = None
@@ -254,7 +254,7 @@ def _pivots(
     inertia = inertia_of(model, particle_mass)
     load = windows.gripper_load(inertia, shape.height)
     loads = loads_of(model, particle_mass, load)
-    rows, _ = windows.drag_rows(model, 0.0)
+    rows = windows.drag_rows(model, 0.0)
     felt = (rows @ (model.particle_friction(friction) * loads)[..., None])[:, 2, 0]
     moved = windows.inertial_wrench(inertia)[:, 2]
     rubbed = rows @ model.particle_friction(friction).diag()

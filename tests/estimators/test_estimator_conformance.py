@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from estimators.base import Estimate, Estimator, Trace
-from estimators.hidden_states.algorithm import HiddenStates
+from estimators.hidden_states.estimator import HiddenStates
 from estimators.testing.conformance import (
     CONFORMANCE,
     WITHOUT_DRAWS,

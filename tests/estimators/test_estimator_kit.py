@@ -14,7 +14,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from estimators.base import Estimate, Estimator
-from estimators.hidden_states.algorithm import HiddenStates
+from estimators.hidden_states.estimator import HiddenStates
 from estimators.support_models.estimator import SupportAware
 from estimators.testing import plugin, recorded
 from estimators.testing.recorded import KnownBlock, block_names, load_block, save_block

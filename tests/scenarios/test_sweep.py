@@ -127,7 +127,7 @@ def test_a_method_that_raises_is_a_row_and_the_rest_goes_on(scenario, tmp_path, 
     def broken(*_: object, **__: object) -> None:
         raise RuntimeError("out of ideas")
 
-    monkeypatch.setattr("estimators.hidden_states.algorithm.observe", broken)
+    monkeypatch.setattr("estimators.hidden_states.estimator.observe", broken)
     out = tmp_path / "out"
     rows = run_scenario(load_scenario(str(scenario))[1], out, 0, quiet)
     assert set(rows["status"]) == {"failed"}

@@ -11,7 +11,7 @@ from estimators.action_selection.design import NORMAL_MEAN, Guess
 from estimators.action_selection.greedy import Goal
 from estimators.action_selection.online import Decision, OnlinePolicy
 from estimators.evaluation.metrics import normalized_absolute_difference
-from estimators.hidden_states.algorithm import HiddenStates
+from estimators.hidden_states.estimator import HiddenStates
 from estimators.support_models.estimator import SupportAware
 from estimators.testing.analytic_world import analytic_trial, drawn_object
 from testbed.actions.base import Accelerate, Lift, Rotate, Slide

@@ -10,7 +10,7 @@ from numpy.testing import assert_allclose
 
 from estimators.base import Estimate
 from estimators.evaluation.metrics import normalized_absolute_difference
-from estimators.hidden_states.algorithm import HiddenStates
+from estimators.hidden_states.estimator import HiddenStates
 from estimators.testing.analytic_world import accelerated, analytic_trial, drawn_object, turns
 from testbed.actions.base import Rotate, Slide
 from testbed.errors import InvalidValueError

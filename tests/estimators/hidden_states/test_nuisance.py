@@ -11,12 +11,12 @@ from numpy.testing import assert_allclose
 
 from estimators.base import Estimate
 from estimators.evaluation.metrics import normalized_absolute_difference
-from estimators.hidden_states.algorithm import HiddenStates
+from estimators.hidden_states.estimator import HiddenStates
 from estimators.hidden_states.friction import closed_form_covariance
-from estimators.hidden_states.nuisance import UNKNOWNS, JointLoads, Layout, Nuisances, corrected
+from estimators.hidden_states.nuisance import UNKNOWNS, NuisanceLayout, NuisancePrior, NuisanceSystem, corrected
 from estimators.particles.errors import ModelErrors
 from estimators.particles.friction_system import FrictionEquations, LoadGroups, friction_equations
-from estimators.particles.model import ParticleModel, inertia_of
+from estimators.particles.model import ParticleModel
 from estimators.particles.windows import Observations, observe
 from estimators.testing.analytic_world import accelerated, analytic_trial, drawn_object, turns
 from testbed.actions.base import Rotate
@@ -146,7 +146,7 @@ def test_slopes_are_those_of_finite_differences():
 
 
 def test_an_unknown_of_known_size_is_as_good_as_an_error_of_that_size():
-    system = linear(drawn_object(0), Nuisances(UNKNOWNS, bias=0.02))[0]
+    system = linear(drawn_object(0), NuisancePrior(UNKNOWNS, bias=0.02))[0]
     added = system.slopes @ torch.diag(system.layout.width**2) @ system.slopes.T
     q = system.system.q
     information = q.T @ torch.linalg.solve(torch.eye(len(added), dtype=torch.float64) + added, q)
@@ -157,7 +157,7 @@ def some_loads(obj: ObjectModel) -> np.ndarray:
     return np.linspace(0.05, 0.2, len(LoadGroups.of(ParticleModel.of(obj.shape)).pairs))
 
 
-def linear(obj: ObjectModel, nuisances: Nuisances = Nuisances(UNKNOWNS)) -> tuple:  # noqa: B008
+def linear(obj: ObjectModel, nuisances: NuisancePrior = NuisancePrior(UNKNOWNS)) -> tuple:  # noqa: B008
     """A system about a bench with some of everything, its equations, windows and layout."""
     windows = observe(obj.shape, turns(obj, noise=0.05))
     assert windows is not None
@@ -176,9 +176,9 @@ def linear(obj: ObjectModel, nuisances: Nuisances = Nuisances(UNKNOWNS)) -> tupl
             ModelErrors(pivot_error=1e-4, force_error=1e-3, torque_error=1e-3),
         )
 
-    layout = Layout.of(nuisances, windows)
+    layout = NuisanceLayout.of(nuisances, windows)
     at = 0.1 * layout.whole * torch.linspace(-1, 1, len(layout.whole))
-    return JointLoads.of(equations, windows, layout, at, some_loads(obj)), equations, windows, layout
+    return NuisanceSystem.of(equations, windows, layout, at, some_loads(obj)), equations, windows, layout
 
 
 def test_errors_are_the_scatter():
@@ -213,8 +213,7 @@ def test_where_nothing_is_asked_nothing_changes():
     assert windows is not None
     same = corrected(windows, torch.zeros(len(windows), 7, dtype=torch.float64))
     model = ParticleModel.of(obj.shape)
-    for one, two in zip(same.drag_rows(model, 1e-4), windows.drag_rows(model, 1e-4), strict=True):
-        assert_allclose(one, two, atol=1e-14)
+    assert_allclose(same.drag_rows(model, 1e-4), windows.drag_rows(model, 1e-4), atol=1e-14)
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from estimators.action_selection.rank import between_particles
-from estimators.hidden_states.algorithm import HiddenStates
+from estimators.hidden_states.estimator import HiddenStates
 from estimators.identifiability.information import Assumptions, expected, information_root, observed
 from estimators.identifiability.predicted import predicted_windows
 from estimators.identifiability.report import identifiability

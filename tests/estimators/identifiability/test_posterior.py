@@ -9,7 +9,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from estimators.base import Estimate
-from estimators.hidden_states.algorithm import HiddenStates
+from estimators.hidden_states.estimator import HiddenStates
 from estimators.identifiability.information import Likelihood
 from estimators.identifiability.posterior import friction_profile, sample_posterior
 from estimators.testing.analytic_world import accelerated, drawn_object, turns
@@ -24,7 +24,7 @@ def asked(obj: ObjectModel, *, inertia: bool = True) -> tuple[Estimate, Likeliho
     data = turns(obj, noise=0.3) + (accelerated(obj) if inertia else [])
     answer = ESTIMATOR.estimate(obj.shape, obj.total_mass, data, 0)
     assert answer.distribution is not None
-    return answer, ESTIMATOR.evidence(obj.shape, obj.total_mass, data, answer.distribution)
+    return answer, ESTIMATOR.likelihood(obj.shape, obj.total_mass, data, answer.distribution)
 
 
 def with_mass(mass: list[float]) -> ObjectModel:

@@ -7,7 +7,7 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.stats import chi2
 
-from estimators.hidden_states.algorithm import HiddenStates
+from estimators.hidden_states.estimator import HiddenStates
 from estimators.identifiability.predicted import predicted_lift
 from estimators.particles.lifts import LiftErrors, lifted_rows
 from estimators.support_models.estimator import SupportAware

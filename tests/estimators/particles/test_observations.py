@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from estimators.evaluation.metrics import normalized_absolute_difference
-from estimators.hidden_states.algorithm import HiddenStates
+from estimators.hidden_states.estimator import HiddenStates
 from estimators.testing.analytic_world import drawn_object, turns
 
 

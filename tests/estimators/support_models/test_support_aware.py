@@ -14,7 +14,7 @@ from scipy.special import logsumexp
 from scipy.stats import kstest
 
 from estimators.base import Estimate
-from estimators.hidden_states.algorithm import HiddenStates
+from estimators.hidden_states.estimator import HiddenStates
 from estimators.particles.errors import EXACT, RIGID, ModelErrors
 from estimators.particles.windows import PLANAR, Observations, observe
 from estimators.support_models.estimator import SupportAware

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from numpy.testing import assert_allclose
 
-from estimators.hidden_states.algorithm import HiddenStates
+from estimators.hidden_states.estimator import HiddenStates
 from scenarios.cli.main import main
 from scenarios.results.load import load_results, load_trajectories
 from scenarios.results.store import Store

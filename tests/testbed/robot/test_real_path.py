@@ -7,7 +7,7 @@ import torch
 
 from estimators.action_selection.rank import RankDriven
 from estimators.evaluation.metrics import normalized_absolute_difference
-from estimators.hidden_states.algorithm import HiddenStates
+from estimators.hidden_states.estimator import HiddenStates
 from testbed.objects.files import load_object
 from testbed.simulation.runner import SimulationRunner
 from testbed.trial import Trial

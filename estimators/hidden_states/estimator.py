@@ -1,0 +1,200 @@
+"""Algorithm 1 as an estimator: its settings, the rounds in which the gripper's load settles, and the estimate."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+from functools import partial
+from typing import Literal, get_args
+
+import numpy as np
+from jaxtyping import Float
+
+from estimators.base import Estimate, Trace
+from estimators.descent import OPTIMIZERS, check_optimizers
+from estimators.hidden_states.algorithm import Solution, Underdetermined, algorithm_1
+from estimators.hidden_states.friction import closed_form, contradiction, descend_loads
+from estimators.hidden_states.masses import fixed_rows, load_jacobian, one_friction_masses
+from estimators.hidden_states.nuisance import NuisancePrior
+from estimators.hidden_states.setup import UnknownSetup, with_found_bias
+from estimators.hidden_states.trial_windows import TrialWindows
+from estimators.identifiability.information import Likelihood
+from estimators.identifiability.report import Identifiability, identifiability
+from estimators.particles.errors import ModelErrors
+from estimators.particles.friction_system import LinearSystem
+from estimators.particles.pivots import PivotInertia
+from testbed.errors import InvalidValueError
+from testbed.objects.model import MassDistribution, ObjectShape
+from testbed.trajectory import Trajectory
+from testbed.validation import check_integer, check_positive
+
+Solver = Literal["closed_form", "descent"]
+SETTLING = 3
+"""Additional rounds where something of the setup is unknown: the wrench is not linear in it."""
+NO_DATA = "no trajectory with status ok that slides or turns at constant speed"
+
+
+@dataclass(frozen=True)
+class HiddenStates:
+    """Multi-stage Hidden States estimation, Algorithm 1. Assumes that every mass group rests on its own weight."""
+
+    solver: Solver = "closed_form"
+    """Source of s: the exact minimum of Eq. problem_si, or `steps` of gradient descent on it."""
+    steps: int = 500
+    """Gradient steps of each optimizer; 500 in the paper."""
+    optimizers: tuple[str, ...] = OPTIMIZERS
+    """Optimizers to descend with; the one with the lowest loss is taken."""
+    refinements: int = 3
+    """Rounds of solving, each with the gripper's load worked out from the round before."""
+    unknown: tuple[str, ...] = ()
+    """Parameters of the setup to estimate with the loads: any of bias, grasp_offset, anisotropy."""
+    offset_error: float = 0.003
+    """Standard deviation of an unknown grasp offset along each axis, m."""
+    grain_error: float = 0.3
+    """Standard deviation of each component of an unknown friction anisotropy."""
+    pivot_error: float = ModelErrors.pivot_error
+    """Error of the center of a turn, m."""
+    force_error: float = ModelErrors.force_error
+    """Model error of a force, as a part of the total drag."""
+    torque_error: float = ModelErrors.torque_error
+    """Model error of a torque, as a part of itself."""
+    height_error: float = ModelErrors.height_error
+    """Error of the TCP's height over the feet, m."""
+    lift_error: float = ModelErrors.lift_error
+    """Vertical force of a nulled gripper that the sensor cannot tell, N."""
+    tilt_error: float = ModelErrors.tilt_error
+    """Moment of a nulled gripper that the sensor cannot tell, N m."""
+    inertia_error: float = ModelErrors.inertia_error
+    """Model error of I_j, as a part of itself: once of each, and once of all together."""
+    weight_error: float = ModelErrors.weight_error
+    """Error of the weighing, kg."""
+
+    def __post_init__(self) -> None:
+        check_optimizers("HiddenStates", self.optimizers)
+        if self.solver not in get_args(Solver):
+            raise InvalidValueError("HiddenStates.solver", self.solver, f"one of {', '.join(get_args(Solver))}")
+        check_integer("HiddenStates.steps", self.steps)
+        check_integer("HiddenStates.refinements", self.refinements)
+        check_positive("HiddenStates.offset_error", self.offset_error)
+        check_positive("HiddenStates.grain_error", self.grain_error)
+        _ = self.errors, self.prior
+
+    @property
+    def errors(self) -> ModelErrors:
+        """Errors of the model."""
+        return ModelErrors(**{field.name: getattr(self, field.name) for field in fields(ModelErrors)})
+
+    @property
+    def prior(self) -> NuisancePrior:
+        """Unknowns of the setup and their spread."""
+        return NuisancePrior(self.unknown, grasp_offset=self.offset_error, anisotropy=self.grain_error)
+
+    def estimate(
+        self, shape: ObjectShape, weight: float | None, trajectories: Sequence[Trajectory], seed: int
+    ) -> Estimate:
+        """Estimate from turns, slides and accelerated turns. Draws nothing: `seed` changes nothing.
+
+        Raises:
+            InvalidValueError: no weight, which Algorithm 1 needs.
+        """
+        begin = time.perf_counter()
+        if weight is None or not (np.isfinite(weight) and weight > 0):
+            raise InvalidValueError("weight", weight, "M as weighed, a finite number > 0, kg")
+        found = self._estimate(shape, weight, trajectories)
+        if "bias" in self.unknown:
+            found = self._estimate(shape, weight, with_found_bias(trajectories, found.diagnostics))
+        return replace(found, seconds=time.perf_counter() - begin)
+
+    def _estimate(self, shape: ObjectShape, weight: float, trajectories: Sequence[Trajectory]) -> Estimate:
+        """Algorithm 1 in rounds: each takes the gripper's load, and unknowns of the setup, from the round before."""
+        trials = self._trials(shape, weight, trajectories)
+        if trials is None:
+            return Estimate(None, "no_data", NO_DATA)
+        guess = trials.first_guess()
+        s = trials.friction_loads(guess)
+        found: Solution | None = None
+        for _ in range(self.refinements + (SETTLING if self.unknown else 0)):
+            trials = trials.refined(guess, s)
+            found = algorithm_1(trials, guess, partial(self._solve, seconds=trials.robot_seconds))
+            if isinstance(found, Underdetermined):
+                return trials.annotated(_underdetermined(trials, found, guess), closed_form(found.Q_s_b))
+            guess, s = found.masses.distribution, found.H.friction_load
+        assert found is not None
+        return trials.annotated(_estimate_of(trials, found), s)
+
+    def _solve(self, system: LinearSystem, seconds: float) -> tuple[Float[np.ndarray, "n_s"], tuple[Trace, ...]]:
+        """s and the traces of its optimizers; `seconds` is the robot time of the data."""
+        if self.solver == "descent":
+            return descend_loads(system, self.optimizers, self.steps, seconds)
+        return closed_form(system), ()
+
+    def _trials(self, shape: ObjectShape, weight: float, trajectories: Sequence[Trajectory]) -> TrialWindows | None:
+        trials = TrialWindows.of(shape, weight, trajectories, self.errors)
+        return UnknownSetup(**vars(trials), prior=self.prior) if trials and self.unknown else trials
+
+    def likelihood(
+        self, shape: ObjectShape, weight: float, trajectories: Sequence[Trajectory], at: MassDistribution
+    ) -> Likelihood:
+        """Likelihood of the trials for a posterior, with the gripper's load worked out at an estimate.
+
+        Raises:
+            InvalidValueError: no trajectory at constant speed.
+        """
+        trials = self._trials(shape, weight, trajectories)
+        if trials is None:
+            raise InvalidValueError(
+                "trajectories", len(trajectories), "one or more that slide or turn at constant speed"
+            )
+        s = trials.friction_loads(at)
+        for _ in range(SETTLING if self.unknown else 0):
+            trials = trials.refined(at, s)
+        system, pivots = trials.friction_system(at), trials.pivot_inertias(at, s)
+        fixed, values = fixed_rows(shape, weight, self.weight_error, pivots, shape.n_m)
+        return Likelihood(shape, trials.groups.pairs, system.q.numpy(), system.b.numpy(), fixed, values)
+
+
+def _report(
+    trials: TrialWindows, system: LinearSystem, pivots: PivotInertia | None, at: MassDistribution
+) -> Identifiability:
+    """Masses and frictions that Q, the weight and I_j show."""
+    shape = trials.shape
+    fixed, _ = fixed_rows(shape, trials.weight, trials.errors.weight_error, pivots, shape.n_m + shape.n_mu)
+    of_loads = system.q.numpy() @ load_jacobian(shape, trials.groups.pairs, at)
+    return identifiability(shape, at, np.vstack([of_loads, fixed]))
+
+
+def _underdetermined(trials: TrialWindows, found: Underdetermined, guess: MassDistribution) -> Estimate:
+    """Estimate without masses, where rank(Q) < n_s."""
+    pivots = trials.pivot_inertias(guess, trials.friction_loads(guess))
+    report = _report(trials, found.Q_s_b, pivots, guess)
+    why = f"rank(Q) is {found.rank} and {found.n_s} friction loads are unknown: turn about more points"
+    return Estimate(None, "underdetermined", why, identifiability=report)
+
+
+def _estimate_of(trials: TrialWindows, found: Solution) -> Estimate:
+    """Estimate of the last round, with its covariance, or the reason why there is none."""
+    system, masses, s = found.Q_s_b, found.masses, found.H.friction_load
+    loss = system.loss(s)
+    if why := contradiction(loss):
+        return Estimate(None, "contradictory", why)
+    shape, at, count = trials.shape, masses.distribution, trials.shape.particles_per_group
+    if masses.rank < masses.unknowns:  # the masses are one of many that fit, at a bound: take derivatives amidst them
+        at = one_friction_masses(shape, trials.weight, trials.groups.pairs, s)
+    report = _report(trials, system, found.I_j, at)
+    open_, q = report.unknowns - report.rank, system.q.numpy()
+    message = f"mass and friction cannot be told apart in {open_} direction(s): {'; '.join(report.unobservable)}"
+    return Estimate(
+        masses.distribution,
+        "underdetermined" if open_ else "ok",
+        message if open_ else "",
+        covariance=report.covariance / np.outer(count, count),
+        hidden=found.H,
+        identifiability=report,
+        traces=found.traces,
+        diagnostics={
+            "rank": q.shape[1],
+            "condition": float(np.linalg.cond(q / np.linalg.norm(q, axis=0))),
+            "loss": loss,
+        },
+    )

@@ -13,7 +13,7 @@ from tests.helpers.pages import DOCS, ROOT
 PAGES = ("paper_to_code.md", "architecture.md")
 NAME = re.compile(r"(?:testbed|estimators|viz|scenarios)(?:\.\w+)+")
 PATH = re.compile(r"(?:[\w.]+/)+[\w*]+\.\w+")
-WORDS = {"paper_to_code.md": {"_M", 'solver = "descent"'}, "architecture.md": set()}
+WORDS = {"paper_to_code.md": {"_M", 'solver = "descent"'}, "architecture.md": set[str]()}
 """Code on a page that is neither a name nor a path."""
 
 

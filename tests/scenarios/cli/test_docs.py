@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Iterator
-from dataclasses import fields
 from pathlib import Path
 from typing import Any, get_args
 
@@ -56,7 +55,7 @@ from testbed.robot.calibration.file import CalibrationFile
 from testbed.robot.config import RobotFile
 from testbed.sensing.presets import PRESETS
 from testbed.trajectory import SCHEMA_VERSION, Phase, save_trajectory
-from tests.helpers.pages import BLOCKS, DOCS, FENCE, PAGES, ROOT, names, options, section, table
+from tests.helpers.pages import BLOCKS, DOCS, FENCE, PAGES, ROOT, names, options, table
 from tests.helpers.records import record
 
 SECTIONS: dict[str, type[BaseModel]] = {

@@ -29,16 +29,11 @@ import torch
 from matplotlib.figure import Figure
 
 from estimators.action_selection.candidates import ActionFamily
+from estimators.action_selection.cost import spent_seconds
 from estimators.action_selection.design import Design, Guess, prior_belief
-from estimators.action_selection.greedy import (
-    FeasibilityLog,
-    Goal,
-    PlannedPolicy,
-    batch_plan,
-    greedy_choice,
-    greedy_plan,
-)
-from estimators.action_selection.online import OnlinePolicy, spent_seconds
+from estimators.action_selection.greedy import PlannedPolicy, batch_plan, greedy_choice, greedy_plan
+from estimators.action_selection.online import OnlinePolicy
+from estimators.action_selection.plan import FeasibilityLog, Goal
 from estimators.action_selection.rank import RankDriven
 from estimators.base import ActionPolicy
 from estimators.evaluation.metrics import normalized_absolute_difference
@@ -103,7 +98,7 @@ def speed(options: argparse.Namespace) -> None:
         print(f"  greedy plan of six {_best(lambda: greedy_plan(design, before, goal, free())):.3f} s")  # noqa: B023
         print(f"  batch plan of six {_best(lambda: batch_plan(design, before, goal, free())):.3f} s")  # noqa: B023
         update = _best(lambda: few.values_after(before))  # noqa: B023
-        afresh = _best(lambda: [few.value(before.after(few.taught(i))) for i in range(200)])  # noqa: B023
+        afresh = _best(lambda: [few.value(before.after(few.information_of([i]))) for i in range(200)])  # noqa: B023
         print(f"  against an inverse a candidate: {afresh / update:.0f} times as fast (200 candidates)")
 
 

@@ -14,8 +14,9 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
 from estimators.action_selection.design import ASSUMED_SUPPORTS, Guess
-from estimators.action_selection.greedy import Goal, PlannedPolicy
+from estimators.action_selection.greedy import PlannedPolicy
 from estimators.action_selection.online import OnlinePolicy
+from estimators.action_selection.plan import Goal
 from estimators.action_selection.rank import RankDriven, held_out_turns
 from estimators.base import ActionPolicy
 from estimators.registry import build_method

@@ -1,4 +1,4 @@
-"""Actions to choose from: a continuous family over grasps, pivots, directions, speeds and durations, sampled."""
+"""Candidate actions, drawn from a continuous family over grasps, pivots, directions, speeds and durations."""
 
 from __future__ import annotations
 
@@ -17,31 +17,31 @@ from testbed.objects.model import ObjectShape
 from testbed.validation import is_number
 
 REACH = (0.20, 0.70)
-"""Distance of the TCP from the arm's base, m: the simulated arm's inverse kinematics fail beyond."""
+"""Least and greatest distance of the TCP from the arm's base [m]; the simulated inverse kinematics fail beyond."""
 SWEEP_POINTS = 7
-"""At which the path of a turn is held against the reach."""
+"""Points of a turn's path that are compared with the reach."""
 SLIDE_PART, ACCELERATED_PART, LIFT_PART = 0.1, 0.02, 0.005
-"""Of all candidates; the rest are turns."""
+"""Parts of all candidates; the rest are turns."""
 
 
 @dataclass(frozen=True)
 class ActionFamily:
-    """Which actions are thought of. Turns go there and back: friction flips, and a constant bias does not."""
+    """Family of actions to consider. Turns go there and back: friction flips, and a constant bias does not."""
 
     duration: tuple[float, float] = (4.0, 18.0)
-    """Least and longest time at constant speed of a turn each way, s."""
+    """Least and greatest time at constant speed of a turn each way [s]."""
     speed_deg_s: tuple[float, float] = (6.0, 12.0)
-    """Slowest and fastest turn."""
+    """Least and greatest speed of a turn [deg/s]."""
     arm: float = 0.2
-    """Farthest pivot from the grasp, m."""
+    """Greatest distance of the pivot from the grasp [m]."""
     slides: bool = True
-    """Slide it too."""
+    """Include slides."""
     accelerated: bool = True
-    """Turn it at changing speed too."""
+    """Include accelerated turns."""
     one_way: bool = False
-    """Turn one way only: shorter, and the sensor's bias stays in."""
+    """Turn one way only: shorter, but the sensor's bias stays in."""
     lifts: bool = False
-    """Lift and rock it too: a bench may not, and what is no rigid body cannot be lifted."""
+    """Include lifts: only a rigid body can be lifted."""
 
     def __post_init__(self) -> None:
         for name, least in (("duration", 1.5), ("speed_deg_s", 0.0)):
@@ -56,13 +56,13 @@ class ActionFamily:
     def sample(self, shape: ObjectShape, grasps: Sequence[int], count: int, seed: int) -> tuple[Action, ...]:
         """Draw actions that the arm can reach and that keep the object on the table; none where there is no grasp.
 
-        Pivots are even over direction and distance from the grasp, durations over their logarithm.
+        Pivots are uniform in direction and distance from the grasp, durations in their logarithm.
 
         Args:
             shape: geometry and grasps.
-            grasps: grasps that may be used.
-            count: how many to draw; turns that are not possible are drawn again.
-            seed: of the draw.
+            grasps: allowed grasps.
+            count: number of actions; turns that are not possible are drawn again.
+            seed: seed of the draw.
 
         Raises:
             InvalidValueError: fewer than one to draw.
@@ -142,7 +142,7 @@ class ActionFamily:
     def _lifts(
         self, shape: ObjectShape, allowed: Int[np.ndarray, "G"], count: int, rng: np.random.Generator
     ) -> list[Lift]:
-        """One as by default a grasp first; then held for shorter or longer, rocked for shorter or longer.
+        """Default lift of each grasp first, then lifts of other holds and swings.
 
         Tilt and acceleration are those at which the errors of a lift were measured.
         """
@@ -157,13 +157,13 @@ class ActionFamily:
 
 
 def clear_of_particles(shape: ObjectShape, points: Float[np.ndarray, "N 2"]) -> np.ndarray:
-    """Which points lie well between particles, (N,) bool: one at the very centre of a turn has no direction."""
+    """True for points well between particles, (N,): a particle at the centre of a turn has no direction of motion."""
     distance = np.linalg.norm(shape.particles[None] - points[:, None], axis=-1).min(axis=1)
     return distance > shape.cell / 4
 
 
 def _places(shape: ObjectShape) -> tuple[Float[np.ndarray, "G 2"], Float[np.ndarray, "G"]]:
-    """Grasp points, m, and closing directions, rad, object frame."""
+    """Grasp points [m] and closing directions [rad], object frame."""
     return np.array([grasp.position for grasp in shape.grasps]), np.array([grasp.angle for grasp in shape.grasps])
 
 
@@ -175,15 +175,15 @@ def stays_on_table(
     turn: Float[np.ndarray, "N"],
     slide: Float[np.ndarray, "N 2"] | None = None,
 ) -> np.ndarray:
-    """Which actions keep the whole outline on the table, the TCP's middle at the middle of the workspace, (N,) bool.
+    """True for actions that keep the outline on the table, the TCP's path centred in the workspace, (N,).
 
     Args:
-        corners: of the object's outline, m, object frame.
-        grasp: grasp point, m, object frame.
-        grasp_angle: closing direction, rad, object frame.
-        pivot: centre of the turn, m, object frame; of a slide, the grasp point.
-        turn: angle of the whole sweep, rad.
-        slide: displacement over the whole way, m, object frame; none if left out.
+        corners: corners of the object's outline [m], object frame.
+        grasp: grasp point [m], object frame.
+        grasp_angle: closing direction [rad], object frame.
+        pivot: centre of the turn [m], object frame; of a slide, the grasp point.
+        turn: angle of the whole turn [rad].
+        slide: displacement over the whole way [m], object frame; zero if left out.
     """
     into_world = rotation_2d(-grasp_angle)
     centre = np.array(WORKSPACE) - np.einsum("nij,nj->ni", into_world, grasp - pivot)
@@ -196,18 +196,16 @@ def sweep_in_reach(
     grasp_angle: Float[np.ndarray, "N"],
     pivot: Float[np.ndarray, "N 2"],
     turn: Float[np.ndarray, "N"],
-    margin: float = 0.0,
 ) -> np.ndarray:
-    """Which turns keep the TCP within the arm's reach, their middle at the middle of the workspace, (N,) bool.
+    """True for turns that keep the TCP within the arm's reach, their path centred in the workspace, (N,).
 
-    A cheap check, for sieving many; inverse kinematics have the last word.
+    A quick check of many; inverse kinematics decide.
 
     Args:
-        grasp: grasp point, m, object frame.
-        grasp_angle: closing direction, rad, object frame.
-        pivot: centre of the turn, m, object frame.
-        turn: angle of the whole sweep, rad.
-        margin: to keep from the ends of the reach, m.
+        grasp: grasp point [m], object frame.
+        grasp_angle: closing direction [rad], object frame.
+        pivot: centre of the turn [m], object frame.
+        turn: angle of the whole turn [rad].
     """
     into_world = rotation_2d(-grasp_angle)
     arm = np.einsum("nij,nj->ni", into_world, grasp - pivot)
@@ -216,5 +214,5 @@ def sweep_in_reach(
     for part in np.linspace(-0.5, 0.5, SWEEP_POINTS):
         place = centre + np.einsum("nij,nj->ni", rotation_2d(part * turn), arm)
         distance = np.linalg.norm(place, axis=1)
-        fits &= (distance > REACH[0] + margin) & (distance < REACH[1] - margin)
+        fits &= (distance > REACH[0]) & (distance < REACH[1])
     return fits

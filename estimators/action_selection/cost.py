@@ -1,40 +1,44 @@
-"""How long the robot takes over actions, regrasping and travel included."""
+"""Robot time of actions and trials, regrasping and travel included."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import pairwise
 
 import numpy as np
 
+from estimators.particles.windows import robot_seconds
 from testbed.actions.base import Accelerate, Action, Lift, Rotate, Weigh
 from testbed.actions.lift import LiftProfile
 from testbed.actions.path import PAUSE, RAMP_TIME
 from testbed.objects.model import ObjectShape
+from testbed.trajectory import Trajectory
 
 
 @dataclass(frozen=True)
 class RobotTime:
-    """Seconds of one trial and of the way to the next.
+    """Robot time of one trial and of the way to the next.
 
     A simulated record runs from the tare to the release: tare, down, pause, close, null, pause, the action, pause,
-    open. What it does not hold is the way to the next grasp, which is as long as the real bench is asked to take.
+    open. It lacks the way to the next grasp, which takes
+    as long as on the real robot.
     """
 
     around: float = 4.79
-    """Of a simulated record beside the action itself, s; held against records by a test."""
+    """Time of a simulated record beside the action itself [s]; a test compares it with records."""
     weighing: float = 1.99
-    """Of a simulated weighing, s."""
+    """Time of a simulated weighing [s]."""
     rise: float = 0.8
-    """Up from the object, as long as down to it, s."""
+    """Time up from the object, as long as down to it [s]."""
     speed: float = 0.1
-    """Between places over the table, m/s: the real bench's travel speed."""
+    """Travel speed over the table [m/s], as on the real robot."""
     turn_rate: float = 0.5
-    """Of the hand on the way, rad/s, where that takes longer."""
+    """Turn rate of the hand on the way [rad/s], where that takes longer."""
 
     def of(self, action: Action) -> float:
-        """Of one trial, as its record has it, s."""
+        """Time of one trial, as in its record [s]."""
         if isinstance(action, Weigh):
             return self.weighing
         if isinstance(action, Accelerate):
@@ -45,7 +49,7 @@ class RobotTime:
         return self.around + ways * (2 * RAMP_TIME + action.duration)
 
     def between(self, shape: ObjectShape, last: Action | None, action: Action) -> float:
-        """From where one action ends to where the next begins, up and over the object, s."""
+        """Time from the end of one action to the start of the next, up and over the object [s]."""
         if last is None or isinstance(last, Weigh) or isinstance(action, Weigh):
             return self.rise
         old, new = shape.grasps[last.grasp], shape.grasps[action.grasp]
@@ -54,12 +58,19 @@ class RobotTime:
         return self.rise + max(distance / self.speed, abs(apart) / self.turn_rate)
 
     def total(self, shape: ObjectShape, actions: Sequence[Action]) -> float:
-        """Of actions one after the other, s."""
+        """Time of actions one after the other [s]."""
         lasts = [None, *actions]
         return sum(self.of(a) + self.between(shape, last, a) for last, a in zip(lasts, actions, strict=False))
 
 
+def spent_seconds(shape: ObjectShape, trajectories: Sequence[Trajectory]) -> float:
+    """Robot time of trials that were made, the ways between grasps included [s]."""
+    time, actions = RobotTime(), [None, *(t.action for t in trajectories)]
+    ways = sum(time.between(shape, a, b) for a, b in pairwise(actions) if b is not None)
+    return robot_seconds(trajectories) + ways
+
+
 @lru_cache(maxsize=1024)
 def _in_the_air(action: Lift) -> float:
-    """Up, held, rocked and down, s."""
+    """Duration of a lift: up, held, rocked and down [s]."""
     return LiftProfile.of(action, 0.01).duration

@@ -1,7 +1,7 @@
-"""Optimal design: which trials make the answer sure, by the covariance that any set of them would leave.
+"""Optimal design: the covariance of the masses that any set of trials would leave, and what it is judged by.
 
-Criteria: A, the trace of the masses' covariance; D, its volume; I, the expected NAD itself. All are finite before
-anything is known, since masses are spread beforehand as `prior_masses` has them.
+Criteria: A, the trace of the masses' covariance; D, its volume; I, the expected NAD itself. All are finite before the
+first trial, since the masses have the prior of `prior_masses`.
 """
 
 from __future__ import annotations
@@ -23,51 +23,51 @@ from estimators.identifiability.information import (
     prior_information,
 )
 from estimators.support_models.fit import FRICTION_PRIOR, prior_masses
-from testbed.actions.base import Action, Rotate, Slide, Weigh
+from testbed.actions.base import Action, Rotate, Slide
 from testbed.errors import InvalidValueError
 from testbed.objects.model import MassDistribution, ObjectShape
 from testbed.sensing.presets import Sensing
 
 Criterion = Literal["A", "D", "I"]
-"""What a plan makes small: the trace of the masses' covariance, its volume, or the expected NAD."""
+"""Quantity that a plan minimizes: trace of the masses' covariance, its volume, or the expected NAD."""
 ASSUMED_SUPPORTS: dict[str, tuple[str, ...]] = {**{support: (support,) for support in SUPPORTS}, "either": SUPPORTS}
-"""Support models that are thought possible, by the name on a command line and in a file."""
+"""Assumed support models by their name on a command line and in a file."""
 NORMAL_MEAN = math.sqrt(2 / math.pi)
-"""Mean size of a standard normal number."""
+"""Mean absolute value of a standard normal number."""
 LEAST_GAIN = 0.01
-"""A trial that takes less than this part off the criterion teaches nothing worth its time."""
+"""Least part that a trial must take off the criterion to be worth its time."""
 APART = 0.01
-"""Turns in the same grasp about points nearer than this are one turn twice, with the same model error: not both, m."""
+"""Least distance between centres of turns in one grasp [m]: nearer ones repeat each other, model error included."""
 
 
 @dataclass(frozen=True, eq=False)
 class Belief:
-    """What is known at some moment, under each support model that is thought possible."""
+    """Information at some moment, under each assumed support model."""
 
     information: Float[np.ndarray, "S U U"]
-    """Of masses, frictions and shared errors, what is known beforehand included; one a support model."""
+    """Information about masses, frictions and shared errors, prior included; one matrix a support model."""
     count: Int[np.ndarray, "n_m"]
     """Particles in each mass group."""
     weight: float
     """M, kg."""
 
     def covariance(self) -> Float[np.ndarray, "S n_m n_m"]:
-        """Of the mass groups, kg^2."""
+        """Covariance of the mass groups [kg^2]."""
         n_m = len(self.count)
         return np.linalg.inv(self.information)[:, :n_m, :n_m] * np.outer(self.count, self.count)
 
     @property
     def standard_error(self) -> Float[np.ndarray, "n_m"]:
-        """Of each mass group, kg: root mean square over the support models."""
+        """Standard error of each mass group [kg], root mean square over the support models."""
         return np.sqrt(np.diagonal(self.covariance(), axis1=1, axis2=2).mean(axis=0))
 
     @property
     def expected_nad(self) -> float:
-        """Mean over the support models; a part of 1."""
+        """Expected NAD, a part of 1, mean over the support models."""
         return float(expected_nad(self.covariance(), self.weight).mean())
 
     def after(self, trials: Float[np.ndarray, "S U U"]) -> Belief:
-        """With the information of more trials."""
+        """Belief with the information of more trials added."""
         return Belief(self.information + trials, self.count, self.weight)
 
 
@@ -88,21 +88,21 @@ def _volume(covariance: Float[np.ndarray, "... n_m n_m"], weight: float) -> Floa
 
 
 CRITERIA: dict[str, Callable[[np.ndarray, float], np.ndarray]] = {"A": _trace, "D": _volume, "I": expected_nad}
-"""What is made small, from the groups' covariance (..., n_m, n_m), kg^2, and M, kg."""
+"""Criterion as a function of the groups' covariance (..., n_m, n_m) [kg^2] and M [kg]."""
 
 
 @dataclass(frozen=True)
 class Guess:
-    """What is taken for true while nothing is felt, and how it would be felt."""
+    """Assumptions before the first trial: weight, sensor, friction and support models."""
 
     weight: float
-    """M as weighed, kg."""
+    """Weighed M [kg]."""
     sensing: Sensing
-    """How the sensor errs."""
+    """Errors of the sensor."""
     friction: float = 0.5
-    """Of every friction group."""
+    """Coefficient of every friction group."""
     supports: tuple[str, ...] = ("own_weight",)
-    """Support models that a plan is to serve; more than one where it is not known who carries the weight."""
+    """Support models that a plan serves; more than one where the support is not known."""
 
     def __post_init__(self) -> None:
         for name in ("weight", "friction"):
@@ -112,38 +112,24 @@ class Guess:
         if not self.supports or set(self.supports) - set(SUPPORTS):
             raise InvalidValueError("Guess.supports", self.supports, f"one or more of {', '.join(SUPPORTS)}")
 
-    def questions(self) -> tuple[Assumptions, ...]:
-        """One a support model."""
+    def assumptions(self) -> tuple[Assumptions, ...]:
+        """Assumptions of each support model, with its measured model errors."""
         return tuple(Assumptions(support) for support in self.supports)
 
     def uniform(self, shape: ObjectShape) -> MassDistribution:
-        """All particles of one mass."""
+        """Distribution of equal particle masses."""
         mass = np.full(shape.n_m, self.weight / len(shape.particles))
         return MassDistribution(mass, np.full(shape.n_mu, self.friction))
 
 
 @dataclass(frozen=True, eq=False)
-class PlanStep:
-    """One action of a plan."""
-
-    action: Action
-    """What to do."""
-    seconds: float
-    """Of the robot, travel included."""
-    belief: Belief
-    """After it."""
-    criterion: float
-    """Its value after it."""
-
-
-@dataclass(frozen=True, eq=False)
 class Design:
-    """Candidates with what each would show, worked out once; C candidates."""
+    """C candidates with the predicted information of each."""
 
     shape: ObjectShape
     candidates: tuple[Action, ...]
-    teaches: tuple[TrialInformation, ...]
-    """Of every candidate; one a support model."""
+    information: tuple[TrialInformation, ...]
+    """Information of every candidate; one entry a support model."""
     criterion: Criterion = "I"
     time: RobotTime = field(default_factory=RobotTime)
 
@@ -159,66 +145,58 @@ class Design:
         criterion: Criterion = "I",
         at: MassDistribution | None = None,
     ) -> Design:
-        """Work out what each candidate would show.
+        """Design with the predicted information of each candidate.
 
         Args:
             shape: geometry and grasps.
             candidates: actions to choose from.
-            guess: how they would be felt, under which supports.
-            criterion: what is to be made small.
+            guess: sensor and support models.
+            criterion: quantity to minimize.
             at: masses and frictions at which it is taken; uniform masses if left out.
         """
         where = guess.uniform(shape) if at is None else at
-        teaches = tuple(
-            predicted_information(shape, where, candidates, guess.sensing, question) for question in guess.questions()
-        )
-        return Design(shape, tuple(candidates), teaches, criterion)
+        each = [predicted_information(shape, where, candidates, guess.sensing, a) for a in guess.assumptions()]
+        return Design(shape, tuple(candidates), tuple(each), criterion)
 
     def of_some(self, kept: Sequence[int]) -> Design:
-        """Of some of the candidates."""
-        teaches = tuple(replace(each, rows=each.rows[list(kept)]) for each in self.teaches)
-        return replace(self, candidates=tuple(self.candidates[i] for i in kept), teaches=teaches)
-
-    @property
-    def durations(self) -> Float[np.ndarray, "C"]:
-        """Of every candidate alone, s."""
-        return np.array([self.time.of(action) for action in self.candidates])
+        """Design of some of the candidates."""
+        information = tuple(replace(each, rows=each.rows[list(kept)]) for each in self.information)
+        return replace(self, candidates=tuple(self.candidates[i] for i in kept), information=information)
 
     def value(self, belief: Belief) -> float:
-        """The criterion, mean over the support models."""
+        """Criterion, mean over the support models."""
         return float(CRITERIA[self.criterion](belief.covariance(), belief.weight).mean())
 
     def values_after(self, belief: Belief) -> Float[np.ndarray, "C"]:
-        """The criterion after each candidate: the covariance before, less what its few rows take away."""
+        """Criterion after each candidate: the covariance before, less what its few rows take away."""
         n_m, found = len(belief.count), np.zeros(len(self.candidates))
         scale = np.outer(belief.count, belief.count)
-        for information, teaches in zip(belief.information, self.teaches, strict=True):
+        for information, trials in zip(belief.information, self.information, strict=True):
             before = np.linalg.inv(information)
-            seen = teaches.rows @ before
-            inner = seen @ teaches.rows.transpose(0, 2, 1) + np.eye(teaches.rows.shape[1])
+            seen = trials.rows @ before
+            inner = seen @ trials.rows.transpose(0, 2, 1) + np.eye(trials.rows.shape[1])
             lower = np.linalg.cholesky(inner)
             taken = np.linalg.solve(lower, seen[:, :, :n_m])
             after = before[:n_m, :n_m] - taken.transpose(0, 2, 1) @ taken
             found += CRITERIA[self.criterion](after * scale, belief.weight)
-        return found / len(self.teaches)
+        return found / len(self.information)
 
-    def taught(self, index: int) -> Float[np.ndarray, "S U U"]:
-        """Information of one candidate, under each support model."""
-        return np.stack([teaches.information([index]) for teaches in self.teaches])
+    def information_of(self, chosen: Sequence[int]) -> Float[np.ndarray, "S U U"]:
+        """Information of the chosen candidates together, under each support model."""
+        return np.stack([trials.information(chosen) for trials in self.information])
 
     def seconds(self, last: Action | None) -> Float[np.ndarray, "C"]:
-        """Of every candidate, with the way there from the last action, s."""
-        way: dict[int, float] = {}
+        """Robot time of every candidate [s], with the way there from the last action."""
+        way: dict[int | None, float] = {}
         for action in self.candidates:
-            if not isinstance(action, Weigh) and action.grasp not in way:
+            if action.grasp not in way:
                 way[action.grasp] = self.time.between(self.shape, last, action)
-        none = self.time.rise
-        return self.durations + [none if isinstance(a, Weigh) else way[a.grasp] for a in self.candidates]
+        return np.array([self.time.of(action) + way[action.grasp] for action in self.candidates])
 
-    def unlike(self, done: Sequence[Action]) -> np.ndarray:
-        """Which candidates are none of those done, nor all but the same, (C,) bool.
+    def novel(self, done: Sequence[Action]) -> np.ndarray:
+        """True for each candidate that no action done is the same as, or nearly, (C,).
 
-        Accelerated turns and lifts are none before anything has moved at constant speed: alone they have no answer.
+        Accelerated turns and lifts are ruled out before a trial at constant speed: alone they give no answer.
         """
         taken = {action for action in done if not isinstance(action, Rotate)}
         begun = any(steady(action) for action in done)
@@ -233,25 +211,25 @@ class Design:
 
 
 def steady(action: Action) -> bool:
-    """Whether it moves the object at constant speed: without any such trial no method has an answer."""
+    """True if it moves the object at constant speed: without any such trial no method has an answer."""
     return isinstance(action, Rotate | Slide)
 
 
 def prior_belief(shape: ObjectShape, guess: Guess) -> Belief:
-    """The weighing, and all ways to share M as likely."""
+    """Belief after the weighing, with all ways to share M as likely."""
     n_m, n_mu, count = shape.n_m, shape.n_mu, shape.particles_per_group
     covariance = prior_masses(shape, guess.weight)[1]
-    both = []
-    for question in guess.questions():
-        information = prior_information(shape, max(guess.sensing.scale, question.stated.weight_error))
+    each = []
+    for assumptions in guess.assumptions():
+        information = prior_information(shape, max(guess.sensing.scale, assumptions.model_errors.weight_error))
         information[:n_m, :n_m] += np.linalg.pinv(covariance, rcond=1e-9, hermitian=True)
         information[n_m : n_m + n_mu, n_m : n_m + n_mu] += np.eye(n_mu) / FRICTION_PRIOR**2
-        both.append(information)
-    return Belief(np.stack(both), count, guess.weight)
+        each.append(information)
+    return Belief(np.stack(each), count, guess.weight)
 
 
 def _place(shape: ObjectShape, action: Action) -> tuple[int, np.ndarray]:
-    """Grasp and pivot of a turn; of anything else, nothing that is near one."""
+    """Grasp and pivot of a turn; of another action, a place that is near none."""
     if not isinstance(action, Rotate):
         return -1, np.full(2, np.inf)
     return action.grasp, np.array(shape.grasps[action.grasp].position if action.pivot is None else action.pivot)

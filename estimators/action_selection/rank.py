@@ -18,24 +18,24 @@ from testbed.trajectory import Trajectory
 
 @dataclass(frozen=True)
 class RankDriven:
-    """Accelerated turns for I_j, then turns about random grasps until rank(Q) is full and `pivots` were turned about.
+    """Accelerated turns for I_j, then turns about random grasps until rank(Q) is full and `pivots` turns were made.
 
-    Every turn goes there and back in one grasp: friction flips and a constant bias does not. Every grasp is taken once
-    before any is taken again.
+    Every turn goes there and back in one grasp: friction flips and a constant bias does not. Every grasp is used once
+    before any is used again.
     """
 
     pivots: int = 6
     """Least number of turns there and back at constant speed: twice as many turns of the paper."""
     duration: float = 18.0
-    """Time of a turn each way, s; 18 in the paper."""
+    """Time of a turn each way [s]; 18 in the paper."""
     accelerated: int = 6
     """Number of accelerated turns; k >= 3 in the paper."""
     most: int = 40
-    """Give up after this many trials."""
+    """Greatest number of trials."""
     seed: int = 0
     """Seed of the random order of grasps."""
     grasps: tuple[int, ...] | None = None
-    """Grasps that may be used; None is all."""
+    """Allowed grasps; None is all."""
 
     def __post_init__(self) -> None:
         for name in ("pivots", "accelerated", "most"):
@@ -43,11 +43,11 @@ class RankDriven:
                 raise InvalidValueError(f"RankDriven.{name}", getattr(self, name), "an integer >= 0 (most: >= 1)")
 
     def next(self, shape: ObjectShape, trajectories: Sequence[Trajectory]) -> Action | None:
-        """The next accelerated turn or turn; None when done, when nothing is grippable, or after `most` trials."""
+        """Next accelerated turn or turn; None when done, without an allowed grasp, or after `most` trials."""
         return self._after(shape, [t.action for t in trajectories], [t.action for t in trajectories if t.ok])
 
     def predicted_actions(self, shape: ObjectShape) -> list[Action]:
-        """All that it will ask for where every trial goes well."""
+        """Actions that it asks for where every trial ends well."""
         done: list[Action] = []
         while (action := self._after(shape, done, done)) is not None:
             done.append(action)
@@ -76,7 +76,7 @@ class RankDriven:
 
 
 def between_particles(shape: ObjectShape, point: np.ndarray) -> tuple[float, float] | None:
-    """A point half a cell beside `point` (m, object frame), or None where `point` is itself well between particles.
+    """Point half a cell beside `point` [m, object frame], or None where `point` is itself well between particles.
 
     A particle at the very centre of a turn has no direction of motion: its friction is anything up to mu m g, any way.
     """
@@ -88,14 +88,14 @@ def between_particles(shape: ObjectShape, point: np.ndarray) -> tuple[float, flo
 
 
 def held_out_turns(shape: ObjectShape, grasps: Sequence[int], count: int, duration: float, seed: int) -> list[Rotate]:
-    """Turns one way about points that `RankDriven` never turns about, for predicting what a method has not seen.
+    """Turns one way about points that `RankDriven` never uses, for predictions on trials that no method was given.
 
     Args:
         shape: the object.
-        grasps: grasps that may be used.
+        grasps: allowed grasps.
         count: number of turns.
-        duration: of each, s.
-        seed: of the draw.
+        duration: time of each [s].
+        seed: seed of the draw.
     """
     turns = []
     for index in range(count):
@@ -109,13 +109,13 @@ def held_out_turns(shape: ObjectShape, grasps: Sequence[int], count: int, durati
 
 
 def _drawn(allowed: Sequence[int], index: int, stream: list[int]) -> int:
-    """The index-th of an endless run of shuffles of the allowed grasps."""
+    """Grasp at an index of an endless run of shuffles of the allowed ones."""
     rng = np.random.default_rng([*stream, index // len(allowed)])
     return int(rng.permutation(np.asarray(allowed))[index % len(allowed)])
 
 
 def predicted_rank(shape: ObjectShape, turns: Sequence[Rotate]) -> int:
-    """rank(Q) that these turns would give, from geometry alone."""
+    """Predicted rank(Q) of turns, from geometry alone."""
     if not turns:
         return 0
     model = ParticleModel.of(shape)

@@ -19,7 +19,7 @@ from estimators.hidden_states.masses import fixed_rows, load_jacobian, one_frict
 from estimators.hidden_states.nuisance import NuisancePrior
 from estimators.hidden_states.setup import UnknownSetup, with_found_bias
 from estimators.hidden_states.trial_windows import TrialWindows
-from estimators.identifiability.information import Likelihood
+from estimators.identifiability.posterior import Likelihood
 from estimators.identifiability.report import Identifiability, identifiability
 from estimators.particles.errors import ModelErrors
 from estimators.particles.friction_system import LinearSystem

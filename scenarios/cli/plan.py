@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
     from estimators.action_selection.candidates import ActionFamily
     from estimators.action_selection.design import Belief, Guess
-    from estimators.action_selection.greedy import Goal, Plan
+    from estimators.action_selection.plan import Goal, Plan
     from testbed.actions.base import Action
     from testbed.objects.model import ObjectModel, ObjectShape
     from viz.values import PlanView
@@ -74,7 +74,8 @@ def plan(
     from rich.console import Console
 
     from estimators.action_selection.design import ASSUMED_SUPPORTS, Guess
-    from estimators.action_selection.greedy import Goal, PlannedPolicy, rank_driven_plan
+    from estimators.action_selection.greedy import PlannedPolicy, rank_driven_plan
+    from estimators.action_selection.plan import Goal
     from scenarios.study.benches import BenchCheck
     from testbed.objects.files import load_object
     from testbed.sensing.presets import preset

@@ -13,8 +13,8 @@ from testbed.errors import HeftError
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from estimators.action_selection.greedy import Goal
     from estimators.action_selection.online import Decision
+    from estimators.action_selection.plan import Goal
     from scenarios.study.active import ActiveResult
     from testbed.objects.model import ObjectModel
     from testbed.trajectory import Trajectory
@@ -63,7 +63,7 @@ def touch(
     from rich.console import Console
 
     from estimators.action_selection.design import ASSUMED_SUPPORTS
-    from estimators.action_selection.greedy import Goal
+    from estimators.action_selection.plan import Goal
     from scenarios.cli.plan import action_family, named_grasps, percent, seconds, sentence
     from scenarios.cli.view import record_all, record_results
     from scenarios.config import Scenario

@@ -7,9 +7,10 @@ from dataclasses import dataclass
 from typing import Any
 
 from estimators.action_selection.candidates import ActionFamily
+from estimators.action_selection.cost import spent_seconds
 from estimators.action_selection.design import Guess
-from estimators.action_selection.greedy import Goal
-from estimators.action_selection.online import Decision, OnlinePolicy, spent_seconds
+from estimators.action_selection.online import Decision, OnlinePolicy
+from estimators.action_selection.plan import Goal
 from scenarios.results.store import Store, key_of, trial_request
 from scenarios.study.benches import BenchCheck
 from scenarios.study.estimates import Asked, estimate, sensed

@@ -7,8 +7,9 @@ import pytest
 from pydantic import ValidationError
 
 from estimators.action_selection.design import Guess
-from estimators.action_selection.greedy import Goal, PlannedPolicy, rank_driven_plan
+from estimators.action_selection.greedy import PlannedPolicy, rank_driven_plan
 from estimators.action_selection.online import OnlinePolicy
+from estimators.action_selection.plan import Goal
 from estimators.action_selection.rank import RankDriven
 from estimators.identifiability.information import SUPPORTS
 from scenarios.cli.main import main

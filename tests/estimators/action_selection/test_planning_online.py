@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from estimators.action_selection.design import NORMAL_MEAN, Guess
-from estimators.action_selection.greedy import Goal
 from estimators.action_selection.online import Decision, OnlinePolicy
+from estimators.action_selection.plan import Goal
 from estimators.evaluation.metrics import normalized_absolute_difference
 from estimators.hidden_states.estimator import HiddenStates
 from estimators.support_models.estimator import SupportAware

@@ -10,8 +10,13 @@ from numpy.testing import assert_allclose
 
 from estimators.action_selection.rank import between_particles
 from estimators.hidden_states.estimator import HiddenStates
-from estimators.identifiability.information import Assumptions, expected, information_root, observed
-from estimators.identifiability.predicted import predicted_windows
+from estimators.identifiability.information import (
+    Assumptions,
+    expected,
+    observed,
+    predicted_information,
+    prior_information,
+)
 from estimators.identifiability.report import identifiability
 from estimators.testing.analytic_world import accelerated, drawn_object, turns
 from testbed.actions.base import Accelerate, Action, Rotate, Slide, Weigh
@@ -117,22 +122,20 @@ def test_a_plan_says_what_the_trials_then_say():
     obj = drawn_object(0)
     actions = [t.action for t in (*accelerated(obj), *turns(obj))]
     seen = observed(obj.shape, obj.truth, [*accelerated(obj), *turns(obj)])
-    quiet = replace(preset("ideal"), scale=Assumptions().stated.weight_error)
+    quiet = replace(preset("ideal"), scale=Assumptions().model_errors.weight_error)
     planned = expected(obj.shape, obj.truth, actions, quiet)
     # a record trims its stretches by whole samples, and its slopes are measured
     assert_allclose(planned.standard_error, seen.standard_error, rtol=0.05)
 
 
-def test_the_root_is_the_derivative_of_what_is_felt():
+def test_rows_are_derivatives_of_the_drag_which_is_bilinear():
     obj = drawn_object(1)
-    windows = predicted_windows(obj.shape, all_turns(obj), preset("ft300s"))
-    assert windows is not None
-    root = information_root(obj.shape, obj.truth, windows, Assumptions())
-    assert root.shape == (1 + 3 * int((~windows.accelerated).sum()) + len(obj.shape.grasps), obj.shape.n_m + 1)
-    assert root[0] @ np.append(obj.truth.mass, 0.0) == pytest.approx(obj.total_mass / Assumptions().stated.weight_error)
-    # drag is bilinear: what scales all masses up scales the friction down
-    felt = root[1 : 1 + 3 * int((~windows.accelerated).sum())]
-    assert_allclose(felt[:, :-1] @ obj.truth.mass, felt[:, -1] * obj.truth.friction[0], rtol=1e-6, atol=1e-6)
+    trials = predicted_information(obj.shape, obj.truth, all_turns(obj), preset("ft300s"), Assumptions())
+    steady = trials.rows[-len(obj.shape.grasps) :, :, : trials.known].reshape(-1, trials.known)
+    # what scales all masses up scales the friction down
+    assert_allclose(steady[:, :-1] @ obj.truth.mass, steady[:, -1] * obj.truth.friction[0], rtol=1e-6, atol=1e-6)
+    weighing = prior_information(obj.shape, 0.01)[: obj.shape.n_m, : obj.shape.n_m]
+    assert obj.truth.mass @ weighing @ obj.truth.mass == pytest.approx((obj.total_mass / 0.01) ** 2)
 
 
 def test_every_answer_carries_the_report():

@@ -10,8 +10,7 @@ from numpy.testing import assert_allclose
 
 from estimators.base import Estimate
 from estimators.hidden_states.estimator import HiddenStates
-from estimators.identifiability.information import Likelihood
-from estimators.identifiability.posterior import friction_profile, sample_posterior
+from estimators.identifiability.posterior import Likelihood, friction_profile, sample_posterior
 from estimators.testing.analytic_world import accelerated, drawn_object, turns
 from testbed.errors import InvalidValueError
 from testbed.objects.files import load_object

@@ -19,7 +19,7 @@ from testbed.trajectory import Trajectory
 from testbed.validation import frozen_array
 
 if TYPE_CHECKING:
-    from testbed.simulation.playback import BodyPoses
+    from testbed.simulation.rendering import BodyPoses
 
 LEVEL, DEVIATIONS = "90 %", 1.645
 """Probability of an interval, and its half width in standard deviations."""

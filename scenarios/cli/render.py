@@ -21,7 +21,7 @@ from testbed.actions.base import Accelerate, Rotate, Slide
 from testbed.errors import InvalidValueError
 from testbed.objects.files import load_object
 from testbed.objects.model import ObjectShape
-from testbed.simulation.rendering import choose_offscreen, choose_window
+from testbed.simulation.graphics import choose_offscreen, choose_window
 from testbed.trajectory import Phase, Trajectory
 from testbed.trial import Trial, parse_support
 from testbed.validation import check_positive
@@ -67,7 +67,7 @@ def watch_record(root: Path, beginning: str) -> None:
     """
     record = read_trial(root, beginning)
     choose_window()
-    from testbed.simulation.playback import Playback  # noqa: PLC0415
+    from testbed.simulation.rendering import Playback  # noqa: PLC0415
     from testbed.simulation.watch import KEYS, Replay, watch  # noqa: PLC0415
 
     replay = Replay(Playback(record.trajectory, record.object, record.grip_width))
@@ -118,7 +118,7 @@ def render_trial(root: Path, beginning: str, wish: Wish) -> Path:
     check_film(out, wish.width, wish.height, wish.fps)
     check_positive("--speed", wish.speed)
     choose_offscreen()
-    from testbed.simulation.playback import Playback, drawing  # noqa: PLC0415
+    from testbed.simulation.rendering import Playback, drawing  # noqa: PLC0415
 
     playback = Playback(record.trajectory, record.object, record.grip_width)
     samples = _samples(record.trajectory, wish, one=out.suffix.lower() == ".png")

@@ -18,7 +18,6 @@ from testbed.objects.files import load_object
 from testbed.objects.gripper import STROKE
 from testbed.objects.model import Grasp, MassDistribution, ObjectModel, ObjectShape
 from testbed.sensing.windows import sample_deviation, steady_samples, wrench_in_object
-from testbed.simulation.playback import body_poses
 from testbed.trajectory import Trajectory, load_trajectory
 from viz.values import TrialView, WrenchFit, support_name
 
@@ -177,6 +176,8 @@ def show_trial(
         facts: more to be said.
         meshes: as `trial_shown`.
     """
+    from testbed.simulation.rendering import body_poses  # noqa: PLC0415  graphics are chosen before MuJoCo loads
+
     action = trajectory.action
     if isinstance(action, Weigh):
         raise InvalidValueError(

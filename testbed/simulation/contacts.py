@@ -1,4 +1,4 @@
-"""The true force of the table on every foot: for checking the sensor and for looking, never for estimating."""
+"""Contacts of the feet with the table: true forces in a trial, loads at rest, and weighing on a scale."""
 
 from __future__ import annotations
 
@@ -18,40 +18,40 @@ from testbed.trial import Support, Trial
 
 @dataclass(frozen=True, eq=False)
 class ContactRecord:
-    """Contact forces over one trial: N samples, F feet, world axes."""
+    """Contact forces of F feet at N samples of a trial, world axes."""
 
     tick: np.ndarray
-    """Which samples of the trajectory these are, (N,)."""
+    """Sample of the trajectory, shape (N,)."""
     force_on_object: np.ndarray
-    """Force of the table on each foot, N, (N, F, 3)."""
+    """Force of the table on each foot [N], shape (N, F, 3)."""
     position: np.ndarray
-    """Where it acts, m, (N, F, 3)."""
+    """Point of contact [m], shape (N, F, 3)."""
     tcp_position: np.ndarray
-    """m, (N, 3)."""
+    """Position of the TCP [m], shape (N, 3)."""
     particle: np.ndarray
-    """Particle over each foot, (F,)."""
+    """Particle over each foot, shape (F,)."""
 
     @property
     def wrench_at_tcp(self) -> np.ndarray:
-        """Sum of all contact forces as a wrench on the object about the TCP, world axes, (N, 6)."""
+        """Wrench of all contact forces on the object about the TCP, world axes [N, N m], shape (N, 6)."""
         lever = self.position - self.tcp_position[:, None]
         return np.concatenate([self.force_on_object.sum(1), np.cross(lever, self.force_on_object).sum(1)], axis=1)
 
     def foot_forces(self, time_s: np.ndarray) -> FootForces:
-        """As kept beside a trial; `time_s` (T,) is the trajectory's."""
+        """Foot forces for the file beside a trial; `time_s` (T,) is the trajectory's."""
         kept = self.tick < len(time_s)
         return FootForces(time_s[self.tick[kept]], self.particle, self.force_on_object[kept])
 
 
 class ContactLog:
-    """Gathers a `ContactRecord` while a trial runs, at every `every`-th tick."""
+    """Recorder of a `ContactRecord` at every `every`-th tick of a trial."""
 
     def __init__(self, every: int = 1) -> None:
         self._every = every
         self._ticks: list[int] = []
 
     def start(self, scene: Scene, ticks: int) -> None:
-        """Make room for a trial of `ticks` samples."""
+        """Allocate a trial of `ticks` samples."""
         rows, feet = -(-ticks // self._every), len(scene.foot_geoms)
         self._foot = np.full(scene.model.ngeom, -1)
         self._foot[scene.foot_geoms] = np.arange(feet)
@@ -62,24 +62,24 @@ class ContactLog:
         self._tcp = np.zeros((rows, 3))
 
     def measure(self, data: mujoco.MjData, tick: int) -> None:
-        """Read all contacts of the feet."""
+        """Read the contacts of all feet."""
         if tick % self._every:
             return
         row, contact = len(self._ticks), data.contact
         feet = self._foot[contact.geom]
         found = np.flatnonzero((feet.max(axis=1, initial=-1) >= 0) & (contact.efc_address >= 0))
         foot = feet[found].max(axis=1)
-        # An elliptic cone's rows are the force itself, in the contact's frame: normal, then the two tangents
+        # The rows of an elliptic cone are the force in the contact frame: normal, then two tangents
         along = data.efc_force[contact.efc_address[found][:, None] + np.arange(3)]
         on_second = np.einsum("ci,cij->cj", along, contact.frame[found].reshape(-1, 3, 3))
-        sign = np.where(feet[found, 1] >= 0, 1.0, -1.0)  # the feet come first or second as the pair was sorted
+        sign = np.where(feet[found, 1] >= 0, 1.0, -1.0)  # MuJoCo sorts a pair's geoms
         self._force[row, foot] = sign[:, None] * on_second
         self._position[row, foot] = contact.pos[found]
         self._tcp[row] = data.site_xpos[self._tcp_site]
         self._ticks.append(tick)
 
     def record(self) -> ContactRecord:
-        """All that was gathered."""
+        """Record so far."""
         n = len(self._ticks)
         return ContactRecord(
             np.array(self._ticks, dtype=np.int64), self._force[:n], self._position[:n], self._tcp[:n], self._particle
@@ -87,10 +87,10 @@ class ContactLog:
 
 
 def resting_loads(obj: ObjectModel, support: Support, contact: ContactSettings) -> Float[np.ndarray, "P"]:
-    """Load on every particle, N, (P,); 0 without contact, and below 0 where a foot would have to pull.
+    """Load on every particle at rest [N], shape (P,); 0 without contact, negative where a foot would have to pull.
 
-    A foundation of even stiffness: the groups share one tilt, and each has a height of its own (own weight), a height
-    joined to its neighbours' by springs, or the height of all (rigid). A group's weight acts at its centre of mass.
+    The foundation has even stiffness. All groups share one tilt; each has a height of its own (own weight), a height
+    joined to its neighbors' by springs, or the common height (rigid). A group's weight acts at its center of mass.
     """
     shape = obj.shape
     feet = np.flatnonzero(shape.friction_group >= 0)
@@ -115,7 +115,7 @@ _SETTLE_TIME, _READ_TIME = 1.0, 0.5
 
 
 def weigh(trial: Trial, settings: SimulationSettings) -> Trajectory:
-    """Let the object come to rest and read its weight at the record rate: wrench_on_object_world, z."""
+    """Record of the weight of an object at rest, in z of wrench_on_object_world."""
     scene = build_scene(trial.object, trial.support, None, settings)
     model, data = scene.model, mujoco.MjData(scene.model)
     mujoco.mj_step(model, data, round(_SETTLE_TIME / settings.timestep))

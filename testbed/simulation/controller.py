@@ -1,4 +1,4 @@
-"""The arm's outer loop at the record rate: integrates errors away, and nulls load and tilt after the grip closes."""
+"""Outer loop of the arm at the record rate: integral action, and nulling of load and tilt after the grip closes."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from testbed.simulation.settings import SimulationSettings
 from testbed.trajectory import Phase
 
 _NULL_TIME_CONSTANT = 0.15
-_KEEP_OPEN = -5.0
+_OPENING_FORCE = -5.0
 
 
 class Servo:
-    """State of one trial's outer loop.
+    """Outer loop of one trial.
 
-    The inner loop, inside MuJoCo, is the position servo of gen3.xml. Its actuators integrate a joint speed, so that
-    targets move smoothly between ticks without a call a step.
+    The inner loop, inside MuJoCo, is the position servo of gen3.xml. Its actuators integrate a joint speed, so targets
+    move smoothly between ticks without a call per step.
     """
 
     def __init__(self, model: mujoco.MjModel, motion: Motion, settings: SimulationSettings):
@@ -33,7 +33,6 @@ class Servo:
         self._wrench = model.site("ft/wrench").id
         self._force = model.sensor("ft/force").adr[0]
         self._torque = model.sensor("ft/torque").adr[0]
-
         self._weld = model.equality("weld").id if settings.grip.mode == "weld" else None
 
     def command(self, data: mujoco.MjData, tick: int) -> None:
@@ -48,8 +47,8 @@ class Servo:
             self._hold(data, held=Phase.SETTLE <= self._motion.phase[tick] < Phase.RELEASE)
 
     def _hold(self, data: mujoco.MjData, *, held: bool) -> None:
-        """Weld hand and object together as they stand, or let go; the fingers stay open."""
-        data.ctrl[7] = _KEEP_OPEN
+        """Weld hand and object in their present pose, or release them; the fingers stay open."""
+        data.ctrl[7] = _OPENING_FORCE
         if held and not data.eq_active[self._weld]:
             model = data.model
             hand, body = model.eq_obj1id[self._weld], model.eq_obj2id[self._weld]
@@ -62,7 +61,7 @@ class Servo:
         data.eq_active[self._weld] = held
 
     def measure(self, data: mujoco.MjData, tick: int) -> None:
-        """Read the sensor as the robot would: zero it while hovering, null load and tilt while asked."""
+        """Read the sensor as the robot does: zero it while hovering, null load and tilt in `nulling` ticks."""
         phase = self._motion.phase[tick]
         if phase == Phase.TARE:
             self._tare = self._wrench_world(data)
@@ -76,14 +75,11 @@ class Servo:
         return np.concatenate([rotation @ force, rotation @ torque])
 
     def _deflection(self, data: mujoco.MjData) -> np.ndarray:
-        """Joint offsets by which the servo carries the unwanted load: vertical force, and tilt about the table."""
+        """Joint offsets due to the unwanted load: vertical force, and tilt about the table [rad]."""
         wrench = self._wrench_world(data) - self._tare
         force = wrench[:3]
         torque = wrench[3:] - np.cross(data.site_xpos[self._tcp] - data.site_xpos[self._wrench], force)
         height = data.site_xpos[self._tcp][2]
         unwanted = np.array([0, 0, force[2], torque[0] - height * force[1], torque[1] + height * force[0], 0])
-        return self._jacobian_at_tcp(data).T @ unwanted / self._stiffness
-
-    def _jacobian_at_tcp(self, data: mujoco.MjData) -> np.ndarray:
         mujoco.mj_jacSite(data.model, data, self._jacobian[:3], self._jacobian[3:], self._tcp)
-        return self._jacobian[:, :7]
+        return self._jacobian[:, :7].T @ unwanted / self._stiffness

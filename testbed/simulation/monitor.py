@@ -1,4 +1,4 @@
-"""How a trial ended: watched while it runs, told apart, with the numbers."""
+"""Monitor of a running trial: slip, saturation, speed and divergence, and the outcome with its numbers."""
 
 from __future__ import annotations
 
@@ -15,17 +15,20 @@ from testbed.simulation.settings import SimulationSettings
 from testbed.trajectory import Phase, Status
 
 SLIP_LIMIT = (0.003, math.radians(1.5))
-"""Slip in the grip beyond which a trial is no data: m, rad."""
+"""Slip in the grip beyond which a trial is invalid [m, rad]."""
 IMPOSSIBLE_SPEED = 20.0
-"""Times its limit that no joint can reach: the simulation has diverged."""
+"""Multiple of its speed limit that no joint can reach: the simulation has diverged."""
 SATURATION_TIME = 0.1
-"""A joint at its working torque for longer than this is a limit, s."""
+"""Longest time of a joint at its working torque [s]."""
 _FAULTS = (mujoco.mjtWarning.mjWARN_BADQPOS, mujoco.mjtWarning.mjWARN_BADQVEL, mujoco.mjtWarning.mjWARN_BADQACC)
+
+_PoseInHand = tuple[np.ndarray, np.ndarray]
+"""Position [m] and orientation of the object in the hand."""
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """Status of a trial, why, and the numbers behind it."""
+    """Status of a trial, its reason, and the numbers behind it."""
 
     status: Status
     reason: str
@@ -34,10 +37,10 @@ class Outcome:
     """Last state before a fault."""
 
 
-class Watch:
-    """Looks for slip, saturation, speed and divergence at every tick of one trial.
+class Monitor:
+    """Watch for slip, saturation, speed and divergence at every tick of one trial.
 
-    Slip is counted over the table; in the air in all directions, since there the object may also fall or nod.
+    Slip is planar on the table, and spatial in the air, where the object may also fall or tilt.
     """
 
     def __init__(self, model: mujoco.MjModel, scene: Scene, motion: Motion, settings: SimulationSettings):
@@ -47,10 +50,9 @@ class Watch:
         first = model.sensor("arm/joint_1_torque").adr[0]
         self._torques = slice(first, first + 7)
         self._limit = model.jnt_actfrcrange[:7, 1]
-        self._held = motion.phase >= Phase.SETTLE
-        self._held &= motion.phase != Phase.RELEASE
+        self._held = (motion.phase >= Phase.SETTLE) & (motion.phase != Phase.RELEASE)
         self._shift = _shift_in_space if motion.in_the_air else _shift_on_table
-        self._grasped: tuple[np.ndarray, np.ndarray] | None = None
+        self._grasped: _PoseInHand | None = None
         self._saturated = np.zeros(7)
         self._torque = self._speed = self._slip = self._turn = 0.0
         self._status: Status = "ok"
@@ -59,7 +61,7 @@ class Watch:
         self._good: dict[str, list[float]] = {}
 
     def trouble(self, data: mujoco.MjData, tick: int) -> bool:
-        """Take one tick in; true where the trial must end."""
+        """Check one tick; True if the trial must end."""
         speed = np.abs(data.qvel[:7]) / JOINT_SPEED_LIMIT
         warned = any(data.warning[w].number for w in _FAULTS)
         if warned or not np.isfinite(data.sensordata).all() or not speed.max() < IMPOSSIBLE_SPEED:
@@ -90,13 +92,11 @@ class Watch:
 
     def _slipped(self, data: mujoco.MjData, tick: int) -> bool:
         hand = data.site_xmat[self._tcp].reshape(3, 3)
-        placed = (
-            hand.T @ (data.xpos[self._body] - data.site_xpos[self._tcp]),
-            hand.T @ data.xmat[self._body].reshape(3, 3),
-        )
+        position, axes = data.xpos[self._body] - data.site_xpos[self._tcp], data.xmat[self._body].reshape(3, 3)
+        pose = hand.T @ position, hand.T @ axes
         if self._grasped is None:
-            self._grasped = placed
-        moved, turn = self._shift(self._grasped, placed)
+            self._grasped = pose
+        moved, turn = self._shift(self._grasped, pose)
         self._turn, self._slip = max(self._turn, turn), max(self._slip, moved)
         if self._slip > SLIP_LIMIT[0] or self._turn > SLIP_LIMIT[1]:
             return self._end(
@@ -111,7 +111,7 @@ class Watch:
         return True
 
     def outcome(self) -> Outcome:
-        """What it came to."""
+        """Outcome so far."""
         figures = {
             "peak_torque_over_limit": float(self._torque),
             "peak_speed_over_limit": float(self._speed),
@@ -121,12 +121,8 @@ class Watch:
         return Outcome(self._status, self._reason, figures, self._state or None)
 
 
-_Placed = tuple[np.ndarray, np.ndarray]
-"""Position, m, and orientation of the object in the hand."""
-
-
-def _shift_on_table(before: _Placed, now: _Placed) -> tuple[float, float]:
-    """How far the grasp point moved, m, and how far the object turned, rad, both across the approach axis."""
+def _shift_on_table(before: _PoseInHand, now: _PoseInHand) -> tuple[float, float]:
+    """Shift of the grasp point [m] and turn of the object [rad], across the approach axis."""
     (x, y), (u, v) = before[1][:2, 0], now[1][:2, 0]
     turn = math.atan2(x * v - y * u, np.array([x, y]) @ [u, v])
     # the body's origin is not the grasp point: take the part of its shift that the turn explains away
@@ -134,8 +130,8 @@ def _shift_on_table(before: _Placed, now: _Placed) -> tuple[float, float]:
     return float(np.linalg.norm(now[0][:2] - np.array([[c, -s], [s, c]]) @ before[0][:2])), abs(turn)
 
 
-def _shift_in_space(before: _Placed, now: _Placed) -> tuple[float, float]:
-    """The same in all directions."""
+def _shift_in_space(before: _PoseInHand, now: _PoseInHand) -> tuple[float, float]:
+    """Shift [m] and turn [rad] in all directions."""
     turn = now[1] @ before[1].T
     return float(np.linalg.norm(now[0] - turn @ before[0])), float(
         np.linalg.norm(Rotation.from_matrix(turn).as_rotvec())

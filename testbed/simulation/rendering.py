@@ -1,135 +1,45 @@
-"""How MuJoCo draws: without a display or in a window. Chosen before MuJoCo is imported; one line where it cannot."""
+"""Pictures of trials: still cameras, and playback of a record by the measured kinematics, without physics."""
 
 from __future__ import annotations
 
 import math
-import os
-import warnings
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
+from copy import copy
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from functools import lru_cache
+from typing import Literal
 
 import mujoco
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, UInt8
+from scipy.spatial.transform import Rotation
 
-from testbed.errors import HeftError
-
-if TYPE_CHECKING:
-    import mujoco
-
-
-OFFSCREEN_PACKAGES = "libegl1 libegl-mesa0 libgl1 libgles2"
-"""What Debian and Ubuntu need to draw without a display."""
-WINDOW_PACKAGES = "libgl1 libglx-mesa0 libx11-6 libxcursor1 libxi6 libxinerama1 libxrandr2"
-"""What Debian and Ubuntu need to open a window under X11."""
-
-
-class NoGraphicsError(HeftError):
-    """A machine that cannot draw, or has nowhere to show it."""
-
-
-def choose_offscreen() -> None:
-    """Draw through EGL, unless MUJOCO_GL says otherwise.
-
-    Raises:
-        NoGraphicsError: its libraries are missing.
-    """
-    os.environ.setdefault("MUJOCO_GL", "egl")
-    with _told_in_a_line():
-        import mujoco  # noqa: PLC0415
-
-        _ = mujoco.Renderer  # left out where its libraries are missing
-
-
-def choose_window() -> None:
-    """Draw in windows on the display.
-
-    Raises:
-        NoGraphicsError: there is no display, it does not answer, or the libraries for windows are missing.
-    """
-    if not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
-        raise NoGraphicsError(
-            "cannot open a window: there is no display (neither DISPLAY nor WAYLAND_DISPLAY is set); "
-            "heft render makes a film without one; see also heft view"
-        )
-    os.environ["MUJOCO_GL"] = "glfw"
-    os.environ.pop("PYOPENGL_PLATFORM", None)  # a process that draws without a display leaves "egl" to its children
-    said = _why_no_window()
-    if said is not None:
-        where = os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
-        raise NoGraphicsError(
-            f"cannot open a window on display {where} ({said}); start one there, or install what windows need "
-            f"(Debian, Ubuntu: apt-get install {WINDOW_PACKAGES}); heft render makes a film without a display"
-        )
-
-
-def _why_no_window() -> str | None:
-    """What GLFW complains of, in a line; None where it can open windows."""
-    try:
-        import glfw  # noqa: PLC0415
-    except (ImportError, OSError) as error:
-        return _first_line(error)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        if glfw.init():
-            return None
-    _, said = glfw.get_error()
-    return _first_line(said.decode() if isinstance(said, bytes) else str(said))
-
-
-@contextmanager
-def offscreen_renderer(model: mujoco.MjModel, width: int, height: int) -> Iterator[mujoco.Renderer]:
-    """A renderer of pictures of a size, px.
-
-    Raises:
-        NoGraphicsError: there is no driver for it.
-    """
-    import mujoco  # noqa: PLC0415  with the choice made
-
-    model.vis.global_.offwidth, model.vis.global_.offheight = width, height
-    with _told_in_a_line():
-        renderer = mujoco.Renderer(model, height, width)
-    with renderer:
-        yield renderer
-
-
-@contextmanager
-def _told_in_a_line() -> Iterator[None]:
-    try:
-        yield
-    except Exception as error:  # which one depends on the library that is missing, and on who misses it
-        chosen = os.environ.get("MUJOCO_GL", "")
-        advice = (
-            f"install EGL (Debian, Ubuntu: apt-get install {OFFSCREEN_PACKAGES})"
-            if chosen == "egl"
-            else "leave MUJOCO_GL unset, or set it to egl"
-        )
-        raise NoGraphicsError(
-            f"cannot draw without a display: MUJOCO_GL={chosen} does not work here ({_first_line(error)}); {advice}"
-        ) from None
-
-
-def _first_line(error: BaseException | Warning | str) -> str:
-    return (str(error).strip() or type(error).__name__).splitlines()[0].rstrip(".")
-
+from testbed.actions.base import Lift
+from testbed.errors import InvalidValueError
+from testbed.objects.gripper import STROKE
+from testbed.objects.model import ObjectModel
+from testbed.sensing.lift_windows import poses_in_space
+from testbed.simulation.graphics import offscreen_renderer
+from testbed.simulation.scene import add_object, attach_arm, part
+from testbed.trajectory import Phase, Trajectory
+from testbed.trial import RIGID
 
 ViewName = Literal["bench", "object", "above"]
 
 
 @dataclass(frozen=True)
 class View:
-    """A direction to look in, and what is to be in the picture."""
+    """Viewing direction, and the bodies in the picture."""
 
     azimuth: float
-    """Direction of looking, seen from above, deg from the world's x axis."""
+    """Viewing direction seen from above [deg from the world's x axis]."""
     elevation: float
-    """Of the direction of looking over the horizon, deg; negative looks down."""
+    """Viewing direction over the horizon [deg]; negative looks down."""
     frames: tuple[str, ...]
-    """Beginnings of the names of the bodies that are to be in the picture."""
+    """Name prefixes of the bodies in the picture."""
     hides: tuple[str, ...] = ()
-    """Beginnings of the names of the bodies that are left out."""
+    """Name prefixes of the bodies left out."""
 
 
 VIEWS: dict[ViewName, View] = {
@@ -138,13 +48,17 @@ VIEWS: dict[ViewName, View] = {
     "above": View(90, -89.99, ("object",), hides=("arm/", "ft/", "gripper/base")),
 }
 FIELD_OF_VIEW = 30.0
-"""Vertical, deg: a long lens bends little."""
+"""Vertical field of view [deg], narrow for little perspective."""
 MARGIN = 0.9
-"""Part of the picture's width and height that what is framed may fill."""
+"""Part of the picture's width and height that the framed bodies may fill."""
+CAMERA_SAMPLES = 40
+"""Samples of a motion at which the camera keeps everything in the picture."""
+_OPEN = (Phase.TARE, Phase.APPROACH)
+_HELD = (Phase.SETTLE, Phase.RAMP, Phase.STEADY)
 
 
 def light(model: mujoco.MjModel) -> None:
-    """Even light for pictures, a sun over the workspace and a headlight, and a lens that takes in the arm."""
+    """Set even light, a sun over the workspace and a headlight, and a lens that takes in the arm."""
     model.vis.global_.fovy = FIELD_OF_VIEW
     model.vis.global_.azimuth, model.vis.global_.elevation = VIEWS["bench"].azimuth, VIEWS["bench"].elevation
     model.stat.center[:] = (0.3, 0.0, 0.25)
@@ -155,10 +69,10 @@ def light(model: mujoco.MjModel) -> None:
     sun = np.array([-0.35, 0.35, -1.0])
     model.light_type[:] = mujoco.mjtLightType.mjLIGHT_DIRECTIONAL
     model.light_dir[:] = sun / np.linalg.norm(sun)
-    model.light_pos[:] = model.stat.center - 1.5 * sun  # the middle of the map of shadows
+    model.light_pos[:] = model.stat.center - 1.5 * sun  # center of the shadow map
     model.light_diffuse[:] = 0.5
     model.light_specular[:] = 0.1
-    model.vis.map.shadowclip = 1.0  # the map reaches so many extents from its middle
+    model.vis.map.shadowclip = 1.0  # reach of the shadow map [extent]
 
 
 def camera(
@@ -169,15 +83,15 @@ def camera(
     pose: Callable[[int], None],
     samples: Iterable[int],
 ) -> mujoco.MjvCamera:
-    """A still camera that has all that the view frames in the picture at all of the samples.
+    """Still camera that keeps the bodies of a view in the picture at all samples.
 
     Args:
-        model: the bench.
-        data: whose positions `pose` sets.
-        view: where to look from.
+        model: the scene.
+        data: positions, set by `pose`.
+        view: viewing direction and bodies.
         aspect: width of the picture over its height.
-        pose: puts the bench at a sample.
-        samples: at which to look.
+        pose: puts the scene at a sample.
+        samples: samples to consider.
     """
     geoms = bodies_named(model, view.frames)[model.geom_bodyid]
     points = []
@@ -194,17 +108,17 @@ def camera(
 
 
 def hide(model: mujoco.MjModel, view: View) -> None:
-    """Make what the view leaves out invisible."""
+    """Hide the bodies that the view leaves out."""
     model.geom_rgba[bodies_named(model, view.hides)[model.geom_bodyid], 3] = 0.0
 
 
-def bodies_named(model: mujoco.MjModel, beginnings: tuple[str, ...]) -> Bool[np.ndarray, "B"]:
-    """Which bodies have a name with one of these beginnings."""
-    return np.array([model.body(i).name.startswith(beginnings) for i in range(model.nbody)], dtype=bool)
+def bodies_named(model: mujoco.MjModel, prefixes: tuple[str, ...]) -> Bool[np.ndarray, "B"]:
+    """True for bodies whose name has one of the prefixes."""
+    return np.array([model.body(i).name.startswith(prefixes) for i in range(model.nbody)], dtype=bool)
 
 
 def _corners(model: mujoco.MjModel, data: mujoco.MjData, geoms: np.ndarray) -> np.ndarray:
-    """Corners of the boxes around some geoms, m, world, (8 G, 3)."""
+    """Corners of the boxes around G geoms, world [m], shape (8 G, 3)."""
     centre, half = np.split(model.geom_aabb[geoms], 2, axis=1)
     signs = np.stack(np.meshgrid(*[[-1.0, 1.0]] * 3), axis=-1).reshape(8, 3)
     local = centre[:, None] + signs * half[:, None]
@@ -213,15 +127,10 @@ def _corners(model: mujoco.MjModel, data: mujoco.MjData, geoms: np.ndarray) -> n
 
 
 def _axes(view: View) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Forward, right and up of a camera, as MuJoCo has them for a free one."""
+    """Forward, right and up of a free camera in MuJoCo."""
     azimuth, elevation = math.radians(view.azimuth), math.radians(view.elevation)
-    forward = np.array(
-        [
-            math.cos(elevation) * math.cos(azimuth),
-            math.cos(elevation) * math.sin(azimuth),
-            math.sin(elevation),
-        ]
-    )
+    level = math.cos(elevation)
+    forward = np.array([level * math.cos(azimuth), level * math.sin(azimuth), math.sin(elevation)])
     right = np.array([math.sin(azimuth), -math.cos(azimuth), 0.0])
     return forward, right, np.cross(right, forward)
 
@@ -229,7 +138,7 @@ def _axes(view: View) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 def _fit(
     points: Float[np.ndarray, "N 3"], forward: np.ndarray, right: np.ndarray, up: np.ndarray, aspect: float
 ) -> tuple[Float[np.ndarray, "3"], float]:
-    """Nearest place of a camera from which all points are within its pyramid, m, and its distance to their middle, m.
+    """Nearest camera position with all points in its pyramid [m], and its distance to their middle [m].
 
     Where |x - x_c| <= a (z - z_c) holds for all points, x_c - a z_c >= max(x - a z) and x_c + a z_c <= min(x + a z);
     likewise up. The nearer of the two limits on z_c would cut points off.
@@ -244,3 +153,156 @@ def _fit(
     back = min(limits)
     position = back * forward + middles[0] * right + middles[1] * up
     return position, float((depth.min() + depth.max()) / 2 - back)
+
+
+@lru_cache(maxsize=2)
+def bench_model(*, meshes: bool = True) -> mujoco.MjModel:
+    """Table, arm, sensor and gripper without an object, compiled once a process; see `build_scene` for `meshes`."""
+    spec = part("table")
+    attach_arm(spec, meshes=meshes)
+    return spec.compile()
+
+
+def opening(trajectory: Trajectory, width: float) -> Float[np.ndarray, "T"]:
+    """Distance between the pads by the phases [m], shape (T,); `width` while they hold [m]."""
+    phase, count = trajectory.phase, len(trajectory.phase)
+    closed = np.where(np.isin(phase, _OPEN), 0.0, 1.0)
+    for moving, ends in ((Phase.GRASP, (0.0, 1.0)), (Phase.RELEASE, (1.0, 0.0))):
+        inside = np.flatnonzero(phase == moving)
+        closed[inside] = np.linspace(*ends, len(inside))
+    if trajectory.tool is None:
+        closed = np.zeros(count)
+    return STROKE + (width - STROKE) * closed
+
+
+def pose_bench(model: mujoco.MjModel, data: mujoco.MjData, trajectory: Trajectory, sample: int, opened: float) -> None:
+    """Put arm and fingers at a sample of the record; `opened` is the distance between the pads [m]."""
+    data.qpos[:7] = trajectory.joint_position[sample]
+    for finger in ("gripper/left_finger", "gripper/right_finger"):
+        data.qpos[model.joint(finger).qposadr[0]] = (STROKE - opened) / 2
+
+
+@dataclass(frozen=True, eq=False)
+class BodyPoses:
+    """Poses of B bodies of the scene at T samples."""
+
+    model: mujoco.MjModel
+    """Model with the bodies, in order."""
+    position: Float[np.ndarray, "T B 3"]
+    """Position, world frame [m]."""
+    orientation: Float[np.ndarray, "T B 4"]
+    """Orientation, world frame, wxyz."""
+
+
+def body_poses(trajectory: Trajectory, width: float, *, meshes: bool = True, every: int = 1) -> BodyPoses:
+    """Forward kinematics of a record.
+
+    Args:
+        trajectory: record of a trial with the arm.
+        width: distance between the gripped faces [m].
+        meshes: see `build_scene`.
+        every: take every `every`-th sample.
+    """
+    model = bench_model(meshes=meshes)
+    data = mujoco.MjData(model)
+    samples, opened = range(0, len(trajectory.time_s), every), opening(trajectory, width)
+    position = np.empty((len(samples), model.nbody, 3))
+    orientation = np.empty((len(samples), model.nbody, 4))
+    for row, sample in enumerate(samples):
+        pose_bench(model, data, trajectory, sample, float(opened[sample]))
+        mujoco.mj_kinematics(model, data)
+        position[row], orientation[row] = data.xpos, data.xquat
+    return BodyPoses(model, position, orientation)
+
+
+class Playback:
+    """Scene with the object of a record."""
+
+    def __init__(self, trajectory: Trajectory, obj: ObjectModel, width: float, *, meshes: bool = True):
+        """Compile the scene and show the first sample.
+
+        Args:
+            trajectory: the record.
+            obj: the moved object; only its looks count.
+            width: distance between the pads while they hold it [m].
+            meshes: see `build_scene`.
+
+        Raises:
+            InvalidValueError: a weighing, where nothing moves.
+        """
+        if trajectory.tool is None:
+            raise InvalidValueError("trial", "a weighing, where nothing moves", "a slide or a turn")
+        spec = part("table")
+        attach_arm(spec, meshes=meshes)
+        add_object(spec, obj, RIGID)
+        self.model = spec.compile()
+        light(self.model)
+        self.data = mujoco.MjData(self.model)
+        self.trajectory = trajectory
+        self._opening = opening(trajectory, width)
+        self._object = object_pose(trajectory)
+        self._in_space = _in_space(trajectory, obj.shape.height / 2)
+        self._address = self.model.joint("object").qposadr[0]
+        self.show(0)
+
+    def show(self, sample: int) -> None:
+        """Put everything at a sample of the record."""
+        model, data, address = self.model, self.data, self._address
+        pose_bench(model, data, self.trajectory, sample, float(self._opening[sample]))
+        if self._in_space is not None:
+            data.qpos[address : address + 7] = self._in_space[sample]
+        else:
+            x, y, yaw = self._object[sample]
+            data.qpos[address : address + 2] = x, y  # the height and the upright axis are the model's own
+            data.qpos[address + 3 : address + 7] = math.cos(yaw / 2), 0.0, 0.0, math.sin(yaw / 2)
+        data.time = self.trajectory.time_s[sample]
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_camlight(model, data)
+
+
+def object_pose(trajectory: Trajectory) -> Float[np.ndarray, "T 3"]:
+    """Planar pose of the object, world frame [m, m, rad]: by the hand while it holds, else at rest."""
+    held = np.flatnonzero(trajectory.mask(*_HELD))
+    first, last = (held[0], held[-1]) if len(held) else (-1, -1)
+    count = len(trajectory.time_s)
+    return trajectory.object_pose[np.clip(np.arange(count), first % count, last % count)]
+
+
+def _in_space(trajectory: Trajectory, middle: float) -> Float[np.ndarray, "T 7"] | None:
+    """Pose of the object's body in a lift [m, wxyz], `middle` over its bottom [m]; None for other actions."""
+    if not (isinstance(trajectory.action, Lift) and trajectory.mask(Phase.SETTLE).any()):
+        return None
+    origin, axes = poses_in_space(trajectory)
+    turned = Rotation.from_matrix(axes).as_quat(scalar_first=True)
+    return np.hstack([origin + middle * axes[:, :, 2], turned])
+
+
+@contextmanager
+def drawing(
+    playback: Playback, view: ViewName, width: int, height: int
+) -> Iterator[Callable[[int], UInt8[np.ndarray, "H W 3"]]]:
+    """Function that draws a sample of a record, by a still camera with the whole motion in the picture.
+
+    Args:
+        playback: the record in its scene.
+        view: name in `VIEWS`.
+        width: width of the picture [px].
+        height: height of the picture [px].
+
+    Raises:
+        NoGraphicsError: a machine that cannot draw without a display.
+    """
+    model, data, chosen = copy(playback.model), playback.data, VIEWS[view]
+    hide(model, chosen)
+    options = mujoco.MjvOption()
+    options.sitegroup[:] = 0
+    looks = np.unique(np.linspace(0, len(playback.trajectory.time_s) - 1, CAMERA_SAMPLES).astype(int))
+    eye = camera(model, data, chosen, width / height, playback.show, looks.tolist())
+    with offscreen_renderer(model, width, height) as renderer:
+
+        def draw(sample: int) -> UInt8[np.ndarray, "H W 3"]:
+            playback.show(sample)
+            renderer.update_scene(data, eye, options)
+            return renderer.render()
+
+        yield draw

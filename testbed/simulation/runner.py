@@ -1,4 +1,4 @@
-"""Trials in MuJoCo: the arm grasps the object on the table and moves it; the sensor's record comes back."""
+"""Trials in MuJoCo: the arm grasps the object on the table and moves it; the result is the sensor's record."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from testbed.sensing.presets import draw_sensing, preset
 from testbed.simulation.contacts import ContactLog, ContactRecord, weigh
 from testbed.simulation.controller import Servo
 from testbed.simulation.feasibility import check_feasible
-from testbed.simulation.monitor import Outcome, Watch
+from testbed.simulation.monitor import Monitor, Outcome
 from testbed.simulation.motion import Motion, gripper_tool, plan_motion
 from testbed.simulation.scene import build_scene
 from testbed.simulation.settings import SimulationSettings
@@ -38,16 +38,16 @@ _SENSORS = {
 }
 
 TOLERANCE_IN_AIR = 1e-12
-"""Of MuJoCo's solver while only the pads hold the object. At its usual 1e-8 it may stop where the pads' forces and the
-weight still differ by 0.2 N, step after step."""
+"""Tolerance of MuJoCo's solver while only the pads hold the object. At the default 1e-8 the pads' forces and the weight
+may differ by 0.2 N, step after step."""
 
 
 @dataclass(frozen=True)
 class SimulationRunner:
-    """A `TrialRunner` on the simulated bench. Entering and leaving it costs nothing."""
+    """`TrialRunner` in simulation. Entering and leaving it costs nothing."""
 
     settings: SimulationSettings = field(default_factory=SimulationSettings)
-    """Of the simulated bench."""
+    """Settings of the simulation."""
 
     def __enter__(self) -> Self:
         return self
@@ -66,15 +66,15 @@ class SimulationRunner:
         return draw_sensing(self.run_clean(trial), preset(trial.sensing), trial.seed)
 
     def run_clean(self, trial: Trial) -> Trajectory:
-        """The physics alone, with a perfect sensor; sensing draws can be applied to it afterwards."""
+        """Run the physics with a perfect sensor; sensing draws can be applied to the result."""
         return self._simulate(trial, None)
 
     def run_with_contacts(self, trial: Trial, every: int = 1) -> tuple[Trajectory, ContactRecord]:
-        """As `run_clean`, with the true force of the table on every foot: what no bench can measure.
+        """Run the physics with a perfect sensor and record the true force of the table on every foot.
 
         Args:
-            trial: with the arm; a scale has no feet to tell of.
-            every: read the contacts at one sample in so many.
+            trial: any trial but a weighing.
+            every: read the contacts at every `every`-th sample.
         """
         if isinstance(trial.action, Weigh):
             raise InvalidValueError("trial.action", trial.action, "anything but a weighing")
@@ -103,7 +103,7 @@ class SimulationRunner:
         if log is not None:
             log.start(scene, len(motion.q))
         servo = Servo(model, motion, self.settings)
-        watch = Watch(model, scene, motion, self.settings)
+        monitor = Monitor(model, scene, motion, self.settings)
         # A sensor integrates over its sample; one instant a tick would alias with the outer loop's steps
         record, sample = np.empty((len(motion.q), model.nsensordata)), np.zeros(model.nsensordata)
         steps = round(1 / self.settings.rate / self.settings.timestep)
@@ -118,16 +118,16 @@ class SimulationRunner:
             servo.measure(data, tick)
             if log is not None:
                 log.measure(data, tick)
-            if watch.trouble(data, tick):
+            if monitor.trouble(data, tick):
                 count = max(tick, 1)
                 break
-        record = np.nan_to_num(record[:count])  # only a fault in the very first sample leaves something to clear
-        outcome = watch.outcome()
+        record = np.nan_to_num(record[:count])  # only a fault in the first sample leaves something to clear
+        outcome = monitor.outcome()
         return _trajectory(trial, motion, model, record, self.settings, outcome)
 
 
 def place(model: mujoco.MjModel, data: mujoco.MjData, motion: Motion) -> None:
-    """Arm at its start, object where the motion expects it; a finer solver where the object leaves the table."""
+    """Put arm and object at the start of a motion, with a finer solver for an object that leaves the table."""
     if motion.in_the_air:
         model.opt.tolerance = TOLERANCE_IN_AIR
     x, y, yaw = motion.object_pose

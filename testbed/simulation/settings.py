@@ -1,4 +1,4 @@
-"""Settings of the simulated bench: contact, grip, servo. Each default was measured; see docs/simulation.md."""
+"""Settings of the simulation: contact, grip, servo. Each default was measured; see docs/simulation.md."""
 
 from __future__ import annotations
 
@@ -9,28 +9,28 @@ from testbed.errors import InvalidValueError
 from testbed.validation import check_positive
 
 MARGIN = 0.8
-"""Part of a limit of grip that may be used: what is estimated beforehand is quasi-static."""
+"""Usable part of a grip limit, since the estimate before a trial is quasi-static."""
 
 
 @dataclass(frozen=True)
 class ContactSettings:
-    """Contact of a foot with the table: a soft spring in the normal direction and Coulomb friction across it.
+    """Contact of a foot with the table: a soft normal spring and Coulomb friction.
 
-    MuJoCo's convex contact couples slip to lift: a sliding foot is pushed up by friction * friction_damping * speed
-    (an acceleration), against the contact's own stiffness. A small impedance makes that lift a negligible part of the
-    weight; a large friction damping keeps the force opposite to the velocity while the velocity turns. Both are wanted.
+    MuJoCo's convex contact couples slip to lift: it accelerates a sliding foot upward by friction * friction_damping *
+    speed, against the contact's stiffness. A small impedance makes that lift a negligible part of the weight; a large
+    friction damping keeps the force opposite to the velocity while the velocity turns.
     """
 
     sag: float = 0.001
-    """How far the object sinks into its pads under its own weight, m: the foundation's softness, as of thin felt."""
+    """Depth by which the object sinks under its own weight [m]: softness of the foundation, as of thin felt."""
     impedance: float = 0.01
-    """Constant constraint impedance of the normal direction, 0..1."""
+    """Constraint impedance of the normal direction, 0 to 1."""
     friction_damping: float = 100.0
-    """Rate at which friction opposes slip, 1/s; its direction errs by turn rate / this, rad."""
+    """Rate at which friction opposes slip [1/s]; its direction errs by turn rate / this [rad]."""
     impratio: float = 1e4
-    """Stiffness of friction against that of the normal direction: sticking feet and pads do not creep."""
+    """Stiffness of friction over that of the normal direction, large so that sticking feet and pads do not creep."""
     foot_radius: float = 0.002
-    """Radius of a foot's sphere, m."""
+    """Radius of a foot's sphere [m]."""
 
     def __post_init__(self) -> None:
         for name in ("sag", "friction_damping", "impratio", "foot_radius"):
@@ -41,46 +41,46 @@ class ContactSettings:
 
 @dataclass(frozen=True)
 class GripSettings:
-    """How the gripper holds the object."""
+    """Grip of the object."""
 
     mode: Literal["friction", "weld"] = "friction"
     """Friction between pads and faces, or a weld for studies without slip."""
     force: float = 120.0
-    """Force at each finger, N; the 2F-85 gives 20 to 235."""
+    """Force of each finger [N]; the 2F-85 gives 20 to 235."""
     friction: float = 0.6
-    """Pad friction: the lower of the two published values."""
+    """Friction of the pads: the lower of two published values."""
     pad_damping: float = 2.0
-    """Damping ratio of the pads against a face. At 1 what is held swings at 80 to 120 Hz in some turns about a point by
-    light blocks, faster at smaller steps: the arm's damping is explicit. From 1.5 up nothing does."""
+    """Damping ratio of the pads against a face. At 1 the held object swings at 80 to 120 Hz in some turns about a point
+    near light blocks, faster at smaller steps, since the arm's damping is explicit; from 1.5 up it does not."""
     tcp_height: float = 0.022
-    """Height of the TCP over the table while holding, m: the pads clear the table by 3 mm."""
+    """Height of the TCP over the table while holding [m]: the pads clear the table by 3 mm."""
 
 
 @dataclass(frozen=True)
 class ServoSettings:
-    """The arm's outer loop, run at the sensor's rate."""
+    """Outer loop of the arm, at the sensor's rate."""
 
     integral_gain: float = 5.0
-    """Rate at which a joint's position error is integrated away, 1/s; 0 leaves the bare position loop."""
+    """Integral gain on a joint's position error [1/s]; 0 leaves the bare position loop."""
     null_gain: float = 1.0
-    """Gain of nulling vertical load and tilt after the grip closes; 0 leaves them."""
+    """Gain of nulling vertical load and tilt after the grip closes; 0 turns it off."""
     null_time: float = 1.5
-    """Time for nulling, s."""
+    """Time for nulling [s]."""
     comply_gain: float = 0.0
-    """As null_gain, while the object moves."""
+    """Gain of nulling while the object moves."""
 
 
 @dataclass(frozen=True)
 class SimulationSettings:
-    """All settings of the simulated bench."""
+    """Settings of the simulation."""
 
     timestep: float = 0.001
-    """Physics step, s."""
+    """Physics step [s]."""
     rate: float = 100.0
-    """Record rate of the sensor and of the outer loop, Hz."""
+    """Rate of the record and of the outer loop [Hz]."""
     contact: ContactSettings = ContactSettings()
-    """Between feet and table."""
+    """Contact between feet and table."""
     grip: GripSettings = GripSettings()
-    """Between pads and object."""
+    """Grip between pads and object."""
     servo: ServoSettings = ServoSettings()
-    """Of the arm."""
+    """Outer loop of the arm."""

@@ -1,4 +1,4 @@
-"""The bench in dm-control's interactive viewer: a trial simulated as one looks, or a record played back."""
+"""The scene in dm-control's interactive viewer: a trial simulated live, or a record played back."""
 
 from __future__ import annotations
 
@@ -17,21 +17,20 @@ from testbed.actions.base import Weigh
 from testbed.errors import InvalidValueError
 from testbed.simulation.controller import Servo
 from testbed.simulation.feasibility import check_feasible
-from testbed.simulation.monitor import Outcome, Watch
+from testbed.simulation.monitor import Monitor, Outcome
 from testbed.simulation.motion import plan_motion
-from testbed.simulation.playback import Playback
-from testbed.simulation.rendering import light
+from testbed.simulation.rendering import Playback, light
 from testbed.simulation.runner import place
 from testbed.simulation.scene import build_scene
 from testbed.simulation.settings import SimulationSettings
 from testbed.trial import Trial
 
 KEYS = "space starts and stops, backspace begins again, F1 lists all keys; drag to turn, scroll to come nearer"
-"""What a user of the viewer must know."""
+"""Keys of the viewer."""
 
 
 class _Scripted:
-    """What the viewer asks of an environment: physics, `reset` and `step`; here there is no action to be chosen."""
+    """Environment of the viewer: physics, `reset` and `step`, with no action to choose."""
 
     physics: dm_control.mujoco.Physics
 
@@ -40,10 +39,10 @@ class _Scripted:
 
 
 class LiveTrial(_Scripted):
-    """A trial that is simulated as it is looked at; a step is one sample of its record."""
+    """Trial simulated live; a step is one sample of its record."""
 
     def __init__(self, trial: Trial, settings: SimulationSettings | None = None):
-        """Plan it and put the object on the bench.
+        """Plan the trial and put the object on the table.
 
         Raises:
             InvalidValueError: a weighing.
@@ -63,12 +62,12 @@ class LiveTrial(_Scripted):
         self.reset()
 
     def reset(self) -> dm_env.TimeStep:
-        """Begin the trial again."""
+        """Restart the trial."""
         model, data = self._scene.model, self.physics.data.ptr
         mujoco.mj_resetData(model, data)
         place(model, data, self._motion)
         self._servo = Servo(model, self._motion, self._settings)
-        self._watch = Watch(model, self._scene, self._motion, self._settings)
+        self._monitor = Monitor(model, self._scene, self._motion, self._settings)
         self._tick = 0
         return dm_env.restart({})
 
@@ -78,32 +77,32 @@ class LiveTrial(_Scripted):
         self._servo.command(data, self._tick)
         mujoco.mj_step(model, data, self._steps)
         self._servo.measure(data, self._tick)
-        trouble = self._watch.trouble(data, self._tick)
+        trouble = self._monitor.trouble(data, self._tick)
         self._tick += 1
         over = trouble or self._tick == len(self._motion.q)
         return dm_env.termination(0.0, {}) if over else dm_env.transition(0.0, {})
 
     @property
     def duration(self) -> float:
-        """Of the whole trial, s."""
+        """Duration of the trial [s]."""
         return len(self._motion.q) / self._settings.rate
 
     def outcome(self) -> Outcome:
-        """What it has come to so far."""
-        return self._watch.outcome()
+        """Outcome so far."""
+        return self._monitor.outcome()
 
 
 class Replay(_Scripted):
-    """A record played back; a step is one sample."""
+    """Record played back; a step is one sample."""
 
     def __init__(self, playback: Playback):
         self._playback = playback
         self.physics = dm_control.mujoco.Physics.from_model(MjModel(playback.model))
-        playback.data = self.physics.data.ptr  # what the viewer looks at
+        playback.data = self.physics.data.ptr  # the data that the viewer shows
         self.reset()
 
     def reset(self) -> dm_env.TimeStep:
-        """Begin at the first sample."""
+        """Restart at the first sample."""
         self._sample = 0
         self._playback.show(0)
         return dm_env.restart({})
@@ -117,8 +116,8 @@ class Replay(_Scripted):
         return dm_env.termination(0.0, {}) if over else dm_env.transition(0.0, {})
 
 
-def watch(shown: LiveTrial | Replay, title: str) -> None:
-    """Open a window on it, and return when it is closed or Ctrl-C pressed; `graphics.choose_window` comes before."""
+def watch(environment: LiveTrial | Replay, title: str) -> None:
+    """Open a window, and return when it is closed or Ctrl-C is pressed; call `rendering.choose_window` first."""
     from dm_control.viewer.application import Application  # noqa: PLC0415  needs a display as soon as it is imported
 
     interrupted = threading.Event()
@@ -131,12 +130,12 @@ def watch(shown: LiveTrial | Replay, title: str) -> None:
 
     def interrupt(*_) -> None:
         interrupted.set()
-        signal.signal(signal.SIGINT, before)  # pressed again, it ends a frame that hangs
+        signal.signal(signal.SIGINT, before)  # a second press ends a frame that hangs
 
-    # Between frames: the viewer takes whatever is raised within a step for an error of the environment's, and goes on
+    # Between frames: the viewer takes an exception within a step for an error of the environment, and goes on
     before = signal.signal(signal.SIGINT, interrupt)
     try:
         with suppress(KeyboardInterrupt):
-            Window(title=title).launch(shown)
+            Window(title=title).launch(environment)
     finally:
         signal.signal(signal.SIGINT, before)

@@ -24,7 +24,7 @@ from testbed.robot.path import plan_trial, starting_pose
 from testbed.sensing.lift_windows import lift_windows, poses_in_space
 from testbed.sensing.presets import draw_sensing, preset
 from testbed.sensing.windows import steady_windows
-from testbed.simulation.playback import Playback
+from testbed.simulation.rendering import Playback
 from testbed.simulation.runner import SimulationRunner
 from testbed.trajectory import Phase
 from testbed.trial import OWN_WEIGHT, RIGID, Support, Trial

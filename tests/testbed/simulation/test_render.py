@@ -27,8 +27,7 @@ from testbed.actions.base import Rotate, Slide, Weigh
 from testbed.errors import InvalidValueError
 from testbed.frames import transform_point
 from testbed.objects.files import load_object
-from testbed.simulation.playback import Playback, object_pose
-from testbed.simulation.rendering import FIELD_OF_VIEW, MARGIN, VIEWS, bodies_named, camera, hide
+from testbed.simulation.rendering import FIELD_OF_VIEW, MARGIN, VIEWS, Playback, bodies_named, camera, hide, object_pose
 from testbed.simulation.settings import SimulationSettings
 from testbed.trajectory import Phase
 from testbed.trial import Trial

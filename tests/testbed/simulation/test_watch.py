@@ -24,7 +24,7 @@ from testbed.actions.base import Rotate, Slide, Weigh
 from testbed.errors import InvalidValueError
 from testbed.objects.files import load_object
 from testbed.simulation import feasibility
-from testbed.simulation.playback import Playback
+from testbed.simulation.rendering import Playback
 from testbed.simulation.runner import SimulationRunner
 from testbed.simulation.settings import GripSettings, SimulationSettings
 from testbed.simulation.watch import LiveTrial, Replay
@@ -185,7 +185,7 @@ def test_a_window_opens_and_the_trial_runs_in_it(display):
 
 INTERRUPTED = """
 import os, signal
-from testbed.simulation.rendering import choose_window
+from testbed.simulation.graphics import choose_window
 choose_window()
 from testbed.actions.base import Slide
 from testbed.objects.files import load_object

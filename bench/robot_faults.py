@@ -16,7 +16,7 @@ from rich.console import Console
 from rich.table import Table
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
-from tests.helpers.fault_trials import BOUND, FAULTS, Outcome, struck_by  # pyright: ignore[reportMissingImports]
+from tests.fakes.faults import BOUND, FAULTS, Outcome, struck_by  # pyright: ignore[reportMissingImports]
 
 
 def row(outcomes: list[Outcome]) -> tuple[str, ...]:

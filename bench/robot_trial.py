@@ -30,8 +30,11 @@ from testbed.sensing.presets import Sensing, draw_sensing, preset
 from testbed.simulation.runner import SimulationRunner
 from testbed.trajectory import Trajectory
 from testbed.trial import Trial
-from tests.fakes.rig import FT300S  # pyright: ignore[reportMissingImports]
-from tests.helpers.real_path import QUIET, over_wires  # pyright: ignore[reportMissingImports]
+from tests.fakes.rig import (  # pyright: ignore[reportMissingImports]
+    FT300S,  # pyright: ignore[reportMissingImports]
+    QUIET,
+    over_wires,
+)
 
 TURNS = 4
 SHOWN = (

@@ -16,7 +16,7 @@ from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
-from testbed.errors import InvalidValueError
+from testbed.errors import HeftError, InvalidValueError
 from testbed.trial import TrialRunner
 
 T = TypeVar("T")
@@ -174,6 +174,8 @@ def _imported(name: str, path: str, field: str) -> Any:
         else:
             why = f"a module that can be imported; {name} needs {missing}, which is not installed"
         raise InvalidValueError(field, path, why) from None
+    except HeftError:  # a missing driver says what to install
+        raise
     except Exception as error:
         why = f"a module that can be imported; {name} ends in {type(error).__name__}: {error}"
         raise InvalidValueError(field, path, why) from error

@@ -39,6 +39,18 @@ def frozen_array(name: str, values: ArrayLike, shape: tuple[int | None, ...], *,
     return array
 
 
+def unit_quaternion(name: str, values: ArrayLike) -> np.ndarray:
+    """A read-only unit quaternion, wxyz, shape (4,).
+
+    Raises:
+        InvalidValueError: another shape, or a length that is not 1.
+    """
+    quaternion = frozen_array(name, values, (4,))
+    if abs(np.linalg.norm(quaternion) - 1) > 1e-3:
+        raise InvalidValueError(name, quaternion.tolist(), "a unit quaternion, wxyz")
+    return quaternion
+
+
 def check_positive(name: str, value: float) -> None:
     """Raise InvalidValueError unless `value` is finite and > 0."""
     if not (is_number(value) and value > 0):

@@ -1,12 +1,11 @@
-"""Settings of the real bench: its table, its tool, how it moves, and when a record is refused."""
+"""Settings of the real robot, and the robot file (robot.toml) that sets them."""
 
 from __future__ import annotations
 
 import math
-import os
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from jaxtyping import Float
@@ -17,69 +16,65 @@ from testbed.errors import InvalidValueError
 from testbed.objects.files import Finite, NonNegative, Positive, load_toml
 from testbed.robot.calibration.file import load_calibration
 from testbed.robot.calibration.static_poses import Calibration
-from testbed.robot.kinova.arm import KortexSettings
 from testbed.robot.safety import SafetyLimits
 from testbed.sensing.drift import DriftLimit
 from testbed.sensing.presets import preset
-from testbed.simulation.motion import gripper_tool
 from testbed.trajectory import Tool
-from testbed.validation import check_positive, frozen_array, is_number
+from testbed.validation import check_positive, frozen_array, is_number, unit_quaternion
 
 
 @dataclass(frozen=True, eq=False)
 class RobotSettings:
-    """Settings of the real bench. The world is the arm's base frame, its origin lowered or raised to the table."""
+    """Settings of a trial. The world is the arm's base frame, its origin moved up or down to the table."""
 
     tool: Tool
-    """What hangs below the sensor, in the sensor's frame: by calibration."""
+    """Everything below the sensor, sensor frame; from calibration."""
     sensor_orientation: Float[np.ndarray, "4"] = field(default_factory=lambda: np.array([1.0, 0.0, 0.0, 0.0]))
-    """Orientation of the sensor's frame in the arm's tool frame, wxyz: by calibration."""
+    """Orientation of the sensor's frame in the arm's tool frame, wxyz; from calibration."""
     sensor_sign: Literal[1, -1] = 1
-    """What to multiply the sensor's reading by, so that it is what the arm does to the tool: by calibration."""
+    """Factor that makes of the sensor's reading the wrench of the arm on the tool; from calibration."""
     closing_angle: float = 0.0
-    """Direction along which the pads close, from the x axis of the arm's tool frame about its z axis, rad."""
+    """Closing direction of the pads, from the x axis of the arm's tool frame about its z axis [rad]."""
     table_height: float = 0.0
-    """Of the table's top in the arm's base frame, m."""
+    """Height of the table's top in the arm's base frame [m]."""
     grip_height: float = 0.022
-    """Of the TCP over the table while holding, m."""
+    """Height of the TCP over the table while holding [m]."""
     grip_force: float = 120.0
-    """At each finger, N; a gripper that cannot be told takes its own."""
+    """Force of each finger [N]; a gripper without force control takes its own."""
     hover: float = 0.06
-    """Height over the grasp at which the sensor is zeroed, m."""
+    """Height over the grasp at which the sensor is tared [m]."""
     travel_speed: float = 0.1
-    """Between places over the table, m/s."""
+    """Speed between places over the table [m/s]."""
     descent_speed: float = 0.05
-    """Greatest speed down to the object, up, and lifting it, m/s."""
+    """Greatest speed down to the object, up, and lifting it [m/s]."""
     tare_time: float = 1.0
-    """Of each of the two tares, s."""
+    """Duration of each of the two tares [s]."""
     settle_time: float = 1.5
-    """After the grip has closed, while the load that the closing fingers left is nulled, s."""
+    """Time after the grip has closed, in which the load of the closing fingers is nulled [s]."""
     null_gain: tuple[float, float] = (5e-4, 5e-3)
-    """How fast the tool gives way to vertical load and to tilt, m/s a newton and rad/s a newton metre."""
+    """Gains by which the tool gives way to vertical load and to tilt [m/s/N, rad/s/(N m)]."""
     null_travel: tuple[float, float] = (0.002, math.radians(0.5))
-    """How far it gives way at most, m and rad."""
+    """Most distance and angle by which it gives way [m, rad]."""
     lift: float = 0.015
-    """How far an object is lifted to be weighed, m."""
+    """Height to which an object is lifted to be weighed [m]."""
     rate: float = 40.0
-    """Rate of twist commands, Hz."""
+    """Rate of twist commands [Hz]."""
     gain: float = 2.0
-    """Rate at which an error of pose is taken back, 1/s."""
+    """Gain on an error of pose [1/s]."""
     off_path: tuple[float, float] = (0.005, math.radians(2.0))
-    """Distance and angle from the planned path at which a trial ends, m and rad."""
+    """Distance and angle from the planned path that end a trial [m, rad]."""
     drift: DriftLimit = field(default_factory=DriftLimit)
-    """How far the sensor's zero may move over a trial that is still data."""
+    """Limit on the drift of the sensor's zero in a trial that is data."""
     bias_std: tuple[float, float] = (preset("ft300s").force_bias, preset("ft300s").torque_bias)
-    """What a tare may leave, one standard deviation, N and N m."""
+    """Standard deviation of the bias after a tare [N, N m]."""
     drift_std: tuple[float, float] = (preset("ft300s").force_drift, preset("ft300s").torque_drift)
-    """How the sensor's zero walks at least, N and N m per square root of a second; no maker's figure is known. A trial
+    """Least random walk of the sensor's zero [N, N m per square root of a second]; no maker's figure is known. A trial
     whose two tares show more counts with that."""
     limits: SafetyLimits = field(default_factory=SafetyLimits)
-    """What must never be done."""
+    """Limits on every motion."""
 
     def __post_init__(self) -> None:
-        quaternion = frozen_array("RobotSettings.sensor_orientation", self.sensor_orientation, (4,))
-        if abs(np.linalg.norm(quaternion) - 1) > 1e-3:
-            raise InvalidValueError("RobotSettings.sensor_orientation", quaternion.tolist(), "a unit quaternion, wxyz")
+        quaternion = unit_quaternion("RobotSettings.sensor_orientation", self.sensor_orientation)
         object.__setattr__(self, "sensor_orientation", quaternion)
         if self.sensor_sign not in (1, -1):
             raise InvalidValueError("RobotSettings.sensor_sign", self.sensor_sign, "1 or -1")
@@ -98,14 +93,13 @@ class RobotSettings:
             object.__setattr__(self, name, tuple(pair.tolist()))
 
 
-PASSWORD_VARIABLE = "HEFT_KORTEX_PASSWORD"
-"""Environment variable with the password of the arm's user; the maker's own if not set."""
 DEFAULT = "robot.toml"
+"""Name of the robot file that may be missing: then its defaults hold."""
 Corner = Annotated[list[Finite], Field(min_length=3, max_length=3)]
 
 
 class Strict(BaseModel):
-    """Every field is known, and nothing changes after reading."""
+    """Base of the tables: known fields alone, frozen."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -113,8 +107,12 @@ class Strict(BaseModel):
 class ArmTable(Strict):
     """[arm]"""
 
+    model: str = "kinova_gen3"
+    """Arm by name, or package:Class."""
+    settings: dict[str, Any] = {}
+    """Further arguments of its class."""
     address: str = "192.168.1.10"
-    """Of the arm."""
+    """Address of the arm."""
     port: Annotated[int, Field(gt=0, lt=65536)] = 10000
     """TCP port of the arm."""
     username: str = "admin"
@@ -122,87 +120,103 @@ class ArmTable(Strict):
     python: str | None = None
     """Python that has kortex_api, instead of HEFT_KORTEX_PYTHON."""
     tool_length_m: Positive = 0.2115
-    """From the arm's interface to the tool centre point, as stored in the arm."""
+    """Distance from the arm's interface to the tool center point, as stored in the arm."""
 
 
 class SensorTable(Strict):
     """[sensor]"""
 
+    model: str = "ft300s"
+    """Wrench sensor by name, or package:Class."""
+    settings: dict[str, Any] = {}
+    """Further arguments of its class."""
     port: str | None = None
     """Device file."""
     calibration: str = "calibration.toml"
     """File that heft robot calibrate writes, beside this one."""
     to_tcp_m: Positive = 0.174
-    """From the sensor's origin to the tool centre point, along the tool's axis."""
+    """Distance from the sensor's origin to the tool center point, along the tool's axis."""
+
+
+class GripperTable(Strict):
+    """[gripper]"""
+
+    model: str = "2f85"
+    """Gripper by name, or package:Class."""
+    settings: dict[str, Any] = {}
+    """Further arguments of its class."""
 
 
 class BenchTable(Strict):
     """[bench]"""
 
     table_height_m: Finite = 0.0
-    """Of the table's top over the arm's base."""
+    """Height of the table's top over the arm's base."""
     closing_deg: Finite = 0.0
-    """Direction in which the pads close, from the x axis of the arm's tool frame about its z axis."""
+    """Closing direction of the pads, from the x axis of the arm's tool frame about its z axis."""
     grip_height_m: Positive = 0.022
-    """Of the pads' middle over the table while they hold."""
+    """Height of the pads' middle over the table while they hold."""
     travel_speed_m_s: Positive = 0.1
-    """Over the table."""
+    """Speed over the table."""
     descent_speed_m_s: Positive = 0.05
-    """Down to the object, and up."""
+    """Speed down to the object, and up."""
     tare_s: Positive = 1.0
-    """Time of each tare."""
+    """Duration of each tare."""
     drift_force_N: Positive = 0.2
-    """How far the sensor's zero may move in a trial that is still data."""
+    """Allowed drift of the sensor's force over a trial."""
     drift_torque_Nm: Positive = 0.01
-    """The same of torque."""
+    """Allowed drift of its torque."""
 
 
 class LimitsTable(Strict):
     """[limits]"""
 
     low_m: Corner = [0.25, -0.35, 0.015]
-    """Corner of the box that the tool centre point must stay in, base frame of the arm."""
+    """Corner of the box for the tool center point, base frame of the arm."""
     high_m: Corner = [0.65, 0.35, 0.4]
     """The opposite corner."""
     speed_m_s: Positive = 0.15
-    """Of the tool."""
+    """Largest speed of the tool."""
     turn_deg_s: Positive = 69.0
-    """Of the tool."""
+    """Largest turn rate of the tool."""
     force_N: Positive = 60.0
-    """Change of the sensor's force since the tare."""
+    """Largest change of the sensor's force since the tare."""
     torque_Nm: Positive = 8.0
-    """Change of its torque."""
+    """Largest change of its torque."""
     joint_margin_deg: NonNegative = 3.0
     """Distance to keep from the end of a joint's range."""
 
 
 class RobotFile(Strict):
-    """All of it; every field has a default but the sensor's port."""
+    """The robot file; every field has a default but the sensor's port."""
 
     arm: ArmTable = ArmTable()
     sensor: SensorTable = SensorTable()
+    gripper: GripperTable = GripperTable()
     bench: BenchTable = BenchTable()
     limits: LimitsTable = LimitsTable()
 
-    def kortex(self) -> KortexSettings:
-        """How to reach the arm."""
-        return KortexSettings(
-            self.arm.address,
-            self.arm.username,
-            os.environ.get(PASSWORD_VARIABLE, "admin"),
-            self.arm.port,
-            python=self.arm.python,
-            tool_length=self.arm.tool_length_m,
-        )
+    def to_dict(self) -> dict[str, Any]:
+        """The file as plain data for a trial's record; names and settings of devices only if not the defaults."""
+        tables = self.model_dump()
+        for name in ("arm", "sensor", "gripper"):
+            usual = type(getattr(self, name))()
+            for key in ("model", "settings"):
+                if tables[name][key] == getattr(usual, key):
+                    del tables[name][key]
+        return {name: table for name, table in tables.items() if table}
 
-    def settings(self, calibration: Calibration | None, width: float) -> RobotSettings:
-        """Settings of a trial whose fingers hold something `width` (m) wide.
+    def settings(self, calibration: Calibration | None, sheet: Tool) -> RobotSettings:
+        """Settings of a trial.
 
-        Without a calibration the tool is the gripper's data sheet and the sensor sits straight: for a dry run.
+        Args:
+            calibration: mount of the sensor, and mass and center of the tool; without one, for a dry run, the sensor
+                sits straight and the tool is the data sheet's.
+            sheet: the gripper's data sheet at the width of what it holds.
         """
         b, limits = self.bench, self.limits
         settings = RobotSettings(
-            gripper_tool(width),
+            sheet,
             closing_angle=math.radians(b.closing_deg),
             table_height=b.table_height_m,
             grip_height=b.grip_height_m,
@@ -230,18 +244,18 @@ class RobotFile(Strict):
         )
 
     def _tool(self, calibration: Calibration, sheet: Tool) -> Tool:
-        """Mass and centre as calibrated; inertia from the data sheet, turned into the sensor's axes."""
+        """Tool with mass and center as calibrated; inertia from the data sheet, turned into the sensor's axes."""
         turn = Rotation.from_quat(calibration.sensor_in_hand, scalar_first=True).as_matrix().T
         tcp = turn @ np.array([0.0, 0.0, self.sensor.to_tcp_m])
         return calibration.tool(tcp, turn @ sheet.inertia @ turn.T)
 
 
 def load_robot_file(path: Path) -> RobotFile:
-    """The file, or its defaults where there is none of the usual name.
+    """The robot file, or its defaults if there is none of the usual name.
 
     Raises:
-        InvalidFileError: not such a file, with a line for each error.
-        InvalidValueError: no file of another name than the usual one.
+        InvalidFileError: not a robot file, with a line for each error.
+        InvalidValueError: no file, and another name than the usual one.
     """
     if path.is_file():
         return load_toml(path, RobotFile)
@@ -251,26 +265,11 @@ def load_robot_file(path: Path) -> RobotFile:
 
 
 def calibration_of(file: RobotFile, path: Path, sensor: str | None = None) -> Calibration | None:
-    """The calibration that the file names, beside it; None where there is none yet.
+    """The calibration that the robot file names, beside it; None before it is made.
 
     Raises:
-        InvalidFileError: it is not such a file.
+        InvalidFileError: not a calibration file.
         InvalidValueError: it was made with another sensor than the one of this serial number.
     """
     where = path.parent / file.sensor.calibration
     return load_calibration(where, sensor) if where.is_file() else None
-
-
-def sensor_port(file: RobotFile) -> str:
-    """The sensor's port.
-
-    Raises:
-        InvalidValueError: the file does not name it.
-    """
-    if file.sensor.port is None:
-        raise InvalidValueError(
-            "sensor.port",
-            None,
-            '[sensor] port = "/dev/serial/by-id/..." in robot.toml; heft robot check lists the ports there are',
-        )
-    return file.sensor.port

@@ -1,4 +1,4 @@
-"""One trial as the arm does it: hover, zero, go down, grip, settle, act, let go, go up, zero again."""
+"""Run of a plan by the arm: hover, tare, go down, grip, settle, act, let go, go up, tare again."""
 
 from __future__ import annotations
 
@@ -12,20 +12,20 @@ from testbed.robot.config import RobotSettings
 from testbed.robot.guard import Guard
 from testbed.robot.interfaces import Arm, ArmState, Clock, Gripper, Pose, WrenchSensor
 from testbed.robot.path import Leg, RobotPlan, closing_yaw, tool_down
-from testbed.robot.recorder import Evidence, Mark
+from testbed.robot.recorder import GripEvidence, Mark
 from testbed.robot.safety import UnsafeError, Violation
 from testbed.trajectory import Phase
 
 RESPONSE = 0.15
-"""Delay with which an arm may follow its commands, s: what a moving tool may be behind its path."""
+"""Allowed delay of an arm behind its commands [s]."""
 READ_TIME = 2.0
-"""How long a lifted object is weighed, s."""
+"""Duration of weighing a lifted object [s]."""
 _STILL = 0.3
-"""Time in which the arm comes to rest, s."""
+"""Time in which the arm comes to rest [s]."""
 
 
 class Execution:
-    """One run of a plan; what it left is in its fields, also where it ended early."""
+    """One run of a plan; its fields hold evidence and figures, also after an early end."""
 
     def __init__(
         self,
@@ -37,7 +37,7 @@ class Execution:
         settings: RobotSettings,
         clock: Clock,
     ):
-        self.evidence: Evidence | None = None
+        self.evidence: GripEvidence | None = None
         self.figures: dict[str, float] = {}
         self._plan, self._arm, self._gripper, self._sensor, self._guard = plan, arm, gripper, sensor, guard
         self._settings, self._clock = settings, clock
@@ -46,7 +46,7 @@ class Execution:
         self._rest, self._raised, self._tilt = np.zeros(6), np.zeros(3), Rotation.identity()
 
     def run(self) -> None:
-        """Do it.
+        """Run the plan.
 
         Raises:
             RobotError: something failed, or a limit was passed; the guard has stopped the arm.
@@ -59,10 +59,10 @@ class Execution:
         self._act()
         after = self._let_go()
         self._tare()
-        self.evidence = Evidence(self._sensor.health().lost_frames - lost, (before, after), None)
+        self.evidence = GripEvidence(self._sensor.health().lost_frames - lost, (before, after), None)
 
     def _go_to_hover(self) -> None:
-        """Up first where the tool is low, so that nothing is swept off the table."""
+        """Go up first if the tool is low, so that nothing is swept off the table."""
         hover, speed = self._plan.hover, self._settings.travel_speed
         now = self._guard.state().tcp_pose
         self._gripper.open()
@@ -74,14 +74,14 @@ class Execution:
         self._guard.check()
 
     def _tare(self) -> np.ndarray:
-        """Mean wrench at rest over the object, its first third left out, (6,)."""
+        """Mean wrench at rest over the object without its first third [N, N m], shape (6,)."""
         begin = self._clock.now()
         self._guard.recorder.mark(Mark(begin, Phase.TARE))
         self._wait(self._settings.tare_time)
         return self._guard.recorder.mean_wrench(begin + self._settings.tare_time / 3, self._clock.now())
 
     def _grip(self) -> float:
-        """Down, close, settle; the opening while it holds, m."""
+        """Go down, close, settle; returns the opening while it holds [m]."""
         settings, mark = self._settings, self._guard.recorder.mark
         mark(Mark(self._clock.now(), Phase.APPROACH))
         self._follow(self._plan.descent)
@@ -93,13 +93,13 @@ class Execution:
         return self._gripper.width()
 
     def _settle(self) -> None:
-        """Give way to vertical load and tilt, as a hand would; the object then moves at the height that this led to."""
+        """Give way to vertical load and tilt, like a hand; the action then keeps that height and tilt."""
         settings, step = self._settings, 1 / self._settings.rate
         begin, way = self._clock.now(), np.zeros(6)
         for tick in range(round(settings.settle_time * settings.rate)):
             self._clock.sleep(begin + tick * step - self._clock.now())
             fx, fy, fz, tx, ty, _ = self._load(self._guard.state())
-            # what the feet would have to answer: vertical force, and moments about the table
+            # the load on the feet: vertical force, and moments about the table
             moment = np.array([tx - settings.grip_height * fy, ty + settings.grip_height * fx])
             twist = np.array([0.0, 0.0, -settings.null_gain[0] * fz, *(-settings.null_gain[1] * moment), 0.0])
             far = np.linalg.norm((way + twist * step)[:3]), np.linalg.norm((way + twist * step)[3:])
@@ -117,13 +117,13 @@ class Execution:
         self._raised[2] = pose.position[2] - settings.table_height - settings.grip_height
 
     def _load(self, state: ArmState) -> np.ndarray:
-        """What the gripper does to the object, about the TCP, base axes, (6,)."""
+        """Wrench of the gripper on the object about the TCP [N, N m], base axes, shape (6,)."""
         sample = self._guard.recorder.sample
         assert sample is not None
         tool = Rotation.from_quat(state.tcp_pose.orientation, scalar_first=True)
         axes = tool * Rotation.from_quat(self._settings.sensor_orientation, scalar_first=True)
-        felt = self._settings.sensor_sign * (sample.wrench - self._rest)
-        return rotate_wrench(axes.as_matrix(), move_wrench(felt, self._settings.tool.tcp))
+        load = self._settings.sensor_sign * (sample.wrench - self._rest)
+        return rotate_wrench(axes.as_matrix(), move_wrench(load, self._settings.tool.tcp))
 
     def _act(self) -> None:
         mark, plan = self._guard.recorder.mark, self._plan
@@ -141,7 +141,7 @@ class Execution:
         self._follow(down)
 
     def _let_go(self) -> float:
-        """Open and go up; the opening before, m."""
+        """Open and go up; returns the opening before [m]."""
         held = self._gripper.width()
         self._guard.recorder.mark(Mark(self._clock.now(), Phase.RELEASE))
         self._gripper.open()
@@ -150,7 +150,7 @@ class Execution:
         return held
 
     def _wait(self, seconds: float) -> None:
-        """Stand still, looking whether all is well."""
+        """Stand still, with a look at the guard at every tick."""
         until = self._clock.now() + seconds
         while (left := until - self._clock.now()) > 0:
             self._guard.check()
@@ -158,7 +158,7 @@ class Execution:
         self._guard.check()
 
     def _follow(self, leg: Leg) -> None:
-        """Follow a leg by twists: what its path asks, and what takes the error of pose back."""
+        """Follow a leg by twists: its own velocity, and a correction of the pose."""
         begin, step = self._clock.now(), 1 / self._settings.rate
         for tick in range(math.ceil(leg.duration / step)):
             self._clock.sleep(begin + tick * step - self._clock.now())

@@ -1,4 +1,4 @@
-"""The guard: watches arm, sensor and control loop while a trial runs, and stops the arm whatever the loop is doing."""
+"""Guard over arm, sensor and control loop during a trial: it stops the arm whatever the loop is doing."""
 
 from __future__ import annotations
 
@@ -16,14 +16,15 @@ from testbed.robot.recorder import Recorder
 from testbed.robot.safety import SafetyLimits, Snapshot, UnsafeError, Violation, violations
 
 PERIOD = 0.01
-"""Time between looks, s."""
+"""Time between looks [s]."""
 _GATE_TIME = 0.02
-"""How long a twist that is being sent may keep the guard from stopping the arm, s."""
+"""Longest time that a twist on its way keeps the guard from stopping the arm [s]."""
 _STOP_AGAIN = 0.1
+"""Time between stops once it has tripped [s]."""
 
 
 class Guard:
-    """Looks every 10 ms, from a thread of its own, and takes the trial's record while it does.
+    """A thread that looks every 10 ms and takes the trial's record.
 
     Once tripped it stays so: the arm is stopped, and no twist goes through any more.
     """
@@ -31,7 +32,7 @@ class Guard:
     def __init__(self, arm: Arm, sensor: WrenchSensor, limits: SafetyLimits, clock: Clock):
         self.recorder = Recorder(arm, sensor)
         self.trouble: RobotError | None = None
-        """Why it has tripped."""
+        """Reason that it has tripped, or None."""
         self._arm, self._limits, self._clock = arm, limits, clock
         self._gate = threading.Lock()
         self._rest: Float[np.ndarray, "6"] | None = None
@@ -41,7 +42,7 @@ class Guard:
         self._running = ExitStack()
 
     def __enter__(self) -> Self:
-        """Start looking; waits for the first frame and the first feedback.
+        """Start; waits for the first frame and the first feedback.
 
         Raises:
             RobotError: neither comes, or something is wrong from the start.
@@ -53,7 +54,7 @@ class Guard:
                 self._clock.sleep(PERIOD)
                 self.check()
                 if self._clock.now() > deadline:
-                    raise RobotError("the bench is silent: no frame of the sensor, or no feedback of the arm")
+                    raise RobotError("the robot is silent: no frame of the sensor, or no feedback of the arm")
         except BaseException:
             self.__exit__(None, None, None)
             raise
@@ -68,11 +69,11 @@ class Guard:
             self._running.close()
 
     def rest(self, wrench: Float[np.ndarray, "6"]) -> None:
-        """From now on, a load is what differs from this wrench, sensor axes."""
+        """Count loads from this wrench from now on, sensor axes."""
         self._rest = wrench
 
     def check(self) -> None:
-        """The control loop lives.
+        """Give a sign of life of the control loop.
 
         Raises:
             RobotError: tripped, or the guard itself no longer looks.
@@ -94,7 +95,7 @@ class Guard:
         return self.recorder.state
 
     def twist(self, linear: Float[np.ndarray, "3"], angular: Float[np.ndarray, "3"]) -> None:
-        """Command a twist, base axes, m/s and rad/s, if nothing is wrong with it or with anything else.
+        """Command a twist [m/s, rad/s], base axes, unless anything is wrong.
 
         Raises:
             RobotError: as `check`, or the twist is beyond a limit.

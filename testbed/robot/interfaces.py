@@ -1,4 +1,4 @@
-"""Time as a port: the computer's own, or a simulated bench's that runs faster."""
+"""Interfaces of the real robot: arm, gripper, wrench sensor, object pose, clock; their values and their errors."""
 
 from __future__ import annotations
 
@@ -14,68 +14,16 @@ import numpy as np
 from jaxtyping import Float
 
 from testbed.errors import HeftError, InvalidValueError
-from testbed.validation import check_positive, frozen_array
-
-
-@runtime_checkable
-class Clock(Protocol):
-    """What time it is, waiting, and being called while others wait."""
-
-    def now(self) -> float:
-        """s, since any moment; the clock of every `time_s` of the ports."""
-        ...
-
-    def sleep(self, seconds: float) -> None:
-        """Wait; not at all where `seconds` <= 0."""
-        ...
-
-    def every(self, period: float, call: Callable[[], None]) -> AbstractContextManager[None]:
-        """While entered, `call` is called every `period` s whatever the caller does, also where it hangs."""
-        ...
-
-
-class MonotonicClock:
-    """`time.monotonic`, and a thread for what is called."""
-
-    def now(self) -> float:
-        """s."""
-        return time.monotonic()
-
-    def sleep(self, seconds: float) -> None:
-        """Wait."""
-        if seconds > 0:
-            time.sleep(seconds)
-
-    @contextmanager
-    def every(self, period: float, call: Callable[[], None]) -> Iterator[None]:
-        """Call from a daemon thread; a call that is late is made at once, and those that were missed are not."""
-        done = threading.Event()
-
-        def run() -> None:
-            due = time.monotonic()
-            while not done.wait(max(due - time.monotonic(), 0.0)):
-                call()
-                due = max(due + period, time.monotonic())
-
-        thread = threading.Thread(target=run, name="every", daemon=True)
-        thread.start()
-        try:
-            yield
-        finally:
-            done.set()
-            thread.join(1.0)
+from testbed.trajectory import Tool
+from testbed.validation import check_positive, frozen_array, unit_quaternion
 
 
 class RobotError(HeftError):
-    """Something of the real bench that failed or refused; the message says what to do about it."""
+    """Failure or refusal of the real robot; the message says what to do about it."""
 
 
 class MissingDriverError(RobotError, ImportError):
-    """A driver package that is not installed.
-
-    Args:
-        package: its name.
-    """
+    """A driver package that is not installed."""
 
     def __init__(self, package: str):
         super().__init__(f"{package}: not installed; pip install 'heft[robot]'")
@@ -93,21 +41,67 @@ class ArmRefusedError(RobotError):
     """The arm is in a fault, or refused a command."""
 
 
+@runtime_checkable
+class Clock(Protocol):
+    """Time: the computer's own, or a simulated robot's that runs faster."""
+
+    def now(self) -> float:
+        """Time since any moment [s]; the clock of every `time_s` of the interfaces."""
+        ...
+
+    def sleep(self, seconds: float) -> None:
+        """Wait; not at all for `seconds` <= 0."""
+        ...
+
+    def every(self, period: float, call: Callable[[], None]) -> AbstractContextManager[None]:
+        """Call `call` every `period` s while entered, whatever the caller does, also if it hangs."""
+        ...
+
+
+class MonotonicClock:
+    """`time.monotonic`, with a thread for periodic calls."""
+
+    def now(self) -> float:
+        """Time [s]."""
+        return time.monotonic()
+
+    def sleep(self, seconds: float) -> None:
+        """Wait."""
+        if seconds > 0:
+            time.sleep(seconds)
+
+    @contextmanager
+    def every(self, period: float, call: Callable[[], None]) -> Iterator[None]:
+        """Call from a daemon thread; a late call is made at once, missed ones are not."""
+        done = threading.Event()
+
+        def run() -> None:
+            due = time.monotonic()
+            while not done.wait(max(due - time.monotonic(), 0.0)):
+                call()
+                due = max(due + period, time.monotonic())
+
+        thread = threading.Thread(target=run, name="every", daemon=True)
+        thread.start()
+        try:
+            yield
+        finally:
+            done.set()
+            thread.join(1.0)
+
+
 @dataclass(frozen=True, eq=False)
 class Pose:
-    """Where a frame is in the arm's base frame."""
+    """Pose of a frame in the arm's base frame."""
 
     position: Float[np.ndarray, "3"]
-    """m."""
+    """Origin [m]."""
     orientation: Float[np.ndarray, "4"]
     """Unit quaternion, wxyz."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "position", frozen_array("Pose.position", self.position, (3,)))
-        object.__setattr__(self, "orientation", frozen_array("Pose.orientation", self.orientation, (4,)))
-        length = float(np.linalg.norm(self.orientation))
-        if abs(length - 1) > 1e-3:
-            raise InvalidValueError("Pose.orientation", f"length {length:g}", "a unit quaternion, wxyz")
+        object.__setattr__(self, "orientation", unit_quaternion("Pose.orientation", self.orientation))
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,16 +109,16 @@ class WrenchSample:
     """One frame of the sensor."""
 
     time_s: float
-    """Arrival of the frame's last byte, s."""
+    """Arrival of the frame's last byte [s]."""
     wrench: Float[np.ndarray, "6"]
-    """As the sensor reports it: N, N m, its own axes, about its own origin, bias included."""
+    """Wrench as reported [N, N m], sensor axes, about the sensor's origin, bias included."""
     sequence: int
-    """Place among the frames received since the stream was opened, from 0; a lost frame takes no number."""
+    """Number among the frames received since the stream was opened, from 0; a lost frame takes no number."""
 
 
 @dataclass(frozen=True)
 class SensorIdentity:
-    """Which sensor it is, and what it can do."""
+    """Name and abilities of a sensor."""
 
     name: str
     """Maker and model."""
@@ -133,11 +127,11 @@ class SensorIdentity:
     firmware: str
     """Version of its firmware, or "unknown"."""
     rate_hz: float
-    """Frames a second."""
+    """Frame rate [Hz]."""
     force_range: float
-    """Largest force along any axis, N."""
+    """Largest force along any axis [N]."""
     torque_range: float
-    """Largest torque about any axis, N m."""
+    """Largest torque about any axis [N m]."""
 
 
 @dataclass(frozen=True)
@@ -151,16 +145,73 @@ class SensorHealth:
     resyncs: int
     """Times that bytes had to be skipped to find the next frame."""
     lost_frames: int
-    """Frames that should have come by the sensor's rate and did not: damaged or missing."""
+    """Frames that were due by the sensor's rate and did not come: damaged or missing."""
     dropouts: int
     """Silences of several frames that ended by themselves."""
     age_s: float
-    """Time since the latest whole frame, s; infinite before the first."""
+    """Time since the latest whole frame [s]; infinite before the first."""
+    warnings: tuple[str, ...] = ()
+    """Trouble with the connection that a trial can do with, a sentence each."""
 
 
-@runtime_checkable
-class WrenchSensor(Protocol):
-    """A six-axis wrench sensor that streams. Entering opens it and starts the stream; leaving stops it and closes."""
+@dataclass(frozen=True, eq=False)
+class ArmLimits:
+    """Limits of an arm, known before connecting."""
+
+    joint_range: Float[np.ndarray, "7 2"]
+    """Lowest and highest angle of each joint [rad]; infinite for a joint without an end."""
+    joint_speed: Float[np.ndarray, "7"]
+    """Highest speed of each joint [rad/s]."""
+    linear_speed: float
+    """Highest linear speed of a commanded twist [m/s]."""
+    angular_speed: float
+    """Highest angular speed of a commanded twist [rad/s]."""
+    payload: float
+    """Largest mass at the flange [kg]: sensor, gripper and object."""
+    rate_hz: float
+    """Highest rate of twist commands [Hz]."""
+
+    def __post_init__(self) -> None:
+        ranges = frozen_array("ArmLimits.joint_range", self.joint_range, (7, 2), finite=False)
+        if not (ranges[:, 0] < ranges[:, 1]).all():
+            raise InvalidValueError(
+                "ArmLimits.joint_range", ranges.tolist(), "a lower and a higher angle for each joint"
+            )
+        object.__setattr__(self, "joint_range", ranges)
+        speeds = frozen_array("ArmLimits.joint_speed", self.joint_speed, (7,))
+        if not (speeds > 0).all():
+            raise InvalidValueError("ArmLimits.joint_speed", speeds.tolist(), "numbers > 0, rad/s")
+        object.__setattr__(self, "joint_speed", speeds)
+        for name in ("linear_speed", "angular_speed", "payload", "rate_hz"):
+            check_positive(f"ArmLimits.{name}", getattr(self, name))
+
+
+@dataclass(frozen=True, eq=False)
+class ArmState:
+    """State of the arm by its own feedback."""
+
+    time_s: float
+    """Arrival of the feedback [s]."""
+    joint_position: Float[np.ndarray, "7"]
+    """Joint angles [rad]."""
+    joint_velocity: Float[np.ndarray, "7"]
+    """Joint speeds [rad/s]."""
+    tcp_pose: Pose
+    """Pose of the tool center point (TCP)."""
+    tcp_twist: Float[np.ndarray, "6"]
+    """Linear and angular velocity of the tool at the TCP [m/s, rad/s], base axes."""
+    faulted: bool = False
+    """True if the arm refuses to move until its faults are cleared."""
+    message: str = ""
+    """Name of the fault, else empty."""
+
+    def __post_init__(self) -> None:
+        for name, size in (("joint_position", 7), ("joint_velocity", 7), ("tcp_twist", 6)):
+            object.__setattr__(self, name, frozen_array(f"ArmState.{name}", getattr(self, name), (size,)))
+
+
+class Device(Protocol):
+    """A connection: entering opens it, leaving closes it."""
 
     def __enter__(self) -> Self: ...
 
@@ -168,9 +219,14 @@ class WrenchSensor(Protocol):
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None: ...
 
+
+@runtime_checkable
+class WrenchSensor(Device, Protocol):
+    """A six-axis wrench sensor that streams. Entering opens it and starts the stream; leaving stops it and closes."""
+
     @property
     def identity(self) -> SensorIdentity:
-        """Which sensor it is; serial and firmware are "unknown" before it is entered."""
+        """Name and abilities; serial and firmware are "unknown" before it is entered."""
         ...
 
     def latest(self) -> WrenchSample | None:
@@ -194,75 +250,13 @@ class WrenchSensor(Protocol):
         ...
 
 
-@dataclass(frozen=True, eq=False)
-class ArmLimits:
-    """What an arm can do, known before connecting."""
-
-    joint_range: Float[np.ndarray, "7 2"]
-    """Lowest and highest angle of each joint, rad; infinite where it turns for ever."""
-    joint_speed: Float[np.ndarray, "7"]
-    """rad/s."""
-    linear_speed: float
-    """Of a commanded twist, m/s."""
-    angular_speed: float
-    """Of a commanded twist, rad/s."""
-    payload: float
-    """All that may hang from the flange, kg: sensor, gripper and object."""
-    rate_hz: float
-    """Highest rate of twist commands, Hz."""
-
-    def __post_init__(self) -> None:
-        ranges = frozen_array("ArmLimits.joint_range", self.joint_range, (7, 2), finite=False)
-        if not (ranges[:, 0] < ranges[:, 1]).all():
-            raise InvalidValueError(
-                "ArmLimits.joint_range", ranges.tolist(), "a lower and a higher angle for each joint"
-            )
-        object.__setattr__(self, "joint_range", ranges)
-        speeds = frozen_array("ArmLimits.joint_speed", self.joint_speed, (7,))
-        if not (speeds > 0).all():
-            raise InvalidValueError("ArmLimits.joint_speed", speeds.tolist(), "numbers > 0, rad/s")
-        object.__setattr__(self, "joint_speed", speeds)
-        for name in ("linear_speed", "angular_speed", "payload", "rate_hz"):
-            check_positive(f"ArmLimits.{name}", getattr(self, name))
-
-
-@dataclass(frozen=True, eq=False)
-class ArmState:
-    """The arm as its own feedback has it."""
-
-    time_s: float
-    """Arrival of the feedback, s."""
-    joint_position: Float[np.ndarray, "7"]
-    """rad."""
-    joint_velocity: Float[np.ndarray, "7"]
-    """rad/s."""
-    tcp_pose: Pose
-    """Of the tool centre point."""
-    tcp_twist: Float[np.ndarray, "6"]
-    """Linear and angular velocity of the tool at the TCP, base axes, m/s and rad/s."""
-    faulted: bool = False
-    """Whether the arm refuses to move until its faults are cleared."""
-    message: str = ""
-    """What the fault is, else empty."""
-
-    def __post_init__(self) -> None:
-        for name, size in (("joint_position", 7), ("joint_velocity", 7), ("tcp_twist", 6)):
-            object.__setattr__(self, name, frozen_array(f"ArmState.{name}", getattr(self, name), (size,)))
-
-
 @runtime_checkable
-class Arm(Protocol):
+class Arm(Device, Protocol):
     """A seven-joint arm. Entering connects and moves nothing; leaving stops it and disconnects."""
-
-    def __enter__(self) -> Self: ...
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None: ...
 
     @property
     def limits(self) -> ArmLimits:
-        """What it can do; known before connecting."""
+        """Limits of the arm; known before connecting."""
         ...
 
     def state(self) -> ArmState:
@@ -274,7 +268,7 @@ class Arm(Protocol):
         ...
 
     def move_to(self, pose: Pose, speed: float) -> None:
-        """Move the TCP to a pose at no more than `speed` (m/s); returns when it is there or when `stop` was called.
+        """Move the TCP to a pose at no more than `speed` [m/s]; returns on arrival or after `stop`.
 
         Raises:
             ArmRefusedError: in a fault, or the pose was refused or not reached.
@@ -283,9 +277,9 @@ class Arm(Protocol):
         ...
 
     def twist(self, linear: Float[np.ndarray, "3"], angular: Float[np.ndarray, "3"]) -> None:
-        """Move the TCP at a velocity, base axes, m/s and rad/s, until the next command; returns at once.
+        """Move the TCP at a velocity [m/s, rad/s], base axes, until the next command; returns at once.
 
-        An arm stops by itself when no further twist comes for a while: its port sees to that.
+        The arm stops by itself after a while without a further twist; its driver sees to that.
 
         Raises:
             ArmRefusedError: in a fault, or beyond its limits.
@@ -294,14 +288,14 @@ class Arm(Protocol):
         ...
 
     def stop(self) -> None:
-        """Stop all motion. From any thread, as often as wanted, also where nothing moves or nothing is connected.
+        """Stop all motion. From any thread, any number of times, also at rest or without a connection.
 
-        A twist or a pose that was asked for before no longer counts, also where it is still on its way.
+        Earlier twists and poses no longer count, also those still on their way.
         """
         ...
 
     def clear_faults(self) -> None:
-        """Ask the arm to forget its faults; moves nothing.
+        """Clear the arm's faults; moves nothing.
 
         Raises:
             ArmRefusedError: a fault remains.
@@ -314,12 +308,17 @@ class Arm(Protocol):
 class Gripper(Protocol):
     """A parallel gripper."""
 
+    @staticmethod
+    def data_sheet(width: float) -> Tool:
+        """Mass, inertia and TCP with the pads `width` [m] apart, sensor frame; known before connecting."""
+        ...
+
     def width(self) -> float:
-        """Opening between the pads, m."""
+        """Opening between the pads [m]."""
         ...
 
     def close_on(self, width: float, force: float) -> None:
-        """Close on something `width` (m) wide with `force` (N); returns when it holds.
+        """Close on something `width` [m] wide with `force` [N]; returns when it holds.
 
         Raises:
             ArmRefusedError: closed on nothing, or refused.
@@ -333,10 +332,10 @@ class Gripper(Protocol):
 
 @runtime_checkable
 class ObjectPose(Protocol):
-    """Where the object lies: the arm's taught pose, or a user's tracker."""
+    """Source of the object's pose: a known place, or a tracker."""
 
     def read(self) -> tuple[float, float, float]:
-        """Planar pose of the object frame in the arm's base frame: x, y (m) and yaw (rad).
+        """Planar pose of the object frame in the arm's base frame: x, y [m] and yaw [rad].
 
         Raises:
             RobotError: not known now.

@@ -1,4 +1,4 @@
-"""Legs: stretches of the tool's path that are followed by twists."""
+"""Path of a trial: where the object lies, and the legs of the tool over the table, which twists follow."""
 
 from __future__ import annotations
 
@@ -21,53 +21,69 @@ from testbed.robot.safety import path_violations
 from testbed.trial import Trial
 
 
+@dataclass(frozen=True)
+class KnownPose:
+    """An `ObjectPose`: the place into which a person has put the object."""
+
+    x: float
+    """Position [m], base frame."""
+    y: float
+    """Position [m], base frame."""
+    yaw: float
+    """Turn [rad], base frame."""
+
+    def read(self) -> tuple[float, float, float]:
+        """Planar pose: x, y [m] and yaw [rad]."""
+        return self.x, self.y, self.yaw
+
+
 @dataclass(frozen=True, eq=False)
 class Target:
-    """Where the tool should be and how it should move, base frame."""
+    """Desired pose and velocity of the tool, base frame."""
 
     position: Float[np.ndarray, "3"]
-    """Of the TCP, m."""
+    """Position of the TCP [m]."""
     yaw: float
-    """Of the closing direction, rad."""
+    """Yaw of the closing direction [rad]."""
     velocity: Float[np.ndarray, "3"]
-    """m/s."""
+    """Velocity of the TCP [m/s]."""
     yaw_rate: float
-    """rad/s."""
+    """Rate of the yaw [rad/s]."""
 
 
 class Leg(Protocol):
-    """A stretch of the path, followed by twists."""
+    """A stretch of the path."""
 
     @property
     def duration(self) -> float:
-        """s."""
+        """Duration [s]."""
         ...
 
     def at(self, time: float) -> Target:
-        """The target at a time since the leg began, s."""
+        """Target at a time since the leg began [s]."""
         ...
 
 
 @dataclass(frozen=True, eq=False)
 class Line:
-    """Straight, from rest to rest with least jerk, the yaw kept."""
+    """Straight leg from rest to rest with least jerk, at constant yaw."""
 
     start: Float[np.ndarray, "3"]
-    """m."""
+    """First position [m]."""
     end: Float[np.ndarray, "3"]
-    """m."""
+    """Last position [m]."""
     yaw: float
-    """rad."""
+    """Yaw of the closing direction [rad]."""
     duration: float
-    """s."""
+    """Duration [s]."""
 
     @classmethod
     def at_most(cls, start: np.ndarray, end: np.ndarray, yaw: float, speed: float) -> Self:
-        """The line whose greatest speed is `speed`, m/s."""
+        """Line of greatest speed `speed` [m/s]."""
         return cls(start, end, yaw, max(1.875 * float(np.linalg.norm(end - start)) / speed, 0.1))
 
     def at(self, time: float) -> Target:
-        """The target at a time since the leg began, s."""
+        """Target at a time since the leg began [s]."""
         x = min(max(time / self.duration, 0.0), 1.0)
         done, rate = x**3 * (10 - 15 * x + 6 * x**2), 30 * x**2 * (1 - x) ** 2 / self.duration
         way = self.end - self.start
@@ -76,20 +92,20 @@ class Line:
 
 @dataclass(frozen=True, eq=False)
 class Along:
-    """The action itself: along its path at the height of the grip."""
+    """Leg of the action itself, at the height of the grip."""
 
     path: ToolPath
     profile: Profile
     height: float
-    """Of the TCP in the base frame, m."""
+    """Height of the TCP [m], base frame."""
 
     @property
     def duration(self) -> float:
-        """s."""
+        """Duration [s]."""
         return self.profile.duration
 
     def at(self, time: float) -> Target:
-        """The target at a time since the leg began, s."""
+        """Target at a time since the leg began [s]."""
         distance, rate = self.profile.at(time)
         length = self.profile.length
         x, y, yaw = self.path.tool_pose(np.array([distance / length - 0.5]))[0]
@@ -99,28 +115,28 @@ class Along:
 
 
 def sampled(leg: Leg) -> tuple[Float[np.ndarray, "N 3"], Float[np.ndarray, "N 6"]]:
-    """Positions, m, and twists, m/s and rad/s, all along a leg."""
+    """Positions [m] and twists [m/s, rad/s] along a leg."""
     targets = [leg.at(t) for t in np.linspace(0.0, leg.duration, max(math.ceil(leg.duration / 0.05), 2) + 1)]
     twists = [np.append(t.velocity, [0.0, 0.0, t.yaw_rate]) for t in targets]
     return np.array([t.position for t in targets]), np.array(twists)
 
 
 PROFILE_STEP = 0.01
-"""Time between the ticks of an action's profile, s: the record's."""
+"""Time between ticks of an action's profile and of the record [s]."""
 _UP = np.array([0.0, 0.0, 1.0])
 
 
 @dataclass(frozen=True, eq=False)
 class RobotPlan:
-    """Where a trial takes the tool."""
+    """Plan of a trial."""
 
     trial: Trial
     grasp: Grasp
-    """The faces that are gripped."""
+    """Gripped faces."""
     object_pose: Float[np.ndarray, "3"]
-    """Where the object lies, planar pose, m and rad, base frame."""
+    """Planar pose of the object [m, rad], base frame."""
     hover: Pose
-    """Where the sensor is zeroed."""
+    """Pose at which the sensor is tared."""
     descent: Line
     act: Along | None
     """None for a weighing."""
@@ -130,13 +146,13 @@ class RobotPlan:
 
     @property
     def lift_and_down(self) -> tuple[Line, Line]:
-        """How a weighing lifts the object, and puts it down again."""
+        """Legs of a weighing: up, and down again."""
         assert self.lift is not None
         return self.lift, Line(self.lift.end, self.lift.start, self.lift.yaw, self.lift.duration)
 
     @property
     def legs(self) -> dict[str, Leg]:
-        """What is followed by twists, in order, by name."""
+        """Legs in order, by name."""
         work: dict[str, Leg]
         if self.act is not None:
             work = {"the action": self.act}
@@ -145,12 +161,12 @@ class RobotPlan:
         return {"down to the object": self.descent, **work, "up again": self.rise}
 
     def duration(self, settings: RobotSettings) -> float:
-        """About how long it takes, without the way to the first place, s."""
+        """Approximate duration [s], without the way to the first place."""
         waits = 2 * settings.tare_time + settings.settle_time + 2.0
         return waits + sum(leg.duration for leg in self.legs.values())
 
     def check(self, settings: RobotSettings) -> None:
-        """Refuse what passes a limit.
+        """Check the path against the limits.
 
         Raises:
             InfeasibleTrialError: a place outside the box, or a speed beyond its limit.
@@ -164,7 +180,7 @@ class RobotPlan:
 
 
 def starting_pose(trial: Trial) -> Float[np.ndarray, "3"]:
-    """Where to put the object so that its trial is the simulated bench's: planar pose, m and rad.
+    """Planar pose of the object [m, rad] that gives the simulation's path.
 
     Raises:
         InfeasibleTrialError: a lift.
@@ -180,7 +196,7 @@ def starting_pose(trial: Trial) -> Float[np.ndarray, "3"]:
 
 
 def weighing_grasp(shape: ObjectShape) -> Grasp:
-    """The grasp nearest the middle: where the object is taken to be lifted.
+    """Grasp nearest the middle, by which the object is lifted.
 
     Raises:
         InfeasibleTrialError: there is none.
@@ -190,8 +206,14 @@ def weighing_grasp(shape: ObjectShape) -> Grasp:
     return min(shape.grasps, key=lambda grasp: float(np.linalg.norm(grasp.position)))
 
 
+def gripped(trial: Trial) -> Grasp:
+    """Grasp of a trial."""
+    shape, action = trial.object.shape, trial.action
+    return weighing_grasp(shape) if isinstance(action, Weigh) else shape.grasps[action.grasp]
+
+
 def plan_trial(trial: Trial, object_pose: Float[np.ndarray, "3"], settings: RobotSettings) -> RobotPlan:
-    """Plan a trial for an object that lies at a planar pose, m and rad, base frame; nothing is checked yet.
+    """Plan of a trial for an object at a planar pose [m, rad], base frame; not checked yet.
 
     Raises:
         InfeasibleTrialError: a lift.
@@ -232,20 +254,20 @@ def _not_lifted() -> InfeasibleTrialError:
 
 
 def tool_down(yaw: float, settings: RobotSettings) -> Float[np.ndarray, "4"]:
-    """Orientation of the arm's tool frame, wxyz, with its z axis down and the pads closing along `yaw` (rad)."""
+    """Orientation of the arm's tool frame, wxyz, with its z axis down and the pads closing along `yaw` [rad]."""
     turn = Rotation.from_euler("ZXZ", [yaw, math.pi, -settings.closing_angle])
     return turn.as_quat(scalar_first=True)
 
 
 def closing_yaw(orientation: Float[np.ndarray, "N 4"], settings: RobotSettings) -> Float[np.ndarray, "N"]:
-    """Yaw of the closing direction of a tool frame, rad, (N,): the inverse of `tool_down`."""
+    """Yaw of the closing direction of a tool frame [rad], shape (N,): the inverse of `tool_down`."""
     c, s = math.cos(settings.closing_angle), math.sin(settings.closing_angle)
     along = Rotation.from_quat(orientation, scalar_first=True).apply([c, s, 0.0])
     return np.arctan2(along[..., 1], along[..., 0])
 
 
 def described(plan: RobotPlan, settings: RobotSettings) -> str:
-    """The motion in words, a line a leg: places, speeds, times, and how near the path comes to its limits."""
+    """The motion in words, a line per leg: places, speeds, times, and the path's distance from its limits."""
     x, y, yaw = plan.object_pose
     turned = math.degrees(math.remainder(yaw, math.tau))
     place = ", ".join(f"{v:.3f}" for v in plan.hover.position)

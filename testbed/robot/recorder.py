@@ -1,4 +1,4 @@
-"""Everything that arm and sensor say during a trial, brought onto one time base: the sensor's."""
+"""Record of a trial by arm and sensor on the sensor's time base, and the reasons for which it is no data."""
 
 from __future__ import annotations
 
@@ -16,59 +16,59 @@ from testbed.robot.interfaces import Arm, ArmState, RobotError, WrenchSample, Wr
 from testbed.trajectory import Phase, Status
 
 _SMOOTHING = 11
-"""Feedbacks over which the hand's velocity is smoothed: 0.1 s, as the tool compensation does with it again."""
+"""Feedbacks over which the hand's velocity is smoothed: 0.1 s, as in the compensation of the tool."""
 
 
 @dataclass(frozen=True)
 class Mark:
-    """A moment at which a phase began."""
+    """Begin of a phase."""
 
     time_s: float
     phase: Phase
     profile: Profile | None = None
-    """Of the action that began, which tells ramps and steady stretches apart."""
+    """Profile of the action that begins: it tells ramps and steady stretches apart."""
 
 
 @dataclass(frozen=True, eq=False)
 class Record:
-    """T frames of the sensor, and what the arm did at each."""
+    """T frames of the sensor, and the arm's motion at each."""
 
     time_s: Float[np.ndarray, "T"]
-    """s, the clock's own."""
+    """Time [s] of the robot's clock."""
     phase: Int[np.ndarray, "T"]
     segment: Int[np.ndarray, "T"]
     wrench: Float[np.ndarray, "T 6"]
-    """Raw, sensor axes."""
+    """Raw wrench [N, N m], sensor axes."""
     tcp_position: Float[np.ndarray, "T 3"]
-    """m, base frame."""
+    """Position of the TCP [m], base frame."""
     tcp_orientation: Float[np.ndarray, "T 4"]
-    """wxyz, base frame."""
+    """Orientation of the tool frame, wxyz, base frame."""
     tcp_velocity: Float[np.ndarray, "T 6"]
-    """From the poses; base axes, m/s and rad/s."""
+    """Velocity from the poses [m/s, rad/s], base axes."""
     joint_position: Float[np.ndarray, "T 7"]
-    """rad, without jumps where a joint has turned round."""
+    """Joint angles [rad], without jumps after full turns."""
     wrench_gap: float
-    """Longest time between frames, s."""
+    """Longest time between frames [s]."""
     feedback_gap: float
-    """Longest time between feedbacks of the arm, s."""
+    """Longest time between feedbacks of the arm [s]."""
 
     def during(self, *phases: Phase) -> np.ndarray:
-        """Which frames came in the given phases, (T,) bool."""
+        """True for the frames in the given phases, shape (T,)."""
         return np.isin(self.phase, phases)
 
 
 class Recorder:
-    """Takes in frames and feedback: one thread takes, any may mark."""
+    """Collector of frames and feedback: one thread takes, any may mark."""
 
     def __init__(self, arm: Arm, sensor: WrenchSensor):
         self._arm, self._sensor = arm, sensor
         self._states: list[ArmState] = []
         self._samples: list[WrenchSample] = []
         self._marks: list[Mark] = []
-        sensor.drain()  # what piled up before is of no trial
+        sensor.drain()  # frames from before the trial
 
     def take(self) -> None:
-        """Take in what has come.
+        """Take in all new frames and feedback.
 
         Raises:
             RobotError: sensor or arm is lost.
@@ -80,20 +80,20 @@ class Recorder:
 
     @property
     def state(self) -> ArmState | None:
-        """Newest feedback taken."""
+        """Newest feedback, or None."""
         return self._states[-1] if self._states else None
 
     @property
     def sample(self) -> WrenchSample | None:
-        """Newest frame taken."""
+        """Newest frame, or None."""
         return self._samples[-1] if self._samples else None
 
     def mark(self, mark: Mark) -> None:
-        """Say what begins now."""
+        """Note the begin of a phase."""
         self._marks.append(mark)
 
     def mean_wrench(self, begin: float, end: float) -> Float[np.ndarray, "6"]:
-        """Mean of the frames between two moments, sensor axes, (6,).
+        """Mean wrench between two moments [N, N m], sensor axes, shape (6,).
 
         Raises:
             RobotError: there is none.
@@ -104,7 +104,7 @@ class Recorder:
         return np.mean(kept, axis=0)
 
     def record(self, end: float) -> Record | None:
-        """The frames from the first mark to `end` (s), as far as the arm's feedback goes; None where there are none."""
+        """Frames from the first mark to `end` [s], as far as the arm's feedback goes; None without any."""
         if not self._marks or len(self._states) < 2:
             return None
         at = np.array([state.time_s for state in self._states])
@@ -135,7 +135,7 @@ class Recorder:
 
 
 def _labels(marks: list[Mark], time: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Phase and steady stretch of each frame."""
+    """Phase and steady stretch of each frame, each (T,)."""
     which = np.searchsorted([mark.time_s for mark in marks], time, side="right") - 1
     phase = np.array([marks[i].phase for i in which], dtype=int)
     segment = np.full(len(time), -1)
@@ -174,35 +174,35 @@ def _longest_gap(time: np.ndarray, begin: float, end: float) -> float:
 
 
 SLIP_LIMIT = (0.003, math.radians(1.5))
-"""Movement in the grip beyond which a trial is no data, m and rad: the simulated bench's."""
+"""Movement in the grip beyond which a trial is no data [m, rad], as in the simulation."""
 WIDTH_LIMIT = 0.0015
-"""Change of the gripper's opening while it held, m: something went out of the grip, or the fingers opened."""
+"""Change of the gripper's opening while it held [m]: something left the grip, or the fingers opened."""
 GAP_LIMIT = 0.05
-"""Silence of sensor or arm, s."""
+"""Silence of sensor or arm [s]."""
 LOST_LIMIT = 0.01
-"""Part of the sensor's frames that may be lost."""
+"""Allowed part of lost frames."""
 COVERED = 0.95
-"""Part of a steady stretch's frames that must be there."""
+"""Required part of a steady stretch's frames."""
 FROZEN = 10
-"""Equal frames in a row that no living sensor sends: its noise is several counts."""
+"""Equal frames in a row that show a dead sensor: noise is several counts."""
 RESTLESS = 0.5
-"""Standard deviation of force during a tare at which something touches or shakes the tool, N."""
+"""Standard deviation of force during a tare beyond which something touches or shakes the tool [N]."""
 
 
 @dataclass(frozen=True, eq=False)
-class Evidence:
-    """What a trial left besides its record."""
+class GripEvidence:
+    """Evidence on a trial besides its record."""
 
     lost_frames: int
-    """Of the sensor, while the trial ran."""
+    """Frames lost during the trial."""
     held_width: tuple[float, float]
-    """Opening of the gripper after it closed and before it opened, m."""
+    """Opening of the gripper after it closed and before it opened [m]."""
     slip: tuple[float, float] | None
-    """Movement in the grip, m and rad; None where nothing measures the object's pose."""
+    """Movement in the grip [m, rad]; None without a tracker."""
 
     @property
     def figures(self) -> dict[str, float]:
-        """As the figures of a trajectory."""
+        """Figures for the trajectory."""
         found = {
             "lost_frames": float(self.lost_frames),
             "grip_change_m": self.held_width[1] - self.held_width[0],
@@ -210,8 +210,8 @@ class Evidence:
         return found if self.slip is None else found | {"slip_m": self.slip[0], "slip_rad": self.slip[1]}
 
 
-def doubts(record: Record, evidence: Evidence, profile: Profile | None) -> Iterator[tuple[Status, str]]:
-    """Every reason, with the status it means; drift is judged by `testbed.sensing.drift`."""
+def doubts(record: Record, evidence: GripEvidence, profile: Profile | None) -> Iterator[tuple[Status, str]]:
+    """Every reason against the record, with its status; `testbed.sensing.drift` judges drift."""
     change = abs(evidence.held_width[1] - evidence.held_width[0])
     if not change <= WIDTH_LIMIT:
         yield "slipped", f"the gripper's opening changed by {change * 1e3:.1f} mm while it held"
@@ -246,7 +246,7 @@ def _uncovered(record: Record, profile: Profile) -> Iterator[tuple[Status, str]]
 
 
 def _longest_run(wrench: np.ndarray) -> int:
-    """Greatest number of equal rows in a row."""
+    """Length of the longest run of equal rows."""
     new = np.concatenate([[True], (np.diff(wrench, axis=0) != 0).any(axis=1), [True]])
     return int(np.diff(np.flatnonzero(new)).max())
 

@@ -1,4 +1,4 @@
-"""From a real bench's record to a `Trajectory`: the same value that the simulated bench gives."""
+"""Trials on the real robot: `RealRunner` connects, shows a plan, runs it under guard, and judges its record."""
 
 from __future__ import annotations
 
@@ -9,17 +9,12 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
-from datetime import UTC, datetime
 from types import TracebackType
 from typing import Self
 
 import numpy as np
-from jaxtyping import Float
-from scipy.spatial.transform import Rotation
 
 from testbed.actions.base import Weigh
-from testbed.frames import origin_velocity, pose_from_point, rotation_matrix
-from testbed.objects.model import GRAVITY
 from testbed.robot.config import RobotSettings
 from testbed.robot.execution import Execution
 from testbed.robot.guard import Guard
@@ -33,125 +28,20 @@ from testbed.robot.interfaces import (
     RobotError,
     WrenchSensor,
 )
-from testbed.robot.path import RobotPlan, closing_yaw, described, plan_trial
+from testbed.robot.path import RobotPlan, described, plan_trial
 from testbed.robot.recorder import Record, doubts
 from testbed.robot.safety import UnsafeError
-from testbed.robot.weighing import weigh
+from testbed.robot.trajectories import lifted, object_poses, read_off, timestamp, trajectory_of
 from testbed.sensing.drift import judge_drift
-from testbed.sensing.presets import compensate
-from testbed.trajectory import Phase, Status, Trajectory
+from testbed.trajectory import Phase, Trajectory
 from testbed.trial import Trial
 from testbed.validation import check_positive
-
-
-def trajectory_of(
-    plan: RobotPlan,
-    record: Record,
-    settings: RobotSettings,
-    status: Status,
-    reason: str,
-    figures: dict[str, float],
-    provenance: dict[str, str],
-) -> Trajectory:
-    """The trajectory of a turn, a slide or a lift, compensated where the sensor has been zeroed."""
-    pose = object_poses(plan, record, settings)
-    tool = Rotation.from_quat(record.tcp_orientation, scalar_first=True)
-    sensor = tool * Rotation.from_quat(settings.sensor_orientation, scalar_first=True)
-    count = len(record.time_s)
-    whole = Trajectory(
-        action=plan.trial.action,
-        status=status,
-        reason=reason,
-        time_s=record.time_s - record.time_s[0],
-        phase=record.phase,
-        segment=record.segment,
-        object_pose=pose,
-        object_velocity=origin_velocity(record.tcp_velocity, pose[:, 2], plan.grasp.position),
-        tcp_position=record.tcp_position - [0.0, 0.0, settings.table_height],
-        tcp_velocity=record.tcp_velocity,
-        sensor_orientation=sensor.as_quat(scalar_first=True),
-        sensor_wrench=settings.sensor_sign * record.wrench,
-        wrench_on_object_world=np.zeros((count, 6)),
-        joint_position=record.joint_position,
-        tool=settings.tool,
-        sensor_bias_std=np.repeat(settings.bias_std, 3),
-        sensor_drift_std=np.repeat(settings.drift_std, 3),
-        figures=figures,
-        provenance=provenance,
-    )
-    return compensate(whole) if whole.mask(Phase.TARE).any() else whole
-
-
-def object_poses(plan: RobotPlan, record: Record, settings: RobotSettings) -> Float[np.ndarray, "T 3"]:
-    """Planar pose of the object as the hand knows it, m and rad, (T, 3): where it would be if it did not slip."""
-    yaw = np.unwrap(closing_yaw(record.tcp_orientation, settings)) - plan.grasp.angle
-    return pose_from_point(record.tcp_position[:, :2], plan.grasp.position, yaw)
-
-
-def lifted(felt: Trajectory) -> Trajectory:
-    """A lift as a scale's reading: what hung in the gripper, wrench_on_object_world z.
-
-    `figures["weight_std_kg"]` is its standard error: what the tare may leave, how far the zero may have walked since,
-    and the scatter of both readings.
-    """
-    kept = felt.mask(Phase.STEADY)
-    axes = rotation_matrix(felt.sensor_orientation[kept][0])
-    empty = np.flatnonzero(felt.mask(Phase.TARE) & (felt.time_s < felt.time_s[kept][0]))
-    empty = empty[len(empty) // 3 :]
-    since = felt.time_s[kept].mean() - felt.time_s[empty].mean()
-    moved = float(np.hypot(felt.sensor_bias_std[2], felt.sensor_drift_std[2] * np.sqrt(since)))
-    reading = weigh(felt.sensor_wrench[empty], felt.sensor_wrench[kept], axes[2], drift=moved)
-    return replace(
-        felt,
-        time_s=felt.time_s[kept] - felt.time_s[kept][0],
-        phase=felt.phase[kept],
-        segment=np.zeros(kept.sum(), dtype=int),
-        object_pose=felt.object_pose[kept],
-        object_velocity=felt.object_velocity[kept],
-        tcp_position=felt.tcp_position[kept],
-        tcp_velocity=felt.tcp_velocity[kept],
-        sensor_orientation=felt.sensor_orientation[kept],
-        sensor_wrench=felt.sensor_wrench[kept],
-        wrench_on_object_world=felt.wrench_on_object_world[kept],
-        joint_position=felt.joint_position[kept],
-        tool=None,
-        figures=felt.figures | {"weight_kg": reading.mass, "weight_std_kg": reading.standard_error},
-    )
-
-
-def read_off(weight: float) -> Trajectory:
-    """A scale's reading (kg) that a user gave, as a trajectory of one sample."""
-    wrench = np.array([[0.0, 0.0, weight * GRAVITY, 0.0, 0.0, 0.0]])
-    return Trajectory(
-        action=Weigh(),
-        status="ok",
-        reason="",
-        time_s=np.zeros(1),
-        phase=np.array([Phase.STEADY]),
-        segment=np.zeros(1, dtype=int),
-        object_pose=np.zeros((1, 3)),
-        object_velocity=np.zeros((1, 3)),
-        tcp_position=np.zeros((1, 3)),
-        tcp_velocity=np.zeros((1, 6)),
-        sensor_orientation=np.array([[1.0, 0.0, 0.0, 0.0]]),
-        sensor_wrench=wrench,
-        wrench_on_object_world=wrench,
-        joint_position=np.zeros((1, 7)),
-        tool=None,
-        sensor_bias_std=np.zeros(6),
-        provenance={"runner": "robot", "recorded": now_in_words(), "weight": "read off a scale"},
-    )
-
-
-def now_in_words() -> str:
-    """The moment, in UTC, as ISO 8601 has it."""
-    return datetime.now(UTC).isoformat(timespec="milliseconds")
 
 
 class RealRunner:
     """A `TrialRunner` on a real arm, gripper and wrench sensor. Entering it connects and moves nothing.
 
-    Whatever ends a trial - its end, an error, a limit, Ctrl-C, SIGTERM, a lost sensor or arm - stops the arm.
+    Any end of a trial - its own, an error, a limit, Ctrl-C, SIGTERM, a lost sensor or arm - stops the arm.
     """
 
     def __init__(
@@ -167,18 +57,18 @@ class RealRunner:
         weight: float | None = None,
         clock: Clock | None = None,
     ):
-        """Name the bench; nothing is connected.
+        """Describe the robot; nothing is connected.
 
         Args:
-            arm: entered with the runner, as the sensor is.
+            arm: entered with the runner, like the sensor.
             gripper: on that arm.
             sensor: between the two.
-            object_pose: where the object lies before each trial.
+            object_pose: pose of the object before each trial.
             settings: table, tool, speeds and limits.
-            confirm: shown the first motion in words, answers whether it may be made.
-            tracker: measures where the object is after a trial, by which slip in the grip is known; else it is not.
-            weight: what a scale said, kg; None weighs by lifting.
-            clock: the ports' clock; the computer's own if left out.
+            confirm: takes the first motion in words; True if it may be made.
+            tracker: measures the object's pose after a trial, and so its slip in the grip; without it slip is unknown.
+            weight: reading of a scale [kg]; None weighs by lifting.
+            clock: clock of arm and sensor; the computer's own if left out.
         """
         if weight is not None:
             check_positive("RealRunner.weight", weight)
@@ -190,14 +80,14 @@ class RealRunner:
 
     @property
     def limits(self) -> ArmLimits:
-        """What the arm can do; known before connecting."""
+        """Limits of the arm; known before connecting."""
         return self._arm.limits
 
     def __enter__(self) -> Self:
         """Connect sensor and arm.
 
         Raises:
-            RobotError: one of them cannot be reached, or is not what it should be.
+            RobotError: one of them cannot be reached, or is not as expected.
         """
         with ExitStack() as stack:
             stack.enter_context(_terminable())
@@ -215,7 +105,7 @@ class RealRunner:
             connections.close()
 
     def plan(self, trial: Trial) -> RobotPlan:
-        """Where a trial would take the tool. Moves nothing, and needs no connection but the object's pose.
+        """Plan of a trial. Moves nothing, and needs no connection but the object's pose.
 
         Raises:
             InfeasibleTrialError: a place outside the box, or a speed beyond its limit.
@@ -226,15 +116,15 @@ class RealRunner:
         return plan
 
     def dry_run(self, trial: Trial) -> str:
-        """The motion of a trial in words; raises as `plan`."""
+        """Motion of a trial in words; raises like `plan`."""
         return described(self.plan(trial), self._settings)
 
     def run(self, trial: Trial) -> Trajectory:
         """Run one trial.
 
         Returns:
-            What was measured. Status `limit` where a limit ended it, `fault` where something failed or the record is
-            no data, `slipped` where the object moved in the grip; each with its reason.
+            The measurement. Status `limit` if a limit ended it, `fault` if something failed or the record is no data,
+            `slipped` if the object moved in the grip; each with its reason.
 
         Raises:
             InfeasibleTrialError: refused before moving.
@@ -243,7 +133,7 @@ class RealRunner:
         if isinstance(trial.action, Weigh) and self._weight is not None:
             return read_off(self._weight)
         if self._connections is None:
-            raise RobotError("the bench is not connected: use the runner in a with statement")
+            raise RobotError("the robot is not connected: use the runner in a with statement")
         plan = self.plan(trial)
         if not self._confirmed:
             self._confirmed = self._confirm(described(plan, self._settings))
@@ -276,7 +166,7 @@ class RealRunner:
             status, reason = next(doubts(record, evidence, profile), ("ok", ""))
         provenance = {
             "runner": "robot",
-            "recorded": now_in_words(),
+            "recorded": timestamp(),
             "sensor": " ".join((self._sensor.identity.name, self._sensor.identity.serial)),
             "slip": "measured by a tracker" if "slip_m" in figures else "not known, but for the opening of the gripper",
         }
@@ -285,7 +175,7 @@ class RealRunner:
         return lifted(judged) if isinstance(plan.trial.action, Weigh) and judged.ok else judged
 
     def _slip(self, plan: RobotPlan, record: Record) -> tuple[float, float] | None:
-        """How far the object is from where the hand believes to have left it, m and rad; None where nothing tells."""
+        """Distance [m] and angle [rad] of the object from its place by the hand's pose; None without a tracker."""
         if self._tracker is None:
             return None
         held = np.flatnonzero(record.during(Phase.RAMP, Phase.STEADY))[-1]
@@ -299,7 +189,7 @@ class RealRunner:
 
 @contextmanager
 def _terminable() -> Iterator[None]:
-    """SIGTERM ends the program as an error would, so that whatever must be stopped is; in the main thread only."""
+    """Make SIGTERM end the program like an error, so that the arm is stopped; in the main thread only."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return

@@ -1,4 +1,4 @@
-"""What the real bench must never do: one set of limits, checked on the planned path and at every tick of motion."""
+"""Limits on every motion of the real robot, checked on the planned path and at every tick."""
 
 from __future__ import annotations
 
@@ -15,31 +15,31 @@ from testbed.robot.interfaces import ArmLimits, ArmState, RobotError
 from testbed.validation import check_positive, frozen_array
 
 _OVERSHOOT = 1.25
-"""Measured speed over commanded speed that is no fault of the command."""
+"""Allowed ratio of measured to commanded speed."""
 
 
 @dataclass(frozen=True)
 class SafetyLimits:
-    """What the tool may do. Base frame of the arm."""
+    """Limits on the tool. Base frame of the arm."""
 
     low: tuple[float, float, float] = (0.25, -0.35, 0.015)
-    """Corner of the box that the TCP must stay in, m."""
+    """Corner of the box for the TCP [m]."""
     high: tuple[float, float, float] = (0.65, 0.35, 0.40)
-    """The opposite corner, m."""
+    """The opposite corner [m]."""
     linear_speed: float = 0.15
-    """Of the TCP, m/s."""
+    """Speed of the TCP [m/s]."""
     angular_speed: float = 1.2
-    """Of the tool, rad/s."""
+    """Turn rate of the tool [rad/s]."""
     tilt: float = math.radians(5)
-    """Angle of the approach axis from straight down, rad."""
+    """Angle of the approach axis from straight down [rad]."""
     force: float = 60.0
-    """Change of the sensor's force since the tare, N."""
+    """Change of the sensor's force since the tare [N]."""
     torque: float = 8.0
-    """Change of the sensor's torque since the tare, N m."""
+    """Change of the sensor's torque since the tare [N m]."""
     joint_margin: float = math.radians(3)
-    """Distance to keep from the end of a joint's range, rad."""
+    """Distance to keep from the end of a joint's range [rad]."""
     age: float = 0.1
-    """Age of the newest feedback and of the newest wrench, s."""
+    """Age of the newest feedback and of the newest wrench [s]."""
 
     def __post_init__(self) -> None:
         for name in ("low", "high"):
@@ -58,15 +58,15 @@ class Violation:
     """A limit that was passed."""
 
     limit: str
-    """Which."""
+    """Name of the limit."""
     value: float
-    """How far."""
+    """Value found."""
     allowed: float
-    """What would have been allowed."""
+    """Value allowed."""
     unit: str
-    """Of both."""
+    """Unit of both."""
     broken: bool = False
-    """Whether something of the bench has failed, rather than been asked for too much."""
+    """True if a device has failed; False if the motion went too far."""
 
     def __str__(self) -> str:
         side = "at least" if self.value < self.allowed else "at most"
@@ -83,22 +83,22 @@ class UnsafeError(RobotError):
 
 @dataclass(frozen=True, eq=False)
 class Snapshot:
-    """What is known at one tick."""
+    """Knowledge at one tick."""
 
     now: float
-    """s."""
+    """Time [s]."""
     state: ArmState
     """Newest feedback."""
     wrench_time: float
-    """Arrival of the newest wrench, s."""
+    """Arrival of the newest wrench [s]."""
     load: Float[np.ndarray, "6"]
-    """Newest wrench less the tare, sensor axes, N and N m."""
+    """Newest wrench less the tare [N, N m], sensor axes."""
     command: Float[np.ndarray, "6"]
-    """Twist that is commanded, base axes, m/s and rad/s."""
+    """Commanded twist [m/s, rad/s], base axes."""
 
 
 def violations(limits: SafetyLimits, arm: ArmLimits, at: Snapshot) -> Iterator[Violation]:
-    """Every limit that is passed at a tick, the worst kind first."""
+    """Every violation at a tick, the worst kind first."""
     state = at.state
     if state.faulted:
         yield Violation(f"arm in a fault ({state.message or 'unnamed'})", 1.0, 0.0, "faults", broken=True)
@@ -123,7 +123,7 @@ def violations(limits: SafetyLimits, arm: ArmLimits, at: Snapshot) -> Iterator[V
 def path_violations(
     limits: SafetyLimits, positions: Float[np.ndarray, "N 3"], twists: Float[np.ndarray, "N 6"]
 ) -> Iterator[Violation]:
-    """Every limit that a planned path of the TCP passes: positions, m, and twists, m/s and rad/s, base frame."""
+    """Every violation of a planned path of the TCP: positions [m] and twists [m/s, rad/s], base frame."""
     yield from _outside(limits, positions.min(axis=0))
     yield from _outside(limits, positions.max(axis=0))
     for part in (slice(0, 3), slice(3, 6)):

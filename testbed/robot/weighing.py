@@ -1,4 +1,4 @@
-"""Weighing through the sensor: a held object's mass, where it hangs in the hand, and a known mass as a check."""
+"""Weighing through the sensor: mass and center of a held object, and a known mass as a check."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from testbed.sensing.windows import mean_covariance
 from testbed.validation import check_positive, frozen_array, is_number
 
 GAIN_ERROR = 0.02
-"""Part of a known mass by which a sensor may be off; a choice of ours, the maker states no figure."""
+"""Allowed relative error of a known mass; heft's choice, the maker states no figure."""
 TOO_UNSURE = 3
-"""Standard errors within which two values are the same."""
+"""Standard errors within which two values agree."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,15 +24,15 @@ class Weighing:
     """A mass from the change of the sensor's reading."""
 
     mass: float
-    """kg."""
+    """Mass [kg]."""
     standard_error: float
-    """kg, from the scatter of both readings and, where given, the drift between them."""
+    """Standard error [kg], from the scatter of both readings and any given drift between them."""
     force: Float[np.ndarray, "3"]
-    """Change of force, N, sensor axes."""
+    """Change of force [N], sensor axes."""
     covariance: Float[np.ndarray, "3 3"]
-    """Of that change."""
+    """Covariance of that change [N^2]."""
     tilt: float
-    """Angle between that change and the vertical, rad: what the mount's rotation is off, or something touches."""
+    """Angle between that change and the vertical [rad]: an error of the mount's rotation, or a contact."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "force", frozen_array("Weighing.force", self.force, (3,)))
@@ -40,7 +40,7 @@ class Weighing:
 
     @property
     def tilt_standard_error(self) -> float:
-        """rad."""
+        """Standard error of the tilt [rad]."""
         return float(np.sqrt(np.linalg.eigvalsh(self.covariance)[-1]) / max(np.linalg.norm(self.force), 1e-9))
 
 
@@ -54,12 +54,12 @@ def weigh(
     """Weigh by two readings with the hand in one orientation, so that tool and bias cancel.
 
     Args:
-        empty: samples with nothing held, as the sensor reports them, N, N m.
+        empty: samples with nothing held [N, N m], as the sensor reports them.
         loaded: samples with the object hanging free.
-        up: unit vector that points up, sensor axes; None where it is not known: then the force's own direction is
-            taken, and the sensor's sign stays open.
+        up: unit vector that points up, sensor axes; None if unknown: then the direction of the force is taken, and the
+            sensor's sign stays open.
         sign: the sensor's, from its calibration.
-        drift: standard deviation of what the bias moves between the two, N an axis.
+        drift: standard deviation of the bias's change between the two [N per axis].
 
     Raises:
         InvalidValueError: too few samples, or `up` no unit vector.
@@ -92,16 +92,16 @@ Verdict = Literal["agrees", "disagrees", "negated", "unsure"]
 
 @dataclass(frozen=True)
 class MassCheck:
-    """What a known mass says about a sensor."""
+    """Verdict of a known mass on a sensor."""
 
     verdict: Verdict
-    """agrees; disagrees: gain or a stored tool calibration; negated: it reports the other sign; unsure: too noisy."""
+    """agrees; disagrees: gain or a stored tool calibration; negated: the other sign; unsure: too noisy."""
     ratio: float
-    """Measured over known mass."""
+    """Ratio of the measured to the known mass."""
     standard_error: float
-    """Of the ratio."""
-    said: str
-    """In a sentence."""
+    """Standard error of the ratio."""
+    text: str
+    """The verdict in a sentence."""
 
 
 def check_known_mass(weighing: Weighing, mass: float, allowed: float = GAIN_ERROR) -> MassCheck:
@@ -109,8 +109,8 @@ def check_known_mass(weighing: Weighing, mass: float, allowed: float = GAIN_ERRO
 
     Args:
         weighing: the measured one.
-        mass: the known one, kg.
-        allowed: part of it by which the sensor may be off.
+        mass: the known one [kg].
+        allowed: its allowed relative error.
     """
     check_positive("known mass", mass)
     if not (is_number(allowed) and 0 < allowed < 1):
@@ -138,35 +138,35 @@ def check_known_mass(weighing: Weighing, mass: float, allowed: float = GAIN_ERRO
 
 
 @dataclass(frozen=True, eq=False)
-class HeldCentre:
-    """Where a held object's centre of mass is, seen from the TCP."""
+class HeldCenter:
+    """Center of mass of a held object, from the TCP."""
 
     offset: Float[np.ndarray, "2"]
-    """World x and y, m."""
+    """Offset [m], world x and y."""
     covariance: Float[np.ndarray, "2 2"]
-    """m^2."""
+    """Covariance of the offset [m^2]."""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "offset", frozen_array("HeldCentre.offset", self.offset, (2,)))
-        object.__setattr__(self, "covariance", frozen_array("HeldCentre.covariance", self.covariance, (2, 2)))
+        object.__setattr__(self, "offset", frozen_array("HeldCenter.offset", self.offset, (2,)))
+        object.__setattr__(self, "covariance", frozen_array("HeldCenter.covariance", self.covariance, (2, 2)))
 
 
-def held_centre(wrench: Float[np.ndarray, "6"], covariance: Float[np.ndarray, "6 6"]) -> HeldCentre:
-    """The grasp offset, from the static moment of an object that hangs free.
+def held_center(wrench: Float[np.ndarray, "6"], covariance: Float[np.ndarray, "6 6"]) -> HeldCenter:
+    """Grasp offset from the static moment of an object that hangs free.
 
     Args:
-        wrench: what the gripper does to it, about the TCP, world axes, N and N m.
+        wrench: wrench of the gripper on the object about the TCP [N, N m], world axes.
         covariance: of that wrench.
 
     Raises:
         InvalidValueError: nothing hangs there: the force does not point up by more than its scatter.
     """
-    w = frozen_array("held_centre.wrench", wrench, (6,))
-    spread = frozen_array("held_centre.covariance", covariance, (6, 6))
+    w = frozen_array("held_center.wrench", wrench, (6,))
+    spread = frozen_array("held_center.covariance", covariance, (6, 6))
     if not w[2] > TOO_UNSURE * np.sqrt(spread[2, 2]):
-        raise InvalidValueError("held_centre.wrench", w[:3].tolist(), "a force that points up: an object that is held")
+        raise InvalidValueError("held_center.wrench", w[:3].tolist(), "a force that points up: an object that is held")
     offset = np.array([-w[4], w[3]]) / w[2]
     slopes = np.zeros((2, 6))
     slopes[:, 2] = -offset / w[2]
     slopes[0, 4], slopes[1, 3] = -1 / w[2], 1 / w[2]
-    return HeldCentre(offset, slopes @ spread @ slopes.T)
+    return HeldCenter(offset, slopes @ spread @ slopes.T)

@@ -14,14 +14,13 @@ import threading
 import time
 from contextlib import suppress
 from dataclasses import dataclass
-from types import TracebackType
 from typing import Any, Self
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from testbed.objects.gripper import STROKE
-from tests.fakes.gen3_world import TICK, Gen3World
+from tests.fakes.world import TICK, Gen3World
 
 PASSWORD = "admin"
 NOT_READY, IN_FAULT, INVALID = (3, 21), (3, 22), (3, 3)
@@ -71,9 +70,7 @@ class FakeGen3:
             threading.Thread(target=run, daemon=True).start()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._over.set()
         self._listening.close()
         self.drop()

@@ -1,24 +1,32 @@
-"""A fake Gen3 and a fake FT-300S on one simulated bench, in a process of their own that runs in real time."""
+"""A fake Gen3 and a fake FT-300S on one simulated robot, in a process of their own in real time; trials on them."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from multiprocessing import get_context
 from multiprocessing.connection import Connection
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Self
 
 import numpy as np
 
+from testbed.actions.base import Rotate
 from testbed.objects.model import ObjectModel
+from testbed.robot.config import RobotSettings
+from testbed.robot.interfaces import RobotError
+from testbed.robot.kinova.arm import KortexArm
+from testbed.robot.kinova.gripper import KortexGripper
+from testbed.robot.path import KnownPose, starting_pose
+from testbed.robot.robotiq.ft300s import Ft300s
+from testbed.robot.runner import RealRunner
 from testbed.sensing.presets import Sensing, preset
-from testbed.trial import OWN_WEIGHT, Support
+from testbed.trajectory import Trajectory
+from testbed.trial import OWN_WEIGHT, Support, Trial
 from tests.fakes.ft300s import FakeFt300s
 from tests.fakes.gen3 import FakeGen3
-from tests.fakes.gen3_world import Gen3World
+from tests.fakes.world import Gen3World
 
 FT300S = preset("ft300s")
 KORTEX = str(Path(__file__).parent / "kortex")
@@ -27,14 +35,14 @@ KORTEX = str(Path(__file__).parent / "kortex")
 
 @dataclass(frozen=True)
 class Wires:
-    """What a driver opens."""
+    """Ports for the drivers."""
 
     arm_port: int
     sensor_port: str
 
 
 class FakeRig:
-    """Runs while it is entered. What happens on the bench is asked for by `do`."""
+    """Runs while it is entered; `do` calls a function there."""
 
     def __init__(self, obj: ObjectModel, support: Support = OWN_WEIGHT, *, noise: Sensing = FT300S, seed: int = 0):
         self._asked = (obj, support, noise, seed)
@@ -47,15 +55,13 @@ class FakeRig:
         self.wires: Wires = self._ours.recv()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._ours.close()
         self._process.join(5.0)
         self._process.kill()
 
     def do(self, name: str, *arguments: Any) -> Any:
-        """One of the functions below, on the bench."""
+        """Call one of the functions below, in the rig's process."""
         self._ours.send((name, arguments))
         return self._ours.recv()
 
@@ -81,21 +87,51 @@ def _driven_after(arm: FakeGen3, _: FakeFt300s, moment: float) -> float:
     return arm.driven_after(moment)
 
 
-def _trouble(arm: FakeGen3, _: FakeFt300s, **changes: object) -> None:
-    for name, value in changes.items():
-        setattr(arm.faults, name, value)
-
-
 DEEDS: dict[str, Callable[..., Any]] = {
     "place": _place,
     "driven_after": _driven_after,
-    "drop the arm": lambda arm, _: arm.drop(),
-    "unplug the sensor": lambda _, sensor: sensor.unplug(),
-    "fault": lambda arm, _, bank: setattr(arm.faults, "fault_bank", bank),
-    "slowest tick": lambda arm, _: float(np.diff([at for at, *_ in arm.motion]).max()),
 }
 
 
-def python_with_fake_kortex() -> None:
-    """Let the process that speaks Kortex find the fake."""
-    os.environ["PYTHONPATH"] = KORTEX
+QUIET = replace(
+    FT300S,
+    force_noise=tuple(n / 10 for n in FT300S.force_noise),
+    torque_noise=tuple(n / 10 for n in FT300S.torque_noise),
+)
+"""An FT-300S with a tenth of its noise: then the path's own error shows. Without any noise its frames repeat, and it
+counts as dead."""
+ATTEMPTS = 5
+"""Times that a trial is begun: a busy computer is silent, and ends it."""
+
+
+def over_wires(
+    model: ObjectModel,
+    actions: Sequence[Rotate],
+    noise: Sensing = FT300S,
+    said: Callable[[str], None] = lambda _: None,
+) -> list[Trajectory]:
+    """Turns on a fake Gen3 with a fake FT-300S, by the drivers themselves; those that are data."""
+    os.environ["PYTHONPATH"] = KORTEX  # the process that speaks Kortex finds the fake
+    done = []
+    with FakeRig(model, noise=noise) as rig:
+        for action in actions:
+            trial = Trial(model, action)
+            pose = starting_pose(trial)
+            arm = KortexArm("127.0.0.1", port=rig.wires.arm_port)
+            settings = RobotSettings(KortexGripper.data_sheet(model.shape.grasps[action.grasp].width))
+            sensor = Ft300s(rig.wires.sensor_port)
+            for _ in range(ATTEMPTS):
+                rig.do("place", pose, action.grasp)
+                try:
+                    with RealRunner(
+                        arm, KortexGripper(arm), sensor, KnownPose(*pose), settings, confirm=lambda _: True
+                    ) as runner:
+                        record = runner.run(trial)
+                except RobotError as error:
+                    said(f"{len(done)} of {len(actions)}: {error}")
+                    continue
+                said(f"{len(done) + record.ok} of {len(actions)}: {record.status} {record.reason}")
+                if record.ok:
+                    done.append(record)
+                    break
+    return done

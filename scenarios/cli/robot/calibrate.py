@@ -1,59 +1,66 @@
-"""Calibration of the sensor's mount by poses that a person brings the arm into."""
+"""`heft robot calibrate`: the sensor's mount from poses into which a person brings the arm."""
 
 from __future__ import annotations
 
 import sys
 from contextlib import ExitStack
-from datetime import UTC, datetime
 from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
 
-import numpy as np
-from scipy.spatial.transform import Rotation
+import tyro
 
-from scenarios.cli.robot.sensor import reading
-from testbed.errors import HeftError
-from testbed.robot.calibration.file import save_calibration
-from testbed.robot.calibration.static_poses import (
-    CalibrationError,
-    StaticPose,
-    calibrate,
-    in_words,
-    static_pose,
-)
-from testbed.robot.config import load_robot_file, sensor_port
-from testbed.robot.interfaces import Arm, RobotError, WrenchSensor
-from testbed.robot.kinova.arm import KortexArm
-from testbed.robot.robotiq.ft300s import Ft300s
-from testbed.validation import check_positive
+if TYPE_CHECKING:
+    from testbed.robot.calibration.static_poses import StaticPose
+    from testbed.robot.interfaces import Arm, WrenchSensor
 
 _LEAST = 6
-_STILL = 0.01, np.radians(0.3)
-"""Joint speed, rad/s, and turn while measuring, rad, at which the hand stands."""
+_STILL_SPEED, _STILL_DEG = 0.01, 0.3
+"""Joint speed [rad/s], and turn while measuring [deg], of a hand at rest."""
 
 
-def calibrate_sensor(config: Path, seconds: float) -> None:
-    """Take poses until a person has had enough, then say and save what they mean.
+def calibrate(
+    *,
+    config: Annotated[Path, tyro.conf.arg(metavar="FILE")] = Path("robot.toml"),
+    seconds: Annotated[float, tyro.conf.arg(metavar="S")] = 3.0,
+) -> None:
+    """Find the sensor's rotation and sign, and the tool's mass. Moves nothing: you move the arm, by its joystick.
 
-    Raises:
-        InvalidValueError: a time that is not above 0.
-        RobotError: sensor or arm cannot be reached, or the poses do not settle it.
+    Bring the arm into six or more poses, tilted by 30 degrees and more about two axes and both ways, one of them upside
+    down or level; at each, wait until it stands and press Enter. From the sixth on it shows how well all is known. The
+    result goes to calibration.toml beside the robot file, for this sensor and the tool below it alone.
+
+    Args:
+        config: robot file; names the file to write ([sensor] calibration).
+        seconds: duration of measuring in each pose.
     """
+    from datetime import UTC, datetime
+
+    from testbed.robot.calibration.file import save_calibration
+    from testbed.robot.calibration.static_poses import calibrate as fit
+    from testbed.robot.calibration.static_poses import in_words
+    from testbed.robot.config import load_robot_file
+    from testbed.robot.registry import build_arm, build_sensor
+    from testbed.validation import check_positive
+
     check_positive("--seconds", seconds)
     file = load_robot_file(config)
-    where = config.parent / file.sensor.calibration
+    path = config.parent / file.sensor.calibration
     with ExitStack() as stack:
-        sensor = stack.enter_context(Ft300s(sensor_port(file)))
-        arm = stack.enter_context(KortexArm(file.kortex()))
+        sensor = stack.enter_context(build_sensor(file))
+        arm = stack.enter_context(build_arm(file))
         print("Bring the arm into a pose by its joystick, wait until it stands, press Enter; q and Enter when done.")
-        poses = _poses(arm, sensor, seconds)
-        found = calibrate(poses)
+        found = fit(_poses(arm, sensor, seconds))
         for sentence in in_words(found):
             print(sentence)
-        save_calibration(where, found, sensor.identity.serial, f"{datetime.now(UTC):%Y-%m-%d}")
-    print(where)
+        save_calibration(path, found, sensor.identity.serial, f"{datetime.now(UTC):%Y-%m-%d}")
+    print(path)
 
 
 def _poses(arm: Arm, sensor: WrenchSensor, seconds: float) -> list[StaticPose]:
+    import numpy as np
+
+    from testbed.errors import HeftError
+
     poses: list[StaticPose] = []
     while True:
         print(f"{len(poses)} poses > ", end="", flush=True)
@@ -72,19 +79,31 @@ def _poses(arm: Arm, sensor: WrenchSensor, seconds: float) -> list[StaticPose]:
 
 
 def _pose(arm: Arm, sensor: WrenchSensor, seconds: float) -> StaticPose:
+    import numpy as np
+    from scipy.spatial.transform import Rotation
+
+    from scenarios.cli.robot.sensor import reading
+    from testbed.robot.calibration.static_poses import static_pose
+    from testbed.robot.interfaces import RobotError
+
     before = arm.state()
-    if np.abs(before.joint_velocity).max() > _STILL[0]:
+    if np.abs(before.joint_velocity).max() > _STILL_SPEED:
         raise RobotError("the arm still moves: wait, and press Enter again")
     samples = reading(sensor, seconds)
     hands = [Rotation.from_quat(s.tcp_pose.orientation, scalar_first=True) for s in (before, arm.state())]
-    if (hands[0].inv() * hands[1]).magnitude() > _STILL[1]:
+    if (hands[0].inv() * hands[1]).magnitude() > np.radians(_STILL_DEG):
         raise RobotError("the arm moved while it was measured: press Enter again")
     return static_pose(before.tcp_pose.orientation, samples)
 
 
 def _so_far(poses: list[StaticPose]) -> str:
+    import numpy as np
+
+    from testbed.robot.calibration.static_poses import CalibrationError
+    from testbed.robot.calibration.static_poses import calibrate as fit
+
     try:
-        found = calibrate(poses)
+        found = fit(poses)
     except CalibrationError as error:
         return str(error)
     turn = np.degrees(found.sensor_in_hand_std.max())

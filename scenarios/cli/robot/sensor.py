@@ -1,4 +1,4 @@
-"""The sensor live: in Rerun, as numbers, or against a known mass."""
+"""`heft robot sensor`: the wrench sensor live in Rerun, as numbers, or against a known mass."""
 
 from __future__ import annotations
 
@@ -6,50 +6,84 @@ import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
 
-import numpy as np
+import tyro
 
-from testbed.robot.config import load_robot_file, sensor_port
-from testbed.robot.interfaces import WrenchSensor
-from testbed.robot.robotiq.ft300s import Ft300s
-from testbed.robot.weighing import check_known_mass, weigh
-from testbed.validation import check_positive
+if TYPE_CHECKING:
+    import numpy as np
+
+    from testbed.robot.interfaces import WrenchSensor
 
 _PERIOD = 0.05
 _WEIGHING_TIME = 3.0
 
 
-def show_sensor(config: Path, port: str | None, seconds: float, mass: float | None, *, viewer: bool) -> int:
-    """Show the sensor, or check it against a mass (kg); 0 where all is well, else 1.
+def sensor(
+    *,
+    config: Annotated[Path, tyro.conf.arg(metavar="FILE")] = Path("robot.toml"),
+    port: Annotated[str | None, tyro.conf.arg(metavar="DEVICE")] = None,
+    seconds: Annotated[float, tyro.conf.arg(metavar="S")] = 30.0,
+    mass: Annotated[float | None, tyro.conf.arg(metavar="KG")] = None,
+    viewer: bool = True,
+) -> None:
+    """Show the wrench sensor live in Rerun, or as a line a second; or check it against a known mass. Moves nothing.
 
-    Raises:
-        InvalidValueError: a time or a mass that is not above 0.
-        RobotError: the sensor cannot be reached.
+    Numbers are mean +- standard deviation over a second, forces then torques, with the sensor's own zero and sign.
+    Exit code: 1 if it disagrees with the mass, or loses more than one frame in a hundred.
+    Examples: heft robot sensor --port /dev/ttyUSB0 --no-viewer --seconds 5
+              heft robot sensor --mass 2
+
+    Args:
+        config: robot file; only its sensor is used.
+        port: device file of the sensor, instead of the config's.
+        seconds: duration.
+        mass: a known mass, to hang from the tool when the command asks for it.
+        viewer: Rerun; numbers without it, or if none can open.
     """
+    from testbed.robot.config import load_robot_file
+    from testbed.robot.registry import build_sensor
+    from testbed.validation import check_positive
+
     check_positive("--seconds", seconds)
     if mass is not None:
         check_positive("--mass", mass)
-    with Ft300s(port or sensor_port(load_robot_file(config))) as sensor:
-        identity = sensor.identity
+    with build_sensor(load_robot_file(config), port) as device:
+        identity = device.identity
         print(f"{identity.name}, serial {identity.serial}, firmware {identity.firmware}, {identity.rate_hz:g} Hz")
-        for warning in sensor.warnings:
+        for warning in device.health().warnings:
             print(warning)
         if mass is not None:
-            return _weigh(sensor, mass)
-        _watch(sensor, seconds, _viewer(identity.serial) if viewer else None)
-        health = sensor.health()
-    print(
-        f"{health.frames} frames, {health.lost_frames} lost, {health.crc_errors} with a wrong checksum, "
-        f"{health.dropouts} silences"
-    )
-    return int(health.lost_frames > 0.01 * health.frames)
+            good = _agrees(device, mass)
+        else:
+            _watch(device, seconds, _viewer(identity.serial) if viewer else None)
+            health = device.health()
+            print(
+                f"{health.frames} frames, {health.lost_frames} lost, {health.crc_errors} with a wrong checksum, "
+                f"{health.dropouts} silences"
+            )
+            good = health.lost_frames <= 0.01 * health.frames
+    if not good:
+        sys.exit(1)
+
+
+def reading(device: WrenchSensor, seconds: float) -> np.ndarray:
+    """Samples of some seconds [N, N m], shape (T, 6)."""
+    import numpy as np
+
+    device.drain()
+    end, kept = time.monotonic() + seconds, []
+    while time.monotonic() < end:
+        time.sleep(_PERIOD)
+        kept += [sample.wrench for sample in device.drain()]
+    return np.array(kept).reshape(-1, 6)
 
 
 def _viewer(serial: str) -> Callable[[list[float], np.ndarray], None] | None:
-    """Sends samples to Rerun; None, with the reason printed, where there is none."""
+    """A function that sends samples to Rerun; None, with the reason printed, without a viewer."""
     try:
-        from viz.recordings.sensor import SensorStream  # noqa: PLC0415
-        from viz.recordings.viewer import ViewerError, waiting  # noqa: PLC0415
+        from viz.recordings.sensor import SensorStream
+        from viz.recordings.viewer import ViewerError, waiting
     except ImportError:
         print("Rerun is not installed; numbers instead")
         return None
@@ -60,18 +94,20 @@ def _viewer(serial: str) -> Callable[[list[float], np.ndarray], None] | None:
         return None
 
 
-def _watch(sensor: WrenchSensor, seconds: float, send: Callable[[list[float], np.ndarray], None] | None) -> None:
-    """Show what comes; a line a second where nobody takes it."""
-    end, told = time.monotonic() + seconds, time.monotonic() + 1.0
+def _watch(device: WrenchSensor, seconds: float, send: Callable[[list[float], np.ndarray], None] | None) -> None:
+    """Send every sample to a viewer, or print a line a second without one."""
+    import numpy as np
+
+    end, due = time.monotonic() + seconds, time.monotonic() + 1.0
     kept: list[np.ndarray] = []
     while (now := time.monotonic()) < end:
-        samples = sensor.drain()
+        samples = device.drain()
         wrenches = np.array([sample.wrench for sample in samples]).reshape(-1, 6)
         if send is not None:
             send([sample.time_s for sample in samples], wrenches)
         kept.append(wrenches)
-        if send is None and now >= told:
-            told += 1.0
+        if send is None and now >= due:
+            due += 1.0
             print(_line(np.concatenate(kept)), flush=True)
             kept.clear()
         time.sleep(_PERIOD)
@@ -84,26 +120,18 @@ def _line(wrenches: np.ndarray) -> str:
     return f"{len(wrenches):4d} frames  N {force}  N m {torque}"
 
 
-def _weigh(sensor: WrenchSensor, mass: float) -> int:
-    """Two readings, without and with the mass; what they say of sensor and sign."""
+def _agrees(device: WrenchSensor, mass: float) -> bool:
+    """True if two readings, without and with the mass [kg], agree with it; prints the verdict."""
+    from testbed.robot.weighing import check_known_mass, weigh
+
     readings = []
-    for say in (
+    for request in (
         f"let nothing hang from the tool and press Enter ({_WEIGHING_TIME:g} s)",
         f"hang {mass:g} kg and press Enter",
     ):
-        print(say, flush=True)
+        print(request, flush=True)
         sys.stdin.readline()
-        readings.append(reading(sensor, _WEIGHING_TIME))
+        readings.append(reading(device, _WEIGHING_TIME))
     found = check_known_mass(weigh(*readings, up=None), mass)
-    print(found.said)
-    return int(found.verdict != "agrees")
-
-
-def reading(sensor: WrenchSensor, seconds: float) -> np.ndarray:
-    """What the sensor says for some seconds, N and N m, (T, 6)."""
-    sensor.drain()
-    end, kept = time.monotonic() + seconds, []
-    while time.monotonic() < end:
-        time.sleep(_PERIOD)
-        kept += [sample.wrench for sample in sensor.drain()]
-    return np.array(kept).reshape(-1, 6)
+    print(found.text)
+    return found.verdict == "agrees"

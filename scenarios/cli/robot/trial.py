@@ -1,142 +1,163 @@
-"""One trial on the real arm: asked for in a user's units, planned, shown, confirmed, run, stored."""
+"""`heft robot trial`: one trial on the real arm: planned, shown, confirmed, run, stored."""
 
 from __future__ import annotations
 
 import math
 import sys
-from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
-import numpy as np
+import tyro
 
-from estimators.action_selection.rank import between_particles
-from scenarios.results.store import Store, key_of, object_request
-from testbed.actions.base import Accelerate, Action, Rotate, Slide, Weigh, action_to_dict
-from testbed.errors import InvalidValueError
-from testbed.objects.files import load_object
-from testbed.objects.model import ObjectShape
-from testbed.robot.config import RobotFile, calibration_of, load_robot_file, sensor_port
-from testbed.robot.interfaces import WrenchSensor
-from testbed.robot.kinova.arm import KortexArm
-from testbed.robot.kinova.gripper import KortexGripper
-from testbed.robot.path import described, plan_trial, starting_pose, weighing_grasp
-from testbed.robot.runner import RealRunner, read_off
-from testbed.simulation.runner import SimulationRunner
-from testbed.trajectory import SCHEMA_VERSION, Trajectory
-from testbed.trial import Trial, parse_support
-from testbed.validation import check_positive
+if TYPE_CHECKING:
+    from testbed.actions.base import Action
+    from testbed.objects.model import ObjectShape
+    from testbed.robot.config import RobotFile
+    from testbed.robot.path import KnownPose
+    from testbed.trajectory import Trajectory
+    from testbed.trial import Trial
+
+Kind = Literal["rotate", "slide", "accelerate", "weigh"]
 
 
-@dataclass(frozen=True)
-class Asked:
-    """What the command line says, in its units."""
+def trial(
+    object_: Annotated[str, tyro.conf.Positional, tyro.conf.arg(name="object", metavar="OBJECT")],
+    *,
+    action: Kind = "rotate",
+    grasp: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None,
+    seconds: Annotated[float | None, tyro.conf.arg(metavar="S")] = None,
+    speed: Annotated[float | None, tyro.conf.arg(metavar="V")] = None,
+    pivot: Annotated[tuple[float, float] | None, tyro.conf.arg(metavar="X Y")] = None,
+    direction: Annotated[float, tyro.conf.arg(metavar="DEG")] = 0.0,
+    back: bool = True,
+    at: Annotated[tuple[float, float, float] | None, tyro.conf.arg(metavar="X Y DEG")] = None,
+    weight: Annotated[float | None, tyro.conf.arg(metavar="KG")] = None,
+    support: Annotated[str, tyro.conf.arg(metavar="SUPPORT")] = "own_weight",
+    config: Annotated[Path, tyro.conf.arg(metavar="FILE")] = Path("robot.toml"),
+    out: Annotated[Path, tyro.conf.arg(metavar="DIR")] = Path("results/robot"),
+    dry_run: bool = False,
+) -> None:
+    """Run one trial on the real arm and store it. The motion is shown, and made only after you have typed yes.
 
-    action: Literal["rotate", "slide", "accelerate", "weigh"]
-    grasp: str | None
-    seconds: float | None
-    speed: float | None
-    pivot_mm: tuple[float, float] | None
-    direction_deg: float
-    back: bool
-    at: tuple[float, float, float] | None
-    weight: float | None
-    support: str
+    Exit code: 1 if the trial is no data.
+    Examples: heft robot trial L2 --grasp A2 --dry-run
+              heft robot trial L2 --grasp A2 --speed 5 --seconds 2 --out results/lab
+              heft robot trial L2 --action weigh --weight 1.8 --out results/lab
+              heft estimate results/lab
 
+    Args:
+        object_: name in the library, or path to a TOML file.
+        action: kind of action.
+        grasp: grasp by name (see heft show); the first one if left out.
+        seconds: duration at constant speed; the action's own if left out.
+        speed: speed of a turn, deg/s, or of a slide, m/s.
+        pivot: center of a turn, mm from the object's middle; between particles beside the grasp if left out.
+        direction: direction of a slide in the object's frame.
+        back: turn back again in the same grasp.
+        at: place of the object's middle, m, and its turn, base frame of the arm; if left out, the place that gives the
+            simulation's path.
+        weight: reading of a scale; only with --action weigh, then nothing moves.
+        support: what carries the object's weight, as far as you know: own_weight, rigid, or a stiffness in N/m.
+        config: robot file.
+        out: results folder.
+        dry_run: show the motion, and connect to nothing.
+    """
+    import numpy as np
 
-@dataclass(frozen=True)
-class Placed:
-    """An `ObjectPose`: where a person has put the object."""
+    from testbed.errors import InvalidValueError
+    from testbed.objects.files import load_object
+    from testbed.robot.config import calibration_of, load_robot_file
+    from testbed.robot.path import described, gripped, plan_trial
+    from testbed.robot.registry import build_arm, build_gripper, build_sensor, gripper_class
+    from testbed.robot.runner import RealRunner
+    from testbed.robot.trajectories import read_off
+    from testbed.trial import Trial, parse_support
+    from testbed.validation import check_positive
 
-    x: float
-    y: float
-    yaw: float
-
-    def read(self) -> tuple[float, float, float]:
-        """x, y, m, and yaw, rad."""
-        return self.x, self.y, self.yaw
-
-
-def run_trial(name: str, asked: Asked, config: Path, out: Path, *, dry_run: bool) -> int:
-    """Plan and, if it is not a dry run and a person says yes, run one trial; 0 where it is data, else 1."""
-    file, model = load_robot_file(config), load_object(name)
-    if asked.weight is not None:
-        check_positive("--weight", asked.weight)
-        if asked.action != "weigh":
-            raise InvalidValueError("--weight", asked.weight, "a weight with --action weigh alone")
-    trial = Trial(model, action_of(asked, model.shape), parse_support(asked.support))
-    if isinstance(trial.action, Weigh) and asked.weight is not None:
-        return _stored(read_off(asked.weight), trial, file, out)
-    placed = _place(trial, asked)
+    file, model = load_robot_file(config), load_object(object_)
+    if weight is not None:
+        check_positive("--weight", weight)
+        if action != "weigh":
+            raise InvalidValueError("--weight", weight, "a weight with --action weigh alone")
+    planned = Trial(
+        model,
+        action_of(model.shape, action, grasp, seconds, speed, pivot, direction, back=back),
+        parse_support(support),
+    )
+    if weight is not None:
+        _store(read_off(weight), planned, file, out)
+        return
+    place = _place(planned, at)
     calibration = None if dry_run else calibration_of(file, config)
-    settings = file.settings(calibration, _width(trial))
+    settings = file.settings(calibration, gripper_class(file).data_sheet(gripped(planned).width))
     if dry_run:
-        plan = plan_trial(trial, np.array(placed.read()), settings)
+        plan = plan_trial(planned, np.array(place.read()), settings)
         plan.check(settings)
         print(described(plan, settings))
-        return 0
+        return
     if calibration is None:
-        where = config.parent / file.sensor.calibration
-        raise InvalidValueError("sensor.calibration", str(where), "a file that heft robot calibrate has made")
-    sensor = _sensor(sensor_port(file))
-    arm = KortexArm(file.kortex())
-    with RealRunner(arm, KortexGripper(arm), sensor, placed, settings, confirm=_confirmed) as runner:
+        path = config.parent / file.sensor.calibration
+        raise InvalidValueError("sensor.calibration", str(path), "a file that heft robot calibrate has made")
+    sensor, arm = build_sensor(file), build_arm(file)
+    with RealRunner(arm, build_gripper(file, arm), sensor, place, settings, confirm=_confirmed) as runner:
         calibration_of(file, config, sensor.identity.serial)
-        return _stored(runner.run(trial), trial, file, out)
+        _store(runner.run(planned), planned, file, out)
 
 
-def action_of(asked: Asked, shape: ObjectShape) -> Action:
-    """The action in SI units, the object's frame.
+def action_of(
+    shape: ObjectShape,
+    kind: Kind,
+    grasp: str | None = None,
+    seconds: float | None = None,
+    speed: float | None = None,
+    pivot_mm: tuple[float, float] | None = None,
+    direction_deg: float = 0.0,
+    *,
+    back: bool = True,
+) -> Action:
+    """Action from the command line's units.
 
     Raises:
         InvalidValueError: no such grasp, or a value out of range.
     """
-    if asked.action == "weigh":
+    from dataclasses import replace
+
+    from estimators.action_selection.rank import between_particles
+    from testbed.actions.base import Accelerate, Rotate, Slide, Weigh
+    from testbed.errors import InvalidValueError
+
+    if kind == "weigh":
         return Weigh()
-    names = [grasp.name for grasp in shape.grasps]
-    if asked.grasp is not None and asked.grasp not in names:
-        raise InvalidValueError("grasp", asked.grasp, f"one of {', '.join(names)}")
-    grasp = 0 if asked.grasp is None else names.index(asked.grasp)
-    if asked.action == "slide":
-        action: Action = Slide(grasp, math.radians(asked.direction_deg))
-        changes = {"speed": asked.speed, "duration": asked.seconds}
-    elif asked.action == "accelerate":
-        action, changes = Accelerate(grasp), {"hold": asked.seconds}
+    names = [g.name for g in shape.grasps]
+    if grasp is not None and grasp not in names:
+        raise InvalidValueError("grasp", grasp, f"one of {', '.join(names)}")
+    index = 0 if grasp is None else names.index(grasp)
+    if kind == "slide":
+        action: Action = Slide(index, math.radians(direction_deg))
+        changes = {"speed": speed, "duration": seconds}
+    elif kind == "accelerate":
+        action, changes = Accelerate(index), {"hold": seconds}
     else:
-        beside = between_particles(shape, shape.grasps[grasp].position) if names else None
-        pivot = beside if asked.pivot_mm is None else (asked.pivot_mm[0] / 1e3, asked.pivot_mm[1] / 1e3)
-        action = Rotate(grasp, pivot=pivot, back=asked.back)
-        changes = {"speed": None if asked.speed is None else math.radians(asked.speed), "duration": asked.seconds}
+        beside = between_particles(shape, shape.grasps[index].position) if names else None
+        pivot = beside if pivot_mm is None else (pivot_mm[0] / 1e3, pivot_mm[1] / 1e3)
+        action = Rotate(index, pivot=pivot, back=back)
+        changes = {"speed": None if speed is None else math.radians(speed), "duration": seconds}
     return replace(action, **{name: value for name, value in changes.items() if value is not None})
 
 
-def _place(trial: Trial, asked: Asked) -> Placed:
-    """Where the object is to lie; asked of the simulated bench too where its joints would take the same way."""
-    if asked.at is not None:
-        x, y, degrees = asked.at
+def _place(planned: Trial, at: tuple[float, float, float] | None) -> KnownPose:
+    """Place of the object: the user's, or the simulation's, whose joints then take the same way."""
+    from testbed.robot.path import KnownPose, starting_pose
+    from testbed.simulation.runner import SimulationRunner
+
+    if at is not None:
         print("the joints' own limits are not known for a place of your own; they are watched while it moves")
-        return Placed(x, y, math.radians(degrees))
-    SimulationRunner().check(trial)
-    x, y, yaw = starting_pose(trial)
-    print(f"put the object with its middle at ({x:.3f}, {y:.3f}) m, turned by {_degrees(yaw)} deg, base frame")
-    return Placed(float(x), float(y), float(yaw))
-
-
-def _degrees(angle: float) -> str:
-    """From -180 to 180, without a minus before a zero."""
-    return f"{math.degrees(math.remainder(angle, math.tau)) + 0.0:.1f}"
-
-
-def _width(trial: Trial) -> float:
-    """Of what is gripped, m."""
-    shape, action = trial.object.shape, trial.action
-    return (weighing_grasp(shape) if isinstance(action, Weigh) else shape.grasps[action.grasp]).width
-
-
-def _sensor(port: str) -> WrenchSensor:
-    from testbed.robot.robotiq.ft300s import Ft300s  # noqa: PLC0415  a dry run needs no driver
-
-    return Ft300s(port)
+        return KnownPose(at[0], at[1], math.radians(at[2]))
+    SimulationRunner().check(planned)
+    x, y, yaw = (float(v) for v in starting_pose(planned))
+    degrees = math.degrees(math.remainder(yaw, math.tau)) + 0.0  # no minus before a zero
+    print(f"put the object with its middle at ({x:.3f}, {y:.3f}) m, turned by {degrees:.1f} deg, base frame")
+    return KnownPose(x, y, yaw)
 
 
 def _confirmed(motion: str) -> bool:
@@ -144,26 +165,31 @@ def _confirmed(motion: str) -> bool:
     print(
         "Is the object in its place, the way clear, and a hand on the emergency stop? yes and Enter moves the arm: ",
         end="",
+        flush=True,
     )
-    sys.stdout.flush()
     return sys.stdin.readline().strip().lower() == "yes"
 
 
-def _stored(trajectory: Trajectory, trial: Trial, file: RobotFile, out: Path) -> int:
-    """Keep the record where simulated ones are kept, and say what it came to."""
-    asked = {
+def _store(trajectory: Trajectory, planned: Trial, file: RobotFile, out: Path) -> None:
+    """Store the record like a simulated one, and print its status; exit code 1 if it is no data."""
+    from scenarios.results.store import Store, key_of, object_request
+    from testbed.actions.base import action_to_dict
+    from testbed.trajectory import SCHEMA_VERSION
+
+    request = {
         "schema": SCHEMA_VERSION,
-        "object": object_request(trial.object),
-        "action": action_to_dict(trial.action),
-        "support": trial.support.name,
-        "robot": file.model_dump(),
+        "object": object_request(planned.object),
+        "action": action_to_dict(planned.action),
+        "support": planned.support.name,
+        "robot": file.to_dict(),
         "recorded": trajectory.provenance["recorded"],
     }
-    key = key_of(asked)
-    Store(out).put_trial(key, trial, asked, trajectory)
+    key = key_of(request)
+    Store(out).put_trial(key, planned, request, trajectory)
     print(f"{trajectory.status}{': ' if trajectory.reason else ''}{trajectory.reason}")
     for figure, value in sorted(trajectory.figures.items()):
         if not figure.startswith("bias_"):
             print(f"  {figure} {value:.4g}")
     print(out / "trials" / key)
-    return int(not trajectory.ok)
+    if not trajectory.ok:
+        sys.exit(1)

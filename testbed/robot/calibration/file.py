@@ -1,33 +1,37 @@
-"""A calibration as a TOML file, written by `save_calibration` and fit to be read and corrected by hand."""
+"""Calibrations as TOML files, fit to be read and corrected by hand: of the sensor's mount, and of a tracker."""
 
 from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Annotated, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
+import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from testbed.errors import InvalidValueError
 from testbed.objects.files import Finite, NonNegative, Positive, load_toml
+from testbed.robot.calibration.hand_eye import HandEye
 from testbed.robot.calibration.static_poses import Calibration
+from testbed.robot.interfaces import Pose
 from testbed.trajectory import write_whole
 
 Vector = Annotated[list[Finite], Field(min_length=3, max_length=3)]
 Deviations = Annotated[list[NonNegative], Field(min_length=3, max_length=3)]
+Quaternion = Annotated[list[Finite], Field(min_length=4, max_length=4)]
 
 
 class CalibrationFile(BaseModel):
-    """All that a calibration found, SI units; see `Calibration` for what each field means."""
+    """File of a sensor's calibration, SI units; `Calibration` explains the fields."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     sensor: str
     """Serial number of the sensor, or "unknown"."""
     made: str
-    """When, in words or as a date."""
+    """Date, in any words."""
     sign: Literal[1, -1]
-    sensor_in_hand_wxyz: Annotated[list[Finite], Field(min_length=4, max_length=4)]
+    sensor_in_hand_wxyz: Quaternion
     sensor_in_hand_std_rad: Deviations
     bias_force_N: Vector
     bias_force_std_N: Deviations
@@ -49,27 +53,40 @@ class CalibrationFile(BaseModel):
         """The calibration itself."""
         return Calibration(
             sign=self.sign,
-            sensor_in_hand=self.sensor_in_hand_wxyz,  # pyright: ignore[reportArgumentType]
-            sensor_in_hand_std=self.sensor_in_hand_std_rad,  # pyright: ignore[reportArgumentType]
-            bias=[*self.bias_force_N, *self.bias_torque_Nm],  # pyright: ignore[reportArgumentType]
-            bias_std=[*self.bias_force_std_N, *self.bias_torque_std_Nm],  # pyright: ignore[reportArgumentType]
+            sensor_in_hand=np.array(self.sensor_in_hand_wxyz),
+            sensor_in_hand_std=np.array(self.sensor_in_hand_std_rad),
+            bias=np.array([*self.bias_force_N, *self.bias_torque_Nm]),
+            bias_std=np.array([*self.bias_force_std_N, *self.bias_torque_std_Nm]),
             mass=self.tool_mass_kg,
             mass_std=self.tool_mass_std_kg,
-            com=self.tool_com_m,  # pyright: ignore[reportArgumentType]
-            com_std=self.tool_com_std_m,  # pyright: ignore[reportArgumentType]
+            com=np.array(self.tool_com_m),
+            com_std=np.array(self.tool_com_std_m),
             misfit=self.misfit,
             poses=self.poses,
         )
 
 
+class HandEyeFile(BaseModel):
+    """File of a tracker's calibration, SI units; `HandEye` explains the fields."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    made: str
+    """Date, in any words."""
+    tracker_in_base_m: Vector
+    tracker_in_base_wxyz: Quaternion
+    residual_m: NonNegative
+    standard_error_m: NonNegative
+
+
 def save_calibration(path: Path, calibration: Calibration, sensor: str, made: str) -> None:
-    """Write a calibration, whole or not at all.
+    """Write a sensor's calibration, whole or not at all.
 
     Args:
-        path: where to.
-        calibration: what was found.
+        path: file to write.
+        calibration: its content.
         sensor: serial number of the sensor.
-        made: when, as a date.
+        made: date.
     """
     c = calibration
     fields = {
@@ -89,22 +106,49 @@ def save_calibration(path: Path, calibration: Calibration, sensor: str, made: st
         "misfit": c.misfit,
         "poses": c.poses,
     }
-    text = "".join(f"{name} = {json.dumps(value)}\n" for name, value in fields.items())
-    write_whole(path, lambda part: part.write_text(text, encoding="utf-8"))
+    _write(path, fields)
 
 
 def load_calibration(path: Path, sensor: str | None = None) -> Calibration:
-    """Read a calibration back.
+    """A sensor's calibration from its file.
 
     Args:
         path: the file.
-        sensor: serial number of the sensor that is to be used with it, where known.
+        sensor: serial number of the sensor in use, if known.
 
     Raises:
-        InvalidFileError: not such a file, or values out of range; a line for each error.
+        InvalidFileError: not a calibration file, or values out of range; a line for each error.
         InvalidValueError: made with another sensor.
     """
     file = load_toml(path, CalibrationFile)
     if sensor is not None and "unknown" not in (sensor, file.sensor) and sensor != file.sensor:
         raise InvalidValueError("sensor", file.sensor, f"{sensor}, which is plugged in; calibrate it", file=path)
     return file.calibration()
+
+
+def save_hand_eye(path: Path, found: HandEye, made: str) -> None:
+    """Write a tracker's calibration, whole or not at all; `made`: date."""
+    fields = {
+        "made": made,
+        "tracker_in_base_m": found.tracker_in_base.position.tolist(),
+        "tracker_in_base_wxyz": found.tracker_in_base.orientation.tolist(),
+        "residual_m": found.residual,
+        "standard_error_m": found.standard_error,
+    }
+    _write(path, fields)
+
+
+def load_hand_eye(path: Path) -> HandEye:
+    """A tracker's calibration from its file.
+
+    Raises:
+        InvalidFileError: not such a file, or values out of range.
+    """
+    file = load_toml(path, HandEyeFile)
+    pose = Pose(np.array(file.tracker_in_base_m), np.array(file.tracker_in_base_wxyz))
+    return HandEye(pose, file.residual_m, file.standard_error_m)
+
+
+def _write(path: Path, fields: dict[str, Any]) -> None:
+    text = "".join(f"{name} = {json.dumps(value)}\n" for name, value in fields.items())
+    write_whole(path, lambda part: part.write_text(text, encoding="utf-8"))

@@ -1,4 +1,4 @@
-"""Where a tracker sees the arm's base: points that the TCP touched, and what the tracker said of the same points."""
+"""Hand-eye calibration: a tracker's frame from points that the TCP touched and the tracker saw."""
 
 from __future__ import annotations
 
@@ -11,41 +11,54 @@ from scipy.spatial.transform import Rotation
 from testbed.errors import InvalidValueError
 from testbed.frames import rotation_matrix
 from testbed.robot.calibration.static_poses import CalibrationError
-from testbed.robot.interfaces import Pose
+from testbed.robot.interfaces import ObjectPose, Pose
 from testbed.validation import frozen_array
 
 SPREAD = 0.02
-"""Least distance by which points must lie off one line, root mean square, m."""
+"""Least distance of the points from one line, root mean square [m]."""
 
 
 @dataclass(frozen=True, eq=False)
 class HandEye:
-    """A tracker's frame in the arm's base frame."""
+    """Calibration of a tracker."""
 
     tracker_in_base: Pose
-    """Where it is."""
+    """Pose of the tracker's frame."""
     residual: float
-    """Root mean square distance left between the points, m."""
+    """Root mean square distance left between the points [m]."""
     standard_error: float
-    """Of a position given by it, near the points, m: grows with the residual, falls with their number."""
+    """Standard error of a converted position near the points [m]."""
 
     def to_base(self, points: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N 3"]:
-        """Points of the tracker's frame in the base frame, m."""
+        """Points of the tracker's frame in the base frame [m]."""
         return points @ rotation_matrix(self.tracker_in_base.orientation).T + self.tracker_in_base.position
 
     def planar_to_base(self, x: float, y: float, yaw: float) -> tuple[float, float, float]:
-        """A pose in the tracker's x-y plane as one in the base's: x, y (m), yaw (rad), as an `ObjectPose` reads."""
+        """A pose in the tracker's x-y plane as x, y [m] and yaw [rad] in the base frame."""
         here, ahead = self.to_base(np.array([[x, y, 0.0], [x + np.cos(yaw), y + np.sin(yaw), 0.0]]))
         along = ahead - here
         return float(here[0]), float(here[1]), float(np.arctan2(along[1], along[0]))
 
 
+@dataclass(frozen=True, eq=False)
+class TrackedPose:
+    """An `ObjectPose` by a calibrated tracker."""
+
+    tracker: ObjectPose
+    """Pose of the object in the tracker's x-y plane."""
+    hand_eye: HandEye
+
+    def read(self) -> tuple[float, float, float]:
+        """Planar pose of the object in the arm's base frame: x, y [m] and yaw [rad]."""
+        return self.hand_eye.planar_to_base(*self.tracker.read())
+
+
 def align(seen: Float[np.ndarray, "N 3"], touched: Float[np.ndarray, "N 3"]) -> HandEye:
-    """Kabsch's rigid motion between the two sets of points.
+    """Rigid motion between two sets of points, by Kabsch's algorithm.
 
     Args:
-        seen: points in the tracker's frame, m.
-        touched: the same points as the TCP's positions in the base frame, m.
+        seen: points in the tracker's frame [m].
+        touched: positions of the TCP at the same points [m], base frame.
 
     Raises:
         InvalidValueError: not as many of one as of the other, or not three coordinates each.
@@ -54,7 +67,7 @@ def align(seen: Float[np.ndarray, "N 3"], touched: Float[np.ndarray, "N 3"]) -> 
     a = frozen_array("hand_eye.seen", seen, (None, 3))
     b = frozen_array("hand_eye.touched", touched, (None, 3))
     if len(a) != len(b):
-        raise InvalidValueError("hand_eye.touched", f"{len(b)} points", f"{len(a)}, one for each that was seen")
+        raise InvalidValueError("hand_eye.touched", f"{len(b)} points", f"{len(a)}, one for each seen point")
     if len(a) < 4:
         raise CalibrationError(f"hand-eye: got {len(a)} points; allowed: 4 or more, not on one line")
     middle_a, middle_b = a.mean(axis=0), b.mean(axis=0)

@@ -1,7 +1,7 @@
-"""Sensor mount and tool by static poses: how the sensor sits on the hand, its sign and bias, what hangs below it.
+"""Calibration by static poses: mount of the sensor on the hand, its sign and bias, mass and center of the tool.
 
 At rest the arm holds the tool up. With u the unit vector that points up, in sensor axes, m and c the tool's mass and
-centre of mass,
+center of mass,
 
     force = sign m g u + bias,    torque = sign m g (c x u) + bias,
 
@@ -28,35 +28,34 @@ from testbed.objects.model import GRAVITY
 from testbed.robot.interfaces import RobotError
 from testbed.sensing.windows import mean_covariance
 from testbed.trajectory import Tool
-from testbed.validation import check_positive, frozen_array
+from testbed.validation import check_positive, frozen_array, unit_quaternion
 
 Sign = Literal[1, -1]
 TELLING = 25.0
-"""Difference of squared misfit between the two signs that settles which it is: five standard deviations."""
+"""Difference of squared misfit that settles the sign: five standard deviations."""
 MISFIT = 3.0
-"""Squared misfit, one where all is as assumed, beyond which something else than noise is at work."""
+"""Squared misfit beyond which something else than noise is at work; 1 is expected."""
 
 
 class CalibrationError(RobotError):
-    """Poses that do not settle a calibration; the message says which to add."""
+    """Poses or points that do not settle a calibration; the message says which to add."""
 
 
 @dataclass(frozen=True, eq=False)
 class StaticPose:
-    """The sensor's reading while the hand is held still."""
+    """Reading of the sensor while the hand is held still."""
 
     hand: Float[np.ndarray, "4"]
     """Orientation of the hand in the arm's base frame, wxyz."""
     wrench: Float[np.ndarray, "6"]
-    """Mean reading, as the sensor reports it, N and N m."""
+    """Mean reading as reported [N, N m]."""
     standard_error: Float[np.ndarray, "6"]
-    """Of that mean."""
+    """Standard error of that mean [N, N m]."""
 
     def __post_init__(self) -> None:
-        for name, size in (("hand", 4), ("wrench", 6), ("standard_error", 6)):
-            object.__setattr__(self, name, frozen_array(f"StaticPose.{name}", getattr(self, name), (size,)))
-        if abs(np.linalg.norm(self.hand) - 1) > 1e-3:
-            raise InvalidValueError("StaticPose.hand", self.hand.tolist(), "a unit quaternion, wxyz")
+        object.__setattr__(self, "hand", unit_quaternion("StaticPose.hand", self.hand))
+        for name in ("wrench", "standard_error"):
+            object.__setattr__(self, name, frozen_array(f"StaticPose.{name}", getattr(self, name), (6,)))
         if not (self.standard_error > 0).all():
             raise InvalidValueError("StaticPose.standard_error", self.standard_error.tolist(), "numbers > 0")
 
@@ -67,10 +66,10 @@ class StaticPose:
 
 
 def static_pose(hand: Float[np.ndarray, "4"], samples: Float[np.ndarray, "T 6"]) -> StaticPose:
-    """A static pose from what the sensor reported there.
+    """A static pose from the sensor's samples there.
 
     Raises:
-        InvalidValueError: too few samples, or none that differ: then the sensor does not measure.
+        InvalidValueError: too few samples, or all equal: then the sensor does not measure.
     """
     samples = frozen_array("static_pose.samples", samples, (None, 6))
     if len(samples) < 10:
@@ -80,56 +79,55 @@ def static_pose(hand: Float[np.ndarray, "4"], samples: Float[np.ndarray, "T 6"])
 
 @dataclass(frozen=True, eq=False)
 class Calibration:
-    """How the sensor sits and what hangs below it, each with its standard deviation."""
+    """Mount of the sensor and the tool below it, each with its standard deviation."""
 
     sign: Sign
-    """What to multiply the sensor's reading by, so that it is what the arm does to the tool."""
+    """Factor that makes of the sensor's reading the wrench of the arm on the tool."""
     sensor_in_hand: Float[np.ndarray, "4"]
     """Orientation of the sensor's frame in the hand, wxyz."""
     sensor_in_hand_std: Float[np.ndarray, "3"]
-    """Of a turn about each axis of the sensor, rad."""
+    """Standard deviation of a turn about each axis of the sensor [rad]."""
     bias: Float[np.ndarray, "6"]
-    """What the sensor reports with nothing on it, as it reports it: N and N m. It drifts: every trial is tared anew."""
+    """Reading without load [N, N m], as reported. It drifts: every trial is tared anew."""
     bias_std: Float[np.ndarray, "6"]
-    """N and N m."""
+    """Standard deviation of the bias [N, N m]."""
     mass: float
-    """Of the tool, kg: all that hangs below the sensor's gauges."""
+    """Mass of the tool [kg]: everything below the sensor's gauges."""
     mass_std: float
-    """kg."""
+    """Standard deviation of the mass [kg]."""
     com: Float[np.ndarray, "3"]
-    """Centre of mass of the tool, m, sensor frame."""
+    """Center of mass of the tool [m], sensor frame."""
     com_std: Float[np.ndarray, "3"]
-    """m."""
+    """Standard deviation of the center of mass [m]."""
     misfit: float
-    """Mean squared distance between readings and model, in standard errors; about 1 where all is as assumed."""
+    """Mean squared distance between readings and model, in standard errors; about 1 is expected."""
     poses: int
-    """How many poses it is made of."""
+    """Number of poses."""
 
     def __post_init__(self) -> None:
         if self.sign not in (1, -1):
             raise InvalidValueError("Calibration.sign", self.sign, "1 or -1")
         for name in ("mass", "mass_std"):
             check_positive(f"Calibration.{name}", getattr(self, name))
-        sizes = {"sensor_in_hand": 4, "sensor_in_hand_std": 3, "bias": 6, "bias_std": 6, "com": 3, "com_std": 3}
+        object.__setattr__(self, "sensor_in_hand", unit_quaternion("Calibration.sensor_in_hand", self.sensor_in_hand))
+        sizes = {"sensor_in_hand_std": 3, "bias": 6, "bias_std": 6, "com": 3, "com_std": 3}
         for name, size in sizes.items():
             object.__setattr__(self, name, frozen_array(f"Calibration.{name}", getattr(self, name), (size,)))
-        if abs(np.linalg.norm(self.sensor_in_hand) - 1) > 1e-3:
-            raise InvalidValueError("Calibration.sensor_in_hand", self.sensor_in_hand.tolist(), "a unit quaternion")
 
     def tool(self, tcp: Float[np.ndarray, "3"], inertia: Float[np.ndarray, "3 3"]) -> Tool:
-        """The tool, with what static poses do not show.
+        """The tool, with the figures that static poses do not show.
 
         Args:
-            tcp: tool centre point, m, sensor frame.
-            inertia: about the centre of mass, kg m^2, sensor axes, as from the gripper's data sheet.
+            tcp: tool center point [m], sensor frame.
+            inertia: about the center of mass [kg m^2], sensor axes, from the gripper's data sheet.
         """
         return Tool(self.mass, self.com, inertia, tcp)
 
 
 def calibrate(poses: Sequence[StaticPose]) -> Calibration:
-    """Mount, bias and tool that explain the readings best, weighed least squares.
+    """Mount, bias and tool by weighted least squares on the readings.
 
-    Standard deviations come from the readings' own; where they scatter more than they should, from that scatter.
+    Standard deviations come from the readings' own, or from their scatter if that is larger.
 
     Raises:
         CalibrationError: too few poses, or too alike to tell rotation, sign or tool.
@@ -162,7 +160,7 @@ def calibrate(poses: Sequence[StaticPose]) -> Calibration:
     ahead = rotation.as_matrix()[2]
     if ahead @ com < -3 * np.linalg.norm(ahead * com_std):
         raise CalibrationError(
-            f"calibration: the tool's centre of mass comes out {-ahead @ com * 1e3:.0f} mm behind the sensor; "
+            f"calibration: the tool's center of mass comes out {-ahead @ com * 1e3:.0f} mm behind the sensor; "
             "the signs of its force and its torque do not belong together, or the arm reports another frame's pose"
         )
     return Calibration(
@@ -181,7 +179,7 @@ def calibrate(poses: Sequence[StaticPose]) -> Calibration:
 
 
 def _fit(poses: Sequence[StaticPose], sign: int) -> OptimizeResult:
-    """Least squares under one sign: turn from `start` (rad, sensor axes), mass, mass times centre, bias."""
+    """Least squares under one sign: turn from `start` [rad], sensor axes, mass, mass times center, bias."""
     up, wrench, error = (np.array([getattr(p, name) for p in poses]) for name in ("up", "wrench", "standard_error"))
     force, middle = sign * wrench[:, :3], up - up.mean(axis=0)
     # differences are free of the bias: Kabsch for the rotation, then all the rest is linear
@@ -203,28 +201,30 @@ def _fit(poses: Sequence[StaticPose], sign: int) -> OptimizeResult:
 
 
 def in_words(calibration: Calibration) -> list[str]:
-    """What a calibration found, a sentence each: sign, rotation, tool, and whether to believe it."""
+    """Findings of a calibration, a sentence each: sign, rotation, tool, and doubts."""
     rotation = Rotation.from_quat(calibration.sensor_in_hand, scalar_first=True)
     turn, mirrored = turn_in_words(rotation)
-    said = []
+    sentences = []
     if calibration.sign < 0:
         also = f" (the same thing: its {mirrored} axis is mirrored)" if mirrored else ""
-        said.append(f"the sensor reports what the tool does to the arm: set sign = -1{also}")
-    said.append(f"the sensor is {turn} +- {np.degrees(calibration.sensor_in_hand_std.max()):.2g} deg")
+        sentences.append(f"the sensor reports what the tool does to the arm: set sign = -1{also}")
+    sentences.append(f"the sensor is {turn} +- {np.degrees(calibration.sensor_in_hand_std.max()):.2g} deg")
     com = ", ".join(
         f"{1e3 * c:.1f} +- {1e3 * s:.2g}" for c, s in zip(calibration.com, calibration.com_std, strict=True)
     )
-    said.append(f"the tool weighs {calibration.mass:.4f} +- {calibration.mass_std:.2g} kg; its centre is at {com} mm")
+    sentences.append(
+        f"the tool weighs {calibration.mass:.4f} +- {calibration.mass_std:.2g} kg; its center is at {com} mm"
+    )
     if calibration.misfit > MISFIT:
-        said.append(
+        sentences.append(
             f"the readings scatter {np.sqrt(calibration.misfit):.1f} times as much as their noise: a cable that pulls, "
             "a sensor not yet warm, or poses not at rest; the standard deviations allow for it"
         )
-    return said
+    return sentences
 
 
 def turn_in_words(rotation: Rotation) -> tuple[str, str]:
-    """A rotation in words, and the axis about which it is half a turn, if it is one of the frame's own."""
+    """A rotation in words, and the frame's axis about which it is half a turn, else empty."""
     vector = rotation.as_rotvec(degrees=True)
     angle = float(np.linalg.norm(vector))
     if angle < 1.0:

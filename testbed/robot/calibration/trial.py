@@ -1,8 +1,8 @@
-"""A trial that tells whether a calibration holds: lift an object, turn it there and back, slide it.
+"""Test of a calibration by trials: lift an object, turn it there and back, slide it.
 
-Whatever its mass is and however it is spread, gravity pulls down and friction takes work out: the force that holds a
-hanging object points up, and force times velocity plus torque times turn rate is positive in every steady stretch. In
-a slide all points move alike, so the force points along the motion; and friction flips with the motion, bias does not.
+For any mass distribution gravity pulls down and friction takes work out: the force that holds a hanging object points
+up, and force times velocity plus torque times turn rate is positive in every steady stretch. In a slide all points move
+alike, so the force points along the motion; and friction flips with the motion, bias does not.
 """
 
 from __future__ import annotations
@@ -15,40 +15,40 @@ from jaxtyping import Float
 
 from testbed.frames import cross_2d
 from testbed.objects.model import GRAVITY
-from testbed.robot.weighing import TOO_UNSURE, held_centre
+from testbed.robot.weighing import TOO_UNSURE, held_center
 from testbed.sensing.windows import SteadyWindow
 from testbed.validation import check_positive, frozen_array
 
 PLANAR = [0, 1, 5]
 """Force in the table's plane and torque about its normal."""
 SLIDING = 0.02
-"""Turn rate below which a stretch is a slide, rad/s."""
+"""Turn rate below which a stretch is a slide [rad/s]."""
 TILT_ALLOWED = np.radians(2.0)
-"""Of the mount, about a horizontal axis, rad."""
+"""Allowed error of the mount about a horizontal axis [rad]."""
 TURN_ALLOWED = np.radians(3.0)
-"""Of the mount, about the vertical, rad."""
+"""Allowed error of the mount about the vertical [rad]."""
 LEVER_ALLOWED = 0.003
-"""Of the TCP, m."""
+"""Allowed error of the TCP [m]."""
 BIAS_ALLOWED = 0.1
-"""Part of a turn's torque that may be left when it is turned back."""
+"""Allowed part of a turn's torque that does not flip with the motion."""
 MASS_ALLOWED = 0.03
-"""Part of the object's mass."""
+"""Allowed relative error of the object's mass."""
 
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing that the trial tells."""
+    """Finding of one test."""
 
     what: str
-    """weight, mass, vertical, lever arm, friction, there and back, direction."""
+    """Subject: weight, mass, vertical, lever arm, friction, there and back, direction."""
     ok: bool
-    """Whether it is as it should be."""
+    """True if it is as it should be."""
     value: float
-    """What was measured; its unit is in `said`."""
+    """Measured value; its unit is in `text`."""
     standard_error: float
-    """Of that value."""
-    said: str
-    """In a sentence, and what to do about it."""
+    """Standard error of that value."""
+    text: str
+    """The finding in a sentence, with its remedy."""
 
 
 def check_trial(
@@ -57,28 +57,27 @@ def check_trial(
     windows: Sequence[SteadyWindow],
     *,
     mass: float | None = None,
-    centre: Float[np.ndarray, "2"] | None = None,
+    center: Float[np.ndarray, "2"] | None = None,
 ) -> list[Finding]:
-    """What a lift, turns and slides tell about sign, rotation and lever arm.
+    """Findings of a lift, turns and slides about sign, rotation and lever arm.
 
     Args:
-        lift: mean of what the gripper does to the hanging object, about the TCP, world axes, N and N m; None where
-            it was not lifted.
+        lift: mean wrench of the gripper on the hanging object about the TCP [N, N m], world axes; None without a lift.
         lift_covariance: of that mean.
-        windows: steady stretches of turns and slides, as `steady_windows` gives them.
-        mass: the object's, kg, where it is known.
-        centre: its centre of mass seen from the TCP while it hung, world axes, m, where it is known.
+        windows: steady stretches of turns and slides, from `steady_windows`.
+        mass: of the object [kg], if known.
+        center: center of mass from the TCP while it hung [m], world axes, if known.
 
     Raises:
-        InvalidValueError: wrong shapes, or a mass that is none.
+        InvalidValueError: wrong shapes, or a mass not above 0.
     """
     findings: list[Finding] = []
     if lift is not None and lift_covariance is not None:
         wrench = frozen_array("check_trial.lift", lift, (6,))
         covariance = frozen_array("check_trial.lift_covariance", lift_covariance, (6, 6))
         findings += _of_lift(wrench, covariance, mass)
-        if centre is not None and findings[0].ok:
-            findings.append(_of_lever(wrench, covariance, frozen_array("check_trial.centre", centre, (2,))))
+        if center is not None and findings[0].ok:
+            findings.append(_of_lever(wrench, covariance, frozen_array("check_trial.center", center, (2,))))
     findings += [_of_work(window) for window in windows]
     turns = [w for w in windows if abs(w.twist[2]) >= SLIDING]
     there = [w for w in turns if w.twist[2] > 0]
@@ -90,52 +89,52 @@ def check_trial(
 
 def _of_lift(wrench: np.ndarray, covariance: np.ndarray, mass: float | None) -> list[Finding]:
     weight, error = float(wrench[2]), float(np.sqrt(covariance[2, 2]))
-    said = f"the lifted object is held by {weight:.2f} +- {error:.2f} N upwards"
+    text = f"the lifted object is held by {weight:.2f} +- {error:.2f} N upwards"
     if weight < -TOO_UNSURE * error:
         why = "it cannot hang upwards: sign is the wrong one, or the sensor is mounted upside down"
-        return [Finding("weight", False, weight, error, f"{said}: {why}")]
+        return [Finding("weight", False, weight, error, f"{text}: {why}")]
     if weight < TOO_UNSURE * error:
-        return [Finding("weight", False, weight, error, f"{said}: nothing was lifted")]
-    findings = [Finding("weight", True, weight, error, said)]
+        return [Finding("weight", False, weight, error, f"{text}: nothing was lifted")]
+    findings = [Finding("weight", True, weight, error, text)]
     if mass is not None:
         check_positive("check_trial.mass", mass)
         off, spread = weight / GRAVITY / mass - 1, error / GRAVITY / mass
         ok = abs(off) <= MASS_ALLOWED + TOO_UNSURE * spread
-        said = f"{weight / GRAVITY:.3f} kg where it has {mass:g} kg ({100 * off:+.1f} +- {100 * spread:.1f} %)"
-        findings.append(Finding("mass", ok, off, spread, said + ("" if ok else ": check the gain by a known mass")))
+        text = f"{weight / GRAVITY:.3f} kg where it has {mass:g} kg ({100 * off:+.1f} +- {100 * spread:.1f} %)"
+        findings.append(Finding("mass", ok, off, spread, text + ("" if ok else ": check the gain by a known mass")))
     across = float(np.linalg.norm(wrench[:2]))
     tilt, spread = (
         float(np.arctan2(across, weight)),
         float(np.sqrt(np.linalg.eigvalsh(covariance[:2, :2])[-1]) / weight),
     )
     ok = tilt <= TILT_ALLOWED + TOO_UNSURE * spread
-    said = f"its weight leans by {np.degrees(tilt):.1f} +- {np.degrees(spread):.1f} deg"
+    text = f"its weight leans by {np.degrees(tilt):.1f} +- {np.degrees(spread):.1f} deg"
     why = "" if ok else ": the sensor's rotation is off, or something touched the object"
-    return [*findings, Finding("vertical", ok, tilt, spread, said + why)]
+    return [*findings, Finding("vertical", ok, tilt, spread, text + why)]
 
 
-def _of_lever(wrench: np.ndarray, covariance: np.ndarray, centre: np.ndarray) -> Finding:
-    held = held_centre(wrench, covariance)
-    off = float(np.linalg.norm(held.offset - centre))
+def _of_lever(wrench: np.ndarray, covariance: np.ndarray, center: np.ndarray) -> Finding:
+    held = held_center(wrench, covariance)
+    off = float(np.linalg.norm(held.offset - center))
     error = float(np.sqrt(np.linalg.eigvalsh(held.covariance)[-1]))
     ok = off <= LEVER_ALLOWED + TOO_UNSURE * error
     at = ", ".join(f"{1e3 * value:.1f}" for value in held.offset)
-    said = f"it hangs ({at}) mm from the TCP, {1e3 * off:.1f} +- {1e3 * error:.1f} mm from where it should"
+    text = f"it hangs ({at}) mm from the TCP, {1e3 * off:.1f} +- {1e3 * error:.1f} mm from where it should"
     why = "" if ok else ": the TCP's place in the sensor's frame is off, or the rotation about the tool's axis"
-    return Finding("lever arm", ok, off, error, said + why)
+    return Finding("lever arm", ok, off, error, text + why)
 
 
 def _of_work(window: SteadyWindow) -> Finding:
-    """Friction takes work out: the gripper must put it in."""
+    """Power of the gripper on the object: positive, since friction takes work out."""
     power = float(window.wrench[PLANAR] @ window.twist)
     error = float(np.sqrt(window.twist @ window.covariance[np.ix_(PLANAR, PLANAR)] @ window.twist))
     ok = power > TOO_UNSURE * error
     kind = "slide" if abs(window.twist[2]) < SLIDING else f"turn at {np.degrees(window.twist[2]):+.0f} deg/s"
-    said = f"{kind}: the gripper puts {power:.4f} +- {error:.4f} W into it"
+    text = f"{kind}: the gripper puts {power:.4f} +- {error:.4f} W into it"
     if not ok:
         wrong = power < -TOO_UNSURE * error
-        said += ": friction would have to push; sign or rotation is wrong" if wrong else ": too little to tell"
-    return Finding("friction", ok, power, error, said)
+        text += ": friction would have to push; sign or rotation is wrong" if wrong else ": too little to tell"
+    return Finding("friction", ok, power, error, text)
 
 
 def _of_flip(there: SteadyWindow, back: SteadyWindow) -> Finding:
@@ -143,9 +142,9 @@ def _of_flip(there: SteadyWindow, back: SteadyWindow) -> Finding:
     error = float(np.sqrt(there.covariance[5, 5] + back.covariance[5, 5]) / 2)
     left = float(abs(staying / flipping))
     ok = abs(staying) <= BIAS_ALLOWED * abs(flipping) + TOO_UNSURE * error
-    said = f"turned there and back, {flipping:.4f} N m flips and {staying:.4f} +- {error:.4f} N m stays"
+    text = f"turned there and back, {flipping:.4f} N m flips and {staying:.4f} +- {error:.4f} N m stays"
     why = "" if ok else ": a bias that the tare left, or a cable that pulls"
-    return Finding("there and back", bool(ok), left, error / abs(flipping), said + why)
+    return Finding("there and back", bool(ok), left, error / abs(flipping), text + why)
 
 
 def _of_slide(window: SteadyWindow) -> Finding:
@@ -153,6 +152,6 @@ def _of_slide(window: SteadyWindow) -> Finding:
     angle = float(np.arctan2(cross_2d(velocity, force), velocity @ force))
     error = float(np.sqrt(np.linalg.eigvalsh(window.covariance[:2, :2])[-1]) / max(np.linalg.norm(force), 1e-9))
     ok = abs(angle) <= TURN_ALLOWED + TOO_UNSURE * error
-    said = f"slide: the force points {np.degrees(angle):+.1f} +- {np.degrees(error):.1f} deg off the motion"
+    text = f"slide: the force points {np.degrees(angle):+.1f} +- {np.degrees(error):.1f} deg off the motion"
     why = "" if ok else f": turn the sensor's rotation by {-np.degrees(angle):+.0f} deg about the vertical"
-    return Finding("direction", ok, angle, error, said + why)
+    return Finding("direction", ok, angle, error, text + why)

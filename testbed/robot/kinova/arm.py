@@ -1,10 +1,10 @@
-"""A Kinova Gen3 over Kortex: an `Arm` by way of another process."""
+"""A Kinova Gen3 over Kortex, through a process of its own."""
 
 from __future__ import annotations
 
 import math
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from types import TracebackType
 from typing import Self
 
@@ -34,51 +34,46 @@ GEN3 = ArmLimits(
     payload=4.0,
     rate_hz=40.0,
 )
-"""The seven-joint Gen3's, as Kinova publishes them; payload at mid range."""
+"""Limits of the seven-joint Gen3, as Kinova publishes them; payload at mid range."""
 _ARRIVED = 0.002, math.radians(0.5)
+"""Distance [m] and angle [rad] from a pose that count as its arrival."""
 _ALIVE = 0.025
+"""Time between signs of life while a pose is being reached [s]."""
 
 
-@dataclass(frozen=True)
-class KortexSettings:
-    """How to reach a Gen3, and what must be stored in it."""
-
-    address: str = "192.168.1.10"
-    """Of the arm."""
-    username: str = "admin"
-    """Of a user of the arm's own."""
-    password: str = "admin"
-    """Of that user."""
-    port: int = 10000
-    """TCP port of the arm."""
-    python: str | None = None
-    """Interpreter that has `kortex_api`; else what HEFT_KORTEX_PYTHON names, else heft's own."""
-    tool_length: float = 0.2115
-    """From the arm's interface to the tool centre point along its axis, m: sensor, coupling and gripper."""
-    turn_speed: float = math.radians(30)
-    """At which a pose is turned to, rad/s."""
-    silence: float = 0.1
-    """Time without a command, or without feedback, after which a moving arm is stopped; also the age of feedback at
-    which the arm counts as lost, s."""
-
-    def __post_init__(self) -> None:
-        for name in ("tool_length", "turn_speed", "silence"):
-            check_positive(f"KortexSettings.{name}", getattr(self, name))
-        if not 0 < self.port < 2**16:
-            raise InvalidValueError("KortexSettings.port", self.port, "a TCP port")
-
-
+@dataclass(eq=False)
 class KortexArm:
     """An `Arm`. Entering connects and sets the servoing mode; it moves nothing and clears no fault."""
 
-    def __init__(self, settings: KortexSettings | None = None):
-        self.settings = KortexSettings() if settings is None else settings
+    address: str = "192.168.1.10"
+    """Address of the arm."""
+    port: int = 10000
+    """TCP port of the arm."""
+    username: str = "admin"
+    """User of the arm."""
+    password: str = field(default="admin", repr=False)
+    """Password of that user."""
+    python: str | None = None
+    """Interpreter that has `kortex_api`; else the one in HEFT_KORTEX_PYTHON, else heft's own."""
+    tool_length: float = 0.2115
+    """Distance from the arm's interface to the tool center point [m]: sensor, coupling and gripper."""
+    turn_speed: float = math.radians(30)
+    """Turn rate on the way to a pose [rad/s]."""
+    silence: float = 0.1
+    """Time without a command, or without feedback, after which a moving arm is stopped [s]; also the age of feedback
+    beyond which the arm counts as lost."""
+
+    def __post_init__(self) -> None:
+        for name in ("tool_length", "turn_speed", "silence"):
+            check_positive(f"KortexArm.{name}", getattr(self, name))
+        if not 0 < self.port < 2**16:
+            raise InvalidValueError("KortexArm.port", self.port, "a TCP port")
         self._link: KortexLink | None = None
         self._epoch = 0
 
     @property
     def limits(self) -> ArmLimits:
-        """What it can do; known before connecting."""
+        """Limits of the arm; known before connecting."""
         return GEN3
 
     def __enter__(self) -> Self:
@@ -87,15 +82,15 @@ class KortexArm:
         Raises:
             RobotError: no `kortex_api`, no arm, or another tool stored in it than expected.
         """
-        s = self.settings
         self._epoch = 0
-        self._link = KortexLink(Configuration(s.address, s.port, s.username, s.password, s.silence), s.python)
+        configuration = Configuration(self.address, self.port, self.username, self.password, self.silence)
+        self._link = KortexLink(configuration, self.python)
         x, y, z = self._link.tool["position"]
-        if max(abs(x), abs(y), abs(z - s.tool_length)) > 1e-3:
+        if max(abs(x), abs(y), abs(z - self.tool_length)) > 1e-3:
             self.__exit__(None, None, None)
             raise RobotError(
-                f"arm {s.address}: its stored tool has its centre at ({x:.4f}, {y:.4f}, {z:.4f}) m; expected "
-                f"(0, 0, {s.tool_length:.4f}) m; set it in the arm's Web App under Configurations, Robot, Arm, Tool"
+                f"arm {self.address}: its stored tool has its centre at ({x:.4f}, {y:.4f}, {z:.4f}) m; expected "
+                f"(0, 0, {self.tool_length:.4f}) m; set it in the arm's Web App under Configurations, Robot, Arm, Tool"
             )
         return self
 
@@ -124,10 +119,10 @@ class KortexArm:
         )
 
     def move_to(self, pose: Pose, speed: float) -> None:
-        """Reach a pose at no more than `speed`, m/s; returns when it is there, or when `stop` was called.
+        """Reach a pose at no more than `speed` [m/s]; returns on arrival or after `stop`.
 
         Raises:
-            ArmRefusedError: in a fault, refused, aborted, or said to be there and not there.
+            ArmRefusedError: in a fault, refused, aborted, or reported as reached and not reached.
             ArmLostError: the connection was lost on the way.
         """
         link, epoch = self._ready(), self._epoch
@@ -137,7 +132,7 @@ class KortexArm:
             position=pose.position.tolist(),
             angles=angles.tolist(),
             speed=min(speed, GEN3.linear_speed),
-            turn=self.settings.turn_speed,
+            turn=self.turn_speed,
             epoch=epoch,
         )
         while (reply := link.reply(number, _ALIVE)) is None:
@@ -149,7 +144,7 @@ class KortexArm:
         self._check_arrival(pose)
 
     def _check_arrival(self, pose: Pose) -> None:
-        """The arm reports an action's end also where it has not quite got there: give it a moment, then look."""
+        """Wait a moment for the arrival: the arm may report it too early."""
         until = time.monotonic() + 0.5
         while True:
             off = _distance(self.state().tcp_pose, pose)
@@ -163,7 +158,7 @@ class KortexArm:
             time.sleep(_ALIVE)
 
     def twist(self, linear: Float[np.ndarray, "3"], angular: Float[np.ndarray, "3"]) -> None:
-        """Move at a velocity until the next command, or until none comes for too long; base axes, m/s and rad/s.
+        """Move at a velocity [m/s, rad/s], base axes, until the next command, or until none comes for too long.
 
         Raises:
             ArmRefusedError: in a fault, beyond the arm's limits, or the twist before was refused.
@@ -181,7 +176,7 @@ class KortexArm:
         link.ask("twist", twist=[*map(float, linear), *map(float, angular)], epoch=self._epoch)
 
     def stop(self) -> None:
-        """Stop all motion; from any thread, as often as wanted. What was asked before no longer counts."""
+        """Stop all motion; from any thread, any number of times. Earlier requests no longer count."""
         link = self._link
         if link is None:
             return
@@ -189,12 +184,12 @@ class KortexArm:
         try:
             link.send(do="stop", epoch=self._epoch)
         except ArmLostError:
-            return  # it stops by itself: nobody is heard any more
+            return  # the process has ended, and the arm stops by itself
         if not link.dead:
             link.lost = ""
 
     def clear_faults(self) -> None:
-        """Ask the arm to forget its faults; moves nothing.
+        """Clear the arm's faults; moves nothing.
 
         Raises:
             ArmRefusedError: a fault remains.
@@ -207,7 +202,7 @@ class KortexArm:
             raise ArmRefusedError(f"arm: still in a fault ({state.message}); look at its Web App")
 
     def ask(self, do: str, seconds: float = 1.0, **request: float) -> None:
-        """A request that is answered at once.
+        """Make a request that is answered at once.
 
         Raises:
             ArmRefusedError: it was refused.
@@ -221,7 +216,7 @@ class KortexArm:
             raise ArmRefusedError(f"arm: {do}: {reply['error']}")
 
     def closed_part(self) -> float:
-        """How far the gripper is closed, 0 to 1.
+        """Closed part of the gripper's stroke, 0 to 1.
 
         Raises:
             ArmRefusedError: no gripper is connected to the arm.
@@ -241,7 +236,7 @@ class KortexArm:
         link = self._connected()
         feedback = link.feedback
         age = math.inf if feedback is None else time.monotonic() - feedback.time_s
-        if link.lost or feedback is None or age > self.settings.silence:
+        if link.lost or feedback is None or age > self.silence:
             raise ArmLostError(f"arm: {link.lost or f'no feedback for {age * 1e3:.0f} ms'}")
         return feedback
 
@@ -253,7 +248,7 @@ class KortexArm:
 
 
 def _distance(a: Pose, b: Pose) -> tuple[float, float]:
-    """m, and rad."""
+    """Distance [m] and angle [rad] between two poses."""
     turn = Rotation.from_quat(a.orientation, scalar_first=True).inv() * Rotation.from_quat(
         b.orientation, scalar_first=True
     )

@@ -7,29 +7,32 @@ import time
 from testbed.objects.gripper import STROKE
 from testbed.robot.interfaces import ArmRefusedError
 from testbed.robot.kinova.arm import KortexArm
+from testbed.robot.robotiq.gripper import data_sheet
 
 _GRIP_TIME, _STILL = 5.0, 0.3
 _STEP = 1 / 255
-"""Of the fingers' position, as the gripper tells it."""
+"""Resolution of the fingers' position."""
 _WIDTH_ERROR = 0.006
-"""The fingers' position is not quite proportional to their opening, m."""
+"""Error of an opening [m]: the fingers' position is not quite proportional to it."""
 
 
 class KortexGripper:
-    """A `Gripper` at a Gen3's interface: a Robotiq 2F-85. Kortex commands where its fingers go, not how hard."""
+    """A `Gripper` on a `KortexArm`. Kortex commands the position of its fingers, not their force."""
+
+    data_sheet = staticmethod(data_sheet)
 
     def __init__(self, arm: KortexArm):
         self._arm = arm
 
     def width(self) -> float:
-        """Opening between the pads, m, taken as proportional to the fingers' position."""
+        """Opening between the pads [m], taken as proportional to the fingers' position."""
         return STROKE * (1 - self._arm.closed_part())
 
     def close_on(self, width: float, force: float) -> None:
-        """Close until something stops the fingers. `force` (N) is not commanded: Kortex has no such command.
+        """Close until something stops the fingers. `force` [N] is not commanded: Kortex has no such command.
 
         Raises:
-            ArmRefusedError: closed on nothing `width` (m) wide.
+            ArmRefusedError: closed on nothing `width` [m] wide.
         """
         self._go(1.0)
         if (found := self.width()) < width - _WIDTH_ERROR:
@@ -40,7 +43,7 @@ class KortexGripper:
         self._go(0.0)
 
     def _go(self, part: float) -> None:
-        """Send the fingers, and wait until they stand."""
+        """Send the fingers to a part of their stroke, and wait until they stand."""
         self._arm.ask("grip", position=part)
         begin = still_since = time.monotonic()
         last = self._arm.closed_part()

@@ -1,4 +1,4 @@
-"""The pipe to the process that speaks Kortex: requests out, replies and feedback in."""
+"""Pipe to the process that speaks Kortex: requests out, replies and feedback in."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from testbed.robot.interfaces import ArmLostError, RobotError
 from testbed.robot.kinova.messages import Configuration, Feedback
 
 PYTHON_VARIABLE = "HEFT_KORTEX_PYTHON"
-"""Environment variable that names the Python which has `kortex_api`; heft's own if not set."""
+"""Environment variable with the path of a Python that has `kortex_api`; heft's own if not set."""
 WHEEL = "https://artifactory.kinovaapps.com/artifactory/generic-public/kortex/API/2.6.0/kortex_api-2.6.0.post3-py3-none-any.whl"
-"""Where the maker has its wheel; it is not on the package index."""
+"""Address of the maker's wheel; it is not on the package index."""
 _ROOT = str(Path(__file__).parents[3])
 _START = (
     f"import sys; sys.path.insert(0, {_ROOT!r}); from testbed.robot.kinova.process import serve; "
@@ -29,25 +29,25 @@ _LAST_WORDS = 5
 
 
 class KortexLink:
-    """The other process. Feedback is kept as it comes; a reply wakes whoever asked."""
+    """The other process. Feedback is kept as it comes; a reply wakes the thread that waits for it."""
 
     def __init__(self, configuration: Configuration, python: str | None = None):
         """Start it and connect.
 
         Args:
             configuration: how to reach the arm.
-            python: interpreter with `kortex_api`; else what HEFT_KORTEX_PYTHON names, else heft's own.
+            python: interpreter with `kortex_api`; else the one in HEFT_KORTEX_PYTHON, else heft's own.
 
         Raises:
             RobotError: no such interpreter, no `kortex_api` in it, or no arm at the address.
         """
         self.python = _python(python)
         self.feedback: Feedback | None = None
-        """The newest."""
+        """The newest feedback."""
         self.lost = ""
-        """Why the arm cannot be trusted to do what it is told, else empty."""
+        """Reason that the arm may not follow its commands any more, else empty."""
         self.tool: dict[str, list[float]] = {}
-        """The tool stored in the arm: position, m, and angles, rad."""
+        """Tool stored in the arm: position [m] and angles [rad]."""
         self._replies: dict[int, dict[str, Any]] = {}
         self._count = 0
         self._writing, self._news = threading.Lock(), threading.Condition()
@@ -86,12 +86,12 @@ class KortexLink:
 
     @property
     def _greeted(self) -> bool:
-        """Whether it has said that it is connected, and fed; or that it cannot."""
+        """True once it is connected and gives feedback, or has failed."""
         return self._greeting is not None and ("connected" not in self._greeting or self.feedback is not None)
 
     @property
     def dead(self) -> bool:
-        """Whether the other process has ended."""
+        """True if the other process has ended."""
         return self._process.poll() is not None
 
     def send(self, **message: Any) -> None:
@@ -109,7 +109,7 @@ class KortexLink:
                 raise ArmLostError(f"arm: the process that speaks to it has ended; {' '.join(self._stderr)}") from None
 
     def ask(self, do: str, **request: Any) -> int:
-        """Send a request; the number by which `reply` knows it."""
+        """Send a request; returns its number, for `reply`."""
         self._count += 1
         self.send(id=self._count, do=do, **request)
         return self._count
@@ -128,7 +128,7 @@ class KortexLink:
             return reply
 
     def refused(self) -> str:
-        """What a twist was refused for since it was asked last, else empty."""
+        """Reason of a twist's refusal since the last call, else empty."""
         with self._news:
             said = [reply["error"] for reply in self._replies.values() if "twist refused" in reply.get("error", "")]
             self._replies = {n: r for n, r in self._replies.items() if "twist refused" not in r.get("error", "")}
@@ -170,7 +170,7 @@ class KortexLink:
 
 
 def missing_api(python: str | None = None) -> str:
-    """Why `kortex_api` cannot be imported and what to do about it, else empty; the interpreter as in `KortexLink`."""
+    """Reason that `kortex_api` cannot be imported and its remedy, else empty; the interpreter as in `KortexLink`."""
     interpreter = _python(python)
     code = (
         f"import sys; sys.path.insert(0, {_ROOT!r}); from testbed.robot.kinova.session import kortex_api; kortex_api()"

@@ -1,4 +1,4 @@
-"""What heft and the process beside it tell each other. Imports nothing, so that any Python can read it."""
+"""Messages between heft and the process that speaks Kortex. Imports nothing, so that any Python can read it."""
 
 from __future__ import annotations
 
@@ -7,34 +7,34 @@ from dataclasses import dataclass
 
 @dataclass
 class Configuration:
-    """How to reach the arm."""
+    """Connection to the arm."""
 
     address: str
     port: int = 10000
     username: str = "admin"
     password: str = "admin"
     silence: float = 0.1
-    """Time without a request, or without feedback, after which a moving arm is stopped; the arm itself is told to stop
-    where nothing comes over the connection for as long, s."""
+    """Time without a request, or without feedback, after which a moving arm is stopped [s]; the arm itself is told to
+    stop after as long a silence of the connection."""
 
 
 @dataclass
 class Feedback:
-    """What the arm says of itself."""
+    """State of the arm by its own feedback."""
 
     time_s: float
-    """`time.monotonic` when it arrived, s."""
+    """Arrival [s], `time.monotonic`."""
     joint_position: list[float]
-    """rad."""
+    """Joint angles [rad]."""
     joint_velocity: list[float]
-    """rad/s."""
+    """Joint speeds [rad/s]."""
     tool_position: list[float]
-    """m."""
+    """Position of the TCP [m]."""
     tool_angles: list[float]
-    """About the fixed x, y and z axes, in this order, rad."""
+    """Turns of the tool about the fixed x, y and z axes, in this order [rad]."""
     tool_twist: list[float]
-    """m/s and rad/s."""
+    """Linear and angular velocity of the tool [m/s, rad/s]."""
     gripper: float
-    """Part of the way closed, 0 to 1; -1 without a gripper."""
+    """Closed part of the stroke, 0 to 1; -1 without a gripper."""
     faulted: bool
     message: str

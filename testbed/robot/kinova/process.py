@@ -1,6 +1,6 @@
-"""The process beside heft: Kinova's `kortex_api` with its old protobuf, in whatever Python has both.
+"""The process beside heft: Kinova's `kortex_api` with its old protobuf, in any Python that has both.
 
-Started by `testbed.robot.kinova.link`. It imports no more of heft than what it needs, and is written for Python 3.8.
+`testbed.robot.kinova.link` starts it. It imports next to nothing of heft, and is written for Python 3.8.
 Requests come as JSON lines on standard input, replies and feedback go as JSON lines to standard output; the first line
 in is a `Configuration`.
 """
@@ -28,7 +28,7 @@ class Line:
         self._lock = threading.Lock()
 
     def say(self, **message: Any) -> None:
-        """One message; lost where nobody reads any more."""
+        """Send one message; it is lost if nobody reads any more."""
         with self._lock:
             try:
                 self._out.write(json.dumps(message) + "\n")
@@ -38,7 +38,7 @@ class Line:
 
 
 def serve() -> None:
-    """Connect as the first line says, then do what the others say, until they end."""
+    """Connect by the first line, then serve the requests of the others until they end."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for heft, which then says stop
     line = Line()
     try:
@@ -66,7 +66,7 @@ def serve() -> None:
 
 
 def _tried(call: Any, request: dict, line: Line) -> None:
-    """What takes time is done beside the reading of requests, so that a stop never waits for it."""
+    """Serve a slow request beside the reading of others, so that a stop never waits for it."""
     try:
         call(request)
     except Exception as error:

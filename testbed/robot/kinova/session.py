@@ -1,8 +1,8 @@
 """A session with a Gen3 over Kinova's `kortex_api`, in the process beside heft; it stops the arm by itself.
 
-It does so when nobody is heard for a while in which the arm moves, when feedback ends, and when it is closed. The
-arm's own estimate of the wrench is never read. Written for Python 3.8. SI units and radians towards heft; metres,
-degrees and degrees a second towards the arm.
+It does so after a silence of heft while the arm moves, when feedback ends, and when it is closed. The arm's own
+estimate of the wrench is never read. Written for Python 3.8. SI units and radians towards heft; meters, degrees and
+degrees per second towards the arm.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ from typing import Any
 from testbed.robot.kinova.messages import Configuration, Feedback
 
 RATE = 100.0
-"""Feedback a second."""
+"""Rate of feedback [Hz]."""
 POSE_TIME = 60.0
-"""Time that reaching a pose may take, s."""
+"""Longest time to reach a pose [s]."""
 _NOBODYS = -1
-"""Epoch after a stop that heft did not ask for."""
+"""Epoch after a stop without a request of heft."""
 _STUBS, _MESSAGES = "autogen.client_stubs", "autogen.messages"
 _USED = {
     "BaseClient": f"{_STUBS}.BaseClientRpc",
@@ -38,7 +38,7 @@ _USED = {
     "SessionManager": "SessionManager",
     "TCPTransport": "TCPTransport",
 }
-"""Classes of `kortex_api` that are used, and the modules that have them."""
+"""Classes of `kortex_api` in use, and their modules."""
 
 
 class Gen3:
@@ -73,16 +73,16 @@ class Gen3:
             threading.Thread(target=run, name=run.__name__, daemon=True).start()
 
     def tool(self) -> dict[str, list[float]]:
-        """The tool that is stored in the arm: where its centre point is from the interface, m and rad."""
+        """Tool stored in the arm: position [m] and angles [rad] of its center point from the interface."""
         t = self._control.GetToolConfiguration(0, self._options()).tool_transform
         return {"position": [t.x, t.y, t.z], "angles": [math.radians(a) for a in (t.theta_x, t.theta_y, t.theta_z)]}
 
     def hear(self) -> None:
-        """Somebody is there."""
+        """Note a sign of life of heft."""
         self._heard = time.monotonic()
 
     def twist(self, request: dict) -> None:
-        """Send a twist as soon as the one before has gone; of several that wait, the newest."""
+        """Send a twist after the one before it; of several that wait, the newest."""
         with self._something:
             if request["epoch"] == self._epoch:
                 self._wanted = request
@@ -90,7 +90,7 @@ class Gen3:
                 self._something.notify()
 
     def stop(self, epoch: int = _NOBODYS) -> None:
-        """Stop; requests of another epoch no longer count. A twist that is on its way then is stopped after."""
+        """Stop; requests of another epoch no longer count. A twist on its way is stopped after it."""
         with self._something:
             self._epoch, self._wanted = epoch, None
         under_way = self._sending.locked()
@@ -101,7 +101,7 @@ class Gen3:
         self._moving = False
 
     def pose(self, request: dict) -> None:
-        """Reach a pose; the reply goes out when the arm says that it has, or has given up."""
+        """Reach a pose; the reply goes out at its end or its failure."""
         if request["epoch"] != self._epoch:
             self._reply(request, error="stopped before it began")
             return
@@ -176,7 +176,7 @@ class Gen3:
         self._action_over.set()
 
     def _send(self) -> None:
-        """Thread: one twist after the other. A call takes the arm some 25 ms."""
+        """Thread: send one twist after the other. A call takes the arm some 25 ms."""
         command = self._api.Base.TwistCommand()
         command.reference_frame = self._api.Common.CARTESIAN_REFERENCE_FRAME_BASE
         command.duration = 0  # not implemented by the arm: it moves on until told otherwise
@@ -201,7 +201,7 @@ class Gen3:
                 self._sending.release()
 
     def _feed(self) -> None:
-        """Thread: feedback, 100 times a second."""
+        """Thread: read feedback, 100 times a second."""
         due = time.monotonic()
         while not self._over.wait(max(due - time.monotonic(), 0.0)):
             due = max(due + 1 / RATE, time.monotonic())
@@ -215,7 +215,7 @@ class Gen3:
             self._line.say(state=asdict(_feedback(got, self._fed, self._api)))
 
     def _watch(self) -> None:
-        """Thread: stop an arm that moves while nobody is heard, or nothing is heard of it."""
+        """Thread: stop a moving arm after a silence of heft, or of its own feedback."""
         while not self._over.wait(0.01):
             now = time.monotonic()
             silent = now - self._heard > self._silence or now - self._fed > self._silence
@@ -244,12 +244,12 @@ def _feedback(got: Any, now: float, api: Any) -> Feedback:
 
 
 def _said(error: BaseException) -> str:
-    """Name and text of an error: a call that takes too long has no text."""
+    """Name and text of an error; a call that takes too long has no text."""
     return f"{type(error).__name__} {error}".strip()
 
 
 def kortex_api() -> Any:
-    """What is used of `kortex_api`: its classes, the messages Base, Common and Session, and Failure, what calls raise.
+    """The used part of `kortex_api`: classes, the messages Base, Common and Session, and the errors of calls (Failure).
 
     Raises:
         ImportError: it is not installed, or its protobuf does not fit this Python.

@@ -36,40 +36,38 @@ BAUD = 19200
 DEVICE = 9
 """Modbus address."""
 _FIRMWARE, _SERIAL, _STREAM = (500, 3), (510, 4), 410
-"""Registers and how many, as the maker's own driver reads them."""
+"""First registers and their numbers, from the maker's own driver."""
 _START = 0x0200
 _JAM = b"\xff" * 50
 """Ends a stream; while it lasts the sensor answers no request."""
 _QUIET = 0.1
-"""Silence after which nothing streams, s."""
+"""Silence that shows that nothing streams [s]."""
 _STARTING = 1.0
-"""Time that a stream may take to begin, s."""
+"""Longest time for a stream to begin [s]."""
 _DROPOUT = 0.05
-"""Silence that counts as a dropout, s."""
+"""Silence that counts as a dropout [s]."""
 _BITS_PER_BYTE = 10
 _STOPPING = 1.0
-"""Time that a stream may take to end once it is told to, s; about half of it is usual."""
+"""Longest time for a stream to end [s]; about half of it is usual."""
 
-logging.getLogger("pymodbus").addHandler(logging.NullHandler())  # what it has to say comes as an error of ours
+logging.getLogger("pymodbus").addHandler(logging.NullHandler())  # its troubles come as errors of heft
 
 
 class Ft300s:
-    """A `WrenchSensor`. A thread does no more than to read the port; frames are made of it when somebody asks.
+    """A `WrenchSensor`. A thread only reads the port; the methods make frames of its bytes.
 
-    What nobody drains piles up: 100 frames a second, some 300 bytes each.
+    Undrained frames pile up: 100 a second, some 300 bytes each.
     """
 
     def __init__(self, port: str, *, stale_after: float = 0.1):
-        """Name the sensor; nothing is opened.
+        """Describe the sensor; nothing is opened.
 
         Args:
-            port: device file, as /dev/ttyUSB0 or, better, its name in /dev/serial/by-id.
-            stale_after: silence after which the sensor counts as lost, s.
+            port: device file: /dev/ttyUSB0 or, better, its name in /dev/serial/by-id.
+            stale_after: silence after which the sensor counts as lost [s].
         """
         check_positive("Ft300s.stale_after", stale_after)
         self.port, self.stale_after = port, stale_after
-        self.warnings: tuple[str, ...] = ()
-        """What is not as it should be with the port, found on entering."""
         self._identity = SensorIdentity("Robotiq FT-300S", "unknown", "unknown", RATE, 300.0, 30.0)
         self._serial: serial.Serial | None = None
         self._reset()
@@ -80,18 +78,19 @@ class Ft300s:
         self._samples: list[WrenchSample] = []
         self._latest: WrenchSample | None = None
         self._sequence = self._dropouts = self._bytes_since = 0
+        self._warnings: tuple[str, ...] = ()
         self._lock = threading.Lock()
 
     @property
     def identity(self) -> SensorIdentity:
-        """Which sensor it is; serial and firmware are "unknown" before it is entered."""
+        """Name and abilities; serial and firmware are "unknown" before it is entered."""
         return self._identity
 
     def __enter__(self) -> Self:
         """Open the port, stop a stream left running, identify the sensor, start the stream, wait for its first frame.
 
         Raises:
-            RobotError: no such port, in use, or what answers is no FT sensor.
+            RobotError: no such port, in use, or another device answers.
             SensorLostError: it answers, but no frame comes.
         """
         self._reset()
@@ -120,7 +119,7 @@ class Ft300s:
             port.set_low_latency_mode(True)
         except (ValueError, NotImplementedError, AttributeError):
             pass  # an adapter without such a timer, or one that may not be changed: then the next line says so
-        self.warnings = tuple(filter(None, [latency_warning(self.port)]))
+        self._warnings = tuple(filter(None, [latency_warning(self.port)]))
         if not _silenced(port):
             raise RobotError(
                 f"sensor {self.port}: bytes keep coming after the stream was told to stop; another device?"
@@ -162,7 +161,7 @@ class Ft300s:
         )
 
     def _update(self) -> None:
-        """Make samples of all that has come; with the lock held."""
+        """Make samples of all bytes so far; with the lock held."""
         for now, data in self._reader.take() if self._reader else ():
             self._bytes_since += len(data)
             for frame in self._parser.feed(data):
@@ -216,6 +215,7 @@ class Ft300s:
                 lost_frames=self._clock.lost,
                 dropouts=self._dropouts,
                 age_s=self._age(),
+                warnings=self._warnings,
             )
 
     def _age(self) -> float:
@@ -254,7 +254,7 @@ class Ft300s:
 
 
 def _silenced(port: serial.Serial, *, streams: bool = False) -> bool:
-    """Whether nothing streams any more, having stopped what does; `streams`: no need to look first."""
+    """Stop a stream; True if nothing streams any more. `streams`: no need to look first."""
     port.timeout = _QUIET
     if not streams and not port.read(4096):
         return True
@@ -268,11 +268,11 @@ def _silenced(port: serial.Serial, *, streams: bool = False) -> bool:
 
 
 def latency_warning(port: str, ttys: Path = Path("/sys/class/tty")) -> str | None:
-    """What an FTDI adapter's timer does to the stream, or None where all is well or the adapter has none.
+    """Effect of an FTDI adapter's latency timer on the stream, or None without any.
 
     Args:
         port: device file, or a link to it.
-        ttys: where the kernel lists serial ports.
+        ttys: folder in which the kernel lists serial ports.
     """
     timer = ttys / Path(port).resolve().name / "device" / "latency_timer"
     try:

@@ -1,4 +1,4 @@
-"""The serial ports of this computer that are USB adapters."""
+"""Serial ports: those of this computer that are USB adapters, and a thread that reads one."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ except ImportError:
 
 
 def usb_serial_ports() -> list[str]:
-    """Each with what it says of itself, as "/dev/ttyUSB0 (USB-RS485 adapter)"."""
+    """Every USB port with its description, such as "/dev/ttyUSB0 (USB-RS485 adapter)"."""
     return [f"{port.device} ({port.description})" for port in comports() if port.vid is not None]
 
 
 def why_closed(port: str, error: Exception) -> str:
-    """Why a port cannot be opened, in a sentence that says what to do."""
+    """Reason that a port cannot be opened, and its remedy."""
     there = ", ".join(usb_serial_ports()) or "none: plug in the USB adapter"
     if not Path(port).exists():
         return f"no such device; USB serial ports: {there}"
@@ -38,32 +38,32 @@ def why_closed(port: str, error: Exception) -> str:
 
 
 _LONGEST_WAIT_MS = 50
-"""Time after which the thread looks for bytes too few to wake it, and whether it is to end, ms."""
+"""Longest wait of the thread [ms]: then it takes bytes too few to wake it, and looks if it is to end."""
 
 
 class Piece(NamedTuple):
-    """Bytes that were there when the reader looked."""
+    """Bytes of one read."""
 
     time_s: float
-    """`time.monotonic()`, s."""
+    """Time of the read [s], `time.monotonic`."""
     data: bytes
 
 
 class SerialReader:
-    """Reads from its making until `stop`, or until the port is gone."""
+    """A thread that reads from its creation until `stop`, or until the port is gone."""
 
     def __init__(self, descriptor: int, wake_at: int):
         """Start reading.
 
         Args:
             descriptor: of an open terminal device, raw and not blocking, as pyserial opens it.
-            wake_at: bytes to wait for. An adapter hands bytes on one by one: waking for each would cost the most.
+            wake_at: bytes to wait for. An adapter hands bytes on one by one: waking for each costs most.
 
         Raises:
             OSError: the port is gone.
         """
         self.failure = ""
-        """Why reading ended, if by itself."""
+        """Reason that reading ended by itself, else empty."""
         self._descriptor, self._pieces, self._stopped = descriptor, deque[Piece](), False
         try:
             settings = termios.tcgetattr(descriptor)
@@ -75,7 +75,7 @@ class SerialReader:
         self._thread.start()
 
     def take(self) -> list[Piece]:
-        """All that came since the last time, in order. For one thread at a time."""
+        """Everything read since the last call, in order. For one thread at a time."""
         return [self._pieces.popleft() for _ in range(len(self._pieces))]
 
     def stop(self) -> None:

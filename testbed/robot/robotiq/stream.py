@@ -1,4 +1,4 @@
-"""The byte stream of an FT-300S: frames found among whatever the wire brings, and the frames that never came.
+"""Byte stream of an FT-300S: whole frames found among damaged ones, and lost frames counted.
 
 A frame is 16 bytes: header 0x20 0x4E, six int16 little-endian (force in 1/100 N, torque in 1/1000 N m), Modbus CRC-16
 of the first 14, low byte first.
@@ -19,46 +19,41 @@ except ImportError:
     raise MissingDriverError("pymodbus") from None
 
 RATE = 100.0
-"""Frames a second."""
+"""Frame rate [Hz]."""
 FRAME_BYTES = 16
-"""Length of a frame."""
+"""Length of a frame [bytes]."""
 HEADER = b"\x20\x4e"
-"""What a frame begins with."""
+"""First bytes of a frame."""
 DIVISOR = np.array([100.0, 100.0, 100.0, 1000.0, 1000.0, 1000.0])
-"""Counts in a newton and in a newton metre, (6,)."""
+"""Counts per newton and per newton meter, shape (6,)."""
 _BLOCK = 20
-"""Frames over which lateness must last to be a loss: 0.2 s, longer than an operating system keeps a reader waiting."""
+"""Frames over which lateness lasts if it is a loss: 0.2 s, longer than an operating system keeps a reader waiting."""
 
 
 class Frame(NamedTuple):
     """One whole frame."""
 
     wrench: Float[np.ndarray, "6"]
-    """N, N m, sensor axes."""
+    """Wrench [N, N m], sensor axes."""
     behind: int
-    """Bytes that had already arrived after it."""
+    """Bytes that had arrived after it."""
 
 
 class FrameParser:
-    """Finds the frames in a stream of bytes that may begin anywhere and be damaged anywhere."""
+    """Finder of frames in a stream of bytes that may begin anywhere and be damaged anywhere."""
 
     def __init__(self) -> None:
         self.frames = 0
         """Whole frames found."""
         self.crc_errors = 0
-        """Headers after which the checksum did not fit."""
+        """Headers followed by a wrong checksum."""
         self.resyncs = 0
         """Times that bytes were skipped after a frame."""
         self._buffer = bytearray()
         self._in_step = False
 
-    @property
-    def needed(self) -> int:
-        """Bytes that could complete the next frame: never more, so that waiting for them delays no frame."""
-        return max(FRAME_BYTES - len(self._buffer), 1)
-
     def feed(self, data: bytes) -> list[Frame]:
-        """Take bytes in; the frames that they complete, in order."""
+        """Take bytes in; returns the frames that they complete, in order."""
         buffer, at, found = self._buffer, 0, []
         buffer += data
         while True:
@@ -89,26 +84,26 @@ class FrameParser:
 
 
 def checksum(data: bytes) -> bytes:
-    """Modbus CRC-16 as it goes over the wire, low byte first."""
+    """Modbus CRC-16, low byte first."""
     return FramerRTU.compute_CRC(data).to_bytes(2, "big")
 
 
 class FrameClock:
-    """Counts the frames that should have come by now and did not.
+    """Counter of frames that were due and did not come.
 
-    A late frame is no lost one: the reader may have been kept waiting, and what queued up meanwhile makes up for it.
-    Lateness that no frame of a block made up is loss. The clock follows the sensor's, up to 2 % off.
+    A late frame is not lost: a reader that was kept waiting takes all that queued up. Lateness that no frame of a block
+    makes up is loss. The clock follows the sensor's, up to 2 % off.
     """
 
     def __init__(self, period: float = 1 / RATE):
         self.lost = 0
-        """Frames that never came, up to the last whole block."""
+        """Lost frames, up to the last whole block."""
         self._period = period
         self._due: float | None = None
         self._late: list[float] = []
 
     def arrived(self, time_s: float) -> None:
-        """Take in the arrival of a frame, s."""
+        """Take in the arrival of a frame [s]."""
         due = time_s if self._due is None else self._due
         self._late.append(time_s - due)
         self._due = due + self._period

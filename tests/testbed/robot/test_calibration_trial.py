@@ -29,10 +29,10 @@ def obj(request: pytest.FixtureRequest) -> ObjectModel:
 def hanging(obj: ObjectModel) -> np.ndarray:
     """What the gripper does to the object, held at its first grasp."""
     force = np.array([0, 0, obj.total_mass * GRAVITY])
-    return np.concatenate([force, np.cross([*centre(obj), -0.01], force)])
+    return np.concatenate([force, np.cross([*center(obj), -0.01], force)])
 
 
-def centre(obj: ObjectModel) -> np.ndarray:
+def center(obj: ObjectModel) -> np.ndarray:
     return obj.center_of_mass - obj.shape.grasps[0].position
 
 
@@ -48,11 +48,11 @@ def seen(obj: ObjectModel, change: np.ndarray) -> list[Finding]:
     turned = [replace(t, wrench_on_object_world=t.wrench_on_object_world @ change.T) for t in moves(obj)]
     windows: list[SteadyWindow] = [w for t in turned for w in steady_windows(t)]
     lift = change @ hanging(obj)
-    return check_trial(lift, change @ COVARIANCE @ change.T, windows, mass=obj.total_mass, centre=centre(obj))
+    return check_trial(lift, change @ COVARIANCE @ change.T, windows, mass=obj.total_mass, center=center(obj))
 
 
 def wrong(findings: list[Finding]) -> dict[str, str]:
-    return {f.what: f.said for f in findings if not f.ok}
+    return {f.what: f.text for f in findings if not f.ok}
 
 
 def turned(rotation: Rotation) -> np.ndarray:
@@ -126,7 +126,7 @@ def test_a_bias_is_named(obj: ObjectModel):
 def test_nothing_lifted_is_told(obj: ObjectModel):
     (finding,) = check_trial(np.array([0, 0, 0.01, 0, 0, 0]), COVARIANCE, [])
     assert not finding.ok
-    assert "nothing was lifted" in finding.said
+    assert "nothing was lifted" in finding.text
     with pytest.raises(InvalidValueError, match=r"check_trial\.mass"):
         check_trial(hanging(obj), COVARIANCE, [], mass=0.0)
 

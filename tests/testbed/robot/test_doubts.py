@@ -9,11 +9,11 @@ import pytest
 
 from testbed.actions.base import Rotate
 from testbed.actions.path import Profile
-from testbed.robot.recorder import Evidence, Record, doubts
+from testbed.robot.recorder import GripEvidence, Record, doubts
 from testbed.trajectory import Phase
 
 PROFILE = Profile.of(Rotate(0, duration=2.0), 0.01)
-GOOD = Evidence(lost_frames=0, held_width=(0.05, 0.0501), slip=(1e-4, 1e-3))
+GOOD = GripEvidence(lost_frames=0, held_width=(0.05, 0.0501), slip=(1e-4, 1e-3))
 
 
 def record(**changes) -> Record:

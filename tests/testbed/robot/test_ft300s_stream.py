@@ -71,20 +71,6 @@ def test_how_the_bytes_are_cut_makes_no_difference(drawn, cuts):
     assert (cut.crc_errors, cut.resyncs) == (whole.crc_errors, whole.resyncs)
 
 
-@given(streams())
-def test_waiting_for_the_bytes_needed_delays_no_frame(drawn):
-    stream, said, begins = drawn
-    parser, at, ends = FrameParser(), 0, []
-    while at < len(stream):
-        step = min(parser.needed, len(stream) - at)
-        at += step
-        for frame in parser.feed(stream[at - step : at]):
-            assert frame.behind == 0
-            ends.append(at)
-    assert ends == [begin + FRAME_BYTES for begin in begins]
-    assert len(ends) == len(said)
-
-
 @given(
     st.lists(COUNTS, min_size=3, max_size=5),
     st.integers(0, 2),

@@ -1,4 +1,4 @@
-"""The guard on the computer's own clock: it stops the arm whatever the control loop, or a driver, is doing."""
+"""The guard on the computer's own clock: it stops the arm whatever the control loop or a driver is doing."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ SLOW = np.array([0.01, 0.0, 0.0])
 
 
 class Stub:
-    """Arm and sensor at once: all is well, until a test changes what they say or do."""
+    """Arm and sensor at once: all is well until a test changes them."""
 
     limits = GEN3
     identity = SensorIdentity("stub", "1", "1", 100.0, 300.0, 30.0)
@@ -173,9 +173,9 @@ def test_a_guard_that_cannot_look_lets_nothing_move():
     assert stub.twists == 0
 
 
-def test_a_silent_bench_is_told():
+def test_a_silent_robot_is_told():
     stub = Stub()
     stub.drain = lambda: []
-    with pytest.raises(RobotError, match="the bench is silent"):
+    with pytest.raises(RobotError, match="the robot is silent"):
         guard_of(stub).__enter__()
     assert stub.stops

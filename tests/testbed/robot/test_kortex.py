@@ -35,14 +35,14 @@ from testbed.robot.kinova import (
 from testbed.robot.kinova import (
     session as kortex_session,
 )
-from testbed.robot.kinova.arm import GEN3, KortexArm, KortexSettings
+from testbed.robot.kinova.arm import GEN3, KortexArm
 from testbed.robot.kinova.gripper import KortexGripper
 from testbed.robot.kinova.link import PYTHON_VARIABLE
 from testbed.simulation.motion import arm_model
 from tests.fakes.gen3 import FakeGen3
-from tests.fakes.gen3_world import Gen3World
 from tests.fakes.rig import KORTEX
-from tests.helpers.fault_trials import small_object
+from tests.fakes.robot import small_object
+from tests.fakes.world import Gen3World
 
 pytestmark = pytest.mark.slow  # real lines and processes in real time
 
@@ -69,7 +69,7 @@ def arm(gen3) -> Iterator[KortexArm]:
 
 def arm_at(port: int, **settings: Any) -> KortexArm:
     """An arm that bears the pauses of a busy machine."""
-    return KortexArm(KortexSettings("127.0.0.1", port=port, silence=1.0, **settings))
+    return KortexArm("127.0.0.1", port=port, silence=1.0, **settings)
 
 
 def until(true: Callable[[], bool], seconds: float = 5.0) -> bool:
@@ -278,8 +278,8 @@ def test_an_arm_that_is_not_as_expected_is_refused(gen3, settings, said):
 def test_nobody_at_the_address_is_told():
     with pytest.raises(ArmLostError, match=r"arm 127\.0\.0\.1: cannot be connected: ConnectionRefusedError"):
         arm_at(1).__enter__()
-    with pytest.raises(InvalidValueError, match=r"KortexSettings\.port"):
-        KortexSettings(port=0)
+    with pytest.raises(InvalidValueError, match=r"KortexArm\.port"):
+        KortexArm(port=0)
 
 
 @pytest.mark.parametrize("module", [kortex_messages, kortex_process, kortex_session], ids=lambda m: m.__name__)

@@ -11,7 +11,7 @@ from estimators.hidden_states.estimator import HiddenStates
 from testbed.objects.files import load_object
 from testbed.simulation.runner import SimulationRunner
 from testbed.trial import Trial
-from tests.helpers.real_path import QUIET, over_wires
+from tests.fakes.rig import QUIET, over_wires
 
 
 @pytest.mark.slow

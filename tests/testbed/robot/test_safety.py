@@ -10,6 +10,7 @@ import pytest
 
 from testbed.errors import InvalidValueError
 from testbed.robot.interfaces import ArmState, Pose
+from testbed.robot.kinova.arm import GEN3
 from testbed.robot.safety import (
     SafetyLimits,
     Snapshot,
@@ -18,7 +19,6 @@ from testbed.robot.safety import (
     path_violations,
     violations,
 )
-from tests.fakes.bench import GEN3
 
 DOWN = (0.0, 1.0, 0.0, 0.0)
 LIMITS = SafetyLimits()

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from testbed.errors import InvalidValueError
 from testbed.objects.model import GRAVITY
-from testbed.robot.weighing import Weighing, check_known_mass, held_centre, weigh
+from testbed.robot.weighing import Weighing, check_known_mass, held_center, weigh
 from tests.helpers.records import coloured_noise
 
 SPREAD = np.array([0.067, 0.083, 0.065, 0.0034, 0.0030, 0.0010])
@@ -78,7 +78,7 @@ def test_something_that_touches_shows_as_tilt():
 def test_a_known_mass_tells_a_sensors_faults(mass: float, how: dict[str, Any], verdict: str, said: str):
     check = check_known_mass(weighed(mass, **how), 1.0)
     assert check.verdict == verdict
-    assert re.search(said, check.said)
+    assert re.search(said, check.text)
 
 
 def test_an_honest_sensor_agrees_and_a_dishonest_one_does_not_whatever_the_draw():
@@ -104,10 +104,10 @@ def test_an_object_hangs_where_its_moment_says():
     centre, weight = np.array([0.03, -0.02, -0.05]), np.array([0, 0, 0.6 * GRAVITY])
     held = np.concatenate([weight, np.cross(centre, weight)])
     covariance = np.diag(np.array([0.01, 0.01, 0.01, 5e-4, 5e-4, 2e-4]) ** 2)
-    found = held_centre(held, covariance)
+    found = held_center(held, covariance)
     assert_allclose(found.offset, centre[:2], atol=1e-12)
     rng = np.random.default_rng(0)
-    draws = [held_centre(held + rng.multivariate_normal(np.zeros(6), covariance), covariance) for _ in range(300)]
+    draws = [held_center(held + rng.multivariate_normal(np.zeros(6), covariance), covariance) for _ in range(300)]
     assert_allclose(np.cov([d.offset for d in draws], rowvar=False), found.covariance, rtol=0.3, atol=2e-10)
 
 
@@ -115,4 +115,4 @@ def test_nothing_held_hangs_nowhere():
     covariance = np.diag(np.full(6, 0.01**2))
     for held in (np.zeros(6), np.array([0, 0, -3.0, 0, 0, 0]), np.array([0, 0, 0.02, 0, 0, 0])):
         with pytest.raises(InvalidValueError, match="a force that points up"):
-            held_centre(held, covariance)
+            held_center(held, covariance)

@@ -13,8 +13,7 @@ from testbed.sensing.presets import preset
 from testbed.sensing.windows import steady_windows
 from testbed.trajectory import Trajectory, load_trajectory, save_trajectory
 from testbed.trial import Trial
-from tests.fakes.bench import FakeBench
-from tests.helpers.fault_trials import ACTION, bench_for, small_object
+from tests.fakes.robot import ACTION, FakeRobot, robot_for, small_object
 
 ASSUMED = preset("ft300s").drift_std
 
@@ -22,10 +21,10 @@ ASSUMED = preset("ft300s").drift_std
 def ran(creep: float, **changes) -> Trajectory:
     """A trial whose zero creeps along y, N/s."""
 
-    def watch(bench: FakeBench) -> None:
+    def watch(bench: FakeRobot) -> None:
         bench.troubles.drift = creep * np.eye(6)[1]
 
-    _, runner = bench_for(Trial(small_object(), ACTION), watch, **changes)
+    _, runner = robot_for(Trial(small_object(), ACTION), watch, **changes)
     with runner:
         return runner.run(Trial(small_object(), ACTION))
 

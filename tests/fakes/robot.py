@@ -1,16 +1,19 @@
-"""A whole bench behind the ports, in one process and in simulated time: quick, and deaf to the machine's load."""
+"""A robot behind its interfaces, in one process and in simulated time: quick, and deaf to the machine's load."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from types import TracebackType
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from testbed.actions.base import Rotate
+from testbed.objects.blocks import block_object, parse_layout
+from testbed.objects.model import ObjectModel
+from testbed.robot.config import RobotSettings
 from testbed.robot.interfaces import (
     ArmLimits,
     ArmLostError,
@@ -23,40 +26,46 @@ from testbed.robot.interfaces import (
     WrenchSample,
 )
 from testbed.robot.kinova.arm import GEN3
-from tests.fakes.gen3_world import TICK, Gen3World, Reading
+from testbed.robot.path import KnownPose, gripped, starting_pose
+from testbed.robot.robotiq.gripper import data_sheet
+from testbed.robot.runner import RealRunner
+from testbed.sensing.presets import preset
+from testbed.simulation.settings import GripSettings, SimulationSettings
+from testbed.trial import Trial
+from tests.fakes.world import TICK, Gen3World, Reading
 
 SILENCE = 0.1
-"""Time without a twist after which the arm stops by itself, and without a frame after which the sensor is lost, s."""
+"""Time without a twist that stops the arm, and without a frame that loses the sensor [s]."""
 COUNTS = np.array([100.0, 100.0, 100.0, 1000.0, 1000.0, 1000.0])
-"""Of the sensor in a newton and in a newton metre, (6,)."""
+"""Counts per newton and per newton meter, shape (6,)."""
 
 
 @dataclass
 class Troubles:
-    """What goes wrong from now on; tests change it while a trial runs."""
+    """Faults from now on; tests change them while a trial runs."""
 
     arm_lost: bool = False
     """No command reaches the arm, no feedback comes."""
     feedback_stalls: bool = False
     """The newest feedback stays the newest."""
     feedback_lies: bool = False
-    """Feedback is fresh and says that the arm stands where it stood."""
+    """Feedback is fresh, and the arm stands still in it."""
     arm_faulted: bool = False
-    """The arm stops, and says that it is in a fault."""
+    """The arm stops in a fault."""
     refuses_twists: bool = False
     refuses_poses: bool = False
     misses_poses: bool = False
-    """Poses are said to be reached, and are not."""
+    """Poses are reported as reached, and are not."""
     ignores_twists: bool = False
     """Twists are taken, and nothing happens."""
     twist_scale: float = 1.0
-    """What is done over what was asked: degrees for radians, or a twist in other axes (-1)."""
+    """Ratio of the executed to the commanded twist: degrees for radians, or other axes (-1)."""
     latency: float = 0.0
-    """Time that a twist takes to the arm, s."""
+    """Time that a twist takes to the arm [s]."""
     hang: float = 0.0
-    """Time for which the next twist hangs on its way, s."""
+    """Time for which the next twist hangs on its way [s]."""
     crash: BaseException | None = None
-    """What the next twist raises."""
+    """Error of the next twist."""
     sensor_lost: bool = False
     """Unplugged."""
     sensor_stalls: bool = False
@@ -66,32 +75,30 @@ class Troubles:
     frozen: bool = False
     """The same frame again and again."""
     load: np.ndarray = field(default_factory=lambda: np.zeros(6))
-    """On top of what is felt, N and N m."""
+    """Extra load [N, N m]."""
     drift: np.ndarray = field(default_factory=lambda: np.zeros(6))
-    """Of the sensor's zero, a second, N and N m."""
+    """Drift of the sensor's zero [N/s, N m/s]."""
     gripper_refuses: bool = False
     lets_go: bool = False
     """The fingers open."""
     guard_dead: bool = False
-    """Whoever asked to be called is not."""
+    """Periodic calls are not made."""
 
 
 class SimulatedClock:
-    """Time passes where somebody sleeps: the world ticks, and whoever asked to be called is called."""
+    """Clock whose time passes in `sleep`: there the world ticks, and periodic calls are made."""
 
     def __init__(self, world: Gen3World, on_tick: Callable[[], None]):
         self._world, self._on_tick = world, on_tick
         self._now, self._next_tick = 0.0, TICK
         self._calls: list[list] = []
         self.alive = True
-        """Whether calls are made."""
+        """True if calls are made."""
 
     def now(self) -> float:
-        """s."""
         return self._now
 
     def sleep(self, seconds: float) -> None:
-        """Let time pass."""
         until = self._now + seconds
         while True:
             due = min([self._next_tick, *(call[0] for call in self._calls)])
@@ -110,7 +117,6 @@ class SimulatedClock:
 
     @contextmanager
     def every(self, period: float, call: Callable[[], None]) -> Iterator[None]:
-        """While entered, `call` is called every `period` s."""
         entry = [self._now, period, call]
         self._calls.append(entry)
         try:
@@ -119,33 +125,33 @@ class SimulatedClock:
             self._calls.remove(entry)
 
 
-class FakeBench:
-    """World, clock and ports that belong together; `watch` is called at every tick, for faults and for looking."""
+class FakeRobot:
+    """World, clock, arm, gripper and sensor; `watch` is called at every tick."""
 
-    def __init__(self, world: Gen3World, watch: Callable[[FakeBench], None] = lambda _: None, seed: int = 0):
+    def __init__(self, world: Gen3World, watch: Callable[[FakeRobot], None] = lambda _: None, seed: int = 0):
         self.world, self.troubles, self.watch = world, Troubles(), watch
         self.clock = SimulatedClock(world, self._tick)
         self.arm, self.gripper, self.sensor = FakeArm(self), FakeGripper(self), FakeSensor(self, seed)
         self.motion: list[tuple[float, float, bool]] = []
-        """Time, s, speed of the tool, and whether the arm was driven, at every tick."""
+        """Time [s], speed of the tool, and True if the arm was driven, at every tick."""
         self.slid = 0.0
-        """How far the object has moved in the closed grip, m."""
+        """Movement of the object in the closed grip [m]."""
         self.patches: list[tuple[type, str, object]] = []
-        """What was put in place of what, to be put back."""
+        """Patched attributes: owner, name, original."""
         self._held: list[np.ndarray] = []
         self._to_come: list[tuple[float, Callable[[], None]]] = []
-        self.object_pose = Where(self, seed)
+        self.tracker = Tracker(self, seed)
 
     def later(self, seconds: float, call: Callable[[], None]) -> None:
-        """Call once, when so much time has passed."""
+        """Call once, after some time."""
         self._to_come.append((self.clock.now() + seconds, call))
 
     def driven_after(self, time: float) -> float:
-        """How long the arm went on being driven after a moment, s."""
+        """Time for which the arm was driven after a moment [s]."""
         return max((at - time for at, _, driven in self.motion if at > time and driven), default=0.0)
 
     def moved_after(self, time: float, still: float = 0.002) -> float:
-        """How long the tool went on moving after a moment, s: driven, or slowing down."""
+        """Time for which the tool moved after a moment [s]: driven, or slowing down."""
         return max((at - time for at, speed, _ in self.motion if at > time and speed > still), default=0.0)
 
     def _tick(self) -> None:
@@ -168,28 +174,26 @@ class FakeBench:
 class FakeArm:
     """An `Arm` on the world."""
 
-    def __init__(self, bench: FakeBench):
-        self._bench = bench
+    def __init__(self, robot: FakeRobot):
+        self.robot = robot
         self._pending: list[tuple[float, int, np.ndarray]] = []
         self._stops = 0
         self._last_twist = self._in_touch = 0.0
-        self._heard: Reading = bench.world.reading
+        self._heard: Reading = robot.world.reading
         self.stopped: list[float] = []
-        """When it was told to stop, s."""
+        """Times of `stop` [s]."""
 
     limits: ArmLimits = GEN3
 
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.stop()
 
     def tick(self) -> None:
-        """What arm and port do by themselves."""
-        world, troubles, now = self._bench.world, self._bench.troubles, self._bench.clock.now()
+        """Behavior of the arm between commands."""
+        world, troubles, now = self.robot.world, self.robot.troubles, self.robot.clock.now()
         self._in_touch = self._in_touch if troubles.arm_lost else now
         silent = (world.twist.any() and now - self._last_twist > SILENCE) or now - self._in_touch > SILENCE
         if troubles.arm_faulted or silent:
@@ -202,15 +206,14 @@ class FakeArm:
             self._heard = world.reading
 
     def state(self) -> ArmState:
-        """The newest feedback."""
-        bench, heard = self._bench, self._heard
-        if bench.clock.now() - heard.time_s > SILENCE:
-            raise ArmLostError(f"arm: no feedback for {bench.clock.now() - heard.time_s:.3f} s")
-        if bench.troubles.feedback_lies:
+        robot, heard = self.robot, self._heard
+        if robot.clock.now() - heard.time_s > SILENCE:
+            raise ArmLostError(f"arm: no feedback for {robot.clock.now() - heard.time_s:.3f} s")
+        if robot.troubles.feedback_lies:
             self._lie = getattr(self, "_lie", heard)
             still = self._lie
             return ArmState(heard.time_s, still.q, np.zeros(7), Pose(still.position, still.orientation), np.zeros(6))
-        faulted = bench.troubles.arm_faulted
+        faulted = robot.troubles.arm_faulted
         return ArmState(
             heard.time_s,
             heard.q,
@@ -222,78 +225,73 @@ class FakeArm:
         )
 
     def move_to(self, pose: Pose, speed: float) -> None:
-        """To a pose, at most so fast."""
-        bench, troubles, stops = self._bench, self._bench.troubles, self._stops
+        robot, troubles, stops = self.robot, self.robot.troubles, self._stops
         self._reachable()
         if troubles.refuses_poses:
             raise ArmRefusedError("arm: refused the pose: outside its workspace")
-        bench.world.goal = (pose.position, Rotation.from_quat(pose.orientation, scalar_first=True), speed)
+        robot.world.goal = (pose.position, Rotation.from_quat(pose.orientation, scalar_first=True), speed)
         for _ in range(3000):
-            bench.clock.sleep(TICK)
+            robot.clock.sleep(TICK)
             self._reachable()
-            if bench.world.goal is None or (troubles.misses_poses and len(bench.motion) % 50 == 0):
-                bench.world.stop()
+            if robot.world.goal is None or (troubles.misses_poses and len(robot.motion) % 50 == 0):
+                robot.world.stop()
                 break
-        off = np.linalg.norm(pose.position - bench.world.reading.position)
+        off = np.linalg.norm(pose.position - robot.world.reading.position)
         if self._stops == stops and off > 0.002:
             raise ArmRefusedError(f"arm: said to be there, and is {off * 1e3:.0f} mm off")
 
     def twist(self, linear: np.ndarray, angular: np.ndarray) -> None:
-        """Take a twist; a stop that comes while it is on its way ends it."""
-        bench, stops = self._bench, self._stops
+        robot, stops = self.robot, self._stops
         self._reachable()
-        if bench.troubles.refuses_twists:
+        if robot.troubles.refuses_twists:
             raise ArmRefusedError("arm: refused the twist")
-        if (crash := bench.troubles.crash) is not None:
-            bench.troubles.crash = None
+        if (crash := robot.troubles.crash) is not None:
+            robot.troubles.crash = None
             raise crash
-        if (hang := bench.troubles.hang) > 0:
-            bench.troubles.hang = 0.0
-            bench.clock.sleep(hang)
-        self._last_twist = bench.clock.now()
-        self._pending.append((bench.clock.now() + bench.troubles.latency, stops, np.concatenate([linear, angular])))
+        if (hang := robot.troubles.hang) > 0:
+            robot.troubles.hang = 0.0
+            robot.clock.sleep(hang)
+        self._last_twist = robot.clock.now()
+        self._pending.append((robot.clock.now() + robot.troubles.latency, stops, np.concatenate([linear, angular])))
 
     def stop(self) -> None:
-        """No more motion."""
         self._stops += 1
-        self.stopped.append(self._bench.clock.now())
-        if not self._bench.troubles.arm_lost:
-            self._bench.world.stop()
+        self.stopped.append(self.robot.clock.now())
+        if not self.robot.troubles.arm_lost:
+            self.robot.world.stop()
 
     def clear_faults(self) -> None:
-        """Forget the fault."""
-        self._bench.troubles.arm_faulted = False
+        self.robot.troubles.arm_faulted = False
 
     def _reachable(self) -> None:
-        if self._bench.troubles.arm_lost:
+        if self.robot.troubles.arm_lost:
             raise ArmLostError("arm: connection lost")
-        if self._bench.troubles.arm_faulted:
+        if self.robot.troubles.arm_faulted:
             raise ArmRefusedError("arm: in a fault")
 
 
 class FakeGripper:
     """A `Gripper` on the world."""
 
-    def __init__(self, bench: FakeBench):
-        self._bench = bench
+    data_sheet = staticmethod(data_sheet)
+
+    def __init__(self, robot: FakeRobot):
+        self.robot = robot
 
     def width(self) -> float:
-        """m."""
-        return self._bench.world.width
+        return self.robot.world.width
 
     def close_on(self, width: float, force: float) -> None:
-        """Close; the world's own force is used."""
-        if self._bench.troubles.gripper_refuses:
+        if self.robot.troubles.gripper_refuses:
             raise ArmRefusedError("gripper: refused")
-        self._bench.world.grip = 1.0
-        self._bench.clock.sleep(1.0)
+        self.robot.world.grip = 1.0
+        self.robot.clock.sleep(1.0)
         if self.width() < width - 0.003:
             raise ArmRefusedError(f"gripper: closed to {self.width() * 1e3:.0f} mm: on nothing")
 
     def open(self) -> None:
-        """Open fully."""
-        self._bench.world.grip = -0.05
-        self._bench.clock.sleep(0.8)
+        self.robot.world.grip = -0.05
+        self.robot.clock.sleep(0.8)
 
 
 class FakeSensor:
@@ -301,8 +299,8 @@ class FakeSensor:
 
     identity = SensorIdentity("fake", "1", "1", 1 / TICK, 300.0, 30.0)
 
-    def __init__(self, bench: FakeBench, seed: int = 0):
-        self._bench, self._rng = bench, np.random.default_rng([seed, 7])
+    def __init__(self, robot: FakeRobot, seed: int = 0):
+        self.robot, self._rng = robot, np.random.default_rng([seed, 7])
         self._samples: list[WrenchSample] = []
         self._latest: WrenchSample | None = None
         self._count = self._lost = 0
@@ -310,23 +308,20 @@ class FakeSensor:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         pass
 
     def tick(self) -> None:
-        """A frame, if one comes."""
-        troubles, now = self._bench.troubles, self._bench.clock.now()
+        troubles, now = self.robot.troubles, self.robot.clock.now()
         if troubles.lets_go:
-            self._bench.world.grip = -0.05
-        self._bench.world.bias = self._bench.world.bias + troubles.drift * TICK
+            self.robot.world.grip = -0.05
+        self.robot.world.bias = self.robot.world.bias + troubles.drift * TICK
         if troubles.sensor_lost or troubles.sensor_stalls:
             return
         if troubles.drops and self._rng.random() < troubles.drops:
             self._lost += 1
             return
-        wrench = np.round((self._bench.world.wrench + troubles.load) * COUNTS) / COUNTS
+        wrench = np.round((self.robot.world.wrench + troubles.load) * COUNTS) / COUNTS
         if troubles.frozen and self._latest is not None:
             wrench = self._latest.wrench
         self._latest = WrenchSample(now, wrench, self._count)
@@ -334,35 +329,60 @@ class FakeSensor:
         self._count += 1
 
     def latest(self) -> WrenchSample | None:
-        """The newest frame."""
         self._check()
         return self._latest
 
     def drain(self) -> Sequence[WrenchSample]:
-        """Every frame since the last drain."""
         samples, self._samples = self._samples, []
         if not samples:
             self._check()
         return samples
 
     def health(self) -> SensorHealth:
-        """Counts so far."""
         return SensorHealth(self._count, 0, 0, self._lost, 0, 0.0)
 
     def _check(self) -> None:
-        if self._bench.troubles.sensor_lost:
+        if self.robot.troubles.sensor_lost:
             raise SensorLostError("sensor: unplugged")
-        if self._latest is not None and self._bench.clock.now() - self._latest.time_s > SILENCE:
+        if self._latest is not None and self.robot.clock.now() - self._latest.time_s > SILENCE:
             raise SensorLostError("sensor: no frame")
 
 
-class Where:
-    """An `ObjectPose` that sees the object, a tenth of a millimetre and of a degree off."""
+class Tracker:
+    """An `ObjectPose` that sees the object, a tenth of a millimeter and of a degree off."""
 
-    def __init__(self, bench: FakeBench, seed: int = 0):
-        self._bench, self._rng = bench, np.random.default_rng([seed, 8])
+    def __init__(self, robot: FakeRobot, seed: int = 0):
+        self.robot, self._rng = robot, np.random.default_rng([seed, 8])
 
     def read(self) -> tuple[float, float, float]:
-        """x, y, m, and yaw, rad."""
-        x, y, yaw = self._bench.world.object_pose + self._rng.normal(0.0, [1e-4, 1e-4, 2e-3])
+        x, y, yaw = self.robot.world.object_pose + self._rng.normal(0.0, [1e-4, 1e-4, 2e-3])
         return float(x), float(y), float(yaw)
+
+
+ACTION = Rotate(0, speed=0.3, duration=1.6, pivot=(0.0, 0.01))
+
+
+def small_object() -> ObjectModel:
+    """Two blocks: the least physics that shows everything."""
+    cells = parse_layout(["11"])
+    return block_object(
+        "two", cells, size=0.05, height=0.03, mass=[0.4, 0.3], friction=[0.5], friction_group=[0, 0], grid=2
+    )
+
+
+def robot_for(
+    trial: Trial,
+    watch: Callable[[FakeRobot], None] = lambda _: None,
+    *,
+    seed: int = 0,
+    change: Callable[[RobotSettings], RobotSettings] = lambda settings: settings,
+    **of_runner: Any,
+) -> tuple[FakeRobot, RealRunner]:
+    """A fake robot with the object in its place, and a runner for it; `of_runner` goes to the runner."""
+    grip = SimulationSettings(grip=GripSettings(force=60.0))
+    world = Gen3World(trial.object, trial.support, settings=grip, noise=preset("ft300s"), seed=seed)
+    robot, pose = FakeRobot(world, watch, seed), starting_pose(trial)
+    world.place(pose, getattr(trial.action, "grasp", 0))
+    settings = change(RobotSettings(data_sheet(gripped(trial).width)))
+    options = {"confirm": lambda _: True, "tracker": robot.tracker, "clock": robot.clock} | of_runner
+    return robot, RealRunner(robot.arm, robot.gripper, robot.sensor, KnownPose(*pose), settings, **options)

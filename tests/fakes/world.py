@@ -1,12 +1,12 @@
 """A Gen3 with sensor, gripper and an object on the table, moved by twists, poses and grip commands: MuJoCo, by ticks.
 
-What a maker's controller does is not known; this one follows a twist with the joint servo of the simulated bench.
+The maker's controller is not known; this one follows a twist with the joint servo of the simulation.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import mujoco
 import numpy as np
@@ -14,22 +14,21 @@ from scipy.spatial.transform import Rotation
 
 from testbed.objects.gripper import STROKE
 from testbed.objects.model import ObjectModel
-from testbed.robot.config import RobotSettings
 from testbed.sensing.presets import Sensing, preset
-from testbed.simulation.motion import gripper_tool, joint_path
+from testbed.simulation.motion import joint_path
 from testbed.simulation.scene import HOME, build_scene
 from testbed.simulation.settings import SimulationSettings
 from testbed.trial import OWN_WEIGHT, Support
 
 IDEAL = preset("ideal")
 TICK = 0.01
-"""Time between two looks at commands and two samples of the sensor, s."""
+"""Time between looks at commands, and between samples of the sensor [s]."""
 START = (0.45, 0.0, 0.12, 0.0)
-"""Where the tool is at first: x, y, z, m, and yaw."""
+"""First place of the tool: x, y, z [m] and yaw [rad]."""
 FASTEST = 0.5, math.radians(100)
-"""Twists beyond this are not followed, m/s and rad/s: the arm's own limit."""
+"""Largest twist that the arm follows [m/s, rad/s]."""
 BIAS = np.array([3.1, -2.2, 5.4, 0.11, -0.06, 0.02])
-"""What the sensor reads without load, N and N m."""
+"""Reading of the sensor without load [N, N m]."""
 _CLOSING, _OPENING = 0.8, 0.3
 _LAST_JOINT_FIRST = np.array([1.0] * 6 + [100.0])
 _FASTEST_TURN = math.radians(30)
@@ -38,7 +37,7 @@ _THERE = 5e-4, math.radians(0.05)
 
 @dataclass(frozen=True, eq=False)
 class Reading:
-    """What the arm knows of itself at a tick."""
+    """State of the arm at a tick."""
 
     time_s: float
     q: np.ndarray
@@ -49,7 +48,7 @@ class Reading:
 
 
 class Gen3World:
-    """Physics and inner control; whoever has it calls `tick` 100 times a second of its time."""
+    """Physics and inner control; its owner calls `tick` 100 times per second of its time."""
 
     def __init__(
         self,
@@ -66,13 +65,13 @@ class Gen3World:
         self.bias, self.mount = BIAS.copy(), np.ones(6)
         self._sensing, self._rng, self._noise = noise, np.random.default_rng(seed), np.zeros(6)
         self.twist = np.zeros(6)
-        """Commanded, base axes, m/s and rad/s."""
+        """Commanded twist [m/s, rad/s], base axes."""
         self.goal: tuple[np.ndarray, Rotation, float] | None = None
-        """Position, orientation and speed to go there, while a pose is being reached."""
+        """Position, orientation and speed while a pose is being reached."""
         self.grip = -0.05
-        """Part of the grip's force that is commanded; below 0 opens."""
+        """Commanded part of the grip force; below 0 opens."""
         self.strength = 1.0
-        """Of the fingers, over what they should have."""
+        """Ratio of the fingers' force to the commanded one."""
         self._grip = -0.05
         self._push = (0, np.zeros(3))
         self._integral = np.zeros(7)
@@ -80,7 +79,7 @@ class Gen3World:
         self._build(q, 0, np.array([0.45, 0.0, 0.0]))
 
     def place(self, pose: np.ndarray, grasp: int) -> None:
-        """Put the object at a planar pose, where a hand would; only the faces of `grasp` can then be gripped."""
+        """Put the object at a planar pose; only the faces of `grasp` can then be gripped."""
         self._build(self.data.qpos[:7].copy(), grasp, pose)
 
     def _build(self, q: np.ndarray, grasp: int, pose: np.ndarray) -> None:
@@ -99,7 +98,7 @@ class Gen3World:
         self._jacobian = np.zeros((6, model.nv))
         mujoco.mj_forward(model, data)
         self.reading = self._read()
-        self.wrench = self._felt(data.sensordata)
+        self.wrench = self._measured(data.sensordata)
 
     def tick(self) -> None:
         """10 ms: take in the commands, step, measure."""
@@ -116,25 +115,25 @@ class Gen3World:
         self._push = (left - 1, push)
         self.data.xfrc_applied[self._body, :3] = push * (left > 0)
         steps = round(dt / self.settings.timestep)
-        felt = np.zeros(self.model.nsensordata)
+        measured = np.zeros(self.model.nsensordata)
         for _ in range(steps):
             mujoco.mj_step(self.model, self.data)
-            felt += self.data.sensordata
+            measured += self.data.sensordata
         self.time += dt
         self.reading = self._read()
-        self.wrench = self._felt(felt / steps)
+        self.wrench = self._measured(measured / steps)
 
     def stop(self) -> None:
-        """Ask for no motion."""
+        """End all motion."""
         self.twist, self.goal = np.zeros(6), None
 
     def shove(self, force: np.ndarray, seconds: float) -> None:
-        """Push the object, N, world axes."""
+        """Push the object [N], world axes."""
         self._push = (round(seconds / TICK), force)
 
     @property
     def object_in_hand(self) -> np.ndarray:
-        """Planar place of the object in the hand's axes, m, (2,)."""
+        """Planar position of the object in the hand's axes [m], shape (2,)."""
         axes = self.data.site_xmat[self._tcp].reshape(3, 3)
         return (axes.T @ (self.data.xpos[self._body] - self.data.site_xpos[self._tcp]))[:2]
 
@@ -145,19 +144,19 @@ class Gen3World:
 
     @property
     def object_pose(self) -> np.ndarray:
-        """Where the object truly is, planar, m and rad, (3,)."""
+        """True planar pose of the object [m, rad], shape (3,)."""
         x, y, _ = self.data.xpos[self._body]
         axes = self.data.xmat[self._body].reshape(3, 3)
         return np.array([x, y, math.atan2(axes[1, 0], axes[0, 0])])
 
     @property
     def driven(self) -> bool:
-        """Whether something is asked of it that is motion."""
+        """True if a motion is commanded."""
         return self.goal is not None or bool(self.twist.any())
 
     @property
     def speed(self) -> float:
-        """Of the tool, m/s, a radian counted as a tenth of a metre."""
+        """Speed of the tool [m/s], a radian counted as 0.1 m."""
         return float(np.linalg.norm(self.reading.twist * [1, 1, 1, 0.1, 0.1, 0.1]))
 
     def _wanted_twist(self) -> np.ndarray:
@@ -177,7 +176,7 @@ class Gen3World:
         return np.concatenate([linear, angular])
 
     def _joint_speeds(self, twist: np.ndarray) -> np.ndarray:
-        """Weighted least squares: the arm has a joint more than it needs, and turns the tool with the last one."""
+        """Joint speeds by weighted least squares: the arm turns the tool with its last joint."""
         j = self._jacobian_at_tcp()
         weighted = _LAST_JOINT_FIRST[:, None] * j.T
         return weighted @ np.linalg.solve(j @ weighted + 1e-8 * np.eye(6), twist)
@@ -199,16 +198,10 @@ class Gen3World:
             self._jacobian_at_tcp() @ qd,
         )
 
-    def _felt(self, data: np.ndarray) -> np.ndarray:
-        """The sensor's next frame: what the arm does to the tool, its zero, its noise."""
+    def _measured(self, data: np.ndarray) -> np.ndarray:
+        """Next frame of the sensor: wrench of the arm on the tool, bias, noise."""
         sensing, (force, torque) = self._sensing, self._ft
         white = np.array([*sensing.force_noise, *sensing.torque_noise]) * self._rng.standard_normal(6)
         self._noise = sensing.lag1 * self._noise + math.sqrt(1 - sensing.lag1**2) * white
-        felt = np.concatenate([data[force : force + 3], data[torque : torque + 3]])
-        return self.mount * felt + self.bias + self._noise
-
-
-def world_settings(world: Gen3World, grasp: int, base: RobotSettings | None = None) -> RobotSettings:
-    """Settings of a bench whose tool is the world's, its fingers closed on a grasp."""
-    tool = gripper_tool(world.obj.shape.grasps[grasp].width)
-    return RobotSettings(tool) if base is None else replace(base, tool=tool)
+        measured = np.concatenate([data[force : force + 3], data[torque : torque + 3]])
+        return self.mount * measured + self.bias + self._noise

@@ -1,0 +1,116 @@
+"""Arms, wrench sensors and grippers by name: heft's own, installed ones, and "package:Class".
+
+The robot file names one of each (`model`). A class takes its settings as arguments: those of its `settings` table, and
+those that the file has for every robot (`address`, `port`, ...) as far as the class takes them.
+"""
+
+from __future__ import annotations
+
+import inspect
+import os
+from collections.abc import Mapping
+from typing import Any, TypeVar
+
+from testbed.errors import InvalidValueError
+from testbed.plugins import Role, configured, find_class, load_class
+from testbed.robot.config import RobotFile
+from testbed.robot.interfaces import Arm, Gripper, WrenchSensor
+
+T = TypeVar("T")
+_CONTEXT = ("__enter__(self)", "__exit__(self, kind, error, trace)")
+ARM: Role[Arm] = Role(
+    "testbed.robot.interfaces.Arm",
+    (*_CONTEXT, "state(self)", "move_to(self, pose, speed)", "twist(self, linear, angular)", "stop(self)"),
+    "heft.arms",
+    "my_lab:Ur5",
+)
+SENSOR: Role[WrenchSensor] = Role(
+    "testbed.robot.interfaces.WrenchSensor",
+    (*_CONTEXT, "latest(self)", "drain(self)", "health(self)"),
+    "heft.sensors",
+    "my_lab:Nano17",
+)
+GRIPPER: Role[Gripper] = Role(
+    "testbed.robot.interfaces.Gripper",
+    ("data_sheet(width)", "width(self)", "close_on(self, width, force)", "open(self)"),
+    "heft.grippers",
+    "my_lab:HandE",
+)
+DEVICES = {
+    ARM: {"kinova_gen3": "testbed.robot.kinova.arm:KortexArm"},
+    SENSOR: {"ft300s": "testbed.robot.robotiq.ft300s:Ft300s"},
+    GRIPPER: {"2f85": "testbed.robot.kinova.gripper:KortexGripper"},
+}
+"""heft's own devices by name; imported when they are used, since each needs its driver."""
+PASSWORD_VARIABLE = "HEFT_KORTEX_PASSWORD"
+"""Environment variable with the password of the arm's user; the maker's own if not set."""
+
+
+def build_arm(file: RobotFile) -> Arm:
+    """The robot file's arm, not yet connected.
+
+    Raises:
+        InvalidValueError: no such arm, or a setting that it refuses.
+    """
+    table = file.arm
+    offered = table.model_dump(include={"address", "port", "username", "python"})
+    offered |= {"tool_length": table.tool_length_m, "password": os.environ.get(PASSWORD_VARIABLE, "admin")}
+    return _build(ARM, table.model, table.settings, "arm", offered)
+
+
+def build_sensor(file: RobotFile, port: str | None = None) -> WrenchSensor:
+    """The robot file's sensor, not yet opened; `port` replaces the file's.
+
+    Raises:
+        InvalidValueError: no such sensor, no port for one that needs it, or a setting that it refuses.
+        MissingDriverError: its driver is not installed.
+    """
+    table = file.sensor
+    port = port or table.port
+    if port is None and needs_port(file):
+        raise InvalidValueError(
+            "sensor.port",
+            None,
+            '[sensor] port = "/dev/serial/by-id/..." in robot.toml; heft robot check lists the ports there are',
+        )
+    return _build(SENSOR, table.model, table.settings, "sensor", {} if port is None else {"port": port})
+
+
+def build_gripper(file: RobotFile, arm: Arm) -> Gripper:
+    """The robot file's gripper, on its arm.
+
+    Raises:
+        InvalidValueError: no such gripper, or a setting that it refuses.
+    """
+    return _build(GRIPPER, file.gripper.model, file.gripper.settings, "gripper", {"arm": arm})
+
+
+def gripper_class(file: RobotFile) -> type[Gripper]:
+    """Class of the robot file's gripper: its `data_sheet` needs no connection.
+
+    Raises:
+        InvalidValueError: no such gripper.
+    """
+    return _class_of(GRIPPER, file.gripper.model, "gripper.model")
+
+
+def needs_port(file: RobotFile) -> bool:
+    """True if the robot file's sensor cannot be opened without a port, and its settings name none.
+
+    Raises:
+        InvalidValueError: no such sensor.
+        MissingDriverError: its driver is not installed.
+    """
+    argument = inspect.signature(_class_of(SENSOR, file.sensor.model, "sensor.model")).parameters.get("port")
+    return argument is not None and argument.default is argument.empty and "port" not in file.sensor.settings
+
+
+def _class_of(role: Role[T], name: str, field: str) -> type[T]:
+    known = DEVICES[role]
+    return load_class(known[name], role, field) if name in known else find_class(name, role, field, known)
+
+
+def _build(role: Role[T], name: str, settings: Mapping[str, Any], table: str, offered: Mapping[str, Any]) -> T:
+    kind = _class_of(role, name, f"{table}.model")
+    rest = {key: value for key, value in offered.items() if key not in settings}
+    return configured(kind, settings, f"{table}.settings", given=rest)

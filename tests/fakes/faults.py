@@ -1,0 +1,194 @@
+"""The table of faults: everything that may go wrong on the real robot, put into a trial on the fake one."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from testbed.errors import HeftError
+from testbed.robot.execution import Execution
+from testbed.sensing.windows import steady_windows
+from testbed.trajectory import Trajectory
+from testbed.trial import Trial
+from tests.fakes.robot import ACTION, FakeRobot, robot_for, small_object
+
+BOUND = 0.150
+"""Time after which nothing may drive the arm [s]."""
+WRONG = np.array([0.25, 0.25, np.inf, np.inf, np.inf, 0.02])
+"""Difference from an undisturbed trial's wrench that makes a record wrong [N, N m]: ten times its noise."""
+LOST_PLACE = 0.003
+"""Slip of the object that makes a record wrong [m]."""
+
+
+@dataclass(frozen=True)
+class Fault:
+    """One fault at some moment of a trial."""
+
+    name: str
+    strike: Callable[[FakeRobot], None]
+    """Cause of it."""
+    blinds: bool = False
+    """True if the arm's feedback ends."""
+    until: float = 0.95
+    """Part of the trial in which it may strike."""
+
+
+def _trouble(name: str, *, blinds: bool = False, until: float = 0.95, **changes: object) -> Fault:
+    def strike(robot: FakeRobot) -> None:
+        for field, value in changes.items():
+            setattr(robot.troubles, field, value)
+
+    return Fault(name, strike, blinds, until)
+
+
+def _hang_the_loop(robot: FakeRobot) -> None:
+    """Keep the control loop busy for a second, the last twist still standing."""
+    usual = Execution._correction
+    hung = []
+
+    def slow(self: Execution, *arguments):
+        if not hung:
+            hung.append(True)
+            robot.clock.sleep(1.0)
+        return usual(self, *arguments)
+
+    robot.patches.append((Execution, "_correction", usual))
+    Execution._correction = slow
+
+
+def _weaken(robot: FakeRobot) -> None:
+    robot.world.strength = 0.03
+
+
+def _move_the_object(robot: FakeRobot) -> None:
+    robot.world.shove(np.array([60.0, 60.0, 0.0]), 0.2)
+
+
+def _short_silence(robot: FakeRobot) -> None:
+    robot.troubles.sensor_stalls = True
+    robot.later(0.07, lambda: setattr(robot.troubles, "sensor_stalls", False))
+
+
+def _long_silence(robot: FakeRobot) -> None:
+    robot.troubles.feedback_stalls = True
+    robot.later(0.09, lambda: setattr(robot.troubles, "feedback_stalls", False))
+
+
+FORCE, TORQUE = np.array([100.0, 0, 0, 0, 0, 0]), np.array([0, 0, 0, 0, 0, 20.0])
+FAULTS = (
+    _trouble("connection of the arm lost", blinds=True, arm_lost=True),
+    _trouble("feedback of the arm stalls", blinds=True, feedback_stalls=True),
+    Fault("feedback of the arm pauses for 90 ms", _long_silence),
+    _trouble("feedback of the arm says it stands", feedback_lies=True),
+    _trouble("arm goes into a fault", arm_faulted=True),
+    _trouble("arm refuses twists", refuses_twists=True),
+    _trouble("arm refuses poses", until=0.05, refuses_poses=True),
+    _trouble("arm stops short of poses", until=0.08, misses_poses=True),
+    _trouble("arm ignores twists", ignores_twists=True),
+    _trouble("twists in the wrong unit", twist_scale=57.3),
+    _trouble("twists in the wrong direction", twist_scale=-1.0),
+    _trouble("twists 300 ms late", latency=0.3),
+    _trouble("a twist hangs for 1 s", hang=1.0),
+    _trouble("the arm's driver crashes", crash=ValueError("a mistake in a driver")),
+    _trouble("Ctrl-C", crash=KeyboardInterrupt()),
+    _trouble("SIGTERM", crash=SystemExit(143)),
+    Fault("the control loop hangs for 1 s", _hang_the_loop),
+    _trouble("the guard no longer looks", guard_dead=True),
+    _trouble("sensor unplugged", sensor_lost=True),
+    _trouble("sensor stalls", sensor_stalls=True),
+    Fault("sensor pauses for 70 ms", _short_silence),
+    _trouble("a fifth of the frames lost", drops=0.2),
+    _trouble("sensor repeats one frame", frozen=True),
+    _trouble("the tool hits something", load=FORCE),
+    _trouble("the tool is twisted", load=TORQUE),
+    _trouble("the sensor's zero jumps by 1 N", load=FORCE / 100),
+    _trouble("the sensor's zero creeps by 0.1 N/s", drift=FORCE / 1000),
+    _trouble("the gripper refuses", gripper_refuses=True),
+    _trouble("the gripper lets go", lets_go=True),
+    Fault("the grip weakens", _weaken),
+    Fault("the object is pushed away", _move_the_object),
+)
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """Outcome of a trial with a fault."""
+
+    fault: str
+    seed: int
+    struck: float
+    """Time of the fault [s]."""
+    ended: str
+    """Status of the trajectory, or the error's name."""
+    reason: str
+    after_stop: float
+    """Time for which the arm was driven after `stop` [s]."""
+    after_loss: float
+    """Time for which it was driven after the last feedback, if that was lost [s]."""
+    rolled: float
+    """Time for which the tool moved after `stop` [s]: the fake arm slows down."""
+    wrong: str
+    """Reason that an ok trajectory is wrong, else empty."""
+
+
+@lru_cache(maxsize=1)
+def undisturbed() -> tuple[Trajectory, float]:
+    """The trial without any fault, and its duration [s]."""
+    robot, runner = robot_for(Trial(small_object(), ACTION), seed=99)
+    with runner:
+        trajectory = runner.run(Trial(small_object(), ACTION))
+    assert trajectory.ok, trajectory.reason
+    return trajectory, robot.clock.now()
+
+
+def struck_by(fault: Fault, seed: int) -> Outcome:
+    """Run the trial with one fault at a random moment of it."""
+    _, duration = undisturbed()
+    at = float(np.random.default_rng([seed, 5]).uniform(0.0, fault.until) * duration)
+    done: list[float] = []
+
+    def watch(robot: FakeRobot) -> None:
+        if not done and robot.clock.now() >= at:
+            done.append(robot.clock.now())
+            fault.strike(robot)
+
+    trial = Trial(small_object(), ACTION)
+    robot, runner = robot_for(trial, watch, seed=seed)
+    trajectory, ended, reason = None, "", ""
+    try:
+        with runner:
+            trajectory = runner.run(trial)
+        ended, reason = trajectory.status, trajectory.reason
+    except (HeftError, KeyboardInterrupt, SystemExit, ValueError) as error:
+        ended, reason = type(error).__name__, str(error)
+    finally:
+        for where, name, usual in robot.patches:
+            setattr(where, name, usual)
+    robot.clock.sleep(1.0)  # nothing may move of itself afterwards
+    first = min(robot.arm.stopped)
+    return Outcome(
+        fault.name,
+        seed,
+        done[0] if done else float("nan"),
+        ended,
+        reason,
+        robot.driven_after(first),
+        robot.driven_after(done[0]) if fault.blinds and done else 0.0,
+        robot.moved_after(first),
+        "" if trajectory is None or not trajectory.ok else wrongness(trajectory, robot),
+    )
+
+
+def wrongness(trajectory: Trajectory, robot: FakeRobot) -> str:
+    """Reason that a trajectory is no data, by the truth of the fake robot; else empty."""
+    expected = steady_windows(undisturbed()[0])
+    for window, usual in zip(steady_windows(trajectory), expected, strict=True):
+        off = np.abs(window.wrench - usual.wrench)
+        if (off > WRONG).any():
+            return f"wrench off by {off.round(3).tolist()}"
+    if (slid := robot.slid) > LOST_PLACE:
+        return f"the object slid {slid * 1e3:.1f} mm in the grip"
+    return ""

@@ -44,7 +44,7 @@ def test_a_package_imports_only_what_comes_before_it(path: Path):
     assert not tops & later, f"{name} imports against the arrow {' -> '.join(PACKAGES)}"
     assert name.startswith("testbed.simulation") or not tops & MUJOCO, "MuJoCo lives in testbed/simulation alone"
     assert name.startswith("testbed.robot") or not tops & DRIVERS, "drivers live in testbed/robot alone"
-    if name.startswith("testbed.robot") and name != "testbed.robot.config":
+    if name.startswith("testbed.robot"):
         assert not any(module.startswith("testbed.simulation") for module in used), "the robot needs no simulator"
 
 

@@ -21,6 +21,7 @@ from testbed.robot.calibration.static_poses import (
     in_words,
     static_pose,
 )
+from testbed.robot.robotiq.gripper import data_sheet
 from testbed.simulation.motion import arm_model, gripper_tool
 from tests.fakes.static_hand import BIAS, COM, DOWN, ERROR, MASS, POSES, readings
 from tests.helpers.records import coloured_noise
@@ -105,6 +106,13 @@ def test_it_finds_the_simulated_gripper_at_rest():
     assert found.mass == pytest.approx(tool.mass, rel=1e-6)
     assert_allclose(found.com, tool.com, atol=1e-7)
     assert_allclose(found.bias, BIAS, atol=1e-5)
+
+
+@pytest.mark.parametrize("width", [0.0, 0.03, 0.085])
+def test_the_grippers_data_sheet_is_the_simulated_gripper(width: float):
+    sheet, simulated = data_sheet(width), gripper_tool(width)
+    for name, value in vars(simulated).items():
+        assert_allclose(getattr(sheet, name), value, rtol=1e-12, atol=1e-12)
 
 
 @pytest.mark.parametrize(

@@ -11,13 +11,14 @@ import pytest
 from pydantic import BaseModel
 
 from scenarios.cli.main import main
-from testbed.robot.config import ArmTable, BenchTable, LimitsTable, SensorTable
+from testbed.robot.config import ArmTable, BenchTable, GripperTable, LimitsTable, SensorTable
 from tests.helpers.pages import DOCS, names, table
 
 PAGE = (DOCS / "hardware.md").read_text(encoding="utf-8")
 TABLES: dict[str, type[BaseModel]] = {
     "arm": ArmTable,
     "sensor": SensorTable,
+    "gripper": GripperTable,
     "bench": BenchTable,
     "limits": LimitsTable,
 }

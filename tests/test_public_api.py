@@ -1,6 +1,6 @@
-"""The reference is the public interface: every name is there, is told of, and keeps its signature.
+"""The reference in docs/api is the public interface: each name exists, has a docstring, and keeps its signature.
 
-`python tests/test_public_api.py` writes `public_api.txt` anew, where a change of the interface is meant.
+`python tests/test_public_api.py` writes `public_api.txt` anew, for an intended change of the interface.
 """
 
 from __future__ import annotations
@@ -22,69 +22,63 @@ yaml: Any = pytest.importorskip("yaml", reason="needs the extra docs")
 ROOT = Path(__file__).parent.parent
 DOCS = ROOT / "docs"
 FROZEN = Path(__file__).with_name("public_api.txt")
-ROOMS = ("testbed", "estimators", "scenarios", "viz")
+PACKAGES = ("testbed", "estimators", "scenarios", "viz")
 ENTRY = re.compile(r"^::: (\S+)\n((?: {4}.*\n)*)", re.MULTILINE)
 PYTHON = re.compile(r"^```python[^\n]*\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 
 
 @dataclass(frozen=True)
-class Listed:
-    """A name of the reference."""
+class PublicName:
+    """An entry of the reference."""
 
-    page: str
     path: str
     members: tuple[str, ...] | None
-    """Of a class: those that are shown; None is all that do not begin with an underscore."""
+    """Listed members of a class; None: all that do not begin with an underscore."""
     has_signature: bool
-    """Whether it can be called, or its value is told."""
+    """True if its arguments or its value are public."""
 
     @property
-    def there(self) -> Any:
-        """What griffe found."""
-        return source()[self.path]
+    def source(self) -> Any:
+        """griffe's object."""
+        return packages()[self.path]
 
-    def shown(self) -> Iterator[Any]:
-        """What the reference shows below it."""
-        if not self.there.is_class:
-            return
-        every = self.there.all_members
-        names = [name for name in every if not name.startswith("_")] if self.members is None else self.members
-        for name in names:
-            yield every[name]
+    def listed(self) -> Iterator[Any]:
+        """Members of a class in the reference."""
+        if self.source.is_class:
+            every = self.source.all_members
+            public = [name for name in every if not name.startswith("_")]
+            yield from (every[name] for name in (public if self.members is None else self.members))
 
     def lines(self) -> Iterator[str]:
         """Its signature, and those of its members."""
-        there, given = self.there, set()
-        if there.is_class and self.has_signature and "__init__" in there.all_members:
-            parameters = list(there.all_members["__init__"].parameters)[1:]
+        source, given = self.source, set()
+        if source.is_class and self.has_signature and "__init__" in source.all_members:
+            parameters = list(source.all_members["__init__"].parameters)[1:]
             given = {parameter.name for parameter in parameters}
             yield f"{self.path}({arguments(parameters)})"
-        elif there.is_class:
-            yield self.path
         else:
-            yield signature(self.path, there, with_value=self.has_signature)
-        for member in self.shown():
+            yield self.path if source.is_class else signature(self.path, source, with_value=self.has_signature)
+        for member in self.listed():
             if member.name not in given:
                 yield signature(f"{self.path}.{member.name}", member, with_value=True)
 
 
 @cache
-def source() -> Any:
-    """The four rooms as they stand in the source."""
+def packages() -> Any:
     loader = griffe.GriffeLoader(extensions=griffe.load_extensions(), search_paths=[ROOT])
-    for room in ROOMS:
-        loader.load(room)
+    for package in PACKAGES:
+        loader.load(package)
     loader.resolve_aliases()
     return loader.modules_collection
 
 
-def signature(path: str, there: Any, *, with_value: bool) -> str:
-    if there.is_function:
-        own = [p for p in there.parameters if p.name not in ("self", "cls")]
-        return f"{path}({arguments(own)}) -> {there.returns}"
-    said = "" if there.annotation is None else f": {there.annotation}"
-    of_itself = {"class-attribute", "module-attribute"} & there.labels and not str(there.value).startswith("field(")
-    return path + said + (f" = {there.value}" if with_value and of_itself and there.value is not None else "")
+def signature(path: str, source: Any, *, with_value: bool) -> str:
+    if source.is_function:
+        own = [p for p in source.parameters if p.name not in ("self", "cls")]
+        return f"{path}({arguments(own)}) -> {source.returns}"
+    annotation = "" if source.annotation is None else f": {source.annotation}"
+    constant = {"class-attribute", "module-attribute"} & source.labels and not str(source.value).startswith("field(")
+    return path + annotation + (f" = {source.value}" if with_value and constant and source.value is not None else "")
 
 
 def arguments(parameters: list[Any]) -> str:
@@ -102,38 +96,34 @@ def arguments(parameters: list[Any]) -> str:
     return ", ".join(written)
 
 
-def listed() -> list[Listed]:
-    found = []
+def reference() -> Iterator[PublicName]:
     for page in sorted((DOCS / "api").glob("*.md")):
         for path, block in ENTRY.findall(page.read_text(encoding="utf-8")):
             options = (yaml.safe_load(block) or {}).get("options", {})
             members = options.get("members")
             hidden = {options.get("show_signature"), options.get("show_attribute_values")}
-            chosen = None if members is None else tuple(members or ())
-            found.append(Listed(page.stem, path, chosen, has_signature=False not in hidden))
-    return found
+            yield PublicName(path, None if members is None else tuple(members or ()), has_signature=False not in hidden)
 
 
-LISTED = listed()
+REFERENCE = sorted(reference(), key=lambda entry: entry.path)
 
 
 def frozen() -> str:
     """The whole interface, a name a line."""
-    return "".join(f"{line}\n" for entry in sorted(LISTED, key=lambda e: e.path) for line in entry.lines())
+    return "".join(f"{line}\n" for entry in REFERENCE for line in entry.lines())
 
 
 def test_names_are_listed_once():
-    paths = [entry.path for entry in LISTED]
+    paths = [entry.source.canonical_path for entry in REFERENCE]
     assert len(paths) > 80
     assert sorted(set(paths)) == sorted(paths)
 
 
-@pytest.mark.parametrize("entry", LISTED, ids=lambda e: e.path)
-def test_a_public_name_is_told_of_with_all_its_members(entry):
-    silent = [entry.path] if entry.there.docstring is None else []
-    if not any("Enum" in str(base) for base in getattr(entry.there, "bases", [])):  # a word of an enumeration says it
-        silent += [f"{entry.path}.{m.name}" for m in entry.shown() if m.docstring is None]
-    assert not silent
+@pytest.mark.parametrize("entry", REFERENCE, ids=lambda e: e.path)
+def test_a_public_name_and_its_members_have_docstrings(entry):
+    assert entry.source.docstring is not None
+    if not any("Enum" in str(base) for base in getattr(entry.source, "bases", [])):
+        assert [member.name for member in entry.listed() if member.docstring is None] == []
 
 
 def test_signatures_are_the_frozen_ones():
@@ -142,8 +132,8 @@ def test_signatures_are_the_frozen_ones():
     )
 
 
-def taught() -> Iterator[tuple[str, str]]:
-    """Python that the documentation shows: where, and the code."""
+def python_of_docs() -> Iterator[tuple[str, str]]:
+    """Page or example, and its Python."""
     for page in (ROOT / "README.md", *sorted(DOCS.rglob("*.md"))):
         for code in PYTHON.findall(page.read_text(encoding="utf-8")):
             yield page.name, code
@@ -155,12 +145,12 @@ def taught() -> Iterator[tuple[str, str]]:
 
 
 def test_the_documentation_imports_public_names_only():
-    public = {entry.path for entry in LISTED}
+    public = {path for entry in REFERENCE for path in (entry.path, entry.source.canonical_path)}
     imported = {
         (where, f"{node.module}.{name.name}")
-        for where, code in taught()
+        for where, code in python_of_docs()
         for node in ast.walk(ast.parse(code))
-        if isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[0] in ROOMS
+        if isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[0] in PACKAGES
         for name in node.names
     }
     assert len(imported) > 40

@@ -30,14 +30,16 @@ def test_every_example_has_its_test():
         "own_estimator.py",
         "own_log.py",
         "own_mesh.py",
+        "own_policy.py",
+        "own_simulator.py",
         "read_a_sweep.py",
     }
     assert [path.name for path in EXAMPLES.glob("*.ipynb")] == ["rerun_inline.ipynb"]
 
 
 def test_own_estimator(example):
-    said = example("own_estimator.py")
-    assert float(said.rsplit("NAD ", 1)[1].split()[0]) < 5
+    printed = example("own_estimator.py")
+    assert float(printed.rsplit("NAD ", 1)[1].split()[0]) < 5
 
 
 @pytest.mark.slow
@@ -49,16 +51,16 @@ def test_first_trial(example):
 
 @pytest.mark.slow
 def test_own_mesh(example):
-    said = example("own_mesh.py")
-    assert "status ok" in said
-    assert float(said.rsplit("NAD ", 1)[1].split()[0]) < 5
+    printed = example("own_mesh.py")
+    assert "status ok" in printed
+    assert float(printed.rsplit("NAD ", 1)[1].split()[0]) < 5
 
 
 @pytest.mark.slow
 def test_own_log_and_how_its_results_are_read(example):
-    said = example("own_log.py")
-    assert "4 trials of L2 in results/lab, 0 of them no data" in said
-    nad = next(line for line in said.splitlines() if line.split()[:1] == ["hidden_states"]).split()
+    printed = example("own_log.py")
+    assert "4 trials of L2 in results/lab, 0 of them no data" in printed
+    nad = next(line for line in printed.splitlines() if line.split()[:1] == ["hidden_states"]).split()
     assert float(nad[1]) < 5
     read = example("read_a_sweep.py", "results/lab")
     assert "worst: L2 by" in read

@@ -1,4 +1,4 @@
-"""Figures for papers: what they draw is what was given, units stand on every axis, and files are whole."""
+"""Figures for papers: drawn values, units on every axis, and whole files."""
 
 from __future__ import annotations
 
@@ -43,25 +43,25 @@ DICHROMATS = {
     "deuteranope": np.array([[0.367, 0.861, -0.228], [0.280, 0.673, 0.047], [-0.012, 0.043, 0.969]]),
     "protanope": np.array([[0.152, 1.053, -0.205], [0.115, 0.786, 0.099], [-0.004, -0.048, 1.052]]),
 }
-"""What linear RGB looks like to them: Machado, Oliveira and Fernandes 2009, severity 1."""
+"""Linear RGB as they perceive it: Machado, Oliveira and Fernandes 2009, severity 1."""
 
 
-def lab(rgb: np.ndarray, seen_by: np.ndarray) -> np.ndarray:
-    """CIELAB of sRGB colours, (N, 3), as somebody sees them."""
+def lab(rgb: np.ndarray, vision: np.ndarray) -> np.ndarray:
+    """CIELAB of sRGB colours, (N, 3), under a vision."""
     linear = np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4)
     to_xyz = np.array([[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]])
-    xyz = np.clip(linear @ seen_by.T, 0, 1) @ to_xyz.T / [0.9505, 1.0, 1.089]
+    xyz = np.clip(linear @ vision.T, 0, 1) @ to_xyz.T / [0.9505, 1.0, 1.089]
     f = np.where(xyz > 0.008856, np.cbrt(xyz), 7.787 * xyz + 16 / 116)
     return np.stack([116 * f[:, 1] - 16, 500 * (f[:, 0] - f[:, 1]), 200 * (f[:, 1] - f[:, 2])], axis=1)
 
 
-@pytest.mark.parametrize("who", DICHROMATS)
-def test_colours_are_told_apart_by_everybody(who: str):
-    seen = lab(np.array([to_rgb(color) for color in PALETTE]), DICHROMATS[who])
-    apart = np.linalg.norm(seen[:, None] - seen, axis=-1)[np.triu_indices(len(seen), 1)]
+@pytest.mark.parametrize("vision", DICHROMATS)
+def test_colours_differ_for_everybody(vision: str):
+    colors = lab(np.array([to_rgb(color) for color in PALETTE]), DICHROMATS[vision])
+    apart = np.linalg.norm(colors[:, None] - colors, axis=-1)[np.triu_indices(len(colors), 1)]
     assert apart.min() > 15
     for name in (MASS_COLORS, DIFFERENCE_COLORS):
-        light = lab(mpl.colormaps[name](np.linspace(0, 1, 64))[:, :3], DICHROMATS[who])[:, 0]
+        light = lab(mpl.colormaps[name](np.linspace(0, 1, 64))[:, :3], DICHROMATS[vision])[:, 0]
         steps = np.abs(np.diff(light))
         assert np.abs(np.diff(light).sum()) == pytest.approx(steps.sum()), "lightness goes one way"
         assert steps.max() < 3 * steps.min(), "and evenly"
@@ -92,66 +92,57 @@ def estimate(**changes: Any) -> EstimateView:
         Trace(name, tuple(np.geomspace(1, 1e-4, count).tolist()), tuple(range(count)), 1.0, np.zeros((0, 0)))
         for name, count in (("adam", 50), ("plain", 20))
     )
-    values: dict[str, Any] = {
-        "title": "L2: by hand", "shape": model.shape, "truth": model.truth, "answer": answer,
-        "covariance": np.diag((1e-3 * np.arange(1, 7)) ** 2), "traces": traces,
-    }  # fmt: skip
-    return EstimateView(**values | changes)
+    deviation = 1e-3 * np.arange(1, 7)
+    view = EstimateView("L2: by hand", model.shape, model.truth, answer, np.diag(deviation**2), traces)
+    return replace(view, **changes)
 
 
 def test_maps_have_the_truth_the_answer_and_the_difference():
-    shown = estimate()
-    assert shown.mass is not None
-    assert shown.true_mass is not None
-    figure = estimate_maps(shown)
+    view = estimate()
+    assert view.mass is not None and view.true_mass is not None
+    figure = estimate_maps(view)
     check_units(figure)
-    truth, answer, off = figure.axes[:3]
-    assert [axis.get_title() for axis in (truth, answer, off)] == ["true mass", "estimated mass", "absolute difference"]
-    expected = (shown.true_mass, shown.mass, np.abs(shown.mass - shown.true_mass))
-    for axis, values in zip((truth, answer, off), expected, strict=True):
+    titles = ("true mass", "estimated mass", "absolute difference")
+    expected = (view.true_mass, view.mass, np.abs(view.mass - view.true_mass))
+    tops = (view.mass.max(), view.mass.max(), expected[2].max())
+    colors = (MASS_COLORS, MASS_COLORS, DIFFERENCE_COLORS)
+    for axis, title, values, top, color in zip(figure.axes[:3], titles, expected, tops, colors, strict=True):
+        assert axis.get_title() == title
         (cells,) = axis.collections
-        assert_allclose(np.asarray(cells.get_array()), values[shown.shape.mass_group])
+        assert_allclose(np.asarray(cells.get_array()), values[view.shape.mass_group])
         assert [float(text.get_text()) for text in axis.texts] == pytest.approx(values, abs=0.006)
-    assert truth.collections[0].get_clim() == answer.collections[0].get_clim() == (0.0, pytest.approx(shown.mass.max()))
-    assert off.collections[0].get_clim()[1] == pytest.approx(expected[2].max())
-    assert {truth.collections[0].get_cmap().name, off.collections[0].get_cmap().name} == {
-        MASS_COLORS,
-        DIFFERENCE_COLORS,
-    }
+        assert (cells.get_clim(), cells.get_cmap().name) == ((0.0, pytest.approx(top)), color)
+        assert axis.get_ylim()[0] < axis.get_ylim()[1], "y is up"
     assert [axis.get_xlabel() for axis in figure.axes[3:]] == ["mass, kg a group", "|difference|, kg a group"]
-    assert truth.get_ylim()[0] < truth.get_ylim()[1], "y is up"
 
 
 def test_maps_without_a_truth_or_an_answer():
     alone = estimate_maps(estimate(truth=None))
-    assert [axis.get_title() for axis in alone.axes[:1]] == ["estimated mass"]
-    assert len(alone.axes) == 2
+    assert [axis.get_title() for axis in alone.axes] == ["estimated mass", ""]
     silent = estimate_maps(estimate(answer=None, covariance=None))
     assert [[text.get_text() for text in axis.texts] for axis in silent.axes[1:3]] == [["no answer"]] * 2
     check_units(silent)
 
 
 def test_bars_are_the_masses_with_their_intervals():
-    shown = estimate()
-    assert shown.mass is not None
-    assert shown.true_mass is not None
-    figure = estimate_bars(shown)
+    view = estimate()
+    figure = estimate_bars(view)
     check_units(figure)
     truth, answer = (container for container in figure.axes[0].containers if hasattr(container, "patches"))
-    assert_allclose([bar.get_height() for bar in truth.patches], shown.true_mass)
-    assert_allclose([bar.get_height() for bar in answer.patches], shown.mass)
+    for bars, mass in ((truth, view.true_mass), (answer, view.mass)):
+        assert_allclose([bar.get_height() for bar in bars.patches], mass)
     lines = np.array(figure.axes[0].collections[0].get_segments())  # pyright: ignore[reportAttributeAccessIssue]
-    deviation = 1e-3 * np.arange(1, 7) * shown.shape.particles_per_group
+    deviation = 1e-3 * np.arange(1, 7) * view.shape.particles_per_group
     assert_allclose(lines[:, 1, 1] - lines[:, 0, 1], 2 * 1.645 * deviation)
-    assert [tick.get_text() for tick in figure.axes[0].get_xticklabels()] == list(shown.shape.group_names)
+    assert [tick.get_text() for tick in figure.axes[0].get_xticklabels()] == list(view.shape.group_names)
 
 
 def test_losses_are_the_traces():
-    shown = estimate()
-    figure = estimate_losses(shown)
+    view = estimate()
+    figure = estimate_losses(view)
     assert figure is not None
     check_units(figure)
-    for line, trace in zip(figure.axes[0].lines, shown.traces, strict=True):
+    for line, trace in zip(figure.axes[0].lines, view.traces, strict=True):
         assert line.get_label() == trace.method
         assert_allclose(np.asarray(line.get_ydata(), dtype=float), trace.loss)
     assert estimate_losses(estimate(traces=())) is None
@@ -206,10 +197,8 @@ def test_nad_against_a_setting_alone():
         assert_allclose(np.asarray(line.get_xdata(), dtype=float), [0.1, 0.2, 0.4])
         assert_allclose(np.asarray(line.get_ydata(), dtype=float), 100 * base * 1.01 * np.array([1, 2, 4]))
     check_units(nad_distribution(rows))
-    assert axis_label("axis.support") == "support, N/m"
-    assert axis_label("axis.simulation.grip_force_N") == "simulation.grip_force_N, N"
-    assert axis_label("axis.policy.duration") == "policy.duration, s"
-    assert axis_label("axis.grid.feet") == "grid.feet"
+    for name, unit in {"support": ", N/m", "simulation.grip_N": ", N", "policy.duration": ", s", "feet": ""}.items():
+        assert axis_label(f"axis.{name}") == f"{name}{unit}"
 
 
 def test_files_are_whole_and_the_same_again(tmp_path, monkeypatch):

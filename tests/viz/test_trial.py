@@ -1,7 +1,8 @@
-"""A trial in Rerun: what is in the recording is what is in the record."""
+"""Trials in Rerun: the recording has the values of the trajectory."""
 
 from __future__ import annotations
 
+import shutil
 import signal
 import subprocess
 import sys
@@ -11,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import rerun.blueprint as rrb
-from numpy.testing import assert_allclose
+from numpy.testing import assert_allclose, assert_array_equal
 
 from scenarios.cli.view import page_of, trial_page
 from scenarios.results.estimates import friction_of
@@ -27,7 +28,7 @@ from testbed.trajectory import Phase, load_trajectory
 from tests.helpers.chunks import Entity, read_chunks, verify
 from tests.helpers.recorded import put_trial
 from viz.recordings.page import SIM_TIME, Page, save
-from viz.recordings.trial import FOOT_ARROW
+from viz.recordings.trial import FOOT_ARROW, WRENCH
 from viz.values import TrialView
 
 IDEAL = preset("ideal")
@@ -48,7 +49,7 @@ def key(folder) -> str:
 
 
 @pytest.fixture(scope="module")
-def shown(folder, key) -> TrialView:
+def view(folder, key) -> TrialView:
     return trial_shown(folder, key)
 
 
@@ -60,39 +61,48 @@ def entities(folder, key, tmp_path_factory) -> dict[str, Entity]:
     return read_chunks(path)
 
 
-def series(entities: dict[str, Entity], path: str) -> tuple[np.ndarray, np.ndarray]:
-    entity = entities[path]
-    return entity.times[SIM_TIME]["Scalars:scalars"], np.ravel(entity.values[SIM_TIME]["Scalars:scalars"])
+@pytest.fixture
+def copy(folder, key, tmp_path) -> Path:
+    """The turn alone in a folder of its own."""
+    shutil.copytree(folder / "trials" / key, tmp_path / "trials" / key)
+    return tmp_path
 
 
-def test_there_is_one_timeline(entities):
-    timelines = {name for entity in entities.values() for name in entity.times}
-    assert timelines == {SIM_TIME}
+def values(entities: dict[str, Entity], path: str, component: str = "Scalars:scalars") -> np.ndarray:
+    return np.squeeze(np.array(entities[path].values[SIM_TIME][component]))
+
+
+def test_every_entity_is_static_or_on_the_time_of_the_trial(entities):
+    assert {name for entity in entities.values() for name in entity.times} == {SIM_TIME}
+    wrench = {f"trial/{kind}/{name}" for kind in ("raw", "compensated") for name in WRENCH}
+    fit = {f"trial/wrench/{name}/{line}" for name in ("force/x", "force/y", "torque/z")
+           for line in ("measured", "model", "upper", "lower")}  # fmt: skip
+    scene = {f"trial/scene/{name}" for name in ("gripper_force", "object/cells", "object/feet/normal")}
+    assert wrench | fit | scene | {"trial/facts", "trial/states/phase", "trial/states/window"} <= set(entities)
 
 
 @pytest.mark.parametrize("kind", ["compensated", "raw"])
-def test_the_wrench_is_the_record_s(entities, shown, kind):
-    record = shown.trajectory
-    values = record.wrench_on_object_world if kind == "compensated" else record.sensor_wrench
-    for index, name in enumerate(("force/x", "force/y", "force/z", "torque/x", "torque/y", "torque/z")):
-        times, logged = series(entities, f"trial/{kind}/{name}")
-        assert_allclose(times, record.time_s, atol=1e-9)
-        assert_allclose(logged, values[:, index], rtol=1e-12)
+def test_the_wrench_is_the_trajectorys(entities, view, kind):
+    record = view.trajectory
+    wrench = record.wrench_on_object_world if kind == "compensated" else record.sensor_wrench
+    for name, column in zip(WRENCH, wrench.T, strict=True):
+        path = f"trial/{kind}/{name}"
+        assert_allclose(entities[path].times[SIM_TIME]["Scalars:scalars"], record.time_s, atol=1e-9)
+        assert_allclose(values(entities, path), column, rtol=1e-12)
 
 
-def test_the_measured_wrench_and_the_model_are_in_the_object_s_axes(entities, shown):
-    record = shown.trajectory
+def test_the_measured_wrench_and_the_model_are_in_the_objects_axes(entities, view):
+    record = view.trajectory
     inward = np.einsum("nij,nj->ni", rotation_2d(-record.object_pose[:, 2]), record.wrench_on_object_world[:, :2])
-    for index, axis in enumerate("xy"):
-        assert_allclose(series(entities, f"trial/wrench/force/{axis}/measured")[1], inward[:, index], atol=1e-12)
-    _, predicted = series(entities, "trial/wrench/torque/z/model")
-    _, measured = series(entities, "trial/wrench/torque/z/measured")
+    for axis, column in zip("xy", inward.T, strict=True):
+        assert_allclose(values(entities, f"trial/wrench/force/{axis}/measured"), column, atol=1e-12)
+    predicted, measured = (values(entities, f"trial/wrench/torque/z/{line}") for line in ("model", "measured"))
     steady = ~np.isnan(predicted)
-    np.testing.assert_array_equal(steady, shown.fit.steady)
+    assert_array_equal(steady, view.fit.steady)
     assert_allclose(predicted[steady].mean(), measured[steady].mean(), rtol=0.02)  # the true masses explain it
 
 
-def test_the_band_holds_what_the_sensor_adds_but_for_its_share(folder, key):
+def test_the_band_holds_the_sensors_errors_but_for_its_share(folder, key):
     clean = wrench_fit(
         "", draw_sensing(load_trajectory(folder / "trials" / key / "trajectory.parquet"), IDEAL, 0), None
     )
@@ -103,81 +113,62 @@ def test_the_band_holds_what_the_sensor_adds_but_for_its_share(folder, key):
     assert_allclose(np.mean(inside), 0.95, atol=0.05)
 
 
-def test_the_object_moves_as_recorded(entities, shown):
-    entity, pose = entities["trial/scene/object"], shown.trajectory.object_pose
-    places = np.squeeze(entity.values[SIM_TIME]["Transform3D:translation"])
-    assert places.shape == (len(pose), 3)
-    assert_allclose(places[:, :2], pose[:, :2], atol=1e-6)
-    turns = [
-        each[0]["angle"] if isinstance(each, list) else each["angle"]
-        for each in entity.values[SIM_TIME]["Transform3D:rotation_axis_angle"]
-    ]
-    assert_allclose(turns, pose[:, 2], atol=1e-6)
-
-
-def test_the_hand_is_where_the_record_has_the_tcp(entities, shown):
-    entity = entities["trial/scene/bench/bodies/gripper/base"]
-    places = np.squeeze(entity.values[SIM_TIME]["Transform3D:translation"])
-    tcp = shown.trajectory.tcp_position[::POSES_EVERY]
-    assert_allclose(places[:, :2], tcp[:, :2], atol=2e-3)  # the tool points down
-    assert_allclose(places[:, 2] - tcp[:, 2], 0.174, atol=2e-3)
+def test_object_and_gripper_move_as_recorded(entities, view):
+    record, path = view.trajectory, "trial/scene/object"
+    places = values(entities, path, "Transform3D:translation")
+    assert_allclose(places, np.column_stack([record.object_pose[:, :2], np.zeros(len(places))]), atol=1e-6)
+    turns = [np.ravel(each)[0]["angle"] for each in entities[path].values[SIM_TIME]["Transform3D:rotation_axis_angle"]]
+    assert_allclose(turns, record.object_pose[:, 2], atol=1e-6)
+    hand = values(entities, "trial/scene/bench/bodies/gripper/base", "Transform3D:translation")
+    tcp = record.tcp_position[::POSES_EVERY]
+    assert_allclose(hand - tcp, np.tile([0.0, 0.0, 0.174], (len(tcp), 1)), atol=2e-3)  # the tool points down
     base = entities["trial/scene/bench/bodies/arm/base"]
     assert not base.times, "the arm's base does not move"
     assert "Transform3D:translation" in base.static
 
 
-def test_arrows_at_the_feet_are_the_table_s_forces(entities, shown):
-    feet = shown.feet
+def test_arrows_at_the_feet_are_the_tables_forces(entities, view):
+    feet = view.feet
     assert feet is not None
-    normal = np.array(entities["trial/scene/object/feet/normal"].values[SIM_TIME]["Arrows3D:vectors"])
-    friction = np.array(entities["trial/scene/object/feet/friction"].values[SIM_TIME]["Arrows3D:vectors"])
+    normal, friction = (
+        values(entities, f"trial/scene/object/feet/{name}", "Arrows3D:vectors") for name in ("normal", "friction")
+    )
     assert normal.shape == feet.force.shape == friction.shape
     assert_allclose(normal[..., 2], FOOT_ARROW * feet.force[..., 2], atol=1e-6)
-    assert_allclose(
-        np.linalg.norm(friction, axis=-1), FOOT_ARROW * np.linalg.norm(feet.force[..., :2], axis=-1), atol=1e-6
-    )
+    size = np.linalg.norm(feet.force[..., :2], axis=-1)
+    assert_allclose(np.linalg.norm(friction, axis=-1), FOOT_ARROW * size, atol=1e-6)
 
 
-def test_states_mark_the_phases_and_the_steady_window(entities, shown):
-    phases = entities["trial/states/phase"]
-    said = [each[0] if isinstance(each, list) else each for each in phases.values[SIM_TIME]["StateChange:state"]]
-    assert said == [phase.name.lower() for phase in (0, 1, 2, 3, 4, 5, 4, 6) for phase in [Phase(phase)]]
-    window = entities["trial/states/window"]
-    given = shown.trajectory.time_s[shown.fit.steady]
-    assert_allclose(window.times[SIM_TIME]["StateChange:state"][1], given[0], atol=1e-9)
+def test_states_mark_the_phases_and_the_steady_window(entities, view):
+    phases = values(entities, "trial/states/phase", "StateChange:state")
+    assert list(phases) == [Phase(phase).name.lower() for phase in (0, 1, 2, 3, 4, 5, 4, 6)]
+    window = entities["trial/states/window"].times[SIM_TIME]["StateChange:state"]
+    assert_allclose(window[1], view.trajectory.time_s[view.fit.steady][0], atol=1e-9)
 
 
-def test_a_weighing_is_refused(folder, key):
-    weighing = next(p.parent.name for p in folder.glob("trials/*/trial.json") if p.parent.name != key)
-    with pytest.raises(InvalidValueError, match="a weighing"):
-        trial_page(folder, weighing)
+@pytest.mark.parametrize(
+    ("inside", "what", "reason"),
+    [
+        ("", "zzz", "beginning of one key"),
+        ("", "", "2 begin so"),
+        ("none", None, "results folder"),
+        ("", "weigh", "a weighing"),
+    ],
+)
+def test_pages_that_do_not_exist_are_refused_with_those_that_do(folder, key, inside, what, reason):
+    if what == "weigh":
+        what = next(p.parent.name for p in folder.glob("trials/*/trial.json") if p.parent.name != key)
+    with pytest.raises(InvalidValueError, match=reason):
+        page_of(folder / inside, what)
 
 
-def test_what_is_not_there_is_told_with_what_is(folder):
-    with pytest.raises(InvalidValueError, match="beginning of one key"):
-        page_of(folder, "zzz")
-    with pytest.raises(InvalidValueError, match="2 begin so"):
-        page_of(folder, "")
-    with pytest.raises(InvalidValueError, match="results folder"):
-        page_of(folder / "none", None)
-
-
-def test_a_trial_without_feet_is_shown_without_their_arrows(folder, key, tmp_path):
-    copy = tmp_path / "trials" / key
-    copy.mkdir(parents=True)
-    for name in ("trial.json", "trajectory.parquet"):
-        (copy / name).write_bytes((folder / "trials" / key / name).read_bytes())
-    save(trial_page(tmp_path, key), tmp_path / "x.rrd")
-    assert not [path for path in read_chunks(tmp_path / "x.rrd") if "/feet" in path]
-
-
-def test_a_damaged_record_is_told(folder, key, tmp_path):
-    copy = tmp_path / "trials" / key
-    copy.mkdir(parents=True)
-    (copy / "trial.json").write_bytes((folder / "trials" / key / "trial.json").read_bytes())
-    (copy / "trajectory.parquet").write_bytes(b"PAR1")
+def test_a_trial_without_feet_has_no_arrows_there_and_a_damaged_one_is_refused(copy, key):
+    (copy / "trials" / key / "foot_forces.parquet").unlink()
+    save(trial_page(copy, key), copy / "x.rrd")
+    assert not [path for path in read_chunks(copy / "x.rrd") if "/feet" in path]
+    (copy / "trials" / key / "trajectory.parquet").write_bytes(b"PAR1")
     with pytest.raises(HeftError, match=r"trajectory\.parquet"):
-        trial_page(tmp_path, key)
+        trial_page(copy, key)
 
 
 def test_a_recording_that_fails_leaves_no_file(tmp_path):
@@ -217,7 +208,7 @@ def test_a_recording_cut_by_a_kill_is_not_there(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-def test_frictions_that_no_method_is_told_of_are_meant_in_the_mean():
+def test_frictions_within_a_group_of_the_estimator_are_averaged():
     shape = load_object("I2").shape
     groups = np.arange(len(shape.particles)) % 2  # a friction for every other particle
     finer = replace(shape, friction_group=groups)

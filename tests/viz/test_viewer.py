@@ -1,4 +1,4 @@
-"""What the viewer shows, in its window and in a browser; and what is said where it cannot open."""
+"""Rerun's viewer in a window and in a browser, and the reasons where it cannot open."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import time
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 from rich.console import Console
 
@@ -39,15 +40,11 @@ SMALL = {
 }
 
 
-def quiet(stage: str, done: int, total: int, failed: int = 0) -> None:
-    """Tells nobody how far a run is."""
-
-
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory) -> Path:
     """A small finished run."""
     root = tmp_path_factory.mktemp("results")
-    run_scenario(Scenario.model_validate(SMALL), root, 0, quiet, "inline")
+    run_scenario(Scenario.model_validate(SMALL), root, 0, lambda *_, **__: None, "inline")
     return root
 
 
@@ -64,15 +61,18 @@ def key_of(folder: Path, method: str) -> str:
     return found[0].parent.name
 
 
+def turn_of(folder: Path) -> str:
+    return next(path.parent.name for path in folder.glob("trials/*/foot_forces.parquet"))
+
+
 @pytest.mark.slow
 @needs_vulkan
-def test_a_trial_is_seen(trial, tmp_path):
+def test_a_trial_is_drawn(trial, tmp_path):
     with viewer(trial, tmp_path) as client:
         client.set_time("sim_time", duration=4.5, play_state="paused")
         pixels, state = picture(client), client.get_state()
-    assert not is_blank(pixels)
+    check_views(pixels, state)
     assert {view.view_class for view in state.views} == {"3D", "TimeSeries", "StateTimeline", "TextDocument"}
-    assert not [(view.name, report.summary) for view in state.views for report in view.reports]
     assert [t.name for t in state.recordings[0].timelines] == ["sim_time"]
     half = pixels.shape[1] * 11 // 20
     assert has_color(pixels[:, half:], rgb(AXIS_COLORS[0])), "the force along x is drawn"
@@ -80,35 +80,34 @@ def test_a_trial_is_seen(trial, tmp_path):
     assert not list(tmp_path.rglob("analytics*")), "nothing is kept to be sent"
 
 
+ESTIMATE_VIEWS = (
+    "true mass, estimated mass, absolute difference, mass of each group, log10 of the loss, velocities, facts"
+)
+
+
 @pytest.mark.slow
 @needs_vulkan
-def test_an_estimate_is_seen(folder, tmp_path):
-    save(page_of(folder, key_of(folder, "explicit_state")), tmp_path / "x.rrd")
+@pytest.mark.parametrize(
+    ("method", "views"), [("explicit_state", ESTIMATE_VIEWS), (None, "hidden_states: NAD, explicit_state: NAD")]
+)
+def test_an_estimate_and_a_comparison_are_drawn(folder, tmp_path, method, views):
+    save(page_of(folder, key_of(folder, method) if method else "I2"), tmp_path / "x.rrd")
     with viewer(tmp_path / "x.rrd", tmp_path) as client:
         pixels, state = picture(client), client.get_state()
+    check_views(pixels, state)
     names = " | ".join(view.name for view in state.views)
-    for said in ("true mass", "estimated mass", "absolute difference", "mass of each group", "log10 of the loss",
-                 "velocities", "facts"):  # fmt: skip
-        assert said in names
+    assert [name for name in views.split(", ") if name not in names] == []
+
+
+def check_views(pixels: np.ndarray, state) -> None:
+    """Raises where the window is blank, or a view reports a fault."""
+    assert not is_blank(pixels)
     assert not [(view.name, report.summary) for view in state.views for report in view.reports]
-    assert not is_blank(pixels)
-
-
-@pytest.mark.slow
-@needs_vulkan
-def test_a_comparison_is_seen(folder, tmp_path):
-    save(page_of(folder, "I2"), tmp_path / "x.rrd")
-    with viewer(tmp_path / "x.rrd", tmp_path) as client:
-        pixels, state = picture(client), client.get_state()
-    names = [view.name for view in state.views]
-    assert [name for name in names if name.startswith("hidden_states: NAD")]
-    assert [name for name in names if name.startswith("explicit_state: NAD")]
-    assert not is_blank(pixels)
 
 
 @pytest.mark.slow
 @needs_browser
-def test_a_browser_shows_it_and_talks_to_nobody_else(trial, tmp_path):
+def test_a_browser_draws_it_and_talks_to_nobody_else(trial, tmp_path):
     with served(trial) as address, browser(address, tmp_path) as look:
         until = time.monotonic() + 120
         while not has_color(pixels := look(), rgb(AXIS_COLORS[0])):
@@ -116,21 +115,19 @@ def test_a_browser_shows_it_and_talks_to_nobody_else(trial, tmp_path):
             time.sleep(1)
     log = (tmp_path / "net.json").read_text(encoding="utf-8", errors="replace")
     assert not is_blank(pixels)
-    asked = set(re.findall(r'"url":"(https?://[^/"]+)', log))
-    foreign = {host for host in asked if "127.0.0.1" not in host and not re.search(r"google|gvt1", host)}
+    hosts = set(re.findall(r'"url":"(https?://[^/"]+)', log))
+    foreign = {host for host in hosts if "127.0.0.1" not in host and not re.search(r"google|gvt1", host)}
     assert not foreign, "the browser's own maker aside"
 
 
 @pytest.mark.slow
 @needs_vulkan
-def test_a_viewer_that_is_open_is_shown_what_is_done(folder, tmp_path):
-    port = viewers.free_port()
-    turn = next(p.parent.name for p in folder.glob("trials/*/foot_forces.parquet"))
+def test_an_open_viewer_receives_trials_and_estimates(folder, tmp_path):
+    port, turn = viewers.free_port(), turn_of(folder)
     with viewer(None, tmp_path, port) as client:
-        told = Recorder(folder, Console(file=io.StringIO()), url=viewers.waiting(port))
-        told("trial", turn)
-        told("estimate", key_of(folder, "hidden_states"))
-        found = ""
+        recorder = Recorder(folder, Console(file=io.StringIO()), url=viewers.waiting(port))
+        recorder("trial", turn)
+        recorder("estimate", key_of(folder, "hidden_states"))
         for _ in range(100):
             found = " ".join(recording.store_id for recording in client.get_state().recordings)
             if "trial" in found and "estimate" in found:
@@ -141,69 +138,61 @@ def test_a_viewer_that_is_open_is_shown_what_is_done(folder, tmp_path):
 
 
 @pytest.mark.slow
-def test_a_trial_of_another_bench_is_seen_from_its_files(folder, tmp_path):
-    """As measured: no draw of errors, no truth behind it, and nobody knows the forces on the feet."""
-    key = next(p.parent.name for p in folder.glob("trials/*/foot_forces.parquet"))
+def test_a_trial_of_a_robot_is_drawn_from_its_files(folder, tmp_path):
+    """As measured: no draw of errors, no truth, and no forces on the feet."""
+    key = turn_of(folder)
     clean = load_trajectory(folder / "trials" / key / "trajectory.parquet")
-    felt = draw_sensing(clean, preset("ft300s"), 5)
+    measured = draw_sensing(clean, preset("ft300s"), 5)
     there = tmp_path / "trials" / key
     there.mkdir(parents=True)
-    save_trajectory(replace(felt, provenance={"runner": "robot"}), there / "trajectory.parquet")
+    save_trajectory(replace(measured, provenance={"runner": "robot"}), there / "trajectory.parquet")
     (there / "trial.json").write_bytes((folder / "trials" / key / "trial.json").read_bytes())
-    shown = trial_shown(tmp_path, key)
-    assert shown.truth is None
-    assert shown.feet is None
-    assert not shown.model
-    assert (shown.trajectory.wrench_on_object_world == felt.wrench_on_object_world).all()
+    view = trial_shown(tmp_path, key)
+    assert (view.truth, view.feet, view.model) == (None, None, "")
+    assert (view.trajectory.wrench_on_object_world == measured.wrench_on_object_world).all()
     save(page_of(tmp_path, key), tmp_path / "x.rrd")
     assert "trial/wrench/force/x/measured" in read_chunks(tmp_path / "x.rrd")
 
 
-def test_without_a_display_it_is_told_what_to_do(folder_of_nothing, monkeypatch, capsys):
+@pytest.fixture
+def no_display(monkeypatch) -> None:
     for name in ("DISPLAY", "WAYLAND_DISPLAY"):
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setattr(sys, "platform", "linux")
+
+
+@pytest.mark.usefixtures("no_display")
+def test_without_a_display_the_command_names_the_other_ways(tmp_path, capsys):
     with pytest.raises(SystemExit) as ended:
-        main(["view", str(folder_of_nothing)])
-    said = capsys.readouterr().err
-    assert ended.value.code == 2
-    assert said.count("\n") == 1
-    assert "--web" in said
-
-
-@pytest.fixture
-def folder_of_nothing(tmp_path) -> Path:
-    return tmp_path
-
-
-def test_live_needs_a_viewer_or_a_display(monkeypatch):
-    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
-        monkeypatch.delenv(name, raising=False)
+        main(["view", str(tmp_path)])
+    output = capsys.readouterr().err
+    assert (ended.value.code, output.count("\n")) == (2, 1)
+    assert "--web" in output
     with pytest.raises(viewers.ViewerError, match="no viewer listens"):
         viewers.waiting(viewers.free_port())
 
 
-def test_a_viewer_that_is_open_is_taken():
+def test_an_open_viewer_is_used():
     with socket.create_server((viewers.HOST, 0)) as server:
         port = server.getsockname()[1]
         assert viewers.waiting(port) == f"rerun+http://127.0.0.1:{port}/proxy"
 
 
 @pytest.mark.parametrize(
-    ("said", "told"),
+    ("output", "part"),
     [
         ("thread 'main' panicked\nNo graphics adapter was found", "mesa-vulkan-drivers"),
         ("one\n\nthe last line\n", "the last line"),
         ("", "no reason given"),
     ],
 )
-def test_why_a_viewer_ended_is_one_line(said, told):
-    assert told in viewers.reason(said)
-    assert "\n" not in viewers.reason(said)
+def test_the_reason_why_a_viewer_ended_is_one_line(output, part):
+    assert part in viewers.reason(output)
+    assert "\n" not in viewers.reason(output)
 
 
-def test_no_usage_data_is_sent_by_the_viewer(monkeypatch):
+def test_the_viewer_sends_no_usage_data(monkeypatch):
     monkeypatch.setenv("FORCE_RERUN_ANALYTICS", "1")
-    said = viewers.environment()
-    assert said["CI"] == "true"
-    assert "FORCE_RERUN_ANALYTICS" not in said
+    environment = viewers.environment()
+    assert environment["CI"] == "true"
+    assert "FORCE_RERUN_ANALYTICS" not in environment

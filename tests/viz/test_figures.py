@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import shutil
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -16,10 +17,8 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from estimators.base import Trace
 from scenarios.cli.report import figures, file_name
-from scenarios.config import load_scenario
 from scenarios.results.load import load_results
 from scenarios.results.store import rows_of
-from scenarios.study.run import run_scenario
 from testbed.errors import InvalidValueError
 from testbed.objects.files import load_object
 from testbed.objects.model import MassDistribution
@@ -218,38 +217,17 @@ def test_files_are_whole_and_the_same_again(tmp_path, monkeypatch):
     assert file_name("nad_against support 10 N/m, ft300s/..") == "nad_against_support_10_N_per_m_ft300s_per"
 
 
-SMALL = """
-sensing = ["ft300s"]
-seeds = 2
-[[random]]
-name = "drawn"
-count = 1
-blocks = [2, 2]
-[policy]
-pivots = 2
-duration = 2.0
-accelerated = 0
-held_out = 0
-[methods.hidden_states]
-[methods.explicit_state_M]
-method = "explicit_state"
-use_weight = true
-iterations = 20
-"""
-
-
 @pytest.mark.slow
-def test_figures_of_a_folder_and_of_an_estimate(tmp_path):
-    (tmp_path / "small.toml").write_text(SMALL)
-    folder = tmp_path / "out"
-    run_scenario(load_scenario(str(tmp_path / "small.toml"))[1], folder, 0, lambda *_, **__: None)
+def test_figures_of_a_folder_and_of_an_estimate(finished_run, tmp_path):
+    folder = shutil.copytree(finished_run, tmp_path / "out")
     written = figures(folder)
-    names = {path.stem for path in written}
-    assert names == {"nad_own_weight_ft300s", "absolute_difference_own_weight_ft300s", "loss_explicit_state_M"}
+    names = {"nad_own_weight_ft300s", "absolute_difference_own_weight_ft300s", "loss_explicit_state"}
+    assert {path.stem for path in written} == names
     row = next(row for row in rows_of(load_results(folder)) if row["kind"] == "explicit_state")
     of_one = figures(folder, row)
-    start = f"{row['object']}_explicit_state_M_{row['key'][:8]}"
-    assert {path.stem for path in of_one} == {f"{start}_{what}" for what in ("maps", "bars", "loss", "wrenches_1")}
+    start = f"I2_explicit_state_{row['key'][:8]}"
+    pages = {"maps", "bars", "loss", "wrenches_1", "wrenches_2"}
+    assert {path.stem for path in of_one} == {f"{start}_{page}" for page in pages}
     for path in written + of_one:
         assert path.parent == folder / "figures"
         assert path.read_bytes().startswith(b"%PDF" if path.suffix == ".pdf" else b"\x89PNG")

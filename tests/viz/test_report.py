@@ -217,7 +217,7 @@ def test_maps_are_of_the_worst_objects_and_a_few_others():
 def test_a_folder_without_results_is_refused(tmp_path: Path, content: bytes | None):
     if content:
         (tmp_path / "results.parquet").write_bytes(content)
-    with pytest.raises(InvalidValueError, match="^DIR.*heft run"):
+    with pytest.raises(InvalidValueError, match=r"^DIR.*heft run"):
         report(tmp_path)
     assert not (tmp_path / "report.html").exists()
 

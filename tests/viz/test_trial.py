@@ -3,68 +3,47 @@
 from __future__ import annotations
 
 import shutil
-import signal
-import subprocess
-import sys
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+import rerun as rr
 import rerun.blueprint as rrb
 from numpy.testing import assert_allclose, assert_array_equal
 
 from scenarios.cli.view import page_of, trial_page
 from scenarios.results.estimates import friction_of
-from scenarios.results.store import Store
 from scenarios.results.trials import POSES_EVERY, trial_shown, wrench_fit
-from testbed.actions.base import Rotate, Weigh
 from testbed.errors import HeftError, InvalidValueError
 from testbed.frames import rotation_2d
 from testbed.objects.files import load_object
 from testbed.objects.model import MassDistribution, ObjectModel
 from testbed.sensing.presets import draw_sensing, preset
-from testbed.trajectory import Phase, load_trajectory
+from testbed.trajectory import Phase, load_trajectory, save_trajectory
 from tests.helpers.chunks import Entity, read_chunks, verify
-from tests.helpers.recorded import put_trial
 from viz.recordings.page import SIM_TIME, Page, save
 from viz.recordings.trial import FOOT_ARROW, WRENCH
 from viz.values import TrialView
 
-IDEAL = preset("ideal")
+
+@pytest.fixture(scope="module")
+def view(turn_folder, turn_key) -> TrialView:
+    return trial_shown(turn_folder, turn_key)
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory) -> Path:
-    root = tmp_path_factory.mktemp("results")
-    put_trial(root, "L2", Rotate(0, duration=3.0))
-    put_trial(root, "L2", Weigh())
-    (root / "manifest.json").write_text('{"scenario": {"sensing": ["ideal", "ft300s"]}}', encoding="utf-8")
-    return root
-
-
-@pytest.fixture(scope="module")
-def key(folder) -> str:
-    return next(path.parent.name for path in folder.glob("trials/*/foot_forces.parquet"))
-
-
-@pytest.fixture(scope="module")
-def view(folder, key) -> TrialView:
-    return trial_shown(folder, key)
-
-
-@pytest.fixture(scope="module")
-def entities(folder, key, tmp_path_factory) -> dict[str, Entity]:
+def entities(turn_folder, turn_key, tmp_path_factory) -> dict[str, Entity]:
     path = tmp_path_factory.mktemp("recording") / "trial.rrd"
-    save(page_of(folder, key[:6]), path)
+    save(page_of(turn_folder, turn_key[:6]), path)
     verify(path)
     return read_chunks(path)
 
 
 @pytest.fixture
-def copy(folder, key, tmp_path) -> Path:
+def copy(turn_folder, turn_key, tmp_path) -> Path:
     """The turn alone in a folder of its own."""
-    shutil.copytree(folder / "trials" / key, tmp_path / "trials" / key)
+    shutil.copytree(turn_folder / "trials" / turn_key, tmp_path / "trials" / turn_key)
     return tmp_path
 
 
@@ -102,13 +81,12 @@ def test_the_measured_wrench_and_the_model_are_in_the_objects_axes(entities, vie
     assert_allclose(predicted[steady].mean(), measured[steady].mean(), rtol=0.02)  # the true masses explain it
 
 
-def test_the_band_holds_the_sensors_errors_but_for_its_share(folder, key):
-    clean = wrench_fit(
-        "", draw_sensing(load_trajectory(folder / "trials" / key / "trajectory.parquet"), IDEAL, 0), None
-    )
+def test_the_band_holds_the_sensors_errors_but_for_its_share(turn_folder, turn_key):
+    trajectory = load_trajectory(turn_folder / "trials" / turn_key / "trajectory.parquet")
+    clean = wrench_fit("", draw_sensing(trajectory, preset("ideal"), 0), None)
     inside = []
     for seed in range(30):  # the bias is one draw a trial, so that one trial tells little
-        fit = trial_shown(folder, key, seed=seed, meshes=False).fit
+        fit = trial_shown(turn_folder, turn_key, seed=seed, meshes=False).fit
         inside.append((np.abs(fit.measured - clean.measured) < fit.band)[fit.steady].mean(axis=0))
     assert_allclose(np.mean(inside), 0.95, atol=0.05)
 
@@ -155,56 +133,46 @@ def test_states_mark_the_phases_and_the_steady_window(entities, view):
         ("", "weigh", "a weighing"),
     ],
 )
-def test_pages_that_do_not_exist_are_refused_with_those_that_do(folder, key, inside, what, reason):
+def test_pages_that_do_not_exist_are_refused_with_those_that_do(turn_folder, turn_key, inside, what, reason):
     if what == "weigh":
-        what = next(p.parent.name for p in folder.glob("trials/*/trial.json") if p.parent.name != key)
+        what = next(p.parent.name for p in turn_folder.glob("trials/*/trial.json") if p.parent.name != turn_key)
     with pytest.raises(InvalidValueError, match=reason):
-        page_of(folder / inside, what)
+        page_of(turn_folder / inside, what)
 
 
-def test_a_trial_without_feet_has_no_arrows_there_and_a_damaged_one_is_refused(copy, key):
-    (copy / "trials" / key / "foot_forces.parquet").unlink()
-    save(trial_page(copy, key), copy / "x.rrd")
+def test_a_trial_without_feet_has_no_arrows_there_and_a_damaged_one_is_refused(copy, turn_key):
+    (copy / "trials" / turn_key / "foot_forces.parquet").unlink()
+    save(trial_page(copy, turn_key), copy / "x.rrd")
     assert not [path for path in read_chunks(copy / "x.rrd") if "/feet" in path]
-    (copy / "trials" / key / "trajectory.parquet").write_bytes(b"PAR1")
+    (copy / "trials" / turn_key / "trajectory.parquet").write_bytes(b"PAR1")
     with pytest.raises(HeftError, match=r"trajectory\.parquet"):
-        trial_page(copy, key)
+        trial_page(copy, turn_key)
 
 
-def test_a_recording_that_fails_leaves_no_file(tmp_path):
+def test_a_trial_of_a_robot_is_drawn_from_its_files(copy, turn_key):
+    """As measured: no draw of errors, no truth, and no forces on the feet."""
+    folder = copy / "trials" / turn_key
+    (folder / "foot_forces.parquet").unlink()
+    measured = draw_sensing(load_trajectory(folder / "trajectory.parquet"), preset("ft300s"), 5)
+    save_trajectory(replace(measured, provenance={"runner": "robot"}), folder / "trajectory.parquet")
+    view = trial_shown(copy, turn_key)
+    assert (view.truth, view.feet, view.model) == (None, None, "")
+    assert (view.trajectory.wrench_on_object_world == measured.wrench_on_object_world).all()
+    save(page_of(copy, turn_key), copy / "x.rrd")
+    assert "trial/wrench/force/x/measured" in read_chunks(copy / "x.rrd")
+
+
+def test_a_recording_is_there_when_it_is_whole(tmp_path):
+    path = tmp_path / "x.rrd"
+
     def log(stream):
+        stream.log("a", rr.TextDocument("x" * 1_000_000), static=True)
+        stream.flush()
+        assert not path.exists()
         raise RuntimeError("cut")
 
     with pytest.raises(RuntimeError):
-        save(Page("x", "x", log, rrb.Spatial3DView(), SIM_TIME), tmp_path / "x.rrd")
-    assert not list(tmp_path.iterdir())
-
-
-KILLED = """
-import sys, time
-from pathlib import Path
-import rerun as rr, rerun.blueprint as rrb
-from viz.recordings.page import Page, save
-
-def log(stream):
-    stream.log("a", rr.TextDocument("x" * 1_000_000), static=True)
-    stream.flush()
-    print("logging", flush=True)
-    time.sleep(60)
-
-save(Page("x", "x", log, rrb.Spatial3DView(), "sim_time"), Path(sys.argv[1]))
-"""
-
-
-def test_a_recording_cut_by_a_kill_is_not_there(tmp_path):
-    path = tmp_path / "x.rrd"
-    process = subprocess.Popen([sys.executable, "-c", KILLED, str(path)], stdout=subprocess.PIPE, text=True)
-    assert process.stdout is not None
-    assert process.stdout.readline() == "logging\n"
-    process.send_signal(signal.SIGKILL)
-    process.wait()
-    assert not path.exists()
-    Store(tmp_path).remove_leftovers()
+        save(Page("x", "x", log, rrb.Spatial3DView(), SIM_TIME), path)
     assert not list(tmp_path.iterdir())
 
 

@@ -7,7 +7,6 @@ import re
 import socket
 import sys
 import time
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,53 +15,24 @@ from rich.console import Console
 
 from scenarios.cli.main import main
 from scenarios.cli.view import Recorder, page_of
-from scenarios.config import Scenario
-from scenarios.results.trials import trial_shown
-from scenarios.study.run import run_scenario
-from testbed.actions.base import Rotate
-from testbed.sensing.presets import draw_sensing, preset
-from testbed.trajectory import load_trajectory, save_trajectory
-from tests.helpers.chunks import read_chunks
-from tests.helpers.recorded import put_trial
 from tests.helpers.viewer_windows import browser, has_color, is_blank, needs_browser, needs_vulkan, picture, viewer
 from viz.recordings import viewer as viewers
 from viz.recordings.page import save
 from viz.recordings.viewer import served
 from viz.style import AXIS_COLORS, NORMAL_FORCE, rgb
 
-SMALL = {
-    "objects": ["I2"],
-    "support": ["own_weight"],
-    "sensing": ["ft300s"],
-    "seeds": 1,
-    "policy": {"pivots": 3, "duration": 2.0, "accelerated": 2, "held_out": 0},
-    "methods": {"hidden_states": {}, "explicit_state": {"iterations": 40}},
-}
-
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory) -> Path:
-    """A small finished run."""
-    root = tmp_path_factory.mktemp("results")
-    run_scenario(Scenario.model_validate(SMALL), root, 0, lambda *_, **__: None, "inline")
-    return root
-
-
-@pytest.fixture(scope="module")
-def trial(tmp_path_factory) -> Path:
+def trial(turn_folder, turn_key, tmp_path_factory) -> Path:
     """The recording of a short turn."""
-    root = tmp_path_factory.mktemp("trial")
-    save(page_of(root, put_trial(root, "L2", Rotate(0, duration=2.0))), root / "trial.rrd")
-    return root / "trial.rrd"
+    path = tmp_path_factory.mktemp("trial") / "trial.rrd"
+    save(page_of(turn_folder, turn_key), path)
+    return path
 
 
 def key_of(folder: Path, method: str) -> str:
     found = [p for p in folder.glob("estimates/*/result.json") if f'"{method}"' in p.read_text(encoding="utf-8")]
     return found[0].parent.name
-
-
-def turn_of(folder: Path) -> str:
-    return next(path.parent.name for path in folder.glob("trials/*/foot_forces.parquet"))
 
 
 @pytest.mark.slow
@@ -90,8 +60,8 @@ ESTIMATE_VIEWS = (
 @pytest.mark.parametrize(
     ("method", "views"), [("explicit_state", ESTIMATE_VIEWS), (None, "hidden_states: NAD, explicit_state: NAD")]
 )
-def test_an_estimate_and_a_comparison_are_drawn(folder, tmp_path, method, views):
-    save(page_of(folder, key_of(folder, method) if method else "I2"), tmp_path / "x.rrd")
+def test_an_estimate_and_a_comparison_are_drawn(finished_run, tmp_path, method, views):
+    save(page_of(finished_run, key_of(finished_run, method) if method else "I2"), tmp_path / "x.rrd")
     with viewer(tmp_path / "x.rrd", tmp_path) as client:
         pixels, state = picture(client), client.get_state()
     check_views(pixels, state)
@@ -122,12 +92,13 @@ def test_a_browser_draws_it_and_talks_to_nobody_else(trial, tmp_path):
 
 @pytest.mark.slow
 @needs_vulkan
-def test_an_open_viewer_receives_trials_and_estimates(folder, tmp_path):
-    port, turn = viewers.free_port(), turn_of(folder)
+def test_an_open_viewer_receives_trials_and_estimates(finished_run, tmp_path):
+    port = viewers.free_port()
+    turn = next(path.parent.name for path in finished_run.glob("trials/*/foot_forces.parquet"))
     with viewer(None, tmp_path, port) as client:
-        recorder = Recorder(folder, Console(file=io.StringIO()), url=viewers.waiting(port))
+        recorder = Recorder(finished_run, Console(file=io.StringIO()), url=viewers.waiting(port))
         recorder("trial", turn)
-        recorder("estimate", key_of(folder, "hidden_states"))
+        recorder("estimate", key_of(finished_run, "hidden_states"))
         for _ in range(100):
             found = " ".join(recording.store_id for recording in client.get_state().recordings)
             if "trial" in found and "estimate" in found:
@@ -135,23 +106,6 @@ def test_an_open_viewer_receives_trials_and_estimates(folder, tmp_path):
             time.sleep(0.1)
     assert f"trial {turn}" in found
     assert "estimate" in found
-
-
-@pytest.mark.slow
-def test_a_trial_of_a_robot_is_drawn_from_its_files(folder, tmp_path):
-    """As measured: no draw of errors, no truth, and no forces on the feet."""
-    key = turn_of(folder)
-    clean = load_trajectory(folder / "trials" / key / "trajectory.parquet")
-    measured = draw_sensing(clean, preset("ft300s"), 5)
-    there = tmp_path / "trials" / key
-    there.mkdir(parents=True)
-    save_trajectory(replace(measured, provenance={"runner": "robot"}), there / "trajectory.parquet")
-    (there / "trial.json").write_bytes((folder / "trials" / key / "trial.json").read_bytes())
-    view = trial_shown(tmp_path, key)
-    assert (view.truth, view.feet, view.model) == (None, None, "")
-    assert (view.trajectory.wrench_on_object_world == measured.wrench_on_object_world).all()
-    save(page_of(tmp_path, key), tmp_path / "x.rrd")
-    assert "trial/wrench/force/x/measured" in read_chunks(tmp_path / "x.rrd")
 
 
 @pytest.fixture

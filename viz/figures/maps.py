@@ -35,10 +35,8 @@ from viz.scales import (
 from viz.style import (
     DIFFERENCE_COLORS,
     ESTIMATE,
-    MARKERS,
     MASS_COLORS,
     NO_ANSWER,
-    PALETTE,
     STYLE,
     TOP,
     TRUTH,
@@ -220,26 +218,6 @@ def mass_maps(shape: ObjectShape, truth: np.ndarray, groups: Mapping[str, Sequen
     add_bar(figure, axes[:, : most + 1].ravel().tolist(), mass, **look)
     if most:
         add_bar(figure, axes[:, most + 1 :].ravel().tolist(), difference, **look)
-    return figure
-
-
-@mpl.rc_context(STYLE)
-def mass_bars(names: Sequence[str], truth: np.ndarray, groups: Mapping[str, Sequence[MeanAnswer]]) -> Figure:
-    """Masses of an object without geometry: a bar to the truth of each group, a mark a method, support and sensing."""
-    series = [(f"{a.method}, {label}", a.mass) for label, found in groups.items() for a in found]
-    figure = Figure(figsize=(4.8, 0.3 * len(names) + 0.9 + 0.1 * len(series)), layout="constrained")
-    axis = figure.subplots()
-    axis.barh(np.arange(len(names)), truth, 0.7, color="0.82", edgecolor="0.3", label="truth")
-    for i, (label, values) in enumerate(series):
-        height = np.arange(len(names)) + 0.6 * ((i + 0.5) / len(series) - 0.5)
-        mark = MARKERS[i % len(MARKERS)]
-        axis.plot(values, height, mark, color=PALETTE[i % len(PALETTE)], markersize=4, label=label)
-    axis.set_yticks(range(len(names)), names)
-    axis.invert_yaxis()
-    axis.set_xlabel("mass, kg a group")
-    figure.legend(loc="outside lower center", ncols=1, fontsize=8, frameon=False)
-    for side in ("top", "right"):
-        axis.spines[side].set_visible(False)
     return figure
 
 

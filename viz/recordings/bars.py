@@ -13,7 +13,7 @@ import numpy as np
 import rerun as rr
 from jaxtyping import Float
 
-from viz.recordings.page import Frames
+from viz.recordings.page import Frames, Node
 from viz.recordings.planar import (
     CHARACTER,
     LINE,
@@ -86,21 +86,21 @@ class BarScene:
         right = self.canvas.width - BESIDE
         return Box(-BESIDE * pixel, -ROW * pixel, right * pixel, self.top + (ROW * len(self._rows) + MARGIN) * pixel)
 
-    def log(self, stream: rr.RecordingStream, entity: str) -> None:
-        """Log it below `entity`."""
-        log_upright(stream, entity)
-        self._log_scale(stream, entity)
-        self._log_names(stream, entity)
-        self._log_legend(stream, f"{entity}/legend")
+    def log(self, node: Node) -> None:
+        """Log it below `node`."""
+        log_upright(node)
+        self._log_scale(node)
+        self._log_names(node)
+        self._log_legend(node / "legend")
         if self.truth is not None:
             truth = Series("truth", TRUTH, self.truth[None], Frames.still())
-            self._log_bars(stream, f"{entity}/truth", truth, self._places(None), 5.0)
+            self._log_bars(node / "truth", truth, self._places(None), 5.0)
         for index, each in enumerate(self.series):
             places = self._places(index)
-            self._log_bars(stream, f"{entity}/series/{index}", each, places, 10.0)
+            self._log_bars(node / f"series/{index}", each, places, 10.0)
             if each.half_width is not None:
                 lines = _whiskers(places, each.mass[-1], each.half_width, self.top)
-                log_lines(stream, f"{entity}/intervals/{index}", lines, EDGE, order=22.0)
+                log_lines(node / f"intervals/{index}", lines, EDGE, order=22.0)
 
     @property
     def _entries(self) -> list[tuple[str, str]]:
@@ -140,50 +140,47 @@ class BarScene:
         share = ALL_WIDTH / len(self.series)
         return middles + self._room * (-ALL_WIDTH / 2 + share * (index + np.array([0.04, 0.96])))
 
-    def _log_bars(
-        self, stream: rr.RecordingStream, entity: str, series: Series, places: Float[np.ndarray, "n 2"], order: float
-    ) -> None:
+    def _log_bars(self, node: Node, series: Series, places: Float[np.ndarray, "n 2"], order: float) -> None:
         """Log bars from 0 to the masses, filled by strokes; those above the scale end there."""
         look = rr.LineStrips2D.from_fields(colors=rgb(series.color), draw_order=order)
-        stream.log(entity, look, static=True, strict=True)
+        node.log(look)
         stroke = STROKE * self._pixel
         bars = [
             [filled(left, right, height, stroke) for (left, right), height in zip(places, row, strict=True)]
             for row in np.clip(series.mass, 0.0, self.top)
         ]
         series.frames.send(
-            stream,
-            entity,
+            node,
             lambda k: rr.LineStrips2D.columns(
                 strips=[strip for i in k for strip, _ in bars[i]], radii=[radius for i in k for _, radius in bars[i]]
             ).partition([len(places)] * len(k)),
         )
 
-    def _log_scale(self, stream: rr.RecordingStream, entity: str) -> None:
+    def _log_scale(self, node: Node) -> None:
         values, texts = ticks(self.top, 6)
         right, pixel = self._room * len(self.names), self._pixel
-        log_lines(stream, f"{entity}/grid", [np.array([[0, v], [right, v]]) for v in values], "#DADAD8", order=1.0)
-        log_lines(stream, f"{entity}/axes", [np.array([[0, self.top], [0, 0], [right, 0]])], order=23.0)
+        log_lines(node / "grid", [np.array([[0, v], [right, v]]) for v in values], "#DADAD8", order=1.0)
+        log_lines(node / "axes", [np.array([[0, self.top], [0, 0], [right, 0]])], order=23.0)
         beside = np.column_stack([np.full(len(values), -0.5 * BESIDE * pixel), values])
-        log_texts(stream, f"{entity}/ticks", beside, [*texts[:-1], f"{texts[-1]} kg"], pixel)
+        log_texts(node / "ticks", beside, [*texts[:-1], f"{texts[-1]} kg"], pixel)
 
-    def _log_names(self, stream: rr.RecordingStream, entity: str) -> None:
+    def _log_names(self, node: Node) -> None:
         widest = CHARACTER * max(map(len, self.names)) + 2 * MARGIN
         every = max(int(np.ceil(widest * self._pixel / self._room)), int(np.ceil(len(self.names) / MOST_NAMES)))
         which = np.arange(0, len(self.names), every)
         below = np.column_stack([(which + 0.5) * self._room, np.full(len(which), -0.5 * ROW * self._pixel)])
-        log_texts(stream, f"{entity}/names", below, [self.names[i] for i in which], self._pixel)
+        log_texts(node / "names", below, [self.names[i] for i in which], self._pixel)
 
-    def _log_legend(self, stream: rr.RecordingStream, entity: str) -> None:
+    def _log_legend(self, node: Node) -> None:
         pixel, number = self._pixel, 0
         for row, entries in enumerate(self._rows):
             left, y = 0.0, self.top + (ROW * (len(self._rows) - row - 0.5) + MARGIN) * pixel
             for label, color in entries:
                 ends = np.array([[left + 4, 0], [left + SWATCH - 4, 0]]) * pixel + np.array([0, y])
                 line = rr.LineStrips2D([ends], colors=rgb(color), radii=4 * pixel)
-                stream.log(f"{entity}/{number}", line, static=True, strict=True)
+                (node / f"{number}").log(line)
                 at = np.array([[(left + SWATCH + MARGIN + CHARACTER * len(label) / 2) * pixel, y]])
-                log_texts(stream, f"{entity}/{number}/text", at, [label], pixel)
+                log_texts(node / f"{number}/text", at, [label], pixel)
                 left += _entry_width(label)
                 number += 1
 

@@ -13,7 +13,7 @@ from testbed.errors import InvalidValueError
 from viz.recordings.bars import BarScene, Series
 from viz.recordings.estimate import frames_of
 from viz.recordings.mass_map import BELOW, MassMap, Raster, log_bar
-from viz.recordings.page import Frames
+from viz.recordings.page import Frames, Node
 from viz.recordings.planar import TITLE, Box, Canvas, log_upright, planar_view
 from viz.scales import Scale, difference_scale, mass_scale
 from viz.style import TOP, series_color
@@ -33,25 +33,26 @@ BAR = 14.0
 
 def log_comparison(stream: rr.RecordingStream, root: str, views: Sequence[EstimateView]) -> None:
     """Log estimates of one object below `root`: the truth, each method, and the bars of all."""
+    node = Node(stream, root)
     layout, first = _Layout.of(views), views[0]
     mass, difference = layout.scales
     if first.true_mass is not None:
         truth = MassMap(first.shape, first.true_mass[None], mass, layout.cell, named=False)
-        truth.log(stream, f"{root}/truth/mass", Frames.still(), layout.box)
+        truth.log(node / "truth/mass", Frames.still(), layout.box)
     for index, view in enumerate(views):
         frames, way = frames_of(view)
-        entity, truth = f"{root}/methods/{index}", view.true_mass
-        MassMap(view.shape, way, mass, layout.cell, named=False).log(stream, f"{entity}/mass", frames, layout.box)
+        place, truth = node / f"methods/{index}", view.true_mass
+        MassMap(view.shape, way, mass, layout.cell, named=False).log(place / "mass", frames, layout.box)
         if truth is not None and difference is not None:
             off = MassMap(
                 view.shape, None if way is None else np.abs(way - truth), difference, layout.cell, named=False
             )
-            off.log(stream, f"{entity}/difference", frames, layout.box, layout.beside)
-    log_upright(stream, f"{root}/scales/bars")
+            off.log(place / "difference", frames, layout.box, layout.beside)
+    log_upright(node / "scales/bars")
     for index, (scale, box) in enumerate(zip(layout.scales, _bar_boxes(layout.cell), strict=True)):
         if scale is not None:
-            log_bar(stream, f"{root}/scales/bars/{index}", scale, box, 1.0)
-    _bars(views).log(stream, f"{root}/bars/scene")
+            log_bar(node / f"scales/bars/{index}", scale, box, 1.0)
+    _bars(views).log(node / "bars/scene")
 
 
 def comparison_blueprint(root: str, views: Sequence[EstimateView]) -> rrb.Container:

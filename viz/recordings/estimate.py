@@ -13,7 +13,7 @@ from estimators.base import Trace
 from testbed.objects.model import GRAVITY, MassDistribution, ObjectShape
 from viz.recordings.bars import BarScene, Series
 from viz.recordings.mass_map import BELOW, MassMap, Raster, bar_box, log_bar
-from viz.recordings.page import ITERATION, Frames, log_facts
+from viz.recordings.page import ITERATION, Frames, Node, log_facts
 from viz.recordings.planar import (
     HAIR,
     LINE,
@@ -40,26 +40,27 @@ FULL_CELL = 0.46
 
 def log_estimate(stream: rr.RecordingStream, root: str, view: EstimateView) -> None:
     """Log an estimate below `root`: static, on `iteration`, and its trial on `sim_time`."""
+    node = Node(stream, root)
     layout, truth, shape = _Layout.of(view), view.true_mass, view.shape
     mass, difference = mass_scale([view]), difference_scale([view])
     frames, way = frames_of(view)
     if truth is not None:
         true_map = MassMap(shape, truth[None], mass, layout.map)
-        true_map.log_with_bar(stream, f"{root}/true_mass/object", Frames.still())
+        true_map.log_with_bar(node / "true_mass/object", Frames.still())
         off = MassMap(shape, None if way is None else np.abs(way - truth), difference, layout.map)
-        off.log_with_bar(stream, f"{root}/difference/object", frames)
-    MassMap(shape, way, mass, layout.map).log_with_bar(stream, f"{root}/estimated_mass/object", frames)
+        off.log_with_bar(node / "difference/object", frames)
+    MassMap(shape, way, mass, layout.map).log_with_bar(node / "estimated_mass/object", frames)
     if way is not None or truth is not None:
-        _bars(view, layout.lower).log(stream, f"{root}/bars/scene")
+        _bars(view, layout.lower).log(node / "bars/scene")
     if way is not None:
-        _loads(view, layout.side).log(stream, f"{root}/loads/scene", frames)
-        _log_masses(stream, f"{root}/mass_by_iteration", shape, frames, way)
+        _loads(view, layout.side).log(node / "loads/scene", frames)
+        _log_masses(node / "mass_by_iteration", shape, frames, way)
     for index, trace in enumerate(view.traces):
-        _log_loss(stream, f"{root}/loss/{index}", trace, series_color(index))
+        _log_loss(node / f"loss/{index}", trace, series_color(index))
     if view.trajectory is not None and moves_on_table(view.trajectory):
-        TurnScene(shape, view.trajectory, layout.lower).log(stream, f"{root}/turn/scene")
+        TurnScene(shape, view.trajectory, layout.lower).log(node / "turn/scene")
     nad = {} if view.nad is None else {"NAD": f"{100 * view.nad:.2f} %"}
-    log_facts(stream, f"{root}/facts", view.title, "estimate", nad | dict(view.facts))
+    log_facts(node / "facts", view.title, "estimate", nad | dict(view.facts))
 
 
 def estimate_blueprint(root: str, view: EstimateView) -> rrb.Container:
@@ -132,23 +133,21 @@ def _bars(view: EstimateView, canvas: Canvas) -> BarScene:
     return BarScene(view.shape.group_names, view.true_mass, series, canvas)
 
 
-def _log_loss(stream: rr.RecordingStream, entity: str, trace: Trace, color: str) -> None:
+def _log_loss(node: Node, trace: Trace, color: str) -> None:
     """Log the decadic logarithm of a trace's loss; losses of 0 or less leave a gap."""
     loss = np.array(trace.loss, dtype=float)
-    stream.log(entity, rr.SeriesLines(colors=rgb(color), names=trace.method, widths=2.0), static=True, strict=True)
+    node.log(rr.SeriesLines(colors=rgb(color), names=trace.method, widths=2.0))
     index = rr.TimeColumn(ITERATION, sequence=np.arange(len(loss)))
     logarithm = np.log10(np.where(loss > 0, loss, np.nan))
-    stream.send_columns(entity, [index], rr.Scalars.columns(scalars=logarithm), strict=True)
+    node.send([index], rr.Scalars.columns(scalars=logarithm))
 
 
-def _log_masses(
-    stream: rr.RecordingStream, entity: str, shape: ObjectShape, frames: Frames, way: Float[np.ndarray, "F n_m"]
-) -> None:
+def _log_masses(node: Node, shape: ObjectShape, frames: Frames, way: Float[np.ndarray, "F n_m"]) -> None:
     """Log the mass of each group [kg] as lines."""
     names, count = list(shape.group_names), shape.n_m
     colors = [rgb(series_color(i)) for i in range(count)]
-    stream.log(entity, rr.SeriesLines(colors=colors, names=names, widths=[1.5] * count), static=True, strict=True)
-    frames.send(stream, entity, lambda k: rr.Scalars.columns(scalars=way[k].ravel()).partition([count] * len(k)))
+    node.log(rr.SeriesLines(colors=colors, names=names, widths=[1.5] * count))
+    frames.send(node, lambda k: rr.Scalars.columns(scalars=way[k].ravel()).partition([count] * len(k)))
 
 
 def friction_load(
@@ -197,19 +196,18 @@ class _LoadScene:
         box = Raster.of(self.shape).box
         return self.canvas.framed(box.joined(bar_box(box)), 24, LINE + 3 * MARGIN, BELOW)
 
-    def log(self, stream: rr.RecordingStream, entity: str, frames: Frames) -> None:
-        """Log it below `entity`."""
-        log_upright(stream, entity)
+    def log(self, node: Node, frames: Frames) -> None:
+        """Log it below `node`."""
+        log_upright(node)
         raster, pixel, count = Raster.of(self.shape), self.canvas.pixel(self.box), len(self.shape.particles)
-        log_lines(stream, f"{entity}/outlines", raster.outlines())
+        log_lines(node / "outlines", raster.outlines())
         load = friction_load(self.shape, self.mass, self.friction)
         colors = packed(self.scale.color(self.mass[:, self.shape.mass_group]))
         # the smallest disc still shows the colour of a particle that carries no load
         radii = np.maximum(self.radius(load), 0.1 * self.shape.cell)
-        stream.log(f"{entity}/particles", rr.Points2D(self.shape.particles), static=True, strict=True)
+        (node / "particles").log(rr.Points2D(self.shape.particles))
         frames.send(
-            stream,
-            f"{entity}/particles",
+            node / "particles",
             lambda k: rr.Points2D.columns(colors=colors[k].ravel(), radii=radii[k].ravel()).partition([count] * len(k)),
         )
         if self.truth is not None:
@@ -217,8 +215,8 @@ class _LoadScene:
             half, middles = np.column_stack([ring, ring])[ring > 0], self.shape.particles[ring > 0]
             look = {"colors": rgb(BLACK), "line_radii": HAIR, "draw_order": 40}
             rings = rr.Ellipses2D(half_sizes=half, centers=middles, **look)
-            stream.log(f"{entity}/true_load", rings, static=True, strict=True)
-        log_bar(stream, f"{entity}/bar", self.scale, bar_box(raster.box), pixel)
+            (node / "true_load").log(rings)
+        log_bar(node / "bar", self.scale, bar_box(raster.box), pixel)
         place = np.array([[raster.box.middle[0], raster.box.top + (LINE / 2 + 1.5 * MARGIN) * pixel]])
         ring = ", ring: truth" if self.truth is not None else ""
-        log_texts(stream, f"{entity}/key", place, [f"full cell: {self.largest:.2g} N{ring}"], pixel)
+        log_texts(node / "key", place, [f"full cell: {self.largest:.2g} N{ring}"], pixel)

@@ -9,7 +9,7 @@ import rerun as rr
 from jaxtyping import Float, Int
 
 from testbed.objects.model import ObjectShape
-from viz.recordings.page import Frames
+from viz.recordings.page import Frames, Node
 from viz.recordings.planar import (
     LINE,
     MARGIN,
@@ -88,17 +88,16 @@ class Raster:
         beside = np.broadcast_to(np.array(rgb(BACKGROUND), dtype=np.uint8), (*colors.shape[:-2], 1, 3))
         return np.concatenate([colors, beside], axis=-2)[..., self.group, :]  # -1 is the last
 
-    def log(self, stream: rr.RecordingStream, entity: str, colors: np.ndarray, frames: Frames) -> None:
+    def log(self, node: Node, colors: np.ndarray, frames: Frames) -> None:
         """Log the pixels in the object frame; colours (F, n_m, 3)."""
         height, width = self.group.shape
         place = rr.Transform3D(translation=[self.left, self.bottom, 0], scale=[self.pixel, self.pixel, 1])
         look = rr.components.ImageFormat(width=width, height=height, color_model="RGB", channel_datatype="U8")
         sharp = rr.components.MagnificationFilter.Nearest
         image = rr.Image.from_fields(format=look, magnification_filter=sharp)
-        stream.log(entity, place, image, static=True, strict=True)
+        node.log(place, image)
         frames.send(
-            stream,
-            entity,
+            node,
             lambda k: rr.Image.columns(buffer=np.ascontiguousarray(self.image(colors[k]).reshape(len(k), -1))),
         )
 
@@ -126,32 +125,29 @@ class MassMap:
 
     def log(
         self,
-        stream: rr.RecordingStream,
-        entity: str,
+        node: Node,
         frames: Frames,
         box: Box,
         at: tuple[float, float] = (0.0, 0.0),
     ) -> None:
-        """Log it below `entity`, its object frame at `at` of a scene of which the view shows `box`."""
-        log_upright(stream, entity, at)
+        """Log it below `node`, its object frame at `at` of a scene of which the view shows `box`."""
+        log_upright(node, at)
         raster, pixel = Raster.of(self.shape), self.canvas.pixel(box)
         values = np.full((1, self.shape.n_m), np.nan) if self.values is None else self.values
-        raster.log(stream, f"{entity}/cells", self.scale.color(values), frames)
-        log_lines(stream, f"{entity}/outlines", raster.outlines())
+        raster.log(node / "cells", self.scale.color(values), frames)
+        log_lines(node / "outlines", raster.outlines())
         if self.values is None:
-            log_texts(stream, f"{entity}/groups", raster.box.middle[None], ["no answer"], pixel)
+            log_texts(node / "groups", raster.box.middle[None], ["no answer"], pixel)
         elif self.shape.n_m <= MOST_NAMED:
-            self._log_texts(stream, f"{entity}/groups", frames, self.values, pixel)
+            self._log_texts(node / "groups", frames, self.values, pixel)
 
-    def log_with_bar(self, stream: rr.RecordingStream, entity: str, frames: Frames) -> None:
+    def log_with_bar(self, node: Node, frames: Frames) -> None:
         """Log it with its colour bar, as alone in its view."""
-        self.log(stream, entity, frames, self.box)
+        self.log(node, frames, self.box)
         place = bar_box(Raster.of(self.shape).box)
-        log_bar(stream, f"{entity}/bar", self.scale, place, self.canvas.pixel(self.box))
+        log_bar(node / "bar", self.scale, place, self.canvas.pixel(self.box))
 
-    def _log_texts(
-        self, stream: rr.RecordingStream, entity: str, frames: Frames, values: Float[np.ndarray, "F n_m"], pixel: float
-    ) -> None:
+    def _log_texts(self, node: Node, frames: Frames, values: Float[np.ndarray, "F n_m"], pixel: float) -> None:
         """Log a number a group and its name above, where there is room."""
         count, middles = self.shape.n_m, group_middles(self.shape)
         texts = [[f"{value:.{self.scale.digits}f}" for value in row] for row in values]
@@ -160,15 +156,14 @@ class MassMap:
         shades = text_color(self.scale.color(values))
         narrow = narrowest_group(self.shape) < FITTING * text_width(texts[-1][0]) * pixel
         if self.named and have_room(both, [*self.shape.group_names, *texts[-1]], pixel):
-            log_texts(stream, f"{entity}/names", middles + apart, self.shape.group_names, pixel, shades[-1])
+            log_texts(node / "names", middles + apart, self.shape.group_names, pixel, shades[-1])
             middles = middles - apart
         elif narrow or not have_room(middles, texts[-1], pixel):
             return
         place = rr.Points2D(hung(middles, pixel), radii=1e-6, show_labels=True)
-        stream.log(f"{entity}/masses", place, static=True, strict=True)
+        (node / "masses").log(place)
         frames.send(
-            stream,
-            f"{entity}/masses",
+            node / "masses",
             lambda k: rr.Points2D.columns(
                 labels=[text for i in k for text in texts[i]], colors=packed(shades[k]).ravel()
             ).partition([count] * len(k)),
@@ -182,12 +177,12 @@ def bar_box(box: Box) -> Box:
     return Box(middle - width / 2, top - 0.05 * width, middle + width / 2, top)
 
 
-def log_bar(stream: rr.RecordingStream, entity: str, scale: Scale, box: Box, pixel: float) -> None:
+def log_bar(node: Node, scale: Scale, box: Box, pixel: float) -> None:
     """Log a colour bar at `box`, with ticks and title below it."""
     shades = mapped((np.arange(SHADES) + 0.5) / SHADES, 1.0, scale.colors)
     place = rr.Transform3D(translation=[box.left, box.bottom, 0], scale=[box.width / SHADES, box.height, 1])
     strip = rr.Image(bytes=shades.tobytes(), width=SHADES, height=1, color_model="RGB", datatype="U8")
-    stream.log(f"{entity}/colors", place, strip, static=True, strict=True)
+    (node / "colors").log(place, strip)
     values, texts = ticks(scale.top)
     if scale.open:
         last = f"≥ {scale.top:.2g}"
@@ -196,8 +191,8 @@ def log_bar(stream: rr.RecordingStream, entity: str, scale: Scale, box: Box, pix
         values, texts = np.append(values[kept], scale.top), [*(texts[i] for i in kept), last]
     x = box.left + box.width * values / scale.top
     marks = [np.array([[each, box.bottom], [each, box.bottom - MARGIN * pixel]]) for each in x]
-    log_lines(stream, f"{entity}/outline", [box.corners, *marks])
+    log_lines(node / "outline", [box.corners, *marks])
     below = box.bottom - (2 * MARGIN + LINE / 2) * pixel
-    log_texts(stream, f"{entity}/ticks", np.column_stack([x, np.full(len(x), below)]), texts, pixel)
+    log_texts(node / "ticks", np.column_stack([x, np.full(len(x), below)]), texts, pixel)
     title = np.array([[box.middle[0], below - (LINE + 2 * MARGIN) * pixel]])
-    log_texts(stream, f"{entity}/title", title, [scale.title], pixel)
+    log_texts(node / "title", title, [scale.title], pixel)

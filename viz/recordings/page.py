@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -23,6 +23,29 @@ LONG = 45
 """Number of letters from which on a fact is a paragraph of its own."""
 Columns = Callable[[Int[np.ndarray, "K"]], Iterable[ComponentColumn]]
 """Component columns of some frames, given by their index."""
+
+
+@dataclass(frozen=True, eq=False)
+class Node:
+    """An entity of a recording; `node / "name"` is the one below it."""
+
+    stream: rr.RecordingStream
+    path: str
+
+    def __truediv__(self, name: object) -> Node:
+        return Node(self.stream, f"{self.path}/{name}")
+
+    def log(self, *parts: rr.AsComponents) -> None:
+        """Log values that always hold."""
+        self.stream.log(self.path, *parts, static=True, strict=True)
+
+    def send(self, times: Sequence[TimeColumn], columns: Iterable[ComponentColumn]) -> None:
+        """Log values at times of a timeline; without times they always hold."""
+        self.stream.send_columns(self.path, times, columns, strict=True)
+
+    def send_timed(self, time_s: Float[np.ndarray, "T"], columns: Iterable[ComponentColumn]) -> None:
+        """Log values at times of a trial [s]."""
+        self.send([TimeColumn(SIM_TIME, duration=time_s)], columns)
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,16 +70,15 @@ class Frames:
         last = len(iterations) - 1
         return Frames(ITERATION, iterations.astype(float), last) if last else Frames.still()
 
-    def send(self, stream: rr.RecordingStream, entity: str, columns: Columns) -> None:
+    def send(self, node: Node, columns: Columns) -> None:
         """Log an entity's components at every frame."""
         rest = np.array([self.rest])
         if self.timeline is None:
-            stream.send_columns(entity, [], columns(rest), strict=True)
+            node.send([], columns(rest))
             return
-        every = columns(np.arange(len(self.times)))
-        stream.send_columns(entity, [_index(self.timeline, self.times)], every, strict=True)
+        node.send([_index(self.timeline, self.times)], columns(np.arange(len(self.times))))
         other = SIM_TIME if self.timeline == ITERATION else ITERATION  # an entity has data on every timeline or none
-        stream.send_columns(entity, [_index(other, np.zeros(1))], columns(rest), strict=True)
+        node.send([_index(other, np.zeros(1))], columns(rest))
 
 
 def _index(timeline: str, times: np.ndarray) -> TimeColumn:
@@ -65,19 +87,17 @@ def _index(timeline: str, times: np.ndarray) -> TimeColumn:
     return TimeColumn(timeline, duration=times)
 
 
-def log_facts(stream: rr.RecordingStream, entity: str, title: str, kind: str, facts: Mapping[str, str]) -> None:
+def log_facts(node: Node, title: str, kind: str, facts: Mapping[str, str]) -> None:
     """Log short facts in a table headed by `kind`, and long ones below it; those without a value are left out."""
     texts = {_plain(name): _plain(value) for name, value in facts.items() if value}
     rows = [f"| {name} | {value} |" for name, value in texts.items() if len(value) < LONG]
     rest = [f"**{name}**: {value}\n" for name, value in texts.items() if len(value) >= LONG]
-    log_markdown(
-        stream, entity, "\n".join([f"### {_plain(title)}", "", f"| {kind} | |", "|---|---|", *rows, "", *rest])
-    )
+    log_markdown(node, "\n".join([f"### {_plain(title)}", "", f"| {kind} | |", "|---|---|", *rows, "", *rest]))
 
 
-def log_markdown(stream: rr.RecordingStream, entity: str, text: str) -> None:
+def log_markdown(node: Node, text: str) -> None:
     """Log a document."""
-    stream.log(entity, rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN), static=True, strict=True)
+    node.log(rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN))
 
 
 def _plain(text: str) -> str:

@@ -7,7 +7,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from viz.recordings.mass_map import MassMap, Raster
-from viz.recordings.page import ITERATION, Frames, Page, log_markdown
+from viz.recordings.page import ITERATION, Frames, Node, Page, log_markdown
 from viz.recordings.planar import LINE, Box, Canvas, log_lines, log_texts, log_upright, planar_view
 from viz.scales import Scale
 from viz.style import DIFFERENCE_COLORS, action_colors
@@ -27,10 +27,11 @@ def plan_page(plan: PlanView) -> Page:
     errors = MassMap(plan.shape, plan.percent, scale, CANVAS)
 
     def log(stream: rr.RecordingStream) -> None:
-        _log_actions(stream, "plan/actions/scene", plan)
-        errors.log_with_bar(stream, "plan/error/map", Frames.of(np.arange(len(plan.errors))))
+        node = Node(stream, "plan")
+        _log_actions(node / "actions/scene", plan)
+        errors.log_with_bar(node / "error/map", Frames.of(np.arange(len(plan.errors))))
         lines = "\n".join(f"{i}. {text}" for i, text in enumerate(plan.words, start=1))
-        log_markdown(stream, "plan/words", f"{plan.title}\n\n{lines}")
+        log_markdown(node / "words", f"{plan.title}\n\n{lines}")
 
     layout = rrb.Horizontal(
         planar_view("plan/actions", _around(plan), "what is turned about where"),
@@ -42,35 +43,34 @@ def plan_page(plan: PlanView) -> Page:
     return Page(plan.title, f"plan {plan.title}", log, layout, ITERATION)
 
 
-def _log_actions(stream: rr.RecordingStream, entity: str, plan: PlanView) -> None:
-    log_upright(stream, entity)
-    log_lines(stream, f"{entity}/outlines", Raster.of(plan.shape).outlines())
+def _log_actions(node: Node, plan: PlanView) -> None:
+    log_upright(node)
+    log_lines(node / "outlines", Raster.of(plan.shape).outlines())
     pixel = CANVAS.pixel(_around(plan))
     colors = (255 * action_colors(len(plan.actions))).astype(np.uint8)
 
-    def log_stroke(path: str, strips: list[np.ndarray], color: np.ndarray) -> None:
-        look = rr.LineStrips2D(strips, colors=[color], radii=THICK, draw_order=30.0)
-        stream.log(path, look, static=True, strict=True)
+    def log_stroke(place: Node, strips: list[np.ndarray], color: np.ndarray) -> None:
+        place.log(rr.LineStrips2D(strips, colors=[color], radii=THICK, draw_order=30.0))
 
     def log_number(number: int, at: np.ndarray) -> None:
-        log_texts(stream, f"{entity}/{number}/number", at[None] + [0.0, LINE * pixel], [str(number)], pixel)
+        log_texts(node / f"{number}/number", at[None] + [0.0, LINE * pixel], [str(number)], pixel)
 
     for number, arrow in plan.arrows.items():
-        place, color = f"{entity}/{number}", colors[number - 1]
+        place, color = node / number, colors[number - 1]
         tip = arrow.way[-1]
         back = tip - arrow.way[-2]
         back = back / np.linalg.norm(back) * 10 * pixel
         aside = np.array([-back[1], back[0]]) / 2
-        log_stroke(f"{place}/way", [arrow.way, np.array([tip - back + aside, tip, tip - back - aside])], color)
+        log_stroke(place / "way", [arrow.way, np.array([tip - back + aside, tip, tip - back - aside])], color)
         marks = [arrow.grasp] if arrow.pivot is None else [arrow.grasp, arrow.pivot]
         points = rr.Points2D(marks, colors=[color], radii=rr.Radius.ui_points(4.0), draw_order=31.0)
-        stream.log(f"{place}/marks", points, static=True, strict=True)
+        (place / "marks").log(points)
         if arrow.pivot is not None:
-            log_lines(stream, f"{place}/arm", [np.array(marks)])
+            log_lines(place / "arm", [np.array(marks)])
         log_number(number, arrow.label)
     for number, point in plan.lifts.items():
         triangle = point + 8 * pixel * np.array([[-1.0, -0.7], [1.0, -0.7], [0.0, 1.0], [-1.0, -0.7]])
-        log_stroke(f"{entity}/{number}/lift", [triangle], colors[number - 1])
+        log_stroke(node / f"{number}/lift", [triangle], colors[number - 1])
         log_number(number, point)
 
 

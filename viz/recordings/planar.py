@@ -15,6 +15,7 @@ import rerun.blueprint as rrb
 from jaxtyping import Float, UInt8, UInt32
 from matplotlib.ticker import MaxNLocator
 
+from viz.recordings.page import Node
 from viz.style import BACKGROUND, BLACK, EDGE, rgb
 
 CHARACTER, LINE = 7.5, 22.0
@@ -99,23 +100,20 @@ def planar_view(origin: str, box: Box, name: str) -> rrb.Spatial2DView:
     return rrb.Spatial2DView(origin=origin, name=name, background=rgb(BACKGROUND), visual_bounds=bounds)
 
 
-def log_upright(stream: rr.RecordingStream, entity: str, at: tuple[float, float] = (0.0, 0.0)) -> None:
+def log_upright(node: Node, at: tuple[float, float] = (0.0, 0.0)) -> None:
     """Make an entity the root of a scene with y upwards, with its own origin at `at` of the view."""
     place = rr.Transform3D(translation=[at[0], -at[1], 0], mat3x3=np.diag([1.0, -1.0, 1.0]))
-    stream.log(entity, place, static=True, strict=True)
+    node.log(place)
 
 
-def log_lines(
-    stream: rr.RecordingStream, entity: str, lines: Sequence[np.ndarray], color: str = EDGE, order: float = 20.0
-) -> None:
+def log_lines(node: Node, lines: Sequence[np.ndarray], color: str = EDGE, order: float = 20.0) -> None:
     """Log thin lines, each (N, 2); those of higher `order` lie on top."""
     strips = rr.LineStrips2D(lines, colors=rgb(color), radii=HAIR, draw_order=order)
-    stream.log(entity, strips, static=True, strict=True)
+    node.log(strips)
 
 
 def log_texts(
-    stream: rr.RecordingStream,
-    entity: str,
+    node: Node,
     middles: Float[np.ndarray, "N 2"],
     texts: Sequence[str],
     pixel: float,
@@ -124,8 +122,7 @@ def log_texts(
     """Log texts about their middles.
 
     Args:
-        stream: recording.
-        entity: path of the texts.
+        node: entity of the texts.
         middles: of each text.
         texts: one each, of one line.
         pixel: size of a pixel in the scene's unit.
@@ -133,7 +130,7 @@ def log_texts(
     """
     shade = rgb(colors) if isinstance(colors, str) else colors
     labels = rr.Points2D(hung(middles, pixel), radii=1e-6, labels=texts, show_labels=True, colors=shade)
-    stream.log(entity, labels, static=True, strict=True)
+    node.log(labels)
 
 
 def hung(middles: Float[np.ndarray, "N 2"], pixel: float) -> Float[np.ndarray, "N 2"]:

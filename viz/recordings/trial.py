@@ -16,7 +16,7 @@ from testbed.foot_forces import FootForces
 from testbed.frames import rotation_2d
 from testbed.sensing.lift_windows import poses_in_space
 from testbed.trajectory import Phase, Trajectory
-from viz.recordings.page import SIM_TIME, log_facts
+from viz.recordings.page import Node, log_facts
 from viz.style import (
     AXIS_COLORS,
     EDGE,
@@ -41,27 +41,24 @@ WRENCH = [f"{part}/{axis}" for part in ("force", "torque") for axis in "xyz"]
 
 def log_trial(stream: rr.RecordingStream, root: str, view: TrialView) -> None:
     """Log a trial below `root`, on `sim_time`."""
-    trajectory = view.trajectory
-    stream.log(f"{root}/scene", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
-    _log_robot(stream, f"{root}/scene/bench", view)
-    _log_object(stream, f"{root}/scene/object", view)
-    hand = rr.Arrows3D.columns(
-        origins=trajectory.tcp_position, vectors=HAND_ARROW * trajectory.wrench_on_object_world[:, :3]
-    )
-    stream.log(
-        f"{root}/scene/gripper_force", rr.Arrows3D.from_fields(colors=rgb(OBJECT_VELOCITY), radii=0.003), static=True
-    )
-    stream.send_columns(f"{root}/scene/gripper_force", [_times(trajectory.time_s)], hand)
+    trajectory, node = view.trajectory, Node(stream, root)
+    (node / "scene").log(rr.ViewCoordinates.RIGHT_HAND_Z_UP)
+    _log_robot(node / "scene/bench", view)
+    _log_object(node / "scene/object", view)
+    force = HAND_ARROW * trajectory.wrench_on_object_world[:, :3]
+    hand = node / "scene/gripper_force"
+    hand.log(rr.Arrows3D.from_fields(colors=rgb(OBJECT_VELOCITY), radii=0.003))
+    hand.send_timed(trajectory.time_s, rr.Arrows3D.columns(origins=trajectory.tcp_position, vectors=force))
     if view.feet is not None:
-        _log_feet(stream, f"{root}/scene/object/feet", view, view.feet)
-    _log_fit(stream, f"{root}/wrench", view.fit)
-    for entity, values in (("compensated", trajectory.wrench_on_object_world), ("raw", trajectory.sensor_wrench)):
+        _log_feet(node / "scene/object/feet", view, view.feet)
+    _log_fit(node / "wrench", view.fit)
+    for kind, values in (("compensated", trajectory.wrench_on_object_world), ("raw", trajectory.sensor_wrench)):
         for index, name in enumerate(WRENCH):
             color, label = AXIS_COLORS[index % 3], name.replace("/", " ")
-            _log_line(stream, f"{root}/{entity}/{name}", label, color, trajectory.time_s, values[:, index])
-    _log_states(stream, f"{root}/states", view)
+            _log_line(node / kind / name, label, color, trajectory.time_s, values[:, index])
+    _log_states(node / "states", view)
     facts = {"status": trajectory.status, "why": trajectory.reason, **view.facts}
-    log_facts(stream, f"{root}/facts", view.title, "trial", facts)
+    log_facts(node / "facts", view.title, "trial", facts)
 
 
 def trial_blueprint(root: str, view: TrialView) -> rrb.Container:
@@ -108,21 +105,21 @@ class _Shapes(MJCFLogger):
         """Log nothing: the trial has the poses."""
 
 
-def _log_robot(stream: rr.RecordingStream, root: str, view: TrialView) -> None:
+def _log_robot(node: Node, view: TrialView) -> None:
     """Log the geometry once and the bodies' poses on `sim_time`; a body that never moves is static."""
-    poses, shapes = view.poses, _Shapes(view.poses.model, root)
-    shapes.log_model(stream)
+    poses, shapes = view.poses, _Shapes(view.poses.model, node.path)
+    shapes.log_model(node.stream)
     for body in range(poses.model.nbody):
-        entity = shapes.paths.body_path(poses.model.body(body).name)
+        link = Node(node.stream, shapes.paths.body_path(poses.model.body(body).name))
         place, turn = poses.position[:, body], np.roll(poses.orientation[:, body], -1, axis=1)  # to xyzw
         if np.ptp(place, axis=0).max() + np.ptp(turn, axis=0).max() < 1e-9:
-            stream.log(entity, rr.Transform3D(translation=place[0], quaternion=turn[0]), static=True)
+            link.log(rr.Transform3D(translation=place[0], quaternion=turn[0]))
         else:
             moving = rr.Transform3D.columns(translation=place, quaternion=turn)
-            stream.send_columns(entity, [_times(view.pose_times)], moving)
+            link.send_timed(view.pose_times, moving)
 
 
-def _log_object(stream: rr.RecordingStream, entity: str, view: TrialView) -> None:
+def _log_object(node: Node, view: TrialView) -> None:
     """Log the object's cells by mass, where known, and its pose."""
     shape = view.shape
     half = np.array([shape.cell / 2, shape.cell / 2, shape.height / 2])
@@ -133,9 +130,9 @@ def _log_object(stream: rr.RecordingStream, entity: str, view: TrialView) -> Non
         each = view.truth.mass[shape.mass_group]
         colors = mapped(each, max(float(each.max()), 1e-9), MASS_COLORS)
     boxes = rr.Boxes3D(centers=centers, half_sizes=half, colors=colors, fill_mode="transparentfillmajorwireframe")
-    stream.log(f"{entity}/cells", boxes, static=True)
+    (node / "cells").log(boxes)
     poses = rr.Transform3D.columns(**_object_poses(view.trajectory))
-    stream.send_columns(entity, [_times(view.trajectory.time_s)], poses)
+    node.send_timed(view.trajectory.time_s, poses)
 
 
 def _object_poses(trajectory: Trajectory) -> dict[str, Any]:
@@ -150,7 +147,7 @@ def _object_poses(trajectory: Trajectory) -> dict[str, Any]:
     }
 
 
-def _log_feet(stream: rr.RecordingStream, entity: str, view: TrialView, feet: FootForces) -> None:
+def _log_feet(node: Node, view: TrialView, feet: FootForces) -> None:
     """Log normal load and friction under every foot, in the object's axes: arrows move and turn with it."""
     count = len(feet.particle)
     yaw = np.interp(feet.time_s, view.trajectory.time_s, view.trajectory.object_pose[:, 2])
@@ -162,16 +159,16 @@ def _log_feet(stream: rr.RecordingStream, entity: str, view: TrialView, feet: Fo
         ("friction", FRICTION_FORCE, np.concatenate([inward, zeros], axis=-1)),
     ):
         fields = rr.Arrows3D.from_fields(origins=origins, colors=rgb(color), radii=0.0012)
-        stream.log(f"{entity}/{name}", fields, static=True)
+        (node / f"{name}").log(fields)
         flat = (FOOT_ARROW * vectors).reshape(-1, 3).astype(np.float32)
         columns = rr.Arrows3D.columns(vectors=flat).partition([count] * len(feet.time_s))
-        stream.send_columns(f"{entity}/{name}", [_times(feet.time_s)], columns)
+        (node / name).send_timed(feet.time_s, columns)
 
 
 def log_fits(stream: rr.RecordingStream, root: str, fits: Sequence[WrenchFit]) -> None:
     """Log the wrench of several trials, measured and predicted."""
     for index, fit in enumerate(fits):
-        _log_fit(stream, f"{root}/{index}", fit, FITS_EVERY)
+        _log_fit(Node(stream, root) / index, fit, FITS_EVERY)
 
 
 def fits_blueprint(root: str, fits: Sequence[WrenchFit]) -> rrb.Container:
@@ -187,30 +184,28 @@ def fits_blueprint(root: str, fits: Sequence[WrenchFit]) -> rrb.Container:
     return rrb.Grid(*columns, grid_columns=min(len(columns), 4) or 1, name="measured wrench, and the model")
 
 
-def _log_fit(stream: rr.RecordingStream, root: str, fit: WrenchFit, every: int = 1) -> None:
+def _log_fit(node: Node, fit: WrenchFit, every: int = 1) -> None:
     """Log measured and predicted wrench, and the band around the prediction; one sample in so many."""
     time_s, measures, predictions, bands = (a[::every] for a in (fit.time_s, fit.measured, fit.predicted, fit.band))
     for index, entity in enumerate(("force/x", "force/y", "torque/z")):
         color, name = AXIS_COLORS[index], entity[-1]
-        _log_line(stream, f"{root}/{entity}/measured", f"{name}, measured", color, time_s, measures[:, index])
+        _log_line(node / entity / "measured", f"{name}, measured", color, time_s, measures[:, index])
         predicted, band = predictions[:, index], bands[:, index]
         if np.isnan(predicted).all():
             continue
-        _log_line(stream, f"{root}/{entity}/model", f"{name}, model", EDGE, time_s, predicted, 2.5)
+        _log_line(node / entity / "model", f"{name}, model", EDGE, time_s, predicted, 2.5)
         for side, sign in (("upper", 1), ("lower", -1)):  # of one name: the legend has them once
             values = predicted + sign * band
-            _log_line(stream, f"{root}/{entity}/{side}", f"{name}, 95 %", "#A0A0A0", time_s, values, 1.0)
+            _log_line(node / entity / side, f"{name}, 95 %", "#A0A0A0", time_s, values, 1.0)
 
 
-def _log_line(
-    stream: rr.RecordingStream, entity: str, name: str, color: str, time_s: np.ndarray, values: np.ndarray, width=1.2
-) -> None:
+def _log_line(node: Node, name: str, color: str, time_s: np.ndarray, values: np.ndarray, width=1.2) -> None:
     """Log a line over time; NaN leaves a gap."""
-    stream.log(entity, rr.SeriesLines(colors=rgb(color), names=name, widths=width), static=True)
-    stream.send_columns(entity, [_times(time_s)], rr.Scalars.columns(scalars=values))
+    node.log(rr.SeriesLines(colors=rgb(color), names=name, widths=width))
+    node.send_timed(time_s, rr.Scalars.columns(scalars=values))
 
 
-def _log_states(stream: rr.RecordingStream, root: str, view: TrialView) -> None:
+def _log_states(node: Node, view: TrialView) -> None:
     """Log lanes: the phase, and the steady window of which an estimator is given the samples."""
     trajectory = view.trajectory
     steady = np.where(view.fit.steady, "steady window", "")
@@ -219,11 +214,7 @@ def _log_states(stream: rr.RecordingStream, root: str, view: TrialView) -> None:
     for lane, states, known in (("phase", names, colors), ("window", steady, {"steady window": AXIS_COLORS[2]})):
         look = [rgb(color) for color in known.values()]
         legend = rr.StateConfiguration(values=list(known), labels=list(known), colors=look)
-        stream.log(f"{root}/{lane}", legend, static=True)
+        (node / lane).log(legend)
         change = np.flatnonzero(np.append(True, states[1:] != states[:-1]))
         changes = rr.StateChange.columns(state=states[change].tolist())
-        stream.send_columns(f"{root}/{lane}", [_times(trajectory.time_s[change])], changes)
-
-
-def _times(time_s: np.ndarray) -> rr.TimeColumn:
-    return rr.TimeColumn(SIM_TIME, duration=time_s)
+        (node / lane).send_timed(trajectory.time_s[change], changes)

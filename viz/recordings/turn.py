@@ -13,7 +13,7 @@ from testbed.frames import perpendicular, rotation_2d, transform_point
 from testbed.objects.model import Grasp, ObjectShape
 from testbed.trajectory import Phase, Trajectory
 from viz.recordings.mass_map import Raster
-from viz.recordings.page import SIM_TIME, Frames
+from viz.recordings.page import SIM_TIME, Frames, Node
 from viz.recordings.planar import LINE, MARGIN, Box, Canvas, log_lines, log_texts, log_upright
 from viz.style import EDGE, OBJECT_VELOCITY, PADS, TRUTH, VELOCITY, rgb
 from viz.values import evenly
@@ -74,39 +74,36 @@ class TurnScene:
         box = Box.around(transform_point(self._pose[:, None], outline[None])).grown(reach, reach, reach)
         return self.canvas.framed(box, 0, LINE + 2 * MARGIN, 0)
 
-    def log(self, stream: rr.RecordingStream, entity: str) -> None:
-        """Log it below `entity`, in the world's axes."""
-        log_upright(stream, entity)
-        frames, body, pose = self._frames, f"{entity}/object", self._pose
+    def log(self, node: Node) -> None:
+        """Log it below `node`, in the world's axes."""
+        log_upright(node)
+        frames, body, pose = self._frames, node / "object", self._pose
         half, still = pose[:, 2] / 2, np.zeros(len(pose))
         place = np.column_stack([pose[:, :2], still])
         turned = np.column_stack([still, still, np.sin(half), np.cos(half)])
-        frames.send(stream, body, lambda k: rr.Transform3D.columns(translation=place[k], quaternion=turned[k]))
-        log_lines(stream, f"{body}/outline", Raster.of(self.shape).outlines(), EDGE)
+        frames.send(body, lambda k: rr.Transform3D.columns(translation=place[k], quaternion=turned[k]))
+        log_lines(body / "outline", Raster.of(self.shape).outlines(), EDGE)
         dots = rr.Points2D(self.shape.particles, radii=0.16 * self.shape.cell, colors=rgb(TRUTH))
-        stream.log(f"{body}/particles", dots, static=True, strict=True)
+        (body / "particles").log(dots)
         particles = self.shape.particles[evenly(len(self.shape.particles), MOST_ARROWS)]
-        self._log_arrows(stream, f"{body}/velocity", frames, particles, VELOCITY)
-        self._log_arrows(stream, f"{body}/object_velocity", frames, np.zeros((1, 2)), OBJECT_VELOCITY)
+        self._log_arrows(body / "velocity", frames, particles, VELOCITY)
+        self._log_arrows(body / "object_velocity", frames, np.zeros((1, 2)), OBJECT_VELOCITY)
         index = getattr(self.trajectory.action, "grasp", None)
         if index is not None and index < len(self.shape.grasps):
             pads = rr.LineStrips2D(pad_lines(self.shape.grasps[index]), colors=rgb(PADS), radii=PAD / 2)
-            stream.log(f"{body}/pads", pads, static=True, strict=True)
+            (body / "pads").log(pads)
         box = self.box
         pixel = self.canvas.pixel(box)
         at = np.array([[box.middle[0], box.top - (LINE / 2 + MARGIN) * pixel]])
         key = f"arrows: the way of {self.horizon:g} s; blue particles, black object, pink pads"
-        log_texts(stream, f"{entity}/key", at, [key], pixel)
+        log_texts(node / "key", at, [key], pixel)
 
-    def _log_arrows(
-        self, stream: rr.RecordingStream, entity: str, frames: Frames, origins: Float[np.ndarray, "N 2"], color: str
-    ) -> None:
+    def _log_arrows(self, node: Node, frames: Frames, origins: Float[np.ndarray, "N 2"], color: str) -> None:
         look = rr.Arrows2D.from_fields(origins=origins, colors=rgb(color), radii=rr.Radius.ui_points(1.0))
-        stream.log(entity, look, static=True, strict=True)
+        node.log(look)
         ways = self.horizon * self._velocity(origins)
         frames.send(
-            stream,
-            entity,
+            node,
             lambda k: rr.Arrows2D.columns(vectors=ways[k].reshape(-1, 2)).partition([len(origins)] * len(k)),
         )
 

@@ -17,9 +17,9 @@ from estimators.evaluation.statistics import AXIS, Row, axes_of, axis_values, se
 from testbed.objects.model import ObjectShape
 from testbed.trajectory import write_whole
 from viz.figures.loss import loss_figure
-from viz.figures.maps import MeanAnswer, absolute_difference, as_pixels, compared_methods, mass_bars, mass_maps
+from viz.figures.maps import MeanAnswer, absolute_difference, as_pixels, compared_methods, mass_maps
 from viz.figures.nad import nad_distribution, nad_sweep
-from viz.report.lists import failures, worst, worst_of
+from viz.report.lists import failures, names, worst, worst_of
 from viz.report.svg import inline_svg
 from viz.report.tables import METRICS, MOST_OBJECTS, Table, metric_table, over_objects, overview, sweep_table
 from viz.style import STYLE
@@ -106,6 +106,7 @@ def render(results: Results) -> str:
     draw = _Drawer()
     objects = list(dict.fromkeys(row["object"] for row in estimates))
     mapped = mapped_objects(estimates, objects)
+    shapes = {name: shape for name in mapped if (shape := results.shape_of(name)) is not None}
     good = sum(row["status"] == "ok" for row in estimates)
     environment = Environment(
         loader=FileSystemLoader(Path(__file__).parent), autoescape=True, undefined=StrictUndefined, trim_blocks=True,
@@ -120,7 +121,8 @@ def render(results: Results) -> str:
         distributions=[draw(nad_distribution(found), f"NAD by method: {label}") for label, found in groups.items()],
         sweeps=_sweeps(estimates, groups, draw),
         losses=[draw(loss_figure(traces), _loss_caption(m, traces)) for m, traces in results.losses.items()],
-        maps=_maps(groups, mapped, results.shape_of, draw),
+        maps=_maps(groups, shapes, draw),
+        without_geometry=names([name for name in mapped if name not in shapes]),
         left_out=len(objects) - len(mapped),
         worst=worst_all,
         worst_own=worst_own,
@@ -193,39 +195,25 @@ def mapped_objects(rows: Sequence[Row], objects: Sequence[str]) -> list[str]:
     return ranked[:WORST_OBJECTS] + [rest[i] for i in others]
 
 
-def _maps(
-    groups: Mapping[str, Sequence[Row]],
-    objects: Sequence[str],
-    shape_of: Callable[[str], ObjectShape | None],
-    draw: _Drawer,
-) -> list[Picture]:
+def _maps(groups: Mapping[str, Sequence[Row]], shapes: Mapping[str, ObjectShape], draw: _Drawer) -> list[Picture]:
     """Differences under each support and sensing, then the maps of each object whose truth is known."""
-    shapes, pictures = {}, []
-    for name in objects:
-        of = {label: [r for r in select(rows, object=name) if r["true_mass_kg"] is not None]
-              for label, rows in groups.items()}  # fmt: skip
-        of = {label: found for label, found in of.items() if found}
-        if not of:
+    known = {label: [row for row in rows if row["true_mass_kg"] is not None] for label, rows in groups.items()}
+    overall, pictures, mapped = [], [], {}
+    for name, shape in shapes.items():
+        of = {label: found for label, rows in known.items() if (found := select(rows, object=name))}
+        truth = np.array(next(iter(of.values()))[0]["true_mass_kg"] if of else [], dtype=float)
+        if len(truth) != shape.n_m:
             continue
-        first = next(iter(of.values()))[0]
-        truth, shape = np.array(first["true_mass_kg"], dtype=float), shape_of(name)
         answers = {
             label: [a for m in compared_methods(found) if (a := MeanAnswer.of(found, m))] for label, found in of.items()
         }
-        if shape is not None and shape.n_m == len(truth):
-            shapes[name] = shape
-            caption = f"{name}: true mass, estimated mass and absolute difference, kg a group"
-            pictures.append(draw(as_pixels(mass_maps(shape, truth, answers)), caption, wide=True))
-        else:
-            known = first["group_names"]
-            names = [f"m{i}" if known is None else str(known[i]) for i in range(len(truth))]
-            caption = f"{name}: true and estimated mass, kg a group (its geometry is not known any more)"
-            pictures.append(draw(mass_bars(names, truth, answers), caption))
-    overall = []
-    for label, found in groups.items():
-        present = {name: shape for name, shape in shapes.items() if select(found, object=name)}
+        mapped[name] = shape
+        caption = f"{name}: true mass, estimated mass and absolute difference, kg a group"
+        pictures.append(draw(as_pixels(mass_maps(shape, truth, answers)), caption, wide=True))
+    for label, rows in groups.items():
+        present = {name: shape for name, shape in mapped.items() if select(rows, object=name)}
         if present:
-            figure = as_pixels(absolute_difference(found, present, ""))
+            figure = as_pixels(absolute_difference(rows, present, ""))
             caption = f"Absolute difference of mass, every method and object: {label}"
             overall.append(draw(figure, caption, wide=True))
     return overall + pictures

@@ -42,7 +42,8 @@ from estimators.particles.model import (
     turned,
 )
 from estimators.particles.windows import observe
-from testbed.actions.base import Accelerate, Rotate
+from testbed.actions.accelerate import Accelerate
+from testbed.actions.rotate import Rotate
 from testbed.objects.files import load_object
 from testbed.objects.model import GRAVITY
 from testbed.sensing.presets import draw_sensing, preset

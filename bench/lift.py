@@ -23,7 +23,10 @@ from rich.table import Table
 from estimators.action_selection.rank import between_particles
 from estimators.particles.lifts import wrench_of_mass
 from estimators.support_models.estimator import SupportAware
-from testbed.actions.base import Accelerate, Action, Lift, Rotate
+from testbed.actions.accelerate import Accelerate
+from testbed.actions.base import Action
+from testbed.actions.lift import Lift
+from testbed.actions.rotate import Rotate
 from testbed.errors import InfeasibleTrialError
 from testbed.objects.files import load_object
 from testbed.objects.model import ObjectModel
@@ -90,7 +93,7 @@ def missing(lifted: Lifted) -> dict[str, float]:
     """
     shape, truth = lifted.object.shape, lifted.object.truth.mass
     windows = lift_windows(draw_sensing(lifted.rocked, preset("ideal"), 0))
-    rocks = np.array([lifted.rocked.action.rocks(i) for i in range(len(windows))])  # pyright: ignore[reportAttributeAccessIssue]
+    rocks = np.array([lifted.rocked.action.accelerates(i) for i in range(len(windows))])  # pyright: ignore[reportAttributeAccessIssue]
     due, up = (np.array([wrench_of_mass(shape, w, np.array([0, 0, z])) @ truth for w in windows]) for z in (0.0, 1.0))
     off = np.array([w.wrench for w in windows]) - due
     low = (up - due).ravel() @ off.ravel() / np.sum((up - due) ** 2)

@@ -30,7 +30,10 @@ from estimators.action_selection.rank import RankDriven
 from estimators.evaluation.metrics import normalized_absolute_difference
 from estimators.hidden_states.estimator import HiddenStates
 from estimators.hidden_states.nuisance import UNKNOWNS
-from testbed.actions.base import Accelerate, Action, Rotate, Slide
+from testbed.actions.accelerate import Accelerate
+from testbed.actions.base import Action
+from testbed.actions.rotate import Rotate
+from testbed.actions.slide import Slide
 from testbed.objects.files import load_object
 from testbed.objects.model import ObjectModel
 from testbed.objects.random import Family

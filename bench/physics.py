@@ -23,7 +23,9 @@ from estimators.particles.windows import observe
 from scenarios.config import Grid, Scenario, Simulation
 from scenarios.execution.executor import default_workers
 from scenarios.study.run import run_scenario
-from testbed.actions.base import Rotate, Slide, Weigh
+from testbed.actions.rotate import Rotate
+from testbed.actions.slide import Slide
+from testbed.actions.weigh import Weigh
 from testbed.frames import cross_2d, perpendicular, rotation_2d
 from testbed.objects.files import load_object
 from testbed.sensing.presets import compensate

@@ -23,7 +23,7 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 from estimators.action_selection.rank import RankDriven
 from estimators.evaluation.metrics import normalized_absolute_difference
 from estimators.hidden_states.estimator import HiddenStates
-from testbed.actions.base import Rotate
+from testbed.actions.rotate import Rotate
 from testbed.objects.files import load_object
 from testbed.objects.model import ObjectModel
 from testbed.sensing.presets import Sensing, draw_sensing, preset

@@ -32,7 +32,7 @@ from scenarios.study import trials
 from scenarios.study.estimates import Asked
 from scenarios.study.experiment import cells_of
 from scenarios.study.run import run_scenario
-from testbed.actions.base import Rotate
+from testbed.actions.rotate import Rotate
 from testbed.objects.random import Family
 from testbed.simulation.runner import SimulationRunner
 from testbed.simulation.settings import SimulationSettings

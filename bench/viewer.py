@@ -16,7 +16,7 @@ from rerun.experimental import ViewerClient
 from scenarios.cli.view import trial_page
 from scenarios.results.store import Store, key_of, trial_request
 from scenarios.study.trials import simulate
-from testbed.actions.base import Rotate
+from testbed.actions.rotate import Rotate
 from testbed.objects.files import load_object
 from testbed.simulation.settings import SimulationSettings
 from testbed.trial import Trial

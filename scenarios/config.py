@@ -22,7 +22,8 @@ from estimators.base import ActionPolicy
 from estimators.registry import build_method
 from scenarios.study.benches import BenchCheck, BenchSettings, OtherBench
 from scenarios.study.policies import Told, build_policy, code_of
-from testbed.actions.base import Action, Rotate
+from testbed.actions.base import Action
+from testbed.actions.rotate import Rotate
 from testbed.errors import InvalidValueError
 from testbed.objects.files import explained, find_file, library_names, load_toml
 from testbed.objects.model import MassDistribution, ObjectModel, ObjectShape

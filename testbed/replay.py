@@ -13,7 +13,7 @@ from typing import Any, Self
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from testbed.actions.base import Action, action_from_dict, action_to_dict
+from testbed.actions.base import Action, action_from_dict
 from testbed.errors import InfeasibleTrialError, InvalidValueError
 from testbed.sensing.presets import draw_sensing, preset
 from testbed.trajectory import Trajectory, TrajectoryFileError, load_trajectory
@@ -43,13 +43,13 @@ class Recording:
         return (
             self.object in (None, trial.object.name)
             and self.support in (None, trial.support.name)
-            and _same(action_to_dict(self.action), action_to_dict(trial.action))
+            and _same(self.action.to_dict(), trial.action.to_dict())
         )
 
     @property
     def said(self) -> str:
         """In a few words."""
-        settings = action_to_dict(self.action)
+        settings = self.action.to_dict()
         kind = settings.pop("kind")
         given = {k: f"{v:.4g}" if isinstance(v, float) else v for k, v in settings.items() if v is not None}
         rest = ", ".join(f"{name} {value}" for name, value in given.items())

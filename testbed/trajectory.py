@@ -14,7 +14,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from jaxtyping import Float, Int
 
-from testbed.actions.base import Action, action_from_dict, action_to_dict
+from testbed.actions.base import Action, action_from_dict
 from testbed.errors import HeftError, InvalidValueError
 from testbed.validation import frozen_array, is_number
 
@@ -176,7 +176,7 @@ def save_trajectory(trajectory: Trajectory, path: Path) -> None:
     tool = trajectory.tool
     header = {
         "schema_version": SCHEMA_VERSION,
-        "action": action_to_dict(trajectory.action),
+        "action": trajectory.action.to_dict(),
         "status": trajectory.status,
         "reason": trajectory.reason,
         "figures": trajectory.figures,

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from types import TracebackType
 from typing import Protocol, Self, runtime_checkable
 
-from testbed.actions.base import Action, Weigh
+from testbed.actions.base import Action
 from testbed.errors import InvalidValueError
-from testbed.objects.model import ObjectModel
+from testbed.objects.model import Grasp, ObjectModel
 from testbed.trajectory import Trajectory
 
 
@@ -78,12 +78,23 @@ class Trial:
     """Seed of the sensing draw."""
 
     def __post_init__(self) -> None:
-        if not isinstance(self.action, Weigh) and self.action.grasp >= len(self.object.shape.grasps):
+        if self.action.grasp is not None and self.action.grasp >= len(self.object.shape.grasps):
             names = (
                 ", ".join(f"{i} ({g.name})" for i, g in enumerate(self.object.shape.grasps))
                 or "none: nothing is grippable"
             )
             raise InvalidValueError(f"{type(self.action).__name__}.grasp", self.action.grasp, names)
+
+    @property
+    def grasp(self) -> Grasp:
+        """Grasp that the gripper holds.
+
+        Raises:
+            InvalidValueError: a weighing on a scale has none.
+        """
+        if self.action.grasp is None:
+            raise InvalidValueError("trial.action", self.action, "an action that grips the object")
+        return self.object.shape.grasps[self.action.grasp]
 
 
 @runtime_checkable

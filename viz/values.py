@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from estimators.base import Trace
-from testbed.actions.base import Accelerate, Action, Lift, Rotate, Slide, pivot_of
+from testbed.actions.base import Action, TableAction
 from testbed.errors import InvalidValueError
 from testbed.foot_forces import FootForces
 from testbed.objects.model import MassDistribution, ObjectShape
@@ -202,21 +202,19 @@ class ActionArrow:
     """True if the turn is accelerated."""
 
     @staticmethod
-    def of(shape: ObjectShape, action: Rotate | Accelerate | Slide) -> ActionArrow:
+    def of(shape: ObjectShape, action: TableAction) -> ActionArrow:
         """Arrow along the first part of an action's motion."""
         grasp = shape.grasps[action.grasp].position
-        if isinstance(action, Slide):
-            along = np.array([math.cos(action.direction), math.sin(action.direction)])
-            return ActionArrow(grasp, None, grasp + WAY * np.outer([0.0, 1.0], along), accelerated=False)
-        pivot, accelerated = pivot_of(action, shape), isinstance(action, Accelerate)
-        speed = action.start_speed if isinstance(action, Accelerate) else action.speed
+        if not action.turns:
+            return ActionArrow(grasp, None, grasp + WAY * np.outer([0.0, 1.0], action.heading), accelerated=False)
+        pivot, speed = action.center(shape), action.steady[0].speed
         arm = grasp - pivot
         radius, begin = float(np.linalg.norm(arm)), math.atan2(arm[1], arm[0])
         if radius < IN_PLACE:
             radius, begin = PLACE_RADIUS, 0.0
         angle = begin + math.copysign(min(ARC, WAY / radius), speed) * np.linspace(0.0, 1.0, 12)
         way = pivot + radius * np.column_stack([np.cos(angle), np.sin(angle)])
-        return ActionArrow(grasp, pivot, way, accelerated)
+        return ActionArrow(grasp, pivot, way, action.accelerated)
 
     @property
     def label(self) -> Float[np.ndarray, "2"]:
@@ -250,13 +248,13 @@ class PlanView:
     def arrows(self) -> dict[int, ActionArrow]:
         """Arrows of the actions on the table, by their number from 1."""
         numbered = enumerate(self.actions, start=1)
-        return {n: ActionArrow.of(self.shape, a) for n, a in numbered if isinstance(a, Rotate | Accelerate | Slide)}
+        return {n: ActionArrow.of(self.shape, a) for n, a in numbered if isinstance(a, TableAction)}  # on a path
 
     @property
     def lifts(self) -> dict[int, Float[np.ndarray, "2"]]:
         """Grasp points [m] of the lifts, by their number from 1."""
         numbered = enumerate(self.actions, start=1)
-        return {n: self.shape.grasps[a.grasp].position for n, a in numbered if isinstance(a, Lift)}
+        return {n: self.shape.grasps[a.grasp].position for n, a in numbered if a.in_air and a.grasp is not None}
 
     @property
     def percent(self) -> Float[np.ndarray, "T+1 n_m"]:

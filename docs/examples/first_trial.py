@@ -1,6 +1,6 @@
 """A first trial in ten lines: turn L2 there and back on the simulated bench, and look at what was felt."""
 
-from testbed.actions.base import Rotate
+from testbed.actions.rotate import Rotate
 from testbed.objects.files import load_object
 from testbed.sensing.windows import steady_windows
 from testbed.simulation.runner import SimulationRunner

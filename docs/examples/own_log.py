@@ -9,7 +9,7 @@ import numpy as np
 
 from estimators.testing.recorded import load_block
 from scenarios.cli.main import main
-from testbed.actions.base import Rotate
+from testbed.actions.rotate import Rotate
 
 COLUMNS = "ms,fx,fy,fz,tx,ty,tz,x_mm,y_mm,z_mm,qw,qx,qy,qz"
 MAPPING = """

@@ -6,7 +6,7 @@ import trimesh
 
 from estimators.evaluation.metrics import normalized_absolute_difference
 from estimators.hidden_states.estimator import HiddenStates
-from testbed.actions.base import Rotate
+from testbed.actions.rotate import Rotate
 from testbed.objects.files import load_object
 from testbed.simulation.runner import SimulationRunner
 from testbed.trial import Trial

@@ -5,7 +5,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from testbed import GRAVITY, OWN_WEIGHT, Accelerate, InfeasibleTrialError, Phase, Rotate, Tool, Trajectory, Weigh
-from testbed.actions.base import pivot_of
 from testbed.frames import cross_2d, perpendicular, rotation_2d
 
 RATE = 100.0
@@ -35,11 +34,11 @@ class DragSimulator:
         if trial.support != OWN_WEIGHT:
             raise InfeasibleTrialError("in this simulator every block rests on its own weight")
         obj, action = trial.object, trial.action
-        if isinstance(action, Weigh):
+        if not action.moves:
             scale = np.tile([0, 0, obj.total_mass * GRAVITY, 0, 0, 0], (50, 1))
             return record(action, np.zeros(50, int), scale, np.zeros((50, 3)), np.zeros((50, 2)), None)
         slope, spin, segment = motion(action, round(self.tare * RATE))
-        pivot, grasp = pivot_of(action, obj.shape), obj.shape.grasps[action.grasp].position
+        pivot, grasp = action.center(obj.shape), obj.shape.grasps[action.grasp].position
 
         # object axes: friction against the velocity of every particle, and inertia
         way = perpendicular(obj.shape.particles - pivot)

@@ -9,8 +9,12 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
-from testbed.actions.base import Accelerate, Action, Lift, Rotate, Slide
-from testbed.actions.path import RAMP_TIME, WORKSPACE, Profile, ToolPath, outline, overhang, overhang_of
+from testbed.actions.accelerate import Accelerate
+from testbed.actions.base import Action
+from testbed.actions.lift import Lift
+from testbed.actions.path import RAMP_TIME, WORKSPACE, outline, overhang, overhang_of
+from testbed.actions.rotate import Rotate
+from testbed.actions.slide import Slide
 from testbed.errors import InvalidValueError
 from testbed.frames import rotation_2d
 from testbed.objects.model import ObjectShape
@@ -136,7 +140,7 @@ class ActionFamily:
                 steps = whole.accelerations
             found.append(Accelerate(grasp, tuple(sign * a for a in steps), whole.hold, sign * whole.start_speed))
         each = dict.fromkeys(found)
-        paths = {a: ToolPath.centred(a, shape, Profile.of(a, 0.01).length, WORKSPACE) for a in each}
+        paths = {a: a.centered_path(shape, a.profile(0.01).length) for a in each}
         return [action for action, path in paths.items() if (overhang_of(shape, path) <= 0).all()]
 
     def _lifts(

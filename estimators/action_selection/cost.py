@@ -4,15 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 from itertools import pairwise
 
 import numpy as np
 
 from estimators.particles.windows import robot_seconds
-from testbed.actions.base import Accelerate, Action, Lift, Rotate, Weigh
-from testbed.actions.lift import LiftProfile
-from testbed.actions.path import PAUSE, RAMP_TIME
+from testbed.actions.base import Action
 from testbed.objects.model import ObjectShape
 from testbed.trajectory import Trajectory
 
@@ -39,18 +36,11 @@ class RobotTime:
 
     def of(self, action: Action) -> float:
         """Time of one trial, as in its record [s]."""
-        if isinstance(action, Weigh):
-            return self.weighing
-        if isinstance(action, Accelerate):
-            return self.around + 2 * RAMP_TIME + PAUSE + len(action.accelerations) * action.hold
-        if isinstance(action, Lift):
-            return self.around + _in_the_air(action)
-        ways = 2 if isinstance(action, Rotate) and action.back else 1
-        return self.around + ways * (2 * RAMP_TIME + action.duration)
+        return self.around + action.seconds if action.moves else self.weighing
 
     def between(self, shape: ObjectShape, last: Action | None, action: Action) -> float:
         """Time from the end of one action to the start of the next, up and over the object [s]."""
-        if last is None or isinstance(last, Weigh) or isinstance(action, Weigh):
+        if last is None or last.grasp is None or action.grasp is None:
             return self.rise
         old, new = shape.grasps[last.grasp], shape.grasps[action.grasp]
         distance = float(np.linalg.norm(new.position - old.position))
@@ -68,9 +58,3 @@ def spent_seconds(shape: ObjectShape, trajectories: Sequence[Trajectory]) -> flo
     time, actions = RobotTime(), [None, *(t.action for t in trajectories)]
     ways = sum(time.between(shape, a, b) for a, b in pairwise(actions) if b is not None)
     return robot_seconds(trajectories) + ways
-
-
-@lru_cache(maxsize=1024)
-def _in_the_air(action: Lift) -> float:
-    """Duration of a lift: up, held, rocked and down [s]."""
-    return LiftProfile.of(action, 0.01).duration

@@ -23,7 +23,8 @@ from estimators.identifiability.information import (
     prior_information,
 )
 from estimators.support_models.fit import FRICTION_PRIOR, prior_masses
-from testbed.actions.base import Action, Rotate, Slide
+from testbed.actions.base import Action
+from testbed.actions.rotate import Rotate
 from testbed.errors import InvalidValueError
 from testbed.objects.model import MassDistribution, ObjectShape
 from testbed.sensing.presets import Sensing
@@ -212,7 +213,7 @@ class Design:
 
 def steady(action: Action) -> bool:
     """True if it moves the object at constant speed: without any such trial no method has an answer."""
-    return isinstance(action, Rotate | Slide)
+    return action.on_table and not action.accelerated
 
 
 def prior_belief(shape: ObjectShape, guess: Guess) -> Belief:

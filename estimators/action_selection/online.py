@@ -29,7 +29,7 @@ from estimators.particles.lifts import lifts_among
 from estimators.particles.windows import Observations, observe
 from estimators.support_models.estimator import SupportAware
 from estimators.support_models.selection import DECISIVE
-from testbed.actions.base import Accelerate, Action, Rotate
+from testbed.actions.base import Action
 from testbed.objects.model import GRAVITY, MassDistribution, ObjectShape
 from testbed.trajectory import Trajectory
 
@@ -152,13 +152,13 @@ def _for_an_answer(design: Design, done: Sequence[Action], left: float, log: Fea
     as there are fewer of them than could be needed.
     """
     turned = sum(steady(action) for action in done)
-    accelerate = turned > 0 and not any(isinstance(action, Accelerate) for action in done)
+    accelerate = turned > 0 and not any(action.accelerated for action in done)
     if not accelerate and turned > design.shape.n_m + design.shape.n_mu:
         return None
     seconds = design.seconds(done[-1] if done else None)
     for index in np.argsort(seconds):
         action = design.candidates[index]
-        kind = isinstance(action, Accelerate) if accelerate else isinstance(action, Rotate)
+        kind = action.turns and action.accelerated == accelerate
         if seconds[index] > left or len(log.answers) >= MOST_CHECKS:
             return None
         if kind and action not in done and not log.refusal(action):

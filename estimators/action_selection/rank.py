@@ -10,7 +10,9 @@ import torch
 
 from estimators.particles.friction_system import LoadGroups, rank_of
 from estimators.particles.model import ParticleModel, cross, direction, turned
-from testbed.actions.base import Accelerate, Action, Rotate
+from testbed.actions.accelerate import Accelerate
+from testbed.actions.base import Action
+from testbed.actions.rotate import Rotate
 from testbed.errors import InvalidValueError
 from testbed.objects.model import ObjectShape
 from testbed.trajectory import Trajectory
@@ -57,12 +59,12 @@ class RankDriven:
         allowed = range(len(shape.grasps)) if self.grasps is None else self.grasps
         if not allowed or len(tried) >= self.most:
             return None
-        accelerated = sum(isinstance(action, Accelerate) for action in tried)
+        accelerated = sum(action.accelerated for action in tried)
         if accelerated < self.accelerated:
             grasp = _drawn(allowed, accelerated, [self.seed, 1])
             action = Accelerate(grasp)
             if (accelerated + accelerated // len(allowed)) % 2:
-                return Accelerate(grasp, tuple(-a for a in action.accelerations), action.hold, -action.start_speed)
+                return action.reversed()
             return action
         turns = sum(isinstance(action, Rotate) for action in tried)
         if turns >= self.pivots:

@@ -15,14 +15,14 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from estimators.identifiability.predicted import predicted_lift, predicted_windows
+from estimators.identifiability.predicted import predicted_lifts, predicted_windows
 from estimators.identifiability.report import Identifiability, identifiability
 from estimators.particles.errors import RIGID, ModelErrors
 from estimators.particles.lifts import lift_information, lifts_among
 from estimators.particles.pivots import inertia_map, slope_variance
 from estimators.particles.windows import Observations, observe
 from estimators.particles.wrench import ParticleLoads
-from testbed.actions.base import Action, Lift
+from testbed.actions.base import Action
 from testbed.errors import InvalidValueError
 from testbed.objects.model import MassDistribution, ObjectShape
 from testbed.sensing.lift_windows import LiftWindow
@@ -132,11 +132,7 @@ def predicted_information(
         sensing: errors of the sensor.
         assumptions: support model and model errors.
     """
-    lifts = {
-        index: predicted_lift(action, sensing)
-        for index, action in enumerate(actions)
-        if isinstance(action, Lift) and assumptions.support == "rigid"
-    }
+    lifts = predicted_lifts(actions, sensing) if assumptions.support == "rigid" else {}
     windows = predicted_windows(shape, actions, sensing)
     return trial_information(shape, distribution, windows, len(actions), assumptions, lifts)
 

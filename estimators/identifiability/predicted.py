@@ -11,14 +11,14 @@ import torch
 
 from estimators.particles.gripper_load import load_map
 from estimators.particles.windows import Observations
-from testbed.actions.base import Accelerate, Action, Lift, Rotate, Slide, TableAction, Weigh
-from testbed.actions.lift import LiftProfile
+from testbed.actions.base import Action, TableAction
+from testbed.actions.lift import Lift
 from testbed.errors import InvalidValueError
 from testbed.frames import move_wrench
 from testbed.objects.model import GRAVITY, ObjectShape
 from testbed.sensing.lift_windows import LiftWindow
 from testbed.sensing.presets import Sensing
-from testbed.sensing.windows import TRIM_END, TRIM_START, TRIM_STEP, trim_start
+from testbed.sensing.windows import TRIM_END, trim_start
 
 RATE = 100.0
 """Samples a second."""
@@ -60,12 +60,12 @@ def predicted_windows(shape: ObjectShape, actions: Sequence[Action], sensing: Se
     held = np.linalg.norm(shape.particles - places[:, None], axis=-1).argmin(axis=1)
     at, stretches, trial, grasp = [tuple(place) for place in places.tolist()], [], [], []
     for index, action in enumerate(actions):
-        if isinstance(action, Weigh | Lift):
+        if not isinstance(action, TableAction):  # the others have no such windows
             continue
         if action.grasp >= len(shape.grasps):
             raise InvalidValueError("action.grasp", action.grasp, f"one of the shape's {len(shape.grasps)} grasps")
-        found = _stretches(at[action.grasp], action)
-        stretches += [(stretch, isinstance(action, Accelerate)) for stretch in found]
+        found = _stretches(at[action.grasp], shape, action)
+        stretches += [(stretch, action.accelerated) for stretch in found]
         trial += [index] * len(found)
         grasp += [action.grasp] * len(found)
     if not stretches:
@@ -112,23 +112,25 @@ def sensor_at_tcp(sensing: Sensing) -> tuple[np.ndarray, np.ndarray, np.ndarray]
     return first, second, third
 
 
-def _stretches(at: tuple[float, float], action: TableAction) -> list[_Stretch]:
-    """Steady stretches of one action of the grasp `at` (m), trimmed as a record is."""
-    if isinstance(action, Slide):
-        x, y = action.speed * math.cos(action.direction), action.speed * math.sin(action.direction)
-        return [_Stretch((x, y, 0.0), 0.0, BEFORE + TRIM_START, BEFORE + action.duration - TRIM_END)]
-    if isinstance(action, Rotate):
-        about = at if action.pivot is None else action.pivot
-        x, y = -action.speed * (at[1] - about[1]), action.speed * (at[0] - about[0])
-        there = _Stretch((x, y, action.speed), 0.0, BEFORE + TRIM_START, BEFORE + action.duration - TRIM_END)
-        later = action.duration + BETWEEN
-        back = _Stretch((-x, -y, -action.speed), 0.0, there.begin + later, there.end + later)
-        return [there, back] if action.back else [there]
-    sign, time, found = math.copysign(1.0, action.start_speed), BEFORE, []
-    for alpha in action.accelerations:
-        found.append(_Stretch((0.0, 0.0, sign), alpha, time + TRIM_STEP, time + action.hold - TRIM_END))
-        time += action.hold
+def _stretches(at: tuple[float, float], shape: ObjectShape, action: TableAction) -> list[_Stretch]:
+    """Steady stretches of one action of the grasp `at` [m], trimmed as a record is."""
+    about, heading, time, found = action.center(shape), action.heading, BEFORE, []
+    for segment, (speed, acceleration, seconds) in enumerate(action.steady):
+        if segment and not action.accelerated:
+            time += BETWEEN
+        rate = math.copysign(1.0, speed) if action.accelerated else speed  # its sign alone counts there
+        x, y = speed * heading[0], speed * heading[1]
+        if action.turns:
+            x, y = -rate * (at[1] - about[1]), rate * (at[0] - about[0])
+        twist = (float(x), float(y), rate if action.turns else 0.0)
+        found.append(_Stretch(twist, acceleration, time + trim_start(action, segment), time + seconds - TRIM_END))
+        time += seconds
     return found
+
+
+def predicted_lifts(actions: Sequence[Action], sensing: Sensing) -> dict[int, list[LiftWindow]]:
+    """Windows of the lifts among some actions, by their place, their wrenches left at zero."""
+    return {i: predicted_lift(a, sensing) for i, a in enumerate(actions) if isinstance(a, Lift)}  # others stay down
 
 
 def predicted_lift(action: Lift, sensing: Sensing) -> list[LiftWindow]:
@@ -138,7 +140,7 @@ def predicted_lift(action: Lift, sensing: Sensing) -> list[LiftWindow]:
         action: what would be done.
         sensing: how the sensor errs.
     """
-    profile = LiftProfile.of(action, 1 / RATE)
+    profile = action.profile(1 / RATE)
     noise, bias, drift = sensor_at_tcp(sensing)
     upwards = _upwards(profile.angle)
     windows = []

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float
 
 from estimators.particles.windows import reduced_trials
-from testbed.actions.base import Lift
+from testbed.actions.lift import Lift
 from testbed.objects.model import GRAVITY, ObjectShape
 from testbed.sensing.lift_windows import LiftWindow, lift_windows
 from testbed.trajectory import Trajectory

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TypeVar, get_args
+from typing import TypeVar
 
 import numpy as np
 import torch
@@ -14,7 +14,7 @@ from torch import Tensor
 from estimators.particles.errors import ModelErrors
 from estimators.particles.gripper_load import GripperLoad, likely_load, load_map
 from estimators.particles.model import Inertia, ParticleModel, cross, direction, turned
-from testbed.actions.base import Accelerate, TableAction, Weigh
+from testbed.actions.base import TableAction
 from testbed.errors import InvalidValueError
 from testbed.objects.model import ObjectShape
 from testbed.sensing.windows import SteadyWindow, steady_windows
@@ -45,7 +45,7 @@ def reduced_trials(
     found = {}
     for index, trajectory in enumerate(trajectories):
         action = trajectory.action
-        if not trajectory.ok or isinstance(action, Weigh) or not isinstance(action, kinds):
+        if not trajectory.ok or action.grasp is None or not isinstance(action, kinds):
             continue
         if action.grasp >= len(shape.grasps):
             allowed = f"one of the shape's {len(shape.grasps)} grasps, counted from 0: another object's trial?"
@@ -267,10 +267,10 @@ def observe(
     windows: list[SteadyWindow] = []
     trial: list[int] = []
     accelerated: list[bool] = []
-    for index, found in reduced_trials(shape, trajectories, get_args(TableAction), steady_windows).items():
+    for index, found in reduced_trials(shape, trajectories, (TableAction,), steady_windows).items():
         windows += found
         trial += [index] * len(found)
-        accelerated += [isinstance(trajectories[index].action, Accelerate)] * len(found)
+        accelerated += [trajectories[index].action.accelerated] * len(found)
     if not windows:
         return None
     wrench = np.array([w.wrench for w in windows])

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from estimators.testing.records import RATE, record
-from testbed.actions.base import Accelerate, Rotate, Slide, pivot_of
+from testbed.actions.accelerate import Accelerate
+from testbed.actions.base import TableAction
+from testbed.actions.rotate import Rotate
+from testbed.actions.slide import Slide
 from testbed.frames import cross_2d, perpendicular, pose_from_point, rotation_2d
 from testbed.objects.blocks import block_object, parse_layout
 from testbed.objects.model import GRAVITY, ObjectModel
@@ -44,14 +45,14 @@ def analytic_trial(
     grasp = shape.grasps[action.grasp].position
     along, rate, rate_slope, segment = _motion(action)
     count = len(along)
-    if isinstance(action, Slide):
-        heading = np.array([math.cos(action.direction), math.sin(action.direction)])
+    if not action.turns:
+        heading = action.heading
         yaw, spin, spin_slope = np.zeros(count), np.zeros(count), np.zeros(count)
         hand = along[:, None] * heading + [0.4, 0.1]
         hand_velocity, hand_acceleration = rate[:, None] * heading, np.zeros((count, 2))
     else:
         yaw, spin, spin_slope = along, rate, rate_slope
-        arm = rotation_2d(yaw) @ (grasp - pivot_of(action, shape))
+        arm = rotation_2d(yaw) @ (grasp - action.center(shape))
         hand = arm + np.array([0.4, 0.1])
         hand_velocity = spin[:, None] * perpendicular(arm)
         hand_acceleration = spin_slope[:, None] * perpendicular(arm) - spin[:, None] ** 2 * arm
@@ -132,28 +133,17 @@ def drawn_object(seed: int, layout: list[str] | None = None, friction_groups: in
     )
 
 
-def _motion(action: Rotate | Accelerate | Slide) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Way along the path, its rate and slope, and the steady stretch, at every sample."""
-    if isinstance(action, Accelerate):
-        stretches = [(a, action.hold) for a in action.accelerations]
-        start = action.start_speed
-    else:
-        stretches = [(0.0, action.duration)]
-        start = action.speed
-    slope = np.concatenate([np.full(round(t * RATE), a) for a, t in stretches])
-    segment = np.concatenate([np.full(round(t * RATE), i) for i, (_, t) in enumerate(stretches)])
-    time = np.arange(len(slope)) / RATE
-    knots = np.concatenate([[0.0], np.cumsum([t for _, t in stretches])])
-    speeds = start + np.concatenate([[0.0], np.cumsum([a * t for a, t in stretches])])
-    ways = np.concatenate([[0.0], np.cumsum((speeds[1:] + speeds[:-1]) / 2 * np.diff(knots))])
-    since = time - knots[segment]
-    rate = speeds[segment] + slope * since
-    along = ways[segment] + speeds[segment] * since + slope * since**2 / 2
-    if isinstance(action, Rotate) and action.back:
-        along = np.concatenate([along, along[::-1]])
-        rate, slope = np.concatenate([rate, -rate]), np.concatenate([slope, slope])
-        segment = np.concatenate([segment, segment + 1])
-    return along, rate, slope, segment
+def _motion(action: TableAction) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Distance along the path, its rate and slope, and the steady stretch, at every sample."""
+    parts, begin = [], 0.0
+    for segment, (speed, slope, seconds) in enumerate(action.steady):
+        back = speed * action.steady[0].speed < 0  # at the samples of the way there
+        time = (np.arange(round(seconds * RATE)) + back) / RATE
+        along, rate = begin + speed * time + slope * time**2 / 2, speed + slope * time
+        parts.append(np.stack([along, rate, np.full(len(time), slope), np.full(len(time), segment)]))
+        begin += speed * seconds + slope * seconds**2 / 2
+    along, rate, slope, segment = np.concatenate(parts, axis=1)
+    return along, rate, slope, segment.astype(int)
 
 
 def _own_weight(obj: ObjectModel, lever: np.ndarray, lift: float, moment: tuple[float, float]) -> np.ndarray:

@@ -11,7 +11,7 @@ from numpy.testing import assert_allclose
 
 from estimators.base import Estimate, Estimator
 from estimators.testing.analytic_world import accelerated, drawn_object, turns
-from testbed.actions.base import Rotate
+from testbed.actions.rotate import Rotate
 from testbed.errors import InvalidValueError
 from testbed.objects.blocks import block_object, parse_layout
 from testbed.objects.model import GRAVITY, MassDistribution, ObjectModel, ObjectShape

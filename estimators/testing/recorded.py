@@ -17,7 +17,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from testbed.actions.base import action_from_dict, action_to_dict
+from testbed.actions.base import action_from_dict
 from testbed.errors import InvalidValueError
 from testbed.objects.files import ObjectFile
 from testbed.objects.model import ObjectModel
@@ -139,7 +139,7 @@ def save_block(
             for i, quantum in enumerate(quanta):
                 whole.setdefault(f"{key}.{i}", []).append(np.round(getattr(trial, key)[:, i] / quantum))
         tool = {key: np.asarray(value).tolist() for key, value in vars(trial.tool).items()}
-        said.append({"action": action_to_dict(trial.action), "tool": tool})
+        said.append({"action": trial.action.to_dict(), "tool": tool})
     table = pa.table({key: np.concatenate(parts).astype(np.int32) for key, parts in whole.items()})
     header = {"object": file.model_dump(exclude_none=True), "support": support, "trials": said}
     table = table.replace_schema_metadata({b"heft": json.dumps(header | {"provenance": provenance}).encode()})

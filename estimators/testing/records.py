@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from testbed.actions.base import Rotate
+from testbed.actions.rotate import Rotate
 from testbed.trajectory import Phase, Tool, Trajectory
 
 RATE = 100.0

@@ -8,7 +8,7 @@ from estimators.action_selection.rank import predicted_rank
 from estimators.base import Estimate, Estimator
 from estimators.evaluation.metrics import normalized_absolute_difference
 from estimators.testing.recorded import KnownBlock
-from testbed.actions.base import Rotate
+from testbed.actions.rotate import Rotate
 from testbed.trajectory import Trajectory
 
 ALLOWED = {"ideal": 0.08, "low": 0.1, "moderate": 0.1, "ft300s": 0.1, "high": 0.2}

@@ -26,7 +26,6 @@ from scenarios.results.store import Store, key_of, object_request, read_json, ro
 from scenarios.study.estimates import run_estimates
 from scenarios.study.experiment import Cell
 from scenarios.study.run import manifest
-from testbed.actions.base import action_to_dict
 from testbed.errors import HeftError, InvalidValueError
 from testbed.importers.importer import import_trajectory, object_of
 from testbed.importers.logs import LogError, read_all
@@ -124,7 +123,7 @@ def _asked(model: ObjectModel, support: Support, trajectory: Trajectory) -> dict
     return {
         "schema": SCHEMA_VERSION,
         "object": object_request(model),
-        "action": action_to_dict(trajectory.action),
+        "action": trajectory.action.to_dict(),
         "support": support.name,
     }
 

@@ -58,7 +58,7 @@ def identify(
     console, model = Console(), load_object(object_)
     actions = actions_of(model, support, pivots, accelerated, slides, lifts, duration, grasps)
     report = expected(model.shape, model.truth, actions, preset(sensing), Assumptions(support))
-    kinds = [type(action).__name__.lower() for action in actions]
+    kinds = [action.kind for action in actions]
     counts = ", ".join(f"{kinds.count(kind)} {kind}" for kind in dict.fromkeys(kinds))
     title = f"{model.name}, {support}, {sensing}"
     console.print(f"[bold]{title}[/bold]: {counts}", highlight=False)
@@ -91,7 +91,9 @@ def actions_of(
 
     from estimators.action_selection.rank import RankDriven
     from scenarios.cli.plan import named_grasps
-    from testbed.actions.base import Lift, Slide, Weigh
+    from testbed.actions.lift import Lift
+    from testbed.actions.slide import Slide
+    from testbed.actions.weigh import Weigh
     from testbed.errors import InvalidValueError
 
     shape, allowed = model.shape, named_grasps(model, grasps)

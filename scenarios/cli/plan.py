@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -19,7 +18,6 @@ if TYPE_CHECKING:
     from estimators.action_selection.candidates import ActionFamily
     from estimators.action_selection.design import Belief, Guess
     from estimators.action_selection.plan import Goal, Plan
-    from testbed.actions.base import Action
     from testbed.objects.model import ObjectModel, ObjectShape
     from viz.values import PlanView
 
@@ -106,7 +104,7 @@ def plan_shown(model: ObjectModel, made: Plan, title: str) -> PlanView:
     from viz.values import PlanView
 
     errors = np.array([made.before.standard_error, *(step.belief.standard_error for step in made.steps)])
-    words = tuple(sentence(model.shape, action) for action in made.actions)
+    words = tuple(action.describe(model.shape) for action in made.actions)
     return PlanView(model.shape, made.actions, errors, model.total_mass, title, words)
 
 
@@ -198,8 +196,6 @@ def _table(shape: ObjectShape, made: Plan) -> Table:
     """A row an action: robot time, and the error expected after it."""
     from rich.table import Table
 
-    from testbed.actions.base import Weigh
-
     table = Table()
     for column, justify in (
         *(("", "right"), ("action", "left"), ("grasp", "left"), ("about, mm", "right"), ("way", "left")),
@@ -209,43 +205,15 @@ def _table(shape: ObjectShape, made: Plan) -> Table:
     belief, spent = made.before, 0.0
     for number, step in enumerate(made.steps, start=1):
         spent += step.seconds
-        kind, about, way = in_words(shape, step.action)
-        grasp = "" if isinstance(step.action, Weigh) else shape.grasps[step.action.grasp].name
+        name, about, manner = step.action.words(shape)
+        grasp = "" if step.action.grasp is None else shape.grasps[step.action.grasp].name
         nad = f"{100 * step.belief.expected_nad:.3g}"
         table.add_row(
-            str(number), kind, grasp, about, way, f"{step.seconds:.1f}", f"{spent:.0f}", nad,
+            str(number), name, grasp, about, manner, f"{step.seconds:.1f}", f"{spent:.0f}", nad,
             _largest_gains(shape, belief, step.belief),
         )  # fmt: skip
         belief = step.belief
     return table
-
-
-def in_words(shape: ObjectShape, action: Action) -> tuple[str, str, str]:
-    """Kind, centre and direction of an action."""
-    from testbed.actions.base import Accelerate, Lift, Rotate, Slide
-
-    if isinstance(action, Rotate):
-        x, y = shape.grasps[action.grasp].position if action.pivot is None else action.pivot
-        way = "left" if action.speed > 0 else "right"
-        both = f"{way} and back" if action.back else way
-        return "turn", f"({1e3 * x:.0f}, {1e3 * y:.0f})", f"{both}, {math.degrees(abs(action.speed)):.0f} deg/s"
-    if isinstance(action, Accelerate):
-        return "accelerate", "the grasp", "left" if action.start_speed > 0 else "right"
-    if isinstance(action, Slide):
-        return "slide", "", f"towards {math.degrees(action.direction):.0f} deg"
-    if isinstance(action, Lift):
-        return "lift", "", f"{action.swings} swings, held {action.hold:g} s"
-    return type(action).__name__.lower(), "", ""
-
-
-def sentence(shape: ObjectShape, action: Action) -> str:
-    """An action in one line."""
-    from testbed.actions.base import Rotate, Weigh
-
-    kind, about, way = in_words(shape, action)
-    at = "" if isinstance(action, Weigh) else f" at {shape.grasps[action.grasp].name}"
-    unit = " mm" if isinstance(action, Rotate) else ""
-    return f"{kind}{at} about {about}{unit}, {way}" if about else f"{kind}{at}, {way}"
 
 
 def _largest_gains(shape: ObjectShape, before: Belief, after: Belief) -> str:
@@ -266,7 +234,6 @@ def _grams(mass: float) -> str:
 def _conclusion(shape: ObjectShape, made: Plan, guess: Guess, goal: Goal) -> Iterator[str]:
     """Lines on how the plan ends, what it leaves open, and what is not feasible."""
     from estimators.identifiability.information import Assumptions, expected
-    from testbed.actions.base import Lift
 
     nad = f"{100 * made.after.expected_nad:.3g} %"
     yield (
@@ -276,10 +243,10 @@ def _conclusion(shape: ObjectShape, made: Plan, guess: Guess, goal: Goal) -> Ite
     if goal.until is not None and made.after.expected_nad > goal.until:
         yield f"the target of {100 * goal.until:g} % is not reached; {nad} is the best that this can have"
     for support in guess.supports:
-        actions = [a for a in made.actions if support == "rigid" or not isinstance(a, Lift)]
+        actions = [a for a in made.actions if support == "rigid" or not a.in_air]
         report = expected(shape, guess.uniform(shape), actions, guess.sensing, Assumptions(support))
         yield f"{support}: {report.sentence}"
-    reasons = dict.fromkeys(f"{in_words(shape, action)[0]}: {why}" for action, why in made.rejected)
+    reasons = dict.fromkeys(f"{action.words(shape).name}: {why}" for action, why in made.rejected)
     yield from (f"not feasible: {reason}" for reason in list(reasons)[:MOST_REJECTED])
     if len(made.rejected) > MOST_REJECTED:
         yield f"{len(made.rejected)} actions in all would have taught more and are not feasible"

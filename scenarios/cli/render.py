@@ -17,7 +17,9 @@ from rich.table import Table
 from scenarios.cli.progress import show_progress
 from scenarios.results.store import read_json
 from scenarios.results.trials import TrialRecord, keys_of, read_trial
-from testbed.actions.base import Accelerate, Rotate, Slide
+from testbed.actions.accelerate import Accelerate
+from testbed.actions.rotate import Rotate
+from testbed.actions.slide import Slide
 from testbed.errors import InvalidValueError
 from testbed.objects.files import load_object
 from testbed.objects.model import ObjectShape
@@ -164,7 +166,7 @@ def nearest(time_s: Float[np.ndarray, "T"], instants: Float[np.ndarray, "N"]) ->
 def _caption(record: TrialRecord, sample: int) -> str:
     trajectory = record.trajectory
     doing = Phase(trajectory.phase[sample]).name.lower()
-    what = f"{record.object.name}, {type(trajectory.action).__name__.lower()}, {record.support.replace('_', ' ')}"
+    what = f"{record.object.name}, {trajectory.action.kind}, {record.support.replace('_', ' ')}"
     return f"{what}   {trajectory.time_s[sample]:.1f} s   {doing}"
 
 

@@ -64,7 +64,7 @@ def touch(
 
     from estimators.action_selection.design import ASSUMED_SUPPORTS
     from estimators.action_selection.plan import Goal
-    from scenarios.cli.plan import action_family, named_grasps, percent, seconds, sentence
+    from scenarios.cli.plan import action_family, named_grasps, percent, seconds
     from scenarios.cli.view import record_all, record_results
     from scenarios.config import Scenario
     from scenarios.results.lock import exclusive
@@ -82,7 +82,7 @@ def touch(
         outcome = "" if trial.ok else f" [{trial.status}: {trial.reason}]"
         again = f"; {decision.why}" if decision.action is not None and decision.why else ""
         error = f"{spent:.0f} s of the robot, expected NAD {100 * decision.nad:.3g} %"
-        say(f"{number}: {sentence(model.shape, trial.action)}{outcome}; {error}{again}")
+        say(f"{number}: {trial.action.describe(model.shape)}{outcome}; {error}{again}")
 
     console, model, begin = Console(), load_object(object_), time.monotonic()
     goal = Goal(percent(until, "--until"), seconds(budget, "--budget"), most)
@@ -117,7 +117,6 @@ def _conclusion(model: ObjectModel, result: ActiveResult, goal: Goal) -> Iterato
     import math
 
     from estimators.action_selection.online import DISAGREE
-    from scenarios.cli.plan import in_words
 
     last, row, answer = result.last, result.row, result.last.estimate
     yield f"stopped: {last.why}"
@@ -144,4 +143,4 @@ def _conclusion(model: ObjectModel, result: ActiveResult, goal: Goal) -> Iterato
     if last.answered and row.get("message"):
         yield f"{row['status']}: {row['message']}"
     for action, why in last.rejected[:MOST_REJECTED]:
-        yield f"not feasible: {in_words(model.shape, action)[0]}: {why}"
+        yield f"not feasible: {action.words(model.shape).name}: {why}"

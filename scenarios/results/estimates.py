@@ -17,9 +17,8 @@ from estimators.evaluation.statistics import AXIS, Row, axes_of, select
 from estimators.particles.wrench import predicted_wrenches
 from scenarios.results.load import load_results
 from scenarios.results.store import Store, read_json, rows_of
-from scenarios.results.trials import TrialRecord, describe, kind_of_trial, read_trial, wrench_fit
+from scenarios.results.trials import TrialRecord, kind_of_trial, read_trial, wrench_fit
 from scenarios.study.estimates import sensed
-from testbed.actions.base import Weigh
 from testbed.errors import HeftError, InvalidValueError
 from testbed.objects.model import MassDistribution, ObjectModel, ObjectShape
 from testbed.trajectory import Trajectory
@@ -82,12 +81,12 @@ def fits_of(folder: Path, row: Row, shown: EstimateView) -> list[tuple[str, Traj
     """The moved trials behind an estimate in order: key, record as sensed, and how the answer explains it."""
     keys = tuple(row["trial_keys"])
     drawn = zip(keys, sensed(Store(folder), keys, row["sensing"], int(row["seed"])), strict=True)
-    moved = [(key, trajectory) for key, trajectory in drawn if not isinstance(trajectory.action, Weigh)]
+    moved = [(key, trajectory) for key, trajectory in drawn if trajectory.action.moves]
     predicted: list[Any] = [None] * len(moved)
     if shown.answer is not None:
         predicted = list(predicted_wrenches(shown.shape, shown.answer, [trajectory for _, trajectory in moved]))
     fits = [
-        wrench_fit(f"{i + 1}: {describe(trajectory, shown.shape)}", trajectory, wrench)
+        wrench_fit(f"{i + 1}: {trajectory.action.describe(shown.shape)}", trajectory, wrench)
         for i, ((_, trajectory), wrench) in enumerate(zip(moved, predicted, strict=True))
     ]
     return [(key, trajectory, fit) for (key, trajectory), fit in zip(moved, fits, strict=True)]

@@ -9,7 +9,7 @@ from typing import Any
 
 from scenarios.results.store import read_json
 from scenarios.results.trials import keys_of, object_of
-from testbed.actions.base import Rotate, Weigh
+from testbed.actions.rotate import Rotate
 from testbed.errors import HeftError, InvalidValueError
 from testbed.objects.model import ObjectModel
 from testbed.trajectory import Trajectory, load_trajectory
@@ -91,10 +91,10 @@ def measured_in(
         if not t.trajectory.ok
     ]
     sound = [t for t in wanted if t.trajectory.ok]
-    weighings = {t.object: t.key for t in sound if isinstance(t.trajectory.action, Weigh)}
+    weighings = {t.object: t.key for t in sound if not t.trajectory.action.moves}
     groups: dict[tuple[str, str], list[MeasuredTrial]] = {}
     for t in sound:
-        if not isinstance(t.trajectory.action, Weigh):
+        if t.trajectory.action.moves:
             groups.setdefault((t.object, str(t.asked["support"])), []).append(t)
     if not groups:
         why = f"; {len(left_out)} are no data" if left_out else ""
@@ -128,7 +128,7 @@ def _measured(folder: Path, group: list[MeasuredTrial], weighings: dict[str, str
         if any(other.asked["object"].get(part) != last.asked["object"].get(part) for part in _SHAPE):
             allowed = f"trials of one shape; {other.key[:8]} and {last.key[:8]} differ: import them again, or apart"
             raise InvalidValueError(name, f"two shapes in {folder}", allowed)
-    turns = [t.key for t in group if isinstance(t.trajectory.action, Rotate)]
+    turns = [t.key for t in group if t.trajectory.action.kind == Rotate.kind]
     if held_out and (held_out > len(turns) or held_out == len(group)):
         most = min(len(turns), len(group) - 1)
         raise InvalidValueError("--held-out", held_out, f"at most {most} of {name}'s turns; a method needs one trial")

@@ -27,7 +27,6 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from estimators.base import Estimate
-from testbed.actions.base import action_to_dict
 from testbed.foot_forces import FootForces, save_foot_forces
 from testbed.objects.files import ObjectFile, asset_folder
 from testbed.objects.model import ObjectModel, ObjectShape, Solid
@@ -56,7 +55,7 @@ def trial_request(trial: Trial, settings: BenchSettings) -> dict[str, Any]:
         "schema": SCHEMA_VERSION,
         "assets": _asset_hash(),
         "object": object_request(trial.object),
-        "action": action_to_dict(trial.action),
+        "action": trial.action.to_dict(),
         "support": trial.support.name,
         "simulation": asdict(settings),
     }

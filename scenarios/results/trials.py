@@ -11,7 +11,6 @@ import numpy as np
 from estimators.particles.wrench import predicted_wrenches
 from scenarios.results.store import Store, object_request, read_json
 from scenarios.study.estimates import is_simulated, sensed
-from testbed.actions.base import Lift, Rotate, Slide, Weigh
 from testbed.errors import HeftError, InvalidValueError
 from testbed.foot_forces import load_foot_forces
 from testbed.objects.files import load_object
@@ -52,7 +51,8 @@ def read_trial(root: Path, beginning: str) -> TrialRecord:
     try:
         asked = said["asked"]
         obj = object_of(asked["object"], said.get("names") or {})
-        width = STROKE if isinstance(trajectory.action, Weigh) else obj.shape.grasps[trajectory.action.grasp].width
+        grasp = trajectory.action.grasp
+        width = STROKE if grasp is None else obj.shape.grasps[grasp].width
         if asked.get("simulation", {}).get("grip", {}).get("mode") == "weld":
             width = STROKE  # the fingers stay open
         return TrialRecord(folder, obj, str(asked["support"]), trajectory, width)
@@ -179,13 +179,13 @@ def show_trial(
     from testbed.simulation.rendering import body_poses  # noqa: PLC0415  graphics are chosen before MuJoCo loads
 
     action = trajectory.action
-    if isinstance(action, Weigh):
+    if not action.moves:
         raise InvalidValueError(
             "TRIAL", f"{record.folder.name[:8]}, a weighing", "a slide or a turn: nothing else moves"
         )
     feet = record.folder / "foot_forces.parquet"
     predicted = None if model is None else predicted_wrenches(shape, model, [trajectory])[0]
-    name = f"{describe(trajectory, record.object.shape)}"
+    name = trajectory.action.describe(record.object.shape)
     return TrialView(
         title=f"{record.object.name}: {name}",
         shape=record.object.shape,
@@ -207,21 +207,6 @@ def show_trial(
         }
         | facts,
     )
-
-
-def describe(trajectory: Trajectory, shape: ObjectShape) -> str:
-    """What was done, in words."""
-    action = trajectory.action
-    if isinstance(action, Weigh):
-        return "weigh"
-    held = shape.grasps[action.grasp].name if action.grasp < len(shape.grasps) else f"grasp {action.grasp}"
-    if isinstance(action, Slide):
-        return f"slide at {held}, towards {np.degrees(action.direction):.0f} deg"
-    if isinstance(action, Rotate):
-        return f"turn at {held}, {np.degrees(action.speed):+.0f} deg/s{' and back' if action.back else ''}"
-    if isinstance(action, Lift):
-        return f"lift at {held}"
-    return f"accelerated turn at {held}"
 
 
 def wrench_fit(label: str, trajectory: Trajectory, predicted: np.ndarray | None) -> WrenchFit:

@@ -15,7 +15,8 @@ from scenarios.results.store import Store, key_of, trial_request
 from scenarios.study.benches import BenchCheck
 from scenarios.study.estimates import Asked, estimate, sensed
 from scenarios.study.trials import simulate
-from testbed.actions.base import Action, Weigh
+from testbed.actions.base import Action
+from testbed.actions.weigh import Weigh
 from testbed.errors import InfeasibleTrialError
 from testbed.objects.model import ObjectModel
 from testbed.sensing.presets import preset

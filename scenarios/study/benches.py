@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from estimators.action_selection.design import Guess
-from testbed.actions.base import Action, Weigh
+from testbed.actions.base import Action
 from testbed.errors import InfeasibleTrialError, InvalidValueError
 from testbed.objects.model import ObjectModel, ObjectShape
 from testbed.plugins import RUNNER, configured, find_class, source_hash
@@ -65,7 +65,7 @@ class OtherBench:
         if not isinstance(record, Trajectory):
             raise InvalidValueError(f"{self.runner}.run()", record, "a Trajectory of testbed.trajectory")
         simulated = record.provenance.get("runner") == "simulation"
-        if simulated and record.tool is None and not isinstance(trial.action, Weigh):
+        if simulated and record.tool is None and trial.action.moves:
             allowed = (
                 "the Tool below the sensor: a sensor's errors are drawn on a simulated record before the tool is off"
             )

@@ -11,7 +11,9 @@ from estimators.base import ActionPolicy
 from scenarios.config import Scenario
 from scenarios.results.store import Store, key_of, object_request
 from scenarios.study.benches import BenchSettings, check_trial
-from testbed.actions.base import Accelerate, Action, Rotate
+from testbed.actions.accelerate import Accelerate
+from testbed.actions.base import Action
+from testbed.actions.rotate import Rotate
 from testbed.errors import InfeasibleTrialError, InvalidValueError
 from testbed.objects.files import load_object
 from testbed.objects.model import ObjectModel

@@ -6,11 +6,11 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from traceback import extract_tb
-from typing import Any, get_args
+from typing import Any
 
 from estimators.base import ActionPolicy
 from estimators.registry import POLICY
-from testbed.actions.base import Action, Weigh
+from testbed.actions.base import Action
 from testbed.errors import HeftError, InvalidValueError
 from testbed.objects.model import ObjectShape
 from testbed.plugins import configured, find_class, source_hash
@@ -58,7 +58,7 @@ class OtherPolicy:
             raise HeftError(f"{field} ends in {type(error).__name__}: {error} ({place})") from error
         if action is None:
             return None
-        if not isinstance(action, get_args(Action)) or isinstance(action, Weigh):
+        if not isinstance(action, Action) or not action.moves:
             raise InvalidValueError(field, action, "an action of testbed.actions on the table, or None when content")
         if action.grasp not in self.grasps:
             raise InvalidValueError(f"{field}.grasp", action.grasp, f"a grasp that may be used: {self.grasps}")

@@ -10,7 +10,8 @@ from scenarios.results.store import Store, key_of, object_request, trial_request
 from scenarios.study.benches import BenchSettings, OtherBench
 from scenarios.study.estimates import as_felt
 from scenarios.study.experiment import Cell, Made, Progress
-from testbed.actions.base import Action, Weigh, action_to_dict
+from testbed.actions.base import Action
+from testbed.actions.weigh import Weigh
 from testbed.errors import HeftError, InfeasibleTrialError
 from testbed.simulation.runner import SimulationRunner
 from testbed.trajectory import TrajectoryFileError
@@ -69,7 +70,7 @@ class _Run:
             if refusal == "":
                 self._go_on(cell, action)
             elif isinstance(refusal, Failure):
-                self._give_up(cell, f"{type(action).__name__.lower()}: {refusal.reason}")
+                self._give_up(cell, f"{action.kind}: {refusal.reason}")
                 self.store.put_trial_error(key, refusal.detail)
             else:
                 cell.refused[action] = refusal
@@ -99,7 +100,7 @@ class _Run:
             self._give_up(cell, f"policy: {error}")
             return None
         if action in cell.refused:
-            self._give_up(cell, f"{type(action).__name__.lower()}: {cell.refused[action]}")
+            self._give_up(cell, f"{action.kind}: {cell.refused[action]}")
             return None
         return action
 
@@ -118,7 +119,7 @@ def _taken(cell: Cell, action: Action, key: str, store: Store) -> bool:
     if cell.content:
         cell.held_out_keys.append(key)
         return True
-    if not isinstance(action, Weigh):
+    if action.moves:
         cell.trajectories.append(as_felt(trajectory, *cell.felt, len(cell.keys), key) if cell.felt else trajectory)
     cell.keys.append(key)
     return True
@@ -140,7 +141,7 @@ def _key_of_cell(cell: Cell) -> str:
         "support": cell.support.name,
         "policy": cell.scenario.policy.asked(),
         "grasps": list(cell.grasps),
-        "held_out": [action_to_dict(turn) for turn in cell.turns],
+        "held_out": [turn.to_dict() for turn in cell.turns],
         "simulation": asdict(cell.scenario.simulation.build()),
     }
     return key_of(asked | ({"felt": list(cell.felt)} if cell.felt else {}))
@@ -168,7 +169,7 @@ def simulate(trial: Trial, settings: BenchSettings, store: Store) -> None:
     feet = None
     if isinstance(settings, OtherBench):
         trajectory = settings.run(trial)
-    elif isinstance(trial.action, Weigh):
+    elif not trial.action.moves:
         trajectory = SimulationRunner(settings).run_clean(trial)
     else:
         runner = SimulationRunner(settings)

@@ -1,20 +1,80 @@
-"""Where a lift has the object at every moment: how high, and how far turned about which of its axes."""
+"""Lifts: hold the object still in the air and rock it; its height and angles at every moment."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Self
+from functools import lru_cache
+from typing import ClassVar, Self
 
 import numpy as np
 from jaxtyping import Float, Int
 
-from testbed.actions.base import Lift
+from testbed.actions.base import Action, ActionWords
+from testbed.errors import InvalidValueError
+from testbed.objects.model import ObjectShape
+from testbed.validation import check_integer, check_positive, is_number
 
+STEEPEST = math.radians(30)
+"""Greatest tilt in the air [rad]."""
 RAISE_TIME = 1.5
-"""Time of the way up, and of the way down, s."""
+"""Time of the way up, and of the way down [s]."""
 TILT_TIME = 0.8
-"""Time to take up a tilt, and to give it up again, s."""
+"""Time to take up a tilt, and to give it up again [s]."""
+
+
+@dataclass(frozen=True)
+class Lift(Action, kind="lift"):
+    """Lift the object clear of the table, hold it still, and rock it there about its own x, y and z axis.
+
+    At rest, the wrench is its weight at its center of mass, without friction; rocking adds the second moments. It
+    rocks about the TCP between tilts of either sign, at one angular acceleration of alternating sign.
+    """
+
+    in_air: ClassVar[bool] = True
+
+    grasp: int
+    """Index into the shape's grasps."""
+    tilt: float = math.radians(6)
+    """Greatest tilt about x and y, and turn about z, either way [rad]; 0 only holds it still and level."""
+    acceleration: float = 2.5
+    """Angular acceleration while rocking [rad/s^2]."""
+    swings: int = 6
+    """Stretches of such acceleration about each axis; 0 holds still at every tilt and does not rock."""
+    hold: float = 2.0
+    """Time held still, level and at every tilt [s]."""
+    height: float = 0.08
+    """Height over the table [m]."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not (is_number(self.tilt) and 0 <= self.tilt <= STEEPEST):
+            raise InvalidValueError("Lift.tilt", self.tilt, f"an angle from 0 to {STEEPEST:.2f}, rad")
+        for name in ("acceleration", "hold", "height"):
+            check_positive(f"Lift.{name}", getattr(self, name))
+        check_integer("Lift.swings", self.swings, least=0)
+
+    @property
+    def seconds(self) -> float:
+        """Duration of the motion, from rest to rest [s]."""
+        return _seconds(self)
+
+    def accelerates(self, segment: int) -> bool:
+        """True if it rocks in a stretch; it holds still level first, then at either end of each rocking."""
+        return segment > 0 and self.swings > 0 and (segment - 1) % (self.swings + 2) not in (0, self.swings + 1)
+
+    def profile(self, step: float) -> LiftProfile:
+        """Height and angles, sampled every `step` s."""
+        return LiftProfile.of(self, step)
+
+    def words(self, shape: ObjectShape) -> ActionWords:
+        """The parts of `describe`."""
+        return ActionWords("lift", manner=f"{self.swings} swings, held {self.hold:g} s")
+
+
+@lru_cache(maxsize=1024)
+def _seconds(action: Lift) -> float:
+    return action.profile(0.01).duration
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,23 +82,23 @@ class LiftProfile:
     """Height and angles of a lift at N ticks; the first is one step after its start."""
 
     step: float
-    """Time between ticks, s."""
+    """Time between ticks [s]."""
     height: Float[np.ndarray, "N"]
-    """Over the place where it lay, m."""
+    """Height over the place where it lay [m]."""
     height_rate: Float[np.ndarray, "N"]
-    """m/s."""
+    """Rate of `height` [m/s]."""
     angle: Float[np.ndarray, "N 3"]
-    """About the object's own x, y and z axis, rad: one at a time, the others at 0."""
+    """Angle about the object's own x, y and z axis [rad]: one at a time, the others at 0."""
     rate: Float[np.ndarray, "N 3"]
-    """rad/s."""
+    """Rate of `angle` [rad/s]."""
     acceleration: Float[np.ndarray, "N 3"]
-    """rad/s^2."""
+    """Rate of `rate` [rad/s^2]."""
     segment: Int[np.ndarray, "N"]
-    """Stretch held still or at constant acceleration that a tick belongs to, from 0; -1 outside."""
+    """Index of the stretch at rest or at constant acceleration that a tick belongs to; -1 outside."""
 
     @classmethod
     def of(cls, action: Lift, step: float) -> Self:
-        """The profile of a lift, sampled every `step` s."""
+        """Profile of a lift, sampled every `step` s."""
         parts: list[tuple[np.ndarray, np.ndarray, bool]] = []
         level = np.zeros(3)
 
@@ -83,13 +143,8 @@ class LiftProfile:
 
     @property
     def duration(self) -> float:
-        """s."""
+        """Duration [s]."""
         return len(self.height) * self.step
-
-
-def swing_time(action: Lift) -> float:
-    """Time of one stretch of constant acceleration, from the greatest speed one way to that the other way, s."""
-    return 2 * math.sqrt(2 * action.tilt / action.acceleration)
 
 
 def _swings(action: Lift, step: float) -> list[tuple[np.ndarray, np.ndarray, float, bool]]:
@@ -99,7 +154,7 @@ def _swings(action: Lift, step: float) -> list[tuple[np.ndarray, np.ndarray, flo
     """
     if not action.swings:
         return []
-    half = max(round(swing_time(action) / 2 / step), 1)
+    half = max(round(math.sqrt(2 * action.tilt / action.acceleration) / step), 1)
     slope = 2 * action.tilt / (half * step) ** 2  # the acceleration that fits whole ticks
     counts = [half, *[2 * half] * action.swings, half]
     angle, rate, found = -action.tilt, 0.0, []

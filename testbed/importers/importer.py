@@ -9,7 +9,7 @@ import numpy as np
 from scipy.signal import savgol_filter
 from scipy.spatial.transform import Rotation
 
-from testbed.actions.base import Accelerate, Rotate, Slide
+from testbed.actions.base import TableAction
 from testbed.errors import InvalidValueError
 from testbed.frames import origin_velocity, pose_from_point
 from testbed.importers.logs import Log, LogError, Series, open_log, read_all
@@ -112,7 +112,7 @@ def object_of(table: Mapping, mapping: Path) -> ObjectModel:
         raise InvalidValueError(error.field, error.given, error.allowed, file=error.file or mapping) from None
 
 
-def _action_and_object(table: Mapping, mapping: Path) -> tuple[Rotate | Accelerate | Slide, ObjectModel]:
+def _action_and_object(table: Mapping, mapping: Path) -> tuple[TableAction, ObjectModel]:
     action, model = table.recorded_action(), object_of(table, mapping)
     if action.grasp >= len(model.shape.grasps):
         names = ", ".join(f"{i} ({g.name})" for i, g in enumerate(model.shape.grasps))

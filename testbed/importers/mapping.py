@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, PlainValidator, model_validator
 
-from testbed.actions.base import Accelerate, Rotate, Slide, action_from_dict
+from testbed.actions.base import TableAction, action_from_dict
 from testbed.errors import InvalidValueError
 from testbed.objects.files import Finite, NonNegative, Positive
 from testbed.sensing.presets import preset
@@ -184,15 +184,15 @@ def _in_order(windows: list[PhaseWindow]) -> list[PhaseWindow]:
     return windows
 
 
-def _moving_action(table: dict[str, Any]) -> Rotate | Accelerate | Slide:
+def _moving_action(table: dict[str, Any]) -> TableAction:
     action = action_from_dict(table)
-    if not isinstance(action, Rotate | Accelerate | Slide):
+    if not isinstance(action, TableAction):  # a log holds a motion over the table
         raise InvalidValueError("kind", table.get("kind"), "rotate, accelerate or slide")
     return action
 
 
 Windows = Annotated[list[PhaseWindow], AfterValidator(_in_order)]
-MovingAction = Annotated[Rotate | Accelerate | Slide, PlainValidator(_moving_action)]
+MovingAction = Annotated[TableAction, PlainValidator(_moving_action)]
 
 
 class LogMap(_Table):
@@ -225,7 +225,7 @@ class Mapping(_Table):
         changes = {} if own is None else {"action": own.action, "phases": own.phases}
         return self.model_copy(update={"logs": [], **{k: v for k, v in changes.items() if v is not None}})
 
-    def recorded_action(self) -> Rotate | Accelerate | Slide:
+    def recorded_action(self) -> TableAction:
         """The action in the log.
 
         Raises:

@@ -10,7 +10,7 @@ from scipy.interpolate import make_interp_spline
 from scipy.ndimage import uniform_filter1d
 from scipy.spatial.transform import Rotation, Slerp
 
-from testbed.actions.base import Accelerate, Rotate, Slide
+from testbed.actions.base import TableAction
 from testbed.importers.logs import LogError, Series
 from testbed.importers.mapping import PhaseWindow
 from testbed.trajectory import Phase
@@ -97,7 +97,7 @@ def phases_from_windows(windows: Sequence[PhaseWindow], time: Float[np.ndarray, 
 
 
 def phases_from_motion(
-    action: Rotate | Accelerate | Slide, height: Float[np.ndarray, "T"], velocity: Float[np.ndarray, "T 6"]
+    action: TableAction, height: Float[np.ndarray, "T"], velocity: Float[np.ndarray, "T 6"]
 ) -> Phases:
     """Phases of a turn or a slide from the tool's motion at 100 Hz.
 
@@ -111,10 +111,10 @@ def phases_from_motion(
     Raises:
         LogError: an accelerated turn, another number of steady stretches than the action has, or no tare.
     """
-    if isinstance(action, Accelerate):
+    if action.accelerated:
         raise LogError("phases: those of an accelerated turn are not found from motion; give them as [[phases]]")
     smooth = uniform_filter1d(velocity, round(_SMOOTHING * RATE), axis=0)
-    rate = smooth[:, 5] if isinstance(action, Rotate) else np.linalg.norm(smooth[:, :2], axis=1)
+    rate = smooth[:, 5] if action.turns else np.linalg.norm(smooth[:, :2], axis=1)
     stretches = _steady(action, rate)
     count, first, last = len(rate), int(stretches[0][0]), int(stretches[-1][-1])
     still = np.linalg.norm(smooth[:, :3], axis=1) < STILL[0]
@@ -141,17 +141,18 @@ def phases_from_motion(
     return phase, segment
 
 
-def _steady(action: Rotate | Slide, rate: np.ndarray) -> list[np.ndarray]:
+def _steady(action: TableAction, rate: np.ndarray) -> list[np.ndarray]:
     """Stretches at the action's speed, in order, each at least half as long as it should be."""
-    close = np.abs(np.abs(rate) - abs(action.speed)) < STEADY_WITHIN * abs(action.speed)
-    stretches = [run for run in _runs(close) if len(run) >= action.duration * RATE / 2]
-    wanted = [action.speed, -action.speed][: 1 + action.back] if isinstance(action, Rotate) else [action.speed]
+    speed, _, seconds = action.steady[0]
+    close = np.abs(np.abs(rate) - abs(speed)) < STEADY_WITHIN * abs(speed)
+    stretches = [run for run in _runs(close) if len(run) >= seconds * RATE / 2]
+    wanted = [stretch.speed for stretch in action.steady]
     if [np.sign(rate[s].mean()) for s in stretches] == np.sign(wanted).tolist():
         return stretches
     found = ", ".join(f"{rate[s].mean():+.3g} for {len(s) / RATE:.1f} s" for s in stretches) or "none"
     raise LogError(
         f"phases: the steady stretches found are {found}; the action has "
-        f"{', '.join(f'{w:+.3g} for {action.duration:g} s' for w in wanted)} (rad/s or m/s); correct its speed and "
+        f"{', '.join(f'{w:+.3g} for {seconds:g} s' for w in wanted)} (rad/s or m/s); correct its speed and "
         "duration, or give [[phases]]"
     )
 

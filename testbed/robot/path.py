@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
-from testbed.actions.base import Lift, Weigh
+from testbed.actions.base import TableAction
 from testbed.actions.path import WORKSPACE, Profile, ToolPath
 from testbed.errors import InfeasibleTrialError
 from testbed.frames import perpendicular, pose_from_point, transform_point
@@ -185,13 +185,13 @@ def starting_pose(trial: Trial) -> Float[np.ndarray, "3"]:
     Raises:
         InfeasibleTrialError: a lift.
     """
-    if isinstance(trial.action, Lift):
+    if trial.action.in_air:
         raise _not_lifted()
-    if isinstance(trial.action, Weigh):
+    if not isinstance(trial.action, TableAction):  # the rest follows a path over the table
         grasp = weighing_grasp(trial.object.shape)
         return pose_from_point(np.array(WORKSPACE), grasp.position, np.array(-grasp.angle))
-    length = Profile.of(trial.action, PROFILE_STEP).length
-    path = ToolPath.centred(trial.action, trial.object.shape, length, WORKSPACE)
+    length = trial.action.profile(PROFILE_STEP).length
+    path = trial.action.centered_path(trial.object.shape, length)
     return path.object_pose(np.array([-0.5]))[0]
 
 
@@ -209,7 +209,7 @@ def weighing_grasp(shape: ObjectShape) -> Grasp:
 def gripped(trial: Trial) -> Grasp:
     """Grasp of a trial."""
     shape, action = trial.object.shape, trial.action
-    return weighing_grasp(shape) if isinstance(action, Weigh) else shape.grasps[action.grasp]
+    return weighing_grasp(shape) if not action.moves else shape.grasps[action.grasp]
 
 
 def plan_trial(trial: Trial, object_pose: Float[np.ndarray, "3"], settings: RobotSettings) -> RobotPlan:
@@ -220,15 +220,15 @@ def plan_trial(trial: Trial, object_pose: Float[np.ndarray, "3"], settings: Robo
     """
     shape, action = trial.object.shape, trial.action
     height = settings.table_height + settings.grip_height
-    if isinstance(action, Lift):
+    if action.in_air:
         raise _not_lifted()
-    if isinstance(action, Weigh):
+    if not isinstance(action, TableAction):  # the rest follows a path over the table
         grasp, act = weighing_grasp(shape), None
         x, y = transform_point(object_pose, grasp.position)
         yaw = float(object_pose[2]) + grasp.angle
     else:
-        grasp, profile = shape.grasps[action.grasp], Profile.of(action, PROFILE_STEP)
-        path = ToolPath.from_object(action, shape, profile.length, object_pose)
+        grasp, profile = shape.grasps[action.grasp], action.profile(PROFILE_STEP)
+        path = action.path_from(shape, profile.length, object_pose)
         act = Along(path, profile, height)
         x, y, yaw = path.tool_pose(np.array([-0.5]))[0]
     hold = np.array([x, y, height])
@@ -272,8 +272,7 @@ def described(plan: RobotPlan, settings: RobotSettings) -> str:
     turned = math.degrees(math.remainder(yaw, math.tau))
     place = ", ".join(f"{v:.3f}" for v in plan.hover.position)
     lines = [
-        f"{type(plan.trial.action).__name__.lower()} of {plan.trial.object.name} at {plan.grasp.name}, "
-        f"{plan.duration(settings):.0f} s",
+        f"{plan.trial.action.kind} of {plan.trial.object.name} at {plan.grasp.name}, {plan.duration(settings):.0f} s",
         f"object: its middle at ({x:.3f}, {y:.3f}) m, turned by {turned:.1f} deg, base frame of the arm",
         f"travel: to ({place}) m, at most {settings.travel_speed:.2f} m/s; zeroed there for {settings.tare_time:g} s",
     ]

@@ -14,7 +14,6 @@ from typing import Self
 
 import numpy as np
 
-from testbed.actions.base import Weigh
 from testbed.robot.config import RobotSettings
 from testbed.robot.execution import Execution
 from testbed.robot.guard import Guard
@@ -130,7 +129,7 @@ class RealRunner:
             InfeasibleTrialError: refused before moving.
             RobotError: not confirmed, not entered, or ended before anything was recorded.
         """
-        if isinstance(trial.action, Weigh) and self._weight is not None:
+        if not trial.action.moves and self._weight is not None:
             return read_off(self._weight)
         if self._connections is None:
             raise RobotError("the robot is not connected: use the runner in a with statement")
@@ -172,7 +171,7 @@ class RealRunner:
         }
         whole = trajectory_of(plan, record, self._settings, status, reason, figures, provenance)
         judged = judge_drift(whole, self._settings.drift)
-        return lifted(judged) if isinstance(plan.trial.action, Weigh) and judged.ok else judged
+        return lifted(judged) if not plan.trial.action.moves and judged.ok else judged
 
     def _slip(self, plan: RobotPlan, record: Record) -> tuple[float, float] | None:
         """Distance [m] and angle [rad] of the object from its place by the hand's pose; None without a tracker."""

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
-from testbed.actions.base import Weigh
+from testbed.actions.weigh import Weigh
 from testbed.frames import origin_velocity, pose_from_point, rotation_matrix
 from testbed.objects.model import GRAVITY
 from testbed.robot.config import RobotSettings

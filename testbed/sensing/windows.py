@@ -13,7 +13,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from jaxtyping import Float, Int
 
-from testbed.actions.base import Accelerate, Action, Lift, Weigh
+from testbed.actions.base import Action, TableAction
 from testbed.errors import InvalidValueError
 from testbed.frames import (
     move_wrench,
@@ -101,7 +101,7 @@ def steady_windows(trajectory: Trajectory) -> list[SteadyWindow]:
         raise InvalidValueError(
             "trajectory.status", trajectory.status, f"ok; this trial is no data: {trajectory.reason}"
         )
-    if isinstance(trajectory.action, Weigh | Lift):
+    if not isinstance(trajectory.action, TableAction):  # the others have no such windows
         raise InvalidValueError(
             "trajectory.action",
             trajectory.action,
@@ -177,8 +177,7 @@ def steady_samples(trajectory: Trajectory) -> list[Int[np.ndarray, "N"]]:
 
 def trim_start(action: Action, segment: int) -> float:
     """What is left out at the start of a steady stretch of an action, s."""
-    steps = isinstance(action, Accelerate) or (isinstance(action, Lift) and action.rocks(segment))
-    return TRIM_STEP if steps else TRIM_START
+    return TRIM_STEP if action.accelerates(segment) else TRIM_START
 
 
 def wrench_in_object(trajectory: Trajectory) -> Float[np.ndarray, "T 6"]:
@@ -247,7 +246,7 @@ def weight_of(trajectory: Trajectory) -> float:
     Raises:
         InvalidValueError: not a weighing, or one that is not `ok`.
     """
-    if not (isinstance(trajectory.action, Weigh) and trajectory.ok):
+    if trajectory.action.moves or not trajectory.ok:
         raise InvalidValueError("trajectory", f"{trajectory.action}, {trajectory.status}", "a Weigh with status ok")
     return float(trajectory.wrench_on_object_world[:, 2].mean()) / GRAVITY
 

@@ -7,8 +7,9 @@ import math
 import mujoco
 import numpy as np
 
-from testbed.actions.base import Lift, Weigh
-from testbed.actions.path import EDGES, HIGH, LOW, Profile, ToolPath, outline, overhang, overhang_of
+from testbed.actions.base import TableAction
+from testbed.actions.lift import Lift
+from testbed.actions.path import EDGES, HIGH, LOW, outline, overhang, overhang_of
 from testbed.errors import InfeasibleTrialError
 from testbed.frames import rotation_2d
 from testbed.objects.gripper import PAD_HEIGHT, PAD_WIDTH, STROKE
@@ -135,9 +136,7 @@ def check_feasible(trial: Trial, motion: Motion, settings: SimulationSettings) -
             object's own weight lifts, friction beyond the grip, drag beyond a joint's working torque or speed, or what
             cannot be lifted; the message says by how much and what could be done.
     """
-    assert not isinstance(trial.action, Weigh)
-    shape = trial.object.shape
-    grasp = shape.grasps[trial.action.grasp]
+    shape, grasp = trial.object.shape, trial.grasp
     if grasp.width > STROKE - 0.005:
         raise InfeasibleTrialError(
             f"grip: block {grasp.name} is {grasp.width * 1e3:.0f} mm wide; the gripper opens to "
@@ -153,7 +152,7 @@ def check_feasible(trial: Trial, motion: Motion, settings: SimulationSettings) -
         raise InfeasibleTrialError(f"grip: {what}; the pads, 3 mm over the table, need {needed}")
     _check_table(trial, motion, settings)
     _check_rest(trial, settings)
-    if isinstance(trial.action, Lift):
+    if isinstance(trial.action, Lift):  # it meets no friction, but holds the weight
         check_lift(trial, trial.action, motion, settings)
     else:
         _check_drag(trial, grasp, motion, settings)
@@ -172,14 +171,13 @@ def _check_table(trial: Trial, motion: Motion, settings: SimulationSettings) -> 
     Nothing in the scene happens at the edge: the plane that feet touch has no end.
     """
     action, shape = trial.action, trial.object.shape
-    assert not isinstance(action, Weigh)
     x, y, yaw = motion.object_pose
-    if isinstance(action, Lift):
+    if isinstance(action, TableAction):  # the others stay over their place
+        length = action.profile(1 / settings.rate).length
+        beyond = overhang_of(shape, action.path_from(shape, length, motion.object_pose))
+    else:
         still = (np.zeros((1, 2)), np.array([[x, y]]), np.array([yaw]), np.zeros(1), np.zeros((1, 2)))
         beyond = overhang(outline(shape), *still)[0]
-    else:
-        length = Profile.of(action, 1 / settings.rate).length
-        beyond = overhang_of(shape, ToolPath.from_object(action, shape, length, motion.object_pose))
     worst = int(beyond.argmax())
     if beyond[worst] > 1e-9:
         raise InfeasibleTrialError(

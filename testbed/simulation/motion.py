@@ -5,17 +5,17 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, singledispatch
 
 import mink
 import mujoco
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from testbed.actions.base import Lift, Slide, TableAction
-from testbed.actions.lift import LiftProfile
-from testbed.actions.path import PAUSE, WORKSPACE, Profile, ToolPath
-from testbed.errors import InfeasibleTrialError
+from testbed.actions.base import Action, TableAction
+from testbed.actions.lift import Lift, LiftProfile
+from testbed.actions.path import PAUSE, WORKSPACE
+from testbed.errors import InfeasibleTrialError, InvalidValueError
 from testbed.frames import pose_from_point, rotation_2d
 from testbed.objects.gripper import STROKE
 from testbed.objects.model import ObjectShape
@@ -205,15 +205,14 @@ class Motion:
     """Whether the object leaves the table."""
 
 
-def plan_motion(action: TableAction | Lift, shape: ObjectShape, settings: SimulationSettings) -> Motion:
+def plan_motion(action: Action, shape: ObjectShape, settings: SimulationSettings) -> Motion:
     """Plan a whole trial: where the object lies, and what the arm and the fingers do at every tick.
 
     Raises:
         InfeasibleTrialError: part of the path is out of the arm's reach.
     """
     dt = 1.0 / settings.rate
-    lifts = isinstance(action, Lift)
-    work = _lifting(action, shape, settings) if lifts else _on_table(action, shape, settings)
+    work = _work(action, shape, settings)
     start = work.hold.copy()
     start[2] += HOVER
     descent_path = spline(np.linspace(start, work.hold, 4), np.array(HOME))
@@ -258,7 +257,7 @@ def plan_motion(action: TableAction | Lift, shape: ObjectShape, settings: Simula
         qd=np.concatenate([p[2] for p in parts]),
         grip=np.concatenate([p[3] for p in parts]),
         nulling=np.concatenate([np.full(len(p[1]), p[5]) for p in parts]),
-        in_the_air=lifts,
+        in_the_air=action.in_air,
     )
 
 
@@ -278,12 +277,19 @@ class _Work:
     """Whether load and tilt are nulled meanwhile."""
 
 
-def _on_table(action: TableAction, shape: ObjectShape, settings: SimulationSettings) -> _Work:
+@singledispatch
+def _work(action: Action, shape: ObjectShape, settings: SimulationSettings) -> _Work:
+    """Joint motion of an action between grasp and release."""
+    raise InvalidValueError("action", action, "an action that moves the object")
+
+
+@_work.register(TableAction)
+def _(action: TableAction, shape: ObjectShape, settings: SimulationSettings) -> _Work:
     """Turns and slides are centred: the middle of the path lies at the middle of the workspace."""
-    profile = Profile.of(action, 1.0 / settings.rate)
+    profile = action.profile(1.0 / settings.rate)
     distance, rate, total = profile.distance, profile.rate, profile.length
-    path = ToolPath.centred(action, shape, total, WORKSPACE)
-    n = max(math.ceil(total / (_STEP_LINE if isinstance(action, Slide) else _STEP_TURN)), 4)
+    path = action.centered_path(shape, total)
+    n = max(math.ceil(total / (_STEP_TURN if action.turns else _STEP_LINE)), 4)
     part = np.linspace(-0.5, 0.5, n + 1)
     tool = path.tool_pose(part)
     waypoints = np.column_stack([tool[:, :2], np.full(n + 1, settings.grip.tcp_height), tool[:, 2]])
@@ -296,9 +302,10 @@ def _on_table(action: TableAction, shape: ObjectShape, settings: SimulationSetti
     return _Work(waypoints[0], path.object_pose(part)[0], profile.segment, joints, complies)
 
 
-def _lifting(action: Lift, shape: ObjectShape, settings: SimulationSettings) -> _Work:
+@_work.register(Lift)
+def _(action: Lift, shape: ObjectShape, settings: SimulationSettings) -> _Work:
     """The TCP stays over the middle of the workspace, the pads closing along x."""
-    profile = LiftProfile.of(action, 1.0 / settings.rate)
+    profile = action.profile(1.0 / settings.rate)
     grasp = shape.grasps[action.grasp]
     hold = np.array([*WORKSPACE, settings.grip.tcp_height, 0.0])
     pose = pose_from_point(hold[:2], grasp.position, np.array(-grasp.angle))

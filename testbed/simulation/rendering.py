@@ -15,7 +15,6 @@ import numpy as np
 from jaxtyping import Bool, Float, UInt8
 from scipy.spatial.transform import Rotation
 
-from testbed.actions.base import Lift
 from testbed.errors import InvalidValueError
 from testbed.objects.gripper import STROKE
 from testbed.objects.model import ObjectModel
@@ -270,7 +269,7 @@ def object_pose(trajectory: Trajectory) -> Float[np.ndarray, "T 3"]:
 
 def _in_space(trajectory: Trajectory, middle: float) -> Float[np.ndarray, "T 7"] | None:
     """Pose of the object's body in a lift [m, wxyz], `middle` over its bottom [m]; None for other actions."""
-    if not (isinstance(trajectory.action, Lift) and trajectory.mask(Phase.SETTLE).any()):
+    if not (trajectory.action.in_air and trajectory.mask(Phase.SETTLE).any()):
         return None
     origin, axes = poses_in_space(trajectory)
     turned = Rotation.from_matrix(axes).as_quat(scalar_first=True)

@@ -11,7 +11,6 @@ from typing import Self
 import mujoco
 import numpy as np
 
-from testbed.actions.base import Weigh
 from testbed.errors import InvalidValueError
 from testbed.frames import origin_velocity, pose_from_point, rotation_matrix
 from testbed.objects.gripper import STROKE
@@ -76,7 +75,7 @@ class SimulationRunner:
             trial: any trial but a weighing.
             every: read the contacts at every `every`-th sample.
         """
-        if isinstance(trial.action, Weigh):
+        if not trial.action.moves:
             raise InvalidValueError("trial.action", trial.action, "anything but a weighing")
         log = ContactLog(every)
         trajectory = self._simulate(trial, log)
@@ -88,16 +87,15 @@ class SimulationRunner:
         Raises:
             InfeasibleTrialError: as `run` would.
         """
-        if not isinstance(trial.action, Weigh):
+        if trial.action.moves:
             check_feasible(trial, plan_motion(trial.action, trial.object.shape, self.settings), self.settings)
 
     def _simulate(self, trial: Trial, log: ContactLog | None) -> Trajectory:
-        if isinstance(trial.action, Weigh):
+        if not trial.action.moves:
             return weigh(trial, self.settings)
-        shape = trial.object.shape
-        motion = plan_motion(trial.action, shape, self.settings)
+        motion = plan_motion(trial.action, trial.object.shape, self.settings)
         check_feasible(trial, motion, self.settings)
-        scene = build_scene(trial.object, trial.support, shape.grasps[trial.action.grasp], self.settings)
+        scene = build_scene(trial.object, trial.support, trial.grasp, self.settings)
         model, data = scene.model, mujoco.MjData(scene.model)
         place(model, data, motion)
         if log is not None:
@@ -146,8 +144,7 @@ def _trajectory(
     settings: SimulationSettings,
     outcome: Outcome,
 ) -> Trajectory:
-    assert not isinstance(trial.action, Weigh)
-    grasp = trial.object.shape.grasps[trial.action.grasp]
+    grasp = trial.grasp
     s = {
         name: record[:, (a := model.sensor(key).adr[0]) : a + model.sensor(key).dim[0]]
         for name, key in _SENSORS.items()

@@ -13,7 +13,6 @@ import numpy as np
 from dm_control.mujoco.wrapper import MjModel
 from dm_env.specs import BoundedArray
 
-from testbed.actions.base import Weigh
 from testbed.errors import InvalidValueError
 from testbed.simulation.controller import Servo
 from testbed.simulation.feasibility import check_feasible
@@ -48,13 +47,13 @@ class LiveTrial(_Scripted):
             InvalidValueError: a weighing.
             InfeasibleTrialError: the arm, the gripper or the table cannot do it.
         """
-        if isinstance(trial.action, Weigh):
+        if not trial.action.moves:
             raise InvalidValueError("action", "weigh", "a slide or a turn: on a scale nothing moves")
         self._settings = settings or SimulationSettings()
         shape = trial.object.shape
         self._motion = plan_motion(trial.action, shape, self._settings)
         check_feasible(trial, self._motion, self._settings)
-        grasp = shape.grasps[trial.action.grasp]
+        grasp = trial.grasp
         self._scene = build_scene(trial.object, trial.support, grasp, self._settings, meshes=True)
         light(self._scene.model)
         self.physics = dm_control.mujoco.Physics.from_model(MjModel(self._scene.model))

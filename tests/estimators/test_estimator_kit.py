@@ -20,7 +20,7 @@ from estimators.testing import plugin, recorded
 from estimators.testing.recorded import KnownBlock, block_names, load_block, save_block
 from estimators.testing.recovery import ALLOWED, recovers, shows_every_mass
 from estimators.testing.test_estimator import cases
-from testbed.actions.base import Rotate
+from testbed.actions.rotate import Rotate
 from testbed.errors import InvalidValueError
 from testbed.objects.files import Blocks, ObjectFile
 from testbed.objects.model import GRAVITY, MassDistribution

@@ -22,7 +22,8 @@ from estimators.registry import METHODS
 from estimators.support_models.estimator import SupportAware
 from estimators.testing.analytic_world import analytic_trial, drawn_object
 from estimators.testing.conformance import CONFORMANCE, WITHOUT_DRAWS, data, small_object
-from testbed.actions.base import Accelerate, Rotate
+from testbed.actions.accelerate import Accelerate
+from testbed.actions.rotate import Rotate
 from testbed.objects.files import load_object
 
 BASELINES = {

@@ -7,7 +7,9 @@ from dataclasses import replace
 import numpy as np
 
 from estimators.testing.analytic_world import HEIGHT, analytic_trial
-from testbed.actions.base import Accelerate, Rotate, Slide
+from testbed.actions.accelerate import Accelerate
+from testbed.actions.rotate import Rotate
+from testbed.actions.slide import Slide
 from testbed.frames import (
     cross_2d,
     move_wrench,

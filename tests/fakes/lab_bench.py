@@ -10,7 +10,6 @@ import numpy as np
 import pandas as pd
 from scipy.spatial.transform import Rotation, Slerp
 
-from testbed.actions.base import action_to_dict
 from testbed.trajectory import Trajectory
 
 MOUNT = Rotation.from_euler("xyz", [180, 0, 123], degrees=True)
@@ -42,7 +41,7 @@ def mapping_of(t: Trajectory, **changes: Any) -> dict[str, Any]:
     along = hand.inv().apply(closing_axis(t))
     said: dict[str, Any] = {
         "object": "L2",
-        "action": action_to_dict(t.action),
+        "action": t.action.to_dict(),
         "time": {"column": "stamp", "unit": "ms"},
         "sensor": {
             "force": ["fx", "fy", "fz"],

@@ -7,8 +7,7 @@ from scipy.spatial.transform import Rotation
 
 from estimators.testing.analytic_world import HEIGHT
 from estimators.testing.records import DOWN, RATE, TOOL, record
-from testbed.actions.base import Lift
-from testbed.actions.lift import LiftProfile
+from testbed.actions.lift import Lift
 from testbed.frames import move_wrench, rotate_wrench
 from testbed.objects.model import GRAVITY, ObjectModel
 from testbed.trajectory import Phase, Trajectory
@@ -37,7 +36,7 @@ def lifted(
         seed: of the errors.
     """
     shape, still = obj.shape, 80
-    profile = LiftProfile.of(action, 1 / RATE)
+    profile = action.profile(1 / RATE)
     count = still + len(profile.height)
     yaw = 0.3
     rest = [(still, 0), (0, 0)]

@@ -12,7 +12,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from testbed.actions.base import Rotate
+from testbed.actions.rotate import Rotate
 from testbed.objects.model import ObjectModel
 from testbed.robot.config import RobotSettings
 from testbed.robot.interfaces import RobotError

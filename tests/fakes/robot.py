@@ -10,7 +10,7 @@ from typing import Any, Self
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from testbed.actions.base import Rotate
+from testbed.actions.rotate import Rotate
 from testbed.objects.blocks import block_object, parse_layout
 from testbed.objects.model import ObjectModel
 from testbed.robot.config import RobotSettings

@@ -17,7 +17,7 @@ from scenarios.results.load import load_results
 from scenarios.study.experiment import feasible_grasps
 from scenarios.study.run import run_scenario
 from testbed import plugins
-from testbed.actions.base import Slide
+from testbed.actions.slide import Slide
 from testbed.errors import InfeasibleTrialError
 from testbed.objects.files import InvalidFileError, load_object
 from testbed.plugins import RUNNER
@@ -54,7 +54,7 @@ class Bare:
         pass
     def run(self, trial):
         record = DragSimulator().run(trial)
-        return record if isinstance(trial.action, Weigh) else replace(record, tool=None)
+        return record if not trial.action.moves else replace(record, tool=None)
 
 class Words(Bare):
     def run(self, trial):

@@ -7,7 +7,7 @@ from dataclasses import replace
 import pandas as pd
 
 from scenarios.results.store import Store, key_of, trial_request
-from testbed.actions.base import Rotate
+from testbed.actions.rotate import Rotate
 from testbed.objects.files import load_object
 from testbed.objects.model import ObjectModel
 from testbed.simulation.settings import SimulationSettings

@@ -9,7 +9,8 @@ from numpy.testing import assert_array_equal
 
 from scenarios.results.store import object_request
 from scenarios.results.trials import keys_of, read_trial
-from testbed.actions.base import Slide, Weigh
+from testbed.actions.slide import Slide
+from testbed.actions.weigh import Weigh
 from testbed.errors import HeftError, InvalidValueError
 from testbed.objects.files import load_object
 from testbed.objects.gripper import STROKE

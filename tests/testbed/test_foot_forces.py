@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from testbed.actions.base import Rotate, Weigh
+from testbed.actions.rotate import Rotate
+from testbed.actions.weigh import Weigh
 from testbed.errors import InvalidValueError
 from testbed.foot_forces import (
     FootForces,

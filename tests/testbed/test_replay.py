@@ -9,7 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from testbed.actions.base import Action, Rotate, Slide, Weigh
+from testbed.actions.base import Action
+from testbed.actions.rotate import Rotate
+from testbed.actions.slide import Slide
+from testbed.actions.weigh import Weigh
 from testbed.errors import InfeasibleTrialError, InvalidValueError
 from testbed.objects.files import load_object
 from testbed.replay import ReplayRunner

@@ -11,7 +11,11 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from testbed.actions.base import Accelerate, Action, Rotate, Slide, Weigh
+from testbed.actions.accelerate import Accelerate
+from testbed.actions.base import Action
+from testbed.actions.rotate import Rotate
+from testbed.actions.slide import Slide
+from testbed.actions.weigh import Weigh
 from testbed.errors import InvalidValueError
 from testbed.trajectory import (
     Phase,

@@ -8,7 +8,8 @@ import pytest
 
 from scenarios.config import Scenario
 from scenarios.study.run import run_scenario
-from testbed.actions.base import Rotate, Weigh
+from testbed.actions.rotate import Rotate
+from testbed.actions.weigh import Weigh
 from tests.helpers.recorded import put_trial
 
 SMALL = {

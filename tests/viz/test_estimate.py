@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
 from estimators.base import Trace
-from testbed.actions.base import Weigh
+from testbed.actions.weigh import Weigh
 from testbed.errors import InvalidValueError
 from testbed.frames import transform_point
 from testbed.objects.files import load_object

@@ -11,7 +11,6 @@ import rerun.blueprint as rrb
 from rerun_loader_mjcf import MJCFLogger
 from scipy.spatial.transform import Rotation
 
-from testbed.actions.base import Lift
 from testbed.foot_forces import FootForces
 from testbed.frames import rotation_2d
 from testbed.sensing.lift_windows import poses_in_space
@@ -137,7 +136,7 @@ def _log_object(node: Node, view: TrialView) -> None:
 
 def _object_poses(trajectory: Trajectory) -> dict[str, Any]:
     """Poses of the object: over the table, or in space where it is lifted and was gripped."""
-    if isinstance(trajectory.action, Lift) and trajectory.mask(Phase.SETTLE).any():
+    if trajectory.action.in_air and trajectory.mask(Phase.SETTLE).any():
         place, axes = poses_in_space(trajectory)
         return {"translation": place, "quaternion": Rotation.from_matrix(axes).as_quat()}
     pose = trajectory.object_pose

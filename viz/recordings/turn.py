@@ -8,7 +8,6 @@ import numpy as np
 import rerun as rr
 from jaxtyping import Float
 
-from testbed.actions.base import Weigh
 from testbed.frames import perpendicular, rotation_2d, transform_point
 from testbed.objects.model import Grasp, ObjectShape
 from testbed.trajectory import Phase, Trajectory
@@ -30,7 +29,7 @@ HORIZONS = (0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0)
 
 def moves_on_table(trajectory: Trajectory | None) -> bool:
     """True if there is motion to draw."""
-    return trajectory is not None and not isinstance(trajectory.action, Weigh) and trajectory.time_s.size > 1
+    return trajectory is not None and trajectory.action.moves and trajectory.time_s.size > 1
 
 
 def point_velocity(

@@ -123,7 +123,10 @@ def action_of(
     from dataclasses import replace
 
     from estimators.action_selection.rank import between_particles
-    from testbed.actions.base import Accelerate, Rotate, Slide, Weigh
+    from testbed.actions.accelerate import Accelerate
+    from testbed.actions.rotate import Rotate
+    from testbed.actions.slide import Slide
+    from testbed.actions.weigh import Weigh
     from testbed.errors import InvalidValueError
 
     if kind == "weigh":
@@ -173,13 +176,12 @@ def _confirmed(motion: str) -> bool:
 def _store(trajectory: Trajectory, planned: Trial, file: RobotFile, out: Path) -> None:
     """Store the record like a simulated one, and print its status; exit code 1 if it is no data."""
     from scenarios.results.store import Store, key_of, object_request
-    from testbed.actions.base import action_to_dict
     from testbed.trajectory import SCHEMA_VERSION
 
     request = {
         "schema": SCHEMA_VERSION,
         "object": object_request(planned.object),
-        "action": action_to_dict(planned.action),
+        "action": planned.action.to_dict(),
         "support": planned.support.name,
         "robot": file.to_dict(),
         "recorded": trajectory.provenance["recorded"],

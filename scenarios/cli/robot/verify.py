@@ -49,12 +49,11 @@ def findings(trials: list[MeasuredTrial], name: str) -> list[Finding]:
     """Findings of one object's sound trials: its last lift, its turns and slides at constant speed."""
     import numpy as np
 
-    from testbed.actions.base import Rotate, Slide, Weigh
     from testbed.robot.calibration.trial import check_trial
     from testbed.sensing.windows import mean_covariance, steady_windows, weight_of
 
     records = [t.trajectory for t in trials if t.object == name]
-    weighings = [t for t in records if isinstance(t.action, Weigh)]
+    weighings = [t for t in records if not t.action.moves]
     lifts = [t for t in weighings if "weight_std_kg" in t.figures]
     scale = [weight_of(t) for t in weighings if "weight_std_kg" not in t.figures]
     found: list[Finding] = []
@@ -63,6 +62,6 @@ def findings(trials: list[MeasuredTrial], name: str) -> list[Finding]:
         covariance = mean_covariance(wrench) + np.diag(lifts[-1].sensor_bias_std ** 2)
         found += check_trial(wrench.mean(axis=0), covariance, [], mass=scale[-1] if scale else None)
     for moved in records:
-        if isinstance(moved.action, Rotate | Slide):
+        if moved.action.on_table and not moved.action.accelerated:
             found += check_trial(None, None, steady_windows(moved))
     return found

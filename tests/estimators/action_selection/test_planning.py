@@ -28,8 +28,10 @@ from estimators.particles.lifts import lift_information
 from estimators.particles.pivots import PivotInertia, inertia_map, slope_variance
 from estimators.particles.windows import Observations
 from estimators.particles.wrench import ParticleLoads
-from testbed.actions.base import Accelerate, Lift, Rotate, Slide
-from testbed.actions.path import WORKSPACE, ToolPath
+from testbed.actions.accelerate import Accelerate
+from testbed.actions.lift import Lift
+from testbed.actions.rotate import Rotate
+from testbed.actions.slide import Slide
 from testbed.errors import InvalidValueError
 from testbed.objects.files import load_object
 from testbed.objects.model import ObjectModel, ObjectShape
@@ -259,7 +261,7 @@ def test_candidates_stay_in_reach_and_clear_of_particles():
     assert {t.grasp for t in turns} == set(range(len(shape.grasps)))
     assert clear_of_particles(shape, np.array([t.pivot for t in turns])).all()
     for turn in turns[::40]:
-        path = ToolPath.centred(turn, shape, abs(turn.speed) * (turn.duration + 0.4), WORKSPACE)
+        path = turn.centered_path(shape, abs(turn.speed) * (turn.duration + 0.4))
         distance = np.linalg.norm(path.tool_pose(np.linspace(-0.5, 0.5, 7))[:, :2], axis=1)
         assert REACH[0] < distance.min() and distance.max() < REACH[1]
     assert family.sample(shape, [], 10, 0) == ()

@@ -13,11 +13,14 @@ from estimators.action_selection.plan import Goal
 from estimators.action_selection.rank import RankDriven
 from estimators.identifiability.information import SUPPORTS
 from scenarios.cli.main import main
-from scenarios.cli.plan import percent, plan_shown, seconds, sentence
+from scenarios.cli.plan import percent, plan_shown, seconds
 from scenarios.config import Policy
 from scenarios.results.load import load_results
 from scenarios.study.benches import BenchCheck
-from testbed.actions.base import Accelerate, Lift, Rotate, Slide
+from testbed.actions.accelerate import Accelerate
+from testbed.actions.lift import Lift
+from testbed.actions.rotate import Rotate
+from testbed.actions.slide import Slide
 from testbed.errors import InvalidValueError
 from testbed.objects.files import load_object
 from testbed.sensing.presets import preset
@@ -139,10 +142,10 @@ def test_a_scenario_may_choose_its_touches_by_a_plan():
 def test_every_action_is_a_sentence():
     shape = load_object("L2").shape
     asked = (Rotate(0, speed=-0.2, pivot=(0.05, 0.02), back=True), Accelerate(0), Slide(0, direction=0.0), Lift(0))
-    turn, accelerated, slide, lift = (sentence(shape, action) for action in asked)
+    turn, accelerated, slide, lift = (action.describe(shape) for action in asked)
     name = shape.grasps[0].name
     assert turn == f"turn at {name} about (50, 20) mm, right and back, 11 deg/s"
-    assert accelerated == f"accelerate at {name} about the grasp, left"
+    assert accelerated == f"accelerate at {name}, left"
     assert slide == f"slide at {name}, towards 0 deg" and lift == f"lift at {name}, 6 swings, held 2 s"
 
 

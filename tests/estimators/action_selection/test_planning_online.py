@@ -14,7 +14,10 @@ from estimators.evaluation.metrics import normalized_absolute_difference
 from estimators.hidden_states.estimator import HiddenStates
 from estimators.support_models.estimator import SupportAware
 from estimators.testing.analytic_world import analytic_trial, drawn_object
-from testbed.actions.base import Accelerate, Lift, Rotate, Slide
+from testbed.actions.accelerate import Accelerate
+from testbed.actions.lift import Lift
+from testbed.actions.rotate import Rotate
+from testbed.actions.slide import Slide
 from testbed.objects.files import load_object
 from testbed.objects.model import ObjectModel
 from testbed.sensing.presets import preset

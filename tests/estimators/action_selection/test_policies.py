@@ -18,7 +18,7 @@ from scenarios.results.load import load_results
 from scenarios.results.store import read_json
 from scenarios.study.run import run_scenario
 from testbed import plugins
-from testbed.actions.base import Rotate
+from testbed.actions.rotate import Rotate
 from testbed.errors import HeftError, InvalidValueError
 from testbed.objects.files import InvalidFileError, load_object
 from testbed.objects.model import ObjectShape
@@ -26,7 +26,8 @@ from testbed.plugins import find_class
 from testbed.simulation.settings import SimulationSettings
 
 MODULE = '''
-from testbed.actions.base import Rotate, Weigh
+from testbed.actions.rotate import Rotate
+from testbed.actions.weigh import Weigh
 
 class Outermost:
     """Turns about the grasps farthest from the middle first."""

@@ -17,7 +17,7 @@ from estimators.particles.windows import Observations, observe
 from estimators.particles.wrench import AffineLoads, WrenchModel
 from estimators.testing import analytic_world
 from estimators.testing.analytic_world import accelerated, analytic_trial, drawn_object, turns
-from testbed.actions.base import Slide
+from testbed.actions.slide import Slide
 from testbed.errors import InvalidValueError
 from testbed.objects.blocks import block_object, parse_layout
 from testbed.objects.model import GRAVITY, ObjectModel

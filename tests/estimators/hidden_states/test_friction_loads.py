@@ -16,7 +16,8 @@ from estimators.particles.friction_system import LinearSystem, LoadGroups, frict
 from estimators.particles.model import ParticleModel
 from estimators.particles.windows import observe
 from estimators.testing.analytic_world import analytic_trial, drawn_object, turns
-from testbed.actions.base import Rotate, Slide
+from testbed.actions.rotate import Rotate
+from testbed.actions.slide import Slide
 from testbed.objects.files import load_object
 from testbed.objects.model import GRAVITY, ObjectModel
 from testbed.trajectory import Trajectory

@@ -12,7 +12,8 @@ from estimators.base import Estimate
 from estimators.evaluation.metrics import normalized_absolute_difference
 from estimators.hidden_states.estimator import HiddenStates
 from estimators.testing.analytic_world import accelerated, analytic_trial, drawn_object, turns
-from testbed.actions.base import Rotate, Slide
+from testbed.actions.rotate import Rotate
+from testbed.actions.slide import Slide
 from testbed.errors import InvalidValueError
 from testbed.objects.files import load_object
 from testbed.objects.model import ObjectModel

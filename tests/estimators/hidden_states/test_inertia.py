@@ -12,7 +12,7 @@ from estimators.hidden_states.inertia import com_and_inertia
 from estimators.particles.pivots import PivotInertia, pivot_inertias
 from estimators.particles.windows import Observations, observe
 from estimators.testing.analytic_world import accelerated, analytic_trial, drawn_object
-from testbed.actions.base import Accelerate
+from testbed.actions.accelerate import Accelerate
 from testbed.objects.files import load_object
 from testbed.objects.model import ObjectModel
 from testbed.trajectory import Trajectory

@@ -19,7 +19,7 @@ from estimators.particles.friction_system import FrictionEquations, LoadGroups, 
 from estimators.particles.model import ParticleModel
 from estimators.particles.windows import Observations, observe
 from estimators.testing.analytic_world import accelerated, analytic_trial, drawn_object, turns
-from testbed.actions.base import Rotate
+from testbed.actions.rotate import Rotate
 from testbed.errors import InvalidValueError
 from testbed.objects.files import load_object
 from testbed.objects.model import ObjectModel

@@ -19,7 +19,11 @@ from estimators.identifiability.information import (
 )
 from estimators.identifiability.report import identifiability
 from estimators.testing.analytic_world import accelerated, drawn_object, turns
-from testbed.actions.base import Accelerate, Action, Rotate, Slide, Weigh
+from testbed.actions.accelerate import Accelerate
+from testbed.actions.base import Action
+from testbed.actions.rotate import Rotate
+from testbed.actions.slide import Slide
+from testbed.actions.weigh import Weigh
 from testbed.errors import InvalidValueError
 from testbed.objects.files import load_object
 from testbed.objects.model import ObjectModel

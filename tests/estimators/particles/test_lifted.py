@@ -12,7 +12,7 @@ from estimators.identifiability.predicted import predicted_lift
 from estimators.particles.lifts import LiftErrors, lifted_rows
 from estimators.support_models.estimator import SupportAware
 from estimators.testing.analytic_world import accelerated, drawn_object, turns
-from testbed.actions.base import Lift
+from testbed.actions.lift import Lift
 from testbed.errors import InvalidValueError
 from testbed.objects.files import load_object
 from testbed.sensing.lift_windows import lift_windows

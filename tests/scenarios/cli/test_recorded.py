@@ -14,7 +14,8 @@ from scenarios.cli.main import main
 from scenarios.results.load import load_results, load_trajectories
 from scenarios.results.store import Store
 from scenarios.results.trials import trial_shown
-from testbed.actions.base import Rotate, Slide, action_to_dict
+from testbed.actions.rotate import Rotate
+from testbed.actions.slide import Slide
 from testbed.importers.importer import import_trajectory
 from testbed.objects.files import load_object
 from testbed.replay import ReplayRunner
@@ -42,7 +43,7 @@ def lab(records: list[Trajectory], tmp_path: Path, monkeypatch: pytest.MonkeyPat
     monkeypatch.chdir(tmp_path)
     for i, record in enumerate(records):
         write_csv(tmp_path / f"{i}.csv", replace(record, time_s=record.time_s + 100 * i))
-    named = [{"file": f"{i}.csv", "action": action_to_dict(turn)} for i, turn in enumerate(TURNS)]
+    named = [{"file": f"{i}.csv", "action": turn.to_dict()} for i, turn in enumerate(TURNS)]
     write_toml(tmp_path / "lab.toml", mapping_of(records[0], action=None, logs=named))
     return tmp_path
 
@@ -147,7 +148,7 @@ def test_measured_trials_and_their_estimates_are_shown_as_simulated_ones_are(lab
     """Of an object of one's own, of a log without joints too."""
     blocks = 'layout = ["1", "1", "1", "111"]\nmass_kg = [0.4, 0.1, 0.1, 0.4, 0.4, 0.4]'
     (lab / "mine.toml").write_text(f'name = "mine"\n[blocks]\n{blocks}\n', encoding="utf-8")
-    named = [{"file": f"{i}.csv", "action": action_to_dict(turn)} for i, turn in enumerate(TURNS)]
+    named = [{"file": f"{i}.csv", "action": turn.to_dict()} for i, turn in enumerate(TURNS)]
     write_toml(lab / "lab.toml", mapping_of(records[0], object="mine.toml", action=None, logs=named, joints=None))
     assert ended("import", "lab.toml", "--out", "lab", "--weight", "1.8") == 0
     assert ended("estimate", "lab", "--methods", "hidden_states", "--workers", "2") == 0
@@ -186,7 +187,7 @@ def test_trials_of_two_shapes_are_not_put_together(
     text = 'name = "L2"\n[blocks]\nlayout = ["1", "1", "1", "111"]\nmass_kg = 0.3\nheight_m = {}\nsize_m = {}\n'
     for size, code in ((0.05, 0), (0.06, 2)):  # other masses are another truth; another size is another object
         (lab / "mine.toml").write_text(text.format(0.03, size), encoding="utf-8")
-        write_toml(lab / "second.toml", mapping_of(records[0], action=action_to_dict(TURNS[3]), object="mine.toml"))
+        write_toml(lab / "second.toml", mapping_of(records[0], action=TURNS[3].to_dict(), object="mine.toml"))
         assert ended("import", "second.toml", "3.csv", "--out", "lab") == 0
         assert ended("estimate", "lab", "--methods", "hidden_states", "--workers", "0") == code
     assert "allowed: trials of one shape; " in capsys.readouterr().err

@@ -19,7 +19,10 @@ from scenarios.cli.main import main
 from scenarios.cli.robot.hand_eye import COLUMNS
 from scenarios.cli.robot.trial import action_of
 from testbed import plugins
-from testbed.actions.base import Accelerate, Rotate, Slide, Weigh
+from testbed.actions.accelerate import Accelerate
+from testbed.actions.rotate import Rotate
+from testbed.actions.slide import Slide
+from testbed.actions.weigh import Weigh
 from testbed.errors import HeftError, InvalidValueError
 from testbed.objects.files import load_object
 from testbed.replay import ReplayRunner

@@ -12,7 +12,10 @@ from scipy.spatial.transform import Rotation
 from estimators.testing.analytic_world import analytic_trial, drawn_object
 from scenarios.cli.main import main
 from scenarios.results.store import Store, object_request
-from testbed.actions.base import Action, Rotate, Slide, Weigh, action_to_dict
+from testbed.actions.base import Action
+from testbed.actions.rotate import Rotate
+from testbed.actions.slide import Slide
+from testbed.actions.weigh import Weigh
 from testbed.frames import rotate_wrench
 from testbed.objects.model import GRAVITY, ObjectModel
 from testbed.robot.runner import read_off
@@ -36,7 +39,7 @@ def folder_of(root: Path, obj: ObjectModel, change: np.ndarray) -> Path:
     records = [hung(obj), *(analytic_trial(obj, move, noise=0.05) for move in moves)]
     records = [replace(t, wrench_on_object_world=t.wrench_on_object_world @ change.T) for t in records]
     for i, record in enumerate([*records, read_off(obj.total_mass)]):
-        asked = {"object": object_request(obj), "action": action_to_dict(record.action), "support": "own_weight"}
+        asked = {"object": object_request(obj), "action": record.action.to_dict(), "support": "own_weight"}
         Store(root).put_trial(f"{i}", Trial(obj, record.action), asked, replace(record, provenance={"runner": "robot"}))
     return root
 

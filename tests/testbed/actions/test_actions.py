@@ -10,17 +10,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from testbed.actions.base import (
-    Accelerate,
-    Action,
-    Lift,
-    Rotate,
-    Slide,
-    Weigh,
-    action_from_dict,
-    action_to_dict,
-    pivot_of,
-)
+from testbed.actions.accelerate import Accelerate
+from testbed.actions.base import Action, action_from_dict
+from testbed.actions.lift import Lift
+from testbed.actions.rotate import Rotate
+from testbed.actions.slide import Slide
+from testbed.actions.weigh import Weigh
 from testbed.errors import InvalidValueError
 from testbed.objects.files import load_object
 
@@ -57,7 +52,7 @@ ACTIONS = st.one_of(
 @settings(deadline=None, derandomize=True)
 @given(ACTIONS)
 def test_an_action_comes_back_from_plain_data(action: Action):
-    assert action_from_dict(json.loads(json.dumps(action_to_dict(action)))) == action
+    assert action_from_dict(json.loads(json.dumps(action.to_dict()))) == action
 
 
 def test_the_turn_of_the_paper_is_the_default():
@@ -67,9 +62,9 @@ def test_the_turn_of_the_paper_is_the_default():
 
 def test_a_turn_is_about_its_grasp_unless_a_pivot_is_given():
     shape = load_object("L2").shape
-    assert pivot_of(Rotate(2), shape).tolist() == shape.grasps[2].position.tolist()
-    assert pivot_of(Accelerate(1), shape).tolist() == shape.grasps[1].position.tolist()
-    assert pivot_of(Rotate(2, pivot=(0.1, -0.2)), shape).tolist() == [0.1, -0.2]
+    assert Rotate(2).center(shape).tolist() == shape.grasps[2].position.tolist()
+    assert Accelerate(1).center(shape).tolist() == shape.grasps[1].position.tolist()
+    assert Rotate(2, pivot=(0.1, -0.2)).center(shape).tolist() == [0.1, -0.2]
 
 
 @pytest.mark.parametrize(
@@ -107,7 +102,7 @@ def test_an_action_out_of_range_is_refused(make, said: str):
 @pytest.mark.parametrize(
     ("data", "said"),
     [
-        ({"kind": "push"}, r"action\.kind: got 'push'; allowed: one of weigh, rotate, accelerate, slide"),
+        ({"kind": "push"}, r"action\.kind: got 'push'; allowed: one of accelerate, lift, rotate, slide, weigh"),
         ({}, r"action\.kind: got None"),
         ({"kind": "weigh", "grasp": 0}, r"action: got \['grasp'\]"),
         ({"kind": "rotate", "grasp": 0, "sped": 1}, r"action: got \['sped'\]; allowed: fields .*speed"),
@@ -165,4 +160,4 @@ def test_a_grasp_that_is_no_plain_index_is_refused(kind: type[Rotate | Accelerat
 def test_an_array_index_of_a_grasp_is_refused_and_a_plain_one_survives_json():
     with pytest.raises(InvalidValueError, match=r"Rotate\.grasp: got .*1.*; allowed: an integer >= 0"):
         Rotate(np.arange(3)[1])
-    assert json.loads(json.dumps(action_to_dict(Rotate(1))))["grasp"] == 1
+    assert json.loads(json.dumps(Rotate(1).to_dict()))["grasp"] == 1

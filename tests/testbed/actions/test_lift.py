@@ -13,8 +13,7 @@ from estimators.testing.records import TOOL as HAND
 from estimators.testing.records import record
 from scenarios.cli.view import page_of
 from scenarios.results.trials import trial_shown
-from testbed.actions.base import Lift
-from testbed.actions.lift import LiftProfile
+from testbed.actions.lift import Lift
 from testbed.errors import InfeasibleTrialError, InvalidValueError
 from testbed.objects.blocks import block_object, parse_layout
 from testbed.objects.files import load_object
@@ -57,7 +56,7 @@ def felt_and_due(obj: ObjectModel, action: Lift) -> tuple[np.ndarray, np.ndarray
 
 @pytest.mark.parametrize("action", [Lift(0), Lift(0, tilt=0.05, swings=3, acceleration=4.0), Lift(0, swings=0)])
 def test_a_lift_goes_up_rocks_about_each_axis_and_comes_down(action):
-    profile = LiftProfile.of(action, 0.01)
+    profile = action.profile(0.01)
     assert_allclose(profile.height[[0, -1]], 0, atol=1e-4)
     assert_allclose(profile.angle[-1], 0, atol=1e-12)
     assert profile.height.max() == pytest.approx(action.height)
@@ -69,8 +68,8 @@ def test_a_lift_goes_up_rocks_about_each_axis_and_comes_down(action):
         inside = profile.segment == segment
         found = np.abs(profile.acceleration[inside]).max(axis=1)
         assert_allclose(found, found[0])
-        assert (found[0] > 0) == action.rocks(segment)
-        assert_allclose(found[0], action.acceleration if action.rocks(segment) else 0, rtol=0.1)
+        assert (found[0] > 0) == action.accelerates(segment)
+        assert_allclose(found[0], action.acceleration if action.accelerates(segment) else 0, rtol=0.1)
 
 
 def test_a_lift_out_of_range_is_refused():

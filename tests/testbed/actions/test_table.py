@@ -8,8 +8,12 @@ import numpy as np
 import pytest
 
 from estimators.action_selection.candidates import ActionFamily
-from testbed.actions.base import Accelerate, Lift, Rotate, Slide, TableAction
-from testbed.actions.path import HIGH, LOW, WORKSPACE, Profile, ToolPath, outline, overhang_of
+from testbed.actions.accelerate import Accelerate
+from testbed.actions.base import TableAction
+from testbed.actions.lift import Lift
+from testbed.actions.path import HIGH, LOW, ToolPath, outline, overhang_of
+from testbed.actions.rotate import Rotate
+from testbed.actions.slide import Slide
 from testbed.errors import InfeasibleTrialError
 from testbed.frames import transform_point
 from testbed.objects.files import load_object
@@ -31,7 +35,7 @@ def stretched(times: float) -> ObjectShape:
 
 
 def path_of(action: TableAction, shape: ObjectShape) -> ToolPath:
-    return ToolPath.centred(action, shape, Profile.of(action, 0.01).length, WORKSPACE)
+    return action.centered_path(shape, action.profile(0.01).length)
 
 
 def beyond(action: TableAction, shape: ObjectShape, parts: int = 2001) -> np.ndarray:
@@ -92,8 +96,6 @@ def test_the_bench_refuses_what_would_pass_the_edge():
 
 def test_where_an_object_is_laid_down_its_way_begins():
     shape, action = load_object("L2").shape, Rotate(2, duration=3.0, pivot=(0.05, -0.1), back=True)
-    path = ToolPath.from_object(
-        action, shape, Profile.of(action, 0.01).length, plan_motion(action, shape, WELD).object_pose
-    )
+    path = action.path_from(shape, action.profile(0.01).length, plan_motion(action, shape, WELD).object_pose)
     np.testing.assert_allclose(overhang_of(shape, path), overhang_of(shape, path_of(action, shape)), atol=1e-9)
     assert len(outline(shape)) <= 8

@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from testbed.actions.base import Accelerate, Rotate, Slide
-from testbed.actions.path import RAMP_TIME, WORKSPACE, Profile, ToolPath
+from testbed.actions.accelerate import Accelerate
+from testbed.actions.path import RAMP_TIME, WORKSPACE
+from testbed.actions.rotate import Rotate
+from testbed.actions.slide import Slide
 from testbed.frames import transform_point
 from testbed.objects.files import load_object
 
@@ -25,7 +27,7 @@ ACTIONS = [
 
 @pytest.mark.parametrize("action", ACTIONS, ids=str)
 def test_distance_is_the_integral_of_the_rate(action):
-    profile = Profile.of(action, 0.01)
+    profile = action.profile(0.01)
     rate = np.concatenate([[0.0], profile.rate])
     assert_allclose(profile.distance, np.cumsum((rate[1:] + rate[:-1]) / 2) * 0.01, atol=1e-12)
     assert rate[-1] == pytest.approx(0.0)
@@ -33,7 +35,7 @@ def test_distance_is_the_integral_of_the_rate(action):
 
 @pytest.mark.parametrize("action", ACTIONS, ids=str)
 def test_between_ticks_a_profile_is_what_finer_ticks_say(action):
-    profile, fine = Profile.of(action, 0.01), Profile.of(action, 0.001)
+    profile, fine = action.profile(0.01), action.profile(0.001)
     times = np.arange(1, len(fine.distance) + 1) * 0.001
     said = np.array([profile.at(t) for t in times[::37]])
     assert_allclose(said[:, 0], fine.distance[::37], atol=3e-5)
@@ -43,14 +45,14 @@ def test_between_ticks_a_profile_is_what_finer_ticks_say(action):
 
 
 def test_a_turn_there_and_back_ends_where_it_began():
-    profile = Profile.of(ACTIONS[0], 0.01)  # pyright: ignore[reportArgumentType]
+    profile = ACTIONS[0].profile(0.01)
     assert profile.distance[-1] == pytest.approx(0.0, abs=1e-12)
     assert profile.length == pytest.approx(math.radians(10) * (3.0 + RAMP_TIME))
 
 
 @pytest.mark.parametrize("action", ACTIONS, ids=str)
 def test_a_path_keeps_its_pivot_and_its_grasp(action):
-    path = ToolPath.centred(action, SHAPE, 0.6, WORKSPACE)
+    path = action.centered_path(SHAPE, 0.6)
     part = np.linspace(-0.5, 0.5, 11)
     objects, tools = path.object_pose(part), path.tool_pose(part)
     grasp = SHAPE.grasps[action.grasp]
@@ -71,7 +73,7 @@ def test_a_path_keeps_its_pivot_and_its_grasp(action):
 
 @pytest.mark.parametrize("action", ACTIONS, ids=str)
 def test_from_where_the_centred_path_starts_leads_the_same_path(action):
-    path = ToolPath.centred(action, SHAPE, 0.6, WORKSPACE)
+    path = action.centered_path(SHAPE, 0.6)
     part = np.linspace(-0.5, 0.5, 11)
-    again = ToolPath.from_object(action, SHAPE, 0.6, path.object_pose(part)[0])
+    again = action.path_from(SHAPE, 0.6, path.object_pose(part)[0])
     assert_allclose(again.tool_pose(part), path.tool_pose(part), atol=1e-12)

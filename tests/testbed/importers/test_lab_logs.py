@@ -12,7 +12,9 @@ import pandas as pd
 import pytest
 from numpy.testing import assert_allclose
 
-from testbed.actions.base import Accelerate, Rotate, Slide, action_to_dict
+from testbed.actions.accelerate import Accelerate
+from testbed.actions.rotate import Rotate
+from testbed.actions.slide import Slide
 from testbed.errors import HeftError, InvalidValueError
 from testbed.importers.importer import import_trajectory
 from testbed.importers.logs import LogError
@@ -354,7 +356,7 @@ def test_all_that_is_wrong_is_told_at_once(turn: Trajectory, tmp_path: Path):
 def test_one_file_serves_logs_of_several_actions(turn: Trajectory, slide: Trajectory, tmp_path: Path):
     (tmp_path / "logs").mkdir()
     first, second = (write_csv(tmp_path / "logs" / f"{i}.csv", t) for i, t in enumerate((turn, slide)))
-    entries = [{"file": "logs/0.csv"}, {"file": "logs/1.csv", "action": action_to_dict(slide.action)}]
+    entries = [{"file": "logs/0.csv"}, {"file": "logs/1.csv", "action": slide.action.to_dict()}]
     mapping = write_toml(tmp_path / "map.toml", mapping_of(turn, logs=entries))
     assert import_trajectory(first, mapping).action == turn.action
     assert import_trajectory(second, mapping).action == slide.action

@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from estimators.particles.wrench import predicted_wrenches
 from estimators.testing.analytic_world import drawn_object, turns
 from scenarios.cli.main import main
-from testbed.actions.base import Rotate
+from testbed.actions.rotate import Rotate
 from testbed.errors import InvalidValueError
 from testbed.objects.export import Exported, RigidBody, boxes_of, to_mjcf, to_object_file, to_sidecar, to_urdf
 from testbed.objects.files import load_object

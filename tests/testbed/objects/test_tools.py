@@ -7,7 +7,8 @@ import pytest
 from estimators.action_selection.rank import between_particles
 from estimators.evaluation.metrics import normalized_absolute_difference
 from estimators.hidden_states.estimator import HiddenStates
-from testbed.actions.base import Accelerate, Rotate
+from testbed.actions.accelerate import Accelerate
+from testbed.actions.rotate import Rotate
 from testbed.objects.files import load_object
 from testbed.simulation.runner import SimulationRunner
 from testbed.trial import Trial

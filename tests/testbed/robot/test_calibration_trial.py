@@ -10,7 +10,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from estimators.testing.analytic_world import analytic_trial, drawn_object
-from testbed.actions.base import Rotate, Slide
+from testbed.actions.rotate import Rotate
+from testbed.actions.slide import Slide
 from testbed.errors import InvalidValueError
 from testbed.frames import rotate_wrench
 from testbed.objects.model import GRAVITY, ObjectModel

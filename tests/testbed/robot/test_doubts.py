@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from testbed.actions.base import Rotate
 from testbed.actions.path import Profile
+from testbed.actions.rotate import Rotate
 from testbed.robot.recorder import GripEvidence, Record, doubts
 from testbed.trajectory import Phase
 

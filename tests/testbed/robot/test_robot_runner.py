@@ -9,7 +9,10 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from testbed.actions.base import Accelerate, Rotate, Slide, Weigh
+from testbed.actions.accelerate import Accelerate
+from testbed.actions.rotate import Rotate
+from testbed.actions.slide import Slide
+from testbed.actions.weigh import Weigh
 from testbed.errors import InfeasibleTrialError
 from testbed.robot.config import RobotSettings
 from testbed.robot.interfaces import RobotError

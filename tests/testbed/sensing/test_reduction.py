@@ -9,7 +9,10 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
-from testbed.actions.base import Accelerate, Rotate, Slide, Weigh
+from testbed.actions.accelerate import Accelerate
+from testbed.actions.rotate import Rotate
+from testbed.actions.slide import Slide
+from testbed.actions.weigh import Weigh
 from testbed.errors import InvalidValueError
 from testbed.frames import rotation_2d
 from testbed.objects.model import GRAVITY

@@ -9,7 +9,7 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
-from testbed.actions.base import Weigh
+from testbed.actions.weigh import Weigh
 from testbed.errors import InvalidValueError
 from testbed.frames import cross_2d, perpendicular
 from testbed.objects.model import GRAVITY

@@ -9,7 +9,9 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from testbed.actions.base import Accelerate, Rotate, Slide
+from testbed.actions.accelerate import Accelerate
+from testbed.actions.rotate import Rotate
+from testbed.actions.slide import Slide
 from testbed.errors import InfeasibleTrialError
 from testbed.frames import pose_from_point, transform_point
 from testbed.objects.files import load_object

@@ -23,7 +23,9 @@ from scenarios.cli.main import main
 from scenarios.cli.render import nearest
 from scenarios.results.store import key_of, trial_request
 from scenarios.results.trials import TrialRecord, read_trial
-from testbed.actions.base import Rotate, Slide, Weigh
+from testbed.actions.rotate import Rotate
+from testbed.actions.slide import Slide
+from testbed.actions.weigh import Weigh
 from testbed.errors import InvalidValueError
 from testbed.frames import transform_point
 from testbed.objects.files import load_object

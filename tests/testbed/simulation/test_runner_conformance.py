@@ -11,7 +11,7 @@ from typing import Any, Self, cast
 import numpy as np
 import pytest
 
-from testbed.actions.base import Rotate
+from testbed.actions.rotate import Rotate
 from testbed.errors import InfeasibleTrialError
 from testbed.objects.files import load_object
 from testbed.replay import ReplayRunner

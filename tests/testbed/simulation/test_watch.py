@@ -20,7 +20,9 @@ from PIL import ImageGrab
 from scenarios.cli.main import main
 from scenarios.cli.render import grasp_index
 from scenarios.results.trials import read_trial
-from testbed.actions.base import Rotate, Slide, Weigh
+from testbed.actions.rotate import Rotate
+from testbed.actions.slide import Slide
+from testbed.actions.weigh import Weigh
 from testbed.errors import InvalidValueError
 from testbed.objects.files import load_object
 from testbed.simulation import feasibility
@@ -187,7 +189,7 @@ INTERRUPTED = """
 import os, signal
 from testbed.simulation.graphics import choose_window
 choose_window()
-from testbed.actions.base import Slide
+from testbed.actions.slide import Slide
 from testbed.objects.files import load_object
 from testbed.simulation.watch import LiveTrial, watch
 from testbed.trial import Trial

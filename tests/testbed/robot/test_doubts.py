@@ -7,12 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from testbed.actions.path import Profile
 from testbed.actions.rotate import Rotate
 from testbed.robot.recorder import GripEvidence, Record, doubts
 from testbed.trajectory import Phase
 
-PROFILE = Profile.of(Rotate(0, duration=2.0), 0.01)
+PROFILE = Rotate(0, duration=2.0).profile(0.01)
 GOOD = GripEvidence(lost_frames=0, held_width=(0.05, 0.0501), slip=(1e-4, 1e-3))
 
 

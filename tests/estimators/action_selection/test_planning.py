@@ -276,19 +276,6 @@ def test_robot_time_is_that_of_the_simulated_bench():
         assert RobotTime().of(action) == pytest.approx((samples - 1) / settings.rate, abs=0.02)
 
 
-@pytest.mark.parametrize("name", ["I1", "L1", "F1"])
-def test_a_turn_shows_three_numbers_and_in_a_straight_row_two(name):
-    shape, rng = load_object(name).shape, np.random.default_rng(0)
-    low, high = shape.particles.min(axis=0) - 0.05, shape.particles.max(axis=0) + 0.05
-    drawn = [[Rotate(0, pivot=tuple(rng.uniform(low, high))) for _ in range(2)] for _ in range(60)]
-    assert max(predicted_rank(shape, turns[:1]) for turns in drawn) == 3  # so one turn never shows six loads
-    assert max(predicted_rank(shape, turns) for turns in drawn) == 6
-    if name == "I1":  # two that lie in its row show no force along it
-        in_row = [[Rotate(0, pivot=(float(x), 0.0)) for x in rng.uniform(low[0], high[0], 3)] for _ in range(60)]
-        assert max(predicted_rank(shape, turns[:2]) for turns in in_row) == 4
-        assert max(predicted_rank(shape, turns) for turns in in_row) == 6
-
-
 def test_of_turns_in_a_straight_row_a_plan_needs_three():
     shape = load_object("I1").shape
     points = [(x, 0.0) for x in np.linspace(-0.19, 0.19, 40)]

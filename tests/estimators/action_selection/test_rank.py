@@ -1,0 +1,74 @@
+"""The rank-driven policy, and the rank that turns can have."""
+
+from __future__ import annotations
+
+from itertools import combinations
+
+import numpy as np
+import pytest
+
+from estimators.action_selection.rank import RankDriven, between_particles, predicted_rank
+from estimators.base import ActionPolicy
+from estimators.testing.analytic_world import analytic_trial
+from testbed.actions.accelerate import Accelerate
+from testbed.actions.rotate import Rotate
+from testbed.objects.files import load_object
+
+
+def test_the_policy_asks_until_the_rank_is_full():
+    shape = (obj := load_object("L1")).shape
+    policy = RankDriven(pivots=1, accelerated=3, duration=2.0)
+    assert isinstance(policy, ActionPolicy)
+    seen = []
+    while (action := policy.next(shape, seen)) is not None:
+        assert isinstance(action, Accelerate | Rotate)
+        seen.append(analytic_trial(obj, action))
+    turns = [t.action for t in seen if isinstance(t.action, Rotate)]
+    assert predicted_rank(shape, turns) == 6
+    assert predicted_rank(shape, turns[:-1]) < 6
+    assert sum(isinstance(t.action, Accelerate) for t in seen) == 3
+
+
+def test_the_policy_takes_every_grasp_before_any_again_and_only_those_allowed():
+    obj = load_object("I1")
+    policy = RankDriven(pivots=4, accelerated=0, grasps=(1, 2, 4, 5))
+    seen = []
+    while (action := policy.next(obj.shape, seen)) is not None:
+        assert isinstance(action, Rotate)
+        seen.append(analytic_trial(obj, action))
+    assert sorted(t.action.grasp for t in seen) == [1, 2, 4, 5]
+    assert RankDriven(grasps=()).next(obj.shape, []) is None
+    assert RankDriven(most=1).next(obj.shape, seen) is None
+
+
+def test_turns_go_about_points_between_particles():
+    for grid in (1, 2, 3, 4, 5):
+        shape = load_object("L1", grid).shape
+        for grasp in shape.grasps:
+            point = between_particles(shape, grasp.position)
+            centre = grasp.position if point is None else np.array(point)
+            assert np.linalg.norm(shape.particles - centre, axis=1).min() > shape.cell / 4
+
+
+@pytest.mark.parametrize(("name", "enough"), [("I1", 3), ("L1", 2), ("F1", 2)])
+def test_as_many_turns_as_the_shape_needs_can_fill_the_rank(name, enough):
+    shape = load_object(name).shape
+    ranks = {
+        k: max(predicted_rank(shape, [Rotate(g) for g in some]) for some in combinations(range(len(shape.grasps)), k))
+        for k in (enough - 1, enough)
+    }
+    assert ranks[enough] == 6
+    assert ranks[enough - 1] < 6
+
+
+@pytest.mark.parametrize("name", ["I1", "L1", "F1"])
+def test_a_turn_shows_three_numbers_and_in_a_straight_row_two(name):
+    shape, rng = load_object(name).shape, np.random.default_rng(0)
+    low, high = shape.particles.min(axis=0) - 0.05, shape.particles.max(axis=0) + 0.05
+    drawn = [[Rotate(0, pivot=tuple(rng.uniform(low, high))) for _ in range(2)] for _ in range(60)]
+    assert max(predicted_rank(shape, turns[:1]) for turns in drawn) == 3  # so one turn never shows six loads
+    assert max(predicted_rank(shape, turns) for turns in drawn) == 6
+    if name == "I1":  # two that lie in its row show no force along it
+        in_row = [[Rotate(0, pivot=(float(x), 0.0)) for x in rng.uniform(low[0], high[0], 3)] for _ in range(60)]
+        assert max(predicted_rank(shape, turns[:2]) for turns in in_row) == 4
+        assert max(predicted_rank(shape, turns) for turns in in_row) == 6

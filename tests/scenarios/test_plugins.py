@@ -1,0 +1,272 @@
+"""Methods and policies of other packages: found without registration, refused by name, run on worker processes."""
+
+from __future__ import annotations
+
+import sys
+from collections import Counter
+from importlib.metadata import EntryPoint, EntryPoints
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from estimators.evaluation.statistics import axis_columns
+from estimators.registry import ESTIMATOR, METHODS, POLICY, build_method
+from scenarios.cli.main import main
+from scenarios.cli.run import Asked, changed
+from scenarios.config import Policy, Scenario, load_scenario
+from scenarios.results.load import load_results
+from scenarios.results.store import read_json
+from testbed import plugins
+from testbed.actions.rotate import Rotate
+from testbed.errors import HeftError, InvalidValueError
+from testbed.objects.files import InvalidFileError, load_object
+from testbed.objects.model import ObjectShape
+from testbed.plugins import configured, find_class, load_class, source_hash
+from testbed.simulation.settings import SimulationSettings
+
+MODULE = '''
+from dataclasses import dataclass
+import numpy as np
+from estimators.base import Estimate
+from testbed.actions.rotate import Rotate
+from testbed.actions.weigh import Weigh
+from testbed.objects.model import MassDistribution
+
+@dataclass(frozen=True)
+class Even:
+    """The same mass everywhere."""
+    friction: float = 0.5
+    times: tuple = (1.0,)
+    def __post_init__(self):
+        if not 0 < self.friction < 2:
+            raise ValueError("friction is not from 0 to 2")
+    def estimate(self, shape, weight, trajectories, seed):
+        mass = np.full(shape.n_m, weight / len(shape.particles))
+        return Estimate(MassDistribution(mass, np.full(shape.n_mu, self.friction)), "ok", seconds=1e-3)
+
+class Needy:
+    def __init__(self, path):
+        self.path = path
+    def estimate(self, shape, weight, trajectories, seed):
+        raise NotImplementedError
+
+class Outermost:
+    """Turns about the grasps farthest from the middle first."""
+    def __init__(self, turns: int = 2, duration: float = 2.0, grasps=None):
+        if turns < 1:
+            raise ValueError("turns is not 1 or more")
+        self.turns, self.duration, self.grasps = turns, duration, grasps
+    def next(self, shape, trajectories):
+        usable = range(len(shape.grasps)) if self.grasps is None else self.grasps
+        far = sorted(usable, key=lambda g: -abs(shape.grasps[g].position).max())
+        done = len(trajectories)
+        return Rotate(far[done], duration=self.duration, back=True) if done < min(self.turns, len(far)) else None
+
+class Told(Outermost):
+    def __init__(self, grasps, weight_kg, feasible):
+        super().__init__(1, grasps=grasps)
+        assert feasible(Rotate(grasps[0])) == "" and weight_kg > 0
+        self.weight_kg, self.feasible = weight_kg, feasible
+
+class Endless(Outermost):
+    def next(self, shape, trajectories):
+        return Rotate(self.grasps[0], duration=2.0)
+
+class Wrong:
+    def __init__(self, how="raise"):
+        self.how = how
+    def next(self, shape, trajectories):
+        return {"word": "rotate", "weigh": Weigh(), "beyond": Rotate(77)}[self.how]
+
+class Deaf:
+    def estimate(self, data):
+        return data
+    def next(self, shape):
+        return None
+
+class Mute:
+    pass
+
+def function(shape):
+    return shape
+'''
+
+
+@pytest.fixture
+def here(tmp_path, monkeypatch) -> Path:
+    """Current folder of a user, with modules of theirs; they are unloaded again."""
+    for name, text in (("of_user", MODULE), ("half_done", "import no_such_thing\n"), ("wrong_words", "def f(:\n")):
+        (tmp_path / f"{name}.py").write_text(text, encoding="utf-8")
+        monkeypatch.delitem(sys.modules, name, raising=False)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("sys.path", [p for p in sys.path if p not in ("", str(tmp_path))])
+    return tmp_path
+
+
+def built(kind: str, grasps: tuple[int, ...] = (1, 3), **fields: object) -> tuple[Any, ObjectShape]:
+    """Policy of a scenario's table on L2."""
+    l2 = load_object("L2")
+    return Policy.model_validate({"kind": kind, **fields}).build(grasps, l2, SimulationSettings()), l2.shape
+
+
+@pytest.mark.usefixtures("here")
+def test_a_class_of_the_current_folder_is_a_method_with_its_settings():
+    settings = {"method": "of_user:Even", "friction": 0.3, "times": [1, 2]}
+    scenario = Scenario(objects=["I1"], methods={"mine": settings})
+    mine: Any = build_method("mine", scenario.methods["mine"])
+    assert (mine.friction, mine.times) == (0.3, (1, 2))
+    asked = changed(scenario, Asked(methods=("mine", "of_user:Even", "random_search")))
+    assert asked.methods == {**scenario.methods, "of_user:Even": {}, "random_search": {}}
+
+
+@pytest.mark.usefixtures("here")
+def test_a_policy_is_given_what_it_has_an_argument_for():
+    policy, shape = built("of_user:Told", grasps=(1, 3))
+    inner = policy.policy
+    assert (inner.grasps, inner.weight_kg) == ((1, 3), load_object("L2").total_mass)
+    assert policy.next(shape, ()).grasp in (1, 3)
+    assert "speed" in inner.feasible(Rotate(1, duration=2.0, speed=90.0))
+
+
+METHOD = '[methods.mine]\nmethod = "{}"\n'
+REFUSED = [
+    (METHOD.format("of_user"), "one of hidden_states"),
+    (METHOD.format("of_user:"), '"package.module:Class"'),
+    (METHOD.format("my user:Even"), '"package.module:Class"'),
+    (METHOD.format("of_usr:Even"), "there is no of_usr"),
+    (METHOD.format("of_user.deeper:Even"), r"there is no of_user\.deeper"),
+    (METHOD.format("half_done:Even"), "half_done needs no_such_thing"),
+    (METHOD.format("wrong_words:Even"), "SyntaxError"),
+    (METHOD.format("of_user:Evne"), r"nearest: Even\)"),
+    (METHOD.format("of_user:Mute"), "Mute has no estimate"),
+    (METHOD.format("of_user:Deaf"), r"Deaf has estimate\(self, data\)"),
+    (METHOD.format("of_user:function"), "this is a function"),
+    (METHOD.format("estimators.baselines.base:Baseline"), "Baseline is abstract"),
+    ('[policy]\nkind = "gredy"', r"policy\.kind: .*nearest: greedy"),
+    ('[policy]\nkind = "of_user:Outermst"', "nearest: Outermost"),
+    ('[policy]\nkind = "of_user:Deaf"', r"Deaf has next\("),
+    ('[policy]\nkind = "of_user:Outermost"\nsettings = {turn = 3}', r"got 'turn'; .*nearest: turns"),
+    ('[policy]\nkind = "of_user:Outermost"\nsettings = {grasps = [1]}', "heft itself gives grasps"),
+    ('[policy]\nkind = "of_user:Outermost"\nsettings = {turns = 0}', "turns is not 1 or more"),
+    ('[policy]\nkind = "greedy"\nsettings = {turns = 2}', "greedy has its fields"),
+]
+
+
+@pytest.mark.usefixtures("here")
+@pytest.mark.parametrize(("table", "reason"), REFUSED, ids=[reason for _, reason in REFUSED])
+def test_what_is_wrong_in_a_scenario_is_refused_before_anything_runs(table, reason, tmp_path):
+    (tmp_path / "s.toml").write_text(f'objects = ["I1"]\n{table}\n', encoding="utf-8")
+    with pytest.raises(InvalidFileError, match=reason):
+        load_scenario("s.toml")
+
+
+@pytest.mark.usefixtures("here")
+@pytest.mark.parametrize(
+    ("name", "settings", "reason"),
+    [
+        ("Even", {"fricton": 0.3}, "nearest: friction"),
+        ("Even", {"friction": 3.0}, "friction is not from 0 to 2"),
+        ("Even", {"friction": {}}, "types"),
+        ("Needy", {}, "settings path as well"),
+    ],
+)
+def test_a_wrong_setting_of_a_method_is_refused(name, settings, reason):
+    with pytest.raises(InvalidValueError, match=reason) as raised:
+        configured(load_class(f"of_user:{name}", ESTIMATOR, "mine"), settings, "mine")
+    assert raised.value.field == "mine"
+    with pytest.raises(InvalidValueError, match="this is a function"):
+        changed(Scenario(objects=["I1"]), Asked(methods=("of_user:function",)))
+
+
+@pytest.mark.usefixtures("here")
+@pytest.mark.parametrize(
+    ("how", "reason"),
+    [
+        ("raise", r"of_user:Wrong.next\(\) ends in KeyError: 'raise' \(of_user.py, line \d+\)"),
+        ("word", r"got 'rotate'; allowed: an action"),
+        ("weigh", r"got Weigh\(\); allowed: an action"),
+        ("beyond", r"next\(\).grasp: got 77; .*\(1, 3\)"),
+    ],
+)
+def test_what_is_no_action_of_the_scenario_is_refused(how, reason):
+    policy, shape = built("of_user:Wrong", settings={"how": how})
+    with pytest.raises(HeftError, match=reason):
+        policy.next(shape, ())
+
+
+@pytest.mark.usefixtures("here")
+def test_an_entry_point_is_a_method_or_a_policy_by_name(monkeypatch):
+    classes = (("even", "of_user:Even", ESTIMATOR), ("outermost", "of_user:Outermost", POLICY))
+    points = EntryPoints([EntryPoint(name, path, role.group) for name, path, role in classes])
+    monkeypatch.setattr(plugins, "entry_points", lambda *, group: points.select(group=group))
+    assert type(build_method("even", {"friction": 0.2})).__name__ == "Even"
+    assert changed(Scenario(objects=["I1"]), Asked(methods=("even",))).methods == {"even": {}}
+    policy, shape = built("outermost", settings={"turns": 1})
+    assert policy.next(shape, ()).duration == 2.0
+    for wrong, role, known in (("evn", ESTIMATOR, "even"), ("outermst", POLICY, "outermost")):
+        with pytest.raises(InvalidValueError, match=rf"nearest: {known}\)"):
+            find_class(wrong, role, "name")
+
+
+def test_an_answer_is_kept_under_the_source_that_gave_it(tmp_path, monkeypatch):
+    monkeypatch.syspath_prepend(str(tmp_path))
+    kinds = []
+    for name, text in (("one_source", MODULE), ("other_source", MODULE), ("third_source", MODULE + "# more\n")):
+        (tmp_path / f"{name}.py").write_text(text, encoding="utf-8")
+        kinds.append(load_class(f"{name}:Even", ESTIMATOR, "x"))
+    first, same, other = map(source_hash, kinds)
+    assert first == same != other
+
+
+def test_a_trial_is_kept_under_the_source_and_the_settings_of_its_policy(here):
+    def kept(source: str, **fields: object) -> dict[str, object]:
+        sys.modules.pop("of_user", None)
+        (here / "of_user.py").write_text(source, encoding="utf-8")
+        source_hash.cache_clear()
+        return Policy.model_validate({"kind": "of_user:Outermost", **fields}).asked()
+
+    first, again = kept(MODULE), kept(MODULE)
+    assert first == again
+    assert first != kept(MODULE + "# more\n")
+    assert first != kept(MODULE, settings={"turns": 1})
+    assert "source" not in Policy().asked()
+
+
+def test_every_method_of_heft_is_what_others_must_be():
+    for name, kind in METHODS.items():
+        assert load_class(f"{kind.__module__}:{kind.__name__}", ESTIMATOR, name) is kind
+        assert configured(kind, {}, name) == kind()
+
+
+@pytest.mark.usefixtures("here")
+def test_settings_of_a_policy_are_swept_side_by_side_with_the_kinds():
+    axes = {"policy.kind": ["paper", "of_user:Outermost"], "policy.settings": [{}, {"turns": 1}]}
+    points = Scenario.model_validate({"objects": ["I1"], "sweep": {"mode": "zip", "axes": axes}}).points()
+    assert [point.policy.settings for _, point in points] == [{}, {"turns": 1}]
+    assert [axis_columns(at)["axis.policy.settings"] for at, _ in points] == ["none", "turns = 1"]
+
+
+@pytest.mark.slow
+def test_worker_processes_run_policies_and_methods_of_the_current_folder(here, capsys):
+    kinds = ["paper", "of_user:Outermost", "of_user:Endless", "of_user:Wrong"]
+    (here / "s.toml").write_text(
+        'objects = ["I1"]\n[policy]\npivots = 2\nduration = 2.0\naccelerated = 0\nheld_out = 0\ntouches = 3\n'
+        f'[sweep.axes]\n"policy.kind" = {kinds}\n[methods.mine]\nmethod = "of_user:Even"\n',
+        encoding="utf-8",
+    )
+    with pytest.raises(SystemExit, match="1"):  # one policy fails
+        main(["run", "s.toml", "--out", "out", "--workers", "1", "--methods", "mine", "of_user:Even"])
+    rows = load_results(here / "out").to_dict("records")
+    run = {(row["axis.policy.kind"], row["method"]) for row in rows}
+    assert run == set(product(kinds, ("mine", "of_user:Even"))) and len(rows) == len(run)
+    good = [row for row in rows if row["axis.policy.kind"] != "of_user:Wrong"]
+    assert all((row["status"], row["kind"]) == ("ok", "of_user:Even") and row["nad"] < 1e-3 for row in good)
+    assert all("of_user:Wrong.next() ends in KeyError" in row["message"] for row in rows if row not in good)
+    made = {}
+    for row in good:
+        kept = read_json(here / "out" / "estimates" / row["key"] / "result.json")
+        made[row["axis.policy.kind"]] = Counter(kept["trial_keys"]).total() - 1 if kept else 0
+    assert (made["of_user:Outermost"], made["of_user:Endless"]) == (2, 3) and made["paper"] >= 2
+    assert "recording: out" in capsys.readouterr().out

@@ -21,10 +21,8 @@ MESSAGES = {
     "Common": {"Empty": {}, "NotificationHandle": {"identifier": int}},
     "Session": {
         "CreateSessionInfo": {
-            "username": str,
-            "session_inactivity_timeout": int,
-            "password": str,
-            "connection_inactivity_timeout": int,
+            **dict.fromkeys(("username", "password"), str),
+            **dict.fromkeys(("session_inactivity_timeout", "connection_inactivity_timeout"), int),
         }
     },
     "Base": {
@@ -72,35 +70,14 @@ MESSAGES = {
     },
 }
 CONSTANTS = {
-    "Base": {
-        "SINGLE_LEVEL_SERVOING": 2,
-        "LOW_LEVEL_SERVOING": 3,
-        "GRIPPER_FORCE": 1,
-        "GRIPPER_SPEED": 2,
-        "GRIPPER_POSITION": 3,
-        "ACTION_END": 1,
-        "ACTION_ABORT": 2,
-        "ACTION_PAUSE": 3,
-        "ACTION_START": 4,
-    },
-    "Common": {
-        "CARTESIAN_REFERENCE_FRAME_MIXED": 1,
-        "CARTESIAN_REFERENCE_FRAME_TOOL": 2,
-        "CARTESIAN_REFERENCE_FRAME_BASE": 3,
-        "ARMSTATE_IN_FAULT": 4,
-        "ARMSTATE_SERVOING_READY": 7,
-    },
+    "Base": {"SINGLE_LEVEL_SERVOING": 2, "GRIPPER_POSITION": 3, "ACTION_END": 1, "ACTION_ABORT": 2},
+    "Common": {"CARTESIAN_REFERENCE_FRAME_BASE": 3, "ARMSTATE_IN_FAULT": 4},
 }
+_BARE = ("Stop", "ApplyEmergencyStop", "ClearFaults", "RefreshFeedback", "GetToolConfiguration")
+"""Calls without a message."""
+_BASE = ("SetServoingMode", "ExecuteAction", "SendTwistCommand", "SendGripperCommand", *_BARE[:3])
 CALLS = {
-    "Base": {
-        "SetServoingMode": "Empty",
-        "ExecuteAction": "Empty",
-        "SendTwistCommand": "Empty",
-        "SendGripperCommand": "Empty",
-        "Stop": "Empty",
-        "ApplyEmergencyStop": "Empty",
-        "ClearFaults": "Empty",
-    },
+    "Base": dict.fromkeys(_BASE, "Empty"),
     "BaseCyclic": {"RefreshFeedback": "Feedback"},
     "ControlConfig": {"GetToolConfiguration": "ToolConfiguration"},
 }
@@ -265,21 +242,13 @@ def _module(name, **contents):
 
 def _client(service, modules):
     def method(call, returns):
-        takes_message = call not in (
-            "Stop",
-            "ApplyEmergencyStop",
-            "ClearFaults",
-            "RefreshFeedback",
-            "GetToolConfiguration",
-        )
-
         def with_message(self, message, deviceId=0, options=None):
             return self._router.call(f"{service}.{call}", message, modules[returns], options)
 
         def without(self, deviceId=0, options=None):
             return self._router.call(f"{service}.{call}", Message(), modules[returns], options)
 
-        return with_message if takes_message else without
+        return without if call in _BARE else with_message
 
     def subscribe(self, callback, options_message, deviceId=0, options=None):
         self._router.notified.append((callback, modules["ActionNotification"]))

@@ -1,4 +1,4 @@
-"""Calibration by static poses: recovers mount, sign, bias and tool, knows how well, and says what it cannot tell."""
+"""Calibration by static poses: mount, sign, bias and tool come back with honest errors, or are refused."""
 
 from __future__ import annotations
 
@@ -26,19 +26,17 @@ from testbed.simulation.motion import arm_model, gripper_tool
 from tests.fakes.static_hand import BIAS, COM, DOWN, ERROR, MASS, POSES, readings
 from tests.helpers.records import coloured_noise
 
-MOUNTS = [
-    Rotation.from_euler("xyz", angles, degrees=True)
-    for angles in ((0, 0, 0), (0, 0, 90), (0, 0, -90), (0, 0, 180), (180, 0, 0), (0, 0, 37), (10, -20, 130))
-]
+ANGLES = ((0, 0, 0), (0, 0, 90), (0, 0, -90), (0, 0, 180), (180, 0, 0), (0, 0, 37), (10, -20, 130))
+MOUNTS = [Rotation.from_euler("xyz", angles, degrees=True) for angles in ANGLES]
 
 
 def off(calibration: Calibration, mount: Rotation) -> float:
-    """Angle between the found and the true mount, rad."""
+    """Angle between the found and the true mount [rad]."""
     found = Rotation.from_quat(calibration.sensor_in_hand, scalar_first=True)
     return float((mount.inv() * found).magnitude())
 
 
-@pytest.mark.parametrize("mount", MOUNTS, ids=str)
+@pytest.mark.parametrize("mount", MOUNTS, ids=map(str, ANGLES))
 @pytest.mark.parametrize("sign", [1, -1])
 def test_without_noise_all_comes_back(mount: Rotation, sign: int):
     found = calibrate(readings(mount, sign))
@@ -59,16 +57,9 @@ def test_with_noise_errors_are_as_large_as_it_says(mount: Rotation, sign: int):
         found = calibrate(readings(mount, sign, noise=1.0, seed=seed))
         assert found.sign == sign
         turn = (mount.inv() * Rotation.from_quat(found.sensor_in_hand, scalar_first=True)).as_rotvec()
-        scores.append(
-            np.concatenate(
-                [
-                    turn / found.sensor_in_hand_std,
-                    [(found.mass - MASS) / found.mass_std],
-                    (found.com - mount.inv().apply(COM)) / found.com_std,
-                    (found.bias - BIAS) / found.bias_std,
-                ]
-            )
-        )
+        com = (found.com - mount.inv().apply(COM)) / found.com_std
+        mass, bias = (found.mass - MASS) / found.mass_std, (found.bias - BIAS) / found.bias_std
+        scores.append([*turn / found.sensor_in_hand_std, mass, *com, *bias])
     z = np.array(scores)
     assert_allclose(np.mean(z**2, axis=0), 1.0, atol=0.75)  # 4 standard errors of a variance of 60
     assert np.mean(np.abs(z) < 2) > 0.9
@@ -144,14 +135,9 @@ def test_a_mirrored_axis_is_recognised():
     # and what it says to do works: readings become what the arm does to the tool
     mount = Rotation.from_quat(found.sensor_in_hand, scalar_first=True)
     for pose, given in zip(mirrored, readings(MOUNTS[0]), strict=True):
-        felt = found.sign * (pose.wrench - found.bias)
+        measured = found.sign * (pose.wrench - found.bias)
         truth = given.wrench - BIAS
-        assert_allclose(mount.apply(felt.reshape(2, 3)), truth.reshape(2, 3), atol=1e-6)
-
-
-def test_torque_of_the_other_sign_is_told():
-    with pytest.raises(CalibrationError, match="61 mm behind the sensor; the signs of its force and its torque"):
-        calibrate(readings(MOUNTS[0], torque_sign=-1))
+        assert_allclose(mount.apply(measured.reshape(2, 3)), truth.reshape(2, 3), atol=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -161,13 +147,15 @@ def test_torque_of_the_other_sign_is_told():
         ([DOWN] * 6, "too alike"),
         ([DOWN * Rotation.from_euler("z", 30.0 * i, degrees=True) for i in range(6)], "too alike"),
         ([DOWN * Rotation.from_euler("x", 20.0 * i, degrees=True) for i in range(6)], "do not tell the sensor's sign"),
+        (POSES, "61 mm behind the sensor; the signs of its force and its torque"),
     ],
-    ids=["few", "one", "about the vertical", "about one axis"],
+    ids=["few", "one", "about the vertical", "about one axis", "torque of the other sign"],
 )
 def test_poses_that_do_not_settle_it_are_refused(hands: list[Rotation], why: str):
-    for seed in range(5):
+    torque = -1 if "torque" in why else 1
+    for seed in range(2):
         with pytest.raises(CalibrationError, match=why):
-            calibrate(readings(MOUNTS[5], noise=1.0, seed=seed, hands=hands))
+            calibrate(readings(MOUNTS[5], noise=1.0, seed=seed, hands=hands, torque_sign=torque))
 
 
 def test_small_tilts_are_enough_and_cost_certainty():
@@ -189,19 +177,13 @@ def test_a_pose_is_the_mean_of_its_samples_with_its_error():
     assert_allclose(np.std(means, axis=0), np.mean(errors, axis=0), rtol=0.2)
     assert_allclose(np.mean(means, axis=0), BIAS, atol=0.003)
     assert_allclose(StaticPose(hand, BIAS, ERROR).up, DOWN.inv().apply([0, 0, 1]))
-    with pytest.raises(InvalidValueError, match="10 or more samples"):
-        static_pose(hand, np.zeros((9, 6)))
-    with pytest.raises(InvalidValueError, match=r"StaticPose\.standard_error"):
-        static_pose(hand, np.zeros((100, 6)))  # a dead sensor
-    with pytest.raises(InvalidValueError, match=r"StaticPose\.hand"):
-        StaticPose(np.ones(4), BIAS, ERROR)
-
-
-def test_the_tool_is_the_one_that_compensation_takes():
-    found = calibrate(readings(MOUNTS[0]))
-    tool = found.tool(np.array([0, 0, 0.17]), np.eye(3) * 1e-3)
-    assert tool.mass == pytest.approx(MASS)
-    assert_allclose(tool.com, COM, atol=1e-7)
+    for call, field in (
+        (lambda: static_pose(hand, np.zeros((9, 6))), "10 or more samples"),
+        (lambda: static_pose(hand, np.zeros((100, 6))), r"StaticPose\.standard_error"),  # a dead sensor
+        (lambda: StaticPose(np.ones(4), BIAS, ERROR), r"StaticPose\.hand"),
+    ):
+        with pytest.raises(InvalidValueError, match=field):
+            call()
 
 
 def test_a_file_brings_it_back(tmp_path: Path):
@@ -219,30 +201,21 @@ def test_a_file_brings_it_back(tmp_path: Path):
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "said"),
+    ("old", "new", "field"),
     [
-        ("sign = -1", "sign = 2", r"sign: got 2; allowed: 1 or -1"),
+        ("sign = -1", "sign = 2", r"sign: got 2"),
         ("sign = -1", "sigm = -1", r"sigm: no such field.*nearest: sign"),
-        ("tool_mass_kg = 0", "tool_mass_kg = -0", r"tool_mass_kg: got -0\.\d+; allowed: greater than 0"),
+        ("tool_mass_kg = 0", "tool_mass_kg = -0", r"tool_mass_kg: got -0\.\d+"),
         ("sensor_in_hand_wxyz = [", "sensor_in_hand_wxyz = [3.0, ", r"sensor_in_hand_wxyz"),
+        ("sensor_in_hand_wxyz = [", "sensor_in_hand_wxyz = [1, 1, 0, 0] # [", "a unit quaternion"),
         ("poses = 8", "", r"poses: missing"),
     ],
 )
-def test_a_damaged_file_is_refused(tmp_path: Path, old: str, new: str, said: str):
+def test_a_damaged_file_is_refused(tmp_path: Path, old: str, new: str, field: str):
     path = tmp_path / "mount.toml"
     save_calibration(path, calibrate(readings(MOUNTS[6], -1, noise=1.0)), "FSC-1234", "2026-01-31")
     text = path.read_text()
     assert old in text
     path.write_text(text.replace(old, new))
-    with pytest.raises(InvalidFileError, match=said):
-        load_calibration(path)
-
-
-def test_a_quaternion_that_is_none_is_refused(tmp_path: Path):
-    path = tmp_path / "mount.toml"
-    save_calibration(path, calibrate(readings(MOUNTS[0])), "FSC-1234", "2026-01-31")
-    lines = path.read_text().splitlines()
-    changed = [line if "wxyz" not in line else "sensor_in_hand_wxyz = [1.0, 1.0, 0.0, 0.0]" for line in lines]
-    path.write_text("\n".join(changed))
-    with pytest.raises(InvalidFileError, match="a unit quaternion"):
+    with pytest.raises(InvalidFileError, match=field):
         load_calibration(path)

@@ -1,4 +1,4 @@
-"""Every reason for which a record that is whole is still no data is found alone."""
+"""Every reason for which a whole record is no data, each found alone."""
 
 from __future__ import annotations
 

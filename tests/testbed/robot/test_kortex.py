@@ -17,48 +17,38 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+import testbed
 from testbed.errors import InvalidValueError
-from testbed.robot.interfaces import (
-    Arm,
-    ArmLostError,
-    ArmRefusedError,
-    Gripper,
-    Pose,
-    RobotError,
-)
-from testbed.robot.kinova import (
-    messages as kortex_messages,
-)
-from testbed.robot.kinova import (
-    process as kortex_process,
-)
-from testbed.robot.kinova import (
-    session as kortex_session,
-)
+from testbed.robot.interfaces import Arm, ArmLostError, ArmRefusedError, Gripper, Pose, RobotError
 from testbed.robot.kinova.arm import GEN3, KortexArm
 from testbed.robot.kinova.gripper import KortexGripper
 from testbed.robot.kinova.link import PYTHON_VARIABLE
 from testbed.simulation.motion import arm_model
-from tests.fakes.gen3 import FakeGen3
+from tests.fakes.gen3 import FakeGen3, Faults
 from tests.fakes.rig import KORTEX
 from tests.fakes.robot import small_object
 from tests.fakes.world import Gen3World
 
-pytestmark = pytest.mark.slow  # real lines and processes in real time
+STAND, FORWARD = np.zeros(3), np.array([0.03, 0, 0])
+slow = pytest.mark.slow  # real lines and processes in real time
 
-STAND = np.zeros(3)
 
-
-@pytest.fixture(autouse=True)
-def fake_api(monkeypatch):
-    monkeypatch.setenv("PYTHONPATH", KORTEX)
-    monkeypatch.delenv(PYTHON_VARIABLE, raising=False)
+@pytest.fixture(scope="module")
+def running() -> Iterator[FakeGen3]:
+    with FakeGen3(Gen3World(small_object())) as fake:
+        yield fake
 
 
 @pytest.fixture
-def gen3() -> Iterator[FakeGen3]:
-    with FakeGen3(Gen3World(small_object())) as fake:
-        yield fake
+def gen3(running, monkeypatch) -> FakeGen3:
+    """The fake arm without faults, standing."""
+    monkeypatch.setenv("PYTHONPATH", KORTEX)
+    monkeypatch.delenv(PYTHON_VARIABLE, raising=False)
+    running.faults = Faults()
+    running.world.stop()
+    assert until(lambda: running.world.speed < 1e-3)
+    running.commands.clear()
+    return running
 
 
 @pytest.fixture
@@ -73,7 +63,7 @@ def arm_at(port: int, **settings: Any) -> KortexArm:
 
 
 def until(true: Callable[[], bool], seconds: float = 5.0) -> bool:
-    """Whether it comes true in time; how soon is not asked, since machines are busy."""
+    """True if it comes true in time; machines are busy."""
     end = time.monotonic() + seconds
     while not true():
         if time.monotonic() > end:
@@ -82,104 +72,115 @@ def until(true: Callable[[], bool], seconds: float = 5.0) -> bool:
     return True
 
 
+def stands(gen3: FakeGen3) -> bool:
+    return until(lambda: not gen3.world.driven)
+
+
 def moved_by(arm: KortexArm, linear: np.ndarray, angular: np.ndarray, gen3: FakeGen3, count: int = 20) -> np.ndarray:
-    """The fake arm's twist after some commands."""
+    """Twist of the fake arm after some commands."""
     for _ in range(count):
         arm.twist(linear, angular)
         time.sleep(0.02)
     return gen3.world.reading.twist.copy()
 
 
-def test_they_are_ports(gen3):
-    arm = arm_at(gen3.port)
+def ahead(arm: KortexArm, z: float = 0.03) -> Pose:
+    start = arm.state().tcp_pose
+    return Pose(start.position + np.array([0, 0, z]), start.orientation)
+
+
+def test_it_fits_its_interface_and_the_model():
+    arm, model = KortexArm(), arm_model()
     assert isinstance(arm, Arm)
     assert isinstance(KortexGripper(arm), Gripper)
     assert arm.limits is GEN3
-
-
-def test_its_limits_are_those_of_the_model():
-    model = arm_model()
     limited = model.jnt_limited[:7].astype(bool)
     assert_allclose(GEN3.joint_range[limited], model.jnt_range[:7][limited])
     assert np.isinf(GEN3.joint_range[~limited]).all()
+    with pytest.raises(InvalidValueError, match=r"KortexArm\.port"):
+        KortexArm(port=0)
 
 
+@slow
 def test_connecting_moves_nothing_and_leaving_ends_the_process(gen3):
     with arm_at(gen3.port) as arm:
-        state = arm.state()
-        link = arm._link
+        state, link = arm.state(), arm._link
     assert link is not None and link.dead
     assert [name for _, name in gen3.commands if name != "Stop"] == []
-    assert_allclose(state.tcp_pose.position, gen3.world.reading.position, atol=1e-5)
-    assert_allclose(np.cos(state.joint_position), np.cos(gen3.world.reading.q), atol=1e-5)
+    assert_allclose(state.tcp_pose.position, gen3.world.reading.position, atol=1e-4)
+    assert_allclose(np.cos(state.joint_position), np.cos(gen3.world.reading.q), atol=1e-4)
     assert abs(state.joint_position).max() <= math.pi
-    with pytest.raises(ArmLostError, match="not connected; use it in a with statement"):
+    with pytest.raises(ArmLostError, match="not connected"):
         arm.state()
     arm.stop()  # and this is no error
 
 
-def test_a_pose_is_reached(arm, gen3):
-    start = arm.state().tcp_pose
-    goal = Pose(start.position + np.array([0.02, 0.01, 0.03]), start.orientation)
-    arm.move_to(goal, 0.2)
-    assert_allclose(gen3.world.reading.position, goal.position, atol=2e-3)
-
-
-@pytest.mark.parametrize("axis", range(3))
-def test_twists_are_in_the_base_frame_and_in_radians(arm, gen3, axis):
-    linear, angular = 0.04 * np.eye(3)[axis], np.array([0.0, 0.0, 0.2])
-    twist = moved_by(arm, linear, angular, gen3)
-    assert_allclose(twist[:3], linear, atol=0.012)
-    assert_allclose(twist[3:], angular, atol=0.06)
-
-
-def test_the_pose_that_is_reported_is_the_tools_own(arm, gen3):
+@slow
+def test_twists_are_in_the_base_frame_and_in_radians(arm, gen3):
+    for linear in (0.04 * np.eye(3)[0], 0.04 * np.eye(3)[1], 0.04 * np.eye(3)[2]):
+        twist = moved_by(arm, linear, np.array([0.0, 0.0, 0.2]), gen3)
+        assert_allclose(twist[:3], linear, atol=0.012)
+        assert_allclose(twist[3:], [0.0, 0.0, 0.2], atol=0.06)
     moved_by(arm, STAND, np.array([0.1, 0.1, 0.3]), gen3)
     arm.stop()
     assert until(lambda: not gen3.world.driven and gen3.world.speed < 1e-4)
     time.sleep(0.05)
-    ours, truth = arm.state().tcp_pose.orientation, gen3.world.reading.orientation
-    assert abs(ours @ truth) == pytest.approx(1.0, abs=1e-6)
+    measured, truth = arm.state().tcp_pose.orientation, gen3.world.reading.orientation
+    assert abs(measured @ truth) == pytest.approx(1.0, abs=1e-6)
 
 
-def test_stop_ends_motion_also_of_a_pose_under_way(arm, gen3):
-    moved_by(arm, np.array([0.03, 0, 0]), STAND, gen3, count=5)
-    arm.stop()
-    assert until(lambda: not gen3.world.driven)
+@slow
+def test_poses_are_reached_and_stopped(arm, gen3):
     start = arm.state().tcp_pose
+    goal = Pose(start.position + np.array([0.02, 0.01, 0.03]), start.orientation)
+    arm.move_to(goal, 0.2)
+    assert_allclose(gen3.world.reading.position, goal.position, atol=2e-3)
+    moved_by(arm, FORWARD, STAND, gen3, count=5)
+    arm.stop()
+    assert stands(gen3)
+    height = gen3.world.reading.position[2]
     Timer(0.3, arm.stop).start()
-    arm.move_to(Pose(start.position + np.array([0, 0, 0.15]), start.orientation), 0.05)
-    assert until(lambda: not gen3.world.driven)
-    assert gen3.world.reading.position[2] < start.position[2] + 0.14
+    arm.move_to(ahead(arm, 0.15), 0.05)
+    assert stands(gen3)
+    assert gen3.world.reading.position[2] < height + 0.14
 
 
-def test_it_stops_where_no_twist_comes_any_more(arm, gen3):
-    moved_by(arm, np.array([0.03, 0, 0]), STAND, gen3, count=5)
-    assert until(lambda: not gen3.world.driven)
-    assert until(lambda: arm._link.lost != "")  # it stops first, then says so
+@slow
+def test_it_stops_without_twists_but_may_stand_without(arm, gen3):
+    arm.twist(FORWARD / 3, STAND)
+    arm.twist(STAND, STAND)
+    time.sleep(1.3)
+    arm.twist(STAND, STAND)
+    assert "Stop" not in [name for _, name in gen3.commands]
+    moved_by(arm, FORWARD, STAND, gen3, count=5)
+    assert stands(gen3)
+    assert until(lambda: arm._link.lost != "")  # it stops first, then reports
     with pytest.raises(ArmLostError, match="silence for more than 1000 ms while the arm moved"):
         arm.twist(STAND, STAND)
     arm.stop()
     arm.twist(STAND, STAND)
 
 
-def test_standing_still_needs_no_twists(arm, gen3):
-    arm.twist(np.array([0.01, 0, 0]), STAND)
-    arm.twist(STAND, STAND)
-    time.sleep(1.3)
-    arm.twist(STAND, STAND)
-    assert "Stop" not in [name for _, name in gen3.commands]
+def close_input(arm: KortexArm, _: FakeGen3) -> None:
+    arm._link._process.stdin.close()
 
 
-@pytest.mark.parametrize("end", ["its input ends", "it is killed"])
-def test_it_stops_when_heft_is_gone_or_its_process_is(arm, gen3, end):
-    moved_by(arm, np.array([0.03, 0, 0]), STAND, gen3, count=5)
-    process = arm._link._process
-    if end == "it is killed":
-        os.kill(process.pid, signal.SIGKILL)
-    else:
-        process.stdin.close()
-    assert until(lambda: not gen3.world.driven)
+def kill(arm: KortexArm, _: FakeGen3) -> None:
+    os.kill(arm._link._process.pid, signal.SIGKILL)
+
+
+def pull_the_cable(_: KortexArm, gen3: FakeGen3) -> None:
+    gen3.drop()
+
+
+@slow
+@pytest.mark.parametrize("end", [close_input, kill, pull_the_cable], ids=lambda f: f.__name__)
+def test_it_stops_without_heft_its_process_or_its_cable(arm, gen3, end):
+    moved_by(arm, FORWARD, STAND, gen3, count=5)
+    os.kill(arm._link._process.pid, signal.SIGINT)  # Ctrl-C is for heft alone
+    assert not arm._link.dead
+    end(arm, gen3)
+    assert stands(gen3)
     with pytest.raises(ArmLostError):
         for _ in range(200):
             arm.state()
@@ -187,51 +188,29 @@ def test_it_stops_when_heft_is_gone_or_its_process_is(arm, gen3, end):
     arm.stop()
 
 
-def test_ctrl_c_does_not_reach_the_process(arm, gen3):
-    os.kill(arm._link._process.pid, signal.SIGINT)
-    time.sleep(0.1)
-    assert not arm._link.dead
-    arm.state()
-
-
-def test_a_pulled_cable_is_told_and_stops_the_arm(arm, gen3):
-    moved_by(arm, np.array([0.03, 0, 0]), STAND, gen3, count=5)
-    gen3.drop()
-    assert until(lambda: not gen3.world.driven)
-    with pytest.raises(ArmLostError):
-        for _ in range(200):
-            arm.state()
-            time.sleep(0.01)
-
-
-def test_a_stop_that_the_arm_does_not_answer_is_followed_by_its_emergency_stop(arm, gen3):
-    moved_by(arm, np.array([0.03, 0, 0]), STAND, gen3, count=5)
+@slow
+def test_a_stop_without_an_answer_is_followed_by_the_emergency_stop(arm, gen3):
+    moved_by(arm, FORWARD, STAND, gen3, count=5)
     gen3.faults.refuse = "Base.Stop"
     arm.stop()
-    assert until(lambda: not gen3.world.driven)
+    assert stands(gen3)
 
 
-def test_what_the_arm_refuses_is_told(arm, gen3):
-    start = arm.state().tcp_pose
-    with pytest.raises(ArmRefusedError, match="outside the workspace"):
-        arm.move_to(Pose(np.array([1.5, 0, 0.3]), start.orientation), 0.1)
-    goal = Pose(start.position + np.array([0, 0, 0.03]), start.orientation)
-    gen3.faults.aborts = True
-    with pytest.raises(ArmRefusedError, match=r"not reached: aborted by the arm \(detail 55\)"):
-        arm.move_to(goal, 0.1)
-    gen3.faults.aborts, gen3.faults.short = False, True
-    goal = Pose(gen3.world.reading.position + np.array([0, 0, 0.03]), start.orientation)
-    with pytest.raises(ArmRefusedError, match=r"says that it has arrived, \d+\.\d mm"):
-        arm.move_to(goal, 0.1)
-    gen3.faults.refuse = "Base.SendTwistCommand"
-    with pytest.raises(ArmRefusedError, match="twist refused"):
-        moved_by(arm, np.array([0.03, 0, 0]), STAND, gen3)
-    with pytest.raises(ArmRefusedError, match=r"a twist of 0\.6 m/s and 0 rad/s; allowed: 0\.5 m/s"):
-        arm.twist(np.array([0.6, 0, 0]), STAND)
-
-
-def test_a_fault_is_told_and_cleared(arm, gen3):
-    gen3.faults.fault_bank = 0x10
+@slow
+def test_refusals_and_faults_are_named(arm, gen3):
+    far = Pose(np.array([1.5, 0, 0.3]), arm.state().tcp_pose.orientation)
+    refusals: tuple[tuple[dict[str, Any], Callable[[], object], str], ...] = (
+        ({}, lambda: arm.move_to(far, 0.1), "outside the workspace"),
+        ({"aborts": True}, lambda: arm.move_to(ahead(arm), 0.1), r"aborted by the arm \(detail 55\)"),
+        ({"short": True}, lambda: arm.move_to(ahead(arm), 0.1), r"says that it has arrived, \d+\.\d mm"),
+        ({"refuse": "Base.SendTwistCommand"}, lambda: moved_by(arm, FORWARD, STAND, gen3), "twist refused"),
+        ({}, lambda: arm.twist(20 * FORWARD, STAND), r"a twist of 0\.6 m/s and 0 rad/s; allowed: 0\.5 m/s"),
+    )
+    for faults, call, reason in refusals:
+        gen3.faults = Faults(**faults)
+        with pytest.raises(ArmRefusedError, match=reason):
+            call()
+    gen3.faults = Faults(fault_bank=0x10)
     assert until(lambda: arm.state().faulted)
     assert arm.state().message == "fault banks 0x10 0x0"
     with pytest.raises(ArmRefusedError, match=r"in a fault \(fault banks 0x10 0x0\); clear it"):
@@ -240,7 +219,8 @@ def test_a_fault_is_told_and_cleared(arm, gen3):
     assert not arm.state().faulted
 
 
-def test_the_gripper_closes_opens_and_tells_its_opening(arm, gen3):
+@slow
+def test_the_gripper_closes_opens_and_measures_its_opening(arm, gen3):
     gripper = KortexGripper(arm)
     assert gripper.width() == pytest.approx(0.085, abs=1e-3)
     with pytest.raises(ArmRefusedError, match=r"closed to \d mm; expected 50 mm: on nothing"):
@@ -249,46 +229,37 @@ def test_the_gripper_closes_opens_and_tells_its_opening(arm, gen3):
     assert gripper.width() == pytest.approx(0.085, abs=1e-3)
 
 
-def test_a_missing_api_is_told_with_where_it_is_to_be_had(gen3, monkeypatch):
-    monkeypatch.setenv("PYTHONPATH", "")
-    with pytest.raises(
-        RobotError, match=r"kortex_api: not usable in .*No module named 'kortex_api'.*\.whl.*HEFT_KORTEX_PYTHON"
-    ):
-        arm_at(gen3.port).__enter__()
-    monkeypatch.setenv(PYTHON_VARIABLE, "/no/such/python")
-    with pytest.raises(RobotError, match=r"HEFT_KORTEX_PYTHON: got /no/such/python, which does not start"):
-        arm_at(gen3.port).__enter__()
-
-
+@slow
 @pytest.mark.parametrize(
-    ("settings", "said"),
+    ("environment", "settings", "reason"),
     [
-        ({"password": "wrong"}, r"cannot be connected: KServerException: wrong password; check its power"),
         (
-            {"tool_length": 0.2},
-            r"stored tool has its centre at \(0\.0000, 0\.0000, 0\.2115\) m; expected \(0, 0, 0\.2000\)",
+            {"PYTHONPATH": ""},
+            {},
+            r"kortex_api: not usable in .*No module named 'kortex_api'.*\.whl.*HEFT_KORTEX_PYTHON",
         ),
+        ({PYTHON_VARIABLE: "/no/such/python"}, {}, r"HEFT_KORTEX_PYTHON: got /no/such/python, which does not start"),
+        ({}, {"password": "wrong"}, r"cannot be connected: KServerException: wrong password; check its power"),
+        ({}, {"tool_length": 0.2}, r"stored tool .* \(0\.0000, 0\.0000, 0\.2115\) m; expected \(0, 0, 0\.2000\)"),
+        ({}, {"port": 1}, r"arm 127\.0\.0\.1: cannot be connected: ConnectionRefusedError"),
     ],
 )
-def test_an_arm_that_is_not_as_expected_is_refused(gen3, settings, said):
-    with pytest.raises(RobotError, match=said):
-        arm_at(gen3.port, **settings).__enter__()
+def test_a_connection_that_fails_is_explained(gen3, monkeypatch, environment, settings, reason):
+    for name, value in environment.items():
+        monkeypatch.setenv(name, value)
+    with pytest.raises(RobotError, match=reason):
+        arm_at(**{"port": gen3.port, **settings}).__enter__()
 
 
-def test_nobody_at_the_address_is_told():
-    with pytest.raises(ArmLostError, match=r"arm 127\.0\.0\.1: cannot be connected: ConnectionRefusedError"):
-        arm_at(1).__enter__()
-    with pytest.raises(InvalidValueError, match=r"KortexArm\.port"):
-        KortexArm(port=0)
-
-
-@pytest.mark.parametrize("module", [kortex_messages, kortex_process, kortex_session], ids=lambda m: m.__name__)
-def test_what_runs_beside_heft_runs_in_an_old_python(module):
-    path = module.__file__
-    assert path is not None
-    tree = ast.parse(Path(path).read_text(encoding="utf-8"), feature_version=(3, 8))
-    imported = {n.module for n in ast.walk(tree) if isinstance(n, ast.ImportFrom) and n.module}
-    imported |= {alias.name for n in ast.walk(tree) if isinstance(n, ast.Import) for alias in n.names}
-    ours = {name for name in imported if name.startswith("testbed")}
-    assert ours <= {"testbed.robot.kinova.messages", "testbed.robot.kinova.session"}
-    assert {name.split(".")[0] for name in imported - ours} <= set(sys.stdlib_module_names)
+def test_what_runs_beside_heft_runs_in_an_old_python():
+    """Standard library alone, and the syntax of Python 3.8: the three modules and the packages above them."""
+    kinova = Path(testbed.__file__).parent / "robot" / "kinova"
+    modules = [kinova / f"{name}.py" for name in ("messages", "process", "session")]
+    for path in (*modules, *(folder / "__init__.py" for folder in (kinova, *list(kinova.parents)[:2]))):
+        tree = ast.parse(path.read_text(encoding="utf-8"), feature_version=(3, 8))
+        loaded = ast.walk(tree) if path in modules else tree.body
+        imported = {n.module for n in loaded if isinstance(n, ast.ImportFrom) and n.module}
+        imported |= {a.name for n in ast.walk(tree) if isinstance(n, ast.Import) for a in n.names}
+        ours = {name for name in imported if name.startswith("testbed")}
+        assert ours <= {"testbed.robot.kinova.messages", "testbed.robot.kinova.session"}, path
+        assert {name.split(".")[0] for name in imported - ours} <= set(sys.stdlib_module_names), path

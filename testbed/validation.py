@@ -39,6 +39,17 @@ def frozen_array(name: str, values: ArrayLike, shape: tuple[int | None, ...], *,
     return array
 
 
+def freeze_arrays(value: object, **shapes: tuple[int | None, ...]) -> None:
+    """Replace array fields of a frozen dataclass by checked read-only copies.
+
+    Raises:
+        InvalidValueError: wrong shape, not numeric, or not finite; it names `Class.field`.
+    """
+    for name, shape in shapes.items():
+        array = frozen_array(f"{type(value).__name__}.{name}", getattr(value, name), shape)
+        object.__setattr__(value, name, array)
+
+
 def unit_quaternion(name: str, values: ArrayLike) -> np.ndarray:
     """A read-only unit quaternion, wxyz, shape (4,).
 
@@ -55,6 +66,12 @@ def check_positive(name: str, value: float) -> None:
     """Raise InvalidValueError unless `value` is finite and > 0."""
     if not (is_number(value) and value > 0):
         raise InvalidValueError(name, value, "a finite number > 0")
+
+
+def check_positive_fields(value: object, *names: str) -> None:
+    """Raise InvalidValueError unless the named fields are finite and > 0."""
+    for name in names:
+        check_positive(f"{type(value).__name__}.{name}", getattr(value, name))
 
 
 def check_integer(name: str, value: int, least: int = 1) -> None:

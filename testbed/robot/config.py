@@ -20,7 +20,7 @@ from testbed.robot.safety import SafetyLimits
 from testbed.sensing.drift import DriftLimit
 from testbed.sensing.presets import preset
 from testbed.trajectory import Tool
-from testbed.validation import check_positive, frozen_array, is_number, unit_quaternion
+from testbed.validation import check_positive_fields, frozen_array, is_number, unit_quaternion
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,11 +81,8 @@ class RobotSettings:
         for name in ("closing_angle", "table_height"):
             if not is_number(getattr(self, name)):
                 raise InvalidValueError(f"RobotSettings.{name}", getattr(self, name), "a finite number")
-        for name in (
-            *("grip_height", "grip_force", "hover", "travel_speed", "descent_speed", "tare_time", "settle_time"),
-            *("lift", "rate", "gain"),
-        ):
-            check_positive(f"RobotSettings.{name}", getattr(self, name))
+        names = ("grip_height", "grip_force", "hover", "travel_speed", "descent_speed", "tare_time", "settle_time")
+        check_positive_fields(self, *names, "lift", "rate", "gain")
         for name in ("off_path", "bias_std", "drift_std", "null_gain", "null_travel"):
             pair = frozen_array(f"RobotSettings.{name}", getattr(self, name), (2,))
             if not (pair >= 0).all():

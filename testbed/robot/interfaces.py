@@ -7,7 +7,6 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
-from types import TracebackType
 from typing import Protocol, Self, runtime_checkable
 
 import numpy as np
@@ -15,7 +14,7 @@ from jaxtyping import Float
 
 from testbed.errors import HeftError, InvalidValueError
 from testbed.trajectory import Tool
-from testbed.validation import check_positive, frozen_array, unit_quaternion
+from testbed.validation import check_positive_fields, freeze_arrays, frozen_array, unit_quaternion
 
 
 class RobotError(HeftError):
@@ -100,7 +99,7 @@ class Pose:
     """Unit quaternion, wxyz."""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "position", frozen_array("Pose.position", self.position, (3,)))
+        freeze_arrays(self, position=(3,))
         object.__setattr__(self, "orientation", unit_quaternion("Pose.orientation", self.orientation))
 
 
@@ -178,12 +177,10 @@ class ArmLimits:
                 "ArmLimits.joint_range", ranges.tolist(), "a lower and a higher angle for each joint"
             )
         object.__setattr__(self, "joint_range", ranges)
-        speeds = frozen_array("ArmLimits.joint_speed", self.joint_speed, (7,))
-        if not (speeds > 0).all():
-            raise InvalidValueError("ArmLimits.joint_speed", speeds.tolist(), "numbers > 0, rad/s")
-        object.__setattr__(self, "joint_speed", speeds)
-        for name in ("linear_speed", "angular_speed", "payload", "rate_hz"):
-            check_positive(f"ArmLimits.{name}", getattr(self, name))
+        freeze_arrays(self, joint_speed=(7,))
+        if not (self.joint_speed > 0).all():
+            raise InvalidValueError("ArmLimits.joint_speed", self.joint_speed.tolist(), "numbers > 0, rad/s")
+        check_positive_fields(self, "linear_speed", "angular_speed", "payload", "rate_hz")
 
 
 @dataclass(frozen=True, eq=False)
@@ -206,8 +203,7 @@ class ArmState:
     """Name of the fault, else empty."""
 
     def __post_init__(self) -> None:
-        for name, size in (("joint_position", 7), ("joint_velocity", 7), ("tcp_twist", 6)):
-            object.__setattr__(self, name, frozen_array(f"ArmState.{name}", getattr(self, name), (size,)))
+        freeze_arrays(self, joint_position=(7,), joint_velocity=(7,), tcp_twist=(6,))
 
 
 class Device(Protocol):
@@ -215,9 +211,7 @@ class Device(Protocol):
 
     def __enter__(self) -> Self: ...
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None: ...
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: object, /) -> None: ...
 
 
 @runtime_checkable

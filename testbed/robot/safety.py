@@ -12,7 +12,7 @@ from jaxtyping import Float
 from testbed.errors import InvalidValueError
 from testbed.frames import rotation_matrix
 from testbed.robot.interfaces import ArmLimits, ArmState, RobotError
-from testbed.validation import check_positive, frozen_array
+from testbed.validation import check_positive_fields, frozen_array
 
 _OVERSHOOT = 1.25
 """Allowed ratio of measured to commanded speed."""
@@ -47,8 +47,7 @@ class SafetyLimits:
             object.__setattr__(self, name, tuple(corner.tolist()))
         if not all(a < b for a, b in zip(self.low, self.high, strict=True)):
             raise InvalidValueError("SafetyLimits.high", self.high, f"a corner beyond the low one {self.low}, m")
-        for name in ("linear_speed", "angular_speed", "tilt", "force", "torque", "age"):
-            check_positive(f"SafetyLimits.{name}", getattr(self, name))
+        check_positive_fields(self, "linear_speed", "angular_speed", "tilt", "force", "torque", "age")
         if not 0 <= self.joint_margin < math.pi / 2:
             raise InvalidValueError("SafetyLimits.joint_margin", self.joint_margin, "0 to pi / 2, rad")
 

@@ -11,7 +11,7 @@ from jaxtyping import Float
 from testbed.errors import InvalidValueError
 from testbed.objects.model import GRAVITY
 from testbed.sensing.windows import mean_covariance
-from testbed.validation import check_positive, frozen_array, is_number
+from testbed.validation import check_positive, freeze_arrays, frozen_array, is_number
 
 GAIN_ERROR = 0.02
 """Allowed relative error of a known mass; heft's choice, the maker states no figure."""
@@ -19,7 +19,7 @@ TOO_UNSURE = 3
 """Standard errors within which two values agree."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class Weighing:
     """A mass from the change of the sensor's reading."""
 
@@ -27,21 +27,6 @@ class Weighing:
     """Mass [kg]."""
     standard_error: float
     """Standard error [kg], from the scatter of both readings and any given drift between them."""
-    force: Float[np.ndarray, "3"]
-    """Change of force [N], sensor axes."""
-    covariance: Float[np.ndarray, "3 3"]
-    """Covariance of that change [N^2]."""
-    tilt: float
-    """Angle between that change and the vertical [rad]: an error of the mount's rotation, or a contact."""
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "force", frozen_array("Weighing.force", self.force, (3,)))
-        object.__setattr__(self, "covariance", frozen_array("Weighing.covariance", self.covariance, (3, 3)))
-
-    @property
-    def tilt_standard_error(self) -> float:
-        """Standard error of the tilt [rad]."""
-        return float(np.sqrt(np.linalg.eigvalsh(self.covariance)[-1]) / max(np.linalg.norm(self.force), 1e-9))
 
 
 def weigh(
@@ -77,14 +62,8 @@ def weigh(
     direction = force / max(length, 1e-12) if up is None else frozen_array("weigh.up", up, (3,))
     if abs(np.linalg.norm(direction) - 1) > 1e-3:
         raise InvalidValueError("weigh.up", direction.tolist(), "a unit vector, sensor axes")
-    along = float(force @ direction)
-    return Weighing(
-        mass=along / GRAVITY,
-        standard_error=float(np.sqrt(direction @ covariance @ direction)) / GRAVITY,
-        force=force,
-        covariance=covariance,
-        tilt=float(np.arctan2(np.linalg.norm(force - along * direction), abs(along))),
-    )
+    error = float(np.sqrt(direction @ covariance @ direction))
+    return Weighing(float(force @ direction) / GRAVITY, error / GRAVITY)
 
 
 Verdict = Literal["agrees", "disagrees", "negated", "unsure"]
@@ -147,8 +126,7 @@ class HeldCenter:
     """Covariance of the offset [m^2]."""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "offset", frozen_array("HeldCenter.offset", self.offset, (2,)))
-        object.__setattr__(self, "covariance", frozen_array("HeldCenter.covariance", self.covariance, (2, 2)))
+        freeze_arrays(self, offset=(2,), covariance=(2, 2))
 
 
 def held_center(wrench: Float[np.ndarray, "6"], covariance: Float[np.ndarray, "6 6"]) -> HeldCenter:

@@ -28,7 +28,7 @@ from testbed.objects.model import GRAVITY
 from testbed.robot.interfaces import RobotError
 from testbed.sensing.windows import mean_covariance
 from testbed.trajectory import Tool
-from testbed.validation import check_positive, frozen_array, unit_quaternion
+from testbed.validation import check_positive_fields, freeze_arrays, frozen_array, unit_quaternion
 
 Sign = Literal[1, -1]
 TELLING = 25.0
@@ -54,8 +54,7 @@ class StaticPose:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "hand", unit_quaternion("StaticPose.hand", self.hand))
-        for name in ("wrench", "standard_error"):
-            object.__setattr__(self, name, frozen_array(f"StaticPose.{name}", getattr(self, name), (6,)))
+        freeze_arrays(self, wrench=(6,), standard_error=(6,))
         if not (self.standard_error > 0).all():
             raise InvalidValueError("StaticPose.standard_error", self.standard_error.tolist(), "numbers > 0")
 
@@ -107,12 +106,9 @@ class Calibration:
     def __post_init__(self) -> None:
         if self.sign not in (1, -1):
             raise InvalidValueError("Calibration.sign", self.sign, "1 or -1")
-        for name in ("mass", "mass_std"):
-            check_positive(f"Calibration.{name}", getattr(self, name))
+        check_positive_fields(self, "mass", "mass_std")
         object.__setattr__(self, "sensor_in_hand", unit_quaternion("Calibration.sensor_in_hand", self.sensor_in_hand))
-        sizes = {"sensor_in_hand_std": 3, "bias": 6, "bias_std": 6, "com": 3, "com_std": 3}
-        for name, size in sizes.items():
-            object.__setattr__(self, name, frozen_array(f"Calibration.{name}", getattr(self, name), (size,)))
+        freeze_arrays(self, sensor_in_hand_std=(3,), bias=(6,), bias_std=(6,), com=(3,), com_std=(3,))
 
     def tool(self, tcp: Float[np.ndarray, "3"], inertia: Float[np.ndarray, "3 3"]) -> Tool:
         """The tool, with the figures that static poses do not show.

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import time
 from dataclasses import dataclass, field
-from types import TracebackType
 from typing import Self
 
 import numpy as np
@@ -23,7 +22,7 @@ from testbed.robot.interfaces import (
 )
 from testbed.robot.kinova.link import KortexLink
 from testbed.robot.kinova.messages import Configuration, Feedback
-from testbed.validation import check_positive
+from testbed.validation import check_positive_fields
 
 _ENDLESS = (-math.inf, math.inf)
 GEN3 = ArmLimits(
@@ -64,8 +63,7 @@ class KortexArm:
     beyond which the arm counts as lost."""
 
     def __post_init__(self) -> None:
-        for name in ("tool_length", "turn_speed", "silence"):
-            check_positive(f"KortexArm.{name}", getattr(self, name))
+        check_positive_fields(self, "tool_length", "turn_speed", "silence")
         if not 0 < self.port < 2**16:
             raise InvalidValueError("KortexArm.port", self.port, "a TCP port")
         self._link: KortexLink | None = None
@@ -94,9 +92,7 @@ class KortexArm:
             )
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         link, self._link = self._link, None
         if link is not None:
             link.close()

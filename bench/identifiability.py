@@ -41,9 +41,9 @@ from estimators.particles.friction_system import LoadGroups, friction_equations
 from estimators.particles.model import ParticleModel
 from estimators.particles.windows import Observations, observe
 from scenarios.cli.identify import actions_of
-from scenarios.results.load import load_results
+from scenarios.results.estimates import load_results
 from scenarios.results.store import Store, read_json, rows_of
-from scenarios.study.estimates import sensed
+from scenarios.results.trials import sensed_trials
 from testbed.objects.files import load_object, object_names
 from testbed.objects.model import ObjectModel
 from testbed.sensing.presets import preset
@@ -64,7 +64,7 @@ class Tried:
 
     def draw(self, sensing: str, seed: int) -> tuple[float, list[Trajectory]]:
         """M as weighed and the trials, as one draw of a sensor's errors has them."""
-        weighed, *trials = sensed(self.store, self.keys, sensing, seed)
+        weighed, *trials = sensed_trials(self.store, self.keys, sensing, seed)
         return weight_of(weighed), trials
 
 

@@ -32,7 +32,7 @@ from estimators.hidden_states.estimator import HiddenStates
 from estimators.support_models.estimator import SupportAware
 from estimators.testing.recorded import load_block
 from scenarios.cli.main import main as heft
-from scenarios.results.load import load_results
+from scenarios.results.estimates import load_results
 
 METHODS: dict[str, Estimator] = {
     "hidden_states": HiddenStates(),

@@ -42,8 +42,7 @@ from estimators.particles.errors import ModelErrors
 from estimators.particles.friction_system import LoadGroups, friction_equations
 from estimators.particles.windows import Observations, observe
 from estimators.particles.wrench import ParticleLoads
-from scenarios.study.benches import BenchCheck
-from scenarios.study.experiment import feasible_grasps
+from scenarios.runners import FeasibilityCheck, feasible_grasps
 from testbed.actions.base import Action
 from testbed.errors import HeftError, InfeasibleTrialError
 from testbed.objects.files import load_object
@@ -150,9 +149,9 @@ def more(options: argparse.Namespace) -> None:
         model = load_object(name)
         guess = Guess(model.total_mass, preset(options.sensing))
         family = ActionFamily(slides=False, accelerated=False)
-        plan = PlannedPolicy(guess, goal=Goal(most=8), family=family, feasible=BenchCheck(model.shape, guess)).plan(
-            model.shape
-        )
+        plan = PlannedPolicy(
+            guess, goal=Goal(most=8), family=family, feasible=FeasibilityCheck(model.shape, guess)
+        ).plan(model.shape)
         spent = np.cumsum([step.seconds for step in plan.steps])
         row = [f"{100 * s.belief.expected_nad:.2f} ({t:.0f} s)" for s, t in zip(plan.steps, spent, strict=True)]
         print(f"| {name} | " + " | ".join(row) + " |")
@@ -203,7 +202,7 @@ def _rows(model: ObjectModel, sensing_name: str, draws: int) -> Iterator[dict[st
         except InfeasibleTrialError as error:
             refused[action] = str(error)
 
-    check = BenchCheck(shape, guess, refused=refused)
+    check = FeasibilityCheck(shape, guess, refused=refused)
     goal = Goal(budget_s=BUDGET, most=20)
     ahead: dict[str, ActionPolicy] = {
         "paper": RankDriven(TURNS, accelerated=0, grasps=feasible_grasps(model, SimulationSettings()), most=TURNS),

@@ -34,8 +34,7 @@ from estimators.support_models.estimator import SupportAware
 from estimators.support_models.materials import rank_assignments
 from estimators.testing.analytic_world import accelerated, turns
 from scenarios.results.store import Store, read_json
-from scenarios.results.trials import object_of
-from scenarios.study.estimates import sensed
+from scenarios.results.trials import object_of, sensed_trials
 from testbed.objects.files import load_object
 from testbed.objects.model import ObjectModel
 from testbed.sensing.windows import weight_of
@@ -77,7 +76,7 @@ def judge(out: Path, folders: Sequence[Path], sensing: Sequence[str], draws: int
         for obj, support, keys in cells(folder):
             for name in sensing:
                 for seed in range(1 if name == "ideal" else draws):
-                    drawn = sensed(Store(folder), keys, name, seed)
+                    drawn = sensed_trials(Store(folder), keys, name, seed)
                     said = {"folder": folder.name, "object": f"{obj.name} {keys[0][:6]}", "support": support}
                     rows.append(said | {"sensing": name, "seed": seed} | judged(obj, drawn, materials))
             print(len(rows), obj.name, support, flush=True)

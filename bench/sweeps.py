@@ -30,7 +30,7 @@ from scenarios.results.store import Store
 from scenarios.study import run as sweep
 from scenarios.study import trials
 from scenarios.study.estimates import Asked
-from scenarios.study.experiment import cells_of
+from scenarios.study.experiment import experiments_of
 from scenarios.study.run import run_scenario
 from testbed.actions.rotate import Rotate
 from testbed.objects.random import Family
@@ -112,7 +112,7 @@ def overhead() -> None:
     wall = {}
     for workers in (2, 1):
         with tempfile.TemporaryDirectory() as folder, warm(workers) as executor:
-            cells_of(scenario, Store(Path(folder)), quiet)
+            experiments_of(scenario, Store(Path(folder)), quiet)
             begin = time.perf_counter()
             run_scenario(scenario, Path(folder), workers, quiet)
             wall[workers] = time.perf_counter() - begin
@@ -125,7 +125,7 @@ def canned() -> tuple[Trial, Trajectory]:
     """A turn of 2 s there and back, of a small object."""
     with tempfile.TemporaryDirectory() as folder:
         scenario = sweep_of(1)
-        cell = cells_of(scenario, Store(Path(folder)), quiet)[0][0]
+        cell = experiments_of(scenario, Store(Path(folder)), quiet)[0][0]
         turn = Rotate(cell.grasps[0], duration=2.0, back=True)
         trial = Trial(cell.model, turn, cell.support)
         return trial, SimulationRunner().run_clean(trial)
@@ -138,7 +138,7 @@ def resume() -> None:
         store = Store(Path(folder))
         trial, record = canned()
         store.put_trial("canned", trial, {}, record)
-        cells, _ = cells_of(scenario, store, quiet)
+        cells, _ = experiments_of(scenario, store, quiet)
         for index, cell in enumerate(cells):
             cell.keys, cell.held_out_keys = [f"{index}_{i}" for i in range(13)], [f"{index}_{i}" for i in (13, 14)]
             for key in cell.keys + cell.held_out_keys:
@@ -183,7 +183,7 @@ def driver(objects: int) -> None:
     trials.simulate = copy
     with tempfile.TemporaryDirectory() as folder, open_executor("inline", 0) as executor:
         store = Store(Path(folder))
-        cells, _ = cells_of(scenario, store, quiet)
+        cells, _ = experiments_of(scenario, store, quiet)
         trials.run_trials(cells, store, executor, quiet)
         made = len([*store.root.glob("trials/*")])
     print(made, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)

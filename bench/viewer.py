@@ -13,9 +13,9 @@ from pathlib import Path
 import psutil
 from rerun.experimental import ViewerClient
 
-from scenarios.cli.view import trial_page
 from scenarios.results.store import Store, key_of, trial_request
 from scenarios.study.trials import simulate
+from scenarios.views.pages import trial_page
 from testbed.actions.rotate import Rotate
 from testbed.objects.files import load_object
 from testbed.simulation.settings import SimulationSettings

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from copy import deepcopy
 from dataclasses import replace
 from itertools import product
@@ -19,15 +19,16 @@ from estimators.action_selection.online import OnlinePolicy
 from estimators.action_selection.plan import Goal
 from estimators.action_selection.rank import RankDriven, held_out_turns
 from estimators.base import ActionPolicy
-from estimators.registry import build_method
-from scenarios.study.benches import BenchCheck, BenchSettings, OtherBench
-from scenarios.study.policies import Told, build_policy, code_of
+from estimators.registry import build_method, is_method
+from scenarios.policies import PolicyContext, build_policy, code_of
+from scenarios.runners import FeasibilityCheck, NamedRunner, RunnerSettings
 from testbed.actions.base import Action
 from testbed.actions.rotate import Rotate
 from testbed.errors import InvalidValueError
 from testbed.objects.files import explained, find_file, library_names, load_toml
 from testbed.objects.model import MassDistribution, ObjectModel, ObjectShape
 from testbed.objects.random import Family
+from testbed.plugins import nearest
 from testbed.sensing.presets import preset
 from testbed.simulation.settings import (
     ContactSettings,
@@ -74,7 +75,7 @@ class Policy(BaseModel):
     @model_validator(mode="after")
     def _known_kind(self) -> Self:
         if self.kind not in POLICIES:
-            build_policy(self.kind, self.settings, POLICIES, self.touches, Told())
+            build_policy(self.kind, self.settings, POLICIES, self.touches, PolicyContext())
         elif self.settings:
             allowed = f'none: {self.kind} has its fields in [policy]; settings are for a kind = "package:Class"'
             raise InvalidValueError("settings", self.settings, allowed)
@@ -95,11 +96,11 @@ class Policy(BaseModel):
         self,
         grasps: tuple[int, ...],
         particles: ObjectModel,
-        settings: BenchSettings,
+        settings: RunnerSettings,
         sensing: str | None = None,
         refused: Mapping[Action, str] | None = None,
     ) -> ActionPolicy:
-        """The policy over the grasps that may be used; of the object it is told shape and weight.
+        """The policy over the grasps that may be used; of the object it is context shape and weight.
 
         Args:
             grasps: which may be used.
@@ -111,10 +112,10 @@ class Policy(BaseModel):
         if self.kind == "paper":
             return RankDriven(self.pivots, self.duration, self.accelerated, self.most, self.seed, grasps)
         guess = Guess(particles.total_mass, preset(self.plan_for))
-        check = BenchCheck(particles.shape, guess, settings, {} if refused is None else refused)
+        check = FeasibilityCheck(particles.shape, guess, settings, {} if refused is None else refused)
         if self.kind not in POLICIES:
-            told = Told(grasps, particles.total_mass, check)
-            return build_policy(self.kind, self.settings, POLICIES, self.touches, told)
+            context = PolicyContext(grasps, particles.total_mass, check)
+            return build_policy(self.kind, self.settings, POLICIES, self.touches, context)
         goal = Goal(self.until, self.budget_s, self.touches)
         searched = {"candidates": self.candidates, "grasps": grasps, "seed": self.seed, "feasible": check}
         if self.kind == "online":
@@ -172,13 +173,13 @@ class Simulation(Strict):
         fields = set(type(self).model_fields) - {"runner", "settings"}
         if ours := sorted(name for name in fields if getattr(self, name) != type(self).model_fields[name].default):
             raise InvalidValueError("runner", self.runner, f"settings of its own in place of {', '.join(ours)}")
-        OtherBench.of(self.runner, self.settings).open()
+        NamedRunner.of(self.runner, self.settings).open()
         return self
 
-    def build(self) -> BenchSettings:
+    def build(self) -> RunnerSettings:
         """The bench's settings."""
         if self.runner is not None:
-            return OtherBench.of(self.runner, self.settings)
+            return NamedRunner.of(self.runner, self.settings)
         return SimulationSettings(
             timestep=self.timestep_s,
             contact=ContactSettings(sag=self.sag_m),
@@ -188,7 +189,7 @@ class Simulation(Strict):
 
 
 class Truth(Strict):
-    """Changes to what is true of every object, which no method is told."""
+    """Changes to what is true of every object, which no method is context."""
 
     friction: Annotated[float, Field(gt=0, le=2)] | None = None
     friction_spread: Annotated[float, Field(ge=0, le=1)] = 0.0
@@ -270,6 +271,32 @@ class Scenario(Strict):
             raise InvalidValueError("random", names, "a name of its own for each family")
         self.points()
         return self
+
+    def changed(
+        self,
+        seeds: int | None = None,
+        objects: Sequence[str] | None = None,
+        methods: Sequence[str] | None = None,
+    ) -> Scenario:
+        """The scenario with the command line's changes.
+
+        Raises:
+            InvalidValueError: fewer than one seed, or an unknown method.
+        """
+        if seeds is not None and seeds < 1:
+            raise InvalidValueError("--seeds", seeds, "an integer >= 1")
+        changes: dict[str, object] = {} if seeds is None else {"seeds": seeds}
+        if objects:
+            changes |= {"objects": list(objects), "random": []}
+        if methods:
+            known = self.methods
+            if unknown := [label for label in methods if not (label in known or is_method(label))]:
+                allowed = f"some of the scenario's {', '.join(known)}{nearest(unknown[0], known)}; or any other method"
+                raise InvalidValueError("--methods", " ".join(unknown), f"{allowed} by name or package:Class")
+            changes["methods"] = {label: known.get(label, {}) for label in methods}
+            for label in methods:
+                build_method(label, known.get(label, {}))
+        return self.model_copy(update=changes)
 
     def supports(self) -> list[Support]:
         """Who carries the weight, in order."""

@@ -1,69 +1,76 @@
-"""`heft export`: an estimate as a file for another simulator, with all that is known of its errors beside it."""
+"""heft export: an estimate as a model for another simulator, with its errors beside it."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
-from estimators.evaluation.statistics import Row
-from scenarios.results.estimates import estimate_shown, rows_in
+import tyro
+
 from testbed.errors import InvalidValueError
-from testbed.objects.export import Exported, to_mjcf, to_object_file, to_sidecar, to_urdf
-from testbed.trajectory import write_whole
 
-Format = Literal["mjcf", "urdf", "toml"]
+if TYPE_CHECKING:
+    from estimators.evaluation.statistics import Row
+    from testbed.objects.export import Exported
+
 _ENDING = {"mjcf": "xml", "urdf": "urdf", "toml": "toml"}
 
 
-def export(folder: Path, beginning: str, kind: Format, out: Path | None, *, inertial: bool) -> list[Path]:
-    """Write an estimate and its sidecar; their paths.
+def export(
+    folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DIR")],
+    what: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="ESTIMATE")],
+    *,
+    format_: Annotated[Literal["mjcf", "urdf", "toml"], tyro.conf.arg(name="format")] = "mjcf",
+    inertial: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False,
+    out: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None,
+) -> None:
+    """Write an estimate for another simulator: a box a block. A JSON beside it says how sure every mass is.
+
+    Examples: heft export results/blocks 3f9a
+              heft export results/blocks 3f9a --format urdf --inertial --out my_robot/hammer.urdf
 
     Args:
-        folder: results folder.
-        beginning: of the estimate's key.
-        kind: of the file.
-        out: its path; in folder/exports if None.
-        inertial: one inertial for the whole instead of a mass a block.
-
-    Raises:
-        InvalidValueError: no such estimate, one without an answer, or an object that the format cannot hold.
+        folder: of a run.
+        what: beginning of an estimate's key (see its report).
+        format_: mjcf, urdf, or toml: an object file that heft itself can run.
+        inertial: one mass, centre and inertia for the whole object instead.
+        out: DIR/exports/OBJECT_KEY if left out, with the format's ending.
     """
-    row = _row_of(folder, beginning)
+    from scenarios.results.estimates import row_of
+    from testbed.objects.export import to_mjcf, to_object_file, to_sidecar, to_urdf
+    from testbed.trajectory import write_whole
+
+    row = row_of(folder, what)
     exported = exported_of(folder, row)
-    if kind == "toml":
+    if format_ == "toml":
         if inertial:
             raise InvalidValueError("--inertial", "--format toml", "mjcf or urdf: heft's objects are blocks")
         text = to_object_file(exported)
     else:
-        text = (to_mjcf if kind == "mjcf" else to_urdf)(exported, inertial=inertial)
-    path = out or folder / "exports" / f"{exported.name}_{row['key'][:8]}.{_ENDING[kind]}"
+        text = (to_mjcf if format_ == "mjcf" else to_urdf)(exported, inertial=inertial)
+    path = out or folder / "exports" / f"{exported.name}_{row['key'][:8]}.{_ENDING[format_]}"
     for file, content in ((path, text), (path.with_suffix(".json"), to_sidecar(exported))):
         write_whole(file, lambda part, content=content: part.write_text(content, encoding="utf-8"))
-    return [path, path.with_suffix(".json")]
+        print(file)
 
 
 def exported_of(folder: Path, row: Row) -> Exported:
-    """The answer of a row of the results.
+    """The masses of a row of the results, as they are exported.
 
     Raises:
-        InvalidValueError: there is none.
+        InvalidValueError: it has none.
     """
-    shown = estimate_shown(folder, row)
-    if shown.answer is None:
+    from scenarios.views.estimate import estimate_view
+    from testbed.objects.export import Exported
+
+    view = estimate_view(folder, row)
+    if view.answer is None:
         why = f"{row['status']}: {row['message']}"
         raise InvalidValueError("ESTIMATE", row["key"], f"one with masses; this one has none, {why}")
     why = f": {row['message']}" if row.get("message") else ""
     notes = (
-        f"estimated by heft: {shown.title}, draw {row['seed']}",
+        f"estimated by heft: {view.title}, draw {row['seed']}",
         f"status {row['status']}{why}",
         f"estimate {row['key']}",
     )
-    return Exported(str(row["object"]), shown.shape, shown.answer, shown.covariance, notes)
-
-
-def _row_of(folder: Path, beginning: str) -> Row:
-    found = [row for row in rows_in(folder) if str(row.get("key") or "").startswith(beginning)]
-    if len(found) != 1:
-        allowed = f"the beginning of one estimate's key in {folder}/estimates; {len(found)} begin so"
-        raise InvalidValueError("ESTIMATE", beginning, allowed)
-    return found[0]
+    return Exported(str(row["object"]), view.shape, view.answer, view.covariance, notes)

@@ -74,7 +74,7 @@ def plan(
     from estimators.action_selection.design import ASSUMED_SUPPORTS, Guess
     from estimators.action_selection.greedy import PlannedPolicy, rank_driven_plan
     from estimators.action_selection.plan import Goal
-    from scenarios.study.benches import BenchCheck
+    from scenarios.runners import FeasibilityCheck
     from testbed.objects.files import load_object
     from testbed.sensing.presets import preset
 
@@ -85,7 +85,7 @@ def plan(
     if policy == "paper":
         made = rank_driven_plan(model.shape, guess, goal, allowed, seed)
     else:
-        check, family = BenchCheck(model.shape, guess), action_family(support, lifts=lifts)
+        check, family = FeasibilityCheck(model.shape, guess), action_family(support, lifts=lifts)
         made = PlannedPolicy(guess, policy, criterion, goal, family, candidates, allowed, seed, check).plan(model.shape)
     title = f"{model.name}, {support}, {sensing}: {policy}"
     console.print(f"[bold]{title}[/bold]; weighed {model.total_mass:.3f} kg", highlight=False)

@@ -1,4 +1,4 @@
-"""Progress of a run: bars on a terminal, a plain line now and then elsewhere."""
+"""heft status, and the progress of a run: bars on a terminal, a plain line now and then elsewhere."""
 
 from __future__ import annotations
 
@@ -7,39 +7,34 @@ from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
-from pydantic import ValidationError
+import tyro
 from rich.console import Console
 from rich.progress import (
     BarColumn,
     MofNCompleteColumn,
-    Progress,
     TaskID,
     TextColumn,
     TimeElapsedColumn,
     TimeRemainingColumn,
 )
+from rich.progress import Progress as Bars
 
-from scenarios.config import Scenario
-from scenarios.results.lock import FolderInUseError, exclusive
-from scenarios.results.store import read_json
-from scenarios.study.dry_run import Plan
 from testbed.errors import InvalidValueError
 
 if TYPE_CHECKING:
-    from scenarios.study.experiment import Progress as Told  # who draws a film need not wait for torch
-
+    from scenarios.study.experiment import Progress
 
 EVERY_S = 10.0
 """Between two plain lines, s."""
 
 
 @contextmanager
-def show_progress(console: Console) -> Iterator[Told]:
-    """What is to be told how far a run is; it shows throughput and time left."""
+def show_progress(console: Console) -> Iterator[Progress]:
+    """Show how far a run is, its throughput and the time left."""
     if console.is_terminal:
-        with Progress(
+        with Bars(
             TextColumn("{task.description:<10}"),
             BarColumn(),
             MofNCompleteColumn(),
@@ -56,40 +51,40 @@ def show_progress(console: Console) -> Iterator[Told]:
 
 
 class _Stages:
-    """When each stage began, and at what count: what is there from an earlier run is no throughput."""
+    """Start and first count of each stage: what is there from an earlier run is no throughput."""
 
     def __init__(self) -> None:
         self._begun: dict[str, tuple[float, int]] = {}
 
     def rate(self, stage: str, done: int) -> float:
-        """Done a second since the stage was first told of; 0 where nothing is known yet."""
+        """Number done a second since the stage began; 0 where nothing is known yet."""
         since, first = self._begun.setdefault(stage, (time.monotonic(), done))
         seconds = time.monotonic() - since
         return (done - first) / seconds if seconds > 0.5 else 0.0
 
 
 class _Bars:
-    def __init__(self, bars: Progress):
+    def __init__(self, bars: Bars):
         self._bars, self._stages = bars, _Stages()
         self._tasks: dict[str, TaskID] = {}
 
     def __call__(self, stage: str, done: int, total: int, failed: int = 0) -> None:
         rate = self._stages.rate(stage, done)
-        told, lost = f"{rate:.1f}/s" if rate else "", f"{failed} failed" if failed else ""
+        speed, lost = f"{rate:.1f}/s" if rate else "", f"{failed} failed" if failed else ""
         if stage not in self._tasks:
-            self._tasks[stage] = self._bars.add_task(stage, total=total, rate=told, failed=lost)
-        self._bars.update(self._tasks[stage], completed=done, total=total, rate=told, failed=lost)
+            self._tasks[stage] = self._bars.add_task(stage, total=total, rate=speed, failed=lost)
+        self._bars.update(self._tasks[stage], completed=done, total=total, rate=speed, failed=lost)
 
 
 class _Lines:
     def __init__(self) -> None:
-        self._stages, self._said, self._last = _Stages(), 0.0, ""
+        self._stages, self._printed, self._last = _Stages(), 0.0, ""
 
     def __call__(self, stage: str, done: int, total: int, failed: int = 0) -> None:
         rate = self._stages.rate(stage, done)
-        if time.monotonic() - self._said < EVERY_S and done != total:
+        if time.monotonic() - self._printed < EVERY_S and done != total:
             return
-        self._said = time.monotonic()
+        self._printed = time.monotonic()
         parts = [f"{stage}: {done} of {'' if done == total else 'about '}{total}"]
         if rate and done != total:
             parts += [f"{rate:.1f}/s", f"about {(total - done) / rate:.0f} s left"]
@@ -105,13 +100,15 @@ MOST_LINES = 20
 """Failures that are listed."""
 
 
-def show_status(console: Console, folder: Path) -> None:
-    """Count what is there, against what the folder's scenario asks for.
+def status(folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DIR")]) -> None:
+    """Say how far a results folder is: trials and estimates done, failures with their reasons.
 
-    Raises:
-        InvalidValueError: not a results folder.
+    Args:
+        folder: of a run, finished, running or stopped.
     """
-    manifest = read_json(folder / "manifest.json")
+    from scenarios.results.store import FolderInUseError, exclusive, read_json
+
+    console, manifest = Console(), read_json(folder / "manifest.json")
     if manifest is None:
         allowed = "a folder with a manifest.json, as `heft run` and `heft estimate` make it"
         raise InvalidValueError("DIR", str(folder), allowed)
@@ -138,8 +135,13 @@ def show_status(console: Console, folder: Path) -> None:
 
 def _asked(manifest: dict[str, Any]) -> tuple[str, str]:
     """How many trials and estimates the folder's scenario asks for; nothing where its trials were measured."""
+    from pydantic import ValidationError
+
+    from scenarios.config import Scenario
+    from scenarios.study.dry_run import DryRun
+
     try:
-        plan = Plan.of(Scenario.model_validate(manifest["scenario"]))
+        plan = DryRun.of(Scenario.model_validate(manifest["scenario"]))
     except ValidationError:
         return "", ""
     return f" of about {plan.trials}", f" of about {plan.estimates}"

@@ -1,4 +1,4 @@
-"""`heft watch`: a trial in an interactive window, simulated as one looks or played back."""
+"""heft render, heft watch: a trial as a film or a picture, or in an interactive window."""
 
 from __future__ import annotations
 
@@ -7,38 +7,89 @@ import sys
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import numpy as np
-from jaxtyping import Float, Int
+import tyro
 from rich.console import Console
-from rich.table import Table
 
-from scenarios.cli.progress import show_progress
-from scenarios.results.store import read_json
-from scenarios.results.trials import TrialRecord, keys_of, read_trial
-from testbed.actions.accelerate import Accelerate
-from testbed.actions.rotate import Rotate
-from testbed.actions.slide import Slide
 from testbed.errors import InvalidValueError
-from testbed.objects.files import load_object
-from testbed.objects.model import ObjectShape
-from testbed.simulation.graphics import choose_offscreen, choose_window
-from testbed.trajectory import Phase, Trajectory
-from testbed.trial import Trial, parse_support
-from testbed.validation import check_positive
-from viz.film import captioned, check_film, write_film
 
 if TYPE_CHECKING:
+    from jaxtyping import Float, Int
+
+    from scenarios.results.trials import TrialRecord
     from scenarios.study.experiment import Progress
+    from testbed.objects.model import ObjectShape
     from testbed.simulation.rendering import ViewName
+    from testbed.trajectory import Trajectory
 
 
-ActionName = Literal["rotate", "slide", "accelerate"]
-_ACTIONS = {"rotate": Rotate, "slide": Slide, "accelerate": Accelerate}
+def render(
+    folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DIR")],
+    trial: Annotated[str | None, tyro.conf.Positional, tyro.conf.arg(metavar="TRIAL")] = None,
+    *,
+    out: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None,
+    width: Annotated[int, tyro.conf.arg(metavar="PX")] = 960,
+    height: Annotated[int, tyro.conf.arg(metavar="PX")] = 640,
+    fps: Annotated[float, tyro.conf.arg(metavar="N")] = 25.0,
+    speed: Annotated[float, tyro.conf.arg(metavar="X")] = 1.0,
+    camera: Literal["bench", "object", "above"] = "bench",
+    at: Annotated[float | None, tyro.conf.arg(metavar="S")] = None,
+    caption: bool = True,
+) -> None:
+    """Draw a recorded trial, simulated or real: a film (.mp4, .gif) or one picture (.png). Needs no display.
+
+    Examples: heft render results/blocks                 (lists the trials)
+              heft render results/blocks 3f9a --speed 4
+              heft render results/blocks 3f9a --out turn.gif --camera above --width 480 --height 320 --fps 12.5
+
+    Args:
+        folder: of a run.
+        trial: its key, or a beginning of it that no other has; left out, the trials are listed.
+        out: file that ends in .mp4, .gif or .png; DIR/trials/TRIAL/trial.mp4 if left out.
+        width: of the picture, px; even.
+        height: of the picture, px; even.
+        fps: pictures a second of film.
+        speed: seconds of trial a second of film.
+        camera: bench (all of it), object (close), or above (the object alone, with the arm out of the way).
+        at: instant of the one picture of a .png, s; the middle if left out.
+        caption: say in each picture what it shows, and when.
+    """
+    if trial is None:
+        list_trials(Console(), folder)
+    else:
+        print(render_trial(folder, trial, RenderRequest(out, width, height, fps, speed, camera, at, caption)))
 
 
-def watch_live(name: str, action: ActionName, grasp: str | None, support: str) -> None:
+def watch(
+    what: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="OBJECT|DIR")] = "L2",
+    trial: Annotated[str | None, tyro.conf.Positional, tyro.conf.arg(metavar="TRIAL")] = None,
+    *,
+    action: Literal["rotate", "slide", "accelerate"] = "rotate",
+    grasp: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None,
+    support: Annotated[str, tyro.conf.arg(metavar="SUPPORT")] = "own_weight",
+) -> None:
+    """Open a window on a trial: heft watch OBJECT simulates one as you look, heft watch DIR TRIAL plays a recorded one.
+
+    Needs a display; heft render needs none. Space starts and stops, backspace begins again, F1 lists all keys.
+    Examples: heft watch hammer --action slide --grasp handle_mid
+              heft watch results/blocks 3f9a
+
+    Args:
+        what: an object, by name in the library or path to a TOML file; or the folder of a run.
+        trial: key of a trial in that folder, or a beginning of it that no other has.
+        action: what to simulate; with the action's own speed and duration.
+        grasp: where it is gripped (see heft show); the first grasp if left out.
+        support: who carries the weight: own_weight, rigid, or a stiffness in N/m.
+    """
+    if trial is None:
+        watch_live(what, action, grasp, support)
+    else:
+        watch_record(Path(what), trial)
+
+
+def watch_live(name: str, action: str, grasp: str | None, support: str) -> None:
     """Simulate a trial in a window, and say what it came to when the window is closed.
 
     Raises:
@@ -46,10 +97,18 @@ def watch_live(name: str, action: ActionName, grasp: str | None, support: str) -
         InvalidValueError: no such object, grasp or support.
         InfeasibleTrialError: the arm, the gripper or the table cannot do it.
     """
+    from testbed.actions.accelerate import Accelerate
+    from testbed.actions.rotate import Rotate
+    from testbed.actions.slide import Slide
+    from testbed.objects.files import load_object
+    from testbed.simulation.graphics import choose_window
+    from testbed.trial import Trial, parse_support
+
+    kinds = {"rotate": Rotate, "slide": Slide, "accelerate": Accelerate}
     obj = load_object(name)
-    trial = Trial(obj, _ACTIONS[action](grasp_index(obj.shape, grasp)), parse_support(support))
+    trial = Trial(obj, kinds[action](grasp_index(obj.shape, grasp)), parse_support(support))
     choose_window()
-    from testbed.simulation.watch import KEYS, LiveTrial, watch  # noqa: PLC0415  now that MuJoCo knows how to draw
+    from testbed.simulation.watch import KEYS, LiveTrial, watch  # now that MuJoCo knows how to draw
 
     live = LiveTrial(trial)
     print(KEYS, flush=True)
@@ -67,10 +126,13 @@ def watch_record(root: Path, beginning: str) -> None:
         NoGraphicsError: no window can be opened.
         InvalidValueError: no such trial, or one where nothing moves.
     """
+    from scenarios.results.trials import read_trial
+    from testbed.simulation.graphics import choose_window
+
     record = read_trial(root, beginning)
     choose_window()
-    from testbed.simulation.rendering import Playback  # noqa: PLC0415
-    from testbed.simulation.watch import KEYS, Replay, watch  # noqa: PLC0415
+    from testbed.simulation.rendering import Playback
+    from testbed.simulation.watch import KEYS, Replay, watch
 
     replay = Replay(Playback(record.trajectory, record.object, record.grip_width))
     print(KEYS, flush=True)
@@ -88,15 +150,15 @@ def grasp_index(shape: ObjectShape, name: str | None) -> int:
 
 
 @dataclass(frozen=True)
-class Wish:
-    """How a trial is to be shown."""
+class RenderRequest:
+    """Options of a film or a picture of a trial."""
 
     out: Path | None = None
     """A file that ends in .mp4, .gif or .png; trial.mp4 in the trial's folder if None."""
     width: int = 960
-    """px."""
+    """Width [px]."""
     height: int = 640
-    """px."""
+    """Height [px]."""
     fps: float = 25.0
     """Pictures a second of film."""
     speed: float = 1.0
@@ -105,65 +167,73 @@ class Wish:
     at: float | None = None
     """The one instant of a PNG, s; None is the middle."""
     caption: bool = True
-    """Whether each picture says what it shows, and when."""
+    """True if each picture has a caption with its content and time."""
 
 
-def render_trial(root: Path, beginning: str, wish: Wish) -> Path:
+def render_trial(root: Path, beginning: str, request: RenderRequest) -> Path:
     """Draw the trial whose key has this beginning, and write it where asked.
 
     Raises:
-        InvalidValueError: no such trial, a trial where nothing moves, or a wish that cannot be met.
+        InvalidValueError: no such trial, a trial where nothing moves, or options that do not fit.
         NoGraphicsError: the machine cannot draw.
     """
+    from scenarios.cli.progress import show_progress
+    from scenarios.results.trials import read_trial
+    from testbed.simulation.graphics import choose_offscreen
+    from testbed.validation import check_positive
+    from viz.film import captioned, check_film, write_film
+
     record = read_trial(root, beginning)
-    out = wish.out or record.folder / "trial.mp4"
-    check_film(out, wish.width, wish.height, wish.fps)
-    check_positive("--speed", wish.speed)
+    out = request.out or record.folder / "trial.mp4"
+    check_film(out, request.width, request.height, request.fps)
+    check_positive("--speed", request.speed)
     choose_offscreen()
-    from testbed.simulation.rendering import Playback, drawing  # noqa: PLC0415
+    from testbed.simulation.rendering import Playback, drawing
 
     playback = Playback(record.trajectory, record.object, record.grip_width)
-    samples = _samples(record.trajectory, wish, one=out.suffix.lower() == ".png")
+    samples = _samples(record.trajectory, request, one=out.suffix.lower() == ".png")
 
     def pictures(draw: Callable[[int], np.ndarray], progress: Progress) -> Iterator[np.ndarray]:
         for done, sample in enumerate(samples.tolist(), start=1):
             picture = draw(sample)
-            yield captioned(picture, _caption(record, sample)) if wish.caption else picture
+            yield captioned(picture, _caption(record, sample)) if request.caption else picture
             if len(samples) > 1:
                 progress("pictures", done, len(samples))
 
     try:
         with (
             show_progress(Console()) as progress,
-            drawing(playback, wish.camera, wish.width, wish.height) as draw,
+            drawing(playback, request.camera, request.width, request.height) as draw,
         ):
-            write_film(pictures(draw, progress), out, wish.fps)
+            write_film(pictures(draw, progress), out, request.fps)
     except KeyboardInterrupt:
         print("heft: stopped; nothing was written", file=sys.stderr)
         sys.exit(130)
     return out
 
 
-def _samples(trajectory: Trajectory, wish: Wish, *, one: bool) -> np.ndarray:
-    """Which samples are drawn: the one asked for, or all the film's; the nearest to each instant."""
+def _samples(trajectory: Trajectory, request: RenderRequest, *, one: bool) -> np.ndarray:
+    """Samples to draw, the nearest to each instant: the one of a picture, or all of a film."""
     time = trajectory.time_s
     if not one:
-        rate = wish.fps / wish.speed
+        rate = request.fps / request.speed
         count = math.floor((time[-1] - time[0]) * rate + 1e-9) + 1
         return nearest(time, time[0] + np.arange(count) / rate)
-    at = (time[0] + time[-1]) / 2 if wish.at is None else wish.at
+    at = (time[0] + time[-1]) / 2 if request.at is None else request.at
     if not time[0] <= at <= time[-1]:
         raise InvalidValueError("--at", at, f"an instant of the trial, from {time[0]:g} to {time[-1]:g} s")
     return nearest(time, np.array([at]))
 
 
 def nearest(time_s: Float[np.ndarray, "T"], instants: Float[np.ndarray, "N"]) -> Int[np.ndarray, "N"]:
-    """Index of the time nearest to each instant, s, the earlier of two."""
+    """Index of the time nearest to each instant [s], the earlier of two."""
     middles = (time_s[1:] + time_s[:-1]) / 2
     return np.searchsorted(middles, instants)
 
 
 def _caption(record: TrialRecord, sample: int) -> str:
+    from testbed.trajectory import Phase
+
     trajectory = record.trajectory
     doing = Phase(trajectory.phase[sample]).name.lower()
     what = f"{record.object.name}, {trajectory.action.kind}, {record.support.replace('_', ' ')}"
@@ -171,14 +241,19 @@ def _caption(record: TrialRecord, sample: int) -> str:
 
 
 def list_trials(console: Console, root: Path) -> None:
-    """A line a trial: its key, and what was done to what."""
+    """Print a line a trial: its key, object, support, action and status."""
+    from rich.table import Table
+
+    from scenarios.results.store import read_json
+    from scenarios.results.trials import keys_of
+
     table = Table()
     for column in ("trial", "object", "support", "action", "status"):
         table.add_column(column)
     for key in keys_of(root):
-        said = read_json(root / "trials" / key / "trial.json") or {}
-        asked, names = said.get("asked") or {}, said.get("names") or {}
-        action = asked.get("action") or {}
+        content = read_json(root / "trials" / key / "trial.json") or {}
+        request, names = content.get("asked") or {}, content.get("names") or {}
+        action = request.get("action") or {}
         done = f"{action.get('kind', '?')}{' and back' if action.get('back') else ''}"
-        table.add_row(key[:8], names.get("object", "?"), asked.get("support", "?"), done, said.get("status", "?"))
+        table.add_row(key[:8], names.get("object", "?"), request.get("support", "?"), done, content.get("status", "?"))
     console.print(table)

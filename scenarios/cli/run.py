@@ -1,4 +1,4 @@
-"""`heft run`: progress while it runs, tables, figures and a report when it is done."""
+"""heft run: run a scenario, with progress while it runs, and tables, figures and a report when it is done."""
 
 from __future__ import annotations
 
@@ -7,25 +7,16 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
 
+import tyro
 from rich.console import Console
 
-from estimators.evaluation.statistics import Row, axes_of, select
-from estimators.registry import build_method, is_method
-from scenarios.cli.progress import show_progress
-from scenarios.cli.report import figures, report
-from scenarios.cli.view import Recorder, record_all, record_results, record_worst
-from scenarios.config import Scenario, load_scenario
-from scenarios.execution.executor import default_workers
-from scenarios.results.store import read_json, rows_of, write_json
-from scenarios.study.dry_run import show_plan
-from scenarios.study.run import run_scenario
 from testbed.errors import HeftError, InvalidValueError
-from testbed.plugins import nearest
-from viz.recordings import viewer
-from viz.report.tables import METRICS, hidden_table, metric_table, quantile_table
-from viz.report.terminal import rich_table
-from viz.values import support_name
+
+if TYPE_CHECKING:
+    from estimators.evaluation.statistics import Row
+    from scenarios.config import Scenario
 
 NOTES = (
     "Cells: mean and spread over draws of the sensor's errors, [95 % bootstrap interval of the mean], and the paper's "
@@ -33,14 +24,49 @@ NOTES = (
     "_M: given M; _cov: errors weighed by their covariance."
 )
 MOST_OBJECTS = 12
-"""More objects than this are told by their quantiles."""
+"""Largest number of objects with a column each; of more, quantiles are printed."""
 MOST_LINES = 20
 """Failures that are listed; the report has them all."""
 
 
+def run(
+    scenario: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="SCENARIO")] = "blocks",
+    *,
+    out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None,
+    executor: Literal["inline", "local", "ray"] = "local",
+    workers: Annotated[int | None, tyro.conf.arg(metavar="N")] = None,
+    methods: Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="METHOD ...")] = None,
+    seeds: Annotated[int | None, tyro.conf.arg(metavar="N")] = None,
+    objects: Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="OBJECT ...")] = None,
+    record: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False,
+    live: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False,
+    dry_run: bool = False,
+) -> None:
+    """Run a scenario: try every object under every support, ask every method, print the tables, write a report.
+
+    Ctrl-C leaves whole files; the same command goes on from them, after kill -9 too.
+    Examples: heft run blocks --objects L2 my/object.toml
+              heft run my/scenario.toml --methods hidden_states explicit_state --seeds 20 --out results/tonight
+
+    Args:
+        scenario: name in the library (see heft scenarios), or path to a TOML file.
+        out: folder for the results; results/<scenario> if left out.
+        executor: inline (this process), local (worker processes), or ray (extra "ray"; joins a running cluster).
+        workers: worker processes; one a core if left out, 0 runs everything in this process.
+        methods: labels of the scenario's methods, instead of all; or others: by name, or package:Class.
+        seeds: sensing draws of each trial; the scenario's own number if left out.
+        objects: names in the library or paths to TOML files, instead of the scenario's own.
+        record: write a recording of every trial and estimate as it is done, into DIR/recordings.
+        live: show every trial and estimate as it is done in an open viewer, or in a new one.
+        dry_run: say how many trials and estimates there are and how long they take, and run nothing.
+    """
+    request = RunRequest(out, workers, executor, seeds, objects, methods, dry_run, record, live)
+    run_and_show(scenario, request)
+
+
 @dataclass(frozen=True)
-class Asked:
-    """What the command line asks for beyond the scenario."""
+class RunRequest:
+    """Options of a run beyond the scenario."""
 
     out: Path | None = None
     workers: int | None = None
@@ -53,31 +79,43 @@ class Asked:
     live: bool = False
 
 
-def run_and_show(name_or_path: str, asked: Asked) -> None:
+def run_and_show(name_or_path: str, request: RunRequest) -> None:
     """Run a scenario and print its tables; exit code 1 where there is an estimate without an answer."""
+    from scenarios.cli.progress import show_progress
+    from scenarios.config import load_scenario
+    from scenarios.execution.executor import default_workers
+    from scenarios.results.store import read_json, rows_of, write_json
+    from scenarios.study.dry_run import show_dry_run
+    from scenarios.study.run import run_scenario
+    from scenarios.views.figures import figures
+    from scenarios.views.pages import Recorder, record_all, record_results, record_worst
+    from scenarios.views.report import report
+    from viz.recordings import viewer
+
     name, scenario = load_scenario(name_or_path)
-    scenario = changed(scenario, asked)
-    workers = default_workers() if asked.workers is None else asked.workers
+    scenario = scenario.changed(request.seeds, request.objects, request.methods)
+    workers = default_workers() if request.workers is None else request.workers
     if workers < 0:
         raise InvalidValueError("--workers", workers, "an integer >= 0")
-    folder = asked.out or Path("results") / name
+    folder = request.out or Path("results") / name
     console = Console() if sys.stdout.isatty() else Console(width=120)
-    if asked.dry_run:
-        show_plan(console, scenario, folder, workers)
+    if request.dry_run:
+        show_dry_run(console, scenario, folder, workers)
         return
-    url = viewer.waiting() if asked.live else None
-    seen = Recorder(folder, console, asked.record, url) if asked.record or asked.live else None
+    url = viewer.waiting() if request.live else None
+    recorder = Recorder(folder, console, request.record, url) if request.record or request.live else None
     begin = time.monotonic()
-    with show_progress(console) as told:
-        results = rows_of(run_scenario(scenario, folder, workers, told, asked.executor, seen))
-    said = {"name": name, "command": _command(name_or_path, asked), "wall_s": round(time.monotonic() - begin, 1)}
+    with show_progress(console) as progress:
+        results = rows_of(run_scenario(scenario, folder, workers, progress, request.executor, recorder))
+    said = {"name": name, "command": _command(name_or_path, request), "wall_s": round(time.monotonic() - begin, 1)}
     write_json(folder / "manifest.json", (read_json(folder / "manifest.json") or {}) | said)
     show_tables(console, scenario, results)
     for figure in figures(folder):
         if figure.suffix == ".pdf":
             console.print(f"figure: {figure}", highlight=False, soft_wrap=True)
-    if asked.record:
-        record_all(folder, console)
+    if request.record:
+        with show_progress(console) as progress:
+            record_all(folder, console, progress)
     try:
         record_worst(folder, results)
         if not _many(results):
@@ -86,7 +124,7 @@ def run_and_show(name_or_path: str, asked: Asked) -> None:
         console.print(f"no recording: {error}", highlight=False, soft_wrap=True)
     console.print(f"report: {report(folder)}", highlight=False, soft_wrap=True)
     failed = [row for row in results if row["status"] != "ok"]
-    for line in list(_told(failed))[:MOST_LINES]:
+    for line in list(_reasons(failed))[:MOST_LINES]:
         console.print(line, highlight=False, soft_wrap=True)
     took = f"{len(results)} estimates in {time.monotonic() - begin:.0f} s"
     console.print(f"{took}, {len(failed)} not ok; all of it in {folder}/", highlight=False, soft_wrap=True)
@@ -95,7 +133,12 @@ def run_and_show(name_or_path: str, asked: Asked) -> None:
 
 
 def show_tables(console: Console, scenario: Scenario, results: Sequence[Row]) -> None:
-    """Every metric under every support and sensing, and the hidden states; quantiles where there are many objects."""
+    """Print every metric under every support and sensing, and the hidden states; of many objects, quantiles."""
+    from estimators.evaluation.statistics import select
+    from viz.report.tables import METRICS, hidden_table, metric_table, quantile_table
+    from viz.report.terminal import rich_table
+    from viz.values import support_name
+
     objects = list(dict.fromkeys(row["object"] for row in results))
     metrics = [metric for metric in METRICS if any(row.get(metric.column) is not None for row in results)]
     if _many(results):
@@ -112,44 +155,26 @@ def show_tables(console: Console, scenario: Scenario, results: Sequence[Row]) ->
     console.print(rich_table(hidden_table(results, objects)))
 
 
-def _command(name_or_path: str, asked: Asked) -> str:
-    """What runs this again."""
+def _command(name_or_path: str, request: RunRequest) -> str:
+    """Command line that runs this again."""
     parts = ["heft run", name_or_path]
-    for flag, value in (("seeds", asked.seeds), ("objects", asked.objects), ("methods", asked.methods)):
+    for flag, value in (("seeds", request.seeds), ("objects", request.objects), ("methods", request.methods)):
         if value:
             parts += [f"--{flag}", *([str(value)] if isinstance(value, int) else value)]
     return " ".join(parts)
 
 
 def _many(results: Sequence[Row]) -> bool:
-    """Whether there is too much for a column an object."""
+    """True if there are too many for a column each."""
+    from estimators.evaluation.statistics import axes_of
+
     return bool(axes_of(results)) or len({row["object"] for row in results}) > MOST_OBJECTS
 
 
-def _told(failed: Sequence[Row]) -> dict[str, None]:
+def _reasons(failed: Sequence[Row]) -> dict[str, None]:
     """A line for each kind of failure."""
     return dict.fromkeys(
         ", ".join(part for part in (row["object"], row["support"], row["method"]) if part)
         + f": {row['status']}: {row.get('message') or ''}"
         for row in failed
     )
-
-
-def changed(scenario: Scenario, asked: Asked) -> Scenario:
-    """The scenario with the command line's changes."""
-    if asked.seeds is not None and asked.seeds < 1:
-        raise InvalidValueError("--seeds", asked.seeds, "an integer >= 1")
-    changes: dict[str, object] = {}
-    if asked.seeds is not None:
-        changes["seeds"] = asked.seeds
-    if asked.objects:
-        changes |= {"objects": list(asked.objects), "random": []}
-    if asked.methods:
-        known = scenario.methods
-        if unknown := [label for label in asked.methods if not (label in known or is_method(label))]:
-            allowed = f"some of the scenario's {', '.join(known)}{nearest(unknown[0], known)}; or any other method"
-            raise InvalidValueError("--methods", " ".join(unknown), f"{allowed} by name or package:Class")
-        changes["methods"] = {label: known.get(label, {}) for label in asked.methods}
-        for label in asked.methods:
-            build_method(label, known.get(label, {}))
-    return scenario.model_copy(update=changes)

@@ -1,17 +1,22 @@
-"""Objects on a terminal."""
+"""heft objects, heft scenarios, heft show: what the libraries hold, on a terminal."""
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING, Annotated
+
 import numpy as np
+import tyro
 from rich.console import Console
 from rich.table import Table
 
-from testbed.objects.files import load_object, object_names
-from testbed.objects.model import ObjectModel
+if TYPE_CHECKING:
+    from testbed.objects.model import ObjectModel
 
 
-def list_objects(console: Console) -> None:
-    """A line an object."""
+def objects() -> None:
+    """List the objects in the library."""
+    from testbed.objects.files import load_object, object_names
+
     table = Table(title="Objects", title_justify="left")
     for column, justify in (("name", "left"), ("groups", "right"), ("mass, kg", "right"), ("grasps", "left")):
         table.add_column(column, justify=justify)  # pyright: ignore[reportArgumentType]
@@ -19,12 +24,27 @@ def list_objects(console: Console) -> None:
         model = load_object(name)
         grasps = " ".join(grasp.name for grasp in model.shape.grasps)
         table.add_row(name, str(model.shape.n_m), f"{model.total_mass:.3f}", grasps)
-    console.print(table)
+    Console().print(table)
 
 
-def show_object(console: Console, name: str) -> None:
-    """One object, drawn, with what is to be estimated."""
-    model = load_object(name)
+def scenarios() -> None:
+    """List the scenarios in the library."""
+    from scenarios.config import LIBRARY, scenario_names
+
+    for name in scenario_names():
+        first = (LIBRARY / f"{name}.toml").read_text(encoding="utf-8").splitlines()[0].lstrip("# ")
+        Console().print(f"{name}: {first}", highlight=False)
+
+
+def show(object_: Annotated[str, tyro.conf.Positional, tyro.conf.arg(name="object", metavar="OBJECT")]) -> None:
+    """Show one object: blocks, mass, center of mass, inertia, and where it can be gripped.
+
+    Args:
+        object_: name in the library, or path to a TOML file.
+    """
+    from testbed.objects.files import load_object
+
+    console, model = Console(), load_object(object_)
     shape, com = model.shape, np.round(model.center_of_mass * 1e3, 1) + 0.0  # no -0.0
     console.print(
         f"[bold]{model.name}[/bold]: {model.total_mass:.3f} kg, centre of mass ({com[0]:.1f}, "

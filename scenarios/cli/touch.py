@@ -65,12 +65,12 @@ def touch(
     from estimators.action_selection.design import ASSUMED_SUPPORTS
     from estimators.action_selection.plan import Goal
     from scenarios.cli.plan import action_family, named_grasps, percent, seconds
-    from scenarios.cli.view import record_all, record_results
+    from scenarios.cli.progress import show_progress
     from scenarios.config import Scenario
-    from scenarios.results.lock import exclusive
-    from scenarios.results.store import Store, write_json
+    from scenarios.results.store import Store, exclusive, write_json
     from scenarios.study.active import ActiveRun
     from scenarios.study.run import manifest
+    from scenarios.views.pages import record_all, record_results
     from testbed.objects.files import load_object
     from testbed.sensing.presets import preset
     from testbed.trial import parse_support
@@ -104,7 +104,8 @@ def touch(
     for line in _conclusion(model, result, goal):
         say(line)
     if record:
-        record_all(folder, console)
+        with show_progress(console) as progress:
+            record_all(folder, console, progress)
     try:
         say(f"recording: {record_results(folder)}")
     except HeftError as error:

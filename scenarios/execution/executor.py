@@ -7,7 +7,7 @@ import os
 import resource
 import traceback
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, Literal, Protocol, get_args
@@ -94,8 +94,16 @@ class InlineExecutor:
 
 
 @contextmanager
-def open_executor(name: str, workers: int, limits: Limits | None = None) -> Iterator[Executor]:
+def open_executor(
+    name: str, workers: int, limits: Limits | None = None, preload: Sequence[str] = ()
+) -> Iterator[Executor]:
     """An executor by name, `local` with 0 workers being `inline`. Leaving it stops its workers.
+
+    Args:
+        name: inline, local or ray.
+        workers: number of workers.
+        limits: limits of a task.
+        preload: modules that a local worker imports before the clock of its first task runs.
 
     Raises:
         InvalidValueError: no such executor, or a number of workers below 0.
@@ -111,7 +119,7 @@ def open_executor(name: str, workers: int, limits: Limits | None = None) -> Iter
     elif name == "local":
         from scenarios.execution.local import LocalExecutor  # noqa: PLC0415  uses this module
 
-        with LocalExecutor(workers, limits) as executor:
+        with LocalExecutor(workers, limits, preload) as executor:
             yield executor
     else:
         from scenarios.execution.ray import RayExecutor  # noqa: PLC0415  uses this module

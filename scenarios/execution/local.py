@@ -8,7 +8,7 @@ import multiprocessing
 import os
 import signal
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
@@ -39,9 +39,9 @@ class _Task:
 class LocalExecutor:
     """Tasks on worker processes. A task whose worker dies or is too slow is begun again on a new one."""
 
-    def __init__(self, workers: int, limits: Limits):
+    def __init__(self, workers: int, limits: Limits, preload: Sequence[str] = ()):
         self._limits = limits
-        self._workers = [_Worker(limits) for _ in range(workers)]
+        self._workers = [_Worker(limits, preload) for _ in range(workers)]
         self._waiting: deque[_Task] = deque()
         self._done: deque[tuple[Any, Any]] = deque()
 
@@ -113,8 +113,9 @@ class _Worker:
     A worker that is killed may leave behind a lock that it held or half a message: all of that is thrown away with it.
     """
 
-    def __init__(self, limits: Limits):
+    def __init__(self, limits: Limits, preload: Sequence[str]):
         self._limits = limits
+        self._preload = preload
         self._pool: ProcessPool | None = None
         self._starts: Any = None
         self.task: _Task | None = None
@@ -179,7 +180,10 @@ class _Worker:
             context = multiprocessing.get_context("spawn")
             self._starts = context.RawValue(ctypes.c_int, 0)
             self._pool = ProcessPool(
-                max_workers=1, initializer=_begin, initargs=(os.getpid(), self._limits, self._starts), context=context
+                max_workers=1,
+                initializer=_begin,
+                initargs=(os.getpid(), self._limits, self._starts, self._preload),
+                context=context,
             )
         return self._pool
 
@@ -189,7 +193,7 @@ class _Worker:
         self._pool = self._starts = None
 
 
-def _begin(parent: int, limits: Limits, starts: Any) -> None:
+def _begin(parent: int, limits: Limits, starts: Any, preload: Sequence[str]) -> None:
     """In the worker, first of all."""
     # Killed with the process that started it, however that ends: nothing may go on writing behind the next run
     ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
@@ -197,7 +201,8 @@ def _begin(parent: int, limits: Limits, starts: Any) -> None:
         os._exit(1)
     starts.value += 1
     set_up_worker(limits)
-    importlib.import_module("scenarios.study.run")  # all that tasks need, before the clock of the first one runs
+    for module in preload:
+        importlib.import_module(module)
 
 
 def _told(exitcode: int) -> str:

@@ -1,174 +1,204 @@
-"""Estimates of a results folder, read back to be looked at: masses, their way, and how they explain each trial."""
+"""Estimates of a results folder, read back: as a table, as rows, as values.
+
+Columns of the table, a row an estimate (one method, one draw of the sensor's errors):
+
+| column | |
+|---|---|
+| object, support, sensing, method, seed | what was asked of whom; `method` is the scenario's label |
+| kind | the method behind the label |
+| axis.<field> | value of each swept field of the scenario |
+| status | ok; underdetermined, not_converged, no_data: what the method says; failed, infeasible: there is no answer |
+| message | why status is not ok |
+| nad | normalized absolute difference, a part of 1 |
+| mpd_open_loop_m, mpd_turn_m | mean particle distance after 1 s, and over a whole turn |
+| mpd_open_loop_of_truth_m, mpd_turn_of_truth_m | what the true masses score; with the scenario's first method only |
+| mass_kg, true_mass_kg, group_names | of each mass group |
+| friction | of each friction group |
+| com_error_m, inertia_error, unobserved | of methods with hidden states: distance of c, I_cm over the truth minus 1 |
+| weight_kg | M as weighed |
+| loss, optimizer | least loss of the search, and who found it |
+| rollouts | guesses that the search held against all data; 0 of methods that do not search |
+| trials, robot_s | what the method was given, and the robot time it took |
+| seconds | computing time of the estimate |
+| key | folder of the estimate in estimates/ |
+| trial_keys | folders in trials/ of what the method was given, the weighing first |
+| held_out_keys | folders in trials/ of the turns that its prediction was held against |
+"""
 
 from __future__ import annotations
 
+import dataclasses
 import zipfile
-from collections.abc import Sequence
-from functools import lru_cache
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
-from scipy.spatial import KDTree
+import pandas as pd
 
-from estimators.base import Trace
-from estimators.evaluation.statistics import AXIS, Row, axes_of, select
-from estimators.particles.wrench import predicted_wrenches
-from scenarios.results.load import load_results
+from estimators.base import Estimate, HiddenStateEstimate, Trace
+from estimators.evaluation.statistics import Row
+from estimators.identifiability.report import Identifiability
 from scenarios.results.store import Store, read_json, rows_of
-from scenarios.results.trials import TrialRecord, kind_of_trial, read_trial, wrench_fit
-from scenarios.study.estimates import sensed
 from testbed.errors import HeftError, InvalidValueError
-from testbed.objects.model import MassDistribution, ObjectModel, ObjectShape
-from testbed.trajectory import Trajectory
-from viz.values import EstimateView, WrenchFit, support_name
+from testbed.objects.model import MassDistribution
+from testbed.trajectory import Trajectory, load_trajectory
+
+MOST_TRACES = 40
+"""Estimates of a method whose losses are read."""
 
 
-def rows_in(folder: Path) -> Sequence[Row]:
-    """The rows of the estimates that are done; of a finished run in the order in which they were asked for."""
+def load_results(path: str | Path) -> pd.DataFrame:
+    """The estimates of a run, a row each.
+
+    Args:
+        path: results folder, or its results.parquet.
+
+    Raises:
+        InvalidValueError: there are no results.
+    """
+    file = Path(path) / "results.parquet" if Path(path).is_dir() else Path(path)
+    if not file.is_file():
+        raise InvalidValueError(
+            "path", str(path), "a results folder with a results.parquet, which a finished run leaves"
+        )
+    return pd.read_parquet(file)
+
+
+def load_trajectories(path: str | Path) -> Iterator[tuple[str, Trajectory]]:
+    """Key and record of every finished trial of a run, one at a time, as the runner left it: no sensing drawn.
+
+    Args:
+        path: results folder.
+
+    Raises:
+        InvalidValueError: not a results folder.
+        TrajectoryFileError: a damaged record.
+    """
+    folder = Path(path) / "trials"
+    if not folder.is_dir():
+        raise InvalidValueError("path", str(path), "a results folder, with trials/ in it")
+    store = Store(Path(path))
+    for trial in sorted(folder.iterdir()):
+        if store.has_trial(trial.name):
+            yield trial.name, load_trajectory(trial / "trajectory.parquet")
+
+
+def load_rows(folder: Path) -> Sequence[Row]:
+    """Rows of the estimates that are done; of a finished run in the order of its scenario."""
     if (folder / "results.parquet").is_file():
         return rows_of(load_results(folder))
     done = sorted(folder.glob("estimates/*/result.json"))
-    return [{"key": path.parent.name} | said for path in done if (said := read_json(path))]
+    return [{"key": path.parent.name} | row for path in done if (row := read_json(path))]
 
 
-def estimate_shown(folder: Path, row: Row) -> EstimateView:
-    """An estimate by its row.
+def row_of(folder: Path, beginning: str) -> Row:
+    """Row of the estimate whose key has this beginning.
 
     Raises:
-        InvalidValueError: it was written by a version that did not keep what is to be seen.
-        HeftError: a file of it is damaged.
+        InvalidValueError: no such estimate, or more than one.
     """
-    arrays = _arrays(folder / "estimates" / row["key"] / "estimate.npz")
-    record = typical_trial(folder, row)
-    shape = ObjectShape(
-        arrays["particles"],
-        arrays["mass_group"],
-        arrays["friction_group"],
-        float(arrays["cell"]),
-        record.object.shape.height,
-        record.object.shape.grasps,
-        tuple(row["group_names"]),
-        arrays.get("fill", np.ones(0)),  # not in folders from before it was kept
-    )
-    truth = MassDistribution(
-        np.array(row["true_mass_kg"]) / shape.particles_per_group, friction_of(record.object, shape)
-    )
+    found = [row for row in load_rows(folder) if str(row.get("key") or "").startswith(beginning)]
+    if len(found) != 1:
+        allowed = f"the beginning of one estimate's key in {folder}/estimates; {len(found)} begin so"
+        raise InvalidValueError("ESTIMATE", beginning, allowed)
+    return found[0]
+
+
+def load_estimate(folder: str | Path, key: str) -> Estimate:
+    """The estimate that `Store.put_estimate` wrote, with the traces that led to the answer first.
+
+    Args:
+        folder: results folder.
+        key: whole key of the estimate.
+
+    Raises:
+        HeftError: no such estimate, or a file of it is damaged.
+    """
+    place = Path(folder) / "estimates" / key
+    row = read_json(place / "result.json")
+    if row is None:
+        raise HeftError(f"{place}: no whole result.json")
+    arrays = load_arrays(folder, key)
     answer = MassDistribution(arrays["mass"], arrays["friction"]) if "mass" in arrays else None
-    support = support_name(row["support"])
-    return EstimateView(
-        title=f"{row['object']}, {support}, {row['sensing']}: {row['method']}",
-        shape=shape,
-        truth=truth,
-        answer=answer,
-        covariance=arrays.get("covariance"),
-        traces=_traces(arrays, str(row.get("optimizer") or "")),
-        trajectory=record.trajectory,
-        facts=_facts(row),
-    )
-
-
-def friction_of(truth: ObjectModel, shape: ObjectShape) -> Float[np.ndarray, "n_mu"]:
-    """The object's friction by the friction groups of an estimator's shape: their mean, where it has more of them."""
-    touching = truth.shape.friction_group >= 0
-    each = truth.truth.friction[truth.shape.friction_group[touching]]
-    near = np.asarray(KDTree(truth.shape.particles[touching]).query(shape.particles)[1])
-    return np.array([each[near[shape.friction_group == group]].mean() for group in range(shape.n_mu)])
-
-
-def fits_of(folder: Path, row: Row, shown: EstimateView) -> list[tuple[str, Trajectory, WrenchFit]]:
-    """The moved trials behind an estimate in order: key, record as sensed, and how the answer explains it."""
-    keys = tuple(row["trial_keys"])
-    drawn = zip(keys, sensed(Store(folder), keys, row["sensing"], int(row["seed"])), strict=True)
-    moved = [(key, trajectory) for key, trajectory in drawn if trajectory.action.moves]
-    predicted: list[Any] = [None] * len(moved)
-    if shown.answer is not None:
-        predicted = list(predicted_wrenches(shown.shape, shown.answer, [trajectory for _, trajectory in moved]))
-    fits = [
-        wrench_fit(f"{i + 1}: {trajectory.action.describe(shown.shape)}", trajectory, wrench)
-        for i, ((_, trajectory), wrench) in enumerate(zip(moved, predicted, strict=True))
-    ]
-    return [(key, trajectory, fit) for (key, trajectory), fit in zip(moved, fits, strict=True)]
-
-
-def settings_of(rows: Sequence[Row]) -> list[tuple[str, list[Row]]]:
-    """What one object was asked under, in words, and its first draw by every method: a comparison each."""
-    axes = axes_of(rows)
-    groups: dict[tuple[Any, ...], list[Row]] = {}
-    for row in rows:
-        if row.get("key") and row.get("trial_keys") is not None:
-            groups.setdefault((row["support"], row["sensing"], *(row.get(axis) for axis in axes)), []).append(row)
-    named = []
-    for (support, sensing, *values), found in groups.items():
-        swept = [f"{axis.removeprefix(AXIS)} {value}" for axis, value in zip(axes, values, strict=True)]
-        first = select(found, seed=min(row["seed"] for row in found))
-        named.append((", ".join([support_name(support), str(sensing), *swept]), first))
-    return named
-
-
-def typical_trial(folder: Path, row: Row) -> TrialRecord:
-    """The first turn at constant speed behind an estimate, or else what there is.
-
-    Raises:
-        InvalidValueError: the estimate does not say which trials it is from.
-        HeftError: a file of it is damaged.
-    """
-    keys = row.get("trial_keys")
-    if keys is None or len(keys) == 0:
-        raise InvalidValueError("ESTIMATE", row["key"], "one that says which trials it is from: run it again")
-    kinds = {key: kind_of_trial(folder, key) for key in keys}
-    best = min(keys, key=lambda key: {"rotate": 0, "weigh": 2}.get(kinds[key], 1))  # of equals the first
-    return _record(folder, best)
-
-
-@lru_cache(maxsize=4)
-def _record(folder: Path, key: str) -> TrialRecord:
-    """The methods of an object are shown one after the other, with the same trial."""
-    return read_trial(folder, key)
-
-
-def _facts(row: Row) -> dict[str, str]:
-    weight = row.get("weight_kg")
-    return {
-        "method": str(row["method"]),
-        "object": str(row["object"]),
-        "support": support_name(row["support"]),
-        "sensing": f"{row['sensing']}, draw {row['seed']}",
-        "status": str(row["status"]),
-        "why": str(row.get("message") or ""),
-        "M as weighed": "" if weight is None else f"{weight:.3f} kg",
-        "optimiser": str(row.get("optimizer") or ""),
-        "computing": f"{row['seconds']:.2g} s" if row.get("seconds") is not None else "",
-        "trials": str(row.get("trials") or ""),
-        "robot time": f"{row['robot_s']:.0f} s" if row.get("robot_s") is not None else "",
-        "not observed": str(row.get("unobserved") or ""),
-        "estimate": str(row["key"]),
-    }
-
-
-def _traces(arrays: dict[str, np.ndarray], best: str) -> tuple[Trace, ...]:
-    """The traces that a file holds; the one that led to the answer first."""
     names = [name.removesuffix(".loss") for name in arrays if name.endswith(".loss")]
-    names.sort(key=lambda name: name != best.replace(" ", "_"))
-    return tuple(
+    traces = (
         Trace(
             name.replace("_", " "),
             tuple(arrays[f"{name}.loss"].tolist()),
             tuple(arrays[f"{name}.seconds"].tolist()),
-            0.0,
+            float(arrays[f"{name}.robot_seconds"]),
             arrays[f"{name}.mass"],
         )
-        for name in names
+        for name in sorted(names, key=lambda name: name != str(row.get("optimizer") or "").replace(" ", "_"))
+    )
+    return Estimate(
+        answer,
+        row["status"],
+        row.get("message") or "",
+        arrays.get("covariance"),
+        _value(Identifiability, "identifiability", arrays),
+        _value(HiddenStateEstimate, "hidden", arrays),
+        tuple(traces),
+        row.get("seconds") or 0.0,
+        {name.removeprefix("diagnostics."): float(v) for name, v in arrays.items() if name.startswith("diagnostics.")},
     )
 
 
-def _arrays(path: Path) -> dict[str, np.ndarray]:
+def _value(kind: type[Any], prefix: str, arrays: dict[str, np.ndarray]) -> Any:
+    """A dataclass from the arrays of its fields; None where they are not there."""
+    fields = {f.name: arrays.get(f"{prefix}.{f.name}") for f in dataclasses.fields(kind)}
+    if any(array is None for array in fields.values()):
+        return None
+    annotations = {f.name: str(f.type) for f in dataclasses.fields(kind)}
+    return kind(**{name: _plain(array, annotations[name]) for name, array in fields.items() if array is not None})
+
+
+def _plain(array: np.ndarray, annotation: str) -> Any:
+    if annotation.startswith("tuple"):
+        return tuple(tuple(item) if isinstance(item, list) else item for item in array.tolist())
+    return array.item() if annotation in ("float", "int", "str") else array
+
+
+def load_arrays(folder: str | Path, key: str) -> dict[str, np.ndarray]:
+    """Arrays of an estimate's file.
+
+    Raises:
+        HeftError: the file is missing or damaged.
+    """
+    path = Path(folder) / "estimates" / key / "estimate.npz"
     try:
         with np.load(path, allow_pickle=False) as file:
-            arrays = {name: file[name] for name in file}
+            return {name: file[name] for name in file}
     except (OSError, ValueError, zipfile.BadZipFile) as error:
         raise HeftError(f"{path}: not a whole estimate: {error}") from None
-    if "particles" not in arrays:
-        raise InvalidValueError("ESTIMATE", str(path), "one that says where its particles are: run it again")
-    return arrays
+
+
+def load_losses(folder: Path, rows: Sequence[Row]) -> dict[str, dict[str, list[np.ndarray]]]:
+    """Losses, (I,) each, by method and optimizer; of methods with many estimates an even choice."""
+    keys: dict[str, list[str]] = {}
+    for row in rows:
+        if row.get("key"):
+            keys.setdefault(row["method"], []).append(row["key"])
+    losses: dict[str, dict[str, list[np.ndarray]]] = {}
+    for method, of_method in keys.items():
+        for index in np.unique(np.linspace(0, len(of_method) - 1, MOST_TRACES).astype(int)):
+            try:
+                arrays = load_arrays(folder, of_method[index])
+            except HeftError:
+                continue
+            for name in arrays:
+                if name.endswith(".loss"):
+                    losses.setdefault(method, {}).setdefault(name.removesuffix(".loss"), []).append(arrays[name])
+    return losses
+
+
+def load_tracebacks(folder: Path) -> dict[str, str]:
+    """Tracebacks of the trials and estimates that failed and are still not done, by path."""
+    found = {}
+    for kind, done in (("trials", "trial.json"), ("estimates", "result.json")):
+        for path in sorted((folder / kind).glob("*/error.txt")):
+            if not (path.parent / done).is_file():
+                text = path.read_text(encoding="utf-8", errors="replace")
+                found[f"{kind}/{path.parent.name}/error.txt"] = text
+    return found

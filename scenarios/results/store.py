@@ -13,10 +13,14 @@ results/<scenario>/manifest.json
 
 from __future__ import annotations
 
+import fcntl
 import hashlib
 import json
-from collections.abc import Iterable
-from dataclasses import asdict, dataclass
+import os
+import socket
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, fields
 from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -27,6 +31,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from estimators.base import Estimate
+from testbed.errors import HeftError
 from testbed.foot_forces import FootForces, save_foot_forces
 from testbed.objects.files import ObjectFile, asset_folder
 from testbed.objects.model import ObjectModel, ObjectShape, Solid
@@ -41,7 +46,15 @@ from testbed.trajectory import (
 from testbed.trial import Trial
 
 if TYPE_CHECKING:  # it needs MuJoCo, which needs a display
-    from scenarios.study.benches import BenchSettings
+    from scenarios.runners import RunnerSettings
+
+
+LOCK = ".lock"
+"""File in the results folder, held while a run writes there; the system lets go of it when the run ends or dies."""
+
+
+class FolderInUseError(HeftError):
+    """Another run writes to the results folder."""
 
 
 def key_of(asked: dict[str, Any]) -> str:
@@ -49,7 +62,7 @@ def key_of(asked: dict[str, Any]) -> str:
     return hashlib.sha256(json.dumps(asked, sort_keys=True, separators=(",", ":")).encode()).hexdigest()[:20]
 
 
-def trial_request(trial: Trial, settings: BenchSettings) -> dict[str, Any]:
+def trial_request(trial: Trial, settings: RunnerSettings) -> dict[str, Any]:
     """All that decides a physical trial, as plain data; sensing is drawn afterwards and is not in it."""
     return {
         "schema": SCHEMA_VERSION,
@@ -212,6 +225,11 @@ def _save_arrays(path: Path, answer: Estimate, shape: ObjectShape) -> None:
     for trace in answer.traces:
         name = trace.method.replace(" ", "_")
         arrays |= {f"{name}.loss": trace.loss, f"{name}.seconds": trace.seconds, f"{name}.mass": trace.mass}
+        arrays[f"{name}.robot_seconds"] = trace.robot_seconds
+    for prefix, value in (("hidden", answer.hidden), ("identifiability", answer.identifiability)):
+        if value is not None:
+            arrays |= {f"{prefix}.{field.name}": getattr(value, field.name) for field in fields(value)}
+    arrays |= {f"diagnostics.{name}": value for name, value in answer.diagnostics.items()}
     with open(path, "wb") as file:
         np.savez_compressed(file, **arrays)
 
@@ -237,3 +255,33 @@ def _plain(value: Any) -> Any:
     if isinstance(value, float | np.floating):
         return float(value) if np.isfinite(value) else None
     return value.item() if isinstance(value, np.generic) else value
+
+
+@contextmanager
+def exclusive(folder: Path) -> Iterator[None]:
+    """Hold a results folder, made if it is not there.
+
+    Raises:
+        FolderInUseError: another run holds it.
+        OSError: the folder cannot be made or written to.
+    """
+    new = not folder.exists()
+    folder.mkdir(parents=True, exist_ok=True)
+    with open(folder / LOCK, "a+", encoding="utf-8") as file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            file.seek(0)
+            holder = file.read().strip() or "unknown"
+            raise FolderInUseError(
+                f"{folder}: another run ({holder}) is writing here; wait for it, or choose another folder with --out"
+            ) from None
+        file.truncate(0)
+        file.write(f"process {os.getpid()} on {socket.gethostname()}\n")
+        file.flush()
+        try:
+            yield
+        finally:
+            if new and os.listdir(folder) == [LOCK]:  # refused before anything was written: leave no trace
+                (folder / LOCK).unlink()
+                folder.rmdir()

@@ -1,42 +1,47 @@
-"""A trial read back from its folder, simulated or real: the record, and the object that was moved."""
+"""Trials of a results folder, read back: as recorded, with a draw of a sensor's errors, and measured ones by object."""
 
 from __future__ import annotations
 
+import hashlib
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from estimators.particles.wrench import predicted_wrenches
 from scenarios.results.store import Store, object_request, read_json
-from scenarios.study.estimates import is_simulated, sensed
+from testbed.actions.rotate import Rotate
 from testbed.errors import HeftError, InvalidValueError
-from testbed.foot_forces import load_foot_forces
 from testbed.objects.files import load_object
 from testbed.objects.gripper import STROKE
 from testbed.objects.model import Grasp, MassDistribution, ObjectModel, ObjectShape
-from testbed.sensing.windows import sample_deviation, steady_samples, wrench_in_object
+from testbed.sensing.presets import draw_sensing, preset
 from testbed.trajectory import Trajectory, load_trajectory
-from viz.values import TrialView, WrenchFit, support_name
+from testbed.trial import Support, parse_support
 
 _MOST_NAMED = 6
 """Keys that an error lists."""
+_SHAPE = ("particles", "mass_group", "friction_group", "grasps", "fill")
+"""Parts of the request that all trials of an object must share."""
 
 
 @dataclass(frozen=True, eq=False)
 class TrialRecord:
-    """One trial as it lies in a results folder."""
+    """One trial of a results folder."""
 
     folder: Path
     """trials/<key> of the results folder."""
     object: ObjectModel
-    """What was moved; named "object" where the folder does not say."""
+    """Object that was moved; named "object" where the folder does not say."""
     support: str
-    """Who carried its weight, as asked."""
+    """Support that carried its weight, by name."""
     trajectory: Trajectory
     grip_width: float
-    """Between the pads while they held it, m."""
+    """Distance between the pads while they held it [m]."""
+    request: dict[str, Any]
+    """All that decided the trial, as plain data."""
 
 
 def read_trial(root: Path, beginning: str) -> TrialRecord:
@@ -47,50 +52,50 @@ def read_trial(root: Path, beginning: str) -> TrialRecord:
         HeftError: a file of it is damaged.
     """
     folder = _folder_of(root, beginning)
-    trajectory, said = load_trajectory(folder / "trajectory.parquet"), read_json(folder / "trial.json") or {}
+    trajectory, content = load_trajectory(folder / "trajectory.parquet"), read_json(folder / "trial.json") or {}
     try:
-        asked = said["asked"]
-        obj = object_of(asked["object"], said.get("names") or {})
+        request = content["asked"]
+        obj = object_of(request["object"], content.get("names") or {})
         grasp = trajectory.action.grasp
         width = STROKE if grasp is None else obj.shape.grasps[grasp].width
-        if asked.get("simulation", {}).get("grip", {}).get("mode") == "weld":
+        if request.get("simulation", {}).get("grip", {}).get("mode") == "weld":
             width = STROKE  # the fingers stay open
-        return TrialRecord(folder, obj, str(asked["support"]), trajectory, width)
+        return TrialRecord(folder, obj, str(request["support"]), trajectory, width, request)
     except (KeyError, IndexError, TypeError, ValueError, AttributeError) as error:
         raise HeftError(f"{folder / 'trial.json'}: not a whole trial file: {error!r}") from None
 
 
-def object_of(asked: dict[str, Any], names: dict[str, Any]) -> ObjectModel:
-    """The object that a trial was asked for; with its solids where its name still leads to them.
+def object_of(request: dict[str, Any], names: dict[str, Any]) -> ObjectModel:
+    """Object of a trial, with its solids where its name still leads to them.
 
     Args:
-        asked: as `object_request` wrote it.
-        names: of the object, its mass groups and its grasps, as far as they are known.
+        request: object as `object_request` wrote it.
+        names: names of the object, its mass groups and its grasps, as far as they are known.
     """
-    called = names.get("grasps") or [str(i) for i in range(len(asked["grasps"]))]
+    called = names.get("grasps") or [str(i) for i in range(len(request["grasps"]))]
     grasps = [
         Grasp(str(name), np.array([x, y]), angle, width, length, bottom, top)
-        for name, (x, y, angle, width, length, bottom, top) in zip(called, asked["grasps"], strict=True)
+        for name, (x, y, angle, width, length, bottom, top) in zip(called, request["grasps"], strict=True)
     ]
     shape = ObjectShape(
-        particles=np.array(asked["particles"]),
-        mass_group=np.array(asked["mass_group"]),
-        friction_group=np.array(asked["friction_group"]),
-        cell=asked["cell"],
-        height=asked["height"],
+        particles=np.array(request["particles"]),
+        mass_group=np.array(request["mass_group"]),
+        friction_group=np.array(request["friction_group"]),
+        cell=request["cell"],
+        height=request["height"],
         grasps=tuple(grasps),
         group_names=tuple(names.get("groups") or ()),
-        fill=np.array(asked.get("fill", [])),
+        fill=np.array(request.get("fill", [])),
     )
-    truth = MassDistribution(np.array(asked["mass"]), np.array(asked["friction"]))
+    truth = MassDistribution(np.array(request["mass"]), np.array(request["friction"]))
     model = ObjectModel(str(names.get("object") or "object"), shape, truth)
-    if not asked["solids"]:
+    if not request["solids"]:
         return model
     try:
         known = load_object(model.name)
     except HeftError:
         return model  # its particles are known all the same
-    same = object_request(known)["solids"] == asked["solids"]
+    same = object_request(known)["solids"] == request["solids"]
     return replace(model, solids=known.solids) if same else model
 
 
@@ -117,119 +122,132 @@ def _folder_of(root: Path, beginning: str) -> Path:
     )
 
 
-POSES_EVERY = 5
-"""The bench moves at one sample in so many."""
-WITHIN = 1.96
-"""Standard deviations to each side that hold 95 %."""
-PLANAR = (0, 1, 5)
-"""Force x, y and torque z of a wrench."""
+def kind_of_trial(root: Path, key: str) -> str:
+    """Kind of a trial's action, such as "rotate"; empty where its trial.json does not say."""
+    request = (read_json(root / "trials" / key / "trial.json") or {}).get("asked") or {}
+    return str((request.get("action") or {}).get("kind") or "")
 
 
-def sensing_of(folder: Path) -> str:
-    """How a folder's simulated trials are shown: the scenario's first sensor that errs, else a perfect one."""
-    asked = ((read_json(folder / "manifest.json") or {}).get("scenario") or {}).get("sensing") or []
-    return next((name for name in asked if name != "ideal"), "ideal")
-
-
-def trial_shown(folder: Path, key: str, *, seed: int = 0, meshes: bool = True) -> TrialView:
-    """A trial by its key; a simulated one is given a draw of the sensor's errors, and the true masses as a model.
+def sensed_trials(store: Store, keys: tuple[str, ...], sensing: str, seed: int) -> list[Trajectory]:
+    """Trials with one draw of a sensor's errors; measured ones as they are.
 
     Args:
-        folder: results folder.
-        key: whole, or a beginning that no other has.
-        seed: of the draw.
-        meshes: dress the arm in its own meshes where the extra "meshes" is installed.
+        store: results folder.
+        keys: keys in the order in which the trials were made, the weighing first, the held-out ones last.
+        sensing: name of the preset.
+        seed: seed of the draw.
+    """
+    return [sensed(t, sensing, seed, i, keys[i]) for i, t in enumerate(_trajectories(store, keys))]
+
+
+def sensed(trajectory: Trajectory, sensing: str, seed: int, index: int, key: str) -> Trajectory:
+    """One draw of a sensor's errors on the `index`-th trial of an experiment; a measured one as it is."""
+    if not is_simulated(trajectory):
+        return trajectory
+    # a stream of its own for every trial of every draw, a repeated trial included
+    own = int.from_bytes(hashlib.sha256(f"{seed}/{index}/{key}".encode()).digest()[:8], "big")
+    return draw_sensing(trajectory, preset(sensing), own)
+
+
+def is_simulated(trajectory: Trajectory) -> bool:
+    """True if the record is a simulation's, whose sensor had no errors."""
+    return trajectory.provenance.get("runner") == "simulation"
+
+
+@lru_cache(maxsize=1)
+def _trajectories(store: Store, keys: tuple[str, ...]) -> tuple[Trajectory, ...]:
+    """Trials of one experiment: a worker is mostly asked about the same ones as just before."""
+    return tuple(store.trajectory(key) for key in keys)
+
+
+@dataclass(frozen=True, eq=False)
+class MeasuredTrials:
+    """Measured trials of one object under one support."""
+
+    object: ObjectModel
+    """Object as its last trial has it; the estimates are held against its masses."""
+    support: Support
+    """Support that carried its weight, as far as the operator knew."""
+    weighing: str
+    """Key of its last weighing."""
+    moved: tuple[str, ...]
+    """Keys of its turns and slides in order of recording."""
+    held_out: tuple[str, ...]
+    """Keys of turns that no method is given."""
+
+
+def measured_records(root: Path) -> list[TrialRecord]:
+    """All trials of a folder in order of recording, those that are no data among them.
 
     Raises:
-        InvalidValueError: a weighing, where nothing moves.
-        HeftError: a file of it is damaged.
+        InvalidValueError: not a results folder, or simulated trials.
+        HeftError: a file is damaged.
     """
-    record = read_trial(folder, key)
-    trajectory, said = record.trajectory, "as measured"
-    if is_simulated(trajectory):
-        sensing = sensing_of(folder)
-        trajectory = sensed(Store(folder), (record.folder.name,), sensing, seed)[0]
-        said = f"{sensing}, draw {seed}"
-    model = record.object.truth if is_simulated(trajectory) else None
-    called = "the true masses, each on its own weight"
-    return show_trial(record, trajectory, record.object.shape, model, called, {"sensing": said}, meshes=meshes)
+    trials = [read_trial(root, key) for key in keys_of(root)]
+    for trial in trials:
+        if is_simulated(trial.trajectory):
+            key = trial.folder.name[:8]
+            allowed = f"a folder of measured trials, but {key} is simulated: heft run asks about these"
+            raise InvalidValueError("DIR", str(root), allowed)
+    return sorted(trials, key=lambda t: (t.trajectory.provenance.get("recorded", ""), t.folder.name))
 
 
-def show_trial(
-    record: TrialRecord,
-    trajectory: Trajectory,
-    shape: ObjectShape,
-    model: MassDistribution | None,
-    called: str,
-    facts: dict[str, str],
-    *,
-    meshes: bool = True,
-) -> TrialView:
-    """A trial with what a model says of it.
+def measured_trials(
+    root: Path, objects: Sequence[str] | None = None, held_out: int = 0
+) -> tuple[list[MeasuredTrials], list[str]]:
+    """The measured trials of a folder, and a line for each that is left out because it is no data.
 
     Args:
-        record: the trial as it lies in the folder.
-        trajectory: as sensed.
-        shape: the model's particles.
-        model: masses and friction that the wrench is predicted from; None without.
-        called: which masses those are.
-        facts: more to be said.
-        meshes: as `trial_shown`.
+        root: results folder.
+        objects: names of the objects to take; None is all.
+        held_out: number of each one's last turns at constant speed that are kept from the methods.
+
+    Raises:
+        InvalidValueError: simulated trials, no trials, an object that is not there, was never weighed, or was not
+            always of the same shape.
+        HeftError: a file is damaged.
     """
-    from testbed.simulation.rendering import body_poses  # noqa: PLC0415  graphics are chosen before MuJoCo loads
-
-    action = trajectory.action
-    if not action.moves:
-        raise InvalidValueError(
-            "TRIAL", f"{record.folder.name[:8]}, a weighing", "a slide or a turn: nothing else moves"
-        )
-    feet = record.folder / "foot_forces.parquet"
-    predicted = None if model is None else predicted_wrenches(shape, model, [trajectory])[0]
-    name = trajectory.action.describe(record.object.shape)
-    return TrialView(
-        title=f"{record.object.name}: {name}",
-        shape=record.object.shape,
-        trajectory=trajectory,
-        poses=body_poses(trajectory, record.grip_width, meshes=meshes, every=POSES_EVERY),
-        pose_times=trajectory.time_s[::POSES_EVERY],
-        fit=wrench_fit(name, trajectory, predicted),
-        model=called if model is not None else "",
-        truth=record.object.truth if is_simulated(trajectory) else None,
-        feet=load_foot_forces(feet) if feet.is_file() else None,
-        facts={
-            "object": record.object.name,
-            "action": name,
-            "support": support_name(record.support) if is_simulated(trajectory) else "",
-            "trial": record.folder.name,
-            "runner": trajectory.provenance.get("runner", ""),
-            "arm": "" if trajectory.joint_position.any() else "not where it was: its joints were not logged",
-            "feet": "" if feet.is_file() else "forces not known: no foot_forces.parquet beside this trial",
-        }
-        | facts,
-    )
+    if held_out < 0:
+        raise InvalidValueError("--held-out", held_out, "an integer >= 0")
+    trials = measured_records(root)
+    names = list(dict.fromkeys(t.object.name for t in trials))
+    if unknown := [name for name in objects or () if name not in names]:
+        raise InvalidValueError("--objects", " ".join(unknown), f"objects of {root}: {', '.join(names)}")
+    wanted = [t for t in trials if objects is None or t.object.name in objects]
+    left_out = [
+        f"trial {t.folder.name[:8]} of {t.object.name} is left out: {t.trajectory.status}: {t.trajectory.reason}"
+        for t in wanted
+        if not t.trajectory.ok
+    ]
+    weighings: dict[str, str] = {}
+    groups: dict[tuple[str, str], list[TrialRecord]] = {}
+    for t in wanted:
+        if t.trajectory.ok and not t.trajectory.action.moves:
+            weighings[t.object.name] = t.folder.name
+        elif t.trajectory.ok:
+            groups.setdefault((t.object.name, t.support), []).append(t)
+    if not groups:
+        why = f"; {len(left_out)} are no data" if left_out else ""
+        allowed = "a folder with turns or slides, as heft robot trial and heft import make them"
+        raise InvalidValueError("DIR", str(root), f"{allowed}{why}")
+    return [_of_group(root, group, weighings, held_out) for group in groups.values()], left_out
 
 
-def wrench_fit(label: str, trajectory: Trajectory, predicted: np.ndarray | None) -> WrenchFit:
-    """Measured against predicted (T, 3), in the object's axes."""
-    steady = np.zeros(len(trajectory.time_s), dtype=bool)
-    try:
-        for kept in steady_samples(trajectory):
-            steady[kept] = True
-    except InvalidValueError:  # cut short before it was steady: it is still worth seeing
-        pass
-    measured = wrench_in_object(trajectory)[:, PLANAR]
-    deviation = sample_deviation(trajectory)[list(PLANAR)]
-    return WrenchFit(
-        label,
-        trajectory.time_s,
-        measured,
-        steady,
-        np.full_like(measured, np.nan) if predicted is None else predicted,
-        np.broadcast_to(WITHIN * deviation, measured.shape),
-    )
-
-
-def kind_of_trial(folder: Path, key: str) -> str:
-    """What was done: "weigh", "rotate", "accelerate", "slide" or "lift"; empty where its trial.json does not say."""
-    asked = (read_json(folder / "trials" / key / "trial.json") or {}).get("asked") or {}
-    return str((asked.get("action") or {}).get("kind") or "")
+def _of_group(root: Path, group: list[TrialRecord], weighings: dict[str, str], held_out: int) -> MeasuredTrials:
+    last, name = group[-1], group[-1].object.name
+    if name not in weighings:
+        allowed = f"a folder in which {name} was weighed: heft robot trial --action weigh --weight KG, or heft import"
+        raise InvalidValueError("DIR", str(root), f"{allowed} --weight KG")
+    for other in group:
+        if any(other.request["object"].get(part) != last.request["object"].get(part) for part in _SHAPE):
+            keys = f"{other.folder.name[:8]} and {last.folder.name[:8]}"
+            allowed = f"trials of one shape; {keys} differ: import them again, or apart"
+            raise InvalidValueError(name, f"two shapes in {root}", allowed)
+    turns = [t.folder.name for t in group if t.trajectory.action.kind == Rotate.kind]
+    if held_out and (held_out > len(turns) or held_out == len(group)):
+        most = min(len(turns), len(group) - 1)
+        raise InvalidValueError("--held-out", held_out, f"at most {most} of {name}'s turns; a method needs one trial")
+    kept_back = tuple(turns[len(turns) - held_out :])
+    moved = tuple(t.folder.name for t in group if t.folder.name not in kept_back)
+    support = parse_support(last.support.removesuffix(" N/m"))
+    return MeasuredTrials(last.object, support, weighings[name], moved, kept_back)

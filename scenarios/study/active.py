@@ -12,8 +12,9 @@ from estimators.action_selection.design import Guess
 from estimators.action_selection.online import Decision, OnlinePolicy
 from estimators.action_selection.plan import Goal
 from scenarios.results.store import Store, key_of, trial_request
-from scenarios.study.benches import BenchCheck
-from scenarios.study.estimates import Asked, estimate, sensed
+from scenarios.results.trials import sensed_trials
+from scenarios.runners import FeasibilityCheck
+from scenarios.study.estimates import EstimateTask, estimate
 from scenarios.study.trials import simulate
 from testbed.actions.base import Action
 from testbed.actions.weigh import Weigh
@@ -83,7 +84,7 @@ class ActiveRun:
             candidates=self.candidates,
             grasps=self.grasps,
             seed=self.seed,
-            feasible=BenchCheck(shape, guess, refused=refused),
+            feasible=FeasibilityCheck(shape, guess, refused=refused),
         )
         while True:
             trials = self._measured(keys)[1:]
@@ -105,11 +106,11 @@ class ActiveRun:
 
     def _measured(self, keys: list[str]) -> list[Trajectory]:
         """Trials under one draw of the sensor's errors."""
-        return sensed(self.store, tuple(keys), self.sensing, self.seed)
+        return sensed_trials(self.store, tuple(keys), self.sensing, self.seed)
 
     def _answer(self, keys: list[str]) -> dict[str, Any]:
         """Row of the answer to all trials, estimated and stored as in a sweep."""
-        asked = Asked(
+        task = EstimateTask(
             truth=self.model,
             support=self.support.name,
             axes={},
@@ -122,8 +123,8 @@ class ActiveRun:
             settings={},
             reference=False,
         )
-        key = asked.result_keys()[0]
-        estimate(asked, self.seed, key, self.store)
+        key = task.result_keys()[0]
+        estimate(task, self.seed, key, self.store)
         row = self.store.result(key)
         assert row is not None
-        return row | asked.labels() | {"key": key}
+        return row | task.labels() | {"key": key}

@@ -1,4 +1,4 @@
-"""`heft run --dry-run`: what a run would do, and about how long it would take."""
+"""Size of a run before it is made: experiments, trials, estimates and seconds."""
 
 from __future__ import annotations
 
@@ -11,61 +11,61 @@ from estimators.registry import kind_of
 from scenarios.config import Scenario
 
 TRIAL_S = 2.8
-"""Of one core: a trial of the default policy, on average over the library."""
+"""Time of a trial of the default policy on one core, on average over the library [s]."""
 ESTIMATE_S = {"explicit_state": 1.0, "diff_lcp": 5.0}
-"""Of one core: an estimate and its prediction of the held-out turns."""
+"""Time of an estimate and its prediction of the held-out turns on one core [s]."""
 QUICK_S = 0.4
-"""Of any other method."""
+"""Time of any other method's estimate [s]."""
 DECISION_S = 1.0
-"""Of one core: the next touch of an online policy, over 4000 candidates."""
+"""Time in which an online policy chooses its next action from 4000 candidates on one core [s]."""
 
 
 @dataclass(frozen=True)
-class Plan:
-    """How much a scenario asks for, where nothing goes wrong and nothing is shared."""
+class DryRun:
+    """Size of a scenario's run, where nothing fails and nothing is shared."""
 
     objects: int
     points: int
-    """Of the sweep."""
-    cells: int
+    """Points of the sweep."""
+    experiments: int
     trials: int
     estimates: int
     seconds: float
-    """Of one core."""
+    """Computing time on one core [s]."""
 
     @staticmethod
-    def of(scenario: Scenario) -> Plan:
-        """Counted point by point of the sweep."""
+    def of(scenario: Scenario) -> DryRun:
+        """The size of a scenario's run, counted at each point of the sweep."""
         points = scenario.points()
         objects = len(scenario.objects) + sum(family.count for family in scenario.random)
-        cells = trials = estimates = 0
+        experiments = trials = estimates = 0
         seconds = 0.0
         for _, point in points:
             here = objects * len(point.support)
             draws = sum(point.draws(sensing) for sensing in point.sensing)
             each = [ESTIMATE_S.get(kind_of(label, settings), QUICK_S) for label, settings in point.methods.items()]
             in_order = here * len(point.own_draws())
-            cells += in_order
+            experiments += in_order
             trials += in_order * point.policy.expected_trials
             estimates += here * draws * len(point.methods)
             seconds += in_order * point.policy.expected_trials * TRIAL_S + here * draws * sum(each)
             if point.policy.own_draw:
                 seconds += in_order * point.policy.touches * DECISION_S
-        return Plan(objects, len(points), cells, trials, estimates, seconds)
+        return DryRun(objects, len(points), experiments, trials, estimates, seconds)
 
 
-def show_plan(console: Console, scenario: Scenario, folder: Path, workers: int) -> None:
-    """Say how many trials and estimates there are, and how long they take; nothing is run or written."""
-    plan = Plan.of(scenario)
-    swept = f" at {plan.points} points of the sweep" if plan.points > 1 else ""
+def show_dry_run(console: Console, scenario: Scenario, folder: Path, workers: int) -> None:
+    """Print how many trials and estimates there are, and how long they take; nothing is run or written."""
+    size = DryRun.of(scenario)
+    swept = f" at {size.points} points of the sweep" if size.points > 1 else ""
     console.print(
-        f"{plan.objects} object(s){swept}, {plan.cells} cells: about {plan.trials} trials and {plan.estimates} "
-        f"estimates by {len(scenario.methods)} method(s); trials that points share are made once",
+        f"{size.objects} object(s){swept}, {size.experiments} experiments: about {size.trials} trials and "
+        f"{size.estimates} estimates by {len(scenario.methods)} method(s); trials that points share are made once",
         highlight=False,
     )
     on = max(workers, 1)
     console.print(
-        f"about {plan.seconds / on / 60:.0f} min on {on} worker(s), {plan.seconds / 60:.0f} min of computing; into "
+        f"about {size.seconds / on / 60:.0f} min on {on} worker(s), {size.seconds / 60:.0f} min of computing; into "
         f"{folder}/, where what is done already is not done again",
         highlight=False,
     )

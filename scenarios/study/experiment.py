@@ -1,4 +1,4 @@
-"""Cells of a scenario: one object under one support at one point of the sweep, and what is to be done with it."""
+"""Experiments of a scenario: one object under one support at one point of the sweep, and the trials it asks for."""
 
 from __future__ import annotations
 
@@ -10,8 +10,7 @@ from typing import Any, Protocol
 from estimators.base import ActionPolicy
 from scenarios.config import Scenario
 from scenarios.results.store import Store, key_of, object_request
-from scenarios.study.benches import BenchSettings, check_trial
-from testbed.actions.accelerate import Accelerate
+from scenarios.runners import RunnerSettings, feasible_grasps
 from testbed.actions.base import Action
 from testbed.actions.rotate import Rotate
 from testbed.errors import InfeasibleTrialError, InvalidValueError
@@ -19,76 +18,76 @@ from testbed.objects.files import load_object
 from testbed.objects.model import ObjectModel
 from testbed.objects.random import Family
 from testbed.trajectory import Trajectory
-from testbed.trial import Support, Trial
+from testbed.trial import Support
 
 MOST_DRAWS = 100
 """Draws of a random object before its family is given up."""
 
 
-Made = Callable[[str, str], None]
-"""Told of each "trial" and "estimate" that is made, by its key, when it is done."""
+ResultCallback = Callable[[str, str], None]
+"""Called with "trial" or "estimate" and its key when one is done."""
 
 
 class Progress(Protocol):
-    """Told how far a run is."""
+    """Receives how far a run is."""
 
     def __call__(self, stage: str, done: int, total: int, failed: int = 0) -> None:
-        """The stage (objects, trials or estimates), how many are done, are known to come, and have failed."""
+        """Stage (objects, trials or estimates), and how many are done, expected in all, and failed."""
         ...
 
 
 @dataclass(eq=False)
-class Cell:
-    """One object under one support: its trials are made one after the other, as the policy sees them.
+class Experiment:
+    """One object under one support: its trials are made one after the other, as the policy chooses them.
 
-    Most policies see the physics alone, and all draws of all sensors share a cell. Where each touch follows from what
-    was felt, a cell is of one draw.
+    Most policies see the physics alone, and all draws of all sensors share an experiment. Where each action follows
+    from the measured wrenches, an experiment belongs to one draw.
     """
 
     scenario: Scenario
-    """At its point of the sweep."""
+    """Scenario at its point of the sweep."""
     axes: dict[str, Any]
     """Value of each swept field."""
     model: ObjectModel
-    """With the simulation's feet."""
+    """Object with the simulation's feet."""
     particles: ObjectModel
-    """With the estimator's particles."""
+    """Object with the estimator's particles."""
     support: Support
     grasps: tuple[int, ...]
     """Grasps that may be used."""
     policy: ActionPolicy
     turns: tuple[Rotate, ...]
-    """Turns to be made for prediction, which no method is given."""
+    """Turns for prediction, which no method is given."""
     refused: dict[Action, str] = field(default_factory=dict)
-    """What the bench refused when it was run, and why; the policy chooses something else."""
+    """Actions that were refused when they were run, and why; the policy then chooses another."""
     keys: list[str] = field(default_factory=list)
-    """Trials made so far; the weighing first."""
+    """Keys of the trials made so far, the weighing first."""
     held_out_keys: list[str] = field(default_factory=list)
-    """Turns made for prediction."""
+    """Keys of the turns made for prediction."""
     trajectories: list[Trajectory] = field(default_factory=list)
-    """What the policy sees."""
-    content: bool = False
-    """Whether the policy has asked for all it wants."""
+    """Trajectories that the policy sees."""
+    finished: bool = False
+    """True if the policy asks for no more."""
     failure: str = ""
-    """Why a trial of it could not be made, if one could not."""
-    felt: tuple[str, int] | None = None
-    """Sensor and seed of the one draw that it is of; None where all share it."""
+    """Reason why a trial could not be made; empty if all could."""
+    draw: tuple[str, int] | None = None
+    """Sensor and seed of its one draw; None where all draws share it."""
 
-    def following(self) -> Action | None:
-        """What to do next; None when done."""
-        if not self.content:
+    def next_action(self) -> Action | None:
+        """Next action; None when done."""
+        if not self.finished:
             action = self.policy.next(self.particles.shape, self.trajectories)
             if action is not None:
                 return action
-            self.content = True
+            self.finished = True
             self.trajectories.clear()
         made = len(self.held_out_keys)
         return self.turns[made] if made < len(self.turns) else None
 
 
 @dataclass(frozen=True)
-class Infeasible:
-    """A cell that the bench cannot do."""
+class InfeasibleExperiment:
+    """An experiment that the robot cannot do."""
 
     name: str
     support: str
@@ -96,13 +95,15 @@ class Infeasible:
     reason: str
 
 
-def cells_of(scenario: Scenario, store: Store, progress: Progress) -> tuple[list[Cell], list[Infeasible]]:
-    """Every object under every support at every point of the sweep, and those that the bench cannot do.
+def experiments_of(
+    scenario: Scenario, store: Store, progress: Progress
+) -> tuple[list[Experiment], list[InfeasibleExperiment]]:
+    """Every object under every support at every point of the sweep, and those that the robot cannot do.
 
     Raises:
         HeftError: an object that cannot be read; a named one that cannot be handled, where nothing is swept.
     """
-    cells, left_out, feasible = [], [], _Grasps(store)
+    experiments, left_out, feasible = [], [], _Grasps(store)
     points = scenario.points()
     total = len(points) * (len(scenario.objects) + sum(family.count for family in scenario.random))
     done = 0
@@ -116,26 +117,28 @@ def cells_of(scenario: Scenario, store: Store, progress: Progress) -> tuple[list
             except InfeasibleTrialError as error:
                 if not (axes or scenario.random):
                     raise
-                left_out += [Infeasible(name, support.name, axes, str(error)) for support in point.supports()]
+                left_out += [InfeasibleExperiment(name, support.name, axes, str(error)) for support in point.supports()]
             else:
                 for support in point.supports():
                     turns = tuple(point.policy.build_held_out(particles.shape, grasps))
-                    for felt in point.own_draws():
+                    for draw in point.own_draws():
                         refused: dict[Action, str] = {}
-                        sensing = felt[0] if felt else None
+                        sensing = draw[0] if draw else None
                         policy = point.policy.build(grasps, particles, settings, sensing, refused)
-                        one = Cell(point, axes, model, particles, support, grasps, policy, turns, refused, felt=felt)
-                        cells.append(one)
+                        one = Experiment(
+                            point, axes, model, particles, support, grasps, policy, turns, refused, draw=draw
+                        )
+                        experiments.append(one)
             done += 1
             progress("objects", done, total)
-    if not cells:
+    if not experiments:
         raise InfeasibleTrialError("no object can be handled:\n" + "\n".join(f"{c.name}: {c.reason}" for c in left_out))
     feasible.keep()
-    return cells, left_out
+    return experiments, left_out
 
 
 def _sources(scenario: Scenario, feasible: _Grasps, store: Store) -> Iterator[tuple[str, Callable[[int], ObjectModel]]]:
-    """Name of every object, and how it is cut into a grid."""
+    """Name of every object, and a function that cuts it into a grid."""
     paths = {load_object(path).name: path for path in scenario.objects}
     if len(paths) < len(scenario.objects):
         raise InvalidValueError("objects", scenario.objects, "objects of different names")
@@ -146,8 +149,8 @@ def _sources(scenario: Scenario, feasible: _Grasps, store: Store) -> Iterator[tu
             yield name, partial(load_object, _drawn(family, index, scenario.simulation.build(), feasible, store))
 
 
-def _drawn(family: Family, index: int, settings: BenchSettings, feasible: _Grasps, store: Store) -> str:
-    """The file of a drawn object that the bench can handle, made if it is not there.
+def _drawn(family: Family, index: int, settings: RunnerSettings, feasible: _Grasps, store: Store) -> str:
+    """File of a random object that the robot can handle, made if it is not there.
 
     Raises:
         InfeasibleTrialError: none of many draws can be handled.
@@ -170,14 +173,14 @@ def _drawn(family: Family, index: int, settings: BenchSettings, feasible: _Grasp
 
 
 class _Grasps:
-    """`feasible_grasps` of every object and bench, worked out once and kept in the store."""
+    """`feasible_grasps` of every object and runner, computed once and kept in the store."""
 
     def __init__(self, store: Store):
         self._store = store
         self._new: dict[str, dict[str, Any]] = {}
 
-    def of(self, model: ObjectModel, settings: BenchSettings) -> tuple[int, ...]:
-        """Raises InfeasibleTrialError where there are none."""
+    def of(self, model: ObjectModel, settings: RunnerSettings) -> tuple[int, ...]:
+        """Feasible grasps; raises InfeasibleTrialError where there are none."""
         key = key_of({"object": object_request(model), "simulation": asdict(settings), "what": "grasps"})
         known = self._new.get(key) or self._store.note(key)
         if known is None:
@@ -194,23 +197,3 @@ class _Grasps:
         """Write what is new: not before the whole scenario is known to be sound."""
         for key, note in self._new.items():
             self._store.put_note(key, note)
-
-
-def feasible_grasps(model: ObjectModel, settings: BenchSettings) -> tuple[int, ...]:
-    """Grasps about which the bench can turn the object at constant and at changing speed.
-
-    Raises:
-        InfeasibleTrialError: there is none; the message gives the reason of each.
-    """
-    possible, reasons = [], []
-    for index, grasp in enumerate(model.shape.grasps):
-        try:
-            for action in (Rotate(index), Accelerate(index)):
-                check_trial(Trial(model, action), settings)
-            possible.append(index)
-        except InfeasibleTrialError as error:
-            reasons.append(f"{grasp.name}: {error}")
-    if not possible:
-        why = "\n  ".join(reasons) or "no block has two opposite free faces"
-        raise InfeasibleTrialError(f"{model.name}: the bench cannot turn this object about any grasp\n  {why}")
-    return tuple(possible)

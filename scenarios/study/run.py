@@ -1,4 +1,4 @@
-"""A scenario run: every object and support is tried as the policy asks, then every method answers."""
+"""Run of a scenario: the trials of every experiment, then the estimates of every method."""
 
 from __future__ import annotations
 
@@ -11,10 +11,9 @@ import pandas as pd
 
 from scenarios.config import Scenario
 from scenarios.execution.executor import open_executor
-from scenarios.results.lock import exclusive
-from scenarios.results.store import Store, write_json
+from scenarios.results.store import Store, exclusive, write_json
 from scenarios.study.estimates import run_estimates
-from scenarios.study.experiment import Made, Progress, cells_of
+from scenarios.study.experiment import Progress, ResultCallback, experiments_of
 from scenarios.study.trials import run_trials
 
 
@@ -24,7 +23,7 @@ def run_scenario(
     worker_count: int,
     progress: Progress,
     executor: str = "local",
-    made: Made | None = None,
+    on_result: ResultCallback | None = None,
 ) -> pd.DataFrame:
     """Run or resume a scenario; a row an estimate.
 
@@ -32,25 +31,25 @@ def run_scenario(
         scenario: what to run.
         out: results folder; what is done there is not done again.
         worker_count: workers; 0 is this process.
-        progress: told how far it is.
+        progress: receives how far it is.
         executor: inline, local or ray.
-        made: told of each "trial" and "estimate" that is made, by its key, when it is done.
+        on_result: called for each "trial" and "estimate", with its key, when it is done.
 
     Raises:
         HeftError: something in the scenario cannot be done, or another run writes to `out`.
         OSError: `out` cannot be written to.
     """
     store = Store(out.absolute())
-    with exclusive(out), open_executor(executor, worker_count) as tasks:
+    with exclusive(out), open_executor(executor, worker_count, preload=(__name__,)) as tasks:
         store.remove_leftovers()
-        cells, left_out = cells_of(scenario, store, progress)
+        experiments, left_out = experiments_of(scenario, store, progress)
         write_json(out / "manifest.json", manifest(scenario))
-        run_trials(cells, store, tasks, progress, made)
-        rows = run_estimates(cells, left_out, store, tasks, progress, made)
+        run_trials(experiments, store, tasks, progress, on_result)
+        rows = run_estimates(experiments, left_out, store, tasks, progress, on_result)
         return store.put_table(rows)
 
 
 def manifest(scenario: Scenario) -> dict[str, Any]:
-    """What was run, with what."""
+    """The manifest of a results folder: the scenario, and the versions that ran it."""
     packages = {name: version(name) for name in ("heft", "mujoco", "torch", "numpy", "scipy")}
     return {"scenario": scenario.model_dump(), "python": platform.python_version(), "packages": packages}

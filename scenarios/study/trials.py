@@ -1,4 +1,4 @@
-"""The trials of a scenario: every cell's, as its policy asks, and turns held out for prediction."""
+"""Trials of a scenario: those that each experiment's policy asks for, and turns held out for prediction."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ from dataclasses import asdict, dataclass, field
 
 from scenarios.execution.executor import Executor, Failure
 from scenarios.results.store import Store, key_of, object_request, trial_request
-from scenarios.study.benches import BenchSettings, OtherBench
-from scenarios.study.estimates import as_felt
-from scenarios.study.experiment import Cell, Made, Progress
+from scenarios.results.trials import sensed
+from scenarios.runners import NamedRunner, RunnerSettings
+from scenarios.study.experiment import Experiment, Progress, ResultCallback
 from testbed.actions.base import Action
 from testbed.actions.weigh import Weigh
 from testbed.errors import HeftError, InfeasibleTrialError
@@ -18,137 +18,146 @@ from testbed.trajectory import TrajectoryFileError
 from testbed.trial import Trial
 
 FEET_RATE = 10.0
-"""At which the table's forces on the feet are kept, for looking, Hz."""
+"""Rate at which the table's forces on the feet are kept, for the viewer [Hz]."""
 
 
 def run_trials(
-    cells: list[Cell], store: Store, executor: Executor, progress: Progress, made: Made | None = None
+    experiments: list[Experiment],
+    store: Store,
+    executor: Executor,
+    progress: Progress,
+    on_result: ResultCallback | None = None,
 ) -> None:
-    """Make the trials: some cells side by side, each cell's in order; a trial that two cells ask for is made once.
+    """Make the trials of some experiments side by side, in order within each; one that two need is made once.
 
-    What the bench refuses at the true masses is told to the policy, which chooses something else. A cell whose trial
-    fails for good, or whose policy asks again for what was refused, has the reason in `failure`, and goes no further.
+    The policy learns which actions are refused at the true masses, and chooses others. An experiment whose trial fails
+    for good, or whose policy asks again for a refused action, has the reason in `failure`, and goes no further.
     """
-    expected = sum(cell.scenario.policy.expected_trials for cell in cells)
-    waiting, run = deque(cells), _Run(store, executor)
+    expected = sum(experiment.scenario.policy.expected_trials for experiment in experiments)
+    waiting, run = deque(experiments), _Run(store, executor)
     while waiting or executor.running:
         while waiting and run.active < executor.capacity:  # the driver holds the trajectories of these and no others
             run.begin(waiting.popleft())
         if executor.running:
             key, refusal = executor.wait()
-            if made is not None and refusal == "":
-                made("trial", key)
+            if on_result is not None and refusal == "":
+                on_result("trial", key)
             run.end(key, refusal)
-        failed = sum(bool(cell.failure) for cell in cells)
+        failed = sum(bool(experiment.failure) for experiment in experiments)
         progress("trials", run.done, max(run.done + executor.running, expected), failed)
-    progress("trials", run.done, run.done, sum(bool(cell.failure) for cell in cells))
+    progress("trials", run.done, run.done, sum(bool(experiment.failure) for experiment in experiments))
 
 
 @dataclass(eq=False)
 class _Run:
-    """Cells under way, and who waits for which trial."""
+    """Experiments under way, and the trials that they wait for."""
 
     store: Store
     executor: Executor
     active: int = 0
-    """Cells begun and not yet done or given up."""
+    """Experiments begun and not yet done or given up."""
     done: int = 0
-    """Trials that are there."""
-    asking: dict[str, list[tuple[Cell, Action]]] = field(default_factory=dict)
-    """Who asked for each trial in flight."""
+    """Trials done."""
+    asking: dict[str, list[tuple[Experiment, Action]]] = field(default_factory=dict)
+    """Experiments that wait for each trial in flight, and the action that it makes."""
 
-    def begin(self, cell: Cell) -> None:
-        if _recalled(cell, self.store):
-            self.done += len(cell.keys) + len(cell.held_out_keys)
+    def begin(self, experiment: Experiment) -> None:
+        if _recalled(experiment, self.store):
+            self.done += len(experiment.keys) + len(experiment.held_out_keys)
         else:
             self.active += 1
-            self._go_on(cell, Weigh())
+            self._go_on(experiment, Weigh())
 
     def end(self, key: str, refusal: str | Failure) -> None:
-        """A trial is made where `refusal` is empty."""
-        for cell, action in self.asking.pop(key):
+        """Take the end of a trial: made where `refusal` is empty."""
+        for experiment, action in self.asking.pop(key):
             if refusal == "":
-                self._go_on(cell, action)
+                self._go_on(experiment, action)
             elif isinstance(refusal, Failure):
-                self._give_up(cell, f"{action.kind}: {refusal.reason}")
+                self._give_up(experiment, f"{action.kind}: {refusal.reason}")
                 self.store.put_trial_error(key, refusal.detail)
             else:
-                cell.refused[action] = refusal
-                self._go_on(cell, self._following(cell))
+                experiment.refused[action] = refusal
+                self._go_on(experiment, self._next_action(experiment))
 
-    def _go_on(self, cell: Cell, action: Action | None) -> None:
-        """From this action on: take what is there, and ask for the first trial that is not."""
+    def _go_on(self, experiment: Experiment, action: Action | None) -> None:
+        """From this action on, take the trials that are there, and start the first that is not."""
         while action is not None:
-            trial, settings = Trial(cell.model, action, cell.support), cell.scenario.simulation.build()
+            trial, settings = (
+                Trial(experiment.model, action, experiment.support),
+                experiment.scenario.simulation.build(),
+            )
             key = key_of(trial_request(trial, settings))
-            if not (self.store.has_trial(key) and _taken(cell, action, key, self.store)):
-                self.asking.setdefault(key, []).append((cell, action))
+            if not (self.store.has_trial(key) and _taken(experiment, action, key, self.store)):
+                self.asking.setdefault(key, []).append((experiment, action))
                 if len(self.asking[key]) == 1:
                     self.executor.start(key, _tried, trial, settings, self.store)
                 return
             self.done += 1
-            action = self._following(cell)
-        if not cell.failure:
-            self.store.put_note(_key_of_cell(cell), {"keys": cell.keys, "held_out": cell.held_out_keys})
+            action = self._next_action(experiment)
+        if not experiment.failure:
+            self.store.put_note(_key_of(experiment), {"keys": experiment.keys, "held_out": experiment.held_out_keys})
             self.active -= 1
 
-    def _following(self, cell: Cell) -> Action | None:
-        """As the cell has it; a policy that cannot go on takes its own cell with it."""
+    def _next_action(self, experiment: Experiment) -> Action | None:
+        """Next action; a policy that cannot go on ends its own experiment."""
         try:
-            action = cell.following()
+            action = experiment.next_action()
         except HeftError as error:
-            self._give_up(cell, f"policy: {error}")
+            self._give_up(experiment, f"policy: {error}")
             return None
-        if action in cell.refused:
-            self._give_up(cell, f"{action.kind}: {cell.refused[action]}")
+        if action in experiment.refused:
+            self._give_up(experiment, f"{action.kind}: {experiment.refused[action]}")
             return None
         return action
 
-    def _give_up(self, cell: Cell, why: str) -> None:
-        cell.failure = why
-        cell.trajectories.clear()
+    def _give_up(self, experiment: Experiment, why: str) -> None:
+        experiment.failure = why
+        experiment.trajectories.clear()
         self.active -= 1
 
 
-def _taken(cell: Cell, action: Action, key: str, store: Store) -> bool:
-    """Take a finished trial into the cell; False where its file is damaged and it has to be made again."""
+def _taken(experiment: Experiment, action: Action, key: str, store: Store) -> bool:
+    """Take a finished trial into the experiment; False where its file is damaged and it has to be made again."""
     try:
         trajectory = store.trajectory(key)
     except TrajectoryFileError:
         return False
-    if cell.content:
-        cell.held_out_keys.append(key)
+    if experiment.finished:
+        experiment.held_out_keys.append(key)
         return True
     if action.moves:
-        cell.trajectories.append(as_felt(trajectory, *cell.felt, len(cell.keys), key) if cell.felt else trajectory)
-    cell.keys.append(key)
+        experiment.trajectories.append(
+            sensed(trajectory, *experiment.draw, len(experiment.keys), key) if experiment.draw else trajectory
+        )
+    experiment.keys.append(key)
     return True
 
 
-def _recalled(cell: Cell, store: Store) -> bool:
-    """Whether all trials of a cell are there from an earlier run; then it has their keys."""
-    note = store.note(_key_of_cell(cell))
+def _recalled(experiment: Experiment, store: Store) -> bool:
+    """Take all trials of an experiment from an earlier run; False where some are missing."""
+    note = store.note(_key_of(experiment))
     if note is None or not all(store.has_sound_trial(key) for key in note["keys"] + note["held_out"]):
         return False
-    cell.keys, cell.held_out_keys = note["keys"], note["held_out"]
+    experiment.keys, experiment.held_out_keys = note["keys"], note["held_out"]
     return True
 
 
-def _key_of_cell(cell: Cell) -> str:
+def _key_of(experiment: Experiment) -> str:
     asked = {
-        "object": object_request(cell.model),
-        "particles": object_request(cell.particles),
-        "support": cell.support.name,
-        "policy": cell.scenario.policy.asked(),
-        "grasps": list(cell.grasps),
-        "held_out": [turn.to_dict() for turn in cell.turns],
-        "simulation": asdict(cell.scenario.simulation.build()),
+        "object": object_request(experiment.model),
+        "particles": object_request(experiment.particles),
+        "support": experiment.support.name,
+        "policy": experiment.scenario.policy.asked(),
+        "grasps": list(experiment.grasps),
+        "held_out": [turn.to_dict() for turn in experiment.turns],
+        "simulation": asdict(experiment.scenario.simulation.build()),
     }
-    return key_of(asked | ({"felt": list(cell.felt)} if cell.felt else {}))
+    return key_of(asked | ({"felt": list(experiment.draw)} if experiment.draw else {}))
 
 
-def _tried(trial: Trial, settings: BenchSettings, store: Store) -> str:
-    """Task: a trial; why the bench refused it, or empty where it is made."""
+def _tried(trial: Trial, settings: RunnerSettings, store: Store) -> str:
+    """Worker's task: one trial; the reason why it was refused, or empty where it is made."""
     try:
         simulate(trial, settings, store)
     except InfeasibleTrialError as error:
@@ -156,7 +165,7 @@ def _tried(trial: Trial, settings: BenchSettings, store: Store) -> str:
     return ""
 
 
-def simulate(trial: Trial, settings: BenchSettings, store: Store) -> None:
+def simulate(trial: Trial, settings: RunnerSettings, store: Store) -> None:
     """One physical trial, unless it is done.
 
     Raises:
@@ -167,7 +176,7 @@ def simulate(trial: Trial, settings: BenchSettings, store: Store) -> None:
     if store.has_trial(key):
         return
     feet = None
-    if isinstance(settings, OtherBench):
+    if isinstance(settings, NamedRunner):
         trajectory = settings.run(trial)
     elif not trial.action.moves:
         trajectory = SimulationRunner(settings).run_clean(trial)

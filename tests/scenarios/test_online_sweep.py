@@ -9,15 +9,14 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from rich.console import Console
 
 from estimators.action_selection.online import OnlinePolicy
-from scenarios.cli.progress import show_status
+from scenarios.cli.main import main
 from scenarios.config import Scenario, load_scenario
 from scenarios.results.store import Store
-from scenarios.study.dry_run import Plan
-from scenarios.study.estimates import sensed
-from scenarios.study.experiment import cells_of
+from scenarios.results.trials import sensed_trials
+from scenarios.study.dry_run import DryRun
+from scenarios.study.experiment import experiments_of
 from testbed.actions.base import Action
 from testbed.objects.model import ObjectShape
 from testbed.trajectory import Trajectory
@@ -75,11 +74,11 @@ def test_each_draw_follows_what_it_felt(scenario: Path, swept: Swept):
     rows, store = swept.rows, Store(swept.out)
     assert rows[["sensing", "seed"]].to_numpy().tolist() == [["ideal", 0], ["ft300s", 0], ["ft300s", 1]]
     assert "failed" not in set(rows["status"]) and set(rows["trials"]) == {4}
-    cells, _ = cells_of(load_scenario(str(scenario))[1], store, quiet)
+    cells, _ = experiments_of(load_scenario(str(scenario))[1], store, quiet)
     felt_by_any = set()
     for cell, row in zip(cells, rows.to_dict("records"), strict=True):
-        assert cell.felt == (row["sensing"], row["seed"])
-        felt = sensed(store, tuple(row["trial_keys"]), row["sensing"], row["seed"])[1:]
+        assert cell.draw == (row["sensing"], row["seed"])
+        felt = sensed_trials(store, tuple(row["trial_keys"]), row["sensing"], row["seed"])[1:]
         so_far = [felt[:n] for n in range(len(felt) + 1)]
         felt_by_any |= {records(some) for some in so_far}
         chosen = [cell.policy.next(cell.particles.shape, some) for some in so_far]
@@ -107,8 +106,9 @@ def test_it_goes_on_after_being_killed(scenario: Path, swept: Swept, tmp_path: P
 
 
 @pytest.mark.slow
-def test_its_trials_are_counted(scenario: Path, swept: Swept, capsys: pytest.CaptureFixture[str]):
-    show_status(Console(width=200), swept.out)
+def test_its_trials_are_counted(swept: Swept, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setenv("COLUMNS", "200")
+    main(["status", str(swept.out)])
     said = capsys.readouterr().out
     made = len(set(np.concatenate([*swept.rows["trial_keys"], *swept.rows["held_out_keys"]])))
     assert f"trials: {made} done of about 15, 0 failed; estimates: 3 done of about 3, 0 failed" in said
@@ -118,8 +118,8 @@ def test_a_run_is_counted_before_it_is_made():
     policy = {"kind": "online", "touches": 3, "held_out": 1}
     asked = {"objects": ["I1", "L2"], "sensing": ["ideal", "ft300s"], "seeds": 4, "support": ["own_weight", "rigid"]}
     online, planned = (
-        Plan.of(Scenario.model_validate(asked | {"policy": policy | {"kind": k}})) for k in ("online", "greedy")
+        DryRun.of(Scenario.model_validate(asked | {"policy": policy | {"kind": k}})) for k in ("online", "greedy")
     )
-    assert (planned.cells, planned.trials, planned.estimates) == (4, 4 * 5, 4 * 5)
-    assert (online.cells, online.trials, online.estimates) == (4 * 5, 4 * 5 * 5, 4 * 5)
+    assert (planned.experiments, planned.trials, planned.estimates) == (4, 4 * 5, 4 * 5)
+    assert (online.experiments, online.trials, online.estimates) == (4 * 5, 4 * 5 * 5, 4 * 5)
     assert online.seconds > planned.seconds

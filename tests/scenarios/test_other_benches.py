@@ -13,8 +13,8 @@ from typing import Any
 import pytest
 
 from scenarios.config import Scenario, Simulation, load_scenario
-from scenarios.results.load import load_results
-from scenarios.study.experiment import feasible_grasps
+from scenarios.results.estimates import load_results
+from scenarios.runners import feasible_grasps
 from scenarios.study.run import run_scenario
 from testbed import plugins
 from testbed.actions.slide import Slide

@@ -14,9 +14,8 @@ import pytest
 from estimators.evaluation.statistics import axis_columns
 from estimators.registry import ESTIMATOR, METHODS, POLICY, build_method
 from scenarios.cli.main import main
-from scenarios.cli.run import Asked, changed
 from scenarios.config import Policy, Scenario, load_scenario
-from scenarios.results.load import load_results
+from scenarios.results.estimates import load_results
 from scenarios.results.store import read_json
 from testbed import plugins
 from testbed.actions.rotate import Rotate
@@ -117,7 +116,7 @@ def test_a_class_of_the_current_folder_is_a_method_with_its_settings():
     scenario = Scenario(objects=["I1"], methods={"mine": settings})
     mine: Any = build_method("mine", scenario.methods["mine"])
     assert (mine.friction, mine.times) == (0.3, (1, 2))
-    asked = changed(scenario, Asked(methods=("mine", "of_user:Even", "random_search")))
+    asked = scenario.changed(methods=("mine", "of_user:Even", "random_search"))
     assert asked.methods == {**scenario.methods, "of_user:Even": {}, "random_search": {}}
 
 
@@ -177,7 +176,7 @@ def test_a_wrong_setting_of_a_method_is_refused(name, settings, reason):
         configured(load_class(f"of_user:{name}", ESTIMATOR, "mine"), settings, "mine")
     assert raised.value.field == "mine"
     with pytest.raises(InvalidValueError, match="this is a function"):
-        changed(Scenario(objects=["I1"]), Asked(methods=("of_user:function",)))
+        Scenario(objects=["I1"]).changed(methods=("of_user:function",))
 
 
 @pytest.mark.usefixtures("here")
@@ -202,7 +201,7 @@ def test_an_entry_point_is_a_method_or_a_policy_by_name(monkeypatch):
     points = EntryPoints([EntryPoint(name, path, role.group) for name, path, role in classes])
     monkeypatch.setattr(plugins, "entry_points", lambda *, group: points.select(group=group))
     assert type(build_method("even", {"friction": 0.2})).__name__ == "Even"
-    assert changed(Scenario(objects=["I1"]), Asked(methods=("even",))).methods == {"even": {}}
+    assert Scenario(objects=["I1"]).changed(methods=("even",)).methods == {"even": {}}
     policy, shape = built("outermost", settings={"turns": 1})
     assert policy.next(shape, ()).duration == 2.0
     for wrong, role, known in (("evn", ESTIMATOR, "even"), ("outermst", POLICY, "outermost")):

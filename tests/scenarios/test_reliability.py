@@ -13,7 +13,7 @@ import pytest
 
 from estimators.registry import METHODS
 from scenarios.cli.main import main
-from scenarios.results.lock import LOCK, FolderInUseError, exclusive
+from scenarios.results.store import LOCK, FolderInUseError, exclusive
 from tests.fakes.misbehaving import Misbehaving
 from tests.helpers.sweep_kills import (
     VICTIMS,
@@ -141,7 +141,7 @@ def test_a_second_run_on_the_same_folder_is_refused_in_one_line(scenario, tmp_pa
 
 
 def test_a_killed_run_lets_go_of_its_folder(tmp_path):
-    hold = "from pathlib import Path; from scenarios.results.lock import exclusive"
+    hold = "from pathlib import Path; from scenarios.results.store import exclusive"
     code = f"{hold}; lock = exclusive(Path({str(tmp_path)!r})); lock.__enter__(); print('held', flush=True); input()"
     with subprocess.Popen([sys.executable, "-c", code], stdin=subprocess.PIPE, stdout=subprocess.PIPE) as holder:
         assert holder.stdout is not None

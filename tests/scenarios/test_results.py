@@ -10,11 +10,11 @@ from rich.console import Console
 
 from estimators.evaluation.statistics import axes_of
 from scenarios.cli.main import main
-from scenarios.cli.progress import show_status
+from scenarios.cli.progress import status
 from scenarios.config import Scenario, load_scenario
-from scenarios.results.load import load_results, load_trajectories
+from scenarios.results.estimates import load_results, load_trajectories
 from scenarios.results.store import Store, key_of, rows_of
-from scenarios.study.dry_run import show_plan
+from scenarios.study.dry_run import show_dry_run
 from scenarios.study.run import run_scenario
 from testbed.errors import InvalidValueError
 from viz.report.tables import NAD, quantile_table
@@ -87,23 +87,26 @@ def said(show: object, *arguments: object) -> str:
     return captured.get()
 
 
-def test_status_counts_what_is_there(swept):
-    text = said(show_status, swept)
+def test_status_counts_what_is_there(swept, capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "200")
+    main(["status", str(swept)])
+    text = capsys.readouterr().out
     assert "nothing is running" in text
     assert "trials: 8 done of about 16, 0 failed" in text
     assert "estimates: 8 done of about 8, 0 failed" in text
     Store(swept).put_error("0" * 20, "Traceback\nValueError: it broke\n")
-    again = said(show_status, swept)
+    main(["status", str(swept)])
+    again = capsys.readouterr().out
     assert "1 failed" in again
     assert "ValueError: it broke" in again
     with pytest.raises(InvalidValueError, match=r"manifest\.json"):
-        show_status(Console(), swept / "trials")
+        status(swept / "trials")
 
 
 def test_a_dry_run_counts_and_writes_nothing(tmp_path):
     scenario = Scenario(objects=["I1", "L1"], support=["own_weight", "rigid"], sensing=["ideal", "low"], seeds=3)
-    text = said(show_plan, scenario, tmp_path / "out", 2)
-    assert "4 cells" in text
+    text = said(show_dry_run, scenario, tmp_path / "out", 2)
+    assert "4 experiments" in text
     assert f"{4 * (1 + 6 + 6 + 2)} trials" in text
     assert f"{4 * (1 + 3)} estimates" in text
     with pytest.raises(SystemExit) as exit_:

@@ -16,9 +16,9 @@ from matplotlib.figure import Figure
 from numpy.testing import assert_allclose, assert_array_equal
 
 from estimators.base import Trace
-from scenarios.cli.report import figures, file_name
-from scenarios.results.load import load_results
+from scenarios.results.estimates import load_results
 from scenarios.results.store import rows_of
+from scenarios.views.figures import figures, file_name
 from testbed.errors import InvalidValueError
 from testbed.objects.files import load_object
 from testbed.objects.model import MassDistribution

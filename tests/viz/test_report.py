@@ -13,8 +13,7 @@ import pandas as pd
 import pytest
 from matplotlib.figure import Figure
 
-from scenarios.cli.report import report, to_toml
-from scenarios.results.files import TrialFile, trial_keys_of
+from scenarios.views.report import report, to_toml
 from testbed.errors import InvalidValueError
 from testbed.objects.files import load_object
 from viz.figures.loss import normalised
@@ -245,19 +244,6 @@ def test_identifiers_of_two_figures_do_not_clash():
 def test_losses_start_at_one_and_may_differ_in_length():
     table = normalised([np.array([4.0, 2.0, 1.0]), np.array([2.0, np.inf]), np.array([np.nan, 1.0]), np.array([])])
     np.testing.assert_array_equal(table, [[1.0, 0.5, 0.25], [1.0, np.inf, np.nan]])
-
-
-def test_trials_are_named_only_where_they_are_sure():
-    def trial(key: str, mass: float, feet: int, support: str = "rigid") -> TrialFile:
-        request = {"object": {"mass": [mass], "mass_group": [0] * feet}, "support": support, "action": key}
-        return TrialFile(key, "ok", "", request)
-
-    one = {"support": "rigid", "true_mass_kg": [0.4]}
-    trials = [trial("a", 0.1, 4), trial("b", 0.1, 4), trial("c", 0.2, 4), trial("d", 0.1, 4, "own_weight")]
-    assert trial_keys_of(one, trials) == ["a", "b"]
-    assert trial_keys_of(one, [*trials, trial("e", 0.2, 2)]) == [], "another object of the same mass"
-    assert trial_keys_of(one | {"axis.k": 1}, trials) == []
-    assert trial_keys_of(one | {"trial_keys": ["q"]}, trials) == ["q"]
 
 
 def test_the_scenario_reads_back_from_the_report():

@@ -12,9 +12,9 @@ import rerun as rr
 import rerun.blueprint as rrb
 from numpy.testing import assert_allclose, assert_array_equal
 
-from scenarios.cli.view import page_of, trial_page
-from scenarios.results.estimates import friction_of
-from scenarios.results.trials import POSES_EVERY, trial_shown, wrench_fit
+from scenarios.views.estimate import friction_of
+from scenarios.views.pages import page_of, trial_page
+from scenarios.views.trial import POSES_EVERY, trial_view, wrench_fit
 from testbed.errors import HeftError, InvalidValueError
 from testbed.frames import rotation_2d
 from testbed.objects.files import load_object
@@ -29,7 +29,7 @@ from viz.values import TrialView
 
 @pytest.fixture(scope="module")
 def view(turn_folder, turn_key) -> TrialView:
-    return trial_shown(turn_folder, turn_key)
+    return trial_view(turn_folder, turn_key)
 
 
 @pytest.fixture(scope="module")
@@ -86,7 +86,7 @@ def test_the_band_holds_the_sensors_errors_but_for_its_share(turn_folder, turn_k
     clean = wrench_fit("", draw_sensing(trajectory, preset("ideal"), 0), None)
     inside = []
     for seed in range(30):  # the bias is one draw a trial, so that one trial tells little
-        fit = trial_shown(turn_folder, turn_key, seed=seed, meshes=False).fit
+        fit = trial_view(turn_folder, turn_key, seed=seed, meshes=False).fit
         inside.append((np.abs(fit.measured - clean.measured) < fit.band)[fit.steady].mean(axis=0))
     assert_allclose(np.mean(inside), 0.95, atol=0.05)
 
@@ -155,7 +155,7 @@ def test_a_trial_of_a_robot_is_drawn_from_its_files(copy, turn_key):
     (folder / "foot_forces.parquet").unlink()
     measured = draw_sensing(load_trajectory(folder / "trajectory.parquet"), preset("ft300s"), 5)
     save_trajectory(replace(measured, provenance={"runner": "robot"}), folder / "trajectory.parquet")
-    view = trial_shown(copy, turn_key)
+    view = trial_view(copy, turn_key)
     assert (view.truth, view.feet, view.model) == (None, None, "")
     assert (view.trajectory.wrench_on_object_world == measured.wrench_on_object_world).all()
     save(page_of(copy, turn_key), copy / "x.rrd")

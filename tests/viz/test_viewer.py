@@ -14,7 +14,7 @@ import pytest
 from rich.console import Console
 
 from scenarios.cli.main import main
-from scenarios.cli.view import Recorder, page_of
+from scenarios.views.pages import Recorder, page_of
 from tests.helpers.viewer_windows import browser, has_color, is_blank, needs_browser, needs_vulkan, picture, viewer
 from viz.recordings import viewer as viewers
 from viz.recordings.page import save

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 if TYPE_CHECKING:
-    from scenarios.results.measured import MeasuredTrial
+    from scenarios.results.trials import TrialRecord
     from testbed.robot.calibration.trial import Finding
 
 
@@ -28,12 +28,14 @@ def verify(folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="
     """
     from rich.console import Console
 
-    from scenarios.results.measured import measured_trials
+    from scenarios.results.trials import measured_records
     from testbed.errors import InvalidValueError
 
     console = Console()
-    sound = [t for t in measured_trials(folder) if t.trajectory.ok]
-    found = [(name, finding) for name in dict.fromkeys(t.object for t in sound) for finding in findings(sound, name)]
+    sound = [t for t in measured_records(folder) if t.trajectory.ok]
+    found = [
+        (name, finding) for name in dict.fromkeys(t.object.name for t in sound) for finding in findings(sound, name)
+    ]
     if not found:
         raise InvalidValueError("DIR", str(folder), "a folder with measured turns, slides, or weighings by lifting")
     for name, finding in found:
@@ -45,14 +47,14 @@ def verify(folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="
         sys.exit(1)
 
 
-def findings(trials: list[MeasuredTrial], name: str) -> list[Finding]:
+def findings(trials: list[TrialRecord], name: str) -> list[Finding]:
     """Findings of one object's sound trials: its last lift, its turns and slides at constant speed."""
     import numpy as np
 
     from testbed.robot.calibration.trial import check_trial
     from testbed.sensing.windows import mean_covariance, steady_windows, weight_of
 
-    records = [t.trajectory for t in trials if t.object == name]
+    records = [t.trajectory for t in trials if t.object.name == name]
     weighings = [t for t in records if not t.action.moves]
     lifts = [t for t in weighings if "weight_std_kg" in t.figures]
     scale = [weight_of(t) for t in weighings if "weight_std_kg" not in t.figures]

@@ -15,8 +15,8 @@ from estimators.identifiability.information import SUPPORTS
 from scenarios.cli.main import main
 from scenarios.cli.plan import percent, plan_shown, seconds
 from scenarios.config import Policy
-from scenarios.results.load import load_results
-from scenarios.study.benches import BenchCheck
+from scenarios.results.estimates import load_results
+from scenarios.runners import FeasibilityCheck
 from testbed.actions.accelerate import Accelerate
 from testbed.actions.lift import Lift
 from testbed.actions.rotate import Rotate
@@ -62,7 +62,7 @@ def test_planning_takes_less_than_the_papers_choice_for_the_same():
     guess, grasps = Guess(model.total_mass, preset("ft300s")), tuple(range(len(model.shape.grasps)))
     paper = rank_driven_plan(model.shape, guess, Goal(most=30), grasps, 0)
     nad = paper.after.expected_nad
-    check = BenchCheck(model.shape, guess)
+    check = FeasibilityCheck(model.shape, guess)
     greedy = PlannedPolicy(guess, goal=Goal(until=nad, most=20), candidates=1000, feasible=check).plan(model.shape)
     assert greedy.after.expected_nad <= nad * 1.001 and greedy.seconds < paper.seconds / 2
 
@@ -78,9 +78,9 @@ def test_what_cannot_be_gripped_is_told(tmp_path, capsys):
 def test_the_bench_says_why_it_cannot():
     shape = load_object("L2").shape
     guess = Guess(1.8, preset("ft300s"))
-    assert BenchCheck(shape, guess)(Rotate(0, duration=4.0, back=True)) == ""
-    assert "reach" in BenchCheck(shape, guess)(Rotate(0, pivot=(0.6, 0.0), duration=18.0))
-    assert "grip" in BenchCheck(shape, Guess(80.0, preset("ft300s")))(Rotate(0, duration=4.0))
+    assert FeasibilityCheck(shape, guess)(Rotate(0, duration=4.0, back=True)) == ""
+    assert "reach" in FeasibilityCheck(shape, guess)(Rotate(0, pivot=(0.6, 0.0), duration=18.0))
+    assert "grip" in FeasibilityCheck(shape, Guess(80.0, preset("ft300s")))(Rotate(0, duration=4.0))
 
 
 def test_amounts_are_read_as_typed():

@@ -17,7 +17,7 @@ import pytest
 from pydantic import BaseModel
 
 import scenarios.cli.main as commands
-import scenarios.results.load
+import scenarios.results.estimates
 from estimators.base import Estimate, Trace
 from estimators.registry import METHODS
 from scenarios.cli.main import main
@@ -254,7 +254,7 @@ def test_units_are_the_known_ones():
 
 
 def test_columns_of_results_are_those_of_the_docstring():
-    lines = [line for line in (scenarios.results.load.__doc__ or "").splitlines() if line.startswith("| ")]
+    lines = [line for line in (scenarios.results.estimates.__doc__ or "").splitlines() if line.startswith("| ")]
     listed = [name.strip() for line in lines[1:] for name in line.split("|")[1].split(",")]
     assert sorted(names(table("formats.md", "results.parquet"))) == sorted(listed)
 

@@ -11,9 +11,9 @@ from numpy.testing import assert_allclose
 
 from estimators.hidden_states.estimator import HiddenStates
 from scenarios.cli.main import main
-from scenarios.results.load import load_results, load_trajectories
+from scenarios.results.estimates import load_results, load_trajectories
 from scenarios.results.store import Store
-from scenarios.results.trials import trial_shown
+from scenarios.views.trial import trial_view
 from testbed.actions.rotate import Rotate
 from testbed.actions.slide import Slide
 from testbed.importers.importer import import_trajectory
@@ -154,7 +154,7 @@ def test_measured_trials_and_their_estimates_are_shown_as_simulated_ones_are(lab
     assert ended("estimate", "lab", "--methods", "hidden_states", "--workers", "2") == 0
     row = load_results("lab").iloc[0]
     assert (lab / "lab/report.html").read_text(encoding="utf-8").count("<svg") == 3  # the map too
-    assert "its joints were not logged" in trial_shown(lab / "lab", row["trial_keys"][1]).facts["arm"]
+    assert "its joints were not logged" in trial_view(lab / "lab", row["trial_keys"][1]).facts["arm"]
     for what in ("mine", row["key"], row["trial_keys"][1]):
         assert ended("record", "lab", what) == 0
     assert ended("figures", "lab", row["key"]) == 0

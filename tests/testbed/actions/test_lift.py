@@ -11,8 +11,8 @@ from numpy.testing import assert_allclose
 from estimators.particles.lifts import wrench_of_mass
 from estimators.testing.records import TOOL as HAND
 from estimators.testing.records import record
-from scenarios.cli.view import page_of
-from scenarios.results.trials import trial_shown
+from scenarios.views.pages import page_of
+from scenarios.views.trial import trial_view
 from testbed.actions.lift import Lift
 from testbed.errors import InfeasibleTrialError, InvalidValueError
 from testbed.objects.blocks import block_object, parse_layout
@@ -131,7 +131,7 @@ def test_tilted_and_rocked_the_wrench_is_newtons_and_eulers(name):
 
 def test_a_lift_is_seen_in_space(tmp_path):
     key = put_trial(tmp_path, "L2", Lift(2, tilt=0.1, swings=0, hold=0.1, height=0.12), RIGID)
-    shown = trial_shown(tmp_path, key, meshes=False)
+    shown = trial_view(tmp_path, key, meshes=False)
     assert shown.title == "L2: lift at A2"
     place, axes = poses_in_space(shown.trajectory)
     steady = shown.trajectory.mask(Phase.STEADY)

@@ -1,4 +1,4 @@
-"""Policies of somebody else's: by name, with a scenario's settings, held to what the scenario lets them do."""
+"""Action policies of other packages: by name, with a scenario's settings, held to what the scenario allows."""
 
 from __future__ import annotations
 
@@ -18,30 +18,30 @@ from testbed.trajectory import Trajectory
 
 
 @dataclass(frozen=True)
-class Told:
-    """What a policy is told beside the shape: an argument of its class that has one of these names is filled in."""
+class PolicyContext:
+    """Facts for a policy beside the shape: an argument of its class that has one of these names is filled in."""
 
     grasps: tuple[int, ...] = (0,)
     """Grasps that may be used."""
     weight_kg: float = 1.0
-    """M as weighed."""
+    """M as weighed [kg]."""
     feasible: Callable[[Action], str] = lambda action: ""
-    """What the bench says of an action: empty, or why it cannot be done."""
+    """Reason why the robot cannot do an action; empty where it can."""
 
 
 @dataclass(frozen=True)
-class OtherPolicy:
-    """A policy of somebody else's, with an end to it, and held to actions that can be asked for."""
+class NamedPolicy:
+    """A policy of another package, ended after `most` actions and held to the allowed grasps."""
 
     name: str
     policy: ActionPolicy
     most: int
-    """Actions at most."""
+    """Largest number of actions."""
     grasps: tuple[int, ...]
     """Grasps that may be used."""
 
     def next(self, shape: ObjectShape, trajectories: Sequence[Trajectory]) -> Action | None:
-        """What it chooses; None when it is content, or after `most` trials.
+        """Next action; None when the policy asks for no more, or after `most` trials.
 
         Raises:
             InvalidValueError: no action, or one of a grasp that may not be used.
@@ -65,23 +65,25 @@ class OtherPolicy:
         return action
 
 
-def build_policy(kind: str, settings: Mapping[str, Any], own: Sequence[str], most: int, told: Told) -> ActionPolicy:
-    """A policy by "package:Class" or entry point.
+def build_policy(
+    kind: str, settings: Mapping[str, Any], own: Sequence[str], most: int, context: PolicyContext
+) -> ActionPolicy:
+    """Build a policy by "package:Class" or entry point.
 
     Args:
-        kind: as the scenario has it.
+        kind: name as the scenario has it.
         settings: arguments of its class.
-        own: heft's own policies, for the error.
-        most: actions at most.
-        told: what it is told beside the shape.
+        own: names of heft's own policies, for the error.
+        most: largest number of actions.
+        context: facts beside the shape.
 
     Raises:
         InvalidValueError: unknown policy or setting, or a value that the class refuses.
     """
     found = find_class(kind, POLICY, "kind", own)
-    return OtherPolicy(kind, configured(found, settings, "settings", given=vars(told)), most, told.grasps)
+    return NamedPolicy(kind, configured(found, settings, "settings", given=vars(context)), most, context.grasps)
 
 
 def code_of(kind: str) -> dict[str, str]:
-    """What decides the choices of somebody else's policy beyond its settings: its source."""
+    """Source hash of another package's policy: it decides the choices beyond the settings."""
     return {"source": source_hash(find_class(kind, POLICY, "kind"))}

@@ -1,4 +1,4 @@
-"""Who makes a scenario's trials: heft's simulated bench, or a `TrialRunner` of somebody else's."""
+"""Runners of a scenario's trials: heft's simulation, or a `TrialRunner` of another package by name."""
 
 from __future__ import annotations
 
@@ -7,7 +7,9 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from estimators.action_selection.design import Guess
+from testbed.actions.accelerate import Accelerate
 from testbed.actions.base import Action
+from testbed.actions.rotate import Rotate
 from testbed.errors import InfeasibleTrialError, InvalidValueError
 from testbed.objects.model import ObjectModel, ObjectShape
 from testbed.plugins import RUNNER, configured, find_class, source_hash
@@ -18,23 +20,24 @@ from testbed.trial import RIGID, Trial, TrialRunner
 
 
 @dataclass(frozen=True, eq=False)
-class OtherBench:
+class NamedRunner:
     """A runner by "package:Class" or entry point: all that decides its trials, as plain data."""
 
     runner: str
+    """Name of its class."""
     settings: dict[str, Any]
     """Arguments of its class."""
     source: str
     """Hash of its source."""
 
     @staticmethod
-    def of(runner: str, settings: Mapping[str, Any]) -> OtherBench:
-        """The bench, with its source as it is now.
+    def of(runner: str, settings: Mapping[str, Any]) -> NamedRunner:
+        """The runner, with its source as it is now.
 
         Raises:
             InvalidValueError: no such runner.
         """
-        return OtherBench(runner, dict(settings), source_hash(find_class(runner, RUNNER, "runner")))
+        return NamedRunner(runner, dict(settings), source_hash(find_class(runner, RUNNER, "runner")))
 
     def open(self) -> TrialRunner:
         """The runner, not yet entered.
@@ -45,7 +48,7 @@ class OtherBench:
         return configured(find_class(self.runner, RUNNER, "runner"), self.settings, "settings")
 
     def check(self, trial: Trial) -> None:
-        """What the runner's own `check` says; nothing where it has none.
+        """Call the runner's own `check`, where it has one.
 
         Raises:
             InfeasibleTrialError: as `run` would.
@@ -55,10 +58,10 @@ class OtherBench:
             check(trial)
 
     def run(self, trial: Trial) -> Trajectory:
-        """Run one trial, and look whether what comes back can be used.
+        """Run one trial, and check that its record can be used.
 
         Raises:
-            InvalidValueError: no trajectory, or a simulated one that errors of a sensor cannot be drawn on.
+            InvalidValueError: no trajectory, or a simulated one on which no sensor's errors can be drawn.
         """
         with self.open() as runner:
             record = runner.run(trial)
@@ -73,31 +76,51 @@ class OtherBench:
         return record
 
 
-BenchSettings = SimulationSettings | OtherBench
+RunnerSettings = SimulationSettings | NamedRunner
 
 
-def check_trial(trial: Trial, settings: BenchSettings) -> None:
-    """Raises InfeasibleTrialError where a bench says beforehand that it cannot do a trial."""
-    bench = settings if isinstance(settings, OtherBench) else SimulationRunner(settings)
-    bench.check(trial)
+def check_trial(trial: Trial, settings: RunnerSettings) -> None:
+    """Raise InfeasibleTrialError where a runner says beforehand that it cannot do a trial."""
+    runner = settings if isinstance(settings, NamedRunner) else SimulationRunner(settings)
+    runner.check(trial)
+
+
+def feasible_grasps(model: ObjectModel, settings: RunnerSettings) -> tuple[int, ...]:
+    """Grasps about which the robot can turn the object at constant and at changing speed.
+
+    Raises:
+        InfeasibleTrialError: there is none; the message gives the reason of each.
+    """
+    possible, reasons = [], []
+    for index, grasp in enumerate(model.shape.grasps):
+        try:
+            for action in (Rotate(index), Accelerate(index)):
+                check_trial(Trial(model, action), settings)
+            possible.append(index)
+        except InfeasibleTrialError as error:
+            reasons.append(f"{grasp.name}: {error}")
+    if not possible:
+        why = "\n  ".join(reasons) or "no block has two opposite free faces"
+        raise InfeasibleTrialError(f"{model.name}: the bench cannot turn this object about any grasp\n  {why}")
+    return tuple(possible)
 
 
 @dataclass(frozen=True)
-class BenchCheck:
-    """Grip, clearance, reach and joints over the whole sweep, working torques, speeds: as before a trial is run.
+class FeasibilityCheck:
+    """Feasibility of an action before it is run: grip, clearance, reach, joints, torques and speeds.
 
-    The truth is not known, so it is asked of an object of uniform mass: a trial may still be refused when it is run,
-    which then is in `refused`. It is one rigid body here, since how it rests is no matter of the action.
+    The truth is not known, so the check uses an object of uniform mass: a trial may still be refused when it is run,
+    and is then in `refused`. The object is one rigid body here: feasibility does not depend on how it rests.
     """
 
     shape: ObjectShape
     guess: Guess
-    settings: BenchSettings = field(default_factory=SimulationSettings)
+    settings: RunnerSettings = field(default_factory=SimulationSettings)
     refused: Mapping[Action, str] = field(default_factory=dict, compare=False)
-    """What was refused when it was run, and why; grows as trials are made."""
+    """Actions that were refused when they were run, and why; grows as trials are made."""
 
     def __call__(self, action: Action) -> str:
-        """Empty where the bench can do it, or why it cannot."""
+        """Reason why the robot cannot do it; empty where it can."""
         if action in self.refused:
             return self.refused[action]
         try:

@@ -1,0 +1,121 @@
+"""Logs of another robot, stored as trials of a results folder."""
+
+from __future__ import annotations
+
+import hashlib
+import shutil
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from scenarios.results.store import Store, exclusive, key_of, object_request, read_json
+from testbed.errors import HeftError, InvalidValueError
+from testbed.importers.importer import import_trajectory, object_of
+from testbed.importers.logs import LogError, read_all
+from testbed.importers.mapping import Mapping
+from testbed.objects.files import load_toml
+from testbed.objects.model import ObjectModel
+from testbed.robot.runner import read_off
+from testbed.trajectory import SCHEMA_VERSION, Trajectory
+from testbed.trial import Support, Trial, parse_support
+from testbed.validation import check_positive
+
+
+@dataclass(frozen=True, eq=False)
+class ImportedLog:
+    """One log as a trial."""
+
+    path: Path
+    """Path of the log."""
+    object: ObjectModel
+    trajectory: Trajectory
+    key: str
+    """Key of the trial."""
+
+
+def import_logs(
+    mapping: Path,
+    logs: Sequence[Path],
+    out: Path,
+    support_name: str,
+    weight: float | None,
+    progress: Callable[[str, int, int], None],
+) -> list[ImportedLog]:
+    """Read all logs, then write all trials.
+
+    Args:
+        mapping: TOML file that says what the columns are.
+        logs: .csv or .mcap files; those that the mapping names if empty.
+        out: results folder.
+        support_name: support that carried the weight, as far as the operator knows.
+        weight: mass of the object as a scale read it [kg]; None is not known.
+        progress: receives how many logs are read.
+
+    Raises:
+        HeftError: a file is not what it should be; a line for each error of all files, and nothing is written.
+    """
+    content, support = load_toml(mapping, Mapping), parse_support(support_name)
+    paths = list(dict.fromkeys(logs)) or [mapping.parent / entry.file for entry in content.logs]
+    if not paths:
+        raise InvalidValueError("LOG", None, f"one .csv or .mcap file or more, or [[logs]] tables in {mapping}")
+    if weight is not None:
+        check_positive("--weight", weight)
+    reads = [partial(_read, path, mapping, partial(progress, "logs", i, len(paths))) for i, path in enumerate(paths, 1)]
+    model, *trajectories = read_all(lambda: object_of(content, mapping), *reads)
+    with exclusive(out):
+        store = Store(out.absolute())
+        store.remove_leftovers()
+        imported = []
+        for path, trajectory in zip(paths, trajectories, strict=True):
+            key = _put(store, model, support, trajectory, path, content.of(path, mapping.parent))
+            imported.append(ImportedLog(path, model, trajectory, key))
+        if weight is not None:
+            _put_weight(store, model, support, weight)
+    return imported
+
+
+def _read(path: Path, mapping: Path, done: Callable[[], None]) -> Trajectory:
+    """Trajectory of a log; every line of an error begins with the file that is wrong."""
+    try:
+        return import_trajectory(path, mapping)
+    except HeftError as error:
+        lines = str(error).splitlines()
+        named = [line if Path(line.split(": ")[0]).is_file() else f"{path}: {line}" for line in lines]
+        raise LogError("\n".join(named)) from None
+    finally:
+        done()
+
+
+def _put(
+    store: Store, model: ObjectModel, support: Support, trajectory: Trajectory, path: Path, mapping: Mapping
+) -> str:
+    """Put a trial where simulated ones are kept, in the place of an earlier import of the same log; its key."""
+    content = hashlib.sha256(path.read_bytes()).hexdigest()
+    imported = {"log": path.name, "sha256": content, "mapping": mapping.model_dump(exclude_none=True)}
+    request = _request(model, support, trajectory) | {"import": imported}
+    key = key_of(request)
+    store.put_trial(key, Trial(model, trajectory.action, support), request, trajectory)
+    for file in store.root.glob("trials/*/trial.json"):
+        earlier = (read_json(file) or {}).get("asked", {}).get("import", {}).get("sha256")
+        if earlier == content and file.parent.name != key:
+            shutil.rmtree(file.parent)
+    return key
+
+
+def _put_weight(store: Store, model: ObjectModel, support: Support, weight: float) -> None:
+    """Keep a scale's reading (kg) as a weighing."""
+    read = read_off(weight)
+    read = replace(read, provenance=read.provenance | {"runner": "import"})
+    request = _request(model, support, read) | {"weight_kg": weight}
+    store.put_trial(key_of(request), Trial(model, read.action, support), request, read)
+
+
+def _request(model: ObjectModel, support: Support, trajectory: Trajectory) -> dict[str, Any]:
+    return {
+        "schema": SCHEMA_VERSION,
+        "object": object_request(model),
+        "action": trajectory.action.to_dict(),
+        "support": support.name,
+    }

@@ -1,0 +1,96 @@
+"""Figures of a results folder, or of one of its estimates, as files."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+from matplotlib.figure import Figure
+
+from estimators.evaluation.statistics import AXIS, Row, axes_of, axis_values, select
+from scenarios.results.estimates import load_losses, load_results
+from scenarios.results.store import rows_of
+from scenarios.views.estimate import estimate_view, fits_of
+from testbed.objects.model import ObjectShape
+from viz.figures.loss import estimate_losses, loss_figure
+from viz.figures.maps import absolute_difference, estimate_bars, estimate_maps, save_figure
+from viz.figures.nad import nad_distribution, nad_sweep
+from viz.figures.wrench import wrench_fit_figure
+from viz.report.tables import MOST_OBJECTS
+from viz.values import support_name
+
+TRIALS_A_FIGURE = 4
+"""Wrench fits that fit side by side on a page."""
+
+
+def figures(folder: Path, what: Row | None = None) -> list[Path]:
+    """Write figures into folder/figures, each whole or not at all; their paths.
+
+    Args:
+        folder: results folder.
+        what: one of its rows; None for what there is to say of all of them.
+
+    Raises:
+        InvalidValueError: no results, or an estimate that does not say what it is of.
+        HeftError: a file that is damaged.
+    """
+    drawn = _of_all(folder) if what is None else _of_estimate(folder, what)
+    return [path for name, figure in drawn for path in save_figure(figure, folder / "figures" / file_name(name))]
+
+
+def file_name(said: str) -> str:
+    """Letters, digits, dots, dashes and underscores, and nothing else."""
+    return re.sub(r"[^A-Za-z0-9.-]+", "_", said.replace("/", " per ")).strip("_.")
+
+
+def _of_all(folder: Path) -> Iterator[tuple[str, Figure]]:
+    """NAD by method and against every swept setting, differences by object, and losses."""
+    rows = [row for row in rows_of(load_results(folder)) if row["method"]]
+    for first in {(row["support"], row["sensing"]): row for row in rows}.values():
+        found = select(rows, support=first["support"], sensing=first["sensing"])
+        under = f"{first['support']} {first['sensing']}"
+        title = f"{support_name(first['support'])}, {first['sensing']}"
+        yield f"nad {under}", nad_distribution(found)
+        shapes = _shapes(folder, found)
+        if shapes:
+            yield f"absolute_difference {under}", absolute_difference(found, shapes, title)
+    for axis in axes_of(rows):
+        split = {(row["support"], row["sensing"]): row for row in rows}.values()
+        groups = {
+            f" {first['support']} {first['sensing']}": select(rows, support=first["support"], sensing=first["sensing"])
+            for first in split
+        }
+        swept = {under: found for under, found in groups.items() if len(axis_values(found, axis)) > 1}
+        for under, found in (swept or {"": rows}).items():
+            yield f"nad_against {axis.removeprefix(AXIS)}{under}", nad_sweep(found, axis)
+    for method, losses in load_losses(folder, rows).items():
+        yield f"loss {method}", loss_figure(losses)
+
+
+def _of_estimate(folder: Path, row: Row) -> Iterator[tuple[str, Figure]]:
+    """Maps, bars, losses, and how the answer explains each of its trials."""
+    shown = estimate_view(folder, row)
+    name = f"{row['object']} {row['method']} {str(row['key'])[:8]}"
+    yield f"{name} maps", estimate_maps(shown)
+    yield f"{name} bars", estimate_bars(shown)
+    losses = estimate_losses(shown)
+    if losses is not None:
+        yield f"{name} loss", losses
+    fits = [fit for _, _, fit in fits_of(folder, row, shown)]
+    for page, begin in enumerate(range(0, len(fits), TRIALS_A_FIGURE)):
+        yield f"{name} wrenches {page + 1}", wrench_fit_figure(fits[begin : begin + TRIALS_A_FIGURE])
+
+
+def _shapes(folder: Path, rows: Sequence[Row]) -> dict[str, ObjectShape]:
+    """Geometry of each object; none where something is swept, or there are too many for a picture each."""
+    first = {row["object"]: row for row in reversed(rows) if row.get("key") and row["mass_kg"] is not None}
+    if axes_of(rows) or len(first) > MOST_OBJECTS:
+        return {}
+    shapes = {}
+    for name in dict.fromkeys(row["object"] for row in rows if row["object"] in first):
+        try:
+            shapes[name] = estimate_view(folder, first[name]).shape
+        except HeftError:  # written by a version that did not keep it
+            continue
+    return shapes

@@ -1,0 +1,202 @@
+"""Recordings of what a results folder holds: a trial, an estimate, an object, or all of it."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import rerun as rr
+import rerun.blueprint as rrb
+from rich.console import Console
+
+from estimators.evaluation.statistics import Row, select
+from scenarios.results.estimates import load_rows
+from scenarios.results.store import Store
+from scenarios.results.trials import kind_of_trial
+from scenarios.study.experiment import Progress
+from scenarios.views.estimate import estimate_view, fits_of, settings_of, typical_trial
+from scenarios.views.trial import trial_view, view_of
+from testbed.errors import HeftError, InvalidValueError
+from testbed.plugins import nearest
+from viz.recordings.comparison import comparison_blueprint, log_comparison
+from viz.recordings.estimate import estimate_blueprint, log_estimate
+from viz.recordings.page import ITERATION, SIM_TIME, Page, save, send
+from viz.recordings.trial import fits_blueprint, log_fits, log_trial, trial_blueprint
+from viz.report.lists import worst_of
+from viz.values import EstimateView
+
+MOST_NAMED = 12
+"""Objects that an error lists."""
+
+
+def page_of(folder: Path, what: str | None) -> Page:
+    """What `what` names in a results folder: an object, or the beginning of the key of a trial or an estimate.
+
+    Args:
+        folder: results folder, of a finished run or of one that still runs.
+        what: None is every object under every method.
+
+    Raises:
+        InvalidValueError: nothing is called so, or more than one thing is.
+        HeftError: a file of it is damaged.
+    """
+    if not folder.is_dir():
+        raise InvalidValueError("DIR", str(folder), "a results folder; `heft run` makes one")
+    if what is None:
+        return folder_page(folder)
+    estimates = {path.parent.name for path in folder.glob("estimates/*/result.json")}
+    trials = {path.parent.name for path in folder.glob("trials/*/trial.json")}
+    found = [key for key in sorted(estimates | trials) if key.startswith(what)]
+    if len(found) == 1:
+        return estimate_page(folder, found[0]) if found[0] in estimates else trial_page(folder, found[0])
+    objects = list(dict.fromkeys(row["object"] for row in load_rows(folder)))
+    if what in objects:
+        return object_page(folder, what)
+    many = f": {len(found)} begin so" if found else ""
+    named = ", ".join(objects[:MOST_NAMED]) or "none is done yet"
+    raise InvalidValueError(
+        "WHAT",
+        what,
+        f"an object ({named}), or the beginning of one key in {folder}/trials or {folder}/estimates{many}"
+        f"{nearest(what, objects)}",
+    )
+
+
+def trial_page(folder: Path, key: str, *, light: bool = False) -> Page:
+    """One trial; `light`, with capsules for an arm, at a tenth of the size."""
+    shown = trial_view(folder, key, meshes=not light)
+    return Page(
+        shown.title,
+        f"trial {key}",
+        lambda stream: log_trial(stream, "trial", shown),
+        trial_blueprint("trial", shown),
+        SIM_TIME,
+    )
+
+
+def estimate_page(folder: Path, key: str, *, light: bool = False) -> Page:
+    """One estimate, the trials behind it as it explains them, and one of these whole; `light`, without the last."""
+    row = Store(folder).result(key)  # its own file: a sweep records each estimate as it is done
+    if row is None:
+        raise InvalidValueError("WHAT", key, f"an estimate of {folder} with a whole result.json")
+    row |= {"key": key}
+    shown = estimate_view(folder, row)
+    explained = fits_of(folder, row, shown)
+    fits = [fit for _, _, fit in explained]
+    typical, trial = typical_trial(folder, row), None
+    as_sensed = next((trajectory for of, trajectory, _ in explained if of == typical.folder.name), None)
+    if as_sensed is not None and not light:
+        said = {"sensing": f"{row['sensing']}, draw {row['seed']}"}
+        trial = view_of(typical, as_sensed, shown.shape, shown.answer, f"{shown.method}'s masses", said)
+
+    def log(stream: rr.RecordingStream) -> None:
+        log_estimate(stream, "estimate", shown)
+        log_fits(stream, "fits", fits)
+        if trial is not None:
+            log_trial(stream, "trial", trial)
+
+    tabs = [estimate_blueprint("estimate", shown), fits_blueprint("fits", fits)]
+    if trial is not None:
+        tabs.append(trial_blueprint("trial", trial))
+    return Page(shown.title, f"estimate {key}", log, rrb.Tabs(*tabs, active_tab=0), ITERATION)
+
+
+def object_page(folder: Path, name: str) -> Page:
+    """One object under every method: a tab for every support, sensor and point of a sweep."""
+    return _comparisons(folder, [name], f"{name} in {folder.resolve().name}", f"object {name} {folder.resolve()}")
+
+
+def folder_page(folder: Path) -> Page:
+    """Every object under every method."""
+    objects = list(dict.fromkeys(row["object"] for row in load_rows(folder) if row.get("key")))
+    if not objects:
+        raise InvalidValueError("DIR", str(folder), "a results folder with an estimate that is done")
+    return _comparisons(folder, objects, folder.resolve().name, f"folder {folder.resolve()}")
+
+
+def _comparisons(folder: Path, objects: Sequence[str], name: str, identity: str) -> Page:
+    rows = load_rows(folder)
+    compared: list[tuple[str, str, list[EstimateView]]] = [
+        (each, setting, [estimate_view(folder, row) for row in found])
+        for each in objects
+        for setting, found in settings_of(select(rows, object=each))
+    ]
+    if not compared:
+        raise InvalidValueError("WHAT", ", ".join(objects), "objects with an estimate that is done")
+
+    def log(stream: rr.RecordingStream) -> None:
+        for index, (_, _, shown) in enumerate(compared):
+            log_comparison(stream, f"comparison/{index}", shown)
+
+    tabs = []
+    for each in objects:
+        inner = [
+            rrb.Vertical(
+                comparison_blueprint(f"comparison/{i}", shown),
+                name=setting if len(objects) == 1 else f"{each}: {setting}",
+            )
+            for i, (named, setting, shown) in enumerate(compared)
+            if named == each
+        ]
+        tabs.append(inner[0] if len(inner) == 1 else rrb.Tabs(*inner, name=each, active_tab=0))
+    return Page(name, identity, log, tabs[0] if len(tabs) == 1 else rrb.Tabs(*tabs, active_tab=0), ITERATION)
+
+
+def record_all(folder: Path, console: Console, progress: Progress) -> None:
+    """Record every trial that moved and every estimate that has no recording yet."""
+    recorder = Recorder(folder, console, files=True)
+    trials = [path.parent.name for path in sorted(folder.glob("trials/*/trial.json"))]
+    estimates = [path.parent.name for path in sorted(folder.glob("estimates/*/result.json"))]
+    wanted = [(kind, key) for kind, keys in (("trial", trials), ("estimate", estimates)) for key in keys]
+    wanted = [(kind, key) for kind, key in wanted if not recording_path(folder, key).is_file()]
+    for done, (kind, key) in enumerate(wanted):
+        progress("recordings", done, len(wanted))
+        recorder(kind, key)
+    progress("recordings", len(wanted), len(wanted))
+
+
+def recording_path(folder: Path, name: str) -> Path:
+    """Where the recording of an object, a trial or an estimate is."""
+    return folder / "recordings" / f"{name}.rrd"
+
+
+def record_results(folder: Path) -> Path:
+    """Write the recording of a finished run; returns its path."""
+    save(folder_page(folder), folder / "recording.rrd")
+    return folder / "recording.rrd"
+
+
+def record_worst(folder: Path, rows: Sequence[Row]) -> None:
+    """Record the estimates that the report names as the worst, without the bench: the report has links to them."""
+    for row in itertools.chain(*worst_of(rows)):
+        if row.get("key") and row.get("trial_keys") is not None:
+            path = recording_path(folder, row["key"])
+            if not path.is_file():
+                save(estimate_page(folder, row["key"], light=True), path)
+
+
+@dataclass(frozen=True)
+class Recorder:
+    """Told of every trial and estimate as it is done; records it, and shows it."""
+
+    folder: Path
+    console: Console
+    files: bool = False
+    """Write each to its file."""
+    url: str | None = None
+    """Viewer to send each to."""
+
+    def __call__(self, kind: str, key: str) -> None:
+        """Record one that is done; `kind` is "trial" or "estimate". What cannot be shown is told and left out."""
+        make = trial_page if kind == "trial" else estimate_page
+        if kind == "trial" and kind_of_trial(self.folder, key) == "weigh":
+            return
+        try:
+            if self.files:
+                save(make(self.folder, key), recording_path(self.folder, key))
+            if self.url is not None:
+                send(make(self.folder, key, light=True), self.url)
+        except HeftError as error:
+            self.console.print(f"no recording of {kind} {key[:8]}: {error}", highlight=False, soft_wrap=True)

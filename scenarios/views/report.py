@@ -1,0 +1,190 @@
+"""The report of a results folder: one HTML file."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+from pyarrow import ArrowException
+
+from estimators.evaluation.statistics import AXIS, Row
+from scenarios.config import Scenario, load_scenario
+from scenarios.results.estimates import load_losses, load_tracebacks
+from scenarios.results.store import read_json, rows_of
+from scenarios.results.trials import object_of
+from testbed.errors import HeftError, InvalidValueError
+from testbed.objects.files import load_object
+from testbed.objects.model import ObjectShape
+from viz.report.lists import names
+from viz.report.report import Results, write_report
+from viz.values import support_name
+
+
+def report(folder: Path) -> Path:
+    """Write report.html into a results folder, whole or not at all; returns its path.
+
+    Raises:
+        InvalidValueError: there are no results in the folder.
+    """
+    manifest = read_json(folder / "manifest.json") or {}
+    scenario = manifest.get("scenario") or {}
+    rows = _in_order(_rows(folder / "results.parquet"), scenario)
+    name = str(manifest.get("name") or folder.resolve().name)
+    results = Results(
+        name=name,
+        facts=_facts(manifest, rows, folder / "results.parquet"),
+        methods={label: _settings(scenario.get("methods", {}).get(label, {})) for label in _each(rows, "method")},
+        command=str(manifest.get("command") or _command(name, scenario)),
+        scenario_toml=to_toml(scenario),
+        rows=rows,
+        keys=[row.get("key") for row in rows],
+        shape_of=lambda asked: _shape(asked, scenario, rows, folder),
+        losses=load_losses(folder, rows),
+        tracebacks=load_tracebacks(folder),
+        trial_keys_of=lambda row: list(row.get("trial_keys") or ()),
+        recording_of=lambda key: name if (folder / (name := f"recordings/{key}.rrd")).is_file() else "",
+        bad_trials=_bad(folder),
+    )
+    write_report(results, folder / "report.html")
+    return folder / "report.html"
+
+
+def _rows(path: Path) -> list[dict[str, Any]]:
+    try:
+        rows = rows_of(pd.read_parquet(path))
+    except (OSError, ValueError, ArrowException):
+        rows = []
+    if not rows:
+        raise InvalidValueError("DIR", str(path.parent), "a folder with a results.parquet; `heft run` makes one")
+    return rows
+
+
+def _in_order(rows: list[dict[str, Any]], scenario: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Objects as the scenario names them, then the others."""
+    place = {Path(asked).stem: i for i, asked in enumerate(scenario.get("objects", ()))}
+    return sorted(rows, key=lambda row: place.get(row["object"], len(place)))
+
+
+def _facts(manifest: Mapping[str, Any], rows: Sequence[Row], table: Path) -> dict[str, str]:
+    """What ran, when and with what, as far as it is known."""
+    scenario = manifest.get("scenario") or {}
+    packages = manifest.get("packages") or {}
+    seconds = [row["seconds"] for row in rows if row.get("seconds") is not None]
+    axes = {
+        k.removeprefix(AXIS): _each(rows, k)
+        for k in dict.fromkeys(k for row in rows for k in row)
+        if k.startswith(AXIS)
+    }
+    wall = manifest.get("wall_s")
+    facts = {
+        "objects": names(_each(rows, "object")),
+        "supports": names([support_name(name) for name in _each(rows, "support")]),
+        "sensing": names(_each(rows, "sensing")),
+        "seeds": f"{scenario['seeds']} draws of the sensor's errors" if "seeds" in scenario else "",
+        "swept": "; ".join(f"{axis}: {names(values)}" for axis, values in axes.items()),
+        "results written": datetime.fromtimestamp(table.stat().st_mtime, UTC).strftime("%Y-%m-%d %H:%M UTC"),
+        "wall time": _time(wall) if isinstance(wall, int | float) else "",
+        "estimates took": f"{_time(sum(seconds))} of computing in all" if seconds else "",
+        "robot time": _robot_time(rows),
+        "versions": ", ".join([f"Python {manifest.get('python', '?')}", *(f"{k} {v}" for k, v in packages.items())]),
+    }
+    return {name: said for name, said in facts.items() if said}
+
+
+def _robot_time(rows: Sequence[Row]) -> str:
+    """The same trials serve every method and draw."""
+    once = {
+        (row["object"], row["support"], *(str(v) for k, v in row.items() if k.startswith(AXIS))): row["robot_s"]
+        for row in rows
+        if row.get("robot_s") is not None
+    }
+    if not once:
+        return ""
+    return f"{_time(sum(once.values()) / len(once))} of moving for an object under one support, on average"
+
+
+def _time(seconds: float) -> str:
+    if seconds < 120:
+        return f"{seconds:.1f} s"
+    return f"{seconds / 60:.0f} min" if seconds < 7200 else f"{seconds / 3600:.1f} h"
+
+
+def _each(rows: Sequence[Row], column: str) -> list[str]:
+    """Values of a column, in the order of the rows."""
+    return list(dict.fromkeys(str(row[column]) for row in rows if row.get(column) not in (None, "")))
+
+
+def _settings(settings: Mapping[str, Any]) -> str:
+    return ", ".join(f"{key} = {json.dumps(value)}" for key, value in settings.items()) or "defaults"
+
+
+def _command(name: str, scenario: Mapping[str, Any]) -> str:
+    """`heft run`, with what differs from the library's scenario; or with a file to be made of the one shown."""
+    try:
+        ran, base = Scenario.model_validate(scenario), load_scenario(name)[1]
+        if base.model_copy(update={"seeds": ran.seeds, "objects": ran.objects}) == ran:
+            seeds = "" if ran.seeds == base.seeds else f" --seeds {ran.seeds}"
+            objects = "" if ran.objects == base.objects else f" --objects {' '.join(ran.objects)}"
+            return f"heft run {name}{seeds}{objects}"
+    except ValueError:  # an older scenario, or no library name
+        pass
+    return f"heft run {name}.toml   # the scenario below, saved as {name}.toml"
+
+
+def to_toml(table: Mapping[str, Any]) -> str:
+    """A scenario as TOML: its own fields, then its tables; what is None is left out."""
+    plain = {k: v for k, v in table.items() if not isinstance(v, dict) and v is not None}
+    lines = [f"{_key(k)} = {_value(v)}" for k, v in plain.items()]
+    for name, inner in table.items():
+        if isinstance(inner, dict):
+            nested = name == "methods"
+            for label, settings in inner.items() if nested else ((None, inner),):
+                lines += ["", f"[{_key(name)}{f'.{_key(label)}' if label is not None else ''}]"]
+                lines += [f"{_key(k)} = {_value(v)}" for k, v in settings.items() if v is not None]
+    return "\n".join(lines)
+
+
+def _key(name: str) -> str:
+    return name if name.replace("_", "").replace("-", "").isascii() and name.isidentifier() else json.dumps(name)
+
+
+def _value(value: Any) -> str:
+    if isinstance(value, dict):
+        return "{" + ", ".join(f"{_key(k)} = {_value(v)}" for k, v in value.items() if v is not None) + "}"
+    if isinstance(value, list | tuple):
+        return "[" + ", ".join(_value(v) for v in value) + "]"
+    return json.dumps(value, ensure_ascii=False)
+
+
+def _shape(name: str, scenario: Mapping[str, Any], rows: Sequence[Row], folder: Path) -> ObjectShape | None:
+    """Geometry of an object: from the folder, the scenario, the library or a trial; None if it is not the same now."""
+    row = next((row for row in rows if row["object"] == name and row.get("group_names") is not None), None)
+    drawn = [str(path) for path in sorted((folder / "objects").glob("*/*.toml")) if path.stem == name]
+    files = [asked for asked in scenario.get("objects", ()) if Path(asked).stem == name]
+    for asked in dict.fromkeys((*drawn, *files, name)):
+        try:
+            model = load_object(asked)
+        except (HeftError, OSError):
+            continue
+        if model.name == name and (row is None or list(row["group_names"]) == list(model.shape.group_names)):
+            return model.shape
+    for path in sorted((folder / "trials").glob("*/trial.json")):
+        said = read_json(path) or {}
+        if (said.get("names") or {}).get("object") == name and "asked" in said:
+            return object_of(said["asked"]["object"], said["names"]).shape
+    return None
+
+
+def _bad(folder: Path) -> dict[tuple[str, str], list[str]]:
+    """Keys of the trials that are no data, by status and reason."""
+    found: dict[tuple[str, str], list[str]] = {}
+    for path in sorted((folder / "trials").glob("*/trial.json")):
+        trial = read_json(path)
+        if trial is not None and trial.get("status", "?") != "ok":
+            reason = str(trial.get("status", "?")), str(trial.get("reason", ""))
+            found.setdefault(reason, []).append(path.parent.name)
+    return found

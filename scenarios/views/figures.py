@@ -12,6 +12,7 @@ from estimators.evaluation.statistics import AXIS, Row, axes_of, axis_values, se
 from scenarios.results.estimates import load_losses, load_results
 from scenarios.results.store import rows_of
 from scenarios.views.estimate import estimate_view, fits_of
+from testbed.errors import HeftError
 from testbed.objects.model import ObjectShape
 from viz.figures.loss import estimate_losses, loss_figure
 from viz.figures.maps import absolute_difference, estimate_bars, estimate_maps, save_figure
@@ -91,6 +92,6 @@ def _shapes(folder: Path, rows: Sequence[Row]) -> dict[str, ObjectShape]:
     for name in dict.fromkeys(row["object"] for row in rows if row["object"] in first):
         try:
             shapes[name] = estimate_view(folder, first[name]).shape
-        except HeftError:  # written by a version that did not keep it
+        except HeftError:  # damaged: drawn without it
             continue
     return shapes

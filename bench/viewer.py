@@ -1,4 +1,4 @@
-"""What a recording of one turn costs: time to log it over the time to simulate it, its size, and its first frame.
+"""Cost of a turn's recording: time to log it over the time to simulate it, size, and time to the first frame.
 
 python bench/viewer.py
 """

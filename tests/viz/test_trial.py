@@ -150,7 +150,7 @@ def test_a_trial_without_feet_has_no_arrows_there_and_a_damaged_one_is_refused(c
 
 
 def test_a_trial_of_a_robot_is_drawn_from_its_files(copy, turn_key):
-    """As measured: no draw of errors, no truth, and no forces on the feet."""
+    """The wrench as measured: no draw of errors, no truth, and no forces on the feet."""
     folder = copy / "trials" / turn_key
     (folder / "foot_forces.parquet").unlink()
     measured = draw_sensing(load_trajectory(folder / "trajectory.parquet"), preset("ft300s"), 5)

@@ -23,25 +23,8 @@ from matplotlib.ticker import MaxNLocator
 from estimators.evaluation.statistics import Row
 from testbed.objects.model import ObjectModel, ObjectShape
 from testbed.trajectory import write_whole
-from viz.scales import (
-    MOST_NAMED,
-    Scale,
-    aspect,
-    difference_scale,
-    group_middles,
-    mass_scale,
-    narrowest_group,
-)
-from viz.style import (
-    DIFFERENCE_COLORS,
-    ESTIMATE,
-    MASS_COLORS,
-    NO_ANSWER,
-    STYLE,
-    TOP,
-    TRUTH,
-    bare,
-)
+from viz.scales import MOST_NAMED, Scale, aspect, difference_scale, group_middles, mass_scale, narrowest_group
+from viz.style import DIFFERENCE_COLORS, ESTIMATE, MASS_COLORS, NO_ANSWER, STYLE, TOP, TRUTH, bare
 from viz.values import LEVEL, EstimateView
 
 PANEL = 2.3
@@ -80,10 +63,10 @@ def draw_groups(
             hatched = PatchCollection(blind, facecolor=NO_ANSWER, edgecolor="white", hatch="////", linewidth=0)
             axis.add_collection(hatched)
         unknown = "not seen" if shape.n_m <= MOST_NAMED // 2 else "-"
-        for (x, y), value, seen in zip(group_middles(shape), values, known, strict=True) if letters else ():
-            dark = mpl.colormaps[scale.colors](norm(value))[1] < 0.5 and seen
-            text, size = (f"{value:.{digits}f}", letters) if seen else (unknown, 5.0)
-            look = {"color": "white" if dark else "black", "fontsize": size, "zorder": 3 if seen else 5}
+        for (x, y), value, finite in zip(group_middles(shape), values, known, strict=True) if letters else ():
+            dark = mpl.colormaps[scale.colors](norm(value))[1] < 0.5 and finite
+            text, size = (f"{value:.{digits}f}", letters) if finite else (unknown, 5.0)
+            look = {"color": "white" if dark else "black", "fontsize": size, "zorder": 3 if finite else 5}
             axis.text(x, y, text, ha="center", va="center", **look)
     low, high = shape.particles.min(axis=0) - 1.5 * half, shape.particles.max(axis=0) + 1.5 * half
     axis.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal", xticks=[], yticks=[])

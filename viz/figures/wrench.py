@@ -59,7 +59,6 @@ def wrench_fit_figure(fits: Sequence[WrenchFit]) -> Figure:
 
 
 def _draw(axis: Axes, fit: WrenchFit, row: int, color: str) -> None:
-    """Draw one component of one trial."""
     for which, shade, label in ((~fit.steady, "0.75", "measured"), (fit.steady, color, "measured, steady")):
         _dots(axis, fit, which, fit.measured[:, row], shade, label)
     # NaN breaks the line and the band between steady stretches

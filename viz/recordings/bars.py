@@ -14,17 +14,7 @@ import rerun as rr
 from jaxtyping import Float
 
 from viz.recordings.page import Frames, Node
-from viz.recordings.planar import (
-    CHARACTER,
-    LINE,
-    MARGIN,
-    Box,
-    Canvas,
-    log_lines,
-    log_texts,
-    log_upright,
-    ticks,
-)
+from viz.recordings.planar import CHARACTER, LINE, MARGIN, Bounds, Canvas, log_lines, log_texts, log_upright, ticks
 from viz.style import EDGE, TRUTH, rgb
 
 TRUTH_WIDTH, ALL_WIDTH = 0.86, 0.64
@@ -42,7 +32,7 @@ ROW = LINE + MARGIN
 
 
 @dataclass(frozen=True, eq=False)
-class Series:
+class BarSeries:
     """Masses of one method in F frames."""
 
     label: str
@@ -65,7 +55,7 @@ class BarScene:
     """Names of the groups."""
     truth: Float[np.ndarray, "n_m"] | None
     """True mass of each group [kg]."""
-    series: tuple[Series, ...]
+    series: tuple[BarSeries, ...]
     """Methods."""
     canvas: Canvas
     """Size of the view."""
@@ -80,11 +70,11 @@ class BarScene:
         return 1.04 * max(min(ends, 1.8 * highest), highest, 1e-6)
 
     @property
-    def box(self) -> Box:
-        """Box around the whole drawing."""
+    def box(self) -> Bounds:
+        """Bounds around the whole drawing."""
         pixel = self._pixel
         right = self.canvas.width - BESIDE
-        return Box(-BESIDE * pixel, -ROW * pixel, right * pixel, self.top + (ROW * len(self._rows) + MARGIN) * pixel)
+        return Bounds(-BESIDE * pixel, -ROW * pixel, right * pixel, self.top + (ROW * len(self._rows) + MARGIN) * pixel)
 
     def log(self, node: Node) -> None:
         """Log it below `node`."""
@@ -93,7 +83,7 @@ class BarScene:
         self._log_names(node)
         self._log_legend(node / "legend")
         if self.truth is not None:
-            truth = Series("truth", TRUTH, self.truth[None], Frames.still())
+            truth = BarSeries("truth", TRUTH, self.truth[None], Frames.still())
             self._log_bars(node / "truth", truth, self._places(None), 5.0)
         for index, each in enumerate(self.series):
             places = self._places(index)
@@ -140,7 +130,7 @@ class BarScene:
         share = ALL_WIDTH / len(self.series)
         return middles + self._room * (-ALL_WIDTH / 2 + share * (index + np.array([0.04, 0.96])))
 
-    def _log_bars(self, node: Node, series: Series, places: Float[np.ndarray, "n 2"], order: float) -> None:
+    def _log_bars(self, node: Node, series: BarSeries, places: Float[np.ndarray, "n 2"], order: float) -> None:
         """Log bars from 0 to the masses, filled by strokes; those above the scale end there."""
         look = rr.LineStrips2D.from_fields(colors=rgb(series.color), draw_order=order)
         node.log(look)

@@ -10,11 +10,11 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from testbed.errors import InvalidValueError
-from viz.recordings.bars import BarScene, Series
+from viz.recordings.bars import BarScene, BarSeries
 from viz.recordings.estimate import frames_of
 from viz.recordings.mass_map import BELOW, MassMap, Raster, log_bar
 from viz.recordings.page import Frames, Node
-from viz.recordings.planar import TITLE, Box, Canvas, log_upright, planar_view
+from viz.recordings.planar import TITLE, Bounds, Canvas, log_upright, planar_view
 from viz.scales import Scale, difference_scale, mass_scale
 from viz.style import TOP, series_color
 from viz.values import LEVEL, EstimateView
@@ -65,7 +65,7 @@ def comparison_blueprint(root: str, views: Sequence[EstimateView]) -> rrb.Contai
         nad = nad if view.answer is not None else ": no answer"
         maps.append(planar_view(f"{root}/methods/{index}", layout.box, f"{view.method}{nad}"))
     where = "mass left, difference right" if layout.beside[0] else "mass above, difference below"
-    whole = Box(0.0, -layout.cell.height, layout.cell.width, 0.0)
+    whole = Bounds(0.0, -layout.cell.height, layout.cell.width, 0.0)
     maps.append(planar_view(f"{root}/scales", whole, where if known else "scale"))
     lines = f"; lines: {LEVEL} intervals" if any(view.half_width is not None for view in views) else ""
     bars = planar_view(f"{root}/bars", _bars(views).box, f"mass of each group, all methods{lines}")
@@ -82,8 +82,8 @@ class _Layout:
     """Size of a method's view."""
     beside: tuple[float, float]
     """Vector from a method's mass map to its map of differences [m]."""
-    box: Box
-    """Box around the scene of a method."""
+    box: Bounds
+    """Bounds around the scene of a method."""
     scales: tuple[Scale, Scale | None]
     """Scales of mass and difference; the second is None where the truth is not known."""
 
@@ -100,7 +100,7 @@ class _Layout:
         count = len(views) + 1 + known
         gap = 0.06 * (plain.width + plain.height)
         places = ((plain.width + gap, 0.0), (0.0, -plain.height - gap))
-        found: list[tuple[int, Canvas, tuple[float, float], Box]] = []
+        found: list[tuple[int, Canvas, tuple[float, float], Bounds]] = []
         for columns in range(1, min(count, MOST_COLUMNS) + 1):
             rows = int(np.ceil(count / columns))
             cell = Canvas(WINDOW.width / columns, (WINDOW.height - BARS) / rows - TITLE)
@@ -122,13 +122,13 @@ def _scales(views: Sequence[EstimateView]) -> tuple[Scale, Scale | None]:
     return mass, difference_scale(views, tops[1]) if truths else None
 
 
-def _bar_boxes(cell: Canvas) -> list[Box]:
+def _bar_boxes(cell: Canvas) -> list[Bounds]:
     """Places of the two colour bars [pixels]: one below the other, or side by side."""
     if cell.height < 2 * (BAR + BELOW) + 2 * GAP:
         length = (cell.width - 12 * GAP) / 2
-        return [Box(x, -GAP - BAR, x + length, -GAP) for x in (3 * GAP, length + 9 * GAP)]
+        return [Bounds(x, -GAP - BAR, x + length, -GAP) for x in (3 * GAP, length + 9 * GAP)]
     tops = [-GAP, -GAP - BAR - BELOW]
-    return [Box(4 * GAP, top - BAR, cell.width - 4 * GAP, top) for top in tops]
+    return [Bounds(4 * GAP, top - BAR, cell.width - 4 * GAP, top) for top in tops]
 
 
 def _bars(views: Sequence[EstimateView]) -> BarScene:
@@ -136,6 +136,6 @@ def _bars(views: Sequence[EstimateView]) -> BarScene:
     for index, view in enumerate(views):
         frames, way = frames_of(view)
         if way is not None:
-            series.append(Series(view.method, series_color(index), way, frames, view.half_width))
+            series.append(BarSeries(view.method, series_color(index), way, frames, view.half_width))
     canvas = Canvas(WINDOW.width, BARS - TITLE)
     return BarScene(views[0].shape.group_names, views[0].true_mass, tuple(series), canvas)

@@ -11,7 +11,7 @@ from jaxtyping import Float
 
 from estimators.base import Trace
 from testbed.objects.model import GRAVITY, MassDistribution, ObjectShape
-from viz.recordings.bars import BarScene, Series
+from viz.recordings.bars import BarScene, BarSeries
 from viz.recordings.mass_map import BELOW, MassMap, Raster, bar_box, log_bar
 from viz.recordings.page import ITERATION, Frames, Node, log_facts
 from viz.recordings.planar import (
@@ -19,7 +19,7 @@ from viz.recordings.planar import (
     LINE,
     MARGIN,
     TITLE,
-    Box,
+    Bounds,
     Canvas,
     log_lines,
     log_texts,
@@ -32,69 +32,101 @@ from viz.scales import Scale, difference_scale, mass_scale
 from viz.style import BLACK, ESTIMATE, MASS_COLORS, rgb, series_color
 from viz.values import LEVEL, EstimateView
 
-MAIN, SIDE = Canvas(1260, 910), Canvas(325, 910)
-"""Sizes of the main and the side column in a window of 1600 by 1000 pixels."""
+MAIN, SIDE = Canvas(1260, 910), Canvas(325, 0.45 * 910)
+"""Sizes of the main column, and of the friction loads beside it, in a window of 1600 by 1000 pixels."""
 FULL_CELL = 0.46
 """Radius of the particle with the largest load, over its cell's side."""
 
 
 def log_estimate(stream: rr.RecordingStream, root: str, view: EstimateView) -> None:
     """Log an estimate below `root`: static, on `iteration`, and its trial on `sim_time`."""
-    node = Node(stream, root)
-    layout, truth, shape = _Layout.of(view), view.true_mass, view.shape
-    mass, difference = mass_scale([view]), difference_scale([view])
+    node, parts = Node(stream, root), _Parts.of(view)
     frames, way = frames_of(view)
-    if truth is not None:
-        true_map = MassMap(shape, truth[None], mass, layout.map)
-        true_map.log_with_bar(node / "true_mass/object", Frames.still())
-        off = MassMap(shape, None if way is None else np.abs(way - truth), difference, layout.map)
-        off.log_with_bar(node / "difference/object", frames)
-    MassMap(shape, way, mass, layout.map).log_with_bar(node / "estimated_mass/object", frames)
-    if way is not None or truth is not None:
-        _bars(view, layout.lower).log(node / "bars/scene")
+    for name, (_, drawn) in parts.maps.items():
+        drawn.log_with_bar(node / f"{name}/object", Frames.still() if name == "true_mass" else frames)
+    if parts.bars is not None:
+        parts.bars.log(node / "bars/scene")
+    if parts.loads is not None:
+        parts.loads.log(node / "loads/scene", frames)
     if way is not None:
-        _loads(view, layout.side).log(node / "loads/scene", frames)
-        _log_masses(node / "mass_by_iteration", shape, frames, way)
+        _log_masses(node / "mass_by_iteration", view.shape, frames, way)
     for index, trace in enumerate(view.traces):
         _log_loss(node / f"loss/{index}", trace, series_color(index))
-    if view.trajectory is not None and moves_on_table(view.trajectory):
-        TurnScene(shape, view.trajectory, layout.lower).log(node / "turn/scene")
+    if parts.turn is not None:
+        parts.turn.log(node / "turn/scene")
     nad = {} if view.nad is None else {"NAD": f"{100 * view.nad:.2f} %"}
     log_facts(node / "facts", view.title, "estimate", nad | dict(view.facts))
 
 
 def estimate_blueprint(root: str, view: EstimateView) -> rrb.Container:
     """Views of the entities that `log_estimate` logs below `root`."""
-    layout = _Layout.of(view)
-    box = MassMap(view.shape, None, mass_scale([view]), layout.map).box
-    moves = frames_of(view)[0].timeline is not None
-    when = ", by iteration" if moves else ""
-    maps = [planar_view(f"{root}/estimated_mass", box, f"estimated mass{when}")]
-    if view.truth is not None:
-        maps.insert(0, planar_view(f"{root}/true_mass", box, "true mass"))
-        maps.append(planar_view(f"{root}/difference", box, f"absolute difference{when}"))
+    parts = _Parts.of(view)
+    maps = [planar_view(f"{root}/{name}", drawn.box, title) for name, (title, drawn) in parts.maps.items()]
     lower: list[rrb.View | rrb.Container] = []
-    if view.answer is not None or view.truth is not None:
-        lower.append(planar_view(f"{root}/bars", _bars(view, layout.lower).box, "mass of each group"))
+    if parts.bars is not None:
+        lower.append(planar_view(f"{root}/bars", parts.bars.box, "mass of each group"))
     if view.traces:
         legend = rrb.PlotLegend(corner=rrb.Corner2D.RightTop)
         loss = rrb.TimeSeriesView(origin=f"{root}/loss", name="log10 of the loss", plot_legend=legend)
         mass = rrb.TimeSeriesView(origin=f"{root}/mass_by_iteration", name="mass, kg a group", plot_legend=legend)
+        moves = frames_of(view)[0].timeline is not None
         lower.append(rrb.Tabs(loss, mass, active_tab=0) if moves else loss)
-    if view.trajectory is not None and moves_on_table(view.trajectory):
-        turn = TurnScene(view.shape, view.trajectory, layout.lower)
-        lower.append(planar_view(f"{root}/turn", turn.box, "velocities in a trial, from above"))
+    if parts.turn is not None:
+        lower.append(planar_view(f"{root}/turn", parts.turn.box, "velocities in a trial, from above"))
     side: list[rrb.View] = [rrb.TextDocumentView(origin=f"{root}/facts", name="facts")]
-    if view.answer is not None:
-        loads = _loads(view, layout.side)
-        side.append(planar_view(f"{root}/loads", loads.box, "particles: mass and friction load"))
+    if parts.loads is not None:
+        side.append(planar_view(f"{root}/loads", parts.loads.box, "particles: mass and friction load"))
     rows = [rrb.Horizontal(*row) for row in (maps, lower) if row]
     return rrb.Horizontal(
-        rrb.Vertical(*rows, row_shares=[layout.map.height, layout.lower.height][: len(rows)]),
-        rrb.Vertical(*side, row_shares=[MAIN.height - layout.side.height, layout.side.height][: len(side)]),
+        rrb.Vertical(*rows, row_shares=list(parts.heights)[: len(rows)]),
+        rrb.Vertical(*side, row_shares=[MAIN.height - SIDE.height, SIDE.height][: len(side)]),
         column_shares=[MAIN.width, SIDE.width],
         name=view.title,
     )
+
+
+@dataclass(frozen=True)
+class _Parts:
+    """Planar parts of an estimate; None where they are not known."""
+
+    maps: dict[str, tuple[str, MassMap]]
+    """Titles and maps by entity."""
+    bars: BarScene | None
+    turn: TurnScene | None
+    loads: _LoadScene | None
+    heights: tuple[float, float]
+    """Heights of the row of maps and of the row below [pixels]; long objects leave more room below."""
+
+    @staticmethod
+    def of(view: EstimateView) -> _Parts:
+        shape, truth, mass = view.shape, view.true_mass, mass_scale([view])
+        frames, way = frames_of(view)
+        bars, moves = way is not None or truth is not None, moves_on_table(view.trajectory)
+        width, least, most = MAIN.width / (1 if truth is None else 3), 0.28 * MAIN.height, 0.56 * MAIN.height
+        needed = MassMap(shape, None, mass, Canvas(width, most)).box
+        upper = float(np.clip(width * needed.height / needed.width, least, most))
+        place = Canvas(width, upper)
+        lower = Canvas(MAIN.width / max(bars + bool(view.traces) + moves, 1), MAIN.height - upper - 2 * TITLE)
+        when = "" if frames.timeline is None else ", by iteration"
+        maps = {"estimated_mass": (f"estimated mass{when}", MassMap(shape, way, mass, place))}
+        if truth is not None:
+            off = MassMap(shape, None if way is None else np.abs(way - truth), difference_scale([view]), place)
+            known = {"true_mass": ("true mass", MassMap(shape, truth[None], mass, place))}
+            maps = known | maps | {"difference": (f"absolute difference{when}", off)}
+        label = "estimate" if view.covariance is None else f"estimate, {LEVEL} interval"
+        series = () if way is None else (BarSeries(label, ESTIMATE, way, frames, view.half_width),)
+        loads = None
+        if way is not None and view.answer is not None:
+            tops = [float(each.mass.max()) for each in (view.answer, view.truth) if each is not None]
+            scale = Scale(max(*tops, 1e-9), MASS_COLORS, "mass, kg a particle")
+            loads = _LoadScene(shape, way / shape.particles_per_group, view.answer.friction, view.truth, scale, SIDE)
+        return _Parts(
+            maps,
+            BarScene(shape.group_names, truth, series, lower) if bars else None,
+            TurnScene(shape, view.trajectory, lower) if view.trajectory is not None and moves else None,
+            loads,
+            (upper, lower.height),
+        )
 
 
 def frames_of(view: EstimateView) -> tuple[Frames, Float[np.ndarray, "F n_m"] | None]:
@@ -103,34 +135,6 @@ def frames_of(view: EstimateView) -> tuple[Frames, Float[np.ndarray, "F n_m"] | 
         return Frames.still(), None
     iterations, masses = view.iterates
     return Frames.of(iterations), masses
-
-
-@dataclass(frozen=True)
-class _Layout:
-    """Sizes of the views."""
-
-    map: Canvas
-    lower: Canvas
-    side: Canvas
-
-    @staticmethod
-    def of(view: EstimateView) -> _Layout:
-        """Sizes for an estimate; long objects leave more room below their maps."""
-        columns = 1 if view.truth is None else 3
-        known = view.answer is not None or view.truth is not None
-        views = max(known + bool(view.traces) + moves_on_table(view.trajectory), 1)
-        width, least, most = MAIN.width / columns, 0.28 * MAIN.height, 0.56 * MAIN.height
-        needed = MassMap(view.shape, None, mass_scale([view]), Canvas(width, most)).box
-        upper = float(np.clip(width * needed.height / needed.width, least, most))
-        lower, side = MAIN.height - upper - 2 * TITLE, 0.45 * SIDE.height
-        return _Layout(Canvas(width, upper), Canvas(MAIN.width / views, lower), Canvas(SIDE.width, side))
-
-
-def _bars(view: EstimateView, canvas: Canvas) -> BarScene:
-    frames, way = frames_of(view)
-    label = "estimate" if view.covariance is None else f"estimate, {LEVEL} interval"
-    series = () if way is None else (Series(label, ESTIMATE, way, frames, view.half_width),)
-    return BarScene(view.shape.group_names, view.true_mass, series, canvas)
 
 
 def _log_loss(node: Node, trace: Trace, color: str) -> None:
@@ -158,15 +162,6 @@ def friction_load(
     return pressed * np.asarray(mass)[..., shape.mass_group] * GRAVITY
 
 
-def _loads(view: EstimateView, canvas: Canvas) -> _LoadScene:
-    _, way = frames_of(view)
-    answer = view.answer
-    assert way is not None and answer is not None
-    tops = [float(each.mass.max()) for each in (answer, view.truth) if each is not None]
-    scale = Scale(max(*tops, 1e-9), MASS_COLORS, "mass, kg a particle")
-    return _LoadScene(view.shape, way / view.shape.particles_per_group, answer.friction, view.truth, scale, canvas)
-
-
 @dataclass(frozen=True, eq=False)
 class _LoadScene:
     """Particles coloured by mass [kg] and sized by friction load in F frames; rings show the true load."""
@@ -191,8 +186,8 @@ class _LoadScene:
         return FULL_CELL * self.shape.cell * np.sqrt(np.clip(load / self.largest, 0.0, 1.0))
 
     @property
-    def box(self) -> Box:
-        """Box around the whole drawing."""
+    def box(self) -> Bounds:
+        """Bounds around the whole drawing."""
         box = Raster.of(self.shape).box
         return self.canvas.framed(box.joined(bar_box(box)), 24, LINE + 3 * MARGIN, BELOW)
 

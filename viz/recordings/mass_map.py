@@ -13,7 +13,7 @@ from viz.recordings.page import Frames, Node
 from viz.recordings.planar import (
     LINE,
     MARGIN,
-    Box,
+    Bounds,
     Canvas,
     have_room,
     hung,
@@ -66,10 +66,10 @@ class Raster:
         return Raster(group, float(left), float(bottom), shape.cell / fine)
 
     @property
-    def box(self) -> Box:
-        """Box around the object [m], object frame."""
+    def box(self) -> Bounds:
+        """Bounds around the object [m], object frame."""
         height, width = self.group.shape
-        return Box(self.left, self.bottom, self.left + width * self.pixel, self.bottom + height * self.pixel)
+        return Bounds(self.left, self.bottom, self.left + width * self.pixel, self.bottom + height * self.pixel)
 
     def outlines(self) -> list[Float[np.ndarray, "2 2"]]:
         """Borders between groups and around the object [m], object frame."""
@@ -97,8 +97,7 @@ class Raster:
         image = rr.Image.from_fields(format=look, magnification_filter=sharp)
         node.log(place, image)
         frames.send(
-            node,
-            lambda k: rr.Image.columns(buffer=np.ascontiguousarray(self.image(colors[k]).reshape(len(k), -1))),
+            node, lambda k: rr.Image.columns(buffer=np.ascontiguousarray(self.image(colors[k]).reshape(len(k), -1)))
         )
 
 
@@ -118,18 +117,12 @@ class MassMap:
     """True if cells have the group's name too, where there is room."""
 
     @property
-    def box(self) -> Box:
-        """Box around the map and its colour bar."""
+    def box(self) -> Bounds:
+        """Bounds around the map and its colour bar."""
         box = Raster.of(self.shape).box
         return self.canvas.framed(box.joined(bar_box(box)), 26, 10, BELOW)
 
-    def log(
-        self,
-        node: Node,
-        frames: Frames,
-        box: Box,
-        at: tuple[float, float] = (0.0, 0.0),
-    ) -> None:
+    def log(self, node: Node, frames: Frames, box: Bounds, at: tuple[float, float] = (0.0, 0.0)) -> None:
         """Log it below `node`, its object frame at `at` of a scene of which the view shows `box`."""
         log_upright(node, at)
         raster, pixel = Raster.of(self.shape), self.canvas.pixel(box)
@@ -170,14 +163,14 @@ class MassMap:
         )
 
 
-def bar_box(box: Box) -> Box:
+def bar_box(box: Bounds) -> Bounds:
     """Place of the colour bar below a map at `box`: as wide as the map, wider under a tall one."""
     width = max(box.width, 0.85 * box.height)
     middle, top = (box.left + box.right) / 2, box.bottom - GAP * max(width, box.height)
-    return Box(middle - width / 2, top - 0.05 * width, middle + width / 2, top)
+    return Bounds(middle - width / 2, top - 0.05 * width, middle + width / 2, top)
 
 
-def log_bar(node: Node, scale: Scale, box: Box, pixel: float) -> None:
+def log_bar(node: Node, scale: Scale, box: Bounds, pixel: float) -> None:
     """Log a colour bar at `box`, with ticks and title below it."""
     shades = mapped((np.arange(SHADES) + 0.5) / SHADES, 1.0, scale.colors)
     place = rr.Transform3D(translation=[box.left, box.bottom, 0], scale=[box.width / SHADES, box.height, 1])

@@ -8,7 +8,7 @@ import rerun.blueprint as rrb
 
 from viz.recordings.mass_map import MassMap, Raster
 from viz.recordings.page import ITERATION, Frames, Node, Page, log_markdown
-from viz.recordings.planar import LINE, Box, Canvas, log_lines, log_texts, log_upright, planar_view
+from viz.recordings.planar import LINE, Bounds, Canvas, log_lines, log_texts, log_upright, planar_view
 from viz.scales import Scale
 from viz.style import DIFFERENCE_COLORS, action_colors
 from viz.values import PlanView
@@ -74,6 +74,6 @@ def _log_actions(node: Node, plan: PlanView) -> None:
         log_number(number, point)
 
 
-def _around(plan: PlanView) -> Box:
-    """Box around the object and all arrows."""
-    return CANVAS.framed(Box.around(plan.bounds), 10, 10, 10)
+def _around(plan: PlanView) -> Bounds:
+    """Bounds around the object and all arrows."""
+    return CANVAS.framed(Bounds.around(plan.bounds), 10, 10, 10)

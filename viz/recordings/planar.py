@@ -29,7 +29,7 @@ TITLE = 30.0
 
 
 @dataclass(frozen=True)
-class Box:
+class Bounds:
     """A rectangle, y upwards."""
 
     left: float
@@ -38,10 +38,10 @@ class Box:
     top: float
 
     @staticmethod
-    def around(points: Float[np.ndarray, "... 2"]) -> Box:
+    def around(points: Float[np.ndarray, "... 2"]) -> Bounds:
         """The least box around points."""
         low, high = points.reshape(-1, 2).min(axis=0), points.reshape(-1, 2).max(axis=0)
-        return Box(float(low[0]), float(low[1]), float(high[0]), float(high[1]))
+        return Bounds(float(low[0]), float(low[1]), float(high[0]), float(high[1]))
 
     @property
     def width(self) -> float:
@@ -58,17 +58,17 @@ class Box:
         """Its middle."""
         return np.array([(self.left + self.right) / 2, (self.bottom + self.top) / 2])
 
-    def moved(self, x: float, y: float) -> Box:
+    def moved(self, x: float, y: float) -> Bounds:
         """The box elsewhere."""
-        return Box(self.left + x, self.bottom + y, self.right + x, self.top + y)
+        return Bounds(self.left + x, self.bottom + y, self.right + x, self.top + y)
 
-    def grown(self, sides: float, below: float, above: float) -> Box:
+    def grown(self, sides: float, below: float, above: float) -> Bounds:
         """The box with room around it."""
-        return Box(self.left - sides, self.bottom - below, self.right + sides, self.top + above)
+        return Bounds(self.left - sides, self.bottom - below, self.right + sides, self.top + above)
 
-    def joined(self, other: Box) -> Box:
+    def joined(self, other: Bounds) -> Bounds:
         """The least box around both."""
-        return Box.around(np.concatenate([self.corners, other.corners]))
+        return Bounds.around(np.concatenate([self.corners, other.corners]))
 
     @property
     def corners(self) -> Float[np.ndarray, "5 2"]:
@@ -84,17 +84,17 @@ class Canvas:
     width: float
     height: float
 
-    def pixel(self, box: Box) -> float:
+    def pixel(self, box: Bounds) -> float:
         """Size of a pixel where the view shows all of `box`, in the box's unit."""
         return max(box.width / self.width, box.height / self.height)
 
-    def framed(self, box: Box, sides: float, above: float, below: float) -> Box:
+    def framed(self, box: Bounds, sides: float, above: float, below: float) -> Bounds:
         """The box with room for so many pixels around it."""
         pixel = max(box.width / (self.width - 2 * sides), box.height / (self.height - above - below))
         return box.grown(sides * pixel, below * pixel, above * pixel)
 
 
-def planar_view(origin: str, box: Box, name: str) -> rrb.Spatial2DView:
+def planar_view(origin: str, box: Bounds, name: str) -> rrb.Spatial2DView:
     """A view of the scene below `origin` that shows at least `box`."""
     bounds = rrb.VisualBounds2D(x_range=(box.left, box.right), y_range=(-box.top, -box.bottom))
     return rrb.Spatial2DView(origin=origin, name=name, background=rgb(BACKGROUND), visual_bounds=bounds)

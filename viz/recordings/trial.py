@@ -32,7 +32,7 @@ from viz.values import TrialView, WrenchFit
 FOOT_ARROW, HAND_ARROW = 0.1, 0.01
 """Lengths of the arrows of a foot's and of the gripper's force [m/N]."""
 FITS_EVERY = 4
-"""Where many trials are shown side by side, one sample in so many is."""
+"""One sample in so many is drawn of trials that stand side by side."""
 UNKNOWN_MASS = "#D7A866"
 """Colour of cells whose mass is not known."""
 WRENCH = [f"{part}/{axis}" for part in ("force", "torque") for axis in "xyz"]

@@ -13,7 +13,7 @@ from testbed.objects.model import Grasp, ObjectShape
 from testbed.trajectory import Phase, Trajectory
 from viz.recordings.mass_map import Raster
 from viz.recordings.page import SIM_TIME, Frames, Node
-from viz.recordings.planar import LINE, MARGIN, Box, Canvas, log_lines, log_texts, log_upright
+from viz.recordings.planar import LINE, MARGIN, Bounds, Canvas, log_lines, log_texts, log_upright
 from viz.style import EDGE, OBJECT_VELOCITY, PADS, TRUTH, VELOCITY, rgb
 from viz.values import evenly
 
@@ -30,20 +30,6 @@ HORIZONS = (0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0)
 def moves_on_table(trajectory: Trajectory | None) -> bool:
     """True if there is motion to draw."""
     return trajectory is not None and trajectory.action.moves and trajectory.time_s.size > 1
-
-
-def point_velocity(
-    points: Float[np.ndarray, "P 2"], velocity: Float[np.ndarray, "... 3"], yaw: Float[np.ndarray, "..."]
-) -> Float[np.ndarray, "... P 2"]:
-    """Velocities of points of the object [m/s], object axes: v + omega x p.
-
-    Args:
-        points: m, object frame.
-        velocity: of the object frame's origin and yaw rate, world axes, m/s and rad/s.
-        yaw: of the object, rad.
-    """
-    linear = np.einsum("...ji,...j->...i", rotation_2d(yaw), velocity[..., :2])
-    return linear[..., None, :] + velocity[..., 2, None, None] * perpendicular(points)
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,11 +52,11 @@ class TurnScene:
         return fitting[-1] if fitting else HORIZONS[0]
 
     @property
-    def box(self) -> Box:
-        """Box around all places of the object."""
+    def box(self) -> Bounds:
+        """Bounds around all places of the object."""
         outline = np.concatenate(Raster.of(self.shape).outlines())
         reach = 0.5 * LONGEST * float(np.linalg.norm(np.ptp(outline, axis=0)))
-        box = Box.around(transform_point(self._pose[:, None], outline[None])).grown(reach, reach, reach)
+        box = Bounds.around(transform_point(self._pose[:, None], outline[None])).grown(reach, reach, reach)
         return self.canvas.framed(box, 0, LINE + 2 * MARGIN, 0)
 
     def log(self, node: Node) -> None:
@@ -102,8 +88,7 @@ class TurnScene:
         node.log(look)
         ways = self.horizon * self._velocity(origins)
         frames.send(
-            node,
-            lambda k: rr.Arrows2D.columns(vectors=ways[k].reshape(-1, 2)).partition([len(origins)] * len(k)),
+            node, lambda k: rr.Arrows2D.columns(vectors=ways[k].reshape(-1, 2)).partition([len(origins)] * len(k))
         )
 
     @property
@@ -123,7 +108,10 @@ class TurnScene:
         return self.trajectory.object_pose[self._kept]
 
     def _velocity(self, points: Float[np.ndarray, "N 2"]) -> Float[np.ndarray, "F N 2"]:
-        return point_velocity(points, self.trajectory.object_velocity[self._kept], self._pose[:, 2])
+        """Velocities of points of the object [m/s], object axes: v + omega x p."""
+        velocity = self.trajectory.object_velocity[self._kept]
+        linear = np.einsum("nji,nj->ni", rotation_2d(self._pose[:, 2]), velocity[:, :2])
+        return linear[:, None, :] + velocity[:, 2, None, None] * perpendicular(points)
 
 
 def pad_lines(grasp: Grasp) -> Float[np.ndarray, "2 2 2"]:

@@ -56,7 +56,7 @@ def check_display(*, web: bool) -> None:
     """Check that there is a display or a browser.
 
     Raises:
-        ViewerError: no display, and no browser asked for.
+        ViewerError: no display, and no browser instead.
     """
     if not web and not has_display():
         raise ViewerError(

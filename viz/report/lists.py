@@ -32,7 +32,7 @@ class Worst:
 
 
 @dataclass(frozen=True)
-class Failure:
+class FailedEstimates:
     """Estimates of one method that are not ok for the same reason."""
 
     method: str
@@ -55,12 +55,9 @@ def worst_of(rows: Sequence[Row]) -> tuple[list[Row], list[Row]]:
 
 
 def worst(
-    rows: Sequence[Row],
-    key_of: Callable[[Row], str | None],
-    trial_keys_of: Callable[[Row], Sequence[str]],
-    recording_of: Callable[[str], str],
+    rows: Sequence[Row], trial_keys_of: Callable[[Row], Sequence[str]], recording_of: Callable[[str], str]
 ) -> list[Worst]:
-    """Estimates with their files."""
+    """Estimates with their files; a row has its folder as "folder"."""
     axes = axes_of(rows)
     return [
         Worst(
@@ -68,7 +65,7 @@ def worst(
             nad=number(100 * row["nad"]),
             support=support_name(row["support"]),
             swept=", ".join(f"{a.removeprefix(AXIS)} = {row[a]}" for a in axes if row.get(a) is not None),
-            key=(key := key_of(row) or ""),
+            key=(key := row["folder"] or ""),
             trials=tuple(trial_keys_of(row)),
             recording=recording_of(key) if key else "",
         )
@@ -76,35 +73,28 @@ def worst(
     ]
 
 
-def failures(rows: Sequence[Row], tracebacks: Mapping[str, str]) -> list[Failure]:
+def failures(rows: Sequence[Row], tracebacks: Mapping[str, str]) -> list[FailedEstimates]:
     """Estimates that are not ok, by method, status and reason; the most frequent first."""
     found: dict[tuple[str, str, str], list[Row]] = {}
     for row in rows:
         if row["status"] != "ok":
             found.setdefault((row["method"], row["status"], row["message"] or ""), []).append(row)
-    ranked = sorted(found.items(), key=lambda item: -len(item[1]))
-    return [_failure(*reason, of, tracebacks) for reason, of in ranked]
+    listed = []
+    for (method, status, message), of in sorted(found.items(), key=lambda item: -len(item[1])):
+        where = dict.fromkeys(", ".join(filter(None, (support_name(row["support"]), row["sensing"]))) for row in of)
+        objects = names(list(dict.fromkeys(row["object"] for row in of)))
+        path = _traceback_of(of, status, message, tracebacks)
+        trace = tracebacks.get(path, "")
+        listed.append(
+            FailedEstimates(method or "every method", status, message, len(of), "; ".join(where), objects, trace, path)
+        )
+    return listed
 
 
 def names(every: Sequence[str]) -> str:
     """The first few, and how many more."""
     more = f" and {len(every) - MOST_NAMES} more" if len(every) > MOST_NAMES else ""
     return ", ".join(every[:MOST_NAMES]) + more
-
-
-def _failure(method: str, status: str, message: str, rows: Sequence[Row], tracebacks: Mapping[str, str]) -> Failure:
-    where = dict.fromkeys(", ".join(filter(None, (support_name(row["support"]), row["sensing"]))) for row in rows)
-    path = _traceback_of(rows, status, message, tracebacks)
-    return Failure(
-        method=method or "every method",
-        status=status,
-        message=message,
-        count=len(rows),
-        where="; ".join(where),
-        objects=names(list(dict.fromkeys(row["object"] for row in rows))),
-        traceback=tracebacks.get(path, ""),
-        path=path,
-    )
 
 
 def _traceback_of(rows: Sequence[Row], status: str, message: str, tracebacks: Mapping[str, str]) -> str:

@@ -70,7 +70,7 @@ class Results:
 
 
 @dataclass(frozen=True)
-class Picture:
+class Illustration:
     """A figure with its caption."""
 
     svg: Markup
@@ -89,7 +89,8 @@ def write_report(results: Results, path: Path) -> None:
 def render(results: Results) -> str:
     """The report as HTML."""
     rows: list[dict[str, Any]] = [
-        dict.fromkeys(COLUMNS) | {k: _plain(k, v) for k, v in row.items()} for row in results.rows
+        dict.fromkeys(COLUMNS) | {k: _plain(k, v) for k, v in row.items()} | {"folder": folder}
+        for row, folder in zip(results.rows, results.keys, strict=True)
     ]
     estimates = [row for row in rows if row["method"]]  # the others are objects without any estimate
     groups = {
@@ -98,16 +99,17 @@ def render(results: Results) -> str:
         )
         for first in {(row["support"], row["sensing"]): row for row in estimates}.values()
     }
-    folder_of = {id(row): key for row, key in zip(rows, results.keys, strict=True)}
-    worst_all, worst_own = (
-        worst(found, lambda row: folder_of[id(row)], results.trial_keys_of, results.recording_of)
-        for found in worst_of(rows)
-    )
+    worst_all, worst_own = (worst(found, results.trial_keys_of, results.recording_of) for found in worst_of(rows))
     draw = _Drawer()
     objects = list(dict.fromkeys(row["object"] for row in estimates))
     mapped = mapped_objects(estimates, objects)
     shapes = {name: shape for name in mapped if (shape := results.shape_of(name)) is not None}
     good = sum(row["status"] == "ok" for row in estimates)
+    counts = {method: max(map(len, traces.values())) for method, traces in results.losses.items()}
+    losses = {
+        f"{method}: loss by iteration, {count} estimate{'s' if count != 1 else ''}": results.losses[method]
+        for method, count in counts.items()
+    }
     environment = Environment(
         loader=FileSystemLoader(Path(__file__).parent), autoescape=True, undefined=StrictUndefined, trim_blocks=True,
         lstrip_blocks=True,
@@ -120,7 +122,7 @@ def render(results: Results) -> str:
         tables={label: _tables(found) for label, found in groups.items()},
         distributions=[draw(nad_distribution(found), f"NAD by method: {label}") for label, found in groups.items()],
         sweeps=_sweeps(estimates, groups, draw),
-        losses=[draw(loss_figure(traces), _loss_caption(m, traces)) for m, traces in results.losses.items()],
+        losses=[draw(loss_figure(traces), caption) for caption, traces in losses.items()],
         maps=_maps(groups, shapes, draw),
         without_geometry=names([name for name in mapped if name not in shapes]),
         left_out=len(objects) - len(mapped),
@@ -142,10 +144,10 @@ class _Drawer:
     def __init__(self) -> None:
         self._count = 0
 
-    def __call__(self, figure: Figure, caption: str, *, wide: bool = False) -> Picture:
+    def __call__(self, figure: Figure, caption: str, *, wide: bool = False) -> Illustration:
         least = round(PIXELS_PER_INCH * figure.get_figwidth()) if wide else None
         self._count += 1
-        return Picture(inline_svg(figure, caption, f"f{self._count}"), caption, least)
+        return Illustration(inline_svg(figure, caption, f"f{self._count}"), caption, least)
 
 
 def _plain(column: str, value: Any) -> Any:
@@ -164,9 +166,9 @@ def _tables(rows: Sequence[Row]) -> list[Table]:
 
 def _sweeps(
     rows: Sequence[Row], groups: Mapping[str, Sequence[Row]], draw: _Drawer
-) -> dict[str, list[tuple[Picture, Table]]]:
+) -> dict[str, list[tuple[Illustration, Table]]]:
     """A picture and a table of each swept setting for every support and sensing under which it changes."""
-    sweeps: dict[str, list[tuple[Picture, Table]]] = {}
+    sweeps: dict[str, list[tuple[Illustration, Table]]] = {}
     for axis in axes_of(rows):
         split = {label: found for label, found in groups.items() if len(axis_values(found, axis)) > 1}
         name = axis.removeprefix(AXIS)
@@ -195,7 +197,7 @@ def mapped_objects(rows: Sequence[Row], objects: Sequence[str]) -> list[str]:
     return ranked[:WORST_OBJECTS] + [rest[i] for i in others]
 
 
-def _maps(groups: Mapping[str, Sequence[Row]], shapes: Mapping[str, ObjectShape], draw: _Drawer) -> list[Picture]:
+def _maps(groups: Mapping[str, Sequence[Row]], shapes: Mapping[str, ObjectShape], draw: _Drawer) -> list[Illustration]:
     """Differences under each support and sensing, then the maps of each object whose truth is known."""
     known = {label: [row for row in rows if row["true_mass_kg"] is not None] for label, rows in groups.items()}
     overall, pictures, mapped = [], [], {}
@@ -217,8 +219,3 @@ def _maps(groups: Mapping[str, Sequence[Row]], shapes: Mapping[str, ObjectShape]
             caption = f"Absolute difference of mass, every method and object: {label}"
             overall.append(draw(figure, caption, wide=True))
     return overall + pictures
-
-
-def _loss_caption(method: str, traces: Mapping[str, Sequence[np.ndarray]]) -> str:
-    count = max(len(losses) for losses in traces.values())
-    return f"{method}: loss by iteration, {count} estimate{'s' if count != 1 else ''}"

@@ -70,7 +70,7 @@ def number(value: float, like: float | None = None) -> str:
 
 
 @dataclass(frozen=True)
-class Cell:
+class Entry:
     """A mean over draws or objects, or a text."""
 
     text: str = ""
@@ -85,13 +85,13 @@ class Cell:
     """True if significantly better than every other method."""
 
     @staticmethod
-    def of(draws: Draws, status: str = "-", published: float | None = None, *, best: bool = False) -> Cell:
+    def of(draws: Draws, status: str = "-", published: float | None = None, *, best: bool = False) -> Entry:
         """Summary of draws; the status where none has an answer."""
         summary = summarize(draws)
         if summary is None:
-            return Cell(status, paper=published)
+            return Entry(status, paper=published)
         missing = f"{summary.missing} of {len(draws)} draws without an answer" if summary.missing else ""
-        return Cell("", summary, missing, published, best and not np.isnan(summary.spread))
+        return Entry("", summary, missing, published, best and not np.isnan(summary.spread))
 
     @property
     def words(self) -> str:
@@ -116,7 +116,7 @@ class Table:
     title: str
     columns: tuple[str, ...]
     """Heads of the cells."""
-    rows: tuple[tuple[tuple[str, ...], tuple[Cell, ...]], ...]
+    rows: tuple[tuple[tuple[str, ...], tuple[Entry, ...]], ...]
     """Labels and cells of each row."""
     labels: tuple[str, ...] = ("method",)
     """Heads of the labels."""
@@ -133,7 +133,7 @@ def metric_table(rows: Sequence[Row], metric: Metric, title: str, objects: Seque
     for method in methods:
         published = metric.paper.get(method, {})
         cells = [
-            Cell.of(
+            Entry.of(
                 draws[name][method],
                 of[name][method][0]["status"] if of[name][method] else "-",
                 published.get(name),
@@ -145,7 +145,7 @@ def metric_table(rows: Sequence[Row], metric: Metric, title: str, objects: Seque
     if metric.reference and methods:
         known = [row for row in rows if row.get(metric.reference) is not None]
         scores = [draws_of(select(known, object=name), metric.reference, metric.scale) for name in objects]
-        lines.append(((TRUTH,), tuple(Cell.of(score) for score in scores)))
+        lines.append(((TRUTH,), tuple(Entry.of(score) for score in scores)))
     return Table(title, tuple(objects), tuple(lines))
 
 
@@ -176,11 +176,11 @@ def object_means(rows: Sequence[Row], method: str | None, column: str, scale: fl
     return {i: float(np.mean(v)) if v else np.nan for i, v in enumerate(values.values())}
 
 
-def _quantiles(objects: Draws, missing: str, *, best: bool) -> tuple[Cell, ...]:
+def _quantiles(objects: Draws, missing: str, *, best: bool) -> tuple[Entry, ...]:
     good = [value for value in objects.values() if not np.isnan(value)]
     rest = np.quantile(good, (0.1, 0.5, 0.9, 1.0)) if good else (np.nan,) * 4
-    first = replace(Cell.of(objects, best=best), missing=missing)
-    return first, *(Cell(number(float(value))) for value in rest)
+    first = replace(Entry.of(objects, best=best), missing=missing)
+    return first, *(Entry(number(float(value))) for value in rest)
 
 
 def overview(groups: Mapping[str, Sequence[Row]]) -> Table:
@@ -200,9 +200,9 @@ def sweep_table(rows: Sequence[Row], axis: str, title: str) -> Table:
     return Table(title, tuple(f"{v:g}" if isinstance(v, float) else str(v) for v in values), lines)
 
 
-def _median(values: Iterable[float]) -> Cell:
+def _median(values: Iterable[float]) -> Entry:
     good = [value for value in values if not np.isnan(value)]
-    return Cell(number(float(np.median(good))) if good else "-")
+    return Entry(number(float(np.median(good))) if good else "-")
 
 
 def quantile_table(results: Sequence[Row], metric: Metric) -> Table:
@@ -227,7 +227,7 @@ def quantile_table(results: Sequence[Row], metric: Metric) -> Table:
             texts = [short(float(q)) for q in (*np.quantile(values, (0.1, 0.5, 0.9)), np.mean(values))]
         labels = (support_name(support), sensing, *(_setting(value) for value in point), method)
         cells = (str(len(names)), *texts, f"{missing} of {len(rows)}" if missing else "")
-        lines.append((labels, tuple(Cell(text) for text in cells)))
+        lines.append((labels, tuple(Entry(text) for text in cells)))
     heads = ("support", "sensing", *(axis.removeprefix(AXIS) for axis in axes), "method")
     columns = ("objects", "10 %", "median", "90 %", "mean", "no answer")
     return Table(f"{metric.title}, over objects", columns, tuple(lines), heads)
@@ -255,7 +255,7 @@ def hidden_table(results: Iterable[Row], objects: Sequence[str]) -> Table:
                 known = np.abs(values[~np.isnan(values)])
                 confounded = any("confounded" in row["unobserved"] for row in found)
                 cells.append(
-                    Cell(f"{known.mean():.2f}" if len(known) else "confounded" if confounded else "unobserved")
+                    Entry(f"{known.mean():.2f}" if len(known) else "confounded" if confounded else "unobserved")
                 )
             lines.append(((f"{label}, {sensing}",), tuple(cells)))
     return Table("Hidden states, own weight: mean error", tuple(objects), tuple(lines), ("",))

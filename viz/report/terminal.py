@@ -7,7 +7,7 @@ from rich import box
 from rich.table import Table as RichTable
 from rich.text import Text
 
-from viz.report.tables import TRUTH, Cell, Table, short
+from viz.report.tables import TRUTH, Entry, Table, short
 
 
 def rich_table(table: Table) -> RichTable:
@@ -26,7 +26,7 @@ def rich_table(table: Table) -> RichTable:
     return drawn
 
 
-def _text(cell: Cell) -> Text:
+def _text(cell: Entry) -> Text:
     """Mean and spread "0.6±0.3" over the interval "[0.4 0.9]"; "-n" counts draws without an answer, "*" the best."""
     text, summary = Text(cell.text), cell.summary
     if summary is not None:

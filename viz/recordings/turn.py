@@ -73,7 +73,7 @@ class TurnScene:
         particles = self.shape.particles[evenly(len(self.shape.particles), MOST_ARROWS)]
         self._log_arrows(body / "velocity", frames, particles, VELOCITY)
         self._log_arrows(body / "object_velocity", frames, np.zeros((1, 2)), OBJECT_VELOCITY)
-        index = getattr(self.trajectory.action, "grasp", None)
+        index = self.trajectory.action.grasp
         if index is not None and index < len(self.shape.grasps):
             pads = rr.LineStrips2D(pad_lines(self.shape.grasps[index]), colors=rgb(PADS), radii=PAD / 2)
             (body / "pads").log(pads)

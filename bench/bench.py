@@ -46,7 +46,8 @@ from testbed.actions.accelerate import Accelerate
 from testbed.actions.rotate import Rotate
 from testbed.objects.files import load_object
 from testbed.objects.model import GRAVITY
-from testbed.sensing.presets import draw_sensing, preset
+from testbed.sensing.noise import draw_sensing
+from testbed.sensing.presets import preset
 from testbed.simulation.controller import Servo
 from testbed.simulation.motion import plan_motion
 from testbed.simulation.runner import SimulationRunner, place

@@ -32,7 +32,8 @@ from testbed.objects.files import load_object
 from testbed.objects.model import ObjectModel
 from testbed.objects.random import Family
 from testbed.sensing.lift_windows import lift_windows
-from testbed.sensing.presets import draw_sensing, preset
+from testbed.sensing.noise import draw_sensing
+from testbed.sensing.presets import preset
 from testbed.simulation.runner import SimulationRunner
 from testbed.trajectory import Trajectory, write_whole
 from testbed.trial import RIGID, Trial

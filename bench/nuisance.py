@@ -37,7 +37,8 @@ from testbed.actions.slide import Slide
 from testbed.objects.files import load_object
 from testbed.objects.model import ObjectModel
 from testbed.objects.random import Family
-from testbed.sensing.presets import draw_sensing, preset
+from testbed.sensing.noise import draw_sensing
+from testbed.sensing.presets import preset
 from testbed.simulation.runner import SimulationRunner
 from testbed.simulation.scene import Scene
 from testbed.trajectory import Trajectory

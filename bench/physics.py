@@ -28,7 +28,7 @@ from testbed.actions.slide import Slide
 from testbed.actions.weigh import Weigh
 from testbed.frames import cross_2d, perpendicular, rotation_2d
 from testbed.objects.files import load_object
-from testbed.sensing.presets import compensate
+from testbed.sensing.compensation import compensate
 from testbed.sensing.windows import weight_of
 from testbed.simulation.contacts import resting_loads
 from testbed.simulation.runner import SimulationRunner

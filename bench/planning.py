@@ -48,7 +48,8 @@ from testbed.errors import HeftError, InfeasibleTrialError
 from testbed.objects.files import load_object
 from testbed.objects.model import ObjectModel
 from testbed.objects.random import Family
-from testbed.sensing.presets import Sensing, draw_sensing, preset
+from testbed.sensing.noise import draw_sensing
+from testbed.sensing.presets import Sensing, preset
 from testbed.simulation.runner import SimulationRunner
 from testbed.simulation.settings import SimulationSettings
 from testbed.trajectory import Trajectory, write_whole

@@ -26,7 +26,8 @@ from estimators.hidden_states.estimator import HiddenStates
 from testbed.actions.rotate import Rotate
 from testbed.objects.files import load_object
 from testbed.objects.model import ObjectModel
-from testbed.sensing.presets import Sensing, draw_sensing, preset
+from testbed.sensing.noise import draw_sensing
+from testbed.sensing.presets import Sensing, preset
 from testbed.simulation.runner import SimulationRunner
 from testbed.trajectory import Trajectory
 from testbed.trial import Trial

@@ -67,7 +67,7 @@ class NamedRunner:
             record = runner.run(trial)
         if not isinstance(record, Trajectory):
             raise InvalidValueError(f"{self.runner}.run()", record, "a Trajectory of testbed.trajectory")
-        simulated = record.provenance.get("runner") == "simulation"
+        simulated = record.simulated
         if simulated and record.tool is None and trial.action.moves:
             allowed = (
                 "the Tool below the sensor: a sensor's errors are drawn on a simulated record before the tool is off"

@@ -15,7 +15,8 @@ import pyarrow.parquet as pq
 
 from testbed.actions.base import Action, action_from_dict
 from testbed.errors import InfeasibleTrialError, InvalidValueError
-from testbed.sensing.presets import draw_sensing, preset
+from testbed.sensing.noise import draw_sensing
+from testbed.sensing.presets import preset
 from testbed.trajectory import Trajectory, TrajectoryFileError, load_trajectory
 from testbed.trial import Trial
 
@@ -108,7 +109,7 @@ class ReplayRunner:
             raise InfeasibleTrialError(f"replay: {self._missing(trial, len(fitting))}")
         self._played.add(left[0].path)
         trajectory = load_trajectory(left[0].path)
-        if trajectory.provenance.get("runner") == "simulation" and "sensing" not in trajectory.provenance:
+        if trajectory.is_clean:
             return draw_sensing(trajectory, preset(trial.sensing), trial.seed)
         return trajectory
 

@@ -156,8 +156,18 @@ class Trajectory:
 
     @property
     def ok(self) -> bool:
-        """Whether the trial may be used as data."""
+        """True if the trial may be used as data."""
         return self.status == "ok"
+
+    @property
+    def simulated(self) -> bool:
+        """True if a simulator made the record: the truth is known, and sensing presets apply."""
+        return self.provenance.get("runner") == "simulation"
+
+    @property
+    def is_clean(self) -> bool:
+        """True if the record is a simulator's and has no sensor's errors in it yet."""
+        return self.simulated and "sensing" not in self.provenance
 
     def mask(self, *phases: Phase) -> np.ndarray:
         """Which samples are in the given phases, (T,) bool."""

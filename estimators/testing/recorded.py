@@ -21,7 +21,9 @@ from testbed.actions.base import action_from_dict
 from testbed.errors import InvalidValueError
 from testbed.objects.files import ObjectFile
 from testbed.objects.model import ObjectModel
-from testbed.sensing.presets import compensate, draw_sensing, preset
+from testbed.sensing.compensation import compensate
+from testbed.sensing.noise import draw_sensing
+from testbed.sensing.presets import preset
 from testbed.trajectory import Tool, Trajectory, write_whole
 
 FOLDER = Path(__file__).parent / "blocks"

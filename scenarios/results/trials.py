@@ -17,7 +17,8 @@ from testbed.errors import HeftError, InvalidValueError
 from testbed.objects.files import load_object
 from testbed.objects.gripper import STROKE
 from testbed.objects.model import Grasp, MassDistribution, ObjectModel, ObjectShape
-from testbed.sensing.presets import draw_sensing, preset
+from testbed.sensing.noise import draw_sensing
+from testbed.sensing.presets import preset
 from testbed.trajectory import Trajectory, load_trajectory
 from testbed.trial import Support, parse_support
 
@@ -142,7 +143,7 @@ def sensed_trials(store: Store, keys: tuple[str, ...], sensing: str, seed: int) 
 
 def sensed(trajectory: Trajectory, sensing: str, seed: int, index: int, key: str) -> Trajectory:
     """One draw of a sensor's errors on the `index`-th trial of an experiment; a measured one as it is."""
-    if not is_simulated(trajectory):
+    if not trajectory.simulated:
         return trajectory
     # a stream of its own for every trial of every draw, a repeated trial included
     own = int.from_bytes(hashlib.sha256(f"{seed}/{index}/{key}".encode()).digest()[:8], "big")
@@ -151,7 +152,7 @@ def sensed(trajectory: Trajectory, sensing: str, seed: int, index: int, key: str
 
 def is_simulated(trajectory: Trajectory) -> bool:
     """True if the record is a simulation's, whose sensor had no errors."""
-    return trajectory.provenance.get("runner") == "simulation"
+    return trajectory.simulated
 
 
 @lru_cache(maxsize=1)
@@ -185,7 +186,7 @@ def measured_records(root: Path) -> list[TrialRecord]:
     """
     trials = [read_trial(root, key) for key in keys_of(root)]
     for trial in trials:
-        if is_simulated(trial.trajectory):
+        if trial.trajectory.simulated:
             key = trial.folder.name[:8]
             allowed = f"a folder of measured trials, but {key} is simulated: heft run asks about these"
             raise InvalidValueError("DIR", str(root), allowed)

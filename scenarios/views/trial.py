@@ -8,7 +8,7 @@ import numpy as np
 
 from estimators.particles.wrench import predicted_wrenches
 from scenarios.results.store import Store, read_json
-from scenarios.results.trials import TrialRecord, is_simulated, read_trial, sensed_trials
+from scenarios.results.trials import TrialRecord, read_trial, sensed_trials
 from testbed.errors import InvalidValueError
 from testbed.foot_forces import load_foot_forces
 from testbed.objects.model import MassDistribution, ObjectShape
@@ -45,11 +45,11 @@ def trial_view(folder: Path, key: str, *, seed: int = 0, meshes: bool = True) ->
     """
     record = read_trial(folder, key)
     trajectory, said = record.trajectory, "as measured"
-    if is_simulated(trajectory):
+    if trajectory.simulated:
         sensing = sensing_of(folder)
         trajectory = sensed_trials(Store(folder), (record.folder.name,), sensing, seed)[0]
         said = f"{sensing}, draw {seed}"
-    model = record.object.truth if is_simulated(trajectory) else None
+    model = record.object.truth if trajectory.simulated else None
     called = "the true masses, each on its own weight"
     return view_of(record, trajectory, record.object.shape, model, called, {"sensing": said}, meshes=meshes)
 
@@ -93,12 +93,12 @@ def view_of(
         pose_times=trajectory.time_s[::POSES_EVERY],
         fit=wrench_fit(name, trajectory, predicted),
         model=called if model is not None else "",
-        truth=record.object.truth if is_simulated(trajectory) else None,
+        truth=record.object.truth if trajectory.simulated else None,
         feet=load_foot_forces(feet) if feet.is_file() else None,
         facts={
             "object": record.object.name,
             "action": name,
-            "support": support_name(record.support) if is_simulated(trajectory) else "",
+            "support": support_name(record.support) if trajectory.simulated else "",
             "trial": record.folder.name,
             "runner": trajectory.provenance.get("runner", ""),
             "arm": "" if trajectory.joint_position.any() else "not where it was: its joints were not logged",

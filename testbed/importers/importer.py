@@ -25,8 +25,8 @@ from testbed.importers.phases import (
 )
 from testbed.objects.files import load_object, load_toml
 from testbed.objects.model import ObjectModel
+from testbed.sensing.compensation import compensate
 from testbed.sensing.drift import DriftLimit, judge_drift
-from testbed.sensing.presets import compensate
 from testbed.trajectory import Tool, Trajectory
 
 _SLOPE_WINDOW = 0.15

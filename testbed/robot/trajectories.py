@@ -16,7 +16,7 @@ from testbed.robot.config import RobotSettings
 from testbed.robot.path import RobotPlan, closing_yaw
 from testbed.robot.recorder import Record
 from testbed.robot.weighing import weigh
-from testbed.sensing.presets import compensate
+from testbed.sensing.compensation import compensate
 from testbed.trajectory import Phase, Status, Trajectory
 
 

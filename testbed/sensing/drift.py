@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float
 
-from testbed.sensing.presets import tare_biases, tare_samples
+from testbed.sensing.compensation import tare_biases, tare_samples
 from testbed.trajectory import Phase, Trajectory
 from testbed.validation import check_positive, frozen_array
 

@@ -11,7 +11,7 @@ from testbed.actions.lift import Lift
 from testbed.errors import InvalidValueError
 from testbed.frames import move_wrench, rotate_wrench, rotation_matrix
 from testbed.objects.model import GRAVITY
-from testbed.sensing.presets import tare_samples, twist_rates
+from testbed.sensing.compensation import tare_samples, twist_rates
 from testbed.sensing.windows import mean_covariance, steady_samples
 from testbed.trajectory import Phase, Trajectory
 from testbed.validation import frozen_array

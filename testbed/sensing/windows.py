@@ -23,7 +23,7 @@ from testbed.frames import (
     rotation_matrix,
 )
 from testbed.objects.model import GRAVITY
-from testbed.sensing.presets import tare_samples
+from testbed.sensing.compensation import tare_samples
 from testbed.trajectory import Phase, Trajectory
 from testbed.validation import frozen_array
 

@@ -14,7 +14,8 @@ import numpy as np
 from testbed.errors import InvalidValueError
 from testbed.frames import origin_velocity, pose_from_point, rotation_matrix
 from testbed.objects.gripper import STROKE
-from testbed.sensing.presets import draw_sensing, preset
+from testbed.sensing.noise import draw_sensing
+from testbed.sensing.presets import preset
 from testbed.simulation.contacts import ContactLog, ContactRecord, weigh
 from testbed.simulation.controller import Servo
 from testbed.simulation.feasibility import check_feasible

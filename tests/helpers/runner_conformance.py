@@ -18,7 +18,7 @@ from testbed.actions.slide import Slide
 from testbed.actions.weigh import Weigh
 from testbed.errors import InfeasibleTrialError
 from testbed.objects.model import MassDistribution, ObjectModel
-from testbed.sensing.presets import compensate
+from testbed.sensing.compensation import compensate
 from testbed.sensing.windows import steady_windows
 from testbed.trajectory import (
     Phase,

@@ -16,7 +16,9 @@ from testbed.actions.weigh import Weigh
 from testbed.errors import InfeasibleTrialError, InvalidValueError
 from testbed.objects.files import load_object
 from testbed.replay import ReplayRunner
-from testbed.sensing.presets import compensate, draw_sensing, preset
+from testbed.sensing.compensation import compensate
+from testbed.sensing.noise import draw_sensing
+from testbed.sensing.presets import preset
 from testbed.trajectory import Trajectory, TrajectoryFileError, save_trajectory
 from testbed.trial import RIGID, Trial
 from tests.helpers.records import moving_hand, record

@@ -19,7 +19,8 @@ from testbed.errors import HeftError, InvalidValueError
 from testbed.frames import rotation_2d
 from testbed.objects.files import load_object
 from testbed.objects.model import MassDistribution, ObjectModel
-from testbed.sensing.presets import draw_sensing, preset
+from testbed.sensing.noise import draw_sensing
+from testbed.sensing.presets import preset
 from testbed.trajectory import Phase, load_trajectory, save_trajectory
 from tests.helpers.chunks import Entity, read_chunks, verify
 from viz.recordings.page import SIM_TIME, Page, save

@@ -19,7 +19,7 @@ from testbed.actions.slide import Slide
 from testbed.importers.importer import import_trajectory
 from testbed.objects.files import load_object
 from testbed.replay import ReplayRunner
-from testbed.sensing.presets import compensate
+from testbed.sensing.compensation import compensate
 from testbed.simulation.runner import SimulationRunner
 from testbed.trajectory import Trajectory
 from testbed.trial import Trial

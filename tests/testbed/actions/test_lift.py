@@ -21,7 +21,8 @@ from testbed.objects.model import GRAVITY, ObjectModel
 from testbed.robot.config import RobotSettings
 from testbed.robot.path import plan_trial, starting_pose
 from testbed.sensing.lift_windows import lift_windows, poses_in_space
-from testbed.sensing.presets import draw_sensing, preset
+from testbed.sensing.noise import draw_sensing
+from testbed.sensing.presets import preset
 from testbed.sensing.windows import steady_windows
 from testbed.simulation.rendering import Playback
 from testbed.simulation.runner import SimulationRunner

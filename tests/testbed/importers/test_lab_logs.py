@@ -19,7 +19,8 @@ from testbed.errors import HeftError, InvalidValueError
 from testbed.importers.importer import import_trajectory
 from testbed.importers.logs import LogError
 from testbed.objects.files import load_object
-from testbed.sensing.presets import compensate, preset
+from testbed.sensing.compensation import compensate
+from testbed.sensing.presets import preset
 from testbed.sensing.windows import steady_windows
 from testbed.simulation.runner import SimulationRunner
 from testbed.trajectory import Phase, Trajectory, load_trajectory, save_trajectory

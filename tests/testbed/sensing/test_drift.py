@@ -9,8 +9,10 @@ import pytest
 from numpy.testing import assert_allclose
 
 from testbed.errors import InvalidValueError
+from testbed.sensing.compensation import compensate, tare_biases
 from testbed.sensing.drift import DriftLimit, drift_of, judge_drift
-from testbed.sensing.presets import PRESETS, compensate, draw_sensing, tare_biases
+from testbed.sensing.noise import draw_sensing
+from testbed.sensing.presets import PRESETS
 from testbed.sensing.windows import steady_windows
 from testbed.trajectory import Phase, Trajectory
 from tests.helpers.records import coloured_noise, moving_hand, record

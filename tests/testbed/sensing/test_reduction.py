@@ -16,7 +16,7 @@ from testbed.actions.weigh import Weigh
 from testbed.errors import InvalidValueError
 from testbed.frames import rotation_2d
 from testbed.objects.model import GRAVITY
-from testbed.sensing.presets import compensate
+from testbed.sensing.compensation import compensate
 from testbed.sensing.windows import (
     _at_tcp,
     effective_samples,

@@ -13,7 +13,9 @@ from testbed.actions.weigh import Weigh
 from testbed.errors import InvalidValueError
 from testbed.frames import cross_2d, perpendicular
 from testbed.objects.model import GRAVITY
-from testbed.sensing.presets import PRESETS, Sensing, compensate, draw_sensing, preset
+from testbed.sensing.compensation import compensate
+from testbed.sensing.noise import draw_sensing
+from testbed.sensing.presets import PRESETS, Sensing, preset
 from testbed.sensing.windows import weight_of
 from testbed.trajectory import Phase, Trajectory
 from tests.helpers.records import DOWN, NOISY, RATE, TOOL, moving_hand, record

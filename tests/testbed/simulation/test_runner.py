@@ -18,7 +18,7 @@ from testbed.frames import cross_2d, perpendicular, rotation_2d
 from testbed.objects.blocks import block_object, parse_layout
 from testbed.objects.files import load_object
 from testbed.objects.model import GRAVITY, ObjectModel
-from testbed.sensing.presets import compensate
+from testbed.sensing.compensation import compensate
 from testbed.sensing.windows import SteadyWindow, steady_windows, weight_of
 from testbed.simulation import feasibility
 from testbed.simulation.controller import Servo

@@ -1,0 +1,81 @@
+"""Compensation: from the raw sensor record to the wrench on the object, by tare and tool."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.signal import savgol_filter
+
+from testbed.errors import InvalidValueError
+from testbed.frames import move_wrench, rotate_wrench, rotation_matrix
+from testbed.objects.model import GRAVITY
+from testbed.trajectory import Phase, Tool, Trajectory
+
+
+def compensate(trajectory: Trajectory) -> Trajectory:
+    """Trajectory with `wrench_on_object_world` from its raw sensor record, simulated or real.
+
+    Tare: the mean of the raw record while hovering, less what the tool weighs there, is the sensor's bias; where a
+    trial ends with another tare, that one only shows the drift. Tool: gravity and inertia of all that hangs below the
+    sensor, from the hand's own motion. What remains is moved to the TCP, world axes.
+
+    Raises:
+        InvalidValueError: no tare samples, or no tool.
+    """
+    tool, tares = trajectory.tool, _tares(trajectory)
+    if tool is None or not tares:
+        raise InvalidValueError(
+            "Trajectory", "no tool" if tool is None else "no samples in phase TARE", "a record with a tool and a tare"
+        )
+    axes = rotation_matrix(trajectory.sensor_orientation)
+    load = _tool_wrench(tool, trajectory, axes)
+    bias = (trajectory.sensor_wrench - load)[tares[0]].mean(axis=0)
+    at_sensor = trajectory.sensor_wrench - bias - load
+    world = rotate_wrench(axes, move_wrench(at_sensor, tool.tcp))
+    return replace(trajectory, wrench_on_object_world=world)
+
+
+def tare_biases(trajectory: Trajectory) -> list[Float[np.ndarray, "6"]]:
+    """Bias of the sensor at every tare of a record, in order [N, N m]; empty without a tare or a tool."""
+    tool, tares = trajectory.tool, _tares(trajectory)
+    if tool is None or not tares:
+        return []
+    load = _tool_wrench(tool, trajectory, rotation_matrix(trajectory.sensor_orientation))
+    return [(trajectory.sensor_wrench - load)[tare].mean(axis=0) for tare in tares]
+
+
+def tare_samples(trajectory: Trajectory) -> Int[np.ndarray, "N"]:
+    """Indices of the samples of the first tare; empty without a tare."""
+    return next(iter(_tares(trajectory)), np.empty(0, dtype=np.int64))
+
+
+def _tares(trajectory: Trajectory) -> list[Int[np.ndarray, "N"]]:
+    """Indices of the samples of every tare, its first third left out: the arm has only just come to rest."""
+    inside = np.flatnonzero(trajectory.phase == Phase.TARE)
+    stretches = np.split(inside, np.flatnonzero(np.diff(inside) > 1) + 1) if len(inside) else []
+    return [stretch[len(stretch) // 3 :] for stretch in stretches]
+
+
+def _tool_wrench(tool: Tool, trajectory: Trajectory, axes: np.ndarray) -> np.ndarray:
+    """Wrench that moves the tool alone as it moved, sensor axes, about the sensor's origin, shape (T, 6)."""
+    twist, rates = trajectory.tcp_velocity, twist_rates(trajectory)
+    into = axes.transpose(0, 2, 1)
+    linear = np.einsum("nij,nj->ni", into, rates[:, :3])
+    spin, spin_rate = (np.einsum("nij,nj->ni", into, x) for x in (twist[:, 3:], rates[:, 3:]))
+    arm = tool.com - tool.tcp
+    acceleration = linear + np.cross(spin_rate, arm) + np.cross(spin, np.cross(spin, arm))
+    gravity = np.einsum("nij,j->ni", into, [0, 0, -GRAVITY])
+    force = tool.mass * (acceleration - gravity)
+    torque = spin_rate @ tool.inertia.T + np.cross(spin, spin @ tool.inertia.T) + np.cross(tool.com, force)
+    return np.hstack([force, torque])
+
+
+def twist_rates(trajectory: Trajectory) -> Float[np.ndarray, "T 6"]:
+    """Linear and angular acceleration of the tool at the TCP [m/s^2, rad/s^2], world axes, shape (T, 6)."""
+    twist = trajectory.tcp_velocity
+    rate = 1 / float(np.median(np.diff(trajectory.time_s)))
+    window = min(11, len(twist) - 1 + len(twist) % 2)
+    rates = savgol_filter(twist, window, 2, deriv=1, delta=1 / rate, axis=0) if window > 2 else np.zeros_like(twist)
+    return np.asarray(rates)

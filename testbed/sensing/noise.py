@@ -1,0 +1,57 @@
+"""Noise: the errors of a sensor drawn on a clean, simulated record.
+
+A simulated trial is stored with a perfect sensor, so that a hundred noise seeds cost no simulation.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from scipy.signal import lfilter
+
+from testbed.frames import perpendicular
+from testbed.objects.model import GRAVITY
+from testbed.sensing.compensation import compensate
+from testbed.sensing.presets import Sensing
+from testbed.trajectory import Phase, Trajectory
+
+
+def draw_sensing(clean: Trajectory, sensing: Sensing, seed: int) -> Trajectory:
+    """Trajectory of a clean one as a sensor with errors records it, tared and compensated.
+
+    Args:
+        clean: simulated trial with a perfect sensor.
+        sensing: errors of the sensor.
+        seed: seed of the draw; one seed gives the same errors to all trials of equal length: mix in the trial's own.
+    """
+    rng = np.random.default_rng(seed)
+    provenance = clean.provenance | {"sensing": sensing.name, "sensing_seed": str(seed)}
+    if clean.tool is None:
+        wrench = np.array(clean.wrench_on_object_world)
+        wrench[:, 2] += GRAVITY * sensing.scale * rng.standard_normal()
+        return replace(clean, wrench_on_object_world=wrench, provenance=provenance)
+    count, dt = len(clean.time_s), float(np.median(np.diff(clean.time_s)))
+    noise_std = np.array([*sensing.force_noise, *sensing.torque_noise])
+    white = rng.standard_normal((count, 6))
+    white[1:] *= np.sqrt(1 - sensing.lag1**2)
+    coloured = lfilter([1.0], [1.0, -sensing.lag1], white, axis=0)
+    bias = sensing.bias_std * rng.standard_normal(6)
+    walk = np.cumsum(sensing.drift_std * np.sqrt(dt) * rng.standard_normal((count, 6)), axis=0)
+    tared = np.maximum.accumulate(clean.phase > Phase.TARE)
+    raw = clean.sensor_wrench + noise_std * coloured + walk + np.outer(tared, bias)
+    accelerations = np.repeat([sensing.linear_acceleration_noise, sensing.angular_acceleration_noise], 3)
+    jitter = accelerations * dt / np.sqrt(2) * rng.standard_normal((count, 6))
+    velocity = clean.tcp_velocity + jitter
+    planar = clean.object_velocity + jitter[:, [0, 1, 5]]
+    planar[:, :2] += jitter[:, 5:] * perpendicular(clean.object_pose[:, :2] - clean.tcp_position[:, :2])
+    noisy = replace(
+        clean,
+        sensor_wrench=raw,
+        tcp_velocity=velocity,
+        object_velocity=planar,
+        sensor_bias_std=sensing.bias_std,
+        sensor_drift_std=sensing.drift_std,
+        provenance=provenance,
+    )
+    return compensate(noisy)

@@ -42,17 +42,17 @@ METHODS: dict[str, type[Estimator]] = {
 
 
 def kind_of(label: str, settings: Mapping[str, Any]) -> str:
-    """Which method a label stands for: the setting `method`, or the label itself."""
+    """Name of the method of a label: its setting `method`, or the label itself."""
     return str(settings.get("method", label))
 
 
 def is_method(name: str) -> bool:
-    """Whether a name is that of a method by itself: heft's own, an installed one, or "package:Class"."""
+    """True for the name of a method: heft's own, an installed one, or "package:Class"."""
     return name in METHODS or ":" in name or name in installed(ESTIMATOR)
 
 
 def build_method(label: str, settings: Mapping[str, Any]) -> Estimator:
-    """A method with its settings.
+    """Build the method of a label with its settings.
 
     Raises:
         InvalidValueError: unknown method or setting, or a value out of range.
@@ -63,7 +63,7 @@ def build_method(label: str, settings: Mapping[str, Any]) -> Estimator:
 
 
 def code_of(name: str) -> dict[str, str]:
-    """What decides the answers of a method beyond heft's version: the source of one that is not heft's own."""
+    """Source hash of a method that is not heft's own; empty for heft's own, whose version decides."""
     return {} if name in METHODS else {"source": source_hash(_class_of(name))}
 
 

@@ -19,8 +19,7 @@ class RobotTime:
     """Robot time of one trial and of the way to the next.
 
     A simulated record runs from the tare to the release: tare, down, pause, close, null, pause, the action, pause,
-    open. It lacks the way to the next grasp, which takes
-    as long as on the real robot.
+    open. It lacks the way to the next grasp, which takes as long as on the real robot.
     """
 
     around: float = 4.79

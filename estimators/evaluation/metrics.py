@@ -1,4 +1,4 @@
-"""Forward simulation of a turn at constant speed with an estimate, against what was measured: the ground of MPD."""
+"""The paper's metrics: NAD, and MPD by forward simulation of turns at constant speed with an estimate."""
 
 from __future__ import annotations
 
@@ -20,27 +20,29 @@ from testbed.sensing.windows import steady_samples
 from testbed.trajectory import Trajectory
 
 CREEP = 1e-5
-"""Speed over which friction's flip is spread, m/s: what sticks creeps by less."""
+"""Speed over which friction changes sign [m/s]: a particle that sticks creeps by less."""
 NEWTON_STEPS, HALVINGS = 30, 30
+OPEN_LOOP = 1.0
+"""Duration of the open-loop prediction [s]."""
 
 
 @dataclass(frozen=True, eq=False)
 class SteadyTurn:
-    """A filtered turn: N measured states of the centre of mass, and the wrench at each."""
+    """Filtered turn: N measured states of the center of mass, and the wrench at each."""
 
     pose: Tensor
-    """(N, 3)."""
+    """Planar pose of the center of mass, shape (N, 3)."""
     velocity: Tensor
-    """(N, 3)."""
+    """Planar twist of the center of mass, shape (N, 3)."""
     wrench: Tensor
-    """Planar, world axes, about the grasp point, (N, 3)."""
+    """Planar wrench about the grasp point, world axes, shape (N, 3)."""
     grasp: Tensor
-    """m, object frame, (2,)."""
+    """Grasp point [m], object frame, shape (2,)."""
     dt: float
 
     @staticmethod
     def of(window: Observations, trajectory: Trajectory, kept: np.ndarray, inertia: Inertia) -> SteadyTurn:
-        """Of the samples kept in a window, for an object with that centre of mass."""
+        """Turn of the samples kept in a window, for an object with that inertia."""
         measured = torch.tensor(trajectory.object_pose[kept])
         yaw, spin = measured[:, 2], window.twist[:, 2]
         turned_to = lambda v: rotate(yaw, v.expand(len(yaw), 2))  # noqa: E731
@@ -54,14 +56,7 @@ class SteadyTurn:
         )
 
     def open_loop(self, model: ParticleModel, inertia: Inertia, friction: Float[Tensor, "P"], seconds: float) -> float:
-        """Mean particle distance after `seconds` of simulation from the wrench alone, m.
-
-        Args:
-            model: the object.
-            inertia: M, c, I_cm of the estimate.
-            friction: mu_i N_i of each particle, N.
-            seconds: how long; the whole turn at most.
-        """
+        """Mean particle distance [m] after `seconds` of simulation from the wrench alone, at friction mu_i N_i [N]."""
         steps = min(round(seconds / self.dt), len(self.pose) - 1)
         arms = (model.particles - inertia.com).numpy()
         mass = np.array([inertia.mass, inertia.mass, inertia.about_com])
@@ -72,12 +67,12 @@ class SteadyTurn:
             lever = turn @ hand
             torque = wrench[2] + lever[0] * wrench[1] - lever[1] * wrench[0]
             free = velocity + self.dt * np.array([wrench[0], wrench[1], torque]) / mass
-            velocity = _rubbed(mass, free, velocity, arms @ turn.T, self.dt * friction.numpy())
+            velocity = _after_friction(mass, free, velocity, arms @ turn.T, self.dt * friction.numpy())
             pose += self.dt * velocity
-        return _apart(model, inertia, torch.tensor(pose), self.pose[steps])
+        return _mean_distance(model, inertia, torch.tensor(pose), self.pose[steps])
 
     def stepwise(self, model: ParticleModel, inertia: Inertia, friction: Float[Tensor, "P"]) -> float:
-        """Distance at the end when every step starts from the measured state and the steps add up, m."""
+        """Mean particle distance [m] at the end where each step starts from the measured state and steps add up."""
         after = one_step(
             model,
             inertia,
@@ -89,20 +84,17 @@ class SteadyTurn:
             self.dt,
         )
         end = self.pose[0] + self.dt * torch.cat([self.velocity[:1], after[:-2]]).sum(0)
-        return _apart(model, inertia, end, self.pose[-1])
+        return _mean_distance(model, inertia, end, self.pose[-1])
 
 
-def _rubbed(mass: np.ndarray, free: np.ndarray, start: np.ndarray, arms: np.ndarray, bound: np.ndarray) -> np.ndarray:
+def _after_friction(
+    mass: np.ndarray, free: np.ndarray, start: np.ndarray, arms: np.ndarray, bound: np.ndarray
+) -> np.ndarray:
     """Velocity after an implicit step with Coulomb friction, (3,): the minimum of the step's dissipation by Newton.
 
-    Implicit, since friction can stop an object within a step of the record.
-
-    Args:
-        mass: M, M, I_cm.
-        free: velocity without friction.
-        start: where Newton begins.
-        arms: particles from the centre of mass, world axes, m, (P, 2).
-        bound: largest friction impulse of each, N s, (P,).
+    The step is implicit since friction can stop an object within a step of the record. `mass` is (M, M, I_cm), `free`
+    the velocity without friction, `arms` the particles from the center of mass [m], world axes, (P, 2), and `bound` the
+    greatest friction impulse of each [N s].
     """
 
     def value(v: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
@@ -136,19 +128,15 @@ def _rubbed(mass: np.ndarray, free: np.ndarray, start: np.ndarray, arms: np.ndar
     return v
 
 
-def _apart(model: ParticleModel, inertia: Inertia, a: Tensor, b: Tensor) -> float:
-    """Mean distance between the particles of two poses of the centre of mass, m."""
+def _mean_distance(model: ParticleModel, inertia: Inertia, a: Tensor, b: Tensor) -> float:
+    """Mean distance between the particles at two poses of the center of mass [m]."""
     arm = model.particles - inertia.com
     first, second = (pose[:2] + rotate(pose[2], arm) for pose in (a, b))
     return float((first - second).norm(dim=-1).mean())
 
 
-OPEN_LOOP = 1.0
-"""Length of the open-loop prediction, s."""
-
-
 def normalized_absolute_difference(shape: ObjectShape, estimate: MassDistribution, truth: MassDistribution) -> float:
-    """NAD, eta_1: sum over particles of |m - m_g| over the total mass; 0 is right, 2 is everything misplaced.
+    """NAD, eta_1: sum over particles of |m - m_g| over the total mass; 0 is exact, 2 is all mass misplaced.
 
     Raises:
         InvalidValueError: masses that do not fit the shape.
@@ -162,26 +150,26 @@ def normalized_absolute_difference(shape: ObjectShape, estimate: MassDistributio
 
 @dataclass(frozen=True)
 class ParticleDistance:
-    """MPD, eta_2: mean over turns of the mean distance between predicted and measured particles at the end, m."""
+    """MPD, eta_2 [m]: mean over turns of the mean distance between predicted and measured particles at the end."""
 
     open_loop: float
-    """After 1 s of forward simulation from the measured wrench alone."""
+    """MPD after 1 s of forward simulation from the measured wrench alone."""
     turn: float
-    """After the whole turn: every step is predicted from the measured state before it, and the steps add up."""
+    """MPD after the whole turn, each step predicted from the measured state before it and the steps added up."""
 
 
 def mean_particle_distance(
     shape: ObjectShape, estimate: MassDistribution, turns: Sequence[Trajectory]
 ) -> ParticleDistance | None:
-    """Forward simulation of turns that the estimate has not seen; None where no turn is ok.
+    """MPD of an estimate on turns that it was not given; None where no turn is ok.
 
-    As in the paper, wrench and motion are the filtered ones: constant in the object frame over a steady turn. What the
-    gripper was measured to press goes into the loads; the object rests on its own weight, as every method assumes.
+    As in the paper, wrench and motion are the filtered ones: constant in the object frame over a steady turn. The
+    measured load on the gripper enters the loads; the object rests on its own weight, as every method assumes.
 
     Args:
         shape: geometry and groups.
-        estimate: mass and friction.
-        turns: at constant speed.
+        estimate: masses and frictions.
+        turns: turns at constant speed.
     """
     usable = [turn for turn in turns if turn.ok]
     windows = observe(shape, usable)

@@ -1,4 +1,4 @@
-"""Comparing methods on the same draws: mean, spread, bootstrap interval, and whether one is best for sure."""
+"""Statistics over draws: mean, spread, bootstrap interval, and the significantly best method."""
 
 from __future__ import annotations
 
@@ -10,20 +10,20 @@ import numpy as np
 from scipy import stats
 
 LEVEL = 0.95
-"""Of the bootstrap interval of the mean."""
+"""Level of the bootstrap interval of the mean."""
 SIGNIFICANT = 0.05
-"""A method is marked best where its paired difference to every other is less likely than this by chance."""
+"""Probability by chance below which a paired difference counts."""
 Row = Mapping[str, Any]
-"""One estimate of a run: a row of results.parquet."""
+"""Row of results.parquet: one estimate of a run."""
 AXIS = "axis."
-"""Beginning of the column of a swept field."""
+"""Prefix of the column of a swept field."""
 Draws = Mapping[int, float]
-"""A number a draw, by its seed; NaN without an answer."""
+"""Number of each draw by its seed; NaN without an answer."""
 
 
 @dataclass(frozen=True)
 class Summary:
-    """One method on one object: N draws."""
+    """Summary of one method on one object over N draws."""
 
     mean: float
     spread: float
@@ -32,11 +32,11 @@ class Summary:
     high: float
     """Percentile bootstrap interval of the mean at LEVEL; NaN for a single draw."""
     missing: int
-    """Draws without an answer."""
+    """Number of draws without an answer."""
 
 
 def axis_columns(axes: Mapping[str, Any]) -> dict[str, Any]:
-    """What a row says of the point of the sweep that it is from; a table of settings in words."""
+    """Columns of a row for the swept settings; a table of settings becomes words."""
     return {f"{AXIS}{name}": _in_words(value) if isinstance(value, dict) else value for name, value in axes.items()}
 
 
@@ -63,17 +63,17 @@ def methods_of(rows: Iterable[Row]) -> list[str]:
 
 
 def select(rows: Iterable[Row], **equal: object) -> list[Row]:
-    """Rows whose columns equal what is asked."""
+    """Rows whose columns have the given values."""
     return [row for row in rows if all(row.get(column) == value for column, value in equal.items())]
 
 
 def draws_of(rows: Iterable[Row], column: str, scale: float = 1.0) -> dict[int, float]:
-    """A column times `scale`, by draw; what is missing is NaN."""
+    """Column times `scale`, by draw; NaN where it is missing."""
     return {row["seed"]: np.nan if row.get(column) is None else scale * row[column] for row in rows}
 
 
 def summarize(draws: Draws) -> Summary | None:
-    """None where no draw has an answer."""
+    """Summary of draws; None where no draw has an answer."""
     values = np.array(list(draws.values()), dtype=float)
     good = values[~np.isnan(values)]
     missing = len(values) - len(good)
@@ -88,7 +88,7 @@ def summarize(draws: Draws) -> Summary | None:
 
 
 def significantly_best(methods: Mapping[str, Draws]) -> str | None:
-    """The method with the least mean, if it beats every other: t-test of the differences, paired by draw.
+    """Method with the least mean, if it beats every other by a t-test of the differences, paired by draw.
 
     A method without any answer is left out, and so is a draw that a method has no answer to.
     """
@@ -104,7 +104,6 @@ def significantly_best(methods: Mapping[str, Draws]) -> str | None:
 
 
 def _smaller(first: Sequence[float], second: Sequence[float]) -> bool:
-    """Whether the first is smaller, for sure."""
     difference = np.subtract(second, first)
     if np.ptp(difference) == 0:
         return bool(difference[0] > 0)

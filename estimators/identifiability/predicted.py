@@ -1,4 +1,4 @@
-"""What actions would show, before any trial: their steady windows with the errors that a sensor would leave in them."""
+"""Predicted windows of actions, before any trial, with the errors that a sensor leaves in them."""
 
 from __future__ import annotations
 
@@ -21,21 +21,21 @@ from testbed.sensing.presets import Sensing
 from testbed.sensing.windows import TRIM_END, trim_start
 
 RATE = 100.0
-"""Samples a second."""
+"""Sampling rate [Hz]."""
 BEFORE = 4.3
-"""From the middle of the tare to the first steady stretch, as the simulated bench takes it, s."""
+"""Time from the middle of the tare to the first steady stretch, as in simulation [s]."""
 BETWEEN = 0.8
-"""From a turn to its turn back, s."""
+"""Time from a turn to its turn back [s]."""
 TARED = 0.33
-"""Of the tare that is used, s."""
+"""Duration of the tare [s]."""
 REACH = 0.174
-"""From the sensor to the TCP, m."""
+"""Distance from the sensor to the TCP [m]."""
 HEIGHT = 0.022
-"""Of the TCP over the table, m."""
+"""Height of the TCP over the table [m]."""
 
 
 class _Stretch(NamedTuple):
-    """A steady stretch to come: velocity and rate of the grasp point, object axes, and the time since the tare."""
+    """Steady stretch: twist and angular acceleration of the grasp point, object axes, and time since the tare [s]."""
 
     twist: tuple[float, float, float]
     alpha: float
@@ -44,14 +44,9 @@ class _Stretch(NamedTuple):
 
 
 def predicted_windows(shape: ObjectShape, actions: Sequence[Action], sensing: Sensing) -> Observations | None:
-    """The windows of some actions, their wrenches left at zero; None where no action moves the object over the table.
+    """Windows of the actions on the table, wrenches left at zero, trials numbered by all actions; None without any.
 
-    The gripper carries nothing, as after nulling, as far as the sensor can tell. Lifts are left out, and numbered.
-
-    Args:
-        shape: geometry and grasps.
-        actions: what would be done.
-        sensing: how the sensor errs.
+    The gripper carries nothing, as after nulling, as far as the sensor can tell.
 
     Raises:
         InvalidValueError: a grasp that the shape does not have.
@@ -74,9 +69,9 @@ def predicted_windows(shape: ObjectShape, actions: Sequence[Action], sensing: Se
     noise, bias, drift = (torch.tensor(each).expand(count, 6, 6) for each in sensor_at_tcp(sensing))
     since_tare = torch.tensor([(s.begin, s.end) for s, _ in stretches], dtype=torch.float64)
     twist = torch.tensor([s.twist for s, _ in stretches], dtype=torch.float64)
-    zeros = torch.zeros(count, dtype=torch.float64)
+    zeros = torch.zeros(count, 3, dtype=torch.float64)
     return Observations(
-        wrench=torch.zeros(count, 3, dtype=torch.float64),
+        wrench=zeros,
         noise=noise / since_tare.diff()[..., None],
         bias=bias,
         drift=drift,
@@ -86,12 +81,12 @@ def predicted_windows(shape: ObjectShape, actions: Sequence[Action], sensing: Se
         acceleration=torch.tensor([(0.0, 0.0, s.alpha) for s, _ in stretches], dtype=torch.float64),
         spin_square=twist[:, 2].square(),
         grasp=torch.tensor(places[grasp]),
-        lift=zeros,
-        tilt=torch.zeros(count, 2, dtype=torch.float64),
-        yaw=torch.zeros(count, 2, dtype=torch.float64),
+        lift=zeros[:, 0],
+        tilt=zeros[:, :2],
+        yaw=zeros[:, :2],
         load_map=torch.tensor(load_map(HEIGHT)).expand(count, 3, 6),
         load_kept=torch.full((count, 3), float(sensing.force_bias == 0), dtype=torch.float64),
-        load_followed=torch.ones(count, 3, dtype=torch.float64),
+        load_followed=zeros + 1,
         held=torch.tensor(shape.mass_group[held[grasp]]),
         trial=torch.tensor(trial),
         accelerated=torch.tensor([accelerated for _, accelerated in stretches]),
@@ -101,7 +96,7 @@ def predicted_windows(shape: ObjectShape, actions: Sequence[Action], sensing: Se
 def sensor_at_tcp(sensing: Sensing) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Covariances of a sensor's errors about the TCP, axes up, each (6, 6).
 
-    Those of the noise of a mean over one second, of what the tare leaves, and of what the zero walks in one second.
+    They are of the noise of a mean over one second, of the bias after the tare, and of the drift in one second.
     """
     std = np.array([*sensing.force_noise, *sensing.torque_noise])
     std[[0, 1, 3, 4]] = np.sqrt((std[[0, 0, 3, 3]] ** 2 + std[[1, 1, 4, 4]] ** 2) / 2)  # whichever way the hand turned
@@ -113,7 +108,7 @@ def sensor_at_tcp(sensing: Sensing) -> tuple[np.ndarray, np.ndarray, np.ndarray]
 
 
 def _stretches(at: tuple[float, float], shape: ObjectShape, action: TableAction) -> list[_Stretch]:
-    """Steady stretches of one action of the grasp `at` [m], trimmed as a record is."""
+    """Steady stretches of an action of the grasp at `at` [m], trimmed as a record is."""
     about, heading, time, found = action.center(shape), action.heading, BEFORE, []
     for segment, (speed, acceleration, seconds) in enumerate(action.steady):
         if segment and not action.accelerated:
@@ -134,12 +129,7 @@ def predicted_lifts(actions: Sequence[Action], sensing: Sensing) -> dict[int, li
 
 
 def predicted_lift(action: Lift, sensing: Sensing) -> list[LiftWindow]:
-    """The windows of one lift, their wrenches left at zero.
-
-    Args:
-        action: what would be done.
-        sensing: how the sensor errs.
-    """
+    """Windows of one lift, their wrenches left at zero."""
     profile = action.profile(1 / RATE)
     noise, bias, drift = sensor_at_tcp(sensing)
     upwards = _upwards(profile.angle)
@@ -168,6 +158,6 @@ def predicted_lift(action: Lift, sensing: Sensing) -> list[LiftWindow]:
 
 
 def _upwards(angle: np.ndarray) -> np.ndarray:
-    """The vertical in the object's axes, where it is turned about one of them, (N, 3)."""
+    """Vertical unit vectors in the axes of an object that is turned about x or y by the angles, (N, 3)."""
     x, y = angle[:, 0], angle[:, 1]
     return np.column_stack([-np.sin(y), np.sin(x), np.cos(x) * np.cos(y)])

@@ -1,8 +1,7 @@
-"""What can be known of an object's masses: rank, errors to expect, and what stays open, named in its groups.
+"""Identifiability of an object's masses: rank, standard errors, and open directions, named in its groups.
 
-All of it follows from one matrix: the derivatives of what is felt in the masses and the friction, in units of the
-errors it is felt with. Its square is the Fisher information, so the errors are the Cramer-Rao bound where the matrix is
-taken at the truth.
+All of it follows from one matrix: the derivatives of the measurements in the masses and frictions, over the errors of
+the measurements. Its square is the Fisher information, so at the truth the errors are the Cramer-Rao bound.
 """
 
 from __future__ import annotations
@@ -18,33 +17,33 @@ from testbed.objects.model import MassDistribution, ObjectShape
 from testbed.validation import frozen_array
 
 MOST_SETS = 4000
-"""Of unknowns that are tried for a sparse open direction, before elimination has to do."""
+"""Greatest number of sets of unknowns that the search for sparse open directions tries."""
 PART = 1e-3
-"""A group that has less than this part in an open direction is not touched by it."""
+"""Part of an open direction below which a group does not belong to it."""
 
 
 @dataclass(frozen=True, eq=False)
 class Identifiability:
-    """What a set of data shows, and what it leaves open."""
+    """Rank and errors that a set of trials gives, and the directions that it leaves open."""
 
     group_names: tuple[str, ...]
-    """Of the mass groups."""
+    """Names of the mass groups."""
     covariance: Float[np.ndarray, "n_m n_m"]
-    """Of the mass groups, kg^2; infinite where they are in an open direction."""
+    """Covariance of the mass groups [kg^2], infinite where they are in an open direction."""
     friction_error: Float[np.ndarray, "n_mu"]
-    """Of each friction coefficient; infinite where open."""
+    """Standard error of each friction coefficient, infinite where open."""
     rank: int
-    """Directions that are seen, out of `unknowns`."""
+    """Number of directions that are seen, out of `unknowns`."""
     unknowns: int
     """n_m + n_mu."""
     condition: float
-    """Best over worst seen direction, masses as parts of M, friction as parts of itself."""
+    """Ratio of the best to the worst seen direction, masses as parts of M, friction as a part of itself."""
     open_directions: Float[np.ndarray, "D unknowns"]
-    """What can be added to the masses (kg a group) and frictions unseen, one a row, touching as few as can be."""
+    """Changes of the masses [kg a group] and frictions that no measurement shows, as sparse as can be, one a row."""
     unobservable: tuple[str, ...]
-    """The same in words."""
+    """Open directions in words."""
     bench: tuple[str, ...] = ()
-    """What is seen of the bench's own unknowns, in words, where they were asked for."""
+    """Report on the unknowns of the setup, in words, where they are estimated."""
 
     def __post_init__(self) -> None:
         n_m, n_mu = len(self.group_names), len(self.friction_error)
@@ -54,30 +53,25 @@ class Identifiability:
 
     @property
     def standard_error(self) -> Float[np.ndarray, "n_m"]:
-        """Of each mass group, kg; infinite where open."""
+        """Standard error of each mass group [kg], infinite where open."""
         return np.sqrt(np.diagonal(self.covariance))
 
     @property
     def sentence(self) -> str:
-        """What is seen and what is not, in words."""
-        told = f"all {self.unknowns} masses and frictions are seen"
+        """Summary of what is seen and what is open."""
+        text = f"all {self.unknowns} masses and frictions are seen"
         if self.rank < self.unknowns:
-            told = f"{self.rank} of {self.unknowns} masses and frictions are seen; open: {'; '.join(self.unobservable)}"
-        return "; ".join([told, *self.bench])
+            text = f"{self.rank} of {self.unknowns} masses and frictions are seen; open: {'; '.join(self.unobservable)}"
+        return "; ".join([text, *self.bench])
 
 
 def identifiability(
     shape: ObjectShape, distribution: MassDistribution, root: Float[np.ndarray, "R unknowns"]
 ) -> Identifiability:
-    """Read a whitened Jacobian.
+    """Report of a whitened Jacobian in the particle masses [kg] and frictions, taken at a distribution.
 
-    A direction counts as seen where its standard error is below the whole mass of the object, or below the whole of a
-    friction: the weighing alone says that much of a mass that is not negative.
-
-    Args:
-        shape: geometry and groups.
-        distribution: where the Jacobian was taken.
-        root: derivatives of the data in the particle masses (kg) and frictions, over the data's errors.
+    A direction is seen where its standard error is below the whole mass of the object, or the whole of a friction: the
+    weighing alone gives that much of a mass that is not negative.
     """
     count, n_m = shape.particles_per_group, shape.n_m
     whole = float(distribution.mass @ count)
@@ -108,7 +102,7 @@ def _friction_names(shape: ObjectShape) -> list[str]:
 
 
 def _sparse(rows: np.ndarray) -> np.ndarray:
-    """The same space by the vectors that touch the fewest unknowns, found by trying small sets of them."""
+    """Basis of the row space whose vectors have the fewest unknowns, by a search over small sets of them."""
     count, columns = rows.shape
     basis, tried = np.empty((0, columns)), 0
     for size in range(1, columns - count + 2):
@@ -131,7 +125,7 @@ def _sparse(rows: np.ndarray) -> np.ndarray:
 
 
 def _tidied(vector: np.ndarray) -> np.ndarray:
-    """Scaled to whole numbers where that is near, else to a largest entry of 1; the first entry positive."""
+    """Vector scaled to whole numbers where they are near, else to a largest entry of 1; its first entry is positive."""
     vector = np.where(np.abs(vector) < PART * np.abs(vector).max(), 0.0, vector)
     entries = vector[vector != 0]
     whole = entries / np.abs(entries).min()
@@ -141,7 +135,7 @@ def _tidied(vector: np.ndarray) -> np.ndarray:
 
 
 def _echelon(rows: np.ndarray) -> np.ndarray:
-    """Reduced row echelon form of rows of full rank; what is below PART is zero."""
+    """Reduced row echelon form of rows of full rank; entries below PART are zero."""
     left = rows.copy()
     row = 0
     for column in range(left.shape[1]):
@@ -159,22 +153,22 @@ def _echelon(rows: np.ndarray) -> np.ndarray:
 
 
 def _in_words(basis: np.ndarray, names: list[str]) -> tuple[str, ...]:
-    """Each open direction; what only changes places within a set of groups is told once for the set."""
+    """Words for each open direction; groups whose masses only change places are named together."""
     sets: list[set[int]] = []
-    said = []
+    words = []
     for row in basis:
         part = np.flatnonzero(row)
         if len(part) == 1:
-            said.append(f"{names[part[0]]} not at all")
+            words.append(f"{names[part[0]]} not at all")
         elif len(part) == 2 and abs(row[part].sum()) < 10 * PART:
             joined = [s for s in sets if s & set(part.tolist())]
             sets = [s for s in sets if s not in joined] + [set(part.tolist()).union(*joined)]
         else:
             terms = " ".join(f"{'-' if row[i] < 0 else '+'} {_times(abs(row[i]))}{names[i]}" for i in part)
-            said.append(f"the combination {terms.removeprefix('+ ')}")
+            words.append(f"the combination {terms.removeprefix('+ ')}")
     together = [sorted(s) for s in sorted(sets, key=min)]
     sums = [f"{', '.join(names[i] for i in s[:-1])} and {names[s[-1]]} only as a sum" for s in together]
-    return (*sums, *said)
+    return (*sums, *words)
 
 
 def _times(factor: float) -> str:

@@ -1,10 +1,12 @@
-"""A world of exact Coulomb friction: what an object would give, in plain numpy, without a simulator."""
+"""Analytic world: records of an object under exact Coulomb friction, in plain numpy, without a simulator."""
 
 from __future__ import annotations
 
-import numpy as np
+from typing import Any
 
-from estimators.testing.records import RATE, record
+import numpy as np
+from scipy.spatial.transform import Rotation
+
 from testbed.actions.accelerate import Accelerate
 from testbed.actions.base import TableAction
 from testbed.actions.rotate import Rotate
@@ -12,10 +14,45 @@ from testbed.actions.slide import Slide
 from testbed.frames import cross_2d, perpendicular, pose_from_point, rotation_2d
 from testbed.objects.blocks import block_object, parse_layout
 from testbed.objects.model import GRAVITY, ObjectModel
-from testbed.trajectory import Phase, Trajectory
+from testbed.trajectory import Phase, Tool, Trajectory
 
+RATE = 100.0
+"""Sampling rate [Hz]."""
+DOWN = Rotation.from_quat([0.0, 1.0, 0.0, 0.0], scalar_first=True)
+"""Orientation with the sensor's z towards the table."""
+TOOL = Tool(
+    mass=0.9,
+    com=np.array([0.01, -0.02, 0.06]),
+    inertia=np.array([[2e-3, 1e-4, -2e-4], [1e-4, 3e-3, 3e-4], [-2e-4, 3e-4, 1e-3]]),
+    tcp=np.array([0.002, -0.001, 0.17]),
+)
+"""Lopsided tool, so that nothing cancels by symmetry."""
 HEIGHT = 0.022
-"""Of the TCP over the table, m."""
+"""Height of the TCP over the table [m]."""
+
+
+def record(count: int = 400, *, tare: int = 100, orientation: Rotation = DOWN, **changes: Any) -> Trajectory:
+    """Record of a hand at rest: `tare` samples of tare, then one steady stretch. `changes` replaces fields."""
+    steady = np.arange(count) >= tare
+    values: dict[str, Any] = {
+        "action": Rotate(0),
+        "status": "ok",
+        "reason": "",
+        "time_s": np.arange(count) / RATE,
+        "phase": np.where(steady, Phase.STEADY, Phase.TARE),
+        "segment": np.where(steady, 0, -1),
+        "object_pose": np.zeros((count, 3)),
+        "object_velocity": np.zeros((count, 3)),
+        "tcp_position": np.zeros((count, 3)),
+        "tcp_velocity": np.zeros((count, 6)),
+        "sensor_orientation": np.tile(orientation.as_quat(scalar_first=True), (count, 1)),
+        "sensor_wrench": np.zeros((count, 6)),
+        "wrench_on_object_world": np.zeros((count, 6)),
+        "joint_position": np.zeros((count, 7)),
+        "tool": TOOL,
+        "sensor_bias_std": np.zeros(6),
+    }
+    return Trajectory(**values | changes)
 
 
 def analytic_trial(
@@ -29,17 +66,17 @@ def analytic_trial(
     noise: float = 0.0,
     seed: int = 0,
 ) -> Trajectory:
-    """The record of one action.
+    """Record of one action.
 
     Args:
         obj: the object, truth included.
-        action: what is done with it.
+        action: action on the table.
         rigid: one rigid body; else every group rests on its own weight.
-        lift: vertical force of the gripper, N.
-        moment: what the feet supply beyond the weights, about the grasp point, N m, object axes.
-        wander: how far the centre of a turn moves to and fro, as under an arm that gives way, m.
-        noise: white noise on the wrench, N and 0.1 N m.
-        seed: of the noise.
+        lift: vertical force of the gripper [N].
+        moment: moment of the feet beyond the weights, about the grasp point, object axes [N m].
+        wander: amplitude of the motion of a turn's center, as under a compliant arm [m].
+        noise: white noise on the wrench [N and 0.1 N m].
+        seed: seed of the noise.
     """
     shape = obj.shape
     grasp = shape.grasps[action.grasp].position
@@ -102,7 +139,7 @@ def analytic_trial(
 
 
 def turns(obj: ObjectModel, grasps: list[int] | None = None, **world: object) -> list[Trajectory]:
-    """A turn there and back about every grasp, beside its centre."""
+    """Records of a turn there and back about every grasp, beside its center."""
     chosen = range(len(obj.shape.grasps)) if grasps is None else grasps
     beside = obj.shape.cell / 2
     pivots = [tuple(obj.shape.grasps[g].position + beside) for g in chosen]
@@ -111,13 +148,13 @@ def turns(obj: ObjectModel, grasps: list[int] | None = None, **world: object) ->
 
 
 def accelerated(obj: ObjectModel, grasps: list[int] | None = None, **world: object) -> list[Trajectory]:
-    """An accelerated turn about every grasp."""
+    """Records of an accelerated turn about every grasp."""
     chosen = range(len(obj.shape.grasps)) if grasps is None else grasps
     return [analytic_trial(obj, Accelerate(g), seed=100 + g, **world) for g in chosen]  # pyright: ignore[reportArgumentType]
 
 
 def drawn_object(seed: int, layout: list[str] | None = None, friction_groups: int = 1) -> ObjectModel:
-    """A random layout of joined blocks with random masses and frictions."""
+    """Object of joined blocks with random masses and frictions."""
     rng = np.random.default_rng(seed)
     cells = parse_layout(layout or [["1111", "0100", "0100"], ["101", "101", "111"], ["110", "011"]][seed % 3])
     groups = (rng.permutation(len(cells)) % friction_groups).tolist()

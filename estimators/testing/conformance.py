@@ -1,4 +1,4 @@
-"""What every estimator must do, heft's own and others'. Each rule raises an AssertionError where it is broken."""
+"""Rules that every estimator keeps, heft's own and others'. A rule raises an AssertionError where it is broken."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from testbed.objects.model import GRAVITY, MassDistribution, ObjectModel, Object
 from testbed.trajectory import Trajectory
 
 Draw = Callable[[int], ObjectModel]
-"""An object a number."""
+"""Object of each number."""
 
 
 def small_object(seed: int) -> ObjectModel:
@@ -46,11 +46,11 @@ def data(obj: ObjectModel) -> list[Trajectory]:
 
 
 _CLEAN: list[tuple[Estimator, Draw, ObjectModel, Estimate]] = []
-"""The last of `clean_answer`."""
+"""Last result of `clean_answer`."""
 
 
 def clean_answer(estimator: Estimator, draw: Draw) -> tuple[ObjectModel, Estimate]:
-    """The first object, and the answer to enough clean trials of it: rules that only look at it share it."""
+    """First object, and the answer to enough clean trials of it, which the rules that only look at it share."""
     if not (_CLEAN and _CLEAN[0][0] is estimator and _CLEAN[0][1] is draw):
         obj = draw(0)
         _CLEAN[:] = [(estimator, draw, obj, estimator.estimate(obj.shape, obj.total_mass, data(obj), 0))]
@@ -70,7 +70,7 @@ def answers_in_the_shapes_groups(estimator: Estimator, draw: Draw = drawn_object
 
 
 def gives_the_same_answer_to_the_same_seed(estimator: Estimator, draw: Draw = drawn_object) -> None:
-    """The same trials and seed give the same masses and frictions, to the last bit."""
+    """Equal trials and seeds give equal masses and frictions, to the last bit."""
     obj = draw(1)
     first, second = (estimator.estimate(obj.shape, obj.total_mass, data(obj), 7).distribution for _ in range(2))
     assert first is not None
@@ -179,7 +179,7 @@ def does_not_hide_that_trajectories_contradict_each_other(estimator: Estimator, 
 
 
 def opposed(obj: ObjectModel) -> list[Trajectory]:
-    """Every turn again, its wrench the other way."""
+    """Turns with reversed wrenches."""
     return [replace(t, wrench_on_object_world=-t.wrench_on_object_world) for t in turns(obj)]
 
 

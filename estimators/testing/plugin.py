@@ -24,7 +24,7 @@ pytest.register_assert_rewrite("estimators.testing.conformance")
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    """What is tested, and what is asked of it."""
+    """Add the options that name an estimator and what is required of it."""
     group = parser.getgroup("heft", "an estimator held to heft's rules: pytest --pyargs estimators.testing")
     group.addoption("--estimator", metavar="PACKAGE:CLASS", help="the estimator; or the name of its entry point")
     group.addoption("--estimator-settings", metavar="TOML", default="", help='as "iterations = 60, use_weight = true"')

@@ -1,7 +1,7 @@
-"""Known blocks: objects whose truth is known, with clean trials recorded on the simulated bench. Ships with heft.
+"""Known blocks: objects whose truth is known, with clean trials recorded in simulation. They ship with heft.
 
-A file a block and support, its columns whole numbers of a quantum. Left out is what follows from the rest, the
-compensated wrench, and what no estimator reads, the arm's joints: they come back as zeros.
+Each block and support has a file whose columns are whole numbers of a quantum. It leaves out the compensated wrench,
+which follows from the rest, and the arm's joints, which no estimator reads: they come back as zeros.
 """
 
 from __future__ import annotations
@@ -37,38 +37,33 @@ _QUANTA: dict[str, tuple[float, ...]] = {
     "sensor_orientation": (1e-6,) * 4,
     "sensor_wrench": (1e-3,) * 3 + (1e-4,) * 3,
 }
-"""What a column is rounded to: a hundredth of the best sensor's noise, and less."""
+"""Quanta of the columns: a hundredth of the best sensor's noise, and less."""
 
 
 @dataclass(frozen=True, eq=False)
 class KnownBlock:
-    """An object, who carries its weight, and what the bench recorded of it with a perfect sensor."""
+    """Known block: an object, its support, and clean trials of it."""
 
     model: ObjectModel
-    """Truth included: not for the estimator."""
+    """Object with its truth, which is not for the estimator."""
     support: str
     """own_weight or rigid."""
     clean: tuple[Trajectory, ...]
     """Turns at changing and at constant speed, status ok."""
     provenance: dict[str, str]
-    """What recorded them."""
+    """Source of the records."""
 
     @property
     def name(self) -> str:
-        """Object and support, such as L2-rigid."""
+        """Name of object and support, such as L2-rigid."""
         return f"{self.model.name}-{self.support}"
 
     def weighed(self, sensing: str, seed: int = 0) -> float:
-        """M as a scale with this preset's error reads it, kg."""
+        """Reading of a scale with this preset's error [kg]."""
         return self.model.total_mass + preset(sensing).scale * np.random.default_rng([seed, 1]).standard_normal()
 
     def trials(self, sensing: str, seed: int = 0) -> list[Trajectory]:
-        """The trials as one draw of a sensor's errors has them.
-
-        Args:
-            sensing: name of a preset.
-            seed: of the draw; every trial gets errors of its own.
-        """
+        """Trials with one draw of a preset's errors; each trial gets errors of its own."""
         streams = np.random.SeedSequence(seed).spawn(len(self.clean))
         seeds = [int(stream.generate_state(1)[0]) for stream in streams]
         return [draw_sensing(t, preset(sensing), s) for t, s in zip(self.clean, seeds, strict=True)]
@@ -81,7 +76,7 @@ def block_names() -> list[str]:
 
 @lru_cache(maxsize=4)
 def load_block(name: str) -> KnownBlock:
-    """A known block by name.
+    """Load a known block by name.
 
     Raises:
         InvalidValueError: no such block.
@@ -121,15 +116,7 @@ def load_block(name: str) -> KnownBlock:
 def save_block(
     file: ObjectFile, support: str, trials: Sequence[Trajectory], provenance: dict[str, str], folder: Path = FOLDER
 ) -> Path:
-    """Write a known block; its path.
-
-    Args:
-        file: the object.
-        support: who carried its weight.
-        trials: clean records of turns, at `RATE`, status ok.
-        provenance: what recorded them.
-        folder: where to.
-    """
+    """Write a known block from clean records of turns at `RATE`, status ok; returns its path."""
     whole: dict[str, list[np.ndarray]] = {"trial": [], "phase": [], "segment": []}
     said = []
     for index, trial in enumerate(trials):

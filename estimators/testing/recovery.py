@@ -1,4 +1,4 @@
-"""Whether an estimator recovers a known block, or says that it cannot."""
+"""Recovery of a known block by an estimator, or its statement that it cannot."""
 
 from __future__ import annotations
 
@@ -23,16 +23,16 @@ def recovers(
     slack: float = 1.0,
     claims: str = "own_weight",
 ) -> None:
-    """An answer of status ok is right; any other status says why in a sentence.
+    """Check that an answer of status ok is right, and that any other status has a message.
 
-    Where own weight is all that it claims to know, it must answer where a perfect sensor's trials show every mass. A
-    method that claims more is not told who carries the weight, and a block may not show that.
+    A method that claims own weight alone must answer where a perfect sensor's trials show every mass. One that claims
+    more is not given the support, and a block may not show it.
 
     Args:
-        estimator: what is tested.
-        block: the truth.
+        estimator: estimator under test.
+        block: known block with its truth.
         sensing: preset of the trials.
-        trials: what the estimator is given.
+        trials: trials for the estimator.
         slack: factor on `ALLOWED`.
         claims: supports that the estimator claims to know: own_weight, rigid or both.
 
@@ -50,16 +50,16 @@ def recovers(
         return
     assert answer.distribution is not None, f"{where}: status ok without a mass distribution"
     nad = normalized_absolute_difference(model.shape, answer.distribution, model.truth)
-    assert nad <= limit, _told(where, answer, block, nad, limit)
+    assert nad <= limit, _verdict(where, answer, block, nad, limit)
 
 
 def shows_every_mass(block: KnownBlock) -> bool:
-    """Whether the turns have full rank and there is one friction, so that the masses follow where M is known."""
+    """True if the turns have full rank and there is one friction, so that the masses follow from M."""
     turns = [trial.action for trial in block.clean if isinstance(trial.action, Rotate)]
     return block.model.shape.n_mu == 1 and predicted_rank(block.model.shape, turns) == block.model.shape.n_m
 
 
-def _told(where: str, answer: Estimate, block: KnownBlock, nad: float, limit: float) -> str:
+def _verdict(where: str, answer: Estimate, block: KnownBlock, nad: float, limit: float) -> str:
     shape = block.model.shape
     assert answer.distribution is not None
     found = answer.distribution.mass * shape.particles_per_group

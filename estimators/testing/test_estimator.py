@@ -27,7 +27,7 @@ from testbed.trajectory import Trajectory
 
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
-    """Which blocks are met under which sensors."""
+    """Parametrize the known blocks with sensors."""
     if metafunc.function is test_known_block:
         met = cases(thorough=bool(metafunc.config.getoption("--estimator-thorough")))
         mark = pytest.mark.parametrize(("known_block", "sensing"), met, indirect=True, scope="session")
@@ -35,7 +35,7 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
 
 
 def cases(*, thorough: bool) -> list[tuple[str, str]]:
-    """Every block on its own weight under a perfect sensor; and every block, rigid too, under one sensor, in turn."""
+    """Pairs of block and sensor: own weight under a perfect sensor, and each block under one more in turn."""
     if thorough:
         return [(block, sensing) for block in BLOCKS for sensing in SENSORS]
     own, rigid = ([block for block in BLOCKS if block.endswith(support)] for support in ("own_weight", "rigid"))
@@ -43,8 +43,8 @@ def cases(*, thorough: bool) -> list[tuple[str, str]]:
     return [*product(own, [perfect]), *zip(own, cycle(others), strict=False), *zip(rigid, cycle(SENSORS), strict=False)]
 
 
-def told(check: Callable[[], None], what: str = "") -> None:
-    """Run a check; a breach ends in words, anything else with its traceback."""
+def checked(check: Callable[[], None], what: str = "") -> None:
+    """Run a check; a breach ends in its sentence, any other error with its traceback."""
     breach = None
     try:
         check()
@@ -56,13 +56,13 @@ def told(check: Callable[[], None], what: str = "") -> None:
 
 @pytest.fixture(scope="session")
 def draw(pytestconfig: pytest.Config) -> Draw:
-    """The objects that rules are held against."""
+    """Objects for the rules."""
     return small_object if pytestconfig.getoption("--estimator-small") else drawn_object
 
 
 @pytest.mark.parametrize("rule", CONFORMANCE, ids=lambda rule: rule.__name__)
 def test_rule(estimator: Estimator, rule: Callable[..., None], draw: Draw) -> None:
-    told(partial(rule, estimator, draw), f"{rule.__doc__}\n")
+    checked(partial(rule, estimator, draw), f"{rule.__doc__}\n")
 
 
 @pytest.mark.parametrize("rule", WITHOUT_DRAWS, ids=lambda rule: rule.__name__)
@@ -71,7 +71,7 @@ def test_rule_for_methods_that_draw_nothing(estimator: Estimator, rule: Callable
     first, second = answer.distribution, estimator.estimate(obj.shape, obj.total_mass, data(obj), 1).distribution
     if first is None or second is None or not np.array_equal(first.mass, second.mass):
         pytest.skip("another seed gives another answer: it draws, and to what draws, a group is its place in the draw")
-    told(partial(rule, estimator, draw), f"{rule.__doc__}\n")
+    checked(partial(rule, estimator, draw), f"{rule.__doc__}\n")
 
 
 def test_known_block(
@@ -85,4 +85,4 @@ def test_known_block(
     if claims not in (known_block.support, "both"):
         pytest.skip(f"not claimed: {known_block.support}")
     slack: Any = pytestconfig.getoption("--estimator-slack")
-    told(partial(recovers, estimator, known_block, sensing, recorded_trials, slack, claims))
+    checked(partial(recovers, estimator, known_block, sensing, recorded_trials, slack, claims))

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from estimators.testing.analytic_world import HEIGHT
-from estimators.testing.records import DOWN, RATE, TOOL, record
+from estimators.testing.analytic_world import DOWN, HEIGHT, RATE, TOOL, record
 from testbed.actions.lift import Lift
 from testbed.frames import move_wrench, rotate_wrench
 from testbed.objects.model import GRAVITY, ObjectModel

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.polynomial import Polynomial
 from scipy.spatial.transform import Rotation
 
-from estimators.testing.records import DOWN, RATE, TOOL, record
+from estimators.testing.analytic_world import DOWN, RATE, TOOL, record
 from testbed.frames import perpendicular, pose_from_point, rotation_2d
 from testbed.objects.model import GRAVITY
 from testbed.sensing.presets import Sensing

@@ -9,8 +9,8 @@ import pytest
 from numpy.testing import assert_allclose
 
 from estimators.particles.lifts import wrench_of_mass
-from estimators.testing.records import TOOL as HAND
-from estimators.testing.records import record
+from estimators.testing.analytic_world import TOOL as HAND
+from estimators.testing.analytic_world import record
 from scenarios.views.pages import page_of
 from scenarios.views.trial import trial_view
 from testbed.actions.lift import Lift

@@ -25,7 +25,7 @@ from scenarios.runners import FeasibilityCheck, NamedRunner, RunnerSettings
 from testbed.actions.base import Action
 from testbed.actions.rotate import Rotate
 from testbed.errors import InvalidValueError
-from testbed.objects.files import explained, find_file, library_names, load_toml
+from testbed.objects.files import find_file, library_names
 from testbed.objects.model import MassDistribution, ObjectModel, ObjectShape
 from testbed.objects.random import Family
 from testbed.plugins import nearest
@@ -36,6 +36,7 @@ from testbed.simulation.settings import (
     ServoSettings,
     SimulationSettings,
 )
+from testbed.toml import explained, load_toml
 from testbed.trial import Support, parse_support
 
 Count = Annotated[int, Field(ge=1, le=100_000)]

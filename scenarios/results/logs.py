@@ -15,9 +15,9 @@ from testbed.errors import HeftError, InvalidValueError
 from testbed.importers.importer import import_trajectory, object_of
 from testbed.importers.logs import LogError, read_all
 from testbed.importers.mapping import Mapping
-from testbed.objects.files import load_toml
 from testbed.objects.model import ObjectModel
 from testbed.robot.runner import read_off
+from testbed.toml import load_toml
 from testbed.trajectory import SCHEMA_VERSION, Trajectory
 from testbed.trial import Support, Trial, parse_support
 from testbed.validation import check_positive

@@ -35,6 +35,7 @@ from testbed.errors import HeftError
 from testbed.foot_forces import FootForces, save_foot_forces
 from testbed.objects.files import ObjectFile, asset_folder
 from testbed.objects.model import ObjectModel, ObjectShape, Solid
+from testbed.toml import toml_text
 from testbed.trajectory import (
     SCHEMA_VERSION,
     Trajectory,
@@ -157,9 +158,8 @@ class Store:
 
     def put_object(self, path: Path, file: ObjectFile) -> None:
         """Write a drawn object as a file that a user can take."""
-        lines = [f"name = {json.dumps(file.name)}", "[blocks]"]
         blocks = file.blocks.model_dump(exclude_none=True) if file.blocks else {}
-        text = "\n".join(lines + [f"{key} = {json.dumps(value)}" for key, value in blocks.items()]) + "\n"
+        text = toml_text({"name": file.name, "blocks": blocks})
         write_whole(path, lambda part: part.write_text(text, encoding="utf-8"))
 
     def result(self, key: str) -> dict[str, Any] | None:

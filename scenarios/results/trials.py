@@ -150,11 +150,6 @@ def sensed(trajectory: Trajectory, sensing: str, seed: int, index: int, key: str
     return draw_sensing(trajectory, preset(sensing), own)
 
 
-def is_simulated(trajectory: Trajectory) -> bool:
-    """True if the record is a simulation's, whose sensor had no errors."""
-    return trajectory.simulated
-
-
 @lru_cache(maxsize=1)
 def _trajectories(store: Store, keys: tuple[str, ...]) -> tuple[Trajectory, ...]:
     """Trials of one experiment: a worker is mostly asked about the same ones as just before."""

@@ -19,6 +19,7 @@ from scenarios.results.trials import object_of
 from testbed.errors import HeftError, InvalidValueError
 from testbed.objects.files import load_object
 from testbed.objects.model import ObjectShape
+from testbed.toml import toml_text
 from viz.report.lists import names
 from viz.report.report import Results, write_report
 from viz.values import support_name
@@ -39,7 +40,7 @@ def report(folder: Path) -> Path:
         facts=_facts(manifest, rows, folder / "results.parquet"),
         methods={label: _settings(scenario.get("methods", {}).get(label, {})) for label in _each(rows, "method")},
         command=str(manifest.get("command") or _command(name, scenario)),
-        scenario_toml=to_toml(scenario),
+        scenario_toml=toml_text(scenario),
         rows=rows,
         keys=[row.get("key") for row in rows],
         shape_of=lambda asked: _shape(asked, scenario, rows, folder),
@@ -133,31 +134,6 @@ def _command(name: str, scenario: Mapping[str, Any]) -> str:
     except ValueError:  # an older scenario, or no library name
         pass
     return f"heft run {name}.toml   # the scenario below, saved as {name}.toml"
-
-
-def to_toml(table: Mapping[str, Any]) -> str:
-    """A scenario as TOML: its own fields, then its tables; what is None is left out."""
-    plain = {k: v for k, v in table.items() if not isinstance(v, dict) and v is not None}
-    lines = [f"{_key(k)} = {_value(v)}" for k, v in plain.items()]
-    for name, inner in table.items():
-        if isinstance(inner, dict):
-            nested = name == "methods"
-            for label, settings in inner.items() if nested else ((None, inner),):
-                lines += ["", f"[{_key(name)}{f'.{_key(label)}' if label is not None else ''}]"]
-                lines += [f"{_key(k)} = {_value(v)}" for k, v in settings.items() if v is not None]
-    return "\n".join(lines)
-
-
-def _key(name: str) -> str:
-    return name if name.replace("_", "").replace("-", "").isascii() and name.isidentifier() else json.dumps(name)
-
-
-def _value(value: Any) -> str:
-    if isinstance(value, dict):
-        return "{" + ", ".join(f"{_key(k)} = {_value(v)}" for k, v in value.items() if v is not None) + "}"
-    if isinstance(value, list | tuple):
-        return "[" + ", ".join(_value(v) for v in value) + "]"
-    return json.dumps(value, ensure_ascii=False)
 
 
 def _shape(name: str, scenario: Mapping[str, Any], rows: Sequence[Row], folder: Path) -> ObjectShape | None:

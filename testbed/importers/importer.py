@@ -23,10 +23,11 @@ from testbed.importers.phases import (
     resampled,
     resampled_rotation,
 )
-from testbed.objects.files import load_object, load_toml
+from testbed.objects.files import load_object
 from testbed.objects.model import ObjectModel
 from testbed.sensing.compensation import compensate
 from testbed.sensing.drift import DriftLimit, judge_drift
+from testbed.toml import load_toml
 from testbed.trajectory import Tool, Trajectory
 
 _SLOPE_WINDOW = 0.15

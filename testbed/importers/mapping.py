@@ -11,8 +11,8 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, PlainValidato
 
 from testbed.actions.base import TableAction, action_from_dict
 from testbed.errors import InvalidValueError
-from testbed.objects.files import Finite, NonNegative, Positive
 from testbed.sensing.presets import preset
+from testbed.toml import Finite, NonNegative, Positive
 from testbed.trajectory import Phase
 
 _GRAVITY = 9.80665  # of the kilogram-force and the pound-force, by definition

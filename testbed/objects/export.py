@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element, SubElement
 
@@ -14,6 +13,7 @@ from jaxtyping import Float
 
 from testbed.errors import InvalidValueError
 from testbed.objects.model import MassDistribution, ObjectShape
+from testbed.toml import toml_text
 from testbed.validation import frozen_array
 
 
@@ -206,7 +206,7 @@ def to_object_file(exported: Exported) -> str:
     columns, rows = (max(place[axis] for place in places) + 1 for axis in (0, 1))
     layout = ["".join("10"[(c, r) not in places] for c in range(columns)) for r in reversed(range(rows))]
     first = [int(np.flatnonzero(shape.mass_group == boxes[i].group)[0]) for i in order]
-    fields: dict[str, Any] = {
+    blocks = {
         "layout": layout,
         "mass_kg": [boxes[i].mass for i in order],
         "friction": exported.distribution.friction.tolist(),
@@ -214,9 +214,8 @@ def to_object_file(exported: Exported) -> str:
         "size_m": size,
         "height_m": shape.height,
     }
-    lines = [f"# {line}" for line in exported.comment.splitlines()]
-    lines += [f"name = {json.dumps(exported.name)}", "", "[blocks]"]
-    return "\n".join(lines + [f"{key} = {json.dumps(value)}" for key, value in fields.items()]) + "\n"
+    comment = "".join(f"# {line}\n" for line in exported.comment.splitlines())
+    return comment + toml_text({"name": exported.name, "blocks": blocks})
 
 
 def to_sidecar(exported: Exported) -> str:

@@ -1,19 +1,19 @@
-"""Where heft's own data files are, installed or in a checkout, and how names and paths are told apart."""
+"""Object files: their schema, the library of objects, and the folders of heft's own data."""
 
 from __future__ import annotations
 
 import difflib
 import math
-import tomllib
 from pathlib import Path
-from typing import Annotated, Any, Self, TypeVar, get_args
+from typing import Annotated, Self
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from testbed.errors import HeftError, InvalidValueError
+from testbed.errors import InvalidValueError
 from testbed.objects.blocks import block_object, parse_layout
 from testbed.objects.meshes import GraspPlace, Part, mesh_object, read_mesh
 from testbed.objects.model import ObjectModel
+from testbed.toml import Finite, NonNegative, Positive, load_toml
 
 
 def asset_folder(kind: str) -> Path:
@@ -52,15 +52,7 @@ def library_names(library: Path) -> list[str]:
     return sorted(path.stem for path in library.glob("*.toml"))
 
 
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
-NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
-Finite = Annotated[float, Field(allow_inf_nan=False)]
 Name = Annotated[str, Field(min_length=1, max_length=64, pattern=r"^[\w.-]+$")]
-FileModel = TypeVar("FileModel", bound=BaseModel)
-
-
-class InvalidFileError(HeftError, ValueError):
-    """A TOML file that cannot be read or does not fit its schema: every error at once, each with its field."""
 
 
 class Blocks(BaseModel):
@@ -213,70 +205,3 @@ def load_object(name_or_path: str | Path, grid: int = 3) -> ObjectModel:
 def object_names() -> list[str]:
     """Names of the objects in the library."""
     return library_names(asset_folder("objects"))
-
-
-def load_toml(path: Path, model: type[FileModel]) -> FileModel:
-    """Read a TOML file into a pydantic model.
-
-    Raises:
-        InvalidFileError: unreadable, not TOML, or not fitting; the message has a line for each error.
-    """
-    try:
-        data = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise InvalidFileError(f"{path}: cannot be read as TOML: {error}") from None
-    try:
-        return model.model_validate(data)
-    except ValidationError as error:
-        raise InvalidFileError("\n".join(f"{path}: {line}" for line in explained(error, model))) from None
-
-
-def explained(error: ValidationError, model: type[BaseModel]) -> list[str]:
-    """Every error in the words of the file."""
-    names = sorted(_field_names(model))
-    items = [dict(item) for item in error.errors()]
-    telling = [item for item in items if not _wrong_branch(item)] or items
-    return list(dict.fromkeys(_explain(item, names) for item in telling))
-
-
-def _field_names(model: type[BaseModel]) -> set[str]:
-    """Of a model and all models within it."""
-    found: set[str] = set()
-    for name, field in model.model_fields.items():
-        found.add(name)
-        waiting = [field.annotation]
-        while waiting:
-            kind = waiting.pop()
-            if isinstance(kind, type) and issubclass(kind, BaseModel):
-                found |= _field_names(kind)
-            waiting += get_args(kind)
-    return found
-
-
-_BRANCHES = ("float", "constrained-float", "str", "int")
-"""Names that pydantic gives to the scalar side of "a number or a list"."""
-
-
-def _wrong_branch(item: dict[str, Any]) -> bool:
-    """Whether an error only says that a scalar is no list, or a list no scalar, where a field takes either."""
-    branch = next((str(p) for p in item["loc"] if str(p) in _BRANCHES or "[" in str(p)), None)
-    return branch is not None and (
-        (item["type"] == "list_type" and not isinstance(item["input"], list))
-        or (branch in _BRANCHES and isinstance(item["input"], list))
-    )
-
-
-def _explain(item: dict[str, Any], names: list[str]) -> str:
-    """One error in the words of the file: field, what was given, what is allowed."""
-    field = ".".join(str(p) for p in item["loc"] if str(p) not in _BRANCHES and "[" not in str(p)) or "file"
-    cause = (item.get("ctx") or {}).get("error")
-    if isinstance(cause, InvalidValueError):
-        name = f"{field}.{cause.field}".removeprefix("file.") if cause.field not in field else field
-        return f"{name}: got {cause.given!r}; allowed: {cause.allowed}"
-    if item["type"] == "missing":
-        return f"{field}: missing"
-    if item["type"] == "extra_forbidden":
-        close = difflib.get_close_matches(str(item["loc"][-1]), names, n=1, cutoff=0.6)
-        hint = f" (nearest: {close[0]})" if close else ""
-        return f"{field}: no such field; got {item['input']!r}{hint}"
-    return f"{field}: got {item['input']!r}; allowed: {item['msg'].removeprefix('Input should be ')}"

@@ -10,8 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 from testbed.errors import InvalidValueError
 from testbed.objects.blocks import Cell, neighbours
 from testbed.objects.files import Blocks, ObjectFile
-
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+from testbed.toml import Positive
 
 
 class Family(BaseModel):

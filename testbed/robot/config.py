@@ -13,12 +13,12 @@ from pydantic import BaseModel, ConfigDict, Field
 from scipy.spatial.transform import Rotation
 
 from testbed.errors import InvalidValueError
-from testbed.objects.files import Finite, NonNegative, Positive, load_toml
 from testbed.robot.calibration.file import load_calibration
 from testbed.robot.calibration.static_poses import Calibration
 from testbed.robot.safety import SafetyLimits
 from testbed.sensing.drift import DriftLimit
 from testbed.sensing.presets import preset
+from testbed.toml import Finite, NonNegative, Positive, load_toml
 from testbed.trajectory import Tool
 from testbed.validation import check_positive_fields, frozen_array, is_number, unit_quaternion
 

@@ -19,8 +19,9 @@ from scenarios.study.run import run_scenario
 from testbed import plugins
 from testbed.actions.slide import Slide
 from testbed.errors import InfeasibleTrialError
-from testbed.objects.files import InvalidFileError, load_object
+from testbed.objects.files import load_object
 from testbed.plugins import RUNNER
+from testbed.toml import InvalidFileError
 from testbed.trial import Trial, TrialRunner
 from tests.helpers.pages import BLOCKS, EXAMPLES
 

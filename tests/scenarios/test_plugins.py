@@ -20,10 +20,11 @@ from scenarios.results.store import read_json
 from testbed import plugins
 from testbed.actions.rotate import Rotate
 from testbed.errors import HeftError, InvalidValueError
-from testbed.objects.files import InvalidFileError, load_object
+from testbed.objects.files import load_object
 from testbed.objects.model import ObjectShape
 from testbed.plugins import configured, find_class, load_class, source_hash
 from testbed.simulation.settings import SimulationSettings
+from testbed.toml import InvalidFileError
 
 MODULE = '''
 from dataclasses import dataclass

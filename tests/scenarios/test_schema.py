@@ -14,8 +14,9 @@ import pytest
 
 from scenarios.config import LIBRARY, Scenario, Truth, load_scenario, scenario_names
 from testbed.errors import HeftError, InvalidValueError
-from testbed.objects.files import InvalidFileError, load_object
+from testbed.objects.files import load_object
 from testbed.objects.random import Family
+from testbed.toml import InvalidFileError
 
 
 def test_every_library_scenario_loads_at_every_point():

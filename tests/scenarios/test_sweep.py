@@ -18,7 +18,7 @@ from scenarios.cli.main import main
 from scenarios.config import Scenario, load_scenario, scenario_names
 from scenarios.study.run import run_scenario
 from testbed.errors import InfeasibleTrialError, InvalidValueError
-from testbed.objects.files import InvalidFileError
+from testbed.toml import InvalidFileError
 
 OBJECT = """
 name = "pair"

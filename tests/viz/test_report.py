@@ -13,9 +13,10 @@ import pandas as pd
 import pytest
 from matplotlib.figure import Figure
 
-from scenarios.views.report import report, to_toml
+from scenarios.views.report import report
 from testbed.errors import InvalidValueError
 from testbed.objects.files import load_object
+from testbed.toml import toml_text
 from viz.figures.loss import normalised
 from viz.report.report import mapped_objects
 from viz.report.svg import inline_svg
@@ -255,5 +256,5 @@ def test_the_scenario_reads_back_from_the_report():
         "sweep": {"mode": "grid", "axes": {"grid.feet": [2, 3]}},
         "methods": {"hidden_states": {}, "x y": {"method": "diff_lcp", "use_weight": True}},
     }
-    back = tomllib.loads(to_toml(scenario))
+    back = tomllib.loads(toml_text(scenario))
     assert back == scenario | {"truth": {"seed": 0}}

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
@@ -10,10 +9,10 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from testbed.errors import InvalidValueError
-from testbed.objects.files import Finite, NonNegative, Positive, load_toml
 from testbed.robot.calibration.hand_eye import HandEye
 from testbed.robot.calibration.static_poses import Calibration
 from testbed.robot.interfaces import Pose
+from testbed.toml import Finite, NonNegative, Positive, load_toml, toml_text
 from testbed.trajectory import write_whole
 
 Vector = Annotated[list[Finite], Field(min_length=3, max_length=3)]
@@ -150,5 +149,4 @@ def load_hand_eye(path: Path) -> HandEye:
 
 
 def _write(path: Path, fields: dict[str, Any]) -> None:
-    text = "".join(f"{name} = {json.dumps(value)}\n" for name, value in fields.items())
-    write_whole(path, lambda part: part.write_text(text, encoding="utf-8"))
+    write_whole(path, lambda part: part.write_text(toml_text(fields), encoding="utf-8"))

@@ -43,20 +43,13 @@ from testbed.importers.mapping import (
     ToolMap,
     VelocityMap,
 )
-from testbed.objects.files import (
-    Blocks,
-    Mesh,
-    MeshGrasp,
-    MeshPart,
-    ObjectFile,
-    load_object,
-    load_toml,
-)
+from testbed.objects.files import Blocks, Mesh, MeshGrasp, MeshPart, ObjectFile, load_object
 from testbed.objects.model import MassDistribution
 from testbed.objects.random import Family
 from testbed.robot.calibration.file import CalibrationFile
 from testbed.robot.config import RobotFile
 from testbed.sensing.presets import PRESETS
+from testbed.toml import load_toml
 from testbed.trajectory import SCHEMA_VERSION, Phase, save_trajectory
 from tests.helpers.pages import BLOCKS, DOCS, EXAMPLES, FENCE, PAGES, ROOT, names, options, table
 from tests.helpers.records import record

@@ -10,7 +10,8 @@ import pytest
 from numpy.testing import assert_allclose
 
 from testbed.errors import HeftError, InvalidValueError
-from testbed.objects.files import InvalidFileError, asset_folder, load_object, object_names
+from testbed.objects.files import asset_folder, load_object, object_names
+from testbed.toml import InvalidFileError
 
 PAIR = 'name = "X"\n[blocks]\nlayout = ["11"]\n'
 

@@ -11,7 +11,6 @@ from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
 from testbed.errors import InvalidValueError
-from testbed.objects.files import InvalidFileError
 from testbed.robot.calibration.file import load_calibration, save_calibration
 from testbed.robot.calibration.static_poses import (
     Calibration,
@@ -23,6 +22,7 @@ from testbed.robot.calibration.static_poses import (
 )
 from testbed.robot.robotiq.gripper import data_sheet
 from testbed.simulation.motion import arm_model, gripper_tool
+from testbed.toml import InvalidFileError
 from tests.fakes.static_hand import BIAS, COM, DOWN, ERROR, MASS, POSES, readings
 from tests.helpers.records import coloured_noise
 

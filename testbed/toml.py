@@ -1,0 +1,119 @@
+"""TOML files: read into a checked model, written from plain data."""
+
+from __future__ import annotations
+
+import difflib
+import json
+import tomllib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any, TypeVar, get_args
+
+from pydantic import BaseModel, Field, ValidationError
+
+from testbed.errors import HeftError, InvalidValueError
+
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+FileModel = TypeVar("FileModel", bound=BaseModel)
+
+
+class InvalidFileError(HeftError, ValueError):
+    """TOML file that cannot be read or does not fit its schema: every error at once, each with its field."""
+
+
+def load_toml(path: Path, model: type[FileModel]) -> FileModel:
+    """Read a TOML file into a pydantic model.
+
+    Raises:
+        InvalidFileError: unreadable, not TOML, or not fitting; the message has a line for each error.
+    """
+    try:
+        data = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise InvalidFileError(f"{path}: cannot be read as TOML: {error}") from None
+    try:
+        return model.model_validate(data)
+    except ValidationError as error:
+        raise InvalidFileError("\n".join(f"{path}: {line}" for line in explained(error, model))) from None
+
+
+def explained(error: ValidationError, model: type[BaseModel]) -> list[str]:
+    """Lines that name every error by the fields of the file."""
+    names = sorted(_field_names(model))
+    items = [dict(item) for item in error.errors()]
+    telling = [item for item in items if not _wrong_branch(item)] or items
+    return list(dict.fromkeys(_explain(item, names) for item in telling))
+
+
+def _field_names(model: type[BaseModel]) -> set[str]:
+    found: set[str] = set()
+    for name, field in model.model_fields.items():
+        found.add(name)
+        waiting = [field.annotation]
+        while waiting:
+            kind = waiting.pop()
+            if isinstance(kind, type) and issubclass(kind, BaseModel):
+                found |= _field_names(kind)
+            waiting += get_args(kind)
+    return found
+
+
+_BRANCHES = ("float", "constrained-float", "str", "int")
+"""Names that pydantic gives to the scalar side of "a number or a list"."""
+
+
+def _wrong_branch(item: dict[str, Any]) -> bool:
+    """True if an error only says that a scalar is no list, or a list no scalar, where a field takes either."""
+    branch = next((str(p) for p in item["loc"] if str(p) in _BRANCHES or "[" in str(p)), None)
+    return branch is not None and (
+        (item["type"] == "list_type" and not isinstance(item["input"], list))
+        or (branch in _BRANCHES and isinstance(item["input"], list))
+    )
+
+
+def _explain(item: dict[str, Any], names: list[str]) -> str:
+    """Line of one error: field, given value, allowed values."""
+    field = ".".join(str(p) for p in item["loc"] if str(p) not in _BRANCHES and "[" not in str(p)) or "file"
+    cause = (item.get("ctx") or {}).get("error")
+    if isinstance(cause, InvalidValueError):
+        name = f"{field}.{cause.field}".removeprefix("file.") if cause.field not in field else field
+        return f"{name}: got {cause.given!r}; allowed: {cause.allowed}"
+    if item["type"] == "missing":
+        return f"{field}: missing"
+    if item["type"] == "extra_forbidden":
+        close = difflib.get_close_matches(str(item["loc"][-1]), names, n=1, cutoff=0.6)
+        hint = f" (nearest: {close[0]})" if close else ""
+        return f"{field}: no such field; got {item['input']!r}{hint}"
+    return f"{field}: got {item['input']!r}; allowed: {item['msg'].removeprefix('Input should be ')}"
+
+
+def toml_text(table: Mapping[str, Any]) -> str:
+    """TOML of plain data: its own fields, then a table for each mapping; None is left out."""
+    lines = _fields({name: value for name, value in table.items() if not isinstance(value, Mapping)})
+    for name, inner in table.items():
+        if isinstance(inner, Mapping):
+            nested = inner and all(isinstance(value, Mapping) for value in inner.values())
+            tables = {f"{_key(name)}.{_key(k)}": v for k, v in inner.items()} if nested else {_key(name): inner}
+            for header, fields in tables.items():
+                lines += ["", f"[{header}]", *_fields(fields)]
+    return "\n".join(lines) + "\n"
+
+
+def _fields(table: Mapping[str, Any]) -> list[str]:
+    return [f"{_key(name)} = {_value(value)}" for name, value in table.items() if value is not None]
+
+
+def _key(name: str) -> str:
+    return name if name.replace("_", "").replace("-", "").isascii() and name.isidentifier() else json.dumps(name)
+
+
+def _value(value: Any) -> str:
+    if isinstance(value, Mapping):
+        return "{" + ", ".join(_fields(value)) + "}"
+    if isinstance(value, list | tuple):
+        return "[" + ", ".join(map(_value, value)) + "]"
+    if isinstance(value, float):
+        return float.__repr__(value)  # infinite as TOML has it, not as JSON
+    return json.dumps(value, ensure_ascii=False)

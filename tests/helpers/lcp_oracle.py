@@ -1,4 +1,4 @@
-"""The time step of `estimators.baselines.lcp` as the textbook's complementarity problem, and two solvers of it.
+"""The time step of `estimators.baselines.lcp` as the textbook's complementarity problem, and a solver of it.
 
 Unknown are the impulse beta_ik along each corner d_k of each contact's friction polygon and its sliding speed lambda_i:
 z = [beta; lambda] >= 0, w = matrix z + offset >= 0, z . w = 0 (Anitescu and Potra 1997; Cline 2002).
@@ -12,7 +12,7 @@ import numpy as np
 import scipy.linalg
 from jaxtyping import Float
 
-MOST_PIVOTS, MOST_ITERATIONS = 5000, 100
+MOST_ITERATIONS = 100
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,69 +77,6 @@ class Textbook:
             beta[i, pair] = np.maximum(np.linalg.solve(self.corners[pair].T, friction[i]), 0.0)
         speed = -(self.jacobians @ velocity) @ self.corners.T
         return np.append(beta.ravel(), speed.max(axis=1))
-
-
-def lemke(problem: Textbook) -> Float[np.ndarray, "n"]:
-    """z by Lemke's complementary pivoting with a covering vector of ones, ties broken lexicographically.
-
-    Raises:
-        RuntimeError: it ends on a ray, or does not end.
-    """
-    contacts, corners = len(problem.jacobians), len(problem.corners)
-    rubs = problem.offset[contacts * corners :] > 0  # the others only lengthen the way
-    kept = np.append(np.repeat(rubs, corners), rubs)
-    matrix, offset = problem.matrix[np.ix_(kept, kept)], problem.offset[kept]
-    impulses = int(rubs.sum()) * corners
-    push = offset[impulses:].max(initial=1e-30)
-    speed = push * problem.matrix.diagonal().max()
-    unit = np.repeat([push, speed], [impulses, len(offset) - impulses])  # of z, which w has the other way round
-    unit_w = np.repeat([speed, push], [impulses, len(offset) - impulses])
-    z = np.zeros(len(kept))
-    z[kept] = unit * _pivoted(matrix * unit / unit_w[:, None], offset / unit_w)
-    z[contacts * corners :] = -(problem.jacobians @ problem.velocity(z) @ problem.corners.T).min(axis=1)
-    return z
-
-
-def _pivoted(matrix: np.ndarray, offset: np.ndarray) -> np.ndarray:
-    """z of numbers of size one."""
-    n = len(offset)
-    if (offset >= 0).all():
-        return np.zeros(n)
-    # columns: w, z, the covering variable and the right-hand side; those of w hold the inverse of the basis
-    table = np.column_stack([np.eye(n), -matrix, -np.ones(n), offset])
-    basis, entering, row = np.arange(n), 2 * n, int(np.flatnonzero(offset <= offset.min() + 1e-12)[-1])
-    for _ in range(MOST_PIVOTS):
-        leaving = basis[row]
-        table[row] /= table[row, entering]
-        others = np.arange(n) != row
-        table[others] -= np.outer(table[others, entering], table[row])
-        basis[row] = entering
-        if leaving == 2 * n:
-            break
-        entering = (leaving + n) % (2 * n)
-        row = _leaving(table, basis, entering)
-    else:
-        raise RuntimeError(f"Lemke's method did not end in {MOST_PIVOTS} pivots")
-    z, held = np.zeros(n), basis[basis >= n] - n
-    z[held] = np.linalg.solve(matrix[np.ix_(held, held)], -offset[held])  # without the pivots' rounding
-    return z
-
-
-def _leaving(table: np.ndarray, basis: np.ndarray, entering: int) -> int:
-    """The row whose variable first reaches zero as `entering` grows."""
-    n = len(table)
-    rows = np.flatnonzero(table[:, entering] > 1e-10)
-    if not len(rows):
-        raise RuntimeError("Lemke's method ended on a ray")
-    for column in (-1, *range(n)):
-        ratio = table[rows, column] / table[rows, entering]
-        rows = rows[ratio <= ratio.min() + 1e-12]
-        cover = rows[basis[rows] == 2 * n]
-        if column == -1 and len(cover):
-            return int(cover[0])
-        if len(rows) == 1:
-            break
-    return int(rows[0])
 
 
 def interior_point(problem: Textbook, tolerance: float = 1e-10) -> Float[np.ndarray, "n"]:

@@ -9,7 +9,6 @@ import pytest
 import torch
 from numpy.testing import assert_allclose
 
-from estimators.base import Estimate
 from estimators.baselines.problem import STEP, Problem
 from estimators.particles.model import ParticleModel, inertia_of, one_step, rotate, turned
 from estimators.particles.support import own_weight
@@ -73,28 +72,19 @@ def everything(obj: ObjectModel, **carried: Any) -> list[Trajectory]:
     return [*turns(obj, **carried), *accelerated(obj, **carried), slide]
 
 
-@pytest.mark.parametrize("grid", [1, 2, 3, 4])
-@pytest.mark.parametrize("friction_groups", [1, 2, 3])
-def test_the_wrench_of_the_truth_is_the_one_felt(grid, friction_groups, monkeypatch):
+@pytest.mark.parametrize(("grid", "friction_groups"), [(1, 1), (2, 2), (3, 1), (4, 3), (0, 2)])
+def test_the_truth_predicts_the_measured_wrench(grid, friction_groups, monkeypatch):
     if grid == 1:
         monkeypatch.setattr(analytic_world, "_own_weight", one_foot_a_block)
-    obj = cut(grid, friction_groups)
+    obj = cut(grid, friction_groups) if grid else drawn_object(0, friction_groups=friction_groups)
     problem = problem_of(obj, everything(obj, **CARRIED))
     assert bool(problem.windows.accelerated.any())
     predicted = problem.wrenches.wrench(*truth(obj))
     assert_allclose(predicted, problem.windows.wrench, atol=1e-9 * problem.drag)
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_the_wrench_of_drawn_objects_is_the_one_felt(seed):
-    obj = drawn_object(seed, friction_groups=2)
-    problem = problem_of(obj, everything(obj, **CARRIED))
-    assert_allclose(problem.wrenches.wrench(*truth(obj)), problem.windows.wrench, atol=1e-9 * problem.drag)
-
-
-@pytest.mark.parametrize("grid", [2, 3])
-def test_the_blur_of_the_pivot_is_all_that_it_changes(grid):
-    blur, obj = 2e-4, cut(grid)
+def test_the_blur_of_the_pivot_is_all_that_it_changes():
+    blur, obj = 2e-4, cut(2)
     problem = problem_of(obj, turns(obj), blur)
     away = problem.windows.particle_velocity(problem.model).norm(dim=-1) / problem.windows.twist[:, 2:].abs()
     load = problem.model.particle_friction(truth(obj)[1]) * problem.loads.at(truth(obj)[0])
@@ -126,20 +116,9 @@ def stepped(problem: Problem, mass: torch.Tensor, friction: torch.Tensor) -> tor
     change = torch.cat([rotate(yaw, w.com_acceleration(inertia.com)), w.acceleration[:, 2:]], -1)
     pose = torch.cat([torch.ones(len(w), 2, dtype=torch.float64), yaw[:, None]], -1)
     wrench = torch.cat([rotate(yaw, w.wrench[:, :2]), w.wrench[:, 2:]], -1)
+    rows = (drag, pose, velocity, wrench)
     after = torch.stack(
-        [
-            one_step(
-                model,
-                inertia,
-                drag[k : k + 1],
-                pose[k : k + 1],
-                velocity[k : k + 1],
-                wrench[k : k + 1],
-                w.grasp[k],
-                STEP,
-            )[0]
-            for k in range(len(w))
-        ]
+        [one_step(model, inertia, *(x[k : k + 1] for x in rows), w.grasp[k], STEP)[0] for k in range(len(w))]
     )
     return (after - velocity - STEP * change).square().sum(-1).mean()
 
@@ -156,9 +135,9 @@ def test_the_loss_is_the_velocity_error_of_the_dynamics_one_step_on(friction_gro
 
 
 @pytest.mark.parametrize("weighting", ["velocity", "covariance"])
-@pytest.mark.parametrize("seed", range(3))
-def test_the_truth_has_no_loss_and_everything_else_has(seed, weighting):
-    obj = drawn_object(seed, friction_groups=1 + seed % 2)
+@pytest.mark.parametrize("seed", range(2))
+def test_the_truth_alone_has_no_loss(seed, weighting):
+    obj = drawn_object(seed, friction_groups=1 + seed)
     problem = problem_of(obj, everything(obj, **CARRIED))
     assert float(problem.loss(*truth(obj), weighting)) < 1e-15
     assert float(problem.loss(*guesses(obj, 50), weighting).min()) > 1e-7
@@ -233,23 +212,9 @@ def test_mass_is_known_by_weighing_or_by_an_acceleration_alone():
 @pytest.mark.parametrize("weight", [None, 0.0, -1.0, float("nan"), float("inf")])
 def test_no_weight_is_refused_where_it_is_used_and_not_missed_where_it_is_not(weight):
     obj = drawn_object(0)
-    with pytest.raises(InvalidValueError, match=r"weight: .*as weighed"):
+    with pytest.raises(InvalidValueError, match=r"^weight: "):
         Problem.of(obj.shape, weight, turns(obj), use_weight=True, pivot_error=0.0)
     assert isinstance(Problem.of(obj.shape, weight, turns(obj), use_weight=False, pivot_error=0.0), Problem)
-
-
-def test_too_little_to_solve_is_an_answer_and_not_a_problem():
-    obj = drawn_object(0)
-    for given, status in (
-        ([], "no_data"),
-        (accelerated(obj), "no_data"),
-        (turns(obj)[:1], "underdetermined"),
-    ):
-        answer = Problem.of(obj.shape, None, given, use_weight=False, pivot_error=0.0)
-        assert isinstance(answer, Estimate)
-        assert answer.status == status
-        assert answer.distribution is None
-        assert answer.message
 
 
 def test_the_wrench_model_has_one_part_a_friction_group():

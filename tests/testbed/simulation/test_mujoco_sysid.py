@@ -1,4 +1,4 @@
-"""MuJoCo's own system identification: what its scene feels, what it recovers, and what it says where it is missing."""
+"""MuJoCo's system identification: wrench of its scene, recovery, and the error without its dependencies."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ with_toolbox = pytest.mark.skipif(
 
 
 @pytest.mark.parametrize("rigid", [False, True])
-def test_the_scene_feels_what_coulomb_says(rigid):
+def test_the_scene_measures_coulombs_wrench(rigid):
     obj, world = drawn_object(2), {"rigid": rigid, "lift": 0.1, "moment": (0.01, -0.015)}
     windows = observe(obj.shape, turns(obj, [0], **world) + accelerated(obj, [0], **world))
     assert windows is not None
@@ -44,13 +44,13 @@ def test_the_scene_feels_what_coulomb_says(rigid):
     motion, sunk = motion_of(windows), sink_depths(obj, support)
     model = compile_scene(planar_scene(obj, support, motion.grasp[0]), obj)
     for k, controls in enumerate(motion.controls(len(sunk))):
-        data, felt = mujoco.MjData(model), []
+        data, readings = mujoco.MjData(model), []
         data.qpos[5:], data.qvel[:3] = -sunk, motion.velocity(0)[k]
-        for told in controls:
-            data.ctrl[:] = told
+        for command in controls:
+            data.ctrl[:] = command
             mujoco.mj_step(model, data)
-            felt.append(data.sensordata[[0, 1, 5]])
-        mean = np.array(felt)[motion.counted].mean(axis=0)
+            readings.append(data.sensordata[[0, 1, 5]])
+        mean = np.array(readings)[motion.counted].mean(axis=0)
         size = np.abs(windows.wrench.numpy()).max(axis=0)
         assert_allclose(mean, windows.wrench[k].numpy(), atol=0.01 * size.max(), err_msg=f"stretch {k}")
 

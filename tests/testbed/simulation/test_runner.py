@@ -1,4 +1,4 @@
-"""Whole trials on the simulated bench, held against the true contact forces and against Coulomb's law."""
+"""Trials in simulation, compared with the true contact forces and with Coulomb's law."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from testbed.simulation.controller import Servo
 from testbed.simulation.runner import SimulationRunner
 from testbed.simulation.settings import GripSettings, SimulationSettings
 from testbed.trajectory import Phase
-from testbed.trial import OWN_WEIGHT, RIGID, Trial, TrialRunner
+from testbed.trial import OWN_WEIGHT, RIGID, Trial
 
 RUNNER = SimulationRunner()
 TURN = Rotate(2, duration=2.5, pivot=(-0.0333, 0.025))
@@ -62,34 +62,39 @@ def coulomb(obj: ObjectModel, window: SteadyWindow, rigid: bool) -> np.ndarray:
     return np.append(force.sum(axis=0), cross_2d(arm, force).sum())
 
 
-@pytest.mark.parametrize("support", [OWN_WEIGHT, RIGID], ids=lambda s: s.name)
-def test_the_sensor_shows_the_true_contact_force(support):
-    trajectory, contacts = RUNNER.run_with_contacts(Trial(load_object("L2"), TURN, support))
-    assert trajectory.ok
-    felt = compensate(trajectory).wrench_on_object_world
-    steady = trajectory.mask(Phase.STEADY)
-    difference = (felt + contacts.wrench_at_tcp)[steady].mean(axis=0)
-    scale = np.linalg.norm(felt[steady][:, :2], axis=1).mean()
-    assert np.abs(difference[:2]).max() < 5e-3 * scale
-    assert abs(difference[5]) < 5e-3 * abs(felt[steady][:, 5].mean())
-
-
-@pytest.mark.parametrize("support", [OWN_WEIGHT, RIGID], ids=lambda s: s.name)
-@pytest.mark.parametrize("action", [TURN, Slide(1, direction=0.4, duration=2.5)], ids=["turn", "slide"])
-def test_the_drag_is_coulombs(support, action):
-    obj = load_object("L2")
-    (window,) = steady_windows(RUNNER.run(Trial(obj, action, support)))
-    expected = coulomb(obj, window, support.is_rigid)
+def missing(obj: ObjectModel, window: SteadyWindow, rigid: bool = False) -> np.ndarray:
+    """Planar wrench beyond Coulomb's, as a part of the whole drag and of its moment at 0.1 m."""
     scale = 0.5 * obj.total_mass * GRAVITY * np.array([1, 1, 0.1])
-    assert_allclose((window.wrench[[0, 1, 5]] - expected) / scale, 0, atol=0.01)
+    return (window.wrench[[0, 1, 5]] - coulomb(obj, window, rigid)) / scale
 
 
-def test_what_is_held_does_not_swing():
-    """About a point by light blocks: too springy a pad lets arm and object swing unseen, and the torque is 1 % off."""
+@pytest.mark.parametrize("support", [OWN_WEIGHT, RIGID], ids=lambda s: s.name)
+def test_a_turn_agrees_with_contact_forces_and_coulombs_law(support):
+    obj = load_object("L2")
+    trajectory, contacts = RUNNER.run_with_contacts(Trial(obj, TURN, support))
+    assert trajectory.ok
+    measured = compensate(trajectory)
+    (window,) = steady_windows(measured)
+    assert_allclose(missing(obj, window, support.is_rigid), 0, atol=0.01)
+    steady = trajectory.mask(Phase.STEADY)
+    wrench = measured.wrench_on_object_world[steady]
+    difference = (wrench + contacts.wrench_at_tcp[steady]).mean(axis=0)
+    assert np.abs(difference[:2]).max() < 5e-3 * np.linalg.norm(wrench[:, :2], axis=1).mean()
+    assert abs(difference[5]) < 5e-3 * abs(wrench[:, 5].mean())
+
+
+@pytest.mark.parametrize("support", [OWN_WEIGHT, RIGID], ids=lambda s: s.name)
+def test_the_drag_of_a_slide_is_coulombs(support):
+    obj = load_object("L2")
+    (window,) = steady_windows(RUNNER.run(Trial(obj, Slide(1, direction=0.4, duration=2.5), support)))
+    assert_allclose(missing(obj, window, support.is_rigid), 0, atol=0.01)
+
+
+def test_a_held_object_does_not_swing():
+    """A turn about a point near light blocks: with stiffer pads arm and object swing, and the torque is 1 % off."""
     obj = load_object("L2")
     (window,) = steady_windows(RUNNER.run(Trial(obj, Rotate(3, speed=-0.1074, duration=2.5, pivot=(0.025, -0.0779)))))
-    scale = 0.5 * obj.total_mass * GRAVITY * np.array([1, 1, 0.1])
-    missed = (window.wrench[[0, 1, 5]] - coulomb(obj, window, rigid=False)) / scale
+    missed = missing(obj, window)
     assert_allclose(missed[:2], 0, atol=0.005)
     assert abs(missed[2]) < 0.001
 
@@ -100,17 +105,11 @@ def test_there_and_back_flips_the_drag():
     assert_allclose(there, -back, atol=0.01 * 0.5 * 0.6 * GRAVITY)
 
 
-def test_a_weighing_reads_the_mass():
-    for support in (OWN_WEIGHT, RIGID):
-        obj = load_object("F2")
-        assert weight_of(RUNNER.run(Trial(obj, Weigh(), support))) == pytest.approx(obj.total_mass, rel=1e-5)
-
-
-@pytest.mark.parametrize("name", ["hammer", "wrench"])
+@pytest.mark.parametrize(("name", "rel"), [("F2", 1e-5), ("hammer", 1e-3), ("wrench", 1e-3)])
 @pytest.mark.parametrize("support", [OWN_WEIGHT, RIGID], ids=lambda s: s.name)
-def test_a_tool_weighs_what_it_should(name: str, support):
+def test_a_weighing_reads_the_mass(name, rel, support):
     obj = load_object(name)
-    assert weight_of(RUNNER.run(Trial(obj, Weigh(), support))) == pytest.approx(obj.total_mass, rel=1e-3)
+    assert weight_of(RUNNER.run(Trial(obj, Weigh(), support))) == pytest.approx(obj.total_mass, rel=rel)
 
 
 TURN_IN_BRIEF, STEPS = Rotate(0, duration=1.2, back=True), Accelerate(0)
@@ -119,8 +118,7 @@ ALL_TOOL_TURNS = [
     pytest.param(name, grasp.name, support, action, marks=pytest.mark.slow)
     for name in ("hammer", "wrench")
     for grasp in load_object(name).shape.grasps
-    for support in (OWN_WEIGHT, RIGID)
-    for action in (replace(TURN_IN_BRIEF, duration=4.0), STEPS)
+    for support, action in ((OWN_WEIGHT, STEPS), (RIGID, replace(TURN_IN_BRIEF, duration=4.0)))
 ]
 
 
@@ -143,35 +141,14 @@ def test_a_tool_drags_by_coulombs_law_on_its_own_feet(name: str, grasp: str, sup
     assert np.linalg.norm(off.sum(axis=1).mean(axis=0)) < 0.01 * drag.sum(axis=1).mean()
     torque = (drag * np.linalg.norm(lever[:, :, :2], axis=2)).sum(axis=1).mean()
     assert abs(cross_2d(lever[:, :, :2], off).sum(axis=1).mean()) < 0.01 * torque
-    felt = compensate(trajectory).wrench_on_object_world[steady]
-    difference = (felt + contacts.wrench_at_tcp[steady]).mean(axis=0)
-    if isinstance(action, Rotate):  # in steps of acceleration its inertia is felt as well
+    measured = compensate(trajectory).wrench_on_object_world[steady]
+    difference = (measured + contacts.wrench_at_tcp[steady]).mean(axis=0)
+    if isinstance(action, Rotate):  # steps of acceleration take a wrench for the inertia as well
         assert np.abs(difference[:2]).max() < 5e-3 * drag.sum(axis=1).mean()
         assert abs(difference[5]) < 5e-3 * torque
 
 
-def test_feet_that_the_objects_own_weight_lifts_are_refused():
-    obj = load_object("hammer")
-    touching = obj.shape.friction_group.copy()
-    end = np.flatnonzero((obj.shape.mass_group == 1) & (obj.shape.particles[:, 0] > 0.1))
-    touching[obj.shape.mass_group == 1] = -1
-    touching[end] = 1
-    tipping = replace(obj, shape=replace(obj.shape, friction_group=touching))
-    with pytest.raises(InfeasibleTrialError, match=r"rest: on own_weight the foot of handle at .* lift.*as rigid"):
-        RUNNER.check(Trial(tipping, Rotate(0)))
-    RUNNER.check(Trial(tipping, Rotate(0), RIGID))
-
-
-def test_faces_that_the_pads_hardly_meet_are_refused():
-    obj = load_object("hammer")
-    low = replace(obj.shape.grasps[0], bottom=0.014, top=0.019)
-    with pytest.raises(
-        InfeasibleTrialError, match=r"grip: the faces of handle_neck are 14\.0 to 19\.0 mm over the table"
-    ):
-        RUNNER.check(Trial(replace(obj, shape=replace(obj.shape, grasps=(low,))), Rotate(0)))
-
-
-def test_a_weld_feels_what_friction_feels():
+def test_a_weld_measures_what_friction_does():
     obj = load_object("I2")
     welded = SimulationRunner(SimulationSettings(grip=GripSettings(mode="weld")))
     (a,), (b,) = (
@@ -186,31 +163,39 @@ def test_the_same_trial_gives_the_same_record():
     assert np.array_equal(first.sensor_wrench, second.sensor_wrench)
 
 
-def test_the_simulation_is_a_trial_runner():
-    with SimulationRunner() as runner:
-        assert isinstance(runner, TrialRunner)
+def low_faces() -> ObjectModel:
+    obj = load_object("hammer")
+    return replace(obj, shape=replace(obj.shape, grasps=(replace(obj.shape.grasps[0], bottom=0.014, top=0.019),)))
 
 
 @pytest.mark.parametrize(
-    ("obj", "action", "why"),
+    ("obj", "action", "grip", "why"),
     [
-        (row([4.0, 4.0, 4.0]), Rotate(0), "grip: .*torque"),
-        (row([0.4, 0.4], size=0.085), Rotate(0), r"grip: block A1 is 85 mm wide"),
-        (row([0.4, 0.4], height=0.005), Rotate(0), "grip: the object is 5 mm high"),
-        (row([0.4, 0.4]), Rotate(0, speed=2.0), r"speed: joint 7 .* move slower"),
-        (row([0.4, 0.4]), Slide(0, duration=30.0), "reach: "),
+        (row([4.0, 4.0, 4.0]), Rotate(0), "friction", "grip: .*torque"),
+        (row([0.4, 0.4], size=0.085), Rotate(0), "friction", "grip: .* 85 mm wide"),
+        (row([0.4, 0.4], height=0.005), Rotate(0), "friction", "grip: .* 5 mm high"),
+        (low_faces(), Rotate(0), "friction", r"grip: the faces of handle_neck are 14\.0 to 19\.0 mm"),
+        (row([0.4, 0.4]), Rotate(0, speed=2.0), "friction", "speed: joint 7 "),
+        (row([0.4, 0.4]), Slide(0, duration=30.0), "friction", "reach: "),
+        (row([8.0, 8.0, 8.0, 8.0]), Rotate(0), "weld", r"torque: joint \d"),
     ],
-    ids=["too heavy", "too wide", "too low", "too fast", "too far"],
+    ids=["too heavy", "too wide", "too low", "low faces", "too fast", "too far", "weak joint"],
 )
-def test_what_the_bench_cannot_do_is_refused_before_it_moves(obj, action, why):
+def test_an_infeasible_trial_is_refused_before_anything_moves(obj, action, grip, why):
     with pytest.raises(InfeasibleTrialError, match=why):
-        RUNNER.run(Trial(obj, action))
+        SimulationRunner(SimulationSettings(grip=GripSettings(mode=grip))).run(Trial(obj, action))
 
 
-def test_a_weak_joint_is_refused():
-    strong = SimulationRunner(SimulationSettings(grip=GripSettings(mode="weld")))
-    with pytest.raises(InfeasibleTrialError, match=r"torque: joint \d .* lighter object"):
-        strong.run(Trial(row([8.0, 8.0, 8.0, 8.0]), Rotate(0)))
+def test_feet_that_the_objects_own_weight_lifts_are_refused():
+    obj = load_object("hammer")
+    touching = obj.shape.friction_group.copy()
+    end = np.flatnonzero((obj.shape.mass_group == 1) & (obj.shape.particles[:, 0] > 0.1))
+    touching[obj.shape.mass_group == 1] = -1
+    touching[end] = 1
+    tipping = replace(obj, shape=replace(obj.shape, friction_group=touching))
+    with pytest.raises(InfeasibleTrialError, match=r"rest: .* foot of handle"):
+        RUNNER.check(Trial(tipping, Rotate(0)))
+    RUNNER.check(Trial(tipping, Rotate(0), RIGID))
 
 
 def test_slip_in_the_grip_ends_a_trial(monkeypatch):
@@ -218,7 +203,6 @@ def test_slip_in_the_grip_ends_a_trial(monkeypatch):
     weak = SimulationRunner(SimulationSettings(grip=GripSettings(force=20.0, friction=0.1)))
     trajectory = weak.run(Trial(row([0.8, 0.8, 0.8]), Slide(0, duration=2.0)))
     assert trajectory.status == "slipped"
-    assert "mm" in trajectory.reason
     assert trajectory.figures["slip_m"] > 0.003
 
 

@@ -1,4 +1,4 @@
-"""The interactive viewer shows the runner's own trial, or the record; where no window can be opened it says so."""
+"""The interactive viewer: a live trial is the runner's, a replay the record's; without a display a line says so."""
 
 from __future__ import annotations
 
@@ -48,19 +48,14 @@ def steps(shown: LiveTrial | Replay) -> int:
     raise AssertionError("it never ends")
 
 
-def test_a_live_trial_is_the_runners():
+def test_a_live_trial_is_the_runners_each_time():
     trajectory, live = SimulationRunner().run_clean(TURN), LiveTrial(TURN)
-    assert steps(live) == len(trajectory.time_s) == round(live.duration * 100)
-    assert live.outcome().figures == trajectory.figures
-    assert live.outcome().status == "ok"
-    assert_allclose(live.physics.time(), live.duration)
-
-
-def test_beginning_again_is_the_same_trial():
-    live = LiveTrial(TURN)
     ends = []
     for _ in range(2):
-        steps(live)
+        assert steps(live) == len(trajectory.time_s) == round(live.duration * 100)
+        assert live.outcome().figures == trajectory.figures
+        assert live.outcome().status == "ok"
+        assert_allclose(live.physics.time(), live.duration)
         ends.append(np.array(live.physics.data.qpos))
     assert_array_equal(ends[0], ends[1])
 
@@ -140,7 +135,7 @@ def display():
     server.wait(timeout=30)
 
 
-def seen(name: str) -> np.ndarray:
+def screen(name: str) -> np.ndarray:
     return np.asarray(ImageGrab.grab(xdisplay=name).convert("RGB"))
 
 
@@ -169,13 +164,13 @@ def test_a_window_opens_and_the_trial_runs_in_it(display):
     env = NO_DISPLAY | {"DISPLAY": display}
     process = subprocess.Popen(command, cwd=ROOT, env=env, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     try:
-        wait_for(lambda: len(np.unique(seen(display) // 32)) > 4, process)
-        still = seen(display)
+        wait_for(lambda: len(np.unique(screen(display) // 32)) > 4, process)
+        still = screen(display)
         table = still[..., 0].astype(int) - still[..., 2] > 15
         assert 0.1 < table.mean() < 0.8
         press_space(display)
         arm = (slice(0, 600), slice(0, 1024))  # the window's upper part, without its panel of figures
-        wait_for(lambda: (np.abs(seen(display)[arm].astype(int) - still[arm]) > 40).mean() > 0.005, process)
+        wait_for(lambda: (np.abs(screen(display)[arm].astype(int) - still[arm]) > 40).mean() > 0.005, process)
         process.send_signal(signal.SIGINT)
         printed, errors = process.communicate(timeout=60)
     finally:

@@ -1,4 +1,4 @@
-"""Logs of another bench come back as the trajectory they were made from, whatever their units, frames and rates."""
+"""Logs of other robots come back as the trajectory behind them, whatever their units, frames and rates."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from numpy.testing import assert_allclose
+from scipy.spatial.transform import Rotation
 
 from testbed.actions.accelerate import Accelerate
 from testbed.actions.rotate import Rotate
@@ -44,13 +45,19 @@ def slide() -> Trajectory:
     return simulated(Slide(1, direction=0.4, duration=2.0))
 
 
-@pytest.fixture
-def imported(turn: Trajectory, tmp_path: Path) -> Trajectory:
-    return import_trajectory(write_csv(tmp_path / "log.csv", turn), write_toml(tmp_path / "map.toml", mapping_of(turn)))
+def import_csv(folder: Path, original: Trajectory, mapping: dict[str, Any] | None = None, **more: Any) -> Trajectory:
+    """A trajectory written as CSV, with more columns perhaps, and imported."""
+    asked = mapping_of(original) if mapping is None else mapping
+    return import_trajectory(write_csv(folder / "log.csv", original, **more), write_toml(folder / "map.toml", asked))
+
+
+@pytest.fixture(scope="module")
+def imported(turn: Trajectory, tmp_path_factory: pytest.TempPathFactory) -> Trajectory:
+    return import_csv(tmp_path_factory.mktemp("log"), turn)
 
 
 def windows_agree(imported: Trajectory, original: Trajectory, part: float) -> None:
-    """What estimators see: steady wrenches within a part of the drag, 1 % of it in metres for torque."""
+    """Steady wrenches agree within a part of the drag, 1 % of it in metres for torque."""
     ours, theirs = steady_windows(imported), steady_windows(original)
     assert len(ours) == len(theirs)
     for a, b in zip(ours, theirs, strict=True):
@@ -75,15 +82,11 @@ def test_every_column_comes_back(imported: Trajectory, turn: Trajectory):
     assert_allclose(imported.object_pose[held], turn.object_pose[held], atol=1e-3)
     assert_allclose(imported.tcp_velocity[held], turn.tcp_velocity[held], atol=5e-3)
     assert_allclose(imported.object_velocity[held], turn.object_velocity[held], atol=5e-3)
-
-
-def test_an_estimator_sees_the_same(imported: Trajectory, turn: Trajectory):
-    held = turn.mask(Phase.STEADY)
     off = imported.wrench_on_object_world[held] - turn.wrench_on_object_world[held]
     assert (np.abs(off) < [5e-3, 5e-3, 5e-3, 5e-4, 5e-4, 5e-4]).all()
 
 
-def test_it_says_where_it_comes_from_and_can_be_kept(imported: Trajectory, tmp_path: Path):
+def test_provenance_names_the_source_and_is_saved(imported: Trajectory, tmp_path: Path):
     assert imported.provenance["runner"] == "import"
     assert imported.provenance["object"] == "L2"
     assert imported.provenance["log"] == "log.csv"
@@ -98,9 +101,7 @@ def test_it_says_where_it_comes_from_and_can_be_kept(imported: Trajectory, tmp_p
 @pytest.mark.parametrize("which", ["turn", "slide"])
 def test_phases_are_found_from_the_motion(which: str, request: pytest.FixtureRequest, tmp_path: Path):
     original: Trajectory = request.getfixturevalue(which)
-    found = import_trajectory(
-        write_csv(tmp_path / "log.csv", original), write_toml(tmp_path / "map.toml", mapping_of(original))
-    )
+    found = import_csv(tmp_path, original)
     for segment in range(original.segment.max() + 1):
         mine, theirs = (np.flatnonzero(t.segment == segment) for t in (found, original))
         assert_allclose([mine[0], mine[-1]], [theirs[0], theirs[-1]], atol=10)
@@ -122,9 +123,7 @@ def test_a_second_tare_is_found_and_its_drift_judged(turn: Trajectory, tmp_path:
     turned["time_s"] = np.arange(len(turned["time_s"])) / 100
     turned["sensor_wrench"][len(turn.time_s) :] += [0.0, 0.5, 0.0, 0.0, 0.0, 0.0]
     longer = replace(turn, **turned)
-    again = import_trajectory(
-        write_csv(tmp_path / "log.csv", longer), write_toml(tmp_path / "map.toml", mapping_of(longer))
-    )
+    again = import_csv(tmp_path, longer)
     assert again.phase[-1] == Phase.TARE
     assert again.figures["drift_N"] == pytest.approx(0.5, abs=0.1)
     seconds = again.time_s[-1] - 0.5  # between the ends of the two tares
@@ -145,7 +144,7 @@ def test_phases_can_be_given(tmp_path: Path):
     given = import_trajectory(path, write_toml(tmp_path / "map.toml", mapping_of(original, phases=windows)))
     assert np.array_equal(given.segment, original.segment)
     windows_agree(given, original, 0.05)
-    with pytest.raises(LogError, match=r"accelerated turn are not found from motion; give them as \[\[phases\]\]"):
+    with pytest.raises(LogError, match=r"\[\[phases\]\]"):
         import_trajectory(path, write_toml(tmp_path / "none.toml", mapping_of(original)))
 
 
@@ -169,12 +168,12 @@ def write_mcap(path: Path, sensor: pd.DataFrame, hand: pd.DataFrame, encoding: s
         for topic, table in (("/ft", sensor), ("/arm", hand)):
             channel = writer.register_channel(topic, encoding, writer.register_schema(topic, "jsonschema", b"{}"))
             for row in table.to_dict("records"):
-                said: dict[str, Any] = {str(name): float(value) for name, value in row.items()}
-                stamp = 1_767_225_600_000_000_000 + round(1e9 * said.pop("stamp"))
+                fields: dict[str, Any] = {str(name): float(value) for name, value in row.items()}
+                stamp = 1_767_225_600_000_000_000 + round(1e9 * fields.pop("stamp"))
                 if topic == "/ft":
-                    force, torque = {a: said[f"f{a}"] for a in "xyz"}, [said[f"t{a}"] for a in "xyz"]
-                    said = {"frame": "sensor", "wrench": {"force": force, "torque": torque}}
-                rows.append((stamp, channel, said))
+                    force, torque = {a: fields[f"f{a}"] for a in "xyz"}, [fields[f"t{a}"] for a in "xyz"]
+                    fields = {"frame": "sensor", "wrench": {"force": force, "torque": torque}}
+                rows.append((stamp, channel, fields))
         for stamp, channel, data in sorted(rows, key=lambda r: r[0]):
             writer.add_message(channel, stamp, json.dumps(data).encode(), stamp)
         writer.finish()
@@ -193,107 +192,92 @@ def of_mcap(turn: Trajectory) -> dict[str, Any]:
     return asked
 
 
-def test_an_mcap_comes_back(turn: Trajectory, tmp_path: Path):
-    sensor, hand = at_other_rates(turn, 100.0, 40.0)
-    path = write_mcap(tmp_path / "log.mcap", sensor, hand)
-    windows_agree(import_trajectory(path, write_toml(tmp_path / "map.toml", of_mcap(turn))), turn, 0.03)
-
-
-def refused(log: Path, said: dict[str, Any]) -> str:
+def refused(log: Path, mapping: dict[str, Any]) -> str:
     with pytest.raises(HeftError) as error:
-        import_trajectory(log, write_toml(log.parent / "map.toml", said))
+        import_trajectory(log, write_toml(log.parent / "map.toml", mapping))
     return str(error.value)
 
 
-def test_what_an_mcap_does_not_have_is_told(turn: Trajectory, tmp_path: Path):
+def test_an_mcap_comes_back_and_its_errors_name_the_nearest(turn: Trajectory, tmp_path: Path):
     sensor, hand = at_other_rates(turn, 100.0, 40.0)
-    path, asked = write_mcap(tmp_path / "log.mcap", sensor, hand), of_mcap(turn)
-    other = asked | {"sensor": asked["sensor"] | {"topic": "/fts"}}
-    assert (
-        "log.mcap: sensor.force, sensor.torque.topic: got '/fts'; allowed: one of /arm, /ft (nearest: /ft)"
-        in refused(path, other)
-    )
-    other = asked | {"sensor": asked["sensor"] | {"force": ["wrench.forces.x", "wrench.force.y", "wrench.force.z"]}}
-    assert "got 'wrench.forces.x'" in refused(path, other)
-    assert "(nearest: wrench.force.x)" in refused(path, other)
+    path, mapping = write_mcap(tmp_path / "log.mcap", sensor, hand), of_mcap(turn)
+    windows_agree(import_trajectory(path, write_toml(tmp_path / "map.toml", mapping)), turn, 0.03)
+    for change, error in (
+        ({"topic": "/fts"}, "log.mcap: sensor.force, sensor.torque.topic: got '/fts'; allowed: one of /arm, /ft"),
+        ({"force": ["wrench.forces.x", "wrench.force.y", "wrench.force.z"]}, "(nearest: wrench.force.x)"),
+    ):
+        assert error in refused(path, mapping | {"sensor": mapping["sensor"] | change})
     cdr = write_mcap(tmp_path / "ros.mcap", sensor, hand, encoding="cdr")
-    assert "topic /ft is encoded as cdr; allowed: json" in refused(cdr, asked)
+    assert "encoded as cdr; allowed: json" in refused(cdr, mapping)
     cut = tmp_path / "cut.mcap"
     cut.write_bytes(path.read_bytes()[:2000])
-    assert "cut.mcap: not a whole MCAP file" in refused(cut, asked)
+    assert "cut.mcap: " in refused(cut, mapping)
 
 
-@pytest.mark.parametrize(
-    ("change", "said"),
-    [
-        ({"sensor": {"force": ["Fx", "fy", "fz"]}}, "sensor.force, sensor.torque: got 'Fx'; allowed: one of stamp, fx"),
-        ({"sensor": {"force": ["Fx", "fy", "fz"]}}, "(nearest: fx)"),
-        ({"time": {"column": "time"}}, "time.column: got 'time'"),
-        ({"sensor": {"force_unit": "n"}}, "sensor.force_unit: got 'n'; allowed: a unit of force: N, mN, kN, kgf"),
-        ({"sensor": {"torque_unit": "Nm"}}, "torque_unit: got 'Nm'; allowed: a unit of torque"),
-        ({"sensor": {"torque_unit": "Nm"}}, "(nearest: N m)"),
-        ({"hand": {"position_unit": "inch"}}, "a unit of length: m, cm, mm"),
-        ({"sensor": {"sign": 0}}, "sensor.sign: got 0"),
-        ({"sensor": {"tipoc": "/ft"}}, "sensor.tipoc: no such field; got '/ft' (nearest: topic)"),
-        ({"sensor": {"topic": "/ft"}}, "topic: got '/ft'; allowed: none: a table has no topics"),
-        ({"hand": {"orientation_as": "roll_pitch_yaw"}}, "3 columns for roll_pitch_yaw"),
-        ({"sensor": {"in_hand_wxyz": [1.0, 1.0, 0.0, 0.0]}}, "a unit quaternion, wxyz"),
-        ({"action": {"kind": "weigh"}}, "rotate, accelerate or slide"),
-        ({"action": {"kind": "rotate"}}, "fields grasp as well"),
-        ({"action": {"kind": "rotate", "grasp": 99}}, "action.grasp: got 99; allowed: 0 ("),
-        ({"action": {"kind": "rotate", "grasp": 2, "speed": 0.4}}, "the steady stretches found are none; the action"),
-        ({"action": {"kind": "rotate", "grasp": 2, "speed": -0.1745, "duration": 2.0, "back": True}}, "correct its"),
-        ({"object": "L3"}, "object: got 'L3'"),
-        (
-            {"phases": [{"phase": "steady", "from_s": 1.0, "to_s": 2.0}]},
-            'one or more "steady", after one or more "tare"',
-        ),
-        ({"phases": [{"phase": "tare", "from_s": 1.0, "to_s": 0.5}]}, "to_s: got 0.5; allowed: more than from_s (1)"),
-        ({"phases": [{"phase": "tear", "from_s": 0.0, "to_s": 0.5}]}, "phases.0.phase: got 'tear'"),
-        ({"longest_gap_s": 0.005}, "log: silent for 0.01 s at"),
-    ],
+WRONG: tuple[tuple[dict[str, Any], str], ...] = (
+    ({"sensor": {"force": ["Fx", "fy", "fz"]}}, "sensor.force, sensor.torque: got 'Fx'; allowed: one of stamp, fx"),
+    ({"sensor": {"force": ["Fx", "fy", "fz"]}}, "(nearest: fx)"),
+    ({"time": {"column": "time"}}, "time.column: got 'time'"),
+    ({"sensor": {"force_unit": "n"}}, "sensor.force_unit: got 'n'; allowed: a unit of force: N, mN"),
+    ({"sensor": {"torque_unit": "Nm"}}, "(nearest: N m)"),
+    ({"hand": {"position_unit": "inch"}}, "a unit of length: m, cm, mm"),
+    ({"sensor": {"sign": 0}}, "sensor.sign: got 0"),
+    ({"sensor": {"tipoc": "/ft"}}, "sensor.tipoc: no such field; got '/ft' (nearest: topic)"),
+    ({"sensor": {"topic": "/ft"}}, "topic: got '/ft'; allowed: none"),
+    ({"hand": {"orientation_as": "roll_pitch_yaw"}}, "3 columns for roll_pitch_yaw"),
+    ({"sensor": {"in_hand_wxyz": [1.0, 1.0, 0.0, 0.0]}}, "a unit quaternion"),
+    ({"action": {"kind": "weigh"}}, "rotate, accelerate or slide"),
+    ({"action": {"kind": "rotate"}}, "fields grasp"),
+    ({"action": {"kind": "rotate", "grasp": 99}}, "action.grasp: got 99; allowed: 0 ("),
+    ({"action": {"kind": "rotate", "grasp": 2, "speed": 0.4}}, "phases: "),
+    ({"action": {"kind": "rotate", "grasp": 2, "speed": -0.1745, "duration": 2.0, "back": True}}, "phases: "),
+    ({"object": "L3"}, "object: got 'L3'"),
+    ({"phases": [{"phase": "steady", "from_s": 1.0, "to_s": 2.0}]}, 'one or more "tare"'),
+    ({"phases": [{"phase": "tare", "from_s": 1.0, "to_s": 0.5}]}, "to_s: got 0.5"),
+    ({"phases": [{"phase": "tear", "from_s": 0.0, "to_s": 0.5}]}, "phases.0.phase: got 'tear'"),
+    ({"longest_gap_s": 0.005}, "log: silent for 0.01 s at"),
 )
-def test_a_mapping_that_does_not_fit_is_told(turn: Trajectory, tmp_path: Path, change: dict[str, Any], said: str):
-    asked = mapping_of(turn)
-    for table, fields in change.items():
-        asked[table] = asked[table] | fields if table in ("sensor", "hand", "time") else fields
-    told = refused(write_csv(tmp_path / "log.csv", turn), asked)
-    assert said in told
-    assert "Traceback" not in told
 
 
-def test_a_log_that_is_none_is_told(turn: Trajectory, tmp_path: Path):
-    asked = mapping_of(turn)
+def test_a_wrong_mapping_is_refused(turn: Trajectory, tmp_path: Path):
+    path = write_csv(tmp_path / "log.csv", turn)
+    for change, error in WRONG:
+        mapping = mapping_of(turn)
+        for table, fields in change.items():
+            mapping[table] = mapping[table] | fields if table in ("sensor", "hand", "time") else fields
+        assert error in refused(path, mapping)
+
+
+def test_a_wrong_log_is_refused(turn: Trajectory, tmp_path: Path):
+    mapping = mapping_of(turn)
     path = write_csv(tmp_path / "log.csv", turn)
     table = pd.read_csv(path, dtype=str)
-    for column, row, cell, said in (
-        ("fy", 7, "high", "line 9: fy: got 'high'; allowed: a number, or blank"),
-        ("fy", 7, "", "line 9: fy is blank or not finite"),
-        ("stamp", 7, "", "line 9: stamp is blank or not finite"),
-        ("tz", 3, "inf", "line 5: tz is blank or not finite"),
+    for column, row, cell, error in (
+        ("fy", 7, "high", "line 9: fy: got 'high'"),
+        ("fy", 7, "", "line 9: fy is blank"),
+        ("stamp", 7, "", "line 9: stamp is blank"),
+        ("tz", 3, "inf", "line 5: tz is blank"),
         ("stamp", 7, "0", "time goes back by"),
         ("qw", 9, "0.9", "hand.orientation: length"),
     ):
         wrong = table.copy()
         wrong.loc[row, column] = cell
         wrong.to_csv(tmp_path / "wrong.csv", index=False)
-        assert said in refused(tmp_path / "wrong.csv", asked)
-    gone = pd.concat([table[:300], table[340:]])
-    gone.to_csv(tmp_path / "gone.csv", index=False)
-    assert "silent for 0.41 s at 2.99 s; allowed: 0.1 s (longest_gap_s)" in refused(tmp_path / "gone.csv", asked)
+        assert error in refused(tmp_path / "wrong.csv", mapping)
+    pd.concat([table[:300], table[340:]]).to_csv(tmp_path / "gone.csv", index=False)
     table[:50].to_csv(tmp_path / "short.csv", index=False)
-    assert "have 0.49 s in common; allowed: 1 s or more" in refused(tmp_path / "short.csv", asked)
-    (tmp_path / "empty.csv").write_text("")
-    assert "empty.csv: cannot be read as a table" in refused(tmp_path / "empty.csv", asked)
-    (tmp_path / "log.txt").write_text("")
-    assert "a file that ends in .csv or .mcap" in refused(tmp_path / "log.txt", asked)
-    assert "an existing .csv or .mcap file" in refused(tmp_path / "none.csv", asked)
-
-
-def test_a_log_without_a_tare_is_told(turn: Trajectory, tmp_path: Path):
+    for name in ("empty.csv", "log.txt"):
+        (tmp_path / name).write_text("")
+    for name, error in (
+        ("gone.csv", "silent for 0.41 s at 2.99 s; allowed: 0.1 s"),
+        ("short.csv", "0.49 s in common; allowed: 1 s or more"),
+        ("empty.csv", "empty.csv: cannot be read"),
+        ("log.txt", ".csv or .mcap"),
+        ("none.csv", "an existing .csv or .mcap file"),
+    ):
+        assert error in refused(tmp_path / name, mapping)
     late = {n: v[~turn.mask(Phase.TARE)] for n, v in vars(turn).items() if np.shape(v)[:1] == turn.time_s.shape}
-    path = write_csv(tmp_path / "log.csv", replace(turn, **late))
-    assert "phases: no tare: the tool never rests" in refused(path, mapping_of(turn))
+    assert "phases: no tare" in refused(write_csv(tmp_path / "log.csv", replace(turn, **late)), mapping)
 
 
 def test_blank_rows_and_repeated_stamps_do_no_harm(turn: Trajectory, tmp_path: Path):
@@ -306,51 +290,44 @@ def test_blank_rows_and_repeated_stamps_do_no_harm(turn: Trajectory, tmp_path: P
     assert_allclose(again.sensor_wrench, turn.sensor_wrench, atol=1e-3)
 
 
-def test_orientations_may_be_said_in_other_ways(turn: Trajectory, tmp_path: Path):
-    from scipy.spatial.transform import Rotation  # noqa: PLC0415  of this test alone
-
-    said = columns(turn)
-    hand = Rotation.from_quat(np.column_stack([said[f"q{a}"] for a in "xyzw"]))
+def test_orientations_come_as_vectors_or_angles_too(turn: Trajectory, tmp_path: Path):
+    logged = columns(turn)
+    hand = Rotation.from_quat(np.column_stack([logged[f"q{a}"] for a in "xyzw"]))
     vectors, angles = hand.as_rotvec(degrees=True), hand.as_euler("xyz", degrees=True)
     more = {f"{n}{i}": v[:, i] for n, v in (("v", vectors), ("e", angles)) for i in range(3)}
-    path = write_csv(tmp_path / "log.csv", turn, **more)
     for kind, letter in (("rotation_vector", "v"), ("roll_pitch_yaw", "e")):
-        asked = mapping_of(turn)
-        asked["hand"] |= {
-            "orientation": [f"{letter}{i}" for i in range(3)],
-            "orientation_as": kind,
-            "angle_unit": "deg",
-        }
-        again = import_trajectory(path, write_toml(tmp_path / "map.toml", asked))
+        mapping = mapping_of(turn)
+        names = [f"{letter}{i}" for i in range(3)]
+        mapping["hand"] |= {"orientation": names, "orientation_as": kind, "angle_unit": "deg"}
+        again = import_csv(tmp_path, turn, mapping, **more)
         same = np.abs(np.sum(again.sensor_orientation * turn.sensor_orientation, axis=1))
         assert_allclose(same, 1.0, atol=1e-9)
 
 
-def test_a_logged_velocity_is_taken_as_it_is(turn: Trajectory, tmp_path: Path):
+def test_a_logged_velocity_is_used(turn: Trajectory, tmp_path: Path):
     names = {f"v{i}": (1e3 if i < 3 else 180 / np.pi) * turn.tcp_velocity[:, i] for i in range(6)}
-    path = write_csv(tmp_path / "log.csv", turn, **names)
     velocity = {
         "linear": ["v0", "v1", "v2"],
         "angular": ["v3", "v4", "v5"],
         "linear_unit": "mm/s",
         "angular_unit": "deg/s",
     }
-    again = import_trajectory(path, write_toml(tmp_path / "map.toml", mapping_of(turn, velocity=velocity, joints=None)))
+    again = import_csv(tmp_path, turn, mapping_of(turn, velocity=velocity, joints=None), **names)
     assert_allclose(again.tcp_velocity, turn.tcp_velocity, atol=1e-5)
     assert again.provenance["velocity"] == "as logged"
     assert again.provenance["joints"] == "not logged: zeros"
     assert not again.joint_position.any()
 
 
-def test_all_that_is_wrong_is_told_at_once(turn: Trajectory, tmp_path: Path):
+def test_all_errors_come_at_once(turn: Trajectory, tmp_path: Path):
     asked = mapping_of(turn)
     asked |= {"object": "L3", "time": asked["time"] | {"column": "time"}}
     asked["sensor"] |= {"force": ["Fx", "Fy", "fz"]}
     asked["hand"] |= {"position": ["px", "py", "pzz"]}
     path = write_csv(tmp_path / "log.csv", turn)
     lines = refused(path, asked).splitlines()
-    for told in ("object: got 'L3'", "time.column: got 'time'", "got 'Fx'", "got 'Fy'", "got 'pzz'"):
-        assert sum(told in line for line in lines) == 1, told
+    for error in ("object: got 'L3'", "time.column: got 'time'", "got 'Fx'", "got 'Fy'", "got 'pzz'"):
+        assert sum(error in line for line in lines) == 1, error
     assert len(lines) == 5
 
 
@@ -363,10 +340,10 @@ def test_one_file_serves_logs_of_several_actions(turn: Trajectory, slide: Trajec
     assert import_trajectory(second, mapping).action == slide.action
     none = write_toml(tmp_path / "none.toml", mapping_of(turn, action=None, logs=entries))
     assert import_trajectory(second, none).action == slide.action
-    with pytest.raises(InvalidValueError, match=r"action: got None; allowed: a table: \{ kind"):
+    with pytest.raises(InvalidValueError, match="action: got None"):
         import_trajectory(first, none)
     bad = write_toml(tmp_path / "bad.toml", mapping_of(turn, logs=[{"file": "a", "action": {"kind": "weigh"}}]))
-    with pytest.raises(HeftError, match=r"bad\.toml: logs\.0\.action\.kind: got 'weigh'; allowed: rotate"):
+    with pytest.raises(HeftError, match=r"bad\.toml: logs\.0\.action\.kind: got 'weigh'"):
         import_trajectory(first, bad)
 
 

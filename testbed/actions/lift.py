@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from testbed.actions.base import Action, ActionWords
+from testbed.actions.path import minimum_jerk
 from testbed.errors import InvalidValueError
 from testbed.objects.model import ObjectShape
 from testbed.validation import check_integer, check_positive, is_number
@@ -111,7 +112,8 @@ class LiftProfile:
         def move(seconds: float, height: tuple[float, float], begin: np.ndarray, end: np.ndarray) -> None:
             n = max(round(seconds / step), 1)
             x = np.arange(1, n + 1) / n
-            done, rate = x**3 * (10 - 15 * x + 6 * x**2), 30 * x**2 * (1 - x) ** 2 / (n * step)
+            done, rate = minimum_jerk(x)
+            rate /= n * step
             way = height[1] - height[0]
             turned = np.stack([begin + np.outer(done, end - begin), np.outer(rate, end - begin), np.zeros((n, 3))])
             parts.append((np.column_stack([height[0] + done * way, rate * way]), turned, False))

@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import NamedTuple, Self
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -21,6 +21,11 @@ PAUSE = 0.3
 """Time at constant speed before accelerations begin [s]."""
 WORKSPACE = (0.45, 0.0)
 """Middle of the workspace on the table [m], arm's base frame."""
+
+
+def minimum_jerk(x: Any) -> tuple[Any, Any]:
+    """Smooth progress from 0 to 1 at `x`, a number or an array from 0 to 1, and its derivative in `x`."""
+    return x**3 * (10 - 15 * x + 6 * x**2), 30 * x**2 * (1 - x) ** 2
 
 
 class Steady(NamedTuple):

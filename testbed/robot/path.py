@@ -11,7 +11,7 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from testbed.actions.base import TableAction
-from testbed.actions.path import WORKSPACE, Profile, ToolPath
+from testbed.actions.path import WORKSPACE, Profile, ToolPath, minimum_jerk
 from testbed.errors import InfeasibleTrialError
 from testbed.frames import perpendicular, pose_from_point, transform_point
 from testbed.objects.model import Grasp, ObjectShape
@@ -85,9 +85,8 @@ class Line:
     def at(self, time: float) -> Target:
         """Target at a time since the leg began [s]."""
         x = min(max(time / self.duration, 0.0), 1.0)
-        done, rate = x**3 * (10 - 15 * x + 6 * x**2), 30 * x**2 * (1 - x) ** 2 / self.duration
-        way = self.end - self.start
-        return Target(self.start + done * way, self.yaw, rate * way, 0.0)
+        (done, rate), way = minimum_jerk(x), self.end - self.start
+        return Target(self.start + done * way, self.yaw, rate / self.duration * way, 0.0)
 
 
 @dataclass(frozen=True, eq=False)

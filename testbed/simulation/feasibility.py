@@ -1,4 +1,4 @@
-"""Whether an object can be lifted and rocked: asked before anything moves."""
+"""Feasibility of a trial before anything moves: grip, table, support, drag, lift, joint torques and speeds."""
 
 from __future__ import annotations
 
@@ -19,21 +19,135 @@ from testbed.simulation.motion import JOINT_SPEED_LIMIT, Motion, arm_model
 from testbed.simulation.settings import MARGIN, SimulationSettings
 from testbed.trial import Trial
 
+MINIMUM_HEIGHT = 0.010
+"""Least height of a face from the table up that the pads can hold [m]."""
 FLANGE_PAYLOAD = 4.0
-"""What the Gen3 carries at its flange at mid range, kg."""
+"""Payload of the Gen3 at its flange at mid range [kg]."""
 CLEARANCE = 0.010
-"""Least way between table and object while it rocks, m."""
+"""Least distance between table and object while it rocks [m]."""
 EVERY = 10
-"""The joints' torques are looked at once in so many ticks."""
+"""Ticks between two checks of the joints' torques."""
 
 
-def check_lift(trial: Trial, action: Lift, motion: Motion, settings: SimulationSettings) -> None:
-    """Refuse what cannot be lifted.
+def check_feasible(trial: Trial, motion: Motion, settings: SimulationSettings) -> None:
+    """Refuse an infeasible trial.
 
     Raises:
-        InfeasibleTrialError: an object that is not one rigid body, or heavier than the payload, or beyond what the grip
-            holds by friction, or that would touch the table, or a joint beyond its working torque.
+        InfeasibleTrialError: an object too wide or too low to grip, beyond the table's edge, lifting a foot by its own
+            weight or not to be lifted; friction beyond the grip; drag beyond a joint's working torque; or a joint
+            beyond its speed. The message says by how much, and what to change.
     """
+    shape, grasp = trial.object.shape, trial.grasp
+    if grasp.width > STROKE - 0.005:
+        raise InfeasibleTrialError(
+            f"grip: block {grasp.name} is {grasp.width * 1e3:.0f} mm wide; the gripper opens to "
+            f"{STROKE * 1e3:.0f} mm and needs 5 mm of clearance; choose a narrower part"
+        )
+    top = shape.height if grasp.top is None else grasp.top
+    # Only the part of a face above the pads' lower edge counts
+    if top < MINIMUM_HEIGHT + max(grasp.bottom - PAD_HEIGHT[0], 0.0):
+        what, needed = f"the object is {top * 1e3:.0f} mm high", f"{MINIMUM_HEIGHT * 1e3:.0f} mm"
+        if grasp.bottom > 0:
+            what = f"the faces of {grasp.name} are {grasp.bottom * 1e3:.1f} to {top * 1e3:.1f} mm over the table"
+            needed = f"{(MINIMUM_HEIGHT - PAD_HEIGHT[0]) * 1e3:.0f} mm of face above that"
+        raise InfeasibleTrialError(f"grip: {what}; the pads, 3 mm over the table, need {needed}")
+    _check_table(trial, motion, settings)
+    _check_rest(trial, settings)
+    if isinstance(trial.action, Lift):  # it meets no friction, but holds the weight
+        _check_lift(trial, trial.action, motion, settings)
+    else:
+        _check_drag(trial, grasp, motion, settings)
+    speed = np.abs(motion.qd) / JOINT_SPEED_LIMIT
+    if speed.max() > 1:
+        joint = int(speed.max(axis=0).argmax())
+        raise InfeasibleTrialError(
+            f"speed: joint {joint + 1} would need {speed.max():.2f} of its limit of "
+            f"{np.degrees(JOINT_SPEED_LIMIT[joint]):.0f} deg/s; move slower"
+        )
+
+
+def _check_table(trial: Trial, motion: Motion, settings: SimulationSettings) -> None:
+    """Refuse an object that passes the table's edge; the scene itself would not show it, since its plane is endless."""
+    action, shape = trial.action, trial.object.shape
+    x, y, yaw = motion.object_pose
+    if isinstance(action, TableAction):  # the others stay over their place
+        length = action.profile(1 / settings.rate).length
+        beyond = overhang_of(shape, action.path_from(shape, length, motion.object_pose))
+    else:
+        still = (np.zeros((1, 2)), np.array([[x, y]]), np.array([yaw]), np.zeros(1), np.zeros((1, 2)))
+        beyond = overhang(outline(shape), *still)[0]
+    worst = int(beyond.argmax())
+    if beyond[worst] > 1e-9:
+        raise InfeasibleTrialError(
+            f"table: the object's outline would pass the table's {EDGES[worst]} edge by {beyond[worst] * 1e3:.0f} mm; "
+            f"all of it must stay within x {LOW[0]:.2f} to {HIGH[0]:.2f} m and y {LOW[1]:.2f} to {HIGH[1]:.2f} m; take "
+            "a shorter way, a turn about a point nearer the object, or a block nearer its middle"
+        )
+
+
+def _check_drag(trial: Trial, grasp: Grasp, motion: Motion, settings: SimulationSettings) -> None:
+    """Refuse friction under the object beyond grip or joint torques."""
+    obj, shape = trial.object, trial.object.shape
+    friction = np.where(shape.friction_group >= 0, obj.truth.friction[np.maximum(shape.friction_group, 0)], 0.0)
+    feet = np.bincount(shape.mass_group[shape.friction_group >= 0], minlength=shape.n_m)
+    load = friction * (obj.group_mass / np.maximum(feet, 1))[shape.mass_group] * GRAVITY  # a group's feet carry it all
+    drag = float(load.sum())
+    torque = float(load @ np.linalg.norm(shape.particles - grasp.position, axis=1))
+    grip = settings.grip
+    if grip.mode == "friction":
+        holds = {
+            "drag": (drag, 2 * grip.force * min(grip.friction, 1.0), "N"),
+            "torque": (torque, grip.force * min(PAD_WIDTH, grasp.length), "N m"),
+        }
+        for what, (needed, held, unit) in holds.items():
+            if needed > MARGIN * held:
+                raise InfeasibleTrialError(
+                    f"grip: {what} of up to {needed:.2f} {unit} at block {grasp.name} against {MARGIN * held:.2f} "
+                    f"that a grip of {grip.force:g} N holds; take a block nearer the middle, a stronger grip (up to "
+                    "235 N) or a weld"
+                )
+    _check_torques(motion, drag, torque)
+
+
+def _check_rest(trial: Trial, settings: SimulationSettings) -> None:
+    """Refuse a foot that would have to pull: with a lifted foot the loads' laws do not hold."""
+    shape = trial.object.shape
+    loads = resting_loads(trial.object, trial.support, settings.contact)
+    feet = np.flatnonzero(shape.friction_group >= 0)
+    worst = feet[loads[feet].argmin()]
+    if loads[worst] < -1e-9 * loads[feet].mean():
+        x, y = (round(v) for v in shape.particles[worst] * 1e3)
+        raise InfeasibleTrialError(
+            f"rest: on {trial.support.name} the foot of {shape.group_names[shape.mass_group[worst]]} at ({x}, "
+            f"{y}) mm would carry {loads[worst]:.3f} N, that is lift, with {loads[feet].mean():.3f} N on the mean "
+            f"foot; {int((loads[feet] < 0).sum())} of {len(feet)} feet lift; give the object feet nearer under its "
+            "centre of mass" + ("" if trial.support.is_rigid else ", or use a stiffer support, as rigid")
+        )
+
+
+def _check_torques(motion: Motion, drag: float, torque: float) -> None:
+    """Check static joint torques at the ends and the middle of the path, the drag in the worst direction."""
+    model = arm_model()
+    data = mujoco.MjData(model)
+    jacobian = np.zeros((6, model.nv))
+    limit = model.jnt_actfrcrange[:7, 1]
+    for q in motion.q[[0, len(motion.q) // 2, -1]]:
+        data.qpos[:7] = q
+        mujoco.mj_forward(model, data)
+        mujoco.mj_jacSite(model, data, jacobian[:3], jacobian[3:], model.site("gripper/tcp").id)
+        lever = np.hypot(jacobian[0, :7], jacobian[1, :7])
+        needed = np.abs(data.qfrc_bias[:7]) + lever * drag + np.abs(jacobian[5, :7]) * torque
+        over = needed / limit
+        if over.max() > 1:
+            joint = int(over.argmax())
+            raise InfeasibleTrialError(
+                f"torque: joint {joint + 1} would need up to {needed[joint]:.1f} N m of its {limit[joint]:g} N m to "
+                f"push a drag of {drag:.1f} N and {torque:.2f} N m; use a lighter object or less friction"
+            )
+
+
+def _check_lift(trial: Trial, action: Lift, motion: Motion, settings: SimulationSettings) -> None:
+    """Refuse a lift of parts, beyond payload, grip or joint torques, or that would touch the table."""
     obj, grasp = trial.object, trial.object.shape.grasps[action.grasp]
     if not trial.support.is_rigid:
         raise InfeasibleTrialError(
@@ -60,16 +174,16 @@ def check_lift(trial: Trial, action: Lift, motion: Motion, settings: SimulationS
 
 
 def _below_flange() -> float:
-    """Mass of sensor and gripper, kg."""
+    """Mass of sensor and gripper [kg]."""
     model = arm_model()
     return float(model.body_mass[model.body("ft/housing").id :].sum())
 
 
 def _check_grip(obj: ObjectModel, grasp: Grasp, action: Lift, settings: SimulationSettings) -> None:
-    """Weight and moments against the pads' friction: an ellipse of force against torsion (Howe and Cutkosky 1996).
+    """Check weight and moments against the pads' limit surface, an ellipse of force and torsion (Howe, Cutkosky 1996).
 
-    The pads press evenly on the face they meet. The moment across the closing axis makes them carry unlike parts of the
-    weight, that about the closing axis twists both.
+    The pads press evenly on the face they meet. The moment across the closing axis divides the weight unevenly between
+    them; the moment about the closing axis twists both.
     """
     grip, weight = settings.grip, obj.total_mass * GRAVITY
     along, across = rotation_2d(-grasp.angle) @ (obj.center_of_mass - grasp.position)
@@ -91,13 +205,13 @@ def _check_grip(obj: ObjectModel, grasp: Grasp, action: Lift, settings: Simulati
 
 
 def _mean_distance(width: float, height: float) -> float:
-    """Mean distance of a rectangle's points from its middle, m."""
+    """Mean distance of a rectangle's points from its middle [m]."""
     x, y = (side * (np.arange(40) + 0.5) / 40 - side / 2 for side in (width, height))
     return float(np.hypot(x[:, None], y).mean())
 
 
 def _check_joints(obj: ObjectModel, grasp: Grasp, motion: Motion, settings: SimulationSettings) -> None:
-    """Torque of every joint along the path: arm in motion, and the object's weight at its centre of mass."""
+    """Check joint torques along the path: arm in motion, and the object's weight at its center of mass."""
     model = arm_model()
     data = mujoco.MjData(model)
     limit = model.jnt_actfrcrange[:7, 1]
@@ -121,128 +235,4 @@ def _check_joints(obj: ObjectModel, grasp: Grasp, motion: Motion, settings: Simu
                 f"torque: joint {joint + 1} would need up to {needed[joint]:.1f} N m of its {limit[joint]:g} N m to "
                 f"lift {obj.total_mass:.2f} kg at {grasp.name}; use a lighter object, rock it more gently or take a "
                 "block nearer the centre of mass"
-            )
-
-
-MINIMUM_HEIGHT = 0.010
-"""A face from the table up that is lower than this gives the pads too little to hold, m."""
-
-
-def check_feasible(trial: Trial, motion: Motion, settings: SimulationSettings) -> None:
-    """Refuse what the bench cannot do.
-
-    Raises:
-        InfeasibleTrialError: too wide or too low to grip, an object that would pass the table's edge, a foot that the
-            object's own weight lifts, friction beyond the grip, drag beyond a joint's working torque or speed, or what
-            cannot be lifted; the message says by how much and what could be done.
-    """
-    shape, grasp = trial.object.shape, trial.grasp
-    if grasp.width > STROKE - 0.005:
-        raise InfeasibleTrialError(
-            f"grip: block {grasp.name} is {grasp.width * 1e3:.0f} mm wide; the gripper opens to "
-            f"{STROKE * 1e3:.0f} mm and needs 5 mm of clearance; choose a narrower part"
-        )
-    top = shape.height if grasp.top is None else grasp.top
-    # Below the pads' lower edge a face is of no use; above it, what counts is how much of it they meet
-    if top < MINIMUM_HEIGHT + max(grasp.bottom - PAD_HEIGHT[0], 0.0):
-        what, needed = f"the object is {top * 1e3:.0f} mm high", f"{MINIMUM_HEIGHT * 1e3:.0f} mm"
-        if grasp.bottom > 0:
-            what = f"the faces of {grasp.name} are {grasp.bottom * 1e3:.1f} to {top * 1e3:.1f} mm over the table"
-            needed = f"{(MINIMUM_HEIGHT - PAD_HEIGHT[0]) * 1e3:.0f} mm of face above that"
-        raise InfeasibleTrialError(f"grip: {what}; the pads, 3 mm over the table, need {needed}")
-    _check_table(trial, motion, settings)
-    _check_rest(trial, settings)
-    if isinstance(trial.action, Lift):  # it meets no friction, but holds the weight
-        check_lift(trial, trial.action, motion, settings)
-    else:
-        _check_drag(trial, grasp, motion, settings)
-    speed = np.abs(motion.qd) / JOINT_SPEED_LIMIT
-    if speed.max() > 1:
-        joint = int(speed.max(axis=0).argmax())
-        raise InfeasibleTrialError(
-            f"speed: joint {joint + 1} would need {speed.max():.2f} of its limit of "
-            f"{np.degrees(JOINT_SPEED_LIMIT[joint]):.0f} deg/s; move slower"
-        )
-
-
-def _check_table(trial: Trial, motion: Motion, settings: SimulationSettings) -> None:
-    """All of the object stays over the table, where it lies at first and wherever it is moved.
-
-    Nothing in the scene happens at the edge: the plane that feet touch has no end.
-    """
-    action, shape = trial.action, trial.object.shape
-    x, y, yaw = motion.object_pose
-    if isinstance(action, TableAction):  # the others stay over their place
-        length = action.profile(1 / settings.rate).length
-        beyond = overhang_of(shape, action.path_from(shape, length, motion.object_pose))
-    else:
-        still = (np.zeros((1, 2)), np.array([[x, y]]), np.array([yaw]), np.zeros(1), np.zeros((1, 2)))
-        beyond = overhang(outline(shape), *still)[0]
-    worst = int(beyond.argmax())
-    if beyond[worst] > 1e-9:
-        raise InfeasibleTrialError(
-            f"table: the object's outline would pass the table's {EDGES[worst]} edge by {beyond[worst] * 1e3:.0f} mm; "
-            f"all of it must stay within x {LOW[0]:.2f} to {HIGH[0]:.2f} m and y {LOW[1]:.2f} to {HIGH[1]:.2f} m; take "
-            "a shorter way, a turn about a point nearer the object, or a block nearer its middle"
-        )
-
-
-def _check_drag(trial: Trial, grasp: Grasp, motion: Motion, settings: SimulationSettings) -> None:
-    """Friction under the object against what grip and joints can push."""
-    obj, shape = trial.object, trial.object.shape
-    friction = np.where(shape.friction_group >= 0, obj.truth.friction[np.maximum(shape.friction_group, 0)], 0.0)
-    feet = np.bincount(shape.mass_group[shape.friction_group >= 0], minlength=shape.n_m)
-    load = friction * (obj.group_mass / np.maximum(feet, 1))[shape.mass_group] * GRAVITY  # a group's feet carry it all
-    drag = float(load.sum())
-    torque = float(load @ np.linalg.norm(shape.particles - grasp.position, axis=1))
-    grip = settings.grip
-    if grip.mode == "friction":
-        holds = {
-            "drag": (drag, 2 * grip.force * min(grip.friction, 1.0), "N"),
-            "torque": (torque, grip.force * min(PAD_WIDTH, grasp.length), "N m"),
-        }
-        for what, (needed, held, unit) in holds.items():
-            if needed > MARGIN * held:
-                raise InfeasibleTrialError(
-                    f"grip: {what} of up to {needed:.2f} {unit} at block {grasp.name} against {MARGIN * held:.2f} "
-                    f"that a grip of {grip.force:g} N holds; take a block nearer the middle, a stronger grip (up to "
-                    "235 N) or a weld"
-                )
-    _check_torques(motion, drag, torque)
-
-
-def _check_rest(trial: Trial, settings: SimulationSettings) -> None:
-    """No foot may have to pull: a lifted foot ends the laws by which loads are known."""
-    shape = trial.object.shape
-    loads = resting_loads(trial.object, trial.support, settings.contact)
-    feet = np.flatnonzero(shape.friction_group >= 0)
-    worst = feet[loads[feet].argmin()]
-    if loads[worst] < -1e-9 * loads[feet].mean():
-        x, y = (round(v) for v in shape.particles[worst] * 1e3)
-        raise InfeasibleTrialError(
-            f"rest: on {trial.support.name} the foot of {shape.group_names[shape.mass_group[worst]]} at ({x}, "
-            f"{y}) mm would carry {loads[worst]:.3f} N, that is lift, with {loads[feet].mean():.3f} N on the mean "
-            f"foot; {int((loads[feet] < 0).sum())} of {len(feet)} feet lift; give the object feet nearer under its "
-            "centre of mass" + ("" if trial.support.is_rigid else ", or use a stiffer support, as rigid")
-        )
-
-
-def _check_torques(motion: Motion, drag: float, torque: float) -> None:
-    """Static joint torques at the ends and the middle of the path, with the drag in the worst direction."""
-    model = arm_model()
-    data = mujoco.MjData(model)
-    jacobian = np.zeros((6, model.nv))
-    limit = model.jnt_actfrcrange[:7, 1]
-    for q in motion.q[[0, len(motion.q) // 2, -1]]:
-        data.qpos[:7] = q
-        mujoco.mj_forward(model, data)
-        mujoco.mj_jacSite(model, data, jacobian[:3], jacobian[3:], model.site("gripper/tcp").id)
-        lever = np.hypot(jacobian[0, :7], jacobian[1, :7])
-        needed = np.abs(data.qfrc_bias[:7]) + lever * drag + np.abs(jacobian[5, :7]) * torque
-        over = needed / limit
-        if over.max() > 1:
-            joint = int(over.argmax())
-            raise InfeasibleTrialError(
-                f"torque: joint {joint + 1} would need up to {needed[joint]:.1f} N m of its {limit[joint]:g} N m to "
-                f"push a drag of {drag:.1f} N and {torque:.2f} N m; use a lighter object or less friction"
             )

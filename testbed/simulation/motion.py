@@ -1,4 +1,4 @@
-"""The arm's kinematics: tool poses over the table to joint angles, by mink on the arm alone."""
+"""Motion of the arm in a trial: inverse kinematics by mink, and joint targets, phases and grip at every tick."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from scipy.interpolate import CubicSpline
 
 from testbed.actions.base import Action, TableAction
 from testbed.actions.lift import Lift, LiftProfile
-from testbed.actions.path import PAUSE, WORKSPACE
+from testbed.actions.path import PAUSE, WORKSPACE, minimum_jerk
 from testbed.errors import InfeasibleTrialError, InvalidValueError
 from testbed.frames import pose_from_point, rotation_2d
 from testbed.objects.gripper import STROKE
@@ -24,29 +24,31 @@ from testbed.simulation.settings import SimulationSettings
 from testbed.trajectory import Phase, Tool
 
 JOINT_SPEED_LIMIT = np.radians([80, 80, 80, 80, 70, 70, 70])
-"""Joint speed limits of the Gen3, rad/s, (7,)."""
+"""Joint speed limits of the Gen3 [rad/s], shape (7,)."""
+HOVER = 0.06
+"""Height over the grasp at which the sensor is zeroed [m]."""
+_TARE_TIME, _DESCENT_TIME, _CLOSE_TIME, _OPEN_TIME = 0.5, 0.8, 0.8, 0.3
+_STEP_TURN, _STEP_LINE = math.radians(10), 0.025
+_TILT_WAYPOINTS, _LIFT_WAYPOINTS = 4, 5
 _TOLERANCE = 1e-7
 _ITERATIONS = 100
-# The arm has one joint more than it needs: turn the tool with the last one, and leave the fingers alone.
+# The arm is redundant: prefer the last joint for turning the tool, and leave the fingers alone
 _MOVE_LAST_JOINT_FIRST = np.array([1e-4] * 6 + [1e-6] + [1e-4] * 2)
 
 
 @lru_cache(maxsize=1)
 def arm_model() -> mujoco.MjModel:
-    """Arm, sensor and gripper alone, compiled once a process."""
+    """Model of arm, sensor and gripper alone, compiled once a process."""
     return arm_spec().compile()
 
 
 def joint_path(poses: np.ndarray, start: np.ndarray) -> np.ndarray:
-    """Joint angles through tool poses, the tool pointing straight down or turned away from that.
+    """Joint angles through tool poses [rad], shape (N, 7), continuous along the path.
 
     Args:
-        poses: x, y, z of the TCP, m, and yaw of the closing direction, rad, world frame, (N, 4); or with the rotation
-            vector, rad, world frame, by which the tool is turned away from pointing straight down, (N, 7).
-        start: joint angles to start the search from, rad, (7,).
-
-    Returns:
-        Joint angles, rad, (N, 7), continuous along the path.
+        poses: x, y, z of the TCP [m] and yaw of the closing direction [rad], world frame, for a tool that points down,
+            (N, 4); or with the rotation vector that tilts the tool from there [rad], world frame, (N, 7).
+        start: joint angles to start the search from [rad], (7,).
 
     Raises:
         InfeasibleTrialError: a pose out of reach or beyond a joint's range.
@@ -60,7 +62,7 @@ def joint_path(poses: np.ndarray, start: np.ndarray) -> np.ndarray:
 
 @lru_cache(maxsize=4096)
 def _solve(pose: tuple[float, ...], start: tuple[float, ...]) -> tuple[float, ...]:
-    """One pose from nearby angles; cached, since trials share their approach."""
+    """Joint angles of one pose from nearby angles; cached, since trials share their approach."""
     model = arm_model()
     configuration = mink.Configuration(model)
     full = configuration.q.copy()
@@ -68,8 +70,9 @@ def _solve(pose: tuple[float, ...], start: tuple[float, ...]) -> tuple[float, ..
     configuration.update(full)
     task = mink.FrameTask("gripper/tcp", "site", position_cost=1.0, orientation_cost=0.3)
     damping = mink.DampingTask(model, cost=_MOVE_LAST_JOINT_FIRST[: model.nv])
-    turned = _tool_down(pose[3]) if len(pose) == 4 else mink.SO3.exp(np.array(pose[4:])) @ _tool_down(pose[3])
-    task.set_target(mink.SE3.from_rotation_and_translation(turned, np.array(pose[:3])))
+    down = mink.SO3.from_z_radians(pose[3]) @ mink.SO3.from_x_radians(np.pi)
+    tool = down if len(pose) == 4 else mink.SO3.exp(np.array(pose[4:])) @ down
+    task.set_target(mink.SE3.from_rotation_and_translation(tool, np.array(pose[:3])))
     limits = [mink.ConfigurationLimit(model)]
     for _ in range(_ITERATIONS):
         if np.abs(task.compute_error(configuration)).max() < _TOLERANCE:
@@ -77,28 +80,21 @@ def _solve(pose: tuple[float, ...], start: tuple[float, ...]) -> tuple[float, ..
         velocity = mink.solve_ik(configuration, [task, damping], dt=1.0, solver="daqp", limits=limits)
         configuration.integrate_inplace(velocity, 1.0)
     left = np.abs(task.compute_error(configuration)).max()
+    tilt = f", tilted by {np.degrees(np.linalg.norm(pose[4:])):.1f} deg" if len(pose) > 4 else ""
     raise InfeasibleTrialError(
         f"reach: the arm cannot put the tool at x={pose[0]:.3f} y={pose[1]:.3f} z={pose[2]:.3f} m, "
-        f"yaw {np.degrees(pose[3]):.0f} deg{_told_tilt(pose[4:])} (misses by {left:.3g}); "
+        f"yaw {np.degrees(pose[3]):.0f} deg{tilt} (misses by {left:.3g}); "
         "choose a nearer pivot or a shorter slide"
     )
 
 
-def _told_tilt(turn: tuple[float, ...]) -> str:
-    return f", turned by {np.degrees(np.linalg.norm(turn)):.1f} deg" if turn else ""
-
-
-def _tool_down(yaw: float) -> mink.SO3:
-    return mink.SO3.from_z_radians(yaw) @ mink.SO3.from_x_radians(np.pi)
-
-
 def spline(poses: np.ndarray, start: np.ndarray) -> CubicSpline:
-    """Joint angles as a smooth function of a path parameter that runs over 0..1 through `poses` (N, 4)."""
+    """Joint angles along `poses` (N, 4) as a smooth function of a path parameter from 0 to 1."""
     return CubicSpline(np.linspace(0.0, 1.0, len(poses)), joint_path(poses, start))
 
 
 def gripper_tool(width: float) -> Tool:
-    """The gripper as the sensor carries it, its pads `width` (m) apart, in the sensor frame."""
+    """The gripper as the sensor carries it, in the sensor frame, with its pads `width` apart [m]."""
     model = arm_model()
     data = mujoco.MjData(model)
     for finger in ("gripper/left_finger", "gripper/right_finger"):
@@ -125,43 +121,26 @@ def gripper_tool(width: float) -> Tool:
     )
 
 
-_EACH_WAY = 4
-"""Waypoints from level to a tilt."""
-_RISE = 5
-"""Waypoints on the way up."""
-
-
-def lifted_joints(
+def _lift_joints(
     action: Lift, profile: LiftProfile, hold: np.ndarray, yaw: float, q_hold: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Joint angles and speeds over a lift.
+    """Joint angles [rad] and speeds [rad/s] at the N ticks of a lift, each (N, 7).
 
-    Height and every axis have a path of their own, and all start from the same joint angles: the arm has a joint to
-    spare, and would else come back to a pose by other angles.
-
-    Args:
-        action: the lift.
-        profile: its ticks, N.
-        hold: tool pose with the object on the table: x, y, z, m, and yaw of the closing direction, rad, (4,).
-        yaw: of the object, rad, world.
-        q_hold: joint angles there, (7,).
-
-    Returns:
-        Angles, rad, and speeds, rad/s, each (N, 7).
-
-    Raises:
-        InfeasibleTrialError: a pose out of reach or beyond a joint's range.
+    Height and every axis have a path of their own, all from the same joint angles: a redundant arm would otherwise come
+    back to a pose by other angles. `hold` (4,) is the tool pose on the table, with joint angles `q_hold`; `yaw` is the
+    object's [rad], world.
     """
-    rise = np.tile(hold, (_RISE, 1))
-    rise[:, 2] += np.linspace(0.0, action.height, _RISE)
-    path = CubicSpline(np.linspace(0.0, action.height, _RISE), joint_path(rise, q_hold))
+    rise = np.tile(hold, (_LIFT_WAYPOINTS, 1))
+    rise[:, 2] += np.linspace(0.0, action.height, _LIFT_WAYPOINTS)
+    path = CubicSpline(np.linspace(0.0, action.height, _LIFT_WAYPOINTS), joint_path(rise, q_hold))
     q, qd = path(profile.height), path(profile.height, 1) * profile.height_rate[:, None]
     q_up = path(action.height)
     axes = np.eye(3)
-    axes[:2, :2] = rotation_2d(yaw).T  # the object's axes in the world, a row each
+    axes[:2, :2] = rotation_2d(yaw).T  # rows: the object's axes, world
     for k, axis in enumerate(axes if action.tilt > 0 else ()):
-        angles = np.linspace(0.0, action.tilt, _EACH_WAY + 1)
-        ways = [joint_path(_tilted(rise[-1], sign * angles[1:], axis), q_up) for sign in (-1, 1)]
+        angles = np.linspace(0.0, action.tilt, _TILT_WAYPOINTS + 1)
+        level = np.tile(rise[-1], (_TILT_WAYPOINTS, 1))
+        ways = [joint_path(np.hstack([level, np.outer(sign * angles[1:], axis)]), q_up) for sign in (-1, 1)]
         knots = np.concatenate([-angles[:0:-1], angles])
         path = CubicSpline(knots, np.concatenate([ways[0][::-1], q_up[None], ways[1]]))
         moved = (profile.angle[:, k] != 0) | (profile.rate[:, k] != 0)
@@ -170,43 +149,32 @@ def lifted_joints(
     return q, qd
 
 
-def _tilted(pose: np.ndarray, angles: np.ndarray, axis: np.ndarray) -> np.ndarray:
-    """A tool pose turned about an axis of the world through the TCP: x, y, z, yaw and a rotation vector, (N, 7)."""
-    return np.hstack([np.tile(pose, (len(angles), 1)), np.outer(angles, axis)])
-
-
-HOVER = 0.06
-"""Height over the grasp at which the sensor is zeroed, m."""
-_TARE_TIME, _DESCENT_TIME, _CLOSE_TIME, _OPEN_TIME = 0.5, 0.8, 0.8, 0.3
-_STEP_TURN, _STEP_LINE = math.radians(10), 0.025
-
-
 @dataclass(frozen=True, eq=False)
 class Motion:
     """Joint targets and grip at every record tick, N ticks."""
 
     start: np.ndarray
-    """Joint angles to start from, (7,)."""
+    """First joint angles [rad], shape (7,)."""
     object_pose: np.ndarray
-    """Where the object lies, planar pose, (3,)."""
+    """First planar pose of the object [m, m, rad], world, shape (3,)."""
     phase: np.ndarray
-    """`Phase`, (N,)."""
+    """`Phase`, shape (N,)."""
     segment: np.ndarray
-    """Steady stretch, (N,), -1 outside."""
+    """Steady stretch, shape (N,); -1 outside."""
     q: np.ndarray
-    """Joint targets, rad, (N, 7)."""
+    """Joint targets [rad], shape (N, 7)."""
     qd: np.ndarray
-    """Joint speeds, rad/s, (N, 7)."""
+    """Joint speeds [rad/s], shape (N, 7)."""
     grip: np.ndarray
-    """Part of the grip force, -1 (opening) to 1, (N,)."""
+    """Part of the grip force, -1 (opening) to 1, shape (N,)."""
     nulling: np.ndarray
-    """Whether load and tilt are being nulled, (N,) bool."""
+    """True while load and tilt are nulled, shape (N,)."""
     in_the_air: bool
-    """Whether the object leaves the table."""
+    """True if the object leaves the table."""
 
 
 def plan_motion(action: Action, shape: ObjectShape, settings: SimulationSettings) -> Motion:
-    """Plan a whole trial: where the object lies, and what the arm and the fingers do at every tick.
+    """Plan a trial: pose of the object, and motion of arm and fingers at every tick.
 
     Raises:
         InfeasibleTrialError: part of the path is out of the arm's reach.
@@ -219,62 +187,46 @@ def plan_motion(action: Action, shape: ObjectShape, settings: SimulationSettings
     q_hover, q_grasp = descent_path(0.0), descent_path(1.0)
     q, qd = work.joints(q_grasp)
 
-    parts: list[tuple[Phase, np.ndarray, np.ndarray, np.ndarray, np.ndarray, bool]] = []
+    parts: list[tuple[np.ndarray, ...]] = []
+
+    def add(phase: Phase, q: np.ndarray, qd: np.ndarray, grip: tuple[float, float], nulling: bool = False) -> None:
+        n = len(q)
+        outside = np.full(n, -1)
+        parts.append((np.full(n, phase), outside, q, qd, np.linspace(*grip, n), np.full(n, nulling)))
 
     def hold(phase: Phase, q: np.ndarray, seconds: float, grip: tuple[float, float], nulling: bool = False) -> None:
         n = max(round(seconds / dt), 1)
-        parts.append((phase, np.tile(q, (n, 1)), np.zeros((n, 7)), np.linspace(*grip, n), np.full(n, -1), nulling))
+        add(phase, np.tile(q, (n, 1)), np.zeros((n, 7)), grip, nulling)
 
     n = round(_DESCENT_TIME / dt)
-    s, sd = _minimum_jerk(np.arange(1, n + 1) / n)
+    s, sd = minimum_jerk(np.arange(1, n + 1) / n)
     hold(Phase.TARE, q_hover, _TARE_TIME, (-0.05, -0.05))
-    parts.append(
-        (
-            Phase.APPROACH,
-            descent_path(s),
-            descent_path(s, 1) * sd[:, None] / _DESCENT_TIME,
-            np.full(n, -0.05),
-            np.full(n, -1),
-            False,
-        )
-    )
+    add(Phase.APPROACH, descent_path(s), descent_path(s, 1) * sd[:, None] / _DESCENT_TIME, (-0.05, -0.05))
     hold(Phase.GRASP, q_grasp, PAUSE, (-0.05, -0.05))
     hold(Phase.GRASP, q_grasp, _CLOSE_TIME, (0.05, 1.0))
     hold(Phase.SETTLE, q_grasp, settings.servo.null_time, (1.0, 1.0), settings.servo.null_gain > 0)
     hold(Phase.SETTLE, q_grasp, PAUSE, (1.0, 1.0))
     phases = np.where(work.segment >= 0, Phase.STEADY, Phase.RAMP)
-    for i in range(len(q)):
-        parts.append((phases[i], q[i : i + 1], qd[i : i + 1], np.ones(1), work.segment[i : i + 1], work.complies))
+    parts.append((phases, work.segment, q, qd, np.ones(len(q)), np.full(len(q), work.complies)))
     hold(Phase.RELEASE, q[-1], PAUSE, (1.0, 0.0))
     hold(Phase.RELEASE, q[-1], _OPEN_TIME, (-0.05, -0.05))
-
-    return Motion(
-        start=q_hover,
-        object_pose=work.object_pose,
-        phase=np.concatenate([np.full(len(p[1]), p[0]) for p in parts]),
-        segment=np.concatenate([p[4] for p in parts]),
-        q=np.concatenate([p[1] for p in parts]),
-        qd=np.concatenate([p[2] for p in parts]),
-        grip=np.concatenate([p[3] for p in parts]),
-        nulling=np.concatenate([np.full(len(p[1]), p[5]) for p in parts]),
-        in_the_air=action.in_air,
-    )
+    return Motion(q_hover, work.object_pose, *map(np.concatenate, zip(*parts, strict=True)), in_the_air=action.in_air)
 
 
 @dataclass(frozen=True, eq=False)
 class _Work:
-    """The action itself, between grasp and release."""
+    """Action between grasp and release, N ticks."""
 
     hold: np.ndarray
-    """Tool pose at which it grips: x, y, z, yaw, (4,)."""
+    """Tool pose of the grasp: x, y, z [m] and yaw [rad], shape (4,)."""
     object_pose: np.ndarray
-    """Where the object lies, planar pose, (3,)."""
+    """First planar pose of the object, shape (3,)."""
     segment: np.ndarray
-    """Steady stretch of every tick, (N,), -1 outside."""
+    """Steady stretch of every tick, shape (N,); -1 outside."""
     joints: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
-    """From the joint angles at the grip to those of every tick, rad, and their speeds, rad/s, (N, 7)."""
+    """Joint angles [rad] and speeds [rad/s] of every tick, each (N, 7), from the angles at the grasp."""
     complies: bool
-    """Whether load and tilt are nulled meanwhile."""
+    """True if load and tilt are nulled meanwhile."""
 
 
 @singledispatch
@@ -310,10 +262,5 @@ def _(action: Lift, shape: ObjectShape, settings: SimulationSettings) -> _Work:
     hold = np.array([*WORKSPACE, settings.grip.tcp_height, 0.0])
     pose = pose_from_point(hold[:2], grasp.position, np.array(-grasp.angle))
     return _Work(
-        hold, pose, profile.segment, lambda q_grasp: lifted_joints(action, profile, hold, pose[2], q_grasp), False
+        hold, pose, profile.segment, lambda q_grasp: _lift_joints(action, profile, hold, pose[2], q_grasp), False
     )
-
-
-def _minimum_jerk(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Smooth 0 to 1 and its derivative."""
-    return x**3 * (10 - 15 * x + 6 * x**2), 30 * x**2 * (1 - x) ** 2

@@ -120,7 +120,7 @@ def test_an_object_rests_as_on_an_even_foundation(name: str, support: Support):
         assert_allclose(np.bincount(group, loads), obj.group_mass * GRAVITY, rtol=1e-4)
     if name == "L2" and support.is_rigid:
         assert_allclose(loads.sum(), obj.total_mass * GRAVITY, rtol=1e-6)
-        assert_allclose(loads @ obj.shape.particles[scene.foot_particles] / loads.sum(), obj.center_of_mass, atol=1e-4)
+        assert_allclose(loads @ obj.shape.particles[scene.foot_particles] / loads.sum(), obj.center_of_mass, atol=2e-4)
 
 
 @pytest.mark.parametrize("name", ["hammer", "wrench"])

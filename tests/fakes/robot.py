@@ -47,17 +47,14 @@ class Troubles:
     arm_lost: bool = False
     """No command reaches the arm, no feedback comes."""
     feedback_stalls: bool = False
-    """The newest feedback stays the newest."""
     feedback_lies: bool = False
     """Feedback is fresh, and the arm stands still in it."""
     arm_faulted: bool = False
-    """The arm stops in a fault."""
     refuses_twists: bool = False
     refuses_poses: bool = False
     misses_poses: bool = False
     """Poses are reported as reached, and are not."""
     ignores_twists: bool = False
-    """Twists are taken, and nothing happens."""
     twist_scale: float = 1.0
     """Ratio of the executed to the commanded twist: degrees for radians, or other axes (-1)."""
     latency: float = 0.0
@@ -67,9 +64,7 @@ class Troubles:
     crash: BaseException | None = None
     """Error of the next twist."""
     sensor_lost: bool = False
-    """Unplugged."""
     sensor_stalls: bool = False
-    """No frame comes."""
     drops: float = 0.0
     """Part of the frames that are lost."""
     frozen: bool = False
@@ -80,7 +75,6 @@ class Troubles:
     """Drift of the sensor's zero [N/s, N m/s]."""
     gripper_refuses: bool = False
     lets_go: bool = False
-    """The fingers open."""
     guard_dead: bool = False
     """Periodic calls are not made."""
 

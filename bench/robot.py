@@ -1,4 +1,4 @@
-"""What reading the sensor costs and loses: python bench/robot.py sensor [MINUTES].
+"""Cost and losses of reading the sensor: python bench/robot.py sensor [MINUTES].
 
 sensor  an FT-300S on a pseudo terminal, streaming at 100 Hz from another process, every frame numbered: frames lost,
         and the CPU share of the process that reads (10 minutes unless told otherwise)

@@ -1,8 +1,8 @@
-"""What comes of everything that may go wrong on the real bench: python bench/robot_faults.py [runs of each kind].
+"""Outcomes of every fault of the real robot: python bench/robot_faults.py [runs of each kind].
 
-Each kind strikes a trial on the fake bench at random moments, in simulated time. After a stop, or after the arm's last
-feedback, nothing may drive the arm for longer than 150 ms; no record that is wrong may be marked ok. What is right is
-judged by what only the fake bench knows: its sensor before the fault, and where the object truly is in the hand.
+Each kind strikes a trial on the fake robot at random moments, in simulated time. After a stop, or after the arm's last
+feedback, nothing may drive the arm for longer than 150 ms; no record that is wrong may be marked ok. The judge is the
+truth of the fake robot: its sensor before the fault, and the object's true place in the hand.
 """
 
 from __future__ import annotations

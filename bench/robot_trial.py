@@ -60,14 +60,14 @@ def simulated(model: ObjectModel, seconds: float) -> tuple[list[Trajectory], lis
 
 
 def nad(model: ObjectModel, trajectories: list[Trajectory]) -> float:
-    """Of hidden_states, in percent."""
+    """NAD of hidden_states in percent."""
     answer = HiddenStates().estimate(model.shape, model.total_mass, trajectories, 0)
     assert answer.distribution is not None
     return 100 * normalized_absolute_difference(model.shape, answer.distribution, model.truth)
 
 
 def reached(model: ObjectModel, ideal: list[Trajectory], noise: Sensing) -> list[Trajectory]:
-    """The same turns over the wires; ends the program where not all of them come to data."""
+    """Turns over the wires; ends the program if not all of them come to data."""
     actions = [t.action for t in ideal if isinstance(t.action, Rotate)]
     real = over_wires(model, actions, noise, lambda said: print(said, flush=True))
     if len(real) < len(ideal):

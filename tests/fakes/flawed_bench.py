@@ -1,4 +1,4 @@
-"""What a real bench adds to the world of exact Coulomb friction: a bias, a grasp beside its place, a table's grain."""
+"""Errors of a real setup on top of exact Coulomb friction: bias, grasp offset, friction anisotropy."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def held_beside(
 def on_grain(
     obj: ObjectModel, trajectory: Trajectory, ratio: float, direction: float, offset: object = 0.0
 ) -> Trajectory:
-    """As it would be on a table with a grain, the gripper carrying nothing: friction gives the pull of most power.
+    """The trial on a table with friction anisotropy, without load on the gripper: friction gives the pull of most power.
 
     Args:
         obj: the object on its own weight.
@@ -81,7 +81,7 @@ def on_grain(
 
 
 def _pull(velocity: np.ndarray, ellipse: np.ndarray) -> np.ndarray:
-    """Of unit friction: the point of the ellipse furthest along the velocity."""
+    """Pull of unit friction: the point of the ellipse furthest along the velocity."""
     along = velocity @ ellipse
     size = np.linalg.norm(along, axis=-1, keepdims=True)
     return np.divide(along @ ellipse.T, size, out=np.zeros_like(along), where=size > 1e-9)

@@ -27,14 +27,14 @@ DEVICE, STREAM, START = 9, 410, 0x0200
 JAM = b"\xff" * 50
 SPEEDS = {9600: termios.B9600, 19200: termios.B19200, 115200: termios.B115200}
 IDENTITY = {500: b"FS", 501: b"C\x02", 502: b"\x00\x01", 510: b"FS", 511: b"C\x00", 512: b"\x04\xd2", 513: b"\0\0"}
-"""Registers that say who it is: firmware FSC-2.0.1, serial FSC-1234."""
+"""Registers of its identity: firmware FSC-2.0.1, serial FSC-1234."""
 Wrench = Callable[[float], ArrayLike]
 """Time (`time.monotonic`) to wrench, N, N m, sensor axes, (6,)."""
 
 
 @dataclass
 class Faults:
-    """What goes wrong from now on; tests change it while it runs."""
+    """Faults from now on; tests change them while it runs."""
 
     noise: float = 0.0
     """Standard deviation of force, N; a twentieth of it for torque, N m."""

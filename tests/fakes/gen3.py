@@ -29,34 +29,29 @@ NOT_READY, IN_FAULT, INVALID = (3, 21), (3, 22), (3, 3)
 
 @dataclass
 class Faults:
-    """What goes wrong from now on; tests change it while the arm runs."""
+    """Faults from now on; tests change them while the arm runs."""
 
     fault_bank: int = 0
     """Not 0: the arm is in a fault, and refuses to move until it is cleared."""
     refuse: str = ""
-    """A call that is refused, as "Base.SendTwistCommand"."""
-    mute: str = ""
-    """A call that gets no answer."""
+    """A call that is refused, such as "Base.SendTwistCommand"."""
     aborts: bool = False
     """Poses are aborted half way."""
     short: bool = False
-    """Poses end before they are reached, and are said to be reached."""
-    latency: float = 0.0
-    """Before every answer, s."""
+    """Poses end before they are reached, and are reported as reached."""
 
 
 class FakeGen3:
     """Runs while it is entered. `port` is where it listens."""
 
-    def __init__(self, world: Gen3World, *, tool_length: float = 0.2115, twist_time: float = 0.02):
+    def __init__(self, world: Gen3World):
         self.world, self.faults = world, Faults()
         self.lock = threading.RLock()
         """Held while the world ticks."""
         self.commands: list[tuple[float, str]] = []
-        """When each call that may move the arm came, and its name."""
+        """Time and name of each call that may move the arm."""
         self.motion: list[tuple[float, float, bool]] = []
-        """Time (monotonic), speed, and whether the arm was driven, at every tick."""
-        self._tool_length, self._twist_time = tool_length, twist_time
+        """Time (monotonic), speed, and True if the arm was driven, at every tick."""
         self._over = threading.Event()
         self._connections: set[socket.socket] = set()
         self._allowed = math.inf
@@ -76,14 +71,14 @@ class FakeGen3:
         self.drop()
 
     def drop(self) -> None:
-        """Pull the cable: nothing goes through any more, and nobody is told."""
+        """Pull the cable."""
         for connection in list(self._connections):
             self._connections.discard(connection)
             with suppress(OSError):
                 connection.shutdown(socket.SHUT_RDWR)
 
     def driven_after(self, moment: float) -> float:
-        """How long the arm went on being driven after a moment (monotonic), s."""
+        """Time for which the arm was driven after a moment (monotonic) [s]."""
         return max((at - moment for at, _, driven in self.motion if at > moment and driven), default=0.0)
 
     def _live(self) -> None:
@@ -131,14 +126,12 @@ class FakeGen3:
 
     def _answer(self, connection: socket.socket, answering: threading.Lock, frame: dict[str, Any]) -> None:
         name, answer = frame["call"], {"id": frame["id"]}
-        if name == self.faults.mute:
-            return
         try:
             if name == self.faults.refuse:
                 raise Refusal(*INVALID, "refused by order of the test")
             with self.lock:
                 reply = getattr(self, "_" + name.replace(".", "_"))(frame["message"])
-            time.sleep(self.faults.latency + (self._twist_time if name == "Base.SendTwistCommand" else 0.0))
+            time.sleep(0.02 if name == "Base.SendTwistCommand" else 0.0)
             answer["reply"] = reply or {}
         except Refusal as refusal:
             answer["error"] = list(refusal.args)
@@ -216,7 +209,7 @@ class FakeGen3:
         }
 
     def _ControlConfig_GetToolConfiguration(self, _: dict[str, Any]) -> dict[str, Any]:
-        return {"tool_transform": {"z": self._tool_length}, "tool_mass": 1.37}
+        return {"tool_transform": {"z": 0.2115}, "tool_mass": 1.37}
 
     def _check(self, name: str) -> None:
         self.commands.append((time.monotonic(), name))

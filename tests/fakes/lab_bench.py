@@ -13,12 +13,12 @@ from scipy.spatial.transform import Rotation, Slerp
 from testbed.trajectory import Trajectory
 
 MOUNT = Rotation.from_euler("xyz", [180, 0, 123], degrees=True)
-"""Of the sensor on the other bench's hand: upside down, and turned."""
+"""Mount of the sensor on the other robot's hand: upside down, and turned."""
 TCP_IN_HAND = np.array([0.01, -0.02, 0.15])
 TABLE = 0.033
 """Height of its table in its arm's base frame, m."""
 EPOCH = 1_767_225_600.0
-"""When its clock stood as the log began, s."""
+"""Time of its clock at the begin of the log [s]."""
 
 
 def columns(t: Trajectory) -> dict[str, np.ndarray]:

@@ -1,4 +1,4 @@
-"""What a lift of an object would give, particle by particle by Newton's law alone, without a simulator."""
+"""Lift of an object, particle by particle by Newton's law alone, without a simulator."""
 
 from __future__ import annotations
 

@@ -18,7 +18,7 @@ POSES = [
 ]
 """Orientations of the hand in the base frame."""
 MASS, COM = 0.93, np.array([0.003, -0.002, 0.061])
-"""Of the tool, kg and m, hand axes."""
+"""Mass and center of the tool [kg, m], hand axes."""
 BIAS = np.array([5.0, -3.0, 8.0, 0.1, 0.2, -0.3])
 ERROR = np.array([0.012, 0.014, 0.011, 6e-4, 5e-4, 2e-4])
 """Standard error of a pose's mean: some seconds of an FT-300S."""
@@ -33,7 +33,7 @@ def readings(
     hands: Sequence[Rotation] = POSES,
     torque_sign: int = 1,
 ) -> list[StaticPose]:
-    """What a sensor reports.
+    """Readings of a sensor.
 
     Args:
         mount: orientation of the sensor in the hand.

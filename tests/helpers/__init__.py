@@ -1,1 +1,1 @@
-"""What tests share besides fakes: records, oracles, conformance of runners."""
+"""Shared parts of tests besides fakes: records, oracles, conformance of runners."""

@@ -14,7 +14,7 @@ from rerun.chunk import RrdReader
 
 @dataclass
 class Entity:
-    """What was logged to one path."""
+    """Content of one path."""
 
     static: dict[str, Any] = field(default_factory=dict)
     """Value of each component that always holds."""

@@ -1,4 +1,4 @@
-"""What every trial runner must do: run on the simulated bench, on recordings, on the real bench over fakes."""
+"""Conformance of trial runners: of the simulation, of recordings, of the real robot over fakes."""
 
 from __future__ import annotations
 
@@ -41,11 +41,11 @@ class Bench:
     make: Callable[[], TrialRunner]
     """A new runner on the bench."""
     trial: Trial
-    """What it can do."""
+    """A trial that it can do."""
     infeasible: Trial
-    """What it must refuse."""
+    """A trial that it must refuse."""
     moved: Callable[[], float] = lambda: 0.0
-    """How much has been commanded so far, of whatever moves: it must not grow where nothing may move."""
+    """Motion commanded so far; it must not grow while nothing may move."""
 
 
 def is_a_trial_runner(bench: Bench) -> None:
@@ -86,7 +86,7 @@ RUNNER_RULES: tuple[Callable[[Bench], None], ...] = (
     an_error_inside_comes_out,
     what_cannot_be_done_is_refused_before_anything_moves,
 )
-"""Of the runner; none of them runs the trial."""
+"""Rules of a runner; none of them runs the trial."""
 
 
 def says_how_it_ended(record: Trajectory, trial: Trial) -> None:
@@ -190,4 +190,4 @@ RECORD_RULES: tuple[Callable[[Trajectory, Trial], None], ...] = (
     the_hand_moves_as_it_says,
     the_truth_is_not_in_it,
 )
-"""Of what it returns for the bench's trial: run the trial once, hold its record against them all."""
+"""Rules of the record of the trial, which is run once."""

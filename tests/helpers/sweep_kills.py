@@ -59,7 +59,7 @@ def resumed(scenario: Path, out: Path, workers: int = 0, executor: str = "local"
 
 @dataclass(frozen=True)
 class Killing:
-    """Who is killed, and when."""
+    """Victim and moment of a killing."""
 
     victim: Victim
     files: int
@@ -67,7 +67,7 @@ class Killing:
     delay_s: float
     """After that."""
     which: int
-    """Of the workers."""
+    """Number of the worker."""
 
 
 def draw_killing(rng: np.random.Generator, victim: Victim, most: int) -> Killing:
@@ -99,7 +99,7 @@ def workers_of(parent: int) -> list[int]:
 
 
 def alive(pid: int) -> bool:
-    """Whether a process is there and no zombie."""
+    """True if a process is there and no zombie."""
     try:
         return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
     except OSError:

@@ -63,7 +63,7 @@ def _connected(process: subprocess.Popen[bytes], port: int, *, empty: bool) -> V
 
 
 def picture(client: ViewerClient) -> np.ndarray:
-    """What the window shows, (H, W, 3), when two looks agree that it is drawn."""
+    """Picture of the window, (H, W, 3), when two looks agree that it is drawn."""
     seen = np.zeros(0)
     for _ in range(40):
         time.sleep(0.25)
@@ -75,13 +75,13 @@ def picture(client: ViewerClient) -> np.ndarray:
 
 
 def is_blank(pixels: np.ndarray) -> bool:
-    """Whether there is next to nothing in a picture: few colours, or nearly all of one."""
+    """True if a picture is nearly empty: few colors, or nearly all of one."""
     colors, counts = np.unique(pixels.reshape(-1, 3) // 8, axis=0, return_counts=True)
     return len(colors) < 40 or counts.max() > 0.97 * counts.sum()
 
 
 def has_color(pixels: np.ndarray, color: tuple[int, int, int], least: int = 30, within: int = 24) -> bool:
-    """Whether at least so many pixels are about of a colour."""
+    """True if at least so many pixels are about of a color."""
     return int((np.abs(pixels - np.array(color)).max(axis=-1) < within).sum()) >= least
 
 
@@ -116,7 +116,7 @@ def browser(address: str, folder: Path) -> Iterator[Callable[[], np.ndarray]]:
 
 
 def _debugged(told: Path) -> str:
-    """Where the only page of a browser that has just been started can be asked."""
+    """Debugging address of the only page of a browser that has just been started."""
     until = time.monotonic() + 60
     while time.monotonic() < until:
         time.sleep(0.2)

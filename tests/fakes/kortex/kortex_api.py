@@ -1,4 +1,4 @@
-"""What heft uses of Kinova's `kortex_api` 2.6, typed by hand, towards `fake_gen3` instead of an arm.
+"""The part of Kinova's `kortex_api` 2.6 that heft uses, typed by hand, towards `tests.fakes.gen3` instead of an arm.
 
 Names, fields and their types are those of the maker's published .proto files and Python examples; a name that is not
 there raises AttributeError and a value of the wrong type TypeError, as protobuf does. On the wire there are JSON lines

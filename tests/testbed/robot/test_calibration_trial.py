@@ -28,7 +28,7 @@ def obj(request: pytest.FixtureRequest) -> ObjectModel:
 
 
 def hanging(obj: ObjectModel) -> np.ndarray:
-    """What the gripper does to the object, held at its first grasp."""
+    """Wrench of the gripper on the object, held at its first grasp."""
     force = np.array([0, 0, obj.total_mass * GRAVITY])
     return np.concatenate([force, np.cross([*center(obj), -0.01], force)])
 

@@ -127,10 +127,6 @@ class SensorIdentity:
     """Version of its firmware, or "unknown"."""
     rate_hz: float
     """Frame rate [Hz]."""
-    force_range: float
-    """Largest force along any axis [N]."""
-    torque_range: float
-    """Largest torque about any axis [N m]."""
 
 
 @dataclass(frozen=True)
@@ -165,10 +161,6 @@ class ArmLimits:
     """Highest linear speed of a commanded twist [m/s]."""
     angular_speed: float
     """Highest angular speed of a commanded twist [rad/s]."""
-    payload: float
-    """Largest mass at the flange [kg]: sensor, gripper and object."""
-    rate_hz: float
-    """Highest rate of twist commands [Hz]."""
 
     def __post_init__(self) -> None:
         ranges = frozen_array("ArmLimits.joint_range", self.joint_range, (7, 2), finite=False)
@@ -180,7 +172,7 @@ class ArmLimits:
         freeze_arrays(self, joint_speed=(7,))
         if not (self.joint_speed > 0).all():
             raise InvalidValueError("ArmLimits.joint_speed", self.joint_speed.tolist(), "numbers > 0, rad/s")
-        check_positive_fields(self, "linear_speed", "angular_speed", "payload", "rate_hz")
+        check_positive_fields(self, "linear_speed", "angular_speed")
 
 
 @dataclass(frozen=True, eq=False)
@@ -221,14 +213,6 @@ class WrenchSensor(Device, Protocol):
     @property
     def identity(self) -> SensorIdentity:
         """Name and abilities; serial and firmware are "unknown" before it is entered."""
-        ...
-
-    def latest(self) -> WrenchSample | None:
-        """The newest frame, or None before the first; it stays for `drain`.
-
-        Raises:
-            SensorLostError: unplugged, or silent for too long.
-        """
         ...
 
     def drain(self) -> Sequence[WrenchSample]:
@@ -285,15 +269,6 @@ class Arm(Device, Protocol):
         """Stop all motion. From any thread, any number of times, also at rest or without a connection.
 
         Earlier twists and poses no longer count, also those still on their way.
-        """
-        ...
-
-    def clear_faults(self) -> None:
-        """Clear the arm's faults; moves nothing.
-
-        Raises:
-            ArmRefusedError: a fault remains.
-            ArmLostError: no connection.
         """
         ...
 

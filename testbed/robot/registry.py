@@ -26,7 +26,7 @@ ARM: Role[Arm] = Role(
 )
 SENSOR: Role[WrenchSensor] = Role(
     "testbed.robot.interfaces.WrenchSensor",
-    (*_CONTEXT, "latest(self)", "drain(self)", "health(self)"),
+    (*_CONTEXT, "drain(self)", "health(self)"),
     "heft.sensors",
     "my_lab:Nano17",
 )

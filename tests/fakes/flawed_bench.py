@@ -53,7 +53,7 @@ def held_beside(
 def on_grain(
     obj: ObjectModel, trajectory: Trajectory, ratio: float, direction: float, offset: object = 0.0
 ) -> Trajectory:
-    """The trial on a table with friction anisotropy, without load on the gripper: friction gives the pull of most power.
+    """The trial on a table with friction anisotropy, the gripper unloaded: friction gives the pull of most power.
 
     Args:
         obj: the object on its own weight.

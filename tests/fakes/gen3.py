@@ -181,9 +181,6 @@ class FakeGen3:
 
     _Base_ApplyEmergencyStop = _Base_Stop
 
-    def _Base_ClearFaults(self, _: dict[str, Any]) -> None:
-        self.faults.fault_bank = 0
-
     def _Base_SendGripperCommand(self, command: dict[str, Any]) -> None:
         self._check("SendGripperCommand")
         self.world.grip = 1.0 if command["gripper"]["finger"][0]["value"] > 0.5 else -0.05

@@ -254,9 +254,6 @@ class FakeArm:
         if not self.robot.troubles.arm_lost:
             self.robot.world.stop()
 
-    def clear_faults(self) -> None:
-        self.robot.troubles.arm_faulted = False
-
     def _reachable(self) -> None:
         if self.robot.troubles.arm_lost:
             raise ArmLostError("arm: connection lost")
@@ -291,7 +288,7 @@ class FakeGripper:
 class FakeSensor:
     """A `WrenchSensor` on the world."""
 
-    identity = SensorIdentity("fake", "1", "1", 1 / TICK, 300.0, 30.0)
+    identity = SensorIdentity("fake", "1", "1", 1 / TICK)
 
     def __init__(self, robot: FakeRobot, seed: int = 0):
         self.robot, self._rng = robot, np.random.default_rng([seed, 7])
@@ -321,10 +318,6 @@ class FakeSensor:
         self._latest = WrenchSample(now, wrench, self._count)
         self._samples.append(self._latest)
         self._count += 1
-
-    def latest(self) -> WrenchSample | None:
-        self._check()
-        return self._latest
 
     def drain(self) -> Sequence[WrenchSample]:
         samples, self._samples = self._samples, []

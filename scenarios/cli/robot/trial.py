@@ -69,8 +69,7 @@ def trial(
     from testbed.robot.config import calibration_of, load_robot_file
     from testbed.robot.path import described, gripped, plan_trial
     from testbed.robot.registry import build_arm, build_gripper, build_sensor, gripper_class
-    from testbed.robot.runner import RealRunner
-    from testbed.robot.trajectories import read_off
+    from testbed.robot.runner import RealRunner, read_off
     from testbed.trial import Trial, parse_support
     from testbed.validation import check_positive
 

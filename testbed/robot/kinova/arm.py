@@ -21,7 +21,7 @@ from testbed.robot.interfaces import (
     RobotError,
 )
 from testbed.robot.kinova.link import KortexLink
-from testbed.robot.kinova.messages import Configuration, Feedback
+from testbed.robot.kinova.session import Configuration, Feedback
 from testbed.validation import check_positive_fields
 
 _ENDLESS = (-math.inf, math.inf)
@@ -30,10 +30,8 @@ GEN3 = ArmLimits(
     joint_speed=np.radians([80, 80, 80, 80, 70, 70, 70]),
     linear_speed=0.5,
     angular_speed=math.radians(100),
-    payload=4.0,
-    rate_hz=40.0,
 )
-"""Limits of the seven-joint Gen3, as Kinova publishes them; payload at mid range."""
+"""Limits of the seven-joint Gen3, as Kinova publishes them."""
 _ARRIVED = 0.002, math.radians(0.5)
 """Distance [m] and angle [rad] from a pose that count as its arrival."""
 _ALIVE = 0.025
@@ -183,19 +181,6 @@ class KortexArm:
             return  # the process has ended, and the arm stops by itself
         if not link.dead:
             link.lost = ""
-
-    def clear_faults(self) -> None:
-        """Clear the arm's faults; moves nothing.
-
-        Raises:
-            ArmRefusedError: a fault remains.
-            ArmLostError: no connection.
-        """
-        self.ask("clear")
-        time.sleep(0.5)
-        state = self.state()
-        if state.faulted:
-            raise ArmRefusedError(f"arm: still in a fault ({state.message}); look at its Web App")
 
     def ask(self, do: str, seconds: float = 1.0, **request: float) -> None:
         """Make a request that is answered at once.

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from testbed.robot.interfaces import ArmLostError, RobotError
-from testbed.robot.kinova.messages import Configuration, Feedback
+from testbed.robot.kinova.session import Configuration, Feedback
 
 PYTHON_VARIABLE = "HEFT_KORTEX_PYTHON"
 """Environment variable with the path of a Python that has `kortex_api`; heft's own if not set."""

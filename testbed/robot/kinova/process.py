@@ -14,8 +14,7 @@ import sys
 import threading
 from typing import Any
 
-from testbed.robot.kinova.messages import Configuration
-from testbed.robot.kinova.session import Gen3
+from testbed.robot.kinova.session import Configuration, Gen3
 
 
 class Line:

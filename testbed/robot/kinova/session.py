@@ -15,11 +15,9 @@ import sys
 import threading
 import time
 from concurrent.futures import TimeoutError as Timeout
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from types import SimpleNamespace
 from typing import Any
-
-from testbed.robot.kinova.messages import Configuration, Feedback
 
 RATE = 100.0
 """Rate of feedback [Hz]."""
@@ -39,6 +37,41 @@ _USED = {
     "TCPTransport": "TCPTransport",
 }
 """Classes of `kortex_api` in use, and their modules."""
+
+
+@dataclass
+class Configuration:
+    """Connection to the arm."""
+
+    address: str
+    port: int = 10000
+    username: str = "admin"
+    password: str = "admin"
+    silence: float = 0.1
+    """Time without a request, or without feedback, after which a moving arm is stopped [s]; the arm itself is told to
+    stop after as long a silence of the connection."""
+
+
+@dataclass
+class Feedback:
+    """State of the arm by its own feedback."""
+
+    time_s: float
+    """Arrival [s], `time.monotonic`."""
+    joint_position: list[float]
+    """Joint angles [rad]."""
+    joint_velocity: list[float]
+    """Joint speeds [rad/s]."""
+    tool_position: list[float]
+    """Position of the TCP [m]."""
+    tool_angles: list[float]
+    """Turns of the tool about the fixed x, y and z axes, in this order [rad]."""
+    tool_twist: list[float]
+    """Linear and angular velocity of the tool [m/s, rad/s]."""
+    gripper: float
+    """Closed part of the stroke, 0 to 1; -1 without a gripper."""
+    faulted: bool
+    message: str
 
 
 class Gen3:
@@ -131,11 +164,6 @@ class Gen3:
         finger = command.gripper.finger.add()
         finger.finger_identifier, finger.value = 1, request["position"]
         self._base.SendGripperCommand(command, 0, self._options())
-        self._reply(request)
-
-    def clear(self, request: dict) -> None:
-        """Clear faults."""
-        self._base.ClearFaults(0, self._options())
         self._reply(request)
 
     def close(self) -> None:

@@ -67,7 +67,7 @@ class Ft300s:
         """
         check_positive("Ft300s.stale_after", stale_after)
         self.port, self.stale_after = port, stale_after
-        self._identity = SensorIdentity("Robotiq FT-300S", "unknown", "unknown", RATE, 300.0, 30.0)
+        self._identity = SensorIdentity("Robotiq FT-300S", "unknown", "unknown", RATE)
         self._serial: serial.Serial | None = None
         self._reset()
 
@@ -175,23 +175,11 @@ class Ft300s:
                 self._sequence += 1
                 self._bytes_since = frame.behind
 
-    def latest(self) -> WrenchSample | None:
-        """The newest frame; it stays for `drain`.
-
-        Raises:
-            SensorLostError: unplugged, or no frame for longer than `stale_after`.
-            RobotError: not entered.
-        """
-        with self._lock:
-            self._update()
-            self._check()
-            return self._latest
-
     def drain(self) -> Sequence[WrenchSample]:
         """Every frame since the last drain, in order.
 
         Raises:
-            SensorLostError: as `latest`, once all that came before has been drained.
+            SensorLostError: unplugged, or no frame for longer than `stale_after`, and all frames have been drained.
             RobotError: not entered.
         """
         with self._lock:

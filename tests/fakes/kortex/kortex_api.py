@@ -73,9 +73,9 @@ CONSTANTS = {
     "Base": {"SINGLE_LEVEL_SERVOING": 2, "GRIPPER_POSITION": 3, "ACTION_END": 1, "ACTION_ABORT": 2},
     "Common": {"CARTESIAN_REFERENCE_FRAME_BASE": 3, "ARMSTATE_IN_FAULT": 4},
 }
-_BARE = ("Stop", "ApplyEmergencyStop", "ClearFaults", "RefreshFeedback", "GetToolConfiguration")
+_BARE = ("Stop", "ApplyEmergencyStop", "RefreshFeedback", "GetToolConfiguration")
 """Calls without a message."""
-_BASE = ("SetServoingMode", "ExecuteAction", "SendTwistCommand", "SendGripperCommand", *_BARE[:3])
+_BASE = ("SetServoingMode", "ExecuteAction", "SendTwistCommand", "SendGripperCommand", *_BARE[:2])
 CALLS = {
     "Base": dict.fromkeys(_BASE, "Empty"),
     "BaseCyclic": {"RefreshFeedback": "Feedback"},

@@ -139,7 +139,7 @@ def test_a_known_mass_tests_the_sensor(folder, capsys, monkeypatch, hung, code, 
 class Still:
     """An arm and a sensor of somebody else's, in the poses into which a person brings them."""
 
-    identity = SensorIdentity("Still", "S-1", "1", 100.0, 300.0, 30.0)
+    identity = SensorIdentity("Still", "S-1", "1", 100.0)
     limits = None
     poses = readings(POSES[0] * POSES[0], noise=1.0)
     at, moving = 0, False
@@ -157,8 +157,6 @@ class Still:
         self._frames += 5
         noise = self._rng.standard_normal((5, 6)) * [0.07, 0.08, 0.07, 0.003, 0.003, 0.001]
         return [WrenchSample(0.0, self._gain * (self.poses[self.at].wrench + n), 0) for n in noise]
-
-    latest = drain
 
     def health(self):
         return SensorHealth(self._frames, 0, 0, 0, 0, 0.0, ("a warning of its own",))

@@ -35,7 +35,7 @@ def hung(obj: ObjectModel) -> Trajectory:
 def folder_of(root: Path, obj: ObjectModel, change: np.ndarray, runner: str = "robot") -> Path:
     """Trials whose every wrench went through a 6 x 6 matrix, and a scale's reading."""
     moves: tuple[Action, ...] = (Rotate(0, duration=2.5, pivot=(0.1, 0.15), back=True), Slide(0, 0.4, duration=2.5))
-    records = [hung(obj), *(felt(obj, move, noise=0.05) for move in moves)]
+    records = [hung(obj), *(analytic_trial(obj, move, noise=0.05) for move in moves)]
     records = [replace(t, wrench_on_object_world=t.wrench_on_object_world @ change.T) for t in records]
     for i, record in enumerate([*records, read_off(obj.total_mass)]):
         request = {"object": object_request(obj), "action": record.action.to_dict(), "support": "own_weight"}

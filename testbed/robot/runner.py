@@ -35,8 +35,8 @@ from testbed.robot.path import RobotPlan, closing_yaw, described, plan_trial
 from testbed.robot.recorder import Record, doubts
 from testbed.robot.safety import UnsafeError
 from testbed.robot.weighing import weigh
-from testbed.sensing.drift import judge_drift
 from testbed.sensing.compensation import compensate
+from testbed.sensing.drift import judge_drift
 from testbed.trajectory import Phase, Status, Trajectory
 from testbed.trial import Trial
 from testbed.validation import check_positive

@@ -171,7 +171,6 @@ def linear(obj: ObjectModel, nuisances: NuisancePrior = NuisancePrior(UNKNOWNS))
             these,
             mass,
             friction,
-            inertia_of(model, mass),
             obj.shape.height,
             ModelErrors(pivot_error=1e-4, force_error=1e-3, torque_error=1e-3),
         )

@@ -78,9 +78,9 @@ def coulomb_error(
     inertia = inertia_of(particles, mass)
     load = observed.gripper_load(inertia, model.shape.height)
     if support.is_rigid:
-        normal = rigid_loads(particles.particles, particles.contact, mass, load)
+        normal = rigid_loads(particles, mass, load)
     else:
-        feet = own_weight(particles.particles, particles.mass_group, particles.contact, mass, load)
+        feet = own_weight(particles, mass, load)
         normal = feet.loads(load)
     friction = particles.particle_friction(torch.tensor(model.truth.friction)) * normal
     drag = -friction_wrench(friction, direction(observed.particle_velocity(particles)), observed.lever(particles))

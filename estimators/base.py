@@ -1,4 +1,4 @@
-"""What an estimator is given and what it answers; what a policy chooses. Two protocols, one value."""
+"""Estimate, and the protocols of estimators and of policies that choose actions."""
 
 from __future__ import annotations
 
@@ -16,11 +16,12 @@ from testbed.trajectory import Trajectory
 from testbed.validation import frozen_array
 
 EstimateStatus = Literal["ok", "underdetermined", "not_converged", "contradictory", "no_data", "assumption_violated"]
-"""Whether there is an answer, or what keeps it from being one.
+"""Status of an estimate.
 
-* `underdetermined`: the trials leave something open.
-* `not_converged`: the best that was found does not explain them.
-* `contradictory`: nothing does.
+* `ok`: mass and friction are determined.
+* `underdetermined`: the trials leave a direction open.
+* `not_converged`: the best masses found do not explain the trials.
+* `contradictory`: no masses explain them.
 * `no_data`: no trial is usable.
 * `assumption_violated`: the mass groups do not rest on their own weight.
 """
@@ -28,12 +29,12 @@ EstimateStatus = Literal["ok", "underdetermined", "not_converged", "contradictor
 
 @dataclass(frozen=True, eq=False)
 class HiddenStateEstimate:
-    """H of the paper: what the wrench shows before it is split into mass and friction."""
+    """Hidden states H of the paper, which the wrench shows before it is split into mass and friction."""
 
     mass: float
     """M, kg."""
     inertia_cm: float
-    """I_cm, kg m^2; NaN where no accelerated turn was given."""
+    """I_cm, kg m^2; NaN where it is not observed."""
     center_of_mass: Float[np.ndarray, "2"]
     """c, m, object frame; NaN in a component that is not observed."""
     friction_load: Float[np.ndarray, "n_s"]
@@ -41,43 +42,43 @@ class HiddenStateEstimate:
     groups: tuple[tuple[int, int], ...]
     """Mass group and friction group of each entry of `friction_load`."""
     unobserved: str = ""
-    """What the trajectories do not show, in words; empty where all is observed."""
+    """Unobserved numbers in words; empty where all are observed."""
 
 
 @dataclass(frozen=True, eq=False)
 class Trace:
-    """How an iterative method came to its answer: I iterations."""
+    """Path of an iterative method over I iterations."""
 
     method: str
-    """Optimiser, or the search itself."""
+    """Optimizer, or the search itself."""
     loss: tuple[float, ...]
     """Loss at each iteration."""
     seconds: tuple[float, ...]
     """Wall time up to the end of each iteration, s."""
     robot_seconds: float
-    """Robot time that the data took, s."""
+    """Robot time of the data, s."""
     mass: Float[np.ndarray, "I n_m"]
     """Particle masses at each iteration, kg; (0, 0) where the method has none on its way."""
 
 
 @dataclass(frozen=True, eq=False)
 class Estimate:
-    """An estimator's answer."""
+    """Mass and friction with their uncertainty, or the status that says why there is none."""
 
     distribution: MassDistribution | None
-    """Mass and friction; None where status says there is no answer."""
+    """Mass and friction; None where there is no estimate."""
     status: EstimateStatus
-    """ok, or why there is none or only part of one."""
+    """ok, or the reason why there is no estimate or only part of one."""
     message: str = ""
     """A sentence where status is not ok."""
     covariance: Float[np.ndarray, "n_m n_m"] | None = None
-    """Of the particle masses, kg^2, infinite where they are not observed; None where the method gives none."""
+    """Covariance of the particle masses, kg^2, infinite where not observed; None where the method gives none."""
     identifiability: Identifiability | None = None
-    """What the trajectories show and leave open, for methods that say so."""
+    """Observed and open directions, for methods that report them."""
     hidden: HiddenStateEstimate | None = None
     """Hidden states, for methods that have them."""
     traces: tuple[Trace, ...] = ()
-    """One a run of an optimiser."""
+    """One a run of an optimizer."""
     seconds: float = 0.0
     """Wall time of the whole estimate, s."""
     diagnostics: dict[str, float] = field(default_factory=dict)
@@ -103,8 +104,8 @@ class Estimator(Protocol):
         Args:
             shape: geometry and groups; never the truth.
             weight: M as weighed, kg, or None.
-            trajectories: what was felt.
-            seed: for methods that draw.
+            trajectories: measured trials.
+            seed: seed of methods that draw.
         """
         ...
 
@@ -114,5 +115,5 @@ class ActionPolicy(Protocol):
     """Chooses what to do next. Frozen configuration."""
 
     def next(self, shape: ObjectShape, trajectories: Sequence[Trajectory]) -> Action | None:
-        """The next action, or None when there is nothing more worth doing."""
+        """Next action, or None when no further one is worth its time."""
         ...

@@ -21,7 +21,7 @@ class ComInertia(NamedTuple):
     inertia_cm: float
     """Moment of inertia about it, kg m^2; NaN where not observed."""
     unobserved: str
-    """What is confounded, in words; empty where nothing is."""
+    """Confounded numbers in words; empty where there are none."""
 
 
 def com_and_inertia(pivots: PivotInertia | None, mass: float) -> ComInertia:

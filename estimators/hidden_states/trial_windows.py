@@ -88,7 +88,7 @@ class TrialWindows:
         friction = model.particle_friction(torch.tensor(guess.friction))
         inertia = inertia_of(model, mass)
         load = windows.gripper_load(inertia, self.shape.height)
-        support = own_weight(model.particles, model.mass_group, model.contact, mass, load)
+        support = own_weight(model, mass, load)
         drag = self.groups.spread(s) + friction * (support.lean + support.change(load))
         torque = -friction_wrench(drag, windows.drag_directions(model), windows.lever(model))[:, 2]
         inertial = windows.inertial_wrench(inertia)[:, 2]

@@ -1,4 +1,4 @@
-"""How far the models are off, stated once: what every method weighs its data by, and what its error bars hold."""
+"""Errors of the particle model, stated once: every method weighs its data by them, and its error bars hold them."""
 
 from __future__ import annotations
 
@@ -13,24 +13,24 @@ from testbed.validation import check_positive, is_number
 
 @dataclass(frozen=True)
 class ModelErrors:
-    """Standard deviations, measured where the sensor is perfect and the masses are known."""
+    """Standard deviations of the particle model, measured with a perfect sensor and known masses."""
 
     pivot_error: float = 5e-5
-    """How well the centre of a turn is known, m."""
+    """Center of a turn, m."""
     force_error: float = 0.0001
-    """Model error of a force, as a part of the total drag."""
+    """Force, as a part of the total drag."""
     torque_error: float = 0.00055
-    """Model error of a torque, as a part of itself."""
+    """Torque, as a part of itself."""
     height_error: float = 0.0009
-    """How well the TCP's height over the feet is known, m."""
+    """Height of the TCP over the feet, m."""
     lift_error: float = 0.06
     """Vertical force of a nulled gripper that the sensor cannot tell, N."""
     tilt_error: float = 0.0005
     """Moment of a nulled gripper that the sensor cannot tell, N m."""
     inertia_error: float = 0.007
-    """Model error of I_j, as a part of itself: once of each, and once of all together."""
+    """I_j, as a part of itself: once of each, and once of all together."""
     weight_error: float = 1e-3
-    """Error of the weighing, kg."""
+    """Weighing, kg."""
 
     def __post_init__(self) -> None:
         for field in fields(ModelErrors):
@@ -41,7 +41,7 @@ class ModelErrors:
 
     @property
     def nulled(self) -> Float[np.ndarray, "3"]:
-        """Lift and moments that a nulled gripper carries on average over a trial, N and N m."""
+        """Mean lift and moments of a nulled gripper over a trial, N and N m."""
         return np.array([self.lift_error, self.tilt_error, self.tilt_error])
 
 
@@ -54,7 +54,7 @@ EXACT = ModelErrors(
     tilt_error=0.0,
     inertia_error=0.0,
 )
-"""None but the weighing's: what a perfect model of the bench would leave."""
+"""Errors of a perfect model: the weighing's alone."""
 RIGID = ModelErrors(force_error=0.0025, torque_error=0.003, lift_error=0.8, tilt_error=0.07, inertia_error=0.06)
-"""Under one rigid body: its loads are not quite affine over the feet, and a gripper that is nulled before the motion
-carries far more of a body that cannot give way to it than of blocks that slide apart."""
+"""Errors under one rigid body: its loads are not quite affine over the feet, and a gripper that is nulled before the
+motion carries far more of a body that cannot give way to it than of blocks that slide apart."""

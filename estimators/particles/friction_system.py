@@ -105,7 +105,7 @@ def friction_equations(
     """
     inertia = inertia_of(model, mass)
     load = windows.gripper_load(inertia, height)
-    support = own_weight(model.particles, model.mass_group, model.contact, mass, load)
+    support = own_weight(model, mass, load)
     rows = windows.drag_rows(model, errors.pivot_error)
     q = groups.gather(rows)
     s = friction * support.share * GRAVITY

@@ -1,7 +1,7 @@
-"""What a lift says of the masses: in the air the wrench is linear in them, with no friction between.
+"""Masses from lifts: in the air the wrench is linear in them, with no friction between.
 
-Held still it shows M and c, rocked the second moments about the TCP: with x, y and z of their own six numbers, where
-turns on the table show four.
+Held still, the object shows M and c; rocked, the second moments about the TCP: six numbers with x, y and z of their
+own, where turns on the table show four.
 """
 
 from __future__ import annotations
@@ -19,52 +19,54 @@ from testbed.sensing.lift_windows import LiftWindow, lift_windows
 from testbed.trajectory import Trajectory
 
 ROUNDS = 2
-"""Of solving for the masses by which the errors are weighed."""
+"""Rounds of solving for the masses by which the errors are weighed."""
+SHIFT = 1e-3
+"""Step of the derivative in the object's place in the grip, m."""
 
 
 @dataclass(frozen=True)
 class LiftErrors:
-    """How far what is taken as known of a lifted object may be off; one draw a trial, where nothing else is said."""
+    """Errors of what is taken as known of a lifted object; one draw a trial, unless noted otherwise."""
 
     grip: float = 5e-4
-    """Where the object sits between the pads, along x and along y, m."""
+    """Place of the object between the pads, along x and along y, m."""
     height: float = 0.25
-    """Height of the centre of mass, as a part of the object's: the tilts show it themselves."""
+    """Height of the center of mass, as a part of the object's: the tilts show it themselves."""
     inertia: float = 0.005
-    """Of what acceleration takes, as a part of itself."""
+    """Wrench of the acceleration, as a part of itself."""
     gain: float = 3e-4
-    """Of all wrenches, as a part of themselves."""
+    """All wrenches, as a part of themselves."""
     wrench: float = 3e-4
-    """Of each window's wrench by itself, as a part of the weight, and of the weight at the particles' mean distance."""
+    """Each window's own wrench, as a part of the weight, and of the weight at the particles' mean distance."""
 
 
 @dataclass(frozen=True, eq=False)
 class LiftedRows:
-    """All that lifts show of the masses: rows a with a m = y, independent and of unit error."""
+    """Linear equations of all lifts for the masses: rows a with a m = y, independent and of unit error."""
 
     rows: Float[np.ndarray, "r n_m"]
     values: Float[np.ndarray, "r"]
     misfit: float
     """Squared residual of the lifts' wrenches about the masses that fit them best."""
     freedom: int
-    """What that should be."""
+    """Expected value of the misfit."""
 
     @classmethod
     def none(cls, shape: ObjectShape) -> LiftedRows:
-        """Of no lift."""
+        """The rows without a lift."""
         return cls(np.empty((0, shape.n_m)), np.empty(0), 0.0, 0)
 
 
 def lifted_rows(
     shape: ObjectShape, weight: float, trajectories: Sequence[Trajectory], errors: LiftErrors | None = None
 ) -> LiftedRows:
-    """What the lifts among some trajectories say.
+    """Equations of the lifts among some trajectories.
 
     Args:
         shape: geometry and groups.
         weight: M, kg; by it alone the errors are weighed at first.
         trajectories: lifts that ended well are read, all others left out.
-        errors: of what is taken as known.
+        errors: errors of what is taken as known.
 
     Raises:
         InvalidValueError: a grasp that the shape does not have.
@@ -81,7 +83,7 @@ def lifted_rows(
 
 
 def lifts_among(shape: ObjectShape, trajectories: Sequence[Trajectory]) -> dict[int, list[LiftWindow]]:
-    """The windows of every lift among some trajectories that ended well, by its place among them.
+    """Windows of every lift among some trajectories that ended well, by its place among them.
 
     Raises:
         InvalidValueError: a grasp that the shape does not have.
@@ -92,14 +94,15 @@ def lifts_among(shape: ObjectShape, trajectories: Sequence[Trajectory]) -> dict[
 def _compressed(
     shape: ObjectShape, trials: Sequence[Sequence[LiftWindow]], mass: np.ndarray, errors: LiftErrors | None
 ) -> LiftedRows:
-    """All windows' rows as few that say the same, their errors weighed by some masses."""
+    """All windows' rows as the fewest of the same content, their errors weighed by some masses."""
     whitened = [lift_information(shape, windows, mass, errors) for windows in trials]
     rows, values = np.vstack([r for r, _ in whitened]), np.concatenate([v for _, v in whitened])
     left, strength, right = np.linalg.svd(rows, full_matrices=False)
     seen = strength > 1e-6 * strength[0]
-    felt = left[:, seen].T @ values
-    missing = values - left[:, seen] @ felt
-    return LiftedRows(strength[seen, None] * right[seen], felt, float(missing @ missing), len(values) - len(felt))
+    measured = left[:, seen].T @ values
+    missing = values - left[:, seen] @ measured
+    misfit, freedom = float(missing @ missing), len(values) - len(measured)
+    return LiftedRows(strength[seen, None] * right[seen], measured, misfit, freedom)
 
 
 def lift_information(
@@ -112,42 +115,40 @@ def lift_information(
 
     Args:
         shape: geometry and groups.
-        windows: of one trial, K.
-        mass: of a particle, kg, by which the errors are weighed.
-        errors: of what is taken as known.
+        windows: windows of one trial.
+        mass: particle masses by which the errors are weighed, kg.
+        errors: errors of what is taken as known.
     """
     errors = errors or LiftErrors()
-    maps = np.vstack([wrench_of_mass(shape, window) for window in windows])
-    still = np.vstack([wrench_of_mass(shape, window, moving=False) for window in windows])
-    step = 1e-3
-    shifted = [
-        np.vstack([wrench_of_mass(shape, w, s * step * axis) for w in windows]) @ mass
-        for axis in np.eye(3)
-        for s in (1, -1)
-    ]
-    by_shift = np.column_stack([(shifted[2 * k] - shifted[2 * k + 1]) / (2 * step) for k in range(3)])
+
+    def maps(shift: np.ndarray | None = None, *, moving: bool = True) -> np.ndarray:
+        return np.vstack([wrench_of_mass(shape, window, shift, moving=moving) for window in windows])
+
+    moved = maps()
+    by_shift = np.column_stack(
+        [(maps(SHIFT * axis) @ mass - maps(-SHIFT * axis) @ mass) / (2 * SHIFT) for axis in np.eye(3)]
+    )
     by_shift *= [errors.grip, errors.grip, errors.height * shape.height]
-    inertial = errors.inertia * (maps - still) @ mass
-    common = np.column_stack([by_shift, inertial, errors.gain * maps @ mass])
+    inertial = errors.inertia * (moved - maps(moving=False)) @ mass
+    common = np.column_stack([by_shift, inertial, errors.gain * moved @ mass])
     covariance = _sensor_covariance(windows) + common @ common.T
     size = errors.wrench * GRAVITY * float(mass @ shape.particles_per_group)
     lever = np.linalg.norm(shape.particles - shape.grasps[windows[0].grasp].position, axis=1).mean()
     covariance += np.diag(np.tile(np.square([size] * 3 + [size * lever] * 3), len(windows)))
     root = np.linalg.cholesky(covariance)
-    felt = np.concatenate([w.wrench for w in windows])
-    return np.linalg.solve(root, maps), np.linalg.solve(root, felt)
+    return np.linalg.solve(root, moved), np.linalg.solve(root, np.concatenate([w.wrench for w in windows]))
 
 
 def wrench_of_mass(
     shape: ObjectShape, window: LiftWindow, shift: Float[np.ndarray, "3"] | None = None, *, moving: bool = True
 ) -> Float[np.ndarray, "6 n_m"]:
-    """The wrench that a window takes a kg of each particle mass, N and N m: every particle a brick of its cell.
+    """Wrench of a window a kg of each particle mass, N and N m: every particle a brick of its cell.
 
     Args:
         shape: geometry and groups.
-        window: how the object moved.
-        shift: of the object in the grip, m, object axes.
-        moving: with what the turning takes, else gravity and the TCP's own acceleration alone.
+        window: motion of the object.
+        shift: shift of the object in the grip, m, object axes.
+        moving: with the wrench of the turning, else of gravity and the TCP's own acceleration alone.
     """
     grasp = shape.grasps[window.grasp].position
     middle = np.full(len(shape.particles), shape.height / 2 - window.tcp_height)
@@ -159,14 +160,14 @@ def wrench_of_mass(
         force = force + lever @ (spin - np.trace(spin) * np.eye(3))
         across, upright = (shape.cell**2 + shape.height**2) / 12, shape.cell**2 / 6
         brick = np.array([across, across, upright])
-        turned = (upright - across) * np.array([spin[1, 2], -spin[0, 2], 0.0])
-        torque = brick * window.angular_acceleration + turned
+        gyroscopic = (upright - across) * np.array([spin[1, 2], -spin[0, 2], 0.0])
+        torque = brick * window.angular_acceleration + gyroscopic
     each = np.hstack([force, np.cross(lever, force) + torque])
     return shape.per_group(each.T)
 
 
 def _sensor_covariance(windows: Sequence[LiftWindow]) -> Float[np.ndarray, "R R"]:
-    """Of all windows' wrenches: each one's noise, what the tare left in all, and the walk of the zero since."""
+    """Covariance of all windows' wrenches: each one's noise, the tare's bias in all, and the walk of the zero since."""
     count = len(windows)
     begin, end = np.array([w.since_tare for w in windows]).T
     middle = (begin + end) / 2

@@ -1,6 +1,6 @@
 """The paper's particle model in torch: Eqs. mass to dv and the updates update1, update2.
 
-Batched, float64, differentiable. States are of the centre of mass, in the world: pose (x, y, yaw) and velocity.
+Batched, float64, differentiable. States are of the center of mass, in the world: pose (x, y, yaw) and velocity.
 Wrenches are planar (f_x, f_y, torque about the grasped point). Leading dimensions `...` are batch dimensions:
 trajectories, samples, seeds.
 """
@@ -24,7 +24,7 @@ class ParticleModel:
     """An object's shape as tensors: particles and the group maps G_m and G_mu."""
 
     particles: Float[Tensor, "P 2"]
-    """m, object frame."""
+    """Positions, m, object frame."""
     mass_group: Int[Tensor, "P"]
     """Column of G_m."""
     friction_group: Int[Tensor, "P"]
@@ -36,7 +36,7 @@ class ParticleModel:
 
     @staticmethod
     def of(shape: ObjectShape) -> ParticleModel:
-        """The model of a shape."""
+        """Model of a shape."""
         return ParticleModel(
             torch.tensor(shape.particles),
             torch.tensor(shape.mass_group),
@@ -47,11 +47,11 @@ class ParticleModel:
 
     @property
     def contact(self) -> Tensor:
-        """Which particles touch the table, (P,) bool."""
+        """True for particles that touch the table, (P,) bool."""
         return self.friction_group >= 0
 
     def particle_mass(self, mass: Float[Tensor, "... n_m"]) -> Float[Tensor, "... P"]:
-        """G_m^T m, each cell as far as it is filled."""
+        """Mass of each particle, G_m^T m, by the fill of its cell, kg."""
         return mass[..., self.mass_group] * self.fill
 
     @property
@@ -60,7 +60,7 @@ class ParticleModel:
         return self.particle_mass(torch.eye(int(self.mass_group.max()) + 1, dtype=torch.float64))
 
     def particle_friction(self, friction: Float[Tensor, "... n_mu"]) -> Float[Tensor, "... P"]:
-        """G_mu^T mu; 0 without contact."""
+        """Friction coefficient of each particle, G_mu^T mu; 0 without contact."""
         return torch.where(self.contact, friction[..., self.friction_group.clamp(min=0)], 0.0)
 
 
@@ -85,7 +85,7 @@ def inertia_of(model: ParticleModel, particle_mass: Float[Tensor, "... P"]) -> I
 
 
 def turned(vector: Float[Tensor, "... 2"]) -> Float[Tensor, "... 2"]:
-    """The vector turned by +90 degrees."""
+    """`vector` turned by +90 degrees."""
     return torch.stack([-vector[..., 1], vector[..., 0]], -1)
 
 
@@ -121,14 +121,14 @@ def acceleration(
     wrench: Float[Tensor, "... 3"],
     grasp: Float[Tensor, "... 2"],
 ) -> Float[Tensor, "... 3"]:
-    """Acceleration of the centre of mass and angular acceleration, Eq. dv.
+    """Acceleration of the center of mass and angular acceleration, Eq. dv.
 
     Args:
-        model: the object.
+        model: particles of the object.
         inertia: M, c, I_cm.
         friction: mu_i N_i of each particle, N; mu m g where each rests on its own weight.
-        pose: of the centre of mass, m and rad.
-        velocity: of the centre of mass, m/s and rad/s.
+        pose: pose of the center of mass, m and rad.
+        velocity: velocity of the center of mass, m/s and rad/s.
         wrench: f_x, f_y of the gripper on the object, world axes, and torque about the grasped point.
         grasp: grasped point, m, object frame.
     """
@@ -176,6 +176,6 @@ def one_step(
     grasp: Float[Tensor, "... 2"],
     dt: float,
 ) -> Float[Tensor, "... T 3"]:
-    """Phi of the problem formulation: the velocity one step on, from each measured state on its own."""
+    """Velocity one step on, Phi of the problem formulation, from each measured state on its own."""
     a = acceleration(model, inertia, friction, pose, velocity, wrench, grasp[..., None, :])
     return velocity + a * dt

@@ -13,20 +13,20 @@ from testbed.objects.model import ObjectShape
 
 @dataclass(frozen=True, eq=False)
 class PivotInertia:
-    """I_j for each pivot j in S."""
+    """Moments of inertia I_j about the pivots j in S."""
 
     pivot: Float[np.ndarray, "J 2"]
     """p_j, m, object frame."""
     inertia: Float[np.ndarray, "J"]
     """I_j, kg m^2."""
     variance: Float[np.ndarray, "J"]
-    """Of each, (kg m^2)^2."""
+    """Variance of each, (kg m^2)^2."""
     common_error: float = 0.0
     """One error of all together, as a part of I_j."""
 
     @property
     def covariance(self) -> Float[np.ndarray, "J J"]:
-        """(kg m^2)^2."""
+        """Covariance of I_j, (kg m^2)^2."""
         return np.diag(self.variance) + self.common_error**2 * np.outer(self.inertia, self.inertia)
 
 
@@ -40,14 +40,14 @@ def pivot_inertias(
     """I_j by the slope of torque against angular acceleration, pivot by pivot.
 
     Every trial has a constant of its own, so neither friction nor bias enters: only their change from window to window
-    does, and that is what the two corrections take away.
+    does, and the two corrections take it away.
 
     Args:
         observations: accelerated windows.
-        friction_torque: torque that friction takes in each window, up to a constant a trial, N m, (K,).
+        friction_torque: torque of friction in each window, up to a constant a trial, N m, (K,).
         inertial_torque: torque of the grasp point's own acceleration, N m, (K,).
-        relative_error: of I_j, beyond what the scatter shows: once of each, and once of all together.
-        covariance: of the torques less their corrections, (N m)^2; of the torques alone where it is not given.
+        relative_error: error of I_j beyond the scatter: once of each, and once of all together.
+        covariance: covariance of the torques less their corrections, (N m)^2; without it, that of the torques alone.
     """
     if len(observations) == 0:
         return None
@@ -55,9 +55,9 @@ def pivot_inertias(
     pivots, designs = _whitened_designs(observations, covariance)
     values, variances = np.empty(len(pivots)), np.empty(len(pivots))
     for j, (rows, whiten, design) in enumerate(designs):
-        felt = whiten @ torque[rows]
-        solution, *_ = np.linalg.lstsq(design, felt, rcond=None)
-        residual = felt - design @ solution
+        measured = whiten @ torque[rows]
+        solution, *_ = np.linalg.lstsq(design, measured, rcond=None)
+        residual = measured - design @ solution
         freedom = max(len(rows) - design.shape[1], 1)
         inverse = np.linalg.inv(design.T @ design)
         values[j] = solution[0]
@@ -68,7 +68,7 @@ def pivot_inertias(
 def slope_variance(
     observations: Observations, covariance: Float[np.ndarray, "K K"] | None = None
 ) -> tuple[Float[np.ndarray, "J 2"], Float[np.ndarray, "J"]]:
-    """The pivots, m, and the variance of I_j by slope, (kg m^2)^2, that noise and drift of the sensor alone give it."""
+    """Pivots, m, and the variance of I_j by slope, (kg m^2)^2, from noise and drift of the sensor alone."""
     pivots, designs = _whitened_designs(observations, covariance)
     return pivots, np.array([np.linalg.inv(design.T @ design)[0, 0] for _, _, design in designs])
 
@@ -76,9 +76,9 @@ def slope_variance(
 def _whitened_designs(
     observations: Observations, covariance: np.ndarray | None
 ) -> tuple[np.ndarray, list[tuple[np.ndarray, np.ndarray, np.ndarray]]]:
-    """For every pivot: its windows, what takes their torques to unit variance, and the design of slope and constants.
+    """Windows of every pivot, the whitening of their torques, and the design of slope and constants.
 
-    What the tare left is in the constant of the trial; noise and drift are not.
+    The tare's bias is in the constant of the trial; noise and drift are not.
     """
     alpha = observations.acceleration[:, 2].numpy()
     if covariance is None:
@@ -97,6 +97,6 @@ def _whitened_designs(
 
 
 def inertia_map(shape: ObjectShape, points: Float[np.ndarray, "J 2"]) -> Float[np.ndarray, "J n_m"]:
-    """From particle masses to the inertia about each point, m^2; cells are solid."""
+    """Map from particle masses to the inertia about each point, m^2; cells are solid."""
     squares = np.sum((shape.particles[None] - points[:, None]) ** 2, axis=2) + shape.cell**2 / 6
     return shape.per_group(squares)

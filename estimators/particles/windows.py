@@ -1,4 +1,4 @@
-"""Trials of one kind, reduced: what can be used of many records."""
+"""Steady windows of many trials as one batch: wrench, motion, gripper's load, and the covariances of their errors."""
 
 from __future__ import annotations
 
@@ -21,6 +21,8 @@ from testbed.sensing.windows import SteadyWindow, steady_windows
 from testbed.trajectory import Trajectory
 
 Window = TypeVar("Window")
+PLANAR = [0, 1, 5]
+"""f_x, f_y and the torque about the vertical, of a wrench's six components."""
 
 
 def reduced_trials(
@@ -29,15 +31,15 @@ def reduced_trials(
     kinds: tuple[type, ...],
     reduce: Callable[[Trajectory], list[Window]],
 ) -> dict[int, list[Window]]:
-    """The windows of every trial of some kinds of action, by its place among all.
+    """Windows of every trial of some kinds of action, by its place among all.
 
     Trials that did not end well, and those with a stretch too short to trim, are left out.
 
     Args:
-        shape: the object's.
-        trajectories: of one object.
-        kinds: of actions, all with a grasp.
-        reduce: from a record to its windows; it raises InvalidValueError where a stretch is too short.
+        shape: shape of the object.
+        trajectories: trials of one object.
+        kinds: kinds of actions, all with a grasp.
+        reduce: reduction of a record to its windows; it raises InvalidValueError where a stretch is too short.
 
     Raises:
         InvalidValueError: a grasp that the shape does not have.
@@ -57,10 +59,6 @@ def reduced_trials(
     return found
 
 
-PLANAR = [0, 1, 5]
-"""f_x, f_y and the torque about the vertical, of a wrench's six components."""
-
-
 @dataclass(frozen=True, eq=False)
 class Observations:
     """K windows of constant speed or constant acceleration. Object axes; moments about the grasp point."""
@@ -70,15 +68,15 @@ class Observations:
     noise: Float[Tensor, "K 6 6"]
     """Covariance of the mean of all six components, about the TCP, from the window's own noise."""
     bias: Float[Tensor, "K 6 6"]
-    """Covariance of what the sensor's tare leaves in them, one draw a trajectory."""
+    """Covariance of the bias that the sensor's tare leaves in them, one draw a trajectory."""
     drift: Float[Tensor, "K 6 6"]
-    """What the walk of the sensor's zero adds to their covariance a second."""
+    """Covariance that the walk of the sensor's zero adds a second."""
     since_tare: Float[Tensor, "K 2"]
     """Time from the tare to a window's first and last sample, s."""
     twist: Float[Tensor, "K 3"]
     """Velocity of the grasp point, m/s, and turn rate, rad/s."""
     twists: Float[Tensor, "K S 3"]
-    """The same over each of S equal parts of a window."""
+    """Twist over each of S equal parts of a window."""
     acceleration: Float[Tensor, "K 3"]
     """Acceleration of the grasp point, m/s^2, and angular acceleration, rad/s^2."""
     spin_square: Float[Tensor, "K"]
@@ -92,7 +90,7 @@ class Observations:
     yaw: Float[Tensor, "K 2"]
     """Yaw of the object at a window's first and last sample, rad."""
     load_map: Float[Tensor, "K 3 6"]
-    """From the wrench to lift and tilt."""
+    """Map from the wrench to lift and tilt."""
     load_kept: Float[Tensor, "K 3"]
     """Part of a trial's common lift and tilt that stands out of the bias, 0 to 1; the rest is taken as none."""
     load_followed: Float[Tensor, "K 3"]
@@ -100,19 +98,19 @@ class Observations:
     held: Int[Tensor, "K"]
     """Mass group between the fingers."""
     trial: Int[Tensor, "K"]
-    """Which trajectory a window is from."""
+    """Trajectory that a window is from."""
     accelerated: Tensor
-    """Whether it is from an `Accelerate`, (K,) bool."""
+    """True for windows of constant acceleration, (K,) bool."""
 
     def __len__(self) -> int:
         return len(self.wrench)
 
     def where(self, keep: Tensor) -> Observations:
-        """The windows that `keep` (K,) selects."""
+        """Windows that `keep` (K,) selects."""
         return Observations(**{name: value[keep] for name, value in vars(self).items()})
 
     def merged(self, group: Int[Tensor, "K"]) -> Observations:
-        """Means over windows of the same group, 0 to G - 1; what is not a number is the first window's."""
+        """Means over windows of one group, 0 to G - 1; values that are no numbers are the first window's."""
         first = torch.stack([torch.nonzero(group == g)[0, 0] for g in range(int(group.max()) + 1)])
 
         def mean(values: Tensor) -> Tensor:
@@ -124,26 +122,26 @@ class Observations:
 
     @property
     def covariance(self) -> Float[Tensor, "K 3 3"]:
-        """Of `wrench`, from the window's own noise."""
+        """Covariance of `wrench` from the window's own noise."""
         return self.noise[:, PLANAR][:, :, PLANAR]
 
     def shared_covariance(self) -> Float[Tensor, "K 3 K 3"]:
-        """Of what the windows of one trial share: what its tare left, and how the sensor's zero has walked since."""
+        """Covariance that the windows of one trial share: the tare's bias, and the walk of the sensor's zero since."""
         left = self.together[:, None, :, None] * self.bias[:, PLANAR][:, :, PLANAR][:, :, None]
         return left + self.walk_covariance()
 
     def walk_covariance(self) -> Float[Tensor, "K 3 K 3"]:
-        """Of what the walk of the sensor's zero has added to each window since its trial's tare."""
+        """Covariance of the walk of the sensor's zero in each window since its trial's tare."""
         return self.walked[:, None, :, None] * self.drift[:, PLANAR][:, :, PLANAR][:, :, None]
 
     @property
     def trial_mean(self) -> Float[Tensor, "K K"]:
-        """Takes values to the means over their trials."""
+        """Map from values to the means over their trials."""
         return self.together / self.together.sum(1, keepdim=True)
 
     @property
     def trial_change(self) -> Float[Tensor, "K K"]:
-        """Takes values to what they have beyond the means over their trials."""
+        """Map from values to their differences from the means over their trials."""
         return torch.eye(len(self), dtype=torch.float64) - self.trial_mean
 
     @property
@@ -161,7 +159,7 @@ class Observations:
         return self.together * walked
 
     def lever(self, model: ParticleModel) -> Float[Tensor, "K P 2"]:
-        """Particles from the grasp point, m."""
+        """Position of each particle from the grasp point, m."""
         return model.particles - self.grasp[:, None]
 
     def particle_velocity(self, model: ParticleModel) -> Float[Tensor, "K P 2"]:
@@ -175,11 +173,11 @@ class Observations:
     def drag_rows(self, model: ParticleModel, pivot_error: float) -> Float[Tensor, "K 3 P"]:
         """Wrench about the grasp point that drags each particle against a friction of 1 N.
 
-        Means over the parts of each window: where the centre of a turn wanders, the mean of the directions of a
+        Means over the parts of each window: where the center of a turn wanders, the mean of the directions of a
         particle near it is not the direction of its mean velocity.
 
         Args:
-            model: the object.
+            model: particles of the object.
             pivot_error: error of the center of a turn, m; the drag of a particle nearer than that fades.
         """
         lever = self.lever(model)
@@ -193,9 +191,9 @@ class Observations:
         """Change of the drag with the twist of a window: (f_x, f_y, torque) by (v_x, v_y, rate).
 
         Args:
-            model: the object.
+            model: particles of the object.
             drag: friction of every particle, N.
-            pivot_error: as of `drag_rows`.
+            pivot_error: error of the center of a turn, m.
         """
         lever = self.lever(model)
         velocity, speed = self._blurred(lever, pivot_error)
@@ -209,7 +207,7 @@ class Observations:
     def twist_noise(self) -> Float[Tensor, "3"]:
         """Variance of a window's mean twist from the noise of the measured motion, the same in all windows.
 
-        From fifth differences of its parts, which a centre that wanders leaves out.
+        From fifth differences of its parts, which leave out a center that wanders.
         """
         parts = self.twists.shape[1]
         if parts < 6:
@@ -226,7 +224,7 @@ class Observations:
         return velocity, (velocity.square().sum(-1) + fade.square() + 1e-18).sqrt()
 
     def com_acceleration(self, com: Float[Tensor, "2"]) -> Float[Tensor, "K 2"]:
-        """Acceleration of the centre of mass, m/s^2."""
+        """Acceleration of the center of mass, m/s^2."""
         arm = com - self.grasp
         return self.acceleration[:, :2] + self.acceleration[:, 2:] * turned(arm) - self.spin_square[:, None] * arm
 
@@ -237,10 +235,9 @@ class Observations:
         return torch.cat([force, torque[:, None]], -1)
 
     def gripper_load(self, inertia: Inertia, height: float) -> GripperLoad:
-        """What the gripper carries; the mass accelerates at half the object's `height` (m) over the feet."""
+        """Load of the gripper; the mass accelerates at half the object's `height` (m) over the feet."""
         moved = height / 2 * inertia.mass * self.com_acceleration(inertia.com)
-        # of what the mass takes only the parts that were kept of the tilt, which held it; at one speed it takes as much
-        # there and back
+        # only the kept parts of the tilt hold the mass's own moment; at one speed it is the same there and back
         kept, followed = self.load_kept[:, 1:], self.load_followed[:, 1:]
         swung = kept * (self.trial_mean @ moved) + followed * (self.trial_change @ moved)
         taken = torch.where(self.accelerated[:, None], swung, kept * moved)
@@ -255,10 +252,10 @@ def robot_seconds(trajectories: Sequence[Trajectory]) -> float:
 def observe(
     shape: ObjectShape, trajectories: Sequence[Trajectory], errors: ModelErrors | None = None
 ) -> Observations | None:
-    """All usable trajectories of one object as one batch; None where there is none.
+    """Steady windows of all usable trajectories of one object; None where there is none.
 
-    Weighings, lifts, trials that did not end well and those too short to reduce are left out. Of `errors`, what a
-    nulled gripper carries counts here.
+    Weighings, lifts, trials that did not end well and those too short to reduce are left out. Of `errors`, only the
+    load of a nulled gripper counts here.
 
     Raises:
         InvalidValueError: a grasp that the shape does not have.
@@ -312,9 +309,9 @@ def observe(
 
 
 def _pooled(windows: list[SteadyWindow], trial: np.ndarray, accelerated: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Covariance of the means of noise, and of what a tare leaves, (K, 6, 6).
+    """Covariance of the means of noise, and of the tare's bias, (K, 6, 6).
 
-    A short window's own scatter tells its noise badly, one that happens to scatter little would count for too much,
+    A short window's own scatter estimates its noise badly, one that happens to scatter little would count for too much,
     and an accelerating arm swings: its noise a second is taken from the windows of constant speed, where there are any.
     Tares are alike in all trials.
     """

@@ -1,8 +1,8 @@
-"""Every particle's friction load at given masses and frictions, and what it owes to each of them."""
+"""Wrenches that friction and motion take, from candidate masses and frictions, and their derivatives."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,16 +14,19 @@ from estimators.particles.errors import ModelErrors
 from estimators.particles.friction_system import FrictionEquations, LoadGroups, friction_equations
 from estimators.particles.gripper_load import GripperLoad
 from estimators.particles.model import ParticleModel, inertia_of
-from estimators.particles.support import own_weight, rigid_loads
+from estimators.particles.support import LOADS, LoadsOf, own_weight_loads
 from estimators.particles.windows import Observations, observe
-from testbed.objects.model import GRAVITY, MassDistribution, ObjectShape
+from testbed.objects.model import MassDistribution, ObjectShape
 from testbed.sensing.windows import steady_samples
 from testbed.trajectory import Trajectory
+
+PIVOT_ERROR = 2e-4
+"""Error of the center of a turn in `predicted_wrenches`, m."""
 
 
 @dataclass(frozen=True, eq=False)
 class ParticleLoads:
-    """Loads where the gripper carries nothing, under one support model."""
+    """Friction loads at given masses and frictions under one support model, the gripper carrying nothing."""
 
     model: ParticleModel
     mass: Float[Tensor, "P"]
@@ -31,66 +34,44 @@ class ParticleLoads:
     load: Float[Tensor, "P"]
     """mu N of every particle, N."""
     slopes: Float[Tensor, "P unknowns"]
-    """Its derivatives in particle masses and frictions, n_m + n_mu unknowns."""
+    """Derivatives of `load` in particle masses and frictions, n_m + n_mu unknowns."""
     height: float
-    """Of the object, m."""
+    """Height of the object, m."""
 
     @staticmethod
     def of(shape: ObjectShape, distribution: MassDistribution, support: str) -> ParticleLoads:
-        """At some masses and frictions, under own_weight or rigid."""
-        model = ParticleModel.of(shape)
+        """The loads of a mass distribution, on its own weight or as one rigid body ("own_weight", "rigid")."""
+        model, none = ParticleModel.of(shape), GripperLoad.none(1)
         mass, friction = torch.tensor(distribution.mass), torch.tensor(distribution.friction)
         of_particle = model.particle_friction(friction)
-        per_mass = _loads_per_mass(model, support)
+        per_mass = torch.stack([LOADS[support](model, one, none)[0] for one in model.parts], 1)
         normal = per_mass @ mass
         of_friction = torch.stack([(model.friction_group == k) * normal for k in range(shape.n_mu)], 1)
         slopes = torch.cat([of_particle[:, None] * per_mass, of_friction], 1)
         return ParticleLoads(model, model.particle_mass(mass), of_particle, of_particle * normal, slopes, shape.height)
 
     def equations(self, windows: Observations, errors: ModelErrors) -> FrictionEquations:
-        """Eq. dvs with a column a particle, where these loads are what is felt."""
+        """Eq. dvs with a column a particle, for windows that measure these loads."""
         count = len(self.load)
         each = LoadGroups(torch.arange(count), tuple((particle, 0) for particle in range(count)))
-        felt = windows.drag_rows(self.model, errors.pivot_error) @ self.load
-        felt_windows = replace(windows, wrench=felt)
-        return friction_equations(self.model, each, felt_windows, self.mass, self.friction, self.height, errors)
-
-
-def _loads_per_mass(model: ParticleModel, support: str) -> Float[Tensor, "P n_m"]:
-    """Load on each particle a kg of each particle mass, N."""
-    none, columns = GripperLoad.none(1), []
-    for mass in model.parts:
-        if support == "rigid":
-            columns.append(rigid_loads(model.particles, model.contact, mass, none)[0])
-        else:
-            resting = own_weight(model.particles, model.mass_group, model.contact, mass, none)
-            columns.append(resting.share * GRAVITY + resting.lean)
-    return torch.stack(columns, 1)
-
-
-LoadsOf = Callable[[ParticleModel, Tensor, GripperLoad], Tensor]
-"""A support model: particle masses, kg, (P,), and what the gripper carries to loads, N, (K, P)."""
-
-
-def own_weight_loads(model: ParticleModel, mass: Tensor, load: GripperLoad) -> Tensor:
-    """Every mass group on its own weight."""
-    return own_weight(model.particles, model.mass_group, model.contact, mass, load).loads(load)
+        measured = replace(windows, wrench=windows.drag_rows(self.model, errors.pivot_error) @ self.load)
+        return friction_equations(self.model, each, measured, self.mass, self.friction, self.height, errors)
 
 
 @dataclass(frozen=True, eq=False)
 class AffineLoads:
-    """Normal load of every particle in every window, affine in the masses: weight, and what the gripper presses."""
+    """Normal load of every particle in every window, affine in the masses: their weight, and the gripper's load."""
 
     per_mass: Float[Tensor, "K P n_m"]
-    """N a kg of each particle mass."""
+    """Load a kg of each particle mass, N/kg."""
     carried: Float[Tensor, "K P"]
-    """N."""
+    """Load of the gripper, N."""
 
     @staticmethod
     def of(
         shape: ObjectShape, model: ParticleModel, windows: Observations, loads_of: LoadsOf = own_weight_loads
     ) -> AffineLoads:
-        """A support model's loads, probed with one particle mass of 2 kg among ones."""
+        """Loads of a support model, probed with one particle mass of 2 kg among ones."""
 
         def loads(mass: Tensor) -> Tensor:
             particle_mass = model.particle_mass(mass)
@@ -102,7 +83,7 @@ class AffineLoads:
         return AffineLoads(per_mass, base - per_mass.sum(-1))
 
     def at(self, mass: Float[Tensor, "... n_m"]) -> Float[Tensor, "... K P"]:
-        """Loads under candidates' masses, N."""
+        """Loads under candidate masses, N."""
         flat = mass @ self.per_mass.flatten(0, 1).T
         return flat.unflatten(-1, self.carried.shape) + self.carried
 
@@ -115,26 +96,26 @@ class WrenchModel:
     """
 
     inertial: Float[Tensor, "K 3 n_m"]
-    """Of the motion itself, a kg of each particle mass."""
+    """Wrench of the motion itself a kg of each particle mass."""
     weighed: Float[Tensor, "n_mu K 3 n_m"]
     """Drag of a friction of 1 under the weight of the masses."""
     carried: Float[Tensor, "n_mu K 3"]
-    """Drag of a friction of 1 under what the gripper was measured to press."""
+    """Drag of a friction of 1 under the gripper's measured load."""
 
     @staticmethod
     def of(model: ParticleModel, windows: Observations, loads: AffineLoads, pivot_error: float) -> WrenchModel:
         """The model of every window."""
         rows = windows.drag_rows(model, pivot_error)
-        rubbing = [rows * (model.friction_group == k) for k in range(int(model.friction_group.max()) + 1)]
+        of_group = [rows * (model.friction_group == k) for k in range(int(model.friction_group.max()) + 1)]
         spins = windows.lever(model).square().sum(-1) + model.cell**2 / 6
-        moves = []
+        inertial = []
         for mass in model.parts:
             moved = windows.inertial_wrench(inertia_of(model, mass))
             moved[:, 2] += (mass * spins).sum(-1) * windows.acceleration[:, 2]
-            moves.append(moved)
-        weighed = torch.stack([part @ loads.per_mass for part in rubbing])
-        carried = torch.stack([(part @ loads.carried[..., None])[..., 0] for part in rubbing])
-        return WrenchModel(torch.stack(moves, -1), weighed, carried)
+            inertial.append(moved)
+        weighed = torch.stack([part @ loads.per_mass for part in of_group])
+        carried = torch.stack([(part @ loads.carried[..., None])[..., 0] for part in of_group])
+        return WrenchModel(torch.stack(inertial, -1), weighed, carried)
 
     def wrench(self, mass: Float[Tensor, "... n_m"], friction: Float[Tensor, "... n_mu"]) -> Float[Tensor, "... K 3"]:
         """Predicted wrench of the gripper on the object, N and N m."""
@@ -144,21 +125,17 @@ class WrenchModel:
         return (per_mass + (friction[..., None, :] @ dragged)[..., 0, :]).unflatten(-1, windows)
 
 
-PIVOT_ERROR = 2e-4
-"""How well the centre of a turn is taken to be known, m; as the estimators take it."""
-
-
 def predicted_wrenches(
     shape: ObjectShape, distribution: MassDistribution, trajectories: Sequence[Trajectory]
 ) -> list[Float[np.ndarray, "T 3"]]:
     """Force x, y (N) and torque about the grasp point (N m), object axes, that the measured motion takes.
 
-    Every mass group rests on its own weight, and on what the gripper was measured to press or lift.
+    Every mass group rests on its own weight, and on the measured load of the gripper.
 
     Args:
         shape: geometry.
-        distribution: the truth, or an answer.
-        trajectories: of one object; what is left out of estimates is NaN, as is all outside steady stretches.
+        distribution: masses and frictions, true or estimated.
+        trajectories: trajectories of one object; NaN outside steady stretches and where estimates leave one out.
     """
     predicted = [np.full((len(t.time_s), 3), np.nan) for t in trajectories]
     windows = observe(shape, trajectories)

@@ -1,6 +1,6 @@
-"""Covariance of what is felt: the sensor's errors, the model's, and what the gripper carries unseen.
+"""Covariance of wrenches: errors of the sensor and of the model, and the gripper's load that the sensor cannot tell.
 
-The one place where errors become weights, whoever carries the object's weight.
+The one place where errors become weights, for every support model.
 """
 
 from __future__ import annotations
@@ -22,18 +22,18 @@ def wrench_errors(
     response: Float[Tensor, "K 3 3"],
     errors: ModelErrors,
 ) -> tuple[Float[Tensor, "R R"], Float[Tensor, "R 2"]]:
-    """Errors of wrenches less what the gripper carries: R = 3 K rows.
+    """Errors of wrenches less the effect of the gripper's load: R = 3 K rows.
 
     Args:
-        windows: of constant speed.
-        model: the object.
+        windows: windows of constant speed.
+        model: particles of the object.
         drag: friction of every particle, N.
         response: change of the wrench with lift and tilt, N/N and N m/N m, (f_x, f_y, torque).
-        errors: of the model.
+        errors: errors of the model.
 
     Returns:
-        Covariance of what no two trials share, and what one standard deviation of the lift and of the height that all
-        windows share adds to each row.
+        Covariance of the errors that no two trials share, and the effect on each row of one standard deviation of the
+        lift and of the height that all windows share.
     """
     slopes = windows.drag_slopes(model, drag, errors.pivot_error)
     force = (errors.force_error * drag.sum(-1)).square()
@@ -52,7 +52,7 @@ def wrench_errors(
 
 
 def torque_covariance(windows: Observations, response: Float[Tensor, "K 3 3"]) -> Float[np.ndarray, "K K"]:
-    """Of accelerated windows' torques less what the gripper carries; a trial's constant is not in it."""
+    """Covariance of accelerated windows' torques less the gripper's effect; a trial's constant is not in it."""
     none = torch.zeros(3, dtype=torch.float64)
     return _sensor_error(windows, response, none, none)[2::3, 2::3].numpy()
 
@@ -60,23 +60,13 @@ def torque_covariance(windows: Observations, response: Float[Tensor, "K 3 3"]) -
 def _sensor_error(
     windows: Observations, response: Float[Tensor, "K 3 3"], nulled: Float[Tensor, "3"], shared: Float[Tensor, "3"]
 ) -> Float[Tensor, "R R"]:
-    """Covariance of wrenches, less the `response` to lift and tilt: the sensor's errors, and loads taken for them."""
-    sensed = _sensor_covariance(windows)
-    return _felt_error(windows, sensed, response) + _unseen_load(windows, sensed, response, nulled, shared)
-
-
-def _felt_error(
-    windows: Observations, sensed: Float[Tensor, "6K 6K"], response: Float[Tensor, "K 3 3"]
-) -> Float[Tensor, "R R"]:
-    """Covariance of wrenches, less the `response` to lift and tilt, from all of the sensor's errors.
-
-    One force feeds both, so what is common to a wrench and to the load on the feet counts once.
-    """
-    count = len(windows)
+    """Covariance of wrenches less the `response` to lift and tilt: errors of the sensor, and loads taken for them."""
+    sensed, count = _sensor_covariance(windows), len(windows)
     carried = response @ _load_error(windows).reshape(count, 3, 6 * count)
     planar = torch.eye(6, dtype=torch.float64)[PLANAR].expand(count, 3, 6)
+    # one force feeds both, so an error common to a wrench and to the load on the feet counts once
     error = _block_diagonal(planar) - carried.reshape(3 * count, 6 * count)
-    return error @ sensed @ error.T
+    return error @ sensed @ error.T + _unseen_load(windows, sensed, response, nulled, shared)
 
 
 def _unseen_load(
@@ -107,14 +97,14 @@ def _unseen_load(
 
 
 def _load_covariance(windows: Observations, sensed: Float[Tensor, "6K 6K"]) -> Float[Tensor, "K K 3"]:
-    """Of what the sensor's errors make of lift and tilt as felt, between windows, N^2 and (N m)^2."""
+    """Covariance of measured lift and tilt between windows from the sensor's errors, N^2 and (N m)^2."""
     error, count = _block_diagonal(windows.load_map), len(windows)
     whole = (error @ sensed @ error.T).reshape(count, 3, count, 3)
     return torch.diagonal(whole, dim1=1, dim2=3)
 
 
 def _sensor_covariance(windows: Observations) -> Float[Tensor, "6K 6K"]:
-    """Of all windows' six components."""
+    """Covariance of all windows' six components."""
     shared = windows.together[:, None, :, None] * windows.bias[:, :, None] + (
         windows.walked[:, None, :, None] * windows.drift[:, :, None]
     )
@@ -122,14 +112,14 @@ def _sensor_covariance(windows: Observations) -> Float[Tensor, "6K 6K"]:
 
 
 def _load_error(windows: Observations) -> Float[Tensor, "3K 6K"]:
-    """Errors of lift and tilt as given here from the sensor's: only parts of mean and change were kept."""
+    """Map from the sensor's errors to those of lift and tilt, of which only parts of mean and change were kept."""
     followed, kept = windows.load_followed[..., None], windows.load_kept[..., None]
     own = windows.trial_change[:, None] * followed + windows.trial_mean[:, None] * kept
     return torch.einsum("kal,lai->kali", own, windows.load_map).reshape(3 * len(windows), 6 * len(windows))
 
 
 def _block_diagonal(blocks: Float[Tensor, "K a b"]) -> Float[Tensor, "Ka Kb"]:
-    """A block a window; `torch.block_diag` takes most of the time where this is mapped over thousands of trials."""
+    """Block-diagonal matrix; `torch.block_diag` is slow where this is mapped over thousands of trials."""
     count, a, b = blocks.shape
     apart = torch.eye(count, dtype=torch.float64)[:, None, :, None] * blocks[:, :, None]
     return apart.reshape(count * a, count * b)

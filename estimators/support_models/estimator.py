@@ -1,4 +1,4 @@
-"""Mass with its support model: Algorithm 1 where every group rests on its own weight, else what physics allows."""
+"""Estimator that chooses the support model: Algorithm 1 on own weight, under one rigid body all masses that fit."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from estimators.particles.lifts import LiftedRows, lifted_rows
 from estimators.particles.model import ParticleModel, inertia_of
 from estimators.particles.windows import Observations, observe
 from estimators.support_models.fit import SupportFit, fit_support
-from estimators.support_models.materials import RankedAssignments, rank_assignments
+from estimators.support_models.materials import rank_assignments
 from estimators.support_models.polytope import MassPolytope
 from estimators.support_models.selection import DECISIVE, SupportTest, support_test
 from testbed.errors import InvalidValueError
@@ -26,19 +26,19 @@ from testbed.validation import is_number
 
 UNFIT = 1e-4
 """p-value below which the materials given are taken not to be the object's."""
-MOST_SAID = 8
-"""Ranges that a message spells out."""
+MOST_LISTED = 8
+"""Ranges that a message lists."""
 
 
 @dataclass(frozen=True)
 class SupportAware:
-    """Tests who carries the weight, and answers by the model that holds.
+    """Tests which support model holds, and estimates by it.
 
-    Lifts, where there are any, add what the object weighs and how it turns in the air, whoever carries it on the table.
+    Lifts, where there are any, add M, c and second moments in the air, whatever the support on the table.
 
-    On own weight the answer is Algorithm 1's. Under one rigid body friction shows M and c only: the answer is the mean
-    of all masses that agree with M, c and I_cm, its covariance says how far they reach, and the message gives their
-    ranges. With materials it is the most probable assignment of them.
+    On own weight the estimate is Algorithm 1's. Under one rigid body friction shows M and c only: the estimate is the
+    mean of all masses that agree with M, c and I_cm, with their covariance, and the message gives their ranges. With
+    materials it is the most probable assignment of them.
     """
 
     materials_kg: tuple[float, ...] = ()
@@ -46,9 +46,9 @@ class SupportAware:
     materials_kg_m3: tuple[float, ...] = ()
     """Densities that a mass group may have, kg/m^3, in place of masses; a group is as high as the object."""
     false_alarms: float = 0.01
-    """How often an object on its own weight may be said not to be."""
+    """Probability of refusing own weight where it holds."""
     confidence: float = 0.9
-    """Of the ranges of the masses, all together."""
+    """Joint probability of the ranges of the masses."""
 
     def __post_init__(self) -> None:
         for name in ("materials_kg", "materials_kg_m3"):
@@ -93,27 +93,27 @@ class SupportAware:
         seed: int,
     ) -> Estimate:
         test = support_test(shape, weight, of_rigid, level=self.false_alarms, lifted=lifted)
-        own = replace(own, diagnostics=own.diagnostics | _numbers(test))
+        numbers = ("p_own_weight", "p_rigid", "log10_bayes_factor", "moment_ratio", "moment_ratio_error")
+        own = replace(own, diagnostics=own.diagnostics | {name: getattr(test, name) for name in numbers})
         rigid = test.log10_bayes_factor < -DECISIVE
-        # which support it is was asked without the gripper's spread; given the support, that is known
+        # the test leaves the spread of the gripper's load open; given the support, it is known
         as_rigid = fit_support(shape, weight, of_rigid, "rigid", RIGID, lifted)
-        answer = self._rigid(shape, as_rigid, own, seed, felt=_felt(lifted)) if rigid else own
+        known = "M, c and the second moments" if len(lifted.rows) else "M, c and I_cm"
+        answer = self._rigid(shape, as_rigid, own, seed, known) if rigid else own
         if self.materials_kg or self.materials_kg_m3:
             as_own = fit_support(shape, weight, observed, "own_weight", ModelErrors(), lifted)
             fits = {"rigid": (as_rigid,), "own_weight": (as_own,), "between": (as_rigid if rigid else as_own,)}
             answer = self._with_materials(shape, fits.get(test.kind, (as_own, as_rigid)), answer)
         if test.violated:
-            answer = replace(answer, status="assumption_violated", message=_joined(test.sentence, answer.message))
-        elif test.kind == "undecided":
-            answer = self._undecided(shape, test, as_rigid, answer, seed)
-        return answer
+            return replace(answer, status="assumption_violated", message=_joined(test.sentence, answer.message))
+        return _undecided(test, as_rigid, answer, seed) if test.kind == "undecided" else answer
 
-    def _rigid(self, shape: ObjectShape, fit: SupportFit, own: Estimate, seed: int, *, felt: str) -> Estimate:
-        """The masses that agree with M, c and I_cm, or with whatever else was `felt`, in words."""
+    def _rigid(self, shape: ObjectShape, fit: SupportFit, own: Estimate, seed: int, known: str) -> Estimate:
+        """Estimate from the masses that agree with `known`, the numbers that one rigid body shows, in words."""
         count = shape.particles_per_group
         polytope = MassPolytope(*fit.on_mass())
         mean, covariance = polytope.posterior(seed)
-        low, high = polytope.ranges(self.confidence)
+        low, high = (end * count for end in polytope.ranges(self.confidence))
         model = ParticleModel.of(shape)
         whole = inertia_of(model, model.particle_mass(torch.tensor(mean)))
         hidden = HiddenStateEstimate(
@@ -122,22 +122,15 @@ class SupportAware:
             whole.com.numpy(),
             np.zeros(0),
             (),
-            f"{shape.n_m} masses from {felt} alone, under one rigid body",
+            f"{shape.n_m} masses from {known} alone, under one rigid body",
         )
-        shown = [
-            f"{name} {a * n:.3f} to {b * n:.3f} kg"
-            for name, a, b, n in zip(shape.group_names, low, high, count, strict=True)
-        ]
-        said = ", ".join(shown[:MOST_SAID]) + (", ..." if len(shown) > MOST_SAID else "")
-        ends = {
-            f"{end}_{g}_kg": float(v)
-            for end, side in (("least", low), ("most", high))
-            for g, v in enumerate(side * count)
-        }
+        ranges = [f"{name} {a:.3f} to {b:.3f} kg" for name, a, b in zip(shape.group_names, low, high, strict=True)]
+        listed = ", ".join(ranges[:MOST_LISTED]) + (", ..." if len(ranges) > MOST_LISTED else "")
+        ends = {f"{end}_{g}_kg": float(v) for end, side in (("least", low), ("most", high)) for g, v in enumerate(side)}
         return Estimate(
             MassDistribution(mean, fit.friction),
             "underdetermined",
-            f"{felt} hold the masses to ({100 * self.confidence:g} %): {said}",
+            f"{known} hold the masses to ({100 * self.confidence:g} %): {listed}",
             covariance=covariance,
             hidden=hidden,
             diagnostics=own.diagnostics | ends | {"polytope_miss": polytope.inside[1]},
@@ -149,72 +142,46 @@ class SupportAware:
         Where the support is not decided, by the first of its fits with which any assignment agrees.
         """
         count = shape.particles_per_group
-        options = self._options(shape)
+        if self.materials_kg:
+            options = np.tile(self.materials_kg, (shape.n_m, 1))
+        else:
+            options = np.outer(count * shape.cell**2 * shape.height, self.materials_kg_m3)
         known = [fit.on_mass() for fit in fits]
         each = [rank_assignments(rows / count, values, options) for rows, values in known]
         ranked = next((ranks for ranks in each if ranks.fits >= UNFIT), each[0])
         numbers = answer.diagnostics | {"assignment_misfit": ranked.misfit, "assignment_fits": ranked.fits}
         if ranked.fits < UNFIT:
-            why = "no assignment of the materials given agrees with what was felt"
+            why = "no assignment of the materials given agrees with the trials"
             return replace(answer, message=_joined(why, answer.message), diagnostics=numbers)
+        assert answer.distribution is not None
         chosen = options[np.arange(shape.n_m), ranked.material[0]]
         _, covariance = ranked.moments(options)
-        assert answer.distribution is not None
-        many = ranked.holding(0.9)
-        numbers["assignment_probability"] = float(ranked.probability[0])
+        many, best = ranked.holding(0.9), float(ranked.probability[0])
+        numbers["assignment_probability"] = best
         numbers["assignments_holding_90"] = float(many) if many is not None else np.inf
-        sure = many == 1
+        several = f"{many}" if many is not None else f"more than {len(ranked.probability)}"
+        message = (
+            f"{several} assignments of the materials hold 90 % of the probability; the best has {100 * best:.3g} %"
+        )
         return replace(
             answer,
             distribution=MassDistribution(chosen / count, answer.distribution.friction),
             covariance=covariance / np.outer(count, count),
-            status="ok" if sure else "underdetermined",
-            message="" if sure else _how_many(ranked, many),
+            status="ok" if many == 1 else "underdetermined",
+            message="" if many == 1 else message,
             diagnostics=numbers,
         )
 
-    def _options(self, shape: ObjectShape) -> np.ndarray:
-        """Mass of each group in each material, kg, (n_m, k)."""
-        if self.materials_kg:
-            return np.tile(self.materials_kg, (shape.n_m, 1))
-        volume = shape.particles_per_group * shape.cell**2 * shape.height
-        return np.outer(volume, self.materials_kg_m3)
 
-    def _undecided(
-        self, shape: ObjectShape, test: SupportTest, fit: SupportFit, answer: Estimate, seed: int
-    ) -> Estimate:
-        """Algorithm 1's answer, with the errors of either model, as likely as the data make it."""
-        assert answer.distribution is not None and answer.covariance is not None
-        odds = 10**test.log10_bayes_factor
-        share = 1 / (1 + odds)
-        mean, covariance = MassPolytope(*fit.on_mass()).posterior(seed)
-        apart = mean - answer.distribution.mass
-        both = (1 - share) * answer.covariance + share * (covariance + np.outer(apart, apart))
-        return replace(
-            answer, status="underdetermined", message=_joined(test.sentence, answer.message), covariance=both
-        )
-
-
-def _numbers(test: SupportTest) -> dict[str, float]:
-    return {
-        "p_own_weight": test.p_own_weight,
-        "p_rigid": test.p_rigid,
-        "log10_bayes_factor": test.log10_bayes_factor,
-        "moment_ratio": test.moment_ratio,
-        "moment_ratio_error": test.moment_ratio_error,
-    }
-
-
-def _felt(lifted: LiftedRows) -> str:
-    """What holds the masses under one rigid body."""
-    return "M, c and the second moments" if len(lifted.rows) else "M, c and I_cm"
-
-
-def _how_many(ranked: RankedAssignments, many: int | None) -> str:
-    count = f"{many}" if many is not None else f"more than {len(ranked.probability)}"
-    best = f"the best has {100 * ranked.probability[0]:.3g} %"
-    return f"{count} assignments of the materials hold 90 % of the probability; {best}"
+def _undecided(test: SupportTest, fit: SupportFit, answer: Estimate, seed: int) -> Estimate:
+    """Algorithm 1's estimate, with the errors of either model, as likely as the data make it."""
+    assert answer.distribution is not None and answer.covariance is not None
+    share = 1 / (1 + 10**test.log10_bayes_factor)
+    mean, covariance = MassPolytope(*fit.on_mass()).posterior(seed)
+    apart = mean - answer.distribution.mass
+    both = (1 - share) * answer.covariance + share * (covariance + np.outer(apart, apart))
+    return replace(answer, status="underdetermined", message=_joined(test.sentence, answer.message), covariance=both)
 
 
 def _joined(first: str, second: str) -> str:
-    return f"{first}; {second}" if first and second else first or second
+    return "; ".join(filter(None, [first, second]))

@@ -1,4 +1,4 @@
-"""One support model fitted to all that was felt: who carries the weight, and what friction and masses follow.
+"""Fit of friction and masses under one support model.
 
 Both models, every group on its own weight and one rigid body, give loads that are affine in the masses, so the wrench
 is bilinear in friction and mass: one fit serves both, with the same data and the same stated errors.
@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
 
 import numpy as np
 import torch
@@ -22,15 +21,14 @@ from estimators.particles.gripper_load import GripperLoad
 from estimators.particles.lifts import LiftedRows
 from estimators.particles.model import ParticleModel, inertia_of
 from estimators.particles.pivots import PivotInertia, inertia_map, pivot_inertias
-from estimators.particles.support import rigid_loads
+from estimators.particles.support import LOADS, LoadsOf, SupportModel
 from estimators.particles.windows import Observations
-from estimators.particles.wrench import AffineLoads, LoadsOf, WrenchModel, own_weight_loads
+from estimators.particles.wrench import AffineLoads, WrenchModel
 from estimators.particles.wrench_errors import torque_covariance, wrench_errors
 from testbed.objects.model import GRAVITY, ObjectShape
 
-FittedSupport = Literal["own_weight", "rigid"]
 ROUNDS = 6
-"""Of Gauss-Newton: friction is tight from the first on."""
+"""Rounds of Gauss-Newton: friction is tight from the first on."""
 FRICTION_PRIOR = 1.0
 """Standard deviation of every friction coefficient beforehand; so wide that it decides nothing."""
 
@@ -39,16 +37,16 @@ FRICTION_PRIOR = 1.0
 class SupportFit:
     """Wrenches linear in (friction, mass) about a support model's best fit, whitened: R = 3 K rows of unit error."""
 
-    support: FittedSupport
+    support: SupportModel
     friction: Float[np.ndarray, "n_mu"]
     mass: Float[np.ndarray, "n_m"]
-    """Of a particle, kg; under one rigid body only M, c and I_cm of it are known."""
+    """Particle masses, kg; under one rigid body only their M, c and I_cm are known."""
     of_friction: Float[np.ndarray, "R n_mu"]
     of_mass: Float[np.ndarray, "R n_m"]
     wider: Float[np.ndarray, "R w"]
-    """Of loads that this support has no place for: on own weight those rising along x or y, else each group's own."""
+    """Effect of loads outside this support model: on own weight those rising along x or y, else each group's own."""
     target: Float[np.ndarray, "R"]
-    """What of_friction friction + of_mass mass should be."""
+    """Measured value of of_friction friction + of_mass mass."""
     log_volume: float
     """Half the log determinant of the wrenches' covariance."""
     pivots: PivotInertia | None
@@ -60,7 +58,7 @@ class SupportFit:
 
     @property
     def moments(self) -> slice:
-        """Which rows of `known` are of the I_j."""
+        """Rows of `known` for the I_j."""
         return slice(1, 1 if self.pivots is None else 1 + len(self.pivots.inertia))
 
     @property
@@ -70,7 +68,7 @@ class SupportFit:
         return float(missing @ missing)
 
     def on_mass(self) -> tuple[Float[np.ndarray, "r n_m"], Float[np.ndarray, "r"]]:
-        """All that is known of the masses, friction eliminated: rows a with a m = y, independent and of unit error.
+        """Equations of the masses, friction eliminated: rows a with a m = y, independent and of unit error.
 
         The first row is the surest; r is n_m where every mass is known, and 4 at most under one rigid
         body, or 6 with lifts.
@@ -107,7 +105,7 @@ def fit_support(
     shape: ObjectShape,
     weight: float,
     observed: Observations,
-    support: FittedSupport,
+    support: SupportModel,
     errors: ModelErrors,
     lifted: LiftedRows | None = None,
     *,
@@ -119,23 +117,23 @@ def fit_support(
         shape: geometry and groups.
         weight: M, kg.
         observed: windows of constant speed, and of constant acceleration where there are any.
-        support: which model.
-        errors: how far it may be off.
-        lifted: what lifts say of the masses, whoever carries the weight on the table.
-        spread_known: whether the gripper's lift and moment are known to spread over the feet as this model has it; else
-            as either model has it, or anywhere near: then nothing is told from that spread.
+        support: support model.
+        errors: errors of the model.
+        lifted: equations of lifts, which hold under either support.
+        spread_known: True if the gripper's lift and moment spread over the feet as in this model; else as in either
+            model, or between: then that spread tells nothing.
     """
     lifted = lifted or LiftedRows.none(shape)
     model = ParticleModel.of(shape)
     steady, accelerated = observed.where(~observed.accelerated), observed.where(observed.accelerated)
-    loads_of = _LOADS[support]
+    loads_of = LOADS[support]
     mass = np.full(shape.n_m, weight / len(shape.particles))
     drag = float(steady.wrench[:, :2].norm(dim=1).max()) / (weight * GRAVITY)
     friction = np.full(shape.n_mu, drag)
     loads = AffineLoads.of(shape, model, steady, loads_of)
     wrenches = WrenchModel.of(model, steady, loads, errors.pivot_error)
     response = _response(model, steady, loads_of)
-    other = next(loads for name, loads in _LOADS.items() if name != support)
+    other = next(loads for name, loads in LOADS.items() if name != support)
     elsewhere = _response(model, steady, other)
     swung = [_response(model, accelerated, each) for each in (loads_of, other)]
     rows = steady.drag_rows(model, errors.pivot_error)
@@ -188,7 +186,7 @@ def fit_support(
 
 
 def prior_masses(shape: ObjectShape, weight: float) -> tuple[Float[np.ndarray, "n_m"], Float[np.ndarray, "n_m n_m"]]:
-    """Mean and covariance of particle masses before anything is felt, where all ways to share M are as likely.
+    """Mean and covariance of particle masses before any trial, where all ways to share M are as likely.
 
     Shares of a Dirichlet distribution, in proportion to the groups' sizes: for blocks of one size it is even over the
     simplex.
@@ -200,28 +198,21 @@ def prior_masses(shape: ObjectShape, weight: float) -> tuple[Float[np.ndarray, "
 
 
 def _weak_prior(shape: ObjectShape, weight: float) -> tuple[np.ndarray, np.ndarray]:
-    """Rows that draw a mass of which nothing is known to the mean, and touch no other noticeably."""
+    """Rows that draw an unknown mass to the mean, and change no other noticeably."""
     mean, covariance = prior_masses(shape, weight)
     rows = np.diag(0.1 / np.sqrt(np.maximum(np.diag(covariance), (1e-3 * mean) ** 2)))
     return rows, rows @ mean
 
 
-def _rigid(model: ParticleModel, mass: Tensor, load: GripperLoad) -> Tensor:
-    return rigid_loads(model.particles, model.contact, mass, load)
-
-
-_LOADS: dict[FittedSupport, LoadsOf] = {"own_weight": own_weight_loads, "rigid": _rigid}
-
-
-def _excluded(model: ParticleModel, support: FittedSupport) -> Float[Tensor, "P w"]:
-    """Loads that a support model has no place for, and the other has."""
+def _excluded(model: ParticleModel, support: SupportModel) -> Float[Tensor, "P w"]:
+    """Loads that a support model excludes, and the other allows."""
     if support == "own_weight":
         return model.particles - model.particles.mean(0)
     return torch.nn.functional.one_hot(model.mass_group).double()
 
 
 def _response(model: ParticleModel, windows: Observations, loads_of: LoadsOf) -> Float[Tensor, "K P 3"]:
-    """Change of every load with what the gripper carries: lift, and moment along x and y."""
+    """Change of every load with the gripper's lift, and its moment along x and y."""
     mass = torch.ones(len(model.particles), dtype=torch.float64)
     zero = torch.zeros_like(windows.lift), torch.zeros_like(windows.tilt)
 
@@ -244,10 +235,7 @@ def _pivots(
     unsure: float,
     errors: ModelErrors,
 ) -> PivotInertia | None:
-    """I_j, with the change of friction that the gripper's changing load brings taken away.
-
-    Of its `responses`, the first is by this support model, the second by the other.
-    """
+    """I_j less the change of friction with the gripper's load; `responses` are by this support model and the other."""
     if len(windows) == 0:
         return None
     particle_mass = model.particle_mass(mass)
@@ -255,13 +243,12 @@ def _pivots(
     load = windows.gripper_load(inertia, shape.height)
     loads = loads_of(model, particle_mass, load)
     rows = windows.drag_rows(model, 0.0)
-    felt = (rows @ (model.particle_friction(friction) * loads)[..., None])[:, 2, 0]
+    rubbed = (rows @ (model.particle_friction(friction) * loads)[..., None])[:, 2, 0]
     moved = windows.inertial_wrench(inertia)[:, 2]
-    rubbed = rows @ model.particle_friction(friction).diag()
-    response, otherwise = (rubbed @ each for each in responses)
+    response, otherwise = (rows @ model.particle_friction(friction).diag() @ each for each in responses)
     spread = unsure * ((otherwise - response)[:, 2] * load.carried).numpy()
     error = torque_covariance(windows, response) + spread @ spread.T
-    return pivot_inertias(windows, felt.numpy(), moved.numpy(), errors.inertia_error, error)
+    return pivot_inertias(windows, rubbed.numpy(), moved.numpy(), errors.inertia_error, error)
 
 
 def _known(

@@ -1,4 +1,4 @@
-"""Blocks of a few known materials: every assignment of one to each block, ranked by how well it fits what was measured.
+"""Assignments of a few known materials to blocks, ranked by how well they fit the measurements.
 
 Exact: every assignment is either scored or shown to be too far off to matter. The assignments of either half of the
 blocks are listed, and of their pairs only those whose sum is near what the surest measurement says are scored.
@@ -35,14 +35,14 @@ class RankedAssignments:
     material: Int[np.ndarray, "S n_m"]
     """Index of each group's material."""
     probability: Float[np.ndarray, "S"]
-    """Of each, given that one of all is true and that beforehand all were as likely."""
+    """Probability of each, given that one of all is true and that beforehand all were as likely."""
     misfit: float
     """Squared residual of the best, in units of the measurements' errors."""
     fits: float
     """p-value of that misfit: small where no assignment explains the measurements."""
 
     def holding(self, share: float) -> int | None:
-        """How many of the best hold that share of the probability; None where more than are listed."""
+        """Number of the best that hold that share of the probability; None where more than are listed."""
         within = np.cumsum(self.probability)
         return int(np.searchsorted(within, share) + 1) if within[-1] >= share else None
 
@@ -62,8 +62,8 @@ def rank_assignments(
     """Rank all k^n_m assignments by how well they agree with measurements.
 
     Args:
-        rows: of the groups' masses, every row an independent measurement of unit error, the surest first.
-        values: what each row should give.
+        rows: measurements of the groups' masses, independent and of unit error, the surest first.
+        values: measured value of each row.
         options: mass of each group in each material, kg.
 
     Raises:
@@ -112,7 +112,7 @@ def rank_assignments(
 
 
 def _sums(rows: np.ndarray, options: np.ndarray) -> np.ndarray:
-    """What every assignment of some groups adds to each row, (k^n, r); the last group's material changes fastest."""
+    """Part of every assignment of some groups in each row, (k^n, r); the last group's material changes fastest."""
     parts = [rows[:, g][None] * options[g][:, None] for g in range(len(options))]
     empty = np.zeros((1, len(rows)))
     return reduce(lambda sums, part: (sums[:, None] + part[None]).reshape(-1, len(rows)), parts, empty)

@@ -1,4 +1,4 @@
-"""Where M, c and I_cm are known and no more: the masses that fit, none negative, and what can be said of each.
+"""Masses that fit where only M, c and I_cm are known, none negative: their ranges, mean and covariance.
 
 Under one rigid body friction shows M and c, and acceleration I_cm: four numbers for n_m masses. The masses that agree
 with them are a polytope, blurred by the numbers' own errors.
@@ -17,7 +17,7 @@ from scipy.special import ndtr, ndtri
 from scipy.stats import norm
 
 CHAINS, STEPS, SETTLING = 256, 240, 60
-"""Of hit and run."""
+"""Chains of hit and run, steps of each, and steps before the first draw."""
 SMALLEST, FAR = 1e-300, 1e300
 
 
@@ -95,7 +95,7 @@ class MassPolytope:
         return mean, square / taken - np.outer(mean, mean)
 
     def _along(self, masses: np.ndarray, way: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-        """How far each chain goes along its way: a draw from the density on the line, within the bounds."""
+        """Step of each chain along its way: a draw from the density on the line, within the bounds."""
         with np.errstate(divide="ignore", invalid="ignore"):
             to_zero = -masses / way
         low = np.where(way > 0, to_zero, -FAR).max(axis=1)

@@ -1,4 +1,4 @@
-"""Who carries the weight, from the data alone: own weight against one rigid body against something between.
+"""Choice of the support model from the data: own weight, one rigid body, or between the two.
 
 Under own weight each group's load is even over its feet, and the masses that friction shows have the second moment
 that acceleration shows. Under one rigid body the loads are affine over all feet, and friction shows M and c alone.
@@ -28,15 +28,15 @@ UNLIKE = 10.0
 
 @dataclass(frozen=True, eq=False)
 class SupportTest:
-    """What the data say of who carries the weight."""
+    """Evidence of the data for each support model."""
 
     kind: SupportKind
     p_own_weight: float
     """Probability of at least this much of a disagreement, were every group on its own weight."""
     p_rigid: float
-    """The same, were the object one rigid body."""
+    """Probability of at least this much of a disagreement, were the object one rigid body."""
     log10_bayes_factor: float
-    """Of own weight over one rigid body: positive speaks for own weight."""
+    """Bayes factor of own weight over one rigid body: positive speaks for own weight."""
     moment_ratio: float
     """I_cm from acceleration over that of the masses that friction shows on own weight; NaN without acceleration."""
     moment_ratio_error: float
@@ -46,22 +46,22 @@ class SupportTest:
 
     @property
     def violated(self) -> bool:
-        """Whether the assumption of own weight is refuted: the status `assumption_violated`."""
+        """True if own weight is refuted: the status `assumption_violated`."""
         return self.kind in ("rigid", "between")
 
     @property
     def sentence(self) -> str:
-        """The finding in plain words."""
+        """Finding in plain words."""
         odds = f"p {self.p_own_weight:.2g} on own weight, {self.p_rigid:.2g} on one rigid body; Bayes factor "
         odds += f"10^{self.log10_bayes_factor:.1f} for own weight"
-        said = {
+        sentences = {
             "own_weight": "every group rests on its own weight",
             "rigid": "the weight is spread as under one rigid body, not group by group",
             "between": "neither own weight nor one rigid body explains the wrenches: the support is something between, "
-            "or the shape is not as told",
-            "undecided": "own weight and one rigid body cannot be told apart: what was felt is alike under both",
+            "or the shape is not as given",
+            "undecided": "own weight and one rigid body cannot be told apart: the wrenches are alike under both",
         }
-        return f"{said[self.kind]} ({odds})"
+        return f"{sentences[self.kind]} ({odds})"
 
 
 def support_test(
@@ -73,21 +73,21 @@ def support_test(
     errors: ModelErrors | None = None,
     lifted: LiftedRows | None = None,
 ) -> SupportTest:
-    """Fit both support models to the same windows with the same errors, and say which holds.
+    """Fit both support models to the same windows with the same errors, and choose between them.
 
     p-values are F tests of each model within one that holds both: on own weight, of a load that rises over all feet and
-    of a wrong second moment; under one rigid body, of loads of each group's own. The errors count as told, but as no
+    of a wrong second moment; under one rigid body, of loads of each group's own. The errors count as stated, but as no
     better known than the residuals could tell. The Bayes factor is exact for Gaussian evidence linear about each fit;
     beforehand an object is as likely of one material throughout as of any other masses.
 
     Args:
         shape: geometry and groups.
         weight: M, kg.
-        observed: windows with rank(Q) full, by `observe` with `RIGID`: nothing that the gripper may carry is taken for
-            the sensor's error. Accelerated ones add the second moment.
+        observed: windows with rank(Q) full, by `observe` with `RIGID`: no load of the gripper is taken for the sensor's
+            error. Accelerated ones add the second moment.
         level: rate of false alarms.
-        errors: how far both models may be off, the same for both: a model is not taken for how exact it is.
-        lifted: what lifts say of the masses.
+        errors: errors of either model, the same for both: neither wins by its exactness.
+        lifted: equations of lifts.
     """
     errors = errors or RIGID
     own = fit_support(shape, weight, observed, "own_weight", errors, lifted, spread_known=False)
@@ -112,16 +112,16 @@ def _within_wider(fit: SupportFit) -> tuple[float, float, float]:
 
     Only on own weight are the masses known without the second moment, so only there can it disagree.
     """
-    n_mu, felt, moments = len(fit.friction), len(fit.target), fit.known[fit.moments] @ fit.mass
+    n_mu, count, moments = len(fit.friction), len(fit.target), fit.known[fit.moments] @ fit.mass
     own = fit.support == "own_weight" and len(moments) > 0
-    rows = felt + len(fit.known)
+    rows = count + len(fit.known)
     base = np.zeros((rows, n_mu + len(fit.mass)))
-    base[:felt] = np.hstack([fit.of_friction, fit.of_mass])
-    base[felt:, n_mu:] = fit.known
+    base[:count] = np.hstack([fit.of_friction, fit.of_mass])
+    base[count:, n_mu:] = fit.known
     extra = np.zeros((rows, fit.wider.shape[1] + own))
-    extra[:felt, : fit.wider.shape[1]] = fit.wider
+    extra[:count, : fit.wider.shape[1]] = fit.wider
     if own:
-        extra[felt + 1 : felt + 1 + len(moments), -1] = moments
+        extra[count + 1 : count + 1 + len(moments), -1] = moments
     values = np.concatenate([fit.target, fit.known_target])
     without, rank_without, _ = _least_squares(base, values)
     least, rank, solution = _least_squares(np.hstack([base, extra]), values)
@@ -143,7 +143,7 @@ def _least_squares(design: np.ndarray, values: np.ndarray) -> tuple[float, int, 
 
 
 def _log_evidence(fit: SupportFit, shape: ObjectShape, weight: float) -> float:
-    """Of one material throughout, or of any masses, each as likely."""
+    """Log evidence of one material throughout or of any masses, each as likely."""
     mean, covariance = prior_masses(shape, weight)
     even = np.full(shape.n_m, weight / len(shape.particles))
     each = fit.log_evidence(even, np.zeros_like(covariance)), fit.log_evidence(mean, covariance)

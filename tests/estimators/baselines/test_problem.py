@@ -155,7 +155,7 @@ def test_affine_loads_are_the_loads_of_the_support_model(grid, monkeypatch):
     for mass, found in zip(masses, loads.at(masses), strict=True):
         particle = model.particle_mass(mass)
         pressed = windows.gripper_load(inertia_of(model, particle), obj.shape.height)
-        feet = own_weight(model.particles, model.mass_group, model.contact, particle, pressed)
+        feet = own_weight(model, particle, pressed)
         assert_allclose(found, feet.loads(pressed), atol=1e-11)
 
 

@@ -56,9 +56,9 @@ def test_the_object_level_parameters_are_those_of_the_object():
 def test_loads_balance_weight_lift_and_moment(rigid):
     mass = MODEL.particle_mass(MASS)
     if rigid:
-        loads = rigid_loads(MODEL.particles, MODEL.contact, mass, LOAD)
+        loads = rigid_loads(MODEL, mass, LOAD)
     else:
-        loads = own_weight(MODEL.particles, MODEL.mass_group, MODEL.contact, mass, LOAD).loads(LOAD)
+        loads = own_weight(MODEL, mass, LOAD).loads(LOAD)
     assert_allclose(loads.sum(-1), OBJECT.total_mass * GRAVITY - LOAD.lift)
     arm = MODEL.particles - LOAD.point[:, None]
     moment = torch.einsum("kp,kpd->kd", loads, arm)

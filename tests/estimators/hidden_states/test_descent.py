@@ -1,4 +1,4 @@
-"""Descent with several optimisers side by side, on functions whose minimum is known."""
+"""Descent with several optimizers side by side, on functions whose minimum is known."""
 
 from __future__ import annotations
 
@@ -28,13 +28,13 @@ def valley(x: Tensor) -> Tensor:
     return (1 - x[:, 0]).square() + 100 * (x[:, 1] - x[:, 0].square()).square()
 
 
-@pytest.mark.parametrize("name", OPTIMIZERS)
-def test_every_optimizer_finds_the_minimum_of_a_quadratic(name):
-    (run,) = descend(bowl, START, {name: RATES[name]}, 500)
-    assert run.trace.method == name
-    assert_allclose(run.best, MINIMUM, atol=1e-4)
-    assert min(run.trace.loss) == pytest.approx(LOWEST, abs=1e-7)
-    assert float(bowl(run.best[None])[0]) == min(run.trace.loss)
+def test_every_optimizer_finds_the_minimum_of_a_quadratic():
+    runs = descend(bowl, START, RATES, 500)
+    assert {run.trace.method for run in runs} == set(OPTIMIZERS)
+    for run in runs:
+        assert_allclose(run.best, MINIMUM, atol=1e-4)
+        assert min(run.trace.loss) == pytest.approx(LOWEST, abs=1e-7)
+        assert float(bowl(run.best[None])[0]) == min(run.trace.loss)
 
 
 @pytest.mark.parametrize("name", OPTIMIZERS)
@@ -45,45 +45,30 @@ def test_side_by_side_each_does_as_it_does_alone(name):
     assert torch.equal(together.best, alone.best)
 
 
-@pytest.mark.parametrize("steps", [1, 2, 40])
-def test_a_trace_has_one_entry_a_step_and_begins_at_the_start(steps):
-    runs = descend(bowl, START, RATES, steps, masses=lambda x: x[:, :2].exp(), robot_seconds=12.5)
-    assert {run.trace.method for run in runs} == set(OPTIMIZERS)
-    for run in runs:
-        assert len(run.trace.loss) == len(run.trace.seconds) == steps
-        assert run.trace.mass.shape == (steps, 2)
-        assert_allclose(run.trace.mass[0], 1.0)
-        assert run.trace.loss[0] == float(bowl(START[None])[0])
-        assert (np.diff(run.trace.seconds) > 0).all()
-        assert run.trace.robot_seconds == 12.5
-
-
-def test_masses_of_the_trace_belong_to_its_losses():
-    runs = descend(bowl, START, RATES, 30, masses=lambda x: x)
-    for run in runs:
-        assert_allclose(bowl(torch.tensor(run.trace.mass)), run.trace.loss)
-        assert_allclose(run.trace.mass[int(np.argmin(run.trace.loss))], run.best)
-
-
-def test_without_masses_the_trace_has_none():
-    assert descend(bowl, START, RATES, 3)[0].trace.mass.shape == (0, 0)
-
-
-def test_the_best_run_comes_first():
-    for rates in ({"plain": 1e-6, "adam": 0.1}, {"adam": 1e-6, "plain": 0.1}, {"rmsprop": 0.1, "adam": 0.0001}):
-        lowest = [min(run.trace.loss) for run in descend(bowl, START, rates, 50)]
-        assert lowest == sorted(lowest)
-        assert lowest[0] < lowest[1]
-
-
-def test_the_start_is_left_as_it_was():
+@pytest.mark.parametrize("steps", [1, 40])
+def test_a_trace_has_one_entry_a_step_with_the_masses_of_its_losses(steps):
     start = START.clone()
-    descend(bowl, start, RATES, 5)
+    for run in descend(bowl, start, RATES, steps, masses=lambda x: x, robot_seconds=12.5):
+        trace = run.trace
+        assert len(trace.loss) == len(trace.seconds) == len(trace.mass) == steps
+        assert (np.diff(trace.seconds) > 0).all()
+        assert trace.robot_seconds == 12.5
+        assert_allclose(bowl(torch.tensor(trace.mass)), trace.loss)
+        assert_allclose(trace.mass[[0, int(np.argmin(trace.loss))]], np.stack([START, run.best]))
+    assert descend(bowl, start, RATES, 1)[0].trace.mass.shape == (0, 0)
     assert torch.equal(start, START)
     assert not start.requires_grad
 
 
-@pytest.mark.parametrize("rate", [1e-6, 1.0, 1e3, 1e9])
+@pytest.mark.parametrize(
+    "rates", [{"plain": 1e-6, "adam": 0.1}, {"adam": 1e-6, "plain": 0.1}, {"rmsprop": 0.1, "adam": 1e-4}]
+)
+def test_the_best_run_comes_first(rates):
+    first, second = (min(run.trace.loss) for run in descend(bowl, START, rates, 50))
+    assert first < second
+
+
+@pytest.mark.parametrize("rate", [1e-6, 1.0, 1e9])
 @pytest.mark.parametrize(("loss", "start"), [(bowl, START), (valley, torch.tensor([-1.2, 1.0], dtype=torch.float64))])
 def test_plain_descent_never_diverges_whatever_its_first_rate(loss, start, rate):
     (run,) = descend(loss, start, {"plain": rate}, 400)
@@ -94,19 +79,14 @@ def test_plain_descent_never_diverges_whatever_its_first_rate(loss, start, rate)
     assert np.median(losses) <= losses[0]
 
 
-def test_plain_descent_takes_back_a_step_that_raised_the_loss():
+def test_plain_descent_takes_back_a_step_that_raised_the_loss_and_grows_one_that_is_too_small():
     (run,) = descend(bowl, START, {"plain": 10.0}, 60, masses=lambda x: x)
     losses, points = np.array(run.trace.loss), run.trace.mass
     slope = 2 * CURVES.numpy() * (START - MINIMUM).numpy()
-    rate = 10.0 * GROW
     for k in range(1, 4):  # each time from the start again, by half the step
         assert losses[k] > losses[0]
-        assert_allclose(points[k], -rate * slope)
-        rate *= SHRINK
+        assert_allclose(points[k], -10.0 * GROW * SHRINK ** (k - 1) * slope)
     assert losses[-1] < losses[0]
-
-
-def test_plain_descent_grows_a_step_that_is_too_small():
     (run,) = descend(bowl, START, {"plain": 1e-4}, 200)
     assert min(run.trace.loss) == pytest.approx(LOWEST, abs=1e-3)
 
@@ -116,8 +96,7 @@ def test_a_first_guess_at_the_minimum_stays_there():
         assert_allclose(run.best, MINIMUM, atol=1e-12)
 
 
-def test_unknown_optimizers_are_refused_by_name():
-    for names in ((), ("newton",), ("adam", "newton")):
-        with pytest.raises(InvalidValueError, match=r"Owner\.optimizers: .*adam, rmsprop, plain"):
-            check_optimizers("Owner", names)
-    check_optimizers("Owner", OPTIMIZERS)
+@pytest.mark.parametrize("names", [(), ("newton",), ("adam", "newton")])
+def test_unknown_optimizers_are_refused_by_name(names):
+    with pytest.raises(InvalidValueError, match=r"^Owner\.optimizers:"):
+        check_optimizers("Owner", names)

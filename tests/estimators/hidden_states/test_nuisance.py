@@ -1,30 +1,28 @@
-"""Bias, grasp offset and the table's grain as unknowns beside the masses, in a world of exact Coulomb friction."""
+"""Bias, grasp offset and friction anisotropy as unknowns beside the masses, in a world of exact Coulomb friction."""
 
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
 import torch
 from numpy.testing import assert_allclose
 
-from estimators.base import Estimate
-from estimators.evaluation.metrics import normalized_absolute_difference
 from estimators.hidden_states.estimator import HiddenStates
 from estimators.hidden_states.friction import closed_form_covariance
 from estimators.hidden_states.nuisance import UNKNOWNS, NuisanceLayout, NuisancePrior, NuisanceSystem, corrected
+from estimators.hidden_states.trial_windows import TrialWindows
 from estimators.particles.errors import ModelErrors
-from estimators.particles.friction_system import FrictionEquations, LoadGroups, friction_equations
 from estimators.particles.model import ParticleModel
-from estimators.particles.windows import Observations, observe
+from estimators.particles.windows import observe
 from estimators.testing.analytic_world import accelerated, analytic_trial, drawn_object, turns
 from testbed.actions.rotate import Rotate
-from testbed.errors import InvalidValueError
 from testbed.objects.files import load_object
 from testbed.objects.model import ObjectModel
-from testbed.trajectory import Trajectory
 from tests.fakes.flawed_bench import GRAIN, at_tcp, biased, held_beside, on_grain
+from tests.helpers.answers import ask, nad
 
 EXACT = HiddenStates(
     pivot_error=0.0,
@@ -60,27 +58,18 @@ def flawed(obj: ObjectModel, kinds: tuple[str, ...], seed: int = 0, noise: float
     return trials, np.array(offsets)
 
 
-def ask(obj: ObjectModel, trials: list[Trajectory], estimator: HiddenStates) -> Estimate:
-    return estimator.estimate(obj.shape, obj.total_mass, trials, 0)
-
-
-def nad(obj: ObjectModel, answer: Estimate) -> float:
-    assert answer.distribution is not None, answer.message
-    return normalized_absolute_difference(obj.shape, answer.distribution, obj.truth)
-
-
 @pytest.mark.parametrize("kinds", [(kind,) for kind in UNKNOWNS] + [UNKNOWNS])
 @pytest.mark.parametrize("obj", [load_object("L2"), drawn_object(2)], ids=["L2", "drawn"])
-def test_what_the_bench_hides_is_recovered_with_the_masses(obj, kinds):
+def test_unknowns_of_the_setup_are_recovered_with_the_masses(obj, kinds):
     trials, offsets = flawed(obj, kinds)
     answer = ask(obj, trials, replace(EXACT, unknown=kinds))
     found = answer.diagnostics
     assert nad(obj, answer) < 1e-3
-    unaware = ask(obj, trials, HiddenStates())
+    unaware = ask(obj, trials)
     assert unaware.status == "contradictory" or nad(obj, unaware) > 3e-3
     assert answer.identifiability is not None
     assert len(answer.identifiability.bench) == len(kinds)
-    assert all(said.endswith("seen") for said in answer.identifiability.bench)
+    assert all(sentence.endswith("seen") for sentence in answer.identifiability.bench)
     if "grasp_offset" in kinds:
         names = [f"grasp_offset_{trial}_{axis}_m" for trial in range(len(trials)) for axis in "xy"]
         assert_allclose([found[name] for name in names], offsets.ravel(), atol=2e-5)
@@ -129,14 +118,28 @@ def test_an_offset_that_is_not_seen_is_said_to_be_as_open_as_before():
     assert "bias" not in answer.hidden.unobserved
 
 
+OBJECT = drawn_object(0)
+LOADS = np.linspace(0.05, 0.2, OBJECT.shape.n_m)
+
+
+def linear(prior: NuisancePrior) -> tuple[NuisanceSystem, TrialWindows]:
+    """The system about a setup with some of every unknown, and its windows."""
+    errors = ModelErrors(pivot_error=1e-4, force_error=1e-3, torque_error=1e-3)
+    trials = TrialWindows.of(OBJECT.shape, OBJECT.total_mass, turns(OBJECT, noise=0.05), errors)
+    assert trials is not None
+    layout = NuisanceLayout.of(prior, trials.steady)
+    at = 0.1 * layout.whole * torch.linspace(-1, 1, len(layout.whole))
+    equations = partial(trials.friction_equations, OBJECT.truth)
+    return NuisanceSystem.of(equations, trials.steady, layout, at, LOADS), trials
+
+
 def test_slopes_are_those_of_finite_differences():
-    system, equations, windows, layout = linear(drawn_object(0))
-    model_loads = torch.tensor(some_loads(drawn_object(0)))
-    apart = torch.linalg.inv(system.system.whiten)
+    system, trials = linear(NuisancePrior(UNKNOWNS))
+    layout, apart = system.layout, torch.linalg.inv(system.system.whiten)
 
     def missing(at: torch.Tensor) -> torch.Tensor:
-        found = equations(corrected(windows, layout.spread(at)))
-        return found.b - found.q @ model_loads
+        found = trials.friction_equations(OBJECT.truth, corrected(trials.steady, layout.spread(at)))
+        return found.b - found.q @ torch.tensor(LOADS)
 
     for k, step in enumerate(1e-5 * layout.whole):
         to = torch.zeros(len(layout.names), dtype=torch.float64)
@@ -146,79 +149,41 @@ def test_slopes_are_those_of_finite_differences():
 
 
 def test_an_unknown_of_known_size_is_as_good_as_an_error_of_that_size():
-    system = linear(drawn_object(0), NuisancePrior(UNKNOWNS, bias=0.02))[0]
+    system, _ = linear(NuisancePrior(UNKNOWNS, bias=0.02))
     added = system.slopes @ torch.diag(system.layout.width**2) @ system.slopes.T
     q = system.system.q
     information = q.T @ torch.linalg.solve(torch.eye(len(added), dtype=torch.float64) + added, q)
     assert_allclose(closed_form_covariance(system.reduced()), torch.linalg.inv(information), rtol=1e-6)
 
 
-def some_loads(obj: ObjectModel) -> np.ndarray:
-    return np.linspace(0.05, 0.2, len(LoadGroups.of(ParticleModel.of(obj.shape)).pairs))
-
-
-def linear(obj: ObjectModel, nuisances: NuisancePrior = NuisancePrior(UNKNOWNS)) -> tuple:  # noqa: B008
-    """A system about a bench with some of everything, its equations, windows and layout."""
-    windows = observe(obj.shape, turns(obj, noise=0.05))
-    assert windows is not None
-    model, mass = ParticleModel.of(obj.shape), torch.tensor(obj.particle_mass)
-
-    def equations(these: Observations) -> FrictionEquations:
-        friction = model.particle_friction(torch.tensor(obj.truth.friction))
-        return friction_equations(
-            model,
-            LoadGroups.of(model),
-            these,
-            mass,
-            friction,
-            obj.shape.height,
-            ModelErrors(pivot_error=1e-4, force_error=1e-3, torque_error=1e-3),
-        )
-
-    layout = NuisanceLayout.of(nuisances, windows)
-    at = 0.1 * layout.whole * torch.linspace(-1, 1, len(layout.whole))
-    return NuisanceSystem.of(equations, windows, layout, at, some_loads(obj)), equations, windows, layout
-
-
 def test_errors_are_the_scatter():
     obj = drawn_object(2)
+    actions = [trial.action for trial in turns(obj)]
     names = [f"bias_{t}_{axis}" for t in range(2) for axis in ("fx_N", "fy_N", "tz_Nm")]
     off = []
-    for seed in range(12):
-        trials = [analytic_trial(obj, t.action, noise=0.3, seed=1000 * seed + i) for i, t in enumerate(turns(obj))]  # pyright: ignore[reportArgumentType]
+    for seed in range(8):
+        trials = [analytic_trial(obj, a, noise=0.3, seed=1000 * seed + i) for i, a in enumerate(actions)]  # pyright: ignore[reportArgumentType]
         found = ask(obj, trials, replace(EXACT, unknown=("bias",), refinements=1)).diagnostics
         off.append([found[name] / found[f"{name}_error"] for name in names])
-    assert 0.75 < np.sqrt(np.mean(np.square(off))) < 1.25
+    assert 0.7 < np.sqrt(np.mean(np.square(off))) < 1.3
 
 
 def test_masses_and_frictions_are_never_negative():
     obj = load_object("F2")
     trials = [biased(t, BIAS) for t in turns(obj, noise=1.0)]
-    answer = ask(obj, trials + accelerated(obj, noise=1.0), HiddenStates(unknown=UNKNOWNS))
-    assert answer.distribution is not None
-    assert (answer.distribution.mass >= 0).all()
-    assert (answer.distribution.friction >= 0).all()
+    found = ask(obj, trials + accelerated(obj, noise=1.0), HiddenStates(unknown=UNKNOWNS)).distribution
+    assert found is not None
+    assert (found.mass >= 0).all()
+    assert (found.friction >= 0).all()
 
 
-def test_where_nothing_is_asked_nothing_changes():
+def test_without_unknowns_their_spread_and_zero_corrections_change_nothing():
     obj = drawn_object(1)
     trials = turns(obj, noise=0.1) + accelerated(obj, noise=0.1)
-    plain = ask(obj, trials, HiddenStates()).distribution
-    other = ask(obj, trials, HiddenStates(offset_error=0.1, grain_error=1.0)).distribution
-    assert plain is not None
-    assert other is not None
+    plain, other = (ask(obj, trials, m).distribution for m in (HiddenStates(), HiddenStates(offset_error=0.1)))
+    assert plain is not None and other is not None
     assert np.array_equal(plain.mass, other.mass)
-    windows = observe(obj.shape, trials)
+    windows, model = observe(obj.shape, trials), ParticleModel.of(obj.shape)
     assert windows is not None
     same = corrected(windows, torch.zeros(len(windows), 7, dtype=torch.float64))
-    model = ParticleModel.of(obj.shape)
     assert_allclose(same.drag_rows(model, 1e-4), windows.drag_rows(model, 1e-4), atol=1e-14)
-
-
-@pytest.mark.parametrize(
-    "settings",
-    [{"unknown": ("yaw",)}, {"unknown": "bias"}, {"unknown": ("bias", "bias")}, {"offset_error": 0.0}],
-)
-def test_wrong_settings_are_refused(settings):
-    with pytest.raises(InvalidValueError, match=r"unknown: .*bias, grasp_offset, anisotropy|offset_error: .*> 0"):
-        HiddenStates(**settings)

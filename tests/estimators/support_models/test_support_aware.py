@@ -1,10 +1,10 @@
-"""Who carries the weight, and what can be known of the masses under one rigid body."""
+"""Choice of the support model, and the masses under one rigid body."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 from itertools import product
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,7 +14,6 @@ from scipy.special import logsumexp
 from scipy.stats import kstest
 
 from estimators.base import Estimate
-from estimators.hidden_states.estimator import HiddenStates
 from estimators.particles.errors import EXACT, RIGID, ModelErrors
 from estimators.particles.windows import PLANAR, Observations, observe
 from estimators.support_models.estimator import SupportAware
@@ -27,29 +26,30 @@ from testbed.objects.blocks import block_object, parse_layout
 from testbed.objects.files import load_object
 from testbed.objects.model import MassDistribution, ObjectModel
 from testbed.trajectory import Trajectory
+from tests.helpers.answers import ask
 
 NOISE = 0.02
 """Of a sample, N, and a tenth of it in N m."""
 MATERIALS = (0.1, 0.4)
-"""Here the models are exact."""
+"""Masses of the library's blocks, kg."""
 
 
 def data(obj: ObjectModel, *, rigid: bool, noise: float = NOISE) -> list[Trajectory]:
     return turns(obj, rigid=rigid, noise=noise) + accelerated(obj, rigid=rigid, noise=noise)
 
 
-def windows(obj: ObjectModel, trajectories: Sequence[Trajectory]) -> Observations:
+def windows(obj: ObjectModel, trajectories: list[Trajectory]) -> Observations:
     observed = observe(obj.shape, trajectories)
     assert observed is not None
     return observed
 
 
-def told(obj: ObjectModel, *, rigid: bool) -> SupportTest:
-    return support_test(obj.shape, obj.total_mass, windows(obj, data(obj, rigid=rigid)))
+def tested(obj: ObjectModel, trajectories: list[Trajectory], errors: ModelErrors = RIGID) -> SupportTest:
+    return support_test(obj.shape, obj.total_mass, windows(obj, trajectories), errors=errors)
 
 
-def ask(obj: ObjectModel, method: SupportAware, *, rigid: bool = True) -> Estimate:
-    return method.estimate(obj.shape, obj.total_mass, data(obj, rigid=rigid), 0)
+def aware(obj: ObjectModel, *, rigid: bool = True, **settings: Any) -> Estimate:
+    return ask(obj, data(obj, rigid=rigid), SupportAware(**settings))
 
 
 def masses(answer: Estimate) -> np.ndarray:
@@ -59,29 +59,33 @@ def masses(answer: Estimate) -> np.ndarray:
 
 @pytest.mark.parametrize("rigid", [False, True])
 @pytest.mark.parametrize("name", ["I2", "L2", "F2"])
-def test_the_support_is_told_from_what_was_felt(name, rigid):
-    found = told(load_object(name), rigid=rigid)
+def test_the_support_is_found_with_and_without_acceleration(name, rigid):
+    obj = load_object(name)
+    found = tested(obj, data(obj, rigid=rigid))
     assert found.kind == ("rigid" if rigid else "own_weight")
     assert found.violated == rigid
     assert (found.p_rigid if rigid else found.p_own_weight) > 0.01
     assert rigid or found.p_rigid < 1e-6
     assert ("rigid" in found.sentence.split("(")[0]) == rigid
-
-
-@pytest.mark.parametrize("seed", range(6))
-def test_it_is_told_of_other_objects_with_two_friction_groups(seed):
-    obj = drawn_object(seed, friction_groups=1 + seed % 2)
-    for rigid in (False, True):
-        assert told(obj, rigid=rigid).violated == rigid
+    steady = tested(obj, turns(obj, rigid=rigid, noise=NOISE))
+    assert steady.violated == rigid
+    assert np.isnan(steady.moment_ratio)
 
 
 @pytest.mark.parametrize("rigid", [False, True])
-def test_one_material_throughout_drags_the_same_either_way_and_it_says_so(rigid):
+@pytest.mark.parametrize("seed", range(4))
+def test_it_is_found_for_other_objects_with_two_friction_groups(seed, rigid):
+    obj = drawn_object(seed, friction_groups=1 + seed % 2)
+    assert tested(obj, data(obj, rigid=rigid)).violated == rigid
+
+
+@pytest.mark.parametrize("rigid", [False, True])
+def test_one_material_throughout_drags_alike_either_way_and_it_says_so(rigid):
     obj = load_object("I1")
-    found = told(obj, rigid=rigid)
+    found = tested(obj, data(obj, rigid=rigid))
     assert found.kind == "undecided"
     assert "cannot be told apart" in found.sentence
-    answer = ask(obj, SupportAware(), rigid=rigid)
+    answer = aware(obj, rigid=rigid)
     assert answer.status == "underdetermined"
     assert answer.covariance is not None
     apart = np.diag(answer.covariance) * obj.shape.particles_per_group**2
@@ -90,20 +94,9 @@ def test_one_material_throughout_drags_the_same_either_way_and_it_says_so(rigid)
 
 def test_second_moments_agree_on_own_weight_alone():
     obj = load_object("I2")
-    own, rigid = (
-        support_test(obj.shape, obj.total_mass, windows(obj, data(obj, rigid=rigid)), errors=ModelErrors())
-        for rigid in (False, True)
-    )
+    own, rigid = (tested(obj, data(obj, rigid=rigid), ModelErrors()) for rigid in (False, True))
     assert abs(own.moment_ratio - 1) < 3 * own.moment_ratio_error
     assert abs(rigid.moment_ratio - 1) > 3 * own.moment_ratio_error
-
-
-def test_without_acceleration_friction_alone_decides():
-    obj = load_object("L2")
-    for rigid in (False, True):
-        found = support_test(obj.shape, obj.total_mass, windows(obj, turns(obj, rigid=rigid, noise=NOISE)))
-        assert found.violated == rigid
-        assert np.isnan(found.moment_ratio)
 
 
 @pytest.mark.slow
@@ -118,8 +111,7 @@ def test_p_values_are_even_where_the_errors_are_as_told():
     for seed in range(40):
         noise = error * torch.tensor(np.random.default_rng(seed).standard_normal(exact.wrench.shape))
         observed = replace(exact, wrench=exact.wrench + noise)
-        found = support_test(obj.shape, obj.total_mass, observed, errors=EXACT)
-        values.append(found.p_own_weight)
+        values.append(support_test(obj.shape, obj.total_mass, observed, errors=EXACT).p_own_weight)
     assert kstest(values, "uniform").pvalue > 0.01
 
 
@@ -127,8 +119,7 @@ def test_p_values_are_even_where_the_errors_are_as_told():
 def test_own_weight_is_answered_as_by_algorithm_1(seed):
     obj = drawn_object(seed)
     trajectories = data(obj, rigid=False)
-    answer = SupportAware().estimate(obj.shape, obj.total_mass, trajectories, 0)
-    plain = HiddenStates().estimate(obj.shape, obj.total_mass, trajectories, 0)
+    answer, plain = ask(obj, trajectories, SupportAware()), ask(obj, trajectories)
     assert np.array_equal(masses(answer), masses(plain))
     assert answer.status == "ok"
     assert answer.diagnostics["log10_bayes_factor"] > 1
@@ -137,7 +128,7 @@ def test_own_weight_is_answered_as_by_algorithm_1(seed):
 @pytest.mark.parametrize("seed", range(4))
 def test_a_rigid_body_is_answered_by_masses_that_agree_with_what_is_known(seed):
     obj = drawn_object(seed)
-    answer = ask(obj, SupportAware())
+    answer = aware(obj)
     found = ObjectModel("answer", obj.shape, MassDistribution(masses(answer), obj.truth.friction))
     assert answer.status == "assumption_violated"
     assert_allclose(found.total_mass, obj.total_mass, atol=3e-3)
@@ -153,10 +144,10 @@ def test_a_rigid_body_is_answered_by_masses_that_agree_with_what_is_known(seed):
 
 
 @pytest.mark.parametrize("rigid", [False, True])
-@pytest.mark.parametrize("name", ["I1", "I2", "L1", "L2", "F1", "F2"])
+@pytest.mark.parametrize("name", ["I1", "L2", "F2"])
 def test_two_materials_make_it_a_finite_search(name, rigid):
     obj = load_object(name)
-    answer = ask(obj, SupportAware(materials_kg=MATERIALS), rigid=rigid)
+    answer = aware(obj, materials_kg=MATERIALS, rigid=rigid)
     assert_allclose(masses(answer), obj.truth.mass, rtol=1e-9)
     assert answer.diagnostics["assignment_probability"] > 0.5
 
@@ -164,15 +155,15 @@ def test_two_materials_make_it_a_finite_search(name, rigid):
 def test_densities_are_masses_of_the_groups_volume():
     obj = load_object("L2")
     volume = obj.shape.particles_per_group[0] * obj.shape.cell**2 * obj.shape.height
-    dense = SupportAware(materials_kg_m3=tuple(m / volume for m in MATERIALS))
-    assert_allclose(masses(ask(obj, dense)), masses(ask(obj, SupportAware(materials_kg=MATERIALS))), rtol=1e-9)
+    dense = aware(obj, materials_kg_m3=tuple(m / volume for m in MATERIALS))
+    assert_allclose(masses(dense), masses(aware(obj, materials_kg=MATERIALS)), rtol=1e-9)
 
 
 def test_the_wrong_materials_are_not_forced_on_it():
     obj = load_object("L2")
-    answer = ask(obj, SupportAware(materials_kg=(0.15, 0.25)))
+    answer = aware(obj, materials_kg=(0.15, 0.25))
     assert "no assignment of the materials" in answer.message
-    assert_allclose(masses(answer), masses(ask(obj, SupportAware())))
+    assert_allclose(masses(answer), masses(aware(obj)))
 
 
 def test_many_assignments_that_fit_are_counted():
@@ -189,22 +180,25 @@ def test_many_assignments_that_fit_are_counted():
         grid=3,
     )
     trajectories = data(obj, rigid=True, noise=1.0)
-    answer = SupportAware(materials_kg=MATERIALS).estimate(obj.shape, obj.total_mass, trajectories, 0)
+    answer = ask(obj, trajectories, SupportAware(materials_kg=MATERIALS))
     assert answer.diagnostics["assignments_holding_90"] > 1
     assert "assignments of the materials hold 90 %" in answer.message
     chosen = masses(answer) * obj.shape.particles_per_group
     assert np.isclose(chosen[:, None], MATERIALS).any(axis=1).tolist() == [True] * 16
 
 
-@pytest.mark.parametrize("settings", [{"materials_kg": (0.1, -1.0)}, {"confidence": 1.0}, {"false_alarms": 0.0}])
-def test_settings_out_of_range_are_refused(settings):
-    with pytest.raises(InvalidValueError, match=f"SupportAware.{next(iter(settings))}"):
+@pytest.mark.parametrize(
+    ("field", "settings"),
+    [
+        ("materials_kg", {"materials_kg": (0.1, -1.0)}),
+        ("materials_kg_m3", {"materials_kg": MATERIALS, "materials_kg_m3": (1000.0,)}),
+        ("confidence", {"confidence": 1.0}),
+        ("false_alarms", {"false_alarms": 0.0}),
+    ],
+)
+def test_settings_out_of_range_are_refused(field, settings):
+    with pytest.raises(InvalidValueError, match=rf"SupportAware\.{field}:"):
         SupportAware(**settings)
-
-
-def test_masses_and_densities_are_not_given_together():
-    with pytest.raises(InvalidValueError, match="not both"):
-        SupportAware(materials_kg=MATERIALS, materials_kg_m3=(1000.0,))
 
 
 def brute(rows: np.ndarray, values: np.ndarray, options: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -237,7 +231,7 @@ def test_twenty_blocks_are_ranked_and_more_are_refused():
     ranked = rank_assignments(rows, values, np.tile(MATERIALS, (20, 1)))
     assert np.array_equal(ranked.material[0], true)
     assert ranked.misfit < 1e-9
-    with pytest.raises(InvalidValueError, match="at most 20"):
+    with pytest.raises(InvalidValueError, match="materials"):
         rank_assignments(np.ones((1, 21)), np.ones(1), np.tile(MATERIALS, (21, 1)))
 
 

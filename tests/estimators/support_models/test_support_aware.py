@@ -44,7 +44,7 @@ def windows(obj: ObjectModel, trajectories: list[Trajectory]) -> Observations:
     return observed
 
 
-def tested(obj: ObjectModel, trajectories: list[Trajectory], errors: ModelErrors = RIGID) -> SupportTest:
+def decided(obj: ObjectModel, trajectories: list[Trajectory], errors: ModelErrors = RIGID) -> SupportTest:
     return support_test(obj.shape, obj.total_mass, windows(obj, trajectories), errors=errors)
 
 
@@ -61,13 +61,13 @@ def masses(answer: Estimate) -> np.ndarray:
 @pytest.mark.parametrize("name", ["I2", "L2", "F2"])
 def test_the_support_is_found_with_and_without_acceleration(name, rigid):
     obj = load_object(name)
-    found = tested(obj, data(obj, rigid=rigid))
+    found = decided(obj, data(obj, rigid=rigid))
     assert found.kind == ("rigid" if rigid else "own_weight")
     assert found.violated == rigid
     assert (found.p_rigid if rigid else found.p_own_weight) > 0.01
     assert rigid or found.p_rigid < 1e-6
     assert ("rigid" in found.sentence.split("(")[0]) == rigid
-    steady = tested(obj, turns(obj, rigid=rigid, noise=NOISE))
+    steady = decided(obj, turns(obj, rigid=rigid, noise=NOISE))
     assert steady.violated == rigid
     assert np.isnan(steady.moment_ratio)
 
@@ -76,13 +76,13 @@ def test_the_support_is_found_with_and_without_acceleration(name, rigid):
 @pytest.mark.parametrize("seed", range(4))
 def test_it_is_found_for_other_objects_with_two_friction_groups(seed, rigid):
     obj = drawn_object(seed, friction_groups=1 + seed % 2)
-    assert tested(obj, data(obj, rigid=rigid)).violated == rigid
+    assert decided(obj, data(obj, rigid=rigid)).violated == rigid
 
 
 @pytest.mark.parametrize("rigid", [False, True])
 def test_one_material_throughout_drags_alike_either_way_and_it_says_so(rigid):
     obj = load_object("I1")
-    found = tested(obj, data(obj, rigid=rigid))
+    found = decided(obj, data(obj, rigid=rigid))
     assert found.kind == "undecided"
     assert "cannot be told apart" in found.sentence
     answer = aware(obj, rigid=rigid)
@@ -94,7 +94,7 @@ def test_one_material_throughout_drags_alike_either_way_and_it_says_so(rigid):
 
 def test_second_moments_agree_on_own_weight_alone():
     obj = load_object("I2")
-    own, rigid = (tested(obj, data(obj, rigid=rigid), ModelErrors()) for rigid in (False, True))
+    own, rigid = (decided(obj, data(obj, rigid=rigid), ModelErrors()) for rigid in (False, True))
     assert abs(own.moment_ratio - 1) < 3 * own.moment_ratio_error
     assert abs(rigid.moment_ratio - 1) > 3 * own.moment_ratio_error
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from fractions import Fraction
+from itertools import chain
 from pathlib import Path
 
 import av
@@ -75,20 +76,13 @@ def _write_mp4(pictures: Iterable[Picture], part: Path, fps: float) -> None:
 
 def _write_gif(pictures: Iterable[Picture], part: Path, fps: float) -> None:
     """Write all pictures in the colours of the first, so that still parts do not flicker."""
-    images = _in_one_palette(pictures)
-    first, rest = next(images), list(images)
+    images = map(Image.fromarray, pictures)
+    one = next(images)
+    palette = one.quantize(255, method=Image.Quantize.MEDIANCUT)
+    first, *rest = (image.quantize(palette=palette, dither=Image.Dither.NONE) for image in chain([one], images))
     ends = np.round(np.arange(len(rest) + 2) * 100 / fps).astype(int) * 10  # ms, on a GIF's clock
     durations = np.diff(ends).tolist()
     first.save(part, format="gif", save_all=True, append_images=rest, duration=durations, loop=0, optimize=False)
-
-
-def _in_one_palette(pictures: Iterable[Picture]) -> Iterator[Image.Image]:
-    palette: Image.Image | None = None
-    for picture in pictures:
-        image = Image.fromarray(picture)
-        if palette is None:
-            palette = image.quantize(255, method=Image.Quantize.MEDIANCUT)
-        yield image.quantize(palette=palette, dither=Image.Dither.NONE)
 
 
 def _write_png(pictures: Iterable[Picture], part: Path, _: float) -> None:

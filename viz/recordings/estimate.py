@@ -117,9 +117,7 @@ class _Parts:
         series = () if way is None else (BarSeries(label, ESTIMATE, way, frames, view.half_width),)
         loads = None
         if way is not None and view.answer is not None:
-            tops = [float(each.mass.max()) for each in (view.answer, view.truth) if each is not None]
-            scale = Scale(max(*tops, 1e-9), MASS_COLORS, "mass, kg a particle")
-            loads = _LoadScene(shape, way / shape.particles_per_group, view.answer.friction, view.truth, scale, SIDE)
+            loads = _LoadScene(view, way / shape.particles_per_group, view.answer, SIDE)
         return _Parts(
             maps,
             BarScene(shape.group_names, truth, series, lower) if bars else None,
@@ -164,54 +162,50 @@ def friction_load(
 
 @dataclass(frozen=True, eq=False)
 class _LoadScene:
-    """Particles coloured by mass [kg] and sized by friction load in F frames; rings show the true load."""
+    """Particles coloured by mass and sized by friction load in F frames; rings show the true load."""
 
-    shape: ObjectShape
+    view: EstimateView
     mass: Float[np.ndarray, "F n_m"]
-    friction: Float[np.ndarray, "n_mu"]
-    truth: MassDistribution | None
-    scale: Scale
+    """Mass of a particle of each group [kg]."""
+    answer: MassDistribution
     canvas: Canvas
-
-    @property
-    def largest(self) -> float:
-        """Load that fills a cell [N]: the largest of estimate and truth."""
-        known = [friction_load(self.shape, self.mass[-1], self.friction)]
-        if self.truth is not None:
-            known.append(friction_load(self.shape, self.truth.mass, self.truth.friction))
-        return max(float(np.max(known)), 1e-12)
-
-    def radius(self, load: np.ndarray) -> np.ndarray:
-        """Radius [m] of a disc whose area is as its load; a load above the largest fills its cell and no more."""
-        return FULL_CELL * self.shape.cell * np.sqrt(np.clip(load / self.largest, 0.0, 1.0))
 
     @property
     def box(self) -> Bounds:
         """Bounds around the whole drawing."""
-        box = Raster.of(self.shape).box
+        box = Raster.of(self.view.shape).box
         return self.canvas.framed(box.joined(bar_box(box)), 24, LINE + 3 * MARGIN, BELOW)
 
     def log(self, node: Node, frames: Frames) -> None:
         """Log it below `node`."""
+        shape, truth, answer = self.view.shape, self.view.truth, self.answer
+        raster, pixel, count = Raster.of(shape), self.canvas.pixel(self.box), len(shape.particles)
         log_upright(node)
-        raster, pixel, count = Raster.of(self.shape), self.canvas.pixel(self.box), len(self.shape.particles)
         log_lines(node / "outlines", raster.outlines())
-        load = friction_load(self.shape, self.mass, self.friction)
-        colors = packed(self.scale.color(self.mass[:, self.shape.mass_group]))
+        load = friction_load(shape, self.mass, answer.friction)
+        true_load = np.zeros(count) if truth is None else friction_load(shape, truth.mass, truth.friction)
+        largest = max(float(load[-1].max()), float(true_load.max()), 1e-12)
+
+        def radius(load: np.ndarray) -> np.ndarray:
+            """Radius [m] of a disc whose area is as its load; a load above the largest fills its cell and no more."""
+            return FULL_CELL * shape.cell * np.sqrt(np.clip(load / largest, 0.0, 1.0))
+
+        tops = [float(each.mass.max()) for each in (answer, truth) if each is not None]
+        scale = Scale(max(*tops, 1e-9), MASS_COLORS, "mass, kg a particle")
+        colors = packed(scale.color(self.mass[:, shape.mass_group]))
         # the smallest disc still shows the colour of a particle that carries no load
-        radii = np.maximum(self.radius(load), 0.1 * self.shape.cell)
-        (node / "particles").log(rr.Points2D(self.shape.particles))
+        radii = np.maximum(radius(load), 0.1 * shape.cell)
+        (node / "particles").log(rr.Points2D(shape.particles))
         frames.send(
             node / "particles",
             lambda k: rr.Points2D.columns(colors=colors[k].ravel(), radii=radii[k].ravel()).partition([count] * len(k)),
         )
-        if self.truth is not None:
-            ring = self.radius(friction_load(self.shape, self.truth.mass, self.truth.friction))
-            half, middles = np.column_stack([ring, ring])[ring > 0], self.shape.particles[ring > 0]
+        if truth is not None:
+            ring = radius(true_load)[true_load > 0]
             look = {"colors": rgb(BLACK), "line_radii": HAIR, "draw_order": 40}
-            rings = rr.Ellipses2D(half_sizes=half, centers=middles, **look)
-            (node / "true_load").log(rings)
-        log_bar(node / "bar", self.scale, bar_box(raster.box), pixel)
+            half, centers = np.column_stack([ring, ring]), shape.particles[true_load > 0]
+            (node / "true_load").log(rr.Ellipses2D(half_sizes=half, centers=centers, **look))
+        log_bar(node / "bar", scale, bar_box(raster.box), pixel)
         place = np.array([[raster.box.middle[0], raster.box.top + (LINE / 2 + 1.5 * MARGIN) * pixel]])
-        ring = ", ring: truth" if self.truth is not None else ""
-        log_texts(node / "key", place, [f"full cell: {self.largest:.2g} N{ring}"], pixel)
+        known = ", ring: truth" if truth is not None else ""
+        log_texts(node / "key", place, [f"full cell: {largest:.2g} N{known}"], pixel)

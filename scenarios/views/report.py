@@ -42,11 +42,9 @@ def report(folder: Path) -> Path:
         command=str(manifest.get("command") or _command(name, scenario)),
         scenario_toml=toml_text(scenario),
         rows=rows,
-        keys=[row.get("key") for row in rows],
         shape_of=lambda asked: _shape(asked, scenario, rows, folder),
         losses=load_losses(folder, rows),
         tracebacks=load_tracebacks(folder),
-        trial_keys_of=lambda row: list(row.get("trial_keys") or ()),
         recording_of=lambda key: name if (folder / (name := f"recordings/{key}.rrd")).is_file() else "",
         bad_trials=_bad(folder),
     )

@@ -38,7 +38,7 @@ def row(method: str, seed: int, nad: float | None, name: str = "L2", **more: obj
         "mass_kg": None if nad is None else (mass * (1 + nad)).tolist(), "true_mass_kg": mass.tolist(),
         "group_names": list(load_object("L2").shape.group_names),
         "mpd_open_loop_m": 0.0111, "mpd_turn_m": 0.0222,
-        "mpd_open_loop_of_truth_m": 0.0033, "mpd_turn_of_truth_m": 0.0044,
+        "mpd_open_loop_of_truth_m": 0.0033, "mpd_turn_of_truth_m": 0.0044, "trial_keys": ["weighing", "turn"],
     }  # fmt: skip
     return columns | more
 
@@ -62,16 +62,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     rows += [row("random_search", 0, None, EVIL, status="underdetermined", message="too few turns")]
     for seed in (0, 1):  # most columns of a failed estimate are missing
         head = {key: row("diff_lcp", seed, None)[key] for key in ("sensing", "seed", "method", "kind")}
-        rows += [
-            head
-            | {
-                "object": EVIL,
-                "support": "rigid",
-                "status": "failed",
-                "message": f"ValueError: {REASON}",
-                "nad": np.nan,
-            }
-        ]
+        failed = {"object": EVIL, "support": "rigid", "status": "failed", "message": f"ValueError: {REASON}"}
+        rows += [head | failed | {"nad": np.nan}]
+    rows[3]["key"] = "0123abcd"
     folder = write(tmp_path_factory.mktemp("results") / "made up", rows)
     for key, name, text in (
         ("0123abcd", "result.json", json.dumps(rows[3])),
@@ -151,7 +144,7 @@ VALUES = 100 * np.array(NAD["hidden_states"])
         ("the true masses|", ("0.33 ± 0.00",)),
         ("the true masses|", ("0.44 ± 0.00",)),
         ("L2|47.3|random_|search", ("estimates/0123abcd/",)),
-        ("L2|41.1|", ("folder not known",)),
+        ("L2|41.1|", ("folder not known", "2 trials", "trials/turn/trajectory.parquet")),
         ("diff_|lcp|failed|2|", (f"ValueError: {REASON}", "estimates/ffff/error.txt", "rigid body, ft300s")),
         ("random_|search|underdetermined|1|", ("too few turns",)),
     ],

@@ -54,10 +54,8 @@ def worst_of(rows: Sequence[Row]) -> tuple[list[Row], list[Row]]:
     return ranked[:10], [row for row in ranked if row["kind"] == "hidden_states"][:5]
 
 
-def worst(
-    rows: Sequence[Row], trial_keys_of: Callable[[Row], Sequence[str]], recording_of: Callable[[str], str]
-) -> list[Worst]:
-    """Estimates with their files; a row has its folder as "folder"."""
+def worst(rows: Sequence[Row], recording_of: Callable[[str], str]) -> list[Worst]:
+    """Estimates with their files."""
     axes = axes_of(rows)
     return [
         Worst(
@@ -65,8 +63,8 @@ def worst(
             nad=number(100 * row["nad"]),
             support=support_name(row["support"]),
             swept=", ".join(f"{a.removeprefix(AXIS)} = {row[a]}" for a in axes if row.get(a) is not None),
-            key=(key := row["folder"] or ""),
-            trials=tuple(trial_keys_of(row)),
+            key=(key := row["key"] or ""),
+            trials=() if row["trial_keys"] is None else tuple(row["trial_keys"]),
             recording=recording_of(key) if key else "",
         )
         for row in rows

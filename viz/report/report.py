@@ -27,7 +27,7 @@ from viz.values import support_name
 
 COLUMNS = (
     "nad", "mpd_open_loop_m", "mpd_turn_m", "mpd_open_loop_of_truth_m", "mpd_turn_of_truth_m", "seconds", "robot_s",
-    "mass_kg", "true_mass_kg", "group_names", "message",
+    "mass_kg", "true_mass_kg", "group_names", "message", "key", "trial_keys",
 )  # fmt: skip
 """Columns that a row may lack; they are then None."""
 MOST_FAILURES = 50
@@ -53,16 +53,12 @@ class Results:
     """The scenario as it ran, as a file."""
     rows: Sequence[Row]
     """Rows of results.parquet."""
-    keys: Sequence[str | None]
-    """Folder of each row's estimate."""
     shape_of: Callable[[str], ObjectShape | None]
     """Geometry of an object by name, or None where it is not known any more."""
     losses: Mapping[str, Mapping[str, Sequence[np.ndarray]]] = field(default_factory=dict)
     """Losses of the estimates, (I,) each, by method and optimiser."""
     tracebacks: Mapping[str, str] = field(default_factory=dict)
     """Tracebacks of estimates that failed, by path."""
-    trial_keys_of: Callable[[Row], Sequence[str]] = lambda _: ()
-    """Folders of the trials behind an estimate."""
     recording_of: Callable[[str], str] = lambda _: ""
     """Path of an estimate's recording by its folder; empty where there is none."""
     bad_trials: Mapping[tuple[str, str], Sequence[str]] = field(default_factory=dict)
@@ -89,8 +85,7 @@ def write_report(results: Results, path: Path) -> None:
 def render(results: Results) -> str:
     """The report as HTML."""
     rows: list[dict[str, Any]] = [
-        dict.fromkeys(COLUMNS) | {k: _plain(k, v) for k, v in row.items()} | {"folder": folder}
-        for row, folder in zip(results.rows, results.keys, strict=True)
+        dict.fromkeys(COLUMNS) | {k: _plain(k, v) for k, v in row.items()} for row in results.rows
     ]
     estimates = [row for row in rows if row["method"]]  # the others are objects without any estimate
     groups = {
@@ -99,7 +94,7 @@ def render(results: Results) -> str:
         )
         for first in {(row["support"], row["sensing"]): row for row in estimates}.values()
     }
-    worst_all, worst_own = (worst(found, results.trial_keys_of, results.recording_of) for found in worst_of(rows))
+    worst_all, worst_own = (worst(found, results.recording_of) for found in worst_of(rows))
     draw = _Drawer()
     objects = list(dict.fromkeys(row["object"] for row in estimates))
     mapped = mapped_objects(estimates, objects)

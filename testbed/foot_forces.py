@@ -12,7 +12,7 @@ from jaxtyping import Float, Int
 
 from testbed.errors import HeftError, InvalidValueError
 from testbed.trajectory import write_whole
-from testbed.validation import frozen_array
+from testbed.validation import freeze, frozen_array
 
 _AXES = ("fx_N", "fy_N", "fz_N")
 
@@ -30,7 +30,7 @@ class FootForces:
     particle: Int[np.ndarray, "F"]
     """Particle over each foot."""
     force: Float[np.ndarray, "N F 3"]
-    """Of the table on the object, world axes, N: friction, and the normal load along z."""
+    """Force of the table on the object [N], world axes: friction, and the normal load along z."""
 
     def __post_init__(self) -> None:
         particle = np.array(self.particle)
@@ -39,7 +39,7 @@ class FootForces:
         time = frozen_array("FootForces.time_s", self.time_s, (None,))
         object.__setattr__(self, "time_s", time)
         object.__setattr__(self, "particle", particle)
-        object.__setattr__(self, "force", frozen_array("FootForces.force", self.force, (len(time), len(particle), 3)))
+        freeze(self, force=(len(time), len(particle), 3))
 
 
 def save_foot_forces(feet: FootForces, path: Path) -> None:

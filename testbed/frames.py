@@ -63,6 +63,6 @@ def rotate_wrench(
 
 
 def move_wrench(wrench: Float[np.ndarray, "... 6"], to_point: Float[np.ndarray, "... 3"]) -> Float[np.ndarray, "... 6"]:
-    """The same wrench with its torque about the point `to_point` (from the present point), same axes."""
+    """Wrench with its torque about the point `to_point` (from the present point), same axes."""
     torque = wrench[..., 3:] - np.cross(to_point, wrench[..., :3])
     return np.concatenate([wrench[..., :3], torque], axis=-1)

@@ -21,26 +21,26 @@ from testbed.trajectory import Trajectory, TrajectoryFileError, load_trajectory
 from testbed.trial import Trial
 
 UNNAMED = "an object without a name"
-"""Of a results folder that does not say which object a trial had; it matches no trial."""
+"""Object name of a trial whose folder does not name one; it matches no trial."""
 _TOLERANCE = 1e-6
 _MOST_LISTED = 8
 
 
 @dataclass(frozen=True)
 class Recording:
-    """What a recorded trajectory says of itself; the record itself stays in its file."""
+    """Header of a recorded trajectory; the samples stay in their file."""
 
     path: Path
-    """Its Parquet file."""
+    """Parquet file."""
     action: Action
-    """What was done."""
+    """Executed action."""
     object: str | None
-    """Name of the object, where it is known."""
+    """Name of the object, if known."""
     support: str | None
-    """Who carried its weight, where it is known."""
+    """Name of the support model, if known."""
 
     def fits(self, trial: Trial) -> bool:
-        """Whether a trial asks for this: the same action, and the same object and support where they are known."""
+        """True if it has the action of a trial, and its object and support as far as they are known."""
         return (
             self.object in (None, trial.object.name)
             and self.support in (None, trial.support.name)
@@ -48,8 +48,8 @@ class Recording:
         )
 
     @property
-    def said(self) -> str:
-        """In a few words."""
+    def description(self) -> str:
+        """Object and action in a few words."""
         settings = self.action.to_dict()
         kind = settings.pop("kind")
         given = {k: f"{v:.4g}" if isinstance(v, float) else v for k, v in settings.items() if v is not None}
@@ -80,9 +80,9 @@ class ReplayRunner:
         files = finished or sorted(root.glob("*.parquet"))
         if not files:
             raise InvalidValueError("replay folder", str(folder), "a results folder, or one of trajectory files")
-        told = sorted(((_header(path), path) for path in files), key=lambda t: (t[0][1].get("recorded", ""), t[1]))
-        self.recordings: tuple[Recording, ...] = tuple(_recording(path, *header) for header, path in told)
-        """All that there is, in order of recording."""
+        headers = sorted(((_header(path), path) for path in files), key=lambda t: (t[0][1].get("recorded", ""), t[1]))
+        self.recordings: tuple[Recording, ...] = tuple(_recording(path, *header) for header, path in headers)
+        """Recordings in order."""
         self._folder = root
         self._played: set[Path] = set()
 
@@ -114,12 +114,12 @@ class ReplayRunner:
         return trajectory
 
     def _missing(self, trial: Trial, played: int) -> str:
-        asked = Recording(Path(), trial.action, trial.object.name, trial.support.name).said
+        wanted = Recording(Path(), trial.action, trial.object.name, trial.support.name).description
         if played:
-            return f"{asked}: all {played} recordings have been played; enter the runner again to start over"
-        there = list(dict.fromkeys(r.said for r in self.recordings))
+            return f"{wanted}: all {played} recordings have been played; enter the runner again to start over"
+        there = list(dict.fromkeys(r.description for r in self.recordings))
         shown = "; ".join(there[:_MOST_LISTED]) + (f"; {len(there) - _MOST_LISTED} more" * (len(there) > _MOST_LISTED))
-        return f"{self._folder} has no {asked}, support {trial.support.name}; it has {shown}"
+        return f"{self._folder} has no {wanted}, support {trial.support.name}; it has {shown}"
 
 
 def _header(path: Path) -> tuple[dict[str, Any], dict[str, str]]:
@@ -149,7 +149,7 @@ def _object_of(path: Path, provenance: Mapping[str, str]) -> str | None:
 
 
 def _same(a: Any, b: Any) -> bool:
-    """Whether two plain values are the same, numbers within rounding."""
+    """True if two plain values are equal, numbers within rounding."""
     if isinstance(a, dict) and isinstance(b, dict):
         return a.keys() == b.keys() and all(_same(a[k], b[k]) for k in a)
     if isinstance(a, list | tuple) and isinstance(b, list | tuple):

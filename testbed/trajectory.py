@@ -16,16 +16,16 @@ from jaxtyping import Float, Int
 
 from testbed.actions.base import Action, action_from_dict
 from testbed.errors import HeftError, InvalidValueError
-from testbed.validation import frozen_array, is_number
+from testbed.validation import freeze, frozen_array, is_number
 
 SCHEMA_VERSION = 1
-"""Of trajectory files; another one is refused."""
+"""Version of trajectory files; others are refused."""
 Status = Literal["ok", "slipped", "limit", "fault"]
-"""How a trial ended; only one that is ok may be used as data."""
+"""End of a trial; only an ok one may be used as data."""
 
 
 class Phase(IntEnum):
-    """What the robot was doing at a sample."""
+    """Phase of a trial."""
 
     TARE = 0
     APPROACH = 1
@@ -42,23 +42,21 @@ class TrajectoryFileError(HeftError):
 
 @dataclass(frozen=True, eq=False)
 class Tool:
-    """What hangs below the sensor: its gravity and inertia are taken off the wrench."""
+    """Tool below the sensor: its gravity and inertia are taken off the wrench."""
 
     mass: float
-    """kg."""
+    """Mass [kg]."""
     com: Float[np.ndarray, "3"]
-    """Centre of mass, m, sensor frame."""
+    """Center of mass [m], sensor frame."""
     inertia: Float[np.ndarray, "3 3"]
-    """About its centre of mass, kg m^2, sensor axes."""
+    """Inertia about its center of mass [kg m^2], sensor axes."""
     tcp: Float[np.ndarray, "3"]
-    """TCP, m, sensor frame."""
+    """TCP [m], sensor frame."""
 
     def __post_init__(self) -> None:
         if not (is_number(self.mass) and self.mass >= 0):
             raise InvalidValueError("Tool.mass", self.mass, "a finite number >= 0, kg")
-        object.__setattr__(self, "com", frozen_array("Tool.com", self.com, (3,)))
-        object.__setattr__(self, "inertia", frozen_array("Tool.inertia", self.inertia, (3, 3)))
-        object.__setattr__(self, "tcp", frozen_array("Tool.tcp", self.tcp, (3,)))
+        freeze(self, com=(3,), inertia=(3, 3), tcp=(3,))
 
 
 _SERIES: dict[str, tuple[str, ...]] = {
@@ -75,46 +73,46 @@ _SERIES: dict[str, tuple[str, ...]] = {
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
-    """One trial's record at the sensor's rate, from tare to release. T samples."""
+    """Record of one trial at the sensor's rate, from tare to release: T samples."""
 
     action: Action
     """The action as executed, after clipping."""
     status: Status
     """ok; slipped in the grip; limit of torque, speed, reach or joint; fault."""
     reason: str
-    """Why, in a sentence, where status is not ok; else empty."""
+    """Reason for a status other than ok, in a sentence; else empty."""
     time_s: Float[np.ndarray, "T"]
-    """s, from the start of the tare."""
+    """Time since the start of the tare [s]."""
     phase: Int[np.ndarray, "T"]
     """`Phase` of each sample."""
     segment: Int[np.ndarray, "T"]
-    """Which steady stretch of the action a sample belongs to, from 0; -1 outside."""
+    """Steady stretch of the action that a sample belongs to, from 0; -1 outside."""
     object_pose: Float[np.ndarray, "T 3"]
-    """Planar pose of the object frame in the world as the hand knows it, m, m, rad."""
+    """Planar pose of the object frame [m, m, rad], world, by the hand's pose."""
     object_velocity: Float[np.ndarray, "T 3"]
-    """Planar velocity of the object frame's origin and yaw rate as the hand knows them, world axes."""
+    """Planar velocity of the object frame's origin and yaw rate [m/s, m/s, rad/s], world axes, by the hand's motion."""
     tcp_position: Float[np.ndarray, "T 3"]
-    """TCP in the world, m; z is its height over the table."""
+    """TCP [m], world; z is its height over the table."""
     tcp_velocity: Float[np.ndarray, "T 6"]
-    """Linear and angular velocity of the tool at the TCP, world axes, m/s and rad/s."""
+    """Linear and angular velocity of the tool at the TCP [m/s, rad/s], world axes."""
     sensor_orientation: Float[np.ndarray, "T 4"]
     """Orientation of the sensor frame in the world, wxyz."""
     sensor_wrench: Float[np.ndarray, "T 6"]
-    """The raw record: what the arm does to the tool, sensor axes, about the sensor's origin. N, N m."""
+    """Raw record: wrench of the arm on the tool [N, N m], sensor axes, about the sensor's origin."""
     wrench_on_object_world: Float[np.ndarray, "T 6"]
-    """What the gripper does to the object, about the TCP, world axes, after tare and tool compensation. N, N m."""
+    """Wrench of the gripper on the object [N, N m], world axes, about the TCP, after tare and tool compensation."""
     joint_position: Float[np.ndarray, "T 7"]
-    """Joint angles of the arm, rad."""
+    """Joint angles of the arm [rad]."""
     tool: Tool | None
-    """What hangs below the sensor; None on a scale."""
+    """Tool below the sensor; None on a scale."""
     sensor_bias_std: Float[np.ndarray, "6"]
-    """Constant error that the tare may leave, one standard deviation, as the sensor's data sheet has it. N, N m."""
+    """Standard deviation of the constant error left by the tare, by the sensor's data sheet [N, N m]."""
     sensor_drift_std: Float[np.ndarray, "6"] = field(default_factory=lambda: np.zeros(6))
-    """Random walk of the zero from the tare on, one standard deviation, N and N m per square root of a second."""
+    """Standard deviation of the random walk of the zero from the tare on [N/sqrt(s), N m/sqrt(s)]."""
     figures: dict[str, float] = field(default_factory=dict)
     """Numbers behind the status: peak torque and speed over their limits, slip, grip force, ..."""
     provenance: dict[str, str] = field(default_factory=dict)
-    """Where the record comes from: runner, versions, seeds, sensing."""
+    """Origin of the record: runner, versions, seeds, sensing."""
 
     def __post_init__(self) -> None:
         time = frozen_array("Trajectory.time_s", self.time_s, (None,))
@@ -123,12 +121,8 @@ class Trajectory:
                 "Trajectory.time_s", f"{len(time)} samples", "one or more strictly increasing times, s"
             )
         object.__setattr__(self, "time_s", time)
-        for name, columns in _SERIES.items():
-            object.__setattr__(
-                self, name, frozen_array(f"Trajectory.{name}", getattr(self, name), (len(time), len(columns)))
-            )
-        for name in ("sensor_bias_std", "sensor_drift_std"):
-            object.__setattr__(self, name, frozen_array(f"Trajectory.{name}", getattr(self, name), (6,)))
+        freeze(self, **{name: (len(time), len(columns)) for name, columns in _SERIES.items()})
+        freeze(self, sensor_bias_std=(6,), sensor_drift_std=(6,))
         for name in ("phase", "segment"):
             values = np.array(getattr(self, name))
             lowest, highest = (0, int(max(Phase))) if name == "phase" else (-1, np.iinfo(np.int64).max)
@@ -170,7 +164,7 @@ class Trajectory:
         return self.simulated and "sensing" not in self.provenance
 
     def mask(self, *phases: Phase) -> np.ndarray:
-        """Which samples are in the given phases, (T,) bool."""
+        """Mask of the samples in the given phases, shape (T,)."""
         return np.isin(self.phase, phases)
 
 

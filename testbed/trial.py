@@ -1,4 +1,4 @@
-"""One trial: an object, an action, who carries the weight, how it is sensed; and who can run it."""
+"""Trials: an object, an action, a support model and a sensing preset; and the runners of trials."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from testbed.trajectory import Trajectory
 
 @dataclass(frozen=True)
 class Support:
-    """Who carries the object's weight on the table.
+    """Support model: which feet carry the object's weight on the table.
 
     0 N/m: every mass group rests on its own weight (blocks joined by free vertical slides), as the paper assumes.
     Infinite: one rigid body, whose weight spreads affinely over all its feet. In between: springs across the joints.
@@ -32,7 +32,7 @@ class Support:
 
     @property
     def is_rigid(self) -> bool:
-        """Whether the object is one rigid body."""
+        """True if the object is one rigid body."""
         return math.isinf(self.stiffness)
 
     @property
@@ -64,14 +64,14 @@ def parse_support(text: str | float) -> Support:
 
 @dataclass(frozen=True, eq=False)
 class Trial:
-    """What is asked of a runner."""
+    """Request to a runner."""
 
     object: ObjectModel
     """The object, truth included: a simulation needs it, a real bench has it on the table."""
     action: Action
-    """What to do with it."""
+    """Action on the object."""
     support: Support = OWN_WEIGHT
-    """Who carries the weight."""
+    """Support model."""
     sensing: str = "ideal"
     """Name of a sensing preset."""
     seed: int = 0

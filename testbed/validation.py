@@ -62,6 +62,17 @@ def unit_quaternion(name: str, values: ArrayLike) -> np.ndarray:
     return quaternion
 
 
+def freeze(value: object, **shapes: tuple[int | None, ...]) -> None:
+    """Replace array fields of a frozen dataclass by read-only copies of the given shapes.
+
+    Raises:
+        InvalidValueError: wrong shape, not numeric, or not finite.
+    """
+    for name, shape in shapes.items():
+        checked = frozen_array(f"{type(value).__name__}.{name}", getattr(value, name), shape)
+        object.__setattr__(value, name, checked)
+
+
 def check_positive(name: str, value: float) -> None:
     """Raise InvalidValueError unless `value` is finite and > 0."""
     if not (is_number(value) and value > 0):
@@ -81,7 +92,7 @@ def check_integer(name: str, value: int, least: int = 1) -> None:
 
 
 def is_number(value: object) -> bool:
-    """Whether it is a finite real number, and no bool."""
+    """True for a finite real number that is no bool."""
     if isinstance(value, bool) or not isinstance(value, int | float | np.integer | np.floating):
         return False
     try:

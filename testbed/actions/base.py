@@ -76,7 +76,7 @@ class Action:
         raise NotImplementedError
 
     def describe(self, shape: ObjectShape) -> str:
-        """All of the action in one line."""
+        """Sentence of the whole action."""
         name, about, manner = self.words(shape)
         if self.grasp is not None:
             known = self.grasp < len(shape.grasps)

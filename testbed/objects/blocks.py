@@ -8,15 +8,16 @@ import numpy as np
 
 from testbed.errors import InvalidValueError
 from testbed.objects.model import Grasp, MassDistribution, ObjectModel, ObjectShape
+from testbed.validation import check_integer
 
 
 class Cell(NamedTuple):
     """Column and row of a block; row 0 is the bottom."""
 
     column: int
-    """From 0 at the left."""
+    """Column, from 0 at the left."""
     row: int
-    """From 0 at the bottom."""
+    """Row, from 0 at the bottom."""
 
     @property
     def name(self) -> str:
@@ -90,8 +91,7 @@ def block_object(
     Raises:
         InvalidValueError: grid < 1, lengths that do not match, or values out of range.
     """
-    if isinstance(grid, bool) or not isinstance(grid, int) or grid < 1:
-        raise InvalidValueError("grid", grid, "an integer >= 1, particles along a block's side")
+    check_integer("grid", grid)
     if len(mass) != len(cells):
         raise InvalidValueError("mass", mass, f"{len(cells)} numbers, one a block, bottom row first, left to right")
     if len(friction_group) != len(cells):

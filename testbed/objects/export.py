@@ -1,4 +1,4 @@
-"""A mass distribution as one rigid body: mass, centre and inertia in space, from the boxes that it is made of."""
+"""Export: an estimated mass distribution as boxes and a rigid body, in MJCF, URDF, an object file, and JSON."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from jaxtyping import Float
 from testbed.errors import InvalidValueError
 from testbed.objects.model import MassDistribution, ObjectShape
 from testbed.toml import toml_text
-from testbed.validation import frozen_array
+from testbed.validation import freeze
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,37 +22,36 @@ class Box:
     """A box of even density, its sides along the object's axes."""
 
     name: str
-    """The block's, or the block's and a number."""
+    """Name of the block, with a number if it has several boxes."""
     center: Float[np.ndarray, "3"]
-    """m, object frame, z from the table."""
+    """Center [m], object frame, z from the table."""
     size: Float[np.ndarray, "3"]
-    """Sides, m."""
+    """Sides [m]."""
     mass: float
-    """kg."""
+    """Mass [kg]."""
     group: int
     """Mass group."""
     friction: float | None
-    """Under it; None where it does not touch the table."""
+    """Friction coefficient under it; None if it does not touch the table."""
 
 
 @dataclass(frozen=True, eq=False)
 class RigidBody:
-    """Inertial properties, object frame, z from the table."""
+    """Mass properties of a rigid body, object frame, z from the table."""
 
     mass: float
-    """kg."""
+    """Mass [kg]."""
     center: Float[np.ndarray, "3"]
-    """Of mass, m."""
+    """Center of mass [m]."""
     inertia: Float[np.ndarray, "3 3"]
-    """About the centre of mass, kg m^2."""
+    """Inertia about the center of mass [kg m^2]."""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "center", frozen_array("RigidBody.center", self.center, (3,)))
-        object.__setattr__(self, "inertia", frozen_array("RigidBody.inertia", self.inertia, (3, 3)))
+        freeze(self, center=(3,), inertia=(3, 3))
 
     @staticmethod
     def of(boxes: Sequence[Box]) -> RigidBody:
-        """All boxes as one body."""
+        """Rigid body of all boxes."""
         mass = np.array([box.mass for box in boxes])
         centers = np.array([box.center for box in boxes])
         total = float(mass.sum())
@@ -100,18 +99,18 @@ def boxes_of(shape: ObjectShape, distribution: MassDistribution) -> list[Box]:
 
 @dataclass(frozen=True, eq=False)
 class Exported:
-    """An answer to be written down."""
+    """Estimate to be written to a file."""
 
     name: str
-    """The object's."""
+    """Name of the object."""
     shape: ObjectShape
-    """Where its masses are."""
+    """Geometry of the object."""
     distribution: MassDistribution
-    """Its masses and frictions, as estimated."""
+    """Estimated masses and frictions."""
     covariance: Float[np.ndarray, "n_m n_m"] | None = None
-    """Of the particle masses, kg^2, infinite where they are not observed; None where the method gives none."""
+    """Covariance of the particle masses [kg^2], infinite if unobserved; None if the method gives none."""
     notes: tuple[str, ...] = ()
-    """Where it comes from, a line each."""
+    """Origin of the estimate, a line each."""
 
     @property
     def boxes(self) -> list[Box]:
@@ -120,7 +119,7 @@ class Exported:
 
     @property
     def group_deviation(self) -> list[float] | None:
-        """Standard deviation of each group's mass, kg."""
+        """Standard deviation of each group's mass [kg]."""
         if self.covariance is None:
             return None
         return (np.sqrt(np.diag(self.covariance)) * self.shape.particles_per_group).tolist()
@@ -219,7 +218,7 @@ def to_object_file(exported: Exported) -> str:
 
 
 def to_sidecar(exported: Exported) -> str:
-    """All that was estimated and how surely, as JSON; null where it is not observed or not given."""
+    """JSON of the estimate with its uncertainty; null if unobserved or not given."""
     shape, whole = exported.shape, RigidBody.of(exported.boxes)
     count = shape.particles_per_group
     covariance = None if exported.covariance is None else exported.covariance * np.outer(count, count)

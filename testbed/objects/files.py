@@ -74,7 +74,7 @@ class Blocks(BaseModel):
 
 
 class MeshPart(BaseModel):
-    """One [[mesh.parts]] table of an object file."""
+    """A [[mesh.parts]] table of an object file."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
 
@@ -85,7 +85,7 @@ class MeshPart(BaseModel):
 
 
 class MeshGrasp(BaseModel):
-    """One [[mesh.grasps]] table of an object file."""
+    """A [[mesh.grasps]] table of an object file."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
 

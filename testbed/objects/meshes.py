@@ -1,4 +1,4 @@
-"""Objects made of meshes: a part of closed surface a mass group, cut into particles by a square grid."""
+"""Mesh objects: a closed surface for each mass group, cut into particles by a square grid."""
 
 from __future__ import annotations
 
@@ -13,44 +13,45 @@ from scipy.spatial.distance import cdist
 from testbed.errors import InvalidValueError
 from testbed.objects.gripper import FINGER_DEPTH, PAD_HEIGHT, PAD_WIDTH, STROKE
 from testbed.objects.model import Grasp, MassDistribution, ObjectModel, ObjectShape, Solid
+from testbed.validation import check_integer
 
 TOUCH = 0.001
-"""A surface nearer than this to the table touches it, m; a pad, being soft, touches a face as near to its plane."""
+"""Distance within which a surface touches the table, and a soft pad a face [m]."""
 _RAYS = 7
 """Rays along a cell's side."""
 _MOST_CELLS = 5000
 _ASIDE = np.array([0.00137, 0.00071])
 """Shift of the rays in cells, so that none runs along an edge of a mesh that is symmetric about the grid."""
 _PATCH = 0.001
-"""Distance of the rays that feel for a grasp's faces, m."""
+"""Distance of the rays that find a grasp's faces [m]."""
 
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """One mass group of an object, lying as on the table z = 0."""
+    """Mass group of an object that rests on the table z = 0."""
 
     name: str
     mesh: trimesh.Trimesh
-    """Watertight, m."""
+    """Watertight surface [m]."""
     mass: float
-    """kg."""
+    """Mass [kg]."""
     friction_group: int
-    """Friction of what touches."""
+    """Friction group of its feet."""
 
 
 @dataclass(frozen=True)
 class GraspPlace:
-    """Where a gripper is to take the object; what it finds there is measured."""
+    """Place to grip the object; width and height of its faces follow from the mesh."""
 
     name: str
     at: tuple[float, float]
-    """A point between the pads, m, in the mesh's x and y."""
+    """Point between the pads [m], x and y of the mesh."""
     closing: float
-    """Direction along which the pads close, rad."""
+    """Direction along which the pads close [rad]."""
 
 
 def read_mesh(path: Path) -> trimesh.Trimesh:
-    """A mesh from a file, m.
+    """Mesh from a file [m].
 
     Raises:
         InvalidValueError: no such file, not a mesh, or not watertight.
@@ -91,8 +92,7 @@ def mesh_object(
         InvalidValueError: grid < 1, too many cells, not resting on the table, a part without a particle or a foot, a
             grasp where there is nothing to hold or no room for the fingers.
     """
-    if isinstance(grid, bool) or not isinstance(grid, int) or grid < 1:
-        raise InvalidValueError("grid", grid, "an integer >= 1; 3 keeps the file's cell, 6 halves it")
+    check_integer("grid", grid)
     lowest = min(part.mesh.bounds[0, 2] for part in parts)
     if abs(lowest) > TOUCH:
         raise InvalidValueError(
@@ -178,7 +178,7 @@ def _partition(
 def _hits(
     mesh: trimesh.Trimesh, origins: Float[np.ndarray, "N 3"], along: Float[np.ndarray, "3"]
 ) -> tuple[Float[np.ndarray, "H"], Int[np.ndarray, "H"], Int[np.ndarray, "H"]]:
-    """Where parallel rays pass the surface: distance along the ray, the ray, and 1 out of the body or -1 into it."""
+    """Hits of parallel rays with the surface: distance, index of the ray, and 1 out of the body or -1 into it."""
     places, ray, face = mesh.ray.intersects_location(origins, np.tile(along, (len(origins), 1)), multiple_hits=True)
     out = np.sign(mesh.face_normals[face] @ along).astype(int)
     return (places - origins[ray]) @ along, ray, out

@@ -1,4 +1,4 @@
-"""Objects: what is known of them (shape), what is asked (mass and friction), and both together.
+"""Objects: known shape, unknown mass distribution, and both together.
 
 Planar, in the object frame: origin at the mean of the particles, SI units.
 """
@@ -11,33 +11,33 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from testbed.errors import InvalidValueError
-from testbed.validation import check_positive, frozen_array, is_number
+from testbed.validation import check_positive, freeze, frozen_array, is_number
 
 GRAVITY = 9.81
-"""Magnitude of gravity, m/s^2."""
+"""Magnitude of gravity [m/s^2]."""
 
 
 @dataclass(frozen=True, eq=False)
 class Grasp:
-    """One way for a parallel gripper to take the object: pads on two opposite faces."""
+    """Grasp of a parallel gripper: pads on two opposite faces."""
 
     name: str
-    """What the user calls it: the block it holds."""
+    """Name, such as that of the block it holds."""
     position: Float[np.ndarray, "2"]
-    """Midpoint between the pads, m, object frame; the TCP is put here."""
+    """Midpoint between the pads [m], object frame: the place of the TCP."""
     angle: float
-    """Direction along which the pads close, rad, object frame."""
+    """Direction along which the pads close [rad], object frame."""
     width: float
-    """Distance between the two gripped faces, m."""
+    """Distance between the two gripped faces [m]."""
     length: float
-    """Length of the gripped faces, m."""
+    """Length of the gripped faces [m]."""
     bottom: float = 0.0
-    """Lower edge of the gripped faces over the table, m."""
+    """Lower edge of the gripped faces over the table [m]."""
     top: float | None = None
-    """Their upper edge, m; None is the object's height."""
+    """Upper edge of the gripped faces over the table [m]; None is the object's height."""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "position", frozen_array("Grasp.position", self.position, (2,)))
+        freeze(self, position=(2,))
         if not is_number(self.angle):
             raise InvalidValueError("Grasp.angle", self.angle, "a finite number, rad")
         for name in ("width", "length"):
@@ -50,22 +50,22 @@ class Grasp:
 
 @dataclass(frozen=True, eq=False)
 class ObjectShape:
-    """All that an estimator is told about an object: geometry and grouping, never mass or friction."""
+    """Known part of an object: geometry and grouping, never mass or friction."""
 
     particles: Float[np.ndarray, "P 2"]
-    """Centres of the square cells that the object is made of, m, object frame."""
+    """Centers of the square cells of the object [m], object frame."""
     mass_group: Int[np.ndarray, "P"]
     """Index of each particle's mass group, 0 to n_m - 1 (G_m of the paper)."""
     friction_group: Int[np.ndarray, "P"]
     """Index of each particle's friction group, 0 to n_mu - 1 (G_mu); -1 where it does not touch the table."""
     cell: float
-    """Side of a particle's cell, m."""
+    """Side of a particle's cell [m]."""
     height: float
-    """Height of the object, m."""
+    """Height of the object [m]."""
     grasps: tuple[Grasp, ...] = ()
-    """Where a parallel gripper can take it."""
+    """Grasps of a parallel gripper."""
     group_names: tuple[str, ...] = ()
-    """What the user calls each mass group; "m0", "m1", ... if left out."""
+    """Names of the mass groups; "m0", "m1", ... if left out."""
     fill: Float[np.ndarray, "P"] = field(default_factory=lambda: np.ones(0))
     """Material in each cell over the mean of its group's: 1 of a block's cells, and everywhere if left out."""
 
@@ -122,7 +122,7 @@ class MassDistribution:
     """Mass and friction of every group: the truth, or an answer."""
 
     mass: Float[np.ndarray, "n_m"]
-    """Mass of one particle of each mass group, kg: the mean, where cells hold more or less material."""
+    """Mean mass of one particle of each mass group [kg], shape (n_m,)."""
     friction: Float[np.ndarray, "n_mu"]
     """Coulomb friction coefficient of each friction group."""
 
@@ -139,11 +139,11 @@ class Solid:
     """A body of even density within a closed surface of triangles, which face outwards."""
 
     vertices: Float[np.ndarray, "V 3"]
-    """m, object frame, z from the table."""
+    """Vertices [m], object frame, z from the table."""
     faces: Int[np.ndarray, "F 3"]
-    """Indices into the vertices, anticlockwise from outside."""
+    """Triangles: indices into the vertices, anticlockwise from outside."""
     mass: float
-    """kg."""
+    """Mass [kg]."""
 
     def __post_init__(self) -> None:
         vertices = frozen_array("Solid.vertices", self.vertices, (None, 3))
@@ -161,18 +161,18 @@ class Solid:
 
     @property
     def volume(self) -> float:
-        """m^3."""
+        """Volume [m^3]."""
         return float(self._tetrahedra[1].sum())
 
     @property
     def center_of_mass(self) -> Float[np.ndarray, "3"]:
-        """m, object frame, (3,)."""
+        """Center of mass [m], object frame, shape (3,)."""
         corners, volume = self._tetrahedra
         return volume @ corners.sum(axis=1) / 4 / self.volume
 
     @property
     def inertia_z(self) -> float:
-        """About the vertical axis through its centre of mass, kg m^2."""
+        """Inertia about the vertical axis through its center of mass [kg m^2]."""
         corners, volume = self._tetrahedra
         planar = corners[:, :, :2]
         squares = ((planar**2).sum(axis=1) + planar.sum(axis=1) ** 2).sum(axis=1) / 20
@@ -190,11 +190,11 @@ class ObjectModel:
     """A shape together with its true mass distribution: what a simulation needs and an estimator never sees."""
 
     name: str
-    """What it is called in files and tables."""
+    """Name in files and tables."""
     shape: ObjectShape
-    """What an estimator is told."""
+    """Part known to an estimator."""
     truth: MassDistribution = field(repr=False)
-    """What an estimator is asked for."""
+    """Unknown part: masses and frictions."""
     solids: tuple[Solid, ...] = field(default=(), repr=False)
     """The body of each mass group, where it is known better than by its particles, as for a mesh; else empty."""
 
@@ -217,17 +217,17 @@ class ObjectModel:
 
     @property
     def particle_mass(self) -> Float[np.ndarray, "P"]:
-        """Mass of each particle, kg, (P,)."""
+        """Mass of each particle [kg], shape (P,)."""
         return self.truth.mass[self.shape.mass_group] * self.shape.fill
 
     @property
     def total_mass(self) -> float:
-        """M of Eq. mass, kg."""
+        """Total mass M of Eq. mass [kg]."""
         return float(sum(solid.mass for solid in self.solids) if self.solids else self.particle_mass.sum())
 
     @property
     def center_of_mass(self) -> Float[np.ndarray, "2"]:
-        """c of Eq. com, m, object frame, (2,); of the solids where there are any."""
+        """Center of mass c of Eq. com [m], object frame, shape (2,); that of the solids, if any."""
         if self.solids:
             return np.sum([s.mass * s.center_of_mass[:2] for s in self.solids], axis=0) / self.total_mass
         return self.particle_mass @ self.shape.particles / self.total_mass
@@ -246,7 +246,7 @@ class ObjectModel:
 
     @property
     def group_mass(self) -> Float[np.ndarray, "n_m"]:
-        """Mass of each whole mass group (a block), kg, (n_m,)."""
+        """Mass of each mass group [kg], shape (n_m,)."""
         return self.truth.mass * self.shape.particles_per_group
 
 

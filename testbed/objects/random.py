@@ -37,12 +37,12 @@ class Family(BaseModel):
         return self
 
     def names(self) -> list[str]:
-        """Of all its objects."""
+        """Names of all its objects."""
         digits = len(str(self.count - 1))
         return [f"{self.name}_{index:0{digits}d}" for index in range(self.count)]
 
     def draw(self, index: int, attempt: int) -> ObjectFile:
-        """One object; another `attempt` is another object, for where the last cannot be handled."""
+        """Object by its index; another `attempt` is another object, if the last one is not feasible."""
         rng = np.random.default_rng([self.seed, index, attempt])
         cells = _grown(int(rng.integers(self.blocks[0], self.blocks[1] + 1)), rng)
         rows = max(cell.row for cell in cells) + 1

@@ -52,7 +52,7 @@ def tare_samples(trajectory: Trajectory) -> Int[np.ndarray, "N"]:
 
 
 def _tares(trajectory: Trajectory) -> list[Int[np.ndarray, "N"]]:
-    """Indices of the samples of every tare, its first third left out: the arm has only just come to rest."""
+    """Indices of the samples of every tare, without its first third: the arm has only just come to rest."""
     inside = np.flatnonzero(trajectory.phase == Phase.TARE)
     stretches = np.split(inside, np.flatnonzero(np.diff(inside) > 1) + 1) if len(inside) else []
     return [stretch[len(stretch) // 3 :] for stretch in stretches]

@@ -1,8 +1,8 @@
-"""How far a sensor's zero moved while a trial ran, and when that makes the trial no data.
+"""Drift of a sensor's zero during a trial, and the limit beyond which the trial is no data.
 
-A trial on a real bench begins and ends with a tare in the same place. The wrench is counted from the first one; what
-the second one shows beside it is what the record may be wrong by at its end. Estimators weigh a record by how fast its
-zero is taken to walk: as the bench assumes of its sensor, or faster where the two tares show it.
+A trial on the robot begins and ends with a tare in the same place. The wrench is counted from the first one; the
+second one shows the error of the record at its end. Estimators weigh a record by the random walk of its zero: the walk
+assumed for the sensor, or a faster one where the two tares show it.
 """
 
 from __future__ import annotations
@@ -14,23 +14,23 @@ from jaxtyping import Float
 
 from testbed.sensing.compensation import tare_biases, tare_samples
 from testbed.trajectory import Phase, Trajectory
-from testbed.validation import check_positive, frozen_array
+from testbed.validation import check_positive, freeze
 
 _AXES = ("fx_N", "fy_N", "fz_N", "tx_Nm", "ty_Nm", "tz_Nm")
 
 
 @dataclass(frozen=True)
 class DriftLimit:
-    """Drift beyond which a trial is no data.
+    """Greatest drift of a trial that is data.
 
     The default is the bias that cost 28 % NAD on a block object turned one way, and 3 % there and back; a tare of 0.5 s
     with an FT-300S sees it at some four times its own scatter.
     """
 
     force: float = 0.2
-    """N."""
+    """Force [N]."""
     torque: float = 0.01
-    """N m."""
+    """Torque [N m]."""
 
     def __post_init__(self) -> None:
         check_positive("DriftLimit.force", self.force)
@@ -42,34 +42,33 @@ class Drift:
     """The sensor's zero before and after a trial."""
 
     before: Float[np.ndarray, "6"]
-    """Bias at the first tare, N, N m, sensor axes."""
+    """Bias at the first tare [N, N m], sensor axes."""
     after: Float[np.ndarray, "6"]
-    """Bias at the last tare."""
+    """Bias at the last tare [N, N m], sensor axes."""
     seconds: float
-    """From the one to the other, s."""
+    """Time from the first tare to the last [s]."""
 
     def __post_init__(self) -> None:
-        for name in ("before", "after"):
-            object.__setattr__(self, name, frozen_array(f"Drift.{name}", getattr(self, name), (6,)))
+        freeze(self, before=(6,), after=(6,))
         check_positive("Drift.seconds", self.seconds)
 
     @property
     def force(self) -> float:
-        """Length of the change of force, N."""
+        """Length of the change of force [N]."""
         return float(np.linalg.norm(self.after[:3] - self.before[:3]))
 
     @property
     def torque(self) -> float:
-        """Length of the change of torque, N m."""
+        """Length of the change of torque [N m]."""
         return float(np.linalg.norm(self.after[3:] - self.before[3:]))
 
     @property
     def walk(self) -> Float[np.ndarray, "6"]:
-        """The random walk that a change of this size is typical of, N and N m per square root of a second, an axis."""
+        """Random walk with a typical change of this size [N/sqrt(s), N m/sqrt(s)], for each axis."""
         return np.repeat([self.force, self.torque], 3) / np.sqrt(3 * self.seconds)
 
     def exceeds(self, limit: DriftLimit) -> str:
-        """Why the trial is no data, in a sentence; empty where it is."""
+        """Reason why the trial is no data, in a sentence; empty within the limit."""
         if self.force <= limit.force and self.torque <= limit.torque:
             return ""
         return (
@@ -79,7 +78,7 @@ class Drift:
 
 
 def drift_of(trajectory: Trajectory) -> Drift | None:
-    """The drift of a trial, or None where it has not two tares, or no tool."""
+    """Drift of a trial; None without two tares or a tool."""
     biases = tare_biases(trajectory)
     if len(biases) < 2:
         return None
@@ -88,7 +87,7 @@ def drift_of(trajectory: Trajectory) -> Drift | None:
 
 
 def judge_drift(trajectory: Trajectory, limit: DriftLimit) -> Trajectory:
-    """The trial with its biases and drift among its figures; a fault, and so no data, where it drifted too far.
+    """Trial with its biases and drift among its figures; a fault, and so no data, if it drifted too far.
 
     A trial that has failed for another reason keeps that reason. `sensor_drift_std` is at least what the bench assumes
     of its sensor, and more where the tares show more: two tares meet by chance too. `provenance["drift"]` says which.

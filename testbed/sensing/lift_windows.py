@@ -1,4 +1,4 @@
-"""A lift's stretches reduced to one wrench each, in axes that tilt with the object, with the motion that took it."""
+"""Lift windows: the stretches of a lift, each reduced to one wrench and its motion in the object's axes."""
 
 from __future__ import annotations
 
@@ -9,60 +9,52 @@ from jaxtyping import Float
 
 from testbed.actions.lift import Lift
 from testbed.errors import InvalidValueError
-from testbed.frames import move_wrench, rotate_wrench, rotation_matrix
+from testbed.frames import move_wrench, rotate_wrench, rotation_2d, rotation_matrix
 from testbed.objects.model import GRAVITY
 from testbed.sensing.compensation import tare_samples, twist_rates
 from testbed.sensing.windows import mean_covariance, steady_samples
 from testbed.trajectory import Phase, Trajectory
-from testbed.validation import frozen_array
+from testbed.validation import freeze
 
 
 @dataclass(frozen=True, eq=False)
 class LiftWindow:
-    """One stretch held still, or rocked at constant acceleration. Object axes; moments about the TCP.
+    """Stretch at rest, or rocked at constant acceleration. Object axes; moments about the TCP.
 
-    What the gripper must do to a body is linear in the three numbers of its motion, so their means go with its mean.
+    The wrench on a body is linear in `pull`, `angular_acceleration` and `spin_products`, so means go with means.
     """
 
     grasp: int
-    """Index of the grasp that was held."""
+    """Index of the grasp."""
     wrench: Float[np.ndarray, "6"]
-    """Mean of what the gripper does to the object, N and N m."""
+    """Mean wrench of the gripper on the object [N, N m]."""
     covariance: Float[np.ndarray, "6 6"]
-    """Of that mean, from the window's own noise."""
+    """Covariance of that mean, from the window's own noise."""
     pull: Float[np.ndarray, "3"]
-    """Mean acceleration of the TCP less gravity, m/s^2."""
+    """Mean acceleration of the TCP less gravity [m/s^2]."""
     angular_acceleration: Float[np.ndarray, "3"]
-    """Mean, rad/s^2."""
+    """Mean angular acceleration [rad/s^2]."""
     spin_products: Float[np.ndarray, "3 3"]
-    """Mean of the products of the angular velocity's components, rad^2/s^2."""
+    """Mean products of the components of the angular velocity [rad^2/s^2]."""
     tcp_height: float
-    """Of the TCP over the object's bottom, m."""
+    """Height of the TCP over the object's bottom [m]."""
     bias_covariance: Float[np.ndarray, "6 6"]
-    """Of a constant error common to all windows of one trial, as `wrench` is: bias and the tare's own."""
+    """Covariance of the constant error of a trial, as `wrench`: bias, and the tare's own noise."""
     drift_covariance: Float[np.ndarray, "6 6"]
-    """What the walk of the sensor's zero adds a second, as `wrench` is."""
+    """Covariance that the random walk of the zero adds per second, as `wrench`."""
     since_tare: Float[np.ndarray, "2"]
-    """Time from the tare to the window's first and last sample, s."""
+    """Time from the tare to the window's first and last sample [s]."""
 
     def __post_init__(self) -> None:
-        for name, shape in (
-            ("wrench", (6,)),
-            ("covariance", (6, 6)),
-            ("pull", (3,)),
-            ("angular_acceleration", (3,)),
-            ("spin_products", (3, 3)),
-            ("bias_covariance", (6, 6)),
-            ("drift_covariance", (6, 6)),
-            ("since_tare", (2,)),
-        ):
-            object.__setattr__(self, name, frozen_array(f"LiftWindow.{name}", getattr(self, name), shape))
+        square = (6, 6)
+        freeze(self, wrench=(6,), covariance=square, pull=(3,), angular_acceleration=(3,), spin_products=(3, 3))
+        freeze(self, bias_covariance=square, drift_covariance=square, since_tare=(2,))
 
 
 def lift_windows(trajectory: Trajectory) -> list[LiftWindow]:
-    """Reduce every stretch of a lift.
+    """Windows of every stretch of a lift.
 
-    The object lies flat while the grip settles: that is what tells its orientation from the hand's later on.
+    The object lies flat while the grip settles: its orientation later on follows from the hand's.
 
     Raises:
         InvalidValueError: not a lift, not `ok`, without its settling, or with a stretch too short to trim.
@@ -106,7 +98,7 @@ def lift_windows(trajectory: Trajectory) -> list[LiftWindow]:
 
 
 def poses_in_space(trajectory: Trajectory) -> tuple[Float[np.ndarray, "T 3"], Float[np.ndarray, "T 3 3"]]:
-    """Where the hand has the object in a lift: its frame's origin on its bottom, m, and its axes; at rest before.
+    """Origin of the object frame, on its bottom [m], and its axes during a lift, by the hand's pose; at rest before.
 
     Raises:
         InvalidValueError: a record without its settling.
@@ -126,7 +118,9 @@ def _held_axes(trajectory: Trajectory) -> tuple[int, Float[np.ndarray, "3 3"], F
     if len(held) == 0:
         raise InvalidValueError("trajectory", "no settling of the grip", "the record of a whole lift")
     flat, sensor = int(held[-1]), rotation_matrix(trajectory.sensor_orientation)
-    mount = sensor[flat].T @ _about_z(float(trajectory.object_pose[flat, 2]))
+    lies = np.eye(3)
+    lies[:2, :2] = rotation_2d(float(trajectory.object_pose[flat, 2]))
+    mount = sensor[flat].T @ lies
     return flat, mount, sensor @ mount
 
 
@@ -136,9 +130,3 @@ def _noise_of_mean(time: Float[np.ndarray, "T"], samples: Float[np.ndarray, "T 6
     curve = np.polynomial.polynomial.polyfit(since, samples, 2)
     left = samples - np.polynomial.polynomial.polyval(since, curve).T
     return mean_covariance(left) * len(time) / (len(time) - 3)
-
-
-def _about_z(yaw: float) -> Float[np.ndarray, "3 3"]:
-    turn = np.eye(3)
-    turn[:2, :2] = [[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]]
-    return turn

@@ -1,4 +1,4 @@
-"""Steady windows reduced to one wrench each, in the object frame, with its covariance.
+"""Steady windows: each reduced to one wrench in the object frame, with its covariance.
 
 At constant speed the wrench is constant in the object frame in a turn (and in a slide, where that frame does not turn),
 so a whole window says as much as its mean; records are autocorrelated, so the mean's covariance uses the effective
@@ -25,66 +25,55 @@ from testbed.frames import (
 from testbed.objects.model import GRAVITY
 from testbed.sensing.compensation import tare_samples
 from testbed.trajectory import Phase, Trajectory
-from testbed.validation import frozen_array
+from testbed.validation import freeze
 
 TRIM_START = 1.0
-"""Left out at the start of a constant-speed window, s: the arm's outer loop is still settling."""
+"""Time left out at the start of a constant-speed window [s]: the arm's outer loop is still settling."""
 TRIM_STEP = 0.2
-"""Left out after each step of acceleration, s."""
+"""Time left out after each step of acceleration [s]."""
 TRIM_END = 0.05
-"""Left out at the end of a window, s."""
+"""Time left out at the end of a window [s]."""
 BATCH = 0.2
-"""Stretch whose mean is one sample of the noise, s: longer than it remembers, shorter than the load wanders."""
+"""Time whose mean is one sample of the noise [s]: above its correlation time, below that of the load."""
 PARTS = 10
-"""Of a window whose motion is told apart; each needs a sample."""
+"""Parts of a window with their own mean motion; each needs a sample."""
 LEAST_BATCHES = 8
 """A window of fewer is judged by its whole scatter."""
 
 
 @dataclass(frozen=True, eq=False)
 class SteadyWindow:
-    """One stretch of constant speed, or of constant acceleration."""
+    """Stretch of constant speed, or of constant acceleration."""
 
     grasp: int
-    """Index of the grasp that was held."""
+    """Index of the grasp."""
     wrench: Float[np.ndarray, "6"]
-    """Mean of what the gripper does to the object, about the TCP, in axes that turn with the object (z up). N, N m."""
+    """Mean wrench of the gripper on the object [N, N m], about the TCP, in axes that turn with the object (z up)."""
     covariance: Float[np.ndarray, "6 6"]
-    """Of that mean, from the window's own noise. Slow wander is not in it: the load's is real and felt, the sensor's is
-    drift."""
+    """Covariance of that mean, from the window's own noise, without slow changes of load and sensor."""
     twist: Float[np.ndarray, "3"]
-    """Mean velocity of the grasp point, object axes, m/s, and turn rate, rad/s."""
+    """Mean velocity of the grasp point and turn rate [m/s, rad/s], object axes."""
     twists: Float[np.ndarray, "S 3"]
-    """The same over each of `PARTS` equal parts of the window: an arm that gives way under the drag moves the centre of
-    a turn by millimetres."""
+    """`twist` over each of `PARTS` equal parts: an arm that yields to the drag moves the center of a turn."""
     acceleration: Float[np.ndarray, "3"]
-    """Mean acceleration of the grasp point, object axes, m/s^2, and angular acceleration, rad/s^2."""
+    """Mean acceleration of the grasp point and angular acceleration [m/s^2, rad/s^2], object axes."""
     spin_square: float
-    """Mean square of the turn rate, rad^2/s^2; more than the square of its mean where the turn accelerates."""
+    """Mean square of the turn rate [rad^2/s^2]: above the square of its mean if the turn accelerates."""
     tcp_height: float
-    """Mean height of the TCP over the table, m."""
+    """Mean height of the TCP over the table [m]."""
     yaw: Float[np.ndarray, "2"]
-    """Yaw of the object at the window's first and last sample, rad."""
+    """Yaw of the object at the window's first and last sample [rad]."""
     bias_covariance: Float[np.ndarray, "6 6"]
-    """Of a constant error common to all windows of one trial, about the TCP as `wrench` is: bias and the tare's own."""
+    """Covariance of the constant error of a trial, as `wrench`: bias, and the tare's own noise."""
     drift_covariance: Float[np.ndarray, "6 6"]
-    """What the walk of the sensor's zero adds a second, about the TCP as `wrench` is."""
+    """Covariance that the random walk of the zero adds per second, as `wrench`."""
     since_tare: Float[np.ndarray, "2"]
-    """Time from the tare to the window's first and last sample, s."""
+    """Time from the tare to the window's first and last sample [s]."""
 
     def __post_init__(self) -> None:
-        for name, shape in (
-            ("wrench", (6,)),
-            ("covariance", (6, 6)),
-            ("twist", (3,)),
-            ("twists", (PARTS, 3)),
-            ("acceleration", (3,)),
-            ("bias_covariance", (6, 6)),
-            ("drift_covariance", (6, 6)),
-            ("since_tare", (2,)),
-            ("yaw", (2,)),
-        ):
-            object.__setattr__(self, name, frozen_array(f"SteadyWindow.{name}", getattr(self, name), shape))
+        square, pair = (6, 6), (2,)
+        freeze(self, wrench=(6,), covariance=square, twist=(3,), twists=(PARTS, 3), acceleration=(3,))
+        freeze(self, bias_covariance=square, drift_covariance=square, since_tare=pair, yaw=pair)
 
 
 _REDUCED: WeakKeyDictionary[Trajectory, list[SteadyWindow]] = WeakKeyDictionary()
@@ -92,7 +81,7 @@ _REDUCED: WeakKeyDictionary[Trajectory, list[SteadyWindow]] = WeakKeyDictionary(
 
 
 def steady_windows(trajectory: Trajectory) -> list[SteadyWindow]:
-    """Reduce every steady stretch of a trajectory.
+    """Windows of every steady stretch of a trajectory.
 
     Raises:
         InvalidValueError: the trajectory is not `ok`, is a weighing, or has a stretch too short to trim.
@@ -113,7 +102,6 @@ def steady_windows(trajectory: Trajectory) -> list[SteadyWindow]:
 
 
 def _reduced(trajectory: Trajectory, grasp: int) -> list[SteadyWindow]:
-    """Of every steady stretch."""
     into_object = rotation_2d(-trajectory.object_pose[:, 2])
     in_object = wrench_in_object(trajectory)
     linear = np.einsum("nij,nj->ni", into_object, trajectory.tcp_velocity[:, :2])
@@ -176,12 +164,12 @@ def steady_samples(trajectory: Trajectory) -> list[Int[np.ndarray, "N"]]:
 
 
 def trim_start(action: Action, segment: int) -> float:
-    """What is left out at the start of a steady stretch of an action, s."""
+    """Time left out at the start of a steady stretch of an action [s]."""
     return TRIM_STEP if action.accelerates(segment) else TRIM_START
 
 
 def wrench_in_object(trajectory: Trajectory) -> Float[np.ndarray, "T 6"]:
-    """What the gripper does to the object, about the TCP, in axes that turn with the object (z up), N and N m."""
+    """Wrench of the gripper on the object [N, N m], about the TCP, in axes that turn with the object (z up)."""
     into_object = rotation_2d(-trajectory.object_pose[:, 2])
     force, torque = trajectory.wrench_on_object_world[:, :3], trajectory.wrench_on_object_world[:, 3:]
     planar = [np.einsum("nij,nj->ni", into_object, part[:, :2]) for part in (force, torque)]
@@ -189,9 +177,9 @@ def wrench_in_object(trajectory: Trajectory) -> Float[np.ndarray, "T 6"]:
 
 
 def sample_deviation(trajectory: Trajectory) -> Float[np.ndarray, "6"]:
-    """How far the sensor's errors take a single sample of `wrench_in_object` off, one standard deviation, N and N m.
+    """Standard deviation of a single sample of `wrench_in_object` from the sensor's errors [N, N m], shape (6,).
 
-    Its noise as it was seen while hovering, and the constant error that the tare may leave.
+    They are its noise, measured while hovering, and the constant error left by the tare.
     """
     hovering = trajectory.sensor_wrench[trajectory.mask(Phase.TARE)]
     noise = np.cov(hovering, rowvar=False) if len(hovering) > 1 else np.zeros((6, 6))

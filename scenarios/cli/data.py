@@ -64,7 +64,7 @@ def _summary(log: ImportedLog) -> str:
 
     trajectory, facts = log.trajectory, log.trajectory.provenance
     why = f": {trajectory.reason}" if trajectory.reason else ""
-    action = Recording(log.path, trajectory.action, log.object.name, None).said
+    action = Recording(log.path, trajectory.action, log.object.name, None).description
     return (
         f"{trajectory.status:8}{log.path}: {action}: trial {log.key[:8]}{why}\n"
         f"        {trajectory.time_s[-1]:.1f} s; phases {facts['phases']}; velocity {facts['velocity']}; "

@@ -234,9 +234,9 @@ class ObjectModel:
 
     @property
     def inertia_cm(self) -> float:
-        """I_cm of Eq. inertia, kg m^2, with each cell's own inertia m cell^2 / 6 added: cells are solid, not points.
+        """Inertia I_cm of Eq. inertia [kg m^2], with the inertia m cell^2 / 6 of each solid cell added.
 
-        Of the solids where there are any.
+        With solids, it is theirs.
         """
         if self.solids:
             center = self.center_of_mass

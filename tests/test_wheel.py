@@ -22,8 +22,8 @@ main(["show", "F2"])
 main(["show", "hammer"])
 from estimators.testing.recorded import load_block
 assert load_block("L2-rigid").clean
-for room in (testbed, estimators, scenarios, viz):
-    assert (pathlib.Path(room.__file__).parent / "py.typed").is_file(), room
+for package in (testbed, estimators, scenarios, viz):
+    assert (pathlib.Path(package.__file__).parent / "py.typed").is_file(), package
 """
 
 

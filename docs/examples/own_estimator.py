@@ -1,21 +1,19 @@
-"""An estimator of one's own in one fit of force and torque, asked about a recorded block without a simulator."""
+"""An estimator of your own in one fit of force and torque, on a recorded block without a simulator."""
 
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.optimize import nnls
 
-from estimators.base import Estimate
-from estimators.evaluation.metrics import normalized_absolute_difference
+from estimators import Estimate, normalized_absolute_difference, observe
 from estimators.particles.model import ParticleModel
-from estimators.particles.windows import observe
 from estimators.testing.recorded import load_block
-from testbed.objects.model import GRAVITY, MassDistribution
+from testbed import GRAVITY, MassDistribution
 
 
 @dataclass(frozen=True)
 class DragFit:
-    """Shares M out as the drag of the turns says; `arm` weighs torques against forces, m."""
+    """M shared out by the drag of the turns; `arm` [m] weighs torques against forces."""
 
     arm: float = 0.05
 

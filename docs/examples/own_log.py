@@ -1,6 +1,6 @@
-"""A log of one's own: CSV files as another bench writes them, imported and asked about.
+"""Your own logs: CSV files in your own units, imported and estimated.
 
-The files stand in for yours: they are written from a recorded block, with an FT-300S's errors, in a lab's own units.
+The files stand in for yours: they come from a recorded block, with an FT-300S's errors.
 """
 
 from pathlib import Path
@@ -9,7 +9,7 @@ import numpy as np
 
 from estimators.testing.recorded import load_block
 from scenarios.cli.main import main
-from testbed.actions.rotate import Rotate
+from testbed import Rotate
 
 COLUMNS = "ms,fx,fy,fz,tx,ty,tz,x_mm,y_mm,z_mm,qw,qx,qy,qz"
 MAPPING = """

@@ -1,15 +1,11 @@
-"""An object from one's own meshes: a paddle of two parts, its object file, one turn on the bench, and an estimate."""
+"""An object from your own meshes: a paddle of two parts, its object file, one simulated turn, and an estimate."""
 
 from pathlib import Path
 
 import trimesh
 
-from estimators.evaluation.metrics import normalized_absolute_difference
-from estimators.hidden_states.estimator import HiddenStates
-from testbed.actions.rotate import Rotate
-from testbed.objects.files import load_object
-from testbed.simulation.runner import SimulationRunner
-from testbed.trial import Trial
+from estimators import HiddenStates, normalized_absolute_difference
+from testbed import Rotate, SimulationRunner, Trial, load_object
 
 PADDLE = """
 name = "paddle"
@@ -36,7 +32,7 @@ closing_deg = 90
 
 
 def write_paddle(folder: Path) -> Path:
-    """Its meshes, watertight, in metres and standing on z = 0, and beside them its object file, whose path it is."""
+    """Write watertight meshes in metres, standing on z = 0, and beside them the object file; returns its path."""
     blade = trimesh.creation.cylinder(radius=0.06, height=0.03, sections=64)
     handle = trimesh.creation.box((0.14, 0.04, 0.03))
     for name, mesh, x in (("blade", blade, 0.0), ("handle", handle, 0.13)):
@@ -50,8 +46,8 @@ def write_paddle(folder: Path) -> Path:
 if __name__ == "__main__":
     paddle = load_object(write_paddle(Path()))
     trial = Trial(paddle, Rotate(grasp=0, duration=6.0, back=True), sensing="ft300s", seed=1)
-    with SimulationRunner() as bench:
-        trajectory = bench.run(trial)
+    with SimulationRunner() as simulation:
+        trajectory = simulation.run(trial)
     answer = HiddenStates().estimate(paddle.shape, paddle.total_mass, [trajectory], seed=0)
     print(len(paddle.shape.particles), "particles; status", answer.status, answer.message)
     masses = answer.distribution.mass * paddle.shape.particles_per_group

@@ -2,7 +2,7 @@
 
 import sys
 
-from scenarios.results.estimates import load_results
+from scenarios import load_results
 
 results = load_results(sys.argv[1])
 answered = results[results["status"] == "ok"]

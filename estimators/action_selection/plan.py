@@ -78,6 +78,7 @@ class PlanStep:
     """One action of a plan."""
 
     action: Action
+    """Action to make."""
     seconds: float
     """Robot time, travel included [s]."""
     belief: Belief
@@ -93,6 +94,7 @@ class Plan:
     before: Belief
     """Belief after the weighing alone."""
     steps: tuple[PlanStep, ...]
+    """Actions in order."""
     why: str
     """Reason why it ends."""
     rejected: tuple[tuple[Action, str], ...] = ()

@@ -13,7 +13,6 @@ from testbed.actions.rotate import Rotate
 from testbed.errors import InfeasibleTrialError, InvalidValueError
 from testbed.objects.model import ObjectModel, ObjectShape
 from testbed.plugins import RUNNER, configured, find_class, source_hash
-from testbed.simulation.runner import SimulationRunner
 from testbed.simulation.settings import SimulationSettings
 from testbed.trajectory import Trajectory
 from testbed.trial import RIGID, Trial, TrialRunner
@@ -81,8 +80,12 @@ RunnerSettings = SimulationSettings | NamedRunner
 
 def check_trial(trial: Trial, settings: RunnerSettings) -> None:
     """Raise InfeasibleTrialError where a runner says beforehand that it cannot do a trial."""
-    runner = settings if isinstance(settings, NamedRunner) else SimulationRunner(settings)
-    runner.check(trial)
+    if isinstance(settings, NamedRunner):
+        settings.check(trial)
+    else:
+        from testbed.simulation.runner import SimulationRunner  # noqa: PLC0415  without MuJoCo until it is needed
+
+        SimulationRunner(settings).check(trial)
 
 
 def feasible_grasps(model: ObjectModel, settings: RunnerSettings) -> tuple[int, ...]:

@@ -69,7 +69,7 @@ def import_logs(
         store.remove_leftovers()
         imported = []
         for path, trajectory in zip(paths, trajectories, strict=True):
-            key = _put(store, model, support, trajectory, path, content.of(path, mapping.parent))
+            key = _put(store, model, support, trajectory, path, content.for_log(path, mapping.parent))
             imported.append(ImportedLog(path, model, trajectory, key))
         if weight is not None:
             _put_weight(store, model, support, weight)

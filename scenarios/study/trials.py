@@ -13,7 +13,6 @@ from scenarios.study.experiment import Experiment, Progress, ResultCallback
 from testbed.actions.base import Action
 from testbed.actions.weigh import Weigh
 from testbed.errors import HeftError, InfeasibleTrialError
-from testbed.simulation.runner import SimulationRunner
 from testbed.trajectory import TrajectoryFileError
 from testbed.trial import Trial
 
@@ -175,6 +174,8 @@ def simulate(trial: Trial, settings: RunnerSettings, store: Store) -> None:
     key = key_of(asked)
     if store.has_trial(key):
         return
+    from testbed.simulation.runner import SimulationRunner  # noqa: PLC0415  without MuJoCo until it is needed
+
     feet = None
     if isinstance(settings, NamedRunner):
         trajectory = settings.run(trial)

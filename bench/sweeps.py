@@ -38,7 +38,7 @@ from testbed.simulation.runner import SimulationRunner
 from testbed.simulation.settings import SimulationSettings
 from testbed.trajectory import Trajectory
 from testbed.trial import Trial
-from tests.helpers.sweep_kills import VICTIMS, done_in, draw_killing, kill_a_run, quiet, resumed, small_scenario
+from tests.helpers.runs import VICTIMS, done_in, draw_killing, kill_a_run, quiet, resumed, small_scenario
 
 METHODS = {f"search_{i}": {"method": "random_search", "iterations": i} for i in range(1, 11)}
 

@@ -141,7 +141,7 @@ def load_estimate(folder: str | Path, key: str) -> Estimate:
         _value(HiddenStateEstimate, "hidden", arrays),
         tuple(traces),
         row.get("seconds") or 0.0,
-        {name.removeprefix("diagnostics."): float(v) for name, v in arrays.items() if name.startswith("diagnostics.")},
+        {name.removeprefix("diagnostics/"): float(v) for name, v in arrays.items() if name.startswith("diagnostics/")},
     )
 
 

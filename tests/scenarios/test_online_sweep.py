@@ -20,7 +20,7 @@ from scenarios.study.experiment import experiments_of
 from testbed.actions.base import Action
 from testbed.objects.model import ObjectShape
 from testbed.trajectory import Trajectory
-from tests.helpers.sweep_kills import Killing, kill_a_run, quiet, resumed, small_scenario
+from tests.helpers.runs import Killing, kill_a_run, quiet, resumed, small_scenario
 
 ONLINE = """
 held_out = 1

@@ -1,10 +1,12 @@
-"""Whatever happens to a run, the same command goes on from it, and ends with the results of an undisturbed run."""
+"""Runs of a scenario: whatever happens to one, the same command goes on to the results of an undisturbed run."""
 
 from __future__ import annotations
 
 import os
+import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -13,17 +15,13 @@ import pytest
 
 from estimators.registry import METHODS
 from scenarios.cli.main import main
+from scenarios.config import Scenario, load_scenario
 from scenarios.results.store import LOCK, FolderInUseError, exclusive
+from scenarios.study import trials
+from scenarios.study.run import run_scenario
+from testbed.errors import InfeasibleTrialError, InvalidValueError
 from tests.fakes.misbehaving import Misbehaving
-from tests.helpers.sweep_kills import (
-    VICTIMS,
-    assert_whole,
-    done_in,
-    draw_killing,
-    kill_a_run,
-    resumed,
-    small_scenario,
-)
+from tests.helpers.runs import VICTIMS, assert_whole, done_in, draw_killing, kill_a_run, quiet, resumed, small_scenario
 
 FAULTY = """
 import functools, sys
@@ -48,20 +46,17 @@ def scenario(tmp_path_factory) -> Path:
 
 @pytest.fixture(scope="module")
 def undisturbed(scenario, tmp_path_factory) -> tuple[pd.DataFrame, Path]:
-    """The results and the folder of a run that nothing happened to."""
+    """Results and folder of a run that nothing happened to."""
     out = tmp_path_factory.mktemp("undisturbed") / "out"
     return resumed(scenario, out), out
 
 
 @pytest.fixture(scope="module")
-def longer_scenario(tmp_path_factory) -> Path:
-    return small_scenario(tmp_path_factory.mktemp("longer"))
-
-
-@pytest.fixture(scope="module")
-def longer_undisturbed(longer_scenario, tmp_path_factory) -> tuple[pd.DataFrame, Path]:
-    out = tmp_path_factory.mktemp("longer_undisturbed") / "out"
-    return resumed(longer_scenario, out), out
+def longer(tmp_path_factory) -> tuple[Path, pd.DataFrame, Path]:
+    """A scenario of two supports, its results and its folder."""
+    folder = tmp_path_factory.mktemp("longer")
+    path = small_scenario(folder)
+    return path, resumed(path, folder / "out"), folder / "out"
 
 
 @pytest.fixture
@@ -72,29 +67,42 @@ def copied(undisturbed, tmp_path) -> Path:
     return out
 
 
+def test_a_run_answers(undisturbed):
+    rows = undisturbed[0]
+    assert len(rows) == 3 and set(rows["status"]) == {"ok"}
+    assert rows["nad"].tolist()[0] < 0.02
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize("victim", ["worker", "both"])
-def test_a_killed_run_goes_on(scenario, undisturbed, tmp_path, victim):
-    frame, _ = undisturbed
-    kill_a_run(scenario, tmp_path / "out", draw_killing(np.random.default_rng(7), victim, 4), workers=1)
+@pytest.mark.parametrize("victim", VICTIMS)  # `python bench/sweeps.py kills` draws twenty moments
+def test_a_killed_run_goes_on(longer, tmp_path, victim):
+    scenario, frame, out = longer
+    killing = draw_killing(np.random.default_rng(VICTIMS.index(victim)), victim, done_in(out))
+    kill_a_run(scenario, tmp_path / "out", killing)
     pd.testing.assert_frame_equal(resumed(scenario, tmp_path / "out"), frame)
     assert not list((tmp_path / "out").rglob("*.part"))
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", range(8))  # `python bench/sweeps.py kills` does twenty
-def test_a_run_killed_at_any_moment_goes_on(longer_scenario, longer_undisturbed, tmp_path, seed):
-    frame, out = longer_undisturbed
-    killing = draw_killing(np.random.default_rng(seed), VICTIMS[seed % 3], done_in(out))
-    kill_a_run(longer_scenario, tmp_path / "out", killing)
-    pd.testing.assert_frame_equal(resumed(longer_scenario, tmp_path / "out"), frame)
-    assert not list((tmp_path / "out").rglob("*.part"))
+def test_workers_change_nothing(longer, tmp_path):
+    pd.testing.assert_frame_equal(resumed(longer[0], tmp_path / "out", 3), longer[1])
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("workers", [1, 3])
-def test_executors_and_numbers_of_workers_change_nothing(longer_scenario, longer_undisturbed, tmp_path, workers):
-    pd.testing.assert_frame_equal(resumed(longer_scenario, tmp_path / "out", workers), longer_undisturbed[0])
+def test_ctrl_c_leaves_whole_files_and_the_next_run_goes_on(scenario, undisturbed, tmp_path):
+    out = tmp_path / "out"
+    command = [sys.executable, "-m", "scenarios", "run", str(scenario), "--out", str(out), "--workers", "2"]
+    process = subprocess.Popen(command, start_new_session=True, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
+    deadline = time.monotonic() + 60
+    while not list(out.glob("trials/*/trial.json")) and time.monotonic() < deadline:
+        time.sleep(0.05)
+    os.killpg(process.pid, signal.SIGINT)
+    _, stderr = process.communicate(timeout=60)
+    assert process.returncode == 130, stderr
+    assert b"goes on from here" in stderr and b"Traceback" not in stderr
+    assert_whole(out)
+    assert not list(out.rglob("*.part"))
+    pd.testing.assert_frame_equal(resumed(scenario, out), undisturbed[0])
 
 
 def test_a_finished_run_is_read_again_without_work(scenario, undisturbed, copied):
@@ -103,13 +111,13 @@ def test_a_finished_run_is_read_again_without_work(scenario, undisturbed, copied
     assert stamps == {path: path.stat().st_mtime_ns for path in stamps}
 
 
-@pytest.mark.parametrize("which", range(5))  # of a weighing, of what methods see, and of what is held out
-def test_any_record_cut_short_is_made_again(scenario, undisturbed, copied, which):
-    record = sorted(copied.glob("trials/*/trajectory.parquet"))[which]
-    record.write_bytes(record.read_bytes()[:5000])
+def test_records_cut_short_are_made_again(scenario, undisturbed, copied):
+    records = sorted(copied.glob("trials/*/trajectory.parquet"))
+    for record in records:
+        record.write_bytes(record.read_bytes()[:5000])
     (estimate := next(copied.glob("estimates/*/result.json"))).unlink()
     pd.testing.assert_frame_equal(resumed(scenario, copied), undisturbed[0])
-    assert len(record.read_bytes()) > 5000 and estimate.is_file()
+    assert estimate.is_file() and all(len(record.read_bytes()) > 5000 for record in records)
 
 
 def test_damage_and_leftovers_are_made_good_and_nothing_else_is_touched(scenario, undisturbed, copied):
@@ -235,8 +243,6 @@ def test_a_method_that_hangs_crashes_or_eats_memory_is_a_row_and_the_rest_goes_o
 
 
 def test_a_trial_that_fails_is_a_row_for_every_estimate_that_needs_it(tmp_path, monkeypatch):
-    from scenarios.study import trials  # noqa: PLC0415
-
     scenario, simulate = small_scenario(tmp_path, ("rigid",)), trials.simulate
 
     def broken(trial, settings, store):
@@ -257,9 +263,7 @@ def test_a_trial_that_fails_is_a_row_for_every_estimate_that_needs_it(tmp_path, 
 
 
 @pytest.mark.slow
-def test_one_machine_of_a_ray_cluster_is_killed_and_the_results_are_the_same(
-    longer_scenario, longer_undisturbed, tmp_path
-):
+def test_one_machine_of_a_ray_cluster_is_killed_and_the_results_are_the_same(longer, tmp_path):
     ray = pytest.importorskip("ray", reason="Ray is not installed: pip install 'heft[ray]'")
     cluster = pytest.importorskip("ray.cluster_utils").Cluster(
         initialize_head=True, head_node_args={"num_cpus": 1, "include_dashboard": False}
@@ -275,13 +279,53 @@ def test_one_machine_of_a_ray_cluster_is_killed_and_the_results_are_the_same(
                 killed.append(done)
                 cluster.remove_node(node, allow_graceful=False)
 
-        from scenarios.config import load_scenario  # noqa: PLC0415
-        from scenarios.study.run import run_scenario  # noqa: PLC0415
-
-        frame = run_scenario(load_scenario(str(longer_scenario))[1], out, 2, progress, "ray").drop(columns="seconds")
+        frame = run_scenario(load_scenario(str(longer[0]))[1], out, 2, progress, "ray").drop(columns="seconds")
         assert killed
-        pd.testing.assert_frame_equal(frame, longer_undisturbed[0])
+        pd.testing.assert_frame_equal(frame, longer[1])
         assert_whole(out)
     finally:
         ray.shutdown()
         cluster.shutdown()
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [(["small.toml", "--out", "/proc/nowhere", "--workers", "0"], "nowhere"), (["block"], "nearest: blocks")],
+)
+def test_a_wrong_argument_is_one_line(scenario, monkeypatch, capsys, words, message):
+    monkeypatch.chdir(scenario.parent)
+    with pytest.raises(SystemExit) as end:
+        main(["run", *words])
+    assert end.value.code == 2 and message in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("objects", "error", "message"),
+    [
+        (["heavy.toml"], InfeasibleTrialError, r"heavy: the bench cannot turn (.|\n)*A1: grip: "),
+        (["I1", "Q9"], InvalidValueError, "allowed: one of F1"),
+    ],
+)
+def test_an_unusable_object_is_refused_before_anything_is_written(tmp_path, monkeypatch, objects, error, message):
+    monkeypatch.chdir(tmp_path)
+    Path("heavy.toml").write_text('name = "heavy"\n[blocks]\nlayout = ["111"]\nmass_kg = 9.0\n')
+    with pytest.raises(error, match=message):
+        run_scenario(Scenario(objects=objects), tmp_path / "out", 0, quiet)
+    assert not (tmp_path / "out").exists()
+
+
+def test_one_method_runs_under_two_labels(tmp_path):
+    more = '[methods.bare]\nmethod = "random_search"\niterations = 20\n[methods.given]\nmethod = "random_search"\n'
+    path = small_scenario(tmp_path, ("own_weight",), more + "use_weight = true\niterations = 20\n")
+    rows = resumed(path, tmp_path / "out")
+    assert set(zip(rows["method"], rows["kind"], strict=True)) == {
+        ("bare", "random_search"),
+        ("given", "random_search"),
+    }
+    given = rows[rows["method"] == "given"].iloc[0]
+    assert sum(given["mass_kg"]) == pytest.approx(given["weight_kg"])
+    with np.load(tmp_path / "out" / "estimates" / given["key"] / "estimate.npz") as arrays:
+        assert arrays["random.mass"].shape == (20, 2)
+        assert (np.diff(arrays["random.loss"]) <= 0).all()
+    assert {"mpd_open_loop_m", "mpd_turn_m"} <= set(rows.columns)
+    assert max(rows["mpd_turn_of_truth_m"]) < 0.02

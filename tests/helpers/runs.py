@@ -112,7 +112,7 @@ def kill_a_run(scenario: Path, out: Path, killing: Killing, workers: int = 2) ->
     Raises:
         AssertionError: a worker outlives its driver, a driver does not survive its worker, or a file is half written.
     """
-    run = f"from tests.helpers.sweep_kills import *; resumed(Path({str(scenario)!r}), Path({str(out)!r}), {workers})"
+    run = f"from tests.helpers.runs import *; resumed(Path({str(scenario)!r}), Path({str(out)!r}), {workers})"
     command = [sys.executable, "-c", run]
     with open(out.with_suffix(".log"), "w", encoding="utf-8") as log:
         driver = subprocess.Popen(command, stdout=log, stderr=subprocess.STDOUT)

@@ -8,17 +8,17 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from testbed.robot.config import RobotFile, RobotSettings, load_robot_file
-    from testbed.robot.interfaces import Arm, ArmState, Clock, Gripper, ObjectPose, Pose, RobotError, WrenchSensor
-    from testbed.robot.path import KnownPose, RobotPlan, plan_trial
+    from testbed.robot.config import RobotSettings, load_robot_file
+    from testbed.robot.interfaces import Arm, Gripper, ObjectPose, RobotError, WrenchSensor
+    from testbed.robot.path import KnownPose
     from testbed.robot.registry import build_arm, build_gripper, build_sensor
     from testbed.robot.runner import RealRunner
     from testbed.robot.safety import SafetyLimits
 
 _MODULES = {
-    "config": ("RobotFile", "RobotSettings", "load_robot_file"),
-    "interfaces": ("Arm", "ArmState", "Clock", "Gripper", "ObjectPose", "Pose", "RobotError", "WrenchSensor"),
-    "path": ("KnownPose", "RobotPlan", "plan_trial"),
+    "config": ("RobotSettings", "load_robot_file"),
+    "interfaces": ("Arm", "Gripper", "ObjectPose", "RobotError", "WrenchSensor"),
+    "path": ("KnownPose",),
     "registry": ("build_arm", "build_gripper", "build_sensor"),
     "runner": ("RealRunner",),
     "safety": ("SafetyLimits",),
@@ -27,16 +27,11 @@ _MODULE_OF = {name: f"{__name__}.{module}" for module, names in _MODULES.items()
 
 __all__ = [
     "Arm",
-    "ArmState",
-    "Clock",
     "Gripper",
     "KnownPose",
     "ObjectPose",
-    "Pose",
     "RealRunner",
     "RobotError",
-    "RobotFile",
-    "RobotPlan",
     "RobotSettings",
     "SafetyLimits",
     "WrenchSensor",
@@ -44,7 +39,6 @@ __all__ = [
     "build_gripper",
     "build_sensor",
     "load_robot_file",
-    "plan_trial",
 ]
 
 

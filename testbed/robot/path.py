@@ -207,8 +207,7 @@ def weighing_grasp(shape: ObjectShape) -> Grasp:
 
 def gripped(trial: Trial) -> Grasp:
     """Grasp of a trial."""
-    shape, action = trial.object.shape, trial.action
-    return weighing_grasp(shape) if not action.moves else shape.grasps[action.grasp]
+    return trial.grasp if trial.action.moves else weighing_grasp(trial.object.shape)
 
 
 def plan_trial(trial: Trial, object_pose: Float[np.ndarray, "3"], settings: RobotSettings) -> RobotPlan:

@@ -50,6 +50,7 @@ class Line:
 
 def _lines(config: Path) -> Iterator[Line]:
     from testbed.robot.config import load_robot_file
+    from testbed.robot.kinova.link import missing_api
 
     file = load_robot_file(config)
     there = config.is_file()
@@ -57,8 +58,8 @@ def _lines(config: Path) -> Iterator[Line]:
     for package in ("pyserial", "pymodbus"):
         yield _package(package, "pip install 'heft[robot]'", needed=file.sensor.model == "ft300s")
     yield _package("rerun-sdk", "heft robot sensor then prints numbers", needed=False)
-    lack = _missing_api(file)
-    if lack is not None:
+    lack = missing_api(file.arm.python) if file.arm.model == "kinova_gen3" else ""
+    if file.arm.model == "kinova_gen3":
         text = lack or "can be imported by the process that speaks to the arm"
         yield Line("kortex_api", "missing" if lack else "ok", text)
     serial: list[str] = []
@@ -77,13 +78,6 @@ def _package(name: str, hint: str, *, needed: bool) -> Line:
         return Line(name, "ok", version(name))
     except PackageNotFoundError:
         return Line(name, "missing" if needed else "note", f"not installed: {hint}")
-
-
-def _missing_api(file: RobotFile) -> str | None:
-    """Reason that `kortex_api` cannot be imported, else empty; None for an arm of another kind."""
-    from testbed.robot.kinova.link import missing_api
-
-    return missing_api(file.arm.python) if file.arm.model == "kinova_gen3" else None
 
 
 def _sensor(file: RobotFile, serial: list[str]) -> Iterator[Line]:

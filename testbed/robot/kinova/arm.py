@@ -96,11 +96,7 @@ class KortexArm:
             link.close()
 
     def state(self) -> ArmState:
-        """The newest feedback.
-
-        Raises:
-            ArmLostError: not connected, or no fresh feedback.
-        """
+        """The newest feedback."""
         f = self._feedback()
         return ArmState(
             time_s=f.time_s,
@@ -113,12 +109,7 @@ class KortexArm:
         )
 
     def move_to(self, pose: Pose, speed: float) -> None:
-        """Reach a pose at no more than `speed` [m/s]; returns on arrival or after `stop`.
-
-        Raises:
-            ArmRefusedError: in a fault, refused, aborted, or reported as reached and not reached.
-            ArmLostError: the connection was lost on the way.
-        """
+        """Reach a pose at no more than `speed` [m/s]; returns on arrival or after `stop`."""
         link, epoch = self._ready(), self._epoch
         angles = Rotation.from_quat(pose.orientation, scalar_first=True).as_euler("xyz")
         number = link.ask(
@@ -152,12 +143,7 @@ class KortexArm:
             time.sleep(_ALIVE)
 
     def twist(self, linear: Float[np.ndarray, "3"], angular: Float[np.ndarray, "3"]) -> None:
-        """Move at a velocity [m/s, rad/s], base axes, until the next command, or until none comes for too long.
-
-        Raises:
-            ArmRefusedError: in a fault, beyond the arm's limits, or the twist before was refused.
-            ArmLostError: no connection.
-        """
+        """Move at a velocity [m/s, rad/s], base axes, until the next command, or until none comes for too long."""
         link = self._ready()
         fast = float(np.linalg.norm(linear)), float(np.linalg.norm(angular))
         if not (fast[0] <= GEN3.linear_speed and fast[1] <= GEN3.angular_speed):

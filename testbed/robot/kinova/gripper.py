@@ -29,11 +29,7 @@ class KortexGripper:
         return STROKE * (1 - self._arm.closed_part())
 
     def close_on(self, width: float, force: float) -> None:
-        """Close until something stops the fingers. `force` [N] is not commanded: Kortex has no such command.
-
-        Raises:
-            ArmRefusedError: closed on nothing `width` [m] wide.
-        """
+        """Close until something stops the fingers. `force` [N] is not commanded: Kortex has no such command."""
         self._go(1.0)
         if (found := self.width()) < width - _WIDTH_ERROR:
             raise ArmRefusedError(f"gripper: closed to {found * 1e3:.0f} mm; expected {width * 1e3:.0f} mm: on nothing")

@@ -176,12 +176,7 @@ class Ft300s:
                 self._bytes_since = frame.behind
 
     def drain(self) -> Sequence[WrenchSample]:
-        """Every frame since the last drain, in order.
-
-        Raises:
-            SensorLostError: unplugged, or no frame for longer than `stale_after`, and all frames have been drained.
-            RobotError: not entered.
-        """
+        """Every frame since the last drain, in order."""
         with self._lock:
             self._update()
             samples, self._samples = self._samples, []

@@ -28,7 +28,7 @@ from testbed.objects.files import load_object
 from testbed.replay import ReplayRunner
 from testbed.robot.calibration.file import load_calibration, load_hand_eye, save_calibration
 from testbed.robot.calibration.hand_eye import TrackedPose
-from testbed.robot.calibration.static_poses import Calibration
+from testbed.robot.calibration.static_poses import Calibration, Sign
 from testbed.robot.config import RobotFile, RobotSettings, load_robot_file
 from testbed.robot.interfaces import ArmState, Pose, SensorHealth, SensorIdentity, WrenchSample
 from testbed.robot.path import KnownPose, starting_pose
@@ -67,7 +67,7 @@ def answer(monkeypatch, line: str) -> None:
     monkeypatch.setattr("sys.stdin", io.StringIO(f"{line}\n"))
 
 
-def straight(mass: float = 0.925, sign: int = 1, turn: float = 0.0) -> Calibration:
+def straight(mass: float = 0.925, sign: Sign = 1, turn: float = 0.0) -> Calibration:
     """A sensor turned about the tool's axis above a tool that is the simulated gripper."""
     small, rotation = np.full(6, 1e-3), np.array([math.cos(turn / 2), 0, 0, math.sin(turn / 2)])
     com = np.array([0, 0, 0.06])

@@ -161,11 +161,11 @@ def test_it_stops_without_twists_but_may_stand_without(arm, gen3):
     arm.twist(STAND, STAND)
 
 
-def close_input(arm: KortexArm, _: FakeGen3) -> None:
+def close_input(arm: Any, _: FakeGen3) -> None:
     arm._link._process.stdin.close()
 
 
-def kill(arm: KortexArm, _: FakeGen3) -> None:
+def kill(arm: Any, _: FakeGen3) -> None:
     os.kill(arm._link._process.pid, signal.SIGKILL)
 
 

@@ -69,11 +69,6 @@ def test_a_trajectory_comes_back_bit_for_bit(full: Trajectory, tmp_path: Path):
         assert same_bits(getattr(back.tool, name), getattr(TOOL, name)), name
 
 
-def test_minus_zero_keeps_its_sign(full: Trajectory, tmp_path: Path):
-    save_trajectory(full, tmp_path / "t.parquet")
-    assert np.signbit(load_trajectory(tmp_path / "t.parquet").sensor_wrench[0, 0])
-
-
 @pytest.mark.parametrize("action", [Weigh(), Rotate(0), Accelerate(1), Slide(2, 0.5)], ids=lambda a: type(a).__name__)
 def test_every_action_and_a_missing_tool_come_back(action: Action, tmp_path: Path):
     save_trajectory(record(20, action=action, tool=None), tmp_path / "t.parquet")
@@ -95,20 +90,16 @@ def test_a_file_is_plain_parquet_with_a_json_header(full: Trajectory, tmp_path: 
     assert json.loads(table.schema.metadata[b"heft"])["action"]["kind"] == "rotate"
 
 
-@pytest.mark.parametrize("kept", [0, 0.3, 0.99])
-def test_a_truncated_file_is_refused(full: Trajectory, tmp_path: Path, kept: float):
+@pytest.mark.parametrize("kept", [None, "text", 0, 0.3, 0.99])
+def test_a_damaged_file_is_refused(full: Trajectory, tmp_path: Path, kept: float | str | None):
     path = tmp_path / "t.parquet"
-    save_trajectory(full, path)
-    path.write_bytes(path.read_bytes()[: int(kept * path.stat().st_size)])
+    if isinstance(kept, str):
+        path.write_text("time_s\n0.1\n")
+    elif kept is not None:
+        save_trajectory(full, path)
+        path.write_bytes(path.read_bytes()[: int(kept * path.stat().st_size)])
     with pytest.raises(TrajectoryFileError, match=r"t\.parquet: not a whole trajectory file"):
         load_trajectory(path)
-
-
-def test_a_missing_file_and_a_stranger_are_refused(tmp_path: Path):
-    (tmp_path / "t.parquet").write_text("time_s\n0.1\n")
-    for name in ("t.parquet", "none.parquet"):
-        with pytest.raises(TrajectoryFileError, match=rf"{name}: not a whole trajectory file"):
-            load_trajectory(tmp_path / name)
 
 
 @pytest.mark.parametrize(
@@ -176,45 +167,39 @@ def test_a_writer_that_fails_leaves_the_old_file(full: Trajectory, tmp_path: Pat
     assert list(tmp_path.iterdir()) == [path]
 
 
-@pytest.mark.parametrize("name", [name for name in SERIES if name not in ("phase", "segment")])
-@pytest.mark.parametrize("bad", [np.nan, np.inf])
-def test_nan_and_infinity_are_refused(name: str, bad: float):
+def changed(name: str, index: int, value: object) -> np.ndarray:
+    """A series of five samples with one entry changed."""
     values = np.array(getattr(record(5), name))
-    values.flat[2] = bad
-    with pytest.raises(InvalidValueError, match=rf"Trajectory\.{name}: got '1 NaN or infinite entries'; .*finite"):
-        dataclasses.replace(record(5), **{name: values})
+    values.flat[index] = value
+    return values
 
 
-@pytest.mark.parametrize(
-    "name", [name for name in SERIES if name not in ("time_s", "sensor_bias_std", "sensor_drift_std")]
-)
-def test_series_of_another_length_are_refused(name: str):
-    with pytest.raises(InvalidValueError, match=rf"Trajectory\.{name}: got '.*shape \(4.*\)'; allowed: .*5"):
-        dataclasses.replace(record(5), **{name: getattr(record(4), name)})
+UNCHECKED = ("phase", "segment")
+FIXED = ("time_s", "sensor_bias_std", "sensor_drift_std")
+REFUSED: list[tuple[str, object]] = [
+    *((name, changed(name, 2, bad)) for name in SERIES if name not in UNCHECKED for bad in (np.nan, np.inf)),
+    *((name, getattr(record(4), name)) for name in SERIES if name not in FIXED),
+    *(("time_s", bad) for bad in ([], [0.0, 0.0, 0.1, 0.2, 0.3], [0.1, 0.0, 0.2, 0.3, 0.4])),
+    *(("phase", bad) for bad in ([0, 0, 1, 5, 7], [-1, 0, 1, 5, 9], [0.0, 0.0, 1.0, 5.0, 6.0], [True] * 5)),
+    *(("segment", bad) for bad in ([-2, -1, 0, 0, 1], [0.5] * 5, np.full(5, 2**63, dtype=np.uint64))),
+    *(("status", bad) for bad in ("fine", "OK", "", None)),
+    *(("sensor_orientation", changed("sensor_orientation", 13, bad)) for bad in (0.0, 2.0, 0.9)),
+]
 
 
-@pytest.mark.parametrize("time", [[], [0.0, 0.0, 0.1], [0.1, 0.0, 0.2]])
-def test_time_that_does_not_run_forward_is_refused(time: list[float]):
-    with pytest.raises(InvalidValueError, match=r"Trajectory\.time_s: .*strictly increasing"):
-        record(3, time_s=time)
-
-
-@pytest.mark.parametrize(
-    ("name", "values", "given", "allowed"),
-    [
-        ("phase", [0, 0, 1, 5, 7], "[7]", "integers from 0 to 6, one a sample, (5,)"),
-        ("phase", [-1, 0, 1, 5, 9], "[-1, 9]", "integers from 0 to 6, one a sample, (5,)"),
-        ("phase", [0.0, 0.0, 1.0, 5.0, 6.0], "'float64 of shape (5,)'", "integers from 0 to 6"),
-        ("phase", [True] * 5, "'bool of shape (5,)'", "integers from 0 to 6"),
-        ("segment", [-2, -1, 0, 0, 1], "[-2]", "integers from -1, one a sample, (5,)"),
-        ("segment", [0.5] * 5, "'float64 of shape (5,)'", "integers from -1"),
-        ("segment", np.full(5, 2**63, dtype=np.uint64), f"[{2**63}]", "integers from -1"),
-    ],
-)
-def test_phases_and_segments_are_integers_within_bounds(name: str, values: object, given: str, allowed: str):
+@pytest.mark.parametrize(("name", "value"), REFUSED)
+def test_a_field_out_of_range_is_refused(name: str, value: object):
     with pytest.raises(InvalidValueError) as refused:
-        record(5, **{name: values})  # type: ignore[arg-type]
-    assert f"Trajectory.{name}: got {given}; allowed: {allowed}" in str(refused.value)
+        dataclasses.replace(record(5), **{name: value})
+    assert refused.value.field == f"Trajectory.{name}"
+
+
+@pytest.mark.parametrize("mass", [-0.1, np.nan, np.inf, None, "0.9", True])
+def test_a_tool_out_of_range_is_refused(mass):
+    for field, given in (("Tool.mass", (mass, np.zeros(3))), ("Tool.com", (0.9, np.array([0, 0, np.nan])))):
+        with pytest.raises(InvalidValueError) as refused:
+            Tool(*given, np.eye(3), np.zeros(3))
+        assert refused.value.field == field
 
 
 def test_a_trajectory_does_not_follow_the_arrays_it_was_made_from():
@@ -225,35 +210,6 @@ def test_a_trajectory_does_not_follow_the_arrays_it_was_made_from():
         assert values.flags.writeable, name
         values[...] = 1
         assert np.array_equal(getattr(made, name), before), name
-
-
-@pytest.mark.parametrize("status", ["fine", "OK", "", None])
-def test_an_unknown_status_is_refused(status: object):
-    said = rf"Trajectory\.status: got {status!r}; allowed: one of ok, slipped, limit, fault"
-    with pytest.raises(InvalidValueError, match=said):
-        record(5, status=status)
-
-
-@pytest.mark.parametrize(
-    ("quaternion", "length"), [([0, 0, 0, 0], "0"), ([0, 2, 0, 0], "2"), ([0.6, 0, 0, 0.9], "1.08")]
-)
-def test_quaternions_not_of_unit_length_are_refused(quaternion: list[float], length: str):
-    turned = np.array(record(5).sensor_orientation)
-    turned[3] = quaternion
-    said = rf"Trajectory\.sensor_orientation: got 'length {length}.* at sample 3'; allowed: unit quaternions, wxyz"
-    with pytest.raises(InvalidValueError, match=said):
-        record(5, sensor_orientation=turned)
-
-
-@pytest.mark.parametrize("mass", [-0.1, np.nan, np.inf, None, "0.9", True])
-def test_a_tool_without_a_mass_is_refused(mass: object):
-    with pytest.raises(InvalidValueError, match=rf"Tool\.mass: got {mass!r}; allowed: a finite number >= 0, kg"):
-        Tool(mass, np.zeros(3), np.eye(3), np.zeros(3))  # type: ignore[arg-type]
-
-
-def test_a_tool_with_nan_is_refused():
-    with pytest.raises(InvalidValueError, match=r"Tool\.com: .*finite"):
-        Tool(0.9, np.array([0, 0, np.nan]), np.eye(3), np.zeros(3))
 
 
 def test_a_trajectory_is_frozen_and_its_arrays_are_read_only():

@@ -85,77 +85,43 @@ def test_a_file_that_is_not_toml_is_named(tmp_path: Path, content: bytes):
 
 
 @pytest.mark.parametrize(
-    ("line", "field", "given", "allowed"),
+    ("line", "said"),
     [
-        ("mass_kg = -0.4", "blocks.mass_kg", "got -0.4", "greater than 0"),
-        ("mass_kg = 0", "blocks.mass_kg", "got 0", "greater than 0"),
-        ("mass_kg = [0.4, -0.1]", "blocks.mass_kg", "got -0.1", "greater than or equal to 0"),
-        ("mass_kg = nan", "blocks.mass_kg", "got nan", "finite number"),
-        ("mass_kg = [0.4, inf]", "blocks.mass_kg", "got inf", "finite number"),
-        ('mass_kg = "heavy"', "blocks.mass_kg", "got 'heavy'", "valid number"),
-        ("mass_kg = [0.4]", "blocks.mass_kg: ", "got [0.4]", "2 numbers >= 0, one a block, bottom row first"),
-        ("mass_kg = [0, 0]", "blocks.mass_kg: ", "got [0.0, 0.0]", "with a sum > 0"),
-        ("mass_kg = 0.4\nfriction = -0.5", "blocks.friction", "got -0.5", "greater than or equal to 0"),
-        ("mass_kg = 0.4\nfriction = nan", "blocks.friction", "got nan", "finite number"),
-        ("mass_kg = 0.4\nfriction = []", "blocks.friction: ", "got []", "a number >= 0, or a list of one or more"),
-        ("mass_kg = 0.4\nfriction = [0.4, 0.5]", "blocks.friction_group: ", "got None", "2 integers, one a block"),
-        ("mass_kg = 0.4\nfriction_group = [0]", "blocks.friction_group: ", "got [0]", "2 integers, one a block"),
-        (
-            "mass_kg = 0.4\nfriction_group = [0, 7]",
-            "blocks.friction_group: ",
-            "got [0, 7]",
-            "every friction from 0 to 0",
-        ),
-        (
-            "mass_kg = 0.4\nfriction_group = [0, 1]",
-            "blocks.friction_group: ",
-            "got [0, 1]",
-            "every friction from 0 to 0",
-        ),
-        ("mass_kg = 0.4\nfriction_group = [0, -2]", "blocks.friction_group: ", "got [0, -2]", ", or -1"),
-        (
-            "mass_kg = 0.4\nfriction_group = [-1, -1]",
-            "blocks.friction_group: ",
-            "got [-1, -1]",
-            "every friction from 0",
-        ),
-        ('mass_kg = "0.4"', "blocks.mass_kg: ", "got '0.4'", "a valid number"),
-        ("mass_kg = true", "blocks.mass_kg: ", "got True", "a valid number"),
-        ('mass_kg = ["0.4", 0.1]', "blocks.mass_kg.0: ", "got '0.4'", "a valid number"),
-        ("mass_kg = [0.4, true]", "blocks.mass_kg.1: ", "got True", "a valid number"),
-        ('mass_kg = 0.4\nfriction = "0.5"', "blocks.friction: ", "got '0.5'", "a valid number"),
-        ("mass_kg = 0.4\nfriction = [true]", "blocks.friction.0: ", "got True", "a valid number"),
-        ('mass_kg = 0.4\nfriction_group = ["0", 0]', "blocks.friction_group.0: ", "got '0'", "a valid integer"),
-        ("mass_kg = 0.4\nfriction_group = [0, true]", "blocks.friction_group.1: ", "got True", "a valid integer"),
-        ('mass_kg = 0.4\nsize_m = "0.05"', "blocks.size_m: ", "got '0.05'", "a valid number"),
-        ("mass_kg = 0.4\nheight_m = true", "blocks.height_m: ", "got True", "a valid number"),
-        ("mass_kg = 0.4\nsize_m = 0", "blocks.size_m", "got 0", "greater than 0"),
-        ("mass_kg = 0.4\nheight_m = inf", "blocks.height_m", "got inf", "finite number"),
-        ("mass_kg = 0.4\nweight = 3", "blocks.weight", "got 3", "no such field"),
+        ("mass_kg = -0.4", "mass_kg: got -0.4; allowed: greater than 0"),
+        ("mass_kg = 0", "mass_kg: got 0"),
+        ("mass_kg = [0.4, -0.1]", "mass_kg.1: got -0.1"),
+        ("mass_kg = nan", "mass_kg: got nan; allowed: a finite number"),
+        ("mass_kg = [0.4, inf]", "mass_kg.1: got inf"),
+        ('mass_kg = "0.4"', "mass_kg: got '0.4'; allowed: a valid number"),
+        ("mass_kg = true", "mass_kg: got True"),
+        ('mass_kg = ["0.4", 0.1]', "mass_kg.0: got '0.4'"),
+        ("mass_kg = [0.4]", "mass_kg: got [0.4]; allowed: 2 numbers >= 0, one a block, bottom row first"),
+        ("mass_kg = [0, 0]", "mass_kg: got [0.0, 0.0]"),
+        ("mass_kg = 0.4\nfriction = -0.5", "friction: got -0.5"),
+        ("mass_kg = 0.4\nfriction = nan", "friction: got nan"),
+        ("mass_kg = 0.4\nfriction = []", "friction: got []"),
+        ("mass_kg = 0.4\nfriction = [true]", "friction.0: got True"),
+        ("mass_kg = 0.4\nfriction = [0.4, 0.5]", "friction_group: got None; allowed: 2 integers, one a block"),
+        *((f"mass_kg = 0.4\nfriction_group = {bad}", f"friction_group: got {bad}; allowed: 2 integers")
+          for bad in ([0], [0, 7], [0, 1], [0, -2], [-1, -1])),
+        ('mass_kg = 0.4\nfriction_group = ["0", 0]', "friction_group.0: got '0'"),
+        ("mass_kg = 0.4\nfriction_group = [0, true]", "friction_group.1: got True"),
+        ('mass_kg = 0.4\nsize_m = "0.05"', "size_m: got '0.05'"),
+        ("mass_kg = 0.4\nsize_m = 0", "size_m: got 0"),
+        ("mass_kg = 0.4\nheight_m = true", "height_m: got True"),
+        ("mass_kg = 0.4\nheight_m = inf", "height_m: got inf"),
+        ("mass_kg = 0.4\nweight = 3", "weight: no such field; got 3"),
+        ('mass_kg = 0.4\nlayout = ["1", "0", "1"]', "layout: got 'A3 apart from A1'"),
+        ('mass_kg = 0.4\nlayout = ["1x"]', "layout: got 'x'"),
+        ("mass_kg = 0.4\nlayout = []", "layout: got []"),
     ],
-)
-def test_a_wrong_field_is_refused_with_file_field_value_and_what_is_allowed(
-    written, line: str, field: str, given: str, allowed: str
-):
-    path = written(PAIR + line)
+)  # fmt: skip
+def test_a_wrong_field_is_refused_with_file_field_and_value(written, line: str, said: str):
+    head = PAIR.replace('layout = ["11"]\n', "") if "layout" in line else PAIR
+    path = written(head + line)
     with pytest.raises(HeftError) as refused:
         load_object(path)
-    for part in (f"{path}: ", field, given, allowed):
-        assert part in str(refused.value)
-
-
-@pytest.mark.parametrize(
-    ("layout", "said"),
-    [
-        ('["1", "0", "1"]', "blocks.layout: got 'A3 apart from A1'; allowed: blocks joined edge to edge"),
-        ('["1x"]', "blocks.layout: got 'x'; allowed: rows"),
-        ("[]", "blocks.layout: got []; allowed: at least one"),
-    ],
-)
-def test_a_wrong_layout_is_refused(written, layout: str, said: str):
-    with pytest.raises(InvalidFileError) as refused:
-        load_object(written(f'name = "X"\n[blocks]\nmass_kg = 0.4\nlayout = {layout}'))
-    assert said in str(refused.value)
+    assert f"{path}: blocks.{said}" in str(refused.value)
 
 
 def test_all_errors_of_a_file_are_told_at_once(written):

@@ -164,27 +164,24 @@ def test_motion_noise_is_one_rigid_motion():
 
 
 @pytest.mark.parametrize(
-    ("changes", "said"),
+    ("name", "value"),
     [
-        ({"lag1": 1.0}, r"lag1: got 1\.0; allowed: a number from 0 to below 1"),
-        ({"lag1": -0.1}, r"lag1: got -0\.1; allowed: numbers >= 0"),
-        ({"lag1": np.nan}, r"lag1: got '1 NaN or infinite entries'; allowed: finite"),
-        ({"force_noise": (0.1, 0.1, -0.1)}, r"force_noise: got \(0\.1, 0\.1, -0\.1\); allowed: numbers >= 0"),
-        ({"force_noise": (0.1, 0.1)}, r"force_noise: got 'shape \(2,\)'; allowed: shape \(3,\)"),
-        ({"torque_noise": 0.1}, r"torque_noise: got 'shape \(\)'; allowed: shape \(3,\)"),
-        ({"torque_noise": (0.1, 0.1, np.nan)}, r"torque_noise: got '1 NaN or infinite entries'; allowed: finite"),
-        ({"force_bias": -1.0}, r"force_bias: got -1\.0; allowed: numbers >= 0"),
-        ({"torque_bias": np.inf}, r"torque_bias: got '1 NaN or infinite entries'; allowed: finite"),
-        ({"force_drift": np.nan}, r"force_drift: got '1 NaN or infinite entries'; allowed: finite"),
-        ({"torque_drift": "0.1"}, r"torque_drift: got '0\.1'; allowed: numbers"),
-        ({"linear_acceleration_noise": -0.1}, r"linear_acceleration_noise: got -0\.1; allowed: numbers >= 0"),
-        ({"angular_acceleration_noise": None}, r"angular_acceleration_noise: got None; allowed: numbers"),
-        ({"scale": -0.001}, r"scale: got -0\.001; allowed: numbers >= 0"),
+        *(("lag1", bad) for bad in (1.0, -0.1, np.nan)),
+        *(("force_noise", bad) for bad in ((0.1, 0.1, -0.1), (0.1, 0.1))),
+        *(("torque_noise", bad) for bad in (0.1, (0.1, 0.1, np.nan))),
+        ("force_bias", -1.0),
+        ("torque_bias", np.inf),
+        ("force_drift", np.nan),
+        ("torque_drift", "0.1"),
+        ("linear_acceleration_noise", -0.1),
+        ("angular_acceleration_noise", None),
+        ("scale", -0.001),
     ],
 )
-def test_errors_of_a_sensor_out_of_range_are_refused(changes: dict[str, object], said: str):
-    with pytest.raises(InvalidValueError, match=rf"Sensing\.{said}"):
-        Sensing("odd", **changes)  # type: ignore[arg-type]
+def test_errors_of_a_sensor_out_of_range_are_refused(name: str, value):
+    with pytest.raises(InvalidValueError) as refused:
+        Sensing("odd", **{name: value})
+    assert refused.value.field == f"Sensing.{name}"
 
 
 def test_one_sample_of_a_scale_is_enough():

@@ -121,7 +121,6 @@ def load_estimate(folder: str | Path, key: str) -> Estimate:
         raise HeftError(f"{place}: no whole result.json")
     arrays = load_arrays(folder, key)
     answer = MassDistribution(arrays["mass"], arrays["friction"]) if "mass" in arrays else None
-    names = [name.removesuffix(".loss") for name in arrays if name.endswith(".loss")]
     traces = (
         Trace(
             name.replace("_", " "),
@@ -130,7 +129,9 @@ def load_estimate(folder: str | Path, key: str) -> Estimate:
             float(arrays[f"{name}.robot_seconds"]),
             arrays[f"{name}.mass"],
         )
-        for name in sorted(names, key=lambda name: name != str(row.get("optimizer") or "").replace(" ", "_"))
+        for name in sorted(
+            _optimizers(arrays), key=lambda name: name != str(row.get("optimizer") or "").replace(" ", "_")
+        )
     )
     return Estimate(
         answer,
@@ -141,8 +142,13 @@ def load_estimate(folder: str | Path, key: str) -> Estimate:
         _value(HiddenStateEstimate, "hidden", arrays),
         tuple(traces),
         row.get("seconds") or 0.0,
-        {name.removeprefix("diagnostics/"): float(v) for name, v in arrays.items() if name.startswith("diagnostics/")},
+        {name.removeprefix("diagnostics."): float(v) for name, v in arrays.items() if name.startswith("diagnostics.")},
     )
+
+
+def _optimizers(arrays: dict[str, np.ndarray]) -> list[str]:
+    """Names of the traces; a diagnostic may be called loss too."""
+    return [name.removesuffix(".seconds") for name in arrays if name.endswith(".seconds")]
 
 
 def _value(kind: type[Any], prefix: str, arrays: dict[str, np.ndarray]) -> Any:
@@ -187,9 +193,8 @@ def load_losses(folder: Path, rows: Sequence[Row]) -> dict[str, dict[str, list[n
                 arrays = load_arrays(folder, of_method[index])
             except HeftError:
                 continue
-            for name in arrays:
-                if name.endswith(".loss"):
-                    losses.setdefault(method, {}).setdefault(name.removesuffix(".loss"), []).append(arrays[name])
+            for name in _optimizers(arrays):
+                losses.setdefault(method, {}).setdefault(name, []).append(arrays[f"{name}.loss"])
     return losses
 
 

@@ -229,7 +229,7 @@ def _save_arrays(path: Path, answer: Estimate, shape: ObjectShape) -> None:
     for prefix, value in (("hidden", answer.hidden), ("identifiability", answer.identifiability)):
         if value is not None:
             arrays |= {f"{prefix}.{field.name}": getattr(value, field.name) for field in fields(value)}
-    arrays |= {f"diagnostics/{name}": value for name, value in answer.diagnostics.items()}
+    arrays |= {f"diagnostics.{name}": value for name, value in answer.diagnostics.items()}
     with open(path, "wb") as file:
         np.savez_compressed(file, **arrays)
 

@@ -13,7 +13,7 @@ from scenarios.cli.main import main
 from scenarios.cli.progress import status
 from scenarios.config import Scenario, load_scenario
 from scenarios.results.estimates import load_results, load_trajectories
-from scenarios.results.store import Store, key_of, rows_of
+from scenarios.results.store import Store, rows_of
 from scenarios.study.dry_run import show_dry_run
 from scenarios.study.run import run_scenario
 from testbed.errors import InvalidValueError
@@ -128,8 +128,3 @@ def test_many_objects_are_told_by_quantiles():
     text = said(lambda console: console.print(rich_table(quantile_table(rows, NAD))))
     line = next(line for line in text.splitlines() if "rigid" in line)
     assert line.split() == ["rigid", "body", "low", "1", "a", "12", "1.0", "5.0", "9.0", "5.0", "1", "of", "34"]
-
-
-def test_keys_do_not_depend_on_the_order_of_what_is_asked():
-    assert key_of({"a": 1, "b": [1, 2]}) == key_of({"b": [1, 2], "a": 1})
-    assert key_of({"a": 1}) != key_of({"a": 2})

@@ -55,7 +55,7 @@ from testbed.simulation.scene import build_scene
 from testbed.simulation.settings import SimulationSettings
 from testbed.trajectory import Trajectory
 from testbed.trial import OWN_WEIGHT, Trial
-from tests.helpers.lcp_oracle import Textbook, interior_point
+from tests.helpers.lcp_oracle import Textbook, interior_point, rollout
 
 SETTINGS = SimulationSettings()
 TURNS = 12
@@ -155,7 +155,7 @@ def turning_steps(count: int, directions: int, h: float) -> list[torch.Tensor]:
     push = -torch.cat([drag[:, :2], (drag[:, 2] + cross(to_com, drag[:, :2]))[:, None]], -1)
     start = torch.cat([to_com[0], yaw[0]])
     engine = LcpEngine(directions, 1)
-    poses, velocities = engine.rollout(model, inertia, friction.expand(count, -1), start, steady[0], push, grasp, h)
+    poses, velocities = rollout(engine, model, inertia, friction.expand(count, -1), start, steady[0], push, grasp, h)
 
     arms, sides = rotate(poses[:, 2:], lever[model.contact]), polygon_sides(directions)
     lines = torch.cat([sides.expand(*arms.shape[:-1], -1, -1), (turned(arms) @ sides.T)[..., None]], -1)

@@ -7,7 +7,7 @@ import os
 from dataclasses import asdict, dataclass, field
 from enum import IntEnum
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any, Literal, Self, get_args
 
 import numpy as np
 import pyarrow as pa
@@ -15,6 +15,7 @@ import pyarrow.parquet as pq
 from jaxtyping import Float, Int
 
 from testbed.actions.base import Action, action_from_dict
+from testbed.actions.weigh import Weigh
 from testbed.errors import HeftError, InvalidValueError
 from testbed.validation import freeze, frozen_array, is_number
 
@@ -113,6 +114,34 @@ class Trajectory:
     """Numbers behind the status: peak torque and speed over their limits, slip, grip force, ..."""
     provenance: dict[str, str] = field(default_factory=dict)
     """Origin of the record: runner, versions, seeds, sensing."""
+
+    @classmethod
+    def of_scale(
+        cls, weight: Float[np.ndarray, "T"], time_s: Float[np.ndarray, "T"], provenance: dict[str, str]
+    ) -> Self:
+        """Record of a weighing: vertical force of a scale on the object [N] at `time_s` [s]."""
+        count = len(weight)
+        wrench = np.zeros((count, 6))
+        wrench[:, 2] = weight
+        return cls(
+            action=Weigh(),
+            status="ok",
+            reason="",
+            time_s=time_s,
+            phase=np.full(count, Phase.STEADY),
+            segment=np.zeros(count, dtype=int),
+            object_pose=np.zeros((count, 3)),
+            object_velocity=np.zeros((count, 3)),
+            tcp_position=np.zeros((count, 3)),
+            tcp_velocity=np.zeros((count, 6)),
+            sensor_orientation=np.tile([1.0, 0.0, 0.0, 0.0], (count, 1)),
+            sensor_wrench=wrench,
+            wrench_on_object_world=wrench,
+            joint_position=np.zeros((count, 7)),
+            tool=None,
+            sensor_bias_std=np.zeros(6),
+            provenance=provenance,
+        )
 
     def __post_init__(self) -> None:
         time = frozen_array("Trajectory.time_s", self.time_s, (None,))

@@ -179,24 +179,3 @@ class LcpEngine:
         if guesses is not None:
             guesses[:] = solved
         return pose, velocity
-
-    def rollout(
-        self,
-        model: ParticleModel,
-        inertia: Inertia,
-        friction: Float[Tensor, "... T P"],
-        pose: Float[Tensor, "... 3"],
-        velocity: Float[Tensor, "... 3"],
-        wrench: Float[Tensor, "... T 3"],
-        grasp: Float[Tensor, "... 2"],
-        dt: float,
-    ) -> tuple[Float[Tensor, "... T 3"], Float[Tensor, "... T 3"]]:
-        """Poses and velocities after each of T wrenches in open loop; arguments as in `particles.model.rollout`."""
-        poses, velocities, guesses = [], [], []
-        for t in range(wrench.shape[-2]):
-            following = wrench[..., min(t + 1, wrench.shape[-2] - 1), :]
-            ends = (wrench[..., t, :], following)
-            pose, velocity = self.advance(model, inertia, friction[..., t, :], pose, velocity, ends, grasp, dt, guesses)
-            poses.append(pose)
-            velocities.append(velocity)
-        return torch.stack(poses, -2), torch.stack(velocities, -2)

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from testbed.actions.base import TableAction
 from testbed.errors import InvalidValueError
 from testbed.frames import origin_velocity, pose_from_point
-from testbed.importers.logs import Log, LogError, Series, open_log, read_all
+from testbed.importers.logs import CsvLog, LogError, McapLog, Series, open_log, read_all
 from testbed.importers.mapping import HandMap, JointMap, Mapping, TimeMap, VelocityMap, factor
 from testbed.importers.phases import (
     RATE,
@@ -125,7 +125,7 @@ def _moment(seconds: float) -> str:
     return datetime.fromtimestamp(seconds, UTC).isoformat(timespec="milliseconds")
 
 
-def _wrench(log: Log, table: Mapping) -> Series:
+def _wrench(log: CsvLog | McapLog, table: Mapping) -> Series:
     """Wrench of the sensor [N, N m], shape (N, 6)."""
     sensor = table.sensor
     time, values = log.series("sensor.force, sensor.torque", [*sensor.force, *sensor.torque], sensor.topic, table.time)
@@ -133,7 +133,7 @@ def _wrench(log: Log, table: Mapping) -> Series:
     return Series(time, values * units)
 
 
-def _pose(log: Log, table: Mapping) -> tuple[Series, Rotation]:
+def _pose(log: CsvLog | McapLog, table: Mapping) -> tuple[Series, Rotation]:
     """Position [m] and orientation of the hand, base frame."""
     hand = table.hand
     time, values = log.series(
@@ -153,13 +153,13 @@ def _pose(log: Log, table: Mapping) -> tuple[Series, Rotation]:
     return Series(time, position), rotation
 
 
-def _joints(log: Log, joints: JointMap, time: TimeMap) -> Series:
+def _joints(log: CsvLog | McapLog, joints: JointMap, time: TimeMap) -> Series:
     """Joint angles [rad], shape (N, 7)."""
     stamps, values = log.series("joints.position", joints.position, joints.topic, time)
     return Series(stamps, values * factor("angle", joints.unit))
 
 
-def _velocity(log: Log, velocity: VelocityMap, time: TimeMap) -> Series:
+def _velocity(log: CsvLog | McapLog, velocity: VelocityMap, time: TimeMap) -> Series:
     """Velocity of the TCP, base axes [m/s, rad/s], shape (N, 6)."""
     names = [*velocity.linear, *velocity.angular]
     stamps, values = log.series("velocity.linear, velocity.angular", names, velocity.topic, time)

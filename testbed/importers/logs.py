@@ -7,7 +7,7 @@ import json
 from collections.abc import Callable, Iterable, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -52,41 +52,6 @@ class Series(NamedTuple):
     """Values in the log's units."""
 
 
-class Log(Protocol):
-    """Log with columns by name."""
-
-    def series(self, field: str, names: Sequence[str], topic: str | None, time: TimeMap) -> Series:
-        """Columns by name.
-
-        Args:
-            field: the mapping's name for them, in errors.
-            names: columns of a table, or fields of a message.
-            topic: topic of the messages, for a log with topics.
-            time: column and unit of the time.
-
-        Raises:
-            InvalidValueError: no such column, field or topic; the message names the nearest.
-            LogError: cells that are not numbers, or times that go back.
-        """
-        ...
-
-
-def open_log(path: Path, separator: str = ",") -> Log:
-    """Open a log by its suffix.
-
-    Raises:
-        InvalidValueError: a suffix other than .csv and .mcap, or no such file.
-        LogError: a file that cannot be read.
-    """
-    if not path.is_file():
-        raise InvalidValueError("log", str(path), "an existing .csv or .mcap file")
-    if path.suffix == ".csv":
-        return CsvLog(path, separator)
-    if path.suffix == ".mcap":
-        return McapLog(path)
-    raise InvalidValueError("log", str(path), "a file that ends in .csv or .mcap")
-
-
 class CsvLog:
     """CSV table with a header line. A row may leave a group of columns blank, if the table joins several rates."""
 
@@ -99,7 +64,18 @@ class CsvLog:
         self._table.columns = [str(name).strip() for name in self._table.columns]
 
     def series(self, field: str, names: Sequence[str], topic: str | None, time: TimeMap) -> Series:
-        """See `Log`."""
+        """Columns by name.
+
+        Args:
+            field: the mapping's name for them, in errors.
+            names: columns of a table, or fields of a message.
+            topic: topic of the messages; None for a table.
+            time: column and unit of the time.
+
+        Raises:
+            InvalidValueError: no such column, field or topic; the message names the nearest.
+            LogError: cells that are not numbers, or times that go back.
+        """
         if topic is not None:
             raise InvalidValueError(f"{field}.topic", topic, "none: a table has no topics", file=self._path)
         fields = [("time.column", time.column), *((field, name) for name in names)]
@@ -147,7 +123,7 @@ class McapLog:
             raise LogError(f"{path}: not a whole MCAP file: {error}") from None
 
     def series(self, field: str, names: Sequence[str], topic: str | None, time: TimeMap) -> Series:
-        """See `Log`."""
+        """Fields by name, see `CsvLog.series`."""
         if topic is None or topic not in self._encodings:
             raise _unknown(f"{field}.topic", topic, sorted(self._encodings), self._path)
         if self._encodings[topic] != "json":
@@ -173,6 +149,22 @@ class McapLog:
                 raise LogError(f"{self._path}: topic {topic}, message {i}: {name}: got {value!r}; allowed: a number")
             values[i] = value
         return values
+
+
+def open_log(path: Path, separator: str = ",") -> CsvLog | McapLog:
+    """Open a log by its suffix.
+
+    Raises:
+        InvalidValueError: a suffix other than .csv and .mcap, or no such file.
+        LogError: a file that cannot be read.
+    """
+    if not path.is_file():
+        raise InvalidValueError("log", str(path), "an existing .csv or .mcap file")
+    if path.suffix == ".csv":
+        return CsvLog(path, separator)
+    if path.suffix == ".mcap":
+        return McapLog(path)
+    raise InvalidValueError("log", str(path), "a file that ends in .csv or .mcap")
 
 
 def _leaves(data: Any, path: str = "") -> Iterable[tuple[str, Any]]:

@@ -16,7 +16,6 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
-from testbed.actions.weigh import Weigh
 from testbed.frames import origin_velocity, pose_from_point, rotation_matrix
 from testbed.objects.model import GRAVITY
 from testbed.robot.config import RobotSettings
@@ -261,26 +260,8 @@ def lifted(measured: Trajectory) -> Trajectory:
 
 def read_off(weight: float) -> Trajectory:
     """A user's reading of a scale [kg] as a trajectory of one sample."""
-    wrench = np.array([[0.0, 0.0, weight * GRAVITY, 0.0, 0.0, 0.0]])
-    return Trajectory(
-        action=Weigh(),
-        status="ok",
-        reason="",
-        time_s=np.zeros(1),
-        phase=np.array([Phase.STEADY]),
-        segment=np.zeros(1, dtype=int),
-        object_pose=np.zeros((1, 3)),
-        object_velocity=np.zeros((1, 3)),
-        tcp_position=np.zeros((1, 3)),
-        tcp_velocity=np.zeros((1, 6)),
-        sensor_orientation=np.array([[1.0, 0.0, 0.0, 0.0]]),
-        sensor_wrench=wrench,
-        wrench_on_object_world=wrench,
-        joint_position=np.zeros((1, 7)),
-        tool=None,
-        sensor_bias_std=np.zeros(6),
-        provenance={"runner": "robot", "recorded": timestamp(), "weight": "read off a scale"},
-    )
+    provenance = {"runner": "robot", "recorded": timestamp(), "weight": "read off a scale"}
+    return Trajectory.of_scale(np.array([weight * GRAVITY]), np.zeros(1), provenance)
 
 
 def timestamp() -> str:

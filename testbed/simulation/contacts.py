@@ -12,8 +12,10 @@ from testbed.foot_forces import FootForces
 from testbed.objects.model import GRAVITY, ObjectModel
 from testbed.simulation.scene import Scene, build_scene, foot_stiffness, touching_groups
 from testbed.simulation.settings import ContactSettings, SimulationSettings
-from testbed.trajectory import Phase, Trajectory
+from testbed.trajectory import Trajectory
 from testbed.trial import Support, Trial
+
+_SETTLE_TIME, _READ_TIME = 1.0, 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,43 +113,17 @@ def resting_loads(obj: ObjectModel, support: Support, contact: ContactSettings) 
     return loads
 
 
-_SETTLE_TIME, _READ_TIME = 1.0, 0.5
-
-
 def weigh(trial: Trial, settings: SimulationSettings) -> Trajectory:
-    """Record of the weight of an object at rest, in z of wrench_on_object_world."""
+    """Record of a scale under the object at rest."""
     scene = build_scene(trial.object, trial.support, None, settings)
     model, data = scene.model, mujoco.MjData(scene.model)
     mujoco.mj_step(model, data, round(_SETTLE_TIME / settings.timestep))
     count = round(_READ_TIME * settings.rate)
-    weight = np.empty(count)
-    force = np.zeros(6)
+    weight, force = np.zeros(count), np.zeros(6)
     for tick in range(count):
         mujoco.mj_step(model, data, round(1 / settings.rate / settings.timestep))
-        weight[tick] = 0.0
         for contact in range(data.ncon):
             mujoco.mj_contactForce(model, data, contact, force)
             weight[tick] += force[0]
-    pose = np.tile([0.0, 0.0, 0.0], (count, 1))
-    wrench = np.zeros((count, 6))
-    wrench[:, 2] = weight
-    orientation = np.tile([1.0, 0.0, 0.0, 0.0], (count, 1))
-    return Trajectory(
-        action=trial.action,
-        status="ok",
-        reason="",
-        time_s=np.arange(count) / settings.rate,
-        phase=np.full(count, Phase.STEADY),
-        segment=np.zeros(count, dtype=int),
-        object_pose=pose,
-        object_velocity=np.zeros((count, 3)),
-        tcp_position=np.zeros((count, 3)),
-        tcp_velocity=np.zeros((count, 6)),
-        sensor_orientation=orientation,
-        sensor_wrench=wrench,
-        wrench_on_object_world=wrench,
-        joint_position=np.zeros((count, 7)),
-        tool=None,
-        sensor_bias_std=np.zeros(6),
-        provenance={"runner": "simulation", "mujoco": mujoco.__version__, "support": trial.support.name},
-    )
+    provenance = {"runner": "simulation", "mujoco": mujoco.__version__, "support": trial.support.name}
+    return Trajectory.of_scale(weight, np.arange(count) / settings.rate, provenance)

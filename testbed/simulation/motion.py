@@ -71,7 +71,7 @@ def _solve(pose: tuple[float, ...], start: tuple[float, ...]) -> tuple[float, ..
     task = mink.FrameTask("gripper/tcp", "site", position_cost=1.0, orientation_cost=0.3)
     damping = mink.DampingTask(model, cost=_MOVE_LAST_JOINT_FIRST[: model.nv])
     down = mink.SO3.from_z_radians(pose[3]) @ mink.SO3.from_x_radians(np.pi)
-    tool = down if len(pose) == 4 else mink.SO3.exp(np.array(pose[4:])) @ down
+    tool = mink.SO3.exp(np.array(pose[4:])) @ down if pose[4:] else down
     task.set_target(mink.SE3.from_rotation_and_translation(tool, np.array(pose[:3])))
     limits = [mink.ConfigurationLimit(model)]
     for _ in range(_ITERATIONS):
@@ -80,7 +80,7 @@ def _solve(pose: tuple[float, ...], start: tuple[float, ...]) -> tuple[float, ..
         velocity = mink.solve_ik(configuration, [task, damping], dt=1.0, solver="daqp", limits=limits)
         configuration.integrate_inplace(velocity, 1.0)
     left = np.abs(task.compute_error(configuration)).max()
-    tilt = f", tilted by {np.degrees(np.linalg.norm(pose[4:])):.1f} deg" if len(pose) > 4 else ""
+    tilt = f", tilted by {np.degrees(np.linalg.norm(pose[4:])):.1f} deg" if pose[4:] else ""
     raise InfeasibleTrialError(
         f"reach: the arm cannot put the tool at x={pose[0]:.3f} y={pose[1]:.3f} z={pose[2]:.3f} m, "
         f"yaw {np.degrees(pose[3]):.0f} deg{tilt} (misses by {left:.3g}); "

@@ -55,7 +55,7 @@ def add_object(spec: mujoco.MjSpec, obj: ObjectModel, support: Support) -> list[
             _add_solid(spec, body, obj, group, color)
             continue
         for particle in np.flatnonzero(shape.mass_group == group):
-            add_cell(body, shape, particle, max(obj.particle_mass[particle], 1e-6), rgba=color, group=1)
+            add_cell(body, shape, int(particle), max(obj.particle_mass[particle], 1e-6), rgba=color, group=1)
     if support.is_rigid:
         return [root] * shape.n_m
     if support.stiffness > 0:

@@ -1,4 +1,4 @@
-"""The time step of `estimators.baselines.lcp` as the textbook's complementarity problem, and a solver of it.
+"""The time step of `estimators.baselines.lcp` as the textbook's complementarity problem, a solver of it, and rollouts.
 
 Unknown are the impulse beta_ik along each corner d_k of each contact's friction polygon and its sliding speed lambda_i:
 z = [beta; lambda] >= 0, w = matrix z + offset >= 0, z . w = 0 (Anitescu and Potra 1997; Cline 2002).
@@ -10,7 +10,10 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.linalg
+import torch
 from jaxtyping import Float
+
+from estimators.baselines.lcp import LcpEngine
 
 MOST_ITERATIONS = 100
 
@@ -116,3 +119,14 @@ def interior_point(problem: Textbook, tolerance: float = 1e-10) -> Float[np.ndar
 def _reach(z: np.ndarray, dz: np.ndarray, w: np.ndarray, dw: np.ndarray) -> float:
     """Longest step, at most 1, that keeps z and w positive."""
     return 1 / max(1.0, (-dz / z).max(), (-dw / w).max())
+
+
+def rollout(engine: LcpEngine, model, inertia, friction, pose, velocity, wrench, grasp, dt: float):
+    """Poses and velocities after each of T wrenches in open loop; arguments as in `particles.model.rollout`."""
+    poses, velocities, guesses = [], [], []
+    for t in range(wrench.shape[-2]):
+        ends = (wrench[..., t, :], wrench[..., min(t + 1, wrench.shape[-2] - 1), :])
+        pose, velocity = engine.advance(model, inertia, friction[..., t, :], pose, velocity, ends, grasp, dt, guesses)
+        poses.append(pose)
+        velocities.append(velocity)
+    return torch.stack(poses, -2), torch.stack(velocities, -2)

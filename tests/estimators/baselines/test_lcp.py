@@ -12,11 +12,12 @@ from numpy.testing import assert_allclose
 
 from estimators.baselines.dry_friction import LcpError
 from estimators.baselines.lcp import LcpEngine, Step, _Solve, polygon_sides, solve_step
-from estimators.particles.model import Inertia, ParticleModel, inertia_of, rollout, rotate
+from estimators.particles import model as dynamics
+from estimators.particles.model import Inertia, ParticleModel, inertia_of, rotate
 from estimators.testing.analytic_world import drawn_object
 from testbed.errors import InvalidValueError
 from testbed.objects.model import GRAVITY
-from tests.helpers.lcp_oracle import Textbook, interior_point
+from tests.helpers.lcp_oracle import Textbook, interior_point, rollout
 
 OBJECTS = [drawn_object(seed, friction_groups=2) for seed in range(3)]
 MODEL = ParticleModel.of(OBJECTS[0].shape)
@@ -194,8 +195,8 @@ def test_a_push_below_the_limit_moves_nothing(directions):
     limit = float(DRAG.sum())
     push = tensor(0.5 * limit, -0.4 * limit, 0.0)
     engine = LcpEngine(directions)
-    pose, velocity = engine.rollout(
-        MODEL, INERTIA, DRAG.expand(50, -1), STILL, STILL, push.expand(50, 3), INERTIA.com, 0.01
+    pose, velocity = rollout(
+        engine, MODEL, INERTIA, DRAG.expand(50, -1), STILL, STILL, push.expand(50, 3), INERTIA.com, 0.01
     )
     assert velocity.abs().max() < 1e-12
     assert pose.abs().max() < 1e-12
@@ -208,7 +209,7 @@ def test_a_body_sliding_along_a_corner_slows_by_mu_g_and_stops(corner):
     mu, dt = 0.4, 0.01
     drag = (mu * GRAVITY * MODEL.particle_mass(MASS)).expand(12, -1)
     start, push = 0.3 * along, STILL.expand(12, 3)
-    _, velocity = LcpEngine(8, 3).rollout(MODEL, INERTIA, drag, STILL, start, push, STILL[:2], dt)
+    _, velocity = rollout(LcpEngine(8, 3), MODEL, INERTIA, drag, STILL, start, push, STILL[:2], dt)
     speed = (0.3 - mu * GRAVITY * dt * torch.arange(1, 13, dtype=torch.float64)).clamp(min=0.0)
     assert speed[-1] == 0 < speed[5]
     assert_allclose(velocity, speed[:, None] * along, atol=1e-12)
@@ -221,7 +222,7 @@ def test_turning_the_world_by_a_corner_or_mirroring_it_turns_or_mirrors_the_moti
     wrench = torch.tensor(rng.normal(size=(20, 3)) * [2.0, 2.0, 0.05])
     grasp = torch.tensor(OBJECTS[0].shape.particles[4])
     engine = LcpEngine(8, 2)
-    poses, velocities = engine.rollout(MODEL, INERTIA, friction, pose, velocity, wrench, grasp, 0.01)
+    poses, velocities = rollout(engine, MODEL, INERTIA, friction, pose, velocity, wrench, grasp, 0.01)
 
     turn = torch.tensor(2 * math.pi * 3 / 8, dtype=torch.float64)
 
@@ -229,15 +230,15 @@ def test_turning_the_world_by_a_corner_or_mirroring_it_turns_or_mirrors_the_moti
         return torch.cat([rotate(turn.expand(x.shape[:-1]), x[..., :2]), x[..., 2:]], -1)
 
     start = turned(pose) + torch.stack([0 * turn, 0 * turn, turn])
-    spun, moved = engine.rollout(MODEL, INERTIA, friction, start, turned(velocity), turned(wrench), grasp, 0.01)
+    spun, moved = rollout(engine, MODEL, INERTIA, friction, start, turned(velocity), turned(wrench), grasp, 0.01)
     assert_allclose(moved, turned(velocities), atol=1e-9)
     assert_allclose(spun[:, :2], turned(poses)[:, :2], atol=1e-9)
 
     flip = tensor(1, -1, -1)
     mirror = replace(MODEL, particles=MODEL.particles * flip[:2])
     inertia = Inertia(INERTIA.mass, INERTIA.com * flip[:2], INERTIA.about_com)
-    _, moved = engine.rollout(
-        mirror, inertia, friction, pose * flip, velocity * flip, wrench * flip, grasp * flip[:2], 0.01
+    _, moved = rollout(
+        engine, mirror, inertia, friction, pose * flip, velocity * flip, wrench * flip, grasp * flip[:2], 0.01
     )
     assert_allclose(moved, velocities * flip, atol=1e-9)
 
@@ -266,7 +267,7 @@ START, SPUN, PUSH = tensor(0.1, 0.2, 0.3), tensor(0.3, -0.2, 4.0), tensor(0.5, 0
 def coulomb() -> torch.Tensor:
     """Velocity after 0.1 s of sliding under exact Coulomb friction, from fine explicit steps."""
     steps = 2000
-    _, velocity = rollout(
+    _, velocity = dynamics.rollout(
         MODEL, INERTIA, DRAG.expand(steps, -1), START, SPUN, PUSH.expand(steps, 3), INERTIA.com, 0.1 / steps
     )
     return velocity[-1]
@@ -275,8 +276,8 @@ def coulomb() -> torch.Tensor:
 def slid(directions: int, substeps: int) -> torch.Tensor:
     """The engine's answer to `coulomb`."""
     engine = LcpEngine(directions, substeps)
-    _, velocity = engine.rollout(
-        MODEL, INERTIA, DRAG.expand(10, -1), START, SPUN, PUSH.expand(10, 3), INERTIA.com, 0.01
+    _, velocity = rollout(
+        engine, MODEL, INERTIA, DRAG.expand(10, -1), START, SPUN, PUSH.expand(10, 3), INERTIA.com, 0.01
     )
     return velocity[-1]
 
@@ -347,8 +348,8 @@ def test_gradients_through_a_rollout_are_finite_differences(kind):
     def motion(parameters: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         particle = MODEL.particle_mass(parameters[: len(MASS)])
         friction = MODEL.particle_friction(parameters[len(MASS) :]) * particle * GRAVITY
-        return engine.rollout(
-            MODEL, inertia_of(MODEL, particle), friction.expand(20, -1), STILL, velocity, wrench, grasp, 0.01
+        return rollout(
+            engine, MODEL, inertia_of(MODEL, particle), friction.expand(20, -1), STILL, velocity, wrench, grasp, 0.01
         )
 
     def loss(parameters: torch.Tensor) -> torch.Tensor:

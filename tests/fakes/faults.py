@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
+from typing import Any
 
 import numpy as np
 
 from testbed.errors import HeftError
-from testbed.robot.execution import Execution
 from testbed.sensing.windows import steady_windows
 from testbed.trajectory import Trajectory
 from testbed.trial import Trial
@@ -28,88 +28,58 @@ class Fault:
     """One fault at some moment of a trial."""
 
     name: str
-    strike: Callable[[FakeRobot], None]
-    """Cause of it."""
+    changes: dict[str, Any]
+    """Fields of `Troubles`, or "world.*" and "clock.*", and their values from then on."""
+    pause: float = math.inf
+    """Time after which all is well again [s]."""
     blinds: bool = False
     """True if the arm's feedback ends."""
     until: float = 0.95
     """Part of the trial in which it may strike."""
 
-
-def _trouble(name: str, *, blinds: bool = False, until: float = 0.95, **changes: object) -> Fault:
-    def strike(robot: FakeRobot) -> None:
-        for field, value in changes.items():
-            setattr(robot.troubles, field, value)
-
-    return Fault(name, strike, blinds, until)
-
-
-def _hang_the_loop(robot: FakeRobot) -> None:
-    """Keep the control loop busy for a second, the last twist still standing."""
-    usual = Execution._correction
-    hung = []
-
-    def slow(self: Execution, *arguments):
-        if not hung:
-            hung.append(True)
-            robot.clock.sleep(1.0)
-        return usual(self, *arguments)
-
-    robot.patches.append((Execution, "_correction", usual))
-    Execution._correction = slow
-
-
-def _weaken(robot: FakeRobot) -> None:
-    robot.world.strength = 0.03
-
-
-def _move_the_object(robot: FakeRobot) -> None:
-    robot.world.shove(np.array([60.0, 60.0, 0.0]), 0.2)
-
-
-def _short_silence(robot: FakeRobot) -> None:
-    robot.troubles.sensor_stalls = True
-    robot.later(0.07, lambda: setattr(robot.troubles, "sensor_stalls", False))
-
-
-def _long_silence(robot: FakeRobot) -> None:
-    robot.troubles.feedback_stalls = True
-    robot.later(0.09, lambda: setattr(robot.troubles, "feedback_stalls", False))
+    def strike(self, robot: FakeRobot) -> None:
+        """Cause it."""
+        for name, value in self.changes.items():
+            owner, _, field = name.rpartition(".")
+            part = getattr(robot, owner or "troubles")
+            if self.pause < math.inf:
+                robot.later(self.pause, partial(setattr, part, field, getattr(part, field)))
+            setattr(part, field, value)
 
 
 FORCE, TORQUE = np.array([100.0, 0, 0, 0, 0, 0]), np.array([0, 0, 0, 0, 0, 20.0])
 FAULTS = (
-    _trouble("connection of the arm lost", blinds=True, arm_lost=True),
-    _trouble("feedback of the arm stalls", blinds=True, feedback_stalls=True),
-    Fault("feedback of the arm pauses for 90 ms", _long_silence),
-    _trouble("feedback of the arm says it stands", feedback_lies=True),
-    _trouble("arm goes into a fault", arm_faulted=True),
-    _trouble("arm refuses twists", refuses_twists=True),
-    _trouble("arm refuses poses", until=0.05, refuses_poses=True),
-    _trouble("arm stops short of poses", until=0.08, misses_poses=True),
-    _trouble("arm ignores twists", ignores_twists=True),
-    _trouble("twists in the wrong unit", twist_scale=57.3),
-    _trouble("twists in the wrong direction", twist_scale=-1.0),
-    _trouble("twists 300 ms late", latency=0.3),
-    _trouble("a twist hangs for 1 s", hang=1.0),
-    _trouble("the arm's driver crashes", crash=ValueError("a mistake in a driver")),
-    _trouble("Ctrl-C", crash=KeyboardInterrupt()),
-    _trouble("SIGTERM", crash=SystemExit(143)),
-    Fault("the control loop hangs for 1 s", _hang_the_loop),
-    _trouble("the guard no longer looks", guard_dead=True),
-    _trouble("sensor unplugged", sensor_lost=True),
-    _trouble("sensor stalls", sensor_stalls=True),
-    Fault("sensor pauses for 70 ms", _short_silence),
-    _trouble("a fifth of the frames lost", drops=0.2),
-    _trouble("sensor repeats one frame", frozen=True),
-    _trouble("the tool hits something", load=FORCE),
-    _trouble("the tool is twisted", load=TORQUE),
-    _trouble("the sensor's zero jumps by 1 N", load=FORCE / 100),
-    _trouble("the sensor's zero creeps by 0.1 N/s", drift=FORCE / 1000),
-    _trouble("the gripper refuses", gripper_refuses=True),
-    _trouble("the gripper lets go", lets_go=True),
-    Fault("the grip weakens", _weaken),
-    Fault("the object is pushed away", _move_the_object),
+    Fault("connection of the arm lost", {"arm_lost": True}, blinds=True),
+    Fault("feedback of the arm stalls", {"feedback_stalls": True}, blinds=True),
+    Fault("feedback of the arm pauses for 90 ms", {"feedback_stalls": True}, pause=0.09),
+    Fault("feedback of the arm says it stands", {"feedback_lies": True}),
+    Fault("arm goes into a fault", {"arm_faulted": True}),
+    Fault("arm refuses twists", {"refuses_twists": True}),
+    Fault("arm refuses poses", {"refuses_poses": True}, until=0.05),
+    Fault("arm stops short of poses", {"misses_poses": True}, until=0.08),
+    Fault("arm ignores twists", {"ignores_twists": True}),
+    Fault("twists in the wrong unit", {"twist_scale": 57.3}),
+    Fault("twists in the wrong direction", {"twist_scale": -1.0}),
+    Fault("twists 300 ms late", {"latency": 0.3}),
+    Fault("a twist hangs for 1 s", {"hang": 1.0}),
+    Fault("the arm's driver crashes", {"crash": ValueError("a mistake in a driver")}),
+    Fault("Ctrl-C", {"crash": KeyboardInterrupt()}),
+    Fault("SIGTERM", {"crash": SystemExit(143)}),
+    Fault("the control loop hangs for 1 s", {"clock.hang": 1.0}),
+    Fault("the guard no longer looks", {"guard_dead": True}),
+    Fault("sensor unplugged", {"sensor_lost": True}),
+    Fault("sensor stalls", {"sensor_stalls": True}),
+    Fault("sensor pauses for 70 ms", {"sensor_stalls": True}, pause=0.07),
+    Fault("a fifth of the frames lost", {"drops": 0.2}),
+    Fault("sensor repeats one frame", {"frozen": True}),
+    Fault("the tool hits something", {"load": FORCE}),
+    Fault("the tool is twisted", {"load": TORQUE}),
+    Fault("the sensor's zero jumps by 1 N", {"load": FORCE / 100}),
+    Fault("the sensor's zero creeps by 0.1 N/s", {"drift": FORCE / 1000}),
+    Fault("the gripper refuses", {"gripper_refuses": True}),
+    Fault("the gripper lets go", {"lets_go": True}),
+    Fault("the grip weakens", {"world.strength": 0.03}),
+    Fault("the object is pushed away", {"world.push": (20, np.array([60.0, 60.0, 0.0]))}),
 )
 
 
@@ -164,9 +134,6 @@ def struck_by(fault: Fault, seed: int) -> Outcome:
         ended, reason = trajectory.status, trajectory.reason
     except (HeftError, KeyboardInterrupt, SystemExit, ValueError) as error:
         ended, reason = type(error).__name__, str(error)
-    finally:
-        for where, name, usual in robot.patches:
-            setattr(where, name, usual)
     robot.clock.sleep(1.0)  # nothing may move of itself afterwards
     first = min(robot.arm.stopped)
     return Outcome(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +9,7 @@ import numpy as np
 import pandas as pd
 from scipy.spatial.transform import Rotation, Slerp
 
+from testbed.toml import toml_text
 from testbed.trajectory import Trajectory
 
 MOUNT = Rotation.from_euler("xyz", [180, 0, 123], degrees=True)
@@ -77,17 +77,9 @@ def closing_axis(t: Trajectory) -> np.ndarray:
     return np.array([axis[0], axis[1], 0.0])
 
 
-def write_toml(path: Path, said: dict[str, Any]) -> Path:
+def write_toml(path: Path, fields: dict[str, Any]) -> Path:
     """A mapping as a file."""
-
-    def value(v: Any) -> str:
-        if isinstance(v, dict):
-            return "{ " + ", ".join(f"{k} = {value(x)}" for k, x in v.items() if x is not None) + " }"
-        if isinstance(v, list | tuple):
-            return "[" + ", ".join(value(x) for x in v) + "]"
-        return json.dumps(v)
-
-    path.write_text("".join(f"{k} = {value(v)}\n" for k, v in said.items()))
+    path.write_text(toml_text(fields), encoding="utf-8")
     return path
 
 

@@ -88,12 +88,14 @@ class SimulatedClock:
         self._calls: list[list] = []
         self.alive = True
         """True if calls are made."""
+        self.hang = 0.0
+        """Time for which the next sleep takes longer [s]: the control loop hangs."""
 
     def now(self) -> float:
         return self._now
 
     def sleep(self, seconds: float) -> None:
-        until = self._now + seconds
+        until, self.hang = self._now + seconds + self.hang, 0.0
         while True:
             due = min([self._next_tick, *(call[0] for call in self._calls)])
             if due > until + 1e-9:
@@ -130,8 +132,6 @@ class FakeRobot:
         """Time [s], speed of the tool, and True if the arm was driven, at every tick."""
         self.slid = 0.0
         """Movement of the object in the closed grip [m]."""
-        self.patches: list[tuple[type, str, object]] = []
-        """Patched attributes: owner, name, original."""
         self._held: list[np.ndarray] = []
         self._to_come: list[tuple[float, Callable[[], None]]] = []
         self.tracker = Tracker(self, seed)
@@ -208,15 +208,8 @@ class FakeArm:
             still = self._lie
             return ArmState(heard.time_s, still.q, np.zeros(7), Pose(still.position, still.orientation), np.zeros(6))
         faulted = robot.troubles.arm_faulted
-        return ArmState(
-            heard.time_s,
-            heard.q,
-            heard.qd,
-            Pose(heard.position, heard.orientation),
-            heard.twist,
-            faulted,
-            "joint fault" if faulted else "",
-        )
+        pose, message = Pose(heard.position, heard.orientation), "joint fault" if faulted else ""
+        return ArmState(heard.time_s, heard.q, heard.qd, pose, heard.twist, faulted, message)
 
     def move_to(self, pose: Pose, speed: float) -> None:
         robot, troubles, stops = self.robot, self.robot.troubles, self._stops

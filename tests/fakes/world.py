@@ -73,7 +73,8 @@ class Gen3World:
         self.strength = 1.0
         """Ratio of the fingers' force to the commanded one."""
         self._grip = -0.05
-        self._push = (0, np.zeros(3))
+        self.push = (0, np.zeros(3))
+        """Ticks for which the object is pushed, and the force [N], world axes."""
         self._integral = np.zeros(7)
         q = joint_path(np.array([START]), np.array(HOME))[0]
         self._build(q, 0, np.array([0.45, 0.0, 0.0]))
@@ -111,8 +112,8 @@ class Gen3World:
         rate = 1 / _CLOSING if self.grip > self._grip else 1 / _OPENING
         self._grip += float(np.clip(self.grip - self._grip, -rate * dt, rate * dt))
         self.data.ctrl[7] = self._grip * self.settings.grip.force * self.strength
-        left, push = self._push
-        self._push = (left - 1, push)
+        left, push = self.push
+        self.push = (left - 1, push)
         self.data.xfrc_applied[self._body, :3] = push * (left > 0)
         steps = round(dt / self.settings.timestep)
         measured = np.zeros(self.model.nsensordata)
@@ -126,10 +127,6 @@ class Gen3World:
     def stop(self) -> None:
         """End all motion."""
         self.twist, self.goal = np.zeros(6), None
-
-    def shove(self, force: np.ndarray, seconds: float) -> None:
-        """Push the object [N], world axes."""
-        self._push = (round(seconds / TICK), force)
 
     @property
     def object_in_hand(self) -> np.ndarray:

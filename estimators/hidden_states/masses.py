@@ -30,15 +30,13 @@ Pairs = tuple[tuple[int, int], ...]
 
 @dataclass(frozen=True, eq=False)
 class MassSolution:
-    """Mass and friction, and how well they are determined."""
+    """Mass and friction, and the rank of the system that determines them."""
 
     distribution: MassDistribution
-    covariance: Float[np.ndarray, "n_m n_m"]
-    """Covariance of the particle masses, kg^2; infinite variance where the data leave a direction open."""
     rank: int
     """Rank of the system, out of `unknowns`."""
     unknowns: int
-    """n_m + n_mu."""
+    """n_m and the number of friction groups with friction."""
 
 
 def solve_masses(
@@ -84,8 +82,11 @@ def solve_masses(
         nu = unknown[n_m:]
     friction = np.zeros(shape.n_mu)
     friction[rough] = 1 / np.maximum(nu, SMALLEST_PART * nu.max(initial=1.0))
-    covariance, rank = _covariance(system)
-    return MassSolution(MassDistribution(unknown[:n_m], friction), covariance[:n_m, :n_m], rank, unknowns)
+    scaled = system / np.maximum(np.linalg.norm(system, axis=0), 1e-300)
+    strength = np.linalg.svd(scaled, compute_uv=False)
+    return MassSolution(
+        MassDistribution(unknown[:n_m], friction), int((strength >= OPEN * strength[0]).sum()), unknowns
+    )
 
 
 def _rough_groups(shape: ObjectShape, pairs: Pairs, loads: np.ndarray, covariance: np.ndarray) -> list[int]:
@@ -134,19 +135,6 @@ def fixed_rows(
         rows = np.vstack([rows, whiten @ inertia_map(shape, pivots.pivot)])
         values = np.append(values, whiten @ pivots.inertia)
     return np.hstack([rows, np.zeros((len(rows), unknowns - shape.n_m))]), values
-
-
-def _covariance(system: np.ndarray) -> tuple[np.ndarray, int]:
-    """Covariance of a least-squares answer, infinite wherever a direction is open, and the system's rank."""
-    scale = np.maximum(np.linalg.norm(system, axis=0), 1e-300)
-    _, values, directions = np.linalg.svd(system / scale, full_matrices=True)
-    values = np.append(values, np.zeros(len(directions) - len(values)))
-    open_ = values < OPEN * values[0]
-    covariance = (directions[~open_].T / values[~open_] ** 2 @ directions[~open_]) / np.outer(scale, scale)
-    moves = np.abs(directions[open_] / scale)
-    blind = (moves > OPEN * moves.max(initial=1e-300)).any(axis=0)
-    covariance[np.ix_(blind, blind)] = np.inf
-    return covariance, int((~open_).sum())
 
 
 def weight_per_mass(shape: ObjectShape, pairs: Pairs) -> Float[np.ndarray, "n_s"]:

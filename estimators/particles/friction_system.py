@@ -116,8 +116,8 @@ def friction_equations(
     return FrictionEquations(q.reshape(-1, q.shape[-1]), b.reshape(-1), apart, common)
 
 
-def rank_of(q: Float[np.ndarray, "R n_s"], tolerance: float = 1e-3) -> int:
-    """rank(Q) with columns scaled to unit length; a direction below `tolerance` of the strongest is not observed."""
+def rank_of(q: Float[np.ndarray, "R n_s"]) -> int:
+    """rank(Q) with columns scaled to unit length; a direction below 1e-3 of the strongest is not observed."""
     scale = np.linalg.norm(q, axis=0)
     values = np.linalg.svd(q / np.where(scale > 0, scale, 1.0), compute_uv=False)
-    return int((values > tolerance * values.max(initial=1e-300)).sum())
+    return int((values > 1e-3 * values.max(initial=1e-300)).sum())

@@ -32,10 +32,10 @@ class GripperLoad:
         return torch.cat([self.lift[:, None], self.moment], -1)
 
     @staticmethod
-    def none(count: int) -> GripperLoad:
-        """Load of a gripper that carries nothing, for `count` windows."""
-        lift, pair = torch.zeros(count, dtype=torch.float64), torch.zeros(count, 2, dtype=torch.float64)
-        return GripperLoad(lift, pair, torch.zeros(count, dtype=torch.int64), pair)
+    def none() -> GripperLoad:
+        """Load of a gripper that carries nothing, in one window."""
+        lift, pair = torch.zeros(1, dtype=torch.float64), torch.zeros(1, 2, dtype=torch.float64)
+        return GripperLoad(lift, pair, torch.zeros(1, dtype=torch.int64), pair)
 
 
 def load_map(height: float) -> np.ndarray:

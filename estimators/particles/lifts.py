@@ -46,15 +46,6 @@ class LiftedRows:
 
     rows: Float[np.ndarray, "r n_m"]
     values: Float[np.ndarray, "r"]
-    misfit: float
-    """Squared residual of the lifts' wrenches about the masses that fit them best."""
-    freedom: int
-    """Expected value of the misfit."""
-
-    @classmethod
-    def none(cls, shape: ObjectShape) -> LiftedRows:
-        """The rows without a lift."""
-        return cls(np.empty((0, shape.n_m)), np.empty(0), 0.0, 0)
 
 
 def lifted_rows(
@@ -73,7 +64,7 @@ def lifted_rows(
     """
     trials = list(lifts_among(shape, trajectories).values())
     if not trials:
-        return LiftedRows.none(shape)
+        return LiftedRows(np.empty((0, shape.n_m)), np.empty(0))
     even = np.full(shape.n_m, weight / len(shape.particles))
     known = _compressed(shape, trials, even, errors)
     for _ in range(ROUNDS):
@@ -99,10 +90,7 @@ def _compressed(
     rows, values = np.vstack([r for r, _ in whitened]), np.concatenate([v for _, v in whitened])
     left, strength, right = np.linalg.svd(rows, full_matrices=False)
     seen = strength > 1e-6 * strength[0]
-    measured = left[:, seen].T @ values
-    missing = values - left[:, seen] @ measured
-    misfit, freedom = float(missing @ missing), len(values) - len(measured)
-    return LiftedRows(strength[seen, None] * right[seen], measured, misfit, freedom)
+    return LiftedRows(strength[seen, None] * right[seen], left[:, seen].T @ values)
 
 
 def lift_information(

@@ -65,11 +65,9 @@ def pivot_inertias(
     return PivotInertia(pivots, values, variances, relative_error)
 
 
-def slope_variance(
-    observations: Observations, covariance: Float[np.ndarray, "K K"] | None = None
-) -> tuple[Float[np.ndarray, "J 2"], Float[np.ndarray, "J"]]:
+def slope_variance(observations: Observations) -> tuple[Float[np.ndarray, "J 2"], Float[np.ndarray, "J"]]:
     """Pivots, m, and the variance of I_j by slope, (kg m^2)^2, from noise and drift of the sensor alone."""
-    pivots, designs = _whitened_designs(observations, covariance)
+    pivots, designs = _whitened_designs(observations, None)
     return pivots, np.array([np.linalg.inv(design.T @ design)[0, 0] for _, _, design in designs])
 
 

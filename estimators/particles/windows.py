@@ -273,7 +273,8 @@ def observe(
     wrench = np.array([w.wrench for w in windows])
     noise, bias = _pooled(windows, np.array(trial), np.array(accelerated))
     carries = np.array([load_map(w.tcp_height) for w in windows])
-    off = bias + np.array([w.since_tare.mean() * w.drift_covariance for w in windows])
+    drift = np.array([w.drift_covariance for w in windows])
+    off = bias + np.array([w.since_tare.mean() for w in windows])[:, None, None] * drift
     load, kept, followed = likely_load(
         np.einsum("kij,kj->ki", carries, wrench),
         np.einsum("kij,kjl,kil->ki", carries, off, carries),
@@ -284,28 +285,24 @@ def observe(
     )
     points = np.array([shape.grasps[w.grasp].position for w in windows])
     nearest = np.linalg.norm(shape.particles[None] - points[:, None], axis=-1).argmin(axis=1)
-    tensor = torch.tensor
-    return Observations(
-        wrench=tensor(wrench[:, PLANAR]),
-        noise=tensor(noise),
-        bias=tensor(bias),
-        drift=tensor(np.array([w.drift_covariance for w in windows])),
-        since_tare=tensor(np.array([w.since_tare for w in windows])),
-        twist=tensor(np.array([w.twist for w in windows])),
-        twists=tensor(np.array([w.twists for w in windows])),
-        acceleration=tensor(np.array([w.acceleration for w in windows])),
-        spin_square=tensor([w.spin_square for w in windows], dtype=torch.float64),
-        grasp=tensor(points),
-        lift=tensor(load[:, 0]),
-        tilt=tensor(load[:, 1:]),
-        yaw=tensor(np.array([w.yaw for w in windows])),
-        load_map=tensor(carries),
-        load_kept=tensor(kept),
-        load_followed=tensor(followed),
-        held=tensor(shape.mass_group[nearest]),
-        trial=tensor(trial),
-        accelerated=tensor(accelerated),
-    )
+    same = ("since_tare", "twist", "twists", "acceleration", "spin_square", "yaw")
+    values: dict[str, np.ndarray] = {name: np.array([getattr(w, name) for w in windows]) for name in same}
+    values |= {
+        "wrench": wrench[:, PLANAR],
+        "noise": noise,
+        "bias": bias,
+        "drift": drift,
+        "grasp": points,
+        "lift": load[:, 0],
+        "tilt": load[:, 1:],
+        "load_map": carries,
+        "load_kept": kept,
+        "load_followed": followed,
+        "held": shape.mass_group[nearest],
+        "trial": np.array(trial),
+        "accelerated": np.array(accelerated),
+    }
+    return Observations(**{name: torch.tensor(value) for name, value in values.items()})
 
 
 def _pooled(windows: list[SteadyWindow], trial: np.ndarray, accelerated: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -155,7 +155,6 @@ class SupportAware:
             return replace(answer, message=_joined(why, answer.message), diagnostics=numbers)
         assert answer.distribution is not None
         chosen = options[np.arange(shape.n_m), ranked.material[0]]
-        _, covariance = ranked.moments(options)
         many, best = ranked.holding(0.9), float(ranked.probability[0])
         numbers["assignment_probability"] = best
         numbers["assignments_holding_90"] = float(many) if many is not None else np.inf
@@ -166,7 +165,7 @@ class SupportAware:
         return replace(
             answer,
             distribution=MassDistribution(chosen / count, answer.distribution.friction),
-            covariance=covariance / np.outer(count, count),
+            covariance=ranked.covariance(options) / np.outer(count, count),
             status="ok" if many == 1 else "underdetermined",
             message="" if many == 1 else message,
             diagnostics=numbers,

@@ -18,7 +18,7 @@ from torch import Tensor
 
 from estimators.particles.errors import ModelErrors
 from estimators.particles.gripper_load import GripperLoad
-from estimators.particles.lifts import LiftedRows
+from estimators.particles.lifts import LiftedRows, lifted_rows
 from estimators.particles.model import ParticleModel, inertia_of
 from estimators.particles.pivots import PivotInertia, inertia_map, pivot_inertias
 from estimators.particles.support import LOADS, LoadsOf, SupportModel
@@ -123,7 +123,7 @@ def fit_support(
         spread_known: True if the gripper's lift and moment spread over the feet as in this model; else as in either
             model, or between: then that spread tells nothing.
     """
-    lifted = lifted or LiftedRows.none(shape)
+    lifted = lifted or lifted_rows(shape, weight, [])
     model = ParticleModel.of(shape)
     steady, accelerated = observed.where(~observed.accelerated), observed.where(observed.accelerated)
     loads_of = LOADS[support]

@@ -46,14 +46,12 @@ class RankedAssignments:
         within = np.cumsum(self.probability)
         return int(np.searchsorted(within, share) + 1) if within[-1] >= share else None
 
-    def moments(
-        self, options: Float[np.ndarray, "n_m k"]
-    ) -> tuple[Float[np.ndarray, "n_m"], Float[np.ndarray, "n_m n_m"]]:
-        """Mean and covariance of the groups' masses over the listed assignments."""
+    def covariance(self, options: Float[np.ndarray, "n_m k"]) -> Float[np.ndarray, "n_m n_m"]:
+        """Covariance of the groups' masses over the listed assignments, kg^2."""
         masses = np.take_along_axis(options[None], self.material[:, :, None], 2)[..., 0]
         share = self.probability / self.probability.sum()
-        mean = share @ masses
-        return mean, (masses - mean).T @ ((masses - mean) * share[:, None])
+        apart = masses - share @ masses
+        return apart.T @ (apart * share[:, None])
 
 
 def rank_assignments(

@@ -41,8 +41,6 @@ class SupportTest:
     """I_cm from acceleration over that of the masses that friction shows on own weight; NaN without acceleration."""
     moment_ratio_error: float
     """Standard error of the ratio."""
-    own_weight: SupportFit
-    rigid: SupportFit
 
     @property
     def violated(self) -> bool:
@@ -96,7 +94,7 @@ def support_test(
     p_rigid, _, _ = _within_wider(rigid)
     bayes = float(_log_evidence(own, shape, weight) - _log_evidence(rigid, shape, weight)) / math.log(10)
     kind = _kind(p_own, bayes, rigid.misfit / len(rigid.target), level)
-    return SupportTest(kind, p_own, p_rigid, bayes, ratio, ratio_error, own, rigid)
+    return SupportTest(kind, p_own, p_rigid, bayes, ratio, ratio_error)
 
 
 def _kind(p_own: float, bayes: float, misfit: float, level: float) -> SupportKind:

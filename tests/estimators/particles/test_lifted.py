@@ -64,17 +64,15 @@ def test_what_is_planned_is_what_is_recorded():
 @pytest.mark.slow
 def test_its_errors_are_as_large_as_they_are_said_to_be():
     """Bias, noise, and an offset in the grip, drawn as told: squared misses of the truth follow chi squared."""
-    obj, rng, misses, left = drawn_object(1), np.random.default_rng(0), [], []
+    obj, rng, misses = drawn_object(1), np.random.default_rng(0), []
     said = LiftErrors()
     for seed in range(24):
         x, y, z = rng.standard_normal(3) * [said.grip, said.grip, said.height * obj.shape.height]
         seen = lifted_rows(obj.shape, obj.total_mass, [lifted(obj, SHORT, offset=(x, y, z), errors=1.0, seed=seed)])
         misses.append(np.sum((seen.values - seen.rows @ obj.truth.mass) ** 2))
-        left.append(seen.misfit / seen.freedom)
     count = len(misses) * 6
     assert chi2.cdf(np.sum(misses), count) < 0.995
     assert np.sum(misses) > 0.3 * count
-    assert np.mean(left) < 1.2
 
 
 def test_what_is_no_lift_says_nothing_and_a_lift_is_nothing_to_others():

@@ -83,15 +83,15 @@ def test_rigid_loads_are_an_affine_field_of_the_weight_and_its_center_alone():
 
 def test_a_rigid_body_on_a_line_of_feet_shares_its_weight_evenly():
     obj = load_object("I1", 1)
-    assert_allclose(loads_of("rigid", obj, GripperLoad.none(1))[0], obj.total_mass * GRAVITY / 6)
+    assert_allclose(loads_of("rigid", obj, GripperLoad.none())[0], obj.total_mass * GRAVITY / 6)
 
 
 def test_one_rigid_body_carries_what_has_no_feet_and_own_weight_refuses_it():
-    loads = loads_of("rigid", ONE_OFF_THE_TABLE, GripperLoad.none(1))
+    loads = loads_of("rigid", ONE_OFF_THE_TABLE, GripperLoad.none())
     assert_allclose(loads[:, ONE_OFF_THE_TABLE.shape.friction_group < 0], 0)
     assert_allclose(loads.sum(-1), ONE_OFF_THE_TABLE.total_mass * GRAVITY)
     with pytest.raises(InvalidValueError, match="friction_group"):
-        loads_of("own_weight", ONE_OFF_THE_TABLE, GripperLoad.none(1))
+        loads_of("own_weight", ONE_OFF_THE_TABLE, GripperLoad.none())
 
 
 @pytest.mark.parametrize("support", LOADS)

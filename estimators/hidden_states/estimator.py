@@ -113,15 +113,15 @@ class HiddenStates:
             return Estimate(None, "no_data", NO_DATA)
         guess = trials.first_guess()
         s = trials.friction_loads(guess)
-        found: Solution | None = None
+        solution: Solution | None = None
         for _ in range(self.refinements + (SETTLING if self.unknown else 0)):
             trials = trials.refined(guess, s)
             found = algorithm_1(trials, guess, partial(self._solve, seconds=trials.robot_seconds))
             if isinstance(found, Underdetermined):
                 return trials.annotated(_underdetermined(trials, found, guess), closed_form(found.Q_s_b))
-            guess, s = found.masses.distribution, found.H.friction_load
-        assert found is not None
-        return trials.annotated(_estimate_of(trials, found), s)
+            solution, guess, s = found, found.masses.distribution, found.H.friction_load
+        assert solution is not None
+        return trials.annotated(_estimate_of(trials, solution), s)
 
     def _solve(self, system: LinearSystem, seconds: float) -> tuple[Float[np.ndarray, "n_s"], tuple[Trace, ...]]:
         """s and the traces of its optimizers; `seconds` is the robot time of the data."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from copy import deepcopy
 from dataclasses import replace
 from itertools import product
@@ -13,20 +13,12 @@ from zlib import crc32
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
-from estimators.action_selection.design import ASSUMED_SUPPORTS, Guess
-from estimators.action_selection.greedy import PlannedPolicy
-from estimators.action_selection.online import OnlinePolicy
-from estimators.action_selection.plan import Goal
-from estimators.action_selection.rank import RankDriven, held_out_turns
-from estimators.base import ActionPolicy
 from estimators.registry import build_method, is_method
-from scenarios.policies import PolicyContext, build_policy, code_of
-from scenarios.runners import FeasibilityCheck, NamedRunner, RunnerSettings
-from testbed.actions.base import Action
-from testbed.actions.rotate import Rotate
+from scenarios.policies import Count, Policy
+from scenarios.runners import NamedRunner, RunnerSettings
 from testbed.errors import InvalidValueError
 from testbed.objects.files import find_file, library_names
-from testbed.objects.model import MassDistribution, ObjectModel, ObjectShape
+from testbed.objects.model import MassDistribution, ObjectModel
 from testbed.objects.random import Family
 from testbed.plugins import nearest
 from testbed.sensing.presets import preset
@@ -39,103 +31,6 @@ from testbed.simulation.settings import (
 from testbed.toml import explained, load_toml
 from testbed.trial import Support, parse_support
 
-Count = Annotated[int, Field(ge=1, le=100_000)]
-
-
-POLICIES = ("paper", "greedy", "batch", "random", "online")
-"""heft's own policies."""
-
-
-class Policy(BaseModel):
-    """How actions are chosen: by the paper's rank, by a plan before any touch or after each, or by code of your own."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-    kind: str = "paper"
-    pivots: Annotated[int, Field(ge=1)] = 6
-    duration: Annotated[float, Field(gt=1.5, le=60)] = 18.0
-    accelerated: Annotated[int, Field(ge=0)] = 6
-    most: Count = 40
-    seed: Annotated[int, Field(ge=0)] = 0
-    held_out: Annotated[int, Field(ge=0, le=100)] = 2
-    touches: Count = 8
-    until: Annotated[float, Field(gt=0, lt=1)] | None = None
-    budget_s: Annotated[float, Field(gt=0, allow_inf_nan=False)] | None = None
-    criterion: Literal["I", "A", "D"] = "I"
-    plan_for: str = "ft300s"
-    candidates: Annotated[int, Field(ge=1, le=100_000)] = 4000
-    thought: Literal["own_weight", "rigid", "either"] | None = None
-    settings: dict[str, Any] = {}
-
-    @field_validator("plan_for", mode="after")
-    @classmethod
-    def _known_sensor(cls, name: str) -> str:
-        preset(name)
-        return name
-
-    @model_validator(mode="after")
-    def _known_kind(self) -> Self:
-        if self.kind not in POLICIES:
-            build_policy(self.kind, self.settings, POLICIES, self.touches, PolicyContext())
-        elif self.settings:
-            allowed = f'none: {self.kind} has its fields in [policy]; settings are for a kind = "package:Class"'
-            raise InvalidValueError("settings", self.settings, allowed)
-        return self
-
-    @property
-    def own_draw(self) -> bool:
-        """Whether each draw of a sensor's errors has trials of its own: what was felt decides the next."""
-        return self.kind == "online"
-
-    @property
-    def expected_trials(self) -> int:
-        """Trials a cell where nothing goes wrong, the weighing among them."""
-        chosen = self.accelerated + self.pivots if self.kind == "paper" else self.touches
-        return 1 + chosen + self.held_out
-
-    def build(
-        self,
-        grasps: tuple[int, ...],
-        particles: ObjectModel,
-        settings: RunnerSettings,
-        sensing: str | None = None,
-        refused: Mapping[Action, str] | None = None,
-    ) -> ActionPolicy:
-        """The policy over the grasps that may be used; of the object it is context shape and weight.
-
-        Args:
-            grasps: which may be used.
-            particles: the object, with the estimator's particles.
-            settings: of the bench, which is asked what it can do.
-            sensing: how a policy feels whose draws have trials of their own; `plan_for` if left out.
-            refused: what the bench refused when it was run; may grow later.
-        """
-        if self.kind == "paper":
-            return RankDriven(self.pivots, self.duration, self.accelerated, self.most, self.seed, grasps)
-        guess = Guess(particles.total_mass, preset(self.plan_for))
-        check = FeasibilityCheck(particles.shape, guess, settings, {} if refused is None else refused)
-        if self.kind not in POLICIES:
-            context = PolicyContext(grasps, particles.total_mass, check)
-            return build_policy(self.kind, self.settings, POLICIES, self.touches, context)
-        goal = Goal(self.until, self.budget_s, self.touches)
-        searched = {"candidates": self.candidates, "grasps": grasps, "seed": self.seed, "feasible": check}
-        if self.kind == "online":
-            guess = replace(
-                guess, sensing=preset(sensing or self.plan_for), supports=ASSUMED_SUPPORTS[self.thought or "either"]
-            )
-            return OnlinePolicy(guess, goal, self.criterion, **searched)
-        guess = replace(guess, supports=ASSUMED_SUPPORTS[self.thought or "own_weight"])
-        return PlannedPolicy(guess, self.kind, self.criterion, goal, **searched)  # pyright: ignore[reportArgumentType]
-
-    def asked(self) -> dict[str, Any]:
-        """All that decides its choices, as plain data."""
-        return self.model_dump() | ({} if self.kind in POLICIES else code_of(self.kind))
-
-    def build_held_out(self, shape: ObjectShape, grasps: tuple[int, ...]) -> list[Rotate]:
-        """Turns for prediction, which no method is given."""
-        return held_out_turns(shape, grasps, self.held_out, self.duration, self.seed)
-
-
 LIBRARY = Path(__file__).parent / "library"
 
 
@@ -146,14 +41,14 @@ class Strict(BaseModel):
 
 
 class Grid(Strict):
-    """How finely a block is cut."""
+    """Resolution of a block."""
 
     feet: Annotated[int, Field(ge=1, le=20)] = 3
     particles: Annotated[int, Field(ge=1, le=20)] = 3
 
 
 class Simulation(Strict):
-    """Settings of the simulated bench, what is left out keeping its measured default; or somebody else's bench."""
+    """Settings of the simulation, each with its measured default; or a runner of another package."""
 
     timestep_s: Annotated[float, Field(gt=0, le=0.002)] = 0.001
     grip: Literal["friction", "weld"] = "friction"
@@ -178,7 +73,7 @@ class Simulation(Strict):
         return self
 
     def build(self) -> RunnerSettings:
-        """The bench's settings."""
+        """Settings of the runner."""
         if self.runner is not None:
             return NamedRunner.of(self.runner, self.settings)
         return SimulationSettings(
@@ -300,7 +195,7 @@ class Scenario(Strict):
         return self.model_copy(update=changes)
 
     def supports(self) -> list[Support]:
-        """Who carries the weight, in order."""
+        """Supports that carry the weight, in order."""
         return [parse_support(value) for value in self.support]
 
     def draws(self, sensing: str) -> int:

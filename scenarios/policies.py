@@ -1,20 +1,34 @@
-"""Action policies of other packages: by name, with a scenario's settings, held to what the scenario allows."""
+"""Action policies of a scenario: the [policy] table, and policies of other packages by name."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from traceback import extract_tb
-from typing import Any
+from typing import Annotated, Any, Literal, Self
 
+from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+
+from estimators.action_selection.design import ASSUMED_SUPPORTS, Guess
+from estimators.action_selection.greedy import PlannedPolicy
+from estimators.action_selection.online import OnlinePolicy
+from estimators.action_selection.plan import Goal
+from estimators.action_selection.rank import RankDriven, held_out_turns
 from estimators.base import ActionPolicy
 from estimators.registry import POLICY
+from scenarios.runners import FeasibilityCheck, RunnerSettings
 from testbed.actions.base import Action
+from testbed.actions.rotate import Rotate
 from testbed.errors import HeftError, InvalidValueError
-from testbed.objects.model import ObjectShape
+from testbed.objects.model import ObjectModel, ObjectShape
 from testbed.plugins import configured, find_class, source_hash
+from testbed.sensing.presets import preset
 from testbed.trajectory import Trajectory
+
+Count = Annotated[int, Field(ge=1, le=100_000)]
+POLICIES = ("paper", "greedy", "batch", "random", "online")
+"""heft's own policies."""
 
 
 @dataclass(frozen=True)
@@ -65,25 +79,112 @@ class NamedPolicy:
         return action
 
 
-def build_policy(
-    kind: str, settings: Mapping[str, Any], own: Sequence[str], most: int, context: PolicyContext
-) -> ActionPolicy:
+def build_policy(kind: str, settings: Mapping[str, Any], most: int, context: PolicyContext) -> ActionPolicy:
     """Build a policy by "package:Class" or entry point.
 
     Args:
         kind: name as the scenario has it.
         settings: arguments of its class.
-        own: names of heft's own policies, for the error.
         most: largest number of actions.
         context: facts beside the shape.
 
     Raises:
         InvalidValueError: unknown policy or setting, or a value that the class refuses.
     """
-    found = find_class(kind, POLICY, "kind", own)
+    found = find_class(kind, POLICY, "kind", POLICIES)
     return NamedPolicy(kind, configured(found, settings, "settings", given=vars(context)), most, context.grasps)
 
 
 def code_of(kind: str) -> dict[str, str]:
     """Source hash of another package's policy: it decides the choices beyond the settings."""
     return {"source": source_hash(find_class(kind, POLICY, "kind"))}
+
+
+class Policy(BaseModel):
+    """Choice of actions: by the paper's rank, by a plan before any trial or after each, or by a policy of your own."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    kind: str = "paper"
+    pivots: Annotated[int, Field(ge=1)] = 6
+    duration: Annotated[float, Field(gt=1.5, le=60)] = 18.0
+    accelerated: Annotated[int, Field(ge=0)] = 6
+    most: Count = 40
+    seed: Annotated[int, Field(ge=0)] = 0
+    held_out: Annotated[int, Field(ge=0, le=100)] = 2
+    touches: Count = 8
+    until: Annotated[float, Field(gt=0, lt=1)] | None = None
+    budget_s: Annotated[float, Field(gt=0, allow_inf_nan=False)] | None = None
+    criterion: Literal["I", "A", "D"] = "I"
+    plan_for: str = "ft300s"
+    candidates: Annotated[int, Field(ge=1, le=100_000)] = 4000
+    thought: Literal["own_weight", "rigid", "either"] | None = None
+    settings: dict[str, Any] = {}
+
+    @field_validator("plan_for", mode="after")
+    @classmethod
+    def _known_sensor(cls, name: str) -> str:
+        preset(name)
+        return name
+
+    @model_validator(mode="after")
+    def _known_kind(self) -> Self:
+        if self.kind not in POLICIES:
+            build_policy(self.kind, self.settings, self.touches, PolicyContext())
+        elif self.settings:
+            allowed = f'none: {self.kind} has its fields in [policy]; settings are for a kind = "package:Class"'
+            raise InvalidValueError("settings", self.settings, allowed)
+        return self
+
+    @property
+    def own_draw(self) -> bool:
+        """True if each draw of a sensor's errors has its own trials: the measured wrenches decide the next action."""
+        return self.kind == "online"
+
+    @property
+    def expected_trials(self) -> int:
+        """Number of trials of an experiment where nothing fails, the weighing among them."""
+        chosen = self.accelerated + self.pivots if self.kind == "paper" else self.touches
+        return 1 + chosen + self.held_out
+
+    def build(
+        self,
+        grasps: tuple[int, ...],
+        particles: ObjectModel,
+        settings: RunnerSettings,
+        sensing: str | None = None,
+        refused: Mapping[Action, str] | None = None,
+    ) -> ActionPolicy:
+        """The policy over the allowed grasps; of the object it gets shape and weight alone.
+
+        Args:
+            grasps: allowed grasps.
+            particles: object with the estimator's particles.
+            settings: settings of the runner, for the feasibility of actions.
+            sensing: sensor of a policy whose draws have their own trials; `plan_for` if left out.
+            refused: actions that were refused when they were run; may grow later.
+        """
+        if self.kind == "paper":
+            return RankDriven(self.pivots, self.duration, self.accelerated, self.most, self.seed, grasps)
+        guess = Guess(particles.total_mass, preset(self.plan_for))
+        check = FeasibilityCheck(particles.shape, guess, settings, {} if refused is None else refused)
+        if self.kind not in POLICIES:
+            context = PolicyContext(grasps, particles.total_mass, check)
+            return build_policy(self.kind, self.settings, self.touches, context)
+        goal = Goal(self.until, self.budget_s, self.touches)
+        searched = {"candidates": self.candidates, "grasps": grasps, "seed": self.seed, "feasible": check}
+        if self.kind == "online":
+            guess = replace(
+                guess, sensing=preset(sensing or self.plan_for), supports=ASSUMED_SUPPORTS[self.thought or "either"]
+            )
+            return OnlinePolicy(guess, goal, self.criterion, **searched)
+        guess = replace(guess, supports=ASSUMED_SUPPORTS[self.thought or "own_weight"])
+        return PlannedPolicy(guess, self.kind, self.criterion, goal, **searched)  # pyright: ignore[reportArgumentType]
+
+    def request(self) -> dict[str, Any]:
+        """All that decides its choices, as plain data."""
+        return self.model_dump() | ({} if self.kind in POLICIES else code_of(self.kind))
+
+    def build_held_out(self, shape: ObjectShape, grasps: tuple[int, ...]) -> list[Rotate]:
+        """Turns for prediction, which no method is given."""
+        return held_out_turns(shape, grasps, self.held_out, self.duration, self.seed)

@@ -21,10 +21,10 @@ def import_(
     weight: Annotated[float | None, tyro.conf.arg(metavar="KG")] = None,
     support: Annotated[str, tyro.conf.arg(metavar="SUPPORT")] = "own_weight",
 ) -> None:
-    """Read another bench's logs (CSV, or MCAP with JSON messages) as trials, which every method can be asked about.
+    """Read another robot's logs (CSV, or MCAP with JSON messages) as trials, for every method.
 
     MAPPING is a TOML file that says which column is what, in which unit, and what was done: docs/formats.md has one to
-    begin with. All that is wrong is told at once, and then nothing is written. A log that is imported again, by a
+    begin with. All errors are listed at once, and then nothing is written. A log that is imported again, by a
     corrected mapping, takes the place of its earlier import. Exit code: 1 where a trial is no data.
 
     Examples: heft import lab.toml turn_1.csv turn_2.csv --weight 1.8
@@ -35,15 +35,15 @@ def import_(
         mapping: TOML file.
         logs: .csv or .mcap files, one a trial; those that the mapping names if left out.
         out: results folder to put the trials into.
-        weight: mass of the object as a scale said; every method needs it once.
-        support: who carries the object's weight, as far as you know: own_weight, rigid, or a stiffness in N/m.
+        weight: mass of the object as a scale read it; every method needs it once.
+        support: support of the object's weight, as far as you know: own_weight, rigid, or a stiffness in N/m.
     """
     from scenarios.cli.progress import show_progress
     from scenarios.results.logs import import_logs
 
     console = Console()
     with show_progress(console) as progress:
-        imported = list(import_logs(mapping, logs, out, support, weight, progress))
+        imported = import_logs(mapping, logs, out, support, weight, progress)
     for log in imported:
         console.print(_summary(log), highlight=False, markup=False, soft_wrap=True)
     bad, name = sum(not log.trajectory.ok for log in imported), imported[0].object.name
@@ -81,7 +81,7 @@ def estimate(
     held_out: Annotated[int, tyro.conf.arg(metavar="N")] = 0,
     workers: Annotated[int | None, tyro.conf.arg(metavar="N")] = None,
 ) -> None:
-    """Ask every method about the trials that a folder has of a real bench, and write its tables and report.
+    """Estimate from the measured trials of a folder by every method, and write its tables and report.
 
     The trials are those of heft robot trial and heft import, as they were measured: no sensor's errors are drawn. Those
     that are no data are left out. The last weighing counts. Masses in the object's file are taken for the truth: where
@@ -93,9 +93,9 @@ def estimate(
 
     Args:
         folder: results folder with measured trials.
-        objects: names of the objects to ask about; all if left out.
+        objects: names of the objects; all if left out.
         methods: labels of the scenario's methods, instead of all; or others: by name, or package:Class.
-        scenario: whose methods, with their settings: name in the library, or path to a TOML file.
+        scenario: scenario of the methods and their settings: name in the library, or path to a TOML file.
         held_out: last turns that no method is given, for the mean particle distance.
         workers: worker processes; one a core if left out, 0 runs everything in this process.
     """

@@ -37,7 +37,7 @@ COMMANDS = {
     "robot trial": ("scenarios.cli.robot.trial:trial", "Run one trial on the real arm and store it."),
     "robot verify": ("scenarios.cli.robot.verify:verify", "Check the sensor's sign, rotation and zero by trials."),
     "import": ("scenarios.cli.data:import_", "Read another robot's logs (CSV, MCAP) as trials."),
-    "estimate": ("scenarios.cli.data:estimate", "Ask every method about the measured trials of a folder."),
+    "estimate": ("scenarios.cli.data:estimate", "Estimate from the measured trials of a folder by every method."),
 }  # fmt: skip
 """Function of each command, and its line in `heft --help`."""
 GROUPS = {"robot": "The real robot: check it, show its sensor, calibrate it, run a trial on it, verify its trials."}

@@ -134,7 +134,7 @@ def status(folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="
 
 
 def _asked(manifest: dict[str, Any]) -> tuple[str, str]:
-    """How many trials and estimates the folder's scenario asks for; nothing where its trials were measured."""
+    """Numbers of trials and estimates in the folder's scenario; empty where its trials were measured."""
     from pydantic import ValidationError
 
     from scenarios.config import Scenario

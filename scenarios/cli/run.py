@@ -5,7 +5,6 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -42,7 +41,7 @@ def run(
     live: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False,
     dry_run: bool = False,
 ) -> None:
-    """Run a scenario: try every object under every support, ask every method, print the tables, write a report.
+    """Run a scenario: every object under every support by every method, with tables and a report.
 
     Ctrl-C leaves whole files; the same command goes on from them, after kill -9 too.
     Examples: heft run blocks --objects L2 my/object.toml
@@ -58,29 +57,8 @@ def run(
         objects: names in the library or paths to TOML files, instead of the scenario's own.
         record: write a recording of every trial and estimate as it is done, into DIR/recordings.
         live: show every trial and estimate as it is done in an open viewer, or in a new one.
-        dry_run: say how many trials and estimates there are and how long they take, and run nothing.
+        dry_run: print how many trials and estimates there are and how long they take, and run nothing.
     """
-    request = RunRequest(out, workers, executor, seeds, objects, methods, dry_run, record, live)
-    run_and_show(scenario, request)
-
-
-@dataclass(frozen=True)
-class RunRequest:
-    """Options of a run beyond the scenario."""
-
-    out: Path | None = None
-    workers: int | None = None
-    executor: str = "local"
-    seeds: int | None = None
-    objects: tuple[str, ...] | None = None
-    methods: tuple[str, ...] | None = None
-    dry_run: bool = False
-    record: bool = False
-    live: bool = False
-
-
-def run_and_show(name_or_path: str, request: RunRequest) -> None:
-    """Run a scenario and print its tables; exit code 1 where there is an estimate without an answer."""
     from scenarios.cli.progress import show_progress
     from scenarios.config import load_scenario
     from scenarios.execution.executor import default_workers
@@ -92,28 +70,32 @@ def run_and_show(name_or_path: str, request: RunRequest) -> None:
     from scenarios.views.report import report
     from viz.recordings import viewer
 
-    name, scenario = load_scenario(name_or_path)
-    scenario = scenario.changed(request.seeds, request.objects, request.methods)
-    workers = default_workers() if request.workers is None else request.workers
+    name, study = load_scenario(scenario)
+    study = study.changed(seeds, objects, methods)
+    workers = default_workers() if workers is None else workers
     if workers < 0:
         raise InvalidValueError("--workers", workers, "an integer >= 0")
-    folder = request.out or Path("results") / name
+    folder = out or Path("results") / name
     console = Console() if sys.stdout.isatty() else Console(width=120)
-    if request.dry_run:
-        show_dry_run(console, scenario, folder, workers)
+    if dry_run:
+        show_dry_run(console, study, folder, workers)
         return
-    url = viewer.waiting() if request.live else None
-    recorder = Recorder(folder, console, request.record, url) if request.record or request.live else None
+    url = viewer.waiting() if live else None
+    recorder = Recorder(folder, console, record, url) if record or live else None
     begin = time.monotonic()
     with show_progress(console) as progress:
-        results = rows_of(run_scenario(scenario, folder, workers, progress, request.executor, recorder))
-    said = {"name": name, "command": _command(name_or_path, request), "wall_s": round(time.monotonic() - begin, 1)}
-    write_json(folder / "manifest.json", (read_json(folder / "manifest.json") or {}) | said)
-    show_tables(console, scenario, results)
+        results = rows_of(run_scenario(study, folder, workers, progress, executor, recorder))
+    facts = {
+        "name": name,
+        "command": _command(scenario, seeds, objects, methods),
+        "wall_s": round(time.monotonic() - begin, 1),
+    }
+    write_json(folder / "manifest.json", (read_json(folder / "manifest.json") or {}) | facts)
+    show_tables(console, study, results)
     for figure in figures(folder):
         if figure.suffix == ".pdf":
             console.print(f"figure: {figure}", highlight=False, soft_wrap=True)
-    if request.record:
+    if record:
         with show_progress(console) as progress:
             record_all(folder, console, progress)
     try:
@@ -155,10 +137,10 @@ def show_tables(console: Console, scenario: Scenario, results: Sequence[Row]) ->
     console.print(rich_table(hidden_table(results, objects)))
 
 
-def _command(name_or_path: str, request: RunRequest) -> str:
+def _command(scenario: str, seeds: int | None, objects: Sequence[str] | None, methods: Sequence[str] | None) -> str:
     """Command line that runs this again."""
-    parts = ["heft run", name_or_path]
-    for flag, value in (("seeds", request.seeds), ("objects", request.objects), ("methods", request.methods)):
+    parts = ["heft run", scenario]
+    for flag, value in (("seeds", seeds), ("objects", objects), ("methods", methods)):
         if value:
             parts += [f"--{flag}", *([str(value)] if isinstance(value, int) else value)]
     return " ".join(parts)

@@ -18,17 +18,17 @@ from testbed.errors import InvalidValueError
 
 ExecutorName = Literal["inline", "local", "ray"]
 _DISK = {errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EACCES, errno.EPERM, errno.EIO}
-"""What a full, read-only or broken disk says: no fault of the task's, and the next task would meet it too."""
+"""Errors of a full, read-only or broken disk: no fault of the task's, and the next task would meet them too."""
 
 
 @dataclass(frozen=True)
 class Limits:
-    """What a task may use."""
+    """Limits of a task."""
 
     timeout_s: float = 600.0
     """A task that takes longer has hung. Not held by `inline`."""
     tries: int = 3
-    """How often a task is begun whose worker died or was too slow, before it has failed."""
+    """Number of times that a task is begun whose worker dies or is too slow."""
     memory_gib: float = 4.0
     """Data of one worker, GiB: two and a half times the 1.6 that whole trials and every method on F2 and on the hammer
     took at most, of which 1 is only reserved by an allocator; imports alone take 0.43. Not held by `inline`."""
@@ -36,7 +36,7 @@ class Limits:
 
 @dataclass(frozen=True)
 class Failure:
-    """Why a task has no value."""
+    """Reason why a task has no value."""
 
     reason: str
     """One line."""
@@ -89,7 +89,7 @@ class InlineExecutor:
         self._done.append((label, call(function, *arguments)))
 
     def wait(self) -> tuple[Any, Any]:
-        """What the oldest task gave."""
+        """Label and value of the oldest task."""
         return given_back(*self._done.popleft())
 
 
@@ -135,8 +135,8 @@ def call(function: Callable[..., Any], *arguments: Any) -> Any:
     except (Exception, SystemExit) as error:
         if isinstance(error, OSError) and error.errno in _DISK:
             return OSError(error.errno, error.strerror, error.filename)
-        said = f"{type(error).__name__}: {error}".removesuffix(": ")
-        return Failure(said, traceback.format_exc())
+        reason = f"{type(error).__name__}: {error}".removesuffix(": ")
+        return Failure(reason, traceback.format_exc())
 
 
 def given_back(label: Any, value: Any) -> tuple[Any, Any]:

@@ -25,7 +25,7 @@ from testbed.errors import HeftError
 _PR_SET_PDEATHSIG = 1
 """linux/prctl.h"""
 _POLL_S = 1.0
-"""How often workers that left without a word are looked for."""
+"""Time between two looks for workers that left without a word [s]."""
 
 
 @dataclass(eq=False)
@@ -139,7 +139,7 @@ class _Worker:
         raise HeftError(f"a worker process cannot be started: {cause}")
 
     def left_without_a_word(self) -> bool:
-        """Whether the process left with exit code 0 in the middle of its task: another one has taken its place."""
+        """True if the process left with exit code 0 in the middle of its task: another one has taken its place."""
         return self._starts is not None and self._starts.value > 1
 
     def take(self) -> tuple[_Task, Any]:

@@ -18,7 +18,7 @@ from testbed.errors import HeftError
 _IN_FLIGHT = 3
 """Tasks handed to the cluster for each of its CPUs: enough to hide the way there, few enough for flat memory."""
 _GRACE_S = 10.0
-"""How long a task that is too slow has to end by itself."""
+"""Time that a task that is too slow has to end by itself [s]."""
 
 
 class RayExecutor:

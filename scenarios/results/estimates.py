@@ -4,7 +4,7 @@ Columns of the table, a row an estimate (one method, one draw of the sensor's er
 
 | column | |
 |---|---|
-| object, support, sensing, method, seed | what was asked of whom; `method` is the scenario's label |
+| object, support, sensing, method, seed | the experiment and the draw; `method` is the scenario's label |
 | kind | the method behind the label |
 | axis.<field> | value of each swept field of the scenario |
 | status | ok; underdetermined, not_converged, no_data: what the method says; failed, infeasible: there is no answer |

@@ -58,9 +58,9 @@ class FolderInUseError(HeftError):
     """Another run writes to the results folder."""
 
 
-def key_of(asked: dict[str, Any]) -> str:
+def key_of(request: dict[str, Any]) -> str:
     """Content key: a hash of canonical JSON."""
-    return hashlib.sha256(json.dumps(asked, sort_keys=True, separators=(",", ":")).encode()).hexdigest()[:20]
+    return hashlib.sha256(json.dumps(request, sort_keys=True, separators=(",", ":")).encode()).hexdigest()[:20]
 
 
 def trial_request(trial: Trial, settings: RunnerSettings) -> dict[str, Any]:
@@ -110,11 +110,11 @@ class Store:
     root: Path
 
     def has_trial(self, key: str) -> bool:
-        """Whether a trial is done."""
+        """True if a trial is done."""
         return (self.root / "trials" / key / "trial.json").is_file()
 
     def has_sound_trial(self, key: str) -> bool:
-        """Whether a trial is done, and its record not cut short since."""
+        """True if a trial is done, and its record not cut short since."""
         try:
             return (
                 self.has_trial(key) and pq.read_metadata(self.root / "trials" / key / "trajectory.parquet").num_rows > 0
@@ -123,16 +123,16 @@ class Store:
             return False
 
     def put_trial(
-        self, key: str, trial: Trial, asked: dict[str, Any], trajectory: Trajectory, feet: FootForces | None = None
+        self, key: str, trial: Trial, request: dict[str, Any], trajectory: Trajectory, feet: FootForces | None = None
     ) -> None:
         """Write a trial; trial.json comes last and means done."""
         folder, shape = self.root / "trials" / key, trial.object.shape
         save_trajectory(trajectory, folder / "trajectory.parquet")
         if feet is not None:
             save_foot_forces(feet, folder / "foot_forces.parquet")
-        said = {"status": trajectory.status, "reason": trajectory.reason, "figures": trajectory.figures}
+        outcome = {"status": trajectory.status, "reason": trajectory.reason, "figures": trajectory.figures}
         names = {"object": trial.object.name, "groups": shape.group_names, "grasps": [g.name for g in shape.grasps]}
-        write_json(folder / "trial.json", said | {"names": names, "asked": asked})
+        write_json(folder / "trial.json", outcome | {"names": names, "asked": request})
         (folder / "error.txt").unlink(missing_ok=True)
 
     def trajectory(self, key: str) -> Trajectory:

@@ -161,21 +161,15 @@ def estimate(task: EstimateTask, seed: int, key: str, store: Store) -> None:
     seen, held_out = drawn[: len(task.keys)], drawn[len(task.keys) :]
     method = build_method(task.method, task.settings)
     answer = method.estimate(task.truth.shape, weight_of(seen[0]), seen[1:], seed)
-    said = task.labels() | {"trial_keys": list(task.keys), "held_out_keys": list(task.held_out)}
-    row = {"seed": seed} | said | judge(task.truth, answer, seen, held_out, reference=task.reference)
+    labels = task.labels() | {"trial_keys": list(task.keys), "held_out_keys": list(task.held_out)}
+    row = {"seed": seed} | labels | judge(task.truth, answer, seen, held_out, reference=task.reference)
     store.put_estimate(key, row, answer, task.truth.shape)
 
 
 def _infeasible(experiment: InfeasibleExperiment) -> dict[str, Any]:
-    said = {
-        "object": experiment.name,
-        "support": experiment.support,
-        "sensing": "",
-        "seed": 0,
-        "method": "",
-        "kind": "",
-    }
-    return said | axis_columns(experiment.axes) | {"status": "infeasible", "message": experiment.reason}
+    labels = {"object": experiment.name, "support": experiment.support}
+    nobody = {"sensing": "", "seed": 0, "method": "", "kind": ""}
+    return labels | nobody | axis_columns(experiment.axes) | {"status": "infeasible", "message": experiment.reason}
 
 
 def judge(

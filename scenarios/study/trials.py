@@ -143,16 +143,16 @@ def _recalled(experiment: Experiment, store: Store) -> bool:
 
 
 def _key_of(experiment: Experiment) -> str:
-    asked = {
+    request = {
         "object": object_request(experiment.model),
         "particles": object_request(experiment.particles),
         "support": experiment.support.name,
-        "policy": experiment.scenario.policy.asked(),
+        "policy": experiment.scenario.policy.request(),
         "grasps": list(experiment.grasps),
         "held_out": [turn.to_dict() for turn in experiment.turns],
         "simulation": asdict(experiment.scenario.simulation.build()),
     }
-    return key_of(asked | ({"felt": list(experiment.draw)} if experiment.draw else {}))
+    return key_of(request | ({"felt": list(experiment.draw)} if experiment.draw else {}))
 
 
 def _tried(trial: Trial, settings: RunnerSettings, store: Store) -> str:
@@ -168,10 +168,10 @@ def simulate(trial: Trial, settings: RunnerSettings, store: Store) -> None:
     """One physical trial, unless it is done.
 
     Raises:
-        InfeasibleTrialError: the bench refused it; nothing has moved.
+        InfeasibleTrialError: it was refused; nothing has moved.
     """
-    asked = trial_request(trial, settings)
-    key = key_of(asked)
+    request = trial_request(trial, settings)
+    key = key_of(request)
     if store.has_trial(key):
         return
     from testbed.simulation.runner import SimulationRunner  # noqa: PLC0415  without MuJoCo until it is needed
@@ -185,4 +185,4 @@ def simulate(trial: Trial, settings: RunnerSettings, store: Store) -> None:
         runner = SimulationRunner(settings)
         trajectory, contacts = runner.run_with_contacts(trial, every=round(settings.rate / FEET_RATE))
         feet = contacts.foot_forces(trajectory.time_s)
-    store.put_trial(key, trial, asked, trajectory, feet)
+    store.put_trial(key, trial, request, trajectory, feet)

@@ -1,1 +1,1 @@
-"""What a results folder looks like: its pages in the viewer, its figures and its report."""
+"""Views of a results folder: its pages in the viewer, its figures and its report."""

@@ -85,7 +85,7 @@ def fits_of(folder: Path, row: Row, shown: EstimateView) -> list[tuple[str, Traj
 
 
 def settings_of(rows: Sequence[Row]) -> list[tuple[str, list[Row]]]:
-    """What one object was asked under, in words, and its first draw by every method: a comparison each."""
+    """Comparisons of one object: the setting in words, and the first draw by every method."""
     axes = axes_of(rows)
     groups: dict[tuple[Any, ...], list[Row]] = {}
     for row in rows:

@@ -40,9 +40,9 @@ def figures(folder: Path, what: Row | None = None) -> list[Path]:
     return [path for name, figure in drawn for path in save_figure(figure, folder / "figures" / file_name(name))]
 
 
-def file_name(said: str) -> str:
+def file_name(title: str) -> str:
     """Letters, digits, dots, dashes and underscores, and nothing else."""
-    return re.sub(r"[^A-Za-z0-9.-]+", "_", said.replace("/", " per ")).strip("_.")
+    return re.sub(r"[^A-Za-z0-9.-]+", "_", title.replace("/", " per ")).strip("_.")
 
 
 def _of_all(folder: Path) -> Iterator[tuple[str, Figure]]:

@@ -32,7 +32,7 @@ MOST_NAMED = 12
 
 
 def page_of(folder: Path, what: str | None) -> Page:
-    """What `what` names in a results folder: an object, or the beginning of the key of a trial or an estimate.
+    """Page of an object, or of the trial or estimate whose key begins so.
 
     Args:
         folder: results folder, of a finished run or of one that still runs.
@@ -88,8 +88,8 @@ def estimate_page(folder: Path, key: str, *, light: bool = False) -> Page:
     typical, trial = typical_trial(folder, row), None
     as_sensed = next((trajectory for of, trajectory, _ in explained if of == typical.folder.name), None)
     if as_sensed is not None and not light:
-        said = {"sensing": f"{row['sensing']}, draw {row['seed']}"}
-        trial = view_of(typical, as_sensed, shown.shape, shown.answer, f"{shown.method}'s masses", said)
+        facts = {"sensing": f"{row['sensing']}, draw {row['seed']}"}
+        trial = view_of(typical, as_sensed, shown.shape, shown.answer, f"{shown.method}'s masses", facts)
 
     def log(stream: rr.RecordingStream) -> None:
         log_estimate(stream, "estimate", shown)
@@ -158,7 +158,7 @@ def record_all(folder: Path, console: Console, progress: Progress) -> None:
 
 
 def recording_path(folder: Path, name: str) -> Path:
-    """Where the recording of an object, a trial or an estimate is."""
+    """Path of the recording of an object, a trial or an estimate."""
     return folder / "recordings" / f"{name}.rrd"
 
 
@@ -169,7 +169,7 @@ def record_results(folder: Path) -> Path:
 
 
 def record_worst(folder: Path, rows: Sequence[Row]) -> None:
-    """Record the estimates that the report names as the worst, without the bench: the report has links to them."""
+    """Record the estimates that the report names as the worst, without the robot: the report has links to them."""
     for row in itertools.chain(*worst_of(rows)):
         if row.get("key") and row.get("trial_keys") is not None:
             path = recording_path(folder, row["key"])
@@ -179,7 +179,7 @@ def record_worst(folder: Path, rows: Sequence[Row]) -> None:
 
 @dataclass(frozen=True)
 class Recorder:
-    """Told of every trial and estimate as it is done; records it, and shows it."""
+    """Receiver of every trial and estimate that is done; records it, and sends it to a viewer."""
 
     folder: Path
     console: Console
@@ -189,7 +189,7 @@ class Recorder:
     """Viewer to send each to."""
 
     def __call__(self, kind: str, key: str) -> None:
-        """Record one that is done; `kind` is "trial" or "estimate". What cannot be shown is told and left out."""
+        """Record one that is done; `kind` is "trial" or "estimate". One that cannot be drawn is named and left out."""
         make = trial_page if kind == "trial" else estimate_page
         if kind == "trial" and kind_of_trial(self.folder, key) == "weigh":
             return

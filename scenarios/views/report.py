@@ -42,7 +42,7 @@ def report(folder: Path) -> Path:
         command=str(manifest.get("command") or _command(name, scenario)),
         scenario_toml=toml_text(scenario),
         rows=rows,
-        shape_of=lambda asked: _shape(asked, scenario, rows, folder),
+        shape_of=lambda name: _shape(name, scenario, rows, folder),
         losses=load_losses(folder, rows),
         tracebacks=load_tracebacks(folder),
         recording_of=lambda key: name if (folder / (name := f"recordings/{key}.rrd")).is_file() else "",
@@ -64,12 +64,12 @@ def _rows(path: Path) -> list[dict[str, Any]]:
 
 def _in_order(rows: list[dict[str, Any]], scenario: Mapping[str, Any]) -> list[dict[str, Any]]:
     """Objects as the scenario names them, then the others."""
-    place = {Path(asked).stem: i for i, asked in enumerate(scenario.get("objects", ()))}
+    place = {Path(path).stem: i for i, path in enumerate(scenario.get("objects", ()))}
     return sorted(rows, key=lambda row: place.get(row["object"], len(place)))
 
 
 def _facts(manifest: Mapping[str, Any], rows: Sequence[Row], table: Path) -> dict[str, str]:
-    """What ran, when and with what, as far as it is known."""
+    """Facts of the run by name, as far as they are known."""
     scenario = manifest.get("scenario") or {}
     packages = manifest.get("packages") or {}
     seconds = [row["seconds"] for row in rows if row.get("seconds") is not None]
@@ -91,11 +91,11 @@ def _facts(manifest: Mapping[str, Any], rows: Sequence[Row], table: Path) -> dic
         "robot time": _robot_time(rows),
         "versions": ", ".join([f"Python {manifest.get('python', '?')}", *(f"{k} {v}" for k, v in packages.items())]),
     }
-    return {name: said for name, said in facts.items() if said}
+    return {name: fact for name, fact in facts.items() if fact}
 
 
 def _robot_time(rows: Sequence[Row]) -> str:
-    """The same trials serve every method and draw."""
+    """Mean robot time of an object under one support; the same trials serve every method and draw."""
     once = {
         (row["object"], row["support"], *(str(v) for k, v in row.items() if k.startswith(AXIS))): row["robot_s"]
         for row in rows
@@ -138,18 +138,18 @@ def _shape(name: str, scenario: Mapping[str, Any], rows: Sequence[Row], folder: 
     """Geometry of an object: from the folder, the scenario, the library or a trial; None if it is not the same now."""
     row = next((row for row in rows if row["object"] == name and row.get("group_names") is not None), None)
     drawn = [str(path) for path in sorted((folder / "objects").glob("*/*.toml")) if path.stem == name]
-    files = [asked for asked in scenario.get("objects", ()) if Path(asked).stem == name]
-    for asked in dict.fromkeys((*drawn, *files, name)):
+    files = [path for path in scenario.get("objects", ()) if Path(path).stem == name]
+    for path in dict.fromkeys((*drawn, *files, name)):
         try:
-            model = load_object(asked)
+            model = load_object(path)
         except (HeftError, OSError):
             continue
         if model.name == name and (row is None or list(row["group_names"]) == list(model.shape.group_names)):
             return model.shape
     for path in sorted((folder / "trials").glob("*/trial.json")):
-        said = read_json(path) or {}
-        if (said.get("names") or {}).get("object") == name and "asked" in said:
-            return object_of(said["asked"]["object"], said["names"]).shape
+        trial = read_json(path) or {}
+        if (trial.get("names") or {}).get("object") == name and "asked" in trial:
+            return object_of(trial["asked"]["object"], trial["names"]).shape
     return None
 
 

@@ -17,7 +17,7 @@ from testbed.trajectory import Trajectory
 from viz.values import TrialView, WrenchFit, support_name
 
 POSES_EVERY = 5
-"""The bench moves at one sample in so many."""
+"""Number of samples from one pose of the robot to the next."""
 WITHIN = 1.96
 """Standard deviations to each side that hold 95 %."""
 PLANAR = (0, 1, 5)
@@ -25,9 +25,9 @@ PLANAR = (0, 1, 5)
 
 
 def sensing_of(folder: Path) -> str:
-    """How a folder's simulated trials are shown: the scenario's first sensor that errs, else a perfect one."""
-    asked = ((read_json(folder / "manifest.json") or {}).get("scenario") or {}).get("sensing") or []
-    return next((name for name in asked if name != "ideal"), "ideal")
+    """Sensor of a folder's simulated trials in the viewer: the scenario's first one with errors, else a perfect one."""
+    names = ((read_json(folder / "manifest.json") or {}).get("scenario") or {}).get("sensing") or []
+    return next((name for name in names if name != "ideal"), "ideal")
 
 
 def trial_view(folder: Path, key: str, *, seed: int = 0, meshes: bool = True) -> TrialView:
@@ -44,14 +44,14 @@ def trial_view(folder: Path, key: str, *, seed: int = 0, meshes: bool = True) ->
         HeftError: a file of it is damaged.
     """
     record = read_trial(folder, key)
-    trajectory, said = record.trajectory, "as measured"
+    trajectory, sensor = record.trajectory, "as measured"
     if trajectory.simulated:
         sensing = sensing_of(folder)
         trajectory = sensed_trials(Store(folder), (record.folder.name,), sensing, seed)[0]
-        said = f"{sensing}, draw {seed}"
+        sensor = f"{sensing}, draw {seed}"
     model = record.object.truth if trajectory.simulated else None
     called = "the true masses, each on its own weight"
-    return view_of(record, trajectory, record.object.shape, model, called, {"sensing": said}, meshes=meshes)
+    return view_of(record, trajectory, record.object.shape, model, called, {"sensing": sensor}, meshes=meshes)
 
 
 def view_of(
@@ -72,7 +72,7 @@ def view_of(
         shape: the model's particles.
         model: masses and friction that the wrench is predicted from; None without.
         called: which masses those are.
-        facts: more to be said.
+        facts: further facts by name.
         meshes: as `trial_view`.
     """
     from testbed.simulation.rendering import body_poses  # noqa: PLC0415  graphics are chosen before MuJoCo loads

@@ -12,7 +12,7 @@ from jaxtyping import Float, Int
 
 from testbed.errors import HeftError, InvalidValueError
 from testbed.trajectory import write_whole
-from testbed.validation import freeze, frozen_array
+from testbed.validation import freeze_arrays, frozen_array
 
 _AXES = ("fx_N", "fy_N", "fz_N")
 
@@ -39,7 +39,7 @@ class FootForces:
         time = frozen_array("FootForces.time_s", self.time_s, (None,))
         object.__setattr__(self, "time_s", time)
         object.__setattr__(self, "particle", particle)
-        freeze(self, force=(len(time), len(particle), 3))
+        freeze_arrays(self, force=(len(time), len(particle), 3))
 
 
 def save_foot_forces(feet: FootForces, path: Path) -> None:

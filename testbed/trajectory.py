@@ -17,7 +17,7 @@ from jaxtyping import Float, Int
 from testbed.actions.base import Action, action_from_dict
 from testbed.actions.weigh import Weigh
 from testbed.errors import HeftError, InvalidValueError
-from testbed.validation import freeze, frozen_array, is_number
+from testbed.validation import freeze_arrays, frozen_array, is_number
 
 SCHEMA_VERSION = 1
 """Version of trajectory files; others are refused."""
@@ -57,7 +57,7 @@ class Tool:
     def __post_init__(self) -> None:
         if not (is_number(self.mass) and self.mass >= 0):
             raise InvalidValueError("Tool.mass", self.mass, "a finite number >= 0, kg")
-        freeze(self, com=(3,), inertia=(3, 3), tcp=(3,))
+        freeze_arrays(self, com=(3,), inertia=(3, 3), tcp=(3,))
 
 
 _SERIES: dict[str, tuple[str, ...]] = {
@@ -150,8 +150,8 @@ class Trajectory:
                 "Trajectory.time_s", f"{len(time)} samples", "one or more strictly increasing times, s"
             )
         object.__setattr__(self, "time_s", time)
-        freeze(self, **{name: (len(time), len(columns)) for name, columns in _SERIES.items()})
-        freeze(self, sensor_bias_std=(6,), sensor_drift_std=(6,))
+        freeze_arrays(self, **{name: (len(time), len(columns)) for name, columns in _SERIES.items()})
+        freeze_arrays(self, sensor_bias_std=(6,), sensor_drift_std=(6,))
         for name in ("phase", "segment"):
             values = np.array(getattr(self, name))
             lowest, highest = (0, int(max(Phase))) if name == "phase" else (-1, np.iinfo(np.int64).max)

@@ -62,17 +62,6 @@ def unit_quaternion(name: str, values: ArrayLike) -> np.ndarray:
     return quaternion
 
 
-def freeze(value: object, **shapes: tuple[int | None, ...]) -> None:
-    """Replace array fields of a frozen dataclass by read-only copies of the given shapes.
-
-    Raises:
-        InvalidValueError: wrong shape, not numeric, or not finite.
-    """
-    for name, shape in shapes.items():
-        checked = frozen_array(f"{type(value).__name__}.{name}", getattr(value, name), shape)
-        object.__setattr__(value, name, checked)
-
-
 def check_positive(name: str, value: float) -> None:
     """Raise InvalidValueError unless `value` is finite and > 0."""
     if not (is_number(value) and value > 0):

@@ -11,7 +11,7 @@ from testbed.actions.base import ActionWords, TableAction
 from testbed.actions.path import Steady
 from testbed.errors import InvalidValueError
 from testbed.objects.model import ObjectShape
-from testbed.validation import check_positive, frozen_array
+from testbed.validation import check_positive_fields, frozen_array
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,7 @@ class Accelerate(TableAction, kind="accelerate"):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        check_positive("Accelerate.hold", self.hold)
+        check_positive_fields(self, "hold")
         self._check_nonzero("start_speed")
         values = tuple(frozen_array("Accelerate.accelerations", self.accelerations, (None,)).tolist())
         if not (any(a > 0 for a in values) and any(a < 0 for a in values)):

@@ -14,7 +14,7 @@ from testbed.actions.base import Action, ActionWords
 from testbed.actions.path import minimum_jerk
 from testbed.errors import InvalidValueError
 from testbed.objects.model import ObjectShape
-from testbed.validation import check_integer, check_positive, is_number
+from testbed.validation import check_integer, check_positive_fields, is_number
 
 STEEPEST = math.radians(30)
 """Greatest tilt in the air [rad]."""
@@ -51,8 +51,7 @@ class Lift(Action, kind="lift"):
         super().__post_init__()
         if not (is_number(self.tilt) and 0 <= self.tilt <= STEEPEST):
             raise InvalidValueError("Lift.tilt", self.tilt, f"an angle from 0 to {STEEPEST:.2f}, rad")
-        for name in ("acceleration", "hold", "height"):
-            check_positive(f"Lift.{name}", getattr(self, name))
+        check_positive_fields(self, "acceleration", "hold", "height")
         check_integer("Lift.swings", self.swings, least=0)
 
     @property

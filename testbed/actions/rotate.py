@@ -13,7 +13,7 @@ from testbed.actions.base import ActionWords, TableAction
 from testbed.actions.path import Steady
 from testbed.errors import InvalidValueError
 from testbed.objects.model import ObjectShape
-from testbed.validation import check_positive, frozen_array
+from testbed.validation import check_positive_fields, frozen_array
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ class Rotate(TableAction, kind="rotate"):
     def __post_init__(self) -> None:
         super().__post_init__()
         self._check_nonzero("speed")
-        check_positive("Rotate.duration", self.duration)
+        check_positive_fields(self, "duration")
         if not isinstance(self.back, bool):
             raise InvalidValueError("Rotate.back", self.back, "true or false")
         if self.pivot is not None:

@@ -12,7 +12,7 @@ from testbed.actions.base import ActionWords, TableAction
 from testbed.actions.path import Steady
 from testbed.errors import InvalidValueError
 from testbed.objects.model import ObjectShape
-from testbed.validation import check_positive, is_number
+from testbed.validation import check_positive_fields, is_number
 
 
 @dataclass(frozen=True)
@@ -28,8 +28,7 @@ class Slide(TableAction, kind="slide"):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        check_positive("Slide.speed", self.speed)
-        check_positive("Slide.duration", self.duration)
+        check_positive_fields(self, "speed", "duration")
         if not is_number(self.direction):
             raise InvalidValueError("Slide.direction", self.direction, "a finite angle, rad")
 

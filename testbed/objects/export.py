@@ -14,7 +14,7 @@ from jaxtyping import Float
 from testbed.errors import InvalidValueError
 from testbed.objects.model import MassDistribution, ObjectShape
 from testbed.toml import toml_text
-from testbed.validation import freeze
+from testbed.validation import freeze_arrays
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,7 +47,7 @@ class RigidBody:
     """Inertia about the center of mass [kg m^2]."""
 
     def __post_init__(self) -> None:
-        freeze(self, center=(3,), inertia=(3, 3))
+        freeze_arrays(self, center=(3,), inertia=(3, 3))
 
     @staticmethod
     def of(boxes: Sequence[Box]) -> RigidBody:

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from testbed.errors import InvalidValueError
-from testbed.validation import check_positive, freeze, frozen_array, is_number
+from testbed.validation import check_positive_fields, freeze_arrays, frozen_array, is_number
 
 GRAVITY = 9.81
 """Magnitude of gravity [m/s^2]."""
@@ -37,11 +37,10 @@ class Grasp:
     """Upper edge of the gripped faces over the table [m]; None is the object's height."""
 
     def __post_init__(self) -> None:
-        freeze(self, position=(2,))
+        freeze_arrays(self, position=(2,))
         if not is_number(self.angle):
             raise InvalidValueError("Grasp.angle", self.angle, "a finite number, rad")
-        for name in ("width", "length"):
-            check_positive(f"Grasp.{name}", getattr(self, name))
+        check_positive_fields(self, "width", "length")
         if not (is_number(self.bottom) and self.bottom >= 0):
             raise InvalidValueError("Grasp.bottom", self.bottom, "a finite number >= 0, m")
         if self.top is not None and not (is_number(self.top) and self.top > self.bottom):
@@ -80,8 +79,7 @@ class ObjectShape:
             raise InvalidValueError(
                 "ObjectShape.friction_group", "-1 everywhere", "at least one particle in contact (>= 0)"
             )
-        check_positive("ObjectShape.cell", self.cell)
-        check_positive("ObjectShape.height", self.height)
+        check_positive_fields(self, "cell", "height")
         names = self.group_names or tuple(f"m{i}" for i in range(mass_group.max() + 1))
         if len(names) != mass_group.max() + 1:
             raise InvalidValueError("ObjectShape.group_names", names, f"{mass_group.max() + 1} names, one a mass group")
@@ -152,7 +150,7 @@ class Solid:
             raise InvalidValueError("Solid.faces", f"shape {faces.shape}", "integers of shape (n, 3)")
         if len(faces) == 0 or faces.min() < 0 or faces.max() >= len(vertices):
             raise InvalidValueError("Solid.faces", faces.tolist(), f"indices from 0 to {len(vertices) - 1}")
-        check_positive("Solid.mass", self.mass)
+        check_positive_fields(self, "mass")
         faces.flags.writeable = False
         object.__setattr__(self, "vertices", vertices)
         object.__setattr__(self, "faces", faces)

@@ -1,1 +1,26 @@
-"""Sensing: how a force/torque sensor errs, what is taken off its record, and the steady windows that are left."""
+"""Sensing: errors of a sensor, tare and tool compensation, drift, and the windows that estimators read."""
+
+from testbed.sensing.compensation import compensate, tare_biases
+from testbed.sensing.drift import Drift, DriftLimit, drift_of, judge_drift
+from testbed.sensing.lift_windows import LiftWindow, lift_windows
+from testbed.sensing.noise import draw_sensing
+from testbed.sensing.presets import PRESETS, Sensing, preset
+from testbed.sensing.windows import SteadyWindow, steady_windows, weight_of
+
+__all__ = [
+    "PRESETS",
+    "Drift",
+    "DriftLimit",
+    "LiftWindow",
+    "Sensing",
+    "SteadyWindow",
+    "compensate",
+    "draw_sensing",
+    "drift_of",
+    "judge_drift",
+    "lift_windows",
+    "preset",
+    "steady_windows",
+    "tare_biases",
+    "weight_of",
+]

@@ -14,7 +14,7 @@ from jaxtyping import Float
 
 from testbed.sensing.compensation import tare_biases, tare_samples
 from testbed.trajectory import Phase, Trajectory
-from testbed.validation import check_positive, freeze
+from testbed.validation import check_positive_fields, freeze_arrays
 
 _AXES = ("fx_N", "fy_N", "fz_N", "tx_Nm", "ty_Nm", "tz_Nm")
 
@@ -33,8 +33,7 @@ class DriftLimit:
     """Torque [N m]."""
 
     def __post_init__(self) -> None:
-        check_positive("DriftLimit.force", self.force)
-        check_positive("DriftLimit.torque", self.torque)
+        check_positive_fields(self, "force", "torque")
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,8 +48,8 @@ class Drift:
     """Time from the first tare to the last [s]."""
 
     def __post_init__(self) -> None:
-        freeze(self, before=(6,), after=(6,))
-        check_positive("Drift.seconds", self.seconds)
+        freeze_arrays(self, before=(6,), after=(6,))
+        check_positive_fields(self, "seconds")
 
     @property
     def force(self) -> float:

@@ -14,7 +14,7 @@ from testbed.objects.model import GRAVITY
 from testbed.sensing.compensation import tare_samples, twist_rates
 from testbed.sensing.windows import mean_covariance, steady_samples
 from testbed.trajectory import Phase, Trajectory
-from testbed.validation import freeze
+from testbed.validation import freeze_arrays
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,8 +47,8 @@ class LiftWindow:
 
     def __post_init__(self) -> None:
         square = (6, 6)
-        freeze(self, wrench=(6,), covariance=square, pull=(3,), angular_acceleration=(3,), spin_products=(3, 3))
-        freeze(self, bias_covariance=square, drift_covariance=square, since_tare=(2,))
+        freeze_arrays(self, wrench=(6,), covariance=square, pull=(3,), angular_acceleration=(3,), spin_products=(3, 3))
+        freeze_arrays(self, bias_covariance=square, drift_covariance=square, since_tare=(2,))
 
 
 def lift_windows(trajectory: Trajectory) -> list[LiftWindow]:

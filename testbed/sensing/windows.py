@@ -25,7 +25,7 @@ from testbed.frames import (
 from testbed.objects.model import GRAVITY
 from testbed.sensing.compensation import tare_samples
 from testbed.trajectory import Phase, Trajectory
-from testbed.validation import freeze
+from testbed.validation import freeze_arrays
 
 TRIM_START = 1.0
 """Time left out at the start of a constant-speed window [s]: the arm's outer loop is still settling."""
@@ -72,8 +72,8 @@ class SteadyWindow:
 
     def __post_init__(self) -> None:
         square, pair = (6, 6), (2,)
-        freeze(self, wrench=(6,), covariance=square, twist=(3,), twists=(PARTS, 3), acceleration=(3,))
-        freeze(self, bias_covariance=square, drift_covariance=square, since_tare=pair, yaw=pair)
+        freeze_arrays(self, wrench=(6,), covariance=square, twist=(3,), twists=(PARTS, 3), acceleration=(3,))
+        freeze_arrays(self, bias_covariance=square, drift_covariance=square, since_tare=pair, yaw=pair)
 
 
 _REDUCED: WeakKeyDictionary[Trajectory, list[SteadyWindow]] = WeakKeyDictionary()

@@ -295,9 +295,3 @@ def test_a_mesh_that_is_open_or_no_mesh_is_refused(tmp_path: Path):
         with pytest.raises(InvalidValueError) as refused:
             read_mesh(tmp_path / name)
         assert str(refused.value).startswith(said)
-
-
-@pytest.mark.parametrize("grid", [0, -1, True, 1.5])
-def test_a_grid_that_is_no_count_is_refused(grid: object):
-    with pytest.raises(InvalidValueError, match=rf"grid: got {grid}; allowed: an integer >= 1"):
-        cut(box((0.05, 0.05, 0.02)), grid=grid)  # type: ignore[arg-type]

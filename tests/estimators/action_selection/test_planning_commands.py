@@ -18,7 +18,6 @@ from scenarios.config import Policy
 from scenarios.results.estimates import load_results
 from scenarios.runners import FeasibilityCheck
 from testbed.actions.accelerate import Accelerate
-from testbed.actions.lift import Lift
 from testbed.actions.rotate import Rotate
 from testbed.actions.slide import Slide
 from testbed.errors import InvalidValueError
@@ -137,16 +136,6 @@ def test_a_scenario_may_choose_its_touches_by_a_plan():
     assert 1 <= len(actions) <= 2 and {a.grasp for a in actions if isinstance(a, Rotate)} <= {2, 3, 4}
     with pytest.raises(ValidationError, match="one of ideal"):
         Policy(kind="greedy", plan_for="nose")
-
-
-def test_every_action_is_a_sentence():
-    shape = load_object("L2").shape
-    asked = (Rotate(0, speed=-0.2, pivot=(0.05, 0.02), back=True), Accelerate(0), Slide(0, direction=0.0), Lift(0))
-    turn, accelerated, slide, lift = (action.describe(shape) for action in asked)
-    name = shape.grasps[0].name
-    assert turn == f"turn at {name} about (50, 20) mm, right and back, 11 deg/s"
-    assert accelerated == f"accelerate at {name}, left"
-    assert slide == f"slide at {name}, towards 0 deg" and lift == f"lift at {name}, 6 swings, held 2 s"
 
 
 def test_a_policy_is_told_who_may_carry_the_weight():

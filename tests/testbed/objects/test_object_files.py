@@ -29,7 +29,7 @@ def written(tmp_path: Path):
 
 
 def test_every_object_of_the_library_can_be_loaded():
-    assert {"I1", "I2", "L1", "L2", "F1", "F2"} <= set(object_names())
+    assert {"I1", "I2", "L1", "L2", "F1", "F2", "hammer", "wrench"} <= set(object_names())
     for name in object_names():
         assert load_object(name).name == name
 
@@ -161,10 +161,6 @@ def written_mesh(written, tmp_path: Path):
         return written(f'name = "X"\n[mesh]\n{mesh}{rest}')
 
     return write
-
-
-def test_the_tools_are_in_the_library():
-    assert {"hammer", "wrench"} <= set(object_names())
 
 
 def test_a_mesh_file_with_defaults(written_mesh):

@@ -209,43 +209,31 @@ def test_standardised_window_means_have_unit_spread(rng: np.random.Generator):
     assert np.std(scores) == pytest.approx(1.0, rel=0.15)
 
 
-def test_a_stretch_too_short_to_trim_is_refused():
-    with pytest.raises(InvalidValueError, match=r"samples in steady stretch 0'; allowed: at least 10 after trimming"):
-        steady_windows(turn_record(WRENCH, grasp=GRASP, pivot=PIVOT, count=110))
+def test_a_scale_gives_a_weight():
+    assert weight_of(weighing()) == pytest.approx(1.8)
 
 
-def test_a_record_without_a_steady_stretch_is_refused():
-    with pytest.raises(InvalidValueError, match="no steady stretch"):
-        steady_windows(record(tare=400))
-
-
-@pytest.mark.parametrize("status", ["slipped", "limit", "fault"])
-def test_a_trial_that_is_not_ok_is_no_data(status: str):
-    with pytest.raises(
-        InvalidValueError, match=rf"status: got '{status}'; allowed: ok; this trial is no data: because"
-    ):
-        steady_windows(record(status=status, reason="because"))
-
-
-def test_a_weighing_gives_a_weight_and_no_windows():
+def weighing(**changes: object) -> Trajectory:
     reading = np.tile([0, 0, 1.8 * GRAVITY, 0, 0, 0], (5, 1))
-    weighed = record(5, tare=0, action=Weigh(), tool=None, wrench_on_object_world=reading)
-    assert weight_of(weighed) == pytest.approx(1.8)
-    with pytest.raises(InvalidValueError, match="read a weighing with weight_of"):
-        steady_windows(weighed)
-    with pytest.raises(
-        InvalidValueError, match=r"trajectory: got 'Rotate\(grasp=0.*, ok'; allowed: a Weigh with status ok"
-    ):
-        weight_of(record())
+    return record(5, tare=0, action=Weigh(), tool=None, wrench_on_object_world=reading, **changes)
 
 
-@pytest.mark.parametrize("status", ["slipped", "limit", "fault"])
-def test_a_failed_weighing_gives_no_weight(status: str):
-    weighed = record(5, tare=0, action=Weigh(), tool=None, status=status, reason="because")
-    with pytest.raises(
-        InvalidValueError, match=rf"trajectory: got 'Weigh\(\), {status}'; allowed: a Weigh with status ok"
-    ):
-        weight_of(weighed)
+FAILED = [{"status": status, "reason": "because"} for status in ("slipped", "limit", "fault")]
+REFUSED = [
+    (steady_windows, turn_record(WRENCH, grasp=GRASP, pivot=PIVOT, count=110), "trajectory", "at least 10 after"),
+    (steady_windows, record(tare=400), "trajectory", "STEADY"),
+    (steady_windows, weighing(), "trajectory.action", "weight_of"),
+    *((steady_windows, record(**failed), "trajectory.status", "because") for failed in FAILED),
+    (weight_of, record(), "trajectory", "Weigh"),
+    *((weight_of, weighing(**failed), "trajectory", "Weigh with status ok") for failed in FAILED),
+]
+
+
+@pytest.mark.parametrize(("read", "trajectory", "field", "allowed"), REFUSED)
+def test_a_record_without_what_is_read_is_refused(read, trajectory: Trajectory, field: str, allowed: str):
+    with pytest.raises(InvalidValueError, match=allowed) as refused:
+        read(trajectory)
+    assert refused.value.field == field
 
 
 def test_a_load_that_wanders_is_no_noise(rng: np.random.Generator):

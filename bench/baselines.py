@@ -1,4 +1,4 @@
-"""Where each baseline's error comes from: python bench/baselines.py [random|weighted|explicit|lcp|all].
+"""Sources of each baseline's error: python bench/baselines.py [random|weighted|explicit|lcp|all].
 
 All of it in the exact Coulomb world of the tests: own weight, no simulator, no sensor but where a column says so.
 """
@@ -265,7 +265,7 @@ def diff_lcp() -> None:
 
 
 def first_friction(seed: int) -> float:
-    """What a descent starts from."""
+    """Start of a descent."""
     return float(np.random.default_rng(seed).uniform(*FRICTION_RANGE))
 
 

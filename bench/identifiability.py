@@ -1,4 +1,4 @@
-"""How honest the error bars are, and how far from the limit the answers: python bench/identifiability.py WHAT [FOLDER].
+"""Honesty of the error bars, and distance of the answers from the limit: python bench/identifiability.py WHAT [FOLDER].
 
 coverage FOLDER  how often the 90 % intervals of Algorithm 1 hold the truth, object by object of a results folder, under
                  fresh draws of a sensor's errors over its trials
@@ -91,7 +91,7 @@ def _given(folder: Path, support: str) -> dict[str, tuple[str, ...]]:
 
 
 def _made(folder: Path, support: str) -> dict[str, tuple[str, ...]]:
-    """The same from the trials themselves, for folders whose estimates do not name theirs."""
+    """Information from the trials themselves, for folders whose estimates do not name theirs."""
     found: dict[str, list[tuple[str, str]]] = defaultdict(list)
     for path in sorted(folder.glob("trials/*/trial.json")):
         said = read_json(path)

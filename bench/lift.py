@@ -1,4 +1,4 @@
-"""What lifts add under one rigid body: python bench/lift.py OUT.parquet [--random N] [--draws N] [--sensing NAME]
+"""Gain by lifts under one rigid body: python bench/lift.py OUT.parquet [--random N] [--draws N] [--sensing NAME]
 
 Library objects and drawn ones of six blocks of 0.1 or 0.4 kg are turned, accelerated and lifted on the simulated bench.
 Printed are how far the wrench in the air is from Newton's and Euler's, and what support_aware makes of the table alone,
@@ -42,7 +42,7 @@ MATERIALS = (0.1, 0.4)
 LEAST, MOST = 2, 4
 """Grasps that are turned about."""
 SECONDS = 6.0
-"""Of a turn each way."""
+"""Duration of a turn each way."""
 RUNNER = SimulationRunner()
 
 
@@ -88,7 +88,7 @@ def _done(obj: ObjectModel, action: Action) -> Trajectory | str:
 
 
 def missing(lifted: Lifted) -> dict[str, float]:
-    """How far the wrench of every stretch is from what the true masses take, still and rocked, in parts of the weight.
+    """Error of the wrench of every stretch against what the true masses take, still and rocked, in parts of the weight.
 
     The height of the object between the pads is fitted: it lies on felt, and sinks. Torques over 0.1 m.
     """

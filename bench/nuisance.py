@@ -50,9 +50,9 @@ from tests.fakes.flawed_bench import biased, held_beside, on_grain  # pyright: i
 BIAS = np.repeat([0.2, 0.01], 3)
 """Left after the tare, one standard deviation, N and N m."""
 STATED = np.repeat([0.05, 0.003], 3)
-"""What the sensor states of it."""
+"""Stated by the sensor."""
 OFFSET = 0.002
-"""Of the grasp, any way, m."""
+"""Offset of the grasp, any way [m]."""
 RATIO = 0.8
 """Least over most friction."""
 NOISE = 0.07
@@ -67,7 +67,7 @@ METHODS: dict[str, tuple[str, ...]] = {
 
 @dataclass(frozen=True)
 class Flaws:
-    """What is wrong with the bench."""
+    """Flaws of the setup."""
 
     name: str
     bias: float = 0.0
@@ -149,7 +149,7 @@ def _physics(
 
 
 def trials(obj: ObjectModel, world: World, flaws: Flaws, duration: float, seed: int) -> list[Trajectory]:
-    """What the paper's policy asks for, on a bench with such flaws."""
+    """Trials of the paper's policy in a setup with such flaws."""
     rng = np.random.default_rng([seed, 7])
     direction = float(rng.uniform(0, math.pi)) if world is exact else 0.0
     policy, made = RankDriven(duration=duration, seed=seed), []

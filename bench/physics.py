@@ -1,4 +1,4 @@
-"""What the simulated bench is worth: python bench/physics.py [sensor|coulomb|swing|tools|levers|resolution|all]."""
+"""Checks of the simulated physics: python bench/physics.py [sensor|coulomb|swing|tools|levers|resolution|all]."""
 
 from __future__ import annotations
 
@@ -205,7 +205,7 @@ def tools(submit: Callable[..., Future[Any]], console: Console) -> None:
 
 
 def swing(submit: Callable[..., Future[Any]], console: Console) -> None:
-    """What too springy a pad does, which a record does not show by itself."""
+    """Swing of too springy a pad, which a record does not show by itself."""
     table = _table("Drag against Coulomb's law by damping of the pads: force, torque, %", "turn", *map(str, PADS))
     for name, turn in SWINGING:
         found = [submit(coulomb_error, name, OWN_WEIGHT, turn, GripSettings(pad_damping=damping)) for damping in PADS]
@@ -215,7 +215,7 @@ def swing(submit: Callable[..., Future[Any]], console: Console) -> None:
 
 
 def levers(submit: Callable[..., Future[Any]], console: Console) -> None:
-    """What each lever against the gripper's load brings."""
+    """Effect of each lever against the gripper's load."""
     columns = ("lever", "support", "fz settled, N", "fz turning, N", "moment on feet, N m", "torque spread, %")
     table = _table("Load on the gripper, a turn of L2 about block B1", *columns)
     asked = [(name, (*pair, support)) for name, pair in LEVERS.items() for support in SUPPORTS]

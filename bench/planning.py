@@ -133,7 +133,7 @@ def length(options: argparse.Namespace) -> None:
 
 
 def _missed(model: ObjectModel, windows: Observations) -> np.ndarray:
-    """Of a turn there and back, halved, (2, 3)."""
+    """Wrench of a turn there and back, halved, (2, 3)."""
     loads = ParticleLoads.of(model.shape, model.truth, "own_weight")
     each = LoadGroups(torch.arange(len(loads.load)), tuple((particle, 0) for particle in range(len(loads.load))))
     at = (loads.mass, loads.friction, model.shape.height)
@@ -185,7 +185,7 @@ def _keep(rows: list[dict[str, Any]], path: Path) -> None:
 
 
 def _runs(model: ObjectModel, sensing_name: str, draws: int) -> list[dict[str, Any]]:
-    """Of one object."""
+    """Result of one object."""
     return list(_rows(model, sensing_name, draws))
 
 
@@ -252,7 +252,7 @@ def _felt(clean: Trajectory, sensing: Sensing, model: ObjectModel, policy: str, 
 
 
 def _nad(model: ObjectModel, felt: Sequence[Trajectory]) -> float:
-    """Of Algorithm 1's answer, or of uniform masses where it has none."""
+    """NAD of Algorithm 1's answer, or of uniform masses where it has none."""
     shape = model.shape
     answer = HiddenStates().estimate(shape, model.total_mass, felt, 0)
     found = answer.distribution

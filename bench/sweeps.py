@@ -1,4 +1,4 @@
-"""What a sweep costs beside its tasks, and what it survives: python bench/sweeps.py [overhead|resume|memory|kills|all].
+"""Cost of a sweep beside its tasks, and survival of kills: python bench/sweeps.py [overhead|resume|memory|kills|all].
 
 overhead  wall time of a sweep on 2 warm workers over the sum of its tasks' times, and of 1 worker over 2
 resume    wall time of the same command on a finished sweep of 10,000 estimates
@@ -58,20 +58,20 @@ class Timed:
 
     @property
     def capacity(self) -> int:
-        """As the executor's."""
+        """Same method of the executor."""
         return self._executor.capacity
 
     @property
     def running(self) -> int:
-        """As the executor's."""
+        """Same method of the executor."""
         return self._executor.running
 
     def start(self, label: Any, function: Callable[..., Any], *arguments: Any) -> None:
-        """As the executor's."""
+        """Same method of the executor."""
         self._executor.start(label, timed, function, *arguments)
 
     def wait(self) -> tuple[Any, Any]:
-        """As the executor's."""
+        """Same method of the executor."""
         label, (value, seconds) = self._executor.wait()
         self.seconds.append(seconds)
         return label, value
@@ -107,7 +107,7 @@ def warm(workers: int) -> Iterator[Timed]:
 
 
 def overhead() -> None:
-    """Of a sweep over its tasks; 1 worker over 2."""
+    """Time of a sweep over its tasks; 1 worker over 2."""
     scenario = sweep_of(3, seeds=8)
     wall = {}
     for workers in (2, 1):
@@ -132,7 +132,7 @@ def canned() -> tuple[Trial, Trajectory]:
 
 
 def resume() -> None:
-    """Of a finished sweep: 50 objects, 2 supports, 10 methods, 10 draws; trials are copies, keys are real."""
+    """Time of a finished sweep: 50 objects, 2 supports, 10 methods, 10 draws; trials are copies, keys are real."""
     scenario = sweep_of(50, seeds=10, methods=METHODS)
     with tempfile.TemporaryDirectory() as folder:
         store = Store(Path(folder))
@@ -158,7 +158,7 @@ def resume() -> None:
 
 
 def memory() -> None:
-    """Of the driver: 170 trials over 20, their records copied from one turn."""
+    """Time of the driver: 170 trials over 20, their records copied from one turn."""
     peak = {}
     for objects in (2, 20):
         said = subprocess.run(

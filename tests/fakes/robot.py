@@ -68,7 +68,7 @@ class Troubles:
     drops: float = 0.0
     """Part of the frames that are lost."""
     frozen: bool = False
-    """The same frame again and again."""
+    """Repeats one frame."""
     load: np.ndarray = field(default_factory=lambda: np.zeros(6))
     """Extra load [N, N m]."""
     drift: np.ndarray = field(default_factory=lambda: np.zeros(6))

@@ -1,4 +1,4 @@
-"""What a results folder says: read as tables and trajectories, counted by `heft status`, planned by --dry-run."""
+"""Results folders: read as tables and trajectories, counted by `heft status`, planned by --dry-run."""
 
 from __future__ import annotations
 

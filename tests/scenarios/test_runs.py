@@ -191,7 +191,7 @@ def test_a_disk_that_takes_nothing_more_is_one_line_and_no_half_file(scenario, t
 
 
 def test_a_disk_that_fills_up_is_an_error_and_no_half_file(scenario, tmp_path, monkeypatch):
-    """As above, where mounting is not possible."""
+    """Same check where mounting is not possible."""
     calls = 0
 
     def fsync(_: int) -> None:

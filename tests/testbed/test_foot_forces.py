@@ -1,4 +1,4 @@
-"""What the table does to the feet, as it is kept beside a trial."""
+"""Forces of the table on the feet, as they are kept beside a trial."""
 
 from __future__ import annotations
 

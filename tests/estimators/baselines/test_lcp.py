@@ -63,11 +63,11 @@ class Case:
         return self.textbook.unknowns(step.velocity[0].numpy(), step.impulse[0].numpy(), sides)
 
     def residual(self, step: Step) -> float:
-        """Of the textbook's complementarity, N s and m/s."""
+        """Residual of the textbook's complementarity, N s and m/s."""
         return self.textbook.residual(self.unknowns(step))
 
     def relative(self, step: Step) -> float:
-        """As `residual`, impulses over the largest bound and speeds over the largest in question."""
+        """`residual` with impulses over the largest bound and speeds over the largest in question."""
         problem, z, impulses = self.textbook, self.unknowns(step), self.directions * len(self.bound)
         push = self.bound.max()
         speed = np.abs(problem.offset[:impulses]).max() + push * problem.matrix.diagonal().max()

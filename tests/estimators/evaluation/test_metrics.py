@@ -83,7 +83,7 @@ def test_masses_that_do_not_fit_the_shape_are_refused_by_name():
 # MPD
 
 FLOOR = 3e-5
-"""What steps of 10 ms cost the truth itself, m."""
+"""Distance that steps of 10 ms cost the truth itself [m]."""
 PRESSED = {"lift": 0.4, "moment": (0.004, -0.003)}
 
 

@@ -1,4 +1,4 @@
-"""What can be known: open directions by name, the bound against the scatter, infinity where nothing is seen."""
+"""Identifiability: open directions by name, the bound against the scatter, infinity where nothing is seen."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def all_turns(obj: ObjectModel) -> list[Action]:
 
 
 def of_rows(rows: list[list[float]]):
-    """What rows of unit error over the masses of L2 and its friction show."""
+    """Identifiability of rows of unit error over the masses of L2 and its friction."""
     obj = load_object("L2")
     return identifiability(obj.shape, obj.truth, 1e3 * np.array(rows, dtype=float))
 

@@ -29,7 +29,7 @@ from testbed.trajectory import Trajectory
 from tests.helpers.answers import ask
 
 NOISE = 0.02
-"""Of a sample, N, and a tenth of it in N m."""
+"""Noise of a sample [N], and a tenth of it in N m."""
 MATERIALS = (0.1, 0.4)
 """Masses of the library's blocks, kg."""
 

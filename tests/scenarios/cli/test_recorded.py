@@ -121,7 +121,7 @@ def test_bad_input_is_one_clear_line(lab: Path, capsys: pytest.CaptureFixture[st
 
 
 def test_every_method_answers_from_what_was_measured(lab: Path, capsys: pytest.CaptureFixture[str]):
-    """As it does when it is asked directly: nothing is drawn, and the truth is only compared."""
+    """Equal to a direct call: nothing is drawn, and the truth is only compared."""
     assert ended("import", "lab.toml", "--out", "lab", "--weight", "1.8") == 0
     asked = ("estimate", "lab", "--methods", "hidden_states", "random_search_M", "--held-out", "1", "--workers", "0")
     assert ended(*asked) == 0
@@ -145,7 +145,7 @@ def test_every_method_answers_from_what_was_measured(lab: Path, capsys: pytest.C
 
 @pytest.mark.slow
 def test_measured_trials_and_their_estimates_are_shown_as_simulated_ones_are(lab: Path, records: list[Trajectory]):
-    """Of an object of one's own, of a log without joints too."""
+    """For an object of one's own, of a log without joints too."""
     blocks = 'layout = ["1", "1", "1", "111"]\nmass_kg = [0.4, 0.1, 0.1, 0.4, 0.4, 0.4]'
     (lab / "mine.toml").write_text(f'name = "mine"\n[blocks]\n{blocks}\n', encoding="utf-8")
     named = [{"file": f"{i}.csv", "action": turn.to_dict()} for i, turn in enumerate(TURNS)]

@@ -36,7 +36,7 @@ STILL = Lift(1, tilt=0.0, hold=1.2)
 TOOL = 0.925
 """Mass of the gripper, kg."""
 SAG = 0.002
-"""How far the object may lie below its place between the pads, m: the feet's felt, and the pads' give."""
+"""Greatest sag of the object between the pads [m]: the feet's felt, and the pads' give."""
 
 
 def blocks(mass: list[float], layout: tuple[str, ...] = ("10", "11")) -> ObjectModel:

@@ -39,7 +39,7 @@ def path_of(action: TableAction, shape: ObjectShape) -> ToolPath:
 
 
 def beyond(action: TableAction, shape: ObjectShape, parts: int = 2001) -> np.ndarray:
-    """How far any corner of any cell gets past each edge, by looking everywhere, (4,)."""
+    """Overhang of any corner of any cell past each edge, by looking everywhere, (4,)."""
     half = shape.cell / 2 * np.array([[-1, -1], [-1, 1], [1, -1], [1, 1]])
     corners = (shape.particles[:, None] + half).reshape(-1, 2)
     poses = path_of(action, shape).object_pose(np.linspace(-0.5, 0.5, parts))

@@ -34,7 +34,7 @@ def exported(model: ObjectModel) -> Exported:
 
 
 def two_frictions(model: ObjectModel) -> ObjectModel:
-    """The same with another friction to the right, so that one block has both."""
+    """L2 with another friction to the right, so that one block has both."""
     groups = np.where(model.shape.particles[:, 0] < 0.02, 0, 1)
     truth = replace(model.truth, friction=np.array([0.3, 0.6]))
     return replace(model, shape=replace(model.shape, friction_group=groups), truth=truth, solids=())
@@ -49,7 +49,7 @@ MODELS = {
 
 
 def body_of(text: str, name: str) -> RigidBody:
-    """What MuJoCo makes of it."""
+    """Model that MuJoCo makes of it."""
     model = mujoco.MjSpec.from_string(text.replace("</robot>", FREE.format(name))).compile()
     body = model.body(name)
     turn = Rotation.from_quat(body.iquat, scalar_first=True).as_matrix()

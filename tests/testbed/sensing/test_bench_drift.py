@@ -1,4 +1,4 @@
-"""What a real bench and another bench's logs say of their sensor's drift, and what estimators make of it."""
+"""Drift of the sensor in trials of the real robot and in imported logs, and what estimators make of it."""
 
 from __future__ import annotations
 

@@ -38,14 +38,14 @@ from tests.helpers.recorded import put_trial
 ROOT = Path(__file__).parents[3]
 SIZE = (240, 160)
 GREEN = (0.62, 0.74, 0.5)
-"""Of L2's third block, at the far end of its foot."""
+"""Corner of L2's third block, at the far end of its foot."""
 PROBE = "import mujoco.egl; mujoco.egl.GLContext(8, 8).free()"
 EGL = os.environ | {"MUJOCO_GL": "egl"}
 
 
 @lru_cache(maxsize=1)
 def why_no_egl() -> str:
-    """Why this machine cannot draw; empty where it can. Found without heft's own code."""
+    """Reason why this machine cannot draw; empty where it can. Found without heft's own code."""
     done = subprocess.run([sys.executable, "-c", PROBE], env=EGL, capture_output=True, text=True, check=False)
     return "" if done.returncode == 0 else done.stderr.strip().splitlines()[-1]
 

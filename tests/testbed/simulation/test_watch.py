@@ -148,7 +148,7 @@ def wait_for(met, process: subprocess.Popen[str], seconds: float = 120.0) -> Non
 
 
 def press_space(name: str) -> None:
-    """As a keyboard would."""
+    """Presses a key like a keyboard."""
     x11, test = ctypes.CDLL("libX11.so.6"), ctypes.CDLL("libXtst.so.6")
     x11.XOpenDisplay.restype = ctypes.c_void_p
     screen = ctypes.c_void_p(x11.XOpenDisplay(name.encode()))

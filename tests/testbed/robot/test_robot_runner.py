@@ -76,6 +76,7 @@ def test_the_raw_record_is_kept_with_its_bias(usual):
     held = np.array([0, 0, -tool.mass * 9.81])  # the tool points down, and so does the sensor's z axis
     assert_allclose(usual.sensor_wrench[tare].mean(axis=0)[:3], BIAS[:3] + held, atol=0.05)
     assert_allclose(usual.wrench_on_object_world[tare].mean(axis=0), 0, atol=0.05)
+    assert usual.figures["slip_m"] < 1e-3
 
 
 def test_a_sensor_that_is_turned_and_negated_gives_the_same(usual):
@@ -114,10 +115,10 @@ def test_a_scales_reading_moves_nothing():
 
 
 def test_nothing_moves_before_the_motion_was_shown_and_confirmed():
-    """Shown once a runner, and asked only of a connected one."""
+    """Shown once a runner, and only by a connected one; without a tracker slip is not known."""
     shown: list[str] = []
     trial = Trial(OBJECT, replace(ACTION, duration=1.3))
-    robot, runner = robot_for(trial, confirm=lambda text: shown.append(text) or len(shown) > 1)
+    robot, runner = robot_for(trial, confirm=lambda text: shown.append(text) or len(shown) > 1, tracker=None)
     assert isinstance(runner, TrialRunner)
     with pytest.raises(RobotError, match="not connected"):
         runner.run(trial)
@@ -128,7 +129,9 @@ def test_nothing_moves_before_the_motion_was_shown_and_confirmed():
         assert robot.driven_after(0.0) == 0.0
         for _ in range(2):
             robot.world.place(starting_pose(trial), 0)
-            assert runner.run(trial).ok
+            record = runner.run(trial)
+            assert record.ok
+            assert "slip_m" not in record.figures and "not known" in record.provenance["slip"]
     assert len(shown) == 2
     assert shown[0] == runner.dry_run(trial)
     for part in ("down to the object", "the action", "turned by", "17.2 deg/s", "x: 0.4", "allowed 0.250 to 0.650 m"):
@@ -148,14 +151,6 @@ def test_what_passes_a_limit_is_refused_before_it_moves(action, why):
     with runner, pytest.raises(InfeasibleTrialError, match=why):
         runner.run(trial)
     assert robot.driven_after(0.0) == 0.0
-
-
-def test_without_a_tracker_slip_is_not_known(usual):
-    blind, _ = run(ACTION, tracker=None)
-    assert blind.ok
-    assert "slip_m" not in blind.figures
-    assert "not known" in blind.provenance["slip"]
-    assert usual.figures["slip_m"] < 1e-3
 
 
 @pytest.mark.parametrize("angle", [0.0, 0.7, -2.0])

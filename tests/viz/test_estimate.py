@@ -350,6 +350,7 @@ def test_facts_are_text_whatever_they_hold(tmp_path):
     view = block_estimate(title="a|b *c*", facts={"why": "x | y <script>", "empty": ""})
     entities = recorded(tmp_path / "f.rrd", log_estimate, estimate_blueprint, view)
     text = entities["e/facts"].static["TextDocument:text"][0]
+    assert view.nad is not None
     for part in ("a\\|b \\*c\\*", "x \\| y \\<script\\>", f"| NAD | {100 * view.nad:.2f} % |"):
         assert part in text
     assert "empty" not in text

@@ -97,6 +97,7 @@ def test_bars_are_the_masses_with_their_intervals():
     figure = estimate_bars(view)
     check_units(figure)
     truth, answer = (container for container in figure.axes[0].containers if hasattr(container, "patches"))
+    assert view.true_mass is not None and view.mass is not None
     for bars, mass in ((truth, view.true_mass), (answer, view.mass)):
         assert_allclose([bar.get_height() for bar in bars.patches], mass)
     lines = np.array(figure.axes[0].collections[0].get_segments())  # pyright: ignore[reportAttributeAccessIssue]

@@ -99,6 +99,7 @@ def test_an_open_viewer_receives_trials_and_estimates(finished_run, tmp_path):
         recorder = Recorder(finished_run, Console(file=io.StringIO()), url=viewers.waiting(port))
         recorder("trial", turn)
         recorder("estimate", key_of(finished_run, "hidden_states"))
+        found = ""
         for _ in range(100):
             found = " ".join(recording.store_id for recording in client.get_state().recordings)
             if "trial" in found and "estimate" in found:

@@ -199,6 +199,7 @@ class Design:
 
         Accelerated turns and lifts are ruled out before a trial at constant speed: alone they give no answer.
         """
+        # turns at constant speed are compared by grasp and center, other actions as a whole
         taken = {action for action in done if not isinstance(action, Rotate)}
         begun = any(steady(action) for action in done)
         keep = np.array([(begun or steady(a)) and a not in taken for a in self.candidates], dtype=bool)

@@ -66,7 +66,7 @@ class RankDriven:
             if (accelerated + accelerated // len(allowed)) % 2:
                 return action.reversed()
             return action
-        turns = sum(isinstance(action, Rotate) for action in tried)
+        turns = sum(isinstance(action, Rotate) for action in tried)  # the policy's own, as is `done`
         if turns >= self.pivots:
             done = [action for action in good if isinstance(action, Rotate)]
             within_reach = predicted_rank(shape, [Rotate(grasp) for grasp in allowed])

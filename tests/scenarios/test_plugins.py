@@ -225,13 +225,13 @@ def test_a_trial_is_kept_under_the_source_and_the_settings_of_its_policy(here):
         sys.modules.pop("of_user", None)
         (here / "of_user.py").write_text(source, encoding="utf-8")
         source_hash.cache_clear()
-        return Policy.model_validate({"kind": "of_user:Outermost", **fields}).asked()
+        return Policy.model_validate({"kind": "of_user:Outermost", **fields}).request()
 
     first, again = kept(MODULE), kept(MODULE)
     assert first == again
     assert first != kept(MODULE + "# more\n")
     assert first != kept(MODULE, settings={"turns": 1})
-    assert "source" not in Policy().asked()
+    assert "source" not in Policy().request()
 
 
 def test_every_method_of_heft_is_what_others_must_be():

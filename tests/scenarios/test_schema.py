@@ -1,4 +1,4 @@
-"""Scenario files: drawn objects, swept axes, changed truths; a thousand broken files, each refused in its own words."""
+"""Scenario files: random objects, swept axes, changed truths, and a thousand broken files."""
 
 from __future__ import annotations
 
@@ -28,44 +28,58 @@ def test_every_library_scenario_loads_at_every_point():
             assert point.supports()
 
 
-def test_axes_are_combined_or_go_side_by_side():
-    axes = {"grid.feet": [2, 3], "policy.pivots": [4, 5]}
-    crossed = Scenario.model_validate({"objects": ["I1"], "sweep": {"axes": axes}}).points()
-    assert [tuple(a.values()) for a, _ in crossed] == [(2, 4), (2, 5), (3, 4), (3, 5)]
-    assert [(p.grid.feet, p.policy.pivots) for _, p in crossed] == [(2, 4), (2, 5), (3, 4), (3, 5)]
-    zipped = Scenario.model_validate({"objects": ["I1"], "sweep": {"mode": "zip", "axes": axes}}).points()
-    assert [(p.grid.feet, p.policy.pivots) for _, p in zipped] == [(2, 4), (3, 5)]
-    alone = Scenario(objects=["I1"]).points()
-    assert len(alone) == 1
-    assert alone[0][0] == {}
+@pytest.mark.parametrize(
+    ("mode", "expected"), [("grid", [(2, 4), (2, 5), (3, 4), (3, 5)]), ("zip", [(2, 4), (3, 5)]), (None, [(3, 6)])]
+)
+def test_axes_are_combined_or_go_side_by_side(mode, expected):
+    sweep = {"mode": mode, "axes": {"grid.feet": [2, 3], "policy.pivots": [4, 5]}} if mode else {}
+    points = Scenario.model_validate({"objects": ["I1"], "sweep": sweep}).points()
+    assert [(p.grid.feet, p.policy.pivots) for _, p in points] == expected
+    assert [tuple(axes.values()) for axes, _ in points] == (expected if mode else [()])
 
 
 def test_a_methods_setting_can_be_swept():
-    axes = {"methods.weighted_sampling.decay": [0.5, 0.9]}
-    scenario = Scenario.model_validate(
-        {"objects": ["I1"], "methods": {"weighted_sampling": {}}, "sweep": {"axes": axes}}
-    )
+    sweep = {"axes": {"methods.weighted_sampling.decay": [0.5, 0.9]}}
+    scenario = Scenario.model_validate({"objects": ["I1"], "methods": {"weighted_sampling": {}}, "sweep": sweep})
     assert [p.methods["weighted_sampling"]["decay"] for _, p in scenario.points()] == [0.5, 0.9]
 
 
 @pytest.mark.parametrize(
-    ("sweep", "message"),
+    ("change", "message"),
     [
-        ({"axes": {"grid.feets": [1]}}, "grid.feets"),
-        ({"axes": {"grid.feet": [0]}}, "grid.feet: got 0"),
-        ({"axes": {"grid.feet": []}}, "grid.feet"),
-        ({"mode": "zip", "axes": {"grid.feet": [1, 2], "seeds": [1]}}, "equally many"),
-        ({"mode": "both"}, "mode"),
-        ({"axes": {"sweep.mode": ["zip"]}}, "sweep.mode"),
-        ({"axes": {"seeds.more": [1]}}, "seeds.more"),
-        ({"axes": {"support": [["soft"]]}}, "soft"),
+        ({"sensing": ["best"]}, "sensing.*got 'best'; allowed: one of ideal, ft300s"),
+        ({"support": ["soft"]}, "support.*got 'soft'; allowed: .*rigid"),
+        ({"seeds": 0}, "seeds: got 0; allowed: greater than or equal to 1"),
+        ({"colour": 1}, "colour: no such field"),
+        ({"methods": {"magic": {}}}, "methods: got 'magic'; allowed: one of hidden_states"),
+        ({"methods": {"hidden_states": {"steps": 0}}}, "steps: got 0; allowed: an integer >= 1"),
+        ({"methods": {"hidden_states": {"speed": 1}}}, "got 'speed'; allowed: settings method, .*solver"),
+        ({"policy": {"pivots": 0}}, "policy.pivots: got 0"),
+        ({"grid": {"feet": 0}}, "grid.feet: got 0"),
+        ({"sweep": {"axes": {"grid.feets": [1]}}}, "grid.feets"),
+        ({"sweep": {"axes": {"grid.feet": [0]}}}, "grid.feet: got 0"),
+        ({"sweep": {"axes": {"grid.feet": []}}}, "grid.feet"),
+        ({"sweep": {"mode": "zip", "axes": {"grid.feet": [1, 2], "seeds": [1]}}}, "equally many"),
+        ({"sweep": {"mode": "both"}}, "mode"),
+        ({"sweep": {"axes": {"sweep.mode": ["zip"]}}}, "sweep.mode"),
+        ({"sweep": {"axes": {"seeds.more": [1]}}}, "seeds.more"),
+        ({"sweep": {"axes": {"support": [["soft"]]}}}, "soft"),
+        ("objects = [", "cannot be read as TOML"),
+        ("\x00", "cannot be read as TOML"),
+        ("[a]\n[a]", "cannot be read as TOML"),
     ],
 )
-def test_a_wrong_axis_is_refused(tmp_path, sweep, message):
+def test_a_wrong_scenario_is_refused_with_its_field(tmp_path, change, message):
     path = tmp_path / "s.toml"
-    path.write_text(toml_of({"objects": ["I1"], "sweep": sweep}))
-    with pytest.raises(InvalidFileError, match=message):
+    path.write_text(change if isinstance(change, str) else toml_of({"objects": ["I1"]} | change))
+    with pytest.raises(InvalidFileError, match=message) as error:
         load_scenario(str(path))
+    assert str(path) in str(error.value)
+
+
+def test_an_unknown_scenario_is_refused():
+    with pytest.raises(InvalidValueError, match="one of blocks"):
+        load_scenario("bloks")
 
 
 def test_a_family_is_the_same_for_the_same_seed_and_joined_edge_to_edge():
@@ -76,8 +90,7 @@ def test_a_family_is_the_same_for_the_same_seed_and_joined_edge_to_edge():
     assert objects != [family.model_copy(update={"seed": 4}).draw(i, 0) for i in range(40)]
     assert len({o.name for o in objects}) == 40
     counts = [o.build(1, Path()).shape.n_m for o in objects]  # building checks that blocks are joined
-    assert min(counts) == 2
-    assert max(counts) == 9
+    assert (min(counts), max(counts)) == (2, 9)
     for file in objects:
         assert file.blocks is not None
         assert set(np.atleast_1d(file.blocks.mass_kg)) <= {0.1, 0.3}
@@ -179,16 +192,6 @@ def test_a_thousand_broken_files_are_run_or_refused_with_their_field(tmp_path):
             assert "Traceback" not in text
             assert "allowed" in text or "no such field" in text or "missing" in text or "TOML" in text, text
     assert 300 < refused < 1000
-
-
-def test_a_broken_toml_is_refused(tmp_path):
-    path = tmp_path / "s.toml"
-    for text in ("objects = [", "\x00", "objects = 'I1", "[a]\n[a]", json.dumps({"objects": ["I1"]})):
-        path.write_text(text)
-        with pytest.raises(InvalidFileError, match="cannot be read as TOML"):
-            load_scenario(str(path))
-    with pytest.raises(InvalidValueError, match="one of blocks"):
-        load_scenario("bloks")
 
 
 def test_objects_are_looked_up_beside_the_scenario(tmp_path, monkeypatch):

@@ -66,17 +66,6 @@ class Case:
         """Residual of the textbook's complementarity, N s and m/s."""
         return self.textbook.residual(self.unknowns(step))
 
-    def relative(self, step: Step) -> float:
-        """`residual` with impulses over the largest bound and speeds over the largest in question."""
-        problem, z, impulses = self.textbook, self.unknowns(step), self.directions * len(self.bound)
-        push = self.bound.max()
-        speed = np.abs(problem.offset[:impulses]).max() + push * problem.matrix.diagonal().max()
-        w = problem.matrix @ z + problem.offset
-        counts = [impulses, len(self.bound)]
-        return float(
-            np.abs(np.minimum(z / np.repeat([push, speed], counts), w / np.repeat([speed, push], counts))).max()
-        )
-
 
 def drawn_case(kind: str, directions: int, seed: int, feet: int | None = None) -> Case:
     """A random object on a few of its feet, or on all of them for 0; one foot in eight has no friction."""
@@ -117,7 +106,6 @@ def test_a_step_solves_the_textbooks_problem(kind, directions):
         case = drawn_case(kind, directions, seed)
         step = solve_step(*case.tensors)
         assert case.residual(step) < 1e-9
-        assert case.relative(step) < 1e-8
         speed = np.linalg.norm(case.jacobians @ step.velocity[0].numpy(), axis=1)
         assert {
             "slides": speed.min() > 1e-3,

@@ -74,7 +74,6 @@ def slide(root) -> TrialRecord:
 
 FILM = ["--width", str(SIZE[0]), "--height", str(SIZE[1]), "--fps", "5", "--speed", "2", "--no-caption"]
 PICTURE = ["--at", "1.0", "--width", "480", "--height", "320"]
-GIF = ["--width", "160", "--height", "120", "--fps", "4", "--camera", "object"]
 
 
 @pytest.fixture(scope="module")
@@ -89,11 +88,10 @@ def drawn(egl, root, turn, slide, tmp_path_factory) -> Path:
         render(turn, "turn.mp4", "--camera", "above", *FILM),
         render(turn, "turn.png", *PICTURE),
         render(slide, "slide.png", *PICTURE),
-        render(slide, "slide.gif", *GIF),
     )
     assert done.returncode == 0, done.stderr
     written = [line for line in done.stdout.splitlines() if line.startswith(str(folder))]
-    assert written == [str(folder / name) for name in ("turn.mp4", "turn.png", "slide.png", "slide.gif")]
+    assert written == [str(folder / name) for name in ("turn.mp4", "turn.png", "slide.png")]
     return folder
 
 
@@ -246,16 +244,6 @@ def test_a_picture_is_lit_and_shows_table_arm_and_object(drawn, name):
     warm = picture[..., 0].astype(int) - picture[..., 2]
     assert 0.2 < ((warm > 15) & (bright > 120)).mean() < 0.8  # the table
     assert (warm > 80).mean() > 1e-3  # a block, or the hammer's head
-
-
-def test_a_gif_of_a_trial(drawn, slide):
-    with Image.open(drawn / "slide.gif") as film:
-        assert film.size == (160, 120)
-        total = 0
-        for i in range(film.n_frames):  # pyright: ignore[reportAttributeAccessIssue]
-            film.seek(i)
-            total += film.info["duration"]
-    assert_allclose(total / 1000, (math.floor(slide.trajectory.time_s[-1] * 4) + 1) / 4, atol=0.01)
 
 
 def test_trials_are_listed(root, turn, slide, capsys):

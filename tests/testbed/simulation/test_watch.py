@@ -17,7 +17,6 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from PIL import ImageGrab
 
-from scenarios.cli.main import main
 from scenarios.cli.render import grasp_index
 from scenarios.results.trials import read_trial
 from testbed.actions.rotate import Rotate
@@ -98,25 +97,23 @@ def test_grasps_are_named():
         grasp_index(shape, "nose")
 
 
-@pytest.mark.parametrize("words", [["L2"], ["RESULTS", "KEY"]])
-def test_without_a_display_a_line_says_what_to_do(tmp_path, monkeypatch, capsys, words: list[str]):
+@pytest.mark.parametrize(
+    ("words", "display", "message"),
+    [
+        (["L2"], {}, "there is no display"),
+        (["RESULTS", "KEY"], {}, "there is no display"),
+        (["L2"], {"DISPLAY": ":9871"}, "on display :9871"),
+    ],
+)
+def test_without_a_display_a_line_says_what_to_do(tmp_path, words, display, message):
     key = put_trial(tmp_path, "L2", Slide(1, duration=0.1)) if "KEY" in words else ""
-    monkeypatch.delenv("DISPLAY", raising=False)
-    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
-    with pytest.raises(SystemExit) as end:
-        main(["watch", *({"RESULTS": str(tmp_path), "KEY": key}.get(word, word) for word in words)])
-    assert end.value.code == 2
-    (line,) = capsys.readouterr().err.splitlines()
-    assert "no display" in line and "DISPLAY" in line and "heft render" in line
-
-
-def test_a_display_that_does_not_answer_is_told():
-    command = [sys.executable, "-m", "scenarios", "watch", "L2"]
-    env = NO_DISPLAY | {"DISPLAY": ":9871"}
+    command = [sys.executable, "-m", "scenarios", "watch"]
+    command += [{"RESULTS": str(tmp_path), "KEY": key}.get(word, word) for word in words]
+    env = NO_DISPLAY | display
     done = subprocess.run(command, cwd=ROOT, env=env, capture_output=True, text=True, check=False, timeout=60)
     assert done.returncode == 2
     (line,) = done.stderr.splitlines()
-    assert line.startswith("heft: cannot open a window on display :9871") and "apt-get install" in line
+    assert line.startswith("heft: cannot open a window") and message in line and "heft render" in line
 
 
 @pytest.fixture

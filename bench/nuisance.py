@@ -1,9 +1,9 @@
-"""Masses where the bench hides a bias, a grasp beside its place, a grain of the table: python bench/nuisance.py WHERE.
+"""Masses in a setup with a bias, a grasp offset or anisotropic friction: python bench/nuisance.py WHERE.
 
 exact      in the tests' world of exact Coulomb friction, with white noise of 0.07 N and 0.007 N m a sample
-simulated  on the simulated bench, with an FT-300S's errors; the grain is MuJoCo's own elliptic friction
+simulated  in the simulated scene, with an FT-300S's errors; the anisotropy is MuJoCo's own elliptic friction
 
-Each flaw of the bench against Algorithm 1 as it is and with unknowns of the bench: NAD over objects (mean and median,
+Each flaw of the setup against Algorithm 1 as it is and with unknowns of the setup: NAD over objects (mean and median,
 %), error over claimed error (root mean square of all masses), and for how many objects there is an answer where not for
 all. Objects are I2, L2, F2 and layouts drawn by seed. Options: --drawn N (12), --seed (0), --duration of a turn each
 way, s (9).
@@ -25,7 +25,7 @@ import torch
 from rich.console import Console
 from rich.table import Table
 
-import testbed.simulation.runner as bench
+import testbed.simulation.runner as simulation
 from estimators.action_selection.rank import RankDriven
 from estimators.evaluation.metrics import normalized_absolute_difference
 from estimators.hidden_states.estimator import HiddenStates
@@ -87,12 +87,12 @@ WRONG = (
     Flaws("bias, there and back", bias=1),
     Flaws("the same, size stated", bias=1, stated=float(BIAS[0] / STATED[0])),
     Flaws("offset", offset=OFFSET),
-    Flaws("grain", ratio=RATIO),
+    Flaws("anisotropy", ratio=RATIO),
     Flaws("all three", bias=1, offset=OFFSET, ratio=RATIO),
 )
 
 World = Callable[[ObjectModel, Action, Flaws, np.random.Generator, float, int], Trajectory]
-"""The record of an action on a bench with flaws, how its offset and bias are drawn, the grain's direction, a seed."""
+"""Record of an action in a setup with flaws, drawn by a generator; the direction of most friction, and a seed."""
 
 
 def exact(
@@ -110,7 +110,7 @@ def exact(
 def simulated(
     obj: ObjectModel, action: Action, flaws: Flaws, rng: np.random.Generator, direction: float, seed: int
 ) -> Trajectory:
-    """On the simulated bench. Its grain lies along the world's axes: MuJoCo's contact frame takes y first, then x."""
+    """In the simulated scene, with most friction along a world axis: MuJoCo's contact frame takes y first, then x."""
     assert isinstance(action, Rotate | Accelerate | Slide)
     clean = _physics(obj, action, tuple(_offset(flaws, rng).tolist()), flaws.ratio)
     force, torque = flaws.bias * BIAS[[0, 3]]
@@ -132,20 +132,20 @@ def _physics(
     moved = replace(obj, shape=replace(obj.shape, grasps=grasps))
     if isinstance(action, Rotate) and action.pivot is not None:
         action = replace(action, pivot=(action.pivot[0] + offset[0], action.pivot[1] + offset[1]))
-    plain = bench.build_scene
+    plain = simulation.build_scene
 
-    def grained(*asked: Any, **how: Any) -> Scene:
-        scene = plain(*asked, **how)
+    def anisotropic(*given: Any, **how: Any) -> Scene:
+        scene = plain(*given, **how)
         for i in range(scene.model.npair):
             if scene.model.pair(i).name.startswith("foot_"):
                 scene.model.pair_friction[i, :2] *= [ratio**0.5, ratio**-0.5]
         return scene
 
-    bench.build_scene = grained
+    simulation.build_scene = anisotropic
     try:
         return SimulationRunner().run_clean(Trial(moved, action))
     finally:
-        bench.build_scene = plain
+        simulation.build_scene = plain
 
 
 def trials(obj: ObjectModel, world: World, flaws: Flaws, duration: float, seed: int) -> list[Trajectory]:
@@ -162,7 +162,7 @@ def trials(obj: ObjectModel, world: World, flaws: Flaws, duration: float, seed: 
 
 
 def objects(drawn: int) -> list[ObjectModel]:
-    """I2, L2, F2, and drawn layouts that can be told: whose trials in the exact world show all masses."""
+    """I2, L2, F2, and drawn layouts whose trials in the exact world show all masses."""
     found = [load_object(name) for name in ("I2", "L2", "F2")]
     family = Family(count=1000, seed=11)
     for index in range(1000):

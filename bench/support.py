@@ -1,4 +1,4 @@
-"""Support test: share of right verdicts, and knowledge under one rigid body: python bench/support.py COMMAND ...
+"""Rates of the support test, and masses known under one rigid body: python bench/support.py COMMAND ...
 
 judge OUT.parquet FOLDER... [--sensing NAME]... [--draws N] [--materials KG]...
         every object in folders of results of `heft run`, under fresh draws of the sensors: the test, and what
@@ -247,10 +247,10 @@ def speed() -> None:
         )
     obj = load_object("F2")
     for rigid in (False, True):
-        felt = turns(obj, rigid=rigid, noise=0.02) + accelerated(obj, rigid=rigid, noise=0.02)
+        trials = turns(obj, rigid=rigid, noise=0.02) + accelerated(obj, rigid=rigid, noise=0.02)
         for method in (HiddenStates(), SupportAware(), SupportAware(materials_kg=(0.1, 0.4))):
             name = f"{type(method).__name__}{' of materials' if getattr(method, 'materials_kg', ()) else ''}"
-            spent = timed(lambda m=method, f=felt: m.estimate(obj.shape, obj.total_mass, f, 0))
+            spent = timed(lambda m=method, t=trials: m.estimate(obj.shape, obj.total_mass, t, 0))
             body.append([f"{name}, F2 {RIGID if rigid else OWN_WEIGHT}", f"{1e3 * spent:.0f}"])
     table("ms, one core", ["", "ms"], body)
 

@@ -73,7 +73,8 @@ def build_sensor(file: RobotFile, port: str | None = None) -> WrenchSensor:
             None,
             '[sensor] port = "/dev/serial/by-id/..." in robot.toml; heft robot check lists the ports there are',
         )
-    return _build(SENSOR, table.model, table.settings, "sensor", {} if port is None else {"port": port})
+    settings = table.settings if port is None else {k: v for k, v in table.settings.items() if k != "port"}
+    return _build(SENSOR, table.model, settings, "sensor", {} if port is None else {"port": port})
 
 
 def build_gripper(file: RobotFile, arm: Arm) -> Gripper:

@@ -3,8 +3,9 @@
 The names below load their module on first use: `import estimators` by itself costs nothing.
 """
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from testbed.lazy import lazy_names
 
 if TYPE_CHECKING:
     from estimators.action_selection.greedy import PlannedPolicy
@@ -26,27 +27,6 @@ if TYPE_CHECKING:
     from estimators.registry import METHODS, build_method
     from estimators.support_models.estimator import SupportAware
 
-_MODULES = {
-    "action_selection.greedy": ("PlannedPolicy",),
-    "action_selection.online": ("OnlinePolicy",),
-    "action_selection.rank": ("RankDriven",),
-    "base": ("ActionPolicy", "Estimate", "Estimator", "HiddenStateEstimate", "Trace"),
-    "baselines.diff_lcp": ("DiffLcp",),
-    "baselines.explicit_state": ("ExplicitState",),
-    "baselines.mujoco_sysid": ("MujocoSysid",),
-    "baselines.optimizers": ("CmaEs", "LeastSquares", "NelderMead"),
-    "baselines.random_search": ("RandomSearch",),
-    "baselines.weighted_sampling": ("WeightedSampling",),
-    "evaluation.metrics": ("mean_particle_distance", "normalized_absolute_difference"),
-    "hidden_states.estimator": ("HiddenStates",),
-    "identifiability.information": ("expected", "observed"),
-    "identifiability.report": ("Identifiability",),
-    "particles.errors": ("ModelErrors",),
-    "particles.windows": ("Observations", "observe"),
-    "registry": ("METHODS", "build_method"),
-    "support_models.estimator": ("SupportAware",),
-}
-_MODULE_OF = {name: f"{__name__}.{module}" for module, names in _MODULES.items() for name in names}
 
 __all__ = [
     "METHODS",
@@ -79,12 +59,4 @@ __all__ = [
     "observed",
 ]
 
-
-def __getattr__(name: str) -> Any:
-    if name not in _MODULE_OF:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(_MODULE_OF[name]), name)
-
-
-def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__})
+__getattr__, __dir__ = lazy_names(__name__)

@@ -3,8 +3,9 @@
 Names are imported on first use: `import testbed` alone loads nothing but the standard library.
 """
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from testbed.lazy import lazy_names
 
 if TYPE_CHECKING:
     from testbed.actions.accelerate import Accelerate
@@ -26,27 +27,6 @@ if TYPE_CHECKING:
     from testbed.trajectory import Phase, Tool, Trajectory, load_trajectory, save_trajectory
     from testbed.trial import OWN_WEIGHT, RIGID, Support, Trial, TrialRunner
 
-_MODULES = {
-    "actions.accelerate": ("Accelerate",),
-    "actions.base": ("Action", "TableAction", "action_from_dict"),
-    "actions.lift": ("Lift",),
-    "actions.rotate": ("Rotate",),
-    "actions.slide": ("Slide",),
-    "actions.weigh": ("Weigh",),
-    "errors": ("HeftError", "InfeasibleTrialError", "InvalidValueError"),
-    "objects.blocks": ("block_object",),
-    "objects.files": ("load_object",),
-    "objects.model": ("GRAVITY", "Grasp", "MassDistribution", "ObjectModel", "ObjectShape"),
-    "replay": ("ReplayRunner",),
-    "sensing.noise": ("draw_sensing",),
-    "sensing.presets": ("Sensing", "preset"),
-    "sensing.windows": ("steady_windows", "weight_of"),
-    "simulation.runner": ("SimulationRunner",),
-    "simulation.settings": ("SimulationSettings",),
-    "trajectory": ("Phase", "Tool", "Trajectory", "load_trajectory", "save_trajectory"),
-    "trial": ("OWN_WEIGHT", "RIGID", "Support", "Trial", "TrialRunner"),
-}
-_MODULE_OF = {name: f"{__name__}.{module}" for module, names in _MODULES.items() for name in names}
 
 __all__ = [
     "GRAVITY",
@@ -87,12 +67,4 @@ __all__ = [
     "weight_of",
 ]
 
-
-def __getattr__(name: str) -> Any:
-    if name not in _MODULE_OF:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(_MODULE_OF[name]), name)
-
-
-def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__})
+__getattr__, __dir__ = lazy_names(__name__)

@@ -3,10 +3,10 @@
 All but the report load torch on first use, so that `estimators.base` is light.
 """
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from estimators.identifiability.report import Identifiability, identifiability
+from testbed.lazy import lazy_names
 
 if TYPE_CHECKING:
     from estimators.identifiability.information import Assumptions, expected, observed, predicted_information
@@ -24,11 +24,5 @@ __all__ = [
     "predicted_information",
     "sample_posterior",
 ]
-_POSTERIOR = ("Likelihood", "Posterior", "friction_profile", "sample_posterior")
 
-
-def __getattr__(name: str) -> Any:
-    if name not in __all__:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    module = "posterior" if name in _POSTERIOR else "information"
-    return getattr(import_module(f"{__name__}.{module}"), name)
+__getattr__, __dir__ = lazy_names(__name__)

@@ -3,8 +3,9 @@
 The names below load their module on first use: meshes are slow to import.
 """
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from testbed.lazy import lazy_names
 
 if TYPE_CHECKING:
     from testbed.objects.blocks import block_object, parse_layout
@@ -14,15 +15,6 @@ if TYPE_CHECKING:
     from testbed.objects.model import Grasp, MassDistribution, ObjectModel, ObjectShape, Solid
     from testbed.objects.random import Family
 
-_MODULES = {
-    "blocks": ("block_object", "parse_layout"),
-    "export": ("Exported", "to_mjcf", "to_object_file", "to_urdf"),
-    "files": ("ObjectFile", "load_object", "object_names"),
-    "meshes": ("mesh_object", "read_mesh"),
-    "model": ("Grasp", "MassDistribution", "ObjectModel", "ObjectShape", "Solid"),
-    "random": ("Family",),
-}
-_MODULE_OF = {name: f"{__name__}.{module}" for module, names in _MODULES.items() for name in names}
 
 __all__ = [
     "Exported",
@@ -44,8 +36,4 @@ __all__ = [
     "to_urdf",
 ]
 
-
-def __getattr__(name: str) -> Any:
-    if name not in _MODULE_OF:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(_MODULE_OF[name]), name)
+__getattr__, __dir__ = lazy_names(__name__)

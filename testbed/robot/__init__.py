@@ -4,8 +4,9 @@ The names below load their module on first use; the process that speaks Kortex r
 without heft's dependencies.
 """
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from testbed.lazy import lazy_names
 
 if TYPE_CHECKING:
     from testbed.robot.config import RobotSettings, load_robot_file
@@ -15,15 +16,6 @@ if TYPE_CHECKING:
     from testbed.robot.runner import RealRunner
     from testbed.robot.safety import SafetyLimits
 
-_MODULES = {
-    "config": ("RobotSettings", "load_robot_file"),
-    "interfaces": ("Arm", "Gripper", "ObjectPose", "RobotError", "WrenchSensor"),
-    "path": ("KnownPose",),
-    "registry": ("build_arm", "build_gripper", "build_sensor"),
-    "runner": ("RealRunner",),
-    "safety": ("SafetyLimits",),
-}
-_MODULE_OF = {name: f"{__name__}.{module}" for module, names in _MODULES.items() for name in names}
 
 __all__ = [
     "Arm",
@@ -41,8 +33,4 @@ __all__ = [
     "load_robot_file",
 ]
 
-
-def __getattr__(name: str) -> Any:
-    if name not in _MODULE_OF:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(_MODULE_OF[name]), name)
+__getattr__, __dir__ = lazy_names(__name__)

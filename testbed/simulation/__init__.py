@@ -3,20 +3,15 @@
 The names below load their module on first use: settings are light, and graphics are chosen before MuJoCo loads.
 """
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from testbed.lazy import lazy_names
 
 if TYPE_CHECKING:
     from testbed.simulation.rendering import BodyPoses, Playback, body_poses
     from testbed.simulation.runner import SimulationRunner
     from testbed.simulation.settings import ContactSettings, GripSettings, ServoSettings, SimulationSettings
 
-_MODULES = {
-    "rendering": ("BodyPoses", "Playback", "body_poses"),
-    "runner": ("SimulationRunner",),
-    "settings": ("ContactSettings", "GripSettings", "ServoSettings", "SimulationSettings"),
-}
-_MODULE_OF = {name: f"{__name__}.{module}" for module, names in _MODULES.items() for name in names}
 
 __all__ = [
     "BodyPoses",
@@ -29,8 +24,4 @@ __all__ = [
     "body_poses",
 ]
 
-
-def __getattr__(name: str) -> Any:
-    if name not in _MODULE_OF:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(_MODULE_OF[name]), name)
+__getattr__, __dir__ = lazy_names(__name__)

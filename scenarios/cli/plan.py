@@ -94,10 +94,10 @@ def plan(
     for line in _conclusion(model.shape, made, guess, goal):
         console.print(line, highlight=False)
     if figure is not None or record is not None:
-        _draw(console, plan_shown(model, made, title), figure, record)
+        _draw(console, plan_view(model, made, title), figure, record)
 
 
-def plan_shown(model: ObjectModel, made: Plan, title: str) -> PlanView:
+def plan_view(model: ObjectModel, made: Plan, title: str) -> PlanView:
     """The plan with the errors expected after each step, for a figure or a recording."""
     import numpy as np
 
@@ -178,17 +178,17 @@ def _number(bare: str, name: str, text: str, allowed: str) -> float:
         raise InvalidValueError(name, text, allowed) from None
 
 
-def _draw(console: Console, shown: PlanView, figure: Path | None, record: Path | None) -> None:
+def _draw(console: Console, view: PlanView, figure: Path | None, record: Path | None) -> None:
     from viz.figures.maps import save_figure
     from viz.figures.plan import plan_figure
     from viz.recordings.page import save
     from viz.recordings.plan import plan_page
 
     if figure is not None:
-        for path in save_figure(plan_figure(shown), figure):
+        for path in save_figure(plan_figure(view), figure):
             console.print(str(path), highlight=False, soft_wrap=True)
     if record is not None:
-        save(plan_page(shown), record)
+        save(plan_page(view), record)
         console.print(f"recording: {record}", highlight=False, soft_wrap=True)
 
 

@@ -13,7 +13,7 @@ from estimators.action_selection.plan import Goal
 from estimators.action_selection.rank import RankDriven
 from estimators.identifiability.information import SUPPORTS
 from scenarios.cli.main import main
-from scenarios.cli.plan import percent, plan_shown, seconds
+from scenarios.cli.plan import percent, plan_view, seconds
 from scenarios.config import Policy
 from scenarios.results.estimates import load_results
 from scenarios.runners import FeasibilityCheck
@@ -178,7 +178,7 @@ def test_a_plan_is_recorded_step_by_step(tmp_path):
     model = load_object("L2")
     guess = Guess(model.total_mass, preset("ft300s"))
     made = PlannedPolicy(guess, goal=Goal(most=3), candidates=200).plan(model.shape)
-    shown = plan_shown(model, made, "a plan")
+    shown = plan_view(model, made, "a plan")
     assert shown.errors.shape == (4, 6) and (np.diff(shown.errors.sum(axis=1)) < 0).all()
     save(plan_page(shown), tmp_path / "plan.rrd")
     logged = read_chunks(tmp_path / "plan.rrd")

@@ -261,7 +261,7 @@ def main() -> None:
     mass = torch.full((len(shape.particles),), weight / len(shape.particles), dtype=torch.float64)
     settings = HiddenStates()
     system = friction_equations(
-        model, groups, steady, mass, torch.full_like(mass, 0.5), shape.height, settings
+        model, groups, steady, mass, torch.full_like(mass, 0.5), shape.height, settings.errors
     ).whitened()  # fmt: skip
     exact = seconds(lambda: closed_form(system), 50)
     table.add_row("closed form of s, six turns", f"{exact * 1e3:.2f} ms", "", "", "<= 10 ms")

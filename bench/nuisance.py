@@ -45,7 +45,7 @@ from testbed.trajectory import Trajectory
 from testbed.trial import Trial
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
-from tests.fakes.flawed_bench import biased, held_beside, on_grain  # pyright: ignore[reportMissingImports]
+from tests.fakes.flawed_bench import biased, held_beside, on_anisotropic_table  # pyright: ignore[reportMissingImports]
 
 BIAS = np.repeat([0.2, 0.01], 3)
 """Left after the tare, one standard deviation, N and N m."""
@@ -103,7 +103,7 @@ def exact(
     offset, bias = _offset(flaws, rng), flaws.bias * BIAS * rng.standard_normal(6)
     trial = held_beside(obj, action, offset, noise=NOISE, seed=seed)
     if flaws.ratio < 1:
-        trial = on_grain(obj, trial, flaws.ratio, direction, offset)
+        trial = on_anisotropic_table(obj, trial, flaws.ratio, direction, offset)
     return biased(trial, bias, flaws.stated * STATED)
 
 

@@ -51,7 +51,7 @@ class HiddenStates:
     """Parameters of the setup to estimate with the loads: any of bias, grasp_offset, anisotropy."""
     offset_error: float = 0.003
     """Standard deviation of an unknown grasp offset along each axis, m."""
-    grain_error: float = 0.3
+    anisotropy_error: float = 0.3
     """Standard deviation of each component of an unknown friction anisotropy."""
     pivot_error: float = ModelErrors.pivot_error
     """Error of the center of a turn, m."""
@@ -77,7 +77,7 @@ class HiddenStates:
         check_integer("HiddenStates.steps", self.steps)
         check_integer("HiddenStates.refinements", self.refinements)
         check_positive("HiddenStates.offset_error", self.offset_error)
-        check_positive("HiddenStates.grain_error", self.grain_error)
+        check_positive("HiddenStates.anisotropy_error", self.anisotropy_error)
         _ = self.errors, self.prior
 
     @property
@@ -88,7 +88,7 @@ class HiddenStates:
     @property
     def prior(self) -> NuisancePrior:
         """Unknowns of the setup and their spread."""
-        return NuisancePrior(self.unknown, grasp_offset=self.offset_error, anisotropy=self.grain_error)
+        return NuisancePrior(self.unknown, grasp_offset=self.offset_error, anisotropy=self.anisotropy_error)
 
     def estimate(
         self, shape: ObjectShape, weight: float | None, trajectories: Sequence[Trajectory], seed: int

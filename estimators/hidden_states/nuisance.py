@@ -161,7 +161,7 @@ class NuisanceLayout:
                     rows.append(("grasp_offset", trial, place, name, prior.grasp_offset))
         if "anisotropy" in prior.unknown:
             for place, axis in enumerate("xy", ANISOTROPY.start):
-                rows.append(("anisotropy", -1, place, f"grain_{axis}", prior.anisotropy))
+                rows.append(("anisotropy", -1, place, f"anisotropy_{axis}", prior.anisotropy))
         index = torch.full((len(windows), 7), -1)
         for parameter, (_, trial, place, _, _) in enumerate(rows):
             index[(windows.trial == trial) | (trial < 0), place] = parameter

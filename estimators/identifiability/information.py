@@ -78,7 +78,7 @@ class TrialInformation:
         weighing = np.zeros((1, flat.shape[1]))
         weighing[0, shared : shared + shape.n_m] = shape.particles_per_group / weight_error
         triangle = np.linalg.qr(np.vstack([prior, weighing, np.roll(flat, shared, axis=1)]), mode="r")
-        return triangle[shared:, shared:]
+        return np.asarray(triangle)[shared:, shared:]
 
 
 def expected(

@@ -99,9 +99,9 @@ def rotate(angle: Float[Tensor, "..."], vector: Float[Tensor, "... 2"]) -> Float
     return torch.cos(angle)[..., None] * vector + torch.sin(angle)[..., None] * turned(vector)
 
 
-def direction(velocity: Float[Tensor, "... 2"]) -> Float[Tensor, "... 2"]:
-    """Unit velocity, fading to zero below REST_SPEED."""
-    return velocity / (velocity.square().sum(-1, keepdim=True) + REST_SPEED**2).sqrt()
+def direction(velocity: Float[Tensor, "... 2"], rest_speed: float = REST_SPEED) -> Float[Tensor, "... 2"]:
+    """Unit velocity, fading to zero below `rest_speed` [m/s]."""
+    return velocity / (velocity.square().sum(-1, keepdim=True) + rest_speed**2).sqrt()
 
 
 def friction_wrench(

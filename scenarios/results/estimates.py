@@ -44,6 +44,9 @@ from testbed.errors import HeftError, InvalidValueError
 from testbed.objects.model import MassDistribution
 from testbed.trajectory import Trajectory, load_trajectory
 
+DIAGNOSTICS = "diagnostics."
+"""Prefix of the names of an estimate's diagnostics in its file."""
+
 MOST_TRACES = 40
 """Estimates of a method whose losses are read."""
 
@@ -120,29 +123,30 @@ def load_estimate(folder: str | Path, key: str) -> Estimate:
     if row is None:
         raise HeftError(f"{place}: no whole result.json")
     arrays = load_arrays(folder, key)
-    answer = MassDistribution(arrays["mass"], arrays["friction"]) if "mass" in arrays else None
-    traces = (
-        Trace(
-            name.replace("_", " "),
-            tuple(arrays[f"{name}.loss"].tolist()),
-            tuple(arrays[f"{name}.seconds"].tolist()),
-            float(arrays[f"{name}.robot_seconds"]),
-            arrays[f"{name}.mass"],
+    led = str(row.get("optimizer") or "").replace(" ", "_")
+    try:
+        return Estimate(
+            MassDistribution(arrays["mass"], arrays["friction"]) if "mass" in arrays else None,
+            row["status"],
+            row.get("message") or "",
+            arrays.get("covariance"),
+            _value(Identifiability, "identifiability", arrays),
+            _value(HiddenStateEstimate, "hidden", arrays),
+            tuple(_trace(name, arrays) for name in sorted(_optimizers(arrays), key=lambda name: name != led)),
+            row.get("seconds") or 0.0,
+            {key.removeprefix(DIAGNOSTICS): float(v) for key, v in arrays.items() if key.startswith(DIAGNOSTICS)},
         )
-        for name in sorted(
-            _optimizers(arrays), key=lambda name: name != str(row.get("optimizer") or "").replace(" ", "_")
-        )
-    )
-    return Estimate(
-        answer,
-        row["status"],
-        row.get("message") or "",
-        arrays.get("covariance"),
-        _value(Identifiability, "identifiability", arrays),
-        _value(HiddenStateEstimate, "hidden", arrays),
-        tuple(traces),
-        row.get("seconds") or 0.0,
-        {name.removeprefix("diagnostics."): float(v) for name, v in arrays.items() if name.startswith("diagnostics.")},
+    except KeyError as error:
+        raise HeftError(f"{place}: not an estimate of this version of heft: it has no {error.args[0]}") from None
+
+
+def _trace(name: str, arrays: dict[str, np.ndarray]) -> Trace:
+    return Trace(
+        name.replace("_", " "),
+        tuple(arrays[f"{name}.loss"].tolist()),
+        tuple(arrays[f"{name}.seconds"].tolist()),
+        float(arrays[f"{name}.robot_seconds"]),
+        arrays[f"{name}.mass"],
     )
 
 

@@ -21,7 +21,7 @@ from testbed.frames import (
 from testbed.objects.model import GRAVITY, ObjectModel
 from testbed.trajectory import Trajectory
 
-GRAIN = (0.8, 0.5)
+ANISOTROPY = (0.8, 0.5)
 """Least over most friction, and the table's direction of most, rad."""
 
 
@@ -50,7 +50,7 @@ def held_beside(
     return analytic_trial(moved, action, **world)  # pyright: ignore[reportArgumentType]
 
 
-def on_grain(
+def on_anisotropic_table(
     obj: ObjectModel, trajectory: Trajectory, ratio: float, direction: float, offset: object = 0.0
 ) -> Trajectory:
     """The trial on a table with friction anisotropy, the gripper unloaded: friction gives the pull of most power.

@@ -362,7 +362,7 @@ def robot_for(
     grip = SimulationSettings(grip=GripSettings(force=60.0))
     world = Gen3World(trial.object, trial.support, settings=grip, noise=preset("ft300s"), seed=seed)
     robot, pose = FakeRobot(world, watch, seed), starting_pose(trial)
-    world.place(pose, getattr(trial.action, "grasp", 0))
+    world.place(pose, trial.action.grasp or 0)
     settings = change(RobotSettings(data_sheet(gripped(trial).width)))
     options = {"confirm": lambda _: True, "tracker": robot.tracker, "clock": robot.clock} | of_runner
     return robot, RealRunner(robot.arm, robot.gripper, robot.sensor, KnownPose(*pose), settings, **options)

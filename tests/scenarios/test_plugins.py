@@ -205,7 +205,8 @@ def test_an_entry_point_is_a_method_or_a_policy_by_name(monkeypatch):
     assert Scenario(objects=["I1"]).changed(methods=("even",)).methods == {"even": {}}
     policy, shape = built("outermost", settings={"turns": 1})
     assert policy.next(shape, ()).duration == 2.0
-    for wrong, role, known in (("evn", ESTIMATOR, "even"), ("outermst", POLICY, "outermost")):
+    roles: tuple[tuple[str, Any, str], ...] = (("evn", ESTIMATOR, "even"), ("outermst", POLICY, "outermost"))
+    for wrong, role, known in roles:
         with pytest.raises(InvalidValueError, match=rf"nearest: {known}\)"):
             find_class(wrong, role, "name")
 

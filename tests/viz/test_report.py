@@ -72,7 +72,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     ):
         (folder / "estimates" / key).mkdir(parents=True)
         (folder / "estimates" / key / name).write_text(text, encoding="utf-8")
-    traces = {"random.loss": np.geomspace(8, 0.1, 50)}
+    traces = {"random.loss": np.geomspace(8, 0.1, 50), "random.seconds": np.linspace(0, 1, 50)}
     np.savez(folder / "estimates" / "0123abcd" / "estimate.npz", allow_pickle=False, **traces)
     return folder
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import cast
 
 import numpy as np
 import pytest
@@ -359,9 +360,9 @@ def test_gradients_through_a_rollout_are_finite_differences(kind):
 @pytest.mark.parametrize(
     ("build", "field"),
     [
-        *((lambda n=n: polygon_sides(n), "directions") for n in (2, 7, 8.0, True)),
+        *((lambda n=n: polygon_sides(cast("int", n)), "directions") for n in (2, 7, 8.0, True)),
         (lambda: LcpEngine(7), "directions"),
-        *((lambda n=n: LcpEngine(8, n), r"LcpEngine\.substeps") for n in (0, 1.5, True)),
+        *((lambda n=n: LcpEngine(8, cast("int", n)), r"LcpEngine\.substeps") for n in (0, 1.5, True)),
     ],
 )
 def test_a_wrong_setting_is_refused(build, field):

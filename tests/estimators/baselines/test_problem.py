@@ -116,9 +116,11 @@ def stepped(problem: Problem, mass: torch.Tensor, friction: torch.Tensor) -> tor
     change = torch.cat([rotate(yaw, w.com_acceleration(inertia.com)), w.acceleration[:, 2:]], -1)
     pose = torch.cat([torch.ones(len(w), 2, dtype=torch.float64), yaw[:, None]], -1)
     wrench = torch.cat([rotate(yaw, w.wrench[:, :2]), w.wrench[:, 2:]], -1)
-    rows = (drag, pose, velocity, wrench)
-    after = torch.stack(
-        [one_step(model, inertia, *(x[k : k + 1] for x in rows), w.grasp[k], STEP)[0] for k in range(len(w))]
+    after = torch.cat(
+        [
+            one_step(model, inertia, drag[at], pose[at], velocity[at], wrench[at], w.grasp[k], STEP)
+            for k, at in enumerate(slice(k, k + 1) for k in range(len(w)))
+        ]
     )
     return (after - velocity - STEP * change).square().sum(-1).mean()
 

@@ -21,7 +21,7 @@ from estimators.testing.analytic_world import accelerated, analytic_trial, drawn
 from testbed.actions.rotate import Rotate
 from testbed.objects.files import load_object
 from testbed.objects.model import ObjectModel
-from tests.fakes.flawed_bench import GRAIN, at_tcp, biased, held_beside, on_grain
+from tests.fakes.flawed_bench import ANISOTROPY, at_tcp, biased, held_beside, on_anisotropic_table
 from tests.helpers.answers import ask, nad
 
 EXACT = HiddenStates(
@@ -50,7 +50,7 @@ def flawed(obj: ObjectModel, kinds: tuple[str, ...], seed: int = 0, noise: float
             trial = held_beside(obj, action, offset, noise=noise, seed=len(trials) + 100 * seed)
             trial = replace(trial, action=action)
             if "anisotropy" in kinds:
-                trial = on_grain(obj, trial, *GRAIN, offset=offset)
+                trial = on_anisotropic_table(obj, trial, *ANISOTROPY, offset=offset)
             if "bias" in kinds:
                 trial = biased(trial, BIAS * rng.uniform(-1, 1, 6))
             trials.append(trial)
@@ -74,7 +74,7 @@ def test_unknowns_of_the_setup_are_recovered_with_the_masses(obj, kinds):
         names = [f"grasp_offset_{trial}_{axis}_m" for trial in range(len(trials)) for axis in "xy"]
         assert_allclose([found[name] for name in names], offsets.ravel(), atol=2e-5)
     if "anisotropy" in kinds:
-        assert_allclose((found["friction_ratio"], found["friction_axis_rad"]), GRAIN, rtol=2e-3)
+        assert_allclose((found["friction_ratio"], found["friction_axis_rad"]), ANISOTROPY, rtol=2e-3)
 
 
 def test_the_bias_of_every_trial_is_found():

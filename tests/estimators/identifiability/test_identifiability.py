@@ -187,5 +187,5 @@ def test_answers_scatter_as_the_bound_says():
         answer = exact.estimate(obj.shape, obj.total_mass, noisy, 0)
         assert answer.distribution is not None
         off.append((answer.distribution.mass - obj.truth.mass) * obj.shape.particles_per_group)
-    last = observed(obj.shape, obj.truth, noisy, Assumptions(errors=exact))
+    last = observed(obj.shape, obj.truth, noisy, Assumptions(errors=exact.errors))
     assert_allclose(np.sqrt(np.mean(np.square(off), axis=0)), last.standard_error, rtol=0.35)

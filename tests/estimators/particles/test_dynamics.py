@@ -8,7 +8,7 @@ import torch
 from numpy.testing import assert_allclose
 from torch import Tensor
 
-from estimators.particles.model import ParticleModel, acceleration, inertia_of, one_step, rollout, rotate
+from estimators.particles.model import Inertia, ParticleModel, acceleration, inertia_of, one_step, rollout, rotate
 from estimators.testing.analytic_world import drawn_object
 from testbed.objects.files import load_object
 from testbed.objects.model import GRAVITY
@@ -67,16 +67,17 @@ def test_gradients_of_the_one_step_model_and_of_a_rollout_are_right():
     wrench = tensor(1.0, 0.5, 0.1).expand(2, 3, 3)
     grasp = torch.tensor(OBJECT.shape.particles[[4, 13]])
 
-    def parts(mass: Tensor, friction: Tensor, *batch: int) -> tuple:
+    def parts(point: tuple[Tensor, ...], *batch: int) -> tuple[ParticleModel, Inertia, Tensor]:
+        mass, friction = point
         particle = MODEL.particle_mass(mass)
         drag = (MODEL.particle_friction(friction) * particle * GRAVITY).expand(*batch, -1)
         return MODEL, inertia_of(MODEL, particle), drag
 
     def one(*point: Tensor) -> Tensor:
-        return one_step(*parts(*point, 2, 3), pose, velocity, wrench, grasp, DT)
+        return one_step(*parts(point, 2, 3), pose, velocity, wrench, grasp, DT)
 
     def many(*point: Tensor) -> Tensor:
-        return torch.cat(rollout(*parts(*point, 3), pose[0, 0], velocity[0, 0], wrench[0], grasp[0], DT))
+        return torch.cat(rollout(*parts(point, 3), pose[0, 0], velocity[0, 0], wrench[0], grasp[0], DT))
 
     point = (MASS.clone().requires_grad_(), FRICTION.clone().requires_grad_())
     assert torch.autograd.gradcheck(one, point)

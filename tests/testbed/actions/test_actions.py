@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import ClassVar, cast
 
 import numpy as np
 import pytest
@@ -171,7 +171,7 @@ def test_a_new_action_is_one_class(monkeypatch):
     assert set(profile.segment) == {-1, 0, 1} and profile.duration == pytest.approx(action.seconds) == 4.6
     motion = plan_motion(action, model.shape, SimulationSettings())
     assert set(motion.segment) == {-1, 0, 1}
-    record = analytic_trial(model, action)
+    record = analytic_trial(model, cast("Rotate", action))
     assert [w.twist[2] for w in steady_windows(record)] == pytest.approx([0.2, 0.4], rel=1e-6)
     predicted = predicted_windows(model.shape, [action], preset("ft300s"))
     assert predicted is not None and predicted.twist[:, 2].tolist() == [0.2, 0.4]

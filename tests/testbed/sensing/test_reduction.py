@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from typing import Any
 
 import numpy as np
 import pytest
@@ -213,12 +214,12 @@ def test_a_scale_gives_a_weight():
     assert weight_of(weighing()) == pytest.approx(1.8)
 
 
-def weighing(**changes: object) -> Trajectory:
+def weighing(**changes: Any) -> Trajectory:
     reading = np.tile([0, 0, 1.8 * GRAVITY, 0, 0, 0], (5, 1))
     return record(5, tare=0, action=Weigh(), tool=None, wrench_on_object_world=reading, **changes)
 
 
-FAILED = [{"status": status, "reason": "because"} for status in ("slipped", "limit", "fault")]
+FAILED: list[dict[str, Any]] = [{"status": status, "reason": "because"} for status in ("slipped", "limit", "fault")]
 REFUSED = [
     (steady_windows, turn_record(WRENCH, grasp=GRASP, pivot=PIVOT, count=110), "trajectory", "at least 10 after"),
     (steady_windows, record(tare=400), "trajectory", "STEADY"),

@@ -105,10 +105,13 @@ def test_grasps_are_named():
         (["L2"], {"DISPLAY": ":9871"}, "on display :9871"),
     ],
 )
-def test_without_a_display_a_line_says_what_to_do(tmp_path, words, display, message):
+def test_without_a_display_a_line_says_what_to_do(
+    tmp_path: Path, words: list[str], display: dict[str, str], message: str
+):
     key = put_trial(tmp_path, "L2", Slide(1, duration=0.1)) if "KEY" in words else ""
     command = [sys.executable, "-m", "scenarios", "watch"]
-    command += [{"RESULTS": str(tmp_path), "KEY": key}.get(word, word) for word in words]
+    paths = {"RESULTS": str(tmp_path), "KEY": key}
+    command += [paths.get(word, word) for word in words]
     env = NO_DISPLAY | display
     done = subprocess.run(command, cwd=ROOT, env=env, capture_output=True, text=True, check=False, timeout=60)
     assert done.returncode == 2

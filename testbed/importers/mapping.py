@@ -7,7 +7,7 @@ import math
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, PlainValidator, model_validator
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
 from testbed.actions.base import TableAction, action_from_dict
 from testbed.errors import InvalidValueError
@@ -192,7 +192,7 @@ def _moving_action(table: dict[str, Any]) -> TableAction:
 
 
 Windows = Annotated[list[PhaseWindow], AfterValidator(_in_order)]
-MovingAction = Annotated[TableAction, PlainValidator(_moving_action)]
+MovingAction = Annotated[TableAction, BeforeValidator(_moving_action)]
 
 
 class LogMap(_Table):

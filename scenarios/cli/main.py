@@ -33,9 +33,9 @@ COMMANDS = {
     "robot check": ("scenarios.cli.robot.check:check", "Show what of the robot is there and what is missing."),
     "robot sensor": ("scenarios.cli.robot.sensor:sensor", "Show the sensor live, or check it against a known mass."),
     "robot calibrate": ("scenarios.cli.robot.calibrate:calibrate", "Find the sensor's rotation and the tool's mass."),
-    "robot hand-eye": ("scenarios.cli.robot.hand_eye:hand_eye", "Find a tracker's pose in the arm's base frame."),
+    "robot hand-eye": ("scenarios.cli.robot.calibrate:hand_eye", "Find a tracker's pose in the arm's base frame."),
     "robot trial": ("scenarios.cli.robot.trial:trial", "Run one trial on the real arm and store it."),
-    "robot verify": ("scenarios.cli.robot.verify:verify", "Check the sensor's sign, rotation and zero by trials."),
+    "robot verify": ("scenarios.cli.robot.check:verify", "Check the sensor's sign, rotation and zero by trials."),
     "import": ("scenarios.cli.data:import_", "Read another robot's logs (CSV, MCAP) as trials."),
     "estimate": ("scenarios.cli.data:estimate", "Estimate from the measured trials of a folder by every method."),
 }  # fmt: skip

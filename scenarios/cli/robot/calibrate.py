@@ -1,13 +1,17 @@
-"""`heft robot calibrate`: the sensor's mount from poses into which a person brings the arm."""
+"""`heft robot calibrate` and `hand-eye`: the sensor by static poses, and a tracker by touched points."""
 
 from __future__ import annotations
 
 import sys
 from contextlib import ExitStack
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
+import numpy as np
 import tyro
+
+from testbed.errors import HeftError, InvalidValueError
 
 if TYPE_CHECKING:
     from testbed.robot.calibration.static_poses import StaticPose
@@ -16,6 +20,8 @@ if TYPE_CHECKING:
 _LEAST = 6
 _STILL_SPEED, _STILL_DEG = 0.01, 0.3
 """Joint speed [rad/s], and turn while measuring [deg], of a hand at rest."""
+COLUMNS = ("seen_x", "seen_y", "seen_z", "touched_x", "touched_y", "touched_z")
+"""Columns of the points of `hand_eye`."""
 
 
 def calibrate(
@@ -33,8 +39,6 @@ def calibrate(
         config: robot file; names the file to write ([sensor] calibration).
         seconds: duration of measuring in each pose.
     """
-    from datetime import UTC, datetime
-
     from testbed.robot.calibration.file import save_calibration
     from testbed.robot.calibration.static_poses import calibrate as fit
     from testbed.robot.calibration.static_poses import in_words
@@ -57,10 +61,6 @@ def calibrate(
 
 
 def _poses(arm: Arm, sensor: WrenchSensor, seconds: float) -> list[StaticPose]:
-    import numpy as np
-
-    from testbed.errors import HeftError
-
     poses: list[StaticPose] = []
     while True:
         print(f"{len(poses)} poses > ", end="", flush=True)
@@ -79,7 +79,6 @@ def _poses(arm: Arm, sensor: WrenchSensor, seconds: float) -> list[StaticPose]:
 
 
 def _pose(arm: Arm, sensor: WrenchSensor, seconds: float) -> StaticPose:
-    import numpy as np
     from scipy.spatial.transform import Rotation
 
     from scenarios.cli.robot.sensor import reading
@@ -97,8 +96,6 @@ def _pose(arm: Arm, sensor: WrenchSensor, seconds: float) -> StaticPose:
 
 
 def _so_far(poses: list[StaticPose]) -> str:
-    import numpy as np
-
     from testbed.robot.calibration.static_poses import CalibrationError
     from testbed.robot.calibration.static_poses import calibrate as fit
 
@@ -109,3 +106,44 @@ def _so_far(poses: list[StaticPose]) -> str:
     turn = np.degrees(found.sensor_in_hand_std.max())
     tool = f"tool {found.mass:.3f} +- {found.mass_std:.2g} kg"
     return f"enough: rotation to {turn:.2g} deg, {tool}, misfit {found.misfit:.1f}"
+
+
+def hand_eye(
+    points: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="POINTS.csv")],
+    *,
+    out: Annotated[Path, tyro.conf.arg(metavar="FILE")] = Path("hand_eye.toml"),
+) -> None:
+    """Find a tracker's pose in the arm's base frame, from points that the tool touched and the tracker saw.
+
+    POINTS.csv has a row per point, 4 or more, not on one line, in meters: seen_x, seen_y, seen_z in the tracker's frame
+    and touched_x, touched_y, touched_z of the tool center point in the arm's base frame. Moves nothing.
+
+    Example: heft robot hand-eye points.csv --out hand_eye.toml
+
+    Args:
+        points: CSV file.
+        out: TOML file to write; testbed.robot.calibration.load_hand_eye reads it.
+    """
+    import pandas as pd
+    from scipy.spatial.transform import Rotation
+
+    from testbed.robot.calibration.file import save_hand_eye
+    from testbed.robot.calibration.hand_eye import align
+
+    if not points.is_file():
+        raise InvalidValueError("POINTS.csv", str(points), "a path to an existing .csv file")
+    table = pd.read_csv(points, skipinitialspace=True)
+    if missing := [name for name in COLUMNS if name not in table]:
+        raise InvalidValueError("columns", list(table), f"{', '.join(missing)} as well", file=points)
+    seen, touched = (table[list(part)].to_numpy() for part in (COLUMNS[:3], COLUMNS[3:]))
+    found = align(seen, touched)
+    pose = found.tracker_in_base
+    x, y, z = pose.position
+    turn = Rotation.from_quat(pose.orientation, scalar_first=True).as_rotvec(degrees=True)
+    about = ", ".join(f"{angle:.2f}" for angle in turn)
+    print(f"tracker at ({x:.4f}, {y:.4f}, {z:.4f}) m, turned by ({about}) deg, base frame of the arm")
+    off = np.linalg.norm(touched - found.to_base(seen), axis=1)
+    print("residuals, mm: " + ", ".join(f"{1e3 * value:.2f}" for value in off))
+    print(f"residual {1e3 * found.residual:.2f} mm; positions near the points to {1e3 * found.standard_error:.2f} mm")
+    save_hand_eye(out, found, f"{datetime.now(UTC):%Y-%m-%d}")
+    print(out)

@@ -1,16 +1,22 @@
-"""`heft robot check`: the parts of the real robot, a line each, in the order in which one needs another."""
+"""`heft robot check` and `verify`: the parts of the real robot, and the sensor by measured trials and physics alone."""
 
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator
+import time
+from collections.abc import Generator, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
+import numpy as np
 import tyro
 
+from testbed.errors import HeftError, InvalidValueError
+
 if TYPE_CHECKING:
+    from scenarios.results.trials import TrialRecord
+    from testbed.robot.calibration.trial import Finding
     from testbed.robot.config import RobotFile
 
 
@@ -58,13 +64,13 @@ def _lines(config: Path) -> Iterator[Line]:
     for package in ("pyserial", "pymodbus"):
         yield _package(package, "pip install 'heft[robot]'", needed=file.sensor.model == "ft300s")
     yield _package("rerun-sdk", "heft robot sensor then prints numbers", needed=False)
-    lack = missing_api(file.arm.python) if file.arm.model == "kinova_gen3" else ""
+    lack = ""
     if file.arm.model == "kinova_gen3":
+        lack = missing_api(file.arm.python)
         text = lack or "can be imported by the process that speaks to the arm"
         yield Line("kortex_api", "missing" if lack else "ok", text)
-    serial: list[str] = []
-    yield from _sensor(file, serial)
-    yield _calibration(file, config, *serial)
+    serial = yield from _sensor(file)
+    yield _calibration(file, config, serial)
     yield _arm(file, can_connect=not lack)
     box = file.limits
     spans = ", ".join(f"{axis} {a:g} to {b:g}" for axis, a, b in zip("xyz", box.low_m, box.high_m, strict=True))
@@ -80,11 +86,8 @@ def _package(name: str, hint: str, *, needed: bool) -> Line:
         return Line(name, "missing" if needed else "note", f"not installed: {hint}")
 
 
-def _sensor(file: RobotFile, serial: list[str]) -> Iterator[Line]:
-    """Findings on the sensor; its serial number goes to `serial`."""
-    import time
-
-    from testbed.errors import HeftError
+def _sensor(file: RobotFile) -> Generator[Line, None, str | None]:
+    """Findings on the sensor; returns its serial number, None if it cannot be opened."""
     from testbed.robot.interfaces import MissingDriverError
     from testbed.robot.registry import build_sensor, needs_port
 
@@ -94,25 +97,22 @@ def _sensor(file: RobotFile, serial: list[str]) -> Iterator[Line]:
 
             found = ", ".join(usb_serial_ports()) or "none: plug in the USB adapter"
             yield Line("sensor", "missing", f'no [sensor] port = "..." in the config; USB serial ports: {found}')
-            return
+            return None
         with build_sensor(file) as sensor:
             time.sleep(1.0)
             health, identity = sensor.health(), sensor.identity
-    except MissingDriverError:
-        yield Line("sensor", "missing", "needs pyserial and pymodbus")
-        return
     except HeftError as error:
-        yield Line("sensor", "missing", str(error))
-        return
-    serial.append(identity.serial)
+        lacks_driver = isinstance(error, MissingDriverError)
+        yield Line("sensor", "missing", "needs pyserial and pymodbus" if lacks_driver else str(error))
+        return None
     text = f"{identity.name} {identity.serial}, firmware {identity.firmware}, {health.frames} frames in 1 s"
     yield Line("sensor", "ok" if health.frames > 0.9 * identity.rate_hz else "missing", text)
     for warning in health.warnings:
         yield Line("sensor", "note", warning)
+    return identity.serial
 
 
-def _calibration(file: RobotFile, config: Path, serial: str | None = None) -> Line:
-    from testbed.errors import HeftError
+def _calibration(file: RobotFile, config: Path, serial: str | None) -> Line:
     from testbed.robot.calibration.static_poses import MISFIT
     from testbed.robot.config import calibration_of
 
@@ -130,7 +130,6 @@ def _calibration(file: RobotFile, config: Path, serial: str | None = None) -> Li
 
 
 def _arm(file: RobotFile, *, can_connect: bool) -> Line:
-    from testbed.errors import HeftError
     from testbed.robot.registry import build_arm
 
     address, name = f"{file.arm.address}:{file.arm.port}", file.arm.model
@@ -156,3 +155,56 @@ def _arm(file: RobotFile, *, can_connect: bool) -> Line:
     if state.faulted:
         return Line("arm", "missing", f"{name}: {state.message}; clear it in the Web App; {place}")
     return Line("arm", "ok", f"{name}: no fault; {place}")
+
+
+def verify(folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DIR")]) -> None:
+    """Test the sensor's sign, rotation and zero by measured trials and physics alone. Moves nothing.
+
+    A hanging object pulls down, friction takes work out of every turn and slide, the force of a slide is against its
+    motion, and the torque of a turn flips when it is turned back: that needs no masses. A scale's reading in the folder
+    is compared with the lift. Best are a weighing by lifting, a turn there and back, and two slides.
+
+    Exit code: 1 if something is wrong.
+    Example: heft robot verify results/lab
+
+    Args:
+        folder: results folder of heft robot trial or heft import.
+    """
+    from rich.console import Console
+
+    from scenarios.results.trials import measured_records
+
+    console = Console()
+    sound = [t for t in measured_records(folder) if t.trajectory.ok]
+    found = [
+        (name, finding) for name in dict.fromkeys(t.object.name for t in sound) for finding in _findings(sound, name)
+    ]
+    if not found:
+        raise InvalidValueError("DIR", str(folder), "a folder with measured turns, slides, or weighings by lifting")
+    for name, finding in found:
+        line = f"{'ok' if finding.ok else 'wrong':8}{name}: {finding.text}"
+        console.print(line, highlight=False, markup=False, soft_wrap=True)
+    wrong, total = sum(not finding.ok for _, finding in found), len(found)
+    console.print(f"{wrong} of {total} findings are wrong" if wrong else f"all {total} findings are as they should be")
+    if wrong:
+        sys.exit(1)
+
+
+def _findings(trials: list[TrialRecord], name: str) -> list[Finding]:
+    """Findings of one object's sound trials: its last lift, its turns and slides at constant speed."""
+    from testbed.robot.calibration.trial import check_trial
+    from testbed.sensing.windows import mean_covariance, steady_windows, weight_of
+
+    records = [t.trajectory for t in trials if t.object.name == name]
+    weighings = [t for t in records if not t.action.moves]
+    lifts = [t for t in weighings if "weight_std_kg" in t.figures]
+    scale = [weight_of(t) for t in weighings if "weight_std_kg" not in t.figures]
+    found: list[Finding] = []
+    if lifts:
+        wrench = lifts[-1].wrench_on_object_world
+        covariance = mean_covariance(wrench) + np.diag(lifts[-1].sensor_bias_std ** 2)
+        found += check_trial(wrench.mean(axis=0), covariance, [], mass=scale[-1] if scale else None)
+    for moved in records:
+        if moved.action.on_table and not moved.action.accelerated:
+            found += check_trial(None, None, steady_windows(moved))
+    return found

@@ -8,11 +8,10 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
+import numpy as np
 import tyro
 
 if TYPE_CHECKING:
-    import numpy as np
-
     from testbed.robot.interfaces import WrenchSensor
 
 _PERIOD = 0.05
@@ -69,8 +68,6 @@ def sensor(
 
 def reading(device: WrenchSensor, seconds: float) -> np.ndarray:
     """Samples of some seconds [N, N m], shape (T, 6)."""
-    import numpy as np
-
     device.drain()
     end, kept = time.monotonic() + seconds, []
     while time.monotonic() < end:
@@ -96,8 +93,6 @@ def _viewer(serial: str) -> Callable[[list[float], np.ndarray], None] | None:
 
 def _watch(device: WrenchSensor, seconds: float, send: Callable[[list[float], np.ndarray], None] | None) -> None:
     """Send every sample to a viewer, or print a line a second without one."""
-    import numpy as np
-
     end, due = time.monotonic() + seconds, time.monotonic() + 1.0
     kept: list[np.ndarray] = []
     while (now := time.monotonic()) < end:

@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import math
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
+import numpy as np
 import tyro
+
+from testbed.errors import InvalidValueError
 
 if TYPE_CHECKING:
     from testbed.actions.base import Action
@@ -62,9 +66,6 @@ def trial(
         out: results folder.
         dry_run: show the motion, and connect to nothing.
     """
-    import numpy as np
-
-    from testbed.errors import InvalidValueError
     from testbed.objects.files import load_object
     from testbed.robot.config import calibration_of, load_robot_file
     from testbed.robot.path import described, gripped, plan_trial
@@ -119,14 +120,11 @@ def action_of(
     Raises:
         InvalidValueError: no such grasp, or a value out of range.
     """
-    from dataclasses import replace
-
     from estimators.action_selection.rank import between_particles
     from testbed.actions.accelerate import Accelerate
     from testbed.actions.rotate import Rotate
     from testbed.actions.slide import Slide
     from testbed.actions.weigh import Weigh
-    from testbed.errors import InvalidValueError
 
     if kind == "weigh":
         return Weigh()

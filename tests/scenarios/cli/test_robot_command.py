@@ -16,7 +16,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from scenarios.cli.main import main
-from scenarios.cli.robot.hand_eye import COLUMNS
+from scenarios.cli.robot.calibrate import COLUMNS
 from scenarios.cli.robot.trial import action_of
 from testbed import plugins
 from testbed.actions.accelerate import Accelerate

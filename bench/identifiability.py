@@ -40,7 +40,7 @@ from estimators.particles.errors import EXACT, ModelErrors
 from estimators.particles.friction_system import LoadGroups, friction_equations
 from estimators.particles.model import ParticleModel
 from estimators.particles.windows import Observations, observe
-from scenarios.cli.identify import actions_of
+from scenarios.cli.plan import actions_of
 from scenarios.results.estimates import load_results
 from scenarios.results.store import Store, read_json, rows_of
 from scenarios.results.trials import sensed_trials

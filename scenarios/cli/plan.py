@@ -1,23 +1,26 @@
-"""`heft plan`: which actions make the masses of an object known in the least robot time."""
+"""heft identify, heft plan: what trials of an object would show of its masses, and which show most in little time."""
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
+import numpy as np
 import tyro
+from rich.console import Console
+from rich.table import Table
 
 from testbed.errors import InvalidValueError
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from rich.console import Console
-    from rich.table import Table
-
     from estimators.action_selection.candidates import ActionFamily
     from estimators.action_selection.design import Belief, Guess
     from estimators.action_selection.plan import Goal, Plan
+    from estimators.identifiability.report import Identifiability
+    from testbed.actions.base import Action
     from testbed.objects.model import ObjectModel, ObjectShape
     from viz.values import PlanView
 
@@ -25,6 +28,112 @@ MOST_REJECTED = 5
 """Refusals that are printed."""
 MOST_NAMED = 3
 """Groups that a row of the table names."""
+
+
+def identify(
+    object_: Annotated[str, tyro.conf.Positional, tyro.conf.arg(name="object", metavar="OBJECT")],
+    *,
+    sensing: Annotated[str, tyro.conf.arg(metavar="PRESET")] = "ft300s",
+    support: Literal["own_weight", "rigid"] = "own_weight",
+    pivots: Annotated[int, tyro.conf.arg(metavar="N")] = 6,
+    accelerated: Annotated[int, tyro.conf.arg(metavar="N")] = 6,
+    slides: Annotated[int, tyro.conf.arg(metavar="N")] = 0,
+    lifts: Annotated[int, tyro.conf.arg(metavar="N")] = 0,
+    duration: Annotated[float, tyro.conf.arg(metavar="S")] = 18.0,
+    grasps: Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="NAME ...")] = None,
+    out: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None,
+) -> None:
+    """Predict what trials of an object would show of its masses: errors to expect, and what stays open.
+
+    Examples: heft identify L2
+              heft identify F2 --support rigid --sensing ideal
+              heft identify L2 --support rigid --lifts 1
+              heft identify L2 --pivots 0 --slides 6 --out results/L2_slides
+
+    Args:
+        object_: name in the library, or path to a TOML file.
+        sensing: preset of the sensor.
+        support: what carries the weight.
+        pivots: turns there and back, as the rank-driven policy draws them; 0 for none, accelerated ones neither.
+        accelerated: accelerated turns.
+        slides: slides, in directions spread over the circle.
+        lifts: lifts, held still and rocked in the air, of the grasps nearest the middle; under rigid support alone.
+        duration: time of a turn each way, s.
+        grasps: allowed grasps, by name (see heft show); all if left out, whether the arm reaches them or not.
+        out: heatmap of the expected errors, written as FILE.pdf and FILE.png.
+    """
+    from estimators.identifiability.information import Assumptions, expected
+    from testbed.objects.files import load_object
+    from testbed.sensing.presets import preset
+    from viz.figures.maps import error_figure, save_figure
+
+    console, model = Console(), load_object(object_)
+    actions = actions_of(model, support, pivots, accelerated, slides, lifts, duration, grasps)
+    report = expected(model.shape, model.truth, actions, preset(sensing), Assumptions(support))
+    kinds = [action.kind for action in actions]
+    counts = ", ".join(f"{kinds.count(kind)} {kind}" for kind in dict.fromkeys(kinds))
+    title = f"{model.name}, {support}, {sensing}"
+    console.print(f"[bold]{title}[/bold]: {counts}", highlight=False)
+    console.print(_errors_table(model, report))
+    condition = f"condition {report.condition:.0f}" if math.isfinite(report.condition) else "nothing is seen"
+    console.print(f"{report.sentence}; {condition}", highlight=False)
+    if out is not None:
+        for path in save_figure(error_figure(model, report.standard_error, title), out):
+            print(path)
+
+
+def actions_of(
+    model: ObjectModel,
+    support: str = "own_weight",
+    pivots: int = 6,
+    accelerated: int = 6,
+    slides: int = 0,
+    lifts: int = 0,
+    duration: float = 18.0,
+    grasps: tuple[str, ...] | None = None,
+) -> list[Action]:
+    """A weighing, the rank-driven policy's actions, slides in spread directions, and lifts; arguments as `identify`.
+
+    Lifts are of the grasps nearest the middle, where the object hangs by its weight with the least moment.
+
+    Raises:
+        InvalidValueError: a grasp that the object does not have, or a count that is not allowed.
+    """
+    from estimators.action_selection.rank import RankDriven
+    from testbed.actions.lift import Lift
+    from testbed.actions.slide import Slide
+    from testbed.actions.weigh import Weigh
+
+    shape, allowed = model.shape, named_grasps(model, grasps)
+    if slides < 0:
+        raise InvalidValueError("slides", slides, "an integer >= 0")
+    most = 0 if support != "rigid" else math.inf
+    if not 0 <= lifts <= most:
+        raise InvalidValueError("lifts", lifts, "an integer >= 0, and 0 unless the support is rigid")
+    turns = RankDriven(pivots, duration, accelerated, grasps=allowed).predicted_actions(shape) if pivots else []
+    golden = math.pi * (3 - math.sqrt(5))
+    slid = [Slide(allowed[i % len(allowed)], i * golden) for i in range(slides)] if allowed else []
+    inner = sorted(allowed, key=lambda grasp: float(np.linalg.norm(shape.grasps[grasp].position)))
+    lifted = [Lift(inner[i % len(inner)]) for i in range(lifts)] if inner else []
+    return [Weigh(), *turns, *slid, *lifted]
+
+
+def _errors_table(model: ObjectModel, report: Identifiability) -> Table:
+    """Mass and expected standard error of every group, and of every friction."""
+    table = Table()
+    for column in ("group", "mass, kg", "standard error, g", "part of the mass, %"):
+        table.add_column(column, justify="right")
+    for label, mass, error in zip(report.group_names, model.group_mass, report.standard_error, strict=True):
+        part = 100 * error / mass if mass else math.inf
+        table.add_row(label, f"{mass:.3f}", _three_digits(1e3 * error), _three_digits(part))
+    for k, (friction, error) in enumerate(zip(model.truth.friction, report.friction_error, strict=True)):
+        name = "friction" if model.shape.n_mu == 1 else f"friction {k}"
+        table.add_row(name, f"{friction:g}", "", _three_digits(100 * error / friction if friction else math.inf))
+    return table
+
+
+def _three_digits(value: float) -> str:
+    return f"{value:.3g}" if math.isfinite(value) else "not seen"
 
 
 def plan(
@@ -69,8 +178,6 @@ def plan(
         figure: the plan as a picture, written as FILE.pdf and FILE.png.
         record: the plan as a Rerun recording: `rerun FILE.rrd` opens it.
     """
-    from rich.console import Console
-
     from estimators.action_selection.design import ASSUMED_SUPPORTS, Guess
     from estimators.action_selection.greedy import PlannedPolicy, rank_driven_plan
     from estimators.action_selection.plan import Goal
@@ -94,13 +201,11 @@ def plan(
     for line in _conclusion(model.shape, made, guess, goal):
         console.print(line, highlight=False)
     if figure is not None or record is not None:
-        _draw(console, plan_view(model, made, title), figure, record)
+        _draw(plan_view(model, made, title), figure, record)
 
 
 def plan_view(model: ObjectModel, made: Plan, title: str) -> PlanView:
     """The plan with the errors expected after each step, for a figure or a recording."""
-    import numpy as np
-
     from viz.values import PlanView
 
     errors = np.array([made.before.standard_error, *(step.belief.standard_error for step in made.steps)])
@@ -130,8 +235,7 @@ def named_grasps(model: ObjectModel, names: tuple[str, ...] | None) -> tuple[int
         InvalidValueError: a grasp that the object does not have.
     """
     known = [grasp.name for grasp in model.shape.grasps]
-    if names is None:
-        return tuple(range(len(known)))
+    names = tuple(known) if names is None else names
     if unknown := sorted(set(names) - set(known)):
         raise InvalidValueError("grasps", ", ".join(unknown), f"grasps of {model.name}: {', '.join(known)}")
     return tuple(known.index(name) for name in names)
@@ -160,11 +264,9 @@ def seconds(text: str | None, name: str) -> float | None:
     """
     if text is None:
         return None
-    bare, unit = text.strip(), 1.0
-    for suffix, size in (("min", 60.0), ("s", 1.0)):
-        if bare.endswith(suffix):
-            bare, unit = bare.removesuffix(suffix), size
-            break
+    bare, unit = text.strip().removesuffix("s"), 1.0
+    if bare.endswith("min"):
+        bare, unit = bare.removesuffix("min"), 60.0
     value = unit * _number(bare, name, text, "a time such as 60s or 2min")
     if not 0 < value < float("inf"):
         raise InvalidValueError(name, text, "a time above 0, such as 60s or 2min")
@@ -178,7 +280,7 @@ def _number(bare: str, name: str, text: str, allowed: str) -> float:
         raise InvalidValueError(name, text, allowed) from None
 
 
-def _draw(console: Console, view: PlanView, figure: Path | None, record: Path | None) -> None:
+def _draw(view: PlanView, figure: Path | None, record: Path | None) -> None:
     from viz.figures.maps import save_figure
     from viz.figures.plan import plan_figure
     from viz.recordings.page import save
@@ -186,16 +288,14 @@ def _draw(console: Console, view: PlanView, figure: Path | None, record: Path | 
 
     if figure is not None:
         for path in save_figure(plan_figure(view), figure):
-            console.print(str(path), highlight=False, soft_wrap=True)
+            print(path)
     if record is not None:
         save(plan_page(view), record)
-        console.print(f"recording: {record}", highlight=False, soft_wrap=True)
+        print(f"recording: {record}")
 
 
 def _table(shape: ObjectShape, made: Plan) -> Table:
     """A row an action: robot time, and the error expected after it."""
-    from rich.table import Table
-
     table = Table()
     for column, justify in (
         *(("", "right"), ("action", "left"), ("grasp", "left"), ("about, mm", "right"), ("way", "left")),
@@ -218,8 +318,6 @@ def _table(shape: ObjectShape, made: Plan) -> Table:
 
 def _largest_gains(shape: ObjectShape, before: Belief, after: Belief) -> str:
     """Groups whose expected error falls most, g before and after."""
-    import numpy as np
-
     old, new = before.standard_error, after.standard_error
     order = np.argsort(new / np.maximum(old, 1e-12), kind="stable")[:MOST_NAMED]
     named = [(shape.group_names[g], float(old[g]), float(new[g])) for g in order if new[g] < 0.95 * old[g]]

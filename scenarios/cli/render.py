@@ -57,7 +57,7 @@ def render(
         caption: say in each picture what it shows, and when.
     """
     if trial is None:
-        list_trials(Console(), folder)
+        list_trials(folder)
     else:
         print(render_trial(folder, trial, RenderRequest(out, width, height, fps, speed, camera, at, caption)))
 
@@ -177,7 +177,7 @@ def render_trial(root: Path, beginning: str, request: RenderRequest) -> Path:
         InvalidValueError: no such trial, a trial where nothing moves, or options that do not fit.
         NoGraphicsError: the machine cannot draw.
     """
-    from scenarios.cli.progress import show_progress
+    from scenarios.cli.run import show_progress
     from scenarios.results.trials import read_trial
     from testbed.simulation.graphics import choose_offscreen
     from testbed.validation import check_positive
@@ -202,7 +202,7 @@ def render_trial(root: Path, beginning: str, request: RenderRequest) -> Path:
 
     try:
         with (
-            show_progress(Console()) as progress,
+            show_progress() as progress,
             drawing(playback, request.camera, request.width, request.height) as draw,
         ):
             write_film(pictures(draw, progress), out, request.fps)
@@ -240,7 +240,7 @@ def _caption(record: TrialRecord, sample: int) -> str:
     return f"{what}   {trajectory.time_s[sample]:.1f} s   {doing}"
 
 
-def list_trials(console: Console, root: Path) -> None:
+def list_trials(root: Path) -> None:
     """Print a line a trial: its key, object, support, action and status."""
     from rich.table import Table
 
@@ -256,4 +256,4 @@ def list_trials(console: Console, root: Path) -> None:
         action = request.get("action") or {}
         done = f"{action.get('kind', '?')}{' and back' if action.get('back') else ''}"
         table.add_row(key[:8], names.get("object", "?"), request.get("support", "?"), done, content.get("status", "?"))
-    console.print(table)
+    Console().print(table)

@@ -1,31 +1,43 @@
-"""heft run: run a scenario, with progress while it runs, and tables, figures and a report when it is done."""
+"""heft run, heft status: run a scenario, with progress while it runs, and see how far a results folder is."""
 
 from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 from rich.console import Console
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    TaskID,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
+from rich.progress import Progress as Bars
 
 from testbed.errors import HeftError, InvalidValueError
 
 if TYPE_CHECKING:
     from estimators.evaluation.statistics import Row
     from scenarios.config import Scenario
+    from scenarios.study.experiment import Progress
 
 NOTES = (
     "Cells: mean and spread over draws of the sensor's errors, [95 % bootstrap interval of the mean], and the paper's "
     "figure on the real robot. *: better than every other method in its column (paired by draw, p < 0.05). "
     "_M: given M; _cov: errors weighed by their covariance."
 )
-MOST_OBJECTS = 12
-"""Largest number of objects with a column each; of more, quantiles are printed."""
 MOST_LINES = 20
 """Failures that are listed; the report has them all."""
+EVERY_S = 10.0
+"""Time between two plain lines of progress [s]."""
 
 
 def run(
@@ -59,7 +71,6 @@ def run(
         live: show every trial and estimate as it is done in an open viewer, or in a new one.
         dry_run: print how many trials and estimates there are and how long they take, and run nothing.
     """
-    from scenarios.cli.progress import show_progress
     from scenarios.config import load_scenario
     from scenarios.execution.executor import default_workers
     from scenarios.results.store import read_json, rows_of, write_json
@@ -81,9 +92,9 @@ def run(
         show_dry_run(console, study, folder, workers)
         return
     url = viewer.waiting() if live else None
-    recorder = Recorder(folder, console, record, url) if record or live else None
+    recorder = Recorder(folder, record, url) if record or live else None
     begin = time.monotonic()
-    with show_progress(console) as progress:
+    with show_progress() as progress:
         results = rows_of(run_scenario(study, folder, workers, progress, executor, recorder))
     facts = {
         "name": name,
@@ -94,22 +105,22 @@ def run(
     show_tables(console, study, results)
     for figure in figures(folder):
         if figure.suffix == ".pdf":
-            console.print(f"figure: {figure}", highlight=False, soft_wrap=True)
+            print(f"figure: {figure}")
     if record:
-        with show_progress(console) as progress:
-            record_all(folder, console, progress)
+        with show_progress() as progress:
+            record_all(folder, progress)
     try:
         record_worst(folder, results)
         if not _many(results):
-            console.print(f"recording: {record_results(folder)}", highlight=False, soft_wrap=True)
+            print(f"recording: {record_results(folder)}")
     except HeftError as error:  # nothing to be seen takes the tables away
-        console.print(f"no recording: {error}", highlight=False, soft_wrap=True)
-    console.print(f"report: {report(folder)}", highlight=False, soft_wrap=True)
+        print(f"no recording: {error}")
+    print(f"report: {report(folder)}")
     failed = [row for row in results if row["status"] != "ok"]
     for line in list(_reasons(failed))[:MOST_LINES]:
-        console.print(line, highlight=False, soft_wrap=True)
+        print(line)
     took = f"{len(results)} estimates in {time.monotonic() - begin:.0f} s"
-    console.print(f"{took}, {len(failed)} not ok; all of it in {folder}/", highlight=False, soft_wrap=True)
+    print(f"{took}, {len(failed)} not ok; all of it in {folder}/")
     if any(row.get("mass_kg") is None for row in failed):
         sys.exit(1)
 
@@ -147,8 +158,9 @@ def _command(scenario: str, seeds: int | None, objects: Sequence[str] | None, me
 
 
 def _many(results: Sequence[Row]) -> bool:
-    """True if there are too many for a column each."""
+    """True if there are too many for a column each: quantiles are printed then."""
     from estimators.evaluation.statistics import axes_of
+    from viz.report.tables import MOST_OBJECTS
 
     return bool(axes_of(results)) or len({row["object"] for row in results}) > MOST_OBJECTS
 
@@ -160,3 +172,117 @@ def _reasons(failed: Sequence[Row]) -> dict[str, None]:
         + f": {row['status']}: {row.get('message') or ''}"
         for row in failed
     )
+
+
+def status(folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DIR")]) -> None:
+    """Say how far a results folder is: trials and estimates done, failures with their reasons.
+
+    Args:
+        folder: of a run, finished, running or stopped.
+    """
+    from scenarios.results.store import FolderInUseError, exclusive, read_json
+
+    console, manifest = Console(), read_json(folder / "manifest.json")
+    if manifest is None:
+        allowed = "a folder with a manifest.json, as `heft run` and `heft estimate` make it"
+        raise InvalidValueError("DIR", str(folder), allowed)
+    try:
+        with exclusive(folder):
+            state = "nothing is running here"
+    except FolderInUseError:
+        state = "a run is writing here now"
+    trials = Counter(path.name for path in folder.glob("trials/*/*") if path.name in ("trial.json", "error.txt"))
+    done = sorted(folder.glob("estimates/*/result.json"))
+    finished = {path.parent for path in done}
+    failed = [path for path in folder.glob("estimates/*/error.txt") if path.parent not in finished]
+    of_trials, of_estimates = _asked(manifest)
+    console.print(f"{folder}: {state}", highlight=False)
+    console.print(
+        f"trials: {trials['trial.json']} done{of_trials}, {trials['error.txt']} failed; "
+        f"estimates: {len(done)} done{of_estimates}, {len(failed)} failed",
+        highlight=False,
+    )
+    for error in [*failed, *folder.glob("trials/*/error.txt")][:MOST_LINES]:
+        lines = error.read_text(encoding="utf-8").strip().splitlines()
+        print(f"{error}: {lines[-1] if lines else 'no reason given'}")
+
+
+def _asked(manifest: dict[str, Any]) -> tuple[str, str]:
+    """Numbers of trials and estimates in the folder's scenario; empty where its trials were measured."""
+    from pydantic import ValidationError
+
+    from scenarios.config import Scenario
+    from scenarios.study.dry_run import DryRun
+
+    try:
+        plan = DryRun.of(Scenario.model_validate(manifest["scenario"]))
+    except ValidationError:
+        return "", ""
+    return f" of about {plan.trials}", f" of about {plan.estimates}"
+
+
+@contextmanager
+def show_progress() -> Iterator[Progress]:
+    """Show how far a run is, its throughput and the time left."""
+    console = Console()
+    if console.is_terminal:
+        with Bars(
+            TextColumn("{task.description:<10}"),
+            BarColumn(),
+            MofNCompleteColumn(),
+            TextColumn("{task.fields[rate]}"),
+            TimeElapsedColumn(),
+            TimeRemainingColumn(),
+            TextColumn("{task.fields[failed]}", style="red"),
+            console=console,
+            transient=True,
+        ) as bars:
+            yield _Bars(bars)
+    else:
+        yield _Lines()
+
+
+class _Stages:
+    """Start and first count of each stage: what is there from an earlier run is no throughput."""
+
+    def __init__(self) -> None:
+        self._begun: dict[str, tuple[float, int]] = {}
+
+    def rate(self, stage: str, done: int) -> float:
+        """Number done a second since the stage began; 0 where nothing is known yet."""
+        since, first = self._begun.setdefault(stage, (time.monotonic(), done))
+        seconds = time.monotonic() - since
+        return (done - first) / seconds if seconds > 0.5 else 0.0
+
+
+class _Bars:
+    def __init__(self, bars: Bars):
+        self._bars, self._stages = bars, _Stages()
+        self._tasks: dict[str, TaskID] = {}
+
+    def __call__(self, stage: str, done: int, total: int, failed: int = 0) -> None:
+        rate = self._stages.rate(stage, done)
+        speed, lost = f"{rate:.1f}/s" if rate else "", f"{failed} failed" if failed else ""
+        if stage not in self._tasks:
+            self._tasks[stage] = self._bars.add_task(stage, total=total, rate=speed, failed=lost)
+        self._bars.update(self._tasks[stage], completed=done, total=total, rate=speed, failed=lost)
+
+
+class _Lines:
+    def __init__(self) -> None:
+        self._stages, self._printed, self._last = _Stages(), 0.0, ""
+
+    def __call__(self, stage: str, done: int, total: int, failed: int = 0) -> None:
+        rate = self._stages.rate(stage, done)
+        if time.monotonic() - self._printed < EVERY_S and done != total:
+            return
+        self._printed = time.monotonic()
+        parts = [f"{stage}: {done} of {'' if done == total else 'about '}{total}"]
+        if rate and done != total:
+            parts += [f"{rate:.1f}/s", f"about {(total - done) / rate:.0f} s left"]
+        if failed:
+            parts.append(f"{failed} failed")
+        line = ", ".join(parts)
+        if line != self._last:
+            self._last = line
+            print(line, flush=True)

@@ -60,12 +60,10 @@ def touch(
         out: folder for the results; results/touch_OBJECT if left out.
         record: write a recording of every trial too, into DIR/recordings.
     """
-    from rich.console import Console
-
     from estimators.action_selection.design import ASSUMED_SUPPORTS
     from estimators.action_selection.plan import Goal
     from scenarios.cli.plan import action_family, named_grasps, percent, seconds
-    from scenarios.cli.progress import show_progress
+    from scenarios.cli.run import show_progress
     from scenarios.config import Scenario
     from scenarios.results.store import Store, exclusive, write_json
     from scenarios.study.active import ActiveRun
@@ -75,16 +73,13 @@ def touch(
     from testbed.sensing.presets import preset
     from testbed.trial import parse_support
 
-    def say(text: str) -> None:
-        console.print(text, highlight=False, markup=False, soft_wrap=True)
-
     def say_trial(number: int, trial: Trajectory, decision: Decision, spent: float) -> None:
         outcome = "" if trial.ok else f" [{trial.status}: {trial.reason}]"
         again = f"; {decision.why}" if decision.action is not None and decision.why else ""
         error = f"{spent:.0f} s of the robot, expected NAD {100 * decision.nad:.3g} %"
-        say(f"{number}: {trial.action.describe(model.shape)}{outcome}; {error}{again}")
+        print(f"{number}: {trial.action.describe(model.shape)}{outcome}; {error}{again}", flush=True)
 
-    console, model, begin = Console(), load_object(object_), time.monotonic()
+    model, begin = load_object(object_), time.monotonic()
     goal = Goal(percent(until, "--until"), seconds(budget, "--budget"), most)
     family, allowed = action_family(thought, lifts=lifts), named_grasps(model, grasps)
     carrier = parse_support(support)
@@ -96,21 +91,21 @@ def touch(
         run = ActiveRun(
             model, store, goal, family, carrier, ASSUMED_SUPPORTS[thought], sensing, candidates, allowed, seed
         )
-        result = run.carry_out(say_trial, lambda weight: say(f"weighed: {weight:.3f} kg"))
+        result = run.carry_out(say_trial, lambda weight: print(f"weighed: {weight:.3f} kg", flush=True))
         scenario = Scenario(objects=[object_], support=[support], sensing=[sensing], seeds=1)
         facts = manifest(scenario) | {"name": folder.name, "command": f"heft touch {object_}"}
         write_json(folder / "manifest.json", facts | {"wall_s": round(time.monotonic() - begin, 1)})
         store.put_table([result.row])
     for line in _conclusion(model, result, goal):
-        say(line)
+        print(line)
     if record:
-        with show_progress(console) as progress:
-            record_all(folder, console, progress)
+        with show_progress() as progress:
+            record_all(folder, progress)
     try:
-        say(f"recording: {record_results(folder)}")
+        print(f"recording: {record_results(folder)}")
     except HeftError as error:
-        say(f"no recording: {error}")
-    say(f"look: heft view {folder}")
+        print(f"no recording: {error}")
+    print(f"look: heft view {folder}")
 
 
 def _conclusion(model: ObjectModel, result: ActiveResult, goal: Goal) -> Iterator[str]:

@@ -1,16 +1,23 @@
-"""heft view, heft record: recordings of a results folder, opened or written."""
+"""Commands that show what is there: results in the viewer, on paper and as recordings; the libraries on a terminal."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
+import numpy as np
 import tyro
 from rich.console import Console
+from rich.table import Table
+
+if TYPE_CHECKING:
+    from testbed.objects.model import ObjectModel
+
+Folder = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DIR")]
 
 
 def view(
-    folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DIR")],
+    folder: Folder,
     what: Annotated[str | None, tyro.conf.Positional, tyro.conf.arg(metavar="WHAT")] = None,
     *,
     web: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False,
@@ -52,7 +59,7 @@ def view(
 
 
 def record(
-    folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DIR")],
+    folder: Folder,
     what: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="WHAT")] = (),
     *,
     all_: Annotated[bool, tyro.conf.arg(name="all"), tyro.conf.FlagCreatePairsOff] = False,
@@ -66,16 +73,154 @@ def record(
         what: objects, or beginnings of trials' or estimates' keys; every object under every method if left out.
         all_: every trial and estimate that has no recording yet, instead.
     """
-    from scenarios.cli.progress import show_progress
+    from scenarios.cli.run import show_progress
     from scenarios.views.pages import page_of, record_all, recording_path
     from viz.recordings.page import save
 
-    console = Console()
     if all_:
-        with show_progress(console) as progress:
-            record_all(folder, console, progress)
+        with show_progress() as progress:
+            record_all(folder, progress)
         return
     for name in what or [None]:
         path = folder / "recording.rrd" if name is None else recording_path(folder, name)
         save(page_of(folder, name), path)
-        console.print(f"recording: {path}", highlight=False, soft_wrap=True)
+        print(f"recording: {path}")
+
+
+def report(folder: Folder) -> None:
+    """Write DIR/report.html: one file with tables, figures, failures and what is needed to run it again.
+
+    Args:
+        folder: of a finished run.
+    """
+    from scenarios.views.report import report as write
+
+    print(write(folder))
+
+
+def figures(
+    folder: Folder,
+    what: Annotated[str | None, tyro.conf.Positional, tyro.conf.arg(metavar="ESTIMATE")] = None,
+) -> None:
+    """Draw figures for a paper, as PDF and PNG, into DIR/figures.
+
+    Args:
+        folder: of a finished run.
+        what: beginning of an estimate's key: its maps, bars, losses and wrench fits; of the whole run if left out.
+    """
+    from scenarios.results.estimates import row_of
+    from scenarios.views.figures import figures as draw
+
+    for path in draw(folder, None if what is None else row_of(folder, what)):
+        print(f"figure: {path}")
+
+
+def objects() -> None:
+    """List the objects in the library."""
+    from testbed.objects.files import load_object, object_names
+
+    table = Table(title="Objects", title_justify="left")
+    for column, justify in (("name", "left"), ("groups", "right"), ("mass, kg", "right"), ("grasps", "left")):
+        table.add_column(column, justify=justify)  # pyright: ignore[reportArgumentType]
+    for name in object_names():
+        model = load_object(name)
+        grasps = " ".join(grasp.name for grasp in model.shape.grasps)
+        table.add_row(name, str(model.shape.n_m), f"{model.total_mass:.3f}", grasps)
+    Console().print(table)
+
+
+def scenarios() -> None:
+    """List the scenarios in the library."""
+    from scenarios.config import LIBRARY, scenario_names
+
+    for name in scenario_names():
+        first = (LIBRARY / f"{name}.toml").read_text(encoding="utf-8").splitlines()[0].lstrip("# ")
+        Console().print(f"{name}: {first}", highlight=False)
+
+
+def show(object_: Annotated[str, tyro.conf.Positional, tyro.conf.arg(name="object", metavar="OBJECT")]) -> None:
+    """Show one object: blocks, mass, center of mass, inertia, and where it can be gripped.
+
+    Args:
+        object_: name in the library, or path to a TOML file.
+    """
+    from testbed.objects.files import load_object
+
+    console, model = Console(), load_object(object_)
+    shape, com = model.shape, np.round(model.center_of_mass * 1e3, 1) + 0.0  # no -0.0
+    console.print(
+        f"[bold]{model.name}[/bold]: {model.total_mass:.3f} kg, centre of mass ({com[0]:.1f}, "
+        f"{com[1]:.1f}) mm from the middle, I_cm {model.inertia_cm:.5f} kg m^2, {shape.height * 1e3:.0f} mm high",
+        highlight=False,
+    )
+    if model.solids:
+        _show_solids(console, model)
+        return
+    console.print(drawing(model), highlight=False)
+    table = Table()
+    for column in ("block", "mass, kg", "friction", "gripped across"):
+        table.add_column(column, justify="right")
+    grasps = {grasp.name: "x" if abs(np.cos(grasp.angle)) > 0.5 else "y" for grasp in shape.grasps}
+    for group, label in enumerate(shape.group_names):
+        table.add_row(label, f"{model.group_mass[group]:.3f}", _friction(model, group), grasps.get(label, "-"))
+    console.print(table)
+
+
+def _show_solids(console: Console, model: ObjectModel) -> None:
+    """An object of meshes: its particles as a map, its mass groups, its grasps."""
+    shape = model.shape
+    console.print(particle_map(model), highlight=False)
+    groups, grasps = Table(), Table()
+    for column in ("group", "on the map", "mass, kg", "particles", "touching", "friction"):
+        groups.add_column(column, justify="right")
+    for group, label in enumerate(shape.group_names):
+        own = shape.mass_group == group
+        feet, letter = int((own & (shape.friction_group >= 0)).sum()), _letter(group)
+        counts = (str(own.sum()), str(feet))
+        groups.add_row(
+            label, f"{letter} {letter.upper()}", f"{model.group_mass[group]:.3f}", *counts, _friction(model, group)
+        )
+    for column in ("grasp", "x, mm", "y, mm", "closes, deg", "wide, mm", "long, mm", "high, mm"):
+        grasps.add_column(column, justify="right", no_wrap=True)
+    for grasp in shape.grasps:
+        top = shape.height if grasp.top is None else grasp.top
+        numbers = (*grasp.position * 1e3, np.degrees(grasp.angle), grasp.width * 1e3, grasp.length * 1e3)
+        grasps.add_row(grasp.name, *(str(round(x)) for x in numbers), f"{grasp.bottom * 1e3:.0f} to {top * 1e3:.0f}")
+    console.print(groups)
+    console.print(grasps)
+
+
+def _friction(model: ObjectModel, group: int) -> str:
+    """Friction under a mass group."""
+    touching = np.unique(model.shape.friction_group[model.shape.mass_group == group])
+    return " ".join(f"{model.truth.friction[k]:g}" for k in touching if k >= 0) or "no contact"
+
+
+def _letter(group: int) -> str:
+    return chr(ord("a") + group % 26)
+
+
+def particle_map(model: ObjectModel) -> str:
+    """Particles seen from above: a letter a mass group, a capital where the particle touches the table."""
+    shape = model.shape
+    column, row = np.round((shape.particles - shape.particles.min(axis=0)) / shape.cell).astype(int).T
+    cells = np.full((row.max() + 1, column.max() + 1), " ")
+    for i, group in enumerate(shape.mass_group):
+        letter = _letter(int(group))
+        cells[row[i], column[i]] = letter.upper() if shape.friction_group[i] >= 0 else letter
+    return "\n".join("  " + "".join(line).rstrip() for line in cells[::-1])
+
+
+def drawing(model: ObjectModel) -> str:
+    """Groups as a map of their masses, in grams, top row first."""
+    shape = model.shape
+    centres = np.array([shape.particles[shape.mass_group == g].mean(axis=0) for g in range(shape.n_m)])
+    side = shape.cell * np.sqrt(shape.particles_per_group.max())
+    column, row = np.round((centres - centres.min(axis=0)) / side).astype(int).T
+    lines = []
+    for r in range(row.max(), -1, -1):
+        cells = ["     "] * (column.max() + 1)
+        for group in np.flatnonzero(row == r):
+            cells[column[group]] = f"[{model.group_mass[group] * 1e3:3.0f}]".replace("[", "\\[")
+        lines.append("  " + "".join(cells))
+    return "\n".join(lines)

@@ -9,7 +9,6 @@ from pathlib import Path
 
 import rerun as rr
 import rerun.blueprint as rrb
-from rich.console import Console
 
 from estimators.evaluation.statistics import Row, select
 from scenarios.results.estimates import load_rows
@@ -144,9 +143,9 @@ def _comparisons(folder: Path, objects: Sequence[str], name: str, identity: str)
     return Page(name, identity, log, tabs[0] if len(tabs) == 1 else rrb.Tabs(*tabs, active_tab=0), ITERATION)
 
 
-def record_all(folder: Path, console: Console, progress: Progress) -> None:
+def record_all(folder: Path, progress: Progress) -> None:
     """Record every trial that moved and every estimate that has no recording yet."""
-    recorder = Recorder(folder, console, files=True)
+    recorder = Recorder(folder, files=True)
     trials = [path.parent.name for path in sorted(folder.glob("trials/*/trial.json"))]
     estimates = [path.parent.name for path in sorted(folder.glob("estimates/*/result.json"))]
     wanted = [(kind, key) for kind, keys in (("trial", trials), ("estimate", estimates)) for key in keys]
@@ -182,7 +181,6 @@ class Recorder:
     """Receiver of every trial and estimate that is done; records it, and sends it to a viewer."""
 
     folder: Path
-    console: Console
     files: bool = False
     """Write each to its file."""
     url: str | None = None
@@ -199,4 +197,4 @@ class Recorder:
             if self.url is not None:
                 send(make(self.folder, key, light=True), self.url)
         except HeftError as error:
-            self.console.print(f"no recording of {kind} {key[:8]}: {error}", highlight=False, soft_wrap=True)
+            print(f"no recording of {kind} {key[:8]}: {error}")

@@ -10,7 +10,7 @@ from rich.console import Console
 
 from estimators.evaluation.statistics import axes_of
 from scenarios.cli.main import main
-from scenarios.cli.progress import status
+from scenarios.cli.run import status
 from scenarios.config import Scenario, load_scenario
 from scenarios.results.estimates import load_results, load_trajectories
 from scenarios.results.store import Store, rows_of

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import re
 import socket
 import sys
@@ -11,7 +10,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from rich.console import Console
 
 from scenarios.cli.main import main
 from scenarios.views.pages import Recorder, page_of
@@ -96,7 +94,7 @@ def test_an_open_viewer_receives_trials_and_estimates(finished_run, tmp_path):
     port = viewers.free_port()
     turn = next(path.parent.name for path in finished_run.glob("trials/*/foot_forces.parquet"))
     with viewer(None, tmp_path, port) as client:
-        recorder = Recorder(finished_run, Console(file=io.StringIO()), url=viewers.waiting(port))
+        recorder = Recorder(finished_run, url=viewers.waiting(port))
         recorder("trial", turn)
         recorder("estimate", key_of(finished_run, "hidden_states"))
         found = ""

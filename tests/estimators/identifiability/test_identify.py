@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from scenarios.cli.identify import actions_of
 from scenarios.cli.main import main
+from scenarios.cli.plan import actions_of
 from testbed.actions.accelerate import Accelerate
 from testbed.actions.lift import Lift
 from testbed.actions.rotate import Rotate

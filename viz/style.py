@@ -1,4 +1,4 @@
-"""Colours, marks and fonts of figures, the report and the Rerun views.
+"""Colours, fonts and colour scales of figures, the report and the Rerun views.
 
 Single colours are Okabe and Ito's, told apart by the colour-blind; colour maps are even in lightness, so that they also
 survive a grey print.
@@ -6,6 +6,8 @@ survive a grey print.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import matplotlib as mpl
@@ -13,8 +15,12 @@ import numpy as np
 from jaxtyping import Float, UInt8
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
-from matplotlib.colors import to_rgb
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import Normalize, to_rgb
 from matplotlib.ticker import FuncFormatter, NullFormatter
+
+from testbed.objects.model import ObjectShape
+from viz.values import EstimateView
 
 BLUE, VERMILLION, GREEN, PURPLE, ORANGE, SKY, BLACK = (
     "#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000",
@@ -29,6 +35,10 @@ DIFFERENCE_COLORS = "cividis_r"
 """Colour map of absolute differences; dark is wrong."""
 TOP = 95
 """Percentile of many answers at which a scale ends: one lost method must not bleach the rest."""
+LEAST_DIFFERENCE = 0.02
+"""Least end of the scale of differences, over the heaviest group: noise is not blown up."""
+MOST_NAMED = 30
+"""Largest number of groups that have room for names or numbers."""
 
 TRUTH, ESTIMATE = "#B4B4B4", BLUE
 AXIS_COLORS = (VERMILLION, GREEN, BLUE)
@@ -104,3 +114,72 @@ def text_color(behind: UInt8[np.ndarray, "... 3"]) -> UInt8[np.ndarray, "... 3"]
     """Black or white, whichever reads better on a colour."""
     light = np.asarray(behind) @ np.array([0.299, 0.587, 0.114]) > LIGHT
     return np.where(light[..., None], np.uint8(0), np.uint8(255)) * np.ones(3, dtype=np.uint8)
+
+
+@dataclass(frozen=True)
+class Scale:
+    """A colour scale from 0 to `top`; larger values have the colour of `top`."""
+
+    top: float
+    """End of the scale."""
+    colors: str
+    """Name of the colour map."""
+    title: str
+    """Quantity and unit."""
+    open: bool = False
+    """True if there are values above `top`."""
+
+    @property
+    def digits(self) -> int:
+        """Digits after the point: two that count."""
+        return int(np.clip(1 - np.floor(np.log10(self.top)), 2, 4))
+
+    @property
+    def mappable(self) -> ScalarMappable:
+        """The scale for matplotlib."""
+        return ScalarMappable(Normalize(0.0, self.top), self.colors)
+
+    def color(self, values: Float[np.ndarray, "..."]) -> UInt8[np.ndarray, "... 3"]:
+        """Colours of values, 0 to 255."""
+        return mapped(values, self.top, self.colors)
+
+
+def mass_scale(views: Sequence[EstimateView], top: float | None = None) -> Scale:
+    """One scale for the true and all estimated masses; by default up to the largest of them."""
+    masses = [m for view in views for m in (view.true_mass, view.mass) if m is not None]
+    ways = [view.iterates[1] for view in views if view.iterates is not None]
+    return _scale(masses, ways, top, 0.0, MASS_COLORS, "mass, kg a group")
+
+
+def difference_scale(views: Sequence[EstimateView], top: float | None = None) -> Scale:
+    """One scale for all absolute differences; by default up to the largest of the answers."""
+    known = [(view, view.true_mass) for view in views if view.true_mass is not None]
+    off = [view.difference for view, _ in known if view.difference is not None]
+    ways = [np.abs(view.iterates[1] - truth) for view, truth in known if view.iterates is not None]
+    least = LEAST_DIFFERENCE * max((float(truth.max()) for _, truth in known), default=0.0)
+    return _scale(off, ways, top, least, DIFFERENCE_COLORS, "|difference|, kg a group")
+
+
+def _scale(
+    ends: Sequence[np.ndarray], ways: Sequence[np.ndarray], top: float | None, least: float, colors: str, title: str
+) -> Scale:
+    """Scale up to `top`, or to the largest of `ends`; open where an end or an iterate is larger."""
+    largest = max((float(values.max()) for values in ends), default=1.0)
+    end = max(largest if top is None else top, least, 1e-6)
+    return Scale(end, colors, title, open=any(float(values.max()) > end * (1 + 1e-9) for values in (*ends, *ways)))
+
+
+def group_middles(shape: ObjectShape) -> Float[np.ndarray, "n_m 2"]:
+    """Mean position of each group's particles [m]: the place of its label."""
+    return np.array([shape.particles[shape.mass_group == group].mean(axis=0) for group in range(shape.n_m)])
+
+
+def narrowest_group(shape: ObjectShape) -> float:
+    """Width of the narrowest group [m]."""
+    return shape.cell + min(float(np.ptp(shape.particles[shape.mass_group == g, 0])) for g in range(shape.n_m))
+
+
+def aspect(shape: ObjectShape, least: float, most: float) -> float:
+    """Height over width of the object, within limits."""
+    width, height = np.ptp(shape.particles, axis=0) + shape.cell
+    return float(np.clip(height / width, least, most))

@@ -128,8 +128,7 @@ def run(
 def show_tables(console: Console, scenario: Scenario, results: Sequence[Row]) -> None:
     """Print every metric under every support and sensing, and the hidden states; of many objects, quantiles."""
     from estimators.evaluation.statistics import select
-    from viz.report.tables import METRICS, hidden_table, metric_table, quantile_table
-    from viz.report.terminal import rich_table
+    from viz.report.tables import METRICS, hidden_table, metric_table, quantile_table, rich_table
     from viz.values import support_name
 
     objects = list(dict.fromkeys(row["object"] for row in results))

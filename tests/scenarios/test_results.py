@@ -17,8 +17,7 @@ from scenarios.results.store import Store, rows_of
 from scenarios.study.dry_run import show_dry_run
 from scenarios.study.run import run_scenario
 from testbed.errors import InvalidValueError
-from viz.report.tables import NAD, quantile_table
-from viz.report.terminal import rich_table
+from viz.report.tables import NAD, quantile_table, rich_table
 
 SMALL = """
 sensing = ["ft300s"]

@@ -26,11 +26,9 @@ from tests.helpers.chunks import Entity, read_chunks, verify
 from tests.helpers.records import turn_record
 from viz.recordings.bars import filled
 from viz.recordings.comparison import comparison_blueprint, log_comparison
-from viz.recordings.estimate import estimate_blueprint, log_estimate
+from viz.recordings.estimate import HORIZONS, estimate_blueprint, log_estimate
 from viz.recordings.mass_map import Raster
-from viz.recordings.turn import HORIZONS
-from viz.scales import difference_scale, mass_scale
-from viz.style import BACKGROUND, DIFFERENCE_COLORS, MASS_COLORS, mapped, rgb
+from viz.style import BACKGROUND, DIFFERENCE_COLORS, MASS_COLORS, difference_scale, mapped, mass_scale, rgb
 from viz.values import MOST_FRAMES, EstimateView, evenly
 
 ITERATIONS = 500

@@ -18,8 +18,7 @@ from testbed.errors import InvalidValueError
 from testbed.objects.files import load_object
 from testbed.toml import toml_text
 from viz.figures.loss import normalised
-from viz.report.report import mapped_objects
-from viz.report.svg import inline_svg
+from viz.report.report import inline_svg, mapped_objects
 from viz.report.tables import object_means, sweep_table
 
 EVIL = "<script>alert('x')</script>"

@@ -23,8 +23,23 @@ from matplotlib.ticker import MaxNLocator
 from estimators.evaluation.statistics import Row
 from testbed.objects.model import ObjectModel, ObjectShape
 from testbed.trajectory import write_whole
-from viz.scales import MOST_NAMED, Scale, aspect, difference_scale, group_middles, mass_scale, narrowest_group
-from viz.style import DIFFERENCE_COLORS, ESTIMATE, MASS_COLORS, NO_ANSWER, STYLE, TOP, TRUTH, bare
+from viz.style import (
+    DIFFERENCE_COLORS,
+    ESTIMATE,
+    MASS_COLORS,
+    MOST_NAMED,
+    NO_ANSWER,
+    STYLE,
+    TOP,
+    TRUTH,
+    Scale,
+    aspect,
+    bare,
+    difference_scale,
+    group_middles,
+    mass_scale,
+    narrowest_group,
+)
 from viz.values import LEVEL, EstimateView
 
 PANEL = 2.3

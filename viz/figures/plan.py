@@ -9,8 +9,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import FancyArrowPatch
 
 from viz.figures.maps import add_bar, draw_groups
-from viz.scales import Scale, aspect
-from viz.style import DIFFERENCE_COLORS, STYLE, action_colors
+from viz.style import DIFFERENCE_COLORS, STYLE, Scale, action_colors, aspect
 from viz.values import ActionArrow, PlanView
 
 WIDTH = 7.0

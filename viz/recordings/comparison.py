@@ -15,8 +15,7 @@ from viz.recordings.estimate import frames_of
 from viz.recordings.mass_map import BELOW, MassMap, Raster, log_bar
 from viz.recordings.page import Frames, Node
 from viz.recordings.planar import TITLE, Bounds, Canvas, log_upright, planar_view
-from viz.scales import Scale, difference_scale, mass_scale
-from viz.style import TOP, series_color
+from viz.style import TOP, Scale, difference_scale, mass_scale, series_color
 from viz.values import LEVEL, EstimateView
 
 WINDOW = Canvas(1590, 910)

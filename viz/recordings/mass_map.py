@@ -24,8 +24,7 @@ from viz.recordings.planar import (
     text_width,
     ticks,
 )
-from viz.scales import MOST_NAMED, Scale, group_middles, narrowest_group
-from viz.style import BACKGROUND, mapped, rgb, text_color
+from viz.style import BACKGROUND, MOST_NAMED, Scale, group_middles, mapped, narrowest_group, rgb, text_color
 
 FINE = 4
 """Pixels along a cell's side where cells do not lie on one lattice."""

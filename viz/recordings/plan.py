@@ -9,8 +9,7 @@ import rerun.blueprint as rrb
 from viz.recordings.mass_map import MassMap, Raster
 from viz.recordings.page import ITERATION, Frames, Node, Page, log_markdown
 from viz.recordings.planar import LINE, Bounds, Canvas, log_lines, log_texts, log_upright, planar_view
-from viz.scales import Scale
-from viz.style import DIFFERENCE_COLORS, action_colors
+from viz.style import DIFFERENCE_COLORS, Scale, action_colors
 from viz.values import PlanView
 
 CANVAS = Canvas(640, 700)

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import io
+import re
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import matplotlib as mpl
 import numpy as np
@@ -20,7 +24,6 @@ from viz.figures.loss import loss_figure
 from viz.figures.maps import MeanAnswer, absolute_difference, as_pixels, compared_methods, mass_maps
 from viz.figures.nad import nad_distribution, nad_sweep
 from viz.report.lists import failures, names, worst, worst_of
-from viz.report.svg import inline_svg
 from viz.report.tables import METRICS, MOST_OBJECTS, Table, metric_table, over_objects, overview, sweep_table
 from viz.style import STYLE
 from viz.values import support_name
@@ -36,6 +39,9 @@ PIXELS_PER_INCH = 80
 """Least scale of a figure with small print."""
 WORST_OBJECTS, OTHER_OBJECTS = 10, 5
 """Numbers of objects with a mass map where there are too many for one each."""
+_REFERENCE = re.compile(r"(?:url\(#|^#)([^)]+)")
+_CONTROL = re.compile(rb"[\x00-\x08\x0b\x0c\x0e-\x1f]")
+"""Characters that XML cannot hold."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -214,3 +220,46 @@ def _maps(groups: Mapping[str, Sequence[Row]], shapes: Mapping[str, ObjectShape]
             caption = f"Absolute difference of mass, every method and object: {label}"
             overall.append(draw(figure, caption, wide=True))
     return overall + pictures
+
+
+def inline_svg(figure: Figure, title: str, prefix: str) -> Markup:
+    """A figure as an <svg> element.
+
+    Args:
+        figure: matplotlib's figure.
+        title: its alternative text.
+        prefix: of its identifiers; one of its own for each figure of a page.
+    """
+    file = io.BytesIO()
+    with mpl.rc_context(STYLE), warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "Glyph .* missing")  # the reader's own fonts draw the text
+        figure.savefig(file, format="svg", dpi=130, transparent=True)
+    root = ElementTree.fromstring(_CONTROL.sub(b"", file.getvalue()))
+    _forget_namespaces(root)
+    used = {name for e in root.iter() for value in e.attrib.values() for name in _REFERENCE.findall(value)}
+    for element in root.iter():
+        for key, value in list(element.attrib.items()):
+            if key == "id":
+                del element.attrib[key]
+                if value in used:
+                    element.set("id", f"{prefix}-{value}")
+            elif _REFERENCE.search(value) and key in ("href", "clip-path", "style", "fill", "stroke"):
+                element.set(key, _REFERENCE.sub(lambda m: m.group(0).replace("#", f"#{prefix}-"), value))
+    for key in ("width", "height", "version"):
+        root.attrib.pop(key, None)
+    root.set("role", "img")
+    root.set("aria-label", title)
+    return Markup(ElementTree.tostring(root, encoding="unicode"))  # ElementTree has escaped every text
+
+
+def _forget_namespaces(root: ElementTree.Element) -> None:
+    """Drop namespaces: HTML knows svg and href by their bare names."""
+    for parent in list(root.iter()):
+        for child in list(parent):
+            if child.tag.split("}")[-1] in ("metadata", "style"):
+                parent.remove(child)
+    for element in root.iter():
+        element.tag = element.tag.split("}")[-1]
+        for key in list(element.attrib):
+            if "}" in key:
+                element.set(key.split("}")[-1], element.attrib.pop(key))

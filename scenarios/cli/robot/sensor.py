@@ -79,7 +79,7 @@ def reading(device: WrenchSensor, seconds: float) -> np.ndarray:
 def _viewer(serial: str) -> Callable[[list[float], np.ndarray], None] | None:
     """A function that sends samples to Rerun; None, with the reason printed, without a viewer."""
     try:
-        from viz.recordings.sensor import SensorStream
+        from viz.recordings.trial import SensorStream
         from viz.recordings.viewer import ViewerError, waiting
     except ImportError:
         print("Rerun is not installed; numbers instead")

@@ -40,7 +40,7 @@ from tests.fakes.rig import KORTEX, FakeRig
 from tests.fakes.robot import FakeArm, FakeGripper, FakeRobot, FakeSensor, robot_for, small_object
 from tests.fakes.static_hand import COM, MASS, POSES, readings
 from tests.fakes.world import Gen3World
-from viz.recordings.sensor import SensorStream
+from viz.recordings.trial import SensorStream
 
 NOBODY = '[arm]\naddress = "127.0.0.1"\nport = 1\n'
 SHEET = gripper_class(RobotFile()).data_sheet(0.05)

@@ -29,7 +29,7 @@ from scenarios.execution.executor import Executor, open_executor
 from scenarios.results.store import Store
 from scenarios.study import run as sweep
 from scenarios.study import trials
-from scenarios.study.estimates import Asked
+from scenarios.study.estimates import EstimateTask
 from scenarios.study.experiment import experiments_of
 from scenarios.study.run import run_scenario
 from testbed.actions.rotate import Rotate
@@ -125,9 +125,9 @@ def canned() -> tuple[Trial, Trajectory]:
     """A turn of 2 s there and back, of a small object."""
     with tempfile.TemporaryDirectory() as folder:
         scenario = sweep_of(1)
-        cell = experiments_of(scenario, Store(Path(folder)), quiet)[0][0]
-        turn = Rotate(cell.grasps[0], duration=2.0, back=True)
-        trial = Trial(cell.model, turn, cell.support)
+        experiment = experiments_of(scenario, Store(Path(folder)), quiet)[0][0]
+        turn = Rotate(experiment.grasps[0], duration=2.0, back=True)
+        trial = Trial(experiment.model, turn, experiment.support)
         return trial, SimulationRunner().run_clean(trial)
 
 
@@ -138,15 +138,16 @@ def resume() -> None:
         store = Store(Path(folder))
         trial, record = canned()
         store.put_trial("canned", trial, {}, record)
-        cells, _ = experiments_of(scenario, store, quiet)
-        for index, cell in enumerate(cells):
-            cell.keys, cell.held_out_keys = [f"{index}_{i}" for i in range(13)], [f"{index}_{i}" for i in (13, 14)]
-            for key in cell.keys + cell.held_out_keys:
+        experiments, _ = experiments_of(scenario, store, quiet)
+        for index, experiment in enumerate(experiments):
+            experiment.keys = [f"{index}_{i}" for i in range(13)]
+            experiment.held_out_keys = [f"{index}_{i}" for i in (13, 14)]
+            for key in experiment.keys + experiment.held_out_keys:
                 shutil.copytree(store.root / "trials" / "canned", store.root / "trials" / key)
-            store.put_note(trials._key_of_cell(cell), {"keys": cell.keys, "held_out": cell.held_out_keys})
+            store.put_note(trials._key_of(experiment), {"keys": experiment.keys, "held_out": experiment.held_out_keys})
             row = {"status": "ok", "message": "", "nad": 0.01, "mass_kg": [0.1] * 6, "friction": [0.5], "seconds": 1.0}
             for method in scenario.methods:
-                for seed, key in enumerate(Asked.of(cell, "ft300s", method).result_keys()):
+                for seed, key in enumerate(EstimateTask.of(experiment, "ft300s", method).result_keys()):
                     path = store.root / "estimates" / key / "result.json"
                     path.parent.mkdir(parents=True)
                     path.write_text(json.dumps(row | {"seed": seed}), encoding="utf-8")
@@ -154,7 +155,7 @@ def resume() -> None:
         rows = run_scenario(scenario, store.root, 2, quiet)
         seconds = time.perf_counter() - begin
         assert set(rows["status"]) == {"ok"}
-        print(f"resume of {len(rows)} finished estimates of {15 * len(cells)} trials: {seconds:.1f} s")
+        print(f"resume of {len(rows)} finished estimates of {15 * len(experiments)} trials: {seconds:.1f} s")
 
 
 def memory() -> None:
@@ -183,8 +184,8 @@ def driver(objects: int) -> None:
     trials.simulate = copy
     with tempfile.TemporaryDirectory() as folder, open_executor("inline", 0) as executor:
         store = Store(Path(folder))
-        cells, _ = experiments_of(scenario, store, quiet)
-        trials.run_trials(cells, store, executor, quiet)
+        experiments, _ = experiments_of(scenario, store, quiet)
+        trials.run_trials(experiments, store, executor, quiet)
         made = len([*store.root.glob("trials/*")])
     print(made, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
 

@@ -105,7 +105,7 @@ def estimate(
         workers: worker processes; one a core if left out, 0 runs everything in this process.
     """
     from scenarios.cli.run import show_progress, show_tables
-    from scenarios.study.measured import EstimateRequest, estimate_measured
+    from scenarios.study.run import EstimateRequest, estimate_measured
     from scenarios.views.report import report
 
     console = Console() if sys.stdout.isatty() else Console(width=120)
@@ -184,7 +184,7 @@ def posterior_table(folder: Path, row: Row, count: int) -> pd.DataFrame:
     from scenarios.results.estimates import load_estimate
     from scenarios.results.store import Store, read_json
     from scenarios.results.trials import sensed_trials
-    from scenarios.views.estimate import estimate_view
+    from scenarios.views.values import estimate_view
     from testbed.sensing.windows import weight_of
 
     scenario = (read_json(folder / "manifest.json") or {}).get("scenario", {})
@@ -209,7 +209,7 @@ def exported_of(folder: Path, row: Row) -> Exported:
     Raises:
         InvalidValueError: it has none.
     """
-    from scenarios.views.estimate import estimate_view
+    from scenarios.views.values import estimate_view
     from testbed.objects.export import Exported
 
     view = estimate_view(folder, row)

@@ -1,20 +1,28 @@
-"""Run of a scenario: the trials of every experiment, then the estimates of every method."""
+"""Runs: a scenario from its first trial to its results, or the methods of a scenario on trials that were measured."""
 
 from __future__ import annotations
 
 import platform
+import shlex
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 import pandas as pd
 
-from scenarios.config import Scenario
-from scenarios.execution.executor import open_executor
-from scenarios.results.store import Store, exclusive, write_json
+from scenarios.config import Scenario, Sweep, load_scenario
+from scenarios.execution.executor import default_workers, open_executor
+from scenarios.results.store import Store, exclusive, rows_of, write_json
+from scenarios.results.trials import MeasuredTrials, measured_trials
 from scenarios.study.estimates import run_estimates
-from scenarios.study.experiment import Progress, ResultCallback, experiments_of
+from scenarios.study.experiment import Experiment, Progress, ResultCallback, experiments_of
 from scenarios.study.trials import run_trials
+
+SENSING = "as measured"
+"""Name of the sensor in the results: its errors are in the records."""
 
 
 def run_scenario(
@@ -53,3 +61,81 @@ def manifest(scenario: Scenario) -> dict[str, Any]:
     """The manifest of a results folder: the scenario, and the versions that ran it."""
     packages = {name: version(name) for name in ("heft", "mujoco", "torch", "numpy", "scipy")}
     return {"scenario": scenario.model_dump(), "python": platform.python_version(), "packages": packages}
+
+
+@dataclass(frozen=True)
+class EstimateRequest:
+    """Objects and methods of `heft estimate`."""
+
+    objects: tuple[str, ...] | None = None
+    methods: tuple[str, ...] | None = None
+    scenario: str = "blocks"
+    held_out: int = 0
+    workers: int | None = None
+
+    def command(self, folder: Path) -> str:
+        """Command line that runs this again."""
+        parts = ["heft", "estimate", str(folder)]
+        for flag, values in (("objects", self.objects), ("methods", self.methods)):
+            parts += [f"--{flag}", *values] if values else []
+        parts += ["--scenario", self.scenario] if self.scenario != "blocks" else []
+        return shlex.join(parts + (["--held-out", str(self.held_out)] if self.held_out else []))
+
+
+@dataclass(frozen=True, eq=False)
+class MeasuredEstimates:
+    """Estimates from measured trials."""
+
+    scenario: Scenario
+    """Scenario that these trials amount to."""
+    rows: list[dict[str, Any]]
+    """Results, a row an estimate."""
+    left_out: list[str]
+    """A line for each trial that is no data."""
+
+
+def estimate_measured(folder: Path, request: EstimateRequest, progress: Progress) -> MeasuredEstimates:
+    """Run the methods on the measured trials of a folder, and write results and manifest.
+
+    Raises:
+        InvalidValueError: no measured trials, no weighing, or no such object, method or scenario.
+    """
+    methods = load_scenario(request.scenario)[1].changed(methods=request.methods)
+    workers, begin = default_workers() if request.workers is None else request.workers, time.monotonic()
+    found, left_out = measured_trials(folder, request.objects, request.held_out)
+    scenario = _scenario_of(found, methods)
+    experiments = [_experiment_of(trials, scenario) for trials in found]
+    store = Store(folder.absolute())
+    with exclusive(folder), open_executor("local", workers, preload=(__name__,)) as tasks:
+        store.remove_leftovers()
+        rows = rows_of(store.put_table(run_estimates(experiments, [], store, tasks, progress)))
+        holds = scenario.model_dump(include={"objects", "support", "sensing", "methods"})
+        facts = {
+            "name": folder.resolve().name,
+            "command": request.command(folder),
+            "wall_s": round(time.monotonic() - begin, 1),
+        }
+        write_json(folder / "manifest.json", manifest(scenario) | {"scenario": holds} | facts)
+    return MeasuredEstimates(scenario, rows, left_out)
+
+
+def _scenario_of(found: Sequence[MeasuredTrials], methods: Scenario) -> Scenario:
+    """A scenario of these trials, with its methods asked once and no sensor's errors drawn."""
+    stiffness = [trials.support.stiffness for trials in found]
+    supports = [k if 0 < k < float("inf") else trials.support.name for k, trials in zip(stiffness, found, strict=True)]
+    changes: dict[str, Any] = {
+        "objects": list(dict.fromkeys(trials.object.name for trials in found)),
+        "random": [],
+        "support": list(dict.fromkeys(supports)),
+        "sensing": [SENSING],
+        "seeds": 1,
+        "sweep": Sweep(),
+    }
+    return methods.model_copy(update=changes)
+
+
+def _experiment_of(trials: MeasuredTrials, scenario: Scenario) -> Experiment:
+    """An experiment whose trials are made: nothing is left to a policy."""
+    obj, keys, held_out = trials.object, [trials.weighing, *trials.moved], list(trials.held_out)
+    policy = scenario.policy.build((), obj, scenario.simulation.build())
+    return Experiment(scenario, {}, obj, obj, trials.support, (), policy, (), keys=keys, held_out_keys=held_out)

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from estimators.evaluation.statistics import AXIS, Row, axes_of, axis_values, select
 from scenarios.results.estimates import load_losses, load_results
 from scenarios.results.store import rows_of
-from scenarios.views.estimate import estimate_view, fits_of
+from scenarios.views.values import estimate_view, fits_of
 from testbed.errors import HeftError
 from testbed.objects.model import ObjectShape
 from viz.figures.loss import estimate_losses, loss_figure

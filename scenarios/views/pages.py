@@ -15,8 +15,7 @@ from scenarios.results.estimates import load_rows
 from scenarios.results.store import Store
 from scenarios.results.trials import kind_of_trial
 from scenarios.study.experiment import Progress
-from scenarios.views.estimate import estimate_view, fits_of, settings_of, typical_trial
-from scenarios.views.trial import trial_view, view_of
+from scenarios.views.values import estimate_view, fits_of, settings_of, trial_view, typical_trial, view_of
 from testbed.errors import HeftError, InvalidValueError
 from testbed.plugins import nearest
 from viz.recordings.comparison import comparison_blueprint, log_comparison

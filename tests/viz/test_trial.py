@@ -12,9 +12,8 @@ import rerun as rr
 import rerun.blueprint as rrb
 from numpy.testing import assert_allclose, assert_array_equal
 
-from scenarios.views.estimate import friction_of
 from scenarios.views.pages import page_of, trial_page
-from scenarios.views.trial import POSES_EVERY, trial_view, wrench_fit
+from scenarios.views.values import POSES_EVERY, friction_of, trial_view, wrench_fit
 from testbed.errors import HeftError, InvalidValueError
 from testbed.frames import rotation_2d
 from testbed.objects.files import load_object

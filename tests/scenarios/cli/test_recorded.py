@@ -13,7 +13,7 @@ from estimators.hidden_states.estimator import HiddenStates
 from scenarios.cli.main import main
 from scenarios.results.estimates import load_results, load_trajectories
 from scenarios.results.store import Store
-from scenarios.views.trial import trial_view
+from scenarios.views.values import trial_view
 from testbed.actions.rotate import Rotate
 from testbed.actions.slide import Slide
 from testbed.importers.importer import import_trajectory

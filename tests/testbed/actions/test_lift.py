@@ -12,7 +12,7 @@ from estimators.particles.lifts import wrench_of_mass
 from estimators.testing.analytic_world import TOOL as HAND
 from estimators.testing.analytic_world import record
 from scenarios.views.pages import page_of
-from scenarios.views.trial import trial_view
+from scenarios.views.values import trial_view
 from testbed.actions.lift import Lift
 from testbed.errors import InfeasibleTrialError, InvalidValueError
 from testbed.objects.blocks import block_object, parse_layout

@@ -1,0 +1,248 @@
+"""Values that `viz` draws, loaded from a results folder: trials, estimates, and how an estimate explains a trial."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+from scipy.spatial import KDTree
+
+from estimators.evaluation.statistics import AXIS, Row, axes_of, select
+from estimators.particles.wrench import predicted_wrenches
+from scenarios.results.estimates import load_arrays, load_estimate
+from scenarios.results.store import Store, read_json
+from scenarios.results.trials import TrialRecord, kind_of_trial, read_trial, sensed_trials
+from testbed.errors import InvalidValueError
+from testbed.foot_forces import load_foot_forces
+from testbed.objects.model import MassDistribution, ObjectModel, ObjectShape
+from testbed.sensing.windows import sample_deviation, steady_samples, wrench_in_object
+from testbed.trajectory import Trajectory
+from viz.values import EstimateView, TrialView, WrenchFit, support_name
+
+POSES_EVERY = 5
+"""Number of samples from one pose of the robot to the next."""
+WITHIN = 1.96
+"""Standard deviations to each side that hold 95 %."""
+PLANAR = (0, 1, 5)
+"""Force x, y and torque z of a wrench."""
+
+
+def sensing_of(folder: Path) -> str:
+    """Sensor of a folder's simulated trials in the viewer: the scenario's first one with errors, else a perfect one."""
+    names = ((read_json(folder / "manifest.json") or {}).get("scenario") or {}).get("sensing") or []
+    return next((name for name in names if name != "ideal"), "ideal")
+
+
+def trial_view(folder: Path, key: str, *, seed: int = 0, meshes: bool = True) -> TrialView:
+    """A trial by its key; a simulated one is given a draw of the sensor's errors, and the true masses as a model.
+
+    Args:
+        folder: results folder.
+        key: whole, or a beginning that no other has.
+        seed: of the draw.
+        meshes: dress the arm in its own meshes where the extra "meshes" is installed.
+
+    Raises:
+        InvalidValueError: a weighing, where nothing moves.
+        HeftError: a file of it is damaged.
+    """
+    record = read_trial(folder, key)
+    trajectory, sensor = record.trajectory, "as measured"
+    if trajectory.simulated:
+        sensing = sensing_of(folder)
+        trajectory = sensed_trials(Store(folder), (record.folder.name,), sensing, seed)[0]
+        sensor = f"{sensing}, draw {seed}"
+    model = record.object.truth if trajectory.simulated else None
+    called = "the true masses, each on its own weight"
+    return view_of(record, trajectory, record.object.shape, model, called, {"sensing": sensor}, meshes=meshes)
+
+
+def view_of(
+    record: TrialRecord,
+    trajectory: Trajectory,
+    shape: ObjectShape,
+    model: MassDistribution | None,
+    called: str,
+    facts: dict[str, str],
+    *,
+    meshes: bool = True,
+) -> TrialView:
+    """A trial with what a model says of it.
+
+    Args:
+        record: the trial as it lies in the folder.
+        trajectory: as sensed.
+        shape: the model's particles.
+        model: masses and friction that the wrench is predicted from; None without.
+        called: which masses those are.
+        facts: further facts by name.
+        meshes: as `trial_view`.
+    """
+    from testbed.simulation.rendering import body_poses  # noqa: PLC0415  graphics are chosen before MuJoCo loads
+
+    action = trajectory.action
+    if not action.moves:
+        raise InvalidValueError(
+            "TRIAL", f"{record.folder.name[:8]}, a weighing", "a slide or a turn: nothing else moves"
+        )
+    feet = record.folder / "foot_forces.parquet"
+    predicted = None if model is None else predicted_wrenches(shape, model, [trajectory])[0]
+    name = trajectory.action.describe(record.object.shape)
+    return TrialView(
+        title=f"{record.object.name}: {name}",
+        shape=record.object.shape,
+        trajectory=trajectory,
+        poses=body_poses(trajectory, record.grip_width, meshes=meshes, every=POSES_EVERY),
+        pose_times=trajectory.time_s[::POSES_EVERY],
+        fit=wrench_fit(name, trajectory, predicted),
+        model=called if model is not None else "",
+        truth=record.object.truth if trajectory.simulated else None,
+        feet=load_foot_forces(feet) if feet.is_file() else None,
+        facts={
+            "object": record.object.name,
+            "action": name,
+            "support": support_name(record.support) if trajectory.simulated else "",
+            "trial": record.folder.name,
+            "runner": trajectory.provenance.get("runner", ""),
+            "arm": "" if trajectory.joint_position.any() else "not where it was: its joints were not logged",
+            "feet": "" if feet.is_file() else "forces not known: no foot_forces.parquet beside this trial",
+        }
+        | facts,
+    )
+
+
+def wrench_fit(label: str, trajectory: Trajectory, predicted: np.ndarray | None) -> WrenchFit:
+    """Measured against predicted (T, 3), in the object's axes."""
+    steady = np.zeros(len(trajectory.time_s), dtype=bool)
+    try:
+        for kept in steady_samples(trajectory):
+            steady[kept] = True
+    except InvalidValueError:  # cut short before it was steady: it is still worth seeing
+        pass
+    measured = wrench_in_object(trajectory)[:, PLANAR]
+    deviation = sample_deviation(trajectory)[list(PLANAR)]
+    return WrenchFit(
+        label,
+        trajectory.time_s,
+        measured,
+        steady,
+        np.full_like(measured, np.nan) if predicted is None else predicted,
+        np.broadcast_to(WITHIN * deviation, measured.shape),
+    )
+
+
+def estimate_view(folder: Path, row: Row) -> EstimateView:
+    """View of an estimate by its row.
+
+    Raises:
+        HeftError: a file of it is damaged.
+    """
+    answer, record = load_estimate(folder, row["key"]), typical_trial(folder, row)
+    shape = _shape(folder, row, record.object)
+    truth = MassDistribution(
+        np.array(row["true_mass_kg"]) / shape.particles_per_group, friction_of(record.object, shape)
+    )
+    return EstimateView(
+        title=f"{row['object']}, {support_name(row['support'])}, {row['sensing']}: {row['method']}",
+        shape=shape,
+        truth=truth,
+        answer=answer.distribution,
+        covariance=answer.covariance,
+        traces=answer.traces,
+        trajectory=record.trajectory,
+        facts=_facts(row),
+    )
+
+
+def _shape(folder: Path, row: Row, true: ObjectModel) -> ObjectShape:
+    """Shape as the estimator saw it, with the particles of its own grid."""
+    arrays = load_arrays(folder, row["key"])
+    return ObjectShape(
+        arrays["particles"],
+        arrays["mass_group"],
+        arrays["friction_group"],
+        float(arrays["cell"]),
+        true.shape.height,
+        true.shape.grasps,
+        tuple(row["group_names"]),
+        arrays["fill"],
+    )
+
+
+def friction_of(truth: ObjectModel, shape: ObjectShape) -> Float[np.ndarray, "n_mu"]:
+    """The object's friction by the friction groups of an estimator's shape: their mean, where it has more of them."""
+    touching = truth.shape.friction_group >= 0
+    each = truth.truth.friction[truth.shape.friction_group[touching]]
+    near = np.asarray(KDTree(truth.shape.particles[touching]).query(shape.particles)[1])
+    return np.array([each[near[shape.friction_group == group]].mean() for group in range(shape.n_mu)])
+
+
+def fits_of(folder: Path, row: Row, shown: EstimateView) -> list[tuple[str, Trajectory, WrenchFit]]:
+    """The moved trials behind an estimate in order: key, record as sensed, and how the answer explains it."""
+    keys = tuple(row["trial_keys"])
+    drawn = zip(keys, sensed_trials(Store(folder), keys, row["sensing"], int(row["seed"])), strict=True)
+    moved = [(key, trajectory) for key, trajectory in drawn if trajectory.action.moves]
+    predicted: Sequence[np.ndarray | None] = [None] * len(moved)
+    if shown.answer is not None:
+        predicted = predicted_wrenches(shown.shape, shown.answer, [trajectory for _, trajectory in moved])
+    return [
+        (key, trajectory, wrench_fit(f"{i}: {trajectory.action.describe(shown.shape)}", trajectory, wrench))
+        for i, ((key, trajectory), wrench) in enumerate(zip(moved, predicted, strict=True), start=1)
+    ]
+
+
+def settings_of(rows: Sequence[Row]) -> list[tuple[str, list[Row]]]:
+    """Comparisons of one object: the setting in words, and the first draw by every method."""
+    axes = axes_of(rows)
+    groups: dict[tuple[Any, ...], list[Row]] = {}
+    for row in rows:
+        if row.get("key") and row.get("trial_keys") is not None:
+            groups.setdefault((row["support"], row["sensing"], *(row.get(axis) for axis in axes)), []).append(row)
+    named = []
+    for (support, sensing, *values), found in groups.items():
+        swept = [f"{axis.removeprefix(AXIS)} {value}" for axis, value in zip(axes, values, strict=True)]
+        first = select(found, seed=min(row["seed"] for row in found))
+        named.append((", ".join([support_name(support), str(sensing), *swept]), first))
+    return named
+
+
+def typical_trial(folder: Path, row: Row) -> TrialRecord:
+    """The first turn at constant speed behind an estimate, or else what there is.
+
+    Raises:
+        InvalidValueError: the estimate does not say which trials it is from.
+        HeftError: a file of it is damaged.
+    """
+    keys = row["trial_keys"]
+    kinds = {key: kind_of_trial(folder, key) for key in keys}
+    best = min(keys, key=lambda key: {"rotate": 0, "weigh": 2}.get(kinds[key], 1))  # of equals the first
+    return _record(folder, best)
+
+
+@lru_cache(maxsize=4)
+def _record(folder: Path, key: str) -> TrialRecord:
+    """The methods of an object are shown one after the other, with the same trial."""
+    return read_trial(folder, key)
+
+
+def _facts(row: Row) -> dict[str, str]:
+    weight = row.get("weight_kg")
+    return {
+        "method": str(row["method"]),
+        "object": str(row["object"]),
+        "support": support_name(row["support"]),
+        "sensing": f"{row['sensing']}, draw {row['seed']}",
+        "status": str(row["status"]),
+        "why": str(row.get("message") or ""),
+        "M as weighed": "" if weight is None else f"{weight:.3f} kg",
+        "optimiser": str(row.get("optimizer") or ""),
+        "computing": f"{row['seconds']:.2g} s" if row.get("seconds") is not None else "",
+        "trials": str(row.get("trials") or ""),
+        "robot time": f"{row['robot_s']:.0f} s" if row.get("robot_s") is not None else "",
+        "not observed": str(row.get("unobserved") or ""),
+        "estimate": str(row["key"]),
+    }

@@ -18,12 +18,17 @@ from jaxtyping import Float
 from estimators.base import Estimate
 from estimators.hidden_states.masses import friction_loads
 from estimators.particles.errors import ModelErrors
-from estimators.particles.friction_system import FrictionEquations, LinearSystem, LoadGroups, friction_equations
+from estimators.particles.friction_system import (
+    FrictionEquations,
+    LinearSystem,
+    LoadGroups,
+    friction_equations,
+    torque_covariance,
+)
 from estimators.particles.model import ParticleModel, friction_wrench, inertia_of
 from estimators.particles.pivots import PivotInertia, pivot_inertias
 from estimators.particles.support import own_weight
 from estimators.particles.windows import Observations, observe, robot_seconds
-from estimators.particles.wrench_errors import torque_covariance
 from testbed.objects.model import GRAVITY, MassDistribution, ObjectShape
 from testbed.trajectory import Trajectory
 

@@ -1,4 +1,8 @@
-"""The linear system Q s = b of the friction loads s = mu m g, Eq. dvs, with its errors and its rank."""
+"""The linear system Q s = b of the friction loads s = mu m g, Eq. dvs, with its errors and its rank.
+
+Errors become weights here alone, for every support model: errors of the sensor and of the particle model, and the
+gripper's load that the sensor cannot tell.
+"""
 
 from __future__ import annotations
 
@@ -12,8 +16,7 @@ from torch import Tensor
 from estimators.particles.errors import ModelErrors
 from estimators.particles.model import ParticleModel, inertia_of
 from estimators.particles.support import own_weight
-from estimators.particles.windows import Observations
-from estimators.particles.wrench_errors import wrench_errors
+from estimators.particles.windows import PLANAR, Observations
 from testbed.objects.model import GRAVITY
 
 
@@ -121,3 +124,113 @@ def rank_of(q: Float[np.ndarray, "R n_s"]) -> int:
     scale = np.linalg.norm(q, axis=0)
     values = np.linalg.svd(q / np.where(scale > 0, scale, 1.0), compute_uv=False)
     return int((values > 1e-3 * values.max(initial=1e-300)).sum())
+
+
+def wrench_errors(
+    windows: Observations,
+    model: ParticleModel,
+    drag: Float[Tensor, "K P"],
+    response: Float[Tensor, "K 3 3"],
+    errors: ModelErrors,
+) -> tuple[Float[Tensor, "R R"], Float[Tensor, "R 2"]]:
+    """Errors of wrenches less the effect of the gripper's load: R = 3 K rows.
+
+    Args:
+        windows: windows of constant speed.
+        model: particles of the object.
+        drag: friction of every particle, N.
+        response: change of the wrench with lift and tilt, N/N and N m/N m, (f_x, f_y, torque).
+        errors: errors of the model.
+
+    Returns:
+        Covariance of the errors that no two trials share, and the effect on each row of one standard deviation of the
+        lift and of the height that all windows share.
+    """
+    slopes = windows.drag_slopes(model, drag, errors.pivot_error)
+    force = (errors.force_error * drag.sum(-1)).square()
+    own = torch.stack([force, force, (errors.torque_error * windows.wrench[:, 2]).square()], -1) + 1e-10
+    moved = errors.pivot_error * windows.twist[:, 2].abs()[:, None, None] * slopes[..., :2]
+    by_motion = torch.cat([moved, slopes * windows.twist_noise.sqrt()], -1)
+    within = torch.diag_embed(own) + by_motion @ by_motion.transpose(1, 2)
+    lift, tilt = errors.lift_error, errors.tilt_error
+    shared = torch.tensor([lift / 2**0.5, 0.0, 0.0], dtype=torch.float64)
+    alone = torch.tensor([lift / 2**0.5, tilt, tilt], dtype=torch.float64)
+    apart = _sensor_error(windows, response, alone, shared) + _block_diagonal(within)
+    hidden = (response * (shared * (1 - windows.load_kept))[:, None]).sum(-1)
+    # the drag's own moment about the feet is as wrong as the height over them
+    raised = errors.height_error * (response[..., 1:] @ windows.wrench[:, :2, None])[..., 0]
+    return apart, torch.stack([hidden.flatten(), raised.flatten()], 1)
+
+
+def torque_covariance(windows: Observations, response: Float[Tensor, "K 3 3"]) -> Float[np.ndarray, "K K"]:
+    """Covariance of accelerated windows' torques less the gripper's effect; a trial's constant is not in it."""
+    none = torch.zeros(3, dtype=torch.float64)
+    return _sensor_error(windows, response, none, none)[2::3, 2::3].numpy()
+
+
+def _sensor_error(
+    windows: Observations, response: Float[Tensor, "K 3 3"], nulled: Float[Tensor, "3"], shared: Float[Tensor, "3"]
+) -> Float[Tensor, "R R"]:
+    """Covariance of wrenches less the `response` to lift and tilt: errors of the sensor, and loads taken for them."""
+    sensed, count = _sensor_covariance(windows), len(windows)
+    carried = response @ _load_error(windows).reshape(count, 3, 6 * count)
+    planar = torch.eye(6, dtype=torch.float64)[PLANAR].expand(count, 3, 6)
+    # one force feeds both, so an error common to a wrench and to the load on the feet counts once
+    error = _block_diagonal(planar) - carried.reshape(3 * count, 6 * count)
+    return error @ sensed @ error.T + _unseen_load(windows, sensed, response, nulled, shared)
+
+
+def _unseen_load(
+    windows: Observations,
+    sensed: Float[Tensor, "6K 6K"],
+    response: Float[Tensor, "K 3 3"],
+    nulled: Float[Tensor, "3"],
+    shared: Float[Tensor, "3"],
+) -> Float[Tensor, "R R"]:
+    """Covariance of wrenches from the lift and tilt that were taken for the sensor's error.
+
+    Where a part k of a load was kept against a sensor's error of variance b, the load scatters by k b / (1 - k),
+    and (1 - k) of it went: k (1 - k) b is its variance. A trial's mean is taken to scatter by no less than `nulled`
+    about what all trials share, which scatters by `shared` and is not in it (N, N m, one standard deviation).
+    """
+    error, mean, change = _load_covariance(windows, sensed), windows.trial_mean, windows.trial_change
+    of_mean, of_change = (torch.einsum("kl,lma,nm->kna", part, error, part) for part in (mean, change))
+    dropped = 1 - windows.load_kept
+    scatter = windows.load_kept * dropped * torch.diagonal(of_mean).T - (dropped * shared).square()
+    hidden = torch.maximum(scatter, (dropped * nulled).square()).sqrt()
+    missed = torch.diagonal(of_change).T.clamp(min=0) * windows.load_followed * (1 - windows.load_followed)
+    alpha = windows.acceleration[:, 2]
+    along = alpha / (mean @ alpha.square()).sqrt().clamp(min=1e-9)
+    swung = windows.together * along[:, None] * along  # what a swing of the arm changes goes with its acceleration
+    changed = torch.where(windows.accelerated[:, None], swung, change)[..., None] * missed.sqrt()
+    load = windows.together[..., None] * hidden[:, None] * hidden + changed * missed.sqrt()[:, None]
+    return torch.einsum("kia,kla,lja->kilj", response, load, response).reshape(3 * len(windows), 3 * len(windows))
+
+
+def _load_covariance(windows: Observations, sensed: Float[Tensor, "6K 6K"]) -> Float[Tensor, "K K 3"]:
+    """Covariance of measured lift and tilt between windows from the sensor's errors, N^2 and (N m)^2."""
+    error, count = _block_diagonal(windows.load_map), len(windows)
+    whole = (error @ sensed @ error.T).reshape(count, 3, count, 3)
+    return torch.diagonal(whole, dim1=1, dim2=3)
+
+
+def _sensor_covariance(windows: Observations) -> Float[Tensor, "6K 6K"]:
+    """Covariance of all windows' six components."""
+    shared = windows.together[:, None, :, None] * windows.bias[:, :, None] + (
+        windows.walked[:, None, :, None] * windows.drift[:, :, None]
+    )
+    return shared.reshape(6 * len(windows), 6 * len(windows)) + _block_diagonal(windows.noise)
+
+
+def _load_error(windows: Observations) -> Float[Tensor, "3K 6K"]:
+    """Map from the sensor's errors to those of lift and tilt, of which only parts of mean and change were kept."""
+    followed, kept = windows.load_followed[..., None], windows.load_kept[..., None]
+    own = windows.trial_change[:, None] * followed + windows.trial_mean[:, None] * kept
+    return torch.einsum("kal,lai->kali", own, windows.load_map).reshape(3 * len(windows), 6 * len(windows))
+
+
+def _block_diagonal(blocks: Float[Tensor, "K a b"]) -> Float[Tensor, "Ka Kb"]:
+    """Block-diagonal matrix; `torch.block_diag` is slow where this is mapped over thousands of trials."""
+    count, a, b = blocks.shape
+    apart = torch.eye(count, dtype=torch.float64)[:, None, :, None] * blocks[:, :, None]
+    return apart.reshape(count * a, count * b)

@@ -17,6 +17,7 @@ from scipy.optimize import nnls
 from torch import Tensor
 
 from estimators.particles.errors import ModelErrors
+from estimators.particles.friction_system import torque_covariance, wrench_errors
 from estimators.particles.gripper_load import GripperLoad
 from estimators.particles.lifts import LiftedRows, lifted_rows
 from estimators.particles.model import ParticleModel, inertia_of
@@ -24,7 +25,6 @@ from estimators.particles.pivots import PivotInertia, inertia_map, pivot_inertia
 from estimators.particles.support import LOADS, LoadsOf, SupportModel
 from estimators.particles.windows import Observations
 from estimators.particles.wrench import AffineLoads, WrenchModel
-from estimators.particles.wrench_errors import torque_covariance, wrench_errors
 from testbed.objects.model import GRAVITY, ObjectShape
 
 ROUNDS = 6

@@ -18,11 +18,11 @@ from estimators.testing.conformance import (
     Draw,
     clean_answer,
     data,
+    recovers,
     small_object,
 )
 from estimators.testing.plugin import BLOCKS, SENSORS
 from estimators.testing.recorded import KnownBlock
-from estimators.testing.recovery import recovers
 from testbed.trajectory import Trajectory
 
 

@@ -18,8 +18,8 @@ from estimators.base import Estimate, Estimator
 from estimators.hidden_states.estimator import HiddenStates
 from estimators.support_models.estimator import SupportAware
 from estimators.testing import plugin, recorded
+from estimators.testing.conformance import ALLOWED, recovers, shows_every_mass
 from estimators.testing.recorded import KnownBlock, block_names, load_block, save_block
-from estimators.testing.recovery import ALLOWED, recovers, shows_every_mass
 from estimators.testing.test_estimator import cases
 from testbed.actions.rotate import Rotate
 from testbed.errors import InvalidValueError

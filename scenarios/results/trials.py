@@ -15,8 +15,7 @@ from scenarios.results.store import Store, object_request, read_json
 from testbed.actions.rotate import Rotate
 from testbed.errors import HeftError, InvalidValueError
 from testbed.objects.files import load_object
-from testbed.objects.gripper import STROKE
-from testbed.objects.model import Grasp, MassDistribution, ObjectModel, ObjectShape
+from testbed.objects.model import STROKE, Grasp, MassDistribution, ObjectModel, ObjectShape
 from testbed.sensing.noise import draw_sensing
 from testbed.sensing.presets import preset
 from testbed.trajectory import Trajectory, load_trajectory

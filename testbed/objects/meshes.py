@@ -11,8 +11,17 @@ from jaxtyping import Bool, Float, Int
 from scipy.spatial.distance import cdist
 
 from testbed.errors import InvalidValueError
-from testbed.objects.gripper import FINGER_DEPTH, PAD_HEIGHT, PAD_WIDTH, STROKE
-from testbed.objects.model import Grasp, MassDistribution, ObjectModel, ObjectShape, Solid
+from testbed.objects.model import (
+    FINGER_DEPTH,
+    PAD_HEIGHT,
+    PAD_WIDTH,
+    STROKE,
+    Grasp,
+    MassDistribution,
+    ObjectModel,
+    ObjectShape,
+    Solid,
+)
 from testbed.validation import check_integer
 
 TOUCH = 0.001

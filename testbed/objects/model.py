@@ -15,6 +15,14 @@ from testbed.validation import check_positive_fields, freeze_arrays, frozen_arra
 
 GRAVITY = 9.81
 """Magnitude of gravity [m/s^2]."""
+STROKE = 0.085
+"""Opening of the gripper, a Robotiq 2F-85 [m]."""
+PAD_WIDTH = 0.022
+"""Width of its pads [m]."""
+PAD_HEIGHT = (0.003, 0.040)
+"""Lower and upper edge of its pads over the table while they hold [m]."""
+FINGER_DEPTH = 0.008
+"""Thickness of a finger along the closing direction at its pads [m]."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,8 +12,7 @@ from testbed.actions.lift import Lift
 from testbed.actions.path import EDGES, HIGH, LOW, outline, overhang, overhang_of
 from testbed.errors import InfeasibleTrialError
 from testbed.frames import rotation_2d
-from testbed.objects.gripper import PAD_HEIGHT, PAD_WIDTH, STROKE
-from testbed.objects.model import GRAVITY, Grasp, ObjectModel
+from testbed.objects.model import GRAVITY, PAD_HEIGHT, PAD_WIDTH, STROKE, Grasp, ObjectModel
 from testbed.simulation.contacts import resting_loads
 from testbed.simulation.motion import JOINT_SPEED_LIMIT, Motion, arm_model
 from testbed.simulation.settings import MARGIN, SimulationSettings

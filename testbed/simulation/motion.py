@@ -17,8 +17,7 @@ from testbed.actions.lift import Lift, LiftProfile
 from testbed.actions.path import PAUSE, WORKSPACE, minimum_jerk
 from testbed.errors import InfeasibleTrialError, InvalidValueError
 from testbed.frames import pose_from_point, rotation_2d
-from testbed.objects.gripper import STROKE
-from testbed.objects.model import ObjectShape
+from testbed.objects.model import STROKE, ObjectShape
 from testbed.simulation.scene import HOME, arm_spec
 from testbed.simulation.settings import SimulationSettings
 from testbed.trajectory import Phase, Tool

@@ -16,8 +16,7 @@ from jaxtyping import Bool, Float, UInt8
 from scipy.spatial.transform import Rotation
 
 from testbed.errors import InvalidValueError
-from testbed.objects.gripper import STROKE
-from testbed.objects.model import ObjectModel
+from testbed.objects.model import STROKE, ObjectModel
 from testbed.sensing.lift_windows import poses_in_space
 from testbed.simulation.graphics import offscreen_renderer
 from testbed.simulation.scene import add_object, attach_arm, part

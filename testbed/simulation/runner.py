@@ -12,7 +12,7 @@ import numpy as np
 
 from testbed.errors import InvalidValueError
 from testbed.frames import origin_velocity, pose_from_point, rotation_matrix
-from testbed.objects.gripper import STROKE
+from testbed.objects.model import STROKE
 from testbed.sensing.noise import draw_sensing
 from testbed.sensing.presets import preset
 from testbed.simulation.contacts import ContactLog, ContactRecord, weigh

@@ -19,7 +19,7 @@ from typing import Any, Self
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from testbed.objects.gripper import STROKE
+from testbed.objects.model import STROKE
 from tests.fakes.world import TICK, Gen3World
 
 PASSWORD = "admin"

@@ -12,8 +12,7 @@ import mujoco
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from testbed.objects.gripper import STROKE
-from testbed.objects.model import ObjectModel
+from testbed.objects.model import STROKE, ObjectModel
 from testbed.sensing.presets import Sensing, preset
 from testbed.simulation.motion import joint_path
 from testbed.simulation.scene import HOME, build_scene

@@ -21,7 +21,7 @@ from testbed.actions.slide import Slide
 from testbed.actions.weigh import Weigh
 from testbed.errors import HeftError, InvalidValueError
 from testbed.objects.files import load_object
-from testbed.objects.gripper import STROKE
+from testbed.objects.model import STROKE
 from testbed.simulation.settings import GripSettings, SimulationSettings
 from testbed.trial import RIGID, Trial
 from tests.helpers.recorded import put_trial

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 
-from testbed.objects.gripper import STROKE
+from testbed.objects.model import STROKE
 from testbed.robot.interfaces import ArmRefusedError
 from testbed.robot.kinova.arm import KortexArm
 from testbed.robot.robotiq.gripper import data_sheet

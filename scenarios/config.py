@@ -16,11 +16,10 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_valida
 from estimators.registry import build_method, is_method
 from scenarios.policies import Count, Policy
 from scenarios.runners import NamedRunner, RunnerSettings
-from testbed.errors import InvalidValueError
+from testbed.errors import InvalidValueError, nearest
 from testbed.objects.files import find_file, library_names
 from testbed.objects.model import MassDistribution, ObjectModel
 from testbed.objects.random import Family
-from testbed.plugins import nearest
 from testbed.sensing.presets import preset
 from testbed.simulation.settings import (
     ContactSettings,

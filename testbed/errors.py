@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import difflib
+from collections.abc import Iterable
 from pathlib import Path
 
 
@@ -27,6 +29,13 @@ class InvalidValueError(HeftError, ValueError):
 
 class InfeasibleTrialError(HeftError):
     """A trial that the robot cannot do, refused before anything moves. The message says why and what could be done."""
+
+
+def nearest(name: str, names: Iterable[str], cutoff: float = 0.5) -> str:
+    """Hint " (nearest: ...)" for a name that is nearly one of `names`, in any case; else empty."""
+    folded = {known.casefold(): known for known in names}
+    close = difflib.get_close_matches(name.casefold(), folded, n=1, cutoff=cutoff)
+    return f" (nearest: {folded[close[0]]})" if close else ""
 
 
 def _short(value: object, limit: int = 120) -> str:

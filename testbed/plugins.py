@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
-import difflib
 import hashlib
 import importlib
 import inspect
 import os
 import re
 import sys
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
-from testbed.errors import HeftError, InvalidValueError
+from testbed.errors import HeftError, InvalidValueError, nearest
 from testbed.trial import TrialRunner
 
 T = TypeVar("T")
@@ -151,13 +150,6 @@ def source_hash(kind: type[Any]) -> str:
     if not folders and top.__file__:
         files = [Path(top.__file__)]
     return hashlib.sha256(b"\0".join(file.read_bytes() for file in files)).hexdigest()[:20]
-
-
-def nearest(name: str, names: Iterable[str]) -> str:
-    """ " (nearest: ...)" for a name that is nearly one of `names`, else nothing."""
-    folded = {known.casefold(): known for known in names}
-    close = difflib.get_close_matches(name.casefold(), folded, n=1, cutoff=0.5)
-    return f" (nearest: {folded[close[0]]})" if close else ""
 
 
 def _imported(name: str, path: str, field: str) -> Any:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import json
 import tomllib
 from collections.abc import Mapping
@@ -11,7 +10,7 @@ from typing import Annotated, Any, TypeVar, get_args
 
 from pydantic import BaseModel, Field, ValidationError
 
-from testbed.errors import HeftError, InvalidValueError
+from testbed.errors import HeftError, InvalidValueError, nearest
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
@@ -83,9 +82,7 @@ def _explain(item: dict[str, Any], names: list[str]) -> str:
     if item["type"] == "missing":
         return f"{field}: missing"
     if item["type"] == "extra_forbidden":
-        close = difflib.get_close_matches(str(item["loc"][-1]), names, n=1, cutoff=0.6)
-        hint = f" (nearest: {close[0]})" if close else ""
-        return f"{field}: no such field; got {item['input']!r}{hint}"
+        return f"{field}: no such field; got {item['input']!r}{nearest(str(item['loc'][-1]), names, 0.6)}"
     return f"{field}: got {item['input']!r}; allowed: {item['msg'].removeprefix('Input should be ')}"
 
 

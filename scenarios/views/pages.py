@@ -16,8 +16,7 @@ from scenarios.results.store import Store
 from scenarios.results.trials import kind_of_trial
 from scenarios.study.experiment import Progress
 from scenarios.views.values import estimate_view, fits_of, settings_of, trial_view, typical_trial, view_of
-from testbed.errors import HeftError, InvalidValueError
-from testbed.plugins import nearest
+from testbed.errors import HeftError, InvalidValueError, nearest
 from viz.recordings.comparison import comparison_blueprint, log_comparison
 from viz.recordings.estimate import estimate_blueprint, log_estimate
 from viz.recordings.page import ITERATION, SIM_TIME, Page, save, send

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import json
 from collections.abc import Callable, Iterable, Sequence
 from functools import partial
@@ -13,7 +12,7 @@ import numpy as np
 import pandas as pd
 from jaxtyping import Float
 
-from testbed.errors import HeftError, InvalidValueError
+from testbed.errors import HeftError, InvalidValueError, nearest
 from testbed.importers.mapping import TimeMap, factor
 
 _MOST_LISTED = 12
@@ -189,8 +188,6 @@ def _in_order(path: Path, field: str, time: np.ndarray, values: np.ndarray) -> S
 
 
 def _unknown(field: str, name: str | None, known: list[str], path: Path) -> InvalidValueError:
-    folded = {one.casefold(): one for one in known}
-    close = difflib.get_close_matches(str(name).casefold(), folded, n=1, cutoff=0.4)
     listed = ", ".join(known[:_MOST_LISTED]) + (", ..." if len(known) > _MOST_LISTED else "")
-    hint = f" (nearest: {folded[close[0]]})" if close else ""
-    return InvalidValueError(field, name, f"one of {listed or 'nothing: it is empty'}{hint}", file=path)
+    allowed = f"one of {listed or 'nothing: it is empty'}{nearest(str(name), known, 0.4)}"
+    return InvalidValueError(field, name, allowed, file=path)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import math
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
@@ -10,7 +9,7 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
 from testbed.actions.base import TableAction, action_from_dict
-from testbed.errors import InvalidValueError
+from testbed.errors import InvalidValueError, nearest
 from testbed.sensing.presets import preset
 from testbed.toml import Finite, NonNegative, Positive
 from testbed.trajectory import Phase
@@ -46,11 +45,7 @@ def factor(quantity: str, unit: str) -> float:
     """
     known = FACTORS[quantity]
     if unit not in known:
-        folded = {name.replace(" ", "").casefold(): name for name in known}
-        plain = "".join(c for c in unit if c not in " *.·").casefold()
-        close = difflib.get_close_matches(plain, folded, n=1, cutoff=0.6)
-        hint = f" (nearest: {folded[close[0]]})" if close else ""
-        raise InvalidValueError("unit", unit, f"a unit of {quantity}: {', '.join(known)}{hint}")
+        raise InvalidValueError("unit", unit, f"a unit of {quantity}: {', '.join(known)}{nearest(unit, known, 0.6)}")
     return known[unit]
 
 

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import difflib
 import math
 from pathlib import Path
 from typing import Annotated, Self
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from testbed.errors import InvalidValueError
+from testbed.errors import InvalidValueError, nearest
 from testbed.objects.blocks import block_object, parse_layout
 from testbed.objects.meshes import GraspPlace, Part, mesh_object, read_mesh
 from testbed.objects.model import ObjectModel
@@ -41,10 +40,8 @@ def find_file(name_or_path: str | Path, library: Path, what: str) -> Path:
     if path.is_file():
         return path
     names = library_names(library)
-    folded = {name.casefold(): name for name in names}
-    nearest = difflib.get_close_matches(text.casefold(), folded, n=1, cutoff=0.4)
-    hint = f" (nearest: {folded[nearest[0]]})" if nearest else ""
-    raise InvalidValueError(what, text, f"one of {', '.join(names)}{hint}, or a path to a .toml file")
+    allowed = f"one of {', '.join(names)}{nearest(text, names, 0.4)}, or a path to a .toml file"
+    raise InvalidValueError(what, text, allowed)
 
 
 def library_names(library: Path) -> list[str]:
@@ -55,10 +52,12 @@ def library_names(library: Path) -> list[str]:
 Name = Annotated[str, Field(min_length=1, max_length=64, pattern=r"^[\w.-]+$")]
 
 
-class Blocks(BaseModel):
-    """The [blocks] table of an object file."""
+class _Table(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
 
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
+
+class Blocks(_Table, strict=True):
+    """The [blocks] table of an object file."""
 
     layout: list[str]
     mass_kg: Positive | list[NonNegative]
@@ -73,10 +72,8 @@ class Blocks(BaseModel):
         return self
 
 
-class MeshPart(BaseModel):
+class MeshPart(_Table, strict=True):
     """A [[mesh.parts]] table of an object file."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
 
     name: Name
     file: Annotated[str, Field(min_length=1)]
@@ -84,20 +81,16 @@ class MeshPart(BaseModel):
     friction_group: Annotated[int, Field(ge=0)] | None = None
 
 
-class MeshGrasp(BaseModel):
+class MeshGrasp(_Table, strict=True):
     """A [[mesh.grasps]] table of an object file."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
 
     name: Name
     at_m: Annotated[list[Finite], Field(min_length=2, max_length=2)]
     closing_deg: Finite
 
 
-class Mesh(BaseModel):
+class Mesh(_Table, strict=True):
     """The [mesh] table of an object file."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
 
     cell_m: Annotated[float, Field(ge=0.001, le=0.1, allow_inf_nan=False)]
     friction: NonNegative | list[NonNegative] = 0.5
@@ -112,10 +105,8 @@ class Mesh(BaseModel):
         return self
 
 
-class ObjectFile(BaseModel):
+class ObjectFile(_Table):
     """A whole object file: blocks or a mesh."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     name: Name
     blocks: Blocks | None = None

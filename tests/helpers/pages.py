@@ -39,6 +39,11 @@ def blocks_of(page: Path) -> list[Block]:
 BLOCKS = [block for page in PAGES for block in blocks_of(page)]
 
 
+def headings(page: str) -> list[str]:
+    """Headings of a page, of any level."""
+    return re.findall(r"^#+ (.+)$", FENCE.sub("", (DOCS / page).read_text(encoding="utf-8")), re.MULTILINE)
+
+
 def section(page: str, heading: str) -> str:
     """Text under a heading, up to the next one of any level."""
     text = (DOCS / page).read_text(encoding="utf-8")
@@ -59,5 +64,5 @@ def names(cells: list[list[str]]) -> list[str]:
 
 
 def options(page: str, heading: str) -> set[str]:
-    """Command-line options in the table of a section."""
-    return {option for name in names(table(page, heading)) for option in re.findall(r"^--[a-z][a-z-]+", name)}
+    """Command-line options that a section names."""
+    return set(re.findall(r"(?<![\w-])--[a-z][a-z-]+", section(page, heading)))

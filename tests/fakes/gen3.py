@@ -23,8 +23,6 @@ from testbed.objects.model import STROKE
 from tests.fakes.world import TICK, Gen3World
 
 PASSWORD = "admin"
-NOT_READY, IN_FAULT, INVALID = (3, 21), (3, 22), (3, 3)
-"""Error and sub-error codes, as the maker numbers them."""
 
 
 @dataclass
@@ -48,10 +46,10 @@ class FakeGen3:
         self.world, self.faults = world, Faults()
         self.lock = threading.RLock()
         """Held while the world ticks."""
-        self.commands: list[tuple[float, str]] = []
-        """Time and name of each call that may move the arm."""
-        self.motion: list[tuple[float, float, bool]] = []
-        """Time (monotonic), speed, and True if the arm was driven, at every tick."""
+        self.commands: list[str] = []
+        """Name of each call that may move the arm."""
+        self.was_driven = False
+        """True once the arm has been driven."""
         self._over = threading.Event()
         self._connections: set[socket.socket] = set()
         self._allowed = math.inf
@@ -77,10 +75,6 @@ class FakeGen3:
             with suppress(OSError):
                 connection.shutdown(socket.SHUT_RDWR)
 
-    def driven_after(self, moment: float) -> float:
-        """Time for which the arm was driven after a moment (monotonic) [s]."""
-        return max((at - moment for at, _, driven in self.motion if at > moment and driven), default=0.0)
-
     def _live(self) -> None:
         due = time.monotonic()
         while not self._over.wait(max(due - time.monotonic(), 0.0)):
@@ -90,7 +84,7 @@ class FakeGen3:
                     self.world.stop()
                 self._end_of_pose()
                 self.world.tick()
-                self.motion.append((time.monotonic(), self.world.speed, self.world.driven))
+                self.was_driven |= self.world.driven
 
     def _end_of_pose(self) -> None:
         if not self._reaching:
@@ -128,13 +122,13 @@ class FakeGen3:
         name, answer = frame["call"], {"id": frame["id"]}
         try:
             if name == self.faults.refuse:
-                raise Refusal(*INVALID, "refused by order of the test")
+                raise Refusal("refused by order of the test")
             with self.lock:
                 reply = getattr(self, "_" + name.replace(".", "_"))(frame["message"])
             time.sleep(0.02 if name == "Base.SendTwistCommand" else 0.0)
             answer["reply"] = reply or {}
         except Refusal as refusal:
-            answer["error"] = list(refusal.args)
+            answer["error"] = str(refusal)
         with answering, suppress(OSError):
             connection.sendall((json.dumps(answer) + "\n").encode())
 
@@ -146,7 +140,7 @@ class FakeGen3:
 
     def _Session_CreateSession(self, info: dict[str, Any]) -> None:
         if info["password"] != PASSWORD:
-            raise Refusal(3, 15, "wrong password")
+            raise Refusal("wrong password")
         self._allowed = info["connection_inactivity_timeout"] / 1000
 
     def _Session_CloseSession(self, _: dict[str, Any]) -> None:
@@ -169,13 +163,13 @@ class FakeGen3:
         self._check("ExecuteAction")
         pose, speed = action["reach_pose"]["target_pose"], action["reach_pose"]["constraint"]["speed"]
         if math.hypot(pose["x"], pose["y"]) > 0.9:
-            raise Refusal(3, 56, "outside the workspace")
+            raise Refusal("outside the workspace")
         turn = Rotation.from_euler("xyz", [pose["theta_x"], pose["theta_y"], pose["theta_z"]], degrees=True)
         self._stopped, self._reaching = False, True
         self.world.goal = (np.array([pose["x"], pose["y"], pose["z"]]), turn, speed["translation"])
 
     def _Base_Stop(self, _: dict[str, Any]) -> None:
-        self.commands.append((time.monotonic(), "Stop"))
+        self.commands.append("Stop")
         self._stopped = True
         self.world.stop()
 
@@ -209,10 +203,10 @@ class FakeGen3:
         return {"tool_transform": {"z": 0.2115}, "tool_mass": 1.37}
 
     def _check(self, name: str) -> None:
-        self.commands.append((time.monotonic(), name))
+        self.commands.append(name)
         if self.faults.fault_bank:
-            raise Refusal(*IN_FAULT, "robot in fault")
+            raise Refusal("robot in fault")
 
 
 class Refusal(Exception):
-    """Error code, sub-error code and text."""
+    """Refusal of a call by the arm."""

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from multiprocessing import get_context
 from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import Any, Self
+from typing import Self
 
 import numpy as np
 
@@ -42,7 +42,7 @@ class Wires:
 
 
 class FakeRig:
-    """Runs while it is entered; `do` calls a function there."""
+    """Runs while it is entered."""
 
     def __init__(self, obj: ObjectModel, support: Support = OWN_WEIGHT, *, noise: Sensing = FT300S, seed: int = 0):
         self._asked = (obj, support, noise, seed)
@@ -60,10 +60,10 @@ class FakeRig:
         self._process.join(5.0)
         self._process.kill()
 
-    def do(self, name: str, *arguments: Any) -> Any:
-        """Call one of the functions below, in the rig's process."""
-        self._ours.send((name, arguments))
-        return self._ours.recv()
+    def place(self, pose: np.ndarray, grasp: int) -> None:
+        """Put the object at a planar pose; only the faces of `grasp` can then be gripped."""
+        self._ours.send((pose, grasp))
+        self._ours.recv()
 
 
 def _live(theirs: Connection, obj: ObjectModel, support: Support, noise: Sensing, seed: int) -> None:
@@ -72,25 +72,12 @@ def _live(theirs: Connection, obj: ObjectModel, support: Support, noise: Sensing
         theirs.send(Wires(arm.port, sensor.port))
         while True:
             try:
-                name, arguments = theirs.recv()
+                pose, grasp = theirs.recv()
             except EOFError:
                 return
-            theirs.send(DEEDS[name](arm, sensor, *arguments))
-
-
-def _place(arm: FakeGen3, _: FakeFt300s, pose: np.ndarray, grasp: int) -> None:
-    with arm.lock:
-        arm.world.place(pose, grasp)
-
-
-def _driven_after(arm: FakeGen3, _: FakeFt300s, moment: float) -> float:
-    return arm.driven_after(moment)
-
-
-DEEDS: dict[str, Callable[..., Any]] = {
-    "place": _place,
-    "driven_after": _driven_after,
-}
+            with arm.lock:
+                world.place(pose, grasp)
+            theirs.send(None)
 
 
 QUIET = replace(
@@ -121,7 +108,7 @@ def over_wires(
             settings = RobotSettings(KortexGripper.data_sheet(model.shape.grasps[action.grasp].width))
             sensor = Ft300s(rig.wires.sensor_port)
             for _ in range(ATTEMPTS):
-                rig.do("place", pose, action.grasp)
+                rig.place(pose, action.grasp)
                 try:
                     with RealRunner(
                         arm, KortexGripper(arm), sensor, KnownPose(*pose), settings, confirm=lambda _: True

@@ -61,12 +61,7 @@ MESSAGES = {
     },
     "ControlConfig": {
         "CartesianTransform": dict.fromkeys(("x", "y", "z", "theta_x", "theta_y", "theta_z"), float),
-        "Position": dict.fromkeys("xyz", float),
-        "ToolConfiguration": {
-            "tool_transform": "CartesianTransform",
-            "tool_mass": float,
-            "tool_mass_center": "Position",
-        },
+        "ToolConfiguration": {"tool_transform": "CartesianTransform", "tool_mass": float},
     },
 }
 CONSTANTS = {
@@ -144,22 +139,8 @@ class KException(Exception):
     """Base of what calls raise."""
 
 
-class KClientException(KException):
-    """Something on this side."""
-
-
 class KServerException(KException):
     """The arm refused."""
-
-    def __init__(self, code, sub_code, text):
-        super().__init__(text)
-        self.error_code, self.error_sub_code = code, sub_code
-
-    def get_error_code(self):
-        return self.error_code
-
-    def get_error_sub_code(self):
-        return self.error_sub_code
 
 
 class RouterClientSendOptions:
@@ -198,10 +179,6 @@ class RouterClient:
         self._waiting, self._numbers = {}, itertools.count(1)
         transport.receive = self._on_frame
 
-    @staticmethod
-    def basicErrorCallback(error):
-        print(error, file=sys.stderr)
-
     def call(self, name, message, kind, options):
         number, future = next(self._numbers), Future()
         self._waiting[number] = future
@@ -217,7 +194,7 @@ class RouterClient:
         if future is None:
             return
         if "error" in frame:
-            future.set_exception(KServerException(*frame["error"]))
+            future.set_exception(KServerException(frame["error"]))
         else:
             future.set_result(frame["reply"])
 
@@ -272,7 +249,6 @@ def _build():
     for package in ("autogen", "autogen.messages", "autogen.client_stubs", "Exceptions"):
         _module(package)
     _module("Exceptions.KException", KException=KException)
-    _module("Exceptions.KServerException", KServerException=KServerException)
     _module("RouterClient", RouterClient=RouterClient, RouterClientSendOptions=RouterClientSendOptions)
     _module("SessionManager", SessionManager=SessionManager)
     _module("TCPTransport", TCPTransport=TCPTransport)

@@ -1,4 +1,4 @@
-"""Calibration by static poses: mount, sign, bias and tool come back with honest errors, or are refused."""
+"""Calibration by static poses, and of a tracker: all comes back with honest errors, or is refused."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from testbed.errors import InvalidValueError
 from testbed.robot.calibration.file import load_calibration, save_calibration
+from testbed.robot.calibration.hand_eye import align
 from testbed.robot.calibration.static_poses import (
     Calibration,
     CalibrationError,
@@ -177,13 +178,6 @@ def test_a_pose_is_the_mean_of_its_samples_with_its_error():
     assert_allclose(np.std(means, axis=0), np.mean(errors, axis=0), rtol=0.2)
     assert_allclose(np.mean(means, axis=0), BIAS, atol=0.003)
     assert_allclose(StaticPose(hand, BIAS, ERROR).up, DOWN.inv().apply([0, 0, 1]))
-    for call, field in (
-        (lambda: static_pose(hand, np.zeros((9, 6))), "10 or more samples"),
-        (lambda: static_pose(hand, np.zeros((100, 6))), r"StaticPose\.standard_error"),  # a dead sensor
-        (lambda: StaticPose(np.ones(4), BIAS, ERROR), r"StaticPose\.hand"),
-    ):
-        with pytest.raises(InvalidValueError, match=field):
-            call()
 
 
 def test_a_file_brings_it_back(tmp_path: Path):
@@ -219,3 +213,34 @@ def test_a_damaged_file_is_refused(tmp_path: Path, old: str, new: str, field: st
     path.write_text(text.replace(old, new))
     with pytest.raises(InvalidFileError, match=field):
         load_calibration(path)
+
+
+TURN, PLACE = Rotation.from_euler("xyz", [170, 5, 40], degrees=True), np.array([0.5, -0.2, 1.1])
+CORNERS = np.array([[x, y, z] for x in (-0.2, 0.2) for y in (-0.15, 0.15) for z in (0.9, 1.0)])
+"""Points in a tracker's frame [m]."""
+LINE = np.linspace(0, 1, 6)[:, None] * np.array([1.0, 2.0, 0.5])
+
+
+def touched(points: np.ndarray, noise: float = 0.0, seed: int = 0) -> np.ndarray:
+    return TURN.apply(points) + PLACE + noise * np.random.default_rng(seed).standard_normal(points.shape)
+
+
+@pytest.mark.parametrize("points", [CORNERS, CORNERS[::2]], ids=["in space", "in a plane"])
+def test_without_noise_a_trackers_frame_comes_back(points: np.ndarray):
+    found = align(points, touched(points))
+    assert_allclose(found.tracker_in_base.position, PLACE, atol=1e-9)
+    assert (Rotation.from_quat(found.tracker_in_base.orientation, scalar_first=True) * TURN.inv()).magnitude() < 1e-9
+    assert found.residual < 1e-12
+    assert_allclose(found.to_base(points), touched(points), atol=1e-12)
+
+
+def test_a_trackers_standard_error_near_the_points_is_honest():
+    draws = [align(CORNERS, touched(CORNERS, 0.001, seed)) for seed in range(300)]
+    off = [np.linalg.norm(d.to_base(CORNERS) - touched(CORNERS), axis=1) for d in draws]
+    assert np.sqrt(np.mean(np.square(off))) == pytest.approx(np.mean([d.standard_error for d in draws]), rel=0.15)
+
+
+@pytest.mark.parametrize(("seen", "why"), [(LINE, "within 0 mm of one line"), (CORNERS[:3], "got 3 points")])
+def test_points_that_settle_nothing_are_refused(seen, why):
+    with pytest.raises(CalibrationError, match=why):
+        align(seen, touched(seen))

@@ -14,6 +14,7 @@ from testbed.robot.guard import Guard
 from testbed.robot.interfaces import ArmState, Clock, MonotonicClock, RobotError, WrenchSample
 from testbed.robot.kinova.arm import GEN3
 from testbed.robot.safety import SafetyLimits, UnsafeError
+from tests.helpers.waiting import until
 
 SLOW, STAND = np.array([0.01, 0.0, 0.0]), np.zeros(3)
 PUSH = np.array([100.0, 0, 0, 0, 0, 0])
@@ -50,13 +51,6 @@ class Stub:
 
 def guard_of(stub: Stub, clock: Clock | None = None) -> Guard:
     return Guard(stub, stub, SafetyLimits(), clock or MonotonicClock())  # pyright: ignore[reportArgumentType]
-
-
-def until(true: Callable[[], object], seconds: float = 5.0) -> bool:
-    end = time.monotonic() + seconds
-    while not true() and time.monotonic() < end:
-        time.sleep(0.01)
-    return bool(true())
 
 
 def test_nothing_is_stopped_if_all_is_well():

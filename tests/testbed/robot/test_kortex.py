@@ -18,7 +18,6 @@ import pytest
 from numpy.testing import assert_allclose
 
 import testbed
-from testbed.errors import InvalidValueError
 from testbed.robot.interfaces import Arm, ArmLostError, ArmRefusedError, Gripper, Pose, RobotError
 from testbed.robot.kinova.arm import GEN3, KortexArm
 from testbed.robot.kinova.gripper import KortexGripper
@@ -28,6 +27,7 @@ from tests.fakes.gen3 import FakeGen3, Faults
 from tests.fakes.rig import KORTEX
 from tests.fakes.robot import small_object
 from tests.fakes.world import Gen3World
+from tests.helpers.waiting import until
 
 STAND, FORWARD = np.zeros(3), np.array([0.03, 0, 0])
 slow = pytest.mark.slow  # real lines and processes in real time
@@ -62,16 +62,6 @@ def arm_at(port: int, **settings: Any) -> KortexArm:
     return KortexArm("127.0.0.1", port=port, silence=1.0, **settings)
 
 
-def until(true: Callable[[], bool], seconds: float = 5.0) -> bool:
-    """True if it comes true in time; machines are busy."""
-    end = time.monotonic() + seconds
-    while not true():
-        if time.monotonic() > end:
-            return False
-        time.sleep(0.01)
-    return True
-
-
 def stands(gen3: FakeGen3) -> bool:
     return until(lambda: not gen3.world.driven)
 
@@ -97,8 +87,6 @@ def test_it_fits_its_interface_and_the_model():
     limited = model.jnt_limited[:7].astype(bool)
     assert_allclose(GEN3.joint_range[limited], model.jnt_range[:7][limited])
     assert np.isinf(GEN3.joint_range[~limited]).all()
-    with pytest.raises(InvalidValueError, match=r"KortexArm\.port"):
-        KortexArm(port=0)
 
 
 @slow
@@ -106,7 +94,7 @@ def test_connecting_moves_nothing_and_leaving_ends_the_process(gen3):
     with arm_at(gen3.port) as arm:
         state, link = arm.state(), arm._link
     assert link is not None and link.dead
-    assert [name for _, name in gen3.commands if name != "Stop"] == []
+    assert set(gen3.commands) <= {"Stop"}
     assert_allclose(state.tcp_pose.position, gen3.world.reading.position, atol=1e-4)
     assert_allclose(np.cos(state.joint_position), np.cos(gen3.world.reading.q), atol=1e-4)
     assert abs(state.joint_position).max() <= math.pi
@@ -151,7 +139,7 @@ def test_it_stops_without_twists_but_may_stand_without(arm, gen3):
     arm.twist(STAND, STAND)
     time.sleep(1.3)
     arm.twist(STAND, STAND)
-    assert "Stop" not in [name for _, name in gen3.commands]
+    assert "Stop" not in gen3.commands
     moved_by(arm, FORWARD, STAND, gen3, count=5)
     assert stands(gen3)
     assert until(lambda: arm._link.lost != "")  # it stops first, then reports

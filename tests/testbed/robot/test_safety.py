@@ -3,19 +3,16 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from testbed.errors import InvalidValueError
 from testbed.robot.interfaces import ArmState, Pose
 from testbed.robot.kinova.arm import GEN3
 from testbed.robot.safety import (
     SafetyLimits,
     Snapshot,
     UnsafeError,
-    Violation,
     path_violations,
     violations,
 )
@@ -103,17 +100,3 @@ def test_a_path_is_judged_by_its_farthest_place_and_its_fastest_moment():
     ):
         assert said.startswith(name)
     assert list(path_violations(LIMITS, positions[:1], twists[:1])) == []
-
-
-@pytest.mark.parametrize(
-    ("field", "value"),
-    [("high", (0.2, 0.2, 0.2)), ("force", 0.0), ("age", math.nan), ("joint_margin", -0.1), ("low", (1.0, 2.0))],
-)
-def test_limits_that_make_no_sense_are_refused(field, value):
-    with pytest.raises(InvalidValueError, match=f"SafetyLimits.{field}"):
-        replace(LIMITS, **{field: value})
-
-
-def test_a_violation_names_value_and_bound():
-    assert str(Violation("force", 75.0, 60.0, "N")) == "force: 75 N; allowed: at most 60 N"
-    assert str(Violation("z", 0.01, 0.02, "m")) == "z: 0.01 m; allowed: at least 0.02 m"

@@ -10,7 +10,6 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
-from testbed.errors import InvalidValueError
 from testbed.objects.model import GRAVITY
 from testbed.robot.weighing import Weighing, check_known_mass, held_center, weigh
 from tests.helpers.records import coloured_noise
@@ -76,22 +75,6 @@ def test_an_honest_sensor_agrees_and_a_dishonest_one_does_not_whatever_the_draw(
     for seed in range(100):
         assert check_known_mass(weighed(1.0, seed), 1.0).verdict == "agrees"
         assert check_known_mass(weighed(1.05, seed), 1.0).verdict == "disagrees"
-
-
-@pytest.mark.parametrize(
-    ("call", "field"),
-    [
-        (lambda: check_known_mass(weighed(1.0), 0.0), "known mass"),
-        (lambda: check_known_mass(weighed(1.0), 1.0, 1.0), "allowed"),
-        (lambda: weigh(samples(0.0, count=5), samples(1.0), UP), r"weigh\.empty: got 5"),
-        (lambda: weigh(samples(0.0), samples(1.0), 2 * UP), r"weigh\.up"),
-        (lambda: held_center(np.array([0, 0, -3.0, 0, 0, 0]), COVARIANCE), "a force that points up"),
-        (lambda: held_center(np.array([0, 0, 0.02, 0, 0, 0]), COVARIANCE), "a force that points up"),
-    ],
-)
-def test_bad_input_is_refused(call, field):
-    with pytest.raises(InvalidValueError, match=field):
-        call()
 
 
 def test_an_object_hangs_where_its_moment_says():

@@ -15,7 +15,6 @@ from estimators.action_selection.cost import RobotTime
 from estimators.action_selection.design import NORMAL_MEAN, Belief, Design, Guess, prior_belief
 from estimators.action_selection.greedy import PlannedPolicy, batch_plan, greedy_plan
 from estimators.action_selection.plan import FeasibilityLog, Goal
-from estimators.action_selection.rank import predicted_rank
 from estimators.identifiability.information import (
     Assumptions,
     expected,
@@ -274,17 +273,3 @@ def test_robot_time_is_that_of_the_simulated_bench():
     for action in (*moves, Lift(4), Lift(4, tilt=0.0, hold=1.7)):
         samples = len(plan_motion(action, shape, settings).q)
         assert RobotTime().of(action) == pytest.approx((samples - 1) / settings.rate, abs=0.02)
-
-
-def test_of_turns_in_a_straight_row_a_plan_needs_three():
-    shape = load_object("I1").shape
-    points = [(x, 0.0) for x in np.linspace(-0.19, 0.19, 40)]
-    clear = clear_of_particles(shape, np.array(points))
-    turns = [
-        Rotate(g, pivot=p, duration=8.0, back=True) for g in range(6) for p, c in zip(points, clear, strict=True) if c
-    ]
-    plan = greedy_plan(
-        Design.of(shape, turns, guess("I1")), prior_belief(shape, guess("I1")), Goal(until=0.1), FeasibilityLog()
-    )
-    ranks = [predicted_rank(shape, cast(list[Rotate], plan.actions[:n])) for n in range(1, len(plan.steps) + 1)]
-    assert ranks[:3] == [2, 4, 6]

@@ -53,12 +53,12 @@ def test_turns_go_about_points_between_particles():
 @pytest.mark.parametrize(("name", "enough"), [("I1", 3), ("L1", 2), ("F1", 2)])
 def test_as_many_turns_as_the_shape_needs_can_fill_the_rank(name, enough):
     shape = load_object(name).shape
-    ranks = {
-        k: max(predicted_rank(shape, [Rotate(g) for g in some]) for some in combinations(range(len(shape.grasps)), k))
+    fewer, ranks = (
+        [predicted_rank(shape, [Rotate(g) for g in some]) for some in combinations(range(len(shape.grasps)), k)]
         for k in (enough - 1, enough)
-    }
-    assert ranks[enough] == 6
-    assert ranks[enough - 1] < 6
+    )
+    assert max(fewer) < 6 == max(ranks)
+    assert name != "I1" or min(ranks) < 6  # not every choice does
 
 
 @pytest.mark.parametrize("name", ["I1", "L1", "F1"])

@@ -75,23 +75,16 @@ def drag(answer: Estimate) -> np.ndarray:
 WITH_M = ExplicitState(use_weight=True, weighting="covariance")
 
 
-@pytest.mark.parametrize("draw", ["L1", 2])
-def test_explicit_state_with_m_recovers_the_truth(draw):
+@pytest.mark.parametrize(
+    ("draw", "iterations", "error"),
+    [(2, 500, 5e-3), *(pytest.param(draw, 3000, 1e-5, marks=pytest.mark.slow) for draw in ("L2", "F2", 1))],
+)
+def test_explicit_state_with_m_converges_to_the_truth(draw, iterations, error):
     obj = drawn_object(draw) if isinstance(draw, int) else load_object(draw)
-    answer = ask(obj, WITH_M)
-    assert answer.status == "ok"
-    assert nad(obj, answer) < 5e-3
+    answer = ask(obj, replace(WITH_M, iterations=iterations))
+    assert answer.status == "ok" and nad(obj, answer) < error and answer.diagnostics["misfit"] < error
     assert answer.distribution is not None
-    assert_allclose(answer.distribution.friction, obj.truth.friction, rtol=5e-3)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("draw", ["L2", "F2", 1])
-def test_explicit_state_with_m_converges_to_the_truth(draw):
-    obj = drawn_object(draw) if isinstance(draw, int) else load_object(draw)
-    answer = ask(obj, replace(WITH_M, iterations=3000))
-    assert nad(obj, answer) < 1e-5
-    assert answer.diagnostics["misfit"] < 1e-6
+    assert_allclose(answer.distribution.friction, obj.truth.friction, rtol=error)
 
 
 @pytest.mark.parametrize("seed", range(2))
@@ -120,12 +113,6 @@ def test_a_larger_budget_comes_nearer_to_the_truth(obj, method, budgets, seeds, 
     ]
     assert errors == sorted(errors, reverse=True)
     assert errors[-1] < bound
-
-
-def test_a_longer_random_search_has_a_lower_loss():
-    # it draws the same samples first
-    losses = [ask(THREE, RandomSearch(iterations=n)).diagnostics["loss"] for n in (100, 1000, 10_000)]
-    assert losses[0] > losses[1] > losses[2]
 
 
 def test_diff_lcp_comes_to_the_truth_as_its_polygon_becomes_a_circle():
@@ -181,34 +168,12 @@ def test_m_is_kept_exactly_if_given_and_ignored_if_not(method):
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_use_weight_needs_a_weight(method):
-    with pytest.raises(InvalidValueError, match=r"^weight: "):
-        quick(method, use_weight=True).estimate(TWO.shape, None, turns(TWO), 0)
-
-
-@pytest.mark.parametrize("method", METHODS)
 def test_the_seed_decides(method):
     first, again, other = (ask(THREE, quick(method), seed=seed).distribution for seed in (3, 3, 4))
     assert first is not None and again is not None and other is not None
     assert np.array_equal(first.mass, again.mass)
     assert np.array_equal(first.friction, again.friction)
     assert not np.allclose(first.mass, other.mass)
-
-
-@pytest.mark.parametrize("method", METHODS)
-@pytest.mark.parametrize("use_weight", [False, True])
-def test_masses_double_exactly_with_the_wrenches(method, use_weight):
-    # light, so that no draw comes near the density of steel
-    light = blocks(["10", "11"], [0.003, 0.001, 0.002])
-    twice = [replace(t, wrench_on_object_world=2 * t.wrench_on_object_world) for t in data(light)]
-    kind = quick(method, use_weight=use_weight)
-    once = kind.estimate(light.shape, light.total_mass, data(light), 0).distribution
-    double = kind.estimate(light.shape, 2 * light.total_mass, twice, 0).distribution
-    assert once is not None and double is not None
-    # many steps amplify rounding, and more so where it decides the side of a polygon's corner
-    rounding = 1e-4 if method is DiffLcp else 1e-6
-    assert_allclose(double.mass, 2 * once.mass, rtol=rounding)
-    assert_allclose(double.friction, once.friction, rtol=rounding)
 
 
 @pytest.mark.parametrize("method", SEARCHES)
@@ -220,31 +185,6 @@ def test_searches_draw_positive_masses_no_denser_than_steel(method):
         assert (answer.traces[0].mass >= 0).all() and answer.traces[0].mass.max() <= steel
         assert (told.traces[0].mass >= 0).all()
         assert answer.distribution is not None and (answer.distribution.friction > 0).all()
-
-
-@pytest.mark.parametrize("method", METHODS)
-def test_insufficient_data_has_its_status(method):
-    obj = drawn_object(0)
-    for given, status, why in (
-        ([], "no_data", "no trajectory"),
-        (accelerated(obj), "no_data", "constant speed"),
-        (turns(obj)[:1], "underdetermined", "turn about more points"),
-        ([replace(t, status="slipped", reason="it slipped") for t in data(obj)], "no_data", "status ok"),
-    ):
-        answer = ask(obj, quick(method), given)
-        assert answer.status == status
-        assert answer.distribution is None
-        assert why in answer.message
-        assert answer.seconds > 0
-
-
-@pytest.mark.parametrize("method", METHODS)
-def test_trials_that_did_not_end_well_are_left_out(method):
-    failed = replace(data(TWO)[0], status="slipped", reason="it slipped")
-    wrong = replace(failed, wrench_on_object_world=5 * failed.wrench_on_object_world)
-    clean, mixed = (ask(TWO, quick(method), given).distribution for given in (data(TWO), [*data(TWO), wrong]))
-    assert clean is not None and mixed is not None
-    assert np.array_equal(clean.mass, mixed.mass)
 
 
 @pytest.mark.parametrize("method", METHODS)

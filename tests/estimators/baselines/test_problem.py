@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -9,11 +10,12 @@ import pytest
 import torch
 from numpy.testing import assert_allclose
 
+from estimators.base import Estimate
 from estimators.baselines.problem import STEP, Problem
 from estimators.particles.model import ParticleModel, inertia_of, one_step, rotate, turned
 from estimators.particles.support import own_weight
 from estimators.particles.windows import Observations, observe
-from estimators.particles.wrench import AffineLoads, WrenchModel
+from estimators.particles.wrench import AffineLoads
 from estimators.testing import analytic_world
 from estimators.testing.analytic_world import accelerated, analytic_trial, drawn_object, turns
 from testbed.actions.slide import Slide
@@ -26,6 +28,9 @@ CARRIED = {"lift": 0.4, "moment": (0.004, -0.003)}
 ROUNDING = 1e-12
 # Below this speed, m/s, `dynamics` fades the direction of friction; the windows are given the same blur
 REST_SPEED, SPEED = 1e-6, np.radians(10)
+
+
+OBJECT = drawn_object(0)
 
 
 def cut(grid: int, friction_groups: int = 1) -> ObjectModel:
@@ -169,22 +174,6 @@ def test_the_gradient_of_the_loss_is_that_of_finite_differences(weighting):
     assert torch.autograd.gradcheck(lambda m, f: problem.loss(m, f, weighting), (mass, friction), eps=1e-7, rtol=1e-4)
 
 
-def test_the_wrench_is_linear_in_mass_and_in_friction():
-    obj = cut(2, 2)
-    problem = problem_of(obj, everything(obj))
-    (mass, other), (friction, another) = guesses(obj, 2)
-
-    def wrench(m: torch.Tensor, f: torch.Tensor) -> torch.Tensor:
-        return problem.wrenches.wrench(m, f)
-
-    zero = wrench(0 * mass, friction)
-    assert_allclose(wrench(mass + other, friction) + zero, wrench(mass, friction) + wrench(other, friction), atol=1e-11)
-    still = wrench(mass, 0 * friction)
-    assert_allclose(
-        wrench(mass, friction + another) + still, wrench(mass, friction) + wrench(mass, another), atol=1e-11
-    )
-
-
 def test_covariance_weighting_is_the_whitened_error():
     obj = drawn_object(0)
     problem = problem_of(obj, turns(obj, noise=0.05))
@@ -211,19 +200,23 @@ def test_mass_is_known_by_weighing_or_by_an_acceleration_alone():
     assert 0.3 * obj.total_mass < float(light[0]) <= obj.total_mass
 
 
+@pytest.mark.parametrize(
+    ("given", "status", "why"),
+    [
+        ([], "no_data", "no trajectory"),
+        (accelerated(OBJECT), "no_data", "constant speed"),
+        (turns(OBJECT)[:1], "underdetermined", "turn about more points"),
+        ([replace(t, status="slipped", reason="it slipped") for t in turns(OBJECT)], "no_data", "status ok"),
+    ],
+)
+def test_insufficient_data_has_its_status(given, status, why):
+    answer = Problem.of(OBJECT.shape, None, given, use_weight=False, pivot_error=0.0)
+    assert isinstance(answer, Estimate)
+    assert (answer.status, answer.distribution) == (status, None) and why in answer.message
+
+
 @pytest.mark.parametrize("weight", [None, 0.0, -1.0, float("nan"), float("inf")])
 def test_no_weight_is_refused_where_it_is_used_and_not_missed_where_it_is_not(weight):
-    obj = drawn_object(0)
     with pytest.raises(InvalidValueError, match=r"^weight: "):
-        Problem.of(obj.shape, weight, turns(obj), use_weight=True, pivot_error=0.0)
-    assert isinstance(Problem.of(obj.shape, weight, turns(obj), use_weight=False, pivot_error=0.0), Problem)
-
-
-def test_the_wrench_model_has_one_part_a_friction_group():
-    obj = cut(2, 3)
-    problem = problem_of(obj, everything(obj, **CARRIED))
-    windows = len(problem.windows)
-    assert isinstance(problem.wrenches, WrenchModel)
-    assert problem.wrenches.weighed.shape == (3, windows, 3, obj.shape.n_m)
-    assert problem.wrenches.carried.shape == (3, windows, 3)
-    assert problem.wrenches.inertial.shape == (windows, 3, obj.shape.n_m)
+        Problem.of(OBJECT.shape, weight, turns(OBJECT), use_weight=True, pivot_error=0.0)
+    assert isinstance(Problem.of(OBJECT.shape, weight, turns(OBJECT), use_weight=False, pivot_error=0.0), Problem)

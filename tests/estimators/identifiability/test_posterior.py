@@ -50,7 +50,7 @@ def l2() -> Answered:
 
 
 def test_away_from_the_bounds_it_is_the_gaussian(l2):
-    found, report = l2.sample(), l2.answer.identifiability
+    found, report = l2.sample(steps=2000), l2.answer.identifiability
     assert found.independent > 500
     assert_allclose(found.mass.std(axis=0), report.standard_error, rtol=0.1)
     assert_allclose(found.friction.std(axis=0), report.friction_error, rtol=0.1)

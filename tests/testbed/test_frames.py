@@ -41,23 +41,10 @@ def test_a_weight_hung_off_the_gripper_pulls_with_the_agreed_sign():
     assert_allclose(at_gripper, [0, 0, 19.62, 0, -1.962, 0], atol=1e-12)
 
 
-def test_moving_a_wrench_nowhere_changes_nothing(wrench: np.ndarray):
-    assert np.array_equal(move_wrench(wrench, np.zeros(3)), wrench)
-
-
-def test_moving_a_wrench_twice_is_moving_it_by_the_sum(wrench: np.ndarray, rng: np.random.Generator):
+def test_moves_of_a_wrench_add_up_and_moving_it_nowhere_changes_nothing(wrench: np.ndarray, rng: np.random.Generator):
     a, b = rng.normal(size=(2, 8, 3))
     assert_allclose(move_wrench(move_wrench(wrench, a), b), move_wrench(wrench, a + b), atol=1e-12)
-
-
-def test_moving_a_wrench_there_and_back_gives_it_back(wrench: np.ndarray, rng: np.random.Generator):
-    to = rng.normal(size=(8, 3))
-    assert_allclose(move_wrench(move_wrench(wrench, to), -to), wrench, atol=1e-12)
-
-
-def test_a_pure_torque_is_the_same_everywhere(rng: np.random.Generator):
-    torque = np.concatenate([np.zeros(3), rng.normal(size=3)])
-    assert_allclose(move_wrench(torque, rng.normal(size=3)), torque, atol=1e-15)
+    assert np.array_equal(move_wrench(wrench, np.zeros(3)), wrench)
 
 
 def test_rotations_compose_and_the_identity_does_nothing(wrench: np.ndarray, rotation: np.ndarray):
@@ -75,16 +62,15 @@ def test_moving_commutes_with_turning_the_axes(wrench: np.ndarray, rotation: np.
     assert_allclose(moved_first, turned_first, atol=1e-12)
 
 
-def test_power_does_not_depend_on_the_point(wrench: np.ndarray, rng: np.random.Generator):
+def test_power_depends_neither_on_the_point_nor_on_the_axes(
+    wrench: np.ndarray, rotation: np.ndarray, rng: np.random.Generator
+):
     twist, to = rng.normal(size=(8, 6)), rng.normal(size=(8, 3))
+    power = np.sum(wrench * twist, -1)
     at_point = np.hstack([twist[:, :3] + np.cross(twist[:, 3:], to), twist[:, 3:]])
-    assert_allclose(np.sum(move_wrench(wrench, to) * at_point, -1), np.sum(wrench * twist, -1), atol=1e-12)
-
-
-def test_power_does_not_depend_on_the_axes(wrench: np.ndarray, rotation: np.ndarray, rng: np.random.Generator):
-    twist = rng.normal(size=(8, 6))
+    assert_allclose(np.sum(move_wrench(wrench, to) * at_point, -1), power, atol=1e-12)
     turned = rotate_wrench(rotation, wrench) * rotate_wrench(rotation, twist)
-    assert_allclose(turned.sum(-1), np.sum(wrench * twist, -1), atol=1e-12)
+    assert_allclose(turned.sum(-1), power, atol=1e-12)
 
 
 def test_a_pose_from_a_point_puts_the_point_there(rng: np.random.Generator):
@@ -92,11 +78,7 @@ def test_a_pose_from_a_point_puts_the_point_there(rng: np.random.Generator):
     pose = pose_from_point(target, point, yaw)
     assert_allclose(pose[:, 2], yaw)
     assert_allclose(transform_point(pose, point), target, atol=1e-12)
-
-
-def test_a_pose_comes_back_from_any_of_its_points(rng: np.random.Generator):
-    pose, point = rng.normal(size=3), rng.normal(size=2)
-    assert_allclose(pose_from_point(transform_point(pose, point), point, pose[2]), pose, atol=1e-12)
+    assert_allclose(pose_from_point(transform_point(pose[0], point), point, pose[0, 2]), pose[0], atol=1e-12)
 
 
 def test_planar_rotations_turn_counter_clockwise_and_add_up(rng: np.random.Generator):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import io
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -20,8 +21,13 @@ OBJECTS = asset_folder("objects")
 TOOLS = {"hammer": ("hammer_head", "hammer_handle"), "wrench": ("wrench_jaw", "wrench_ring")}
 
 
+@cache
+def tool(name: str, grid: int = 3) -> ObjectModel:
+    return load_object(name, grid)
+
+
 def box(size: tuple[float, float, float], corner: tuple[float, float, float] = (0, 0, 0)) -> trimesh.Trimesh:
-    """A box with its lowest corner at `corner`, m."""
+    """Box with its lowest corner at `corner`, m."""
     mesh = trimesh.creation.box(size)
     mesh.apply_translation(np.array(corner) + np.array(size) / 2)
     return mesh
@@ -94,14 +100,13 @@ def test_finer_cells_come_nearer_to_the_area_and_the_moments_of_a_disc():
     disc = trimesh.creation.cylinder(radius=0.03, height=0.02, sections=90)
     disc.apply_translation([0, 0, 0.01])
     errors = []
-    for grid in (3, 6, 9):
+    for grid in (3, 9):
         shape = cut(disc, grid=grid).shape
         area = len(shape.particles) * shape.cell**2 / (np.pi * 0.03**2)
         inertia = np.mean(np.sum(shape.particles**2, axis=1)) / (0.03**2 / 2)
         errors.append(max(abs(area - 1), abs(inertia - 1)))
     assert errors[0] < 0.15
-    assert errors[2] < 0.02
-    assert errors[2] < errors[0]
+    assert errors[1] < 0.02
 
 
 @pytest.mark.parametrize("name", [part for parts in TOOLS.values() for part in parts])
@@ -122,23 +127,20 @@ def test_a_solid_may_lie_anywhere():
 
 @pytest.mark.parametrize("name", TOOLS)
 def test_a_tool_has_its_parts_masses_and_nearly_their_area(name: str):
-    tool = load_object(name)
-    assert tool.shape.n_m == 2
-    assert_allclose(tool.group_mass, [solid.mass for solid in tool.solids], rtol=1e-12)
-    assert_allclose(tool.total_mass, {"hammer": 1.361, "wrench": 0.516}[name])
-    density = tool.group_mass / [solid.volume for solid in tool.solids]
+    made, fine = tool(name), tool(name, 6).shape
+    assert made.shape.n_m == 2
+    assert_allclose(made.group_mass, [solid.mass for solid in made.solids], rtol=1e-12)
+    assert_allclose(made.total_mass, {"hammer": 1.361, "wrench": 0.516}[name])
+    density = made.group_mass / [solid.volume for solid in made.solids]
     assert_allclose(density, [7850, 700] if name == "hammer" else [7850, 7850], rtol=0.03)
-    fine = load_object(name, 6).shape
-    assert_allclose(len(tool.shape.particles) * tool.shape.cell**2, len(fine.particles) * fine.cell**2, rtol=0.05)
-    of_particles = tool.particle_mass @ tool.shape.particles / tool.total_mass
-    assert_allclose(of_particles, tool.center_of_mass, atol=0.003)
-    assert len(tool.shape.grasps) >= 5
+    assert_allclose(len(made.shape.particles) * made.shape.cell**2, len(fine.particles) * fine.cell**2, rtol=0.05)
+    assert len(made.shape.grasps) >= 5
 
 
 @pytest.mark.parametrize("name", list(TOOLS))
 @pytest.mark.parametrize("grid", [3, 6])
 def test_particles_weigh_as_the_material_in_their_cells_does(name: str, grid: int):
-    made = load_object(name, grid)
+    made = tool(name, grid)
     shape = made.shape
     for group, solid in enumerate(made.solids):
         inside = shape.mass_group == group
@@ -162,7 +164,7 @@ def test_what_a_part_has_in_cells_of_another_is_counted_to_its_own():
 
 
 def test_a_hammer_lies_on_its_head_and_on_the_end_of_its_handle():
-    shape = load_object("hammer").shape
+    shape = tool("hammer").shape
     head, touches = shape.mass_group == 0, shape.friction_group >= 0
     assert touches[head].mean() > 0.9
     assert set(shape.friction_group[head]) <= {0, -1}
@@ -173,7 +175,7 @@ def test_a_hammer_lies_on_its_head_and_on_the_end_of_its_handle():
 
 
 def test_a_tool_cut_finer_stays_in_its_frame():
-    coarse, fine = load_object("wrench"), load_object("wrench", 4)
+    coarse, fine = tool("wrench"), tool("wrench", 6)
     assert_allclose(fine.center_of_mass, coarse.center_of_mass, atol=1e-12)
     assert_allclose(fine.inertia_cm, coarse.inertia_cm, rtol=1e-12)
     for a, b in zip(coarse.shape.grasps, fine.shape.grasps, strict=True):
@@ -214,76 +216,45 @@ def test_round_sides_are_held_where_they_are_widest():
     assert_allclose([grasp.bottom, grasp.top], 0.015 + np.array([-1, 1]) * np.sqrt(0.015**2 - 0.014**2), atol=1.5e-3)
 
 
-def test_the_open_fingers_need_room_beside_the_faces():
-    fork = together(box((0.1, 0.02, 0.02)), box((0.1, 0.02, 0.02), (0, 0.05, 0)))
-    with pytest.raises(InvalidValueError, match=r"grasps\.0\.at_m: got 'the object again 40 mm beside .*50\.5 mm free"):
-        cut(fork, places=across(0.05, 0.01))
+def moved(mesh: trimesh.Trimesh, by: tuple[float, float, float], degrees: float = 0.0) -> trimesh.Trimesh:
+    """Mesh turned about z, then moved [m]."""
+    mesh.apply_transform(trimesh.transformations.rotation_matrix(np.radians(degrees), [0, 0, 1]))
+    return mesh.apply_translation(by)
+
+
+FORK = together(box((0.1, 0.02, 0.02)), box((0.1, 0.02, 0.02), (0, 0.05, 0)))
+RING = moved(trimesh.creation.annulus(r_min=0.012, r_max=0.022, height=0.014), (0, 0, 0.007))
+SLANTED = moved(box((0.1, 0.03, 0.02), (-0.05, -0.015, 0)), (0, 0, 0), degrees=30)
+BAR, SLAB, THREAD = box((0.1, 0.04, 0.02)), box((0.04, 0.04, 0.02)), box((0.05, 0.004, 0.02))
 
 
 @pytest.mark.parametrize(
-    ("place", "said"),
+    ("meshes", "options", "field", "said"),
     [
-        (
-            across(0.05, 0.2),
-            r"mesh\.grasps\.0\.at_m: got \[0\.05, 0\.2\]; allowed: a point of the object between 3 and 40",
+        ([FORK], {"places": across(0.05, 0.01)}, "mesh.grasps.0.at_m", "'the object again 40 mm .*50\\.5 mm free"),
+        ([BAR], {"places": across(0.05, 0.2)}, "mesh.grasps.0.at_m", "a point of the object between 3 and 40"),
+        ([BAR], {"places": across(0.05, 0.02, 0.0)}, "mesh.grasps.0.at_m", "'100 mm across'; .*it opens to 85 mm"),
+        ([RING], {"places": across(0, 0), "cell": 0.005}, "mesh.grasps.0.at_m", "a point of the object"),
+        ([SLANTED], {"places": across(0, 0)}, "mesh.grasps.0.at_m", "two faces across from each other"),
+        *(
+            ([box((0.05, 0.05, 0.02), (0, 0, z))], {}, "mesh.parts", f"z = {z} m'; allowed: resting on z = 0, to 1 mm")
+            for z in (0.002, -0.002)
         ),
-        (across(0.05, 0.02, 0.0), r"got '100 mm across'; allowed: .*it opens to 85 mm"),
+        ([SLAB, box((0.04, 0.04, 0.01), (0.04, 0, 0.005))], {}, "mesh.parts.1", "'p1 without a foot'; .*of 10 mm"),
+        ([SLAB, box((0.02, 0.001, 0.01), (0.04, 0, 0))], {}, "mesh.parts.1", "'p1 without a particle'"),
+        ([THREAD], {}, "mesh.parts.0", "'p0 without a particle'"),
+        ([THREAD], {"grid": 12}, "mesh.cell_m", "a cell that the parts fill"),
+        ([box((40, 40, 20))], {}, "mesh.cell_m", "'4000 x 4000 cells of 0\\.01 m'.*meshes in metres"),
     ],
-    ids=["thin air", "too wide"],
 )
-def test_a_grasp_where_there_is_nothing_to_hold_is_refused(place: list[GraspPlace], said: str):
-    with pytest.raises(InvalidValueError, match=said):
-        cut(box((0.1, 0.04, 0.02)), places=place)
-
-
-def test_a_hole_is_thin_air():
-    ring = trimesh.creation.annulus(r_min=0.012, r_max=0.022, height=0.014)
-    ring.apply_translation([0, 0, 0.007])
-    with pytest.raises(InvalidValueError, match="a point of the object"):
-        cut(ring, cell=0.005, places=across(0, 0))
-
-
-def test_slanted_sides_give_the_pads_no_faces_across_from_each_other():
-    bar = box((0.1, 0.03, 0.02), (-0.05, -0.015, 0))
-    bar.apply_transform(trimesh.transformations.rotation_matrix(np.radians(30), [0, 0, 1]))
-    with pytest.raises(InvalidValueError, match="two faces across from each other"):
-        cut(bar, places=across(0, 0))
-
-
-@pytest.mark.parametrize("height", [0.002, -0.002])
-def test_an_object_that_does_not_rest_on_the_table_is_refused(height: float):
-    with pytest.raises(
-        InvalidValueError, match=rf"lowest point at z = {height} m'; allowed: resting on z = 0, to 1 mm"
-    ):
-        cut(box((0.05, 0.05, 0.02), (0, 0, height)))
-
-
-def test_a_part_without_a_foot_or_a_particle_is_refused():
-    on_table, raised, thread = (
-        box((0.04, 0.04, 0.02)),
-        box((0.04, 0.04, 0.01), (0.04, 0, 0.005)),
-        box((0.02, 0.001, 0.01), (0.04, 0, 0)),
-    )
-    with pytest.raises(
-        InvalidValueError, match=r"mesh\.parts\.1: got 'p1 without a foot'; allowed: .*one cell of 10 mm"
-    ):
-        cut(on_table, raised)
-    with pytest.raises(InvalidValueError, match="'p1 without a particle'"):
-        cut(on_table, thread)
-    with pytest.raises(InvalidValueError, match="'p0 without a particle'"):
-        cut(box((0.05, 0.004, 0.02)))
-    with pytest.raises(InvalidValueError, match=r"mesh\.cell_m: got 0\.01; allowed: a cell that the parts fill"):
-        cut(box((0.05, 0.004, 0.02)), grid=12)
-
-
-def test_meshes_in_millimetres_are_refused_before_they_fill_the_memory():
-    with pytest.raises(InvalidValueError, match=r"mesh\.cell_m: got '4000 x 4000 cells of 0\.01 m'.*meshes in metres"):
-        cut(box((40, 40, 20)))
+def test_meshes_that_make_no_object_are_refused(meshes, options, field: str, said: str):
+    with pytest.raises(InvalidValueError, match=said) as refused:
+        cut(*meshes, **options)
+    assert refused.value.field == field
 
 
 def test_a_mesh_that_is_open_or_no_mesh_is_refused(tmp_path: Path):
-    whole = box((0.05, 0.05, 0.02))
-    trimesh.Trimesh(whole.vertices, whole.faces[1:]).export(tmp_path / "open.stl")
+    trimesh.Trimesh(BAR.vertices, BAR.faces[1:]).export(tmp_path / "open.stl")
     (tmp_path / "text.stl").write_text("not a mesh")
     (tmp_path / "text.xyz123").write_text("not a mesh")
     for name, said in (

@@ -30,13 +30,10 @@ def written(tmp_path: Path):
 
 def test_every_object_of_the_library_can_be_loaded():
     assert {"I1", "I2", "L1", "L2", "F1", "F2", "hammer", "wrench"} <= set(object_names())
-    for name in object_names():
-        assert load_object(name).name == name
-
-
-@pytest.mark.parametrize("name", ["I2", "L2", "F2"])
-def test_second_variants_have_two_light_blocks(name: str):
-    assert_allclose(load_object(name).group_mass, [0.4, 0.1, 0.1, 0.4, 0.4, 0.4], rtol=1e-12)
+    made = {name: load_object(name) for name in object_names()}
+    assert [obj.name for obj in made.values()] == list(made)
+    for name in ("I2", "L2", "F2"):
+        assert_allclose(made[name].group_mass, [0.4, 0.1, 0.1, 0.4, 0.4, 0.4], rtol=1e-12)
 
 
 @pytest.mark.parametrize("grid", [1, 2, 4])
@@ -47,22 +44,21 @@ def test_the_grid_changes_particles_but_not_the_object(grid: int):
     assert_allclose(made.inertia_cm, reference.inertia_cm, rtol=1e-12)
 
 
-def test_a_file_by_path_with_friction_by_group(written):
-    made = load_object(written(PAIR + "mass_kg = [0.2, 0.3]\nfriction = [0.4, 0.6]\nfriction_group = [1, 0]"), grid=2)
-    assert made.truth.friction.tolist() == [0.4, 0.6]
-    assert made.shape.friction_group.tolist() == [1] * 4 + [0] * 4
-    assert_allclose(made.group_mass, [0.2, 0.3], rtol=1e-12)
-
-
-def test_one_mass_stands_for_all_blocks_and_sizes_have_defaults(written):
-    made = load_object(written(PAIR + "mass_kg = 0.2"), grid=1)
-    assert_allclose(made.group_mass, [0.2, 0.2], rtol=1e-12)
-    assert (made.shape.cell, made.shape.height) == (0.05, 0.03)
-
-
-def test_a_block_may_hang_clear_of_the_table(written):
-    made = load_object(written(PAIR + "mass_kg = 0.2\nfriction_group = [0, -1]"), grid=1)
-    assert made.shape.friction_group.tolist() == [0, -1]
+@pytest.mark.parametrize(
+    ("lines", "mass", "friction", "groups"),
+    [
+        ("mass_kg = [0.2, 0.3]\nfriction = [0.4, 0.6]\nfriction_group = [1, 0]", [0.2, 0.3], [0.4, 0.6], [1, 0]),
+        ("mass_kg = 0.2", [0.2, 0.2], [0.5], [0, 0]),
+        ("mass_kg = 0.2\nfriction_group = [0, -1]", [0.2, 0.2], [0.5], [0, -1]),  # hangs clear of the table
+        ("mass_kg = [1, 2]\nfriction = 1", [1.0, 2.0], [1.0], [0, 0]),
+    ],
+)
+def test_a_file_by_path_with_defaults(written, lines: str, mass, friction, groups):
+    made = load_object(written(PAIR + lines), grid=2)
+    assert_allclose(made.group_mass, mass, rtol=1e-12)
+    assert made.truth.friction.tolist() == friction
+    assert made.shape.friction_group.tolist() == np.repeat(groups, 4).tolist()
+    assert (made.shape.cell, made.shape.height) == (0.025, 0.03)
 
 
 @pytest.mark.parametrize(("given", "nearest"), [("l2", "L2"), ("f1", "F1"), ("i2", "I2"), ("L3", "L2"), ("F12", "F2")])
@@ -135,17 +131,6 @@ def test_all_errors_of_a_file_are_told_at_once(written):
 def test_a_grid_that_is_no_count_is_refused(grid: object):
     with pytest.raises(InvalidValueError, match=rf"grid: got {grid}; allowed: an integer >= 1"):
         load_object("I1", grid)  # type: ignore[arg-type]
-
-
-def test_whole_numbers_are_still_numbers(written):
-    made = load_object(written(PAIR + "mass_kg = [1, 2]\nfriction = 1"), grid=1)
-    assert (made.group_mass.tolist(), made.truth.friction.tolist()) == ([1.0, 2.0], [1.0])
-
-
-def test_loading_twice_gives_the_same_object():
-    first, second = load_object("F2"), load_object("F2")
-    assert np.array_equal(first.shape.particles, second.shape.particles)
-    assert np.array_equal(first.truth.mass, second.truth.mass)
 
 
 PARTS = '[[mesh.parts]]\nname = "head"\nfile = "hammer_head.stl"\nmass_kg = 1.2\n'

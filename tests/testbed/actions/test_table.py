@@ -68,12 +68,12 @@ def test_how_far_an_object_gets_is_exact(seed):
 def test_no_candidate_carries_the_object_over_the_edge():
     near, far = stretched(1.0), stretched(3.0)  # 0.6 m from end to end
     for shape in (near, far):
-        found = ActionFamily().sample(shape, range(len(shape.grasps)), 300, 0)
+        found = ActionFamily().sample(shape, range(len(shape.grasps)), 100, 0)
         assert {Rotate, Slide, Accelerate} == {type(action) for action in found}
         moved = [action for action in found if isinstance(action, TableAction)]
         assert max(beyond(action, shape, 51).max() for action in moved) <= 1e-9
     turns = [action for action in moved if isinstance(action, Rotate)]
-    assert len(turns) > 200 and len({turn.grasp for turn in turns}) > 1
+    assert len(turns) > 50 and len({turn.grasp for turn in turns}) > 1
     longer = [replace(turn, duration=18.0) for turn in turns]  # which is not for want of turns that would
     assert max(beyond(turn, far, 51).max() for turn in longer) > 0.05
 
@@ -88,10 +88,9 @@ def test_the_bench_refuses_what_would_pass_the_edge():
     whole = r"within x -0\.30 to 1\.00 m and y -0\.60 to 0\.60 m"
     with pytest.raises(InfeasibleTrialError, match=rf"table: .* (left|right|far) edge by \d+ mm; .*{whole}"):
         check(Rotate(0, duration=18.0), 5.0)
-    with pytest.raises(InfeasibleTrialError, match=r"table: .* edge by"):
-        check(Slide(0, np.pi / 2), 4.2)
-    with pytest.raises(InfeasibleTrialError, match=r"table: .* edge by"):  # where it lies, before it is lifted
-        check(Lift(0), 6.0)
+    for action, times in ((Slide(0, np.pi / 2), 4.2), (Lift(0), 6.0)):  # a lift: where it lies, before it is lifted
+        with pytest.raises(InfeasibleTrialError, match=r"table: .* edge by"):
+            check(action, times)
 
 
 def test_where_an_object_is_laid_down_its_way_begins():

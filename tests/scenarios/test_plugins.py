@@ -270,4 +270,4 @@ def test_worker_processes_run_policies_and_methods_of_the_current_folder(here, c
         kept = read_json(here / "out" / "estimates" / row["key"] / "result.json")
         made[row["axis.policy.kind"]] = Counter(kept["trial_keys"]).total() - 1 if kept else 0
     assert (made["of_user:Outermost"], made["of_user:Endless"]) == (2, 3) and made["paper"] >= 2
-    assert "recording: out" in capsys.readouterr().out
+    assert "report: out" in capsys.readouterr().out

@@ -216,7 +216,7 @@ def peak_memory_mb() -> float:
     """Peak resident memory of a fresh process that runs a trial and an estimate, MiB."""
     script = (
         "import resource, torch; torch.set_num_threads(1)\n"
-        "from testbed.objects.files import load_object; from testbed.actions.base import Rotate\n"
+        "from testbed.objects.files import load_object; from testbed.actions.rotate import Rotate\n"
         "from testbed.trial import Trial\n"
         "from testbed.simulation.runner import SimulationRunner\n"
         "from estimators.hidden_states.estimator import HiddenStates\n"

@@ -96,7 +96,7 @@ def warm(workers: int) -> Iterator[Timed]:
         counted = Timed(executor)
 
         @contextmanager
-        def same(*_: object) -> Iterator[Timed]:
+        def same(*_: object, **__: object) -> Iterator[Timed]:
             yield counted
 
         sweep.open_executor = same

@@ -93,17 +93,12 @@ class BarScene:
                 log_lines(node / f"intervals/{index}", lines, EDGE, order=22.0)
 
     @property
-    def _entries(self) -> list[tuple[str, str]]:
-        """Label and colour of each entry of the legend."""
-        truth = [] if self.truth is None else [("truth", TRUTH)]
-        return truth + [(each.label, each.color) for each in self.series]
-
-    @property
     def _rows(self) -> list[list[tuple[str, str]]]:
-        """Entries in the rows of the legend."""
+        """Labels and colours in the rows of the legend."""
         rows: list[list[tuple[str, str]]] = [[]]
         left = room = self.canvas.width - BESIDE
-        for label, color in self._entries:
+        truth = [] if self.truth is None else [("truth", TRUTH)]
+        for label, color in truth + [(each.label, each.color) for each in self.series]:
             width = _entry_width(label)
             if rows[-1] and width > left:
                 rows.append([])
@@ -132,8 +127,7 @@ class BarScene:
 
     def _log_bars(self, node: Node, series: BarSeries, places: Float[np.ndarray, "n 2"], order: float) -> None:
         """Log bars from 0 to the masses, filled by strokes; those above the scale end there."""
-        look = rr.LineStrips2D.from_fields(colors=rgb(series.color), draw_order=order)
-        node.log(look)
+        node.log(rr.LineStrips2D.from_fields(colors=rgb(series.color), draw_order=order))
         stroke = STROKE * self._pixel
         bars = [
             [filled(left, right, height, stroke) for (left, right), height in zip(places, row, strict=True)]
@@ -167,8 +161,7 @@ class BarScene:
             left, y = 0.0, self.top + (ROW * (len(self._rows) - row - 0.5) + MARGIN) * pixel
             for label, color in entries:
                 ends = np.array([[left + 4, 0], [left + SWATCH - 4, 0]]) * pixel + np.array([0, y])
-                line = rr.LineStrips2D([ends], colors=rgb(color), radii=4 * pixel)
-                (node / f"{number}").log(line)
+                (node / number).log(rr.LineStrips2D([ends], colors=rgb(color), radii=4 * pixel))
                 at = np.array([[(left + SWATCH + MARGIN + CHARACTER * len(label) / 2) * pixel, y]])
                 log_texts(node / f"{number}/text", at, [label], pixel)
                 left += _entry_width(label)

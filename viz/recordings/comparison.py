@@ -35,18 +35,19 @@ def log_comparison(stream: rr.RecordingStream, root: str, views: Sequence[Estima
     node = Node(stream, root)
     layout, first = _Layout.of(views), views[0]
     mass, difference = layout.scales
+
+    def log_map(place: Node, values: np.ndarray | None, scale: Scale, frames: Frames, at: tuple[float, float]) -> None:
+        MassMap(first.shape, values, scale, layout.cell, named=False).log(place, frames, layout.box, at)
+
     if first.true_mass is not None:
-        truth = MassMap(first.shape, first.true_mass[None], mass, layout.cell, named=False)
-        truth.log(node / "truth/mass", Frames.still(), layout.box)
+        log_map(node / "truth/mass", first.true_mass[None], mass, Frames.still(), (0.0, 0.0))
     for index, view in enumerate(views):
         frames, way = frames_of(view)
         place, truth = node / f"methods/{index}", view.true_mass
-        MassMap(view.shape, way, mass, layout.cell, named=False).log(place / "mass", frames, layout.box)
+        log_map(place / "mass", way, mass, frames, (0.0, 0.0))
         if truth is not None and difference is not None:
-            off = MassMap(
-                view.shape, None if way is None else np.abs(way - truth), difference, layout.cell, named=False
-            )
-            off.log(place / "difference", frames, layout.box, layout.beside)
+            off = None if way is None else np.abs(way - truth)
+            log_map(place / "difference", off, difference, frames, layout.beside)
     log_upright(node / "scales/bars")
     for index, (scale, box) in enumerate(zip(layout.scales, _bar_boxes(layout.cell), strict=True)):
         if scale is not None:

@@ -13,6 +13,7 @@ from estimators.base import Trace
 from testbed.frames import perpendicular, rotation_2d, transform_point
 from testbed.objects.model import GRAVITY, Grasp, MassDistribution, ObjectShape
 from testbed.trajectory import Phase, Trajectory
+from viz import style
 from viz.recordings.bars import BarScene, BarSeries
 from viz.recordings.mass_map import BELOW, MassMap, Raster, bar_box, log_bar
 from viz.recordings.page import ITERATION, SIM_TIME, Frames, Node, log_facts
@@ -28,21 +29,6 @@ from viz.recordings.planar import (
     log_upright,
     packed,
     planar_view,
-)
-from viz.style import (
-    BLACK,
-    EDGE,
-    ESTIMATE,
-    MASS_COLORS,
-    OBJECT_VELOCITY,
-    PADS,
-    TRUTH,
-    VELOCITY,
-    Scale,
-    difference_scale,
-    mass_scale,
-    rgb,
-    series_color,
 )
 from viz.values import LEVEL, EstimateView, evenly
 
@@ -73,7 +59,7 @@ def log_estimate(stream: rr.RecordingStream, root: str, view: EstimateView) -> N
     if way is not None:
         _log_masses(node / "mass_by_iteration", view.shape, frames, way)
     for index, trace in enumerate(view.traces):
-        _log_loss(node / f"loss/{index}", trace, series_color(index))
+        _log_loss(node / f"loss/{index}", trace, style.series_color(index))
     if parts.turn is not None:
         parts.turn.log(node / "turn/scene")
     nad = {} if view.nad is None else {"NAD": f"{100 * view.nad:.2f} %"}
@@ -114,16 +100,17 @@ class _Parts:
     maps: dict[str, tuple[str, MassMap]]
     """Titles and maps by entity."""
     bars: BarScene | None
-    turn: TurnScene | None
+    turn: _TurnScene | None
     loads: _LoadScene | None
     heights: tuple[float, float]
     """Heights of the row of maps and of the row below [pixels]; long objects leave more room below."""
 
     @staticmethod
     def of(view: EstimateView) -> _Parts:
-        shape, truth, mass = view.shape, view.true_mass, mass_scale([view])
+        shape, truth, mass = view.shape, view.true_mass, style.mass_scale([view])
         frames, way = frames_of(view)
-        bars, moves = way is not None or truth is not None, moves_on_table(view.trajectory)
+        record, bars = view.trajectory, way is not None or truth is not None
+        moves = record is not None and record.action.moves and record.time_s.size > 1
         width, least, most = MAIN.width / (1 if truth is None else 3), 0.28 * MAIN.height, 0.56 * MAIN.height
         needed = MassMap(shape, None, mass, Canvas(width, most)).box
         upper = float(np.clip(width * needed.height / needed.width, least, most))
@@ -132,18 +119,18 @@ class _Parts:
         when = "" if frames.timeline is None else ", by iteration"
         maps = {"estimated_mass": (f"estimated mass{when}", MassMap(shape, way, mass, place))}
         if truth is not None:
-            off = MassMap(shape, None if way is None else np.abs(way - truth), difference_scale([view]), place)
+            off = MassMap(shape, None if way is None else np.abs(way - truth), style.difference_scale([view]), place)
             known = {"true_mass": ("true mass", MassMap(shape, truth[None], mass, place))}
             maps = known | maps | {"difference": (f"absolute difference{when}", off)}
         label = "estimate" if view.covariance is None else f"estimate, {LEVEL} interval"
-        series = () if way is None else (BarSeries(label, ESTIMATE, way, frames, view.half_width),)
+        series = () if way is None else (BarSeries(label, style.ESTIMATE, way, frames, view.half_width),)
         loads = None
         if way is not None and view.answer is not None:
             loads = _LoadScene(view, way / shape.particles_per_group, view.answer, SIDE)
         return _Parts(
             maps,
             BarScene(shape.group_names, truth, series, lower) if bars else None,
-            TurnScene(shape, view.trajectory, lower) if view.trajectory is not None and moves else None,
+            _TurnScene(shape, record, lower) if record is not None and moves else None,
             loads,
             (upper, lower.height),
         )
@@ -160,16 +147,15 @@ def frames_of(view: EstimateView) -> tuple[Frames, Float[np.ndarray, "F n_m"] | 
 def _log_loss(node: Node, trace: Trace, color: str) -> None:
     """Log the decadic logarithm of a trace's loss; losses of 0 or less leave a gap."""
     loss = np.array(trace.loss, dtype=float)
-    node.log(rr.SeriesLines(colors=rgb(color), names=trace.method, widths=2.0))
-    index = rr.TimeColumn(ITERATION, sequence=np.arange(len(loss)))
+    node.log(rr.SeriesLines(colors=style.rgb(color), names=trace.method, widths=2.0))
     logarithm = np.log10(np.where(loss > 0, loss, np.nan))
-    node.send([index], rr.Scalars.columns(scalars=logarithm))
+    node.send([rr.TimeColumn(ITERATION, sequence=np.arange(len(loss)))], rr.Scalars.columns(scalars=logarithm))
 
 
 def _log_masses(node: Node, shape: ObjectShape, frames: Frames, way: Float[np.ndarray, "F n_m"]) -> None:
     """Log the mass of each group [kg] as lines."""
     names, count = list(shape.group_names), shape.n_m
-    colors = [rgb(series_color(i)) for i in range(count)]
+    colors = [style.rgb(style.series_color(i)) for i in range(count)]
     node.log(rr.SeriesLines(colors=colors, names=names, widths=[1.5] * count))
     frames.send(node, lambda k: rr.Scalars.columns(scalars=way[k].ravel()).partition([count] * len(k)))
 
@@ -213,7 +199,7 @@ class _LoadScene:
             return FULL_CELL * shape.cell * np.sqrt(np.clip(load / largest, 0.0, 1.0))
 
         tops = [float(each.mass.max()) for each in (answer, truth) if each is not None]
-        scale = Scale(max(*tops, 1e-9), MASS_COLORS, "mass, kg a particle")
+        scale = style.Scale(max(*tops, 1e-9), style.MASS_COLORS, "mass, kg a particle")
         colors = packed(scale.color(self.mass[:, shape.mass_group]))
         # the smallest disc still shows the colour of a particle that carries no load
         radii = np.maximum(radius(load), 0.1 * shape.cell)
@@ -224,7 +210,7 @@ class _LoadScene:
         )
         if truth is not None:
             ring = radius(true_load)[true_load > 0]
-            look = {"colors": rgb(BLACK), "line_radii": HAIR, "draw_order": 40}
+            look = {"colors": style.rgb(style.BLACK), "line_radii": HAIR, "draw_order": 40}
             half, centers = np.column_stack([ring, ring]), shape.particles[true_load > 0]
             (node / "true_load").log(rr.Ellipses2D(half_sizes=half, centers=centers, **look))
         log_bar(node / "bar", scale, bar_box(raster.box), pixel)
@@ -233,13 +219,8 @@ class _LoadScene:
         log_texts(node / "key", place, [f"full cell: {largest:.2g} N{known}"], pixel)
 
 
-def moves_on_table(trajectory: Trajectory | None) -> bool:
-    """True if there is motion to draw."""
-    return trajectory is not None and trajectory.action.moves and trajectory.time_s.size > 1
-
-
 @dataclass(frozen=True, eq=False)
-class TurnScene:
+class _TurnScene:
     """A trial in which the object moves on the table."""
 
     shape: ObjectShape
@@ -273,15 +254,15 @@ class TurnScene:
         place = np.column_stack([pose[:, :2], still])
         turned = np.column_stack([still, still, np.sin(half), np.cos(half)])
         frames.send(body, lambda k: rr.Transform3D.columns(translation=place[k], quaternion=turned[k]))
-        log_lines(body / "outline", Raster.of(self.shape).outlines(), EDGE)
-        dots = rr.Points2D(self.shape.particles, radii=0.16 * self.shape.cell, colors=rgb(TRUTH))
+        log_lines(body / "outline", Raster.of(self.shape).outlines(), style.EDGE)
+        dots = rr.Points2D(self.shape.particles, radii=0.16 * self.shape.cell, colors=style.rgb(style.TRUTH))
         (body / "particles").log(dots)
         particles = self.shape.particles[evenly(len(self.shape.particles), MOST_ARROWS)]
-        self._log_arrows(body / "velocity", frames, particles, VELOCITY)
-        self._log_arrows(body / "object_velocity", frames, np.zeros((1, 2)), OBJECT_VELOCITY)
+        self._log_arrows(body / "velocity", frames, particles, style.VELOCITY)
+        self._log_arrows(body / "object_velocity", frames, np.zeros((1, 2)), style.OBJECT_VELOCITY)
         index = self.trajectory.action.grasp
         if index is not None and index < len(self.shape.grasps):
-            pads = rr.LineStrips2D(pad_lines(self.shape.grasps[index]), colors=rgb(PADS), radii=PAD / 2)
+            pads = rr.LineStrips2D(pad_lines(self.shape.grasps[index]), colors=style.rgb(style.PADS), radii=PAD / 2)
             (body / "pads").log(pads)
         box = self.box
         pixel = self.canvas.pixel(box)
@@ -290,7 +271,7 @@ class TurnScene:
         log_texts(node / "key", at, [key], pixel)
 
     def _log_arrows(self, node: Node, frames: Frames, origins: Float[np.ndarray, "N 2"], color: str) -> None:
-        look = rr.Arrows2D.from_fields(origins=origins, colors=rgb(color), radii=rr.Radius.ui_points(1.0))
+        look = rr.Arrows2D.from_fields(origins=origins, colors=style.rgb(color), radii=rr.Radius.ui_points(1.0))
         node.log(look)
         ways = self.horizon * self._velocity(origins)
         frames.send(

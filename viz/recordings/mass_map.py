@@ -93,8 +93,7 @@ class Raster:
         place = rr.Transform3D(translation=[self.left, self.bottom, 0], scale=[self.pixel, self.pixel, 1])
         look = rr.components.ImageFormat(width=width, height=height, color_model="RGB", channel_datatype="U8")
         sharp = rr.components.MagnificationFilter.Nearest
-        image = rr.Image.from_fields(format=look, magnification_filter=sharp)
-        node.log(place, image)
+        node.log(place, rr.Image.from_fields(format=look, magnification_filter=sharp))
         frames.send(
             node, lambda k: rr.Image.columns(buffer=np.ascontiguousarray(self.image(colors[k]).reshape(len(k), -1)))
         )
@@ -152,8 +151,7 @@ class MassMap:
             middles = middles - apart
         elif narrow or not have_room(middles, texts[-1], pixel):
             return
-        place = rr.Points2D(hung(middles, pixel), radii=1e-6, show_labels=True)
-        (node / "masses").log(place)
+        (node / "masses").log(rr.Points2D(hung(middles, pixel), radii=1e-6, show_labels=True))
         frames.send(
             node / "masses",
             lambda k: rr.Points2D.columns(

@@ -62,8 +62,7 @@ def _log_actions(node: Node, plan: PlanView) -> None:
         aside = np.array([-back[1], back[0]]) / 2
         log_stroke(place / "way", [arrow.way, np.array([tip - back + aside, tip, tip - back - aside])], color)
         marks = [arrow.grasp] if arrow.pivot is None else [arrow.grasp, arrow.pivot]
-        points = rr.Points2D(marks, colors=[color], radii=rr.Radius.ui_points(4.0), draw_order=31.0)
-        (place / "marks").log(points)
+        (place / "marks").log(rr.Points2D(marks, colors=[color], radii=rr.Radius.ui_points(4.0), draw_order=31.0))
         if arrow.pivot is not None:
             log_lines(place / "arm", [np.array(marks)])
         log_number(number, arrow.label)

@@ -102,14 +102,12 @@ def planar_view(origin: str, box: Bounds, name: str) -> rrb.Spatial2DView:
 
 def log_upright(node: Node, at: tuple[float, float] = (0.0, 0.0)) -> None:
     """Make an entity the root of a scene with y upwards, with its own origin at `at` of the view."""
-    place = rr.Transform3D(translation=[at[0], -at[1], 0], mat3x3=np.diag([1.0, -1.0, 1.0]))
-    node.log(place)
+    node.log(rr.Transform3D(translation=[at[0], -at[1], 0], mat3x3=np.diag([1.0, -1.0, 1.0])))
 
 
 def log_lines(node: Node, lines: Sequence[np.ndarray], color: str = EDGE, order: float = 20.0) -> None:
     """Log thin lines, each (N, 2); those of higher `order` lie on top."""
-    strips = rr.LineStrips2D(lines, colors=rgb(color), radii=HAIR, draw_order=order)
-    node.log(strips)
+    node.log(rr.LineStrips2D(lines, colors=rgb(color), radii=HAIR, draw_order=order))
 
 
 def log_texts(
@@ -119,18 +117,9 @@ def log_texts(
     pixel: float,
     colors: UInt8[np.ndarray, "N 3"] | str = BLACK,
 ) -> None:
-    """Log texts about their middles.
-
-    Args:
-        node: entity of the texts.
-        middles: of each text.
-        texts: one each, of one line.
-        pixel: size of a pixel in the scene's unit.
-        colors: of the letters.
-    """
+    """Log texts of one line about their middles; `pixel` is the size of a pixel in the scene's unit."""
     shade = rgb(colors) if isinstance(colors, str) else colors
-    labels = rr.Points2D(hung(middles, pixel), radii=1e-6, labels=texts, show_labels=True, colors=shade)
-    node.log(labels)
+    node.log(rr.Points2D(hung(middles, pixel), radii=1e-6, labels=texts, show_labels=True, colors=shade))
 
 
 def hung(middles: Float[np.ndarray, "N 2"], pixel: float) -> Float[np.ndarray, "N 2"]:

@@ -15,18 +15,8 @@ from testbed.foot_forces import FootForces
 from testbed.frames import rotation_2d
 from testbed.sensing.lift_windows import poses_in_space
 from testbed.trajectory import Phase, Trajectory
+from viz import style
 from viz.recordings.page import Node, log_facts
-from viz.style import (
-    AXIS_COLORS,
-    EDGE,
-    FRICTION_FORCE,
-    MASS_COLORS,
-    NORMAL_FORCE,
-    OBJECT_VELOCITY,
-    PHASE_COLORS,
-    mapped,
-    rgb,
-)
 from viz.values import TrialView, WrenchFit
 
 FOOT_ARROW, HAND_ARROW = 0.1, 0.01
@@ -46,14 +36,14 @@ def log_trial(stream: rr.RecordingStream, root: str, view: TrialView) -> None:
     _log_object(node / "scene/object", view)
     force = HAND_ARROW * trajectory.wrench_on_object_world[:, :3]
     hand = node / "scene/gripper_force"
-    hand.log(rr.Arrows3D.from_fields(colors=rgb(OBJECT_VELOCITY), radii=0.003))
+    hand.log(rr.Arrows3D.from_fields(colors=style.rgb(style.OBJECT_VELOCITY), radii=0.003))
     hand.send_timed(trajectory.time_s, rr.Arrows3D.columns(origins=trajectory.tcp_position, vectors=force))
     if view.feet is not None:
         _log_feet(node / "scene/object/feet", view, view.feet)
     _log_fit(node / "wrench", view.fit)
     for kind, values in (("compensated", trajectory.wrench_on_object_world), ("raw", trajectory.sensor_wrench)):
         for index, name in enumerate(WRENCH):
-            color, label = AXIS_COLORS[index % 3], name.replace("/", " ")
+            color, label = style.AXIS_COLORS[index % 3], name.replace("/", " ")
             _log_line(node / kind / name, label, color, trajectory.time_s, values[:, index])
     _log_states(node / "states", view)
     facts = {"status": trajectory.status, "why": trajectory.reason, **view.facts}
@@ -124,14 +114,13 @@ def _log_object(node: Node, view: TrialView) -> None:
     half = np.array([shape.cell / 2, shape.cell / 2, shape.height / 2])
     centers = np.column_stack([shape.particles, np.full(len(shape.particles), shape.height / 2)])
     if view.truth is None:
-        colors = np.tile(rgb(UNKNOWN_MASS), (len(centers), 1))
+        colors = np.tile(style.rgb(UNKNOWN_MASS), (len(centers), 1))
     else:
         each = view.truth.mass[shape.mass_group]
-        colors = mapped(each, max(float(each.max()), 1e-9), MASS_COLORS)
+        colors = style.mapped(each, max(float(each.max()), 1e-9), style.MASS_COLORS)
     boxes = rr.Boxes3D(centers=centers, half_sizes=half, colors=colors, fill_mode="transparentfillmajorwireframe")
     (node / "cells").log(boxes)
-    poses = rr.Transform3D.columns(**_object_poses(view.trajectory))
-    node.send_timed(view.trajectory.time_s, poses)
+    node.send_timed(view.trajectory.time_s, rr.Transform3D.columns(**_object_poses(view.trajectory)))
 
 
 def _object_poses(trajectory: Trajectory) -> dict[str, Any]:
@@ -154,11 +143,10 @@ def _log_feet(node: Node, view: TrialView, feet: FootForces) -> None:
     zeros = np.zeros((*inward.shape[:2], 1))
     origins = np.column_stack([view.shape.particles[feet.particle], np.full(count, 1e-3)])
     for name, color, vectors in (
-        ("normal", NORMAL_FORCE, np.concatenate([0 * inward, feet.force[..., 2:]], axis=-1)),
-        ("friction", FRICTION_FORCE, np.concatenate([inward, zeros], axis=-1)),
+        ("normal", style.NORMAL_FORCE, np.concatenate([0 * inward, feet.force[..., 2:]], axis=-1)),
+        ("friction", style.FRICTION_FORCE, np.concatenate([inward, zeros], axis=-1)),
     ):
-        fields = rr.Arrows3D.from_fields(origins=origins, colors=rgb(color), radii=0.0012)
-        (node / f"{name}").log(fields)
+        (node / name).log(rr.Arrows3D.from_fields(origins=origins, colors=style.rgb(color), radii=0.0012))
         flat = (FOOT_ARROW * vectors).reshape(-1, 3).astype(np.float32)
         columns = rr.Arrows3D.columns(vectors=flat).partition([count] * len(feet.time_s))
         (node / name).send_timed(feet.time_s, columns)
@@ -187,12 +175,12 @@ def _log_fit(node: Node, fit: WrenchFit, every: int = 1) -> None:
     """Log measured and predicted wrench, and the band around the prediction; one sample in so many."""
     time_s, measures, predictions, bands = (a[::every] for a in (fit.time_s, fit.measured, fit.predicted, fit.band))
     for index, entity in enumerate(("force/x", "force/y", "torque/z")):
-        color, name = AXIS_COLORS[index], entity[-1]
+        color, name = style.AXIS_COLORS[index], entity[-1]
         _log_line(node / entity / "measured", f"{name}, measured", color, time_s, measures[:, index])
         predicted, band = predictions[:, index], bands[:, index]
         if np.isnan(predicted).all():
             continue
-        _log_line(node / entity / "model", f"{name}, model", EDGE, time_s, predicted, 2.5)
+        _log_line(node / entity / "model", f"{name}, model", style.EDGE, time_s, predicted, 2.5)
         for side, sign in (("upper", 1), ("lower", -1)):  # of one name: the legend has them once
             values = predicted + sign * band
             _log_line(node / entity / side, f"{name}, 95 %", "#A0A0A0", time_s, values, 1.0)
@@ -200,7 +188,7 @@ def _log_fit(node: Node, fit: WrenchFit, every: int = 1) -> None:
 
 def _log_line(node: Node, name: str, color: str, time_s: np.ndarray, values: np.ndarray, width=1.2) -> None:
     """Log a line over time; NaN leaves a gap."""
-    node.log(rr.SeriesLines(colors=rgb(color), names=name, widths=width))
+    node.log(rr.SeriesLines(colors=style.rgb(color), names=name, widths=width))
     node.send_timed(time_s, rr.Scalars.columns(scalars=values))
 
 
@@ -209,38 +197,26 @@ def _log_states(node: Node, view: TrialView) -> None:
     trajectory = view.trajectory
     steady = np.where(view.fit.steady, "steady window", "")
     names = np.array([phase.name.lower() for phase in Phase])[trajectory.phase]
-    colors = {phase.name.lower(): color for phase, color in zip(Phase, PHASE_COLORS, strict=True)}
-    for lane, states, known in (("phase", names, colors), ("window", steady, {"steady window": AXIS_COLORS[2]})):
-        look = [rgb(color) for color in known.values()]
-        legend = rr.StateConfiguration(values=list(known), labels=list(known), colors=look)
-        (node / lane).log(legend)
+    colors = {phase.name.lower(): color for phase, color in zip(Phase, style.PHASE_COLORS, strict=True)}
+    for lane, states, known in (("phase", names, colors), ("window", steady, {"steady window": style.AXIS_COLORS[2]})):
+        look = [style.rgb(color) for color in known.values()]
+        (node / lane).log(rr.StateConfiguration(values=list(known), labels=list(known), colors=look))
         change = np.flatnonzero(np.append(True, states[1:] != states[:-1]))
-        changes = rr.StateChange.columns(state=states[change].tolist())
-        (node / lane).send_timed(trajectory.time_s[change], changes)
+        (node / lane).send_timed(trajectory.time_s[change], rr.StateChange.columns(state=states[change].tolist()))
 
 
 class SensorStream:
-    """Connection that sends a sensor's samples to a viewer."""
+    """Connection that sends a sensor's samples to the viewer at `url`, as a recording named `title`."""
 
     def __init__(self, url: str, title: str):
-        """Connect to a viewer.
-
-        Args:
-            url: of a viewer that listens.
-            title: name of the recording.
-        """
-        views = [
-            rrb.TimeSeriesView(origin=kind, name=name)
-            for kind, name in (("force", "force, N"), ("torque", "torque, N m"))
-        ]
+        views = [rrb.TimeSeriesView(origin=k, name=f"{k}, {unit}") for k, unit in (("force", "N"), ("torque", "N m"))]
         self._stream = rr.RecordingStream("heft sensor")
         self._stream.connect_grpc(url, default_blueprint=rrb.Blueprint(rrb.Vertical(*views), collapse_panels=True))
         self._stream.send_recording_name(title)
         self._begin: float | None = None
-        for kind in ("force", "torque"):
-            for axis, color in zip("xyz", AXIS_COLORS, strict=True):
-                look = rr.SeriesLines(colors=rgb(color), names=axis)
-                self._stream.log(f"{kind}/{axis}", look, static=True, strict=True)
+        for path, color in zip(WRENCH, 2 * style.AXIS_COLORS, strict=True):
+            look = rr.SeriesLines(colors=style.rgb(color), names=path[-1])
+            self._stream.log(path, look, static=True, strict=True)
 
     def send(self, times: Sequence[float], wrenches: np.ndarray) -> None:
         """Send samples: times [s], (T,), and wrenches [N, N m], (T, 6)."""

@@ -7,6 +7,7 @@ import re
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import count
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -81,6 +82,10 @@ class Illustration:
     """Width [px] below which it scrolls in a box of its own; None where it may shrink to any screen."""
 
 
+Draw = Callable[..., Illustration]
+"""Function of a figure and its caption, and `wide` for one that scrolls."""
+
+
 def write_report(results: Results, path: Path) -> None:
     """Write the report, whole or not at all."""
     page = render(results)
@@ -101,16 +106,20 @@ def render(results: Results) -> str:
         for first in {(row["support"], row["sensing"]): row for row in estimates}.values()
     }
     worst_all, worst_own = (worst(found, results.recording_of) for found in worst_of(rows))
-    draw = _Drawer()
+    numbers = count(1)
+
+    def draw(figure: Figure, caption: str, *, wide: bool = False) -> Illustration:
+        least = round(PIXELS_PER_INCH * figure.get_figwidth()) if wide else None
+        return Illustration(inline_svg(figure, caption, f"f{next(numbers)}"), caption, least)
+
     objects = list(dict.fromkeys(row["object"] for row in estimates))
     mapped = mapped_objects(estimates, objects)
     shapes = {name: shape for name in mapped if (shape := results.shape_of(name)) is not None}
     good = sum(row["status"] == "ok" for row in estimates)
-    counts = {method: max(map(len, traces.values())) for method, traces in results.losses.items()}
-    losses = {
-        f"{method}: loss by iteration, {count} estimate{'s' if count != 1 else ''}": results.losses[method]
-        for method, count in counts.items()
-    }
+    losses = {}
+    for method, traces in results.losses.items():
+        most = max(map(len, traces.values()))
+        losses[f"{method}: loss by iteration, {most} estimate{'s' if most != 1 else ''}"] = traces
     environment = Environment(
         loader=FileSystemLoader(Path(__file__).parent), autoescape=True, undefined=StrictUndefined, trim_blocks=True,
         lstrip_blocks=True,
@@ -139,18 +148,6 @@ def breakable(name: object) -> Markup:
     return Markup("_<wbr>").join(escape(part) for part in str(name).split("_"))
 
 
-class _Drawer:
-    """Converter of figures to pictures, each with identifiers of its own."""
-
-    def __init__(self) -> None:
-        self._count = 0
-
-    def __call__(self, figure: Figure, caption: str, *, wide: bool = False) -> Illustration:
-        least = round(PIXELS_PER_INCH * figure.get_figwidth()) if wide else None
-        self._count += 1
-        return Illustration(inline_svg(figure, caption, f"f{self._count}"), caption, least)
-
-
 def _plain(column: str, value: Any) -> Any:
     """Value that can be compared: a swept setting that is no number becomes text."""
     if column.startswith(AXIS) and not isinstance(value, int | float | str | None):
@@ -166,7 +163,7 @@ def _tables(rows: Sequence[Row]) -> list[Table]:
 
 
 def _sweeps(
-    rows: Sequence[Row], groups: Mapping[str, Sequence[Row]], draw: _Drawer
+    rows: Sequence[Row], groups: Mapping[str, Sequence[Row]], draw: Draw
 ) -> dict[str, list[tuple[Illustration, Table]]]:
     """A picture and a table of each swept setting for every support and sensing under which it changes."""
     sweeps: dict[str, list[tuple[Illustration, Table]]] = {}
@@ -198,7 +195,7 @@ def mapped_objects(rows: Sequence[Row], objects: Sequence[str]) -> list[str]:
     return ranked[:WORST_OBJECTS] + [rest[i] for i in others]
 
 
-def _maps(groups: Mapping[str, Sequence[Row]], shapes: Mapping[str, ObjectShape], draw: _Drawer) -> list[Illustration]:
+def _maps(groups: Mapping[str, Sequence[Row]], shapes: Mapping[str, ObjectShape], draw: Draw) -> list[Illustration]:
     """Differences under each support and sensing, then the maps of each object whose truth is known."""
     known = {label: [row for row in rows if row["true_mass_kg"] is not None] for label, rows in groups.items()}
     overall, pictures, mapped = [], [], {}

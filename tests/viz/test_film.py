@@ -19,12 +19,10 @@ EDGES = [2 * i for i in range(20)]
 
 def pictures(count: int) -> list[np.ndarray]:
     """A white square that moves right by 2 px a picture."""
-    drawn = []
-    for i in range(count):
-        picture = np.full((*SIZE[::-1], 3), 40, dtype=np.uint8)
+    drawn = np.full((count, *SIZE[::-1], 3), 40, dtype=np.uint8)
+    for i, picture in enumerate(drawn):
         picture[10:20, 2 * i : 2 * i + 10] = 255
-        drawn.append(picture)
-    return drawn
+    return list(drawn)
 
 
 def left_edge(picture: np.ndarray) -> int:

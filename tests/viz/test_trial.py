@@ -124,20 +124,16 @@ def test_states_mark_the_phases_and_the_steady_window(entities, view):
     assert_allclose(window[1], view.trajectory.time_s[view.fit.steady][0], atol=1e-9)
 
 
-@pytest.mark.parametrize(
-    ("inside", "what", "reason"),
-    [
-        ("", "zzz", "beginning of one key"),
-        ("", "", "2 begin so"),
-        ("none", None, "results folder"),
-        ("", "weigh", "a weighing"),
-    ],
-)
-def test_pages_that_do_not_exist_are_refused_with_those_that_do(turn_folder, turn_key, inside, what, reason):
-    if what == "weigh":
-        what = next(p.parent.name for p in turn_folder.glob("trials/*/trial.json") if p.parent.name != turn_key)
-    with pytest.raises(InvalidValueError, match=reason):
-        page_of(turn_folder / inside, what)
+def test_pages_that_do_not_exist_are_refused_with_those_that_do(turn_folder, turn_key):
+    weighing = next(p.parent.name for p in turn_folder.glob("trials/*/trial.json") if p.parent.name != turn_key)
+    for folder, what, reason in (
+        (turn_folder, "zzz", "beginning of one key"),
+        (turn_folder, "", "2 begin so"),
+        (turn_folder / "none", None, "results folder"),
+        (turn_folder, weighing, "a weighing"),
+    ):
+        with pytest.raises(InvalidValueError, match=reason):
+            page_of(folder, what)
 
 
 def test_a_trial_without_feet_has_no_arrows_there_and_a_damaged_one_is_refused(copy, turn_key):

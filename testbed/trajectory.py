@@ -60,7 +60,7 @@ class Tool:
         freeze_arrays(self, com=(3,), inertia=(3, 3), tcp=(3,))
 
 
-_SERIES: dict[str, tuple[str, ...]] = {
+SERIES: dict[str, tuple[str, ...]] = {
     "object_pose": ("x_m", "y_m", "yaw_rad"),
     "object_velocity": ("x_m_s", "y_m_s", "yaw_rad_s"),
     "tcp_position": ("x_m", "y_m", "z_m"),
@@ -70,6 +70,7 @@ _SERIES: dict[str, tuple[str, ...]] = {
     "wrench_on_object_world": ("fx_N", "fy_N", "fz_N", "tx_Nm", "ty_Nm", "tz_Nm"),
     "joint_position": tuple(f"{i}_rad" for i in range(1, 8)),
 }
+"""Measured series of a trajectory, with the ends of their columns' names in a file."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,7 +151,7 @@ class Trajectory:
                 "Trajectory.time_s", f"{len(time)} samples", "one or more strictly increasing times, s"
             )
         object.__setattr__(self, "time_s", time)
-        freeze_arrays(self, **{name: (len(time), len(columns)) for name, columns in _SERIES.items()})
+        freeze_arrays(self, **{name: (len(time), len(columns)) for name, columns in SERIES.items()})
         freeze_arrays(self, sensor_bias_std=(6,), sensor_drift_std=(6,))
         for name in ("phase", "segment"):
             values = np.array(getattr(self, name))
@@ -204,7 +205,7 @@ def save_trajectory(trajectory: Trajectory, path: Path) -> None:
         "phase": trajectory.phase,
         "segment": trajectory.segment,
     }
-    for name, units in _SERIES.items():
+    for name, units in SERIES.items():
         columns |= {f"{name}.{unit}": getattr(trajectory, name)[:, i] for i, unit in enumerate(units)}
     tool = trajectory.tool
     header = {
@@ -246,7 +247,7 @@ def load_trajectory(path: Path) -> Trajectory:
                 f"{path}: schema {header['schema_version']}; this version of heft reads {SCHEMA_VERSION}"
             )
         columns = {name: table.column(name).to_numpy() for name in table.column_names}
-        series = {name: np.stack([columns[f"{name}.{u}"] for u in units], axis=1) for name, units in _SERIES.items()}
+        series = {name: np.stack([columns[f"{name}.{u}"] for u in units], axis=1) for name, units in SERIES.items()}
         return Trajectory(
             action=action_from_dict(header["action"]),
             status=header["status"],

@@ -203,10 +203,7 @@ class GripEvidence:
     @property
     def figures(self) -> dict[str, float]:
         """Figures for the trajectory."""
-        found = {
-            "lost_frames": float(self.lost_frames),
-            "grip_change_m": self.held_width[1] - self.held_width[0],
-        }
+        found = {"lost_frames": float(self.lost_frames), "grip_change_m": self.held_width[1] - self.held_width[0]}
         return found if self.slip is None else found | {"slip_m": self.slip[0], "slip_rad": self.slip[1]}
 
 

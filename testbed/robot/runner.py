@@ -21,22 +21,14 @@ from testbed.objects.model import GRAVITY
 from testbed.robot.config import RobotSettings
 from testbed.robot.execution import Execution
 from testbed.robot.guard import Guard
-from testbed.robot.interfaces import (
-    Arm,
-    Clock,
-    Gripper,
-    MonotonicClock,
-    ObjectPose,
-    RobotError,
-    WrenchSensor,
-)
+from testbed.robot.interfaces import Arm, Clock, Gripper, MonotonicClock, ObjectPose, RobotError, WrenchSensor
 from testbed.robot.path import RobotPlan, closing_yaw, described, plan_trial
 from testbed.robot.recorder import Record, doubts
 from testbed.robot.safety import UnsafeError
 from testbed.robot.weighing import weigh
 from testbed.sensing.compensation import compensate
 from testbed.sensing.drift import judge_drift
-from testbed.trajectory import Phase, Status, Trajectory
+from testbed.trajectory import SERIES, Phase, Status, Trajectory
 from testbed.trial import Trial
 from testbed.validation import check_positive
 
@@ -240,22 +232,10 @@ def lifted(measured: Trajectory) -> Trajectory:
     since = measured.time_s[kept].mean() - measured.time_s[empty].mean()
     moved = float(np.hypot(measured.sensor_bias_std[2], measured.sensor_drift_std[2] * np.sqrt(since)))
     reading = weigh(measured.sensor_wrench[empty], measured.sensor_wrench[kept], axes[2], drift=moved)
-    return replace(
-        measured,
-        time_s=measured.time_s[kept] - measured.time_s[kept][0],
-        phase=measured.phase[kept],
-        segment=np.zeros(kept.sum(), dtype=int),
-        object_pose=measured.object_pose[kept],
-        object_velocity=measured.object_velocity[kept],
-        tcp_position=measured.tcp_position[kept],
-        tcp_velocity=measured.tcp_velocity[kept],
-        sensor_orientation=measured.sensor_orientation[kept],
-        sensor_wrench=measured.sensor_wrench[kept],
-        wrench_on_object_world=measured.wrench_on_object_world[kept],
-        joint_position=measured.joint_position[kept],
-        tool=None,
-        figures=measured.figures | {"weight_kg": reading.mass, "weight_std_kg": reading.standard_error},
-    )
+    series = {name: getattr(measured, name)[kept] for name in ("time_s", "phase", *SERIES)}
+    series["time_s"] -= series["time_s"][0]
+    figures = measured.figures | {"weight_kg": reading.mass, "weight_std_kg": reading.standard_error}
+    return replace(measured, **series, segment=np.zeros(kept.sum(), dtype=int), tool=None, figures=figures)
 
 
 def read_off(weight: float) -> Trajectory:

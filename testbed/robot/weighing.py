@@ -11,7 +11,7 @@ from jaxtyping import Float
 from testbed.errors import InvalidValueError
 from testbed.objects.model import GRAVITY
 from testbed.sensing.windows import mean_covariance
-from testbed.validation import check_positive, freeze_arrays, frozen_array, is_number
+from testbed.validation import check_positive, freeze_arrays, frozen_array
 
 GAIN_ERROR = 0.02
 """Allowed relative error of a known mass; heft's choice, the maker states no figure."""
@@ -33,7 +33,6 @@ def weigh(
     empty: Float[np.ndarray, "T 6"],
     loaded: Float[np.ndarray, "T 6"],
     up: Float[np.ndarray, "3"] | None,
-    sign: int = 1,
     drift: float = 0.0,
 ) -> Weighing:
     """Weigh by two readings with the hand in one orientation, so that tool and bias cancel.
@@ -43,7 +42,6 @@ def weigh(
         loaded: samples with the object hanging free.
         up: unit vector that points up, sensor axes; None if unknown: then the direction of the force is taken, and the
             sensor's sign stays open.
-        sign: the sensor's, from its calibration.
         drift: standard deviation of the bias's change between the two [N per axis].
 
     Raises:
@@ -54,7 +52,7 @@ def weigh(
         given = frozen_array(f"weigh.{name}", samples, (None, 6))[:, :3]
         if len(given) < 10:
             raise InvalidValueError(f"weigh.{name}", len(given), "10 or more samples")
-        means.append(sign * given.mean(axis=0))
+        means.append(given.mean(axis=0))
         covariances.append(mean_covariance(given))
     force = means[1] - means[0]
     covariance = covariances[0] + covariances[1] + drift**2 * np.eye(3)
@@ -83,30 +81,23 @@ class MassCheck:
     """The verdict in a sentence."""
 
 
-def check_known_mass(weighing: Weighing, mass: float, allowed: float = GAIN_ERROR) -> MassCheck:
-    """Compare a weighing with a mass that is known.
-
-    Args:
-        weighing: the measured one.
-        mass: the known one [kg].
-        allowed: its allowed relative error.
-    """
+def check_known_mass(weighing: Weighing, mass: float) -> MassCheck:
+    """Verdict on a weighing of a known mass [kg], which may be off by `GAIN_ERROR`."""
     check_positive("known mass", mass)
-    if not (is_number(allowed) and 0 < allowed < 1):
-        raise InvalidValueError("allowed", allowed, "a number between 0 and 1")
     ratio, error = weighing.mass / mass, weighing.standard_error / mass
     measured = (
         f"{weighing.mass * GRAVITY:.2f} +- {weighing.standard_error * GRAVITY:.2f} N where {mass:g} kg weighs "
         f"{mass * GRAVITY:.2f} N"
     )
     verdict: Verdict
-    if TOO_UNSURE * error > allowed:
-        need = mass * TOO_UNSURE * error / allowed
-        verdict, why = "unsure", f"the scatter hides {allowed:.0%}: measure longer, or take {need:.1f} kg or more"
-    elif abs(ratio + 1) <= allowed + TOO_UNSURE * error:
+    unsure = TOO_UNSURE * error
+    if unsure > GAIN_ERROR:
+        need = mass * unsure / GAIN_ERROR
+        verdict, why = "unsure", f"the scatter hides {GAIN_ERROR:.0%}: measure longer, or take {need:.1f} kg or more"
+    elif abs(ratio + 1) <= GAIN_ERROR + unsure:
         verdict, why = "negated", "the sensor reports what the tool does to the arm: set sign = -1"
-    elif abs(ratio - 1) <= allowed + TOO_UNSURE * error:
-        verdict, why = "agrees", f"within {allowed:.0%}"
+    elif abs(ratio - 1) <= GAIN_ERROR + unsure:
+        verdict, why = "agrees", f"within {GAIN_ERROR:.0%}"
     else:
         verdict = "disagrees"
         why = (

@@ -10,14 +10,7 @@ from estimators.testing.analytic_world import HEIGHT, analytic_trial
 from testbed.actions.accelerate import Accelerate
 from testbed.actions.rotate import Rotate
 from testbed.actions.slide import Slide
-from testbed.frames import (
-    cross_2d,
-    move_wrench,
-    perpendicular,
-    rotate_wrench,
-    rotation_2d,
-    rotation_matrix,
-)
+from testbed.frames import cross_2d, move_wrench, perpendicular, rotate_wrench, rotation_2d, rotation_matrix
 from testbed.objects.model import GRAVITY, ObjectModel
 from testbed.trajectory import Trajectory
 

@@ -92,10 +92,7 @@ ATTEMPTS = 5
 
 
 def over_wires(
-    model: ObjectModel,
-    actions: Sequence[Rotate],
-    noise: Sensing = FT300S,
-    said: Callable[[str], None] = lambda _: None,
+    model: ObjectModel, actions: Sequence[Rotate], noise: Sensing = FT300S, said: Callable[[str], None] = lambda _: None
 ) -> list[Trajectory]:
     """Turns on a fake Gen3 with a fake FT-300S, by the drivers themselves; those that are data."""
     os.environ["PYTHONPATH"] = KORTEX  # the process that speaks Kortex finds the fake

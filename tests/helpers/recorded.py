@@ -13,11 +13,7 @@ from testbed.trial import OWN_WEIGHT, Support, Trial
 
 
 def put_trial(
-    root: Path,
-    name: str,
-    action: Action,
-    support: Support = OWN_WEIGHT,
-    settings: SimulationSettings | None = None,
+    root: Path, name: str, action: Action, support: Support = OWN_WEIGHT, settings: SimulationSettings | None = None
 ) -> str:
     """Simulate a trial, store it, and return its key."""
     settings = settings or SimulationSettings()

@@ -20,14 +20,7 @@ from testbed.errors import InfeasibleTrialError
 from testbed.objects.model import MassDistribution, ObjectModel
 from testbed.sensing.compensation import compensate
 from testbed.sensing.windows import steady_windows
-from testbed.trajectory import (
-    Phase,
-    Status,
-    Tool,
-    Trajectory,
-    load_trajectory,
-    save_trajectory,
-)
+from testbed.trajectory import Phase, Status, Tool, Trajectory, load_trajectory, save_trajectory
 from testbed.trial import Trial, TrialRunner
 
 RATE = 100.0

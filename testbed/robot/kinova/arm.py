@@ -12,14 +12,7 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from testbed.errors import InvalidValueError
-from testbed.robot.interfaces import (
-    ArmLimits,
-    ArmLostError,
-    ArmRefusedError,
-    ArmState,
-    Pose,
-    RobotError,
-)
+from testbed.robot.interfaces import ArmLimits, ArmLostError, ArmRefusedError, ArmState, Pose, RobotError
 from testbed.robot.kinova.link import KortexLink
 from testbed.robot.kinova.session import Configuration, Feedback
 from testbed.validation import check_positive_fields
@@ -81,7 +74,7 @@ class KortexArm:
         self._epoch = 0
         configuration = Configuration(self.address, self.port, self.username, self.password, self.silence)
         self._link = KortexLink(configuration, self.python)
-        x, y, z = self._link.tool["position"]
+        x, y, z = self._link.tool
         if max(abs(x), abs(y), abs(z - self.tool_length)) > 1e-3:
             self.__exit__(None, None, None)
             raise RobotError(

@@ -46,8 +46,8 @@ class KortexLink:
         """The newest feedback."""
         self.lost = ""
         """Reason that the arm may not follow its commands any more, else empty."""
-        self.tool: dict[str, list[float]] = {}
-        """Tool stored in the arm: position [m] and angles [rad]."""
+        self.tool: list[float] = []
+        """Position of the tool stored in the arm [m]."""
         self._replies: dict[int, dict[str, Any]] = {}
         self._count = 0
         self._writing, self._news = threading.Lock(), threading.Condition()

@@ -105,10 +105,10 @@ class Gen3:
         for run in (self._feed, self._watch, self._send):
             threading.Thread(target=run, name=run.__name__, daemon=True).start()
 
-    def tool(self) -> dict[str, list[float]]:
-        """Tool stored in the arm: position [m] and angles [rad] of its center point from the interface."""
+    def tool(self) -> list[float]:
+        """Tool stored in the arm: position of its center point from the interface [m]."""
         t = self._control.GetToolConfiguration(0, self._options()).tool_transform
-        return {"position": [t.x, t.y, t.z], "angles": [math.radians(a) for a in (t.theta_x, t.theta_y, t.theta_z)]}
+        return [t.x, t.y, t.z]
 
     def hear(self) -> None:
         """Note a sign of life of heft."""

@@ -70,10 +70,7 @@ def test_how_the_bytes_are_cut_makes_no_difference(drawn, cuts):
 
 
 @given(
-    st.lists(COUNTS, min_size=3, max_size=5),
-    st.integers(0, 2),
-    st.integers(0, FRAME_BYTES - 1),
-    st.integers(0, 255),
+    st.lists(COUNTS, min_size=3, max_size=5), st.integers(0, 2), st.integers(0, FRAME_BYTES - 1), st.integers(0, 255)
 )
 def test_a_damaged_or_lost_byte_costs_its_own_frame_alone(said, which, place, flip):
     """Lost: `flip` is 0."""

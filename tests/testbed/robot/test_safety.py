@@ -9,13 +9,7 @@ import pytest
 
 from testbed.robot.interfaces import ArmState, Pose
 from testbed.robot.kinova.arm import GEN3
-from testbed.robot.safety import (
-    SafetyLimits,
-    Snapshot,
-    UnsafeError,
-    path_violations,
-    violations,
-)
+from testbed.robot.safety import SafetyLimits, Snapshot, UnsafeError, path_violations, violations
 
 DOWN = (0.0, 1.0, 0.0, 0.0)
 LIMITS = SafetyLimits()

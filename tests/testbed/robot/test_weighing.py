@@ -35,8 +35,7 @@ def weighed(mass: float, seed: int = 0, **how: Any) -> Weighing:
 def test_without_noise_it_reads_the_mass():
     for sign in (1, -1):
         empty, loaded = (samples(m, sign=sign, noise=1e-9) for m in (0.0, 1.23))
-        found = weigh(empty, loaded, UP, sign)
-        assert found.mass == pytest.approx(1.23, abs=1e-8)
+        assert weigh(empty, loaded, UP).mass == pytest.approx(sign * 1.23, abs=1e-8)
         assert weigh(empty, loaded, None).mass == pytest.approx(1.23, abs=1e-8)
 
 

@@ -90,7 +90,7 @@ class FakeGen3:
         if not self._reaching:
             return
         goal, half_way = self.world.goal, self.faults.aborts or self.faults.short
-        if goal is not None and half_way and np.linalg.norm(goal[0] - self.world.reading.position) < 0.01:
+        if goal is not None and half_way and np.linalg.norm(goal[0] - self.world.reading.tcp_pose.position) < 0.01:
             self.world.stop()
         if self.world.goal is None:
             self._reaching = False
@@ -155,7 +155,7 @@ class FakeGen3:
         linear = np.array([t["linear_x"], t["linear_y"], t["linear_z"]])
         angular = np.radians([t["angular_x"], t["angular_y"], t["angular_z"]])
         if command["reference_frame"] != 3:  # the tool's axes
-            tool = Rotation.from_quat(self.world.reading.orientation, scalar_first=True)
+            tool = Rotation.from_quat(self.world.reading.tcp_pose.orientation, scalar_first=True)
             linear, angular = tool.apply(linear), tool.apply(angular)
         self.world.goal, self.world.twist = None, np.concatenate([linear, angular])
 
@@ -181,17 +181,16 @@ class FakeGen3:
 
     def _BaseCyclic_RefreshFeedback(self, _: dict[str, Any]) -> dict[str, Any]:
         r, single = self.world.reading, lambda values: np.asarray(values, np.float32).tolist()
-        pose = single(
-            [*r.position, *Rotation.from_quat(r.orientation, scalar_first=True).as_euler("xyz", degrees=True)]
-        )
-        twist = single([*r.twist[:3], *np.degrees(r.twist[3:])])
+        turn = Rotation.from_quat(r.tcp_pose.orientation, scalar_first=True).as_euler("xyz", degrees=True)
+        pose = single([*r.tcp_pose.position, *turn])
+        twist = single([*r.tcp_twist[:3], *np.degrees(r.tcp_twist[3:])])
         names = ("x", "y", "z", "theta_x", "theta_y", "theta_z")
         base = {f"tool_pose_{name}": value for name, value in zip(names, pose, strict=True)}
         kinds = [f"tool_twist_{kind}_{axis}" for kind in ("linear", "angular") for axis in "xyz"]
         base |= dict(zip(kinds, twist, strict=True))
         base |= {"fault_bank_a": self.faults.fault_bank, "active_state": 4 if self.faults.fault_bank else 7}
         # positions run from 0 to 360 degrees
-        joints = zip(single(np.degrees(r.q) % 360), single(np.degrees(r.qd)), strict=True)
+        joints = zip(single(np.degrees(r.joint_position) % 360), single(np.degrees(r.joint_velocity)), strict=True)
         closed = round(255 * (1 - min(max(self.world.width / STROKE, 0.0), 1.0))) / 255
         return {
             "base": base,

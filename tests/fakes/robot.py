@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Self
 
 import numpy as np
@@ -32,7 +32,7 @@ from testbed.robot.runner import RealRunner
 from testbed.sensing.presets import preset
 from testbed.simulation.settings import GripSettings, SimulationSettings
 from testbed.trial import Trial
-from tests.fakes.world import TICK, Gen3World, Reading
+from tests.fakes.world import TICK, Gen3World
 
 SILENCE = 0.1
 """Time without a twist that stops the arm, and without a frame that loses the sensor [s]."""
@@ -173,7 +173,8 @@ class FakeArm:
         self._pending: list[tuple[float, int, np.ndarray]] = []
         self._stops = 0
         self._last_twist = self._in_touch = 0.0
-        self._heard: Reading = robot.world.reading
+        self._heard = robot.world.reading
+        self._lie: ArmState | None = None
         self.stopped: list[float] = []
         """Times of `stop` [s]."""
 
@@ -204,12 +205,10 @@ class FakeArm:
         if robot.clock.now() - heard.time_s > SILENCE:
             raise ArmLostError(f"arm: no feedback for {robot.clock.now() - heard.time_s:.3f} s")
         if robot.troubles.feedback_lies:
-            self._lie = getattr(self, "_lie", heard)
-            still = self._lie
-            return ArmState(heard.time_s, still.q, np.zeros(7), Pose(still.position, still.orientation), np.zeros(6))
+            self._lie = self._lie or replace(heard, joint_velocity=np.zeros(7), tcp_twist=np.zeros(6))
+            return replace(self._lie, time_s=heard.time_s)
         faulted = robot.troubles.arm_faulted
-        pose, message = Pose(heard.position, heard.orientation), "joint fault" if faulted else ""
-        return ArmState(heard.time_s, heard.q, heard.qd, pose, heard.twist, faulted, message)
+        return replace(heard, faulted=faulted, message="joint fault" if faulted else "")
 
     def move_to(self, pose: Pose, speed: float) -> None:
         robot, troubles, stops = self.robot, self.robot.troubles, self._stops
@@ -223,7 +222,7 @@ class FakeArm:
             if robot.world.goal is None or (troubles.misses_poses and len(robot.motion) % 50 == 0):
                 robot.world.stop()
                 break
-        off = np.linalg.norm(pose.position - robot.world.reading.position)
+        off = np.linalg.norm(pose.position - robot.world.reading.tcp_pose.position)
         if self._stops == stops and off > 0.002:
             raise ArmRefusedError(f"arm: said to be there, and is {off * 1e3:.0f} mm off")
 

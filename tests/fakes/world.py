@@ -6,13 +6,13 @@ The maker's controller is not known; this one follows a twist with the joint ser
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import mujoco
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from testbed.objects.model import STROKE, ObjectModel
+from testbed.robot.interfaces import ArmState, Pose
 from testbed.sensing.presets import Sensing, preset
 from testbed.simulation.motion import joint_path
 from testbed.simulation.scene import HOME, build_scene
@@ -32,18 +32,6 @@ _CLOSING, _OPENING = 0.8, 0.3
 _LAST_JOINT_FIRST = np.array([1.0] * 6 + [100.0])
 _FASTEST_TURN = math.radians(30)
 _THERE = 5e-4, math.radians(0.05)
-
-
-@dataclass(frozen=True, eq=False)
-class Reading:
-    """State of the arm at a tick."""
-
-    time_s: float
-    q: np.ndarray
-    qd: np.ndarray
-    position: np.ndarray
-    orientation: np.ndarray
-    twist: np.ndarray
 
 
 class Gen3World:
@@ -153,7 +141,7 @@ class Gen3World:
     @property
     def speed(self) -> float:
         """Speed of the tool [m/s], a radian counted as 0.1 m."""
-        return float(np.linalg.norm(self.reading.twist * [1, 1, 1, 0.1, 0.1, 0.1]))
+        return float(np.linalg.norm(self.reading.tcp_twist * [1, 1, 1, 0.1, 0.1, 0.1]))
 
     def _wanted_twist(self) -> np.ndarray:
         if self.goal is None:
@@ -161,8 +149,9 @@ class Gen3World:
             fast = max(float(np.linalg.norm(linear)) / FASTEST[0], float(np.linalg.norm(angular)) / FASTEST[1], 1.0)
             return self.twist / fast
         position, orientation, speed = self.goal
-        way = position - self.reading.position
-        turn = (orientation * Rotation.from_quat(self.reading.orientation, scalar_first=True).inv()).as_rotvec()
+        here = self.reading.tcp_pose
+        way = position - here.position
+        turn = (orientation * Rotation.from_quat(here.orientation, scalar_first=True).inv()).as_rotvec()
         if np.linalg.norm(way) < _THERE[0] and np.linalg.norm(turn) < _THERE[1]:
             self.stop()
             return self.twist
@@ -181,18 +170,12 @@ class Gen3World:
         mujoco.mj_jacSite(self.model, self.data, self._jacobian[:3], self._jacobian[3:], self._tcp)
         return self._jacobian[:, :7]
 
-    def _read(self) -> Reading:
+    def _read(self) -> ArmState:
         quaternion = np.zeros(4)
         mujoco.mju_mat2Quat(quaternion, self.data.site_xmat[self._tcp])
         qd = self.data.qvel[:7].copy()
-        return Reading(
-            self.time,
-            self.data.qpos[:7].copy(),
-            qd,
-            self.data.site_xpos[self._tcp].copy(),
-            quaternion,
-            self._jacobian_at_tcp() @ qd,
-        )
+        pose = Pose(self.data.site_xpos[self._tcp], quaternion)
+        return ArmState(self.time, self.data.qpos[:7], qd, pose, self._jacobian_at_tcp() @ qd)
 
     def _measured(self, data: np.ndarray) -> np.ndarray:
         """Next frame of the sensor: wrench of the arm on the tool, bias, noise."""

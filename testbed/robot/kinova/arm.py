@@ -91,11 +91,12 @@ class KortexArm:
     def state(self) -> ArmState:
         """The newest feedback."""
         f = self._feedback()
+        turn = Rotation.from_euler("xyz", f.tool_angles)
         return ArmState(
             time_s=f.time_s,
             joint_position=np.array(f.joint_position),
             joint_velocity=np.array(f.joint_velocity),
-            tcp_pose=_pose(f),
+            tcp_pose=Pose(np.array(f.tool_position), turn.as_quat(scalar_first=True)),
             tcp_twist=np.array(f.tool_twist),
             faulted=f.faulted,
             message=f.message,
@@ -104,11 +105,10 @@ class KortexArm:
     def move_to(self, pose: Pose, speed: float) -> None:
         """Reach a pose at no more than `speed` [m/s]; returns on arrival or after `stop`."""
         link, epoch = self._ready(), self._epoch
-        angles = Rotation.from_quat(pose.orientation, scalar_first=True).as_euler("xyz")
         number = link.ask(
             "pose",
             position=pose.position.tolist(),
-            angles=angles.tolist(),
+            angles=_rotation(pose).as_euler("xyz").tolist(),
             speed=min(speed, GEN3.linear_speed),
             turn=self.turn_speed,
             epoch=epoch,
@@ -125,12 +125,14 @@ class KortexArm:
         """Wait a moment for the arrival: the arm may report it too early."""
         until = time.monotonic() + 0.5
         while True:
-            off = _distance(self.state().tcp_pose, pose)
-            if off[0] <= _ARRIVED[0] and off[1] <= _ARRIVED[1]:
+            now = self.state().tcp_pose
+            off = float(np.linalg.norm(now.position - pose.position))
+            turned = float((_rotation(now).inv() * _rotation(pose)).magnitude())
+            if off <= _ARRIVED[0] and turned <= _ARRIVED[1]:
                 return
             if time.monotonic() > until:
                 raise ArmRefusedError(
-                    f"arm: it says that it has arrived, {off[0] * 1e3:.1f} mm and {math.degrees(off[1]):.2f} deg off; "
+                    f"arm: it says that it has arrived, {off * 1e3:.1f} mm and {math.degrees(turned):.2f} deg off; "
                     "choose a slower or nearer pose"
                 )
             time.sleep(_ALIVE)
@@ -207,14 +209,5 @@ class KortexArm:
         return self._connected()
 
 
-def _distance(a: Pose, b: Pose) -> tuple[float, float]:
-    """Distance [m] and angle [rad] between two poses."""
-    turn = Rotation.from_quat(a.orientation, scalar_first=True).inv() * Rotation.from_quat(
-        b.orientation, scalar_first=True
-    )
-    return float(np.linalg.norm(a.position - b.position)), float(turn.magnitude())
-
-
-def _pose(feedback: Feedback) -> Pose:
-    turn = Rotation.from_euler("xyz", feedback.tool_angles)
-    return Pose(np.array(feedback.tool_position), turn.as_quat(scalar_first=True))
+def _rotation(pose: Pose) -> Rotation:
+    return Rotation.from_quat(pose.orientation, scalar_first=True)

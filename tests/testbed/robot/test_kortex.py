@@ -71,7 +71,7 @@ def moved_by(arm: KortexArm, linear: np.ndarray, angular: np.ndarray, gen3: Fake
     for _ in range(count):
         arm.twist(linear, angular)
         time.sleep(0.02)
-    return gen3.world.reading.twist.copy()
+    return gen3.world.reading.tcp_twist
 
 
 def ahead(arm: KortexArm, z: float = 0.03) -> Pose:
@@ -95,8 +95,8 @@ def test_connecting_moves_nothing_and_leaving_ends_the_process(gen3):
         state, link = arm.state(), arm._link
     assert link is not None and link.dead
     assert set(gen3.commands) <= {"Stop"}
-    assert_allclose(state.tcp_pose.position, gen3.world.reading.position, atol=1e-4)
-    assert_allclose(np.cos(state.joint_position), np.cos(gen3.world.reading.q), atol=1e-4)
+    assert_allclose(state.tcp_pose.position, gen3.world.reading.tcp_pose.position, atol=1e-4)
+    assert_allclose(np.cos(state.joint_position), np.cos(gen3.world.reading.joint_position), atol=1e-4)
     assert abs(state.joint_position).max() <= math.pi
     with pytest.raises(ArmLostError, match="not connected"):
         arm.state()
@@ -113,7 +113,7 @@ def test_twists_are_in_the_base_frame_and_in_radians(arm, gen3):
     arm.stop()
     assert until(lambda: not gen3.world.driven and gen3.world.speed < 1e-4)
     time.sleep(0.05)
-    measured, truth = arm.state().tcp_pose.orientation, gen3.world.reading.orientation
+    measured, truth = arm.state().tcp_pose.orientation, gen3.world.reading.tcp_pose.orientation
     assert abs(measured @ truth) == pytest.approx(1.0, abs=1e-6)
 
 
@@ -122,15 +122,15 @@ def test_poses_are_reached_and_stopped(arm, gen3):
     start = arm.state().tcp_pose
     goal = Pose(start.position + np.array([0.02, 0.01, 0.03]), start.orientation)
     arm.move_to(goal, 0.2)
-    assert_allclose(gen3.world.reading.position, goal.position, atol=2e-3)
+    assert_allclose(gen3.world.reading.tcp_pose.position, goal.position, atol=2e-3)
     moved_by(arm, FORWARD, STAND, gen3, count=5)
     arm.stop()
     assert stands(gen3)
-    height = gen3.world.reading.position[2]
+    height = gen3.world.reading.tcp_pose.position[2]
     Timer(0.3, arm.stop).start()
     arm.move_to(ahead(arm, 0.15), 0.05)
     assert stands(gen3)
-    assert gen3.world.reading.position[2] < height + 0.14
+    assert gen3.world.reading.tcp_pose.position[2] < height + 0.14
 
 
 @slow

@@ -118,7 +118,12 @@ def test_nothing_moves_before_the_motion_was_shown_and_confirmed():
     """Shown once a runner, and only by a connected one; without a tracker slip is not known."""
     shown: list[str] = []
     trial = Trial(OBJECT, replace(ACTION, duration=1.3))
-    robot, runner = robot_for(trial, confirm=lambda text: shown.append(text) or len(shown) > 1, tracker=None)
+    robot, runner = robot_for(
+        trial,
+        confirm=lambda text: shown.append(text) or len(shown) > 1,
+        tracker=None,
+        change=lambda settings: replace(settings, tare_time=0.4, settle_time=0.6, hover=0.03),
+    )
     assert isinstance(runner, TrialRunner)
     with pytest.raises(RobotError, match="not connected"):
         runner.run(trial)

@@ -233,18 +233,10 @@ class RobotFile(Strict):
         )
         if calibration is None:
             return settings
-        return replace(
-            settings,
-            tool=self._tool(calibration, settings.tool),
-            sensor_orientation=calibration.sensor_in_hand,
-            sensor_sign=calibration.sign,
-        )
-
-    def _tool(self, calibration: Calibration, sheet: Tool) -> Tool:
-        """Tool with mass and center as calibrated; inertia from the data sheet, turned into the sensor's axes."""
-        turn = Rotation.from_quat(calibration.sensor_in_hand, scalar_first=True).as_matrix().T
-        tcp = turn @ np.array([0.0, 0.0, self.sensor.to_tcp_m])
-        return calibration.tool(tcp, turn @ sheet.inertia @ turn.T)
+        mount = calibration.sensor_in_hand
+        turn = Rotation.from_quat(mount, scalar_first=True).as_matrix().T  # from the hand's axes to the sensor's
+        tool = calibration.tool(turn @ [0.0, 0.0, self.sensor.to_tcp_m], turn @ sheet.inertia @ turn.T)
+        return replace(settings, tool=tool, sensor_orientation=mount, sensor_sign=calibration.sign)
 
 
 def load_robot_file(path: Path) -> RobotFile:

@@ -199,7 +199,7 @@ def _fit(poses: Sequence[StaticPose], sign: int) -> OptimizeResult:
 def in_words(calibration: Calibration) -> list[str]:
     """Findings of a calibration, a sentence each: sign, rotation, tool, and doubts."""
     rotation = Rotation.from_quat(calibration.sensor_in_hand, scalar_first=True)
-    turn, mirrored = turn_in_words(rotation)
+    turn, mirrored = _turn_in_words(rotation)
     sentences = []
     if calibration.sign < 0:
         also = f" (the same thing: its {mirrored} axis is mirrored)" if mirrored else ""
@@ -219,7 +219,7 @@ def in_words(calibration: Calibration) -> list[str]:
     return sentences
 
 
-def turn_in_words(rotation: Rotation) -> tuple[str, str]:
+def _turn_in_words(rotation: Rotation) -> tuple[str, str]:
     """A rotation in words, and the frame's axis about which it is half a turn, else empty."""
     vector = rotation.as_rotvec(degrees=True)
     angle = float(np.linalg.norm(vector))

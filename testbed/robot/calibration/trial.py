@@ -102,11 +102,8 @@ def _of_lift(wrench: np.ndarray, covariance: np.ndarray, mass: float | None) -> 
         ok = abs(off) <= MASS_ALLOWED + TOO_UNSURE * spread
         text = f"{weight / GRAVITY:.3f} kg where it has {mass:g} kg ({100 * off:+.1f} +- {100 * spread:.1f} %)"
         findings.append(Finding("mass", ok, off, spread, text + ("" if ok else ": check the gain by a known mass")))
-    across = float(np.linalg.norm(wrench[:2]))
-    tilt, spread = (
-        float(np.arctan2(across, weight)),
-        float(np.sqrt(np.linalg.eigvalsh(covariance[:2, :2])[-1]) / weight),
-    )
+    tilt = float(np.arctan2(np.linalg.norm(wrench[:2]), weight))
+    spread = float(np.sqrt(np.linalg.eigvalsh(covariance[:2, :2])[-1]) / weight)
     ok = tilt <= TILT_ALLOWED + TOO_UNSURE * spread
     text = f"its weight leans by {np.degrees(tilt):.1f} +- {np.degrees(spread):.1f} deg"
     why = "" if ok else ": the sensor's rotation is off, or something touched the object"

@@ -130,8 +130,8 @@ class KortexLink:
     def refused(self) -> str:
         """Reason of a twist's refusal since the last call, else empty."""
         with self._news:
-            said = [reply["error"] for reply in self._replies.values() if "twist refused" in reply.get("error", "")]
-            self._replies = {n: r for n, r in self._replies.items() if "twist refused" not in r.get("error", "")}
+            refused = [n for n, reply in self._replies.items() if "twist refused" in reply.get("error", "")]
+            said = [self._replies.pop(number)["error"] for number in refused]
         return said[0] if said else ""
 
     def close(self) -> None:

@@ -72,11 +72,11 @@ def answer(monkeypatch, line: str) -> None:
     monkeypatch.setattr("sys.stdin", io.StringIO(f"{line}\n"))
 
 
-def straight(mass: float = 0.925, sign: Sign = 1, turn: float = 0.0) -> Calibration:
+def straight(sign: Sign = 1, turn: float = 0.0) -> Calibration:
     """A sensor turned about the tool's axis above a tool that is the simulated gripper."""
-    small, rotation = np.full(6, 1e-3), np.array([math.cos(turn / 2), 0, 0, math.sin(turn / 2)])
-    com = np.array([0, 0, 0.06])
-    return Calibration(sign, rotation, small[:3], np.zeros(6), small, mass, 1e-3, com, small[:3], 1.0, 8)
+    small, com = np.full(6, 1e-3), np.array([0, 0, 0.06])
+    rotation = np.array([math.cos(turn / 2), 0, 0, math.sin(turn / 2)])
+    return Calibration(sign, rotation, small[:3], np.zeros(6), small, 0.925, 1e-3, com, small[:3], 1.0, 8)
 
 
 @pytest.mark.parametrize(("serial", "code"), [("FSC-1234", 0), ("FSC-9", 1)])

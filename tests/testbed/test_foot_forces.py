@@ -8,12 +8,7 @@ import pytest
 from testbed.actions.rotate import Rotate
 from testbed.actions.weigh import Weigh
 from testbed.errors import InvalidValueError
-from testbed.foot_forces import (
-    FootForces,
-    FootForcesFileError,
-    load_foot_forces,
-    save_foot_forces,
-)
+from testbed.foot_forces import FootForces, FootForcesFileError, load_foot_forces, save_foot_forces
 from testbed.objects.files import load_object
 from testbed.objects.model import GRAVITY
 from testbed.simulation.runner import SimulationRunner
@@ -21,23 +16,17 @@ from testbed.trajectory import Phase
 from testbed.trial import Trial
 
 
-def test_they_come_back_as_they_were(tmp_path):
-    rng = np.random.default_rng(0)
+def test_they_come_back_as_they_were_and_a_cut_file_is_told(tmp_path):
+    rng, path = np.random.default_rng(0), tmp_path / "feet.parquet"
     feet = FootForces(np.arange(4) / 10, np.array([5, 1, 7]), rng.normal(size=(4, 3, 3)))
-    save_foot_forces(feet, tmp_path / "feet.parquet")
-    back = load_foot_forces(tmp_path / "feet.parquet")
+    save_foot_forces(feet, path)
+    back = load_foot_forces(path)
     np.testing.assert_array_equal(back.time_s, feet.time_s)
     np.testing.assert_array_equal(back.particle, feet.particle)
     np.testing.assert_allclose(back.force, feet.force, rtol=1e-6)
-
-
-def test_a_cut_file_is_told(tmp_path):
-    feet = FootForces(np.arange(4) / 10, np.array([0]), np.zeros((4, 1, 3)))
-    save_foot_forces(feet, tmp_path / "feet.parquet")
-    whole = (tmp_path / "feet.parquet").read_bytes()
-    (tmp_path / "feet.parquet").write_bytes(whole[: len(whole) // 2])
+    path.write_bytes(path.read_bytes()[:300])
     with pytest.raises(FootForcesFileError, match=r"feet\.parquet"):
-        load_foot_forces(tmp_path / "feet.parquet")
+        load_foot_forces(path)
 
 
 @pytest.mark.parametrize("force", [np.zeros((4, 2, 3)), np.full((4, 1, 3), np.nan)])

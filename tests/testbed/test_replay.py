@@ -41,16 +41,10 @@ def mark_of(trajectory: Trajectory) -> float:
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    for i, trajectory in enumerate(
-        (
-            taken(mark=1.0),
-            taken("F2", mark=2.0),
-            taken(action=Slide(1, 0.4), mark=3.0),
-            taken(mark=4.0),
-            taken(action=replace(TURN, speed=-TURN.speed), mark=5.0),
-        )
-    ):
-        save_trajectory(trajectory, tmp_path / f"{i}.parquet")
+    back = replace(TURN, speed=-TURN.speed)
+    records = [("L2", TURN), ("F2", TURN), ("L2", Slide(1, 0.4)), ("L2", TURN), ("L2", back)]
+    for i, (name, action) in enumerate(records, 1):
+        save_trajectory(taken(name, action, float(i)), tmp_path / f"{i}.parquet")
     return tmp_path
 
 
@@ -141,13 +135,10 @@ def test_what_a_bench_measured_takes_no_draw(tmp_path: Path):
     assert np.array_equal(given.wrench_on_object_world, measured.wrench_on_object_world)
 
 
-def test_a_folder_without_records_is_refused(tmp_path: Path):
+def test_a_folder_without_records_or_with_a_stranger_among_them_is_refused(tmp_path: Path):
     for folder in (tmp_path, tmp_path / "none"):
         with pytest.raises(InvalidValueError, match=r"replay folder: .*a results folder, or one of trajectory files"):
             ReplayRunner(folder)
-
-
-def test_a_stranger_among_the_records_is_told(folder: Path):
-    (folder / "x.parquet").write_text("time_s\n0.1\n")
+    (tmp_path / "x.parquet").write_text("time_s\n0.1\n")
     with pytest.raises(TrajectoryFileError, match=r"x\.parquet: not a trajectory file"):
-        ReplayRunner(folder)
+        ReplayRunner(tmp_path)

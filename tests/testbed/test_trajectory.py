@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import pickle
+import re
 from pathlib import Path
 
 import numpy as np
@@ -119,15 +120,9 @@ def test_a_header_of_another_kind_is_refused(full: Trajectory, tmp_path: Path, c
     table = pq.read_table(path)
     header = change(json.loads(table.schema.metadata[b"heft"]))
     pq.write_table(table.replace_schema_metadata({b"heft": json.dumps(header).encode()}), path)
-    with pytest.raises(TrajectoryFileError) as refused:
+    with pytest.raises(TrajectoryFileError, match=re.escape(said)):
         load_trajectory(path)
-    assert said in str(refused.value)
-
-
-def test_a_missing_column_is_refused(full: Trajectory, tmp_path: Path):
-    path = tmp_path / "t.parquet"
-    save_trajectory(full, path)
-    pq.write_table(pq.read_table(path).drop_columns(["sensor_wrench.fz_N"]), path)
+    pq.write_table(table.drop_columns(["sensor_wrench.fz_N"]), path)
     with pytest.raises(TrajectoryFileError, match=r"sensor_wrench\.fz_N"):
         load_trajectory(path)
 
@@ -141,20 +136,11 @@ def test_a_reader_of_the_old_file_keeps_it_while_a_new_one_is_written(tmp_path: 
     assert path.read_text() == "new"
 
 
-def test_a_writer_that_fails_leaves_nothing(tmp_path: Path):
-    def fail(part: Path) -> None:
-        part.write_text("half")
-        raise RuntimeError("power cut")
-
-    with pytest.raises(RuntimeError, match="power cut"):
-        write_whole(tmp_path / "new" / "t.parquet", fail)
-    assert list((tmp_path / "new").iterdir()) == []
-
-
-def test_a_writer_that_fails_leaves_the_old_file(full: Trajectory, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    path = tmp_path / "t.parquet"
-    save_trajectory(full, path)
-    before = path.read_bytes()
+@pytest.mark.parametrize("there", [[], ["t.parquet"]], ids=["nothing", "an old file"])
+def test_a_writer_that_fails_leaves_what_was_there(there, full: Trajectory, tmp_path: Path, monkeypatch):
+    for name in there:
+        save_trajectory(full, tmp_path / name)
+    before = {path: path.read_bytes() for path in tmp_path.iterdir()}
 
     def fail(table: object, part: Path, **_: object) -> None:
         part.write_bytes(b"PAR1")
@@ -162,9 +148,8 @@ def test_a_writer_that_fails_leaves_the_old_file(full: Trajectory, tmp_path: Pat
 
     monkeypatch.setattr(pq, "write_table", fail)
     with pytest.raises(OSError, match="disk full"):
-        save_trajectory(record(), path)
-    assert path.read_bytes() == before
-    assert list(tmp_path.iterdir()) == [path]
+        save_trajectory(record(), tmp_path / "t.parquet")
+    assert {path: path.read_bytes() for path in tmp_path.iterdir()} == before
 
 
 def changed(name: str, index: int, value: object) -> np.ndarray:
@@ -202,21 +187,15 @@ def test_a_tool_out_of_range_is_refused(mass):
         assert refused.value.field == field
 
 
-def test_a_trajectory_does_not_follow_the_arrays_it_was_made_from():
+def test_a_trajectory_is_frozen_and_does_not_follow_the_arrays_it_was_made_from():
     given = {name: np.array(getattr(record(5), name)) for name in SERIES}
     made = record(5, **given)  # type: ignore[arg-type]
-    for name, values in given.items():
-        before = getattr(made, name).copy()
-        assert values.flags.writeable, name
-        values[...] = 1
-        assert np.array_equal(getattr(made, name), before), name
-
-
-def test_a_trajectory_is_frozen_and_its_arrays_are_read_only():
-    made = record(5)
     with pytest.raises(dataclasses.FrozenInstanceError):
         made.status = "fault"  # type: ignore[misc]
-    for name in SERIES:
+    for name, values in given.items():
+        before = getattr(made, name).copy()
+        values[...] = 1
+        assert np.array_equal(getattr(made, name), before), name
         with pytest.raises(ValueError, match="read-only"):
             getattr(made, name)[0] = 0
 

@@ -86,9 +86,12 @@ def test_the_noise_of_the_sensor_is_no_drift():
         assert judge_drift(still, DriftLimit()).ok
 
 
-def test_a_record_with_one_tare_says_its_bias_and_no_more():
-    judged = judge_drift(record(), DriftLimit())
+def test_a_record_with_one_tare_says_its_bias_and_what_is_assumed():
+    assumed = np.repeat([0.005, 0.0003], 3)
+    judged = judge_drift(record(sensor_drift_std=assumed), DriftLimit())
     assert judged.ok
+    assert_allclose(judged.sensor_drift_std, assumed)
+    assert judged.provenance["drift"].startswith("assumed, for want of a second tare: 0.005 N and 0.0003 N m")
     assert "bias_before_fx_N" in judged.figures
     assert not {"bias_after_fx_N", "drift_N"} & set(judged.figures)
     assert drift_of(record(tare=0)) is drift_of(record(tool=None)) is None
@@ -102,8 +105,9 @@ def test_a_trial_that_failed_otherwise_keeps_its_reason():
 
 
 def test_a_limit_of_nothing_is_refused():
-    with pytest.raises(InvalidValueError, match=r"DriftLimit\.torque"):
-        DriftLimit(torque=0.0)
+    for name in ("force", "torque"):
+        with pytest.raises(InvalidValueError, match=rf"DriftLimit\.{name}"):
+            DriftLimit(**{name: 0.0})
 
 
 def test_estimators_weigh_a_record_by_what_its_tares_show_and_no_less_than_was_assumed():
@@ -120,9 +124,3 @@ def test_estimators_weigh_a_record_by_what_its_tares_show_and_no_less_than_was_a
     assert change * passed / seconds < covered <= change
     quiet = judge_drift(closed(record(sensor_drift_std=assumed), BEFORE, BEFORE), DriftLimit())
     assert_allclose(quiet.sensor_drift_std, assumed)
-
-
-def test_with_one_tare_the_walk_is_the_assumed_one_and_says_so():
-    judged = judge_drift(record(sensor_drift_std=np.repeat([0.005, 0.0003], 3)), DriftLimit())
-    assert_allclose(judged.sensor_drift_std, np.repeat([0.005, 0.0003], 3))
-    assert judged.provenance["drift"].startswith("assumed, for want of a second tare: 0.005 N and 0.0003 N m")

@@ -72,7 +72,9 @@ def slide(root) -> TrialRecord:
     return read_trial(root, put_trial(root, "hammer", Slide(1, direction=0.7, duration=0.5)))
 
 
-FILM = ["--width", str(SIZE[0]), "--height", str(SIZE[1]), "--fps", "5", "--speed", "2", "--no-caption"]
+RATE, SPEED = 2, 2.5
+"""Pictures a second in the film, and the film's pace."""
+FILM = f"--width {SIZE[0]} --height {SIZE[1]} --fps {RATE} --speed {SPEED} --no-caption".split()
 PICTURE = ["--at", "1.0", "--width", "480", "--height", "320"]
 
 
@@ -215,15 +217,15 @@ def test_a_film_shows_the_object_where_the_record_has_it(drawn, turn):
     length = trajectory.time_s[-1]
     with av.open(drawn / "turn.mp4") as film:
         stream = film.streams.video[0]
-        assert (stream.width, stream.height, stream.average_rate) == (*SIZE, 5)
+        assert (stream.width, stream.height, stream.average_rate) == (*SIZE, RATE)
         pictures = [frame.to_ndarray(format="rgb24") for frame in film.decode(stream)]
-    assert len(pictures) == math.floor(length * 5 / 2) + 1
+    assert len(pictures) == math.floor(length * RATE / SPEED) + 1
     playback, aspect = played(turn, meshes=True), SIZE[0] / SIZE[1]
     looks = np.unique(np.linspace(0, len(trajectory.time_s) - 1, 40).astype(int)).tolist()
     eye = camera(playback.model, playback.data, VIEWS["above"], aspect, playback.show, looks)
     shape, moved = turn.object.shape, []
     for i, picture in enumerate(pictures):
-        sample = int(nearest(trajectory.time_s, np.array([i * 2 / 5]))[0])
+        sample = int(nearest(trajectory.time_s, np.array([i * SPEED / RATE]))[0])
         block = shape.particles[shape.mass_group == 2].mean(axis=0)
         top = np.append(transform_point(object_pose(trajectory)[sample], block), shape.height)
         playback.show(sample)

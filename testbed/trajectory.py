@@ -153,11 +153,11 @@ class Trajectory:
         object.__setattr__(self, "time_s", time)
         freeze_arrays(self, **{name: (len(time), len(columns)) for name, columns in SERIES.items()})
         freeze_arrays(self, sensor_bias_std=(6,), sensor_drift_std=(6,))
-        for name in ("phase", "segment"):
+        largest = int(np.iinfo(np.int64).max)
+        for name, lowest, highest in (("phase", 0, int(max(Phase))), ("segment", -1, largest)):
             values = np.array(getattr(self, name))
-            lowest, highest = (0, int(max(Phase))) if name == "phase" else (-1, np.iinfo(np.int64).max)
-            bounds = f"from {lowest} to {highest}" if name == "phase" else f"from {lowest}"
-            allowed = f"integers {bounds}, one a sample, ({len(time)},)"
+            to = "" if highest == largest else f" to {highest}"
+            allowed = f"integers from {lowest}{to}, one a sample, ({len(time)},)"
             if not np.issubdtype(values.dtype, np.integer) or values.shape != time.shape:
                 raise InvalidValueError(f"Trajectory.{name}", f"{values.dtype} of shape {values.shape}", allowed)
             outside = np.unique(values[(values < lowest) | (values > highest)])

@@ -79,11 +79,9 @@ class Trial:
 
     def __post_init__(self) -> None:
         if self.action.grasp is not None and self.action.grasp >= len(self.object.shape.grasps):
-            names = (
-                ", ".join(f"{i} ({g.name})" for i, g in enumerate(self.object.shape.grasps))
-                or "none: nothing is grippable"
-            )
-            raise InvalidValueError(f"{type(self.action).__name__}.grasp", self.action.grasp, names)
+            names = ", ".join(f"{i} ({g.name})" for i, g in enumerate(self.object.shape.grasps))
+            allowed = names or "none: nothing is grippable"
+            raise InvalidValueError(f"{type(self.action).__name__}.grasp", self.action.grasp, allowed)
 
     @property
     def grasp(self) -> Grasp:

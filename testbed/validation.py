@@ -29,9 +29,7 @@ def frozen_array(name: str, values: ArrayLike, shape: tuple[int | None, ...], *,
     if given is None or given.dtype.kind not in "iuf":
         raise InvalidValueError(name, values, f"numbers of shape {_describe(shape)}")
     array = np.array(given, dtype=np.float64)
-    if array.ndim != len(shape) or any(
-        want is not None and want != have for want, have in zip(shape, array.shape, strict=True)
-    ):
+    if array.ndim != len(shape) or any(want not in (None, have) for want, have in zip(shape, array.shape, strict=True)):
         raise InvalidValueError(name, f"shape {array.shape}", f"shape {_describe(shape)}")
     if finite and not np.isfinite(array).all():
         raise InvalidValueError(name, f"{int((~np.isfinite(array)).sum())} NaN or infinite entries", "finite numbers")
@@ -91,6 +89,5 @@ def is_number(value: object) -> bool:
 
 
 def _describe(shape: tuple[int | None, ...]) -> str:
-    return (
-        "(" + ", ".join("n" if size is None else str(size) for size in shape) + ("," if len(shape) == 1 else "") + ")"
-    )
+    sizes = ", ".join("n" if size is None else str(size) for size in shape)
+    return f"({sizes},)" if len(shape) == 1 else f"({sizes})"

@@ -95,21 +95,19 @@ def judge_drift(trajectory: Trajectory, limit: DriftLimit) -> Trajectory:
     figures = dict(trajectory.figures)
     for when, bias in zip(("before", "after"), biases[:1] + biases[1:][-1:], strict=False):
         figures |= {f"bias_{when}_{axis}": float(value) for axis, value in zip(_AXES, bias, strict=True)}
+    assumed = trajectory.sensor_drift_std
     if drift is None:
-        said = {"drift": f"assumed, for want of a second tare: {_in_words(trajectory.sensor_drift_std)}"}
-        return replace(trajectory, figures=figures, provenance=trajectory.provenance | said)
-    said = {"drift": f"tares {drift.seconds:.0f} s apart show {_in_words(drift.walk)}; "}
-    said["drift"] += f"assumed at least {_in_words(trajectory.sensor_drift_std)}"
-    trajectory = replace(
-        trajectory,
-        sensor_drift_std=np.maximum(trajectory.sensor_drift_std, drift.walk),
-        provenance=trajectory.provenance | said,
-    )
-    figures |= {"drift_N": drift.force, "drift_Nm": drift.torque}
+        said = f"assumed, for want of a second tare: {_in_words(assumed)}"
+        return replace(trajectory, figures=figures, provenance=trajectory.provenance | {"drift": said})
+    said = f"tares {drift.seconds:.0f} s apart show {_in_words(drift.walk)}; assumed at least {_in_words(assumed)}"
     why = drift.exceeds(limit)
-    if why and trajectory.ok:
-        return replace(trajectory, figures=figures, status="fault", reason=why)
-    return replace(trajectory, figures=figures)
+    return replace(
+        trajectory,
+        figures=figures | {"drift_N": drift.force, "drift_Nm": drift.torque},
+        sensor_drift_std=np.maximum(assumed, drift.walk),
+        provenance=trajectory.provenance | {"drift": said},
+        **({"status": "fault", "reason": why} if why and trajectory.ok else {}),
+    )
 
 
 def _in_words(walk: Float[np.ndarray, "6"]) -> str:

@@ -15,13 +15,7 @@ from jaxtyping import Float, Int
 
 from testbed.actions.base import Action, TableAction
 from testbed.errors import InvalidValueError
-from testbed.frames import (
-    move_wrench,
-    perpendicular,
-    rotate_wrench,
-    rotation_2d,
-    rotation_matrix,
-)
+from testbed.frames import move_wrench, perpendicular, rotate_wrench, rotation_2d, rotation_matrix
 from testbed.objects.model import GRAVITY
 from testbed.sensing.compensation import tare_samples
 from testbed.trajectory import Phase, Trajectory

@@ -153,7 +153,8 @@ def _check_lift(trial: Trial, action: Lift, motion: Motion, settings: Simulation
             f"support: on {trial.support.name} the parts hang on vertical slides, and only what is gripped would be "
             "lifted; lift with support rigid"
         )
-    payload = FLANGE_PAYLOAD - _below_flange()
+    model = arm_model()
+    payload = FLANGE_PAYLOAD - float(model.body_mass[model.body("ft/housing").id :].sum())  # sensor and gripper
     if obj.total_mass > payload:
         raise InfeasibleTrialError(
             f"payload: the object's {obj.total_mass:.3f} kg against {payload:.2f} kg that the arm carries beside "
@@ -170,12 +171,6 @@ def _check_lift(trial: Trial, action: Lift, motion: Motion, settings: Simulation
     if settings.grip.mode == "friction":
         _check_grip(obj, grasp, action, settings)
     _check_joints(obj, grasp, motion, settings)
-
-
-def _below_flange() -> float:
-    """Mass of sensor and gripper [kg]."""
-    model = arm_model()
-    return float(model.body_mass[model.body("ft/housing").id :].sum())
 
 
 def _check_grip(obj: ObjectModel, grasp: Grasp, action: Lift, settings: SimulationSettings) -> None:
@@ -216,9 +211,8 @@ def _check_joints(obj: ObjectModel, grasp: Grasp, motion: Motion, settings: Simu
     limit = model.jnt_actfrcrange[:7, 1]
     hand, tcp = model.body("gripper/base").id, model.site("gripper/tcp").id
     along, across = rotation_2d(-grasp.angle) @ (obj.center_of_mass - grasp.position)
-    lever = np.array(
-        [along, -across, settings.grip.tcp_height - obj.shape.height / 2]
-    )  # in the hand, whose z axis points down
+    # In the hand, whose z axis points down
+    lever = np.array([along, -across, settings.grip.tcp_height - obj.shape.height / 2])
     qdd = np.gradient(motion.qd, 1 / settings.rate, axis=0)
     jacobian, inertial, qacc = np.zeros((3, model.nv)), np.zeros(model.nv), np.zeros(model.nv)
     for tick in range(0, len(motion.q), EVERY):

@@ -15,7 +15,6 @@ from scenarios.views.pages import page_of
 from scenarios.views.values import trial_view
 from testbed.actions.lift import Lift
 from testbed.errors import InfeasibleTrialError, InvalidValueError
-from testbed.objects.blocks import block_object, parse_layout
 from testbed.objects.files import load_object
 from testbed.objects.model import GRAVITY, ObjectModel
 from testbed.robot.config import RobotSettings
@@ -28,21 +27,17 @@ from testbed.simulation.rendering import Playback
 from testbed.simulation.runner import SimulationRunner
 from testbed.trajectory import Phase
 from testbed.trial import OWN_WEIGHT, RIGID, Support, Trial
+from tests.helpers.blocks import blocks
 from tests.helpers.recorded import put_trial
 from viz.recordings.page import save
 
 RUNNER = SimulationRunner()
+CORNER = ["10", "11"]
 STILL = Lift(1, tilt=0.0, hold=1.2)
 TOOL = 0.925
 """Mass of the gripper, kg."""
 SAG = 0.002
 """Greatest sag of the object between the pads [m]: the feet's felt, and the pads' give."""
-
-
-def blocks(mass: list[float], layout: tuple[str, ...] = ("10", "11")) -> ObjectModel:
-    cells = parse_layout(list(layout))
-    groups = [0] * len(cells)
-    return block_object("b", cells, size=0.05, height=0.03, mass=mass, friction=[0.5], friction_group=groups, grid=3)
 
 
 def felt_and_due(obj: ObjectModel, action: Lift) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -78,7 +73,7 @@ def test_a_lift_goes_up_rocks_about_each_axis_and_comes_down(action):
     [
         (load_object("L2"), Lift(2), OWN_WEIGHT, "support"),
         (load_object("L2"), Lift(2), Support(1e4), "support"),
-        (blocks([1.0, 1.0, 0.7]), Lift(1), RIGID, "payload"),
+        (blocks(CORNER, [1.0, 1.0, 0.7]), Lift(1), RIGID, "payload"),
         (load_object("I2"), Lift(0), RIGID, "grip"),
         (load_object("I2"), Lift(2, height=0.02), RIGID, "clearance"),
         (load_object("L2"), Lift(2, acceleration=6.0), RIGID, "speed"),
@@ -104,7 +99,7 @@ def test_a_lift_is_no_turn():
 @pytest.mark.parametrize("mass", [[0.5, 0.1, 0.3], [0.0005, 0.0003, 0.0004]])
 def test_held_still_an_object_weighs_what_it_weighs_where_it_does(mass):
     """Next to no mass is the tool alone, compensated."""
-    obj = blocks(mass)
+    obj = blocks(CORNER, mass)
     felt, due, _ = felt_and_due(obj, STILL)
     tolerance = max(0.005 * obj.total_mass, 5e-4 * TOOL) * GRAVITY
     assert_allclose(felt[:, :3], due[:, :3], atol=tolerance)
@@ -114,7 +109,7 @@ def test_held_still_an_object_weighs_what_it_weighs_where_it_does(mass):
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["L2", "tool alone"])
 def test_tilted_and_rocked_the_wrench_is_newtons_and_eulers(name):
-    obj = load_object(name) if name == "L2" else blocks([5e-4, 3e-4, 4e-4])
+    obj = load_object(name) if name == "L2" else blocks(CORNER, [5e-4, 3e-4, 4e-4])
     felt, due, with_height = felt_and_due(obj, Lift(2 if name == "L2" else 1))
     low = with_height.ravel() @ (felt - due).ravel() / np.sum(with_height**2)
     assert abs(low) < SAG or name != "L2"

@@ -10,20 +10,13 @@ import pytest
 from numpy.testing import assert_allclose
 
 from testbed.errors import InvalidValueError
-from testbed.objects.blocks import block_object, parse_layout
+from testbed.objects.blocks import parse_layout
 from testbed.objects.files import load_object
 from testbed.objects.model import Grasp, MassDistribution, ObjectModel, ObjectShape, Solid
+from tests.helpers.blocks import blocks
 
 SIZE = 0.05
 ROW_MASS = [0.4, 0.1, 0.1, 0.4, 0.4, 0.4]
-
-
-def blocks(rows: list[str], mass: list[float] | None = None, grid: int = 3) -> ObjectModel:
-    cells = parse_layout(rows)
-    n = len(cells)
-    return block_object(
-        "X", cells, size=SIZE, height=0.03, mass=mass or [0.4] * n, friction=[0.5], friction_group=[0] * n, grid=grid
-    )
 
 
 def shape(**changes: object) -> ObjectShape:

@@ -16,20 +16,11 @@ from estimators.particles.windows import observe
 from estimators.testing.analytic_world import accelerated, drawn_object, turns
 from estimators.testing.conformance import CONFORMANCE, WITHOUT_DRAWS, small_object
 from testbed.errors import InvalidValueError
-from testbed.objects.blocks import block_object, parse_layout
 from testbed.simulation.planar_sysid import compile_scene, planar_scene, sink_depths
 from testbed.trial import OWN_WEIGHT, RIGID
+from tests.helpers.blocks import blocks
 
-PAIR = block_object(
-    "pair",
-    parse_layout(["11"]),
-    size=0.05,
-    height=0.03,
-    mass=[0.4, 0.1],
-    friction=[0.5],
-    friction_group=[0, 0],
-    grid=2,
-)
+PAIR = blocks(["11"], [0.4, 0.1], grid=2)
 with_toolbox = pytest.mark.skipif(
     not hasattr(sysid, "SystemTrajectory"), reason="MuJoCo's toolbox lacks its needs: pip install 'heft[sysid]'"
 )

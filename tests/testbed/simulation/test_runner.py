@@ -15,7 +15,6 @@ from testbed.actions.slide import Slide
 from testbed.actions.weigh import Weigh
 from testbed.errors import InfeasibleTrialError
 from testbed.frames import cross_2d, perpendicular, rotation_2d
-from testbed.objects.blocks import block_object, parse_layout
 from testbed.objects.files import load_object
 from testbed.objects.model import GRAVITY, ObjectModel
 from testbed.sensing.compensation import compensate
@@ -26,18 +25,14 @@ from testbed.simulation.runner import SimulationRunner
 from testbed.simulation.settings import GripSettings, SimulationSettings
 from testbed.trajectory import Phase
 from testbed.trial import OWN_WEIGHT, RIGID, Trial
+from tests.helpers.blocks import blocks
 
 RUNNER = SimulationRunner()
 TURN = Rotate(2, duration=2.5, pivot=(-0.0333, 0.025))
 
 
-def row(mass: list[float], friction: float = 0.5, size: float = 0.05, height: float = 0.03) -> ObjectModel:
-    """Blocks in a row."""
-    cells = parse_layout(["1" * len(mass)])
-    groups = [0] * len(mass)
-    return block_object(
-        "row", cells, size=size, height=height, mass=mass, friction=[friction], friction_group=groups, grid=3
-    )
+def row(mass: list[float], size: float = 0.05, height: float = 0.03) -> ObjectModel:
+    return blocks(["1" * len(mass)], mass, size=size, height=height)
 
 
 def coulomb(obj: ObjectModel, window: SteadyWindow, rigid: bool) -> np.ndarray:

@@ -10,15 +10,7 @@ from jaxtyping import Float
 
 from estimators.action_selection.candidates import ActionFamily
 from estimators.action_selection.cost import RobotTime, spent_seconds
-from estimators.action_selection.design import (
-    Belief,
-    Criterion,
-    Design,
-    Guess,
-    expected_nad,
-    prior_belief,
-    steady,
-)
+from estimators.action_selection.design import Belief, Criterion, Design, Guess, expected_nad, prior_belief, steady
 from estimators.action_selection.greedy import MOST_CHECKS, greedy_choice
 from estimators.action_selection.plan import FeasibilityLog, Feasible, Goal, always_feasible
 from estimators.base import Estimate, Estimator
@@ -55,8 +47,6 @@ class Decision:
     """Expected NAD of the answer, or of even masses where there is none; a part of 1."""
     standard_error: Float[np.ndarray, "n_m"]
     """Standard error of each group's mass [kg]: the answer's own, or the planner's where that is wider."""
-    nad_after: float
-    """Expected NAD after the action."""
     supports: tuple[str, ...]
     """Support models that are still assumed."""
     rejected: tuple[tuple[Action, str], ...] = ()
@@ -111,14 +101,16 @@ class OnlinePolicy:
         contradictory = estimate is not None and estimate.status == "contradictory"
         belief = prior_belief(shape, guess)
         if not contradictory:  # else no trial can be believed
-            information = _measured_information(shape, guess, at, windows, trajectories)
+            count, lifts = len(trajectories), lifts_among(shape, trajectories)
+            trials = [trial_information(shape, at, windows, count, each, lifts) for each in guess.assumptions()]
+            information = np.stack([each.information() for each in trials])
             belief = belief.after(information / (misfit if disagree else 1.0))
         nad, error = _uncertainty(belief, estimate)
         done = [trajectory.action for trajectory in trajectories]
         log = FeasibilityLog(self.feasible)
 
-        def decision(action: Action | None, why: str, after: float = nad) -> Decision:
-            return Decision(action, why, estimate, nad, error, after, guess.supports, log.rejected)
+        def decision(action: Action | None, why: str) -> Decision:
+            return Decision(action, why, estimate, nad, error, guess.supports, log.rejected)
 
         if self.goal.met(nad) and _covariance(estimate) is not None:
             return decision(None, "the target is met")
@@ -128,9 +120,8 @@ class OnlinePolicy:
         if disagree and windows is not None:
             worst = trajectories[_worst_fit(shape, guess.weight, trajectories, windows, at)].action
             if done.count(worst) == 1 and RobotTime().of(worst) <= left:
-                return decision(
-                    worst, f"the trials disagree (misfit {misfit:.0f}); the one that fits least is done again"
-                )
+                why = f"the trials disagree (misfit {misfit:.0f}); the one that fits least is done again"
+                return decision(worst, why)
         failed = {trajectory.action for trajectory in trajectories if not trajectory.ok}
         grasps = range(len(shape.grasps)) if self.grasps is None else self.grasps
         candidates = [a for a in self.family.sample(shape, grasps, self.candidates, self.seed) if a not in failed]
@@ -139,10 +130,7 @@ class OnlinePolicy:
             index, why = _for_an_answer(design, done, left, log), "there is no answer, and nothing feasible gives one"
         else:
             index, why = greedy_choice(design, belief, done, self.goal, left, log)
-        if index is None:
-            return decision(None, why)
-        after = belief.after(design.information_of([index])).expected_nad
-        return decision(design.candidates[index], "", after)
+        return decision(None, why) if index is None else decision(design.candidates[index], "")
 
 
 def _for_an_answer(design: Design, done: Sequence[Action], left: float, log: FeasibilityLog) -> int | None:
@@ -186,22 +174,8 @@ def _expansion_point(
         mass = np.maximum(found.mass, SMALLEST_PART * guess.weight / len(shape.particles))
         return MassDistribution(mass, np.maximum(found.friction, LOWEST_FRICTION))
     if windows is not None and not bool(windows.accelerated.all()):
-        drag = float(windows.wrench[~windows.accelerated][:, :2].norm(dim=1).max())
-        guess = replace(guess, friction=max(drag / (guess.weight * GRAVITY), LOWEST_FRICTION))
+        guess = replace(guess, friction=max(windows.drag / (guess.weight * GRAVITY), LOWEST_FRICTION))
     return guess.uniform(shape)
-
-
-def _measured_information(
-    shape: ObjectShape,
-    guess: Guess,
-    at: MassDistribution,
-    windows: Observations | None,
-    trajectories: Sequence[Trajectory],
-) -> Float[np.ndarray, "S U U"]:
-    """Information of all trials so far, under each support model."""
-    count, lifts = len(trajectories), lifts_among(shape, trajectories)
-    each = [trial_information(shape, at, windows, count, assumptions, lifts) for assumptions in guess.assumptions()]
-    return np.stack([trials.information() for trials in each])
 
 
 def _covariance(estimate: Estimate | None) -> Float[np.ndarray, "n_m n_m"] | None:
@@ -227,11 +201,7 @@ def _uncertainty(belief: Belief, estimate: Estimate | None) -> tuple[float, Floa
 
 
 def _worst_fit(
-    shape: ObjectShape,
-    weight: float,
-    trajectories: Sequence[Trajectory],
-    windows: Observations,
-    at: MassDistribution,
+    shape: ObjectShape, weight: float, trajectories: Sequence[Trajectory], windows: Observations, at: MassDistribution
 ) -> int:
     """Number of the trial whose windows the answer fits worst."""
     likelihood = HiddenStates().likelihood(shape, weight, trajectories, at)

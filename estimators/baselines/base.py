@@ -93,7 +93,7 @@ class LogCoordinates:
         """
         first = float(np.random.default_rng(seed).uniform(*FRICTION_RANGE))
         if problem.weight is not None:
-            first = problem.drag / (problem.weight * GRAVITY)
+            first = problem.windows.drag / (problem.weight * GRAVITY)
         return LogCoordinates(problem, first)
 
     @property

@@ -78,11 +78,6 @@ class Problem:
         return torch.tensor(self.shape.particles_per_group, dtype=torch.float64)
 
     @property
-    def drag(self) -> float:
-        """Largest force measured at constant speed [N]: a lower bound of mu M g."""
-        return float(self.windows.wrench[~self.windows.accelerated, :2].norm(dim=1).max())
-
-    @property
     def scale_known(self) -> bool:
         """True if M or an acceleration separates mass from friction."""
         return self.weight is not None or bool(self.windows.accelerated.any())
@@ -92,7 +87,7 @@ class Problem:
         count = len(self.shape.particles)
         if self.weight is not None:
             return torch.full_like(friction, self.weight / count)
-        return self.drag / (friction * GRAVITY * count)
+        return self.windows.drag / (friction * GRAVITY * count)
 
     def inertia(self, mass: Float[Tensor, "... n_m"]) -> Inertia:
         """M, c and I_cm of candidates."""

@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.optimize import nnls
 
+from estimators.particles.friction_system import weight_per_mass
 from estimators.particles.pivots import PivotInertia, inertia_map
 from testbed.objects.model import GRAVITY, MassDistribution, ObjectShape
 
@@ -135,12 +136,6 @@ def fixed_rows(
         rows = np.vstack([rows, whiten @ inertia_map(shape, pivots.pivot)])
         values = np.append(values, whiten @ pivots.inertia)
     return np.hstack([rows, np.zeros((len(rows), unknowns - shape.n_m))]), values
-
-
-def weight_per_mass(shape: ObjectShape, pairs: Pairs) -> Float[np.ndarray, "n_s"]:
-    """Weight on one particle in contact of each pair a kg of its group's particle mass, N/kg."""
-    feet = np.bincount(shape.mass_group[shape.friction_group >= 0], minlength=shape.n_m)
-    return np.array([GRAVITY * shape.particles_per_group[m] / feet[m] for m, _ in pairs])
 
 
 def feet_of(shape: ObjectShape, pairs: Pairs) -> Float[np.ndarray, "n_s"]:

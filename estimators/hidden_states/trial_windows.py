@@ -65,9 +65,8 @@ class TrialWindows:
 
     def first_guess(self) -> MassDistribution:
         """Uniform mass, as Algorithm 1 starts, and the largest drag over the weight, a lower bound of friction."""
-        drag = float(self.steady.wrench[:, :2].norm(dim=1).max() / (self.weight * GRAVITY))
         mass = np.full(self.shape.n_m, self.weight / len(self.shape.particles))
-        return MassDistribution(mass, np.full(self.shape.n_mu, drag))
+        return MassDistribution(mass, np.full(self.shape.n_mu, self.steady.drag / (self.weight * GRAVITY)))
 
     def friction_loads(self, at: MassDistribution) -> Float[np.ndarray, "n_s"]:
         """s under given masses and frictions, N."""

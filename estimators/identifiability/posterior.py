@@ -11,8 +11,9 @@ import numpy as np
 from jaxtyping import Float
 from scipy.optimize import nnls
 
+from estimators.particles.friction_system import weight_per_mass
 from testbed.errors import InvalidValueError
-from testbed.objects.model import GRAVITY, MassDistribution, ObjectShape
+from testbed.objects.model import MassDistribution, ObjectShape
 
 MOST_FRICTION = 2.0
 """Upper end of the uniform prior of a friction, from 0; masses are uniform from 0 on."""
@@ -43,22 +44,16 @@ class Likelihood:
     ) -> Float[np.ndarray, "..."]:
         """Minus log likelihood, up to a constant, at particle masses [kg] and frictions."""
         mass_groups, friction_groups = (list(groups) for groups in zip(*self.pairs, strict=True))
-        loads = mass[..., mass_groups] * friction[..., friction_groups] * self._load_per_mass
+        loads = mass[..., mass_groups] * friction[..., friction_groups] * weight_per_mass(self.shape, self.pairs)
         residuals = np.concatenate([loads @ self.q.T - self.b, mass @ self.fixed.T - self.values], axis=-1)
         return np.sum(residuals**2, axis=-1) / 2
 
     def linear(self, friction: Float[np.ndarray, "n_mu"]) -> tuple[Float[np.ndarray, "R+F n_m"], np.ndarray]:
         """Design and right-hand side of the linear system in the particle masses at known friction."""
-        columns = np.zeros((len(self.q), self.shape.n_m))
+        columns, per_mass = np.zeros((len(self.q), self.shape.n_m)), weight_per_mass(self.shape, self.pairs)
         for k, (m, f) in enumerate(self.pairs):
-            columns[:, m] += self.q[:, k] * friction[f] * self._load_per_mass[k]
+            columns[:, m] += self.q[:, k] * friction[f] * per_mass[k]
         return np.vstack([columns, self.fixed]), np.concatenate([self.b, self.values])
-
-    @property
-    def _load_per_mass(self) -> Float[np.ndarray, "n_s"]:
-        """Load on a particle in contact over its group's particle mass [N/kg]."""
-        feet = np.bincount(self.shape.mass_group[self.shape.friction_group >= 0], minlength=self.shape.n_m)
-        return np.array([GRAVITY * self.shape.particles_per_group[m] / feet[m] for m, _ in self.pairs])
 
 
 @dataclass(frozen=True, eq=False)

@@ -85,6 +85,7 @@ def identifiability(
     blind = (np.abs(directions[~seen]) > PART).any(axis=0)
     covariance[np.ix_(blind, blind)] = np.inf
     basis = _sparse(directions[~seen])
+    frictions = ["friction"] if shape.n_mu == 1 else [f"friction {k}" for k in range(shape.n_mu)]
     return Identifiability(
         shape.group_names,
         covariance[:n_m, :n_m],
@@ -93,12 +94,8 @@ def identifiability(
         len(unit),
         float(values[seen].max() / values[seen].min()) if seen.any() else np.inf,
         basis * unit,
-        _in_words(basis, [*shape.group_names, *_friction_names(shape)]),
+        _in_words(basis, [*shape.group_names, *frictions]),
     )
-
-
-def _friction_names(shape: ObjectShape) -> list[str]:
-    return ["friction"] if shape.n_mu == 1 else [f"friction {k}" for k in range(shape.n_mu)]
 
 
 def _sparse(rows: np.ndarray) -> np.ndarray:

@@ -6,6 +6,7 @@ gripper's load that the sensor cannot tell.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,7 +18,7 @@ from estimators.particles.errors import ModelErrors
 from estimators.particles.model import ParticleModel, inertia_of
 from estimators.particles.support import own_weight
 from estimators.particles.windows import PLANAR, Observations
-from testbed.objects.model import GRAVITY
+from testbed.objects.model import GRAVITY, ObjectShape
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,6 +118,12 @@ def friction_equations(
     b = windows.wrench - windows.inertial_wrench(inertia) - carried
     apart, common = wrench_errors(windows, model, s.expand(len(rows), -1), response, errors)
     return FrictionEquations(q.reshape(-1, q.shape[-1]), b.reshape(-1), apart, common)
+
+
+def weight_per_mass(shape: ObjectShape, pairs: Sequence[tuple[int, int]]) -> Float[np.ndarray, "n_s"]:
+    """Weight on one particle in contact of each pair a kg of its group's particle mass, N/kg."""
+    feet = np.bincount(shape.mass_group[shape.friction_group >= 0], minlength=shape.n_m)
+    return np.array([GRAVITY * shape.particles_per_group[m] / feet[m] for m, _ in pairs])
 
 
 def rank_of(q: Float[np.ndarray, "R n_s"]) -> int:

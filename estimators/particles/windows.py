@@ -121,6 +121,11 @@ class Observations:
         return Observations(**{name: mean(value) for name, value in vars(self).items()})
 
     @property
+    def drag(self) -> float:
+        """Largest force measured at constant speed [N]: a lower bound of mu M g."""
+        return float(self.wrench[~self.accelerated, :2].norm(dim=1).max())
+
+    @property
     def covariance(self) -> Float[Tensor, "K 3 3"]:
         """Covariance of `wrench` from the window's own noise."""
         return self.noise[:, PLANAR][:, :, PLANAR]

@@ -128,8 +128,7 @@ def fit_support(
     steady, accelerated = observed.where(~observed.accelerated), observed.where(observed.accelerated)
     loads_of = LOADS[support]
     mass = np.full(shape.n_m, weight / len(shape.particles))
-    drag = float(steady.wrench[:, :2].norm(dim=1).max()) / (weight * GRAVITY)
-    friction = np.full(shape.n_mu, drag)
+    friction = np.full(shape.n_mu, steady.drag / (weight * GRAVITY))
     loads = AffineLoads.of(shape, model, steady, loads_of)
     wrenches = WrenchModel.of(model, steady, loads, errors.pivot_error)
     response = _response(model, steady, loads_of)
@@ -172,13 +171,8 @@ def fit_support(
             known_volume,
         )
         n_mu = shape.n_mu
-        system = np.block(
-            [
-                [fit.of_friction, fit.of_mass],
-                [np.zeros((len(known), n_mu)), known],
-                [np.zeros((shape.n_m, n_mu)), weak],
-            ]
-        )
+        below = np.vstack([known, weak])
+        system = np.block([[fit.of_friction, fit.of_mass], [np.zeros((len(below), n_mu)), below]])
         solved, _ = nnls(system, np.concatenate([fit.target, known_target, even]))
         friction, mass = solved[:n_mu], solved[n_mu:]
     assert fit is not None

@@ -85,7 +85,7 @@ def test_the_truth_predicts_the_measured_wrench(grid, friction_groups, monkeypat
     problem = problem_of(obj, everything(obj, **CARRIED))
     assert bool(problem.windows.accelerated.any())
     predicted = problem.wrenches.wrench(*truth(obj))
-    assert_allclose(predicted, problem.windows.wrench, atol=1e-9 * problem.drag)
+    assert_allclose(predicted, problem.windows.wrench, atol=1e-9 * problem.windows.drag)
 
 
 def test_the_blur_of_the_pivot_is_all_that_it_changes():

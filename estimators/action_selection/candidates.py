@@ -51,9 +51,8 @@ class ActionFamily:
         for name, least in (("duration", 1.5), ("speed_deg_s", 0.0)):
             low, high = getattr(self, name)
             if not (is_number(low) and is_number(high) and least < low <= high):
-                raise InvalidValueError(
-                    f"ActionFamily.{name}", (low, high), f"the least and the most, above {least:g}, in that order"
-                )
+                allowed = f"the least and the most, above {least:g}, in that order"
+                raise InvalidValueError(f"ActionFamily.{name}", (low, high), allowed)
         if not (is_number(self.arm) and self.arm >= 0):
             raise InvalidValueError("ActionFamily.arm", self.arm, "a finite number >= 0, m")
 

@@ -28,6 +28,7 @@ from testbed.actions.rotate import Rotate
 from testbed.errors import InvalidValueError
 from testbed.objects.model import MassDistribution, ObjectShape
 from testbed.sensing.presets import Sensing
+from testbed.validation import check_positive_fields
 
 Criterion = Literal["A", "D", "I"]
 """Quantity that a plan minimizes: trace of the masses' covariance, its volume, or the expected NAD."""
@@ -106,10 +107,7 @@ class Guess:
     """Support models that a plan serves; more than one where the support is not known."""
 
     def __post_init__(self) -> None:
-        for name in ("weight", "friction"):
-            value = getattr(self, name)
-            if not (math.isfinite(value) and value > 0):
-                raise InvalidValueError(f"Guess.{name}", value, "a finite number > 0")
+        check_positive_fields(self, "weight", "friction")
         if not self.supports or set(self.supports) - set(SUPPORTS):
             raise InvalidValueError("Guess.supports", self.supports, f"one or more of {', '.join(SUPPORTS)}")
 

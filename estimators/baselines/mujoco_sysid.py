@@ -50,13 +50,8 @@ class MujocoSysid(Peer):
         coordinates = LogCoordinates.of(problem, seed)
         first = coordinates.candidates(coordinates.start[None])
         guess = ObjectModel("guess", shape, MassDistribution(first.mass[0].numpy(), first.friction[0].numpy()))
-        measured = PlanarData(
-            motion_of(windows),
-            windows.wrench.numpy(),
-            problem.whiten.numpy(),
-            problem.weight,
-            ModelErrors().weight_error,
-        )
+        wrench, whiten = windows.wrench.numpy(), problem.whiten.numpy()
+        measured = PlanarData(motion_of(windows), wrench, whiten, problem.weight, ModelErrors.weight_error)
         found = identify(guess, SUPPORTS[self.support], measured, self.iterations)
         count = shape.particles_per_group
         trace = Trace("mujoco_sysid", tuple(found.losses), tuple(found.seconds), 0.0, found.masses / count)

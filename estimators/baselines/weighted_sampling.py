@@ -12,7 +12,7 @@ import torch
 from estimators.baselines.base import FIRST_DEVIATION, Baseline, Candidates, SearchResult, from_unit, heaviest, scaled
 from estimators.baselines.problem import Problem
 from testbed.errors import InvalidValueError
-from testbed.validation import check_integer, check_positive
+from testbed.validation import check_integer, check_positive_fields
 
 
 @dataclass(frozen=True)
@@ -30,11 +30,10 @@ class WeightedSampling(Baseline):
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        check_positive_fields(self, "grid_part", "decay", "first_deviation")
         for name, value in (("grid_part", self.grid_part), ("decay", self.decay)):
-            check_positive(f"WeightedSampling.{name}", value)
             if value > 1:
                 raise InvalidValueError(f"WeightedSampling.{name}", value, "a number > 0 and <= 1")
-        check_positive("WeightedSampling.first_deviation", self.first_deviation)
         check_integer("WeightedSampling.generation", self.generation)
 
     def _search(self, problem: Problem, seed: int) -> SearchResult:

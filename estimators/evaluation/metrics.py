@@ -73,16 +73,8 @@ class SteadyTurn:
 
     def stepwise(self, model: ParticleModel, inertia: Inertia, friction: Float[Tensor, "P"]) -> float:
         """Mean particle distance [m] at the end where each step starts from the measured state and steps add up."""
-        after = one_step(
-            model,
-            inertia,
-            friction.expand(len(self.pose), -1),
-            self.pose,
-            self.velocity,
-            self.wrench,
-            self.grasp,
-            self.dt,
-        )
+        drag, state = friction.expand(len(self.pose), -1), (self.pose, self.velocity)
+        after = one_step(model, inertia, drag, *state, self.wrench, self.grasp, self.dt)
         end = self.pose[0] + self.dt * torch.cat([self.velocity[:1], after[:-2]]).sum(0)
         return _mean_distance(model, inertia, end, self.pose[-1])
 
@@ -184,8 +176,7 @@ def mean_particle_distance(
         mine = torch.nonzero(windows.trial == trial).flatten()
         for k, kept in zip(mine, steady_samples(trajectory) if len(mine) else [], strict=True):
             turn = SteadyTurn.of(windows.where(k[None]), trajectory, kept, inertia)
-            found.append(
-                (turn.open_loop(model, inertia, pressed[k], OPEN_LOOP), turn.stepwise(model, inertia, pressed[k]))
-            )
+            open_loop = turn.open_loop(model, inertia, pressed[k], OPEN_LOOP)
+            found.append((open_loop, turn.stepwise(model, inertia, pressed[k])))
     open_loop, whole = np.mean(found, axis=0)
     return ParticleDistance(float(open_loop), float(whole))

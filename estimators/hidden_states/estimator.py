@@ -27,7 +27,7 @@ from estimators.particles.pivots import PivotInertia
 from testbed.errors import InvalidValueError
 from testbed.objects.model import MassDistribution, ObjectShape
 from testbed.trajectory import Trajectory
-from testbed.validation import check_integer, check_positive
+from testbed.validation import check_integer, check_positive_fields
 
 Solver = Literal["closed_form", "descent"]
 SETTLING = 3
@@ -76,8 +76,7 @@ class HiddenStates:
             raise InvalidValueError("HiddenStates.solver", self.solver, f"one of {', '.join(get_args(Solver))}")
         check_integer("HiddenStates.steps", self.steps)
         check_integer("HiddenStates.refinements", self.refinements)
-        check_positive("HiddenStates.offset_error", self.offset_error)
-        check_positive("HiddenStates.anisotropy_error", self.anisotropy_error)
+        check_positive_fields(self, "offset_error", "anisotropy_error")
         _ = self.errors, self.prior
 
     @property
@@ -143,9 +142,8 @@ class HiddenStates:
         """
         trials = self._trials(shape, weight, trajectories)
         if trials is None:
-            raise InvalidValueError(
-                "trajectories", len(trajectories), "one or more that slide or turn at constant speed"
-            )
+            allowed = "one or more that slide or turn at constant speed"
+            raise InvalidValueError("trajectories", len(trajectories), allowed)
         s = trials.friction_loads(at)
         for _ in range(SETTLING if self.unknown else 0):
             trials = trials.refined(at, s)
@@ -183,6 +181,7 @@ def _estimate_of(trials: TrialWindows, found: Solution) -> Estimate:
         at = one_friction_masses(shape, trials.weight, trials.groups.pairs, s)
     report = _report(trials, system, found.I_j, at)
     open_, q = report.unknowns - report.rank, system.q.numpy()
+    condition = float(np.linalg.cond(q / np.linalg.norm(q, axis=0)))
     message = f"mass and friction cannot be told apart in {open_} direction(s): {'; '.join(report.unobservable)}"
     return Estimate(
         masses.distribution,
@@ -194,7 +193,7 @@ def _estimate_of(trials: TrialWindows, found: Solution) -> Estimate:
         traces=found.traces,
         diagnostics={
             "rank": q.shape[1],
-            "condition": float(np.linalg.cond(q / np.linalg.norm(q, axis=0))),
+            "condition": condition,
             "loss": loss,
         },
     )

@@ -200,7 +200,9 @@ def _unseen_load(
     and (1 - k) of it went: k (1 - k) b is its variance. A trial's mean is taken to scatter by no less than `nulled`
     about what all trials share, which scatters by `shared` and is not in it (N, N m, one standard deviation).
     """
-    error, mean, change = _load_covariance(windows, sensed), windows.trial_mean, windows.trial_change
+    count, mean, change = len(windows), windows.trial_mean, windows.trial_change
+    to_load = _block_diagonal(windows.load_map)
+    error = torch.diagonal((to_load @ sensed @ to_load.T).reshape(count, 3, count, 3), dim1=1, dim2=3)
     of_mean, of_change = (torch.einsum("kl,lma,nm->kna", part, error, part) for part in (mean, change))
     dropped = 1 - windows.load_kept
     scatter = windows.load_kept * dropped * torch.diagonal(of_mean).T - (dropped * shared).square()
@@ -211,14 +213,7 @@ def _unseen_load(
     swung = windows.together * along[:, None] * along  # what a swing of the arm changes goes with its acceleration
     changed = torch.where(windows.accelerated[:, None], swung, change)[..., None] * missed.sqrt()
     load = windows.together[..., None] * hidden[:, None] * hidden + changed * missed.sqrt()[:, None]
-    return torch.einsum("kia,kla,lja->kilj", response, load, response).reshape(3 * len(windows), 3 * len(windows))
-
-
-def _load_covariance(windows: Observations, sensed: Float[Tensor, "6K 6K"]) -> Float[Tensor, "K K 3"]:
-    """Covariance of measured lift and tilt between windows from the sensor's errors, N^2 and (N m)^2."""
-    error, count = _block_diagonal(windows.load_map), len(windows)
-    whole = (error @ sensed @ error.T).reshape(count, 3, count, 3)
-    return torch.diagonal(whole, dim1=1, dim2=3)
+    return torch.einsum("kia,kla,lja->kilj", response, load, response).reshape(3 * count, 3 * count)
 
 
 def _sensor_covariance(windows: Observations) -> Float[Tensor, "6K 6K"]:

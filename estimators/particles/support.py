@@ -61,9 +61,8 @@ def own_weight(model: ParticleModel, mass: Float[Tensor, "P"], load: GripperLoad
     feet = zeros.index_add(0, group, contact.double())
     if (feet == 0).any():
         clear = torch.nonzero(feet == 0).flatten().tolist()
-        raise InvalidValueError(
-            "friction_group", f"no foot under mass group {clear}", "a foot under each, on its own weight"
-        )
+        given = f"no foot under mass group {clear}"
+        raise InvalidValueError("friction_group", given, "a foot under each, on its own weight")
     whole = zeros.index_add(0, group, mass)
     share = torch.where(contact, (whole / feet)[group], 0.0)
     center = pairs.index_add(0, group, particles * contact[:, None]) / feet[:, None]

@@ -56,9 +56,8 @@ class SupportAware:
             if not isinstance(values, tuple) or not all(is_number(v) and v > 0 for v in values):
                 raise InvalidValueError(f"SupportAware.{name}", values, "numbers > 0, or an empty list")
         if self.materials_kg and self.materials_kg_m3:
-            raise InvalidValueError(
-                "SupportAware.materials_kg_m3", self.materials_kg_m3, "masses or densities, not both"
-            )
+            allowed = "masses or densities, not both"
+            raise InvalidValueError("SupportAware.materials_kg_m3", self.materials_kg_m3, allowed)
         for name in ("false_alarms", "confidence"):
             value = getattr(self, name)
             if not (is_number(value) and 0 < value < 1):

@@ -42,13 +42,8 @@ class MassPolytope:
         below = np.hstack([-self.rows * size, np.zeros((count, 1)), -np.ones((count, 1))])
         deep = np.hstack([-np.eye(n), np.ones((n, 1)), np.zeros((n, 1))])
         cost = np.append(np.zeros(n), [-1.0, 1.0])
-        found = linprog(
-            cost,
-            np.vstack([above, below, deep]),
-            np.concatenate([self.values, -self.values, np.zeros(n)]),
-            bounds=[(0, None)] * (n + 2),
-            method="highs",
-        )
+        limits, most = np.vstack([above, below, deep]), np.concatenate([self.values, -self.values, np.zeros(n)])
+        found = linprog(cost, limits, most, bounds=(0, None), method="highs")
         return found.x[:n] * size, float(found.x[-1])
 
     def ranges(self, confidence: float) -> tuple[Float[np.ndarray, "n_m"], Float[np.ndarray, "n_m"]]:

@@ -12,15 +12,7 @@ import pytest
 
 from estimators.base import Estimator
 from estimators.testing.analytic_world import drawn_object
-from estimators.testing.conformance import (
-    CONFORMANCE,
-    WITHOUT_DRAWS,
-    Draw,
-    clean_answer,
-    data,
-    recovers,
-    small_object,
-)
+from estimators.testing.conformance import CONFORMANCE, WITHOUT_DRAWS, Draw, clean_answer, data, recovers, small_object
 from estimators.testing.plugin import BLOCKS, SENSORS
 from estimators.testing.recorded import KnownBlock
 from testbed.trajectory import Trajectory

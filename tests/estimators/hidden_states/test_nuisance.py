@@ -22,7 +22,7 @@ from testbed.actions.rotate import Rotate
 from testbed.objects.files import load_object
 from testbed.objects.model import ObjectModel
 from tests.fakes.flawed_bench import ANISOTROPY, at_tcp, biased, held_beside, on_anisotropic_table
-from tests.helpers.answers import ask, nad
+from tests.helpers.answers import ask, found, nad
 
 EXACT = HiddenStates(
     pivot_error=0.0,
@@ -63,7 +63,7 @@ def flawed(obj: ObjectModel, kinds: tuple[str, ...], seed: int = 0, noise: float
 def test_unknowns_of_the_setup_are_recovered_with_the_masses(obj, kinds):
     trials, offsets = flawed(obj, kinds)
     answer = ask(obj, trials, replace(EXACT, unknown=kinds))
-    found = answer.diagnostics
+    numbers = answer.diagnostics
     assert nad(obj, answer) < 1e-3
     unaware = ask(obj, trials)
     assert unaware.status == "contradictory" or nad(obj, unaware) > 3e-3
@@ -72,19 +72,19 @@ def test_unknowns_of_the_setup_are_recovered_with_the_masses(obj, kinds):
     assert all(sentence.endswith("seen") for sentence in answer.identifiability.bench)
     if "grasp_offset" in kinds:
         names = [f"grasp_offset_{trial}_{axis}_m" for trial in range(len(trials)) for axis in "xy"]
-        assert_allclose([found[name] for name in names], offsets.ravel(), atol=2e-5)
+        assert_allclose([numbers[name] for name in names], offsets.ravel(), atol=2e-5)
     if "anisotropy" in kinds:
-        assert_allclose((found["friction_ratio"], found["friction_axis_rad"]), ANISOTROPY, rtol=2e-3)
+        assert_allclose((numbers["friction_ratio"], numbers["friction_axis_rad"]), ANISOTROPY, rtol=2e-3)
 
 
 def test_the_bias_of_every_trial_is_found():
     obj = load_object("I2")
     trials = [biased(t, k * BIAS) for k, t in enumerate(turns(obj))]
-    found = ask(obj, trials, replace(EXACT, unknown=("bias",))).diagnostics
+    numbers = ask(obj, trials, replace(EXACT, unknown=("bias",))).diagnostics
     for k in range(len(trials)):
-        given = [found[f"bias_{k}_{axis}"] for axis in ("fx_N", "fy_N", "tz_Nm")]
+        given = [numbers[f"bias_{k}_{axis}"] for axis in ("fx_N", "fy_N", "tz_Nm")]
         assert_allclose(given, at_tcp(trials[k], k * BIAS)[[0, 1, 5]], atol=1e-5)
-        assert 0 < found[f"bias_{k}_fx_N_error"] < 1e-3
+        assert 0 < numbers[f"bias_{k}_fx_N_error"] < 1e-3
 
 
 def test_one_way_a_bias_passes_for_friction():
@@ -138,8 +138,8 @@ def test_slopes_are_those_of_finite_differences():
     layout, apart = system.layout, torch.linalg.inv(system.system.whiten)
 
     def missing(at: torch.Tensor) -> torch.Tensor:
-        found = trials.friction_equations(OBJECT.truth, corrected(trials.steady, layout.spread(at)))
-        return found.b - found.q @ torch.tensor(LOADS)
+        equations = trials.friction_equations(OBJECT.truth, corrected(trials.steady, layout.spread(at)))
+        return equations.b - equations.q @ torch.tensor(LOADS)
 
     for k, step in enumerate(1e-5 * layout.whole):
         to = torch.zeros(len(layout.names), dtype=torch.float64)
@@ -163,25 +163,22 @@ def test_errors_are_the_scatter():
     off = []
     for seed in range(8):
         trials = [analytic_trial(obj, a, noise=0.3, seed=1000 * seed + i) for i, a in enumerate(actions)]  # pyright: ignore[reportArgumentType]
-        found = ask(obj, trials, replace(EXACT, unknown=("bias",), refinements=1)).diagnostics
-        off.append([found[name] / found[f"{name}_error"] for name in names])
+        numbers = ask(obj, trials, replace(EXACT, unknown=("bias",), refinements=1)).diagnostics
+        off.append([numbers[name] / numbers[f"{name}_error"] for name in names])
     assert 0.7 < np.sqrt(np.mean(np.square(off))) < 1.3
 
 
 def test_masses_and_frictions_are_never_negative():
     obj = load_object("F2")
     trials = [biased(t, BIAS) for t in turns(obj, noise=1.0)]
-    found = ask(obj, trials + accelerated(obj, noise=1.0), HiddenStates(unknown=UNKNOWNS)).distribution
-    assert found is not None
-    assert (found.mass >= 0).all()
-    assert (found.friction >= 0).all()
+    answer = found(ask(obj, trials + accelerated(obj, noise=1.0), HiddenStates(unknown=UNKNOWNS)))
+    assert (answer.mass >= 0).all() and (answer.friction >= 0).all()
 
 
 def test_without_unknowns_their_spread_and_zero_corrections_change_nothing():
     obj = drawn_object(1)
     trials = turns(obj, noise=0.1) + accelerated(obj, noise=0.1)
-    plain, other = (ask(obj, trials, m).distribution for m in (HiddenStates(), HiddenStates(offset_error=0.1)))
-    assert plain is not None and other is not None
+    plain, other = (found(ask(obj, trials, m)) for m in (HiddenStates(), HiddenStates(offset_error=0.1)))
     assert np.array_equal(plain.mass, other.mass)
     windows, model = observe(obj.shape, trials), ParticleModel.of(obj.shape)
     assert windows is not None

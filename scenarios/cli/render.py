@@ -245,15 +245,17 @@ def list_trials(root: Path) -> None:
     from rich.table import Table
 
     from scenarios.results.store import read_json
-    from scenarios.results.trials import keys_of
+    from scenarios.results.trials import OTHER_FORMAT, keys_of
 
     table = Table()
     for column in ("trial", "object", "support", "action", "status"):
         table.add_column(column)
     for key in keys_of(root):
         content = read_json(root / "trials" / key / "trial.json") or {}
-        request, names = content.get("asked") or {}, content.get("names") or {}
-        action = request.get("action") or {}
-        done = f"{action.get('kind', '?')}{' and back' if action.get('back') else ''}"
-        table.add_row(key[:8], names.get("object", "?"), request.get("support", "?"), done, content.get("status", "?"))
+        try:
+            request, action = content["asked"], content["asked"]["action"]
+            done = f"{action['kind']}{' and back' if action.get('back') else ''}"
+            table.add_row(key[:8], content["names"]["object"], request["support"], done, content["status"])
+        except OTHER_FORMAT:
+            table.add_row(key[:8], "?", "?", "?", str(content.get("status", "?")))
     Console().print(table)

@@ -214,7 +214,7 @@ def _asked(manifest: dict[str, Any]) -> tuple[str, str]:
     from scenarios.study.dry_run import DryRun
 
     try:
-        plan = DryRun.of(Scenario.model_validate(manifest["scenario"]))
+        plan = DryRun.of(Scenario.model_validate(manifest.get("scenario")))
     except ValidationError:
         return "", ""
     return f" of about {plan.trials}", f" of about {plan.estimates}"

@@ -30,11 +30,13 @@ from __future__ import annotations
 import dataclasses
 import zipfile
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
+from pyarrow import ArrowException
 
 from estimators.base import Estimate, HiddenStateEstimate, Trace
 from estimators.evaluation.statistics import Row
@@ -46,6 +48,9 @@ from testbed.trajectory import Trajectory, load_trajectory
 
 DIAGNOSTICS = "diagnostics."
 """Prefix of the names of an estimate's diagnostics in its file."""
+
+LABELS = ("object", "support", "sensing", "method", "seed", "status")
+"""Columns that every row has."""
 
 MOST_TRACES = 40
 """Estimates of a method whose losses are read."""
@@ -59,13 +64,17 @@ def load_results(path: str | Path) -> pd.DataFrame:
 
     Raises:
         InvalidValueError: there are no results.
+        HeftError: the table is damaged.
     """
     file = Path(path) / "results.parquet" if Path(path).is_dir() else Path(path)
     if not file.is_file():
         raise InvalidValueError(
             "path", str(path), "a results folder with a results.parquet, which a finished run leaves"
         )
-    return pd.read_parquet(file)
+    try:
+        return pd.read_parquet(file)
+    except (OSError, ValueError, ArrowException) as error:
+        raise HeftError(f"{file}: not a whole table of results: {error}") from None
 
 
 def load_trajectories(path: str | Path) -> Iterator[tuple[str, Trajectory]]:
@@ -88,11 +97,19 @@ def load_trajectories(path: str | Path) -> Iterator[tuple[str, Trajectory]]:
 
 
 def load_rows(folder: Path) -> Sequence[Row]:
-    """Rows of the estimates that are done; of a finished run in the order of its scenario."""
+    """Rows of the estimates that are done; of a finished run in the order of its scenario.
+
+    Raises:
+        HeftError: a row of another version of heft.
+    """
     if (folder / "results.parquet").is_file():
-        return rows_of(load_results(folder))
-    done = sorted(folder.glob("estimates/*/result.json"))
-    return [{"key": path.parent.name} | row for path in done if (row := read_json(path))]
+        rows = rows_of(load_results(folder))
+    else:
+        done = sorted(folder.glob("estimates/*/result.json"))
+        rows = [{"key": path.parent.name} | row for path in done if (row := read_json(path))]
+    if missing := {name for row in rows for name in LABELS if name not in row}:
+        raise HeftError(f"{folder}: not of this version of heft: an estimate has no {', '.join(sorted(missing))}")
+    return rows
 
 
 def row_of(folder: Path, beginning: str) -> Row:
@@ -124,7 +141,7 @@ def load_estimate(folder: str | Path, key: str) -> Estimate:
         raise HeftError(f"{place}: no whole result.json")
     arrays = load_arrays(folder, key)
     led = str(row.get("optimizer") or "").replace(" ", "_")
-    try:
+    with this_version(place):
         return Estimate(
             MassDistribution(arrays["mass"], arrays["friction"]) if "mass" in arrays else None,
             row["status"],
@@ -136,8 +153,15 @@ def load_estimate(folder: str | Path, key: str) -> Estimate:
             row.get("seconds") or 0.0,
             {key.removeprefix(DIAGNOSTICS): float(v) for key, v in arrays.items() if key.startswith(DIAGNOSTICS)},
         )
+
+
+@contextmanager
+def this_version(place: Path) -> Iterator[None]:
+    """Turn a KeyError for an array or a field into a HeftError: the folder `place` is of another version of heft."""
+    try:
+        yield
     except KeyError as error:
-        raise HeftError(f"{place}: not an estimate of this version of heft: it has no {error.args[0]}") from None
+        raise HeftError(f"{place}: not of this version of heft: it has no {error.args[0]}") from None
 
 
 def _trace(name: str, arrays: dict[str, np.ndarray]) -> Trace:
@@ -198,7 +222,8 @@ def load_losses(folder: Path, rows: Sequence[Row]) -> dict[str, dict[str, list[n
             except HeftError:
                 continue
             for name in _optimizers(arrays):
-                losses.setdefault(method, {}).setdefault(name, []).append(arrays[f"{name}.loss"])
+                if (loss := arrays.get(f"{name}.loss")) is not None:
+                    losses.setdefault(method, {}).setdefault(name, []).append(loss)
     return losses
 
 

@@ -235,11 +235,12 @@ def _save_arrays(path: Path, answer: Estimate, shape: ObjectShape) -> None:
 
 
 def read_json(path: Path) -> dict[str, Any] | None:
-    """A JSON file, or None where it is missing or damaged."""
+    """Object in a JSON file, or None where it is missing or damaged."""
     try:
-        return json.loads(path.read_text(encoding="utf-8"))
+        content = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError):
         return None
+    return content if isinstance(content, dict) else None
 
 
 def write_json(path: Path, data: dict[str, Any]) -> None:

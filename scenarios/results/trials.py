@@ -23,6 +23,8 @@ from testbed.trial import Support, parse_support
 
 _MOST_NAMED = 6
 """Keys that an error lists."""
+OTHER_FORMAT = (KeyError, IndexError, TypeError, ValueError, AttributeError)
+"""Errors of reading a trial.json of another format."""
 _SHAPE = ("particles", "mass_group", "friction_group", "grasps", "fill")
 """Parts of the request that all trials of an object must share."""
 
@@ -61,7 +63,7 @@ def read_trial(root: Path, beginning: str) -> TrialRecord:
         if request.get("simulation", {}).get("grip", {}).get("mode") == "weld":
             width = STROKE  # the fingers stay open
         return TrialRecord(folder, obj, str(request["support"]), trajectory, width, request)
-    except (KeyError, IndexError, TypeError, ValueError, AttributeError) as error:
+    except OTHER_FORMAT as error:
         raise HeftError(f"{folder / 'trial.json'}: not a whole trial file: {error!r}") from None
 
 
@@ -124,8 +126,10 @@ def _folder_of(root: Path, beginning: str) -> Path:
 
 def kind_of_trial(root: Path, key: str) -> str:
     """Kind of a trial's action, such as "rotate"; empty where its trial.json does not say."""
-    request = (read_json(root / "trials" / key / "trial.json") or {}).get("asked") or {}
-    return str((request.get("action") or {}).get("kind") or "")
+    try:
+        return str((read_json(root / "trials" / key / "trial.json") or {})["asked"]["action"]["kind"])
+    except (KeyError, TypeError):
+        return ""
 
 
 def sensed_trials(store: Store, keys: tuple[str, ...], sensing: str, seed: int) -> list[Trajectory]:

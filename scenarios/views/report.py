@@ -8,14 +8,11 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-import pandas as pd
-from pyarrow import ArrowException
-
 from estimators.evaluation.statistics import AXIS, Row
 from scenarios.config import Scenario, load_scenario
-from scenarios.results.estimates import load_losses, load_tracebacks
-from scenarios.results.store import read_json, rows_of
-from scenarios.results.trials import object_of
+from scenarios.results.estimates import load_losses, load_rows, load_tracebacks
+from scenarios.results.store import read_json
+from scenarios.results.trials import OTHER_FORMAT, object_of
 from testbed.errors import HeftError, InvalidValueError
 from testbed.objects.files import load_object
 from testbed.objects.model import ObjectShape
@@ -30,14 +27,17 @@ def report(folder: Path) -> Path:
 
     Raises:
         InvalidValueError: there are no results in the folder.
+        HeftError: results that are damaged, or of another version of heft.
     """
-    manifest = read_json(folder / "manifest.json") or {}
+    manifest, table = read_json(folder / "manifest.json") or {}, folder / "results.parquet"
     scenario = manifest.get("scenario") or {}
-    rows = _in_order(_rows(folder / "results.parquet"), scenario)
+    rows = _in_order(load_rows(folder) if table.is_file() else [], scenario)
+    if not rows:
+        raise InvalidValueError("DIR", str(folder), "a folder with a results.parquet; `heft run` makes one")
     name = str(manifest.get("name") or folder.resolve().name)
     results = Results(
         name=name,
-        facts=_facts(manifest, rows, folder / "results.parquet"),
+        facts=_facts(manifest, rows, table),
         methods={label: _settings(scenario.get("methods", {}).get(label, {})) for label in _each(rows, "method")},
         command=str(manifest.get("command") or _command(name, scenario)),
         scenario_toml=toml_text(scenario),
@@ -52,17 +52,7 @@ def report(folder: Path) -> Path:
     return folder / "report.html"
 
 
-def _rows(path: Path) -> list[dict[str, Any]]:
-    try:
-        rows = rows_of(pd.read_parquet(path))
-    except (OSError, ValueError, ArrowException):
-        rows = []
-    if not rows:
-        raise InvalidValueError("DIR", str(path.parent), "a folder with a results.parquet; `heft run` makes one")
-    return rows
-
-
-def _in_order(rows: list[dict[str, Any]], scenario: Mapping[str, Any]) -> list[dict[str, Any]]:
+def _in_order(rows: Sequence[Row], scenario: Mapping[str, Any]) -> list[Row]:
     """Objects as the scenario names them, then the others."""
     place = {Path(path).stem: i for i, path in enumerate(scenario.get("objects", ()))}
     return sorted(rows, key=lambda row: place.get(row["object"], len(place)))
@@ -148,8 +138,11 @@ def _shape(name: str, scenario: Mapping[str, Any], rows: Sequence[Row], folder: 
             return model.shape
     for path in sorted((folder / "trials").glob("*/trial.json")):
         trial = read_json(path) or {}
-        if (trial.get("names") or {}).get("object") == name and "asked" in trial:
-            return object_of(trial["asked"]["object"], trial["names"]).shape
+        try:
+            if trial["names"]["object"] == name:
+                return object_of(trial["asked"]["object"], trial["names"]).shape
+        except OTHER_FORMAT:
+            continue
     return None
 
 

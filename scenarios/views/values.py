@@ -13,7 +13,7 @@ from scipy.spatial import KDTree
 
 from estimators.evaluation.statistics import AXIS, Row, axes_of, select
 from estimators.particles.wrench import predicted_wrenches
-from scenarios.results.estimates import load_arrays, load_estimate
+from scenarios.results.estimates import load_arrays, load_estimate, this_version
 from scenarios.results.store import Store, read_json
 from scenarios.results.trials import TrialRecord, kind_of_trial, read_trial, sensed_trials
 from testbed.errors import InvalidValueError
@@ -141,21 +141,20 @@ def estimate_view(folder: Path, row: Row) -> EstimateView:
     Raises:
         HeftError: a file of it is damaged.
     """
-    answer, record = load_estimate(folder, row["key"]), typical_trial(folder, row)
-    shape = _shape(folder, row, record.object)
-    truth = MassDistribution(
-        np.array(row["true_mass_kg"]) / shape.particles_per_group, friction_of(record.object, shape)
-    )
-    return EstimateView(
-        title=f"{row['object']}, {support_name(row['support'])}, {row['sensing']}: {row['method']}",
-        shape=shape,
-        truth=truth,
-        answer=answer.distribution,
-        covariance=answer.covariance,
-        traces=answer.traces,
-        trajectory=record.trajectory,
-        facts=_facts(row),
-    )
+    with this_version(folder / "estimates" / row["key"]):
+        answer, record = load_estimate(folder, row["key"]), typical_trial(folder, row)
+        shape = _shape(folder, row, record.object)
+        mass = np.array(row["true_mass_kg"]) / shape.particles_per_group
+        return EstimateView(
+            title=f"{row['object']}, {support_name(row['support'])}, {row['sensing']}: {row['method']}",
+            shape=shape,
+            truth=MassDistribution(mass, friction_of(record.object, shape)),
+            answer=answer.distribution,
+            covariance=answer.covariance,
+            traces=answer.traces,
+            trajectory=record.trajectory,
+            facts=_facts(row),
+        )
 
 
 def _shape(folder: Path, row: Row, true: ObjectModel) -> ObjectShape:

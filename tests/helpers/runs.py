@@ -32,6 +32,8 @@ objects = ["{folder}/pair.toml"]
 support = {support}
 sensing = ["ideal", "ft300s"]
 seeds = 2
+simulation = {{ grip = "weld", timestep_s = 0.002 }}
+grid = {{ feet = 2, particles = 2 }}
 [policy]
 pivots = 2
 duration = 2.0

@@ -28,12 +28,6 @@ kind = "online"
 touches = 3
 candidates = 60
 seed = 1
-[simulation]
-grip = "weld"
-timestep_s = 0.002
-[grid]
-feet = 2
-particles = 2
 """
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +23,8 @@ from viz.report.tables import NAD, quantile_table, rich_table
 SMALL = """
 sensing = ["ft300s"]
 seeds = 2
+simulation = { grip = "weld", timestep_s = 0.002 }
+grid = { feet = 2, particles = 2 }
 [[random]]
 name = "drawn"
 count = 2
@@ -100,6 +103,63 @@ def test_status_counts_what_is_there(swept, capsys, monkeypatch):
     assert "ValueError: it broke" in again
     with pytest.raises(InvalidValueError, match=r"manifest\.json"):
         status(swept / "trials")
+
+
+def without(file: Path, name: str) -> None:
+    """Take an array or a field out of a file."""
+    if file.suffix == ".npz":
+        with np.load(file) as arrays:
+            kept = {key: value for key, value in arrays.items() if key != name}
+        np.savez(file, **kept)
+    else:
+        content = json.loads(file.read_text(encoding="utf-8"))
+        del content[name]
+        file.write_text(json.dumps(content), encoding="utf-8")
+
+
+ESTIMATE = (["view", "--web"], ["record"], ["figures"], ["export"])
+TRIAL = (["view", "--web"], ["record"], ["render"])
+
+
+@pytest.mark.parametrize(
+    ("file", "harm", "commands"),
+    [
+        ("estimate.npz", "random.robot_seconds", ESTIMATE),
+        ("estimate.npz", "random.loss", ESTIMATE),
+        ("estimate.npz", "particles", ESTIMATE),
+        ("estimate.npz", "friction", ESTIMATE),
+        ("result.json", "status", ESTIMATE),
+        ("trial.json", "asked", TRIAL),
+        ("trial.json", "[]", TRIAL),
+        ("trial.json", '{"asked": {"action": "rotate"}}', TRIAL),
+        ("results.parquet", "half of it", (["figures"], ["export"])),
+    ],
+)
+def test_a_file_of_another_format_is_one_clear_line(finished, copied, capsys, monkeypatch, file, harm, commands):
+    row = finished.rows[finished.rows["method"] == "bare"].iloc[0]
+    key = row["trial_keys"][1] if file == "trial.json" else row["key"]
+    path = next(path for path in copied.rglob(file) if path.parent.name in (key, "out"))
+    if harm.isidentifier() or harm.startswith("random."):
+        without(path, harm)
+    else:
+        path.write_text(harm, encoding="utf-8")
+    monkeypatch.setattr("viz.recordings.viewer.served", pytest.fail)
+    for command, *options in commands:
+        with pytest.raises(SystemExit) as end:
+            main([command, str(copied), key, *options])
+        said = capsys.readouterr().err
+        assert end.value.code == 2 and said.startswith("heft: ") and said.count("\n") == 1, (command, said)
+        assert key in said or "results.parquet" in said
+
+
+def test_reports_tell_what_can_be_told(finished, copied, capsys):
+    row = finished.rows[finished.rows["method"] == "bare"].iloc[0]
+    without(copied / "estimates" / row["key"] / "estimate.npz", "random.loss")
+    (copied / "trials" / row["trial_keys"][1] / "trial.json").write_text('{"asked": {"action": "rotate"}}')
+    (copied / "manifest.json").write_text("{}")
+    for command in ("report", "status", "render"):
+        main([command, str(copied)])
+    assert "estimates: 9 done" in capsys.readouterr().out
 
 
 def test_a_dry_run_counts_and_writes_nothing(tmp_path):

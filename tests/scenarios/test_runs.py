@@ -40,18 +40,6 @@ if __name__ == "__main__":
 
 
 @pytest.fixture(scope="module")
-def scenario(tmp_path_factory) -> Path:
-    return small_scenario(tmp_path_factory.mktemp("scenario"), ("own_weight",))
-
-
-@pytest.fixture(scope="module")
-def undisturbed(scenario, tmp_path_factory) -> tuple[pd.DataFrame, Path]:
-    """Results and folder of a run that nothing happened to."""
-    out = tmp_path_factory.mktemp("undisturbed") / "out"
-    return resumed(scenario, out), out
-
-
-@pytest.fixture(scope="module")
 def longer(tmp_path_factory) -> tuple[Path, pd.DataFrame, Path]:
     """A scenario of two supports, its results and its folder."""
     folder = tmp_path_factory.mktemp("longer")
@@ -59,18 +47,22 @@ def longer(tmp_path_factory) -> tuple[Path, pd.DataFrame, Path]:
     return path, resumed(path, folder / "out"), folder / "out"
 
 
-@pytest.fixture
-def copied(undisturbed, tmp_path) -> Path:
-    """A finished folder to damage."""
-    out = tmp_path / "out"
-    subprocess.run(["cp", "-a", undisturbed[1], out], check=True)
-    return out
-
-
-def test_a_run_answers(undisturbed):
-    rows = undisturbed[0]
-    assert len(rows) == 3 and set(rows["status"]) == {"ok"}
+def test_a_run_answers_by_every_label(finished):
+    rows = finished.rows
+    assert len(rows) == 9
+    assert set(zip(rows["method"], rows["kind"], rows["status"], strict=True)) == {
+        ("hidden_states", "hidden_states", "ok"),
+        ("bare", "random_search", "underdetermined"),
+        ("given", "random_search", "ok"),
+    }
     assert rows["nad"].tolist()[0] < 0.02
+    given = rows[rows["method"] == "given"].iloc[0]
+    assert sum(given["mass_kg"]) == pytest.approx(given["weight_kg"])
+    with np.load(finished.out / "estimates" / given["key"] / "estimate.npz") as arrays:
+        assert arrays["random.mass"].shape == (20, 2)
+        assert (np.diff(arrays["random.loss"]) <= 0).all()
+    assert {"mpd_open_loop_m", "mpd_turn_m"} <= set(rows.columns)
+    assert max(rows["mpd_turn_of_truth_m"].dropna()) < 0.02
 
 
 @pytest.mark.slow
@@ -89,9 +81,9 @@ def test_workers_change_nothing(longer, tmp_path):
 
 
 @pytest.mark.slow
-def test_ctrl_c_leaves_whole_files_and_the_next_run_goes_on(scenario, undisturbed, tmp_path):
+def test_ctrl_c_leaves_whole_files_and_the_next_run_goes_on(finished, tmp_path):
     out = tmp_path / "out"
-    command = [sys.executable, "-m", "scenarios", "run", str(scenario), "--out", str(out), "--workers", "2"]
+    command = [sys.executable, "-m", "scenarios", "run", str(finished.scenario), "--out", str(out), "--workers", "2"]
     process = subprocess.Popen(command, start_new_session=True, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
     deadline = time.monotonic() + 60
     while not list(out.glob("trials/*/trial.json")) and time.monotonic() < deadline:
@@ -102,25 +94,25 @@ def test_ctrl_c_leaves_whole_files_and_the_next_run_goes_on(scenario, undisturbe
     assert b"goes on from here" in stderr and b"Traceback" not in stderr
     assert_whole(out)
     assert not list(out.rglob("*.part"))
-    pd.testing.assert_frame_equal(resumed(scenario, out), undisturbed[0])
+    pd.testing.assert_frame_equal(resumed(finished.scenario, out), finished.rows)
 
 
-def test_a_finished_run_is_read_again_without_work(scenario, undisturbed, copied):
+def test_a_finished_run_is_read_again_without_work(finished, copied):
     stamps = {path: path.stat().st_mtime_ns for kind in ("trials", "estimates") for path in copied.glob(f"{kind}/*/*")}
-    pd.testing.assert_frame_equal(resumed(scenario, copied, workers=2), undisturbed[0])  # starts no worker
+    pd.testing.assert_frame_equal(resumed(finished.scenario, copied, workers=2), finished.rows)  # starts no worker
     assert stamps == {path: path.stat().st_mtime_ns for path in stamps}
 
 
-def test_records_cut_short_are_made_again(scenario, undisturbed, copied):
+def test_records_cut_short_are_made_again(finished, copied):
     records = sorted(copied.glob("trials/*/trajectory.parquet"))
     for record in records:
         record.write_bytes(record.read_bytes()[:5000])
     (estimate := next(copied.glob("estimates/*/result.json"))).unlink()
-    pd.testing.assert_frame_equal(resumed(scenario, copied), undisturbed[0])
+    pd.testing.assert_frame_equal(resumed(finished.scenario, copied), finished.rows)
     assert estimate.is_file() and all(len(record.read_bytes()) > 5000 for record in records)
 
 
-def test_damage_and_leftovers_are_made_good_and_nothing_else_is_touched(scenario, undisturbed, copied):
+def test_damage_and_leftovers_are_made_good_and_nothing_else_is_touched(finished, copied):
     trials, estimates = sorted(copied.glob("trials/*")), sorted(copied.glob("estimates/*"))
     record = trials[0] / "trajectory.parquet"
     record.write_bytes(record.read_bytes()[:5000])
@@ -133,15 +125,15 @@ def test_damage_and_leftovers_are_made_good_and_nothing_else_is_touched(scenario
         path.write_bytes(b"half")
     touched = {trials[0], trials[1], *estimates[:3]}
     stamps = {p: p.stat().st_mtime_ns for p in copied.glob("[te]*s/*/*") if p.parent not in touched}
-    pd.testing.assert_frame_equal(resumed(scenario, copied), undisturbed[0])
+    pd.testing.assert_frame_equal(resumed(finished.scenario, copied), finished.rows)
     assert not any(path.exists() for path in leftovers)
     assert all(path.stat().st_mtime_ns == stamp for path, stamp in stamps.items() if path not in leftovers)
     assert_whole(copied)
 
 
-def test_a_second_run_on_the_same_folder_is_refused_in_one_line(scenario, tmp_path, capsys):
+def test_a_second_run_on_the_same_folder_is_refused_in_one_line(finished, tmp_path, capsys):
     with exclusive(tmp_path), pytest.raises(SystemExit) as exit_:
-        main(["run", str(scenario), "--out", str(tmp_path), "--workers", "0"])
+        main(["run", str(finished.scenario), "--out", str(tmp_path), "--workers", "0"])
     assert exit_.value.code == 2
     said = capsys.readouterr().err
     assert said.count("\n") == 1
@@ -169,7 +161,7 @@ def test_a_refused_run_leaves_no_folder_behind(tmp_path):
 
 
 @pytest.mark.parametrize(("kind", "message"), [("full", "No space left on device"), ("read-only", "Read-only file")])
-def test_a_disk_that_takes_nothing_more_is_one_line_and_no_half_file(scenario, tmp_path, capfd, kind, message):
+def test_a_disk_that_takes_nothing_more_is_one_line_and_no_half_file(finished, tmp_path, capfd, kind, message):
     """On a real file system of one size or of one mind."""
     out = tmp_path / "disk"
     out.mkdir()
@@ -179,7 +171,7 @@ def test_a_disk_that_takes_nothing_more_is_one_line_and_no_half_file(scenario, t
         if kind == "read-only":
             subprocess.run(["mount", "-o", "remount,ro", out], check=True)
         with pytest.raises(SystemExit) as exit_:
-            main(["run", str(scenario), "--out", str(out), "--workers", "0"])
+            main(["run", str(finished.scenario), "--out", str(out), "--workers", "0"])
         said = capfd.readouterr().err
         assert exit_.value.code == 2
         assert message in said
@@ -190,7 +182,7 @@ def test_a_disk_that_takes_nothing_more_is_one_line_and_no_half_file(scenario, t
         subprocess.run(["umount", out], check=True)
 
 
-def test_a_disk_that_fills_up_is_an_error_and_no_half_file(scenario, tmp_path, monkeypatch):
+def test_a_disk_that_fills_up_is_an_error_and_no_half_file(finished, tmp_path, monkeypatch):
     """Same check where mounting is not possible."""
     calls = 0
 
@@ -202,7 +194,7 @@ def test_a_disk_that_fills_up_is_an_error_and_no_half_file(scenario, tmp_path, m
 
     monkeypatch.setattr(os, "fsync", fsync)
     with pytest.raises(OSError, match="No space left"):
-        resumed(scenario, tmp_path / "out")
+        resumed(finished.scenario, tmp_path / "out")
     assert_whole(tmp_path / "out")
     assert not list((tmp_path / "out").rglob("*.part"))
 
@@ -292,8 +284,8 @@ def test_one_machine_of_a_ray_cluster_is_killed_and_the_results_are_the_same(lon
     ("words", "message"),
     [(["small.toml", "--out", "/proc/nowhere", "--workers", "0"], "nowhere"), (["block"], "nearest: blocks")],
 )
-def test_a_wrong_argument_is_one_line(scenario, monkeypatch, capsys, words, message):
-    monkeypatch.chdir(scenario.parent)
+def test_a_wrong_argument_is_one_line(finished, monkeypatch, capsys, words, message):
+    monkeypatch.chdir(finished.scenario.parent)
     with pytest.raises(SystemExit) as end:
         main(["run", *words])
     assert end.value.code == 2 and message in capsys.readouterr().err
@@ -312,20 +304,3 @@ def test_an_unusable_object_is_refused_before_anything_is_written(tmp_path, monk
     with pytest.raises(error, match=message):
         run_scenario(Scenario(objects=objects), tmp_path / "out", 0, quiet)
     assert not (tmp_path / "out").exists()
-
-
-def test_one_method_runs_under_two_labels(tmp_path):
-    more = '[methods.bare]\nmethod = "random_search"\niterations = 20\n[methods.given]\nmethod = "random_search"\n'
-    path = small_scenario(tmp_path, ("own_weight",), more + "use_weight = true\niterations = 20\n")
-    rows = resumed(path, tmp_path / "out")
-    assert set(zip(rows["method"], rows["kind"], strict=True)) == {
-        ("bare", "random_search"),
-        ("given", "random_search"),
-    }
-    given = rows[rows["method"] == "given"].iloc[0]
-    assert sum(given["mass_kg"]) == pytest.approx(given["weight_kg"])
-    with np.load(tmp_path / "out" / "estimates" / given["key"] / "estimate.npz") as arrays:
-        assert arrays["random.mass"].shape == (20, 2)
-        assert (np.diff(arrays["random.loss"]) <= 0).all()
-    assert {"mpd_open_loop_m", "mpd_turn_m"} <= set(rows.columns)
-    assert max(rows["mpd_turn_of_truth_m"]) < 0.02

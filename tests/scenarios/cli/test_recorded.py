@@ -21,6 +21,7 @@ from testbed.objects.files import load_object
 from testbed.replay import ReplayRunner
 from testbed.sensing.compensation import compensate
 from testbed.simulation.runner import SimulationRunner
+from testbed.simulation.settings import GripSettings, SimulationSettings
 from testbed.trajectory import Trajectory
 from testbed.trial import Trial
 from tests.fakes.lab_bench import mapping_of, write_csv, write_toml
@@ -33,7 +34,7 @@ L2 = load_object("L2")
 
 @pytest.fixture(scope="module")
 def records() -> list[Trajectory]:
-    bench = SimulationRunner()
+    bench = SimulationRunner(SimulationSettings(timestep=0.002, grip=GripSettings(mode="weld")))
     return [compensate(bench.run_clean(Trial(L2, turn))) for turn in TURNS]
 
 

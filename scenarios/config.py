@@ -1,4 +1,4 @@
-"""The [policy] table of a scenario: how actions are chosen."""
+"""Scenario files: their tables and fields, the sweep of a field, and the library of scenarios."""
 
 from __future__ import annotations
 
@@ -84,7 +84,7 @@ class Simulation(Strict):
 
 
 class Truth(Strict):
-    """Changes to what is true of every object, which no method is context."""
+    """Changes to what is true of every object, which no method is told."""
 
     friction: Annotated[float, Field(gt=0, le=2)] | None = None
     friction_spread: Annotated[float, Field(ge=0, le=1)] = 0.0

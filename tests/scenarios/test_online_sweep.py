@@ -1,4 +1,4 @@
-"""Sweeps whose every touch follows from what was felt: each draw of the sensor has trials of its own."""
+"""Sweeps in which the measured wrenches decide each action: each draw of the sensor has trials of its own."""
 
 from __future__ import annotations
 

@@ -65,7 +65,7 @@ def main(out: Path) -> None:
         }
     )
     table = run_scenario(scenario, out, 1, lambda stage, done, total, failed=0: print(stage, done, total, failed))
-    packages = {name: version(name) for name in ("heft", "mujoco")}
+    packages = {name: version(name) for name in ("heft-testbed", "mujoco")}
     provenance = {"made_by": "bench/recorded_trials.py", "bench": "simulated", **packages}
     FOLDER.mkdir(exist_ok=True)
     for row in table.to_dict("records"):

@@ -167,7 +167,7 @@ def test_python_of_the_reference_runs(tmp_path, monkeypatch, capsys):
 
 
 def test_the_citation_is_of_this_version():
-    assert f"version = {{{version('heft')}}}" in (DOCS / "cite.md").read_text(encoding="utf-8")
+    assert f"version = {{{version('heft-testbed')}}}" in (DOCS / "cite.md").read_text(encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -83,7 +83,7 @@ def _import_ray() -> Any:
     try:
         return importlib.import_module("ray")
     except ImportError:
-        raise HeftError("--executor ray needs Ray, which is not installed: pip install 'heft[ray]'") from None
+        raise HeftError("--executor ray needs Ray, which is not installed: pip install 'heft-testbed[ray]'") from None
 
 
 class _TooSlow(BaseException):

@@ -220,4 +220,4 @@ def judge(
 
 @lru_cache(maxsize=1)
 def _version() -> str:
-    return version("heft")
+    return version("heft-testbed")

@@ -59,7 +59,7 @@ def run_scenario(
 
 def manifest(scenario: Scenario) -> dict[str, Any]:
     """The manifest of a results folder: the scenario, and the versions that ran it."""
-    packages = {name: version(name) for name in ("heft", "mujoco", "torch", "numpy", "scipy")}
+    packages = {name: version(name) for name in ("heft-testbed", "mujoco", "torch", "numpy", "scipy")}
     return {"scenario": scenario.model_dump(), "python": platform.python_version(), "packages": packages}
 
 

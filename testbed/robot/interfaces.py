@@ -25,7 +25,7 @@ class MissingDriverError(RobotError, ImportError):
     """A driver package that is not installed."""
 
     def __init__(self, package: str):
-        super().__init__(f"{package}: not installed; pip install 'heft[robot]'")
+        super().__init__(f"{package}: not installed; pip install 'heft-testbed[robot]'")
 
 
 class SensorLostError(RobotError):

@@ -224,7 +224,7 @@ def identify(guess: ObjectModel, support: Support, measured: PlanarData, max_ite
     """
     if not hasattr(sysid, "SystemTrajectory"):  # `import mujoco.sysid` leaves out what it cannot import, in silence
         raise InvalidValueError(
-            "mujoco_sysid", "MuJoCo without its toolbox's dependencies", "pip install 'heft[sysid]'"
+            "mujoco_sysid", "MuJoCo without its toolbox's dependencies", "pip install 'heft-testbed[sysid]'"
         )
     fit = _Residuals(guess, support, measured)
     begin, logged = time.perf_counter(), []

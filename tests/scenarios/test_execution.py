@@ -80,7 +80,7 @@ def test_a_task_that_ends_its_process_without_an_error_is_noticed():
 
 @pytest.mark.slow
 def test_whatever_a_task_does_on_ray_comes_back_as_a_value():
-    pytest.importorskip("ray", reason="Ray is not installed: pip install 'heft[ray]'")
+    pytest.importorskip("ray", reason="Ray is not installed: pip install 'heft-testbed[ray]'")
     with open_executor("ray", 2, Limits(timeout_s=8.0, tries=1, memory_gib=1.5)) as executor:
         values = all_of(executor, {way: (misbehave, way) for way in ("well", "raise", "exit", "hang", "crash", "eat")})
     assert values["well"] == "well"
@@ -100,5 +100,5 @@ def test_what_is_not_an_executor_is_refused():
 
 def test_without_ray_one_line_says_how_to_get_it(monkeypatch):
     monkeypatch.setitem(sys.modules, "ray", None)
-    with pytest.raises(HeftError, match=r"pip install 'heft\[ray\]'"):
+    with pytest.raises(HeftError, match=r"pip install 'heft-testbed\[ray\]'"):
         open_executor("ray", 2).__enter__()

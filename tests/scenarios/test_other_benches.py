@@ -185,7 +185,7 @@ def test_an_entry_point_is_a_runner_by_name(monkeypatch):
 @pytest.mark.parametrize("executor", ["local", "ray"])
 def test_workers_find_the_runner_the_policy_and_the_estimator_in_the_current_folder(here, executor):
     if executor == "ray":
-        pytest.importorskip("ray", reason="Ray is not installed: pip install 'heft[ray]'")
+        pytest.importorskip("ray", reason="Ray is not installed: pip install 'heft-testbed[ray]'")
     asked = {
         "objects": ["L2"],
         "simulation": {"runner": "own_simulator:DragSimulator"},

@@ -256,7 +256,7 @@ def test_a_trial_that_fails_is_a_row_for_every_estimate_that_needs_it(tmp_path, 
 
 @pytest.mark.slow
 def test_one_machine_of_a_ray_cluster_is_killed_and_the_results_are_the_same(longer, tmp_path):
-    ray = pytest.importorskip("ray", reason="Ray is not installed: pip install 'heft[ray]'")
+    ray = pytest.importorskip("ray", reason="Ray is not installed: pip install 'heft-testbed[ray]'")
     cluster = pytest.importorskip("ray.cluster_utils").Cluster(
         initialize_head=True, head_node_args={"num_cpus": 1, "include_dashboard": False}
     )

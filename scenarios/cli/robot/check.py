@@ -62,7 +62,7 @@ def _lines(config: Path) -> Iterator[Line]:
     there = config.is_file()
     yield Line("config", "ok" if there else "note", str(config) if there else f"no {config}: defaults are used")
     for package in ("pyserial", "pymodbus"):
-        yield _package(package, "pip install 'heft[robot]'", needed=file.sensor.model == "ft300s")
+        yield _package(package, "pip install 'heft-testbed[robot]'", needed=file.sensor.model == "ft300s")
     yield _package("rerun-sdk", "heft robot sensor then prints numbers", needed=False)
     lack = ""
     if file.arm.model == "kinova_gen3":

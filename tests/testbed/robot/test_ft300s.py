@@ -196,4 +196,4 @@ def test_a_slow_adapter_is_named(tmp_path: Path, written: str, slow: bool):
 def test_a_missing_driver_is_named(package: str):
     code = f"import sys; sys.modules[{package!r}] = None; import testbed.robot.robotiq.ft300s"
     error = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False).stderr
-    assert error.splitlines()[-1].endswith("not installed; pip install 'heft[robot]'")
+    assert error.splitlines()[-1].endswith("not installed; pip install 'heft-testbed[robot]'")

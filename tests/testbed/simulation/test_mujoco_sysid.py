@@ -22,7 +22,7 @@ from tests.helpers.blocks import blocks
 
 PAIR = blocks(["11"], [0.4, 0.1], grid=2)
 with_toolbox = pytest.mark.skipif(
-    not hasattr(sysid, "SystemTrajectory"), reason="MuJoCo's toolbox lacks its needs: pip install 'heft[sysid]'"
+    not hasattr(sysid, "SystemTrajectory"), reason="MuJoCo's toolbox lacks its needs: pip install 'heft-testbed[sysid]'"
 )
 
 
@@ -62,7 +62,7 @@ def test_known_masses_are_recovered_with_their_errors():
 
 def test_a_toolbox_without_its_needs_says_which_command_installs_them(monkeypatch):
     monkeypatch.delattr(sysid, "SystemTrajectory", raising=False)
-    with pytest.raises(InvalidValueError, match=re.escape("pip install 'heft[sysid]'")):
+    with pytest.raises(InvalidValueError, match=re.escape("pip install 'heft-testbed[sysid]'")):
         MujocoSysid().estimate(PAIR.shape, PAIR.total_mass, turns(PAIR), 0)
 
 

@@ -107,7 +107,9 @@ class McapLog:
             from mcap.exceptions import McapError  # noqa: PLC0415  an extra, needed by such files alone
             from mcap.reader import make_reader  # noqa: PLC0415
         except ImportError:
-            raise LogError(f"{path}: reading MCAP needs mcap: not installed; pip install 'heft-testbed[robot]'") from None
+            raise LogError(
+                f"{path}: reading MCAP needs mcap: not installed; pip install 'heft-testbed[robot]'"
+            ) from None
         self._messages: dict[str, list[tuple[int, int, dict[str, Any]]]] = {}
         self._encodings: dict[str, str] = {}
         try:

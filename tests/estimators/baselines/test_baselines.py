@@ -246,3 +246,19 @@ def test_a_wrong_setting_is_refused(kind, settings, allowed):
     assert name in refused.value.field
     assert repr(given) in str(refused.value)
     assert allowed in refused.value.allowed
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("use_weight", [False, True])
+def test_masses_double_exactly_with_the_wrenches(method, use_weight):
+    # light, so that no draw comes near the density of steel
+    light = blocks(["10", "11"], [0.003, 0.001, 0.002])
+    twice = [replace(t, wrench_on_object_world=2 * t.wrench_on_object_world) for t in data(light)]
+    kind = quick(method, use_weight=use_weight)
+    once = kind.estimate(light.shape, light.total_mass, data(light), 0).distribution
+    double = kind.estimate(light.shape, 2 * light.total_mass, twice, 0).distribution
+    assert once is not None and double is not None
+    # many steps amplify rounding, and more so where it decides the side of a polygon's corner
+    rounding = 1e-4 if method is DiffLcp else 1e-6
+    assert_allclose(double.mass, 2 * once.mass, rtol=rounding)
+    assert_allclose(double.friction, once.friction, rtol=rounding)

@@ -359,3 +359,19 @@ def test_a_step_of_what_is_not_a_number_is_refused(which):
     arguments[which].view(-1)[0] = math.nan
     with pytest.raises(LcpError, match="finite numbers and a positive definite mass"):
         solve_step(*arguments)  # pyright: ignore[reportArgumentType]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_momentum_balances_and_friction_takes_power(kind):
+    for seed in range(6):
+        case = drawn_case(kind, 8, seed)
+        mass, momentum, lines, bound = case.tensors
+        step = solve_step(mass, momentum, lines, bound)
+        v, f = step.velocity[..., None], step.impulse[..., None]
+        balance = (mass @ v + lines.mT @ f)[..., 0] - momentum
+        assert balance.abs().max() <= 1e-10 * (momentum.abs().max() + bound.sum())
+        power = step.impulse * (lines @ v)[..., 0]
+        assert (power >= -1e-12 * bound.max() * (1e-3 + v.abs().max())).all()
+        free = np.linalg.solve(case.mass, case.momentum)
+        after = step.velocity[0].numpy()
+        assert after @ case.mass @ after <= free @ case.mass @ free * (1 + 1e-12)

@@ -220,3 +220,19 @@ def test_no_weight_is_refused_where_it_is_used_and_not_missed_where_it_is_not(we
     with pytest.raises(InvalidValueError, match=r"^weight: "):
         Problem.of(OBJECT.shape, weight, turns(OBJECT), use_weight=True, pivot_error=0.0)
     assert isinstance(Problem.of(OBJECT.shape, weight, turns(OBJECT), use_weight=False, pivot_error=0.0), Problem)
+
+
+def test_the_wrench_is_linear_in_mass_and_in_friction():
+    obj = cut(2, 2)
+    problem = problem_of(obj, everything(obj))
+    (mass, other), (friction, another) = guesses(obj, 2)
+
+    def wrench(m: torch.Tensor, f: torch.Tensor) -> torch.Tensor:
+        return problem.wrenches.wrench(m, f)
+
+    zero = wrench(0 * mass, friction)
+    assert_allclose(wrench(mass + other, friction) + zero, wrench(mass, friction) + wrench(other, friction), atol=1e-11)
+    still = wrench(mass, 0 * friction)
+    assert_allclose(
+        wrench(mass, friction + another) + still, wrench(mass, friction) + wrench(mass, another), atol=1e-11
+    )

@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
-from rich.console import Console
 
+from scenarios.cli.terminal import open_console
 from testbed.errors import InvalidValueError
 
 if TYPE_CHECKING:
@@ -108,7 +108,7 @@ def estimate(
     from scenarios.study.run import EstimateRequest, estimate_measured
     from scenarios.views.report import report
 
-    console = Console() if sys.stdout.isatty() else Console(width=120)
+    console = open_console()
     request = EstimateRequest(objects, methods, scenario, held_out, workers)
     with show_progress() as progress:
         done = estimate_measured(folder, request, progress)

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import numpy as np
 import tyro
-from rich.console import Console
 from rich.table import Table
 
+from scenarios.cli.terminal import open_console
 from testbed.errors import InvalidValueError
 
 if TYPE_CHECKING:
@@ -67,7 +67,7 @@ def identify(
     from testbed.sensing.presets import preset
     from viz.figures.maps import error_figure, save_figure
 
-    console, model = Console(), load_object(object_)
+    console, model = open_console(), load_object(object_)
     actions = actions_of(model, support, pivots, accelerated, slides, lifts, duration, grasps)
     report = expected(model.shape, model.truth, actions, preset(sensing), Assumptions(support))
     kinds = [action.kind for action in actions]
@@ -185,7 +185,7 @@ def plan(
     from testbed.objects.files import load_object
     from testbed.sensing.presets import preset
 
-    console, model = Console(), load_object(object_)
+    console, model = open_console(), load_object(object_)
     guess = Guess(model.total_mass, preset(sensing), friction, ASSUMED_SUPPORTS[support])
     goal = Goal(percent(until, "--until"), seconds(budget, "--budget"), most)
     allowed = named_grasps(model, grasps)

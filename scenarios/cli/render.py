@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import numpy as np
 import tyro
-from rich.console import Console
 
+from scenarios.cli.terminal import open_console
 from testbed.errors import InvalidValueError
 
 if TYPE_CHECKING:
@@ -258,4 +258,4 @@ def list_trials(root: Path) -> None:
             table.add_row(key[:8], content["names"]["object"], request["support"], done, content["status"])
         except OTHER_FORMAT:
             table.add_row(key[:8], "?", "?", "?", str(content.get("status", "?")))
-    Console().print(table)
+    open_console().print(table)

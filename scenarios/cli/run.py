@@ -22,6 +22,7 @@ from rich.progress import (
 )
 from rich.progress import Progress as Bars
 
+from scenarios.cli.terminal import open_console
 from testbed.errors import HeftError, InvalidValueError
 
 if TYPE_CHECKING:
@@ -87,7 +88,7 @@ def run(
     if workers < 0:
         raise InvalidValueError("--workers", workers, "an integer >= 0")
     folder = out or Path("results") / name
-    console = Console() if sys.stdout.isatty() else Console(width=120)
+    console = open_console()
     if dry_run:
         show_dry_run(console, study, folder, workers)
         return
@@ -181,7 +182,7 @@ def status(folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="
     """
     from scenarios.results.store import FolderInUseError, exclusive, read_json
 
-    console, manifest = Console(), read_json(folder / "manifest.json")
+    console, manifest = open_console(), read_json(folder / "manifest.json")
     if manifest is None:
         allowed = "a folder with a manifest.json, as `heft run` and `heft estimate` make it"
         raise InvalidValueError("DIR", str(folder), allowed)
@@ -223,7 +224,7 @@ def _asked(manifest: dict[str, Any]) -> tuple[str, str]:
 @contextmanager
 def show_progress() -> Iterator[Progress]:
     """Show how far a run is, its throughput and the time left."""
-    console = Console()
+    console = open_console()
     if console.is_terminal:
         with Bars(
             TextColumn("{task.description:<10}"),

@@ -10,6 +10,8 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
+from scenarios.cli.terminal import open_console
+
 if TYPE_CHECKING:
     from testbed.objects.model import ObjectModel
 
@@ -126,7 +128,7 @@ def objects() -> None:
         model = load_object(name)
         grasps = " ".join(grasp.name for grasp in model.shape.grasps)
         table.add_row(name, str(model.shape.n_m), f"{model.total_mass:.3f}", grasps)
-    Console().print(table)
+    open_console().print(table)
 
 
 def scenarios() -> None:
@@ -135,7 +137,7 @@ def scenarios() -> None:
 
     for name in scenario_names():
         first = (LIBRARY / f"{name}.toml").read_text(encoding="utf-8").splitlines()[0].lstrip("# ")
-        Console().print(f"{name}: {first}", highlight=False)
+        open_console().print(f"{name}: {first}", highlight=False)
 
 
 def show(object_: Annotated[str, tyro.conf.Positional, tyro.conf.arg(name="object", metavar="OBJECT")]) -> None:
@@ -146,7 +148,7 @@ def show(object_: Annotated[str, tyro.conf.Positional, tyro.conf.arg(name="objec
     """
     from testbed.objects.files import load_object
 
-    console, model = Console(), load_object(object_)
+    console, model = open_console(), load_object(object_)
     shape, com = model.shape, np.round(model.center_of_mass * 1e3, 1) + 0.0  # no -0.0
     console.print(
         f"[bold]{model.name}[/bold]: {model.total_mass:.3f} kg, centre of mass ({com[0]:.1f}, "

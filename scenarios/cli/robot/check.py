@@ -32,9 +32,9 @@ def check(*, config: Annotated[Path, tyro.conf.arg(metavar="FILE")] = Path("robo
     Args:
         config: robot file; without a robot.toml, its defaults.
     """
-    from rich.console import Console
+    from scenarios.cli.terminal import open_console
 
-    console, missing = Console(), 0
+    console, missing = open_console(), 0
     for line in _lines(config):
         missing += line.state == "missing"
         console.print(f"{line.state:8}{line.part}: {line.text}", highlight=False, markup=False, soft_wrap=True)
@@ -170,11 +170,10 @@ def verify(folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="
     Args:
         folder: results folder of heft robot trial or heft import.
     """
-    from rich.console import Console
-
+    from scenarios.cli.terminal import open_console
     from scenarios.results.trials import measured_records
 
-    console = Console()
+    console = open_console()
     sound = [t for t in measured_records(folder) if t.trajectory.ok]
     found = [
         (name, finding) for name in dict.fromkeys(t.object.name for t in sound) for finding in _findings(sound, name)

@@ -108,6 +108,7 @@ def test_a_larger_budget_comes_nearer_to_the_truth(obj, method, budgets, seeds, 
     assert errors[-1] < bound
 
 
+@pytest.mark.slow
 def test_diff_lcp_comes_to_the_truth_as_its_polygon_becomes_a_circle():
     errors = []
     for directions in (4, 64):

@@ -119,6 +119,7 @@ def test_tilted_and_rocked_the_wrench_is_newtons_and_eulers(name):
     assert_allclose(missing[:, 3:], 0, atol=0.005 * weight * 0.1)
 
 
+@pytest.mark.slow
 def test_a_lift_is_seen_in_space(tmp_path):
     key = put_trial(tmp_path, "L2", Lift(2, tilt=0.1, swings=0, hold=0.1, height=0.12), RIGID)
     shown = trial_view(tmp_path, key, meshes=False)

@@ -41,8 +41,10 @@ def run(action, support=None, **of_runner):
     ("action", "allowed"),
     [
         (replace(ACTION, back=True), 0.1),
-        (Slide(0, direction=0.5, duration=1.6), 0.1),
-        (Accelerate(1, (1.0, -1.0), 0.6, 0.2), 0.3),  # the arm still gives way when a stretch begins
+        pytest.param(Slide(0, direction=0.5, duration=1.6), 0.1, marks=pytest.mark.slow),
+        pytest.param(
+            Accelerate(1, (1.0, -1.0), 0.6, 0.2), 0.3, marks=pytest.mark.slow
+        ),  # the arm still gives way when a stretch begins
     ],
     ids=["turn", "slide", "accelerated turn"],
 )

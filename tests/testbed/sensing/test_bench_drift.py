@@ -34,6 +34,7 @@ def more(settings: RobotSettings) -> RobotSettings:
     return replace(settings, drift_std=(0.05, 0.003))
 
 
+@pytest.mark.slow
 def test_a_real_trial_says_how_its_zero_may_have_walked(tmp_path):
     """Never nothing: what is assumed of the sensor, or what the two tares show."""
     quiet, creeping = ran(0.0, change=more), ran(0.012)

@@ -212,6 +212,7 @@ def middle_of(picture: np.ndarray, color: tuple[float, float, float]) -> np.ndar
     return np.array([2 * column / width - 1, 1 - 2 * row / height])
 
 
+@pytest.mark.slow
 def test_a_film_shows_the_object_where_the_record_has_it(drawn, turn):
     trajectory = turn.trajectory
     length = trajectory.time_s[-1]
@@ -235,6 +236,7 @@ def test_a_film_shows_the_object_where_the_record_has_it(drawn, turn):
     assert np.linalg.norm(np.ptp(moved, axis=0)) > 0.5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["turn", "slide"])
 def test_a_picture_is_lit_and_shows_table_arm_and_object(drawn, name):
     picture = np.asarray(Image.open(drawn / f"{name}.png"))

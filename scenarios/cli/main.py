@@ -13,6 +13,7 @@ from typing import Annotated, Any
 import tyro
 
 from testbed.errors import HeftError
+from testbed.packages import hidden_package
 
 COMMANDS = {
     "run": ("scenarios.cli.run:run", "Run a scenario: its trials, every method's estimates, tables and a report."),
@@ -47,6 +48,9 @@ GROUPS = {"robot": "The real robot: check it, show its sensor, calibrate it, run
 def main(arguments: list[str] | None = None) -> None:
     """Entry point: 0 done, 1 done but some trials or estimates failed, 2 a wrong argument or file, 130 interrupted."""
     arguments = sys.argv[1:] if arguments is None else arguments
+    if hidden := hidden_package():
+        print(f"heft: {hidden}", file=sys.stderr)
+        sys.exit(2)
     try:
         tyro.extras.subcommand_cli_from_dict(
             commands_of(arguments),

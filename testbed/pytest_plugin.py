@@ -2,12 +2,21 @@
 
 from __future__ import annotations
 
+import pytest
+
 from testbed.packages import hidden_package
 
 _HIDDEN = hidden_package()
 pytest_plugins = [] if _HIDDEN else ["estimators.testing.plugin"]
 
 
-def pytest_report_header() -> str | None:
-    """Line on a kit that is not there."""
-    return f"heft: no conformance kit: {_HIDDEN}" if _HIDDEN else None
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """Take the kit's option where there is no kit, to say why."""
+    if _HIDDEN:
+        parser.addoption("--estimator", help=f"not there: {_HIDDEN}")
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Refuse to look for a kit that is hidden."""
+    if _HIDDEN and config.getoption("--estimator"):
+        raise pytest.UsageError(f"--estimator: {_HIDDEN}")

@@ -48,7 +48,7 @@ def misbehave(way: str) -> str:
         case "eat":
             held = []
             while True:
-                held.append(np.ones(2**24))
+                held.append(np.empty(2**24))
     return way
 
 

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Literal, Protocol, runtime_checkable
+from typing import Literal, Protocol, get_args, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
 
 from estimators.identifiability.report import Identifiability
 from testbed.actions.base import Action
+from testbed.errors import InvalidValueError
 from testbed.objects.model import MassDistribution, ObjectShape
 from testbed.trajectory import Trajectory
 from testbed.validation import frozen_array
@@ -85,6 +86,10 @@ class Estimate:
     """Method-specific numbers: residuals, ranks, conditioning."""
 
     def __post_init__(self) -> None:
+        if self.status not in get_args(EstimateStatus):
+            raise InvalidValueError("Estimate.status", self.status, f"one of {', '.join(get_args(EstimateStatus))}")
+        if not isinstance(self.distribution, MassDistribution | None):
+            raise InvalidValueError("Estimate.distribution", self.distribution, "a MassDistribution, or None")
         if self.covariance is not None:
             n = len(self.covariance)
             object.__setattr__(

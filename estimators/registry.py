@@ -62,6 +62,17 @@ def build_method(label: str, settings: Mapping[str, Any]) -> Estimator:
     return configured(kind, own, f"methods.{label}", ("method",))
 
 
+def check_installed(label: str, settings: Mapping[str, Any]) -> None:
+    """Call a method's own `check_installed`, where it has one.
+
+    Raises:
+        HeftError: the method lacks a package; the message says how to install it.
+    """
+    check = getattr(build_method(label, settings), "check_installed", None)
+    if check is not None:
+        check()
+
+
 def code_of(name: str) -> dict[str, str]:
     """Source hash of a method that is not heft's own; empty for heft's own, whose version decides."""
     return {} if name in METHODS else {"source": source_hash(_class_of(name))}

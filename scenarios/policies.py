@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
-from traceback import extract_tb
 from typing import Annotated, Any, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
@@ -20,9 +18,9 @@ from estimators.registry import POLICY
 from scenarios.runners import FeasibilityCheck, RunnerSettings
 from testbed.actions.base import Action
 from testbed.actions.rotate import Rotate
-from testbed.errors import HeftError, InvalidValueError
+from testbed.errors import InvalidValueError
 from testbed.objects.model import ObjectModel, ObjectShape
-from testbed.plugins import configured, find_class, source_hash
+from testbed.plugins import configured, find_class, placed_errors, source_hash
 from testbed.sensing.presets import preset
 from testbed.trajectory import Trajectory
 
@@ -64,12 +62,8 @@ class NamedPolicy:
         if len(trajectories) >= self.most:
             return None
         field = f"{self.name}.next()"
-        try:
+        with placed_errors(type(self.policy), field):
             action = self.policy.next(shape, tuple(trajectories))
-        except Exception as error:
-            frame = extract_tb(error.__traceback__)[-1]
-            place = f"{Path(frame.filename).name}, line {frame.lineno}"
-            raise HeftError(f"{field} ends in {type(error).__name__}: {error} ({place})") from error
         if action is None:
             return None
         if not isinstance(action, Action) or not action.moves:

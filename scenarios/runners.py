@@ -10,9 +10,9 @@ from estimators.action_selection.design import Guess
 from testbed.actions.accelerate import Accelerate
 from testbed.actions.base import Action
 from testbed.actions.rotate import Rotate
-from testbed.errors import InfeasibleTrialError, InvalidValueError
+from testbed.errors import HeftError, InfeasibleTrialError, InvalidValueError
 from testbed.objects.model import ObjectModel, ObjectShape
-from testbed.plugins import RUNNER, configured, find_class, source_hash
+from testbed.plugins import RUNNER, configured, find_class, placed_errors, source_hash
 from testbed.simulation.settings import SimulationSettings
 from testbed.trajectory import Trajectory
 from testbed.trial import RIGID, Trial, TrialRunner
@@ -62,7 +62,8 @@ class NamedRunner:
         Raises:
             InvalidValueError: no trajectory, or a simulated one on which no sensor's errors can be drawn.
         """
-        with self.open() as runner:
+        opened = self.open()
+        with placed_errors(type(opened), unless=(HeftError,)), opened as runner:
             record = runner.run(trial)
         if not isinstance(record, Trajectory):
             raise InvalidValueError(f"{self.runner}.run()", record, "a Trajectory of testbed.trajectory")

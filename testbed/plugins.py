@@ -8,11 +8,13 @@ import inspect
 import os
 import re
 import sys
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import lru_cache
 from importlib.metadata import entry_points
 from pathlib import Path
+from traceback import extract_tb
 from typing import Any, Generic, TypeVar
 
 from testbed.errors import HeftError, InvalidValueError, nearest
@@ -144,12 +146,41 @@ def source_hash(kind: type[Any]) -> str:
 
     What it answers is kept under it, so that a changed class is asked again.
     """
+    return hashlib.sha256(b"\0".join(file.read_bytes() for file in _files_of(kind))).hexdigest()[:20]
+
+
+def _files_of(kind: type[Any]) -> list[Path]:
+    """Source files of a class's package, or its one module."""
     top = sys.modules[kind.__module__.partition(".")[0]]
     folders = [Path(folder) for folder in getattr(top, "__path__", ())]
-    files = [file for folder in folders for file in sorted(folder.rglob("*.py"))]
-    if not folders and top.__file__:
-        files = [Path(top.__file__)]
-    return hashlib.sha256(b"\0".join(file.read_bytes() for file in files)).hexdigest()[:20]
+    if not folders and getattr(top, "__file__", None):
+        return [Path(str(top.__file__))]
+    return [file for folder in folders for file in sorted(folder.rglob("*.py"))]
+
+
+@contextmanager
+def placed_errors(kind: type[Any], call: str = "", *, unless: tuple[type[Exception], ...] = ()) -> Iterator[None]:
+    """Turn an error inside another's class into one line that names the file and the line of their code.
+
+    Args:
+        kind: the class.
+        call: what was called, to begin the line with.
+        unless: errors that are passed on as they are.
+
+    Raises:
+        HeftError: the line; its cause is the error.
+    """
+    try:
+        yield
+    except unless:
+        raise
+    except (Exception, SystemExit) as error:
+        frames, own = extract_tb(error.__traceback__), {str(file) for file in _files_of(kind)}
+        frame = next((frame for frame in reversed(frames) if frame.filename in own), frames[-1])
+        path = Path(frame.filename)
+        place = f"{path.relative_to(Path.cwd()) if path.is_relative_to(Path.cwd()) else path}, line {frame.lineno}"
+        begin = f"{call} ends in " if call else ""
+        raise HeftError(f"{begin}{type(error).__name__}: {error} ({place})") from error
 
 
 def _imported(name: str, path: str, field: str) -> Any:

@@ -43,9 +43,16 @@ class MujocoSysid(Peer):
         if self.weighting != "covariance":
             raise InvalidValueError("MujocoSysid.weighting", self.weighting, "covariance: it fits wrenches")
 
+    def check_installed(self) -> None:
+        """Raise InvalidValueError where the toolbox's own dependencies are not installed."""
+        from testbed.simulation.planar_sysid import check_toolbox  # noqa: PLC0415  see above
+
+        check_toolbox()
+
     def _search(self, problem: Problem, seed: int) -> SearchResult:
         from testbed.simulation.planar_sysid import PlanarData, identify  # noqa: PLC0415  see above
 
+        self.check_installed()
         shape, windows = problem.shape, problem.windows
         coordinates = LogCoordinates.of(problem, seed)
         first = coordinates.candidates(coordinates.start[None])

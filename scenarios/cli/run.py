@@ -35,6 +35,8 @@ NOTES = (
     "figure on the real robot. *: better than every other method in its column (paired by draw, p < 0.05). "
     "_M: given M; _cov: errors weighed by their covariance."
 )
+OWN_ERROR = f"{HeftError.__module__}.{HeftError.__name__}: "
+"""Beginning of the last line of a traceback that says nothing more."""
 MOST_LINES = 20
 """Failures that are listed; the report has them all."""
 EVERY_S = 10.0
@@ -74,6 +76,7 @@ def run(
     """
     from scenarios.config import load_scenario
     from scenarios.execution.executor import default_workers
+    from scenarios.results.estimates import load_tracebacks
     from scenarios.results.store import read_json, rows_of, write_json
     from scenarios.study.dry_run import show_dry_run
     from scenarios.study.run import run_scenario
@@ -81,6 +84,7 @@ def run(
     from scenarios.views.pages import Recorder, record_all, record_results, record_worst
     from scenarios.views.report import report
     from viz.recordings import viewer
+    from viz.report.lists import failures
 
     name, study = load_scenario(scenario)
     study = study.changed(seeds, objects, methods)
@@ -118,8 +122,10 @@ def run(
         print(f"no recording: {error}")
     print(f"report: {report(folder)}")
     failed = [row for row in results if row["status"] != "ok"]
-    for line in list(_reasons(failed))[:MOST_LINES]:
-        print(line)
+    for failure in failures(failed, load_tracebacks(folder))[:MOST_LINES]:
+        print(failure.line)
+        if failure.path:
+            print(f"  traceback: {folder / failure.path}")
     took = f"{len(results)} estimates in {time.monotonic() - begin:.0f} s"
     print(f"{took}, {len(failed)} not ok; all of it in {folder}/")
     if any(row.get("mass_kg") is None for row in failed):
@@ -129,11 +135,12 @@ def run(
 def show_tables(console: Console, scenario: Scenario, results: Sequence[Row]) -> None:
     """Print every metric under every support and sensing, and the hidden states; of many objects, quantiles."""
     from estimators.evaluation.statistics import select
-    from viz.report.tables import METRICS, hidden_table, metric_table, quantile_table, rich_table
+    from viz.report.tables import METRICS, NAD, hidden_table, metric_table, quantile_table, rich_table
     from viz.values import support_name
 
     objects = list(dict.fromkeys(row["object"] for row in results))
     metrics = [metric for metric in METRICS if any(row.get(metric.column) is not None for row in results)]
+    metrics = metrics or [NAD]  # the statuses then
     if _many(results):
         for metric in metrics:
             console.print(rich_table(quantile_table(results, metric)))
@@ -145,7 +152,9 @@ def show_tables(console: Console, scenario: Scenario, results: Sequence[Row]) ->
                 title = f"{metric.title}: {support_name(support.name)}, {sensing}"
                 console.print(rich_table(metric_table(rows, metric, title, objects)))
     console.print(NOTES, highlight=False)
-    console.print(rich_table(hidden_table(results, objects)))
+    hidden = hidden_table(results, objects)
+    if hidden.rows:
+        console.print(rich_table(hidden))
 
 
 def _command(scenario: str, seeds: int | None, objects: Sequence[str] | None, methods: Sequence[str] | None) -> str:
@@ -163,15 +172,6 @@ def _many(results: Sequence[Row]) -> bool:
     from viz.report.tables import MOST_OBJECTS
 
     return bool(axes_of(results)) or len({row["object"] for row in results}) > MOST_OBJECTS
-
-
-def _reasons(failed: Sequence[Row]) -> dict[str, None]:
-    """A line for each kind of failure."""
-    return dict.fromkeys(
-        ", ".join(part for part in (row["object"], row["support"], row["method"]) if part)
-        + f": {row['status']}: {row.get('message') or ''}"
-        for row in failed
-    )
 
 
 def status(folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DIR")]) -> None:
@@ -204,7 +204,7 @@ def status(folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="
     )
     for error in [*failed, *folder.glob("trials/*/error.txt")][:MOST_LINES]:
         lines = error.read_text(encoding="utf-8").strip().splitlines()
-        print(f"{error}: {lines[-1] if lines else 'no reason given'}")
+        print(f"{error}: {lines[-1].removeprefix(OWN_ERROR) if lines else 'no reason given'}")
 
 
 def _asked(manifest: dict[str, Any]) -> tuple[str, str]:

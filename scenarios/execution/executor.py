@@ -14,7 +14,7 @@ from typing import Any, Literal, Protocol, get_args
 
 import torch
 
-from testbed.errors import InvalidValueError
+from testbed.errors import HeftError, InvalidValueError
 
 ExecutorName = Literal["inline", "local", "ray"]
 _DISK = {errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EACCES, errno.EPERM, errno.EIO}
@@ -135,8 +135,8 @@ def call(function: Callable[..., Any], *arguments: Any) -> Any:
     except (Exception, SystemExit) as error:
         if isinstance(error, OSError) and error.errno in _DISK:
             return OSError(error.errno, error.strerror, error.filename)
-        reason = f"{type(error).__name__}: {error}".removesuffix(": ")
-        return Failure(reason, traceback.format_exc())
+        words = str(error) if isinstance(error, HeftError) else f"{type(error).__name__}: {error}".removesuffix(": ")
+        return Failure(words, traceback.format_exc())
 
 
 def given_back(label: Any, value: Any) -> tuple[Any, Any]:

@@ -19,7 +19,9 @@ from scenarios.execution.executor import Executor, Failure
 from scenarios.results.store import Store, key_of, object_request
 from scenarios.results.trials import sensed_trials
 from scenarios.study.experiment import Experiment, InfeasibleExperiment, Progress, ResultCallback
+from testbed.errors import InvalidValueError
 from testbed.objects.model import ObjectModel
+from testbed.plugins import placed_errors
 from testbed.sensing.windows import weight_of
 from testbed.trajectory import Trajectory
 
@@ -73,8 +75,38 @@ def run_estimates(
     return [rows[place] for place in sorted(rows)] + [_infeasible(experiment) for experiment in left_out]
 
 
+NO_ANSWER = {
+    "nad": math.nan,
+    "mpd_open_loop_m": math.nan,
+    "mpd_turn_m": math.nan,
+    "mpd_open_loop_of_truth_m": math.nan,
+    "mpd_turn_of_truth_m": math.nan,
+    "friction": None,
+    "mass_kg": None,
+    "com_error_m": math.nan,
+    "inertia_error": math.nan,
+    "unobserved": "",
+    "optimizer": "",
+    "loss": math.nan,
+}
+"""Columns of an answer, in a row without one."""
+NOT_RUN = {
+    "rollouts": math.nan,
+    "seconds": math.nan,
+    "trials": math.nan,
+    "robot_s": math.nan,
+    "weight_kg": math.nan,
+    "group_names": None,
+    "true_mass_kg": None,
+    "key": None,
+    "trial_keys": None,
+    "held_out_keys": None,
+}
+"""Further columns, in a row of an estimate that did not come to an end."""
+
+
 def _failed(seed: int, why: str) -> dict[str, Any]:
-    return {"seed": seed, "status": "failed", "message": why}
+    return NO_ANSWER | NOT_RUN | {"seed": seed, "status": "failed", "message": why}
 
 
 def _draws(
@@ -159,17 +191,39 @@ def estimate(task: EstimateTask, seed: int, key: str, store: Store) -> None:
     """Worker's task: the estimate of one draw."""
     drawn = sensed_trials(store, task.keys + task.held_out, task.sensing, seed)
     seen, held_out = drawn[: len(task.keys)], drawn[len(task.keys) :]
-    method = build_method(task.method, task.settings)
-    answer = method.estimate(task.truth.shape, weight_of(seen[0]), seen[1:], seed)
+    answer = _answer(task, seen, seed)
     labels = task.labels() | {"trial_keys": list(task.keys), "held_out_keys": list(task.held_out)}
     row = {"seed": seed} | labels | judge(task.truth, answer, seen, held_out, reference=task.reference)
     store.put_estimate(key, row, answer, task.truth.shape)
 
 
+def _answer(task: EstimateTask, seen: list[Trajectory], seed: int) -> Estimate:
+    """The method's answer.
+
+    Raises:
+        HeftError: the method raised an error, or its answer is none for this object.
+    """
+    method, shape = build_method(task.method, task.settings), task.truth.shape
+    with placed_errors(type(method)):
+        answer = method.estimate(shape, weight_of(seen[0]), seen[1:], seed)
+    called = f"{task.kind}.estimate()"
+    if not isinstance(answer, Estimate):
+        raise InvalidValueError(called, answer, "an Estimate of estimators.base")
+    if (found := answer.distribution) is not None and (len(found.mass), len(found.friction)) != (shape.n_m, shape.n_mu):
+        given = f"{len(found.mass)} masses, {len(found.friction)} frictions"
+        allowed = f"{shape.n_m} and {shape.n_mu}, one of each mass group and friction group"
+        raise InvalidValueError(called, given, allowed)
+    if answer.covariance is not None and len(answer.covariance) != shape.n_m:
+        allowed = f"one row and column of each of {shape.n_m} mass groups"
+        raise InvalidValueError(f"{called}.covariance", answer.covariance.shape, allowed)
+    return answer
+
+
 def _infeasible(experiment: InfeasibleExperiment) -> dict[str, Any]:
     labels = {"object": experiment.name, "support": experiment.support}
     nobody = {"sensing": "", "seed": 0, "method": "", "kind": ""}
-    return labels | nobody | axis_columns(experiment.axes) | {"status": "infeasible", "message": experiment.reason}
+    why = {"status": "infeasible", "message": experiment.reason}
+    return NO_ANSWER | NOT_RUN | labels | nobody | axis_columns(experiment.axes) | why
 
 
 def judge(
@@ -181,12 +235,9 @@ def judge(
     """
     shape = truth.shape
     best = mean_particle_distance(shape, truth.truth, held_out) if reference else None
-    row: dict[str, Any] = {
+    row: dict[str, Any] = NO_ANSWER | {
         "status": answer.status,
         "message": answer.message,
-        "nad": math.nan,
-        "mpd_open_loop_m": math.nan,
-        "mpd_turn_m": math.nan,
         "mpd_open_loop_of_truth_m": math.nan if best is None else best.open_loop,
         "mpd_turn_of_truth_m": math.nan if best is None else best.turn,
         "seconds": answer.seconds,
@@ -195,11 +246,6 @@ def judge(
         "weight_kg": weight_of(seen[0]),
         "group_names": list(shape.group_names),
         "true_mass_kg": truth.group_mass.tolist(),
-        "friction": None,
-        "mass_kg": None,
-        "com_error_m": math.nan,
-        "inertia_error": math.nan,
-        "unobserved": "",
         "optimizer": answer.traces[0].method if answer.traces else "",
         "loss": min((min(trace.loss) for trace in answer.traces), default=math.nan),
         "rollouts": answer.diagnostics.get("rollouts", 0.0),

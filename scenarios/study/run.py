@@ -13,6 +13,7 @@ from typing import Any
 
 import pandas as pd
 
+from estimators.registry import check_installed
 from scenarios.config import Scenario, Sweep, load_scenario
 from scenarios.execution.executor import default_workers, open_executor
 from scenarios.results.store import Store, exclusive, rows_of, write_json
@@ -47,6 +48,7 @@ def run_scenario(
         HeftError: something in the scenario cannot be done, or another run writes to `out`.
         OSError: `out` cannot be written to.
     """
+    check_methods(scenario)
     store = Store(out.absolute())
     with exclusive(out), open_executor(executor, worker_count, preload=(__name__,)) as tasks:
         store.remove_leftovers()
@@ -55,6 +57,13 @@ def run_scenario(
         run_trials(experiments, store, tasks, progress, on_result)
         rows = run_estimates(experiments, left_out, store, tasks, progress, on_result)
         return store.put_table(rows)
+
+
+def check_methods(scenario: Scenario) -> None:
+    """Raise HeftError where a method, at any point of the sweep, lacks a package."""
+    every = [method for _, point in scenario.points() for method in point.methods.items()]
+    for label, settings in every:
+        check_installed(label, settings)
 
 
 def manifest(scenario: Scenario) -> dict[str, Any]:
@@ -101,6 +110,7 @@ def estimate_measured(folder: Path, request: EstimateRequest, progress: Progress
         InvalidValueError: no measured trials, no weighing, or no such object, method or scenario.
     """
     methods = load_scenario(request.scenario)[1].changed(methods=request.methods)
+    check_methods(methods)
     workers, begin = default_workers() if request.workers is None else request.workers, time.monotonic()
     found, left_out = measured_trials(folder, request.objects, request.held_out)
     scenario = _scenario_of(found, methods)

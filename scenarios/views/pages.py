@@ -107,7 +107,7 @@ def object_page(folder: Path, name: str) -> Page:
 
 def folder_page(folder: Path) -> Page:
     """Every object under every method."""
-    objects = list(dict.fromkeys(row["object"] for row in load_rows(folder) if row.get("key")))
+    objects = list(dict.fromkeys(row["object"] for row in load_rows(folder) if row.get("trial_keys") is not None))
     if not objects:
         raise InvalidValueError("DIR", str(folder), "a results folder with an estimate that is done")
     return _comparisons(folder, objects, folder.resolve().name, f"folder {folder.resolve()}")

@@ -210,6 +210,14 @@ class PlanarFit:
     """Number of guesses that were simulated, each over all stretches."""
 
 
+def check_toolbox() -> None:
+    """Raise InvalidValueError where the toolbox's own dependencies are not installed."""
+    if not hasattr(sysid, "SystemTrajectory"):  # `import mujoco.sysid` leaves out what it cannot import, in silence
+        raise InvalidValueError(
+            "mujoco_sysid", "MuJoCo without its toolbox's dependencies", "pip install 'heft-testbed[sysid]'"
+        )
+
+
 def identify(guess: ObjectModel, support: Support, measured: PlanarData, max_iters: int) -> PlanarFit:
     """Fit masses and frictions by the toolbox's default optimizer.
 
@@ -218,14 +226,7 @@ def identify(guess: ObjectModel, support: Support, measured: PlanarData, max_ite
         support: support of the weight in the scene.
         measured: data to fit.
         max_iters: most iterations of the optimizer.
-
-    Raises:
-        InvalidValueError: the toolbox's own dependencies are not installed.
     """
-    if not hasattr(sysid, "SystemTrajectory"):  # `import mujoco.sysid` leaves out what it cannot import, in silence
-        raise InvalidValueError(
-            "mujoco_sysid", "MuJoCo without its toolbox's dependencies", "pip install 'heft-testbed[sysid]'"
-        )
     fit = _Residuals(guess, support, measured)
     begin, logged = time.perf_counter(), []
     found, result = sysid.optimize(

@@ -47,6 +47,12 @@ class FailedEstimates:
     path: str
     """File with the traceback."""
 
+    @property
+    def line(self) -> str:
+        """Method, number, status, objects, setting and reason."""
+        place = "; ".join(filter(None, (self.objects, self.where)))
+        return f"{self.method}: {self.count} {self.status} ({place}): {self.message}"
+
 
 def worst_of(rows: Sequence[Row]) -> tuple[list[Row], list[Row]]:
     """The ten estimates with the greatest NAD, and the five of the hidden states."""

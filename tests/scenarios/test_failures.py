@@ -1,0 +1,105 @@
+"""Methods of others that fail: named with file, line and traceback, and tables and a report in any case."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+from mujoco import sysid
+
+from estimators.registry import ESTIMATOR
+from scenarios.cli.main import main
+from scenarios.results.estimates import load_results
+from scenarios.study import run as study
+from testbed.errors import HeftError, InvalidValueError
+from testbed.plugins import load_class, placed_errors
+from testbed.trial import parse_support
+
+METHODS = """
+import numpy as np
+from estimators import Estimate
+from testbed.objects.model import MassDistribution
+
+class Fails:
+    def estimate(self, shape, weight, trajectories, seed):
+        np.linalg.inv(np.zeros((2, 2)))  # line 8
+
+class Dict:
+    def estimate(self, shape, weight, trajectories, seed):
+        return {"mass": 1}
+
+class Status:
+    def estimate(self, shape, weight, trajectories, seed):
+        return Estimate(None, "great")
+
+class Short:
+    def estimate(self, shape, weight, trajectories, seed):
+        return Estimate(MassDistribution([1.0], [0.5]), "ok")
+
+class Bare:
+    def estimate(self, shape, weight, trajectories, seed):
+        return Estimate(np.ones(shape.n_m), "ok")
+"""
+REASONS = {
+    "Fails": r"LinAlgError: Singular matrix \(failing.py, line 8\)",
+    "Dict": r"failing:Dict.estimate\(\): got {'mass': 1}; allowed: an Estimate of estimators.base",
+    "Status": r"Estimate.status: got 'great'; allowed: one of ok, .* \(failing.py, line 16\)",
+    "Short": r"failing:Short.estimate\(\): got '1 masses, 1 frictions'; allowed: 2 and 1, one of each mass group",
+    "Bare": r"Estimate.distribution: got array.*; allowed: a MassDistribution, or None \(failing.py, line 24\)",
+}
+
+
+@pytest.fixture
+def here(tmp_path, monkeypatch, finished) -> Path:
+    """A user's folder with methods that fail, and `out` with the trials of a run and nothing else."""
+    (tmp_path / "failing.py").write_text(METHODS, encoding="utf-8")
+    for part in ("trials", "notes"):
+        shutil.copytree(finished.out / part, tmp_path / "out" / part)
+    monkeypatch.delitem(sys.modules, "failing", raising=False)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("sys.path", [*sys.path])
+    return tmp_path
+
+
+def test_nothing_but_failures_is_a_table_a_report_and_the_place_of_each_error(here, finished, capsys):
+    names = [f"failing:{name}" for name in REASONS]
+    with pytest.raises(SystemExit, match="1"):
+        main(["run", str(finished.scenario), "--out", "out", "--workers", "0", "--methods", *names])
+    said = capsys.readouterr().out
+    assert "Normalized absolute difference" in said and (here / "out" / "report.html").is_file()
+    for name, reason in REASONS.items():
+        (line,) = re.findall(
+            rf"failing:{name}: 3 failed \(pair; own weight, .*\): .*{reason}.*\n  traceback: (.*)", said
+        )
+        assert "Traceback" in Path(line).read_text(encoding="utf-8")
+    rows = load_results(here / "out")
+    assert set(rows["status"]) == {"failed"} and rows["nad"].isna().to_numpy().all()
+    main(["figures", "out"])
+    main(["status", "out"])
+    assert re.search(rf"error.txt: {REASONS['Fails']}", capsys.readouterr().out)
+
+
+@pytest.mark.parametrize("command", ["run", "estimate"])
+def test_a_missing_extra_is_said_before_any_trial(tmp_path, monkeypatch, capsys, command):
+    monkeypatch.delattr(sysid, "SystemTrajectory", raising=False)
+    monkeypatch.setattr(study, "experiments_of", pytest.fail)
+    words = {"run": ["blocks", "--out", str(tmp_path / "out")], "estimate": [str(tmp_path)]}[command]
+    with pytest.raises(SystemExit, match="2"):
+        main([command, *words, "--methods", "mujoco_sysid"])
+    assert "pip install 'heft-testbed[sysid]'" in capsys.readouterr().err and not (tmp_path / "out").exists()
+
+
+@pytest.mark.usefixtures("here")
+def test_an_error_is_placed_in_the_class_of_others_or_passed_on():
+    kind: Any = load_class("failing:Fails", ESTIMATOR, "methods")
+    with (
+        pytest.raises(HeftError, match=r"^run\(\) ends in LinAlgError: .*failing.py, line 8"),
+        placed_errors(kind, "run()"),
+    ):
+        kind().estimate(None, None, [], 0)
+    with pytest.raises(InvalidValueError), placed_errors(kind, unless=(InvalidValueError,)):
+        parse_support("air")

@@ -3,7 +3,9 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
-.PHONY: run test test-all check bench docs clean
+.PHONY: install run test test-all check bench docs clean
+
+install: $(STAMP)  ## the virtual environment, with heft in it
 
 run: $(STAMP)  ## the main job: the comparison on the block objects
 	$(BIN)/heft run blocks

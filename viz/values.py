@@ -104,7 +104,7 @@ class EstimateView:
 
     @property
     def nad(self) -> float | None:
-        """Normalized absolute difference, the paper's eta_1: misplaced over whole mass."""
+        """Normalized absolute difference, the paper's eta_1: sum of `difference` over the true mass."""
         off, truth = self.difference, self.true_mass
         return None if off is None or truth is None else float(off.sum() / truth.sum())
 

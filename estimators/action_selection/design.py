@@ -65,7 +65,7 @@ class Belief:
 
     @property
     def expected_nad(self) -> float:
-        """Expected NAD, a part of 1, mean over the support models."""
+        """Expected NAD as a ratio (0.05 is 5 %), mean over the support models."""
         return float(expected_nad(self.covariance(), self.weight).mean())
 
     def after(self, trials: Float[np.ndarray, "S U U"]) -> Belief:

@@ -44,7 +44,7 @@ class Decision:
     estimate: Estimate | None
     """Answer to the trials so far; None before the first."""
     nad: float
-    """Expected NAD of the answer, or of even masses where there is none; a part of 1."""
+    """Expected NAD of the answer, or of even masses where there is none, as a ratio."""
     standard_error: Float[np.ndarray, "n_m"]
     """Standard error of each group's mass [kg]: the answer's own, or the planner's where that is wider."""
     supports: tuple[str, ...]

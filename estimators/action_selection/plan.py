@@ -26,7 +26,7 @@ class Goal:
     """Conditions under which a plan ends."""
 
     until: float | None = None
-    """Expected NAD to reach, a part of 1."""
+    """Expected NAD to reach, as a ratio."""
     budget_s: float | None = None
     """Robot time that may be used [s]."""
     most: int = 12

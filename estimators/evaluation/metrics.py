@@ -128,7 +128,9 @@ def _mean_distance(model: ParticleModel, inertia: Inertia, a: Tensor, b: Tensor)
 
 
 def normalized_absolute_difference(shape: ObjectShape, estimate: MassDistribution, truth: MassDistribution) -> float:
-    """NAD, eta_1: sum over particles of |m - m_g| over the total mass; 0 is exact, 2 is all mass misplaced.
+    """NAD, eta_1: sum over particles of |m - m_g| over the true total mass; 0 is exact.
+
+    With the right total it is twice the misplaced part of the mass, so 2 at most; with a wrong one it has no bound.
 
     Raises:
         InvalidValueError: masses that do not fit the shape.

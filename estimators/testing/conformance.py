@@ -26,7 +26,7 @@ from testbed.trajectory import Trajectory
 Draw = Callable[[int], ObjectModel]
 """Object of each number."""
 ALLOWED = {"ideal": 0.08, "low": 0.1, "moderate": 0.1, "ft300s": 0.1, "high": 0.2}
-"""NAD that an answer of status ok may have under each preset, a part of 1."""
+"""NAD that an answer of status ok may have under each preset, as a ratio."""
 
 
 def small_object(seed: int) -> ObjectModel:

@@ -164,7 +164,7 @@ def plan(
     Args:
         object_: name in the library, or path to a TOML file.
         budget: robot time, travel included, as 60s or 2min; no limit if left out.
-        until: expected NAD to reach, as 5%.
+        until: expected NAD to reach (sum of the masses' errors over the whole mass), as 5%.
         policy: greedy (the best of each moment), batch (the whole made better by exchange), random, or paper.
         criterion: quantity to minimize: I (the expected NAD), A (trace of the covariance) or D (its volume).
         sensing: preset of the sensor.

@@ -47,7 +47,7 @@ def touch(
 
     Args:
         object_: name in the library, or path to a TOML file.
-        until: expected NAD to reach, as 5%.
+        until: expected NAD to reach (sum of the masses' errors over the whole mass), as 5%.
         budget: robot time, travel included, as 60s or 2min; no limit if left out.
         sensing: preset of the sensor.
         support: what truly carries the weight: own_weight, rigid, or a stiffness in N/m.

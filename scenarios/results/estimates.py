@@ -9,7 +9,7 @@ Columns of the table, a row an estimate (one method, one draw of the sensor's er
 | axis.<field> | value of each swept field of the scenario |
 | status | ok; underdetermined, not_converged, no_data: what the method says; failed, infeasible: there is no answer |
 | message | why status is not ok |
-| nad | normalized absolute difference, a part of 1 |
+| nad | normalized absolute difference: sum of the masses' errors over the true mass, 0 is right |
 | mpd_open_loop_m, mpd_turn_m | mean particle distance after 1 s, and over a whole turn |
 | mpd_open_loop_of_truth_m, mpd_turn_of_truth_m | what the true masses score; with the scenario's first method only |
 | mass_kg, true_mass_kg, group_names | of each mass group |

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import re
+import runpy
 from dataclasses import dataclass
 from pathlib import Path
+from shutil import copy
 
 ROOT = Path(__file__).parents[2]
+README = ROOT / "README.md"
 DOCS = ROOT / "docs"
 EXAMPLES = DOCS / "examples"
 PAGES = sorted(DOCS.glob("*.md"))
@@ -37,6 +40,22 @@ def blocks_of(page: Path) -> list[Block]:
 
 
 BLOCKS = [block for page in PAGES for block in blocks_of(page)]
+TUTORIAL = [block for block in BLOCKS if block.page in ("tutorial.md", "write_an_estimator.md")]
+
+
+def write_tutorial(folder: Path) -> Path:
+    """The folder, with every titled file of the tutorial and the examples that it names."""
+    for name in ("own_policy.py", "own_simulator.py"):
+        copy(EXAMPLES / name, folder)
+    for block in TUTORIAL:
+        if block.title:
+            (folder / block.title).write_text(block.text, encoding="utf-8")
+    return folder
+
+
+def run_file(name: str) -> None:
+    """Run a Python file of the current folder as a script."""
+    runpy.run_path(name, run_name="__main__")
 
 
 def headings(page: str) -> list[str]:

@@ -202,3 +202,7 @@ def test_objects_are_looked_up_beside_the_scenario(tmp_path, monkeypatch):
     _, scenario = load_scenario("deep/s.toml")
     assert scenario.objects == ["deep/pair.toml", "I1", "elsewhere.toml"]
     assert load_object(scenario.objects[0]).name == "pair"
+    (tmp_path / "pair.toml").write_text('name = "other"\n[blocks]\nlayout = ["1"]\nmass_kg = 0.2\n')
+    assert load_object(load_scenario("deep/s.toml")[1].objects[0]).name == "pair", "beside the scenario comes first"
+    (tmp_path / "deep" / "pair.toml").unlink()
+    assert load_object(load_scenario("deep/s.toml")[1].objects[0]).name == "other", "then the current folder"

@@ -47,12 +47,18 @@ def test_nad_is_the_sum_over_particles_in_any_unit_of_mass(seed):
     assert nad(masses(1e3 * found), masses(1e3 * OBJECT.truth.mass)) == pytest.approx(particles)
 
 
-def test_nad_is_zero_for_the_true_masses_alone_at_any_friction_and_two_for_all_in_the_wrong_place():
+@pytest.mark.parametrize("part", [0.0, 0.1, 0.6, 1.0])
+def test_nad_is_twice_the_misplaced_part_where_the_total_is_right(part):
+    true = np.eye(OBJECT.shape.n_m)[0]
+    found = (1 - part) * true + part * np.eye(OBJECT.shape.n_m)[-1]
+    assert nad(masses(found), masses(true)) == pytest.approx(2 * part)
+    assert nad(masses(4 * true), masses(true)) == pytest.approx(3)
+
+
+def test_nad_is_zero_for_the_true_masses_alone_at_any_friction():
     slippery = MassDistribution(OBJECT.truth.mass, OBJECT.truth.friction / 2)
     nearly = masses(OBJECT.truth.mass + 1e-9 * np.eye(OBJECT.shape.n_m)[0])
-    first, last = np.eye(OBJECT.shape.n_m)[[0, -1]]
     assert nad(slippery, OBJECT.truth) == 0 < nad(nearly, OBJECT.truth)
-    assert nad(masses(first), masses(last)) == pytest.approx(2)
 
 
 def test_a_group_counts_for_each_of_its_particles():

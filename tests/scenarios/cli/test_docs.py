@@ -7,7 +7,6 @@ import re
 from collections.abc import Callable, Iterator
 from functools import wraps
 from pathlib import Path
-from shutil import copy
 from typing import Any, get_args
 
 import annotated_types
@@ -51,7 +50,22 @@ from testbed.robot.config import RobotFile
 from testbed.sensing.presets import PRESETS
 from testbed.toml import load_toml
 from testbed.trajectory import SCHEMA_VERSION, Phase, save_trajectory
-from tests.helpers.pages import BLOCKS, DOCS, EXAMPLES, FENCE, PAGES, ROOT, headings, names, options, table
+from tests.helpers.pages import (
+    BLOCKS,
+    DOCS,
+    FENCE,
+    PAGES,
+    README,
+    ROOT,
+    TUTORIAL,
+    blocks_of,
+    headings,
+    names,
+    options,
+    run_file,
+    table,
+    write_tutorial,
+)
 from tests.helpers.records import record
 
 SECTIONS: dict[str, type[BaseModel]] = {
@@ -80,22 +94,15 @@ SECTIONS: dict[str, type[BaseModel]] = {
 }
 OTHER_FILES: dict[str, type[BaseModel]] = {"robot": RobotFile, "mapping": Mapping}
 """Kinds of file, by the mark of a block."""
-TUTORIAL = [block for block in BLOCKS if block.page in ("tutorial.md", "write_an_estimator.md")]
+SHELL = [line for b in (*BLOCKS, *blocks_of(README)) if b.language == "sh" for line in b.text.splitlines()]
 COMMANDS = sorted(
-    {line for b in BLOCKS if b.language == "sh" for line in b.text.splitlines() if line.startswith("heft ")}
+    {found[1].split("  #")[0].rstrip() for line in SHELL if (found := re.match(r"(?:\S*/)?(heft .*)", line))}
 )
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory) -> Path:
-    """A folder with every titled file of the tutorial, and the examples that it names."""
-    path = tmp_path_factory.mktemp("tutorial")
-    for name in ("own_policy.py", "own_simulator.py"):
-        copy(EXAMPLES / name, path)
-    for block in TUTORIAL:
-        if block.title:
-            (path / block.title).write_text(block.text, encoding="utf-8")
-    return path
+    return write_tutorial(tmp_path_factory.mktemp("tutorial"))
 
 
 @pytest.fixture
@@ -103,14 +110,8 @@ def inside(folder, monkeypatch) -> Path:
     """The tutorial's folder as the current one, its modules and the conformance suite importable."""
     monkeypatch.chdir(folder)
     monkeypatch.syspath_prepend(str(folder))
-    run("make_mallet.py")
+    run_file("make_mallet.py")
     return folder
-
-
-def run(name: str) -> None:
-    """Run a Python file of the current folder as a script."""
-    code = compile(Path(name).read_text(encoding="utf-8"), name, "exec", dont_inherit=True)
-    exec(code, {"__name__": "__main__"})
 
 
 @pytest.mark.parametrize("block", [b for b in BLOCKS if b.language == "toml"], ids=lambda b: f"{b.page}-{b.title}")
@@ -128,23 +129,12 @@ def test_every_toml_block_loads(block, inside, tmp_path):
 
 
 QUICK = [b.title for b in TUTORIAL if b.language == "python" and b.mark != "slow"]
-SLOW = [b.title for b in TUTORIAL if b.language == "python" and b.mark == "slow"]
 
 
 @pytest.mark.parametrize("name", QUICK)
 def test_every_quick_python_block_runs(name, inside, capsys):
-    run(name)
+    run_file(name)
     assert capsys.readouterr().out in ["", *(b.text for b in TUTORIAL if not b.language)]
-
-
-@pytest.mark.slow
-def test_every_slow_python_block_runs(inside, capsys):
-    short = (inside / "first.toml").read_text(encoding="utf-8").replace("iterations = 200", "iterations = 2")
-    (inside / "first.toml").write_text(short, encoding="utf-8")
-    main(["run", "first.toml", "--seeds", "2", "--workers", "2"])
-    for name in SLOW:
-        run(name)
-    assert "NAD: 0.0" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("line", COMMANDS)
@@ -165,12 +155,10 @@ def test_every_command_is_understood(line, inside, monkeypatch):
         assert len(called) == 1
 
 
-@pytest.mark.parametrize("block", [b for b in BLOCKS if b.mark.startswith("output: heft ")], ids=lambda b: b.mark)
-def test_shown_output_is_what_the_command_prints(block, inside, monkeypatch, capsys):
-    width = max(len(line) for line in block.text.splitlines())
-    monkeypatch.setenv("COLUMNS", "80" if width <= 80 else "120")
-    main(block.mark.removeprefix("output: heft ").split())
-    assert [line.rstrip() for line in capsys.readouterr().out.rstrip().splitlines()] == block.text.splitlines()
+def test_a_shown_run_of_a_part_does_not_replace_the_whole_runs_report():
+    parts = [line for line in COMMANDS if re.match(r"heft run .*--(objects|methods|seeds)", line)]
+    assert len(parts) > 4
+    assert [line for line in parts if "--out" not in line] == []
 
 
 def anchors(page: Path) -> set[str]:

@@ -11,12 +11,11 @@ import mujoco
 import numpy as np
 
 from testbed.errors import InvalidValueError
+from testbed.objects.colors import group_rgba
 from testbed.objects.files import asset_folder
 from testbed.objects.model import GRAVITY, Grasp, ObjectModel, ObjectShape
 from testbed.simulation.settings import ContactSettings, GripSettings, SimulationSettings
 from testbed.trial import Support
-
-_GROUP_COLORS = ((0.84, 0.66, 0.4, 1.0), (0.45, 0.58, 0.72, 1.0), (0.62, 0.74, 0.5, 1.0), (0.8, 0.52, 0.5, 1.0))
 
 
 def set_solver(spec: mujoco.MjSpec, timestep: float, contact: ContactSettings) -> None:
@@ -50,7 +49,7 @@ def add_object(spec: mujoco.MjSpec, obj: ObjectModel, support: Support) -> list[
             body = root.add_body(name=f"object/{shape.group_names[group]}")
             body.add_joint(name=f"slide_{group}", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=(0, 0, 1), damping=1e-3)
             bodies.append(body)
-        color = _GROUP_COLORS[group % len(_GROUP_COLORS)]
+        color = group_rgba(group)
         if obj.solids:
             _add_solid(spec, body, obj, group, color)
             continue

@@ -16,6 +16,7 @@ from scenarios.views.pages import page_of, trial_page
 from scenarios.views.values import POSES_EVERY, friction_of, trial_view, wrench_fit
 from testbed.errors import HeftError, InvalidValueError
 from testbed.frames import rotation_2d
+from testbed.objects.colors import group_color
 from testbed.objects.files import load_object
 from testbed.objects.model import MassDistribution, ObjectModel
 from testbed.sensing.noise import draw_sensing
@@ -49,6 +50,15 @@ def copy(turn_folder, turn_key, tmp_path) -> Path:
 
 def values(entities: dict[str, Entity], path: str, component: str = "Scalars:scalars") -> np.ndarray:
     return np.squeeze(np.array(entities[path].values[SIM_TIME][component]))
+
+
+def test_cells_have_the_colours_and_masses_of_their_groups(entities, view):
+    cells, shape = entities["trial/scene/object/cells"], view.shape
+    colors, labels = cells.static["Boxes3D:colors"], cells.static["Boxes3D:labels"]
+    packed = [int(group_color(group)[1:] + "FF", 16) for group in shape.mass_group]
+    assert list(colors) == packed
+    assert len(set(packed)) == shape.n_m
+    assert labels[0] == f"{shape.group_names[shape.mass_group[0]]}: 0.400 kg"
 
 
 def test_every_entity_is_static_or_on_the_time_of_the_trial(entities):

@@ -11,6 +11,7 @@ from jaxtyping import Float
 
 from estimators.base import Trace
 from testbed.frames import perpendicular, rotation_2d, transform_point
+from testbed.objects.colors import group_color
 from testbed.objects.model import GRAVITY, Grasp, MassDistribution, ObjectShape
 from testbed.trajectory import Phase, Trajectory
 from viz import style
@@ -155,7 +156,7 @@ def _log_loss(node: Node, trace: Trace, color: str) -> None:
 def _log_masses(node: Node, shape: ObjectShape, frames: Frames, way: Float[np.ndarray, "F n_m"]) -> None:
     """Log the mass of each group [kg] as lines."""
     names, count = list(shape.group_names), shape.n_m
-    colors = [style.rgb(style.series_color(i)) for i in range(count)]
+    colors = [style.rgb(group_color(i)) for i in range(count)]
     node.log(rr.SeriesLines(colors=colors, names=names, widths=[1.5] * count))
     frames.send(node, lambda k: rr.Scalars.columns(scalars=way[k].ravel()).partition([count] * len(k)))
 

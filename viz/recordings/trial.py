@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from testbed.foot_forces import FootForces
 from testbed.frames import rotation_2d
+from testbed.objects.colors import group_color
 from testbed.sensing.lift_windows import poses_in_space
 from testbed.trajectory import Phase, Trajectory
 from viz import style
@@ -23,8 +24,6 @@ FOOT_ARROW, HAND_ARROW = 0.1, 0.01
 """Lengths of the arrows of a foot's and of the gripper's force [m/N]."""
 FITS_EVERY = 4
 """One sample in so many is drawn of trials that stand side by side."""
-UNKNOWN_MASS = "#D7A866"
-"""Colour of cells whose mass is not known."""
 WRENCH = [f"{part}/{axis}" for part in ("force", "torque") for axis in "xyz"]
 
 
@@ -109,16 +108,22 @@ def _log_robot(node: Node, view: TrialView) -> None:
 
 
 def _log_object(node: Node, view: TrialView) -> None:
-    """Log the object's cells by mass, where known, and its pose."""
-    shape = view.shape
+    """Log the object's cells in the colours of their groups, with the group's true mass where known, and its pose."""
+    shape, truth = view.shape, view.truth
     half = np.array([shape.cell / 2, shape.cell / 2, shape.height / 2])
     centers = np.column_stack([shape.particles, np.full(len(shape.particles), shape.height / 2)])
-    if view.truth is None:
-        colors = np.tile(style.rgb(UNKNOWN_MASS), (len(centers), 1))
-    else:
-        each = view.truth.mass[shape.mass_group]
-        colors = style.mapped(each, max(float(each.max()), 1e-9), style.MASS_COLORS)
-    boxes = rr.Boxes3D(centers=centers, half_sizes=half, colors=colors, fill_mode="transparentfillmajorwireframe")
+    names = list(shape.group_names)
+    if truth is not None:
+        masses = truth.mass * shape.particles_per_group
+        names = [f"{name}: {mass:.3f} kg" for name, mass in zip(names, masses, strict=True)]
+    boxes = rr.Boxes3D(
+        centers=centers,
+        half_sizes=half,
+        colors=[style.rgb(group_color(group)) for group in shape.mass_group],
+        labels=[names[group] for group in shape.mass_group],
+        show_labels=False,  # the viewer shows them where one is pointed at
+        fill_mode="transparentfillmajorwireframe",
+    )
     (node / "cells").log(boxes)
     node.send_timed(view.trajectory.time_s, rr.Transform3D.columns(**_object_poses(view.trajectory)))
 

@@ -28,6 +28,7 @@ from testbed.actions.slide import Slide
 from testbed.actions.weigh import Weigh
 from testbed.errors import InvalidValueError
 from testbed.frames import transform_point
+from testbed.objects.colors import group_rgba
 from testbed.objects.files import load_object
 from testbed.simulation.rendering import FIELD_OF_VIEW, MARGIN, VIEWS, Playback, bodies_named, camera, hide, object_pose
 from testbed.simulation.settings import SimulationSettings
@@ -37,8 +38,8 @@ from tests.helpers.recorded import put_trial
 
 ROOT = Path(__file__).parents[3]
 SIZE = (240, 160)
-GREEN = (0.62, 0.74, 0.5)
-"""Corner of L2's third block, at the far end of its foot."""
+THIRD = group_rgba(2)[:3]
+"""Colour of L2's third block, at the far end of its foot."""
 PROBE = "import mujoco.egl; mujoco.egl.GLContext(8, 8).free()"
 EGL = os.environ | {"MUJOCO_GL": "egl"}
 
@@ -232,7 +233,7 @@ def test_a_film_shows_the_object_where_the_record_has_it(drawn, turn):
         playback.show(sample)
         expected = projected(top[None], playback, eye, aspect)[0]
         moved.append(expected)
-        assert_allclose(middle_of(picture, GREEN), expected, atol=0.03)  # 4 px across: one side of the block shows too
+        assert_allclose(middle_of(picture, THIRD), expected, atol=0.03)  # 4 px across: one side of the block shows too
     assert np.linalg.norm(np.ptp(moved, axis=0)) > 0.5
 
 

@@ -42,13 +42,15 @@ from estimators.particles.model import ParticleModel
 from estimators.particles.windows import Observations, observe
 from scenarios.cli.plan import actions_of
 from scenarios.results.estimates import load_results
-from scenarios.results.store import Store, read_json, rows_of
+from scenarios.results.files import read_json
+from scenarios.results.store import Store, rows_of
 from scenarios.results.trials import sensed_trials
+from testbed.files import write_whole
 from testbed.objects.files import load_object, object_names
 from testbed.objects.model import ObjectModel
 from testbed.sensing.presets import preset
 from testbed.sensing.windows import weight_of
-from testbed.trajectory import Trajectory, write_whole
+from testbed.trajectory import Trajectory
 from viz.style import PALETTE, STYLE, bare
 
 LEVEL, DEVIATIONS = 0.9, 1.6449

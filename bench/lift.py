@@ -28,6 +28,7 @@ from testbed.actions.base import Action
 from testbed.actions.lift import Lift
 from testbed.actions.rotate import Rotate
 from testbed.errors import InfeasibleTrialError
+from testbed.files import write_whole
 from testbed.objects.files import load_object
 from testbed.objects.model import ObjectModel
 from testbed.objects.random import Family
@@ -35,7 +36,7 @@ from testbed.sensing.lift_windows import lift_windows
 from testbed.sensing.noise import draw_sensing
 from testbed.sensing.presets import preset
 from testbed.simulation.runner import SimulationRunner
-from testbed.trajectory import Trajectory, write_whole
+from testbed.trajectory import Trajectory
 from testbed.trial import RIGID, Trial
 
 MATERIALS = (0.1, 0.4)

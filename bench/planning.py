@@ -45,6 +45,7 @@ from estimators.particles.wrench import ParticleLoads
 from scenarios.runners import FeasibilityCheck, feasible_grasps
 from testbed.actions.base import Action
 from testbed.errors import HeftError, InfeasibleTrialError
+from testbed.files import write_whole
 from testbed.objects.files import load_object
 from testbed.objects.model import ObjectModel
 from testbed.objects.random import Family
@@ -52,7 +53,7 @@ from testbed.sensing.noise import draw_sensing
 from testbed.sensing.presets import Sensing, preset
 from testbed.simulation.runner import SimulationRunner
 from testbed.simulation.settings import SimulationSettings
-from testbed.trajectory import Trajectory, write_whole
+from testbed.trajectory import Trajectory
 from testbed.trial import Trial
 
 LIBRARY = ("I1", "I2", "L1", "L2", "F1", "F2")

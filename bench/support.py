@@ -33,12 +33,14 @@ from estimators.hidden_states.estimator import HiddenStates
 from estimators.support_models.estimator import SupportAware
 from estimators.support_models.materials import rank_assignments
 from estimators.testing.analytic_world import accelerated, turns
-from scenarios.results.store import Store, read_json
+from scenarios.results.files import read_json
+from scenarios.results.store import Store
 from scenarios.results.trials import object_of, sensed_trials
+from testbed.files import write_whole
 from testbed.objects.files import load_object
 from testbed.objects.model import ObjectModel
 from testbed.sensing.windows import weight_of
-from testbed.trajectory import Trajectory, write_whole
+from testbed.trajectory import Trajectory
 from testbed.trial import parse_support
 from viz.style import PALETTE, STYLE, bare, plain_numbers
 

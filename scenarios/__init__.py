@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 from testbed.lazy import lazy_names
 
 if TYPE_CHECKING:
-    from scenarios.config import Scenario, load_scenario, scenario_names
+    from scenarios.catalog import scenario_names
+    from scenarios.config import Scenario, load_scenario
     from scenarios.results.estimates import load_estimate, load_results, load_trajectories
     from scenarios.study.run import run_scenario
 

@@ -14,10 +14,11 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
 from estimators.registry import build_method, is_method
+from scenarios.catalog import LIBRARY
 from scenarios.policies import Count, Policy
 from scenarios.runners import NamedRunner, RunnerSettings
 from testbed.errors import InvalidValueError, nearest
-from testbed.objects.files import find_file, library_names
+from testbed.files import find_file
 from testbed.objects.model import MassDistribution, ObjectModel
 from testbed.objects.random import Family
 from testbed.sensing.presets import preset
@@ -29,8 +30,6 @@ from testbed.simulation.settings import (
 )
 from testbed.toml import explained, load_toml
 from testbed.trial import Support, parse_support
-
-LIBRARY = Path(__file__).parent / "library"
 
 
 class Strict(BaseModel):
@@ -255,8 +254,3 @@ def _beside(name: str, folder: Path) -> str:
     """An object's path as seen from the scenario's folder, where there is such a file; else the name as it is."""
     beside = folder / name
     return str(beside) if name.endswith(".toml") and beside.is_file() else name
-
-
-def scenario_names() -> list[str]:
-    """Names of the scenarios in the library."""
-    return library_names(LIBRARY)

@@ -11,7 +11,7 @@ import pyarrow.parquet as pq
 from jaxtyping import Float, Int
 
 from testbed.errors import HeftError, InvalidValueError
-from testbed.trajectory import write_whole
+from testbed.files import write_whole
 from testbed.validation import freeze_arrays, frozen_array
 
 _AXES = ("fx_N", "fy_N", "fz_N")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 from dataclasses import asdict, dataclass, field
 from enum import IntEnum
 from pathlib import Path
@@ -17,6 +16,7 @@ from jaxtyping import Float, Int
 from testbed.actions.base import Action, action_from_dict
 from testbed.actions.weigh import Weigh
 from testbed.errors import HeftError, InvalidValueError
+from testbed.files import write_whole
 from testbed.validation import freeze_arrays, frozen_array, is_number
 
 SCHEMA_VERSION = 1
@@ -264,16 +264,3 @@ def load_trajectory(path: Path) -> Trajectory:
         )
     except (OSError, pa.ArrowException, KeyError, ValueError, TypeError) as error:
         raise TrajectoryFileError(f"{path}: not a whole trajectory file: {error}") from None
-
-
-def write_whole(path: Path, write: Any) -> None:
-    """Write a file beside its place, sync and rename: a reader sees the old file, the new one, or none."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    part = path.with_name(f".{path.name}.{os.getpid()}.part")
-    try:
-        write(part)
-        with open(part, "rb+") as file:
-            os.fsync(file.fileno())
-        os.replace(part, path)
-    finally:
-        part.unlink(missing_ok=True)

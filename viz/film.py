@@ -13,7 +13,7 @@ from jaxtyping import UInt8
 from PIL import Image, ImageDraw, ImageFont
 
 from testbed.errors import InvalidValueError
-from testbed.trajectory import write_whole
+from testbed.files import write_whole
 
 KINDS = (".mp4", ".gif", ".png")
 MOST_PIXELS = 3840

@@ -19,12 +19,13 @@ import pyarrow.parquet as pq
 
 from testbed.actions.base import action_from_dict
 from testbed.errors import InvalidValueError
+from testbed.files import write_whole
 from testbed.objects.files import ObjectFile
 from testbed.objects.model import ObjectModel
 from testbed.sensing.compensation import compensate
 from testbed.sensing.noise import draw_sensing
 from testbed.sensing.presets import preset
-from testbed.trajectory import Tool, Trajectory, write_whole
+from testbed.trajectory import Tool, Trajectory
 
 FOLDER = Path(__file__).parent / "blocks"
 RATE = 100.0

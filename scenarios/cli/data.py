@@ -148,8 +148,8 @@ def export(
         out: DIR/exports/OBJECT_KEY if left out, with the format's ending.
     """
     from scenarios.results.estimates import row_of
+    from testbed.files import write_whole
     from testbed.objects.export import to_mjcf, to_object_file, to_sidecar, to_urdf
-    from testbed.trajectory import write_whole
 
     row = row_of(folder, what)
     exported = exported_of(folder, row)
@@ -182,7 +182,8 @@ def posterior_table(folder: Path, row: Row, count: int) -> pd.DataFrame:
     from estimators.identifiability.posterior import sample_posterior
     from estimators.registry import build_method
     from scenarios.results.estimates import load_estimate
-    from scenarios.results.store import Store, read_json
+    from scenarios.results.files import read_json
+    from scenarios.results.store import Store
     from scenarios.results.trials import sensed_trials
     from scenarios.views.values import estimate_view
     from testbed.sensing.windows import weight_of

@@ -244,7 +244,7 @@ def list_trials(root: Path) -> None:
     """Print a line a trial: its key, object, support, action and status."""
     from rich.table import Table
 
-    from scenarios.results.store import read_json
+    from scenarios.results.files import read_json
     from scenarios.results.trials import OTHER_FORMAT, keys_of
 
     table = Table()

@@ -77,7 +77,8 @@ def run(
     from scenarios.config import load_scenario
     from scenarios.execution.executor import default_workers
     from scenarios.results.estimates import load_tracebacks
-    from scenarios.results.store import read_json, rows_of, write_json
+    from scenarios.results.files import read_json, write_json
+    from scenarios.results.store import rows_of
     from scenarios.study.dry_run import show_dry_run
     from scenarios.study.run import run_scenario
     from scenarios.views.figures import figures
@@ -180,45 +181,36 @@ def status(folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="
     Args:
         folder: of a run, finished, running or stopped.
     """
-    from scenarios.results.store import FolderInUseError, exclusive, read_json
+    from scenarios.results.files import is_held, read_json
 
-    console, manifest = open_console(), read_json(folder / "manifest.json")
+    manifest = read_json(folder / "manifest.json")
     if manifest is None:
         allowed = "a folder with a manifest.json, as `heft run` and `heft estimate` make it"
         raise InvalidValueError("DIR", str(folder), allowed)
-    try:
-        with exclusive(folder):
-            state = "nothing is running here"
-    except FolderInUseError:
-        state = "a run is writing here now"
     trials = Counter(path.name for path in folder.glob("trials/*/*") if path.name in ("trial.json", "error.txt"))
-    done = sorted(folder.glob("estimates/*/result.json"))
-    finished = {path.parent for path in done}
-    failed = [path for path in folder.glob("estimates/*/error.txt") if path.parent not in finished]
-    of_trials, of_estimates = _asked(manifest)
-    console.print(f"{folder}: {state}", highlight=False)
-    console.print(
-        f"trials: {trials['trial.json']} done{of_trials}, {trials['error.txt']} failed; "
-        f"estimates: {len(done)} done{of_estimates}, {len(failed)} failed",
-        highlight=False,
-    )
-    for error in [*failed, *folder.glob("trials/*/error.txt")][:MOST_LINES]:
+    done = {path.parent for path in folder.glob("estimates/*/result.json")}
+    failed = [path for path in sorted(folder.glob("estimates/*/error.txt")) if path.parent not in done]
+    print(f"{folder}: {_state(manifest, running=is_held(folder))}")
+    expected = manifest.get("expected") or {}
+    of_trials = f"{_of(trials['trial.json'], expected.get('trials'))}, {trials['error.txt']} failed"
+    print(f"trials: {of_trials}; estimates: {_of(len(done), expected.get('estimates'))}, {len(failed)} failed")
+    for error in [*failed, *sorted(folder.glob("trials/*/error.txt"))][:MOST_LINES]:
         lines = error.read_text(encoding="utf-8").strip().splitlines()
         print(f"{error}: {lines[-1].removeprefix(OWN_ERROR) if lines else 'no reason given'}")
 
 
-def _asked(manifest: dict[str, Any]) -> tuple[str, str]:
-    """Numbers of trials and estimates in the folder's scenario; empty where its trials were measured."""
-    from pydantic import ValidationError
+def _state(manifest: dict[str, Any], *, running: bool) -> str:
+    """Whether a folder's last run is over, as its manifest says."""
+    if running:
+        return "a run is writing here now"
+    if "finished" not in manifest:  # of an earlier version
+        return "nothing is running here"
+    return "finished" if manifest["finished"] else "stopped before its end; the same command goes on from here"
 
-    from scenarios.config import Scenario
-    from scenarios.study.dry_run import DryRun
 
-    try:
-        plan = DryRun.of(Scenario.model_validate(manifest.get("scenario")))
-    except ValidationError:
-        return "", ""
-    return f" of about {plan.trials}", f" of about {plan.estimates}"
+def _of(done: int, expected: int | None) -> str:
+    """How many are done, and of how many as long as there are more to come."""
+    return f"{done} done of about {expected}" if expected and expected > done else f"{done} done"
 
 
 @contextmanager

@@ -65,7 +65,8 @@ def touch(
     from scenarios.cli.plan import action_family, named_grasps, percent, seconds
     from scenarios.cli.run import show_progress
     from scenarios.config import Scenario
-    from scenarios.results.store import Store, exclusive, write_json
+    from scenarios.results.files import exclusive, write_json
+    from scenarios.results.store import Store
     from scenarios.study.active import ActiveRun
     from scenarios.study.run import manifest
     from scenarios.views.pages import record_all, record_results

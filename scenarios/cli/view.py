@@ -133,11 +133,12 @@ def objects() -> None:
 
 def scenarios() -> None:
     """List the scenarios in the library."""
-    from scenarios.config import LIBRARY, scenario_names
+    from scenarios.catalog import purpose, scenario_names
 
+    listed = Table.grid(padding=(0, 2))
     for name in scenario_names():
-        first = (LIBRARY / f"{name}.toml").read_text(encoding="utf-8").splitlines()[0].lstrip("# ")
-        open_console().print(f"{name}: {first}", highlight=False)
+        listed.add_row(name, purpose(name))
+    open_console().print(listed, highlight=False)
 
 
 def show(object_: Annotated[str, tyro.conf.Positional, tyro.conf.arg(name="object", metavar="OBJECT")]) -> None:

@@ -41,7 +41,8 @@ from pyarrow import ArrowException
 from estimators.base import Estimate, HiddenStateEstimate, Trace
 from estimators.evaluation.statistics import Row
 from estimators.identifiability.report import Identifiability
-from scenarios.results.store import Store, read_json, rows_of
+from scenarios.results.files import read_json
+from scenarios.results.store import Store, rows_of
 from testbed.errors import HeftError, InvalidValueError
 from testbed.objects.model import MassDistribution
 from testbed.trajectory import Trajectory, load_trajectory

@@ -10,7 +10,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from scenarios.results.store import Store, exclusive, key_of, object_request, read_json
+from scenarios.results.files import exclusive, read_json
+from scenarios.results.store import Store, key_of, object_request
 from testbed.errors import HeftError, InvalidValueError
 from testbed.importers.importer import import_trajectory, object_of
 from testbed.importers.logs import LogError, read_all

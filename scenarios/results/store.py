@@ -13,13 +13,9 @@ results/<scenario>/manifest.json
 
 from __future__ import annotations
 
-import fcntl
 import hashlib
 import json
-import os
-import socket
-from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from collections.abc import Iterable
 from dataclasses import asdict, dataclass, fields
 from functools import lru_cache
 from pathlib import Path
@@ -31,31 +27,17 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from estimators.base import Estimate
-from testbed.errors import HeftError
+from scenarios.results.files import read_json, write_json
+from testbed.files import write_whole
 from testbed.foot_forces import FootForces, save_foot_forces
 from testbed.objects.files import ObjectFile, asset_folder
 from testbed.objects.model import ObjectModel, ObjectShape, Solid
 from testbed.toml import toml_text
-from testbed.trajectory import (
-    SCHEMA_VERSION,
-    Trajectory,
-    TrajectoryFileError,
-    load_trajectory,
-    save_trajectory,
-    write_whole,
-)
+from testbed.trajectory import SCHEMA_VERSION, Trajectory, TrajectoryFileError, load_trajectory, save_trajectory
 from testbed.trial import Trial
 
 if TYPE_CHECKING:  # it needs MuJoCo, which needs a display
     from scenarios.runners import RunnerSettings
-
-
-LOCK = ".lock"
-"""File in the results folder, held while a run writes there; the system lets go of it when the run ends or dies."""
-
-
-class FolderInUseError(HeftError):
-    """Another run writes to the results folder."""
 
 
 def key_of(request: dict[str, Any]) -> str:
@@ -232,57 +214,3 @@ def _save_arrays(path: Path, answer: Estimate, shape: ObjectShape) -> None:
     arrays |= {f"diagnostics.{name}": value for name, value in answer.diagnostics.items()}
     with open(path, "wb") as file:
         np.savez_compressed(file, **arrays)
-
-
-def read_json(path: Path) -> dict[str, Any] | None:
-    """Object in a JSON file, or None where it is missing or damaged."""
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        return None
-    return content if isinstance(content, dict) else None
-
-
-def write_json(path: Path, data: dict[str, Any]) -> None:
-    """Write JSON whole or not at all; NaN becomes null."""
-    write_whole(path, lambda part: part.write_text(json.dumps(_plain(data), indent=1) + "\n", encoding="utf-8"))
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {str(k): _plain(v) for k, v in value.items()}
-    if isinstance(value, list | tuple | np.ndarray):
-        return [_plain(v) for v in value]
-    if isinstance(value, float | np.floating):
-        return float(value) if np.isfinite(value) else None
-    return value.item() if isinstance(value, np.generic) else value
-
-
-@contextmanager
-def exclusive(folder: Path) -> Iterator[None]:
-    """Hold a results folder, made if it is not there.
-
-    Raises:
-        FolderInUseError: another run holds it.
-        OSError: the folder cannot be made or written to.
-    """
-    new = not folder.exists()
-    folder.mkdir(parents=True, exist_ok=True)
-    with open(folder / LOCK, "a+", encoding="utf-8") as file:
-        try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            file.seek(0)
-            holder = file.read().strip() or "unknown"
-            raise FolderInUseError(
-                f"{folder}: another run ({holder}) is writing here; wait for it, or choose another folder with --out"
-            ) from None
-        file.truncate(0)
-        file.write(f"process {os.getpid()} on {socket.gethostname()}\n")
-        file.flush()
-        try:
-            yield
-        finally:
-            if new and os.listdir(folder) == [LOCK]:  # refused before anything was written: leave no trace
-                (folder / LOCK).unlink()
-                folder.rmdir()

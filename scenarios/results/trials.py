@@ -11,7 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from scenarios.results.store import Store, object_request, read_json
+from scenarios.results.files import read_json
+from scenarios.results.store import Store, object_request
 from testbed.actions.rotate import Rotate
 from testbed.errors import HeftError, InvalidValueError
 from testbed.objects.files import load_object

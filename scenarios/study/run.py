@@ -16,8 +16,10 @@ import pandas as pd
 from estimators.registry import check_installed
 from scenarios.config import Scenario, Sweep, load_scenario
 from scenarios.execution.executor import default_workers, open_executor
-from scenarios.results.store import Store, exclusive, rows_of, write_json
+from scenarios.results.files import exclusive, write_json
+from scenarios.results.store import Store, rows_of
 from scenarios.results.trials import MeasuredTrials, measured_trials
+from scenarios.study.dry_run import DryRun
 from scenarios.study.estimates import run_estimates
 from scenarios.study.experiment import Experiment, Progress, ResultCallback, experiments_of
 from scenarios.study.trials import run_trials
@@ -53,10 +55,12 @@ def run_scenario(
     with exclusive(out), open_executor(executor, worker_count, preload=(__name__,)) as tasks:
         store.remove_leftovers()
         experiments, left_out = experiments_of(scenario, store, progress)
-        write_json(out / "manifest.json", manifest(scenario))
+        write_json(out / "manifest.json", manifest(scenario, DryRun.of(scenario)))
         run_trials(experiments, store, tasks, progress, on_result)
         rows = run_estimates(experiments, left_out, store, tasks, progress, on_result)
-        return store.put_table(rows)
+        table = store.put_table(rows)
+        write_json(out / "manifest.json", manifest(scenario))
+        return table
 
 
 def check_methods(scenario: Scenario) -> None:
@@ -66,10 +70,13 @@ def check_methods(scenario: Scenario) -> None:
         check_installed(label, settings)
 
 
-def manifest(scenario: Scenario) -> dict[str, Any]:
-    """The manifest of a results folder: the scenario, and the versions that ran it."""
+def manifest(scenario: Scenario, expected: DryRun | None = None) -> dict[str, Any]:
+    """The manifest of a results folder: the scenario, the versions that ran it, and its expected size until it ends."""
     packages = {name: version(name) for name in ("heft-testbed", "mujoco", "torch", "numpy", "scipy")}
-    return {"scenario": scenario.model_dump(), "python": platform.python_version(), "packages": packages}
+    facts = {"scenario": scenario.model_dump(), "python": platform.python_version(), "packages": packages}
+    if expected is None:
+        return facts | {"finished": True}
+    return facts | {"finished": False, "expected": {"trials": expected.trials, "estimates": expected.estimates}}
 
 
 @dataclass(frozen=True)

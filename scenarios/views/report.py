@@ -11,7 +11,7 @@ from typing import Any
 from estimators.evaluation.statistics import AXIS, Row
 from scenarios.config import Scenario, load_scenario
 from scenarios.results.estimates import load_losses, load_rows, load_tracebacks
-from scenarios.results.store import read_json
+from scenarios.results.files import read_json
 from scenarios.results.trials import OTHER_FORMAT, object_of
 from testbed.errors import HeftError, InvalidValueError
 from testbed.objects.files import load_object

@@ -14,7 +14,8 @@ from scipy.spatial import KDTree
 from estimators.evaluation.statistics import AXIS, Row, axes_of, select
 from estimators.particles.wrench import predicted_wrenches
 from scenarios.results.estimates import load_arrays, load_estimate, this_version
-from scenarios.results.store import Store, read_json
+from scenarios.results.files import read_json
+from scenarios.results.store import Store
 from scenarios.results.trials import TrialRecord, kind_of_trial, read_trial, sensed_trials
 from testbed.errors import InvalidValueError
 from testbed.foot_forces import load_foot_forces

@@ -8,7 +8,8 @@ from typing import Annotated, Self
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from testbed.errors import InvalidValueError, nearest
+from testbed.errors import InvalidValueError
+from testbed.files import find_file, library_names
 from testbed.objects.blocks import block_object, parse_layout
 from testbed.objects.meshes import GraspPlace, Part, mesh_object, read_mesh
 from testbed.objects.model import ObjectModel
@@ -22,31 +23,6 @@ def asset_folder(kind: str) -> Path:
         if (root / kind).is_dir():
             return root / kind
     raise FileNotFoundError(f"heft's assets/{kind} is neither in {package} nor beside it: reinstall heft")
-
-
-def find_file(name_or_path: str | Path, library: Path, what: str) -> Path:
-    """A library name ("L2") or a path to a TOML file, as a path.
-
-    Raises:
-        InvalidValueError: no such name and no such file; the message lists the names and the nearest one.
-    """
-    text = str(name_or_path)
-    if text.endswith(".toml") or "/" in text:
-        path = Path(text)
-        if not path.is_file():
-            raise InvalidValueError(what, text, "a path to an existing .toml file")
-        return path
-    path = library / f"{text}.toml"
-    if path.is_file():
-        return path
-    names = library_names(library)
-    allowed = f"one of {', '.join(names)}{nearest(text, names, 0.4)}, or a path to a .toml file"
-    raise InvalidValueError(what, text, allowed)
-
-
-def library_names(library: Path) -> list[str]:
-    """Names that a library folder offers, sorted."""
-    return sorted(path.stem for path in library.glob("*.toml"))
 
 
 Name = Annotated[str, Field(min_length=1, max_length=64, pattern=r"^[\w.-]+$")]

@@ -16,7 +16,7 @@ from estimators.registry import ESTIMATOR, METHODS, POLICY, build_method
 from scenarios.cli.main import main
 from scenarios.config import Policy, Scenario, load_scenario
 from scenarios.results.estimates import load_results
-from scenarios.results.store import read_json
+from scenarios.results.files import read_json
 from testbed import plugins
 from testbed.actions.rotate import Rotate
 from testbed.errors import HeftError, InvalidValueError

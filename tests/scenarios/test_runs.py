@@ -16,7 +16,7 @@ import pytest
 from estimators.registry import METHODS
 from scenarios.cli.main import main
 from scenarios.config import Scenario, load_scenario
-from scenarios.results.store import LOCK, FolderInUseError, exclusive
+from scenarios.results.files import LOCK, FolderInUseError, exclusive, read_json
 from scenarios.study import trials
 from scenarios.study.run import run_scenario
 from testbed.errors import InfeasibleTrialError, InvalidValueError
@@ -141,7 +141,7 @@ def test_a_second_run_on_the_same_folder_is_refused_in_one_line(finished, tmp_pa
 
 
 def test_a_killed_run_lets_go_of_its_folder(tmp_path):
-    hold = "from pathlib import Path; from scenarios.results.store import exclusive"
+    hold = "from pathlib import Path; from scenarios.results.files import exclusive"
     code = f"{hold}; lock = exclusive(Path({str(tmp_path)!r})); lock.__enter__(); print('held', flush=True); input()"
     with subprocess.Popen([sys.executable, "-c", code], stdin=subprocess.PIPE, stdout=subprocess.PIPE) as holder:
         assert holder.stdout is not None
@@ -196,6 +196,10 @@ def test_a_disk_that_fills_up_is_an_error_and_no_half_file(finished, tmp_path, m
     with pytest.raises(OSError, match="No space left"):
         resumed(finished.scenario, tmp_path / "out")
     assert_whole(tmp_path / "out")
+    begun = read_json(tmp_path / "out" / "manifest.json") or {}
+    assert not begun["finished"]
+    assert begun["expected"]["estimates"] == len(finished.rows)
+    assert (read_json(finished.out / "manifest.json") or {})["finished"]
     assert not list((tmp_path / "out").rglob("*.part"))
 
 

@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from scenarios.config import LIBRARY, Scenario, Truth, load_scenario, scenario_names
+from scenarios.catalog import LIBRARY, scenario_names
+from scenarios.config import Scenario, Truth, load_scenario
 from testbed.errors import HeftError, InvalidValueError
 from testbed.objects.files import load_object
 from testbed.objects.random import Family

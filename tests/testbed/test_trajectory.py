@@ -18,15 +18,8 @@ from testbed.actions.rotate import Rotate
 from testbed.actions.slide import Slide
 from testbed.actions.weigh import Weigh
 from testbed.errors import InvalidValueError
-from testbed.trajectory import (
-    Phase,
-    Tool,
-    Trajectory,
-    TrajectoryFileError,
-    load_trajectory,
-    save_trajectory,
-    write_whole,
-)
+from testbed.files import write_whole
+from testbed.trajectory import Phase, Tool, Trajectory, TrajectoryFileError, load_trajectory, save_trajectory
 from tests.helpers.records import TOOL, record
 
 SERIES = [name for name, value in vars(record(3)).items() if isinstance(value, np.ndarray)]

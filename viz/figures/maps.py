@@ -21,8 +21,8 @@ from matplotlib.patches import Rectangle
 from matplotlib.ticker import MaxNLocator
 
 from estimators.evaluation.statistics import Row
+from testbed.files import write_whole
 from testbed.objects.model import ObjectModel, ObjectShape
-from testbed.trajectory import write_whole
 from viz.style import (
     DIFFERENCE_COLORS,
     ESTIMATE,

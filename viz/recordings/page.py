@@ -12,7 +12,7 @@ import rerun.blueprint as rrb
 from jaxtyping import Float, Int
 from rerun import ComponentColumn, TimeColumn
 
-from testbed.trajectory import write_whole
+from testbed.files import write_whole
 
 APPLICATION = "heft"
 ITERATION = "iteration"

@@ -19,8 +19,8 @@ from markupsafe import Markup, escape
 from matplotlib.figure import Figure
 
 from estimators.evaluation.statistics import AXIS, Row, axes_of, axis_values, select
+from testbed.files import write_whole
 from testbed.objects.model import ObjectShape
-from testbed.trajectory import write_whole
 from viz.figures.loss import loss_figure
 from viz.figures.maps import MeanAnswer, absolute_difference, as_pixels, compared_methods, mass_maps
 from viz.figures.nad import nad_distribution, nad_sweep

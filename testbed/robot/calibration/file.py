@@ -9,11 +9,11 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from testbed.errors import InvalidValueError
+from testbed.files import write_whole
 from testbed.robot.calibration.hand_eye import HandEye
 from testbed.robot.calibration.static_poses import Calibration
 from testbed.robot.interfaces import Pose
 from testbed.toml import Finite, NonNegative, Positive, load_toml, toml_text
-from testbed.trajectory import write_whole
 
 Vector = Annotated[list[Finite], Field(min_length=3, max_length=3)]
 Deviations = Annotated[list[NonNegative], Field(min_length=3, max_length=3)]

@@ -1,0 +1,90 @@
+"""Files of a results folder: JSON, and the lock of the one run that may write there. It loads quickly."""
+
+from __future__ import annotations
+
+import fcntl
+import json
+import os
+import socket
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from testbed.errors import HeftError
+from testbed.files import write_whole
+
+LOCK = ".lock"
+"""File in the results folder, held while a run writes there; the system lets go of it when the run ends or dies."""
+
+
+class FolderInUseError(HeftError):
+    """Another run writes to the results folder."""
+
+
+def read_json(path: Path) -> dict[str, Any] | None:
+    """Object in a JSON file, or None where it is missing or damaged."""
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return None
+    return content if isinstance(content, dict) else None
+
+
+def write_json(path: Path, data: dict[str, Any]) -> None:
+    """Write JSON whole or not at all; NaN becomes null."""
+    write_whole(path, lambda part: part.write_text(json.dumps(_plain(data), indent=1) + "\n", encoding="utf-8"))
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {str(k): _plain(v) for k, v in value.items()}
+    if isinstance(value, list | tuple | np.ndarray):
+        return [_plain(v) for v in value]
+    if isinstance(value, float | np.floating):
+        return float(value) if np.isfinite(value) else None
+    return value.item() if isinstance(value, np.generic) else value
+
+
+@contextmanager
+def exclusive(folder: Path) -> Iterator[None]:
+    """Hold a results folder, made if it is not there.
+
+    Raises:
+        FolderInUseError: another run holds it.
+        OSError: the folder cannot be made or written to.
+    """
+    new = not folder.exists()
+    folder.mkdir(parents=True, exist_ok=True)
+    with open(folder / LOCK, "a+", encoding="utf-8") as file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            file.seek(0)
+            holder = file.read().strip() or "unknown"
+            raise FolderInUseError(
+                f"{folder}: another run ({holder}) is writing here; wait for it, or choose another folder with --out"
+            ) from None
+        file.truncate(0)
+        file.write(f"process {os.getpid()} on {socket.gethostname()}\n")
+        file.flush()
+        try:
+            yield
+        finally:
+            if new and os.listdir(folder) == [LOCK]:  # refused before anything was written: leave no trace
+                (folder / LOCK).unlink()
+                folder.rmdir()
+
+
+def is_held(folder: Path) -> bool:
+    """True if a run is writing to a results folder; nothing is written to find out."""
+    try:
+        with open(folder / LOCK, encoding="utf-8") as file:
+            fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except FileNotFoundError:
+        return False
+    except BlockingIOError:
+        return True
+    return False

@@ -5,7 +5,7 @@ The names below load their module on first use: `import estimators` by itself co
 
 from typing import TYPE_CHECKING
 
-from testbed.lazy import lazy_names
+from testbed.packages import lazy_names
 
 if TYPE_CHECKING:
     from estimators.action_selection.greedy import PlannedPolicy

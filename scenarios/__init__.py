@@ -5,7 +5,7 @@ The names below load their module on first use: `import scenarios` by itself cos
 
 from typing import TYPE_CHECKING
 
-from testbed.lazy import lazy_names
+from testbed.packages import lazy_names
 
 if TYPE_CHECKING:
     from scenarios.catalog import scenario_names

@@ -5,7 +5,7 @@ Names are imported on first use: `import testbed` alone loads nothing but the st
 
 from typing import TYPE_CHECKING
 
-from testbed.lazy import lazy_names
+from testbed.packages import lazy_names
 
 if TYPE_CHECKING:
     from testbed.actions.accelerate import Accelerate

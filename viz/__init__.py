@@ -5,7 +5,7 @@ The names below load their module on first use: `import viz` by itself costs not
 
 from typing import TYPE_CHECKING
 
-from testbed.lazy import lazy_names
+from testbed.packages import lazy_names
 
 if TYPE_CHECKING:
     from viz.figures.maps import estimate_bars, estimate_maps, save_figure

@@ -6,7 +6,7 @@ All but the report load torch on first use, so that `estimators.base` is light.
 from typing import TYPE_CHECKING
 
 from estimators.identifiability.report import Identifiability, identifiability
-from testbed.lazy import lazy_names
+from testbed.packages import lazy_names
 
 if TYPE_CHECKING:
     from estimators.identifiability.information import Assumptions, expected, observed, predicted_information

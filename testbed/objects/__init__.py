@@ -5,7 +5,7 @@ The names below load their module on first use: meshes are slow to import.
 
 from typing import TYPE_CHECKING
 
-from testbed.lazy import lazy_names
+from testbed.packages import lazy_names
 
 if TYPE_CHECKING:
     from testbed.objects.blocks import block_object, parse_layout

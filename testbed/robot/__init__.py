@@ -6,7 +6,7 @@ without heft's dependencies.
 
 from typing import TYPE_CHECKING
 
-from testbed.lazy import lazy_names
+from testbed.packages import lazy_names
 
 if TYPE_CHECKING:
     from testbed.robot.config import RobotSettings, load_robot_file

@@ -5,7 +5,7 @@ The names below load their module on first use: settings are light, and graphics
 
 from typing import TYPE_CHECKING
 
-from testbed.lazy import lazy_names
+from testbed.packages import lazy_names
 
 if TYPE_CHECKING:
     from testbed.simulation.rendering import BodyPoses, Playback, body_poses

@@ -240,12 +240,12 @@ def test_a_connection_that_fails_is_explained(gen3, monkeypatch, environment, se
 def test_what_runs_beside_heft_runs_in_an_old_python():
     """Standard library alone, and the syntax of Python 3.8: these modules and the packages above them."""
     kinova = Path(testbed.__file__).parent / "robot" / "kinova"
-    modules = [kinova / "process.py", kinova / "session.py", kinova.parents[1] / "lazy.py"]
+    modules = [kinova / "process.py", kinova / "session.py", kinova.parents[1] / "packages.py"]
     for path in (*modules, *(folder / "__init__.py" for folder in (kinova, *list(kinova.parents)[:2]))):
         tree = ast.parse(path.read_text(encoding="utf-8"), feature_version=(3, 8))
         loaded = ast.walk(tree) if path in modules else tree.body
         imported = {n.module for n in loaded if isinstance(n, ast.ImportFrom) and n.module}
         imported |= {a.name for n in ast.walk(tree) if isinstance(n, ast.Import) for a in n.names}
         ours = {name for name in imported if name.startswith("testbed")}
-        assert ours <= {"testbed.robot.kinova.session", "testbed.lazy"}, path
+        assert ours <= {"testbed.robot.kinova.session", "testbed.packages"}, path
         assert {name.split(".")[0] for name in imported - ours} <= set(sys.stdlib_module_names), path

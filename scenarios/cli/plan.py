@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import numpy as np
 import tyro
 from rich.table import Table
+from rich.text import Text
 
 from scenarios.cli.terminal import open_console
 from testbed.errors import InvalidValueError
@@ -73,10 +74,10 @@ def identify(
     kinds = [action.kind for action in actions]
     counts = ", ".join(f"{kinds.count(kind)} {kind}" for kind in dict.fromkeys(kinds))
     title = f"{model.name}, {support}, {sensing}"
-    console.print(f"[bold]{title}[/bold]: {counts}", highlight=False)
+    console.print(Text.assemble((title, "bold"), f": {counts}"))
     console.print(_errors_table(model, report))
     condition = f"condition {report.condition:.0f}" if math.isfinite(report.condition) else "nothing is seen"
-    console.print(f"{report.sentence}; {condition}", highlight=False)
+    console.print(f"{report.sentence}; {condition}")
     if out is not None:
         for path in save_figure(error_figure(model, report.standard_error, title), out):
             print(path)
@@ -195,11 +196,10 @@ def plan(
         check, family = FeasibilityCheck(model.shape, guess), action_family(support, lifts=lifts)
         made = PlannedPolicy(guess, policy, criterion, goal, family, candidates, allowed, seed, check).plan(model.shape)
     title = f"{model.name}, {support}, {sensing}: {policy}"
-    console.print(f"[bold]{title}[/bold]; weighed {model.total_mass:.3f} kg", highlight=False)
+    console.print(Text.assemble((title, "bold"), f"; weighed {model.total_mass:.3f} kg"))
     if made.steps:
         console.print(_table(model.shape, made))
-    for line in _conclusion(model.shape, made, guess, goal):
-        console.print(line, highlight=False)
+    console.print(*_conclusion(model.shape, made, guess, goal), sep="\n")
     if figure is not None or record is not None:
         _draw(plan_view(model, made, title), figure, record)
 

@@ -152,7 +152,7 @@ def show_tables(console: Console, scenario: Scenario, results: Sequence[Row]) ->
             for metric in metrics:
                 title = f"{metric.title}: {support_name(support.name)}, {sensing}"
                 console.print(rich_table(metric_table(rows, metric, title, objects)))
-    console.print(NOTES, highlight=False)
+    console.print(NOTES)
     hidden = hidden_table(results, objects)
     if hidden.rows:
         console.print(rich_table(hidden))

@@ -1,4 +1,4 @@
-"""The terminal: a console as wide as it is."""
+"""The terminal: a console as wide as it is, which prints every text as it stands."""
 
 from __future__ import annotations
 
@@ -14,4 +14,5 @@ WIDE = 120
 def open_console() -> Console:
     """A console as wide as the terminal, or as COLUMNS says; WIDE where there is neither."""
     known = sys.stdout.isatty() or os.environ.get("COLUMNS")
-    return Console() if known else Console(width=WIDE)
+    # An error, a path or a name may hold [brackets]; rich would take them for its markup
+    return Console(width=None if known else WIDE, markup=False, highlight=False)

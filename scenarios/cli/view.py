@@ -9,6 +9,7 @@ import numpy as np
 import tyro
 from rich.console import Console
 from rich.table import Table
+from rich.text import Text
 
 from scenarios.cli.terminal import open_console
 
@@ -138,7 +139,7 @@ def scenarios() -> None:
     listed = Table.grid(padding=(0, 2))
     for name in scenario_names():
         listed.add_row(name, purpose(name))
-    open_console().print(listed, highlight=False)
+    open_console().print(listed)
 
 
 def show(object_: Annotated[str, tyro.conf.Positional, tyro.conf.arg(name="object", metavar="OBJECT")]) -> None:
@@ -151,15 +152,15 @@ def show(object_: Annotated[str, tyro.conf.Positional, tyro.conf.arg(name="objec
 
     console, model = open_console(), load_object(object_)
     shape, com = model.shape, np.round(model.center_of_mass * 1e3, 1) + 0.0  # no -0.0
-    console.print(
-        f"[bold]{model.name}[/bold]: {model.total_mass:.3f} kg, centre of mass ({com[0]:.1f}, "
-        f"{com[1]:.1f}) mm from the middle, I_cm {model.inertia_cm:.5f} kg m^2, {shape.height * 1e3:.0f} mm high",
-        highlight=False,
+    facts = (
+        f": {model.total_mass:.3f} kg, centre of mass ({com[0]:.1f}, {com[1]:.1f}) mm from the middle, "
+        f"I_cm {model.inertia_cm:.5f} kg m^2, {shape.height * 1e3:.0f} mm high"
     )
+    console.print(Text.assemble((model.name, "bold"), facts))
     if model.solids:
         _show_solids(console, model)
         return
-    console.print(drawing(model), highlight=False)
+    console.print(drawing(model))
     table = Table()
     for column in ("block", "mass, kg", "friction", "gripped across"):
         table.add_column(column, justify="right")
@@ -172,7 +173,7 @@ def show(object_: Annotated[str, tyro.conf.Positional, tyro.conf.arg(name="objec
 def _show_solids(console: Console, model: ObjectModel) -> None:
     """An object of meshes: its particles as a map, its mass groups, its grasps."""
     shape = model.shape
-    console.print(particle_map(model), highlight=False)
+    console.print(particle_map(model))
     groups, grasps = Table(), Table()
     for column in ("group", "on the map", "mass, kg", "particles", "touching", "friction"):
         groups.add_column(column, justify="right")
@@ -224,6 +225,6 @@ def drawing(model: ObjectModel) -> str:
     for r in range(row.max(), -1, -1):
         cells = ["     "] * (column.max() + 1)
         for group in np.flatnonzero(row == r):
-            cells[column[group]] = f"[{model.group_mass[group] * 1e3:3.0f}]".replace("[", "\\[")
+            cells[column[group]] = f"[{model.group_mass[group] * 1e3:3.0f}]"
         lines.append("  " + "".join(cells))
     return "\n".join(lines)

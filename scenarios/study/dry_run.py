@@ -61,11 +61,9 @@ def show_dry_run(console: Console, scenario: Scenario, folder: Path, workers: in
     console.print(
         f"{size.objects} object(s){swept}, {size.experiments} experiments: about {size.trials} trials and "
         f"{size.estimates} estimates by {len(scenario.methods)} method(s); trials that points share are made once",
-        highlight=False,
     )
     on = max(workers, 1)
     console.print(
         f"about {size.seconds / on / 60:.0f} min on {on} worker(s), {size.seconds / 60:.0f} min of computing; into "
         f"{folder}/, where what is done already is not done again",
-        highlight=False,
     )

@@ -12,6 +12,7 @@ import pytest
 from mujoco import sysid
 
 from estimators.registry import ESTIMATOR
+from scenarios.cli import terminal
 from scenarios.cli.main import main
 from scenarios.results.estimates import load_results
 from scenarios.study import run as study
@@ -40,6 +41,10 @@ class Short:
     def estimate(self, shape, weight, trajectories, seed):
         return Estimate(MassDistribution([1.0], [0.5]), "ok")
 
+class Markup:
+    def estimate(self, shape, weight, trajectories, seed):
+        raise ValueError("[/oops] pip install 'x[sysid]'")
+
 class Bare:
     def estimate(self, shape, weight, trajectories, seed):
         return Estimate(np.ones(shape.n_m), "ok")
@@ -49,8 +54,13 @@ REASONS = {
     "Dict": r"failing:Dict.estimate\(\): got {'mass': 1}; allowed: an Estimate of estimators.base",
     "Status": r"Estimate.status: got 'great'; allowed: one of ok, .* \(failing.py, line 16\)",
     "Short": r"failing:Short.estimate\(\): got '1 masses, 1 frictions'; allowed: 2 and 1, one of each mass group",
-    "Bare": r"Estimate.distribution: got array.*; allowed: a MassDistribution, or None \(failing.py, line 24\)",
+    "Bare": r"Estimate.distribution: got array.*; allowed: a MassDistribution, or None \(failing.py, line 28\)",
+    "Markup": r"ValueError: \[/oops\] pip install 'x\[sysid\]' \(failing.py, line 24\)",
 }
+
+FAILED = "ValueError: [/oops] pip install 'x[sysid]' (failing.py, line 24)"
+TERMINAL = Path(terminal.__file__)
+CLI = TERMINAL.parent
 
 
 @pytest.fixture
@@ -103,3 +113,22 @@ def test_an_error_is_placed_in_the_class_of_others_or_passed_on():
         kind().estimate(None, None, [], 0)
     with pytest.raises(InvalidValueError), placed_errors(kind, unless=(InvalidValueError,)):
         parse_support("air")
+
+
+def test_a_texts_brackets_are_printed_as_they_stand(here, finished, capsys):
+    """Square brackets are rich's markup, also in a file's, a folder's or a method's name."""
+    out, scenario = Path("[") / "oops]", Path("[bold]small.toml")
+    scenario.write_text(
+        finished.scenario.read_text("utf-8") + '[methods."[red]"]\nmethod = "failing:Markup"\n', "utf-8"
+    )
+    shutil.copytree(here / "out", out)
+    with pytest.raises(SystemExit, match="1"):
+        main(["run", str(scenario), "--out", str(out), "--workers", "0", "--methods", "[red]"])
+    said = capsys.readouterr().out
+    assert " [red] " in said and f"[red]: 3 failed (pair; own weight, ideal; own weight, ft300s): {FAILED}" in said
+    for words in (["status"], ["run", str(scenario), "--dry-run", "--out"]):
+        main([*words, str(out)])
+        assert "[/oops]" in capsys.readouterr().out
+    assert not re.findall(
+        r"\bConsole\(", "".join(path.read_text("utf-8") for path in CLI.rglob("*.py") if path != TERMINAL)
+    )

@@ -265,18 +265,20 @@ def hidden_table(results: Iterable[Row], objects: Sequence[str]) -> Table:
 
 
 def rich_table(table: Table) -> RichTable:
-    """A table for rich's console; the row of the true masses stands apart."""
-    drawn = RichTable(title=table.title, title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
+    """A table for rich's console, its texts as they stand; the row of the true masses stands apart."""
+    drawn = RichTable(
+        title=Text(table.title, "table.title"), title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0)
+    )
     single = len(table.labels) == 1
     for head in table.labels:
-        drawn.add_column("" if single else head, no_wrap=True, min_width=20 if single else None)
+        drawn.add_column("" if single else Text(head), no_wrap=True, min_width=20 if single else None)
     for name in table.columns:
-        drawn.add_column(name, justify="right", no_wrap=True)
+        drawn.add_column(Text(name), justify="right", no_wrap=True)
     for labels, cells in table.rows:
         truth = labels == (TRUTH,)
         if truth:
             drawn.add_section()
-        drawn.add_row(*labels, *map(_text, cells), style="dim" if truth else None)
+        drawn.add_row(*map(Text, labels), *map(_text, cells), style="dim" if truth else None)
     return drawn
 
 

@@ -37,9 +37,9 @@ def check(*, config: Annotated[Path, tyro.conf.arg(metavar="FILE")] = Path("robo
     console, missing = open_console(), 0
     for line in _lines(config):
         missing += line.state == "missing"
-        console.print(f"{line.state:8}{line.part}: {line.text}", highlight=False, markup=False, soft_wrap=True)
+        console.print(f"{line.state:8}{line.part}: {line.text}", soft_wrap=True)
     later = f"{missing} missing; a trial can be planned with --dry-run all the same"
-    console.print(later if missing else "a trial can be run", highlight=False)
+    console.print(later if missing else "a trial can be run")
     if missing:
         sys.exit(1)
 
@@ -182,7 +182,7 @@ def verify(folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="
         raise InvalidValueError("DIR", str(folder), "a folder with measured turns, slides, or weighings by lifting")
     for name, finding in found:
         line = f"{'ok' if finding.ok else 'wrong':8}{name}: {finding.text}"
-        console.print(line, highlight=False, markup=False, soft_wrap=True)
+        console.print(line, soft_wrap=True)
     wrong, total = sum(not finding.ok for _, finding in found), len(found)
     console.print(f"{wrong} of {total} findings are wrong" if wrong else f"all {total} findings are as they should be")
     if wrong:

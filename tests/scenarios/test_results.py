@@ -93,9 +93,9 @@ def test_status_counts_what_is_there(swept, capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "200")
     main(["status", str(swept)])
     text = capsys.readouterr().out
-    assert "nothing is running" in text
-    assert "trials: 8 done of about 16, 0 failed" in text
-    assert "estimates: 8 done of about 8, 0 failed" in text
+    assert f"{swept}: finished" in text
+    assert "trials: 8 done, 0 failed" in text
+    assert "estimates: 8 done, 0 failed" in text
     Store(swept).put_error("0" * 20, "Traceback\nValueError: it broke\n")
     main(["status", str(swept)])
     again = capsys.readouterr().out

@@ -40,6 +40,8 @@ LEAST_DIFFERENCE = 0.02
 MOST_NAMED = 30
 """Largest number of groups that have room for names or numbers."""
 
+PLAN_ERROR = "expected standard error, g"
+"""Title of the scale of a plan's errors."""
 TRUTH, ESTIMATE = "#B4B4B4", BLUE
 AXIS_COLORS = (VERMILLION, GREEN, BLUE)
 """Colours of x, y and z of a force or a torque."""

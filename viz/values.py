@@ -29,6 +29,10 @@ ARC, WAY = math.radians(70), 0.05
 """Longest part of a motion that its arrow covers: angle [rad], and length [m]."""
 IN_PLACE, PLACE_RADIUS = 0.008, 0.012
 """A turn whose radius [m] is below the first is drawn with the second."""
+NUMBER_AWAY = 0.035
+"""Distance of an action's number from its mark, over the size of the drawing."""
+FINE = 24
+"""Points along a stroke of the drawing."""
 _SUPPORT_NAMES = {"own_weight": "own weight", "rigid": "rigid body"}
 
 
@@ -222,6 +226,13 @@ class ActionArrow:
         return self.way[-1] if self.pivot is None else self.pivot
 
     @property
+    def strokes(self) -> Float[np.ndarray, "N 2"]:
+        """Points along every line of the drawing [m]."""
+        arms = [] if self.pivot is None else [np.linspace(self.grasp, self.pivot, FINE)]
+        parts = [np.linspace(a, b, FINE) for a, b in zip(self.way[:-1], self.way[1:], strict=True)]
+        return np.vstack([*parts, *arms])
+
+    @property
     def points(self) -> Float[np.ndarray, "N 2"]:
         """All points of the drawing [m]."""
         return np.vstack([self.way, self.grasp, self.label])
@@ -237,8 +248,6 @@ class PlanView:
     """Actions in order."""
     errors: Float[np.ndarray, "T+1 n_m"]
     """Expected standard error of each group's mass [kg]: after the weighing, then after each action."""
-    weight: float
-    """Total mass M [kg]."""
     title: str
     """Object and settings."""
     words: tuple[str, ...] = ()
@@ -257,9 +266,25 @@ class PlanView:
         return {n: self.shape.grasps[a.grasp].position for n, a in numbered if a.in_air and a.grasp is not None}
 
     @property
-    def percent(self) -> Float[np.ndarray, "T+1 n_m"]:
-        """Expected errors [% of the mean group's mass]."""
-        return 100 * self.errors / (self.weight / self.shape.n_m)
+    def grams(self) -> Float[np.ndarray, "T+1 n_m"]:
+        """Expected standard errors [g]."""
+        return 1e3 * self.errors
+
+    @property
+    def number_places(self) -> dict[int, Float[np.ndarray, "2"]]:
+        """Middles of the actions' numbers [m], by number: each beside its mark, where the least of the drawing is."""
+        arrows, lifts = self.arrows, self.lifts
+        away = NUMBER_AWAY * float(np.ptp(self.bounds, axis=0).max())
+        angles = np.linspace(0, 2 * np.pi, 16, endpoint=False)
+        around = away * np.column_stack([np.cos(angles), np.sin(angles)])
+        drawn = np.vstack([*(arrow.strokes for arrow in arrows.values()), *(point[None] for point in lifts.values())])
+        places = {}
+        for number in sorted(arrows | lifts):
+            tries = (arrows[number].label if number in arrows else lifts[number]) + around
+            gaps = np.linalg.norm(tries[:, None] - drawn, axis=-1).min(axis=1)
+            places[number] = tries[int(gaps.argmax())]
+            drawn = np.vstack([drawn, places[number]])
+        return places
 
     @property
     def bounds(self) -> Float[np.ndarray, "2 2"]:

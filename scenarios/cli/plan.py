@@ -61,7 +61,7 @@ def identify(
         lifts: lifts, held still and rocked in the air, of the grasps nearest the middle; under rigid support alone.
         duration: time of a turn each way, s.
         grasps: allowed grasps, by name (see heft show); all if left out, whether the arm reaches them or not.
-        out: heatmap of the expected errors, written as FILE.pdf and FILE.png.
+        out: heatmap of the standard errors, g, written as FILE.pdf and FILE.png.
     """
     from estimators.identifiability.information import Assumptions, expected
     from testbed.objects.files import load_object
@@ -122,7 +122,7 @@ def actions_of(
 def _errors_table(model: ObjectModel, report: Identifiability) -> Table:
     """Mass and expected standard error of every group, and of every friction."""
     table = Table()
-    for column in ("group", "mass, kg", "standard error, g", "part of the mass, %"):
+    for column in ("group", "mass, kg", "standard error, g", "% of its own value"):
         table.add_column(column, justify="right")
     for label, mass, error in zip(report.group_names, model.group_mass, report.standard_error, strict=True):
         part = 100 * error / mass if mass else math.inf
@@ -201,7 +201,7 @@ def plan(
         console.print(_table(model.shape, made))
     console.print(*_conclusion(model.shape, made, guess, goal), sep="\n")
     if figure is not None or record is not None:
-        _draw(plan_view(model, made, title), figure, record)
+        _draw(plan_view(model, made, f"Plan of {len(made.steps)} actions: {title}"), figure, record)
 
 
 def plan_view(model: ObjectModel, made: Plan, title: str) -> PlanView:
@@ -210,7 +210,7 @@ def plan_view(model: ObjectModel, made: Plan, title: str) -> PlanView:
 
     errors = np.array([made.before.standard_error, *(step.belief.standard_error for step in made.steps)])
     words = tuple(action.describe(model.shape) for action in made.actions)
-    return PlanView(model.shape, made.actions, errors, model.total_mass, title, words)
+    return PlanView(model.shape, made.actions, errors, title, words)
 
 
 def action_family(support: str, *, lifts: bool) -> ActionFamily:

@@ -221,24 +221,21 @@ def mass_maps(shape: ObjectShape, truth: np.ndarray, groups: Mapping[str, Sequen
 
 @mpl.rc_context(STYLE)
 def error_figure(model: ObjectModel, standard_error: Float[np.ndarray, "n_m"], title: str) -> Figure:
-    """Expected standard error of each group [% of the mean group's mass]; hatched where infinite.
+    """Expected standard error of each group [g]; hatched where infinite.
 
     Args:
         model: the object.
         standard_error: of every group, kg; infinite where the trials do not show it.
         title: which trials, and how they are measured.
     """
-    shape = model.shape
-    error = 100 * standard_error / (model.total_mass / shape.n_m)
+    shape, error = model.shape, 1e3 * standard_error
     known = error[np.isfinite(error)]
-    scale = Scale(
-        max([0.1, *known]) if known.size else 1.0, DIFFERENCE_COLORS, "standard error, % of the mean group's mass"
-    )
+    scale = Scale(max([0.1, *known]) if known.size else 1.0, DIFFERENCE_COLORS, "standard error, g")
     height = ERROR_WIDTH * aspect(shape, 0.2, 1.4) * 0.8 + 1.2
     figure = Figure(figsize=(ERROR_WIDTH, height), layout="constrained")
     axis = figure.subplots()
     letters = 7.0 if shape.n_m <= MOST_NAMED else 0.0
-    draw_groups(axis, shape, error, scale, digits=1 if scale.top >= 1 else 2, letters=letters)
+    draw_groups(axis, shape, error, scale, digits=decimals(scale.top), letters=letters)
     axis.set_title(title, fontsize=9)
     if known.size:
         add_bar(figure, axis, scale, aspect=18)
@@ -294,6 +291,11 @@ def estimate_bars(view: EstimateView) -> Figure:
         figure.legend(loc="outside lower center", ncols=2, fontsize=8, frameon=False)
     bare(axis)
     return figure
+
+
+def decimals(largest: float) -> int:
+    """Digits after the point for three that count."""
+    return int(np.clip(2 - np.floor(np.log10(max(largest, 1e-9))), 0, 3))
 
 
 def _top(values: Sequence[np.ndarray]) -> float:

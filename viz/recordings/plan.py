@@ -8,8 +8,8 @@ import rerun.blueprint as rrb
 
 from viz.recordings.mass_map import MassMap, Raster
 from viz.recordings.page import ITERATION, Frames, Node, Page, log_markdown
-from viz.recordings.planar import LINE, Bounds, Canvas, log_lines, log_texts, log_upright, planar_view
-from viz.style import DIFFERENCE_COLORS, Scale, action_colors
+from viz.recordings.planar import Bounds, Canvas, log_lines, log_texts, log_upright, planar_view
+from viz.style import DIFFERENCE_COLORS, PLAN_ERROR, Scale, action_colors
 from viz.values import PlanView
 
 CANVAS = Canvas(640, 700)
@@ -21,9 +21,9 @@ THICK = rr.Radius.ui_points(1.6)
 def plan_page(plan: PlanView) -> Page:
     """The recording of a plan."""
     # on the scale of the errors after the first actions: those after the weighing alone are above it
-    top = float(plan.percent[min(2, len(plan.errors) - 1)].max())
-    scale = Scale(max(top, 0.1), DIFFERENCE_COLORS, "expected error, % of the mean group", open=True)
-    errors = MassMap(plan.shape, plan.percent, scale, CANVAS)
+    top = float(plan.grams[min(2, len(plan.errors) - 1)].max())
+    scale = Scale(max(top, 0.1), DIFFERENCE_COLORS, PLAN_ERROR, open=True)
+    errors = MassMap(plan.shape, plan.grams, scale, CANVAS)
 
     def log(stream: rr.RecordingStream) -> None:
         node = Node(stream, "plan")
@@ -33,7 +33,7 @@ def plan_page(plan: PlanView) -> Page:
         log_markdown(node / "words", f"{plan.title}\n\n{lines}")
 
     layout = rrb.Horizontal(
-        planar_view("plan/actions", _around(plan), "what is turned about where"),
+        planar_view("plan/actions", _around(plan), "actions, from grasp to the arrow's head; dot without arrow: pivot"),
         planar_view("plan/error", errors.box, "expected error after each action, by iteration"),
         rrb.TextDocumentView(origin="plan/words", name="actions"),
         column_shares=[CANVAS.width, CANVAS.width, 320],
@@ -51,9 +51,6 @@ def _log_actions(node: Node, plan: PlanView) -> None:
     def log_stroke(place: Node, strips: list[np.ndarray], color: np.ndarray) -> None:
         place.log(rr.LineStrips2D(strips, colors=[color], radii=THICK, draw_order=30.0))
 
-    def log_number(number: int, at: np.ndarray) -> None:
-        log_texts(node / f"{number}/number", at[None] + [0.0, LINE * pixel], [str(number)], pixel)
-
     for number, arrow in plan.arrows.items():
         place, color = node / number, colors[number - 1]
         tip = arrow.way[-1]
@@ -65,11 +62,11 @@ def _log_actions(node: Node, plan: PlanView) -> None:
         (place / "marks").log(rr.Points2D(marks, colors=[color], radii=rr.Radius.ui_points(4.0), draw_order=31.0))
         if arrow.pivot is not None:
             log_lines(place / "arm", [np.array(marks)])
-        log_number(number, arrow.label)
     for number, point in plan.lifts.items():
         triangle = point + 8 * pixel * np.array([[-1.0, -0.7], [1.0, -0.7], [0.0, 1.0], [-1.0, -0.7]])
         log_stroke(node / f"{number}/lift", [triangle], colors[number - 1])
-        log_number(number, point)
+    for number, place in plan.number_places.items():
+        log_texts(node / f"{number}/number", place[None], [str(number)], pixel)
 
 
 def _around(plan: PlanView) -> Bounds:

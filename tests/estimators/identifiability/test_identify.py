@@ -73,6 +73,17 @@ def test_a_sensor_that_is_not_there_is_refused(capsys):
     assert "one of ideal, ft300s" in capsys.readouterr().err
 
 
+def test_the_heatmap_shows_the_standard_errors_of_the_table(tmp_path, capsys, monkeypatch):
+    drawn = []
+    monkeypatch.setattr("viz.figures.maps.save_figure", lambda figure, _: drawn.append(figure) or [])
+    main(["identify", "L2", "--out", str(tmp_path / "errors")])
+    said = capsys.readouterr().out
+    assert "standard error, g" in said and drawn[0].axes[1].get_xlabel() == "standard error, g"
+    rows = [line.split("│") for line in said.splitlines() if line.startswith("│")]
+    printed = [float(row[3]) for row in rows if row[3].strip()]
+    assert [float(text.get_text()) for text in drawn[0].axes[0].texts] == pytest.approx(printed, abs=0.006)
+
+
 def test_the_heatmap_is_written_whole(tmp_path, capsys):
     main(["identify", "L2", "--out", str(tmp_path / "errors")])
     assert sorted(path.name for path in tmp_path.iterdir()) == ["errors.pdf", "errors.png"]
@@ -83,7 +94,7 @@ def test_what_is_not_seen_is_hatched_and_said():
     model = load_object("L2")
     figure = error_figure(model, np.array([0.01, np.inf, 0.02, 0.03, 0.01, 0.01]), "some trials")
     axis, bar = figure.axes
-    assert [text.get_text() for text in axis.texts] == ["3.3", "not seen", "6.7", "10.0", "3.3", "3.3"]
+    assert [text.get_text() for text in axis.texts] == ["10.0", "not seen", "20.0", "30.0", "10.0", "10.0"]
     assert "standard error" in bar.get_xlabel()
     hatched = [patches for patches in axis.collections if patches.get_hatch()]
     assert len(hatched) == 1 and len(hatched[0].get_paths()) == 9

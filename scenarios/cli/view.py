@@ -11,7 +11,8 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from scenarios.cli.terminal import open_console
+from scenarios.cli.terminal import open_console, orderly_end
+from testbed.errors import InvalidValueError
 
 if TYPE_CHECKING:
     from testbed.objects.model import ObjectModel
@@ -24,6 +25,7 @@ def view(
     what: Annotated[str | None, tyro.conf.Positional, tyro.conf.arg(metavar="WHAT")] = None,
     *,
     web: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False,
+    port: Annotated[int | None, tyro.conf.arg(metavar="N")] = None,
 ) -> None:
     """Open a trial, an estimate or a comparison of methods in the Rerun viewer.
 
@@ -31,10 +33,14 @@ def view(
               heft view results/blocks L2         one object under every method
               heft view results/blocks 3f9a       the trial or the estimate whose key begins so (see its report)
 
+    Results on another machine: `heft view DIR --web --port 9090` there, `ssh -L 9090:127.0.0.1:9090 THERE` here, and
+    the printed address in a browser here.
+
     Args:
         folder: of a run, finished or still running.
         what: an object, or the beginning of a trial's or an estimate's key; everything if left out.
         web: serve the viewer to a browser on this machine instead of opening a window.
+        port: of --web, for the page and its data alike; a free one if left out.
     """
     import tempfile
     import webbrowser
@@ -45,15 +51,17 @@ def view(
     from viz.recordings import viewer
     from viz.recordings.page import save
 
+    if port is not None and not web:
+        raise InvalidValueError("--port", port, "only with --web: a window needs none")
     viewer.check_display(web=web)
     page = page_of(folder, what)
-    with tempfile.TemporaryDirectory(prefix="heft-") as place:
+    with orderly_end(), tempfile.TemporaryDirectory(prefix="heft-") as place:
         path = Path(place) / "page.rrd"
         save(page, path)
         if not web:
             viewer.open_file(path)
             return
-        with viewer.served(path) as address:
+        with viewer.served(path, port or 0) as address:
             print(f"viewer: {address}\nCtrl-C ends it", flush=True)
             if viewer.has_display():
                 webbrowser.open(address)

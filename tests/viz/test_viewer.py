@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
+import os
 import re
+import signal
 import socket
+import subprocess
 import sys
 import time
+import urllib.request
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from scenarios.cli.main import main
+from scenarios.cli.terminal import orderly_end
 from scenarios.views.pages import Recorder, page_of
+from testbed.errors import InvalidValueError
 from tests.helpers.viewer_windows import browser, has_color, is_blank, needs_browser, needs_vulkan, picture, viewer
 from viz.recordings import viewer as viewers
 from viz.recordings.page import save
@@ -126,6 +132,73 @@ def test_an_open_viewer_is_used():
     with socket.create_server((viewers.HOST, 0)) as server:
         port = server.getsockname()[1]
         assert viewers.waiting(port) == f"rerun+http://127.0.0.1:{port}/proxy"
+
+
+SERVING = """
+import sys
+from pathlib import Path
+from threading import Event
+from scenarios.cli.terminal import orderly_end
+from viz.recordings.viewer import served
+with orderly_end(), served(Path(sys.argv[1]), int(sys.argv[2])) as address:
+    print(address, flush=True)
+    Event().wait()
+"""
+
+
+@pytest.mark.parametrize("end", [signal.SIGTERM, signal.SIGHUP])
+def test_a_signal_ends_a_block_in_order_and_once(end):
+    closed = []
+    with pytest.raises(SystemExit) as ended, orderly_end():
+        try:
+            os.kill(os.getpid(), end)
+            time.sleep(10)
+        finally:
+            os.kill(os.getpid(), end)
+            closed.append(end)
+    assert (ended.value.code, closed) == (128 + end, [end])
+    assert signal.getsignal(end) is signal.SIG_DFL
+
+
+def test_an_ignored_signal_stays_ignored():
+    earlier = signal.signal(signal.SIGHUP, signal.SIG_IGN)  # as nohup does
+    try:
+        with orderly_end():
+            os.kill(os.getpid(), signal.SIGHUP)
+    finally:
+        signal.signal(signal.SIGHUP, earlier)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("end", [signal.SIGTERM, signal.SIGHUP])
+def test_a_server_that_is_ended_leaves_nothing_running(tmp_path, end):
+    port, recording = viewers.free_port(), tmp_path / "page.rrd"
+    recording.write_bytes(b"all that was measured")
+    command = [sys.executable, "-c", SERVING, str(recording), str(port)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        address = process.stdout.readline().strip()
+        assert address.startswith(f"http://127.0.0.1:{port}/?url=http%3A%2F%2F127.0.0.1%3A{port}%2Frecording.rrd")
+        with urllib.request.urlopen(f"http://127.0.0.1:{port}/recording.rrd") as found:
+            assert found.read() == recording.read_bytes(), "the data come from the page's own port"
+        children = Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()
+        assert children
+        process.send_signal(end)
+        assert process.wait(10) == 128 + end
+    assert not [child for child in children if Path(f"/proc/{child}").exists()]
+
+
+def test_a_port_is_free_and_of_the_web_page(tmp_path, capsys):
+    with socket.create_server((viewers.HOST, 0)) as taken:
+        for port, why in ((taken.getsockname()[1], "in use"), (-1, "1024 to 65535"), (65536, "1024 to 65535")):
+            with (
+                pytest.raises(InvalidValueError, match=rf"--port: got {port}; allowed: .*{why}"),
+                served(tmp_path, port),
+            ):
+                pass
+    with pytest.raises(SystemExit):
+        main(["view", str(tmp_path), "--port", "9090"])
+    assert "--port: got 9090; allowed: only with --web" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

@@ -17,7 +17,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from threading import Thread
 
-from testbed.errors import HeftError
+from testbed.errors import HeftError, InvalidValueError
 
 HOST, PORT = "127.0.0.1", 9876
 """Address at which a viewer listens: on this machine alone."""
@@ -133,26 +133,42 @@ _STARTING_S = 20.0
 
 
 @contextmanager
-def served(recording: Path) -> Iterator[str]:
+def served(recording: Path, port: int = 0) -> Iterator[str]:
     """Serve the viewer with a recording while the block lasts; gives the address to open.
+
+    Args:
+        recording: file to be shown.
+        port: of this machine, for the page and the data alike; a free one if 0.
 
     Raises:
         ViewerError: the viewer did not start.
+        InvalidValueError: the port is in use, or not for a user.
     """
     source = free_port()
-    command = [*program(), "--serve-web", "--bind", HOST, "--port", str(free_port()), "--web-viewer-port", str(source)]
-    process = subprocess.Popen(command, env=environment(), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     try:
-        _wait(process, f"http://{HOST}:{source}/")
-        server = ThreadingHTTPServer((HOST, 0), partial(_Handler, recording, f"http://{HOST}:{source}"))
-        Thread(target=server.serve_forever, daemon=True).start()
+        server = ThreadingHTTPServer((HOST, port), partial(_Handler, recording, f"http://{HOST}:{source}"))
+    except (OSError, OverflowError) as error:
+        allowed = f"a free port of this machine, from 1024 to 65535 ({getattr(error, 'strerror', None) or error})"
+        raise InvalidValueError("--port", port, allowed) from None
+    with server, _rerun(source):
+        thread = Thread(target=server.serve_forever, daemon=True)
+        thread.start()
         address = f"http://{HOST}:{server.server_address[1]}"
         try:
             recorded = urllib.parse.quote(f"{address}/{RECORDING}", safe="")
             yield f"{address}/?url={recorded}&hide_welcome_screen&persist=0"
         finally:
             server.shutdown()
-            server.server_close()
+
+
+@contextmanager
+def _rerun(source: int) -> Iterator[None]:
+    """Rerun's own server of the viewer's files at a port, while the block lasts."""
+    command = [*program(), "--serve-web", "--bind", HOST, "--port", str(free_port()), "--web-viewer-port", str(source)]
+    process = subprocess.Popen(command, env=environment(), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    try:
+        _wait(process, f"http://{HOST}:{source}/")
+        yield
     finally:
         process.kill()
         process.wait()

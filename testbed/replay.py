@@ -51,9 +51,15 @@ class Recording:
         """Object and action in a few words."""
         settings = self.action.to_dict()
         kind = settings.pop("kind")
-        given = {k: f"{v:.4g}" if isinstance(v, float) else v for k, v in settings.items() if v is not None}
-        rest = ", ".join(f"{name} {value}" for name, value in given.items())
+        rest = ", ".join(f"{name} {_short(value)}" for name, value in settings.items() if value is not None)
         return f"{self.object or 'any object'}: {kind}{' (' if rest else ''}{rest}{')' if rest else ''}"
+
+
+def _short(value: Any) -> str:
+    """Numbers to four digits, also in a list of them."""
+    if isinstance(value, list | tuple):
+        return f"({', '.join(map(_short, value))})"
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
 class ReplayRunner:

@@ -15,7 +15,7 @@ from testbed.actions.slide import Slide
 from testbed.actions.weigh import Weigh
 from testbed.errors import InfeasibleTrialError, InvalidValueError
 from testbed.objects.files import load_object
-from testbed.replay import ReplayRunner
+from testbed.replay import Recording, ReplayRunner
 from testbed.sensing.compensation import compensate
 from testbed.sensing.noise import draw_sensing
 from testbed.sensing.presets import preset
@@ -142,3 +142,9 @@ def test_a_folder_without_records_or_with_a_stranger_among_them_is_refused(tmp_p
     (tmp_path / "x.parquet").write_text("time_s\n0.1\n")
     with pytest.raises(TrajectoryFileError, match=r"x\.parquet: not a trajectory file"):
         ReplayRunner(tmp_path)
+
+
+def test_a_recording_is_described_in_numbers_of_four_digits():
+    action = Rotate(grasp=4, duration=4.0, pivot=(-0.01666666666666667, 0.10833333333333334), back=True)
+    said = Recording(Path(), action, "L2", None).description
+    assert said == "L2: rotate (grasp 4, speed 0.1745, duration 4, pivot (-0.01667, 0.1083), back True)"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import importlib
 import inspect
+import json
 import os
 import re
 import sys
@@ -138,6 +139,12 @@ def configured(
         raise
     except (TypeError, ValueError) as error:  # a table where a number belongs
         raise InvalidValueError(field, dict(settings), f"values of the settings' types ({error})") from None
+
+
+def settings_of(kind: Callable[..., Any]) -> list[str]:
+    """The settings of a class as a scenario has them: `name = default`, or the name alone where there is no default."""
+    named = [a for a in inspect.signature(kind).parameters.values() if a.kind not in (a.VAR_POSITIONAL, a.VAR_KEYWORD)]
+    return [a.name if a.default is a.empty else f"{a.name} = {json.dumps(a.default, default=str)}" for a in named]
 
 
 @lru_cache

@@ -7,6 +7,7 @@ import sys
 from collections.abc import Callable, Mapping, Sequence
 from functools import reduce
 from importlib import import_module
+from importlib.metadata import version
 from operator import or_
 from typing import Annotated, Any
 
@@ -27,6 +28,7 @@ COMMANDS = {
     "watch": ("scenarios.cli.render:watch", "Open a window on a trial, simulated now or recorded."),
     "objects": ("scenarios.cli.view:objects", "List the objects in the library."),
     "scenarios": ("scenarios.cli.view:scenarios", "List the scenarios in the library."),
+    "methods": ("scenarios.cli.view:methods", "List the methods, heft's own and installed ones, with their settings."),
     "show": ("scenarios.cli.view:show", "Show one object: blocks, mass, center of mass, inertia, grasps."),
     "identify": ("scenarios.cli.plan:identify", "Predict what trials of an object would show of its masses."),
     "plan": ("scenarios.cli.plan:plan", "Plan actions that show an object's masses in little robot time."),
@@ -51,15 +53,24 @@ def main(arguments: list[str] | None = None) -> None:
     if hidden := hidden_package():
         print(f"heft: {hidden}", file=sys.stderr)
         sys.exit(2)
+    if arguments == ["--version"]:
+        print(f"heft {version('heft-testbed')}")
+        return
+    if not arguments or (len(arguments) == 1 and arguments[0] in GROUPS):
+        arguments = [*arguments, "--help"]
     try:
         tyro.extras.subcommand_cli_from_dict(
             commands_of(arguments),
             prog="heft",
-            description="What can a robot learn about how an object's mass is spread, from the wrench at its wrist?",
+            description="What can a robot learn about how an object's mass is spread, from the wrench at its wrist?\n"
+            "heft --version prints the version.",
             args=arguments,
         )
     except HeftError as error:
         print(f"heft: {error}", file=sys.stderr)
+        sys.exit(2)
+    except ImportError as error:
+        print(f"heft: this installation is not whole: {error}; install heft-testbed again", file=sys.stderr)
         sys.exit(2)
     except BrokenPipeError:  # what reads our output has read enough: `heft ... | head`
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

@@ -12,7 +12,7 @@ from rich.table import Table
 from rich.text import Text
 
 from scenarios.cli.terminal import open_console, orderly_end
-from testbed.errors import InvalidValueError
+from testbed.errors import HeftError, InvalidValueError
 
 if TYPE_CHECKING:
     from testbed.objects.model import ObjectModel
@@ -147,6 +147,27 @@ def scenarios() -> None:
     listed = Table.grid(padding=(0, 2))
     for name in scenario_names():
         listed.add_row(name, purpose(name))
+    open_console().print(listed)
+
+
+def methods() -> None:
+    """List the methods, heft's own and those of installed packages: what each does, and its settings with defaults.
+
+    Settings stand in a scenario's [methods.LABEL]. heft run --methods takes these names, and package:Class for others.
+    """
+    from estimators.registry import ESTIMATOR, METHODS
+    from testbed.plugins import find_class, installed, settings_of
+
+    listed = Table.grid(padding=(0, 2))
+    for name in [*METHODS, *(name for name in installed(ESTIMATOR) if name not in METHODS)]:
+        try:
+            kind = METHODS.get(name) or find_class(name, ESTIMATOR, "methods")
+        except HeftError as error:  # the others are listed all the same
+            listed.add_row(name, f"cannot be used: {error}")
+            continue
+        line = (kind.__doc__ or "").strip().partition("\n")[0]
+        listed.add_row(name, "" if line.startswith(f"{kind.__name__}(") else line)  # a dataclass without a word
+        listed.add_row("", f"[{', '.join(settings_of(kind)) or 'no settings'}]", style="dim")
     open_console().print(listed)
 
 

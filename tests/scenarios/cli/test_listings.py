@@ -5,13 +5,18 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from importlib.metadata import EntryPoint, EntryPoints, version
 from pathlib import Path
 
 import pytest
 
+from estimators.registry import METHODS
 from scenarios.catalog import LIBRARY, purpose, scenario_names
 from scenarios.cli.main import main
 from scenarios.results.files import exclusive
+from testbed import plugins
+from testbed.errors import HeftError
+from testbed.plugins import settings_of
 
 HEAVY = ["torch", "scipy", "pandas", "pyarrow", "mujoco", "matplotlib", "trimesh", "pydantic"]
 
@@ -78,3 +83,60 @@ def test_every_scenario_is_described_to_the_end_of_its_sentence(capsys, monkeypa
         assert purpose(name).endswith(".")
         assert f"{name} {purpose(name)}" in shown
         assert LIBRARY.joinpath(f"{name}.toml").read_text(encoding="utf-8").startswith("# ")
+
+
+def test_every_method_is_listed_with_its_settings(capsys, monkeypatch):
+    points = EntryPoints(
+        [
+            EntryPoint("mine", "tests.fakes.misbehaving:Misbehaving", "heft.estimators"),
+            EntryPoint("lost", "no_such_module:Lost", "heft.estimators"),
+        ]
+    )
+    monkeypatch.setattr(plugins, "entry_points", lambda *, group: points.select(group=group))
+    monkeypatch.setenv("COLUMNS", "400")
+    main(["methods"])
+    lines = {line.split()[0]: line for line in capsys.readouterr().out.splitlines() if not line.startswith(" ")}
+    assert [*lines] == [*METHODS, "lost", "mine"]
+    assert all(len(line.split()) > 3 for name, line in lines.items() if name in METHODS)
+    assert "cannot be used: methods (lost): got 'no_such_module:Lost'" in lines["lost"]
+
+
+def test_settings_are_written_as_in_a_scenario():
+    def kind(known, count=3, share=0.5, names=("a", "b"), flag=False, **more): ...
+
+    assert settings_of(kind) == ["known", "count = 3", "share = 0.5", 'names = ["a", "b"]', "flag = false"]
+
+
+def test_the_version_is_one_line(capsys):
+    main(["--version"])
+    assert capsys.readouterr().out == f"heft {version('heft-testbed')}\n"
+
+
+@pytest.mark.parametrize("words", [[], ["robot"]])
+def test_no_command_prints_the_help(capsys, words):
+    with pytest.raises(SystemExit) as ended:
+        main(words)
+    said = capsys.readouterr()
+    assert ended.value.code in (0, None)
+    assert "--help" in said.out
+    assert not said.err
+
+
+@pytest.mark.parametrize(
+    ("error", "line"),
+    [
+        (HeftError("no such arm"), "heft: no such arm"),
+        (ModuleNotFoundError("No module named 'av'"), "heft: this installation is not whole: No module named 'av'; "),
+        (PermissionError(13, "Permission denied", "/x"), "heft: Permission denied: /x"),
+    ],
+)
+def test_an_error_in_a_command_as_it_is_loaded_is_one_line(capsys, monkeypatch, error, line):
+    def refused(path):
+        raise error
+
+    monkeypatch.setattr("scenarios.cli.main.load", refused)
+    with pytest.raises(SystemExit) as ended:
+        main(["objects"])
+    said = capsys.readouterr().err
+    assert (ended.value.code, said.count("\n")) == (2, 1)
+    assert said.startswith(line)

@@ -11,6 +11,7 @@ from typing import Any
 import matplotlib as mpl
 import numpy as np
 import pytest
+from matplotlib.collections import PatchCollection
 from matplotlib.figure import Figure
 from numpy.testing import assert_allclose, assert_array_equal
 
@@ -22,7 +23,7 @@ from testbed.errors import InvalidValueError
 from testbed.objects.files import load_object
 from testbed.objects.model import MassDistribution
 from viz.figures.loss import estimate_losses
-from viz.figures.maps import estimate_bars, estimate_maps, save_figure
+from viz.figures.maps import MeanAnswer, estimate_bars, estimate_maps, map_scales, mass_maps, save_figure
 from viz.figures.nad import axis_label, nad_distribution, nad_sweep
 from viz.figures.wrench import wrench_fit_figure
 from viz.style import DIFFERENCE_COLORS, MASS_COLORS, series_color, text_color
@@ -202,3 +203,16 @@ def test_figures_of_a_folder_and_of_an_estimate(finished_run, tmp_path):
         assert path.parent == folder / "figures"
         assert path.read_bytes().startswith(b"%PDF" if path.suffix == ".pdf" else b"\x89PNG")
     assert not list(folder.rglob("*.part"))
+
+
+def test_maps_of_all_objects_share_one_scale_that_a_heavy_group_does_not_bleach():
+    light, heavy = np.full(40, 0.4), np.array([1.3, 0.1])
+    answers = [MeanAnswer("a", truth * 1.1, truth * 0.1) for truth in (light, heavy)]
+    mass, off = map_scales([light, heavy], answers)
+    assert (mass.top, off.top) == (pytest.approx(0.44), pytest.approx(0.04))
+    shape = load_object("L2").shape
+    for truth in (np.full(6, 0.4), np.full(6, 0.1)):
+        figure = mass_maps(shape, truth, {"own weight": [MeanAnswer("a", truth, 0 * truth)]}, (mass, off))
+        drawn = [cells for axis in figure.axes for cells in axis.collections if isinstance(cells, PatchCollection)]
+        limits = [cells.get_clim() for cells in drawn if cells.get_array() is not None]
+        np.testing.assert_allclose(limits, [(0, mass.top), (0, mass.top), (0, off.top)])

@@ -18,12 +18,12 @@ from testbed.errors import InvalidValueError
 from testbed.objects.files import load_object
 from testbed.toml import toml_text
 from viz.figures.loss import normalised
-from viz.report.report import inline_svg, mapped_objects
-from viz.report.tables import object_means, sweep_table
+from viz.report.report import inline_svg, mapped_objects, middle_object
+from viz.report.tables import leading, object_means, sweep_table
 
 EVIL = "<script>alert('x')</script>"
 REASON = '"><img src=x onerror=alert(1)> & more'
-SECTIONS = ("run", "tables", "distributions", "losses", "maps", "worst", "failures")
+SECTIONS = ("result", "run", "tables", "distributions", "losses", "maps", "worst", "failures")
 VOID = {"meta", "br", "wbr", "img", "hr", "link", "input"}
 NAD = {"hidden_states": (0.0123, 0.0151), "random_search": (0.411, 0.473), "diff_lcp": (0.2, 0.3)}
 
@@ -128,6 +128,34 @@ def test_every_section_is_there_and_reachable(page: str, read: Reader):
     assert {f"#{name}" for name in SECTIONS} <= set(read.links)
     assert '<meta name="viewport"' in page and "@media print" in page
     assert page.count("<figure") == page.count("<figcaption>") == page.count('role="img"') > 4
+
+
+def test_the_result_comes_before_the_facts_of_the_run(page: str, read: Reader):
+    first, rest = page.split('<section class="first" id="result">')[1].split("</section>", 1)
+    assert first.count("<tr") == 1 + len(NAD) and first.count("<svg") == 1
+    assert "L2: true mass, estimated mass" in first
+    assert "heft 9.8.7" not in page.split('id="tables"', maxsplit=1)[0] and "heft 9.8.7" in rest
+    sections = [link for link in read.links if link[1:] in SECTIONS and link.startswith("#")]
+    assert [link for link in dict.fromkeys(sections) if link != "#failures"][:2] == ["#result", "#tables"]
+
+
+def test_leading_methods_are_the_best_on_average_and_lost_answers_come_last():
+    nads = {"a": (0.4, 0.1), "b": (0.2, 0.2), "c": (0.01, None), "d": (0.9, 0.9), "e": (0.3, 0.3)}
+    groups = {str(g): [row(m, 0, pair[g]) for m, pair in nads.items()] for g in (0, 1)}
+    table = leading(groups)
+    assert [(labels[0], *(cell.text for cell in cells)) for labels, cells in table.rows] == [
+        ("b", "20.0", "20.0"), ("a", "40.0", "10.0"), ("e", "30.0", "30.0"),
+    ]  # fmt: skip
+    assert "best 3 of 5" in table.title
+    assert [labels[0] for labels, _ in leading(groups, most=9).rows][-1] == "c"
+    assert leading({}).rows == ()
+
+
+def test_the_middle_object_is_chosen_among_those_with_a_map_and_an_answer():
+    rows = [row("a", 0, nad, name) for name, nad in (("x", 0.1), ("y", 0.9), ("z", 0.5), ("w", None), ("v", 0.3))]
+    assert middle_object(rows, "a", ["x", "y", "z", "w"]) == "z"
+    assert middle_object(rows, "a", ["w"]) is None
+    assert middle_object(rows, "b", ["x"]) is None
 
 
 VALUES = 100 * np.array(NAD["hidden_states"])

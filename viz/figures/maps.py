@@ -184,20 +184,34 @@ def compared_methods(rows: Sequence[Row]) -> list[str]:
     return own[:1] + others[: 1 if own else 2]
 
 
+def map_scales(truths: Sequence[np.ndarray], answers: Sequence[MeanAnswer]) -> tuple[Scale, Scale]:
+    """Scales of mass and of difference that the maps of several objects share.
+
+    Args:
+        truths: true masses of each object, kg a group, (n_m,).
+        answers: all answers that are drawn.
+    """
+    top, off = _top([*truths, *(a.mass for a in answers)]), _top([a.difference for a in answers])
+    return (
+        Scale(max(top, 1e-3), MASS_COLORS, "mass, true and estimated, kg a group"),
+        Scale(max(off, 1e-3), DIFFERENCE_COLORS, "absolute difference, kg a group"),
+    )
+
+
 @mpl.rc_context(STYLE)
-def mass_maps(shape: ObjectShape, truth: np.ndarray, groups: Mapping[str, Sequence[MeanAnswer]]) -> Figure:
+def mass_maps(
+    shape: ObjectShape, truth: np.ndarray, groups: Mapping[str, Sequence[MeanAnswer]], scales: tuple[Scale, Scale]
+) -> Figure:
     """Masses and differences of one object: a row a support and sensing; the truth, then two maps a method.
 
     Args:
         shape: geometry of the object.
         truth: true masses, kg a group, (n_m,).
         groups: answers by the name of support and sensing.
+        scales: of mass and of difference, as `map_scales` makes them.
     """
-    answers = [answer for found in groups.values() for answer in found]
     most = max((len(found) for found in groups.values()), default=0)
-    top, off = _top([a.mass for a in answers]), _top([a.difference for a in answers])
-    mass = Scale(max(float(truth.max()), top), MASS_COLORS, "mass, true and estimated, kg a group")
-    difference = Scale(max(off, 1e-3), DIFFERENCE_COLORS, "absolute difference, kg a group")
+    mass, difference = scales
     size = (1.5 * (1 + 2 * most) + 0.5, (1.4 * aspect(shape, 0.3, 1.0) + 0.35) * len(groups) + 0.8)
     figure = Figure(figsize=size, layout="constrained")
     axes = figure.subplots(len(groups), 1 + 2 * most, squeeze=False)

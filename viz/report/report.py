@@ -22,10 +22,10 @@ from estimators.evaluation.statistics import AXIS, Row, axes_of, axis_values, se
 from testbed.files import write_whole
 from testbed.objects.model import ObjectShape
 from viz.figures.loss import loss_figure
-from viz.figures.maps import MeanAnswer, absolute_difference, as_pixels, compared_methods, mass_maps
+from viz.figures.maps import MeanAnswer, absolute_difference, as_pixels, compared_methods, map_scales, mass_maps
 from viz.figures.nad import nad_distribution, nad_sweep
 from viz.report.lists import failures, names, worst, worst_of
-from viz.report.tables import METRICS, MOST_OBJECTS, Table, metric_table, over_objects, overview, sweep_table
+from viz.report.tables import METRICS, MOST_OBJECTS, Table, leading, metric_table, over_objects, overview, sweep_table
 from viz.style import STYLE
 from viz.values import support_name
 
@@ -40,6 +40,9 @@ PIXELS_PER_INCH = 80
 """Least scale of a figure with small print."""
 WORST_OBJECTS, OTHER_OBJECTS = 10, 5
 """Numbers of objects with a mass map where there are too many for one each."""
+DIFFERENCES_SHOW = "Absolute difference of mass, every method and object"
+MAPS_SHOW = "true mass, estimated mass and absolute difference, kg a group"
+"""What the figures of all objects and of one object show."""
 _REFERENCE = re.compile(r"(?:url\(#|^#)([^)]+)")
 _CONTROL = re.compile(rb"[\x00-\x08\x0b\x0c\x0e-\x1f]")
 """Characters that XML cannot hold."""
@@ -120,6 +123,8 @@ def render(results: Results) -> str:
     for method, traces in results.losses.items():
         most = max(map(len, traces.values()))
         losses[f"{method}: loss by iteration, {most} estimate{'s' if most != 1 else ''}"] = traces
+    differences, maps = _maps(groups, shapes)
+    best = leading(groups)
     environment = Environment(
         loader=FileSystemLoader(Path(__file__).parent), autoescape=True, undefined=StrictUndefined, trim_blocks=True,
         lstrip_blocks=True,
@@ -128,12 +133,20 @@ def render(results: Results) -> str:
     return environment.get_template("report.html.j2").render(
         results=results,
         counts={"estimates": len(estimates), "objects": len(objects), "good": good},
+        best=best,
+        picture=_first_picture(groups, best, maps, draw),
         overview=overview(groups),
         tables={label: _tables(found) for label, found in groups.items()},
         distributions=[draw(nad_distribution(found), f"NAD by method: {label}") for label, found in groups.items()],
         sweeps=_sweeps(estimates, groups, draw),
         losses=[draw(loss_figure(traces), caption) for caption, traces in losses.items()],
-        maps=_maps(groups, shapes, draw),
+        maps=[
+            *(
+                draw(f, f"Absolute difference of mass, every method and object: {g}", wide=True)
+                for g, f in differences.items()
+            ),
+            *(draw(figure, f"{name}: {MAPS_SHOW}", wide=True) for name, figure in maps.items()),
+        ],
         without_geometry=names([name for name in mapped if name not in shapes]),
         left_out=len(objects) - len(mapped),
         worst=worst_all,
@@ -141,6 +154,20 @@ def render(results: Results) -> str:
         most_failures=MOST_FAILURES,
         failures=failures(rows, results.tracebacks),
     )
+
+
+def _first_picture(
+    groups: Mapping[str, Sequence[Row]], best: Table, maps: Mapping[str, Figure], draw: Draw
+) -> Illustration | None:
+    """Maps of the object that the first method puts in the middle; NAD by method where there is no map."""
+    if not groups or not best.rows:
+        return None
+    label, method = next(iter(groups)), best.rows[0][0][0]
+    name = middle_object(groups[label], method, list(maps))
+    if name is None:
+        return draw(nad_distribution(groups[label]), f"NAD by method: {label}")
+    place = f", the middle object by NAD of {method}" if len(maps) > 1 else ""
+    return draw(maps[name], f"{name}{place}: {MAPS_SHOW}", wide=True)
 
 
 def breakable(name: object) -> Markup:
@@ -195,28 +222,38 @@ def mapped_objects(rows: Sequence[Row], objects: Sequence[str]) -> list[str]:
     return ranked[:WORST_OBJECTS] + [rest[i] for i in others]
 
 
-def _maps(groups: Mapping[str, Sequence[Row]], shapes: Mapping[str, ObjectShape], draw: Draw) -> list[Illustration]:
-    """Differences under each support and sensing, then the maps of each object whose truth is known."""
+def _maps(
+    groups: Mapping[str, Sequence[Row]], shapes: Mapping[str, ObjectShape]
+) -> tuple[dict[str, Figure], dict[str, Figure]]:
+    """Differences by support and sensing, and the maps by object, on one scale, of each whose truth is known."""
     known = {label: [row for row in rows if row["true_mass_kg"] is not None] for label, rows in groups.items()}
-    overall, pictures, mapped = [], [], {}
+    truths: dict[str, np.ndarray] = {}
+    answers: dict[str, dict[str, list[MeanAnswer]]] = {}
     for name, shape in shapes.items():
         of = {label: found for label, rows in known.items() if (found := select(rows, object=name))}
         truth = np.array(next(iter(of.values()))[0]["true_mass_kg"] if of else [], dtype=float)
         if len(truth) != shape.n_m:
             continue
-        answers = {
+        truths[name] = truth
+        answers[name] = {
             label: [a for m in compared_methods(found) if (a := MeanAnswer.of(found, m))] for label, found in of.items()
         }
-        mapped[name] = shape
-        caption = f"{name}: true mass, estimated mass and absolute difference, kg a group"
-        pictures.append(draw(as_pixels(mass_maps(shape, truth, answers)), caption, wide=True))
+    scales = map_scales(list(truths.values()), [a for by in answers.values() for found in by.values() for a in found])
+    pictures = {name: as_pixels(mass_maps(shapes[name], truths[name], answers[name], scales)) for name in truths}
+    overall = {}
     for label, rows in groups.items():
-        present = {name: shape for name, shape in mapped.items() if select(rows, object=name)}
+        present = {name: shapes[name] for name in truths if select(rows, object=name)}
         if present:
-            figure = as_pixels(absolute_difference(rows, present, ""))
-            caption = f"Absolute difference of mass, every method and object: {label}"
-            overall.append(draw(figure, caption, wide=True))
-    return overall + pictures
+            overall[label] = as_pixels(absolute_difference(rows, present, ""))
+    return overall, pictures
+
+
+def middle_object(rows: Sequence[Row], method: str, names: Sequence[str]) -> str | None:
+    """The object of `names` in the middle by the method's mean NAD; None where the method has none of them."""
+    found = {name: [row["nad"] for row in select(rows, object=name, method=method)] for name in names}
+    known = {name: float(np.mean(nads)) for name in names if (nads := [n for n in found[name] if n is not None])}
+    ranked = sorted(known, key=known.__getitem__)
+    return ranked[len(ranked) // 2] if ranked else None
 
 
 def inline_svg(figure: Figure, title: str, prefix: str) -> Markup:

@@ -194,6 +194,20 @@ def overview(groups: Mapping[str, Sequence[Row]]) -> Table:
     return Table("Median over objects of the mean NAD, %", tuple(groups), lines)
 
 
+def leading(groups: Mapping[str, Sequence[Row]], most: int = 3) -> Table:
+    """The first rows of the overview: the least NAD on average over supports and sensings; a lost answer comes last."""
+    whole = overview(groups)
+
+    def place(line: tuple[tuple[str, ...], tuple[Entry, ...]]) -> tuple[int, float]:
+        known = [float(cell.text) for cell in line[1] if cell.text != "-"]
+        return len(whole.columns) - len(known), float(np.mean(known)) if known else 0.0
+
+    best = tuple(sorted(whole.rows, key=place)[:most])
+    cut = f": best {len(best)} of {len(whole.rows)} methods" if whole.rows[most:] else ""
+    title = f"Median NAD over objects, %{cut}"
+    return replace(whole, title=title, rows=best)
+
+
 def sweep_table(rows: Sequence[Row], axis: str, title: str) -> Table:
     """Median NAD at each value of a swept setting."""
     values = axis_values(rows, axis)

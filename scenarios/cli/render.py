@@ -7,7 +7,7 @@ import sys
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 import tyro
@@ -24,6 +24,9 @@ if TYPE_CHECKING:
     from testbed.simulation.rendering import ViewName
     from testbed.trajectory import Trajectory
 
+FILM_S = 20.0
+"""Longest film where no speed is asked for [s]."""
+
 
 def render(
     folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DIR")],
@@ -33,7 +36,7 @@ def render(
     width: Annotated[int, tyro.conf.arg(metavar="PX")] = 960,
     height: Annotated[int, tyro.conf.arg(metavar="PX")] = 640,
     fps: Annotated[float, tyro.conf.arg(metavar="N")] = 25.0,
-    speed: Annotated[float, tyro.conf.arg(metavar="X")] = 1.0,
+    speed: Annotated[float | None, tyro.conf.arg(metavar="X")] = None,
     camera: Literal["bench", "object", "above"] = "bench",
     at: Annotated[float | None, tyro.conf.arg(metavar="S")] = None,
     caption: bool = True,
@@ -51,7 +54,7 @@ def render(
         width: of the picture, px; even.
         height: of the picture, px; even.
         fps: pictures a second of film.
-        speed: seconds of trial a second of film.
+        speed: seconds of trial a second of film; 1 is the trial's own time. As fast as makes it 20 s, if left out.
         camera: bench (all of it), object (close), or above (the object alone, with the arm out of the way).
         at: instant of the one picture of a .png, s; the middle if left out.
         caption: say in each picture what it shows, and when.
@@ -59,7 +62,13 @@ def render(
     if trial is None:
         list_trials(folder)
     else:
-        print(render_trial(folder, trial, RenderRequest(out, width, height, fps, speed, camera, at, caption)))
+        request = RenderRequest(out, width, height, fps, speed, camera, at, caption)
+        path, pace = render_trial(folder, trial, request)
+        print(
+            path
+            if request.speed or pace == 1
+            else f"{path} ({pace:g} times as fast; --speed 1 is the trial's own time)"
+        )
 
 
 def watch(
@@ -161,8 +170,8 @@ class RenderRequest:
     """Height [px]."""
     fps: float = 25.0
     """Pictures a second of film."""
-    speed: float = 1.0
-    """Seconds of trial a second of film."""
+    speed: float | None = None
+    """Seconds of trial a second of film; as many as make it at most FILM_S long if None."""
     camera: ViewName = "bench"
     at: float | None = None
     """The one instant of a PNG, s; None is the middle."""
@@ -170,8 +179,8 @@ class RenderRequest:
     """True if each picture has a caption with its content and time."""
 
 
-def render_trial(root: Path, beginning: str, request: RenderRequest) -> Path:
-    """Draw the trial whose key has this beginning, and write it where asked.
+def render_trial(root: Path, beginning: str, request: RenderRequest) -> tuple[Path, float]:
+    """Draw the trial whose key has this beginning, and write it where asked; gives the file and the film's speed.
 
     Raises:
         InvalidValueError: no such trial, a trial where nothing moves, or options that do not fit.
@@ -186,12 +195,13 @@ def render_trial(root: Path, beginning: str, request: RenderRequest) -> Path:
     record = read_trial(root, beginning)
     out = request.out or record.folder / "trial.mp4"
     check_film(out, request.width, request.height, request.fps)
-    check_positive("--speed", request.speed)
+    still, pace = out.suffix.lower() == ".png", pace_of(record.trajectory, request)
+    check_positive("--speed", pace)
     choose_offscreen()
     from testbed.simulation.rendering import Playback, drawing
 
     playback = Playback(record.trajectory, record.object, record.grip_width)
-    samples = _samples(record.trajectory, request, one=out.suffix.lower() == ".png")
+    samples = _samples(record.trajectory, request, 0 if still else pace)
 
     def pictures(draw: Callable[[int], np.ndarray], progress: Progress) -> Iterator[np.ndarray]:
         for done, sample in enumerate(samples.tolist(), start=1):
@@ -209,14 +219,21 @@ def render_trial(root: Path, beginning: str, request: RenderRequest) -> Path:
     except KeyboardInterrupt:
         print("heft: stopped; nothing was written", file=sys.stderr)
         sys.exit(130)
-    return out
+    return out, 1.0 if still else pace
 
 
-def _samples(trajectory: Trajectory, request: RenderRequest, *, one: bool) -> np.ndarray:
-    """Samples to draw, the nearest to each instant: the one of a picture, or all of a film."""
+def pace_of(trajectory: Trajectory, request: RenderRequest) -> float:
+    """Seconds of trial a second of film: as asked, or the least whole number whose film is no longer than FILM_S."""
+    if request.speed is not None:
+        return request.speed
+    return float(max(1, math.ceil((trajectory.time_s[-1] - trajectory.time_s[0]) / FILM_S)))
+
+
+def _samples(trajectory: Trajectory, request: RenderRequest, pace: float) -> np.ndarray:
+    """Samples to draw, the nearest to each instant: all of a film at a pace, or the one of a picture at pace 0."""
     time = trajectory.time_s
-    if not one:
-        rate = request.fps / request.speed
+    if pace:
+        rate = request.fps / pace
         count = math.floor((time[-1] - time[0]) * rate + 1e-9) + 1
         return nearest(time, time[0] + np.arange(count) / rate)
     at = (time[0] + time[-1]) / 2 if request.at is None else request.at
@@ -241,21 +258,29 @@ def _caption(record: TrialRecord, sample: int) -> str:
 
 
 def list_trials(root: Path) -> None:
-    """Print a line a trial: its key, object, support, action and status."""
+    """Print a line a trial, by object, support and grasp."""
     from rich.table import Table
 
     from scenarios.results.files import read_json
-    from scenarios.results.trials import OTHER_FORMAT, keys_of
+    from scenarios.results.trials import keys_of
 
     table = Table()
-    for column in ("trial", "object", "support", "action", "status"):
+    for column in ("trial", "object", "support", "grasp", "action", "status"):
         table.add_column(column)
-    for key in keys_of(root):
-        content = read_json(root / "trials" / key / "trial.json") or {}
-        try:
-            request, action = content["asked"], content["asked"]["action"]
-            done = f"{action['kind']}{' and back' if action.get('back') else ''}"
-            table.add_row(key[:8], content["names"]["object"], request["support"], done, content["status"])
-        except OTHER_FORMAT:
-            table.add_row(key[:8], "?", "?", "?", str(content.get("status", "?")))
+    lines = [_line_of(key, read_json(root / "trials" / key / "trial.json") or {}) for key in keys_of(root)]
+    for line in sorted(lines, key=lambda line: (*line[1:], line[0])):
+        table.add_row(*line)
     open_console().print(table)
+
+
+def _line_of(key: str, content: dict[str, Any]) -> tuple[str, ...]:
+    """A trial's key, object, support, grasp, action and status, as far as its file tells."""
+    from scenarios.results.trials import OTHER_FORMAT
+
+    try:
+        asked, names, action = content["asked"], content["names"], content["asked"]["action"]
+        grasp = "-" if action.get("grasp") is None else names["grasps"][action["grasp"]]
+        done = f"{action['kind']}{' and back' if action.get('back') else ''}"
+        return key[:8], names["object"], asked["support"], grasp, done, content["status"]
+    except OTHER_FORMAT:
+        return key[:8], "?", "?", "?", "?", str(content.get("status", "?"))

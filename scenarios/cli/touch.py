@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import inspect
+import shlex
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -11,7 +13,7 @@ import tyro
 from testbed.errors import HeftError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Mapping
 
     from estimators.action_selection.online import Decision
     from estimators.action_selection.plan import Goal
@@ -70,6 +72,7 @@ def touch(
     from scenarios.study.active import ActiveRun
     from scenarios.study.run import manifest
     from scenarios.views.pages import record_all, record_results
+    from scenarios.views.report import report
     from testbed.objects.files import load_object
     from testbed.sensing.presets import preset
     from testbed.trial import parse_support
@@ -87,14 +90,24 @@ def touch(
     preset(sensing)  # refused before anything is written
     folder = out or Path("results") / f"touch_{model.name}"
     store = Store(folder.absolute())
+    scenario = Scenario(objects=[object_], support=[support], sensing=[sensing], seeds=1)
+    given = {
+        "until": until,
+        "budget": budget,
+        "sensing": sensing,
+        "support": support,
+        "thought": thought,
+        "lifts": lifts,
+    }
+    given |= {"most": most, "candidates": candidates, "grasps": grasps, "seed": seed, "out": out}
+    facts = manifest(scenario) | {"name": folder.name, "command": _command(object_, given)}
     with exclusive(folder):
         store.remove_leftovers()
+        write_json(folder / "manifest.json", facts | {"finished": False})
         run = ActiveRun(
             model, store, goal, family, carrier, ASSUMED_SUPPORTS[thought], sensing, candidates, allowed, seed
         )
         result = run.carry_out(say_trial, lambda weight: print(f"weighed: {weight:.3f} kg", flush=True))
-        scenario = Scenario(objects=[object_], support=[support], sensing=[sensing], seeds=1)
-        facts = manifest(scenario) | {"name": folder.name, "command": f"heft touch {object_}"}
         write_json(folder / "manifest.json", facts | {"wall_s": round(time.monotonic() - begin, 1)})
         store.put_table([result.row])
     for line in _conclusion(model, result, goal):
@@ -106,7 +119,16 @@ def touch(
         print(f"recording: {record_results(folder)}")
     except HeftError as error:
         print(f"no recording: {error}")
-    print(f"look: heft view {folder}")
+    print(f"report: {report(folder)}; all of it in {folder}/\nlook: heft view {folder}")
+
+
+def _command(object_: str, given: Mapping[str, object]) -> str:
+    """Command line that runs this again: the object, and the options that are not left at their default."""
+    parts, known = ["heft", "touch", object_], inspect.signature(touch).parameters
+    for name, value in given.items():
+        if value != known[name].default:
+            parts += [f"--{name}", *([] if value is True else value if isinstance(value, tuple) else [str(value)])]
+    return shlex.join(parts)
 
 
 def _conclusion(model: ObjectModel, result: ActiveResult, goal: Goal) -> Iterator[str]:

@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 
@@ -20,7 +21,8 @@ from numpy.testing import assert_allclose
 from PIL import Image
 
 from scenarios.cli.main import main
-from scenarios.cli.render import nearest
+from scenarios.cli.render import FILM_S, RenderRequest, nearest, pace_of
+from scenarios.results.files import write_json
 from scenarios.results.store import key_of, trial_request
 from scenarios.results.trials import TrialRecord, read_trial
 from testbed.actions.rotate import Rotate
@@ -202,6 +204,17 @@ def test_times_of_a_film_are_the_nearest_samples():
     assert nearest(time_s[:1], np.array([0.0, 1.0])).tolist() == [0, 0]
 
 
+@pytest.mark.parametrize(
+    ("duration", "asked", "pace"),
+    [(208.0, None, 11), (200.0, None, 10), (12.0, None, 1), (208.0, 1.0, 1), (8.0, 0.5, 0.5)],
+)
+def test_a_film_is_of_twenty_seconds_or_as_asked(turn, duration, asked, pace):
+    time_s = np.linspace(0, duration, len(turn.trajectory.time_s))
+    trajectory, request = replace(turn.trajectory, time_s=time_s), RenderRequest(speed=asked)
+    assert pace_of(trajectory, request) == pace
+    assert asked or duration / pace <= FILM_S
+
+
 def middle_of(picture: np.ndarray, color: tuple[float, float, float]) -> np.ndarray:
     """Middle of all that has a colour's hue, -1 to 1 from left to right and from bottom to top."""
     pixels = picture.astype(float)
@@ -256,7 +269,26 @@ def test_trials_are_listed(root, turn, slide, capsys):
     lines = capsys.readouterr().out.splitlines()
     for record, words in ((turn, ("L2", "rotate")), (slide, ("hammer", "slide"))):
         line = next(line for line in lines if record.folder.name[:8] in line)
-        assert all(word in line for word in (*words, "own_weight", "ok"))
+        grasp = record.object.shape.grasps[record.trajectory.action.grasp].name
+        assert all(word in line for word in (*words, "own_weight", grasp, "ok"))
+
+
+def test_trials_are_listed_by_object_support_and_grasp(tmp_path, capsys):
+    made = [("I1", "rigid", None), ("I1", "own_weight", 1), ("L2", "rigid", 0), ("I1", "own_weight", 0)]
+    for key, (name, support, grasp) in enumerate(made):
+        action = {"kind": "weigh"} if grasp is None else {"kind": "rotate", "grasp": grasp}
+        content = {"asked": {"support": support, "action": action}, "names": {"object": name, "grasps": ["A1", "B1"]}}
+        write_json(tmp_path / "trials" / f"{key:08}" / "trial.json", content | {"status": "ok"})
+    write_json(tmp_path / "trials" / "of_other_format" / "trial.json", {})
+    main(["render", str(tmp_path)])
+    cells = [line.split()[1::2] for line in capsys.readouterr().out.splitlines() if line.count("│") > 5]
+    assert len(cells) == 5, "the one of another format too"
+    assert [tuple(row[1:4]) for row in cells if row[1] != "?"] == [
+        ("I1", "own_weight", "A1"),
+        ("I1", "own_weight", "B1"),
+        ("I1", "rigid", "-"),
+        ("L2", "rigid", "A1"),
+    ]
 
 
 NO_LIBRARY = """

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from rich import box
+from rich.console import Console, ConsoleOptions, ConsoleRenderable, RenderResult
 from rich.table import Table as RichTable
 from rich.text import Text
 
@@ -278,8 +279,35 @@ def hidden_table(results: Iterable[Row], objects: Sequence[str]) -> Table:
     return Table("Hidden states, own weight: mean error", tuple(objects), tuple(lines), ("",))
 
 
-def rich_table(table: Table) -> RichTable:
-    """A table for rich's console, its texts as they stand; the row of the true masses stands apart."""
+def rich_table(table: Table) -> ConsoleRenderable:
+    """A table for rich's console; columns for which it is too narrow go on in a further table below."""
+    return _Fitted(table)
+
+
+@dataclass(frozen=True)
+class _Fitted:
+    """A table that fits the console."""
+
+    table: Table
+
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
+        """Draw as many columns side by side as there is room for, and the others below."""
+        table, start, title = self.table, 0, self.table.title
+        unbounded = options.update(width=10_000)
+        while start < len(table.columns) or start == 0:
+            end = len(table.columns)
+            while True:
+                rows = tuple((labels, cells[start:end]) for labels, cells in table.rows)
+                part = _drawn(replace(table, title=title, columns=table.columns[start:end], rows=rows))
+                if end <= start + 1 or console.measure(part, options=unbounded).maximum <= options.max_width:
+                    break
+                end -= 1
+            yield part
+            start, title = max(end, 1), f"{table.title}, continued"
+
+
+def _drawn(table: Table) -> RichTable:
+    """A table with its texts as they stand; the row of the true masses stands apart."""
     drawn = RichTable(
         title=Text(table.title, "table.title"), title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0)
     )

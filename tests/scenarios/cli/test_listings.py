@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import subprocess
 import sys
@@ -9,6 +10,7 @@ from importlib.metadata import EntryPoint, EntryPoints, version
 from pathlib import Path
 
 import pytest
+from rich.console import Console
 
 from estimators.registry import METHODS
 from scenarios.catalog import LIBRARY, purpose, scenario_names
@@ -17,6 +19,7 @@ from scenarios.results.files import exclusive
 from testbed import plugins
 from testbed.errors import HeftError
 from testbed.plugins import settings_of
+from viz.report.tables import Entry, Table, rich_table
 
 HEAVY = ["torch", "scipy", "pandas", "pyarrow", "mujoco", "matplotlib", "trimesh", "pydantic"]
 
@@ -140,3 +143,16 @@ def test_an_error_in_a_command_as_it_is_loaded_is_one_line(capsys, monkeypatch, 
     said = capsys.readouterr().err
     assert (ended.value.code, said.count("\n")) == (2, 1)
     assert said.startswith(line)
+
+
+@pytest.mark.parametrize("width", [50, 80, 300])
+def test_a_table_too_wide_for_the_terminal_goes_on_below(width):
+    cells = tuple(Entry(f"{i}.00±0.01") for i in range(9))
+    wide = Table("NAD", tuple(f"object_{i}" for i in range(9)), ((("hidden_states",), cells), (("other",), cells)))
+    console = Console(width=width, record=True, file=io.StringIO())
+    console.print(rich_table(wide))
+    said = console.export_text()
+    assert "…" not in said
+    assert all(said.count(f"object_{i}") == 1 and said.count(f"{i}.00±0.01") == 2 for i in range(9))
+    assert ("continued" in said) == (width < 300)
+    assert max(map(len, said.splitlines())) <= width

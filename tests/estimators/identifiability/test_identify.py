@@ -61,6 +61,15 @@ def test_it_says_what_is_seen(capsys):
     assert said.count("not seen") == 12
 
 
+def test_a_group_without_mass_is_seen_but_has_no_part_of_it(tmp_path, capsys):
+    blocks = '[blocks]\nlayout = ["11"]\nmass_kg = [0.3, 0.0]\nfriction = 0.35\n'
+    (tmp_path / "hollow.toml").write_text('name = "hollow"\n' + blocks, encoding="utf-8")
+    main(["identify", str(tmp_path / "hollow.toml")])
+    (line,) = [line for line in capsys.readouterr().out.splitlines() if "0.000" in line]
+    *_, error, part, _ = (cell.strip() for cell in line.split("│"))
+    assert float(error) > 0 and part == "-"
+
+
 def test_a_weighing_alone_shows_one_direction(capsys):
     main(["identify", "I1", "--pivots", "0"])
     assert "1 of 7 masses and frictions are seen" in capsys.readouterr().out

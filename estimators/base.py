@@ -84,6 +84,8 @@ class Estimate:
     """Wall time of the whole estimate, s."""
     diagnostics: dict[str, float] = field(default_factory=dict)
     """Method-specific numbers: residuals, ranks, conditioning."""
+    assumes: str = ""
+    """Assumption that the masses rest on and the method does not test, in words; empty without one."""
 
     def __post_init__(self) -> None:
         if self.status not in get_args(EstimateStatus):

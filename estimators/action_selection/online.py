@@ -15,6 +15,7 @@ from estimators.action_selection.greedy import MOST_CHECKS, greedy_choice
 from estimators.action_selection.plan import FeasibilityLog, Feasible, Goal, always_feasible
 from estimators.base import Estimate, Estimator
 from estimators.hidden_states.estimator import HiddenStates
+from estimators.hidden_states.friction import DISAGREE
 from estimators.hidden_states.masses import friction_loads
 from estimators.identifiability.information import trial_information
 from estimators.particles.lifts import lifts_among
@@ -25,8 +26,6 @@ from testbed.actions.base import Action
 from testbed.objects.model import GRAVITY, MassDistribution, ObjectShape
 from testbed.trajectory import Trajectory
 
-DISAGREE = 5.0
-"""Mean squared misfit from which trials disagree by more than their stated errors; about 1 where the model holds."""
 LOWEST_FRICTION = 0.02
 """Least friction at which information is taken."""
 SMALLEST_PART = 0.05

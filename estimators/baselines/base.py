@@ -22,6 +22,7 @@ from estimators.base import Estimate, EstimateStatus, Trace
 from estimators.baselines.problem import Problem, Weighting
 from estimators.descent import OPTIMIZERS, check_optimizers, descend
 from estimators.hidden_states.friction import CONTRADICTORY
+from estimators.particles.support import ASSUMPTION
 from estimators.particles.windows import robot_seconds
 from testbed.errors import InvalidValueError
 from testbed.objects.model import GRAVITY, MassDistribution, ObjectShape
@@ -209,7 +210,13 @@ class Baseline(ABC):
             traces=tuple(replace(trace, robot_seconds=cost) for trace in found.traces),
             seconds=time.perf_counter() - begin,
             diagnostics={"loss": found.loss, "misfit": misfit, "rollouts": float(rollouts)},
+            assumes=ASSUMPTION[self._support],
         )
+
+    @property
+    def _support(self) -> str:
+        """Support that the method assumes."""
+        return "own_weight"
 
 
 @dataclass(frozen=True)

@@ -49,6 +49,10 @@ class MujocoSysid(Peer):
 
         check_toolbox()
 
+    @property
+    def _support(self) -> str:
+        return self.support
+
     def _search(self, problem: Problem, seed: int) -> SearchResult:
         from testbed.simulation.planar_sysid import PlanarData, identify  # noqa: PLC0415  see above
 

@@ -10,7 +10,9 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from estimators.particles.errors import RIGID, ModelErrors
 from estimators.particles.model import Inertia, ParticleModel, inertia_of, one_step, rotate, turned
+from estimators.particles.support import LOADS
 from estimators.particles.windows import Observations, observe
 from estimators.particles.wrench import AffineLoads
 from testbed.errors import InvalidValueError
@@ -153,26 +155,28 @@ class ParticleDistance:
 
 
 def mean_particle_distance(
-    shape: ObjectShape, estimate: MassDistribution, turns: Sequence[Trajectory]
+    shape: ObjectShape, estimate: MassDistribution, turns: Sequence[Trajectory], support: str = "own_weight"
 ) -> ParticleDistance | None:
     """MPD of an estimate on turns that it was not given; None where no turn is ok.
 
     As in the paper, wrench and motion are the filtered ones: constant in the object frame over a steady turn. The
-    measured load on the gripper enters the loads; the object rests on its own weight, as every method assumes.
+    measured load on the gripper enters the loads.
 
     Args:
         shape: geometry and groups.
         estimate: masses and frictions.
         turns: turns at constant speed.
+        support: support that the prediction assumes: own_weight, as every method does, or rigid.
     """
     usable = [turn for turn in turns if turn.ok]
-    windows = observe(shape, usable)
+    windows = observe(shape, usable, RIGID if support == "rigid" else ModelErrors())
     if windows is None:
         return None
     model = ParticleModel.of(shape)
     mass, friction = torch.tensor(estimate.mass), torch.tensor(estimate.friction)
     inertia = inertia_of(model, model.particle_mass(mass))
-    pressed = model.particle_friction(friction) * AffineLoads.of(shape, model, windows).at(mass).clamp(min=0)
+    loads = AffineLoads.of(shape, model, windows, LOADS[support])
+    pressed = model.particle_friction(friction) * loads.at(mass).clamp(min=0)
     found = []
     for trial, trajectory in enumerate(usable):
         mine = torch.nonzero(windows.trial == trial).flatten()

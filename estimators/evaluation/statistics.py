@@ -11,6 +11,8 @@ from scipy import stats
 
 LEVEL = 0.95
 """Level of the bootstrap interval of the mean."""
+FEWEST = 5
+"""Least number of draws for an interval or a test: the bootstrap of two has three values."""
 SIGNIFICANT = 0.05
 """Probability by chance below which a paired difference counts."""
 Row = Mapping[str, Any]
@@ -25,12 +27,14 @@ Draws = Mapping[int, float]
 class Summary:
     """Summary of one method on one object over N draws."""
 
+    count: int
+    """Number of draws with an answer."""
     mean: float
     spread: float
     """Standard deviation over draws; NaN for a single one."""
     low: float
     high: float
-    """Percentile bootstrap interval of the mean at LEVEL; NaN for a single draw."""
+    """Percentile bootstrap interval of the mean at LEVEL; NaN below FEWEST draws."""
     missing: int
     """Number of draws without an answer."""
 
@@ -67,6 +71,15 @@ def select(rows: Iterable[Row], **equal: object) -> list[Row]:
     return [row for row in rows if all(row.get(column) == value for column, value in equal.items())]
 
 
+def assumptions(rows: Iterable[Row]) -> list[str]:
+    """A sentence for each assumption that answers rest on and no trial tested, with their methods."""
+    by: dict[str, dict[str, None]] = {}
+    for row in rows:
+        if row.get("assumes"):
+            by.setdefault(row["assumes"], {})[row["method"]] = None
+    return [f"Assumed, not tested: {what} ({', '.join(methods)})." for what, methods in by.items()]
+
+
 def draws_of(rows: Iterable[Row], column: str, scale: float = 1.0) -> dict[int, float]:
     """Column times `scale`, by draw; NaN where it is missing."""
     return {row["seed"]: np.nan if row.get(column) is None else scale * row[column] for row in rows}
@@ -79,24 +92,25 @@ def summarize(draws: Draws) -> Summary | None:
     missing = len(values) - len(good)
     if len(good) == 0:
         return None
-    if len(good) == 1:
-        return Summary(float(good[0]), np.nan, np.nan, np.nan, missing)
-    rng = np.random.default_rng(0)
-    interval = stats.bootstrap((good,), np.mean, confidence_level=LEVEL, method="percentile", rng=rng)
-    low, high = interval.confidence_interval
-    return Summary(float(good.mean()), float(good.std(ddof=1)), float(low), float(high), missing)
+    low = high = np.nan
+    if len(good) >= FEWEST:
+        rng = np.random.default_rng(0)
+        interval = stats.bootstrap((good,), np.mean, confidence_level=LEVEL, method="percentile", rng=rng)
+        low, high = interval.confidence_interval
+    spread = float(good.std(ddof=1)) if len(good) > 1 else np.nan
+    return Summary(len(good), float(good.mean()), spread, float(low), float(high), missing)
 
 
 def significantly_best(methods: Mapping[str, Draws]) -> str | None:
     """Method with the least mean, if it beats every other by a t-test of the differences, paired by draw.
 
-    A method without any answer is left out, and so is a draw that a method has no answer to.
+    A method without any answer is left out, and so is a draw that a method has no answer to. None below FEWEST draws.
     """
     answered = {name: draws for name, draws in methods.items() if not all(np.isnan(v) for v in draws.values())}
     seeds = sorted(set.intersection(*(set(draws) for draws in answered.values()))) if answered else []
     table = np.array([[draws[seed] for seed in seeds] for draws in answered.values()])
     table = table[:, ~np.isnan(table).any(axis=0)] if table.size else table
-    if len(answered) < 2 or table.shape[1] < 2:
+    if len(answered) < 2 or table.shape[1] < FEWEST:
         return None
     best = int(table.mean(axis=1).argmin())
     beaten = [_smaller(table[best], other) for other in np.delete(table, best, axis=0)]

@@ -14,7 +14,7 @@ from jaxtyping import Float
 from estimators.base import Estimate, Trace
 from estimators.descent import OPTIMIZERS, check_optimizers
 from estimators.hidden_states.algorithm import Solution, Underdetermined, algorithm_1
-from estimators.hidden_states.friction import closed_form, contradiction, descend_loads
+from estimators.hidden_states.friction import closed_form, contradiction, descend_loads, disagreement
 from estimators.hidden_states.masses import fixed_rows, load_jacobian, one_friction_masses
 from estimators.hidden_states.nuisance import NuisancePrior
 from estimators.hidden_states.setup import UnknownSetup, with_found_bias
@@ -24,6 +24,7 @@ from estimators.identifiability.report import Identifiability, identifiability
 from estimators.particles.errors import ModelErrors
 from estimators.particles.friction_system import LinearSystem
 from estimators.particles.pivots import PivotInertia
+from estimators.particles.support import ASSUMPTION
 from testbed.errors import InvalidValueError
 from testbed.objects.model import MassDistribution, ObjectShape
 from testbed.trajectory import Trajectory
@@ -182,11 +183,12 @@ def _estimate_of(trials: TrialWindows, found: Solution) -> Estimate:
     report = _report(trials, system, found.I_j, at)
     open_, q = report.unknowns - report.rank, system.q.numpy()
     condition = float(np.linalg.cond(q / np.linalg.norm(q, axis=0)))
-    message = f"mass and friction cannot be told apart in {open_} direction(s): {'; '.join(report.unobservable)}"
+    directions = f"mass and friction cannot be told apart in {open_} direction(s): {'; '.join(report.unobservable)}"
+    miss = disagreement(loss)
     return Estimate(
         masses.distribution,
-        "underdetermined" if open_ else "ok",
-        message if open_ else "",
+        "underdetermined" if open_ else "not_converged" if miss else "ok",
+        "; ".join(filter(None, [directions if open_ else "", miss])),
         covariance=report.covariance / np.outer(count, count),
         hidden=found.H,
         identifiability=report,
@@ -196,4 +198,5 @@ def _estimate_of(trials: TrialWindows, found: Solution) -> Estimate:
             "condition": condition,
             "loss": loss,
         },
+        assumes=ASSUMPTION["own_weight"],
     )

@@ -99,4 +99,6 @@ def rigid_loads(model: ParticleModel, mass: Float[Tensor, "P"], load: GripperLoa
 SupportModel = Literal["own_weight", "rigid"]
 LoadsOf = Callable[[ParticleModel, Tensor, GripperLoad], Tensor]
 """Loads [N], (K, P), from particle masses [kg], (P,), and the gripper's load."""
+ASSUMPTION = {"own_weight": "every mass group rests on its own weight", "rigid": "the object is one rigid body"}
+"""Assumption of each support model, in words."""
 LOADS: dict[str, LoadsOf] = {"own_weight": own_weight_loads, "rigid": rigid_loads}

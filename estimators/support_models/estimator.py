@@ -93,7 +93,8 @@ class SupportAware:
     ) -> Estimate:
         test = support_test(shape, weight, of_rigid, level=self.false_alarms, lifted=lifted)
         numbers = ("p_own_weight", "p_rigid", "log10_bayes_factor", "moment_ratio", "moment_ratio_error")
-        own = replace(own, diagnostics=own.diagnostics | {name: getattr(test, name) for name in numbers})
+        found = own.diagnostics | {name: getattr(test, name) for name in numbers}
+        own = replace(own, diagnostics=found, assumes="")  # it is tested
         rigid = test.log10_bayes_factor < -DECISIVE
         # the test leaves the spread of the gripper's load open; given the support, it is known
         as_rigid = fit_support(shape, weight, of_rigid, "rigid", RIGID, lifted)

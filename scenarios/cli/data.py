@@ -221,6 +221,7 @@ def exported_of(folder: Path, row: Row) -> Exported:
     notes = (
         f"estimated by heft: {view.title}, draw {row['seed']}",
         f"status {row['status']}{why}",
+        *([f"assumed, not tested: {row['assumes']}"] if row.get("assumes") else []),
         f"estimate {row['key']}",
     )
     return Exported(str(row["object"]), view.shape, view.answer, view.covariance, notes)

@@ -32,8 +32,9 @@ if TYPE_CHECKING:
 
 NOTES = (
     "Cells: mean and spread over draws of the sensor's errors, [95 % bootstrap interval of the mean], and the paper's "
-    "figure on the real robot. *: better than every other method in its column (paired by draw, p < 0.05). "
-    "_M: given M; _cov: errors weighed by their covariance."
+    "figure on the real robot. *: better than every other method in its column (paired by draw, p < 0.05). No interval "
+    "and no star below {fewest} draws. The true masses predict with their true support: what is left is the error of "
+    "sensor and model. _M: given M; _cov: errors weighed by their covariance."
 )
 OWN_ERROR = f"{HeftError.__module__}.{HeftError.__name__}: "
 """Beginning of the last line of a traceback that says nothing more."""
@@ -135,7 +136,7 @@ def run(
 
 def show_tables(console: Console, scenario: Scenario, results: Sequence[Row]) -> None:
     """Print every metric under every support and sensing, and the hidden states; of many objects, quantiles."""
-    from estimators.evaluation.statistics import select
+    from estimators.evaluation.statistics import FEWEST, assumptions, select
     from viz.report.tables import METRICS, NAD, hidden_table, metric_table, quantile_table, rich_table
     from viz.values import support_name
 
@@ -152,7 +153,9 @@ def show_tables(console: Console, scenario: Scenario, results: Sequence[Row]) ->
             for metric in metrics:
                 title = f"{metric.title}: {support_name(support.name)}, {sensing}"
                 console.print(rich_table(metric_table(rows, metric, title, objects)))
-    console.print(NOTES)
+    console.print(NOTES.format(fewest=FEWEST))
+    for line in assumptions(results):
+        console.print(line)
     hidden = hidden_table(results, objects)
     if hidden.rows:
         console.print(rich_table(hidden))

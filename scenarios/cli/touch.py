@@ -135,7 +135,7 @@ def _conclusion(model: ObjectModel, result: ActiveResult, goal: Goal) -> Iterato
     """Lines on how the run ends, what the masses are, whether they can be trusted, and what stays unknown."""
     import math
 
-    from estimators.action_selection.online import DISAGREE
+    from estimators.hidden_states.friction import DISAGREE
 
     last, row, answer = result.last, result.row, result.last.estimate
     yield f"stopped: {last.why}"

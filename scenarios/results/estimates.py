@@ -9,9 +9,10 @@ Columns of the table, a row an estimate (one method, one draw of the sensor's er
 | axis.<field> | value of each swept field of the scenario |
 | status | ok; underdetermined, not_converged, no_data: what the method says; failed, infeasible: there is no answer |
 | message | why status is not ok |
+| assumes | what the masses rest on and the method does not test; empty without a method that says so |
 | nad | normalized absolute difference: sum of the masses' errors over the true mass, 0 is right |
 | mpd_open_loop_m, mpd_turn_m | mean particle distance after 1 s, and over a whole turn |
-| mpd_open_loop_of_truth_m, mpd_turn_of_truth_m | what the true masses score; with the scenario's first method only |
+| mpd_open_loop_of_truth_m, mpd_turn_of_truth_m | the same of the true masses, true support; with the first method |
 | mass_kg, true_mass_kg, group_names | of each mass group |
 | friction | of each friction group |
 | com_error_m, inertia_error, unobserved | of methods with hidden states: distance of c, I_cm over the truth minus 1 |
@@ -153,6 +154,7 @@ def load_estimate(folder: str | Path, key: str) -> Estimate:
             tuple(_trace(name, arrays) for name in sorted(_optimizers(arrays), key=lambda name: name != led)),
             row.get("seconds") or 0.0,
             {key.removeprefix(DIAGNOSTICS): float(v) for key, v in arrays.items() if key.startswith(DIAGNOSTICS)},
+            row.get("assumes") or "",
         )
 
 

@@ -14,6 +14,7 @@ import numpy as np
 from estimators.base import Estimate
 from estimators.evaluation.metrics import mean_particle_distance, normalized_absolute_difference
 from estimators.evaluation.statistics import axis_columns
+from estimators.particles.support import LOADS
 from estimators.registry import build_method, code_of, kind_of
 from scenarios.execution.executor import Executor, Failure
 from scenarios.results.store import Store, key_of, object_request
@@ -76,6 +77,7 @@ def run_estimates(
 
 
 NO_ANSWER = {
+    "assumes": "",
     "nad": math.nan,
     "mpd_open_loop_m": math.nan,
     "mpd_turn_m": math.nan,
@@ -162,6 +164,11 @@ class EstimateTask:
         """Name of the method behind the label."""
         return kind_of(self.method, self.settings)
 
+    @property
+    def true_support(self) -> str | None:
+        """Support under which the truth predicts the held-out turns; None on springs, whose loads no model gives."""
+        return self.support if self.reference and self.support in LOADS else None
+
     def result_keys(self) -> list[str]:
         """Content keys of the estimates, one a draw."""
         content = {
@@ -193,7 +200,7 @@ def estimate(task: EstimateTask, seed: int, key: str, store: Store) -> None:
     seen, held_out = drawn[: len(task.keys)], drawn[len(task.keys) :]
     answer = _answer(task, seen, seed)
     labels = task.labels() | {"trial_keys": list(task.keys), "held_out_keys": list(task.held_out)}
-    row = {"seed": seed} | labels | judge(task.truth, answer, seen, held_out, reference=task.reference)
+    row = {"seed": seed} | labels | judge(task.truth, answer, seen, held_out, task.true_support)
     store.put_estimate(key, row, answer, task.truth.shape)
 
 
@@ -227,17 +234,22 @@ def _infeasible(experiment: InfeasibleExperiment) -> dict[str, Any]:
 
 
 def judge(
-    truth: ObjectModel, answer: Estimate, seen: list[Trajectory], held_out: list[Trajectory], *, reference: bool
+    truth: ObjectModel,
+    answer: Estimate,
+    seen: list[Trajectory],
+    held_out: list[Trajectory],
+    true_support: str | None,
 ) -> dict[str, Any]:
     """Row of an estimate: its errors against the truth, and against turns that it has not seen.
 
-    With `reference`, also how the truth itself predicts those turns: it is the same for every method.
+    With `true_support`, also how the truth itself predicts those turns: it is the same for every method.
     """
     shape = truth.shape
-    best = mean_particle_distance(shape, truth.truth, held_out) if reference else None
+    best = mean_particle_distance(shape, truth.truth, held_out, true_support) if true_support else None
     row: dict[str, Any] = NO_ANSWER | {
         "status": answer.status,
         "message": answer.message,
+        "assumes": answer.assumes,
         "mpd_open_loop_of_truth_m": math.nan if best is None else best.open_loop,
         "mpd_turn_of_truth_m": math.nan if best is None else best.turn,
         "seconds": answer.seconds,

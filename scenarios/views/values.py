@@ -238,6 +238,7 @@ def _facts(row: Row) -> dict[str, str]:
         "sensing": f"{row['sensing']}, draw {row['seed']}",
         "status": str(row["status"]),
         "why": str(row.get("message") or ""),
+        "assumed, not tested": str(row.get("assumes") or ""),
         "M as weighed": "" if weight is None else f"{weight:.3f} kg",
         "optimiser": str(row.get("optimizer") or ""),
         "computing": f"{row['seconds']:.2g} s" if row.get("seconds") is not None else "",

@@ -9,15 +9,21 @@ import numpy as np
 import pytest
 from rich.console import Console
 
+from estimators.base import Estimate
 from estimators.evaluation.statistics import axes_of
+from estimators.testing.analytic_world import turns
 from scenarios.cli.main import main
 from scenarios.cli.run import status
 from scenarios.config import Scenario, load_scenario
 from scenarios.results.estimates import load_results, load_trajectories
 from scenarios.results.store import Store, rows_of
 from scenarios.study.dry_run import show_dry_run
+from scenarios.study.estimates import EstimateTask, judge
 from scenarios.study.run import run_scenario
 from testbed.errors import InvalidValueError
+from testbed.objects.files import load_object
+from testbed.objects.model import GRAVITY
+from testbed.trajectory import Trajectory
 from viz.report.tables import NAD, quantile_table, rich_table
 
 SMALL = """
@@ -150,6 +156,33 @@ def test_a_file_of_another_format_is_one_clear_line(finished, copied, capsys, mo
         said = capsys.readouterr().err
         assert end.value.code == 2 and said.startswith("heft: ") and said.count("\n") == 1, (command, said)
         assert key in said or "results.parquet" in said
+
+
+def test_an_export_says_what_its_masses_rest_on(finished, copied):
+    row = finished.rows[finished.rows["method"] == "hidden_states"].iloc[0]
+    main(["export", str(copied), row["key"], "--out", str(copied / "bar.xml")])
+    for file in ("bar.xml", "bar.json"):
+        text = (copied / file).read_text(encoding="utf-8")
+        assert "status ok" in text and "assumed, not tested: every mass group rests on its own weight" in text
+
+
+@pytest.mark.parametrize(
+    ("support", "rigid", "first", "predicted"),
+    [
+        ("own_weight", False, True, True),
+        ("rigid", True, True, True),
+        ("1000 N/m", False, True, False),
+        ("rigid", True, False, False),
+    ],
+)
+def test_the_truth_predicts_with_its_own_support(support, rigid, first, predicted):
+    obj = load_object("I2")
+    weighing = Trajectory.of_scale(np.full(50, GRAVITY * obj.total_mass), np.arange(50) / 100, {})
+    task = EstimateTask(obj, support, {}, (), (), "", "ideal", (0,), "hidden_states", {}, reference=first)
+    answer = Estimate(None, "no_data", "nothing")
+    row = judge(obj, answer, [weighing], turns(obj, [0, 3], rigid=rigid), task.true_support)
+    scores = [row["mpd_open_loop_of_truth_m"], row["mpd_turn_of_truth_m"]]
+    assert (max(scores) < 1e-4) if predicted else np.isnan(scores).all()
 
 
 def test_reports_tell_what_can_be_told(finished, copied, capsys):

@@ -209,7 +209,7 @@ def test_a_method_that_raises_or_answers_nan_is_a_row_with_its_reason(tmp_path, 
     more = "".join(f'[methods.{way}]\nmethod = "misbehaving"\nway = "{way}"\n' for way in ways)
     path = small_scenario(tmp_path, ("rigid",), more + "[methods.hidden_states]\n")
     rows = resumed(path, tmp_path / "out").set_index("method")
-    assert set(rows.loc["hidden_states", "status"]) == {"ok"}
+    assert not set(rows.loc["hidden_states", "status"]) - {"ok", "not_converged"}
     assert set(rows.loc[[*ways], "status"]) == {"failed"}
     assert all(m.startswith("RuntimeError: out of ideas (tests/fakes/misb") for m in rows.loc["raise", "message"])
     assert all(
@@ -256,7 +256,7 @@ def test_a_trial_that_fails_is_a_row_for_every_estimate_that_needs_it(tmp_path, 
     (error,) = (tmp_path / "out").glob("trials/*/error.txt")
     assert "Traceback" in error.read_text(encoding="utf-8")
     monkeypatch.undo()
-    assert set(resumed(scenario, tmp_path / "out")["status"]) == {"ok"}
+    assert not set(resumed(scenario, tmp_path / "out")["status"]) - {"ok", "not_converged"}
     assert not list((tmp_path / "out").rglob("error.txt"))
 
 

@@ -83,13 +83,16 @@ FULL = Estimate(
     ),
     0.3,
     {"loss": 1.25, "rank": 6.0},
+    "every mass group rests on its own weight",
 )
 
 
 @pytest.mark.parametrize("answer", [FULL, Estimate(None, "no_data", "no trial is usable")], ids=["full", "empty"])
 def test_load_estimate_is_the_inverse_of_put_estimate(tmp_path, answer):
     optimizer = answer.traces[0].method if answer.traces else ""
-    row = {"status": answer.status, "message": answer.message, "seconds": answer.seconds, "optimizer": optimizer}
+    row = {name: getattr(answer, name) for name in ("status", "message", "seconds", "assumes")} | {
+        "optimizer": optimizer
+    }
     Store(tmp_path).put_estimate("key", row, answer, L2.shape)
     same(load_estimate(tmp_path, "key"), answer)
 

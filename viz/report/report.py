@@ -18,7 +18,7 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup, escape
 from matplotlib.figure import Figure
 
-from estimators.evaluation.statistics import AXIS, Row, axes_of, axis_values, select
+from estimators.evaluation.statistics import AXIS, FEWEST, Row, assumptions, axes_of, axis_values, select
 from testbed.files import write_whole
 from testbed.objects.model import ObjectShape
 from viz.figures.loss import loss_figure
@@ -152,6 +152,8 @@ def render(results: Results) -> str:
         worst=worst_all,
         worst_own=worst_own,
         most_failures=MOST_FAILURES,
+        fewest=FEWEST,
+        assumed=assumptions(rows),
         failures=failures(rows, results.tracebacks),
     )
 

@@ -95,7 +95,7 @@ class Entry:
         if summary is None:
             return Entry(status, paper=published)
         missing = f"{summary.missing} of {len(draws)} draws without an answer" if summary.missing else ""
-        return Entry("", summary, missing, published, best and not np.isnan(summary.spread))
+        return Entry("", summary, missing, published, best)
 
     @property
     def words(self) -> str:
@@ -107,8 +107,8 @@ class Entry:
 
     @property
     def interval(self) -> str:
-        """Bootstrap interval of the mean; empty without one."""
-        if self.summary is None or np.isnan(self.summary.spread):
+        """Bootstrap interval of the mean; empty below FEWEST draws."""
+        if self.summary is None or np.isnan(self.summary.low):
             return ""
         return f"[{number(self.summary.low, self.summary.mean)}, {number(self.summary.high, self.summary.mean)}]"
 
@@ -150,7 +150,15 @@ def metric_table(rows: Sequence[Row], metric: Metric, title: str, objects: Seque
         known = [row for row in rows if row.get(metric.reference) is not None]
         scores = [draws_of(select(known, object=name), metric.reference, metric.scale) for name in objects]
         lines.append(((TRUTH,), tuple(Entry.of(score) for score in scores)))
-    return Table(title, tuple(objects), tuple(lines))
+    counts = (len(draws[name][method]) for name in objects for method in methods)
+    return Table(_counted(title, counts, "draw"), tuple(objects), tuple(lines))
+
+
+def _counted(title: str, counts: Iterable[int], of: str) -> str:
+    """Title with the number of values behind a mean."""
+    some = sorted({count for count in counts if count})
+    words = " to ".join(dict.fromkeys(map(str, (*some[:1], *some[-1:]))))
+    return f"{title}; {words} {of}{'s' if some[-1] > 1 else ''}" if some else title
 
 
 def over_objects(rows: Sequence[Row], metric: Metric, title: str) -> Table:
@@ -168,6 +176,7 @@ def over_objects(rows: Sequence[Row], metric: Metric, title: str) -> Table:
     if metric.reference and means:
         truth = object_means(rows, None, metric.reference, metric.scale)
         lines.append(((TRUTH,), _quantiles(truth, "", best=False)))
+    title = _counted(title, map(len, means.values()), "object")
     return Table(title, ("mean", "10\u00a0%", "median", "90\u00a0%", "worst"), tuple(lines))
 
 
@@ -262,7 +271,8 @@ def short(value: float) -> str:
 
 def hidden_table(results: Iterable[Row], objects: Sequence[str]) -> Table:
     """Errors of the center of mass and of I_cm where groups rest on their own weight: mean size over the draws."""
-    rows = select(results, support="own_weight", status="ok", kind="hidden_states")
+    own = select(results, support="own_weight", kind="hidden_states")
+    rows = [row for row in own if row["status"] in ("ok", "not_converged")]
     lines = []
     for column, scale, label in (("com_error_m", 1e3, "c, mm"), ("inertia_error", 100, "I_cm, %")):
         for sensing in dict.fromkeys(row["sensing"] for row in rows):
@@ -332,8 +342,9 @@ def _text(cell: Entry) -> Text:
         text = Text(f"{summary.mean:.2f}{missing}")
         if not np.isnan(summary.spread):
             star, style = ("*", "bold") if cell.best else ("", "")
-            mean = f"{short(summary.mean)}±{short(summary.spread)}{star}{missing}"
-            text = Text.assemble((mean, style), (f"\n[{short(summary.low)} {short(summary.high)}]", "dim"))
+            text = Text(f"{short(summary.mean)}±{short(summary.spread)}{star}{missing}", style)
+            if cell.interval:
+                text.append(f"\n[{short(summary.low)} {short(summary.high)}]", "dim not bold")
     if cell.paper is not None:
         text.append(f"\npaper {cell.paper}", style="dim not bold")
     return text

@@ -47,11 +47,21 @@ def test_a_summary_is_mean_spread_and_an_interval_that_holds_the_mean():
     assert 0.88 < covered / 200 < 0.99
     exact = summarize({0: 1.0, 1: 3.0, 2: np.nan})
     assert exact is not None
-    assert (exact.mean, exact.spread, exact.missing) == (2.0, pytest.approx(2**0.5), 1)
+    assert (exact.count, exact.mean, exact.spread, exact.missing) == (2, 2.0, pytest.approx(2**0.5), 1)
     assert summarize({0: np.nan}) is None
-    alone = summarize({0: 4.0})
-    assert alone is not None
-    assert np.isnan(alone.low)
+
+
+@pytest.mark.parametrize(("draws", "enough"), [(1, False), (2, False), (4, False), (5, True), (8, True)])
+def test_no_interval_and_no_mark_below_five_draws(draws, enough):
+    best, other = ({s: mean * (1 + 0.01 * s) for s in range(draws)} for mean in (1.0, 2.0))
+    summary = summarize(best | {99: np.nan})
+    assert summary is not None and summary.count == draws
+    assert np.isfinite([summary.low, summary.high]).all() == enough
+    assert significantly_best({"a": best, "b": other}) == ("a" if enough else None)
+    rows = [row(m, s, x / 100) for m, of in (("a", best), ("b", other)) for s, x in of.items()]
+    text = text_of(metric_table(rows, NAD, "NAD", ["L2"]))
+    assert f"NAD; {draws} draw" in " ".join(text.split())
+    assert ("[1" in text) == ("*" in text) == enough
 
 
 def test_the_best_is_marked_only_where_it_is_sure():

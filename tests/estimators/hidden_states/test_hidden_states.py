@@ -113,6 +113,18 @@ def test_too_little_and_contradictions_are_a_status_and_no_number(trials, status
     assert answer.message
 
 
+@pytest.mark.parametrize(
+    ("name", "rigid", "status"),
+    [("F2", False, "ok"), ("I2", True, "ok"), ("L2", True, "not_converged"), ("F2", True, "not_converged")],
+)
+def test_own_weight_is_refuted_where_the_misfit_shows_it_and_an_assumption_everywhere(name, rigid, status):
+    obj = load_object(name)
+    answer = ask(obj, turns(obj, rigid=rigid) + accelerated(obj, rigid=rigid))
+    assert (answer.status, bool(answer.message)) == (status, status != "ok")
+    assert answer.assumes == "every mass group rests on its own weight"
+    assert (nad(obj, answer) > 0.1) == rigid
+
+
 @pytest.mark.parametrize("weight", [None, 0.0, -1.0, float("nan")])
 def test_no_weight_is_refused(weight):
     with pytest.raises(InvalidValueError, match=r"^weight:"):

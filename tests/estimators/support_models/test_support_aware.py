@@ -117,6 +117,7 @@ def test_own_weight_is_answered_as_by_algorithm_1(seed):
     answer, plain = ask(obj, trajectories, SupportAware()), ask(obj, trajectories)
     assert np.array_equal(found(answer).mass, found(plain).mass)
     assert answer.status == "ok"
+    assert plain.assumes and not answer.assumes, "one assumes own weight, the other tests it"
     assert answer.diagnostics["log10_bayes_factor"] > 1
 
 

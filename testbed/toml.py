@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, TypeVar, get_args
 
@@ -40,23 +40,25 @@ def load_toml(path: Path, model: type[FileModel]) -> FileModel:
 
 def explained(error: ValidationError, model: type[BaseModel]) -> list[str]:
     """Lines that name every error by the fields of the file."""
-    names = sorted(_field_names(model))
     items = [dict(item) for item in error.errors()]
     telling = [item for item in items if not _wrong_branch(item)] or items
-    return list(dict.fromkeys(_explain(item, names) for item in telling))
+    return list(dict.fromkeys(_explain(item, model) for item in telling))
 
 
-def _field_names(model: type[BaseModel]) -> set[str]:
-    found: set[str] = set()
-    for name, field in model.model_fields.items():
-        found.add(name)
-        waiting = [field.annotation]
-        while waiting:
-            kind = waiting.pop()
-            if isinstance(kind, type) and issubclass(kind, BaseModel):
-                found |= _field_names(kind)
-            waiting += get_args(kind)
-    return found
+def _tables(annotation: Any) -> list[type[BaseModel]]:
+    """Models in an annotation, as in a list or beside None."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return [annotation]
+    return [table for inner in get_args(annotation) for table in _tables(inner)]
+
+
+def _known_fields(model: type[BaseModel], path: Sequence[Any]) -> list[str]:
+    """Fields of the table that an error's path leads to."""
+    tables = [model]
+    for part in path:
+        inner = [_tables(table.model_fields[part].annotation) for table in tables if part in table.model_fields]
+        tables = [table for found in inner for table in found] or tables  # a list's index, a branch of a union
+    return sorted({name for table in tables for name in table.model_fields})
 
 
 _BRANCHES = ("float", "constrained-float", "str", "int")
@@ -72,7 +74,7 @@ def _wrong_branch(item: dict[str, Any]) -> bool:
     )
 
 
-def _explain(item: dict[str, Any], names: list[str]) -> str:
+def _explain(item: dict[str, Any], model: type[BaseModel]) -> str:
     """Line of one error: field, given value, allowed values."""
     field = ".".join(str(p) for p in item["loc"] if str(p) not in _BRANCHES and "[" not in str(p)) or "file"
     cause = (item.get("ctx") or {}).get("error")
@@ -82,7 +84,8 @@ def _explain(item: dict[str, Any], names: list[str]) -> str:
     if item["type"] == "missing":
         return f"{field}: missing"
     if item["type"] == "extra_forbidden":
-        return f"{field}: no such field; got {item['input']!r}{nearest(str(item['loc'][-1]), names, 0.6)}"
+        *path, name = item["loc"]
+        return f"{field}: no such field; got {item['input']!r}{nearest(str(name), _known_fields(model, path), 0.6)}"
     return f"{field}: got {item['input']!r}; allowed: {item['msg'].removeprefix('Input should be ')}"
 
 

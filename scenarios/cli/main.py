@@ -75,7 +75,8 @@ def main(arguments: list[str] | None = None) -> None:
     except BrokenPipeError:  # what reads our output has read enough: `heft ... | head`
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     except OSError as error:
-        print(f"heft: {error.strerror or error}: {error.filename or ''}", file=sys.stderr)
+        place = f": {error.filename}" if error.filename else ""
+        print(f"heft: {error.strerror or error}{place}", file=sys.stderr)
         sys.exit(2)
     except KeyboardInterrupt:
         print("heft: stopped; the same command goes on from here", file=sys.stderr)

@@ -42,7 +42,7 @@ from pyarrow import ArrowException
 from estimators.base import Estimate, HiddenStateEstimate, Trace
 from estimators.evaluation.statistics import Row
 from estimators.identifiability.report import Identifiability
-from scenarios.results.files import read_json
+from scenarios.results.files import check_unambiguous, read_json
 from scenarios.results.store import Store, rows_of
 from testbed.errors import HeftError, InvalidValueError
 from testbed.objects.model import MassDistribution
@@ -51,7 +51,7 @@ from testbed.trajectory import Trajectory, load_trajectory
 DIAGNOSTICS = "diagnostics."
 """Prefix of the names of an estimate's diagnostics in its file."""
 
-LABELS = ("object", "support", "sensing", "method", "seed", "status")
+LABELS = ("object", "support", "sensing", "method", "kind", "seed", "status", "message", "nad", "mass_kg", "trial_keys")
 """Columns that every row has."""
 
 MOST_TRACES = 40
@@ -75,7 +75,7 @@ def load_results(path: str | Path) -> pd.DataFrame:
         )
     try:
         return pd.read_parquet(file)
-    except (OSError, ValueError, ArrowException) as error:
+    except (OSError, ValueError, KeyError, TypeError, ArrowException) as error:  # pandas: a damaged header
         raise HeftError(f"{file}: not a whole table of results: {error}") from None
 
 
@@ -121,8 +121,9 @@ def row_of(folder: Path, beginning: str) -> Row:
         InvalidValueError: no such estimate, or more than one.
     """
     found = [row for row in load_rows(folder) if str(row.get("key") or "").startswith(beginning)]
-    if len(found) != 1:
-        allowed = f"the beginning of one estimate's key in {folder}/estimates; {len(found)} begin so"
+    check_unambiguous("ESTIMATE", beginning, [str(row["key"]) for row in found])
+    if not found:
+        allowed = f"the beginning of an estimate's key in {folder}/estimates"
         raise InvalidValueError("ESTIMATE", beginning, allowed)
     return found[0]
 

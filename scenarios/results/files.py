@@ -6,18 +6,21 @@ import fcntl
 import json
 import os
 import socket
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from testbed.errors import HeftError
+from testbed.errors import HeftError, InvalidValueError
 from testbed.files import write_whole
 
 LOCK = ".lock"
 """File in the results folder, held while a run writes there; the system lets go of it when the run ends or dies."""
+
+SHOWN, MOST_KEYS = 8, 6
+"""Letters of a key, and number of keys, in an error."""
 
 
 class FolderInUseError(HeftError):
@@ -46,6 +49,13 @@ def _plain(value: Any) -> Any:
     if isinstance(value, float | np.floating):
         return float(value) if np.isfinite(value) else None
     return value.item() if isinstance(value, np.generic) else value
+
+
+def check_unambiguous(field: str, beginning: str, keys: Sequence[str]) -> None:
+    """Raise InvalidValueError where more than one key has a beginning; `field` is what the command line calls it."""
+    if len(keys) > 1:
+        few = ", ".join(key[:SHOWN] for key in keys[:MOST_KEYS]) + (", ..." if len(keys) > MOST_KEYS else "")
+        raise InvalidValueError(field, beginning, f"more of the key, this is ambiguous: {len(keys)} begin so ({few})")
 
 
 @contextmanager

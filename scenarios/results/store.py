@@ -172,7 +172,10 @@ class Store:
         """Write results.parquet, derived from the rows."""
         frame = pd.DataFrame(list(rows))
         frame = pd.DataFrame({name: _of_one_kind(list(column)) for name, column in frame.items()})
-        write_whole(self.root / "results.parquet", lambda part: frame.to_parquet(part, compression="zstd"))
+        write_whole(
+            self.root / "results.parquet",
+            lambda part: frame.to_parquet(part, compression="zstd"),
+        )
         return frame
 
 

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from scenarios.results.files import read_json
+from scenarios.results.files import check_unambiguous, read_json
 from scenarios.results.store import Store, object_request
 from testbed.actions.rotate import Rotate
 from testbed.errors import HeftError, InvalidValueError
@@ -118,8 +118,8 @@ def _folder_of(root: Path, beginning: str) -> Path:
     found = [key for key in keys if key.startswith(beginning)]
     if len(found) == 1:
         return root / "trials" / found[0]
-    some = found or keys
-    named = ", ".join(key[:8] for key in some[:_MOST_NAMED]) + (", ..." if len(some) > _MOST_NAMED else "")
+    check_unambiguous("TRIAL", beginning, found)
+    named = ", ".join(key[:8] for key in keys[:_MOST_NAMED]) + (", ..." if len(keys) > _MOST_NAMED else "")
     raise InvalidValueError(
         "TRIAL", beginning, f"the beginning of one trial's key in {root / 'trials'}: {named or 'none'}"
     )

@@ -7,8 +7,9 @@ from pathlib import Path
 
 from rich.console import Console
 
-from estimators.registry import kind_of
+from estimators.registry import check_installed, kind_of
 from scenarios.config import Scenario
+from scenarios.study.experiment import object_paths
 
 TRIAL_S = 2.8
 """Time of a trial of the default policy on one core, on average over the library [s]."""
@@ -54,8 +55,22 @@ class DryRun:
         return DryRun(objects, len(points), experiments, trials, estimates, seconds)
 
 
+def check_methods(scenario: Scenario) -> None:
+    """Raise HeftError where a method, at any point of the sweep, lacks a package."""
+    every = [method for _, point in scenario.points() for method in point.methods.items()]
+    for label, settings in every:
+        check_installed(label, settings)
+
+
 def show_dry_run(console: Console, scenario: Scenario, folder: Path, workers: int) -> None:
-    """Print how many trials and estimates there are, and how long they take; nothing is run or written."""
+    """Print how many trials and estimates there are, and how long they take; nothing is run or written.
+
+    Raises:
+        HeftError: an object that cannot be read, or a method that lacks a package.
+    """
+    check_methods(scenario)
+    for _, point in scenario.points():
+        object_paths(point)
     size = DryRun.of(scenario)
     swept = f" at {size.points} points of the sweep" if size.points > 1 else ""
     console.print(

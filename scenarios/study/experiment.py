@@ -137,12 +137,21 @@ def experiments_of(
     return experiments, left_out
 
 
-def _sources(scenario: Scenario, feasible: _Grasps, store: Store) -> Iterator[tuple[str, Callable[[int], ObjectModel]]]:
-    """Name of every object, and a function that cuts it into a grid."""
+def object_paths(scenario: Scenario) -> dict[str, str]:
+    """Path, or name in the library, of each object by its name.
+
+    Raises:
+        HeftError: an object that cannot be read, or two of one name.
+    """
     paths = {load_object(path).name: path for path in scenario.objects}
     if len(paths) < len(scenario.objects):
         raise InvalidValueError("objects", scenario.objects, "objects of different names")
-    for name, path in paths.items():
+    return paths
+
+
+def _sources(scenario: Scenario, feasible: _Grasps, store: Store) -> Iterator[tuple[str, Callable[[int], ObjectModel]]]:
+    """Name of every object, and a function that cuts it into a grid."""
+    for name, path in object_paths(scenario).items():
         yield name, partial(load_object, path)
     for family in scenario.random:
         for index, name in enumerate(family.names()):

@@ -13,13 +13,12 @@ from typing import Any
 
 import pandas as pd
 
-from estimators.registry import check_installed
 from scenarios.config import Scenario, Sweep, load_scenario
 from scenarios.execution.executor import default_workers, open_executor
 from scenarios.results.files import exclusive, write_json
 from scenarios.results.store import Store, rows_of
 from scenarios.results.trials import MeasuredTrials, measured_trials
-from scenarios.study.dry_run import DryRun
+from scenarios.study.dry_run import DryRun, check_methods
 from scenarios.study.estimates import run_estimates
 from scenarios.study.experiment import Experiment, Progress, ResultCallback, experiments_of
 from scenarios.study.trials import run_trials
@@ -61,13 +60,6 @@ def run_scenario(
         table = store.put_table(rows)
         write_json(out / "manifest.json", manifest(scenario))
         return table
-
-
-def check_methods(scenario: Scenario) -> None:
-    """Raise HeftError where a method, at any point of the sweep, lacks a package."""
-    every = [method for _, point in scenario.points() for method in point.methods.items()]
-    for label, settings in every:
-        check_installed(label, settings)
 
 
 def manifest(scenario: Scenario, expected: DryRun | None = None) -> dict[str, Any]:

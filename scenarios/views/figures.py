@@ -9,10 +9,9 @@ from pathlib import Path
 from matplotlib.figure import Figure
 
 from estimators.evaluation.statistics import AXIS, Row, axes_of, axis_values, select
-from scenarios.results.estimates import load_losses, load_results
-from scenarios.results.store import rows_of
+from scenarios.results.estimates import load_losses, load_rows
 from scenarios.views.values import estimate_view, fits_of
-from testbed.errors import HeftError
+from testbed.errors import HeftError, InvalidValueError
 from testbed.objects.model import ObjectShape
 from viz.figures.loss import estimate_losses, loss_figure
 from viz.figures.maps import absolute_difference, estimate_bars, estimate_maps, save_figure
@@ -47,7 +46,9 @@ def file_name(title: str) -> str:
 
 def _of_all(folder: Path) -> Iterator[tuple[str, Figure]]:
     """NAD by method and against every swept setting, differences by object, and losses."""
-    rows = [row for row in rows_of(load_results(folder)) if row["method"]]
+    rows = [row for row in load_rows(folder) if row["method"]]
+    if not rows:
+        raise InvalidValueError("DIR", str(folder), "a results folder with estimates, as `heft run` makes it")
     for first in {(row["support"], row["sensing"]): row for row in rows}.values():
         found = select(rows, support=first["support"], sensing=first["sensing"])
         under = f"{first['support']} {first['sensing']}"

@@ -12,6 +12,7 @@ import rerun.blueprint as rrb
 
 from estimators.evaluation.statistics import Row, select
 from scenarios.results.estimates import load_rows
+from scenarios.results.files import check_unambiguous
 from scenarios.results.store import Store
 from scenarios.results.trials import kind_of_trial
 from scenarios.study.experiment import Progress
@@ -51,12 +52,12 @@ def page_of(folder: Path, what: str | None) -> Page:
     objects = list(dict.fromkeys(row["object"] for row in load_rows(folder)))
     if what in objects:
         return object_page(folder, what)
-    many = f": {len(found)} begin so" if found else ""
+    check_unambiguous("WHAT", what, found)
     named = ", ".join(objects[:MOST_NAMED]) or "none is done yet"
     raise InvalidValueError(
         "WHAT",
         what,
-        f"an object ({named}), or the beginning of one key in {folder}/trials or {folder}/estimates{many}"
+        f"an object ({named}), or the beginning of one key in {folder}/trials or {folder}/estimates"
         f"{nearest(what, objects)}",
     )
 

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import json
+import re
+from io import BytesIO
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 from rich.console import Console
 
@@ -185,6 +188,37 @@ def test_the_truth_predicts_with_its_own_support(support, rigid, first, predicte
     assert (max(scores) < 1e-4) if predicted else np.isnan(scores).all()
 
 
+@pytest.mark.parametrize(
+    ("harm", "said"),
+    [
+        (lambda data: data[:5000], "not a whole table"),
+        (lambda data: pd.read_parquet(BytesIO(data)).drop(columns="nad").to_parquet(), "no nad"),
+    ],
+)
+@pytest.mark.parametrize("command", ["figures", "view --web", "record", "report", "export"])
+def test_a_damaged_table_is_one_clear_line(finished, copied, capsys, monkeypatch, command, harm, said):
+    monkeypatch.setattr("viz.recordings.viewer.served", pytest.fail)
+    table, (name, *options) = copied / "results.parquet", command.split()
+    table.write_bytes(harm(table.read_bytes()))
+    key = [finished.rows["key"][0]] if name == "export" else []
+    with pytest.raises(SystemExit, match="2"):
+        main([name, str(copied), *key, *options])
+    line = capsys.readouterr().err
+    assert line.startswith(f"heft: {copied}") and said in line and line.count("\n") == 1
+
+
+@pytest.mark.parametrize(("command", "field"), [("figures", "ESTIMATE"), ("record", "WHAT"), ("render", "TRIAL")])
+def test_an_ambiguous_key_is_called_so(copied, capsys, command, field):
+    for kind in ("estimates", "trials"):
+        for path in [path for path in copied.glob(f"{kind}/*") if path.name[0] != "0"]:
+            path.rename(path.with_name("0" + path.name[1:]))
+    rows = load_results(copied)
+    Store(copied).put_table(row | {"key": "0" + row["key"][1:]} for row in rows_of(rows))
+    with pytest.raises(SystemExit, match="2"):
+        main([command, str(copied), "0"])
+    assert re.search(rf"heft: {field}: got '0'; .* this is ambiguous: \d+ begin so \(0", capsys.readouterr().err)
+
+
 def test_reports_tell_what_can_be_told(finished, copied, capsys):
     row = finished.rows[finished.rows["method"] == "bare"].iloc[0]
     without(copied / "estimates" / row["key"] / "estimate.npz", "random.loss")
@@ -204,6 +238,8 @@ def test_a_dry_run_counts_and_writes_nothing(tmp_path):
     with pytest.raises(SystemExit) as exit_:
         main(["run", "blocks", "--dry-run", "--out", str(tmp_path / "out"), "--methods", "hidden"])
     assert exit_.value.code == 2
+    with pytest.raises(InvalidValueError, match="object: got 'Q9'"):
+        said(show_dry_run, scenario.model_copy(update={"objects": ["I1", "Q9"]}), tmp_path / "out", 2)
     main(["run", "blocks", "--dry-run", "--out", str(tmp_path / "out")])
     assert not (tmp_path / "out").exists()
 

@@ -207,3 +207,19 @@ def test_objects_are_looked_up_beside_the_scenario(tmp_path, monkeypatch):
     assert load_object(load_scenario("deep/s.toml")[1].objects[0]).name == "pair", "beside the scenario comes first"
     (tmp_path / "deep" / "pair.toml").unlink()
     assert load_object(load_scenario("deep/s.toml")[1].objects[0]).name == "other", "then the current folder"
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("seed = 2", "seed: no such field; got 2 (nearest: seeds)"),
+        ("[policy]\nseeds = 2", "policy.seeds: no such field; got 2 (nearest: seed)"),
+        ("[grid]\nfeets = 2", "grid.feets: no such field; got 2 (nearest: feet)"),
+        ('[[random]]\nname = "a"\nmass = 2', "random.0.mass: no such field; got 2 (nearest: mass_kg)"),
+    ],
+)
+def test_a_wrong_field_is_told_the_nearest_of_its_own_table(tmp_path, text, said):
+    (tmp_path / "s.toml").write_text(text, encoding="utf-8")
+    with pytest.raises(InvalidFileError) as error:
+        load_scenario(str(tmp_path / "s.toml"))
+    assert said in str(error.value)

@@ -214,7 +214,8 @@ def test_many_objects_swept_are_aggregated(tmp_path: Path):
     """Only the columns that every row has; some rows are of objects without any estimate."""
     rows = [
         {"object": f"o{i:02d}", "support": "rigid", "sensing": "low", "seed": s, "method": m, "kind": m, "status": "ok",
-         "nad": 0.01 * (1 + i) * (1 + s) * (1 + (m == "b")), "axis.grid.feet": feet, "axis.truth.who": who}
+         "nad": 0.01 * (1 + i) * (1 + s) * (1 + (m == "b")), "axis.grid.feet": feet, "axis.truth.who": who,
+         "mass_kg": None, "trial_keys": None}
         for i in range(20) for s in (0, 1) for m in ("a", "b") for feet, who in ((2, "x"), (4, "y"))
     ]  # fmt: skip
     rows += [rows[0] | {"object": "odd", "method": "", "kind": "", "sensing": "", "status": "infeasible", "nad": np.nan,

@@ -49,6 +49,6 @@ def test_the_shown_check_is_what_is_printed_without_hardware(tmp_path, monkeypat
         PAGE.split("Without any hardware it says:\n\n```\n")[1].split("```")[0].replace(".venv/bin/python3", "python")
     )
     versions = r"(?<=: )\d+\.\d+(\.\d+)?$"
-    assert [re.sub(versions, "X", line) for line in printed.splitlines()] == [
-        re.sub(versions, "X", line) for line in shown.splitlines()
-    ]
+    lines = iter([re.sub(versions, "X", line) for line in printed.splitlines()])
+    for line in shown.splitlines():
+        assert line == "..." or re.sub(versions, "X", line) in lines  # in this order

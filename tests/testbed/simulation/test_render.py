@@ -364,7 +364,7 @@ def test_ctrl_c_leaves_nothing_half_written(egl, root, turn, tmp_path):
 
 def test_the_picture_of_the_readme_is_of_a_trial_of_the_main_run():
     """Keys are of what was asked: this is a turn that Algorithm 1's policy asks for on L2."""
-    page = (ROOT / "docs" / "tutorial.md").read_text(encoding="utf-8")
+    page = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
     found = re.search(r"heft render results/blocks ([0-9a-f]+) [^`]*--out docs/bench.png", page)
     assert found
     turn = Rotate(4, pivot=(-0.01666666666666667, 0.10833333333333334), back=True)

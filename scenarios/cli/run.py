@@ -81,7 +81,7 @@ def run(
     from scenarios.results.files import read_json, write_json
     from scenarios.results.store import rows_of
     from scenarios.study.dry_run import show_dry_run
-    from scenarios.study.run import run_scenario
+    from scenarios.study.run import check_nothing_lost, run_scenario
     from scenarios.views.figures import figures
     from scenarios.views.pages import Recorder, record_all, record_results, record_worst
     from scenarios.views.report import report
@@ -94,6 +94,7 @@ def run(
     if workers < 0:
         raise InvalidValueError("--workers", workers, "an integer >= 0")
     folder = out or Path("results") / name
+    check_nothing_lost(folder, study)
     console = open_console()
     if dry_run:
         show_dry_run(console, study, folder, workers)
@@ -128,8 +129,7 @@ def run(
         print(failure.line)
         if failure.path:
             print(f"  traceback: {folder / failure.path}")
-    took = f"{len(results)} estimates in {time.monotonic() - begin:.0f} s"
-    print(f"{took}, {len(failed)} not ok; all of it in {folder}/")
+    print(f"{len(results)} estimates in {time.monotonic() - begin:.0f} s, {len(failed)} not ok; all of it in {folder}/")
     if any(row.get("mass_kg") is None for row in failed):
         sys.exit(1)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import platform
 import shlex
 import time
@@ -15,13 +16,14 @@ import pandas as pd
 
 from scenarios.config import Scenario, Sweep, load_scenario
 from scenarios.execution.executor import default_workers, open_executor
-from scenarios.results.files import exclusive, write_json
+from scenarios.results.files import exclusive, read_json, write_json
 from scenarios.results.store import Store, rows_of
 from scenarios.results.trials import MeasuredTrials, measured_trials
 from scenarios.study.dry_run import DryRun, check_methods
 from scenarios.study.estimates import run_estimates
 from scenarios.study.experiment import Experiment, Progress, ResultCallback, experiments_of
 from scenarios.study.trials import run_trials
+from testbed.errors import InvalidValueError
 
 SENSING = "as measured"
 """Name of the sensor in the results: its errors are in the records."""
@@ -60,6 +62,34 @@ def run_scenario(
         table = store.put_table(rows)
         write_json(out / "manifest.json", manifest(scenario))
         return table
+
+
+def check_nothing_lost(folder: Path, scenario: Scenario) -> None:
+    """Check that a run into a folder goes on with the results there, or adds to them.
+
+    Raises:
+        InvalidValueError: the folder holds results of other objects, methods, seeds or settings.
+    """
+    held = (read_json(folder / "manifest.json") or {}).get("scenario")
+    if held is None or not (folder / "results.parquet").is_file():
+        return
+    asked = json.loads(json.dumps(scenario.model_dump()))
+    other = [field for field in held if not _asked_again(field, held[field], asked.get(field))]
+    if other:
+        allowed = f"a new folder, as {folder}-2; this one holds results of another run ({', '.join(other)})"
+        raise InvalidValueError("--out", str(folder), allowed)
+
+
+def _asked_again(field: str, held: Any, asked: Any) -> bool:
+    """True if all that the results hold of a field is asked for again: objects, methods, seeds, values may grow."""
+    if field == "seeds":
+        return held <= asked
+    if field == "methods":
+        return all(asked.get(label) == settings for label, settings in held.items())
+    if field == "sweep":
+        axes = asked["axes"]
+        return held["axes"].keys() == axes.keys() and all(_asked_again("", held["axes"][a], axes[a]) for a in axes)
+    return held == asked or (isinstance(held, list) and all(item in asked for item in held))
 
 
 def manifest(scenario: Scenario, expected: DryRun | None = None) -> dict[str, Any]:

@@ -9,6 +9,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -19,7 +20,7 @@ from scenarios.cli.main import main
 from scenarios.config import Scenario, load_scenario
 from scenarios.results.files import LOCK, FolderInUseError, exclusive, read_json
 from scenarios.study import trials
-from scenarios.study.run import run_scenario
+from scenarios.study.run import check_nothing_lost, run_scenario
 from testbed.errors import InfeasibleTrialError, InvalidValueError
 from tests.fakes.misbehaving import Misbehaving
 from tests.helpers.runs import VICTIMS, assert_whole, done_in, draw_killing, kill_a_run, quiet, resumed, small_scenario
@@ -102,6 +103,29 @@ def test_a_finished_run_is_read_again_without_work(finished, copied):
     stamps = {path: path.stat().st_mtime_ns for kind in ("trials", "estimates") for path in copied.glob(f"{kind}/*/*")}
     pd.testing.assert_frame_equal(resumed(finished.scenario, copied, workers=2), finished.rows)  # starts no worker
     assert stamps == {path: path.stat().st_mtime_ns for path in stamps}
+
+
+CHANGES: list[tuple[dict[str, Any], str]] = [
+    ({}, ""),
+    ({"seeds": 9}, ""),
+    ({"seeds": 1}, "seeds"),
+    ({"sweep": {"axes": {"grid.feet": [3, 4]}}}, "sweep"),
+    ({"objects": ["F2"]}, "objects"),
+    ({"methods": {"mine": {"method": "hidden_states"}}}, "methods"),
+    ({"grid": {"feet": 2}}, "grid"),
+]
+
+
+@pytest.mark.parametrize(("change", "field"), CHANGES, ids=str)
+def test_a_folder_of_another_run_is_not_written_over(finished, change: dict[str, Any], field: str):
+    asked = load_scenario(str(finished.scenario))[1]
+    asked = Scenario.model_validate(asked.model_dump() | change)
+    if not field:
+        check_nothing_lost(finished.out, asked)
+        return
+    with pytest.raises(InvalidValueError, match=rf"results of another run \({field}\)") as refused:
+        check_nothing_lost(finished.out, asked)
+    assert refused.value.field == "--out"
 
 
 def test_records_cut_short_are_made_again(finished, copied):

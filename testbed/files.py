@@ -45,7 +45,7 @@ def write_whole(path: Path, write: Any) -> None:
             os.fsync(file.fileno())
         os.replace(part, path)
     except OSError as error:  # a full disk names no file, and nobody knows the part
-        if error.filename in (None, str(part)):
+        if error.errno is not None and error.filename in (None, str(part)):
             error.filename = str(path)
         raise
     finally:

@@ -149,6 +149,7 @@ with orderly_end(), served(Path(sys.argv[1]), int(sys.argv[2])) as address:
 @pytest.mark.parametrize("end", [signal.SIGTERM, signal.SIGHUP])
 def test_a_signal_ends_a_block_in_order_and_once(end):
     closed = []
+    signal.signal(end, signal.SIG_DFL)  # these tests may run under nohup
     with pytest.raises(SystemExit) as ended, orderly_end():
         try:
             os.kill(os.getpid(), end)

@@ -105,7 +105,7 @@ def test_its_trials_are_counted(swept: Swept, capsys: pytest.CaptureFixture[str]
     main(["status", str(swept.out)])
     said = capsys.readouterr().out
     made = len(set(np.concatenate([*swept.rows["trial_keys"], *swept.rows["held_out_keys"]])))
-    assert f"trials: {made} done of about 15, 0 failed; estimates: 3 done of about 3, 0 failed" in said
+    assert f"finished\ntrials: {made} done, 0 failed; estimates: 3 done, 0 failed" in said
 
 
 def test_a_run_is_counted_before_it_is_made():

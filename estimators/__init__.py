@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from estimators.baselines.weighted_sampling import WeightedSampling
     from estimators.evaluation.metrics import mean_particle_distance, normalized_absolute_difference
     from estimators.hidden_states.estimator import HiddenStates
+    from estimators.hidden_states.published import PublishedHiddenStates
     from estimators.identifiability.information import expected, observed
     from estimators.identifiability.report import Identifiability
     from estimators.particles.errors import ModelErrors
@@ -46,6 +47,7 @@ __all__ = [
     "Observations",
     "OnlinePolicy",
     "PlannedPolicy",
+    "PublishedHiddenStates",
     "RandomSearch",
     "RankDriven",
     "SupportAware",

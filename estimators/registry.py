@@ -13,6 +13,7 @@ from estimators.baselines.optimizers import CmaEs, LeastSquares, NelderMead
 from estimators.baselines.random_search import RandomSearch
 from estimators.baselines.weighted_sampling import WeightedSampling
 from estimators.hidden_states.estimator import HiddenStates
+from estimators.hidden_states.published import PublishedHiddenStates
 from estimators.support_models.estimator import SupportAware
 from testbed.plugins import Role, configured, find_class, installed, source_hash
 
@@ -28,6 +29,7 @@ POLICY: Role[ActionPolicy] = Role(
 
 METHODS: dict[str, type[Estimator]] = {
     "hidden_states": HiddenStates,
+    "hidden_states_published": PublishedHiddenStates,
     "support_aware": SupportAware,
     "random_search": RandomSearch,
     "weighted_sampling": WeightedSampling,

@@ -12,7 +12,7 @@ from estimators.action_selection.design import ASSUMED_SUPPORTS, Guess
 from estimators.action_selection.greedy import PlannedPolicy
 from estimators.action_selection.online import OnlinePolicy
 from estimators.action_selection.plan import Goal
-from estimators.action_selection.rank import RankDriven, held_out_turns
+from estimators.action_selection.rank import RANK_DRIVEN, RankDriven, held_out_turns
 from estimators.base import ActionPolicy
 from estimators.registry import POLICY
 from scenarios.runners import FeasibilityCheck, RunnerSettings
@@ -25,7 +25,7 @@ from testbed.sensing.presets import preset
 from testbed.trajectory import Trajectory
 
 Count = Annotated[int, Field(ge=1, le=100_000)]
-POLICIES = ("paper", "greedy", "batch", "random", "online")
+POLICIES = (*RANK_DRIVEN, "greedy", "batch", "random", "online")
 """heft's own policies."""
 
 
@@ -99,10 +99,10 @@ class Policy(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    kind: str = "paper"
-    pivots: Annotated[int, Field(ge=1)] = 6
+    kind: str = "reversed_pairs"
+    pivots: Annotated[int, Field(ge=1)] | None = None
     duration: Annotated[float, Field(gt=1.5, le=60)] = 18.0
-    accelerated: Annotated[int, Field(ge=0)] = 6
+    accelerated: Annotated[int, Field(ge=0)] | None = None
     most: Count = 40
     seed: Annotated[int, Field(ge=0)] = 0
     held_out: Annotated[int, Field(ge=0, le=100)] = 2
@@ -138,8 +138,16 @@ class Policy(BaseModel):
     @property
     def expected_trials(self) -> int:
         """Number of trials of an experiment where nothing fails, the weighing among them."""
-        chosen = self.accelerated + self.pivots if self.kind == "paper" else self.touches
-        return 1 + chosen + self.held_out
+        ranked = self.rank_driven
+        return 1 + (ranked.accelerated + ranked.pivots if ranked else self.touches) + self.held_out
+
+    @property
+    def rank_driven(self) -> RankDriven | None:
+        """The policy by rank(Q) over all grasps; None for another kind."""
+        if self.kind not in RANK_DRIVEN:
+            return None
+        own = {name: n for name in ("pivots", "accelerated") if (n := getattr(self, name)) is not None}
+        return replace(RANK_DRIVEN[self.kind], duration=self.duration, most=self.most, seed=self.seed, **own)
 
     def build(
         self,
@@ -158,8 +166,8 @@ class Policy(BaseModel):
             sensing: sensor of a policy whose draws have their own trials; `plan_for` if left out.
             refused: actions that were refused when they were run; may grow later.
         """
-        if self.kind == "paper":
-            return RankDriven(self.pivots, self.duration, self.accelerated, self.most, self.seed, grasps)
+        if ranked := self.rank_driven:
+            return replace(ranked, grasps=grasps)
         guess = Guess(particles.total_mass, preset(self.plan_for))
         check = FeasibilityCheck(particles.shape, guess, settings, {} if refused is None else refused)
         if self.kind not in POLICIES:

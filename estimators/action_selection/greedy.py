@@ -14,7 +14,7 @@ from estimators.action_selection.candidates import ActionFamily
 from estimators.action_selection.cost import RobotTime
 from estimators.action_selection.design import LEAST_GAIN, Belief, Criterion, Design, Guess, prior_belief, steady
 from estimators.action_selection.plan import FeasibilityLog, Feasible, Goal, Plan, PlanStep, always_feasible, plan_step
-from estimators.action_selection.rank import RankDriven
+from estimators.action_selection.rank import RANK_DRIVEN
 from testbed.actions.base import Action
 from testbed.errors import InvalidValueError
 from testbed.objects.model import ObjectShape
@@ -157,9 +157,11 @@ def random_plan(design: Design, before: Belief, goal: Goal, log: FeasibilityLog)
     return Plan(before, tuple(steps), why, log.rejected)
 
 
-def rank_driven_plan(shape: ObjectShape, guess: Guess, goal: Goal, grasps: tuple[int, ...], seed: int) -> Plan:
-    """Plan of the rank-driven policy's actions, as far as the goal goes."""
-    actions = RankDriven(grasps=grasps, seed=seed).predicted_actions(shape)
+def rank_driven_plan(
+    shape: ObjectShape, guess: Guess, goal: Goal, kind: str, grasps: tuple[int, ...], seed: int
+) -> Plan:
+    """Plan of a rank-driven policy's actions, as far as the goal goes."""
+    actions = replace(RANK_DRIVEN[kind], grasps=grasps, seed=seed).predicted_actions(shape)
     before = prior_belief(shape, guess)
     if not actions:
         return Plan(before, (), "there is nothing to grip")

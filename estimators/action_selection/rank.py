@@ -13,6 +13,7 @@ from estimators.particles.model import ParticleModel, cross, direction, turned
 from testbed.actions.accelerate import Accelerate
 from testbed.actions.base import Action
 from testbed.actions.rotate import Rotate
+from testbed.actions.slide import Slide
 from testbed.errors import InvalidValueError
 from testbed.objects.model import ObjectShape
 from testbed.trajectory import Trajectory
@@ -22,12 +23,12 @@ from testbed.trajectory import Trajectory
 class RankDriven:
     """Accelerated turns for I_j, then turns about random grasps until rank(Q) is full and `pivots` turns were made.
 
-    Every turn goes there and back in one grasp: friction flips and a constant bias does not. Every grasp is used once
-    before any is used again.
+    Every grasp is used once before any is used again. `RANK_DRIVEN` has the paper's settings beside ours.
     """
 
     pivots: int = 6
-    """Least number of turns there and back at constant speed: twice as many turns of the paper."""
+    """Least number of turns at constant speed. Six there and back are twelve of the paper's, which has n_s / 3 of them,
+    and one more while the rank asks for it."""
     duration: float = 18.0
     """Time of a turn each way [s]; 18 in the paper."""
     accelerated: int = 6
@@ -38,6 +39,10 @@ class RankDriven:
     """Seed of the random order of grasps."""
     grasps: tuple[int, ...] | None = None
     """Allowed grasps; None is all."""
+    back: bool = True
+    """True turns there and back in one grasp: friction flips and a constant bias does not."""
+    beside: bool = True
+    """True turns about a point beside the grasped particle, which has no direction of motion at the center."""
 
     def __post_init__(self) -> None:
         for name in ("pivots", "accelerated", "most"):
@@ -45,7 +50,7 @@ class RankDriven:
                 raise InvalidValueError(f"RankDriven.{name}", getattr(self, name), "an integer >= 0 (most: >= 1)")
 
     def next(self, shape: ObjectShape, trajectories: Sequence[Trajectory]) -> Action | None:
-        """Next accelerated turn or turn; None when done, without an allowed grasp, or after `most` trials."""
+        """Next action; None when done, without an allowed grasp, or after `most` trials."""
         return self._after(shape, [t.action for t in trajectories], [t.action for t in trajectories if t.ok])
 
     def predicted_actions(self, shape: ObjectShape) -> list[Action]:
@@ -66,15 +71,32 @@ class RankDriven:
             if (accelerated + accelerated // len(allowed)) % 2:
                 return action.reversed()
             return action
-        turns = sum(isinstance(action, Rotate) for action in tried)  # the policy's own, as is `done`
-        if turns >= self.pivots:
-            done = [action for action in good if isinstance(action, Rotate)]
-            within_reach = predicted_rank(shape, [Rotate(grasp) for grasp in allowed])
-            if predicted_rank(shape, done) == within_reach:
+        moved = sum(isinstance(action, Rotate | Slide) for action in tried)  # the policy's own, as is `done`
+        grasp = _drawn(allowed, moved, [self.seed, 2])
+        if moved >= self.pivots:
+            done = [action for action in good if isinstance(action, Rotate | Slide)]
+            turns = [Rotate(grasp) for grasp in allowed]
+            slides = [] if self.back else [Slide(allowed[0]), Slide(allowed[0], np.pi / 2)]
+            rank = predicted_rank(shape, done)
+            if rank >= predicted_rank(shape, [*turns, *slides]):
                 return None
-        grasp = _drawn(allowed, turns, [self.seed, 2])
-        pivot = between_particles(shape, shape.grasps[grasp].position)
-        return Rotate(grasp, duration=self.duration, pivot=pivot, back=True)
+            if slides and rank >= predicted_rank(shape, turns):
+                return Slide(grasp, np.random.default_rng([self.seed, 5, moved]).uniform(0, 2 * np.pi))
+        pivot = between_particles(shape, shape.grasps[grasp].position) if self.beside else None
+        return Rotate(grasp, duration=self.duration, pivot=pivot, back=self.back)
+
+
+RANK_DRIVEN: dict[str, RankDriven] = {
+    "published": RankDriven(1, accelerated=3, back=False, beside=False),
+    "published_back": RankDriven(1, accelerated=3, beside=False),
+    "published_back_beside": RankDriven(1, accelerated=3),
+    "reversed_pairs": RankDriven(),
+}
+"""Rank-driven policies by name: Algorithm 1 as printed, one way about the grasp point; two steps to ours; and ours.
+
+Full rank takes n_s / 3 turns or more, as each adds three rows to Q, so `published` states no number. Slides have the
+lower priority there: they come where one-way turns about all grasps leave the rank open.
+"""
 
 
 def between_particles(shape: ObjectShape, point: np.ndarray) -> tuple[float, float] | None:
@@ -116,14 +138,15 @@ def _drawn(allowed: Sequence[int], index: int, stream: list[int]) -> int:
     return int(rng.permutation(np.asarray(allowed))[index % len(allowed)])
 
 
-def predicted_rank(shape: ObjectShape, turns: Sequence[Rotate]) -> int:
-    """Predicted rank(Q) of turns, from geometry alone."""
-    if not turns:
+def predicted_rank(shape: ObjectShape, actions: Sequence[Rotate | Slide]) -> int:
+    """Predicted rank(Q) of turns and slides at constant speed, from geometry alone."""
+    if not actions:
         return 0
     model = ParticleModel.of(shape)
-    points = torch.tensor(np.array([shape.grasps[t.grasp].position if t.pivot is None else t.pivot for t in turns]))
-    lever = model.particles - points[:, None]
-    unit = direction(turned(lever), 1e-9)
+    lever = model.particles - torch.tensor(np.array([action.center(shape) for action in actions]))[:, None]
+    turning = torch.tensor([float(action.turns) for action in actions], dtype=torch.float64)[:, None, None]
+    heading = torch.tensor(np.array([action.heading for action in actions]))
+    unit = direction(turning * turned(lever) + heading[:, None], 1e-9)
     rows = torch.stack([unit[..., 0], unit[..., 1], cross(lever, unit)], 1)
     groups = LoadGroups.of(model)
     return rank_of(groups.gather(rows).reshape(-1, len(groups.pairs)).numpy())

@@ -3,6 +3,15 @@
 from estimators.hidden_states.algorithm import Solution, Underdetermined, algorithm_1
 from estimators.hidden_states.estimator import HiddenStates
 from estimators.hidden_states.nuisance import NuisancePrior
+from estimators.hidden_states.published import PublishedHiddenStates
 from estimators.hidden_states.trial_windows import TrialWindows
 
-__all__ = ["HiddenStates", "NuisancePrior", "Solution", "TrialWindows", "Underdetermined", "algorithm_1"]
+__all__ = [
+    "HiddenStates",
+    "NuisancePrior",
+    "PublishedHiddenStates",
+    "Solution",
+    "TrialWindows",
+    "Underdetermined",
+    "algorithm_1",
+]

@@ -142,7 +142,7 @@ def plan(
     *,
     budget: Annotated[str | None, tyro.conf.arg(metavar="TIME")] = None,
     until: Annotated[str | None, tyro.conf.arg(metavar="PERCENT")] = None,
-    policy: Literal["greedy", "batch", "random", "paper"] = "greedy",
+    policy: Literal["greedy", "batch", "random", "published", "reversed_pairs"] = "greedy",
     criterion: Literal["I", "A", "D"] = "I",
     sensing: Annotated[str, tyro.conf.arg(metavar="PRESET")] = "ft300s",
     support: Literal["own_weight", "rigid", "either"] = "own_weight",
@@ -166,7 +166,7 @@ def plan(
         object_: name in the library, or path to a TOML file.
         budget: robot time, travel included, as 60s or 2min; no limit if left out.
         until: expected NAD to reach (sum of the masses' errors over the whole mass), as 5%.
-        policy: greedy (the best of each moment), batch (the whole made better by exchange), random, or paper.
+        policy: greedy (best of each moment), batch (made better by exchange), random, published, or reversed_pairs.
         criterion: quantity to minimize: I (the expected NAD), A (trace of the covariance) or D (its volume).
         sensing: preset of the sensor.
         support: what carries the weight; either serves both models, and tells them apart.
@@ -190,8 +190,8 @@ def plan(
     guess = Guess(model.total_mass, preset(sensing), friction, ASSUMED_SUPPORTS[support])
     goal = Goal(percent(until, "--until"), seconds(budget, "--budget"), most)
     allowed = named_grasps(model, grasps)
-    if policy == "paper":
-        made = rank_driven_plan(model.shape, guess, goal, allowed, seed)
+    if policy in ("published", "reversed_pairs"):
+        made = rank_driven_plan(model.shape, guess, goal, policy, allowed, seed)
     else:
         check, family = FeasibilityCheck(model.shape, guess), action_family(support, lifts=lifts)
         made = PlannedPolicy(guess, policy, criterion, goal, family, candidates, allowed, seed, check).plan(model.shape)

@@ -15,6 +15,7 @@ from estimators.baselines.optimizers import CmaEs, LeastSquares, NelderMead
 from estimators.baselines.random_search import RandomSearch
 from estimators.baselines.weighted_sampling import WeightedSampling
 from estimators.hidden_states.estimator import HiddenStates
+from estimators.hidden_states.published import PublishedHiddenStates
 from estimators.registry import METHODS
 from estimators.support_models.estimator import SupportAware
 from estimators.testing.analytic_world import drawn_object
@@ -35,13 +36,15 @@ PEERS = {
 VARIANTS = {
     "hidden_states": (HiddenStates(), drawn_object),
     "descent": (HiddenStates(solver="descent"), drawn_object),
+    "published": (PublishedHiddenStates(), drawn_object),
+    "published, exact": (PublishedHiddenStates(solver="closed_form", gripper_load=True), drawn_object),
     "support_aware": (SupportAware(), drawn_object),
     "support_aware of materials": (SupportAware(materials_kg=(0.1, 0.4)), drawn_object),
     **{name: (kind, small_object) for name, kind in BASELINES.items()},
     **{f"{name} with M": (replace(kind, use_weight=True), small_object) for name, kind in BASELINES.items()},
     **{name: (kind, small_object) for name, kind in PEERS.items()},
 }
-CLOSED_FORM = ("hidden_states", "support_aware", "support_aware of materials")
+CLOSED_FORM = ("hidden_states", "published, exact", "support_aware", "support_aware of materials")
 
 
 def traces_every_iteration(estimator, draw):
@@ -59,7 +62,11 @@ RULES = [
     for holds in (
         *CONFORMANCE,
         *(() if name in CLOSED_FORM else (traces_every_iteration,)),
-        *(WITHOUT_DRAWS if isinstance(estimator, HiddenStates | GradientBaseline | LeastSquares) else ()),
+        *(
+            WITHOUT_DRAWS
+            if isinstance(estimator, HiddenStates | PublishedHiddenStates | GradientBaseline | LeastSquares)
+            else ()
+        ),
     )
 ]
 

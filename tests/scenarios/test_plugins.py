@@ -243,7 +243,7 @@ def test_every_method_of_heft_is_what_others_must_be():
 
 @pytest.mark.usefixtures("here")
 def test_settings_of_a_policy_are_swept_side_by_side_with_the_kinds():
-    axes = {"policy.kind": ["paper", "of_user:Outermost"], "policy.settings": [{}, {"turns": 1}]}
+    axes = {"policy.kind": ["reversed_pairs", "of_user:Outermost"], "policy.settings": [{}, {"turns": 1}]}
     points = Scenario.model_validate({"objects": ["I1"], "sweep": {"mode": "zip", "axes": axes}}).points()
     assert [point.policy.settings for _, point in points] == [{}, {"turns": 1}]
     assert [axis_columns(at)["axis.policy.settings"] for at, _ in points] == ["none", "turns = 1"]
@@ -251,7 +251,7 @@ def test_settings_of_a_policy_are_swept_side_by_side_with_the_kinds():
 
 @pytest.mark.slow
 def test_worker_processes_run_policies_and_methods_of_the_current_folder(here, capsys):
-    kinds = ["paper", "of_user:Outermost", "of_user:Endless", "of_user:Wrong"]
+    kinds = ["reversed_pairs", "of_user:Outermost", "of_user:Endless", "of_user:Wrong"]
     (here / "s.toml").write_text(
         'objects = ["I1"]\n[policy]\npivots = 2\nduration = 2.0\naccelerated = 0\nheld_out = 0\ntouches = 3\n'
         f'[sweep.axes]\n"policy.kind" = {kinds}\n[methods.mine]\nmethod = "of_user:Even"\n',
@@ -269,5 +269,5 @@ def test_worker_processes_run_policies_and_methods_of_the_current_folder(here, c
     for row in good:
         kept = read_json(here / "out" / "estimates" / row["key"] / "result.json")
         made[row["axis.policy.kind"]] = Counter(kept["trial_keys"]).total() - 1 if kept else 0
-    assert (made["of_user:Outermost"], made["of_user:Endless"]) == (2, 3) and made["paper"] >= 2
+    assert (made["of_user:Outermost"], made["of_user:Endless"]) == (2, 3) and made["reversed_pairs"] >= 2
     assert "report: out" in capsys.readouterr().out

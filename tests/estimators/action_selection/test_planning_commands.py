@@ -59,7 +59,7 @@ def test_a_budget_too_small_for_all_is_said_with_what_stays_open(capsys):
 def test_planning_takes_less_than_the_papers_choice_for_the_same():
     model = load_object("L2")
     guess, grasps = Guess(model.total_mass, preset("ft300s")), tuple(range(len(model.shape.grasps)))
-    paper = rank_driven_plan(model.shape, guess, Goal(most=30), grasps, 0)
+    paper = rank_driven_plan(model.shape, guess, Goal(most=30), "reversed_pairs", grasps, 0)
     nad = paper.after.expected_nad
     check = FeasibilityCheck(model.shape, guess)
     greedy = PlannedPolicy(guess, goal=Goal(until=nad, most=20), candidates=1000, feasible=check).plan(model.shape)
@@ -130,8 +130,10 @@ def test_where_there_is_no_answer_it_says_so_and_why(tmp_path, capsys):
 
 def test_a_scenario_may_choose_its_touches_by_a_plan():
     model, settings = load_object("L2"), SimulationSettings()
-    paper = Policy().build((0, 1), model, settings)
-    assert isinstance(paper, RankDriven) and (paper.pivots, paper.most, paper.grasps) == (6, 40, (0, 1))
+    ours, published = (Policy(kind=kind).build((0, 1), model, settings) for kind in ("reversed_pairs", "published"))
+    assert ours == Policy().build((0, 1), model, settings) == RankDriven(6, grasps=(0, 1))
+    assert published == RankDriven(1, accelerated=3, grasps=(0, 1), back=False, beside=False)
+    assert Policy(kind="published", accelerated=4, pivots=2).expected_trials == 1 + 4 + 2 + 2
     batch = Policy(kind="batch", touches=2, until=0.05, candidates=200)
     chosen = batch.build((2, 3, 4), model, settings)
     assert isinstance(chosen, PlannedPolicy) and batch.expected_trials == 1 + 2 + 2

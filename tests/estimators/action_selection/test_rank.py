@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
 import pytest
 
-from estimators.action_selection.rank import RankDriven, between_particles, predicted_rank
+from estimators.action_selection.rank import RANK_DRIVEN, RankDriven, between_particles, predicted_rank
 from estimators.base import ActionPolicy
 from estimators.testing.analytic_world import analytic_trial
 from testbed.actions.accelerate import Accelerate
 from testbed.actions.rotate import Rotate
+from testbed.actions.slide import Slide
 from testbed.objects.files import load_object
 
 
@@ -39,6 +41,36 @@ def test_the_policy_takes_every_grasp_before_any_again_and_only_those_allowed():
     assert sorted(t.action.grasp for t in seen) == [1, 2, 4, 5]
     assert RankDriven(grasps=()).next(obj.shape, []) is None
     assert RankDriven(most=1).next(obj.shape, seen) is None
+
+
+@pytest.mark.parametrize(("name", "turns"), [("I1", 3), ("L1", 2), ("F1", 2)])
+def test_the_published_policy_turns_one_way_about_grasps_until_the_rank_is_full(name, turns):
+    shape = load_object(name).shape
+    actions = RANK_DRIVEN["published"].predicted_actions(shape)
+    assert all(isinstance(action, Accelerate) for action in actions[:3])
+    moved = [action for action in actions[3:] if isinstance(action, Rotate)]
+    assert moved == [Rotate(action.grasp) for action in moved] and len(moved) == len(actions) - 3
+    assert len(moved) == turns == len({action.grasp for action in moved})
+    assert predicted_rank(shape, moved) == 6 > predicted_rank(shape, moved[:-1])
+
+
+def test_the_published_policy_slides_only_where_turns_about_all_grasps_leave_the_rank_open():
+    shape = load_object("I1").shape
+    first, *rest = replace(RANK_DRIVEN["published"], grasps=(0,)).predicted_actions(shape)[3:]
+    slides = [action for action in rest if isinstance(action, Slide)]
+    assert isinstance(first, Rotate) and len(slides) == len(rest) > 0
+    reached = [predicted_rank(shape, [first, *slides[:n]]) for n in range(len(slides) + 1)]
+    assert reached == sorted(reached) and reached[0] < reached[-1]
+    assert reached[-1] == predicted_rank(shape, [first, Slide(0), Slide(0, np.pi / 2)])
+    assert not any(isinstance(a, Slide) for a in RankDriven(grasps=(0,)).predicted_actions(shape))
+
+
+@pytest.mark.parametrize("kind", [*RANK_DRIVEN])
+def test_steps_from_the_published_policy_to_ours_share_their_grasps(kind):
+    shape = load_object("L1").shape
+    grasps = [action.grasp for action in RANK_DRIVEN[kind].predicted_actions(shape) if isinstance(action, Rotate)]
+    ours = [action.grasp for action in RankDriven().predicted_actions(shape) if isinstance(action, Rotate)]
+    assert grasps == ours[: len(grasps)]
 
 
 def test_turns_go_about_points_between_particles():

@@ -107,15 +107,14 @@ class PublishedHiddenStates:
 
         times = (trials.steady.since_tare.diff(dim=1) / DT).sqrt()
 
-        def errors(s: Float[Tensor, "S n_s"]) -> Float[Tensor, "S 3K"]:
+        def errors(s: Float[Tensor, "... n_s"]) -> Float[Tensor, "... 3K"]:
             """Terms of Eq. problem_si; each window stands for all its times."""
-            return (times * velocity_errors(trials, H, s)).flatten(1)
+            return (times * velocity_errors(trials, H, s)).flatten(-2)
 
-        b = -errors(torch.zeros(1, n_s).double())[0]
+        b = -errors(torch.zeros(n_s).double())
         Q = (errors(torch.eye(n_s).double()) + b).T
-        in_newton = (
-            torch.tensor([M, M, I_cm]).double().repeat(len(times))[:, None]
-        )  # rows alike about c and about a grasp
+        # rows in N and N m, in which the sampling of S_2 finds the same rank
+        in_newton = torch.tensor([M, M, I_cm] * len(times)).double()[:, None]
         if (rank := rank_of((in_newton * Q).numpy())) < n_s:
             why = f"rank(Q) is {rank} and {n_s} friction loads are unknown: turn about more points"
             return Estimate(None, "underdetermined", why)
@@ -135,13 +134,13 @@ class PublishedHiddenStates:
                 robot_seconds=trials.robot_seconds,
             )
             s, traces = runs[0].best.clamp(min=0.0), tuple(run.trace for run in runs)
-        m, mu = (values[0].numpy() for values in masses_of(trials, H, s[None]))  # solve for m from H
+        m, mu = (values.numpy() for values in masses_of(trials, H, s))  # solve for m from H
         return Estimate(
             MassDistribution(m, mu),
             "ok",
             hidden=HiddenStateEstimate(M, I_cm, c, s.numpy(), pairs),
             traces=traces,
-            diagnostics={"loss": float(errors(s[None]).square().sum()), "rank": float(rank)},
+            diagnostics={"loss": float(errors(s).square().sum()), "rank": float(rank)},
             assumes=ASSUMPTION["own_weight"],
         )
 
@@ -170,7 +169,7 @@ def com_and_inertia(
     return c, float(bracket - M * (c - center) @ (c - center))
 
 
-def velocity_errors(trials: TrialWindows, H: Inertia, s: Float[Tensor, "S n_s"]) -> Float[Tensor, "S K 3"]:
+def velocity_errors(trials: TrialWindows, H: Inertia, s: Float[Tensor, "... n_s"]) -> Float[Tensor, "... K 3"]:
     """Phi(p_t, v_t, s, u_t) - v_{t+1} [m/s, rad/s] of every window, by the forward dynamics, Eqs. fif to update2.
 
     A turn with its center in the held particle's cell is one about that particle, which stands still, as in the paper.
@@ -181,14 +180,14 @@ def velocity_errors(trials: TrialWindows, H: Inertia, s: Float[Tensor, "S n_s"])
     linear = held + spin * turned(H.com - turns.grasp)
     p_t = torch.cat([H.com, torch.zeros(1, dtype=torch.float64)]).expand(len(turns), 3)
     v_t, measured = torch.cat([linear, spin], 1), torch.cat([rotate(spin[:, 0] * DT, linear), spin], 1)
-    friction = torch.where(groups.index >= 0, s[:, groups.index], 0.0)[:, None]  # G_s^T s
+    friction = torch.where(groups.index >= 0, s[..., groups.index], 0.0)[..., None, :]  # G_s^T s
     a_t = acceleration(model, H, friction, p_t, v_t, turns.wrench, turns.grasp)
     return step(p_t, v_t, a_t, DT)[1] - measured
 
 
 def masses_of(
-    trials: TrialWindows, H: Inertia, s: Float[Tensor, "S n_s"]
-) -> tuple[Float[Tensor, "S n_m"], Float[Tensor, "S n_mu"]]:
+    trials: TrialWindows, H: Inertia, s: Float[Tensor, "... n_s"]
+) -> tuple[Float[Tensor, "... n_m"], Float[Tensor, "... n_mu"]]:
     """m [kg] and mu from the hidden states: m = s / (mu g), with 1 / mu by Eqs. mass, com and inertia.
 
     M holds exactly, and where there is one friction, it alone decides.
@@ -199,8 +198,8 @@ def masses_of(
     count, s = torch.tensor(shape.particles_per_group).double(), s.clamp(min=0.0)
 
     on_group = torch.zeros(shape.n_m).double().index_add(0, mass_of, feet)
-    per_nu = torch.zeros(len(s), shape.n_m, shape.n_mu).double()  # m of nu = 1 / mu
-    per_nu[:, mass_of, friction_of] = s / per_mass * feet / on_group[mass_of]
+    per_nu = torch.zeros(*s.shape[:-1], shape.n_m, shape.n_mu).double()  # m of nu = 1 / mu
+    per_nu[..., mass_of, friction_of] = s / per_mass * feet / on_group[mass_of]
     radius = float(H.about_com / H.mass) ** 0.5
     com = torch.tensor(shape.per_group(shape.particles.T - H.com[:, None].numpy())) / radius
     inertia = torch.tensor(inertia_map(shape, H.com[None].numpy())) / radius**2
@@ -208,10 +207,10 @@ def masses_of(
     nu = torch.linalg.pinv(torch.cat([count[None], com, inertia]) @ per_nu) @ of_mass
 
     m = (per_nu @ nu.clamp(min=0.0)[..., None])[..., 0]
-    total = (m @ count)[:, None]
+    total = (m @ count)[..., None]
     m = torch.where(total > 0, m * H.mass / total, H.mass / count.sum())
     of_group = torch.eye(shape.n_mu).double()[friction_of]
-    mu = (s * feet @ of_group) / (m[:, mass_of] * per_mass * feet @ of_group).clamp(min=1e-12)
+    mu = (s * feet @ of_group) / (m[..., mass_of] * per_mass * feet @ of_group).clamp(min=1e-12)
     return m, mu
 
 

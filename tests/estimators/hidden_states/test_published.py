@@ -82,7 +82,7 @@ def test_the_prediction_one_step_on_is_the_papers_sum_over_particles():
 def test_the_gradient_by_autograd_is_that_of_finite_differences():
     trials, (H, s) = windows_of(L2), hidden(L2)
     at = (0.3 * s + 0.01).requires_grad_()
-    loss = lambda s: velocity_errors(trials, H, s[None]).square().sum()  # noqa: E731
+    loss = lambda s: velocity_errors(trials, H, s).square().sum()  # noqa: E731
     (gradient,) = torch.autograd.grad(loss(at), at)
     small = 1e-4 * torch.eye(6).double()
     slopes = [(loss(at + one) - loss(at - one)).detach() / 2e-4 for one in small]
@@ -95,8 +95,8 @@ def test_the_particle_at_the_center_of_a_turn_stands_still_though_the_center_wan
     turn = int(torch.nonzero(still.steady.twist[:, :2].norm(dim=1) < 1e-9).item())
     assert float(wandering.steady.twist[turn, :2].norm()) > 1e-6
     replaced = replace(wandering, steady=replace(wandering.steady, wrench=still.steady.wrench))
-    errors = velocity_errors(replaced, H, s[None])[0, turn]
-    assert_allclose(errors, velocity_errors(still, H, s[None])[0, turn], atol=1e-6)
+    errors = velocity_errors(replaced, H, s)[turn]
+    assert_allclose(errors, velocity_errors(still, H, s)[turn], atol=1e-6)
 
 
 @pytest.mark.parametrize("name", ["I2", "L2", "F2", 0, 1])
@@ -157,11 +157,11 @@ def test_masses_of_two_frictions_follow_from_all_of_h():
     trials, (H, _) = windows_of(obj), hidden(obj)
     mass_of, friction_of = np.array(trials.groups.pairs).T
     s = torch.tensor(obj.truth.mass[mass_of] * obj.truth.friction[friction_of] * 9.81)
-    m, mu = masses_of(trials, H, s[None])
-    assert_allclose(m[0], obj.truth.mass, rtol=1e-9)
-    assert_allclose(mu[0], obj.truth.friction, rtol=1e-9)
-    uniform, none = masses_of(trials, H, 0 * s[None])
-    assert_allclose(uniform[0], obj.total_mass / len(obj.shape.particles))
+    m, mu = masses_of(trials, H, s)
+    assert_allclose(m, obj.truth.mass, rtol=1e-9)
+    assert_allclose(mu, obj.truth.friction, rtol=1e-9)
+    uniform, none = masses_of(trials, H, 0 * s)
+    assert_allclose(uniform, obj.total_mass / len(obj.shape.particles))
     assert_allclose(none, 0.0)
 
 

@@ -15,6 +15,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -25,7 +26,7 @@ import numpy as np
 import pandas as pd
 
 from scenarios.config import Policy, Scenario
-from scenarios.execution.executor import Executor, open_executor
+from scenarios.execution.executor import Executor, open_executor, work_off
 from scenarios.results.store import Store
 from scenarios.study import run as sweep
 from scenarios.study import trials
@@ -185,7 +186,8 @@ def driver(objects: int) -> None:
     with tempfile.TemporaryDirectory() as folder, open_executor("inline", 0) as executor:
         store = Store(Path(folder))
         experiments, _ = experiments_of(scenario, store, quiet)
-        trials.run_trials(experiments, store, executor, quiet)
+        run = trials.TrialRun(deque(experiments), store, executor, quiet, lambda _: None)
+        work_off(executor, run.start)
         made = len([*store.root.glob("trials/*")])
     print(made, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
 

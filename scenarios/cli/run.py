@@ -265,19 +265,20 @@ class _Bars:
 
 class _Lines:
     def __init__(self) -> None:
-        self._stages, self._printed, self._last = _Stages(), 0.0, ""
+        self._stages = _Stages()
+        self._printed: dict[str, tuple[float, str]] = {}
 
     def __call__(self, stage: str, done: int, total: int, failed: int = 0) -> None:
         rate = self._stages.rate(stage, done)
-        if time.monotonic() - self._printed < EVERY_S and done != total:
+        since, last = self._printed.get(stage, (0.0, ""))
+        if time.monotonic() - since < EVERY_S and done != total:
             return
-        self._printed = time.monotonic()
         parts = [f"{stage}: {done} of {'' if done == total else 'about '}{total}"]
         if rate and done != total:
             parts += [f"{rate:.1f}/s", f"about {(total - done) / rate:.0f} s left"]
         if failed:
             parts.append(f"{failed} failed")
         line = ", ".join(parts)
-        if line != self._last:
-            self._last = line
+        self._printed[stage] = time.monotonic(), line
+        if line != last:
             print(line, flush=True)

@@ -70,6 +70,24 @@ class Executor(Protocol):
         ...
 
 
+def work_off(executor: Executor, *sources: Callable[[], bool]) -> None:
+    """Keep an executor busy until no source has work left.
+
+    Args:
+        executor: to run tasks on; each is started under a function of its value, which is called when it has ended.
+        sources: each starts its next task, or does what needs none; False where it has nothing to start. An earlier
+            source goes first.
+    """
+    while True:
+        capacity = executor.capacity
+        while executor.running < capacity and any(start() for start in sources):
+            pass
+        if not executor.running:
+            return
+        take, value = executor.wait()
+        take(value)
+
+
 class InlineExecutor:
     """Every task in this process, when it is started; a task that hangs or crashes takes the run with it."""
 

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
-from functools import lru_cache
+from collections import deque
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from functools import lru_cache, partial
 from importlib.metadata import version
 from typing import Any
 
@@ -26,54 +27,79 @@ from testbed.plugins import placed_errors
 from testbed.sensing.windows import weight_of
 from testbed.trajectory import Trajectory
 
+_Draw = tuple[tuple[int, ...], "EstimateTask", str]
+"""Place among the rows (sensing, method, experiment, seed), task and content key."""
 
-def run_estimates(
-    experiments: list[Experiment],
-    left_out: list[InfeasibleExperiment],
-    store: Store,
-    executor: Executor,
-    progress: Progress,
-    on_result: ResultCallback | None = None,
-) -> list[dict[str, Any]]:
-    """Run every method on every experiment and sensing; a row a draw, in the scenario's order."""
-    rows: dict[tuple[int, ...], dict[str, Any]] = {}
-    waiting: list[tuple[tuple[int, ...], EstimateTask]] = []
-    for index, experiment in enumerate(experiments):
-        for s, sensing in enumerate(experiment.scenario.sensing):
-            if experiment.draw and experiment.draw[0] != sensing:
-                continue
-            for m, method in enumerate(experiment.scenario.methods):
-                waiting.append(((s, m, index), EstimateTask.of(experiment, sensing, method)))
-    total, failed = sum(len(task.seeds) for _, task in waiting), 0
-    waiting.sort(key=lambda item: item[1].kind != "diff_lcp")  # the slowest first
 
-    def take(place: tuple[int, ...], task: EstimateTask, key: str, row: dict[str, Any]) -> None:
-        nonlocal failed
-        rows[place] = row | task.labels() | {"key": key}
-        failed += row.get("status") == "failed"
-        progress("estimates", len(rows), total, failed)
+@dataclass(eq=False)
+class EstimateRun:
+    """Estimates of some experiments by every method and sensing, each from when its experiment's trials are there."""
 
-    def wait() -> None:
-        (place, task, key), value = executor.wait()
-        if isinstance(value, Failure):
-            store.put_error(key, value.detail)
-            take(place, task, key, _failed(place[-1], value.reason))
-        else:  # the row as the next run will read it
-            if on_result is not None:
-                on_result("estimate", key)
-            take(place, task, key, store.result(key) or _failed(place[-1], "its result.json cannot be read back"))
+    experiments: Sequence[Experiment]
+    store: Store
+    executor: Executor
+    progress: Progress
+    on_result: ResultCallback | None = None
+    failed: int = 0
+    """Estimates that have failed."""
+    total: int = field(init=False)
+    """Estimates of all experiments."""
+    waiting: deque[_Draw] = field(default_factory=deque)
+    """Draws whose trials are there."""
+    _rows: dict[tuple[int, ...], dict[str, Any]] = field(default_factory=dict)
+    _index: dict[Experiment, int] = field(init=False)
 
-    for place, task, key in _draws(waiting):
-        row = _failed(place[-1], task.failure) if task.failure else store.result(key)
+    def __post_init__(self) -> None:
+        self._index = {experiment: index for index, experiment in enumerate(self.experiments)}
+        self.total = sum(len(task.seeds) for each in self.experiments for _, task in self._tasks(each))
+
+    @property
+    def rows(self) -> list[dict[str, Any]]:
+        """A row a draw that is done, in the scenario's order."""
+        return [self._rows[place] for place in sorted(self._rows)]
+
+    def add(self, experiment: Experiment) -> None:
+        """Take an experiment whose trials are there, or that has failed."""
+        tasks = sorted(self._tasks(experiment), key=lambda item: item[1].kind != "diff_lcp")  # the slowest first
+        for place, task in tasks:
+            for seed, key in zip(task.seeds, task.result_keys(), strict=True):  # one that hangs takes no other with it
+                self.waiting.append(((*place, seed), task, key))
+
+    def start(self) -> bool:
+        """Start the next estimate, or take its row where it is there; False where none waits."""
+        if not self.waiting:
+            return False
+        place, task, key = draw = self.waiting.popleft()
+        row = _failed(place[-1], task.failure) if task.failure else self.store.result(key)
         if row is not None:
-            take(place, task, key, row)
-            continue
-        while executor.running >= executor.capacity:
-            wait()
-        executor.start((place, task, key), estimate, task, place[-1], key, store)
-    while executor.running:
-        wait()
-    return [rows[place] for place in sorted(rows)] + [_infeasible(experiment) for experiment in left_out]
+            self._put(draw, row)
+        else:
+            self.executor.start(partial(self._take, draw), estimate, task, place[-1], key, self.store)
+        return True
+
+    def _tasks(self, experiment: Experiment) -> Iterator[tuple[tuple[int, int, int], EstimateTask]]:
+        index = self._index[experiment]
+        for s, sensing in enumerate(experiment.scenario.sensing):
+            if not experiment.draw or experiment.draw[0] == sensing:
+                for m, method in enumerate(experiment.scenario.methods):
+                    yield (s, m, index), EstimateTask.of(experiment, sensing, method)
+
+    def _take(self, draw: _Draw, value: Failure | None) -> None:
+        """Take the end of an estimate."""
+        place, _, key = draw
+        if isinstance(value, Failure):
+            self.store.put_error(key, value.detail)
+            self._put(draw, _failed(place[-1], value.reason))
+        else:  # the row as the next run will read it
+            if self.on_result is not None:
+                self.on_result("estimate", key)
+            self._put(draw, self.store.result(key) or _failed(place[-1], "its result.json cannot be read back"))
+
+    def _put(self, draw: _Draw, row: dict[str, Any]) -> None:
+        place, task, key = draw
+        self._rows[place] = row | task.labels() | {"key": key}
+        self.failed += row.get("status") == "failed"
+        self.progress("estimates", len(self._rows), self.total, self.failed)
 
 
 NO_ANSWER = {
@@ -109,15 +135,6 @@ NOT_RUN = {
 
 def _failed(seed: int, why: str) -> dict[str, Any]:
     return NO_ANSWER | NOT_RUN | {"seed": seed, "status": "failed", "message": why}
-
-
-def _draws(
-    waiting: Iterable[tuple[tuple[int, ...], EstimateTask]],
-) -> Iterator[tuple[tuple[int, ...], EstimateTask, str]]:
-    """Place, task and content key of every draw; one that hangs takes no other with it."""
-    for place, task in waiting:
-        for seed, key in zip(task.seeds, task.result_keys(), strict=True):
-            yield (*place, seed), task, key
 
 
 @dataclass(frozen=True, eq=False)
@@ -226,7 +243,8 @@ def _answer(task: EstimateTask, seen: list[Trajectory], seed: int) -> Estimate:
     return answer
 
 
-def _infeasible(experiment: InfeasibleExperiment) -> dict[str, Any]:
+def infeasible_row(experiment: InfeasibleExperiment) -> dict[str, Any]:
+    """Row of an experiment that the robot cannot do."""
     labels = {"object": experiment.name, "support": experiment.support}
     nobody = {"sensing": "", "seed": 0, "method": "", "kind": ""}
     why = {"status": "infeasible", "message": experiment.reason}

@@ -7,6 +7,7 @@ from dataclasses import asdict, dataclass, field
 from functools import partial
 from typing import Any, Protocol
 
+from estimators.action_selection.rank import RankDriven
 from estimators.base import ActionPolicy
 from scenarios.config import Scenario
 from scenarios.results.store import Store, key_of, object_request
@@ -38,7 +39,7 @@ class Progress(Protocol):
 
 @dataclass(eq=False)
 class Experiment:
-    """One object under one support: its trials are made one after the other, as the policy chooses them.
+    """One object under one support: its trials are those that the policy chooses, one after the other.
 
     Most policies see the physics alone, and all draws of all sensors share an experiment. Where each action follows
     from the measured wrenches, an experiment belongs to one draw.
@@ -72,6 +73,11 @@ class Experiment:
     """Reason why a trial could not be made; empty if all could."""
     draw: tuple[str, int] | None = None
     """Sensor and seed of its one draw; None where all draws share it."""
+
+    def known_actions(self) -> list[Action]:
+        """Actions that do not depend on any wrench: those of the paper's policy, and the turns held out."""
+        chosen = self.policy.predicted_actions(self.particles.shape) if isinstance(self.policy, RankDriven) else []
+        return [*chosen, *self.turns]
 
     def next_action(self) -> Action | None:
         """Next action; None when done."""

@@ -6,6 +6,7 @@ import json
 import platform
 import shlex
 import time
+from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
@@ -15,14 +16,14 @@ from typing import Any
 import pandas as pd
 
 from scenarios.config import Scenario, Sweep, load_scenario
-from scenarios.execution.executor import default_workers, open_executor
+from scenarios.execution.executor import default_workers, open_executor, work_off
 from scenarios.results.files import exclusive, read_json, write_json
 from scenarios.results.store import Store, rows_of
 from scenarios.results.trials import MeasuredTrials, measured_trials
 from scenarios.study.dry_run import DryRun, check_methods
-from scenarios.study.estimates import run_estimates
+from scenarios.study.estimates import EstimateRun, infeasible_row
 from scenarios.study.experiment import Experiment, Progress, ResultCallback, experiments_of
-from scenarios.study.trials import run_trials
+from scenarios.study.trials import TrialRun
 from testbed.errors import InvalidValueError
 
 SENSING = "as measured"
@@ -57,9 +58,10 @@ def run_scenario(
         store.remove_leftovers()
         experiments, left_out = experiments_of(scenario, store, progress)
         write_json(out / "manifest.json", manifest(scenario, DryRun.of(scenario)))
-        run_trials(experiments, store, tasks, progress, on_result)
-        rows = run_estimates(experiments, left_out, store, tasks, progress, on_result)
-        table = store.put_table(rows)
+        estimates = EstimateRun(experiments, store, tasks, progress, on_result)
+        trials = TrialRun(deque(experiments), store, tasks, progress, estimates.add, on_result)
+        work_off(tasks, estimates.start, trials.start)
+        table = store.put_table([*estimates.rows, *map(infeasible_row, left_out)])
         write_json(out / "manifest.json", manifest(scenario))
         return table
 
@@ -147,7 +149,11 @@ def estimate_measured(folder: Path, request: EstimateRequest, progress: Progress
     store = Store(folder.absolute())
     with exclusive(folder), open_executor("local", workers, preload=(__name__,)) as tasks:
         store.remove_leftovers()
-        rows = rows_of(store.put_table(run_estimates(experiments, [], store, tasks, progress)))
+        estimates = EstimateRun(experiments, store, tasks, progress)
+        for experiment in experiments:
+            estimates.add(experiment)
+        work_off(tasks, estimates.start)
+        rows = rows_of(store.put_table(estimates.rows))
         holds = scenario.model_dump(include={"objects", "support", "sensing", "methods"})
         facts = {
             "name": folder.resolve().name,

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
+from functools import partial
 
 from scenarios.execution.executor import Executor, Failure
 from scenarios.results.store import Store, key_of, object_request, trial_request
@@ -20,100 +22,126 @@ FEET_RATE = 10.0
 """Rate at which the table's forces on the feet are kept, for the viewer [Hz]."""
 
 
-def run_trials(
-    experiments: list[Experiment],
-    store: Store,
-    executor: Executor,
-    progress: Progress,
-    on_result: ResultCallback | None = None,
-) -> None:
-    """Make the trials of some experiments side by side, in order within each; one that two need is made once.
-
-    The policy learns which actions are refused at the true masses, and chooses others. An experiment whose trial fails
-    for good, or whose policy asks again for a refused action, has the reason in `failure`, and goes no further.
-    """
-    expected = sum(experiment.scenario.policy.expected_trials for experiment in experiments)
-    waiting, run = deque(experiments), _Run(store, executor)
-    while waiting or executor.running:
-        while waiting and run.active < executor.capacity:  # the driver holds the trajectories of these and no others
-            run.begin(waiting.popleft())
-        if executor.running:
-            key, refusal = executor.wait()
-            if on_result is not None and refusal == "":
-                on_result("trial", key)
-            run.end(key, refusal)
-        failed = sum(bool(experiment.failure) for experiment in experiments)
-        progress("trials", run.done, max(run.done + executor.running, expected), failed)
-    progress("trials", run.done, run.done, sum(bool(experiment.failure) for experiment in experiments))
-
-
 @dataclass(eq=False)
-class _Run:
-    """Experiments under way, and the trials that they wait for."""
+class TrialRun:
+    """Trials of some experiments, side by side; one that two experiments need is made once.
 
+    An experiment's known actions are made in any order; the policy is asked for each action all the same. It learns
+    which actions are refused at the true masses, and chooses others. An experiment whose trial fails for good, or whose
+    policy asks again for a refused action, has the reason in `failure`, and goes no further.
+    """
+
+    waiting: deque[Experiment]
+    """Experiments not yet begun."""
     store: Store
     executor: Executor
-    active: int = 0
-    """Experiments begun and not yet done or given up."""
+    progress: Progress
+    ended: Callable[[Experiment], None]
+    """Called with each experiment whose trials are there, or that has failed."""
+    on_result: ResultCallback | None = None
     done: int = 0
     """Trials done."""
+    failed: int = 0
+    """Experiments that have failed."""
+    expected: int = field(init=False)
+    """Trials where nothing fails and nothing is shared."""
+    known: deque[tuple[Experiment, Action]] = field(default_factory=deque)
+    """Known actions of the experiments under way."""
     asking: dict[str, list[tuple[Experiment, Action]]] = field(default_factory=dict)
     """Experiments that wait for each trial in flight, and the action that it makes."""
+    refusals: dict[str, str | Failure] = field(default_factory=dict)
+    """Reasons why trials were refused or failed."""
 
-    def begin(self, experiment: Experiment) -> None:
+    def __post_init__(self) -> None:
+        self.expected = sum(experiment.scenario.policy.expected_trials for experiment in self.waiting)
+
+    def start(self) -> bool:
+        """Start the next trial, or take the next experiment; False where there is neither."""
+        if self.known:
+            experiment, action = self.known.popleft()
+            if not experiment.failure:
+                self._started(experiment, action)
+        elif self.waiting:
+            self._begin(self.waiting.popleft())
+        else:
+            return False
+        return True
+
+    def _begin(self, experiment: Experiment) -> None:
         if _recalled(experiment, self.store):
             self.done += len(experiment.keys) + len(experiment.held_out_keys)
+            self._end(experiment)
         else:
-            self.active += 1
+            self.known.extend((experiment, action) for action in experiment.known_actions())
             self._go_on(experiment, Weigh())
 
-    def end(self, key: str, refusal: str | Failure) -> None:
+    def _started(self, experiment: Experiment, action: Action) -> str:
+        """Key of the trial, which is started where it is neither there nor in flight."""
+        trial, settings = Trial(experiment.model, action, experiment.support), experiment.scenario.simulation.build()
+        key = key_of(trial_request(trial, settings))
+        if not (key in self.asking or key in self.refusals or self.store.has_trial(key)):
+            self.asking[key] = []
+            self.executor.start(partial(self._take, key), _tried, trial, settings, self.store)
+        return key
+
+    def _take(self, key: str, refusal: str | Failure) -> None:
         """Take the end of a trial: made where `refusal` is empty."""
+        if refusal != "":
+            self.refusals[key] = refusal
+        elif self.on_result is not None:
+            self.on_result("trial", key)
+        if isinstance(refusal, Failure):
+            self.store.put_trial_error(key, refusal.detail)
         for experiment, action in self.asking.pop(key):
-            if refusal == "":
-                self._go_on(experiment, action)
-            elif isinstance(refusal, Failure):
-                self._give_up(experiment, f"{action.kind}: {refusal.reason}")
-                self.store.put_trial_error(key, refusal.detail)
-            else:
-                experiment.refused[action] = refusal
-                self._go_on(experiment, self._next_action(experiment))
+            self._go_on(experiment, action)
+        self._show()
 
     def _go_on(self, experiment: Experiment, action: Action | None) -> None:
-        """From this action on, take the trials that are there, and start the first that is not."""
+        """From this action on, take the trials that are there, and wait for the first that is not."""
         while action is not None:
-            trial, settings = (
-                Trial(experiment.model, action, experiment.support),
-                experiment.scenario.simulation.build(),
-            )
-            key = key_of(trial_request(trial, settings))
-            if not (self.store.has_trial(key) and _taken(experiment, action, key, self.store)):
-                self.asking.setdefault(key, []).append((experiment, action))
-                if len(self.asking[key]) == 1:
-                    self.executor.start(key, _tried, trial, settings, self.store)
+            key = self._started(experiment, action)
+            if key in self.asking:
+                self.asking[key].append((experiment, action))
                 return
-            self.done += 1
-            action = self._next_action(experiment)
+            refusal = self.refusals.get(key)
+            if isinstance(refusal, Failure):
+                experiment.failure = f"{action.kind}: {refusal.reason}"
+                break
+            if refusal is not None:
+                experiment.refused[action] = refusal
+            elif _taken(experiment, action, key, self.store):
+                self.done += 1
+            else:
+                continue
+            action = _next_action(experiment)
         if not experiment.failure:
             self.store.put_note(_key_of(experiment), {"keys": experiment.keys, "held_out": experiment.held_out_keys})
-            self.active -= 1
+        self._end(experiment)
 
-    def _next_action(self, experiment: Experiment) -> Action | None:
-        """Next action; a policy that cannot go on ends its own experiment."""
-        try:
-            action = experiment.next_action()
-        except HeftError as error:
-            self._give_up(experiment, f"policy: {error}")
-            return None
-        if action in experiment.refused:
-            self._give_up(experiment, f"{action.kind}: {experiment.refused[action]}")
-            return None
-        return action
-
-    def _give_up(self, experiment: Experiment, why: str) -> None:
-        experiment.failure = why
+    def _end(self, experiment: Experiment) -> None:
+        """Give the experiment back: its trials are there, or it has failed."""
+        self.failed += bool(experiment.failure)
         experiment.trajectories.clear()
-        self.active -= 1
+        self.ended(experiment)
+        self._show()
+
+    def _show(self) -> None:
+        over = not (self.waiting or self.asking or self.known)
+        total = self.done if over else max(self.done + len(self.asking), self.expected)
+        self.progress("trials", self.done, total, self.failed)
+
+
+def _next_action(experiment: Experiment) -> Action | None:
+    """Next action; None where there is none, or the policy cannot go on, which is the experiment's `failure`."""
+    try:
+        action = experiment.next_action()
+    except HeftError as error:
+        experiment.failure = f"policy: {error}"
+        return None
+    if action in experiment.refused:
+        experiment.failure = f"{action.kind}: {experiment.refused[action]}"
+        return None
+    return action
 
 
 def _taken(experiment: Experiment, action: Action, key: str, store: Store) -> bool:

@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import time
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,9 @@ import pytest
 from estimators.registry import METHODS
 from scenarios.cli.main import main
 from scenarios.config import Scenario, load_scenario
+from scenarios.execution.executor import InlineExecutor
 from scenarios.results.files import LOCK, FolderInUseError, exclusive, read_json
+from scenarios.study import run as study
 from scenarios.study import trials
 from scenarios.study.run import check_nothing_lost, run_scenario
 from testbed.errors import InfeasibleTrialError, InvalidValueError
@@ -97,6 +100,29 @@ def test_ctrl_c_leaves_whole_files_and_the_next_run_goes_on(finished, tmp_path):
     assert_whole(out)
     assert not list(out.rglob("*.part"))
     pd.testing.assert_frame_equal(resumed(finished.scenario, out), finished.rows)
+
+
+def test_an_objects_estimates_come_before_the_next_ones_trials(tmp_path):
+    kinds: list[str] = []
+    scenario = load_scenario(str(small_scenario(tmp_path)))[1]
+    run_scenario(scenario, tmp_path / "out", 0, quiet, on_result=lambda kind, _: kinds.append(kind))
+    each = [*["trial"] * (kinds.count("trial") // 2), *["estimate"] * (kinds.count("estimate") // 2)]
+    assert kinds == each * 2
+
+
+def test_trials_that_no_wrench_decides_are_all_in_flight_at_once(finished, tmp_path, monkeypatch):
+    running: list[int] = []
+
+    class Wide(InlineExecutor):
+        capacity = 50
+
+        def wait(self) -> tuple[Any, Any]:
+            running.append(self.running)
+            return super().wait()
+
+    monkeypatch.setattr(study, "open_executor", lambda *_, **__: nullcontext(Wide()))
+    pd.testing.assert_frame_equal(resumed(finished.scenario, tmp_path / "out"), finished.rows)
+    assert running[0] == len(list((tmp_path / "out").glob("trials/*")))
 
 
 def test_a_finished_run_is_read_again_without_work(finished, copied):

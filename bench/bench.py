@@ -76,11 +76,11 @@ def trial_against_bare_steps() -> tuple[float, float, int]:
     """Wall time of a trial and of nothing but mj_step over the same model and commands; and the number of steps."""
     model, action = load_object("L2"), Rotate(2, duration=6.0)
     runner = SimulationRunner(SETTINGS)
-    steps = round(1 / SETTINGS.rate / SETTINGS.timestep)
+    steps = SETTINGS.steps
     motion = plan_motion(action, model.shape, SETTINGS)
-    scene = build_scene(model, OWN_WEIGHT, model.shape.grasps[2], SETTINGS)
+    scene = build_scene(model, OWN_WEIGHT, model.shape.grasps[2], SETTINGS, origin=motion.center)
     data = mujoco.MjData(scene.model)
-    place(scene.model, data, motion)
+    place(scene, data, motion)
     servo = Servo(scene.model, motion, SETTINGS)
     controls = []
     for tick in range(len(motion.q)):
@@ -90,7 +90,7 @@ def trial_against_bare_steps() -> tuple[float, float, int]:
         servo.measure(data, tick)
 
     def bare() -> None:
-        place(scene.model, data, motion)
+        place(scene, data, motion)
         for control in controls:
             data.ctrl[:] = control
             mujoco.mj_step(scene.model, data, steps)

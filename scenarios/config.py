@@ -48,7 +48,7 @@ class Grid(Strict):
 class Simulation(Strict):
     """Settings of the simulation, each with its measured default; or a runner of another package."""
 
-    timestep_s: Annotated[float, Field(gt=0, le=0.002)] = 0.001
+    timestep_s: Annotated[float, Field(gt=0, le=0.01)] = 0.005
     grip: Literal["friction", "weld"] = "friction"
     grip_force_N: Annotated[float, Field(ge=20, le=235)] = GripSettings().force
     sag_m: Annotated[float, Field(gt=0, le=0.01)] = ContactSettings().sag
@@ -63,6 +63,7 @@ class Simulation(Strict):
             if self.settings:
                 allowed = "none: the simulated bench has its fields in [simulation]; settings are for a runner"
                 raise InvalidValueError("settings", self.settings, allowed)
+            self.build()
             return self
         fields = set(type(self).model_fields) - {"runner", "settings"}
         if ours := sorted(name for name in fields if getattr(self, name) != type(self).model_fields[name].default):

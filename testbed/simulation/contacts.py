@@ -121,7 +121,7 @@ def weigh(trial: Trial, settings: SimulationSettings) -> Trajectory:
     count = round(_READ_TIME * settings.rate)
     weight, force = np.zeros(count), np.zeros(6)
     for tick in range(count):
-        mujoco.mj_step(model, data, round(1 / settings.rate / settings.timestep))
+        mujoco.mj_step(model, data, settings.steps)
         for contact in range(data.ncon):
             mujoco.mj_contactForce(model, data, contact, force)
             weight[tick] += force[0]

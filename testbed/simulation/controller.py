@@ -38,7 +38,10 @@ class Servo:
     def command(self, data: mujoco.MjData, tick: int) -> None:
         """Set joint speeds and grip for the coming tick."""
         reference = self._motion.q[tick] + self._shift
-        self._integral += self._settings.servo.integral_gain * self._dt * (reference - data.qpos[:7])
+        if (
+            self._motion.phase[tick] >= Phase.GRASP
+        ):  # what it gathered on the way down would shift the hand as it closes
+            self._integral += self._settings.servo.integral_gain * self._dt * (reference - data.qpos[:7])
         target = reference + self._lag * self._motion.qd[tick] + self._integral
         data.ctrl[:7] = (target - data.act[:7]) / self._dt
         if self._weld is None:

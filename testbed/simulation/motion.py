@@ -156,6 +156,8 @@ class Motion:
     """First joint angles [rad], shape (7,)."""
     object_pose: np.ndarray
     """First planar pose of the object [m, m, rad], world, shape (3,)."""
+    center: tuple[float, float]
+    """Center of a turn, else the grasp point [m], object frame."""
     phase: np.ndarray
     """`Phase`, shape (N,)."""
     segment: np.ndarray
@@ -209,7 +211,9 @@ def plan_motion(action: Action, shape: ObjectShape, settings: SimulationSettings
     parts.append((phases, work.segment, q, qd, np.ones(len(q)), np.full(len(q), work.complies)))
     hold(Phase.RELEASE, q[-1], PAUSE, (1.0, 0.0))
     hold(Phase.RELEASE, q[-1], _OPEN_TIME, (-0.05, -0.05))
-    return Motion(q_hover, work.object_pose, *map(np.concatenate, zip(*parts, strict=True)), in_the_air=action.in_air)
+    return Motion(
+        q_hover, work.object_pose, work.center, *map(np.concatenate, zip(*parts, strict=True)), in_the_air=action.in_air
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -220,6 +224,8 @@ class _Work:
     """Tool pose of the grasp: x, y, z [m] and yaw [rad], shape (4,)."""
     object_pose: np.ndarray
     """First planar pose of the object, shape (3,)."""
+    center: tuple[float, float]
+    """Center of a turn, else the grasp point [m], object frame."""
     segment: np.ndarray
     """Steady stretch of every tick, shape (N,); -1 outside."""
     joints: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
@@ -250,7 +256,8 @@ def _(action: TableAction, shape: ObjectShape, settings: SimulationSettings) -> 
         return along(distance / total), along(distance / total, 1) * (rate / total)[:, None]
 
     complies = settings.servo.comply_gain > 0
-    return _Work(waypoints[0], path.object_pose(part)[0], profile.segment, joints, complies)
+    x, y = action.center(shape)
+    return _Work(waypoints[0], path.object_pose(part)[0], (x, y), profile.segment, joints, complies)
 
 
 @_work.register(Lift)
@@ -260,6 +267,12 @@ def _(action: Lift, shape: ObjectShape, settings: SimulationSettings) -> _Work:
     grasp = shape.grasps[action.grasp]
     hold = np.array([*WORKSPACE, settings.grip.tcp_height, 0.0])
     pose = pose_from_point(hold[:2], grasp.position, np.array(-grasp.angle))
+    x, y = grasp.position
     return _Work(
-        hold, pose, profile.segment, lambda q_grasp: _lift_joints(action, profile, hold, pose[2], q_grasp), False
+        hold,
+        pose,
+        (x, y),
+        profile.segment,
+        lambda q_grasp: _lift_joints(action, profile, hold, pose[2], q_grasp),
+        False,
     )

@@ -11,7 +11,7 @@ import mujoco
 import numpy as np
 
 from testbed.errors import InvalidValueError
-from testbed.frames import origin_velocity, pose_from_point, rotation_matrix
+from testbed.frames import origin_velocity, pose_from_point, rotation_matrix, transform_point
 from testbed.objects.model import STROKE
 from testbed.sensing.noise import draw_sensing
 from testbed.sensing.presets import preset
@@ -20,7 +20,7 @@ from testbed.simulation.controller import Servo
 from testbed.simulation.feasibility import check_feasible
 from testbed.simulation.monitor import Monitor, Outcome
 from testbed.simulation.motion import Motion, gripper_tool, plan_motion
-from testbed.simulation.scene import build_scene
+from testbed.simulation.scene import Scene, build_scene
 from testbed.simulation.settings import SimulationSettings
 from testbed.trajectory import Trajectory
 from testbed.trial import Trial
@@ -93,16 +93,16 @@ class SimulationRunner:
             return weigh(trial, self.settings)
         motion = plan_motion(trial.action, trial.object.shape, self.settings)
         check_feasible(trial, motion, self.settings)
-        scene = build_scene(trial.object, trial.support, trial.grasp, self.settings)
+        scene = build_scene(trial.object, trial.support, trial.grasp, self.settings, origin=motion.center)
         model, data = scene.model, mujoco.MjData(scene.model)
-        place(model, data, motion)
+        place(scene, data, motion)
         if log is not None:
             log.start(scene, len(motion.q))
         servo = Servo(model, motion, self.settings)
         monitor = Monitor(model, scene, motion, self.settings)
         # A sensor integrates over its sample; one instant a tick would alias with the outer loop's steps
         record, sample = np.empty((len(motion.q), model.nsensordata)), np.zeros(model.nsensordata)
-        steps = round(1 / self.settings.rate / self.settings.timestep)
+        steps = self.settings.steps
         count = len(motion.q)
         for tick in range(len(motion.q)):
             servo.command(data, tick)
@@ -122,11 +122,13 @@ class SimulationRunner:
         return _trajectory(trial, motion, model, record, self.settings, outcome)
 
 
-def place(model: mujoco.MjModel, data: mujoco.MjData, motion: Motion) -> None:
+def place(scene: Scene, data: mujoco.MjData, motion: Motion) -> None:
     """Put arm and object at the start of a motion, with a finer solver for an object that leaves the table."""
+    model = scene.model
     if motion.in_the_air:
         model.opt.tolerance = TOLERANCE_IN_AIR
-    x, y, yaw = motion.object_pose
+    x, y = transform_point(motion.object_pose, np.array(scene.origin))
+    yaw = motion.object_pose[2]
     data.qpos[:7] = data.act[:7] = motion.start
     address = model.joint("object").qposadr[0]
     data.qpos[address : address + 2] = x, y
@@ -147,6 +149,10 @@ def _trajectory(
         name: record[:, (a := model.sensor(key).adr[0]) : a + model.sensor(key).dim[0]]
         for name, key in _SENSORS.items()
     }
+    # A step moves by the velocity at its end: the one that goes with a position is half a step younger
+    part = settings.rate * settings.timestep / 2
+    for name in ("tcp_velocity", "tcp_angular_velocity"):
+        s[name] = s[name] + part * np.diff(s[name], axis=0, append=s[name][-1:])
     closing = rotation_matrix(s["tcp_orientation"])[:, :, 0]
     yaw = np.unwrap(np.arctan2(closing[:, 1], closing[:, 0])) - grasp.angle
     pose = pose_from_point(s["tcp_position"][:, :2], grasp.position, yaw)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, distribution
 from pathlib import Path
@@ -24,39 +26,48 @@ def set_solver(spec: mujoco.MjSpec, timestep: float, contact: ContactSettings) -
     option.timestep = timestep
     option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET  # divergence must be seen, not repaired
     option.gravity = (0.0, 0.0, -GRAVITY)
-    # Explicit damping: an implicit integrator moves by another acceleration than the one its sensors report
-    option.integrator = mujoco.mjtIntegrator.mjINT_EULER
-    option.disableflags |= mujoco.mjtDisableBit.mjDSBL_EULERDAMP
+    # Stable at large steps, and its sensors report the acceleration by which it moves, unlike other implicit ones
+    option.integrator = mujoco.mjtIntegrator.mjINT_DISCRETE
     option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
     option.jacobian = mujoco.mjtJacobian.mjJAC_SPARSE  # a quarter faster here than dense
     option.impratio = contact.impratio
 
 
-def add_object(spec: mujoco.MjSpec, obj: ObjectModel, support: Support) -> list[mujoco.MjsBody]:
+def add_object(
+    spec: mujoco.MjSpec, obj: ObjectModel, support: Support, origin: tuple[float, float] = (0.0, 0.0)
+) -> list[mujoco.MjsFrame]:
     """Add one body per mass group (own weight, springs) or one for all (rigid); the first has the free joint.
 
     Own weight: the others hang on vertical slides, free or joined to their neighbors by springs, so that each group's
     weight goes to its own feet while all move as one in the plane.
+
+    Args:
+        spec: scene to add to.
+        obj: the object.
+        support: support of its weight.
+        origin: point of the free joint [m], object frame.
+
+    Returns:
+        The frame of every mass group, at the object's middle.
     """
     shape, height = obj.shape, obj.shape.height
-    root = spec.worldbody.add_body(name="object", pos=(0, 0, height / 2))
+    root = spec.worldbody.add_body(name="object", pos=(*origin, height / 2))
     root.add_freejoint(name="object")
-    bodies = [root]
+    middle = root.add_frame(pos=(-origin[0], -origin[1], 0))
+    frames = [middle]
     for group in range(shape.n_m):
-        if group == 0 or support.is_rigid:
-            body = root
-        else:
-            body = root.add_body(name=f"object/{shape.group_names[group]}")
+        if group > 0 and not support.is_rigid:
+            body = middle.add_body(name=f"object/{shape.group_names[group]}")
             body.add_joint(name=f"slide_{group}", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=(0, 0, 1), damping=1e-3)
-            bodies.append(body)
+            frames.append(body.add_frame())
         color = group_rgba(group)
         if obj.solids:
-            _add_solid(spec, body, obj, group, color)
+            _add_solid(spec, frames[-1], obj, group, color)
             continue
         for particle in np.flatnonzero(shape.mass_group == group):
-            add_cell(body, shape, int(particle), max(obj.particle_mass[particle], 1e-6), rgba=color, group=1)
+            add_cell(frames[-1], shape, int(particle), max(obj.particle_mass[particle], 1e-6), rgba=color, group=1)
     if support.is_rigid:
-        return [root] * shape.n_m
+        return frames * shape.n_m
     if support.stiffness > 0:
         for a, b in touching_groups(shape):
             tendon = spec.add_tendon(
@@ -65,12 +76,14 @@ def add_object(spec: mujoco.MjSpec, obj: ObjectModel, support: Support) -> list[
             for group, coefficient in ((a, 1.0), (b, -1.0)):
                 if group > 0:
                     tendon.wrap_joint(f"slide_{group}", coefficient)
-    return bodies
+    return frames
 
 
-def add_cell(body: mujoco.MjsBody, shape: ObjectShape, particle: int, mass: float, **looks: object) -> None:
+def add_cell(
+    frame: mujoco.MjsBody | mujoco.MjsFrame, shape: ObjectShape, particle: int, mass: float, **looks: object
+) -> None:
     """Add the box of a particle's cell, which touches nothing; mass in kg."""
-    body.add_geom(
+    frame.add_geom(
         name=f"cell_{particle}",
         type=mujoco.mjtGeom.mjGEOM_BOX,
         pos=(*shape.particles[particle], 0),
@@ -83,7 +96,7 @@ def add_cell(body: mujoco.MjsBody, shape: ObjectShape, particle: int, mass: floa
 
 
 def _add_solid(
-    spec: mujoco.MjSpec, body: mujoco.MjsBody, obj: ObjectModel, group: int, color: tuple[float, ...]
+    spec: mujoco.MjSpec, frame: mujoco.MjsFrame, obj: ObjectModel, group: int, color: tuple[float, ...]
 ) -> None:
     """Add the solid of a mass group, with its mass and inertia; its feet carry it, and it touches nothing itself."""
     solid, name = obj.solids[group], f"solid_{group}"
@@ -93,7 +106,7 @@ def _add_solid(
         userface=solid.faces.ravel(),
         inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_EXACT,  # of the body itself, not of its convex hull
     )
-    body.add_geom(
+    frame.add_geom(
         name=name,
         type=mujoco.mjtGeom.mjGEOM_MESH,
         meshname=name,
@@ -114,14 +127,17 @@ def touching_groups(shape: ObjectShape) -> list[tuple[int, int]]:
 
 
 def add_feet(
-    spec: mujoco.MjSpec, obj: ObjectModel, bodies: list[mujoco.MjsBody], contact: ContactSettings
+    spec: mujoco.MjSpec,
+    obj: ObjectModel,
+    frames: Sequence[mujoco.MjsBody | mujoco.MjsFrame],
+    contact: ContactSettings,
 ) -> np.ndarray:
     """Add feet and their contacts under the particles that touch the table; returns those, shape (n_feet,)."""
     shape = obj.shape
     feet = np.flatnonzero(shape.friction_group >= 0)
     for particle in feet:
         x, y = shape.particles[particle]
-        bodies[shape.mass_group[particle]].add_geom(
+        frames[shape.mass_group[particle]].add_geom(
             name=f"foot_{particle}",
             type=mujoco.mjtGeom.mjGEOM_SPHERE,
             size=(contact.foot_radius, 0, 0),
@@ -149,13 +165,12 @@ def soften_feet(
 ) -> None:
     """Give every foot the stiffness of `foot_stiffness`.
 
-    MuJoCo's stiffness is per unit of effective mass, which only the compiled model knows (body_invweight0): a static
-    contact with impedance d carries f = k r d / ((1 - d) A), with k in 1/s^2 and A the inverse effective mass.
+    MuJoCo's stiffness is per unit of effective mass, which only the compiled model knows: a static contact with
+    impedance d carries f = k r d / ((1 - d) A), with k in 1/s^2 and A the inverse effective mass.
     """
     d = contact.impedance
     newtons_per_metre = foot_stiffness(obj, contact)
-    for particle, geom in zip(feet, geoms, strict=True):
-        inverse_mass = model.body_invweight0[model.geom_bodyid[geom], 0]
+    for particle, inverse_mass in zip(feet, _inverse_masses(model, feet, geoms, d), strict=True):
         stiffness = newtons_per_metre * (1 - d) * inverse_mass / d
         pair = model.pair(f"foot_{particle}")
         pair.solref[:] = -stiffness * d, -2 * math.sqrt(stiffness) * d
@@ -163,15 +178,33 @@ def soften_feet(
         model.pair_solreffriction[pair.id] = -1e-6, -contact.friction_damping * d
 
 
+def _inverse_masses(model: mujoco.MjModel, feet: np.ndarray, geoms: np.ndarray, impedance: float) -> np.ndarray:
+    """Inverse effective mass of every foot [1/kg], shape (n_feet,)."""
+    inverse = model.body_invweight0[model.geom_bodyid[geoms], 0].copy()
+    slides = [j for j in range(model.njnt) if model.joint(j).name.startswith("slide_")]
+    if not any(model.tendon(t).name.startswith("spring_") for t in range(model.ntendon)):
+        return inverse
+    # A stretched spring counts as mass in a step: ask the contacts themselves, at a stiffness of none
+    soft, data = copy(model), mujoco.MjData(model)
+    for particle in feet:
+        pair = soft.pair(f"foot_{particle}")
+        pair.solref[:], pair.solimp[:2] = (-1e-12, -1e-12), impedance
+    data.qpos[soft.jnt_qposadr[slides]] = -1e-9 * np.arange(1, len(slides) + 1)
+    mujoco.mj_forward(soft, data)
+    for touch in data.contact:
+        inverse[np.isin(geoms, touch.geom)] = data.efc_R[touch.efc_address] * impedance / (1 - impedance)
+    return inverse
+
+
 def add_grip(
-    spec: mujoco.MjSpec, shape: ObjectShape, bodies: list[mujoco.MjsBody], grasp: Grasp, grip: GripSettings
+    spec: mujoco.MjSpec, shape: ObjectShape, frames: list[mujoco.MjsFrame], grasp: Grasp, grip: GripSettings
 ) -> None:
-    """Add a box with the gripped faces to the held body, and the pads' contacts with it."""
+    """Add a box with the gripped faces to the held group, and the pads' contacts with it."""
     top = shape.height if grasp.top is None else grasp.top
     nearest = int(np.argmin(np.linalg.norm(shape.particles - grasp.position, axis=1)))
-    body = bodies[shape.mass_group[nearest]]
+    frame = frames[shape.mass_group[nearest]]
     half = grasp.angle / 2
-    body.add_geom(
+    frame.add_geom(
         name="gripped",
         type=mujoco.mjtGeom.mjGEOM_BOX,
         pos=(*grasp.position, (grasp.bottom + top) / 2 - shape.height / 2),
@@ -188,7 +221,7 @@ def add_grip(
             type=mujoco.mjtEq.mjEQ_WELD,
             objtype=mujoco.mjtObj.mjOBJ_BODY,
             name1="gripper/base",
-            name2=body.name,
+            name2=frame.parent.name,
             active=False,
             solref=(0.004, 1),
             solimp=[0.99, 0.999, 0.001, 0.5, 2],
@@ -202,6 +235,7 @@ def add_grip(
             condim=4,
             friction=[grip.friction, grip.friction, 0.005, 0, 0],
             solref=(0.004, grip.pad_damping),
+            solreffriction=(-1e-6, -grip.friction_damping),
             solimp=[0.95, 0.99, 0.001, 0.5, 2],
         )
 
@@ -222,10 +256,18 @@ class Scene:
     """Geom id of each foot, shape (n_feet,)."""
     foot_particles: np.ndarray
     """Particle over each foot, shape (n_feet,)."""
+    origin: tuple[float, float]
+    """Point of the object that its body's frame lies on [m], object frame."""
 
 
 def build_scene(
-    obj: ObjectModel, support: Support, grasp: Grasp | None, settings: SimulationSettings, *, meshes: bool = False
+    obj: ObjectModel,
+    support: Support,
+    grasp: Grasp | None,
+    settings: SimulationSettings,
+    *,
+    origin: tuple[float, float] = (0.0, 0.0),
+    meshes: bool = False,
 ) -> Scene:
     """Compose and compile the scene with one object on the table.
 
@@ -234,6 +276,8 @@ def build_scene(
         support: support of the weight.
         grasp: the grasp whose faces the pads may touch; None leaves the arm out (the scale).
         settings: contact, grip and servo.
+        origin: point of the object that its body's frame lies on [m], object frame. A contact in MuJoCo leaves out the
+            centripetal acceleration of that point, by which the object would creep in the grip: in a turn, its center.
         meshes: draw the arm by its meshes if the extra "meshes" is installed; capsules otherwise.
 
     Raises:
@@ -242,20 +286,21 @@ def build_scene(
     spec = part("table")
     spec.modelname = f"heft_{obj.name}"
     set_solver(spec, settings.timestep, settings.contact)
+    spec.geom("top").pos[2] += settings.contact.sag / 2  # a contact lies halfway into the overlap: then at height 0
     standing = obj.shape.mass_group[obj.shape.friction_group >= 0]
     clear = [obj.shape.group_names[g] for g in range(obj.shape.n_m) if g not in standing]
     if clear and not support.is_rigid:
         raise InvalidValueError("support", support.name, f"rigid, since {', '.join(clear)} has no foot to rest on")
     if grasp is not None:
         attach_arm(spec, meshes=meshes)
-    bodies = add_object(spec, obj, support)
-    feet = add_feet(spec, obj, bodies, settings.contact)
+    frames = add_object(spec, obj, support, origin)
+    feet = add_feet(spec, obj, frames, settings.contact)
     if grasp is not None:
-        add_grip(spec, obj.shape, bodies, grasp, settings.grip)
+        add_grip(spec, obj.shape, frames, grasp, settings.grip)
     model = spec.compile()
     foot_geoms = np.array([model.geom(f"foot_{i}").id for i in feet])
     soften_feet(model, obj, feet, foot_geoms, settings.contact)
-    return Scene(model, model.body("object").id, foot_geoms, feet)
+    return Scene(model, model.body("object").id, foot_geoms, feet, origin)
 
 
 def part(name: str) -> mujoco.MjSpec:

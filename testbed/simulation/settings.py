@@ -23,10 +23,10 @@ class ContactSettings:
 
     sag: float = 0.001
     """Depth by which the object sinks under its own weight [m]: softness of the foundation, as of thin felt."""
-    impedance: float = 0.01
+    impedance: float = 1e-4
     """Constraint impedance of the normal direction, 0 to 1."""
-    friction_damping: float = 100.0
-    """Rate at which friction opposes slip [1/s]; its direction errs by turn rate / this [rad]."""
+    friction_damping: float = 50.0
+    """Rate at which friction opposes slip [1/s]: it acts against acceleration + this * speed."""
     impratio: float = 1e4
     """Stiffness of friction over that of the normal direction, large so that sticking feet and pads do not creep."""
     foot_radius: float = 0.002
@@ -50,8 +50,9 @@ class GripSettings:
     friction: float = 0.6
     """Friction of the pads: the lower of two published values."""
     pad_damping: float = 2.0
-    """Damping ratio of the pads against a face. At 1 the held object swings at 80 to 120 Hz in some turns about a point
-    near light blocks, faster at smaller steps, since the arm's damping is explicit; from 1.5 up it does not."""
+    """Damping ratio of the pads against a face."""
+    friction_damping: float = 5000.0
+    """Rate at which the pads' friction opposes slip [1/s], large so that what turns does not creep in the grip."""
     tcp_height: float = 0.022
     """Height of the TCP over the table while holding [m]: the pads clear the table by 3 mm."""
 
@@ -74,8 +75,8 @@ class ServoSettings:
 class SimulationSettings:
     """Settings of the simulation."""
 
-    timestep: float = 0.001
-    """Physics step [s]."""
+    timestep: float = 0.005
+    """Physics step [s]; a whole number of them makes a sample."""
     rate: float = 100.0
     """Rate of the record and of the outer loop [Hz]."""
     contact: ContactSettings = ContactSettings()
@@ -84,3 +85,15 @@ class SimulationSettings:
     """Grip between pads and object."""
     servo: ServoSettings = ServoSettings()
     """Outer loop of the arm."""
+
+    def __post_init__(self) -> None:
+        check_positive("SimulationSettings.rate", self.rate)
+        check_positive("SimulationSettings.timestep", self.timestep)
+        if self.steps < 1 or abs(self.steps * self.timestep * self.rate - 1) > 1e-9:
+            allowed = f"{1 / self.rate:g} s, the time between samples, or a whole part of it"
+            raise InvalidValueError("SimulationSettings.timestep", self.timestep, allowed)
+
+    @property
+    def steps(self) -> int:
+        """Physics steps a sample."""
+        return round(1 / self.rate / self.timestep)

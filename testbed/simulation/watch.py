@@ -54,17 +54,19 @@ class LiveTrial(_Scripted):
         self._motion = plan_motion(trial.action, shape, self._settings)
         check_feasible(trial, self._motion, self._settings)
         grasp = trial.grasp
-        self._scene = build_scene(trial.object, trial.support, grasp, self._settings, meshes=True)
+        self._scene = build_scene(
+            trial.object, trial.support, grasp, self._settings, origin=self._motion.center, meshes=True
+        )
         light(self._scene.model)
         self.physics = dm_control.mujoco.Physics.from_model(MjModel(self._scene.model))
-        self._steps = round(1 / self._settings.rate / self._settings.timestep)
+        self._steps = self._settings.steps
         self.reset()
 
     def reset(self) -> dm_env.TimeStep:
         """Restart the trial."""
         model, data = self._scene.model, self.physics.data.ptr
         mujoco.mj_resetData(model, data)
-        place(model, data, self._motion)
+        place(self._scene, data, self._motion)
         self._servo = Servo(model, self._motion, self._settings)
         self._monitor = Monitor(model, self._scene, self._motion, self._settings)
         self._tick = 0

@@ -104,7 +104,9 @@ def test_phases_are_found_from_the_motion(which: str, request: pytest.FixtureReq
     found = import_csv(tmp_path, original)
     for segment in range(original.segment.max() + 1):
         mine, theirs = (np.flatnonzero(t.segment == segment) for t in (found, original))
-        assert_allclose([mine[0], mine[-1]], [theirs[0], theirs[-1]], atol=10)
+        # The hand overshoots as the object breaks loose: its speed is constant a fifth of a second late
+        assert -10 <= mine[0] - theirs[0] <= 20
+        assert abs(mine[-1] - theirs[-1]) <= 10
     tare = np.flatnonzero(found.phase == Phase.TARE)
     assert set(original.phase[tare]) == {Phase.TARE}
     assert len(tare) > 25

@@ -13,8 +13,8 @@ from testbed.actions.accelerate import Accelerate
 from testbed.actions.rotate import Rotate
 from testbed.actions.slide import Slide
 from testbed.actions.weigh import Weigh
-from testbed.errors import InfeasibleTrialError
-from testbed.frames import cross_2d, perpendicular, rotation_2d
+from testbed.errors import InfeasibleTrialError, InvalidValueError
+from testbed.frames import cross_2d, perpendicular, rotation_2d, transform_point
 from testbed.objects.files import load_object
 from testbed.objects.model import GRAVITY, ObjectModel
 from testbed.sensing.compensation import compensate
@@ -92,6 +92,30 @@ def test_a_held_object_does_not_swing():
     missed = missing(obj, window)
     assert_allclose(missed[:2], 0, atol=0.005)
     assert abs(missed[2]) < 0.001
+
+
+def test_the_hand_closes_where_the_grasp_is_and_the_object_stays_in_it():
+    """What the robot knows of the object's pose is where it meant to grasp it."""
+    obj = load_object("L2")
+    record, contacts = RUNNER.run_with_contacts(Trial(obj, Accelerate(4)))
+    middle = transform_point(record.object_pose, obj.shape.particles.mean(axis=0))
+    off = contacts.position[:, :, :2].mean(axis=1) - middle
+    assert np.abs(off[record.mask(Phase.SETTLE)]).max() < 1e-5
+    assert record.figures["slip_m"] < 3e-5
+
+
+@pytest.mark.parametrize("support", [OWN_WEIGHT, RIGID], ids=lambda s: s.name)
+def test_the_feet_push_at_the_height_of_the_table(support):
+    _, contacts = RUNNER.run_with_contacts(Trial(load_object("L2"), TURN, support))
+    load = contacts.force_on_object[:, :, 2]
+    assert_allclose(
+        (load * contacts.position[:, :, 2]).sum() / load.sum(), 0.0, atol=1.5e-4
+    )  # heavy blocks sink deeper
+
+
+def test_a_sample_is_a_whole_number_of_steps():
+    with pytest.raises(InvalidValueError, match="or a whole part of it"):
+        SimulationSettings(timestep=0.003)
 
 
 def test_there_and_back_flips_the_drag():

@@ -181,7 +181,7 @@ def problem_of(name: str, use_weight: bool, noise: float = 0.0) -> tuple[Problem
     obj, trajectories = data(name, noise)
     problem = Problem.of(obj.shape, obj.total_mass, trajectories, use_weight=use_weight, pivot_error=0.0)
     assert isinstance(problem, Problem)
-    coordinates = LogCoordinates(problem, float(obj.truth.friction[0]))
+    coordinates = LogCoordinates.about(problem, float(obj.truth.friction[0]))
     typical = problem.typical_mass(torch.tensor(obj.truth.friction))
     return problem, coordinates, torch.cat([torch.zeros(1), torch.log(torch.tensor(obj.truth.mass) / typical)])
 
@@ -214,8 +214,8 @@ def lowest(name: str, use_weight: bool, weighting: Weighting, noise: float) -> t
     loss = in_logs(problem, coordinates, weighting)
     answer = ask(name, ExplicitState(use_weight=use_weight, weighting=weighting), BELOW, noise).distribution
     assert answer is not None
-    typical = float(problem.typical_mass(torch.tensor(coordinates.first_friction, dtype=torch.float64)))
-    ended = np.concatenate([np.log(answer.friction / coordinates.first_friction), np.log(answer.mass / typical)])
+    first = (coordinates.first_friction.numpy(), coordinates.first_mass.numpy())
+    ended = np.concatenate([np.log(answer.friction / first[0]), np.log(answer.mass / first[1])])
     scale = float(loss(coordinates.start))
 
     def value(z: np.ndarray) -> tuple[float, np.ndarray]:

@@ -139,8 +139,8 @@ def loss_and_gradient(grid: int) -> tuple[int, Callable[[], None]]:
     return len(shape.particles), once
 
 
-def turning_steps(count: int, directions: int, h: float) -> list[torch.Tensor]:
-    """Steps of a rollout, the L of six blocks (54 feet) turned at 10 deg/s: mass, momentum, lines and bounds."""
+def turning_steps(count: int, directions: int, h: float) -> tuple[list[torch.Tensor], torch.Tensor]:
+    """Steps of a rollout, the L of six blocks (54 feet) turned at 10 deg/s: mass, momentum, lines and bounds; arms."""
     obj = load_object("L2")
     model = ParticleModel.of(obj.shape)
     particle = torch.tensor(obj.particle_mass)
@@ -161,13 +161,13 @@ def turning_steps(count: int, directions: int, h: float) -> list[torch.Tensor]:
     lines = torch.cat([sides.expand(*arms.shape[:-1], -1, -1), (turned(arms) @ sides.T)[..., None]], -1)
     bound = (h * friction[model.contact]).repeat_interleave(len(sides)).expand(count, -1)
     momentum = weights * velocities - h * drag
-    return [torch.diag(weights).repeat(count, 1, 1), momentum, lines.flatten(1, 2), bound.contiguous()]
+    return [torch.diag(weights).repeat(count, 1, 1), momentum, lines.flatten(1, 2), bound.contiguous()], turned(arms)
 
 
 def time_lcp(table: Table) -> None:
     """Rows of the complementarity step, and of a dense interior point on the same steps."""
     batch, directions = 64, 8
-    steps = turning_steps(batch + 1, directions, 2.5e-3)
+    steps, arms = turning_steps(batch + 1, directions, 2.5e-3)
     guesses = solve_step(*(x[:-1] for x in steps)).used  # pyright: ignore[reportArgumentType]
     sides = polygon_sides(directions).numpy()
     problems = [
@@ -176,7 +176,7 @@ def time_lcp(table: Table) -> None:
     ]
     for count, goal in ((1, ">= 50"), (batch, ">= 500")):
         chosen = [x[1 : count + 1].contiguous() for x in steps]
-        functions = lcp_functions(chosen, guesses[:count], problems[:count])
+        functions = lcp_functions(chosen, arms[1 : count + 1], guesses[:count], problems[:count])
         cold, warm, forward, whole, dense = side_by_side(functions)
         found = solve_step(*chosen).velocity.numpy()  # pyright: ignore[reportArgumentType]
         pairs = zip(problems, found, strict=False)
@@ -189,16 +189,17 @@ def time_lcp(table: Table) -> None:
 
 
 def lcp_functions(
-    steps: list[torch.Tensor], guess: torch.Tensor, problems: list[Textbook]
+    steps: list[torch.Tensor], arms: torch.Tensor, guess: torch.Tensor, problems: list[Textbook]
 ) -> list[Callable[[], object]]:
     """Without a guess, with one, forward, forward and backward, and the dense interior point one by one."""
     mass, momentum, lines, bound = steps
-    leaves = [x.clone().requires_grad_() for x in steps]
+    sides = polygon_sides(2 * bound.shape[1] // arms.shape[1])
+    leaves = [x.clone().requires_grad_() for x in (mass, momentum, arms, bound[:, :: len(sides)])]
     return [
         lambda: solve_step(mass, momentum, lines, bound),
         lambda: solve_step(mass, momentum, lines, bound, guess),
-        lambda: _Solve.apply(*leaves, guess),
-        lambda: _Solve.apply(*leaves, guess)[0].sum().backward(),  # pyright: ignore
+        lambda: _Solve.apply(*leaves, sides, guess),
+        lambda: _Solve.apply(*leaves, sides, guess)[0].sum().backward(),  # pyright: ignore
         lambda: [interior_point(problem) for problem in problems],
     ]
 

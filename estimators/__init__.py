@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from estimators.action_selection.greedy import PlannedPolicy
     from estimators.action_selection.online import OnlinePolicy
     from estimators.action_selection.rank import RankDriven
-    from estimators.base import ActionPolicy, Estimate, Estimator, HiddenStateEstimate, Trace
+    from estimators.base import ActionPolicy, BatchEstimator, Estimate, Estimator, HiddenStateEstimate, Trace
     from estimators.baselines.diff_lcp import DiffLcp
     from estimators.baselines.explicit_state import ExplicitState
     from estimators.baselines.mujoco_sysid import MujocoSysid
@@ -32,6 +32,7 @@ if TYPE_CHECKING:
 __all__ = [
     "METHODS",
     "ActionPolicy",
+    "BatchEstimator",
     "CmaEs",
     "DiffLcp",
     "Estimate",

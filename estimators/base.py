@@ -118,6 +118,30 @@ class Estimator(Protocol):
 
 
 @runtime_checkable
+class BatchEstimator(Estimator, Protocol):
+    """Estimator that takes many draws of the sensor's errors at once, where that is faster."""
+
+    def estimate_many(
+        self,
+        shape: ObjectShape,
+        weights: Sequence[float | None],
+        draws: Sequence[Sequence[Trajectory]],
+        seeds: Sequence[int],
+    ) -> list[Estimate]:
+        """Estimates of D draws, each as `estimate` gives it; its `seconds` are its share of the batch.
+
+        A draw that cannot be used has a status. What raises is asked again, one draw at a time.
+
+        Args:
+            shape: geometry and groups; never the truth.
+            weights: M as weighed of each draw, kg, or None.
+            draws: measured trials of each draw.
+            seeds: seed of each draw.
+        """
+        ...
+
+
+@runtime_checkable
 class ActionPolicy(Protocol):
     """Chooses what to do next. Frozen configuration."""
 

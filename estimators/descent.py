@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -54,65 +55,96 @@ def descend(
         masses: particle masses of each point, for the trace.
         robot_seconds: robot time of the data [s], for the trace.
     """
-    points = [start.clone().requires_grad_() for _ in rates]
-    lanes = [_optimizer(name, point, rate) for (name, rate), point in zip(rates.items(), points, strict=True)]
+    only = None if masses is None else lambda z: masses(z[:, 0])[:, None]
+    return descend_all(lambda z: loss(z[0])[None], start[None], rates, steps, only, robot_seconds)[0]
+
+
+def descend_all(
+    loss: Callable[[Float[Tensor, "D O n"]], Float[Tensor, "D O"]],
+    starts: Float[Tensor, "D n"],
+    rates: Mapping[str, float],
+    steps: int,
+    masses: Callable[[Float[Tensor, "steps D O n"]], Float[Tensor, "steps D O n_m"]] | None = None,
+    robot_seconds: float = 0.0,
+) -> list[list[Run]]:
+    """Descend on D losses at once, each as `descend` does; the runs of each, its best first.
+
+    The wall time of a trace is a loss's share of the batch.
+    """
+    points = starts.numpy()[:, None].repeat(len(rates), 1)
+    rules = [_RULES[name](points[:, lane], rate) for lane, (name, rate) in enumerate(rates.items())]
+    best, lowest = points.copy(), np.full(points.shape[:2], np.inf)
     losses, seconds, history = [], [], []
-    best, lowest = torch.stack([start] * len(points)), torch.full((len(points),), torch.inf, dtype=torch.float64)
     begin = time.perf_counter()
     for i in range(steps):
-        batch = torch.stack(points)
-        values = loss(batch)
-        for point, gradient in zip(points, torch.autograd.grad(values.sum(), points), strict=True):
-            point.grad = gradient
-        with torch.no_grad():
-            values = values.detach()
-            better = values < lowest
-            best = torch.where(better[:, None], batch, best)
-            lowest = torch.where(better, values, lowest)
-            for lane, value in zip(lanes, values.tolist(), strict=True):
-                lane.step(value, (1 - i / steps) ** 2)
-        losses.append(values.numpy())
-        seconds.append(time.perf_counter() - begin)
-        if masses is not None:
-            history.append(masses(batch.detach()).numpy())
-    runs = []
-    for lane, name in enumerate(rates):
-        mass = np.array(history)[:, lane] if history else np.empty((0, 0))
-        trace = Trace(name, tuple(np.array(losses)[:, lane].tolist()), tuple(seconds), robot_seconds, mass)
-        runs.append(Run(best[lane], trace))
-    return [runs[lane] for lane in lowest.argsort().tolist()]
+        batch = torch.tensor(points, requires_grad=True)
+        found = loss(batch)
+        slope = torch.autograd.grad(found.sum(), batch)[0].numpy()
+        value = found.detach().numpy()
+        better = value < lowest
+        best, lowest = np.where(better[..., None], points, best), np.where(better, value, lowest)
+        losses.append(value)
+        history.append(batch.detach())
+        for lane, rule in enumerate(rules):
+            points[:, lane] = rule.step(points[:, lane], slope[:, lane], value[:, lane], (1 - i / steps) ** 2)
+        seconds.append((time.perf_counter() - begin) / len(starts))
+    mass = None if masses is None else masses(torch.stack(history)).numpy()
+    values = np.array(losses)
+
+    def run(draw: int, lane: int, name: str) -> Run:
+        path = np.empty((0, 0)) if mass is None else mass[:, draw, lane]
+        trace = Trace(name, tuple(values[:, draw, lane].tolist()), tuple(seconds), robot_seconds, path)
+        return Run(torch.from_numpy(best[draw, lane]), trace)
+
+    runs = [[run(draw, lane, name) for lane, name in enumerate(rates)] for draw in range(len(starts))]
+    return [[of[lane] for lane in order] for of, order in zip(runs, lowest.argsort(1, kind="stable"), strict=True)]
 
 
-class _Adaptive:
-    """Adam or RMSProp with a falling step."""
+class _Adam:
+    """Adam of Kingma and Ba (2015) with a falling step; its constants are torch's."""
 
-    def __init__(self, kind: type[torch.optim.Optimizer], point: Tensor, rate: float):
-        self._optimizer, self._rate = kind([point], lr=rate), rate  # pyright: ignore[reportCallIssue]
+    def __init__(self, points: np.ndarray, rate: float):
+        self._rate, self._steps = rate, 0
+        self._mean, self._square = np.zeros_like(points), np.zeros_like(points)
 
-    def step(self, value: float, part: float) -> None:
-        self._optimizer.param_groups[0]["lr"] = self._rate * part
-        self._optimizer.step()
+    def step(self, points: np.ndarray, slope: np.ndarray, value: np.ndarray, part: float) -> np.ndarray:
+        """The next points (D, n) after `slope` (D, n) and `value` (D,) at `points`, its step `part` of the first."""
+        del value
+        self._steps += 1
+        self._mean += 0.1 * (slope - self._mean)
+        self._square = 0.999 * self._square + 0.001 * slope * slope
+        size = np.sqrt(self._square) / math.sqrt(1 - 0.999**self._steps) + 1e-8
+        return points - self._rate * part / (1 - 0.9**self._steps) * self._mean / size
+
+
+class _RmsProp:
+    """RMSProp of Tieleman and Hinton (2012) with a falling step; its constants are torch's."""
+
+    def __init__(self, points: np.ndarray, rate: float):
+        self._rate, self._square = rate, np.zeros_like(points)
+
+    def step(self, points: np.ndarray, slope: np.ndarray, value: np.ndarray, part: float) -> np.ndarray:
+        """As in `_Adam`."""
+        del value
+        self._square = 0.99 * self._square + 0.01 * slope * slope
+        return points - self._rate * part * slope / (np.sqrt(self._square) + 1e-8)
 
 
 class _Plain:
     """Steps against the gradient; one that raised the loss is taken back and halved."""
 
-    def __init__(self, point: Tensor, rate: float):
-        self._point, self._rate = point, rate
-        self._lowest, self._from, self._slope = float("inf"), point.detach().clone(), torch.zeros_like(point)
+    def __init__(self, points: np.ndarray, rate: float):
+        self._rate, self._lowest = np.full((len(points), 1), rate), np.full((len(points), 1), np.inf)
+        self._from, self._slope = points.copy(), np.zeros_like(points)
 
-    def step(self, value: float, part: float) -> None:
+    def step(self, points: np.ndarray, slope: np.ndarray, value: np.ndarray, part: float) -> np.ndarray:
+        """As in `_Adam`; its rate is its own."""
         del part
-        if value <= self._lowest:
-            assert self._point.grad is not None
-            self._lowest, self._from, self._slope = value, self._point.clone(), self._point.grad.clone()
-            self._rate *= GROW
-        else:
-            self._rate *= SHRINK
-        self._point.copy_(self._from - self._rate * self._slope)
+        fell = value[:, None] <= self._lowest
+        self._lowest = np.where(fell, value[:, None], self._lowest)
+        self._from, self._slope = np.where(fell, points, self._from), np.where(fell, slope, self._slope)
+        self._rate = self._rate * np.where(fell, GROW, SHRINK)
+        return self._from - self._rate * self._slope
 
 
-def _optimizer(name: str, point: Tensor, rate: float) -> _Adaptive | _Plain:
-    if name == "plain":
-        return _Plain(point, rate)
-    return _Adaptive({"adam": torch.optim.Adam, "rmsprop": torch.optim.RMSprop}[name], point, rate)
+_RULES = {"adam": _Adam, "rmsprop": _RmsProp, "plain": _Plain}

@@ -64,6 +64,11 @@ def build_method(label: str, settings: Mapping[str, Any]) -> Estimator:
     return configured(kind, own, f"methods.{label}", ("method",))
 
 
+def estimates_many(label: str, settings: Mapping[str, Any]) -> bool:
+    """True for a method that takes many draws at once, a `BatchEstimator` of `estimators.base`."""
+    return callable(getattr(_class_of(kind_of(label, settings)), "estimate_many", None))
+
+
 def check_installed(label: str, settings: Mapping[str, Any]) -> None:
     """Call a method's own `check_installed`, where it has one.
 

@@ -11,7 +11,7 @@ import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import get_args
+from typing import Any, get_args
 
 import numpy as np
 import torch
@@ -20,7 +20,7 @@ from torch import Tensor
 
 from estimators.base import Estimate, EstimateStatus, Trace
 from estimators.baselines.problem import Problem, Weighting
-from estimators.descent import OPTIMIZERS, check_optimizers, descend
+from estimators.descent import OPTIMIZERS, check_optimizers, descend_all
 from estimators.hidden_states.friction import CONTRADICTORY
 from estimators.particles.support import ASSUMPTION
 from estimators.particles.windows import robot_seconds
@@ -59,7 +59,8 @@ def from_unit(problem: Problem, unit: Float[np.ndarray, "S n_mu+n_m"]) -> Candid
     n_mu = problem.shape.n_mu
     friction = low + (high - low) * torch.tensor(unit[:, :n_mu])
     largest = (LARGEST_SHARE * problem.typical_mass(friction.mean(-1))).clamp(max=heaviest(problem))
-    return scaled(problem, Candidates(torch.tensor(unit[:, n_mu:]) * largest[:, None], friction))
+    guesses = Candidates(torch.tensor(unit[:, n_mu:]) * largest[:, None], friction)
+    return scaled(guesses, problem.per_group, problem.weight)
 
 
 def heaviest(problem: Problem) -> float:
@@ -67,13 +68,14 @@ def heaviest(problem: Problem) -> float:
     return math.inf if problem.weight is not None else DENSEST * problem.shape.cell**2 * problem.shape.height
 
 
-def scaled(problem: Problem, guesses: Candidates) -> Candidates:
+def scaled(
+    guesses: Candidates, per_group: Float[Tensor, "n_m"], weight: float | Float[Tensor, "D 1 1"] | None
+) -> Candidates:
     """The guesses with their masses scaled to M, if M is known."""
-    if problem.weight is None:
+    if weight is None:
         return guesses
-    total = (guesses.mass @ problem.per_group)[:, None]
-    even = torch.full_like(guesses.mass, problem.weight / len(problem.shape.particles))
-    mass = torch.where(total > 0, guesses.mass * problem.weight / total.clamp(min=1e-300), even)
+    total = (guesses.mass @ per_group)[..., None]
+    mass = torch.where(total > 0, guesses.mass * weight / total.clamp(min=1e-300), weight / per_group.sum())
     return Candidates(mass, guesses.friction)
 
 
@@ -81,9 +83,14 @@ def scaled(problem: Problem, guesses: Candidates) -> Candidates:
 class LogCoordinates:
     """Logarithms of mass and friction relative to a first guess, so that both stay positive."""
 
-    problem: Problem
-    first_friction: float
-    """Friction of the first guess; its mass is uniform, as in Algorithm 1."""
+    first_mass: Float[Tensor, "*D_1 n_m"]
+    """Particle masses of the first guess [kg], uniform as in Algorithm 1."""
+    first_friction: Float[Tensor, "*D_1 n_mu"]
+    """Friction of the first guess."""
+    per_group: Float[Tensor, "n_m"]
+    """Number of particles in each mass group."""
+    weight: float | Float[Tensor, "D 1 1"] | None
+    """M [kg], or None if the search does not get it."""
 
     @staticmethod
     def of(problem: Problem, seed: int) -> LogCoordinates:
@@ -95,19 +102,33 @@ class LogCoordinates:
         first = float(np.random.default_rng(seed).uniform(*FRICTION_RANGE))
         if problem.weight is not None:
             first = problem.windows.drag / (problem.weight * GRAVITY)
-        return LogCoordinates(problem, first)
+        return LogCoordinates.about(problem, first)
+
+    @staticmethod
+    def about(problem: Problem, friction: float) -> LogCoordinates:
+        """Coordinates about uniform mass and a friction."""
+        first = torch.full((problem.shape.n_mu,), friction, dtype=torch.float64)
+        mass = problem.typical_mass(first[:1]).expand(problem.shape.n_m)
+        return LogCoordinates(mass, first, problem.per_group, problem.weight)
+
+    @staticmethod
+    def stacked(draws: Sequence[LogCoordinates]) -> LogCoordinates:
+        """Coordinates of D draws of one object, for points (D, S, n)."""
+        mass, friction = (torch.stack([getattr(d, part) for d in draws]) for part in ("first_mass", "first_friction"))
+        known = [draw.weight for draw in draws if draw.weight is not None]
+        weight = torch.tensor(known, dtype=torch.float64)[:, None, None] if known else None
+        return LogCoordinates(mass[:, None], friction[:, None], draws[0].per_group, weight)
 
     @property
     def start(self) -> Float[Tensor, "n"]:
         """Coordinates of the first guess."""
-        return torch.zeros(self.problem.shape.n_mu + self.problem.shape.n_m, dtype=torch.float64)
+        return torch.zeros(self.first_friction.shape[-1] + self.first_mass.shape[-1], dtype=torch.float64)
 
-    def candidates(self, z: Float[Tensor, "S n"]) -> Candidates:
-        """Mass and friction at S points; with M known the masses are a softmax of it."""
-        n_mu = self.problem.shape.n_mu
-        friction = self.first_friction * z[:, :n_mu].exp()
-        typical = self.problem.typical_mass(torch.tensor(self.first_friction, dtype=torch.float64))
-        return scaled(self.problem, Candidates(typical * z[:, n_mu:].exp(), friction))
+    def candidates(self, z: Float[Tensor, "... n"]) -> Candidates:
+        """Mass and friction at points; with M known the masses are a softmax of it."""
+        n_mu = self.first_friction.shape[-1]
+        guesses = Candidates(self.first_mass * z[..., n_mu:].exp(), self.first_friction * z[..., :n_mu].exp())
+        return scaled(guesses, self.per_group, self.weight)
 
 
 @dataclass(frozen=True, eq=False)
@@ -186,8 +207,13 @@ class Baseline(ABC):
         begin = time.perf_counter()
         problem = Problem.of(shape, weight, trajectories, use_weight=self.use_weight, pivot_error=self.pivot_error)
         if isinstance(problem, Estimate):
-            return replace(problem, seconds=time.perf_counter() - begin)
-        found = self._search(problem, seed)
+            answer = problem
+        else:
+            answer = self._judged(problem, self._search(problem, seed), trajectories)
+        return replace(answer, seconds=time.perf_counter() - begin)
+
+    def _judged(self, problem: Problem, found: SearchResult, trajectories: Sequence[Trajectory]) -> Estimate:
+        """The estimate of a search, less its time."""
         # Eq. problem divides by mass, so a heavy answer hides data that contradict each other; the misfit does not
         misfit = found.misfit
         if misfit is None:
@@ -208,7 +234,6 @@ class Baseline(ABC):
             why,
             found.covariance,
             traces=tuple(replace(trace, robot_seconds=cost) for trace in found.traces),
-            seconds=time.perf_counter() - begin,
             diagnostics={"loss": found.loss, "misfit": misfit, "rollouts": float(rollouts)},
             assumes=ASSUMPTION[self._support],
         )
@@ -233,25 +258,72 @@ class GradientBaseline(Baseline):
         check_optimizers(type(self).__name__, self.optimizers)
         check_positive(f"{type(self).__name__}.learning_rate", self.learning_rate)
 
-    def _descend(self, problem: Problem, seed: int, loss: Callable[[Candidates], Tensor]) -> SearchResult:
-        """Descend from uniform mass; without M, `seed` draws the friction to start from."""
-        coordinates = LogCoordinates.of(problem, seed)
+    @abstractmethod
+    def _loss(self, problems: Sequence[Problem]) -> Callable[[Candidates], Tensor]:
+        """Loss (D, S) of candidates (D, S, ...) on D problems with windows of the same trials."""
+
+    def estimate_many(
+        self,
+        shape: ObjectShape,
+        weights: Sequence[float | None],
+        draws: Sequence[Sequence[Trajectory]],
+        seeds: Sequence[int],
+    ) -> list[Estimate]:
+        """`estimate` of every draw, all with windows of the same trials in one descent.
+
+        `seconds`, and those of a trace, are a draw's share of the descent.
+
+        Raises:
+            InvalidValueError: `use_weight` without a weight.
+        """
+        answers: dict[int, Estimate] = {}
+        alike: dict[Any, list[tuple[int, Problem, float]]] = {}
+        for i, (weight, trajectories) in enumerate(zip(weights, draws, strict=True)):
+            begin = time.perf_counter()
+            problem = Problem.of(shape, weight, trajectories, use_weight=self.use_weight, pivot_error=self.pivot_error)
+            took = time.perf_counter() - begin
+            if isinstance(problem, Problem):
+                alike.setdefault(problem.layout, []).append((i, problem, took))
+            else:
+                answers[i] = replace(problem, seconds=took)
+        for group in alike.values():
+            begin = time.perf_counter()
+            indices, problems, prepared = zip(*group, strict=True)
+            found = self._descend(problems, [seeds[i] for i in indices])
+            share = (time.perf_counter() - begin) / len(group)
+            for i, problem, took, one in zip(indices, problems, prepared, found, strict=True):
+                answers[i] = replace(self._judged(problem, one, draws[i]), seconds=took + share)
+        return [answers[i] for i in range(len(draws))]
+
+    def _search(self, problem: Problem, seed: int) -> SearchResult:
+        return self._descend([problem], [seed])[0]
+
+    def _descend(self, problems: Sequence[Problem], seeds: Sequence[int]) -> list[SearchResult]:
+        """Descend from uniform mass; without M, each seed draws the friction to start from."""
+        loss = self._loss(problems)
+        coordinates = LogCoordinates.stacked(
+            [LogCoordinates.of(problem, seed) for problem, seed in zip(problems, seeds, strict=True)]
+        )
+        starts = coordinates.start.expand(len(problems), -1)
         with torch.no_grad():
-            scale = max(float(loss(coordinates.candidates(coordinates.start[None]))[0]), 1e-300)
-        runs = descend(
+            scale = loss(coordinates.candidates(starts[:, None])).clamp(min=1e-300)
+        runs = descend_all(
             lambda z: loss(coordinates.candidates(z)) / scale,
-            coordinates.start,
+            starts,
             dict.fromkeys(self.optimizers, self.learning_rate),
             self.iterations,
             masses=lambda z: coordinates.candidates(z).mass,
         )
-        best = coordinates.candidates(runs[0].best[None])
-        return SearchResult(
-            best.mass[0].numpy(),
-            best.friction[0].numpy(),
-            min(runs[0].trace.loss) * scale,
-            tuple(replace(run.trace, loss=tuple(scale * v for v in run.trace.loss)) for run in runs),
-        )
+        best = coordinates.candidates(torch.stack([first.best for first, *_ in runs])[:, None])
+        return [
+            SearchResult(
+                mass[0].numpy(),
+                friction[0].numpy(),
+                min(of[0].trace.loss) * size,
+                tuple(replace(run.trace, loss=tuple(size * v for v in run.trace.loss)) for run in of),
+            )
+            for of, mass, friction, size in zip(runs, best.mass, best.friction, scale[:, 0].tolist(), strict=True)
+        ]
 
 
 @dataclass(frozen=True)

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from estimators.baselines.base import Candidates, GradientBaseline, SearchResult
+from estimators.baselines.base import Candidates, GradientBaseline
 from estimators.baselines.lcp import LcpEngine
 from estimators.baselines.problem import STEP, Problem
-from estimators.particles.model import rotate, turned
+from estimators.particles.model import ParticleModel, inertia_of, rotate, turned
 from estimators.particles.windows import Observations
 from estimators.particles.wrench import AffineLoads
 from testbed.errors import InvalidValueError
@@ -36,14 +37,14 @@ class DiffLcp(GradientBaseline):
             raise InvalidValueError("DiffLcp.weighting", self.weighting, "velocity: the engine predicts velocities")
         check_integer("DiffLcp.samples", self.samples)
 
-    def _search(self, problem: Problem, seed: int) -> SearchResult:
-        states = _States.of(problem, self.samples)
+    def _loss(self, problems: Sequence[Problem]) -> Callable[[Candidates], Tensor]:
+        states = _States.stacked([_States.of(problem, self.samples) for problem in problems])
         engine, guesses = LcpEngine(self.directions, self.substeps), {}
 
         def loss(candidates: Candidates) -> Tensor:
-            return states.loss(problem, engine, candidates, guesses.setdefault(len(candidates.mass), []))
+            return states.loss(problems[0].model, engine, candidates, guesses.setdefault(candidates.mass.shape, []))
 
-        return self._descend(problem, seed, loss)
+        return loss
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,24 +87,34 @@ class _States:
         yaw = first + torch.tensor(part, dtype=torch.float64) * (last - first)
         return _States(windows, AffineLoads.of(problem.shape, problem.model, windows), yaw, size[of_state])
 
-    def loss(self, problem: Problem, engine: LcpEngine, guessed: Candidates, known: list[Tensor]) -> Tensor:
-        """Mean over windows of |v_predicted - v_measured|^2 after one step of the record, shape (S,).
+    @staticmethod
+    def stacked(draws: Sequence[_States]) -> _States:
+        """States of D draws, equal in number, for candidates (D, S, ...)."""
+        return _States(
+            Observations.stacked([draw.windows for draw in draws]),
+            AffineLoads.stacked([draw.loads for draw in draws]),
+            torch.stack([draw.yaw for draw in draws])[:, None],
+            torch.stack([draw.share for draw in draws])[:, None],
+        )
+
+    def loss(self, model: ParticleModel, engine: LcpEngine, guessed: Candidates, known: list[Tensor]) -> Tensor:
+        """Mean over windows of |v_predicted - v_measured|^2 after one step of the record, shape (D, S).
 
         `known` holds the sticking sets of the last call and receives this call's.
         """
-        model, w = problem.model, self.windows
-        inertia = problem.inertia(guessed.mass[:, None])
-        friction = model.particle_friction(guessed.friction)[:, None] * self.loads.at(guessed.mass)
+        w = self.windows
+        inertia = inertia_of(model, model.particle_mass(guessed.mass[..., None, :]))
+        friction = model.particle_friction(guessed.friction)[..., None, :] * self.loads.at(guessed.mass)
         arm = inertia.com - w.grasp
-        spin = w.twist[:, 2:].expand(*arm.shape[:-1], 1)
-        velocity = torch.cat([rotate(self.yaw, w.twist[:, :2] + spin * turned(arm)), spin], -1)
+        spin = w.twist[..., 2:].expand(*arm.shape[:-1], 1)
+        velocity = torch.cat([rotate(self.yaw, w.twist[..., :2] + spin * turned(arm)), spin], -1)
         change = torch.cat(
-            [rotate(self.yaw, w.com_acceleration(inertia.com)), w.acceleration[:, 2:].expand_as(spin)], -1
+            [rotate(self.yaw, w.com_acceleration(inertia.com)), w.acceleration[..., 2:].expand_as(spin)], -1
         )
-        pose = torch.cat([torch.zeros_like(arm), self.yaw[:, None].expand_as(spin)], -1)
+        pose = torch.cat([torch.zeros_like(arm), self.yaw[..., None].expand_as(spin)], -1)
         now, then = (
-            torch.cat([rotate(yaw, w.wrench[:, :2]), w.wrench[:, 2:]], -1)
-            for yaw in (self.yaw, self.yaw + w.twist[:, 2] * STEP)
+            torch.cat([rotate(yaw, w.wrench[..., :2]), w.wrench[..., 2:]], -1)
+            for yaw in (self.yaw, self.yaw + w.twist[..., 2] * STEP)
         )
         _, after = engine.advance(model, inertia, friction, pose, velocity, (now, then), w.grasp, STEP, known)
-        return (after - velocity - change * STEP).square().sum(-1) @ self.share
+        return (after - velocity - change * STEP).square().sum(-1).mul(self.share).sum(-1)

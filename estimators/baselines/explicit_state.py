@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from estimators.baselines.base import GradientBaseline, SearchResult
+from torch import Tensor
+
+from estimators.baselines.base import Candidates, GradientBaseline
 from estimators.baselines.problem import Problem
 
 
@@ -12,5 +15,6 @@ from estimators.baselines.problem import Problem
 class ExplicitState(GradientBaseline):
     """Gradient descent on Eq. problem with respect to m and mu, without hidden states."""
 
-    def _search(self, problem: Problem, seed: int) -> SearchResult:
-        return self._descend(problem, seed, lambda c: problem.loss(c.mass, c.friction, self.weighting))
+    def _loss(self, problems: Sequence[Problem]) -> Callable[[Candidates], Tensor]:
+        together = Problem.stacked(problems)
+        return lambda c: together.loss(c.mass, c.friction, self.weighting)

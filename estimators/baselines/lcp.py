@@ -14,7 +14,8 @@ A regular polygon with an even number of corners is a sum of segments, so that m
 the directions e_j of its sides, and each side is a dry friction of its own: f_ij in [-b_ij, b_ij] against t_ij =
 e_j . J_i v. Exact solves, each with one 3 x 3 system, correct the set of sticking sides until all agree; if they cycle,
 an interior-point method on the box of the impulses finds the set. That is in numpy, since a call on a few numbers costs
-a third of torch's. The gradient follows from the same 3 x 3 system by implicit differentiation.
+a third of torch's, and bodies do not mix: each gets the answer that it gets alone. The gradient follows from the same
+3 x 3 system by implicit differentiation.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ from typing import Any
 
 import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
@@ -40,15 +41,13 @@ IDLE = 1e-12
 """Part of the mean bound below which a side has no friction."""
 STICKS = 1 - 1e-9
 """Part of its bound below which a side sticks."""
-STIFFNESS = 1e5
-"""Stiffness of a sticking side relative to the body's inertia: what each of three rounds of the exact solve gains."""
+STIFFNESS, ROUNDS = 1e3, 5
+"""Stiffness of a sticking side relative to the body's inertia: what each round of the exact solve gains."""
 ROUNDING = 1e-11
 """Tolerance of an impulse relative to its bound, and of a sliding speed relative to those without friction."""
 MOST_ITERATIONS, MOST_ROUNDS = 40, 6
 SIGN = np.array([1.0, -1.0])[:, None, None]
 """Signs of the two layers, u and w."""
-GRADIENT_STIFFNESS = 1e9
-"""Stiffness of a sticking side relative to the body's inertia in the gradient, where it stands for infinity."""
 
 
 class LcpError(InvalidValueError):
@@ -100,16 +99,26 @@ def solve_step(
         LcpError: no solution.
     """
     m, q, sides, most = (x.detach().numpy() for x in (mass, momentum, lines, bound))
-    most = np.maximum(most, 0.0)
+    known = None if guess is None else guess.detach().numpy()
+    v, f, used = _solved(m, q, np.ascontiguousarray(sides.swapaxes(1, 2)), most, known)
+    return Step(torch.from_numpy(v), torch.from_numpy(f), torch.from_numpy(used))
+
+
+def _solved(
+    mass: np.ndarray, momentum: np.ndarray, across: np.ndarray, bound: np.ndarray, guess: np.ndarray | None
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """`solve_step` in numpy; `across` is lines^T, shape (B, 3, L)."""
+    most = np.maximum(bound, 0.0)
     mean = most.mean(1, keepdims=True) + 1e-30
     idle = most <= IDLE * mean
-    bodies = _Bodies.of(m, q, sides, most)
-    if idle.any():  # no friction: a line without length
-        bodies = _Bodies.of(m, q, np.where(idle[..., None], 0.0, sides), np.where(idle, mean, most))
+    some = bool(idle.any())
+    bodies = _Bodies(mass, momentum, across, most)
+    if some:  # no friction: a line without length
+        bodies = _Bodies(mass, momentum, np.where(idle[:, None], 0.0, across), np.where(idle, mean, most))
     needed = "finite numbers and a positive definite mass"
     with np.errstate(all="ignore"):
         try:
-            start = np.sign(bodies.sliding(_times(bodies.inverse(), q))) if guess is None else guess.detach().numpy()
+            start = np.sign(bodies.sliding(_times(bodies.inverse(), momentum))) if guess is None else guess
             v, f, wrong = _exact(bodies, bodies.bound * start)
             for gap in GAPS:
                 if not wrong.any():
@@ -117,14 +126,14 @@ def solve_step(
                 left = bodies.subset(wrong)
                 v[wrong], f[wrong], wrong[wrong] = _exact(left, _interior_point(left, gap))
         except np.linalg.LinAlgError as error:
-            raise LcpError("mass", m, needed) from error
+            raise LcpError("mass", mass, needed) from error
         used = f / bodies.bound
-    if idle.any():
-        used, f = np.where(idle, np.copysign(1.0, _times(sides, v)), used), np.where(idle, 0.0, f)
+    if some:
+        used, f = np.where(idle, np.copysign(1.0, (v[:, None] @ across)[:, 0]), used), np.where(idle, 0.0, f)
     lost = int((~np.isfinite(v).all(1)).sum())
     if lost:
         raise LcpError("step", f"{lost} of {len(v)} without a velocity", needed)
-    return Step(torch.from_numpy(v), torch.from_numpy(f), torch.from_numpy(used))
+    return v, f, used
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,32 +144,20 @@ class _Bodies:
     momentum: Float[np.ndarray, "B 3"]
     across: Float[np.ndarray, "B 3 L"]
     """lines^T, contiguous."""
-    squares: Float[np.ndarray, "B 9 L"]
-    """l l^T of every line l."""
     bound: Float[np.ndarray, "B L"]
 
-    @staticmethod
-    def of(mass: np.ndarray, momentum: np.ndarray, lines: np.ndarray, bound: np.ndarray) -> _Bodies:
-        across = np.ascontiguousarray(lines.swapaxes(1, 2))
-        squares = (across[:, :, None] * across[:, None]).reshape(len(lines), 9, -1)
-        return _Bodies(mass, momentum, across, squares, bound)
-
     def subset(self, chosen: np.ndarray) -> _Bodies:
-        return _Bodies(*(x[chosen] for x in (self.mass, self.momentum, self.across, self.squares, self.bound)))
+        return _Bodies(*(x[chosen] for x in (self.mass, self.momentum, self.across, self.bound)))
 
     def sliding(self, velocity: np.ndarray) -> np.ndarray:
         """Sliding speeds t, shape (B, L)."""
         return (velocity[:, None] @ self.across)[:, 0]
 
-    def moved(self, inverse: np.ndarray, impulse: np.ndarray) -> np.ndarray:
-        """inverse (momentum - lines^T impulse), shape (B, 3)."""
-        return _times(inverse, self.momentum - _times(self.across, impulse))
-
     def inverse(self, weight: np.ndarray | None = None) -> np.ndarray:
         """Inverse of M + lines^T weight lines, shape (B, 3, 3)."""
         if weight is None:
             return np.linalg.inv(self.mass)
-        return np.linalg.inv(self.mass + _times(self.squares, weight).reshape(-1, 3, 3))
+        return np.linalg.inv(self.mass + (self.across * weight[:, None]) @ self.across.swapaxes(1, 2))
 
 
 def _interior_point(bodies: _Bodies, least: float) -> np.ndarray:
@@ -213,27 +210,27 @@ def _exact(bodies: _Bodies, f: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.n
     Returns velocity, impulse, and True where no agreement was found, shape (B,); f itself is the answer there, since a
     side at rest and at its bound at once has no set that settles.
     """
-    inverse = bodies.inverse()
-    velocity, impulse, left = bodies.moved(inverse, f), f.copy(), np.arange(len(f))
-    rest = ROUNDING * np.abs(bodies.sliding(_times(inverse, bodies.momentum))).mean(1, keepdims=True)
-    stiff, sticks = _stiffness(bodies.mass, bodies.across, STIFFNESS), np.abs(f) < STICKS * bodies.bound
+    free = _times(bodies.inverse(), np.stack([bodies.momentum, bodies.momentum - _times(bodies.across, f)]))
+    velocity, impulse, left = free[1], f.copy(), np.arange(len(f))
+    rest = ROUNDING * np.abs(bodies.sliding(free[0])).mean(1, keepdims=True)
+    stiff, sticks = _stiffness(bodies.mass, bodies.across), np.abs(f) < STICKS * bodies.bound
     for _ in range(MOST_ROUNDS):
-        weight = sticks * stiff
-        inverse = bodies.inverse(weight)
-        # springs on the sticking sides, then the same ones from the impulse that they have reached, and once more
-        once = bodies.moved(inverse, f)
-        f = f + weight * bodies.sliding(once + _times(inverse, _times(bodies.mass, once)))
-        v = bodies.moved(inverse, f)
-        t = bodies.sliding(v)
-        f = f + weight * t
-        over = np.abs(f) > bodies.bound * (1 + ROUNDING)  # of sticking sides only: the others are at their bounds
-        off: np.ndarray = over | (~sticks & (t * np.sign(f) < -rest))
+        held = _Held.of(bodies.mass, bodies.across, sticks, stiff)
+        slides = np.where(sticks, 0.0, f)
+        v, carried = held.solve(bodies.momentum - _times(bodies.across, slides), f)
+        f = slides
+        f[held.body, held.side] = carried
+        off: np.ndarray = bodies.sliding(v) * f < -rest * bodies.bound  # friction that pushes along the motion
+        most = bodies.bound[held.body, held.side]
+        over = np.abs(carried) > most * (1 + ROUNDING)
+        off[held.body, held.side] = over
         still = np.asarray(off.any(1))
         velocity[left[~still]], impulse[left[~still]] = v[~still], f[~still]
         left = left[still]
         if not len(left):
             break
-        f, sticks = np.where(over, np.sign(f) * bodies.bound, f), sticks ^ off
+        f[held.body, held.side] = np.where(over, np.copysign(most, carried), carried)
+        sticks = sticks ^ off
         if len(left) < len(still):
             bodies, stiff, rest, f, sticks = bodies.subset(still), stiff[still], rest[still], f[still], sticks[still]
     wrong = np.zeros(len(velocity), dtype=bool)
@@ -241,10 +238,49 @@ def _exact(bodies: _Bodies, f: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.n
     return velocity, impulse, wrong
 
 
-def _stiffness(mass: np.ndarray, across: np.ndarray, times: float) -> np.ndarray:
-    """Stiffness of a sticking side [N s per m/s], `times` the inertia that it holds, shape (B, 1)."""
+@dataclass(frozen=True, eq=False)
+class _Held:
+    """B bodies whose sticking sides hold: P sides in all, at most S of one body."""
+
+    body: Int[np.ndarray, "P"]
+    side: Int[np.ndarray, "P"]
+    slot: Int[np.ndarray, "P"]
+    """Place of each side among those of its body."""
+    lines: Float[np.ndarray, "B S 3"]
+    """Lines of the sides; zero where a body has fewer than S."""
+    stiff: Float[np.ndarray, "B 1"]
+    inverse: Float[np.ndarray, "B 3 3"]
+    """Inverse of M + stiff lines^T lines."""
+
+    @staticmethod
+    def of(mass: np.ndarray, across: np.ndarray, sticks: np.ndarray, stiff: np.ndarray) -> _Held:
+        body, side = np.nonzero(sticks)
+        count = np.bincount(body, minlength=len(sticks))
+        slot = np.arange(len(body)) - (np.cumsum(count) - count)[body]
+        lines = np.zeros((len(sticks), int(count.max(initial=0)), 3))
+        lines[body, slot] = across[body, :, side]
+        inverse = np.linalg.inv(mass + stiff[..., None] * (lines.swapaxes(1, 2) @ lines))
+        return _Held(body, side, slot, lines, stiff, inverse)
+
+    def solve(self, push: np.ndarray, first: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """v and impulses (P,) with M v + lines^T impulse = push and lines v = 0, from the impulses of `first` (B, L).
+
+        Springs on the sides, then the same ones from the impulse that they have reached, and so on.
+        """
+        impulse = np.zeros(self.lines.shape[:2])
+        impulse[self.body, self.slot] = first[self.body, self.side]
+        v = push
+        for _ in range(ROUNDS):
+            v = _times(self.inverse, push - (impulse[:, None] @ self.lines)[:, 0])
+            impulse = impulse + self.stiff * _times(self.lines, v)
+        return v, impulse[self.body, self.slot]
+
+
+def _stiffness(mass: np.ndarray, across: np.ndarray) -> np.ndarray:
+    """Stiffness of a sticking side [N s per m/s], `STIFFNESS` times the inertia that it holds, shape (B, 1)."""
     inertia = mass.trace(axis1=1, axis2=2)
-    return times * (inertia / ((across * across).sum((1, 2)) + 1e-30) * across.shape[2])[:, None]
+    flat = across.reshape(len(across), -1)
+    return STIFFNESS * (inertia / (np.einsum("bi,bi->b", flat, flat) + 1e-30) * across.shape[2])[:, None]
 
 
 def _times(matrix: np.ndarray, vector: np.ndarray) -> np.ndarray:
@@ -252,33 +288,46 @@ def _times(matrix: np.ndarray, vector: np.ndarray) -> np.ndarray:
 
 
 class _Solve(torch.autograd.Function):
-    """`solve_step` with its gradient.
+    """`solve_step` for bodies on F feet, with its gradient: line j of foot i is (e_j, e_j . arm_i), bound_i its own.
 
     Where M v - q + lines^T f = 0, and f = +-b on sliding sides while t = 0 on sticking ones, a small change obeys
-    (M + lines^T W lines) dv = dq - dM v - dlines^T f - lines^T (W dlines v + df), W infinite on sticking sides.
+    M dv + lines^T df = dq - dM v - dlines^T f, df = +-db on sliding sides, lines dv = -dlines v on sticking ones.
     """
 
     @staticmethod
     def forward(  # type: ignore[override]
-        ctx: Any, mass: Tensor, momentum: Tensor, lines: Tensor, bound: Tensor, guess: Tensor | None
-    ) -> tuple[Tensor, Tensor]:
-        step = solve_step(mass, momentum, lines, bound, guess)
-        ctx.save_for_backward(mass, lines, step.velocity, step.impulse, step.used)
+        ctx: Any,
+        mass: Float[Tensor, "B 3 3"],
+        momentum: Float[Tensor, "B 3"],
+        arms: Float[Tensor, "B F 2"],
+        bound: Float[Tensor, "B F"],
+        sides: Float[Tensor, "J 2"],
+        guess: Float[Tensor, "B F*J"] | None,
+    ) -> tuple[Float[Tensor, "B 3"], Float[Tensor, "B F*J"]]:
+        (bodies, feet), e = bound.shape, sides.numpy()
+        across = np.empty((bodies, 3, feet, len(e)))
+        across[:, :2] = e.T[:, None]
+        np.matmul(arms.numpy(), e.T, out=across[:, 2])
+        across, most = across.reshape(bodies, 3, -1), bound.numpy().repeat(len(e), 1)
+        v, f, used = _solved(mass.numpy(), momentum.numpy(), across, most, None if guess is None else guess.numpy())
+        step = Step(torch.from_numpy(v), torch.from_numpy(f), torch.from_numpy(used))
+        ctx.save_for_backward(mass, torch.from_numpy(across), sides, step.velocity, step.impulse, step.used)
         ctx.mark_non_differentiable(step.used)
         return step.velocity, step.used
 
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, ...]:  # type: ignore[override]
-        mass, lines, v, f, used = ctx.saved_tensors
-        sticks = (used.abs() < STICKS)[..., None]
-        stiff = _stiffness(mass.numpy(), lines.numpy().swapaxes(1, 2), GRADIENT_STIFFNESS)
-        weight = torch.where(sticks, torch.from_numpy(stiff)[..., None], 0.0)
-        p = torch.linalg.solve(mass + lines.transpose(-1, -2) @ (weight * lines), gradients[0][..., None])
-        along = lines @ p
-        to_lines = -(f[..., None] @ p.transpose(-1, -2)) - (weight * along) @ v[:, None]
-        to_bound = torch.where(sticks, 0.0, -used[..., None] * along)[..., 0]
-        return -p @ v[:, None], p[..., 0], to_lines, to_bound, None
+        mass, across, sides, v, f, used = (x.numpy() for x in ctx.saved_tensors)
+        sticks = np.abs(used) < STICKS
+        held = _Held.of(mass, across, sticks, _stiffness(mass, across))
+        p, holding = held.solve(gradients[0].numpy(), np.zeros_like(f))
+        to_bound = np.where(sticks, 0.0, used) * (p[:, None] @ across)[:, 0]
+        to_lines = f * p[:, 2:]
+        to_lines[held.body, held.side] += holding * v[held.body, 2]
+        shape = (len(v), -1, len(sides))
+        found = (-p[..., None] * v[:, None], p, -to_lines.reshape(shape) @ sides, -to_bound.reshape(shape).sum(-1))
+        return *(torch.from_numpy(x) for x in found), None, None
 
 
 @dataclass(frozen=True)
@@ -317,13 +366,11 @@ class LcpEngine:
         levers = model.particles[touching] - inertia.com[..., None, :]
         sides = polygon_sides(self.directions)
         h = dt / self.substeps
-        zero = torch.zeros_like(inertia.mass)
         diagonal = torch.stack([inertia.mass, inertia.mass, inertia.about_com], -1)
         batch = torch.broadcast_shapes(
-            pose.shape[:-1], velocity.shape[:-1], friction.shape[:-1], zero.shape, wrench[0].shape[:-1]
+            pose.shape[:-1], velocity.shape[:-1], friction.shape[:-1], inertia.mass.shape, wrench[0].shape[:-1]
         )
-        bound = (h * friction[..., touching, None]).expand(*batch, -1, len(sides)).flatten(-2)
-        bound = bound.clamp(min=0.0).reshape(-1, bound.shape[-1])
+        bound = (h * friction[..., touching]).clamp(min=0.0).expand(*batch, -1).reshape(-1, levers.shape[-2])
         mass = torch.diag_embed(diagonal).expand(*batch, 3, 3).reshape(-1, 3, 3)
         solved = []
         for k in range(self.substeps):
@@ -332,12 +379,9 @@ class LcpEngine:
             yaw = pose[..., 2]
             torque = u[..., 2] + cross(rotate(yaw, grasp - inertia.com), u[..., :2])
             push = torch.cat([u[..., :2].expand(*batch, 2), torque[..., None].expand(*batch, 1)], -1)
-            momentum = diagonal * velocity + h * push
-            arms = turned(rotate(yaw[..., None], levers))
-            lines = torch.cat([sides.expand(*arms.shape[:-1], -1, -1), (arms @ sides.T)[..., None]], -1).flatten(-3, -2)
-            lines = lines.expand(*batch, -1, -1).reshape(-1, *lines.shape[-2:])
-            guess = guesses[k] if guesses else None
-            moved, used = _Solve.apply(mass, momentum.expand(*batch, 3).reshape(-1, 3), lines, bound, guess)
+            momentum = (diagonal * velocity + h * push).expand(*batch, 3).reshape(-1, 3)
+            arms = turned(rotate(yaw[..., None], levers)).expand(*batch, -1, -1).reshape(len(bound), -1, 2)
+            moved, used = _Solve.apply(mass, momentum, arms, bound, sides, guesses[k] if guesses else None)
             solved.append(used)
             velocity = moved.reshape(*batch, 3)
             pose = pose + h * velocity

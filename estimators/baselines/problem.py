@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -72,6 +72,23 @@ class Problem:
         wrenches = WrenchModel.of(model, windows, loads, pivot_error)
         return Problem(shape, model, windows, loads, wrenches, weight if use_weight else None, _whitening(windows))
 
+    @staticmethod
+    def stacked(draws: Sequence[Problem]) -> Problem:
+        """Problems of D draws of one object with the same `layout`, for `loss` at candidates (D, S, ...)."""
+        return replace(
+            draws[0],
+            windows=Observations.stacked([draw.windows for draw in draws]),
+            loads=AffineLoads.stacked([draw.loads for draw in draws]),
+            wrenches=WrenchModel.stacked([draw.wrenches for draw in draws]),
+            whiten=torch.stack([draw.whiten for draw in draws]),
+        )
+
+    @property
+    def layout(self) -> tuple[float, ...]:
+        """Trial of each window, and the sign of its acceleration: problems with equal ones can be stacked."""
+        w = self.windows
+        return tuple([*w.trial.tolist(), *torch.where(w.accelerated, w.acceleration[:, 2].sign(), 2.0).tolist()])
+
     @property
     def per_group(self) -> Float[Tensor, "n_m"]:
         """Number of particles in each mass group."""
@@ -99,7 +116,7 @@ class Problem:
         """Mean over windows of |v_predicted - v_measured|^2 one step on (Eq. problem), or of the whitened error."""
         missing = self.windows.wrench - self.wrenches.wrench(mass, friction)
         if weighting == "covariance":
-            return (missing.flatten(-2) @ self.whiten.T).square().mean(-1)
+            return (missing.flatten(-2) @ self.whiten.mT).square().mean(-1)
         along, spin = self._missing_acceleration(mass, missing)
         return STEP**2 * (along.square().sum(-1) + spin.square()).mean(-1)
 

@@ -72,4 +72,5 @@ def _around(problem: Problem, best: Candidates, deviation: float, count: int, rn
     """Gaussian draws around the best; negative values are reflected."""
     mass = best.mass + deviation * best.mass.mean() * torch.tensor(rng.standard_normal((count, problem.shape.n_m)))
     friction = best.friction * (1 + deviation * torch.tensor(rng.standard_normal((count, problem.shape.n_mu))))
-    return scaled(problem, Candidates(mass.abs().clamp(max=heaviest(problem)), friction.abs()))
+    guesses = Candidates(mass.abs().clamp(max=heaviest(problem)), friction.abs())
+    return scaled(guesses, problem.per_group, problem.weight)

@@ -120,6 +120,12 @@ class Observations:
 
         return Observations(**{name: mean(value) for name, value in vars(self).items()})
 
+    @staticmethod
+    def stacked(draws: Sequence[Observations]) -> Observations:
+        """Windows of D draws, equal in number, with leading axes (D, 1): the 1 meets candidates."""
+        names = vars(draws[0])
+        return Observations(**{name: torch.stack([getattr(draw, name) for draw in draws])[:, None] for name in names})
+
     @property
     def drag(self) -> float:
         """Largest force measured at constant speed [N]: a lower bound of mu M g."""
@@ -228,10 +234,10 @@ class Observations:
         fade = pivot_error * spin.abs()
         return velocity, (velocity.square().sum(-1) + fade.square() + 1e-18).sqrt()
 
-    def com_acceleration(self, com: Float[Tensor, "2"]) -> Float[Tensor, "K 2"]:
+    def com_acceleration(self, com: Float[Tensor, "... 2"]) -> Float[Tensor, "... K 2"]:
         """Acceleration of the center of mass, m/s^2."""
-        arm = com - self.grasp
-        return self.acceleration[:, :2] + self.acceleration[:, 2:] * turned(arm) - self.spin_square[:, None] * arm
+        arm, a = com - self.grasp, self.acceleration
+        return a[..., :2] + a[..., 2:] * turned(arm) - self.spin_square[..., None] * arm
 
     def inertial_wrench(self, inertia: Inertia) -> Float[Tensor, "K 3"]:
         """Force and torque about the grasp point that the motion itself takes: M a_c, and without I_j alpha."""

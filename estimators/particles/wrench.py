@@ -82,10 +82,16 @@ class AffineLoads:
         per_mass = torch.stack([loads(ones + one) - base for one in torch.diag(ones)], -1)
         return AffineLoads(per_mass, base - per_mass.sum(-1))
 
+    @staticmethod
+    def stacked(draws: Sequence[AffineLoads]) -> AffineLoads:
+        """Loads of D draws, for candidates (D, S, n_m)."""
+        per_mass = torch.stack([draw.per_mass for draw in draws])
+        return AffineLoads(per_mass, torch.stack([draw.carried for draw in draws])[:, None])
+
     def at(self, mass: Float[Tensor, "... n_m"]) -> Float[Tensor, "... K P"]:
         """Loads under candidate masses, N."""
-        flat = mass @ self.per_mass.flatten(0, 1).T
-        return flat.unflatten(-1, self.carried.shape) + self.carried
+        flat = mass @ self.per_mass.flatten(-3, -2).mT
+        return flat.unflatten(-1, self.carried.shape[-2:]) + self.carried
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,12 +123,18 @@ class WrenchModel:
         carried = torch.stack([(part @ loads.carried[..., None])[..., 0] for part in of_group])
         return WrenchModel(torch.stack(inertial, -1), weighed, carried)
 
+    @staticmethod
+    def stacked(draws: Sequence[WrenchModel]) -> WrenchModel:
+        """Models of D draws, for candidates (D, S, n_m) and (D, S, n_mu)."""
+        inertial, weighed = (torch.stack([getattr(draw, part) for draw in draws]) for part in ("inertial", "weighed"))
+        return WrenchModel(inertial, weighed, torch.stack([draw.carried for draw in draws])[:, None])
+
     def wrench(self, mass: Float[Tensor, "... n_m"], friction: Float[Tensor, "... n_mu"]) -> Float[Tensor, "... K 3"]:
         """Predicted wrench of the gripper on the object, N and N m."""
-        windows = self.inertial.shape[:2]
-        per_mass = mass @ self.inertial.flatten(0, 1).T
-        dragged = torch.einsum("kwm,...m->...kw", self.weighed.flatten(1, 2), mass) + self.carried.flatten(1, 2)
-        return (per_mass + (friction[..., None, :] @ dragged)[..., 0, :]).unflatten(-1, windows)
+        carried = self.carried.flatten(-2)
+        per_mass = mass @ self.inertial.flatten(-3, -2).mT
+        dragged = (mass @ self.weighed.flatten(-4, -2).mT).unflatten(-1, carried.shape[-2:]) + carried
+        return (per_mass + (friction[..., None, :] @ dragged)[..., 0, :]).unflatten(-1, self.carried.shape[-2:])
 
 
 def predicted_wrenches(

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.testing import assert_allclose
 
 from estimators.action_selection.rank import predicted_rank
-from estimators.base import Estimate, Estimator
+from estimators.base import BatchEstimator, Estimate, Estimator
 from estimators.evaluation.metrics import normalized_absolute_difference
 from estimators.testing.analytic_world import accelerated, drawn_object, turns
 from estimators.testing.recorded import KnownBlock
@@ -47,9 +47,9 @@ def small_object(seed: int) -> ObjectModel:
     )
 
 
-def data(obj: ObjectModel) -> list[Trajectory]:
-    """Turns and accelerated turns about every grasp, with a little noise."""
-    noise = 0.001 * obj.total_mass * GRAVITY
+def data(obj: ObjectModel, scale: float = 1.0) -> list[Trajectory]:
+    """Turns and accelerated turns about every grasp, with a little noise, `scale` times the usual."""
+    noise = scale * 0.001 * obj.total_mass * GRAVITY
     return turns(obj, noise=noise) + accelerated(obj, noise=noise)
 
 
@@ -160,6 +160,29 @@ def traces_its_way(estimator: Estimator, draw: Draw = drawn_object) -> None:
         assert trace.mass.shape in ((0, 0), (len(trace.loss), obj.shape.n_m))
 
 
+def answers_many_draws_as_one_by_one(estimator: Estimator, draw: Draw = drawn_object) -> None:
+    """`estimate_many`, where there is one: every answer, status and trace as `estimate` gives it, to 1e-9."""
+    if not isinstance(estimator, BatchEstimator):
+        return
+    obj, weight = draw(0), draw(0).total_mass
+    noisy = [data(obj), data(obj, 3.0), [], data(obj)[1:], data(obj, 2.0)]  # no two alike; one unusable, one short
+    weights = [weight * part for part in (1.0, 1.001, 1.0, 1.0, 0.999)]
+    many = estimator.estimate_many(obj.shape, weights, noisy, range(len(noisy)))
+    assert len(many) == len(noisy), f"{len(many)} answers to {len(noisy)} draws"
+    for seed, (answer, trials) in enumerate(zip(many, noisy, strict=True)):
+        alone = estimator.estimate(obj.shape, weights[seed], trials, seed)
+        assert (answer.status, answer.message) == (alone.status, alone.message)
+        assert [t.method for t in answer.traces] == [t.method for t in alone.traces]
+        pairs = [(a.loss, b.loss) for a, b in zip(answer.traces, alone.traces, strict=True)]
+        pairs += [(a.mass, b.mass) for a, b in zip(answer.traces, alone.traces, strict=True)]
+        if alone.distribution is not None:
+            assert answer.distribution is not None
+            pairs += [(getattr(answer.distribution, n), getattr(alone.distribution, n)) for n in ("mass", "friction")]
+        for together, by_itself in pairs:
+            assert_allclose(together, by_itself, rtol=1e-9, atol=1e-9 * np.abs(by_itself).max(initial=0.0))
+        assert answer.seconds > 0
+
+
 def refuses_trials_of_another_shape(estimator: Estimator, draw: Draw = drawn_object) -> None:
     """A trial of a grasp that the shape has not is refused by name."""
     obj = draw(0)
@@ -205,6 +228,7 @@ CONFORMANCE: tuple[Callable[..., None], ...] = (
     takes_extra_trajectories,
     says_so_when_there_is_too_little,
     traces_its_way,
+    answers_many_draws_as_one_by_one,
     refuses_trials_of_another_shape,
     does_not_hide_that_trajectories_contradict_each_other,
 )

@@ -124,7 +124,7 @@ class ActiveRun:
             reference=False,
         )
         key = task.result_keys()[0]
-        estimate(task, self.seed, key, self.store)
+        estimate([(task, self.seed, key)], self.store)
         row = self.store.result(key)
         assert row is not None
         return row | task.labels() | {"key": key}

@@ -6,7 +6,7 @@ import math
 from collections import deque
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
-from functools import lru_cache, partial
+from functools import cached_property, lru_cache, partial
 from importlib.metadata import version
 from typing import Any
 
@@ -16,19 +16,21 @@ from estimators.base import Estimate
 from estimators.evaluation.metrics import mean_particle_distance, normalized_absolute_difference
 from estimators.evaluation.statistics import axis_columns
 from estimators.particles.support import LOADS
-from estimators.registry import build_method, code_of, kind_of
+from estimators.registry import build_method, code_of, estimates_many, kind_of
 from scenarios.execution.executor import Executor, Failure
 from scenarios.results.store import Store, key_of, object_request
 from scenarios.results.trials import sensed_trials
 from scenarios.study.experiment import Experiment, InfeasibleExperiment, Progress, ResultCallback
 from testbed.errors import InvalidValueError
-from testbed.objects.model import ObjectModel
+from testbed.objects.model import ObjectModel, ObjectShape
 from testbed.plugins import placed_errors
 from testbed.sensing.windows import weight_of
 from testbed.trajectory import Trajectory
 
 _Draw = tuple[tuple[int, ...], "EstimateTask", str]
 """Place among the rows (sensing, method, experiment, seed), task and content key."""
+MOST_PARTICLES = 1000
+"""Draws of a batch times particles: more gain nothing, and would take memory and leave other workers idle."""
 
 
 @dataclass(eq=False)
@@ -44,8 +46,10 @@ class EstimateRun:
     """Estimates that have failed."""
     total: int = field(init=False)
     """Estimates of all experiments."""
-    waiting: deque[_Draw] = field(default_factory=deque)
-    """Draws whose trials are there."""
+    waiting: deque[list[_Draw]] = field(default_factory=deque)
+    """Batches of draws whose trials are there: of one object by one method that has `estimate_many`, or of one draw."""
+    _open: dict[str, list[_Draw]] = field(default_factory=dict)
+    """Batches among them that more draws can join, by `EstimateTask.batch`."""
     _rows: dict[tuple[int, ...], dict[str, Any]] = field(default_factory=dict)
     _index: dict[Experiment, int] = field(init=False)
 
@@ -62,20 +66,34 @@ class EstimateRun:
         """Take an experiment whose trials are there, or that has failed."""
         tasks = sorted(self._tasks(experiment), key=lambda item: item[1].kind != "diff_lcp")  # the slowest first
         for place, task in tasks:
-            for seed, key in zip(task.seeds, task.result_keys(), strict=True):  # one that hangs takes no other with it
-                self.waiting.append(((*place, seed), task, key))
+            for seed, key in zip(task.seeds, task.result_keys(), strict=True):
+                draw = ((*place, seed), task, key)
+                row = _failed(seed, task.failure) if task.failure else self.store.result(key)
+                if row is not None:
+                    self._put(draw, row)
+                else:
+                    self._batch_for(task).append(draw)
 
     def start(self) -> bool:
-        """Start the next estimate, or take its row where it is there; False where none waits."""
+        """Start the next estimates; False where none wait."""
         if not self.waiting:
             return False
-        place, task, key = draw = self.waiting.popleft()
-        row = _failed(place[-1], task.failure) if task.failure else self.store.result(key)
-        if row is not None:
-            self._put(draw, row)
-        else:
-            self.executor.start(partial(self._take, draw), estimate, task, place[-1], key, self.store)
+        batch = self.waiting.popleft()
+        if self._open.get(batch[0][1].batch) is batch:
+            del self._open[batch[0][1].batch]
+        draws = [(task, place[-1], key) for place, task, key in batch]
+        self.executor.start(partial(self._take, batch), estimate, draws, self.store)
         return True
+
+    def _batch_for(self, task: EstimateTask) -> list[_Draw]:
+        """A waiting batch that the task's draws can join, or a new one."""
+        batch = self._open.get(task.batch, [])
+        if not batch or len(batch) >= MOST_PARTICLES // len(task.truth.shape.particles):
+            batch = []
+            self.waiting.append(batch)
+            if task.batch:
+                self._open[task.batch] = batch
+        return batch
 
     def _tasks(self, experiment: Experiment) -> Iterator[tuple[tuple[int, int, int], EstimateTask]]:
         index = self._index[experiment]
@@ -84,16 +102,20 @@ class EstimateRun:
                 for m, method in enumerate(experiment.scenario.methods):
                     yield (s, m, index), EstimateTask.of(experiment, sensing, method)
 
-    def _take(self, draw: _Draw, value: Failure | None) -> None:
-        """Take the end of an estimate."""
-        place, _, key = draw
-        if isinstance(value, Failure):
-            self.store.put_error(key, value.detail)
-            self._put(draw, _failed(place[-1], value.reason))
-        else:  # the row as the next run will read it
-            if self.on_result is not None:
-                self.on_result("estimate", key)
-            self._put(draw, self.store.result(key) or _failed(place[-1], "its result.json cannot be read back"))
+    def _take(self, batch: list[_Draw], value: Failure | None) -> None:
+        """Take the end of a batch; of one that failed each draw is begun again by itself."""
+        if isinstance(value, Failure) and len(batch) > 1:
+            self.waiting.extendleft([draw] for draw in reversed(batch))
+            return
+        for draw in batch:
+            place, _, key = draw
+            if isinstance(value, Failure):
+                self.store.put_error(key, value.detail)
+                self._put(draw, _failed(place[-1], value.reason))
+            else:  # the row as the next run will read it
+                if self.on_result is not None:
+                    self.on_result("estimate", key)
+                self._put(draw, self.store.result(key) or _failed(place[-1], "its result.json cannot be read back"))
 
     def _put(self, draw: _Draw, row: dict[str, Any]) -> None:
         place, task, key = draw
@@ -181,6 +203,13 @@ class EstimateTask:
         """Name of the method behind the label."""
         return kind_of(self.method, self.settings)
 
+    @cached_property
+    def batch(self) -> str:
+        """Name that tasks share whose draws can be estimated at once; empty if the method takes one at a time."""
+        if not estimates_many(self.method, self.settings):
+            return ""
+        return key_of({"method": self.method, "settings": self.settings, "object": object_request(self.truth)})
+
     @property
     def true_support(self) -> str | None:
         """Support under which the truth predicts the held-out turns; None on springs, whose loads no model gives."""
@@ -211,26 +240,40 @@ class EstimateTask:
         } | axis_columns(self.axes)
 
 
-def estimate(task: EstimateTask, seed: int, key: str, store: Store) -> None:
-    """Worker's task: the estimate of one draw."""
-    drawn = sensed_trials(store, task.keys + task.held_out, task.sensing, seed)
-    seen, held_out = drawn[: len(task.keys)], drawn[len(task.keys) :]
-    answer = _answer(task, seen, seed)
-    labels = task.labels() | {"trial_keys": list(task.keys), "held_out_keys": list(task.held_out)}
-    row = {"seed": seed} | labels | judge(task.truth, answer, seen, held_out, task.true_support)
-    store.put_estimate(key, row, answer, task.truth.shape)
+def estimate(draws: Sequence[tuple[EstimateTask, int, str]], store: Store) -> None:
+    """Worker's task: the estimates of some draws of one object by one method: task, seed and content key of each."""
+    trials = [sensed_trials(store, task.keys + task.held_out, task.sensing, seed) for task, seed, _ in draws]
+    seen = [drawn[: len(task.keys)] for drawn, (task, _, _) in zip(trials, draws, strict=True)]
+    answers = _answers(draws[0][0], seen, [seed for _, seed, _ in draws])
+    for (task, seed, key), drawn, given, answer in zip(draws, trials, seen, answers, strict=True):
+        labels = task.labels() | {"trial_keys": list(task.keys), "held_out_keys": list(task.held_out)}
+        judged = judge(task.truth, answer, given, drawn[len(given) :], task.true_support)
+        store.put_estimate(key, {"seed": seed} | labels | judged, answer, task.truth.shape)
 
 
-def _answer(task: EstimateTask, seen: list[Trajectory], seed: int) -> Estimate:
-    """The method's answer.
+def _answers(task: EstimateTask, seen: list[list[Trajectory]], seeds: list[int]) -> list[Estimate]:
+    """The method's answers.
 
     Raises:
-        HeftError: the method raised an error, or its answer is none for this object.
+        HeftError: the method raised an error, or an answer is none for this object.
     """
-    method, shape = build_method(task.method, task.settings), task.truth.shape
-    with placed_errors(type(method)):
-        answer = method.estimate(shape, weight_of(seen[0]), seen[1:], seed)
+    method: Any = build_method(task.method, task.settings)
+    shape, weights, moved = task.truth.shape, [weight_of(trials[0]) for trials in seen], [t[1:] for t in seen]
     called = f"{task.kind}.estimate()"
+    with placed_errors(type(method)):
+        if task.batch and len(seen) > 1:
+            called = f"{task.kind}.estimate_many()"
+            answers = list(method.estimate_many(shape, weights, moved, seeds))
+        else:
+            answers = [method.estimate(shape, *one) for one in zip(weights, moved, seeds, strict=True)]
+    if len(answers) != len(seen):
+        raise InvalidValueError(called, f"{len(answers)} answers", f"{len(seen)}, one a draw")
+    for answer in answers:
+        _check(called, answer, shape)
+    return answers
+
+
+def _check(called: str, answer: Any, shape: ObjectShape) -> None:
     if not isinstance(answer, Estimate):
         raise InvalidValueError(called, answer, "an Estimate of estimators.base")
     if (found := answer.distribution) is not None and (len(found.mass), len(found.friction)) != (shape.n_m, shape.n_mu):
@@ -240,7 +283,6 @@ def _answer(task: EstimateTask, seen: list[Trajectory], seed: int) -> Estimate:
     if answer.covariance is not None and len(answer.covariance) != shape.n_m:
         allowed = f"one row and column of each of {shape.n_m} mass groups"
         raise InvalidValueError(f"{called}.covariance", answer.covariance.shape, allowed)
-    return answer
 
 
 def infeasible_row(experiment: InfeasibleExperiment) -> dict[str, Any]:

@@ -49,6 +49,22 @@ class Bare:
     def estimate(self, shape, weight, trajectories, seed):
         return Estimate(np.ones(shape.n_m), "ok")
 """
+BATCHES = """
+from estimators import Estimate
+
+class Together:
+    def estimate(self, shape, weight, trajectories, seed):
+        if seed == 1:
+            raise ValueError("not this one")
+        return Estimate(None, "no_data", "one by one")
+
+    def estimate_many(self, shape, weights, draws, seeds):
+        open("asked", "a").write(f"{len(draws)} ")
+        {way}
+
+class Apart(Together):
+    estimate_many = None
+"""
 REASONS = {
     "Fails": r"LinAlgError: Singular matrix \(failing.py, line 8\)",
     "Dict": r"failing:Dict.estimate\(\): got {'mass': 1}; allowed: an Estimate of estimators.base",
@@ -91,6 +107,33 @@ def test_nothing_but_failures_is_a_table_a_report_and_the_place_of_each_error(he
     main(["figures", "out"])
     main(["status", "out"])
     assert re.search(rf"error.txt: {REASONS['Fails']}", capsys.readouterr().out)
+
+
+@pytest.mark.parametrize("way", ["raise ValueError('no')", "return []", "return [None] * len(draws)"])
+def test_a_batch_that_fails_is_asked_one_draw_at_a_time(here, finished, way):
+    (here / "failing.py").write_text(BATCHES.replace("{way}", way), encoding="utf-8")
+    names = ["failing:Together", "failing:Apart"]
+    with pytest.raises(SystemExit, match="1"):
+        main(["run", str(finished.scenario), "--out", "out", "--workers", "0", "--methods", *names])
+    together, apart = (load_results(here / "out").query(f"method == '{name}'") for name in names)
+    assert list(together["status"]) == ["failed" if seed == 1 else "no_data" for seed in together["seed"]]
+    assert list(together["message"]) == list(apart["message"])
+    assert (here / "asked").read_text() == "3 "
+
+
+def test_a_batch_goes_on_with_the_draws_that_are_left(here, finished):
+    answers = "return [Estimate(None, 'no_data', f'{len(draws)} at once') for _ in draws]"
+    (here / "failing.py").write_text(BATCHES.replace("{way}", answers), encoding="utf-8")
+    command = ["run", str(finished.scenario), "--out", "out", "--workers", "0", "--methods", "failing:Together"]
+    with pytest.raises(SystemExit, match="1"):
+        main(command)
+    rows = load_results(here / "out")
+    assert list(rows["message"]) == ["3 at once"] * 3
+    shutil.rmtree(here / "out" / "estimates" / rows["key"][0])
+    shutil.rmtree(here / "out" / "estimates" / rows["key"][2])
+    with pytest.raises(SystemExit, match="1"):
+        main(command)
+    assert list(load_results(here / "out")["message"]) == ["2 at once", "3 at once", "2 at once"]
 
 
 @pytest.mark.parametrize("command", ["run", "estimate"])

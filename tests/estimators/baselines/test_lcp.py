@@ -272,8 +272,8 @@ def test_rollouts_go_to_coulombs_as_corners_and_substeps_grow(coulomb):
     assert by_step[0] > 2 * by_step[1]
 
 
-def gradient_case(name: str) -> list[torch.Tensor]:
-    """A body on four feet, in units of its own, of which as many sides stick as the name says."""
+def gradient_case(name: str) -> tuple[Case, list[torch.Tensor]]:
+    """A body on four feet, in units of its own, of which as many sides stick as the name says; and what it is of."""
     arm = np.array([[1.0, 0.8], [-0.7, 0.9], [-1.1, -0.6], [0.6, -1.0]])
     jacobians = np.stack([np.column_stack([[1.0] * 4, [0.0] * 4, -arm[:, 1]]),
                           np.column_stack([[0.0] * 4, [1.0] * 4, arm[:, 0]])], axis=1)  # fmt: skip
@@ -285,18 +285,22 @@ def gradient_case(name: str) -> list[torch.Tensor]:
     elif name == "all stick":
         momentum = np.array([0.2, -0.1, 0.05])
     mass = np.array([[2.0, 0.1, 0.0], [0.1, 2.0, -0.2], [0.0, -0.2, 1.5]])
-    return [x.requires_grad_() for x in Case(mass, momentum, jacobians, bound, 4).tensors]
+    turned_arms = np.column_stack([-arm[:, 1], arm[:, 0]])
+    parts = (mass, momentum, turned_arms, bound)
+    return Case(mass, momentum, jacobians, bound, 4), [torch.tensor(x[None], requires_grad=True) for x in parts]
 
 
 @pytest.mark.parametrize(
     ("name", "sticking"), [("slides", 0), ("one side sticks", 1), ("a foot sticks", 2), ("all stick", 8)]
 )
 def test_the_gradient_of_a_step_is_right(name, sticking):
-    arguments = gradient_case(name)
-    with torch.no_grad():
-        used = solve_step(*arguments).used  # pyright: ignore[reportArgumentType]
-    assert int((used.abs() < 0.999).sum()) == sticking
-    assert torch.autograd.gradcheck(lambda *x: _Solve.apply(*x, None)[0], arguments)  # pyright: ignore
+    case, arguments = gradient_case(name)
+    step = solve_step(*case.tensors)
+    assert int((step.used.abs() < 0.999).sum()) == sticking
+    velocity, used = _Solve.apply(*arguments, polygon_sides(4), None)  # pyright: ignore
+    assert_allclose(velocity.detach(), step.velocity, atol=1e-12)
+    assert_allclose(used, step.used, atol=1e-9)
+    assert torch.autograd.gradcheck(lambda *x: _Solve.apply(*x, polygon_sides(4), None)[0], arguments)  # pyright: ignore
 
 
 def pushed(kind: str) -> tuple[torch.Tensor, torch.Tensor]:

@@ -8,7 +8,7 @@ import torch
 from numpy.testing import assert_allclose
 from torch import Tensor
 
-from estimators.descent import GROW, OPTIMIZERS, SHRINK, check_optimizers, descend
+from estimators.descent import GROW, OPTIMIZERS, SHRINK, check_optimizers, descend, descend_all
 from testbed.errors import InvalidValueError
 
 MINIMUM = torch.tensor([1.0, -2.0, 0.5], dtype=torch.float64)
@@ -43,6 +43,32 @@ def test_side_by_side_each_does_as_it_does_alone(name):
     together = next(run for run in descend(bowl, START, RATES, 60) if run.trace.method == name)
     assert together.trace.loss == alone.trace.loss
     assert torch.equal(together.best, alone.best)
+
+
+@pytest.mark.parametrize(("name", "kind"), [("adam", torch.optim.Adam), ("rmsprop", torch.optim.RMSprop)])
+def test_steps_are_those_of_torch(name, kind):
+    point = torch.tensor([-1.2, 1.0], dtype=torch.float64, requires_grad=True)
+    optimizer, losses = kind([point], lr=0.05), []
+    for i in range(200):
+        optimizer.param_groups[0]["lr"] = 0.05 * (1 - i / 200) ** 2
+        optimizer.zero_grad()
+        value = valley(point[None])[0]
+        value.backward()
+        losses.append(value.item())
+        optimizer.step()
+    (run,) = descend(valley, torch.tensor([-1.2, 1.0], dtype=torch.float64), {name: 0.05}, 200)
+    assert_allclose(run.trace.loss, losses, rtol=1e-9)
+
+
+def test_many_descents_at_once_are_those_one_by_one():
+    starts = torch.tensor([[0.0, 0.0, 0.0], [3.0, 1.0, -1.0], [1.0, -2.0, 0.5]], dtype=torch.float64)
+    many = descend_all(lambda z: bowl(z.flatten(0, 1)).unflatten(0, z.shape[:2]), starts, RATES, 60, masses=lambda z: z)
+    for start, runs in zip(starts, many, strict=True):
+        for run, alone in zip(runs, descend(bowl, start, RATES, 60, masses=lambda z: z), strict=True):
+            assert run.trace.method == alone.trace.method
+            assert_allclose(run.trace.loss, alone.trace.loss, rtol=1e-12)
+            assert_allclose(run.trace.mass, alone.trace.mass, rtol=1e-12, atol=1e-14)
+            assert torch.equal(run.best, alone.best)
 
 
 @pytest.mark.parametrize("steps", [1, 40])

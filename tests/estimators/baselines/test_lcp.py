@@ -11,7 +11,8 @@ import pytest
 import torch
 from numpy.testing import assert_allclose
 
-from estimators.baselines.lcp import LcpEngine, LcpError, Step, _Solve, polygon_sides, solve_step
+from estimators.baselines.dry_friction import LcpError
+from estimators.baselines.lcp import LcpEngine, Step, _Solve, polygon_sides, solve_step
 from estimators.particles import model as dynamics
 from estimators.particles.model import Inertia, ParticleModel, inertia_of, rotate
 from estimators.testing.analytic_world import drawn_object

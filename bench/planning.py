@@ -42,14 +42,15 @@ from estimators.particles.errors import ModelErrors
 from estimators.particles.friction_system import LoadGroups, friction_equations
 from estimators.particles.windows import Observations, observe
 from estimators.particles.wrench import ParticleLoads
-from scenarios.runners import FeasibilityCheck, feasible_grasps
+from scenarios.policies import Policy
+from scenarios.runners import FeasibilityCheck, feasible_grasps, told
 from testbed.actions.base import Action
 from testbed.errors import HeftError, InfeasibleTrialError
 from testbed.files import write_whole
 from testbed.objects.files import load_object
 from testbed.objects.model import ObjectModel
 from testbed.objects.random import Family
-from testbed.sensing.noise import draw_sensing
+from testbed.sensing.noise import draw_sensing, read_scale
 from testbed.sensing.presets import Sensing, preset
 from testbed.simulation.runner import SimulationRunner
 from testbed.simulation.settings import SimulationSettings
@@ -73,7 +74,7 @@ def drawn(count: int, seed: int) -> tuple[ObjectModel, ...]:
         for attempt in range(100):
             model = family.draw(index, attempt).build(3, Path())
             try:
-                feasible_grasps(model, SimulationSettings())
+                feasible_grasps(model.name, Policy().check(model, SimulationSettings()))
             except InfeasibleTrialError:
                 continue
             found.append(model)
@@ -193,7 +194,9 @@ def _runs(model: ObjectModel, sensing_name: str, draws: int) -> list[dict[str, A
 def _rows(model: ObjectModel, sensing_name: str, draws: int) -> Iterator[dict[str, Any]]:
     """Rows of an object: NAD after each trial of each policy, mean over draws; 1 draw where the policy sees it."""
     shape, sensing = model.shape, preset(sensing_name)
-    guess, runner = Guess(model.total_mass, sensing), SimulationRunner()
+    weight = read_scale(model.total_mass, sensing, crc32(model.name.encode()))
+    guess, runner = Guess(weight, sensing.stated), SimulationRunner()
+    grasps = feasible_grasps(model.name, Policy().check(model, SimulationSettings()))
     made = cache(lambda action: runner.run_clean(Trial(model, action)))  # greedy and batch have actions in common
     refused: dict[Action, str] = {}
 
@@ -202,14 +205,12 @@ def _rows(model: ObjectModel, sensing_name: str, draws: int) -> Iterator[dict[st
         try:
             yield made(action)
         except InfeasibleTrialError as error:
-            refused[action] = str(error)
+            refused[action] = told(str(error))
 
     check = FeasibilityCheck(shape, guess, refused=refused)
     goal = Goal(budget_s=BUDGET, most=20)
     ahead: dict[str, ActionPolicy] = {
-        "reversed_pairs": RankDriven(
-            TURNS, accelerated=0, grasps=feasible_grasps(model, SimulationSettings()), most=TURNS
-        ),
+        "reversed_pairs": RankDriven(TURNS, accelerated=0, grasps=grasps, most=TURNS),
         **{
             kind: PlannedPolicy(guess, kind, goal=goal, feasible=check)  # pyright: ignore[reportArgumentType]
             for kind in ("random", "greedy", "batch")
@@ -228,7 +229,7 @@ def _rows(model: ObjectModel, sensing_name: str, draws: int) -> Iterator[dict[st
                 "object": model.name,
                 "policy": name,
                 "robot_s": spent_seconds(shape, clean[:count]),
-                "nad": float(np.mean([_nad(model, seen[:count]) for seen in drawn_])),
+                "nad": float(np.mean([_nad(model, weight, seen[:count]) for seen in drawn_])),
                 "expected": plan.steps[count - 1].belief.expected_nad if plan is not None and as_planned else None,
             }
     online = OnlinePolicy(guess, goal, feasible=check, estimator=HiddenStates())
@@ -244,7 +245,7 @@ def _rows(model: ObjectModel, sensing_name: str, draws: int) -> Iterator[dict[st
             "object": model.name,
             "policy": "online",
             "robot_s": spent_seconds(shape, felt),
-            "nad": _nad(model, felt),
+            "nad": _nad(model, weight, felt),
             "expected": decision.nad,
         }
 
@@ -254,13 +255,13 @@ def _felt(clean: Trajectory, sensing: Sensing, model: ObjectModel, policy: str, 
     return draw_sensing(clean, sensing, crc32(f"{model.name} {policy} {draw} {trial}".encode()))
 
 
-def _nad(model: ObjectModel, felt: Sequence[Trajectory]) -> float:
+def _nad(model: ObjectModel, weight: float, felt: Sequence[Trajectory]) -> float:
     """NAD of Algorithm 1's answer, or of uniform masses where it has none."""
     shape = model.shape
-    answer = HiddenStates().estimate(shape, model.total_mass, felt, 0)
+    answer = HiddenStates().estimate(shape, weight, felt, 0)
     found = answer.distribution
     if found is None:
-        found = Guess(model.total_mass, preset("ideal")).uniform(shape)
+        found = Guess(weight, preset("ideal")).uniform(shape)
     return normalized_absolute_difference(shape, found, model.truth)
 
 

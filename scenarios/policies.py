@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property, partial
 from typing import Annotated, Any, Literal, Self
+from zlib import crc32
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
@@ -21,7 +23,8 @@ from testbed.actions.rotate import Rotate
 from testbed.errors import InvalidValueError
 from testbed.objects.model import ObjectModel, ObjectShape
 from testbed.plugins import configured, find_class, placed_errors, source_hash
-from testbed.sensing.presets import preset
+from testbed.sensing.noise import read_scale
+from testbed.sensing.presets import Sensing, preset
 from testbed.trajectory import Trajectory
 
 Count = Annotated[int, Field(ge=1, le=100_000)]
@@ -73,6 +76,31 @@ class NamedPolicy:
         return action
 
 
+@dataclass(frozen=True, eq=False)
+class AfterWeighing:
+    """A policy that is built when the object has been weighed."""
+
+    build: Callable[[float], ActionPolicy]
+    """Policy for a reading of the scale [kg]."""
+    weighed: Sequence[float]
+    """Reading of the scale [kg], once there is one."""
+
+    @cached_property
+    def policy(self) -> ActionPolicy:
+        """The policy.
+
+        Raises:
+            InvalidValueError: the object has not been weighed.
+        """
+        if not self.weighed:
+            raise InvalidValueError("policy", "no weighing", "an object that was weighed with status ok")
+        return self.build(self.weighed[0])
+
+    def next(self, shape: ObjectShape, trajectories: Sequence[Trajectory]) -> Action | None:
+        """Next action of the policy."""
+        return self.policy.next(shape, trajectories)
+
+
 def build_policy(kind: str, settings: Mapping[str, Any], most: int, context: PolicyContext) -> ActionPolicy:
     """Build a policy by "package:Class" or entry point.
 
@@ -111,6 +139,7 @@ class Policy(BaseModel):
     budget_s: Annotated[float, Field(gt=0, allow_inf_nan=False)] | None = None
     criterion: Literal["I", "A", "D"] = "I"
     plan_for: str = "ft300s"
+    most_friction: Annotated[float, Field(gt=0, le=2)] = 0.6
     candidates: Annotated[int, Field(ge=1, le=100_000)] = 4000
     thought: Literal["own_weight", "rigid", "either"] | None = None
     settings: dict[str, Any] = {}
@@ -152,8 +181,9 @@ class Policy(BaseModel):
     def build(
         self,
         grasps: tuple[int, ...],
-        particles: ObjectModel,
+        shape: ObjectShape,
         settings: RunnerSettings,
+        weighed: Sequence[float] = (),
         sensing: str | None = None,
         refused: Mapping[Action, str] | None = None,
     ) -> ActionPolicy:
@@ -161,24 +191,36 @@ class Policy(BaseModel):
 
         Args:
             grasps: allowed grasps.
-            particles: object with the estimator's particles.
+            shape: geometry with the estimator's particles.
             settings: settings of the runner, for the feasibility of actions.
+            weighed: reading of the scale [kg], which may come later, but before the policy is asked.
             sensing: sensor of a policy whose draws have their own trials; `plan_for` if left out.
-            refused: actions that were refused when they were run; may grow later.
+            refused: actions that were refused when they were run, as `told`; may grow later.
         """
+        refused = {} if refused is None else refused
         if ranked := self.rank_driven:
-            return replace(ranked, grasps=grasps)
-        guess = Guess(particles.total_mass, preset(self.plan_for))
-        check = FeasibilityCheck(particles.shape, guess, settings, {} if refused is None else refused)
+            return replace(ranked, grasps=grasps, refused=refused)
+        sensor = preset(sensing or self.plan_for).stated
+        return AfterWeighing(partial(self._of_weight, grasps, shape, settings, sensor, refused), weighed)
+
+    def _of_weight(
+        self,
+        grasps: tuple[int, ...],
+        shape: ObjectShape,
+        settings: RunnerSettings,
+        sensor: Sensing,
+        refused: Mapping[Action, str],
+        weight: float,
+    ) -> ActionPolicy:
+        """The policy for a weight as read."""
+        guess = Guess(weight, sensor)
+        check = FeasibilityCheck(shape, guess, settings, refused)
         if self.kind not in POLICIES:
-            context = PolicyContext(grasps, particles.total_mass, check)
-            return build_policy(self.kind, self.settings, self.touches, context)
+            return build_policy(self.kind, self.settings, self.touches, PolicyContext(grasps, weight, check))
         goal = Goal(self.until, self.budget_s, self.touches)
         searched = {"candidates": self.candidates, "grasps": grasps, "seed": self.seed, "feasible": check}
         if self.kind == "online":
-            guess = replace(
-                guess, sensing=preset(sensing or self.plan_for), supports=ASSUMED_SUPPORTS[self.thought or "either"]
-            )
+            guess = replace(guess, supports=ASSUMED_SUPPORTS[self.thought or "either"])
             return OnlinePolicy(guess, goal, self.criterion, **searched)
         guess = replace(guess, supports=ASSUMED_SUPPORTS[self.thought or "own_weight"])
         return PlannedPolicy(guess, self.kind, self.criterion, goal, **searched)  # pyright: ignore[reportArgumentType]
@@ -186,6 +228,12 @@ class Policy(BaseModel):
     def request(self) -> dict[str, Any]:
         """All that decides its choices, as plain data."""
         return self.model_dump() | ({} if self.kind in POLICIES else code_of(self.kind))
+
+    def check(self, model: ObjectModel, settings: RunnerSettings) -> FeasibilityCheck:
+        """Check of actions before any trial: by the object's shape, a reading of the scale, and an upper friction."""
+        sensor = preset(self.plan_for)
+        reading = read_scale(model.total_mass, sensor, [self.seed, crc32(model.name.encode())])
+        return FeasibilityCheck(model.shape, Guess(reading, sensor.stated, self.most_friction), settings)
 
     def build_held_out(self, shape: ObjectShape, grasps: tuple[int, ...]) -> list[Rotate]:
         """Turns for prediction, which no method is given."""

@@ -89,26 +89,6 @@ def check_trial(trial: Trial, settings: RunnerSettings) -> None:
         SimulationRunner(settings).check(trial)
 
 
-def feasible_grasps(model: ObjectModel, settings: RunnerSettings) -> tuple[int, ...]:
-    """Grasps about which the robot can turn the object at constant and at changing speed.
-
-    Raises:
-        InfeasibleTrialError: there is none; the message gives the reason of each.
-    """
-    possible, reasons = [], []
-    for index, grasp in enumerate(model.shape.grasps):
-        try:
-            for action in (Rotate(index), Accelerate(index)):
-                check_trial(Trial(model, action), settings)
-            possible.append(index)
-        except InfeasibleTrialError as error:
-            reasons.append(f"{grasp.name}: {error}")
-    if not possible:
-        why = "\n  ".join(reasons) or "no block has two opposite free faces"
-        raise InfeasibleTrialError(f"{model.name}: the bench cannot turn this object about any grasp\n  {why}")
-    return tuple(possible)
-
-
 @dataclass(frozen=True)
 class FeasibilityCheck:
     """Feasibility of an action before it is run: grip, clearance, reach, joints, torques and speeds.
@@ -133,3 +113,30 @@ class FeasibilityCheck:
         except InfeasibleTrialError as error:
             return str(error)
         return ""
+
+
+def feasible_grasps(name: str, check: FeasibilityCheck) -> tuple[int, ...]:
+    """Grasps about which the robot can turn an object at constant and at changing speed.
+
+    Args:
+        name: name of the object.
+        check: shape, weight as read and an upper friction; the true masses may still have a turn refused.
+
+    Raises:
+        InfeasibleTrialError: there is none; the message gives the reason of each.
+    """
+    possible, reasons = [], []
+    for index, grasp in enumerate(check.shape.grasps):
+        if why := check(Rotate(index)) or check(Accelerate(index)):
+            reasons.append(f"{grasp.name}: {why}")
+        else:
+            possible.append(index)
+    if not possible:
+        why = "\n  ".join(reasons) or "no block has two opposite free faces"
+        raise InfeasibleTrialError(f"{name}: the bench cannot turn this object about any grasp\n  {why}")
+    return tuple(possible)
+
+
+def told(refusal: str) -> str:
+    """Refusal of a trial as a policy is told it: the limit, without the numbers, which come from the true masses."""
+    return f"{refusal.partition(':')[0]}: refused by the bench"

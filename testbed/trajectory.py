@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from enum import IntEnum
 from pathlib import Path
 from typing import Any, Literal, Self, get_args
@@ -114,7 +114,7 @@ class Trajectory:
     figures: dict[str, float] = field(default_factory=dict)
     """Numbers behind the status: peak torque and speed over their limits, slip, grip force, ..."""
     provenance: dict[str, str] = field(default_factory=dict)
-    """Origin of the record: runner, versions, seeds, sensing."""
+    """Origin of the record: runner, versions, support. Methods and policies are not given it: see `blinded`."""
 
     @classmethod
     def of_scale(
@@ -192,6 +192,11 @@ class Trajectory:
     def is_clean(self) -> bool:
         """True if the record is a simulator's and has no sensor's errors in it yet."""
         return self.simulated and "sensing" not in self.provenance
+
+    def blinded(self) -> Self:
+        """Record as methods and policies are given it: of its provenance the kind of runner, and no figures."""
+        kept = {name: said for name, said in self.provenance.items() if name in ("runner", "sensing")}
+        return replace(self, figures={}, provenance=kept)
 
     def mask(self, *phases: Phase) -> np.ndarray:
         """Mask of the samples in the given phases, shape (T,)."""

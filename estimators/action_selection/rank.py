@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 import torch
@@ -14,7 +14,7 @@ from testbed.actions.accelerate import Accelerate
 from testbed.actions.base import Action
 from testbed.actions.rotate import Rotate
 from testbed.actions.slide import Slide
-from testbed.errors import InvalidValueError
+from testbed.errors import InfeasibleTrialError, InvalidValueError
 from testbed.objects.model import ObjectShape
 from testbed.trajectory import Trajectory
 
@@ -43,6 +43,8 @@ class RankDriven:
     """True turns there and back in one grasp: friction flips and a constant bias does not."""
     beside: bool = True
     """True turns about a point beside the grasped particle, which has no direction of motion at the center."""
+    refused: Mapping[Action, str] = field(default_factory=dict, compare=False)
+    """Actions that the bench refused, and why: their grasps are used no more; grows as trials are made."""
 
     def __post_init__(self) -> None:
         for name in ("pivots", "accelerated", "most"):
@@ -50,7 +52,11 @@ class RankDriven:
                 raise InvalidValueError(f"RankDriven.{name}", getattr(self, name), "an integer >= 0 (most: >= 1)")
 
     def next(self, shape: ObjectShape, trajectories: Sequence[Trajectory]) -> Action | None:
-        """Next action; None when done, without an allowed grasp, or after `most` trials."""
+        """Next action; None when done, without an allowed grasp, or after `most` trials.
+
+        Raises:
+            InfeasibleTrialError: actions about all allowed grasps were refused.
+        """
         return self._after(shape, [t.action for t in trajectories], [t.action for t in trajectories if t.ok])
 
     def predicted_actions(self, shape: ObjectShape) -> list[Action]:
@@ -61,7 +67,11 @@ class RankDriven:
         return done
 
     def _after(self, shape: ObjectShape, tried: Sequence[Action], good: Sequence[Action]) -> Action | None:
-        allowed = range(len(shape.grasps)) if self.grasps is None else self.grasps
+        barred = {action.grasp for action in self.refused}
+        grasps = range(len(shape.grasps)) if self.grasps is None else self.grasps
+        allowed = [grasp for grasp in grasps if grasp not in barred]
+        if grasps and not allowed:
+            raise InfeasibleTrialError("the bench refused an action about every grasp")
         if not allowed or len(tried) >= self.most:
             return None
         accelerated = sum(action.accelerated for action in tried)

@@ -23,7 +23,7 @@ from testbed.files import write_whole
 from testbed.objects.files import ObjectFile
 from testbed.objects.model import ObjectModel
 from testbed.sensing.compensation import compensate
-from testbed.sensing.noise import draw_sensing
+from testbed.sensing.noise import draw_sensing, read_scale
 from testbed.sensing.presets import preset
 from testbed.trajectory import Tool, Trajectory
 
@@ -61,13 +61,13 @@ class KnownBlock:
 
     def weighed(self, sensing: str, seed: int = 0) -> float:
         """Reading of a scale with this preset's error [kg]."""
-        return self.model.total_mass + preset(sensing).scale * np.random.default_rng([seed, 1]).standard_normal()
+        return read_scale(self.model.total_mass, preset(sensing), [seed, 1])
 
     def trials(self, sensing: str, seed: int = 0) -> list[Trajectory]:
         """Trials with one draw of a preset's errors; each trial gets errors of its own."""
         streams = np.random.SeedSequence(seed).spawn(len(self.clean))
         seeds = [int(stream.generate_state(1)[0]) for stream in streams]
-        return [draw_sensing(t, preset(sensing), s) for t, s in zip(self.clean, seeds, strict=True)]
+        return [draw_sensing(t, preset(sensing), s).blinded() for t, s in zip(self.clean, seeds, strict=True)]
 
 
 def block_names() -> list[str]:

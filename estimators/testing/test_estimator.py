@@ -14,7 +14,8 @@ from estimators.base import Estimator
 from estimators.testing.analytic_world import drawn_object
 from estimators.testing.conformance import CONFORMANCE, WITHOUT_DRAWS, Draw, clean_answer, data, recovers, small_object
 from estimators.testing.plugin import BLOCKS, SENSORS
-from estimators.testing.recorded import KnownBlock
+from estimators.testing.recorded import KnownBlock, load_block
+from estimators.testing.truth import truth_within_reach
 from testbed.trajectory import Trajectory
 
 
@@ -64,6 +65,13 @@ def test_rule_for_methods_that_draw_nothing(estimator: Estimator, rule: Callable
     if first is None or second is None or not np.array_equal(first.mass, second.mass):
         pytest.skip("another seed gives another answer: it draws, and to what draws, a group is its place in the draw")
     checked(partial(rule, estimator, draw), f"{rule.__doc__}\n")
+
+
+def test_no_truth_is_within_reach() -> None:
+    """Trials of a known block, as `estimate` is given them, do not lead to the true masses or the clean wrench."""
+    block = load_block(BLOCKS[0])
+    given = {"shape": block.model.shape, "weight": block.weighed("ft300s"), "trajectories": block.trials("ft300s")}
+    assert truth_within_reach(given | {"seed": 0}, block.model, block.clean) == []
 
 
 def test_known_block(

@@ -184,10 +184,10 @@ def plan(
     from estimators.action_selection.plan import Goal
     from scenarios.runners import FeasibilityCheck
     from testbed.objects.files import load_object
-    from testbed.sensing.presets import preset
+    from testbed.sensing import preset, read_scale
 
-    console, model = open_console(), load_object(object_)
-    guess = Guess(model.total_mass, preset(sensing), friction, ASSUMED_SUPPORTS[support])
+    console, model, sensor = open_console(), load_object(object_), preset(sensing)
+    guess = Guess(read_scale(model.total_mass, sensor, seed), sensor.stated, friction, ASSUMED_SUPPORTS[support])
     goal = Goal(percent(until, "--until"), seconds(budget, "--budget"), most)
     allowed = named_grasps(model, grasps)
     if policy in ("published", "reversed_pairs"):
@@ -196,7 +196,7 @@ def plan(
         check, family = FeasibilityCheck(model.shape, guess), action_family(support, lifts=lifts)
         made = PlannedPolicy(guess, policy, criterion, goal, family, candidates, allowed, seed, check).plan(model.shape)
     title = f"{model.name}, {support}, {sensing}: {policy}"
-    console.print(Text.assemble((title, "bold"), f"; weighed {model.total_mass:.3f} kg"))
+    console.print(Text.assemble((title, "bold"), f"; weighed {guess.weight:.3f} kg"))
     if made.steps:
         console.print(_table(model.shape, made))
     console.print(*_conclusion(model.shape, made, guess, goal), sep="\n")

@@ -146,12 +146,15 @@ def sensed_trials(store: Store, keys: tuple[str, ...], sensing: str, seed: int) 
 
 
 def sensed(trajectory: Trajectory, sensing: str, seed: int, index: int, key: str) -> Trajectory:
-    """One draw of a sensor's errors on the `index`-th trial of an experiment; a measured one as it is."""
+    """One draw of a sensor's errors on the `index`-th trial of an experiment, blinded; a measured one without a draw.
+
+    All that a method or a policy is given comes through here.
+    """
     if not trajectory.simulated:
-        return trajectory
+        return trajectory.blinded()
     # a stream of its own for every trial of every draw, a repeated trial included
     own = int.from_bytes(hashlib.sha256(f"{seed}/{index}/{key}".encode()).digest()[:8], "big")
-    return draw_sensing(trajectory, preset(sensing), own)
+    return draw_sensing(trajectory, preset(sensing), own).blinded()
 
 
 @lru_cache(maxsize=1)

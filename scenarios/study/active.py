@@ -13,7 +13,7 @@ from estimators.action_selection.online import Decision, OnlinePolicy
 from estimators.action_selection.plan import Goal
 from scenarios.results.store import Store, key_of, trial_request
 from scenarios.results.trials import sensed_trials
-from scenarios.runners import FeasibilityCheck
+from scenarios.runners import FeasibilityCheck, told
 from scenarios.study.estimates import EstimateTask, estimate
 from scenarios.study.trials import simulate
 from testbed.actions.base import Action
@@ -75,7 +75,7 @@ class ActiveRun:
         keys = [self._simulated(Weigh())]
         weight = weight_of(self._measured(keys)[0])
         on_weight(weight)
-        guess = Guess(weight, preset(self.sensing), supports=self.assumed)
+        guess = Guess(weight, preset(self.sensing).stated, supports=self.assumed)
         shape, refused = self.model.shape, dict[Action, str]()
         policy = OnlinePolicy(
             guess,
@@ -96,7 +96,7 @@ class ActiveRun:
             try:
                 keys.append(self._simulated(decision.action))
             except InfeasibleTrialError as error:  # at the true masses; nothing has moved
-                refused[decision.action] = str(error)
+                refused[decision.action] = told(str(error))
 
     def _simulated(self, action: Action) -> str:
         """Key of the trial, which is kept."""

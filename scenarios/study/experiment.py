@@ -11,7 +11,7 @@ from estimators.action_selection.rank import RankDriven
 from estimators.base import ActionPolicy
 from scenarios.config import Scenario
 from scenarios.results.store import Store, key_of, object_request
-from scenarios.runners import RunnerSettings, feasible_grasps
+from scenarios.runners import FeasibilityCheck, feasible_grasps, told
 from testbed.actions.base import Action
 from testbed.actions.rotate import Rotate
 from testbed.errors import InfeasibleTrialError, InvalidValueError
@@ -60,17 +60,21 @@ class Experiment:
     turns: tuple[Rotate, ...]
     """Turns for prediction, which no method is given."""
     refused: dict[Action, str] = field(default_factory=dict)
-    """Actions that were refused when they were run, and why; the policy then chooses another."""
+    """Actions that were refused when they were run, as the policy is told it; it then chooses another."""
+    weighed: list[float] = field(default_factory=list)
+    """Reading of the scale [kg], as the policy is told it."""
     keys: list[str] = field(default_factory=list)
     """Keys of the trials made so far, the weighing first."""
     held_out_keys: list[str] = field(default_factory=list)
     """Keys of the turns made for prediction."""
     trajectories: list[Trajectory] = field(default_factory=list)
-    """Trajectories that the policy sees."""
+    """Trajectories as the policy sees them: with a sensor's errors, and blinded."""
     finished: bool = False
     """True if the policy asks for no more."""
     failure: str = ""
     """Reason why a trial could not be made; empty if all could."""
+    reasons: dict[Action, str] = field(default_factory=dict)
+    """Reason of each refusal, with its numbers."""
     draw: tuple[str, int] | None = None
     """Sensor and seed of its one draw; None where all draws share it."""
 
@@ -78,6 +82,15 @@ class Experiment:
         """Actions that do not depend on any wrench: those of the paper's policy, and the turns held out."""
         chosen = self.policy.predicted_actions(self.particles.shape) if isinstance(self.policy, RankDriven) else []
         return [*chosen, *self.turns]
+
+    @property
+    def seen(self) -> tuple[str, int]:
+        """Sensor and seed of the draw that the policy sees."""
+        return self.draw or (self.scenario.policy.plan_for, self.scenario.policy.seed)
+
+    def refuse(self, action: Action, why: str) -> None:
+        """Take the refusal of an action at the true masses."""
+        self.reasons[action], self.refused[action] = why, told(why)
 
     def next_action(self) -> Action | None:
         """Next action; None when done."""
@@ -87,8 +100,9 @@ class Experiment:
                 return action
             self.finished = True
             self.trajectories.clear()
+        turns = [turn for turn in self.turns if turn not in self.refused]
         made = len(self.held_out_keys)
-        return self.turns[made] if made < len(self.turns) else None
+        return turns[made] if made < len(turns) else None
 
 
 @dataclass(frozen=True)
@@ -119,7 +133,7 @@ def experiments_of(
             try:
                 model = point.truth.applied(load(point.grid.feet))
                 particles = point.truth.model_copy(update={"friction_spread": 0.0}).applied(load(point.grid.particles))
-                grasps = feasible.of(model, settings)
+                grasps = feasible.of(model.name, point.policy.check(model, settings))
             except InfeasibleTrialError as error:
                 if not (axes or scenario.random):
                     raise
@@ -128,11 +142,11 @@ def experiments_of(
                 for support in point.supports():
                     turns = tuple(point.policy.build_held_out(particles.shape, grasps))
                     for draw in point.own_draws():
-                        refused: dict[Action, str] = {}
+                        refused, weighed = dict[Action, str](), list[float]()
                         sensing = draw[0] if draw else None
-                        policy = point.policy.build(grasps, particles, settings, sensing, refused)
+                        policy = point.policy.build(grasps, particles.shape, settings, weighed, sensing, refused)
                         one = Experiment(
-                            point, axes, model, particles, support, grasps, policy, turns, refused, draw=draw
+                            point, axes, model, particles, support, grasps, policy, turns, refused, weighed, draw=draw
                         )
                         experiments.append(one)
             done += 1
@@ -161,10 +175,10 @@ def _sources(scenario: Scenario, feasible: _Grasps, store: Store) -> Iterator[tu
         yield name, partial(load_object, path)
     for family in scenario.random:
         for index, name in enumerate(family.names()):
-            yield name, partial(load_object, _drawn(family, index, scenario.simulation.build(), feasible, store))
+            yield name, partial(load_object, _drawn(family, index, scenario, feasible, store))
 
 
-def _drawn(family: Family, index: int, settings: RunnerSettings, feasible: _Grasps, store: Store) -> str:
+def _drawn(family: Family, index: int, scenario: Scenario, feasible: _Grasps, store: Store) -> str:
     """File of a random object that the robot can handle, made if it is not there.
 
     Raises:
@@ -178,7 +192,7 @@ def _drawn(family: Family, index: int, settings: RunnerSettings, feasible: _Gras
     for attempt in range(MOST_DRAWS):
         file = family.draw(index, attempt)
         try:
-            feasible.of(file.build(3, path.parent), settings)
+            feasible.of(file.name, scenario.policy.check(file.build(3, path.parent), scenario.simulation.build()))
         except InfeasibleTrialError as error:
             reason = str(error)
             continue
@@ -194,13 +208,14 @@ class _Grasps:
         self._store = store
         self._new: dict[str, dict[str, Any]] = {}
 
-    def of(self, model: ObjectModel, settings: RunnerSettings) -> tuple[int, ...]:
+    def of(self, name: str, check: FeasibilityCheck) -> tuple[int, ...]:
         """Feasible grasps; raises InfeasibleTrialError where there are none."""
-        key = key_of({"object": object_request(model), "simulation": asdict(settings), "what": "grasps"})
+        assumed = object_request(ObjectModel(name, check.shape, check.guess.uniform(check.shape)))
+        key = key_of({"assumed": assumed, "simulation": asdict(check.settings), "what": "grasps"})
         known = self._new.get(key) or self._store.note(key)
         if known is None:
             try:
-                known = {"grasps": list(feasible_grasps(model, settings))}
+                known = {"grasps": list(feasible_grasps(name, check))}
             except InfeasibleTrialError as error:
                 known = {"reason": str(error)}
             self._new[key] = known

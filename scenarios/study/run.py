@@ -182,5 +182,5 @@ def _scenario_of(found: Sequence[MeasuredTrials], methods: Scenario) -> Scenario
 def _experiment_of(trials: MeasuredTrials, scenario: Scenario) -> Experiment:
     """An experiment whose trials are made: nothing is left to a policy."""
     obj, keys, held_out = trials.object, [trials.weighing, *trials.moved], list(trials.held_out)
-    policy = scenario.policy.build((), obj, scenario.simulation.build())
+    policy = scenario.policy.build((), obj.shape, scenario.simulation.build())
     return Experiment(scenario, {}, obj, obj, trials.support, (), policy, (), keys=keys, held_out_keys=held_out)

@@ -15,6 +15,7 @@ from scenarios.study.experiment import Experiment, Progress, ResultCallback
 from testbed.actions.base import Action
 from testbed.actions.weigh import Weigh
 from testbed.errors import HeftError, InfeasibleTrialError
+from testbed.sensing.windows import weight_of
 from testbed.trajectory import TrajectoryFileError
 from testbed.trial import Trial
 
@@ -108,7 +109,7 @@ class TrialRun:
                 experiment.failure = f"{action.kind}: {refusal.reason}"
                 break
             if refusal is not None:
-                experiment.refused[action] = refusal
+                experiment.refuse(action, refusal)
             elif _taken(experiment, action, key, self.store):
                 self.done += 1
             else:
@@ -136,10 +137,11 @@ def _next_action(experiment: Experiment) -> Action | None:
     try:
         action = experiment.next_action()
     except HeftError as error:
-        experiment.failure = f"policy: {error}"
+        refused = [f"{action.kind}: {why}" for action, why in experiment.reasons.items()]
+        experiment.failure = "; ".join([f"policy: {error}", *refused[:1]])
         return None
     if action in experiment.refused:
-        experiment.failure = f"{action.kind}: {experiment.refused[action]}"
+        experiment.failure = f"{action.kind}: {experiment.reasons[action]}"
         return None
     return action
 
@@ -153,10 +155,11 @@ def _taken(experiment: Experiment, action: Action, key: str, store: Store) -> bo
     if experiment.finished:
         experiment.held_out_keys.append(key)
         return True
+    seen = sensed(trajectory, *experiment.seen, len(experiment.keys), key)
     if action.moves:
-        experiment.trajectories.append(
-            sensed(trajectory, *experiment.draw, len(experiment.keys), key) if experiment.draw else trajectory
-        )
+        experiment.trajectories.append(seen)
+    elif seen.ok:
+        experiment.weighed.append(weight_of(seen))
     experiment.keys.append(key)
     return True
 

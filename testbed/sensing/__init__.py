@@ -3,7 +3,7 @@
 from testbed.sensing.compensation import compensate, tare_biases
 from testbed.sensing.drift import Drift, DriftLimit, drift_of, judge_drift
 from testbed.sensing.lift_windows import LiftWindow, lift_windows
-from testbed.sensing.noise import draw_sensing
+from testbed.sensing.noise import draw_sensing, read_scale
 from testbed.sensing.presets import PRESETS, Sensing, preset
 from testbed.sensing.windows import SteadyWindow, steady_windows, weight_of
 
@@ -20,6 +20,7 @@ __all__ = [
     "judge_drift",
     "lift_windows",
     "preset",
+    "read_scale",
     "steady_windows",
     "tare_biases",
     "weight_of",

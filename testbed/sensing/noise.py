@@ -5,6 +5,7 @@ A simulated trial is stored with a perfect sensor, so that a hundred noise seeds
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -20,24 +21,27 @@ from testbed.trajectory import Phase, Trajectory
 def draw_sensing(clean: Trajectory, sensing: Sensing, seed: int) -> Trajectory:
     """Trajectory of a clean one as a sensor with errors records it, tared and compensated.
 
+    It states the sensor's errors as the data sheet does, and nothing by which the draw could be taken off again.
+
     Args:
         clean: simulated trial with a perfect sensor.
         sensing: errors of the sensor.
         seed: seed of the draw; one seed gives the same errors to all trials of equal length: mix in the trial's own.
     """
     rng = np.random.default_rng(seed)
-    provenance = clean.provenance | {"sensing": sensing.name, "sensing_seed": str(seed)}
+    provenance = {name: clean.provenance[name] for name in ("runner",) if name in clean.provenance}
+    provenance["sensing"] = "drawn"
     if clean.tool is None:
         wrench = np.array(clean.wrench_on_object_world)
-        wrench[:, 2] += GRAVITY * sensing.scale * rng.standard_normal()
-        return replace(clean, wrench_on_object_world=wrench, provenance=provenance)
+        wrench[:, 2] += GRAVITY * read_scale(0.0, sensing, seed)
+        return replace(clean, sensor_wrench=wrench, wrench_on_object_world=wrench, provenance=provenance)
     count, dt = len(clean.time_s), float(np.median(np.diff(clean.time_s)))
     noise_std = np.array([*sensing.force_noise, *sensing.torque_noise])
     white = rng.standard_normal((count, 6))
     white[1:] *= np.sqrt(1 - sensing.lag1**2)
     coloured = lfilter([1.0], [1.0, -sensing.lag1], white, axis=0)
-    bias = sensing.bias_std * rng.standard_normal(6)
-    walk = np.cumsum(sensing.drift_std * np.sqrt(dt) * rng.standard_normal((count, 6)), axis=0)
+    bias = sensing.true_bias * sensing.bias_std * rng.standard_normal(6)
+    walk = np.cumsum(sensing.true_drift * sensing.drift_std * np.sqrt(dt) * rng.standard_normal((count, 6)), axis=0)
     tared = np.maximum.accumulate(clean.phase > Phase.TARE)
     raw = clean.sensor_wrench + noise_std * coloured + walk + np.outer(tared, bias)
     accelerations = np.repeat([sensing.linear_acceleration_noise, sensing.angular_acceleration_noise], 3)
@@ -55,3 +59,8 @@ def draw_sensing(clean: Trajectory, sensing: Sensing, seed: int) -> Trajectory:
         provenance=provenance,
     )
     return compensate(noisy)
+
+
+def read_scale(mass: float, sensing: Sensing, seed: int | Sequence[int]) -> float:
+    """Reading of a scale [kg]: the mass with one draw of the scale's error."""
+    return mass + sensing.scale * float(np.random.default_rng(seed).standard_normal())

@@ -19,6 +19,7 @@ from scenarios.study.dry_run import DryRun
 from scenarios.study.experiment import experiments_of
 from testbed.actions.base import Action
 from testbed.objects.model import ObjectShape
+from testbed.sensing.windows import weight_of
 from testbed.trajectory import Trajectory
 from tests.helpers.runs import Killing, kill_a_run, quiet, resumed, small_scenario
 
@@ -72,7 +73,8 @@ def test_each_draw_follows_what_it_felt(scenario: Path, swept: Swept):
     felt_by_any = set()
     for cell, row in zip(cells, rows.to_dict("records"), strict=True):
         assert cell.draw == (row["sensing"], row["seed"])
-        felt = sensed_trials(store, tuple(row["trial_keys"]), row["sensing"], row["seed"])[1:]
+        weighing, *felt = sensed_trials(store, tuple(row["trial_keys"]), row["sensing"], row["seed"])
+        cell.weighed.append(weight_of(weighing))
         so_far = [felt[:n] for n in range(len(felt) + 1)]
         felt_by_any |= {records(some) for some in so_far}
         chosen = [cell.policy.next(cell.particles.shape, some) for some in so_far]

@@ -13,6 +13,7 @@ from typing import Any
 import pytest
 
 from scenarios.config import Scenario, Simulation, load_scenario
+from scenarios.policies import Policy
 from scenarios.results.estimates import load_results
 from scenarios.runners import feasible_grasps
 from scenarios.study.run import run_scenario
@@ -112,9 +113,10 @@ def test_a_sensors_errors_are_drawn_on_what_is_simulated_and_on_nothing_else(her
 @pytest.mark.usefixtures("here")
 def test_a_runners_own_check_says_which_grasps_can_be_used():
     l2 = load_object("L2")
-    grasps = {
-        name: feasible_grasps(l2, Simulation(runner=f"more:{name}").build()) for name in ("Narrow", "Bare", "Measured")
+    checks = {
+        name: Policy().check(l2, Simulation(runner=f"more:{name}").build()) for name in ("Narrow", "Bare", "Measured")
     }
+    grasps = {name: feasible_grasps("L2", check) for name, check in checks.items()}
     assert grasps["Narrow"] == (0, 1)
     assert grasps["Bare"] == grasps["Measured"] == tuple(range(len(l2.shape.grasps)))
 
@@ -133,9 +135,10 @@ def test_what_the_bench_refuses_when_it_is_run_is_chosen_around(here, kind):
     assert sorted(path.stat().st_mtime_ns for path in here.glob("out/trials/*/*")) == before
 
 
-def test_a_policy_that_asks_again_for_what_was_refused_ends_its_cell(here):
+def test_an_object_that_is_refused_about_every_grasp_fails_with_the_first_reason(here):
     (row,) = ran(here, "out", "more:Stiff")
-    assert row["status"] == "failed" and row["message"] == "rotate: joints: not that way"
+    said = "policy: the bench refused an action about every grasp; rotate: joints: not that way"
+    assert row["status"] == "failed" and row["message"] == said
 
 
 @pytest.mark.parametrize(

@@ -108,7 +108,8 @@ def here(tmp_path, monkeypatch) -> Path:
 def built(kind: str, grasps: tuple[int, ...] = (1, 3), **fields: object) -> tuple[Any, ObjectShape]:
     """Policy of a scenario's table on L2."""
     l2 = load_object("L2")
-    return Policy.model_validate({"kind": kind, **fields}).build(grasps, l2, SimulationSettings()), l2.shape
+    policy: Any = Policy.model_validate({"kind": kind, **fields}).build(grasps, l2.shape, SimulationSettings(), [1.801])
+    return policy.policy, l2.shape
 
 
 @pytest.mark.usefixtures("here")
@@ -125,7 +126,7 @@ def test_a_class_of_the_current_folder_is_a_method_with_its_settings():
 def test_a_policy_is_given_what_it_has_an_argument_for():
     policy, shape = built("of_user:Told", grasps=(1, 3))
     inner = policy.policy
-    assert (inner.grasps, inner.weight_kg) == ((1, 3), load_object("L2").total_mass)
+    assert (inner.grasps, inner.weight_kg) == ((1, 3), 1.801)
     assert policy.next(shape, ()).grasp in (1, 3)
     assert "speed" in inner.feasible(Rotate(1, duration=2.0, speed=90.0))
 

@@ -11,10 +11,12 @@ from estimators.action_selection.greedy import PlannedPolicy, rank_driven_plan
 from estimators.action_selection.online import OnlinePolicy
 from estimators.action_selection.plan import Goal
 from estimators.action_selection.rank import RankDriven
+from estimators.base import ActionPolicy
 from estimators.identifiability.information import SUPPORTS
 from scenarios.cli.main import main
 from scenarios.cli.plan import percent, plan_view, seconds
 from scenarios.config import Policy
+from scenarios.policies import AfterWeighing
 from scenarios.results.estimates import load_results
 from scenarios.runners import FeasibilityCheck
 from testbed.actions.accelerate import Accelerate
@@ -22,6 +24,7 @@ from testbed.actions.rotate import Rotate
 from testbed.actions.slide import Slide
 from testbed.errors import InvalidValueError
 from testbed.objects.files import load_object
+from testbed.objects.model import ObjectModel
 from testbed.sensing.presets import preset
 from testbed.simulation.settings import SimulationSettings
 from tests.helpers.chunks import read_chunks
@@ -128,15 +131,28 @@ def test_where_there_is_no_answer_it_says_so_and_why(tmp_path, capsys):
     assert "±" not in said
 
 
+def weighed_policy(policy: Policy, model: ObjectModel, settings: SimulationSettings) -> ActionPolicy:
+    """The policy that is built once the scale has been read; before that it can choose nothing."""
+    weighed: list[float] = []
+    waits = policy.build((2, 3, 4), model.shape, settings, weighed)
+    assert isinstance(waits, AfterWeighing)
+    with pytest.raises(InvalidValueError, match="no weighing"):
+        waits.next(model.shape, [])
+    weighed.append(1.801)
+    return waits.policy
+
+
 def test_a_scenario_may_choose_its_touches_by_a_plan():
     model, settings = load_object("L2"), SimulationSettings()
-    ours, published = (Policy(kind=kind).build((0, 1), model, settings) for kind in ("reversed_pairs", "published"))
-    assert ours == Policy().build((0, 1), model, settings) == RankDriven(6, grasps=(0, 1))
+    ours, published = (
+        Policy(kind=kind).build((0, 1), model.shape, settings) for kind in ("reversed_pairs", "published")
+    )
+    assert ours == Policy().build((0, 1), model.shape, settings) == RankDriven(6, grasps=(0, 1))
     assert published == RankDriven(1, accelerated=3, grasps=(0, 1), back=False, beside=False)
     assert Policy(kind="published", accelerated=4, pivots=2).expected_trials == 1 + 4 + 2 + 2
     batch = Policy(kind="batch", touches=2, until=0.05, candidates=200)
-    chosen = batch.build((2, 3, 4), model, settings)
-    assert isinstance(chosen, PlannedPolicy) and batch.expected_trials == 1 + 2 + 2
+    chosen = weighed_policy(batch, model, settings)
+    assert isinstance(chosen, PlannedPolicy) and chosen.guess.weight == 1.801 and batch.expected_trials == 1 + 2 + 2
     actions = chosen.plan(model.shape).actions
     assert 1 <= len(actions) <= 2 and {a.grasp for a in actions if isinstance(a, Rotate)} <= {2, 3, 4}
     with pytest.raises(ValidationError, match="one of ideal"):
@@ -148,7 +164,7 @@ def test_a_policy_is_told_who_may_carry_the_weight():
 
     def told(kind: str, thought: str | None) -> PlannedPolicy | OnlinePolicy:
         made = Policy.model_validate({"kind": kind, "thought": thought, "candidates": 300, "touches": 4})
-        policy = made.build((2, 3, 4), model, settings)
+        policy = weighed_policy(made, model, settings)
         assert isinstance(policy, PlannedPolicy | OnlinePolicy)
         return policy
 

@@ -82,10 +82,28 @@ def test_a_draw_is_its_seeds_and_an_ideal_one_changes_nothing(name: str):
         assert not np.isclose(first.wrench_on_object_world, other.wrench_on_object_world).any(axis=1).all()
 
 
-def test_a_draw_says_what_it_was():
-    drawn = draw_sensing(record(provenance={"runner": "by hand"}), preset("ft300s"), seed=3)
-    assert drawn.provenance == {"runner": "by hand", "sensing": "ft300s", "sensing_seed": "3"}
+def test_a_draw_says_that_it_was_drawn_and_not_which():
+    told = {"runner": "simulation", "support": "rigid", "mujoco": "3"}
+    drawn = draw_sensing(record(provenance=told), preset("ft300s"), seed=3)
+    assert drawn.provenance == {"runner": "simulation", "sensing": "drawn"}
+    assert drawn.simulated and not drawn.is_clean
     assert drawn.sensor_bias_std.tolist() == [0.05] * 3 + [0.003] * 3
+
+
+def test_a_sensor_may_be_worse_than_its_data_sheet_states():
+    quiet = {"force_noise": (0.0, 0.0, 0.0), "torque_noise": (0.0, 0.0, 0.0)}
+    stated, worse = preset("ft300s"), preset("ft300s:bias=2:drift=0.5")
+    one, other = (draw_sensing(record(), dataclasses.replace(sensor, **quiet), 1) for sensor in (stated, worse))
+    assert_allclose(other.sensor_wrench[:100], 0.5 * one.sensor_wrench[:100])  # the walk alone, before the bias
+    step = 99, 100
+    biases = [np.diff(drawn.sensor_wrench[step, :], axis=0) for drawn in (one, other)]
+    assert_allclose(biases[1], 2 * biases[0], atol=6 * np.abs(stated.drift_std).max() / np.sqrt(RATE))
+    for name in ("sensor_bias_std", "sensor_drift_std"):
+        assert np.array_equal(getattr(one, name), getattr(other, name))
+    assert worse.stated == stated != worse
+    for wrong in ("ft300s:bias=", "ft300s:bias=1.2.3", "ft300s:noise=2", ":bias=2"):
+        with pytest.raises(InvalidValueError, match="sensing"):
+            preset(wrong)
 
 
 def test_an_unknown_preset_lists_the_presets():

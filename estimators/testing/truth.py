@@ -1,0 +1,123 @@
+"""Search for the truth in what a method or a policy is given: no record of a simulated trial may hold it.
+
+A method that reads heft's own files or another object's memory is beyond this: it is held to what it is handed.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from enum import Enum
+from typing import Any
+
+import numpy as np
+
+from testbed.objects.model import ObjectModel
+from testbed.sensing.noise import draw_sensing
+from testbed.sensing.presets import PRESETS
+from testbed.trajectory import Trajectory
+
+SECRET_WORDS = frozenset(
+    ("seed", "support", "stiffness", "preset", "truth", "total", "friction", "figures", "state", "solids")
+)
+"""Words that no name of an attribute or of an entry that says anything may hold."""
+ALLOWED_NAMES = frozenset(("friction_group",))
+"""Names that say how the shape is divided, and no coefficient."""
+SECRET_TEXTS = frozenset((*PRESETS, "own_weight", "rigid")) - {"low", "high"}
+"""Texts that name a sensor or a support."""
+MOST_INTEGERS = 64
+"""Integers with which a draw is tried, the largest first: seeds are large."""
+TOLERANCE = 1e-9
+"""Distance from the true wrench within which it is rebuilt [N, N m]."""
+
+
+def truth_within_reach(
+    given: Mapping[str, Any], model: ObjectModel, clean: Sequence[Trajectory] = (), drawn: bool = True
+) -> list[str]:
+    """Sentences on every way found from what was given to the truth; empty where there is none.
+
+    Args:
+        given: arguments of `estimate` or `next`, or of a policy's class, by name.
+        model: object with its truth, to tell what has been found.
+        clean: records of a perfect sensor behind the trajectories in `given["trajectories"]`.
+        drawn: True if the sensor has errors, so that no number may equal a true one.
+    """
+    found = list(_walked(given))
+    names = [f"{path} is given" for path, name, value in found if _secret(name) and _says_something(value)]
+    texts = [f"{path} says {value!r}" for path, _, value in found if isinstance(value, str) and _names_secret(value)]
+    held = [f"{path} is an ObjectModel" for path, _, value in found if isinstance(value, ObjectModel)]
+    values = [said for path, _, value in found if drawn for said in _true_number(path, value, model)]
+    integers = sorted({n for _, _, value in found for n in _integers(value)}, reverse=True)[:MOST_INTEGERS]
+    rebuilt = [
+        said
+        for index, (seen, true) in enumerate(zip(given.get("trajectories", ()), clean, strict=False))
+        if drawn
+        for said in _redrawn(index, seen, true, integers)
+    ]
+    return [*names, *texts, *held, *values, *rebuilt]
+
+
+def _walked(value: Any, path: str = "", name: str = "", depth: int = 12) -> Iterator[tuple[str, str, Any]]:
+    """Path, own name and value of all that can be reached by attributes, entries and items."""
+    if path:
+        yield path, name, value
+    if depth == 0 or isinstance(value, str | bytes | int | float | np.ndarray | Enum | type | None):
+        return
+    if isinstance(value, Mapping):
+        parts = [(f"{path}[{key!r}]" if path else str(key), str(key) if path else "", v) for key, v in value.items()]
+    elif isinstance(value, Sequence | set | frozenset):
+        parts = [(f"{path}[{index}]", "", part) for index, part in enumerate(value)]
+    else:
+        parts = [(f"{path}.{key}", key, part) for key, part in getattr(value, "__dict__", {}).items()]
+    for where, called, part in parts:
+        yield from _walked(part, where, called, depth - 1)
+
+
+def _secret(name: str) -> bool:
+    """True if a name may say the truth; the arguments' own names are the protocol's."""
+    return name not in ALLOWED_NAMES and not SECRET_WORDS.isdisjoint(name.split("_"))
+
+
+def _says_something(value: Any) -> bool:
+    return isinstance(value, int | float) or bool(np.size(value) if isinstance(value, np.ndarray) else value)
+
+
+def _names_secret(text: str) -> bool:
+    """True if a text names a sensor or a support, alone or with something after it."""
+    return text.partition(":")[0] in SECRET_TEXTS
+
+
+def _true_number(path: str, value: Any, model: ObjectModel) -> Iterator[str]:
+    """A true mass, friction, weight or inertia among single numbers and short arrays, to the last digits."""
+    if not isinstance(value, float | np.ndarray):
+        return
+    numbers = np.atleast_1d(np.asarray(value, dtype=float)).ravel()
+    if numbers.size > model.shape.n_m + model.shape.n_mu:  # series and geometry, which may meet by chance
+        return
+    # masses of whole blocks and frictions are round: they meet a speed or a length by chance
+    for what, true in {"mass": [*model.truth.mass, model.total_mass], "inertia": [model.inertia_cm]}.items():
+        if np.isclose(numbers[:, None], np.array(true), rtol=1e-12, atol=0.0).any():
+            yield f"{path} holds a true {what}"
+
+
+def _integers(value: Any) -> set[int]:
+    """Integers in a value: itself, those of an array, and those that a text spells."""
+    if isinstance(value, str):
+        return {int(digits) for digits in re.findall(r"\d+", value)[:4]}
+    if isinstance(value, np.ndarray) and np.issubdtype(value.dtype, np.integer):
+        return {int(n) for n in np.unique(value)[:8] if n >= 0}
+    return {abs(int(value))} if isinstance(value, int | np.integer) else set()
+
+
+def _redrawn(index: int, seen: Trajectory, clean: Trajectory, integers: Sequence[int]) -> Iterator[str]:
+    """Integers that, taken as a seed of some sensor's draw, leave the clean wrench when the draw is taken off."""
+    silent = replace(seen, sensor_wrench=np.zeros_like(seen.sensor_wrench))
+    for integer in integers:
+        for name, sensor in PRESETS.items():
+            if name == "ideal":
+                continue
+            errors = draw_sensing(silent, sensor, integer).sensor_wrench
+            off = float(np.abs(seen.sensor_wrench - errors - clean.sensor_wrench).max())
+            if off < TOLERANCE:
+                yield f"trajectories[{index}]: seed {integer} of {name} gives the clean wrench back to {off:.0e}"

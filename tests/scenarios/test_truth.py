@@ -1,0 +1,162 @@
+"""No truth within reach of what `estimate` and `next` are given in a run."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from estimators.testing.truth import truth_within_reach
+from scenarios.config import Scenario
+from scenarios.policies import Policy
+from scenarios.results.store import Store
+from scenarios.runners import feasible_grasps, told
+from scenarios.study.run import run_scenario
+from testbed.objects.files import load_object
+from testbed.objects.model import MassDistribution, ObjectModel
+from testbed.sensing.noise import draw_sensing
+from testbed.sensing.presets import preset
+from testbed.simulation.settings import SimulationSettings
+from testbed.trajectory import Trajectory
+from tests.helpers.runs import quiet
+
+SPIES = """
+from estimators.base import Estimate
+from testbed.actions.accelerate import Accelerate
+from testbed.actions.rotate import Rotate
+
+given = []
+
+
+class Spy:
+    def estimate(self, shape, weight, trajectories, seed):
+        given.append(("estimate", dict(shape=shape, weight=weight, trajectories=list(trajectories), seed=seed)))
+        return Estimate(None, "no_data", "a spy answers nothing")
+
+
+class Chooser:
+    def __init__(self, weight_kg, grasps, feasible):
+        given.append(("policy", dict(weight_kg=weight_kg, grasps=grasps, feasible=feasible)))
+
+    def next(self, shape, trajectories):
+        given.append(("next", dict(shape=shape, trajectories=list(trajectories))))
+        actions = (Rotate(2, duration=2.0), Accelerate(2), Rotate(3, duration=2.0))
+        return actions[len(trajectories)] if len(trajectories) < len(actions) else None
+"""
+
+
+@pytest.fixture(scope="module")
+def spied(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Path, list[tuple[str, dict[str, Any]]]]]:
+    """Results folder of a run, and all that a method and a policy of another package were given in it."""
+    folder = tmp_path_factory.mktemp("spied")
+    (folder / "spies.py").write_text(SPIES, encoding="utf-8")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(str(folder))
+        patch.chdir(folder)
+        scenario = Scenario(
+            objects=["L2"],
+            support=["rigid"],
+            sensing=["ft300s"],
+            seeds=2,
+            policy=Policy(kind="spies:Chooser", touches=3, held_out=0),
+            methods={"spy": {"method": "spies:Spy"}},
+        )
+        run_scenario(scenario, folder / "out", 0, quiet, executor="inline")
+        given = sys.modules["spies"].given
+        first = next(i for i, (kind, _) in enumerate(given) if kind == "next") - 1
+        yield folder / "out", given[first:]
+    sys.modules.pop("spies")
+
+
+def clean_trials(out: Path, trajectories: list[Trajectory]) -> list[Trajectory]:
+    """Stored records of a perfect sensor, by their actions."""
+    store = Store(out)
+    stored = [store.trajectory(path.parent.name) for path in sorted(out.glob("trials/*/trial.json"))]
+    return [next(t for t in stored if t.action == seen.action) for seen in trajectories]
+
+
+def test_what_a_method_and_a_policy_are_given_does_not_lead_to_the_truth(spied):
+    out, given = spied
+    assert [kind for kind, _ in given].count("estimate") == 2
+    assert [kind for kind, _ in given].count("next") == 3
+    for kind, parts in given:
+        clean = clean_trials(out, parts.get("trajectories", []))
+        checked = {name: part for name, part in parts.items() if name != "feasible"}
+        assert truth_within_reach(checked, load_object("L2"), clean) == [], kind
+        assert all(
+            np.abs(t.sensor_wrench - c.sensor_wrench).max() > 0.1
+            for t, c in zip(parts.get("trajectories", []), clean, strict=True)
+        )
+
+
+def test_a_policy_is_told_what_the_scale_read(spied):
+    _, given = spied
+    told_ = next(parts for kind, parts in given if kind == "policy")
+    true = load_object("L2").total_mass
+    assert 0 < abs(told_["weight_kg"] - true) < 0.005
+    assert told_["feasible"].guess.weight == told_["weight_kg"]
+    assert told_["feasible"].guess.sensing == preset("ft300s")
+    readings = [parts["weight"] for kind, parts in given if kind == "estimate"]
+    assert told_["weight_kg"] == readings[0] != readings[1]  # the draw that the policy sees is the first
+
+
+def test_the_search_finds_what_a_record_once_carried(spied):
+    """The provenance of a draw as it was: its support, its sensor and its seed."""
+    out, given = spied
+    parts = next(parts for kind, parts in given if kind == "estimate")
+    clean = clean_trials(out, parts["trajectories"])
+    leaky = []
+    for index, record in enumerate(clean):
+        drawn = draw_sensing(record, preset("ft300s"), 1234567 + index)
+        said = record.provenance | {"sensing": "ft300s", "sensing_seed": str(1234567 + index)}
+        leaky.append(replace(drawn, provenance=said, figures=record.figures))
+    found = truth_within_reach({**parts, "weight": 1.8, "trajectories": leaky}, load_object("L2"), clean)
+    for said in (
+        "['support'] is given",
+        "says 'rigid'",
+        "says 'ft300s'",
+        "['sensing_seed'] is given",
+        "figures is given",
+        "weight holds a true mass",
+        "seed 1234567 of ft300s gives the clean wrench back",
+    ):
+        assert any(said in line for line in found), (said, found)
+
+
+def heavy_end(model: ObjectModel) -> ObjectModel:
+    """Another object of the same shape and weight: its first block has nearly all of it."""
+    each = model.shape.particles_per_group
+    mass = np.full(len(each), 0.01)
+    mass[0] = model.total_mass - mass[1:].sum()
+    return replace(model, truth=MassDistribution(mass / each, np.full(model.shape.n_mu, 1.0)), solids=())
+
+
+def test_grasps_and_checks_do_not_know_masses_and_friction():
+    model, settings, policy = load_object("I2"), SimulationSettings(), Policy()
+    one, other = (feasible_grasps(m.name, policy.check(m, settings)) for m in (model, heavy_end(model)))
+    assert one == other == tuple(range(6))
+    reading = policy.check(model, settings).guess.weight
+    assert 0 < abs(reading - model.total_mass) < 0.005
+    strong = Policy(most_friction=1.0)
+    assert len(feasible_grasps("I2", strong.check(model, settings))) < 6
+
+
+def test_what_the_true_masses_refuse_is_told_without_numbers_and_chosen_around(tmp_path):
+    path = tmp_path / "end.toml"
+    path.write_text(
+        'name = "end"\n[blocks]\nlayout = ["111111"]\nmass_kg = [1.75, 0.01, 0.01, 0.01, 0.01, 0.01]\nfriction = 1.0\n'
+    )
+    scenario = Scenario(objects=[str(path)], policy=Policy(pivots=2, accelerated=2, duration=2.0, held_out=2))
+    row = run_scenario(scenario, tmp_path / "out", 0, quiet, executor="inline").iloc[0]
+    assert row["status"] != "failed", row["message"]
+    grasps = [
+        json.loads(path.read_text())["asked"]["action"].get("grasp") for path in tmp_path.glob("out/trials/*/*.json")
+    ]
+    assert len(grasps) >= 1 + 2 + 2 and {*grasps} <= {None, 0, 1, 2}
+    assert told("grip: drag of up to 26.49 N at block A") == "grip: refused by the bench"

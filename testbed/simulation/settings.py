@@ -25,7 +25,7 @@ class ContactSettings:
     """Depth by which the object sinks under its own weight [m]: softness of the foundation, as of thin felt."""
     impedance: float = 1e-4
     """Constraint impedance of the normal direction, 0 to 1."""
-    friction_damping: float = 25.0
+    friction_damping: float = 50.0
     """Rate at which friction opposes slip [1/s]: it acts against acceleration + this * speed."""
     impratio: float = 1e4
     """Stiffness of friction over that of the normal direction, large so that sticking feet and pads do not creep."""

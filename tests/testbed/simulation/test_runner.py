@@ -245,7 +245,7 @@ def test_divergence_ends_a_trial_as_a_fault_with_its_state(monkeypatch, tmp_path
             data.qvel[0] = 1e11
 
     monkeypatch.setattr(Servo, "measure", explode)
-    trajectory = RUNNER.run(Trial(row([0.3, 0.3]), Rotate(0, duration=2.0)))
+    trajectory = RUNNER.run_clean(Trial(row([0.3, 0.3]), Rotate(0, duration=2.0)))
     assert trajectory.status == "fault"
     assert "diverged at 1.5" in trajectory.reason
     assert "qpos" in trajectory.provenance["state"]

@@ -133,6 +133,7 @@ class Policy(BaseModel):
     accelerated: Annotated[int, Field(ge=0)] | None = None
     most: Count = 40
     seed: Annotated[int, Field(ge=0)] = 0
+    redraw: bool = False
     held_out: Annotated[int, Field(ge=0, le=100)] = 2
     touches: Count = 8
     until: Annotated[float, Field(gt=0, lt=1)] | None = None
@@ -161,8 +162,8 @@ class Policy(BaseModel):
 
     @property
     def own_draw(self) -> bool:
-        """True if each draw of a sensor's errors has its own trials: the measured wrenches decide the next action."""
-        return self.kind == "online"
+        """True if each draw of a sensor's errors has its own trials: it draws them, or its wrenches decide them."""
+        return self.redraw or self.kind == "online"
 
     @property
     def expected_trials(self) -> int:
@@ -176,7 +177,7 @@ class Policy(BaseModel):
         if self.kind not in RANK_DRIVEN:
             return None
         own = {name: n for name in ("pivots", "accelerated") if (n := getattr(self, name)) is not None}
-        return replace(RANK_DRIVEN[self.kind], duration=self.duration, most=self.most, seed=self.seed, **own)
+        return replace(RANK_DRIVEN[self.kind], duration=self.duration, most=self.most, **own)
 
     def build(
         self,
@@ -184,7 +185,7 @@ class Policy(BaseModel):
         shape: ObjectShape,
         settings: RunnerSettings,
         weighed: Sequence[float] = (),
-        sensing: str | None = None,
+        draw: tuple[str, int] | None = None,
         refused: Mapping[Action, str] | None = None,
     ) -> ActionPolicy:
         """The policy over the allowed grasps; of the object it gets shape and weight alone.
@@ -194,14 +195,16 @@ class Policy(BaseModel):
             shape: geometry with the estimator's particles.
             settings: settings of the runner, for the feasibility of actions.
             weighed: reading of the scale [kg], which may come later, but before the policy is asked.
-            sensing: sensor of a policy whose draws have their own trials; `plan_for` if left out.
+            draw: sensor and number of the draw that the trials are for; None where all draws share them.
             refused: actions that were refused when they were run, as `told`; may grow later.
         """
         refused = {} if refused is None else refused
+        sensing, number = draw or (self.plan_for, 0)
+        seed = self.seed + (number if self.redraw else 0)
         if ranked := self.rank_driven:
-            return replace(ranked, grasps=grasps, refused=refused)
-        sensor = preset(sensing or self.plan_for).stated
-        return AfterWeighing(partial(self._of_weight, grasps, shape, settings, sensor, refused), weighed)
+            return replace(ranked, grasps=grasps, seed=seed, refused=refused)
+        sensor = preset(sensing if self.kind == "online" else self.plan_for).stated
+        return AfterWeighing(partial(self._of_weight, grasps, shape, settings, sensor, refused, seed), weighed)
 
     def _of_weight(
         self,
@@ -210,6 +213,7 @@ class Policy(BaseModel):
         settings: RunnerSettings,
         sensor: Sensing,
         refused: Mapping[Action, str],
+        seed: int,
         weight: float,
     ) -> ActionPolicy:
         """The policy for a weight as read."""
@@ -218,7 +222,7 @@ class Policy(BaseModel):
         if self.kind not in POLICIES:
             return build_policy(self.kind, self.settings, self.touches, PolicyContext(grasps, weight, check))
         goal = Goal(self.until, self.budget_s, self.touches)
-        searched = {"candidates": self.candidates, "grasps": grasps, "seed": self.seed, "feasible": check}
+        searched = {"candidates": self.candidates, "grasps": grasps, "seed": seed, "feasible": check}
         if self.kind == "online":
             guess = replace(guess, supports=ASSUMED_SUPPORTS[self.thought or "either"])
             return OnlinePolicy(guess, goal, self.criterion, **searched)

@@ -50,7 +50,7 @@ class DryRun:
             trials += in_order * point.policy.expected_trials
             estimates += here * draws * len(point.methods)
             seconds += in_order * point.policy.expected_trials * TRIAL_S + here * draws * sum(each)
-            if point.policy.own_draw:
+            if point.policy.kind == "online":
                 seconds += in_order * point.policy.touches * DECISION_S
         return DryRun(objects, len(points), experiments, trials, estimates, seconds)
 

@@ -42,7 +42,7 @@ class Experiment:
     """One object under one support: its trials are those that the policy chooses, one after the other.
 
     Most policies see the physics alone, and all draws of all sensors share an experiment. Where each action follows
-    from the measured wrenches, an experiment belongs to one draw.
+    from the measured wrenches, or each draw has its own choice, an experiment belongs to one draw.
     """
 
     scenario: Scenario
@@ -143,8 +143,7 @@ def experiments_of(
                     turns = tuple(point.policy.build_held_out(particles.shape, grasps))
                     for draw in point.own_draws():
                         refused, weighed = dict[Action, str](), list[float]()
-                        sensing = draw[0] if draw else None
-                        policy = point.policy.build(grasps, particles.shape, settings, weighed, sensing, refused)
+                        policy = point.policy.build(grasps, particles.shape, settings, weighed, draw, refused)
                         one = Experiment(
                             point, axes, model, particles, support, grasps, policy, turns, refused, weighed, draw=draw
                         )

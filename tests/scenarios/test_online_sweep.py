@@ -110,6 +110,20 @@ def test_its_trials_are_counted(swept: Swept, capsys: pytest.CaptureFixture[str]
     assert f"finished\ntrials: {made} done, 0 failed; estimates: 3 done, 0 failed" in said
 
 
+def test_each_draw_may_have_its_own_order_of_grasps(tmp_path: Path):
+    asked = {"objects": ["L2"], "sensing": ["ft300s"], "seeds": 3, "policy": {"kind": "published", "seed": 2}}
+    shared, apart = (
+        experiments_of(Scenario.model_validate(asked | {"policy": asked["policy"] | more}), Store(tmp_path), quiet)[0]
+        for more in ({}, {"redraw": True})
+    )
+    assert [one.draw for one in shared] == [None]
+    assert [one.draw for one in apart] == [("ft300s", number) for number in range(3)]
+    actions = [one.known_actions() for one in apart]
+    assert actions[0] == shared[0].known_actions()
+    assert actions[0] != actions[1] != actions[2] != actions[0]
+    assert [one.turns for one in apart] == 3 * [shared[0].turns]
+
+
 def test_a_run_is_counted_before_it_is_made():
     policy = {"kind": "online", "touches": 3, "held_out": 1}
     asked = {"objects": ["I1", "L2"], "sensing": ["ideal", "ft300s"], "seeds": 4, "support": ["own_weight", "rigid"]}

@@ -21,7 +21,7 @@ from estimators.base import Estimate, HiddenStateEstimate, Trace
 from estimators.descent import OPTIMIZERS, check_optimizers, descend
 from estimators.hidden_states.estimator import NO_DATA, Solver
 from estimators.hidden_states.friction import CONTRADICTORY
-from estimators.hidden_states.masses import feet_of
+from estimators.hidden_states.masses import SMALLEST_PART, feet_of
 from estimators.hidden_states.trial_windows import TrialWindows
 from estimators.particles.errors import ModelErrors
 from estimators.particles.friction_system import rank_of, weight_per_mass
@@ -204,9 +204,9 @@ def masses_of(
     com = torch.tensor(shape.per_group(shape.particles.T - H.com[:, None].numpy())) / radius
     inertia = torch.tensor(inertia_map(shape, H.com[None].numpy())) / radius**2
     of_mass = torch.tensor([1.0, 0.0, 0.0, 1.0]).double() * H.mass
-    nu = torch.linalg.pinv(torch.cat([count[None], com, inertia]) @ per_nu) @ of_mass
+    nu = (torch.linalg.pinv(torch.cat([count[None], com, inertia]) @ per_nu) @ of_mass).clamp(min=0.0)
 
-    m = (per_nu @ nu.clamp(min=0.0)[..., None])[..., 0]
+    m = (per_nu @ nu.clamp(min=SMALLEST_PART * nu.amax(-1, keepdim=True))[..., None])[..., 0]
     total = (m @ count)[..., None]
     m = torch.where(total > 0, m * H.mass / total, H.mass / count.sum())
     of_group = torch.eye(shape.n_mu).double()[friction_of]

@@ -9,6 +9,7 @@ import pytest
 import torch
 from numpy.testing import assert_allclose
 
+from estimators.hidden_states.masses import SMALLEST_PART
 from estimators.hidden_states.published import (
     DT,
     PublishedHiddenStates,
@@ -160,6 +161,9 @@ def test_masses_of_two_frictions_follow_from_all_of_h():
     m, mu = masses_of(trials, H, s)
     assert_allclose(m, obj.truth.mass, rtol=1e-9)
     assert_allclose(mu, obj.truth.friction, rtol=1e-9)
+    wrong = Inertia(H.mass, H.com + 0.1, H.about_com)  # no frictions explain it: one would be below zero
+    bound, most = masses_of(trials, wrong, s)
+    assert (bound > 0).all() and float(most.max() / most.min()) == pytest.approx(1 / SMALLEST_PART)
     uniform, none = masses_of(trials, H, 0 * s)
     assert_allclose(uniform, obj.total_mass / len(obj.shape.particles))
     assert_allclose(none, 0.0)

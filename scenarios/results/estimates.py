@@ -198,8 +198,8 @@ def _plain(array: np.ndarray, annotation: str) -> Any:
     return array.item() if annotation in ("float", "int", "str") else array
 
 
-def load_arrays(folder: str | Path, key: str) -> dict[str, np.ndarray]:
-    """Arrays of an estimate's file.
+def load_arrays(folder: str | Path, key: str, ends: str = "") -> dict[str, np.ndarray]:
+    """Arrays of an estimate's file whose names end so.
 
     Raises:
         HeftError: the file is missing or damaged.
@@ -207,7 +207,7 @@ def load_arrays(folder: str | Path, key: str) -> dict[str, np.ndarray]:
     path = Path(folder) / "estimates" / key / "estimate.npz"
     try:
         with np.load(path, allow_pickle=False) as file:
-            return {name: file[name] for name in file}
+            return {name: file[name] for name in file if name.endswith(ends)}
     except (OSError, ValueError, zipfile.BadZipFile) as error:
         raise HeftError(f"{path}: not a whole estimate: {error}") from None
 
@@ -222,12 +222,12 @@ def load_losses(folder: Path, rows: Sequence[Row]) -> dict[str, dict[str, list[n
     for method, of_method in keys.items():
         for index in np.unique(np.linspace(0, len(of_method) - 1, MOST_TRACES).astype(int)):
             try:
-                arrays = load_arrays(folder, of_method[index])
+                arrays = load_arrays(folder, of_method[index], ".loss")
             except HeftError:
                 continue
-            for name in _optimizers(arrays):
-                if (loss := arrays.get(f"{name}.loss")) is not None:
-                    losses.setdefault(method, {}).setdefault(name, []).append(loss)
+            for name, loss in arrays.items():
+                if not name.startswith(DIAGNOSTICS):
+                    losses.setdefault(method, {}).setdefault(name.removesuffix(".loss"), []).append(loss)
     return losses
 
 

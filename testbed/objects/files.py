@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 from pathlib import Path
 from typing import Annotated, Self
 
@@ -163,10 +164,18 @@ def load_object(name_or_path: str | Path, grid: int = 3) -> ObjectModel:
     """
     path = find_file(name_or_path, asset_folder("objects"), "object")
     parsed = load_toml(path, ObjectFile)
+    files = [path.parent / part.file for part in parsed.mesh.parts] if parsed.mesh else []
+    stamps = tuple(file.stat().st_mtime_ns for file in files if file.is_file())
     try:
-        return parsed.build(grid, path.parent)
+        return _built(parsed.model_dump_json(), grid, path.parent, stamps)
     except InvalidValueError as error:
         raise InvalidValueError(error.field, error.given, error.allowed, file=path) from None
+
+
+@lru_cache(maxsize=64)
+def _built(content: str, grid: int, folder: Path, stamps: tuple[int, ...]) -> ObjectModel:
+    """An object from its file's content, and the times of its meshes' files: cells of a mesh take long to cut."""
+    return ObjectFile.model_validate_json(content).build(grid, folder)
 
 
 def object_names() -> list[str]:

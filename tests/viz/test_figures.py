@@ -11,7 +11,7 @@ from typing import Any
 import matplotlib as mpl
 import numpy as np
 import pytest
-from matplotlib.collections import PatchCollection
+from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 from numpy.testing import assert_allclose, assert_array_equal
 
@@ -213,6 +213,6 @@ def test_maps_of_all_objects_share_one_scale_that_a_heavy_group_does_not_bleach(
     shape = load_object("L2").shape
     for truth in (np.full(6, 0.4), np.full(6, 0.1)):
         figure = mass_maps(shape, truth, {"own weight": [MeanAnswer("a", truth, 0 * truth)]}, (mass, off))
-        drawn = [cells for axis in figure.axes for cells in axis.collections if isinstance(cells, PatchCollection)]
+        drawn = [cells for axis in figure.axes for cells in axis.collections if isinstance(cells, PolyCollection)]
         limits = [cells.get_clim() for cells in drawn if cells.get_array() is not None]
         np.testing.assert_allclose(limits, [(0, mass.top), (0, mass.top), (0, off.top)])

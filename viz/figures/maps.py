@@ -14,10 +14,9 @@ import matplotlib as mpl
 import numpy as np
 from jaxtyping import Float
 from matplotlib.axes import Axes
-from matplotlib.collections import PatchCollection
+from matplotlib.collections import PolyCollection
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
-from matplotlib.patches import Rectangle
 from matplotlib.ticker import MaxNLocator
 
 from estimators.evaluation.statistics import Row
@@ -64,29 +63,35 @@ def draw_groups(
         letters: size of the numbers, points; 0 without numbers.
     """
     half = shape.cell / 2
-    cells = [Rectangle((x - half, y - half), shape.cell, shape.cell) for x, y in shape.particles]
+    cells = shape.particles[:, None] + half * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
     if values is None:
-        axis.add_collection(PatchCollection(cells, facecolor="white", edgecolor="0.7", hatch="////", linewidth=0.2))
+        axis.add_collection(
+            PolyCollection(list(cells), facecolor="white", edgecolor="0.7", hatch="////", linewidth=0.2)
+        )
         axis.text(0.5, 0.5, "no answer", transform=axis.transAxes, ha="center", va="center", fontsize=max(letters, 6.0))
     else:
         known, norm = np.isfinite(values), Normalize(0.0, scale.top)
         values = np.where(known, values, 0.0)
-        patches = PatchCollection(cells, cmap=scale.colors, norm=norm, linewidth=0, antialiased=False)
+        patches = PolyCollection(list(cells), cmap=scale.colors, norm=norm, linewidth=0, antialiased=False)
         patches.set_array(values[shape.mass_group])
         axis.add_collection(patches)
-        if blind := [cell for cell, group in zip(cells, shape.mass_group, strict=True) if not known[group]]:
-            hatched = PatchCollection(blind, facecolor=NO_ANSWER, edgecolor="white", hatch="////", linewidth=0)
-            axis.add_collection(hatched)
+        if not known.all():
+            blind = cells[~known[shape.mass_group]]
+            axis.add_collection(
+                PolyCollection(list(blind), facecolor=NO_ANSWER, edgecolor="white", hatch="////", linewidth=0)
+            )
         unknown = "not seen" if shape.n_m <= MOST_NAMED // 2 else "-"
         for (x, y), value, finite in zip(group_middles(shape), values, known, strict=True) if letters else ():
             dark = mpl.colormaps[scale.colors](norm(value))[1] < 0.5 and finite
             text, size = (f"{value:.{digits}f}", letters) if finite else (unknown, 5.0)
             look = {"color": "white" if dark else "black", "fontsize": size, "zorder": 3 if finite else 5}
-            axis.text(x, y, text, ha="center", va="center", **look)
+            axis.text(x, y, text, ha="center", va="center", **look).set_in_layout(False)
     low, high = shape.particles.min(axis=0) - 1.5 * half, shape.particles.max(axis=0) + 1.5 * half
     axis.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal", xticks=[], yticks=[])
     for side in axis.spines.values():
         side.set_visible(False)
+    for ruler in (axis.xaxis, axis.yaxis):  # to lay out the ticks that are not there takes most of a figure's time
+        ruler.set_visible(bool(ruler.get_label_text()))
 
 
 def add_bar(figure: Figure, axes: Any, scale: Scale, **look: Any) -> None:
@@ -101,11 +106,18 @@ def save_figure(figure: Figure, path: Path) -> list[Path]:
     stamps: dict[str, dict[str, Any]] = {"pdf": {"CreationDate": None}, "png": {"Software": None}}
     files = {kind: path.with_name(f"{path.name}.{kind}") for kind in stamps}
     with mpl.rc_context(STYLE):
-        figure.draw_without_rendering()  # lays it out, once for both files
-        figure.set_layout_engine("none")
+        lay_out(figure)
         for kind, stamp in stamps.items():  # the same figure is the same file
             write_whole(files[kind], lambda part, k=kind, s=stamp: figure.savefig(part, format=k, dpi=200, metadata=s))
     return list(files.values())
+
+
+def lay_out(figure: Figure) -> None:
+    """Lay a figure out for good: matplotlib else draws it once more for each file."""
+    engine = figure.get_layout_engine()
+    if engine is not None:
+        engine.execute(figure)
+    figure.set_layout_engine(None)
 
 
 def as_pixels(figure: Figure) -> Figure:

@@ -128,15 +128,12 @@ class BarScene:
     def _log_bars(self, node: Node, series: BarSeries, places: Float[np.ndarray, "n 2"], order: float) -> None:
         """Log bars from 0 to the masses, filled by strokes; those above the scale end there."""
         node.log(rr.LineStrips2D.from_fields(colors=rgb(series.color), draw_order=order))
-        stroke = STROKE * self._pixel
-        bars = [
-            [filled(left, right, height, stroke) for (left, right), height in zip(places, row, strict=True)]
-            for row in np.clip(series.mass, 0.0, self.top)
-        ]
+        left, right = places.T
+        strips, radii = filled(left, right, np.clip(series.mass, 0.0, self.top), STROKE * self._pixel)
         series.frames.send(
             node,
             lambda k: rr.LineStrips2D.columns(
-                strips=[strip for i in k for strip, _ in bars[i]], radii=[radius for i in k for _, radius in bars[i]]
+                strips=strips[k].reshape(-1, *strips.shape[2:]), radii=radii[k].ravel()
             ).partition([len(places)] * len(k)),
         )
 
@@ -172,15 +169,18 @@ def _entry_width(label: str) -> float:
     return SWATCH + CHARACTER * len(label) + 5 * MARGIN
 
 
-def filled(left: float, right: float, height: float, stroke: float) -> tuple[Float[np.ndarray, "N 2"], float]:
-    """A line and half its width that cover a bar from 0 to `height` and no more."""
-    radius = min(stroke, height / 2, (right - left) / 2)
+def filled(
+    left: Float[np.ndarray, "n"], right: Float[np.ndarray, "n"], height: Float[np.ndarray, "F n"], stroke: float
+) -> tuple[Float[np.ndarray, "F n N 2"], Float[np.ndarray, "F n"]]:
+    """Lines and half their widths that cover bars of one width from 0 to `height` and no more."""
+    radius = np.minimum(np.minimum(height, right - left) / 2, stroke)
     # each stroke covers half of the one before, or seams would show
-    x = np.linspace(left + radius, right - radius, max(int(np.ceil((right - left) / stroke)), 2))
+    count = max(int(np.ceil(np.max(right - left) / stroke)), 2)
+    x = np.linspace(left + radius, right - radius, count, axis=-1)
     low, high = radius, height - radius
-    around = [[x[0], low], [x[-1], low], [x[-1], high], [x[0], high]]
-    strokes = [[at, end] for i, at in enumerate(x) for end in ((high, low), (low, high))[(i + 1) % 2]]
-    return np.array([*around, *strokes]), radius
+    around, strokes = [low, low, high, high], [low, high, high, low] * ((count + 1) // 2)
+    across = np.concatenate([x[..., [0, -1, -1, 0]], np.repeat(x, 2, axis=-1)], axis=-1)
+    return np.stack([across, np.stack(around + strokes[: 2 * count], axis=-1)], axis=-1), radius
 
 
 def _whiskers(

@@ -22,7 +22,15 @@ from estimators.evaluation.statistics import AXIS, FEWEST, Row, assumptions, axe
 from testbed.files import write_whole
 from testbed.objects.model import ObjectShape
 from viz.figures.loss import loss_figure
-from viz.figures.maps import MeanAnswer, absolute_difference, as_pixels, compared_methods, map_scales, mass_maps
+from viz.figures.maps import (
+    MeanAnswer,
+    absolute_difference,
+    as_pixels,
+    compared_methods,
+    lay_out,
+    map_scales,
+    mass_maps,
+)
 from viz.figures.nad import nad_distribution, nad_sweep
 from viz.report.lists import failures, names, worst, worst_of
 from viz.report.tables import METRICS, MOST_OBJECTS, Table, leading, metric_table, over_objects, overview, sweep_table
@@ -269,6 +277,7 @@ def inline_svg(figure: Figure, title: str, prefix: str) -> Markup:
     file = io.BytesIO()
     with mpl.rc_context(STYLE), warnings.catch_warnings():
         warnings.filterwarnings("ignore", "Glyph .* missing")  # the reader's own fonts draw the text
+        lay_out(figure)
         figure.savefig(file, format="svg", dpi=130, transparent=True)
     root = ElementTree.fromstring(_CONTROL.sub(b"", file.getvalue()))
     _forget_namespaces(root)

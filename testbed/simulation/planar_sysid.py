@@ -27,7 +27,7 @@ from testbed.trial import Support
 
 TIMESTEP = 0.001
 """Physics step [s]; at twice that the feet of a light guess shake."""
-CONTACT = ContactSettings(sag=1e-4, impedance=1e-3)
+CONTACT = ContactSettings(sag=1e-4, impedance=1e-3, friction_damping=100.0)
 """Contact of the feet: it settles in a third of the full scene's time."""
 ARENA = 2**22
 """Memory of a simulation [byte]; a tenth is used. MuJoCo's default is 14 MB, and the toolbox keeps many at once."""
@@ -55,12 +55,12 @@ def planar_scene(guess: ObjectModel, support: Support, grasp: Float[np.ndarray, 
     Args:
         guess: shape, and first masses and frictions.
         support: own weight, or rigid.
-        grasp: driven point [m], object frame. A contact in MuJoCo leaves out the centripetal acceleration about the
-            joints, which matters where a foot hardly moves: drive a turn from near its center.
+        grasp: driven point [m], object frame, near the center of a turn: contacts leave out centripetal acceleration.
     """
     spec = mujoco.MjSpec()
     spec.memory = ARENA
     set_solver(spec, TIMESTEP, CONTACT)
+    spec.option.integrator = mujoco.mjtIntegrator.mjINT_EULER  # on so hard a foundation the other lifts sliding feet
     spec.option.tolerance = 1e-20  # slopes are differences of 1e-8
     spec.worldbody.add_geom(name="top", type=mujoco.mjtGeom.mjGEOM_PLANE, size=(1, 1, 0.1), contype=0, conaffinity=0)
     add_feet(spec, guess, _add_groups(spec, _add_drive(spec), guess, support, grasp), CONTACT)

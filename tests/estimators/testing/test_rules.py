@@ -43,6 +43,17 @@ def fragile() -> Estimator:
     return cast(Estimator, SimpleNamespace(estimate=estimate))
 
 
+def careless() -> Estimator:
+    """An estimator whose batch gives every draw the answer of the first."""
+
+    def estimate_many(
+        shape: ObjectShape, weights: Sequence[float | None], draws: Sequence[Sequence[Trajectory]], seeds: Sequence[int]
+    ) -> list[Estimate]:
+        return [REAL.estimate(shape, weights[0], draws[0], seeds[0])] * len(draws)
+
+    return cast(Estimator, SimpleNamespace(estimate=REAL.estimate, estimate_many=estimate_many))
+
+
 def with_masses(of: Callable[[np.ndarray, ObjectShape], np.ndarray]) -> Estimator:
     """The real estimator with its masses changed."""
 
@@ -75,6 +86,7 @@ BREACHES: dict[Callable[..., None], Estimator] = {
     rules.takes_extra_trajectories: fragile(),
     rules.says_so_when_there_is_too_little: answering(guessing),
     rules.traces_its_way: answering(lambda answer, _: replace(answer, traces=RAGGED)),
+    rules.answers_many_draws_as_one_by_one: careless(),
     rules.refuses_trials_of_another_shape: answering(lambda answer, _: answer, forgiving=True),
     rules.does_not_hide_that_trajectories_contradict_each_other: answering(
         lambda answer, _: replace(answer, status="ok", diagnostics={"loss": 1.0})

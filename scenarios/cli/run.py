@@ -6,7 +6,7 @@ import sys
 import time
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -81,10 +81,9 @@ def run(
     from scenarios.results.files import read_json, write_json
     from scenarios.results.store import rows_of
     from scenarios.study.dry_run import show_dry_run
-    from scenarios.study.run import check_nothing_lost, run_scenario
-    from scenarios.views.figures import figures
-    from scenarios.views.pages import Recorder, record_all, record_results, record_worst
-    from scenarios.views.report import report
+    from scenarios.study.run import carry_out, check_nothing_lost
+    from scenarios.views.finished import write_views
+    from scenarios.views.pages import Recorder, record_all
     from viz.recordings import viewer
     from viz.report.lists import failures
 
@@ -102,28 +101,22 @@ def run(
     url = viewer.waiting() if live else None
     recorder = Recorder(folder, record, url) if record or live else None
     begin = time.monotonic()
-    with show_progress() as progress:
-        results = rows_of(run_scenario(study, folder, workers, progress, executor, recorder))
-    facts = {
-        "name": name,
-        "command": _command(scenario, seeds, objects, methods),
-        "wall_s": round(time.monotonic() - begin, 1),
-    }
-    write_json(folder / "manifest.json", (read_json(folder / "manifest.json") or {}) | facts)
-    show_tables(console, study, results)
-    for figure in figures(folder):
-        if figure.suffix == ".pdf":
-            print(f"figure: {figure}")
-    if record:
+    with ExitStack() as stack:
         with show_progress() as progress:
-            record_all(folder, progress)
-    try:
-        record_worst(folder, results)
-        if not _many(results):
-            print(f"recording: {record_results(folder)}")
-    except HeftError as error:  # nothing to be seen takes the tables away
-        print(f"no recording: {error}")
-    print(f"report: {report(folder)}")
+            table, tasks = stack.enter_context(carry_out(study, folder, workers, progress, executor, recorder))
+        results = rows_of(table)
+        facts = {
+            "name": name,
+            "command": _command(scenario, seeds, objects, methods),
+            "wall_s": round(time.monotonic() - begin, 1),
+        }
+        write_json(folder / "manifest.json", (read_json(folder / "manifest.json") or {}) | facts)
+        show_tables(console, study, results)
+        if record:
+            with show_progress() as progress:
+                record_all(folder, progress)
+        for line in write_views(folder, results, tasks, recording=not _many(results)):
+            print(line)
     failed = [row for row in results if row["status"] != "ok"]
     for failure in failures(failed, load_tracebacks(folder))[:MOST_LINES]:
         print(failure.line)

@@ -7,7 +7,8 @@ import platform
 import shlex
 import time
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
@@ -16,7 +17,7 @@ from typing import Any
 import pandas as pd
 
 from scenarios.config import Scenario, Sweep, load_scenario
-from scenarios.execution.executor import default_workers, open_executor, work_off
+from scenarios.execution.executor import Executor, default_workers, open_executor, work_off
 from scenarios.results.files import exclusive, read_json, write_json
 from scenarios.results.store import Store, rows_of
 from scenarios.results.trials import MeasuredTrials, measured_trials
@@ -52,6 +53,20 @@ def run_scenario(
         HeftError: something in the scenario cannot be done, or another run writes to `out`.
         OSError: `out` cannot be written to.
     """
+    with carry_out(scenario, out, worker_count, progress, executor, on_result) as (table, _):
+        return table
+
+
+@contextmanager
+def carry_out(
+    scenario: Scenario,
+    out: Path,
+    worker_count: int,
+    progress: Progress,
+    executor: str = "local",
+    on_result: ResultCallback | None = None,
+) -> Iterator[tuple[pd.DataFrame, Executor]]:
+    """Do as `run_scenario`, and lend the workers, for views of the results, until the end of the context."""
     check_methods(scenario)
     store = Store(out.absolute())
     with exclusive(out), open_executor(executor, worker_count, preload=(__name__,)) as tasks:
@@ -63,7 +78,7 @@ def run_scenario(
         work_off(tasks, estimates.start, trials.start)
         table = store.put_table([*estimates.rows, *map(infeasible_row, left_out)])
         write_json(out / "manifest.json", manifest(scenario))
-        return table
+        yield table, tasks
 
 
 def check_nothing_lost(folder: Path, scenario: Scenario) -> None:

@@ -1,0 +1,57 @@
+"""Views of a finished run: figures, recording and report, side by side on its workers."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+from estimators.evaluation.statistics import Row
+from scenarios.execution.executor import Executor, Failure
+from scenarios.views.figures import figures
+from scenarios.views.pages import record_results, record_worst
+from scenarios.views.report import report
+from testbed.errors import HeftError
+
+
+def write_views(folder: Path, rows: Sequence[Row], executor: Executor, *, recording: bool) -> Iterator[str]:
+    """Write figures, report and recording of a finished run; a line for each file, or for why there is no recording.
+
+    Args:
+        folder: results folder.
+        rows: its rows.
+        executor: idle; its workers write.
+        recording: True for a recording of all of it as well.
+
+    Raises:
+        HeftError: figures or report could not be made; what could is there.
+    """
+    root = folder.absolute()
+    executor.start("report", _worst_and_report, root, rows)  # the longest first
+    executor.start("figures", figures, root)
+    if recording:
+        executor.start("recording", record_results, root)
+    written: dict[str, Any] = {}
+    while executor.running:
+        name, value = executor.wait()
+        written[name] = value
+    for name, value in sorted(written.items()):
+        if isinstance(value, Failure):
+            yield f"no {name}: {value.reason}"
+        else:
+            paths = value if isinstance(value, list) else [value]
+            yield from (
+                f"{name.removesuffix('s')}: {folder / p.relative_to(root)}" for p in paths if p.suffix != ".png"
+            )
+    for name in ("figures", "report"):
+        if isinstance(written[name], Failure):
+            raise HeftError(f"no {name}: {written[name].reason}")
+
+
+def _worst_and_report(folder: Path, rows: Sequence[Row]) -> Path:
+    """Worker's task: the report, after the recordings that it has links to."""
+    try:
+        record_worst(folder, rows)
+    except HeftError:  # a recording less takes no report away
+        pass
+    return report(folder)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache, partial
@@ -35,7 +35,7 @@ MOST_PARTICLES = 1000
 
 @dataclass(eq=False)
 class EstimateRun:
-    """Estimates of some experiments by every method and sensing, each from when its experiment's trials are there."""
+    """Estimates of some experiments by every method and sensing, an object's from when all of its trials are there."""
 
     experiments: Sequence[Experiment]
     store: Store
@@ -48,6 +48,10 @@ class EstimateRun:
     """Estimates of all experiments."""
     waiting: deque[list[_Draw]] = field(default_factory=deque)
     """Batches of draws whose trials are there: of one object by one method that has `estimate_many`, or of one draw."""
+    _held: dict[str, list[list[_Draw]]] = field(default_factory=dict)
+    """Batches of each object whose trials are not all there."""
+    _to_come: Counter[str] = field(init=False)
+    """Experiments of each object, at a point of the sweep, whose trials are not there."""
     _open: dict[str, list[_Draw]] = field(default_factory=dict)
     """Batches among them that more draws can join, by `EstimateTask.batch`."""
     _rows: dict[tuple[int, ...], dict[str, Any]] = field(default_factory=dict)
@@ -55,6 +59,7 @@ class EstimateRun:
 
     def __post_init__(self) -> None:
         self._index = {experiment: index for index, experiment in enumerate(self.experiments)}
+        self._to_come = Counter(map(_object_of, self.experiments))
         self.total = sum(len(task.seeds) for each in self.experiments for _, task in self._tasks(each))
 
     @property
@@ -64,15 +69,20 @@ class EstimateRun:
 
     def add(self, experiment: Experiment) -> None:
         """Take an experiment whose trials are there, or that has failed."""
-        tasks = sorted(self._tasks(experiment), key=lambda item: item[1].kind != "diff_lcp")  # the slowest first
-        for place, task in tasks:
+        name = _object_of(experiment)
+        held = self._held.setdefault(name, [])
+        for place, task in self._tasks(experiment):
             for seed, key in zip(task.seeds, task.result_keys(), strict=True):
                 draw = ((*place, seed), task, key)
                 row = _failed(seed, task.failure) if task.failure else self.store.result(key)
                 if row is not None:
                     self._put(draw, row)
                 else:
-                    self._batch_for(task).append(draw)
+                    self._batch_for(task, held).append(draw)
+        self._to_come[name] -= 1
+        if not self._to_come[name]:
+            self.waiting.extend(sorted(held, key=lambda batch: batch[0][1].kind != "diff_lcp"))  # the slowest first
+            del self._held[name]
 
     def start(self) -> bool:
         """Start the next estimates; False where none wait."""
@@ -85,12 +95,12 @@ class EstimateRun:
         self.executor.start(partial(self._take, batch), estimate, draws, self.store)
         return True
 
-    def _batch_for(self, task: EstimateTask) -> list[_Draw]:
-        """A waiting batch that the task's draws can join, or a new one."""
+    def _batch_for(self, task: EstimateTask, held: list[list[_Draw]]) -> list[_Draw]:
+        """A batch that the task's draws can join, or a new one of those held."""
         batch = self._open.get(task.batch, [])
         if not batch or len(batch) >= MOST_PARTICLES // len(task.truth.shape.particles):
             batch = []
-            self.waiting.append(batch)
+            held.append(batch)
             if task.batch:
                 self._open[task.batch] = batch
         return batch
@@ -122,6 +132,11 @@ class EstimateRun:
         self._rows[place] = row | task.labels() | {"key": key}
         self.failed += row.get("status") == "failed"
         self.progress("estimates", len(self._rows), self.total, self.failed)
+
+
+def _object_of(experiment: Experiment) -> str:
+    """Name of an experiment's object, at its point of the sweep."""
+    return " ".join([experiment.particles.name, *map(str, experiment.axes.values())])
 
 
 NO_ANSWER = {

@@ -104,7 +104,10 @@ def test_ctrl_c_leaves_whole_files_and_the_next_run_goes_on(finished, tmp_path):
 
 def test_an_objects_estimates_come_before_the_next_ones_trials(tmp_path):
     kinds: list[str] = []
-    scenario = load_scenario(str(small_scenario(tmp_path)))[1]
+    scenario = load_scenario(str(small_scenario(tmp_path, ("rigid",))))[1]
+    other = (tmp_path / "pair.toml").read_text("utf-8").replace("pair", "other").replace("0.3", "0.4")
+    (tmp_path / "other.toml").write_text(other, "utf-8")
+    scenario = scenario.changed(objects=(*scenario.objects, str(tmp_path / "other.toml")))
     run_scenario(scenario, tmp_path / "out", 0, quiet, on_result=lambda kind, _: kinds.append(kind))
     each = [*["trial"] * (kinds.count("trial") // 2), *["estimate"] * (kinds.count("estimate") // 2)]
     assert kinds == each * 2

@@ -21,8 +21,9 @@ check: $(STAMP)  ## format, lint, types
 	$(BIN)/ruff check .
 	$(BIN)/pyright
 
-bench: $(STAMP)  ## speed and memory, as ratios measured side by side
+bench: $(STAMP)  ## speed and memory, as ratios measured side by side, and the core-seconds of the main job
 	$(BIN)/python bench/bench.py
+	$(BIN)/python bench/whole_run.py
 
 docs: $(STAMP)  ## the documentation as a site, in site/; a broken link is an error
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet

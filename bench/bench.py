@@ -9,7 +9,10 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 os.environ["OPENBLAS_NUM_THREADS"] = "1"  # before numpy starts its threads
 sys.path.insert(0, str(Path(__file__).parent.parent))  # for the tests' reference solver
@@ -72,39 +75,71 @@ def seconds(function: Callable[[], object], repeats: int = 5) -> float:
     return statistics.median(times)
 
 
-def trial_against_bare_steps() -> tuple[float, float, int]:
-    """Wall time of a trial and of nothing but mj_step over the same model and commands; and the number of steps."""
-    model, action = load_object("L2"), Rotate(2, duration=6.0)
-    runner = SimulationRunner(SETTINGS)
-    steps = SETTINGS.steps
-    motion = plan_motion(action, model.shape, SETTINGS)
-    scene = build_scene(model, OWN_WEIGHT, model.shape.grasps[2], SETTINGS, origin=motion.center)
+def bare_loop(settings: SimulationSettings) -> Callable[[], None]:
+    """Nothing but mj_step over the model and the commands of `turn_of_l2`."""
+    trial = turn_of_l2()
+    motion = plan_motion(trial.action, trial.object.shape, settings)
+    scene = build_scene(trial.object, OWN_WEIGHT, trial.grasp, settings, origin=motion.center)
     data = mujoco.MjData(scene.model)
     place(scene, data, motion)
-    servo = Servo(scene.model, motion, SETTINGS)
+    servo = Servo(scene.model, motion, settings)
     controls = []
     for tick in range(len(motion.q)):
         servo.command(data, tick)
         controls.append(data.ctrl.copy())
-        mujoco.mj_step(scene.model, data, steps)
+        mujoco.mj_step(scene.model, data, settings.steps)
         servo.measure(data, tick)
 
     def bare() -> None:
+        mujoco.mj_resetData(scene.model, data)
         place(scene, data, motion)
         for control in controls:
             data.ctrl[:] = control
-            mujoco.mj_step(scene.model, data, steps)
+            mujoco.mj_step(scene.model, data, settings.steps)
 
-    whole, loop = [], []
-    for _ in range(5):  # side by side, so that whatever else the machine does hits both
-        begin = time.perf_counter()
-        runner.run(Trial(model, action))
-        middle = time.perf_counter()
-        mujoco.mj_resetData(scene.model, data)
-        bare()
-        whole.append(middle - begin)
-        loop.append(time.perf_counter() - middle)
-    return statistics.median(whole), statistics.median(loop), len(controls) * steps
+    return bare
+
+
+def turn_of_l2() -> Trial:
+    """A turn of 6 s."""
+    return Trial(load_object("L2"), Rotate(2, duration=6.0))
+
+
+def time_trial(table: Table) -> None:
+    """Rows of a trial, beside bare loops at its own step and at 1 ms."""
+    runner, trial = SimulationRunner(SETTINGS), turn_of_l2()
+    fine = replace(SETTINGS, timestep=0.001)
+    loops = [bare_loop(SETTINGS), bare_loop(fine)]
+    whole, bare, at_1_ms = side_by_side([lambda: runner.run(trial), *loops], 3)
+    count = len(plan_motion(trial.action, trial.object.shape, SETTINGS).q)
+    for label, loop, settings, goal in (
+        (f"at its own step, {SETTINGS.timestep * 1e3:g} ms", bare, SETTINGS, "<= 1.25"),
+        ("at 1 ms", at_1_ms, fine, ""),
+    ):
+        ratio = f"{whole / loop:.2f}"
+        table.add_row(f"trial / bare mj_step loop {label}", f"{whole:.2f} s", f"{loop:.2f} s", ratio, goal)
+        step = loop / count / settings.steps
+        speed = f"{settings.timestep / step:.0f} x real time"
+        name = f"mj_step {label}, arm gripping six blocks, 54 feet"
+        table.add_row(name, f"{step * 1e6:.0f} us", f"{settings.timestep * 1e3:g} ms", speed, "")
+
+
+def time_batch(table: Table, trajectories: list[Trajectory], weight: float) -> None:
+    """Rows of 500 gradient steps on four sensing draws, in one batch and one draw at a time."""
+    shape, sensor = load_object("L2").shape, preset("ft300s")
+    draws = [[draw_sensing(t, sensor, 10 * seed + i) for i, t in enumerate(trajectories)] for seed in range(4)]
+    weights, seeds = [weight] * len(draws), [*range(len(draws))]
+
+    def one_by_one(method: Any) -> None:
+        for draw, seed in zip(draws, seeds, strict=True):
+            method.estimate(shape, weight, draw, seed)
+
+    for kind in (ExplicitState, DiffLcp):
+        method = kind()
+        many = partial(method.estimate_many, shape, weights, draws, seeds)
+        batch, single = side_by_side([many, partial(one_by_one, method)], 1)
+        label = f"{kind.__name__}, {len(draws)} draws, 500 steps: one at a time / batch"
+        table.add_row(label, f"{single:.2f} s", f"{batch:.2f} s", f"{single / batch:.1f}", "")
 
 
 def six_turns() -> tuple[list[Trajectory], float]:
@@ -242,16 +277,7 @@ def main() -> None:
     ):
         table.add_column(column, justify=justify)  # pyright: ignore[reportArgumentType]
 
-    whole, bare, steps = trial_against_bare_steps()
-    table.add_row("trial / bare mj_step loop", f"{whole:.2f} s", f"{bare:.2f} s", f"{whole / bare:.2f}", "<= 1.25")
-    table.add_row(
-        "mj_step, arm gripping six blocks, 54 feet",
-        f"{bare / steps * 1e6:.0f} us",
-        "1 ms",
-        f"{steps * 1e-3 / bare:.0f} x real time",
-        "",
-    )
-
+    time_trial(table)
     trajectories, weight = six_turns()
     shape = load_object("L2").shape
     model = ParticleModel.of(shape)
@@ -283,6 +309,7 @@ def main() -> None:
         label = f"{kind.__name__}, 500 iterations (each optimiser), against hidden_states"
         table.add_row(label, f"{took:.2f} s", f"{quick:.3f} s", f"{took / quick:.0f}", f"<= {goal} s")
 
+    time_batch(table, trajectories, weight)
     scaling = [(count, seconds(once)) for count, once in map(loss_and_gradient, (4, 13, 41, 129))]
     first = scaling[0]
     for count, took in scaling:

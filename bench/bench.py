@@ -10,9 +10,7 @@ import sys
 import time
 from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
-from typing import Any
 
 os.environ["OPENBLAS_NUM_THREADS"] = "1"  # before numpy starts its threads
 sys.path.insert(0, str(Path(__file__).parent.parent))  # for the tests' reference solver
@@ -27,7 +25,7 @@ from rich.table import Table
 from estimators.action_selection.rank import between_particles
 from estimators.baselines.diff_lcp import DiffLcp
 from estimators.baselines.explicit_state import ExplicitState
-from estimators.baselines.lcp import LcpEngine, _Solve, polygon_sides, solve_step
+from estimators.baselines.lcp import LcpEngine, _Advance, polygon_sides, solve_step
 from estimators.baselines.random_search import RandomSearch
 from estimators.baselines.weighted_sampling import WeightedSampling
 from estimators.descent import OPTIMIZERS
@@ -62,6 +60,8 @@ from tests.helpers.lcp_oracle import Textbook, interior_point, rollout
 
 SETTINGS = SimulationSettings()
 TURNS = 12
+DRAWS = 4
+"""Draws of a batch: as many as a block object has in the main job."""
 
 
 def seconds(function: Callable[[], object], repeats: int = 5) -> float:
@@ -124,24 +124,6 @@ def time_trial(table: Table) -> None:
         table.add_row(name, f"{step * 1e6:.0f} us", f"{settings.timestep * 1e3:g} ms", speed, "")
 
 
-def time_batch(table: Table, trajectories: list[Trajectory], weight: float) -> None:
-    """Rows of 500 gradient steps on four sensing draws, in one batch and one draw at a time."""
-    shape, sensor = load_object("L2").shape, preset("ft300s")
-    draws = [[draw_sensing(t, sensor, 10 * seed + i) for i, t in enumerate(trajectories)] for seed in range(4)]
-    weights, seeds = [weight] * len(draws), [*range(len(draws))]
-
-    def one_by_one(method: Any) -> None:
-        for draw, seed in zip(draws, seeds, strict=True):
-            method.estimate(shape, weight, draw, seed)
-
-    for kind in (ExplicitState, DiffLcp):
-        method = kind()
-        many = partial(method.estimate_many, shape, weights, draws, seeds)
-        batch, single = side_by_side([many, partial(one_by_one, method)], 1)
-        label = f"{kind.__name__}, {len(draws)} draws, 500 steps: one at a time / batch"
-        table.add_row(label, f"{single:.2f} s", f"{batch:.2f} s", f"{single / batch:.1f}", "")
-
-
 def six_turns() -> tuple[list[Trajectory], float]:
     """Three turns there and back (six turns) and three accelerated turns of L2, felt by an FT-300S."""
     model, runner = load_object("L2"), SimulationRunner(SETTINGS)
@@ -174,8 +156,8 @@ def loss_and_gradient(grid: int) -> tuple[int, Callable[[], None]]:
     return len(shape.particles), once
 
 
-def turning_steps(count: int, directions: int, h: float) -> tuple[list[torch.Tensor], torch.Tensor]:
-    """Steps of a rollout, the L of six blocks (54 feet) turned at 10 deg/s: mass, momentum, lines and bounds; arms."""
+def turning_steps(count: int, directions: int, h: float) -> tuple[list[torch.Tensor], torch.Tensor, torch.Tensor]:
+    """Steps of a rollout, the L of six blocks (54 feet) turned at 10 deg/s: mass, momentum, arms, bounds; yaw; feet."""
     obj = load_object("L2")
     model = ParticleModel.of(obj.shape)
     particle = torch.tensor(obj.particle_mass)
@@ -192,28 +174,28 @@ def turning_steps(count: int, directions: int, h: float) -> tuple[list[torch.Ten
     engine = LcpEngine(directions, 1)
     poses, velocities = rollout(engine, model, inertia, friction.expand(count, -1), start, steady[0], push, grasp, h)
 
-    arms, sides = rotate(poses[:, 2:], lever[model.contact]), polygon_sides(directions)
-    lines = torch.cat([sides.expand(*arms.shape[:-1], -1, -1), (turned(arms) @ sides.T)[..., None]], -1)
-    bound = (h * friction[model.contact]).repeat_interleave(len(sides)).expand(count, -1)
-    momentum = weights * velocities - h * drag
-    return [torch.diag(weights).repeat(count, 1, 1), momentum, lines.flatten(1, 2), bound.contiguous()], turned(arms)
+    feet = lever[model.contact]
+    bound = (h * friction[model.contact]).expand(count, -1)
+    steps = [torch.diag(weights).repeat(count, 1, 1), weights * velocities - h * drag,
+             turned(rotate(poses[:, 2:], feet)), bound.contiguous()]  # fmt: skip
+    return steps, poses[:, 2], feet
 
 
 def time_lcp(table: Table) -> None:
     """Rows of the complementarity step, and of a dense interior point on the same steps."""
     batch, directions = 64, 8
-    steps, arms = turning_steps(batch + 1, directions, 2.5e-3)
-    guesses = solve_step(*(x[:-1] for x in steps)).used  # pyright: ignore[reportArgumentType]
-    sides = polygon_sides(directions).numpy()
+    steps, yaw, feet = turning_steps(batch + 1, directions, 2.5e-3)
+    guesses = solve_step(*(x[:-1] for x in steps), directions).used  # pyright: ignore
+    ahead = np.broadcast_to(np.eye(2), (len(feet), 2, 2))
     problems = [
-        Textbook.of(m, q, np.linalg.pinv(sides) @ rows.reshape(-1, len(sides), 3), b[:: len(sides)], directions)
-        for m, q, rows, b in zip(*(x[1:].numpy() for x in steps), strict=True)
+        Textbook.of(m, q, np.concatenate([ahead, arms[..., None]], -1), b, directions)
+        for m, q, arms, b in zip(*(x[1:].numpy() for x in steps), strict=True)
     ]
     for count, goal in ((1, ">= 50"), (batch, ">= 500")):
         chosen = [x[1 : count + 1].contiguous() for x in steps]
-        functions = lcp_functions(chosen, arms[1 : count + 1], guesses[:count], problems[:count])
+        functions = lcp_functions(chosen, yaw[1 : count + 1], feet, guesses[:count], problems[:count])
         cold, warm, forward, whole, dense = side_by_side(functions)
-        found = solve_step(*chosen).velocity.numpy()  # pyright: ignore[reportArgumentType]
+        found = solve_step(*chosen, directions).velocity.numpy()  # pyright: ignore
         pairs = zip(problems, found, strict=False)
         apart = max(np.abs(problem.velocity(interior_point(problem)) - v).max() for problem, v in pairs)
         label, against = f"LCP step, 54 feet, batch {count}", f"dense {dense * 1e3:.0f} ms"
@@ -224,19 +206,47 @@ def time_lcp(table: Table) -> None:
 
 
 def lcp_functions(
-    steps: list[torch.Tensor], arms: torch.Tensor, guess: torch.Tensor, problems: list[Textbook]
+    steps: list[torch.Tensor], yaw: torch.Tensor, feet: torch.Tensor, guess: torch.Tensor, problems: list[Textbook]
 ) -> list[Callable[[], object]]:
     """Without a guess, with one, forward, forward and backward, and the dense interior point one by one."""
-    mass, momentum, lines, bound = steps
-    sides = polygon_sides(2 * bound.shape[1] // arms.shape[1])
-    leaves = [x.clone().requires_grad_() for x in (mass, momentum, arms, bound[:, :: len(sides)])]
+    mass, momentum, arms, bound = steps
+    directions = 2 * guess.shape[1] // len(feet)
+    weights, planar = mass.diagonal(dim1=1, dim2=2), torch.zeros(len(mass), 2, dtype=torch.float64)
+    parts = (weights, momentum / weights, yaw, planar, torch.zeros_like(momentum), planar, bound)
+    leaves = [x.clone().requires_grad_() for x in parts]
+
+    def advance() -> torch.Tensor:
+        return _Advance.apply(*leaves, feet, polygon_sides(directions), guess)[0]  # pyright: ignore
+
     return [
-        lambda: solve_step(mass, momentum, lines, bound),
-        lambda: solve_step(mass, momentum, lines, bound, guess),
-        lambda: _Solve.apply(*leaves, sides, guess),
-        lambda: _Solve.apply(*leaves, sides, guess)[0].sum().backward(),  # pyright: ignore
+        lambda: solve_step(mass, momentum, arms, bound, directions),
+        lambda: solve_step(mass, momentum, arms, bound, directions, guess),
+        advance,
+        lambda: advance().sum().backward(),
         lambda: [interior_point(problem) for problem in problems],
     ]
+
+
+def time_batches(table: Table, trajectories: list[Trajectory], weight: float) -> None:
+    """Rows of the gradient methods: draws in one batch, and one at a time."""
+    shape, seeds = load_object("L2").shape, range(DRAWS)
+    draws = [[draw_sensing(t, preset("ft300s"), 100 * seed + i) for i, t in enumerate(trajectories)] for seed in seeds]
+    weights = [weight] * DRAWS
+    for method in (ExplicitState(), DiffLcp()):
+        batch, alone = [], []
+        for _ in range(3):  # side by side
+            begin = time.perf_counter()
+            method.estimate_many(shape, weights, draws, seeds)
+            middle = time.perf_counter()
+            for seed in seeds:
+                method.estimate(shape, weight, draws[seed], seed)
+            batch.append(middle - begin)
+            alone.append(time.perf_counter() - middle)
+        together, apart = statistics.median(batch), statistics.median(alone)
+        label = f"{type(method).__name__}, 500 steps: {DRAWS} draws at once, against one at a time"
+        table.add_row(label, f"{together:.2f} s", f"{apart:.2f} s", f"{together / apart:.2f}", "")
+        table.add_row(f"{type(method).__name__}, estimates a second", f"{DRAWS / together:.2f}",
+                      f"{DRAWS / apart:.2f}", "", "")  # fmt: skip
 
 
 def side_by_side(functions: list[Callable[[], object]], rounds: int = 7) -> list[float]:
@@ -309,7 +319,7 @@ def main() -> None:
         label = f"{kind.__name__}, 500 iterations (each optimiser), against hidden_states"
         table.add_row(label, f"{took:.2f} s", f"{quick:.3f} s", f"{took / quick:.0f}", f"<= {goal} s")
 
-    time_batch(table, trajectories, weight)
+    time_batches(table, trajectories, weight)
     scaling = [(count, seconds(once)) for count, once in map(loss_and_gradient, (4, 13, 41, 129))]
     first = scaling[0]
     for count, took in scaling:

@@ -51,12 +51,18 @@ class DiffLcp(GradientBaseline):
 class _States:
     """N measured states to predict one step from, world axes."""
 
-    windows: Observations
-    """The window of each state."""
     loads: AffineLoads
     """Normal loads in each state."""
     yaw: Float[Tensor, "N"]
     """Yaw of the object [rad]."""
+    grasp: Float[Tensor, "N 2"]
+    """Grasp point [m], object frame."""
+    wrench: Float[Tensor, "2 N 3"]
+    """Wrench at the beginning and at the end of the step."""
+    velocity: Float[Tensor, "3 N 3"]
+    """Velocity of the center of mass: of the frame's origin, and what each coordinate of the center adds to it a m."""
+    after: Float[Tensor, "3 N 3"]
+    """The same, one step of the record later."""
     share: Float[Tensor, "N"]
     """Weight of each state in the loss: the part of the windows that it represents."""
 
@@ -85,36 +91,48 @@ class _States:
         size = torch.bincount(of_window).double() / len(group) / torch.bincount(of_state)
         first, last = windows.yaw.unbind(-1)
         yaw = first + torch.tensor(part, dtype=torch.float64) * (last - first)
-        return _States(windows, AffineLoads.of(problem.shape, problem.model, windows), yaw, size[of_state])
+        places = torch.cat([torch.zeros(1, 2, dtype=torch.float64), torch.eye(2, dtype=torch.float64)])
+        velocity, after = torch.stack([_motion(windows, yaw, com) for com in places], 1)
+        for affine in (velocity, after):
+            affine[1:] -= affine[0].clone()
+        wrench = torch.stack([_in_world(windows.wrench, yaw + t * windows.twist[:, 2]) for t in (0.0, STEP)])
+        loads = AffineLoads.of(problem.shape, problem.model, windows)
+        return _States(loads, yaw, windows.grasp, wrench, velocity, after, size[of_state])
 
     @staticmethod
     def stacked(draws: Sequence[_States]) -> _States:
         """States of D draws, equal in number, for candidates (D, S, ...)."""
-        return _States(
-            Observations.stacked([draw.windows for draw in draws]),
-            AffineLoads.stacked([draw.loads for draw in draws]),
-            torch.stack([draw.yaw for draw in draws])[:, None],
-            torch.stack([draw.share for draw in draws])[:, None],
+        loads = AffineLoads.stacked([draw.loads for draw in draws])
+        yaw, grasp, share = (torch.stack([getattr(d, n) for d in draws])[:, None] for n in ("yaw", "grasp", "share"))
+        wrench, velocity, after = (
+            torch.stack([getattr(d, n) for d in draws], 1)[:, :, None] for n in ("wrench", "velocity", "after")
         )
+        return _States(loads, yaw, grasp, wrench, velocity, after, share)
 
     def loss(self, model: ParticleModel, engine: LcpEngine, guessed: Candidates, known: list[Tensor]) -> Tensor:
         """Mean over windows of |v_predicted - v_measured|^2 after one step of the record, shape (D, S).
 
         `known` holds the sticking sets of the last call and receives this call's.
         """
-        w = self.windows
         inertia = inertia_of(model, model.particle_mass(guessed.mass[..., None, :]))
         friction = model.particle_friction(guessed.friction)[..., None, :] * self.loads.at(guessed.mass)
-        arm = inertia.com - w.grasp
-        spin = w.twist[..., 2:].expand(*arm.shape[:-1], 1)
-        velocity = torch.cat([rotate(self.yaw, w.twist[..., :2] + spin * turned(arm)), spin], -1)
-        change = torch.cat(
-            [rotate(self.yaw, w.com_acceleration(inertia.com)), w.acceleration[..., 2:].expand_as(spin)], -1
-        )
-        pose = torch.cat([torch.zeros_like(arm), self.yaw[..., None].expand_as(spin)], -1)
-        now, then = (
-            torch.cat([rotate(yaw, w.wrench[..., :2]), w.wrench[..., 2:]], -1)
-            for yaw in (self.yaw, self.yaw + w.twist[..., 2] * STEP)
-        )
-        _, after = engine.advance(model, inertia, friction, pose, velocity, (now, then), w.grasp, STEP, known)
-        return (after - velocity - change * STEP).square().sum(-1).mul(self.share).sum(-1)
+        x, y = inertia.com[..., :1], inertia.com[..., 1:]
+        velocity, after = (origin + x * along + y * across for origin, along, across in (self.velocity, self.after))
+        pose = torch.cat([torch.zeros_like(self.grasp), self.yaw[..., None]], -1)
+        wrench = (self.wrench[0], self.wrench[1])
+        _, found = engine.advance(model, inertia, friction, pose, velocity, wrench, self.grasp, STEP, known)
+        return (found - after).square().sum(-1).mul(self.share).sum(-1)
+
+
+def _motion(windows: Observations, yaw: Float[Tensor, "N"], com: Float[Tensor, "2"]) -> Float[Tensor, "2 N 3"]:
+    """Measured velocity of a center of mass, world axes, now and one step of the record later."""
+    spin = windows.twist[:, 2:]
+    planar = windows.twist[:, :2] + spin * turned(com - windows.grasp)
+    now = _in_world(torch.cat([planar, spin], -1), yaw)
+    change = _in_world(torch.cat([windows.com_acceleration(com), windows.acceleration[:, 2:]], -1), yaw)
+    return torch.stack([now, now + change * STEP])
+
+
+def _in_world(planar: Float[Tensor, "N 3"], yaw: Float[Tensor, "N"]) -> Float[Tensor, "N 3"]:
+    """A planar velocity, acceleration or wrench in world axes."""
+    return torch.cat([rotate(yaw, planar[:, :2]), planar[:, 2:]], -1)

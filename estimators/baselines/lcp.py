@@ -30,8 +30,8 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from estimators.baselines.dry_friction import STICKS, Held, solved, stiffness
-from estimators.particles.model import Inertia, ParticleModel, cross, rotate, turned
+from estimators.baselines.dry_friction import STICKS, Bodies, Held, bounds_of, solved
+from estimators.particles.model import Inertia, ParticleModel
 from testbed.errors import InvalidValueError
 from testbed.validation import check_integer
 
@@ -64,69 +64,95 @@ def polygon_sides(directions: int) -> Float[Tensor, "{directions//2} 2"]:
 def solve_step(
     mass: Float[Tensor, "B 3 3"],
     momentum: Float[Tensor, "B 3"],
-    lines: Float[Tensor, "B L 3"],
-    bound: Float[Tensor, "B L"],
-    guess: Float[Tensor, "B L"] | None = None,
+    arms: Float[Tensor, "B F 2"],
+    bound: Float[Tensor, "B F"],
+    directions: int,
+    guess: Float[Tensor, "B F*J"] | None = None,
 ) -> Step:
-    """min_v 1/2 v^T mass v - momentum . v + sum_l bound_l |lines_l . v|, for B bodies at once, without gradient.
+    """min_v 1/2 v^T mass v - momentum . v + sum_ij bound_i |line_ij . v|, for B bodies at once, without gradient.
 
     Args:
         mass: M, positive definite.
         momentum: M v_before + h u [N s, N m s].
-        lines: one row per dry friction; t = lines v is its sliding speed.
-        bound: largest impulse of each [N s], >= 0.
+        arms: place of each foot from the center of mass, turned by 90 degrees [m]: J_i = [1, arm_i].
+        bound: largest impulse c_i of each foot [N s], >= 0.
+        directions: corners of the polygon; line_ij = (e_j, e_j . arm_i) for its J sides e_j.
         guess: `used` of a similar step; it saves work if its sticking set is nearly right.
 
     Raises:
         LcpError: no solution.
     """
-    m, q, sides, most = (x.detach().numpy() for x in (mass, momentum, lines, bound))
-    known = None if guess is None else guess.detach().numpy()
-    v, f, used = solved(m, q, np.ascontiguousarray(sides.swapaxes(1, 2)), most, known)
-    return Step(torch.from_numpy(v), torch.from_numpy(f), torch.from_numpy(used))
+    m, q, at, most = (x.detach().numpy() for x in (mass, momentum, arms, bound))
+    e = polygon_sides(directions).numpy()
+    bodies = Bodies(m, q, np.concatenate([at, np.ones_like(at[..., :1])], -1), e, bounds_of(most, len(e)))
+    return Step(*map(torch.from_numpy, solved(bodies, None if guess is None else guess.detach().numpy())))
 
 
-class _Solve(torch.autograd.Function):
-    """`solve_step` for bodies on F feet, with its gradient: line j of foot i is (e_j, e_j . arm_i), bound_i its own.
+class _Advance(torch.autograd.Function):
+    """A step of B bodies with F feet, and its gradient: velocity after it, and the impulses over their bounds.
 
     Where M v - q + lines^T f = 0, and f = +-b on sliding sides while t = 0 on sticking ones, a small change obeys
     M dv + lines^T df = dq - dM v - dlines^T f, df = +-db on sliding sides, lines dv = -dlines v on sticking ones.
+    Line j of foot i is (e_j, e_j . arm_i), arm_i its place from the center of mass turned by 90 degrees.
     """
 
     @staticmethod
     def forward(  # type: ignore[override]
         ctx: Any,
-        mass: Float[Tensor, "B 3 3"],
-        momentum: Float[Tensor, "B 3"],
-        arms: Float[Tensor, "B F 2"],
+        inertia: Float[Tensor, "B 3"],
+        velocity: Float[Tensor, "B 3"],
+        yaw: Float[Tensor, "B"],
+        com: Float[Tensor, "B 2"],
+        push: Float[Tensor, "B 3"],
+        grasp: Float[Tensor, "B 2"],
         bound: Float[Tensor, "B F"],
+        feet: Float[Tensor, "F 2"],
         sides: Float[Tensor, "J 2"],
         guess: Float[Tensor, "B F*J"] | None,
     ) -> tuple[Float[Tensor, "B 3"], Float[Tensor, "B F*J"]]:
-        (bodies, feet), e = bound.shape, sides.numpy()
-        across = np.empty((bodies, 3, feet, len(e)))
-        across[:, :2] = e.T[:, None]
-        np.matmul(arms.numpy(), e.T, out=across[:, 2])
-        across, most = across.reshape(bodies, 3, -1), bound.numpy().repeat(len(e), 1)
-        v, f, used = solved(mass.numpy(), momentum.numpy(), across, most, None if guess is None else guess.numpy())
-        step = Step(torch.from_numpy(v), torch.from_numpy(f), torch.from_numpy(used))
-        ctx.save_for_backward(mass, torch.from_numpy(across), sides, step.velocity, step.impulse, step.used)
-        ctx.mark_non_differentiable(step.used)
-        return step.velocity, step.used
+        m, before, angle, c, u, g, b, x, e = (
+            each.numpy() for each in (inertia, velocity, yaw, com, push, grasp, bound, feet, sides)
+        )
+        turn = np.stack([np.cos(angle), np.sin(angle)])
+        held_at = _rotated(turn, g - c)
+        momentum = m * before + u
+        momentum[:, 2] += held_at[:, 0] * u[:, 1] - held_at[:, 1] * u[:, 0]
+        lever = _rotated(turn[..., None], x - c[:, None])
+        arms = np.stack([-lever[..., 1], lever[..., 0], np.ones_like(lever[..., 0])], -1)
+        bodies = Bodies(m[:, None] * np.eye(3), momentum, arms, e, bounds_of(b, len(e)))
+        v, f, used = solved(bodies, None if guess is None else guess.numpy())
+        ctx.kept = (bodies, m, before, turn, u, held_at, lever, v, f, used)
+        found = torch.from_numpy(used)
+        ctx.mark_non_differentiable(found)
+        return torch.from_numpy(v), found
 
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, ...]:  # type: ignore[override]
-        mass, across, sides, v, f, used = (x.numpy() for x in ctx.saved_tensors)
+        bodies, m, before, turn, u, held_at, lever, v, f, used = ctx.kept
         sticks = np.abs(used) < STICKS
-        held = Held.of(mass, across, sticks, stiffness(mass, across))
-        p, holding = held.solve(gradients[0].numpy(), np.zeros_like(f))
-        to_bound = np.where(sticks, 0.0, used) * (p[:, None] @ across)[:, 0]
+        held = Held.of(bodies, sticks, bodies.stiffness)
+        p, holding = held.solve(gradients[0].numpy(), np.zeros(len(held.index)))
+        spin, shape = p[:, 2], (*lever.shape[:2], -1)
+        e = bodies.sides
+        to_bound = (np.where(sticks, 0.0, -used) * bodies.sliding(p)).reshape(shape) @ np.ones(len(e))
         to_lines = f * p[:, 2:]
-        to_lines[held.body, held.side] += holding * v[held.body, 2]
-        shape = (len(v), -1, len(sides))
-        found = (-p[..., None] * v[:, None], p, -to_lines.reshape(shape) @ sides, -to_bound.reshape(shape).sum(-1))
-        return *(torch.from_numpy(x) for x in found), None, None
+        to_lines.reshape(-1)[held.index] += holding * v[held.body, 2]
+        to_lever = -(to_lines.reshape(shape) @ np.stack([e[:, 1], -e[:, 0]], 1))
+        to_held = np.stack([spin * u[:, 1], -spin * u[:, 0]], 1)
+        to_grasp = _rotated(turn * np.array([[1.0], [-1.0]]), to_held)
+        to_com = -to_grasp - _rotated(turn * np.array([[1.0], [-1.0]]), np.ones(shape[1]) @ to_lever)
+        to_yaw = np.einsum("bfk,bfk->b", to_lever, bodies.arms[..., :2])
+        to_yaw += to_held[:, 1] * held_at[:, 0] - to_held[:, 0] * held_at[:, 1]
+        to_push = np.stack([p[:, 0] - spin * held_at[:, 1], p[:, 1] + spin * held_at[:, 0], spin], 1)
+        found = (p * (before - v), p * m, to_yaw, to_com, to_push, to_grasp, to_bound)
+        return *(torch.from_numpy(each) for each in found), None, None, None
+
+
+def _rotated(turn: np.ndarray, vector: np.ndarray) -> np.ndarray:
+    """`vector` (..., 2) rotated by angles of cosine and sine `turn` (2, ...)."""
+    (cosine, sine), x, y = turn, vector[..., 0], vector[..., 1]
+    return np.stack([cosine * x - sine * y, sine * x + cosine * y], -1)
 
 
 @dataclass(frozen=True)
@@ -161,29 +187,24 @@ class LcpEngine:
             dt: step of the record [s].
             guesses: one guess per substep, or empty; receives this step's.
         """
-        touching = model.contact
-        levers = model.particles[touching] - inertia.com[..., None, :]
-        sides = polygon_sides(self.directions)
-        h = dt / self.substeps
+        touching, h = model.contact, dt / self.substeps
         diagonal = torch.stack([inertia.mass, inertia.mass, inertia.about_com], -1)
-        batch = torch.broadcast_shapes(
-            pose.shape[:-1], velocity.shape[:-1], friction.shape[:-1], inertia.mass.shape, wrench[0].shape[:-1]
-        )
-        bound = (h * friction[..., touching]).clamp(min=0.0).expand(*batch, -1).reshape(-1, levers.shape[-2])
-        mass = torch.diag_embed(diagonal).expand(*batch, 3, 3).reshape(-1, 3, 3)
-        found = []
+        shapes = (x.shape[:-1] for x in (pose, velocity, friction, diagonal, wrench[0], grasp))
+        batch = torch.broadcast_shapes(*shapes)
+
+        def flat(values: Tensor) -> Tensor:
+            return values.expand(*batch, -1).reshape(-1, values.shape[-1])
+
+        bound = flat((friction if touching.all() else friction[..., touching]).clamp(min=0.0) * h)
+        weight, com, held, place, moved = (flat(x) for x in (diagonal, inertia.com, grasp, pose, velocity))
+        first, change = (flat(x * h) for x in (wrench[0], wrench[1] - wrench[0]))
+        feet, sides, found = model.particles[touching], polygon_sides(self.directions), []
         for k in range(self.substeps):
-            part = (k + 1) / self.substeps
-            u = wrench[0] * (1 - part) + wrench[1] * part
-            yaw = pose[..., 2]
-            torque = u[..., 2] + cross(rotate(yaw, grasp - inertia.com), u[..., :2])
-            push = torch.cat([u[..., :2].expand(*batch, 2), torque[..., None].expand(*batch, 1)], -1)
-            momentum = (diagonal * velocity + h * push).expand(*batch, 3).reshape(-1, 3)
-            arms = turned(rotate(yaw[..., None], levers)).expand(*batch, -1, -1).reshape(len(bound), -1, 2)
-            moved, used = _Solve.apply(mass, momentum, arms, bound, sides, guesses[k] if guesses else None)
+            push = first + (k + 1) / self.substeps * change
+            guess = guesses[k] if guesses else None
+            moved, used = _Advance.apply(weight, moved, place[:, 2], com, push, held, bound, feet, sides, guess)  # pyright: ignore[reportGeneralTypeIssues]
             found.append(used)
-            velocity = moved.reshape(*batch, 3)
-            pose = pose + h * velocity
+            place = place + h * moved
         if guesses is not None:
             guesses[:] = found
-        return pose, velocity
+        return place.reshape(*batch, 3), moved.reshape(*batch, 3)

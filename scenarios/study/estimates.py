@@ -6,7 +6,7 @@ import math
 from collections import Counter, deque
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property, lru_cache, partial
+from functools import lru_cache, partial
 from importlib.metadata import version
 from typing import Any
 
@@ -35,7 +35,7 @@ MOST_PARTICLES = 1000
 
 @dataclass(eq=False)
 class EstimateRun:
-    """Estimates of some experiments by every method and sensing, an object's from when all of its trials are there."""
+    """Estimates of some experiments by every method and sensing, each from when its experiment's trials are there."""
 
     experiments: Sequence[Experiment]
     store: Store
@@ -48,18 +48,18 @@ class EstimateRun:
     """Estimates of all experiments."""
     waiting: deque[list[_Draw]] = field(default_factory=deque)
     """Batches of draws whose trials are there: of one object by one method that has `estimate_many`, or of one draw."""
-    _held: dict[str, list[list[_Draw]]] = field(default_factory=dict)
-    """Batches of each object whose trials are not all there."""
-    _to_come: Counter[str] = field(init=False)
-    """Experiments of each object, at a point of the sweep, whose trials are not there."""
-    _open: dict[str, list[_Draw]] = field(default_factory=dict)
-    """Batches among them that more draws can join, by `EstimateTask.batch`."""
+    _open: dict[str, dict[str, list[_Draw]]] = field(default_factory=dict)
+    """Batches that more draws can join, by object and method: kept until the last trial of the object is there."""
+    _objects: dict[Experiment, str] = field(init=False)
+    _left: Counter[str] = field(init=False)
+    """Experiments of each object that are still to come."""
     _rows: dict[tuple[int, ...], dict[str, Any]] = field(default_factory=dict)
     _index: dict[Experiment, int] = field(init=False)
 
     def __post_init__(self) -> None:
         self._index = {experiment: index for index, experiment in enumerate(self.experiments)}
-        self._to_come = Counter(map(_object_of, self.experiments))
+        self._objects = {each: key_of(object_request(each.particles)) for each in self.experiments}
+        self._left = Counter(self._objects.values())
         self.total = sum(len(task.seeds) for each in self.experiments for _, task in self._tasks(each))
 
     @property
@@ -69,41 +69,34 @@ class EstimateRun:
 
     def add(self, experiment: Experiment) -> None:
         """Take an experiment whose trials are there, or that has failed."""
-        name = _object_of(experiment)
-        held = self._held.setdefault(name, [])
+        of_object = self._objects[experiment]
+        batches = self._open.setdefault(of_object, {})
         for place, task in self._tasks(experiment):
             for seed, key in zip(task.seeds, task.result_keys(), strict=True):
                 draw = ((*place, seed), task, key)
                 row = _failed(seed, task.failure) if task.failure else self.store.result(key)
                 if row is not None:
                     self._put(draw, row)
+                elif not estimates_many(task.method, task.settings):
+                    self.waiting.append([draw])
                 else:
-                    self._batch_for(task, held).append(draw)
-        self._to_come[name] -= 1
-        if not self._to_come[name]:
-            self.waiting.extend(sorted(held, key=lambda batch: batch[0][1].kind != "diff_lcp"))  # the slowest first
-            del self._held[name]
+                    name = key_of({"method": task.method, "settings": task.settings})
+                    batches.setdefault(name, []).append(draw)
+                    if len(batches[name]) >= MOST_PARTICLES // len(task.truth.shape.particles):
+                        self.waiting.append(batches.pop(name))
+        self._left[of_object] -= 1
+        if not self._left[of_object]:
+            left = self._open.pop(of_object).values()
+            self.waiting.extend(sorted(left, key=lambda batch: batch[0][1].kind != "diff_lcp"))  # the slowest first
 
     def start(self) -> bool:
         """Start the next estimates; False where none wait."""
         if not self.waiting:
             return False
         batch = self.waiting.popleft()
-        if self._open.get(batch[0][1].batch) is batch:
-            del self._open[batch[0][1].batch]
         draws = [(task, place[-1], key) for place, task, key in batch]
         self.executor.start(partial(self._take, batch), estimate, draws, self.store)
         return True
-
-    def _batch_for(self, task: EstimateTask, held: list[list[_Draw]]) -> list[_Draw]:
-        """A batch that the task's draws can join, or a new one of those held."""
-        batch = self._open.get(task.batch, [])
-        if not batch or len(batch) >= MOST_PARTICLES // len(task.truth.shape.particles):
-            batch = []
-            held.append(batch)
-            if task.batch:
-                self._open[task.batch] = batch
-        return batch
 
     def _tasks(self, experiment: Experiment) -> Iterator[tuple[tuple[int, int, int], EstimateTask]]:
         index = self._index[experiment]
@@ -132,11 +125,6 @@ class EstimateRun:
         self._rows[place] = row | task.labels() | {"key": key}
         self.failed += row.get("status") == "failed"
         self.progress("estimates", len(self._rows), self.total, self.failed)
-
-
-def _object_of(experiment: Experiment) -> str:
-    """Name of an experiment's object, at its point of the sweep."""
-    return " ".join([experiment.particles.name, *map(str, experiment.axes.values())])
 
 
 NO_ANSWER = {
@@ -218,13 +206,6 @@ class EstimateTask:
         """Name of the method behind the label."""
         return kind_of(self.method, self.settings)
 
-    @cached_property
-    def batch(self) -> str:
-        """Name that tasks share whose draws can be estimated at once; empty if the method takes one at a time."""
-        if not estimates_many(self.method, self.settings):
-            return ""
-        return key_of({"method": self.method, "settings": self.settings, "object": object_request(self.truth)})
-
     @property
     def true_support(self) -> str | None:
         """Support under which the truth predicts the held-out turns; None on springs, whose loads no model gives."""
@@ -276,7 +257,7 @@ def _answers(task: EstimateTask, seen: list[list[Trajectory]], seeds: list[int])
     shape, weights, moved = task.truth.shape, [weight_of(trials[0]) for trials in seen], [t[1:] for t in seen]
     called = f"{task.kind}.estimate()"
     with placed_errors(type(method)):
-        if task.batch and len(seen) > 1:
+        if len(seen) > 1:
             called = f"{task.kind}.estimate_many()"
             answers = list(method.estimate_many(shape, weights, moved, seeds))
         else:

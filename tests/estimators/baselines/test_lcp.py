@@ -12,7 +12,7 @@ import torch
 from numpy.testing import assert_allclose
 
 from estimators.baselines.dry_friction import LcpError
-from estimators.baselines.lcp import LcpEngine, Step, _Solve, polygon_sides, solve_step
+from estimators.baselines.lcp import LcpEngine, Step, _Advance, polygon_sides, solve_step
 from estimators.particles import model as dynamics
 from estimators.particles.model import Inertia, ParticleModel, inertia_of, rotate
 from estimators.testing.analytic_world import drawn_object
@@ -47,11 +47,15 @@ class Case:
     @property
     def tensors(self) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
         """Arguments of `solve_step`, a batch of one."""
+        parts = (self.mass, self.momentum, self.jacobians[:, :, 2], self.bound)
+        mass, momentum, arms, bound = (torch.tensor(x)[None] for x in parts)
+        return mass, momentum, arms, bound
+
+    @property
+    def lines(self) -> torch.Tensor:
+        """Lines of all sides, a batch of one."""
         sides = polygon_sides(self.directions).numpy()
-        lines = np.einsum("sd,cdn->csn", sides, self.jacobians).reshape(-1, 3)
-        bound = np.repeat(self.bound, len(sides))
-        mass, momentum, lines, bound = (torch.tensor(x)[None] for x in (self.mass, self.momentum, lines, bound))
-        return mass, momentum, lines, bound
+        return torch.tensor(np.einsum("sd,cdn->csn", sides, self.jacobians).reshape(1, -1, 3))
 
     @property
     def textbook(self) -> Textbook:
@@ -105,7 +109,7 @@ def drawn_case(kind: str, directions: int, seed: int, feet: int | None = None) -
 def test_a_step_solves_the_textbooks_problem(kind, directions):
     for seed in range(6):
         case = drawn_case(kind, directions, seed)
-        step = solve_step(*case.tensors)
+        step = solve_step(*case.tensors, case.directions)
         assert case.residual(step) < 1e-9
         speed = np.linalg.norm(case.jacobians @ step.velocity[0].numpy(), axis=1)
         assert {
@@ -122,22 +126,22 @@ def test_a_textbook_solver_finds_the_same_velocity(kind, feet):
     case = drawn_case(kind, 8, 0, feet=feet)
     dense = interior_point(case.textbook)
     assert case.textbook.residual(dense) < 1e-8
-    assert_allclose(solve_step(*case.tensors).velocity[0], case.textbook.velocity(dense), atol=1e-8)
+    assert_allclose(solve_step(*case.tensors, case.directions).velocity[0], case.textbook.velocity(dense), atol=1e-8)
 
 
 @pytest.mark.parametrize("directions", [4, 8])
 def test_a_batch_is_its_bodies_one_by_one_whatever_the_guess(directions):
     cases = [drawn_case(kind, directions, seed, feet=5) for kind in KINDS for seed in range(6)]
     together = [torch.cat(x) for x in zip(*(case.tensors for case in cases), strict=True)]
-    mass, momentum, lines, bound = together
-    step = solve_step(mass, momentum, lines, bound)
+    step = solve_step(*together, directions)  # pyright: ignore
     for k, case in enumerate(cases):
-        assert_allclose(step.velocity[k], solve_step(*case.tensors).velocity[0], atol=1e-10)
+        assert_allclose(step.velocity[k], solve_step(*case.tensors, case.directions).velocity[0], atol=1e-10)
     generator = torch.Generator().manual_seed(0)
+    bound = together[3].repeat_interleave(directions // 2, 1)
     noise = 2 * torch.rand(bound.shape, generator=generator, dtype=torch.float64) - 1
     wrong = [-step.used, 0 * step.used, noise, noise.sign(), step.used.roll(1, 0)]
     for guess in (step.used, *wrong):
-        again = solve_step(mass, momentum, lines, bound, guess)
+        again = solve_step(*together, directions, guess)  # pyright: ignore
         assert_allclose(again.velocity, step.velocity, atol=1e-9)
         assert (again.impulse.abs() <= bound * (1 + 1e-9)).all()
 
@@ -147,10 +151,10 @@ def test_bounds_of_any_ratio_and_no_friction_are_solved():
         case = drawn_case("sticks" if seed % 2 else "slows", 8, seed, feet=5)
         ratio = 10.0 ** np.random.default_rng(seed).choice([0, -3, -6, -9, -12, -np.inf], 5)
         case = replace(case, bound=case.bound * ratio)
-        step = solve_step(*case.tensors)
+        step = solve_step(*case.tensors, case.directions)
         assert case.residual(step) < 1e-9
         free = replace(case, bound=0 * case.bound)
-        assert_allclose(solve_step(*free.tensors).velocity[0], case.textbook.free, rtol=1e-12)
+        assert_allclose(solve_step(*free.tensors, free.directions).velocity[0], case.textbook.free, rtol=1e-12)
 
 
 def test_a_body_exactly_at_its_limit_stays():
@@ -158,7 +162,7 @@ def test_a_body_exactly_at_its_limit_stays():
         case = drawn_case("sticks", (4, 8, 16)[seed % 3], seed)
         corners = case.textbook.corners[np.random.default_rng(seed).integers(case.directions, size=len(case.bound))]
         limit = replace(case, momentum=np.einsum("cdn,cd,c->n", case.jacobians, corners, case.bound))
-        step = solve_step(*limit.tensors)
+        step = solve_step(*limit.tensors, limit.directions)
         assert limit.residual(step) < 1e-9
         assert step.velocity.abs().max() < 1e-6
 
@@ -223,9 +227,8 @@ def test_friction_of_a_sliding_contact_is_within_the_nearest_corner_of_coulombs(
     count = len(angle)
     momentum = torch.stack([angle.cos(), angle.sin(), 0 * angle], -1)
     sides = polygon_sides(directions)
-    lines = torch.cat([sides, torch.zeros(len(sides), 1, dtype=torch.float64)], -1).expand(count, -1, -1)
-    bound = torch.full((count, len(sides)), 0.01, dtype=torch.float64)
-    step = solve_step(torch.eye(3, dtype=torch.float64).expand(count, 3, 3), momentum, lines, bound)
+    arms, bound = torch.zeros(count, 1, 2, dtype=torch.float64), torch.full((count, 1), 0.01, dtype=torch.float64)
+    step = solve_step(torch.eye(3, dtype=torch.float64).expand(count, 3, 3), momentum, arms, bound, directions)
     polygon = -step.impulse @ sides / 0.01
     unit = step.velocity[:, :2] / step.velocity[:, :2].norm(dim=-1, keepdim=True)
     error = float((polygon + unit).norm(dim=-1).max())
@@ -273,8 +276,8 @@ def test_rollouts_go_to_coulombs_as_corners_and_substeps_grow(coulomb):
     assert by_step[0] > 2 * by_step[1]
 
 
-def gradient_case(name: str) -> tuple[Case, list[torch.Tensor]]:
-    """A body on four feet, in units of its own, of which as many sides stick as the name says; and what it is of."""
+def gradient_case(name: str) -> tuple[Case, list[torch.Tensor], torch.Tensor]:
+    """A body on four feet, in units of its own, of which as many sides stick as its name says: the step, its parts."""
     arm = np.array([[1.0, 0.8], [-0.7, 0.9], [-1.1, -0.6], [0.6, -1.0]])
     jacobians = np.stack([np.column_stack([[1.0] * 4, [0.0] * 4, -arm[:, 1]]),
                           np.column_stack([[0.0] * 4, [1.0] * 4, arm[:, 0]])], axis=1)  # fmt: skip
@@ -284,24 +287,33 @@ def gradient_case(name: str) -> tuple[Case, list[torch.Tensor]]:
     elif name == "a foot sticks":
         bound, momentum = np.array([3.0, 0.2, 0.25, 0.15]), 2.0 * np.array([0.8, -1.0, 1.0])
     elif name == "all stick":
-        momentum = np.array([0.2, -0.1, 0.05])
-    mass = np.array([[2.0, 0.1, 0.0], [0.1, 2.0, -0.2], [0.0, -0.2, 1.5]])
-    turned_arms = np.column_stack([-arm[:, 1], arm[:, 0]])
-    parts = (mass, momentum, turned_arms, bound)
-    return Case(mass, momentum, jacobians, bound, 4), [torch.tensor(x[None], requires_grad=True) for x in parts]
+        momentum = np.array([-0.2, 0.1, 0.03])
+    weights, push, grasp = np.array([2.0, 2.0, 1.5]), np.array([0.3, -0.2, 0.1]), np.array([0.2, -0.3])
+    turning = push[2] + grasp[0] * push[1] - grasp[1] * push[0]
+    velocity = (momentum - np.array([*push[:2], turning])) / weights
+    # seen from a frame that is turned and moved
+    turn, com = np.array([[np.cos(0.4), np.sin(0.4)], [-np.sin(0.4), np.cos(0.4)]]), np.array([0.05, -0.1])
+    parts = (weights, velocity, np.array(0.4), com, push, com + turn @ grasp, bound)
+    feet = torch.tensor(com + arm @ turn.T)
+    moved = [torch.tensor(x[None], requires_grad=True) for x in parts]
+    return Case(np.diag(weights), momentum, jacobians, bound, 4), moved, feet
 
 
 @pytest.mark.parametrize(
     ("name", "sticking"), [("slides", 0), ("one side sticks", 1), ("a foot sticks", 2), ("all stick", 8)]
 )
 def test_the_gradient_of_a_step_is_right(name, sticking):
-    case, arguments = gradient_case(name)
-    step = solve_step(*case.tensors)
+    case, arguments, feet = gradient_case(name)
+    step = solve_step(*case.tensors, case.directions)
     assert int((step.used.abs() < 0.999).sum()) == sticking
-    velocity, used = _Solve.apply(*arguments, polygon_sides(4), None)  # pyright: ignore
+
+    def advanced(*parts: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        return _Advance.apply(*parts, feet, polygon_sides(4), None)  # pyright: ignore
+
+    velocity, used = advanced(*arguments)
     assert_allclose(velocity.detach(), step.velocity, atol=1e-12)
     assert_allclose(used, step.used, atol=1e-9)
-    assert torch.autograd.gradcheck(lambda *x: _Solve.apply(*x, polygon_sides(4), None)[0], arguments)  # pyright: ignore
+    assert torch.autograd.gradcheck(lambda *parts: advanced(*parts)[0], arguments)
 
 
 def pushed(kind: str) -> tuple[torch.Tensor, torch.Tensor]:
@@ -363,15 +375,15 @@ def test_a_step_of_what_is_not_a_number_is_refused(which):
     arguments = [x.clone() for x in drawn_case("turns", 8, 0).tensors]
     arguments[which].view(-1)[0] = math.nan
     with pytest.raises(LcpError, match="finite numbers and a positive definite mass"):
-        solve_step(*arguments)  # pyright: ignore[reportArgumentType]
+        solve_step(*arguments, 8)  # pyright: ignore
 
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_momentum_balances_and_friction_takes_power(kind):
     for seed in range(6):
         case = drawn_case(kind, 8, seed)
-        mass, momentum, lines, bound = case.tensors
-        step = solve_step(mass, momentum, lines, bound)
+        (mass, momentum, _, bound), lines = case.tensors, case.lines
+        step = solve_step(*case.tensors, 8)
         v, f = step.velocity[..., None], step.impulse[..., None]
         balance = (mass @ v + lines.mT @ f)[..., 0] - momentum
         assert balance.abs().max() <= 1e-10 * (momentum.abs().max() + bound.sum())

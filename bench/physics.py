@@ -229,8 +229,8 @@ def resolution(console: Console) -> None:
     table = _table("NAD, own weight, ideal, %", "change", "I2", "L2", "F2")
     base = Scenario(objects=["I2", "L2", "F2"], methods={"hidden_states": {}})
     changes = {
-        "none: 2.5 ms, 3 x 3 feet and particles": {},
-        "step 5 ms": {"simulation": Simulation(timestep_s=0.005)},
+        "none: 5 ms, 3 x 3 feet and particles": {},
+        "step 2.5 ms": {"simulation": Simulation(timestep_s=0.0025)},
         "4 x 4 feet and particles": {"grid": Grid(feet=4, particles=4)},
         "4 x 4 feet, 3 x 3 particles": {"grid": Grid(feet=4, particles=3)},
         "welded grip": {"simulation": Simulation(grip="weld")},

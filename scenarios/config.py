@@ -48,7 +48,7 @@ class Grid(Strict):
 class Simulation(Strict):
     """Settings of the simulation, each with its measured default; or a runner of another package."""
 
-    timestep_s: Annotated[float, Field(gt=0, le=0.01)] = 0.0025
+    timestep_s: Annotated[float, Field(gt=0, le=0.01)] = 0.005
     grip: Literal["friction", "weld"] = "friction"
     grip_force_N: Annotated[float, Field(ge=20, le=235)] = GripSettings().force
     sag_m: Annotated[float, Field(gt=0, le=0.01)] = ContactSettings().sag

@@ -75,7 +75,7 @@ class ServoSettings:
 class SimulationSettings:
     """Settings of the simulation."""
 
-    timestep: float = 0.0025
+    timestep: float = 0.005
     """Physics step [s]; a whole number of them makes a sample."""
     rate: float = 100.0
     """Rate of the record and of the outer loop [Hz]."""

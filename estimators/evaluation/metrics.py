@@ -57,22 +57,6 @@ class SteadyTurn:
             float(np.median(np.diff(trajectory.time_s[kept]))),
         )
 
-    def open_loop(self, model: ParticleModel, inertia: Inertia, friction: Float[Tensor, "P"], seconds: float) -> float:
-        """Mean particle distance [m] after `seconds` of simulation from the wrench alone, at friction mu_i N_i [N]."""
-        steps = min(round(seconds / self.dt), len(self.pose) - 1)
-        arms = (model.particles - inertia.com).numpy()
-        mass = np.array([inertia.mass, inertia.mass, inertia.about_com])
-        pose, velocity = self.pose[0].numpy().copy(), self.velocity[0].numpy()
-        hand = (self.grasp - inertia.com).numpy()
-        for wrench in self.wrench[:steps].numpy():
-            turn = rotation_2d(pose[2])
-            lever = turn @ hand
-            torque = wrench[2] + lever[0] * wrench[1] - lever[1] * wrench[0]
-            free = velocity + self.dt * np.array([wrench[0], wrench[1], torque]) / mass
-            velocity = _after_friction(mass, free, velocity, arms @ turn.T, self.dt * friction.numpy())
-            pose += self.dt * velocity
-        return _mean_distance(model, inertia, torch.tensor(pose), self.pose[steps])
-
     def stepwise(self, model: ParticleModel, inertia: Inertia, friction: Float[Tensor, "P"]) -> float:
         """Mean particle distance [m] at the end where each step starts from the measured state and steps add up."""
         drag, state = friction.expand(len(self.pose), -1), (self.pose, self.velocity)
@@ -81,43 +65,77 @@ class SteadyTurn:
         return _mean_distance(model, inertia, end, self.pose[-1])
 
 
+def open_loop(
+    turns: Sequence[SteadyTurn], model: ParticleModel, inertia: Inertia, friction: Float[Tensor, "W P"], seconds: float
+) -> list[float]:
+    """Mean particle distance [m] of each of W turns after `seconds` of simulation from the wrench alone.
+
+    `friction` is mu_i N_i [N] of each turn. All turns take their steps side by side.
+    """
+    steps = np.array([min(round(seconds / turn.dt), len(turn.pose) - 1) for turn in turns])
+    dt = np.array([[turn.dt] for turn in turns])
+    arms, hand = (model.particles - inertia.com).numpy(), np.array([(t.grasp - inertia.com).numpy() for t in turns])
+    mass = np.array([inertia.mass, inertia.mass, inertia.about_com])
+    pose, velocity = (np.array([getattr(t, name)[0].numpy() for t in turns]) for name in ("pose", "velocity"))
+    wrench = np.array([[t.wrench[min(k, n)].numpy() for t, n in zip(turns, steps, strict=True)]
+                       for k in range(steps.max(initial=0))])  # fmt: skip
+    bound = dt * friction.numpy()
+    for k, pushed in enumerate(wrench):
+        turn = rotation_2d(pose[:, 2])
+        lever = np.einsum("wij,wj->wi", turn, hand)
+        torque = pushed[:, 2] + lever[:, 0] * pushed[:, 1] - lever[:, 1] * pushed[:, 0]
+        free = velocity + dt * np.column_stack([pushed[:, :2], torque]) / mass
+        going = (k < steps)[:, None]
+        velocity = np.where(going, _after_friction(mass, free, velocity, arms @ turn.swapaxes(1, 2), bound), velocity)
+        pose += np.where(going, dt * velocity, 0.0)
+    ends = zip(turns, torch.tensor(pose), steps, strict=True)
+    return [_mean_distance(model, inertia, end, turn.pose[n]) for turn, end, n in ends]
+
+
 def _after_friction(
-    mass: np.ndarray, free: np.ndarray, start: np.ndarray, arms: np.ndarray, bound: np.ndarray
-) -> np.ndarray:
-    """Velocity after an implicit step with Coulomb friction, (3,): the minimum of the step's dissipation by Newton.
+    mass: Float[np.ndarray, "3"],
+    free: Float[np.ndarray, "W 3"],
+    start: Float[np.ndarray, "W 3"],
+    arms: Float[np.ndarray, "W P 2"],
+    bound: Float[np.ndarray, "W P"],
+) -> Float[np.ndarray, "W 3"]:
+    """Velocities after an implicit step with Coulomb friction: the minimum of each step's dissipation by Newton.
 
     The step is implicit since friction can stop an object within a step of the record. `mass` is (M, M, I_cm), `free`
-    the velocity without friction, `arms` the particles from the center of mass [m], world axes, (P, 2), and `bound` the
+    the velocity without friction, `arms` the particles from the center of mass [m], world axes, and `bound` the
     greatest friction impulse of each [N s].
     """
-
-    def value(v: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
-        slip = v[:2] + v[2] * across
-        speed = np.sqrt((slip**2).sum(axis=1) + CREEP**2)
-        return 0.5 * mass @ (v - free) ** 2 + bound @ (speed - CREEP), slip, speed
-
     across = perpendicular(arms)
-    v = start
+    parts = np.concatenate([np.ones((*bound.shape, 1)), across, (across * across).sum(-1, keepdims=True)], -1)
+
+    def value(v: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        slip = v[:, None, :2] + v[:, None, 2:] * across
+        speed = np.sqrt((slip * slip).sum(-1) + CREEP**2)
+        off = v - free
+        return 0.5 * (off * off) @ mass + (bound * (speed - CREEP)).sum(-1), slip, speed
+
+    v, open_ = start, np.ones(len(start), dtype=bool)
     least, slip, speed = value(v)
-    now = least
     for _ in range(NEWTON_STEPS):
+        along = slip / speed[..., None]
         pull = bound / speed
-        along = slip / speed[:, None]
-        rows = (
-            np.column_stack([np.ones(len(arms)), np.zeros(len(arms)), across[:, 0]]),
-            np.column_stack([np.zeros(len(arms)), np.ones(len(arms)), across[:, 1]]),
-        )
-        same = along[:, :1] * rows[0] + along[:, 1:] * rows[1]
-        gradient = mass * (v - free) + bound @ same
-        hessian = np.diag(mass) + sum((r.T * pull) @ r for r in rows) - (same.T * pull) @ same
-        step = -np.linalg.solve(hessian, gradient)
+        same = np.concatenate([along, (along * across).sum(-1, keepdims=True)], -1)
+        gradient = mass * (v - free) + (bound[:, None] @ same)[:, 0]
+        every, x, y, square = (pull[:, None] @ parts)[:, 0].T
+        none = np.zeros_like(every)
+        hessian = np.stack([every, none, x, none, every, y, x, y, square], -1).reshape(-1, 3, 3)
+        hessian += np.diag(mass) - (same * pull[..., None]).swapaxes(1, 2) @ same
+        step = -np.linalg.solve(hessian, gradient[..., None])[..., 0] * open_[:, None]
+        now, slip, speed = value(v + step)
         for _ in range(HALVINGS):
-            now, slip, speed = value(v + step)
-            if now <= least:
+            worse = now > least
+            if not worse.any():
                 break
-            step = step / 2
+            step = np.where(worse[:, None], step / 2, step)
+            now, slip, speed = value(v + step)
         v, least = v + step, now
-        if np.abs(step).max() < 1e-13 + 1e-9 * np.abs(v).max():
+        open_ = open_ & ~(np.abs(step).max(1) < 1e-13 + 1e-9 * np.abs(v).max(1))
+        if not open_.any():
             break
     return v
 
@@ -177,12 +195,12 @@ def mean_particle_distance(
     inertia = inertia_of(model, model.particle_mass(mass))
     loads = AffineLoads.of(shape, model, windows, LOADS[support])
     pressed = model.particle_friction(friction) * loads.at(mass).clamp(min=0)
-    found = []
+    moved: list[tuple[SteadyTurn, int]] = []
     for trial, trajectory in enumerate(usable):
         mine = torch.nonzero(windows.trial == trial).flatten()
         for k, kept in zip(mine, steady_samples(trajectory) if len(mine) else [], strict=True):
-            turn = SteadyTurn.of(windows.where(k[None]), trajectory, kept, inertia)
-            open_loop = turn.open_loop(model, inertia, pressed[k], OPEN_LOOP)
-            found.append((open_loop, turn.stepwise(model, inertia, pressed[k])))
-    open_loop, whole = np.mean(found, axis=0)
-    return ParticleDistance(float(open_loop), float(whole))
+            moved.append((SteadyTurn.of(windows.where(k[None]), trajectory, kept, inertia), int(k)))
+    drags = pressed[[k for _, k in moved]]
+    ahead = open_loop([turn for turn, _ in moved], model, inertia, drags, OPEN_LOOP)
+    whole = [turn.stepwise(model, inertia, drag) for (turn, _), drag in zip(moved, drags, strict=True)]
+    return ParticleDistance(float(np.mean(ahead)), float(np.mean(whole)))

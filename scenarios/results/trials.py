@@ -134,7 +134,7 @@ def kind_of_trial(root: Path, key: str) -> str:
 
 
 def sensed_trials(store: Store, keys: tuple[str, ...], sensing: str, seed: int) -> list[Trajectory]:
-    """Trials with one draw of a sensor's errors; measured ones as they are.
+    """Trials with one draw of a sensor's errors; measured ones as they are. Read-only, since methods share them.
 
     Args:
         store: results folder.
@@ -142,7 +142,18 @@ def sensed_trials(store: Store, keys: tuple[str, ...], sensing: str, seed: int) 
         sensing: name of the preset.
         seed: seed of the draw.
     """
-    return [sensed(t, sensing, seed, i, keys[i]) for i, t in enumerate(_trajectories(store, keys))]
+    return list(_draw(store, keys, sensing, seed))
+
+
+@lru_cache(maxsize=8)
+def _draw(store: Store, keys: tuple[str, ...], sensing: str, seed: int) -> tuple[Trajectory, ...]:
+    """Draws of the last experiments: a worker's next method is mostly given one of them."""
+    drawn = [sensed(t, sensing, seed, i, keys[i]) for i, t in enumerate(_trajectories(store, keys))]
+    for trajectory in drawn:
+        for value in vars(trajectory).values():
+            if isinstance(value, np.ndarray):
+                value.setflags(write=False)
+    return tuple(drawn)
 
 
 def sensed(trajectory: Trajectory, sensing: str, seed: int, index: int, key: str) -> Trajectory:
@@ -157,9 +168,9 @@ def sensed(trajectory: Trajectory, sensing: str, seed: int, index: int, key: str
     return draw_sensing(trajectory, preset(sensing), own).blinded()
 
 
-@lru_cache(maxsize=1)
+@lru_cache(maxsize=4)
 def _trajectories(store: Store, keys: tuple[str, ...]) -> tuple[Trajectory, ...]:
-    """Trials of one experiment: a worker is mostly asked about the same ones as just before."""
+    """Trials of one experiment: a worker is mostly asked about the same ones, of two supports, as just before."""
     return tuple(store.trajectory(key) for key in keys)
 
 

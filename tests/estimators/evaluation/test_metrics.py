@@ -16,6 +16,7 @@ from estimators.evaluation.metrics import (
     SteadyTurn,
     mean_particle_distance,
     normalized_absolute_difference,
+    open_loop,
 )
 from estimators.particles.model import ParticleModel, inertia_of, rollout, rotate
 from estimators.particles.windows import observe
@@ -206,7 +207,10 @@ def test_open_loop_agrees_with_a_rollout_of_fine_steps_where_nothing_sticks(name
     ends = [pose[:2] + rotate(pose[2], arm) for pose in (poses[-1], turn.pose[steps])]
     apart = float((ends[0] - ends[1]).norm(dim=-1).mean())
     assert apart > 1e-3
-    assert turn.open_loop(model, inertia, pressed[0], steps * turn.dt) == pytest.approx(apart, abs=1e-4)
+    both = open_loop([turn, turn], model, inertia, torch.stack([pressed[0], 1.1 * pressed[0]]), steps * turn.dt)
+    assert both[0] == pytest.approx(apart, abs=1e-4)
+    alone = [open_loop([turn], model, inertia, scale * pressed[:1], steps * turn.dt)[0] for scale in (1, 1.1)]
+    assert both == pytest.approx(alone, rel=1e-9)
 
 
 def test_mpd_is_the_mean_over_turns_that_ended_well():

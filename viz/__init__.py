@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 from testbed.packages import lazy_names
 
 if TYPE_CHECKING:
-    from viz.figures.maps import estimate_bars, estimate_maps, save_figure
+    from viz.figures.bars import estimate_bars
+    from viz.figures.maps import estimate_maps, save_figure
     from viz.figures.wrench import wrench_fit_figure
     from viz.recordings.page import Page, save, send
     from viz.values import EstimateView, PlanView, TrialView, WrenchFit

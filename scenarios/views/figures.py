@@ -13,8 +13,9 @@ from scenarios.results.estimates import load_losses, load_rows
 from scenarios.views.values import estimate_view, fits_of
 from testbed.errors import HeftError, InvalidValueError
 from testbed.objects.model import ObjectShape
+from viz.figures.bars import estimate_bars
 from viz.figures.loss import estimate_losses, loss_figure
-from viz.figures.maps import absolute_difference, estimate_bars, estimate_maps, save_figure
+from viz.figures.maps import absolute_difference, estimate_maps, save_figure
 from viz.figures.nad import nad_distribution, nad_sweep
 from viz.figures.wrench import wrench_fit_figure
 from viz.report.tables import MOST_OBJECTS

@@ -22,8 +22,9 @@ from scenarios.views.figures import figures, file_name
 from testbed.errors import InvalidValueError
 from testbed.objects.files import load_object
 from testbed.objects.model import MassDistribution
+from viz.figures.bars import estimate_bars
 from viz.figures.loss import estimate_losses
-from viz.figures.maps import MeanAnswer, estimate_bars, estimate_maps, map_scales, mass_maps, save_figure
+from viz.figures.maps import MeanAnswer, estimate_maps, map_scales, mass_maps, save_figure
 from viz.figures.nad import axis_label, nad_distribution, nad_sweep
 from viz.figures.wrench import wrench_fit_figure
 from viz.style import DIFFERENCE_COLORS, MASS_COLORS, series_color, text_color

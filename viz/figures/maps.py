@@ -1,4 +1,4 @@
-"""Mass maps: each group's mass, difference or error as coloured cells with a number, and the same as bars.
+"""Mass maps: each group's mass, difference or error as coloured cells with a number.
 
 `absolute_difference` is the paper's Fig. absolute_diff.
 """
@@ -18,28 +18,26 @@ from matplotlib.collections import PolyCollection
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
+from matplotlib.transforms import Affine2D
 
 from estimators.evaluation.statistics import Row
 from testbed.files import write_whole
 from testbed.objects.model import ObjectModel, ObjectShape
 from viz.style import (
     DIFFERENCE_COLORS,
-    ESTIMATE,
     MASS_COLORS,
     MOST_NAMED,
     NO_ANSWER,
     STYLE,
     TOP,
-    TRUTH,
     Scale,
     aspect,
-    bare,
     difference_scale,
     group_middles,
     mass_scale,
     narrowest_group,
 )
-from viz.values import LEVEL, EstimateView
+from viz.values import EstimateView
 
 PANEL = 2.3
 """Width of an estimate's map [inches]."""
@@ -50,7 +48,14 @@ ERROR_WIDTH = 3.4
 
 
 def draw_groups(
-    axis: Axes, shape: ObjectShape, values: np.ndarray | None, scale: Scale, *, digits: int = 2, letters: float = 5.0
+    axis: Axes,
+    shape: ObjectShape,
+    values: np.ndarray | None,
+    scale: Scale,
+    *,
+    digits: int = 2,
+    letters: float = 5.0,
+    place: Affine2D | None = None,
 ) -> None:
     """Draw one object: cells in the colour of their group's value, and the number at each group's middle.
 
@@ -61,37 +66,52 @@ def draw_groups(
         scale: of the colours.
         digits: of the numbers, after the point.
         letters: size of the numbers, points; 0 without numbers.
+        place: of the object in axes that others share; without it the axes become the object's own.
     """
+    on = axis.transData if place is None else place + axis.transData
+    low, high = extent(shape)
     half = shape.cell / 2
     cells = shape.particles[:, None] + half * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
     if values is None:
         axis.add_collection(
-            PolyCollection(list(cells), facecolor="white", edgecolor="0.7", hatch="////", linewidth=0.2)
+            PolyCollection(list(cells), facecolor="white", edgecolor="0.7", hatch="////", linewidth=0.2, transform=on)
         )
-        axis.text(0.5, 0.5, "no answer", transform=axis.transAxes, ha="center", va="center", fontsize=max(letters, 6.0))
+        middle = {"transform": on, "ha": "center", "va": "center"}
+        x, y = (low + high) / 2
+        axis.text(x, y, "no answer", fontsize=max(letters, 6.0), **middle)
     else:
         known, norm = np.isfinite(values), Normalize(0.0, scale.top)
         values = np.where(known, values, 0.0)
-        patches = PolyCollection(list(cells), cmap=scale.colors, norm=norm, linewidth=0, antialiased=False)
+        patches = PolyCollection(
+            list(cells), cmap=scale.colors, norm=norm, linewidth=0, antialiased=False, transform=on
+        )
         patches.set_array(values[shape.mass_group])
         axis.add_collection(patches)
         if not known.all():
             blind = cells[~known[shape.mass_group]]
             axis.add_collection(
-                PolyCollection(list(blind), facecolor=NO_ANSWER, edgecolor="white", hatch="////", linewidth=0)
+                PolyCollection(
+                    list(blind), facecolor=NO_ANSWER, edgecolor="white", hatch="////", linewidth=0, transform=on
+                )
             )
         unknown = "not seen" if shape.n_m <= MOST_NAMED // 2 else "-"
         for (x, y), value, finite in zip(group_middles(shape), values, known, strict=True) if letters else ():
             dark = mpl.colormaps[scale.colors](norm(value))[1] < 0.5 and finite
             text, size = (f"{value:.{digits}f}", letters) if finite else (unknown, 5.0)
             look = {"color": "white" if dark else "black", "fontsize": size, "zorder": 3 if finite else 5}
-            axis.text(x, y, text, ha="center", va="center", **look).set_in_layout(False)
-    low, high = shape.particles.min(axis=0) - 1.5 * half, shape.particles.max(axis=0) + 1.5 * half
+            axis.text(x, y, text, ha="center", va="center", transform=on, **look).set_in_layout(False)
+    if place is not None:
+        return
     axis.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal", xticks=[], yticks=[])
     for side in axis.spines.values():
         side.set_visible(False)
     for ruler in (axis.xaxis, axis.yaxis):  # to lay out the ticks that are not there takes most of a figure's time
         ruler.set_visible(bool(ruler.get_label_text()))
+
+
+def extent(shape: ObjectShape) -> tuple[Float[np.ndarray, "2"], Float[np.ndarray, "2"]]:
+    """Lower left and upper right of an object, a quarter of a cell wider [m]."""
+    return shape.particles.min(axis=0) - 0.75 * shape.cell, shape.particles.max(axis=0) + 0.75 * shape.cell
 
 
 def add_bar(figure: Figure, axes: Any, scale: Scale, **look: Any) -> None:
@@ -171,16 +191,26 @@ def absolute_difference(rows: Sequence[Row], shapes: Mapping[str, ObjectShape], 
     with mpl.rc_context({**STYLE, "font.size": 8.0}):
         heights = [aspect(shape, 0.3, 1.0) for shape in shapes.values()]
         figure = Figure(figsize=(1.35 * len(methods) + 1.6, 1.35 * sum(heights) + 0.9), layout="constrained")
-        axes = figure.subplots(len(shapes), len(methods), squeeze=False, height_ratios=heights)
-        for line, (name, shape) in zip(axes, shapes.items(), strict=True):
-            line[0].set_ylabel(name, rotation=0, ha="right", va="center", fontsize=9)
-            for axis, method in zip(line, methods, strict=True):
+        axis = figure.subplots()  # one for all: to make and lay out axes takes longer than to draw in them
+        bottom = 0.0
+        for (name, shape), height in zip(shapes.items(), heights, strict=True):
+            bottom -= height
+            axis.text(-0.05, bottom + height / 2, name, ha="right", va="center", fontsize=9)
+            low, high = extent(shape)
+            size = 0.96 * min(1 / (high - low)[0], height / (high - low)[1])
+            for column, method in enumerate(methods):
+                x, y = np.array([column + 0.5, bottom + height / 2]) - size * (low + high) / 2
                 answer = answers[name, method]
-                draw_groups(axis, shape, answer and answer.difference, scale)
-        for axis, method in zip(axes[0], methods, strict=True):
-            axis.set_title(method.replace("_", " ").replace(" ", "\n", 1), fontsize=8)
+                draw_groups(
+                    axis, shape, answer and answer.difference, scale, place=Affine2D().scale(size).translate(x, y)
+                )
+        for column, method in enumerate(methods):
+            label = method.replace("_", " ").replace(" ", "\n", 1)
+            axis.text(column + 0.5, 0.03, label, ha="center", va="bottom", fontsize=8)
+        axis.set(xlim=(0, len(methods)), ylim=(bottom, 0), aspect="equal")
+        axis.set_axis_off()
         upright = {"orientation": "vertical", "shrink": 0.6, "pad": 0.01}
-        add_bar(figure, axes, scale, extend="max", aspect=35, **upright)
+        add_bar(figure, axis, scale, extend="max", aspect=35, **upright)
         figure.suptitle(title, fontsize=9)
     return figure
 
@@ -291,31 +321,6 @@ def estimate_maps(view: EstimateView) -> Figure:
     if view.truth is not None:
         add_bar(figure, [axes[-1]], off, ticks=MaxNLocator(4), aspect=16)
     figure.suptitle(view.title, fontsize=9)
-    return figure
-
-
-@mpl.rc_context(STYLE)
-def estimate_bars(view: EstimateView) -> Figure:
-    """Mass of each group: the truth wide and grey, the estimate before it, with its intervals where it has them."""
-    names, places = view.shape.group_names, np.arange(view.shape.n_m)
-    figure = Figure(figsize=(float(np.clip(0.42 * len(names) + 1.2, 3.4, 10.0)), 2.6), layout="constrained")
-    axis = figure.subplots()
-    if view.true_mass is not None:
-        axis.bar(places, view.true_mass, 0.86, color=TRUTH, label="truth")
-    if view.mass is not None:
-        half = view.half_width
-        label = "estimate" if half is None else f"estimate, {LEVEL} interval"
-        look = {"elinewidth": 0.9, "capsize": 2.5}
-        axis.bar(places, view.mass, 0.55, color=ESTIMATE, yerr=half, error_kw=look, label=label)
-    if len(names) <= MOST_NAMED:
-        axis.set_xticks(places, names)
-    axis.set_xlabel("group")
-    axis.set_ylabel("mass, kg a group")
-    axis.set_ylim(0.0, None)
-    axis.set_title(view.title, fontsize=9)
-    if axis.get_legend_handles_labels()[0]:
-        figure.legend(loc="outside lower center", ncols=2, fontsize=8, frameon=False)
-    bare(axis)
     return figure
 
 

@@ -101,9 +101,10 @@ def run(
     url = viewer.waiting() if live else None
     recorder = Recorder(folder, record, url) if record or live else None
     begin = time.monotonic()
+    views = (write_views.__module__,)  # imported while the first trials are planned, not after the last estimate
     with ExitStack() as stack:
         with show_progress() as progress:
-            table, tasks = stack.enter_context(carry_out(study, folder, workers, progress, executor, recorder))
+            table, tasks = stack.enter_context(carry_out(study, folder, workers, progress, executor, recorder, views))
         results = rows_of(table)
         facts = {
             "name": name,

@@ -65,11 +65,15 @@ def carry_out(
     progress: Progress,
     executor: str = "local",
     on_result: ResultCallback | None = None,
+    preload: Sequence[str] = (),
 ) -> Iterator[tuple[pd.DataFrame, Executor]]:
-    """Do as `run_scenario`, and lend the workers, for views of the results, until the end of the context."""
+    """Do as `run_scenario`, and lend the workers, for views of the results, until the end of the context.
+
+    A worker imports the modules of `preload` as it starts.
+    """
     check_methods(scenario)
     store = Store(out.absolute())
-    with exclusive(out), open_executor(executor, worker_count, preload=(__name__,)) as tasks:
+    with exclusive(out), open_executor(executor, worker_count, preload=(__name__, *preload)) as tasks:
         store.remove_leftovers()
         experiments, left_out = experiments_of(scenario, store, progress)
         write_json(out / "manifest.json", manifest(scenario, DryRun.of(scenario)))

@@ -238,7 +238,8 @@ def test_bars_are_the_masses_and_intervals_the_covariance(blocks):
 
 @given(st.floats(0, 3), st.floats(0.01, 1), st.floats(0.001, 0.02))
 def test_a_filled_bar_covers_its_rectangle_and_no_more(height: float, width: float, stroke: float):
-    line, radius = filled(1.0, 1.0 + width, height, stroke)
+    lines, radii = filled(np.array([1.0]), np.array([1.0 + width]), np.array([[height]]), stroke)
+    line, radius = lines[0, 0], float(radii[0, 0])
     low, high = line.min(axis=0) - radius, line.max(axis=0) + radius
     assert_allclose((*low, *high), (1.0, 0.0, 1.0 + width, height), atol=1e-9)
     assert np.diff(np.unique(line[:, 0])).max(initial=0.0) <= 2 * max(radius, stroke) + 1e-9

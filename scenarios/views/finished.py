@@ -27,18 +27,20 @@ def write_views(folder: Path, rows: Sequence[Row], executor: Executor, *, record
         HeftError: figures or report could not be made; what could is there.
     """
     root = folder.absolute()
-    executor.start("report", _worst_and_report, root, rows)  # the longest first
+    executor.start("worst", record_worst, root, rows)
     executor.start("figures", figures, root)
-    if recording:
-        executor.start("recording", record_results, root)
     written: dict[str, Any] = {}
     while executor.running:
         name, value = executor.wait()
         written[name] = value
+        if name == "worst":
+            executor.start("report", report, root)  # it has links to them
+            if recording:
+                executor.start("recording", record_results, root)
     for name, value in sorted(written.items()):
         if isinstance(value, Failure):
-            yield f"no {name}: {value.reason}"
-        else:
+            yield f"no {'recording' if name == 'worst' else name}: {value.reason}"
+        elif name != "worst":
             paths = value if isinstance(value, list) else [value]
             yield from (
                 f"{name.removesuffix('s')}: {folder / p.relative_to(root)}" for p in paths if p.suffix != ".png"
@@ -46,12 +48,3 @@ def write_views(folder: Path, rows: Sequence[Row], executor: Executor, *, record
     for name in ("figures", "report"):
         if isinstance(written[name], Failure):
             raise HeftError(f"no {name}: {written[name].reason}")
-
-
-def _worst_and_report(folder: Path, rows: Sequence[Row]) -> Path:
-    """Worker's task: the report, after the recordings that it has links to."""
-    try:
-        record_worst(folder, rows)
-    except HeftError:  # a recording less takes no report away
-        pass
-    return report(folder)

@@ -21,9 +21,11 @@ from scenarios.cli.main import main
 from scenarios.config import Scenario, load_scenario
 from scenarios.execution.executor import InlineExecutor
 from scenarios.results.files import LOCK, FolderInUseError, exclusive, read_json
+from scenarios.results.store import rows_of
 from scenarios.study import run as study
 from scenarios.study import trials
 from scenarios.study.run import check_nothing_lost, run_scenario
+from scenarios.views import finished as views
 from testbed.errors import InfeasibleTrialError, InvalidValueError
 from tests.fakes.misbehaving import Misbehaving
 from tests.helpers.runs import VICTIMS, assert_whole, done_in, draw_killing, kill_a_run, quiet, resumed, small_scenario
@@ -364,3 +366,14 @@ def test_an_unusable_object_is_refused_before_anything_is_written(tmp_path, monk
     with pytest.raises(error, match=message):
         run_scenario(Scenario(objects=objects), tmp_path / "out", 0, quiet)
     assert not (tmp_path / "out").exists()
+
+
+def test_a_recording_less_is_told_and_takes_no_report_away(copied, monkeypatch):
+    def refused(*_: object) -> None:
+        raise InvalidValueError("key", "0", "an estimate")
+
+    monkeypatch.setattr(views, "record_worst", refused)
+    rows = rows_of(pd.read_parquet(copied / "results.parquet"))
+    lines = list(views.write_views(copied, rows, InlineExecutor(), recording=False))
+    assert any(line.startswith("no recording: ") and "an estimate" in line for line in lines)
+    assert f"report: {copied / 'report.html'}" in lines

@@ -10,6 +10,7 @@ import sys
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 os.environ["OPENBLAS_NUM_THREADS"] = "1"  # before numpy starts its threads
@@ -233,16 +234,11 @@ def time_batches(table: Table, trajectories: list[Trajectory], weight: float) ->
     draws = [[draw_sensing(t, preset("ft300s"), 100 * seed + i) for i, t in enumerate(trajectories)] for seed in seeds]
     weights = [weight] * DRAWS
     for method in (ExplicitState(), DiffLcp()):
-        batch, alone = [], []
-        for _ in range(3):  # side by side
-            begin = time.perf_counter()
-            method.estimate_many(shape, weights, draws, seeds)
-            middle = time.perf_counter()
-            for seed in seeds:
-                method.estimate(shape, weight, draws[seed], seed)
-            batch.append(middle - begin)
-            alone.append(time.perf_counter() - middle)
-        together, apart = statistics.median(batch), statistics.median(alone)
+        functions = [
+            partial(method.estimate_many, shape, weights, draws, seeds),
+            lambda m=method: [m.estimate(shape, weight, draws[seed], seed) for seed in seeds],
+        ]
+        together, apart = side_by_side(functions, 3)
         label = f"{type(method).__name__}, 500 steps: {DRAWS} draws at once, against one at a time"
         table.add_row(label, f"{together:.2f} s", f"{apart:.2f} s", f"{together / apart:.2f}", "")
         table.add_row(f"{type(method).__name__}, estimates a second", f"{DRAWS / together:.2f}",

@@ -1,4 +1,4 @@
-"""How time and memory of an estimate grow with particles, blocks and draws: python bench/growth.py [METHOD ...].
+"""Growth of an estimate's time and memory with particles, blocks and draws: python bench/growth.py [METHOD ...].
 
 On trials from the exact Coulomb world of the tests. Each case is a process of its own, whose peak memory is a worker's.
 """

@@ -16,7 +16,7 @@ import sys
 import tempfile
 import time
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -24,9 +24,10 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+from metered import Metered
 
 from scenarios.config import Policy, Scenario
-from scenarios.execution.executor import Executor, open_executor, work_off
+from scenarios.execution.executor import open_executor, work_off
 from scenarios.results.store import Store
 from scenarios.study import run as sweep
 from scenarios.study import trials
@@ -44,40 +45,6 @@ from tests.helpers.runs import VICTIMS, done_in, draw_killing, kill_a_run, quiet
 METHODS = {f"search_{i}": {"method": "random_search", "iterations": i} for i in range(1, 11)}
 
 
-def timed(function: Callable[..., Any], *arguments: Any) -> tuple[Any, float]:
-    """Task: another task's value and wall time."""
-    begin = time.perf_counter()
-    return function(*arguments), time.perf_counter() - begin
-
-
-class Timed:
-    """An executor that adds up its tasks' times."""
-
-    def __init__(self, executor: Executor):
-        self._executor = executor
-        self.seconds: list[float] = []
-
-    @property
-    def capacity(self) -> int:
-        """Same method of the executor."""
-        return self._executor.capacity
-
-    @property
-    def running(self) -> int:
-        """Same method of the executor."""
-        return self._executor.running
-
-    def start(self, label: Any, function: Callable[..., Any], *arguments: Any) -> None:
-        """Same method of the executor."""
-        self._executor.start(label, timed, function, *arguments)
-
-    def wait(self) -> tuple[Any, Any]:
-        """Same method of the executor."""
-        label, (value, seconds) = self._executor.wait()
-        self.seconds.append(seconds)
-        return label, value
-
-
 def sweep_of(objects: int, **more: Any) -> Scenario:
     """Random objects under two supports, turns of 2 s."""
     policy = Policy(pivots=3, duration=2.0, accelerated=0, held_out=1)
@@ -86,7 +53,7 @@ def sweep_of(objects: int, **more: Any) -> Scenario:
 
 
 @contextmanager
-def warm(workers: int) -> Iterator[Timed]:
+def warm(workers: int) -> Iterator[Metered]:
     """Workers that have imported everything, used by every run."""
     before = sweep.open_executor
     with open_executor("local", workers) as executor:
@@ -94,10 +61,10 @@ def warm(workers: int) -> Iterator[Timed]:
             executor.start(index, time.sleep, 1.0)
         while executor.running:
             executor.wait()
-        counted = Timed(executor)
+        counted = Metered(executor)
 
         @contextmanager
-        def same(*_: object, **__: object) -> Iterator[Timed]:
+        def same(*_: object, **__: object) -> Iterator[Metered]:
             yield counted
 
         sweep.open_executor = same
@@ -117,8 +84,8 @@ def overhead() -> None:
             begin = time.perf_counter()
             run_scenario(scenario, Path(folder), workers, quiet)
             wall[workers] = time.perf_counter() - begin
-            share = wall[workers] * workers / sum(executor.seconds) - 1
-            print(f"{workers} workers, {len(executor.seconds)} tasks: sweep over their sum +{100 * share:.1f} %")
+            share = wall[workers] * workers / sum(task.wall for task in executor.tasks) - 1
+            print(f"{workers} workers, {len(executor.tasks)} tasks: sweep over their sum +{100 * share:.1f} %")
     print(f"1 worker over 2: {wall[1] / wall[2]:.2f}")
 
 

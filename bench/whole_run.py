@@ -6,12 +6,13 @@ import resource
 import sys
 import tempfile
 import time
-from collections import Counter
-from collections.abc import Callable, Iterator
+from collections import defaultdict
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from metered import Metered
 from rich import box
 from rich.console import Console
 from rich.table import Table
@@ -21,46 +22,10 @@ PARTS = {
     "estimate": "estimates: sensing draws, method, prediction, writing",
     "figures": "figures",
     "record_results": "recording",
-    "_worst_and_report": "report, and recordings of the worst",
+    "record_worst": "recordings of the worst",
+    "report": "report",
 }
 """Parts of a run by the task that a worker is given."""
-
-
-def timed(function: Callable[..., Any], *arguments: Any) -> tuple[Any, float]:
-    """Task: another task's value and its core-seconds."""
-    begin = time.process_time()
-    return function(*arguments), time.process_time() - begin
-
-
-class Accounted:
-    """An executor that adds up the core-seconds of its tasks by function."""
-
-    def __init__(self, executor: Any):
-        self._executor = executor
-        self.seconds: Counter[str] = Counter()
-        self.last_estimate = time.perf_counter()
-
-    @property
-    def capacity(self) -> int:
-        """Same property of the executor."""
-        return self._executor.capacity
-
-    @property
-    def running(self) -> int:
-        """Same property of the executor."""
-        return self._executor.running
-
-    def start(self, label: Any, function: Callable[..., Any], *arguments: Any) -> None:
-        """Start a task."""
-        self._executor.start((label, function.__name__), timed, function, *arguments)
-
-    def wait(self) -> tuple[Any, Any]:
-        """Label and value of a task that has ended."""
-        (label, name), (value, seconds) = self._executor.wait()
-        self.seconds[name] += seconds
-        if name == "estimate":
-            self.last_estimate = time.perf_counter()
-        return label, value
 
 
 def core_seconds(who: int) -> float:
@@ -71,7 +36,7 @@ def core_seconds(who: int) -> float:
 
 def main() -> None:
     """Run in a folder that is thrown away, and print a table."""
-    accounts: list[Accounted] = []
+    accounts: list[Metered] = []
     begin = time.perf_counter()
     from scenarios.cli.main import main as heft  # noqa: PLC0415  its start is part of the run
     from scenarios.results.estimates import load_results  # noqa: PLC0415
@@ -80,31 +45,36 @@ def main() -> None:
     before = study.open_executor
 
     @contextmanager
-    def accounted(*arguments: Any, **settings: Any) -> Iterator[Accounted]:
+    def accounted(*arguments: Any, **settings: Any) -> Iterator[Metered]:
         with before(*arguments, **settings) as executor:
-            accounts.append(Accounted(executor))
+            accounts.append(Metered(executor))
             yield accounts[-1]
 
     study.open_executor = accounted
     with tempfile.TemporaryDirectory() as folder:
         heft(["run", *(sys.argv[1:] or ["blocks", "--seeds", "2"]), "--out", f"{folder}/out"])
         estimates = len(load_results(Path(folder) / "out"))
-    wall, account = time.perf_counter() - begin, accounts[0]
+    end, tasks = time.perf_counter(), accounts[0].tasks
+    seconds: defaultdict[str, float] = defaultdict(float)
+    for task in tasks:
+        seconds[task.name] += task.cpu
     driver, workers = core_seconds(resource.RUSAGE_SELF), core_seconds(resource.RUSAGE_CHILDREN)
     table = Table(box=box.SIMPLE_HEAD)
     table.add_column("part")
     table.add_column("core-seconds", justify="right")
     for name, part in PARTS.items():
-        table.add_row(part, f"{account.seconds[name]:.1f}")
-    table.add_row("start of the workers", f"{workers - account.seconds.total():.1f}")
+        table.add_row(part, f"{seconds[name]:.1f}")
+    table.add_row("start of the workers", f"{workers - sum(seconds.values()):.1f}")
     table.add_row("driver: start, objects, grasps, policy, tables", f"{driver:.1f}")
     table.add_row("whole", f"{driver + workers:.1f}")
     peak = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1024
-    after = time.perf_counter() - account.last_estimate
+    after = end - max(task.end for task in tasks if task.name == "estimate")
     console = Console(width=100)
     console.print(table)
-    console.print(f"{wall:.0f} s of wall time, {after:.1f} s of it after the last estimate; {peak:.0f} MiB in a worker")
-    console.print(f"{estimates} estimates, {estimates / account.seconds['estimate']:.1f} a core-second")
+    console.print(
+        f"{end - begin:.0f} s of wall time, {after:.1f} s of it after the last estimate; {peak:.0f} MiB in a worker"
+    )
+    console.print(f"{estimates} estimates, {estimates / seconds['estimate']:.1f} a core-second")
 
 
 if __name__ == "__main__":

@@ -77,8 +77,8 @@ def open_loop(
     arms, hand = (model.particles - inertia.com).numpy(), np.array([(t.grasp - inertia.com).numpy() for t in turns])
     mass = np.array([inertia.mass, inertia.mass, inertia.about_com])
     pose, velocity = (np.array([getattr(t, name)[0].numpy() for t in turns]) for name in ("pose", "velocity"))
-    wrench = np.array([[t.wrench[min(k, n)].numpy() for t, n in zip(turns, steps, strict=True)]
-                       for k in range(steps.max(initial=0))])  # fmt: skip
+    ticks = np.arange(steps.max(initial=0))
+    wrench = np.stack([t.wrench.numpy()[np.minimum(ticks, n)] for t, n in zip(turns, steps, strict=True)], axis=1)
     bound = dt * friction.numpy()
     for k, pushed in enumerate(wrench):
         turn = rotation_2d(pose[:, 2])

@@ -17,6 +17,7 @@ import math
 import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import replace
 from functools import cache
 from itertools import product, zip_longest
 from multiprocessing import get_context
@@ -34,7 +35,7 @@ from estimators.action_selection.design import Design, Guess, prior_belief
 from estimators.action_selection.greedy import PlannedPolicy, batch_plan, greedy_choice, greedy_plan
 from estimators.action_selection.online import OnlinePolicy
 from estimators.action_selection.plan import FeasibilityLog, Goal
-from estimators.action_selection.rank import RankDriven
+from estimators.action_selection.rank import RANK_DRIVEN, RankDriven
 from estimators.base import ActionPolicy
 from estimators.evaluation.metrics import normalized_absolute_difference
 from estimators.hidden_states.estimator import HiddenStates
@@ -210,6 +211,7 @@ def _rows(model: ObjectModel, sensing_name: str, draws: int) -> Iterator[dict[st
     check = FeasibilityCheck(shape, guess, refused=refused)
     goal = Goal(budget_s=BUDGET, most=20)
     ahead: dict[str, ActionPolicy] = {
+        "published": replace(RANK_DRIVEN["published"], accelerated=0, grasps=grasps),
         "reversed_pairs": RankDriven(TURNS, accelerated=0, grasps=grasps, most=TURNS),
         **{
             kind: PlannedPolicy(guess, kind, goal=goal, feasible=check)  # pyright: ignore[reportArgumentType]

@@ -229,16 +229,20 @@ def identify(guess: ObjectModel, support: Support, measured: PlanarData, max_ite
     """
     fit = _Residuals(guess, support, measured)
     begin, logged = time.perf_counter(), []
-    found, result = sysid.optimize(
-        fit.parameters(),
-        fit.residuals,
-        verbose=False,
-        max_iters=max_iters,
-        output=io.StringIO(),
-        iter_callback=lambda trace: logged.append((trace[-1], time.perf_counter() - begin)),
-    )
-    guesses = fit.guesses  # before the last call of `residuals`
-    covariance, intervals = sysid.calculate_intervals(fit.residuals(result.x, found)[0], result.jac)
+    gc.freeze()  # each guess collects what the last one left: not all that was there before
+    try:
+        found, result = sysid.optimize(
+            fit.parameters(),
+            fit.residuals,
+            verbose=False,
+            max_iters=max_iters,
+            output=io.StringIO(),
+            iter_callback=lambda trace: logged.append((trace[-1], time.perf_counter() - begin)),
+        )
+        guesses = fit.guesses  # before the last call of `residuals`
+        covariance, intervals = sysid.calculate_intervals(fit.residuals(result.x, found)[0], result.jac)
+    finally:
+        gc.unfreeze()
     n_m = guess.shape.n_m
     covariance = np.where(np.isinf(intervals[:, None] + intervals), np.inf, covariance)[:n_m, :n_m]
     return PlanarFit(

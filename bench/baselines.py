@@ -30,6 +30,7 @@ from estimators.baselines.random_search import RandomSearch
 from estimators.baselines.weighted_sampling import WeightedSampling
 from estimators.descent import OPTIMIZERS
 from estimators.evaluation.metrics import normalized_absolute_difference
+from estimators.particles.errors import ModelErrors
 from estimators.testing.analytic_world import accelerated, turns
 from testbed.objects.files import load_object
 from testbed.objects.model import MassDistribution, ObjectModel
@@ -179,7 +180,7 @@ def explicit_state() -> None:
 def problem_of(name: str, use_weight: bool, noise: float = 0.0) -> tuple[Problem, LogCoordinates, Tensor]:
     """The problem, coordinates about uniform mass and friction 0.5, and the truth in them."""
     obj, trajectories = data(name, noise)
-    problem = Problem.of(obj.shape, obj.total_mass, trajectories, use_weight=use_weight, pivot_error=0.0)
+    problem = Problem.of(obj.shape, obj.total_mass, trajectories, use_weight=use_weight, errors=ModelErrors(0.0))
     assert isinstance(problem, Problem)
     coordinates = LogCoordinates.about(problem, float(obj.truth.friction[0]))
     typical = problem.typical_mass(torch.tensor(obj.truth.friction))

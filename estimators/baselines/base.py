@@ -19,9 +19,9 @@ from jaxtyping import Float
 from torch import Tensor
 
 from estimators.base import Estimate, EstimateStatus, Trace
-from estimators.baselines.problem import Problem, Weighting
+from estimators.baselines.problem import UNEXPLAINED, Problem, Weighting
 from estimators.descent import OPTIMIZERS, check_optimizers, descend_all
-from estimators.hidden_states.friction import CONTRADICTORY
+from estimators.particles.errors import RIGID, ModelErrors
 from estimators.particles.support import ASSUMPTION
 from estimators.particles.windows import robot_seconds
 from testbed.errors import InvalidValueError
@@ -176,7 +176,7 @@ class Baseline(ABC):
     """True gives the search M as weighed. Paper: only its own method has it."""
     weighting: Weighting = "velocity"
     """Terms of the loss: squared velocity errors (Eq. problem), or wrench errors over their covariance, as ours."""
-    pivot_error: float = 2e-4
+    pivot_error: float = ModelErrors.pivot_error
     """Standard error of a turn's center [m]."""
 
     def __post_init__(self) -> None:
@@ -205,29 +205,36 @@ class Baseline(ABC):
             InvalidValueError: `use_weight` without a weight.
         """
         begin = time.perf_counter()
-        problem = Problem.of(shape, weight, trajectories, use_weight=self.use_weight, pivot_error=self.pivot_error)
+        problem = self._problem(shape, weight, trajectories)
         if isinstance(problem, Estimate):
             answer = problem
         else:
             answer = self._judged(problem, self._search(problem, seed), trajectories)
         return replace(answer, seconds=time.perf_counter() - begin)
 
+    def _problem(
+        self, shape: ObjectShape, weight: float | None, trajectories: Sequence[Trajectory]
+    ) -> Problem | Estimate:
+        """The problem, under the errors of the model that all methods share."""
+        shared = RIGID if self._support == "rigid" else ModelErrors()
+        given = {"errors": replace(shared, pivot_error=self.pivot_error), "support": self._support}
+        return Problem.of(shape, weight, trajectories, use_weight=self.use_weight, **given)
+
     def _judged(self, problem: Problem, found: SearchResult, trajectories: Sequence[Trajectory]) -> Estimate:
         """The estimate of a search, less its time."""
-        # Eq. problem divides by mass, so a heavy answer hides data that contradict each other; the misfit does not
-        misfit = found.misfit
-        if misfit is None:
-            misfit = float(problem.loss(torch.tensor(found.mass), torch.tensor(found.friction), "covariance"))
+        best = torch.tensor(found.mass), torch.tensor(found.friction)
+        misfit = float(problem.loss(*best, "covariance")) if found.misfit is None else found.misfit
+        left = math.sqrt(problem.unexplained(*best))
         rollouts = found.rollouts or sum(len(trace.loss) for trace in found.traces)
         cost = robot_seconds(trajectories)
         status: EstimateStatus = "ok"
         why = ""
         if not problem.scale_known:
             status, why = "underdetermined", "without M or an accelerated turn only mass times friction is observable"
-        elif misfit > CONTRADICTORY:
+        elif left > UNEXPLAINED:
             status = "not_converged"
-            why = f"the best candidate misses the measured wrenches by {misfit:.0f} mean squared errors: the search is "
-            why += "too short, or the trajectories contradict each other"
+            why = f"the best candidate leaves {100 * left:.0f} % of the largest wrench: the search is too short, or "
+            why += "the trajectories contradict each other"
         return Estimate(
             MassDistribution(found.mass, found.friction),
             status,
@@ -280,7 +287,7 @@ class GradientBaseline(Baseline):
         alike: dict[Any, list[tuple[int, Problem, float]]] = {}
         for i, (weight, trajectories) in enumerate(zip(weights, draws, strict=True)):
             begin = time.perf_counter()
-            problem = Problem.of(shape, weight, trajectories, use_weight=self.use_weight, pivot_error=self.pivot_error)
+            problem = self._problem(shape, weight, trajectories)
             took = time.perf_counter() - begin
             if isinstance(problem, Problem):
                 alike.setdefault(problem.layout, []).append((i, problem, took))

@@ -13,8 +13,11 @@ from jaxtyping import Float
 from torch import Tensor
 
 from estimators.base import Estimate
-from estimators.particles.friction_system import LoadGroups, rank_of
+from estimators.particles.errors import ModelErrors
+from estimators.particles.friction_system import LoadGroups, friction_equations, rank_of
 from estimators.particles.model import Inertia, ParticleModel, cross, inertia_of
+from estimators.particles.pivots import inertia_map
+from estimators.particles.support import LOADS
 from estimators.particles.windows import Observations, observe
 from estimators.particles.wrench import AffineLoads, WrenchModel
 from testbed.errors import InvalidValueError
@@ -23,8 +26,11 @@ from testbed.trajectory import Trajectory
 
 STEP = 0.01
 """Step of the prediction [s], that of a 100 Hz record."""
-MODEL_ERROR = 0.002
-"""Error of the particle model, as a part of the largest force and torque: under weighting "covariance"."""
+LIKELY_FRICTION = 0.5
+"""Friction at which errors are counted where M, and so the friction's level, is not known."""
+UNEXPLAINED = 0.45
+"""Part of the largest wrench, root mean square, from which on a candidate explains nothing: a trial with its sign
+turned leaves more. Ours. Eq. problem cannot say so, since it divides by mass: a heavy guess hides such trials."""
 Weighting = Literal["velocity", "covariance"]
 
 
@@ -40,7 +46,7 @@ class Problem:
     weight: float | None
     """M [kg], or None if the method does not get it."""
     whiten: Tensor
-    """Map of wrench residuals to unit variance, shape (3 K, 3 K)."""
+    """Map of wrench residuals to unit variance, by the errors of sensor and model, shape (3 K, 3 K)."""
 
     @staticmethod
     def of(
@@ -49,28 +55,31 @@ class Problem:
         trajectories: Sequence[Trajectory],
         *,
         use_weight: bool,
-        pivot_error: float,
+        errors: ModelErrors,
+        support: str = "own_weight",
     ) -> Problem | Estimate:
-        """The problem, or the estimate that says why there is none.
+        """The problem, or the estimate that says why there is none; `errors` are those of the model on its `support`.
 
         Raises:
             InvalidValueError: `use_weight` without a weight.
         """
         if use_weight and not (weight is not None and np.isfinite(weight) and weight > 0):
             raise InvalidValueError("weight", weight, "M as weighed, a finite number > 0, kg, or use_weight = false")
-        windows = observe(shape, trajectories)
+        windows = observe(shape, trajectories, errors)
         if windows is None or bool(windows.accelerated.all()):
             return Estimate(None, "no_data", "no trajectory with status ok that slides or turns at constant speed")
         model = ParticleModel.of(shape)
         groups = LoadGroups.of(model)
         steady = windows.where(~windows.accelerated)
-        seen = rank_of(groups.gather(steady.drag_rows(model, pivot_error)).flatten(0, 1).numpy())
+        seen = rank_of(groups.gather(steady.drag_rows(model, errors.pivot_error)).flatten(0, 1).numpy())
         if seen < len(groups.pairs):
             why = f"rank(Q) is {seen} and {len(groups.pairs)} friction loads are unknown: turn about more points"
             return Estimate(None, "underdetermined", why)
-        loads = AffineLoads.of(shape, model, windows)
-        wrenches = WrenchModel.of(model, windows, loads, pivot_error)
-        return Problem(shape, model, windows, loads, wrenches, weight if use_weight else None, _whitening(windows))
+        loads = AffineLoads.of(shape, model, windows, LOADS[support])
+        wrenches = WrenchModel.of(model, windows, loads, errors.pivot_error)
+        known = weight if use_weight else None
+        whiten = _whitening(shape, model, windows, known, errors)
+        return Problem(shape, model, windows, loads, wrenches, known, whiten)
 
     @staticmethod
     def stacked(draws: Sequence[Problem]) -> Problem:
@@ -120,6 +129,13 @@ class Problem:
         along, spin = self._missing_acceleration(mass, missing)
         return STEP**2 * (along.square().sum(-1) + spin.square()).mean(-1)
 
+    def unexplained(self, mass: Float[Tensor, "n_m"], friction: Float[Tensor, "n_mu"]) -> float:
+        """Mean square of the wrench that is left, as a part of that of the largest force and torque."""
+        wrench = self.windows.wrench
+        largest = torch.stack([wrench[:, :2].norm(dim=1).max()] * 2 + [wrench[:, 2].abs().max()])
+        missing = wrench - self.wrenches.wrench(mass, friction)
+        return float((missing / largest).square().mean())
+
     def residuals(
         self, mass: Float[Tensor, "n_m"], friction: Float[Tensor, "n_mu"], weighting: Weighting
     ) -> Float[Tensor, "3K"]:
@@ -138,10 +154,23 @@ class Problem:
         return missing[..., :2] / inertia.mass[..., None, None], spin
 
 
-def _whitening(windows: Observations) -> Tensor:
-    """Inverse root of the wrenches' covariance; windows of a trial share their bias."""
-    size = torch.stack([windows.wrench[:, :2].norm(dim=1).max()] * 2 + [windows.wrench[:, 2].abs().max()])
-    within = windows.covariance + torch.diag_embed((MODEL_ERROR * size).square() + 1e-12)
-    count = 3 * len(windows)
-    shared = windows.shared_covariance().reshape(count, count)
-    return torch.linalg.inv(torch.linalg.cholesky(torch.block_diag(*within) + shared))
+def _whitening(
+    shape: ObjectShape, model: ParticleModel, windows: Observations, weight: float | None, errors: ModelErrors
+) -> Tensor:
+    """Inverse root of the wrenches' covariance, by the errors that Algorithm 1 counts, at even masses.
+
+    A window of constant acceleration has the error of its I_j besides: once of each grasp point, and once of all.
+    """
+    mass = windows.drag / (LIKELY_FRICTION * GRAVITY) if weight is None else weight
+    each = np.full(shape.n_m, mass / len(shape.particles))
+    friction = torch.full((shape.n_mu,), windows.drag / (mass * GRAVITY), dtype=torch.float64)
+    at = model.particle_mass(torch.tensor(each)), model.particle_friction(friction)
+    equations = friction_equations(model, LoadGroups.of(model), windows, *at, shape.height, errors)
+    inertia = torch.tensor(inertia_map(shape, windows.grasp.numpy()) @ each)
+    turning = torch.zeros_like(windows.wrench)
+    turning[:, 2] = errors.inertia_error * inertia * windows.acceleration[:, 2] * windows.accelerated
+    spread = turning.flatten()
+    same = (windows.grasp[:, None] - windows.grasp).norm(dim=-1) < 1e-9
+    twice = 1 + same.double().repeat_interleave(3, 0).repeat_interleave(3, 1)
+    covariance = equations.apart + equations.common @ equations.common.T + twice * torch.outer(spread, spread)
+    return torch.linalg.inv(torch.linalg.cholesky(covariance))

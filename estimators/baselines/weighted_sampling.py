@@ -20,7 +20,7 @@ class WeightedSampling(Baseline):
     """Starts on a grid, then draws generations from a Gaussian around the best so far, with falling deviation."""
 
     grid_part: float = 0.25
-    """Largest part of the samples spent on the grid. Ours."""
+    """Largest part of the samples spent on a grid finer than two levels a side. Ours."""
     generation: int = 15
     """Samples a generation. Ours."""
     first_deviation: float = FIRST_DEVIATION
@@ -41,7 +41,8 @@ class WeightedSampling(Baseline):
         rng = np.random.default_rng(seed)
         batches = []
         best, lowest, left, deviation = None, np.inf, self.iterations, self.first_deviation
-        guesses = from_unit(problem, _grid(problem, max(round(self.grid_part * self.iterations), 1)))
+        sides = problem.shape.n_mu + problem.shape.n_m
+        guesses = from_unit(problem, _grid(sides, problem.shape.n_mu, self.iterations, self.grid_part))
         while left > 0:
             guesses = guesses[:left]
             loss = problem.loss(guesses.mass, guesses.friction, self.weighting)
@@ -54,18 +55,19 @@ class WeightedSampling(Baseline):
         return SearchResult.of_samples("weighted sampling", batches)
 
 
-def _grid(problem: Problem, most: int) -> np.ndarray:
-    """A full grid over the unit cube of frictions and masses, as fine as `most` points allow.
+def _grid(sides: int, n_mu: int, budget: int, part: float) -> np.ndarray:
+    """A full grid over the unit cube of frictions and masses: two levels a side, or more in `part` of the budget.
 
-    If not even two levels a side fit, all masses are alike and the grid spans friction and their common size.
+    If not even two levels a side fit in the whole budget, all masses are alike, and `part` of it spans friction and
+    their common size.
     """
-    n_mu, n_m = problem.shape.n_mu, problem.shape.n_m
-    alike = 2 ** (n_mu + n_m) > most
-    sides = 2 if alike else n_mu + n_m
-    levels = max(int(most ** (1 / sides) + 1e-9), 1)
+    alike = 2**sides > budget
+    free = 2 if alike else sides
+    least = 1 if alike else 2
+    levels = max(int((part * budget) ** (1 / free) + 1e-9), least)
     axis = (np.arange(levels) + 0.5) / levels
-    points = np.array(list(itertools.product(axis, repeat=sides)))
-    return points[:, [0] * n_mu + [1] * n_m] if alike else points
+    points = np.array(list(itertools.product(axis, repeat=free)))
+    return points[:, [0] * n_mu + [1] * (sides - n_mu)] if alike else points
 
 
 def _around(problem: Problem, best: Candidates, deviation: float, count: int, rng: np.random.Generator) -> Candidates:

@@ -20,9 +20,6 @@ from testbed.objects.model import MassDistribution, ObjectShape
 from testbed.sensing.windows import steady_samples
 from testbed.trajectory import Trajectory
 
-PIVOT_ERROR = 2e-4
-"""Error of the center of a turn in `predicted_wrenches`, m."""
-
 
 @dataclass(frozen=True, eq=False)
 class ParticleLoads:
@@ -154,7 +151,7 @@ def predicted_wrenches(
     if windows is None:
         return predicted
     model = ParticleModel.of(shape)
-    wrenches = WrenchModel.of(model, windows, AffineLoads.of(shape, model, windows), PIVOT_ERROR).wrench(
+    wrenches = WrenchModel.of(model, windows, AffineLoads.of(shape, model, windows), ModelErrors.pivot_error).wrench(
         torch.tensor(distribution.mass), torch.tensor(distribution.friction)
     )
     for index in sorted(set(windows.trial.tolist())):

@@ -33,10 +33,8 @@ ARENA = 2**22
 """Memory of a simulation [byte]; a tenth is used. MuJoCo's default is 14 MB, and the toolbox keeps many at once."""
 DRIVE = 1e6
 """Inertia of the drive [kg, kg m^2], too large for an object's drag to slow it down."""
-FORCE, TORQUE = "wrist_force", "wrist_torque"
-"""Sensors: wrench of the drive on the object, object axes, about the grasp point."""
-PLANAR = [0, 1, 5]
-"""f_x, f_y and the torque about the vertical among the sensors' six components."""
+FORCE, TORQUE, PLANAR = "wrist_force", "wrist_torque", [0, 1, 5]
+"""Sensors: wrench of the drive on the object, object axes, about the grasp point; f_x, f_y, t_z of their six."""
 SETTLE = 60
 """Steps before the first part of a stretch counts, in which the feet take up the guessed weights."""
 PART = 2
@@ -79,8 +77,7 @@ def sink_depths(guess: ObjectModel, support: Support) -> Float[np.ndarray, "lift
     """Depth [m] by which each vertical slide of the scene sinks under the guessed weights."""
     if support.is_rigid:
         return np.array([CONTACT.sag])
-    shape = guess.shape
-    feet = np.bincount(shape.mass_group[shape.friction_group >= 0], minlength=shape.n_m)
+    feet = np.bincount(guess.shape.mass_group[guess.shape.friction_group >= 0], minlength=guess.shape.n_m)
     return guess.group_mass * GRAVITY / feet / foot_stiffness(guess, CONTACT)
 
 
@@ -281,9 +278,9 @@ class _Residuals:
             inside = np.flatnonzero(guess.shape.mass_group == group)
             cells = {f"cell_{i}": guess.shape.fill[i] / len(inside) for i in inside}
             found.add(sysid.Parameter(f"mass_{group}", mass, least, most, modifier=partial(_set_masses, cells)))
-        for group, friction in enumerate(guess.truth.friction):
+        for group, mu in enumerate(guess.truth.friction):
             feet = [f"foot_{i}" for i in np.flatnonzero(guess.shape.friction_group == group)]
-            found.add(sysid.Parameter(f"friction_{group}", friction, *FRICTIONS, modifier=partial(_set_friction, feet)))
+            found.add(sysid.Parameter(f"friction_{group}", mu, *FRICTIONS, modifier=partial(_set_friction, feet)))
         return found
 
     def residuals(self, x: np.ndarray, params: sysid.ParameterDict) -> tuple[list[np.ndarray], object, object]:
@@ -299,9 +296,8 @@ class _Residuals:
         if self._measured.weight is not None:
             over = (x[: self._guess.shape.n_m].sum(axis=0) - self._measured.weight) / self._measured.weight_error
             parts.append(over[None])
-        whole = np.concatenate(parts)
-        self.scale = self.scale or float(np.linalg.norm(whole))
-        return [whole / self.scale], predicted, measured
+        self.scale = self.scale or float(np.linalg.norm(np.concatenate(parts)))
+        return [np.concatenate(parts) / self.scale], predicted, measured
 
     def _build(self, params: sysid.ParameterDict, spec: mujoco.MjSpec) -> mujoco.MjModel:
         """Model of a guess at one grasp, shared by its stretches."""

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from testbed.simulation.settings import SimulationSettings
     from testbed.trajectory import Phase, Tool, Trajectory, load_trajectory, save_trajectory
     from testbed.trial import OWN_WEIGHT, RIGID, Support, Trial, TrialRunner
+    from testbed.worlds.setup_errors import SetupErrors
 
 
 __all__ = [
@@ -46,6 +47,7 @@ __all__ = [
     "ReplayRunner",
     "Rotate",
     "Sensing",
+    "SetupErrors",
     "SimulationRunner",
     "SimulationSettings",
     "Slide",

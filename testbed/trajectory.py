@@ -18,6 +18,7 @@ from testbed.actions.weigh import Weigh
 from testbed.errors import HeftError, InvalidValueError
 from testbed.files import write_whole
 from testbed.validation import freeze_arrays, frozen_array, is_number
+from testbed.worlds.setup_errors import EXACT_SETUP, SetupErrors
 
 SCHEMA_VERSION = 1
 """Version of trajectory files; others are refused."""
@@ -111,6 +112,8 @@ class Trajectory:
     """Standard deviation of the constant error left by the tare, by the sensor's data sheet [N, N m]."""
     sensor_drift_std: Float[np.ndarray, "6"] = field(default_factory=lambda: np.zeros(6))
     """Standard deviation of the random walk of the zero from the tare on [N/sqrt(s), N m/sqrt(s)]."""
+    setup: SetupErrors = EXACT_SETUP
+    """Errors of the setup beside the sensor's, as stated."""
     figures: dict[str, float] = field(default_factory=dict)
     """Numbers behind the status: peak torque and speed over their limits, slip, grip force, ..."""
     provenance: dict[str, str] = field(default_factory=dict)
@@ -222,6 +225,7 @@ def save_trajectory(trajectory: Trajectory, path: Path) -> None:
         "provenance": trajectory.provenance,
         "sensor_bias_std": trajectory.sensor_bias_std.tolist(),
         "sensor_drift_std": trajectory.sensor_drift_std.tolist(),
+        "setup": asdict(trajectory.setup),
         "tool": None if tool is None else {k: np.asarray(v).tolist() for k, v in asdict(tool).items()},
     }
     table = pa.table(columns).replace_schema_metadata({b"heft": json.dumps(header).encode()})
@@ -264,6 +268,7 @@ def load_trajectory(path: Path) -> Trajectory:
             tool=None if header["tool"] is None else Tool(**header["tool"]),
             sensor_bias_std=header["sensor_bias_std"],
             sensor_drift_std=header.get("sensor_drift_std", [0.0] * 6),  # records from before it was kept
+            setup=SetupErrors(**header.get("setup", {})),
             figures=header["figures"],
             provenance=header["provenance"],
         )

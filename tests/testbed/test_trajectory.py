@@ -7,6 +7,7 @@ import json
 import pickle
 import re
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pyarrow.parquet as pq
@@ -20,6 +21,7 @@ from testbed.actions.weigh import Weigh
 from testbed.errors import InvalidValueError
 from testbed.files import write_whole
 from testbed.trajectory import Phase, Tool, Trajectory, TrajectoryFileError, load_trajectory, save_trajectory
+from testbed.worlds.setup_errors import SetupErrors
 from tests.helpers.records import TOOL, record
 
 SERIES = [name for name, value in vars(record(3)).items() if isinstance(value, np.ndarray)]
@@ -43,6 +45,7 @@ def full() -> Trajectory:
         reason="moved 3 mm in the grip \N{GREEK SMALL LETTER MU}",
         figures={"slip_m": 0.003, "grip_N": 1 / 3},
         provenance={"runner": "by hand", "seed": "7"},
+        setup=SetupErrors(contact_points=4, grasp_offset=0.0013),
         **noise,
     )
 
@@ -56,7 +59,7 @@ def test_a_trajectory_comes_back_bit_for_bit(full: Trajectory, tmp_path: Path):
     back = load_trajectory(tmp_path / "t.parquet")
     for name in SERIES:
         assert same_bits(getattr(back, name), getattr(full, name)), name
-    for name in ("action", "status", "reason", "figures", "provenance"):
+    for name in ("action", "status", "reason", "setup", "figures", "provenance"):
         assert getattr(back, name) == getattr(full, name), name
     assert back.tool is not None and back.tool.mass == TOOL.mass
     for name in ("com", "inertia", "tcp"):
@@ -197,3 +200,12 @@ def test_masks_pick_phases_and_only_ok_is_data():
     made = record(6, phase=[0, 0, 1, 4, 5, 6])
     assert made.mask(Phase.TARE, Phase.STEADY).tolist() == [True, True, False, False, True, False]
     assert [record(3, status=s).ok for s in ("ok", "slipped", "limit", "fault")] == [True, False, False, False]
+
+
+@pytest.mark.parametrize("name", [field.name for field in dataclasses.fields(SetupErrors)])
+@pytest.mark.parametrize("value", [-1e-9, np.nan, np.inf, None, "0", True])
+def test_a_stated_error_of_the_setup_is_a_number_from_0(name: str, value: Any):
+    with pytest.raises(InvalidValueError) as refused:
+        SetupErrors(**{name: value})
+    assert refused.value.field == f"SetupErrors.{name}"
+    assert SetupErrors().none and not SetupErrors(**{name: 1e-3}).none

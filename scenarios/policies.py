@@ -14,7 +14,7 @@ from estimators.action_selection.design import ASSUMED_SUPPORTS, Guess
 from estimators.action_selection.greedy import PlannedPolicy
 from estimators.action_selection.online import OnlinePolicy
 from estimators.action_selection.plan import Goal
-from estimators.action_selection.rank import RANK_DRIVEN, RankDriven, held_out_turns
+from estimators.action_selection.rank import RANK_DRIVEN, RankDriven, held_out_grasp, held_out_turns
 from estimators.base import ActionPolicy
 from estimators.registry import POLICY
 from scenarios.runners import FeasibilityCheck, RunnerSettings
@@ -239,6 +239,18 @@ class Policy(BaseModel):
         reading = read_scale(model.total_mass, sensor, [self.seed, crc32(model.name.encode())])
         return FeasibilityCheck(model.shape, Guess(reading, sensor.stated, self.most_friction), settings)
 
-    def build_held_out(self, shape: ObjectShape, grasps: tuple[int, ...]) -> list[Rotate]:
-        """Turns for prediction, which no method is given."""
-        return held_out_turns(shape, grasps, self.held_out, self.duration, self.seed)
+    def split(
+        self, shape: ObjectShape, grasps: tuple[int, ...], number: int = 0
+    ) -> tuple[tuple[int, ...], tuple[Rotate, ...]]:
+        """Grasps for trials, and turns for prediction: by a grasp that no trial has, where one can be spared.
+
+        Args:
+            shape: geometry with the estimator's particles.
+            grasps: feasible grasps.
+            number: number of the draw that they are for.
+        """
+        seed = self.seed + (number if self.redraw else 0)
+        spared = held_out_grasp(shape, grasps, seed) if self.held_out else None
+        turned_by = grasps if spared is None else (spared,)
+        turns = held_out_turns(shape, turned_by, self.held_out, self.duration, seed)
+        return tuple(grasp for grasp in grasps if grasp != spared), tuple(turns)

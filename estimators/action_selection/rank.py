@@ -121,12 +121,33 @@ def between_particles(shape: ObjectShape, point: np.ndarray) -> tuple[float, flo
     return float(x), float(y)
 
 
+FEWEST_GRASPS = 3
+"""Grasps that are left for trials where one is held out: k >= 3 of Algorithm 1."""
+
+
+def held_out_grasp(shape: ObjectShape, grasps: Sequence[int], seed: int) -> int | None:
+    """Grasp that trials can do without: turns about the others show as many friction loads. None where none is spared.
+
+    Args:
+        shape: the object.
+        grasps: feasible grasps.
+        seed: seed of the draw.
+    """
+    if len(grasps) <= FEWEST_GRASPS:
+        return None
+    whole = predicted_rank(shape, [Rotate(grasp) for grasp in grasps])
+    for grasp in np.random.default_rng([seed, 6]).permutation(np.asarray(grasps)).tolist():
+        if predicted_rank(shape, [Rotate(other) for other in grasps if other != grasp]) == whole:
+            return grasp
+    return None
+
+
 def held_out_turns(shape: ObjectShape, grasps: Sequence[int], count: int, duration: float, seed: int) -> list[Rotate]:
     """Turns one way about points that `RankDriven` never uses, for predictions on trials that no method was given.
 
     Args:
         shape: the object.
-        grasps: allowed grasps.
+        grasps: grasps to turn by.
         count: number of turns.
         duration: time of each [s].
         seed: seed of the draw.

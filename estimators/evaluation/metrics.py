@@ -25,7 +25,9 @@ CREEP = 1e-5
 """Speed over which friction changes sign [m/s]: a particle that sticks creeps by less."""
 NEWTON_STEPS, HALVINGS = 30, 30
 OPEN_LOOP = 1.0
-"""Duration of the open-loop prediction [s]."""
+"""Time after which an open loop is looked at besides its end [s]."""
+FINE, COARSE = 2, 10
+"""Samples a step of the open loop, up to `OPEN_LOOP` and after it: its steps are implicit."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,30 +68,39 @@ class SteadyTurn:
 
 
 def open_loop(
-    turns: Sequence[SteadyTurn], model: ParticleModel, inertia: Inertia, friction: Float[Tensor, "W P"], seconds: float
-) -> list[float]:
-    """Mean particle distance [m] of each of W turns after `seconds` of simulation from the wrench alone.
+    turns: Sequence[SteadyTurn], model: ParticleModel, inertia: Inertia, friction: Float[Tensor, "W P"]
+) -> tuple[list[float], list[float]]:
+    """Mean particle distances [m] of W turns by simulation from the wrench alone: after `OPEN_LOOP`, and at the end.
 
     `friction` is mu_i N_i [N] of each turn. All turns take their steps side by side.
     """
-    steps = np.array([min(round(seconds / turn.dt), len(turn.pose) - 1) for turn in turns])
-    dt = np.array([[turn.dt] for turn in turns])
+    last = [len(turn.pose) - 1 for turn in turns]
+    soon = [min(round(OPEN_LOOP / turn.dt), n) for turn, n in zip(turns, last, strict=True)]
+    at = [np.unique(np.r_[0:near:FINE, near:end:COARSE, end]) for near, end in zip(soon, last, strict=True)]
+    count = max((len(samples) for samples in at), default=1) - 1
+    at = [np.pad(samples, (0, count + 1 - len(samples)), mode="edge") for samples in at]  # steps of no length
+    dt = np.array([turn.dt * np.diff(samples) for turn, samples in zip(turns, at, strict=True)])
     arms, hand = (model.particles - inertia.com).numpy(), np.array([(t.grasp - inertia.com).numpy() for t in turns])
     mass = np.array([inertia.mass, inertia.mass, inertia.about_com])
     pose, velocity = (np.array([getattr(t, name)[0].numpy() for t in turns]) for name in ("pose", "velocity"))
-    ticks = np.arange(steps.max(initial=0))
-    wrench = np.stack([t.wrench.numpy()[np.minimum(ticks, n)] for t, n in zip(turns, steps, strict=True)], axis=1)
-    bound = dt * friction.numpy()
-    for k, pushed in enumerate(wrench):
-        turn = rotation_2d(pose[:, 2])
+    wrench = np.array([t.wrench.numpy()[samples] for t, samples in zip(turns, at, strict=True)])
+    path = [pose]
+    for k in range(count):
+        step, pushed, turn = dt[:, k, None], wrench[:, k], rotation_2d(pose[:, 2])
         lever = np.einsum("wij,wj->wi", turn, hand)
         torque = pushed[:, 2] + lever[:, 0] * pushed[:, 1] - lever[:, 1] * pushed[:, 0]
-        free = velocity + dt * np.column_stack([pushed[:, :2], torque]) / mass
-        going = (k < steps)[:, None]
-        velocity = np.where(going, _after_friction(mass, free, velocity, arms @ turn.swapaxes(1, 2), bound), velocity)
-        pose += np.where(going, dt * velocity, 0.0)
-    ends = zip(turns, torch.tensor(pose), steps, strict=True)
-    return [_mean_distance(model, inertia, end, turn.pose[n]) for turn, end, n in ends]
+        free = velocity + step * np.column_stack([pushed[:, :2], torque]) / mass
+        velocity = _after_friction(mass, free, velocity, arms @ turn.swapaxes(1, 2), step * friction.numpy())
+        path.append(pose := pose + step * velocity)
+    reached = torch.tensor(np.array(path)).transpose(0, 1)
+    near, end = (
+        [
+            _mean_distance(model, inertia, poses[int(np.searchsorted(samples, n))], turn.pose[n])
+            for turn, poses, samples, n in zip(turns, reached, at, when, strict=True)
+        ]
+        for when in (soon, last)
+    )
+    return near, end
 
 
 def _after_friction(
@@ -166,10 +177,12 @@ def normalized_absolute_difference(shape: ObjectShape, estimate: MassDistributio
 class ParticleDistance:
     """MPD, eta_2 [m]: mean over turns of the mean distance between predicted and measured particles at the end."""
 
+    end: float
+    """MPD of the paper: after a whole turn of forward simulation from the measured wrench alone."""
     open_loop: float
-    """MPD after 1 s of forward simulation from the measured wrench alone."""
+    """The same after 1 s."""
     turn: float
-    """MPD after the whole turn, each step predicted from the measured state before it and the steps added up."""
+    """After the whole turn, each step predicted from the measured state before it and the steps added up."""
 
 
 def mean_particle_distance(
@@ -201,6 +214,6 @@ def mean_particle_distance(
         for k, kept in zip(mine, steady_samples(trajectory) if len(mine) else [], strict=True):
             moved.append((SteadyTurn.of(windows.where(k[None]), trajectory, kept, inertia), int(k)))
     drags = pressed[[k for _, k in moved]]
-    ahead = open_loop([turn for turn, _ in moved], model, inertia, drags, OPEN_LOOP)
+    near, end = open_loop([turn for turn, _ in moved], model, inertia, drags)
     whole = [turn.stepwise(model, inertia, drag) for (turn, _), drag in zip(moved, drags, strict=True)]
-    return ParticleDistance(float(np.mean(ahead)), float(np.mean(whole)))
+    return ParticleDistance(*(float(np.mean(values)) for values in (end, near, whole)))

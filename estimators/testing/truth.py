@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import fields, replace
 from enum import Enum
 from typing import Any
 
@@ -17,13 +17,14 @@ from testbed.objects.model import ObjectModel
 from testbed.sensing.noise import draw_sensing
 from testbed.sensing.presets import PRESETS
 from testbed.trajectory import Trajectory
+from testbed.worlds.setup_errors import SetupErrors
 
 SECRET_WORDS = frozenset(
     ("seed", "support", "stiffness", "preset", "truth", "total", "friction", "figures", "state", "solids")
 )
 """Words that no name of an attribute or of an entry that says anything may hold."""
-ALLOWED_NAMES = frozenset(("friction_group",))
-"""Names that say how the shape is divided, and no coefficient."""
+ALLOWED_NAMES = frozenset(("friction_group", *(field.name for field in fields(SetupErrors))))
+"""Names that say how the shape is divided, or how large an error may be, and no coefficient."""
 SECRET_TEXTS = frozenset((*PRESETS, "own_weight", "rigid")) - {"low", "high"}
 """Texts that name a sensor or a support."""
 MOST_INTEGERS = 64

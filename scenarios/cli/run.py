@@ -31,10 +31,10 @@ if TYPE_CHECKING:
     from scenarios.study.experiment import Progress
 
 NOTES = (
-    "Cells: mean and spread over draws of the sensor's errors, [95 % bootstrap interval of the mean], and the paper's "
-    "figure on the real robot. *: better than every other method in its column (paired by draw, p < 0.05). No interval "
-    "and no star below {fewest} draws. The true masses predict with their true support: what is left is the error of "
-    "sensor and model. _M: given M; _cov: errors weighed by their covariance."
+    "Cells: mean and spread over draws of the sensor's errors, [95 % bootstrap interval of the mean]. *: better than "
+    "every other method in its column (paired by draw, p < 0.05). No interval and no star below {fewest} draws. The "
+    "paper's own figures, on its real robot, have rows of their own. The true masses predict with their true support: "
+    "what is left is the error of sensor and model. _M: given M; _cov: errors weighed by their covariance."
 )
 OWN_ERROR = f"{HeftError.__module__}.{HeftError.__name__}: "
 """Beginning of the last line of a traceback that says nothing more."""
@@ -131,7 +131,8 @@ def run(
 def show_tables(console: Console, scenario: Scenario, results: Sequence[Row]) -> None:
     """Print every metric under every support and sensing, and the hidden states; of many objects, quantiles."""
     from estimators.evaluation.statistics import FEWEST, assumptions, select
-    from viz.report.tables import METRICS, NAD, hidden_table, metric_table, quantile_table, rich_table
+    from viz.report.tables import METRICS, NAD, hidden_table, metric_table, quantile_table
+    from viz.report.terminal import rich_table
     from viz.values import support_name
 
     objects = list(dict.fromkeys(row["object"] for row in results))

@@ -11,8 +11,9 @@ Columns of the table, a row an estimate (one method, one draw of the sensor's er
 | message | why status is not ok |
 | assumes | what the masses rest on and the method does not test; empty without a method that says so |
 | nad | normalized absolute difference: sum of the masses' errors over the true mass, 0 is right |
-| mpd_open_loop_m, mpd_turn_m | mean particle distance after 1 s, and over a whole turn |
-| mpd_open_loop_of_truth_m, mpd_turn_of_truth_m | the same of the true masses, true support; with the first method |
+| mpd_m | mean particle distance at the end of a turn, open loop, as in the paper |
+| mpd_open_loop_m, mpd_turn_m | the same after 1 s; over a whole turn, state reset each step |
+| mpd_of_truth_m, mpd_open_loop_of_truth_m, mpd_turn_of_truth_m | the same of the true masses; with the first method |
 | mass_kg, true_mass_kg, group_names | of each mass group |
 | friction | of each friction group |
 | com_error_m, inertia_error, unobserved | of methods with hidden states: distance of c, I_cm over the truth minus 1 |

@@ -11,11 +11,11 @@ from estimators.registry import check_installed, kind_of
 from scenarios.config import Scenario
 from scenarios.study.experiment import object_paths
 
-TRIAL_S = 2.8
+TRIAL_S = 0.7
 """Time of a trial of the default policy on one core, on average over the library [s]."""
 ESTIMATE_S = {"hidden_states_published": 1.0, "diff_lcp": 1.6}
 """Time of an estimate and its prediction of the held-out turns on one core [s]."""
-QUICK_S = 0.4
+QUICK_S = 0.2
 """Time of any other method's estimate [s]."""
 DECISION_S = 1.0
 """Time in which an online policy chooses its next action from 4000 candidates on one core [s]."""

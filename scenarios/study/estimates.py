@@ -130,8 +130,10 @@ class EstimateRun:
 NO_ANSWER = {
     "assumes": "",
     "nad": math.nan,
+    "mpd_m": math.nan,
     "mpd_open_loop_m": math.nan,
     "mpd_turn_m": math.nan,
+    "mpd_of_truth_m": math.nan,
     "mpd_open_loop_of_truth_m": math.nan,
     "mpd_turn_of_truth_m": math.nan,
     "friction": None,
@@ -306,6 +308,7 @@ def judge(
         "status": answer.status,
         "message": answer.message,
         "assumes": answer.assumes,
+        "mpd_of_truth_m": math.nan if best is None else best.end,
         "mpd_open_loop_of_truth_m": math.nan if best is None else best.open_loop,
         "mpd_turn_of_truth_m": math.nan if best is None else best.turn,
         "seconds": answer.seconds,
@@ -324,7 +327,7 @@ def judge(
         row["friction"] = answer.distribution.friction.tolist()
         predicted = mean_particle_distance(shape, answer.distribution, held_out)
         if predicted is not None:
-            row |= {"mpd_open_loop_m": predicted.open_loop, "mpd_turn_m": predicted.turn}
+            row |= {"mpd_m": predicted.end, "mpd_open_loop_m": predicted.open_loop, "mpd_turn_m": predicted.turn}
     if answer.hidden is not None:
         row["com_error_m"] = float(np.linalg.norm(answer.hidden.center_of_mass - truth.center_of_mass))
         row["inertia_error"] = answer.hidden.inertia_cm / truth.inertia_cm - 1

@@ -140,12 +140,12 @@ def experiments_of(
                 left_out += [InfeasibleExperiment(name, support.name, axes, str(error)) for support in point.supports()]
             else:
                 for support in point.supports():
-                    turns = tuple(point.policy.build_held_out(particles.shape, grasps))
                     for draw in point.own_draws():
+                        used, turns = point.policy.split(particles.shape, grasps, draw[1] if draw else 0)
                         refused, weighed = dict[Action, str](), list[float]()
-                        policy = point.policy.build(grasps, particles.shape, settings, weighed, draw, refused)
+                        policy = point.policy.build(used, particles.shape, settings, weighed, draw, refused)
                         one = Experiment(
-                            point, axes, model, particles, support, grasps, policy, turns, refused, weighed, draw=draw
+                            point, axes, model, particles, support, used, policy, turns, refused, weighed, draw=draw
                         )
                         experiments.append(one)
             done += 1

@@ -27,7 +27,8 @@ from testbed.errors import InvalidValueError
 from testbed.objects.files import load_object
 from testbed.objects.model import GRAVITY
 from testbed.trajectory import Trajectory
-from viz.report.tables import NAD, quantile_table, rich_table
+from viz.report.tables import NAD, quantile_table
+from viz.report.terminal import rich_table
 
 SMALL = """
 sensing = ["ft300s"]

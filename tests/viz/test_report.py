@@ -167,8 +167,9 @@ VALUES = 100 * np.array(NAD["hidden_states"])
     [
         (
             "hidden_|states|",
-            ("paper 7.3", f"{VALUES.mean():.2f} ± {VALUES.std(ddof=1):.2f}"),
+            (f"{VALUES.mean():.2f} ± {VALUES.std(ddof=1):.2f}",),
         ),
+        ("  paper, real robot|", ("46.4",)),
         ("the true masses|", ("0.33 ± 0.00",)),
         ("the true masses|", ("0.44 ± 0.00",)),
         ("L2|47.3|random_|search", ("estimates/0123abcd/",)),

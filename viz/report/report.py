@@ -38,7 +38,8 @@ from viz.style import STYLE
 from viz.values import support_name
 
 COLUMNS = (
-    "nad", "mpd_open_loop_m", "mpd_turn_m", "mpd_open_loop_of_truth_m", "mpd_turn_of_truth_m", "seconds", "robot_s",
+    "nad", "mpd_m", "mpd_open_loop_m", "mpd_turn_m", "mpd_of_truth_m", "mpd_open_loop_of_truth_m",
+    "mpd_turn_of_truth_m", "seconds", "robot_s",
     "mass_kg", "true_mass_kg", "group_names", "message", "key", "trial_keys",
 )  # fmt: skip
 """Columns that a row may lack; they are then None."""

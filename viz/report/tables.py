@@ -1,4 +1,4 @@
-"""Tables of metrics, in the report and on a terminal: methods down; objects, or quantiles over many objects, across."""
+"""Tables of metrics: methods down; objects, or quantiles over many objects, across."""
 
 from __future__ import annotations
 
@@ -6,10 +6,6 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from rich import box
-from rich.console import Console, ConsoleOptions, ConsoleRenderable, RenderResult
-from rich.table import Table as RichTable
-from rich.text import Text
 
 from estimators.evaluation import paper
 from estimators.evaluation.statistics import (
@@ -30,6 +26,8 @@ from viz.values import support_name
 MOST_OBJECTS = 12
 """Largest number of objects with a column each."""
 TRUTH = "the true masses"
+PAPER = "  paper, real robot"
+"""Labels of rows that are no method's: the true masses, and the paper's figures of the method above."""
 
 
 @dataclass(frozen=True)
@@ -48,21 +46,28 @@ class Metric:
 
 
 NAD = Metric("nad", "Normalized absolute difference of the mass distribution (NAD), %", 100.0, paper.NAD)
-MPD_OPEN_LOOP = Metric(
-    "mpd_open_loop_m",
-    "Mean particle distance (MPD) after 1 s of open loop, cm",
+MPD = Metric(
+    "mpd_m",
+    "Mean particle distance (MPD) at the end of a turn, open loop, cm",
     100.0,
     paper.MPD,
+    "mpd_of_truth_m",
+)
+MPD_OPEN_LOOP = Metric(
+    "mpd_open_loop_m",
+    "Mean particle distance after 1 s of open loop, cm",
+    100.0,
+    {},
     "mpd_open_loop_of_truth_m",
 )
 MPD_TURN = Metric(
     "mpd_turn_m",
-    "Mean particle distance (MPD) over a whole turn, state reset each step, cm",
+    "Mean particle distance over a whole turn, state reset each step, cm",
     100.0,
-    paper.MPD,
+    {},
     "mpd_turn_of_truth_m",
 )
-METRICS = (NAD, MPD_OPEN_LOOP, MPD_TURN)
+METRICS = (NAD, MPD, MPD_OPEN_LOOP, MPD_TURN)
 
 
 def number(value: float, like: float | None = None) -> str:
@@ -83,19 +88,17 @@ class Entry:
     """Mean, spread and interval."""
     missing: str = ""
     """Number of draws or estimates without an answer, in words."""
-    paper: float | None = None
-    """The paper's figure."""
     best: bool = False
     """True if significantly better than every other method."""
 
     @staticmethod
-    def of(draws: Draws, status: str = "-", published: float | None = None, *, best: bool = False) -> Entry:
+    def of(draws: Draws, status: str = "-", *, best: bool = False) -> Entry:
         """Summary of draws; the status where none has an answer."""
         summary = summarize(draws)
         if summary is None:
-            return Entry(status, paper=published)
+            return Entry(status)
         missing = f"{summary.missing} of {len(draws)} draws without an answer" if summary.missing else ""
-        return Entry("", summary, missing, published, best)
+        return Entry("", summary, missing, best)
 
     @property
     def words(self) -> str:
@@ -124,6 +127,8 @@ class Table:
     """Labels and cells of each row."""
     labels: tuple[str, ...] = ("method",)
     """Heads of the labels."""
+    note: str = ""
+    """A sentence below it."""
 
 
 def metric_table(rows: Sequence[Row], metric: Metric, title: str, objects: Sequence[str] | None = None) -> Table:
@@ -135,23 +140,32 @@ def metric_table(rows: Sequence[Row], metric: Metric, title: str, objects: Seque
     best = {name: significantly_best(draws[name]) for name in objects}
     lines = []
     for method in methods:
-        published = metric.paper.get(method, {})
         cells = [
             Entry.of(
                 draws[name][method],
                 of[name][method][0]["status"] if of[name][method] else "-",
-                published.get(name),
                 best=best[name] == method,
             )
             for name in objects
         ]
         lines.append(((method,), tuple(cells)))
+        if published := metric.paper.get(method):
+            figures = (f"{published[name]:.1f}" if name in published else "" for name in objects)
+            lines.append(((PAPER,), tuple(map(Entry, figures))))
     if metric.reference and methods:
         known = [row for row in rows if row.get(metric.reference) is not None]
         scores = [draws_of(select(known, object=name), metric.reference, metric.scale) for name in objects]
         lines.append(((TRUTH,), tuple(Entry.of(score) for score in scores)))
     counts = (len(draws[name][method]) for name in objects for method in methods)
-    return Table(_counted(title, counts, "draw"), tuple(objects), tuple(lines))
+    note = _one_unknown(rows, objects) if metric is NAD else ""
+    return Table(_counted(title, counts, "draw"), tuple(objects), tuple(lines), note=note)
+
+
+def _one_unknown(rows: Sequence[Row], objects: Sequence[str]) -> str:
+    """Objects of which M leaves a single unknown, in a sentence."""
+    of = {row["object"]: row.get("group_names") for row in rows}
+    halves = [name for name in objects if (groups := of.get(name)) is not None and len(groups) == 2]
+    return f"{', '.join(halves)}: two masses, so one unknown where M is given" if halves else ""
 
 
 def _counted(title: str, counts: Iterable[int], of: str) -> str:
@@ -287,64 +301,3 @@ def hidden_table(results: Iterable[Row], objects: Sequence[str]) -> Table:
                 )
             lines.append(((f"{label}, {sensing}",), tuple(cells)))
     return Table("Hidden states, own weight: mean error", tuple(objects), tuple(lines), ("",))
-
-
-def rich_table(table: Table) -> ConsoleRenderable:
-    """A table for rich's console; columns for which it is too narrow go on in a further table below."""
-    return _Fitted(table)
-
-
-@dataclass(frozen=True)
-class _Fitted:
-    """A table that fits the console."""
-
-    table: Table
-
-    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
-        """Draw as many columns side by side as there is room for, and the others below."""
-        table, start, title = self.table, 0, self.table.title
-        unbounded = options.update(width=10_000)
-        while start < len(table.columns) or start == 0:
-            end = len(table.columns)
-            while True:
-                rows = tuple((labels, cells[start:end]) for labels, cells in table.rows)
-                part = _drawn(replace(table, title=title, columns=table.columns[start:end], rows=rows))
-                if end <= start + 1 or console.measure(part, options=unbounded).maximum <= options.max_width:
-                    break
-                end -= 1
-            yield part
-            start, title = max(end, 1), f"{table.title}, continued"
-
-
-def _drawn(table: Table) -> RichTable:
-    """A table with its texts as they stand; the row of the true masses stands apart."""
-    drawn = RichTable(
-        title=Text(table.title, "table.title"), title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0)
-    )
-    single = len(table.labels) == 1
-    for head in table.labels:
-        drawn.add_column("" if single else Text(head), no_wrap=True, min_width=20 if single else None)
-    for name in table.columns:
-        drawn.add_column(Text(name), justify="right", no_wrap=True)
-    for labels, cells in table.rows:
-        truth = labels == (TRUTH,)
-        if truth:
-            drawn.add_section()
-        drawn.add_row(*map(Text, labels), *map(_text, cells), style="dim" if truth else None)
-    return drawn
-
-
-def _text(cell: Entry) -> Text:
-    """Mean and spread "0.6±0.3" over the interval "[0.4 0.9]"; "-n" counts draws without an answer, "*" the best."""
-    text, summary = Text(cell.text), cell.summary
-    if summary is not None:
-        missing = f" -{summary.missing}" if summary.missing else ""
-        text = Text(f"{summary.mean:.2f}{missing}")
-        if not np.isnan(summary.spread):
-            star, style = ("*", "bold") if cell.best else ("", "")
-            text = Text(f"{short(summary.mean)}±{short(summary.spread)}{star}{missing}", style)
-            if cell.interval:
-                text.append(f"\n[{short(summary.low)} {short(summary.high)}]", "dim not bold")
-    if cell.paper is not None:
-        text.append(f"\npaper {cell.paper}", style="dim not bold")
-    return text

@@ -8,7 +8,13 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from estimators.action_selection.rank import RANK_DRIVEN, RankDriven, between_particles, predicted_rank
+from estimators.action_selection.rank import (
+    RANK_DRIVEN,
+    RankDriven,
+    between_particles,
+    held_out_grasp,
+    predicted_rank,
+)
 from estimators.base import ActionPolicy
 from estimators.testing.analytic_world import analytic_trial
 from testbed.actions.accelerate import Accelerate
@@ -104,3 +110,15 @@ def test_a_turn_shows_three_numbers_and_in_a_straight_row_two(name):
         in_row = [[Rotate(0, pivot=(float(x), 0.0)) for x in rng.uniform(low[0], high[0], 3)] for _ in range(60)]
         assert max(predicted_rank(shape, turns[:2]) for turns in in_row) == 4
         assert max(predicted_rank(shape, turns) for turns in in_row) == 6
+
+
+@pytest.mark.parametrize("name", ["I1", "L1", "F2", "hammer"])
+def test_a_grasp_is_held_out_only_where_the_others_show_as_much(name):
+    shape = load_object(name).shape
+    grasps = tuple(range(len(shape.grasps)))
+    drawn = {held_out_grasp(shape, grasps, seed) for seed in range(20)}
+    assert len(drawn) > 1 and drawn <= set(grasps)
+    for spared in drawn:
+        left = [Rotate(grasp) for grasp in grasps if grasp != spared]
+        assert predicted_rank(shape, left) == predicted_rank(shape, [Rotate(grasp) for grasp in grasps])
+    assert held_out_grasp(shape, grasps[:3], 0) is None, "three are left for the trials"

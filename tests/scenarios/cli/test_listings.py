@@ -19,7 +19,8 @@ from scenarios.results.files import exclusive
 from testbed import plugins
 from testbed.errors import HeftError
 from testbed.plugins import settings_of
-from viz.report.tables import Entry, Table, rich_table
+from viz.report.tables import Entry, Table
+from viz.report.terminal import rich_table
 
 HEAVY = ["torch", "scipy", "pandas", "pyarrow", "mujoco", "matplotlib", "trimesh", "pydantic"]
 

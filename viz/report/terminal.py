@@ -1,0 +1,74 @@
+"""Tables on a terminal, by rich."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from rich import box
+from rich.console import Console, ConsoleOptions, ConsoleRenderable, RenderResult
+from rich.table import Table as RichTable
+from rich.text import Text
+
+from viz.report.tables import PAPER, TRUTH, Entry, Table, short
+
+
+def rich_table(table: Table) -> ConsoleRenderable:
+    """A table for rich's console; columns for which it is too narrow go on in a further table below."""
+    return _Fitted(table)
+
+
+@dataclass(frozen=True)
+class _Fitted:
+    """A table that fits the console."""
+
+    table: Table
+
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
+        """Draw as many columns side by side as there is room for, and the others below."""
+        table, start, title = self.table, 0, self.table.title
+        unbounded = options.update(width=10_000)
+        while start < len(table.columns) or start == 0:
+            end = len(table.columns)
+            while True:
+                rows = tuple((labels, cells[start:end]) for labels, cells in table.rows)
+                part = _drawn(replace(table, title=title, columns=table.columns[start:end], rows=rows))
+                if end <= start + 1 or console.measure(part, options=unbounded).maximum <= options.max_width:
+                    break
+                end -= 1
+            yield part
+            start, title = max(end, 1), f"{table.title}, continued"
+        if table.note:
+            yield Text(f"{table.note}\n", "dim")
+
+
+def _drawn(table: Table) -> RichTable:
+    """A table with its texts as they stand; the row of the true masses stands apart."""
+    drawn = RichTable(
+        title=Text(table.title, "table.title"), title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0)
+    )
+    single = len(table.labels) == 1
+    for head in table.labels:
+        drawn.add_column("" if single else Text(head), no_wrap=True, min_width=20 if single else None)
+    for name in table.columns:
+        drawn.add_column(Text(name), justify="right", no_wrap=True)
+    for labels, cells in table.rows:
+        if labels == (TRUTH,):
+            drawn.add_section()
+        no_method = labels in ((TRUTH,), (PAPER,))
+        drawn.add_row(*map(Text, labels), *map(_text, cells), style="dim" if no_method else None)
+    return drawn
+
+
+def _text(cell: Entry) -> Text:
+    """Mean and spread "0.6±0.3" over the interval "[0.4 0.9]"; "-n" counts draws without an answer, "*" the best."""
+    text, summary = Text(cell.text), cell.summary
+    if summary is not None:
+        missing = f" -{summary.missing}" if summary.missing else ""
+        text = Text(f"{summary.mean:.2f}{missing}")
+        if not np.isnan(summary.spread):
+            star, style = ("*", "bold") if cell.best else ("", "")
+            text = Text(f"{short(summary.mean)}±{short(summary.spread)}{star}{missing}", style)
+            if cell.interval:
+                text.append(f"\n[{short(summary.low)} {short(summary.high)}]", "dim not bold")
+    return text

@@ -10,8 +10,11 @@ from __future__ import annotations
 import gc
 import io
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -35,16 +38,11 @@ DRIVE = 1e6
 """Inertia of the drive [kg, kg m^2], too large for an object's drag to slow it down."""
 FORCE, TORQUE, PLANAR = "wrist_force", "wrist_torque", [0, 1, 5]
 """Sensors: wrench of the drive on the object, object axes, about the grasp point; f_x, f_y, t_z of their six."""
-SETTLE = 60
-"""Steps before the first part of a stretch counts, in which the feet take up the guessed weights."""
-PART = 2
-"""Steps that count in each part of a stretch."""
-LEAST = 0.05
-"""Least mass of a group, as a part of an even share: the feet of a lighter one would shake at `TIMESTEP`."""
-MOST = 20.0
-"""Largest mass of a group over the guessed total, where M is not known."""
-FRICTIONS = (0.01, 2.0)
-"""Bounds of friction, which the toolbox requires."""
+SETTLE, PART = 60, 2
+"""Steps before the first part of a stretch counts, in which the feet take up their weights; steps of a part that do."""
+LEAST, MOST, FRICTIONS = 0.05, 20.0, (0.01, 2.0)
+"""Bounds: mass of a group over an even share, since the feet of a lighter one shake at `TIMESTEP`; the same over the
+guessed total, where M is not known; friction."""
 
 
 def planar_scene(guess: ObjectModel, support: Support, grasp: Float[np.ndarray, "2"]) -> mujoco.MjSpec:
@@ -210,11 +208,23 @@ class PlanarFit:
 def check_toolbox() -> None:
     """Raise InvalidValueError where the toolbox's own dependencies are not installed."""
     if not hasattr(sysid, "SystemTrajectory"):  # `import mujoco.sysid` leaves out what it cannot import, in silence
-        raise InvalidValueError(
-            "mujoco_sysid", "MuJoCo without its toolbox's dependencies", "pip install 'heft-testbed[sysid]'"
-        )
+        given, allowed = "MuJoCo without its toolbox's dependencies", "pip install 'heft-testbed[sysid]'"
+        raise InvalidValueError("mujoco_sysid", given, allowed)
 
 
+@contextmanager
+def _collecting() -> Iterator[None]:
+    """Collections inside look only at what came since; at the end nothing is left, as the toolbox's cycles would be."""
+    gc.collect()
+    gc.freeze()
+    try:
+        yield
+    finally:
+        gc.unfreeze()
+        gc.collect()
+
+
+@_collecting()
 def identify(guess: ObjectModel, support: Support, measured: PlanarData, max_iters: int) -> PlanarFit:
     """Fit masses and frictions by the toolbox's default optimizer.
 
@@ -226,28 +236,19 @@ def identify(guess: ObjectModel, support: Support, measured: PlanarData, max_ite
     """
     fit = _Residuals(guess, support, measured)
     begin, logged = time.perf_counter(), []
-    gc.freeze()  # each guess collects what the last one left: not all that was there before
-    try:
-        found, result = sysid.optimize(
-            fit.parameters(),
-            fit.residuals,
-            verbose=False,
-            max_iters=max_iters,
-            output=io.StringIO(),
-            iter_callback=lambda trace: logged.append((trace[-1], time.perf_counter() - begin)),
-        )
-        guesses = fit.guesses  # before the last call of `residuals`
-        covariance, intervals = sysid.calculate_intervals(fit.residuals(result.x, found)[0], result.jac)
-    finally:
-        gc.unfreeze()
+    log: dict[str, Any] = {"iter_callback": lambda trace: logged.append((trace[-1], time.perf_counter() - begin))}
+    log |= {"verbose": False, "output": io.StringIO()}
+    found, result = sysid.optimize(fit.parameters(), fit.residuals, max_iters=max_iters, **log)
+    guesses = fit.guesses  # before the last call of `residuals`
+    covariance, intervals = sysid.calculate_intervals(fit.residuals(result.x, found)[0], result.jac)
     n_m = guess.shape.n_m
     covariance = np.where(np.isinf(intervals[:, None] + intervals), np.inf, covariance)[:n_m, :n_m]
     return PlanarFit(
         result.x[:n_m],
         result.x[n_m:],
         covariance,
-        np.array([log.candidate[:n_m, 0] for log, _ in logged]),
-        np.array([2 * fit.scale**2 * log.objective / len(result.jac) for log, _ in logged]),
+        np.array([step.candidate[:n_m, 0] for step, _ in logged]),
+        np.array([2 * fit.scale**2 * step.objective / len(result.jac) for step, _ in logged]),
         np.array([at for _, at in logged]),
         guesses,
     )
@@ -260,7 +261,6 @@ class _Residuals:
         self.guesses, self.scale = 0, 0.0
         self._guess, self._measured = guess, measured
         self._models: dict[tuple[int, bytes], mujoco.MjModel] = {}
-        self._counted = measured.motion.counted
         self._stretches = sysid.build_residual_fn(
             models_sequences=_sequences(guess, support, measured),
             build_model=self._build,
@@ -308,7 +308,7 @@ class _Residuals:
 
     def _missing(self, params, predicted, measured, model, return_pred_all, **kwargs):
         """Hook of the toolbox: measured wrench of a stretch less the mean over its steps that count, shape (1, 3)."""
-        steps = predicted.data[self._counted][:, PLANAR]
+        steps = predicted.data[self._measured.motion.counted][:, PLANAR]
         return measured.data[:, PLANAR] - steps.mean(axis=0), measured, measured
 
 

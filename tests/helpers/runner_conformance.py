@@ -22,6 +22,7 @@ from testbed.sensing.compensation import compensate
 from testbed.sensing.windows import steady_windows
 from testbed.trajectory import Phase, Status, Tool, Trajectory, load_trajectory, save_trajectory
 from testbed.trial import Trial, TrialRunner
+from testbed.worlds.setup_errors import SetupErrors
 
 RATE = 100.0
 """Samples a second."""
@@ -155,7 +156,7 @@ def the_hand_moves_as_it_says(record: Trajectory, trial: Trial) -> None:
 
 def the_truth_is_not_in_it(record: Trajectory, trial: Trial) -> None:
     parts = list(vars(record).values())
-    allowed = (np.ndarray, str, dict, Tool, Rotate, Accelerate, Slide, Weigh)
+    allowed = (np.ndarray, str, dict, Tool, SetupErrors, Rotate, Accelerate, Slide, Weigh)
     assert all(isinstance(part, allowed) for part in parts)
     assert not any(isinstance(part, ObjectModel | MassDistribution) for part in parts)
     obj = trial.object

@@ -140,8 +140,8 @@ class MassMap:
 
     def _log_texts(self, node: Node, frames: Frames, values: Float[np.ndarray, "F n_m"], pixel: float) -> None:
         """Log a number a group and its name above, where there is room."""
-        count, middles = self.shape.n_m, group_middles(self.shape)
-        texts = [[f"{value:.{self.scale.digits}f}" for value in row] for row in values]
+        count, middles, digits = self.shape.n_m, group_middles(self.shape), self.scale.digits
+        texts = [[f"{value:.{digits}f}" for value in row] for row in values]
         apart = np.array([0.0, LINE * pixel / 2])
         both = np.concatenate([middles + apart, middles - apart])
         shades = text_color(self.scale.color(values))

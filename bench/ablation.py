@@ -13,7 +13,7 @@ import pandas as pd
 from rich.console import Console
 from rich.table import Table
 
-from scenarios.results.files import load_results
+from scenarios.results.estimates import load_results
 
 AXIS = "axis.policy.kind"
 STEPS = (

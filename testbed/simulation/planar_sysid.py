@@ -32,8 +32,8 @@ TIMESTEP = 0.001
 """Physics step [s]; at twice that the feet of a light guess shake."""
 CONTACT = ContactSettings(sag=1e-4, impedance=1e-3, friction_damping=100.0)
 """Contact of the feet: it settles in a third of the full scene's time."""
-ARENA = 2**22
-"""Memory of a simulation [byte]; a tenth is used. MuJoCo's default is 14 MB, and the toolbox keeps many at once."""
+ARENA = 2**14
+"""Memory of a simulation a particle [byte]; half is used. MuJoCo's default is 14 MB, and the toolbox takes thousands."""
 DRIVE = 1e6
 """Inertia of the drive [kg, kg m^2], too large for an object's drag to slow it down."""
 FORCE, TORQUE, PLANAR = "wrist_force", "wrist_torque", [0, 1, 5]
@@ -54,7 +54,7 @@ def planar_scene(guess: ObjectModel, support: Support, grasp: Float[np.ndarray, 
         grasp: driven point [m], object frame, near the center of a turn: contacts leave out centripetal acceleration.
     """
     spec = mujoco.MjSpec()
-    spec.memory = ARENA
+    spec.memory = ARENA * len(guess.shape.particles)
     set_solver(spec, TIMESTEP, CONTACT)
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_EULER  # on so hard a foundation the other lifts sliding feet
     spec.option.tolerance = 1e-20  # slopes are differences of 1e-8
@@ -214,8 +214,7 @@ def check_toolbox() -> None:
 
 @contextmanager
 def _collecting() -> Iterator[None]:
-    """Collections inside look only at what came since; at the end nothing is left, as the toolbox's cycles would be."""
-    gc.collect()
+    """Collect only what came since; at the end nothing is left, as the toolbox's cycles would be."""
     gc.freeze()
     try:
         yield
@@ -239,7 +238,6 @@ def identify(guess: ObjectModel, support: Support, measured: PlanarData, max_ite
     log: dict[str, Any] = {"iter_callback": lambda trace: logged.append((trace[-1], time.perf_counter() - begin))}
     log |= {"verbose": False, "output": io.StringIO()}
     found, result = sysid.optimize(fit.parameters(), fit.residuals, max_iters=max_iters, **log)
-    guesses = fit.guesses  # before the last call of `residuals`
     covariance, intervals = sysid.calculate_intervals(fit.residuals(result.x, found)[0], result.jac)
     n_m = guess.shape.n_m
     covariance = np.where(np.isinf(intervals[:, None] + intervals), np.inf, covariance)[:n_m, :n_m]
@@ -250,7 +248,7 @@ def identify(guess: ObjectModel, support: Support, measured: PlanarData, max_ite
         np.array([step.candidate[:n_m, 0] for step, _ in logged]),
         np.array([2 * fit.scale**2 * step.objective / len(result.jac) for step, _ in logged]),
         np.array([at for _, at in logged]),
-        guesses,
+        fit.guesses - 1,  # not that of the intervals
     )
 
 
@@ -266,8 +264,8 @@ class _Residuals:
             build_model=self._build,
             modify_residual=self._missing,
             resample_true=False,
-            n_threads=1,  # heft runs as many methods at once as there are cores
-        )
+            n_threads=1,
+        )  # heft runs as many methods at once as there are cores
 
     def parameters(self) -> sysid.ParameterDict:
         """Mass of each group [kg], then each friction, starting at the guess."""
@@ -290,7 +288,6 @@ class _Residuals:
         """
         self.guesses += x.shape[1] if x.ndim == 2 else 1
         self._models.clear()
-        gc.collect()  # earlier guesses left gigabytes of models in cycles, of which Python sees only the handles
         missing, predicted, measured = self._stretches(x, params)
         parts = [self._measured.whiten @ np.concatenate(missing)]
         if self._measured.weight is not None:
@@ -302,14 +299,17 @@ class _Residuals:
     def _build(self, params: sysid.ParameterDict, spec: mujoco.MjSpec) -> mujoco.MjModel:
         """Model of a guess at one grasp, shared by its stretches."""
         key = id(spec), params.as_vector().tobytes()
+        if not any(of == id(spec) for of, _ in self._models):  # the toolbox goes on to the next grasp
+            self._models.clear()
+            gc.collect()  # it leaves gigabytes of models in cycles, of which Python sees only the handles
         if key not in self._models:
             self._models[key] = compile_scene(sysid.apply_param_modifiers_spec(params, spec), self._guess)
         return self._models[key]
 
     def _missing(self, params, predicted, measured, model, return_pred_all, **kwargs):
         """Hook of the toolbox: measured wrench of a stretch less the mean over its steps that count, shape (1, 3)."""
-        steps = predicted.data[self._measured.motion.counted][:, PLANAR]
-        return measured.data[:, PLANAR] - steps.mean(axis=0), measured, measured
+        steps = predicted.data[self._measured.motion.counted]
+        return (measured.data - steps.mean(axis=0))[:, PLANAR], measured, measured
 
 
 def _sequences(guess: ObjectModel, support: Support, measured: PlanarData) -> list[sysid.ModelSequences]:

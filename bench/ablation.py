@@ -1,7 +1,7 @@
 """From the published method to ours, a row a step: python bench/ablation.py [RESULTS], after `heft run ablation`.
 
-NAD in percent, mean over the draws of an object: each of the paper's objects, and the median of the drawn ones. A star
-marks a row with draws that have no answer; they count as even masses.
+NAD in percent, mean over the draws of an object: each of the paper's objects, and the median of the drawn ones. Where
+there is no answer, even masses count in its place.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ import sys
 
 import numpy as np
 import pandas as pd
+from rich import box
 from rich.console import Console
 from rich.table import Table
 
@@ -47,17 +48,24 @@ def main() -> None:
     rows = load_results(sys.argv[1] if len(sys.argv) > 1 else "results/ablation")
     drawn = rows["object"].str.startswith("drawn_")
     named = list(dict.fromkeys(rows.loc[~drawn, "object"]))
-    table = Table(title=f"NAD, %: own weight, ft300s; {rows['seed'].nunique()} draws with trials of their own")
-    for column in ("", *named, f"{rows.loc[drawn, 'object'].nunique()} drawn", "trials", "robot s", "s"):
+    table = Table(
+        box=box.SIMPLE_HEAD,
+        title=f"NAD, %: own weight, ft300s; {rows['seed'].nunique()} draws with trials of their own",
+    )
+    for column in ("", *named, f"{rows.loc[drawn, 'object'].nunique()} drawn", "answers, %", "trials", "robot s", "s"):
         table.add_column(column, justify="right" if column else "left")
     for name, policy, method in STEPS:
         part = rows[(rows[AXIS] == policy) & (rows["method"] == method) & (rows["status"] != "infeasible")]
         nad = part["nad"].where(part["nad"].notna(), part.apply(even_masses, axis=1))
         means = 100 * nad.groupby(part["object"]).mean()
         cells = [f"{means[each]:.1f}" for each in named]
-        cells += [f"{means[means.index.str.startswith('drawn_')].median():.1f}", f"{part['trials'].mean():.1f}"]
+        cells += [
+            f"{means[means.index.str.startswith('drawn_')].median():.1f}",
+            f"{100 * part['nad'].notna().mean():.0f}",
+        ]
+        cells += [f"{part['trials'].mean():.1f}"]
         cells += [f"{part['robot_s'].mean():.0f}", f"{part['seconds'].mean():.2g}"]
-        table.add_row(name + ("*" if part["nad"].isna().any() else ""), *cells)
+        table.add_row(name, *cells)
     Console(width=180).print(table)
 
 

@@ -16,12 +16,15 @@ from testbed.objects.model import MassDistribution, ObjectShape
 from testbed.trajectory import Trajectory
 from testbed.validation import frozen_array
 
-EstimateStatus = Literal["ok", "underdetermined", "not_converged", "contradictory", "no_data", "assumption_violated"]
+EstimateStatus = Literal[
+    "ok", "underdetermined", "unexplained", "not_converged", "contradictory", "no_data", "assumption_violated"
+]
 """Status of an estimate.
 
 * `ok`: mass and friction are determined.
 * `underdetermined`: the trials leave a direction open.
-* `not_converged`: the best masses found do not explain the trials.
+* `unexplained`: the masses do not explain the trials within the errors stated; their own errors are widened.
+* `not_converged`: the best masses found are far from the trials: the search is too short.
 * `contradictory`: no masses explain them.
 * `no_data`: no trial is usable.
 * `assumption_violated`: the mass groups do not rest on their own weight.
@@ -148,3 +151,8 @@ class ActionPolicy(Protocol):
     def next(self, shape: ObjectShape, trajectories: Sequence[Trajectory]) -> Action | None:
         """Next action, or None when no further one is worth its time."""
         ...
+
+
+def robot_seconds(trajectories: Sequence[Trajectory]) -> float:
+    """Robot time that trajectories took, s."""
+    return float(sum(t.time_s[-1] - t.time_s[0] for t in trajectories))

@@ -8,7 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from estimators.particles.windows import robot_seconds
+from estimators.base import robot_seconds
 from testbed.actions.base import Action
 from testbed.objects.model import ObjectShape
 from testbed.trajectory import Trajectory

@@ -15,10 +15,10 @@ from estimators.action_selection.greedy import MOST_CHECKS, greedy_choice
 from estimators.action_selection.plan import FeasibilityLog, Feasible, Goal, always_feasible
 from estimators.base import Estimate, Estimator
 from estimators.hidden_states.estimator import HiddenStates
-from estimators.hidden_states.friction import DISAGREE
 from estimators.hidden_states.masses import friction_loads
 from estimators.identifiability.information import trial_information
 from estimators.particles.lifts import lifts_among
+from estimators.particles.misfit import UNEXPLAINED
 from estimators.particles.windows import Observations, observe
 from estimators.support_models.estimator import SupportAware
 from estimators.support_models.selection import DECISIVE
@@ -95,8 +95,8 @@ class OnlinePolicy:
         estimate = self.estimator.estimate(shape, self.guess.weight, trajectories, self.seed) if trajectories else None
         guess = replace(self.guess, supports=_supports(self.guess, estimate))
         at = _expansion_point(shape, guess, windows, estimate)
-        misfit = estimate.diagnostics.get("loss", 1.0) if estimate is not None else 1.0
-        disagree = guess.supports == ("own_weight",) and misfit > DISAGREE
+        misfit = estimate.diagnostics.get("misfit", 1.0) if estimate is not None else 1.0
+        disagree = guess.supports == ("own_weight",) and misfit > UNEXPLAINED
         contradictory = estimate is not None and estimate.status == "contradictory"
         belief = prior_belief(shape, guess)
         if not contradictory:  # else no trial can be believed

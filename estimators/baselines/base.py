@@ -18,12 +18,11 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from estimators.base import Estimate, EstimateStatus, Trace
+from estimators.base import Estimate, EstimateStatus, Trace, robot_seconds
 from estimators.baselines.problem import UNEXPLAINED, Problem, Weighting
 from estimators.descent import OPTIMIZERS, check_optimizers, descend_all
 from estimators.particles.errors import RIGID, ModelErrors
 from estimators.particles.support import ASSUMPTION
-from estimators.particles.windows import robot_seconds
 from testbed.errors import InvalidValueError
 from testbed.objects.model import GRAVITY, MassDistribution, ObjectShape
 from testbed.trajectory import Trajectory

@@ -14,7 +14,7 @@ from jaxtyping import Float
 from estimators.base import Estimate, Trace
 from estimators.descent import OPTIMIZERS, check_optimizers
 from estimators.hidden_states.algorithm import Solution, Underdetermined, algorithm_1
-from estimators.hidden_states.friction import closed_form, contradiction, descend_loads, disagreement
+from estimators.hidden_states.friction import closed_form, contradiction, descend_loads
 from estimators.hidden_states.masses import fixed_rows, load_jacobian, one_friction_masses
 from estimators.hidden_states.nuisance import NuisancePrior
 from estimators.hidden_states.setup import UnknownSetup, with_found_bias
@@ -184,12 +184,12 @@ def _estimate_of(trials: TrialWindows, found: Solution) -> Estimate:
     open_, q = report.unknowns - report.rank, system.q.numpy()
     condition = float(np.linalg.cond(q / np.linalg.norm(q, axis=0)))
     directions = f"mass and friction cannot be told apart in {open_} direction(s): {'; '.join(report.unobservable)}"
-    miss = disagreement(loss)
+    misfit = trials.misfit(masses.distribution, s)
     return Estimate(
         masses.distribution,
-        "underdetermined" if open_ else "not_converged" if miss else "ok",
-        "; ".join(filter(None, [directions if open_ else "", miss])),
-        covariance=report.covariance / np.outer(count, count),
+        "underdetermined" if open_ else "unexplained" if misfit.reason else "ok",
+        "; ".join(filter(None, [directions if open_ else "", misfit.reason])),
+        covariance=misfit.widening * report.covariance / np.outer(count, count),
         hidden=found.H,
         identifiability=report,
         traces=found.traces,
@@ -197,6 +197,7 @@ def _estimate_of(trials: TrialWindows, found: Solution) -> Estimate:
             "rank": q.shape[1],
             "condition": condition,
             "loss": loss,
+            "misfit": misfit.value,
         },
         assumes=ASSUMPTION["own_weight"],
     )

@@ -16,8 +16,6 @@ CONTRADICTORY = 5e4
 
 It is about 1 on own weight and up to 2e4 under one rigid body; a trial with its sign turned makes it 1e5 and more.
 """
-DISAGREE = 5.0
-"""Mean squared residual from which trials disagree by more than their stated errors; about 1 where the model holds."""
 
 
 def contradiction(loss: float) -> str:
@@ -27,16 +25,6 @@ def contradiction(loss: float) -> str:
     return (
         f"the trajectories contradict each other: their mean squared misfit is {loss:.0f} where about 1 is expected; "
         "is a trial of another object among them, or one with its signs turned?"
-    )
-
-
-def disagreement(loss: float) -> str:
-    """Reason why masses with that least loss do not explain the data; empty where they do."""
-    if loss <= DISAGREE:
-        return ""
-    return (
-        f"the masses do not explain the trials: their mean squared misfit is over {DISAGREE:g}, not about 1; "
-        "the groups do not rest on their own weight, or an error is larger than stated; so are the masses' own"
     )
 
 

@@ -67,16 +67,16 @@ class NuisancePrior:
                 raise InvalidValueError(f"NuisancePrior.{name}", value, "a number > 0")
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class CorrectedWindows(Observations):
     """Windows with bias and offset taken off, on a table with anisotropic friction."""
 
     anisotropy: Float[Tensor, "K 2"]
     """h = r (cos 2 phi, sin 2 phi): phi the table's direction of most friction, most over least ((1+r)/(1-r))^0.5."""
 
-    def drag_rows(self, model: ParticleModel, pivot_error: float) -> Float[Tensor, "K 3 P"]:
+    def point_rows(self, model: ParticleModel, pivot_error: float) -> Float[Tensor, "K 3 P"]:
         """Rows of `Observations`, each particle's drag turned and stretched by the anisotropy."""
-        unit = self._anisotropic(super().drag_rows(model, pivot_error)[:, :2].transpose(1, 2))
+        unit = self._anisotropic(super().point_rows(model, pivot_error)[:, :2].transpose(1, 2))
         return torch.stack([unit[..., 0], unit[..., 1], cross(self.lever(model), unit)], 1)
 
     def drag_directions(self, model: ParticleModel) -> Float[Tensor, "K P 2"]:

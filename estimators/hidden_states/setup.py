@@ -16,6 +16,7 @@ from estimators.base import Estimate
 from estimators.hidden_states.nuisance import ANISOTROPY, NuisanceLayout, NuisancePrior, NuisanceSystem, corrected
 from estimators.hidden_states.trial_windows import TrialWindows
 from estimators.particles.friction_system import LinearSystem
+from estimators.particles.misfit import Misfit
 from estimators.particles.model import inertia_of
 from estimators.particles.pivots import PivotInertia
 from testbed.objects.model import MassDistribution
@@ -56,6 +57,13 @@ class UnknownSetup(TrialWindows):
         trials = np.array([len(np.unique(windows.trial.numpy()[at == j])) for j in range(len(pivots.pivot))])
         slope = 2 * self.weight * np.linalg.norm(pivots.pivot - com, axis=1)
         return replace(pivots, variance=pivots.variance + (slope * self.prior.grasp_offset) ** 2 / trials)
+
+    def misfit(self, guess: MassDistribution, s: Float[np.ndarray, "n_s"]) -> Misfit:
+        """Misfit with the parameters that fit s."""
+        assert self.linear is not None
+        layout, at = self.linear.layout, self.linear.parameters(s)
+        windows = corrected(self.steady, layout.spread(at), biased="bias" in layout.kind)
+        return self._misfit(windows, guess, s, len(s) + len(at))
 
     def annotated(self, estimate: Estimate, s: Float[np.ndarray, "n_s"]) -> Estimate:
         """The estimate with the parameters that fit s, their errors, and in its report which of them were seen."""

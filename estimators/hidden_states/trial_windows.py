@@ -7,15 +7,17 @@ estimator takes them from the round before.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from typing import Self
 
 import numpy as np
 import torch
 from jaxtyping import Float
 
-from estimators.base import Estimate
+from estimators.base import Estimate, robot_seconds
 from estimators.hidden_states.masses import friction_loads
 from estimators.particles.errors import ModelErrors
 from estimators.particles.friction_system import (
@@ -25,10 +27,11 @@ from estimators.particles.friction_system import (
     friction_equations,
     torque_covariance,
 )
+from estimators.particles.misfit import Misfit, likely_causes, misfit_of
 from estimators.particles.model import ParticleModel, friction_wrench, inertia_of
 from estimators.particles.pivots import PivotInertia, pivot_inertias
 from estimators.particles.support import own_weight
-from estimators.particles.windows import Observations, observe, robot_seconds
+from estimators.particles.windows import Observations, observe
 from testbed.objects.model import GRAVITY, MassDistribution, ObjectShape
 from testbed.trajectory import Trajectory
 
@@ -61,6 +64,7 @@ class TrialWindows:
             return None
         model, steady = ParticleModel.of(shape), windows.where(~windows.accelerated)
         accelerated, seconds = windows.where(windows.accelerated), robot_seconds(trajectories)
+        errors = replace(errors, weight_error=math.hypot(errors.weight_error, windows.setup.scale))
         return TrialWindows(shape, weight, errors, model, LoadGroups.of(model), steady, accelerated, seconds)
 
     def first_guess(self) -> MassDistribution:
@@ -97,8 +101,19 @@ class TrialWindows:
         torque = -friction_wrench(drag, windows.drag_directions(model), windows.lever(model))[:, 2]
         inertial = windows.inertial_wrench(inertia)[:, 2]
         response = windows.drag_rows(model, 0.0) @ (friction[:, None] * support.response)
-        covariance = torque_covariance(windows, response)
+        covariance = torque_covariance(windows, model, mass, drag.clamp(min=0).expand(len(windows), -1), response)
         return pivot_inertias(windows, torque.numpy(), inertial.numpy(), self.errors.inertia_error, covariance)
+
+    def misfit(self, guess: MassDistribution, s: Float[np.ndarray, "n_s"]) -> Misfit:
+        """How far the wrenches of s are from the measured ones, and why."""
+        return self._misfit(self.steady, guess, s, len(s))
+
+    def _misfit(
+        self, windows: Observations, guess: MassDistribution, s: Float[np.ndarray, "n_s"], unknowns: int
+    ) -> Misfit:
+        """Misfit in given windows."""
+        causes = partial(likely_causes, windows, self.model, self.shape, guess, self.groups.spread(s), self.errors)
+        return misfit_of(self.friction_equations(guess, windows), s, windows.trial, causes, unknowns)
 
     def refined(self, guess: MassDistribution, s: Float[np.ndarray, "n_s"]) -> Self:
         """The trials for the next round; the same where nothing of the setup is unknown."""

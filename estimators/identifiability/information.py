@@ -195,8 +195,8 @@ def _by_size(windows: Observations, count: int) -> list[tuple[Int[np.ndarray, "C
         for size in np.unique(sizes[sizes > 0]):
             trials = np.flatnonzero(sizes == size)
             of_size = np.flatnonzero(of_kind & (sizes[trial] == size))
-            shapes = {name: (len(trials), size, *value.shape[1:]) for name, value in vars(windows).items()}
-            fields = {name: value[of_size].reshape(shapes[name]) for name, value in vars(windows).items()}
+            shapes = {name: (len(trials), size, *value.shape[1:]) for name, value in windows.by_window.items()}
+            fields = {name: value[of_size].reshape(shapes[name]) for name, value in windows.by_window.items()}
             groups.append((trials, fields, accelerated))
     return groups
 
@@ -208,7 +208,7 @@ def _steady_rows(
     loads = ParticleLoads.of(shape, distribution, assumptions.support)
 
     def of_trial(of_one: dict[str, Tensor]) -> Tensor:
-        equations = loads.equations(Observations(**of_one), assumptions.model_errors)
+        equations = loads.equations(Observations.of(of_one), assumptions.model_errors)
         root = torch.linalg.cholesky(equations.apart)
         slopes = torch.cat([equations.q @ loads.slopes, equations.common], 1)
         return torch.linalg.solve_triangular(root, slopes, upper=False)
@@ -223,7 +223,7 @@ def _accelerated_rows(
     points, known = _grasp_points(shape), shape.n_m + shape.n_mu
     rows = np.zeros((len(fields["trial"]), 1, known + shared_error_count(shape)))
     for index, (row,) in enumerate(rows):
-        pivots, variance = slope_variance(Observations(**{name: value[index] for name, value in fields.items()}))
+        pivots, variance = slope_variance(Observations.of({name: value[index] for name, value in fields.items()}))
         per_mass = inertia_map(shape, pivots)[0]
         point = int(np.linalg.norm(points - pivots[0], axis=1).argmin())
         row[: shape.n_m] = per_mass

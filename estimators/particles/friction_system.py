@@ -16,6 +16,7 @@ from torch import Tensor
 
 from estimators.particles.errors import ModelErrors
 from estimators.particles.model import ParticleModel, inertia_of
+from estimators.particles.setup_effects import setup_effects
 from estimators.particles.support import own_weight
 from estimators.particles.windows import PLANAR, Observations
 from testbed.objects.model import GRAVITY, ObjectShape
@@ -76,8 +77,8 @@ class FrictionEquations:
     b: Float[Tensor, "R"]
     apart: Float[Tensor, "R R"]
     """Covariance of the errors that no two trials share."""
-    common: Float[Tensor, "R 2"]
-    """Effect on each row of one standard deviation of the lift and of the height that all windows share."""
+    common: Float[Tensor, "R E"]
+    """Effect on each row of one standard deviation of each error that windows share: lift, height, and the setup's."""
 
     def whitened(self) -> LinearSystem:
         """The system in units of its errors."""
@@ -116,7 +117,7 @@ def friction_equations(
     response = rows @ (friction[:, None] * support.response)
     carried = (rows @ (friction * (support.lean + support.change(load)))[..., None])[..., 0]
     b = windows.wrench - windows.inertial_wrench(inertia) - carried
-    apart, common = wrench_errors(windows, model, s.expand(len(rows), -1), response, errors)
+    apart, common = wrench_errors(windows, model, mass, s.expand(len(rows), -1), response, errors)
     return FrictionEquations(q.reshape(-1, q.shape[-1]), b.reshape(-1), apart, common)
 
 
@@ -136,22 +137,24 @@ def rank_of(q: Float[np.ndarray, "R n_s"]) -> int:
 def wrench_errors(
     windows: Observations,
     model: ParticleModel,
+    mass: Float[Tensor, "P"],
     drag: Float[Tensor, "K P"],
     response: Float[Tensor, "K 3 3"],
     errors: ModelErrors,
-) -> tuple[Float[Tensor, "R R"], Float[Tensor, "R 2"]]:
+) -> tuple[Float[Tensor, "R R"], Float[Tensor, "R E"]]:
     """Errors of wrenches less the effect of the gripper's load: R = 3 K rows.
 
     Args:
         windows: windows of constant speed.
         model: particles of the object.
+        mass: their masses, kg.
         drag: friction of every particle, N.
         response: change of the wrench with lift and tilt, N/N and N m/N m, (f_x, f_y, torque).
         errors: errors of the model.
 
     Returns:
-        Covariance of the errors that no two trials share, and the effect on each row of one standard deviation of the
-        lift and of the height that all windows share.
+        Covariance of the errors that no two trials share, and the effect on each row of one standard deviation of each
+        error that windows share: lift, height, and those of the setup.
     """
     slopes = windows.drag_slopes(model, drag, errors.pivot_error)
     force = (errors.force_error * drag.sum(-1)).square()
@@ -166,24 +169,59 @@ def wrench_errors(
     hidden = (response * (shared * (1 - windows.load_kept))[:, None]).sum(-1)
     # the drag's own moment about the feet is as wrong as the height over them
     raised = errors.height_error * (response[..., 1:] @ windows.wrench[:, :2, None])[..., 0]
-    return apart, torch.stack([hidden.flatten(), raised.flatten()], 1)
+    common = torch.stack([hidden.flatten(), raised.flatten()], 1)
+    return apart, torch.cat([common, *_of_setup(windows, model, mass, drag, response, errors.pivot_error)], 1)
 
 
-def torque_covariance(windows: Observations, response: Float[Tensor, "K 3 3"]) -> Float[np.ndarray, "K K"]:
-    """Covariance of accelerated windows' torques less the gripper's effect; a trial's constant is not in it."""
+def torque_covariance(
+    windows: Observations,
+    model: ParticleModel,
+    mass: Float[Tensor, "P"],
+    drag: Float[Tensor, "K P"],
+    response: Float[Tensor, "K 3 3"],
+) -> Float[np.ndarray, "K K"]:
+    """Covariance of accelerated windows' torques less the gripper's effect; a trial's constant is not in it.
+
+    Arguments as `wrench_errors`.
+    """
     none = torch.zeros(3, dtype=torch.float64)
-    return _sensor_error(windows, response, none, none)[2::3, 2::3].numpy()
+    covariance = _sensor_error(windows, response, none, none)[2::3, 2::3]
+    for columns in _of_setup(windows, model, mass, drag, response, 0.0):
+        covariance = covariance + columns[2::3] @ columns[2::3].T
+    return covariance.numpy()
+
+
+def _of_setup(
+    windows: Observations,
+    model: ParticleModel,
+    mass: Float[Tensor, "P"],
+    drag: Float[Tensor, "K P"],
+    response: Float[Tensor, "K 3 3"],
+    pivot_error: float,
+) -> list[Float[Tensor, "R n"]]:
+    """Effects of the setup's errors, none of an exact one."""
+    if windows.setup.none:
+        return []
+    to_wrench = sensor_map(windows, response)
+    return list(setup_effects(windows, model, mass, drag, to_wrench, pivot_error, windows.setup).values())
+
+
+def sensor_map(windows: Observations, response: Float[Tensor, "K 3 3"]) -> Float[Tensor, "R 6K"]:
+    """Map from errors of the sensor, about the TCP, to those of wrenches less the `response` to lift and tilt.
+
+    One force feeds both, so an error common to a wrench and to the load on the feet counts once.
+    """
+    count = len(windows)
+    carried = response @ _load_error(windows).reshape(count, 3, 6 * count)
+    planar = torch.eye(6, dtype=torch.float64)[PLANAR].expand(count, 3, 6)
+    return _block_diagonal(planar) - carried.reshape(3 * count, 6 * count)
 
 
 def _sensor_error(
     windows: Observations, response: Float[Tensor, "K 3 3"], nulled: Float[Tensor, "3"], shared: Float[Tensor, "3"]
 ) -> Float[Tensor, "R R"]:
     """Covariance of wrenches less the `response` to lift and tilt: errors of the sensor, and loads taken for them."""
-    sensed, count = _sensor_covariance(windows), len(windows)
-    carried = response @ _load_error(windows).reshape(count, 3, 6 * count)
-    planar = torch.eye(6, dtype=torch.float64)[PLANAR].expand(count, 3, 6)
-    # one force feeds both, so an error common to a wrench and to the load on the feet counts once
-    error = _block_diagonal(planar) - carried.reshape(3 * count, 6 * count)
+    sensed, error = _sensor_covariance(windows), sensor_map(windows, response)
     return error @ sensed @ error.T + _unseen_load(windows, sensed, response, nulled, shared)
 
 

@@ -7,7 +7,7 @@ trajectories, samples, seeds.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from jaxtyping import Float, Int
@@ -44,6 +44,16 @@ class ParticleModel:
             shape.cell,
             torch.tensor(shape.fill),
         )
+
+    def moved(self, offset: Float[Tensor, "... 2"]) -> ParticleModel:
+        """The particles at other places, an offset for all or for each, m."""
+        return replace(self, particles=self.particles + offset)
+
+    @property
+    def spread(self) -> list[ParticleModel]:
+        """The particles at the four points of their cells at which Gauss takes the mean over a square."""
+        ends = (-self.cell / 12**0.5, self.cell / 12**0.5)
+        return [self.moved(torch.tensor([x, y], dtype=torch.float64)) for x in ends for y in ends]
 
     @property
     def contact(self) -> Tensor:

@@ -19,6 +19,7 @@ from testbed.errors import InvalidValueError
 from testbed.objects.model import ObjectShape
 from testbed.sensing.windows import SteadyWindow, steady_windows
 from testbed.trajectory import Trajectory
+from testbed.worlds.setup_errors import EXACT_SETUP, SetupErrors
 
 Window = TypeVar("Window")
 PLANAR = [0, 1, 5]
@@ -59,7 +60,7 @@ def reduced_trials(
     return found
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class Observations:
     """K windows of constant speed or constant acceleration. Object axes; moments about the grasp point."""
 
@@ -89,6 +90,12 @@ class Observations:
     """(t_y + h f_x, -t_x + h f_y): moment that the feet supply where nothing accelerates, N m."""
     yaw: Float[Tensor, "K 2"]
     """Yaw of the object at a window's first and last sample, rad."""
+    poses: Float[Tensor, "K S 3"]
+    """Place of the TCP, m, and yaw of the object, rad, over each of the parts, world."""
+    sensed: Float[Tensor, "K 6"]
+    """Mean of all six components in the sensor's axes, about its origin, N and N m."""
+    from_sensor: Float[Tensor, "K 6 6"]
+    """Map from a wrench in the sensor's axes to one about the TCP in object axes."""
     load_map: Float[Tensor, "K 3 6"]
     """Map from the wrench to lift and tilt."""
     load_kept: Float[Tensor, "K 3"]
@@ -101,13 +108,25 @@ class Observations:
     """Trajectory that a window is from."""
     accelerated: Tensor
     """True for windows of constant acceleration, (K,) bool."""
+    setup: SetupErrors = EXACT_SETUP
+    """Errors of the setup as stated, the largest of all trials."""
 
     def __len__(self) -> int:
         return len(self.wrench)
 
+    @staticmethod
+    def of(by_window: dict[str, Tensor], setup: SetupErrors = EXACT_SETUP) -> Observations:
+        """The windows of such fields."""
+        return Observations(**by_window, setup=setup)  # pyright: ignore[reportArgumentType]
+
+    @property
+    def by_window(self) -> dict[str, Tensor]:
+        """Fields with a row a window."""
+        return {name: value for name, value in vars(self).items() if name != "setup"}
+
     def where(self, keep: Tensor) -> Observations:
         """Windows that `keep` (K,) selects."""
-        return Observations(**{name: value[keep] for name, value in vars(self).items()})
+        return Observations.of({name: value[keep] for name, value in self.by_window.items()}, self.setup)
 
     def merged(self, group: Int[Tensor, "K"]) -> Observations:
         """Means over windows of one group, 0 to G - 1; values that are no numbers are the first window's."""
@@ -118,13 +137,13 @@ class Observations:
                 return values[first]
             return torch.stack([values[group == g].mean(0) for g in range(len(first))])
 
-        return Observations(**{name: mean(value) for name, value in vars(self).items()})
+        return Observations.of({name: mean(value) for name, value in self.by_window.items()}, self.setup)
 
     @staticmethod
     def stacked(draws: Sequence[Observations]) -> Observations:
         """Windows of D draws, equal in number, with leading axes (D, 1): the 1 meets candidates."""
-        names = vars(draws[0])
-        return Observations(**{name: torch.stack([getattr(draw, name) for draw in draws])[:, None] for name in names})
+        stacked = {name: torch.stack([getattr(d, name) for d in draws])[:, None] for name in draws[0].by_window}
+        return Observations.of(stacked, draws[0].setup)
 
     @property
     def drag(self) -> float:
@@ -184,13 +203,18 @@ class Observations:
     def drag_rows(self, model: ParticleModel, pivot_error: float) -> Float[Tensor, "K 3 P"]:
         """Wrench about the grasp point that drags each particle against a friction of 1 N.
 
-        Means over the parts of each window: where the center of a turn wanders, the mean of the directions of a
-        particle near it is not the direction of its mean velocity.
+        Means over the parts of each window, since a center that wanders changes the directions of particles near it,
+        and over a particle's cell where the object may touch the table anywhere under it.
 
         Args:
             model: particles of the object.
             pivot_error: error of the center of a turn, m; the drag of a particle nearer than that fades.
         """
+        points = model.spread if self.setup.contact_points else [model]
+        return torch.stack([self.point_rows(each, pivot_error) for each in points]).mean(0)
+
+    def point_rows(self, model: ParticleModel, pivot_error: float) -> Float[Tensor, "K 3 P"]:
+        """Rows of particles that touch the table in their middles alone; arguments as `drag_rows`."""
         lever = self.lever(model)
         velocity, speed = self._blurred(lever, pivot_error)
         unit = (velocity / speed[..., None]).mean(1)
@@ -199,13 +223,7 @@ class Observations:
     def drag_slopes(
         self, model: ParticleModel, drag: Float[Tensor, "K P"], pivot_error: float
     ) -> Float[Tensor, "K 3 3"]:
-        """Change of the drag with the twist of a window: (f_x, f_y, torque) by (v_x, v_y, rate).
-
-        Args:
-            model: particles of the object.
-            drag: friction of every particle, N.
-            pivot_error: error of the center of a turn, m.
-        """
+        """Change of a `drag` (N) with a window's twist: (f_x, f_y, torque) by (v_x, v_y, rate); else as `drag_rows`."""
         lever = self.lever(model)
         velocity, speed = self._blurred(lever, pivot_error)
         square = velocity[..., :, None] * velocity[..., None, :] / speed.square()[..., None, None]
@@ -255,11 +273,6 @@ class Observations:
         return GripperLoad(self.lift, self.tilt - taken, self.held, self.grasp)
 
 
-def robot_seconds(trajectories: Sequence[Trajectory]) -> float:
-    """Robot time that trajectories took, s."""
-    return float(sum(t.time_s[-1] - t.time_s[0] for t in trajectories))
-
-
 def observe(
     shape: ObjectShape, trajectories: Sequence[Trajectory], errors: ModelErrors | None = None
 ) -> Observations | None:
@@ -296,10 +309,11 @@ def observe(
     )
     points = np.array([shape.grasps[w.grasp].position for w in windows])
     nearest = np.linalg.norm(shape.particles[None] - points[:, None], axis=-1).argmin(axis=1)
-    same = ("since_tare", "twist", "twists", "acceleration", "spin_square", "yaw")
+    same = ("since_tare", "twist", "twists", "acceleration", "spin_square", "yaw", "poses", "from_sensor")
     values: dict[str, np.ndarray] = {name: np.array([getattr(w, name) for w in windows]) for name in same}
     values |= {
         "wrench": wrench[:, PLANAR],
+        "sensed": np.linalg.solve(values["from_sensor"], wrench[..., None])[..., 0],
         "noise": noise,
         "bias": bias,
         "drift": drift,
@@ -313,7 +327,8 @@ def observe(
         "trial": np.array(trial),
         "accelerated": np.array(accelerated),
     }
-    return Observations(**{name: torch.tensor(value) for name, value in values.items()})
+    setup = SetupErrors.largest([trajectories[index].setup for index in set(trial)])
+    return Observations.of({name: torch.tensor(value) for name, value in values.items()}, setup)
 
 
 def _pooled(windows: list[SteadyWindow], trial: np.ndarray, accelerated: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -143,7 +143,7 @@ def fit_support(
         at_mass, at_friction = torch.tensor(mass), torch.tensor(friction)
         pushed = model.particle_friction(at_friction) * loads.at(at_mass)
         carried = rows @ (model.particle_friction(at_friction)[:, None] * response)
-        apart, common = wrench_errors(steady, model, pushed, carried, errors)
+        apart, common = wrench_errors(steady, model, model.particle_mass(at_mass), pushed, carried, errors)
         otherwise = rows @ (model.particle_friction(at_friction)[:, None] * elsewhere)
         pressing = steady.gripper_load(inertia_of(model, model.particle_mass(at_mass)), shape.height).carried
         spread = unsure * ((otherwise - carried) * pressing[:, None]).flatten(0, 1)
@@ -241,7 +241,8 @@ def _pivots(
     moved = windows.inertial_wrench(inertia)[:, 2]
     response, otherwise = (rows @ model.particle_friction(friction).diag() @ each for each in responses)
     spread = unsure * ((otherwise - response)[:, 2] * load.carried).numpy()
-    error = torque_covariance(windows, response) + spread @ spread.T
+    drag = model.particle_friction(friction) * loads
+    error = torque_covariance(windows, model, particle_mass, drag, response) + spread @ spread.T
     return pivot_inertias(windows, rubbed.numpy(), moved.numpy(), errors.inertia_error, error)
 
 

@@ -135,7 +135,7 @@ def _conclusion(model: ObjectModel, result: ActiveResult, goal: Goal) -> Iterato
     """Lines on how the run ends, what the masses are, whether they can be trusted, and what stays unknown."""
     import math
 
-    from estimators.hidden_states.friction import DISAGREE
+    from estimators.particles.misfit import UNEXPLAINED
 
     last, row, answer = result.last, result.row, result.last.estimate
     yield f"stopped: {last.why}"
@@ -150,8 +150,8 @@ def _conclusion(model: ObjectModel, result: ActiveResult, goal: Goal) -> Iterato
         error += f", against the truth {100 * row['nad']:.3g} %"
     yield f"{len(result.keys) - 1} trials, {result.robot_s:.0f} s of the robot; {error}"
     if last.answered:
-        misfit = answer.diagnostics.get("loss", 1.0) if answer is not None else 1.0
-        if last.supports == ("own_weight",) and misfit > DISAGREE:
+        misfit = answer.diagnostics.get("misfit", 1.0) if answer is not None else 1.0
+        if last.supports == ("own_weight",) and misfit > UNEXPLAINED:
             disagreement = "the trials disagree by more than their errors, which are taken to be as much larger"
             yield f"{disagreement}: mean squared misfit {misfit:.3g} where about 1 is expected"
         if row.get("mass_kg") is not None:

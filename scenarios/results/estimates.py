@@ -7,14 +7,15 @@ Columns of the table, a row an estimate (one method, one draw of the sensor's er
 | object, support, sensing, method, seed | the experiment and the draw; `method` is the scenario's label |
 | kind | the method behind the label |
 | axis.<field> | value of each swept field of the scenario |
-| status | ok; underdetermined, not_converged, no_data: what the method says; failed, infeasible: there is no answer |
+| status | ok; underdetermined, unexplained, no_data: what the method says; failed, infeasible: there is no answer |
 | message | why status is not ok |
 | assumes | what the masses rest on and the method does not test; empty without a method that says so |
 | nad | normalized absolute difference: sum of the masses' errors over the true mass, 0 is right |
 | mpd_m | mean particle distance at the end of a turn, open loop, as in the paper |
 | mpd_open_loop_m, mpd_turn_m | the same after 1 s; over a whole turn, state reset each step |
 | mpd_of_truth_m, mpd_open_loop_of_truth_m, mpd_turn_of_truth_m | the same of the true masses; with the first method |
-| mass_kg, true_mass_kg, group_names | of each mass group |
+| mass_kg, mass_error_kg, true_mass_kg, group_names | of each mass group; its standard error, where a method has one |
+| misfit | squared residual over its variance: about 1 or less where the masses explain the trials |
 | friction | of each friction group |
 | com_error_m, inertia_error, unobserved | of methods with hidden states: distance of c, I_cm over the truth minus 1 |
 | weight_kg | M as weighed |

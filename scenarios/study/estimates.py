@@ -138,6 +138,8 @@ NO_ANSWER = {
     "mpd_turn_of_truth_m": math.nan,
     "friction": None,
     "mass_kg": None,
+    "mass_error_kg": None,
+    "misfit": math.nan,
     "com_error_m": math.nan,
     "inertia_error": math.nan,
     "unobserved": "",
@@ -320,7 +322,10 @@ def judge(
         "optimizer": answer.traces[0].method if answer.traces else "",
         "loss": min((min(trace.loss) for trace in answer.traces), default=math.nan),
         "rollouts": answer.diagnostics.get("rollouts", 0.0),
+        "misfit": answer.diagnostics.get("misfit", math.nan),
     }
+    if answer.covariance is not None:
+        row["mass_error_kg"] = (np.sqrt(np.diag(answer.covariance)) * shape.particles_per_group).tolist()
     if answer.distribution is not None:
         row["nad"] = normalized_absolute_difference(shape, answer.distribution, truth.truth)
         row["mass_kg"] = (answer.distribution.mass * shape.particles_per_group).tolist()

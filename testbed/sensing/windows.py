@@ -57,6 +57,10 @@ class SteadyWindow:
     """Mean height of the TCP over the table [m]."""
     yaw: Float[np.ndarray, "2"]
     """Yaw of the object at the window's first and last sample [rad]."""
+    poses: Float[np.ndarray, "S 3"]
+    """Place of the TCP and yaw of the object over each of the parts [m, m, rad], world."""
+    from_sensor: Float[np.ndarray, "6 6"]
+    """Map from a wrench in the sensor's axes, about its origin, to one as `wrench`."""
     bias_covariance: Float[np.ndarray, "6 6"]
     """Covariance of the constant error of a trial, as `wrench`: bias, and the tare's own noise."""
     drift_covariance: Float[np.ndarray, "6 6"]
@@ -68,6 +72,7 @@ class SteadyWindow:
         square, pair = (6, 6), (2,)
         freeze_arrays(self, wrench=(6,), covariance=square, twist=(3,), twists=(PARTS, 3), acceleration=(3,))
         freeze_arrays(self, bias_covariance=square, drift_covariance=square, since_tare=pair, yaw=pair)
+        freeze_arrays(self, poses=(PARTS, 3), from_sensor=square)
 
 
 _REDUCED: WeakKeyDictionary[Trajectory, list[SteadyWindow]] = WeakKeyDictionary()
@@ -101,10 +106,12 @@ def _reduced(trajectory: Trajectory, grasp: int) -> list[SteadyWindow]:
     linear = np.einsum("nij,nj->ni", into_object, trajectory.tcp_velocity[:, :2])
     twist = np.column_stack([linear, trajectory.object_velocity[:, 2]])
     world_twist = np.column_stack([trajectory.tcp_velocity[:, :2], trajectory.object_velocity[:, 2]])
+    place = np.column_stack([trajectory.tcp_position[:, :2], trajectory.object_pose[:, 2]])
     tare = tare_samples(trajectory)
     own = mean_covariance(trajectory.sensor_wrench[tare]) if len(tare) > 1 else np.zeros((6, 6))
-    bias = _at_tcp(trajectory, np.diag(trajectory.sensor_bias_std**2) + own)
-    drift = _at_tcp(trajectory, np.diag(trajectory.sensor_drift_std**2))
+    from_sensor = _from_sensor(trajectory)
+    bias = from_sensor @ (np.diag(trajectory.sensor_bias_std**2) + own) @ from_sensor.T
+    drift = from_sensor @ np.diag(trajectory.sensor_drift_std**2) @ from_sensor.T
     tared = trajectory.time_s[tare].mean() if len(tare) else trajectory.time_s[0]
     rate = 1 / float(np.median(np.diff(trajectory.time_s)))
     windows = []
@@ -121,6 +128,8 @@ def _reduced(trajectory: Trajectory, grasp: int) -> list[SteadyWindow]:
                 spin_square=float(np.mean(twist[kept, 2] ** 2)),
                 tcp_height=float(trajectory.tcp_position[kept, 2].mean()),
                 yaw=yaw[[0, -1]],
+                poses=np.array([part.mean(axis=0) for part in np.array_split(place[kept], PARTS)]),
+                from_sensor=from_sensor,
                 bias_covariance=bias,
                 drift_covariance=drift,
                 since_tare=trajectory.time_s[kept[[0, -1]]] - tared,
@@ -177,21 +186,21 @@ def sample_deviation(trajectory: Trajectory) -> Float[np.ndarray, "6"]:
     """
     hovering = trajectory.sensor_wrench[trajectory.mask(Phase.TARE)]
     noise = np.cov(hovering, rowvar=False) if len(hovering) > 1 else np.zeros((6, 6))
-    return np.sqrt(np.diag(_at_tcp(trajectory, noise + np.diag(trajectory.sensor_bias_std**2))))
+    move = _from_sensor(trajectory)
+    return np.sqrt(np.diag(move @ (noise + np.diag(trajectory.sensor_bias_std**2)) @ move.T))
 
 
-def _at_tcp(trajectory: Trajectory, covariance: Float[np.ndarray, "6 6"]) -> Float[np.ndarray, "6 6"]:
-    """Covariance of an error of the sensor, moved to the TCP and into object axes, (6, 6).
+def _from_sensor(trajectory: Trajectory) -> Float[np.ndarray, "6 6"]:
+    """Map from a wrench in the sensor's axes to the TCP and into object axes.
 
     The hand holds the object, so one moment's axes serve for the whole trial.
     """
     if trajectory.tool is None:
-        return covariance
+        return np.eye(6)
     first = int(np.argmax(trajectory.segment >= 0))
     axes = rotation_matrix(trajectory.sensor_orientation[first])
     axes[:2] = rotation_2d(-trajectory.object_pose[first, 2]) @ axes[:2]
-    move = rotate_wrench(axes, move_wrench(np.eye(6), trajectory.tool.tcp)).T
-    return move @ covariance @ move.T
+    return rotate_wrench(axes, move_wrench(np.eye(6), trajectory.tool.tcp)).T
 
 
 def _slopes(time: np.ndarray, twist: np.ndarray, yaw: np.ndarray) -> np.ndarray:

@@ -33,7 +33,7 @@ TIMESTEP = 0.001
 CONTACT = ContactSettings(sag=1e-4, impedance=1e-3, friction_damping=100.0)
 """Contact of the feet: it settles in a third of the full scene's time."""
 ARENA = 2**14
-"""Memory of a simulation a particle [byte]; half is used. MuJoCo's default is 14 MB, and the toolbox takes thousands."""
+"""Memory of a simulation a particle [byte]; half is used. MuJoCo's default is 14 MB, and the toolbox keeps many."""
 DRIVE = 1e6
 """Inertia of the drive [kg, kg m^2], too large for an object's drag to slow it down."""
 FORCE, TORQUE, PLANAR = "wrist_force", "wrist_torque", [0, 1, 5]

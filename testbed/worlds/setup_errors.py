@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 
 from testbed.errors import InvalidValueError
@@ -25,6 +26,8 @@ class SetupErrors:
     """Friction in a direction of the table, as a part of the mean over all directions."""
     speed_friction: float = 0.0
     """Change of friction with a tenfold speed, as a part of itself."""
+    table_tilt: float = 0.0
+    """Tilt of the table about each of its axes [rad]."""
     particle_offset: float = 0.0
     """Place of a mass group's particles along each axis [m]."""
     grasp_offset: float = 0.0
@@ -43,11 +46,20 @@ class SetupErrors:
     """Rotation of the sensor about each of its axes [rad]."""
     delay: float = 0.0
     """Time by which poses are later than wrenches [s]."""
+    scale: float = 0.0
+    """Reading of the scale, beside the sensor's own error [kg]."""
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
             if not (is_number(value) and value >= 0):
                 raise InvalidValueError(f"SetupErrors.{name}", value, "a finite number >= 0")
+
+    @staticmethod
+    def largest(setups: Sequence[SetupErrors]) -> SetupErrors:
+        """The largest error of each kind among some setups."""
+        if len(set(setups)) == 1:
+            return setups[0]
+        return SetupErrors(**{f.name: max(getattr(each, f.name) for each in setups) for f in fields(SetupErrors)})
 
     @property
     def none(self) -> bool:

@@ -265,7 +265,7 @@ def test_a_method_that_raises_or_answers_nan_is_a_row_with_its_reason(tmp_path, 
     more = "".join(f'[methods.{way}]\nmethod = "misbehaving"\nway = "{way}"\n' for way in ways)
     path = small_scenario(tmp_path, ("rigid",), more + "[methods.hidden_states]\n")
     rows = resumed(path, tmp_path / "out").set_index("method")
-    assert not set(rows.loc["hidden_states", "status"]) - {"ok", "not_converged"}
+    assert not set(rows.loc["hidden_states", "status"]) - {"ok", "unexplained"}
     assert set(rows.loc[[*ways], "status"]) == {"failed"}
     assert all(m.startswith("RuntimeError: out of ideas (tests/fakes/misb") for m in rows.loc["raise", "message"])
     assert all(
@@ -287,7 +287,7 @@ def test_a_method_that_hangs_crashes_or_eats_memory_is_a_row_and_the_rest_goes_o
     done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=300)
     assert done.returncode == 1, done.stderr
     rows = pd.read_parquet(tmp_path / "out" / "results.parquet").set_index("method")
-    assert not set(rows.loc["hidden_states", "status"]) - {"ok", "not_converged"}  # one rigid body
+    assert not set(rows.loc["hidden_states", "status"]) - {"ok", "unexplained"}  # one rigid body
     assert set(rows.loc[[*ways], "status"]) == {"failed"}
     assert set(rows.loc["hang", "message"]) == {"took longer than 8 s (tried once)"}
     assert set(rows.loc["crash", "message"]) == {"its worker process was killed by SIGSEGV (tried once)"}
@@ -312,7 +312,7 @@ def test_a_trial_that_fails_is_a_row_for_every_estimate_that_needs_it(tmp_path, 
     (error,) = (tmp_path / "out").glob("trials/*/error.txt")
     assert "Traceback" in error.read_text(encoding="utf-8")
     monkeypatch.undo()
-    assert not set(resumed(scenario, tmp_path / "out")["status"]) - {"ok", "not_converged"}
+    assert not set(resumed(scenario, tmp_path / "out")["status"]) - {"ok", "unexplained"}
     assert not list((tmp_path / "out").rglob("error.txt"))
 
 

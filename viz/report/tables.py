@@ -286,7 +286,7 @@ def short(value: float) -> str:
 def hidden_table(results: Iterable[Row], objects: Sequence[str]) -> Table:
     """Errors of the center of mass and of I_cm where groups rest on their own weight: mean size over the draws."""
     own = select(results, support="own_weight", kind="hidden_states")
-    rows = [row for row in own if row["status"] in ("ok", "not_converged")]
+    rows = [row for row in own if row["status"] in ("ok", "unexplained", "not_converged")]
     lines = []
     for column, scale, label in (("com_error_m", 1e3, "c, mm"), ("inertia_error", 100, "I_cm, %")):
         for sensing in dict.fromkeys(row["sensing"] for row in rows):

@@ -1,0 +1,194 @@
+"""Misfit of an answer: how far its wrenches are from the measured ones in units of their errors, and why."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from scipy.stats import chi2
+from torch import Tensor
+
+from estimators.particles.errors import ModelErrors
+from estimators.particles.friction_system import FrictionEquations, sensor_map
+from estimators.particles.model import ParticleModel, inertia_of
+from estimators.particles.setup_effects import Columns, setup_effects
+from estimators.particles.support import own_weight
+from estimators.particles.windows import Observations
+from testbed.objects.model import MassDistribution, ObjectShape
+from testbed.worlds.setup_errors import SetupErrors
+
+CHANCE = 1e-3
+"""Chance that the stated errors alone give as large a misfit, below which errors are widened."""
+UNEXPLAINED = 3.0
+"""Misfit from which an answer does not explain the trials, where it is no chance. Ours: three times the stated variance
+is more than calibration leaves, and a wrong support, sign or grasp gives ten and more."""
+LIKELY = SetupErrors(
+    contact_points=3,
+    place_friction=0.05,
+    anisotropy=0.05,
+    speed_friction=0.03,
+    table_tilt=0.006,
+    particle_offset=0.001,
+    grasp_offset=0.001,
+    grasp_angle=0.015,
+    tcp_offset=0.001,
+    tcp_angle=0.01,
+    gain=0.015,
+    crosstalk=0.01,
+    mounting_angle=0.015,
+    delay=0.02,
+)
+"""Errors that a setup may have though it states none: the widths at which causes are compared."""
+WIDTHS = (1.0, 3.0)
+"""Multiples of them that are tried."""
+CAUSES = {
+    "contact_points": "the object touches the table at few points: state `contact_points`",
+    "group_friction": "groups differ in friction: state `group_friction`",
+    "place_friction": "friction differs over the table: clean it, or state `place_friction`",
+    "anisotropy": "friction differs by direction: state `anisotropy`",
+    "speed_friction": "friction changes with speed: turn at one speed, or state `speed_friction`",
+    "table_tilt": "the table is tilted: level it",
+    "particle_offset": "the groups are elsewhere than told: measure the object",
+    "grasp_offset": "the object is held beside its grasp points: measure the grasps",
+    "grasp_angle": "the object is turned in the hand: measure the grasps",
+    "tcp_offset": "the TCP is elsewhere than told: measure it",
+    "tcp_angle": "the hand closes along another direction than told: check the hand's yaw",
+    "gain": "the sensor's gain is off: calibrate it",
+    "crosstalk": "the sensor's axes feed into each other: calibrate it",
+    "mounting_angle": "the sensor is mounted at another angle than told: check its rotation",
+    "delay": "poses come late: align the clocks",
+    "support": "the groups do not rest on their own weight",
+}
+"""What each cause means, and what to do."""
+
+
+@dataclass(frozen=True)
+class Misfit:
+    """Misfit of an answer, with the trial that fits least and the causes that would explain it."""
+
+    value: float
+    """Squared residual over its variance, mean over degrees of freedom: about 1, or less, where the model holds."""
+    freedom: int
+    """Degrees of freedom: rows less unknowns."""
+    trials: dict[int, float]
+    """Mean squared residual of each trial by its own errors; empty where the misfit may be chance."""
+    explained: dict[str, float]
+    """Part of the squared residual that each cause would take away, likeliest first; empty as `trials`."""
+
+    @property
+    def by_chance(self) -> bool:
+        """True if the stated errors alone may give it."""
+        return self.freedom < 1 or self.value <= max(1.0, float(chi2.isf(CHANCE, self.freedom)) / self.freedom)
+
+    @property
+    def widening(self) -> float:
+        """Factor of the covariance, the square of Birge's ratio; 1 where the misfit may be chance."""
+        return 1.0 if self.by_chance else self.value
+
+    @property
+    def reason(self) -> str:
+        """Why the answer does not explain the trials; empty where it does."""
+        if self.by_chance or self.value <= UNEXPLAINED:
+            return ""
+        worst = max(self.trials, key=lambda trial: self.trials[trial])
+        cause, part = next(iter(self.explained.items()))
+        return (
+            f"the masses do not explain the trials: misfit {self.value:.2g} in place of 1, most in trial {worst} "
+            f"({self.trials[worst]:.2g}); likeliest cause, for {100 * part:.0f} % of it: {CAUSES[cause]}; whether they "
+            "rest on their own weight at all, support_aware tests; errors are widened"
+        )
+
+
+def misfit_of(
+    equations: FrictionEquations,
+    loads: Float[np.ndarray, "n_s"],
+    trial: Tensor,
+    causes: Callable[[], Columns],
+    unknowns: int,
+) -> Misfit:
+    """Misfit of friction loads.
+
+    Args:
+        equations: Q s = b with its errors.
+        loads: s, N.
+        trial: trial of each window, (K,).
+        causes: effect of each possible cause on the wrenches, by its name, R rows; asked for where the misfit is no
+            chance.
+        unknowns: number of loads and of other parameters that were fitted.
+    """
+    system = equations.whitened()
+    missing = system.b - system.q @ torch.tensor(loads)
+    total = float(missing @ missing)
+    freedom = len(missing) - unknowns
+    found = Misfit(total / max(freedom, 1), freedom, {}, {})
+    if found.by_chance:
+        return found
+    plain = (equations.b - equations.q @ torch.tensor(loads)).reshape(-1, 3)
+    covariance = (equations.apart + equations.common @ equations.common.T).reshape(len(trial), 3, len(trial), 3)
+    trials = {}
+    for index in trial.unique().tolist():
+        rows = trial == index
+        own = covariance[rows][:, :, rows].flatten(0, 1).flatten(1)
+        left = plain[rows].flatten()
+        trials[index] = float(left @ torch.linalg.solve(own, left)) / len(left)
+    ranked = []
+    span = torch.linalg.qr(system.q)[0]
+    for cause, columns in causes().items():
+        seen = system.whiten @ columns
+        seen = seen - span @ (span.T @ seen)
+        ranked.append((*max(_evidence(missing, width * seen, freedom) for width in WIDTHS), cause))
+    ranked.sort(reverse=True)
+    explained = {cause: gain / max(total, 1e-300) for _, gain, cause in ranked}
+    return replace(found, trials=trials, explained=explained)
+
+
+def likely_causes(
+    windows: Observations,
+    model: ParticleModel,
+    shape: ObjectShape,
+    at: MassDistribution,
+    drag: Float[Tensor, "P"],
+    errors: ModelErrors,
+) -> Columns:
+    """Effects of errors that a setup may have, `LIKELY` in size, and of loads that are not the groups' own weight.
+
+    Args:
+        windows: windows of constant speed.
+        model: particles of the object.
+        shape: shape of the object.
+        at: masses and frictions found.
+        drag: friction of every particle, N.
+        errors: errors of the model.
+    """
+    mass = model.particle_mass(torch.tensor(at.mass))
+    support = own_weight(model, mass, windows.gripper_load(inertia_of(model, mass), shape.height))
+    rows = windows.drag_rows(model, errors.pivot_error)
+    friction = model.particle_friction(torch.tensor(at.friction))
+    to_wrench = sensor_map(windows, rows @ (friction[:, None] * support.response))
+    each = drag.clamp(min=0).expand(len(windows), -1)
+    causes = setup_effects(windows, model, mass, each, to_wrench, errors.pivot_error, LIKELY)
+    one_hot = torch.nn.functional.one_hot(model.mass_group).double()
+    middle = (one_hot @ (one_hot.T @ model.particles / one_hot.sum(0)[:, None]) - model.particles) / model.cell
+    # one rigid body's loads rise alike everywhere
+    even = (model.contact / model.contact.sum() * drag.sum())[:, None]
+    return causes | {"support": (rows @ (even * middle)).reshape(-1, 2)}
+
+
+def _evidence(missing: Float[Tensor, "R"], columns: Float[Tensor, "R n"], freedom: int) -> tuple[float, float]:
+    """Evidence for a cause, and the squared residual that it takes away.
+
+    Twice the negative of Schwarz's criterion, the size of all other errors being unknown: a cause of many parameters
+    has to leave less.
+    """
+    total = float(missing @ missing)
+    inner = torch.eye(columns.shape[1], dtype=columns.dtype) + columns.T @ columns
+    inverse = torch.linalg.inv(inner)
+    toward = columns.T @ missing
+    gain = float(toward @ inverse @ toward)
+    used = columns.shape[1] - float(inverse.trace())
+    left = max(total - gain, 1e-9 * total)
+    return -freedom * math.log(left) - used * math.log(freedom + 1), gain

@@ -1,0 +1,215 @@
+"""Effects of an inexact setup on the measured wrenches: one column a nuisance parameter, linear about none.
+
+Each parameter is normal with the standard deviation that the setup states. Whoever whitens by a covariance adds these
+columns to it, and so marginalizes all of them: the data decide where they can, error bars hold the rest.
+"""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from estimators.particles.model import ParticleModel, cross, inertia_of, rotate, turned
+from estimators.particles.windows import Observations
+from testbed.objects.model import GRAVITY
+from testbed.worlds.setup_errors import SetupErrors
+
+FULL_SCALE = torch.tensor([300.0, 300.0, 300.0, 30.0, 30.0, 30.0], dtype=torch.float64)
+"""Full scale of a wrist sensor, N and N m: cross-talk is a part of it. That of the FT-300S."""
+SHARES = 2.0
+"""Sum of squared shares of the load of n points, times n: 1 where all carry the same. Ours, for three to eight points
+of uneven heights."""
+MOST_POINTS = 64
+"""Points at which the pattern of contact under a group is taken."""
+CORRELATED = 0.1
+"""Length over which friction is alike on a table, m. Ours."""
+WAVES = 6
+"""Eigenfunctions along each axis of the field of friction."""
+REFERENCE = 0.02
+"""Speed at which friction is the stated one, m/s."""
+SMALL = 1e-4
+"""Shift by which slopes are taken, m."""
+
+Columns = dict[str, Float[Tensor, "R n"]]
+
+
+def setup_effects(
+    windows: Observations,
+    model: ParticleModel,
+    mass: Float[Tensor, "P"],
+    drag: Float[Tensor, "K P"],
+    to_wrench: Float[Tensor, "R 6K"],
+    pivot_error: float,
+    setup: SetupErrors,
+) -> Columns:
+    """Change of every measured wrench with one standard deviation of each parameter, by kind; R = 3 K rows.
+
+    Args:
+        windows: windows of constant speed or acceleration.
+        model: particles of the object.
+        mass: their masses, kg.
+        drag: friction of every particle, N.
+        to_wrench: map from errors of all six components of the windows, about the TCP, to those of their wrenches.
+        pivot_error: error of the center of a turn, m.
+        setup: standard deviations; a kind of 0 has no columns.
+    """
+    found: Columns = {}
+    rows = windows.drag_rows(model, pivot_error) * drag[:, None]  # (K, 3, P)
+    if setup.contact_points:
+        found["contact_points"] = _contact_pattern(windows, model, drag, pivot_error, setup.contact_points)
+    if setup.group_friction:
+        found["group_friction"] = setup.group_friction * _by_group(model, rows)
+    if setup.place_friction:
+        found["place_friction"] = setup.place_friction * _place(windows, model, rows)
+    if setup.anisotropy:
+        found["anisotropy"] = setup.anisotropy * _anisotropy(windows, model, rows)
+    if setup.speed_friction:
+        decades = torch.log10(windows.particle_velocity(model).norm(dim=-1).clamp(1e-4, 1.0) / REFERENCE)
+        found["speed_friction"] = setup.speed_friction * (rows * decades[:, None]).sum(-1).reshape(-1, 1)
+    if setup.table_tilt:
+        found["table_tilt"] = setup.table_tilt * _tilt(windows, model, mass)
+    found |= _displacements(windows, model, mass, drag, pivot_error, setup)
+    return found | _sensed(windows, to_wrench, setup)
+
+
+def _flat(columns: Float[Tensor, "K 3 n"]) -> Float[Tensor, "R n"]:
+    return columns.reshape(3 * len(columns), -1)
+
+
+def _by_group(model: ParticleModel, rows: Float[Tensor, "K 3 P"]) -> Float[Tensor, "R n_m"]:
+    """Sums over mass groups."""
+    one_hot = torch.nn.functional.one_hot(model.mass_group).double()
+    return _flat(rows @ one_hot)
+
+
+def _contact_pattern(
+    windows: Observations, model: ParticleModel, drag: Float[Tensor, "K P"], pivot_error: float, points: float
+) -> Float[Tensor, "R n"]:
+    """Few points anywhere under each group, in place of its area, in one pattern for all trials.
+
+    Their loads hold the group's weight about its own center of mass, so only what is not affine in a point's place
+    is drawn: its variance over the area, over the number of points.
+    """
+    spread = model.spread
+    rows = torch.stack([windows.point_rows(each, pivot_error) for each in spread], -1)  # (K, 3, P, 4)
+    places = torch.stack([each.particles for each in spread], 1)  # (P, 4, 2)
+    columns = []
+    for group in range(int(model.mass_group.max()) + 1):
+        inside = torch.nonzero((model.mass_group == group) & model.contact).flatten()
+        if len(inside) == 0:
+            continue
+        load = drag[:, inside].sum(-1)
+        every = max(1, math.ceil(4 * len(inside) / MOST_POINTS))
+        at = places[inside].flatten(0, 1)[::every]
+        affine = torch.linalg.qr(torch.cat([torch.ones(len(at), 1, dtype=torch.float64), at - at.mean(0)], 1))[0]
+        own = rows[:, :, inside].flatten(2)[..., ::every]
+        rest = own - (own @ affine) @ affine.T
+        columns.append(rest * load[:, None, None] * math.sqrt(SHARES / (points * len(at))))
+    return _flat(torch.cat(columns, -1))
+
+
+def _place(windows: Observations, model: ParticleModel, rows: Float[Tensor, "K 3 P"]) -> Float[Tensor, "R n"]:
+    """Friction as a smooth field of unit variance over the table, by eigenfunctions of a box (Solin, Sarkka 2020)."""
+    yaw = windows.poses[..., 2, None]
+    at = windows.poses[..., None, :2] + rotate(yaw, windows.lever(model)[:, None])  # (K, S, P, 2)
+    low, high = at.amin((0, 1, 2)), at.amax((0, 1, 2))
+    half = (high - low) / 2 + CORRELATED
+    step = torch.arange(1, WAVES + 1, dtype=torch.float64) * math.pi / 2
+    wave = step / half[:, None]  # (2, WAVES)
+    phase = (at - (low + high) / 2 + half)[..., None] * wave
+    along = torch.sin(phase) / half.sqrt()[:, None]  # (K, S, P, 2, WAVES)
+    density = (2 * math.pi) ** 0.25 * CORRELATED**0.5 * torch.exp(-((CORRELATED * wave) ** 2) / 4)
+    along = along * density
+    field = (along[..., 0, :, None] * along[..., 1, None, :]).flatten(-2).mean(1)  # (K, P, WAVES^2)
+    return _flat(torch.einsum("kip,kpn->kin", rows, field))
+
+
+def _anisotropy(windows: Observations, model: ParticleModel, rows: Float[Tensor, "K 3 P"]) -> Float[Tensor, "R 2"]:
+    """Elliptic friction, more along one axis of the table by a part and less across; along x or along a diagonal.
+
+    First order of f = -N A v / sqrt(v . A v), A = mu^2 (1 + H): the force changes by H u - u (u . H u) / 2, H = 2 h.
+    """
+    unit = rows[:, :2].transpose(1, 2)  # N, object axes
+    size = unit.norm(dim=-1, keepdim=True).clamp(min=1e-12)
+    twice = 2 * windows.poses[..., 2]
+    cos, sin = torch.cos(twice).mean(1)[:, None], torch.sin(twice).mean(1)[:, None]
+    u, v = unit.unbind(-1)
+    lever, columns = windows.lever(model), []
+    for ahead, aside in ((2 * cos, -2 * sin), (2 * sin, 2 * cos)):  # H of the table in the axes of the object
+        force = torch.stack([ahead * u + aside * v, aside * u - ahead * v], -1)
+        force = force - unit * ((unit * force).sum(-1, keepdim=True) / size.square()) / 2
+        torque = cross(lever, force).sum(-1, keepdim=True)
+        columns.append(torch.cat([force.sum(1), torque], -1))
+    return _flat(torch.stack(columns, -1))
+
+
+def _tilt(windows: Observations, model: ParticleModel, mass: Float[Tensor, "P"]) -> Float[Tensor, "R 2"]:
+    """Pull of gravity along a tilted table, about either axis of the table."""
+    whole = inertia_of(model, mass)
+    weight = whole.mass * GRAVITY
+    columns = []
+    for axis in torch.eye(2, dtype=torch.float64):
+        force = weight * rotate(-windows.poses[..., 2], axis.expand(*windows.poses.shape[:2], 2)).mean(1)
+        columns.append(torch.cat([force, cross(whole.com - windows.grasp, force)[:, None]], -1))
+    return _flat(torch.stack(columns, -1))
+
+
+def _displacements(
+    windows: Observations,
+    model: ParticleModel,
+    mass: Float[Tensor, "P"],
+    drag: Float[Tensor, "K P"],
+    pivot_error: float,
+    setup: SetupErrors,
+) -> Columns:
+    """Particles elsewhere than told: each group's own, the object's in the hand by trial, the hand's."""
+    told = (setup.particle_offset, setup.grasp_offset, setup.grasp_angle, setup.tcp_offset, setup.tcp_angle)
+    if not any(told):
+        return {}
+    by = []
+    for axis in torch.eye(2, dtype=torch.float64):
+        ahead, behind = (windows.drag_rows(model.moved(side * SMALL * axis), pivot_error) for side in (1, -1))
+        slope = (ahead - behind) / (2 * SMALL) * drag[:, None]
+        lever = windows.lever(model) @ axis
+        slope[:, 2] += 2 * windows.acceleration[:, 2, None] * mass * lever  # of the moment of inertia
+        by.append(slope)
+    slopes = torch.stack(by, -1)  # (K, 3, P, 2)
+    shifted = slopes.sum(2)  # (K, 3, 2): the object along its axes
+    yawed = torch.einsum("kipa,kpa->ki", slopes, turned(windows.lever(model)))[..., None]
+    trials = torch.nn.functional.one_hot(torch.unique(windows.trial, return_inverse=True)[1]).double()
+    in_hand = shifted @ windows.from_sensor[:, :2, :2]
+    of_group = torch.einsum("kipa,pg->kiga", slopes, torch.nn.functional.one_hot(model.mass_group).double())
+    columns = {
+        "particle_offset": of_group.flatten(2),
+        "grasp_offset": torch.einsum("kia,kt->kita", shifted, trials).flatten(2),
+        "grasp_angle": torch.einsum("kia,kt->kita", yawed, trials).flatten(2),
+        "tcp_offset": in_hand,
+        "tcp_angle": yawed,
+    }
+    return {kind: size * _flat(columns[kind]) for kind, size in zip(columns, told, strict=True) if size}
+
+
+def _sensed(windows: Observations, to_wrench: Float[Tensor, "R 6K"], setup: SetupErrors) -> Columns:
+    """Errors of the sensor that go with what it measures, and poses that come late."""
+    signal, eye = windows.sensed, torch.eye(6, dtype=torch.float64)
+    errors = {}
+    if setup.gain:
+        errors["gain"] = setup.gain * torch.diag_embed(signal)
+    if setup.crosstalk:
+        other = (FULL_SCALE[:, None] / FULL_SCALE)[None] * signal[:, None] * (1 - eye)  # (K, to, from)
+        errors["crosstalk"] = setup.crosstalk * torch.diag_embed(other.transpose(1, 2)).transpose(1, 2).flatten(2)
+    if setup.mounting_angle:
+        axes = torch.eye(3, dtype=torch.float64)
+        both = [torch.linalg.cross(axis.expand(len(signal), 2, 3), signal.reshape(-1, 2, 3)) for axis in axes]
+        errors["mounting_angle"] = setup.mounting_angle * torch.stack(both, -1).reshape(len(signal), 6, 3)
+    errors = {kind: windows.from_sensor @ each for kind, each in errors.items()}
+    if setup.delay:
+        about = (windows.from_sensor @ signal[..., None])[..., 0]
+        late = torch.zeros_like(about)
+        for part in (slice(0, 2), slice(3, 5)):
+            late[:, part] = turned(about[:, part]) * windows.twist[:, 2:]
+        errors["delay"] = setup.delay * late[..., None]
+    return {kind: to_wrench @ each.reshape(6 * len(signal), -1) for kind, each in errors.items()}

@@ -1,0 +1,115 @@
+"""Columns of an inexact setup: each is the change of the wrenches where the setup really is so."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from numpy.testing import assert_allclose
+
+from estimators.hidden_states.estimator import HiddenStates
+from estimators.particles.friction_system import sensor_map
+from estimators.particles.model import ParticleModel
+from estimators.particles.setup_effects import setup_effects
+from estimators.particles.windows import observe
+from estimators.testing.analytic_world import accelerated, analytic_trial, drawn_object, turns
+from testbed.actions.rotate import Rotate
+from testbed.actions.slide import Slide
+from testbed.objects.model import GRAVITY
+from testbed.worlds.setup_errors import SetupErrors
+from tests.fakes.flawed_bench import held_beside, on_anisotropic_table
+
+OBJECT, BESIDE = drawn_object(0), np.array([0.01, 0.015])
+ACTIONS = [
+    Rotate(grasp, duration=2.5, pivot=tuple(OBJECT.shape.grasps[grasp].position + BESIDE), back=back)
+    for grasp, back in ((0, True), (1, False), (2, True))
+]
+
+
+def effects(trials, setup):
+    windows = observe(OBJECT.shape, trials)
+    model = ParticleModel.of(OBJECT.shape)
+    mass = model.particle_mass(torch.tensor(OBJECT.truth.mass))
+    drag = model.particle_friction(torch.tensor(OBJECT.truth.friction)) * mass * GRAVITY
+    to_wrench = sensor_map(windows, torch.zeros(len(windows), 3, 3, dtype=torch.float64))
+    found = setup_effects(windows, model, mass, drag.expand(len(windows), -1), to_wrench, 0.0, setup)
+    return {kind: columns.numpy() for kind, columns in found.items()}
+
+
+def wrenches(trials):
+    return observe(OBJECT.shape, trials).wrench.numpy().ravel()
+
+
+def test_an_exact_setup_has_none():
+    assert effects([analytic_trial(OBJECT, ACTIONS[0])], SetupErrors()) == {}
+
+
+def test_a_grasp_offset_moves_the_object_in_the_hand():
+    offset = np.array([1e-4, -5e-5])
+    plain = [analytic_trial(OBJECT, action) for action in ACTIONS]
+    beside = [held_beside(OBJECT, action, offset) for action in ACTIONS]
+    columns = effects(plain, SetupErrors(grasp_offset=0.001))["grasp_offset"]
+    predicted = columns.reshape(len(columns), len(ACTIONS), 2).sum(1) @ (-offset / 0.001)
+    assert_allclose(predicted, wrenches(beside) - wrenches(plain), atol=0.03 * np.abs(predicted).max())
+
+
+def test_an_anisotropic_table_drags_more_one_way():
+    direction, part = 0.4, 0.01  # friction along `direction` is 1 % over the mean
+    r = 2 * part
+    plain = [analytic_trial(OBJECT, action) for action in ACTIONS]
+    grained = [on_anisotropic_table(OBJECT, t, ((1 - r) / (1 + r)) ** 0.5, direction) for t in plain]
+    columns = effects(plain, SetupErrors(anisotropy=part))["anisotropy"]
+    predicted = columns @ [np.cos(2 * direction), np.sin(2 * direction)]
+    assert_allclose(predicted, wrenches(grained) - wrenches(plain), atol=0.05 * np.abs(predicted).max())
+
+
+def test_groups_of_more_friction_drag_more():
+    more = replace(OBJECT, truth=replace(OBJECT.truth, mass=OBJECT.truth.mass * [1.02, 1, 1, 1, 1, 1]))
+    plain, harder = ([analytic_trial(obj, Slide(0, 0.3))] for obj in (OBJECT, more))
+    columns = effects(plain, SetupErrors(group_friction=0.02))["group_friction"]
+    assert_allclose(columns[:, 0], wrenches(harder) - wrenches(plain), atol=1e-6)
+
+
+@pytest.mark.parametrize("kind", ["gain", "crosstalk", "mounting_angle", "delay"])
+def test_errors_of_the_sensor_are_parts_of_what_it_measures(kind):
+    plain = [analytic_trial(OBJECT, action) for action in ACTIONS]
+    doubled = [replace(t, wrench_on_object_world=2 * t.wrench_on_object_world) for t in plain]
+    one, two = (effects(trials, SetupErrors(**{kind: 0.01}))[kind] for trials in (plain, doubled))
+    assert_allclose(two, 2 * one, atol=1e-12)
+    assert np.abs(one).max() > 1e-4
+
+
+def test_a_gain_of_all_axes_scales_the_wrench():
+    plain = [analytic_trial(OBJECT, action) for action in ACTIONS]
+    columns = effects(plain, SetupErrors(gain=0.01))["gain"]
+    force = columns.sum(axis=1).reshape(-1, 3)[:, :2]
+    assert_allclose(force, 0.01 * wrenches(plain).reshape(-1, 3)[:, :2], atol=1e-9)
+
+
+def test_where_all_move_alike_the_pattern_of_contact_does_not_matter():
+    slid = effects([analytic_trial(OBJECT, Slide(0, 0.3))], SetupErrors(contact_points=3))["contact_points"]
+    turned = effects([analytic_trial(OBJECT, ACTIONS[0])], SetupErrors(contact_points=3))["contact_points"]
+    assert np.abs(slid).max() < 1e-9 and np.abs(turned).max() > 1e-3
+
+
+def test_errors_that_are_stated_widen_the_answers_own():
+    trials = turns(OBJECT) + accelerated(OBJECT)
+    stated = [replace(t, setup=SetupErrors(grasp_offset=0.001, group_friction=0.03)) for t in trials]
+    exact, wide = (HiddenStates().estimate(OBJECT.shape, OBJECT.total_mass, given, 0) for given in (trials, stated))
+    assert exact.status == wide.status == "ok"
+    assert (np.diag(wide.covariance) > 4 * np.diag(exact.covariance)).all()
+
+
+def test_a_grasp_offset_that_is_not_stated_is_named_and_one_that_is_explains_the_trials():
+    shifts = 0.003 * np.random.default_rng(0).standard_normal((6, 2))
+    grasps = [k % len(OBJECT.shape.grasps) for k in range(6)]
+    pivots = [tuple(OBJECT.shape.grasps[g].position + BESIDE) for g in grasps]
+    turned = [Rotate(g, duration=2.5, pivot=p, back=True) for g, p in zip(grasps, pivots, strict=True)]
+    trials = [held_beside(OBJECT, action, shift) for action, shift in zip(turned, shifts, strict=True)]
+    trials += accelerated(OBJECT)
+    answer = HiddenStates().estimate(OBJECT.shape, OBJECT.total_mass, trials, 0)
+    assert answer.status == "unexplained" and answer.diagnostics["misfit"] > 3
+    assert "measure the" in answer.message, answer.message
+    stated = [replace(t, setup=SetupErrors(grasp_offset=0.003)) for t in trials]
+    answer = HiddenStates().estimate(OBJECT.shape, OBJECT.total_mass, stated, 0)
+    assert answer.status == "ok" and answer.diagnostics["misfit"] < 2

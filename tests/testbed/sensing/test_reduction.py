@@ -18,7 +18,7 @@ from testbed.errors import InvalidValueError
 from testbed.frames import rotation_2d
 from testbed.objects.model import GRAVITY
 from testbed.sensing.compensation import compensate
-from testbed.sensing.windows import _at_tcp, effective_samples, mean_covariance, steady_windows, weight_of
+from testbed.sensing.windows import _from_sensor, effective_samples, mean_covariance, steady_windows, weight_of
 from testbed.trajectory import Trajectory
 from tests.helpers.records import DOWN, RATE, TOOL, coloured_noise, record, turn_record
 
@@ -96,7 +96,8 @@ def test_the_bias_covariance_is_made_of_the_responses_to_unit_biases(yaw: float,
         for part in (slice(0, 2), slice(3, 5)):
             response[part] = rotation_2d(-yaw) @ response[part]
         expected += std**2 * np.outer(response, response)
-    assert_allclose(_at_tcp(hand, np.diag(hand.sensor_bias_std**2)), expected, atol=1e-12)
+    move = _from_sensor(hand)
+    assert_allclose(move @ np.diag(hand.sensor_bias_std**2) @ move.T, expected, atol=1e-12)
     (window,) = steady_windows(hand)
     assert_allclose(window.bias_covariance, expected, atol=1e-12)
 
@@ -118,7 +119,7 @@ def test_the_bias_covariance_of_a_sensor_straight_above_the_grasp():
 
 def test_the_bias_covariance_of_a_scale_is_its_own():
     hand = dataclasses.replace(hovering(0.9), tool=None)
-    assert_allclose(_at_tcp(hand, np.diag(hand.sensor_bias_std**2)), np.diag(hand.sensor_bias_std**2), atol=1e-15)
+    assert_allclose(_from_sensor(hand), np.eye(6), atol=1e-15)
 
 
 def test_a_slide_has_the_twist_of_its_direction_in_the_object():

@@ -30,6 +30,8 @@ from testbed.simulation.settings import (
 )
 from testbed.toml import explained, load_toml
 from testbed.trial import Support, parse_support
+from testbed.worlds.draw import WorldDraw
+from testbed.worlds.presets import QUANTITIES, World, world
 
 
 class Strict(BaseModel):
@@ -107,6 +109,33 @@ class Truth(Strict):
         return replace(model, shape=shape, truth=MassDistribution(model.truth.mass, friction))
 
 
+class WorldTable(Strict):
+    """A world by name, any of its quantities changed, and the seed of its draws."""
+
+    model_config = ConfigDict(extra="allow", frozen=True)
+
+    preset: str = "ideal"
+    seed: Annotated[int, Field(ge=0)] = 0
+
+    @model_validator(mode="after")
+    def _sound(self) -> Self:
+        self.build()
+        return self
+
+    def build(self) -> World:
+        """The world."""
+        given: dict[str, Any] = self.model_extra or {}
+        if unknown := sorted(set(given) - set(QUANTITIES)):
+            allowed = f"quantities of a world{nearest(unknown[0], QUANTITIES)}: {', '.join(QUANTITIES)}"
+            raise InvalidValueError("world", unknown, allowed)
+        return replace(world(self.preset), **given)
+
+    def draw(self, model: ObjectModel, number: int) -> WorldDraw | None:
+        """Draw `number` of the world for an object; None in the ideal one."""
+        built = self.build()
+        return None if built.is_ideal else WorldDraw.of(built, model, f"{self.seed}/{number}")
+
+
 class Sweep(Strict):
     """Fields of the scenario that take several values: every combination (grid), or side by side (zip)."""
 
@@ -138,6 +167,7 @@ class Scenario(Strict):
     policy: Policy = Policy()
     simulation: Simulation = Simulation()
     truth: Truth = Truth()
+    world: WorldTable = WorldTable()
     sweep: Sweep = Sweep()
     methods: Annotated[dict[str, dict[str, Any]], Field(min_length=1)] = {"hidden_states": {}}
 
@@ -161,6 +191,8 @@ class Scenario(Strict):
             build_method(label, settings)
         if not (self.objects or self.random):
             raise InvalidValueError("objects", [], "one object or more: names, paths, or a [[random]] family")
+        if self.simulation.runner is not None and not self.world.build().is_ideal:
+            raise InvalidValueError("world.preset", self.world.preset, "ideal: another runner has a world of its own")
         names = [family.name for family in self.random]
         if len(set(names)) < len(names):
             raise InvalidValueError("random", names, "a name of its own for each family")
@@ -198,12 +230,12 @@ class Scenario(Strict):
         return [parse_support(value) for value in self.support]
 
     def draws(self, sensing: str) -> int:
-        """Sensing draws of each trial: a perfect sensor needs one."""
-        return 1 if sensing == "ideal" else self.seeds
+        """Draws of world and sensor: a perfect sensor in the ideal world needs one."""
+        return 1 if sensing == "ideal" and self.world.build().is_ideal else self.seeds
 
     def own_draws(self) -> list[tuple[str, int] | None]:
         """Sensor and seed of every draw that has trials of its own; one None where all draws share theirs."""
-        if not self.policy.own_draw:
+        if not self.policy.own_draw and self.world.build().is_ideal:
             return [None]
         return [(sensing, seed) for sensing in self.sensing for seed in range(self.draws(sensing))]
 
@@ -225,7 +257,9 @@ class Scenario(Strict):
             table, *path = changed, *name.split(".")
             for key in path[:-1]:
                 table = table[key] if isinstance(table, dict) and isinstance(table.get(key), dict) else None
-            if not isinstance(table, dict) or (path[-1] not in table and not {"methods", "settings"} & {*path[:-1]}):
+            if not isinstance(table, dict) or (
+                path[-1] not in table and not {"methods", "settings", "world"} & {*path[:-1]}
+            ):
                 known = [key for key in plain if key != "sweep"]
                 allowed = f"a field as it stands in the file, such as grid.feet; tables and fields: {', '.join(known)}"
                 raise InvalidValueError("sweep.axes", name, allowed)

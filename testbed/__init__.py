@@ -26,6 +26,8 @@ if TYPE_CHECKING:
     from testbed.simulation.settings import SimulationSettings
     from testbed.trajectory import Phase, Tool, Trajectory, load_trajectory, save_trajectory
     from testbed.trial import OWN_WEIGHT, RIGID, Support, Trial, TrialRunner
+    from testbed.worlds.draw import WorldDraw
+    from testbed.worlds.presets import World, world
     from testbed.worlds.setup_errors import SetupErrors
 
 
@@ -58,6 +60,8 @@ __all__ = [
     "Trial",
     "TrialRunner",
     "Weigh",
+    "World",
+    "WorldDraw",
     "action_from_dict",
     "block_object",
     "draw_sensing",
@@ -67,6 +71,7 @@ __all__ = [
     "save_trajectory",
     "steady_windows",
     "weight_of",
+    "world",
 ]
 
 __getattr__, __dir__ = lazy_names(__name__)

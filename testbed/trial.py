@@ -5,12 +5,15 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from types import TracebackType
-from typing import Protocol, Self, runtime_checkable
+from typing import TYPE_CHECKING, Protocol, Self, runtime_checkable
 
 from testbed.actions.base import Action
 from testbed.errors import InvalidValueError
 from testbed.objects.model import Grasp, ObjectModel
 from testbed.trajectory import Trajectory
+
+if TYPE_CHECKING:
+    from testbed.worlds.draw import WorldDraw
 
 
 @dataclass(frozen=True)
@@ -76,8 +79,12 @@ class Trial:
     """Name of a sensing preset."""
     seed: int = 0
     """Seed of the sensing draw."""
+    world: WorldDraw | None = None
+    """Draw of a world for the object; None is the ideal world. Only a simulation needs it."""
 
     def __post_init__(self) -> None:
+        if self.world is not None and self.world.world.is_ideal:
+            object.__setattr__(self, "world", None)
         if self.action.grasp is not None and self.action.grasp >= len(self.object.shape.grasps):
             names = ", ".join(f"{i} ({g.name})" for i, g in enumerate(self.object.shape.grasps))
             allowed = names or "none: nothing is grippable"

@@ -17,15 +17,30 @@ from testbed.objects.model import ObjectModel
 from testbed.sensing.noise import draw_sensing
 from testbed.sensing.presets import PRESETS
 from testbed.trajectory import Trajectory
+from testbed.worlds.draw import WorldDraw
+from testbed.worlds.presets import WORLDS, World
 from testbed.worlds.setup_errors import SetupErrors
 
 SECRET_WORDS = frozenset(
-    ("seed", "support", "stiffness", "preset", "truth", "total", "friction", "figures", "state", "solids")
+    (
+        "seed",
+        "support",
+        "stiffness",
+        "preset",
+        "truth",
+        "total",
+        "friction",
+        "figures",
+        "state",
+        "solids",
+        "world",
+        "draw",
+    )
 )
 """Words that no name of an attribute or of an entry that says anything may hold."""
-ALLOWED_NAMES = frozenset(("friction_group", *(field.name for field in fields(SetupErrors))))
+ALLOWED_NAMES = frozenset(("friction_group", "wrench_on_object_world", *(field.name for field in fields(SetupErrors))))
 """Names that say how the shape is divided, or how large an error may be, and no coefficient."""
-SECRET_TEXTS = frozenset((*PRESETS, "own_weight", "rigid")) - {"low", "high"}
+SECRET_TEXTS = frozenset((*PRESETS, *WORLDS, "own_weight", "rigid")) - {"low", "high"}
 """Texts that name a sensor or a support."""
 MOST_INTEGERS = 64
 """Integers with which a draw is tried, the largest first: seeds are large."""
@@ -47,16 +62,20 @@ def truth_within_reach(
     found = list(_walked(given))
     names = [f"{path} is given" for path, name, value in found if _secret(name) and _says_something(value)]
     texts = [f"{path} says {value!r}" for path, _, value in found if isinstance(value, str) and _names_secret(value)]
-    held = [f"{path} is an ObjectModel" for path, _, value in found if isinstance(value, ObjectModel)]
+    secret = (ObjectModel, World, WorldDraw)
+    held = [f"{path} is of {type(value).__name__}" for path, _, value in found if isinstance(value, secret)]
     values = [said for path, _, value in found if drawn for said in _true_number(path, value, model)]
     integers = sorted({n for _, _, value in found for n in _integers(value)}, reverse=True)[:MOST_INTEGERS]
+    drawn_by = {draw.seed for t in clean if (draw := WorldDraw.in_record(t.provenance))}
+    said = " ".join([*map(str, integers), *(value for _, _, value in found if isinstance(value, str))])
+    seeds = [f"the seed {seed} of the world is given" for seed in drawn_by if str(seed) in said]
     rebuilt = [
         said
         for index, (seen, true) in enumerate(zip(given.get("trajectories", ()), clean, strict=False))
         if drawn
         for said in _redrawn(index, seen, true, integers)
     ]
-    return [*names, *texts, *held, *values, *rebuilt]
+    return [*names, *texts, *held, *values, *seeds, *rebuilt]
 
 
 def _walked(value: Any, path: str = "", name: str = "", depth: int = 12) -> Iterator[tuple[str, str, Any]]:

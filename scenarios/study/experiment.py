@@ -20,6 +20,7 @@ from testbed.objects.model import ObjectModel
 from testbed.objects.random import Family
 from testbed.trajectory import Trajectory
 from testbed.trial import Support
+from testbed.worlds.draw import WorldDraw
 
 MOST_DRAWS = 100
 """Draws of a random object before its family is given up."""
@@ -77,6 +78,8 @@ class Experiment:
     """Reason of each refusal, with its numbers."""
     draw: tuple[str, int] | None = None
     """Sensor and seed of its one draw; None where all draws share it."""
+    world: WorldDraw | None = None
+    """Draw of the world of its trials, of which nobody is told; None is the ideal one."""
 
     def known_actions(self) -> list[Action]:
         """Actions that do not depend on any wrench: those of the paper's policy, and the turns held out."""
@@ -144,10 +147,11 @@ def experiments_of(
                         used, turns = point.policy.split(particles.shape, grasps, draw[1] if draw else 0)
                         refused, weighed = dict[Action, str](), list[float]()
                         policy = point.policy.build(used, particles.shape, settings, weighed, draw, refused)
-                        one = Experiment(
-                            point, axes, model, particles, support, used, policy, turns, refused, weighed, draw=draw
+                        world = point.world.draw(model, draw[1]) if draw else None
+                        chosen = (used, policy, turns, refused, weighed)
+                        experiments.append(
+                            Experiment(point, axes, model, particles, support, *chosen, draw=draw, world=world)
                         )
-                        experiments.append(one)
             done += 1
             progress("objects", done, total)
     if not experiments:

@@ -78,7 +78,8 @@ class TrialRun:
 
     def _started(self, experiment: Experiment, action: Action) -> str:
         """Key of the trial, which is started where it is neither there nor in flight."""
-        trial, settings = Trial(experiment.model, action, experiment.support), experiment.scenario.simulation.build()
+        trial = Trial(experiment.model, action, experiment.support, world=experiment.world)
+        settings = experiment.scenario.simulation.build()
         key = key_of(trial_request(trial, settings))
         if not (key in self.asking or key in self.refusals or self.store.has_trial(key)):
             self.asking[key] = []
@@ -183,7 +184,8 @@ def _key_of(experiment: Experiment) -> str:
         "held_out": [turn.to_dict() for turn in experiment.turns],
         "simulation": asdict(experiment.scenario.simulation.build()),
     }
-    return key_of(request | ({"felt": list(experiment.draw)} if experiment.draw else {}))
+    drawn = {"world": asdict(experiment.world)} if experiment.world else {}
+    return key_of(request | drawn | ({"felt": list(experiment.draw)} if experiment.draw else {}))
 
 
 def _tried(trial: Trial, settings: RunnerSettings, store: Store) -> str:

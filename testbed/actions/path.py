@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any, NamedTuple, Self
 
@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial import ConvexHull
 
-from testbed.frames import pose_from_point, transform_point
+from testbed.frames import pose_from_point, rotation_2d, transform_point
 from testbed.objects.model import ObjectShape
 
 RAMP_TIME = 0.4
@@ -149,6 +149,14 @@ class ToolPath:
         """TCP position and yaw of the closing direction along the path [m, m, rad], world, shape (N, 3)."""
         poses = self.object_pose(part)
         return np.column_stack([transform_point(poses, self.grasp), poses[:, 2] + self.grasp_angle])
+
+    def shifted(self, shift: tuple[float, float, float], about: tuple[float, float]) -> ToolPath:
+        """The path turned about a point [m, world] and then moved, by `shift` [m, m, rad]."""
+        if not any(shift):
+            return self
+        turn, fixed = rotation_2d(shift[2]), np.array(about)
+        centre = fixed + turn @ (self.centre - fixed) + shift[:2]
+        return replace(self, centre=centre, yaw=self.yaw + shift[2], slide=turn @ self.slide)
 
 
 LOW, HIGH = (-0.30, -0.60), (1.00, 0.60)

@@ -16,10 +16,14 @@ from testbed.objects.model import GRAVITY
 from testbed.sensing.compensation import compensate
 from testbed.sensing.presets import Sensing
 from testbed.trajectory import Phase, Trajectory
+from testbed.worlds.draw import WorldDraw
+from testbed.worlds.instruments import as_measured, rounded, true_sensing
 
 
 def draw_sensing(clean: Trajectory, sensing: Sensing, seed: int) -> Trajectory:
     """Trajectory of a clean one as a sensor with errors records it, tared and compensated.
+
+    Where the clean one was made in a world that is not ideal, arm and sensor err as they do there.
 
     It states the sensor's errors as the data sheet does, and nothing by which the draw could be taken off again.
 
@@ -28,13 +32,16 @@ def draw_sensing(clean: Trajectory, sensing: Sensing, seed: int) -> Trajectory:
         sensing: errors of the sensor.
         seed: seed of the draw; one seed gives the same errors to all trials of equal length: mix in the trial's own.
     """
-    rng = np.random.default_rng(seed)
+    rng, draw = np.random.default_rng(seed), WorldDraw.in_record(clean.provenance)
     provenance = {name: clean.provenance[name] for name in ("runner",) if name in clean.provenance}
     provenance["sensing"] = "drawn"
     if clean.tool is None:
         wrench = np.array(clean.wrench_on_object_world)
-        wrench[:, 2] += GRAVITY * read_scale(0.0, sensing, seed)
+        off = 0.0 if draw is None else draw.normal("scale", 1)[0]
+        wrench[:, 2] += GRAVITY * read_scale(off, sensing, seed)
         return replace(clean, sensor_wrench=wrench, wrench_on_object_world=wrench, provenance=provenance)
+    if draw is not None:
+        clean, sensing = as_measured(clean, draw), true_sensing(sensing, draw)
     count, dt = len(clean.time_s), float(np.median(np.diff(clean.time_s)))
     noise_std = np.array([*sensing.force_noise, *sensing.torque_noise])
     white = rng.standard_normal((count, 6))
@@ -44,6 +51,8 @@ def draw_sensing(clean: Trajectory, sensing: Sensing, seed: int) -> Trajectory:
     walk = np.cumsum(sensing.true_drift * sensing.drift_std * np.sqrt(dt) * rng.standard_normal((count, 6)), axis=0)
     tared = np.maximum.accumulate(clean.phase > Phase.TARE)
     raw = clean.sensor_wrench + noise_std * coloured + walk + np.outer(tared, bias)
+    if draw is not None:
+        raw = rounded(raw, draw)
     accelerations = np.repeat([sensing.linear_acceleration_noise, sensing.angular_acceleration_noise], 3)
     jitter = accelerations * dt / np.sqrt(2) * rng.standard_normal((count, 6))
     velocity = clean.tcp_velocity + jitter

@@ -1,21 +1,25 @@
-"""Contacts of the feet with the table: true forces in a trial, loads at rest, and weighing on a scale."""
+"""Contacts of the feet with the table: in the scene, their true forces in a trial, and their loads at rest."""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
 from jaxtyping import Float
 
 from testbed.foot_forces import FootForces
-from testbed.objects.model import GRAVITY, ObjectModel
-from testbed.simulation.scene import Scene, build_scene, foot_stiffness, touching_groups
-from testbed.simulation.settings import ContactSettings, SimulationSettings
-from testbed.trajectory import Trajectory
-from testbed.trial import Support, Trial
+from testbed.objects.model import GRAVITY, ObjectModel, ObjectShape
+from testbed.simulation.settings import ContactSettings
+from testbed.trial import Support
+from testbed.worlds.feet import Feet
 
-_SETTLE_TIME, _READ_TIME = 1.0, 0.5
+if TYPE_CHECKING:
+    from testbed.simulation.scene import Scene
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +61,7 @@ class ContactLog:
         rows, feet = -(-ticks // self._every), len(scene.foot_geoms)
         self._foot = np.full(scene.model.ngeom, -1)
         self._foot[scene.foot_geoms] = np.arange(feet)
-        self._particle = scene.foot_particles
+        self._particle = scene.feet.particle
         self._tcp_site = scene.model.site("gripper/tcp").id
         self._force = np.zeros((rows, feet, 3))
         self._position = np.zeros((rows, feet, 3))
@@ -113,17 +117,82 @@ def resting_loads(obj: ObjectModel, support: Support, contact: ContactSettings) 
     return loads
 
 
-def weigh(trial: Trial, settings: SimulationSettings) -> Trajectory:
-    """Record of a scale under the object at rest."""
-    scene = build_scene(trial.object, trial.support, None, settings)
-    model, data = scene.model, mujoco.MjData(scene.model)
-    mujoco.mj_step(model, data, round(_SETTLE_TIME / settings.timestep))
-    count = round(_READ_TIME * settings.rate)
-    weight, force = np.zeros(count), np.zeros(6)
-    for tick in range(count):
-        mujoco.mj_step(model, data, settings.steps)
-        for contact in range(data.ncon):
-            mujoco.mj_contactForce(model, data, contact, force)
-            weight[tick] += force[0]
-    provenance = {"runner": "simulation", "mujoco": mujoco.__version__, "support": trial.support.name}
-    return Trajectory.of_scale(weight, np.arange(count) / settings.rate, provenance)
+def touching_groups(shape: ObjectShape) -> list[tuple[int, int]]:
+    """Pairs of mass groups with particles one cell apart."""
+    gaps = np.linalg.norm(shape.particles[:, None] - shape.particles[None], axis=-1)
+    a, b = np.nonzero(gaps < 1.01 * shape.cell)
+    pairs = np.sort(np.stack([shape.mass_group[a], shape.mass_group[b]], axis=1), axis=1)
+    return [(int(i), int(j)) for i, j in np.unique(pairs[pairs[:, 0] != pairs[:, 1]], axis=0)]
+
+
+def add_feet(
+    spec: mujoco.MjSpec,
+    obj: ObjectModel,
+    frames: Sequence[mujoco.MjsBody | mujoco.MjsFrame],
+    contact: ContactSettings,
+    feet: Feet,
+) -> None:
+    """Add feet to the frames of their mass groups, and their contacts: geoms and pairs `foot_<index>`."""
+    shape = obj.shape
+    for index, particle in enumerate(feet.particle.tolist()):
+        x, y = feet.position[index]
+        along_x, along_y = feet.friction[index]
+        frames[int(shape.mass_group[particle])].add_geom(
+            name=f"foot_{index}",
+            type=mujoco.mjtGeom.mjGEOM_SPHERE,
+            size=(contact.foot_radius, 0, 0),
+            mass=0,
+            group=3,
+            pos=(x, y, contact.foot_radius - shape.height / 2 - feet.height[index]),
+            contype=0,
+            conaffinity=0,
+            rgba=(0.2, 0.2, 0.2, 1),
+        )
+        spec.add_pair(
+            name=f"foot_{index}",
+            geomname1=f"foot_{index}",
+            geomname2="top",
+            condim=3,
+            friction=[along_y, along_x, 0, 0, 0],  # on a level top, the first tangent of a contact is along y
+        )
+
+
+def foot_stiffness(obj: ObjectModel, contact: ContactSettings) -> float:
+    """Stiffness of a foot under a particle [N/m], at which the object sinks by `sag` under its weight."""
+    return obj.total_mass * GRAVITY / int((obj.shape.friction_group >= 0).sum()) / contact.sag
+
+
+def soften_feet(model: mujoco.MjModel, obj: ObjectModel, feet: Feet, contact: ContactSettings) -> np.ndarray:
+    """Give every foot its part of `foot_stiffness`; returns their geom ids, shape (n_feet,).
+
+    MuJoCo's stiffness is per unit of effective mass, which only the compiled model knows: a static contact with
+    impedance d carries f = k r d / ((1 - d) A), with k in 1/s^2 and A the inverse effective mass.
+    """
+    d = contact.impedance
+    geoms = np.array([model.geom(f"foot_{index}").id for index in range(len(feet.particle))])
+    newtons_per_metre = feet.stiffness * foot_stiffness(obj, contact)
+    for index, inverse_mass in enumerate(_inverse_masses(model, geoms, d)):
+        stiffness = newtons_per_metre[index] * (1 - d) * inverse_mass / d
+        pair = model.pair(f"foot_{index}")
+        pair.solref[:] = -stiffness * d, -2 * math.sqrt(stiffness) * d
+        pair.solimp[:2] = d
+        model.pair_solreffriction[pair.id] = -1e-6, -contact.friction_damping * d
+    return geoms
+
+
+def _inverse_masses(model: mujoco.MjModel, geoms: np.ndarray, impedance: float) -> np.ndarray:
+    """Inverse effective mass of every foot [1/kg], shape (n_feet,)."""
+    inverse = model.body_invweight0[model.geom_bodyid[geoms], 0].copy()
+    slides = [j for j in range(model.njnt) if model.joint(j).name.startswith("slide_")]
+    if not any(model.tendon(t).name.startswith("spring_") for t in range(model.ntendon)):
+        return inverse
+    # A stretched spring counts as mass in a step: ask the contacts themselves, at a stiffness of none
+    soft, data = copy(model), mujoco.MjData(model)
+    for index in range(len(geoms)):
+        pair = soft.pair(f"foot_{index}")
+        pair.solref[:], pair.solimp[:2] = (-1e-12, -1e-12), impedance
+    data.qpos[soft.jnt_qposadr[slides]] = -1e-9 * np.arange(1, len(slides) + 1)
+    mujoco.mj_forward(soft, data)
+    for touch in data.contact:
+        inverse[np.isin(geoms, touch.geom)] = data.efc_R[touch.efc_address] * impedance / (1 - impedance)
+    return inverse

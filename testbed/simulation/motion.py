@@ -174,17 +174,28 @@ class Motion:
     """True if the object leaves the table."""
 
 
-def plan_motion(action: Action, shape: ObjectShape, settings: SimulationSettings) -> Motion:
+def plan_motion(
+    action: Action,
+    shape: ObjectShape,
+    settings: SimulationSettings,
+    start: tuple[float, float, float] = (0.0, 0.0, 0.0),
+) -> Motion:
     """Plan a trial: pose of the object, and motion of arm and fingers at every tick.
+
+    Args:
+        action: what to do.
+        shape: geometry as told.
+        settings: rate, grip height and servo.
+        start: shift of the whole path from the middle of the workspace, and its turn about the TCP [m, m, rad].
 
     Raises:
         InfeasibleTrialError: part of the path is out of the arm's reach.
     """
     dt = 1.0 / settings.rate
-    work = _work(action, shape, settings)
-    start = work.hold.copy()
-    start[2] += HOVER
-    descent_path = spline(np.linspace(start, work.hold, 4), np.array(HOME))
+    work = _work(action, shape, settings, start)
+    hover = work.hold.copy()
+    hover[2] += HOVER
+    descent_path = spline(np.linspace(hover, work.hold, 4), np.array(HOME))
     q_hover, q_grasp = descent_path(0.0), descent_path(1.0)
     q, qd = work.joints(q_grasp)
 
@@ -235,17 +246,19 @@ class _Work:
 
 
 @singledispatch
-def _work(action: Action, shape: ObjectShape, settings: SimulationSettings) -> _Work:
+def _work(action: Action, shape: ObjectShape, settings: SimulationSettings, start: tuple[float, float, float]) -> _Work:
     """Joint motion of an action between grasp and release."""
     raise InvalidValueError("action", action, "an action that moves the object")
 
 
 @_work.register(TableAction)
-def _(action: TableAction, shape: ObjectShape, settings: SimulationSettings) -> _Work:
-    """Turns and slides are centred: the middle of the path lies at the middle of the workspace."""
+def _(
+    action: TableAction, shape: ObjectShape, settings: SimulationSettings, start: tuple[float, float, float]
+) -> _Work:
+    """Turns and slides are centred: the middle of the path lies at the middle of the workspace, but for the shift."""
     profile = action.profile(1.0 / settings.rate)
     distance, rate, total = profile.distance, profile.rate, profile.length
-    path = action.centered_path(shape, total)
+    path = action.centered_path(shape, total).shifted(start, WORKSPACE)
     n = max(math.ceil(total / (_STEP_TURN if action.turns else _STEP_LINE)), 4)
     part = np.linspace(-0.5, 0.5, n + 1)
     tool = path.tool_pose(part)
@@ -261,12 +274,12 @@ def _(action: TableAction, shape: ObjectShape, settings: SimulationSettings) -> 
 
 
 @_work.register(Lift)
-def _(action: Lift, shape: ObjectShape, settings: SimulationSettings) -> _Work:
-    """The TCP stays over the middle of the workspace, the pads closing along x."""
+def _(action: Lift, shape: ObjectShape, settings: SimulationSettings, start: tuple[float, float, float]) -> _Work:
+    """The TCP stays over the middle of the workspace, the pads closing along x, but for the shift."""
     profile = action.profile(1.0 / settings.rate)
     grasp = shape.grasps[action.grasp]
-    hold = np.array([*WORKSPACE, settings.grip.tcp_height, 0.0])
-    pose = pose_from_point(hold[:2], grasp.position, np.array(-grasp.angle))
+    hold = np.array([WORKSPACE[0] + start[0], WORKSPACE[1] + start[1], settings.grip.tcp_height, start[2]])
+    pose = pose_from_point(hold[:2], grasp.position, np.array(start[2] - grasp.angle))
     x, y = grasp.position
     return _Work(
         hold,

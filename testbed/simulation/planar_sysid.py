@@ -24,9 +24,11 @@ from mujoco import sysid
 from testbed.errors import InvalidValueError
 from testbed.frames import rotation_2d
 from testbed.objects.model import GRAVITY, ObjectModel
-from testbed.simulation.scene import add_cell, add_feet, foot_stiffness, set_solver, soften_feet
+from testbed.simulation.contacts import add_feet, foot_stiffness, soften_feet
+from testbed.simulation.scene import add_cell, set_solver
 from testbed.simulation.settings import ContactSettings
 from testbed.trial import Support
+from testbed.worlds.feet import Feet
 
 TIMESTEP = 0.001
 """Physics step [s]; at twice that the feet of a light guess shake."""
@@ -46,7 +48,7 @@ guessed total, where M is not known; friction."""
 
 
 def planar_scene(guess: ObjectModel, support: Support, grasp: Float[np.ndarray, "2"]) -> mujoco.MjSpec:
-    """Uncompiled scene: geoms `cell_<particle>` have the masses, pairs `foot_<particle>` the frictions.
+    """Uncompiled scene: geoms `cell_<particle>` have the masses, pairs `foot_<index>` the frictions.
 
     Args:
         guess: shape, and first masses and frictions.
@@ -59,15 +61,13 @@ def planar_scene(guess: ObjectModel, support: Support, grasp: Float[np.ndarray, 
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_EULER  # on so hard a foundation the other lifts sliding feet
     spec.option.tolerance = 1e-20  # slopes are differences of 1e-8
     spec.worldbody.add_geom(name="top", type=mujoco.mjtGeom.mjGEOM_PLANE, size=(1, 1, 0.1), contype=0, conaffinity=0)
-    add_feet(spec, guess, _add_groups(spec, _add_drive(spec), guess, support, grasp), CONTACT)
+    add_feet(spec, guess, _add_groups(spec, _add_drive(spec), guess, support, grasp), CONTACT, Feet.of(guess))
     return spec
 
 
 def compile_scene(spec: mujoco.MjSpec, guess: ObjectModel) -> mujoco.MjModel:
     """Model of a scene after a change of masses or frictions, with all feet of the same stiffness."""
-    model = spec.compile()
-    feet = np.flatnonzero(guess.shape.friction_group >= 0)
-    soften_feet(model, guess, feet, np.array([model.geom(f"foot_{particle}").id for particle in feet]), CONTACT)
+    soften_feet(model := spec.compile(), guess, Feet.of(guess), CONTACT)
     return model
 
 
@@ -269,7 +269,7 @@ class _Residuals:
 
     def parameters(self) -> sysid.ParameterDict:
         """Mass of each group [kg], then each friction, starting at the guess."""
-        guess, found = self._guess, sysid.ParameterDict()
+        guess, found, particles = self._guess, sysid.ParameterDict(), Feet.of(self._guess).particle
         least = LEAST * guess.total_mass / guess.shape.n_m
         most = guess.total_mass * (MOST if self._measured.weight is None else 1)
         for group, mass in enumerate(guess.group_mass):
@@ -277,7 +277,7 @@ class _Residuals:
             cells = {f"cell_{i}": guess.shape.fill[i] / len(inside) for i in inside}
             found.add(sysid.Parameter(f"mass_{group}", mass, least, most, modifier=partial(_set_masses, cells)))
         for group, mu in enumerate(guess.truth.friction):
-            feet = [f"foot_{i}" for i in np.flatnonzero(guess.shape.friction_group == group)]
+            feet = [f"foot_{i}" for i, p in enumerate(particles) if guess.shape.friction_group[p] == group]
             found.add(sysid.Parameter(f"friction_{group}", mu, *FRICTIONS, modifier=partial(_set_friction, feet)))
         return found
 

@@ -4,18 +4,25 @@ from __future__ import annotations
 
 import json
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Self
 
 import mujoco
 import numpy as np
 
-from testbed.errors import InvalidValueError
-from testbed.frames import origin_velocity, pose_from_point, rotation_matrix, transform_point
-from testbed.objects.model import STROKE
+from testbed.errors import InfeasibleTrialError, InvalidValueError
+from testbed.frames import (
+    origin_velocity,
+    perpendicular,
+    pose_from_point,
+    rotation_2d,
+    rotation_matrix,
+    transform_point,
+)
+from testbed.objects.model import STROKE, Grasp
 from testbed.sensing.noise import draw_sensing
 from testbed.sensing.presets import preset
-from testbed.simulation.contacts import ContactLog, ContactRecord, weigh
+from testbed.simulation.contacts import ContactLog, ContactRecord
 from testbed.simulation.controller import Servo
 from testbed.simulation.feasibility import check_feasible
 from testbed.simulation.monitor import Monitor, Outcome
@@ -24,6 +31,7 @@ from testbed.simulation.scene import Scene, build_scene
 from testbed.simulation.settings import SimulationSettings
 from testbed.trajectory import Trajectory
 from testbed.trial import Trial
+from testbed.worlds.setup_errors import EXACT_SETUP, SetupErrors
 
 _SENSORS = {
     "force": "ft/force",
@@ -36,6 +44,8 @@ _SENSORS = {
     "tcp_angular_velocity": "gripper/tcp_angular_velocity",
 }
 
+_SETTLE_TIME, _READ_TIME = 1.0, 0.5
+_SHIFTS = (1.0, 0.5, 0.0)
 TOLERANCE_IN_AIR = 1e-12
 """Tolerance of MuJoCo's solver while only the pads hold the object. At the default 1e-8 the pads' forces and the weight
 may differ by 0.2 N, step after step."""
@@ -88,14 +98,33 @@ class SimulationRunner:
         if trial.action.moves:
             check_feasible(trial, plan_motion(trial.action, trial.object.shape, self.settings), self.settings)
 
+    def _motion(self, trial: Trial) -> Motion:
+        """A feasible motion: from the world's drawn start, or one nearer the middle of the workspace."""
+        start = np.zeros(3) if trial.world is None else trial.world.start(trial.action)
+        for part in _SHIFTS if start.any() else (0.0,):
+            x, y, yaw = (part * start).tolist()
+            try:
+                motion = plan_motion(trial.action, trial.object.shape, self.settings, (x, y, yaw))
+                check_feasible(trial, motion, self.settings)
+                return motion
+            except InfeasibleTrialError:
+                if not part:
+                    raise
+        raise AssertionError
+
     def _simulate(self, trial: Trial, log: ContactLog | None) -> Trajectory:
         if not trial.action.moves:
             return weigh(trial, self.settings)
-        motion = plan_motion(trial.action, trial.object.shape, self.settings)
-        check_feasible(trial, motion, self.settings)
-        scene = build_scene(trial.object, trial.support, trial.grasp, self.settings, origin=motion.center)
+        motion, draw = self._motion(trial), trial.world
+        held = trial.grasp
+        if draw is not None:
+            held = draw.grasp(trial.grasp, trial.action)
+            motion = _as_held(motion, trial.grasp, held)
+        scene = build_scene(trial.object, trial.support, held, self.settings, origin=motion.center, draw=draw)
         model, data = scene.model, mujoco.MjData(scene.model)
         place(scene, data, motion)
+        surface = None if draw is None else draw.surface
+        rest = model.pair_friction[scene.foot_pairs]
         if log is not None:
             log.start(scene, len(motion.q))
         servo = Servo(model, motion, self.settings)
@@ -106,6 +135,8 @@ class SimulationRunner:
         count = len(motion.q)
         for tick in range(len(motion.q)):
             servo.command(data, tick)
+            if surface is not None:
+                model.pair_friction[scene.foot_pairs] = rest * surface.factor(*_feet_in_motion(scene, data))[:, None]
             sample[:] = 0.0
             for _ in range(steps):
                 mujoco.mj_step(model, data)
@@ -134,6 +165,22 @@ def place(scene: Scene, data: mujoco.MjData, motion: Motion) -> None:
     data.qpos[address : address + 2] = x, y
     data.qpos[address + 3 : address + 7] = math.cos(yaw / 2), 0.0, 0.0, math.sin(yaw / 2)
     mujoco.mj_forward(model, data)
+
+
+def weigh(trial: Trial, settings: SimulationSettings) -> Trajectory:
+    """Record of a scale under the object at rest."""
+    scene = build_scene(trial.object, trial.support, None, settings, draw=trial.world)
+    model, data = scene.model, mujoco.MjData(scene.model)
+    mujoco.mj_step(model, data, round(_SETTLE_TIME / settings.timestep))
+    count = round(_READ_TIME * settings.rate)
+    weight, force = np.zeros(count), np.zeros(6)
+    for tick in range(count):
+        mujoco.mj_step(model, data, settings.steps)
+        for contact in range(data.ncon):
+            mujoco.mj_contactForce(model, data, contact, force)
+            weight[tick] += force[0]
+    trajectory = Trajectory.of_scale(weight, np.arange(count) / settings.rate, _provenance(trial))
+    return replace(trajectory, setup=_stated(trial))
 
 
 def _trajectory(
@@ -177,10 +224,32 @@ def _trajectory(
         tool=gripper_tool(grasp.width if settings.grip.mode == "friction" else STROKE),
         sensor_bias_std=np.zeros(6),
         figures=outcome.figures,
-        provenance={
-            "runner": "simulation",
-            "mujoco": mujoco.__version__,
-            "support": trial.support.name,
-            **({"state": json.dumps(outcome.state)} if outcome.state else {}),
-        },
+        setup=_stated(trial),
+        provenance=_provenance(trial) | ({"state": json.dumps(outcome.state)} if outcome.state else {}),
     )
+
+
+def _stated(trial: Trial) -> SetupErrors:
+    return EXACT_SETUP if trial.world is None else trial.world.world.stated
+
+
+def _provenance(trial: Trial) -> dict[str, str]:
+    of_world = {} if trial.world is None else trial.world.provenance
+    return {"runner": "simulation", "mujoco": mujoco.__version__, "support": trial.support.name} | of_world
+
+
+def _as_held(motion: Motion, told: Grasp, held: Grasp) -> Motion:
+    """The motion of a hand that goes where it was told, with the object where the pads truly hold it."""
+    tcp, pivot = (transform_point(motion.object_pose, np.array(p)) for p in (told.position, motion.center))
+    pose = pose_from_point(tcp, held.position, motion.object_pose[2] + told.angle - held.angle)
+    x, y = rotation_2d(-pose[2]) @ (pivot - pose[:2])
+    return replace(motion, object_pose=pose, center=(float(x), float(y)))
+
+
+def _feet_in_motion(scene: Scene, data: mujoco.MjData) -> tuple[np.ndarray, np.ndarray]:
+    """Position of every foot [m], world, shape (n_feet, 2), and its speed [m/s], shape (n_feet,)."""
+    address = scene.model.joint("object").dofadr[0]
+    position = data.geom_xpos[scene.foot_geoms, :2]
+    lever = position - data.xpos[scene.object_body, :2]
+    velocity = data.qvel[address : address + 2] + data.qvel[address + 5] * perpendicular(lever)
+    return position, np.hypot(velocity[:, 0], velocity[:, 1])

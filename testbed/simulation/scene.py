@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from copy import copy
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, distribution
 from pathlib import Path
@@ -16,8 +14,11 @@ from testbed.errors import InvalidValueError
 from testbed.objects.colors import group_rgba
 from testbed.objects.files import asset_folder
 from testbed.objects.model import GRAVITY, Grasp, ObjectModel, ObjectShape
+from testbed.simulation.contacts import add_feet, soften_feet, touching_groups
 from testbed.simulation.settings import ContactSettings, GripSettings, SimulationSettings
 from testbed.trial import Support
+from testbed.worlds.draw import WorldDraw
+from testbed.worlds.feet import Feet
 
 
 def set_solver(spec: mujoco.MjSpec, timestep: float, contact: ContactSettings) -> None:
@@ -35,7 +36,11 @@ def set_solver(spec: mujoco.MjSpec, timestep: float, contact: ContactSettings) -
 
 
 def add_object(
-    spec: mujoco.MjSpec, obj: ObjectModel, support: Support, origin: tuple[float, float] = (0.0, 0.0)
+    spec: mujoco.MjSpec,
+    obj: ObjectModel,
+    support: Support,
+    origin: tuple[float, float] = (0.0, 0.0),
+    joined: ObjectShape | None = None,
 ) -> list[mujoco.MjsFrame]:
     """Add one body per mass group (own weight, springs) or one for all (rigid); the first has the free joint.
 
@@ -47,6 +52,7 @@ def add_object(
         obj: the object.
         support: support of its weight.
         origin: point of the free joint [m], object frame.
+        joined: shape whose groups touch where springs join them; None is the object's own.
 
     Returns:
         The frame of every mass group, at the object's middle.
@@ -70,7 +76,7 @@ def add_object(
     if support.is_rigid:
         return frames * shape.n_m
     if support.stiffness > 0:
-        for a, b in touching_groups(shape):
+        for a, b in touching_groups(joined or shape):
             tendon = spec.add_tendon(
                 name=f"spring_{a}_{b}", stiffness=[support.stiffness] * 3, damping=[2.0] * 3, springlength=(0, 0)
             )
@@ -117,84 +123,6 @@ def _add_solid(
         contype=0,
         conaffinity=0,
     )
-
-
-def touching_groups(shape: ObjectShape) -> list[tuple[int, int]]:
-    """Pairs of mass groups with particles one cell apart."""
-    gaps = np.linalg.norm(shape.particles[:, None] - shape.particles[None], axis=-1)
-    a, b = np.nonzero(gaps < 1.01 * shape.cell)
-    pairs = np.sort(np.stack([shape.mass_group[a], shape.mass_group[b]], axis=1), axis=1)
-    return [(int(i), int(j)) for i, j in np.unique(pairs[pairs[:, 0] != pairs[:, 1]], axis=0)]
-
-
-def add_feet(
-    spec: mujoco.MjSpec,
-    obj: ObjectModel,
-    frames: Sequence[mujoco.MjsBody | mujoco.MjsFrame],
-    contact: ContactSettings,
-) -> np.ndarray:
-    """Add feet and their contacts under the particles that touch the table; returns those, shape (n_feet,)."""
-    shape = obj.shape
-    feet = np.flatnonzero(shape.friction_group >= 0)
-    for particle in feet:
-        x, y = shape.particles[particle]
-        frames[shape.mass_group[particle]].add_geom(
-            name=f"foot_{particle}",
-            type=mujoco.mjtGeom.mjGEOM_SPHERE,
-            size=(contact.foot_radius, 0, 0),
-            mass=0,
-            group=3,
-            pos=(x, y, contact.foot_radius - shape.height / 2),
-            contype=0,
-            conaffinity=0,
-            rgba=(0.2, 0.2, 0.2, 1),
-        )
-        mu = max(obj.truth.friction[shape.friction_group[particle]], 1e-5)
-        spec.add_pair(
-            name=f"foot_{particle}", geomname1=f"foot_{particle}", geomname2="top", condim=3, friction=[mu, mu, 0, 0, 0]
-        )
-    return feet
-
-
-def foot_stiffness(obj: ObjectModel, contact: ContactSettings) -> float:
-    """Stiffness of every foot [N/m], at which the object sinks by `sag` under its weight."""
-    return obj.total_mass * GRAVITY / int((obj.shape.friction_group >= 0).sum()) / contact.sag
-
-
-def soften_feet(
-    model: mujoco.MjModel, obj: ObjectModel, feet: np.ndarray, geoms: np.ndarray, contact: ContactSettings
-) -> None:
-    """Give every foot the stiffness of `foot_stiffness`.
-
-    MuJoCo's stiffness is per unit of effective mass, which only the compiled model knows: a static contact with
-    impedance d carries f = k r d / ((1 - d) A), with k in 1/s^2 and A the inverse effective mass.
-    """
-    d = contact.impedance
-    newtons_per_metre = foot_stiffness(obj, contact)
-    for particle, inverse_mass in zip(feet, _inverse_masses(model, feet, geoms, d), strict=True):
-        stiffness = newtons_per_metre * (1 - d) * inverse_mass / d
-        pair = model.pair(f"foot_{particle}")
-        pair.solref[:] = -stiffness * d, -2 * math.sqrt(stiffness) * d
-        pair.solimp[:2] = d
-        model.pair_solreffriction[pair.id] = -1e-6, -contact.friction_damping * d
-
-
-def _inverse_masses(model: mujoco.MjModel, feet: np.ndarray, geoms: np.ndarray, impedance: float) -> np.ndarray:
-    """Inverse effective mass of every foot [1/kg], shape (n_feet,)."""
-    inverse = model.body_invweight0[model.geom_bodyid[geoms], 0].copy()
-    slides = [j for j in range(model.njnt) if model.joint(j).name.startswith("slide_")]
-    if not any(model.tendon(t).name.startswith("spring_") for t in range(model.ntendon)):
-        return inverse
-    # A stretched spring counts as mass in a step: ask the contacts themselves, at a stiffness of none
-    soft, data = copy(model), mujoco.MjData(model)
-    for particle in feet:
-        pair = soft.pair(f"foot_{particle}")
-        pair.solref[:], pair.solimp[:2] = (-1e-12, -1e-12), impedance
-    data.qpos[soft.jnt_qposadr[slides]] = -1e-9 * np.arange(1, len(slides) + 1)
-    mujoco.mj_forward(soft, data)
-    for touch in data.contact:
-        inverse[np.isin(geoms, touch.geom)] = data.efc_R[touch.efc_address] * impedance / (1 - impedance)
-    return inverse
 
 
 def add_grip(
@@ -254,8 +182,10 @@ class Scene:
     """Id of the body with the object's pose."""
     foot_geoms: np.ndarray
     """Geom id of each foot, shape (n_feet,)."""
-    foot_particles: np.ndarray
-    """Particle over each foot, shape (n_feet,)."""
+    foot_pairs: np.ndarray
+    """Pair id of each foot's contact, shape (n_feet,)."""
+    feet: Feet
+    """Points of contact."""
     origin: tuple[float, float]
     """Point of the object that its body's frame lies on [m], object frame."""
 
@@ -268,17 +198,19 @@ def build_scene(
     *,
     origin: tuple[float, float] = (0.0, 0.0),
     meshes: bool = False,
+    draw: WorldDraw | None = None,
 ) -> Scene:
     """Compose and compile the scene with one object on the table.
 
     Args:
-        obj: the object; a foot stands under each of its particles in contact.
+        obj: the object as told.
         support: support of the weight.
         grasp: the grasp whose faces the pads may touch; None leaves the arm out (the scale).
         settings: contact, grip and servo.
         origin: point of the object that its body's frame lies on [m], object frame. A contact in MuJoCo leaves out the
             centripetal acceleration of that point, by which the object would creep in the grip: in a turn, its center.
         meshes: draw the arm by its meshes if the extra "meshes" is installed; capsules otherwise.
+        draw: the world; None is the ideal one, in which a foot stands under each particle in contact.
 
     Raises:
         InvalidValueError: a mass group without feet on a support where each group rests on its own.
@@ -286,6 +218,10 @@ def build_scene(
     spec = part("table")
     spec.modelname = f"heft_{obj.name}"
     set_solver(spec, settings.timestep, settings.contact)
+    told, feet = obj, Feet.of(obj)
+    if draw is not None:
+        obj = draw.true_object(told)
+        feet, spec.option.gravity = draw.feet(obj), draw.gravity
     spec.geom("top").pos[2] += settings.contact.sag / 2  # a contact lies halfway into the overlap: then at height 0
     standing = obj.shape.mass_group[obj.shape.friction_group >= 0]
     clear = [obj.shape.group_names[g] for g in range(obj.shape.n_m) if g not in standing]
@@ -293,14 +229,14 @@ def build_scene(
         raise InvalidValueError("support", support.name, f"rigid, since {', '.join(clear)} has no foot to rest on")
     if grasp is not None:
         attach_arm(spec, meshes=meshes)
-    frames = add_object(spec, obj, support, origin)
-    feet = add_feet(spec, obj, frames, settings.contact)
+    frames = add_object(spec, obj, support, origin, told.shape)
+    add_feet(spec, obj, frames, settings.contact, feet)
     if grasp is not None:
         add_grip(spec, obj.shape, frames, grasp, settings.grip)
     model = spec.compile()
-    foot_geoms = np.array([model.geom(f"foot_{i}").id for i in feet])
-    soften_feet(model, obj, feet, foot_geoms, settings.contact)
-    return Scene(model, model.body("object").id, foot_geoms, feet, origin)
+    foot_geoms = soften_feet(model, obj, feet, settings.contact)
+    foot_pairs = np.array([model.pair(f"foot_{index}").id for index in range(len(feet.particle))])
+    return Scene(model, model.body("object").id, foot_geoms, foot_pairs, feet, origin)
 
 
 def part(name: str) -> mujoco.MjSpec:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -13,7 +14,7 @@ import numpy as np
 import pytest
 
 from estimators.testing.truth import truth_within_reach
-from scenarios.config import Scenario
+from scenarios.config import Scenario, WorldTable
 from scenarios.policies import Policy
 from scenarios.results.store import Store
 from scenarios.runners import feasible_grasps, told
@@ -24,6 +25,7 @@ from testbed.sensing.noise import draw_sensing
 from testbed.sensing.presets import preset
 from testbed.simulation.settings import SimulationSettings
 from testbed.trajectory import Trajectory
+from testbed.worlds import WorldDraw, world
 from tests.helpers.runs import quiet
 
 SPIES = """
@@ -54,7 +56,14 @@ class Chooser:
 @pytest.fixture(scope="module")
 def spied(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Path, list[tuple[str, dict[str, Any]]]]]:
     """Results folder of a run, and all that a method and a policy of another package were given in it."""
-    folder = tmp_path_factory.mktemp("spied")
+    with spying(tmp_path_factory.mktemp("spied")) as found:
+        yield found
+
+
+@contextmanager
+def spying(folder: Path, preset: str = "ideal") -> Iterator[tuple[Path, list[tuple[str, dict[str, Any]]]]]:
+    """Run a short scenario in a world, and keep what was given."""
+    sys.modules.pop("spies", None)
     (folder / "spies.py").write_text(SPIES, encoding="utf-8")
     with pytest.MonkeyPatch.context() as patch:
         patch.syspath_prepend(str(folder))
@@ -66,12 +75,13 @@ def spied(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Path, list
             seeds=2,
             policy=Policy(kind="spies:Chooser", touches=3, held_out=0),
             methods={"spy": {"method": "spies:Spy"}},
+            world=WorldTable(preset=preset),
         )
         run_scenario(scenario, folder / "out", 0, quiet, executor="inline")
         given = sys.modules["spies"].given
         first = next(i for i, (kind, _) in enumerate(given) if kind == "next") - 1
         yield folder / "out", given[first:]
-    sys.modules.pop("spies")
+    sys.modules.pop("spies", None)
 
 
 def clean_trials(out: Path, trajectories: list[Trajectory]) -> list[Trajectory]:
@@ -93,6 +103,21 @@ def test_what_a_method_and_a_policy_are_given_does_not_lead_to_the_truth(spied):
             np.abs(t.sensor_wrench - c.sensor_wrench).max() > 0.1
             for t, c in zip(parts.get("trajectories", []), clean, strict=True)
         )
+
+
+def test_what_they_are_given_in_a_lab_does_not_lead_to_its_draw(tmp_path: Path):
+    with spying(tmp_path, "lab") as (out, given):
+        stored = [Store(out).trajectory(path.parent.name) for path in out.glob("trials/*/trial.json")]
+        draws = {draw for t in stored if (draw := WorldDraw.in_record(t.provenance))}
+        assert len(draws) == 2
+        assert [kind for kind, _ in given].count("estimate") == 2
+        for kind, parts in given:
+            checked = {name: part for name, part in parts.items() if name != "feasible"}
+            for draw in draws:  # neither of them, whichever it was
+                of_draw = [t for t in stored if WorldDraw.in_record(t.provenance) == draw]
+                clean = [next(t for t in of_draw if t.action == s.action) for s in parts.get("trajectories", [])]
+                assert truth_within_reach(checked, load_object("L2"), [*clean, of_draw[0]]) == [], kind
+            assert all(t.setup == world("lab").stated for t in parts.get("trajectories", []))
 
 
 def test_a_policy_is_told_what_the_scale_read(spied):

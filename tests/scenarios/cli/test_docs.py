@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import re
 from collections.abc import Callable, Iterator
 from functools import wraps
@@ -27,6 +28,7 @@ from scenarios.config import (
     Simulation,
     Sweep,
     Truth,
+    WorldTable,
     load_scenario,
 )
 from scenarios.results.store import Store
@@ -50,6 +52,7 @@ from testbed.robot.config import RobotFile
 from testbed.sensing.presets import PRESETS
 from testbed.toml import load_toml
 from testbed.trajectory import SCHEMA_VERSION, Phase, save_trajectory
+from testbed.worlds.presets import QUANTITIES, WORLDS
 from tests.helpers.pages import (
     BLOCKS,
     DOCS,
@@ -80,6 +83,7 @@ SECTIONS: dict[str, type[BaseModel]] = {
     "policy": Policy,
     "simulation": Simulation,
     "truth": Truth,
+    "world": WorldTable,
     "sweep": Sweep,
     "Fields of a calibration": CalibrationFile,
     "Top of a mapping file": Mapping,
@@ -227,6 +231,18 @@ def test_sensors_are_the_presets():
         for listed, noise in zip(row[1:3], (preset.force_noise, preset.torque_noise), strict=True):
             assert listed == ", ".join(f"{x:g}" for x in (noise if len(set(noise)) > 1 else noise[:1]))
         assert row[3:] == [f"{preset.force_bias:g}", f"{preset.torque_bias:g}"]
+
+
+def test_worlds_are_the_presets():
+    units = {"%": 0.01, "mm": 1e-3, "deg": math.pi / 180, "mrad": 1e-3, "ms": 1e-3, "g": 1e-3, "N": 1, "N m": 1, "": 1}
+    rows = table("worlds.md", "Quantities")
+    assert [re.findall(r"`(\w+)`", row[0])[0] for row in rows] == list(QUANTITIES)
+    for quantity, row in zip(QUANTITIES, rows, strict=True):
+        for name, cell in zip(("lab", "rough"), row[1:3], strict=True):
+            value, _, unit = cell.partition(" ")
+            assert getattr(WORLDS[name], quantity) == pytest.approx(float(value) * units[unit])
+        assert (row[3] == "S") == hasattr(WORLDS["lab"].stated, quantity)
+        assert row[4]
 
 
 def test_units_are_the_known_ones():

@@ -113,14 +113,14 @@ def test_an_object_rests_as_on_an_even_foundation(name: str, support: Support):
     assert_allclose(expected.sum(), obj.total_mass * GRAVITY, rtol=1e-12)
     assert_allclose(expected @ obj.shape.particles / expected.sum(), obj.center_of_mass, atol=1e-12)
     # The hammer leans by a degree on its soft feet, and its centre of mass, 19 mm up, with it
-    assert_allclose(loads, expected[scene.foot_particles], atol=0.04 * expected.max())
-    assert expected[scene.foot_particles].min() > 0
+    assert_allclose(loads, expected[scene.feet.particle], atol=0.04 * expected.max())
+    assert expected[scene.feet.particle].min() > 0
     if name == "L2" and support == OWN_WEIGHT:
-        group = obj.shape.mass_group[scene.foot_particles]
+        group = obj.shape.mass_group[scene.feet.particle]
         assert_allclose(np.bincount(group, loads), obj.group_mass * GRAVITY, rtol=1e-4)
     if name == "L2" and support.is_rigid:
         assert_allclose(loads.sum(), obj.total_mass * GRAVITY, rtol=1e-6)
-        assert_allclose(loads @ obj.shape.particles[scene.foot_particles] / loads.sum(), obj.center_of_mass, atol=2e-4)
+        assert_allclose(loads @ obj.shape.particles[scene.feet.particle] / loads.sum(), obj.center_of_mass, atol=2e-4)
 
 
 @pytest.mark.parametrize("name", ["hammer", "wrench"])

@@ -1,0 +1,108 @@
+"""Draws of a world: what is true for one object in one setup, and in each of its trials. No method is given one."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, replace
+from typing import Self
+
+import numpy as np
+from jaxtyping import Float
+from scipy.spatial.transform import Rotation
+
+from testbed.actions.base import Action
+from testbed.frames import rotation_2d
+from testbed.objects.model import GRAVITY, Grasp, ObjectModel
+from testbed.worlds.feet import LEAST_FRICTION, Feet
+from testbed.worlds.presets import World
+from testbed.worlds.surface import Surface
+
+
+@dataclass(frozen=True)
+class WorldDraw:
+    """One draw of a world. Each quantity has a stream of its own: another one's size leaves it as it is."""
+
+    world: World
+    """Sizes of the errors."""
+    seed: int
+    """Seed, which hangs on the true masses: nobody can make the draw again who does not know them."""
+
+    @classmethod
+    def of(cls, world: World, model: ObjectModel, seed: int | str) -> Self:
+        """Draw of a world for an object."""
+        masses = " ".join(f"{mass:.9f}" for mass in model.group_mass)
+        return cls(world, _number(f"{seed}/{model.name}/{masses}"))
+
+    @classmethod
+    def in_record(cls, provenance: Mapping[str, str]) -> Self | None:
+        """The draw behind a clean record, by its provenance; None for a record of the ideal world."""
+        if "world" not in provenance:
+            return None
+        found = json.loads(provenance["world"])
+        return cls(World(**found["world"]), found["seed"])
+
+    @property
+    def provenance(self) -> dict[str, str]:
+        """Entry of a clean record; `draw_sensing` and `blinded` take it away."""
+        return {"world": json.dumps(asdict(self))}
+
+    def rng(self, quantity: str, action: Action | None = None) -> np.random.Generator:
+        """Random stream of a quantity, of the setup or of the trial of an action."""
+        trial = "" if action is None else json.dumps(action.to_dict(), sort_keys=True)
+        return np.random.default_rng(_number(f"{self.seed}/{quantity}/{trial}"))
+
+    def normal(self, quantity: str, count: int, action: Action | None = None) -> Float[np.ndarray, "count"]:
+        """Drawn values of a quantity, `count` of the same standard deviation."""
+        return getattr(self.world, quantity) * self.rng(quantity, action).standard_normal(count)
+
+    def true_object(self, told: ObjectModel) -> ObjectModel:
+        """The object with its mass groups where they truly are; its grasps stay, since the pads find the faces."""
+        if not self.world.particle_offset:
+            return told
+        shape = told.shape
+        offset = self.normal("particle_offset", 2 * shape.n_m).reshape(-1, 2)
+        level = np.hstack([offset, np.zeros((shape.n_m, 1))])
+        moved = [replace(solid, vertices=solid.vertices + level[group]) for group, solid in enumerate(told.solids)]
+        particles = shape.particles + offset[shape.mass_group]
+        return replace(told, shape=replace(shape, particles=particles), solids=tuple(moved))
+
+    def feet(self, body: ObjectModel) -> Feet:
+        """Points of contact of an object and their mean friction."""
+        points = self.world.contact_points
+        feet = Feet.drawn(body, points, self.rng("contact_points")) if points else Feet.of(body)
+        group = 1 + self.normal("group_friction", body.shape.n_m)
+        along_x = self.normal("anisotropy", 1)[0]
+        factor = np.outer(group[body.shape.mass_group[feet.particle]], [1 + along_x, 1 - along_x])
+        height = self.normal("flatness", len(feet.particle))
+        return replace(feet, height=height, friction=np.maximum(feet.friction * factor, LEAST_FRICTION))
+
+    @property
+    def surface(self) -> Surface | None:
+        """Friction by place and speed; None where it is the same everywhere."""
+        if not (self.world.place_friction or self.world.speed_friction):
+            return None
+        decade = self.normal("speed_friction", 1)[0]
+        return Surface.drawn(self.world.place_friction, decade, self.rng("place_friction"))
+
+    @property
+    def gravity(self) -> Float[np.ndarray, "3"]:
+        """Gravity [m/s^2] in the table's axes."""
+        tilt = np.append(self.normal("table_tilt", 2), 0.0)
+        return Rotation.from_rotvec(tilt).apply([0.0, 0.0, -GRAVITY])
+
+    def grasp(self, told: Grasp, action: Action) -> Grasp:
+        """The grasp where the pads truly hold the object in a trial."""
+        offset = rotation_2d(told.angle) @ self.normal("grasp_offset", 2, action)
+        turn = self.normal("grasp_angle", 1, action)[0]
+        return replace(told, position=told.position + offset, angle=told.angle + turn)
+
+    def start(self, action: Action) -> Float[np.ndarray, "3"]:
+        """Shift of a trial's place on the table [m, m, rad]."""
+        return np.append(self.normal("start_offset", 2, action), self.normal("start_angle", 1, action))
+
+
+def _number(text: str) -> int:
+    """A large integer from a text."""
+    return int.from_bytes(hashlib.sha256(text.encode()).digest()[:8], "big")

@@ -1,0 +1,99 @@
+"""Feet: the points on which an object touches the table."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from testbed.objects.model import ObjectModel
+from testbed.validation import freeze_arrays
+
+LEAST_FRICTION = 1e-5
+"""Least coefficient of a foot."""
+RING = 8
+"""Points of a ring."""
+_TRIES = 200
+_LEAST_SHARE = 0.3
+
+
+@dataclass(frozen=True, eq=False)
+class Feet:
+    """F points of contact of an object."""
+
+    particle: Int[np.ndarray, "F"]
+    """Particle over each foot, or the nearest one; its mass group bears on the foot."""
+    position: Float[np.ndarray, "F 2"]
+    """Position [m], object frame."""
+    height: Float[np.ndarray, "F"]
+    """Height by which a foot stands out [m]."""
+    stiffness: Float[np.ndarray, "F"]
+    """Stiffness over that of a foot under a particle; the feet of a group share that of its particles."""
+    friction: Float[np.ndarray, "F 2"]
+    """Coefficient of friction along x and y of the table."""
+
+    def __post_init__(self) -> None:
+        count = len(self.particle)
+        freeze_arrays(self, position=(count, 2), height=(count,), stiffness=(count,), friction=(count, 2))
+
+    @staticmethod
+    def of(model: ObjectModel) -> Feet:
+        """A foot under each particle in contact, as the estimators assume."""
+        shape = model.shape
+        particle = np.flatnonzero(shape.friction_group >= 0)
+        friction = np.maximum(model.truth.friction[shape.friction_group[particle]], LEAST_FRICTION)
+        still = np.zeros(len(particle))
+        return Feet(particle, shape.particles[particle], still, still + 1, np.column_stack([friction, friction]))
+
+    @staticmethod
+    def drawn(model: ObjectModel, points: int, rng: np.random.Generator) -> Feet:
+        """A few points anywhere under each mass group: `points` or one fewer, or a ring.
+
+        The feet of a group carry its weight about its own center of mass on level ground, none of them less than a
+        third of an even share, where such points are found: else its neighbors would hold it.
+        """
+        shape, parts = model.shape, []
+        for group in range(shape.n_m):
+            members = shape.mass_group == group
+            touching = np.flatnonzero(members & (shape.friction_group >= 0))
+            if len(touching):
+                center = np.average(shape.particles[members], axis=0, weights=shape.fill[members])
+                cells = shape.particles[touching]
+                nearby, position, share = _pattern(cells, shape.cell, center, points, rng)
+                parts.append((touching[nearby], position, share * len(touching)))
+        particle, position, stiffness = (np.concatenate(part) for part in zip(*parts, strict=True))
+        friction = np.maximum(model.truth.friction[shape.friction_group[particle]], LEAST_FRICTION)
+        return Feet(particle, position, np.zeros(len(particle)), stiffness, np.column_stack([friction, friction]))
+
+
+def _pattern(
+    cells: np.ndarray, cell: float, center: np.ndarray, points: int, rng: np.random.Generator
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Index of the cell over each of N points, their positions [m] (N, 2), and their shares of the load."""
+    if rng.random() < 1 / 3:
+        angle = rng.uniform(0, 2 * np.pi) + 2 * np.pi * np.arange(RING) / RING
+        low, high = cells.min(axis=0), cells.max(axis=0)
+        radius = rng.uniform(0.5, 0.95) * (high - low + cell) / 2
+        wanted = (low + high) / 2 + radius * np.column_stack([np.cos(angle), np.sin(angle)])
+        over = np.linalg.norm(wanted[:, None] - cells, axis=2).argmin(axis=1)
+        position = cells[over] + np.clip(wanted - cells[over], -cell / 2, cell / 2)
+        share = _shares(position - center)
+        return over, position, share if share.min() > 0 else np.full(RING, 1 / RING)
+    count = int(rng.integers(points - 1, points + 1))
+    for left in reversed(range(_TRIES)):
+        over = rng.choice(len(cells), count, replace=len(cells) < count)
+        position = cells[over] + rng.uniform(-0.5, 0.5, (count, 2)) * cell
+        share = _shares(position - center)
+        if share.min() > _LEAST_SHARE / count:
+            return over, position, share
+        if not left:
+            return over, position, np.full(count, 1 / count)
+    raise AssertionError
+
+
+def _shares(lever: np.ndarray) -> np.ndarray:
+    """Most even shares of a load over points at these levers (N, 2) from it; -1 where they cannot carry it."""
+    matrix, wanted = np.vstack([np.ones(len(lever)), lever.T]), np.array([1.0, 0.0, 0.0])
+    share = np.linalg.lstsq(matrix, wanted, rcond=1e-9)[0]
+    return share if np.allclose(matrix @ share, wanted, atol=1e-9) else np.full(len(lever), -1.0)

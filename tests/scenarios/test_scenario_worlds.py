@@ -1,0 +1,91 @@
+"""Worlds in a scenario: every draw has its own trials, content keys tell worlds apart, and nothing is told."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from pydantic import ValidationError
+
+from scenarios.config import Scenario, WorldTable
+from scenarios.policies import Policy
+from scenarios.results.store import Store, key_of, trial_request
+from scenarios.results.trials import sensed_trials
+from scenarios.study.dry_run import DryRun
+from scenarios.study.run import run_scenario
+from testbed.actions.rotate import Rotate
+from testbed.errors import InvalidValueError
+from testbed.objects.files import load_object
+from testbed.simulation.settings import SimulationSettings
+from testbed.trial import Trial
+from testbed.worlds import World, WorldDraw, world
+from tests.helpers.runs import quiet
+
+POLICY = Policy(duration=1.6, pivots=1, accelerated=1, held_out=0)
+
+
+def short(**world: object) -> Scenario:
+    return Scenario(objects=["I2"], sensing=["ft300s"], seeds=2, policy=POLICY, world=WorldTable(**world))  # pyright: ignore[reportArgumentType]
+
+
+def test_every_draw_of_a_world_has_its_own_trials(tmp_path: Path):
+    rows = run_scenario(short(preset="lab"), tmp_path, 0, quiet, executor="inline")
+    first, second = (set(keys) for keys in rows["trial_keys"])
+    assert len(rows) == 2 and not first & second
+    key = next(iter(first))
+    asked = json.loads((tmp_path / "trials" / key / "trial.json").read_text())["asked"]
+    assert asked["world"]["world"]["gain"] == world("lab").gain
+    for record in sensed_trials(Store(tmp_path), (key,), "ft300s", 0):
+        assert set(record.provenance) == {"runner", "sensing"}
+        assert record.setup == world("lab").stated
+    again = run_scenario(short(preset="lab"), tmp_path, 0, quiet, executor="inline")
+    assert again["key"].tolist() == rows["key"].tolist()
+
+
+def test_sensors_share_the_trials_of_a_draw_and_a_perfect_one_has_draws_too():
+    scenario = short(preset="lab").model_copy(update={"sensing": ["ideal", "ft300s"]})
+    assert scenario.own_draws() == [("ideal", 0), ("ideal", 1), ("ft300s", 0), ("ft300s", 1)]
+    assert short().own_draws() == [None]
+    assert DryRun.of(scenario).estimates == 4
+    model = load_object("I2")
+    assert scenario.world.draw(model, 0) == scenario.world.draw(model, 0)
+    assert scenario.world.draw(model, 0) != scenario.world.draw(model, 1)
+    assert short(preset="lab", seed=1).world.draw(model, 0) != scenario.world.draw(model, 0)
+
+
+def test_keys_tell_worlds_apart_and_leave_the_ideal_one_as_it_was():
+    model, action, settings = load_object("I2"), Rotate(0), SimulationSettings()
+    plain = trial_request(Trial(model, action), settings)
+    assert "world" not in plain
+    ideal, lab, rough = (WorldDraw.of(w, model, 0) for w in (World(), world("lab"), world("rough")))
+    keys = [key_of(trial_request(Trial(model, action, world=draw), settings)) for draw in (None, ideal, lab, rough)]
+    assert keys[0] == keys[1] == key_of(plain)
+    assert len(set(keys)) == 3
+
+
+def test_a_quantity_is_changed_by_its_name_and_swept():
+    table = WorldTable(preset="lab", gain=0.0, delay=0.01)  # pyright: ignore[reportCallIssue]
+    assert (table.build().gain, table.build().delay, table.build().crosstalk) == (0.0, 0.01, 0.01)
+    swept = Scenario(
+        objects=["I2"],
+        sweep={"axes": {"world.preset": ["ideal", "lab"], "world.group_friction": [0.0, 0.05]}},  # pyright: ignore[reportArgumentType]
+    )
+    built = [point.world.build() for _, point in swept.points()]
+    assert [each.group_friction for each in built] == [0.0, 0.05] * 2
+    assert built[0].is_ideal and not built[1].is_ideal
+
+
+@pytest.mark.parametrize("wrong", [{"preset": "labb"}, {"gian": 0.1}, {"gain": -1.0}, {"gain": "much"}, {"name": "x"}])
+def test_a_wrong_world_is_refused(wrong: dict[str, object]):
+    with pytest.raises((ValidationError, InvalidValueError)):
+        short(**wrong)
+
+
+def test_another_runner_has_a_world_of_its_own():
+    with pytest.raises((ValidationError, InvalidValueError), match="another runner"):
+        Scenario(
+            objects=["I2"],
+            simulation={"runner": "testbed.simulation.runner:SimulationRunner"},  # pyright: ignore[reportArgumentType]
+            world=WorldTable(preset="lab"),
+        )

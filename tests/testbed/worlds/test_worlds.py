@@ -1,0 +1,249 @@
+"""Worlds in the simulation: each quantity alone does what it says, and the ideal world is as without any."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from testbed.actions.base import Action
+from testbed.actions.rotate import Rotate
+from testbed.actions.slide import Slide
+from testbed.actions.weigh import Weigh
+from testbed.errors import InvalidValueError
+from testbed.foot_forces import FootForces
+from testbed.frames import rotation_matrix
+from testbed.objects.files import load_object
+from testbed.objects.model import GRAVITY, ObjectModel
+from testbed.simulation.contacts import ContactRecord
+from testbed.simulation.runner import SimulationRunner
+from testbed.simulation.scene import build_scene
+from testbed.simulation.settings import SimulationSettings
+from testbed.trajectory import Phase, Trajectory
+from testbed.trial import OWN_WEIGHT, RIGID, Trial
+from testbed.worlds import World, WorldDraw, world
+from testbed.worlds.feet import Feet
+from testbed.worlds.presets import QUANTITIES, WORLDS
+from testbed.worlds.surface import Surface
+
+L2 = load_object("L2")
+TURN = Rotate(1, duration=3.0)
+RUNNER = SimulationRunner()
+MIDDLE = 600
+"""A sample in the steady part of all trials here."""
+
+
+def alone(model: ObjectModel = L2, seed: int = 1, **quantity: float) -> WorldDraw:
+    """Draw of a world in which only these quantities err."""
+    return WorldDraw.of(World("alone", **quantity), model, seed)  # pyright: ignore[reportArgumentType]
+
+
+@cache
+def run(draw: WorldDraw | None, action: Action = TURN) -> tuple[Trajectory, ContactRecord]:
+    return RUNNER.run_with_contacts(Trial(L2, action, world=draw))
+
+
+def steady(record: Trajectory) -> np.ndarray:
+    return record.segment >= 0
+
+
+def friction_used(contacts: ContactRecord) -> np.ndarray:
+    """Tangential over normal force of every foot in the middle of a trial."""
+    force = contacts.force_on_object[MIDDLE]
+    return np.linalg.norm(force[:, :2], axis=1) / force[:, 2]
+
+
+def test_the_ideal_world_is_the_simulation_as_it_was():
+    plain, ideal = run(None)[0], run(alone())[0]
+    for name in ("sensor_wrench", "object_pose", "tcp_velocity", "joint_position"):
+        assert np.array_equal(getattr(plain, name), getattr(ideal, name)), name
+    assert plain.setup == ideal.setup
+    sensed = [RUNNER.run(Trial(L2, Weigh(), sensing="ft300s", world=draw)) for draw in (None, alone())]
+    assert np.array_equal(sensed[0].wrench_on_object_world, sensed[1].wrench_on_object_world)
+
+
+def test_presets_are_ordered_and_state_what_a_lab_states():
+    ideal, lab, rough = WORLDS.values()
+    assert ideal.is_ideal and ideal.stated.none and not lab.is_ideal
+    assert all(getattr(rough, name) >= getattr(lab, name) > getattr(ideal, name) for name in QUANTITIES)
+    assert lab.stated.grasp_offset == lab.grasp_offset
+    assert lab.stated.delay == lab.delay / math.sqrt(3)
+    with pytest.raises(InvalidValueError, match="lab"):
+        world("labb")
+    for wrong in ({"gain": -0.1}, {"zero_factor": 0.5}, {"contact_points": 3}, {"delay": math.nan}):
+        with pytest.raises(InvalidValueError):
+            World(**wrong)  # pyright: ignore[reportArgumentType]
+
+
+def test_a_seed_gives_one_draw_and_quantities_do_not_disturb_each_other():
+    lab, few = WorldDraw.of(world("lab"), L2, 3), alone(seed=3, gain=0.01)
+    assert lab == WorldDraw.of(world("lab"), L2, 3)
+    assert lab.seed == few.seed
+    assert_allclose(lab.normal("gain", 6), few.normal("gain", 6))
+    assert lab.seed != WorldDraw.of(world("lab"), L2, 4).seed
+    heavier = replace(L2, truth=replace(L2.truth, mass=1.001 * L2.truth.mass))
+    assert lab.seed != WorldDraw.of(world("lab"), heavier, 3).seed, "who does not know the masses cannot draw it again"
+    assert WorldDraw.in_record(lab.provenance) == lab
+    assert not np.array_equal(lab.start(TURN), lab.start(Rotate(2, duration=3.0)))
+
+
+@pytest.mark.parametrize("points", [4, 6])
+def test_a_group_stands_on_a_few_points_about_its_middle(points: int):
+    shape, counts = L2.shape, set()
+    for seed in range(40):
+        feet = Feet.drawn(L2, points, np.random.default_rng(seed))
+        group = shape.mass_group[feet.particle]
+        for g in range(shape.n_m):
+            mine = group == g
+            counts.add(int(mine.sum()))
+            share = feet.stiffness[mine] / (shape.mass_group == g).sum()
+            assert share.min() > 0
+            assert_allclose(share.sum(), 1.0)
+            middle = shape.particles[shape.mass_group == g].mean(axis=0)
+            assert_allclose(share @ feet.position[mine], middle, atol=1e-9)
+        assert (np.abs(feet.position - shape.particles[feet.particle]).max(axis=1) <= shape.cell / 2 + 1e-12).all()
+    assert counts == {points - 1, points, 8}
+
+
+def test_the_wrench_is_coulombs_sum_at_the_contact_points():
+    draw = alone(contact_points=4)
+    record, contacts = run(draw)
+    assert steady(record)[MIDDLE]
+    feet = draw.feet(L2)
+    group = L2.shape.mass_group[feet.particle]
+    load = feet.stiffness / np.bincount(group, feet.stiffness)[group] * L2.group_mass[group] * GRAVITY
+    assert_allclose(contacts.force_on_object[MIDDLE, :, 2], load, rtol=0.1)  # the push tilts the object a little
+    lever = feet.position - L2.shape.grasps[1].position
+    coulomb = feet.friction[:, 0] * contacts.force_on_object[MIDDLE, :, 2] @ np.linalg.norm(lever, axis=1)
+    drag = contacts.wrench_at_tcp[steady(record)][:, 5].mean()
+    assert_allclose(abs(drag), coulomb, rtol=2e-3)
+    assert not np.allclose(feet.position, L2.shape.particles[feet.particle], atol=1e-3)
+
+
+def test_points_stand_out_and_carry_more():
+    draw = alone(flatness=1e-4)
+    higher = np.argsort(draw.feet(L2).height)
+    plain, uneven = (run(of)[1].force_on_object[MIDDLE, :, 2] for of in (None, draw))
+    more = (uneven - plain)[higher]
+    assert more[-8:].min() > 0 > more[:8].max()
+
+
+def test_friction_of_groups_scales_drag():
+    draw = alone(group_friction=0.08)
+    factor = 1 + draw.normal("group_friction", L2.shape.n_m)
+    ratio = friction_used(run(draw)[1]) / friction_used(run(None)[1])
+    assert_allclose(ratio, factor[L2.shape.mass_group[run(draw)[1].particle]], rtol=1e-3)
+
+
+def test_friction_differs_between_the_tables_axes():
+    draw = alone(anisotropy=0.1)
+    along_x = draw.normal("anisotropy", 1)[0]
+    assert abs(along_x) > 0.01
+    ways = set()
+    for angle in (0.0, math.pi / 2):
+        action = Slide(1, direction=angle, speed=0.03, duration=2.0)
+        plain, turned = run(None, action), run(draw, action)
+        way = np.abs(plain[0].tcp_position[-1, :2] - plain[0].tcp_position[0, :2])
+        ways.add(axis := int(way.argmax()))
+        factor = (1 + along_x, 1 - along_x)[axis]
+        assert_allclose(friction_used(turned[1]) / friction_used(plain[1]), factor, rtol=2e-3)
+    assert ways == {0, 1}
+
+
+def test_friction_follows_place_and_speed():
+    draw = alone(place_friction=0.1, speed_friction=0.05)
+    surface = draw.surface
+    assert surface is not None
+    record, contacts = run(draw)
+    rate = abs(record.tcp_velocity[MIDDLE, 5])
+    speed = rate * np.linalg.norm(contacts.position[MIDDLE, :, :2] - record.tcp_position[MIDDLE, :2], axis=1)
+    factor = surface.factor(contacts.position[MIDDLE, :, :2], speed)
+    assert factor.std() > 0.02
+    moving = speed > 0.005
+    assert_allclose((friction_used(contacts) / friction_used(run(None)[1]))[moving], factor[moving], rtol=3e-3)
+
+
+def test_the_field_has_its_standard_deviation_and_is_smooth():
+    place = np.random.default_rng(0).uniform(-0.5, 0.5, (4000, 2))
+    spread = []
+    for seed in range(30):
+        surface = Surface.drawn(0.05, 0.0, np.random.default_rng(seed))
+        factor = surface.factor(place, np.full(len(place), 0.02))
+        spread.append(factor.std())
+        near = surface.factor(place + np.array([0.002, 0.0]), np.full(len(place), 0.02))
+        assert np.abs(near - factor).max() < 0.2 * 0.05 * 2
+    assert_allclose(np.mean(spread), 0.05, rtol=0.1)
+    decades = Surface.drawn(0.0, 0.03, np.random.default_rng(0)).factor(place[:2], np.array([0.02, 0.2]))
+    assert_allclose(decades, [1.0, 1.03])
+
+
+def test_a_tilted_table_adds_its_part_of_gravity():
+    draw = alone(table_tilt=math.radians(1))
+    assert_allclose(np.linalg.norm(draw.gravity), GRAVITY)
+    scene = build_scene(L2, OWN_WEIGHT, None, SimulationSettings(), draw=draw)
+    assert_allclose(scene.model.opt.gravity, draw.gravity)
+    plain, tilted = run(None)[1], run(draw)[1]
+    more = (tilted.wrench_at_tcp - plain.wrench_at_tcp)[:, :2]
+    # the hand holds against the slope: what the feet rub does not change, but for the load that the slope moves
+    wrench = (run(draw)[0].sensor_wrench - run(None)[0].sensor_wrench)[:, :3]
+    world_axes = np.einsum("nij,nj->ni", rotation_matrix(run(None)[0].sensor_orientation), wrench)[steady(run(None)[0])]
+    tool = run(None)[0].tool
+    assert tool is not None
+    held = -(L2.total_mass + tool.mass) * draw.gravity[:2]
+    assert_allclose(world_axes.mean(axis=0)[:2], held - more[steady(run(None)[0])].mean(axis=0), atol=0.02)
+
+
+def test_a_groups_particles_move_with_its_feet_and_the_told_object_does_not():
+    draw = alone(particle_offset=0.001)
+    body = draw.true_object(L2)
+    moved = body.shape.particles - L2.shape.particles
+    assert len(np.unique(moved.round(9), axis=0)) == L2.shape.n_m
+    assert_allclose(draw.feet(body).position, body.shape.particles)
+    hammer = load_object("hammer")
+    true = WorldDraw.of(World(particle_offset=0.001), hammer, 0).true_object(hammer)
+    shift = [a.center_of_mass - b.center_of_mass for a, b in zip(true.solids, hammer.solids, strict=True)]
+    assert_allclose(np.array(shift)[hammer.shape.mass_group][:, :2], true.shape.particles - hammer.shape.particles)
+    assert abs(run(draw)[1].wrench_at_tcp[MIDDLE, 5] / run(None)[1].wrench_at_tcp[MIDDLE, 5] - 1) > 1e-3
+
+
+def test_a_record_tells_the_grasp_as_told_while_the_object_lies_otherwise():
+    draw = alone(grasp_offset=0.002, grasp_angle=math.radians(1))
+    record, contacts = run(draw)
+    held = draw.grasp(L2.shape.grasps[1], TURN)
+    told, plain = record.object_pose, run(None)[0].object_pose
+    assert_allclose(told[steady(record)], plain[steady(record)], atol=2e-4)  # the arm goes its planned way
+    lever = contacts.position[MIDDLE, :, :2] - contacts.tcp_position[MIDDLE, :2]
+    assert_allclose(
+        np.linalg.norm(lever, axis=1), np.linalg.norm(L2.shape.particles - held.position, axis=1), atol=1e-4
+    )
+    assert held.angle != L2.shape.grasps[1].angle
+
+
+def test_a_trial_begins_elsewhere_and_nearer_where_it_could_not():
+    draw = alone(start_offset=0.02, start_angle=math.radians(10))
+    record, plain = run(draw)[0], run(None)[0]
+    shift = draw.start(TURN)
+    assert_allclose((record.tcp_position - plain.tcp_position)[MIDDLE, :2], shift[:2], atol=1e-3)
+    assert_allclose((record.object_pose - plain.object_pose)[steady(record)][:, 2], shift[2], atol=1e-3)
+    far = alone(start_offset=5.0)
+    assert_allclose(run(far)[0].object_pose, plain.object_pose)
+
+
+def test_a_rigid_object_stands_on_the_points_too():
+    draw = WorldDraw.of(world("lab"), L2, 0)
+    record = RUNNER.run(Trial(L2, TURN, RIGID, "ft300s", world=draw))
+    assert record.ok
+    assert record.setup == world("lab").stated
+    assert record.mask(Phase.STEADY).any()
+
+
+def test_feet_of_a_world_can_be_kept():
+    draw = alone(contact_points=4)
+    record, contacts = run(draw)
+    kept = contacts.foot_forces(record.time_s)
+    assert isinstance(kept, FootForces)
+    assert len(kept.particle) == len(draw.feet(L2).particle)

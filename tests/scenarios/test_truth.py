@@ -113,7 +113,7 @@ def test_what_they_are_given_in_a_lab_does_not_lead_to_its_draw(tmp_path: Path):
         assert [kind for kind, _ in given].count("estimate") == 2
         for kind, parts in given:
             checked = {name: part for name, part in parts.items() if name != "feasible"}
-            for draw in draws:  # neither of them, whichever it was
+            for draw in draws if kind == "estimate" else ():  # neither of them, whichever it was
                 of_draw = [t for t in stored if WorldDraw.in_record(t.provenance) == draw]
                 clean = [next(t for t in of_draw if t.action == s.action) for s in parts.get("trajectories", [])]
                 assert truth_within_reach(checked, load_object("L2"), [*clean, of_draw[0]]) == [], kind

@@ -31,7 +31,8 @@ from testbed.simulation.settings import (
 from testbed.toml import explained, load_toml
 from testbed.trial import Support, parse_support
 from testbed.worlds.draw import WorldDraw
-from testbed.worlds.presets import QUANTITIES, World, world
+from testbed.worlds.presets import QUANTITIES, World
+from testbed.worlds.presets import world as named_world
 
 
 class Strict(BaseModel):
@@ -128,7 +129,7 @@ class WorldTable(Strict):
         if unknown := sorted(set(given) - set(QUANTITIES)):
             allowed = f"quantities of a world{nearest(unknown[0], QUANTITIES)}: {', '.join(QUANTITIES)}"
             raise InvalidValueError("world", unknown, allowed)
-        return replace(world(self.preset), **given)
+        return replace(named_world(self.preset), **given)
 
     def draw(self, model: ObjectModel, number: int) -> WorldDraw | None:
         """Draw `number` of the world for an object; None in the ideal one."""
@@ -204,11 +205,12 @@ class Scenario(Strict):
         seeds: int | None = None,
         objects: Sequence[str] | None = None,
         methods: Sequence[str] | None = None,
+        world: str | None = None,
     ) -> Scenario:
         """The scenario with the command line's changes.
 
         Raises:
-            InvalidValueError: fewer than one seed, or an unknown method.
+            InvalidValueError: fewer than one seed, or an unknown method or world.
         """
         if seeds is not None and seeds < 1:
             raise InvalidValueError("--seeds", seeds, "an integer >= 1")
@@ -223,6 +225,10 @@ class Scenario(Strict):
             changes["methods"] = {label: known.get(label, {}) for label in methods}
             for label in methods:
                 build_method(label, known.get(label, {}))
+        if world is not None:
+            changes["world"] = WorldTable.model_validate(self.world.model_dump() | {"preset": named_world(world).name})
+            if self.simulation.runner is not None:
+                raise InvalidValueError("--world", world, "none: another runner has a world of its own")
         return self.model_copy(update=changes)
 
     def supports(self) -> list[Support]:

@@ -53,6 +53,7 @@ def run(
     methods: Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="METHOD ...")] = None,
     seeds: Annotated[int | None, tyro.conf.arg(metavar="N")] = None,
     objects: Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="OBJECT ...")] = None,
+    world: Annotated[str | None, tyro.conf.arg(metavar="WORLD")] = None,
     record: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False,
     live: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False,
     dry_run: bool = False,
@@ -71,6 +72,7 @@ def run(
         methods: labels of the scenario's methods, instead of all; or others: by name, or package:Class.
         seeds: sensing draws of each trial; the scenario's own number if left out.
         objects: names in the library or paths to TOML files, instead of the scenario's own.
+        world: ideal, lab or rough, instead of the scenario's own.
         record: write a recording of every trial and estimate as it is done, into DIR/recordings.
         live: show every trial and estimate as it is done in an open viewer, or in a new one.
         dry_run: print how many trials and estimates there are and how long they take, and run nothing.
@@ -88,7 +90,7 @@ def run(
     from viz.report.lists import failures
 
     name, study = load_scenario(scenario)
-    study = study.changed(seeds, objects, methods)
+    study = study.changed(seeds, objects, methods, world)
     workers = default_workers() if workers is None else workers
     if workers < 0:
         raise InvalidValueError("--workers", workers, "an integer >= 0")
@@ -108,7 +110,7 @@ def run(
         results = rows_of(table)
         facts = {
             "name": name,
-            "command": _command(scenario, seeds, objects, methods),
+            "command": _command(scenario, seeds, objects, methods, world),
             "wall_s": round(time.monotonic() - begin, 1),
         }
         write_json(folder / "manifest.json", (read_json(folder / "manifest.json") or {}) | facts)
@@ -156,12 +158,18 @@ def show_tables(console: Console, scenario: Scenario, results: Sequence[Row]) ->
         console.print(rich_table(hidden))
 
 
-def _command(scenario: str, seeds: int | None, objects: Sequence[str] | None, methods: Sequence[str] | None) -> str:
+def _command(
+    scenario: str,
+    seeds: int | None,
+    objects: Sequence[str] | None,
+    methods: Sequence[str] | None,
+    world: str | None,
+) -> str:
     """Command line that runs this again."""
     parts = ["heft run", scenario]
-    for flag, value in (("seeds", seeds), ("objects", objects), ("methods", methods)):
+    for flag, value in (("seeds", seeds), ("objects", objects), ("methods", methods), ("world", world)):
         if value:
-            parts += [f"--{flag}", *([str(value)] if isinstance(value, int) else value)]
+            parts += [f"--{flag}", *([str(value)] if isinstance(value, int | str) else value)]
     return " ".join(parts)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -89,3 +90,11 @@ def test_another_runner_has_a_world_of_its_own():
             simulation={"runner": "testbed.simulation.runner:SimulationRunner"},  # pyright: ignore[reportArgumentType]
             world=WorldTable(preset="lab"),
         )
+
+
+def test_a_command_line_names_the_world():
+    changed = short(gain=0.0).changed(world="rough")
+    assert changed.world.preset == "rough"
+    assert changed.world.build() == replace(world("rough"), gain=0.0)
+    with pytest.raises(InvalidValueError, match="ideal, lab, rough"):
+        short().changed(world="rouhg")

@@ -248,6 +248,8 @@ class Arm(Device, Protocol):
     def move_to(self, pose: Pose, speed: float) -> None:
         """Move the TCP to a pose at no more than `speed` [m/s]; returns on arrival or after `stop`.
 
+        Another thread must read `state` meanwhile: the arm stops where nobody watches.
+
         Raises:
             ArmRefusedError: in a fault, or the pose was refused or not reached.
             ArmLostError: the connection was lost on the way.

@@ -36,7 +36,7 @@ from testbed.validation import check_positive
 class RealRunner:
     """A `TrialRunner` on a real arm, gripper and wrench sensor. Entering it connects and moves nothing.
 
-    Any end of a trial - its own, an error, a limit, Ctrl-C, SIGTERM, a lost sensor or arm - stops the arm.
+    Any end of a trial - its own, an error, a limit, Ctrl-C, SIGTERM, SIGHUP, a lost sensor or arm - stops the arm.
     """
 
     def __init__(
@@ -80,7 +80,7 @@ class RealRunner:
             RobotError: one of them cannot be reached, or is not as expected.
         """
         with ExitStack() as stack:
-            stack.enter_context(_terminable())
+            stack.enter_context(terminable())
             stack.enter_context(self._sensor)
             stack.enter_context(self._arm)
             stack.callback(self._arm.stop)
@@ -250,13 +250,21 @@ def timestamp() -> str:
 
 
 @contextmanager
-def _terminable() -> Iterator[None]:
-    """Make SIGTERM end the program like an error, so that the arm is stopped; in the main thread only."""
+def terminable() -> Iterator[None]:
+    """Make SIGTERM and SIGHUP end the program like an error, so that the arm is stopped; in the main thread only."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    before = signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
+
+    def end(number: int, _: object) -> None:
+        for name in before:
+            signal.signal(name, signal.SIG_IGN)  # once is enough
+        sys.exit(128 + number)
+
+    kept = signal.getsignal(signal.SIGHUP) is signal.SIG_IGN  # as nohup does
+    before = {name: signal.signal(name, end) for name in (signal.SIGTERM, *([] if kept else [signal.SIGHUP]))}
     try:
         yield
     finally:
-        signal.signal(signal.SIGTERM, before)
+        for name, handler in before.items():
+            signal.signal(name, handler)

@@ -37,6 +37,8 @@ class Faults:
     """Poses are aborted half way."""
     short: bool = False
     """Poses end before they are reached, and are reported as reached."""
+    endures_silence: bool = False
+    """It does not stop by itself when a connection is silent."""
 
 
 class FakeGen3:
@@ -80,7 +82,8 @@ class FakeGen3:
         while not self._over.wait(max(due - time.monotonic(), 0.0)):
             due += TICK
             with self.lock:
-                if time.monotonic() - self._heard > self._allowed or self.faults.fault_bank:
+                silent = time.monotonic() - self._heard > self._allowed and not self.faults.endures_silence
+                if silent or self.faults.fault_bank:
                     self.world.stop()
                 self._end_of_pose()
                 self.world.tick()

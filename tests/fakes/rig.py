@@ -101,7 +101,7 @@ def over_wires(
         for action in actions:
             trial = Trial(model, action)
             pose = starting_pose(trial)
-            arm = KortexArm("127.0.0.1", port=rig.wires.arm_port)
+            arm = KortexArm("127.0.0.1", port=rig.wires.arm_port, watchdog=0.1)
             settings = RobotSettings(KortexGripper.data_sheet(model.shape.grasps[action.grasp].width))
             sensor = Ft300s(rig.wires.sensor_port)
             for _ in range(ATTEMPTS):

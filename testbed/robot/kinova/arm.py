@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from dataclasses import dataclass, field
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 from jaxtyping import Float
@@ -27,8 +27,8 @@ GEN3 = ArmLimits(
 """Limits of the seven-joint Gen3, as Kinova publishes them."""
 _ARRIVED = 0.002, math.radians(0.5)
 """Distance [m] and angle [rad] from a pose that count as its arrival."""
-_ALIVE = 0.025
-"""Time between signs of life while a pose is being reached [s]."""
+_RECHECK = 0.025
+"""Time between looks at a pose that should have been reached [s]."""
 
 
 @dataclass(eq=False)
@@ -50,15 +50,18 @@ class KortexArm:
     turn_speed: float = math.radians(30)
     """Turn rate on the way to a pose [rad/s]."""
     silence: float = 0.1
-    """Time without a command, or without feedback, after which a moving arm is stopped [s]; also the age of feedback
-    beyond which the arm counts as lost."""
+    """Time without feedback after which a moving arm is stopped, and counts as lost [s]; the arm's own limit too."""
+    watchdog: float = 0.05
+    """Time without a command, or on the way to a pose without a look at `state`, after which a moving arm is stopped
+    [s]."""
 
     def __post_init__(self) -> None:
-        check_positive_fields(self, "tool_length", "turn_speed", "silence")
+        check_positive_fields(self, "tool_length", "turn_speed", "silence", "watchdog")
         if not 0 < self.port < 2**16:
             raise InvalidValueError("KortexArm.port", self.port, "a TCP port")
         self._link: KortexLink | None = None
         self._epoch = 0
+        self._on_the_way = False
 
     @property
     def limits(self) -> ArmLimits:
@@ -72,7 +75,8 @@ class KortexArm:
             RobotError: no `kortex_api`, no arm, or another tool stored in it than expected.
         """
         self._epoch = 0
-        configuration = Configuration(self.address, self.port, self.username, self.password, self.silence)
+        who = self.username, self.password
+        configuration = Configuration(self.address, self.port, *who, self.silence, self.watchdog)
         self._link = KortexLink(configuration, self.python)
         x, y, z = self._link.tool
         if max(abs(x), abs(y), abs(z - self.tool_length)) > 1e-3:
@@ -89,8 +93,10 @@ class KortexArm:
             link.close()
 
     def state(self) -> ArmState:
-        """The newest feedback."""
+        """The newest feedback. On the way to a pose this look is the sign of life: unwatched, the arm stops."""
         f = self._feedback()
+        if self._on_the_way:
+            self._connected().send(do="alive")
         turn = Rotation.from_euler("xyz", f.tool_angles)
         return ArmState(
             time_s=f.time_s,
@@ -105,6 +111,19 @@ class KortexArm:
     def move_to(self, pose: Pose, speed: float) -> None:
         """Reach a pose at no more than `speed` [m/s]; returns on arrival or after `stop`."""
         link, epoch = self._ready(), self._epoch
+        self._on_the_way = True
+        try:
+            reply = self._reached(link, pose, speed, epoch)
+        finally:
+            self._on_the_way = False
+        if epoch != self._epoch:
+            return
+        if "error" in reply:
+            raise ArmRefusedError(f"arm: the pose was not reached: {reply['error']}")
+        self._check_arrival(pose)
+
+    def _reached(self, link: KortexLink, pose: Pose, speed: float, epoch: int) -> dict[str, Any]:
+        """The arm's answer at the end of the way."""
         number = link.ask(
             "pose",
             position=pose.position.tolist(),
@@ -113,13 +132,9 @@ class KortexArm:
             turn=self.turn_speed,
             epoch=epoch,
         )
-        while (reply := link.reply(number, _ALIVE)) is None:
-            link.send(do="alive")
-        if epoch != self._epoch:
-            return
-        if "error" in reply:
-            raise ArmRefusedError(f"arm: the pose was not reached: {reply['error']}")
-        self._check_arrival(pose)
+        while (reply := link.reply(number, 1.0)) is None:
+            pass
+        return reply
 
     def _check_arrival(self, pose: Pose) -> None:
         """Wait a moment for the arrival: the arm may report it too early."""
@@ -135,7 +150,7 @@ class KortexArm:
                     f"arm: it says that it has arrived, {off * 1e3:.1f} mm and {math.degrees(turned):.2f} deg off; "
                     "choose a slower or nearer pose"
                 )
-            time.sleep(_ALIVE)
+            time.sleep(_RECHECK)
 
     def twist(self, linear: Float[np.ndarray, "3"], angular: Float[np.ndarray, "3"]) -> None:
         """Move at a velocity [m/s, rad/s], base axes, until the next command, or until none comes for too long."""

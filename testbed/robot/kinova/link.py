@@ -1,7 +1,8 @@
-"""Pipe to the process that speaks Kortex: requests out, replies and feedback in."""
+"""Pipes to the process that speaks Kortex, and to the one that stops the arm if that ends."""
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import subprocess
@@ -21,15 +22,18 @@ WHEEL = "https://artifactory.kinovaapps.com/artifactory/generic-public/kortex/AP
 """Address of the maker's wheel; it is not on the package index."""
 _ROOT = str(Path(__file__).parents[3])
 _START = (
-    f"import sys; sys.path.insert(0, {_ROOT!r}); from testbed.robot.kinova.process import serve; "
-    f"sys.path.remove({_ROOT!r}); serve()"
+    f"import sys; sys.path.insert(0, {_ROOT!r}); from testbed.robot.kinova import process; "
+    f"sys.path.remove({_ROOT!r}); process."
 )
 _CONNECT_TIME = 15.0
 _LAST_WORDS = 5
 
 
 class KortexLink:
-    """The other process. Feedback is kept as it comes; a reply wakes the thread that waits for it."""
+    """The other process. Feedback is kept as it comes; a reply wakes the thread that waits for it.
+
+    A second process stands by: should the first be killed, it stops the arm over a connection of its own.
+    """
 
     def __init__(self, configuration: Configuration, python: str | None = None):
         """Start it and connect.
@@ -54,18 +58,13 @@ class KortexLink:
         self._greeting: dict[str, Any] | None = None
         self._stderr: deque[str] = deque(maxlen=_LAST_WORDS)
         try:
-            self._process = subprocess.Popen(
-                [self.python, "-c", _START],
-                stdin=subprocess.PIPE,
-                stdout=subprocess.PIPE,
-                stderr=subprocess.PIPE,
-                text=True,
-                encoding="utf-8",
-            )
+            self._process = self._started("serve()")
+            self._standby = self._started("stand_by()")
         except OSError as error:
             raise RobotError(f"{PYTHON_VARIABLE}: got {self.python}, which does not start: {error.strerror}") from None
         for read in (self._read, self._read_errors):
             threading.Thread(target=read, name=f"kortex {read.__name__}", daemon=True).start()
+        self._write(self._standby, json.dumps(asdict(configuration)))
         self.send(**asdict(configuration))
         with self._news:
             self._news.wait_for(lambda: self._greeted or self.dead, _CONNECT_TIME)
@@ -74,6 +73,31 @@ class KortexLink:
             self.close()
             raise self._refusal(greeting, configuration)
         self.tool = greeting["connected"]
+
+    def _started(self, call: str) -> subprocess.Popen[str]:
+        pipe, quiet = subprocess.PIPE, subprocess.DEVNULL
+        served = call == "serve()"
+        return subprocess.Popen(
+            [self.python, "-c", _START + call],
+            stdin=pipe,
+            stdout=pipe if served else quiet,
+            stderr=pipe if served else quiet,
+            text=True,
+            encoding="utf-8",
+            start_new_session=True,
+        )
+
+    @staticmethod
+    def _write(process: subprocess.Popen[str], line: str) -> None:
+        """Write one line.
+
+        Raises:
+            OSError: nobody is there.
+            ValueError: the pipe is closed.
+        """
+        assert process.stdin is not None
+        process.stdin.write(line + "\n")
+        process.stdin.flush()
 
     def _refusal(self, greeting: dict[str, Any], configuration: Configuration) -> RobotError:
         if "missing" in greeting:
@@ -102,9 +126,7 @@ class KortexLink:
         """
         with self._writing:
             try:
-                assert self._process.stdin is not None
-                self._process.stdin.write(json.dumps(message) + "\n")
-                self._process.stdin.flush()
+                self._write(self._process, json.dumps(message))
             except (OSError, ValueError):
                 raise ArmLostError(f"arm: the process that speaks to it has ended; {' '.join(self._stderr)}") from None
 
@@ -135,17 +157,11 @@ class KortexLink:
         return said[0] if said else ""
 
     def close(self) -> None:
-        """End the other process; it stops the arm first."""
-        try:
-            assert self._process.stdin is not None
-            self._process.stdin.close()
-        except OSError:
-            pass
-        try:
-            self._process.wait(2.0)
-        except subprocess.TimeoutExpired:
-            self._process.kill()
-            self._process.wait()
+        """End the other process; it stops the arm first. The one that stands by does so too if that one fails."""
+        if _ended(self._process) and self._process.returncode == 0:
+            with contextlib.suppress(OSError, ValueError):
+                self._write(self._standby, "not needed")
+        _ended(self._standby)
 
     def _read(self) -> None:
         assert self._process.stdout is not None
@@ -162,11 +178,28 @@ class KortexLink:
                     self._greeting = message
                 self._news.notify_all()
         with self._news:
+            self.lost = "the process that speaks to it has ended"
             self._news.notify_all()
+        if self._process.wait() != 0:
+            _ended(self._standby)
 
     def _read_errors(self) -> None:
         assert self._process.stderr is not None
         self._stderr.extend(text.strip() for text in self._process.stderr if text.strip())
+
+
+def _ended(process: subprocess.Popen[str]) -> bool:
+    """Close a process's input and wait for its end; False if it had to be killed."""
+    with contextlib.suppress(OSError):
+        assert process.stdin is not None
+        process.stdin.close()
+    try:
+        process.wait(2.0)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        process.wait()
+        return False
+    return True
 
 
 def missing_api(python: str | None = None) -> str:

@@ -1,8 +1,8 @@
 """The process beside heft: Kinova's `kortex_api` with its old protobuf, in any Python that has both.
 
-`testbed.robot.kinova.link` starts it. It imports next to nothing of heft, and is written for Python 3.8.
-Requests come as JSON lines on standard input, replies and feedback go as JSON lines to standard output; the first line
-in is a `Configuration`.
+`testbed.robot.kinova.link` starts it, in a session of its own: no key of heft's terminal and no end of heft reaches it.
+It imports next to nothing of heft, and is written for Python 3.8. Requests come as JSON lines on standard input,
+replies and feedback go as JSON lines to standard output; the first line in is a `Configuration`.
 """
 
 from __future__ import annotations
@@ -14,7 +14,10 @@ import sys
 import threading
 from typing import Any
 
-from testbed.robot.kinova.session import Configuration, Gen3
+from testbed.robot.kinova.session import Configuration, Gen3, kortex_api, stop_once
+
+_IGNORED = ("SIGINT", "SIGHUP", "SIGTERM", "SIGQUIT", "SIGTSTP", "SIGTTIN", "SIGTTOU")
+"""Signals that are for heft alone: the arm is stopped first, then its process ends."""
 
 
 class Line:
@@ -38,7 +41,7 @@ class Line:
 
 def serve() -> None:
     """Connect by the first line, then serve the requests of the others until they end."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for heft, which then says stop
+    _ignore_signals()
     line = Line()
     try:
         arm = Gen3(Configuration(**json.loads(sys.stdin.readline())), line)
@@ -62,6 +65,20 @@ def serve() -> None:
                 threading.Thread(target=_tried, args=(getattr(arm, do), request, line), daemon=True).start()
     finally:
         arm.close()
+
+
+def stand_by() -> None:
+    """Wait for the end of the input, then stop the arm over a connection of its own; a second line calls that off."""
+    _ignore_signals()
+    configuration = Configuration(**json.loads(sys.stdin.readline()))
+    kortex_api()  # imported in time: it takes a good part of a second
+    if not sys.stdin.readline():
+        stop_once(configuration)
+
+
+def _ignore_signals() -> None:
+    for name in _IGNORED:
+        signal.signal(getattr(signal, name), signal.SIG_IGN)
 
 
 def _tried(call: Any, request: dict, line: Line) -> None:

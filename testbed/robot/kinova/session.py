@@ -1,6 +1,6 @@
 """A session with a Gen3 over Kinova's `kortex_api`, in the process beside heft; it stops the arm by itself.
 
-It does so after a silence of heft while the arm moves, when feedback ends, and when it is closed. The arm's own
+It does so after a silence of heft while the arm moves, when feedback or heft ends, and when it is closed. The arm's own
 estimate of the wrench is never read. Written for Python 3.8. SI units and radians towards heft; meters, degrees and
 degrees per second towards the arm.
 """
@@ -11,6 +11,7 @@ import collections
 import collections.abc
 import importlib
 import math
+import os
 import sys
 import threading
 import time
@@ -48,8 +49,10 @@ class Configuration:
     username: str = "admin"
     password: str = "admin"
     silence: float = 0.1
-    """Time without a request, or without feedback, after which a moving arm is stopped [s]; the arm itself is told to
-    stop after as long a silence of the connection."""
+    """Time without feedback after which a moving arm is stopped [s]; the arm itself is told to stop after as long a
+    silence of the connection."""
+    watchdog: float = 0.05
+    """Time without a request of heft after which a moving arm is stopped [s]."""
 
 
 @dataclass
@@ -78,16 +81,9 @@ class Gen3:
     """One session with the arm, and the two threads that watch over it."""
 
     def __init__(self, configuration: Configuration, line: Any):
-        self._line, self._api, self._silence = line, kortex_api(), configuration.silence
-        self._transport = self._api.TCPTransport()
-        router = self._api.RouterClient(self._transport, lambda error: print(error, file=sys.stderr))
-        self._transport.connect(configuration.address, configuration.port)
-        info = self._api.Session.CreateSessionInfo()
-        info.username, info.password = configuration.username, configuration.password
-        info.session_inactivity_timeout = 60000
-        info.connection_inactivity_timeout = round(configuration.silence * 1000)
-        self._session = self._api.SessionManager(router)
-        self._session.CreateSession(info)
+        self._line, self._api = line, kortex_api()
+        self._silence, self._watchdog = configuration.silence, configuration.watchdog
+        self._transport, self._session, router = _connected(self._api, configuration)
         self._base, self._cyclic = self._api.BaseClient(router), self._api.BaseCyclicClient(router)
         self._control = self._api.ControlConfigClient(router)
         mode = self._api.Base.ServoingModeInformation()
@@ -97,6 +93,7 @@ class Gen3:
         self._base.OnNotificationActionTopic(self._on_action, self._api.Base.NotificationOptions())
         self._epoch = 0
         self._moving = False
+        self._parent = os.getppid()
         self._heard = self._fed = time.monotonic()
         self._wanted = None  # the twist to send next, and its request
         self._something = threading.Condition()
@@ -127,11 +124,11 @@ class Gen3:
         with self._something:
             self._epoch, self._wanted = epoch, None
         under_way = self._sending.locked()
-        self._stop_now()
+        stopped = self._stop_now()
         if under_way:
             with self._sending:
-                self._stop_now()
-        self._moving = False
+                stopped = self._stop_now()
+        self._moving = self._moving and not stopped  # else the watchdog tries again
 
     def pose(self, request: dict) -> None:
         """Reach a pose; the reply goes out at its end or its failure."""
@@ -177,14 +174,12 @@ class Gen3:
         self._transport.disconnect()
 
     def _options(self) -> Any:
-        options = self._api.RouterClientSendOptions()
-        options.timeout_ms = round(self._silence * 1000)  # a call that takes longer is a silence too
-        return options
+        return _options(self._api, self._silence)  # a call that takes longer is a silence too
 
     def _reply(self, request: dict, **said: Any) -> None:
         self._line.say(id=request["id"], **said)
 
-    def _stop_now(self) -> None:
+    def _stop_now(self) -> bool:
         try:
             self._base.Stop(0, self._options())
         except self._api.Failure as error:
@@ -192,6 +187,8 @@ class Gen3:
                 self._base.ApplyEmergencyStop(0, self._options())
             except self._api.Failure:
                 self._line.say(lost=f"the arm could not be told to stop: {_said(error)}")
+                return False
+        return True
 
     def _on_action(self, notification: Any, *_: Any) -> None:
         base = self._api.Base
@@ -243,13 +240,49 @@ class Gen3:
             self._line.say(state=asdict(_feedback(got, self._fed, self._api)))
 
     def _watch(self) -> None:
-        """Thread: stop a moving arm after a silence of heft, or of its own feedback."""
-        while not self._over.wait(0.01):
+        """Thread: stop a moving arm after a silence of heft, at its end, or after a silence of its own feedback."""
+        while not self._over.wait(0.005):
             now = time.monotonic()
-            silent = now - self._heard > self._silence or now - self._fed > self._silence
-            if self._moving and silent:
-                self.stop()
-                self._line.say(lost=f"stopped: silence for more than {self._silence * 1e3:.0f} ms while the arm moved")
+            for who, since, allowed in (("heft", self._heard, self._watchdog), ("the arm", self._fed, self._silence)):
+                if self._moving and now - since > allowed:
+                    self.stop()
+                    self._line.say(lost=f"stopped: {who} was silent for {allowed * 1e3:.0f} ms while the arm moved")
+            if os.getppid() != self._parent:  # another holds the pipe open, so that it does not end
+                self.close()
+                os._exit(0)
+
+
+def stop_once(configuration: Configuration) -> None:
+    """Connect, stop the arm, and disconnect."""
+    api = kortex_api()
+    transport, session, router = _connected(api, configuration)
+    base, options = api.BaseClient(router), _options(api, configuration.silence)
+    try:
+        base.Stop(0, options)
+    except api.Failure:
+        base.ApplyEmergencyStop(0, options)
+    session.CloseSession(options)
+    transport.disconnect()
+
+
+def _connected(api: Any, configuration: Configuration) -> tuple:
+    """Transport, session and router of a new connection."""
+    transport = api.TCPTransport()
+    router = api.RouterClient(transport, lambda error: print(error, file=sys.stderr))
+    transport.connect(configuration.address, configuration.port)
+    info = api.Session.CreateSessionInfo()
+    info.username, info.password = configuration.username, configuration.password
+    info.session_inactivity_timeout = 60000
+    info.connection_inactivity_timeout = round(configuration.silence * 1000)
+    session = api.SessionManager(router)
+    session.CreateSession(info)
+    return transport, session, router
+
+
+def _options(api: Any, seconds: float) -> Any:
+    options = api.RouterClientSendOptions()
+    options.timeout_ms = round(seconds * 1000)
+    return options
 
 
 def _feedback(got: Any, now: float, api: Any) -> Feedback:

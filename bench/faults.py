@@ -1,13 +1,20 @@
-"""Faults of programs while the arm moves: python bench/faults.py [runs of each].
+"""Outcomes of every fault of the real robot, over fakes: python bench/faults.py phases|moments|wire [runs of each].
 
-A program drives the fake Gen3 over its wire at 20 mm/s, by twists or to a pose, and is killed, stopped or signalled.
-The fake does not stop by itself. Shown are the longest time to the first stop that it was told, the longest way of the
-tool until it stood, and what the program said.
+phases   in simulated time, each fault that the guard must see while a trial runs, in the middle of every phase: the
+         longest time to the stop, and the longest way of the tool after the fault
+moments  in simulated time, every kind of fault at random moments: after a stop, or after the arm's last feedback,
+         nothing may drive the arm for longer than 150 ms; no record that is wrong by the fake's truth may be marked ok
+wire     in real time, a program that drives the fake Gen3 at 20 mm/s is killed, stopped and signalled; the fake does
+         not stop by itself: the longest time to the first stop that it was told, and the longest way of the tool
+
+Exits with 1 where a bound was passed.
 """
 
 from __future__ import annotations
 
+import math
 import sys
+from collections import Counter
 from pathlib import Path
 
 from rich import box
@@ -15,6 +22,14 @@ from rich.console import Console
 from rich.table import Table
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
+from tests.fakes.faults import (  # pyright: ignore[reportMissingImports]
+    BOUND,
+    FAULTS,
+    LIVE,
+    PHASES,
+    Outcome,
+    struck_by,
+)
 from tests.fakes.gen3 import FakeGen3  # pyright: ignore[reportMissingImports]
 from tests.fakes.robot import small_object  # pyright: ignore[reportMissingImports]
 from tests.fakes.wire_faults import WIRE_FAULTS, Way, stopped_after  # pyright: ignore[reportMissingImports]
@@ -23,22 +38,89 @@ from tests.fakes.world import Gen3World  # pyright: ignore[reportMissingImports]
 WAYS: tuple[Way, Way] = ("twists", "pose")
 
 
-def main() -> None:
-    """Print the table; exit with 1 where the arm was never told to stop."""
-    each = int(sys.argv[1]) if len(sys.argv) > 1 else 3
-    table = Table(title=f"{each} runs each", title_justify="left", box=box.SIMPLE_HEAD)
-    for column in ("fault", "motion", "told to stop after, ms", "moved, mm", "said"):
-        table.add_column(column, justify="right" if ", m" in column else "left")
-    never = 0
+def phases(runs: int) -> int:
+    """Faults by phase; returns the number of those that passed their bound or are not in the record."""
+    table, bad = (
+        _table("fault", "stop after, ms", "slowest in", "way, mm", "furthest in", "ended", "the record says"),
+        0,
+    )
+    for fault in LIVE:
+        found = {phase: [struck_by(fault, seed, phase) for seed in range(runs)] for phase in PHASES}
+        stop = {phase: max(outcome.to_stop for outcome in outcomes) for phase, outcomes in found.items()}
+        way = {phase: max(outcome.way for outcome in outcomes) for phase, outcomes in found.items()}
+        everything = [outcome for outcomes in found.values() for outcome in outcomes]
+        bad += sum(o.to_stop > fault.stops_in or fault.says not in o.reason or o.ended == "ok" for o in everything)
+        table.add_row(
+            fault.name,
+            *(part for most in ((stop, 0), (way, 1)) for part in _most(*most)),
+            _ends(everything),
+            everything[-1].reason[:60],
+        )
+    Console(width=170).print(table)
+    print(f"{len(LIVE) * len(PHASES) * runs} runs: {bad} too late or not in the record")
+    return bad
+
+
+def moments(runs: int) -> int:
+    """Faults at random moments; returns the number of those that passed a bound."""
+    table = _table("fault", "ended", "driven after stop, ms", "after loss, ms", "rolled, ms", "wrong ok")
+    everything: list[Outcome] = []
+    for fault in FAULTS:
+        outcomes = [struck_by(fault, seed) for seed in range(runs)]
+        everything += outcomes
+        loss = [outcome.after_loss for outcome in outcomes if outcome.after_loss]
+        table.add_row(
+            fault.name,
+            _ends(outcomes),
+            f"{1e3 * max(outcome.after_stop for outcome in outcomes):.0f}",
+            f"{1e3 * max(loss):.0f}" if loss else "",
+            f"{1e3 * max(outcome.rolled for outcome in outcomes):.0f}",
+            str(sum(bool(outcome.wrong) for outcome in outcomes)),
+        )
+    Console(width=130).print(table)
+    late, wrong = (
+        sum(max(o.after_stop, o.after_loss) > BOUND for o in everything),
+        sum(bool(o.wrong) for o in everything),
+    )
+    print(f"{len(everything)} runs: {late} driven too long, {wrong} wrongly ok")
+    return late + wrong
+
+
+def wire(runs: int) -> int:
+    """Faults of programs; returns the number of those after which the arm was never told to stop."""
+    table, never = _table("fault", "motion", "told to stop after, ms", "way, mm", "said"), 0
     with FakeGen3(Gen3World(small_object())) as gen3:
         for name, fault in WIRE_FAULTS.items():
             for way in WAYS:
-                runs = [stopped_after(gen3, fault, way) for _ in range(each)]
-                stop, moved = max(run.stop_s for run in runs), max(run.moved_mm for run in runs)
-                never += stop == float("inf")
-                table.add_row(name, way, f"{1e3 * stop:.0f}", f"{moved:.1f}", runs[0].said)
+                outcomes = [stopped_after(gen3, fault, way) for _ in range(runs)]
+                stop, moved = max(o.stop_s for o in outcomes), max(o.moved_mm for o in outcomes)
+                never += stop == math.inf
+                table.add_row(name, way, f"{1e3 * stop:.0f}", f"{moved:.1f}", outcomes[0].said)
     Console(width=150).print(table)
-    sys.exit(bool(never))
+    return never
+
+
+def _table(*columns: str) -> Table:
+    table = Table(box=box.SIMPLE_HEAD)
+    for column in columns:
+        table.add_column(column, justify="right" if ", m" in column else "left")
+    return table
+
+
+def _ends(outcomes: list[Outcome]) -> str:
+    return ", ".join(f"{count} {name}" for name, count in Counter(o.ended for o in outcomes).most_common())
+
+
+def _most(values: dict[str, float], digits: int) -> tuple[str, str]:
+    """Largest value [ms or mm], and its phase."""
+    phase = max(values, key=lambda name: values[name])
+    return f"{1e3 * values[phase]:.{digits}f}", phase
+
+
+def main() -> None:
+    """Print one of the tables."""
+    table = {"phases": phases, "moments": moments, "wire": wire}[sys.argv[1]]
+    sys.exit(bool(table(int(sys.argv[2]) if len(sys.argv) > 2 else 1)))
 
 
 if __name__ == "__main__":

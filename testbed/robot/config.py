@@ -15,10 +15,11 @@ from scipy.spatial.transform import Rotation
 from testbed.errors import InvalidValueError
 from testbed.robot.calibration.file import load_calibration
 from testbed.robot.calibration.static_poses import Calibration
+from testbed.robot.interfaces import ArmIdentity
 from testbed.robot.safety import SafetyLimits
 from testbed.sensing.drift import DriftLimit
 from testbed.sensing.presets import preset
-from testbed.toml import Finite, NonNegative, Positive, load_toml
+from testbed.toml import load_toml
 from testbed.trajectory import Tool
 from testbed.validation import check_positive_fields, frozen_array, is_number, unit_quaternion
 
@@ -70,6 +71,8 @@ class RobotSettings:
     drift_std: tuple[float, float] = (preset("ft300s").force_drift, preset("ft300s").torque_drift)
     """Least random walk of the sensor's zero [N, N m per square root of a second]; no maker's figure is known. A trial
     whose two tares show more counts with that."""
+    tool_error: tuple[float, float] = (0.35, 0.02)
+    """Largest difference of the tool's wrench from its weight when it is tilted before the first trial [N, N m]."""
     limits: SafetyLimits = field(default_factory=SafetyLimits)
     """Limits on every motion."""
 
@@ -83,16 +86,21 @@ class RobotSettings:
                 raise InvalidValueError(f"RobotSettings.{name}", getattr(self, name), "a finite number")
         names = ("grip_height", "grip_force", "hover", "travel_speed", "descent_speed", "tare_time", "settle_time")
         check_positive_fields(self, *names, "lift", "rate", "gain")
-        for name in ("off_path", "bias_std", "drift_std", "null_gain", "null_travel"):
+        for name in ("off_path", "bias_std", "drift_std", "null_gain", "null_travel", "tool_error"):
             pair = frozen_array(f"RobotSettings.{name}", getattr(self, name), (2,))
             if not (pair >= 0).all():
                 raise InvalidValueError(f"RobotSettings.{name}", pair.tolist(), "two numbers >= 0")
             object.__setattr__(self, name, tuple(pair.tolist()))
 
 
+_ASIDE = 0.05
+"""Largest distance of the tool's center of mass from its axis [m]."""
 DEFAULT = "robot.toml"
 """Name of the robot file that may be missing: then its defaults hold."""
-Corner = Annotated[list[Finite], Field(min_length=3, max_length=3)]
+Corner = Annotated[
+    list[Annotated[float, Field(ge=-1.2, le=1.2, allow_inf_nan=False)]], Field(min_length=3, max_length=3)
+]
+"""A place within reach [m]: the Gen3's is 0.9 m."""
 
 
 class Strict(BaseModel):
@@ -116,7 +124,11 @@ class ArmTable(Strict):
     """User of the arm; the password is in HEFT_KORTEX_PASSWORD."""
     python: str | None = None
     """Python that has kortex_api, instead of HEFT_KORTEX_PYTHON."""
-    tool_length_m: Positive = 0.2115
+    serial: str | None = None
+    """Serial number that the arm must tell; None takes any."""
+    firmware: str | None = None
+    """Firmware that it must tell."""
+    tool_length_m: Annotated[float, Field(ge=0.02, le=0.6, allow_inf_nan=False)] = 0.2115
     """Distance from the arm's interface to the tool center point, as stored in the arm."""
 
 
@@ -131,7 +143,7 @@ class SensorTable(Strict):
     """Device file."""
     calibration: str = "calibration.toml"
     """File that heft robot calibrate writes, beside this one."""
-    to_tcp_m: Positive = 0.174
+    to_tcp_m: Annotated[float, Field(ge=0.01, le=0.5, allow_inf_nan=False)] = 0.174
     """Distance from the sensor's origin to the tool center point, along the tool's axis."""
 
 
@@ -147,21 +159,21 @@ class GripperTable(Strict):
 class BenchTable(Strict):
     """[bench]"""
 
-    table_height_m: Finite = 0.0
+    table_height_m: Annotated[float, Field(ge=-0.6, le=0.6, allow_inf_nan=False)] = 0.0
     """Height of the table's top over the arm's base."""
-    closing_deg: Finite = 0.0
+    closing_deg: Annotated[float, Field(ge=-360, le=360, allow_inf_nan=False)] = 0.0
     """Closing direction of the pads, from the x axis of the arm's tool frame about its z axis."""
-    grip_height_m: Positive = 0.022
+    grip_height_m: Annotated[float, Field(ge=0.002, le=0.2, allow_inf_nan=False)] = 0.022
     """Height of the pads' middle over the table while they hold."""
-    travel_speed_m_s: Positive = 0.1
+    travel_speed_m_s: Annotated[float, Field(ge=0.002, le=0.25, allow_inf_nan=False)] = 0.1
     """Speed over the table."""
-    descent_speed_m_s: Positive = 0.05
+    descent_speed_m_s: Annotated[float, Field(ge=0.002, le=0.1, allow_inf_nan=False)] = 0.05
     """Speed down to the object, and up."""
-    tare_s: Positive = 1.0
+    tare_s: Annotated[float, Field(ge=0.2, le=30, allow_inf_nan=False)] = 1.0
     """Duration of each tare."""
-    drift_force_N: Positive = 0.2
+    drift_force_N: Annotated[float, Field(ge=0.001, le=10, allow_inf_nan=False)] = 0.2
     """Allowed drift of the sensor's force over a trial."""
-    drift_torque_Nm: Positive = 0.01
+    drift_torque_Nm: Annotated[float, Field(ge=0.0001, le=1, allow_inf_nan=False)] = 0.01
     """Allowed drift of its torque."""
 
 
@@ -172,15 +184,15 @@ class LimitsTable(Strict):
     """Corner of the box for the tool center point, base frame of the arm."""
     high_m: Corner = [0.65, 0.35, 0.4]
     """The opposite corner."""
-    speed_m_s: Positive = 0.15
+    speed_m_s: Annotated[float, Field(ge=0.002, le=0.5, allow_inf_nan=False)] = 0.15
     """Largest speed of the tool."""
-    turn_deg_s: Positive = 69.0
+    turn_deg_s: Annotated[float, Field(ge=0.1, le=100, allow_inf_nan=False)] = 69.0
     """Largest turn rate of the tool."""
-    force_N: Positive = 60.0
+    force_N: Annotated[float, Field(ge=1, le=300, allow_inf_nan=False)] = 60.0
     """Largest change of the sensor's force since the tare."""
-    torque_Nm: Positive = 8.0
+    torque_Nm: Annotated[float, Field(ge=0.1, le=30, allow_inf_nan=False)] = 8.0
     """Largest change of its torque."""
-    joint_margin_deg: NonNegative = 3.0
+    joint_margin_deg: Annotated[float, Field(ge=0, le=45, allow_inf_nan=False)] = 3.0
     """Distance to keep from the end of a joint's range."""
 
 
@@ -203,6 +215,17 @@ class RobotFile(Strict):
                     del tables[name][key]
         return {name: table for name, table in tables.items() if table}
 
+    def check_arm(self, arm: ArmIdentity) -> None:
+        """Hold an arm against the file.
+
+        Raises:
+            InvalidValueError: the file names another serial number or firmware.
+        """
+        for name in ("serial", "firmware"):
+            wanted, found = getattr(self.arm, name), getattr(arm, name)
+            if wanted not in (None, found):
+                raise InvalidValueError(f"arm.{name}", wanted, f"{found}, which the arm tells")
+
     def settings(self, calibration: Calibration | None, sheet: Tool) -> RobotSettings:
         """Settings of a trial.
 
@@ -210,6 +233,9 @@ class RobotFile(Strict):
             calibration: mount of the sensor, and mass and center of the tool; without one, for a dry run, the sensor
                 sits straight and the tool is the data sheet's.
             sheet: the gripper's data sheet at the width of what it holds.
+
+        Raises:
+            InvalidValueError: a calibrated tool whose mass or center cannot be: a wrong sign or unit.
         """
         b, limits = self.bench, self.limits
         settings = RobotSettings(
@@ -233,8 +259,15 @@ class RobotFile(Strict):
         )
         if calibration is None:
             return settings
-        mount = calibration.sensor_in_hand
+        mount, mass = calibration.sensor_in_hand, calibration.mass
         turn = Rotation.from_quat(mount, scalar_first=True).as_matrix().T  # from the hand's axes to the sensor's
+        if not sheet.mass / 2 <= mass <= 3 * sheet.mass:
+            allowed = f"{sheet.mass / 2:.2f} to {3 * sheet.mass:.2f} kg: the gripper's is {sheet.mass:.2f} kg"
+            raise InvalidValueError("calibration.tool_mass_kg", mass, allowed)
+        x, y, z = calibration.com @ turn
+        if not (math.hypot(x, y) <= _ASIDE and 0 < z < self.sensor.to_tcp_m):
+            allowed = f"a place between sensor and tool center point, at most {_ASIDE} m aside, hand axes, m"
+            raise InvalidValueError("calibration.tool_com_m", [x, y, z], allowed)
         tool = calibration.tool(turn @ [0.0, 0.0, self.sensor.to_tcp_m], turn @ sheet.inertia @ turn.T)
         return replace(settings, tool=tool, sensor_orientation=mount, sensor_sign=calibration.sign)
 

@@ -8,9 +8,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from testbed.frames import move_wrench, rotate_wrench
+from testbed.objects.model import GRAVITY
 from testbed.robot.config import RobotSettings
 from testbed.robot.guard import Guard
-from testbed.robot.interfaces import Arm, ArmState, Clock, Gripper, Pose, WrenchSensor
+from testbed.robot.interfaces import Arm, ArmState, Clock, Gripper, Pose, RobotError, WrenchSensor
 from testbed.robot.path import Leg, RobotPlan, closing_yaw, tool_down
 from testbed.robot.recorder import GripEvidence, Mark
 from testbed.robot.safety import UnsafeError, Violation
@@ -20,6 +21,8 @@ RESPONSE = 0.15
 """Allowed delay of an arm behind its commands [s]."""
 READ_TIME = 2.0
 """Duration of weighing a lifted object [s]."""
+_TILTED = math.radians(4)
+"""Angle by which the tool is tilted to be checked [rad]; the limit is 5 degrees."""
 _STILL = 0.3
 """Time in which the arm comes to rest [s]."""
 
@@ -45,14 +48,19 @@ class Execution:
         self._off_path = 0.0
         self._rest, self._raised, self._tilt = np.zeros(6), np.zeros(3), Rotation.identity()
 
-    def run(self) -> None:
+    def run(self, *, check_tool: bool = True) -> None:
         """Run the plan.
+
+        Args:
+            check_tool: tilt the tool over the object first, and hold the change of the wrench against its weight.
 
         Raises:
             RobotError: something failed, or a limit was passed; the guard has stopped the arm.
         """
         lost = self._sensor.health().lost_frames
         self._go_to_hover()
+        if check_tool:
+            self._check_tool()
         self._rest = self._tare()
         self._guard.rest(self._rest)
         before = self._grip()
@@ -72,6 +80,40 @@ class Execution:
             self._guard.check()
         self._arm.move_to(hover, speed)
         self._guard.check()
+
+    def _check_tool(self) -> None:
+        """Tilt the tool, and back: a wrong sign, rotation, mass or center shows before anything is touched."""
+        hover = self._plan.hover
+        turn = Rotation.from_quat(hover.orientation, scalar_first=True) * Rotation.from_rotvec([_TILTED, 0.0, 0.0])
+        level = self._held()
+        self._arm.move_to(Pose(hover.position, turn.as_quat(scalar_first=True)), self._settings.travel_speed)
+        self._guard.check()
+        tilted = self._held()
+        self._arm.move_to(hover, self._settings.travel_speed)
+        self._guard.check()
+        off = np.abs((tilted[0] - level[0]) - (tilted[1] - level[1]))
+        self.figures |= {"tool_check_N": float(off[:3].max()), "tool_check_Nm": float(off[3:].max())}
+        for what, error, allowed, unit in (
+            ("force", off[:3].max(), self._settings.tool_error[0], "N"),
+            ("torque", off[3:].max(), self._settings.tool_error[1], "N m"),
+        ):
+            if not error <= allowed:
+                raise RobotError(
+                    f"tool: tilted by {math.degrees(_TILTED):.0f} deg, its {what} changed by {error:.3g} {unit} "
+                    f"otherwise than its weight says; allowed: {allowed:g} {unit}; calibrate the sensor again, and "
+                    "look for cables that pull"
+                )
+
+    def _held(self) -> tuple[np.ndarray, np.ndarray]:
+        """Wrench at rest as measured, and by the tool's weight [N, N m], sensor axes, each (6,)."""
+        self._wait(_STILL)
+        begin, settings = self._clock.now(), self._settings
+        self._wait(_STILL)
+        measured = settings.sensor_sign * self._guard.recorder.mean_wrench(begin, self._clock.now())
+        tool = Rotation.from_quat(self._guard.state().tcp_pose.orientation, scalar_first=True)
+        axes = tool * Rotation.from_quat(settings.sensor_orientation, scalar_first=True)
+        force = axes.inv().apply([0.0, 0.0, settings.tool.mass * GRAVITY])
+        return measured, np.concatenate([force, np.cross(settings.tool.com, force)])
 
     def _tare(self) -> np.ndarray:
         """Mean wrench at rest over the object without its first third [N, N m], shape (6,)."""

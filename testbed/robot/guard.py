@@ -5,14 +5,24 @@ from __future__ import annotations
 import threading
 from collections.abc import Iterator
 from contextlib import ExitStack
+from itertools import chain
 from typing import Self
 
 import numpy as np
 from jaxtyping import Float
 
-from testbed.robot.interfaces import Arm, ArmState, Clock, RobotError, WrenchSensor
+from testbed.robot.interfaces import Arm, ArmState, Clock, RobotError, WrenchSample, WrenchSensor
+from testbed.robot.raw_record import RawRecord
 from testbed.robot.recorder import Recorder
-from testbed.robot.safety import SafetyLimits, Snapshot, UnsafeError, Violation, violations
+from testbed.robot.safety import (
+    FrameWatch,
+    SafetyLimits,
+    Snapshot,
+    UnsafeError,
+    Violation,
+    load_violations,
+    violations,
+)
 
 PERIOD = 0.01
 """Time between looks [s]."""
@@ -28,12 +38,15 @@ class Guard:
     Once tripped it stays so: the arm is stopped, and no twist goes through any more.
     """
 
-    def __init__(self, arm: Arm, sensor: WrenchSensor, limits: SafetyLimits, clock: Clock):
-        self.recorder = Recorder(arm, sensor)
+    def __init__(
+        self, arm: Arm, sensor: WrenchSensor, limits: SafetyLimits, clock: Clock, raw: RawRecord | None = None
+    ):
+        self.recorder = Recorder(arm, sensor, raw)
         self.trouble: RobotError | None = None
         """Reason that it has tripped, or None."""
         self._arm, self._limits, self._clock = arm, limits, clock
         self._gate = threading.Lock()
+        self._frames = FrameWatch(sensor.identity)
         self._rest: Float[np.ndarray, "6"] | None = None
         self._command = np.zeros(6)
         self._looked = self._beat = clock.now()
@@ -66,7 +79,7 @@ class Guard:
             self._running.close()
 
     def rest(self, wrench: Float[np.ndarray, "6"]) -> None:
-        """Count loads from this wrench from now on, sensor axes."""
+        """Count loads from this wrench from now on, sensor axes; before, they count from the first frame."""
         self._rest = wrench
 
     def check(self) -> None:
@@ -111,15 +124,25 @@ class Guard:
     def _violations(self, now: float, command: np.ndarray) -> Iterator[Violation]:
         state, sample = self.recorder.state, self.recorder.sample
         if state is not None and sample is not None:
-            load = np.zeros(6) if self._rest is None else sample.wrench - self._rest
-            at = Snapshot(now, state, sample.time_s, load, command)
+            at = Snapshot(now, state, sample.time_s, self._load(sample), command)
             yield from violations(self._limits, self._arm.limits, at)
+
+    def _load(self, sample: WrenchSample) -> np.ndarray:
+        if self._rest is None:
+            self._rest = sample.wrench
+        return sample.wrench - self._rest
+
+    def _frame_violations(self, samples: list[WrenchSample]) -> Iterator[Violation]:
+        """Violations by every new frame, also by those that came before the newest."""
+        for sample in samples:
+            yield from self._frames.violations(sample.wrench)
+            yield from load_violations(self._limits, self._load(sample))
 
     def _look(self) -> None:
         now = self._clock.now()
         try:
-            self.recorder.take()
-            found = next(self._violations(now, self._command), None)
+            new = self.recorder.take()
+            found = next(chain(self._frame_violations(new), self._violations(now, self._command)), None)
             if found is not None:
                 raise UnsafeError(found)
             if self._command.any() and now - self._beat > self._limits.age:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -127,6 +128,27 @@ class SensorIdentity:
     """Version of its firmware, or "unknown"."""
     rate_hz: float
     """Frame rate [Hz]."""
+    force_range: float = math.inf
+    """Largest force along an axis that it measures [N]."""
+    torque_range: float = math.inf
+    """Largest torque about an axis that it measures [N m]."""
+    repeats: tuple[int, ...] = (20,) * 6
+    """Most equal values in a row of each component: its noise allows no more."""
+
+
+@dataclass(frozen=True)
+class ArmIdentity:
+    """Name of an arm; what it does not tell is "unknown"."""
+
+    model: str = "unknown"
+    """Model number."""
+    serial: str = "unknown"
+    """Serial number."""
+    firmware: str = "unknown"
+    """Version of its firmware."""
+
+    def __str__(self) -> str:
+        return f"{self.model} {self.serial}, firmware {self.firmware}"
 
 
 @dataclass(frozen=True)
@@ -231,6 +253,11 @@ class WrenchSensor(Device, Protocol):
 @runtime_checkable
 class Arm(Device, Protocol):
     """A seven-joint arm. Entering connects and moves nothing; leaving stops it and disconnects."""
+
+    @property
+    def identity(self) -> ArmIdentity:
+        """Model, serial number and firmware; "unknown" before it is entered."""
+        ...
 
     @property
     def limits(self) -> ArmLimits:

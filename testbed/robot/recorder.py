@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from testbed.actions.path import Profile
 from testbed.robot.interfaces import Arm, ArmState, RobotError, WrenchSample, WrenchSensor
+from testbed.robot.raw_record import RawRecord
 from testbed.trajectory import Phase, Status
 
 _SMOOTHING = 11
@@ -60,23 +61,29 @@ class Record:
 class Recorder:
     """Collector of frames and feedback: one thread takes, any may mark."""
 
-    def __init__(self, arm: Arm, sensor: WrenchSensor):
-        self._arm, self._sensor = arm, sensor
+    def __init__(self, arm: Arm, sensor: WrenchSensor, raw: RawRecord | None = None):
+        self._arm, self._sensor, self._raw = arm, sensor, raw
         self._states: list[ArmState] = []
         self._samples: list[WrenchSample] = []
         self._marks: list[Mark] = []
         sensor.drain()  # frames from before the trial
 
-    def take(self) -> None:
-        """Take in all new frames and feedback.
+    def take(self) -> list[WrenchSample]:
+        """Take in all new frames and feedback; returns the frames.
 
         Raises:
-            RobotError: sensor or arm is lost.
+            RobotError: sensor or arm is lost, or the raw record cannot be written.
         """
-        self._samples.extend(self._sensor.drain())
+        new = list(self._sensor.drain())
+        self._samples.extend(new)
+        if self._raw is not None:
+            self._raw.frames(new)
         state = self._arm.state()
         if not self._states or state.time_s > self._states[-1].time_s:
             self._states.append(state)
+            if self._raw is not None:
+                self._raw.state(state)
+        return new
 
     @property
     def state(self) -> ArmState | None:
@@ -91,6 +98,8 @@ class Recorder:
     def mark(self, mark: Mark) -> None:
         """Note the begin of a phase."""
         self._marks.append(mark)
+        if self._raw is not None:
+            self._raw.mark(mark.time_s, mark.phase.name)
 
     def mean_wrench(self, begin: float, end: float) -> Float[np.ndarray, "6"]:
         """Mean wrench between two moments [N, N m], sensor axes, shape (6,).
@@ -104,12 +113,17 @@ class Recorder:
         return np.mean(kept, axis=0)
 
     def record(self, end: float) -> Record | None:
-        """Frames from the first mark to `end` [s], as far as the arm's feedback goes; None without any."""
-        if not self._marks or len(self._states) < 2:
+        """Frames from the first mark to `end` [s], as far as the arm's feedback goes; None without any.
+
+        Without a mark it begins with the first frame, as on the way. Frames with NaN are in the raw record alone.
+        """
+        if not self._samples or len(self._states) < 2:
             return None
+        marks = self._marks or [Mark(self._samples[0].time_s, Phase.APPROACH)]
         at = np.array([state.time_s for state in self._states])
-        begin, end = max(self._marks[0].time_s, at[0]), min(end, at[-1])
-        samples = [sample for sample in self._samples if begin <= sample.time_s <= end]
+        begin, end = max(marks[0].time_s, at[0]), min(end, at[-1])
+        whole = [sample for sample in self._samples if np.isfinite(sample.wrench).all()]
+        samples = [sample for sample in whole if begin <= sample.time_s <= end]
         if not samples:
             return None
         time = np.array([sample.time_s for sample in samples])
@@ -118,7 +132,7 @@ class Recorder:
         turn = np.array([state.tcp_pose.orientation for state in self._states])
         position = np.array([state.tcp_pose.position for state in self._states])
         joints = np.unwrap([state.joint_position for state in self._states], axis=0)
-        phase, segment = _labels(self._marks, time)
+        phase, segment = _labels(marks, time)
         inside = (at >= begin) & (at <= end)
         return Record(
             time_s=time,
@@ -183,8 +197,6 @@ LOST_LIMIT = 0.01
 """Allowed part of lost frames."""
 COVERED = 0.95
 """Required part of a steady stretch's frames."""
-FROZEN = 10
-"""Equal frames in a row that show a dead sensor: noise is several counts."""
 RESTLESS = 0.5
 """Standard deviation of force during a tare beyond which something touches or shakes the tool [N]."""
 
@@ -220,8 +232,6 @@ def doubts(record: Record, evidence: GripEvidence, profile: Profile | None) -> I
             yield "fault", f"{name}: silent for {gap * 1e3:.0f} ms; allowed: {GAP_LIMIT * 1e3:.0f} ms"
     if evidence.lost_frames > LOST_LIMIT * len(record.time_s):
         yield "fault", f"sensor: {evidence.lost_frames} of {len(record.time_s)} frames lost; allowed: 1 %"
-    if (run := _longest_run(record.wrench)) >= FROZEN:
-        yield "fault", f"sensor: {run} equal frames in a row; it does not measure any more"
     for tare in _stretches(record.during(Phase.TARE)):
         spread = record.wrench[tare, :3].std(axis=0).max()
         if not spread <= RESTLESS:
@@ -240,12 +250,6 @@ def _uncovered(record: Record, profile: Profile) -> Iterator[tuple[Status, str]]
         have, wanted = int((record.segment == segment).sum()), seconds * rate
         if have < COVERED * wanted:
             yield "fault", f"sensor: {have} of {wanted:.0f} frames of steady stretch {segment}"
-
-
-def _longest_run(wrench: np.ndarray) -> int:
-    """Length of the longest run of equal rows."""
-    new = np.concatenate([[True], (np.diff(wrench, axis=0) != 0).any(axis=1), [True]])
-    return int(np.diff(np.flatnonzero(new)).max())
 
 
 def _stretches(mask: np.ndarray) -> list[np.ndarray]:

@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from datetime import UTC, datetime
+from pathlib import Path
 from typing import Self
 
 import numpy as np
@@ -23,6 +24,7 @@ from testbed.robot.execution import Execution
 from testbed.robot.guard import Guard
 from testbed.robot.interfaces import Arm, Clock, Gripper, MonotonicClock, ObjectPose, RobotError, WrenchSensor
 from testbed.robot.path import RobotPlan, closing_yaw, described, plan_trial
+from testbed.robot.raw_record import RawRecord
 from testbed.robot.recorder import Record, doubts
 from testbed.robot.safety import UnsafeError
 from testbed.robot.weighing import weigh
@@ -50,6 +52,7 @@ class RealRunner:
         confirm: Callable[[str], bool],
         tracker: ObjectPose | None = None,
         weight: float | None = None,
+        raw: Path | None = None,
         clock: Clock | None = None,
     ):
         """Describe the robot; nothing is connected.
@@ -63,12 +66,15 @@ class RealRunner:
             confirm: takes the first motion in words; True if it may be made.
             tracker: measures the object's pose after a trial, and so its slip in the grip; without it slip is unknown.
             weight: reading of a scale [kg]; None weighs by lifting.
+            raw: folder in which every trial is written as it comes (`RawRecord`); None: only at its end.
             clock: clock of arm and sensor; the computer's own if left out.
         """
         if weight is not None:
             check_positive("RealRunner.weight", weight)
         self._arm, self._gripper, self._sensor, self._object_pose = arm, gripper, sensor, object_pose
         self._settings, self._confirm, self._tracker, self._weight = settings, confirm, tracker, weight
+        self._raw = raw
+        self._tool_checked = False
         self._clock = MonotonicClock() if clock is None else clock
         self._confirmed = False
         self._connections: ExitStack | None = None
@@ -123,25 +129,41 @@ class RealRunner:
         if self._connections is None:
             raise RobotError("the robot is not connected: use the runner in a with statement")
         plan = self.plan(trial)
+        raw = None if self._raw is None else RawRecord(self._raw)
         if not self._confirmed:
             self._confirmed = self._confirm(described(plan, self._settings))
             if not self._confirmed:
+                if raw is not None:
+                    raw.discard()
                 raise RobotError("the motion was not confirmed; nothing has moved")
-        return self._run(plan)
+        if raw is None:
+            return self._run(plan, None)
+        ended = "interrupted", ""
+        try:
+            trajectory = self._run(plan, raw)
+            ended = trajectory.status, trajectory.reason
+            return trajectory
+        except BaseException as error:
+            ended = "interrupted", f"{type(error).__name__} {error}"
+            raise
+        finally:
+            raw.end(self._clock.now(), *ended)
 
-    def _run(self, plan: RobotPlan) -> Trajectory:
-        guard = Guard(self._arm, self._sensor, self._settings.limits, self._clock)
+    def _run(self, plan: RobotPlan, raw: RawRecord | None) -> Trajectory:
+        guard = Guard(self._arm, self._sensor, self._settings.limits, self._clock, raw)
         execution = Execution(plan, self._arm, self._gripper, self._sensor, guard, self._settings, self._clock)
-        failure = None
+        failure, began = None, False
         try:
             with guard:
-                execution.run()
+                began = True
+                execution.run(check_tool=not self._tool_checked)
+                self._tool_checked = True
         except RobotError as error:
             failure = error
-        record = guard.recorder.record(self._clock.now())
+        record = guard.recorder.record(self._clock.now()) if began else None
         if record is None:
             place = "; the tool must point down over the table" if isinstance(failure, UnsafeError) else ""
-            raise RobotError(f"before the sensor was zeroed: {failure}{place}") from failure
+            raise RobotError(f"before anything moved: {failure}{place}") from failure
         figures = execution.figures | {"sensor_gap_s": record.wrench_gap, "feedback_gap_s": record.feedback_gap}
         status, reason = "ok", ""
         if failure is not None or execution.evidence is None:
@@ -155,7 +177,9 @@ class RealRunner:
         provenance = {
             "runner": "robot",
             "recorded": timestamp(),
+            "arm": str(self._arm.identity),
             "sensor": " ".join((self._sensor.identity.name, self._sensor.identity.serial)),
+            **({} if raw is None else {"raw": raw.path.name}),
             "slip": "measured by a tracker" if "slip_m" in figures else "not known, but for the opening of the gripper",
         }
         whole = trajectory_of(plan, record, self._settings, status, reason, figures, provenance)

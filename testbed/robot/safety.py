@@ -11,9 +11,12 @@ from jaxtyping import Float
 
 from testbed.errors import InvalidValueError
 from testbed.frames import rotation_matrix
-from testbed.robot.interfaces import ArmLimits, ArmState, RobotError
+from testbed.robot.interfaces import ArmLimits, ArmState, RobotError, SensorIdentity
 from testbed.validation import check_positive_fields, frozen_array
 
+FROZEN = 4
+"""Most equal frames in a row: noise is several counts."""
+_COMPONENTS = ("fx", "fy", "fz", "tx", "ty", "tz")
 _OVERSHOOT = 1.25
 """Allowed ratio of measured to commanded speed."""
 
@@ -33,12 +36,12 @@ class SafetyLimits:
     tilt: float = math.radians(5)
     """Angle of the approach axis from straight down [rad]."""
     force: float = 60.0
-    """Change of the sensor's force since the tare [N]."""
+    """Change of the sensor's force since the tare, before it since the first frame [N]."""
     torque: float = 8.0
-    """Change of the sensor's torque since the tare [N m]."""
+    """Change of the sensor's torque, in the same way [N m]."""
     joint_margin: float = math.radians(3)
     """Distance to keep from the end of a joint's range [rad]."""
-    age: float = 0.1
+    age: float = 0.08
     """Age of the newest feedback and of the newest wrench [s]."""
 
     def __post_init__(self) -> None:
@@ -69,7 +72,8 @@ class Violation:
 
     def __str__(self) -> str:
         side = "at least" if self.value < self.allowed else "at most"
-        return f"{self.limit}: {self.value:.3g} {self.unit}; allowed: {side} {self.allowed:.3g} {self.unit}"
+        unit = f" {self.unit}" if self.unit else ""
+        return f"{self.limit}: {self.value:.3g}{unit}; allowed: {side} {self.allowed:.3g}{unit}"
 
 
 class UnsafeError(RobotError):
@@ -104,12 +108,7 @@ def violations(limits: SafetyLimits, arm: ArmLimits, at: Snapshot) -> Iterator[V
     for name, time_s in (("feedback of the arm", state.time_s), ("wrench", at.wrench_time)):
         if not at.now - time_s <= limits.age:
             yield Violation(f"age of the {name}", at.now - time_s, limits.age, "s", broken=True)
-    for name, load, allowed, unit in (
-        ("force", at.load[:3], limits.force, "N"),
-        ("torque", at.load[3:], limits.torque, "N m"),
-    ):
-        if not np.linalg.norm(load) <= allowed:
-            yield Violation(name, float(np.linalg.norm(load)), allowed, unit)
+    yield from load_violations(limits, at.load)
     yield from _too_fast("commanded", limits, at.command, 1.0 + 1e-9)
     yield from _too_fast("measured", limits, state.tcp_twist, _OVERSHOOT)
     yield from _outside(limits, state.tcp_pose.position)
@@ -117,6 +116,44 @@ def violations(limits: SafetyLimits, arm: ArmLimits, at: Snapshot) -> Iterator[V
     if not math.acos(min(max(down, -1.0), 1.0)) <= limits.tilt:
         yield Violation("tilt of the tool", math.acos(min(max(down, -1.0), 1.0)), limits.tilt, "rad")
     yield from _joints(limits, arm, state)
+
+
+def load_violations(limits: SafetyLimits, load: Float[np.ndarray, "6"]) -> Iterator[Violation]:
+    """Every violation by a change of the wrench [N, N m]."""
+    for name, part, allowed, unit in (
+        ("force", load[:3], limits.force, "N"),
+        ("torque", load[3:], limits.torque, "N m"),
+    ):
+        if not np.linalg.norm(part) <= allowed:
+            yield Violation(name, float(np.linalg.norm(part)), allowed, unit)
+
+
+class FrameWatch:
+    """Watch over every frame of a sensor: NaN, a value beyond its range, one that no noise changes any more."""
+
+    def __init__(self, sensor: SensorIdentity):
+        self._sensor = sensor
+        self._last, self._run = np.full(6, np.nan), np.ones(6, dtype=int)
+
+    def violations(self, wrench: Float[np.ndarray, "6"]) -> Iterator[Violation]:
+        """Every violation by the next frame, raw [N, N m]."""
+        if not np.isfinite(wrench).all():
+            yield Violation(
+                "values of the wrench that are no number", float((~np.isfinite(wrench)).sum()), 0.0, "", True
+            )
+        for name, part, allowed, unit in (
+            ("raw force", wrench[:3], self._sensor.force_range, "N"),
+            ("raw torque", wrench[3:], self._sensor.torque_range, "N m"),
+        ):
+            if (most := float(np.abs(part).max())) > allowed:
+                yield Violation(name, most, allowed, unit)
+        self._run = np.where(wrench == self._last, self._run + 1, 1)
+        self._last = wrench
+        if self._run.min() > FROZEN:
+            yield Violation("equal frames in a row", float(self._run.min()), FROZEN, "", broken=True)
+        for name, run, allowed in zip(_COMPONENTS, self._run.tolist(), self._sensor.repeats, strict=True):
+            if run > allowed:
+                yield Violation(f"equal values of {name} in a row", run, allowed, "", broken=True)
 
 
 def path_violations(

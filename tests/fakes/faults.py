@@ -5,13 +5,17 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import lru_cache, partial
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
+from unittest.mock import patch
 
 import numpy as np
 
 from testbed.errors import HeftError
+from testbed.robot.raw_record import RawRecord
 from testbed.sensing.windows import steady_windows
-from testbed.trajectory import Trajectory
+from testbed.trajectory import Phase, Trajectory
 from testbed.trial import Trial
 from tests.fakes.robot import ACTION, FakeRobot, robot_for, small_object
 
@@ -36,6 +40,10 @@ class Fault:
     """True if the arm's feedback ends."""
     until: float = 0.95
     """Part of the trial in which it may strike."""
+    stops_in: float = math.inf
+    """Time within which it must stop the arm, in every phase of a trial [s]."""
+    says: str = ""
+    """Part of what the record then says."""
 
     def strike(self, robot: FakeRobot) -> None:
         """Cause it."""
@@ -81,6 +89,25 @@ FAULTS = (
     Fault("the grip weakens", {"world.strength": 0.03}),
     Fault("the object is pushed away", {"world.push": (20, np.array([60.0, 60.0, 0.0]))}),
 )
+NAN = np.full(6, np.nan)
+LIVE = (
+    Fault("the tool hits something", {"load": FORCE}, stops_in=0.03, says="force: "),
+    Fault("1000 N", {"load": 10 * FORCE}, stops_in=0.03, says="raw force: "),
+    Fault("NaN for one frame", {"load": NAN}, pause=0.01, stops_in=0.03, says="no number"),
+    Fault("sensor repeats one frame", {"frozen": True}, stops_in=0.07, says="equal frames in a row: 5"),
+    Fault("fx is stuck", {"stuck": 0}, stops_in=0.1, says="equal values of fx in a row: 8"),
+    Fault("tz is stuck", {"stuck": 5}, stops_in=0.22, says="equal values of tz in a row: 20"),
+    Fault("sensor stalls", {"sensor_stalls": True}, stops_in=0.1, says="age of the wrench"),
+    Fault("sensor unplugged", {"sensor_lost": True}, stops_in=0.03, says="unplugged"),
+    Fault("feedback of the arm stalls", {"feedback_stalls": True}, stops_in=0.1, says="age of the feedback"),
+    Fault("arm goes into a fault", {"arm_faulted": True}, stops_in=0.03, says="fault"),
+    Fault("the disk is full", {"disk_full": True}, stops_in=0.03, says="No space left on device"),
+    Fault("frozen, and the disk is full", {"frozen": True, "disk_full": True}, stops_in=0.03, says="No space left"),
+    Fault("sensor and feedback stall", {"sensor_stalls": True, "feedback_stalls": True}, stops_in=0.1, says="age of"),
+    Fault("NaN in an arm's fault", {"load": NAN, "arm_faulted": True}, stops_in=0.03),
+)
+"""Faults that the guard must find while a trial runs, also two at once, and how soon."""
+PHASES = ("travel", "tool check", "tare", "approach", "grasp", "settle", "action", "release", "last tare")
 
 
 @dataclass(frozen=True)
@@ -102,6 +129,14 @@ class Outcome:
     """Time for which the tool moved after `stop` [s]: the fake arm slows down."""
     wrong: str
     """Reason that an ok trajectory is wrong, else empty."""
+    to_stop: float
+    """Time from the fault to the next stop [s]; infinite without any."""
+    way: float
+    """Way of the tool after the fault [m], a radian counted as 0.1 m."""
+    raw_end: str
+    """Last line of the raw record."""
+    raw_frames: int
+    """Frames in it."""
 
 
 @lru_cache(maxsize=1)
@@ -114,10 +149,24 @@ def undisturbed() -> tuple[Trajectory, float]:
     return trajectory, robot.clock.now()
 
 
-def struck_by(fault: Fault, seed: int) -> Outcome:
-    """Run the trial with one fault at a random moment of it."""
+def middle_of(phase: str) -> float:
+    """Time in the middle of a phase of the undisturbed trial [s]."""
+    trajectory, duration = undisturbed()
+    begin = duration - trajectory.time_s[-1]
+    if phase in ("travel", "tool check"):
+        return 0.3 * begin if phase == "travel" else begin - 1.5
+    kinds = ("RAMP", "STEADY") if phase == "action" else ("TARE" if "tare" in phase else phase.upper(),)
+    inside = trajectory.time_s[trajectory.mask(*(Phase[kind] for kind in kinds))]
+    if "tare" in phase:
+        inside = inside[inside > inside.mean()] if phase == "last tare" else inside[inside < inside.mean()]
+    return begin + float(inside.mean())
+
+
+def struck_by(fault: Fault, seed: int, phase: str | None = None) -> Outcome:
+    """Run the trial with one fault at a random moment of it, or in the middle of a phase."""
     _, duration = undisturbed()
     at = float(np.random.default_rng([seed, 5]).uniform(0.0, fault.until) * duration)
+    at = at if phase is None else middle_of(phase)
     done: list[float] = []
 
     def watch(robot: FakeRobot) -> None:
@@ -126,16 +175,25 @@ def struck_by(fault: Fault, seed: int) -> Outcome:
             fault.strike(robot)
 
     trial = Trial(small_object(), ACTION)
-    robot, runner = robot_for(trial, watch, seed=seed)
+    folder = TemporaryDirectory()
+    robot, runner = robot_for(trial, watch, seed=seed, raw=Path(folder.name))
+
+    def remembered(at: Path) -> RawRecord:
+        robot.raw.append(RawRecord(at))
+        return robot.raw[-1]
+
     trajectory, ended, reason = None, "", ""
     try:
-        with runner:
+        with patch("testbed.robot.runner.RawRecord", remembered), runner:
             trajectory = runner.run(trial)
         ended, reason = trajectory.status, trajectory.reason
     except (HeftError, KeyboardInterrupt, SystemExit, ValueError) as error:
         ended, reason = type(error).__name__, str(error)
     robot.clock.sleep(1.0)  # nothing may move of itself afterwards
     first = min(robot.arm.stopped)
+    lines = robot.raw[0].path.read_text(encoding="utf-8").splitlines()
+    folder.cleanup()
+    struck = done[0] if done else math.inf
     return Outcome(
         fault.name,
         seed,
@@ -146,6 +204,10 @@ def struck_by(fault: Fault, seed: int) -> Outcome:
         robot.driven_after(done[0]) if fault.blinds and done else 0.0,
         robot.moved_after(first),
         "" if trajectory is None or not trajectory.ok else wrongness(trajectory, robot),
+        min((stop - struck for stop in robot.arm.stopped if stop >= struck), default=math.inf),
+        robot.way_after(struck),
+        lines[-1],
+        sum(line.startswith("frame,") for line in lines) - 1,
     )
 
 

@@ -204,6 +204,15 @@ class FakeGen3:
     def _ControlConfig_GetToolConfiguration(self, _: dict[str, Any]) -> dict[str, Any]:
         return {"tool_transform": {"z": 0.2115}, "tool_mass": 1.37}
 
+    def _DeviceConfig_GetModelNumber(self, _: dict[str, Any]) -> dict[str, Any]:
+        return {"model_number": "GEN3-7DOF"}
+
+    def _DeviceConfig_GetSerialNumber(self, _: dict[str, Any]) -> dict[str, Any]:
+        return {"serial_number": "AC123456-1"}
+
+    def _DeviceConfig_GetFirmwareVersion(self, _: dict[str, Any]) -> dict[str, Any]:
+        return {"firmware_version": 0x20600}
+
     def _check(self, name: str) -> None:
         self.commands.append(name)
         if self.faults.fault_bank:

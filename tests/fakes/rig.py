@@ -19,7 +19,7 @@ from testbed.robot.interfaces import RobotError
 from testbed.robot.kinova.arm import KortexArm
 from testbed.robot.kinova.gripper import KortexGripper
 from testbed.robot.path import KnownPose, starting_pose
-from testbed.robot.robotiq.ft300s import Ft300s
+from testbed.robot.robotiq.ft300s import REPEATS, Ft300s
 from testbed.robot.runner import RealRunner
 from testbed.sensing.presets import Sensing, preset
 from testbed.trajectory import Trajectory
@@ -103,7 +103,7 @@ def over_wires(
             pose = starting_pose(trial)
             arm = KortexArm("127.0.0.1", port=rig.wires.arm_port, watchdog=0.1)
             settings = RobotSettings(KortexGripper.data_sheet(model.shape.grasps[action.grasp].width))
-            sensor = Ft300s(rig.wires.sensor_port)
+            sensor = Ft300s(rig.wires.sensor_port, repeats=[10**6] * 6 if noise is QUIET else REPEATS)
             for _ in range(ATTEMPTS):
                 rig.place(pose, action.grasp)
                 try:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
@@ -15,6 +16,7 @@ from testbed.objects.blocks import block_object, parse_layout
 from testbed.objects.model import ObjectModel
 from testbed.robot.config import RobotSettings
 from testbed.robot.interfaces import (
+    ArmIdentity,
     ArmLimits,
     ArmLostError,
     ArmRefusedError,
@@ -27,6 +29,7 @@ from testbed.robot.interfaces import (
 )
 from testbed.robot.kinova.arm import GEN3
 from testbed.robot.path import KnownPose, gripped, starting_pose
+from testbed.robot.raw_record import RawRecord
 from testbed.robot.robotiq.gripper import data_sheet
 from testbed.robot.runner import RealRunner
 from testbed.sensing.presets import preset
@@ -34,8 +37,8 @@ from testbed.simulation.settings import GripSettings, SimulationSettings
 from testbed.trial import Trial
 from tests.fakes.world import TICK, Gen3World
 
-SILENCE = 0.1
-"""Time without a twist that stops the arm, and without a frame that loses the sensor [s]."""
+WATCHDOG, SILENCE = 0.05, 0.1
+"""Times without a command, and without a connection or a frame, that stop the arm or lose the sensor [s]."""
 COUNTS = np.array([100.0, 100.0, 100.0, 1000.0, 1000.0, 1000.0])
 """Counts per newton and per newton meter, shape (6,)."""
 
@@ -69,6 +72,9 @@ class Troubles:
     """Part of the frames that are lost."""
     frozen: bool = False
     """Repeats one frame."""
+    stuck: int | None = None
+    """Component that repeats its value."""
+    disk_full: bool = False
     load: np.ndarray = field(default_factory=lambda: np.zeros(6))
     """Extra load [N, N m]."""
     drift: np.ndarray = field(default_factory=lambda: np.zeros(6))
@@ -128,6 +134,8 @@ class FakeRobot:
         self.world, self.troubles, self.watch = world, Troubles(), watch
         self.clock = SimulatedClock(world, self._tick)
         self.arm, self.gripper, self.sensor = FakeArm(self), FakeGripper(self), FakeSensor(self, seed)
+        self.raw: list[RawRecord] = []
+        """Raw records of its trials."""
         self.motion: list[tuple[float, float, bool]] = []
         """Time [s], speed of the tool, and True if the arm was driven, at every tick."""
         self.slid = 0.0
@@ -148,8 +156,14 @@ class FakeRobot:
         """Time for which the tool moved after a moment [s]: driven, or slowing down."""
         return max((at - time for at, speed, _ in self.motion if at > time and speed > still), default=0.0)
 
+    def way_after(self, time: float) -> float:
+        """Way of the tool after a moment [m], a radian counted as 0.1 m."""
+        return sum(speed * TICK for at, speed, _ in self.motion if at > time)
+
     def _tick(self) -> None:
         self.watch(self)
+        if self.troubles.disk_full and self.raw:
+            self.raw[-1]._file = Path("/dev/full").open("w", encoding="utf-8")
         for entry in [entry for entry in self._to_come if entry[0] <= self.clock.now()]:
             self._to_come.remove(entry)
             entry[1]()
@@ -172,12 +186,13 @@ class FakeArm:
         self.robot = robot
         self._pending: list[tuple[float, int, np.ndarray]] = []
         self._stops = 0
-        self._last_twist = self._in_touch = 0.0
+        self._last_twist = self._in_touch = self._watched = 0.0
         self._heard = robot.world.reading
         self._lie: ArmState | None = None
         self.stopped: list[float] = []
         """Times of `stop` [s]."""
 
+    identity = ArmIdentity("fake", "1", "1")
     limits: ArmLimits = GEN3
 
     def __enter__(self) -> Self:
@@ -190,7 +205,9 @@ class FakeArm:
         """Behavior of the arm between commands."""
         world, troubles, now = self.robot.world, self.robot.troubles, self.robot.clock.now()
         self._in_touch = self._in_touch if troubles.arm_lost else now
-        silent = (world.twist.any() and now - self._last_twist > SILENCE) or now - self._in_touch > SILENCE
+        heard = self._last_twist if world.goal is None else self._watched
+        moving = world.twist.any() or world.goal is not None
+        silent = (moving and now - heard > WATCHDOG) or now - self._in_touch > SILENCE
         if troubles.arm_faulted or silent:
             world.stop()
         for entry in [entry for entry in self._pending if entry[0] <= now]:
@@ -202,6 +219,7 @@ class FakeArm:
 
     def state(self) -> ArmState:
         robot, heard = self.robot, self._heard
+        self._watched = robot.clock.now()
         if robot.clock.now() - heard.time_s > SILENCE:
             raise ArmLostError(f"arm: no feedback for {robot.clock.now() - heard.time_s:.3f} s")
         if robot.troubles.feedback_lies:
@@ -215,10 +233,13 @@ class FakeArm:
         self._reachable()
         if troubles.refuses_poses:
             raise ArmRefusedError("arm: refused the pose: outside its workspace")
+        self._watched = robot.clock.now()
         robot.world.goal = (pose.position, Rotation.from_quat(pose.orientation, scalar_first=True), speed)
         for _ in range(3000):
             robot.clock.sleep(TICK)
             self._reachable()
+            if robot.clock.now() - self._watched > WATCHDOG:
+                raise ArmLostError("arm: stopped: heft was silent for 50 ms while the arm moved")
             if robot.world.goal is None or (troubles.misses_poses and len(robot.motion) % 50 == 0):
                 robot.world.stop()
                 break
@@ -280,7 +301,7 @@ class FakeGripper:
 class FakeSensor:
     """A `WrenchSensor` on the world."""
 
-    identity = SensorIdentity("fake", "1", "1", 1 / TICK)
+    identity = SensorIdentity("fake", "1", "1", 1 / TICK, 300.0, 30.0, (7, 7, 8, 9, 10, 19))
 
     def __init__(self, robot: FakeRobot, seed: int = 0):
         self.robot, self._rng = robot, np.random.default_rng([seed, 7])
@@ -307,6 +328,8 @@ class FakeSensor:
         wrench = np.round((self.robot.world.wrench + troubles.load) * COUNTS) / COUNTS
         if troubles.frozen and self._latest is not None:
             wrench = self._latest.wrench
+        if troubles.stuck is not None and self._latest is not None:
+            wrench[troubles.stuck] = self._latest.wrench[troubles.stuck]
         self._latest = WrenchSample(now, wrench, self._count)
         self._samples.append(self._latest)
         self._count += 1

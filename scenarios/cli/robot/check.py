@@ -147,11 +147,12 @@ def _arm(file: RobotFile, *, can_connect: bool) -> Line:
             return Line("arm", "note", f"{address} answers; kortex_api is needed to say more")
     try:
         with build_arm(file) as arm:
-            state = arm.state()
+            state, who = arm.state(), arm.identity
+        file.check_arm(who)
     except HeftError as error:
         return Line("arm", "missing", str(error))
     x, y, z = state.tcp_pose.position
-    place = f"tool at ({x:.3f}, {y:.3f}, {z:.3f}) m"
+    place = f"tool at ({x:.3f}, {y:.3f}, {z:.3f}) m; {who}"
     if state.faulted:
         return Line("arm", "missing", f"{name}: {state.message}; clear it in the Web App; {place}")
     return Line("arm", "ok", f"{name}: no fault; {place}")

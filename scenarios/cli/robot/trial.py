@@ -99,8 +99,10 @@ def trial(
         path = config.parent / file.sensor.calibration
         raise InvalidValueError("sensor.calibration", str(path), "a file that heft robot calibrate has made")
     sensor, arm = build_sensor(file), build_arm(file)
-    with RealRunner(arm, build_gripper(file, arm), sensor, place, settings, confirm=_confirmed) as runner:
+    raw = out / "raw"
+    with RealRunner(arm, build_gripper(file, arm), sensor, place, settings, confirm=_confirmed, raw=raw) as runner:
         calibration_of(file, config, sensor.identity.serial)
+        file.check_arm(arm.identity)
         _store(runner.run(planned), planned, file, out)
 
 
@@ -173,6 +175,7 @@ def _confirmed(motion: str) -> bool:
 def _store(trajectory: Trajectory, planned: Trial, file: RobotFile, out: Path) -> None:
     """Store the record like a simulated one, and print its status; exit code 1 if it is no data."""
     from scenarios.results.store import Store, key_of, object_request
+    from testbed.robot.interfaces import RobotError
     from testbed.trajectory import SCHEMA_VERSION
 
     request = {
@@ -184,8 +187,12 @@ def _store(trajectory: Trajectory, planned: Trial, file: RobotFile, out: Path) -
         "recorded": trajectory.provenance["recorded"],
     }
     key = key_of(request)
-    Store(out).put_trial(key, planned, request, trajectory)
     print(f"{trajectory.status}{': ' if trajectory.reason else ''}{trajectory.reason}")
+    try:
+        Store(out).put_trial(key, planned, request, trajectory)
+    except OSError as error:
+        left = f"; what came is in {out / 'raw' / raw}" if (raw := trajectory.provenance.get("raw")) else ""
+        raise RobotError(f"{out}: the trial cannot be stored: {error.strerror}{left}") from None
     for figure, value in sorted(trajectory.figures.items()):
         if not figure.startswith("bias_"):
             print(f"  {figure} {value:.4g}")

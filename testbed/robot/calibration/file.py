@@ -16,6 +16,13 @@ from testbed.robot.interfaces import Pose
 from testbed.toml import Finite, NonNegative, Positive, load_toml, toml_text
 
 Vector = Annotated[list[Finite], Field(min_length=3, max_length=3)]
+Force = Annotated[
+    list[Annotated[float, Field(ge=-300, le=300, allow_inf_nan=False)]], Field(min_length=3, max_length=3)
+]
+Torque = Annotated[list[Annotated[float, Field(ge=-30, le=30, allow_inf_nan=False)]], Field(min_length=3, max_length=3)]
+Center = Annotated[
+    list[Annotated[float, Field(ge=-0.5, le=0.5, allow_inf_nan=False)]], Field(min_length=3, max_length=3)
+]
 Deviations = Annotated[list[NonNegative], Field(min_length=3, max_length=3)]
 Quaternion = Annotated[list[Finite], Field(min_length=4, max_length=4)]
 
@@ -32,13 +39,13 @@ class CalibrationFile(BaseModel):
     sign: Literal[1, -1]
     sensor_in_hand_wxyz: Quaternion
     sensor_in_hand_std_rad: Deviations
-    bias_force_N: Vector
+    bias_force_N: Force
     bias_force_std_N: Deviations
-    bias_torque_Nm: Vector
+    bias_torque_Nm: Torque
     bias_torque_std_Nm: Deviations
-    tool_mass_kg: Positive
+    tool_mass_kg: Annotated[float, Field(gt=0, le=10, allow_inf_nan=False)]
     tool_mass_std_kg: Positive
-    tool_com_m: Vector
+    tool_com_m: Center
     tool_com_std_m: Deviations
     misfit: NonNegative
     poses: Annotated[int, Field(ge=4)]

@@ -12,7 +12,7 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from testbed.errors import InvalidValueError
-from testbed.robot.interfaces import ArmLimits, ArmLostError, ArmRefusedError, ArmState, Pose, RobotError
+from testbed.robot.interfaces import ArmIdentity, ArmLimits, ArmLostError, ArmRefusedError, ArmState, Pose, RobotError
 from testbed.robot.kinova.link import KortexLink
 from testbed.robot.kinova.session import Configuration, Feedback
 from testbed.validation import check_positive_fields
@@ -62,6 +62,11 @@ class KortexArm:
         self._link: KortexLink | None = None
         self._epoch = 0
         self._on_the_way = False
+
+    @property
+    def identity(self) -> ArmIdentity:
+        """Model, serial number and firmware by the arm itself."""
+        return ArmIdentity() if self._link is None else self._link.identity
 
     @property
     def limits(self) -> ArmLimits:

@@ -13,7 +13,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from testbed.robot.interfaces import ArmLostError, RobotError
+from testbed.robot.interfaces import ArmIdentity, ArmLostError, RobotError
 from testbed.robot.kinova.session import Configuration, Feedback
 
 PYTHON_VARIABLE = "HEFT_KORTEX_PYTHON"
@@ -52,6 +52,7 @@ class KortexLink:
         """Reason that the arm may not follow its commands any more, else empty."""
         self.tool: list[float] = []
         """Position of the tool stored in the arm [m]."""
+        self.identity = ArmIdentity()
         self._replies: dict[int, dict[str, Any]] = {}
         self._count = 0
         self._writing, self._news = threading.Lock(), threading.Condition()
@@ -64,7 +65,8 @@ class KortexLink:
             raise RobotError(f"{PYTHON_VARIABLE}: got {self.python}, which does not start: {error.strerror}") from None
         for read in (self._read, self._read_errors):
             threading.Thread(target=read, name=f"kortex {read.__name__}", daemon=True).start()
-        self._write(self._standby, json.dumps(asdict(configuration)))
+        with contextlib.suppress(OSError):  # no Python, or it has no kortex_api: the first process says so
+            self._write(self._standby, json.dumps(asdict(configuration)))
         self.send(**asdict(configuration))
         with self._news:
             self._news.wait_for(lambda: self._greeted or self.dead, _CONNECT_TIME)
@@ -72,7 +74,7 @@ class KortexLink:
         if "connected" not in greeting or self.feedback is None:
             self.close()
             raise self._refusal(greeting, configuration)
-        self.tool = greeting["connected"]
+        self.tool, self.identity = greeting["connected"], ArmIdentity(*greeting["identity"])
 
     def _started(self, call: str) -> subprocess.Popen[str]:
         pipe, quiet = subprocess.PIPE, subprocess.DEVNULL

@@ -52,7 +52,7 @@ def serve() -> None:
         line.say(failed=f"{type(error).__name__}: {error}")
         return
     try:
-        line.say(connected=arm.tool())
+        line.say(connected=arm.tool(), identity=arm.identity())
         for text in sys.stdin:
             request = json.loads(text)
             arm.hear()

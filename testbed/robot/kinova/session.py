@@ -31,6 +31,7 @@ _USED = {
     "BaseClient": f"{_STUBS}.BaseClientRpc",
     "BaseCyclicClient": f"{_STUBS}.BaseCyclicClientRpc",
     "ControlConfigClient": f"{_STUBS}.ControlConfigClientRpc",
+    "DeviceConfigClient": f"{_STUBS}.DeviceConfigClientRpc",
     "KException": "Exceptions.KException",
     "RouterClient": "RouterClient",
     "RouterClientSendOptions": "RouterClient",
@@ -85,7 +86,7 @@ class Gen3:
         self._silence, self._watchdog = configuration.silence, configuration.watchdog
         self._transport, self._session, router = _connected(self._api, configuration)
         self._base, self._cyclic = self._api.BaseClient(router), self._api.BaseCyclicClient(router)
-        self._control = self._api.ControlConfigClient(router)
+        self._control, self._device = self._api.ControlConfigClient(router), self._api.DeviceConfigClient(router)
         mode = self._api.Base.ServoingModeInformation()
         mode.servoing_mode = self._api.Base.SINGLE_LEVEL_SERVOING
         self._base.SetServoingMode(mode, 0, self._options())
@@ -106,6 +107,21 @@ class Gen3:
         """Tool stored in the arm: position of its center point from the interface [m]."""
         t = self._control.GetToolConfiguration(0, self._options()).tool_transform
         return [t.x, t.y, t.z]
+
+    def identity(self) -> list[str]:
+        """Model, serial number and firmware of the arm, or "unknown"."""
+        d, found = self._device, []
+        for call, name in (
+            (d.GetModelNumber, "model_number"),
+            (d.GetSerialNumber, "serial_number"),
+            (d.GetFirmwareVersion, "firmware_version"),
+        ):
+            try:
+                value = getattr(call(0, self._options()), name)
+            except self._api.Failure:
+                value = "unknown"
+            found.append(value if isinstance(value, str) else hex(value))
+        return found
 
     def hear(self) -> None:
         """Note a sign of life of heft."""

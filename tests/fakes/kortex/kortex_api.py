@@ -63,18 +63,29 @@ MESSAGES = {
         "CartesianTransform": dict.fromkeys(("x", "y", "z", "theta_x", "theta_y", "theta_z"), float),
         "ToolConfiguration": {"tool_transform": "CartesianTransform", "tool_mass": float},
     },
+    "DeviceConfig": {
+        "ModelNumber": {"model_number": str},
+        "SerialNumber": {"serial_number": str},
+        "FirmwareVersion": {"firmware_version": int},
+    },
 }
 CONSTANTS = {
     "Base": {"SINGLE_LEVEL_SERVOING": 2, "GRIPPER_POSITION": 3, "ACTION_END": 1, "ACTION_ABORT": 2},
     "Common": {"CARTESIAN_REFERENCE_FRAME_BASE": 3, "ARMSTATE_IN_FAULT": 4},
 }
-_BARE = ("Stop", "ApplyEmergencyStop", "RefreshFeedback", "GetToolConfiguration")
+_IDENTITY = {
+    "GetModelNumber": "ModelNumber",
+    "GetSerialNumber": "SerialNumber",
+    "GetFirmwareVersion": "FirmwareVersion",
+}
+_BARE = ("Stop", "ApplyEmergencyStop", "RefreshFeedback", "GetToolConfiguration", *_IDENTITY)
 """Calls without a message."""
 _BASE = ("SetServoingMode", "ExecuteAction", "SendTwistCommand", "SendGripperCommand", *_BARE[:2])
 CALLS = {
     "Base": dict.fromkeys(_BASE, "Empty"),
     "BaseCyclic": {"RefreshFeedback": "Feedback"},
     "ControlConfig": {"GetToolConfiguration": "ToolConfiguration"},
+    "DeviceConfig": _IDENTITY,
 }
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import io
 import json
 import math
@@ -92,6 +93,7 @@ def test_a_check_with_everything_there(folder, capsys, monkeypatch, serial, code
     text = capsys.readouterr().out
     assert "Robotiq FT-300S FSC-1234" in text
     assert "no fault; tool at (0.450" in text
+    assert "GEN3-7DOF AC123456-1, firmware 0x20600" in text
     assert ("sensor: got 'FSC-9'; allowed: FSC-1234" in text) == bool(code)
     assert text.splitlines()[-1].startswith("1 missing" if code else "a trial can be run")
 
@@ -277,6 +279,15 @@ def test_a_scales_reading_is_stored_and_moves_nothing(folder, capsys):
     assert ended("trial", "L2", "--action", "weigh", "--weight", "1.8", "--out", "out") == 0
     assert capsys.readouterr().out.startswith("ok")
     assert len(ReplayRunner(folder / "out").recordings) == 1
+
+
+def test_a_full_disk_at_the_end_is_said(folder, capsys, monkeypatch):
+    def full(*_: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr("scenarios.results.store.Store.put_trial", full)
+    assert ended("trial", "L2", "--action", "weigh", "--weight", "1.8", "--out", "out") == 2
+    assert "out: the trial cannot be stored: No space left on device" in capsys.readouterr().err
 
 
 def hung(obj: ObjectModel) -> Trajectory:

@@ -59,7 +59,6 @@ def test_nothing_speaks_against_a_good_record():
         ({}, {"lost_frames": 10}, "fault", "10 of "),
         ({"wrench_gap": 0.06}, {}, "fault", "sensor: silent for 60 ms"),
         ({"feedback_gap": 0.09}, {}, "fault", "arm: silent for 90 ms"),
-        ({"wrench": wrench(slice(150, 165), 1.0)}, {}, "fault", "15 equal frames in a row"),
         ({"wrench": wrench(slice(0, 50), 3 + np.arange(50)[:, None] * 1e-3)}, {}, "fault", "tare: the force scattered"),
         (
             {"wrench": wrench(slice(-40, -1), 3 + np.arange(39)[:, None] * 1e-3)},

@@ -11,23 +11,26 @@ import pytest
 from test_safety import snapshot
 
 from testbed.robot.guard import Guard
-from testbed.robot.interfaces import ArmState, Clock, MonotonicClock, RobotError, WrenchSample
+from testbed.robot.interfaces import ArmState, Clock, MonotonicClock, RobotError, SensorIdentity, WrenchSample
 from testbed.robot.kinova.arm import GEN3
 from testbed.robot.safety import SafetyLimits, UnsafeError
 from tests.helpers.waiting import until
 
 SLOW, STAND = np.array([0.01, 0.0, 0.0]), np.zeros(3)
 PUSH = np.array([100.0, 0, 0, 0, 0, 0])
+STUCK = np.array([0.01, 0.01, 0.01, 0.01, 0.0, 0.01])
 
 
 class Stub:
     """Arm and sensor at once: all is well until a test changes them."""
 
     limits = GEN3
+    identity = SensorIdentity("stub", "1", "1", 100.0, 300.0, 30.0)
 
     def __init__(self) -> None:
         self.stops = self.twists = 0
-        self.load = np.zeros(6)
+        self.load, self.noise = np.zeros(6), np.full(6, 0.01)
+        self._rng = np.random.default_rng(0)
         self.silent = False
         self.hang: Callable[[], object] = lambda: None
         self.broken: Exception | None = None
@@ -39,7 +42,10 @@ class Stub:
         return ArmState(time.monotonic(), state.joint_position, state.joint_velocity, state.tcp_pose, state.tcp_twist)
 
     def drain(self) -> list[WrenchSample]:
-        return [] if self.silent else [WrenchSample(time.monotonic(), self.load, 0)]
+        if self.silent:
+            return []
+        wrench = self.load + self.noise * self._rng.standard_normal(6)
+        return [WrenchSample(time.monotonic(), wrench, 0)]
 
     def twist(self, linear: np.ndarray, angular: np.ndarray) -> None:
         self.twists += 1
@@ -102,18 +108,22 @@ def silence_the_loop(stub: Stub, guard: Guard) -> None:
     [
         (silence_the_loop, 1, "silence of the control loop"),
         (lambda stub, _: setattr(stub, "load", PUSH), 0, "force: 100 N"),
+        (lambda stub, _: setattr(stub, "load", 4 * PUSH), 0, "raw force: 400 N; allowed: at most 300 N"),
+        (lambda stub, _: setattr(stub, "load", np.nan * PUSH), 0, "values of the wrench that are no number: 6"),
+        (lambda stub, _: setattr(stub, "noise", np.zeros(6)), 0, "equal frames in a row: 5; allowed: at most 4"),
+        (lambda stub, _: setattr(stub, "noise", STUCK), 0, "equal values of ty in a row: 21; allowed: at most 20"),
         (lambda stub, _: setattr(stub, "broken", RobotError("gone")), 0, "gone"),
         (lambda stub, _: setattr(stub, "broken", KeyError("a driver's")), 0, "KeyError"),
     ],
-    ids=["silence", "load", "refusal", "mistake"],
+    ids=["silence", "load", "range", "NaN", "frozen", "stuck", "refusal", "mistake"],
 )
 def test_trouble_stops_the_arm_and_stays(strike, twists, reason):
+    """Before any tare."""
     stub = Stub()
     with guard_of(stub) as guard:
-        guard.rest(np.zeros(6))
         strike(stub, guard)
         assert until(lambda: stub.stops)
-        stub.load, stub.broken = np.zeros(6), None
+        stub.load, stub.noise, stub.broken = np.zeros(6), np.full(6, 0.01), None
         with pytest.raises(RobotError, match=reason):
             guard.twist(SLOW, STAND)
     assert stub.twists == twists

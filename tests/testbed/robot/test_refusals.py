@@ -57,6 +57,7 @@ SETTINGS, LIMITS = RobotSettings(data_sheet(0.05)), SafetyLimits()
         (lambda: replace(GEN3, joint_range=np.ones((7, 2))), "ArmLimits.joint_range", "a lower and a higher angle"),
         (lambda: replace(GEN3, joint_speed=np.zeros(7)), "ArmLimits.joint_speed", "numbers > 0, rad/s"),
         (lambda: KortexArm(port=0), "KortexArm.port", "a TCP port"),
+        (lambda: KortexArm(watchdog=0.0), "KortexArm.watchdog", "a finite number > 0"),
         (lambda: Ft300s("/dev/none", stale_after=0.0), "Ft300s.stale_after", "a finite number > 0"),
         (lambda: robot_for(Trial(small_object(), Weigh()), weight=0.0), "RealRunner.weight", "a finite number > 0"),
     ],

@@ -17,11 +17,12 @@ from testbed.errors import InfeasibleTrialError
 from testbed.robot.config import RobotSettings
 from testbed.robot.interfaces import RobotError
 from testbed.robot.path import closing_yaw, plan_trial, starting_pose, tool_down
+from testbed.robot.robotiq.gripper import data_sheet
 from testbed.sensing.windows import steady_windows, weight_of
 from testbed.simulation.runner import SimulationRunner
 from testbed.trajectory import Phase, Tool
 from testbed.trial import RIGID, Trial, TrialRunner
-from tests.fakes.faults import BOUND, FAULTS, struck_by
+from tests.fakes.faults import BOUND, FAULTS, LIVE, PHASES, struck_by
 from tests.fakes.robot import ACTION, robot_for, small_object
 from tests.fakes.world import BIAS
 from tests.helpers.runner_conformance import RECORD_RULES, RUNNER_RULES, Bench, it_comes_back_from_a_file
@@ -49,7 +50,7 @@ def run(action, support=None, **of_runner):
     ids=["turn", "slide", "accelerated turn"],
 )
 def test_the_robot_measures_what_the_simulation_does(action, allowed):
-    trajectory, _ = run(action)
+    trajectory, _ = run(action, seed=1)
     assert trajectory.ok, trajectory.reason
     usual = SimulationRunner().run(Trial(OBJECT, action))
     for ours, theirs in zip(steady_windows(trajectory), steady_windows(usual), strict=True):
@@ -66,9 +67,15 @@ def test_the_robot_measures_what_the_simulation_does(action, allowed):
 
 
 @pytest.fixture(scope="module")
-def usual():
+def raw(tmp_path_factory):
+    """Folder of raw records."""
+    return tmp_path_factory.mktemp("raw")
+
+
+@pytest.fixture(scope="module")
+def usual(raw):
     """The turn of `ACTION`, measured."""
-    trajectory, _ = run(ACTION)
+    trajectory, _ = run(ACTION, raw=raw)
     assert trajectory.ok, trajectory.reason
     return trajectory
 
@@ -216,13 +223,71 @@ def test_the_record_comes_back_from_a_file(record, tmp_path):
     it_comes_back_from_a_file(record, CONFORMING, tmp_path)
 
 
+MISTAKES = {
+    "sign": {"sensor_sign": -1},
+    "rotation": {"sensor_orientation": np.array([0.0, 0.0, 0.0, 1.0])},
+    "mass": {"tool": replace(TOOL, mass=2.0)},
+    "center": {"tool": replace(data_sheet(0.05), com=np.array([0.0, 0.0, -0.06]))},
+}
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(n, marks=() if n == "sign" else pytest.mark.slow) for n in MISTAKES], ids=str
+)
+def test_a_wrong_calibration_shows_before_anything_is_touched(name):
+    """By the change of the wrench as the tool is tilted over the object."""
+    trial = Trial(OBJECT, ACTION)
+    lowest: list[float] = []
+    robot, runner = robot_for(
+        trial,
+        lambda robot: lowest.append(robot.world.reading.tcp_pose.position[2]),
+        change=lambda settings: replace(settings, **MISTAKES[name]),
+    )
+    with runner:
+        record = runner.run(trial)
+    assert record.status == "fault"
+    assert "than its weight says" in record.reason
+    assert min(lowest) > 0.07 and robot.world.grip < 0
+
+
+def test_the_raw_record_has_every_frame_and_how_it_ended(usual, raw):
+    (path,) = raw.iterdir()
+    lines = path.read_text(encoding="utf-8").splitlines()
+    assert path.name == usual.provenance["raw"]
+    assert lines[-1].split(",")[0::2] == ["end", "ok"]
+    frames = np.array([line.split(",")[1:] for line in lines[4:] if line.startswith("frame,")], dtype=float)
+    kept = frames[(frames[:, 0] >= frames[-1, 0] - usual.time_s[-1] - 1e-6), 2:]
+    assert_allclose(kept[: len(usual.time_s)], usual.sensor_wrench, atol=1e-9)
+    assert sum(line.startswith("mark,") for line in lines[4:]) == 7
+
+
+SEEN = [
+    pytest.param(fault, phase, id=f"{fault.name}-{phase}", marks=() if n == m == 0 else pytest.mark.slow)
+    for n, fault in enumerate(LIVE)
+    for m, phase in enumerate(PHASES)
+    if n in (0, 2) or (n + m) % len(PHASES) == 0
+]
+
+
+@pytest.mark.parametrize(("fault", "phase"), SEEN)
+def test_a_fault_is_seen_in_every_phase_and_soon(fault, phase):
+    """Every kind in one phase, a blow and NaN in all; bench/faults.py has them all in all."""
+    outcome = struck_by(fault, 0, phase)
+    assert outcome.to_stop <= fault.stops_in
+    assert outcome.ended in ("fault", "limit")
+    assert fault.says in outcome.reason
+    if "disk" not in fault.name:
+        assert fault.says in outcome.raw_end
+    assert outcome.raw_frames > 95 * outcome.struck
+
+
 QUICK = ("connection of the arm lost", "a twist hangs for 1 s", "SIGTERM")
 CASES = [pytest.param(f, id=f.name, marks=() if f.name in QUICK else pytest.mark.slow) for f in FAULTS]
 
 
 @pytest.mark.parametrize("fault", CASES)
 def test_a_fault_stops_the_arm_and_no_bad_record_is_data(fault):
-    """At one moment of a trial; bench/robot_faults.py strikes at many."""
+    """At one moment of a trial; bench/faults.py strikes at many."""
     outcome = struck_by(fault, seed=0)
     assert outcome.after_stop <= BOUND
     assert outcome.after_loss <= BOUND

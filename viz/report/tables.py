@@ -30,6 +30,10 @@ PAPER = "  paper, real robot"
 """Labels of rows that are no method's: the true masses, and the paper's figures of the method above."""
 
 
+BEYOND = 1000.0
+"""Value that is no longer told apart from larger ones: a predicted object metres from where it is."""
+
+
 @dataclass(frozen=True)
 class Metric:
     """One measure of the comparison."""
@@ -106,6 +110,8 @@ class Entry:
         if self.summary is None:
             return self.text
         mean, spread = self.summary.mean, self.summary.spread
+        if mean > BEYOND:
+            return f"> {BEYOND:.0f}"
         return number(mean) if np.isnan(spread) else f"{number(mean)} ± {number(spread, mean)}"
 
     @property

@@ -10,7 +10,7 @@ from rich.console import Console, ConsoleOptions, ConsoleRenderable, RenderResul
 from rich.table import Table as RichTable
 from rich.text import Text
 
-from viz.report.tables import PAPER, TRUTH, Entry, Table, short
+from viz.report.tables import BEYOND, PAPER, TRUTH, Entry, Table, short
 
 
 def rich_table(table: Table) -> ConsoleRenderable:
@@ -65,6 +65,8 @@ def _text(cell: Entry) -> Text:
     text, summary = Text(cell.text), cell.summary
     if summary is not None:
         missing = f" -{summary.missing}" if summary.missing else ""
+        if summary.mean > BEYOND:
+            return Text(f"{cell.words}{missing}")
         text = Text(f"{summary.mean:.2f}{missing}")
         if not np.isnan(summary.spread):
             star, style = ("*", "bold") if cell.best else ("", "")

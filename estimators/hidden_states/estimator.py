@@ -23,6 +23,7 @@ from estimators.identifiability.posterior import Likelihood
 from estimators.identifiability.report import Identifiability, identifiability
 from estimators.particles.errors import ModelErrors
 from estimators.particles.friction_system import LinearSystem
+from estimators.particles.misfit import Misfit
 from estimators.particles.pivots import PivotInertia
 from estimators.particles.support import ASSUMPTION
 from testbed.errors import InvalidValueError
@@ -132,6 +133,21 @@ class HiddenStates:
     def _trials(self, shape: ObjectShape, weight: float, trajectories: Sequence[Trajectory]) -> TrialWindows | None:
         trials = TrialWindows.of(shape, weight, trajectories, self.errors)
         return UnknownSetup(**vars(trials), prior=self.prior) if trials and self.unknown else trials
+
+    def diagnose(
+        self, shape: ObjectShape, weight: float, trajectories: Sequence[Trajectory]
+    ) -> tuple[Estimate, Misfit | None]:
+        """The estimate, and its misfit by trial and by cause; None without masses.
+
+        Causes are errors that a setup may have though it states none: what each would explain alone.
+        """
+        found, trials = self.estimate(shape, weight, trajectories, 0), self._trials(shape, weight, trajectories)
+        if found.distribution is None or found.hidden is None or trials is None:
+            return found, None
+        s = found.hidden.friction_load
+        for _ in range(SETTLING if self.unknown else 0):
+            trials = trials.refined(found.distribution, s)
+        return found, trials.misfit(found.distribution, s, always=True)
 
     def likelihood(
         self, shape: ObjectShape, weight: float, trajectories: Sequence[Trajectory], at: MassDistribution

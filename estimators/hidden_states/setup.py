@@ -58,12 +58,12 @@ class UnknownSetup(TrialWindows):
         slope = 2 * self.weight * np.linalg.norm(pivots.pivot - com, axis=1)
         return replace(pivots, variance=pivots.variance + (slope * self.prior.grasp_offset) ** 2 / trials)
 
-    def misfit(self, guess: MassDistribution, s: Float[np.ndarray, "n_s"]) -> Misfit:
+    def misfit(self, guess: MassDistribution, s: Float[np.ndarray, "n_s"], *, always: bool = False) -> Misfit:
         """Misfit with the parameters that fit s."""
         assert self.linear is not None
         layout, at = self.linear.layout, self.linear.parameters(s)
         windows = corrected(self.steady, layout.spread(at), biased="bias" in layout.kind)
-        return self._misfit(windows, guess, s, len(s) + len(at))
+        return self._misfit(windows, guess, s, len(s) + len(at), always=always)
 
     def annotated(self, estimate: Estimate, s: Float[np.ndarray, "n_s"]) -> Estimate:
         """The estimate with the parameters that fit s, their errors, and in its report which of them were seen."""

@@ -104,16 +104,23 @@ class TrialWindows:
         covariance = torque_covariance(windows, model, mass, drag.clamp(min=0).expand(len(windows), -1), response)
         return pivot_inertias(windows, torque.numpy(), inertial.numpy(), self.errors.inertia_error, covariance)
 
-    def misfit(self, guess: MassDistribution, s: Float[np.ndarray, "n_s"]) -> Misfit:
-        """How far the wrenches of s are from the measured ones, and why."""
-        return self._misfit(self.steady, guess, s, len(s))
+    def misfit(self, guess: MassDistribution, s: Float[np.ndarray, "n_s"], *, always: bool = False) -> Misfit:
+        """How far the wrenches of s are from the measured ones, and why; `always` says why of a small misfit too."""
+        return self._misfit(self.steady, guess, s, len(s), always=always)
 
     def _misfit(
-        self, windows: Observations, guess: MassDistribution, s: Float[np.ndarray, "n_s"], unknowns: int
+        self,
+        windows: Observations,
+        guess: MassDistribution,
+        s: Float[np.ndarray, "n_s"],
+        unknowns: int,
+        *,
+        always: bool,
     ) -> Misfit:
         """Misfit in given windows."""
         causes = partial(likely_causes, windows, self.model, self.shape, guess, self.groups.spread(s), self.errors)
-        return misfit_of(self.friction_equations(guess, windows), s, windows.trial, causes, unknowns)
+        equations = self.friction_equations(guess, windows)
+        return misfit_of(equations, s, windows.trial, causes, unknowns, always=always)
 
     def refined(self, guess: MassDistribution, s: Float[np.ndarray, "n_s"]) -> Self:
         """The trials for the next round; the same where nothing of the setup is unknown."""

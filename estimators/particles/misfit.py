@@ -66,6 +66,36 @@ CAUSES = {
 """What each cause means, and what to do."""
 
 
+UNITS = {
+    "contact_points": (1.0, "of a pattern of 3 points"),
+    "table_tilt": (180 / math.pi, "deg"),
+    "particle_offset": (1e3, "mm"),
+    "grasp_offset": (1e3, "mm"),
+    "grasp_angle": (180 / math.pi, "deg"),
+    "tcp_offset": (1e3, "mm"),
+    "tcp_angle": (180 / math.pi, "deg"),
+    "mounting_angle": (180 / math.pi, "deg"),
+    "delay": (1e3, "ms"),
+    "support": (1.0, "of an even load a cell"),
+}
+"""Factor and unit in which the size of a cause is told; of the others it is a part, in percent."""
+
+
+@dataclass(frozen=True)
+class Cause:
+    """What an error of the setup would explain of a misfit, were it the only one."""
+
+    part: float
+    """Part of the squared residual that it would take away."""
+    size: float
+    """Root mean square of its parameters as they fit best, in units of `LIKELY`; SI where that is."""
+
+    def told(self, name: str) -> str:
+        """Size in words, such as "2.1 mm"."""
+        factor, unit = UNITS.get(name, (100.0, "%"))
+        return f"{factor * self.size:.2g} {unit}"
+
+
 @dataclass(frozen=True)
 class Misfit:
     """Misfit of an answer, with the trial that fits least and the causes that would explain it."""
@@ -76,8 +106,8 @@ class Misfit:
     """Degrees of freedom: rows less unknowns."""
     trials: dict[int, float]
     """Mean squared residual of each trial by its own errors; empty where the misfit may be chance."""
-    explained: dict[str, float]
-    """Part of the squared residual that each cause would take away, likeliest first; empty as `trials`."""
+    explained: dict[str, Cause]
+    """What each cause would explain alone, likeliest first; empty as `trials`."""
 
     @property
     def by_chance(self) -> bool:
@@ -95,11 +125,11 @@ class Misfit:
         if self.by_chance or self.value <= UNEXPLAINED:
             return ""
         worst = max(self.trials, key=lambda trial: self.trials[trial])
-        cause, part = next(iter(self.explained.items()))
+        name, cause = next(iter(self.explained.items()))
         return (
             f"the masses do not explain the trials: misfit {self.value:.2g} in place of 1, most in trial {worst} "
-            f"({self.trials[worst]:.2g}); likeliest cause, for {100 * part:.0f} % of it: {CAUSES[cause]}; whether they "
-            "rest on their own weight at all, support_aware tests; errors are widened"
+            f"({self.trials[worst]:.2g}); likeliest cause, for {100 * cause.part:.0f} % of it: {CAUSES[name]}; whether "
+            "they rest on their own weight at all, support_aware tests; errors are widened"
         )
 
 
@@ -109,6 +139,8 @@ def misfit_of(
     trial: Tensor,
     causes: Callable[[], Columns],
     unknowns: int,
+    *,
+    always: bool = False,
 ) -> Misfit:
     """Misfit of friction loads.
 
@@ -119,13 +151,14 @@ def misfit_of(
         causes: effect of each possible cause on the wrenches, by its name, R rows; asked for where the misfit is no
             chance.
         unknowns: number of loads and of other parameters that were fitted.
+        always: True asks for causes of a misfit that may be chance too.
     """
     system = equations.whitened()
     missing = system.b - system.q @ torch.tensor(loads)
     total = float(missing @ missing)
     freedom = len(missing) - unknowns
     found = Misfit(total / max(freedom, 1), freedom, {}, {})
-    if found.by_chance:
+    if found.by_chance and not always:
         return found
     plain = (equations.b - equations.q @ torch.tensor(loads)).reshape(-1, 3)
     covariance = (equations.apart + equations.common @ equations.common.T).reshape(len(trial), 3, len(trial), 3)
@@ -135,14 +168,18 @@ def misfit_of(
         own = covariance[rows][:, :, rows].flatten(0, 1).flatten(1)
         left = plain[rows].flatten()
         trials[index] = float(left @ torch.linalg.solve(own, left)) / len(left)
-    ranked = []
     span = torch.linalg.qr(system.q)[0]
-    for cause, columns in causes().items():
+    ranked: list[tuple[float, str, Cause]] = []
+    for name, columns in causes().items():
         seen = system.whiten @ columns
         seen = seen - span @ (span.T @ seen)
-        ranked.append((*max(_evidence(missing, width * seen, freedom) for width in WIDTHS), cause))
-    ranked.sort(reverse=True)
-    explained = {cause: gain / max(total, 1e-300) for _, gain, cause in ranked}
+        widest = getattr(LIKELY, name, 1.0) if name != "contact_points" else 1.0
+        tried = [_evidence(missing, width * seen, freedom) for width in WIDTHS]
+        best = max(range(len(WIDTHS)), key=lambda k: tried[k][0])
+        evidence, gain, size = tried[best]
+        ranked.append((evidence, name, Cause(gain / max(total, 1e-300), WIDTHS[best] * widest * size)))
+    ranked.sort(key=lambda each: each[0], reverse=True)
+    explained = {name: cause for _, name, cause in ranked}
     return replace(found, trials=trials, explained=explained)
 
 
@@ -178,17 +215,18 @@ def likely_causes(
     return causes | {"support": (rows @ (even * middle)).reshape(-1, 2)}
 
 
-def _evidence(missing: Float[Tensor, "R"], columns: Float[Tensor, "R n"], freedom: int) -> tuple[float, float]:
-    """Evidence for a cause, and the squared residual that it takes away.
+def _evidence(missing: Float[Tensor, "R"], columns: Float[Tensor, "R n"], freedom: int) -> tuple[float, float, float]:
+    """Evidence for a cause, the squared residual that it takes away, and the size of its n parameters.
 
-    Twice the negative of Schwarz's criterion, the size of all other errors being unknown: a cause of many parameters
-    has to leave less.
+    Evidence is twice the negative of Schwarz's criterion, the size of all other errors being unknown: a cause of many
+    parameters has to leave less.
     """
     total = float(missing @ missing)
     inner = torch.eye(columns.shape[1], dtype=columns.dtype) + columns.T @ columns
     inverse = torch.linalg.inv(inner)
     toward = columns.T @ missing
-    gain = float(toward @ inverse @ toward)
+    at = inverse @ toward
+    gain = float(toward @ at)
     used = columns.shape[1] - float(inverse.trace())
     left = max(total - gain, 1e-9 * total)
-    return -freedom * math.log(left) - used * math.log(freedom + 1), gain
+    return -freedom * math.log(left) - used * math.log(freedom + 1), gain, float(at.square().mean().sqrt())

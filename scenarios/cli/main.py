@@ -33,6 +33,7 @@ COMMANDS = {
     "identify": ("scenarios.cli.plan:identify", "Predict what trials of an object would show of its masses."),
     "plan": ("scenarios.cli.plan:plan", "Plan actions that show an object's masses in little robot time."),
     "touch": ("scenarios.cli.touch:touch", "Choose and simulate actions until an object's masses are known."),
+    "doctor": ("scenarios.cli.doctor:doctor", "Say what is wrong with a setup, from how its trials disagree."),
     "robot check": ("scenarios.cli.robot.check:check", "Show what of the robot is there and what is missing."),
     "robot sensor": ("scenarios.cli.robot.sensor:sensor", "Show the sensor live, or check it against a known mass."),
     "robot calibrate": ("scenarios.cli.robot.calibrate:calibrate", "Find the sensor's rotation and the tool's mass."),

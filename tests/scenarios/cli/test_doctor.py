@@ -1,0 +1,33 @@
+"""heft doctor on simulated trials: on own weight they agree, one rigid body is found out."""
+
+import pytest
+
+from scenarios.cli.main import main
+from scenarios.config import load_scenario
+from scenarios.study.run import run_scenario
+from tests.helpers.runs import small_scenario
+
+METHODS = "\n[methods.hidden_states]\n"
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("doctor")
+    file = small_scenario(folder, more=METHODS)
+    run_scenario(load_scenario(str(file))[1], folder / "out", 0, lambda *_: None)
+    return folder / "out"
+
+
+def test_it_tells_misfit_causes_and_trials_and_draws_them(results, capsys):
+    main(["doctor", str(results)])
+    said = capsys.readouterr().out
+    assert said.count("alone, it would explain") == said.count("figure: ") == 4  # two supports under two sensors
+    assert "the trials agree within the errors stated" in said and "trials that fit least: " in said
+    assert len(list((results / "figures").glob("doctor_pair_*.png"))) == 4
+
+
+def test_what_is_not_there_is_named(results, capsys):
+    for words, wanted in ((["nobody"], "one of pair"), (["--draw", "7"], "a draw that the folder has estimates of")):
+        with pytest.raises(SystemExit):
+            main(["doctor", str(results), *words])
+        assert wanted in capsys.readouterr().err

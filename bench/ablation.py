@@ -56,16 +56,13 @@ def main() -> None:
         table.add_column(column, justify="right" if column else "left")
     for name, policy, method in STEPS:
         part = rows[(rows[AXIS] == policy) & (rows["method"] == method) & (rows["status"] != "infeasible")]
-        nad = part["nad"].where(part["nad"].notna(), part.apply(even_masses, axis=1))
-        means = 100 * nad.groupby(part["object"]).mean()
+        of, answered = part["object"].to_numpy(), part["nad"].notna().to_numpy()
+        nad = 100 * np.where(answered, part["nad"], [even_masses(row) for _, row in part.iterrows()])
+        means = {each: float(nad[of == each].mean()) for each in dict.fromkeys(of.tolist())}
         cells = [f"{means[each]:.1f}" for each in named]
-        cells += [
-            f"{means[means.index.str.startswith('drawn_')].median():.1f}",
-            f"{100 * part['nad'].notna().mean():.0f}",
-        ]
-        cells += [f"{part['trials'].mean():.1f}"]
-        cells += [f"{part['robot_s'].mean():.0f}", f"{part['seconds'].mean():.2g}"]
-        table.add_row(name, *cells)
+        cells.append(f"{np.median([mean for each, mean in means.items() if each not in named]):.1f}")
+        cells += [f"{100 * answered.mean():.0f}", f"{part['trials'].mean():.1f}", f"{part['robot_s'].mean():.0f}"]
+        table.add_row(name, *cells, f"{part['seconds'].mean():.2g}")
     Console(width=180).print(table)
 
 

@@ -29,6 +29,7 @@ from testbed.actions.accelerate import Accelerate
 from testbed.actions.base import TableAction
 from testbed.actions.rotate import Rotate
 from testbed.frames import cross_2d, move_wrench, perpendicular, pose_from_point, rotate_wrench, rotation_2d
+from testbed.objects.blocks import parse_layout
 from testbed.objects.files import ObjectFile
 from testbed.objects.model import GRAVITY, ObjectModel
 from testbed.objects.random import Family
@@ -248,7 +249,7 @@ def drawn(index: int, seed: int) -> ObjectModel:
         size, own = float(rng.uniform(0.03, 0.06)), int(rng.integers(2**31))
         found = Family(count=1, seed=own, size_m=size, friction=[0.15, 0.9]).draw(0, attempt)
         assert found.blocks is not None
-        mass = np.exp(rng.uniform(np.log(0.05), np.log(0.8), len(found.blocks.mass_kg)))
+        mass = np.exp(rng.uniform(np.log(0.05), np.log(0.8), len(parse_layout(found.blocks.layout))))
         blocks = found.blocks.model_copy(update={"mass_kg": mass.tolist()})
         obj = ObjectFile(name=f"d{index}", blocks=blocks).build(3, Path())
         if len(obj.shape.grasps) >= 3:

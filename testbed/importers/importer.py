@@ -87,6 +87,7 @@ def import_trajectory(log: Path, mapping: Path, limit: DriftLimit | None = None)
         tool=Tool(tool.mass_kg, np.array(tool.com_m), np.array(tool.inertia_kg_m2), np.array(tool.tcp_m)),
         sensor_bias_std=np.repeat([table.sensor.bias_std_N, table.sensor.bias_std_Nm], 3),
         sensor_drift_std=np.repeat([table.sensor.drift_std_N, table.sensor.drift_std_Nm], 3),
+        setup=table.setup,
         provenance={
             "runner": "import",
             "object": model.name,

@@ -13,6 +13,8 @@ from testbed.errors import InvalidValueError, nearest
 from testbed.sensing.presets import preset
 from testbed.toml import Finite, NonNegative, Positive
 from testbed.trajectory import Phase
+from testbed.worlds.presets import StatedSetup
+from testbed.worlds.setup_errors import EXACT_SETUP
 
 _GRAVITY = 9.80665  # of the kilogram-force and the pound-force, by definition
 _POUND = 0.45359237
@@ -209,6 +211,7 @@ class Mapping(_Table):
     sensor: SensorMap
     hand: HandMap
     tool: ToolMap
+    setup: StatedSetup = EXACT_SETUP
     velocity: VelocityMap | None = None
     joints: JointMap | None = None
     phases: Windows = []

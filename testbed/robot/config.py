@@ -22,6 +22,8 @@ from testbed.sensing.presets import preset
 from testbed.toml import load_toml
 from testbed.trajectory import Tool
 from testbed.validation import check_positive_fields, frozen_array, is_number, unit_quaternion
+from testbed.worlds.presets import StatedSetup
+from testbed.worlds.setup_errors import EXACT_SETUP, SetupErrors
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,6 +68,8 @@ class RobotSettings:
     """Distance and angle from the planned path that end a trial [m, rad]."""
     drift: DriftLimit = field(default_factory=DriftLimit)
     """Limit on the drift of the sensor's zero in a trial that is data."""
+    setup: SetupErrors = EXACT_SETUP
+    """Errors of the setup beside the sensor's, as the robot file states them."""
     bias_std: tuple[float, float] = (preset("ft300s").force_bias, preset("ft300s").torque_bias)
     """Standard deviation of the bias after a tare [N, N m]."""
     drift_std: tuple[float, float] = (preset("ft300s").force_drift, preset("ft300s").torque_drift)
@@ -204,10 +208,11 @@ class RobotFile(Strict):
     gripper: GripperTable = GripperTable()
     bench: BenchTable = BenchTable()
     limits: LimitsTable = LimitsTable()
+    setup: StatedSetup = EXACT_SETUP
 
     def to_dict(self) -> dict[str, Any]:
         """The file as plain data for a trial's record; names and settings of devices only if not the defaults."""
-        tables = self.model_dump()
+        tables = self.model_dump(exclude={"setup"} if self.setup.none else None)
         for name in ("arm", "sensor", "gripper"):
             usual = type(getattr(self, name))()
             for key in ("model", "settings"):
@@ -247,6 +252,7 @@ class RobotFile(Strict):
             descent_speed=b.descent_speed_m_s,
             tare_time=b.tare_s,
             drift=DriftLimit(b.drift_force_N, b.drift_torque_Nm),
+            setup=self.setup,
             limits=SafetyLimits(
                 low=(limits.low_m[0], limits.low_m[1], limits.low_m[2]),
                 high=(limits.high_m[0], limits.high_m[1], limits.high_m[2]),

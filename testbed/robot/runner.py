@@ -231,6 +231,7 @@ def trajectory_of(
         tool=settings.tool,
         sensor_bias_std=np.repeat(settings.bias_std, 3),
         sensor_drift_std=np.repeat(settings.drift_std, 3),
+        setup=settings.setup,
         figures=figures,
         provenance=provenance,
     )

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, fields, replace
+from typing import Annotated, Any
+
+from pydantic import BeforeValidator
 
 from testbed.errors import InvalidValueError, nearest
 from testbed.validation import is_number
@@ -148,6 +151,26 @@ WORLDS: dict[str, World] = {
     )
 }
 """Worlds by name: `ideal`, `lab`, `rough`."""
+
+
+def stated_setup(table: Any) -> Any:
+    """Setup of a [setup] table: the errors that a world of that `preset` states, any of them changed by name.
+
+    Raises:
+        InvalidValueError: no such world, or no such error.
+    """
+    if not isinstance(table, dict):
+        return table
+    given = dict(table)
+    known = [f.name for f in fields(SetupErrors)]
+    base = world(given.pop("preset", "ideal")).stated
+    if unknown := [name for name in given if name not in known]:
+        raise InvalidValueError("setup", unknown, f"preset, {', '.join(known)}{nearest(unknown[0], known)}")
+    return replace(base, **given)
+
+
+StatedSetup = Annotated[SetupErrors, BeforeValidator(stated_setup)]
+"""A [setup] table of a mapping or of a robot file."""
 
 
 def world(name: str) -> World:

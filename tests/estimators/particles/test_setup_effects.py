@@ -26,8 +26,14 @@ ACTIONS = [
 ]
 
 
-def effects(trials, setup):
+def observed(trials):
     windows = observe(OBJECT.shape, trials)
+    assert windows is not None
+    return windows
+
+
+def effects(trials, setup):
+    windows = observed(trials)
     model = ParticleModel.of(OBJECT.shape)
     mass = model.particle_mass(torch.tensor(OBJECT.truth.mass))
     drag = model.particle_friction(torch.tensor(OBJECT.truth.friction)) * mass * GRAVITY
@@ -37,7 +43,7 @@ def effects(trials, setup):
 
 
 def wrenches(trials):
-    return observe(OBJECT.shape, trials).wrench.numpy().ravel()
+    return observed(trials).wrench.numpy().ravel()
 
 
 def test_an_exact_setup_has_none():
@@ -97,6 +103,7 @@ def test_errors_that_are_stated_widen_the_answers_own():
     stated = [replace(t, setup=SetupErrors(grasp_offset=0.001, group_friction=0.03)) for t in trials]
     exact, wide = (HiddenStates().estimate(OBJECT.shape, OBJECT.total_mass, given, 0) for given in (trials, stated))
     assert exact.status == wide.status == "ok"
+    assert wide.covariance is not None and exact.covariance is not None
     assert (np.diag(wide.covariance) > 4 * np.diag(exact.covariance)).all()
 
 

@@ -5,7 +5,7 @@ import pytest
 from scenarios.cli.main import main
 from scenarios.config import load_scenario
 from scenarios.study.run import run_scenario
-from tests.helpers.runs import small_scenario
+from tests.helpers.runs import quiet, small_scenario
 
 METHODS = "\n[methods.hidden_states]\n"
 
@@ -14,7 +14,7 @@ METHODS = "\n[methods.hidden_states]\n"
 def results(tmp_path_factory):
     folder = tmp_path_factory.mktemp("doctor")
     file = small_scenario(folder, more=METHODS)
-    run_scenario(load_scenario(str(file))[1], folder / "out", 0, lambda *_: None)
+    run_scenario(load_scenario(str(file))[1], folder / "out", 0, quiet)
     return folder / "out"
 
 

@@ -27,7 +27,7 @@ from testbed.trajectory import Phase, Trajectory
 from testbed.trial import OWN_WEIGHT, RIGID, Trial
 from testbed.worlds import World, WorldDraw, world
 from testbed.worlds.feet import Feet
-from testbed.worlds.presets import QUANTITIES, WORLDS
+from testbed.worlds.presets import QUANTITIES, WORLDS, stated_setup
 from testbed.worlds.surface import Surface
 
 L2 = load_object("L2")
@@ -247,3 +247,10 @@ def test_feet_of_a_world_can_be_kept():
     kept = contacts.foot_forces(record.time_s)
     assert isinstance(kept, FootForces)
     assert len(kept.particle) == len(draw.feet(L2).particle)
+
+
+def test_a_setup_is_stated_by_the_name_of_a_world_and_by_its_own_errors():
+    assert stated_setup({"preset": "lab", "gain": 0.03}) == replace(world("lab").stated, gain=0.03)
+    assert stated_setup({}).none
+    with pytest.raises(InvalidValueError, match="grasp_offset"):
+        stated_setup({"grasp_ofset": 0.001})

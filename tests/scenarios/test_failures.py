@@ -91,6 +91,7 @@ def here(tmp_path, monkeypatch, finished) -> Path:
     return tmp_path
 
 
+@pytest.mark.slow
 def test_nothing_but_failures_is_a_table_a_report_and_the_place_of_each_error(here, finished, capsys):
     names = [f"failing:{name}" for name in REASONS]
     with pytest.raises(SystemExit, match="1"):

@@ -104,6 +104,7 @@ def test_ctrl_c_leaves_whole_files_and_the_next_run_goes_on(finished, tmp_path):
     pd.testing.assert_frame_equal(resumed(finished.scenario, out), finished.rows)
 
 
+@pytest.mark.slow
 def test_an_objects_estimates_come_before_the_next_ones_trials(tmp_path):
     kinds: list[str] = []
     scenario = load_scenario(str(small_scenario(tmp_path, ("rigid",))))[1]
@@ -368,6 +369,7 @@ def test_an_unusable_object_is_refused_before_anything_is_written(tmp_path, monk
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.slow
 def test_a_recording_less_is_told_and_takes_no_report_away(copied, monkeypatch):
     def refused(*_: object) -> None:
         raise InvalidValueError("key", "0", "an estimate")

@@ -105,6 +105,7 @@ def test_what_a_method_and_a_policy_are_given_does_not_lead_to_the_truth(spied):
         )
 
 
+@pytest.mark.slow
 def test_what_they_are_given_in_a_lab_does_not_lead_to_its_draw(tmp_path: Path):
     with spying(tmp_path, "lab") as (out, given):
         stored = [Store(out).trajectory(path.parent.name) for path in out.glob("trials/*/trial.json")]

@@ -15,7 +15,7 @@ from estimators.baselines.weighted_sampling import WeightedSampling
 from estimators.hidden_states.estimator import HiddenStates
 from estimators.hidden_states.published import PublishedHiddenStates
 from estimators.support_models.estimator import SupportAware
-from testbed.plugins import Role, configured, find_class, installed, source_hash
+from testbed.plugins import Role, check_name, configured, find_class, installed, source_hash
 
 ESTIMATOR: Role[Estimator] = Role(
     "estimators.base.Estimator",
@@ -53,6 +53,18 @@ def is_method(name: str) -> bool:
     return name in METHODS or ":" in name or name in installed(ESTIMATOR)
 
 
+def check_method(label: str, settings: Mapping[str, Any]) -> None:
+    """Check the method of a label with its settings; of another package's, the name alone: nothing is imported.
+
+    Raises:
+        InvalidValueError: unknown method, or an unknown setting or a value out of range of heft's own.
+    """
+    if (name := kind_of(label, settings)) in METHODS:
+        build_method(label, settings)
+    else:
+        check_name(name, *_ANY)
+
+
 def build_method(label: str, settings: Mapping[str, Any]) -> Estimator:
     """Build the method of a label with its settings.
 
@@ -88,4 +100,7 @@ def code_of(name: str) -> dict[str, str]:
 def _class_of(name: str) -> type[Estimator]:
     if name in METHODS:
         return METHODS[name]
-    return find_class(name, ESTIMATOR, "methods", METHODS, "package:Class, or any label with a method of these")
+    return find_class(name, *_ANY)
+
+
+_ANY = (ESTIMATOR, "methods", METHODS, "package:Class, or any label with a method of these")

@@ -13,7 +13,7 @@ from zlib import crc32
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
-from estimators.registry import build_method, is_method
+from estimators.registry import check_method, is_method
 from scenarios.catalog import LIBRARY
 from scenarios.policies import Count, Policy
 from scenarios.runners import NamedRunner, RunnerSettings
@@ -21,6 +21,7 @@ from testbed.errors import InvalidValueError, nearest
 from testbed.files import find_file
 from testbed.objects.model import MassDistribution, ObjectModel
 from testbed.objects.random import Family
+from testbed.plugins import RUNNER, check_name
 from testbed.sensing.presets import preset
 from testbed.simulation.settings import (
     ContactSettings,
@@ -71,8 +72,17 @@ class Simulation(Strict):
         fields = set(type(self).model_fields) - {"runner", "settings"}
         if ours := sorted(name for name in fields if getattr(self, name) != type(self).model_fields[name].default):
             raise InvalidValueError("runner", self.runner, f"settings of its own in place of {', '.join(ours)}")
-        NamedRunner.of(self.runner, self.settings).open()
+        check_name(self.runner, RUNNER, "runner")
         return self
+
+    def check_code(self) -> None:
+        """Import another package's runner, and check that it takes the settings.
+
+        Raises:
+            InvalidValueError: no such class, or a setting that it refuses.
+        """
+        if self.runner is not None:
+            NamedRunner.of(self.runner, self.settings).open()
 
     def build(self) -> RunnerSettings:
         """Settings of the runner."""
@@ -189,7 +199,7 @@ class Scenario(Strict):
     @model_validator(mode="after")
     def _whole(self) -> Self:
         for label, settings in self.methods.items():
-            build_method(label, settings)
+            check_method(label, settings)
         if not (self.objects or self.random):
             raise InvalidValueError("objects", [], "one object or more: names, paths, or a [[random]] family")
         if self.simulation.runner is not None and not self.world.build().is_ideal:
@@ -224,7 +234,7 @@ class Scenario(Strict):
                 raise InvalidValueError("--methods", " ".join(unknown), f"{allowed} by name or package:Class")
             changes["methods"] = {label: known.get(label, {}) for label in methods}
             for label in methods:
-                build_method(label, known.get(label, {}))
+                check_method(label, known.get(label, {}))
         if world is not None:
             changes["world"] = WorldTable.model_validate(self.world.model_dump() | {"preset": named_world(world).name})
             if self.simulation.runner is not None:

@@ -22,7 +22,7 @@ from testbed.actions.base import Action
 from testbed.actions.rotate import Rotate
 from testbed.errors import InvalidValueError
 from testbed.objects.model import ObjectModel, ObjectShape
-from testbed.plugins import configured, find_class, placed_errors, source_hash
+from testbed.plugins import check_name, configured, find_class, placed_errors, source_hash
 from testbed.sensing.noise import read_scale
 from testbed.sensing.presets import Sensing, preset
 from testbed.trajectory import Trajectory
@@ -154,11 +154,20 @@ class Policy(BaseModel):
     @model_validator(mode="after")
     def _known_kind(self) -> Self:
         if self.kind not in POLICIES:
-            build_policy(self.kind, self.settings, self.touches, PolicyContext())
+            check_name(self.kind, POLICY, "kind", POLICIES)
         elif self.settings:
             allowed = f'none: {self.kind} has its fields in [policy]; settings are for a kind = "package:Class"'
             raise InvalidValueError("settings", self.settings, allowed)
         return self
+
+    def check_code(self) -> None:
+        """Import another package's policy, and check that it takes the settings.
+
+        Raises:
+            InvalidValueError: no such class, or a setting that it refuses.
+        """
+        if self.kind not in POLICIES:
+            build_policy(self.kind, self.settings, self.touches, PolicyContext())
 
     @property
     def own_draw(self) -> bool:

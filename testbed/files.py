@@ -39,7 +39,9 @@ def write_whole(path: Path, write: Any) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     part = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
-        part.touch()  # not every library says why it cannot open a file
+        part.unlink(missing_ok=True)
+        # made here: not every library says why it cannot open a file, and a link that lies in wait is not followed
+        os.close(os.open(part, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
         write(part)
         with open(part, "rb+") as file:
             os.fsync(file.fileno())

@@ -1,4 +1,8 @@
-"""Classes from outside the house: found by "package:Class" or by entry point, with nothing to register, and set up."""
+"""Classes from outside the house: found by "package:Class" or by entry point, with nothing to register, and set up.
+
+A file may name such a class, but reading it imports nothing: `check_name` looks at the name alone. `find_class` imports
+from where this Python finds its modules; the current folder is one of these places only after `find_code_here`.
+"""
 
 from __future__ import annotations
 
@@ -52,10 +56,16 @@ def installed(role: Role[Any]) -> dict[str, str]:
     return {point.name: point.value for point in sorted(entry_points(group=role.group), key=lambda point: point.name)}
 
 
-def find_class(
-    name: str, role: Role[T], field: str, known: Collection[str] = (), also: str = "or package:Class"
-) -> type[T]:
-    """The class that a name or a path stands for.
+def find_code_here() -> None:
+    """Let this Python, and the workers that it starts, find modules of the current folder: after all others."""
+    if not {"", os.getcwd()} & {*sys.path}:
+        sys.path.append(os.getcwd())
+
+
+def check_name(
+    name: str, role: Role[Any], field: str, known: Collection[str] = (), also: str = "or package:Class"
+) -> None:
+    """Check that a class may have this name; nothing is imported.
 
     Args:
         name: of an entry point, or "package.module:Class", as the user gave it.
@@ -65,20 +75,35 @@ def find_class(
         also: what else is allowed, for the error.
 
     Raises:
-        InvalidValueError: neither, or what `load_class` says.
+        InvalidValueError: neither.
     """
     if ":" in name:
-        return load_class(name, role, field)
+        if not _PATH.fullmatch(name):
+            raise InvalidValueError(field, name, f'"package.module:Class", such as {role.example}')
+        return
     others = installed(role)
-    if name in others:
-        return load_class(others[name], role, f"{field} ({name})")
-    names = [*known, *others]
-    listed = f"one of {', '.join(names)}{nearest(name, names)}, " if names else ""
-    raise InvalidValueError(field, name, listed + (also if names else also.removeprefix("or ")))
+    if name not in others:
+        names = [*known, *others]
+        listed = f"one of {', '.join(names)}{nearest(name, names)}, " if names else ""
+        raise InvalidValueError(field, name, listed + (also if names else also.removeprefix("or ")))
+
+
+def find_class(
+    name: str, role: Role[T], field: str, known: Collection[str] = (), also: str = "or package:Class"
+) -> type[T]:
+    """The class that a name or a path stands for; arguments as `check_name`.
+
+    Raises:
+        InvalidValueError: what `check_name` or `load_class` says.
+    """
+    check_name(name, role, field, known, also)
+    if ":" in name:
+        return load_class(name, role, field)
+    return load_class(installed(role)[name], role, f"{field} ({name})")
 
 
 def load_class(path: str, role: Role[T], field: str) -> type[T]:
-    """The class behind "package.module:Class"; modules of the current folder are found too.
+    """The class behind "package.module:Class", of a module that Python finds.
 
     Args:
         path: as the user gave it.
@@ -88,8 +113,7 @@ def load_class(path: str, role: Role[T], field: str) -> type[T]:
     Raises:
         InvalidValueError: no such module, no such class, or not of the role's protocol.
     """
-    if not _PATH.fullmatch(path):
-        raise InvalidValueError(field, path, f'"package.module:Class", such as {role.example}')
+    check_name(path, role, field)
     name, _, attribute = path.partition(":")
     module = _imported(name, path, field)
     kind = getattr(module, attribute, None)
@@ -191,16 +215,16 @@ def placed_errors(kind: type[Any], call: str = "", *, unless: tuple[type[Excepti
 
 
 def _imported(name: str, path: str, field: str) -> Any:
-    here = os.getcwd()
-    if not {"", here} & {*sys.path}:
-        sys.path.append(here)  # the `heft` command does not look where it was called, as `python` does
     importlib.invalidate_caches()
     try:
         return importlib.import_module(name)
     except ModuleNotFoundError as error:
         missing = error.name or name
         if f"{name}.".startswith(f"{missing}."):
-            why = f"a module that is installed or lies in {here}; there is no {missing}"
+            why = f"a module that this Python finds; there is no {missing}"
+            top = missing.partition(".")[0]
+            if Path(f"{top}.py").is_file() or Path(top).is_dir():
+                why += ", only one in the current folder: --allow-code (heft run, estimate) or PYTHONPATH=. lets it in"
         else:
             why = f"a module that can be imported; {name} needs {missing}, which is not installed"
         raise InvalidValueError(field, path, why) from None

@@ -56,9 +56,10 @@ def pytest_configure(config: pytest.Config) -> None:
 
     from estimators.registry import ESTIMATOR  # noqa: PLC0415
     from testbed.errors import InvalidValueError  # noqa: PLC0415
-    from testbed.plugins import configured, find_class  # noqa: PLC0415
+    from testbed.plugins import configured, find_class, find_code_here  # noqa: PLC0415
 
     torch.set_num_threads(1)
+    find_code_here()  # named on the command line
     try:
         settings = tomllib.loads(f"of = {{ {config.getoption('--estimator-settings')} }}")["of"]
         kind = find_class(str(name), ESTIMATOR, "--estimator")

@@ -85,6 +85,7 @@ def estimate(
     scenario: Annotated[str, tyro.conf.arg(metavar="SCENARIO")] = "blocks",
     held_out: Annotated[int, tyro.conf.arg(metavar="N")] = 0,
     workers: Annotated[int | None, tyro.conf.arg(metavar="N")] = None,
+    allow_code: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False,
 ) -> None:
     """Estimate from the measured trials of a folder by every method, and write its tables and report.
 
@@ -103,13 +104,17 @@ def estimate(
         scenario: scenario of the methods and their settings: name in the library, or path to a TOML file.
         held_out: last turns that no method is given, for the mean particle distance.
         workers: worker processes; one a core if left out, 0 runs everything in this process.
+        allow_code: run classes of the current folder that the scenario names; those of --methods need no leave.
     """
     from scenarios.cli.run import show_progress, show_tables
     from scenarios.study.run import EstimateRequest, estimate_measured
     from scenarios.views.report import report
+    from testbed.plugins import find_code_here
 
+    if allow_code or any(":" in method for method in methods or ()):
+        find_code_here()
     console = open_console()
-    request = EstimateRequest(objects, methods, scenario, held_out, workers)
+    request = EstimateRequest(objects, methods, scenario, held_out, workers, allow_code)
     with show_progress() as progress:
         done = estimate_measured(folder, request, progress)
     for line in done.left_out:
@@ -148,6 +153,8 @@ def export(
         out: DIR/exports/OBJECT_KEY if left out, with the format's ending.
     """
     from scenarios.results.estimates import row_of
+    from scenarios.results.files import inside
+    from scenarios.views.figures import file_name
     from testbed.files import write_whole
     from testbed.objects.export import to_mjcf, to_object_file, to_sidecar, to_urdf
 
@@ -159,7 +166,8 @@ def export(
         text = to_object_file(exported)
     else:
         text = (to_mjcf if format_ == "mjcf" else to_urdf)(exported, inertial=inertial)
-    path = out or folder / "exports" / f"{exported.name}_{row['key'][:8]}.{_ENDING[format_]}"
+    name = file_name(f"{exported.name}_{row['key'][:8]}.{_ENDING[format_]}")
+    path = out or inside(folder, "exports", name)
     for file, content in ((path, text), (path.with_suffix(".json"), to_sidecar(exported))):
         write_whole(file, lambda part, content=content: part.write_text(content, encoding="utf-8"))
         print(file)
@@ -180,7 +188,7 @@ def posterior_table(folder: Path, row: Row, count: int) -> pd.DataFrame:
 
     from estimators.hidden_states.estimator import HiddenStates
     from estimators.identifiability.posterior import sample_posterior
-    from estimators.registry import build_method
+    from estimators.registry import METHODS, build_method
     from scenarios.results.estimates import load_estimate
     from scenarios.results.files import read_json
     from scenarios.results.store import Store
@@ -189,8 +197,9 @@ def posterior_table(folder: Path, row: Row, count: int) -> pd.DataFrame:
     from testbed.sensing.windows import weight_of
 
     scenario = (read_json(folder / "manifest.json") or {}).get("scenario", {})
-    method = build_method(row["kind"], scenario.get("methods", {}).get(row["method"], {}))
+    kind = METHODS.get(row["kind"])  # of heft's own alone: a folder names no code to run
     answer, shape = load_estimate(folder, row["key"]), estimate_view(folder, row).shape
+    method = build_method(row["kind"], scenario.get("methods", {}).get(row["method"], {})) if kind else None
     if not isinstance(method, HiddenStates) or answer.distribution is None:
         raise InvalidValueError("--draws", row["method"], "an estimate by hidden_states that has masses")
     weighing, *trials = sensed_trials(Store(folder), tuple(row["trial_keys"]), row["sensing"], int(row["seed"]))

@@ -40,6 +40,8 @@ def doctor(
     """
     from scenarios.cli.terminal import open_console
     from scenarios.results.estimates import load_rows
+    from scenarios.results.files import inside
+    from scenarios.views.figures import file_name
     from viz.figures.doctor import misfit_figure
     from viz.figures.maps import save_figure
 
@@ -58,8 +60,8 @@ def doctor(
         console.print(f"{title}: {why if misfit is None else _verdict(misfit)}", style="bold")
         if misfit is not None:
             console.print(_table(misfit, trials))
-            name = f"doctor_{row['object']}_{row['key'][:8]}"
-            files = save_figure(misfit_figure(misfit, trials, title), folder / "figures" / name)
+            name = file_name(f"doctor_{row['object']}_{row['key'][:8]}")
+            files = save_figure(misfit_figure(misfit, trials, title), inside(folder, "figures", name))
             console.print(f"figure: {files[0]}")
     if not asked:
         raise InvalidValueError("--draw", draw, "a draw that the folder has estimates of")

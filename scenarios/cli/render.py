@@ -187,13 +187,14 @@ def render_trial(root: Path, beginning: str, request: RenderRequest) -> tuple[Pa
         NoGraphicsError: the machine cannot draw.
     """
     from scenarios.cli.run import show_progress
+    from scenarios.results.files import inside
     from scenarios.results.trials import read_trial
     from testbed.simulation.graphics import choose_offscreen
     from testbed.validation import check_positive
     from viz.film import captioned, check_film, write_film
 
     record = read_trial(root, beginning)
-    out = request.out or record.folder / "trial.mp4"
+    out = request.out or inside(root, "trials", record.folder.name, "trial.mp4")
     check_film(out, request.width, request.height, request.fps)
     still, pace = out.suffix.lower() == ".png", pace_of(record.trajectory, request)
     check_positive("--speed", pace)

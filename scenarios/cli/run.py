@@ -56,6 +56,7 @@ def run(
     world: Annotated[str | None, tyro.conf.arg(metavar="WORLD")] = None,
     record: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False,
     live: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False,
+    allow_code: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False,
     dry_run: bool = False,
 ) -> None:
     """Run a scenario: every object under every support by every method, with tables and a report.
@@ -75,6 +76,7 @@ def run(
         world: ideal, lab or rough, instead of the scenario's own.
         record: write a recording of every trial and estimate as it is done, into DIR/recordings.
         live: show every trial and estimate as it is done in an open viewer, or in a new one.
+        allow_code: run classes of the current folder that the scenario names; those of --methods need no leave.
         dry_run: print how many trials and estimates there are and how long they take, and run nothing.
     """
     from scenarios.config import load_scenario
@@ -86,9 +88,12 @@ def run(
     from scenarios.study.run import carry_out, check_nothing_lost
     from scenarios.views.finished import write_views
     from scenarios.views.pages import Recorder, record_all
+    from testbed.plugins import find_code_here
     from viz.recordings import viewer
     from viz.report.lists import failures
 
+    if allow_code or any(":" in method for method in methods or ()):
+        find_code_here()
     name, study = load_scenario(scenario)
     study = study.changed(seeds, objects, methods, world)
     workers = default_workers() if workers is None else workers
@@ -110,7 +115,7 @@ def run(
         results = rows_of(table)
         facts = {
             "name": name,
-            "command": _command(scenario, seeds, objects, methods, world),
+            "command": _command(scenario, seeds, objects, methods, world) + " --allow-code" * allow_code,
             "wall_s": round(time.monotonic() - begin, 1),
         }
         write_json(folder / "manifest.json", (read_json(folder / "manifest.json") or {}) | facts)

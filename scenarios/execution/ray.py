@@ -6,6 +6,7 @@ import faulthandler
 import importlib
 import logging
 import signal
+import sys
 import traceback
 from collections.abc import Callable
 from functools import lru_cache
@@ -61,7 +62,7 @@ class RayExecutor:
 
     def start(self, label: Any, function: Callable[..., Any], *arguments: Any) -> None:
         """Hand a task to the cluster."""
-        self._labels[self._run.remote(self._limits, function, *arguments)] = label
+        self._labels[self._run.remote(self._limits, sys.path, function, *arguments)] = label
 
     def wait(self) -> tuple[Any, Any]:
         """The label and the value, or `Failure`, of a task that has ended."""
@@ -90,9 +91,10 @@ class _TooSlow(BaseException):
     """Raised in the middle of a task; no Exception, so that no method swallows it."""
 
 
-def _run(limits: Limits, function: Callable[..., Any], *arguments: Any) -> Any:
-    """On a worker of the cluster: the task, with an end to it."""
+def _run(limits: Limits, places: list[str], function: Callable[..., Any], *arguments: Any) -> Any:
+    """On a worker of the cluster: the task, with an end to it; it finds modules where the one that asks finds them."""
     _set_up_once(limits)
+    sys.path.extend(place for place in places if place not in sys.path)
     before = signal.signal(signal.SIGALRM, _stop)
     try:
         signal.setitimer(signal.ITIMER_REAL, limits.timeout_s)

@@ -44,7 +44,7 @@ from pyarrow import ArrowException
 from estimators.base import Estimate, HiddenStateEstimate, Trace
 from estimators.evaluation.statistics import Row
 from estimators.identifiability.report import Identifiability
-from scenarios.results.files import check_unambiguous, read_json
+from scenarios.results.files import check_unambiguous, inside, read_json
 from scenarios.results.store import Store, rows_of
 from testbed.errors import HeftError, InvalidValueError
 from testbed.objects.model import MassDistribution
@@ -140,7 +140,7 @@ def load_estimate(folder: str | Path, key: str) -> Estimate:
     Raises:
         HeftError: no such estimate, or a file of it is damaged.
     """
-    place = Path(folder) / "estimates" / key
+    place = inside(Path(folder), "estimates", key, "result.json").parent
     row = read_json(place / "result.json")
     if row is None:
         raise HeftError(f"{place}: no whole result.json")
@@ -206,7 +206,7 @@ def load_arrays(folder: str | Path, key: str, ends: str = "") -> dict[str, np.nd
     Raises:
         HeftError: the file is missing or damaged.
     """
-    path = Path(folder) / "estimates" / key / "estimate.npz"
+    path = inside(Path(folder), "estimates", key, "estimate.npz")
     try:
         with np.load(path, allow_pickle=False) as file:
             return {name: file[name] for name in file if name.endswith(ends)}

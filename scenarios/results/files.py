@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import errno
 import fcntl
 import json
 import os
 import socket
+import stat
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 
@@ -25,6 +27,19 @@ SHOWN, MOST_KEYS = 8, 6
 
 class FolderInUseError(HeftError):
     """Another run writes to the results folder."""
+
+
+def inside(root: Path, *names: str) -> Path:
+    """Path of a file in a results folder, by names that a file may have given.
+
+    Raises:
+        HeftError: a name that is none, or a link: it leads out of the folder.
+    """
+    path = root.joinpath(*names)
+    plain = all(name not in ("", ".", "..") and not {"/", "\0"} & {*name} for name in names)
+    if not (plain and path.parent.resolve().is_relative_to(root.resolve())):
+        raise HeftError(f"{root}: {'/'.join(names)!r} leads out of the folder")
+    return path
 
 
 def read_json(path: Path) -> dict[str, Any] | None:
@@ -68,7 +83,7 @@ def exclusive(folder: Path) -> Iterator[None]:
     """
     new = not folder.exists()
     folder.mkdir(parents=True, exist_ok=True)
-    with open(folder / LOCK, "a+", encoding="utf-8") as file:
+    with _opened(folder / LOCK, os.O_RDWR | os.O_CREAT, "r+") as file:
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
@@ -88,10 +103,30 @@ def exclusive(folder: Path) -> Iterator[None]:
                 folder.rmdir()
 
 
+def _opened(lock: Path, flags: int, mode: str) -> IO[str]:
+    """The lock's file; nothing that a link, a pipe or a second name of another file makes of it.
+
+    Raises:
+        HeftError: it is none of heft's.
+        OSError: it cannot be opened.
+    """
+    try:
+        number = os.open(lock, flags | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC, 0o666)
+    except OSError as error:
+        if error.errno in (errno.ELOOP, errno.ENXIO):
+            raise HeftError(f"{lock}: not a file of heft's; delete it") from None
+        raise
+    found = os.fstat(number)
+    if not stat.S_ISREG(found.st_mode) or found.st_nlink > 1:
+        os.close(number)
+        raise HeftError(f"{lock}: not a file of heft's; delete it")
+    return open(number, mode, encoding="utf-8")
+
+
 def is_held(folder: Path) -> bool:
     """True if a run is writing to a results folder; nothing is written to find out."""
     try:
-        with open(folder / LOCK, encoding="utf-8") as file:
+        with _opened(folder / LOCK, os.O_RDONLY, "r") as file:
             fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
     except FileNotFoundError:
         return False

@@ -27,7 +27,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from estimators.base import Estimate
-from scenarios.results.files import read_json, write_json
+from scenarios.results.files import inside, read_json, write_json
 from testbed.files import write_whole
 from testbed.foot_forces import FootForces, save_foot_forces
 from testbed.objects.files import ObjectFile, asset_folder
@@ -94,13 +94,14 @@ class Store:
 
     def has_trial(self, key: str) -> bool:
         """True if a trial is done."""
-        return (self.root / "trials" / key / "trial.json").is_file()
+        return inside(self.root, "trials", key, "trial.json").is_file()
 
     def has_sound_trial(self, key: str) -> bool:
         """True if a trial is done, and its record not cut short since."""
         try:
             return (
-                self.has_trial(key) and pq.read_metadata(self.root / "trials" / key / "trajectory.parquet").num_rows > 0
+                self.has_trial(key)
+                and pq.read_metadata(inside(self.root, "trials", key, "trajectory.parquet")).num_rows > 0
             )
         except (OSError, pa.ArrowException):
             return False
@@ -109,7 +110,7 @@ class Store:
         self, key: str, trial: Trial, request: dict[str, Any], trajectory: Trajectory, feet: FootForces | None = None
     ) -> None:
         """Write a trial; trial.json comes last and means done."""
-        folder, shape = self.root / "trials" / key, trial.object.shape
+        folder, shape = inside(self.root, "trials", key, "trial.json").parent, trial.object.shape
         save_trajectory(trajectory, folder / "trajectory.parquet")
         if feet is not None:
             save_foot_forces(feet, folder / "foot_forces.parquet")
@@ -124,7 +125,7 @@ class Store:
         Raises:
             TrajectoryFileError: damaged; its trial.json is removed, so that the next run makes it again.
         """
-        folder = self.root / "trials" / key
+        folder = inside(self.root, "trials", key, "trial.json").parent
         try:
             return load_trajectory(folder / "trajectory.parquet")
         except TrajectoryFileError:
@@ -133,11 +134,11 @@ class Store:
 
     def note(self, key: str) -> dict[str, Any] | None:
         """Something worked out before, or None."""
-        return read_json(self.root / "notes" / f"{key}.json")
+        return read_json(inside(self.root, "notes", f"{key}.json"))
 
     def put_note(self, key: str, data: dict[str, Any]) -> None:
         """Keep something that would take long to work out again."""
-        write_json(self.root / "notes" / f"{key}.json", data)
+        write_json(inside(self.root, "notes", f"{key}.json"), data)
 
     def put_object(self, path: Path, file: ObjectFile) -> None:
         """Write a drawn object as a file that a user can take."""
@@ -147,22 +148,24 @@ class Store:
 
     def result(self, key: str) -> dict[str, Any] | None:
         """A finished estimate's row, or None."""
-        return read_json(self.root / "estimates" / key / "result.json")
+        return read_json(inside(self.root, "estimates", key, "result.json"))
 
     def put_estimate(self, key: str, row: dict[str, Any], answer: Estimate, shape: ObjectShape) -> None:
         """Write an estimate: its arrays, then its row, which comes last and means done."""
-        folder = self.root / "estimates" / key
+        folder = inside(self.root, "estimates", key, "result.json").parent
         write_whole(folder / "estimate.npz", lambda part: _save_arrays(part, answer, shape))
         write_json(folder / "result.json", row)
         (folder / "error.txt").unlink(missing_ok=True)
 
     def put_trial_error(self, key: str, text: str) -> None:
         """Write why a trial failed; it stays undone, and the next run tries again."""
-        write_whole(self.root / "trials" / key / "error.txt", lambda part: part.write_text(text, encoding="utf-8"))
+        write_whole(inside(self.root, "trials", key, "error.txt"), lambda part: part.write_text(text, encoding="utf-8"))
 
     def put_error(self, key: str, text: str) -> None:
         """Write why an estimate failed; it stays undone, and the next run tries again."""
-        write_whole(self.root / "estimates" / key / "error.txt", lambda part: part.write_text(text, encoding="utf-8"))
+        write_whole(
+            inside(self.root, "estimates", key, "error.txt"), lambda part: part.write_text(text, encoding="utf-8")
+        )
 
     def remove_leftovers(self) -> None:
         """Remove what killed runs were still writing; nobody else may be writing now."""

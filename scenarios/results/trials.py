@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from scenarios.results.files import check_unambiguous, read_json
+from scenarios.results.files import check_unambiguous, inside, read_json
 from scenarios.results.store import Store, object_request
 from testbed.actions.rotate import Rotate
 from testbed.errors import HeftError, InvalidValueError
@@ -128,7 +128,7 @@ def _folder_of(root: Path, beginning: str) -> Path:
 def kind_of_trial(root: Path, key: str) -> str:
     """Kind of a trial's action, such as "rotate"; empty where its trial.json does not say."""
     try:
-        return str((read_json(root / "trials" / key / "trial.json") or {})["asked"]["action"]["kind"])
+        return str((read_json(inside(root, "trials", key, "trial.json")) or {})["asked"]["action"]["kind"])
     except (KeyError, TypeError):
         return ""
 

@@ -7,9 +7,10 @@ from pathlib import Path
 
 from rich.console import Console
 
-from estimators.registry import check_installed, kind_of
+from estimators.registry import METHODS, check_installed, kind_of
 from scenarios.config import Scenario
 from scenarios.study.experiment import object_paths
+from testbed.errors import InvalidValueError
 
 TRIAL_S = 0.7
 """Time of a trial of the default policy on one core, on average over the library [s]."""
@@ -55,20 +56,35 @@ class DryRun:
         return DryRun(objects, len(points), experiments, trials, estimates, seconds)
 
 
-def check_methods(scenario: Scenario) -> None:
-    """Raise HeftError where a method, at any point of the sweep, lacks a package."""
-    every = [method for _, point in scenario.points() for method in point.methods.items()]
-    for label, settings in every:
-        check_installed(label, settings)
+def check_code(scenario: Scenario, *, foreign: bool = True) -> None:
+    """Check that every class which the scenario names, at any point of its sweep, can be used: import it, set it up.
+
+    Args:
+        scenario: what is to run.
+        foreign: also those of other packages: methods, policy, runner.
+
+    Raises:
+        HeftError: no such class, a setting that it refuses, or a package that it lacks.
+    """
+    for _, point in scenario.points():
+        for label, settings in point.methods.items():
+            if foreign or kind_of(label, settings) in METHODS:
+                check_installed(label, settings)
+        tables = {"policy": point.policy, "simulation": point.simulation} if foreign else {}
+        for name, table in tables.items():
+            try:
+                table.check_code()
+            except InvalidValueError as error:
+                raise InvalidValueError(f"{name}.{error.field}", error.given, error.allowed) from None
 
 
 def show_dry_run(console: Console, scenario: Scenario, folder: Path, workers: int) -> None:
-    """Print how many trials and estimates there are, and how long they take; nothing is run or written.
+    """Print how many trials and estimates there are, and how long they take; nothing is run, imported or written.
 
     Raises:
         HeftError: an object that cannot be read, or a method that lacks a package.
     """
-    check_methods(scenario)
+    check_code(scenario, foreign=False)
     for _, point in scenario.points():
         object_paths(point)
     size = DryRun.of(scenario)

@@ -21,7 +21,7 @@ from scenarios.execution.executor import Executor, default_workers, open_executo
 from scenarios.results.files import exclusive, read_json, write_json
 from scenarios.results.store import Store, rows_of
 from scenarios.results.trials import MeasuredTrials, measured_trials
-from scenarios.study.dry_run import DryRun, check_methods
+from scenarios.study.dry_run import DryRun, check_code
 from scenarios.study.estimates import EstimateRun, infeasible_row
 from scenarios.study.experiment import Experiment, Progress, ResultCallback, experiments_of
 from scenarios.study.trials import TrialRun
@@ -71,7 +71,7 @@ def carry_out(
 
     A worker imports the modules of `preload` as it starts.
     """
-    check_methods(scenario)
+    check_code(scenario)
     store = Store(out.absolute())
     with exclusive(out), open_executor(executor, worker_count, preload=(__name__, *preload)) as tasks:
         store.remove_leftovers()
@@ -131,6 +131,7 @@ class EstimateRequest:
     scenario: str = "blocks"
     held_out: int = 0
     workers: int | None = None
+    allow_code: bool = False
 
     def command(self, folder: Path) -> str:
         """Command line that runs this again."""
@@ -138,7 +139,8 @@ class EstimateRequest:
         for flag, values in (("objects", self.objects), ("methods", self.methods)):
             parts += [f"--{flag}", *values] if values else []
         parts += ["--scenario", self.scenario] if self.scenario != "blocks" else []
-        return shlex.join(parts + (["--held-out", str(self.held_out)] if self.held_out else []))
+        parts += ["--held-out", str(self.held_out)] if self.held_out else []
+        return shlex.join(parts + ["--allow-code"] * self.allow_code)
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,7 +162,7 @@ def estimate_measured(folder: Path, request: EstimateRequest, progress: Progress
         InvalidValueError: no measured trials, no weighing, or no such object, method or scenario.
     """
     methods = load_scenario(request.scenario)[1].changed(methods=request.methods)
-    check_methods(methods)
+    check_code(methods)
     workers, begin = default_workers() if request.workers is None else request.workers, time.monotonic()
     found, left_out = measured_trials(folder, request.objects, request.held_out)
     scenario = _scenario_of(found, methods)

@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 
 from estimators.evaluation.statistics import AXIS, Row, axes_of, axis_values, select
 from scenarios.results.estimates import load_losses, load_rows
+from scenarios.results.files import inside
 from scenarios.views.values import estimate_view, fits_of
 from testbed.errors import HeftError, InvalidValueError
 from testbed.objects.model import ObjectShape
@@ -37,7 +38,7 @@ def figures(folder: Path, what: Row | None = None) -> list[Path]:
         HeftError: a file that is damaged.
     """
     drawn = _of_all(folder) if what is None else _of_estimate(folder, what)
-    return [path for name, figure in drawn for path in save_figure(figure, folder / "figures" / file_name(name))]
+    return [path for name, figure in drawn for path in save_figure(figure, inside(folder, "figures", file_name(name)))]
 
 
 def file_name(title: str) -> str:

@@ -12,7 +12,7 @@ import rerun.blueprint as rrb
 
 from estimators.evaluation.statistics import Row, select
 from scenarios.results.estimates import load_rows
-from scenarios.results.files import check_unambiguous
+from scenarios.results.files import check_unambiguous, inside
 from scenarios.results.store import Store
 from scenarios.results.trials import kind_of_trial
 from scenarios.study.experiment import Progress
@@ -157,7 +157,7 @@ def record_all(folder: Path, progress: Progress) -> None:
 
 def recording_path(folder: Path, name: str) -> Path:
     """Path of the recording of an object, a trial or an estimate."""
-    return folder / "recordings" / f"{name}.rrd"
+    return inside(folder, "recordings", f"{name}.rrd")
 
 
 def record_results(folder: Path) -> Path:

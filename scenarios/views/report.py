@@ -9,9 +9,10 @@ from pathlib import Path
 from typing import Any
 
 from estimators.evaluation.statistics import AXIS, Row
+from scenarios.catalog import scenario_names
 from scenarios.config import Scenario, load_scenario
 from scenarios.results.estimates import load_losses, load_rows, load_tracebacks
-from scenarios.results.files import read_json
+from scenarios.results.files import inside, read_json
 from scenarios.results.trials import OTHER_FORMAT, object_of
 from testbed.errors import HeftError, InvalidValueError
 from testbed.objects.files import load_object
@@ -48,8 +49,8 @@ def report(folder: Path) -> Path:
         recording_of=lambda key: name if (folder / (name := f"recordings/{key}.rrd")).is_file() else "",
         bad_trials=_bad(folder),
     )
-    write_report(results, folder / "report.html")
-    return folder / "report.html"
+    write_report(results, path := inside(folder, "report.html"))
+    return path
 
 
 def _in_order(rows: Sequence[Row], scenario: Mapping[str, Any]) -> list[Row]:
@@ -114,6 +115,8 @@ def _settings(settings: Mapping[str, Any]) -> str:
 def _command(name: str, scenario: Mapping[str, Any]) -> str:
     """`heft run`, with what differs from the library's scenario; or with a file to be made of the one shown."""
     try:
+        if name not in scenario_names():
+            raise ValueError
         ran, base = Scenario.model_validate(scenario), load_scenario(name)[1]
         if base.model_copy(update={"seeds": ran.seeds, "objects": ran.objects}) == ran:
             seeds = "" if ran.seeds == base.seeds else f" --seeds {ran.seeds}"

@@ -126,8 +126,6 @@ class ArmTable(Strict):
     """TCP port of the arm."""
     username: str = "admin"
     """User of the arm; the password is in HEFT_KORTEX_PASSWORD."""
-    python: str | None = None
-    """Python that has kortex_api, instead of HEFT_KORTEX_PYTHON."""
     serial: str | None = None
     """Serial number that the arm must tell; None takes any."""
     firmware: str | None = None

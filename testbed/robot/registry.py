@@ -53,7 +53,7 @@ def build_arm(file: RobotFile) -> Arm:
         InvalidValueError: no such arm, or a setting that it refuses.
     """
     table = file.arm
-    offered = table.model_dump(include={"address", "port", "username", "python"})
+    offered = table.model_dump(include={"address", "port", "username"})
     offered |= {"tool_length": table.tool_length_m, "password": os.environ.get(PASSWORD_VARIABLE, "admin")}
     return _build(ARM, table.model, table.settings, "arm", offered)
 

@@ -17,7 +17,7 @@ from scenarios.cli.main import main
 from scenarios.results.estimates import load_results
 from scenarios.study import run as study
 from testbed.errors import HeftError, InvalidValueError
-from testbed.plugins import load_class, placed_errors
+from testbed.plugins import find_code_here, load_class, placed_errors
 from testbed.trial import parse_support
 
 METHODS = """
@@ -88,6 +88,7 @@ def here(tmp_path, monkeypatch, finished) -> Path:
     monkeypatch.delitem(sys.modules, "failing", raising=False)
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("sys.path", [*sys.path])
+    find_code_here()
     return tmp_path
 
 

@@ -16,13 +16,13 @@ from scenarios.config import Scenario, Simulation, load_scenario
 from scenarios.policies import Policy
 from scenarios.results.estimates import load_results
 from scenarios.runners import feasible_grasps
+from scenarios.study.dry_run import check_code
 from scenarios.study.run import run_scenario
 from testbed import plugins
 from testbed.actions.slide import Slide
-from testbed.errors import InfeasibleTrialError
+from testbed.errors import HeftError, InfeasibleTrialError
 from testbed.objects.files import load_object
-from testbed.plugins import RUNNER
-from testbed.toml import InvalidFileError
+from testbed.plugins import RUNNER, find_code_here
 from testbed.trial import Trial, TrialRunner
 from tests.helpers.pages import BLOCKS, EXAMPLES
 
@@ -79,6 +79,7 @@ def here(tmp_path, monkeypatch) -> Path:
     (tmp_path / "more.py").write_text(MORE, encoding="utf-8")
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("sys.path", [p for p in sys.path if p not in ("", str(tmp_path))])
+    find_code_here()
     for name in ("more", "own_simulator", "my_estimator", "own_policy"):
         monkeypatch.delitem(sys.modules, name, raising=False)
     return tmp_path
@@ -169,8 +170,8 @@ def test_what_cannot_be_used_fails_in_words(here, runner, message):
 def test_what_is_wrong_is_said_before_anything_runs(simulation, message, tmp_path):
     file = tmp_path / "s.toml"
     file.write_text(f'objects = ["I1"]\n[simulation]\n{simulation}\n', encoding="utf-8")
-    with pytest.raises(InvalidFileError, match=message):
-        load_scenario(str(file))
+    with pytest.raises(HeftError, match=message):
+        check_code(load_scenario(str(file))[1])
 
 
 @pytest.mark.usefixtures("here")

@@ -17,14 +17,14 @@ from scenarios.cli.main import main
 from scenarios.config import Policy, Scenario, load_scenario
 from scenarios.results.estimates import load_results
 from scenarios.results.files import read_json
+from scenarios.study.dry_run import check_code
 from testbed import plugins
 from testbed.actions.rotate import Rotate
 from testbed.errors import HeftError, InvalidValueError
 from testbed.objects.files import load_object
 from testbed.objects.model import ObjectShape
-from testbed.plugins import configured, find_class, load_class, source_hash
+from testbed.plugins import configured, find_class, find_code_here, load_class, source_hash
 from testbed.simulation.settings import SimulationSettings
-from testbed.toml import InvalidFileError
 
 MODULE = '''
 from dataclasses import dataclass
@@ -96,12 +96,13 @@ def function(shape):
 
 @pytest.fixture
 def here(tmp_path, monkeypatch) -> Path:
-    """Current folder of a user, with modules of theirs; they are unloaded again."""
+    """Current folder of a user, with modules of theirs, and code found there; they are unloaded again."""
     for name, text in (("of_user", MODULE), ("half_done", "import no_such_thing\n"), ("wrong_words", "def f(:\n")):
         (tmp_path / f"{name}.py").write_text(text, encoding="utf-8")
         monkeypatch.delitem(sys.modules, name, raising=False)
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("sys.path", [p for p in sys.path if p not in ("", str(tmp_path))])
+    find_code_here()
     return tmp_path
 
 
@@ -159,8 +160,8 @@ REFUSED = [
 @pytest.mark.parametrize(("table", "reason"), REFUSED, ids=[reason for _, reason in REFUSED])
 def test_what_is_wrong_in_a_scenario_is_refused_before_anything_runs(table, reason, tmp_path):
     (tmp_path / "s.toml").write_text(f'objects = ["I1"]\n{table}\n', encoding="utf-8")
-    with pytest.raises(InvalidFileError, match=reason):
-        load_scenario("s.toml")
+    with pytest.raises(HeftError, match=reason):
+        check_code(load_scenario("s.toml")[1])
 
 
 @pytest.mark.usefixtures("here")
@@ -178,7 +179,7 @@ def test_a_wrong_setting_of_a_method_is_refused(name, settings, reason):
         configured(load_class(f"of_user:{name}", ESTIMATOR, "mine"), settings, "mine")
     assert raised.value.field == "mine"
     with pytest.raises(InvalidValueError, match="this is a function"):
-        Scenario(objects=["I1"]).changed(methods=("of_user:function",))
+        check_code(Scenario(objects=["I1"]).changed(methods=("of_user:function",)))
 
 
 @pytest.mark.usefixtures("here")

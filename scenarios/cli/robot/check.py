@@ -66,7 +66,7 @@ def _lines(config: Path) -> Iterator[Line]:
     yield _package("rerun-sdk", "heft robot sensor then prints numbers", needed=False)
     lack = ""
     if file.arm.model == "kinova_gen3":
-        lack = missing_api(file.arm.python)
+        lack = missing_api()
         text = lack or "can be imported by the process that speaks to the arm"
         yield Line("kortex_api", "missing" if lack else "ok", text)
     serial = yield from _sensor(file)

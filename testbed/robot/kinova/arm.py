@@ -43,8 +43,6 @@ class KortexArm:
     """User of the arm."""
     password: str = field(default="admin", repr=False)
     """Password of that user."""
-    python: str | None = None
-    """Interpreter that has `kortex_api`; else the one in HEFT_KORTEX_PYTHON, else heft's own."""
     tool_length: float = 0.2115
     """Distance from the arm's interface to the tool center point [m]: sensor, coupling and gripper."""
     turn_speed: float = math.radians(30)
@@ -82,7 +80,7 @@ class KortexArm:
         self._epoch = 0
         who = self.username, self.password
         configuration = Configuration(self.address, self.port, *who, self.silence, self.watchdog)
-        self._link = KortexLink(configuration, self.python)
+        self._link = KortexLink(configuration)
         x, y, z = self._link.tool
         if max(abs(x), abs(y), abs(z - self.tool_length)) > 1e-3:
             self.__exit__(None, None, None)

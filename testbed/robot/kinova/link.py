@@ -35,17 +35,16 @@ class KortexLink:
     A second process stands by: should the first be killed, it stops the arm over a connection of its own.
     """
 
-    def __init__(self, configuration: Configuration, python: str | None = None):
+    def __init__(self, configuration: Configuration):
         """Start it and connect.
 
         Args:
             configuration: how to reach the arm.
-            python: interpreter with `kortex_api`; else the one in HEFT_KORTEX_PYTHON, else heft's own.
 
         Raises:
             RobotError: no such interpreter, no `kortex_api` in it, or no arm at the address.
         """
-        self.python = _python(python)
+        self.python = _python()
         self.feedback: Feedback | None = None
         """The newest feedback."""
         self.lost = ""
@@ -204,9 +203,9 @@ def _ended(process: subprocess.Popen[str]) -> bool:
     return True
 
 
-def missing_api(python: str | None = None) -> str:
+def missing_api() -> str:
     """Reason that `kortex_api` cannot be imported and its remedy, else empty; the interpreter as in `KortexLink`."""
-    interpreter = _python(python)
+    interpreter = _python()
     code = (
         f"import sys; sys.path.insert(0, {_ROOT!r}); from testbed.robot.kinova.session import kortex_api; kortex_api()"
     )
@@ -217,8 +216,9 @@ def missing_api(python: str | None = None) -> str:
     return _how_to_get_it(interpreter, run.stderr.strip().splitlines()[-1]) if run.returncode else ""
 
 
-def _python(python: str | None) -> str:
-    return python or os.environ.get(PYTHON_VARIABLE) or sys.executable
+def _python() -> str:
+    """Interpreter of the other process: by the environment alone, since a robot file must not name a program."""
+    return os.environ.get(PYTHON_VARIABLE) or sys.executable
 
 
 def _how_to_get_it(python: str, why: str) -> str:

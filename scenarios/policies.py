@@ -26,6 +26,7 @@ from testbed.plugins import check_name, configured, find_class, placed_errors, s
 from testbed.sensing.noise import read_scale
 from testbed.sensing.presets import Sensing, preset
 from testbed.trajectory import Trajectory
+from testbed.worlds.setup_errors import EXACT_SETUP, SetupErrors
 
 Count = Annotated[int, Field(ge=1, le=100_000)]
 POLICIES = (*RANK_DRIVEN, "greedy", "batch", "random", "online")
@@ -196,6 +197,7 @@ class Policy(BaseModel):
         weighed: Sequence[float] = (),
         draw: tuple[str, int] | None = None,
         refused: Mapping[Action, str] | None = None,
+        setup: SetupErrors = EXACT_SETUP,
     ) -> ActionPolicy:
         """The policy over the allowed grasps; of the object it gets shape and weight alone.
 
@@ -206,6 +208,7 @@ class Policy(BaseModel):
             weighed: reading of the scale [kg], which may come later, but before the policy is asked.
             draw: sensor and number of the draw that the trials are for; None where all draws share them.
             refused: actions that were refused when they were run, as `told`; may grow later.
+            setup: errors of the setup as stated.
         """
         refused = {} if refused is None else refused
         sensing, number = draw or (self.plan_for, 0)
@@ -213,7 +216,7 @@ class Policy(BaseModel):
         if ranked := self.rank_driven:
             return replace(ranked, grasps=grasps, seed=seed, refused=refused)
         sensor = preset(sensing if self.kind == "online" else self.plan_for).stated
-        return AfterWeighing(partial(self._of_weight, grasps, shape, settings, sensor, refused, seed), weighed)
+        return AfterWeighing(partial(self._of_weight, grasps, shape, settings, sensor, setup, refused, seed), weighed)
 
     def _of_weight(
         self,
@@ -221,12 +224,13 @@ class Policy(BaseModel):
         shape: ObjectShape,
         settings: RunnerSettings,
         sensor: Sensing,
+        setup: SetupErrors,
         refused: Mapping[Action, str],
         seed: int,
         weight: float,
     ) -> ActionPolicy:
         """The policy for a weight as read."""
-        guess = Guess(weight, sensor)
+        guess = Guess(weight, sensor, setup=setup)
         check = FeasibilityCheck(shape, guess, settings, refused)
         if self.kind not in POLICIES:
             return build_policy(self.kind, self.settings, self.touches, PolicyContext(grasps, weight, check))

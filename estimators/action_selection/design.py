@@ -29,6 +29,7 @@ from testbed.errors import InvalidValueError
 from testbed.objects.model import MassDistribution, ObjectShape
 from testbed.sensing.presets import Sensing
 from testbed.validation import check_positive_fields
+from testbed.worlds.setup_errors import EXACT_SETUP, SetupErrors
 
 Criterion = Literal["A", "D", "I"]
 """Quantity that a plan minimizes: trace of the masses' covariance, its volume, or the expected NAD."""
@@ -95,7 +96,7 @@ CRITERIA: dict[str, Callable[[np.ndarray, float], np.ndarray]] = {"A": _trace, "
 
 @dataclass(frozen=True)
 class Guess:
-    """Assumptions before the first trial: weight, sensor, friction and support models."""
+    """Assumptions before the first trial: weight, sensor, friction, support models and setup."""
 
     weight: float
     """Weighed M [kg]."""
@@ -105,6 +106,8 @@ class Guess:
     """Coefficient of every friction group."""
     supports: tuple[str, ...] = ("own_weight",)
     """Support models that a plan serves; more than one where the support is not known."""
+    setup: SetupErrors = EXACT_SETUP
+    """Errors of the setup as stated."""
 
     def __post_init__(self) -> None:
         check_positive_fields(self, "weight", "friction")
@@ -112,8 +115,8 @@ class Guess:
             raise InvalidValueError("Guess.supports", self.supports, f"one or more of {', '.join(SUPPORTS)}")
 
     def assumptions(self) -> tuple[Assumptions, ...]:
-        """Assumptions of each support model, with its measured model errors."""
-        return tuple(Assumptions(support) for support in self.supports)
+        """Assumptions of each support model, with its measured model errors and the setup's."""
+        return tuple(Assumptions(support, setup=self.setup) for support in self.supports)
 
     def uniform(self, shape: ObjectShape) -> MassDistribution:
         """Distribution of equal particle masses."""
@@ -221,7 +224,8 @@ def prior_belief(shape: ObjectShape, guess: Guess) -> Belief:
     covariance = prior_masses(shape, guess.weight)[1]
     each = []
     for assumptions in guess.assumptions():
-        information = prior_information(shape, max(guess.sensing.scale, assumptions.model_errors.weight_error))
+        weight_error = max(guess.sensing.scale, assumptions.model_errors.weight_error)
+        information = prior_information(shape, weight_error, guess.setup)
         information[:n_m, :n_m] += np.linalg.pinv(covariance, rcond=1e-9, hermitian=True)
         information[n_m : n_m + n_mu, n_m : n_m + n_mu] += np.eye(n_mu) / FRICTION_PRIOR**2
         each.append(information)

@@ -93,7 +93,8 @@ class OnlinePolicy:
         """
         windows = observe(shape, trajectories)
         estimate = self.estimator.estimate(shape, self.guess.weight, trajectories, self.seed) if trajectories else None
-        guess = replace(self.guess, supports=_supports(self.guess, estimate))
+        setup = self.guess.setup if windows is None else windows.setup
+        guess = replace(self.guess, supports=_supports(self.guess, estimate), setup=setup)
         at = _expansion_point(shape, guess, windows, estimate)
         misfit = estimate.diagnostics.get("misfit", 1.0) if estimate is not None else 1.0
         disagree = guess.supports == ("own_weight",) and misfit > UNEXPLAINED

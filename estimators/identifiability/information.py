@@ -7,8 +7,10 @@ in the end.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 import torch
@@ -18,21 +20,27 @@ from torch import Tensor
 from estimators.identifiability.predicted import predicted_lifts, predicted_windows
 from estimators.identifiability.report import Identifiability, identifiability
 from estimators.particles.errors import RIGID, ModelErrors
+from estimators.particles.friction_system import torque_errors, wrench_errors
 from estimators.particles.lifts import lift_information, lifts_among
-from estimators.particles.pivots import inertia_map, slope_variance
-from estimators.particles.windows import Observations, observe
+from estimators.particles.model import ParticleModel
+from estimators.particles.pivots import inertia_map, slope_weights
+from estimators.particles.windows import PLANAR, Observations, observe
 from estimators.particles.wrench import ParticleLoads
 from testbed.actions.base import Action
+from testbed.actions.rotate import Rotate
 from testbed.errors import InvalidValueError
 from testbed.objects.model import MassDistribution, ObjectShape
 from testbed.sensing.lift_windows import LiftWindow
 from testbed.sensing.presets import Sensing
 from testbed.trajectory import Trajectory
+from testbed.worlds.setup_errors import EXACT_SETUP, SetupErrors
 
 SUPPORTS = ("own_weight", "rigid")
 """Support models."""
 ROWS = 6
 """Least number of rows of a trial; unused ones are zeros. A lift shows no more: M, c and three second moments."""
+LIFT_HEIGHT = 2
+"""Errors that trials share first: lift, and height."""
 CHUNK = 512
 """Trials that are worked on at once."""
 
@@ -45,6 +53,8 @@ class Assumptions:
     """own_weight or rigid."""
     errors: ModelErrors | None = None
     """Errors of model and weighing beyond the sensor's own; None is what was measured under this support."""
+    setup: SetupErrors = EXACT_SETUP
+    """Errors of the setup as stated, of trials that are yet to be made; those made carry their own."""
 
     def __post_init__(self) -> None:
         if self.support not in SUPPORTS:
@@ -58,7 +68,7 @@ class Assumptions:
 
 @dataclass(frozen=True, eq=False)
 class TrialInformation:
-    """Whitened rows of C trials in U = n_m + n_mu + 3 + J unknowns: masses, frictions and shared errors."""
+    """Whitened rows of C trials in U = n_m + n_mu + 3 + J + E unknowns: masses, frictions and shared errors."""
 
     rows: Float[np.ndarray, "C R U"]
     known: int
@@ -133,7 +143,9 @@ def predicted_information(
         assumptions: support model and model errors.
     """
     lifts = predicted_lifts(actions, sensing) if assumptions.support == "rigid" else {}
-    windows = predicted_windows(shape, actions, sensing)
+    windows = predicted_windows(shape, actions, sensing, assumptions.setup)
+    if windows is not None and not windows.setup.none:
+        windows = _felt(windows, shape, distribution, assumptions.support)
     return trial_information(shape, distribution, windows, len(actions), assumptions, lifts)
 
 
@@ -156,11 +168,15 @@ def trial_information(
         lifts: windows of the lifts, by the number of the trial.
     """
     known = shape.n_m + shape.n_mu
-    unknowns = known + shared_error_count(shape)
+    setup = EXACT_SETUP if windows is None else windows.setup
+    if windows is not None and windows.table is None and not setup.none:
+        windows = replace(windows, table=_reach(windows, shape))
+    unknowns = known + shared_error_count(shape, setup)
     blocks = [(np.array([trial]), _lifted_rows(shape, distribution, lift)[None]) for trial, lift in lifts.items()]
-    for trials, fields, accelerated in _by_size(windows, count) if windows is not None else ():
-        of_kind = _accelerated_rows if accelerated else _steady_rows
-        blocks.append((trials, of_kind(shape, distribution, fields, assumptions)))
+    if windows is not None:
+        for trials, fields, accelerated in _by_size(windows, count):
+            of_kind = _accelerated_rows if accelerated else _steady_rows
+            blocks.append((trials, of_kind(shape, distribution, windows, fields, assumptions)))
     needed, filled = np.zeros(count, dtype=int), np.zeros(count, dtype=int)
     for trials, block in blocks:
         needed[trials] += block.shape[1]
@@ -172,18 +188,51 @@ def trial_information(
     return TrialInformation(rows, known)
 
 
-def prior_information(shape: ObjectShape, weight_error: float) -> Float[np.ndarray, "U U"]:
+def prior_information(
+    shape: ObjectShape, weight_error: float, setup: SetupErrors = EXACT_SETUP
+) -> Float[np.ndarray, "U U"]:
     """Information of the weighing, and of the shared errors, which have unit variance."""
     known = shape.n_m + shape.n_mu
-    information = np.diag(np.concatenate([np.zeros(known), np.ones(shared_error_count(shape))]))
+    information = np.diag(np.concatenate([np.zeros(known), np.ones(shared_error_count(shape, setup))]))
+    weight_error = math.hypot(weight_error, setup.scale)
     weighing = shape.particles_per_group / weight_error
     information[: shape.n_m, : shape.n_m] += np.outer(weighing, weighing)
     return information
 
 
-def shared_error_count(shape: ObjectShape) -> int:
-    """Number of errors that trials share: lift, height, all moments of inertia, and those about each grasp point."""
-    return 3 + len(_grasp_points(shape))
+def shared_error_count(shape: ObjectShape, setup: SetupErrors = EXACT_SETUP) -> int:
+    """Number of errors that trials share: lift, height, all moments of inertia, those about each grasp, the setup's."""
+    return 3 + len(_grasp_points(shape)) + (0 if setup.none else _setup_error_count(shape, setup))
+
+
+@lru_cache(maxsize=32)
+def _setup_error_count(shape: ObjectShape, setup: SetupErrors) -> int:
+    """Number of the setup's errors that trials share."""
+    windows = predicted_windows(shape, [Rotate(0, duration=4.0)], Sensing("exact"), setup)
+    assert windows is not None
+    model = ParticleModel.of(shape)
+    none = torch.zeros(len(windows), 3, 3, dtype=torch.float64)
+    of_particle = torch.ones(len(windows), len(shape.particles), dtype=torch.float64)
+    return wrench_errors(windows, model, of_particle[0], of_particle, none, ModelErrors())[1].shape[1] - LIFT_HEIGHT
+
+
+def _felt(windows: Observations, shape: ObjectShape, distribution: MassDistribution, support: str) -> Observations:
+    """Windows with what a sensor over the TCP feels of friction and of I_j: its errors are parts of that."""
+    loads = ParticleLoads.of(shape, distribution, support)
+    planar = windows.drag_rows(loads.model, ModelErrors.pivot_error) @ loads.load
+    spins = windows.lever(loads.model).square().sum(-1) + loads.model.cell**2 / 6
+    planar[:, 2] += (spins @ loads.mass) * windows.acceleration[:, 2]
+    felt = torch.zeros(len(windows), 6, dtype=torch.float64)
+    felt[:, PLANAR] = planar
+    return replace(windows, sensed=torch.linalg.solve(windows.from_sensor, felt))
+
+
+def _reach(windows: Observations, shape: ObjectShape) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Least and greatest x, y that particles may reach in some windows, m."""
+    at = windows.poses[..., :2].flatten(0, 1).numpy()
+    arm = np.linalg.norm(shape.particles - windows.grasp.numpy()[:, None], axis=2).max()
+    (x0, y0), (x1, y1) = at.min(axis=0) - arm, at.max(axis=0) + arm
+    return (float(x0), float(y0)), (float(x1), float(y1))
 
 
 def _by_size(windows: Observations, count: int) -> list[tuple[Int[np.ndarray, "C"], dict[str, Tensor], bool]]:
@@ -202,33 +251,53 @@ def _by_size(windows: Observations, count: int) -> list[tuple[Int[np.ndarray, "C
 
 
 def _steady_rows(
-    shape: ObjectShape, distribution: MassDistribution, fields: dict[str, Tensor], assumptions: Assumptions
+    shape: ObjectShape,
+    distribution: MassDistribution,
+    windows: Observations,
+    fields: dict[str, Tensor],
+    assumptions: Assumptions,
 ) -> Float[np.ndarray, "C R U"]:
     """Rows of trials with as many steady windows each: the equations of one trial, mapped over all."""
     loads = ParticleLoads.of(shape, distribution, assumptions.support)
+    of_inertia = 1 + len(_grasp_points(shape))
 
     def of_trial(of_one: dict[str, Tensor]) -> Tensor:
-        equations = loads.equations(Observations.of(of_one), assumptions.model_errors)
+        equations = loads.equations(windows.like(of_one), assumptions.model_errors)
         root = torch.linalg.cholesky(equations.apart)
-        slopes = torch.cat([equations.q @ loads.slopes, equations.common], 1)
-        return torch.linalg.solve_triangular(root, slopes, upper=False)
+        common = equations.common
+        none = torch.zeros(len(common), of_inertia, dtype=common.dtype)
+        slopes = [equations.q @ loads.slopes, common[:, :LIFT_HEIGHT], none, common[:, LIFT_HEIGHT:]]
+        return torch.linalg.solve_triangular(root, torch.cat(slopes, 1), upper=False)
 
     return torch.vmap(of_trial, chunk_size=CHUNK)(fields).numpy()
 
 
 def _accelerated_rows(
-    shape: ObjectShape, distribution: MassDistribution, fields: dict[str, Tensor], assumptions: Assumptions
+    shape: ObjectShape,
+    distribution: MassDistribution,
+    windows: Observations,
+    fields: dict[str, Tensor],
+    assumptions: Assumptions,
 ) -> Float[np.ndarray, "C 1 U"]:
     """Row of I_j about the grasp point of every trial, by the slope of torque against acceleration."""
     points, known = _grasp_points(shape), shape.n_m + shape.n_mu
-    rows = np.zeros((len(fields["trial"]), 1, known + shared_error_count(shape)))
+    loads = ParticleLoads.of(shape, distribution, assumptions.support)
+    rows = np.zeros((len(fields["trial"]), 1, known + shared_error_count(shape, windows.setup)))
     for index, (row,) in enumerate(rows):
-        pivots, variance = slope_variance(Observations.of({name: value[index] for name, value in fields.items()}))
+        trial = windows.like({name: value[index] for name, value in fields.items()})
+        none = torch.zeros(len(trial), 3, 3, dtype=torch.float64)
+        drag = loads.load.expand(len(trial), -1)
+        apart, common = (each.numpy() for each in torque_errors(trial, loads.model, loads.mass, drag, none))
+        pivots, weights = slope_weights(trial, apart + common @ common.T)
         per_mass = inertia_map(shape, pivots)[0]
         point = int(np.linalg.norm(points - pivots[0], axis=1).argmin())
+        of_inertia = known + LIFT_HEIGHT
         row[: shape.n_m] = per_mass
-        row[[known + 2, known + 3 + point]] = assumptions.model_errors.inertia_error * per_mass @ distribution.mass
-        rows[index] /= np.sqrt(variance[0])
+        row[[of_inertia, of_inertia + 1 + point]] = (
+            assumptions.model_errors.inertia_error * per_mass @ distribution.mass
+        )
+        row[of_inertia + 1 + len(points) :] = weights[0] @ common
+        rows[index] /= np.sqrt(weights[0] @ apart @ weights[0])
     return rows
 
 

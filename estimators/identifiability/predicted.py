@@ -14,11 +14,12 @@ from estimators.particles.windows import Observations
 from testbed.actions.base import Action, TableAction
 from testbed.actions.lift import Lift
 from testbed.errors import InvalidValueError
-from testbed.frames import move_wrench
+from testbed.frames import move_wrench, rotation_2d
 from testbed.objects.model import GRAVITY, ObjectShape
 from testbed.sensing.lift_windows import LiftWindow
 from testbed.sensing.presets import Sensing
 from testbed.sensing.windows import TRIM_END, trim_start
+from testbed.worlds.setup_errors import EXACT_SETUP, SetupErrors
 
 RATE = 100.0
 """Sampling rate [Hz]."""
@@ -30,6 +31,8 @@ TARED = 0.33
 """Duration of the tare [s]."""
 REACH = 0.174
 """Distance from the sensor to the TCP [m]."""
+PARTS = 5
+"""Parts of a window at whose middles its pose is taken."""
 HEIGHT = 0.022
 """Height of the TCP over the table [m]."""
 
@@ -41,12 +44,16 @@ class _Stretch(NamedTuple):
     alpha: float
     begin: float
     end: float
+    poses: tuple[tuple[float, float, float], ...]
+    """Place of the grasp point, m, and yaw of the object, rad, over the stretch; the motion's middle is the origin."""
 
 
-def predicted_windows(shape: ObjectShape, actions: Sequence[Action], sensing: Sensing) -> Observations | None:
+def predicted_windows(
+    shape: ObjectShape, actions: Sequence[Action], sensing: Sensing, setup: SetupErrors = EXACT_SETUP
+) -> Observations | None:
     """Windows of the actions on the table, wrenches left at zero, trials numbered by all actions; None without any.
 
-    The gripper carries nothing, as after nulling, as far as the sensor can tell.
+    The gripper carries nothing, as after nulling, as far as the sensor can tell. All trials have one middle.
 
     Raises:
         InvalidValueError: a grasp that the shape does not have.
@@ -70,7 +77,9 @@ def predicted_windows(shape: ObjectShape, actions: Sequence[Action], sensing: Se
     since_tare = torch.tensor([(s.begin, s.end) for s, _ in stretches], dtype=torch.float64)
     twist = torch.tensor([s.twist for s, _ in stretches], dtype=torch.float64)
     zeros = torch.zeros(count, 3, dtype=torch.float64)
+    sensor = torch.tensor(_to_tcp())
     return Observations(
+        setup=setup,
         wrench=zeros,
         noise=noise / since_tare.diff()[..., None],
         bias=bias,
@@ -84,9 +93,9 @@ def predicted_windows(shape: ObjectShape, actions: Sequence[Action], sensing: Se
         lift=zeros[:, 0],
         tilt=zeros[:, :2],
         yaw=zeros[:, :2],
-        poses=zeros[:, None],
+        poses=torch.tensor([s.poses for s, _ in stretches], dtype=torch.float64),
         sensed=torch.zeros(count, 6, dtype=torch.float64),
-        from_sensor=torch.eye(6, dtype=torch.float64).expand(count, 6, 6),
+        from_sensor=sensor.expand(count, 6, 6),
         load_map=torch.tensor(load_map(HEIGHT)).expand(count, 3, 6),
         load_kept=torch.full((count, 3), float(sensing.force_bias == 0), dtype=torch.float64),
         load_followed=zeros + 1,
@@ -104,15 +113,23 @@ def sensor_at_tcp(sensing: Sensing) -> tuple[np.ndarray, np.ndarray, np.ndarray]
     std = np.array([*sensing.force_noise, *sensing.torque_noise])
     std[[0, 1, 3, 4]] = np.sqrt((std[[0, 0, 3, 3]] ** 2 + std[[1, 1, 4, 4]] ** 2) / 2)  # whichever way the hand turned
     noise = std**2 / (RATE * (1 - sensing.lag1) / (1 + sensing.lag1))
-    down = move_wrench(np.eye(6), np.array([0.0, 0.0, -REACH])).T
+    down = _to_tcp()
     each = (noise, sensing.bias_std**2 + noise / TARED, sensing.drift_std**2)
     first, second, third = (down @ np.diag(variance) @ down.T for variance in each)
     return first, second, third
 
 
+def _to_tcp() -> np.ndarray:
+    """Map from a wrench about the sensor's origin to one about the TCP below it, (6, 6)."""
+    return move_wrench(np.eye(6), np.array([0.0, 0.0, -REACH])).T
+
+
 def _stretches(at: tuple[float, float], shape: ObjectShape, action: TableAction) -> list[_Stretch]:
     """Steady stretches of an action of the grasp at `at` [m], trimmed as a record is."""
     about, heading, time, found = action.center(shape), action.heading, BEFORE, []
+    steps = [speed * seconds + acceleration * seconds**2 / 2 for speed, acceleration, seconds in action.steady]
+    ends = np.cumsum([0.0, *steps])
+    gone, facing = -(ends.max() + ends.min()) / 2, -shape.grasps[action.grasp].angle  # midway the pads close along x
     for segment, (speed, acceleration, seconds) in enumerate(action.steady):
         if segment and not action.accelerated:
             time += BETWEEN
@@ -121,8 +138,18 @@ def _stretches(at: tuple[float, float], shape: ObjectShape, action: TableAction)
         if action.turns:
             x, y = -rate * (at[1] - about[1]), rate * (at[0] - about[0])
         twist = (float(x), float(y), rate if action.turns else 0.0)
-        found.append(_Stretch(twist, acceleration, time + trim_start(action, segment), time + seconds - TRIM_END))
+        begin, end = trim_start(action, segment), seconds - TRIM_END
+        since = begin + (end - begin) * (np.arange(PARTS) + 0.5) / PARTS
+        way = gone + speed * since + acceleration * since**2 / 2
+        yaw = facing + (way if action.turns else 0 * way)
+        if action.turns:
+            place = rotation_2d(facing) @ (about - at) - rotation_2d(yaw) @ (about - at)
+        else:
+            place = way[:, None] * (rotation_2d(facing) @ heading)
+        poses = np.column_stack([place, yaw])
+        found.append(_Stretch(twist, acceleration, time + begin, time + end, tuple(map(tuple, poses.tolist()))))
         time += seconds
+        gone += steps[segment]
     return found
 
 

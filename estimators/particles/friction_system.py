@@ -16,7 +16,8 @@ from torch import Tensor
 
 from estimators.particles.errors import ModelErrors
 from estimators.particles.model import ParticleModel, inertia_of
-from estimators.particles.setup_effects import setup_effects
+from estimators.particles.pivots import LEAST_VARIANCE
+from estimators.particles.setup_effects import Columns, setup_effects, shared_and_own
 from estimators.particles.support import own_weight
 from estimators.particles.windows import PLANAR, Observations
 from testbed.objects.model import GRAVITY, ObjectShape
@@ -170,7 +171,9 @@ def wrench_errors(
     # the drag's own moment about the feet is as wrong as the height over them
     raised = errors.height_error * (response[..., 1:] @ windows.wrench[:, :2, None])[..., 0]
     common = torch.stack([hidden.flatten(), raised.flatten()], 1)
-    return apart, torch.cat([common, *_of_setup(windows, model, mass, drag, response, errors.pivot_error)], 1)
+    effects = _of_setup(windows, model, mass, drag, response, errors.pivot_error)
+    shared, own = shared_and_own(effects, windows)
+    return apart + own, torch.cat([common, shared], 1)
 
 
 def torque_covariance(
@@ -184,11 +187,25 @@ def torque_covariance(
 
     Arguments as `wrench_errors`.
     """
+    apart, common = torque_errors(windows, model, mass, drag, response)
+    return (apart + common @ common.T).numpy()
+
+
+def torque_errors(
+    windows: Observations,
+    model: ParticleModel,
+    mass: Float[Tensor, "P"],
+    drag: Float[Tensor, "K P"],
+    response: Float[Tensor, "K 3 3"],
+) -> tuple[Float[Tensor, "K K"], Float[Tensor, "K E"]]:
+    """Errors of accelerated windows' torques: those that no two trials share, and effects of those of the setup.
+
+    Arguments as `wrench_errors`.
+    """
     none = torch.zeros(3, dtype=torch.float64)
-    covariance = _sensor_error(windows, response, none, none)[2::3, 2::3]
-    for columns in _of_setup(windows, model, mass, drag, response, 0.0):
-        covariance = covariance + columns[2::3] @ columns[2::3].T
-    return covariance.numpy()
+    shared, own = shared_and_own(_of_setup(windows, model, mass, drag, response, 0.0), windows)
+    apart = (_sensor_error(windows, response, none, none) + own)[2::3, 2::3]
+    return apart + LEAST_VARIANCE * torch.eye(len(windows), dtype=torch.float64), shared[2::3]
 
 
 def _of_setup(
@@ -198,12 +215,11 @@ def _of_setup(
     drag: Float[Tensor, "K P"],
     response: Float[Tensor, "K 3 3"],
     pivot_error: float,
-) -> list[Float[Tensor, "R n"]]:
+) -> Columns:
     """Effects of the setup's errors, none of an exact one."""
     if windows.setup.none:
-        return []
-    to_wrench = sensor_map(windows, response)
-    return list(setup_effects(windows, model, mass, drag, to_wrench, pivot_error, windows.setup).values())
+        return {}
+    return setup_effects(windows, model, mass, drag, sensor_map(windows, response), pivot_error, windows.setup)
 
 
 def sensor_map(windows: Observations, response: Float[Tensor, "K 3 3"]) -> Float[Tensor, "R 6K"]:

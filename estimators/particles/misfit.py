@@ -15,7 +15,7 @@ from torch import Tensor
 from estimators.particles.errors import ModelErrors
 from estimators.particles.friction_system import FrictionEquations, sensor_map
 from estimators.particles.model import ParticleModel, inertia_of
-from estimators.particles.setup_effects import Columns, setup_effects
+from estimators.particles.setup_effects import Columns, setup_effects, trial_by_trial
 from estimators.particles.support import own_weight
 from estimators.particles.windows import Observations
 from testbed.objects.model import MassDistribution, ObjectShape
@@ -207,7 +207,7 @@ def likely_causes(
     friction = model.particle_friction(torch.tensor(at.friction))
     to_wrench = sensor_map(windows, rows @ (friction[:, None] * support.response))
     each = drag.clamp(min=0).expand(len(windows), -1)
-    causes = setup_effects(windows, model, mass, each, to_wrench, errors.pivot_error, LIKELY)
+    causes = trial_by_trial(setup_effects(windows, model, mass, each, to_wrench, errors.pivot_error, LIKELY), windows)
     one_hot = torch.nn.functional.one_hot(model.mass_group).double()
     middle = (one_hot @ (one_hot.T @ model.particles / one_hot.sum(0)[:, None]) - model.particles) / model.cell
     # one rigid body's loads rise alike everywhere

@@ -10,6 +10,9 @@ from jaxtyping import Float
 from estimators.particles.windows import Observations
 from testbed.objects.model import ObjectShape
 
+LEAST_VARIANCE = 1e-12
+"""Least variance of a mean torque, (N m)^2: sensors without any noise too have weights."""
+
 
 @dataclass(frozen=True, eq=False)
 class PivotInertia:
@@ -65,10 +68,15 @@ def pivot_inertias(
     return PivotInertia(pivots, values, variances, relative_error)
 
 
-def slope_variance(observations: Observations) -> tuple[Float[np.ndarray, "J 2"], Float[np.ndarray, "J"]]:
-    """Pivots, m, and the variance of I_j by slope, (kg m^2)^2, from noise and drift of the sensor alone."""
-    pivots, designs = _whitened_designs(observations, None)
-    return pivots, np.array([np.linalg.inv(design.T @ design)[0, 0] for _, _, design in designs])
+def slope_weights(
+    observations: Observations, covariance: Float[np.ndarray, "K K"]
+) -> tuple[Float[np.ndarray, "J 2"], Float[np.ndarray, "J K"]]:
+    """Pivots, m, and the weights with which torques of accelerated windows add up to I_j, by their covariance."""
+    pivots, designs = _whitened_designs(observations, covariance)
+    weights = np.zeros((len(pivots), len(observations)))
+    for j, (rows, whiten, design) in enumerate(designs):
+        weights[j, rows] = (np.linalg.pinv(design) @ whiten)[0]
+    return pivots, weights
 
 
 def _whitened_designs(
@@ -80,10 +88,8 @@ def _whitened_designs(
     """
     alpha = observations.acceleration[:, 2].numpy()
     if covariance is None:
-        covariance = (
-            np.diag(observations.covariance[:, 2, 2].numpy()) + observations.walk_covariance()[:, 2, :, 2].numpy()
-        )
-    covariance = covariance + 1e-12 * np.eye(len(alpha))
+        noise = np.diag(observations.covariance[:, 2, 2].numpy() + LEAST_VARIANCE)
+        covariance = noise + observations.walk_covariance()[:, 2, :, 2].numpy()
     pivots, index = np.unique(observations.grasp.numpy().round(9), axis=0, return_inverse=True)
     designs = []
     for j in range(len(pivots)):

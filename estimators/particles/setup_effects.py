@@ -33,6 +33,9 @@ REFERENCE = 0.02
 SMALL = 1e-4
 """Shift by which slopes are taken, m."""
 
+BY_TRIAL = ("grasp_offset", "grasp_angle")
+"""Kinds that are drawn anew in every trial; all others are the same in all."""
+
 Columns = dict[str, Float[Tensor, "R n"]]
 
 
@@ -46,6 +49,8 @@ def setup_effects(
     setup: SetupErrors,
 ) -> Columns:
     """Change of every measured wrench with one standard deviation of each parameter, by kind; R = 3 K rows.
+
+    Of a kind that is drawn anew in every trial, the columns hold for each trial by itself.
 
     Args:
         windows: windows of constant speed or acceleration.
@@ -73,6 +78,25 @@ def setup_effects(
         found["table_tilt"] = setup.table_tilt * _tilt(windows, model, mass)
     found |= _displacements(windows, model, mass, drag, pivot_error, setup)
     return found | _sensed(windows, to_wrench, setup)
+
+
+def shared_and_own(effects: Columns, windows: Observations) -> tuple[Float[Tensor, "R E"], Float[Tensor, "R R"]]:
+    """Effects of the errors that all trials share, side by side, and covariance of those drawn anew in each."""
+    rows = 3 * len(windows)
+    none = torch.zeros(rows, 0, dtype=torch.float64)
+    own = torch.cat([none, *(effects[kind] for kind in BY_TRIAL if kind in effects)], 1)
+    together = windows.together[:, None, :, None].expand(-1, 3, -1, 3).reshape(rows, rows)
+    return torch.cat([none, *(c for kind, c in effects.items() if kind not in BY_TRIAL)], 1), own @ own.T * together
+
+
+def trial_by_trial(effects: Columns, windows: Observations) -> Columns:
+    """The effects, with columns for every trial where an error is drawn anew in each."""
+    trials = torch.nn.functional.one_hot(torch.unique(windows.trial, return_inverse=True)[1]).double()
+    of_rows = trials.repeat_interleave(3, 0)
+    return {
+        kind: (columns[..., None] * of_rows[:, None]).flatten(1) if kind in BY_TRIAL else columns
+        for kind, columns in effects.items()
+    }
 
 
 def _flat(columns: Float[Tensor, "K 3 n"]) -> Float[Tensor, "R n"]:
@@ -115,7 +139,10 @@ def _place(windows: Observations, model: ParticleModel, rows: Float[Tensor, "K 3
     """Friction as a smooth field of unit variance over the table, by eigenfunctions of a box (Solin, Sarkka 2020)."""
     yaw = windows.poses[..., 2, None]
     at = windows.poses[..., None, :2] + rotate(yaw, windows.lever(model)[:, None])  # (K, S, P, 2)
-    low, high = at.amin((0, 1, 2)), at.amax((0, 1, 2))
+    if windows.table is None:
+        low, high = at.amin((0, 1, 2)), at.amax((0, 1, 2))
+    else:
+        low, high = torch.tensor(windows.table, dtype=torch.float64)
     half = (high - low) / 2 + CORRELATED
     step = torch.arange(1, WAVES + 1, dtype=torch.float64) * math.pi / 2
     wave = step / half[:, None]  # (2, WAVES)
@@ -179,13 +206,12 @@ def _displacements(
     slopes = torch.stack(by, -1)  # (K, 3, P, 2)
     shifted = slopes.sum(2)  # (K, 3, 2): the object along its axes
     yawed = torch.einsum("kipa,kpa->ki", slopes, turned(windows.lever(model)))[..., None]
-    trials = torch.nn.functional.one_hot(torch.unique(windows.trial, return_inverse=True)[1]).double()
     in_hand = shifted @ windows.from_sensor[:, :2, :2]
     of_group = torch.einsum("kipa,pg->kiga", slopes, torch.nn.functional.one_hot(model.mass_group).double())
     columns = {
         "particle_offset": of_group.flatten(2),
-        "grasp_offset": torch.einsum("kia,kt->kita", shifted, trials).flatten(2),
-        "grasp_angle": torch.einsum("kia,kt->kita", yawed, trials).flatten(2),
+        "grasp_offset": shifted,
+        "grasp_angle": yawed,
         "tcp_offset": in_hand,
         "tcp_angle": yawed,
     }

@@ -110,40 +110,41 @@ class Observations:
     """True for windows of constant acceleration, (K,) bool."""
     setup: SetupErrors = EXACT_SETUP
     """Errors of the setup as stated, the largest of all trials."""
+    table: tuple[tuple[float, float], tuple[float, float]] | None = None
+    """Least and greatest x, y that the particles reach, m, world; None is taken from the windows themselves."""
 
     def __len__(self) -> int:
         return len(self.wrench)
 
-    @staticmethod
-    def of(by_window: dict[str, Tensor], setup: SetupErrors = EXACT_SETUP) -> Observations:
-        """The windows of such fields."""
-        return Observations(**by_window, setup=setup)  # pyright: ignore[reportArgumentType]
+    def like(self, by_window: dict[str, Tensor]) -> Observations:
+        """Windows of such fields in this setup."""
+        return Observations(**by_window, setup=self.setup, table=self.table)  # pyright: ignore[reportArgumentType]
 
     @property
     def by_window(self) -> dict[str, Tensor]:
         """Fields with a row a window."""
-        return {name: value for name, value in vars(self).items() if name != "setup"}
+        return {name: value for name, value in vars(self).items() if name not in ("setup", "table")}
 
     def where(self, keep: Tensor) -> Observations:
         """Windows that `keep` (K,) selects."""
-        return Observations.of({name: value[keep] for name, value in self.by_window.items()}, self.setup)
+        return self.like({name: value[keep] for name, value in self.by_window.items()})
 
     def merged(self, group: Int[Tensor, "K"]) -> Observations:
         """Means over windows of one group, 0 to G - 1; values that are no numbers are the first window's."""
         first = torch.stack([torch.nonzero(group == g)[0, 0] for g in range(int(group.max()) + 1)])
 
         def mean(values: Tensor) -> Tensor:
-            if not values.is_floating_point():
-                return values[first]
-            return torch.stack([values[group == g].mean(0) for g in range(len(first))])
+            whole = not values.is_floating_point()
+            return values[first] if whole else torch.stack([values[group == g].mean(0) for g in range(len(first))])
 
-        return Observations.of({name: mean(value) for name, value in self.by_window.items()}, self.setup)
+        return self.like({name: mean(value) for name, value in self.by_window.items()})
 
     @staticmethod
     def stacked(draws: Sequence[Observations]) -> Observations:
         """Windows of D draws, equal in number, with leading axes (D, 1): the 1 meets candidates."""
-        stacked = {name: torch.stack([getattr(d, name) for d in draws])[:, None] for name in draws[0].by_window}
-        return Observations.of(stacked, draws[0].setup)
+        return draws[0].like(
+            {name: torch.stack([getattr(d, name) for d in draws])[:, None] for name in draws[0].by_window}
+        )
 
     @property
     def drag(self) -> float:
@@ -328,15 +329,15 @@ def observe(
         "accelerated": np.array(accelerated),
     }
     setup = SetupErrors.largest([trajectories[index].setup for index in set(trial)])
-    return Observations.of({name: torch.tensor(value) for name, value in values.items()}, setup)
+    fields = {name: torch.tensor(value) for name, value in values.items()}
+    return Observations(**fields, setup=setup)  # pyright: ignore[reportArgumentType]
 
 
 def _pooled(windows: list[SteadyWindow], trial: np.ndarray, accelerated: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Covariance of the means of noise, and of the tare's bias, (K, 6, 6).
 
-    A short window's own scatter estimates its noise badly, one that happens to scatter little would count for too much,
-    and an accelerating arm swings: its noise a second is taken from the windows of constant speed, where there are any.
-    Tares are alike in all trials.
+    A short window's scatter tells its noise badly, and an accelerating arm swings: its noise a second is taken from the
+    windows of constant speed, where there are any. Tares are alike in all trials.
     """
     length = np.array([np.ptp(w.since_tare) for w in windows])[:, None, None]
     density = np.array([w.covariance for w in windows]) * length

@@ -11,7 +11,7 @@ import tyro
 from rich.table import Table
 from rich.text import Text
 
-from scenarios.cli.terminal import open_console
+from scenarios.cli.terminal import open_console, percent, seconds
 from testbed.errors import InvalidValueError
 
 if TYPE_CHECKING:
@@ -35,6 +35,7 @@ def identify(
     object_: Annotated[str, tyro.conf.Positional, tyro.conf.arg(name="object", metavar="OBJECT")],
     *,
     sensing: Annotated[str, tyro.conf.arg(metavar="PRESET")] = "ft300s",
+    world: Annotated[str, tyro.conf.arg(metavar="WORLD")] = "ideal",
     support: Literal["own_weight", "rigid"] = "own_weight",
     pivots: Annotated[int, tyro.conf.arg(metavar="N")] = 6,
     accelerated: Annotated[int, tyro.conf.arg(metavar="N")] = 6,
@@ -49,11 +50,13 @@ def identify(
     Examples: heft identify L2
               heft identify F2 --support rigid --sensing ideal
               heft identify L2 --support rigid --lifts 1
+              heft identify L2 --world lab --pivots 12
               heft identify L2 --pivots 0 --slides 6 --out results/L2_slides
 
     Args:
         object_: name in the library, or path to a TOML file.
         sensing: preset of the sensor.
+        world: ideal, lab or rough, whose errors of the setup are reckoned with.
         support: what carries the weight.
         pivots: turns there and back, as the rank-driven policy draws them; 0 for none, accelerated ones neither.
         accelerated: accelerated turns.
@@ -66,14 +69,17 @@ def identify(
     from estimators.identifiability.information import Assumptions, expected
     from testbed.objects.files import load_object
     from testbed.sensing.presets import preset
+    from testbed.worlds.presets import world as world_of
     from viz.figures.maps import error_figure, save_figure
 
     console, model = open_console(), load_object(object_)
     actions = actions_of(model, support, pivots, accelerated, slides, lifts, duration, grasps)
-    report = expected(model.shape, model.truth, actions, preset(sensing), Assumptions(support))
+    report = expected(
+        model.shape, model.truth, actions, preset(sensing), Assumptions(support, setup=world_of(world).stated)
+    )
     kinds = [action.kind for action in actions]
     counts = ", ".join(f"{kinds.count(kind)} {kind}" for kind in dict.fromkeys(kinds))
-    title = f"{model.name}, {support}, {sensing}"
+    title = f"{model.name}, {support}, {sensing}" + ("" if world == "ideal" else f", {world}")
     console.print(Text.assemble((title, "bold"), f": {counts}"))
     console.print(_errors_table(model, report))
     condition = f"condition {report.condition:.0f}" if math.isfinite(report.condition) else "nothing is seen"
@@ -145,6 +151,7 @@ def plan(
     policy: Literal["greedy", "batch", "random", "published", "reversed_pairs"] = "greedy",
     criterion: Literal["I", "A", "D"] = "I",
     sensing: Annotated[str, tyro.conf.arg(metavar="PRESET")] = "ft300s",
+    world: Annotated[str, tyro.conf.arg(metavar="WORLD")] = "ideal",
     support: Literal["own_weight", "rigid", "either"] = "own_weight",
     lifts: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False,
     friction: Annotated[float, tyro.conf.arg(metavar="MU")] = 0.5,
@@ -160,6 +167,7 @@ def plan(
     Of the object the planner uses only its shape and its weight.
     Examples: heft plan L2 --budget 60s
               heft plan L2 --until 2% --policy batch --figure results/L2_plan
+              heft plan L2 --world lab --most 12
               heft plan L2 --support rigid --lifts
 
     Args:
@@ -169,6 +177,7 @@ def plan(
         policy: greedy (best of each moment), batch (made better by exchange), random, published, or reversed_pairs.
         criterion: quantity to minimize: I (the expected NAD), A (trace of the covariance) or D (its volume).
         sensing: preset of the sensor.
+        world: ideal, lab or rough, whose errors of the setup are reckoned with.
         support: what carries the weight; either serves both models, and tells them apart.
         lifts: consider lifts too, held still and rocked in the air; not with support own_weight.
         friction: assumed coefficient.
@@ -185,9 +194,11 @@ def plan(
     from scenarios.runners import FeasibilityCheck
     from testbed.objects.files import load_object
     from testbed.sensing import preset, read_scale
+    from testbed.worlds.presets import world as world_of
 
     console, model, sensor = open_console(), load_object(object_), preset(sensing)
-    guess = Guess(read_scale(model.total_mass, sensor, seed), sensor.stated, friction, ASSUMED_SUPPORTS[support])
+    weight, setup = read_scale(model.total_mass, sensor, seed), world_of(world).stated
+    guess = Guess(weight, sensor.stated, friction, ASSUMED_SUPPORTS[support], setup)
     goal = Goal(percent(until, "--until"), seconds(budget, "--budget"), most)
     allowed = named_grasps(model, grasps)
     if policy in ("published", "reversed_pairs"):
@@ -195,7 +206,7 @@ def plan(
     else:
         check, family = FeasibilityCheck(model.shape, guess), action_family(support, lifts=lifts)
         made = PlannedPolicy(guess, policy, criterion, goal, family, candidates, allowed, seed, check).plan(model.shape)
-    title = f"{model.name}, {support}, {sensing}: {policy}"
+    title = f"{model.name}, {support}, {sensing}" + ("" if world == "ideal" else f", {world}") + f": {policy}"
     console.print(Text.assemble((title, "bold"), f"; weighed {guess.weight:.3f} kg"))
     if made.steps:
         console.print(_table(model.shape, made))
@@ -239,45 +250,6 @@ def named_grasps(model: ObjectModel, names: tuple[str, ...] | None) -> tuple[int
     if unknown := sorted(set(names) - set(known)):
         raise InvalidValueError("grasps", ", ".join(unknown), f"grasps of {model.name}: {', '.join(known)}")
     return tuple(known.index(name) for name in names)
-
-
-def percent(text: str | None, name: str) -> float | None:
-    """ "5%" or "0.05" as a part of 1; None stays None.
-
-    Raises:
-        InvalidValueError: not a part between 0 and 1.
-    """
-    if text is None:
-        return None
-    whole = text.strip().endswith("%")
-    value = _number(text.strip().removesuffix("%"), name, text, "a percentage such as 5%") / (100 if whole else 1)
-    if not 0 < value < 1:
-        raise InvalidValueError(name, text, "a percentage above 0% and below 100%, such as 5%")
-    return value
-
-
-def seconds(text: str | None, name: str) -> float | None:
-    """ "60s", "60" or "2min" in seconds; None stays None.
-
-    Raises:
-        InvalidValueError: not a time above 0.
-    """
-    if text is None:
-        return None
-    bare, unit = text.strip().removesuffix("s"), 1.0
-    if bare.endswith("min"):
-        bare, unit = bare.removesuffix("min"), 60.0
-    value = unit * _number(bare, name, text, "a time such as 60s or 2min")
-    if not 0 < value < float("inf"):
-        raise InvalidValueError(name, text, "a time above 0, such as 60s or 2min")
-    return value
-
-
-def _number(bare: str, name: str, text: str, allowed: str) -> float:
-    try:
-        return float(bare)
-    except ValueError:
-        raise InvalidValueError(name, text, allowed) from None
 
 
 def _draw(view: PlanView, figure: Path | None, record: Path | None) -> None:
@@ -331,7 +303,7 @@ def _grams(mass: float) -> str:
 
 def _conclusion(shape: ObjectShape, made: Plan, guess: Guess, goal: Goal) -> Iterator[str]:
     """Lines on how the plan ends, what it leaves open, and what is not feasible."""
-    from estimators.identifiability.information import Assumptions, expected
+    from estimators.identifiability.information import expected
 
     nad = f"{100 * made.after.expected_nad:.3g} %"
     yield (
@@ -340,10 +312,10 @@ def _conclusion(shape: ObjectShape, made: Plan, guess: Guess, goal: Goal) -> Ite
     )
     if goal.until is not None and made.after.expected_nad > goal.until:
         yield f"the target of {100 * goal.until:g} % is not reached; {nad} is the best that this can have"
-    for support in guess.supports:
-        actions = [a for a in made.actions if support == "rigid" or not a.in_air]
-        report = expected(shape, guess.uniform(shape), actions, guess.sensing, Assumptions(support))
-        yield f"{support}: {report.sentence}"
+    for assumptions in guess.assumptions():
+        actions = [a for a in made.actions if assumptions.support == "rigid" or not a.in_air]
+        report = expected(shape, guess.uniform(shape), actions, guess.sensing, assumptions)
+        yield f"{assumptions.support}: {report.sentence}"
     reasons = dict.fromkeys(f"{action.words(shape).name}: {why}" for action, why in made.rejected)
     yield from (f"not feasible: {reason}" for reason in list(reasons)[:MOST_REJECTED])
     if len(made.rejected) > MOST_REJECTED:

@@ -1,4 +1,4 @@
-"""The terminal: a console as wide as it is, which prints every text as it stands, and an orderly end."""
+"""The terminal: a console as wide as it is, numbers as they are typed, and an orderly end."""
 
 from __future__ import annotations
 
@@ -9,6 +9,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 from rich.console import Console
+
+from testbed.errors import InvalidValueError
 
 WIDE = 120
 """Columns where there is no terminal: in a pipe, a file, a log."""
@@ -37,3 +39,42 @@ def orderly_end() -> Iterator[None]:
     finally:
         for name, handler in earlier.items():
             signal.signal(name, handler)
+
+
+def percent(text: str | None, name: str) -> float | None:
+    """ "5%" or "0.05" as a part of 1; None stays None.
+
+    Raises:
+        InvalidValueError: not a part between 0 and 1.
+    """
+    if text is None:
+        return None
+    whole = text.strip().endswith("%")
+    value = _number(text.strip().removesuffix("%"), name, text, "a percentage such as 5%") / (100 if whole else 1)
+    if not 0 < value < 1:
+        raise InvalidValueError(name, text, "a percentage above 0% and below 100%, such as 5%")
+    return value
+
+
+def seconds(text: str | None, name: str) -> float | None:
+    """ "60s", "60" or "2min" in seconds; None stays None.
+
+    Raises:
+        InvalidValueError: not a time above 0.
+    """
+    if text is None:
+        return None
+    bare, unit = text.strip().removesuffix("s"), 1.0
+    if bare.endswith("min"):
+        bare, unit = bare.removesuffix("min"), 60.0
+    value = unit * _number(bare, name, text, "a time such as 60s or 2min")
+    if not 0 < value < float("inf"):
+        raise InvalidValueError(name, text, "a time above 0, such as 60s or 2min")
+    return value
+
+
+def _number(bare: str, name: str, text: str, allowed: str) -> float:
+    try:
+        return float(bare)
+    except ValueError:
+        raise InvalidValueError(name, text, allowed) from None

@@ -64,8 +64,9 @@ def touch(
     """
     from estimators.action_selection.design import ASSUMED_SUPPORTS
     from estimators.action_selection.plan import Goal
-    from scenarios.cli.plan import action_family, named_grasps, percent, seconds
+    from scenarios.cli.plan import action_family, named_grasps
     from scenarios.cli.run import show_progress
+    from scenarios.cli.terminal import percent, seconds
     from scenarios.config import Scenario
     from scenarios.results.files import exclusive, write_json
     from scenarios.results.store import Store

@@ -146,7 +146,8 @@ def experiments_of(
                     for draw in point.own_draws():
                         used, turns = point.policy.split(particles.shape, grasps, draw[1] if draw else 0)
                         refused, weighed = dict[Action, str](), list[float]()
-                        policy = point.policy.build(used, particles.shape, settings, weighed, draw, refused)
+                        setup = point.world.build().stated
+                        policy = point.policy.build(used, particles.shape, settings, weighed, draw, refused, setup)
                         world = point.world.draw(model, draw[1]) if draw else None
                         chosen = (used, policy, turns, refused, weighed)
                         experiments.append(

@@ -9,6 +9,8 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
+import torch
+from scipy.linalg import block_diag
 
 from estimators.action_selection.candidates import REACH, ActionFamily, clear_of_particles
 from estimators.action_selection.cost import RobotTime
@@ -21,10 +23,12 @@ from estimators.identifiability.information import (
     predicted_information,
     prior_information,
     shared_error_count,
+    trial_information,
 )
 from estimators.identifiability.predicted import predicted_lift, predicted_windows
+from estimators.particles.friction_system import torque_errors
 from estimators.particles.lifts import lift_information
-from estimators.particles.pivots import PivotInertia, inertia_map, slope_variance
+from estimators.particles.pivots import inertia_map, slope_weights
 from estimators.particles.windows import Observations
 from estimators.particles.wrench import ParticleLoads
 from testbed.actions.accelerate import Accelerate
@@ -38,6 +42,7 @@ from testbed.sensing.presets import preset
 from testbed.simulation.motion import plan_motion
 from testbed.simulation.settings import SimulationSettings
 from testbed.trajectory import Trajectory
+from testbed.worlds.presets import world
 
 FT300S = preset("ft300s")
 
@@ -55,22 +60,35 @@ def design(name: str, count: int, seed: int = 0, **changes: object) -> tuple[Des
 def joint_information(model: ObjectModel, windows: Observations, assumptions: Assumptions) -> np.ndarray:
     """Oracle: information of all windows at once, shared errors in one covariance instead of unknowns of their own."""
     shape, errors = model.shape, assumptions.model_errors
-    steady, accelerated = windows.where(~windows.accelerated), windows.where(windows.accelerated)
     loads = ParticleLoads.of(shape, model.truth, assumptions.support)
-    rows = [(loads.equations(steady, errors).whitened().q @ loads.slopes).numpy()]
-    pivots, variance = slope_variance(accelerated)
-    per_mass = inertia_map(shape, pivots)
-    inertia, error = per_mass @ model.truth.mass, errors.inertia_error
-    covariance = PivotInertia(pivots, inertia, variance + (error * inertia) ** 2, error).covariance
-    whitened = np.linalg.solve(np.linalg.cholesky(covariance), per_mass)
-    rows.append(np.pad(whitened, ((0, 0), (0, shape.n_mu))))
-    rows.append(np.append(shape.particles_per_group / errors.weight_error, np.zeros(shape.n_mu))[None])
-    root = np.vstack(rows)
+    steady = loads.equations(windows.where(~windows.accelerated), errors)
+    slopes, apart, common = [(steady.q @ loads.slopes).numpy()], [steady.apart.numpy()], [steady.common.numpy()]
+    points = []
+    for index in windows.trial[windows.accelerated].unique().tolist():
+        trial = windows.where(windows.trial == index)
+        none = torch.zeros(len(trial), 3, 3, dtype=torch.float64)
+        drag = loads.load.expand(len(trial), -1)
+        own, of_setup = (each.numpy() for each in torque_errors(trial, loads.model, loads.mass, drag, none))
+        pivots, weights = slope_weights(trial, own + of_setup @ of_setup.T)
+        points.append(pivots)
+        slopes.append(np.pad(inertia_map(shape, pivots), ((0, 0), (0, shape.n_mu))))
+        apart.append(weights @ own @ weights.T)
+        common.append(np.hstack([np.zeros((1, 2)), weights @ of_setup]))
+    per_mass = inertia_map(shape, np.vstack(points))
+    inertia = errors.inertia_error * per_mass @ model.truth.mass
+    same = (np.vstack(points)[:, None] == np.vstack(points)).all(axis=2)
+    rows = len(steady.b)
+    covariance = block_diag(*apart) + np.vstack(common) @ np.vstack(common).T
+    covariance[rows:, rows:] += np.outer(inertia, inertia) * (1 + same)
+    whitened = np.linalg.solve(np.linalg.cholesky(covariance), np.vstack(slopes))
+    weight_error = np.hypot(errors.weight_error, windows.setup.scale)
+    root = np.vstack([whitened, np.append(shape.particles_per_group / weight_error, np.zeros(shape.n_mu))])
     return root.T @ root
 
 
+@pytest.mark.parametrize("world_name", ["ideal", "lab"])
 @pytest.mark.parametrize("support", ["own_weight", "rigid"])
-def test_information_of_trials_adds_up_to_that_of_all_together(support):
+def test_information_of_trials_adds_up_to_that_of_all_together(support, world_name):
     model, assumptions = load_object("L2"), Assumptions(support)
     shape = model.shape
     actions = [
@@ -82,12 +100,13 @@ def test_information_of_trials_adds_up_to_that_of_all_together(support):
         Accelerate(3),
         Rotate(4, pivot=(0.01, 0.06), duration=5.0, back=True),
     ]
-    windows = predicted_windows(shape, actions, FT300S)
+    windows = predicted_windows(shape, actions, FT300S, world(world_name).stated)
     assert windows is not None
+    windows = replace(windows, table=((-0.4, -0.3), (0.3, 0.4)), sensed=windows.sensed + torch.arange(6.0).double())
     together = joint_information(model, windows, assumptions)
     size = np.sqrt(np.diag(together))
-    trials = predicted_information(shape, model.truth, actions, FT300S, assumptions)
-    root = trials.root(shape, assumptions.model_errors.weight_error)
+    trials = trial_information(shape, model.truth, windows, len(actions), assumptions, {})
+    root = trials.root(shape, np.hypot(assumptions.model_errors.weight_error, windows.setup.scale))
     np.testing.assert_allclose(root.T @ root / np.outer(size, size), together / np.outer(size, size), atol=1e-11)
     assert shared_error_count(shape) == 3 + 5
 

@@ -14,7 +14,8 @@ from estimators.action_selection.rank import RankDriven
 from estimators.base import ActionPolicy
 from estimators.identifiability.information import SUPPORTS
 from scenarios.cli.main import main
-from scenarios.cli.plan import percent, plan_view, seconds
+from scenarios.cli.plan import plan_view
+from scenarios.cli.terminal import percent, seconds
 from scenarios.config import Policy
 from scenarios.policies import AfterWeighing
 from scenarios.results.estimates import load_results

@@ -55,7 +55,7 @@ def test_a_grasp_offset_moves_the_object_in_the_hand():
     plain = [analytic_trial(OBJECT, action) for action in ACTIONS]
     beside = [held_beside(OBJECT, action, offset) for action in ACTIONS]
     columns = effects(plain, SetupErrors(grasp_offset=0.001))["grasp_offset"]
-    predicted = columns.reshape(len(columns), len(ACTIONS), 2).sum(1) @ (-offset / 0.001)
+    predicted = columns @ (-offset / 0.001)
     assert_allclose(predicted, wrenches(beside) - wrenches(plain), atol=0.03 * np.abs(predicted).max())
 
 

@@ -16,7 +16,7 @@ from typing import Any
 
 import pandas as pd
 
-from scenarios.config import Scenario, Sweep, load_scenario
+from scenarios.config import Grid, Scenario, Sweep, load_scenario
 from scenarios.execution.executor import Executor, default_workers, open_executor, work_off
 from scenarios.results.files import exclusive, read_json, write_json
 from scenarios.results.store import Store, rows_of
@@ -159,9 +159,13 @@ def estimate_measured(folder: Path, request: EstimateRequest, progress: Progress
     """Run the methods on the measured trials of a folder, and write results and manifest.
 
     Raises:
-        InvalidValueError: no measured trials, no weighing, or no such object, method or scenario.
+        InvalidValueError: no measured trials, no weighing, no such object, method or scenario, or a scenario with
+            other particles than the trials hold.
     """
     methods = load_scenario(request.scenario)[1].changed(methods=request.methods)
+    if (particles := methods.grid.particles) != (recorded := Grid().particles):
+        allowed = f"{recorded}: measured trials hold their object with so many particles along a block's side"
+        raise InvalidValueError("grid.particles", particles, allowed)
     check_code(methods)
     workers, begin = default_workers() if request.workers is None else request.workers, time.monotonic()
     found, left_out = measured_trials(folder, request.objects, request.held_out)

@@ -17,6 +17,7 @@ from testbed.importers.mapping import HandMap, JointMap, Mapping, TimeMap, Veloc
 from testbed.importers.phases import (
     RATE,
     Phases,
+    check_sensor_alive,
     common_base,
     phases_from_motion,
     phases_from_windows,
@@ -50,7 +51,7 @@ def import_trajectory(log: Path, mapping: Path, limit: DriftLimit | None = None)
         LogError: invalid numbers or times, gaps, or phases that cannot be found; or several errors, one line each.
     """
     table = load_toml(mapping, Mapping).for_log(log, mapping.parent)
-    source = open_log(log, table.separator)
+    source = open_log(log, table)
     (action, model), wrench, pose, joints, velocity = read_all(
         lambda: _action_and_object(table, mapping),
         lambda: _wrench(source, table),
@@ -65,6 +66,7 @@ def import_trajectory(log: Path, mapping: Path, limit: DriftLimit | None = None)
     twist = resampled(velocity, base) if velocity else _differentiated(position, hand)
     position[:, 2] -= table.hand.table_height_m
     phase, segment = _phases(table, time, position[:, 2], twist)
+    check_sensor_alive(wrench, base[0] + time[np.flatnonzero(segment >= 0)[[0, -1]]])
     grasp = model.shape.grasps[action.grasp]
     yaw = _closing_yaw(hand, table.hand) - grasp.angle
     sensor = hand * Rotation.from_quat(table.sensor.in_hand_wxyz, scalar_first=True)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Iterable, Sequence
 from functools import partial
+from io import StringIO
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -13,9 +14,13 @@ import pandas as pd
 from jaxtyping import Float
 
 from testbed.errors import HeftError, InvalidValueError, nearest
-from testbed.importers.mapping import TimeMap, factor
+from testbed.importers.mapping import Mapping, TimeMap, factor
 
+TABLES = (".csv", ".tsv", ".txt")
+"""Suffixes of tables."""
 _MOST_LISTED = 12
+_MOST_SHARED = 0.05
+"""Largest part of the samples that may have the time of another: a clock's resolution."""
 
 
 class LogError(HeftError):
@@ -52,15 +57,22 @@ class Series(NamedTuple):
 
 
 class CsvLog:
-    """CSV table with a header line. A row may leave a group of columns blank, if the table joins several rates."""
+    """Table with a header line. A row may leave a group of columns blank, if the table joins several rates."""
 
-    def __init__(self, path: Path, separator: str):
-        self._path = path
+    def __init__(self, path: Path, mapping: Mapping):
+        self._path, self._decimal = path, mapping.decimal
         try:
-            self._table = pd.read_csv(path, sep=separator, dtype=str, skipinitialspace=True, skip_blank_lines=False)
-        except (OSError, ValueError, UnicodeDecodeError) as error:
+            lines = path.read_text(encoding="utf-8-sig").split("\n")
+            kept = [i for i, line in enumerate(lines) if not (mapping.comment and line.startswith(mapping.comment))]
+            text = StringIO("\n".join(lines[i] for i in kept))
+            table = pd.read_csv(
+                text, sep=mapping.separator, dtype=str, header=None, skipinitialspace=True, skip_blank_lines=False
+            )
+        except (OSError, ValueError) as error:
             raise LogError(f"{path}: cannot be read as a table: {str(error).strip()}") from None
-        self._table.columns = [str(name).strip() for name in self._table.columns]
+        self._lines = np.array(kept[1 : len(table)]) + 1
+        self._names = [str(name).strip() for name in table.iloc[0]]
+        self._table = table[1:]
 
     def series(self, field: str, names: Sequence[str], topic: str | None, time: TimeMap) -> Series:
         """Columns by name.
@@ -80,21 +92,25 @@ class CsvLog:
         fields = [("time.column", time.column), *((field, name) for name in names)]
         rows = np.column_stack(read_all(*(partial(self._numbers, *pair) for pair in fields)))
         there = ~np.isnan(rows[:, 1:]).all(axis=1)
-        rows, lines = rows[there], np.flatnonzero(there) + 2
+        rows, lines = rows[there], self._lines[there]
         if (bad := ~np.isfinite(rows)).any():
             row, column = np.argwhere(bad)[0]
             raise LogError(f"{self._path}: line {lines[row]}: {(time.column, *names)[column]} is blank or not finite")
         return _in_order(self._path, field, rows[:, 0] * factor("time", time.unit), rows[:, 1:])
 
     def _numbers(self, field: str, name: str) -> np.ndarray:
-        if name not in self._table.columns:
-            raise _unknown(field, name, list(self._table.columns), self._path)
-        cells = self._table[name]
-        numbers = np.asarray(pd.to_numeric(cells, errors="coerce"), dtype=float)
+        if name not in self._names:
+            raise _unknown(field, name, self._names, self._path)
+        if (count := self._names.count(name)) > 1:
+            raise LogError(f"{self._path}: {field}: {name}: {count} columns have this name; allowed: one")
+        cells = pd.Series(self._table.iloc[:, self._names.index(name)])
+        plain = cells if self._decimal == "." else cells.str.replace(self._decimal, ".", regex=False)
+        numbers = np.asarray(pd.to_numeric(plain, errors="coerce"), dtype=float)
         wrong = np.flatnonzero(np.isnan(numbers) & cells.notna())
         if len(wrong):
             at = int(wrong[0])
-            raise LogError(f"{self._path}: line {at + 2}: {name}: got {cells.iloc[at]!r}; allowed: a number, or blank")
+            allowed = "a number, or blank"
+            raise LogError(f"{self._path}: line {self._lines[at]}: {name}: got {cells.iloc[at]!r}; allowed: {allowed}")
         return numbers
 
 
@@ -104,8 +120,7 @@ class McapLog:
     def __init__(self, path: Path):
         self._path = path
         try:
-            from mcap.exceptions import McapError  # noqa: PLC0415  an extra, needed by such files alone
-            from mcap.reader import make_reader  # noqa: PLC0415
+            from mcap.reader import NonSeekingReader  # noqa: PLC0415  an extra, needed by such files alone
         except ImportError:
             raise LogError(
                 f"{path}: reading MCAP needs mcap: not installed; pip install 'heft-testbed[robot]'"
@@ -114,14 +129,15 @@ class McapLog:
         self._encodings: dict[str, str] = {}
         try:
             with path.open("rb") as file:
-                for _, channel, message in make_reader(file).iter_messages():
+                # from front to back: only then is every checksum compared, the data section's too
+                for _, channel, message in NonSeekingReader(file, validate_crcs=True).iter_messages():
                     self._encodings[channel.topic] = channel.message_encoding
                     if channel.message_encoding == "json":
                         fields = dict(_leaves(json.loads(message.data)))
                         stamped = (message.log_time, message.publish_time, fields)
                         self._messages.setdefault(channel.topic, []).append(stamped)
-        except (OSError, ValueError, McapError) as error:
-            raise LogError(f"{path}: not a whole MCAP file: {error}") from None
+        except Exception as error:  # damaged bytes raise anything, from the decompressors too
+            raise LogError(f"{path}: not a whole MCAP file: {str(error) or type(error).__name__}") from None
 
     def series(self, field: str, names: Sequence[str], topic: str | None, time: TimeMap) -> Series:
         """Fields by name, see `CsvLog.series`."""
@@ -152,20 +168,20 @@ class McapLog:
         return values
 
 
-def open_log(path: Path, separator: str = ",") -> CsvLog | McapLog:
+def open_log(path: Path, mapping: Mapping) -> CsvLog | McapLog:
     """Open a log by its suffix.
 
     Raises:
-        InvalidValueError: a suffix other than .csv and .mcap, or no such file.
+        InvalidValueError: a suffix that is none of a table's or .mcap, or no such file.
         LogError: a file that cannot be read.
     """
     if not path.is_file():
         raise InvalidValueError("log", str(path), "an existing .csv or .mcap file")
-    if path.suffix == ".csv":
-        return CsvLog(path, separator)
+    if path.suffix in TABLES:
+        return CsvLog(path, mapping)
     if path.suffix == ".mcap":
         return McapLog(path)
-    raise InvalidValueError("log", str(path), "a file that ends in .csv or .mcap")
+    raise InvalidValueError("log", str(path), f"a file that ends in {', '.join(TABLES)} or .mcap")
 
 
 def _leaves(data: Any, path: str = "") -> Iterable[tuple[str, Any]]:
@@ -179,13 +195,19 @@ def _leaves(data: Any, path: str = "") -> Iterable[tuple[str, Any]]:
 
 
 def _in_order(path: Path, field: str, time: np.ndarray, values: np.ndarray) -> Series:
-    if len(time) < 2:
-        raise LogError(f"{path}: {field}: got {len(time)} samples; allowed: 2 or more")
     steps = np.diff(time)
     if (steps < 0).any():
         at = int(np.argmax(steps < 0)) + 1
         raise LogError(f"{path}: {field}: time goes back by {-steps[at - 1]:g} s at sample {at}")
     first = np.concatenate([[True], steps > 0])  # the first of samples with one stamp is the nearest to it
+    shared = int((~first[1:] & (np.diff(values, axis=0) != 0).any(axis=1)).sum())
+    if shared > _MOST_SHARED * len(time):
+        raise LogError(
+            f"{path}: {field}: {shared} of {len(time)} samples have the time of the one before and other values; "
+            f"allowed: {100 * _MOST_SHARED:g} %: use a finer clock"
+        )
+    if first.sum() < 2:
+        raise LogError(f"{path}: {field}: got {first.sum()} samples at different times; allowed: 2 or more")
     return Series(time[first], values[first])
 
 

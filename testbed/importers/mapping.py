@@ -206,6 +206,8 @@ class Mapping(_Table):
     object: Text
     action: MovingAction | None = None
     separator: Text = ","
+    decimal: Literal[".", ","] = "."
+    comment: str = "#"
     longest_gap_s: Positive = 0.1
     time: TimeMap
     sensor: SensorMap
@@ -217,9 +219,23 @@ class Mapping(_Table):
     phases: Windows = []
     logs: list[LogMap] = []
 
+    @model_validator(mode="after")
+    def _separates_columns(self) -> Self:
+        if self.separator == self.decimal:
+            raise InvalidValueError("separator", self.separator, "another character than that of decimals")
+        return self
+
     def for_log(self, log: Path, folder: Path) -> Mapping:
-        """Mapping of one log; `folder` is the mapping file's."""
-        own = next((entry for entry in self.logs if (folder / entry.file).resolve() == log.resolve()), None)
+        """Mapping of one log; `folder` is the mapping file's.
+
+        Raises:
+            InvalidValueError: two [[logs]] name this log.
+        """
+        named = [entry for entry in self.logs if (folder / entry.file).resolve() == log.resolve()]
+        if len(named) > 1:
+            allowed = "each file once: a log is one trial, from tare to release; cut a longer one into files"
+            raise InvalidValueError("logs.file", named[0].file, allowed)
+        own = named[0] if named else None
         changes = {} if own is None else {"action": own.action, "phases": own.phases}
         return self.model_copy(update={"logs": [], **{k: v for k, v in changes.items() if v is not None}})
 

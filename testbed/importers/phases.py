@@ -28,6 +28,8 @@ STILL = (0.002, np.radians(0.5))
 ABOVE = 0.01
 """Height over the grasp from which the tool holds nothing [m]."""
 _SHORTEST_TARE = 0.3
+_LONGEST_EQUAL = 0.5
+"""Time for which a component of a moved sensor may stay exactly the same [s]."""
 _SMOOTHING = 0.25
 """Time over which motion is averaged [s]."""
 
@@ -53,6 +55,33 @@ def common_base(series: Iterable[Series], longest_gap: float) -> Float[np.ndarra
     if end - begin < 1.0:
         raise LogError(f"log: its columns have {max(end - begin, 0.0):.2f} s in common; allowed: 1 s or more")
     return begin + np.arange(int((end - begin) * RATE + 1e-6) + 1) / RATE
+
+
+def check_sensor_alive(wrench: Series, moved: Float[np.ndarray, "2"]) -> None:
+    """Check that no component of the wrench is stuck, in the whole log or while the object moves.
+
+    Args:
+        wrench: as logged.
+        moved: begin and end of the motion, by the log's clock [s].
+
+    Raises:
+        LogError: a component has one value throughout; or one for long in motion, though its noise is several counts.
+    """
+    inside = (wrench.time_s >= moved[0]) & (wrench.time_s <= moved[1])
+    time = wrench.time_s[inside]
+    for name, column in zip(("fx", "fy", "fz", "tx", "ty", "tz"), wrench.values.T, strict=True):
+        levels = np.unique(column)
+        if len(levels) == 1:
+            raise LogError(f"sensor: {name} is {column[0]:g} in all samples; allowed: a component that is measured")
+        steps = np.abs(np.diff(column))
+        several_counts = np.median(steps[steps > 0]) > 3 * np.diff(levels).min()
+        for run in _runs(np.diff(column[inside]) == 0) if several_counts else []:
+            seconds = time[run[-1] + 1] - time[run[0]]
+            if seconds > _LONGEST_EQUAL:
+                raise LogError(
+                    f"sensor: {name} stays at {column[inside][run[0]]:g} for {seconds:.2g} s from "
+                    f"{time[run[0]] - wrench.time_s[0]:.2f} s, in motion; allowed: {_LONGEST_EQUAL:g} s: it was stuck"
+                )
 
 
 def resampled(series: Series, base: Float[np.ndarray, "T"]) -> Float[np.ndarray, "T K"]:
@@ -149,12 +178,29 @@ def _steady(action: TableAction, rate: np.ndarray) -> list[np.ndarray]:
     wanted = [stretch.speed for stretch in action.steady]
     if [np.sign(rate[s].mean()) for s in stretches] == np.sign(wanted).tolist():
         return stretches
-    found = ", ".join(f"{rate[s].mean():+.3g} for {len(s) / RATE:.1f} s" for s in stretches) or "none"
+    unit, scale = ("deg/s", 180 / np.pi) if action.turns else ("mm/s", 1e3)
+    asked = ", ".join(_speed(w, seconds, unit, scale) for w in wanted)
+    seen = [(float(np.median(rate[s])), len(s) / RATE) for s in stretches] or _constant_speeds(rate)
+    found = ", ".join(_speed(*one, unit, scale) for one in seen) or "none: its speed is never constant"
     raise LogError(
-        f"phases: the steady stretches found are {found}; the action has "
-        f"{', '.join(f'{w:+.3g} for {seconds:g} s' for w in wanted)} (rad/s or m/s); correct its speed and "
+        f"phases: the action has steady stretches of {asked}; the log has {found}; correct the action's speed and "
         "duration, or give [[phases]]"
     )
+
+
+def _speed(speed: float, seconds: float, unit: str, scale: float) -> str:
+    si = "rad/s" if unit == "deg/s" else "m/s"
+    return f"{speed:+.4g} {si} ({scale * speed:+.3g} {unit}) for {seconds:.1f} s"
+
+
+def _constant_speeds(rate: np.ndarray) -> list[tuple[float, float]]:
+    """Speed and duration [s] of every stretch of at least 0.5 s in which the speed stays near its median."""
+    found = []
+    for run in _runs(np.abs(rate) > STILL[0]):
+        speed = float(np.median(rate[run]))
+        close = [r for r in _runs(np.abs(rate[run] - speed) < STEADY_WITHIN * abs(speed)) if len(r) >= RATE / 2]
+        found += [(speed, len(r) / RATE) for r in close]
+    return found
 
 
 def _runs(inside: np.ndarray) -> list[np.ndarray]:

@@ -109,10 +109,12 @@ def test_what_is_wrong_with_all_logs_is_told_at_once_and_nothing_is_written(
         (("estimate", "lab"), "a folder in which L2 was weighed: heft robot trial --action weigh --weight KG, or heft"),
         (("estimate", "lab", "--objects", "F2"), "--objects: got 'F2'; allowed: objects of lab: L2"),
         (("estimate", "lab", "--methods", "hiden"), "--methods: got 'hiden'; allowed: some of the scenario's hidden_s"),
+        (("estimate", "lab", "--scenario", "fine.toml"), "grid.particles: got 5; allowed: 3: measured trials hold"),
         (("estimate", "lab", "--held-out", "-1"), "--held-out: got -1; allowed: an integer >= 0"),
     ],
 )
 def test_bad_input_is_one_clear_line(lab: Path, capsys: pytest.CaptureFixture[str], words: tuple[str, ...], said: str):
+    (lab / "fine.toml").write_text('objects = ["L2"]\ngrid = { particles = 5 }\n[methods.hidden_states]\n')
     assert words[:2] != ("estimate", "lab") or ended("import", "lab.toml", "--out", "lab") == 0
     capsys.readouterr()
     assert ended(*words) == 2

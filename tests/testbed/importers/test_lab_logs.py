@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -159,12 +160,14 @@ def test_rates_are_brought_together(turn: Trajectory, tmp_path: Path, sensor_hz:
     windows_agree(found, turn, 0.03)
 
 
-def write_mcap(path: Path, sensor: pd.DataFrame, hand: pd.DataFrame, encoding: str = "json") -> Path:
+def write_mcap(
+    path: Path, sensor: pd.DataFrame, hand: pd.DataFrame, encoding: str = "json", plain: bool = False
+) -> Path:
     pytest.importorskip("mcap")
-    from mcap.writer import Writer  # noqa: PLC0415  an extra
+    from mcap.writer import CompressionType, Writer  # noqa: PLC0415  an extra
 
     with path.open("wb") as file:
-        writer = Writer(file)
+        writer = Writer(file, compression=CompressionType.NONE if plain else CompressionType.ZSTD)
         writer.start()
         rows = []
         for topic, table in (("/ft", sensor), ("/arm", hand)):
@@ -268,18 +271,73 @@ def test_a_wrong_log_is_refused(turn: Trajectory, tmp_path: Path):
         assert error in refused(tmp_path / "wrong.csv", mapping)
     pd.concat([table[:300], table[340:]]).to_csv(tmp_path / "gone.csv", index=False)
     table[:50].to_csv(tmp_path / "short.csv", index=False)
-    for name in ("empty.csv", "log.txt"):
+    for name in ("empty.csv", "log.xls"):
         (tmp_path / name).write_text("")
     for name, error in (
         ("gone.csv", "silent for 0.41 s at 2.99 s; allowed: 0.1 s"),
         ("short.csv", "0.49 s in common; allowed: 1 s or more"),
         ("empty.csv", "empty.csv: cannot be read"),
-        ("log.txt", ".csv or .mcap"),
+        ("log.xls", ".csv, .tsv, .txt or .mcap"),
         ("none.csv", "an existing .csv or .mcap file"),
     ):
         assert error in refused(tmp_path / name, mapping)
     late = {n: v[~turn.mask(Phase.TARE)] for n, v in vars(turn).items() if np.shape(v)[:1] == turn.time_s.shape}
     assert "phases: no tare" in refused(write_csv(tmp_path / "log.csv", replace(turn, **late)), mapping)
+
+
+def test_columns_that_measure_nothing_and_clocks_that_stand_are_refused(turn: Trajectory, tmp_path: Path):
+    path, mapping = write_csv(tmp_path / "log.csv", turn), mapping_of(turn)
+    table = pd.read_csv(path)
+    held = np.flatnonzero(turn.segment == 0)
+    for changes, error in (
+        ({"fy": table["fy"].iloc[0]}, "sensor: fy is "),
+        ({"tz": table["tz"].mask(table.index > held[50]).ffill()}, "s, in motion; allowed: 0.5 s: it was stuck"),
+        ({"stamp": table["stamp"].iloc[0]}, "samples have the time of the one before and other values; allowed: 5 %"),
+        ({"stamp": table["stamp"] // 20 * 20}, "samples have the time of the one before and other values"),
+    ):
+        table.assign(**changes).to_csv(tmp_path / "wrong.csv", index=False)
+        assert error in refused(tmp_path / "wrong.csv", mapping)
+    table[:1].to_csv(tmp_path / "wrong.csv", index=False)
+    assert "got 1 samples at different times" in refused(tmp_path / "wrong.csv", mapping)
+    header, rest = path.read_text().split("\n", 1)
+    (tmp_path / "wrong.csv").write_text(header.replace("fy", "fx") + "\n" + rest)
+    lines = refused(tmp_path / "wrong.csv", mapping)
+    assert "fx: 2 columns have this name; allowed: one" in lines
+    coarse = table.assign(**{name: table[name].round(1) for name in ("fx", "fy", "fz")})  # a sensor of few counts
+    coarse.to_csv(path, index=False)
+    assert import_trajectory(path, write_toml(tmp_path / "map.toml", mapping)).ok
+
+
+def test_tables_are_read_as_other_programs_write_them(turn: Trajectory, tmp_path: Path):
+    path, mapping = write_csv(tmp_path / "log.csv", turn), mapping_of(turn)
+    table = pd.read_csv(path)
+    text = table.to_csv(index=False, sep=";", decimal=",")
+    (tmp_path / "log.txt").write_text("# bench 3\n" + text.replace("\n", "\n# a mark\n", 40), encoding="utf-8")
+    there = import_trajectory(path, write_toml(tmp_path / "map.toml", mapping))
+    mapping |= {"separator": ";", "decimal": ","}
+    again = import_trajectory(tmp_path / "log.txt", write_toml(tmp_path / "map.toml", mapping))
+    assert_allclose(again.sensor_wrench, there.sensor_wrench, atol=1e-12)
+    (tmp_path / "log.txt").write_text("# bench 3\n" + text.replace(",", "x", 30), encoding="utf-8")
+    assert "line 3: " in refused(tmp_path / "log.txt", mapping)
+    assert "separator: got ','; allowed: another character" in refused(path, mapping | {"separator": ","})
+
+
+def test_a_wrong_speed_is_told_with_the_one_that_was_seen(turn: Trajectory, tmp_path: Path):
+    asked = mapping_of(turn, action=turn.action.to_dict() | {"speed": 0.4})
+    error = refused(write_csv(tmp_path / "log.csv", turn), asked)
+    assert "steady stretches of +0.4 rad/s (+22.9 deg/s) for 2.0 s, -0.4 rad/s" in error
+    seen = re.findall(r"([+-][\d.]+) rad/s \([^)]*\) for ([\d.]+) s", error.split("the log has")[1])
+    assert_allclose(np.array(seen, dtype=float), [[0.1745, 2.0], [-0.1745, 2.0]], rtol=0.05, atol=0.2)
+
+
+def test_a_damaged_mcap_is_refused_wherever_it_is_hit(turn: Trajectory, tmp_path: Path):
+    path, mapping = write_mcap(tmp_path / "log.mcap", *at_other_rates(turn, 100.0, 40.0), plain=True), of_mcap(turn)
+    content = path.read_bytes()
+    at = [found.start() for found in re.finditer(rb'"force": \{"x": -?\d', content)]
+    for begin in at[:: len(at) // 5]:
+        digit = content.index(b".", begin) - 1
+        path.write_bytes(content[:digit] + bytes([content[digit] ^ 1]) + content[digit + 1 :])
+        assert "crc validation failed" in refused(path, mapping)
 
 
 def test_blank_rows_and_repeated_stamps_do_no_harm(turn: Trajectory, tmp_path: Path):
@@ -342,6 +400,9 @@ def test_one_file_serves_logs_of_several_actions(turn: Trajectory, slide: Trajec
     assert import_trajectory(second, mapping).action == slide.action
     none = write_toml(tmp_path / "none.toml", mapping_of(turn, action=None, logs=entries))
     assert import_trajectory(second, none).action == slide.action
+    twice = write_toml(tmp_path / "twice.toml", mapping_of(turn, logs=[entries[0], *entries]))
+    with pytest.raises(InvalidValueError, match=r"logs\.file: got 'logs/0.csv'; allowed: each file once"):
+        import_trajectory(first, twice)
     with pytest.raises(InvalidValueError, match="action: got None"):
         import_trajectory(first, none)
     bad = write_toml(tmp_path / "bad.toml", mapping_of(turn, logs=[{"file": "a", "action": {"kind": "weigh"}}]))

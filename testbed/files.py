@@ -1,12 +1,53 @@
-"""Files: found in a library or by path, and written whole or not at all."""
+"""Files: found in a library or by path, read within bounds, written whole or not at all, and sealed by a checksum.
+
+A stored file holds its own checksum: the SHA-256 of all its bytes, the checksum itself taken as zeros. It tells damage,
+not forgery.
+"""
 
 from __future__ import annotations
 
+import errno
+import hashlib
 import os
+import stat
+import warnings
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
-from testbed.errors import InvalidValueError, nearest
+from testbed.errors import HeftError, InvalidValueError, nearest
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+T = TypeVar("T")
+_MARK = b"heft-sha256:"
+UNSEALED = _MARK.decode() + "0" * 64
+"""Place for the checksum in what `write_sealed` is given to write: a field, an entry of metadata, a comment."""
+MOST_BYTES = 200 * 2**20
+"""Largest file that is read."""
+MOST_VALUES = 20_000_000
+"""Values in the largest table that is read: a record of a quarter of an hour at 500 Hz, or a sweep of 400,000 rows."""
+
+
+class DamagedFileError(HeftError):
+    """A stored file that is missing, is not as it was written, or is of another version of heft."""
+
+
+class DamagedFileWarning(UserWarning):
+    """A damaged file that is left out, or made again."""
+
+
+_usual_format = warnings.formatwarning
+
+
+def _format(message: Warning | str, category: type[Warning], *rest: Any, **named: Any) -> str:
+    return f"heft: {message}\n" if category is DamagedFileWarning else _usual_format(message, category, *rest, **named)
+
+
+def print_damage_plainly() -> None:
+    """Let this process print warnings of damaged files as heft prints its errors, a line each."""
+    warnings.formatwarning = _format
 
 
 def find_file(name_or_path: str | Path, library: Path, what: str) -> Path:
@@ -52,3 +93,84 @@ def write_whole(path: Path, write: Any) -> None:
         raise
     finally:
         part.unlink(missing_ok=True)
+
+
+def write_sealed(path: Path, write: Callable[[Path], Any]) -> None:
+    """Write a file as `write_whole` does, and fill in its checksum where `write` has put `UNSEALED` last."""
+
+    def sealed(part: Path) -> None:
+        write(part)
+        data = part.read_bytes()
+        with open(part, "r+b") as file:
+            file.seek(data.rindex(UNSEALED.encode()) + len(_MARK))
+            file.write(hashlib.sha256(data).hexdigest().encode())
+
+    write_whole(path, sealed)
+
+
+def read_file(path: Path, most: int = MOST_BYTES) -> bytes:
+    """Content of a plain file of at most so many bytes.
+
+    Raises:
+        OSError: no file, one that cannot be read, a pipe or a device, or a larger one.
+    """
+    with open(os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC), "rb") as file:
+        found = os.fstat(file.fileno())
+        if not stat.S_ISREG(found.st_mode):
+            raise OSError(errno.EINVAL, "not a plain file", str(path))
+        if found.st_size > most:
+            size = f"{found.st_size / 2**20:.0f} MiB, more than the {most / 2**20:g} that are read"
+            raise OSError(errno.EFBIG, size, str(path))
+        return file.read(most)
+
+
+def load_sealed(path: Path, what: str, parse: Callable[[bytes], T]) -> T:
+    """A stored file as `parse` makes it of its bytes, once they are known to be those that were written.
+
+    Args:
+        path: the file.
+        what: the kind of file, for the error.
+        parse: reader of its bytes.
+
+    Raises:
+        DamagedFileError: missing, cut short, changed, or not what `parse` reads.
+    """
+    try:
+        data = read_file(path)
+    except OSError as error:
+        raise DamagedFileError(f"{path}: not a whole {what}: {error.strerror}") from None
+    at = data.rfind(_MARK) + len(_MARK)
+    digest = hashlib.sha256(data[:at])
+    digest.update(b"0" * 64)
+    digest.update(data[at + 64 :])
+    if at < len(_MARK) or data[at : at + 64] != digest.hexdigest().encode():
+        raise DamagedFileError(f"{path}: not a whole {what}: it is not as it was written (checksum)")
+    try:
+        return parse(data)
+    except Exception as error:  # of another version, or of somebody else: a parser may raise anything
+        raise DamagedFileError(f"{path}: not a whole {what}: {error}") from None
+
+
+def read_table(data: bytes) -> pa.Table:
+    """Table of a Parquet file.
+
+    Raises:
+        ValueError: not Parquet, or more than `MOST_VALUES` values, which may be packed into a few bytes.
+    """
+    import pyarrow as pa  # noqa: PLC0415  this module loads quickly
+    import pyarrow.parquet as pq  # noqa: PLC0415
+
+    file = pq.ParquetFile(pa.BufferReader(data))
+    values = file.metadata.num_rows * file.metadata.num_columns
+    if values > MOST_VALUES:
+        raise ValueError(f"{values} values, more than the {MOST_VALUES} that are read")
+    return file.read()
+
+
+def unless_damaged(read: Callable[[], T], then: str) -> T | None:
+    """What is read; None where a file of it is damaged, with a warning that names it and says what follows."""
+    try:
+        return read()
+    except DamagedFileError as error:
+        warnings.warn(f"{error}; {then}", DamagedFileWarning, stacklevel=2)
+        return None

@@ -10,15 +10,11 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from jaxtyping import Float, Int
 
-from testbed.errors import HeftError, InvalidValueError
-from testbed.files import write_whole
+from testbed.errors import InvalidValueError
+from testbed.files import UNSEALED, load_sealed, read_table, write_sealed
 from testbed.validation import freeze_arrays, frozen_array
 
 _AXES = ("fx_N", "fy_N", "fz_N")
-
-
-class FootForcesFileError(HeftError):
-    """A file of foot forces that is damaged."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,9 +46,10 @@ def save_foot_forces(feet: FootForces, path: Path) -> None:
         for i, axis in enumerate(_AXES)
     }
     table = pa.table({"time_s": feet.time_s} | lists)
-    table = table.replace_schema_metadata({b"particle": ",".join(map(str, feet.particle)).encode()})
+    particle = ",".join(map(str, feet.particle))
+    table = table.replace_schema_metadata({"particle": particle, "checksum": UNSEALED})
     split = {name: "BYTE_STREAM_SPLIT" for name in ("time_s", *(f"{axis}.list.element" for axis in _AXES))}
-    write_whole(
+    write_sealed(
         path,
         lambda part: pq.write_table(table, part, compression="zstd", use_dictionary=False, column_encoding=split),
     )
@@ -62,13 +59,14 @@ def load_foot_forces(path: Path) -> FootForces:
     """Read foot forces back.
 
     Raises:
-        FootForcesFileError: damaged.
+        DamagedFileError: damaged.
     """
-    try:
-        table = pq.read_table(path)
+
+    def parsed(data: bytes) -> FootForces:
+        table = read_table(data)
         particle = np.array((table.schema.metadata or {})[b"particle"].decode().split(","), dtype=np.int64)
         axes = [table.column(a).combine_chunks().flatten().to_numpy(zero_copy_only=False) for a in _AXES]
         force = np.stack([axis.reshape(table.num_rows, len(particle)) for axis in axes], axis=-1)
         return FootForces(table.column("time_s").to_numpy(), particle, force)
-    except (OSError, pa.ArrowException, KeyError, ValueError, AttributeError) as error:
-        raise FootForcesFileError(f"{path}: not a whole file of foot forces: {error}") from None
+
+    return load_sealed(path, "file of foot forces", parsed)

@@ -14,9 +14,10 @@ import pyarrow.parquet as pq
 
 from testbed.actions.base import Action, action_from_dict
 from testbed.errors import InfeasibleTrialError, InvalidValueError
+from testbed.files import DamagedFileError, load_sealed
 from testbed.sensing.noise import draw_sensing
 from testbed.sensing.presets import preset
-from testbed.trajectory import Trajectory, TrajectoryFileError, load_trajectory
+from testbed.trajectory import Trajectory, load_trajectory
 from testbed.trial import Trial
 
 UNNAMED = "an object without a name"
@@ -78,7 +79,7 @@ class ReplayRunner:
 
         Raises:
             InvalidValueError: no such folder, or nothing recorded in it.
-            TrajectoryFileError: a file that is no trajectory.
+            DamagedFileError: a file that is no trajectory, or a damaged trial.json.
         """
         root = Path(folder)
         finished = [p.with_name("trajectory.parquet") for p in sorted((root / "trials").glob("*/trial.json"))]
@@ -104,7 +105,7 @@ class ReplayRunner:
         Raises:
             InfeasibleTrialError: it was never recorded, or all its repeats have been played; the message says what
                 there is.
-            TrajectoryFileError: its file is damaged.
+            DamagedFileError: its file is damaged.
         """
         fitting = [r for r in self.recordings if r.fits(trial)]
         left = [r for r in fitting if r.path not in self._played]
@@ -131,7 +132,7 @@ def _header(path: Path) -> tuple[dict[str, Any], dict[str, str]]:
         header = json.loads((pq.read_schema(path).metadata or {})[b"heft"])
         return header["action"], header["provenance"]
     except (OSError, pa.ArrowException, KeyError, ValueError, TypeError) as error:
-        raise TrajectoryFileError(f"{path}: not a trajectory file: {error}") from None
+        raise DamagedFileError(f"{path}: not a trajectory file: {error}") from None
 
 
 def _recording(path: Path, action: dict[str, Any], provenance: Mapping[str, str]) -> Recording:
@@ -146,8 +147,8 @@ def _object_of(path: Path, provenance: Mapping[str, str]) -> str | None:
     if not (path.name == "trajectory.parquet" and trial.is_file()):
         return None
     try:
-        return str(json.loads(trial.read_text(encoding="utf-8"))["names"]["object"])
-    except (OSError, ValueError, KeyError, TypeError):
+        return str(load_sealed(trial, "trial file", json.loads)["names"]["object"])
+    except (KeyError, TypeError):
         return UNNAMED
 
 

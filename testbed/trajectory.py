@@ -15,8 +15,8 @@ from jaxtyping import Float, Int
 
 from testbed.actions.base import Action, action_from_dict
 from testbed.actions.weigh import Weigh
-from testbed.errors import HeftError, InvalidValueError
-from testbed.files import write_whole
+from testbed.errors import InvalidValueError
+from testbed.files import UNSEALED, load_sealed, read_table, write_sealed
 from testbed.validation import freeze_arrays, frozen_array, is_number
 from testbed.worlds.setup_errors import EXACT_SETUP, SetupErrors
 
@@ -36,10 +36,6 @@ class Phase(IntEnum):
     RAMP = 4
     STEADY = 5
     RELEASE = 6
-
-
-class TrajectoryFileError(HeftError):
-    """A trajectory file that is damaged or of another schema."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -228,9 +224,9 @@ def save_trajectory(trajectory: Trajectory, path: Path) -> None:
         "setup": asdict(trajectory.setup),
         "tool": None if tool is None else {k: np.asarray(v).tolist() for k, v in asdict(tool).items()},
     }
-    table = pa.table(columns).replace_schema_metadata({b"heft": json.dumps(header).encode()})
+    table = pa.table(columns).replace_schema_metadata({"heft": json.dumps(header), "checksum": UNSEALED})
     floats = [name for name, values in columns.items() if values.dtype == np.float64]
-    write_whole(
+    write_sealed(
         path,
         lambda part: pq.write_table(
             table,
@@ -246,15 +242,14 @@ def load_trajectory(path: Path) -> Trajectory:
     """Read a trajectory back.
 
     Raises:
-        TrajectoryFileError: damaged, not a trajectory, or of a schema this version does not know.
+        DamagedFileError: damaged, not a trajectory, or of a schema this version does not know.
     """
-    try:
-        table = pq.read_table(path)
+
+    def parsed(data: bytes) -> Trajectory:
+        table = read_table(data)
         header: dict[str, Any] = json.loads((table.schema.metadata or {})[b"heft"])
         if header["schema_version"] != SCHEMA_VERSION:
-            raise TrajectoryFileError(
-                f"{path}: schema {header['schema_version']}; this version of heft reads {SCHEMA_VERSION}"
-            )
+            raise ValueError(f"schema {header['schema_version']}; this version of heft reads {SCHEMA_VERSION}")
         columns = {name: table.column(name).to_numpy() for name in table.column_names}
         series = {name: np.stack([columns[f"{name}.{u}"] for u in units], axis=1) for name, units in SERIES.items()}
         return Trajectory(
@@ -272,5 +267,5 @@ def load_trajectory(path: Path) -> Trajectory:
             figures=header["figures"],
             provenance=header["provenance"],
         )
-    except (OSError, pa.ArrowException, KeyError, ValueError, TypeError) as error:
-        raise TrajectoryFileError(f"{path}: not a whole trajectory file: {error}") from None
+
+    return load_sealed(path, "trajectory file", parsed)

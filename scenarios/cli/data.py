@@ -190,13 +190,13 @@ def posterior_table(folder: Path, row: Row, count: int) -> pd.DataFrame:
     from estimators.identifiability.posterior import sample_posterior
     from estimators.registry import METHODS, build_method
     from scenarios.results.estimates import load_estimate
-    from scenarios.results.files import read_json
+    from scenarios.results.files import read_manifest
     from scenarios.results.store import Store
     from scenarios.results.trials import sensed_trials
     from scenarios.views.values import estimate_view
     from testbed.sensing.windows import weight_of
 
-    scenario = (read_json(folder / "manifest.json") or {}).get("scenario", {})
+    scenario = (read_manifest(folder) or {}).get("scenario", {})
     kind = METHODS.get(row["kind"])  # of heft's own alone: a folder names no code to run
     answer, shape = load_estimate(folder, row["key"]), estimate_view(folder, row).shape
     method = build_method(row["kind"], scenario.get("methods", {}).get(row["method"], {})) if kind else None

@@ -14,6 +14,7 @@ from typing import Annotated, Any
 import tyro
 
 from testbed.errors import HeftError
+from testbed.files import print_damage_plainly
 from testbed.packages import hidden_package
 
 COMMANDS = {
@@ -51,6 +52,7 @@ GROUPS = {"robot": "The real robot: check it, show its sensor, calibrate it, run
 def main(arguments: list[str] | None = None) -> None:
     """Entry point: 0 done, 1 done but some trials or estimates failed, 2 a wrong argument or file, 130 interrupted."""
     arguments = sys.argv[1:] if arguments is None else arguments
+    print_damage_plainly()
     if hidden := hidden_package():
         print(f"heft: {hidden}", file=sys.stderr)
         sys.exit(2)

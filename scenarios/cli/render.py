@@ -264,11 +264,14 @@ def list_trials(root: Path) -> None:
 
     from scenarios.results.files import read_json
     from scenarios.results.trials import keys_of
+    from testbed.files import unless_damaged
 
     table = Table()
     for column in ("trial", "object", "support", "grasp", "action", "status"):
         table.add_column(column)
-    lines = [_line_of(key, read_json(root / "trials" / key / "trial.json") or {}) for key in keys_of(root)]
+    keys = keys_of(root)
+    read = [unless_damaged(lambda key=key: read_json(root / "trials" / key / "trial.json"), "left out") for key in keys]
+    lines = [_line_of(key, content) for key, content in zip(keys, read, strict=True) if content is not None]
     for line in sorted(lines, key=lambda line: (*line[1:], line[0])):
         table.add_row(*line)
     open_console().print(table)

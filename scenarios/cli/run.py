@@ -82,7 +82,7 @@ def run(
     from scenarios.config import load_scenario
     from scenarios.execution.executor import default_workers
     from scenarios.results.estimates import load_tracebacks
-    from scenarios.results.files import read_json, write_json
+    from scenarios.results.files import read_manifest, write_json
     from scenarios.results.store import rows_of
     from scenarios.study.dry_run import show_dry_run
     from scenarios.study.run import carry_out, check_nothing_lost
@@ -118,7 +118,7 @@ def run(
             "command": _command(scenario, seeds, objects, methods, world) + " --allow-code" * allow_code,
             "wall_s": round(time.monotonic() - begin, 1),
         }
-        write_json(folder / "manifest.json", (read_json(folder / "manifest.json") or {}) | facts)
+        write_json(folder / "manifest.json", (read_manifest(folder) or {}) | facts)
         show_tables(console, study, results)
         if record:
             with show_progress() as progress:
@@ -192,12 +192,13 @@ def status(folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="
     Args:
         folder: of a run, finished, running or stopped.
     """
-    from scenarios.results.files import is_held, read_json
+    from scenarios.results.files import is_held, read_manifest
+    from testbed.files import unless_damaged
 
-    manifest = read_json(folder / "manifest.json")
-    if manifest is None:
+    if not (folder / "manifest.json").is_file():
         allowed = "a folder with a manifest.json, as `heft run` and `heft estimate` make it"
         raise InvalidValueError("DIR", str(folder), allowed)
+    manifest = unless_damaged(lambda: read_manifest(folder), "the same command writes it again") or {}
     trials = Counter(path.name for path in folder.glob("trials/*/*") if path.name in ("trial.json", "error.txt"))
     done = {path.parent for path in folder.glob("estimates/*/result.json")}
     failed = [path for path in sorted(folder.glob("estimates/*/error.txt")) if path.parent not in done]
@@ -206,7 +207,7 @@ def status(folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="
     of_trials = f"{_of(trials['trial.json'], expected.get('trials'))}, {trials['error.txt']} failed"
     print(f"trials: {of_trials}; estimates: {_of(len(done), expected.get('estimates'))}, {len(failed)} failed")
     for error in [*failed, *sorted(folder.glob("trials/*/error.txt"))][:MOST_LINES]:
-        lines = error.read_text(encoding="utf-8").strip().splitlines()
+        lines = error.read_text(encoding="utf-8", errors="replace").strip().splitlines()
         print(f"{error}: {lines[-1].removeprefix(OWN_ERROR) if lines else 'no reason given'}")
 
 

@@ -15,6 +15,7 @@ from typing import Any, Literal, Protocol, get_args
 import torch
 
 from testbed.errors import HeftError, InvalidValueError
+from testbed.files import print_damage_plainly
 
 ExecutorName = Literal["inline", "local", "ray"]
 _DISK = {errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EACCES, errno.EPERM, errno.EIO}
@@ -167,6 +168,7 @@ def given_back(label: Any, value: Any) -> tuple[Any, Any]:
 def set_up_worker(limits: Limits) -> None:
     """One thread a worker, as two workers on two cores must not fight; bounded memory; first to go if that runs out."""
     torch.set_num_threads(1)
+    print_damage_plainly()
     size = int(limits.memory_gib * 2**30)
     # RLIMIT_DATA counts what is really taken; RLIMIT_AS would count address space that libraries only reserve
     resource.setrlimit(resource.RLIMIT_DATA, (size, resource.getrlimit(resource.RLIMIT_DATA)[1]))

@@ -34,12 +34,12 @@ import dataclasses
 import zipfile
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
-from pyarrow import ArrowException
 
 from estimators.base import Estimate, HiddenStateEstimate, Trace
 from estimators.evaluation.statistics import Row
@@ -47,8 +47,9 @@ from estimators.identifiability.report import Identifiability
 from scenarios.results.files import check_unambiguous, inside, read_json
 from scenarios.results.store import Store, rows_of
 from testbed.errors import HeftError, InvalidValueError
+from testbed.files import MOST_BYTES, DamagedFileError, load_sealed, read_table, unless_damaged
 from testbed.objects.model import MassDistribution
-from testbed.trajectory import Trajectory, load_trajectory
+from testbed.trajectory import Trajectory
 
 DIAGNOSTICS = "diagnostics."
 """Prefix of the names of an estimate's diagnostics in its file."""
@@ -75,10 +76,7 @@ def load_results(path: str | Path) -> pd.DataFrame:
         raise InvalidValueError(
             "path", str(path), "a results folder with a results.parquet, which a finished run leaves"
         )
-    try:
-        return pd.read_parquet(file)
-    except (OSError, ValueError, KeyError, TypeError, ArrowException) as error:  # pandas: a damaged header
-        raise HeftError(f"{file}: not a whole table of results: {error}") from None
+    return load_sealed(file, "table of results", lambda data: read_table(data).to_pandas())
 
 
 def load_trajectories(path: str | Path) -> Iterator[tuple[str, Trajectory]]:
@@ -89,7 +87,7 @@ def load_trajectories(path: str | Path) -> Iterator[tuple[str, Trajectory]]:
 
     Raises:
         InvalidValueError: not a results folder.
-        TrajectoryFileError: a damaged record.
+        DamagedFileError: a damaged record.
     """
     folder = Path(path) / "trials"
     if not folder.is_dir():
@@ -97,7 +95,7 @@ def load_trajectories(path: str | Path) -> Iterator[tuple[str, Trajectory]]:
     store = Store(Path(path))
     for trial in sorted(folder.iterdir()):
         if store.has_trial(trial.name):
-            yield trial.name, load_trajectory(trial / "trajectory.parquet")
+            yield trial.name, store.trajectory(trial.name)
 
 
 def load_rows(folder: Path) -> Sequence[Row]:
@@ -110,7 +108,8 @@ def load_rows(folder: Path) -> Sequence[Row]:
         rows = rows_of(load_results(folder))
     else:
         done = sorted(folder.glob("estimates/*/result.json"))
-        rows = [{"key": path.parent.name} | row for path in done if (row := read_json(path))]
+        read = [unless_damaged(lambda path=path: read_json(path), "left out") for path in done]
+        rows = [{"key": path.parent.name} | row for path, row in zip(done, read, strict=True) if row]
     if missing := {name for row in rows for name in LABELS if name not in row}:
         raise HeftError(f"{folder}: not of this version of heft: an estimate has no {', '.join(sorted(missing))}")
     return rows
@@ -143,7 +142,7 @@ def load_estimate(folder: str | Path, key: str) -> Estimate:
     place = inside(Path(folder), "estimates", key, "result.json").parent
     row = read_json(place / "result.json")
     if row is None:
-        raise HeftError(f"{place}: no whole result.json")
+        raise HeftError(f"{place}: no result.json")
     arrays = load_arrays(folder, key)
     led = str(row.get("optimizer") or "").replace(" ", "_")
     with this_version(place):
@@ -163,11 +162,11 @@ def load_estimate(folder: str | Path, key: str) -> Estimate:
 
 @contextmanager
 def this_version(place: Path) -> Iterator[None]:
-    """Turn a KeyError for an array or a field into a HeftError: the folder `place` is of another version of heft."""
+    """Turn a KeyError for an array or a field into a DamagedFileError: `place` is of another version of heft."""
     try:
         yield
     except KeyError as error:
-        raise HeftError(f"{place}: not of this version of heft: it has no {error.args[0]}") from None
+        raise DamagedFileError(f"{place}: not of this version of heft: it has no {error.args[0]}") from None
 
 
 def _trace(name: str, arrays: dict[str, np.ndarray]) -> Trace:
@@ -204,30 +203,32 @@ def load_arrays(folder: str | Path, key: str, ends: str = "") -> dict[str, np.nd
     """Arrays of an estimate's file whose names end so.
 
     Raises:
-        HeftError: the file is missing or damaged.
+        DamagedFileError: the file is missing or damaged.
     """
-    path = inside(Path(folder), "estimates", key, "estimate.npz")
-    try:
-        with np.load(path, allow_pickle=False) as file:
+
+    def parsed(data: bytes) -> dict[str, np.ndarray]:
+        with zipfile.ZipFile(BytesIO(data)) as packed:
+            if (size := sum(entry.file_size for entry in packed.infolist())) > MOST_BYTES:
+                raise ValueError(f"{size} bytes unpacked, more than the {MOST_BYTES} that are read")
+        with np.load(BytesIO(data), allow_pickle=False) as file:
             return {name: file[name] for name in file if name.endswith(ends)}
-    except (OSError, ValueError, zipfile.BadZipFile) as error:
-        raise HeftError(f"{path}: not a whole estimate: {error}") from None
+
+    path = inside(Path(folder), "estimates", key, "estimate.npz")
+    return load_sealed(path, "estimate", parsed)
 
 
 def load_losses(folder: Path, rows: Sequence[Row]) -> dict[str, dict[str, list[np.ndarray]]]:
     """Losses, (I,) each, by method and optimizer; of methods with many estimates an even choice."""
     keys: dict[str, list[str]] = {}
     for row in rows:
-        if row.get("key"):
+        if row.get("key") and row["status"] != "failed":
             keys.setdefault(row["method"], []).append(row["key"])
     losses: dict[str, dict[str, list[np.ndarray]]] = {}
     for method, of_method in keys.items():
         for index in np.unique(np.linspace(0, len(of_method) - 1, MOST_TRACES).astype(int)):
-            try:
-                arrays = load_arrays(folder, of_method[index], ".loss")
-            except HeftError:
-                continue
-            for name, loss in arrays.items():
+            key = of_method[index]
+            arrays = unless_damaged(lambda key=key: load_arrays(folder, key, ".loss"), "left out")
+            for name, loss in (arrays or {}).items():
                 if not name.startswith(DIAGNOSTICS):
                     losses.setdefault(method, {}).setdefault(name.removesuffix(".loss"), []).append(loss)
     return losses

@@ -16,11 +16,13 @@ from typing import IO, Any
 import numpy as np
 
 from testbed.errors import HeftError, InvalidValueError
-from testbed.files import write_whole
+from testbed.files import UNSEALED, DamagedFileError, load_sealed, write_sealed
 
 LOCK = ".lock"
 """File in the results folder, held while a run writes there; the system lets go of it when the run ends or dies."""
 
+_MANIFEST = {"scenario": dict, "packages": dict, "expected": dict, "name": str, "command": str, "finished": bool}
+_SCENARIO = {"objects": list, "sensing": list, "methods": dict}
 SHOWN, MOST_KEYS = 8, 6
 """Letters of a key, and number of keys, in an error."""
 
@@ -43,17 +45,40 @@ def inside(root: Path, *names: str) -> Path:
 
 
 def read_json(path: Path) -> dict[str, Any] | None:
-    """Object in a JSON file, or None where it is missing or damaged."""
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        return None
-    return content if isinstance(content, dict) else None
+    """Object in a JSON file, without its checksum; None where there is no file.
+
+    Raises:
+        DamagedFileError: it is damaged.
+    """
+
+    def parsed(data: bytes) -> dict[str, Any]:
+        content = json.loads(data)
+        del content["checksum"]
+        return content
+
+    return load_sealed(path, "JSON file", parsed) if os.path.lexists(path) else None
+
+
+def read_manifest(folder: Path) -> dict[str, Any] | None:
+    """The manifest of a results folder, with fields of the right kind; None where there is none.
+
+    Raises:
+        DamagedFileError: it is damaged, or of another version.
+    """
+    path = folder / "manifest.json"
+    found = read_json(path) or {}
+    for kinds in (_MANIFEST, _SCENARIO):
+        table = found if kinds is _MANIFEST else found.get("scenario") or {}
+        for name, kind in kinds.items():
+            if not isinstance(table.get(name), kind | None):
+                raise DamagedFileError(f"{path}: not of this version of heft: {name} is a {type(table[name]).__name__}")
+    return found or None
 
 
 def write_json(path: Path, data: dict[str, Any]) -> None:
-    """Write JSON whole or not at all; NaN becomes null."""
-    write_whole(path, lambda part: part.write_text(json.dumps(_plain(data), indent=1) + "\n", encoding="utf-8"))
+    """Write JSON with its checksum, whole or not at all; NaN becomes null."""
+    text = json.dumps(_plain(data) | {"checksum": UNSEALED}, indent=1) + "\n"
+    write_sealed(path, lambda part: part.write_text(text, encoding="utf-8"))
 
 
 def _plain(value: Any) -> Any:

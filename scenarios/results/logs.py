@@ -13,6 +13,7 @@ from typing import Any
 from scenarios.results.files import exclusive, read_json
 from scenarios.results.store import Store, key_of, object_request
 from testbed.errors import HeftError, InvalidValueError
+from testbed.files import unless_damaged
 from testbed.importers.importer import import_trajectory, object_of
 from testbed.importers.logs import LogError, read_all
 from testbed.importers.mapping import Mapping
@@ -99,7 +100,8 @@ def _put(
     key = key_of(request)
     store.put_trial(key, Trial(model, trajectory.action, support), request, trajectory)
     for file in store.root.glob("trials/*/trial.json"):
-        earlier = (read_json(file) or {}).get("asked", {}).get("import", {}).get("sha256")
+        known = unless_damaged(lambda file=file: read_json(file), "left as it is") or {}
+        earlier = known.get("asked", {}).get("import", {}).get("sha256")
         if earlier == content and file.parent.name != key:
             shutil.rmtree(file.parent)
     return key

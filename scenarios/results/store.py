@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import zipfile
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass, fields
 from functools import lru_cache
@@ -28,16 +29,18 @@ import pyarrow.parquet as pq
 
 from estimators.base import Estimate
 from scenarios.results.files import inside, read_json, write_json
-from testbed.files import write_whole
+from testbed.files import UNSEALED, load_sealed, unless_damaged, write_sealed, write_whole
 from testbed.foot_forces import FootForces, save_foot_forces
 from testbed.objects.files import ObjectFile, asset_folder
 from testbed.objects.model import ObjectModel, ObjectShape, Solid
 from testbed.toml import toml_text
-from testbed.trajectory import SCHEMA_VERSION, Trajectory, TrajectoryFileError, load_trajectory, save_trajectory
+from testbed.trajectory import SCHEMA_VERSION, Trajectory, load_trajectory, save_trajectory
 from testbed.trial import Trial
 
 if TYPE_CHECKING:  # it needs MuJoCo, which needs a display
     from scenarios.runners import RunnerSettings
+
+_TRIAL_FILES = ("trial.json", "trajectory.parquet", "foot_forces.parquet")
 
 
 def key_of(request: dict[str, Any]) -> str:
@@ -97,14 +100,15 @@ class Store:
         return inside(self.root, "trials", key, "trial.json").is_file()
 
     def has_sound_trial(self, key: str) -> bool:
-        """True if a trial is done, and its record not cut short since."""
-        try:
-            return (
-                self.has_trial(key)
-                and pq.read_metadata(inside(self.root, "trials", key, "trajectory.parquet")).num_rows > 0
-            )
-        except (OSError, pa.ArrowException):
+        """True if a trial is done, and its files are as they were written; a damaged one is not done any more."""
+        if not self.has_trial(key):
             return False
+        folder = inside(self.root, "trials", key, "trial.json").parent
+        files = [path for name in _TRIAL_FILES if (path := folder / name).exists() or name == "trajectory.parquet"]
+        if unless_damaged(lambda: [load_sealed(path, "file", len) for path in files], "made again") is None:
+            (folder / "trial.json").unlink(missing_ok=True)
+            return False
+        return True
 
     def put_trial(
         self, key: str, trial: Trial, request: dict[str, Any], trajectory: Trajectory, feet: FootForces | None = None
@@ -120,21 +124,16 @@ class Store:
         (folder / "error.txt").unlink(missing_ok=True)
 
     def trajectory(self, key: str) -> Trajectory:
-        """Read a trial back; a damaged one is taken as not done.
+        """Read a trial back.
 
         Raises:
-            TrajectoryFileError: damaged; its trial.json is removed, so that the next run makes it again.
+            DamagedFileError: damaged.
         """
-        folder = inside(self.root, "trials", key, "trial.json").parent
-        try:
-            return load_trajectory(folder / "trajectory.parquet")
-        except TrajectoryFileError:
-            (folder / "trial.json").unlink(missing_ok=True)
-            raise
+        return load_trajectory(inside(self.root, "trials", key, "trajectory.parquet"))
 
     def note(self, key: str) -> dict[str, Any] | None:
         """Something worked out before, or None."""
-        return read_json(inside(self.root, "notes", f"{key}.json"))
+        return unless_damaged(lambda: read_json(inside(self.root, "notes", f"{key}.json")), "worked out again")
 
     def put_note(self, key: str, data: dict[str, Any]) -> None:
         """Keep something that would take long to work out again."""
@@ -143,17 +142,38 @@ class Store:
     def put_object(self, path: Path, file: ObjectFile) -> None:
         """Write a drawn object as a file that a user can take."""
         blocks = file.blocks.model_dump(exclude_none=True) if file.blocks else {}
-        text = toml_text({"name": file.name, "blocks": blocks})
-        write_whole(path, lambda part: part.write_text(text, encoding="utf-8"))
+        text = toml_text({"name": file.name, "blocks": blocks}) + f"# {UNSEALED}\n"
+        write_sealed(path, lambda part: part.write_text(text, encoding="utf-8"))
+
+    def has_object(self, path: Path) -> bool:
+        """True if a drawn object's file is there as it was written."""
+        if not path.is_file():
+            return False
+        return unless_damaged(lambda: load_sealed(path, "object file", len), "made again") is not None
 
     def result(self, key: str) -> dict[str, Any] | None:
-        """A finished estimate's row, or None."""
+        """A finished estimate's row, or None.
+
+        Raises:
+            DamagedFileError: damaged.
+        """
         return read_json(inside(self.root, "estimates", key, "result.json"))
+
+    def sound_result(self, key: str) -> dict[str, Any] | None:
+        """A finished estimate's row; None where it is not done, or one of its files is damaged."""
+
+        def checked() -> dict[str, Any] | None:
+            row = self.result(key)
+            if row is not None:
+                load_sealed(inside(self.root, "estimates", key, "estimate.npz"), "estimate", len)
+            return row
+
+        return unless_damaged(checked, "made again")
 
     def put_estimate(self, key: str, row: dict[str, Any], answer: Estimate, shape: ObjectShape) -> None:
         """Write an estimate: its arrays, then its row, which comes last and means done."""
         folder = inside(self.root, "estimates", key, "result.json").parent
-        write_whole(folder / "estimate.npz", lambda part: _save_arrays(part, answer, shape))
+        write_arrays(folder / "estimate.npz", _arrays_of(answer, shape))
         write_json(folder / "result.json", row)
         (folder / "error.txt").unlink(missing_ok=True)
 
@@ -176,10 +196,9 @@ class Store:
         """Write results.parquet, derived from the rows."""
         frame = pd.DataFrame(list(rows))
         frame = pd.DataFrame({name: _of_one_kind(list(column)) for name, column in frame.items()})
-        write_whole(
-            self.root / "results.parquet",
-            lambda part: frame.to_parquet(part, compression="zstd"),
-        )
+        table = pa.Table.from_pandas(frame)
+        table = table.replace_schema_metadata({**(table.schema.metadata or {}), b"checksum": UNSEALED.encode()})
+        write_sealed(self.root / "results.parquet", lambda part: pq.write_table(table, part, compression="zstd"))
         return frame
 
 
@@ -199,7 +218,19 @@ def _missing(value: Any) -> bool:
     return value is None or (isinstance(value, float) and np.isnan(value))
 
 
-def _save_arrays(path: Path, answer: Estimate, shape: ObjectShape) -> None:
+def write_arrays(path: Path, arrays: dict[str, Any]) -> None:
+    """Write arrays as a packed NumPy file with its checksum in the comment of the archive."""
+
+    def save(part: Path) -> None:
+        with open(part, "wb") as file:
+            np.savez_compressed(file, **arrays)
+        with zipfile.ZipFile(part, "a") as archive:
+            archive.comment = UNSEALED.encode()
+
+    write_sealed(path, save)
+
+
+def _arrays_of(answer: Estimate, shape: ObjectShape) -> dict[str, Any]:
     arrays: dict[str, Any] = {
         "particles": shape.particles,
         "mass_group": shape.mass_group,
@@ -218,6 +249,4 @@ def _save_arrays(path: Path, answer: Estimate, shape: ObjectShape) -> None:
     for prefix, value in (("hidden", answer.hidden), ("identifiability", answer.identifiability)):
         if value is not None:
             arrays |= {f"{prefix}.{field.name}": getattr(value, field.name) for field in fields(value)}
-    arrays |= {f"diagnostics.{name}": value for name, value in answer.diagnostics.items()}
-    with open(path, "wb") as file:
-        np.savez_compressed(file, **arrays)
+    return arrays | {f"diagnostics.{name}": value for name, value in answer.diagnostics.items()}

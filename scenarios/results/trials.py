@@ -15,6 +15,7 @@ from scenarios.results.files import check_unambiguous, inside, read_json
 from scenarios.results.store import Store, object_request
 from testbed.actions.rotate import Rotate
 from testbed.errors import HeftError, InvalidValueError
+from testbed.files import DamagedFileError, unless_damaged
 from testbed.objects.files import load_object
 from testbed.objects.model import STROKE, Grasp, MassDistribution, ObjectModel, ObjectShape
 from testbed.sensing.noise import draw_sensing
@@ -55,7 +56,8 @@ def read_trial(root: Path, beginning: str) -> TrialRecord:
         HeftError: a file of it is damaged.
     """
     folder = _folder_of(root, beginning)
-    trajectory, content = load_trajectory(folder / "trajectory.parquet"), read_json(folder / "trial.json") or {}
+    trajectory, content = load_trajectory(folder / "trajectory.parquet"), read_json(folder / "trial.json")
+    assert content is not None
     try:
         request = content["asked"]
         obj = object_of(request["object"], content.get("names") or {})
@@ -65,7 +67,7 @@ def read_trial(root: Path, beginning: str) -> TrialRecord:
             width = STROKE  # the fingers stay open
         return TrialRecord(folder, obj, str(request["support"]), trajectory, width, request)
     except OTHER_FORMAT as error:
-        raise HeftError(f"{folder / 'trial.json'}: not a whole trial file: {error!r}") from None
+        raise DamagedFileError(f"{folder / 'trial.json'}: not a whole trial file: {error!r}") from None
 
 
 def object_of(request: dict[str, Any], names: dict[str, Any]) -> ObjectModel:
@@ -126,7 +128,11 @@ def _folder_of(root: Path, beginning: str) -> Path:
 
 
 def kind_of_trial(root: Path, key: str) -> str:
-    """Kind of a trial's action, such as "rotate"; empty where its trial.json does not say."""
+    """Kind of a trial's action, such as "rotate"; empty where its trial.json does not say.
+
+    Raises:
+        DamagedFileError: it is damaged.
+    """
     try:
         return str((read_json(inside(root, "trials", key, "trial.json")) or {})["asked"]["action"]["kind"])
     except (KeyError, TypeError):
@@ -191,13 +197,13 @@ class MeasuredTrials:
 
 
 def measured_records(root: Path) -> list[TrialRecord]:
-    """All trials of a folder in order of recording, those that are no data among them.
+    """All whole trials of a folder in order of recording, those that are no data among them; a warning for the others.
 
     Raises:
         InvalidValueError: not a results folder, or simulated trials.
-        HeftError: a file is damaged.
     """
-    trials = [read_trial(root, key) for key in keys_of(root)]
+    read = [unless_damaged(lambda key=key: read_trial(root, key), "left out") for key in keys_of(root)]
+    trials = [trial for trial in read if trial is not None]
     for trial in trials:
         if trial.trajectory.simulated:
             key = trial.folder.name[:8]
@@ -219,7 +225,6 @@ def measured_trials(
     Raises:
         InvalidValueError: simulated trials, no trials, an object that is not there, was never weighed, or was not
             always of the same shape.
-        HeftError: a file is damaged.
     """
     if held_out < 0:
         raise InvalidValueError("--held-out", held_out, "an integer >= 0")

@@ -74,7 +74,7 @@ class EstimateRun:
         for place, task in self._tasks(experiment):
             for seed, key in zip(task.seeds, task.result_keys(), strict=True):
                 draw = ((*place, seed), task, key)
-                row = _failed(seed, task.failure) if task.failure else self.store.result(key)
+                row = _failed(seed, task.failure) if task.failure else self.store.sound_result(key)
                 if row is not None:
                     self._put(draw, row)
                 elif not estimates_many(task.method, task.settings):
@@ -118,7 +118,7 @@ class EstimateRun:
             else:  # the row as the next run will read it
                 if self.on_result is not None:
                     self.on_result("estimate", key)
-                self._put(draw, self.store.result(key) or _failed(place[-1], "its result.json cannot be read back"))
+                self._put(draw, self.store.sound_result(key) or _failed(place[-1], "it cannot be read back"))
 
     def _put(self, draw: _Draw, row: dict[str, Any]) -> None:
         place, task, key = draw

@@ -190,7 +190,7 @@ def _drawn(family: Family, index: int, scenario: Scenario, feasible: _Grasps, st
     """
     folder = key_of({"family": family.model_dump(exclude={"count"}), "digits": len(str(family.count - 1))})
     path = store.root / "objects" / folder / f"{family.names()[index]}.toml"
-    if path.is_file():
+    if store.has_object(path):
         return str(path)
     reason = ""
     for attempt in range(MOST_DRAWS):

@@ -18,7 +18,7 @@ import pandas as pd
 
 from scenarios.config import Grid, Scenario, Sweep, load_scenario
 from scenarios.execution.executor import Executor, default_workers, open_executor, work_off
-from scenarios.results.files import exclusive, read_json, write_json
+from scenarios.results.files import exclusive, read_manifest, write_json
 from scenarios.results.store import Store, rows_of
 from scenarios.results.trials import MeasuredTrials, measured_trials
 from scenarios.study.dry_run import DryRun, check_code
@@ -26,6 +26,7 @@ from scenarios.study.estimates import EstimateRun, infeasible_row
 from scenarios.study.experiment import Experiment, Progress, ResultCallback, experiments_of
 from scenarios.study.trials import TrialRun
 from testbed.errors import InvalidValueError
+from testbed.files import unless_damaged
 
 SENSING = "as measured"
 """Name of the sensor in the results: its errors are in the records."""
@@ -91,7 +92,7 @@ def check_nothing_lost(folder: Path, scenario: Scenario) -> None:
     Raises:
         InvalidValueError: the folder holds results of other objects, methods, seeds or settings.
     """
-    held = (read_json(folder / "manifest.json") or {}).get("scenario")
+    held = (unless_damaged(lambda: read_manifest(folder), "written again") or {}).get("scenario")
     if held is None or not (folder / "results.parquet").is_file():
         return
     asked = json.loads(json.dumps(scenario.model_dump()))

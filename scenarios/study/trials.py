@@ -16,7 +16,6 @@ from testbed.actions.base import Action
 from testbed.actions.weigh import Weigh
 from testbed.errors import HeftError, InfeasibleTrialError
 from testbed.sensing.windows import weight_of
-from testbed.trajectory import TrajectoryFileError
 from testbed.trial import Trial
 
 FEET_RATE = 10.0
@@ -149,10 +148,9 @@ def _next_action(experiment: Experiment) -> Action | None:
 
 def _taken(experiment: Experiment, action: Action, key: str, store: Store) -> bool:
     """Take a finished trial into the experiment; False where its file is damaged and it has to be made again."""
-    try:
-        trajectory = store.trajectory(key)
-    except TrajectoryFileError:
+    if not store.has_sound_trial(key):
         return False
+    trajectory = store.trajectory(key)
     if experiment.finished:
         experiment.held_out_keys.append(key)
         return True
@@ -168,7 +166,7 @@ def _taken(experiment: Experiment, action: Action, key: str, store: Store) -> bo
 def _recalled(experiment: Experiment, store: Store) -> bool:
     """Take all trials of an experiment from an earlier run; False where some are missing."""
     note = store.note(_key_of(experiment))
-    if note is None or not all(store.has_sound_trial(key) for key in note["keys"] + note["held_out"]):
+    if note is None or not all([store.has_sound_trial(key) for key in note["keys"] + note["held_out"]]):
         return False
     experiment.keys, experiment.held_out_keys = note["keys"], note["held_out"]
     return True
@@ -205,7 +203,7 @@ def simulate(trial: Trial, settings: RunnerSettings, store: Store) -> None:
     """
     request = trial_request(trial, settings)
     key = key_of(request)
-    if store.has_trial(key):
+    if store.has_sound_trial(key):
         return
     from testbed.simulation.runner import SimulationRunner  # noqa: PLC0415  without MuJoCo until it is needed
 

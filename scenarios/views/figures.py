@@ -12,7 +12,8 @@ from estimators.evaluation.statistics import AXIS, Row, axes_of, axis_values, se
 from scenarios.results.estimates import load_losses, load_rows
 from scenarios.results.files import inside
 from scenarios.views.values import estimate_view, fits_of
-from testbed.errors import HeftError, InvalidValueError
+from testbed.errors import InvalidValueError
+from testbed.files import unless_damaged
 from testbed.objects.model import ObjectShape
 from viz.figures.bars import estimate_bars
 from viz.figures.loss import estimate_losses, loss_figure
@@ -93,8 +94,7 @@ def _shapes(folder: Path, rows: Sequence[Row]) -> dict[str, ObjectShape]:
         return {}
     shapes = {}
     for name in dict.fromkeys(row["object"] for row in rows if row["object"] in first):
-        try:
-            shapes[name] = estimate_view(folder, first[name]).shape
-        except HeftError:  # damaged: drawn without it
-            continue
+        view = unless_damaged(lambda name=name: estimate_view(folder, first[name]), "drawn without it")
+        if view is not None:
+            shapes[name] = view.shape
     return shapes

@@ -12,9 +12,10 @@ from estimators.evaluation.statistics import AXIS, Row
 from scenarios.catalog import scenario_names
 from scenarios.config import Scenario, load_scenario
 from scenarios.results.estimates import load_losses, load_rows, load_tracebacks
-from scenarios.results.files import inside, read_json
+from scenarios.results.files import inside, read_json, read_manifest
 from scenarios.results.trials import OTHER_FORMAT, object_of
 from testbed.errors import HeftError, InvalidValueError
+from testbed.files import unless_damaged
 from testbed.objects.files import load_object
 from testbed.objects.model import ObjectShape
 from testbed.toml import toml_text
@@ -30,7 +31,8 @@ def report(folder: Path) -> Path:
         InvalidValueError: there are no results in the folder.
         HeftError: results that are damaged, or of another version of heft.
     """
-    manifest, table = read_json(folder / "manifest.json") or {}, folder / "results.parquet"
+    manifest = unless_damaged(lambda: read_manifest(folder), "left out") or {}
+    table = folder / "results.parquet"
     scenario = manifest.get("scenario") or {}
     rows = _in_order(load_rows(folder) if table.is_file() else [], scenario)
     if not rows:
@@ -140,7 +142,7 @@ def _shape(name: str, scenario: Mapping[str, Any], rows: Sequence[Row], folder: 
         if model.name == name and (row is None or list(row["group_names"]) == list(model.shape.group_names)):
             return model.shape
     for path in sorted((folder / "trials").glob("*/trial.json")):
-        trial = read_json(path) or {}
+        trial = unless_damaged(lambda path=path: read_json(path), "left out") or {}
         try:
             if trial["names"]["object"] == name:
                 return object_of(trial["asked"]["object"], trial["names"]).shape
@@ -153,7 +155,7 @@ def _bad(folder: Path) -> dict[tuple[str, str], list[str]]:
     """Keys of the trials that are no data, by status and reason."""
     found: dict[tuple[str, str], list[str]] = {}
     for path in sorted((folder / "trials").glob("*/trial.json")):
-        trial = read_json(path)
+        trial = unless_damaged(lambda path=path: read_json(path), "left out")
         if trial is not None and trial.get("status", "?") != "ok":
             reason = str(trial.get("status", "?")), str(trial.get("reason", ""))
             found.setdefault(reason, []).append(path.parent.name)

@@ -14,7 +14,7 @@ from scipy.spatial import KDTree
 from estimators.evaluation.statistics import AXIS, Row, axes_of, select
 from estimators.particles.wrench import predicted_wrenches
 from scenarios.results.estimates import load_arrays, load_estimate, this_version
-from scenarios.results.files import read_json
+from scenarios.results.files import read_manifest
 from scenarios.results.store import Store
 from scenarios.results.trials import TrialRecord, kind_of_trial, read_trial, sensed_trials
 from testbed.errors import InvalidValueError
@@ -34,7 +34,7 @@ PLANAR = (0, 1, 5)
 
 def sensing_of(folder: Path) -> str:
     """Sensor of a folder's simulated trials in the viewer: the scenario's first one with errors, else a perfect one."""
-    names = ((read_json(folder / "manifest.json") or {}).get("scenario") or {}).get("sensing") or []
+    names = ((read_manifest(folder) or {}).get("scenario") or {}).get("sensing") or []
     return next((name for name in names if name != "ideal"), "ideal")
 
 

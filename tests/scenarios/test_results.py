@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import json
 import re
-from io import BytesIO
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 import pytest
 from rich.console import Console
 
@@ -19,7 +16,8 @@ from scenarios.cli.main import main
 from scenarios.cli.run import status
 from scenarios.config import Scenario, load_scenario
 from scenarios.results.estimates import load_results, load_trajectories
-from scenarios.results.store import Store, rows_of
+from scenarios.results.files import read_json, write_json
+from scenarios.results.store import Store, rows_of, write_arrays
 from scenarios.study.dry_run import show_dry_run
 from scenarios.study.estimates import EstimateTask, judge
 from scenarios.study.run import run_scenario
@@ -120,11 +118,9 @@ def without(file: Path, name: str) -> None:
     if file.suffix == ".npz":
         with np.load(file) as arrays:
             kept = {key: value for key, value in arrays.items() if key != name}
-        np.savez(file, **kept)
+        write_arrays(file, kept)
     else:
-        content = json.loads(file.read_text(encoding="utf-8"))
-        del content[name]
-        file.write_text(json.dumps(content), encoding="utf-8")
+        write_json(file, {key: value for key, value in (read_json(file) or {}).items() if key != name})
 
 
 ESTIMATE = (["view", "--web"], ["record"], ["figures"], ["export"])
@@ -141,7 +137,7 @@ TRIAL = (["view", "--web"], ["record"], ["render"])
         ("result.json", "status", ESTIMATE),
         ("trial.json", "asked", TRIAL),
         ("trial.json", "[]", TRIAL),
-        ("trial.json", '{"asked": {"action": "rotate"}}', TRIAL),
+        ("trial.json", {"asked": {"action": "rotate"}}, TRIAL),
         ("results.parquet", "half of it", (["figures"], ["export"])),
     ],
 )
@@ -149,7 +145,9 @@ def test_a_file_of_another_format_is_one_clear_line(finished, copied, capsys, mo
     row = finished.rows[finished.rows["method"] == "bare"].iloc[0]
     key = row["trial_keys"][1] if file == "trial.json" else row["key"]
     path = next(path for path in copied.rglob(file) if path.parent.name in (key, "out"))
-    if harm.isidentifier() or harm.startswith("random."):
+    if isinstance(harm, dict):
+        write_json(path, harm)
+    elif harm.isidentifier() or harm.startswith("random."):
         without(path, harm)
     else:
         path.write_text(harm, encoding="utf-8")
@@ -192,15 +190,15 @@ def test_the_truth_predicts_with_its_own_support(support, rigid, first, predicte
 @pytest.mark.parametrize(
     ("harm", "said"),
     [
-        (lambda data: data[:5000], "not a whole table"),
-        (lambda data: pd.read_parquet(BytesIO(data)).drop(columns="nad").to_parquet(), "no nad"),
+        (lambda table, rows: table.write_bytes(table.read_bytes()[:5000]), "not a whole table"),
+        (lambda table, rows: Store(table.parent).put_table([*rows.drop(columns="nad").to_dict("records")]), "no nad"),
     ],
 )
 @pytest.mark.parametrize("command", ["figures", "view --web", "record", "report", "export"])
 def test_a_damaged_table_is_one_clear_line(finished, copied, capsys, monkeypatch, command, harm, said):
     monkeypatch.setattr("viz.recordings.viewer.served", pytest.fail)
     table, (name, *options) = copied / "results.parquet", command.split()
-    table.write_bytes(harm(table.read_bytes()))
+    harm(table, load_results(copied))
     key = [finished.rows["key"][0]] if name == "export" else []
     with pytest.raises(SystemExit, match="2"):
         main([name, str(copied), *key, *options])
@@ -223,8 +221,8 @@ def test_an_ambiguous_key_is_called_so(copied, capsys, command, field):
 def test_reports_tell_what_can_be_told(finished, copied, capsys):
     row = finished.rows[finished.rows["method"] == "bare"].iloc[0]
     without(copied / "estimates" / row["key"] / "estimate.npz", "random.loss")
-    (copied / "trials" / row["trial_keys"][1] / "trial.json").write_text('{"asked": {"action": "rotate"}}')
-    (copied / "manifest.json").write_text("{}")
+    write_json(copied / "trials" / row["trial_keys"][1] / "trial.json", {"asked": {"action": "rotate"}})
+    write_json(copied / "manifest.json", {})
     for command in ("report", "status", "render"):
         main([command, str(copied)])
     assert "estimates: 9 done" in capsys.readouterr().out

@@ -14,12 +14,14 @@ from numpy.testing import assert_array_equal
 from estimators.base import Estimate, HiddenStateEstimate, Trace
 from estimators.identifiability.report import identifiability
 from scenarios.results.estimates import load_estimate
+from scenarios.results.files import write_json
 from scenarios.results.store import Store, key_of, object_request, trial_request
 from scenarios.results.trials import keys_of, read_trial
 from testbed.actions.rotate import Rotate
 from testbed.actions.slide import Slide
 from testbed.actions.weigh import Weigh
 from testbed.errors import HeftError, InvalidValueError
+from testbed.files import DamagedFileError
 from testbed.objects.files import load_object
 from testbed.objects.model import STROKE
 from testbed.simulation.settings import GripSettings, SimulationSettings
@@ -131,7 +133,7 @@ def test_an_object_that_is_another_now_is_known_by_its_particles(root, tmp_path,
     copy, content = copied(root, tmp_path, "hammer")
     content["names"] = {} if name is None else {"object": name}
     del content["asked"]["simulation"]  # as one of a real robot
-    (copy / "trial.json").write_text(json.dumps(content))
+    write_json(copy / "trial.json", content)
     record = read_trial(tmp_path, copy.name)
     assert record.object.solids == () and record.object.name == (name or "object")
     assert_array_equal(record.object.shape.particles, HAMMER.shape.particles)
@@ -152,15 +154,19 @@ def test_no_trial_or_several_are_refused(root):
         read_trial(root[0] / "trials", "x")
 
 
-@pytest.mark.parametrize("harm", ["{", "[]", '{"asked": {}}', '{"asked": {"object": {"particles": "many"}}}', None])
+@pytest.mark.parametrize("harm", ["{", "[]", {"asked": {}}, {"asked": {"object": {"particles": "many"}}}, None])
 def test_a_damaged_trial_is_an_error_and_stays(root, tmp_path, harm):
     copy, _ = copied(root, tmp_path, "L2")
     if harm is None:
         record = copy / "trajectory.parquet"
         record.write_bytes(record.read_bytes()[:-100])
-    else:
+    elif isinstance(harm, str):
         (copy / "trial.json").write_text(harm)
-    with pytest.raises(HeftError, match="not a whole trajectory file" if harm is None else "not a whole trial file"):
+    else:
+        write_json(copy / "trial.json", harm)
+    with pytest.raises(
+        DamagedFileError, match=f"{'trajectory.parquet' if harm is None else 'trial.json'}: not a whole"
+    ):
         read_trial(tmp_path, copy.name)
     assert (copy / "trial.json").is_file()
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import sys
 from pathlib import Path
@@ -12,7 +11,7 @@ import pytest
 from estimators.registry import ESTIMATOR
 from scenarios.cli.main import main
 from scenarios.results.estimates import load_estimate, load_results
-from scenarios.results.files import LOCK, exclusive, inside, is_held
+from scenarios.results.files import LOCK, exclusive, inside, is_held, read_manifest, write_json
 from scenarios.results.store import Store, rows_of
 from testbed.errors import HeftError
 from testbed.files import write_whole
@@ -37,10 +36,11 @@ def here(copied, tmp_path, monkeypatch) -> Path:
     (tmp_path / "stranger.py").write_text(MODULE, encoding="utf-8")
     (tmp_path / "s.toml").write_text(SCENARIO, encoding="utf-8")
     (tmp_path / "robot.toml").write_text(ROBOT, encoding="utf-8")
-    manifest = json.loads((copied / "manifest.json").read_text(encoding="utf-8"))
+    manifest = read_manifest(copied)
+    assert manifest is not None
     manifest["name"] = str(tmp_path / "s.toml")
     manifest["scenario"]["methods"] = {name: {"method": "stranger:Mine"} for name in manifest["scenario"]["methods"]}
-    (copied / "manifest.json").write_text(json.dumps(manifest), encoding="utf-8")
+    write_json(copied / "manifest.json", manifest)
     Store(copied).put_table(row | {"kind": "stranger:Mine"} for row in rows_of(load_results(copied)))
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("sys.path", [p for p in sys.path if p not in ("", str(tmp_path))])

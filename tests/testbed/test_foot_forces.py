@@ -8,7 +8,8 @@ import pytest
 from testbed.actions.rotate import Rotate
 from testbed.actions.weigh import Weigh
 from testbed.errors import InvalidValueError
-from testbed.foot_forces import FootForces, FootForcesFileError, load_foot_forces, save_foot_forces
+from testbed.files import DamagedFileError
+from testbed.foot_forces import FootForces, load_foot_forces, save_foot_forces
 from testbed.objects.files import load_object
 from testbed.objects.model import GRAVITY
 from testbed.simulation.runner import SimulationRunner
@@ -25,7 +26,7 @@ def test_they_come_back_as_they_were_and_a_cut_file_is_told(tmp_path):
     np.testing.assert_array_equal(back.particle, feet.particle)
     np.testing.assert_allclose(back.force, feet.force, rtol=1e-6)
     path.write_bytes(path.read_bytes()[:300])
-    with pytest.raises(FootForcesFileError, match=r"feet\.parquet"):
+    with pytest.raises(DamagedFileError, match=r"feet\.parquet"):
         load_foot_forces(path)
 
 

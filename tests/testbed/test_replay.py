@@ -2,24 +2,25 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from scenarios.results.files import write_json
 from testbed.actions.base import Action
 from testbed.actions.rotate import Rotate
 from testbed.actions.slide import Slide
 from testbed.actions.weigh import Weigh
 from testbed.errors import InfeasibleTrialError, InvalidValueError
+from testbed.files import DamagedFileError
 from testbed.objects.files import load_object
 from testbed.replay import Recording, ReplayRunner
 from testbed.sensing.compensation import compensate
 from testbed.sensing.noise import draw_sensing
 from testbed.sensing.presets import preset
-from testbed.trajectory import Trajectory, TrajectoryFileError, save_trajectory
+from testbed.trajectory import Trajectory, save_trajectory
 from testbed.trial import RIGID, Trial
 from tests.helpers.records import moving_hand, record
 
@@ -98,7 +99,7 @@ def put(root: Path, key: str, trajectory: Trajectory, said: dict[str, object] | 
     """A trial as a results folder has it."""
     save_trajectory(trajectory, root / "trials" / key / "trajectory.parquet")
     if said is not None:
-        (root / "trials" / key / "trial.json").write_text(json.dumps(said))
+        write_json(root / "trials" / key / "trial.json", said)
 
 
 def test_a_results_folder_says_which_object_it_was(tmp_path: Path):
@@ -140,7 +141,7 @@ def test_a_folder_without_records_or_with_a_stranger_among_them_is_refused(tmp_p
         with pytest.raises(InvalidValueError, match=r"replay folder: .*a results folder, or one of trajectory files"):
             ReplayRunner(folder)
     (tmp_path / "x.parquet").write_text("time_s\n0.1\n")
-    with pytest.raises(TrajectoryFileError, match=r"x\.parquet: not a trajectory file"):
+    with pytest.raises(DamagedFileError, match=r"x\.parquet: not a trajectory file"):
         ReplayRunner(tmp_path)
 
 

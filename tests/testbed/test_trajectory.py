@@ -19,8 +19,8 @@ from testbed.actions.rotate import Rotate
 from testbed.actions.slide import Slide
 from testbed.actions.weigh import Weigh
 from testbed.errors import InvalidValueError
-from testbed.files import write_whole
-from testbed.trajectory import Phase, Tool, Trajectory, TrajectoryFileError, load_trajectory, save_trajectory
+from testbed.files import UNSEALED, DamagedFileError, write_sealed, write_whole
+from testbed.trajectory import Phase, Tool, Trajectory, load_trajectory, save_trajectory
 from testbed.worlds.setup_errors import SetupErrors
 from tests.helpers.records import TOOL, record
 
@@ -95,7 +95,7 @@ def test_a_damaged_file_is_refused(full: Trajectory, tmp_path: Path, kept: float
     elif kept is not None:
         save_trajectory(full, path)
         path.write_bytes(path.read_bytes()[: int(kept * path.stat().st_size)])
-    with pytest.raises(TrajectoryFileError, match=r"t\.parquet: not a whole trajectory file"):
+    with pytest.raises(DamagedFileError, match=r"t\.parquet: not a whole trajectory file"):
         load_trajectory(path)
 
 
@@ -115,11 +115,14 @@ def test_a_header_of_another_kind_is_refused(full: Trajectory, tmp_path: Path, c
     save_trajectory(full, path)
     table = pq.read_table(path)
     header = change(json.loads(table.schema.metadata[b"heft"]))
-    pq.write_table(table.replace_schema_metadata({b"heft": json.dumps(header).encode()}), path)
-    with pytest.raises(TrajectoryFileError, match=re.escape(said)):
+    changed = table.replace_schema_metadata({"heft": json.dumps(header), "checksum": UNSEALED})
+    write_sealed(path, lambda part: pq.write_table(changed, part))
+    with pytest.raises(DamagedFileError, match=re.escape(said)):
         load_trajectory(path)
-    pq.write_table(table.drop_columns(["sensor_wrench.fz_N"]), path)
-    with pytest.raises(TrajectoryFileError, match=r"sensor_wrench\.fz_N"):
+    sealed = {"heft": table.schema.metadata[b"heft"], "checksum": UNSEALED}
+    fewer = table.drop_columns(["sensor_wrench.fz_N"]).replace_schema_metadata(sealed)
+    write_sealed(path, lambda part: pq.write_table(fewer, part))
+    with pytest.raises(DamagedFileError, match=r"sensor_wrench\.fz_N"):
         load_trajectory(path)
 
 

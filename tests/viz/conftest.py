@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from scenarios.config import Scenario
+from scenarios.results.files import write_json
 from scenarios.study.run import run_scenario
 from testbed.actions.rotate import Rotate
 from testbed.actions.weigh import Weigh
@@ -36,7 +37,7 @@ def turn_folder(tmp_path_factory) -> Path:
     root = tmp_path_factory.mktemp("turn")
     put_trial(root, "L2", Rotate(0, duration=3.0))
     put_trial(root, "L2", Weigh())
-    (root / "manifest.json").write_text('{"scenario": {"sensing": ["ideal", "ft300s"]}}', encoding="utf-8")
+    write_json(root / "manifest.json", {"scenario": {"sensing": ["ideal", "ft300s"]}})
     return root
 
 

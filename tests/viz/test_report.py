@@ -9,10 +9,11 @@ from html.parser import HTMLParser
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 import pytest
 from matplotlib.figure import Figure
 
+from scenarios.results.files import write_json
+from scenarios.results.store import Store, write_arrays
 from scenarios.views.report import report
 from testbed.errors import InvalidValueError
 from testbed.objects.files import load_object
@@ -45,10 +46,10 @@ def row(method: str, seed: int, nad: float | None, name: str = "L2", **more: obj
 def write(folder: Path, rows: list[dict]) -> Path:
     """A results folder."""
     folder.mkdir(parents=True, exist_ok=True)
-    pd.DataFrame(rows).to_parquet(folder / "results.parquet")
+    Store(folder).put_table(rows)
     scenario = {"objects": ["L2"], "seeds": 2, "methods": {"random_search": {"iterations": 7}}, "grid": {"feet": 3}}
     manifest = {"scenario": scenario, "python": "3.11.0", "packages": {"heft": "9.8.7"}}
-    (folder / "manifest.json").write_text(json.dumps(manifest), encoding="utf-8")
+    write_json(folder / "manifest.json", manifest)
     return folder
 
 
@@ -73,7 +74,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         (folder / "estimates" / key).mkdir(parents=True)
         (folder / "estimates" / key / name).write_text(text, encoding="utf-8")
     traces = {"random.loss": np.geomspace(8, 0.1, 50), "random.seconds": np.linspace(0, 1, 50)}
-    np.savez(folder / "estimates" / "0123abcd" / "estimate.npz", allow_pickle=False, **traces)
+    write_arrays(folder / "estimates" / "0123abcd" / "estimate.npz", traces)
     return folder
 
 

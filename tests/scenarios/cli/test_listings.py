@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import json
 import subprocess
 import sys
 from importlib.metadata import EntryPoint, EntryPoints, version
@@ -15,7 +14,7 @@ from rich.console import Console
 from estimators.registry import METHODS
 from scenarios.catalog import LIBRARY, purpose, scenario_names
 from scenarios.cli.main import main
-from scenarios.results.files import exclusive
+from scenarios.results.files import exclusive, write_json
 from testbed import plugins
 from testbed.errors import HeftError
 from testbed.plugins import settings_of
@@ -31,7 +30,7 @@ def folder_of(path: Path, manifest: dict[str, object], trials: int = 2, estimate
         for i in range(count):
             (path / kind / str(i)).mkdir(parents=True)
             (path / kind / str(i) / name).write_text("{}")
-    (path / "manifest.json").write_text(json.dumps(manifest))
+    write_json(path / "manifest.json", manifest)
     return path
 
 

@@ -1,0 +1,137 @@
+"""Damage on disk: named in every file, made again where it can be, left out where it cannot, and never silent."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from scenarios.cli.main import main
+from scenarios.results.estimates import load_results
+from scenarios.results.files import read_json, read_manifest, write_json
+from scenarios.results.store import Store, key_of, object_request
+from scenarios.results.trials import measured_records
+from testbed.files import DamagedFileError, DamagedFileWarning, load_sealed, read_file
+from testbed.objects.files import load_object
+from testbed.objects.random import Family
+from testbed.trajectory import save_trajectory
+from testbed.trial import Trial
+from tests.helpers.records import record
+from tests.helpers.runs import resumed
+
+KINDS = (
+    *("manifest.json", "results.parquet", "trajectory.parquet", "trial.json", "foot_forces.parquet"),
+    *("estimate.npz", "result.json"),
+)
+
+
+def flip(path: Path, at: float = 0.5) -> None:
+    """Turn one bit of a file, at this part of its length."""
+    data = bytearray(path.read_bytes())
+    data[int(at * len(data))] ^= 4
+    path.write_bytes(data)
+
+
+def lose(path: Path) -> None:
+    """Fill a sector of a file with zeros."""
+    data = bytearray(path.read_bytes())
+    begin = min(512, len(data) // 2) // 16 * 16
+    data[begin : begin + 512] = bytes(len(data[begin : begin + 512]))
+    path.write_bytes(data)
+
+
+def test_no_bit_of_a_stored_file_turns_unseen(finished, tmp_path):
+    rng, path = np.random.default_rng(0), tmp_path / "file"
+    for name in KINDS:
+        data = next(finished.out.rglob(name)).read_bytes()
+        assert load_sealed(next(finished.out.rglob(name)), "file", len) == len(data)
+        for at in [0, len(data) - 1, *rng.integers(len(data), size=40)]:
+            harmed = bytearray(data)
+            harmed[at] ^= 1 << rng.integers(8)
+            path.write_bytes(harmed)
+            with pytest.raises(DamagedFileError, match="not a whole file"):
+                load_sealed(path, "file", len)
+
+
+@pytest.mark.parametrize("harm", [flip, pytest.param(lose, marks=pytest.mark.slow)])
+def test_a_run_names_what_is_damaged_and_makes_it_again(finished, copied, harm):
+    before = {path: path.read_bytes() for path in copied.rglob("*.*")}
+    harmed = [*(copied / "notes").iterdir(), copied / "manifest.json", copied / "results.parquet"]
+    for kind, names in (("trials", KINDS[2:5]), ("estimates", KINDS[5:])):
+        folders = [f for f in sorted((copied / kind).iterdir()) if all((f / name).exists() for name in names)]
+        harmed += [folder / name for folder, name in zip(folders, names, strict=False)]
+    for path in harmed:
+        harm(path)
+    with pytest.warns(DamagedFileWarning) as told:
+        pd.testing.assert_frame_equal(resumed(finished.scenario, copied), finished.rows)
+    said = "\n".join(str(warning.message) for warning in told)
+    for path in harmed:
+        assert path.name == "results.parquet" or f"{path}: not a whole" in said or path.name == "manifest.json"
+    assert len(load_results(copied)) == len(finished.rows)
+    for path, data in before.items():
+        if path.parent.name != "out":
+            load_sealed(path, "file", len)
+            assert path in harmed or path.parent in {p.parent for p in harmed} or path.read_bytes() == data
+
+
+def test_a_drawn_object_is_drawn_again(tmp_path):
+    store, path = Store(tmp_path), tmp_path / "objects" / "key" / "r_0.toml"
+    assert not store.has_object(path)
+    store.put_object(path, Family(name="r", count=1).draw(0, 0))
+    assert store.has_object(path) and load_object(path).name == "r_0"
+    flip(path)
+    with pytest.warns(DamagedFileWarning, match="r_0.toml: not a whole object file: .*; made again"):
+        assert not store.has_object(path)
+
+
+@pytest.mark.parametrize("name", ["trajectory.parquet", "trial.json"])
+def test_a_measured_trial_is_left_out_told_and_kept(tmp_path, name):
+    obj, store = load_object("L2"), Store(tmp_path)
+    for number in range(2):
+        taken = record(provenance={"runner": "robot", "recorded": str(number)})
+        request = {"object": object_request(obj), "support": "own_weight", "number": number}
+        store.put_trial(key_of(request), Trial(obj, taken.action), request, taken)
+    first, second = (trial.folder for trial in measured_records(tmp_path))
+    flip(first / name)
+    with pytest.warns(DamagedFileWarning, match=f"{name}: not a whole .*; left out"):
+        (left,) = measured_records(tmp_path)
+    assert left.folder == second and (first / "trial.json").is_file()
+    with pytest.raises(DamagedFileError):
+        store.trajectory(first.name) if name == "trajectory.parquet" else read_json(first / name)
+    assert (first / "trial.json").is_file()
+
+
+def test_what_shows_a_folder_names_what_is_damaged(finished, copied, capsys):
+    row = finished.rows[finished.rows["method"] == "bare"].iloc[0]
+    estimate, trial = copied / "estimates" / row["key"], copied / "trials" / row["trial_keys"][1]
+    harmed = [copied / "manifest.json", trial / "trial.json", estimate / "estimate.npz"]
+    for path in harmed:
+        flip(path)
+    for command, files in (("status", harmed[:1]), ("report", harmed), ("render", harmed[1:2])):
+        with pytest.warns(DamagedFileWarning) as told:
+            main([command, str(copied)])
+        assert {str(warning.message).partition(": ")[0] for warning in told} == {str(path) for path in files}
+    for command in (["export", row["key"]], ["render", trial.name]):
+        with pytest.raises(SystemExit, match="2"):
+            main([command[0], str(copied), *command[1:]])
+        said = capsys.readouterr().err
+        assert said.startswith(f"heft: {copied}") and ": not a whole" in said and said.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("field", "value"), [("scenario", 3), ("expected", []), ("scenario", {"sensing": 1}), ("name", {})]
+)
+def test_a_manifest_of_another_kind_is_refused(tmp_path, field, value):
+    write_json(tmp_path / "manifest.json", {field: value})
+    with pytest.raises(DamagedFileError, match="not of this version of heft"):
+        read_manifest(tmp_path)
+
+
+def test_what_is_no_plain_file_or_too_large_is_not_read(tmp_path):
+    with pytest.raises(OSError, match="not a plain file"):
+        read_file(Path("/dev/zero"))
+    save_trajectory(record(), tmp_path / "t.parquet")
+    with pytest.raises(OSError, match="more than the 0"):
+        read_file(tmp_path / "t.parquet", 1000)

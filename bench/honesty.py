@@ -13,6 +13,7 @@ import argparse
 import time
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import combinations
 from multiprocessing import get_context
 from pathlib import Path
 
@@ -75,6 +76,8 @@ NOISE = np.repeat([0.1, 0.005], 3)
 PATTERNS = ("grid", "random", "corners", "ring", "dense", "pressed")
 """Contact under a block: the model's grid; three or four points anywhere that carry it level; four feet; a ring of
 eight; a grid of 7 x 7; six points of even load."""
+RIGID = {"rigid": "dense", "three_feet": "random"}
+"""One rigid body on all of such points, whose loads rise evenly, or on the three that carry it with the widest base."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,6 +90,7 @@ class Contacts:
 
 def contacts(obj: ObjectModel, pattern: str, setup: SetupErrors, rng: np.random.Generator) -> Contacts:
     """Contacts of one draw."""
+    under = RIGID.get(pattern, pattern)
     shape, parts = obj.shape, []
     half = shape.cell * 3 / 2
     offset = setup.particle_offset * rng.standard_normal((shape.n_m, 2))
@@ -94,20 +98,20 @@ def contacts(obj: ObjectModel, pattern: str, setup: SetupErrors, rng: np.random.
     for group in range(shape.n_m):
         cells = shape.particles[shape.mass_group == group]
         middle = cells.mean(axis=0)
-        if pattern == "grid":
+        if under == "grid":
             at, share = cells, np.full(len(cells), 1 / len(cells))
-        elif pattern == "dense":
+        elif under == "dense":
             ticks = (np.arange(7) - 3) / 3.5 * half
             at = middle + np.array([(x, y) for x in ticks for y in ticks])
             share = np.full(len(at), 1 / len(at))
-        elif pattern == "corners":
+        elif under == "corners":
             at = middle + 0.9 * half * np.array([(x, y) for x in (-1, 1) for y in (-1, 1)])
             share = np.full(4, 0.25)
-        elif pattern == "ring":
+        elif under == "ring":
             angle = rng.uniform(0, 2 * np.pi) + np.arange(8) * np.pi / 4
             at = middle + rng.uniform(0.5, 0.95) * half * np.column_stack([np.cos(angle), np.sin(angle)])
             share = np.full(8, 1 / 8)
-        elif pattern == "pressed":
+        elif under == "pressed":
             at = middle + half * rng.uniform(-1, 1, (6, 2))
             share = np.full(6, 1 / 6)
         else:
@@ -118,8 +122,27 @@ def contacts(obj: ObjectModel, pattern: str, setup: SetupErrors, rng: np.random.
                 if share.min() > 0.05 and np.allclose(matrix @ share, [1, 0, 0]):
                     break
         mu = obj.truth.friction[shape.friction_group[shape.mass_group == group][0]]
-        parts.append((at + offset[group], mu * friction[group] * obj.group_mass[group] * GRAVITY * share))
-    return Contacts(*(np.concatenate(part) for part in zip(*parts, strict=True)))
+        load = obj.group_mass[group] * GRAVITY * share
+        parts.append((at + offset[group], np.full(len(at), mu * friction[group]), load))
+    position, mu, load = (np.concatenate(part) for part in zip(*parts, strict=True))
+    if pattern in RIGID:
+        load = rigid_loads(position, obj, widest=pattern == "three_feet")
+    return Contacts(position, mu * load)
+
+
+def rigid_loads(position: np.ndarray, obj: ObjectModel, *, widest: bool) -> np.ndarray:
+    """Loads of one rigid body: rising evenly over all points, or those of the three of the widest base."""
+    whole = np.append(1.0, obj.center_of_mass) * obj.total_mass * GRAVITY
+    matrix = np.vstack([np.ones(len(position)), position.T])
+    if not widest:
+        return np.linalg.lstsq(matrix, whole, rcond=None)[0]
+    best, load = 0.0, np.zeros(len(position))
+    for three in combinations(range(len(position)), 3):
+        base = abs(np.linalg.det(matrix[:, three]))
+        if base > best and (carried := np.linalg.solve(matrix[:, three], whole)).min() > 0:
+            best, load = base, np.zeros(len(position))
+            load[list(three)] = carried
+    return load
 
 
 @dataclass(frozen=True, eq=False)
@@ -319,7 +342,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--methods", nargs="+", default=["hidden_states"])
     parser.add_argument("--worlds", nargs="+", default=list(WORLDS))
-    parser.add_argument("--contacts", nargs="+", default=list(PATTERNS))
+    parser.add_argument("--contacts", nargs="+", default=list(PATTERNS), help=f"{', '.join([*PATTERNS, *RIGID])}")
     parser.add_argument("--blind", action="store_true", help="methods are told that the setup is exact")
     parser.add_argument("--workers", type=int, default=2)
     args = parser.parse_args()

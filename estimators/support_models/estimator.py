@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
+from jaxtyping import Float
 
 from estimators.base import Estimate, HiddenStateEstimate
 from estimators.hidden_states.estimator import HiddenStates
@@ -18,7 +19,7 @@ from estimators.particles.windows import Observations, observe
 from estimators.support_models.fit import SupportFit, fit_support
 from estimators.support_models.materials import rank_assignments
 from estimators.support_models.polytope import MassPolytope
-from estimators.support_models.selection import DECISIVE, SupportTest, support_test
+from estimators.support_models.selection import DECISIVE, support_test
 from testbed.errors import InvalidValueError
 from testbed.objects.model import MassDistribution, ObjectShape
 from testbed.trajectory import Trajectory
@@ -104,9 +105,18 @@ class SupportAware:
             as_own = fit_support(shape, weight, observed, "own_weight", ModelErrors(), lifted)
             fits = {"rigid": (as_rigid,), "own_weight": (as_own,), "between": (as_rigid if rigid else as_own,)}
             answer = self._with_materials(shape, fits.get(test.kind, (as_own, as_rigid)), answer)
-        if test.violated:
-            return replace(answer, status="assumption_violated", message=_joined(test.sentence, answer.message))
-        return _undecided(test, as_rigid, answer, seed) if test.kind == "undecided" else answer
+        if test.kind == "own_weight" and answer.status != "unexplained":
+            return answer
+        message = _joined(test.sentence if test.kind != "own_weight" else "", answer.message)
+        if test.kind == "rigid":
+            return replace(answer, status="assumption_violated", message=message)
+        assert own.distribution is not None and own.covariance is not None
+        # the answer may be wrong by as much as the other support's is elsewhere
+        on_rigid = MassPolytope(*as_rigid.on_mass()).posterior(seed)
+        other = (own.distribution.mass, own.covariance) if rigid else on_rigid
+        share = 1 / (1 + 10**test.log10_bayes_factor) if test.kind == "undecided" else 0.5
+        status = {"between": "assumption_violated", "undecided": "underdetermined"}.get(test.kind, answer.status)
+        return replace(_either(answer, *other, share), status=status, message=message)
 
     def _rigid(self, shape: ObjectShape, fit: SupportFit, own: Estimate, seed: int, known: str) -> Estimate:
         """Estimate from the masses that agree with `known`, the numbers that one rigid body shows, in words."""
@@ -172,14 +182,14 @@ class SupportAware:
         )
 
 
-def _undecided(test: SupportTest, fit: SupportFit, answer: Estimate, seed: int) -> Estimate:
-    """Algorithm 1's estimate, with the errors of either model, as likely as the data make it."""
+def _either(
+    answer: Estimate, mean: Float[np.ndarray, "n_m"], covariance: Float[np.ndarray, "n_m n_m"], share: float
+) -> Estimate:
+    """The answer with errors that allow for another one, whose probability is `share`; kg and kg^2 a particle."""
     assert answer.distribution is not None and answer.covariance is not None
-    share = 1 / (1 + 10**test.log10_bayes_factor)
-    mean, covariance = MassPolytope(*fit.on_mass()).posterior(seed)
     apart = mean - answer.distribution.mass
     both = (1 - share) * answer.covariance + share * (covariance + np.outer(apart, apart))
-    return replace(answer, status="underdetermined", message=_joined(test.sentence, answer.message), covariance=both)
+    return replace(answer, covariance=both)
 
 
 def _joined(first: str, second: str) -> str:

@@ -20,6 +20,7 @@ from estimators.particles.errors import ModelErrors
 from estimators.particles.friction_system import torque_covariance, wrench_errors
 from estimators.particles.gripper_load import GripperLoad
 from estimators.particles.lifts import LiftedRows, lifted_rows
+from estimators.particles.misfit import Misfit
 from estimators.particles.model import ParticleModel, inertia_of
 from estimators.particles.pivots import PivotInertia, inertia_map, pivot_inertias
 from estimators.particles.support import LOADS, LoadsOf, SupportModel
@@ -67,16 +68,24 @@ class SupportFit:
         missing = self.target - self.of_friction @ self.friction - self.of_mass @ self.mass
         return float(missing @ missing)
 
+    @property
+    def widening(self) -> float:
+        """Factor of the covariance, 1 where the stated errors may give the misfit by chance."""
+        unknown = np.linalg.matrix_rank(np.hstack([self.of_friction, self.of_mass]), rtol=1e-6)
+        freedom = len(self.target) - int(unknown)
+        return Misfit(self.misfit / max(freedom, 1), freedom, {}, {}).widening
+
     def on_mass(self) -> tuple[Float[np.ndarray, "r n_m"], Float[np.ndarray, "r"]]:
         """Equations of the masses, friction eliminated: rows a with a m = y, independent and of unit error.
 
         The first row is the surest; r is n_m where every mass is known, and 4 at most under one rigid
-        body, or 6 with lifts.
+        body, or 6 with lifts. Errors of wrenches are as wide as their misfit.
         """
         q, _ = np.linalg.qr(self.of_friction)
-        free = self.of_mass - q @ (q.T @ self.of_mass)
-        rows = np.vstack([free, self.known])
-        values = np.concatenate([self.target - q @ (q.T @ self.target), self.known_target])
+        both = np.column_stack([self.of_mass, self.target]) / np.sqrt(self.widening)
+        free = both - q @ (q.T @ both)
+        rows = np.vstack([free[:, :-1], self.known])
+        values = np.concatenate([free[:, -1], self.known_target])
         left, strength, right = np.linalg.svd(rows, full_matrices=False)
         kept = strength > 1e-6 * strength[0]
         return strength[kept, None] * right[kept], left[:, kept].T @ values

@@ -138,6 +138,21 @@ def test_a_rigid_body_is_answered_by_masses_that_agree_with_what_is_known(seed):
         assert answer.diagnostics[f"least_{group}_kg"] - 1e-6 <= mass <= answer.diagnostics[f"most_{group}_kg"] + 1e-6
 
 
+@pytest.mark.parametrize("part", [0.3, 0.6, 0.9])
+def test_between_the_two_supports_it_says_so_and_errors_are_as_wide_as_both_are_apart(part):
+    obj = drawn_object(5)
+    fields = ("wrench_on_object_world", "sensor_wrench")
+    trials = [
+        replace(own, **{name: (1 - part) * getattr(own, name) + part * getattr(rigid, name) for name in fields})
+        for own, rigid in zip(data(obj, rigid=False), data(obj, rigid=True), strict=True)
+    ]
+    answer = ask(obj, trials, SupportAware())
+    assert answer.status in ("unexplained", "assumption_violated")
+    assert answer.covariance is not None
+    off = (found(answer).mass - obj.truth.mass) / np.sqrt(np.diag(answer.covariance))
+    assert np.abs(off).max() < 3, off
+
+
 @pytest.mark.parametrize("rigid", [False, True])
 @pytest.mark.parametrize("name", ["I1", "L2", "F2"])
 def test_two_materials_make_it_a_finite_search(name, rigid):

@@ -22,6 +22,7 @@ from estimators.base import Estimate, EstimateStatus, Trace, robot_seconds
 from estimators.baselines.problem import UNEXPLAINED, Problem, Weighting
 from estimators.descent import OPTIMIZERS, check_optimizers, descend_all
 from estimators.particles.errors import RIGID, ModelErrors
+from estimators.particles.misfit import Misfit
 from estimators.particles.support import ASSUMPTION
 from testbed.errors import InvalidValueError
 from testbed.objects.model import GRAVITY, MassDistribution, ObjectShape
@@ -223,9 +224,9 @@ class Baseline(ABC):
         """The estimate of a search, less its time."""
         best = torch.tensor(found.mass), torch.tensor(found.friction)
         misfit = float(problem.loss(*best, "covariance")) if found.misfit is None else found.misfit
+        of_answer = Misfit(misfit, 3 * len(problem.windows) - len(found.mass) - len(found.friction), {}, {})
         left = math.sqrt(problem.unexplained(*best))
         rollouts = found.rollouts or sum(len(trace.loss) for trace in found.traces)
-        cost = robot_seconds(trajectories)
         status: EstimateStatus = "ok"
         why = ""
         if not problem.scale_known:
@@ -234,12 +235,14 @@ class Baseline(ABC):
             status = "not_converged"
             why = f"the best candidate leaves {100 * left:.0f} % of the largest wrench: the search is too short, or "
             why += "the trajectories contradict each other"
+        elif found.covariance is not None and not of_answer.explains:  # it claims errors, so it has to explain
+            status, why = "unexplained", f"the masses do not explain the trials: misfit {misfit:.2g} in place of 1"
         return Estimate(
             MassDistribution(found.mass, found.friction),
             status,
             why,
-            found.covariance,
-            traces=tuple(replace(trace, robot_seconds=cost) for trace in found.traces),
+            None if found.covariance is None else of_answer.widening * found.covariance,
+            traces=tuple(replace(trace, robot_seconds=robot_seconds(trajectories)) for trace in found.traces),
             diagnostics={"loss": found.loss, "misfit": misfit, "rollouts": float(rollouts)},
             assumes=ASSUMPTION[self._support],
         )

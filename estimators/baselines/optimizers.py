@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import math
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
 from cmaes import CMA
+from jaxtyping import Float
 from scipy.optimize import least_squares, minimize
+from torch import Tensor
 
 from estimators.baselines.base import FIRST_DEVIATION, LogCoordinates, Peer, SearchResult
 from estimators.baselines.problem import Problem, Weighting
+from estimators.particles.errors import ModelErrors
 from testbed.errors import InvalidValueError
 from testbed.validation import check_positive
 
@@ -95,7 +99,10 @@ class NelderMead(Peer):
 
 @dataclass(frozen=True)
 class LeastSquares(Peer):
-    """Fit of all wrenches at once in log mass and log friction, with difference quotients for slopes."""
+    """Fit of all wrenches at once in log mass and log friction, with difference quotients for slopes.
+
+    Weighted by covariance it has the covariance of its answer, from the slopes there.
+    """
 
     def _search(self, problem: Problem, seed: int) -> SearchResult:
         objective = Objective(problem, self.weighting, seed)
@@ -107,4 +114,24 @@ class LeastSquares(Peer):
 
         steps = self.iterations // (len(objective.start) + 1)  # one difference along every direction
         least_squares(residuals, objective.start, max_nfev=max(steps, 1))
-        return objective.result("least_squares")
+        found = objective.result("least_squares")
+        if self.weighting != "covariance":
+            return found
+        return replace(found, covariance=_covariance(problem, torch.tensor(found.mass), torch.tensor(found.friction)))
+
+
+def _covariance(
+    problem: Problem, mass: Float[Tensor, "n_m"], friction: Float[Tensor, "n_mu"]
+) -> Float[np.ndarray, "n_m n_m"]:
+    """Covariance of the particle masses [kg^2] by the slopes of whitened wrenches; what no datum holds is not in it."""
+
+    def missed(mass: Tensor, friction: Tensor) -> Tensor:
+        return problem.residuals(mass, friction, "covariance")
+
+    slopes = torch.autograd.functional.jacobian(missed, (mass, friction))
+    rows = torch.cat(slopes, 1).numpy() * math.sqrt(3 * len(problem.windows))
+    if problem.weight is not None:
+        weight_error = math.hypot(ModelErrors.weight_error, problem.windows.setup.scale)
+        weighing = np.append(problem.per_group.numpy() / weight_error, np.zeros(len(friction)))
+        rows = np.vstack([rows, weighing])
+    return np.linalg.pinv(rows.T @ rows, rcond=1e-12, hermitian=True)[: len(mass), : len(mass)]

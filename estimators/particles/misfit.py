@@ -120,9 +120,14 @@ class Misfit:
         return 1.0 if self.by_chance else self.value
 
     @property
+    def explains(self) -> bool:
+        """True if the answer explains the trials, by the errors stated or nearly."""
+        return self.by_chance or self.value <= UNEXPLAINED
+
+    @property
     def reason(self) -> str:
         """Why the answer does not explain the trials; empty where it does."""
-        if self.by_chance or self.value <= UNEXPLAINED:
+        if self.explains:
             return ""
         worst = max(self.trials, key=lambda trial: self.trials[trial])
         name, cause = next(iter(self.explained.items()))

@@ -14,6 +14,7 @@ from estimators.base import Estimate
 from estimators.baselines.base import DENSEST, ITERATIONS, Baseline
 from estimators.baselines.diff_lcp import DiffLcp
 from estimators.baselines.explicit_state import ExplicitState
+from estimators.baselines.optimizers import LeastSquares
 from estimators.baselines.random_search import RandomSearch
 from estimators.baselines.weighted_sampling import WeightedSampling, _grid
 from estimators.descent import OPTIMIZERS
@@ -289,3 +290,16 @@ def test_masses_double_exactly_with_the_wrenches(method, use_weight):
     rounding = 1e-4 if method is DiffLcp else 1e-6
     assert_allclose(double.mass, 2 * once.mass, rtol=rounding)
     assert_allclose(double.friction, once.friction, rtol=rounding)
+
+
+def test_least_squares_claims_the_errors_that_its_answers_have():
+    off = []
+    for seed in range(4):
+        obj = drawn_object(seed)
+        trials = turns(obj, noise=0.1) + accelerated(obj, noise=0.1)
+        answer = LeastSquares().estimate(obj.shape, obj.total_mass, trials, 0)
+        assert answer.status == "ok" and answer.covariance is not None
+        off.append((found(answer).mass - obj.truth.mass) / np.sqrt(np.diag(answer.covariance)))
+    spread = np.sqrt(np.mean(np.concatenate(off) ** 2))
+    assert 0.1 < spread < 1.5, spread
+    assert ask(TWO, LeastSquares(weighting="velocity")).covariance is None

@@ -7,6 +7,7 @@ import pytest
 import torch
 from numpy.testing import assert_allclose
 
+from estimators.baselines.optimizers import LeastSquares
 from estimators.hidden_states.estimator import HiddenStates
 from estimators.particles.friction_system import sensor_map
 from estimators.particles.model import ParticleModel
@@ -98,10 +99,11 @@ def test_where_all_move_alike_the_pattern_of_contact_does_not_matter():
     assert np.abs(slid).max() < 1e-9 and np.abs(turned).max() > 1e-3
 
 
-def test_errors_that_are_stated_widen_the_answers_own():
+@pytest.mark.parametrize("method", [HiddenStates(), LeastSquares()], ids=["hidden_states", "least_squares"])
+def test_errors_that_are_stated_widen_the_answers_own(method):
     trials = turns(OBJECT) + accelerated(OBJECT)
     stated = [replace(t, setup=SetupErrors(grasp_offset=0.001, group_friction=0.03)) for t in trials]
-    exact, wide = (HiddenStates().estimate(OBJECT.shape, OBJECT.total_mass, given, 0) for given in (trials, stated))
+    exact, wide = (method.estimate(OBJECT.shape, OBJECT.total_mass, given, 0) for given in (trials, stated))
     assert exact.status == wide.status == "ok"
     assert wide.covariance is not None and exact.covariance is not None
     assert (np.diag(wide.covariance) > 4 * np.diag(exact.covariance)).all()

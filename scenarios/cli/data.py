@@ -29,7 +29,7 @@ def import_(
     weight: Annotated[float | None, tyro.conf.arg(metavar="KG")] = None,
     support: Annotated[str, tyro.conf.arg(metavar="SUPPORT")] = "own_weight",
 ) -> None:
-    """Read another robot's logs (CSV, or MCAP with JSON messages) as trials, for every method.
+    """Read another robot's logs (tables, MCAP, ROS 2 bags) as trials, for every method.
 
     MAPPING is a TOML file that says which column is what, in which unit, and what was done: docs/formats.md has one to
     begin with. All errors are listed at once, and then nothing is written. A log that is imported again, by a
@@ -41,7 +41,7 @@ def import_(
 
     Args:
         mapping: TOML file.
-        logs: .csv or .mcap files, one a trial; those that the mapping names if left out.
+        logs: tables, .mcap files or ROS 2 bags, one a trial; those that the mapping names if left out.
         out: results folder to put the trials into.
         weight: mass of the object as a scale read it; every method needs it once.
         support: support of the object's weight, as far as you know: own_weight, rigid, or a stiffness in N/m.

@@ -49,7 +49,7 @@ def import_logs(
 
     Args:
         mapping: TOML file that says what the columns are.
-        logs: .csv or .mcap files; those that the mapping names if empty.
+        logs: tables, .mcap files or ROS 2 bags; those that the mapping names if empty.
         out: results folder.
         support_name: support that carried the weight, as far as the operator knows.
         weight: mass of the object as a scale read it [kg]; None is not known.
@@ -61,7 +61,7 @@ def import_logs(
     content, support = load_toml(mapping, Mapping), parse_support(support_name)
     paths = list(dict.fromkeys(logs)) or [mapping.parent / entry.file for entry in content.logs]
     if not paths:
-        raise InvalidValueError("LOG", None, f"one .csv or .mcap file or more, or [[logs]] tables in {mapping}")
+        raise InvalidValueError("LOG", None, f"one log or more, or [[logs]] tables in {mapping}")
     if weight is not None:
         check_positive("--weight", weight)
     reads = [partial(_read, path, mapping, partial(progress, "logs", i, len(paths))) for i, path in enumerate(paths, 1)]
@@ -84,7 +84,7 @@ def _read(path: Path, mapping: Path, done: Callable[[], None]) -> Trajectory:
         return import_trajectory(path, mapping)
     except HeftError as error:
         lines = str(error).splitlines()
-        named = [line if Path(line.split(": ")[0]).is_file() else f"{path}: {line}" for line in lines]
+        named = [line if Path(line.split(": ")[0]).exists() else f"{path}: {line}" for line in lines]
         raise LogError("\n".join(named)) from None
     finally:
         done()
@@ -94,7 +94,7 @@ def _put(
     store: Store, model: ObjectModel, support: Support, trajectory: Trajectory, path: Path, mapping: Mapping
 ) -> str:
     """Put a trial where simulated ones are kept, in the place of an earlier import of the same log; its key."""
-    content = hashlib.sha256(path.read_bytes()).hexdigest()
+    content = _checksum(path)
     imported = {"log": path.name, "sha256": content, "mapping": mapping.model_dump(exclude_none=True)}
     request = _request(model, support, trajectory) | {"import": imported}
     key = key_of(request)
@@ -105,6 +105,14 @@ def _put(
         if earlier == content and file.parent.name != key:
             shutil.rmtree(file.parent)
     return key
+
+
+def _checksum(log: Path) -> str:
+    """SHA-256 of a log; of a bag's folder that of its files in a row."""
+    total = hashlib.sha256()
+    for file in sorted(f for f in log.iterdir() if f.is_file()) if log.is_dir() else [log]:
+        total.update(file.read_bytes())
+    return total.hexdigest()
 
 
 def _put_weight(store: Store, model: ObjectModel, support: Support, weight: float) -> None:

@@ -12,8 +12,9 @@ from scipy.spatial.transform import Rotation
 from testbed.actions.base import TableAction
 from testbed.errors import InvalidValueError
 from testbed.frames import origin_velocity, pose_from_point
-from testbed.importers.logs import CsvLog, LogError, McapLog, Series, open_log, read_all
+from testbed.importers.logs import Series, read_all
 from testbed.importers.mapping import HandMap, JointMap, Mapping, TimeMap, VelocityMap, factor
+from testbed.importers.messages import open_bag, open_mcap
 from testbed.importers.phases import (
     RATE,
     Phases,
@@ -24,6 +25,8 @@ from testbed.importers.phases import (
     resampled,
     resampled_rotation,
 )
+from testbed.importers.poses import Log, hand_pose
+from testbed.importers.tables import CsvLog
 from testbed.objects.files import load_object
 from testbed.objects.model import ObjectModel
 from testbed.sensing.compensation import compensate
@@ -33,6 +36,10 @@ from testbed.trajectory import Tool, Trajectory
 
 _SLOPE_WINDOW = 0.15
 """Time over which a logged pose is differentiated [s]."""
+_TABLES = (".csv", ".tsv", ".txt")
+_BAGS = (".db3", ".mcap")
+_WRENCHES = {"geometry_msgs/WrenchStamped": "wrench.", "geometry_msgs/Wrench": ""}
+"""Beginning of the fields of the messages that hold a wrench."""
 _SINCE_1970 = 1e9, 4e9
 """Times between these count from 1970: the years 2001 to 2096 [s]."""
 
@@ -41,7 +48,7 @@ def import_trajectory(log: Path, mapping: Path, limit: DriftLimit | None = None)
     """Read a log of another robot as a trajectory.
 
     Args:
-        log: a .csv or .mcap file.
+        log: a table, an .mcap file, or a ROS 2 bag: its folder or a .db3 file.
         mapping: a TOML file that describes its columns; see docs/formats.md.
         limit: largest drift of a valid trial, if the log ends with a second tare.
 
@@ -55,12 +62,12 @@ def import_trajectory(log: Path, mapping: Path, limit: DriftLimit | None = None)
     (action, model), wrench, pose, joints, velocity = read_all(
         lambda: _action_and_object(table, mapping),
         lambda: _wrench(source, table),
-        lambda: _pose(source, table),
+        lambda: hand_pose(source, table.hand, table.time, mapping.parent),
         lambda: _joints(source, table.joints, table.time) if table.joints else None,
         lambda: _velocity(source, table.velocity, table.time) if table.velocity else None,
     )
     base = common_base([s for s in (wrench, pose[0], joints, velocity) if s is not None], table.longest_gap_s)
-    time, count = np.arange(len(base)) / RATE, len(base)
+    time, count, begin = np.arange(len(base)) / RATE, len(base), source.epoch_s + float(base[0])
     hand = resampled_rotation(pose[0].time_s, pose[1], base)
     position = resampled(pose[0], base) + hand.apply(table.hand.tcp_in_hand_m)
     twist = resampled(velocity, base) if velocity else _differentiated(position, hand)
@@ -94,13 +101,31 @@ def import_trajectory(log: Path, mapping: Path, limit: DriftLimit | None = None)
             "runner": "import",
             "object": model.name,
             "log": log.name,
-            **({"recorded": _moment(base[0])} if _SINCE_1970[0] < base[0] < _SINCE_1970[1] else {}),
+            **({"recorded": _moment(begin)} if _SINCE_1970[0] < begin < _SINCE_1970[1] else {}),
             "joints": "as logged" if joints else "not logged: zeros",
             "velocity": "as logged" if velocity else "from the pose",
             "phases": "as mapped" if table.phases else "from the motion",
         },
     )
     return judge_drift(compensate(trajectory), limit or DriftLimit())
+
+
+def open_log(path: Path, table: Mapping) -> Log:
+    """Open a log by its suffix; a folder is a bag.
+
+    Raises:
+        InvalidValueError: a suffix that is none of a log's, or no such file.
+        LogError: a file that cannot be read.
+    """
+    if path.is_dir():
+        return open_bag(path)
+    if not path.is_file():
+        raise InvalidValueError("log", str(path), f"an existing file ({', '.join(_TABLES + _BAGS)}) or bag folder")
+    if path.suffix in _TABLES:
+        return CsvLog(path, table)
+    if path.suffix in _BAGS:
+        return open_mcap(path) if path.suffix == ".mcap" else open_bag(path)
+    raise InvalidValueError("log", str(path), f"a file that ends in {', '.join(_TABLES + _BAGS)}, or a bag folder")
 
 
 def object_of(table: Mapping, mapping: Path) -> ObjectModel:
@@ -128,41 +153,29 @@ def _moment(seconds: float) -> str:
     return datetime.fromtimestamp(seconds, UTC).isoformat(timespec="milliseconds")
 
 
-def _wrench(log: CsvLog | McapLog, table: Mapping) -> Series:
+def _wrench(log: Log, table: Mapping) -> Series:
     """Wrench of the sensor [N, N m], shape (N, 6)."""
-    sensor = table.sensor
-    time, values = log.series("sensor.force, sensor.torque", [*sensor.force, *sensor.torque], sensor.topic, table.time)
+    sensor, field = table.sensor, "sensor.force, sensor.torque"
+    kind = log.type_of(field, sensor.topic)
+    if sensor.force and sensor.torque:
+        names = [*sensor.force, *sensor.torque]
+    elif kind in _WRENCHES:
+        names = [f"{_WRENCHES[kind]}{part}.{a}" for part in ("force", "torque") for a in "xyz"]
+    else:
+        of = f"; {sensor.topic} has {kind or 'no type of message'}" if sensor.topic else ""
+        raise InvalidValueError(field, None, f"columns of the wrench{of}", file=log.path)
+    time, values = log.series(field, names, sensor.topic, table.time)
     units = np.repeat([factor("force", sensor.force_unit), factor("torque", sensor.torque_unit)], 3)
     return Series(time, values * units)
 
 
-def _pose(log: CsvLog | McapLog, table: Mapping) -> tuple[Series, Rotation]:
-    """Position [m] and orientation of the hand, base frame."""
-    hand = table.hand
-    time, values = log.series(
-        "hand.position, hand.orientation", [*hand.position, *hand.orientation], hand.topic, table.time
-    )
-    position, given = values[:, :3] * factor("length", hand.position_unit), values[:, 3:]
-    if hand.orientation_as in ("wxyz", "xyzw"):
-        lengths = np.linalg.norm(given, axis=1)
-        worst = int(np.argmax(np.abs(lengths - 1)))
-        if abs(lengths[worst] - 1) > 0.01:
-            raise LogError(f"hand.orientation: length {lengths[worst]:g} at sample {worst}; allowed: unit quaternions")
-        rotation = Rotation.from_quat(given, scalar_first=hand.orientation_as == "wxyz")
-    elif hand.orientation_as == "rotation_vector":
-        rotation = Rotation.from_rotvec(given * factor("angle", hand.angle_unit))
-    else:
-        rotation = Rotation.from_euler("xyz", given * factor("angle", hand.angle_unit))
-    return Series(time, position), rotation
-
-
-def _joints(log: CsvLog | McapLog, joints: JointMap, time: TimeMap) -> Series:
+def _joints(log: Log, joints: JointMap, time: TimeMap) -> Series:
     """Joint angles [rad], shape (N, 7)."""
     stamps, values = log.series("joints.position", joints.position, joints.topic, time)
     return Series(stamps, values * factor("angle", joints.unit))
 
 
-def _velocity(log: CsvLog | McapLog, velocity: VelocityMap, time: TimeMap) -> Series:
+def _velocity(log: Log, velocity: VelocityMap, time: TimeMap) -> Series:
     """Velocity of the TCP, base axes [m/s, rad/s], shape (N, 6)."""
     names = [*velocity.linear, *velocity.angular]
     stamps, values = log.series("velocity.linear, velocity.angular", names, velocity.topic, time)

@@ -80,7 +80,7 @@ class _Table(BaseModel):
 class TimeMap(_Table):
     """The [time] table."""
 
-    column: Text = "log_time"
+    column: Text | None = None
     unit: TimeUnit = "s"
 
 
@@ -88,8 +88,8 @@ class SensorMap(_Table):
     """The [sensor] table."""
 
     topic: Text | None = None
-    force: Three
-    torque: Three
+    force: Three | None = None
+    torque: Three | None = None
     force_unit: ForceUnit = "N"
     torque_unit: TorqueUnit = "N m"
     sign: Literal[1, -1] = 1
@@ -98,6 +98,12 @@ class SensorMap(_Table):
     bias_std_Nm: NonNegative = preset("ft300s").torque_bias
     drift_std_N: NonNegative = preset("ft300s").force_drift
     drift_std_Nm: NonNegative = preset("ft300s").torque_drift
+
+    @model_validator(mode="after")
+    def _has_all_columns(self) -> Self:
+        if (self.force is None) != (self.torque is None):
+            raise InvalidValueError("force, torque", [self.force, self.torque], "columns of both, or of neither")
+        return self
 
     @model_validator(mode="after")
     def _is_rotation(self) -> Self:
@@ -110,9 +116,12 @@ class HandMap(_Table):
     """The [hand] table."""
 
     topic: Text | None = None
-    position: Three
+    frame: Text | None = None
+    base: Text | None = None
+    urdf: Text | None = None
+    position: Three | None = None
     position_unit: LengthUnit = "m"
-    orientation: Annotated[list[Text], Field(min_length=3, max_length=4)]
+    orientation: Annotated[list[Text], Field(min_length=3, max_length=4)] | None = None
     orientation_as: OrientationAs = "wxyz"
     angle_unit: AngleUnit = "rad"
     tcp_in_hand_m: Vector = [0.0, 0.0, 0.0]
@@ -122,7 +131,10 @@ class HandMap(_Table):
     @model_validator(mode="after")
     def _has_all_parts(self) -> Self:
         parts = 4 if self.orientation_as in ("wxyz", "xyzw") else 3
-        if len(self.orientation) != parts:
+        if (self.position is None) != (self.orientation is None):
+            given = [self.position, self.orientation]
+            raise InvalidValueError("position, orientation", given, "columns of both, or of neither")
+        if self.orientation is not None and len(self.orientation) != parts:
             raise InvalidValueError("orientation", self.orientation, f"{parts} columns for {self.orientation_as}")
         return self
 
@@ -209,7 +221,7 @@ class Mapping(_Table):
     decimal: Literal[".", ","] = "."
     comment: str = "#"
     longest_gap_s: Positive = 0.1
-    time: TimeMap
+    time: TimeMap = TimeMap()
     sensor: SensorMap
     hand: HandMap
     tool: ToolMap

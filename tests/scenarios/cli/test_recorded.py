@@ -102,7 +102,7 @@ def test_what_is_wrong_with_all_logs_is_told_at_once_and_nothing_is_written(
     ("words", "said"),
     [
         (("import", "none.toml", "0.csv"), "none.toml: cannot be read as TOML"),
-        (("import", "lab.toml", "9.csv"), "log: got '9.csv'; allowed: an existing .csv or .mcap file"),
+        (("import", "lab.toml", "9.csv"), "log: got '9.csv'; allowed: an existing file (.csv, "),
         (("import", "lab.toml", "--weight", "-1"), "--weight: got -1.0; allowed: "),
         (("import", "lab.toml", "--support", "soft"), 'support: got \'soft\'; allowed: "own_weight", "rigid"'),
         (("estimate", "none"), "DIR: got 'none'; allowed: a results folder, with trials in it"),

@@ -213,7 +213,7 @@ def test_an_mcap_comes_back_and_its_errors_name_the_nearest(turn: Trajectory, tm
     ):
         assert error in refused(path, mapping | {"sensor": mapping["sensor"] | change})
     cdr = write_mcap(tmp_path / "ros.mcap", sensor, hand, encoding="cdr")
-    assert "encoded as cdr; allowed: json" in refused(cdr, mapping)
+    assert "not a ROS 2 bag as a whole" in refused(cdr, mapping)
     cut = tmp_path / "cut.mcap"
     cut.write_bytes(path.read_bytes()[:2000])
     assert "cut.mcap: " in refused(cut, mapping)
@@ -277,8 +277,8 @@ def test_a_wrong_log_is_refused(turn: Trajectory, tmp_path: Path):
         ("gone.csv", "silent for 0.41 s at 2.99 s; allowed: 0.1 s"),
         ("short.csv", "0.49 s in common; allowed: 1 s or more"),
         ("empty.csv", "empty.csv: cannot be read"),
-        ("log.xls", ".csv, .tsv, .txt or .mcap"),
-        ("none.csv", "an existing .csv or .mcap file"),
+        ("log.xls", ".csv, .tsv, .txt, .db3, .mcap"),
+        ("none.csv", "an existing file (.csv"),
     ):
         assert error in refused(tmp_path / name, mapping)
     late = {n: v[~turn.mask(Phase.TARE)] for n, v in vars(turn).items() if np.shape(v)[:1] == turn.time_s.shape}

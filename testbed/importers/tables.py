@@ -1,0 +1,85 @@
+"""Tables of numbers as logs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import partial
+from io import StringIO
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from testbed.errors import InvalidValueError
+from testbed.importers.logs import LogError, Series, in_order, read_all, unknown
+from testbed.importers.mapping import Mapping, TimeMap, factor
+
+
+class CsvLog:
+    """Table with a header line. A row may leave a group of columns blank, if the table joins several rates."""
+
+    epoch_s = 0
+    """Its stamps count from where the log says."""
+
+    def __init__(self, path: Path, mapping: Mapping):
+        self.path, self._decimal = path, mapping.decimal
+        try:
+            lines = path.read_text(encoding="utf-8-sig").split("\n")
+            kept = [i for i, line in enumerate(lines) if not (mapping.comment and line.startswith(mapping.comment))]
+            text = StringIO("\n".join(lines[i] for i in kept))
+            table = pd.read_csv(
+                text, sep=mapping.separator, dtype=str, header=None, skipinitialspace=True, skip_blank_lines=False
+            )
+        except (OSError, ValueError) as error:
+            raise LogError(f"{path}: cannot be read as a table: {str(error).strip()}") from None
+        self._lines = np.array(kept[1 : len(table)]) + 1
+        self._names = [str(name).strip() for name in table.iloc[0]]
+        self._table = table[1:]
+
+    def type_of(self, field: str, topic: str | None) -> str:
+        """Empty: a table has no messages.
+
+        Raises:
+            InvalidValueError: a topic is given.
+        """
+        if topic is not None:
+            raise InvalidValueError(f"{field}.topic", topic, "none: a table has no topics", file=self.path)
+        return ""
+
+    def series(self, field: str, names: Sequence[str], topic: str | None, time: TimeMap) -> Series:
+        """Columns by name.
+
+        Args:
+            field: the mapping's name for them, in errors.
+            names: columns of a table, or fields of a message.
+            topic: topic of the messages; None for a table.
+            time: column and unit of the time.
+
+        Raises:
+            InvalidValueError: no such column, field or topic; the message names the nearest.
+            LogError: cells that are not numbers, or times that go back.
+        """
+        self.type_of(field, topic)
+        fields = [("time.column", str(time.column)), *((field, name) for name in names)]
+        rows = np.column_stack(read_all(*(partial(self._numbers, *pair) for pair in fields)))
+        there = ~np.isnan(rows[:, 1:]).all(axis=1)
+        rows, lines = rows[there], self._lines[there]
+        if (bad := ~np.isfinite(rows)).any():
+            row, column = np.argwhere(bad)[0]
+            raise LogError(f"{self.path}: line {lines[row]}: {fields[column][1]} is blank or not finite")
+        return in_order(self.path, field, rows[:, 0] * factor("time", time.unit), rows[:, 1:])
+
+    def _numbers(self, field: str, name: str) -> np.ndarray:
+        if name not in self._names:
+            raise unknown(field, name, self._names, self.path)
+        if (count := self._names.count(name)) > 1:
+            raise LogError(f"{self.path}: {field}: {name}: {count} columns have this name; allowed: one")
+        cells = pd.Series(self._table.iloc[:, self._names.index(name)])
+        plain = cells if self._decimal == "." else cells.str.replace(self._decimal, ".", regex=False)
+        numbers = np.asarray(pd.to_numeric(plain, errors="coerce"), dtype=float)
+        wrong = np.flatnonzero(np.isnan(numbers) & cells.notna())
+        if len(wrong):
+            at = int(wrong[0])
+            allowed = "a number, or blank"
+            raise LogError(f"{self.path}: line {self._lines[at]}: {name}: got {cells.iloc[at]!r}; allowed: {allowed}")
+        return numbers

@@ -7,8 +7,10 @@ not forgery.
 from __future__ import annotations
 
 import errno
+import fcntl
 import hashlib
 import os
+import re
 import stat
 import warnings
 from collections.abc import Callable
@@ -22,6 +24,7 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 _MARK = b"heft-sha256:"
+_PART = re.compile(r"\..+\.\d+\.part")
 UNSEALED = _MARK.decode() + "0" * 64
 """Place for the checksum in what `write_sealed` is given to write: a field, an entry of metadata, a comment."""
 MOST_BYTES = 200 * 2**20
@@ -78,11 +81,12 @@ def library_names(library: Path) -> list[str]:
 def write_whole(path: Path, write: Any) -> None:
     """Write a file beside its place, sync and rename: a reader sees the old file, the new one, or none."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    part = path.with_name(f".{path.name}.{os.getpid()}.part")
+    part, held = path.with_name(f".{path.name}.{os.getpid()}.part"), None
     try:
         part.unlink(missing_ok=True)
         # made here: not every library says why it cannot open a file, and a link that lies in wait is not followed
-        os.close(os.open(part, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
+        held = os.open(part, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666)
+        fcntl.flock(held, fcntl.LOCK_EX)  # until it is whole: `remove_leftovers` takes what nobody holds
         write(part)
         with open(part, "rb+") as file:
             os.fsync(file.fileno())
@@ -93,6 +97,26 @@ def write_whole(path: Path, write: Any) -> None:
         raise
     finally:
         part.unlink(missing_ok=True)
+        if held is not None:
+            os.close(held)
+
+
+def remove_leftovers(folder: Path) -> None:
+    """Remove from one folder what writers that were killed have left, and nothing else."""
+    for part in folder.glob(".*.part"):
+        if not _PART.fullmatch(part.name):
+            continue
+        try:
+            found = os.open(part, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
+        except OSError:  # a link, or gone
+            continue
+        try:
+            fcntl.flock(found, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            part.unlink(missing_ok=True)
+        except BlockingIOError:  # somebody is writing it
+            pass
+        finally:
+            os.close(found)
 
 
 def write_sealed(path: Path, write: Callable[[Path], Any]) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -115,12 +116,13 @@ def estimate(
         find_code_here()
     console = open_console()
     request = EstimateRequest(objects, methods, scenario, held_out, workers, allow_code)
-    with show_progress() as progress:
-        done = estimate_measured(folder, request, progress)
-    for line in done.left_out:
-        print(line)
-    show_tables(console, done.scenario, done.rows)
-    print(f"report: {report(folder)}; heft view {folder} shows the maps")
+    with ExitStack() as stack:
+        with show_progress() as progress:
+            done = stack.enter_context(estimate_measured(folder, request, progress))
+        for line in done.left_out:
+            print(line)
+        show_tables(console, done.scenario, done.rows)
+        print(f"report: {report(folder)}; heft view {folder} shows the maps")
     bad = [row for row in done.rows if row["status"] != "ok"]
     for row in bad:
         line = f"{row['object']}, {row['support']}, {row['method']}: {row['status']}: {row.get('message') or ''}"

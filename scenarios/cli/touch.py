@@ -111,16 +111,16 @@ def touch(
         result = run.carry_out(say_trial, lambda weight: print(f"weighed: {weight:.3f} kg", flush=True))
         write_json(folder / "manifest.json", facts | {"wall_s": round(time.monotonic() - begin, 1)})
         store.put_table([result.row])
-    for line in _conclusion(model, result, goal):
-        print(line)
-    if record:
-        with show_progress() as progress:
-            record_all(folder, progress)
-    try:
-        print(f"recording: {record_results(folder)}")
-    except HeftError as error:
-        print(f"no recording: {error}")
-    print(f"report: {report(folder)}; all of it in {folder}/\nlook: heft view {folder}")
+        for line in _conclusion(model, result, goal):
+            print(line)
+        if record:
+            with show_progress() as progress:
+                record_all(folder, progress)
+        try:
+            print(f"recording: {record_results(folder)}")
+        except HeftError as error:
+            print(f"no recording: {error}")
+        print(f"report: {report(folder)}; all of it in {folder}/\nlook: heft view {folder}")
 
 
 def _command(object_: str, given: Mapping[str, object]) -> str:

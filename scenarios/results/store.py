@@ -29,7 +29,7 @@ import pyarrow.parquet as pq
 
 from estimators.base import Estimate
 from scenarios.results.files import inside, read_json, write_json
-from testbed.files import UNSEALED, load_sealed, unless_damaged, write_sealed, write_whole
+from testbed.files import UNSEALED, load_sealed, remove_leftovers, unless_damaged, write_sealed, write_whole
 from testbed.foot_forces import FootForces, save_foot_forces
 from testbed.objects.files import ObjectFile, asset_folder
 from testbed.objects.model import ObjectModel, ObjectShape, Solid
@@ -40,6 +40,7 @@ from testbed.trial import Trial
 if TYPE_CHECKING:  # it needs MuJoCo, which needs a display
     from scenarios.runners import RunnerSettings
 
+_FOLDERS = ("trials", "estimates", "objects", "notes", "figures", "recordings", "exports")
 _TRIAL_FILES = ("trial.json", "trajectory.parquet", "foot_forces.parquet")
 
 
@@ -188,9 +189,11 @@ class Store:
         )
 
     def remove_leftovers(self) -> None:
-        """Remove what killed runs were still writing; nobody else may be writing now."""
-        for part in self.root.rglob(".*.part"):
-            part.unlink(missing_ok=True)
+        """Remove what killed runs were still writing in the folders of a run; what others are writing stays."""
+        folders = [self.root / name for name in _FOLDERS if not (self.root / name).is_symlink()]
+        inner = [folder for kind in folders for folder in kind.glob("*/") if not folder.is_symlink()]
+        for folder in (self.root, *folders, *inner):
+            remove_leftovers(folder)
 
     def put_table(self, rows: Iterable[dict[str, Any]]) -> pd.DataFrame:
         """Write results.parquet, derived from the rows."""

@@ -156,8 +156,9 @@ class MeasuredEstimates:
     """A line for each trial that is no data."""
 
 
-def estimate_measured(folder: Path, request: EstimateRequest, progress: Progress) -> MeasuredEstimates:
-    """Run the methods on the measured trials of a folder, and write results and manifest.
+@contextmanager
+def estimate_measured(folder: Path, request: EstimateRequest, progress: Progress) -> Iterator[MeasuredEstimates]:
+    """Run the methods on the measured trials of a folder, write results and manifest, and hold it for views of them.
 
     Raises:
         InvalidValueError: no measured trials, no weighing, no such object, method or scenario, or a scenario with
@@ -187,7 +188,7 @@ def estimate_measured(folder: Path, request: EstimateRequest, progress: Progress
             "wall_s": round(time.monotonic() - begin, 1),
         }
         write_json(folder / "manifest.json", manifest(scenario) | {"scenario": holds} | facts)
-    return MeasuredEstimates(scenario, rows, left_out)
+        yield MeasuredEstimates(scenario, rows, left_out)
 
 
 def _scenario_of(found: Sequence[MeasuredTrials], methods: Scenario) -> Scenario:

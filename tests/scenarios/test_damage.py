@@ -2,24 +2,29 @@
 
 from __future__ import annotations
 
+import subprocess
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
+import rerun as rr
+import rerun.blueprint as rrb
 
 from scenarios.cli.main import main
 from scenarios.results.estimates import load_results
 from scenarios.results.files import read_json, read_manifest, write_json
 from scenarios.results.store import Store, key_of, object_request
 from scenarios.results.trials import measured_records
-from testbed.files import DamagedFileError, DamagedFileWarning, load_sealed, read_file
+from scenarios.views import finished as finished_views
+from testbed.files import DamagedFileError, DamagedFileWarning, load_sealed, read_file, write_whole
 from testbed.objects.files import load_object
 from testbed.objects.random import Family
 from testbed.trajectory import save_trajectory
 from testbed.trial import Trial
 from tests.helpers.records import record
 from tests.helpers.runs import resumed
+from viz.recordings.page import SIM_TIME, Page, save
 
 KINDS = (
     *("manifest.json", "results.parquet", "trajectory.parquet", "trial.json", "foot_forces.parquet"),
@@ -135,3 +140,48 @@ def test_what_is_no_plain_file_or_too_large_is_not_read(tmp_path):
     save_trajectory(record(), tmp_path / "t.parquet")
     with pytest.raises(OSError, match="more than the 0"):
         read_file(tmp_path / "t.parquet", 1000)
+
+
+def test_a_run_removes_the_leftovers_of_heft_and_nothing_that_is_being_written_or_is_not_its_own(tmp_path):
+    folder = tmp_path / "trials" / "k"
+    folder.mkdir(parents=True)
+    (aside := tmp_path / "aside").mkdir()
+    names = {folder / ".trial.json.12.part": False, tmp_path / ".manifest.json.3.part": False}
+    names |= {folder / ".song.part": True, aside / ".trial.json.12.part": True, tmp_path / ".git.part": True}
+    for path in names:
+        path.write_bytes(b"half")
+    (folder / ".link.7.part").symlink_to(aside / ".trial.json.12.part")
+    (tmp_path / "notes").symlink_to(aside)
+
+    def write(part: Path) -> None:
+        part.write_bytes(b"new")
+        Store(tmp_path).remove_leftovers()
+        assert part.is_file(), "a file that is being written"
+
+    write_whole(folder / "trajectory.parquet", write)
+    assert (folder / "trajectory.parquet").read_bytes() == b"new"
+    assert {path: path.exists() for path in names} == names
+
+
+@pytest.mark.parametrize("stage", ["figures", "record_results", "report"])
+def test_a_full_disk_at_the_end_is_no_run_that_is_done(finished, copied, monkeypatch, capsys, stage):
+    def full(*_: object) -> None:
+        raise OSError(28, "No space left on device", str(copied / stage))
+
+    for name in ("figures", "record_results", "record_worst", "report"):
+        monkeypatch.setattr(finished_views, name, full if name == stage else lambda *_: copied / "x.pdf")
+    with pytest.raises(SystemExit, match="2"):
+        main(["run", str(finished.scenario), "--out", str(copied), "--workers", "0"])
+    assert capsys.readouterr().err == f"heft: No space left on device: {copied / stage}\n"
+
+
+def test_a_recording_that_does_not_fit_on_the_disk_is_an_error(tmp_path):
+    if subprocess.run(["mount", "-t", "tmpfs", "-o", "size=16k", "tmpfs", tmp_path], check=False).returncode:
+        pytest.skip("mounting is not possible here")
+    try:
+        page = Page("n", "id", lambda stream: stream.log("x", rr.TextLog("x" * 50_000)), rrb.TextLogView(), SIM_TIME)
+        with pytest.raises(OSError, match="No space left"):
+            save(page, tmp_path / "a.rrd")
+        assert not [*tmp_path.iterdir()]
+    finally:
+        subprocess.run(["umount", tmp_path], check=True)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import shutil
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -136,7 +138,14 @@ class Page:
 
 def save(page: Page, path: Path) -> None:
     """Write a page as an .rrd file, whole or not at all."""
-    write_whole(path, lambda part: _send(page, rr.FileSink(part)))
+
+    def write(part: Path) -> None:
+        # by way of memory: on a full disk Rerun's own writer waits for ever, or loses the end without a word
+        with open(os.memfd_create("recording"), "rb") as memory, open(part, "wb") as file:
+            _send(page, rr.FileSink(f"/proc/self/fd/{memory.fileno()}"))
+            shutil.copyfileobj(memory, file)
+
+    write_whole(path, write)
 
 
 def send(page: Page, url: str) -> None:

@@ -121,11 +121,12 @@ class Truth(Strict):
 
 
 class WorldTable(Strict):
-    """A world by name, any of its quantities changed, and the seed of its draws."""
+    """A world by name, any of its quantities changed, one source of error alone, and the seed of its draws."""
 
     model_config = ConfigDict(extra="allow", frozen=True)
 
     preset: str = "ideal"
+    only: str = "all"
     seed: Annotated[int, Field(ge=0)] = 0
 
     @model_validator(mode="after")
@@ -139,7 +140,8 @@ class WorldTable(Strict):
         if unknown := sorted(set(given) - set(QUANTITIES)):
             allowed = f"quantities of a world{nearest(unknown[0], QUANTITIES)}: {', '.join(QUANTITIES)}"
             raise InvalidValueError("world", unknown, allowed)
-        return replace(named_world(self.preset), **given)
+        built = replace(named_world(self.preset), **given)
+        return built if self.only == "all" else World() if self.only == "none" else built.only(self.only)
 
     def draw(self, model: ObjectModel, number: int) -> WorldDraw | None:
         """Draw `number` of the world for an object; None in the ideal one."""

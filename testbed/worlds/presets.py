@@ -95,9 +95,41 @@ class World:
         common = {f.name: getattr(self, f.name) for f in fields(SetupErrors)}
         return SetupErrors(**common | {"delay": self.delay / math.sqrt(3)})  # the root mean square
 
+    def only(self, source: str) -> World:
+        """The world in which nothing but one source of error, or one quantity, errs.
+
+        Raises:
+            InvalidValueError: no such source or quantity.
+        """
+        kept = SOURCES.get(source, (source,))
+        if unknown := set(kept) - set(QUANTITIES):
+            allowed = f"one of {', '.join(SOURCES)}, or a quantity{nearest(source, [*SOURCES, *QUANTITIES])}"
+            raise InvalidValueError("world.only", unknown.pop(), allowed)
+        return World(f"{self.name}: {source}", **{name: getattr(self, name) for name in kept})
+
 
 QUANTITIES: tuple[str, ...] = tuple(f.name for f in fields(World) if f.name != "name")
 """Quantities of a world, in order."""
+
+SOURCES: dict[str, tuple[str, ...]] = {
+    "contacts": ("contact_points", "flatness"),
+    "friction of groups": ("group_friction",),
+    "friction by place": ("place_friction",),
+    "friction by direction": ("anisotropy",),
+    "friction by speed": ("speed_friction",),
+    "tilt of the table": ("table_tilt",),
+    "places of groups": ("particle_offset",),
+    "grasp": ("grasp_offset", "grasp_angle"),
+    "start": ("start_offset", "start_angle"),
+    "TCP": ("tcp_offset", "tcp_angle"),
+    "encoders, delay": ("encoder_noise", "delay"),
+    "gain": ("gain",),
+    "cross-talk": ("crosstalk",),
+    "mounting": ("mounting_angle",),
+    "filter, steps, zero": ("low_pass", "force_resolution", "torque_resolution", "zero_factor"),
+    "tool, scale": ("tool_mass", "tool_com", "scale"),
+}
+"""Quantities of each source of error, for a budget of them."""
 
 _LAB = World(
     "lab",

@@ -15,6 +15,10 @@ FEWEST = 5
 """Least number of draws for an interval or a test: the bootstrap of two has three values."""
 SIGNIFICANT = 0.05
 """Probability by chance below which a paired difference counts."""
+NINETY = float(stats.norm.isf(0.05))
+"""Standard errors within which 90 % of normal errors lie."""
+SILENT = 3.0
+"""Claimed errors beyond which an answer with status ok is silently wrong."""
 Row = Mapping[str, Any]
 """Row of results.parquet: one estimate of a run."""
 AXIS = "axis."
@@ -99,6 +103,32 @@ def summarize(draws: Draws) -> Summary | None:
         low, high = interval.confidence_interval
     spread = float(good.std(ddof=1)) if len(good) > 1 else np.nan
     return Summary(len(good), float(good.mean()), spread, float(low), float(high), missing)
+
+
+@dataclass(frozen=True)
+class Claims:
+    """Errors of the masses against those that their answers claim."""
+
+    ratio: float
+    """Root mean square of error over claimed error."""
+    held: float
+    """Part of the 90 % intervals that hold the true mass."""
+    silent: float
+    """Part of the answers with status ok and a group off by more than SILENT claimed errors."""
+
+    @staticmethod
+    def of(rows: Iterable[Row]) -> Claims | None:
+        """Claims of some answers; None where none of them claims errors of masses that are known."""
+        claimed = [row for row in rows if row.get("mass_error_kg") is not None and row.get("true_mass_kg") is not None]
+        if not claimed:
+            return None
+        each = [
+            np.abs(np.subtract(row["mass_kg"], row["true_mass_kg"])) / np.maximum(row["mass_error_kg"], 1e-12)
+            for row in claimed
+        ]
+        off = np.concatenate(each)
+        silent = [row["status"] == "ok" and one.max() > SILENT for row, one in zip(claimed, each, strict=True)]
+        return Claims(float(np.sqrt(np.mean(off**2))), float(np.mean(off < NINETY)), float(np.mean(silent)))
 
 
 def significantly_best(methods: Mapping[str, Draws]) -> str | None:

@@ -138,6 +138,7 @@ def run(
 def show_tables(console: Console, scenario: Scenario, results: Sequence[Row]) -> None:
     """Print every metric under every support and sensing, and the hidden states; of many objects, quantiles."""
     from estimators.evaluation.statistics import FEWEST, assumptions, select
+    from viz.report.claims import CLAIMS, claims_table
     from viz.report.tables import METRICS, NAD, hidden_table, metric_table, quantile_table
     from viz.report.terminal import rich_table
     from viz.values import support_name
@@ -155,6 +156,8 @@ def show_tables(console: Console, scenario: Scenario, results: Sequence[Row]) ->
             for metric in metrics:
                 title = f"{metric.title}: {support_name(support.name)}, {sensing}"
                 console.print(rich_table(metric_table(rows, metric, title, objects)))
+            if claims := claims_table(rows, f"{CLAIMS}: {support_name(support.name)}, {sensing}"):
+                console.print(rich_table(claims))
     console.print(NOTES.format(fewest=FEWEST))
     for line in assumptions(results):
         console.print(line)

@@ -172,6 +172,20 @@ def test_nad_against_a_setting_alone():
         assert axis_label(f"axis.{name}") == f"{name}{unit}"
 
 
+def test_nad_at_each_of_many_words_has_a_line_a_word():
+    words = [f"source {k}" for k in range(12)]
+    rows = [
+        {"method": m, "kind": m, "nad": base * (k + 1), "seed": 0, "axis.world.only": word}
+        for m, base in (("a", 0.01), ("b", 0.02))
+        for k, word in enumerate(words)
+    ]
+    (axis,) = nad_sweep(rows, "axis.world.only").axes
+    assert [label.get_text() for label in axis.get_yticklabels()] == words
+    for line, base in zip(axis.lines, (0.01, 0.02), strict=True):
+        assert_allclose(np.asarray(line.get_xdata(), dtype=float), 100 * base * np.arange(1, 13))
+    assert_allclose([patch.get_width() for patch in axis.patches], np.arange(1, 13))
+
+
 def test_files_are_whole_and_the_same_again(tmp_path, monkeypatch):
     first = save_figure(estimate_bars(estimate()), tmp_path / "a.b" / "bars.v1")
     assert [path.name for path in first] == ["bars.v1.pdf", "bars.v1.png"]

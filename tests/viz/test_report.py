@@ -255,6 +255,10 @@ def test_points_of_a_sweep_are_one_sample_of_an_object():
     table = sweep_table(rows, "axis.k", "t")
     assert table.columns == ("1", "3")
     assert [cell.words for cell in table.rows[0][1]] == ["10.0", "30.0"]
+    rows = [each | {"axis.k": f"word {each['axis.k']}", "mass_error_kg": None} for each in rows]
+    table = sweep_table(rows, "axis.k", "t")
+    assert table.columns == ("a",) and [labels for labels, _ in table.rows] == [("word 1",), ("word 3",)]
+    assert [cells[0].words for _, cells in table.rows] == ["10.0", "30.0"]
 
 
 def test_identifiers_of_two_figures_do_not_clash():

@@ -58,12 +58,16 @@ def nad_distribution(rows: Sequence[Row]) -> Figure:
 def nad_sweep(rows: Sequence[Row], axis_column: str) -> Figure:
     """NAD against a swept setting: a line a method through the medians, a band from the lower to the upper quartile.
 
+    A setting of many words has a line for each word: a bar of the first method's median, and a point a method.
+
     Args:
         rows: of a scenario run; `kind`, `method`, `nad` and the swept column are read.
         axis_column: of the swept setting.
     """
     values = axis_values(rows, axis_column)
     numeric = all(isinstance(value, int | float) for value in values)
+    if not numeric and len(values) > FEW:
+        return _by_word(rows, axis_column, [str(value) for value in values])
     places = np.array(values, dtype=float) if numeric else np.arange(len(values), dtype=float)
     figure = Figure(figsize=(5.4, 4.2), layout="constrained")
     axis = figure.subplots()
@@ -95,6 +99,36 @@ def nad_sweep(rows: Sequence[Row], axis_column: str) -> Figure:
     axis.set_ylabel("NAD, %")
     if drawn:
         figure.legend(loc="outside lower center", ncols=3, fontsize=7, frameon=False, handlelength=3)
+    bare(axis)
+    return figure
+
+
+def _by_word(rows: Sequence[Row], axis_column: str, values: Sequence[str]) -> Figure:
+    """Medians and quartiles of every method at each word of a setting, a line each."""
+    methods = methods_of(rows)
+    figure = Figure(figsize=(6.4, 0.34 * len(values) + 1.2), layout="constrained")
+    axis, every = figure.subplots(), []
+    for which, method in enumerate(methods):
+        of = [row for row in rows if row["method"] == method and row["nad"] is not None]
+        found = [100 * np.array([row["nad"] for row in of if str(row.get(axis_column)) == value]) for value in values]
+        has = np.flatnonzero([len(each) > 0 for each in found])
+        if len(has) == 0:
+            continue
+        low, middle, high = np.array([np.quantile(found[i], (0.25, 0.5, 0.75)) for i in has]).T
+        colour, marker = PALETTE[which % len(PALETTE)], MARKERS[which % len(MARKERS)]
+        at = has + 0.6 * ((which + 0.5) / len(methods) - 0.5)
+        if which == 0:
+            axis.barh(has, middle, height=0.8, color=colour, alpha=0.18, linewidth=0)
+        axis.hlines(at, low, high, color=colour, linewidth=1.0, alpha=0.6)
+        axis.plot(middle, at, color=colour, marker=marker, markersize=4, linestyle="none", label=method)
+        every.append(middle)
+    axis.set_yticks(range(len(values)), values)
+    axis.set_ylim(len(values) - 0.5, -0.5)
+    _scale(axis.xaxis, np.concatenate(every) if every else np.array([]))
+    axis.set_xlabel("NAD, %")
+    axis.set_ylabel(axis_label(axis_column))
+    if every:
+        figure.legend(loc="outside lower center", ncols=3, fontsize=7, frameon=False, handlelength=1)
     bare(axis)
     return figure
 

@@ -32,6 +32,7 @@ from viz.figures.maps import (
     mass_maps,
 )
 from viz.figures.nad import nad_distribution, nad_sweep
+from viz.report.claims import claims_table
 from viz.report.lists import failures, names, worst, worst_of
 from viz.report.tables import METRICS, MOST_OBJECTS, Table, leading, metric_table, over_objects, overview, sweep_table
 from viz.style import STYLE
@@ -197,7 +198,9 @@ def _tables(rows: Sequence[Row]) -> list[Table]:
     """A table a metric that has a number, by object or over many of them."""
     many = len({row["object"] for row in rows}) > MOST_OBJECTS or axes_of(rows)
     known = [metric for metric in METRICS if any(row[metric.column] is not None for row in rows)]
-    return [(over_objects if many else metric_table)(rows, metric, metric.title) for metric in known]
+    tables = [(over_objects if many else metric_table)(rows, metric, metric.title) for metric in known]
+    claims = claims_table(rows)
+    return [*tables, claims] if claims else tables
 
 
 def _sweeps(

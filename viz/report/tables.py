@@ -10,6 +10,7 @@ import numpy as np
 from estimators.evaluation import paper
 from estimators.evaluation.statistics import (
     AXIS,
+    Claims,
     Draws,
     Row,
     Summary,
@@ -238,13 +239,34 @@ def leading(groups: Mapping[str, Sequence[Row]], most: int = 3) -> Table:
     return replace(whole, title=title, rows=best)
 
 
+def percent(part: float) -> str:
+    """A part of one in whole percent."""
+    return f"{100 * part:.0f} %"
+
+
 def sweep_table(rows: Sequence[Row], axis: str, title: str) -> Table:
-    """Median NAD at each value of a swept setting."""
+    """Median NAD at each value of a swept setting; of one in words a row a value, with error over claimed error."""
     values = axis_values(rows, axis)
+    if any(isinstance(value, str) for value in values):
+        return _sources_table(rows, axis, title)
     at = {value: [row for row in rows if row.get(axis) == value and row["nad"] is not None] for value in values}
     nads = lambda value, m: [NAD.scale * row["nad"] for row in at[value] if row["method"] == m]  # noqa: E731
     lines = tuple(((m,), tuple(_median(nads(value, m)) for value in values)) for m in methods_of(rows))
     return Table(title, tuple(f"{v:g}" if isinstance(v, float) else str(v) for v in values), lines)
+
+
+def _sources_table(rows: Sequence[Row], axis: str, title: str) -> Table:
+    """Values of a setting in words down, methods across: median NAD, and error over claimed error in brackets."""
+    methods, lines = methods_of(rows), []
+    for value in axis_values(rows, axis):
+        cells = []
+        for method in methods:
+            of = [row for row in rows if row.get(axis) == value and row["method"] == method]
+            claims = Claims.of(of)
+            nad = _median(NAD.scale * row["nad"] for row in of if row["nad"] is not None)
+            cells.append(replace(nad, text=nad.text + (f" ({claims.ratio:.1f})" if claims else "")))
+        lines.append(((str(value),), tuple(cells)))
+    return Table(title, tuple(methods), tuple(lines), note="in brackets: error over claimed error, root mean square")
 
 
 def _median(values: Iterable[float]) -> Entry:
@@ -273,10 +295,13 @@ def quantile_table(results: Sequence[Row], metric: Metric) -> Table:
         if values:
             texts = [short(float(q)) for q in (*np.quantile(values, (0.1, 0.5, 0.9)), np.mean(values))]
         labels = (support_name(support), sensing, *(_setting(value) for value in point), method)
+        claims = Claims.of(rows) if metric is NAD else None
+        texts += [f"{claims.ratio:.2f}", percent(claims.held)] if claims else ["", ""] if metric is NAD else []
         cells = (str(len(names)), *texts, f"{missing} of {len(rows)}" if missing else "")
         lines.append((labels, tuple(Entry(text) for text in cells)))
     heads = ("support", "sensing", *(axis.removeprefix(AXIS) for axis in axes), "method")
-    columns = ("objects", "10 %", "median", "90 %", "mean", "no answer")
+    of_claims = ("error / claimed", "90 % hold") if metric is NAD else ()
+    columns = ("objects", "10 %", "median", "90 %", "mean", *of_claims, "no answer")
     return Table(f"{metric.title}, over objects", columns, tuple(lines), heads)
 
 

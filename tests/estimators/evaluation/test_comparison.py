@@ -10,9 +10,10 @@ from numpy.testing import assert_allclose
 from rich.console import Console
 
 from estimators.evaluation import paper
-from estimators.evaluation.statistics import draws_of, select, significantly_best, summarize
+from estimators.evaluation.statistics import Claims, draws_of, select, significantly_best, summarize
 from testbed.objects.files import load_object
 from viz.figures.maps import absolute_difference, save_figure
+from viz.report.claims import claims_table
 from viz.report.tables import METRICS, NAD, Table, metric_table
 from viz.report.terminal import rich_table
 
@@ -152,3 +153,23 @@ def test_the_heatmap_shows_every_group_of_every_object_and_method(tmp_path):
     assert (tmp_path / "deep" / "map.pdf").read_bytes().startswith(b"%PDF")
     assert (tmp_path / "deep" / "map.png").read_bytes().startswith(b"\x89PNG")
     assert len(list((tmp_path / "deep").iterdir())) == 2
+
+
+def test_claims_are_errors_over_claimed_ones_and_an_answer_is_silent_where_ok_and_far_off():
+    true = [0.1, 0.2, 0.3]
+    rows = [
+        row("a", 0, 0.1, mass_kg=[0.1, 0.2, 0.34], true_mass_kg=true, mass_error_kg=[0.01, 0.01, 0.01]),
+        row("a", 1, 0.1, mass_kg=[0.11, 0.2, 0.3], true_mass_kg=true, mass_error_kg=[0.01, 0.01, 0.01]),
+        row("a", 2, 0.1, mass_kg=[0.1, 0.2, 0.9], true_mass_kg=true, mass_error_kg=[0.1] * 3, status="unexplained"),
+        row("a", 3, None, mass_error_kg=None),
+        row("b", 0, 0.1),
+    ]
+    found = Claims.of(rows)
+    assert found is not None
+    assert_allclose(found.ratio, np.sqrt((16 + 1 + 36) / 9))
+    assert_allclose([found.held, found.silent], [7 / 9, 1 / 3])
+    assert Claims.of(rows[3:]) is None
+    table = claims_table(rows)
+    assert table is not None and claims_table(rows[3:]) is None
+    ((labels, cells),) = table.rows
+    assert labels == ("a",) and [cell.text for cell in cells] == ["2.43", "78 %", "50 %", "33 %"]

@@ -27,7 +27,7 @@ from testbed.trajectory import Phase, Trajectory
 from testbed.trial import OWN_WEIGHT, RIGID, Trial
 from testbed.worlds import World, WorldDraw, world
 from testbed.worlds.feet import Feet
-from testbed.worlds.presets import QUANTITIES, WORLDS, stated_setup
+from testbed.worlds.presets import QUANTITIES, SOURCES, WORLDS, stated_setup
 from testbed.worlds.surface import Surface
 
 L2 = load_object("L2")
@@ -254,3 +254,14 @@ def test_a_setup_is_stated_by_the_name_of_a_world_and_by_its_own_errors():
     assert stated_setup({}).none
     with pytest.raises(InvalidValueError, match="grasp_offset"):
         stated_setup({"grasp_ofset": 0.001})
+
+
+def test_every_quantity_is_of_one_source_that_may_err_alone():
+    assert sorted(name for names in SOURCES.values() for name in names) == sorted(QUANTITIES)
+    lab, ideal = WORLDS["lab"], WORLDS["ideal"]
+    for source, names in SOURCES.items():
+        alone = lab.only(source)
+        assert all(getattr(alone, name) == getattr(lab if name in names else ideal, name) for name in QUANTITIES)
+    assert lab.only("gain") == replace(World(gain=lab.gain), name="lab: gain")
+    with pytest.raises(InvalidValueError, match="nearest: contacts"):
+        lab.only("contact")

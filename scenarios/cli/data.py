@@ -1,9 +1,10 @@
-"""heft import, heft estimate, heft export: measured trials in, the methods' answers to them, an answer out."""
+"""heft import, calibrate, estimate, export: measured trials in, the methods' answers to them, an answer out."""
 
 from __future__ import annotations
 
 import sys
 from contextlib import ExitStack
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -62,6 +63,53 @@ def import_(
     )
     if bad:
         sys.exit(1)
+
+
+def calibrate(
+    mapping: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="MAPPING")],
+    log: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="LOG")],
+    *,
+    gain_error: Annotated[float, tyro.conf.arg(metavar="PART")] = 0.0,
+    sensor: Annotated[str, tyro.conf.arg(metavar="SERIAL")] = "unknown",
+    out: Annotated[Path, tyro.conf.arg(metavar="FILE.toml")] = Path("calibration.toml"),
+    figure: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None,
+) -> None:
+    """Calibrate a force/torque sensor from a recording: its mount, sign, bias and gains, and the tool below it.
+
+    In the recording the arm holds still in six or more poses, for two seconds or more, tilted by 30 degrees and more
+    about two axes and both ways, one of them upside down or level; or it moves slowly through as many. Of MAPPING,
+    [time], [sensor] and [hand] are read; the sign and the mount there do not count, for they are found. With the
+    file that is written named as `calibration` in the [sensor] table of a mapping, heft import reckons with it.
+
+    Examples: heft calibrate lab.toml poses.csv
+              heft calibrate lab.toml poses.mcap --gain-error 0.02 --figure results/residuals
+
+    Args:
+        mapping: TOML file that says which column is what, as for heft import.
+        log: table, .mcap file or ROS 2 bag.
+        gain_error: standard deviation of each axis' gain, as a part of itself; 0 takes the gains as exact.
+        sensor: serial number of the sensor, for the file.
+        out: file to write.
+        figure: readings less model at every pose, written as FILE.pdf and FILE.png.
+    """
+    from testbed.importers.still import recorded_poses
+    from testbed.robot.calibration.file import save_calibration
+    from testbed.robot.calibration.static_poses import calibrate as fit
+    from testbed.robot.calibration.static_poses import in_words
+
+    poses = recorded_poses(log, mapping)
+    found = fit(poses, gain_error)
+    print(f"{len(poses)} poses, misfit {found.misfit:.2g} in place of 1")
+    for sentence in in_words(found):
+        print(sentence)
+    save_calibration(out, found, sensor, f"{datetime.now(UTC):%Y-%m-%d}")
+    print(out)
+    if figure is not None:
+        from viz.figures.calibration import calibration_figure
+        from viz.figures.maps import save_figure
+
+        for path in save_figure(calibration_figure(found, poses), figure):
+            print(path)
 
 
 def _summary(log: ImportedLog) -> str:

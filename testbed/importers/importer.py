@@ -13,7 +13,7 @@ from testbed.actions.base import TableAction
 from testbed.errors import InvalidValueError
 from testbed.frames import origin_velocity, pose_from_point
 from testbed.importers.logs import Series, read_all
-from testbed.importers.mapping import HandMap, JointMap, Mapping, TimeMap, VelocityMap, factor
+from testbed.importers.mapping import Columns, HandMap, JointMap, Mapping, SensorMap, TimeMap, VelocityMap, factor
 from testbed.importers.messages import open_bag, open_mcap
 from testbed.importers.phases import (
     RATE,
@@ -29,6 +29,7 @@ from testbed.importers.poses import Log, hand_pose
 from testbed.importers.tables import CsvLog
 from testbed.objects.files import load_object
 from testbed.objects.model import ObjectModel
+from testbed.robot.calibration.file import load_calibration
 from testbed.sensing.compensation import compensate
 from testbed.sensing.drift import DriftLimit, judge_drift
 from testbed.toml import load_toml
@@ -57,11 +58,11 @@ def import_trajectory(log: Path, mapping: Path, limit: DriftLimit | None = None)
         InvalidValueError: an unknown column, topic, object or grasp; the message names the nearest.
         LogError: invalid numbers or times, gaps, or phases that cannot be found; or several errors, one line each.
     """
-    table = load_toml(mapping, Mapping).for_log(log, mapping.parent)
+    table, gain = _calibrated(load_toml(mapping, Mapping).for_log(log, mapping.parent), mapping)
     source = open_log(log, table)
     (action, model), wrench, pose, joints, velocity = read_all(
         lambda: _action_and_object(table, mapping),
-        lambda: _wrench(source, table),
+        lambda: read_wrench(source, table.sensor, table.time),
         lambda: hand_pose(source, table.hand, table.time, mapping.parent),
         lambda: _joints(source, table.joints, table.time) if table.joints else None,
         lambda: _velocity(source, table.velocity, table.time) if table.velocity else None,
@@ -90,7 +91,7 @@ def import_trajectory(log: Path, mapping: Path, limit: DriftLimit | None = None)
         tcp_position=position,
         tcp_velocity=twist,
         sensor_orientation=sensor.as_quat(scalar_first=True),
-        sensor_wrench=table.sensor.sign * resampled(wrench, base),
+        sensor_wrench=table.sensor.sign * resampled(wrench, base) / gain,
         wrench_on_object_world=np.zeros((count, 6)),
         joint_position=np.zeros((count, 7)) if joints is None else resampled(joints, base),
         tool=Tool(tool.mass_kg, np.array(tool.com_m), np.array(tool.inertia_kg_m2), np.array(tool.tcp_m)),
@@ -110,7 +111,18 @@ def import_trajectory(log: Path, mapping: Path, limit: DriftLimit | None = None)
     return judge_drift(compensate(trajectory), limit or DriftLimit())
 
 
-def open_log(path: Path, table: Mapping) -> Log:
+def _calibrated(table: Mapping, mapping: Path) -> tuple[Mapping, np.ndarray]:
+    """The mapping with sign, mount and tool of the calibration that it names, and the gains of the axes."""
+    if table.sensor.calibration is None:
+        return table, np.ones(6)
+    found = load_calibration(mapping.parent / table.sensor.calibration)
+    sensor = {"sign": found.sign, "in_hand_wxyz": found.sensor_in_hand.tolist()}
+    tool = {"mass_kg": found.mass, "com_m": found.com.tolist()}
+    changes = {"sensor": table.sensor.model_copy(update=sensor), "tool": table.tool.model_copy(update=tool)}
+    return table.model_copy(update=changes), found.gain
+
+
+def open_log(path: Path, table: Columns) -> Log:
     """Open a log by its suffix; a folder is a bag.
 
     Raises:
@@ -153,9 +165,14 @@ def _moment(seconds: float) -> str:
     return datetime.fromtimestamp(seconds, UTC).isoformat(timespec="milliseconds")
 
 
-def _wrench(log: Log, table: Mapping) -> Series:
-    """Wrench of the sensor [N, N m], shape (N, 6)."""
-    sensor, field = table.sensor, "sensor.force, sensor.torque"
+def read_wrench(log: Log, sensor: SensorMap, time: TimeMap) -> Series:
+    """Wrench of the sensor [N, N m], shape (N, 6).
+
+    Raises:
+        InvalidValueError: no such column or topic, or nothing says where the wrench is.
+        LogError: values that are no numbers.
+    """
+    field = "sensor.force, sensor.torque"
     kind = log.type_of(field, sensor.topic)
     if sensor.force and sensor.torque:
         names = [*sensor.force, *sensor.torque]
@@ -164,9 +181,9 @@ def _wrench(log: Log, table: Mapping) -> Series:
     else:
         of = f"; {sensor.topic} has {kind or 'no type of message'}" if sensor.topic else ""
         raise InvalidValueError(field, None, f"columns of the wrench{of}", file=log.path)
-    time, values = log.series(field, names, sensor.topic, table.time)
+    stamps, values = log.series(field, names, sensor.topic, time)
     units = np.repeat([factor("force", sensor.force_unit), factor("torque", sensor.torque_unit)], 3)
-    return Series(time, values * units)
+    return Series(stamps, values * units)
 
 
 def _joints(log: Log, joints: JointMap, time: TimeMap) -> Series:

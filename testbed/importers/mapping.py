@@ -92,6 +92,7 @@ class SensorMap(_Table):
     torque: Three | None = None
     force_unit: ForceUnit = "N"
     torque_unit: TorqueUnit = "N m"
+    calibration: Text | None = None
     sign: Literal[1, -1] = 1
     in_hand_wxyz: Quaternion = [1.0, 0.0, 0.0, 0.0]
     bias_std_N: NonNegative = preset("ft300s").force_bias
@@ -212,11 +213,11 @@ class LogMap(_Table):
     phases: Windows | None = None
 
 
-class Mapping(_Table):
-    """A mapping file."""
+class Columns(_Table):
+    """The part of a mapping file that says which column is what; a calibration needs no more."""
 
-    object: Text
-    action: MovingAction | None = None
+    model_config = ConfigDict(extra="ignore", frozen=True)
+
     separator: Text = ","
     decimal: Literal[".", ","] = "."
     comment: str = "#"
@@ -224,18 +225,27 @@ class Mapping(_Table):
     time: TimeMap = TimeMap()
     sensor: SensorMap
     hand: HandMap
-    tool: ToolMap
-    setup: StatedSetup = EXACT_SETUP
-    velocity: VelocityMap | None = None
-    joints: JointMap | None = None
-    phases: Windows = []
-    logs: list[LogMap] = []
 
     @model_validator(mode="after")
     def _separates_columns(self) -> Self:
         if self.separator == self.decimal:
             raise InvalidValueError("separator", self.separator, "another character than that of decimals")
         return self
+
+
+class Mapping(Columns):
+    """A mapping file."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    object: Text
+    action: MovingAction | None = None
+    tool: ToolMap
+    setup: StatedSetup = EXACT_SETUP
+    velocity: VelocityMap | None = None
+    joints: JointMap | None = None
+    phases: Windows = []
+    logs: list[LogMap] = []
 
     def for_log(self, log: Path, folder: Path) -> Mapping:
         """Mapping of one log; `folder` is the mapping file's.

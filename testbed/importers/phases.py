@@ -75,7 +75,7 @@ def check_sensor_alive(wrench: Series, moved: Float[np.ndarray, "2"]) -> None:
             raise LogError(f"sensor: {name} is {column[0]:g} in all samples; allowed: a component that is measured")
         steps = np.abs(np.diff(column))
         several_counts = np.median(steps[steps > 0]) > 3 * np.diff(levels).min()
-        for run in _runs(np.diff(column[inside]) == 0) if several_counts else []:
+        for run in runs(np.diff(column[inside]) == 0) if several_counts else []:
             seconds = time[run[-1] + 1] - time[run[0]]
             if seconds > _LONGEST_EQUAL:
                 raise LogError(
@@ -149,7 +149,7 @@ def phases_from_motion(
     still = np.linalg.norm(smooth[:, :3], axis=1) < STILL[0]
     still &= np.linalg.norm(smooth[:, 3:], axis=1) < STILL[1]
     held = float(np.median(height[np.concatenate(stretches)]))
-    tares = [run for run in _runs(still & (height > held + ABOVE)) if len(run) >= _SHORTEST_TARE * RATE]
+    tares = [run for run in runs(still & (height > held + ABOVE)) if len(run) >= _SHORTEST_TARE * RATE]
     before, after = [t for t in tares if t[-1] < first], [t for t in tares if t[0] > last]
     if not before:
         raise LogError(
@@ -174,7 +174,7 @@ def _steady(action: TableAction, rate: np.ndarray) -> list[np.ndarray]:
     """Stretches at the action's speed, in order, each at least half as long as it should be."""
     speed, _, seconds = action.steady[0]
     close = np.abs(np.abs(rate) - abs(speed)) < STEADY_WITHIN * abs(speed)
-    stretches = [run for run in _runs(close) if len(run) >= seconds * RATE / 2]
+    stretches = [run for run in runs(close) if len(run) >= seconds * RATE / 2]
     wanted = [stretch.speed for stretch in action.steady]
     if [np.sign(rate[s].mean()) for s in stretches] == np.sign(wanted).tolist():
         return stretches
@@ -196,14 +196,14 @@ def _speed(speed: float, seconds: float, unit: str, scale: float) -> str:
 def _constant_speeds(rate: np.ndarray) -> list[tuple[float, float]]:
     """Speed and duration [s] of every stretch of at least 0.5 s in which the speed stays near its median."""
     found = []
-    for run in _runs(np.abs(rate) > STILL[0]):
+    for run in runs(np.abs(rate) > STILL[0]):
         speed = float(np.median(rate[run]))
-        close = [r for r in _runs(np.abs(rate[run] - speed) < STEADY_WITHIN * abs(speed)) if len(r) >= RATE / 2]
+        close = [r for r in runs(np.abs(rate[run] - speed) < STEADY_WITHIN * abs(speed)) if len(r) >= RATE / 2]
         found += [(speed, len(r) / RATE) for r in close]
     return found
 
 
-def _runs(inside: np.ndarray) -> list[np.ndarray]:
+def runs(inside: np.ndarray) -> list[np.ndarray]:
     """Indices of every unbroken stretch of True."""
     indices = np.flatnonzero(inside)
     return np.split(indices, np.flatnonzero(np.diff(indices) > 1) + 1) if len(indices) else []

@@ -12,7 +12,7 @@ import pandas as pd
 
 from testbed.errors import InvalidValueError
 from testbed.importers.logs import LogError, Series, in_order, read_all, unknown
-from testbed.importers.mapping import Mapping, TimeMap, factor
+from testbed.importers.mapping import Columns, TimeMap, factor
 
 
 class CsvLog:
@@ -21,7 +21,7 @@ class CsvLog:
     epoch_s = 0
     """Its stamps count from where the log says."""
 
-    def __init__(self, path: Path, mapping: Mapping):
+    def __init__(self, path: Path, mapping: Columns):
         self.path, self._decimal = path, mapping.decimal
         try:
             lines = path.read_text(encoding="utf-8-sig").split("\n")

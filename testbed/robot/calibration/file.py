@@ -23,6 +23,7 @@ Torque = Annotated[list[Annotated[float, Field(ge=-30, le=30, allow_inf_nan=Fals
 Center = Annotated[
     list[Annotated[float, Field(ge=-0.5, le=0.5, allow_inf_nan=False)]], Field(min_length=3, max_length=3)
 ]
+Gains = Annotated[list[Annotated[float, Field(ge=0.5, le=2, allow_inf_nan=False)]], Field(min_length=6, max_length=6)]
 Deviations = Annotated[list[NonNegative], Field(min_length=3, max_length=3)]
 Quaternion = Annotated[list[Finite], Field(min_length=4, max_length=4)]
 
@@ -49,6 +50,8 @@ class CalibrationFile(BaseModel):
     tool_com_std_m: Deviations
     misfit: NonNegative
     poses: Annotated[int, Field(ge=4)]
+    gain: Gains = [1.0] * 6
+    gain_std: Annotated[list[NonNegative], Field(min_length=6, max_length=6)] = [0.0] * 6
 
     @model_validator(mode="after")
     def _makes_a_calibration(self) -> Self:
@@ -69,6 +72,8 @@ class CalibrationFile(BaseModel):
             com_std=np.array(self.tool_com_std_m),
             misfit=self.misfit,
             poses=self.poses,
+            gain=np.array(self.gain),
+            gain_std=np.array(self.gain_std),
         )
 
 
@@ -111,6 +116,7 @@ def save_calibration(path: Path, calibration: Calibration, sensor: str, made: st
         "tool_com_std_m": c.com_std.tolist(),
         "misfit": c.misfit,
         "poses": c.poses,
+        **({"gain": c.gain.tolist(), "gain_std": c.gain_std.tolist()} if c.gain_std.any() else {}),
     }
     _write(path, fields)
 

@@ -3,11 +3,12 @@
 At rest the arm holds the tool up. With u the unit vector that points up, in sensor axes, m and c the tool's mass and
 center of mass,
 
-    force = sign m g u + bias,    torque = sign m g (c x u) + bias,
+    force = gain sign m g u + bias,    torque = gain sign m g (c x u) + bias,
 
 and u is known in the hand's frame from the arm's pose. Sign is +1 for a sensor that reports what the arm does to the
 tool, as heft counts, and -1 for one that reports what the tool does to the arm. A sensor with one axis mirrored, in
-force and torque, is the same thing as one negated and turned by 180 degrees about that axis.
+force and torque, is the same thing as one negated and turned by 180 degrees about that axis. The gain of each axis is
+1 unless an error of it is stated; then it is found as far as the poses tell it.
 
 The hand is the frame whose pose the arm reports; its z axis points out of the flange. The arm's base is taken as level.
 """
@@ -15,7 +16,7 @@ The hand is the frame whose pose the arm reports; its z axis points out of the f
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
@@ -28,7 +29,13 @@ from testbed.objects.model import GRAVITY
 from testbed.robot.interfaces import RobotError
 from testbed.sensing.windows import mean_covariance
 from testbed.trajectory import Tool
-from testbed.validation import check_positive_fields, freeze_arrays, frozen_array, unit_quaternion
+from testbed.validation import (
+    check_positive_fields,
+    freeze_arrays,
+    frozen_array,
+    is_number,
+    unit_quaternion,
+)
 
 Sign = Literal[1, -1]
 TELLING = 25.0
@@ -102,6 +109,10 @@ class Calibration:
     """Mean squared distance between readings and model, in standard errors; about 1 is expected."""
     poses: int
     """Number of poses."""
+    gain: Float[np.ndarray, "6"] = field(default_factory=lambda: np.ones(6))
+    """Reading over true value, of each axis."""
+    gain_std: Float[np.ndarray, "6"] = field(default_factory=lambda: np.zeros(6))
+    """Standard deviation of each gain; as stated where the poses do not tell it."""
 
     def __post_init__(self) -> None:
         if self.sign not in (1, -1):
@@ -109,6 +120,7 @@ class Calibration:
         check_positive_fields(self, "mass", "mass_std")
         object.__setattr__(self, "sensor_in_hand", unit_quaternion("Calibration.sensor_in_hand", self.sensor_in_hand))
         freeze_arrays(self, sensor_in_hand_std=(3,), bias=(6,), bias_std=(6,), com=(3,), com_std=(3,))
+        freeze_arrays(self, gain=(6,), gain_std=(6,))
 
     def tool(self, tcp: Float[np.ndarray, "3"], inertia: Float[np.ndarray, "3 3"]) -> Tool:
         """The tool, with the figures that static poses do not show.
@@ -120,20 +132,26 @@ class Calibration:
         return Tool(self.mass, self.com, inertia, tcp)
 
 
-def calibrate(poses: Sequence[StaticPose]) -> Calibration:
-    """Mount, bias and tool by weighted least squares on the readings.
+def calibrate(poses: Sequence[StaticPose], gain_error: float = 0.0) -> Calibration:
+    """Mount, bias, tool and gains by weighted least squares on the readings.
 
     Standard deviations come from the readings' own, or from their scatter if that is larger.
+
+    Args:
+        poses: readings at rest.
+        gain_error: standard deviation of each axis' gain beforehand; 0 takes them as 1.
 
     Raises:
         CalibrationError: too few poses, or too alike to tell rotation, sign or tool.
     """
     if len(poses) < 4:
         raise CalibrationError(f"calibration: got {len(poses)} poses; allowed: 4 or more, each tilted another way")
-    fits = {sign: _fit(poses, sign) for sign in (1, -1)}
+    if not (is_number(gain_error) and 0 <= gain_error < 1):
+        raise InvalidValueError("gain_error", gain_error, "a number from 0 to below 1")
+    fits = {sign: _fit(poses, sign, gain_error) for sign in (1, -1)}
     sign, other = sorted(fits, key=lambda s: fits[s].cost)
     best = fits[sign]
-    freedom = 6 * len(poses) - len(best.x)
+    freedom = 6 * len(poses) - 13
     misfit = 2 * best.cost / freedom
     jacobian = best.jac
     lengths = np.linalg.norm(jacobian, axis=0)
@@ -163,35 +181,49 @@ def calibrate(poses: Sequence[StaticPose]) -> Calibration:
         sign=1 if sign == 1 else -1,
         sensor_in_hand=rotation.as_quat(scalar_first=True),
         sensor_in_hand_std=std[:3],
-        bias=best.x[7:],
-        bias_std=std[7:],
+        bias=best.x[7:13],
+        bias_std=std[7:13],
         mass=float(mass),
         mass_std=float(std[3]),
         com=com,
         com_std=com_std,
         misfit=float(misfit),
         poses=len(poses),
+        **({"gain": best.x[13:], "gain_std": std[13:]} if gain_error else {}),
     )
 
 
-def _fit(poses: Sequence[StaticPose], sign: int) -> OptimizeResult:
-    """Least squares under one sign: turn from `start` [rad], sensor axes, mass, mass times center, bias."""
+def residuals(calibration: Calibration, poses: Sequence[StaticPose]) -> Float[np.ndarray, "N 6"]:
+    """Readings less the model's [N, N m]."""
+    mount = Rotation.from_quat(calibration.sensor_in_hand, scalar_first=True)
+    held = mount.inv().apply(np.array([pose.up for pose in poses]))
+    load = calibration.mass * GRAVITY * np.hstack([held, np.cross(calibration.com, held)])
+    return np.array([pose.wrench for pose in poses]) - calibration.sign * calibration.gain * load - calibration.bias
+
+
+def _fit(poses: Sequence[StaticPose], sign: int, gain_error: float) -> OptimizeResult:
+    """Least squares under one sign: turn from `start` [rad], sensor axes, mass, mass times center, bias, gains."""
     up, wrench, error = (np.array([getattr(p, name) for p in poses]) for name in ("up", "wrench", "standard_error"))
     force, middle = sign * wrench[:, :3], up - up.mean(axis=0)
     # differences are free of the bias: Kabsch for the rotation, then all the rest is linear
     start = Rotation.align_vectors(middle, force - force.mean(axis=0))[0]
     mass = max(float(np.sum(start.apply(force) * middle) / max(np.sum(middle**2), 1e-12) / GRAVITY), 1e-3)
 
-    def residuals(x: np.ndarray) -> np.ndarray:
+    def missed(x: np.ndarray) -> np.ndarray:
         held = (start * Rotation.from_rotvec(x[:3])).inv().apply(up)
         load = GRAVITY * np.hstack([x[3] * held, np.cross(x[4:7], held)])
-        return ((sign * load + x[7:] - wrench) / error).ravel()
+        gain = x[13:] if gain_error else np.ones(6)
+        missing = ((sign * gain * load + x[7:13] - wrench) / error).ravel()
+        return np.append(missing, (gain - 1) / gain_error) if gain_error else missing
 
     guess = np.concatenate([np.zeros(3), [mass], np.zeros(3), wrench.mean(axis=0)])
     scale = np.concatenate([np.ones(3), [1.0], np.full(3, 0.1), np.ones(3), np.full(3, 0.1)])
-    lowest = np.full(13, -np.inf)
+    if gain_error:
+        guess, scale = np.append(guess, np.ones(6)), np.append(scale, np.full(6, gain_error))
+    lowest = np.full(len(guess), -np.inf)
     lowest[3] = 1e-6  # a negative mass would be the other sign over again
-    fit = least_squares(residuals, guess, bounds=(lowest, np.inf), x_scale=scale, xtol=1e-10, ftol=1e-10, gtol=1e-10)
+    close = {"xtol": 1e-10, "ftol": 1e-10, "gtol": 1e-10, "max_nfev": 100}
+    fit = least_squares(missed, guess, bounds=(lowest, np.inf), x_scale=scale, **close)
     fit.start = start
     return fit
 
@@ -211,6 +243,9 @@ def in_words(calibration: Calibration) -> list[str]:
     sentences.append(
         f"the tool weighs {calibration.mass:.4f} +- {calibration.mass_std:.2g} kg; its center is at {com} mm"
     )
+    if calibration.gain_std.any():
+        each = ", ".join(f"{g:.4f} +- {s:.2g}" for g, s in zip(calibration.gain, calibration.gain_std, strict=True))
+        sentences.append(f"gains of the six axes, as far as the poses tell them: {each}")
     if calibration.misfit > MISFIT:
         sentences.append(
             f"the readings scatter {np.sqrt(calibration.misfit):.1f} times as much as their noise: a cable that pulls, "

@@ -1,0 +1,85 @@
+"""Static poses from a recording, for a calibration: stretches in which the hand stands still, or moves slowly."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from scipy.ndimage import binary_erosion
+from scipy.spatial.transform import Rotation
+
+from testbed.importers.importer import open_log, read_wrench
+from testbed.importers.logs import LogError, read_all
+from testbed.importers.mapping import Columns
+from testbed.importers.phases import RATE, common_base, resampled, resampled_rotation, runs
+from testbed.importers.poses import hand_pose
+from testbed.robot.calibration.static_poses import StaticPose
+from testbed.sensing.windows import mean_covariance
+from testbed.toml import load_toml
+
+WITHIN_S = 0.5
+"""Time over which the motion of the hand is judged [s]."""
+STILL_TURN, STILL_WAY = 0.003, 0.001
+"""Turn [rad] and way [m] in that time up to which the hand stands still."""
+SLOW_TURN, SLOW_WAY = 0.1, 0.05
+"""Turn [rad] and way [m] in that time up to which it moves slowly: what the tool's inertia adds is millinewtons."""
+SETTLED_S = 0.15
+"""Time beyond WITHIN_S / 2 that is left out after a motion, and before the next [s]."""
+SHORTEST_S = 1.0
+"""Shortest rest that is a pose [s]."""
+FEWEST = 6
+"""Number of rests below which slow motion counts too."""
+
+
+def recorded_poses(log: Path, mapping: Path) -> list[StaticPose]:
+    """Static poses of a recording, by a mapping file's [time], [sensor] and [hand]; its sign and mount do not count.
+
+    Each rest of a second or more is a pose. With fewer than six rests, so is each half second of slow motion, whose
+    scatter is taken about a parabola.
+
+    Raises:
+        InvalidFileError: the mapping does not fit its schema; one line per error.
+        InvalidValueError: an unknown column or topic; the message names the nearest.
+        LogError: invalid numbers or times, or too few poses; the message says what to record.
+    """
+    table = load_toml(mapping, Columns)
+    source = open_log(log, table)
+    wrench, pose = read_all(
+        lambda: read_wrench(source, table.sensor, table.time),
+        lambda: hand_pose(source, table.hand, table.time, mapping.parent),
+    )
+    base = common_base([wrench, pose[0]], table.longest_gap_s)
+    hand, position = resampled_rotation(pose[0].time_s, pose[1], base).as_quat(), resampled(pose[0], base)
+    values = resampled(wrench, base)
+    turn, way = _motion(hand, position)
+    still = binary_erosion((turn < STILL_TURN) & (way < STILL_WAY), np.ones(2 * round(SETTLED_S * RATE) + 1))
+    found = [_pose(hand[run], values[run], 0) for run in runs(still) if len(run) >= SHORTEST_S * RATE]
+    if len(found) >= FEWEST:
+        return found
+    size = round(WITHIN_S * RATE)
+    slow = [run[i : i + size] for run in runs((turn < SLOW_TURN) & (way < SLOW_WAY)) for i in range(0, len(run), size)]
+    moving = [_pose(hand[run], values[run], 2) for run in slow if len(run) == size]
+    if len(moving) < FEWEST:
+        raise LogError(
+            f"poses: {len(found)} rests of {SHORTEST_S:g} s and {len(moving)} half seconds of slow motion; allowed: "
+            f"{FEWEST} or more, each tilted another way"
+        )
+    return moving
+
+
+def _motion(hand: np.ndarray, position: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Turn [rad] and way [m] of the hand within WITHIN_S about each sample."""
+    half = round(WITHIN_S * RATE / 2)
+    index = np.arange(len(position))
+    before, after = np.maximum(index - half, 0), np.minimum(index + half, len(position) - 1)
+    turn = (Rotation.from_quat(hand[after]) * Rotation.from_quat(hand[before]).inv()).magnitude()
+    return turn, np.linalg.norm(position[after] - position[before], axis=1)
+
+
+def _pose(hand: np.ndarray, wrench: np.ndarray, degree: int) -> StaticPose:
+    """Mean pose, of quaternions xyzw, and reading of a stretch; a trend of some degree in the reading is no scatter."""
+    time = np.linspace(-1, 1, len(wrench))
+    trend = np.polynomial.polynomial.polyvander(time, degree)
+    left = wrench - trend @ np.linalg.lstsq(trend, wrench, rcond=None)[0]
+    error = np.sqrt(np.maximum(np.diag(mean_covariance(left)), 1e-12))
+    return StaticPose(Rotation.from_quat(hand).mean().as_quat(scalar_first=True), wrench.mean(axis=0), error)

@@ -7,8 +7,9 @@ STAMP := $(VENV)/.installed
 
 install: $(STAMP)  ## the virtual environment, with heft in it
 
-run: $(STAMP)  ## the main job: the comparison on the block objects
+run: $(STAMP)  ## the main job: the comparison on the paper's objects, in the ideal world and in a lab
 	$(BIN)/heft run blocks
+	$(BIN)/heft run lab
 
 test: $(STAMP)  ## quick tests, on two cores
 	OMP_NUM_THREADS=1 $(BIN)/pytest -m "not slow" --numprocesses 2 --dist worksteal

@@ -123,6 +123,7 @@ def _summary(log: ImportedLog) -> str:
         f"{trajectory.status:8}{log.path}: {action}: trial {log.key[:8]}{why}\n"
         f"        {trajectory.time_s[-1]:.1f} s; phases {facts['phases']}; velocity {facts['velocity']}; "
         f"joints {facts['joints']}\n        drift: {facts['drift']}"
+        + (f"\n        delay of the wrench: {facts['delay']}" if "delay" in facts else "")
     )
 
 

@@ -14,7 +14,8 @@ from scenarios.results.files import exclusive, read_json
 from scenarios.results.store import Store, key_of, object_request
 from testbed.errors import HeftError, InvalidValueError
 from testbed.files import unless_damaged
-from testbed.importers.importer import import_trajectory, object_of
+from testbed.importers.clocks import Delay, pooled_delay
+from testbed.importers.importer import delay_of, import_trajectory, object_of
 from testbed.importers.logs import LogError, read_all
 from testbed.importers.mapping import Mapping
 from testbed.objects.model import ObjectModel
@@ -64,37 +65,53 @@ def import_logs(
         raise InvalidValueError("LOG", None, f"one log or more, or [[logs]] tables in {mapping}")
     if weight is not None:
         check_positive("--weight", weight)
-    reads = [partial(_read, path, mapping, partial(progress, "logs", i, len(paths))) for i, path in enumerate(paths, 1)]
+    delays = read_all(*(partial(_named, path, partial(delay_of, path, mapping)) for path in paths))
+    delay = pooled_delay([delay for delay in delays if delay is not None])
+    reads = [
+        partial(_read, path, mapping, delay, partial(progress, "logs", i, len(paths)))
+        for i, path in enumerate(paths, 1)
+    ]
     model, *trajectories = read_all(lambda: object_of(content, mapping), *reads)
     with exclusive(out):
         store = Store(out.absolute())
         store.remove_leftovers()
         imported = []
         for path, trajectory in zip(paths, trajectories, strict=True):
-            key = _put(store, model, support, trajectory, path, content.for_log(path, mapping.parent))
+            key = _put(store, model, support, trajectory, path, content.for_log(path, mapping.parent), mapping.parent)
             imported.append(ImportedLog(path, model, trajectory, key))
         if weight is not None:
             _put_weight(store, model, support, weight)
     return imported
 
 
-def _read(path: Path, mapping: Path, done: Callable[[], None]) -> Trajectory:
-    """Trajectory of a log; every line of an error begins with the file that is wrong."""
+def _read(path: Path, mapping: Path, delay: Delay | None, done: Callable[[], None]) -> Trajectory:
     try:
-        return import_trajectory(path, mapping)
-    except HeftError as error:
-        lines = str(error).splitlines()
-        named = [line if Path(line.split(": ")[0]).exists() else f"{path}: {line}" for line in lines]
-        raise LogError("\n".join(named)) from None
+        return _named(path, partial(import_trajectory, path, mapping, delay=delay))
     finally:
         done()
 
 
+def _named(path: Path, read: Callable[[], Any]) -> Any:
+    """What a log holds; every line of an error begins with the file that is wrong."""
+    try:
+        return read()
+    except HeftError as error:
+        lines = str(error).splitlines()
+        named = [line if Path(line.split(": ")[0]).exists() else f"{path}: {line}" for line in lines]
+        raise LogError("\n".join(named)) from None
+
+
 def _put(
-    store: Store, model: ObjectModel, support: Support, trajectory: Trajectory, path: Path, mapping: Mapping
+    store: Store,
+    model: ObjectModel,
+    support: Support,
+    trajectory: Trajectory,
+    path: Path,
+    mapping: Mapping,
+    folder: Path,
 ) -> str:
     """Put a trial where simulated ones are kept, in the place of an earlier import of the same log; its key."""
-    content = _checksum(path)
+    content = _checksum([path, *([folder / mapping.sensor.file] if mapping.sensor.file else [])])
     imported = {"log": path.name, "sha256": content, "mapping": mapping.model_dump(exclude_none=True)}
     request = _request(model, support, trajectory) | {"import": imported}
     key = key_of(request)
@@ -107,11 +124,12 @@ def _put(
     return key
 
 
-def _checksum(log: Path) -> str:
-    """SHA-256 of a log; of a bag's folder that of its files in a row."""
+def _checksum(logs: Sequence[Path]) -> str:
+    """SHA-256 of the files of a log in a row; of a bag's folder those in it."""
     total = hashlib.sha256()
-    for file in sorted(f for f in log.iterdir() if f.is_file()) if log.is_dir() else [log]:
-        total.update(file.read_bytes())
+    for log in logs:
+        for file in sorted(f for f in log.iterdir() if f.is_file()) if log.is_dir() else [log]:
+            total.update(file.read_bytes())
     return total.hexdigest()
 
 

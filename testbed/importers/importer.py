@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -12,6 +13,7 @@ from scipy.spatial.transform import Rotation
 from testbed.actions.base import TableAction
 from testbed.errors import InvalidValueError
 from testbed.frames import origin_velocity, pose_from_point
+from testbed.importers.clocks import NO_DELAY, Delay, wrench_delay
 from testbed.importers.logs import Series, read_all
 from testbed.importers.mapping import Columns, HandMap, JointMap, Mapping, SensorMap, TimeMap, VelocityMap, factor
 from testbed.importers.messages import open_bag, open_mcap
@@ -25,7 +27,7 @@ from testbed.importers.phases import (
     resampled,
     resampled_rotation,
 )
-from testbed.importers.poses import Log, hand_pose
+from testbed.importers.poses import Log, Pose, hand_pose
 from testbed.importers.tables import CsvLog
 from testbed.objects.files import load_object
 from testbed.objects.model import ObjectModel
@@ -45,13 +47,16 @@ _SINCE_1970 = 1e9, 4e9
 """Times between these count from 1970: the years 2001 to 2096 [s]."""
 
 
-def import_trajectory(log: Path, mapping: Path, limit: DriftLimit | None = None) -> Trajectory:
+def import_trajectory(
+    log: Path, mapping: Path, limit: DriftLimit | None = None, delay: Delay | None = None
+) -> Trajectory:
     """Read a log of another robot as a trajectory.
 
     Args:
         log: a table, an .mcap file, or a ROS 2 bag: its folder or a .db3 file.
         mapping: a TOML file that describes its columns; see docs/formats.md.
         limit: largest drift of a valid trial, if the log ends with a second tare.
+        delay: delay of a separate stream of wrenches; None takes the mapping's, or that of an accelerated turn.
 
     Raises:
         InvalidFileError: the mapping does not fit its schema; one line per error.
@@ -59,18 +64,15 @@ def import_trajectory(log: Path, mapping: Path, limit: DriftLimit | None = None)
         LogError: invalid numbers or times, gaps, or phases that cannot be found; or several errors, one line each.
     """
     table, gain = _calibrated(load_toml(mapping, Mapping).for_log(log, mapping.parent), mapping)
-    source = open_log(log, table)
-    (action, model), wrench, pose, joints, velocity = read_all(
-        lambda: _action_and_object(table, mapping),
-        lambda: read_wrench(source, table.sensor, table.time),
-        lambda: hand_pose(source, table.hand, table.time, mapping.parent),
-        lambda: _joints(source, table.joints, table.time) if table.joints else None,
-        lambda: _velocity(source, table.velocity, table.time) if table.velocity else None,
-    )
-    base = common_base([s for s in (wrench, pose[0], joints, velocity) if s is not None], table.longest_gap_s)
-    time, count, begin = np.arange(len(base)) / RATE, len(base), source.epoch_s + float(base[0])
-    hand = resampled_rotation(pose[0].time_s, pose[1], base)
-    position = resampled(pose[0], base) + hand.apply(table.hand.tcp_in_hand_m)
+    streams = _Streams.of(log, table, mapping)
+    action, model = streams.action, streams.model
+    delay = streams.delay(table) if delay is None or not table.separate else delay
+    if delay is not None and delay.sure:
+        streams = streams.earlier(delay.seconds)
+    wrench, velocity, joints = streams.wrench, streams.velocity, streams.joints
+    base = streams.base(table.longest_gap_s)
+    time, count, begin = np.arange(len(base)) / RATE, len(base), streams.epoch_s + float(base[0])
+    position, hand = streams.tcp(table, base)
     twist = resampled(velocity, base) if velocity else _differentiated(position, hand)
     position[:, 2] -= table.hand.table_height_m
     phase, segment = _phases(table, time, position[:, 2], twist)
@@ -102,13 +104,28 @@ def import_trajectory(log: Path, mapping: Path, limit: DriftLimit | None = None)
             "runner": "import",
             "object": model.name,
             "log": log.name,
+            **({"sensor log": table.sensor.file} if table.sensor.file else {}),
             **({"recorded": _moment(begin)} if _SINCE_1970[0] < begin < _SINCE_1970[1] else {}),
             "joints": "as logged" if joints else "not logged: zeros",
             "velocity": "as logged" if velocity else "from the pose",
             "phases": "as mapped" if table.phases else "from the motion",
+            **({"delay": str(delay or NO_DELAY)} if table.separate or delay else {}),
         },
+        figures={"wrench_delay_s": delay.seconds, "wrench_delay_std_s": delay.std} if delay else {},
     )
     return judge_drift(compensate(trajectory), limit or DriftLimit())
+
+
+def delay_of(log: Path, mapping: Path) -> Delay | None:
+    """Delay of a log's wrenches, if it is an accelerated turn of separate streams and the mapping gives none.
+
+    Raises:
+        HeftError: see `import_trajectory`.
+    """
+    table, _ = _calibrated(load_toml(mapping, Mapping).for_log(log, mapping.parent), mapping)
+    if not table.separate or table.sensor.delay_s is not None or not table.recorded_action().accelerated:
+        return None
+    return _Streams.of(log, table, mapping).delay(table)
 
 
 def _calibrated(table: Mapping, mapping: Path) -> tuple[Mapping, np.ndarray]:
@@ -140,6 +157,11 @@ def open_log(path: Path, table: Columns) -> Log:
     raise InvalidValueError("log", str(path), f"a file that ends in {', '.join(_TABLES + _BAGS)}, or a bag folder")
 
 
+def sensor_log(log: Log, table: Columns, folder: Path) -> Log:
+    """Log of the wrenches: the one that the mapping in a folder names, or the same."""
+    return log if table.sensor.file is None else open_log(folder / table.sensor.file, table)
+
+
 def object_of(table: Mapping, mapping: Path) -> ObjectModel:
     """Object of a mapping file, by a file beside it or by name, as in a scenario.
 
@@ -151,6 +173,60 @@ def object_of(table: Mapping, mapping: Path) -> ObjectModel:
         return load_object(beside if table.object.endswith(".toml") and beside.is_file() else table.object)
     except InvalidValueError as error:
         raise InvalidValueError(error.field, error.given, error.allowed, file=error.file or mapping) from None
+
+
+@dataclass(frozen=True, eq=False)
+class _Streams:
+    """What a log holds, each by its own stamps from one epoch."""
+
+    action: TableAction
+    model: ObjectModel
+    wrench: Series
+    pose: Pose
+    joints: Series | None
+    velocity: Series | None
+    epoch_s: int
+
+    @classmethod
+    def of(cls, log: Path, table: Mapping, mapping: Path) -> _Streams:
+        """All streams of a log; all their errors at once."""
+        source = open_log(log, table)
+        other = sensor_log(source, table, mapping.parent)
+        (action, model), wrench, pose, joints, velocity = read_all(
+            lambda: _action_and_object(table, mapping),
+            lambda: read_wrench(other, table.sensor, table.time),
+            lambda: hand_pose(source, table.hand, table.time, mapping.parent),
+            lambda: _joints(source, table.joints, table.time) if table.joints else None,
+            lambda: _velocity(source, table.velocity, table.time) if table.velocity else None,
+        )
+        wrench = wrench._replace(time_s=wrench.time_s + (other.epoch_s - source.epoch_s))
+        return cls(action, model, wrench, pose, joints, velocity, source.epoch_s)
+
+    def base(self, longest_gap: float) -> np.ndarray:
+        """Times at 100 Hz that all of them cover [s]."""
+        series = (self.wrench, self.pose[0], self.joints, self.velocity)
+        return common_base([s for s in series if s is not None], longest_gap)
+
+    def tcp(self, table: Mapping, base: np.ndarray) -> tuple[np.ndarray, Rotation]:
+        """Position of the TCP [m], and orientation of the hand, at the base's times."""
+        hand = resampled_rotation(self.pose[0].time_s, self.pose[1], base)
+        return resampled(self.pose[0], base) + hand.apply(table.hand.tcp_in_hand_m), hand
+
+    def delay(self, table: Mapping) -> Delay | None:
+        """Delay of the wrench: the mapping's, or that of an accelerated turn of separate streams; else None."""
+        if table.sensor.delay_s is not None:
+            return Delay(table.sensor.delay_s, 0.0)
+        if not table.separate or not self.action.accelerated:
+            return None
+        base = self.base(table.longest_gap_s)
+        position, hand = self.tcp(table, base)
+        up = (hand * Rotation.from_quat(table.sensor.in_hand_wxyz, scalar_first=True)).inv().apply([0.0, 0.0, 1.0])
+        torque = np.sum(resampled(self.wrench, base)[:, 3:] * up, axis=1)
+        return wrench_delay(torque, position, hand, base)
+
+    def earlier(self, seconds: float) -> _Streams:
+        """The same with the wrench's stamps earlier."""
+        return replace(self, wrench=self.wrench._replace(time_s=self.wrench.time_s - seconds))
 
 
 def _action_and_object(table: Mapping, mapping: Path) -> tuple[TableAction, ObjectModel]:
@@ -181,7 +257,7 @@ def read_wrench(log: Log, sensor: SensorMap, time: TimeMap) -> Series:
     else:
         of = f"; {sensor.topic} has {kind or 'no type of message'}" if sensor.topic else ""
         raise InvalidValueError(field, None, f"columns of the wrench{of}", file=log.path)
-    stamps, values = log.series(field, names, sensor.topic, time)
+    stamps, values = log.series(field, names, sensor.topic, sensor.time or time)
     units = np.repeat([factor("force", sensor.force_unit), factor("torque", sensor.torque_unit)], 3)
     return Series(stamps, values * units)
 

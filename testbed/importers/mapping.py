@@ -87,7 +87,10 @@ class TimeMap(_Table):
 class SensorMap(_Table):
     """The [sensor] table."""
 
+    file: Text | None = None
     topic: Text | None = None
+    time: TimeMap | None = None
+    delay_s: Finite | None = None
     force: Three | None = None
     torque: Three | None = None
     force_unit: ForceUnit = "N"
@@ -209,6 +212,7 @@ class LogMap(_Table):
     """One [[logs]] table: a log, and its differences from the rest of the file."""
 
     file: Text
+    sensor_file: Text | None = None
     action: MovingAction | None = None
     phases: Windows | None = None
 
@@ -258,8 +262,16 @@ class Mapping(Columns):
             allowed = "each file once: a log is one trial, from tare to release; cut a longer one into files"
             raise InvalidValueError("logs.file", named[0].file, allowed)
         own = named[0] if named else None
-        changes = {} if own is None else {"action": own.action, "phases": own.phases}
+        changes: dict[str, Any] = {} if own is None else {"action": own.action, "phases": own.phases}
+        if own is not None and own.sensor_file is not None:
+            changes["sensor"] = self.sensor.model_copy(update={"file": own.sensor_file})
         return self.model_copy(update={"logs": [], **{k: v for k, v in changes.items() if v is not None}})
+
+    @property
+    def separate(self) -> bool:
+        """True if pose and wrench are separate streams, whose clocks may differ."""
+        sensor = self.sensor
+        return sensor.file is not None or sensor.time is not None or sensor.topic != self.hand.topic
 
     def recorded_action(self) -> TableAction:
         """The action in the log.

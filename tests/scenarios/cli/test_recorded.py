@@ -6,6 +6,7 @@ import json
 from dataclasses import replace
 from pathlib import Path
 
+import pandas as pd
 import pytest
 from numpy.testing import assert_allclose
 
@@ -82,6 +83,24 @@ def test_a_corrected_mapping_takes_the_place_of_the_wrong_one(lab: Path, records
     assert ended("import", "second.toml", "0.csv", "--out", "lab") == 0
     biases = sorted(t.sensor_bias_std[0] for _, t in load_trajectories(lab / "lab"))
     assert_allclose(biases, [0.05, 0.05, 0.05, 0.2])
+
+
+def test_pose_and_wrench_may_be_files_of_their_own(
+    lab: Path, records: list[Trajectory], capsys: pytest.CaptureFixture[str]
+):
+    whole, wrench = pd.read_csv("0.csv", dtype=str), ["stamp", *(f"{a}{b}" for a in "ft" for b in "xyz")]
+    whole[wrench].to_csv("ft.csv", index=False)
+    whole.drop(columns=wrench[1:]).to_csv("pose.csv", index=False)
+    named = [{"file": "pose.csv", "sensor_file": "ft.csv"}]
+    write_toml(lab / "apart.toml", mapping_of(records[0], logs=named))
+    assert ended("import", "apart.toml", "pose.csv", "--out", "lab") == 0
+    assert "delay of the wrench: not estimated, for want of an accelerated turn" in capsys.readouterr().out
+    ((_, apart),) = load_trajectories("lab")
+    together = import_trajectory(Path("0.csv"), Path("lab.toml"))
+    assert_allclose(apart.wrench_on_object_world, together.wrench_on_object_world, atol=1e-12)
+    whole[wrench].assign(fx="1" + whole["fx"].str.lstrip("-")).to_csv("ft.csv", index=False)
+    assert ended("import", "apart.toml", "pose.csv", "--out", "lab") == 0
+    assert len(list(load_trajectories("lab"))) == 2  # another record of the sensor is another log
 
 
 def test_what_is_wrong_with_all_logs_is_told_at_once_and_nothing_is_written(

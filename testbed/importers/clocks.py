@@ -1,0 +1,132 @@
+"""Delay of the wrench behind the pose where they come from separate streams, as accelerated turns show it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+from scipy.interpolate import make_interp_spline
+from scipy.ndimage import gaussian_filter1d
+from scipy.optimize import minimize_scalar
+from scipy.spatial.transform import Rotation
+
+from testbed.importers.logs import LogError
+from testbed.importers.phases import RATE
+
+LONGEST_DELAY = 0.2
+"""Largest delay that is found [s]."""
+NO_DELAY = "not estimated, for want of an accelerated turn"
+"""What is said of the delay between separate streams that nothing ties."""
+UNSURE = 0.005
+"""Standard deviation above which a delay is told and not taken off [s]."""
+_MODEL_ERROR = 0.0015
+"""Standard deviation of what the arm's own lag adds, over turns of the library's objects, alike in all turns [s]."""
+_SMOOTHING = 0.045
+"""Standard deviation of the kernel that both sides are smoothed by [s]."""
+_BLOCKS = 8
+_TURNING = 0.12
+"""Part of the largest turn rate above which the object is on its way."""
+_END = 15
+"""Samples at the ends of the motion that are left out: friction builds up there."""
+
+
+class Delay(NamedTuple):
+    """Time by which the stamps of the wrench are late."""
+
+    seconds: float
+    std: float
+    """Standard deviation [s]; 0 if it is given."""
+
+    @property
+    def sure(self) -> bool:
+        """True if it is known well enough to be taken off, and is not zero within its error."""
+        return self.std < UNSURE and abs(self.seconds) > 2 * self.std
+
+    def __str__(self) -> str:
+        if not self.std:
+            return f"{1e3 * self.seconds:.1f} ms late, as given; taken off"
+        then = "taken off" if self.sure else "too uncertain to be taken off" if self.std >= UNSURE else "not taken off"
+        return f"{1e3 * self.seconds:.1f} +- {1e3 * self.std:.1f} ms late, by accelerated turns; {then}"
+
+
+def wrench_delay(
+    torque: Float[np.ndarray, "T"], position: Float[np.ndarray, "T 3"], hand: Rotation, time: Float[np.ndarray, "T"]
+) -> Delay:
+    """Delay between the torque about the vertical and a turn that accelerates.
+
+    Torque is linear in angular and linear acceleration, speed and its square, and the centre of the turn, whatever the
+    object is. That combination of the motion, moved by the delay, is fitted to the torque's rate of change: jumps of
+    the acceleration show there, and slow changes of friction do not. Its error is from leaving out parts of the turn.
+
+    Args:
+        torque: torque about the vertical [N m], as stamped.
+        position: position of the TCP [m].
+        hand: orientation, T of them.
+        time: 100 Hz [s].
+
+    Raises:
+        LogError: no acceleration, or a delay beyond 0.2 s.
+    """
+    motion, rate = _regressors(position, hand)
+    turning = np.flatnonzero(np.abs(rate) > _TURNING * np.abs(rate).max())
+    inside = np.arange(turning[0] + _END, turning[-1] - _END)
+    inside = inside[(inside > LONGEST_DELAY * RATE) & (inside < len(time) - LONGEST_DELAY * RATE)]
+    if len(inside) < RATE:
+        raise LogError(f"delay: the turn accelerates for {len(inside) / RATE:.1f} s; allowed: 1 s or more")
+    moved = make_interp_spline(time, motion, k=3)
+    change = np.gradient(gaussian_filter1d(torque, _SMOOTHING * RATE), 1 / RATE)
+
+    def fit(kept: np.ndarray) -> float:
+        def misfit(delay: float) -> float:
+            columns = np.column_stack([np.ones(len(kept)), moved(time[kept] - delay)])
+            basis = np.linalg.qr(columns)[0]
+            return float(np.square(change[kept] - basis @ (basis.T @ change[kept])).sum())
+
+        grid = np.arange(-LONGEST_DELAY, LONGEST_DELAY + 1e-9, 1 / RATE)
+        best = int(np.argmin([misfit(delay) for delay in grid]))
+        if best in (0, len(grid) - 1):
+            raise LogError(f"delay: the wrench is late or early by more than {LONGEST_DELAY:g} s; allowed: one clock")
+        bounds = (grid[best - 1], grid[best + 1])
+        found: Any = minimize_scalar(misfit, bounds=bounds, method="bounded", options={"xatol": 1e-6})
+        return float(found.x)
+
+    without = [fit(np.setdiff1d(inside, block)) for block in np.array_split(inside, _BLOCKS)]
+    jackknife = (_BLOCKS - 1) * np.var(without)
+    return Delay(fit(inside), float(np.sqrt(jackknife + _MODEL_ERROR**2)))
+
+
+def pooled_delay(delays: Sequence[Delay]) -> Delay | None:
+    """Mean of the delays of several turns, weighed by their errors; None of none.
+
+    Raises:
+        LogError: they differ by more than their errors: their clocks are not the same.
+    """
+    if not delays:
+        return None
+    weights = np.array([delay.std**-2 for delay in delays])
+    mean, std = (
+        float(np.average([d.seconds for d in delays], weights=weights)),
+        max(float(weights.sum() ** -0.5), _MODEL_ERROR),
+    )
+    if far := [d for d in delays if abs(d.seconds - mean) > 5 * d.std]:
+        one, all_ = 1e3 * far[0].seconds, 1e3 * mean
+        raise LogError(
+            f"delay: {one:.1f} ms in one turn and {all_:.1f} ms in all; allowed: the same clocks in all logs"
+        )
+    return Delay(mean, std)
+
+
+def _regressors(position: np.ndarray, hand: Rotation) -> tuple[np.ndarray, np.ndarray]:
+    """Rates of change of what the torque is linear in, hand's axes, shape (T, 7), and the turn rate [rad/s]."""
+
+    def smooth(values: np.ndarray, order: int) -> np.ndarray:
+        return gaussian_filter1d(values, _SMOOTHING * RATE, order=order, axis=0) * RATE**order
+
+    yaw = np.unwrap(hand.as_euler("ZYX")[:, 0])
+    rate, acceleration = smooth(yaw, 1), smooth(yaw, 2)
+    velocity, linear = (hand.inv().apply(smooth(position, order))[:, :2] for order in (1, 2))
+    slow = np.where(np.abs(rate) < 0.05, 0.05, rate)[:, None]
+    columns = np.column_stack([acceleration, rate, rate**2, linear, velocity / slow])
+    return np.asarray(np.gradient(columns, 1 / RATE, axis=0)), rate

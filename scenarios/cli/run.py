@@ -68,7 +68,7 @@ def run(
     Args:
         scenario: name in the library (see heft scenarios), or path to a TOML file.
         out: folder for the results; results/<scenario> if left out.
-        executor: inline (this process), local (worker processes), or ray (extra "ray"; joins a running cluster).
+        executor: inline (this process), local (worker processes), or ray (extra "ray"; at RAY_ADDRESS if set).
         workers: worker processes; one a core if left out, 0 runs everything in this process.
         methods: labels of the scenario's methods, instead of all; or others: by name, or package:Class.
         seeds: sensing draws of each trial; the scenario's own number if left out.

@@ -5,6 +5,7 @@ from __future__ import annotations
 import faulthandler
 import importlib
 import logging
+import os
 import signal
 import sys
 import traceback
@@ -22,8 +23,17 @@ _GRACE_S = 10.0
 """Time that a task that is too slow has to end by itself [s]."""
 
 
+ADDRESS = "RAY_ADDRESS"
+"""Environment variable with the address of a cluster to join."""
+_LOOPBACK = "RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER"
+"""Ray's switch between loopback and all interfaces, in spite of its name on Linux too."""
+
+
 class RayExecutor:
-    """Tasks on the running cluster, or on one on this machine with `workers` CPUs where none is running."""
+    """Tasks on the cluster at RAY_ADDRESS, or on one of `workers` CPUs that listens on this machine alone.
+
+    A cluster that this process has joined already is used as it is.
+    """
 
     def __init__(self, workers: int, limits: Limits):
         self._ray = _import_ray()
@@ -31,13 +41,25 @@ class RayExecutor:
         self._joined = self._ray.is_initialized()
         if not self._joined:
             quiet = {"logging_level": logging.ERROR, "log_to_driver": False}
-            try:
-                self._ray.init(address="auto", **quiet)
-            except ConnectionError:
-                self._ray.init(address="local", num_cpus=max(workers, 1), include_dashboard=False, **quiet)
+            if address := os.environ.get(ADDRESS):
+                try:
+                    self._ray.init(address=address, **quiet)
+                except (ConnectionError, ValueError) as error:
+                    raise HeftError(f"{ADDRESS}: got {address!r}, where no cluster answers: {error}") from None
+            else:
+                self._start(max(workers, 1), quiet)
         # A task lost with its worker or its machine is begun again by Ray, somewhere else
         self._run = self._ray.remote(num_cpus=1, max_retries=limits.tries - 1)(_run)
         self._labels: dict[Any, Any] = {}
+
+    def _start(self, workers: int, quiet: dict[str, Any]) -> None:
+        """Start a cluster of its own on the loopback interface: who reaches a cluster's ports runs code there."""
+        constants = importlib.import_module("ray._private.ray_constants")
+        constants.ENABLE_RAY_CLUSTER = False  # where Ray was imported before the switch was set
+        self._ray.init(address="local", num_cpus=workers, include_dashboard=False, **quiet)
+        if not (at := self._ray.util.get_node_ip_address()).startswith("127."):
+            self._ray.shutdown()
+            raise HeftError(f"--executor ray: this version of Ray would listen at {at}; start a cluster, set {ADDRESS}")
 
     def __enter__(self) -> Self:
         return self
@@ -81,6 +103,8 @@ class RayExecutor:
 
 
 def _import_ray() -> Any:
+    if not os.environ.get(ADDRESS):
+        os.environ.setdefault(_LOOPBACK, "0")  # its processes read it too
     try:
         return importlib.import_module("ray")
     except ImportError:

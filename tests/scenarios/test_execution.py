@@ -5,8 +5,11 @@ from __future__ import annotations
 import errno
 import multiprocessing
 import os
+import re
 import sys
 from collections.abc import Mapping
+from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import pytest
@@ -78,11 +81,42 @@ def test_a_task_that_ends_its_process_without_an_error_is_noticed():
     assert values[2] == "well"
 
 
+def listening() -> set[str]:
+    """Addresses and ports at which this machine listens, as the system writes them."""
+    lines = [line.split() for name in ("tcp", "tcp6") for line in Path(f"/proc/net/{name}").read_text().splitlines()]
+    return {fields[1] for fields in lines if fields[3] == "0A"}
+
+
+def test_a_cluster_is_joined_only_where_the_environment_names_it(monkeypatch):
+    asked = []
+
+    class Ray(ModuleType):
+        is_initialized = staticmethod(lambda: False)
+
+        @staticmethod
+        def init(address: str, **_: object) -> None:
+            asked.append(address)
+            raise ConnectionError("nobody there")
+
+    monkeypatch.setitem(sys.modules, "ray", Ray("ray"))
+    monkeypatch.setitem(sys.modules, "ray._private.ray_constants", ModuleType("ray._private.ray_constants"))
+    monkeypatch.setenv("RAY_ADDRESS", "10.0.0.1:6379")
+    with pytest.raises(HeftError, match=r"RAY_ADDRESS: got '10.*', where no cluster answers"):
+        open_executor("ray", 2).__enter__()
+    monkeypatch.delenv("RAY_ADDRESS")
+    with pytest.raises(ConnectionError):
+        open_executor("ray", 2).__enter__()
+    assert asked == ["10.0.0.1:6379", "local"]
+
+
 @pytest.mark.slow
 def test_whatever_a_task_does_on_ray_comes_back_as_a_value():
     pytest.importorskip("ray", reason="Ray is not installed: pip install 'heft-testbed[ray]'")
+    before = listening()
     with open_executor("ray", 2, Limits(timeout_s=8.0, tries=1, memory_gib=1.5)) as executor:
         values = all_of(executor, {way: (misbehave, way) for way in ("well", "raise", "exit", "hang", "crash", "eat")})
+        new = listening() - before
+        assert new and all(re.search("0100007F:|0{24}01000000:", address) for address in new), "on this machine alone"
     assert values["well"] == "well"
     assert values["raise"].reason == "RuntimeError: out of ideas"
     assert values["exit"].reason == "SystemExit: 3"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import http.client
 import os
 import re
 import signal
@@ -9,7 +10,6 @@ import socket
 import subprocess
 import sys
 import time
-import urllib.request
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +20,7 @@ from scenarios.cli.terminal import orderly_end
 from scenarios.views.pages import Recorder, page_of
 from testbed.errors import InvalidValueError
 from tests.helpers.viewer_windows import browser, has_color, is_blank, needs_browser, needs_vulkan, picture, viewer
+from tests.helpers.waiting import until
 from viz.recordings import viewer as viewers
 from viz.recordings.page import save
 from viz.recordings.viewer import served
@@ -171,8 +172,9 @@ def test_an_ignored_signal_stays_ignored():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("end", [signal.SIGTERM, signal.SIGHUP])
-def test_a_server_that_is_ended_leaves_nothing_running(tmp_path, end):
+@pytest.mark.parametrize("end", [signal.SIGTERM, signal.SIGHUP, signal.SIGKILL])
+def test_a_server_that_is_ended_leaves_nothing_running(tmp_path, monkeypatch, end):
+    monkeypatch.setenv("http_proxy", "http://127.0.0.1:9")  # nobody is there
     port, recording = viewers.free_port(), tmp_path / "page.rrd"
     recording.write_bytes(b"all that was measured")
     command = [sys.executable, "-c", SERVING, str(recording), str(port)]
@@ -180,12 +182,18 @@ def test_a_server_that_is_ended_leaves_nothing_running(tmp_path, end):
         assert process.stdout is not None
         address = process.stdout.readline().strip()
         assert address.startswith(f"http://127.0.0.1:{port}/?url=http%3A%2F%2F127.0.0.1%3A{port}%2Frecording.rrd")
-        with urllib.request.urlopen(f"http://127.0.0.1:{port}/recording.rrd") as found:
-            assert found.read() == recording.read_bytes(), "the data come from the page's own port"
+        served = {}
+        for host in (f"127.0.0.1:{port}", "localhost:9090", "stranger.example"):
+            request = http.client.HTTPConnection("127.0.0.1", port)
+            request.request("GET", "/recording.rrd", headers={"Host": host})
+            response = request.getresponse()
+            served[host] = response.status, response.read() == recording.read_bytes()
+        assert [*served.values()] == [(200, True), (200, True), (403, False)], "the data come from the page's own port"
         children = Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()
         assert children
         process.send_signal(end)
-        assert process.wait(10) == 128 + end
+        assert process.wait(10) == (-end if end == signal.SIGKILL else 128 + end)
+        until(lambda: not any(Path(f"/proc/{child}").exists() for child in children))
     assert not [child for child in children if Path(f"/proc/{child}").exists()]
 
 

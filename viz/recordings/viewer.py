@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import ctypes
 import os
+import signal
 import socket
 import subprocess
 import sys
@@ -130,6 +132,12 @@ POLICY = (
 )
 RECORDING = "recording.rrd"
 _STARTING_S = 20.0
+_OWN_NAMES = (HOST, "localhost", "::1")
+_PR_SET_PDEATHSIG = 1
+"""linux/prctl.h"""
+_LIBC = ctypes.CDLL(None)
+_open = urllib.request.build_opener(urllib.request.ProxyHandler({})).open
+"""Opener of addresses of this machine: past any proxy."""
 
 
 @contextmanager
@@ -165,13 +173,19 @@ def served(recording: Path, port: int = 0) -> Iterator[str]:
 def _rerun(source: int) -> Iterator[None]:
     """Rerun's own server of the viewer's files at a port, while the block lasts."""
     command = [*program(), "--serve-web", "--bind", HOST, "--port", str(free_port()), "--web-viewer-port", str(source)]
-    process = subprocess.Popen(command, env=environment(), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    quiet = subprocess.DEVNULL
+    process = subprocess.Popen(command, env=environment(), stdout=quiet, stderr=quiet, preexec_fn=_end_with_heft)  # noqa: PLW1509  prctl alone
     try:
         _wait(process, f"http://{HOST}:{source}/")
         yield
     finally:
         process.kill()
         process.wait()
+
+
+def _end_with_heft() -> None:
+    """In a new process: be killed when the one that started it ends, however that is."""
+    _LIBC.prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
 
 
 class _Handler(BaseHTTPRequestHandler):
@@ -182,13 +196,16 @@ class _Handler(BaseHTTPRequestHandler):
         super().__init__(*rest)
 
     def do_GET(self) -> None:
-        """Pass a file on, under the policy."""
+        """Pass a file on, under the policy: to a page of this machine, not to a stranger's whose name leads here."""
+        if urllib.parse.urlsplit(f"//{self.headers.get('Host', '')}").hostname not in _OWN_NAMES:
+            self.send_error(403, "another host's name")
+            return
         path = urllib.parse.urlsplit(self.path).path
         try:
             if path == f"/{RECORDING}":
                 kind, content = "application/octet-stream", self._recording.read_bytes()
             else:
-                with urllib.request.urlopen(self._source + path, timeout=_STARTING_S) as found:
+                with _open(self._source + path, timeout=_STARTING_S) as found:
                     kind, content = found.headers.get_content_type(), found.read()
         except (OSError, ValueError):
             self.send_error(404)
@@ -209,7 +226,7 @@ def _wait(process: subprocess.Popen[bytes], address: str) -> None:
     until = time.monotonic() + _STARTING_S
     while process.poll() is None and time.monotonic() < until:
         try:
-            urllib.request.urlopen(address, timeout=2).close()
+            _open(address, timeout=2).close()
             return
         except OSError:
             time.sleep(0.1)

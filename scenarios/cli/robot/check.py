@@ -163,7 +163,8 @@ def verify(folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="
 
     A hanging object pulls down, friction takes work out of every turn and slide, the force of a slide is against its
     motion, and the torque of a turn flips when it is turned back: that needs no masses. A scale's reading in the folder
-    is compared with the lift. Best are a weighing by lifting, a turn there and back, and two slides.
+    is compared with the lift. The centers of the turns tell of a wrong closing direction, TCP, grasp or side. Best are
+    a weighing by lifting, three turns there and back about points apart, and two slides.
 
     Exit code: 1 if something is wrong.
     Example: heft robot verify results/lab
@@ -192,6 +193,7 @@ def verify(folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="
 
 def _findings(trials: list[TrialRecord], name: str) -> list[Finding]:
     """Findings of one object's sound trials: its last lift, its turns and slides at constant speed."""
+    from testbed.robot.calibration.motion import check_motion
     from testbed.robot.calibration.trial import check_trial
     from testbed.sensing.windows import mean_covariance, steady_windows, weight_of
 
@@ -207,4 +209,4 @@ def _findings(trials: list[TrialRecord], name: str) -> list[Finding]:
     for moved in records:
         if moved.action.on_table and not moved.action.accelerated:
             found += check_trial(None, None, steady_windows(moved))
-    return found
+    return found + check_motion(next(t.object.shape for t in trials if t.object.name == name), records)

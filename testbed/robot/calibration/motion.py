@@ -1,0 +1,138 @@
+"""Test of trials by their motion: where the object turned, against the pivots and grasps that its actions name.
+
+The center of a turn is seen from the TCP and the direction in which the pads close, whatever the object weighs. A wrong
+closing direction turns all centers alike, a wrong TCP moves them alike, and a wrong grasp or pivot is off by itself.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Float
+
+from testbed.actions.rotate import Rotate
+from testbed.frames import cross_2d, perpendicular, rotation_2d
+from testbed.objects.model import ObjectShape
+from testbed.robot.calibration.trial import Finding
+from testbed.sensing.windows import steady_windows
+from testbed.trajectory import Trajectory
+
+LEVER = 0.005
+"""Distance of pivot and grasp from which a turn shows the closing direction [m]."""
+CENTER_ALLOWED = 0.003
+"""Allowed distance of a turn's center from where its action has it [m]."""
+CLOSING_ALLOWED, TCP_ALLOWED = np.radians(1.0), 0.001
+"""Allowed errors of the closing direction [rad] and of the TCP [m], beside three standard errors of each."""
+SURE = 3.0
+
+
+def check_motion(shape: ObjectShape, trajectories: Sequence[Trajectory]) -> list[Finding]:
+    """Findings on closing direction, TCP, and the grasp and pivot of every turn at constant speed.
+
+    Args:
+        shape: geometry and grasps of the object.
+        trajectories: trials of it that ended well; all but turns are left out.
+    """
+    turned = [
+        (action, windows)
+        for trajectory in trajectories
+        if isinstance(action := trajectory.action, Rotate) and trajectory.ok and (windows := steady_windows(trajectory))
+    ]
+    if not turned:
+        return []
+    named = np.array([_named(shape, action, action.grasp) for action, _ in turned])
+    seen = np.array([
+        rotation_2d(-shape.grasps[action.grasp].angle)
+        @ np.mean([perpendicular(w.twist[:2]) / w.twist[2] for w in windows], axis=0)
+        for action, windows in turned
+    ])  # fmt: skip
+    mirrored = named * [1, -1]
+    fits = {kind: _fit(seen, about) for kind, about in (("told", named), ("mirrored", mirrored))}
+    kind = min(fits, key=lambda k: np.median(fits[k][2]) + (0.001 if k == "mirrored" else 0.0))
+    findings = []
+    if kind == "mirrored" and len(turned) > 1:
+        off = float(np.median(fits["told"][2]))
+        text = (
+            "the centers of the turns are those of the mirrored object: an axis of the object, or the yaw, is flipped"
+        )
+        findings.append(Finding("mirrored", False, off, 0.0, text))
+    else:
+        kind = "told"
+    angle, offset, left, spread = fits[kind]
+    findings += _common(angle, offset, spread, named)
+    for (action, _), at, miss in zip(turned, seen, left, strict=True):
+        if miss > CENTER_ALLOWED:
+            findings.append(_wrong(shape, action, rotation_2d(-angle) @ (at - offset), miss))
+    if not any(f.what == "center" for f in findings):
+        worst = float(left.max())
+        text = f"turns about the points that the actions name, {len(turned)} of them, to {1e3 * worst:.1f} mm"
+        findings.append(Finding("center", True, worst, 0.0, text))
+    return findings
+
+
+def _named(shape: ObjectShape, action: Rotate, grasp: int) -> Float[np.ndarray, "2"]:
+    """Pivot of an action from a grasp, x along the direction in which the pads close [m]."""
+    held = shape.grasps[grasp]
+    return rotation_2d(-held.angle) @ (action.center(shape) - held.position)
+
+
+def _fit(
+    seen: Float[np.ndarray, "K 2"], named: Float[np.ndarray, "K 2"]
+) -> tuple[float, Float[np.ndarray, "2"], Float[np.ndarray, "K"], float]:
+    """Turn [rad] and shift [m] that take named centers to seen ones, distances left, and their spread, one axis [m].
+
+    Reweighted, so that a few wrong ones do not count.
+    """
+    weight = np.ones(len(seen))
+    far = np.linalg.norm(named, axis=1) > LEVER
+    angle, offset, left = 0.0, np.zeros(2), np.zeros(len(seen))
+    for _ in range(30):
+        w = weight / weight.sum()
+        shifted = len(seen) > 2 or not far.any()  # two centers show no more than a turn
+        a, b = (points - shifted * (w @ points) for points in (named, seen))
+        if far.any():
+            angle = float(np.arctan2((weight * cross_2d(a, b)).sum(), (weight * (a * b).sum(axis=1)).sum()))
+        turned = named @ rotation_2d(angle).T
+        offset = w @ (seen - turned) if shifted else np.zeros(2)
+        left = np.linalg.norm(seen - turned - offset, axis=1)
+        weight = 1 / np.maximum(left, 2e-4)
+    good = left <= max(CENTER_ALLOWED, 2 * float(np.median(left)))
+    freedom = max(2 * int(good.sum()) - 3, 1)
+    return angle, offset, left, float(np.sqrt((left[good] ** 2).sum() / freedom))
+
+
+def _common(angle: float, offset: np.ndarray, spread: float, named: np.ndarray) -> list[Finding]:
+    """Findings on what all turns share."""
+    lever, count = float(np.sqrt(((named - named.mean(axis=0)) ** 2).sum())), len(named)
+    findings = []
+    if (named**2).sum() > LEVER**2:
+        error = spread / max(lever, float(np.linalg.norm(named[0])) if count < 3 else lever, 1e-3)
+        ok = abs(angle) <= CLOSING_ALLOWED + SURE * error
+        text = f"by the centers of the turns the pads close {np.degrees(angle):+.1f} +- {np.degrees(error):.1f} deg off"
+        text += "" if ok else f": correct closing_deg by {np.degrees(angle):+.0f}, or the grasps' angles"
+        findings.append(Finding("closing direction", bool(ok), angle, error, text))
+    if count > 2 or not findings:
+        error, far = spread / count**0.5, float(np.linalg.norm(offset))
+        ok = far <= TCP_ALLOWED + SURE * error
+        x, y = 1e3 * offset
+        text = (
+            f"the centers lie ({x:+.1f}, {y:+.1f}) +- {1e3 * error:.1f} mm off, along the closing direction and across"
+        )
+        findings.append(Finding("TCP", bool(ok), far, error, text + ("" if ok else ": correct the TCP by that")))
+    return findings
+
+
+def _wrong(shape: ObjectShape, action: Rotate, seen: np.ndarray, miss: float) -> Finding:
+    """A turn whose center is elsewhere, with the grasps that it would fit."""
+    x, y = 1e3 * seen
+    fitting = [
+        grasp.name
+        for index, grasp in enumerate(shape.grasps)
+        if index != action.grasp and np.linalg.norm(_named(shape, action, index) - seen) < CENTER_ALLOWED
+    ]
+    would = f"; grasp {' or '.join(fitting)} would fit" if fitting else "; grasp or pivot is another than it says"
+    text = (
+        f"{action.describe(shape)}: its center is ({x:.0f}, {y:.0f}) mm from the grasp, closing direction and across, "
+    )
+    return Finding("center", False, miss, 0.0, text + f"{1e3 * miss:.0f} mm from where it should be{would}")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from copy import deepcopy
 from dataclasses import replace
@@ -34,6 +35,9 @@ from testbed.trial import Support, parse_support
 from testbed.worlds.draw import WorldDraw
 from testbed.worlds.presets import QUANTITIES, World
 from testbed.worlds.presets import world as named_world
+
+MOST_POINTS = 10_000
+"""Points of the largest sweep."""
 
 
 class Strict(BaseModel):
@@ -164,6 +168,9 @@ class Sweep(Strict):
 
     def points(self) -> list[dict[str, Any]]:
         """Value of each axis, at every point."""
+        sizes = [len(values) for values in self.axes.values()]
+        if (count := max(sizes, default=1) if self.mode == "zip" else math.prod(sizes)) > MOST_POINTS:
+            raise InvalidValueError("sweep.axes", f"{count} points", f"at most {MOST_POINTS} combinations")
         rows = zip(*self.axes.values(), strict=True) if self.mode == "zip" else product(*self.axes.values())
         return [dict(zip(self.axes, row, strict=True)) for row in rows] or [{}]
 

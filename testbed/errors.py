@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from pathlib import Path
+
+_LONGEST = 120
+"""Letters of a value in a message."""
 
 
 class HeftError(Exception):
@@ -24,7 +27,7 @@ class InvalidValueError(HeftError, ValueError):
     def __init__(self, field: str, given: object, allowed: str, file: Path | str | None = None):
         self.field, self.given, self.allowed, self.file = field, given, allowed, file
         where = f"{file}: " if file is not None else ""
-        super().__init__(f"{where}{field}: got {_short(given)}; allowed: {allowed}")
+        super().__init__(f"{where}{short(field, str)}: got {short(given)}; allowed: {allowed}")
 
 
 class InfeasibleTrialError(HeftError):
@@ -34,10 +37,11 @@ class InfeasibleTrialError(HeftError):
 def nearest(name: str, names: Iterable[str], cutoff: float = 0.5) -> str:
     """Hint " (nearest: ...)" for a name that is nearly one of `names`, in any case; else empty."""
     folded = {known.casefold(): known for known in names}
-    close = difflib.get_close_matches(name.casefold(), folded, n=1, cutoff=cutoff)
+    close = difflib.get_close_matches(name[:_LONGEST].casefold(), folded, n=1, cutoff=cutoff)
     return f" (nearest: {folded[close[0]]})" if close else ""
 
 
-def _short(value: object, limit: int = 120) -> str:
-    text = repr(value)
-    return text if len(text) <= limit else text[: limit - 3] + "..."
+def short(value: object, text: Callable[[object], str] = repr) -> str:
+    """A value for a message, cut where it is long."""
+    words = text(value)
+    return words if len(words) <= _LONGEST else words[: _LONGEST - 3] + "..."

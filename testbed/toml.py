@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import tomllib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -10,11 +11,16 @@ from typing import Annotated, Any, TypeVar, get_args
 
 from pydantic import BaseModel, Field, ValidationError
 
-from testbed.errors import HeftError, InvalidValueError, nearest
+from testbed.errors import HeftError, InvalidValueError, nearest, short
+from testbed.files import read_file
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
+MOST_BYTES, MOST_ENTRIES, MOST_DEPTH, MOST_LINES = 2**20, 100_000, 32, 20
+"""Largest size [B], numbers of values and of tables within tables, of a file that is read; errors that are listed."""
+LARGEST = 1e15
+"""Largest number in a file: beyond every quantity in SI units, and every seed."""
 FileModel = TypeVar("FileModel", bound=BaseModel)
 
 
@@ -29,13 +35,38 @@ def load_toml(path: Path, model: type[FileModel]) -> FileModel:
         InvalidFileError: unreadable, not TOML, or not fitting; the message has a line for each error.
     """
     try:
-        data = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise InvalidFileError(f"{path}: cannot be read as TOML: {error}") from None
+        data = tomllib.loads(read_file(path, MOST_BYTES).decode())
+        _check_size(data)
+    except OSError as error:
+        raise InvalidFileError(f"{path}: cannot be read as TOML: {error.strerror}") from None
+    except RecursionError:
+        raise InvalidFileError(f"{path}: cannot be read as TOML: nested deeper than {MOST_DEPTH}") from None
+    except ValueError as error:  # UnicodeDecodeError and TOMLDecodeError too
+        raise InvalidFileError(f"{path}: cannot be read as TOML: {short(error, str)}") from None
     try:
         return model.model_validate(data)
     except ValidationError as error:
-        raise InvalidFileError("\n".join(f"{path}: {line}" for line in explained(error, model))) from None
+        lines = explained(error, model)
+        more = [f"and {len(lines) - MOST_LINES} more"] if len(lines) > MOST_LINES else []
+        raise InvalidFileError("\n".join(f"{path}: {line}" for line in [*lines[:MOST_LINES], *more])) from None
+
+
+def _check_size(data: Any) -> None:
+    """Raise ValueError for what no file of a user's is: too deep, too many values, or a number of no quantity."""
+    values, left, depth = 0, [data], 0
+    while left:
+        depth, values = depth + 1, values + len(left)
+        if depth > MOST_DEPTH:
+            raise ValueError(f"nested deeper than {MOST_DEPTH}")
+        if values > MOST_ENTRIES:
+            raise ValueError(f"more than {MOST_ENTRIES} values")
+        for value in left:
+            if isinstance(value, int | float) and LARGEST < abs(value) < math.inf:
+                raise ValueError(f"{short(value)} is larger than {LARGEST:g}, which no quantity here is")
+        inner = [
+            value.values() if isinstance(value, dict) else value for value in left if isinstance(value, dict | list)
+        ]
+        left = [value for values_of in inner for value in values_of]
 
 
 def explained(error: ValidationError, model: type[BaseModel]) -> list[str]:
@@ -80,13 +111,14 @@ def _explain(item: dict[str, Any], model: type[BaseModel]) -> str:
     cause = (item.get("ctx") or {}).get("error")
     if isinstance(cause, InvalidValueError):
         name = f"{field}.{cause.field}".removeprefix("file.") if cause.field not in field else field
-        return f"{name}: got {cause.given!r}; allowed: {cause.allowed}"
+        return f"{short(name, str)}: got {short(cause.given)}; allowed: {cause.allowed}"
     if item["type"] == "missing":
         return f"{field}: missing"
     if item["type"] == "extra_forbidden":
         *path, name = item["loc"]
-        return f"{field}: no such field; got {item['input']!r}{nearest(str(name), _known_fields(model, path), 0.6)}"
-    return f"{field}: got {item['input']!r}; allowed: {item['msg'].removeprefix('Input should be ')}"
+        hint = nearest(str(name), _known_fields(model, path), 0.6)
+        return f"{short(field, str)}: no such field; got {short(item['input'])}{hint}"
+    return f"{short(field, str)}: got {short(item['input'])}; allowed: {item['msg'].removeprefix('Input should be ')}"
 
 
 def toml_text(table: Mapping[str, Any]) -> str:

@@ -72,10 +72,11 @@ def check_positive_fields(value: object, *names: str) -> None:
         check_positive(f"{type(value).__name__}.{name}", getattr(value, name))
 
 
-def check_integer(name: str, value: int, least: int = 1) -> None:
-    """Raise InvalidValueError unless `value` is an integer >= `least`, and no bool."""
-    if isinstance(value, bool) or not (isinstance(value, int) and value >= least):
-        raise InvalidValueError(name, value, f"an integer >= {least}")
+def check_integer(name: str, value: int, least: int = 1, most: int = 1_000_000) -> None:
+    """Raise InvalidValueError unless `value` is an integer from `least` to `most`, and no bool."""
+    if isinstance(value, bool) or not (isinstance(value, int) and least <= value <= most):
+        above = f" and <= {most}" if isinstance(value, int) and value > most else ""
+        raise InvalidValueError(name, value, f"an integer >= {least}{above}")
 
 
 def is_number(value: object) -> bool:

@@ -52,10 +52,10 @@ def polygon_sides(directions: int) -> Float[Tensor, "{directions//2} 2"]:
     """Sides of the regular polygon with `directions` corners on the unit circle, one of each parallel pair, halved.
 
     Raises:
-        InvalidValueError: an odd number, or less than 4.
+        InvalidValueError: an odd number, or one that is not from 4 to 256.
     """
-    if isinstance(directions, bool) or not isinstance(directions, int) or directions < 4 or directions % 2:
-        raise InvalidValueError("directions", directions, "an even integer >= 4")
+    if isinstance(directions, bool) or not isinstance(directions, int) or directions % 2 or not 4 <= directions <= 256:
+        raise InvalidValueError("directions", directions, "an even integer >= 4 and <= 256")
     angle = torch.arange(directions // 2, dtype=torch.float64) * (2 * math.pi / directions)
     along = angle + math.pi / directions + math.pi / 2
     return math.sin(math.pi / directions) * torch.stack([along.cos(), along.sin()], -1)

@@ -54,7 +54,7 @@ class RayExecutor:
 
     def _start(self, workers: int, quiet: dict[str, Any]) -> None:
         """Start a cluster of its own on the loopback interface: who reaches a cluster's ports runs code there."""
-        constants = importlib.import_module("ray._private.ray_constants")
+        constants: Any = importlib.import_module("ray._private.ray_constants")
         constants.ENABLE_RAY_CLUSTER = False  # where Ray was imported before the switch was set
         self._ray.init(address="local", num_cpus=workers, include_dashboard=False, **quiet)
         if not (at := self._ray.util.get_node_ip_address()).startswith("127."):

@@ -10,6 +10,9 @@ from testbed.errors import InvalidValueError
 from testbed.objects.model import Grasp, MassDistribution, ObjectModel, ObjectShape
 from testbed.validation import check_integer
 
+MOST_ROWS, MOST_BLOCKS, MOST_GRID = 100, 400, 100
+"""Rows and columns of a layout, its blocks, and particles along a block's side, at most."""
+
 
 class Cell(NamedTuple):
     """Column and row of a block; row 0 is the bottom."""
@@ -34,6 +37,10 @@ def parse_layout(rows: list[str]) -> list[Cell]:
     Raises:
         InvalidValueError: an unknown character, no block, or blocks not joined edge to edge.
     """
+    widest, blocks = max(map(len, rows), default=0), sum(row.count("1") for row in rows)
+    if max(len(rows), widest) > MOST_ROWS or blocks > MOST_BLOCKS:
+        given = f"{len(rows)} rows of up to {widest}, {blocks} blocks"
+        raise InvalidValueError("layout", given, f"at most {MOST_ROWS} rows of {MOST_ROWS}, and {MOST_BLOCKS} blocks")
     unknown = sorted({c for row in rows for c in row} - set("10. "))
     if unknown:
         raise InvalidValueError("layout", "".join(unknown), 'rows of "1" (block) and "0", "." or space (none)')
@@ -91,7 +98,7 @@ def block_object(
     Raises:
         InvalidValueError: grid < 1, lengths that do not match, or values out of range.
     """
-    check_integer("grid", grid)
+    check_integer("grid", grid, most=MOST_GRID)
     if len(mass) != len(cells):
         raise InvalidValueError("mass", mass, f"{len(cells)} numbers, one a block, bottom row first, left to right")
     if len(friction_group) != len(cells):

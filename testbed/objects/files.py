@@ -29,6 +29,9 @@ def asset_folder(kind: str) -> Path:
 Name = Annotated[str, Field(min_length=1, max_length=64, pattern=r"^[\w.-]+$")]
 
 
+Side = Annotated[float, Field(ge=0.001, le=1, allow_inf_nan=False)]
+
+
 class _Table(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -40,8 +43,8 @@ class Blocks(_Table, strict=True):
     mass_kg: Positive | list[NonNegative]
     friction: NonNegative | list[NonNegative] = 0.5
     friction_group: list[int] | None = None
-    size_m: Positive = 0.05
-    height_m: Positive = 0.03
+    size_m: Side = 0.05
+    height_m: Side = 0.03
 
     @model_validator(mode="after")
     def _fits_together(self) -> Self:
@@ -71,8 +74,8 @@ class Mesh(_Table, strict=True):
 
     cell_m: Annotated[float, Field(ge=0.001, le=0.1, allow_inf_nan=False)]
     friction: NonNegative | list[NonNegative] = 0.5
-    parts: Annotated[list[MeshPart], Field(min_length=1)]
-    grasps: list[MeshGrasp] = []
+    parts: Annotated[list[MeshPart], Field(min_length=1, max_length=64)]
+    grasps: Annotated[list[MeshGrasp], Field(max_length=64)] = []
 
     @model_validator(mode="after")
     def _fits_together(self) -> Self:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from io import BytesIO
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,8 @@ import trimesh
 from jaxtyping import Bool, Float, Int
 from scipy.spatial.distance import cdist
 
-from testbed.errors import InvalidValueError
+from testbed.errors import InvalidValueError, short
+from testbed.files import read_file
 from testbed.objects.model import (
     FINGER_DEPTH,
     PAD_HEIGHT,
@@ -26,6 +28,14 @@ from testbed.validation import check_integer
 
 TOUCH = 0.001
 """Distance within which a surface touches the table, and a soft pad a face [m]."""
+FORMATS = ("stl", "obj", "ply", "off")
+"""Formats of a mesh: single files that hold a surface and nothing else."""
+MOST_FACES = 100_000
+"""Largest number of triangles of a part."""
+MOST_MESH_BYTES = 8 * 2**20
+"""Largest mesh file: of `MOST_FACES` binary STL takes 5 MB."""
+LARGEST = 10.0
+"""Largest coordinate of a mesh [m]."""
 _RAYS = 7
 """Rays along a cell's side."""
 _MOST_CELLS = 5000
@@ -65,14 +75,25 @@ def read_mesh(path: Path) -> trimesh.Trimesh:
     Raises:
         InvalidValueError: no such file, not a mesh, or not watertight.
     """
+    kind = path.suffix.lower().removeprefix(".")
+    if kind not in FORMATS:
+        raise InvalidValueError("file", path.name, f"a mesh file: {', '.join(FORMATS)}")
     if not path.is_file():
         raise InvalidValueError("file", path.name, f"a mesh file beside the object's; there is none in {path.parent}")
     try:
-        mesh = trimesh.load_mesh(path)
-    except Exception as error:  # each of trimesh's many readers raises its own
-        raise InvalidValueError("file", path.name, f"a mesh that trimesh reads; it says: {error}") from None
+        # from its bytes: a reader then opens no other file, and unpacks none
+        mesh = trimesh.load_mesh(BytesIO(read_file(path, MOST_MESH_BYTES)), file_type=kind)
+    except OSError as error:
+        raise InvalidValueError("file", path.name, f"a mesh file that can be read: {error.strerror}") from None
+    except Exception as error:  # each of trimesh's readers raises its own
+        raise InvalidValueError("file", path.name, f"a mesh that trimesh reads; it says: {short(error, str)}") from None
     if not isinstance(mesh, trimesh.Trimesh) or len(mesh.faces) == 0:
         raise InvalidValueError("file", path.name, "a mesh with triangles")
+    if len(mesh.faces) > MOST_FACES:
+        raise InvalidValueError("file", f"{path.name} of {len(mesh.faces)} triangles", f"at most {MOST_FACES}")
+    if not (np.abs(mesh.bounds) < LARGEST).all():
+        given = f"{path.name} with a coordinate of {np.abs(mesh.bounds).max():.3g} m"
+        raise InvalidValueError("file", given, f"metres, below {LARGEST:g}")
     if not mesh.is_volume:
         raise InvalidValueError(
             "file", path.name, "a watertight mesh: every edge between two triangles, all facing outwards"
@@ -101,7 +122,7 @@ def mesh_object(
         InvalidValueError: grid < 1, too many cells, not resting on the table, a part without a particle or a foot, a
             grasp where there is nothing to hold or no room for the fingers.
     """
-    check_integer("grid", grid)
+    check_integer("grid", grid, most=1000)
     lowest = min(part.mesh.bounds[0, 2] for part in parts)
     if abs(lowest) > TOUCH:
         raise InvalidValueError(
@@ -189,6 +210,8 @@ def _hits(
 ) -> tuple[Float[np.ndarray, "H"], Int[np.ndarray, "H"], Int[np.ndarray, "H"]]:
     """Hits of parallel rays with the surface: distance, index of the ray, and 1 out of the body or -1 into it."""
     places, ray, face = mesh.ray.intersects_location(origins, np.tile(along, (len(origins), 1)), multiple_hits=True)
+    if not len(ray):
+        return np.zeros(0), np.zeros(0, dtype=int), np.zeros(0, dtype=int)
     out = np.sign(mesh.face_normals[face] @ along).astype(int)
     return (places - origins[ray]) @ along, ray, out
 
@@ -209,6 +232,10 @@ def _grasp(mesh: trimesh.Trimesh, place: GraspPlace, origin: Float[np.ndarray, "
     field = f"mesh.grasps.{index}.at_m"
     middle = faces[len(along) // 2]
     if np.isnan(faces[:, :, 0]).all() or np.isnan(middle[:, 0]).all():
+        (x0, y0), (x1, y1) = mesh.bounds[:, :2]
+        if not (x0 <= place.at[0] <= x1 and y0 <= place.at[1] <= y1):
+            allowed = f"a point of the mesh, which spans x {x0:.4g} to {x1:.4g} and y {y0:.4g} to {y1:.4g} m"
+            raise InvalidValueError(field, list(place.at), allowed)
         allowed = f"a point of the object between {PAD_HEIGHT[0] * 1e3:g} and {PAD_HEIGHT[1] * 1e3:g} mm high"
         raise InvalidValueError(field, list(place.at), allowed)
     low, high = np.nanmin(faces[:, :, 0]), np.nanmax(faces[:, :, 1])

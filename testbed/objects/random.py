@@ -9,7 +9,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from testbed.errors import InvalidValueError
 from testbed.objects.blocks import Cell, neighbours
-from testbed.objects.files import Blocks, ObjectFile
+from testbed.objects.files import Blocks, ObjectFile, Side
 from testbed.toml import Positive
 
 
@@ -24,8 +24,8 @@ class Family(BaseModel):
     blocks: Annotated[list[int], Field(min_length=2, max_length=2)] = [4, 8]
     mass_kg: Annotated[list[Positive], Field(min_length=1)] = [0.1, 0.2, 0.4]
     friction: Annotated[list[Positive], Field(min_length=2, max_length=2)] = [0.2, 0.8]
-    size_m: Positive = 0.05
-    height_m: Positive = 0.03
+    size_m: Side = 0.05
+    height_m: Side = 0.03
 
     @model_validator(mode="after")
     def _ranges(self) -> Self:

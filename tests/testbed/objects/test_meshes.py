@@ -232,7 +232,7 @@ BAR, SLAB, THREAD = box((0.1, 0.04, 0.02)), box((0.04, 0.04, 0.02)), box((0.05, 
     ("meshes", "options", "field", "said"),
     [
         ([FORK], {"places": across(0.05, 0.01)}, "mesh.grasps.0.at_m", "'the object again 40 mm .*50\\.5 mm free"),
-        ([BAR], {"places": across(0.05, 0.2)}, "mesh.grasps.0.at_m", "a point of the object between 3 and 40"),
+        ([BAR], {"places": across(0.05, 0.2)}, "mesh.grasps.0.at_m", "a point of the mesh, which spans x 0 to 0.1"),
         ([BAR], {"places": across(0.05, 0.02, 0.0)}, "mesh.grasps.0.at_m", "'100 mm across'; .*it opens to 85 mm"),
         ([RING], {"places": across(0, 0), "cell": 0.005}, "mesh.grasps.0.at_m", "a point of the object"),
         ([SLANTED], {"places": across(0, 0)}, "mesh.grasps.0.at_m", "two faces across from each other"),

@@ -142,11 +142,11 @@ def estimate(
     workers: Annotated[int | None, tyro.conf.arg(metavar="N")] = None,
     allow_code: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False,
 ) -> None:
-    """Estimate from the measured trials of a folder by every method, and write its tables and report.
+    """Estimate from the measured trials of a folder by every method: masses with their intervals, and a report.
 
     The trials are those of heft robot trial and heft import, as they were measured: no sensor's errors are drawn. Those
-    that are no data are left out. The last weighing counts. Masses in the object's file are taken for the truth: where
-    they are a guess, so is the NAD, and only mass_kg of results.parquet says something.
+    that are no data are left out. The last weighing counts. masses.csv and masses.json hold what is printed. Masses in
+    the object's file are taken for the truth that the NAD is against.
 
     Exit code: 1 where some method has no answer.
     Examples: heft estimate results/robot --methods hidden_states explicit_state_M
@@ -163,8 +163,11 @@ def estimate(
     """
     from scenarios.cli.run import show_progress, show_tables
     from scenarios.study.run import EstimateRequest, estimate_measured
+    from scenarios.views.answers import answers_of, write_answers
     from scenarios.views.report import report
     from testbed.plugins import find_code_here
+    from viz.report.answers import answer_table
+    from viz.report.terminal import rich_table
 
     if allow_code or any(":" in method for method in methods or ()):
         find_code_here()
@@ -175,7 +178,16 @@ def estimate(
             done = stack.enter_context(estimate_measured(folder, request, progress))
         for line in done.left_out:
             print(line)
-        show_tables(console, done.scenario, done.rows)
+        groups = answers_of(folder, done.rows)
+        for answers in groups:
+            console.print(rich_table(answer_table(answers)))
+            for answer in answers:
+                if answer.evidence:
+                    print(f"support, by {answer.method}: {answer.evidence}")
+        if any(row.get("nad") is not None for row in done.rows):
+            show_tables(console, done.scenario, done.rows)
+        for path in write_answers(folder, groups):
+            print(path)
         print(f"report: {report(folder)}; heft view {folder} shows the maps")
     bad = [row for row in done.rows if row["status"] != "ok"]
     for row in bad:

@@ -30,6 +30,8 @@ from testbed.files import unless_damaged
 
 SENSING = "as measured"
 """Name of the sensor in the results: its errors are in the records."""
+DEFAULT_SCENARIO = "blocks"
+"""Scenario whose methods answer from measured trials, if none is named."""
 
 
 def run_scenario(
@@ -129,17 +131,30 @@ class EstimateRequest:
 
     objects: tuple[str, ...] | None = None
     methods: tuple[str, ...] | None = None
-    scenario: str = "blocks"
+    scenario: str = DEFAULT_SCENARIO
     held_out: int = 0
     workers: int | None = None
     allow_code: bool = False
+
+    def chosen(self) -> Scenario:
+        """Scenario with the methods asked for: by default those of `blocks`, and first the one that tests the support.
+
+        Raises:
+            InvalidValueError: no such method or scenario, or a scenario with other particles than the trials hold.
+        """
+        scenario = load_scenario(self.scenario)[1]
+        by_default = ("support_aware", *scenario.methods) if self.scenario == DEFAULT_SCENARIO else None
+        if (particles := scenario.grid.particles) != (recorded := Grid().particles):
+            allowed = f"{recorded}: measured trials hold their object with so many particles along a block's side"
+            raise InvalidValueError("grid.particles", particles, allowed)
+        return scenario.changed(methods=self.methods or by_default)
 
     def command(self, folder: Path) -> str:
         """Command line that runs this again."""
         parts = ["heft", "estimate", str(folder)]
         for flag, values in (("objects", self.objects), ("methods", self.methods)):
             parts += [f"--{flag}", *values] if values else []
-        parts += ["--scenario", self.scenario] if self.scenario != "blocks" else []
+        parts += ["--scenario", self.scenario] if self.scenario != DEFAULT_SCENARIO else []
         parts += ["--held-out", str(self.held_out)] if self.held_out else []
         return shlex.join(parts + ["--allow-code"] * self.allow_code)
 
@@ -161,13 +176,9 @@ def estimate_measured(folder: Path, request: EstimateRequest, progress: Progress
     """Run the methods on the measured trials of a folder, write results and manifest, and hold it for views of them.
 
     Raises:
-        InvalidValueError: no measured trials, no weighing, no such object, method or scenario, or a scenario with
-            other particles than the trials hold.
+        InvalidValueError: no measured trials, no weighing, no such object, or as `EstimateRequest.chosen`.
     """
-    methods = load_scenario(request.scenario)[1].changed(methods=request.methods)
-    if (particles := methods.grid.particles) != (recorded := Grid().particles):
-        allowed = f"{recorded}: measured trials hold their object with so many particles along a block's side"
-        raise InvalidValueError("grid.particles", particles, allowed)
+    methods = request.chosen()
     check_code(methods)
     workers, begin = default_workers() if request.workers is None else request.workers, time.monotonic()
     found, left_out = measured_trials(folder, request.objects, request.held_out)

@@ -6,6 +6,7 @@ import json
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pandas as pd
 import pytest
 from numpy.testing import assert_allclose
@@ -14,6 +15,7 @@ from estimators.hidden_states.estimator import HiddenStates
 from scenarios.cli.main import main
 from scenarios.results.estimates import load_results, load_trajectories
 from scenarios.results.store import Store
+from scenarios.study.run import EstimateRequest
 from scenarios.views.values import trial_view
 from testbed.actions.rotate import Rotate
 from testbed.actions.slide import Slide
@@ -149,12 +151,22 @@ def test_every_method_answers_from_what_was_measured(lab: Path, capsys: pytest.C
     assert ended(*asked) == 0
     said = capsys.readouterr().out
     assert "own weight, as measured" in " ".join(said.split())
+    (written, _), printed = json.loads(Path("lab/masses.json").read_text(encoding="utf-8")), said.splitlines()
     rows = load_results("lab").to_dict("records")
     assert [row["method"] for row in rows] == ["hidden_states", "random_search_M"]
     trials = [import_trajectory(lab / f"{i}.csv", lab / "lab.toml") for i in (0, 1, 2)]
     answer = HiddenStates().estimate(L2.shape, 1.8, trials, seed=0)
     assert answer.distribution is not None
     assert_allclose(rows[0]["mass_kg"], answer.distribution.mass * L2.shape.particles_per_group, rtol=1e-9)
+    blocks = [written["quantities"][name] for name in L2.shape.group_names]
+    assert_allclose([block["value"] for block in blocks], rows[0]["mass_kg"], rtol=1e-9)
+    half = [(block["high"] - block["low"]) / 2 for block in blocks]
+    assert_allclose(half, 1.645 * np.array(rows[0]["mass_error_kg"]), rtol=1e-9)
+    a1 = written["quantities"]["A1"]
+    assert f"A1 {a1['value']:.3f} [{a1['low']:.3f} {a1['high']:.3f}]" in " ".join(" ".join(printed).split())
+    assert_allclose([written["quantities"]["total"][end] for end in ("value", "low")], 1.8, atol=0.01)
+    assert written["support_verdict"] == "assumed"
+    assert len(pd.read_csv("lab/masses.csv")) == 2 * (6 + 3)
     assert rows[0]["nad"] < 0.1
     assert rows[0]["mpd_turn_m"] < 0.01
     assert len(rows[0]["trial_keys"]) == 4 and len(rows[0]["held_out_keys"]) == 1
@@ -194,6 +206,12 @@ def test_a_trial_that_is_no_data_is_told_and_left_out(
     assert ended("estimate", "lab", "--methods", "hidden_states", "--workers", "0") == 0
     assert f"trial {path.parent.name[:8]} of L2 is left out: slipped: it slid" in capsys.readouterr().out
     assert path.parent.name not in load_results("lab")["trial_keys"][0]
+
+
+def test_the_support_is_tested_by_default():
+    assert list(EstimateRequest().chosen().methods)[:2] == ["support_aware", "hidden_states"]
+    assert "support_aware" not in EstimateRequest(scenario="noise").chosen().methods
+    assert list(EstimateRequest(methods=("random_search",)).chosen().methods) == ["random_search"]
 
 
 def test_simulated_trials_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]):

@@ -1,0 +1,68 @@
+"""Answers for people: sums, centers and intervals follow from the masses and their covariance."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from estimators.base import Estimate
+from scenarios.views.answers import support_verdict
+from testbed.objects.files import load_object
+from testbed.objects.model import MassDistribution
+from viz.report.answers import Answer, answer_fields, answer_rows, answer_table
+
+WRENCH = load_object("wrench")
+"""Its particles are filled unevenly."""
+COUNT = WRENCH.shape.particles_per_group
+
+
+def answer(covariance: np.ndarray | None, mass: np.ndarray = WRENCH.truth.mass) -> Answer:
+    found = MassDistribution(mass, np.array([0.4]))
+    return Answer("wrench", "own_weight", "m", "ok", "", WRENCH.shape, found, covariance, 1.2, "own weight", "")
+
+
+def test_center_and_sum_have_the_errors_that_the_masses_give_them():
+    rng = np.random.default_rng(0)
+    root = 1e-3 * WRENCH.truth.mass * rng.standard_normal((len(COUNT), len(COUNT)))
+    named = {q.name: q for q in answer(root @ root.T).quantities}
+    particle_center = WRENCH.particle_mass @ WRENCH.shape.particles / WRENCH.particle_mass.sum()
+    assert_allclose([named["center x"].value, named["center y"].value], particle_center, atol=1e-12)
+    draws = WRENCH.truth.mass + rng.standard_normal((400, len(COUNT))) @ root.T
+    each = [{q.name: q.value for q in answer(None, mass).quantities} for mass in draws]
+    for name, quantity in named.items():
+        assert_allclose(np.std([one[name] for one in each]), quantity.error, rtol=0.15, err_msg=name)
+
+
+def test_what_is_not_known_is_said():
+    none, open_ = answer(None), answer(np.diag([np.inf, *np.full(len(COUNT) - 1, 1e-9)]))
+    cells = {labels[0]: [cell.text for cell in row] for labels, row in answer_table([none, open_]).rows}
+    first, second = WRENCH.shape.group_names[:2]
+    assert cells[first][1] == cells["total"][1] == cells["center x"][1] == "not observed"
+    assert "[" not in cells[second][0]
+    assert "[" in cells[second][1]
+    fields = answer_fields(open_)["quantities"][first]
+    assert (fields["low"], fields["high"]) == (None, None)
+    rows = answer_rows([answer(np.eye(len(COUNT)))])
+    assert min(row["low"] for row in rows if row["unit"] == "kg") == 0.0  # no mass is negative
+    assert answer_rows([replace(none, distribution=None)]) == []
+
+
+@pytest.mark.parametrize(
+    ("status", "bayes", "verdict", "evidence"),
+    [
+        ("ok", 5.0, "own weight", "every group rests on its own weight (p 0.4 on own weight"),
+        ("underdetermined", 1.0, "undecided", "cannot be told apart"),
+        ("assumption_violated", -9.0, "not own weight", "as under one rigid body"),
+    ],
+)
+def test_the_support_is_named(status, bayes: float, verdict: str, evidence: str):
+    numbers = {"p_own_weight": 0.4, "p_rigid": 0.1, "moment_ratio": math.nan, "moment_ratio_error": math.nan}
+    found = Estimate(None, status, "as under one rigid body", diagnostics=numbers | {"log10_bayes_factor": bayes})
+    assert support_verdict(found)[0] == verdict
+    assert evidence in support_verdict(found)[1]
+    assert support_verdict(Estimate(None, "ok", assumes="own weight")) == ("assumed", "")
+    assert support_verdict(Estimate(None, "ok")) == ("not tested", "")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from contextlib import ExitStack
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -14,6 +15,8 @@ from scenarios.cli.terminal import open_console
 from testbed.errors import InvalidValueError
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     import pandas as pd
 
     from estimators.evaluation.statistics import Row
@@ -204,6 +207,7 @@ def export(
     format_: Annotated[Literal["mjcf", "urdf", "toml"], tyro.conf.arg(name="format")] = "mjcf",
     inertial: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False,
     draws: Annotated[int | None, tyro.conf.arg(metavar="N")] = None,
+    models: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False,
     out: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None,
 ) -> None:
     """Write an estimate for another simulator: a box a block. A JSON beside it says how sure every mass is.
@@ -211,6 +215,7 @@ def export(
     Examples: heft export results/blocks 3f9a
               heft export results/blocks 3f9a --format urdf --inertial --out my_robot/hammer.urdf
               heft export results/blocks 3f9a --draws 500
+              heft export results/blocks 3f9a --draws 100 --models
 
     Args:
         folder: of a run.
@@ -218,22 +223,20 @@ def export(
         format_: mjcf, urdf, or toml: an object file that heft itself can run.
         inertial: one mass, centre and inertia for the whole object instead.
         draws: write N draws of masses and frictions from the posterior too, as CSV; of an estimate by Algorithm 1.
+        models: write each draw as a model too, numbered in a folder, to train or test a controller on all of them.
         out: DIR/exports/OBJECT_KEY if left out, with the format's ending.
     """
     from scenarios.results.estimates import row_of
     from scenarios.results.files import inside
     from scenarios.views.figures import file_name
     from testbed.files import write_whole
-    from testbed.objects.export import to_mjcf, to_object_file, to_sidecar, to_urdf
+    from testbed.objects.export import to_sidecar, written
 
+    if models and draws is None:
+        raise InvalidValueError("--models", True, "with --draws N")
     row = row_of(folder, what)
     exported = exported_of(folder, row)
-    if format_ == "toml":
-        if inertial:
-            raise InvalidValueError("--inertial", "--format toml", "mjcf or urdf: heft's objects are blocks")
-        text = to_object_file(exported)
-    else:
-        text = (to_mjcf if format_ == "mjcf" else to_urdf)(exported, inertial=inertial)
+    text = written(exported, format_, inertial=inertial)
     name = file_name(f"{exported.name}_{row['key'][:8]}.{_ENDING[format_]}")
     path = out or inside(folder, "exports", name)
     for file, content in ((path, text), (path.with_suffix(".json"), to_sidecar(exported))):
@@ -243,6 +246,12 @@ def export(
         table = posterior_table(folder, row, draws)
         write_whole(path.with_suffix(".draws.csv"), lambda part: table.to_csv(part, index=False))
         print(path.with_suffix(".draws.csv"))
+        for number, drawn in enumerate(drawn_from(exported, table) if models else ()):
+            file = path.with_suffix(".draws") / f"{number:04d}{path.suffix}"
+            content = written(drawn, format_, inertial=inertial)
+            write_whole(file, lambda part, content=content: part.write_text(content, encoding="utf-8"))
+        if models:
+            print(path.with_suffix(".draws"))
 
 
 def posterior_table(folder: Path, row: Row, count: int) -> pd.DataFrame:
@@ -279,6 +288,17 @@ def posterior_table(folder: Path, row: Row, count: int) -> pd.DataFrame:
     frictions = ["friction"] if shape.n_mu == 1 else [f"friction {k}" for k in range(shape.n_mu)]
     table = np.hstack([posterior.mass[chosen], posterior.friction[chosen]])
     return pd.DataFrame(table, columns=[*shape.group_names, *frictions])
+
+
+def drawn_from(exported: Exported, table: pd.DataFrame) -> Iterator[Exported]:
+    """The object with the masses and frictions of each draw of a `posterior_table` in place of the estimate's."""
+    from testbed.objects.model import MassDistribution
+
+    shape = exported.shape
+    for number, values in enumerate(table.to_numpy()):
+        at = MassDistribution(values[: shape.n_m] / shape.particles_per_group, values[shape.n_m :])
+        notes = (*exported.notes, f"draw {number} from the posterior")
+        yield replace(exported, distribution=at, covariance=None, notes=notes)
 
 
 def exported_of(folder: Path, row: Row) -> Exported:

@@ -187,6 +187,19 @@ def to_urdf(exported: Exported, *, inertial: bool = False) -> str:
     return _text(robot)
 
 
+def written(exported: Exported, format_: str, *, inertial: bool = False) -> str:
+    """The text of a file of some format: mjcf, urdf or toml.
+
+    Raises:
+        InvalidValueError: a format that cannot say it.
+    """
+    if format_ != "toml":
+        return {"mjcf": to_mjcf, "urdf": to_urdf}[format_](exported, inertial=inertial)
+    if inertial:
+        raise InvalidValueError("--inertial", "--format toml", "mjcf or urdf: heft's objects are blocks")
+    return to_object_file(exported)
+
+
 def to_object_file(exported: Exported) -> str:
     """An object file of heft, with what was estimated as its truth.
 

@@ -144,9 +144,13 @@ def test_an_exported_estimate_dragged_in_heft_gives_the_wrench_of_the_estimate(t
                 off.append(np.abs(missed / (drag * np.array([1, 1, 0.05]))).max())
             assert off[0] < 0.02
             assert off[1] > 5 * off[0]
-    main(["export", "out", key[:6], "--draws", "40", "--out", "drawn.xml"])
+    main(["export", "out", key[:6], "--draws", "40", "--models", "--out", "drawn.xml"])
     draws = np.loadtxt("drawn.draws.csv", delimiter=",", skiprows=1)
     assert draws.shape == (40, 4)
     assert_allclose(draws.mean(axis=0), [*answer.group_mass, *answer.truth.friction], atol=2 * draws.std(axis=0).max())
+    models = [body_of(path.read_text(encoding="utf-8"), "bar") for path in sorted(Path("drawn.draws").iterdir())]
+    assert_allclose([body.mass for body in models], draws[:, :3].sum(axis=1), atol=1e-6)
+    with pytest.raises(SystemExit, match="2"):
+        main(["export", "out", key[:6], "--models", "--out", "drawn.xml"])
     with pytest.raises(SystemExit, match="2"):
         main(["export", "out", key[:6], "--draws", "0", "--out", "drawn.xml"])

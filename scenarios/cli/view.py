@@ -179,12 +179,14 @@ def show(object_: Annotated[str, tyro.conf.Positional, tyro.conf.arg(name="objec
     """
     from testbed.objects.files import load_object
 
-    console, model = open_console(), load_object(object_)
+    console, model = open_console(), load_object(object_, measured=True)
     shape, com = model.shape, np.round(model.center_of_mass * 1e3, 1) + 0.0  # no -0.0
-    facts = (
-        f": {model.total_mass:.3f} kg, centre of mass ({com[0]:.1f}, {com[1]:.1f}) mm from the middle, "
-        f"I_cm {model.inertia_cm:.5f} kg m^2, {shape.height * 1e3:.0f} mm high"
-    )
+    facts = f": masses not given, {shape.height * 1e3:.0f} mm high"
+    if model.masses_known:
+        facts = (
+            f": {model.total_mass:.3f} kg, centre of mass ({com[0]:.1f}, {com[1]:.1f}) mm from the middle, "
+            f"I_cm {model.inertia_cm:.5f} kg m^2, {shape.height * 1e3:.0f} mm high"
+        )
     console.print(Text.assemble((model.name, "bold"), facts))
     if model.solids:
         _show_solids(console, model)
@@ -195,7 +197,7 @@ def show(object_: Annotated[str, tyro.conf.Positional, tyro.conf.arg(name="objec
         table.add_column(column, justify="right")
     grasps = {grasp.name: "x" if abs(np.cos(grasp.angle)) > 0.5 else "y" for grasp in shape.grasps}
     for group, label in enumerate(shape.group_names):
-        table.add_row(label, f"{model.group_mass[group]:.3f}", _friction(model, group), grasps.get(label, "-"))
+        table.add_row(label, _mass(model, group), _friction(model, group), grasps.get(label, "-"))
     console.print(table)
 
 
@@ -210,9 +212,7 @@ def _show_solids(console: Console, model: ObjectModel) -> None:
         own = shape.mass_group == group
         feet, letter = int((own & (shape.friction_group >= 0)).sum()), _letter(group)
         counts = (str(own.sum()), str(feet))
-        groups.add_row(
-            label, f"{letter} {letter.upper()}", f"{model.group_mass[group]:.3f}", *counts, _friction(model, group)
-        )
+        groups.add_row(label, f"{letter} {letter.upper()}", _mass(model, group), *counts, _friction(model, group))
     for column in ("grasp", "x, mm", "y, mm", "closes, deg", "wide, mm", "long, mm", "high, mm"):
         grasps.add_column(column, justify="right", no_wrap=True)
     for grasp in shape.grasps:
@@ -221,6 +221,10 @@ def _show_solids(console: Console, model: ObjectModel) -> None:
         grasps.add_row(grasp.name, *(str(round(x)) for x in numbers), f"{grasp.bottom * 1e3:.0f} to {top * 1e3:.0f}")
     console.print(groups)
     console.print(grasps)
+
+
+def _mass(model: ObjectModel, group: int) -> str:
+    return f"{model.group_mass[group]:.3f}" if model.masses_known else "-"
 
 
 def _friction(model: ObjectModel, group: int) -> str:
@@ -245,7 +249,7 @@ def particle_map(model: ObjectModel) -> str:
 
 
 def drawing(model: ObjectModel) -> str:
-    """Groups as a map of their masses, in grams, top row first."""
+    """Groups as a map of their masses, in grams, top row first; of their names where masses are not given."""
     shape = model.shape
     centres = np.array([shape.particles[shape.mass_group == g].mean(axis=0) for g in range(shape.n_m)])
     side = shape.cell * np.sqrt(shape.particles_per_group.max())
@@ -254,6 +258,7 @@ def drawing(model: ObjectModel) -> str:
     for r in range(row.max(), -1, -1):
         cells = ["     "] * (column.max() + 1)
         for group in np.flatnonzero(row == r):
-            cells[column[group]] = f"[{model.group_mass[group] * 1e3:3.0f}]"
+            grams = f"{model.group_mass[group] * 1e3:3.0f}" if model.masses_known else f"{shape.group_names[group]:>3}"
+            cells[column[group]] = f"[{grams}]"
         lines.append("  " + "".join(cells))
     return "\n".join(lines)

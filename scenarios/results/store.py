@@ -65,8 +65,10 @@ def trial_request(trial: Trial, settings: RunnerSettings) -> dict[str, Any]:
 def object_request(model: ObjectModel) -> dict[str, Any]:
     """All that decides how an object behaves, as plain data."""
     shape, truth = model.shape, model.truth
-    uneven = {} if (shape.fill == 1).all() else {"fill": shape.fill.tolist()}
-    return uneven | {
+    more: dict[str, Any] = {} if (shape.fill == 1).all() else {"fill": shape.fill.tolist()}
+    if not model.masses_known:
+        more["masses"] = "unknown"
+    return more | {
         "particles": shape.particles.tolist(),
         "mass_group": shape.mass_group.tolist(),
         "friction_group": shape.friction_group.tolist(),

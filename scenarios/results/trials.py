@@ -93,15 +93,16 @@ def object_of(request: dict[str, Any], names: dict[str, Any]) -> ObjectModel:
         fill=np.array(request.get("fill", [])),
     )
     truth = MassDistribution(np.array(request["mass"]), np.array(request["friction"]))
-    model = ObjectModel(str(names.get("object") or "object"), shape, truth)
+    known = request.get("masses") != "unknown"
+    model = ObjectModel(str(names.get("object") or "object"), shape, truth, masses_known=known)
     if not request["solids"]:
         return model
     try:
-        known = load_object(model.name)
+        whole = load_object(model.name)
     except HeftError:
         return model  # its particles are known all the same
-    same = object_request(known)["solids"] == request["solids"]
-    return replace(model, solids=known.solids) if same else model
+    same = object_request(whole)["solids"] == request["solids"]
+    return replace(model, solids=whole.solids) if same else model
 
 
 def keys_of(root: Path) -> list[str]:

@@ -300,12 +300,13 @@ def judge(
     held_out: list[Trajectory],
     true_support: str | None,
 ) -> dict[str, Any]:
-    """Row of an estimate: its errors against the truth, and against turns that it has not seen.
+    """Row of an estimate: its errors against the truth, if it is known, and against turns that it has not seen.
 
     With `true_support`, also how the truth itself predicts those turns: it is the same for every method.
     """
     shape = truth.shape
-    best = mean_particle_distance(shape, truth.truth, held_out, true_support) if true_support else None
+    told = true_support if truth.masses_known else None
+    best = mean_particle_distance(shape, truth.truth, held_out, told) if told else None
     row: dict[str, Any] = NO_ANSWER | {
         "status": answer.status,
         "message": answer.message,
@@ -318,7 +319,7 @@ def judge(
         "robot_s": float(sum(t.time_s[-1] for t in seen)),
         "weight_kg": weight_of(seen[0]),
         "group_names": list(shape.group_names),
-        "true_mass_kg": truth.group_mass.tolist(),
+        "true_mass_kg": truth.group_mass.tolist() if truth.masses_known else None,
         "optimizer": answer.traces[0].method if answer.traces else "",
         "loss": min((min(trace.loss) for trace in answer.traces), default=math.nan),
         "rollouts": answer.diagnostics.get("rollouts", 0.0),
@@ -327,15 +328,17 @@ def judge(
     if answer.covariance is not None:
         row["mass_error_kg"] = (np.sqrt(np.diag(answer.covariance)) * shape.particles_per_group).tolist()
     if answer.distribution is not None:
-        row["nad"] = normalized_absolute_difference(shape, answer.distribution, truth.truth)
+        if truth.masses_known:
+            row["nad"] = normalized_absolute_difference(shape, answer.distribution, truth.truth)
         row["mass_kg"] = (answer.distribution.mass * shape.particles_per_group).tolist()
         row["friction"] = answer.distribution.friction.tolist()
         predicted = mean_particle_distance(shape, answer.distribution, held_out)
         if predicted is not None:
             row |= {"mpd_m": predicted.end, "mpd_open_loop_m": predicted.open_loop, "mpd_turn_m": predicted.turn}
     if answer.hidden is not None:
-        row["com_error_m"] = float(np.linalg.norm(answer.hidden.center_of_mass - truth.center_of_mass))
-        row["inertia_error"] = answer.hidden.inertia_cm / truth.inertia_cm - 1
+        if truth.masses_known:
+            row["com_error_m"] = float(np.linalg.norm(answer.hidden.center_of_mass - truth.center_of_mass))
+            row["inertia_error"] = answer.hidden.inertia_cm / truth.inertia_cm - 1
         row["unobserved"] = answer.hidden.unobserved
     return row
 

@@ -56,7 +56,8 @@ def _of_all(folder: Path) -> Iterator[tuple[str, Figure]]:
         found = select(rows, support=first["support"], sensing=first["sensing"])
         under = f"{first['support']} {first['sensing']}"
         title = f"{support_name(first['support'])}, {first['sensing']}"
-        yield f"nad {under}", nad_distribution(found)
+        if any(row["nad"] is not None for row in found):
+            yield f"nad {under}", nad_distribution(found)
         shapes = _shapes(folder, found)
         if shapes:
             yield f"absolute_difference {under}", absolute_difference(found, shapes, title)
@@ -88,8 +89,9 @@ def _of_estimate(folder: Path, row: Row) -> Iterator[tuple[str, Figure]]:
 
 
 def _shapes(folder: Path, rows: Sequence[Row]) -> dict[str, ObjectShape]:
-    """Geometry of each object; none where something is swept, or there are too many for a picture each."""
-    first = {row["object"]: row for row in reversed(rows) if row.get("key") and row["mass_kg"] is not None}
+    """Geometry of each object with known masses; none where something is swept, or there are too many for a picture."""
+    answered = [row for row in reversed(rows) if row.get("key") and row["mass_kg"] is not None]
+    first = {row["object"]: row for row in answered if row["true_mass_kg"] is not None}
     if axes_of(rows) or len(first) > MOST_OBJECTS:
         return {}
     shapes = {}

@@ -14,13 +14,17 @@ from scenarios.config import Scenario, load_scenario
 from scenarios.results.estimates import load_losses, load_rows, load_tracebacks
 from scenarios.results.files import inside, read_json, read_manifest
 from scenarios.results.trials import OTHER_FORMAT, object_of
+from scenarios.study.run import SENSING
+from scenarios.views.answers import answers_of
 from testbed.errors import HeftError, InvalidValueError
 from testbed.files import unless_damaged
 from testbed.objects.files import load_object
 from testbed.objects.model import ObjectShape
 from testbed.toml import toml_text
+from viz.report.answers import answer_table
 from viz.report.lists import names
 from viz.report.report import Results, write_report
+from viz.report.tables import Table
 from viz.values import support_name
 
 
@@ -50,9 +54,16 @@ def report(folder: Path) -> Path:
         tracebacks=load_tracebacks(folder),
         recording_of=lambda key: name if (folder / (name := f"recordings/{key}.rrd")).is_file() else "",
         bad_trials=_bad(folder),
+        answers=_answers(folder, rows),
     )
     write_report(results, path := inside(folder, "report.html"))
     return path
+
+
+def _answers(folder: Path, rows: Sequence[Row]) -> list[Table]:
+    """Masses of measured trials: of simulated ones their errors say more."""
+    measured = [row for row in rows if row["sensing"] == SENSING]
+    return [answer_table(group) for group in unless_damaged(lambda: answers_of(folder, measured), "left out") or []]
 
 
 def _in_order(rows: Sequence[Row], scenario: Mapping[str, Any]) -> list[Row]:

@@ -145,11 +145,14 @@ def estimate_view(folder: Path, row: Row) -> EstimateView:
     with this_version(folder / "estimates" / row["key"]):
         answer, record = load_estimate(folder, row["key"]), typical_trial(folder, row)
         shape = _shape(folder, row, record.object)
-        mass = np.array(row["true_mass_kg"]) / shape.particles_per_group
+        truth = None
+        if row["true_mass_kg"] is not None:
+            mass = np.array(row["true_mass_kg"]) / shape.particles_per_group
+            truth = MassDistribution(mass, friction_of(record.object, shape))
         return EstimateView(
             title=f"{row['object']}, {support_name(row['support'])}, {row['sensing']}: {row['method']}",
             shape=shape,
-            truth=MassDistribution(mass, friction_of(record.object, shape)),
+            truth=truth,
             answer=answer.distribution,
             covariance=answer.covariance,
             traces=answer.traces,

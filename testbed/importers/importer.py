@@ -170,7 +170,8 @@ def object_of(table: Mapping, mapping: Path) -> ObjectModel:
     """
     beside = mapping.parent / table.object
     try:
-        return load_object(beside if table.object.endswith(".toml") and beside.is_file() else table.object)
+        named = beside if table.object.endswith(".toml") and beside.is_file() else table.object
+        return load_object(named, measured=True)
     except InvalidValueError as error:
         raise InvalidValueError(error.field, error.given, error.allowed, file=error.file or mapping) from None
 

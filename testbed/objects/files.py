@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Annotated, Self
@@ -26,6 +27,8 @@ def asset_folder(kind: str) -> Path:
     raise FileNotFoundError(f"heft's assets/{kind} is neither in {package} nor beside it: reinstall heft")
 
 
+_PLACE_KG = 0.1
+"""What holds the place of a mass that nobody has given [kg]."""
 Name = Annotated[str, Field(min_length=1, max_length=64, pattern=r"^[\w.-]+$")]
 
 
@@ -40,7 +43,7 @@ class Blocks(_Table, strict=True):
     """The [blocks] table of an object file."""
 
     layout: list[str]
-    mass_kg: Positive | list[NonNegative]
+    mass_kg: Positive | list[NonNegative] | None = None
     friction: NonNegative | list[NonNegative] = 0.5
     friction_group: list[int] | None = None
     size_m: Side = 0.05
@@ -57,7 +60,7 @@ class MeshPart(_Table, strict=True):
 
     name: Name
     file: Annotated[str, Field(min_length=1)]
-    mass_kg: Positive
+    mass_kg: Positive | None = None
     friction_group: Annotated[int, Field(ge=0)] | None = None
 
 
@@ -82,6 +85,10 @@ class Mesh(_Table, strict=True):
         for field, names in (("parts", [p.name for p in self.parts]), ("grasps", [g.name for g in self.grasps])):
             if len(set(names)) < len(names):
                 raise InvalidValueError(field, names, "names that differ")
+        if len({part.mass_kg is None for part in self.parts}) > 1:
+            raise InvalidValueError(
+                "parts.mass_kg", [part.mass_kg for part in self.parts], "a mass of each, or of none"
+            )
         return self
 
 
@@ -101,7 +108,16 @@ class ObjectFile(_Table):
 
     def build(self, grid: int, folder: Path) -> ObjectModel:
         """The object, `grid` particles along a block's side; meshes are files of `folder`."""
-        return _build_blocks(self.name, self.blocks, grid) if self.blocks else self._build_mesh(grid, folder)
+        model = _build_blocks(self.name, self.blocks, grid) if self.blocks else self._build_mesh(grid, folder)
+        return model if self.has_masses else replace(model, masses_known=False)
+
+    @property
+    def has_masses(self) -> bool:
+        """True if the file gives the masses."""
+        if self.blocks:
+            return self.blocks.mass_kg is not None
+        assert self.mesh is not None
+        return self.mesh.parts[0].mass_kg is not None
 
     def _build_mesh(self, grid: int, folder: Path) -> ObjectModel:
         assert self.mesh is not None
@@ -115,7 +131,7 @@ class ObjectFile(_Table):
         for index, (part, group) in enumerate(zip(m.parts, groups, strict=True)):
             assert group is not None
             try:
-                parts.append(Part(part.name, read_mesh(folder / part.file), part.mass_kg, group))
+                parts.append(Part(part.name, read_mesh(folder / part.file), part.mass_kg or _PLACE_KG, group))
             except InvalidValueError as error:
                 raise InvalidValueError(f"mesh.parts.{index}.{error.field}", error.given, error.allowed) from None
         places = [GraspPlace(g.name, (g.at_m[0], g.at_m[1]), math.radians(g.closing_deg)) for g in m.grasps]
@@ -131,7 +147,7 @@ def _build_blocks(name: str, b: Blocks, grid: int) -> ObjectModel:
     if groups is None or len(groups) != len(cells) or set(groups) - {-1} != set(range(len(friction))):
         allowed = f"{len(cells)} integers, one a block, that use every friction from 0 to {len(friction) - 1}, or -1"
         raise InvalidValueError("blocks.friction_group", groups, allowed)
-    mass: list[float] = list(b.mass_kg) if isinstance(b.mass_kg, list) else [b.mass_kg] * len(cells)
+    mass: list[float] = list(b.mass_kg) if isinstance(b.mass_kg, list) else [b.mass_kg or _PLACE_KG] * len(cells)
     if len(mass) != len(cells) or sum(mass) <= 0:
         allowed = f"{len(cells)} numbers >= 0, one a block, bottom row first, left to right, with a sum > 0"
         raise InvalidValueError("blocks.mass_kg", mass, allowed)
@@ -153,13 +169,14 @@ def _friction_list(field: str, friction: float | list[float]) -> list[float]:
     return list(friction) if isinstance(friction, list) else [friction]
 
 
-def load_object(name_or_path: str | Path, grid: int = 3) -> ObjectModel:
+def load_object(name_or_path: str | Path, grid: int = 3, *, measured: bool = False) -> ObjectModel:
     """An object of the library by name, or of a TOML file by path.
 
     Args:
         name_or_path: "L2", or "my/object.toml".
         grid: particles along a block's side. A mesh's cells have a side of cell_m * 3 / grid: the default keeps the
             file's, a larger grid cuts finer.
+        measured: take a file without masses too: only trials that are measured can do without.
 
     Raises:
         InvalidValueError: no such object, or values out of range.
@@ -167,6 +184,9 @@ def load_object(name_or_path: str | Path, grid: int = 3) -> ObjectModel:
     """
     path = find_file(name_or_path, asset_folder("objects"), "object")
     parsed = load_toml(path, ObjectFile)
+    if not (measured or parsed.has_masses):
+        allowed = "masses: only what a real robot measures is made without them"
+        raise InvalidValueError("mass_kg", None, allowed, file=path)
     files = [path.parent / part.file for part in parsed.mesh.parts] if parsed.mesh else []
     stamps = tuple(file.stat().st_mtime_ns for file in files if file.is_file())
     try:

@@ -203,6 +203,8 @@ class ObjectModel:
     """Unknown part: masses and frictions."""
     solids: tuple[Solid, ...] = field(default=(), repr=False)
     """The body of each mass group, where it is known better than by its particles, as for a mesh; else empty."""
+    masses_known: bool = True
+    """False if nobody has given the masses: those of `truth` hold places, and no answer is held against them."""
 
     def __post_init__(self) -> None:
         for given, expected, what in (

@@ -83,6 +83,8 @@ class Results:
     """Path of an estimate's recording by its folder; empty where there is none."""
     bad_trials: Mapping[tuple[str, str], Sequence[str]] = field(default_factory=dict)
     """Folders of trials that are not ok, by status and reason."""
+    answers: Sequence[Table] = ()
+    """Masses by every method, a table an object, where they were measured."""
 
 
 @dataclass(frozen=True)
@@ -134,7 +136,7 @@ def render(results: Results) -> str:
         most = max(map(len, traces.values()))
         losses[f"{method}: loss by iteration, {most} estimate{'s' if most != 1 else ''}"] = traces
     differences, maps = _maps(groups, shapes)
-    best = leading(groups)
+    best, known = leading(groups), any(row["nad"] is not None for row in estimates)
     environment = Environment(
         loader=FileSystemLoader(Path(__file__).parent), autoescape=True, undefined=StrictUndefined, trim_blocks=True,
         lstrip_blocks=True,
@@ -142,12 +144,17 @@ def render(results: Results) -> str:
     environment.filters["breakable"] = breakable
     return environment.get_template("report.html.j2").render(
         results=results,
+        known=known,
         counts={"estimates": len(estimates), "objects": len(objects), "good": good},
         best=best,
-        picture=_first_picture(groups, best, maps, draw),
+        picture=_first_picture(groups, best, maps, draw) if known or not results.answers else None,
         overview=overview(groups),
         tables={label: _tables(found) for label, found in groups.items()},
-        distributions=[draw(nad_distribution(found), f"NAD by method: {label}") for label, found in groups.items()],
+        distributions=[
+            draw(nad_distribution(found), f"NAD by method: {label}")
+            for label, found in groups.items()
+            if any(row["nad"] is not None for row in found)
+        ],
         sweeps=_sweeps(estimates, groups, draw),
         losses=[draw(loss_figure(traces), caption) for caption, traces in losses.items()],
         maps=[

@@ -74,7 +74,7 @@ def trial(
     from testbed.trial import Trial, parse_support
     from testbed.validation import check_positive
 
-    file, model = load_robot_file(config), load_object(object_)
+    file, model = load_robot_file(config), load_object(object_, measured=True)
     if weight is not None:
         check_positive("--weight", weight)
         if action != "weigh":

@@ -16,7 +16,7 @@ from scenarios.cli.main import main
 from scenarios.results.estimates import load_results, load_trajectories
 from scenarios.results.store import Store
 from scenarios.study.run import EstimateRequest
-from scenarios.views.values import trial_view
+from scenarios.views.values import estimate_view, trial_view
 from testbed.actions.rotate import Rotate
 from testbed.actions.slide import Slide
 from testbed.importers.importer import import_trajectory
@@ -206,6 +206,36 @@ def test_a_trial_that_is_no_data_is_told_and_left_out(
     assert ended("estimate", "lab", "--methods", "hidden_states", "--workers", "0") == 0
     assert f"trial {path.parent.name[:8]} of L2 is left out: slipped: it slid" in capsys.readouterr().out
     assert path.parent.name not in load_results("lab")["trial_keys"][0]
+
+
+def test_masses_need_not_be_invented(lab: Path, records: list[Trajectory], capsys: pytest.CaptureFixture[str]):
+    """No NAD and no truth then, and the same masses."""
+    (lab / "mine.toml").write_text('name = "mine"\n[blocks]\nlayout = ["1", "1", "1", "111"]\n', encoding="utf-8")
+    named = [{"file": f"{i}.csv", "action": turn.to_dict()} for i, turn in enumerate(TURNS)]
+    write_toml(lab / "lab.toml", mapping_of(records[0], object="mine.toml", action=None, logs=named))
+    assert ended("import", "lab.toml", "--out", "lab", "--weight", "1.8") == 0
+    assert ended("estimate", "lab", "--methods", "hidden_states", "--held-out", "1", "--workers", "0") == 0
+    said = capsys.readouterr().out
+    assert "mine, own weight: masses in kg" in said
+    assert "NAD" not in said
+    (row,) = load_results("lab").to_dict("records")
+    assert pd.isna(row["nad"]) and row["true_mass_kg"] is None and row["mpd_turn_m"] < 0.01
+    trials = [import_trajectory(lab / f"{i}.csv", lab / "lab.toml") for i in (0, 1, 2)]
+    answer = HiddenStates().estimate(L2.shape, 1.8, trials, seed=0)
+    assert answer.distribution is not None
+    assert_allclose(row["mass_kg"], answer.distribution.mass * L2.shape.particles_per_group, rtol=1e-9)
+    view = estimate_view(lab / "lab", row)
+    assert view.truth is None and view.nad is None
+    page = (lab / "lab/report.html").read_text(encoding="utf-8")
+    assert page.index("masses in kg, center in mm") < page.index('id="tables"')
+    assert "<svg" not in page
+    assert ended("figures", "lab") == 0
+    assert not list((lab / "lab").glob("figures/*"))  # NAD and differences have no truth
+    assert ended("show", "mine.toml") == 0
+    assert "masses not given" in capsys.readouterr().out
+    for command in (("run", "blocks", "--objects", "mine.toml"), ("plan", "mine.toml")):
+        assert ended(*command) == 2
+        assert "mass_kg: got None; allowed: masses: only what a real robot measures" in capsys.readouterr().err
 
 
 def test_the_support_is_tested_by_default():

@@ -105,6 +105,7 @@ class RayExecutor:
 def _import_ray() -> Any:
     if not os.environ.get(ADDRESS):
         os.environ.setdefault(_LOOPBACK, "0")  # its processes read it too
+    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # it would send usage data
     try:
         return importlib.import_module("ray")
     except ImportError:

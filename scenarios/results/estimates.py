@@ -46,7 +46,7 @@ from estimators.evaluation.statistics import Row
 from estimators.identifiability.report import Identifiability
 from scenarios.results.files import check_unambiguous, inside, read_json
 from scenarios.results.store import Store, rows_of
-from testbed.errors import HeftError, InvalidValueError
+from testbed.errors import HeftError, InvalidValueError, short
 from testbed.files import MOST_BYTES, DamagedFileError, load_sealed, read_table, unless_damaged
 from testbed.objects.model import MassDistribution
 from testbed.trajectory import Trajectory
@@ -162,11 +162,13 @@ def load_estimate(folder: str | Path, key: str) -> Estimate:
 
 @contextmanager
 def this_version(place: Path) -> Iterator[None]:
-    """Turn a KeyError for an array or a field into a DamagedFileError: `place` is of another version of heft."""
+    """Turn an error over an array or a field into a DamagedFileError: `place` is of another version of heft."""
     try:
         yield
     except KeyError as error:
         raise DamagedFileError(f"{place}: not of this version of heft: it has no {error.args[0]}") from None
+    except (TypeError, ValueError, IndexError, AttributeError) as error:  # values of other kinds and shapes
+        raise DamagedFileError(f"{place}: not of this version of heft: {short(error, str)}") from None
 
 
 def _trace(name: str, arrays: dict[str, np.ndarray]) -> Trace:

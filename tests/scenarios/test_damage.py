@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import subprocess
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -12,16 +13,18 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from scenarios.cli.main import main
-from scenarios.results.estimates import load_results
+from scenarios.results.estimates import load_estimate, load_results, load_rows
 from scenarios.results.files import read_json, read_manifest, write_json
 from scenarios.results.store import Store, key_of, object_request
-from scenarios.results.trials import measured_records
+from scenarios.results.trials import measured_records, read_trial
 from scenarios.views import finished as finished_views
+from testbed.errors import HeftError
 from testbed.files import DamagedFileError, DamagedFileWarning, load_sealed, read_file, write_whole
 from testbed.objects.files import load_object
 from testbed.objects.random import Family
 from testbed.trajectory import save_trajectory
 from testbed.trial import Trial
+from tests.helpers.changes import resealed
 from tests.helpers.records import record
 from tests.helpers.runs import resumed
 from viz.recordings.page import SIM_TIME, Page, save
@@ -123,6 +126,31 @@ def test_what_shows_a_folder_names_what_is_damaged(finished, copied, capsys):
             main([command[0], str(copied), *command[1:]])
         said = capsys.readouterr().err
         assert said.startswith(f"heft: {copied}") and ": not a whole" in said and said.count("\n") == 1
+
+
+def test_content_of_another_kind_is_read_or_refused(finished, copied):
+    row = finished.rows[finished.rows["method"] == "bare"].iloc[0]
+    key, trial = row["key"], row["trial_keys"][1]
+    kinds: dict[Path, Callable[[], object]] = {
+        copied / "manifest.json": lambda: read_manifest(copied),
+        copied / "results.parquet": lambda: load_rows(copied),
+        copied / "trials" / trial / "trial.json": lambda: read_trial(copied, trial),
+        copied / "trials" / trial / "trajectory.parquet": lambda: read_trial(copied, trial),
+        copied / "estimates" / key / "result.json": lambda: load_estimate(copied, key),
+        copied / "estimates" / key / "estimate.npz": lambda: load_estimate(copied, key),
+    }
+    refused = 0
+    for path, read in kinds.items():
+        whole = path.read_bytes()
+        for seed in range(12):
+            resealed(path, np.random.default_rng(seed))
+            try:
+                read()
+            except HeftError:
+                refused += 1
+            path.write_bytes(whole)
+        read()
+    assert refused > 10
 
 
 @pytest.mark.parametrize(

@@ -29,6 +29,8 @@ EstimateStatus = Literal[
 * `no_data`: no trial is usable.
 * `assumption_violated`: the mass groups do not rest on their own weight.
 """
+NO_MASSES = ("underdetermined", "contradictory")
+"""Statuses with which an answer may have no masses: that the trials show none is what it says of them."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -123,7 +123,8 @@ def delay_of(log: Path, mapping: Path) -> Delay | None:
         HeftError: see `import_trajectory`.
     """
     table, _ = _calibrated(load_toml(mapping, Mapping).for_log(log, mapping.parent), mapping)
-    if not table.separate or table.sensor.delay_s is not None or not table.recorded_action().accelerated:
+    known = table.sensor.delay_s is not None or table.action is None  # without an action it is refused later
+    if known or not table.separate or not table.recorded_action().accelerated:
         return None
     return _Streams.of(log, table, mapping).delay(table)
 

@@ -39,6 +39,10 @@ FACTORS: dict[str, dict[str, float]] = {
 """SI value of each unit, by quantity."""
 
 
+ISO = "iso"
+"""Unit of a table's times that are dates by ISO 8601."""
+
+
 def factor(quantity: str, unit: str) -> float:
     """SI value of a unit.
 
@@ -51,15 +55,16 @@ def factor(quantity: str, unit: str) -> float:
     return known[unit]
 
 
-def _unit_of(quantity: str) -> AfterValidator:
+def _unit_of(quantity: str, *others: str) -> AfterValidator:
     def check(unit: str) -> str:
-        factor(quantity, unit)
+        if unit not in others:
+            factor(quantity, unit)
         return unit
 
     return AfterValidator(check)
 
 
-TimeUnit = Annotated[str, _unit_of("time")]
+TimeUnit = Annotated[str, _unit_of("time", ISO)]
 LengthUnit = Annotated[str, _unit_of("length")]
 AngleUnit = Annotated[str, _unit_of("angle")]
 SpeedUnit = Annotated[str, _unit_of("speed")]

@@ -12,17 +12,17 @@ import pandas as pd
 
 from testbed.errors import InvalidValueError
 from testbed.importers.logs import LogError, Series, in_order, read_all, unknown
-from testbed.importers.mapping import Columns, TimeMap, factor
+from testbed.importers.mapping import ISO, Columns, TimeMap, factor
+
+_SECOND = 1_000_000_000
 
 
 class CsvLog:
     """Table with a header line. A row may leave a group of columns blank, if the table joins several rates."""
 
-    epoch_s = 0
-    """Its stamps count from where the log says."""
-
     def __init__(self, path: Path, mapping: Columns):
         self.path, self._decimal = path, mapping.decimal
+        self.epoch_s = 0  # dates count from the second of the first; numbers from where the log says
         try:
             lines = path.read_text(encoding="utf-8-sig").split("\n")
             kept = [i for i, line in enumerate(lines) if not (mapping.comment and line.startswith(mapping.comment))]
@@ -61,25 +61,45 @@ class CsvLog:
         """
         self.type_of(field, topic)
         fields = [("time.column", str(time.column)), *((field, name) for name in names)]
-        rows = np.column_stack(read_all(*(partial(self._numbers, *pair) for pair in fields)))
+        stamps = partial(self._dates if time.unit == ISO else self._numbers, *fields[0])
+        rows = np.column_stack(read_all(stamps, *(partial(self._numbers, *pair) for pair in fields[1:])))
         there = ~np.isnan(rows[:, 1:]).all(axis=1)
         rows, lines = rows[there], self._lines[there]
         if (bad := ~np.isfinite(rows)).any():
             row, column = np.argwhere(bad)[0]
             raise LogError(f"{self.path}: line {lines[row]}: {fields[column][1]} is blank or not finite")
-        return in_order(self.path, field, rows[:, 0] * factor("time", time.unit), rows[:, 1:])
+        scale = 1.0 if time.unit == ISO else factor("time", time.unit)
+        return in_order(self.path, field, rows[:, 0] * scale, rows[:, 1:])
 
-    def _numbers(self, field: str, name: str) -> np.ndarray:
+    def _cells(self, field: str, name: str) -> pd.Series:
+        """Cells of a column with decimal points."""
         if name not in self._names:
             raise unknown(field, name, self._names, self.path)
         if (count := self._names.count(name)) > 1:
             raise LogError(f"{self.path}: {field}: {name}: {count} columns have this name; allowed: one")
         cells = pd.Series(self._table.iloc[:, self._names.index(name)])
-        plain = cells if self._decimal == "." else cells.str.replace(self._decimal, ".", regex=False)
-        numbers = np.asarray(pd.to_numeric(plain, errors="coerce"), dtype=float)
-        wrong = np.flatnonzero(np.isnan(numbers) & cells.notna())
+        return cells if self._decimal == "." else cells.str.replace(self._decimal, ".", regex=False)
+
+    def _numbers(self, field: str, name: str) -> np.ndarray:
+        cells = self._cells(field, name)
+        numbers = np.asarray(pd.to_numeric(cells, errors="coerce"), dtype=float)
+        self._check(name, cells, numbers, "a number")
+        return numbers
+
+    def _dates(self, field: str, name: str) -> np.ndarray:
+        """Seconds from the log's epoch, exact to the nanosecond; without a time zone they are UTC."""
+        cells = self._cells(field, name)
+        dates = pd.DatetimeIndex(pd.to_datetime(cells, errors="coerce", format="ISO8601", utc=True)).as_unit("ns")
+        stamps = dates.asi8
+        if self.epoch_s == 0 and dates.notna().any():
+            self.epoch_s = int(stamps[dates.notna()][0]) // _SECOND
+        seconds = np.where(dates.isna(), np.nan, (stamps - self.epoch_s * _SECOND) / _SECOND)
+        self._check(name, cells, seconds, "a date by ISO 8601, as 2026-01-31T12:00:00.125")
+        return seconds
+
+    def _check(self, name: str, cells: pd.Series, values: np.ndarray, allowed: str) -> None:
+        wrong = np.flatnonzero(np.isnan(values) & cells.notna())
         if len(wrong):
             at = int(wrong[0])
-            allowed = "a number, or blank"
-            raise LogError(f"{self.path}: line {self._lines[at]}: {name}: got {cells.iloc[at]!r}; allowed: {allowed}")
-        return numbers
+            got = f"{self.path}: line {self._lines[at]}: {name}: got {cells.iloc[at]!r}"
+            raise LogError(f"{got}; allowed: {allowed}, or blank")

@@ -27,7 +27,7 @@ from testbed.sensing.windows import steady_windows
 from testbed.simulation.runner import SimulationRunner
 from testbed.trajectory import Phase, Trajectory, load_trajectory, save_trajectory
 from testbed.trial import Trial
-from tests.fakes.lab_bench import at_other_rates, columns, mapping_of, write_csv, write_joined_csv, write_toml
+from tests.fakes.lab_bench import EPOCH, at_other_rates, columns, mapping_of, write_csv, write_joined_csv, write_toml
 
 TURN = Rotate(2, duration=2.0, pivot=(-0.0333, 0.025), back=True)
 
@@ -320,6 +320,18 @@ def test_tables_are_read_as_other_programs_write_them(turn: Trajectory, tmp_path
     (tmp_path / "log.txt").write_text("# bench 3\n" + text.replace(",", "x", 30), encoding="utf-8")
     assert "line 3: " in refused(tmp_path / "log.txt", mapping)
     assert "separator: got ','; allowed: another character" in refused(path, mapping | {"separator": ","})
+
+
+def test_times_may_be_dates(turn: Trajectory, tmp_path: Path):
+    stamps = pd.to_datetime(EPOCH * 10**9 + np.round(turn.time_s * 1e9).astype(np.int64) + 123, unit="ns", utc=True)
+    dates = [f"{stamp.tz_localize(None).isoformat()}+02:00" for stamp in stamps + pd.Timedelta("2h")]
+    mapping = mapping_of(turn, time={"column": "date", "unit": "iso"})
+    again = import_csv(tmp_path, turn, mapping, date=dates)
+    assert_allclose(again.sensor_wrench, import_csv(tmp_path, turn).sensor_wrench, atol=1e-4)
+    assert again.provenance["recorded"] == "2026-01-01T00:00:00.000+00:00"
+    table = pd.read_csv(tmp_path / "log.csv", dtype=str).assign(date=["soon", *dates[1:]])
+    table.to_csv(tmp_path / "log.csv", index=False)
+    assert "line 2: date: got 'soon'; allowed: a date by ISO 8601" in refused(tmp_path / "log.csv", mapping)
 
 
 def test_a_wrong_speed_is_told_with_the_one_that_was_seen(turn: Trajectory, tmp_path: Path):

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
+from dataclasses import fields, is_dataclass
 from pathlib import Path
 from typing import Any
 
@@ -204,6 +206,29 @@ def test_poses_and_odometry(bench: Bench, as_csv: Trajectory, tmp_path: Path):
     bag = bench.bag(tmp_path / "mcap", "nav_msgs/msg/Odometry", "/odom", bench.odometry, "MCAP")
     same(imported(bag / "mcap.mcap", 'topic = "/odom"'), as_csv)
     same(imported(bag, 'topic = "/odom"'), as_csv)
+
+
+def test_messages_in_json(bench: Bench, as_csv: Trajectory, tmp_path: Path):
+    """As Foxglove and others write them: the types by name, the stamps in two parts."""
+    with (tmp_path / "log.mcap").open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        for topic, kind, stamps, of in (
+            ("/ft", "geometry_msgs/WrenchStamped", bench.sensed, bench.wrench_message),
+            ("/pose", "geometry_msgs/msg/PoseStamped", bench.stamps, bench.pose_message),
+        ):
+            channel = writer.register_channel(topic, "json", writer.register_schema(kind, "jsonschema", b"{}"))
+            for i, at in enumerate(stamps.tolist()):
+                writer.add_message(channel, at, json.dumps(plain(of(i))).encode(), at)
+        writer.finish()
+    same(imported(tmp_path / "log.mcap", 'topic = "/pose"'), as_csv)
+
+
+def plain(message: Any) -> Any:
+    """A message as nested dicts."""
+    if not is_dataclass(message):
+        return message
+    return {field.name: plain(getattr(message, field.name)) for field in fields(message)}
 
 
 def test_a_tree_of_transforms(bench: Bench, as_csv: Trajectory, tmp_path: Path):

@@ -202,6 +202,7 @@ class _Streams:
             lambda: _velocity(source, table.velocity, table.time) if table.velocity else None,
         )
         wrench = wrench._replace(time_s=wrench.time_s + (other.epoch_s - source.epoch_s))
+        wrench = in_sensor_axes(wrench, pose, table.sensor)
         return cls(action, model, wrench, pose, joints, velocity, source.epoch_s)
 
     def base(self, longest_gap: float) -> np.ndarray:
@@ -262,6 +263,17 @@ def read_wrench(log: Log, sensor: SensorMap, time: TimeMap) -> Series:
     stamps, values = log.series(field, names, sensor.topic, sensor.time or time)
     units = np.repeat([factor("force", sensor.force_unit), factor("torque", sensor.torque_unit)], 3)
     return Series(stamps, values * units)
+
+
+def in_sensor_axes(wrench: Series, pose: Pose, sensor: SensorMap) -> Series:
+    """Wrench by the axes of the sensor, of one that may be by those of the arm's base, as a UR reports it."""
+    if sensor.axes == "sensor":
+        return wrench
+    mount = Rotation.from_quat(sensor.in_hand_wxyz, scalar_first=True)
+    back = (resampled_rotation(pose[0].time_s, pose[1], wrench.time_s) * mount).inv()
+    return wrench._replace(
+        values=np.hstack([back.apply(part) for part in (wrench.values[:, :3], wrench.values[:, 3:])])
+    )
 
 
 def _joints(log: Log, joints: JointMap, time: TimeMap) -> Series:

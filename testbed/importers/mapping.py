@@ -98,6 +98,7 @@ class SensorMap(_Table):
     delay_s: Finite | None = None
     force: Three | None = None
     torque: Three | None = None
+    axes: Literal["sensor", "base"] = "sensor"
     force_unit: ForceUnit = "N"
     torque_unit: TorqueUnit = "N m"
     calibration: Text | None = None

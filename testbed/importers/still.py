@@ -8,7 +8,7 @@ import numpy as np
 from scipy.ndimage import binary_erosion
 from scipy.spatial.transform import Rotation
 
-from testbed.importers.importer import open_log, read_wrench, sensor_log
+from testbed.importers.importer import in_sensor_axes, open_log, read_wrench, sensor_log
 from testbed.importers.logs import LogError, read_all
 from testbed.importers.mapping import Columns
 from testbed.importers.phases import RATE, common_base, resampled, resampled_rotation, runs
@@ -50,6 +50,7 @@ def recorded_poses(log: Path, mapping: Path) -> list[StaticPose]:
         lambda: hand_pose(source, table.hand, table.time, mapping.parent),
     )
     wrench = wrench._replace(time_s=wrench.time_s + (other.epoch_s - source.epoch_s))
+    wrench = in_sensor_axes(wrench, pose, table.sensor)
     base = common_base([wrench, pose[0]], table.longest_gap_s)
     hand, position = resampled_rotation(pose[0].time_s, pose[1], base).as_quat(), resampled(pose[0], base)
     values = resampled(wrench, base)

@@ -334,6 +334,16 @@ def test_times_may_be_dates(turn: Trajectory, tmp_path: Path):
     assert "line 2: date: got 'soon'; allowed: a date by ISO 8601" in refused(tmp_path / "log.csv", mapping)
 
 
+def test_wrenches_come_by_the_axes_of_the_base_too(turn: Trajectory, tmp_path: Path):
+    logged, sensor = columns(turn), Rotation.from_quat(turn.sensor_orientation, scalar_first=True)
+    parts = {a: sensor.apply(np.column_stack([logged[f"{a}{b}"] for b in "xyz"])) for a in "ft"}
+    more = {f"{a}{b}": part[:, i] for a, part in parts.items() for i, b in enumerate("xyz")}
+    mapping = mapping_of(turn)
+    mapping["sensor"] |= {"axes": "base"}
+    again, there = import_csv(tmp_path, turn, mapping, **more), import_csv(tmp_path, turn)
+    assert_allclose(again.sensor_wrench, there.sensor_wrench, atol=1e-6)
+
+
 def test_a_wrong_speed_is_told_with_the_one_that_was_seen(turn: Trajectory, tmp_path: Path):
     asked = mapping_of(turn, action=turn.action.to_dict() | {"speed": 0.4})
     error = refused(write_csv(tmp_path / "log.csv", turn), asked)

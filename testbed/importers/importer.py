@@ -75,7 +75,7 @@ def import_trajectory(
     position, hand = streams.tcp(table, base)
     twist = resampled(velocity, base) if velocity else _differentiated(position, hand)
     position[:, 2] -= table.hand.table_height_m
-    phase, segment = _phases(table, time, position[:, 2], twist)
+    phase, segment = _phases(table, action, time, position[:, 2], twist)
     check_sensor_alive(wrench, base[0] + time[np.flatnonzero(segment >= 0)[[0, -1]]])
     grasp = model.shape.grasps[action.grasp]
     yaw = _closing_yaw(hand, table.hand) - grasp.angle
@@ -124,7 +124,7 @@ def delay_of(log: Path, mapping: Path) -> Delay | None:
     """
     table, _ = _calibrated(load_toml(mapping, Mapping).for_log(log, mapping.parent), mapping)
     known = table.sensor.delay_s is not None or table.action is None  # without an action it is refused later
-    if known or not table.separate or not table.recorded_action().accelerated:
+    if known or not table.separate or not table.recorded_action().action.accelerated:
         return None
     return _Streams.of(log, table, mapping).delay(table)
 
@@ -234,10 +234,10 @@ class _Streams:
 
 def _action_and_object(table: Mapping, mapping: Path) -> tuple[TableAction, ObjectModel]:
     action, model = table.recorded_action(), object_of(table, mapping)
-    if action.grasp >= len(model.shape.grasps):
-        names = ", ".join(f"{i} ({g.name})" for i, g in enumerate(model.shape.grasps))
-        raise InvalidValueError("action.grasp", action.grasp, names or "none: nothing is grippable", file=mapping)
-    return action, model
+    try:
+        return action.on(model.shape), model
+    except InvalidValueError as error:
+        raise InvalidValueError(error.field, error.given, error.allowed, file=mapping) from None
 
 
 def _moment(seconds: float) -> str:
@@ -306,7 +306,7 @@ def _closing_yaw(hand: Rotation, hand_map: HandMap) -> np.ndarray:
     return np.unwrap(np.arctan2(along[:, 1], along[:, 0]))
 
 
-def _phases(table: Mapping, time: np.ndarray, height: np.ndarray, twist: np.ndarray) -> Phases:
+def _phases(table: Mapping, action: TableAction, time: np.ndarray, height: np.ndarray, twist: np.ndarray) -> Phases:
     if table.phases:
         return phases_from_windows(table.phases, time)
-    return phases_from_motion(table.recorded_action(), height, twist)
+    return phases_from_motion(action, height, twist)

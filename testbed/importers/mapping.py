@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
@@ -10,6 +11,7 @@ from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Fie
 
 from testbed.actions.base import TableAction, action_from_dict
 from testbed.errors import InvalidValueError, nearest
+from testbed.objects.model import ObjectShape
 from testbed.sensing.presets import preset
 from testbed.toml import Finite, NonNegative, Positive
 from testbed.trajectory import Phase
@@ -203,15 +205,40 @@ def _in_order(windows: list[PhaseWindow]) -> list[PhaseWindow]:
     return windows
 
 
-def _moving_action(table: dict[str, Any]) -> TableAction:
-    action = action_from_dict(table)
+@dataclass(frozen=True)
+class MappedAction:
+    """An action whose grasp may be named."""
+
+    action: TableAction
+    """The action, by grasp 0 if it has a name."""
+    grasp_name: str = ""
+    """Name of the grasp; empty where it has a number."""
+
+    def on(self, shape: ObjectShape) -> TableAction:
+        """The action on an object.
+
+        Raises:
+            InvalidValueError: the object has no such grasp.
+        """
+        names, given = [g.name for g in shape.grasps], self.grasp_name or self.action.grasp
+        if self.grasp_name in names:
+            return replace(self.action, grasp=names.index(self.grasp_name))
+        if self.grasp_name or self.action.grasp >= len(names):
+            listed = ", ".join(f"{i} ({name})" for i, name in enumerate(names)) or "none: nothing is grippable"
+            raise InvalidValueError("action.grasp", given, f"{listed}{nearest(str(given), names)}")
+        return self.action
+
+
+def _mapped_action(table: dict[str, Any]) -> MappedAction:
+    name = table.get("grasp") if isinstance(table, dict) and isinstance(table.get("grasp"), str) else ""
+    action = action_from_dict(table | {"grasp": 0} if name else table)
     if not isinstance(action, TableAction):  # a log holds a motion over the table
         raise InvalidValueError("kind", table.get("kind"), "rotate, accelerate or slide")
-    return action
+    return MappedAction(action, str(name))
 
 
 Windows = Annotated[list[PhaseWindow], AfterValidator(_in_order)]
-MovingAction = Annotated[TableAction, BeforeValidator(_moving_action)]
+RecordedAction = Annotated[MappedAction, BeforeValidator(_mapped_action)]
 
 
 class LogMap(_Table):
@@ -219,7 +246,7 @@ class LogMap(_Table):
 
     file: Text
     sensor_file: Text | None = None
-    action: MovingAction | None = None
+    action: RecordedAction | None = None
     phases: Windows | None = None
 
 
@@ -249,7 +276,7 @@ class Mapping(Columns):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     object: Text
-    action: MovingAction | None = None
+    action: RecordedAction | None = None
     tool: ToolMap
     setup: StatedSetup = EXACT_SETUP
     velocity: VelocityMap | None = None
@@ -279,7 +306,7 @@ class Mapping(Columns):
         sensor = self.sensor
         return sensor.file is not None or sensor.time is not None or sensor.topic != self.hand.topic
 
-    def recorded_action(self) -> TableAction:
+    def recorded_action(self) -> MappedAction:
         """The action in the log.
 
         Raises:

@@ -234,6 +234,8 @@ WRONG: tuple[tuple[dict[str, Any], str], ...] = (
     ({"action": {"kind": "weigh"}}, "rotate, accelerate or slide"),
     ({"action": {"kind": "rotate"}}, "fields grasp"),
     ({"action": {"kind": "rotate", "grasp": 99}}, "action.grasp: got 99; allowed: 0 ("),
+    ({"action": {"kind": "rotate", "grasp": "A22"}}, "action.grasp: got 'A22'; allowed: 0 ("),
+    ({"action": {"kind": "rotate", "grasp": "A22"}}, "(nearest: A2)"),
     ({"action": {"kind": "rotate", "grasp": 2, "speed": 0.4}}, "phases: "),
     ({"action": {"kind": "rotate", "grasp": 2, "speed": -0.1745, "duration": 2.0, "back": True}}, "phases: "),
     ({"object": "L3"}, "object: got 'L3'"),
@@ -384,6 +386,13 @@ def test_orientations_come_as_vectors_or_angles_too(turn: Trajectory, tmp_path: 
         again = import_csv(tmp_path, turn, mapping, **more)
         same = np.abs(np.sum(again.sensor_orientation * turn.sensor_orientation, axis=1))
         assert_allclose(same, 1.0, atol=1e-9)
+
+
+def test_a_grasp_has_a_number_or_a_name(imported: Trajectory, turn: Trajectory, tmp_path: Path):
+    name = load_object("L2").shape.grasps[TURN.grasp].name
+    again = import_csv(tmp_path, turn, mapping_of(turn, action=turn.action.to_dict() | {"grasp": name}))
+    assert again.action == turn.action
+    assert_allclose(again.object_pose, imported.object_pose, atol=1e-12)
 
 
 def test_a_logged_velocity_is_used(turn: Trajectory, tmp_path: Path):

@@ -8,7 +8,6 @@ kills     20 sweeps, each killed at a random moment and resumed; what happened t
 
 from __future__ import annotations
 
-import json
 import resource
 import shutil
 import subprocess
@@ -26,6 +25,7 @@ import numpy as np
 import pandas as pd
 from metered import Metered
 
+from estimators.base import Estimate
 from scenarios.config import Policy, Scenario
 from scenarios.execution.executor import open_executor, work_off
 from scenarios.results.store import Store
@@ -107,6 +107,7 @@ def resume() -> None:
         trial, record = canned()
         store.put_trial("canned", trial, {}, record)
         experiments, _ = experiments_of(scenario, store, quiet)
+        answer = Estimate(None, "no_data", "none")
         for index, experiment in enumerate(experiments):
             experiment.keys = [f"{index}_{i}" for i in range(13)]
             experiment.held_out_keys = [f"{index}_{i}" for i in (13, 14)]
@@ -116,9 +117,7 @@ def resume() -> None:
             row = {"status": "ok", "message": "", "nad": 0.01, "mass_kg": [0.1] * 6, "friction": [0.5], "seconds": 1.0}
             for method in scenario.methods:
                 for seed, key in enumerate(EstimateTask.of(experiment, "ft300s", method).result_keys()):
-                    path = store.root / "estimates" / key / "result.json"
-                    path.parent.mkdir(parents=True)
-                    path.write_text(json.dumps(row | {"seed": seed}), encoding="utf-8")
+                    store.put_estimate(key, row | {"seed": seed}, answer, experiment.particles.shape)
         begin = time.perf_counter()
         rows = run_scenario(scenario, store.root, 2, quiet)
         seconds = time.perf_counter() - begin

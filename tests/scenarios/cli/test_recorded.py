@@ -208,6 +208,7 @@ def test_a_trial_that_is_no_data_is_told_and_left_out(
     assert path.parent.name not in load_results("lab")["trial_keys"][0]
 
 
+@pytest.mark.slow
 def test_masses_need_not_be_invented(lab: Path, records: list[Trajectory], capsys: pytest.CaptureFixture[str]):
     """No NAD and no truth then, and the same masses."""
     (lab / "mine.toml").write_text('name = "mine"\n[blocks]\nlayout = ["1", "1", "1", "111"]\n', encoding="utf-8")

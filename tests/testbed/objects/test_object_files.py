@@ -122,9 +122,18 @@ def test_a_wrong_field_is_refused_with_file_field_and_value(written, line: str, 
 
 def test_all_errors_of_a_file_are_told_at_once(written):
     with pytest.raises(InvalidFileError) as refused:
-        load_object(written(PAIR + "size_m = -1\ncolour = 3"))
-    for said in ("blocks.mass_kg: missing", "blocks.size_m: got -1", "blocks.colour: no such field"):
+        load_object(written(PAIR.replace('layout = ["11"]\n', "") + "size_m = -1\ncolour = 3"))
+    for said in ("blocks.layout: missing", "blocks.size_m: got -1", "blocks.colour: no such field"):
         assert said in str(refused.value)
+
+
+def test_masses_may_be_left_out_where_trials_are_measured(written):
+    path = written(PAIR)
+    with pytest.raises(HeftError, match=r"mass_kg: got None; allowed: masses: only what a real robot measures"):
+        load_object(path)
+    unknown, known = load_object(path, measured=True), load_object(written(PAIR + "mass_kg = 0.4"), measured=True)
+    assert (unknown.masses_known, known.masses_known) == (False, True)
+    assert np.array_equal(unknown.shape.particles, known.shape.particles)
 
 
 @pytest.mark.parametrize("grid", [0, -1, True, 1.5])

@@ -14,6 +14,7 @@ import re
 import stat
 import warnings
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -86,7 +87,8 @@ def write_whole(path: Path, write: Any) -> None:
         part.unlink(missing_ok=True)
         # made here: not every library says why it cannot open a file, and a link that lies in wait is not followed
         held = os.open(part, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666)
-        fcntl.flock(held, fcntl.LOCK_EX)  # until it is whole: `remove_leftovers` takes what nobody holds
+        with suppress(OSError):  # a file system without locks
+            fcntl.flock(held, fcntl.LOCK_EX)  # until it is whole: `remove_leftovers` takes what nobody holds
         write(part)
         with open(part, "rb+") as file:
             os.fsync(file.fileno())
@@ -113,7 +115,7 @@ def remove_leftovers(folder: Path) -> None:
         try:
             fcntl.flock(found, fcntl.LOCK_EX | fcntl.LOCK_NB)
             part.unlink(missing_ok=True)
-        except BlockingIOError:  # somebody is writing it
+        except OSError:  # somebody is writing it, or there is no telling
             pass
         finally:
             os.close(found)

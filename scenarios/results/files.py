@@ -100,7 +100,7 @@ def check_unambiguous(field: str, beginning: str, keys: Sequence[str]) -> None:
 
 @contextmanager
 def exclusive(folder: Path) -> Iterator[None]:
-    """Hold a results folder, made if it is not there.
+    """Hold a results folder, made if it is not there. Only a run needs it; who adds whole files does not.
 
     Raises:
         FolderInUseError: another run holds it.

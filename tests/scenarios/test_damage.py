@@ -53,9 +53,10 @@ def lose(path: Path) -> None:
 def test_no_bit_of_a_stored_file_turns_unseen(finished, tmp_path):
     rng, path = np.random.default_rng(0), tmp_path / "file"
     for name in KINDS:
-        data = next(finished.out.rglob(name)).read_bytes()
-        assert load_sealed(next(finished.out.rglob(name)), "file", len) == len(data)
-        for at in [0, len(data) - 1, *rng.integers(len(data), size=40)]:
+        whole = next(finished.out.rglob(name))
+        data = whole.read_bytes()
+        assert load_sealed(whole, "file", len) == len(data)
+        for at in [0, len(data) - 1, *rng.integers(len(data), size=10)]:
             harmed = bytearray(data)
             harmed[at] ^= 1 << rng.integers(8)
             path.write_bytes(harmed)
@@ -142,7 +143,7 @@ def test_content_of_another_kind_is_read_or_refused(finished, copied):
     refused = 0
     for path, read in kinds.items():
         whole = path.read_bytes()
-        for seed in range(12):
+        for seed in range(4):
             resealed(path, np.random.default_rng(seed))
             try:
                 read()
@@ -150,7 +151,7 @@ def test_content_of_another_kind_is_read_or_refused(finished, copied):
                 refused += 1
             path.write_bytes(whole)
         read()
-    assert refused > 10
+    assert refused > 4
 
 
 @pytest.mark.parametrize(

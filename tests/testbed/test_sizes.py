@@ -32,7 +32,7 @@ SIZES = [
     ("".join(f"k{i} = 1\n" for i in range(1000)), "and 981 more"),
     (BLOCKS.format(layout=["x" * 50] * 90, mass=1.0), "layout: got 'x'"),
     (MESH.format(file="bomb.zip"), "a mesh file: stl, obj, ply, off"),
-    (MESH.format(file="many.stl"), "150000 triangles'; allowed: at most 100000"),
+    (MESH.format(file="many.stl"), "101000 triangles'; allowed: at most 100000"),
     (MESH.format(file="large.stl"), "9 MiB, more than the 8"),
     (MESH.format(file="lies.stl"), "a mesh"),
     (MESH.format(file="far.stl"), "with a coordinate of 1e.03 m'; allowed: metres, below 10"),
@@ -53,7 +53,7 @@ def folder(tmp_path_factory) -> Path:
     path = tmp_path_factory.mktemp("sizes")
     with zipfile.ZipFile(path / "bomb.zip", "w", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr("a.stl", bytes(10_000_000))
-    (path / "many.stl").write_bytes(triangles(150_000))
+    (path / "many.stl").write_bytes(triangles(101_000))
     (path / "large.stl").write_bytes(bytes(9 * 2**20))
     (path / "lies.stl").write_bytes(bytes(80) + np.uint32(4_000_000_000).tobytes())
     (path / "far.stl").write_bytes(triangles(4, 1e3))

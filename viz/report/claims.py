@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import numpy as np
+
 from estimators.evaluation.statistics import SILENT, Claims, Row, methods_of, select
 from viz.report.tables import Entry, Table, percent
 
@@ -17,8 +19,10 @@ def claims_table(rows: Sequence[Row], title: str = CLAIMS) -> Table | None:
         of = select(rows, method=method)
         if (found := Claims.of(of)) is not None:
             good = sum(row["status"] == "ok" for row in of)
-            cells = (f"{found.ratio:.2f}", percent(found.held), percent(good / len(of)), percent(found.silent))
+            misfit = [row["misfit"] for row in of if row.get("misfit") is not None]
+            told = (f"{found.ratio:.2f}", percent(found.held), percent(good / len(of)), percent(found.silent))
+            cells = (*told, f"{np.median(misfit):.2g}" if misfit else "-")
             lines.append(((method,), tuple(map(Entry, cells))))
     note = f"silent: status ok, and a group off by over {SILENT:g} claimed errors" if lines else ""
-    columns = ("error / claimed", "90 % intervals hold", "status ok", "silent")
+    columns = ("error / claimed", "90 % intervals hold", "status ok", "silent", "misfit")
     return Table(title, columns, tuple(lines), note=note) if lines else None

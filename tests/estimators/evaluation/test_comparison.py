@@ -158,9 +158,18 @@ def test_the_heatmap_shows_every_group_of_every_object_and_method(tmp_path):
 def test_claims_are_errors_over_claimed_ones_and_an_answer_is_silent_where_ok_and_far_off():
     true = [0.1, 0.2, 0.3]
     rows = [
-        row("a", 0, 0.1, mass_kg=[0.1, 0.2, 0.34], true_mass_kg=true, mass_error_kg=[0.01, 0.01, 0.01]),
+        row("a", 0, 0.1, mass_kg=[0.1, 0.2, 0.34], true_mass_kg=true, mass_error_kg=[0.01, 0.01, 0.01], misfit=0.5),
         row("a", 1, 0.1, mass_kg=[0.11, 0.2, 0.3], true_mass_kg=true, mass_error_kg=[0.01, 0.01, 0.01]),
-        row("a", 2, 0.1, mass_kg=[0.1, 0.2, 0.9], true_mass_kg=true, mass_error_kg=[0.1] * 3, status="unexplained"),
+        row(
+            "a",
+            2,
+            0.1,
+            mass_kg=[0.1, 0.2, 0.9],
+            true_mass_kg=true,
+            mass_error_kg=[0.1] * 3,
+            status="unexplained",
+            misfit=4.5,
+        ),
         row("a", 3, None, mass_error_kg=None),
         row("b", 0, 0.1),
     ]
@@ -172,4 +181,4 @@ def test_claims_are_errors_over_claimed_ones_and_an_answer_is_silent_where_ok_an
     table = claims_table(rows)
     assert table is not None and claims_table(rows[3:]) is None
     ((labels, cells),) = table.rows
-    assert labels == ("a",) and [cell.text for cell in cells] == ["2.43", "78 %", "50 %", "33 %"]
+    assert labels == ("a",) and [cell.text for cell in cells] == ["2.43", "78 %", "50 %", "33 %", "2.5"]

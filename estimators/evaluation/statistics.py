@@ -122,10 +122,11 @@ class Claims:
         claimed = [row for row in rows if row.get("mass_error_kg") is not None and row.get("true_mass_kg") is not None]
         if not claimed:
             return None
-        each = [
-            np.abs(np.subtract(row["mass_kg"], row["true_mass_kg"])) / np.maximum(row["mass_error_kg"], 1e-12)
-            for row in claimed
-        ]
+        each = []
+        for row in claimed:
+            error = np.array(row["mass_error_kg"], dtype=float)  # of a mass that is not seen None, without bound
+            error = np.where(np.isfinite(error), np.maximum(error, 1e-12), np.inf)
+            each.append(np.abs(np.subtract(row["mass_kg"], row["true_mass_kg"])) / error)
         off = np.concatenate(each)
         silent = [row["status"] == "ok" and one.max() > SILENT for row, one in zip(claimed, each, strict=True)]
         return Claims(float(np.sqrt(np.mean(off**2))), float(np.mean(off < NINETY)), float(np.mean(silent)))

@@ -58,6 +58,7 @@ def swept(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder / "out"
 
 
+@pytest.mark.slow
 def test_points_that_differ_in_the_estimator_alone_share_their_trials(swept):
     results = load_results(swept)
     assert len(results) == 2 * 2 * 2

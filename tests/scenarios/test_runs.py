@@ -116,6 +116,7 @@ def test_an_objects_estimates_come_before_the_next_ones_trials(tmp_path):
     assert kinds == each * 2
 
 
+@pytest.mark.slow
 def test_trials_that_no_wrench_decides_are_all_in_flight_at_once(finished, tmp_path, monkeypatch):
     running: list[int] = []
 
@@ -160,6 +161,7 @@ def test_a_folder_of_another_run_is_not_written_over(finished, change: dict[str,
     assert refused.value.field == "--out"
 
 
+@pytest.mark.slow
 def test_records_cut_short_are_made_again(finished, copied):
     records = sorted(copied.glob("trials/*/trajectory.parquet"))
     for record in records:

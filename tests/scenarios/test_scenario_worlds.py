@@ -30,6 +30,7 @@ def short(**world: object) -> Scenario:
     return Scenario(objects=["I2"], sensing=["ft300s"], seeds=2, policy=POLICY, world=WorldTable(**world))  # pyright: ignore[reportArgumentType]
 
 
+@pytest.mark.slow
 def test_every_draw_of_a_world_has_its_own_trials(tmp_path: Path):
     rows = run_scenario(short(preset="lab"), tmp_path, 0, quiet, executor="inline")
     first, second = (set(keys) for keys in rows["trial_keys"])

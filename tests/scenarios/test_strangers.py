@@ -48,6 +48,7 @@ def here(copied, tmp_path, monkeypatch) -> Path:
     return tmp_path
 
 
+@pytest.mark.slow
 def test_reading_imports_nothing_that_a_file_names(here, capsys):
     key = load_results("out")["key"][0]
     for command in ("status out", "report out", "run s.toml --dry-run", f"export out {key}"):

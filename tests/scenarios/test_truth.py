@@ -173,6 +173,7 @@ def test_grasps_and_checks_do_not_know_masses_and_friction():
     assert len(feasible_grasps("I2", strong.check(model, settings))) < 6
 
 
+@pytest.mark.slow
 def test_what_the_true_masses_refuse_is_told_without_numbers_and_chosen_around(tmp_path):
     path = tmp_path / "end.toml"
     path.write_text(

@@ -43,6 +43,7 @@ def test_a_plan_is_told_and_drawn(tmp_path, capsys):
     assert sorted(path.name for path in tmp_path.iterdir()) == ["plan.pdf", "plan.png", "plan.rrd"]
 
 
+@pytest.mark.slow
 def test_lifts_are_planned_where_asked_for_and_possible(tmp_path, capsys):
     more = ["--lifts", "--most", "3", "--candidates", "300", "--record", str(tmp_path / "plan.rrd")]
     main(["plan", "L2", "--support", "rigid", "--figure", str(tmp_path / "plan"), *more])

@@ -89,6 +89,7 @@ def test_explicit_state_without_m_finds_the_valley_and_crawls_along_it(seed):
     assert nad(TWO, answer) > 0.1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("obj", "method", "budgets", "seeds", "bound"),
     [
@@ -122,6 +123,7 @@ def test_diff_lcp_comes_to_the_truth_as_its_polygon_becomes_a_circle():
     assert errors[1] < 0.005 < errors[0]
 
 
+@pytest.mark.slow
 def test_diff_lcp_does_not_come_away_from_an_object_that_sticks():
     # friction drawn above what the hand overcomes: predicted at rest, and standing still has no gradient
     answer = ask(TWO, DiffLcp(iterations=60, samples=2), turns(TWO), seed=0)

@@ -258,6 +258,7 @@ def slid(directions: int, substeps: int) -> torch.Tensor:
     return velocity[-1]
 
 
+@pytest.mark.slow
 def test_rollouts_go_to_coulombs_as_corners_and_substeps_grow(coulomb):
     assert float(coulomb[2]) > 0.5, "it slides all the while"
     # monotone friction: errors of the force add up and never grow, in the norm of M
@@ -326,6 +327,7 @@ def pushed(kind: str) -> tuple[torch.Tensor, torch.Tensor]:
     return STILL, tensor(30.0, 12.0, 0.3) * time  # "breaks loose"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["slides", "stops and stays", "breaks loose"])
 def test_gradients_through_a_rollout_are_finite_differences(kind):
     velocity, wrench = pushed(kind)

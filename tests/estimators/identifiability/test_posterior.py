@@ -49,6 +49,7 @@ def l2() -> Answered:
     return Answered.of(L2)
 
 
+@pytest.mark.slow
 def test_away_from_the_bounds_it_is_the_gaussian(l2):
     found, report = l2.sample(steps=2000), l2.answer.identifiability
     assert found.independent > 500
@@ -56,6 +57,7 @@ def test_away_from_the_bounds_it_is_the_gaussian(l2):
     assert_allclose(found.friction.std(axis=0), report.friction_error, rtol=0.1)
 
 
+@pytest.mark.slow
 def test_at_a_bound_every_draw_is_a_mass():
     mass = np.array([0.4, 0.4, 0.0, 0.4, 0.4, 0.4]) / L2.shape.particles_per_group
     case = Answered.of(replace(L2, truth=MassDistribution(mass, L2.truth.friction)))
@@ -66,6 +68,7 @@ def test_at_a_bound_every_draw_is_a_mass():
     assert (found.mass >= 0).all() and 0 < low < high < 3 * error
 
 
+@pytest.mark.slow
 def test_frictions_that_cannot_be_separated_spread_widely():
     obj = drawn_object(0, friction_groups=2)
     case = Answered.of(obj, inertia=False)

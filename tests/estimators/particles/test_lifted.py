@@ -85,6 +85,7 @@ def test_what_is_no_lift_says_nothing_and_a_lift_is_nothing_to_others():
         lifted_rows(obj.shape, obj.total_mass, [lifted(load_object("I2"), Lift(5))])
 
 
+@pytest.mark.slow
 def test_a_lift_narrows_what_one_rigid_body_leaves_open():
     obj = load_object("F2")
     table = [*turns(obj, rigid=True, noise=0.05), *accelerated(obj, rigid=True, noise=0.05)]

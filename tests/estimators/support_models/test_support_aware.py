@@ -176,6 +176,7 @@ def test_the_wrong_materials_are_not_forced_on_it():
     assert_allclose(found(answer).mass, found(aware(obj)).mass)
 
 
+@pytest.mark.slow
 def test_many_assignments_that_fit_are_counted():
     """Sixteen blocks: four numbers cannot tell them."""
     rng = np.random.default_rng(3)

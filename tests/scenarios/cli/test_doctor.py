@@ -18,6 +18,7 @@ def results(tmp_path_factory):
     return folder / "out"
 
 
+@pytest.mark.slow
 def test_it_tells_misfit_causes_and_trials_and_draws_them(results, capsys):
     main(["doctor", str(results)])
     said = capsys.readouterr().out

@@ -51,6 +51,7 @@ def test_nine_in_ten_intervals_hold(tmp_path):
     assert 0.85 < np.mean(np.abs(scores) < 1.645) < 0.96
 
 
+@pytest.mark.slow
 def test_the_command_writes_a_file_and_a_figure(tmp_path, capsys):
     log, mapping = recorded(tmp_path)
     out = tmp_path / "calibration.toml"

@@ -88,6 +88,7 @@ def test_the_raw_record_is_kept_with_its_bias(usual):
     assert usual.figures["slip_m"] < 1e-3
 
 
+@pytest.mark.slow
 def test_a_sensor_that_is_turned_and_negated_gives_the_same(usual):
     """The mount's calibration undoes what the mount does."""
     trial, about_z = Trial(OBJECT, ACTION), np.array([-1.0, -1.0, 1.0])

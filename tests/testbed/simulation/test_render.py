@@ -302,6 +302,7 @@ ctypes.CDLL.__init__ = without_egl
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("env", "before", "advice"),
     [

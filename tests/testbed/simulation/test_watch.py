@@ -108,6 +108,7 @@ def test_without_a_display_a_line_says_what_to_do(tmp_path: Path, monkeypatch: p
         assert line.startswith("heft: cannot open a window: there is no display") and "heft render" in line
 
 
+@pytest.mark.slow
 def test_a_display_that_does_not_answer_is_named():
     """In a process of its own, which has yet to import MuJoCo."""
     command = [sys.executable, "-m", "scenarios", "watch", "L2"]
@@ -124,7 +125,7 @@ def display():
     if shutil.which("Xvfb") is None or ctypes.util.find_library("Xtst") is None:
         pytest.skip("no Xvfb, or no keys for it, here (Debian: apt-get install xvfb libxtst6)")
     reading, writing = os.pipe()
-    command = ["Xvfb", "-displayfd", str(writing), "-screen", "0", "1100x850x24", "-nolisten", "tcp"]
+    command = ["Xvfb", "-displayfd", str(writing), "-screen", "0", "1100x850x24", "-nolisten", "tcp", "-noreset"]
     server = subprocess.Popen(command, pass_fds=(writing,), stderr=subprocess.DEVNULL)
     os.close(writing)
     with os.fdopen(reading) as told:

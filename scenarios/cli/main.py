@@ -24,7 +24,7 @@ COMMANDS = {
     "view": ("scenarios.cli.view:view", "Open a trial, an estimate or a comparison of methods in the Rerun viewer."),
     "record": ("scenarios.cli.view:record", "Write Rerun recordings of a results folder."),
     "figures": ("scenarios.cli.view:figures", "Draw figures for a paper, as PDF and PNG, into DIR/figures."),
-    "export": ("scenarios.cli.data:export", "Write an estimate as a model for another simulator."),
+    "export": ("scenarios.cli.export:export", "Write an estimate as a model, or a trial as ROS 2 messages."),
     "render": ("scenarios.cli.render:render", "Draw a recorded trial as a film or a picture; needs no display."),
     "watch": ("scenarios.cli.render:watch", "Open a window on a trial, simulated now or recorded."),
     "objects": ("scenarios.cli.view:objects", "List the objects in the library."),

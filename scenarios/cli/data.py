@@ -23,6 +23,8 @@ def import_(
     out: Annotated[Path, tyro.conf.arg(metavar="DIR")] = Path("results/lab"),
     weight: Annotated[float | None, tyro.conf.arg(metavar="KG")] = None,
     support: Annotated[str, tyro.conf.arg(metavar="SUPPORT")] = "own_weight",
+    find: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False,
+    grasps: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME ...")] = (),
 ) -> None:
     """Read another robot's logs (tables, MCAP, ROS 2 bags) as trials, for every method.
 
@@ -32,6 +34,7 @@ def import_(
 
     Examples: heft import lab.toml turn_1.csv turn_2.csv --weight 1.8
               heft import lab.toml                 (the logs that its [[logs]] name)
+              heft import lab.toml day_1.mcap --find   (finds the actions of a long recording, for you to look through)
               heft estimate results/lab
 
     Args:
@@ -40,7 +43,15 @@ def import_(
         out: results folder to put the trials into.
         weight: mass of the object as a scale read it; every method needs it once.
         support: support of the object's weight, as far as you know: own_weight, rigid, or a stiffness in N/m.
+        find: print the tares, turns and slides that the logs hold, and write MAPPING with a [[logs]] table for each
+            action as *.found.toml, to be corrected and imported; nothing is imported.
+        grasps: with --find, grasps of the first actions, where the motion fits several.
     """
+    if find or grasps:
+        from scenarios.cli.find import show_found
+
+        show_found(mapping, logs, grasps)
+        return
     from scenarios.cli.run import show_progress
     from scenarios.results.logs import import_logs
     from testbed.robot.calibration.motion import check_motion
@@ -118,7 +129,7 @@ def _summary(log: ImportedLog) -> str:
     why = f": {trajectory.reason}" if trajectory.reason else ""
     action = Recording(log.path, trajectory.action, log.object.name, None).description
     return (
-        f"{trajectory.status:8}{log.path}: {action}: trial {log.key[:8]}{why}\n"
+        f"{trajectory.status:8}{log.place}: {action}: trial {log.key[:8]}{why}\n"
         f"        {trajectory.time_s[-1]:.1f} s; phases {facts['phases']}; velocity {facts['velocity']}; "
         f"joints {facts['joints']}\n        drift: {facts['drift']}"
         + (f"\n        delay of the wrench: {facts['delay']}" if "delay" in facts else "")

@@ -41,7 +41,7 @@ COMMANDS = {
     "robot hand-eye": ("scenarios.cli.robot.calibrate:hand_eye", "Find a tracker's pose in the arm's base frame."),
     "robot trial": ("scenarios.cli.robot.trial:trial", "Run one trial on the real arm and store it."),
     "robot verify": ("scenarios.cli.robot.check:verify", "Check the sensor's sign, rotation and zero by trials."),
-    "import": ("scenarios.cli.data:import_", "Read another robot's logs (CSV, MCAP) as trials."),
+    "import": ("scenarios.cli.data:import_", "Read another robot's logs (tables, MCAP, ROS 2 bags) as trials."),
     "calibrate": ("scenarios.cli.data:calibrate", "Calibrate a force/torque sensor from a recording of still poses."),
     "estimate": ("scenarios.cli.data:estimate", "Estimate from the measured trials of a folder by every method."),
 }  # fmt: skip

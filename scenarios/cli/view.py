@@ -240,7 +240,8 @@ def _letter(group: int) -> str:
 def particle_map(model: ObjectModel) -> str:
     """Particles seen from above: a letter a mass group, a capital where the particle touches the table."""
     shape = model.shape
-    column, row = np.round((shape.particles - shape.particles.min(axis=0)) / shape.cell).astype(int).T
+    low = shape.particles[~shape.is_contact].min(axis=0)
+    column, row = np.maximum(np.round((shape.particles - low) / shape.cell), 0).astype(int).T
     cells = np.full((row.max() + 1, column.max() + 1), " ")
     for i, group in enumerate(shape.mass_group):
         letter = _letter(int(group))

@@ -13,7 +13,8 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 from testbed.errors import InvalidValueError
 from testbed.files import find_file, library_names
 from testbed.objects.blocks import block_object, parse_layout
-from testbed.objects.meshes import GraspPlace, Part, mesh_object, read_mesh
+from testbed.objects.grasps import GraspPlace
+from testbed.objects.meshes import Part, mesh_object, read_mesh
 from testbed.objects.model import ObjectModel
 from testbed.toml import Finite, NonNegative, Positive, load_toml
 
@@ -79,6 +80,7 @@ class Mesh(_Table, strict=True):
     friction: NonNegative | list[NonNegative] = 0.5
     parts: Annotated[list[MeshPart], Field(min_length=1, max_length=64)]
     grasps: Annotated[list[MeshGrasp], Field(max_length=64)] = []
+    contacts_m: Annotated[list[Annotated[list[Finite], Field(min_length=2, max_length=2)]], Field(max_length=64)] = []
 
     @model_validator(mode="after")
     def _fits_together(self) -> Self:
@@ -89,6 +91,8 @@ class Mesh(_Table, strict=True):
             raise InvalidValueError(
                 "parts.mass_kg", [part.mass_kg for part in self.parts], "a mass of each, or of none"
             )
+        if 0 < len(self.contacts_m) < 3:
+            raise InvalidValueError("contacts_m", self.contacts_m, "three points or more, or none: then cells touch")
         return self
 
 
@@ -135,7 +139,8 @@ class ObjectFile(_Table):
             except InvalidValueError as error:
                 raise InvalidValueError(f"mesh.parts.{index}.{error.field}", error.given, error.allowed) from None
         places = [GraspPlace(g.name, (g.at_m[0], g.at_m[1]), math.radians(g.closing_deg)) for g in m.grasps]
-        return mesh_object(self.name, parts, places, friction=friction, cell=m.cell_m, grid=grid)
+        contacts = [(x, y) for x, y in m.contacts_m]
+        return mesh_object(self.name, parts, places, friction=friction, cell=m.cell_m, grid=grid, contacts=contacts)
 
 
 def _build_blocks(name: str, b: Blocks, grid: int) -> ObjectModel:

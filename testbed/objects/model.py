@@ -5,10 +5,10 @@ Planar, in the object frame: origin at the mean of the particles, SI units.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from testbed.errors import InvalidValueError
 from testbed.validation import check_positive_fields, freeze_arrays, frozen_array, is_number
@@ -21,8 +21,12 @@ PAD_WIDTH = 0.022
 """Width of its pads [m]."""
 PAD_HEIGHT = (0.003, 0.040)
 """Lower and upper edge of its pads over the table while they hold [m]."""
+MINIMUM_HEIGHT = 0.010
+"""Least height of a face from the table up that the pads can hold [m]."""
 FINGER_DEPTH = 0.008
 """Thickness of a finger along the closing direction at its pads [m]."""
+TOUCH = 0.001
+"""Distance within which a surface touches the table, and a soft pad a face [m]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,6 +57,10 @@ class Grasp:
             raise InvalidValueError("Grasp.bottom", self.bottom, "a finite number >= 0, m")
         if self.top is not None and not (is_number(self.top) and self.top > self.bottom):
             raise InvalidValueError("Grasp.top", self.top, f"a finite number > bottom ({self.bottom:g} m), or None")
+
+    def moved(self, offset: Float[np.ndarray, "2"]) -> Grasp:
+        """The same grasp at another place, `offset` further [m]."""
+        return replace(self, position=self.position + offset)
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,6 +125,11 @@ class ObjectShape:
     def particles_per_group(self) -> Int[np.ndarray, "n_m"]:
         """Number of particles in each mass group, (n_m,)."""
         return np.bincount(self.mass_group, minlength=self.n_m)
+
+    @property
+    def is_contact(self) -> Bool[np.ndarray, "P"]:
+        """True for particles that are points of contact alone: they touch, and have no material."""
+        return (self.friction_group >= 0) & (self.fill == 0)
 
     def per_group(self, of_particles: Float[np.ndarray, "... P"]) -> Float[np.ndarray, "... n_m"]:
         """Sum over each group's particles, each as far as it is filled: what a mass of 1 a particle makes of it."""

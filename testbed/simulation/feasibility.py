@@ -12,14 +12,12 @@ from testbed.actions.lift import Lift
 from testbed.actions.path import EDGES, HIGH, LOW, outline, overhang, overhang_of
 from testbed.errors import InfeasibleTrialError
 from testbed.frames import rotation_2d
-from testbed.objects.model import GRAVITY, PAD_HEIGHT, PAD_WIDTH, STROKE, Grasp, ObjectModel
+from testbed.objects.model import GRAVITY, MINIMUM_HEIGHT, PAD_HEIGHT, PAD_WIDTH, STROKE, Grasp, ObjectModel
 from testbed.simulation.contacts import resting_loads
 from testbed.simulation.motion import JOINT_SPEED_LIMIT, Motion, arm_model
 from testbed.simulation.settings import MARGIN, SimulationSettings
 from testbed.trial import Trial
 
-MINIMUM_HEIGHT = 0.010
-"""Least height of a face from the table up that the pads can hold [m]."""
 FLANGE_PAYLOAD = 4.0
 """Payload of the Gen3 at its flange at mid range [kg]."""
 CLEARANCE = 0.010

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import io
+from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
 
@@ -14,8 +15,10 @@ from numpy.testing import assert_allclose
 
 from testbed.errors import InvalidValueError
 from testbed.objects.files import asset_folder, load_object
-from testbed.objects.meshes import GraspPlace, Part, mesh_object, read_mesh
+from testbed.objects.grasps import GraspPlace
+from testbed.objects.meshes import Part, mesh_object, read_mesh
 from testbed.objects.model import ObjectModel, Solid
+from testbed.objects.rays import RayGrid, grid_hits
 
 OBJECTS = asset_folder("objects")
 TOOLS = {"hammer": ("hammer_head", "hammer_handle"), "wrench": ("wrench_jaw", "wrench_ring")}
@@ -46,10 +49,11 @@ def cut(
     cell: float = 0.01,
     grid: int = 3,
     places: list[GraspPlace] | None = None,
+    contacts: Sequence[tuple[float, float]] = (),
 ) -> ObjectModel:
     """Meshes as an object, a part each, all of one friction."""
     parts = [Part(f"p{i}", mesh, mass, 0) for i, mesh in enumerate(meshes)]
-    return mesh_object("X", parts, places or [], friction=[0.5], cell=cell, grid=grid)
+    return mesh_object("X", parts, places or [], friction=[0.5], cell=cell, grid=grid, contacts=contacts)
 
 
 def across(x: float, y: float, degrees: float = 90.0) -> list[GraspPlace]:
@@ -163,6 +167,35 @@ def test_what_a_part_has_in_cells_of_another_is_counted_to_its_own():
     assert_allclose(columns[2], (1 - rays) * columns[3])
 
 
+def test_thin_parts_and_parts_in_the_air_have_cells():
+    rod, pin, lid = THREAD, box((0.004, 0.004, 0.02), (0.05, 0, 0)), box((0.03, 0.02, 0.01), (0.06, 0, 0.01))
+    made = cut(rod, pin, lid)
+    assert_allclose(made.group_mass, 0.4)
+    assert (made.shape.particles_per_group >= [5, 1, 6]).all()
+    touches = np.bincount(made.shape.mass_group, made.shape.friction_group >= 0)
+    assert touches[0] > 0 and touches[2] == 0
+    middle = np.array([made.particle_mass[made.shape.mass_group == g].sum() for g in range(3)])
+    assert_allclose(middle, 0.4)
+
+
+def test_a_body_on_points_rests_on_particles_without_material():
+    corners = [(0.01, 0.005), (0.09, 0.005), (0.05, 0.035)]
+    made, on_cells = cut(BAR, contacts=corners), cut(BAR)
+    assert made.shape.is_contact.sum() == 3 and not on_cells.shape.is_contact.any()
+    assert_allclose(made.shape.particles[made.shape.is_contact], np.array(corners) - [0.05, 0.02], atol=1e-12)
+    assert (made.shape.friction_group[~made.shape.is_contact] == -1).all()
+    assert_allclose(made.center_of_mass, on_cells.center_of_mass, atol=1e-12)
+    assert_allclose(made.particle_mass.sum(), on_cells.particle_mass.sum())
+
+
+def test_rays_leave_a_closed_surface_as_often_as_they_enter_it():
+    ball = trimesh.creation.icosphere(subdivisions=2, radius=0.02)
+    grid = RayGrid(np.array([-0.02, -0.02, 0.0]), np.array([0.0005, 0, 0]), np.array([0, 0.0005, 0]), (81, 81))
+    height, ray, out = grid_hits(ball, grid)  # through its corners and along its edges
+    assert (np.bincount(ray, out) == 0).all()
+    assert_allclose((out * height).sum() * 0.0005**2, ball.volume, rtol=2e-3)
+
+
 def test_a_hammer_lies_on_its_head_and_on_the_end_of_its_handle():
     shape = tool("hammer").shape
     head, touches = shape.mass_group == 0, shape.friction_group >= 0
@@ -240,10 +273,9 @@ BAR, SLAB, THREAD = box((0.1, 0.04, 0.02)), box((0.04, 0.04, 0.02)), box((0.05, 
             ([box((0.05, 0.05, 0.02), (0, 0, z))], {}, "mesh.parts", f"z = {z} m'; allowed: resting on z = 0, to 1 mm")
             for z in (0.002, -0.002)
         ),
-        ([SLAB, box((0.04, 0.04, 0.01), (0.04, 0, 0.005))], {}, "mesh.parts.1", "'p1 without a foot'; .*of 10 mm"),
-        ([SLAB, box((0.02, 0.001, 0.01), (0.04, 0, 0))], {}, "mesh.parts.1", "'p1 without a particle'"),
-        ([THREAD], {}, "mesh.parts.0", "'p0 without a particle'"),
-        ([THREAD], {"grid": 12}, "mesh.cell_m", "a cell that the parts fill"),
+        ([SLAB, box((0.02, 0.0005, 0.01), (0.04, 0, 0))], {}, "mesh.parts.1", "'p1 without a particle'"),
+        ([box((0.1, 0.02, 0.001))], {"places": across(0.05, 0.01)}, "mesh.grasps.0.at_m", "1.0 mm high.*lower edge"),
+        ([BAR], {"contacts": [(0, 0), (0.1, 0), (0.05, 0.1)]}, "mesh.contacts_m.2", "y -0.001 to 0.041 m"),
         ([box((40, 40, 20))], {}, "mesh.cell_m", "'4000 x 4000 cells of 0\\.01 m'.*meshes in metres"),
     ],
 )

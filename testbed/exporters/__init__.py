@@ -1,1 +1,0 @@
-"""Trials in formats of other programs."""

@@ -1,0 +1,159 @@
+"""Conversion of a mesh file to an object: pose, contacts, parts, cells and grasps, and the folder that holds them."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import trimesh
+from jaxtyping import Float
+
+from testbed.errors import InvalidValueError
+from testbed.files import write_whole
+from testbed.objects.conversion.parts import cut, labelled
+from testbed.objects.conversion.pose import Pose, asked_pose, stable_poses
+from testbed.objects.conversion.proposals import propose_grasps
+from testbed.objects.conversion.surface import as_mesh, read_surface
+from testbed.objects.grasps import GraspPlace
+from testbed.objects.meshes import Part, mesh_object
+from testbed.objects.model import ObjectModel
+from testbed.toml import toml_text
+
+CELLS = 150
+"""Cells into which an object is cut, about."""
+CELL = (0.001, 0.01)
+"""Least and greatest cell [m]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Converted:
+    """An object made of a mesh: everything but its masses."""
+
+    name: str
+    parts: tuple[trimesh.Trimesh, ...]
+    """Closed parts on the table z = 0 [m], from left to right."""
+    pose: Pose
+    """How it lies."""
+    grasps: tuple[GraspPlace, ...]
+    """Grasps, the first nearest the middle."""
+    cell: float
+    """Side of a cell [m]."""
+    told: tuple[str, ...]
+    """What was found and mended, in words."""
+
+    def model(self, masses: Sequence[float] = (), friction: float = 0.5) -> ObjectModel:
+        """The object with a mass of each part [kg]; without masses, by volume as of one kilogram in all."""
+        given = masses or self.masses((1.0,))
+        parts = [Part(name, mesh, mass, 0) for name, mesh, mass in zip(self.part_names, self.parts, given, strict=True)]
+        contacts = [(x, y) for x, y in self.pose.contacts.tolist()]
+        made = mesh_object(
+            self.name, parts, list(self.grasps), friction=[friction], cell=self.cell, grid=3, contacts=contacts
+        )
+        return made if masses else replace(made, masses_known=False)
+
+    @property
+    def part_names(self) -> tuple[str, ...]:
+        """Names of the parts."""
+        return tuple(f"part_{index + 1}" for index in range(len(self.parts)))
+
+    @property
+    def volumes(self) -> Float[np.ndarray, "n"]:
+        """Volume of each part [m^3]."""
+        return np.array([part.volume for part in self.parts])
+
+    def masses(self, given: Sequence[float]) -> tuple[float, ...]:
+        """Mass of each part [kg]: as given, or one mass in all shared by volume.
+
+        Raises:
+            InvalidValueError: neither one mass nor one a part, or one that is not positive.
+        """
+        if not (len(given) in (0, 1, len(self.parts)) and all(0 < mass < 100 for mass in given)):
+            allowed = f"one mass > 0 in all, or {len(self.parts)}, one a part from left to right"
+            raise InvalidValueError("mass", list(given), allowed)
+        if len(given) != 1:
+            return tuple(given)
+        return tuple((given[0] * self.volumes / self.volumes.sum()).tolist())
+
+
+def convert_mesh(
+    path: Path,
+    *,
+    name: str | None = None,
+    unit: str | None = None,
+    parts: str = "auto",
+    down: str = "auto",
+    cell: float | None = None,
+    most_grasps: int = 6,
+) -> Converted:
+    """An object from a mesh file.
+
+    Args:
+        path: STL, OBJ, PLY, OFF, GLB or 3MF.
+        name: of the object; the file's, or its folder's where that is "mesh".
+        unit: "m", "cm", "mm" or "in"; found if left out.
+        parts: as `conversion.parts.cut` takes it, or a PLY file with labelled points.
+        down: "auto" (the likeliest stable pose), an axis of the file ("x", "-z", ...), or the number of a stable pose.
+        cell: side of a cell, m; such that there are about `CELLS` if left out.
+        most_grasps: grasps that are proposed, at most.
+
+    Raises:
+        InvalidValueError: no mesh, no such pose or parts, or a cell too large for a part.
+    """
+    surface = read_surface(path, unit)
+    told = list(surface.told)
+    if parts.endswith(".ply"):
+        surface, parts = labelled(surface, Path(parts)), "colours"
+    if down == "auto" or down.isdigit():
+        poses = stable_poses(surface)
+        index = int(down) - 1 if down.isdigit() else 0
+        if not 0 <= index < len(poses):
+            raise InvalidValueError("down", down, f"1 to {len(poses)}, a stable pose, the likeliest first")
+        pose = poses[index]
+        chances = ", ".join(f"{100 * each.probability:.0f} %" for each in poses)
+        told.append(f"stable poses {chances}; laid in number {index + 1}")
+    else:
+        pose = asked_pose(surface, down)
+        told.append(f"{down} down")
+    laid = surface.transformed(pose.matrix)
+    whole = laid.whole
+    mesh = as_mesh(whole)
+    pieces, how = cut(laid, parts)
+    shapes = tuple(as_mesh(piece) for piece in pieces)
+    told.append(f"{len(pieces)} part{'s' * (len(pieces) > 1)} by {how if how in ('bodies', 'colours') else 'planes'}")
+    told.append(f"rests on {len(pose.contacts)} points")
+    if cell is None:
+        cell = float(np.clip(np.sqrt(whole.project().area() / CELLS), *CELL))
+        cell = round(cell * 2000) / 2000 or CELL[0]
+    places, _, refused = propose_grasps(whole, mesh, mesh.center_mass[:2], most_grasps)
+    if not places:
+        told.append(f"no grasp: {refused or 'no two faces across from each other'}")
+    stem = path.parent.name if path.stem.lower() == "mesh" else path.stem
+    clean = re.sub(r"[^\w.-]+", "_", name or stem)[:64] or "object"
+    return Converted(clean, shapes, pose, tuple(places), cell, tuple(told))
+
+
+def write_object(made: Converted, folder: Path, masses: Sequence[float] = (), friction: float = 0.5) -> Path:
+    """Write the object file and the meshes of its parts; returns the file.
+
+    Raises:
+        InvalidValueError: masses that do not fit the parts.
+    """
+    given = made.masses(masses)
+    files = [f"{made.name}_{part}.ply" for part in made.part_names]
+    for file, part in zip(files, made.parts, strict=True):
+        write_whole(folder / file, lambda path, mesh=part: path.write_bytes(mesh.export(file_type="ply")))
+    rows = [f"# {line}" for line in made.told]
+    mesh = {"cell_m": made.cell, "friction": friction, "contacts_m": np.round(made.pose.contacts, 6).tolist()}
+    rows.append(toml_text({"name": made.name, "mesh": mesh}))
+    for index, (part, file) in enumerate(zip(made.part_names, files, strict=True)):
+        table = {"name": part, "file": file, "mass_kg": round(given[index], 6) if given else None}
+        rows.append(f"[[mesh.parts]]\n{toml_text(table)}")
+    for place in made.grasps:
+        table = {"name": place.name, "at_m": list(place.at), "closing_deg": round(float(np.degrees(place.closing)), 1)}
+        rows.append(f"[[mesh.grasps]]\n{toml_text(table)}")
+    path = folder / f"{made.name}.toml"
+    write_whole(path, lambda part: part.write_text("\n".join(rows), encoding="utf-8"))
+    return path

@@ -1,0 +1,127 @@
+"""Poses of a rigid body on the table: its stable faces, and the points on which it then rests."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import trimesh
+from jaxtyping import Float
+from scipy.spatial import ConvexHull, QhullError
+
+from testbed.errors import InvalidValueError
+from testbed.objects.conversion.surface import Surface, as_mesh
+
+AXES = {sign + name: k for k, name in enumerate("xyz") for sign in ("", "-")}
+"""Axes of a file that may point down."""
+RESTING = 1e-4
+"""Height up to which a point of a hull's face touches the table [m]."""
+MOST_CONTACTS = 6
+"""Points of contact that are kept, at most."""
+LEAST_LOSS = 0.01
+"""Part of the polygon below which a point of contact is not missed."""
+LEAST_PROBABILITY = 0.02
+"""Probability below which a resting pose is not listed."""
+
+
+@dataclass(frozen=True, eq=False)
+class Pose:
+    """A pose on the table: a convex hull's face lies on z = 0, the longest side along x."""
+
+    matrix: Float[np.ndarray, "3 4"]
+    """Rotation and shift [m] from the mesh as it came."""
+    probability: float
+    """Probability that a fall ends in it; NaN for a pose that was asked for."""
+    contacts: Float[np.ndarray, "C 2"]
+    """Points of contact [m], anticlockwise: three or more."""
+
+
+def stable_poses(surface: Surface) -> list[Pose]:
+    """Poses in which a body of one density comes to rest, the likeliest first (Goldberg et al. 1999, by trimesh).
+
+    Raises:
+        InvalidValueError: no face on which it rests.
+    """
+    whole = as_mesh(surface.whole)
+    hull = whole.convex_hull
+    matrices, chances = trimesh.poses.compute_stable_poses(hull, center_mass=whole.center_mass)
+    found = list(_distinct(surface, matrices, chances))
+    if not found:
+        raise InvalidValueError("down", "auto", "a face on which the mesh rests; ask for one of " + ", ".join(AXES))
+    return found
+
+
+def asked_pose(surface: Surface, down: str) -> Pose:
+    """The pose in which an axis of the file points down: the face of the hull nearest to it lies on the table.
+
+    Raises:
+        InvalidValueError: not an axis.
+    """
+    if down not in AXES:
+        raise InvalidValueError("down", down, f"auto or one of {', '.join(AXES)}")
+    axis = np.zeros(3)
+    axis[AXES[down]] = -1.0 if down.startswith("-") else 1.0
+    hull = as_mesh(surface.whole).convex_hull
+    normal = hull.face_normals[(hull.face_normals @ axis).argmax()]
+    return _laid(surface, np.asarray(trimesh.geometry.align_vectors(normal, [0, 0, -1]))[:3, :3], np.nan)
+
+
+def _distinct(surface: Surface, matrices: np.ndarray, chances: np.ndarray) -> Iterator[Pose]:
+    """Poses whose undersides differ by more than 3 degrees: facets of a curve are one."""
+    downs: list[np.ndarray] = []
+    likely = np.argsort(-chances)
+    for index in likely:
+        down = matrices[index][2, :3]
+        same = [other @ down > np.cos(np.radians(3)) for other in downs]
+        if chances[index] < LEAST_PROBABILITY and downs:
+            return
+        if not any(same):
+            downs.append(down)
+            alike = [i for i in likely if matrices[i][2, :3] @ down > np.cos(np.radians(3))]
+            yield _laid(surface, matrices[index][:3, :3], float(chances[alike].sum()))
+
+
+def _laid(surface: Surface, rotation: Float[np.ndarray, "3 3"], probability: float) -> Pose:
+    """The pose of this rotation, turned about z so that its longest side lies along x."""
+    points = as_mesh(surface.whole).convex_hull.vertices @ rotation.T
+    box = trimesh.bounds.oriented_bounds_2D(points[:, :2])
+    turn = np.eye(3)
+    turn[:2, :2] = box[0][:2, :2]
+    turned = points @ turn.T
+    if np.ptp(turned[:, 0]) < np.ptp(turned[:, 1]):
+        turn = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]]) @ turn
+        turned = points @ turn.T
+    low, high = turned.min(axis=0), turned.max(axis=0)
+    shift = -np.array([*(low + high)[:2] / 2, low[2]])
+    matrix = np.column_stack([turn @ rotation, shift])
+    return Pose(matrix, probability, contact_points(turned + shift))
+
+
+def contact_points(vertices: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, "C 2"]:
+    """Corners of the polygon on which a body stands on z = 0, m: `MOST_CONTACTS` at most, those that span most.
+
+    Raises:
+        InvalidValueError: fewer than three points touch, or all in one line.
+    """
+    flat = vertices[vertices[:, 2] < vertices[:, 2].min() + RESTING, :2]
+    try:
+        corners = flat[ConvexHull(flat).vertices]
+    except (QhullError, ValueError):
+        given = f"{len(flat)} points in contact, in one line"
+        raise InvalidValueError("down", given, "a face of three points or more") from None
+    while len(corners) > MOST_CONTACTS or (len(corners) > 3 and _lost(corners).min() < LEAST_LOSS * _area(corners)):
+        corners = np.delete(corners, _lost(corners).argmin(), axis=0)
+    return corners
+
+
+def _lost(corners: np.ndarray) -> np.ndarray:
+    """Area that a polygon loses with each corner."""
+    before, after = np.roll(corners, 1, axis=0), np.roll(corners, -1, axis=0)
+    a, b = corners - before, after - before
+    return np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]) / 2
+
+
+def _area(corners: np.ndarray) -> float:
+    x, y = corners.T
+    return float(abs(x @ np.roll(y, -1) - y @ np.roll(x, -1)) / 2)

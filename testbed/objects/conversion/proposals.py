@@ -1,0 +1,116 @@
+"""Grasps proposed for a body on the table: faces across from each other, as the pads of the gripper would meet them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import trimesh
+from jaxtyping import Float
+from manifold3d import Manifold
+
+from testbed.errors import InvalidValueError
+from testbed.objects.grasps import GraspPlace, grasp_at
+from testbed.objects.model import FINGER_DEPTH, MINIMUM_HEIGHT, PAD_HEIGHT, STROKE, Grasp
+
+SPACING = 0.004
+"""Distance of the outline's points from which grasps start [m]."""
+LEVELS = 7
+"""Heights at which an outline is taken."""
+PARALLEL = np.cos(np.radians(12))
+"""Cosine of the angle up to which a face leans off the closing direction."""
+APART = 0.012
+"""Distance between two grasps that are proposed [m]."""
+ALIKE = 0.006, np.pi / 9
+"""Sides of the squares [m] and of the angles [rad] of which one candidate is tried."""
+CLEARANCE = 0.005
+"""Opening that is left beside the object [m]."""
+LEAST_FACE = 0.004
+"""Least length of a gripped face [m]."""
+
+
+def propose_grasps(
+    whole: Manifold, mesh: trimesh.Trimesh, middle: Float[np.ndarray, "2"], most: int
+) -> tuple[list[GraspPlace], list[Grasp], str]:
+    """Places where the gripper can take a body, spread over it, the first nearest its middle; and why none else.
+
+    Args:
+        whole: the body on the table z = 0.
+        mesh: the same as triangles.
+        middle: near the center of mass, m.
+        most: number of places.
+    """
+    if mesh.bounds[1, 2] < MINIMUM_HEIGHT:
+        given, least = mesh.bounds[1, 2] * 1e3, MINIMUM_HEIGHT * 1e3
+        return [], [], f"{given:.1f} mm high, and the pads need {least:g} mm: another side down, or no grasp"
+    pairs: dict[tuple[int, ...], tuple[np.ndarray, float]] = {}  # the most parallel of those that are alike
+    for center, angle, _ in sorted(_pairs(whole, mesh), key=lambda pair: pair[2]):
+        pairs[*np.round(center / ALIKE[0]).astype(int).tolist(), round(angle / ALIKE[1])] = center, angle
+    centers = np.array([center for center, _ in pairs.values()]).reshape(-1, 2)
+    angles = [angle for _, angle in pairs.values()]
+    places: list[GraspPlace] = []
+    grasps: list[Grasp] = []
+    refused = ""
+    left = np.ones(len(centers), dtype=bool)
+    while left.any() and len(places) < most:
+        chosen = np.array([place.at for place in places])
+        away = np.linalg.norm(centers - middle, axis=1)
+        score = -away if not places else np.linalg.norm(centers[:, None] - chosen, axis=2).min(axis=1)
+        best = int(np.where(left, score, -np.inf).argmax())
+        left[best] = False
+        if places and score[best] < APART:
+            break
+        (x, y), degrees = np.round(centers[best], 4).tolist(), round(float(np.degrees(angles[best])), 1) % 180
+        place = GraspPlace(f"grasp_{len(places) + 1}", (x, y), float(np.radians(degrees)))
+        try:
+            grasp = grasp_at(mesh, place, "grasp")
+        except InvalidValueError as error:
+            refused = f"{error.given}; the gripper needs {error.allowed}"
+            continue
+        top = mesh.bounds[1, 2] if grasp.top is None else grasp.top
+        if top < MINIMUM_HEIGHT + max(grasp.bottom - PAD_HEIGHT[0], 0.0):
+            refused = f"faces {(top - grasp.bottom) * 1e3:.1f} mm high"
+        elif grasp.width > STROKE - CLEARANCE or grasp.length < LEAST_FACE:
+            refused = f"faces {grasp.width * 1e3:.0f} mm apart and {grasp.length * 1e3:.0f} mm long"
+        else:
+            places.append(place)
+            grasps.append(grasp)
+    return places, grasps, refused
+
+
+def _pairs(whole: Manifold, mesh: trimesh.Trimesh) -> Iterator[tuple[np.ndarray, float, float]]:
+    """Midpoints between two faces of an outline [m], the direction that closes on them [rad], and how parallel."""
+    top = min(PAD_HEIGHT[1], float(mesh.bounds[1, 2]))
+    for height in PAD_HEIGHT[0] + (top - PAD_HEIGHT[0]) * (np.arange(LEVELS) + 0.5) / LEVELS:
+        loops = [np.asarray(loop) for loop in whole.slice(float(height)).to_polygons()]
+        if not loops:
+            continue
+        start, end = (np.vstack([np.roll(loop, -k, axis=0) for loop in loops]) for k in (0, 1))
+        length = np.linalg.norm(end - start, axis=1)
+        start, end, length = start[length > 1e-7], end[length > 1e-7], length[length > 1e-7]
+        along = (end - start) / length[:, None]
+        normal = np.column_stack([along[:, 1], -along[:, 0]])  # outlines run anticlockwise, holes clockwise
+        ticks = np.arange(SPACING / 2, length.sum(), SPACING)
+        which = np.searchsorted(np.cumsum(length), ticks)
+        points = start[which] + (ticks - (np.cumsum(length) - length)[which])[:, None] * along[which]
+        for point, own in zip(points, which, strict=True):
+            inward = -normal[own]
+            across = along @ [-inward[1], inward[0]]
+            with np.errstate(divide="ignore", invalid="ignore"):
+                offset = (point - start) @ [-inward[1], inward[0]]
+                part = offset / across  # m along each segment
+            reach = (start + np.nan_to_num(part)[:, None] * along - point) @ inward
+            met = (part >= 0) & (part < length) & (np.arange(len(start)) != own)
+            order = np.flatnonzero(met)[np.argsort(reach[met])]
+            ahead = order[reach[order] > 0][::2], order[reach[order] > 0][1::2]  # out of material, into more
+            if not len(ahead[0]) or (reach[order] > -FINGER_DEPTH).sum() > 2 * len(ahead[0]) - 1:
+                continue
+            gaps = reach[ahead[1]] - reach[ahead[0][: len(ahead[1])]]
+            last = int(np.append(gaps > FINGER_DEPTH, True).argmax())  # a finger fits into no slot before it
+            other = ahead[0][last]
+            met[[*ahead[0][: last + 1], *ahead[1][:last]]] = False
+            free = np.abs(reach[met] - reach[other] / 2).min(initial=np.inf) > STROKE / 2 + FINGER_DEPTH
+            if free and reach[other] < STROKE - CLEARANCE and normal[other] @ inward > PARALLEL:
+                closing = inward + normal[other]
+                angle = np.arctan2(closing[1], closing[0]) % np.pi
+                yield point + inward * reach[other] / 2, float(angle), float(normal[other] @ inward)

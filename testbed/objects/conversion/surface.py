@@ -1,0 +1,297 @@
+"""Surfaces as they come: their unit found, their bodies closed, their labels kept."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from dataclasses import dataclass, replace
+from functools import cached_property
+from io import BytesIO
+from pathlib import Path
+
+import numpy as np
+import trimesh
+from jaxtyping import Float, Int
+from manifold3d import Error, Manifold, Mesh64, OpType
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import KDTree
+from trimesh.visual import ColorVisuals
+
+from testbed.errors import InvalidValueError, short
+from testbed.files import read_file
+from testbed.objects.model import TOUCH
+
+FORMATS = ("stl", "obj", "ply", "off", "glb", "3mf")
+"""Formats that are read."""
+UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254}
+"""Length of each unit [m]."""
+MOST_BYTES, MOST_FACES = 128 * 2**20, 1_000_000
+"""Largest file, and largest number of triangles."""
+LONGEST, SHORTEST = 2.0, 0.005
+"""Longest and shortest object that lies on the table [m]."""
+SMALL = 0.005
+"""Part of the volume below which loose bodies are left out, and of the surface below which a colour is no part."""
+FINENESS = 5e-5
+"""Distance within which a surface keeps its place while triangles are saved [m]."""
+SAMPLE = 20_000
+"""Points of a surface whose labels are kept."""
+_NAMES = {"millimeter": "mm", "millimetre": "mm", "centimeter": "cm", "inch": "in", "meter": "m", "metre": "m"}
+
+
+@dataclass(frozen=True, eq=False)
+class Surface:
+    """Closed bodies of one object [m], and labelled points on its surface."""
+
+    bodies: tuple[Manifold, ...]
+    """Bodies, largest first; they may overlap or touch."""
+    points: Float[np.ndarray, "S 3"]
+    """Points of the surface that have a label [m]."""
+    labels: Int[np.ndarray, "S"]
+    """Label of each point, from 0: its colour, or its piece of the file; all 0 without any."""
+    of_body: Int[np.ndarray, "S"]
+    """Body of each point; -1 of none."""
+    told: tuple[str, ...]
+    """Unit, and what was mended, in words."""
+
+    @cached_property
+    def whole(self) -> Manifold:
+        """All bodies as one."""
+        return Manifold.batch_boolean(list(self.bodies), OpType.Add)
+
+    def transformed(self, matrix: Float[np.ndarray, "3 4"]) -> Surface:
+        """The surface elsewhere: a rotation and a shift."""
+        bodies = tuple(body.transform(matrix) for body in self.bodies)
+        return replace(self, bodies=bodies, points=self.points @ matrix[:, :3].T + matrix[:, 3])
+
+
+def read_surface(path: Path, unit: str | None = None) -> Surface:
+    """Surface from a file, mended where it is open.
+
+    Args:
+        path: STL, OBJ, PLY, OFF, GLB or 3MF.
+        unit: "m", "cm", "mm" or "in"; found if left out: said by the file, else from the size.
+
+    Raises:
+        InvalidValueError: no mesh, too large, of no likely size, or so open that it encloses nothing.
+    """
+    vertices, faces, labels, said = _load(path)
+    scale, told = _unit(np.ptp(vertices, axis=0).max(), unit, said)
+    vertices = vertices * scale
+    mesh = trimesh.Trimesh(vertices, faces, process=False)
+    points, face = trimesh.sample.sample_surface(mesh, SAMPLE, seed=0)[:2]
+    bodies, owner, mended = _closed(vertices, faces, path.name)
+    told = f"{told}; {len(bodies)} bod{'ies' if len(bodies) > 1 else 'y'}"
+    large = np.bincount(labels[face])[labels] > 4 * SMALL * SAMPLE  # not a print or a mark
+    points, face = points[large[face]], face[large[face]]
+    return Surface(tuple(bodies), points, np.unique(labels[face], return_inverse=True)[1], owner[face], (told, *mended))
+
+
+def as_mesh(body: Manifold) -> trimesh.Trimesh:
+    """A closed body as vertices and triangles."""
+    mesh = body.to_mesh64()
+    return trimesh.Trimesh(
+        np.asarray(mesh.vert_properties)[:, :3], np.asarray(mesh.tri_verts, dtype=int), process=False
+    )
+
+
+def _load(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray, str | None]:
+    """Vertices in the file's unit, triangles, their labels, and the unit if the file says it."""
+    kind = path.suffix.lower().removeprefix(".")
+    if kind not in FORMATS:
+        raise InvalidValueError("file", path.name, f"a mesh file: {', '.join(FORMATS)}")
+    if not path.is_file():
+        raise InvalidValueError("file", str(path), "a mesh file; there is none")
+    try:
+        content = read_file(path, MOST_BYTES)
+        scene = trimesh.load_scene(BytesIO(content), file_type=kind, process=False)
+    except OSError as error:
+        raise InvalidValueError("file", path.name, f"a mesh file that can be read: {error.strerror}") from None
+    except Exception as error:  # each of trimesh's readers raises its own
+        raise InvalidValueError("file", path.name, f"a mesh that trimesh reads; it says: {short(error, str)}") from None
+    pieces = [piece for piece in scene.dump() if isinstance(piece, trimesh.Trimesh) and len(piece.faces)]
+    if not pieces:
+        raise InvalidValueError("file", path.name, "a mesh with triangles")
+    starts = np.cumsum([0, *(len(piece.vertices) for piece in pieces)])
+    faces = np.vstack([piece.faces + start for piece, start in zip(pieces, starts[:-1], strict=True)])
+    if len(faces) > MOST_FACES:
+        raise InvalidValueError("file", f"{path.name} of {len(faces)} triangles", f"at most {MOST_FACES}")
+    vertices = np.vstack([piece.vertices for piece in pieces]).astype(float)
+    if not np.isfinite(vertices).all():
+        raise InvalidValueError("file", path.name, "finite coordinates")
+    labels = np.concatenate([_colours(piece, index) for index, piece in enumerate(pieces)])
+    labels = np.unique(labels, return_inverse=True, axis=0)[1].ravel()
+    head = content[:4096].decode("ascii", "ignore").lower() if kind in ("ply", "obj") else ""
+    said = re.search(r"(?:unit|length)[^\n]*?(millimet|centimet|met|inch)", head)
+    units = scene.units or ("meters" if kind == "glb" else said and said[1])
+    return vertices, faces, labels, _unit_name(units)
+
+
+def _unit_name(text: str | None) -> str | None:
+    word = (text or "").lower().rstrip("s")
+    return next((unit for name, unit in _NAMES.items() if word and name.startswith(word)), text)
+
+
+def _colours(piece: trimesh.Trimesh, index: int) -> Int[np.ndarray, "F 5"]:
+    """Piece of the file and colour of each triangle; no colours where it only has vertices'."""
+    found = np.zeros((len(piece.faces), 5), dtype=int)
+    found[:, 0] = index
+    look = piece.visual
+    if isinstance(look, ColorVisuals) and look.kind == "face":
+        found[:, 1:] = look.face_colors
+    elif isinstance(look, ColorVisuals) and look.kind == "vertex":
+        found[:, 1:] = np.sort(look.vertex_colors[piece.faces], axis=1)[:, 1]
+    return found
+
+
+def _unit(length: float, unit: str | None, said: str | None) -> tuple[float, str]:
+    """Length of the file's unit [m], and how it is known."""
+    if unit is not None and unit not in UNITS:
+        raise InvalidValueError("units", unit, ", ".join(UNITS))
+    if unit is None and said in UNITS and SHORTEST < length * UNITS[said] < LONGEST:
+        unit, why = said, "as the file says"
+    elif unit is None:
+        likely = [name for name in ("m", "mm") if 0.02 < length * UNITS[name] < LONGEST]
+        if not likely:
+            allowed = f"metres or millimetres of an object of 0.02 to {LONGEST:g} m, or --units"
+            raise InvalidValueError("file", f"a longest side of {length:.4g}", allowed)
+        unit, why = likely[0], f"taken from its longest side of {length:.4g}"
+    else:
+        why = "as asked"
+    if not SHORTEST < length * UNITS[unit] < LONGEST:
+        given = f"{length * UNITS[unit]:.4g} m long in {unit}"
+        raise InvalidValueError("units", given, f"a length of {SHORTEST:g} to {LONGEST:g} m")
+    return UNITS[unit], f"unit {unit}, {why}; {length * UNITS[unit] * 1e3:.0f} mm long"
+
+
+def _closed(
+    vertices: np.ndarray, faces: np.ndarray, name: str
+) -> tuple[list[Manifold], Int[np.ndarray, "F"], list[str]]:
+    """Closed bodies, the largest first, the body of each triangle (-1 of none), and what was mended."""
+    told: list[str] = []
+    merged, index = np.unique(np.round(vertices, 8), axis=0, return_inverse=True)
+    index = index.ravel()
+    if len(vertices) > 2 * len(faces):  # every triangle has corners of its own, as in STL
+        vertices, faces, index = merged, index[faces], np.arange(len(merged))
+    shells: list[tuple[Manifold, np.ndarray]] = []
+    # bodies that touch share no vertex in most files: merged all at once they would be one
+    edges = np.vstack([faces[:, [0, 1]], faces[:, [1, 2]]])
+    links = coo_array((np.ones(len(edges)), edges.T), shape=(len(vertices), len(vertices)))
+    component = connected_components(links, directed=False)[1][faces[:, 0]]
+    order = np.argsort(component, kind="stable")
+    for part in np.split(order, np.flatnonzero(np.diff(component[order])) + 1):
+        shell, mended = _shell(merged, index[faces[part]])
+        told += [mended] if mended else []
+        pieces = shell.decompose() if shell is not None else []
+        middles = merged[index[faces[part]]].mean(axis=1)
+        near = [KDTree(as_mesh(piece).triangles_center).query(middles)[0] for piece in pieces]
+        shells += [(piece, part[np.argmin(near, axis=0) == k]) for k, piece in enumerate(pieces)]
+    bodies = sorted(_without_cavities(shells, told), key=lambda body: -body[0].volume())
+    if not bodies:
+        raise InvalidValueError("file", name, "a mesh that encloses a volume, or nearly does")
+    volumes = np.array([body.volume() for body, _ in bodies])
+    hull = Manifold.batch_hull([body for body, _ in bodies[: int((volumes >= SMALL * volumes.sum()).sum())]])
+    # a small body that stands out may be what the object rests on
+    small = [
+        v < SMALL * volumes.sum() and _stands_out(body, hull) < TOUCH
+        for (body, _), v in zip(bodies, volumes, strict=True)
+    ]
+    if lost := sum(small):
+        part = 100 * volumes[small].sum() / volumes.sum()
+        told.append(f"{lost} small bod{'ies' if lost > 1 else 'y'} left out, {part:.2g} % of the volume")
+    bodies = [body for body, left_out in zip(bodies, small, strict=True) if not left_out]
+    owner = np.full(len(faces), -1)
+    for k, (_, part) in enumerate(bodies):
+        owner[part] = k
+    counts = [f"{n} times {what}" if n > 1 else what for what, n in Counter(told).items()]
+    return [body.simplify(FINENESS) for body, _ in bodies], owner, counts
+
+
+def _stands_out(body: Manifold, hull: Manifold) -> float:
+    """Distance by which a body leaves a convex one [m]."""
+    planes = as_mesh(hull)
+    beyond = as_mesh(body).vertices @ planes.face_normals.T - (planes.triangles[:, 0] * planes.face_normals).sum(axis=1)
+    return float(beyond.max())
+
+
+def _shell(vertices: np.ndarray, faces: np.ndarray) -> tuple[Manifold | None, str]:
+    """A connected surface as a closed body, or None where it encloses nothing; and what was mended."""
+    used, faces = np.unique(faces, return_inverse=True)
+    vertices, faces = vertices[used], faces.reshape(-1, 3)
+    a, b, c = faces.T
+    faces = faces[(a != b) & (b != c) & (c != a)]
+    found = _manifold(vertices, faces)
+    if found is not None:
+        return found, ""
+    mended: list[str] = []
+    _, place, copies = np.unique(np.sort(faces, axis=1), axis=0, return_index=True, return_counts=True)
+    if (copies > 1).any():  # a copy, or an inner wall of two triangles back to back
+        mended.append(f"{int((copies - 1).sum())} doubled triangles taken out")
+        for kept in (faces[place[copies % 2 == 1]], faces[place]):
+            if (found := _manifold(vertices, kept)) is not None:
+                return found, mended[0]
+        faces = faces[place]
+    if len(faces) < 4:
+        return None, f"a piece of {len(a)} triangles left out"
+    if len(np.unique(halves := _halves(faces), axis=0)) < len(halves):
+        mesh = trimesh.Trimesh(vertices, faces, process=False)
+        trimesh.repair.fix_winding(mesh)
+        faces = np.asarray(mesh.faces)
+        mended.append("triangles turned to face one way")
+    vertices, faces, holes = _filled(vertices, faces)
+    if holes:
+        mended.append(f"{holes} hole{'s' * (holes > 1)} filled")
+    found = _manifold(vertices, faces)
+    if found is None:
+        return None, f"a piece of {len(a)} triangles that encloses nothing left out"
+    return found, ", ".join(mended)
+
+
+def _manifold(vertices: np.ndarray, faces: np.ndarray) -> Manifold | None:
+    """A closed body, or None where an edge has more sides one way than the other."""
+    made = Manifold(Mesh64(np.array(vertices, dtype=float, order="C"), np.array(faces, dtype=np.uint64, order="C")))
+    return made if made.status() == Error.NoError and not made.is_empty() else None
+
+
+def _halves(faces: np.ndarray) -> Int[np.ndarray, "E 2"]:
+    return np.vstack([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+
+
+def _filled(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray, int]:
+    """Vertices and triangles with every hole covered by a fan about its middle, and the number of holes."""
+    halves = _halves(faces)
+    code = halves @ [len(vertices), 1]
+    kinds, counts = np.unique(code, return_counts=True)
+    back = (kinds % len(vertices)) * len(vertices) + kinds // len(vertices)
+    at = np.minimum(np.searchsorted(kinds, back), len(kinds) - 1)
+    against = np.where(kinds[at] == back, counts[at], 0)
+    open_ = np.repeat(kinds, np.maximum(counts - against, 0))
+    if not len(open_):
+        return vertices, faces, 0
+    start, end = (np.asarray(each, dtype=int) for each in np.divmod(open_, len(vertices)))
+    links = coo_array((np.ones(len(start)), (start, end)), shape=(len(vertices), len(vertices)))
+    of_vertex = np.asarray(connected_components(links, directed=False)[1], dtype=int)
+    hole = np.unique(of_vertex[start], return_inverse=True)[1]
+    middles = np.array([vertices[start[hole == k]].mean(axis=0) for k in range(hole.max() + 1)])
+    fans = np.column_stack([end, start, len(vertices) + hole])
+    return np.vstack([vertices, middles]), np.vstack([faces, fans]), len(middles)
+
+
+def _without_cavities(shells: list[tuple[Manifold, np.ndarray]], told: list[str]) -> list[tuple[Manifold, np.ndarray]]:
+    """Bodies of shells: one that faces inwards is a cavity of the body that holds it, or else was inside out."""
+    bodies = [(shell, part) for shell, part in shells if shell.volume() > 0]
+    for shell, part in shells:
+        if shell.volume() >= 0:
+            continue
+        mesh = as_mesh(shell)
+        turned = _manifold(mesh.vertices, mesh.faces[:, ::-1])
+        if turned is None:
+            continue
+        held = [k for k, (body, _) in enumerate(bodies) if (body ^ turned).volume() > 0.99 * turned.volume()]
+        if held:
+            body, faces = bodies[held[0]]
+            bodies[held[0]] = body - turned, np.append(faces, part)
+        else:
+            told.append("a body turned inside out")
+            bodies.append((turned, part))
+    return bodies

@@ -1,0 +1,198 @@
+"""Mesh files as they come to objects: units, mending, poses, contacts, parts, grasps, and the files written."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+from numpy.testing import assert_allclose
+
+from scenarios.cli.main import main
+from testbed.errors import InvalidValueError
+from testbed.objects.conversion import convert_mesh, write_object
+from testbed.objects.conversion.parts import cut, labelled
+from testbed.objects.conversion.pose import contact_points, stable_poses
+from testbed.objects.conversion.surface import as_mesh, read_surface
+from testbed.objects.files import load_object
+
+TOOLS = Path(os.environ.get("HEFT_TOOLS", Path(__file__).parents[4] / "shared" / "tools"))
+HEAD, SHAFT = (0.04, 0.09, 0.03), (0.20, 0.03, 0.02)
+RED, GREY = [200, 30, 30, 255], [120, 120, 120, 255]
+
+
+def box(size: tuple[float, float, float], middle: tuple[float, float, float], color: list[int]) -> trimesh.Trimesh:
+    """Box in one colour, m."""
+    made = trimesh.creation.box(size)
+    made.visual = trimesh.visual.ColorVisuals(made, face_colors=color)
+    return made.apply_translation(middle)
+
+
+def together(*meshes: trimesh.Trimesh) -> trimesh.Trimesh:
+    """Several bodies as one mesh."""
+    made = trimesh.util.concatenate(list(meshes))
+    assert isinstance(made, trimesh.Trimesh)
+    return made
+
+
+def mallet(overlap: float = 0.0) -> trimesh.Trimesh:
+    """A head and a shaft that abut or overlap, standing on end, m."""
+    made = together(box(HEAD, (0, 0, 0), RED), box(SHAFT, (0.12 - overlap, 0, -0.005), GREY))
+    return made.apply_transform(trimesh.transformations.rotation_matrix(1.1, [0.3, 1, 0.2]))
+
+
+def saved(mesh: trimesh.Trimesh, path: Path, scale: float = 1.0) -> Path:
+    """File of a mesh, in units of 1 / scale m."""
+    mesh.copy().apply_scale(scale).export(path)
+    return path
+
+
+@pytest.mark.parametrize(
+    ("name", "scale", "told"),
+    [
+        ("m.stl", 1.0, "unit m, taken from"),
+        ("mm.obj", 1e3, "unit mm, taken from"),
+        ("mm.ply", 1e3, "unit mm, taken from"),
+        ("m.glb", 1.0, "unit m, as the file says"),
+        ("mm.off", 1e3, "unit mm, taken from"),
+    ],
+)
+def test_every_format_is_one_object_in_metres(tmp_path: Path, name: str, scale: float, told: str):
+    made = convert_mesh(saved(mallet(), tmp_path / name, scale), parts="bodies")
+    assert told in made.told[0]
+    assert_allclose(np.sort(made.volumes), np.sort([np.prod(HEAD), np.prod(SHAFT)]), rtol=1e-3)  # of triangles saved
+    assert_allclose(joined_bounds(made.parts), [[-0.12, -0.045, 0], [0.12, 0.045, 0.03]], atol=1e-4)
+    assert made.grasps
+
+
+def joined_bounds(parts) -> np.ndarray:
+    """Least and greatest coordinates of several meshes [m]."""
+    return np.array([np.min([p.bounds[0] for p in parts], axis=0), np.max([p.bounds[1] for p in parts], axis=0)])
+
+
+def test_a_unit_is_taken_as_asked_and_an_unlikely_one_refused(tmp_path: Path):
+    path = saved(mallet(), tmp_path / "tool.stl", 1 / 0.0254)
+    assert "unit in, as asked; 229 mm" in read_surface(path, "in").told[0]
+    for length, unit in ((1e6, None), (1e3, "m"), (1.0, "ell")):
+        with pytest.raises(InvalidValueError):
+            read_surface(saved(mallet(), tmp_path / "other.stl", length), unit)
+
+
+def test_what_is_open_inside_out_or_doubled_is_mended(tmp_path: Path):
+    whole = mallet(overlap=0.01)
+    broken = {
+        "hole": trimesh.Trimesh(whole.vertices, whole.faces[[0, *range(2, 24)]], process=False),
+        "turned": trimesh.Trimesh(whole.vertices, np.vstack([whole.faces[:12, ::-1], whole.faces[12:]]), process=False),
+        "one way": trimesh.Trimesh(whole.vertices, np.vstack([whole.faces[:1, ::-1], whole.faces[1:]]), process=False),
+        "doubled": trimesh.Trimesh(whole.vertices, np.vstack([whole.faces, whole.faces[:2, ::-1]]), process=False),
+    }
+    union = np.prod(HEAD) + np.prod(SHAFT) - 0.01 * SHAFT[1] * SHAFT[2]
+    for why, mesh in broken.items():
+        surface = read_surface(saved(mesh, tmp_path / f"{why}.ply"))
+        assert any(why in told or "filled" in told for told in surface.told[1:]), surface.told
+        assert_allclose(surface.whole.volume(), union, rtol=1e-4)
+    assert read_surface(saved(whole, tmp_path / "whole.ply")).told[1:] == ()
+    with pytest.raises(InvalidValueError, match="encloses a volume"):
+        sheet = trimesh.Trimesh([[0, 0, 0], [0.1, 0, 0], [0, 0.1, 0]], [[0, 1, 2]])
+        read_surface(saved(sheet, tmp_path / "sheet.ply"))
+
+
+def test_a_cavity_stays_a_cavity(tmp_path: Path):
+    inner = trimesh.creation.box((0.02, 0.02, 0.02))
+    inner.invert()
+    hollow = together(trimesh.creation.box((0.06, 0.06, 0.06)), inner)
+    (body,) = read_surface(saved(hollow, tmp_path / "hollow.ply")).bodies
+    assert_allclose(body.volume(), 0.06**3 - 0.02**3, rtol=1e-9)
+
+
+def test_parts_by_bodies_colours_planes_and_points_share_the_volume(tmp_path: Path):
+    surface = read_surface(saved(mallet(overlap=0.01), tmp_path / "mallet.ply"))
+    surface = surface.transformed(stable_poses(surface)[0].matrix)
+    whole = surface.whole.volume()
+    for how, count in (("bodies", 2), ("colours", 2), ("3", 3), ("0.2,0.5,0.7", 4), ("1", 1), ("auto", 2)):
+        parts, _ = cut(surface, how)
+        assert len(parts) == count
+        assert_allclose(sum(part.volume() for part in parts), whole, rtol=1e-4)
+        assert all(as_mesh(part).is_volume for part in parts)
+    # one body alone, whose points have two labels: it is cut where the labels meet
+    bar = read_surface(saved(trimesh.creation.box((0.2, 0.03, 0.02)), tmp_path / "bar.ply"))
+    left = (bar.points[:, 0] < 0.02).astype(int)
+    parts, _ = cut(replace(bar, labels=left), "colours")
+    assert_allclose([part.volume() for part in parts], np.array([0.12, 0.08]) * 0.03 * 0.02, rtol=0.02)
+    cloud = tmp_path / "cloud.ply"
+    rows = [f"{x * 1e3} {y * 1e3} {z * 1e3} {k}" for (x, y, z), k in zip(bar.points[:500], left[:500], strict=True)]
+    head = "ply\nformat ascii 1.0\nelement vertex 500\nproperty float x\nproperty float y\nproperty float z\n"
+    cloud.write_text(head + "property uchar segmentation\nend_header\n" + "\n".join(rows) + "\n")
+    parts, _ = cut(labelled(bar, cloud), "colours")
+    assert_allclose([part.volume() for part in parts], np.array([0.12, 0.08]) * 0.03 * 0.02, rtol=0.05)
+    for wrong in ("0", "99", "1.5", "colour"):
+        with pytest.raises(InvalidValueError, match="planes as"):
+            cut(bar, wrong)
+
+
+def test_a_tripod_stands_on_its_three_feet(tmp_path: Path):
+    feet = [(0.06, 0.0), (-0.04, 0.05), (-0.04, -0.05)]
+    legs = [box((0.004, 0.004, 0.02), (x, y, 0.01), GREY) for x, y in feet]
+    disc = trimesh.creation.cylinder(radius=0.08, height=0.02, sections=48)
+    stool = together(disc.apply_translation((0, 0, 0.03)), *legs)
+    path = saved(stool, tmp_path / "stool.stl", 1e3)
+    made = convert_mesh(path, down="-z", parts="1")
+    assert len(made.pose.contacts) in range(3, 7)
+    near = np.array([np.linalg.norm(made.pose.contacts - c, axis=1).min() for c in made.pose.contacts])
+    assert (near < 1e-9).all()
+    assert_allclose(np.linalg.norm(made.pose.contacts, axis=1), np.linalg.norm(feet, axis=1).mean(), atol=0.012)
+    shape = made.model().shape
+    assert shape.is_contact.sum() == len(made.pose.contacts) and not made.model().masses_known
+    upright = contact_points(np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0.5, 0.5, 1.0], [0.5, 0, 0]]))
+    assert len(upright) == 4
+    with pytest.raises(InvalidValueError, match="in one line"):
+        contact_points(np.array([[0, 0, 0], [1, 0, 0], [0.5, 0.5, 1]]))
+
+
+def test_grasps_are_across_the_shaft_and_spread_over_it(tmp_path: Path):
+    made = convert_mesh(saved(mallet(), tmp_path / "mallet.ply"), most_grasps=4)
+    grasps = made.model().shape.grasps
+    assert len(grasps) == 4
+    for grasp in grasps:
+        across_shaft = abs(np.sin(grasp.angle)) > 0.99
+        assert_allclose(grasp.width, SHAFT[1] if across_shaft else HEAD[0], atol=2e-4)
+    apart = [np.linalg.norm(a.position - b.position) for a in grasps for b in grasps if a is not b]
+    assert min(apart) > 0.012
+
+
+def test_the_files_are_an_object_that_loads_as_it_was_made(tmp_path: Path, capsys):
+    path = saved(mallet(), tmp_path / "my mallet.ply")
+    made = convert_mesh(path)
+    model = made.model((0.4, 0.2))
+    loaded = load_object(write_object(made, tmp_path / "by_hand", (0.4, 0.2)))
+    assert loaded.name == "my_mallet"
+    assert_allclose(loaded.shape.particles, model.shape.particles, atol=1e-6)
+    assert_allclose(loaded.group_mass, [0.4, 0.2])
+    main(["mesh", str(path), "--out", str(tmp_path / "out"), "--mass", "0.6"])
+    said = capsys.readouterr().out
+    assert "2 parts by colours" in said and "rests on" in said
+    told = load_object(tmp_path / "out" / "my_mallet.toml")
+    assert_allclose(told.group_mass, 0.6 * made.volumes / made.volumes.sum(), atol=1e-6)
+    assert (tmp_path / "out" / "my_mallet.png").stat().st_size > 10_000
+    with pytest.raises(SystemExit) as ended:
+        main(["mesh", str(path), str(tmp_path / "none.stl"), "--out", str(tmp_path / "out")])
+    assert ended.value.code == 1 and "a mesh file; there is none" in capsys.readouterr().out
+    with pytest.raises(InvalidValueError, match="2, one a part"):
+        made.masses((1.0, 2.0, 3.0))
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not TOOLS.is_dir(), reason="no folder of real tools: HEFT_TOOLS names one")
+def test_every_real_tool_is_an_object():
+    files = sorted(TOOLS.glob("*/mesh.ply"))
+    assert len(files) == 15
+    for file in files:
+        made = convert_mesh(file, most_grasps=2)
+        model = made.model((0.3,))
+        assert model.name == file.parent.name and model.shape.n_m > 1
+        assert 3 <= model.shape.is_contact.sum() <= 6
+        assert_allclose(model.total_mass, 0.3)
+        assert (np.linalg.norm(model.shape.particles[~model.shape.is_contact], axis=1) < 0.2).all()

@@ -147,9 +147,10 @@ def estimate(
 ) -> None:
     """Estimate from the measured trials of a folder by every method: masses with their intervals, and a report.
 
-    The trials are those of heft robot trial and heft import, as they were measured: no sensor's errors are drawn. Those
-    that are no data are left out. The last weighing counts. masses.csv and masses.json hold what is printed. Masses in
-    the object's file are taken for the truth that the NAD is against.
+    Then a map of the first answer, and what to do next. The trials are those of heft robot trial and heft import, as
+    they were measured: no sensor's errors are drawn. Those that are no data are left out. The last weighing counts.
+    masses.csv and masses.json hold the numbers. Masses in the object's file are taken for the truth that the NAD is
+    against.
 
     Exit code: 1 where some method failed or had no data.
     Examples: heft estimate results/robot --methods hidden_states explicit_state_M
@@ -168,9 +169,11 @@ def estimate(
     from scenarios.cli.run import show_progress, show_tables
     from scenarios.study.run import EstimateRequest, estimate_measured
     from scenarios.views.answers import answers_of, write_answers
+    from scenarios.views.next_step import next_step
     from scenarios.views.report import report
     from testbed.plugins import find_code_here
     from viz.report.answers import answer_table
+    from viz.report.mass_map import mass_map
     from viz.report.terminal import rich_table
 
     if allow_code or any(":" in method for method in methods or ()):
@@ -188,6 +191,9 @@ def estimate(
             for answer in answers:
                 if answer.evidence:
                     print(f"support, by {answer.method}: {answer.evidence}")
+            if best := next((answer for answer in answers if answer.distribution is not None), None):
+                console.print(mass_map(best))
+                print(next_step(folder, done.rows, best))
         if any(row.get("nad") is not None for row in done.rows):
             show_tables(console, done.scenario, done.rows)
         for path in write_answers(folder, groups):

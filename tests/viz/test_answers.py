@@ -14,6 +14,7 @@ from scenarios.views.answers import support_verdict
 from testbed.objects.files import load_object
 from testbed.objects.model import MassDistribution
 from viz.report.answers import Answer, answer_fields, answer_rows, answer_table
+from viz.report.mass_map import WIDEST, mass_map
 
 WRENCH = load_object("wrench")
 """Its particles are filled unevenly."""
@@ -49,6 +50,25 @@ def test_what_is_not_known_is_said():
     rows = answer_rows([answer(np.eye(len(COUNT)))])
     assert min(row["low"] for row in rows if row["unit"] == "kg") == 0.0  # no mass is negative
     assert answer_rows([replace(none, distribution=None)]) == []
+
+
+def test_the_map_shows_every_mass_in_its_place():
+    block = load_object("L2")
+    masses, count = block.truth.mass, block.shape.particles_per_group
+    covariance = np.diag([np.inf, *np.full(len(count) - 1, 1e-9)])
+    made = Answer("L2", "own_weight", "m", "ok", "", block.shape, block.truth, covariance, 1.0, "own weight", "")
+    lines = mass_map(made).plain.splitlines()[1:]
+    assert len(lines) == 12
+    assert max(map(len, lines)) == 18
+    for group in range(1, block.shape.n_m):
+        assert sum(f"{masses[group] * count[group]:.3f}" in line for line in lines) >= 1
+        assert sum(block.shape.group_names[group] in line for line in lines) == 1
+    middle = lines[-2].split("0.100")  # A1, not observed, left of B1 and C1
+    assert "?" in middle[0] and len(middle) == 3
+    fine = replace(made, shape=load_object("L2", grid=30).shape, covariance=None)
+    assert max(map(len, mass_map(fine).plain.splitlines())) <= WIDEST
+    with pytest.raises(ValueError, match="without masses"):
+        mass_map(replace(made, distribution=None))
 
 
 @pytest.mark.parametrize(

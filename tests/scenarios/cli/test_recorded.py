@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,9 +14,11 @@ from numpy.testing import assert_allclose
 
 from estimators.hidden_states.estimator import HiddenStates
 from scenarios.cli.main import main
-from scenarios.results.estimates import load_results, load_trajectories
+from scenarios.results.estimates import load_estimate, load_results, load_trajectories
 from scenarios.results.store import Store
 from scenarios.study.run import EstimateRequest
+from scenarios.views.answers import answers_of
+from scenarios.views.next_step import next_step
 from scenarios.views.values import estimate_view, trial_view
 from testbed.actions.rotate import Rotate
 from testbed.actions.slide import Slide
@@ -144,7 +147,9 @@ def test_bad_input_is_one_clear_line(lab: Path, capsys: pytest.CaptureFixture[st
     assert len(told.splitlines()) == 1
 
 
-def test_every_method_answers_from_what_was_measured(lab: Path, capsys: pytest.CaptureFixture[str]):
+def test_every_method_answers_from_what_was_measured(
+    lab: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
     """Equal to a direct call: nothing is drawn, and the truth is only compared."""
     assert ended("import", "lab.toml", "--out", "lab", "--weight", "1.8") == 0
     asked = ("estimate", "lab", "--methods", "hidden_states", "random_search_M", "--held-out", "1", "--workers", "0")
@@ -166,6 +171,12 @@ def test_every_method_answers_from_what_was_measured(lab: Path, capsys: pytest.C
     assert f"A1 {a1['value']:.3f} [{a1['low']:.3f} {a1['high']:.3f}]" in " ".join(" ".join(printed).split())
     assert_allclose([written["quantities"]["total"][end] for end in ("value", "low")], 1.8, atol=0.01)
     assert written["support_verdict"] == "assumed"
+    assert re.search(rf"^██A4██ *\n{written['quantities']['A4']['value']:.3f}█", said, re.MULTILINE)  # the map
+    (group,) = answers_of(Path("lab"), rows)
+    bad = replace(load_estimate("lab", rows[0]["key"]), diagnostics={"misfit": 9.0})
+    monkeypatch.setattr("scenarios.views.next_step.load_estimate", lambda *_: bad)
+    assert "next: the masses do not explain the trials: heft doctor lab" in next_step(Path("lab"), rows, group[0])
+    assert re.search(r"^next: (nothing more is needed|turn|accelerate).* known", said, re.MULTILINE)
     assert len(pd.read_csv("lab/masses.csv")) == 2 * (6 + 3)
     assert rows[0]["nad"] < 0.1
     assert rows[0]["mpd_turn_m"] < 0.01

@@ -1,0 +1,87 @@
+"""What to do next after an estimate from measured trials: a sentence."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from estimators.action_selection.design import ASSUMED_SUPPORTS, Guess
+from estimators.action_selection.online import OnlinePolicy
+from estimators.base import Estimate
+from estimators.evaluation.statistics import Row
+from estimators.identifiability.information import SUPPORTS
+from estimators.particles.misfit import UNEXPLAINED
+from scenarios.results.estimates import load_estimate
+from scenarios.results.store import Store
+from scenarios.results.trials import sensed_trials
+from testbed.objects.model import ObjectShape
+from testbed.sensing.presets import preset
+from testbed.sensing.windows import weight_of
+from testbed.trajectory import Trajectory
+from viz.report.answers import Answer
+
+ENOUGH = 0.02
+"""Expected NAD below which no further trial is proposed."""
+CANDIDATES = 60
+"""Actions among which the next one is chosen."""
+_LEAST_SURE = 2
+
+
+class _Known:
+    """Estimator of an answer that is there."""
+
+    def __init__(self, answer: Estimate):
+        self._answer = answer
+
+    def estimate(
+        self, shape: ObjectShape, weight: float | None, trajectories: Sequence[Trajectory], seed: int
+    ) -> Estimate:
+        """The answer.
+
+        Args:
+            shape: not used, as the others.
+            weight: mass of the object [kg].
+            trajectories: trials.
+            seed: seed.
+        """
+        return self._answer
+
+
+def next_step(folder: Path, rows: Sequence[Row], answer: Answer) -> str:
+    """What to do after one answer, in a sentence: look for an error, make one more trial, or stop.
+
+    The trial is the one that teaches most a second, of those that the planner considers; whether the arm reaches it is
+    not checked.
+
+    Args:
+        folder: results folder.
+        rows: rows of results.parquet, the answer's among them.
+        answer: what it says.
+
+    Raises:
+        HeftError: a file of the folder is damaged.
+    """
+    of = (answer.object, answer.support, answer.method)
+    row = next(row for row in rows if row.get("key") and (row["object"], row["support"], row["method"]) == of)
+    found = load_estimate(folder, row["key"])
+    misfit = found.diagnostics.get("misfit", 1.0)
+    if misfit > UNEXPLAINED or found.status in ("unexplained", "contradictory"):
+        return f"next: the masses do not explain the trials: heft doctor {folder} says what would, and what to check"
+    if not answer.shape.grasps:
+        return "next: nothing: the object has no grasp, so no turn can be planned"
+    keys, shape = tuple(row["trial_keys"]), answer.shape
+    weighing, *trials = sensed_trials(Store(folder), keys, str(row["sensing"]), int(row["seed"]))
+    supports = SUPPORTS if answer.evidence else ASSUMED_SUPPORTS.get(answer.support, SUPPORTS[:1])
+    guess = Guess(weight_of(weighing), preset("ft300s").stated, supports=supports)
+    policy = OnlinePolicy(guess, candidates=CANDIDATES, estimator=_Known(found))
+    decision = policy.decide(shape, trials)
+    sure = f"the masses are known to {100 * decision.nad:.2g} % of the whole, taken together"
+    if decision.action is None or (decision.answered and decision.nad < ENOUGH):
+        return f"next: nothing more is needed: {sure}" if decision.answered else f"next: {decision.why}"
+    error = decision.standard_error
+    worst = [shape.group_names[g] for g in np.argsort(-error)[:_LEAST_SURE]]
+    return (
+        f"next: {decision.action.describe(shape)}: it would teach most; {' and '.join(worst)} are known least, {sure}"
+    )

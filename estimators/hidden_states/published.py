@@ -220,9 +220,9 @@ def _unloaded(trials: TrialWindows, guess: MassDistribution) -> TrialWindows:
 
     def unloaded(windows: Observations) -> Observations:
         friction = trials.friction_equations(guess, windows).b.reshape(-1, 3)
-        return replace(windows, wrench=friction + windows.inertial_wrench(inertia))
+        return replace(windows, wrench=friction + windows.inertial_wrench(inertia) + windows.spin_up(inertia))
 
-    return replace(trials, steady=unloaded(trials.steady), accelerated=unloaded(trials.accelerated))
+    return replace(trials, windows=unloaded(trials.windows), accelerated=unloaded(trials.accelerated))
 
 
 def _judged(trials: TrialWindows, found: Estimate) -> Estimate:

@@ -33,9 +33,9 @@ class UnknownSetup(TrialWindows):
 
     def refined(self, guess: MassDistribution, s: Float[np.ndarray, "n_s"]) -> Self:
         """The trials, linear about the parameters that fit best with s."""
-        layout = self.linear.layout if self.linear else NuisanceLayout.of(self.prior, self.steady)
+        layout = self.linear.layout if self.linear else NuisanceLayout.of(self.prior, self.windows)
         at = self.linear.parameters(s) if self.linear else torch.zeros(len(layout.names), dtype=torch.float64)
-        linear = NuisanceSystem.of(lambda windows: self.friction_equations(guess, windows), self.steady, layout, at, s)
+        linear = NuisanceSystem.of(lambda windows: self.friction_equations(guess, windows), self.windows, layout, at, s)
         turned = torch.zeros(len(self.accelerated), 7, dtype=torch.float64)
         turned[:, ANISOTROPY] = layout.anisotropy(at)
         return replace(self, linear=linear, accelerated=corrected(self.accelerated, turned))
@@ -62,7 +62,7 @@ class UnknownSetup(TrialWindows):
         """Misfit with the parameters that fit s."""
         assert self.linear is not None
         layout, at = self.linear.layout, self.linear.parameters(s)
-        windows = corrected(self.steady, layout.spread(at), biased="bias" in layout.kind)
+        windows = corrected(self.windows, layout.spread(at), biased="bias" in layout.kind)
         return self._misfit(windows, guess, s, len(s) + len(at), always=always)
 
     def annotated(self, estimate: Estimate, s: Float[np.ndarray, "n_s"]) -> Estimate:

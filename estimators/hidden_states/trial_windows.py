@@ -16,6 +16,7 @@ from typing import Self
 import numpy as np
 import torch
 from jaxtyping import Float
+from torch import Tensor
 
 from estimators.base import Estimate, robot_seconds
 from estimators.hidden_states.masses import friction_loads
@@ -47,10 +48,10 @@ class TrialWindows:
     model: ParticleModel
     groups: LoadGroups
     """G_s."""
-    steady: Observations
-    """Windows of constant speed."""
+    windows: Observations
+    """All windows: friction shows in each."""
     accelerated: Observations
-    """Windows of constant acceleration."""
+    """Windows of constant acceleration: I_j shows in these."""
     robot_seconds: float
     """Robot time that the trials took, s."""
 
@@ -62,26 +63,44 @@ class TrialWindows:
         windows = observe(shape, trajectories, errors)
         if windows is None or bool(windows.accelerated.all()):
             return None
-        model, steady = ParticleModel.of(shape), windows.where(~windows.accelerated)
-        accelerated, seconds = windows.where(windows.accelerated), robot_seconds(trajectories)
+        model, accelerated = ParticleModel.of(shape), windows.where(windows.accelerated)
         errors = replace(errors, weight_error=math.hypot(errors.weight_error, windows.setup.scale))
-        return TrialWindows(shape, weight, errors, model, LoadGroups.of(model), steady, accelerated, seconds)
+        seconds = robot_seconds(trajectories)
+        return TrialWindows(shape, weight, errors, model, LoadGroups.of(model), windows, accelerated, seconds)
+
+    @property
+    def steady(self) -> Observations:
+        """Windows of constant speed."""
+        return self.windows.where(~self.windows.accelerated)
 
     def first_guess(self) -> MassDistribution:
         """Uniform mass, as Algorithm 1 starts, and the largest drag over the weight, a lower bound of friction."""
         mass = np.full(self.shape.n_m, self.weight / len(self.shape.particles))
-        return MassDistribution(mass, np.full(self.shape.n_mu, self.steady.drag / (self.weight * GRAVITY)))
+        return MassDistribution(mass, np.full(self.shape.n_mu, self.windows.drag / (self.weight * GRAVITY)))
 
     def friction_loads(self, at: MassDistribution) -> Float[np.ndarray, "n_s"]:
         """s under given masses and frictions, N."""
         return friction_loads(self.shape, self.groups.pairs, at)
 
     def friction_equations(self, guess: MassDistribution, windows: Observations | None = None) -> FrictionEquations:
-        """Q s = b of the steady windows, or of others in their place, in N and N m."""
+        """Q s = b of all windows, or of others in their place, in N and N m; whatever c and I_j may be."""
         mass = self.model.particle_mass(torch.tensor(guess.mass))
         friction = self.model.particle_friction(torch.tensor(guess.friction))
-        windows = self.steady if windows is None else windows
-        return friction_equations(self.model, self.groups, windows, mass, friction, self.shape.height, self.errors)
+        windows = self.windows if windows is None else windows
+        found = friction_equations(self.model, self.groups, windows, mass, friction, self.shape.height, self.errors)
+        return replace(found, common=torch.cat([found.common, self._unknown_motion(windows)], 1))
+
+    def _unknown_motion(self, windows: Observations) -> Float[Tensor, "R E"]:
+        """Effects of c and of each I_j on accelerated windows, as large as the object allows: Q s = b tells neither."""
+        grasp = windows.grasp.detach()
+        reach = float((self.model.particles - grasp[:, None]).norm(dim=-1).max())
+        alpha, none = windows.acceleration[:, 2] * windows.accelerated, torch.zeros(len(windows), dtype=torch.float64)
+        squared = windows.spin_square * windows.accelerated
+        along = torch.stack([torch.stack([-squared, alpha, none], 1), torch.stack([-alpha, -squared, none], 1)], -1)
+        pivots, index = torch.unique(grasp.round(decimals=9), dim=0, return_inverse=True)
+        about = torch.nn.functional.one_hot(index, len(pivots)) * alpha[:, None]
+        turning = torch.stack([torch.zeros_like(about), torch.zeros_like(about), about], 1)
+        return self.weight * reach * torch.cat([along, reach * turning], -1).flatten(0, 1)
 
     def friction_system(self, guess: MassDistribution) -> LinearSystem:
         """Q s = b, whitened."""
@@ -106,7 +125,7 @@ class TrialWindows:
 
     def misfit(self, guess: MassDistribution, s: Float[np.ndarray, "n_s"], *, always: bool = False) -> Misfit:
         """How far the wrenches of s are from the measured ones, and why; `always` says why of a small misfit too."""
-        return self._misfit(self.steady, guess, s, len(s), always=always)
+        return self._misfit(self.windows, guess, s, len(s), always=always)
 
     def _misfit(
         self,
@@ -117,10 +136,19 @@ class TrialWindows:
         *,
         always: bool,
     ) -> Misfit:
-        """Misfit in given windows."""
-        causes = partial(likely_causes, windows, self.model, self.shape, guess, self.groups.spread(s), self.errors)
-        equations = self.friction_equations(guess, windows)
-        return misfit_of(equations, s, windows.trial, causes, unknowns, always=always)
+        """Misfit in given windows, or in those of constant speed where it is larger: the others are many and alike."""
+
+        def of(some: Observations, always: bool) -> Misfit:
+            causes = partial(likely_causes, some, self.model, self.shape, guess, self.groups.spread(s), self.errors)
+            return misfit_of(self.friction_equations(guess, some), s, some.trial, causes, unknowns, always=always)
+
+        whole, at_one_speed = of(windows, always), windows.where(~windows.accelerated)
+        if len(at_one_speed) == len(windows):
+            return whole
+        steady = of(at_one_speed, False)
+        if steady.widening <= whole.widening:
+            return whole
+        return replace(of(windows, True), value=steady.value, freedom=steady.freedom)
 
     def refined(self, guess: MassDistribution, s: Float[np.ndarray, "n_s"]) -> Self:
         """The trials for the next round; the same where nothing of the setup is unknown."""

@@ -20,12 +20,11 @@ from torch import Tensor
 from estimators.identifiability.predicted import predicted_lifts, predicted_windows
 from estimators.identifiability.report import Identifiability, identifiability
 from estimators.particles.errors import RIGID, ModelErrors
-from estimators.particles.friction_system import torque_errors, wrench_errors
+from estimators.particles.friction_system import wrench_errors
 from estimators.particles.lifts import lift_information, lifts_among
-from estimators.particles.model import ParticleModel
-from estimators.particles.pivots import inertia_map, slope_weights
+from estimators.particles.model import ParticleModel, inertia_of
 from estimators.particles.windows import PLANAR, Observations, observe
-from estimators.particles.wrench import ParticleLoads
+from estimators.particles.wrench import ParticleLoads, inertial_map
 from testbed.actions.base import Action
 from testbed.actions.rotate import Rotate
 from testbed.errors import InvalidValueError
@@ -41,6 +40,8 @@ ROWS = 6
 """Least number of rows of a trial; unused ones are zeros. A lift shows no more: M, c and three second moments."""
 LIFT_HEIGHT = 2
 """Errors that trials share first: lift, and height."""
+SAME_POINT = 1e-16
+"""Squared distance of equal grasp points, m^2."""
 CHUNK = 512
 """Trials that are worked on at once."""
 
@@ -169,14 +170,11 @@ def trial_information(
     """
     known = shape.n_m + shape.n_mu
     setup = EXACT_SETUP if windows is None else windows.setup
-    if windows is not None and windows.table is None and not setup.none:
-        windows = replace(windows, table=_reach(windows, shape))
     unknowns = known + shared_error_count(shape, setup)
     blocks = [(np.array([trial]), _lifted_rows(shape, distribution, lift)[None]) for trial, lift in lifts.items()]
     if windows is not None:
-        for trials, fields, accelerated in _by_size(windows, count):
-            of_kind = _accelerated_rows if accelerated else _steady_rows
-            blocks.append((trials, of_kind(shape, distribution, windows, fields, assumptions)))
+        for trials, fields in _by_size(windows, count):
+            blocks.append((trials, _table_rows(shape, distribution, windows, fields, assumptions)))
     needed, filled = np.zeros(count, dtype=int), np.zeros(count, dtype=int)
     for trials, block in blocks:
         needed[trials] += block.shape[1]
@@ -227,78 +225,46 @@ def _felt(windows: Observations, shape: ObjectShape, distribution: MassDistribut
     return replace(windows, sensed=torch.linalg.solve(windows.from_sensor, felt))
 
 
-def _reach(windows: Observations, shape: ObjectShape) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Least and greatest x, y that particles may reach in some windows, m."""
-    at = windows.poses[..., :2].flatten(0, 1).numpy()
-    arm = np.linalg.norm(shape.particles - windows.grasp.numpy()[:, None], axis=2).max()
-    (x0, y0), (x1, y1) = at.min(axis=0) - arm, at.max(axis=0) + arm
-    return (float(x0), float(y0)), (float(x1), float(y1))
-
-
-def _by_size(windows: Observations, count: int) -> list[tuple[Int[np.ndarray, "C"], dict[str, Tensor], bool]]:
-    """Trials with equally many windows of a kind, those windows' fields (C, size, ...), and if they accelerate."""
+def _by_size(windows: Observations, count: int) -> list[tuple[Int[np.ndarray, "C"], dict[str, Tensor]]]:
+    """Trials with equally many windows, and those windows' fields (C, size, ...)."""
     trial, groups = windows.trial.numpy(), []
-    for accelerated in (False, True):
-        of_kind = windows.accelerated.numpy() == accelerated
-        sizes = np.bincount(trial[of_kind], minlength=count)
-        for size in np.unique(sizes[sizes > 0]):
-            trials = np.flatnonzero(sizes == size)
-            of_size = np.flatnonzero(of_kind & (sizes[trial] == size))
-            shapes = {name: (len(trials), size, *value.shape[1:]) for name, value in windows.by_window.items()}
-            fields = {name: value[of_size].reshape(shapes[name]) for name, value in windows.by_window.items()}
-            groups.append((trials, fields, accelerated))
+    sizes = np.bincount(trial, minlength=count)
+    for size in np.unique(sizes[sizes > 0]):
+        trials = np.flatnonzero(sizes == size)
+        of_size = np.flatnonzero(sizes[trial] == size)
+        shapes = {name: (len(trials), size, *value.shape[1:]) for name, value in windows.by_window.items()}
+        groups.append(
+            (trials, {name: value[of_size].reshape(shapes[name]) for name, value in windows.by_window.items()})
+        )
     return groups
 
 
-def _steady_rows(
+def _table_rows(
     shape: ObjectShape,
     distribution: MassDistribution,
     windows: Observations,
     fields: dict[str, Tensor],
     assumptions: Assumptions,
 ) -> Float[np.ndarray, "C R U"]:
-    """Rows of trials with as many steady windows each: the equations of one trial, mapped over all."""
+    """Rows of trials with as many windows each: friction and inertia of one trial, mapped over all."""
     loads = ParticleLoads.of(shape, distribution, assumptions.support)
-    of_inertia = 1 + len(_grasp_points(shape))
+    points, errors = torch.tensor(_grasp_points(shape)), assumptions.model_errors
 
     def of_trial(of_one: dict[str, Tensor]) -> Tensor:
-        equations = loads.equations(windows.like(of_one), assumptions.model_errors)
+        trial = windows.like(of_one)
+        equations = loads.equations(trial, errors)
         root = torch.linalg.cholesky(equations.apart)
+        turning = trial.spin_up(inertia_of(loads.model, loads.mass)) * trial.accelerated[:, None]
+        about = (trial.grasp[:, None] - points).square().sum(-1) < SAME_POINT
+        of_inertia = errors.inertia_error * torch.cat([turning[..., None], turning[..., None] * about[:, None]], -1)
+        seen = equations.q @ loads.slopes
+        moving = inertial_map(trial, loads.model) * trial.accelerated[:, None, None]
+        moved = torch.nn.functional.pad(moving.flatten(0, 1), (0, shape.n_mu))
         common = equations.common
-        none = torch.zeros(len(common), of_inertia, dtype=common.dtype)
-        slopes = [equations.q @ loads.slopes, common[:, :LIFT_HEIGHT], none, common[:, LIFT_HEIGHT:]]
-        return torch.linalg.solve_triangular(root, torch.cat(slopes, 1), upper=False)
+        columns = [seen + moved, common[:, :LIFT_HEIGHT], of_inertia.flatten(0, 1), common[:, LIFT_HEIGHT:]]
+        return torch.linalg.solve_triangular(root, torch.cat(columns, 1), upper=False)
 
     return torch.vmap(of_trial, chunk_size=CHUNK)(fields).numpy()
-
-
-def _accelerated_rows(
-    shape: ObjectShape,
-    distribution: MassDistribution,
-    windows: Observations,
-    fields: dict[str, Tensor],
-    assumptions: Assumptions,
-) -> Float[np.ndarray, "C 1 U"]:
-    """Row of I_j about the grasp point of every trial, by the slope of torque against acceleration."""
-    points, known = _grasp_points(shape), shape.n_m + shape.n_mu
-    loads = ParticleLoads.of(shape, distribution, assumptions.support)
-    rows = np.zeros((len(fields["trial"]), 1, known + shared_error_count(shape, windows.setup)))
-    for index, (row,) in enumerate(rows):
-        trial = windows.like({name: value[index] for name, value in fields.items()})
-        none = torch.zeros(len(trial), 3, 3, dtype=torch.float64)
-        drag = loads.load.expand(len(trial), -1)
-        apart, common = (each.numpy() for each in torque_errors(trial, loads.model, loads.mass, drag, none))
-        pivots, weights = slope_weights(trial, apart + common @ common.T)
-        per_mass = inertia_map(shape, pivots)[0]
-        point = int(np.linalg.norm(points - pivots[0], axis=1).argmin())
-        of_inertia = known + LIFT_HEIGHT
-        row[: shape.n_m] = per_mass
-        row[[of_inertia, of_inertia + 1 + point]] = (
-            assumptions.model_errors.inertia_error * per_mass @ distribution.mass
-        )
-        row[of_inertia + 1 + len(points) :] = weights[0] @ common
-        rows[index] /= np.sqrt(weights[0] @ apart @ weights[0])
-    return rows
 
 
 def _lifted_rows(

@@ -117,7 +117,7 @@ def friction_equations(
     s = friction * support.share * GRAVITY
     response = rows @ (friction[:, None] * support.response)
     carried = (rows @ (friction * (support.lean + support.change(load)))[..., None])[..., 0]
-    b = windows.wrench - windows.inertial_wrench(inertia) - carried
+    b = windows.wrench - windows.inertial_wrench(inertia) - windows.spin_up(inertia) - carried
     apart, common = wrench_errors(windows, model, mass, s.expand(len(rows), -1), response, errors)
     return FrictionEquations(q.reshape(-1, q.shape[-1]), b.reshape(-1), apart, common)
 
@@ -187,25 +187,11 @@ def torque_covariance(
 
     Arguments as `wrench_errors`.
     """
-    apart, common = torque_errors(windows, model, mass, drag, response)
-    return (apart + common @ common.T).numpy()
-
-
-def torque_errors(
-    windows: Observations,
-    model: ParticleModel,
-    mass: Float[Tensor, "P"],
-    drag: Float[Tensor, "K P"],
-    response: Float[Tensor, "K 3 3"],
-) -> tuple[Float[Tensor, "K K"], Float[Tensor, "K E"]]:
-    """Errors of accelerated windows' torques: those that no two trials share, and effects of those of the setup.
-
-    Arguments as `wrench_errors`.
-    """
     none = torch.zeros(3, dtype=torch.float64)
     shared, own = shared_and_own(_of_setup(windows, model, mass, drag, response, 0.0), windows)
     apart = (_sensor_error(windows, response, none, none) + own)[2::3, 2::3]
-    return apart + LEAST_VARIANCE * torch.eye(len(windows), dtype=torch.float64), shared[2::3]
+    least = LEAST_VARIANCE * torch.eye(len(windows), dtype=torch.float64)
+    return (apart + least + shared[2::3] @ shared[2::3].T).numpy()
 
 
 def _of_setup(

@@ -85,6 +85,10 @@ class Inertia:
     about_com: Float[Tensor, "..."]
     """I_cm, kg m^2, cells solid."""
 
+    def about(self, points: Float[Tensor, "K 2"]) -> Float[Tensor, "K"]:
+        """Moment of inertia about other points, kg m^2."""
+        return self.about_com + self.mass * (self.com - points).square().sum(-1)
+
 
 def inertia_of(model: ParticleModel, particle_mass: Float[Tensor, "... P"]) -> Inertia:
     """M, c and I_cm of particle masses."""

@@ -68,17 +68,6 @@ def pivot_inertias(
     return PivotInertia(pivots, values, variances, relative_error)
 
 
-def slope_weights(
-    observations: Observations, covariance: Float[np.ndarray, "K K"]
-) -> tuple[Float[np.ndarray, "J 2"], Float[np.ndarray, "J K"]]:
-    """Pivots, m, and the weights with which torques of accelerated windows add up to I_j, by their covariance."""
-    pivots, designs = _whitened_designs(observations, covariance)
-    weights = np.zeros((len(pivots), len(observations)))
-    for j, (rows, whiten, design) in enumerate(designs):
-        weights[j, rows] = (np.linalg.pinv(design) @ whiten)[0]
-    return pivots, weights
-
-
 def _whitened_designs(
     observations: Observations, covariance: np.ndarray | None
 ) -> tuple[np.ndarray, list[tuple[np.ndarray, np.ndarray, np.ndarray]]]:

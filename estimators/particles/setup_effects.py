@@ -24,14 +24,24 @@ SHARES = 2.0
 of uneven heights."""
 MOST_POINTS = 64
 """Points at which the pattern of contact under a group is taken."""
-CORRELATED = 0.1
-"""Length over which friction is alike on a table, m. Ours."""
-WAVES = 6
-"""Eigenfunctions along each axis of the field of friction."""
+WAVELENGTHS = (0.06, 0.6)
+"""Least and greatest wavelength of friction over a table, m. Ours: shorter ones average out under an object."""
 REFERENCE = 0.02
 """Speed at which friction is the stated one, m/s."""
 SMALL = 1e-4
 """Shift by which slopes are taken, m."""
+
+
+def _waves(count: int) -> Float[Tensor, "n 2"]:
+    """Wave vectors, rad/m, even in the logarithm of their length, each a golden angle on from the last."""
+    least, most = map(math.log10, WAVELENGTHS)
+    length = torch.logspace(least, most, count, dtype=torch.float64)
+    way = torch.arange(count, dtype=torch.float64) * math.pi * (3 - 5**0.5)
+    return 2 * math.pi / length[:, None] * torch.stack([torch.cos(way), torch.sin(way)], 1)
+
+
+WAVES = _waves(48)
+"""Waves of a table's friction."""
 
 BY_TRIAL = ("grasp_offset", "grasp_angle")
 """Kinds that are drawn anew in every trial; all others are the same in all."""
@@ -70,7 +80,7 @@ def setup_effects(
     if setup.place_friction:
         found["place_friction"] = setup.place_friction * _place(windows, model, rows)
     if setup.anisotropy:
-        found["anisotropy"] = setup.anisotropy * _anisotropy(windows, model, rows)
+        found["anisotropy"] = _anisotropy(windows, model, rows, setup.anisotropy)
     if setup.speed_friction:
         decades = torch.log10(windows.particle_velocity(model).norm(dim=-1).clamp(1e-4, 1.0) / REFERENCE)
         found["speed_friction"] = setup.speed_friction * (rows * decades[:, None]).sum(-1).reshape(-1, 1)
@@ -136,41 +146,43 @@ def _contact_pattern(
 
 
 def _place(windows: Observations, model: ParticleModel, rows: Float[Tensor, "K 3 P"]) -> Float[Tensor, "R n"]:
-    """Friction as a smooth field of unit variance over the table, by eigenfunctions of a box (Solin, Sarkka 2020)."""
-    yaw = windows.poses[..., 2, None]
-    at = windows.poses[..., None, :2] + rotate(yaw, windows.lever(model)[:, None])  # (K, S, P, 2)
-    if windows.table is None:
-        low, high = at.amin((0, 1, 2)), at.amax((0, 1, 2))
-    else:
-        low, high = torch.tensor(windows.table, dtype=torch.float64)
-    half = (high - low) / 2 + CORRELATED
-    step = torch.arange(1, WAVES + 1, dtype=torch.float64) * math.pi / 2
-    wave = step / half[:, None]  # (2, WAVES)
-    phase = (at - (low + high) / 2 + half)[..., None] * wave
-    along = torch.sin(phase) / half.sqrt()[:, None]  # (K, S, P, 2, WAVES)
-    density = (2 * math.pi) ** 0.25 * CORRELATED**0.5 * torch.exp(-((CORRELATED * wave) ** 2) / 4)
-    along = along * density
-    field = (along[..., 0, :, None] * along[..., 1, None, :]).flatten(-2).mean(1)  # (K, P, WAVES^2)
+    """Friction as a smooth field of unit variance over the table, of waves of many lengths along many directions."""
+    at = windows.poses[..., None, :2] + rotate(windows.poses[..., 2, None], windows.lever(model)[:, None])
+    phase = at @ WAVES.T  # (K, S, P, n)
+    field = torch.cat([torch.cos(phase), torch.sin(phase)], -1).mean(1) / len(WAVES) ** 0.5
     return _flat(torch.einsum("kip,kpn->kin", rows, field))
 
 
-def _anisotropy(windows: Observations, model: ParticleModel, rows: Float[Tensor, "K 3 P"]) -> Float[Tensor, "R 2"]:
-    """Elliptic friction, more along one axis of the table by a part and less across; along x or along a diagonal.
+def _anisotropy(
+    windows: Observations, model: ParticleModel, rows: Float[Tensor, "K 3 P"], size: float
+) -> Float[Tensor, "R 5"]:
+    """Elliptic friction, more along one axis of the table by a part h and less across; along x or along a diagonal.
 
-    First order of f = -N A v / sqrt(v . A v), A = mu^2 (1 + H): the force changes by H u - u (u . H u) / 2, H = 2 h.
+    f = -N A v / sqrt(v . A v), A = mu^2 (1 + H): with h s the turn of a unit u, a along it and p across, the force
+    changes by h (a u + 2 p u') and by h^2 (p^2 u / 2 - 2 a p u'), which a strong anisotropy shows in short turns.
+
+    Args:
+        windows: windows of constant speed or acceleration.
+        model: particles of the object.
+        rows: drag of every particle, N and N m.
+        size: standard deviation of h along each of the two.
     """
-    unit = rows[:, :2].transpose(1, 2)  # N, object axes
-    size = unit.norm(dim=-1, keepdim=True).clamp(min=1e-12)
+    drag = rows[:, :2].transpose(1, 2)  # N, object axes
+    unit = drag / drag.norm(dim=-1, keepdim=True).clamp(min=1e-12)
+    aside = turned(unit)
     twice = 2 * windows.poses[..., 2]
-    cos, sin = torch.cos(twice).mean(1)[:, None], torch.sin(twice).mean(1)[:, None]
-    u, v = unit.unbind(-1)
-    lever, columns = windows.lever(model), []
-    for ahead, aside in ((2 * cos, -2 * sin), (2 * sin, 2 * cos)):  # H of the table in the axes of the object
-        force = torch.stack([ahead * u + aside * v, aside * u - ahead * v], -1)
-        force = force - unit * ((unit * force).sum(-1, keepdim=True) / size.square()) / 2
-        torque = cross(lever, force).sum(-1, keepdim=True)
-        columns.append(torch.cat([force.sum(1), torque], -1))
-    return _flat(torch.stack(columns, -1))
+    cos, sin = torch.cos(twice)[..., None], torch.sin(twice)[..., None]  # (K, S, 1)
+    u, v = unit[:, None].unbind(-1)
+    even, odd = u * u - v * v, 2 * u * v
+    a = torch.stack([cos * even - sin * odd, sin * even + cos * odd])  # of h along x and along the diagonal
+    p = torch.stack([-cos * odd - sin * even, cos * even - sin * odd])
+    pairs = ((0, 0, 3**0.5), (0, 1, 2.0), (1, 1, 3**0.5))  # root mean square of h_i h_j, both orders
+    along = [size * a[0], size * a[1], *(size**2 * r / 2 * p[i] * p[j] for i, j, r in pairs)]
+    across = [2 * size * p[0], 2 * size * p[1], *(-(size**2) * r * (a[i] * p[j] + a[j] * p[i]) for i, j, r in pairs)]
+    both = torch.stack([torch.stack(along), torch.stack(across)]).mean(3)[..., None]  # (2, 5, K, P, 1)
+    force = drag.norm(dim=-1, keepdim=True) * (both[0] * unit + both[1] * aside)
+    torque = cross(windows.lever(model), force).sum(-1)
+    return _flat(torch.cat([force.sum(2), torque[..., None]], -1).permute(1, 2, 0))
 
 
 def _tilt(windows: Observations, model: ParticleModel, mass: Float[Tensor, "P"]) -> Float[Tensor, "R 2"]:

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from typing import TypeVar
+from dataclasses import dataclass, replace
+from typing import Self, TypeVar
 
 import numpy as np
 import torch
@@ -110,26 +110,24 @@ class Observations:
     """True for windows of constant acceleration, (K,) bool."""
     setup: SetupErrors = EXACT_SETUP
     """Errors of the setup as stated, the largest of all trials."""
-    table: tuple[tuple[float, float], tuple[float, float]] | None = None
-    """Least and greatest x, y that the particles reach, m, world; None is taken from the windows themselves."""
 
     def __len__(self) -> int:
         return len(self.wrench)
 
-    def like(self, by_window: dict[str, Tensor]) -> Observations:
+    def like(self, by_window: dict[str, Tensor]) -> Self:
         """Windows of such fields in this setup."""
-        return Observations(**by_window, setup=self.setup, table=self.table)  # pyright: ignore[reportArgumentType]
+        return replace(self, **by_window)  # pyright: ignore[reportArgumentType]
 
     @property
     def by_window(self) -> dict[str, Tensor]:
         """Fields with a row a window."""
-        return {name: value for name, value in vars(self).items() if name not in ("setup", "table")}
+        return {name: value for name, value in vars(self).items() if name != "setup"}
 
-    def where(self, keep: Tensor) -> Observations:
+    def where(self, keep: Tensor) -> Self:
         """Windows that `keep` (K,) selects."""
         return self.like({name: value[keep] for name, value in self.by_window.items()})
 
-    def merged(self, group: Int[Tensor, "K"]) -> Observations:
+    def merged(self, group: Int[Tensor, "K"]) -> Self:
         """Means over windows of one group, 0 to G - 1; values that are no numbers are the first window's."""
         first = torch.stack([torch.nonzero(group == g)[0, 0] for g in range(int(group.max()) + 1)])
 
@@ -263,6 +261,10 @@ class Observations:
         force = inertia.mass * self.com_acceleration(inertia.com)
         torque = inertia.mass * cross(inertia.com - self.grasp, self.acceleration[:, :2])
         return torch.cat([force, torque[:, None]], -1)
+
+    def spin_up(self, inertia: Inertia) -> Float[Tensor, "K 3"]:
+        """Torque I_j alpha about the grasp point."""
+        return torch.nn.functional.pad((self.acceleration[:, 2] * inertia.about(self.grasp))[:, None], (2, 0))
 
     def gripper_load(self, inertia: Inertia, height: float) -> GripperLoad:
         """Load of the gripper; the mass accelerates at half the object's `height` (m) over the feet."""

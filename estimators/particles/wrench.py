@@ -110,15 +110,9 @@ class WrenchModel:
         """The model of every window."""
         rows = windows.drag_rows(model, pivot_error)
         of_group = [rows * (model.friction_group == k) for k in range(int(model.friction_group.max()) + 1)]
-        spins = windows.lever(model).square().sum(-1) + model.cell**2 / 6
-        inertial = []
-        for mass in model.parts:
-            moved = windows.inertial_wrench(inertia_of(model, mass))
-            moved[:, 2] += (mass * spins).sum(-1) * windows.acceleration[:, 2]
-            inertial.append(moved)
         weighed = torch.stack([part @ loads.per_mass for part in of_group])
         carried = torch.stack([(part @ loads.carried[..., None])[..., 0] for part in of_group])
-        return WrenchModel(torch.stack(inertial, -1), weighed, carried)
+        return WrenchModel(inertial_map(windows, model), weighed, carried)
 
     @staticmethod
     def stacked(draws: Sequence[WrenchModel]) -> WrenchModel:
@@ -132,6 +126,12 @@ class WrenchModel:
         per_mass = mass @ self.inertial.flatten(-3, -2).mT
         dragged = (mass @ self.weighed.flatten(-4, -2).mT).unflatten(-1, carried.shape[-2:]) + carried
         return (per_mass + (friction[..., None, :] @ dragged)[..., 0, :]).unflatten(-1, self.carried.shape[-2:])
+
+
+def inertial_map(windows: Observations, model: ParticleModel) -> Float[Tensor, "K 3 n_m"]:
+    """Wrench about the grasp point that the motion itself takes, a kg of each particle mass."""
+    parts = [inertia_of(model, mass) for mass in model.parts]
+    return torch.stack([windows.inertial_wrench(part) + windows.spin_up(part) for part in parts], -1)
 
 
 def predicted_wrenches(

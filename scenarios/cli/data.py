@@ -1,29 +1,19 @@
-"""heft import, calibrate, estimate, export: measured trials in, the methods' answers to them, an answer out."""
+"""heft import, calibrate, estimate: measured trials in, the methods' answers to them out."""
 
 from __future__ import annotations
 
 import sys
 from contextlib import ExitStack
-from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
 from scenarios.cli.terminal import open_console
-from testbed.errors import InvalidValueError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    import pandas as pd
-
-    from estimators.evaluation.statistics import Row
     from scenarios.results.logs import ImportedLog
-    from testbed.objects.export import Exported
-
-_ENDING = {"mjcf": "xml", "urdf": "urdf", "toml": "toml"}
 
 
 def import_(
@@ -33,6 +23,8 @@ def import_(
     out: Annotated[Path, tyro.conf.arg(metavar="DIR")] = Path("results/lab"),
     weight: Annotated[float | None, tyro.conf.arg(metavar="KG")] = None,
     support: Annotated[str, tyro.conf.arg(metavar="SUPPORT")] = "own_weight",
+    find: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False,
+    grasps: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME ...")] = (),
 ) -> None:
     """Read another robot's logs (tables, MCAP, ROS 2 bags) as trials, for every method.
 
@@ -42,6 +34,7 @@ def import_(
 
     Examples: heft import lab.toml turn_1.csv turn_2.csv --weight 1.8
               heft import lab.toml                 (the logs that its [[logs]] name)
+              heft import lab.toml day_1.mcap --find   (finds the actions of a long recording, for you to look through)
               heft estimate results/lab
 
     Args:
@@ -50,7 +43,15 @@ def import_(
         out: results folder to put the trials into.
         weight: mass of the object as a scale read it; every method needs it once.
         support: support of the object's weight, as far as you know: own_weight, rigid, or a stiffness in N/m.
+        find: print the tares, turns and slides that the logs hold, and write MAPPING with a [[logs]] table for each
+            action as *.found.toml, to be corrected and imported; nothing is imported.
+        grasps: with --find, grasps of the first actions, where the motion fits several.
     """
+    if find or grasps:
+        from scenarios.cli.find import show_found
+
+        show_found(mapping, logs, grasps)
+        return
     from scenarios.cli.run import show_progress
     from scenarios.results.logs import import_logs
     from testbed.robot.calibration.motion import check_motion
@@ -128,7 +129,7 @@ def _summary(log: ImportedLog) -> str:
     why = f": {trajectory.reason}" if trajectory.reason else ""
     action = Recording(log.path, trajectory.action, log.object.name, None).description
     return (
-        f"{trajectory.status:8}{log.path}: {action}: trial {log.key[:8]}{why}\n"
+        f"{trajectory.status:8}{log.place}: {action}: trial {log.key[:8]}{why}\n"
         f"        {trajectory.time_s[-1]:.1f} s; phases {facts['phases']}; velocity {facts['velocity']}; "
         f"joints {facts['joints']}\n        drift: {facts['drift']}"
         + (f"\n        delay of the wrench: {facts['delay']}" if "delay" in facts else "")
@@ -205,127 +206,3 @@ def estimate(
         print(line)
     if any(row.get("mass_kg") is None and row["status"] not in NO_MASSES for row in bad):
         sys.exit(1)
-
-
-def export(
-    folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DIR")],
-    what: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="ESTIMATE")],
-    *,
-    format_: Annotated[Literal["mjcf", "urdf", "toml"], tyro.conf.arg(name="format")] = "mjcf",
-    inertial: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False,
-    draws: Annotated[int | None, tyro.conf.arg(metavar="N")] = None,
-    models: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False,
-    out: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None,
-) -> None:
-    """Write an estimate for another simulator: a box a block. A JSON beside it says how sure every mass is.
-
-    Examples: heft export results/blocks 3f9a
-              heft export results/blocks 3f9a --format urdf --inertial --out my_robot/hammer.urdf
-              heft export results/blocks 3f9a --draws 500
-              heft export results/blocks 3f9a --draws 100 --models
-
-    Args:
-        folder: of a run.
-        what: beginning of an estimate's key (see its report).
-        format_: mjcf, urdf, or toml: an object file that heft itself can run.
-        inertial: one mass, centre and inertia for the whole object instead.
-        draws: write N draws of masses and frictions from the posterior too, as CSV; of an estimate by Algorithm 1.
-        models: write each draw as a model too, numbered in a folder, to train or test a controller on all of them.
-        out: DIR/exports/OBJECT_KEY if left out, with the format's ending.
-    """
-    from scenarios.results.estimates import row_of
-    from scenarios.results.files import inside
-    from scenarios.views.figures import file_name
-    from testbed.files import write_whole
-    from testbed.objects.export import to_sidecar, written
-
-    if models and draws is None:
-        raise InvalidValueError("--models", True, "with --draws N")
-    row = row_of(folder, what)
-    exported = exported_of(folder, row)
-    text = written(exported, format_, inertial=inertial)
-    name = file_name(f"{exported.name}_{row['key'][:8]}.{_ENDING[format_]}")
-    path = out or inside(folder, "exports", name)
-    for file, content in ((path, text), (path.with_suffix(".json"), to_sidecar(exported))):
-        write_whole(file, lambda part, content=content: part.write_text(content, encoding="utf-8"))
-        print(file)
-    if draws is not None:
-        table = posterior_table(folder, row, draws)
-        write_whole(path.with_suffix(".draws.csv"), lambda part: table.to_csv(part, index=False))
-        print(path.with_suffix(".draws.csv"))
-        for number, drawn in enumerate(drawn_from(exported, table) if models else ()):
-            file = path.with_suffix(".draws") / f"{number:04d}{path.suffix}"
-            content = written(drawn, format_, inertial=inertial)
-            write_whole(file, lambda part, content=content: part.write_text(content, encoding="utf-8"))
-        if models:
-            print(path.with_suffix(".draws"))
-
-
-def posterior_table(folder: Path, row: Row, count: int) -> pd.DataFrame:
-    """Draws from the posterior of a row's trials, one a row: mass of each group [kg], and frictions.
-
-    Raises:
-        InvalidValueError: an estimate that is not by Algorithm 1, or a count that the sampler cannot give.
-    """
-    import numpy as np
-    import pandas as pd
-
-    from estimators.hidden_states.estimator import HiddenStates
-    from estimators.identifiability.posterior import sample_posterior
-    from estimators.registry import METHODS, build_method
-    from scenarios.results.estimates import load_estimate
-    from scenarios.results.files import read_manifest
-    from scenarios.results.store import Store
-    from scenarios.results.trials import sensed_trials
-    from scenarios.views.values import estimate_view
-    from testbed.sensing.windows import weight_of
-
-    scenario = (read_manifest(folder) or {}).get("scenario", {})
-    kind = METHODS.get(row["kind"])  # of heft's own alone: a folder names no code to run
-    answer, shape = load_estimate(folder, row["key"]), estimate_view(folder, row).shape
-    method = build_method(row["kind"], scenario.get("methods", {}).get(row["method"], {})) if kind else None
-    if not isinstance(method, HiddenStates) or answer.distribution is None:
-        raise InvalidValueError("--draws", row["method"], "an estimate by hidden_states that has masses")
-    weighing, *trials = sensed_trials(Store(folder), tuple(row["trial_keys"]), row["sensing"], int(row["seed"]))
-    likelihood = method.likelihood(shape, weight_of(weighing), trials, answer.distribution)
-    posterior = sample_posterior(likelihood, answer.distribution, seed=0, covariance=answer.covariance)
-    if not 1 <= count <= len(posterior.mass):
-        raise InvalidValueError("--draws", count, f"an integer from 1 to {len(posterior.mass)}")
-    chosen = np.random.default_rng(0).choice(len(posterior.mass), count, replace=False)
-    frictions = ["friction"] if shape.n_mu == 1 else [f"friction {k}" for k in range(shape.n_mu)]
-    table = np.hstack([posterior.mass[chosen], posterior.friction[chosen]])
-    return pd.DataFrame(table, columns=[*shape.group_names, *frictions])
-
-
-def drawn_from(exported: Exported, table: pd.DataFrame) -> Iterator[Exported]:
-    """The object with the masses and frictions of each draw of a `posterior_table` in place of the estimate's."""
-    from testbed.objects.model import MassDistribution
-
-    shape = exported.shape
-    for number, values in enumerate(table.to_numpy()):
-        at = MassDistribution(values[: shape.n_m] / shape.particles_per_group, values[shape.n_m :])
-        notes = (*exported.notes, f"draw {number} from the posterior")
-        yield replace(exported, distribution=at, covariance=None, notes=notes)
-
-
-def exported_of(folder: Path, row: Row) -> Exported:
-    """The masses of a row of the results, as they are exported.
-
-    Raises:
-        InvalidValueError: it has none.
-    """
-    from scenarios.views.values import estimate_view
-    from testbed.objects.export import Exported
-
-    view = estimate_view(folder, row)
-    if view.answer is None:
-        why = f"{row['status']}: {row['message']}"
-        raise InvalidValueError("ESTIMATE", row["key"], f"one with masses; this one has none, {why}")
-    why = f": {row['message']}" if row.get("message") else ""
-    notes = (
-        f"estimated by heft: {view.title}, draw {row['seed']}",
-        f"status {row['status']}{why}",
-        *([f"assumed, not tested: {row['assumes']}"] if row.get("assumes") else []),
-        f"estimate {row['key']}",
-    )
-    return Exported(str(row["object"]), view.shape, view.answer, view.covariance, notes)

@@ -24,7 +24,7 @@ COMMANDS = {
     "view": ("scenarios.cli.view:view", "Open a trial, an estimate or a comparison of methods in the Rerun viewer."),
     "record": ("scenarios.cli.view:record", "Write Rerun recordings of a results folder."),
     "figures": ("scenarios.cli.view:figures", "Draw figures for a paper, as PDF and PNG, into DIR/figures."),
-    "export": ("scenarios.cli.data:export", "Write an estimate as a model for another simulator."),
+    "export": ("scenarios.cli.export:export", "Write an estimate as a model, or a trial as ROS 2 messages."),
     "render": ("scenarios.cli.render:render", "Draw a recorded trial as a film or a picture; needs no display."),
     "watch": ("scenarios.cli.render:watch", "Open a window on a trial, simulated now or recorded."),
     "objects": ("scenarios.cli.view:objects", "List the objects in the library."),
@@ -42,7 +42,7 @@ COMMANDS = {
     "robot hand-eye": ("scenarios.cli.robot.calibrate:hand_eye", "Find a tracker's pose in the arm's base frame."),
     "robot trial": ("scenarios.cli.robot.trial:trial", "Run one trial on the real arm and store it."),
     "robot verify": ("scenarios.cli.robot.check:verify", "Check the sensor's sign, rotation and zero by trials."),
-    "import": ("scenarios.cli.data:import_", "Read another robot's logs (CSV, MCAP) as trials."),
+    "import": ("scenarios.cli.data:import_", "Read another robot's logs (tables, MCAP, ROS 2 bags) as trials."),
     "calibrate": ("scenarios.cli.data:calibrate", "Calibrate a force/torque sensor from a recording of still poses."),
     "estimate": ("scenarios.cli.data:estimate", "Estimate from the measured trials of a folder by every method."),
 }  # fmt: skip

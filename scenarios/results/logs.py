@@ -17,7 +17,7 @@ from testbed.files import unless_damaged
 from testbed.importers.clocks import Delay, pooled_delay
 from testbed.importers.importer import delay_of, import_trajectory, object_of
 from testbed.importers.logs import LogError, read_all
-from testbed.importers.mapping import Mapping
+from testbed.importers.mapping import LogMap, Mapping
 from testbed.objects.model import ObjectModel
 from testbed.robot.runner import read_off
 from testbed.toml import load_toml
@@ -32,6 +32,8 @@ class ImportedLog:
 
     path: Path
     """Path of the log."""
+    place: str
+    """The same, with the stretch of it."""
     object: ObjectModel
     trajectory: Trajectory
     key: str
@@ -65,63 +67,70 @@ def import_logs(
         raise InvalidValueError("LOG", None, f"one log or more, or [[logs]] tables in {mapping}")
     if weight is not None:
         check_positive("--weight", weight)
-    delays = read_all(*(partial(_named, path, partial(delay_of, path, mapping)) for path in paths))
+    logged = {path.resolve(): path for path in paths}.values()  # several [[logs]] may name one
+    entries = [(path, entry) for path in logged for entry in content.entries(path, mapping.parent)]
+    delays = read_all(*(partial(_named, *one, partial(delay_of, one[0], mapping, entry=one[1])) for one in entries))
     delay = pooled_delay([delay for delay in delays if delay is not None])
     reads = [
-        partial(_read, path, mapping, delay, partial(progress, "logs", i, len(paths)))
-        for i, path in enumerate(paths, 1)
+        partial(_read, *one, mapping, delay, partial(progress, "logs", i, len(entries)))
+        for i, one in enumerate(entries, 1)
     ]
     model, *trajectories = read_all(lambda: object_of(content, mapping), *reads)
     with exclusive(out):
         store = Store(out.absolute())
         store.remove_leftovers()
         imported = []
-        for path, trajectory in zip(paths, trajectories, strict=True):
-            key = _put(store, model, support, trajectory, path, content.for_log(path, mapping.parent), mapping.parent)
-            imported.append(ImportedLog(path, model, trajectory, key))
+        contents: dict[str, set[str]] = {}
+        for (path, entry), trajectory in zip(entries, trajectories, strict=True):
+            table = content.for_entry(entry)
+            checksum = _checksum([path, *([mapping.parent / table.sensor.file] if table.sensor.file else [])])
+            said = {"log": path.name, "sha256": checksum, "mapping": table.model_dump(exclude_none=True)}
+            said |= {"stretch": entry.stretch} if entry.stretch else {}
+            key = _put(store, Trial(model, trajectory.action, support), trajectory, {"import": said})
+            contents.setdefault(checksum, set()).add(key)
+            imported.append(ImportedLog(path, _place(path, entry), model, trajectory, key))
+        _remove_earlier(store, contents)
         if weight is not None:
             _put_weight(store, model, support, weight)
     return imported
 
 
-def _read(path: Path, mapping: Path, delay: Delay | None, done: Callable[[], None]) -> Trajectory:
+def _read(path: Path, entry: LogMap, mapping: Path, delay: Delay | None, done: Callable[[], None]) -> Trajectory:
     try:
-        return _named(path, partial(import_trajectory, path, mapping, delay=delay))
+        return _named(path, entry, partial(import_trajectory, path, mapping, delay=delay, entry=entry))
     finally:
         done()
 
 
-def _named(path: Path, read: Callable[[], Any]) -> Any:
+def _place(path: Path, entry: LogMap) -> str:
+    return ", ".join(filter(None, (str(path), entry.stretch)))
+
+
+def _named(path: Path, entry: LogMap, read: Callable[[], Any]) -> Any:
     """What a log holds; every line of an error begins with the file that is wrong."""
     try:
         return read()
     except HeftError as error:
         lines = str(error).splitlines()
-        named = [line if Path(line.split(": ")[0]).exists() else f"{path}: {line}" for line in lines]
+        named = [line if Path(line.split(": ")[0]).exists() else f"{_place(path, entry)}: {line}" for line in lines]
         raise LogError("\n".join(named)) from None
 
 
-def _put(
-    store: Store,
-    model: ObjectModel,
-    support: Support,
-    trajectory: Trajectory,
-    path: Path,
-    mapping: Mapping,
-    folder: Path,
-) -> str:
-    """Put a trial where simulated ones are kept, in the place of an earlier import of the same log; its key."""
-    content = _checksum([path, *([folder / mapping.sensor.file] if mapping.sensor.file else [])])
-    imported = {"log": path.name, "sha256": content, "mapping": mapping.model_dump(exclude_none=True)}
-    request = _request(model, support, trajectory) | {"import": imported}
+def _put(store: Store, trial: Trial, trajectory: Trajectory, said: dict[str, Any]) -> str:
+    """Put a trial where simulated ones are kept; its key."""
+    request = _request(trial.object, trial.support, trajectory) | said
     key = key_of(request)
-    store.put_trial(key, Trial(model, trajectory.action, support), request, trajectory)
+    store.put_trial(key, trial, request, trajectory)
+    return key
+
+
+def _remove_earlier(store: Store, contents: dict[str, set[str]]) -> None:
+    """Remove earlier imports of logs, by their checksums, but for the keys of this one."""
     for file in store.root.glob("trials/*/trial.json"):
         known = unless_damaged(lambda file=file: read_json(file), "left as it is") or {}
         earlier = known.get("asked", {}).get("import", {}).get("sha256")
-        if earlier == content and file.parent.name != key:
+        if earlier in contents and file.parent.name not in contents[earlier]:
             shutil.rmtree(file.parent)
-    return key
 
 
 def _checksum(logs: Sequence[Path]) -> str:
@@ -137,8 +146,7 @@ def _put_weight(store: Store, model: ObjectModel, support: Support, weight: floa
     """Keep a scale's reading (kg) as a weighing."""
     read = read_off(weight)
     read = replace(read, provenance=read.provenance | {"runner": "import"})
-    request = _request(model, support, read) | {"weight_kg": weight}
-    store.put_trial(key_of(request), Trial(model, read.action, support), request, read)
+    _put(store, Trial(model, read.action, support), read, {"weight_kg": weight})
 
 
 def _request(model: ObjectModel, support: Support, trajectory: Trajectory) -> dict[str, Any]:

@@ -1,7 +1,8 @@
-"""Columns of a log over its clock, and the errors of reading it."""
+"""Columns of a log over its clock, their units, and the errors of reading it."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -11,6 +12,27 @@ from jaxtyping import Float
 
 from testbed.errors import HeftError, InvalidValueError, nearest
 
+_GRAVITY = 9.80665  # of the kilogram-force and the pound-force, by definition
+_POUND = 0.45359237
+_DEGREE = math.pi / 180
+FACTORS: dict[str, dict[str, float]] = {
+    "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9},
+    "length": {"m": 1.0, "cm": 1e-2, "mm": 1e-3},
+    "angle": {"rad": 1.0, "deg": _DEGREE},
+    "speed": {"m/s": 1.0, "cm/s": 1e-2, "mm/s": 1e-3},
+    "turn rate": {"rad/s": 1.0, "deg/s": _DEGREE},
+    "force": {"N": 1.0, "mN": 1e-3, "kN": 1e3, "kgf": _GRAVITY, "gf": _GRAVITY / 1e3, "lbf": _GRAVITY * _POUND},
+    "torque": {
+        "N m": 1.0,
+        "mN m": 1e-3,
+        "N mm": 1e-3,
+        "N cm": 1e-2,
+        "kgf m": _GRAVITY,
+        "kgf cm": _GRAVITY / 1e2,
+        "lbf in": _GRAVITY * _POUND * 0.0254,
+    },
+}
+"""SI value of each unit, by quantity."""
 _MOST_LISTED = 12
 _MOST_SHARED = 0.05
 """Largest part of the samples that may have the time of another: a clock's resolution."""
@@ -38,6 +60,18 @@ def read_all(*reads: Callable[[], Any]) -> list[Any]:
     if errors:
         raise LogError("\n".join(dict.fromkeys(line for error in errors for line in str(error).splitlines())))
     return results
+
+
+def factor(quantity: str, unit: str) -> float:
+    """SI value of a unit.
+
+    Raises:
+        InvalidValueError: no such unit of that quantity; the message names the known ones and the nearest.
+    """
+    known = FACTORS[quantity]
+    if unit not in known:
+        raise InvalidValueError("unit", unit, f"a unit of {quantity}: {', '.join(known)}{nearest(unit, known, 0.6)}")
+    return known[unit]
 
 
 class Series(NamedTuple):

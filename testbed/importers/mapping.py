@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
@@ -11,6 +12,7 @@ from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Fie
 
 from testbed.actions.base import TableAction, action_from_dict
 from testbed.errors import InvalidValueError, nearest
+from testbed.importers.logs import factor
 from testbed.objects.model import ObjectShape
 from testbed.sensing.presets import preset
 from testbed.toml import Finite, NonNegative, Positive
@@ -18,43 +20,8 @@ from testbed.trajectory import Phase
 from testbed.worlds.presets import StatedSetup
 from testbed.worlds.setup_errors import EXACT_SETUP
 
-_GRAVITY = 9.80665  # of the kilogram-force and the pound-force, by definition
-_POUND = 0.45359237
-_DEGREE = math.pi / 180
-FACTORS: dict[str, dict[str, float]] = {
-    "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9},
-    "length": {"m": 1.0, "cm": 1e-2, "mm": 1e-3},
-    "angle": {"rad": 1.0, "deg": _DEGREE},
-    "speed": {"m/s": 1.0, "cm/s": 1e-2, "mm/s": 1e-3},
-    "turn rate": {"rad/s": 1.0, "deg/s": _DEGREE},
-    "force": {"N": 1.0, "mN": 1e-3, "kN": 1e3, "kgf": _GRAVITY, "gf": _GRAVITY / 1e3, "lbf": _GRAVITY * _POUND},
-    "torque": {
-        "N m": 1.0,
-        "mN m": 1e-3,
-        "N mm": 1e-3,
-        "N cm": 1e-2,
-        "kgf m": _GRAVITY,
-        "kgf cm": _GRAVITY / 1e2,
-        "lbf in": _GRAVITY * _POUND * 0.0254,
-    },
-}
-"""SI value of each unit, by quantity."""
-
-
 ISO = "iso"
 """Unit of a table's times that are dates by ISO 8601."""
-
-
-def factor(quantity: str, unit: str) -> float:
-    """SI value of a unit.
-
-    Raises:
-        InvalidValueError: no such unit of that quantity; the message names the known ones and the nearest.
-    """
-    known = FACTORS[quantity]
-    if unit not in known:
-        raise InvalidValueError("unit", unit, f"a unit of {quantity}: {', '.join(known)}{nearest(unit, known, 0.6)}")
-    return known[unit]
 
 
 def _unit_of(quantity: str, *others: str) -> AfterValidator:
@@ -242,12 +209,34 @@ RecordedAction = Annotated[MappedAction, BeforeValidator(_mapped_action)]
 
 
 class LogMap(_Table):
-    """One [[logs]] table: a log, and its differences from the rest of the file."""
+    """One [[logs]] table: a log or a stretch of it, and its differences from the rest of the file."""
 
     file: Text
+    from_s: NonNegative = 0.0
+    to_s: Positive | None = None
     sensor_file: Text | None = None
     action: RecordedAction | None = None
     phases: Windows | None = None
+
+    @model_validator(mode="after")
+    def _ends_after_start(self) -> Self:
+        if self.to_s is not None and self.to_s <= self.from_s:
+            raise InvalidValueError("to_s", self.to_s, f"more than from_s ({self.from_s:g})")
+        return self
+
+    @property
+    def stretch(self) -> str:
+        """The stretch in words; empty of a whole log."""
+        end = "its end" if self.to_s is None else f"{self.to_s:g} s"
+        return f"{self.from_s:g} s to {end}" if self.from_s or self.to_s else ""
+
+    @property
+    def moved(self) -> tuple[float, float]:
+        """Begin and end of the motion [s], by its phases, or else of the whole stretch."""
+        steady = [window for window in self.phases or () if window.kind == Phase.STEADY]
+        if steady:
+            return steady[0].from_s, steady[-1].to_s
+        return self.from_s, math.inf if self.to_s is None else self.to_s
 
 
 class Columns(_Table):
@@ -284,19 +273,38 @@ class Mapping(Columns):
     phases: Windows = []
     logs: list[LogMap] = []
 
-    def for_log(self, log: Path, folder: Path) -> Mapping:
-        """Mapping of one log; `folder` is the mapping file's.
+    def entries(self, log: Path, folder: Path) -> list[LogMap]:
+        """The [[logs]] tables of a log in their order, or one of the whole log; `folder` is the mapping file's.
 
         Raises:
-            InvalidValueError: two [[logs]] name this log.
+            InvalidValueError: two of them name the same stretch.
         """
         named = [entry for entry in self.logs if (folder / entry.file).resolve() == log.resolve()]
-        if len(named) > 1:
-            allowed = "each file once: a log is one trial, from tare to release; cut a longer one into files"
-            raise InvalidValueError("logs.file", named[0].file, allowed)
-        own = named[0] if named else None
-        changes: dict[str, Any] = {} if own is None else {"action": own.action, "phases": own.phases}
-        if own is not None and own.sensor_file is not None:
+        for earlier, later in pairwise(sorted(named, key=lambda entry: entry.moved)):
+            if later.moved[0] < earlier.moved[1] - 1e-9:
+                given = ", ".join(filter(None, (later.file, later.stretch)))
+                allowed = (
+                    "each stretch (from_s, to_s) of a file once: a trial is one, tare to release; another [[logs]] "
+                    f"has {earlier.stretch or 'the whole file'}; heft import --find finds them"
+                )
+                raise InvalidValueError("logs.file", given, allowed)
+        return named or [LogMap(file=str(log))]
+
+    def entry(self, log: Path, folder: Path) -> LogMap:
+        """The [[logs]] table of a log that is one trial.
+
+        Raises:
+            InvalidValueError: it has several.
+        """
+        found = self.entries(log, folder)
+        if len(found) > 1:
+            raise InvalidValueError("entry", None, f"one of the {len(found)} [[logs]] tables of {log}")
+        return found[0]
+
+    def for_entry(self, own: LogMap) -> Mapping:
+        """Mapping of one trial."""
+        changes: dict[str, Any] = {"action": own.action, "phases": own.phases}
+        if own.sensor_file is not None:
             changes["sensor"] = self.sensor.model_copy(update={"file": own.sensor_file})
         return self.model_copy(update={"logs": [], **{k: v for k, v in changes.items() if v is not None}})
 
@@ -313,6 +321,9 @@ class Mapping(Columns):
             InvalidValueError: the file gives none.
         """
         if self.action is None:
-            allowed = 'a table: { kind = "rotate", grasp = 1, ... }, for all logs or each'
+            allowed = (
+                'a table: { kind = "rotate", grasp = 1, ... }, for all logs or each; heft import --find finds those of '
+                "a recording of several"
+            )
             raise InvalidValueError("action", None, allowed)
         return self.action

@@ -19,6 +19,14 @@ RATE = 100.0
 """Sample rate of every trajectory [Hz]."""
 _FAST = 1.5
 """Multiple of that rate above which samples are averaged instead of interpolated."""
+_SHORTEST_STEP = 0.2
+"""Shortest stretch [s]."""
+_LEAST_SLOPE = 0.1
+"""Change of speed below which it is constant, as a part of the largest change."""
+_GRID = 0.02
+"""Time between the places where a stretch may begin [s]."""
+_PENALTY = 2e-3
+"""Cost of a further stretch, as a part of the speed's largest square, times seconds."""
 Phases = tuple[Int[np.ndarray, "T"], Int[np.ndarray, "T"]]
 """Phase and steady stretch of every sample, each of shape (T,); the stretch is -1 outside."""
 STEADY_WITHIN = 0.1
@@ -27,7 +35,8 @@ STILL = (0.002, np.radians(0.5))
 """Speeds below which the tool is at rest [m/s, rad/s]."""
 ABOVE = 0.01
 """Height over the grasp from which the tool holds nothing [m]."""
-_SHORTEST_TARE = 0.3
+SHORTEST_TARE = 0.3
+"""Shortest tare [s]."""
 _LONGEST_EQUAL = 0.5
 """Time for which a component of a moved sensor may stay exactly the same [s]."""
 _SMOOTHING = 0.25
@@ -115,9 +124,8 @@ def phases_from_windows(windows: Sequence[PhaseWindow], time: Float[np.ndarray, 
     for window in windows:
         inside = (time >= window.from_s) & (time < window.to_s)
         if not inside.any() or window.to_s > time[-1] + 1.5 / RATE:
-            raise LogError(
-                f"phases: {window.phase} until {window.to_s:g} s; allowed: within the log's {time[-1]:.2f} s"
-            )
+            given, ends = f"{window.from_s:g} to {window.to_s:g} s", f"{time[0]:.2f} to {time[-1]:.2f} s"
+            raise LogError(f"phases: {window.phase} at {given}; allowed: within the log's {ends}")
         phase[inside] = window.kind
     for i, window in enumerate(steady):
         segment[(time >= window.from_s) & (time < window.to_s)] = i
@@ -149,11 +157,11 @@ def phases_from_motion(
     still = np.linalg.norm(smooth[:, :3], axis=1) < STILL[0]
     still &= np.linalg.norm(smooth[:, 3:], axis=1) < STILL[1]
     held = float(np.median(height[np.concatenate(stretches)]))
-    tares = [run for run in runs(still & (height > held + ABOVE)) if len(run) >= _SHORTEST_TARE * RATE]
+    tares = [run for run in runs(still & (height > held + ABOVE)) if len(run) >= SHORTEST_TARE * RATE]
     before, after = [t for t in tares if t[-1] < first], [t for t in tares if t[0] > last]
     if not before:
         raise LogError(
-            f"phases: no tare: the tool never rests for {_SHORTEST_TARE:g} s, {1e3 * ABOVE:.0f} mm or more over where "
+            f"phases: no tare: the tool never rests for {SHORTEST_TARE:g} s, {1e3 * ABOVE:.0f} mm or more over where "
             "it holds the object, before it moves it; give [[phases]]"
         )
     phase, segment = np.full(count, Phase.RELEASE), np.full(count, -1)
@@ -201,6 +209,43 @@ def _constant_speeds(rate: np.ndarray) -> list[tuple[float, float]]:
         close = [r for r in runs(np.abs(rate[run] - speed) < STEADY_WITHIN * abs(speed)) if len(r) >= RATE / 2]
         found += [(speed, len(r) / RATE) for r in close]
     return found
+
+
+def linear_stretches(rate: Float[np.ndarray, "T"]) -> list[tuple[float, np.ndarray]]:
+    """Slope and samples of every stretch of constant acceleration of a motion from rest to rest.
+
+    The ramps at its ends, and constant speeds beside them, are left out.
+
+    Args:
+        rate: speed at 100 Hz.
+    """
+    step = round(_GRID * RATE)
+    ends = np.arange(0, len(rate) + 1, step)
+    time = np.arange(len(rate)) / RATE
+    sums = np.vstack([np.zeros(5), np.cumsum([time**0, time, time**2, rate, time * rate], axis=1).T])
+    squares = np.concatenate([[0.0], np.cumsum(rate**2)])
+    least, best, came = round(_SHORTEST_STEP / _GRID), np.full(len(ends), np.inf), np.zeros(len(ends), dtype=int)
+    best[0], penalty = 0.0, _PENALTY * float((rate**2).max()) * RATE
+    for last in range(least, len(ends)):
+        first = np.arange(0, last - least + 1)
+        n, t, tt, y, ty = (sums[ends[last]] - sums[ends[first]]).T
+        yy = squares[ends[last]] - squares[ends[first]]
+        spread, along = tt - t**2 / n, ty - t * y / n
+        left = best[first] + np.maximum(yy - y**2 / n - along**2 / spread, 0.0) + penalty
+        came[last] = int(np.argmin(left))
+        best[last] = left[came[last]]
+    cuts = [len(ends) - 1]
+    while cuts[-1] > 0:
+        cuts.append(int(came[cuts[-1]]))
+    places = [np.arange(ends[a], ends[b]) for a, b in zip(cuts[:0:-1], cuts[-2::-1], strict=True)]
+    found = [(float(np.polyfit(time[place], rate[place], 1)[0]), place) for place in places]
+    inner = found[1:-1]
+    largest = max((abs(slope) for slope, _ in inner), default=0.0)
+    while inner and abs(inner[0][0]) < _LEAST_SLOPE * largest:
+        inner = inner[1:]
+    while inner and abs(inner[-1][0]) < _LEAST_SLOPE * largest:
+        inner = inner[:-1]
+    return inner
 
 
 def runs(inside: np.ndarray) -> list[np.ndarray]:

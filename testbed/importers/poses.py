@@ -10,8 +10,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
 from testbed.errors import InvalidValueError
-from testbed.importers.logs import LogError, Series, in_order, unknown
-from testbed.importers.mapping import HandMap, TimeMap, factor
+from testbed.importers.logs import LogError, Series, factor, in_order, unknown
+from testbed.importers.mapping import HandMap, TimeMap
 from testbed.importers.messages import JOINT_STATE, Message, MessageLog, inside
 from testbed.importers.tables import CsvLog
 from testbed.importers.urdf import forward_kinematics, joints_to

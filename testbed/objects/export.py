@@ -1,4 +1,4 @@
-"""Export: an estimated mass distribution as boxes and a rigid body, in MJCF, URDF, an object file, and JSON."""
+"""Export: an estimated mass distribution as boxes and a rigid body, in MJCF, URDF, SDF, an object file, and JSON."""
 
 from __future__ import annotations
 
@@ -187,16 +187,47 @@ def to_urdf(exported: Exported, *, inertial: bool = False) -> str:
     return _text(robot)
 
 
+def to_sdf(exported: Exported, *, inertial: bool = False) -> str:
+    """A model of boxes with their friction, as SDFormat 1.9.
+
+    Args:
+        exported: the answer.
+        inertial: one link with one inertial for the whole; else a link a box, each fixed to the first.
+    """
+    sdf = Element("sdf", version="1.9")
+    sdf.append(ElementTree.Comment(f"\n{exported.comment}\n"))
+    model, boxes = SubElement(sdf, "model", name=exported.name), exported.boxes
+    parts = {exported.name: boxes} if inertial else {box.name: [box] for box in boxes}
+    for name, inside in parts.items():
+        link, body = SubElement(model, "link", name=name), RigidBody.of(inside)
+        part = SubElement(link, "inertial")
+        _add_texts(part, pose=[*body.center, 0, 0, 0], mass=[body.mass])
+        _add_texts(SubElement(part, "inertia"), **{n: [v] for n, v in zip(_SIX, _six(body.inertia), strict=True)})
+        for box in inside:
+            for kind in ("visual", "collision"):
+                part = SubElement(link, kind, name=f"{box.name}_{kind}")
+                _add_texts(part, pose=[*box.center, 0, 0, 0])
+                _add_texts(SubElement(SubElement(part, "geometry"), "box"), size=box.size)
+                if kind == "collision" and box.friction is not None:
+                    friction = SubElement(SubElement(part, "surface"), "friction")
+                    _add_texts(SubElement(friction, "ode"), mu=[box.friction], mu2=[box.friction])
+    first, *rest = parts
+    for name in rest:
+        joint = SubElement(model, "joint", name=f"{name}_fixed", type="fixed")
+        SubElement(joint, "parent").text, SubElement(joint, "child").text = first, name
+    return _text(sdf)
+
+
 def written(exported: Exported, format_: str, *, inertial: bool = False) -> str:
-    """The text of a file of some format: mjcf, urdf or toml.
+    """The text of a file of some format: mjcf, urdf, sdf or toml.
 
     Raises:
         InvalidValueError: a format that cannot say it.
     """
     if format_ != "toml":
-        return {"mjcf": to_mjcf, "urdf": to_urdf}[format_](exported, inertial=inertial)
+        return {"mjcf": to_mjcf, "urdf": to_urdf, "sdf": to_sdf}[format_](exported, inertial=inertial)
     if inertial:
-        raise InvalidValueError("--inertial", "--format toml", "mjcf or urdf: heft's objects are blocks")
+        raise InvalidValueError("--inertial", "--format toml", "mjcf, urdf or sdf: heft's objects are blocks")
     return to_object_file(exported)
 
 
@@ -210,7 +241,7 @@ def to_object_file(exported: Exported) -> str:
     size = float(boxes[0].size[0])
     square = all(np.allclose(box.size[:2], size, rtol=1e-6) for box in boxes)
     if not (square and len(boxes) == shape.n_m):
-        allowed = "an object of square blocks alike; of other parts heft needs their meshes: mjcf or urdf"
+        allowed = "an object of square blocks alike; of other parts heft needs their meshes: mjcf, urdf or sdf"
         raise InvalidValueError("--format", "toml", allowed)
     corner = np.min([box.center for box in boxes], axis=0)
     places = [tuple(np.rint((box.center - corner)[:2] / size).astype(int).tolist()) for box in boxes]
@@ -254,8 +285,15 @@ def _add_inertial(link: Element, body: RigidBody) -> None:
     part = SubElement(link, "inertial")
     SubElement(part, "origin", xyz=_row(body.center), rpy="0 0 0")
     SubElement(part, "mass", value=_row([body.mass]))
-    names = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
-    SubElement(part, "inertia", {n: _row([v]) for n, v in zip(names, _six(body.inertia), strict=True)})
+    SubElement(part, "inertia", {n: _row([v]) for n, v in zip(_SIX, _six(body.inertia), strict=True)})
+
+
+def _add_texts(parent: Element, **values: Iterable[float]) -> None:
+    for name, numbers in values.items():
+        SubElement(parent, name).text = _row(numbers)
+
+
+_SIX = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
 
 
 def _six(inertia: np.ndarray) -> list[float]:

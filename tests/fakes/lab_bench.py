@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -9,8 +11,9 @@ import numpy as np
 import pandas as pd
 from scipy.spatial.transform import Rotation, Slerp
 
+from testbed.actions.path import minimum_jerk
 from testbed.toml import toml_text
-from testbed.trajectory import Trajectory
+from testbed.trajectory import Phase, Trajectory
 
 MOUNT = Rotation.from_euler("xyz", [180, 0, 123], degrees=True)
 """Mount of the sensor on the other robot's hand: upside down, and turned."""
@@ -111,3 +114,55 @@ def write_joined_csv(path: Path, sensor: pd.DataFrame, hand: pd.DataFrame) -> Pa
     """Both in one table by time, blank where a row has nothing."""
     pd.concat([sensor, hand]).sort_values("stamp").to_csv(path, index=False)
     return path
+
+
+def strung(trials: Sequence[Trajectory], pose_noise: float = 0.0) -> Trajectory:
+    """Trials of one object as one recording: the hand goes up from each to the next, the object lies where it left it.
+
+    Args:
+        trials: each from its tare to its last sample with the object.
+        pose_noise: standard deviation of the TCP [m].
+    """
+    series = [name for name, value in vars(trials[0]).items() if np.shape(value)[:1] == trials[0].time_s.shape]
+    parts: list[dict[str, np.ndarray]] = []
+    for trial in trials:
+        part = {name: np.array(getattr(trial, name)) for name in series}
+        if parts:
+            part = _lying_at(part, parts[-1]["object_pose"][-1])
+            parts.append(_way(parts[-1], part))
+        parts.append(part)
+    whole = {name: np.concatenate([part[name] for part in parts]) for name in series}
+    whole["time_s"] = np.arange(len(whole["time_s"])) / 100
+    whole["tcp_position"] += pose_noise * np.random.default_rng(0).standard_normal(whole["tcp_position"].shape)
+    return replace(trials[0], **whole)
+
+
+def _lying_at(part: dict[str, np.ndarray], pose: np.ndarray) -> dict[str, np.ndarray]:
+    """A trial whose object is first grasped at a planar pose."""
+    x, y, yaw = part["object_pose"][np.argmax(part["phase"] >= Phase.GRASP)]
+    turn = Rotation.from_euler("z", pose[2] - yaw)
+    there, here = np.array([x, y, 0.0]), np.array([pose[0], pose[1], 0.0])
+    position = turn.apply(part["tcp_position"] - there) + here
+    sensor = turn * Rotation.from_quat(part["sensor_orientation"], scalar_first=True)
+    planar = turn.apply(part["object_pose"] * [1, 1, 0] - there) + here
+    planar[:, 2] = part["object_pose"][:, 2] + pose[2] - yaw
+    return part | {
+        "tcp_position": position,
+        "sensor_orientation": sensor.as_quat(scalar_first=True),
+        "object_pose": planar,
+    }
+
+
+def _way(before: dict[str, np.ndarray], after: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Half a second of rest, up, and over to the next trial, the sensor as in its tare."""
+    up, over = (
+        minimum_jerk(np.clip((np.arange(350) - first) / 100 / seconds, 0, 1))[0]
+        for first, seconds in ((50, 1), (150, 2))
+    )
+    start, end = before["tcp_position"][-1], after["tcp_position"][0]
+    position = start + np.column_stack([over, over, up]) * (end - start)
+    ends = Rotation.from_quat([before["sensor_orientation"][-1], after["sensor_orientation"][0]], scalar_first=True)
+    turned = Slerp([0.0, 1.0], ends)(over).as_quat(scalar_first=True)
+    rows = {name: np.repeat(values[-1:], 350, axis=0) for name, values in before.items()}
+    rows["sensor_wrench"][100:] = before["sensor_wrench"][0]
+    return rows | {"tcp_position": position, "sensor_orientation": turned}

@@ -95,7 +95,7 @@ def test_the_particle_at_the_center_of_a_turn_stands_still_though_the_center_wan
     wandering = windows_of(L2, wander=2e-4)
     turn = int(torch.nonzero(still.steady.twist[:, :2].norm(dim=1) < 1e-9).item())
     assert float(wandering.steady.twist[turn, :2].norm()) > 1e-6
-    replaced = replace(wandering, steady=replace(wandering.steady, wrench=still.steady.wrench))
+    replaced = replace(wandering, windows=replace(wandering.windows, wrench=still.windows.wrench))
     errors = velocity_errors(replaced, H, s)[turn]
     assert_allclose(errors, velocity_errors(still, H, s)[turn], atol=1e-6)
 

@@ -32,8 +32,8 @@ from scenarios.config import (
     load_scenario,
 )
 from scenarios.results.store import Store
+from testbed.importers.logs import FACTORS
 from testbed.importers.mapping import (
-    FACTORS,
     HandMap,
     JointMap,
     LogMap,

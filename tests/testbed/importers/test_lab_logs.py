@@ -432,7 +432,7 @@ def test_one_file_serves_logs_of_several_actions(turn: Trajectory, slide: Trajec
     none = write_toml(tmp_path / "none.toml", mapping_of(turn, action=None, logs=entries))
     assert import_trajectory(second, none).action == slide.action
     twice = write_toml(tmp_path / "twice.toml", mapping_of(turn, logs=[entries[0], *entries]))
-    with pytest.raises(InvalidValueError, match=r"logs\.file: got 'logs/0.csv'; allowed: each file once"):
+    with pytest.raises(InvalidValueError, match=r"logs\.file: got 'logs/0.csv'; allowed: each stretch"):
         import_trajectory(first, twice)
     with pytest.raises(InvalidValueError, match="action: got None"):
         import_trajectory(first, none)

@@ -10,8 +10,7 @@ from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
 from testbed.errors import InvalidValueError
-from testbed.importers.logs import LogError, Series
-from testbed.importers.mapping import FACTORS, factor
+from testbed.importers.logs import FACTORS, LogError, Series, factor
 from testbed.importers.phases import common_base, resampled, resampled_rotation
 
 

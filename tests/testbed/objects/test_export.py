@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
+from xml.etree import ElementTree
 
 import mujoco
 import numpy as np
@@ -15,9 +17,10 @@ from scipy.spatial.transform import Rotation
 from estimators.particles.wrench import predicted_wrenches
 from estimators.testing.analytic_world import drawn_object, turns
 from scenarios.cli.main import main
+from scenarios.results.trials import keys_of, kind_of_trial, read_trial
 from testbed.actions.rotate import Rotate
 from testbed.errors import InvalidValueError
-from testbed.objects.export import Exported, RigidBody, boxes_of, to_mjcf, to_object_file, to_sidecar, to_urdf
+from testbed.objects.export import Exported, RigidBody, boxes_of, to_mjcf, to_object_file, to_sdf, to_sidecar, to_urdf
 from testbed.objects.files import load_object
 from testbed.objects.model import GRAVITY, MassDistribution, ObjectModel
 from testbed.sensing.windows import steady_samples, wrench_in_object
@@ -56,16 +59,78 @@ def body_of(text: str, name: str) -> RigidBody:
     return RigidBody(float(body.mass[0]), body.ipos, turn @ np.diag(body.inertia) @ turn.T)
 
 
+def by_pinocchio(text: str, name: str) -> RigidBody:
+    pinocchio = pytest.importorskip("pinocchio", reason="needs the extra simulators")
+    found = pinocchio.buildModelFromXML(text, pinocchio.JointModelFreeFlyer()).inertias[1]
+    return RigidBody(found.mass, found.lever, found.inertia)
+
+
+def by_drake(text: str, name: str, ending: str) -> RigidBody:
+    plants = pytest.importorskip("pydrake.multibody.plant", reason="needs the extra simulators")
+    parsing = pytest.importorskip("pydrake.multibody.parsing")
+    plant = plants.MultibodyPlant(0.0)
+    (model,) = parsing.Parser(plant).AddModelsFromString(text, ending)
+    plant.Finalize()
+    assert plant.num_positions() == 7  # one body, free
+    whole = plant.CalcSpatialInertia(plant.CreateDefaultContext(), plant.world_frame(), plant.GetBodyIndices(model))
+    centre = whole.get_com()
+    return RigidBody(whole.get_mass(), centre, whole.Shift(centre).CalcRotationalInertia().CopyToFullMatrix3())
+
+
+def by_hand(text: str, name: str) -> RigidBody:
+    """Links of an SDF, which MuJoCo and Pinocchio do not read."""
+    links = ElementTree.fromstring(text).findall("model/link")
+    numbers = [
+        {part.tag: [float(v) for v in str(part.text).split()] for part in link.iterfind("inertial//*")}
+        for link in links
+    ]
+    bodies = []
+    for said in numbers:
+        six = [said[f"i{axes}"][0] for axes in ("xx", "yy", "zz", "xy", "xz", "yz")]
+        inertia = np.array([[six[0], six[3], six[4]], [six[3], six[1], six[5]], [six[4], six[5], six[2]]])
+        bodies.append(RigidBody(said["mass"][0], np.array(said["pose"][:3]), inertia))
+    return joined(bodies)
+
+
+def joined(bodies: list[RigidBody]) -> RigidBody:
+    """One body of several, by their pseudo-inertias, which add up."""
+    total = np.sum([body.pseudo_inertia for body in bodies], axis=0)
+    centre, second = total[:3, 3] / total[3, 3], total[:3, :3]
+    about_origin = np.trace(second) * np.eye(3) - second
+    shift = total[3, 3] * (centre @ centre * np.eye(3) - np.outer(centre, centre))
+    return RigidBody(total[3, 3], centre, about_origin - shift)
+
+
+READERS = {
+    "mjcf": (to_mjcf, body_of),
+    "urdf": (to_urdf, body_of),
+    "sdf": (to_sdf, by_hand),
+    "urdf in Pinocchio": (to_urdf, by_pinocchio),
+    "mjcf in Drake": (to_mjcf, partial(by_drake, ending="xml")),
+    "urdf in Drake": (to_urdf, partial(by_drake, ending="urdf")),
+    "sdf in Drake": (to_sdf, partial(by_drake, ending="sdf")),
+}
+
+
 @pytest.mark.parametrize("inertial", [False, True], ids=["blocks", "inertial"])
-@pytest.mark.parametrize("write", [to_mjcf, to_urdf])
+@pytest.mark.parametrize("read", READERS)
 @pytest.mark.parametrize("model", MODELS.values(), ids=MODELS)
-def test_mass_centre_and_inertia_come_back(model, write, inertial):
-    given = exported(model)
-    whole, back = RigidBody.of(given.boxes), body_of(write(given, inertial=inertial), model.name)
+def test_mass_centre_and_inertia_come_back(model, read, inertial):
+    given, (write, load) = exported(model), READERS[read]
+    whole, back = RigidBody.of(given.boxes), load(write(given, inertial=inertial), model.name)
     assert_allclose(back.mass, whole.mass, rtol=1e-9)
     assert_allclose(back.center, whole.center, atol=1e-9)
     assert_allclose(back.inertia, whole.inertia, atol=1e-9 * np.trace(whole.inertia))
     assert (np.linalg.eigvalsh(back.pseudo_inertia) > 0).all()
+
+
+def test_sdf_has_the_friction_of_every_box_on_the_table():
+    given = exported(MODELS["hammer"])
+    root = ElementTree.fromstring(to_sdf(given))
+    said = {str(part.get("name")): part.findtext(".//ode/mu") for part in root.iter("collision")}
+    assert said == {f"{b.name}_collision": None if b.friction is None else repr(b.friction) for b in given.boxes}
+    assert None in said.values()
+    assert len(set(said.values())) == 1 + given.shape.n_mu
 
 
 @pytest.mark.parametrize("model", MODELS.values(), ids=MODELS)
@@ -126,7 +191,7 @@ def test_an_exported_estimate_dragged_in_heft_gives_the_wrench_of_the_estimate(t
     )
     main(["run", "s.toml", "--out", "out", "--workers", "0"])
     (key,) = [path.name for path in (tmp_path / "out/estimates").iterdir()]
-    for kind in ("mjcf", "urdf", "toml"):
+    for kind in ("mjcf", "urdf", "sdf", "toml"):
         main(["export", "out", key[:6], "--format", kind, "--out", f"answer.{kind}"])
     answer = load_object("answer.toml")
     body = body_of(Path("answer.mjcf").read_text(encoding="utf-8"), "bar")
@@ -150,7 +215,27 @@ def test_an_exported_estimate_dragged_in_heft_gives_the_wrench_of_the_estimate(t
     assert_allclose(draws.mean(axis=0), [*answer.group_mass, *answer.truth.friction], atol=2 * draws.std(axis=0).max())
     models = [body_of(path.read_text(encoding="utf-8"), "bar") for path in sorted(Path("drawn.draws").iterdir())]
     assert_allclose([body.mass for body in models], draws[:, :3].sum(axis=1), atol=1e-6)
+    main(["export", "out", key[:6], "--draws", "3", "--models", "--format", "sdf", "--out", "drawn.sdf"])
+    drawn = [by_hand(path.read_text(encoding="utf-8"), "bar") for path in sorted(Path("drawn.draws").glob("*.sdf"))]
+    assert len(drawn) == 3
+    assert all(np.linalg.eigvalsh(body.pseudo_inertia).min() > 0 for body in drawn)
+    pytest.importorskip("rosbags", reason="needs the extra robot")
+    moved = [t for t in keys_of(Path("out")) if kind_of_trial(Path("out"), t) in ("rotate", "accelerate")]
+    for trial in moved:
+        main(["export", "out", trial, "--format", "mcap"])
+    assert load_object(Path("out/exports/bar.toml")).group_mass == pytest.approx([0.3, 0.1, 0.2])
+    mapping = f"out/exports/bar_{moved[0][:8]}.toml"
+    main(["import", mapping, "--weight", "0.6", "--out", "lab"])
+    kept, back = (read_trial(Path(d), t).trajectory for d, t in (("out", moved[0]), ("lab", turn_of("lab"))))
+    assert np.array_equal(back.sensor_wrench, kept.sensor_wrench)
+    with pytest.raises(SystemExit, match="2"):
+        main(["export", "out", moved[0], "--format", "mcap", "--draws", "3"])
     with pytest.raises(SystemExit, match="2"):
         main(["export", "out", key[:6], "--models", "--out", "drawn.xml"])
     with pytest.raises(SystemExit, match="2"):
         main(["export", "out", key[:6], "--draws", "0", "--out", "drawn.xml"])
+
+
+def turn_of(folder: str) -> str:
+    (key,) = [key for key in keys_of(Path(folder)) if kind_of_trial(Path(folder), key) != "weigh"]
+    return key

@@ -1,0 +1,208 @@
+"""heft export: an estimate as a model for other simulators, a trial as messages for other programs."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import tyro
+
+from testbed.errors import InvalidValueError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    import pandas as pd
+
+    from estimators.evaluation.statistics import Row
+    from testbed.objects.export import Exported
+    from testbed.objects.model import ObjectModel
+
+_ENDING = {"mjcf": "xml", "urdf": "urdf", "sdf": "sdf", "toml": "toml", "mcap": "mcap"}
+
+
+def export(
+    folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DIR")],
+    what: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="ESTIMATE|TRIAL")],
+    *,
+    format_: Annotated[Literal["mjcf", "urdf", "sdf", "toml", "mcap"], tyro.conf.arg(name="format")] = "mjcf",
+    inertial: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False,
+    draws: Annotated[int | None, tyro.conf.arg(metavar="N")] = None,
+    models: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False,
+    out: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None,
+) -> None:
+    """Write an estimate for another simulator, a box a block; or a trial as ROS 2 messages, with --format mcap.
+
+    A JSON beside a model says how sure every mass is; a mapping beside an MCAP file has heft import read it back.
+
+    Examples: heft export results/blocks 3f9a
+              heft export results/blocks 3f9a --format urdf --inertial --out my_robot/hammer.urdf
+              heft export results/blocks 3f9a --draws 500
+              heft export results/blocks 3f9a --draws 100 --models
+              heft export results/lab 7c41 --format mcap
+
+    Args:
+        folder: of a run.
+        what: beginning of an estimate's key (see its report); with --format mcap of a trial's.
+        format_: mjcf, urdf, sdf; toml: an object file that heft itself can run; mcap: a trial, for Foxglove,
+            PlotJuggler, Rerun and ros2 bag.
+        inertial: one mass, centre and inertia for the whole object instead.
+        draws: write N draws of masses and frictions from the posterior too, as CSV; of an estimate by Algorithm 1.
+        models: write each draw as a model too, numbered in a folder, to train or test a controller on all of them.
+        out: DIR/exports/OBJECT_KEY if left out, with the format's ending.
+    """
+    if format_ == "mcap":
+        for name, given in (("--inertial", inertial), ("--draws", draws), ("--models", models)):
+            if given:
+                raise InvalidValueError(name, given, "of an estimate; --format mcap writes a trial")
+        _export_trial(folder, what, out)
+        return
+    from scenarios.results.estimates import row_of
+    from scenarios.results.files import inside
+    from scenarios.views.figures import file_name
+    from testbed.files import write_whole
+    from testbed.objects.export import to_sidecar, written
+
+    if models and draws is None:
+        raise InvalidValueError("--models", True, "with --draws N")
+    row = row_of(folder, what)
+    exported = exported_of(folder, row)
+    text = written(exported, format_, inertial=inertial)
+    name = file_name(f"{exported.name}_{row['key'][:8]}.{_ENDING[format_]}")
+    path = out or inside(folder, "exports", name)
+    for file, content in ((path, text), (path.with_suffix(".json"), to_sidecar(exported))):
+        write_whole(file, lambda part, content=content: part.write_text(content, encoding="utf-8"))
+        print(file)
+    if draws is not None:
+        table = posterior_table(folder, row, draws)
+        write_whole(path.with_suffix(".draws.csv"), lambda part: table.to_csv(part, index=False))
+        print(path.with_suffix(".draws.csv"))
+        for number, drawn in enumerate(drawn_from(exported, table) if models else ()):
+            file = path.with_suffix(".draws") / f"{number:04d}{path.suffix}"
+            content = written(drawn, format_, inertial=inertial)
+            write_whole(file, lambda part, content=content: part.write_text(content, encoding="utf-8"))
+        if models:
+            print(path.with_suffix(".draws"))
+
+
+def _export_trial(folder: Path, beginning: str, out: Path | None) -> None:
+    """Write a trial as MCAP, and beside it the mapping and the object file by which `heft import` reads it."""
+    from scenarios.results.files import inside
+    from scenarios.results.trials import read_trial
+    from scenarios.views.figures import file_name
+    from testbed.actions.base import TableAction
+    from testbed.exporters.ros2 import mapping_text, write_mcap
+    from testbed.files import write_whole
+    from testbed.sensing.noise import draw_sensing
+    from testbed.sensing.presets import preset
+
+    record = read_trial(folder, beginning)
+    shape, trajectory = record.object.shape, record.trajectory
+    if trajectory.is_clean:  # a stored simulation is not tared yet
+        trajectory = draw_sensing(trajectory, preset("ideal"), 0)
+    name = file_name(f"{record.object.name}_{record.folder.name[:8]}.mcap")
+    path = out or inside(folder, "exports", name)
+    write_mcap(trajectory, path)
+    print(path)
+    if not (isinstance(trajectory.action, TableAction) and trajectory.ok):
+        print("without a mapping: heft import reads turns and slides that are data")
+        return
+    called, text = _named_object(record.object)
+    texts = {path.with_suffix(".toml"): mapping_text(trajectory, shape, called, path.name)}
+    if text is not None:
+        texts[path.with_name(called)] = text
+    for file, content in texts.items():
+        write_whole(file, lambda part, content=content: part.write_text(content, encoding="utf-8"))
+        print(file)
+    if called.endswith(".toml") and text is None:
+        print(f"the mapping names {called}: put the object's file beside it")
+
+
+def _named_object(model: ObjectModel) -> tuple[str, str | None]:
+    """Name of an object for a mapping, and the object file that it needs beside it, as far as it can be written."""
+    import numpy as np
+
+    from testbed.errors import HeftError
+    from testbed.objects.export import Exported, to_object_file
+    from testbed.objects.files import load_object, object_names
+
+    if model.name in object_names():
+        ours = load_object(model.name, measured=True).shape.particles
+        if np.array_equal(ours, model.shape.particles):
+            return model.name, None
+    name = f"{model.name}.toml"
+    try:
+        return name, to_object_file(Exported(model.name, model.shape, model.truth)) if model.masses_known else None
+    except HeftError:  # of meshes, which are files of their own
+        return name, None
+
+
+def posterior_table(folder: Path, row: Row, count: int) -> pd.DataFrame:
+    """Draws from the posterior of a row's trials, one a row: mass of each group [kg], and frictions.
+
+    Raises:
+        InvalidValueError: an estimate that is not by Algorithm 1, or a count that the sampler cannot give.
+    """
+    import numpy as np
+    import pandas as pd
+
+    from estimators.hidden_states.estimator import HiddenStates
+    from estimators.identifiability.posterior import sample_posterior
+    from estimators.registry import METHODS, build_method
+    from scenarios.results.estimates import load_estimate
+    from scenarios.results.files import read_manifest
+    from scenarios.results.store import Store
+    from scenarios.results.trials import sensed_trials
+    from scenarios.views.values import estimate_view
+    from testbed.sensing.windows import weight_of
+
+    scenario = (read_manifest(folder) or {}).get("scenario", {})
+    kind = METHODS.get(row["kind"])  # of heft's own alone: a folder names no code to run
+    answer, shape = load_estimate(folder, row["key"]), estimate_view(folder, row).shape
+    method = build_method(row["kind"], scenario.get("methods", {}).get(row["method"], {})) if kind else None
+    if not isinstance(method, HiddenStates) or answer.distribution is None:
+        raise InvalidValueError("--draws", row["method"], "an estimate by hidden_states that has masses")
+    weighing, *trials = sensed_trials(Store(folder), tuple(row["trial_keys"]), row["sensing"], int(row["seed"]))
+    likelihood = method.likelihood(shape, weight_of(weighing), trials, answer.distribution)
+    posterior = sample_posterior(likelihood, answer.distribution, seed=0, covariance=answer.covariance)
+    if not 1 <= count <= len(posterior.mass):
+        raise InvalidValueError("--draws", count, f"an integer from 1 to {len(posterior.mass)}")
+    chosen = np.random.default_rng(0).choice(len(posterior.mass), count, replace=False)
+    frictions = ["friction"] if shape.n_mu == 1 else [f"friction {k}" for k in range(shape.n_mu)]
+    table = np.hstack([posterior.mass[chosen], posterior.friction[chosen]])
+    return pd.DataFrame(table, columns=[*shape.group_names, *frictions])
+
+
+def drawn_from(exported: Exported, table: pd.DataFrame) -> Iterator[Exported]:
+    """The object with the masses and frictions of each draw of a `posterior_table` in place of the estimate's."""
+    from testbed.objects.model import MassDistribution
+
+    shape = exported.shape
+    for number, values in enumerate(table.to_numpy()):
+        at = MassDistribution(values[: shape.n_m] / shape.particles_per_group, values[shape.n_m :])
+        notes = (*exported.notes, f"draw {number} from the posterior")
+        yield replace(exported, distribution=at, covariance=None, notes=notes)
+
+
+def exported_of(folder: Path, row: Row) -> Exported:
+    """The masses of a row of the results, as they are exported.
+
+    Raises:
+        InvalidValueError: it has none.
+    """
+    from scenarios.views.values import estimate_view
+    from testbed.objects.export import Exported
+
+    view = estimate_view(folder, row)
+    if view.answer is None:
+        why = f"{row['status']}: {row['message']}"
+        raise InvalidValueError("ESTIMATE", row["key"], f"one with masses; this one has none, {why}")
+    why = f": {row['message']}" if row.get("message") else ""
+    notes = (
+        f"estimated by heft: {view.title}, draw {row['seed']}",
+        f"status {row['status']}{why}",
+        *([f"assumed, not tested: {row['assumes']}"] if row.get("assumes") else []),
+        f"estimate {row['key']}",
+    )
+    return Exported(str(row["object"]), view.shape, view.answer, view.covariance, notes)

@@ -1,0 +1,1 @@
+"""Trials in formats of other programs."""

@@ -1,0 +1,350 @@
+"""Segments of a long recording: its tares, turns and slides, found from pose and wrench, and the grasp of each."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from scipy.ndimage import uniform_filter1d
+from scipy.spatial.transform import Rotation
+
+from testbed.actions.accelerate import Accelerate
+from testbed.actions.base import TableAction
+from testbed.actions.rotate import Rotate
+from testbed.actions.slide import Slide
+from testbed.errors import InvalidValueError, nearest
+from testbed.frames import perpendicular, rotation_2d
+from testbed.importers.importer import calibrated, object_of
+from testbed.importers.logs import LogError
+from testbed.importers.mapping import Mapping
+from testbed.importers.phases import ABOVE, RATE, SHORTEST_TARE, STEADY_WITHIN, STILL, linear_stretches, resampled, runs
+from testbed.importers.streams import Streams, closing_yaw, differentiated, open_log
+from testbed.objects.model import ObjectShape
+from testbed.toml import load_toml
+
+Kind = Literal["tare", "held still", "turn", "accelerated turn", "slide", "other motion", "empty hand"]
+SHORTEST = 0.5
+"""Shortest motion that is told [s]."""
+LONGEST_TURN_ROUND = 2.0
+"""Longest rest between a turn and its way back [s]."""
+GRASP_WITHIN = 0.010, np.radians(10.0)
+"""Distance [m] and angle [rad] up to which the hand is at a grasp, where the object was left."""
+_SMOOTHING = 0.25
+_ROTATION = np.radians(3.0)
+"""Smallest turn; a motion with less is a slide [rad]."""
+_WAY = 0.005
+"""Shortest slide [m]."""
+_DRAG = 0.15, 0.01
+"""Force in the table's plane [N] and torque about its normal [N m] below which nothing is held, beside noise."""
+_LIFTED = 0.5
+"""Change of the vertical force over the first tare above which a high hand carries something [N]."""
+_AT_GRASP = 0.003
+"""Distance of a center from the TCP up to which a turn is about the grasp [m]."""
+
+
+@dataclass(frozen=True)
+class Segment:
+    """Stretch of a recording in which the hand does one thing; times [s] count from the log's first sample."""
+
+    kind: Kind
+    from_s: float
+    to_s: float
+    action: TableAction | None = None
+    """Action on the table, in the object's frame if its grasp is found: else from the TCP, x as the pads close."""
+    steady: tuple[tuple[float, float], ...] = ()
+    """Stretches of constant speed or acceleration."""
+    tare: tuple[float, float] | None = None
+    """The last tare before."""
+    trial: tuple[float, float] = (0.0, 0.0)
+    """Stretch of the log that is the trial: from its tare to the middle of the next one."""
+    alone: bool = True
+    """True if the tare is right before it; False if another action of the same grasp is between."""
+    grasps: tuple[str, ...] = ()
+    """Names of the grasps that it fits: one if it is found."""
+    center: tuple[float, float] | None = None
+    """Center of a turn from the TCP [m], x as the pads close."""
+    closing: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """TCP and closing direction at its begin [m, m, rad], base axes."""
+    closing_end: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """The same at its end."""
+
+
+def find_segments(log: Path, mapping: Path, grasps: Sequence[str] = ()) -> list[Segment]:
+    """Segments of a recording, in order.
+
+    A tare is a rest of the hand above the table, a motion that the sensor feels is one of the object. A turn and its
+    way back are one action. The grasps are those between which the object moves as the hand left it each time.
+
+    Args:
+        log: a table, an .mcap file, or a ROS 2 bag.
+        mapping: a TOML file that describes its columns; its action and phases do not count.
+        grasps: names of the actions' grasps, in order; the first few are enough where the object stays in place.
+
+    Raises:
+        HeftError: see `import_trajectory`.
+        LogError: no tare, or no motion of the object.
+    """
+    table, gain = calibrated(load_toml(mapping, Mapping), mapping)
+    shape = object_of(table, mapping).shape
+    names = [grasp.name for grasp in shape.grasps]
+    if wrong := [name for name in grasps if name not in names]:
+        raise InvalidValueError("--grasps", wrong[0], f"some of {', '.join(names)}{nearest(wrong[0], names)}")
+    streams = Streams.of(open_log(log, table), table, mapping.parent)
+    base = streams.base(table.longest_gap_s)
+    position, hand = streams.tcp(table, base)
+    sensor = hand * Rotation.from_quat(table.sensor.in_hand_wxyz, scalar_first=True)
+    wrench = table.sensor.sign * resampled(streams.wrench, base) / gain
+    motion = _Motion(
+        base - streams.begin_s, position, closing_yaw(hand, table.hand), differentiated(position, hand), wrench, sensor
+    )
+    found = _trials(motion.segments())
+    if not any(segment.action for segment in found):
+        raise LogError(
+            f"{log}: no motion of the object was found: allowed: the hand rests {1e3 * ABOVE:.0f} mm or more above its "
+            f"grasp for {SHORTEST:g} s, goes down, and turns or slides the object"
+        )
+    return _with_grasps(found, shape, [names.index(name) for name in grasps])
+
+
+class _Motion:
+    """Motion and wrench of the hand at 100 Hz."""
+
+    def __init__(
+        self,
+        time: np.ndarray,
+        position: np.ndarray,
+        yaw: np.ndarray,
+        twist: np.ndarray,
+        wrench: np.ndarray,
+        sensor: Rotation,
+    ):
+        self.time, self.position, self.yaw, self.sensor = time, position, yaw, sensor
+        self.height, size = position[:, 2], round(_SMOOTHING * RATE)
+        self.twist, self.wrench = (uniform_filter1d(values, size, axis=0) for values in (twist, wrench))
+        self.noise = (wrench - self.wrench).std(axis=0) / size**0.5
+        self.quick = twist[:, 5]
+        self.rate, self.speed = self.twist[:, 5], np.linalg.norm(self.twist[:, :2], axis=1)
+        still = (np.linalg.norm(self.twist[:, :3], axis=1) < STILL[0]) & (
+            np.linalg.norm(self.twist[:, 3:], axis=1) < STILL[1]
+        )
+        self.rests = [run for run in runs(still) if len(run) >= SHORTEST_TARE * RATE]
+
+    def segments(self) -> list[Segment]:
+        """All segments in order, without their trials."""
+        parts = self._parts()
+        heights = [float(np.median(self.height[part])) for part in parts]
+        floor = min(heights, default=float(self.height.min()))
+        lifted = self.rests and [rest for rest in self.rests if self.height[rest].mean() > floor + ABOVE]
+        tares = [rest for rest in lifted or [] if self._weight(rest, lifted[0]) < _LIFTED]
+        found = []
+        for part, height in zip(parts, heights, strict=True):
+            before = [t for t in tares if t[-1] < part[0] and self.height[t].mean() > height + ABOVE]
+            if before:
+                found.append(self._motion(part, before[-1]))
+        for rest in self.rests:
+            kind: Kind = "tare" if any(rest is tare for tare in tares) else "held still"
+            found.append(Segment(kind, *self._ends(rest)))
+        return _there_and_back(sorted(found, key=lambda segment: segment.from_s))
+
+    def _parts(self) -> list[np.ndarray]:
+        """Motions in the plane that keep their sense, but for those that go down or up."""
+        level = np.abs(self.twist[:, 2]) < np.maximum(0.02, 0.3 * self.speed)
+        turning = np.where(np.abs(self.rate) > STILL[1], np.sign(self.rate), 0.0)
+        moving = level & ((turning != 0) | (self.speed > STILL[0]))
+        parts = []
+        for run in runs(moving):
+            turns = np.abs(self.yaw[run[-1]] - self.yaw[run[0]]) > _ROTATION or np.ptp(self.yaw[run]) > _ROTATION
+            senses = [sense for s in (-1, 1) for sense in runs(np.isin(np.arange(len(moving)), run) & (turning == s))]
+            parts += senses if turns else [run]
+        return sorted((part for part in parts if len(part) >= SHORTEST * RATE), key=lambda part: part[0])
+
+    def _weight(self, rest: np.ndarray, first: np.ndarray) -> float:
+        """Change of the vertical force since the first rest [N]."""
+        force = [self._world(at, self.wrench[at, :3]).mean(axis=0)[2] for at in (rest, first)]
+        return float(abs(force[0] - force[1]))
+
+    def _world(self, at: np.ndarray, vectors: np.ndarray) -> np.ndarray:
+        """Vectors by the sensor's axes, by the base's."""
+        return self.sensor[int(at[0]) : int(at[-1]) + 1].apply(vectors)
+
+    def _ends(self, run: np.ndarray) -> tuple[float, float]:
+        return round(float(self.time[run[0]]), 2), round(float(self.time[run[-1]]), 2)
+
+    def _pose(self, index: int) -> tuple[float, float, float]:
+        x, y = self.position[index, :2].tolist()
+        return x, y, float(self.yaw[index])
+
+    def _drags(self, part: np.ndarray, tare: np.ndarray) -> bool:
+        """True if the sensor feels the motion."""
+        felt = self.wrench[part] - self.wrench[tare].mean(axis=0)
+        force, torque = (self._world(part, felt[:, columns]) for columns in (slice(3), slice(3, 6)))
+        least = np.array(_DRAG) + 3 * np.array([self.noise[:3].max(), self.noise[3:].max()])
+        seen = np.median(np.linalg.norm(force[:, :2], axis=1)), np.median(np.abs(torque[:, 2]))
+        return bool((np.array(seen) > least).any())
+
+    def _motion(self, part: np.ndarray, tare: np.ndarray) -> Segment:
+        ends, kind = self._ends(part), "other motion"
+        action, steady = None, []
+        turned, way = abs(float(self.yaw[part[-1]] - self.yaw[part[0]])), float(self.speed[part].sum() / RATE)
+        if not self._drags(part, tare):
+            kind = "empty hand"
+        elif turned > _ROTATION:
+            kind, action, steady = self._turn(part)
+        elif way > _WAY:
+            kind, action, steady = self._slide(part)
+        poses = self._pose(part[0]), self._pose(part[-1])
+        windows = tuple(self._ends(run) for run in steady)
+        center = self._center(np.concatenate(steady)) if steady and kind != "slide" else None
+        return Segment(
+            kind, *ends, action, windows, self._ends(tare), center=center, closing=poses[0], closing_end=poses[1]
+        )
+
+    def _constant(self, part: np.ndarray, rate: np.ndarray) -> tuple[float, np.ndarray]:
+        """Median speed, and the longest stretch near it."""
+        speed = float(np.median(rate[part]))
+        near = runs(np.abs(rate[part] - speed) < STEADY_WITHIN * abs(speed))
+        return speed, part[max(near, key=len)]
+
+    def _turn(self, part: np.ndarray) -> tuple[Kind, TableAction | None, list[np.ndarray]]:
+        speed, near = self._constant(part, self.rate)
+        if len(near) > len(part) / 2:
+            x, y = self._center(near)
+            return "turn", Rotate(0, round(speed, 4), round(len(near) / RATE, 1), _pivot(x, y)), [near]
+        steps = linear_stretches(self.quick[part])
+        slopes = [round(slope, 2) for slope, _ in steps]
+        held = [part[within] for _, within in steps]
+        try:
+            hold = float(np.median([len(step) for step in held])) / RATE
+            start = float(self.quick[held[0][0]])
+            return "accelerated turn", Accelerate(0, tuple(slopes), round(hold, 2), round(start, 3)), held
+        except (InvalidValueError, IndexError):
+            return "other motion", None, []
+
+    def _slide(self, part: np.ndarray) -> tuple[Kind, TableAction | None, list[np.ndarray]]:
+        speed, near = self._constant(part, self.speed)
+        if len(near) <= len(part) / 2:
+            return "other motion", None, []
+        x, y = rotation_2d(-float(self.yaw[near].mean())) @ self.twist[near, :2].mean(axis=0)
+        return "slide", Slide(0, round(float(np.arctan2(y, x)), 3), round(speed, 4), round(len(near) / RATE, 1)), [near]
+
+    def _center(self, part: np.ndarray) -> tuple[float, float]:
+        """Center of a turn from the TCP [m], x as the pads close."""
+        across = (rotation_2d(-self.yaw[part]) @ perpendicular(self.twist[part, :2])[..., None])[..., 0]
+        x, y = np.median(across / self.rate[part, None], axis=0)  # the hand still settles in the first second
+        return float(x), float(y)
+
+
+def _pivot(x: float, y: float) -> tuple[float, float] | None:
+    """Center of a turn from the TCP, to 0.1 mm [m]; None at the TCP."""
+    return None if np.hypot(x, y) < _AT_GRASP else (round(x, 4), round(y, 4))
+
+
+def _there_and_back(found: list[Segment]) -> list[Segment]:
+    """Segments with each turn and its way back as one."""
+    done: list[Segment] = []
+    for segment in found:
+        last = next((other for other in reversed(done) if other.kind != "held still"), None)
+        there, back = last and last.action, segment.action
+        if (
+            last is not None
+            and isinstance(there, Rotate)
+            and isinstance(back, Rotate)
+            and not there.back
+            and segment.from_s - last.to_s < LONGEST_TURN_ROUND
+            and abs(there.speed + back.speed) < STEADY_WITHIN * abs(there.speed)
+            and abs(there.duration - back.duration) < 0.2 * there.duration
+            and np.linalg.norm(np.subtract(there.pivot or (0, 0), back.pivot or (0, 0))) < GRASP_WITHIN[0]
+        ):
+            pivots = [one.pivot or (0.0, 0.0) for one in (there, back)]  # drag displaces them by turns
+            about = _pivot(*np.mean(pivots, axis=0).tolist())
+            both = replace(there, duration=min(there.duration, back.duration), pivot=about, back=True)
+            joined = replace(
+                last,
+                to_s=segment.to_s,
+                action=both,
+                steady=(*last.steady, *segment.steady),
+                closing_end=segment.closing_end,
+                center=about or (0.0, 0.0),
+            )
+            done = [joined if other is last else other for other in done if other.from_s <= last.from_s]
+        else:
+            done.append(segment)
+    return done
+
+
+def _trials(found: list[Segment]) -> list[Segment]:
+    """Segments with the stretch of the log that is the trial of each action."""
+    done = []
+    actions = [segment for segment in found if segment.action]
+    tares = [(segment.from_s, segment.to_s) for segment in found if segment.kind == "tare"]
+    for segment in found:
+        if segment.action is None or segment.tare is None:
+            done.append(segment)
+            continue
+        at = actions.index(segment)
+        alone = at == 0 or actions[at - 1].tare != segment.tare
+        begin = segment.tare[0]
+        if alone and at and begin < (middle := round(sum(segment.tare) / 2, 2)):
+            begin = middle if segment.tare[1] - middle >= SHORTEST else begin
+        after = [tare for tare in tares if tare[0] > segment.to_s]
+        following = actions[at + 1] if at + 1 < len(actions) else None
+        if following is not None and following.tare == segment.tare:
+            end = round((segment.to_s + following.from_s) / 2, 2)
+        elif after:
+            middle = round(sum(after[0]) / 2, 2)
+            end = (middle if after[0][1] - middle >= SHORTEST else after[0][0]) if following else after[0][1]
+        else:
+            end = round(max(other.to_s for other in found), 2)
+        done.append(replace(segment, trial=(begin, end), alone=alone))
+    return done
+
+
+def _with_grasps(found: list[Segment], shape: ObjectShape, given: list[int]) -> list[Segment]:
+    """Segments with the grasps that they fit: along each chain of grasps the object stays where the hand left it."""
+    actions = [segment for segment in found if segment.action or segment.kind == "other motion"]
+    names = [grasp.name for grasp in shape.grasps]
+    starts = [given[: len(actions)]] if given else [[index] for index in range(len(names))]
+    chains = [chain for start in starts if (chain := _chain(actions, shape, start)) is not None]
+    fitting = [tuple(dict.fromkeys(names[chain[i]] for chain in chains)) for i in range(len(actions))]
+    held = []
+    for segment, grasps in zip(actions, fitting, strict=True):
+        action = segment.action
+        if action is not None and len(grasps) == 1:
+            action = _in_object(action, shape, names.index(grasps[0]))
+        held.append(replace(segment, action=action, grasps=grasps))
+    return [held.pop(0) if segment in actions else segment for segment in found]
+
+
+def _chain(actions: list[Segment], shape: ObjectShape, start: list[int]) -> list[int] | None:
+    """Grasps of the actions if the first are these; None if the hand is at none later."""
+    chain = list(start)
+    for earlier, later in list(pairwise(actions))[len(start) - 1 :]:
+        held = shape.grasps[chain[-1]]
+        x, y, closing = earlier.closing_end
+        yaw = closing - held.angle
+        origin = np.array([x, y]) - rotation_2d(yaw) @ held.position
+        at = rotation_2d(-yaw) @ (np.array(later.closing[:2]) - origin)
+        angle = later.closing[2] - yaw
+        off = [np.linalg.norm(at - grasp.position) for grasp in shape.grasps]
+        turned = [abs(np.angle(np.exp(1j * (angle - grasp.angle)))) for grasp in shape.grasps]
+        fits = [i for i in range(len(off)) if off[i] < GRASP_WITHIN[0] and turned[i] < GRASP_WITHIN[1]]
+        if not fits:
+            return None
+        chain.append(min(fits, key=lambda i: off[i]))
+    return chain
+
+
+def _in_object(action: TableAction, shape: ObjectShape, index: int) -> TableAction:
+    """An action by its grasp, its pivot and direction in the object's frame."""
+    grasp = shape.grasps[index]
+    if isinstance(action, Rotate) and action.pivot is not None:
+        x, y = (grasp.position + rotation_2d(grasp.angle) @ np.array(action.pivot)).round(4).tolist()
+        return replace(action, grasp=index, pivot=(x, y))
+    if isinstance(action, Slide):
+        direction = float(np.angle(np.exp(1j * (action.direction + grasp.angle))))
+        return replace(action, grasp=index, direction=round(direction, 3))
+    return replace(action, grasp=index)

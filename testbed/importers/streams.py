@@ -1,0 +1,194 @@
+"""What a log holds as streams, each by its own stamps: wrench, pose of the hand, joints, velocity."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from scipy.signal import savgol_filter
+from scipy.spatial.transform import Rotation
+
+from testbed.actions.base import TableAction
+from testbed.errors import InvalidValueError
+from testbed.importers.clocks import Delay, wrench_delay
+from testbed.importers.logs import Series, factor, read_all
+from testbed.importers.mapping import Columns, HandMap, JointMap, Mapping, SensorMap, TimeMap, VelocityMap
+from testbed.importers.messages import open_bag, open_mcap
+from testbed.importers.phases import RATE, common_base, resampled, resampled_rotation
+from testbed.importers.poses import Log, Pose, hand_pose
+from testbed.importers.tables import CsvLog
+
+_SLOPE_WINDOW = 0.15
+"""Time over which a logged pose is differentiated [s]."""
+_TABLES = (".csv", ".tsv", ".txt")
+_BAGS = (".db3", ".mcap")
+_WRENCHES = {"geometry_msgs/WrenchStamped": "wrench.", "geometry_msgs/Wrench": ""}
+"""Beginning of the fields of the messages that hold a wrench."""
+
+
+@dataclass(frozen=True, eq=False)
+class Streams:
+    """What a log holds, each by its own stamps from one epoch."""
+
+    wrench: Series
+    pose: Pose
+    joints: Series | None
+    velocity: Series | None
+    epoch_s: int
+    begin_s: float
+    """Time of the first sample that all of them cover [s]."""
+
+    @classmethod
+    def of(cls, source: Log, table: Mapping, folder: Path) -> Streams:
+        """All streams of a log; all their errors at once. `folder` is the mapping's."""
+        other = sensor_log(source, table, folder)
+        wrench, pose, joints, velocity = read_all(
+            lambda: read_wrench(other, table.sensor, table.time),
+            lambda: hand_pose(source, table.hand, table.time, folder),
+            lambda: _joints(source, table.joints, table.time) if table.joints else None,
+            lambda: _velocity(source, table.velocity, table.time) if table.velocity else None,
+        )
+        wrench = wrench._replace(time_s=wrench.time_s + (other.epoch_s - source.epoch_s))
+        wrench = in_sensor_axes(wrench, pose, table.sensor)
+        begin = max(one.time_s[0] for one in (wrench, pose[0], joints, velocity) if one is not None)
+        return cls(wrench, pose, joints, velocity, source.epoch_s, float(begin))
+
+    def within(self, from_s: float, to_s: float | None) -> Streams:
+        """The same from one time to another after the first sample; None is the end.
+
+        Raises:
+            InvalidValueError: beyond the log's end.
+        """
+        if from_s == 0 and to_s is None:
+            return self
+        ends = [one.time_s[-1] for one in (self.wrench, self.pose[0], self.joints, self.velocity) if one is not None]
+        seconds = min(ends) - self.begin_s
+        if max(from_s, to_s or 0.0) > seconds + 1 / RATE:
+            given = f"{from_s:g} to {seconds if to_s is None else to_s:g} s"
+            raise InvalidValueError("logs.from_s, to_s", given, f"within the log's {seconds:.2f} s")
+        low, high = self.begin_s + from_s - 1e-6, self.begin_s + (seconds if to_s is None else to_s) + 1e-6
+
+        def cut(one: Series) -> slice:
+            first, last = np.searchsorted(one.time_s, [low, high])
+            return slice(max(int(first) - 1, 0), int(last) + 1)  # a sample beyond each end
+
+        def part(one: Series | None) -> Series | None:
+            return None if one is None else Series(one.time_s[cut(one)], one.values[cut(one)])
+
+        position, hand = self.pose
+        pose = (Series(position.time_s[cut(position)], position.values[cut(position)]), hand[cut(position)])
+        return replace(
+            self, wrench=part(self.wrench), pose=pose, joints=part(self.joints), velocity=part(self.velocity)
+        )
+
+    def base(self, longest_gap: float) -> np.ndarray:
+        """Times at 100 Hz that all of them cover [s]."""
+        series = (self.wrench, self.pose[0], self.joints, self.velocity)
+        return common_base([s for s in series if s is not None], longest_gap)
+
+    def tcp(self, table: Mapping, base: np.ndarray) -> tuple[np.ndarray, Rotation]:
+        """Position of the TCP [m], and orientation of the hand, at the base's times."""
+        hand = resampled_rotation(self.pose[0].time_s, self.pose[1], base)
+        return resampled(self.pose[0], base) + hand.apply(table.hand.tcp_in_hand_m), hand
+
+    def delay(self, table: Mapping, action: TableAction) -> Delay | None:
+        """Delay of the wrench: the mapping's, or that of an accelerated turn of separate streams; else None."""
+        if table.sensor.delay_s is not None:
+            return Delay(table.sensor.delay_s, 0.0)
+        if not table.separate or not action.accelerated:
+            return None
+        base = self.base(table.longest_gap_s)
+        position, hand = self.tcp(table, base)
+        up = (hand * Rotation.from_quat(table.sensor.in_hand_wxyz, scalar_first=True)).inv().apply([0.0, 0.0, 1.0])
+        torque = np.sum(resampled(self.wrench, base)[:, 3:] * up, axis=1)
+        return wrench_delay(torque, position, hand, base)
+
+    def earlier(self, seconds: float) -> Streams:
+        """The same with the wrench's stamps earlier."""
+        return replace(self, wrench=self.wrench._replace(time_s=self.wrench.time_s - seconds))
+
+
+def open_log(path: Path, table: Columns) -> Log:
+    """Open a log by its suffix; a folder is a bag.
+
+    Raises:
+        InvalidValueError: a suffix that is none of a log's, or no such file.
+        LogError: a file that cannot be read.
+    """
+    if path.is_dir():
+        return open_bag(path)
+    if not path.is_file():
+        raise InvalidValueError("log", str(path), f"an existing file ({', '.join(_TABLES + _BAGS)}) or bag folder")
+    if path.suffix in _TABLES:
+        return CsvLog(path, table)
+    if path.suffix in _BAGS:
+        return open_mcap(path) if path.suffix == ".mcap" else open_bag(path)
+    raise InvalidValueError("log", str(path), f"a file that ends in {', '.join(_TABLES + _BAGS)}, or a bag folder")
+
+
+def sensor_log(log: Log, table: Columns, folder: Path) -> Log:
+    """Log of the wrenches: the one that the mapping in a folder names, or the same."""
+    return log if table.sensor.file is None else open_log(folder / table.sensor.file, table)
+
+
+def read_wrench(log: Log, sensor: SensorMap, time: TimeMap) -> Series:
+    """Wrench of the sensor [N, N m], shape (N, 6).
+
+    Raises:
+        InvalidValueError: no such column or topic, or nothing says where the wrench is.
+        LogError: values that are no numbers.
+    """
+    field = "sensor.force, sensor.torque"
+    kind = log.type_of(field, sensor.topic)
+    if sensor.force and sensor.torque:
+        names = [*sensor.force, *sensor.torque]
+    elif kind in _WRENCHES:
+        names = [f"{_WRENCHES[kind]}{part}.{a}" for part in ("force", "torque") for a in "xyz"]
+    else:
+        of = f"; {sensor.topic} has {kind or 'no type of message'}" if sensor.topic else ""
+        raise InvalidValueError(field, None, f"columns of the wrench{of}", file=log.path)
+    stamps, values = log.series(field, names, sensor.topic, sensor.time or time)
+    units = np.repeat([factor("force", sensor.force_unit), factor("torque", sensor.torque_unit)], 3)
+    return Series(stamps, values * units)
+
+
+def in_sensor_axes(wrench: Series, pose: Pose, sensor: SensorMap) -> Series:
+    """Wrench by the axes of the sensor, of one that may be by those of the arm's base, as a UR reports it."""
+    if sensor.axes == "sensor":
+        return wrench
+    mount = Rotation.from_quat(sensor.in_hand_wxyz, scalar_first=True)
+    back = (resampled_rotation(pose[0].time_s, pose[1], wrench.time_s) * mount).inv()
+    return wrench._replace(
+        values=np.hstack([back.apply(part) for part in (wrench.values[:, :3], wrench.values[:, 3:])])
+    )
+
+
+def _joints(log: Log, joints: JointMap, time: TimeMap) -> Series:
+    """Joint angles [rad], shape (N, 7)."""
+    stamps, values = log.series("joints.position", joints.position, joints.topic, time)
+    return Series(stamps, values * factor("angle", joints.unit))
+
+
+def _velocity(log: Log, velocity: VelocityMap, time: TimeMap) -> Series:
+    """Velocity of the TCP, base axes [m/s, rad/s], shape (N, 6)."""
+    names = [*velocity.linear, *velocity.angular]
+    stamps, values = log.series("velocity.linear, velocity.angular", names, velocity.topic, time)
+    units = [factor("speed", velocity.linear_unit), factor("turn rate", velocity.angular_unit)]
+    return Series(stamps, values * np.repeat(units, 3))
+
+
+def differentiated(position: np.ndarray, hand: Rotation) -> np.ndarray:
+    """Velocity of the TCP from its pose, base axes [m/s, rad/s], shape (T, 6)."""
+    window = round(_SLOPE_WINDOW * RATE) | 1
+    linear = savgol_filter(position, window, 2, deriv=1, delta=1 / RATE, axis=0)
+    steps = (hand[1:] * hand[:-1].inv()).as_rotvec() * RATE  # mean turn rate between two samples
+    rate = np.vstack([steps[:1], (steps[1:] + steps[:-1]) / 2, steps[-1:]])
+    return np.hstack([np.asarray(linear), np.asarray(savgol_filter(rate, window, 2, axis=0))])
+
+
+def closing_yaw(hand: Rotation, hand_map: HandMap) -> np.ndarray:
+    """Yaw of the direction in which the pads close [rad], without jumps."""
+    angle = np.radians(hand_map.closing_deg)
+    along = hand.apply([np.cos(angle), np.sin(angle), 0.0])
+    return np.unwrap(np.arctan2(along[:, 1], along[:, 0]))

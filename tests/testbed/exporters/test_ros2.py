@@ -1,0 +1,100 @@
+"""Trials written as ROS 2 messages: each number in the file, and again after `heft import`."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from estimators.testing.recorded import load_block
+from testbed.actions.lift import Lift
+from testbed.errors import InvalidValueError
+from testbed.exporters.ros2 import JOINTS, mapping_text, write_mcap
+from testbed.frames import rotation_matrix
+from testbed.importers.importer import import_trajectory
+from testbed.importers.messages import inside, open_mcap
+from testbed.sensing.noise import draw_sensing
+from testbed.sensing.presets import preset
+from testbed.trajectory import Trajectory
+from testbed.worlds.setup_errors import SetupErrors
+
+pytest.importorskip("rosbags", reason="needs the extra robot")
+from mcap.reader import make_reader
+
+BLOCK = load_block("L2-own_weight")
+EPOCH = 1_767_225_600
+FIELDS = {
+    "/wrench": ("sensor_wrench", [f"wrench.{p}.{a}" for p in ("force", "torque") for a in "xyz"]),
+    "/wrench_on_object": ("wrench_on_object_world", [f"wrench.{p}.{a}" for p in ("force", "torque") for a in "xyz"]),
+    "/tcp/velocity": ("tcp_velocity", [f"twist.{p}.{a}" for p in ("linear", "angular") for a in "xyz"]),
+    "/joint_states": ("joint_position", [f"position.{name}" for name in JOINTS]),
+}
+
+
+def measured(index: int) -> Trajectory:
+    """A turn under an FT-300S, as a robot's program might keep it: with joints, a date and the errors of its setup."""
+    whole = draw_sensing(BLOCK.clean[index], preset("ft300s"), 0)
+    joints = np.random.default_rng(0).normal(size=(len(whole.time_s), 7))
+    recorded = {"runner": "robot", "recorded": "2026-01-01T00:00:00.250+00:00"}
+    return replace(whole, joint_position=joints, setup=SetupErrors(gain=0.01, tcp_offset=0.001), provenance=recorded)
+
+
+def exported(trajectory: Trajectory, folder: Path) -> Path:
+    write_mcap(trajectory, folder / "turn.mcap")
+    text = mapping_text(trajectory, BLOCK.model.shape, "L2", "turn.mcap")
+    (folder / "turn.toml").write_text(text, encoding="utf-8")
+    return folder / "turn.mcap"
+
+
+@pytest.mark.parametrize("index", [0, -1], ids=lambda i: BLOCK.clean[i].action.kind)
+def test_what_is_imported_is_what_was_measured(tmp_path: Path, index: int):
+    given = measured(index)
+    back = import_trajectory(exported(given, tmp_path), tmp_path / "turn.toml")
+    for name in ("time_s", "phase", "segment", "sensor_wrench", "tcp_position", "tcp_velocity", "joint_position"):
+        assert np.array_equal(getattr(back, name), getattr(given, name)), name
+    # quaternions are made units, and the rest follows from what is above
+    turned = [rotation_matrix(t.sensor_orientation) for t in (back, given)]
+    assert_allclose(turned[0], turned[1], atol=1e-15)
+    assert_allclose(back.wrench_on_object_world, given.wrench_on_object_world, atol=1e-12)
+    for name, rounded in (("object_pose", 2e-6), ("object_velocity", 2e-5)):  # as the block's record is
+        assert_allclose(getattr(back, name), getattr(given, name), atol=rounded, err_msg=name)
+    assert (back.action, back.setup) == (given.action, given.setup)
+    assert_allclose(back.sensor_drift_std, given.sensor_drift_std, rtol=0)
+    assert back.provenance["recorded"] == "2026-01-01T00:00:00.000+00:00"
+
+
+def test_the_file_holds_every_number_of_samples_at_any_time(tmp_path: Path):
+    time = np.cumsum(np.random.default_rng(0).uniform(0.005, 0.015, len(measured(0).time_s)))
+    given = replace(measured(0), time_s=time - time[0])
+    path = exported(given, tmp_path)
+    log = open_mcap(path)
+    for topic, (series, names) in FIELDS.items():
+        assert np.array_equal(log.values("", names, topic, log.messages(topic)), getattr(given, series)), topic
+    stamps = np.array([m.log_time for m in log.messages("/wrench")]) - EPOCH * 10**9
+    assert np.abs(stamps - given.time_s * 1e9).max() <= 0.5 + 1e-4  # [ns], and float64's own of a minute
+    pose, tree = log.messages("/tcp/pose")[7].content.pose, log.messages("/tf")[7].content.transforms
+    turn = [getattr(pose.orientation, axis) for axis in "wxyz"]
+    assert turn == given.sensor_orientation[7].tolist()
+    assert [edge.child_frame_id for edge in tree] == ["tcp", "tcp_level", "object"]
+    yaw = 2 * np.arctan2(tree[2].transform.rotation.z, tree[2].transform.rotation.w)
+    assert_allclose([inside(tree[2].transform.translation, a) for a in "xy"] + [yaw], given.object_pose[7], atol=1e-12)
+    (static,) = log.messages("/tf_static")
+    assert [edge.child_frame_id for edge in static.content.transforms] == ["sensor"]
+    with path.open("rb") as file:
+        (kept,) = make_reader(file).iter_metadata()
+    assert {"status": "ok", "recorded": given.provenance["recorded"]}.items() <= kept.metadata.items()
+
+
+def test_what_is_no_motion_over_the_table_is_refused(tmp_path: Path):
+    shape, turn = BLOCK.model.shape, measured(0)
+    scale = Trajectory.of_scale(np.ones(3), np.arange(3.0), {})
+    for trajectory, field in ((scale, "action"), (replace(turn, status="slipped"), "status")):
+        with pytest.raises(InvalidValueError, match=f"trajectory.{field}"):
+            mapping_text(trajectory, shape, "L2", "turn.mcap")
+    with pytest.raises(InvalidValueError, match="allowed: rotate, accelerate or slide"):
+        mapping_text(replace(turn, action=Lift(0)), shape, "L2", "turn.mcap")
+    with pytest.raises(InvalidValueError, match="a trial of an arm"):
+        write_mcap(scale, tmp_path / "scale.mcap")

@@ -1,0 +1,157 @@
+"""A recording of several actions is taken apart: kinds, speeds, stretches, centers, and grasps come back."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from estimators.hidden_states.estimator import HiddenStates
+from estimators.testing.recorded import KnownBlock, load_block
+from testbed.actions.accelerate import Accelerate
+from testbed.actions.rotate import Rotate
+from testbed.actions.slide import Slide
+from testbed.errors import HeftError, InvalidValueError
+from testbed.importers.importer import import_trajectory
+from testbed.importers.mapping import LogMap
+from testbed.importers.phases import linear_stretches
+from testbed.importers.segments import Segment, find_segments
+from testbed.trajectory import Phase, Trajectory
+from tests.fakes.lab_bench import mapping_of, strung, write_csv, write_toml
+
+NOISE = 1e-5
+"""Standard deviation of the logged position [m]."""
+
+
+@pytest.fixture(scope="module")
+def block() -> KnownBlock:
+    return load_block("L2-own_weight")
+
+
+@pytest.fixture(scope="module")
+def trials(block: KnownBlock) -> list[Trajectory]:
+    return block.trials("ft300s")
+
+
+def slid(turn: Trajectory) -> Trajectory:
+    """A turn's record with a straight motion in its place, from its first steady sample to its last, at 20 mm/s."""
+    index, (first, last) = np.arange(len(turn.time_s)), np.flatnonzero(turn.segment >= 0)[[0, -1]]
+    way = np.cumsum(0.02 * np.interp(index, [first - 40, first, last, last + 40], [0, 1, 1, 0])) / 100
+    still = np.argmax(turn.phase >= Phase.GRASP)
+    along = np.column_stack([way - way[still], 0 * way, 0 * way])
+    level = turn.tcp_position[still] * [1, 1, 0] + turn.tcp_position * [0, 0, 1]
+    pose = turn.object_pose[still] + along
+    return replace(
+        turn,
+        action=Slide(turn.action.grasp or 0, 0.0, 0.02),
+        tcp_position=level + along,
+        sensor_orientation=np.repeat(turn.sensor_orientation[still : still + 1], len(way), axis=0),
+        object_pose=pose,
+    )
+
+
+def written(folder: Path, recording: Trajectory) -> tuple[Path, Path]:
+    """A recording and its mapping, without an action."""
+    log = write_csv(folder / "log.csv", recording)
+    return log, write_toml(folder / "map.toml", mapping_of(recording, action=None, joints=None))
+
+
+@pytest.fixture(scope="module")
+def found(trials: list[Trajectory], tmp_path_factory: pytest.TempPathFactory) -> list[Segment]:
+    """Segments of a recording of a turn with an empty hand, and of four actions."""
+    empty = replace(trials[4], sensor_wrench=np.repeat(trials[4].sensor_wrench[:1], len(trials[4].time_s), axis=0))
+    recording = strung([trials[0], empty, trials[3], slid(trials[5]), trials[6]], NOISE)
+    return find_segments(*written(tmp_path_factory.mktemp("long"), recording))
+
+
+def test_actions_come_back(found: list[Segment], trials: list[Trajectory], block: KnownBlock):
+    actions = [segment for segment in found if segment.action]
+    assert [segment.kind for segment in actions] == ["accelerated turn", "turn", "slide", "turn"]
+    names = [grasp.name for grasp in block.model.shape.grasps]
+    assert [segment.grasps for segment in actions] == [(names[i],) for i in (1, 4, 1, 0)]
+    accelerated, turn, slide, last = (segment.action for segment in actions)
+    assert isinstance(accelerated, Accelerate)
+    assert_allclose(accelerated.accelerations, trials[0].action.to_dict()["accelerations"], atol=0.1)
+    assert accelerated.hold == 0.6
+    for action, trial in ((turn, trials[3]), (last, trials[6])):
+        asked = trial.action
+        assert isinstance(action, Rotate) and isinstance(asked, Rotate) and action.back
+        assert_allclose([action.speed, action.duration], [asked.speed, asked.duration], rtol=0.05)
+        assert action.pivot is not None and asked.pivot is not None
+        assert_allclose(action.pivot, asked.pivot, atol=1e-3)
+    assert isinstance(slide, Slide)
+    yaw = float(trials[5].object_pose[np.argmax(trials[5].phase >= Phase.GRASP), 2])
+    assert_allclose([slide.speed, slide.grasp, slide.direction], [0.02, 1, -yaw], rtol=0.05)
+
+
+def test_stretches_come_back(found: list[Segment], trials: list[Trajectory]):
+    begins = np.cumsum([0, *(len(t.time_s) + 350 for t in (trials[0], trials[4], trials[3], trials[5]))]) / 100
+    actions = [segment for segment in found if segment.action]
+    for segment, begin, i in zip(actions, begins[[0, 2, 3, 4]], (0, 3, 5, 6), strict=True):
+        trial = trials[i]
+        steady = np.flatnonzero(trial.segment >= 0)[[0, -1]] / 100 + begin
+        assert_allclose([segment.steady[0][0], segment.steady[-1][1]], steady, atol=0.2)
+        assert segment.tare is not None
+        assert_allclose(segment.tare, np.array([0.0, 0.45]) + begin, atol=0.1)
+    (empty,) = [segment for segment in found if segment.kind == "empty hand" and segment.to_s - segment.from_s > 3][:1]
+    assert begins[1] < empty.from_s < empty.to_s < begins[2]
+    assert sum(segment.kind == "tare" for segment in found) == 5
+
+
+def test_one_grasp_may_hold_for_two_actions(trials: list[Trajectory], tmp_path: Path):
+    """The second has the tare of the first, and its own phases."""
+    turn = trials[3]
+    held = turn.phase > Phase.GRASP
+    again = {n: v[held] for n, v in vars(turn).items() if np.shape(v)[:1] == turn.time_s.shape}
+    both = {name: np.concatenate([getattr(turn, name), values]) for name, values in again.items()}
+    both["time_s"] = np.arange(len(both["time_s"])) / 100
+    log, mapping = written(tmp_path, replace(turn, **both))
+    first, second = [segment for segment in find_segments(log, mapping, ["A4"]) if segment.action]
+    assert (first.alone, second.alone) == (True, False)
+    assert first.tare == second.tare
+    assert first.trial[1] < second.steady[0][0]
+    assert first.grasps == second.grasps == ("A4",)
+
+
+def test_a_grasp_that_cannot_be_told_is_left_open(trials: list[Trajectory], tmp_path: Path):
+    log, mapping = written(tmp_path, trials[3])
+    (turn,) = [segment for segment in find_segments(log, mapping) if segment.action]
+    assert turn.grasps == ("B1", "C1", "A2", "A3", "A4")
+    with pytest.raises(InvalidValueError, match=r"--grasps: got 'A5'; allowed: some of B1, .*nearest: A"):
+        find_segments(log, mapping, ["A5"])
+    none = replace(trials[3], sensor_wrench=np.zeros_like(trials[3].sensor_wrench))
+    with pytest.raises(HeftError, match=r"log\.csv: no motion of the object was found"):
+        find_segments(*written(tmp_path, none))
+
+
+def test_knots_of_a_speed_are_found():
+    slopes, holds = np.array([0.4, 0.0, 1.0, -1.0, 0.5, -0.3, -1.1]), np.array([0.4, 0.3, 0.6, 0.6, 0.8, 0.4, 0.4])
+    time = np.arange(round(holds.sum() * 100)) / 100
+    knots = np.concatenate([[0.0], np.cumsum(holds)])
+    rate = np.interp(time, knots, np.concatenate([[0.0], np.cumsum(slopes * holds)]))
+    found = linear_stretches(rate + 0.005 * np.random.default_rng(0).standard_normal(len(time)))
+    assert_allclose([slope for slope, _ in found], slopes[2:-1], atol=0.06)
+    assert_allclose([place[0] / 100 for _, place in found], knots[2:-2], atol=0.04)
+
+
+@pytest.mark.slow
+def test_a_recording_estimates_as_its_logs_alone(block: KnownBlock, trials: list[Trajectory], tmp_path: Path):
+    chosen = [t for t in trials if not t.action.accelerated]
+    log, mapping = written(tmp_path, strung(chosen, NOISE))
+    named = [s for s in find_segments(log, mapping) if s.action]
+    entries = [LogMap(file="log.csv", from_s=s.trial[0], to_s=s.trial[1]) for s in named]
+    together, apart = [], []
+    for segment, entry, trial in zip(named, entries, chosen, strict=True):
+        assert segment.action is not None
+        one = write_toml(tmp_path / "one.toml", mapping_of(trial, action=segment.action.to_dict(), joints=None))
+        together.append(import_trajectory(log, one, entry=entry))
+        one = write_toml(tmp_path / "one.toml", mapping_of(trial, joints=None))
+        apart.append(import_trajectory(write_csv(tmp_path / "one.csv", trial), one))
+    answers = [HiddenStates().estimate(block.model.shape, block.model.total_mass, t, seed=0) for t in (together, apart)]
+    masses = [answer.distribution.mass for answer in answers if answer.distribution]
+    assert answers[1].covariance is not None
+    error = np.sqrt(np.diag(answers[1].covariance))
+    assert (np.abs(masses[0] - masses[1]) < 0.5 * error).all()

@@ -11,7 +11,7 @@ from testbed.actions.accelerate import Accelerate
 from testbed.actions.base import Action
 from testbed.actions.rotate import Rotate
 from testbed.errors import HeftError, InfeasibleTrialError, InvalidValueError
-from testbed.objects.model import ObjectModel, ObjectShape
+from testbed.objects.model import ROBOTIQ_2F85, ObjectModel, ObjectShape
 from testbed.plugins import RUNNER, configured, find_class, placed_errors, source_hash
 from testbed.simulation.settings import SimulationSettings
 from testbed.trajectory import Trajectory
@@ -132,7 +132,7 @@ def feasible_grasps(name: str, check: FeasibilityCheck) -> tuple[int, ...]:
         else:
             possible.append(index)
     if not possible:
-        why = "\n  ".join(reasons) or "no block has two opposite free faces"
+        why = "\n  ".join(reasons) or ROBOTIQ_2F85.nothing
         raise InfeasibleTrialError(f"{name}: the bench cannot turn this object about any grasp\n  {why}")
     return tuple(possible)
 

@@ -59,7 +59,7 @@ def predicted_windows(
         InvalidValueError: a grasp that the shape does not have.
     """
     places = np.array([grasp.position for grasp in shape.grasps]).reshape(-1, 2)
-    held = np.linalg.norm(shape.particles - places[:, None], axis=-1).argmin(axis=1)
+    held = np.array([shape.pressed(grasp) for grasp in shape.grasps]).reshape(-1, 2)
     at, stretches, trial, grasp = [tuple(place) for place in places.tolist()], [], [], []
     for index, action in enumerate(actions):
         if not isinstance(action, TableAction):  # the others have no such windows
@@ -99,7 +99,7 @@ def predicted_windows(
         load_map=torch.tensor(load_map(HEIGHT)).expand(count, 3, 6),
         load_kept=torch.full((count, 3), float(sensing.force_bias == 0), dtype=torch.float64),
         load_followed=zeros + 1,
-        held=torch.tensor(shape.mass_group[held[grasp]]),
+        held=torch.tensor(held[grasp]),
         trial=torch.tensor(trial),
         accelerated=torch.tensor([accelerated for _, accelerated in stretches]),
     )

@@ -21,8 +21,8 @@ class GripperLoad:
     """Vertical force of the gripper on the object, fz, N."""
     moment: Float[Tensor, "K 2"]
     """Moment that the feet supply beyond the object's own weight: (sum x N, sum y N) about the grasp point, N m."""
-    held: Int[Tensor, "K"]
-    """Mass group between the fingers."""
+    held: Int[Tensor, "K 2"]
+    """Mass groups under the two pads, each of which carries half the lift."""
     point: Float[Tensor, "K 2"]
     """Grasp point, m, object frame."""
 
@@ -35,7 +35,7 @@ class GripperLoad:
     def none() -> GripperLoad:
         """Load of a gripper that carries nothing, in one window."""
         lift, pair = torch.zeros(1, dtype=torch.float64), torch.zeros(1, 2, dtype=torch.float64)
-        return GripperLoad(lift, pair, torch.zeros(1, dtype=torch.int64), pair)
+        return GripperLoad(lift, pair, torch.zeros(1, 2, dtype=torch.int64), pair)
 
 
 def load_map(height: float) -> np.ndarray:

@@ -43,9 +43,9 @@ class OwnWeight:
 def own_weight(model: ParticleModel, mass: Float[Tensor, "P"], load: GripperLoad) -> OwnWeight:
     """Every mass group on its own weight: N_i = m_i g, plus the gripper's load.
 
-    The held group's weight is lightened by fz. All groups share one tilt on a foundation of even stiffness, so
-    each takes a part of the moment that is affine over its own feet: the gripper's, and that of a weight beside
-    its feet.
+    fz lightens the held group's weight, or by half of it each that of two under the pads. All groups share one tilt on
+    a foundation of even stiffness, so each takes a part of the moment that is affine over its own feet: the gripper's,
+    and that of a weight beside its feet.
 
     Args:
         model: particles of the object.
@@ -71,10 +71,10 @@ def own_weight(model: ParticleModel, mass: Float[Tensor, "P"], load: GripperLoad
     weight = whole * GRAVITY
     middle = pairs.index_add(0, group, particles * mass[:, None]) * GRAVITY
     lean = tilt @ (middle - weight[:, None] * center).sum(0)
-    gripped = (group == load.held[:, None]) & contact
-    lift = gripped / gripped.sum(-1, keepdim=True).clamp(min=1)
-    # fz acts at the grasp point: what lies beside the middle of the held group's feet tilts
-    aside = tilt @ (center[load.held] - load.point).T
+    gripped = ((group == load.held[..., None]) & contact).double()
+    lift = (gripped / gripped.sum(-1, keepdim=True).clamp(min=1)).mean(-2)
+    # fz acts at the grasp point: what lies beside the middle of the held groups' feet tilts
+    aside = tilt @ (center[load.held].mean(-2) - load.point).T
     return OwnWeight(share, lean, torch.cat([aside.T[..., None] - lift[..., None], tilt.expand(len(lift), -1, -1)], -1))
 
 

@@ -102,7 +102,7 @@ class Observations:
     """Part of a trial's common lift and tilt that stands out of the bias, 0 to 1; the rest is taken as none."""
     load_followed: Float[Tensor, "K 3"]
     """Part of their change from window to window of a trial that stands out of the noise, 0 to 1."""
-    held: Int[Tensor, "K"]
+    held: Int[Tensor, "K 2"]
     """Mass group between the fingers."""
     trial: Int[Tensor, "K"]
     """Trajectory that a window is from."""
@@ -311,7 +311,6 @@ def observe(
         errors.nulled,
     )
     points = np.array([shape.grasps[w.grasp].position for w in windows])
-    nearest = np.linalg.norm(shape.particles[None] - points[:, None], axis=-1).argmin(axis=1)
     same = ("since_tare", "twist", "twists", "acceleration", "spin_square", "yaw", "poses", "from_sensor")
     values: dict[str, np.ndarray] = {name: np.array([getattr(w, name) for w in windows]) for name in same}
     values |= {
@@ -326,7 +325,7 @@ def observe(
         "load_map": carries,
         "load_kept": kept,
         "load_followed": followed,
-        "held": shape.mass_group[nearest],
+        "held": np.array([shape.pressed(g) for g in shape.grasps])[[w.grasp for w in windows]],
         "trial": np.array(trial),
         "accelerated": np.array(accelerated),
     }

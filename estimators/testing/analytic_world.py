@@ -104,7 +104,7 @@ def analytic_trial(
     to_com = obj.center_of_mass - grasp
     com_acceleration = acceleration + spin_slope[:, None] * perpendicular(to_com) - spin[:, None] ** 2 * to_com
     inertia = obj.inertia_cm + obj.total_mass * to_com @ to_com
-    load = _rigid(obj, lever, lift, moment) if rigid else _own_weight(obj, lever, lift, moment)
+    load = _rigid(obj, lever, lift, moment) if rigid else _own_weight(obj, action.grasp, lift, moment)
     drag = np.where(shape.friction_group >= 0, obj.truth.friction[shape.friction_group], 0.0) * load
     particle = velocity[:, None] + spin[:, None, None] * perpendicular(lever)
     speed = np.linalg.norm(particle, axis=-1, keepdims=True)
@@ -183,20 +183,21 @@ def _motion(action: TableAction) -> tuple[np.ndarray, np.ndarray, np.ndarray, np
     return along, rate, slope, segment.astype(int)
 
 
-def _own_weight(obj: ObjectModel, lever: np.ndarray, lift: float, moment: tuple[float, float]) -> np.ndarray:
-    """Every group's weight on its own feet; the lift off the held one; one tilt on an even foundation."""
+def _own_weight(obj: ObjectModel, grasp: int, lift: float, moment: tuple[float, float]) -> np.ndarray:
+    """Every group's weight on its own feet; the lift off those held; one tilt on an even foundation."""
     shape = obj.shape
     feet = shape.friction_group >= 0
-    load = np.zeros(len(lever))
-    offset = np.zeros_like(lever)
+    load, offset = np.zeros(len(feet)), np.zeros((len(feet), 2))
     for group in range(shape.n_m):
         inside = shape.mass_group == group
         under = inside & feet
         load[under] = obj.particle_mass[inside].sum() * GRAVITY / under.sum()
-        offset[under] = lever[under] - lever[under].mean(axis=0)
-    held = feet & (shape.mass_group == shape.mass_group[np.argmin(np.linalg.norm(lever, axis=1))])
+        offset[under] = shape.particles[under] - shape.particles[under].mean(axis=0)
     tilt = offset @ np.linalg.solve(offset.T @ offset, np.asarray(moment))
-    return load - held * lift / held.sum() + tilt
+    for group in shape.pressed(shape.grasps[grasp]):
+        held = feet & (shape.mass_group == group)
+        load -= held * lift / 2 / held.sum()
+    return load + tilt
 
 
 def _rigid(obj: ObjectModel, lever: np.ndarray, lift: float, moment: tuple[float, float]) -> np.ndarray:

@@ -198,6 +198,9 @@ def show(object_: Annotated[str, tyro.conf.Positional, tyro.conf.arg(name="objec
     grasps = {grasp.name: "x" if abs(np.cos(grasp.angle)) > 0.5 else "y" for grasp in shape.grasps}
     for group, label in enumerate(shape.group_names):
         table.add_row(label, _mass(model, group), _friction(model, group), grasps.get(label, "-"))
+    for grasp in shape.grasps:
+        if grasp.name not in shape.group_names:
+            table.add_row(grasp.name, "", "", f"{grasps[grasp.name]}, {grasp.width * 1e3:.0f} mm")
     console.print(table)
 
 

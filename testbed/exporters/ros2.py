@@ -16,7 +16,7 @@ from testbed.actions.base import TableAction
 from testbed.errors import InvalidValueError
 from testbed.files import write_whole
 from testbed.frames import rotation_matrix
-from testbed.objects.model import ObjectShape
+from testbed.objects.model import ROBOTIQ_2F85, SPARE_OPENING, ObjectShape
 from testbed.toml import toml_text
 from testbed.trajectory import Phase, Trajectory
 
@@ -106,7 +106,11 @@ def mapping_text(trajectory: Trajectory, shape: ObjectShape, object_file: str, l
             "drift_std_N": float(drift[:3].max()),
             "drift_std_Nm": float(drift[3:].max()),
         },
-        "hand": {"topic": "/tcp/pose", "closing_deg": _closing(trajectory, grasp.angle)},
+        "hand": {
+            "topic": "/tcp/pose",
+            "closing_deg": _closing(trajectory, grasp.angle),
+            "stroke_m": max(ROBOTIQ_2F85.stroke, grasp.width + SPARE_OPENING),
+        },
         "velocity": {"topic": "/tcp/velocity", "linear": linear, "angular": angular},
         **({"joints": _joint_map()} if trajectory.joint_position.any() else {}),
         "tool": {

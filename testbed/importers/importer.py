@@ -161,7 +161,7 @@ def object_of(table: Mapping, mapping: Path) -> ObjectModel:
     beside = mapping.parent / table.object
     try:
         named = beside if table.object.endswith(".toml") and beside.is_file() else table.object
-        return load_object(named, measured=True)
+        return load_object(named, measured=True, hand=table.hand.size)
     except InvalidValueError as error:
         raise InvalidValueError(error.field, error.given, error.allowed, file=error.file or mapping) from None
 
@@ -169,7 +169,7 @@ def object_of(table: Mapping, mapping: Path) -> ObjectModel:
 def _action_and_object(table: Mapping, mapping: Path) -> tuple[TableAction, ObjectModel]:
     action, model = table.recorded_action(), object_of(table, mapping)
     try:
-        return action.on(model.shape), model
+        return action.on(model.shape, table.hand.size), model
     except InvalidValueError as error:
         raise InvalidValueError(error.field, error.given, error.allowed, file=mapping) from None
 

@@ -13,7 +13,8 @@ from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Fie
 from testbed.actions.base import TableAction, action_from_dict
 from testbed.errors import InvalidValueError, nearest
 from testbed.importers.logs import factor
-from testbed.objects.model import ObjectShape
+from testbed.objects.files import Side
+from testbed.objects.model import ROBOTIQ_2F85, Hand, ObjectShape
 from testbed.sensing.presets import preset
 from testbed.toml import Finite, NonNegative, Positive
 from testbed.trajectory import Phase
@@ -106,6 +107,13 @@ class HandMap(_Table):
     tcp_in_hand_m: Vector = [0.0, 0.0, 0.0]
     closing_deg: Finite = 0.0
     table_height_m: Finite = 0.0
+    stroke_m: Side = ROBOTIQ_2F85.stroke
+    finger_width_m: Side = ROBOTIQ_2F85.finger_width
+
+    @property
+    def size(self) -> Hand:
+        """Size of the hand, by which rows of blocks can be taken."""
+        return Hand(self.stroke_m, self.finger_width_m)
 
     @model_validator(mode="after")
     def _has_all_parts(self) -> Self:
@@ -181,8 +189,8 @@ class MappedAction:
     grasp_name: str = ""
     """Name of the grasp; empty where it has a number."""
 
-    def on(self, shape: ObjectShape) -> TableAction:
-        """The action on an object.
+    def on(self, shape: ObjectShape, hand: Hand = ROBOTIQ_2F85) -> TableAction:
+        """The action on an object, whose grasps are those of a hand.
 
         Raises:
             InvalidValueError: the object has no such grasp.
@@ -191,7 +199,7 @@ class MappedAction:
         if self.grasp_name in names:
             return replace(self.action, grasp=names.index(self.grasp_name))
         if self.grasp_name or self.action.grasp >= len(names):
-            listed = ", ".join(f"{i} ({name})" for i, name in enumerate(names)) or "none: nothing is grippable"
+            listed = ", ".join(f"{i} ({name})" for i, name in enumerate(names)) or f"none: {hand.nothing}"
             raise InvalidValueError("action.grasp", given, f"{listed}{nearest(str(given), names)}")
         return self.action
 

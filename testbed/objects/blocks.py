@@ -5,9 +5,10 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 
 from testbed.errors import InvalidValueError
-from testbed.objects.model import Grasp, MassDistribution, ObjectModel, ObjectShape
+from testbed.objects.model import ROBOTIQ_2F85, Grasp, Hand, MassDistribution, ObjectModel, ObjectShape
 from testbed.validation import check_integer
 
 MOST_ROWS, MOST_BLOCKS, MOST_GRID = 100, 400, 100
@@ -82,6 +83,7 @@ def block_object(
     friction: list[float],
     friction_group: list[int],
     grid: int,
+    hand: Hand = ROBOTIQ_2F85,
 ) -> ObjectModel:
     """A block object as particles.
 
@@ -94,6 +96,7 @@ def block_object(
         friction: friction coefficient of each friction group.
         friction_group: index into `friction` of each block.
         grid: particles along a block's side; a block becomes grid x grid particles.
+        hand: the gripper, which takes rows of blocks as far as it opens.
 
     Raises:
         InvalidValueError: grid < 1, lengths that do not match, or values out of range.
@@ -114,7 +117,7 @@ def block_object(
         friction_group=np.repeat(friction_group, per_block),
         cell=size / grid,
         height=height,
-        grasps=_grasps(cells, centres, size),
+        grasps=(*_grasps(cells, centres, size), *_rows(cells, centres, size, hand)),
         group_names=tuple(cell.name for cell in cells),
     )
     return ObjectModel(name, shape, MassDistribution(np.asarray(mass) / per_block, np.asarray(friction)))
@@ -130,6 +133,35 @@ def _grasps(cells: list[Cell], centres: np.ndarray, size: float) -> tuple[Grasp,
         elif not (top or bottom):
             grasps.append(Grasp(cell.name, centre, angle=np.pi / 2, width=size, length=size))
     return tuple(grasps)
+
+
+def _rows(cells: list[Cell], centres: np.ndarray, size: float, hand: Hand) -> list[Grasp]:
+    """Rows of blocks between two free faces can be taken across both, where the hand opens that far and has room."""
+    at, grasps = dict(zip(cells, centres, strict=True)), []
+    for closing, (across, up) in ((0.0, (1, 0)), (np.pi / 2, (0, 1))):
+        for first in cells:
+            row = [first]
+            while (following := Cell(row[-1].column + across, row[-1].row + up)) in at:
+                row.append(following)
+            width, middle = len(row) * size, (at[row[0]] + at[row[-1]]) / 2
+            begins = Cell(first.column - across, first.row - up) not in at
+            if (
+                begins
+                and len(row) > 1
+                and hand.takes(width)
+                and _has_room(centres - middle, (across, up), width, size, hand)
+            ):
+                grasps.append(Grasp(f"{first.name}-{row[-1].name}", middle, closing, width, length=size))
+    return grasps
+
+
+def _has_room(
+    beside: Float[np.ndarray, "N 2"], closing: tuple[int, int], width: float, size: float, hand: Hand
+) -> bool:
+    """True if no block, `beside` a row's middle [m], is where the open fingers come down."""
+    along, aside = np.abs(beside @ closing), np.abs(beside @ closing[::-1])
+    ends = (along + size / 2 > width / 2 + 1e-9) & (along - size / 2 < hand.stroke / 2 + hand.finger_depth - 1e-9)
+    return not (ends & (aside < (hand.finger_width + size) / 2 - 1e-9)).any()
 
 
 def _letters(column: int) -> str:

@@ -15,7 +15,7 @@ from testbed.files import find_file, library_names
 from testbed.objects.blocks import block_object, parse_layout
 from testbed.objects.grasps import GraspPlace
 from testbed.objects.meshes import Part, mesh_object, read_mesh
-from testbed.objects.model import ObjectModel
+from testbed.objects.model import ROBOTIQ_2F85, Hand, ObjectModel
 from testbed.toml import Finite, NonNegative, Positive, load_toml
 
 
@@ -110,9 +110,9 @@ class ObjectFile(_Table):
             raise InvalidValueError("blocks or mesh", given, "exactly one of [blocks] and [mesh]")
         return self
 
-    def build(self, grid: int, folder: Path) -> ObjectModel:
+    def build(self, grid: int, folder: Path, hand: Hand = ROBOTIQ_2F85) -> ObjectModel:
         """The object, `grid` particles along a block's side; meshes are files of `folder`."""
-        model = _build_blocks(self.name, self.blocks, grid) if self.blocks else self._build_mesh(grid, folder)
+        model = _build_blocks(self.name, self.blocks, grid, hand) if self.blocks else self._build_mesh(grid, folder)
         return model if self.has_masses else replace(model, masses_known=False)
 
     @property
@@ -143,7 +143,7 @@ class ObjectFile(_Table):
         return mesh_object(self.name, parts, places, friction=friction, cell=m.cell_m, grid=grid, contacts=contacts)
 
 
-def _build_blocks(name: str, b: Blocks, grid: int) -> ObjectModel:
+def _build_blocks(name: str, b: Blocks, grid: int, hand: Hand) -> ObjectModel:
     cells = parse_layout(b.layout)
     friction = _friction_list("blocks.friction", b.friction)
     groups = b.friction_group
@@ -165,6 +165,7 @@ def _build_blocks(name: str, b: Blocks, grid: int) -> ObjectModel:
         friction=friction,
         friction_group=groups,
         grid=grid,
+        hand=hand,
     )
 
 
@@ -174,7 +175,9 @@ def _friction_list(field: str, friction: float | list[float]) -> list[float]:
     return list(friction) if isinstance(friction, list) else [friction]
 
 
-def load_object(name_or_path: str | Path, grid: int = 3, *, measured: bool = False) -> ObjectModel:
+def load_object(
+    name_or_path: str | Path, grid: int = 3, *, measured: bool = False, hand: Hand = ROBOTIQ_2F85
+) -> ObjectModel:
     """An object of the library by name, or of a TOML file by path.
 
     Args:
@@ -182,6 +185,7 @@ def load_object(name_or_path: str | Path, grid: int = 3, *, measured: bool = Fal
         grid: particles along a block's side. A mesh's cells have a side of cell_m * 3 / grid: the default keeps the
             file's, a larger grid cuts finer.
         measured: take a file without masses too: only trials that are measured can do without.
+        hand: the gripper, which takes rows of blocks as far as it opens.
 
     Raises:
         InvalidValueError: no such object, or values out of range.
@@ -195,15 +199,15 @@ def load_object(name_or_path: str | Path, grid: int = 3, *, measured: bool = Fal
     files = [path.parent / part.file for part in parsed.mesh.parts] if parsed.mesh else []
     stamps = tuple(file.stat().st_mtime_ns for file in files if file.is_file())
     try:
-        return _built(parsed.model_dump_json(), grid, path.parent, stamps)
+        return _built(parsed.model_dump_json(), grid, path.parent, stamps, hand)
     except InvalidValueError as error:
         raise InvalidValueError(error.field, error.given, error.allowed, file=path) from None
 
 
 @lru_cache(maxsize=64)
-def _built(content: str, grid: int, folder: Path, stamps: tuple[int, ...]) -> ObjectModel:
+def _built(content: str, grid: int, folder: Path, stamps: tuple[int, ...], hand: Hand) -> ObjectModel:
     """An object from its file's content, and the times of its meshes' files: cells of a mesh take long to cut."""
-    return ObjectFile.model_validate_json(content).build(grid, folder)
+    return ObjectFile.model_validate_json(content).build(grid, folder, hand)
 
 
 def object_names() -> list[str]:

@@ -27,6 +27,39 @@ FINGER_DEPTH = 0.008
 """Thickness of a finger along the closing direction at its pads [m]."""
 TOUCH = 0.001
 """Distance within which a surface touches the table, and a soft pad a face [m]."""
+SPARE_OPENING = 0.005
+"""Opening that a gripper needs beyond the width of what it takes [m]."""
+
+
+@dataclass(frozen=True)
+class Hand:
+    """Size of a parallel gripper, by default a Robotiq 2F-85."""
+
+    stroke: float = STROKE
+    """Opening between the pads [m]."""
+    finger_width: float = PAD_WIDTH
+    """Width of a finger across the closing direction [m]."""
+    finger_depth: float = FINGER_DEPTH
+    """Thickness of a finger along the closing direction [m]."""
+
+    def __post_init__(self) -> None:
+        check_positive_fields(self, "stroke", "finger_width", "finger_depth")
+
+    def takes(self, width: float) -> bool:
+        """True if faces `width` [m] apart fit between the open pads."""
+        return width <= self.stroke - SPARE_OPENING + 1e-9
+
+    @property
+    def nothing(self) -> str:
+        """Reason why it finds no grasp on an object of blocks."""
+        return (
+            "no block has two opposite free faces, and no row of blocks between such faces has room for a hand that "
+            f"opens to {self.stroke * 1e3:g} mm"
+        )
+
+
+ROBOTIQ_2F85 = Hand()
+"""Hand of the simulated robot."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,6 +163,13 @@ class ObjectShape:
     def is_contact(self) -> Bool[np.ndarray, "P"]:
         """True for particles that are points of contact alone: they touch, and have no material."""
         return (self.friction_group >= 0) & (self.fill == 0)
+
+    def pressed(self, grasp: Grasp) -> tuple[int, int]:
+        """Mass groups under the two pads of a grasp, against the closing direction first."""
+        closing = np.array([np.cos(grasp.angle), np.sin(grasp.angle)])
+        faces = grasp.position + np.outer([-1.0, 1.0], closing) * max(grasp.width - self.cell, 0.0) / 2
+        one, other = np.linalg.norm(self.particles - faces[:, None], axis=-1).argmin(axis=1)
+        return int(self.mass_group[one]), int(self.mass_group[other])
 
     def per_group(self, of_particles: Float[np.ndarray, "... P"]) -> Float[np.ndarray, "... n_m"]:
         """Sum over each group's particles, each as far as it is filled: what a mass of 1 a particle makes of it."""

@@ -13,6 +13,8 @@ from pydantic import BaseModel, ConfigDict, Field
 from scipy.spatial.transform import Rotation
 
 from testbed.errors import InvalidValueError
+from testbed.objects.files import Side
+from testbed.objects.model import ROBOTIQ_2F85, Hand
 from testbed.robot.calibration.file import load_calibration
 from testbed.robot.calibration.static_poses import Calibration
 from testbed.robot.interfaces import ArmIdentity
@@ -154,8 +156,17 @@ class GripperTable(Strict):
 
     model: str = "2f85"
     """Gripper by name, or package:Class."""
+    stroke_m: Side = ROBOTIQ_2F85.stroke
+    """Opening."""
+    finger_width_m: Side = ROBOTIQ_2F85.finger_width
+    """Width of a finger across the closing direction."""
     settings: dict[str, Any] = {}
     """Further arguments of its class."""
+
+    @property
+    def hand(self) -> Hand:
+        """Size of the hand, by which rows of blocks can be taken."""
+        return Hand(self.stroke_m, self.finger_width_m)
 
 
 class BenchTable(Strict):
@@ -209,12 +220,12 @@ class RobotFile(Strict):
     setup: StatedSetup = EXACT_SETUP
 
     def to_dict(self) -> dict[str, Any]:
-        """The file as plain data for a trial's record; names and settings of devices only if not the defaults."""
+        """The file as plain data for a record; a device's name, settings and sizes only if not the defaults."""
         tables = self.model_dump(exclude={"setup"} if self.setup.none else None)
         for name in ("arm", "sensor", "gripper"):
             usual = type(getattr(self, name))()
-            for key in ("model", "settings"):
-                if tables[name][key] == getattr(usual, key):
+            for key in ("model", "settings", "stroke_m", "finger_width_m"):
+                if key in tables[name] and tables[name][key] == getattr(usual, key):
                     del tables[name][key]
         return {name: table for name, table in tables.items() if table}
 

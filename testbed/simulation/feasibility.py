@@ -12,7 +12,16 @@ from testbed.actions.lift import Lift
 from testbed.actions.path import EDGES, HIGH, LOW, outline, overhang, overhang_of
 from testbed.errors import InfeasibleTrialError
 from testbed.frames import rotation_2d
-from testbed.objects.model import GRAVITY, MINIMUM_HEIGHT, PAD_HEIGHT, PAD_WIDTH, STROKE, Grasp, ObjectModel
+from testbed.objects.model import (
+    GRAVITY,
+    MINIMUM_HEIGHT,
+    PAD_HEIGHT,
+    PAD_WIDTH,
+    ROBOTIQ_2F85,
+    SPARE_OPENING,
+    Grasp,
+    ObjectModel,
+)
 from testbed.simulation.contacts import resting_loads
 from testbed.simulation.motion import JOINT_SPEED_LIMIT, Motion, arm_model
 from testbed.simulation.settings import MARGIN, SimulationSettings
@@ -35,10 +44,11 @@ def check_feasible(trial: Trial, motion: Motion, settings: SimulationSettings) -
             beyond its speed. The message says by how much, and what to change.
     """
     shape, grasp = trial.object.shape, trial.grasp
-    if grasp.width > STROKE - 0.005:
+    if not ROBOTIQ_2F85.takes(grasp.width):
         raise InfeasibleTrialError(
             f"grip: block {grasp.name} is {grasp.width * 1e3:.0f} mm wide; the gripper opens to "
-            f"{STROKE * 1e3:.0f} mm and needs 5 mm of clearance; choose a narrower part"
+            f"{ROBOTIQ_2F85.stroke * 1e3:.0f} mm and needs {SPARE_OPENING * 1e3:.0f} mm of clearance; choose a "
+            "narrower part"
         )
     top = shape.height if grasp.top is None else grasp.top
     # Only the part of a face above the pads' lower edge counts

@@ -137,7 +137,7 @@ class PlanarMotion:
     """Tilting moment of the gripper about x and y at the table [N m]."""
     lift: Float[np.ndarray, "K"]
     """Vertical force of the gripper [N]."""
-    held: Int[np.ndarray, "K"]
+    held: Int[np.ndarray, "K 2"]
     """Mass group between the fingers."""
     grasp: Float[np.ndarray, "K 2"]
     """Grasp point [m], object frame."""
@@ -159,7 +159,7 @@ class PlanarMotion:
     def controls(self, lifts: int) -> Float[np.ndarray, "K T 5+lifts"]:
         """Commands of the motors: acceleration of the drive, world axes, tilt, and a lift per vertical slide."""
         controls = np.empty((len(self.twists), len(self.counted), 5 + lifts))
-        held = np.arange(lifts) == np.minimum(self.held, lifts - 1)[:, None]
+        held = (np.arange(lifts) == np.minimum(self.held, lifts - 1)[..., None]).mean(axis=1)
         controls[:, :, 3:] = np.concatenate([self.moment, held * self.lift[:, None]], axis=1)[:, None]
         velocity, yaw = self.velocity(0), np.zeros(len(self.twists))
         for step in range(controls.shape[1]):

@@ -128,38 +128,42 @@ def _add_solid(
 def add_grip(
     spec: mujoco.MjSpec, shape: ObjectShape, frames: list[mujoco.MjsFrame], grasp: Grasp, grip: GripSettings
 ) -> None:
-    """Add a box with the gripped faces to the held group, and the pads' contacts with it."""
+    """Add a box with the gripped faces to each group that the pads press on, and the pads' contacts with them."""
     top = shape.height if grasp.top is None else grasp.top
-    nearest = int(np.argmin(np.linalg.norm(shape.particles - grasp.position, axis=1)))
-    frame = frames[shape.mass_group[nearest]]
-    frame.add_geom(
-        name="gripped",
-        type=mujoco.mjtGeom.mjGEOM_BOX,
-        pos=(*grasp.position, (grasp.bottom + top) / 2 - shape.height / 2),
-        mass=0,
-        group=4,
-        quat=(math.cos(grasp.angle / 2), 0, 0, math.sin(grasp.angle / 2)),
-        size=(grasp.width / 2, grasp.length / 2, (top - grasp.bottom) / 2),
-        contype=0,
-        conaffinity=0,
-    )
+    pressed = shape.pressed(grasp)
+    names = {group: f"gripped_{group}" for group in pressed}
+    # Of two groups each has the half with its own face
+    halves = (0.0,) if len(names) == 1 else (-grasp.width / 4, grasp.width / 4)
+    for (group, name), along in zip(names.items(), halves, strict=True):
+        x, y = grasp.position + along * np.array([math.cos(grasp.angle), math.sin(grasp.angle)])
+        frames[group].add_geom(
+            name=name,
+            type=mujoco.mjtGeom.mjGEOM_BOX,
+            pos=(x, y, (grasp.bottom + top) / 2 - shape.height / 2),
+            mass=0,
+            group=4,
+            quat=(math.cos(grasp.angle / 2), 0, 0, math.sin(grasp.angle / 2)),
+            size=(grasp.width / 2 / len(names), grasp.length / 2, (top - grasp.bottom) / 2),
+            contype=0,
+            conaffinity=0,
+        )
     if grip.mode == "weld":
         weld = spec.add_equality(
             name="weld",
             type=mujoco.mjtEq.mjEQ_WELD,
             objtype=mujoco.mjtObj.mjOBJ_BODY,
             name1="gripper/base",
-            name2=frame.parent.name,
+            name2=frames[pressed[0]].parent.name,
             active=False,
             solref=(0.004, 1),
             solimp=[0.99, 0.999, 0.001, 0.5, 2],
         )
         weld.data[10] = 1.0
         return
-    for pad in ("left_pad", "right_pad"):
+    for pad, group in zip(("left_pad", "right_pad"), pressed, strict=True):
         spec.add_pair(
             geomname1=f"gripper/{pad}",
-            geomname2="gripped",
+            geomname2=names[group],
             condim=4,
             friction=[grip.friction, grip.friction, 0.005, 0, 0],
             solref=(0.004, grip.pad_damping),

@@ -67,6 +67,7 @@ def trial(
         dry_run: show the motion, and connect to nothing.
     """
     from testbed.objects.files import load_object
+    from testbed.objects.model import SPARE_OPENING
     from testbed.robot.config import calibration_of, load_robot_file
     from testbed.robot.path import described, gripped, plan_trial
     from testbed.robot.registry import build_arm, build_gripper, build_sensor, gripper_class
@@ -74,7 +75,10 @@ def trial(
     from testbed.trial import Trial, parse_support
     from testbed.validation import check_positive
 
-    file, model = load_robot_file(config), load_object(object_, measured=True)
+    file = load_robot_file(config)
+    model = load_object(object_, measured=True, hand=file.gripper.hand)
+    if action != "weigh" and not model.shape.grasps:
+        raise InvalidValueError("OBJECT", model.name, f"an object that can be gripped: {file.gripper.hand.nothing}")
     if weight is not None:
         check_positive("--weight", weight)
         if action != "weigh":
@@ -84,6 +88,12 @@ def trial(
         action_of(model.shape, action, grasp, seconds, speed, pivot, direction, back=back),
         parse_support(support),
     )
+    hand = file.gripper.hand
+    if planned.action.moves and not hand.takes(planned.grasp.width):
+        given = f"{planned.grasp.name}, {planned.grasp.width * 1e3:.0f} mm across"
+        raise InvalidValueError(
+            "grasp", given, f"{SPARE_OPENING * 1e3:.0f} mm less than the hand's {hand.stroke * 1e3:g} mm"
+        )
     if weight is not None:
         _store(read_off(weight), planned, file, out)
         return

@@ -11,7 +11,7 @@ from manifold3d import Manifold
 
 from testbed.errors import InvalidValueError
 from testbed.objects.grasps import GraspPlace, grasp_at
-from testbed.objects.model import FINGER_DEPTH, MINIMUM_HEIGHT, PAD_HEIGHT, STROKE, Grasp
+from testbed.objects.model import FINGER_DEPTH, MINIMUM_HEIGHT, PAD_HEIGHT, SPARE_OPENING, STROKE, Grasp
 
 SPACING = 0.004
 """Distance of the outline's points from which grasps start [m]."""
@@ -23,8 +23,6 @@ APART = 0.012
 """Distance between two grasps that are proposed [m]."""
 ALIKE = 0.006, np.pi / 9
 """Sides of the squares [m] and of the angles [rad] of which one candidate is tried."""
-CLEARANCE = 0.005
-"""Opening that is left beside the object [m]."""
 LEAST_FACE = 0.004
 """Least length of a gripped face [m]."""
 
@@ -70,7 +68,7 @@ def propose_grasps(
         top = mesh.bounds[1, 2] if grasp.top is None else grasp.top
         if top < MINIMUM_HEIGHT + max(grasp.bottom - PAD_HEIGHT[0], 0.0):
             refused = f"faces {(top - grasp.bottom) * 1e3:.1f} mm high"
-        elif grasp.width > STROKE - CLEARANCE or grasp.length < LEAST_FACE:
+        elif grasp.width > STROKE - SPARE_OPENING or grasp.length < LEAST_FACE:
             refused = f"faces {grasp.width * 1e3:.0f} mm apart and {grasp.length * 1e3:.0f} mm long"
         else:
             places.append(place)
@@ -110,7 +108,7 @@ def _pairs(whole: Manifold, mesh: trimesh.Trimesh) -> Iterator[tuple[np.ndarray,
             other = ahead[0][last]
             met[[*ahead[0][: last + 1], *ahead[1][:last]]] = False
             free = np.abs(reach[met] - reach[other] / 2).min(initial=np.inf) > STROKE / 2 + FINGER_DEPTH
-            if free and reach[other] < STROKE - CLEARANCE and normal[other] @ inward > PARALLEL:
+            if free and reach[other] < STROKE - SPARE_OPENING and normal[other] @ inward > PARALLEL:
                 closing = inward + normal[other]
                 angle = np.arctan2(closing[1], closing[0]) % np.pi
                 yield point + inward * reach[other] / 2, float(angle), float(normal[other] @ inward)

@@ -152,10 +152,10 @@ def test_pads_meet_a_tool_over_its_grasps_own_faces():
     scene = build_scene(obj, OWN_WEIGHT, grasp, SETTINGS)
     data = mujoco.MjData(scene.model)
     mujoco.mj_forward(scene.model, data)
-    box = scene.model.geom("gripped")
+    box = scene.model.geom("gripped_1")
     assert scene.model.body(int(box.bodyid[0])).name == "object/handle"
     assert_allclose(box.size, np.array([grasp.width, grasp.length, grasp.top - grasp.bottom]) / 2)
-    assert_allclose(data.geom("gripped").xpos[2], (grasp.bottom + grasp.top) / 2, atol=1e-12)
+    assert_allclose(data.geom("gripped_1").xpos[2], (grasp.bottom + grasp.top) / 2, atol=1e-12)
 
 
 def test_a_group_without_feet_cannot_rest_on_its_own_weight():

@@ -54,16 +54,15 @@ def import_(
         return
     from scenarios.cli.run import show_progress
     from scenarios.results.logs import import_logs
-    from testbed.robot.calibration.motion import check_motion
+    from testbed.robot.calibration.motion import wrong_motion
 
     with show_progress() as progress:
         imported = import_logs(mapping, logs, out, support, weight, progress)
     for log in imported:
         print(_summary(log))
     model = imported[0].object
-    for finding in check_motion(model.shape, [log.trajectory for log in imported]):
-        if not finding.ok:
-            print(f"wrong   {finding.text}")
+    for text in wrong_motion(model.shape, [log.trajectory for log in imported]):
+        print(f"wrong   {text}")
     bad, name = sum(not log.trajectory.ok for log in imported), imported[0].object.name
     print(
         f"{len(imported)} trial{'s' * (len(imported) > 1)} of {name} in {out}, {bad} of them no data; "

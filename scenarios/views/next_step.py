@@ -16,6 +16,7 @@ from estimators.particles.misfit import UNEXPLAINED
 from scenarios.results.estimates import load_estimate
 from scenarios.results.store import Store
 from scenarios.results.trials import sensed_trials
+from scenarios.views.weight_check import check_weight
 from testbed.objects.model import ObjectShape
 from testbed.sensing.presets import preset
 from testbed.sensing.windows import weight_of
@@ -50,7 +51,7 @@ class _Known:
 
 
 def next_step(folder: Path, rows: Sequence[Row], answer: Answer) -> str:
-    """What to do after one answer, in a sentence: look for an error, make one more trial, or stop.
+    """What to do after one answer, in a sentence: look for an error, weigh again, make one more trial, or stop.
 
     The trial is the one that teaches most a second, of those that the planner considers; whether the arm reaches it is
     not checked.
@@ -73,6 +74,9 @@ def next_step(folder: Path, rows: Sequence[Row], answer: Answer) -> str:
         return "next: nothing: the object has no grasp, so no turn can be planned"
     keys, shape = tuple(row["trial_keys"]), answer.shape
     weighing, *trials = sensed_trials(Store(folder), keys, str(row["sensing"]), int(row["seed"]))
+    weight = check_weight(shape, weight_of(weighing), trials, found)
+    if weight is not None and not weight.ok:
+        return f"next: {weight.text}"
     supports = SUPPORTS if answer.evidence else ASSUMED_SUPPORTS.get(answer.support, SUPPORTS[:1])
     guess = Guess(weight_of(weighing), preset("ft300s").stated, supports=supports)
     policy = OnlinePolicy(guess, candidates=CANDIDATES, estimator=_Known(found))

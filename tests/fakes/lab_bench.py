@@ -74,6 +74,17 @@ def mapping_of(t: Trajectory, **changes: Any) -> dict[str, Any]:
     return {k: v for k, v in (said | changes).items() if v is not None}
 
 
+def entry_of(file: str, trial: Trajectory) -> dict[str, Any]:
+    """[[logs]] table of a trial; an accelerated turn has its phases."""
+    entry: dict[str, Any] = {"file": file, "action": trial.action.to_dict()}
+    if trial.action.accelerated:
+        parts = [("tare", trial.phase == Phase.TARE)]
+        parts += [("steady", trial.segment == i) for i in range(trial.segment.max() + 1)]
+        ends = [(name, np.flatnonzero(inside)[[0, -1]] / 100) for name, inside in parts]
+        entry["phases"] = [{"phase": n, "from_s": max(a - 0.005, 0.0), "to_s": b + 0.005} for n, (a, b) in ends]
+    return entry
+
+
 def closing_axis(t: Trajectory) -> np.ndarray:
     """Direction in which the pads close at the first sample, world axes: the hand's x there is the sensor's."""
     axis = Rotation.from_quat(t.sensor_orientation[0], scalar_first=True).apply([1.0, 0, 0])

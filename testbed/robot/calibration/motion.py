@@ -14,7 +14,7 @@ from jaxtyping import Float
 from testbed.actions.rotate import Rotate
 from testbed.frames import cross_2d, perpendicular, rotation_2d
 from testbed.objects.model import ObjectShape
-from testbed.robot.calibration.trial import Finding
+from testbed.robot.calibration.trial import Finding, check_trial
 from testbed.sensing.windows import steady_windows
 from testbed.trajectory import Trajectory
 
@@ -69,6 +69,17 @@ def check_motion(shape: ObjectShape, trajectories: Sequence[Trajectory]) -> list
         text = f"turns about the points that the actions name, {len(turned)} of them, to {1e3 * worst:.1f} mm"
         findings.append(Finding("center", True, worst, 0.0, text))
     return findings
+
+
+def wrong_motion(shape: ObjectShape, trajectories: Sequence[Trajectory]) -> list[str]:
+    """What is surely wrong in trials of an object, in sentences.
+
+    All findings of `check_motion`, and one of each kind of `check_trial`, without what a weak drag leaves open.
+    """
+    steady = [t for t in trajectories if t.ok and t.action.on_table and not t.action.accelerated]
+    found = [finding for t in steady for finding in check_trial(None, None, steady_windows(t))]
+    sure = {f.what: f for f in reversed(found) if not f.ok and (f.what != "friction" or f.value < 0)}
+    return [f.text for f in [*check_motion(shape, trajectories), *sure.values()] if not f.ok]
 
 
 def _named(shape: ObjectShape, action: Rotate, grasp: int) -> Float[np.ndarray, "2"]:

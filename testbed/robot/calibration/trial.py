@@ -137,11 +137,12 @@ def _of_work(window: SteadyWindow) -> Finding:
 def _of_flip(there: SteadyWindow, back: SteadyWindow) -> Finding:
     flipping, staying = ((there.wrench[5] + side * back.wrench[5]) / 2 for side in (-1, 1))
     error = float(np.sqrt(there.covariance[5, 5] + back.covariance[5, 5]) / 2)
-    left = float(abs(staying / flipping))
+    flips = max(float(abs(flipping)), 1e-9)
+    left = float(abs(staying)) / flips
     ok = abs(staying) <= BIAS_ALLOWED * abs(flipping) + TOO_UNSURE * error
     text = f"turned there and back, {flipping:.4f} N m flips and {staying:.4f} +- {error:.4f} N m stays"
     why = "" if ok else ": a bias that the tare left, or a cable that pulls"
-    return Finding("there and back", bool(ok), left, error / abs(flipping), text + why)
+    return Finding("there and back", bool(ok), left, error / flips, text + why)
 
 
 def _of_slide(window: SteadyWindow) -> Finding:

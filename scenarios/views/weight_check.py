@@ -1,0 +1,49 @@
+"""Test of the weighing by inertia: what accelerated turns show against what the masses of an answer have.
+
+Friction tells masses only up to a factor, which the weighing gives; torque over acceleration has none. A wrong weight
+scales all masses alike and no residual of friction tells it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from estimators.base import Estimate
+from estimators.hidden_states.estimator import HiddenStates
+from estimators.hidden_states.trial_windows import TrialWindows
+from estimators.particles.pivots import inertia_map
+from testbed.objects.model import ObjectShape
+from testbed.robot.calibration.trial import Finding
+from testbed.trajectory import Trajectory
+
+ALLOWED, SURE = 0.02, 2.0
+"""Allowed error of the inertia, as a part of itself, beside so many standard errors: known blocks have up to 4 %."""
+
+
+def check_weight(
+    shape: ObjectShape, weight: float, trajectories: Sequence[Trajectory], found: Estimate
+) -> Finding | None:
+    """Finding on the weight; None without an answer on own weight, or without accelerated turns.
+
+    Args:
+        shape: geometry and groups.
+        weight: M as weighed [kg].
+        trajectories: trials.
+        found: answer to them.
+    """
+    trials = TrialWindows.of(shape, weight, trajectories, HiddenStates().errors)
+    believed = found.status in ("ok", "underdetermined")
+    if not believed or trials is None or found.distribution is None or found.hidden is None:
+        return None
+    pivots = trials.pivot_inertias(found.distribution, found.hidden.friction_load)
+    if pivots is None:
+        return None
+    has = inertia_map(shape, pivots.pivot) @ found.distribution.mass
+    weights = np.linalg.solve(pivots.covariance, has)
+    part, error = float(weights @ pivots.inertia / (weights @ has)), float((weights @ has) ** -0.5)
+    ok = abs(part - 1) <= ALLOWED + SURE * error
+    text = f"accelerated turns show {100 * part:.0f} +- {100 * error:.0f} % of the inertia that these masses have"
+    why = "" if ok else f": weigh the object again ({weight:.3g} kg), or check the torque's unit and the object's size"
+    return Finding("inertia", ok, part, error, text + why)

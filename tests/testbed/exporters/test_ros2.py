@@ -49,7 +49,7 @@ def exported(trajectory: Trajectory, folder: Path) -> Path:
     return folder / "turn.mcap"
 
 
-@pytest.mark.parametrize("index", [0, -1], ids=lambda i: BLOCK.clean[i].action.kind)
+@pytest.mark.parametrize("index", [pytest.param(0, marks=pytest.mark.slow), -1], ids=["accelerate", "rotate"])
 def test_what_is_imported_is_what_was_measured(tmp_path: Path, index: int):
     given = measured(index)
     back = import_trajectory(exported(given, tmp_path), tmp_path / "turn.toml")

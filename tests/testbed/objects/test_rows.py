@@ -119,4 +119,4 @@ def test_turns_by_rows_show_every_mass():
         for kept in steady_samples(turn):
             assert (np.abs(off[kept].mean(axis=0)) < 0.005 * drag * np.array([1, 1, 0.05])).all()
     found = HiddenStates().estimate(model.shape, model.total_mass, turns, seed=0)
-    assert nad(model, found) < 1.0
+    assert nad(model, found) < 0.01

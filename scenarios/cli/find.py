@@ -27,14 +27,15 @@ def show_found(mapping: Path, logs: Sequence[Path], grasps: Sequence[str]) -> No
     Raises:
         HeftError: a file is not what it should be, or the grasps cannot be told.
     """
-    if load_toml(mapping, Mapping).logs or not logs:
+    table = load_toml(mapping, Mapping)
+    if table.logs or not logs:
         raise InvalidValueError("--find", str(mapping), "a mapping without [[logs]], and the recordings after it")
     console, text, known = open_console(), mapping.read_text(encoding="utf-8").rstrip() + "\n", True
     for log in logs:
         found = find_segments(log, mapping, grasps)
         console.print(_table(log, found))
         known &= _say_grasps(found)
-        text += "".join(_entries(os.path.relpath(log, mapping.parent), found))
+        text += "".join(_entries(os.path.relpath(log, mapping.parent), found, table.hand.closing_deg))
     if known:
         path = mapping.with_suffix(".found.toml")
         write_whole(path, lambda part: part.write_text(text, encoding="utf-8"))
@@ -96,7 +97,7 @@ def _say_grasps(found: Sequence[Segment]) -> bool:
     return False
 
 
-def _entries(file: str, found: Sequence[Segment]) -> Iterator[str]:
+def _entries(file: str, found: Sequence[Segment], closing_deg: float) -> Iterator[str]:
     """[[logs]] tables of the actions. One whose motion or tare heft import would not find has its [[phases]]."""
     for segment in found:
         action = segment.action
@@ -106,6 +107,7 @@ def _entries(file: str, found: Sequence[Segment]) -> Iterator[str]:
         said = {"kind": told.pop("kind"), "grasp": segment.grasps[0] if segment.grasps else 0, **told}
         line = toml_text({"action": [said]}).strip().removeprefix("action = [").removesuffix("]")
         times = {"file": file, "from_s": segment.trial[0], "to_s": segment.trial[1]}
+        times |= {"closing_deg": closing_deg + 180.0} if segment.flipped else {}
         text = f"\n[[logs]]\n{toml_text(times)}action = {line}\n"
         if action.accelerated or not segment.alone:
             windows = [("tare", segment.tare), *(("steady", window) for window in segment.steady)]

@@ -223,6 +223,7 @@ class LogMap(_Table):
     from_s: NonNegative = 0.0
     to_s: Positive | None = None
     sensor_file: Text | None = None
+    closing_deg: Finite | None = None
     action: RecordedAction | None = None
     phases: Windows | None = None
 
@@ -314,6 +315,8 @@ class Mapping(Columns):
         changes: dict[str, Any] = {"action": own.action, "phases": own.phases}
         if own.sensor_file is not None:
             changes["sensor"] = self.sensor.model_copy(update={"file": own.sensor_file})
+        if own.closing_deg is not None:
+            changes["hand"] = self.hand.model_copy(update={"closing_deg": own.closing_deg})
         return self.model_copy(update={"logs": [], **{k: v for k, v in changes.items() if v is not None}})
 
     @property

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
 from pathlib import Path
 from typing import Literal
 
@@ -67,6 +66,8 @@ class Segment:
     """Names of the grasps that it fits: one if it is found."""
     center: tuple[float, float] | None = None
     """Center of a turn from the TCP [m], x as the pads close."""
+    flipped: bool = False
+    """True if the hand is turned round by 180 degrees, from the first action."""
     closing: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """TCP and closing direction at its begin [m, m, rad], base axes."""
     closing_end: tuple[float, float, float] = (0.0, 0.0, 0.0)
@@ -128,9 +129,8 @@ class _Motion:
         self.noise = (wrench - self.wrench).std(axis=0) / size**0.5
         self.quick = twist[:, 5]
         self.rate, self.speed = self.twist[:, 5], np.linalg.norm(self.twist[:, :2], axis=1)
-        still = (np.linalg.norm(self.twist[:, :3], axis=1) < STILL[0]) & (
-            np.linalg.norm(self.twist[:, 3:], axis=1) < STILL[1]
-        )
+        speeds = np.linalg.norm(self.twist.reshape(-1, 2, 3), axis=2)
+        still = (speeds < STILL).all(axis=1)
         self.rests = [run for run in runs(still) if len(run) >= SHORTEST_TARE * RATE]
 
     def segments(self) -> list[Segment]:
@@ -234,8 +234,8 @@ class _Motion:
     def _center(self, part: np.ndarray) -> tuple[float, float]:
         """Center of a turn from the TCP [m], x as the pads close."""
         across = (rotation_2d(-self.yaw[part]) @ perpendicular(self.twist[part, :2])[..., None])[..., 0]
-        x, y = np.median(across / self.rate[part, None], axis=0)  # the hand still settles in the first second
-        return float(x), float(y)
+        x, y = np.median(across / self.rate[part, None], axis=0).tolist()  # the hand still settles in the first second
+        return x, y
 
 
 def _pivot(x: float, y: float) -> tuple[float, float] | None:
@@ -278,18 +278,15 @@ def _there_and_back(found: list[Segment]) -> list[Segment]:
 
 def _trials(found: list[Segment]) -> list[Segment]:
     """Segments with the stretch of the log that is the trial of each action."""
-    done = []
-    actions = [segment for segment in found if segment.action]
+    done, actions = [], [segment for segment in found if segment.action]
     tares = [(segment.from_s, segment.to_s) for segment in found if segment.kind == "tare"]
     for segment in found:
         if segment.action is None or segment.tare is None:
             done.append(segment)
             continue
-        at = actions.index(segment)
+        at, middle = actions.index(segment), round(sum(segment.tare) / 2, 2)
         alone = at == 0 or actions[at - 1].tare != segment.tare
-        begin = segment.tare[0]
-        if alone and at and begin < (middle := round(sum(segment.tare) / 2, 2)):
-            begin = middle if segment.tare[1] - middle >= SHORTEST else begin
+        begin = middle if alone and at and segment.tare[1] - middle >= SHORTEST else segment.tare[0]
         after = [tare for tare in tares if tare[0] > segment.to_s]
         following = actions[at + 1] if at + 1 < len(actions) else None
         if following is not None and following.tare == segment.tare:
@@ -309,42 +306,43 @@ def _with_grasps(found: list[Segment], shape: ObjectShape, given: list[int]) -> 
     names = [grasp.name for grasp in shape.grasps]
     starts = [given[: len(actions)]] if given else [[index] for index in range(len(names))]
     chains = [chain for start in starts if (chain := _chain(actions, shape, start)) is not None]
-    fitting = [tuple(dict.fromkeys(names[chain[i]] for chain in chains)) for i in range(len(actions))]
     held = []
-    for segment, grasps in zip(actions, fitting, strict=True):
-        action = segment.action
+    for i, segment in enumerate(actions):
+        grasps = tuple(dict.fromkeys(names[chain[i][0]] for chain in chains))
+        action, flipped = segment.action, bool(chains) and chains[0][i][1]
         if action is not None and len(grasps) == 1:
-            action = _in_object(action, shape, names.index(grasps[0]))
-        held.append(replace(segment, action=action, grasps=grasps))
+            action = _in_object(action, shape, names.index(grasps[0]), np.pi * flipped)
+        held.append(replace(segment, action=action, grasps=grasps, flipped=flipped))
     return [held.pop(0) if segment in actions else segment for segment in found]
 
 
-def _chain(actions: list[Segment], shape: ObjectShape, start: list[int]) -> list[int] | None:
-    """Grasps of the actions if the first are these; None if the hand is at none later."""
-    chain = list(start)
-    for earlier, later in list(pairwise(actions))[len(start) - 1 :]:
-        held = shape.grasps[chain[-1]]
-        x, y, closing = earlier.closing_end
-        yaw = closing - held.angle
-        origin = np.array([x, y]) - rotation_2d(yaw) @ held.position
-        at = rotation_2d(-yaw) @ (np.array(later.closing[:2]) - origin)
-        angle = later.closing[2] - yaw
-        off = [np.linalg.norm(at - grasp.position) for grasp in shape.grasps]
-        turned = [abs(np.angle(np.exp(1j * (angle - grasp.angle)))) for grasp in shape.grasps]
-        fits = [i for i in range(len(off)) if off[i] < GRASP_WITHIN[0] and turned[i] < GRASP_WITHIN[1]]
-        if not fits:
+def _chain(actions: list[Segment], shape: ObjectShape, start: list[int]) -> list[tuple[int, bool]] | None:
+    """Grasp of each action, and whether the hand is turned round; None if it is at none. The first few are given."""
+    chain: list[tuple[int, bool]] = []
+    yaw, origin = 0.0, np.zeros(2)
+    for number, segment in enumerate(actions):
+        at = rotation_2d(-yaw) @ (np.array(segment.closing[:2]) - origin)
+        turned = np.array([np.exp(1j * (segment.closing[2] - yaw - grasp.angle)) for grasp in shape.grasps])
+        off = np.array([np.linalg.norm(at - grasp.position) for grasp in shape.grasps])
+        fits = (off < GRASP_WITHIN[0]) & (np.abs(np.angle(turned**2)) / 2 < GRASP_WITHIN[1])
+        if number >= len(start) and not fits.any():
             return None
-        chain.append(min(fits, key=lambda i: off[i]))
+        index = start[number] if number < len(start) else int(np.argmin(np.where(fits, off, np.inf)))
+        flipped = bool(number > 0 and fits[index] and turned[index].real < 0)  # else it was laid anew
+        chain.append((index, flipped))
+        x, y, closing = segment.closing_end
+        yaw = closing + np.pi * flipped - shape.grasps[index].angle
+        origin = np.array([x, y]) - rotation_2d(yaw) @ shape.grasps[index].position
     return chain
 
 
-def _in_object(action: TableAction, shape: ObjectShape, index: int) -> TableAction:
-    """An action by its grasp, its pivot and direction in the object's frame."""
-    grasp = shape.grasps[index]
+def _in_object(action: TableAction, shape: ObjectShape, index: int, turned: float) -> TableAction:
+    """An action by its grasp, in the object's frame, by a hand turned round by some angle [rad]."""
+    grasp, angle = shape.grasps[index], shape.grasps[index].angle + turned
     if isinstance(action, Rotate) and action.pivot is not None:
-        x, y = (grasp.position + rotation_2d(grasp.angle) @ np.array(action.pivot)).round(4).tolist()
+        x, y = (grasp.position + rotation_2d(angle) @ np.array(action.pivot)).round(4).tolist()
         return replace(action, grasp=index, pivot=(x, y))
     if isinstance(action, Slide):
-        direction = float(np.angle(np.exp(1j * (action.direction + grasp.angle))))
-        return replace(action, grasp=index, direction=round(direction, 3))
+        heading = np.angle(np.exp(1j * (action.direction + angle)))
+        return replace(action, grasp=index, direction=round(float(heading), 3))
     return replace(action, grasp=index)

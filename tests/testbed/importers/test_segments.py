@@ -119,6 +119,7 @@ def test_one_grasp_may_hold_for_two_actions(trials: list[Trajectory], tmp_path: 
     assert first.grasps == second.grasps == ("A4",)
 
 
+@pytest.mark.slow
 def test_a_hand_turned_round_is_noticed(trials: list[Trajectory], tmp_path: Path):
     """Its pads are the same, its axes the other way: the log's own closing direction puts the object where it was."""
     turn = trials[3]

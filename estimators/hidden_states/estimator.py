@@ -34,6 +34,7 @@ from testbed.validation import check_integer, check_positive_fields
 Solver = Literal["closed_form", "descent"]
 SETTLING = 3
 """Additional rounds where something of the setup is unknown: the wrench is not linear in it."""
+ONE_BODY = "not every mass group has feet of its own to rest on: it is one rigid body, for support_aware"
 NO_DATA = "no trajectory with status ok that slides or turns at constant speed"
 
 
@@ -109,6 +110,8 @@ class HiddenStates:
 
     def _estimate(self, shape: ObjectShape, weight: float, trajectories: Sequence[Trajectory]) -> Estimate:
         """Algorithm 1 in rounds: each takes the gripper's load, and unknowns of the setup, from the round before."""
+        if not shape.stands_in_groups:
+            return Estimate(None, "assumption_violated", ONE_BODY)
         trials = self._trials(shape, weight, trajectories)
         if trials is None:
             return Estimate(None, "no_data", NO_DATA)

@@ -51,14 +51,29 @@ class ParticleModel:
 
     @property
     def spread(self) -> list[ParticleModel]:
-        """The particles at the four points of their cells at which Gauss takes the mean over a square."""
+        """The particles at the four points of their cells at which Gauss takes the mean over a square.
+
+        One without material is a known point of contact, and stays.
+        """
         ends = (-self.cell / 12**0.5, self.cell / 12**0.5)
-        return [self.moved(torch.tensor([x, y], dtype=torch.float64)) for x in ends for y in ends]
+        cells = (self.fill > 0)[:, None]
+        return [self.moved(cells * torch.tensor([x, y], dtype=torch.float64)) for x in ends for y in ends]
 
     @property
     def contact(self) -> Tensor:
         """True for particles that touch the table, (P,) bool."""
         return self.friction_group >= 0
+
+    @property
+    def is_contact(self) -> Tensor:
+        """True for particles that are points of contact alone, (P,) bool."""
+        return self.contact & (self.fill == 0)
+
+    @property
+    def stands_in_groups(self) -> bool:
+        """True if every mass group has feet of its own, and may rest on its own weight."""
+        count = int(self.mass_group.max()) + 1
+        return not bool(self.is_contact.any()) and len(self.mass_group[self.contact].unique()) == count
 
     def particle_mass(self, mass: Float[Tensor, "... n_m"]) -> Float[Tensor, "... P"]:
         """Mass of each particle, G_m^T m, by the fill of its cell, kg."""

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import combinations
 from typing import Literal
 
 import torch
@@ -16,7 +17,6 @@ from torch import Tensor
 
 from estimators.particles.gripper_load import GripperLoad
 from estimators.particles.model import ParticleModel
-from testbed.errors import InvalidValueError
 from testbed.objects.model import GRAVITY
 
 
@@ -45,24 +45,22 @@ def own_weight(model: ParticleModel, mass: Float[Tensor, "P"], load: GripperLoad
 
     fz lightens the held group's weight, or by half of it each that of two under the pads. All groups share one tilt on
     a foundation of even stiffness, so each takes a part of the moment that is affine over its own feet: the gripper's,
-    and that of a weight beside its feet.
+    and that of a weight beside its feet. An object that does not stand in groups, since one has no foot or it rests on
+    points of contact, is one group: its loads are then `rigid_loads`.
 
     Args:
         model: particles of the object.
         mass: mass of each particle, kg.
         load: the gripper's load; only where it holds the object counts here.
-
-    Raises:
-        InvalidValueError: a group without feet.
     """
-    particles, group, contact = model.particles, model.mass_group, model.contact
+    particles, contact = model.particles, model.contact
+    apart = model.stands_in_groups
+    group, held = (
+        (model.mass_group, load.held) if apart else (torch.zeros_like(each) for each in (model.mass_group, load.held))
+    )
     count = int(group.max()) + 1
     zeros, pairs = torch.zeros(count, dtype=torch.float64), torch.zeros(count, 2, dtype=torch.float64)
     feet = zeros.index_add(0, group, contact.double())
-    if (feet == 0).any():
-        clear = torch.nonzero(feet == 0).flatten().tolist()
-        given = f"no foot under mass group {clear}"
-        raise InvalidValueError("friction_group", given, "a foot under each, on its own weight")
     whole = zeros.index_add(0, group, mass)
     share = torch.where(contact, (whole / feet)[group], 0.0)
     center = pairs.index_add(0, group, particles * contact[:, None]) / feet[:, None]
@@ -71,10 +69,10 @@ def own_weight(model: ParticleModel, mass: Float[Tensor, "P"], load: GripperLoad
     weight = whole * GRAVITY
     middle = pairs.index_add(0, group, particles * mass[:, None]) * GRAVITY
     lean = tilt @ (middle - weight[:, None] * center).sum(0)
-    gripped = ((group == load.held[..., None]) & contact).double()
+    gripped = ((group == held[..., None]) & contact).double()
     lift = (gripped / gripped.sum(-1, keepdim=True).clamp(min=1)).mean(-2)
     # fz acts at the grasp point: what lies beside the middle of the held groups' feet tilts
-    aside = tilt @ (center[load.held].mean(-2) - load.point).T
+    aside = tilt @ (center[held].mean(-2) - load.point).T
     return OwnWeight(share, lean, torch.cat([aside.T[..., None] - lift[..., None], tilt.expand(len(lift), -1, -1)], -1))
 
 
@@ -94,6 +92,37 @@ def rigid_loads(model: ParticleModel, mass: Float[Tensor, "P"], load: GripperLoa
     # a straight row of points carries no moment across itself: the least-norm solution leaves that part out
     coefficients = torch.linalg.pinv(gram, rtol=1e-9, hermitian=True) @ wanted[..., None]
     return (basis @ coefficients)[..., 0]
+
+
+def contact_spread(model: ParticleModel, mass: Float[Tensor, "P"]) -> Float[Tensor, "P w"]:
+    """Standard deviations by which loads on points of contact may differ from `rigid_loads`, N: a column a direction.
+
+    Balance decides the loads of three points. A rigid body on more rests on three of them, and nobody knows on which:
+    every three with the center of mass between them are as likely, about the even foundation's loads. Shape (P, 0) for
+    three points, and for feet under cells, which give way.
+    """
+    points = torch.nonzero(model.is_contact).flatten()
+    none = torch.zeros(len(mass), 0, dtype=torch.float64)
+    if len(points) <= 3:
+        return none
+    basis = torch.cat([torch.ones(len(points), 1, dtype=torch.float64), model.particles[points]], 1)
+    weight = mass * GRAVITY
+    wanted = torch.cat([weight.sum()[None], weight @ model.particles])
+    middle = rigid_loads(model, mass, GripperLoad.none())[0, points]
+    size = (basis[:, 1:].amax(0) - basis[:, 1:].amin(0)).prod()
+    apart = []
+    for three in combinations(range(len(points)), 3):
+        corners = basis[list(three)]
+        if torch.linalg.det(corners).abs() > 1e-6 * size:
+            loads = torch.zeros_like(middle)
+            loads[list(three)] = torch.linalg.solve(corners.T, wanted)
+            apart += [loads - middle] if bool((loads >= 0).all()) else []
+    if not apart:  # the weight acts outside them: the estimate is on its way
+        return none
+    _, strength, ways = torch.linalg.svd(torch.stack(apart) / len(apart) ** 0.5, full_matrices=False)
+    spread = torch.zeros(len(mass), len(strength), dtype=torch.float64)
+    spread[points] = ways.T * strength
+    return spread
 
 
 SupportModel = Literal["own_weight", "rigid"]

@@ -11,7 +11,7 @@ import torch
 from jaxtyping import Float
 
 from estimators.base import Estimate, HiddenStateEstimate
-from estimators.hidden_states.estimator import HiddenStates
+from estimators.hidden_states.estimator import NO_DATA, HiddenStates
 from estimators.particles.errors import RIGID, ModelErrors
 from estimators.particles.lifts import LiftedRows, lifted_rows
 from estimators.particles.model import ParticleModel, inertia_of
@@ -19,7 +19,7 @@ from estimators.particles.windows import Observations, observe
 from estimators.support_models.fit import SupportFit, fit_support
 from estimators.support_models.materials import rank_assignments
 from estimators.support_models.polytope import MassPolytope
-from estimators.support_models.selection import DECISIVE, support_test
+from estimators.support_models.selection import DECISIVE, UNLIKE, support_test
 from testbed.errors import InvalidValueError
 from testbed.objects.model import MassDistribution, ObjectShape
 from testbed.trajectory import Trajectory
@@ -27,6 +27,8 @@ from testbed.validation import is_number
 
 UNFIT = 1e-4
 """p-value below which the materials given are taken not to be the object's."""
+NARROW = 0.1
+"""Width of the widest range, as a part of M, below which the masses of one rigid body are taken as determined."""
 MOST_LISTED = 8
 """Ranges that a message lists."""
 
@@ -73,6 +75,8 @@ class SupportAware:
             InvalidValueError: no weight, or more materials than can be ranked.
         """
         begin = time.perf_counter()
+        if not shape.stands_in_groups:
+            return replace(self._one_body(shape, weight, trajectories, seed), seconds=time.perf_counter() - begin)
         own = HiddenStates().estimate(shape, weight, trajectories, seed)
         observed, of_rigid = (observe(shape, trajectories, errors) for errors in (ModelErrors(), RIGID))
         if own.distribution is None or observed is None or of_rigid is None:
@@ -81,6 +85,31 @@ class SupportAware:
         lifted = lifted_rows(shape, weight, trajectories)
         answer = self._answer(shape, weight, observed, of_rigid, lifted, own, seed)
         return replace(answer, seconds=time.perf_counter() - begin)
+
+    def _one_body(
+        self, shape: ObjectShape, weight: float | None, trajectories: Sequence[Trajectory], seed: int
+    ) -> Estimate:
+        """Estimate of an object that can only be one rigid body: there is no support to choose."""
+        observed = observe(shape, trajectories, RIGID)
+        if observed is None or not (~observed.accelerated).any():
+            return Estimate(None, "no_data", NO_DATA)
+        if weight is None or not (np.isfinite(weight) and weight > 0):
+            raise InvalidValueError("weight", weight, "M as weighed, a finite number > 0, kg")
+        lifted = lifted_rows(shape, weight, trajectories)
+        fit = fit_support(shape, weight, observed, "rigid", RIGID, lifted)
+        known = "M, c and the second moments" if len(lifted.rows) else "M, c and I_cm" if fit.pivots else "M and c"
+        nothing = Estimate(None, "assumption_violated", diagnostics={"misfit": fit.misfit / len(fit.target)})
+        answer = self._rigid(shape, fit, nothing, seed, known)
+        if self.materials_kg or self.materials_kg_m3:
+            answer = self._with_materials(shape, (fit,), answer)
+        elif max(answer.diagnostics[f"most_{g}_kg"] - answer.diagnostics[f"least_{g}_kg"] for g in range(shape.n_m)) < (
+            NARROW * weight
+        ):
+            answer = replace(answer, status="ok", message="")
+        if fit.misfit > UNLIKE * len(fit.target):
+            why = "one rigid body on its points of contact does not explain the wrenches"
+            return replace(answer, status="unexplained", message=_joined(why, answer.message))
+        return answer
 
     def _answer(
         self,

@@ -23,7 +23,7 @@ from estimators.particles.lifts import LiftedRows, lifted_rows
 from estimators.particles.misfit import Misfit
 from estimators.particles.model import ParticleModel, inertia_of
 from estimators.particles.pivots import PivotInertia, inertia_map, pivot_inertias
-from estimators.particles.support import LOADS, LoadsOf, SupportModel
+from estimators.particles.support import LOADS, LoadsOf, SupportModel, contact_spread
 from estimators.particles.windows import Observations
 from estimators.particles.wrench import AffineLoads, WrenchModel
 from testbed.objects.model import GRAVITY, ObjectShape
@@ -141,7 +141,7 @@ def fit_support(
     loads = AffineLoads.of(shape, model, steady, loads_of)
     wrenches = WrenchModel.of(model, steady, loads, errors.pivot_error)
     response = _response(model, steady, loads_of)
-    other = next(loads for name, loads in LOADS.items() if name != support)
+    other = loads_of if spread_known else next(loads for name, loads in LOADS.items() if name != support)
     elsewhere = _response(model, steady, other)
     swung = [_response(model, accelerated, each) for each in (loads_of, other)]
     rows = steady.drag_rows(model, errors.pivot_error)
@@ -156,14 +156,15 @@ def fit_support(
         otherwise = rows @ (model.particle_friction(at_friction)[:, None] * elsewhere)
         pressing = steady.gripper_load(inertia_of(model, model.particle_mass(at_mass)), shape.height).carried
         spread = unsure * ((otherwise - carried) * pressing[:, None]).flatten(0, 1)
-        root = torch.linalg.cholesky(apart + common @ common.T + spread @ spread.T)
+        moved = _moved(rows, model, at_mass, at_friction, support).flatten(0, 1)
+        root = torch.linalg.cholesky(apart + common @ common.T + spread @ spread.T + moved @ moved.T)
         whiten = torch.linalg.inv(root)
         of_friction = (wrenches.weighed @ at_mass + wrenches.carried).flatten(1).T
         of_mass = (wrenches.inertial + torch.einsum("k,kwim->wim", at_friction, wrenches.weighed)).flatten(0, 1)
         off = steady.wrench - wrenches.wrench(at_mass, at_friction)
         linear = off.flatten() + of_friction @ at_friction + of_mass @ at_mass
         excluded = model.particle_friction(at_friction)[:, None] * _excluded(model, support)
-        pivots = _pivots(model, shape, accelerated, at_mass, at_friction, loads_of, swung, unsure, errors)
+        pivots = _pivots(model, shape, accelerated, at_mass, at_friction, support, swung, unsure, errors)
         known, known_target, known_volume = _known(shape, weight, pivots, errors, lifted)
         fit = SupportFit(
             support,
@@ -200,6 +201,15 @@ def prior_masses(shape: ObjectShape, weight: float) -> tuple[Float[np.ndarray, "
     return weight * part / count, weight**2 * covariance / np.outer(count, count)
 
 
+def _moved(
+    rows: Float[Tensor, "K 3 P"], model: ParticleModel, mass: Tensor, friction: Tensor, support: SupportModel
+) -> Float[Tensor, "K 3 w"]:
+    """Change of the wrenches with the loads that a rigid body on more than three points leaves open."""
+    if support == "own_weight":
+        return torch.zeros(*rows.shape[:2], 0, dtype=torch.float64)
+    return rows @ (model.particle_friction(friction)[:, None] * contact_spread(model, model.particle_mass(mass)))
+
+
 def _weak_prior(shape: ObjectShape, weight: float) -> tuple[np.ndarray, np.ndarray]:
     """Rows that draw an unknown mass to the mean, and change no other noticeably."""
     mean, covariance = prior_masses(shape, weight)
@@ -233,7 +243,7 @@ def _pivots(
     windows: Observations,
     mass: Tensor,
     friction: Tensor,
-    loads_of: LoadsOf,
+    support: SupportModel,
     responses: Sequence[Float[Tensor, "K P 3"]],
     unsure: float,
     errors: ModelErrors,
@@ -244,14 +254,15 @@ def _pivots(
     particle_mass = model.particle_mass(mass)
     inertia = inertia_of(model, particle_mass)
     load = windows.gripper_load(inertia, shape.height)
-    loads = loads_of(model, particle_mass, load)
+    loads = LOADS[support](model, particle_mass, load)
     rows = windows.drag_rows(model, 0.0)
     rubbed = (rows @ (model.particle_friction(friction) * loads)[..., None])[:, 2, 0]
     moved = windows.inertial_wrench(inertia)[:, 2]
     response, otherwise = (rows @ model.particle_friction(friction).diag() @ each for each in responses)
     spread = unsure * ((otherwise - response)[:, 2] * load.carried).numpy()
     drag = model.particle_friction(friction) * loads
-    error = torque_covariance(windows, model, particle_mass, drag, response) + spread @ spread.T
+    swayed = _moved(rows, model, mass, friction, support)[:, 2].numpy()
+    error = torque_covariance(windows, model, particle_mass, drag, response) + spread @ spread.T + swayed @ swayed.T
     return pivot_inertias(windows, rubbed.numpy(), moved.numpy(), errors.inertia_error, error)
 
 

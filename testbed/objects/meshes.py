@@ -93,7 +93,8 @@ def mesh_object(
 
     A cell is a particle where the parts fill half of it or more, of the part with most material in it; a part that is
     too thin for that has the cells that it fills best. A cell touches where its part's underside is within `TOUCH` of
-    the table over half of it or more. With `contacts` no cell touches: a particle without material lies at each.
+    the table over half of it or more. With `contacts` no cell touches: a particle without material lies at each, and
+    the cells of each part are moved by what its center of mass is off.
 
     Args:
         name: the object's name.
@@ -121,6 +122,9 @@ def mesh_object(
     if len(contacts):
         points = _checked_contacts(contacts, parts)
         near = group[cdist(points, centres).argmin(axis=1)]
+        for index, part in enumerate(parts):  # no foot stands under a cell: it need not be one of the grid's
+            own = group == index
+            centres[own] += part.mesh.center_mass[:2] - fill[own] @ centres[own]
         centres, group = np.vstack([centres, points]), np.append(group, near)
         touches = np.append(np.zeros(len(touches), dtype=bool), np.ones(len(points), dtype=bool))
         fill = np.append(fill, np.zeros(len(points)))

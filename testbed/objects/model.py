@@ -23,6 +23,8 @@ PAD_HEIGHT = (0.003, 0.040)
 """Lower and upper edge of its pads over the table while they hold [m]."""
 MINIMUM_HEIGHT = 0.010
 """Least height of a face from the table up that the pads can hold [m]."""
+LEAST_FACE = 0.003
+"""Least height of a face that begins over the table, above the pads' lower edge [m]; simulated pads hold it."""
 FINGER_DEPTH = 0.008
 """Thickness of a finger along the closing direction at its pads [m]."""
 TOUCH = 0.001
@@ -163,6 +165,11 @@ class ObjectShape:
     def is_contact(self) -> Bool[np.ndarray, "P"]:
         """True for particles that are points of contact alone: they touch, and have no material."""
         return (self.friction_group >= 0) & (self.fill == 0)
+
+    @property
+    def stands_in_groups(self) -> bool:
+        """True if every mass group has feet of its own, and may rest on its own weight."""
+        return not self.is_contact.any() and len(np.unique(self.mass_group[self.friction_group >= 0])) == self.n_m
 
     def pressed(self, grasp: Grasp) -> tuple[int, int]:
         """Mass groups under the two pads of a grasp, against the closing direction first."""

@@ -14,6 +14,7 @@ from testbed.errors import InfeasibleTrialError
 from testbed.frames import rotation_2d
 from testbed.objects.model import (
     GRAVITY,
+    LEAST_FACE,
     MINIMUM_HEIGHT,
     PAD_HEIGHT,
     PAD_WIDTH,
@@ -52,11 +53,11 @@ def check_feasible(trial: Trial, motion: Motion, settings: SimulationSettings) -
         )
     top = shape.height if grasp.top is None else grasp.top
     # Only the part of a face above the pads' lower edge counts
-    if top < MINIMUM_HEIGHT + max(grasp.bottom - PAD_HEIGHT[0], 0.0):
+    if top < (max(grasp.bottom, PAD_HEIGHT[0]) + LEAST_FACE - 1e-9 if grasp.bottom > 0 else MINIMUM_HEIGHT):
         what, needed = f"the object is {top * 1e3:.0f} mm high", f"{MINIMUM_HEIGHT * 1e3:.0f} mm"
         if grasp.bottom > 0:
             what = f"the faces of {grasp.name} are {grasp.bottom * 1e3:.1f} to {top * 1e3:.1f} mm over the table"
-            needed = f"{(MINIMUM_HEIGHT - PAD_HEIGHT[0]) * 1e3:.0f} mm of face above that"
+            needed = f"{LEAST_FACE * 1e3:.0f} mm of face above that"
         raise InfeasibleTrialError(f"grip: {what}; the pads, 3 mm over the table, need {needed}")
     _check_table(trial, motion, settings)
     _check_rest(trial, settings)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -14,6 +14,8 @@ LEAST_FRICTION = 1e-5
 """Least coefficient of a foot."""
 RING = 8
 """Points of a ring."""
+HARD = 10.0
+"""Stiffness of a point of contact over that of a foot under a particle: a narrow body would roll over soft ones."""
 _TRIES = 200
 _LEAST_SHARE = 0.3
 
@@ -39,21 +41,26 @@ class Feet:
 
     @staticmethod
     def of(model: ObjectModel) -> Feet:
-        """A foot under each particle in contact, as the estimators assume."""
+        """A foot under each particle in contact, as the estimators assume; a point of contact is hard."""
         shape = model.shape
         particle = np.flatnonzero(shape.friction_group >= 0)
         friction = np.maximum(model.truth.friction[shape.friction_group[particle]], LEAST_FRICTION)
+        stiffness = np.where(shape.is_contact[particle], HARD, 1.0)
         still = np.zeros(len(particle))
-        return Feet(particle, shape.particles[particle], still, still + 1, np.column_stack([friction, friction]))
+        return Feet(particle, shape.particles[particle], still, stiffness, np.column_stack([friction, friction]))
 
     @staticmethod
     def drawn(model: ObjectModel, points: int, rng: np.random.Generator) -> Feet:
         """A few points anywhere under each mass group: `points` or one fewer, or a ring.
 
         The feet of a group carry its weight about its own center of mass on level ground, none of them less than a
-        third of an even share, where such points are found: else its neighbors would hold it.
+        third of an even share, where such points are found: else its neighbors would hold it. A body on known points of
+        contact stays on them, harder on some than on others.
         """
         shape, parts = model.shape, []
+        if shape.is_contact.any():
+            exact = Feet.of(model)
+            return replace(exact, stiffness=exact.stiffness * rng.lognormal(0.0, 1.0, len(exact.particle)))
         for group in range(shape.n_m):
             members = shape.mass_group == group
             touching = np.flatnonzero(members & (shape.friction_group >= 0))

@@ -18,7 +18,7 @@ from testbed.objects.conversion.pose import Pose, asked_pose, stable_poses
 from testbed.objects.conversion.proposals import propose_grasps
 from testbed.objects.conversion.surface import as_mesh, read_surface
 from testbed.objects.grasps import GraspPlace
-from testbed.objects.meshes import Part, mesh_object
+from testbed.objects.meshes import Part, joined, mesh_object
 from testbed.objects.model import ObjectModel
 from testbed.toml import toml_text
 
@@ -45,8 +45,8 @@ class Converted:
     """What was found and mended, in words."""
 
     def model(self, masses: Sequence[float] = (), friction: float = 0.5) -> ObjectModel:
-        """The object with a mass of each part [kg]; without masses, by volume as of one kilogram in all."""
-        given = masses or self.masses((1.0,))
+        """The object with these masses, as `masses` takes them; without any, of one kilogram that nobody has given."""
+        given = self.masses(masses or (1.0,))
         parts = [Part(name, mesh, mass, 0) for name, mesh, mass in zip(self.part_names, self.parts, given, strict=True)]
         contacts = [(x, y) for x, y in self.pose.contacts.tolist()]
         made = mesh_object(
@@ -119,7 +119,6 @@ def convert_mesh(
         told.append(f"{down} down")
     laid = surface.transformed(pose.matrix)
     whole = laid.whole
-    mesh = as_mesh(whole)
     pieces, how = cut(laid, parts)
     shapes = tuple(as_mesh(piece) for piece in pieces)
     told.append(f"{len(pieces)} part{'s' * (len(pieces) > 1)} by {how if how in ('bodies', 'colours') else 'planes'}")
@@ -127,7 +126,7 @@ def convert_mesh(
     if cell is None:
         cell = float(np.clip(np.sqrt(whole.project().area() / CELLS), *CELL))
         cell = round(cell * 2000) / 2000 or CELL[0]
-    places, _, refused = propose_grasps(whole, mesh, mesh.center_mass[:2], most_grasps)
+    places, _, refused = propose_grasps(whole, joined(shapes), as_mesh(whole).center_mass[:2], most_grasps)
     if not places:
         told.append(f"no grasp: {refused or 'no two faces across from each other'}")
     stem = path.parent.name if path.stem.lower() == "mesh" else path.stem

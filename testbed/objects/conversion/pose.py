@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import trimesh
 from jaxtyping import Float
+from scipy.optimize import nnls
 from scipy.spatial import ConvexHull, QhullError
 
 from testbed.errors import InvalidValueError
@@ -84,7 +85,8 @@ def _distinct(surface: Surface, matrices: np.ndarray, chances: np.ndarray) -> It
 
 def _laid(surface: Surface, rotation: Float[np.ndarray, "3 3"], probability: float) -> Pose:
     """The pose of this rotation, turned about z so that its longest side lies along x."""
-    points = as_mesh(surface.whole).convex_hull.vertices @ rotation.T
+    whole = as_mesh(surface.whole)
+    points = whole.convex_hull.vertices @ rotation.T
     box = trimesh.bounds.oriented_bounds_2D(points[:, :2])
     turn = np.eye(3)
     turn[:2, :2] = box[0][:2, :2]
@@ -95,11 +97,18 @@ def _laid(surface: Surface, rotation: Float[np.ndarray, "3 3"], probability: flo
     low, high = turned.min(axis=0), turned.max(axis=0)
     shift = -np.array([*(low + high)[:2] / 2, low[2]])
     matrix = np.column_stack([turn @ rotation, shift])
-    return Pose(matrix, probability, contact_points(turned + shift))
+    middle = matrix[:2] @ np.append(whole.center_mass, 1.0)
+    return Pose(matrix, probability, contact_points(turned + shift, middle))
 
 
-def contact_points(vertices: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, "C 2"]:
+def contact_points(vertices: Float[np.ndarray, "V 3"], middle: Float[np.ndarray, "2"]) -> Float[np.ndarray, "C 2"]:
     """Corners of the polygon on which a body stands on z = 0, m: `MOST_CONTACTS` at most, those that span most.
+
+    Corners that would lift off an even, soft table are left out.
+
+    Args:
+        vertices: of the body or its hull, m.
+        middle: center of mass, m.
 
     Raises:
         InvalidValueError: fewer than three points touch, or all in one line.
@@ -112,7 +121,12 @@ def contact_points(vertices: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, "C 2
         raise InvalidValueError("down", given, "a face of three points or more") from None
     while len(corners) > MOST_CONTACTS or (len(corners) > 3 and _lost(corners).min() < LEAST_LOSS * _area(corners)):
         corners = np.delete(corners, _lost(corners).argmin(), axis=0)
-    return corners
+    # the least sum of squared loads >= 0 in balance is that of springs under the corners
+    levers = (corners - middle) / np.ptp(corners, axis=0).max()
+    balance = np.vstack([np.ones(len(corners)), levers.T]) * 1e4
+    loads, _ = nnls(np.vstack([balance, np.eye(len(corners))]), np.append([1e4, 0, 0], np.zeros(len(corners))))
+    kept = loads > LEAST_LOSS * loads.mean()
+    return corners[kept] if kept.sum() >= 3 and _area(corners[kept]) > LEAST_LOSS * _area(corners) else corners
 
 
 def _lost(corners: np.ndarray) -> np.ndarray:

@@ -11,7 +11,7 @@ from manifold3d import Manifold
 
 from testbed.errors import InvalidValueError
 from testbed.objects.grasps import GraspPlace, grasp_at
-from testbed.objects.model import FINGER_DEPTH, MINIMUM_HEIGHT, PAD_HEIGHT, SPARE_OPENING, STROKE, Grasp
+from testbed.objects.model import FINGER_DEPTH, LEAST_FACE, PAD_HEIGHT, SPARE_OPENING, STROKE, Grasp
 
 SPACING = 0.004
 """Distance of the outline's points from which grasps start [m]."""
@@ -23,7 +23,7 @@ APART = 0.012
 """Distance between two grasps that are proposed [m]."""
 ALIKE = 0.006, np.pi / 9
 """Sides of the squares [m] and of the angles [rad] of which one candidate is tried."""
-LEAST_FACE = 0.004
+LEAST_LENGTH = 0.004
 """Least length of a gripped face [m]."""
 
 
@@ -34,12 +34,12 @@ def propose_grasps(
 
     Args:
         whole: the body on the table z = 0.
-        mesh: the same as triangles.
+        mesh: its parts as triangles.
         middle: near the center of mass, m.
         most: number of places.
     """
-    if mesh.bounds[1, 2] < MINIMUM_HEIGHT:
-        given, least = mesh.bounds[1, 2] * 1e3, MINIMUM_HEIGHT * 1e3
+    if mesh.bounds[1, 2] < PAD_HEIGHT[0] + LEAST_FACE:
+        given, least = mesh.bounds[1, 2] * 1e3, (PAD_HEIGHT[0] + LEAST_FACE) * 1e3
         return [], [], f"{given:.1f} mm high, and the pads need {least:g} mm: another side down, or no grasp"
     pairs: dict[tuple[int, ...], tuple[np.ndarray, float]] = {}  # the most parallel of those that are alike
     for center, angle, _ in sorted(_pairs(whole, mesh), key=lambda pair: pair[2]):
@@ -66,9 +66,9 @@ def propose_grasps(
             refused = f"{error.given}; the gripper needs {error.allowed}"
             continue
         top = mesh.bounds[1, 2] if grasp.top is None else grasp.top
-        if top < MINIMUM_HEIGHT + max(grasp.bottom - PAD_HEIGHT[0], 0.0):
+        if top < max(grasp.bottom, PAD_HEIGHT[0]) + LEAST_FACE - 1e-9:
             refused = f"faces {(top - grasp.bottom) * 1e3:.1f} mm high"
-        elif grasp.width > STROKE - SPARE_OPENING or grasp.length < LEAST_FACE:
+        elif grasp.width > STROKE - SPARE_OPENING or grasp.length < LEAST_LENGTH:
             refused = f"faces {grasp.width * 1e3:.0f} mm apart and {grasp.length * 1e3:.0f} mm long"
         else:
             places.append(place)

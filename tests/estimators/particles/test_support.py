@@ -14,7 +14,6 @@ from estimators.particles.gripper_load import GripperLoad
 from estimators.particles.model import ParticleModel
 from estimators.particles.support import LOADS
 from estimators.testing.analytic_world import drawn_object
-from testbed.errors import InvalidValueError
 from testbed.objects.blocks import block_object, parse_layout
 from testbed.objects.files import load_object
 from testbed.objects.model import GRAVITY, ObjectModel
@@ -86,12 +85,13 @@ def test_a_rigid_body_on_a_line_of_feet_shares_its_weight_evenly():
     assert_allclose(loads_of("rigid", obj, GripperLoad.none())[0], obj.total_mass * GRAVITY / 6)
 
 
-def test_one_rigid_body_carries_what_has_no_feet_and_own_weight_refuses_it():
+def test_one_rigid_body_carries_what_has_no_feet_by_either_name():
     loads = loads_of("rigid", ONE_OFF_THE_TABLE, GripperLoad.none())
     assert_allclose(loads[:, torch.tensor(ONE_OFF_THE_TABLE.shape.friction_group < 0)], 0)
     assert_allclose(loads.sum(-1), ONE_OFF_THE_TABLE.total_mass * GRAVITY)
-    with pytest.raises(InvalidValueError, match="friction_group"):
-        loads_of("own_weight", ONE_OFF_THE_TABLE, GripperLoad.none())
+    for load in (GripperLoad.none(), carried(ONE_OFF_THE_TABLE)):
+        own, rigid = (loads_of(support, ONE_OFF_THE_TABLE, load) for support in ("own_weight", "rigid"))
+        assert_allclose(own, rigid, atol=1e-12)
 
 
 @pytest.mark.parametrize("support", LOADS)

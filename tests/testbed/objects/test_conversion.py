@@ -146,10 +146,11 @@ def test_a_tripod_stands_on_its_three_feet(tmp_path: Path):
     assert_allclose(np.linalg.norm(made.pose.contacts, axis=1), np.linalg.norm(feet, axis=1).mean(), atol=0.012)
     shape = made.model().shape
     assert shape.is_contact.sum() == len(made.pose.contacts) and not made.model().masses_known
-    upright = contact_points(np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0.5, 0.5, 1.0], [0.5, 0, 0]]))
-    assert len(upright) == 4
+    table = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0.5, 0.5, 1.0], [0.5, 0, 0]])
+    assert len(contact_points(table, np.array([0.5, 0.5]))) == 4
+    assert_allclose(contact_points(table, np.array([0.1, 0.1])).tolist(), [[0, 0], [1, 0], [0, 1]])  # one foot lifts
     with pytest.raises(InvalidValueError, match="in one line"):
-        contact_points(np.array([[0, 0, 0], [1, 0, 0], [0.5, 0.5, 1]]))
+        contact_points(np.array([[0, 0, 0], [1, 0, 0], [0.5, 0.5, 1]]), np.zeros(2))
 
 
 def test_grasps_are_across_the_shaft_and_spread_over_it(tmp_path: Path):

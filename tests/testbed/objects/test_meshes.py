@@ -186,6 +186,8 @@ def test_a_body_on_points_rests_on_particles_without_material():
     assert (made.shape.friction_group[~made.shape.is_contact] == -1).all()
     assert_allclose(made.center_of_mass, on_cells.center_of_mass, atol=1e-12)
     assert_allclose(made.particle_mass.sum(), on_cells.particle_mass.sum())
+    uneven = cut(box((0.093, 0.037, 0.02)), contacts=corners)  # cells do not divide it
+    assert_allclose(uneven.particle_mass @ uneven.shape.particles / 0.4, uneven.center_of_mass, atol=1e-12)
 
 
 def test_rays_leave_a_closed_surface_as_often_as_they_enter_it():

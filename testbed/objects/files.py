@@ -204,7 +204,7 @@ def load_object(
         raise InvalidValueError(error.field, error.given, error.allowed, file=path) from None
 
 
-@lru_cache(maxsize=64)
+@lru_cache(maxsize=64, typed=True)  # True is no 1
 def _built(content: str, grid: int, folder: Path, stamps: tuple[int, ...], hand: Hand) -> ObjectModel:
     """An object from its file's content, and the times of its meshes' files: cells of a mesh take long to cut."""
     return ObjectFile.model_validate_json(content).build(grid, folder, hand)

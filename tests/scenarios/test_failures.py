@@ -123,6 +123,7 @@ def test_a_batch_that_fails_is_asked_one_draw_at_a_time(here, finished, way):
     assert (here / "asked").read_text() == "3 "
 
 
+@pytest.mark.slow
 def test_a_batch_goes_on_with_the_draws_that_are_left(here, finished):
     answers = "return [Estimate(None, 'no_data', f'{len(draws)} at once') for _ in draws]"
     (here / "failing.py").write_text(BATCHES.replace("{way}", answers), encoding="utf-8")

@@ -175,6 +175,7 @@ def mutated(scenario: dict[str, Any], rng: random.Random) -> dict[str, Any]:
     return data
 
 
+@pytest.mark.slow
 def test_a_thousand_broken_files_are_run_or_refused_with_their_field(tmp_path):
     rng = random.Random(0)
     sources = [tomllib.loads(p.read_text()) for p in sorted(LIBRARY.glob("*.toml"))]

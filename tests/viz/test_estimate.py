@@ -126,6 +126,7 @@ ENTITIES = {
 }  # fmt: skip
 
 
+@pytest.mark.slow
 def test_every_entity_is_static_or_on_both_timelines(blocks):
     _, entities = blocks
     assert set(entities) >= ENTITIES

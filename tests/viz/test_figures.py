@@ -129,6 +129,7 @@ def fit(label: str, offset: float, count: int = 400) -> WrenchFit:
     return WrenchFit(label, time, measured, steady, predicted, np.full((count, 3), 0.2))
 
 
+@pytest.mark.slow
 def test_wrench_fits_show_measured_predicted_band_and_what_is_off():
     fits = [fit("turn about A1", 0.05), fit("slide", -0.1, 4000)]
     figure = wrench_fit_figure(fits)

@@ -52,6 +52,7 @@ def values(entities: dict[str, Entity], path: str, component: str = "Scalars:sca
     return np.squeeze(np.array(entities[path].values[SIM_TIME][component]))
 
 
+@pytest.mark.slow
 def test_cells_have_the_colours_and_masses_of_their_groups(entities, view):
     cells, shape = entities["trial/scene/object/cells"], view.shape
     colors, labels = cells.static["Boxes3D:colors"], cells.static["Boxes3D:labels"]

@@ -105,6 +105,7 @@ def test_every_rule_has_a_breach():
     assert {*BREACHES} == {*CONFORMANCE, *WITHOUT_DRAWS}
 
 
+@pytest.mark.slow
 def test_an_estimator_is_given_no_truth():
     given: list[Any] = []
 

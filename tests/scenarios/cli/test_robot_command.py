@@ -80,6 +80,7 @@ def straight(sign: Sign = 1, turn: float = 0.0) -> Calibration:
     return Calibration(sign, rotation, small[:3], np.zeros(6), small, 0.925, 1e-3, com, small[:3], 1.0, 8)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("serial", "code"), [("FSC-1234", 0), ("FSC-9", 1)])
 def test_a_check_with_everything_there(folder, capsys, monkeypatch, serial, code):
     """Also with a calibration of another sensor, which is told."""

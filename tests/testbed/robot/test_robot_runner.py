@@ -124,6 +124,7 @@ def test_a_scales_reading_moves_nothing():
     assert robot.driven_after(0.0) == 0.0
 
 
+@pytest.mark.slow
 def test_nothing_moves_before_the_motion_was_shown_and_confirmed():
     """Shown once a runner, and only by a connected one; without a tracker slip is not known."""
     shown: list[str] = []

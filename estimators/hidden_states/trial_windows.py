@@ -16,7 +16,6 @@ from typing import Self
 import numpy as np
 import torch
 from jaxtyping import Float
-from torch import Tensor
 
 from estimators.base import Estimate, robot_seconds
 from estimators.hidden_states.masses import friction_loads
@@ -27,6 +26,7 @@ from estimators.particles.friction_system import (
     LoadGroups,
     friction_equations,
     torque_covariance,
+    unknown_motion,
 )
 from estimators.particles.misfit import Misfit, likely_causes, misfit_of
 from estimators.particles.model import ParticleModel, friction_wrench, inertia_of
@@ -88,19 +88,7 @@ class TrialWindows:
         friction = self.model.particle_friction(torch.tensor(guess.friction))
         windows = self.windows if windows is None else windows
         found = friction_equations(self.model, self.groups, windows, mass, friction, self.shape.height, self.errors)
-        return replace(found, common=torch.cat([found.common, self._unknown_motion(windows)], 1))
-
-    def _unknown_motion(self, windows: Observations) -> Float[Tensor, "R E"]:
-        """Effects of c and of each I_j on accelerated windows, as large as the object allows: Q s = b tells neither."""
-        grasp = windows.grasp.detach()
-        reach = float((self.model.particles - grasp[:, None]).norm(dim=-1).max())
-        alpha, none = windows.acceleration[:, 2] * windows.accelerated, torch.zeros(len(windows), dtype=torch.float64)
-        squared = windows.spin_square * windows.accelerated
-        along = torch.stack([torch.stack([-squared, alpha, none], 1), torch.stack([-alpha, -squared, none], 1)], -1)
-        pivots, index = torch.unique(grasp.round(decimals=9), dim=0, return_inverse=True)
-        about = torch.nn.functional.one_hot(index, len(pivots)) * alpha[:, None]
-        turning = torch.stack([torch.zeros_like(about), torch.zeros_like(about), about], 1)
-        return self.weight * reach * torch.cat([along, reach * turning], -1).flatten(0, 1)
+        return replace(found, common=torch.cat([found.common, unknown_motion(windows, self.model, self.weight)], 1))
 
     def friction_system(self, guess: MassDistribution) -> LinearSystem:
         """Q s = b, whitened."""

@@ -176,6 +176,21 @@ def wrench_errors(
     return apart + own, torch.cat([common, shared], 1)
 
 
+def unknown_motion(windows: Observations, model: ParticleModel, weight: float) -> Float[Tensor, "R E"]:
+    """Effects of c and of each I_j on accelerated windows, as large as the object's `weight` (kg) and reach allow.
+
+    Whoever counts them as errors takes friction alone from those windows: the slopes of torque tell I_j.
+    """
+    grasp, alpha = windows.grasp.detach(), windows.acceleration[:, 2] * windows.accelerated
+    reach = float((model.particles - grasp[:, None]).norm(dim=-1).max())
+    squared, none = windows.spin_square * windows.accelerated, torch.zeros_like(alpha)
+    along = torch.stack([torch.stack([-squared, alpha, none], 1), torch.stack([-alpha, -squared, none], 1)], -1)
+    pivots, index = torch.unique(grasp.round(decimals=9), dim=0, return_inverse=True)
+    about = torch.nn.functional.one_hot(index, len(pivots)) * alpha[:, None]
+    turning = torch.stack([torch.zeros_like(about), torch.zeros_like(about), about], 1)
+    return weight * reach * torch.cat([along, reach * turning], -1).flatten(0, 1)
+
+
 def torque_covariance(
     windows: Observations,
     model: ParticleModel,

@@ -1,0 +1,223 @@
+"""Linear equations of the inertial parameters, from the wrench and the motion of a held body in the air."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from estimators.inertial.body import SIZE
+from testbed.errors import InvalidValueError
+from testbed.objects.model import GRAVITY
+from testbed.sensing.presets import Sensing
+from testbed.validation import freeze_arrays
+
+WALK_TERMS = 8
+"""Terms of the sensor's random walk; the rest of it has the variance of 1 / (pi^2 WALK_TERMS) of the whole."""
+LEAST_NOISE = np.repeat([1e-6, 1e-7], 3)
+"""Least standard deviation of a wrench, N and N m: sensors without any noise too have weights."""
+SLOW = 1.0, 1.0
+"""Acceleration [m/s^2] and angular acceleration [rad/s^2] below which a body rests, for HPS as published."""
+
+
+@dataclass(frozen=True, eq=False)
+class HeldMotion:
+    """Motion of a held body and the wrench on it, T samples. Axes that move with it; moments about their origin."""
+
+    time_s: Float[np.ndarray, "T"]
+    """Time, s."""
+    pull: Float[np.ndarray, "T 3"]
+    """Acceleration of the origin less gravity, m/s^2."""
+    rate: Float[np.ndarray, "T 3"]
+    """Angular velocity, rad/s."""
+    angular_acceleration: Float[np.ndarray, "T 3"]
+    """rad/s^2."""
+    wrench: Float[np.ndarray, "T 6"]
+    """Force and torque on the body, N and N m."""
+
+    def __post_init__(self) -> None:
+        count = len(self.time_s)
+        freeze_arrays(
+            self,
+            time_s=(None,),
+            pull=(count, 3),
+            rate=(count, 3),
+            angular_acceleration=(count, 3),
+            wrench=(count, 6),
+        )
+        if count < 2 or not (np.diff(self.time_s) > 0).all():
+            raise InvalidValueError("HeldMotion.time_s", f"{count} samples", "two or more, their times rising, s")
+
+    @property
+    def regressor(self) -> Float[np.ndarray, "T 6 10"]:
+        """Wrench of each inertial parameter alone."""
+        products = np.einsum("ti,tj->tij", self.rate, self.rate)
+        return regressor(self.pull, self.angular_acceleration, products)
+
+
+@dataclass(frozen=True, eq=False)
+class InertialEquations:
+    """Equations of the ten inertial parameters, independent and of unit error, and what they were compressed from."""
+
+    rows: Float[np.ndarray, "10 10"]
+    """Wrenches of unit error of each parameter alone."""
+    values: Float[np.ndarray, "10"]
+    """Their measured values."""
+    misfit: float
+    """Squared residual over its variance, mean over degrees of freedom, at the best parameters."""
+    freedom: int
+    """Degrees of freedom of the misfit."""
+
+    @property
+    def rank(self) -> int:
+        """Number of parameters that are seen, of ten."""
+        scale = np.linalg.norm(self.rows, axis=0)
+        strength = np.linalg.svd(self.rows / np.where(scale > 0, scale, 1.0), compute_uv=False)
+        return int((strength > 1e-6 * strength[0]).sum())
+
+
+def regressor(
+    pull: Float[np.ndarray, "T 3"],
+    angular_acceleration: Float[np.ndarray, "T 3"],
+    products: Float[np.ndarray, "T 3 3"],
+) -> Float[np.ndarray, "T 6 10"]:
+    """Wrench of each inertial parameter alone (Atkeson, An, Hollerbach 1986).
+
+    It is linear in all three, so means go with means.
+
+    Args:
+        pull: acceleration of the origin less gravity, m/s^2.
+        angular_acceleration: rad/s^2.
+        products: products of the components of the angular velocity, rad^2/s^2.
+    """
+    out = np.zeros((len(pull), 6, SIZE))
+    trace = np.trace(products, axis1=1, axis2=2)[:, None, None] * np.eye(3)
+    out[:, :3, 0] = pull
+    out[:, :3, 1:4] = _cross(angular_acceleration) + products - trace
+    out[:, 3:, 1:4] = -_cross(pull)
+    (ax, ay, az), s = angular_acceleration.T, products.transpose(1, 2, 0)
+    zero = np.zeros(len(pull))
+    columns = [
+        [ax, s[0, 2], -s[0, 1]],
+        [ay - s[0, 2], ax + s[1, 2], s[0, 0] - s[1, 1]],
+        [az + s[0, 1], s[2, 2] - s[0, 0], ax - s[1, 2]],
+        [-s[1, 2], ay, s[0, 1]],
+        [s[1, 1] - s[2, 2], az - s[0, 1], ay + s[0, 2]],
+        [s[1, 2], -s[0, 2], az],
+    ]
+    for index, column in enumerate(columns, 4):
+        out[:, 3:, index] = np.stack([zero + part for part in column], 1)
+    return out
+
+
+def inertial_equations(
+    motion: HeldMotion, sensing: Sensing, *, block: int = 10, still_only: bool = False
+) -> InertialEquations:
+    """Equations of a motion, weighed by what the sensor states: noise, one bias, and the walk of its zero.
+
+    Wrench and regressor are means over blocks, exact since one is linear in the other: noise of the accelerations,
+    which would pass for less inertia, averages out.
+
+    Args:
+        motion: motion of the body.
+        sensing: errors of the sensor as stated.
+        block: samples of a block.
+        still_only: True leaves out blocks in which the body accelerates by more than `SLOW`.
+
+    Raises:
+        InvalidValueError: no block is left.
+    """
+    count = len(motion.time_s) // block * block
+    rows = _means(motion.regressor[:count], block)
+    wrench, time = _means(motion.wrench[:count], block), _means(motion.time_s[:count], block)
+    kept = _rests(motion, count, block) if still_only else np.ones(len(time), dtype=bool)
+    if not kept.any():
+        raise InvalidValueError("motion", f"{len(motion.time_s)} samples", f"{block} or more in a row, at rest")
+    rows, wrench, time = rows[kept], wrench[kept], time[kept]
+    noise = np.array([*sensing.force_noise, *sensing.torque_noise])
+    noise = np.sqrt((noise**2 * (1 + sensing.lag1) / (1 - sensing.lag1) + LEAST_NOISE**2) / block)
+    moved = _acceleration_noise(rows, wrench, sensing) / np.sqrt(block)
+    error = np.hypot(noise, moved)
+    walk = _walk(time - motion.time_s[0], float(np.ptp(motion.time_s)))
+    columns = [np.ones(len(time))[:, None] * sensing.bias_std[None]]
+    columns += [walk[:, k, None] * sensing.drift_std[None] for k in range(walk.shape[1])]
+    return compressed(rows, wrench, error, np.stack(columns, -1))
+
+
+def compressed(
+    rows: Float[np.ndarray, "K 6 10"],
+    wrench: Float[np.ndarray, "K 6"],
+    error: Float[np.ndarray, "6"],
+    shared: Float[np.ndarray, "K 6 E"],
+) -> InertialEquations:
+    """Equations of blocks with independent errors and errors that all share, as ten rows.
+
+    Args:
+        rows: regressor of each block.
+        wrench: wrench of each, N and N m.
+        error: standard deviation of each component.
+        shared: effect on each axis of one standard deviation of its own shared errors.
+    """
+    count, terms = len(wrench), shared.shape[2]
+    effects = np.einsum("kae,ab->kabe", shared / error[:, None], np.eye(6)).reshape(6 * count, 6 * terms)
+    whole = np.hstack([effects, (rows / error[:, None]).reshape(-1, SIZE), (wrench / error).reshape(-1, 1)])
+    prior = np.hstack([np.eye(6 * terms), np.zeros((6 * terms, SIZE + 1))])
+    triangle = np.asarray(np.linalg.qr(np.vstack([prior, whole]), mode="r"))
+    first = 6 * terms
+    left = np.zeros((SIZE + 1, SIZE + 1))
+    part = triangle[first : first + SIZE + 1, first:]
+    left[: len(part)] = part
+    freedom = max(6 * count - SIZE, 0)
+    return InertialEquations(
+        left[:SIZE, :SIZE], left[:SIZE, SIZE], float(left[SIZE, SIZE] ** 2) / max(freedom, 1), freedom
+    )
+
+
+def joined(equations: Sequence[InertialEquations]) -> InertialEquations:
+    """Equations of independent motions of one body, as ten rows."""
+    stacked = np.hstack(
+        [np.vstack([e.rows for e in equations]), np.concatenate([e.values for e in equations])[:, None]]
+    )
+    triangle = np.asarray(np.linalg.qr(stacked, mode="r"))
+    freedom = sum(e.freedom for e in equations) + SIZE * (len(equations) - 1)
+    residual = sum(e.misfit * max(e.freedom, 1) for e in equations)
+    residual += float(triangle[SIZE, SIZE] ** 2) if len(triangle) > SIZE else 0.0
+    return InertialEquations(triangle[:SIZE, :SIZE], triangle[:SIZE, SIZE], residual / max(freedom, 1), freedom)
+
+
+def _rests(motion: HeldMotion, count: int, block: int) -> Bool[np.ndarray, "K"]:
+    """True for blocks in which next to gravity alone acts."""
+    linear = np.abs(np.linalg.norm(_means(motion.pull[:count], block), axis=1) - GRAVITY)
+    angular = np.linalg.norm(_means(motion.angular_acceleration[:count], block), axis=1)
+    return (linear < SLOW[0]) & (angular < SLOW[1])
+
+
+def _means(values: np.ndarray, block: int) -> np.ndarray:
+    return values.reshape(-1, block, *values.shape[1:]).mean(axis=1)
+
+
+def _acceleration_noise(rows: np.ndarray, wrench: np.ndarray, sensing: Sensing) -> Float[np.ndarray, "6"]:
+    """Error of each component of a wrench from one sample's noise of the accelerations, at the plain fit."""
+    linear, angular = sensing.linear_acceleration_noise, sensing.angular_acceleration_noise
+    if not (linear or angular):
+        return np.zeros(6)
+    fit = np.linalg.lstsq(rows.reshape(-1, SIZE), wrench.ravel(), rcond=1e-9)[0]
+    eye, none = np.eye(3), np.zeros((3, 3))
+    by_pull = regressor(eye, none, np.zeros((3, 3, 3))) @ fit
+    by_spin = regressor(none, eye, np.zeros((3, 3, 3))) @ fit
+    return np.sqrt(((linear * by_pull) ** 2 + (angular * by_spin) ** 2).sum(axis=0))
+
+
+def _walk(since: Float[np.ndarray, "K"], length: float) -> Float[np.ndarray, "K n"]:
+    """Eigenfunctions of a random walk of 1 a second, each times its standard deviation (Karhunen, Loeve)."""
+    turns = (np.arange(WALK_TERMS) + 0.5) * np.pi
+    return np.sqrt(2 * length) / turns * np.sin(turns * since[:, None] / length)
+
+
+def _cross(vectors: Float[np.ndarray, "T 3"]) -> Float[np.ndarray, "T 3 3"]:
+    """Matrices of the cross products with some vectors."""
+    x, y, z = vectors.T
+    zero = np.zeros(len(vectors))
+    return np.stack([np.stack([zero, -z, y], 1), np.stack([z, zero, -x], 1), np.stack([-y, x, zero], 1)], 1)

@@ -1,0 +1,106 @@
+"""Least squares on physically consistent inertial parameters: a semidefinite program (Wensing, Kim, Slotine 2018)."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import clarabel
+import numpy as np
+from jaxtyping import Float
+from scipy import sparse
+
+from estimators.inertial.body import SIZE, InertialParameters, pseudo_inertia
+from estimators.inertial.equations import InertialEquations
+from estimators.inertial.estimate import InertialEstimate, drawn_values
+from testbed.errors import HeftError
+from testbed.validation import freeze_arrays
+
+_solver: Any = clarabel  # it comes without types
+ABOUT = 0.1
+"""Size of a body of which nothing is told, m: it scales the program, and bounds nothing."""
+_TRIANGLE = [(i, j) for j in range(4) for i in range(j + 1)]
+"""Entries of a symmetric 4 x 4 matrix as the solver counts them: the upper triangle, column by column."""
+
+
+@dataclass(frozen=True, eq=False)
+class Ellipsoid:
+    """Ellipsoid along the axes of the body that holds all of it."""
+
+    center: Float[np.ndarray, "3"]
+    """m."""
+    half: Float[np.ndarray, "3"]
+    """Half axes, m."""
+
+    def __post_init__(self) -> None:
+        freeze_arrays(self, center=(3,), half=(3,))
+
+    @staticmethod
+    def around(low: Float[np.ndarray, "3"], high: Float[np.ndarray, "3"]) -> Ellipsoid:
+        """The smallest one around a box from `low` to `high`, m."""
+        return Ellipsoid((low + high) / 2, np.maximum(high - low, 1e-4) / 2 * math.sqrt(3))
+
+
+def consistent_inertia(
+    equations: InertialEquations, within: Ellipsoid | None = None, seed: int = 0
+) -> InertialEstimate:
+    """The best parameters that a body of positive density has, and one that lies `within` an ellipsoid.
+
+    Draws are the best such parameters for values as they might have come out: at a bound they lie on it.
+
+    Args:
+        equations: equations of the body.
+        within: ellipsoid that holds the body; None leaves it out.
+        seed: seed of the draws.
+
+    Raises:
+        HeftError: the solver finds no solution.
+    """
+    plain = np.linalg.lstsq(
+        equations.rows, np.column_stack([equations.values, drawn_values(equations, seed).T]), rcond=1e-12
+    )
+    program = _Program(equations, within)
+    solved = np.array([program.nearest(each) for each in plain[0].T])
+    return InertialEstimate(InertialParameters.of_vector(solved[0]), solved[1:], equations.misfit)
+
+
+class _Program:
+    """min |R (x - x_0)|^2 with P(x) positive semidefinite, in the entries of P about the body's middle."""
+
+    def __init__(self, equations: InertialEquations, within: Ellipsoid | None):
+        fit = np.linalg.lstsq(equations.rows, equations.values, rcond=1e-9)[0]
+        self.mass = max(abs(float(fit[0])), 1e-6)
+        center, half = (within.center, within.half) if within else (fit[1:4] / self.mass, np.full(3, ABOUT))
+        about = np.eye(4)  # a congruence: it changes no sign
+        about[:3, :3], about[:3, 3] = np.diag(1 / half), -center / half
+        parts = [about @ pseudo_inertia(one) @ about.T for one in np.eye(SIZE)]
+        entries = np.array([[(2**0.5 if i != j else 1.0) * part[i, j] for part in parts] for i, j in _TRIANGLE])
+        self.entries = entries / self.mass
+        self.rows = equations.rows @ np.linalg.inv(self.entries)
+        self.rows /= np.linalg.norm(self.rows)
+        blocks, self.cones = [np.eye(SIZE)], [_solver.PSDTriangleConeT(4)]
+        if within is not None:
+            inside = np.diag([-1.0, -1.0, -1.0, 1.0])  # tr(P Q) >= 0 with the quadric Q of the unit sphere
+            blocks.append(np.array([[inside[i, j] for i, j in _TRIANGLE]]))
+            self.cones.append(_solver.NonnegativeConeT(1))
+        self.bounds = np.vstack(blocks)
+        self.quadratic = sparse.csc_matrix(np.triu(self.rows.T @ self.rows))
+
+    def nearest(self, plain: Float[np.ndarray, "10"]) -> Float[np.ndarray, "10"]:
+        """The consistent parameters that fit best, from those that fit best without a bound."""
+        start = self.entries @ plain
+        whole = np.zeros((4, 4))
+        for value, (i, j) in zip(start, _TRIANGLE, strict=True):
+            whole[i, j] = whole[j, i] = value / (2**0.5 if i != j else 1.0)
+        if np.linalg.eigvalsh(whole)[0] >= 0 and (self.bounds[SIZE:] @ start >= 0).all():
+            return plain
+        linear = -self.rows.T @ (self.rows @ start)
+        matrix = sparse.csc_matrix(-self.bounds)
+        settings = _solver.DefaultSettings()
+        settings.verbose = False
+        solver = _solver.DefaultSolver(self.quadratic, linear, matrix, np.zeros(len(self.bounds)), self.cones, settings)
+        found = solver.solve()
+        if str(found.status) not in ("Solved", "AlmostSolved"):
+            raise HeftError(f"consistent_inertia: the semidefinite program ended as {found.status}")
+        return np.linalg.solve(self.entries, np.array(found.x))

@@ -19,6 +19,8 @@ LEVELS = 7
 """Heights at which an outline is taken."""
 PARALLEL = np.cos(np.radians(12))
 """Cosine of the angle up to which a face leans off the closing direction."""
+MOST_TRIED = 150
+"""Candidates that are tried."""
 APART = 0.012
 """Distance between two grasps that are proposed [m]."""
 ALIKE = 0.006, np.pi / 9
@@ -50,7 +52,7 @@ def propose_grasps(
     grasps: list[Grasp] = []
     refused = ""
     left = np.ones(len(centers), dtype=bool)
-    while left.any() and len(places) < most:
+    while left.any() and len(places) < most and (~left).sum() < MOST_TRIED:
         chosen = np.array([place.at for place in places])
         away = np.linalg.norm(centers - middle, axis=1)
         score = -away if not places else np.linalg.norm(centers[:, None] - chosen, axis=2).min(axis=1)

@@ -187,13 +187,11 @@ def test_the_files_are_an_object_that_loads_as_it_was_made(tmp_path: Path, capsy
 
 @pytest.mark.slow
 @pytest.mark.skipif(not TOOLS.is_dir(), reason="no folder of real tools: HEFT_TOOLS names one")
-def test_every_real_tool_is_an_object():
-    files = sorted(TOOLS.glob("*/mesh.ply"))
-    assert len(files) == 15
-    for file in files:
-        made = convert_mesh(file, most_grasps=2)
-        model = made.model((0.3,))
-        assert model.name == file.parent.name and model.shape.n_m > 1
-        assert 3 <= model.shape.is_contact.sum() <= 6
-        assert_allclose(model.total_mass, 0.3)
-        assert (np.linalg.norm(model.shape.particles[~model.shape.is_contact], axis=1) < 0.2).all()
+@pytest.mark.parametrize("name", ["Adjustable_Wrench", "Allen_Key", "Bent_Jaw_Pliers", "Ruler", "Socket_Wrench"])
+def test_real_tools_are_objects(name: str):
+    made = convert_mesh(TOOLS / name / "mesh.ply", most_grasps=0)
+    model = made.model((0.3,))
+    assert model.name == name and model.shape.n_m > 1
+    assert 3 <= model.shape.is_contact.sum() <= 6
+    assert_allclose(model.total_mass, 0.3)
+    assert_allclose(model.particle_mass @ model.shape.particles / 0.3, model.center_of_mass, atol=1e-9)

@@ -25,6 +25,7 @@ from estimators.particles.friction_system import (
     LinearSystem,
     LoadGroups,
     friction_equations,
+    swing_errors,
     torque_covariance,
     unknown_motion,
 )
@@ -88,7 +89,11 @@ class TrialWindows:
         friction = self.model.particle_friction(torch.tensor(guess.friction))
         windows = self.windows if windows is None else windows
         found = friction_equations(self.model, self.groups, windows, mass, friction, self.shape.height, self.errors)
-        return replace(found, common=torch.cat([found.common, unknown_motion(windows, self.model, self.weight)], 1))
+        drag = self.groups.spread(self.friction_loads(guess)).clamp(min=0)
+        own = found.apart + swing_errors(windows, self.model, drag).diag()
+        return replace(
+            found, apart=own, common=torch.cat([found.common, unknown_motion(windows, self.model, self.weight)], 1)
+        )
 
     def friction_system(self, guess: MassDistribution) -> LinearSystem:
         """Q s = b, whitened."""

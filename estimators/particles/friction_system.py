@@ -22,6 +22,9 @@ from estimators.particles.support import own_weight
 from estimators.particles.windows import PLANAR, Observations
 from testbed.objects.model import GRAVITY, ObjectShape
 
+SWING = 3e-4
+"""Error of the center of an accelerated turn, m: the arm swings. Ours."""
+
 
 @dataclass(frozen=True, eq=False)
 class LoadGroups:
@@ -189,6 +192,20 @@ def unknown_motion(windows: Observations, model: ParticleModel, weight: float) -
     about = torch.nn.functional.one_hot(index, len(pivots)) * alpha[:, None]
     turning = torch.stack([torch.zeros_like(about), torch.zeros_like(about), about], 1)
     return weight * reach * torch.cat([along, reach * turning], -1).flatten(0, 1)
+
+
+def swing_errors(windows: Observations, model: ParticleModel, drag: Float[Tensor, "P"]) -> Float[Tensor, "R"]:
+    """Variance of accelerated windows' forces from particles so near the center that its swing turns their drag.
+
+    Args:
+        windows: windows of constant speed or acceleration.
+        model: particles of the object.
+        drag: friction of every particle, N.
+    """
+    swing = (SWING * windows.twist[:, 2:]).square()
+    turned = swing / (windows.particle_velocity(model).square().sum(-1) + swing + 1e-18)
+    force = (turned * drag.square()).sum(-1) * windows.accelerated
+    return torch.stack([force, force, torch.zeros_like(force)], 1).flatten()
 
 
 def torque_covariance(

@@ -25,6 +25,8 @@ if TYPE_CHECKING:
     from testbed.objects.model import ObjectModel, ObjectShape
     from viz.values import PlanView
 
+MOST_WEIGHT = 100.0
+"""Greatest weight that is taken [kg]."""
 MOST_REJECTED = 5
 """Refusals that are printed."""
 MOST_NAMED = 3
@@ -158,13 +160,14 @@ def plan(
     most: Annotated[int, tyro.conf.arg(metavar="N")] = 8,
     candidates: Annotated[int, tyro.conf.arg(metavar="N")] = 4000,
     grasps: Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="NAME ...")] = None,
+    weight: Annotated[float | None, tyro.conf.arg(metavar="KG")] = None,
     seed: Annotated[int, tyro.conf.arg(metavar="N")] = 0,
     figure: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None,
     record: Annotated[Path | None, tyro.conf.arg(metavar="FILE.rrd")] = None,
 ) -> None:
     """Plan actions: where to grasp and which way to turn, to know an object's masses in little robot time.
 
-    Of the object the planner uses only its shape and its weight.
+    Of the object the planner uses only its shape and its weight, so a file without masses does with --weight.
     Examples: heft plan L2 --budget 60s
               heft plan L2 --until 2% --policy batch --figure results/L2_plan
               heft plan L2 --world lab --most 12
@@ -184,6 +187,7 @@ def plan(
         most: greatest number of actions.
         candidates: number of actions to consider.
         grasps: allowed grasps, by name (see heft show); all if left out.
+        weight: what the object weighs, kg; that of its masses if left out.
         seed: seed of the candidates.
         figure: the plan as a picture, written as FILE.pdf and FILE.png.
         record: the plan as a Rerun recording: `rerun FILE.rrd` opens it.
@@ -196,9 +200,11 @@ def plan(
     from testbed.sensing import preset, read_scale
     from testbed.worlds.presets import world as world_of
 
-    console, model, sensor = open_console(), load_object(object_), preset(sensing)
-    weight, setup = read_scale(model.total_mass, sensor, seed), world_of(world).stated
-    guess = Guess(weight, sensor.stated, friction, ASSUMED_SUPPORTS[support], setup)
+    if weight is not None and not 0 < weight < MOST_WEIGHT:
+        raise InvalidValueError("--weight", weight, f"a number > 0 and < {MOST_WEIGHT:g}, kg")
+    console, model, sensor = open_console(), load_object(object_, measured=weight is not None), preset(sensing)
+    weighed, setup = weight or read_scale(model.total_mass, sensor, seed), world_of(world).stated
+    guess = Guess(weighed, sensor.stated, friction, ASSUMED_SUPPORTS[support], setup)
     goal = Goal(percent(until, "--until"), seconds(budget, "--budget"), most)
     allowed = named_grasps(model, grasps)
     if policy in ("published", "reversed_pairs"):

@@ -184,7 +184,7 @@ def show(object_: Annotated[str, tyro.conf.Positional, tyro.conf.arg(name="objec
     facts = f": masses not given, {shape.height * 1e3:.0f} mm high"
     if model.masses_known:
         facts = (
-            f": {model.total_mass:.3f} kg, centre of mass ({com[0]:.1f}, {com[1]:.1f}) mm from the middle, "
+            f": {model.total_mass:.3f} kg, centre of mass ({com[0]:.1f}, {com[1]:.1f}) mm from the origin, "
             f"I_cm {model.inertia_cm:.5f} kg m^2, {shape.height * 1e3:.0f} mm high"
         )
     console.print(Text.assemble((model.name, "bold"), facts))
@@ -193,14 +193,17 @@ def show(object_: Annotated[str, tyro.conf.Positional, tyro.conf.arg(name="objec
         return
     console.print(drawing(model))
     table = Table()
-    for column in ("block", "mass, kg", "friction", "gripped across"):
+    for column in ("block", "x, mm", "y, mm", "mass, kg", "friction", "gripped across"):
         table.add_column(column, justify="right")
     grasps = {grasp.name: "x" if abs(np.cos(grasp.angle)) > 0.5 else "y" for grasp in shape.grasps}
     for group, label in enumerate(shape.group_names):
-        table.add_row(label, _mass(model, group), _friction(model, group), grasps.get(label, "-"))
+        at = _millimetres(shape.particles[shape.mass_group == group].mean(axis=0))
+        table.add_row(label, *at, _mass(model, group), _friction(model, group), grasps.get(label, "-"))
     for grasp in shape.grasps:
         if grasp.name not in shape.group_names:
-            table.add_row(grasp.name, "", "", f"{grasps[grasp.name]}, {grasp.width * 1e3:.0f} mm")
+            table.add_row(
+                grasp.name, *_millimetres(grasp.position), "", "", f"{grasps[grasp.name]}, {grasp.width * 1e3:.0f} mm"
+            )
     console.print(table)
 
 
@@ -224,6 +227,12 @@ def _show_solids(console: Console, model: ObjectModel) -> None:
         grasps.add_row(grasp.name, *(str(round(x)) for x in numbers), f"{grasp.bottom * 1e3:.0f} to {top * 1e3:.0f}")
     console.print(groups)
     console.print(grasps)
+
+
+def _millimetres(place: np.ndarray) -> tuple[str, str]:
+    """Coordinates from the object's origin, mm."""
+    x, y = np.round(1e3 * place, 1) + 0.0  # no -0.0
+    return f"{x:.1f}", f"{y:.1f}"
 
 
 def _mass(model: ObjectModel, group: int) -> str:

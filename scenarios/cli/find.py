@@ -46,7 +46,8 @@ def _table(log: Path, found: Sequence[Segment]) -> Table:
     """Segments down."""
     table = Table(title=Text(str(log)), title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
     for name in ("from s", "to s", "", "speed", "through", "center mm", "grasp", "tare from s"):
-        table.add_column(name, justify="left" if name in ("", "grasp") else "right", no_wrap=True)
+        words = name in ("", "grasp")
+        table.add_column(name, justify="left" if words else "right", no_wrap=not words)
     for segment in found:
         cells = [f"{segment.from_s:.1f}", f"{segment.to_s:.1f}", segment.kind]
         if segment.action is not None:

@@ -21,10 +21,9 @@ from testbed.files import unless_damaged
 from testbed.objects.files import load_object
 from testbed.objects.model import ObjectShape
 from testbed.toml import toml_text
-from viz.report.answers import answer_table
+from viz.report.answers import Answer
 from viz.report.lists import names
 from viz.report.report import Results, write_report
-from viz.report.tables import Table
 from viz.values import support_name
 
 
@@ -60,10 +59,10 @@ def report(folder: Path) -> Path:
     return path
 
 
-def _answers(folder: Path, rows: Sequence[Row]) -> list[Table]:
-    """Masses of measured trials: of simulated ones their errors say more."""
+def _answers(folder: Path, rows: Sequence[Row]) -> list[list[Answer]]:
+    """Answers from measured trials: of simulated ones their errors say more."""
     measured = [row for row in rows if row["sensing"] == SENSING]
-    return [answer_table(group) for group in unless_damaged(lambda: answers_of(folder, measured), "left out") or []]
+    return unless_damaged(lambda: answers_of(folder, measured), "left out") or []
 
 
 def _in_order(rows: Sequence[Row], scenario: Mapping[str, Any]) -> list[Row]:

@@ -32,6 +32,8 @@ from viz.figures.maps import (
     mass_maps,
 )
 from viz.figures.nad import nad_distribution, nad_sweep
+from viz.report.answer_maps import answer_maps
+from viz.report.answers import Answer, answer_table
 from viz.report.claims import claims_table
 from viz.report.lists import failures, names, worst, worst_of
 from viz.report.tables import METRICS, MOST_OBJECTS, Table, leading, metric_table, over_objects, overview, sweep_table
@@ -83,8 +85,8 @@ class Results:
     """Path of an estimate's recording by its folder; empty where there is none."""
     bad_trials: Mapping[tuple[str, str], Sequence[str]] = field(default_factory=dict)
     """Folders of trials that are not ok, by status and reason."""
-    answers: Sequence[Table] = ()
-    """Masses by every method, a table an object, where they were measured."""
+    answers: Sequence[Sequence[Answer]] = ()
+    """Answers of every method, object by object, where they were measured."""
 
 
 @dataclass(frozen=True)
@@ -137,6 +139,7 @@ def render(results: Results) -> str:
         losses[f"{method}: loss by iteration, {most} estimate{'s' if most != 1 else ''}"] = traces
     differences, maps = _maps(groups, shapes)
     best, known = leading(groups), any(row["nad"] is not None for row in estimates)
+    judged = known or not results.answers
     environment = Environment(
         loader=FileSystemLoader(Path(__file__).parent), autoescape=True, undefined=StrictUndefined, trim_blocks=True,
         lstrip_blocks=True,
@@ -144,10 +147,18 @@ def render(results: Results) -> str:
     environment.filters["breakable"] = breakable
     return environment.get_template("report.html.j2").render(
         results=results,
-        known=known,
+        judged=judged,
+        answers=[
+            (
+                answer_table(found),
+                draw(answer_maps(found), f"{found[0].object}: masses, and half of each 90 % interval"),
+            )
+            for found in results.answers
+            if any(answer.distribution is not None for answer in found)
+        ],
         counts={"estimates": len(estimates), "objects": len(objects), "good": good},
         best=best,
-        picture=_first_picture(groups, best, maps, draw) if known or not results.answers else None,
+        picture=_first_picture(groups, best, maps, draw) if judged else None,
         overview=overview(groups),
         tables={label: _tables(found) for label, found in groups.items()},
         distributions=[

@@ -70,9 +70,10 @@ def guesses(obj: ObjectModel, count: int, seed: int = 0) -> tuple[torch.Tensor, 
     return tuple(t * torch.tensor(rng.uniform(0.5, 2, (count, len(t)))) for t in truth(obj))  # pyright: ignore[reportReturnType]
 
 
-def one_foot_a_block(obj: ObjectModel, lever: np.ndarray, lift: float, moment: object) -> np.ndarray:
+def one_foot_a_block(obj: ObjectModel, grasp: int, lift: float, moment: object) -> np.ndarray:
     """Loads where a block stands on one foot, which carries no tilt: the analytic world has none for it."""
     del moment
+    lever = obj.shape.particles - obj.shape.grasps[grasp].position
     return obj.particle_mass * GRAVITY - lift * (np.linalg.norm(lever, axis=1) < 1e-9)
 
 

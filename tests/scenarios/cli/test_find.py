@@ -24,6 +24,7 @@ def test_a_recording_is_found_and_imported(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ):
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "120")
     trials = load_block("L2-own_weight").trials("ft300s")[2:4]
     recording = strung(trials, 1e-5)
     write_csv(tmp_path / "day.csv", recording)

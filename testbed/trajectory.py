@@ -17,6 +17,7 @@ from testbed.actions.base import Action, action_from_dict
 from testbed.actions.weigh import Weigh
 from testbed.errors import InvalidValueError
 from testbed.files import UNSEALED, load_sealed, read_table, write_sealed
+from testbed.sensing.camera import PoseStream
 from testbed.validation import freeze_arrays, frozen_array, is_number
 from testbed.worlds.setup_errors import EXACT_SETUP, SetupErrors
 
@@ -110,6 +111,8 @@ class Trajectory:
     """Standard deviation of the random walk of the zero from the tare on [N/sqrt(s), N m/sqrt(s)]."""
     setup: SetupErrors = EXACT_SETUP
     """Errors of the setup beside the sensor's, as stated."""
+    camera: PoseStream | None = None
+    """Poses of the object by a camera, the true ones in a clean record; None without a camera."""
     figures: dict[str, float] = field(default_factory=dict)
     """Numbers behind the status: peak torque and speed over their limits, slip, grip force, ..."""
     provenance: dict[str, str] = field(default_factory=dict)
@@ -202,6 +205,11 @@ class Trajectory:
         return np.isin(self.phase, phases)
 
 
+_CAMERA = ("camera.time_s", "camera.poses")
+"""Columns of a camera's frames: all in the first row, as lists, for their number is not that of the samples."""
+_CAMERA_ERRORS = ("position_std", "angle_std", "delay_std")
+
+
 def save_trajectory(trajectory: Trajectory, path: Path) -> None:
     """Write a trajectory as Parquet (zstd, byte-stream split), whole or not at all."""
     columns: dict[str, np.ndarray] = {
@@ -211,7 +219,7 @@ def save_trajectory(trajectory: Trajectory, path: Path) -> None:
     }
     for name, units in SERIES.items():
         columns |= {f"{name}.{unit}": getattr(trajectory, name)[:, i] for i, unit in enumerate(units)}
-    tool = trajectory.tool
+    tool, camera = trajectory.tool, trajectory.camera
     header = {
         "schema_version": SCHEMA_VERSION,
         "action": trajectory.action.to_dict(),
@@ -223,8 +231,11 @@ def save_trajectory(trajectory: Trajectory, path: Path) -> None:
         "sensor_drift_std": trajectory.sensor_drift_std.tolist(),
         "setup": asdict(trajectory.setup),
         "tool": None if tool is None else {k: np.asarray(v).tolist() for k, v in asdict(tool).items()},
+        "camera": None if camera is None else {name: getattr(camera, name) for name in _CAMERA_ERRORS},
     }
-    table = pa.table(columns).replace_schema_metadata({"heft": json.dumps(header), "checksum": UNSEALED})
+    table = _with_camera(pa.table(columns), trajectory.camera).replace_schema_metadata(
+        {"heft": json.dumps(header), "checksum": UNSEALED}
+    )
     floats = [name for name, values in columns.items() if values.dtype == np.float64]
     write_sealed(
         path,
@@ -250,7 +261,7 @@ def load_trajectory(path: Path) -> Trajectory:
         header: dict[str, Any] = json.loads((table.schema.metadata or {})[b"heft"])
         if header["schema_version"] != SCHEMA_VERSION:
             raise ValueError(f"schema {header['schema_version']}; this version of heft reads {SCHEMA_VERSION}")
-        columns = {name: table.column(name).to_numpy() for name in table.column_names}
+        columns = {name: table.column(name).to_numpy() for name in table.column_names if name not in _CAMERA}
         series = {name: np.stack([columns[f"{name}.{u}"] for u in units], axis=1) for name, units in SERIES.items()}
         return Trajectory(
             action=action_from_dict(header["action"]),
@@ -264,8 +275,26 @@ def load_trajectory(path: Path) -> Trajectory:
             sensor_bias_std=header["sensor_bias_std"],
             sensor_drift_std=header.get("sensor_drift_std", [0.0] * 6),  # records from before it was kept
             setup=SetupErrors(**header.get("setup", {})),
+            camera=_camera_of(table, header.get("camera")),
             figures=header["figures"],
             provenance=header["provenance"],
         )
 
     return load_sealed(path, "trajectory file", parsed)
+
+
+def _with_camera(table: pa.Table, camera: PoseStream | None) -> pa.Table:
+    """Table of a record with its camera's frames."""
+    if camera is None:
+        return table
+    rest: list[list[float]] = [[]] * (len(table) - 1)
+    for name, values in zip(_CAMERA, (camera.time_s, camera.poses.ravel()), strict=True):
+        table = table.append_column(name, pa.array([values, *rest], type=pa.list_(pa.float64())))
+    return table
+
+
+def _camera_of(table: pa.Table, errors: dict[str, float] | None) -> PoseStream | None:
+    if errors is None:
+        return None
+    time, poses = (table.column(name)[0].values.to_numpy(zero_copy_only=False) for name in _CAMERA)
+    return PoseStream(time, poses.reshape(len(time), -1, 3), **errors)

@@ -13,6 +13,7 @@ from scipy.signal import lfilter
 
 from testbed.frames import perpendicular
 from testbed.objects.model import GRAVITY
+from testbed.sensing.camera import draw_camera
 from testbed.sensing.compensation import compensate
 from testbed.sensing.presets import Sensing
 from testbed.trajectory import Phase, Trajectory
@@ -65,6 +66,7 @@ def draw_sensing(clean: Trajectory, sensing: Sensing, seed: int) -> Trajectory:
         object_velocity=planar,
         sensor_bias_std=sensing.bias_std,
         sensor_drift_std=sensing.drift_std,
+        camera=None if clean.camera is None else draw_camera(clean.camera, sensing.camera, seed),
         provenance=provenance,
     )
     return compensate(noisy)

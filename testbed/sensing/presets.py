@@ -1,4 +1,4 @@
-"""Sensing presets: the errors of a sensor by name, as its data sheet states them, and how far the truth is off."""
+"""Sensing presets: errors of a sensor and its camera by name, as stated, and how far the truth is off."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from testbed.errors import InvalidValueError
+from testbed.sensing.camera import CAMERAS, Camera
 from testbed.validation import frozen_array
 
 Axes = tuple[float, float, float]
@@ -49,10 +50,12 @@ class Sensing:
     """Random walk that is drawn, over the stated one."""
     source: str = ""
     """Source of the numbers."""
+    camera: Camera = CAMERAS["exact"]
+    """Camera that sees the object where the hand does not hold it."""
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
-            if name in ("name", "source"):
+            if name in ("name", "source", "camera"):
                 continue
             shape = (3,) if name in ("force_noise", "torque_noise") else ()
             if (frozen_array(f"Sensing.{name}", value, shape) < 0).any():
@@ -63,7 +66,8 @@ class Sensing:
     @property
     def stated(self) -> Sensing:
         """Sensor whose errors are those of its data sheet: what a method or a policy may reckon with."""
-        return replace(self, name=self.name.partition(":")[0], true_bias=1.0, true_drift=1.0)
+        name = re.sub(r":(bias|drift)=[^:]*", "", self.name)
+        return replace(self, name=name, true_bias=1.0, true_drift=1.0)
 
     @property
     def bias_std(self) -> np.ndarray:
@@ -102,6 +106,7 @@ PRESETS: dict[str, Sensing] = {
             force_drift=0.005,
             torque_drift=0.0003,
             scale=0.001,
+            camera=CAMERAS["30hz"],
             source="noise: one lab's measurement; bias after the tare, walk, scale: ours, well below its cold drift",
         ),
         _grid("low", 0.05, 0.0025, 0.25, 0.025),
@@ -112,11 +117,15 @@ PRESETS: dict[str, Sensing] = {
 """Presets by name: `ideal`, `ft300s`, `low`, `moderate`, `high`."""
 
 
-_FACTORS = re.compile(r"(?P<preset>[^:]+)(:bias=(?P<bias>[\d.]+))?(:drift=(?P<drift>[\d.]+))?")
+_FACTORS = re.compile(
+    r"(?P<preset>[^:]+)(:bias=(?P<bias>[\d.]+))?(:drift=(?P<drift>[\d.]+))?(:camera=(?P<camera>[^:]+))?"
+)
 
 
 def preset(name: str) -> Sensing:
     """Sensing preset by name; "ft300s:bias=2:drift=0.5" draws twice the stated bias and half the stated drift.
+
+    "ft300s:camera=exact" has another camera.
 
     Raises:
         InvalidValueError: no such preset.
@@ -125,8 +134,11 @@ def preset(name: str) -> Sensing:
     if found is None or found["preset"] not in PRESETS:
         allowed = f"one of {', '.join(PRESETS)}; with another bias or drift than stated as ft300s:bias=2:drift=0.5"
         raise InvalidValueError("sensing", name, allowed)
+    camera = found["camera"] or PRESETS[found["preset"]].camera.name
+    if camera not in CAMERAS:
+        raise InvalidValueError("sensing", name, f"a camera of {', '.join(CAMERAS)}")
     stated, bias, drift = PRESETS[found["preset"]], found["bias"] or 1.0, found["drift"] or 1.0
     try:
-        return replace(stated, name=name, true_bias=float(bias), true_drift=float(drift))
+        return replace(stated, name=name, camera=CAMERAS[camera], true_bias=float(bias), true_drift=float(drift))
     except ValueError:
         raise InvalidValueError("sensing", name, "a number of each factor, as ft300s:bias=2:drift=0.5") from None

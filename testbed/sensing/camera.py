@@ -1,0 +1,193 @@
+"""Camera: the stream of an object's poses that a camera gives, its errors by preset, and the motion between its frames.
+
+The object of a push is not in the hand, and of an articulated one only one part is: their motion is seen, not felt.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float
+
+from testbed.errors import InvalidValueError
+from testbed.validation import check_integer, freeze_arrays, frozen_array, is_number
+
+DEGREE = 3
+"""Degree of the polynomial through the frames nearby."""
+SPAN = 0.8
+"""Time whose frames it runs through [s]: 1 mm and 0.5 deg at 30 Hz leave some 1 mm/s and 0.5 deg/s."""
+LEAST_FRAMES = 9
+"""Least frames that it runs through, and all that it takes of an exact camera."""
+
+
+@dataclass(frozen=True)
+class Camera:
+    """Errors of a camera that sees poses, as stated."""
+
+    name: str
+    """Preset name."""
+    rate: float = 0.0
+    """Frames a second [Hz]; 0 sees every sample of the record."""
+    position: float = 0.0
+    """Standard deviation of a position, per frame and axis [m]."""
+    angle: float = 0.0
+    """Standard deviation of a yaw, per frame [rad]."""
+    delay: tuple[float, float] = (0.0, 0.0)
+    """Least and greatest time by which stamps are late [s]; one draw a trial."""
+    dropout: float = 0.0
+    """Share of the frames that are lost."""
+
+    def __post_init__(self) -> None:
+        for name in ("rate", "position", "angle", "dropout"):
+            if not (is_number(value := getattr(self, name)) and value >= 0):
+                raise InvalidValueError(f"Camera.{name}", value, "a finite number >= 0")
+        if not self.dropout < 1:
+            raise InvalidValueError("Camera.dropout", self.dropout, "a share below 1")
+        least, most = frozen_array("Camera.delay", self.delay, (2,))
+        if not 0 <= least <= most:
+            raise InvalidValueError("Camera.delay", self.delay, "two times >= 0, the least first, s")
+
+    @property
+    def is_exact(self) -> bool:
+        """True if it sees the true pose at every sample."""
+        return replace(self, name="exact") == Camera("exact")
+
+
+CAMERAS: dict[str, Camera] = {
+    camera.name: camera
+    for camera in (
+        Camera("exact"),
+        Camera("30hz", 30.0, 0.001, math.radians(0.5), (0.01, 0.05), 0.03),
+    )
+}
+"""Cameras by name: `exact`, and `30hz` with 1 mm, 0.5 deg, stamps 10 to 50 ms late and 3 % of its frames lost."""
+
+
+@dataclass(frozen=True, eq=False)
+class PoseStream:
+    """Frames of a camera: F poses of each part of an object. A rigid object has one part."""
+
+    time_s: Float[np.ndarray, "F"]
+    """Time of each frame [s], on the record's clock, as stamped less the mean delay."""
+    poses: Float[np.ndarray, "F parts 3"]
+    """Planar pose of each part's frame [m, m, rad], world; NaN where it was not seen. Yaws do not jump by a turn."""
+    position_std: float = 0.0
+    """Standard deviation of a position as stated, per frame and axis [m]."""
+    angle_std: float = 0.0
+    """Standard deviation of a yaw as stated, per frame [rad]."""
+    delay_std: float = 0.0
+    """Standard deviation of the time by which all frames of a trial are off, as stated [s]."""
+
+    def __post_init__(self) -> None:
+        freeze_arrays(self, time_s=(None,))
+        poses = frozen_array("PoseStream.poses", self.poses, (len(self.time_s), None, 3), finite=False)
+        if (np.diff(self.time_s) <= 0).any():
+            raise InvalidValueError("PoseStream.time_s", f"{len(self.time_s)} times", "strictly increasing times, s")
+        if np.isinf(poses).any() or (np.isnan(poses).any(axis=2) != np.isnan(poses).all(axis=2)).any():
+            raise InvalidValueError("PoseStream.poses", "infinite or half-seen poses", "whole poses, or NaN for one")
+        object.__setattr__(self, "poses", poses)
+        for name in ("position_std", "angle_std", "delay_std"):
+            if not (is_number(value := getattr(self, name)) and value >= 0):
+                raise InvalidValueError(f"PoseStream.{name}", value, "a finite number >= 0")
+
+    @property
+    def parts(self) -> int:
+        """Number of parts."""
+        return self.poses.shape[1]
+
+    def motion(
+        self,
+        times: Float[np.ndarray, "N"],
+        part: int = 0,
+        within: tuple[float, float] = (-math.inf, math.inf),
+        span: float | None = None,
+    ) -> SeenMotion:
+        """Motion of a part at given times, by local polynomials through the frames nearby.
+
+        Rows are NaN where fewer than `LEAST_FRAMES` frames are near.
+
+        Args:
+            times: times [s].
+            part: index of the part.
+            within: times between which the motion is smooth [s]: frames outside are left out.
+            span: time whose frames each polynomial runs through [s]; None is `SPAN`, or the nearest `LEAST_FRAMES` of
+                an exact stream.
+        """
+        check_integer("part", part, least=0, most=self.parts - 1)
+        std = np.array([self.position_std, self.position_std, self.angle_std])
+        seen = ~np.isnan(self.poses[:, part, 0]) & (self.time_s >= within[0]) & (self.time_s <= within[1])
+        time, pose = self.time_s[seen], self.poses[seen, part]
+        span = span or (SPAN if std.any() else 0.0)
+        count = len(times)
+        value, noise = np.full((count, 3, 3), math.nan), np.full((count, 3, 3), math.nan)
+        for index, at in enumerate(np.asarray(times, dtype=float)):
+            near = _nearest(time, at, span)
+            if len(near) < LEAST_FRAMES:
+                continue
+            unit = max(float(np.abs(time[near] - at).max()), 1e-9)
+            basis = np.vander((time[near] - at) / unit, DEGREE + 1, increasing=True)
+            fit = np.linalg.pinv(basis)[:3] * np.array([1.0, 1.0, 2.0])[:, None] / unit ** np.arange(3)[:, None]
+            value[index], noise[index] = fit @ pose[near], fit @ fit.T
+        flat = value.reshape(count, 9)
+        covariance = np.einsum("nab,ij->naibj", noise, np.diag(std**2)).reshape(count, 9, 9)
+        # all frames late by one time: each derivative is off by the next one
+        late = np.concatenate([flat[:, 3:], np.zeros((count, 3))], axis=1)
+        covariance += self.delay_std**2 * late[:, :, None] * late[:, None, :]
+        return SeenMotion(value[:, 0], value[:, 1], value[:, 2], covariance)
+
+
+@dataclass(frozen=True, eq=False)
+class SeenMotion:
+    """Motion of a part at N times by a camera, world axes; NaN where it was not seen."""
+
+    pose: Float[np.ndarray, "N 3"]
+    """Planar pose of its frame [m, m, rad]."""
+    twist: Float[np.ndarray, "N 3"]
+    """Velocity of the frame's origin and yaw rate [m/s, m/s, rad/s]."""
+    acceleration: Float[np.ndarray, "N 3"]
+    """Rate of `twist` [m/s^2, m/s^2, rad/s^2]."""
+    covariance: Float[np.ndarray, "N 9 9"]
+    """Covariance of pose, twist and acceleration, in this order, from the frames' noise and the delay's error."""
+
+
+def _nearest(time: np.ndarray, at: float, span: float) -> np.ndarray:
+    """Indices of the frames within half a `span` of a time, or of the nearest ones where these are too few.
+
+    Between the first and the last frame, or half a span outside; else none.
+    """
+    if len(time) == 0 or not time[0] - SPAN / 2 <= at <= time[-1] + SPAN / 2:
+        return np.empty(0, dtype=np.int64)
+    away = np.abs(time - at)
+    near = np.flatnonzero(away <= span / 2)
+    return near if len(near) >= LEAST_FRAMES else np.sort(np.argsort(away, kind="stable")[:LEAST_FRAMES])
+
+
+def draw_camera(true: PoseStream, camera: Camera, seed: int) -> PoseStream:
+    """Frames of a camera with errors, by the true poses of a clean record.
+
+    They state the camera's errors, and not the draw.
+
+    Args:
+        true: poses at the record's samples.
+        camera: errors of the camera.
+        seed: seed of the draw, as of the force sensor's: the two do not share their numbers.
+    """
+    if camera.is_exact:
+        return true
+    rng = np.random.default_rng((seed, 1))
+    least, most = camera.delay
+    late = rng.uniform(least, most)
+    first, last = true.time_s[[0, -1]]
+    step = 1 / camera.rate if camera.rate else float(np.median(np.diff(true.time_s)))
+    at = np.arange(first + rng.uniform(0, step), last, step)
+    poses = np.array(
+        [[np.interp(at, true.time_s, series) for series in part] for part in true.poses.transpose(1, 2, 0)]
+    )
+    noise = np.array([camera.position, camera.position, camera.angle]) * rng.standard_normal((len(at), true.parts, 3))
+    found = poses.transpose(2, 0, 1) + noise
+    found[rng.random(len(at)) < camera.dropout] = math.nan
+    return PoseStream(
+        at + late - (least + most) / 2, found, camera.position, camera.angle, (most - least) / math.sqrt(12)
+    )

@@ -1,0 +1,106 @@
+"""Tests of the camera: its draws, the motion between its frames, and its stream in a trajectory file."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from estimators.testing.analytic_world import record
+from testbed.errors import InvalidValueError
+from testbed.sensing.camera import CAMERAS, Camera, PoseStream, SeenMotion, draw_camera
+from testbed.sensing.noise import draw_sensing
+from testbed.sensing.presets import preset
+from testbed.trajectory import load_trajectory, save_trajectory
+
+TIME = np.arange(600) / 100
+
+
+def moved(time: np.ndarray) -> np.ndarray:
+    """Pose, twist and acceleration of a known motion, as a push has it, (N, 3, 3)."""
+    a, w = np.array([0.05, 0.03, 0.6]), np.array([0.7, 0.5, 0.6])
+    phase = w * time[:, None]
+    return np.stack([a * np.sin(phase), a * w * np.cos(phase), -a * w**2 * np.sin(phase)], axis=1)
+
+
+def seen(camera: Camera, seed: int, parts: int = 1) -> PoseStream:
+    """Frames of the known motion, each part's further along."""
+    true = np.stack([moved(TIME)[:, 0] + part for part in range(parts)], axis=1)
+    return draw_camera(PoseStream(TIME, true), camera, seed)
+
+
+def flat(motion: SeenMotion) -> np.ndarray:
+    """Pose, twist and acceleration in one row, (N, 9)."""
+    return np.hstack([motion.pose, motion.twist, motion.acceleration])
+
+
+def test_motion_of_an_exact_stream_is_the_motion():
+    at = np.array([0.0, 0.013, 2.5, 5.99])
+    stream = seen(CAMERAS["exact"], 0, parts=2)
+    true = moved(at)
+    for part in (0, 1):
+        motion = stream.motion(at, part)
+        assert np.allclose(motion.pose, true[:, 0] + part, atol=1e-8)
+        assert np.allclose(motion.twist[1:3], true[1:3, 1], atol=1e-6)
+        assert not motion.covariance.any()
+    assert np.isnan(stream.motion(np.array([-1.0, 7.0])).twist).all()
+
+
+def test_errors_of_the_motion_have_the_stated_covariance():
+    at, camera = np.array([0.1, 3.0, 5.0]), replace(CAMERAS["30hz"], dropout=0.2)
+    true = moved(at).reshape(3, 9)
+    scores = []
+    for seed in range(150):
+        motion = seen(camera, seed).motion(at)
+        error = flat(motion) - true
+        scores.append([e @ np.linalg.solve(c, e) for e, c in zip(error, motion.covariance, strict=True)])
+        assert np.isfinite(motion.covariance).all()
+    # chi-square of 9: the polynomial's own bias adds a little, and a delay is not drawn from a normal distribution
+    assert np.allclose(np.mean(scores, axis=0), 9, rtol=0.2)
+
+
+def test_a_stream_late_by_a_known_time_is_not_late():
+    late = replace(CAMERAS["exact"], delay=(0.03, 0.03))
+    motion = seen(late, 3).motion(np.array([2.0]))
+    assert motion.twist == pytest.approx(moved(np.array([2.0]))[:, 1], abs=1e-4)
+    assert seen(late, 3).delay_std == 0
+
+
+def test_draws_lose_frames_and_differ_by_seed():
+    one, again, other = (seen(CAMERAS["30hz"], seed) for seed in (1, 1, 2))
+    assert np.array_equal(one.poses, again.poses, equal_nan=True) and not np.array_equal(one.time_s, other.time_s)
+    lost = np.mean([np.isnan(seen(CAMERAS["30hz"], seed).poses).mean() for seed in range(50)])
+    assert lost == pytest.approx(CAMERAS["30hz"].dropout, abs=0.01)
+
+
+def test_a_trajectory_keeps_its_stream(tmp_path):
+    clean = replace(record(600, provenance={"runner": "simulation"}), camera=PoseStream(TIME, moved(TIME)[:, :1]))
+    drawn = draw_sensing(clean, preset("ft300s"), 4)
+    assert drawn.camera is not None and drawn.camera.position_std == CAMERAS["30hz"].position
+    for whole in (clean, drawn, replace(clean, camera=None)):
+        save_trajectory(whole, tmp_path / "trajectory.parquet")
+        back = load_trajectory(tmp_path / "trajectory.parquet").camera
+        assert (back is None) == (whole.camera is None)
+        if back is not None and whole.camera is not None:
+            assert np.array_equal(back.poses, whole.camera.poses, equal_nan=True)
+            assert (back.time_s == whole.camera.time_s).all() and back.delay_std == whole.camera.delay_std
+    kept = draw_sensing(clean, preset("ft300s:camera=exact"), 4)
+    assert kept.camera is clean.camera and (kept.sensor_wrench == drawn.sensor_wrench).all()
+    assert preset("ft300s:bias=2:camera=exact").stated.name == "ft300s:camera=exact"
+
+
+def test_what_is_no_camera_is_refused():
+    pose = np.zeros((3, 1, 3))
+    half = pose.copy()
+    half[1, 0, 0] = np.nan
+    refused = [
+        lambda: PoseStream(np.array([0.0, 0.0, 1.0]), pose),
+        lambda: PoseStream(np.arange(3.0), half),
+        lambda: PoseStream(np.arange(3.0), pose, position_std=-1),
+        lambda: Camera("blind", dropout=1.0),
+        lambda: Camera("early", delay=(0.05, 0.01)),
+        lambda: preset("ft300s:camera=eye"),
+        lambda: PoseStream(np.arange(3.0), pose).motion(np.zeros(1), part=1),
+    ]
+    for make in refused:
+        with pytest.raises(InvalidValueError):
+            make()

@@ -43,7 +43,9 @@ class Decision:
     estimate: Estimate | None
     """Answer to the trials so far; None before the first."""
     nad: float
-    """Expected NAD of the answer, or of even masses where there is none, as a ratio."""
+    """Expected NAD of the answer, or of one that used all that was felt where there is none, as a ratio."""
+    even_nad: float
+    """Expected NAD of even masses, known from the weight alone, as a ratio."""
     standard_error: Float[np.ndarray, "n_m"]
     """Standard error of each group's mass [kg]: the answer's own, or the planner's where that is wider."""
     supports: tuple[str, ...]
@@ -99,20 +101,21 @@ class OnlinePolicy:
         misfit = estimate.diagnostics.get("misfit", 1.0) if estimate is not None else 1.0
         disagree = guess.supports == ("own_weight",) and misfit > UNEXPLAINED
         contradictory = estimate is not None and estimate.status == "contradictory"
-        belief = prior_belief(shape, guess)
+        belief = prior = prior_belief(shape, guess)
         if not contradictory:  # else no trial can be believed
             count, lifts = len(trajectories), lifts_among(shape, trajectories)
             trials = [trial_information(shape, at, windows, count, each, lifts) for each in guess.assumptions()]
             information = np.stack([each.information() for each in trials])
             belief = belief.after(information / (misfit if disagree else 1.0))
         nad, error = _uncertainty(belief, estimate)
+        answered = _covariance(estimate) is not None
         done = [trajectory.action for trajectory in trajectories]
         log = FeasibilityLog(self.feasible)
 
         def decision(action: Action | None, why: str) -> Decision:
-            return Decision(action, why, estimate, nad, error, guess.supports, log.rejected)
+            return Decision(action, why, estimate, nad, prior.expected_nad, error, guess.supports, log.rejected)
 
-        if self.goal.met(nad) and _covariance(estimate) is not None:
+        if self.goal.met(nad) and answered:
             return decision(None, "the target is met")
         if len(trajectories) >= self.goal.most:
             return decision(None, f"{self.goal.most} trials were made, the most that may be")

@@ -82,6 +82,7 @@ def touch(
         outcome = "" if trial.ok else f" [{trial.status}: {trial.reason}]"
         again = f"; {decision.why}" if decision.action is not None and decision.why else ""
         error = f"{spent:.0f} s of the robot, expected NAD {100 * decision.nad:.3g} %"
+        error += "" if decision.answered else ", no answer yet"
         print(f"{number}: {trial.action.describe(model.shape)}{outcome}; {error}{again}", flush=True)
 
     model, begin = load_object(object_), time.monotonic()
@@ -140,7 +141,7 @@ def _conclusion(model: ObjectModel, result: ActiveResult, goal: Goal) -> Iterato
 
     last, row, answer = result.last, result.row, result.last.estimate
     yield f"stopped: {last.why}"
-    error = f"expected NAD {100 * last.nad:.3g} %"
+    error = f"expected NAD {100 * (last.nad if last.answered else last.even_nad):.3g} %"
     if not last.answered:
         why = (answer.message if answer is not None else "") or "there are no trials"
         yield f"there is no answer: {why}"

@@ -91,6 +91,5 @@ def next_step(folder: Path, rows: Sequence[Row], answer: Answer) -> str:
         return f"next: nothing more is needed: {sure}" if decision.answered else f"next: {decision.why}"
     error = decision.standard_error
     worst = [shape.group_names[g] for g in np.argsort(-error)[:_LEAST_SURE]]
-    return (
-        f"next: {decision.action.describe(shape)}: it would teach most; {' and '.join(worst)} are known least, {sure}"
-    )
+    least = f"next: {decision.action.describe(shape)}: it would teach most; {' and '.join(worst)} are known least"
+    return f"{least}, {sure}" if decision.answered else f"{least}; the trials give no answer yet"

@@ -18,6 +18,7 @@ from scenarios.results.store import Store
 from scenarios.results.trials import sensed_trials
 from scenarios.views.weight_check import check_weight
 from testbed.objects.model import ObjectShape
+from testbed.robot.calibration.motion import wrong_motion
 from testbed.sensing.presets import preset
 from testbed.sensing.windows import weight_of
 from testbed.trajectory import Trajectory
@@ -67,13 +68,15 @@ def next_step(folder: Path, rows: Sequence[Row], answer: Answer) -> str:
     of = (answer.object, answer.support, answer.method)
     row = next(row for row in rows if row.get("key") and (row["object"], row["support"], row["method"]) == of)
     found = load_estimate(folder, row["key"])
-    misfit = found.diagnostics.get("misfit", 1.0)
-    if misfit > UNEXPLAINED or found.status in ("unexplained", "contradictory"):
-        return f"next: the masses do not explain the trials: heft doctor {folder} says what would, and what to check"
     if not answer.shape.grasps:
         return "next: nothing: the object has no grasp, so no turn can be planned"
     keys, shape = tuple(row["trial_keys"]), answer.shape
     weighing, *trials = sensed_trials(Store(folder), keys, str(row["sensing"]), int(row["seed"]))
+    if wrong := wrong_motion(shape, trials):
+        return f"next: the trials are not what their actions say: {'; '.join(wrong)}"
+    misfit = found.diagnostics.get("misfit", 1.0)
+    if misfit > UNEXPLAINED or found.status in ("unexplained", "contradictory"):
+        return f"next: the masses do not explain the trials: heft doctor {folder} says what would, and what to check"
     weight = check_weight(shape, weight_of(weighing), trials, found)
     if weight is not None and not weight.ok:
         return f"next: {weight.text}"

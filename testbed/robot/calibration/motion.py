@@ -143,7 +143,9 @@ def _wrong(shape: ObjectShape, action: Rotate, seen: np.ndarray, miss: float) ->
         if index != action.grasp and np.linalg.norm(_named(shape, action, index) - seen) < CENTER_ALLOWED
     ]
     would = f"; grasp {' or '.join(fitting)} would fit" if fitting else "; grasp or pivot is another than it says"
+    should_x, should_y = 1e3 * _named(shape, action, action.grasp)
     text = (
-        f"{action.describe(shape)}: its center is ({x:.0f}, {y:.0f}) mm from the grasp, closing direction and across, "
+        f"{action.describe(shape)}: from the grasp, along the closing direction and across, its center should be "
+        f"({should_x:.0f}, {should_y:.0f}) mm and is ({x:.0f}, {y:.0f}) mm, less what all turns have in common{would}"
     )
-    return Finding("center", False, miss, 0.0, text + f"{1e3 * miss:.0f} mm from where it should be{would}")
+    return Finding("center", False, miss, 0.0, text)

@@ -112,6 +112,7 @@ def test_a_measured_trial_is_left_out_told_and_kept(tmp_path, name):
     assert (first / "trial.json").is_file()
 
 
+@pytest.mark.slow
 def test_what_shows_a_folder_names_what_is_damaged(finished, copied, capsys):
     row = finished.rows[finished.rows["method"] == "bare"].iloc[0]
     estimate, trial = copied / "estimates" / row["key"], copied / "trials" / row["trial_keys"][1]

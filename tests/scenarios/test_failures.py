@@ -111,6 +111,7 @@ def test_nothing_but_failures_is_a_table_a_report_and_the_place_of_each_error(he
     assert re.search(rf"error.txt: {REASONS['Fails']}", capsys.readouterr().out)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("way", ["raise ValueError('no')", "return []", "return [None] * len(draws)"])
 def test_a_batch_that_fails_is_asked_one_draw_at_a_time(here, finished, way):
     (here / "failing.py").write_text(BATCHES.replace("{way}", way), encoding="utf-8")

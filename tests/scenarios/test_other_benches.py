@@ -122,6 +122,7 @@ def test_a_runners_own_check_says_which_grasps_can_be_used():
     assert grasps["Bare"] == grasps["Measured"] == tuple(range(len(l2.shape.grasps)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["greedy", "batch", "random", "online"])
 def test_what_the_bench_refuses_when_it_is_run_is_chosen_around(here, kind):
     policy = {"kind": kind, "touches": 3, "candidates": 120, "held_out": 0, "thought": "own_weight"}

@@ -123,6 +123,7 @@ def test_a_class_of_the_current_folder_is_a_method_with_its_settings():
     assert asked.methods == {**scenario.methods, "of_user:Even": {}, "random_search": {}}
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("here")
 def test_a_policy_is_given_what_it_has_an_argument_for():
     policy, shape = built("of_user:Told", grasps=(1, 3))

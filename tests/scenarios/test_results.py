@@ -69,6 +69,7 @@ def test_points_that_differ_in_the_estimator_alone_share_their_trials(swept):
     assert {path.name for path in (swept / "estimates").iterdir()} == set(results["key"])
 
 
+@pytest.mark.slow
 def test_drawn_objects_are_files_that_a_user_can_take(swept):
     files = sorted(swept.glob("objects/*/*.toml"))
     assert [path.stem for path in files] == ["drawn_0", "drawn_1"]

@@ -91,6 +91,7 @@ def clean_trials(out: Path, trajectories: list[Trajectory]) -> list[Trajectory]:
     return [next(t for t in stored if t.action == seen.action) for seen in trajectories]
 
 
+@pytest.mark.slow
 def test_what_a_method_and_a_policy_are_given_does_not_lead_to_the_truth(spied):
     out, given = spied
     assert [kind for kind, _ in given].count("estimate") == 2

@@ -385,6 +385,7 @@ def comparison(tmp_path_factory: pytest.TempPathFactory) -> tuple[list[EstimateV
     return methods, entities
 
 
+@pytest.mark.slow
 def test_a_comparison_has_every_method_on_the_same_scales(comparison):
     methods, entities = comparison
     counts = methods[0].shape.particles_per_group

@@ -187,6 +187,7 @@ def test_nad_at_each_of_many_words_has_a_line_a_word():
     assert_allclose([patch.get_width() for patch in axis.patches], np.arange(1, 13))
 
 
+@pytest.mark.slow
 def test_files_are_whole_and_the_same_again(tmp_path, monkeypatch):
     first = save_figure(estimate_bars(estimate()), tmp_path / "a.b" / "bars.v1")
     assert [path.name for path in first] == ["bars.v1.pdf", "bars.v1.png"]

@@ -147,6 +147,7 @@ def test_pages_that_do_not_exist_are_refused_with_those_that_do(turn_folder, tur
             page_of(folder, what)
 
 
+@pytest.mark.slow
 def test_a_trial_without_feet_has_no_arrows_there_and_a_damaged_one_is_refused(copy, turn_key):
     (copy / "trials" / turn_key / "foot_forces.parquet").unlink()
     save(trial_page(copy, turn_key), copy / "x.rrd")
@@ -156,6 +157,7 @@ def test_a_trial_without_feet_has_no_arrows_there_and_a_damaged_one_is_refused(c
         trial_page(copy, turn_key)
 
 
+@pytest.mark.slow
 def test_a_trial_of_a_robot_is_drawn_from_its_files(copy, turn_key):
     """The wrench as measured: no draw of errors, no truth, and no forces on the feet."""
     folder = copy / "trials" / turn_key

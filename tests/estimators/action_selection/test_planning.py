@@ -189,6 +189,7 @@ def test_exchange_makes_a_plan_no_longer_and_no_worse():
             assert better.after.expected_nad <= first.after.expected_nad * (1 + 1e-9) and better.seconds <= 80.0
 
 
+@pytest.mark.slow
 def test_where_support_is_not_known_a_plan_accelerates():
     shape = load_object("L2").shape
     both = PlannedPolicy(guess("L2", supports=("own_weight", "rigid")), goal=Goal(most=6), candidates=800).plan(shape)
@@ -197,6 +198,7 @@ def test_where_support_is_not_known_a_plan_accelerates():
     assert not any(isinstance(action, Accelerate) for action in own.actions)
 
 
+@pytest.mark.slow
 def test_a_lift_is_planned_where_it_teaches_more_a_second():
     """Under one rigid body it parts the second moments, and shows them better than an arm that swings on the table."""
 

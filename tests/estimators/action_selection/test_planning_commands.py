@@ -34,6 +34,7 @@ from viz.recordings.plan import plan_page
 from viz.values import ActionArrow
 
 
+@pytest.mark.slow
 def test_a_plan_is_told_and_drawn(tmp_path, capsys):
     files = ["--figure", str(tmp_path / "plan"), "--record", str(tmp_path / "plan.rrd")]
     main(["plan", "L2", "--budget", "60s", "--candidates", "300", *files])
@@ -163,6 +164,7 @@ def test_a_scenario_may_choose_its_touches_by_a_plan():
         Policy(kind="greedy", plan_for="nose")
 
 
+@pytest.mark.slow
 def test_a_policy_is_told_who_may_carry_the_weight():
     model, settings = load_object("L2"), SimulationSettings()
 

@@ -133,6 +133,7 @@ def test_diff_lcp_does_not_come_away_from_an_object_that_sticks():
     assert nad(TWO, told) < 0.1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("method", "close"),
     [

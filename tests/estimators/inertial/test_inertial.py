@@ -141,6 +141,7 @@ def test_nine_in_ten_intervals_hold(method):
     assert 0.82 < np.mean(hold) < 0.98
 
 
+@pytest.mark.slow
 def test_a_thin_body_in_noise_stays_physical():
     places = np.column_stack([np.linspace(0.0, 0.3, 30), np.zeros(30), np.zeros(30)])
     rod = InertialParameters.of_points(places, np.full(30, 0.01))

@@ -74,6 +74,7 @@ def test_it_is_found_for_other_objects_with_two_friction_groups(seed, rigid):
     assert decided(obj, data(obj, rigid=rigid)).violated == rigid
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rigid", [False, True])
 def test_one_material_throughout_drags_alike_either_way_and_it_says_so(rigid):
     obj = load_object("I1")
@@ -162,6 +163,7 @@ def test_two_materials_make_it_a_finite_search(name, rigid):
     assert answer.diagnostics["assignment_probability"] > 0.5
 
 
+@pytest.mark.slow
 def test_densities_are_masses_of_the_groups_volume():
     obj = load_object("L2")
     volume = obj.shape.particles_per_group[0] * obj.shape.cell**2 * obj.shape.height

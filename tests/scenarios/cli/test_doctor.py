@@ -27,6 +27,7 @@ def test_it_tells_misfit_causes_and_trials_and_draws_them(results, capsys):
     assert len(list((results / "figures").glob("doctor_pair_*.png"))) == 4
 
 
+@pytest.mark.slow
 def test_what_is_not_there_is_named(results, capsys):
     for words, wanted in ((["nobody"], "one of pair"), (["--draw", "7"], "a draw that the folder has estimates of")):
         with pytest.raises(SystemExit):

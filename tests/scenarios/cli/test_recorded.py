@@ -90,6 +90,7 @@ def test_a_corrected_mapping_takes_the_place_of_the_wrong_one(lab: Path, records
     assert_allclose(biases, [0.05, 0.05, 0.05, 0.2])
 
 
+@pytest.mark.slow
 def test_pose_and_wrench_may_be_files_of_their_own(
     lab: Path, records: list[Trajectory], capsys: pytest.CaptureFixture[str]
 ):
@@ -208,6 +209,7 @@ def test_measured_trials_and_their_estimates_are_shown_as_simulated_ones_are(lab
     assert len(list((lab / "lab/recordings").glob("*.rrd"))) == 3
 
 
+@pytest.mark.slow
 def test_a_trial_that_is_no_data_is_told_and_left_out(
     lab: Path, records: list[Trajectory], capsys: pytest.CaptureFixture[str]
 ):
@@ -264,6 +266,7 @@ def test_simulated_trials_are_refused(tmp_path: Path, capsys: pytest.CaptureFixt
     assert "is simulated: heft run asks about these" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_trials_of_two_shapes_are_not_put_together(
     lab: Path, records: list[Trajectory], capsys: pytest.CaptureFixture[str]
 ):

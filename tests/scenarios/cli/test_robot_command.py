@@ -159,6 +159,7 @@ def install(monkeypatch, **devices: str) -> None:
     monkeypatch.setattr(plugins, "entry_points", lambda *, group: points.select(group=group))
 
 
+@pytest.mark.slow
 def test_a_sensor_from_outside_by_entry_point(folder, capsys, monkeypatch):
     install(monkeypatch, sensors=f"still = {__name__}:Still")
     (folder / "robot.toml").write_text('[sensor]\nmodel = "still"\nsettings = { gain = 2.0 }\n', encoding="utf-8")
@@ -185,6 +186,7 @@ def test_a_device_that_cannot_be_built_is_named(folder, monkeypatch, table, fiel
         build_sensor(load_robot_file(folder / "robot.toml"))
 
 
+@pytest.mark.slow
 def test_a_calibration_by_hand_is_found_and_saved(folder, capsys, monkeypatch):
     """A person brings the arm into the poses; one is spoilt by moving, and is refused."""
     model = f'model = "{__name__}:Still"\n'
@@ -230,6 +232,7 @@ class OutsideGripper(FakeGripper):
         super().__init__(arm.robot)
 
 
+@pytest.mark.slow
 def test_a_trial_on_an_arm_a_gripper_and_a_sensor_from_outside(folder, capsys, monkeypatch):
     """In simulated time: the registry builds them by the names in the robot file, and the command runs the trial."""
     devices = {"arm": "OutsideArm", "gripper": "OutsideGripper", "sensor": "OutsideSensor"}

@@ -199,6 +199,7 @@ def same(bag: Trajectory, csv: Trajectory) -> None:
     assert bag.provenance["recorded"].startswith("2026-01-01T00:00:00.")
 
 
+@pytest.mark.slow
 def test_poses_and_odometry(bench: Bench, as_csv: Trajectory, tmp_path: Path):
     bag = bench.bag(tmp_path / "bag", "geometry_msgs/msg/PoseStamped", "/pose", bench.pose_message)
     same(imported(bag, 'topic = "/pose"'), as_csv)

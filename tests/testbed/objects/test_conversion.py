@@ -164,6 +164,7 @@ def test_grasps_are_across_the_shaft_and_spread_over_it(tmp_path: Path):
     assert min(apart) > 0.012
 
 
+@pytest.mark.slow
 def test_the_files_are_an_object_that_loads_as_it_was_made(tmp_path: Path, capsys):
     path = saved(mallet(), tmp_path / "my mallet.ply")
     made = convert_mesh(path)

@@ -150,6 +150,7 @@ def test_a_guard_that_cannot_look_lets_nothing_move():
     assert stub.twists == 0
 
 
+@pytest.mark.slow
 def test_a_silent_robot_is_not_guarded():
     stub = Stub()
     stub.silent = True

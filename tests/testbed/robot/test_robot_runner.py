@@ -80,6 +80,7 @@ def usual(raw):
     return trajectory
 
 
+@pytest.mark.slow
 def test_the_raw_record_is_kept_with_its_bias(usual):
     tare, tool = usual.mask(Phase.TARE), usual.tool
     held = np.array([0, 0, -tool.mass * 9.81])  # the tool points down, and so does the sensor's z axis
@@ -109,6 +110,7 @@ def test_a_sensor_that_is_turned_and_negated_gives_the_same(usual):
     assert_allclose((ours.wrench - theirs.wrench) / [0.05, 0.05, 0.1, 0.01, 0.01, 0.003], 0, atol=1)
 
 
+@pytest.mark.slow
 def test_lifting_weighs_the_object_with_its_error():
     trajectory, _ = run(Weigh(), RIGID)
     assert trajectory.ok, trajectory.reason

@@ -139,6 +139,7 @@ def test_friction_of_groups_scales_drag():
     assert_allclose(ratio, factor[L2.shape.mass_group[run(draw)[1].particle]], rtol=1e-3)
 
 
+@pytest.mark.slow
 def test_friction_differs_between_the_tables_axes():
     draw = alone(anisotropy=0.1)
     along_x = draw.normal("anisotropy", 1)[0]
@@ -223,6 +224,7 @@ def test_a_record_tells_the_grasp_as_told_while_the_object_lies_otherwise():
     assert held.angle != L2.shape.grasps[1].angle
 
 
+@pytest.mark.slow
 def test_a_trial_begins_elsewhere_and_nearer_where_it_could_not():
     draw = alone(start_offset=0.02, start_angle=math.radians(10))
     record, plain = run(draw)[0], run(None)[0]

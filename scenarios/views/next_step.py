@@ -72,14 +72,8 @@ def next_step(folder: Path, rows: Sequence[Row], answer: Answer) -> str:
         return "next: nothing: the object has no grasp, so no turn can be planned"
     keys, shape = tuple(row["trial_keys"]), answer.shape
     weighing, *trials = sensed_trials(Store(folder), keys, str(row["sensing"]), int(row["seed"]))
-    if wrong := wrong_motion(shape, trials):
-        return f"next: the trials are not what their actions say: {'; '.join(wrong)}"
-    misfit = found.diagnostics.get("misfit", 1.0)
-    if misfit > UNEXPLAINED or found.status in ("unexplained", "contradictory"):
-        return f"next: the masses do not explain the trials: heft doctor {folder} says what would, and what to check"
-    weight = check_weight(shape, weight_of(weighing), trials, found)
-    if weight is not None and not weight.ok:
-        return f"next: {weight.text}"
+    if doubt := _doubt(folder, found, shape, weighing, trials):
+        return f"next: {doubt}"
     supports = SUPPORTS if answer.evidence else ASSUMED_SUPPORTS.get(answer.support, SUPPORTS[:1])
     guess = Guess(weight_of(weighing), preset("ft300s").stated, supports=supports)
     policy = OnlinePolicy(guess, candidates=CANDIDATES, estimator=_Known(found))
@@ -96,3 +90,16 @@ def next_step(folder: Path, rows: Sequence[Row], answer: Answer) -> str:
     worst = [shape.group_names[g] for g in np.argsort(-error)[:_LEAST_SURE]]
     least = f"next: {decision.action.describe(shape)}: it would teach most; {' and '.join(worst)} are known least"
     return f"{least}, {sure}" if decision.answered else f"{least}; the trials give no answer yet"
+
+
+def _doubt(
+    folder: Path, found: Estimate, shape: ObjectShape, weighing: Trajectory, trials: Sequence[Trajectory]
+) -> str:
+    """What is wrong with the trials: their motion, what the answer leaves of them, or the weight; else empty."""
+    if wrong := wrong_motion(shape, trials):
+        return f"the trials are not what their actions say: {'; '.join(wrong)}"
+    misfit = found.diagnostics.get("misfit", 1.0)
+    if misfit > UNEXPLAINED or found.status in ("unexplained", "contradictory"):
+        return f"the masses do not explain the trials: heft doctor {folder} says what would, and what to check"
+    weight = check_weight(shape, weight_of(weighing), trials, found)
+    return "" if weight is None or weight.ok else weight.text

@@ -117,7 +117,7 @@ def test_a_kind_of_touch_that_an_answer_needs_is_made_after_however_many_of_anot
         analytic_trial(obj, Rotate(0, duration=4.0, back=True, pivot=(0.05 * i, 0.01)), seed=i) for i in range(count)
     ]
     last = chooser.decide(obj.shape, turns)
-    assert last.nad < 0.1 < 0.3 < last.even_nad and not last.answered and isinstance(last.action, Accelerate)
+    assert last.nad < 0.1 and last.even_nad > 0.3 and not last.answered and isinstance(last.action, Accelerate)
     met = chooser.decide(obj.shape, [*turns, analytic_trial(obj, last.action, seed=count)])
     assert met.answered and met.why == "the target is met"
 

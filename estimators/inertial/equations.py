@@ -164,15 +164,15 @@ def compressed(
     effects = np.einsum("kae,ab->kabe", shared / error[:, None], np.eye(6)).reshape(6 * count, 6 * terms)
     whole = np.hstack([effects, (rows / error[:, None]).reshape(-1, SIZE), (wrench / error).reshape(-1, 1)])
     prior = np.hstack([np.eye(6 * terms), np.zeros((6 * terms, SIZE + 1))])
-    triangle = np.asarray(np.linalg.qr(np.vstack([prior, whole]), mode="r"))
-    first = 6 * terms
-    left = np.zeros((SIZE + 1, SIZE + 1))
-    part = triangle[first : first + SIZE + 1, first:]
-    left[: len(part)] = part
-    freedom = max(6 * count - SIZE, 0)
-    return InertialEquations(
-        left[:SIZE, :SIZE], left[:SIZE, SIZE], float(left[SIZE, SIZE] ** 2) / max(freedom, 1), freedom
-    )
+    return _as_ten_rows(np.vstack([prior, whole]), 6 * terms)
+
+
+def compressed_rows(
+    rows: Float[np.ndarray, "R 10"], values: Float[np.ndarray, "R"], covariance: Float[np.ndarray, "R R"]
+) -> InertialEquations:
+    """Equations of any rows whose errors have a covariance, as ten rows."""
+    whole = np.linalg.solve(np.linalg.cholesky(covariance), np.column_stack([rows, values]))
+    return _as_ten_rows(whole, 0)
 
 
 def joined(equations: Sequence[InertialEquations]) -> InertialEquations:
@@ -185,6 +185,18 @@ def joined(equations: Sequence[InertialEquations]) -> InertialEquations:
     residual = sum(e.misfit * max(e.freedom, 1) for e in equations)
     residual += float(triangle[SIZE, SIZE] ** 2) if len(triangle) > SIZE else 0.0
     return InertialEquations(triangle[:SIZE, :SIZE], triangle[:SIZE, SIZE], residual / max(freedom, 1), freedom)
+
+
+def _as_ten_rows(whole: Float[np.ndarray, "R n"], nuisance: int) -> InertialEquations:
+    """Ten rows of whitened equations, their values in the last column, without so many first unknowns of unit prior."""
+    triangle = np.asarray(np.linalg.qr(whole, mode="r"))
+    left = np.zeros((SIZE + 1, SIZE + 1))
+    part = triangle[nuisance : nuisance + SIZE + 1, nuisance:]
+    left[: len(part)] = part
+    freedom = max(len(whole) - nuisance - SIZE, 0)
+    return InertialEquations(
+        left[:SIZE, :SIZE], left[:SIZE, SIZE], float(left[SIZE, SIZE] ** 2) / max(freedom, 1), freedom
+    )
 
 
 def _rests(motion: HeldMotion, count: int, block: int) -> Bool[np.ndarray, "K"]:

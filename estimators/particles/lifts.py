@@ -30,6 +30,8 @@ class LiftErrors:
 
     grip: float = 5e-4
     """Place of the object between the pads, along x and along y, m."""
+    sag: float = 1e-3
+    """Height of the TCP over the object's bottom: it lies on felt, and sinks between the pads, m."""
     height: float = 0.25
     """Height of the center of mass, as a part of the object's: the tilts show it themselves."""
     inertia: float = 0.005
@@ -119,12 +121,31 @@ def lift_information(
     by_shift *= [errors.grip, errors.grip, errors.height * shape.height]
     inertial = errors.inertia * (moved - maps(moving=False)) @ mass
     common = np.column_stack([by_shift, inertial, errors.gain * moved @ mass])
-    covariance = _sensor_covariance(windows) + common @ common.T
-    size = errors.wrench * GRAVITY * float(mass @ shape.particles_per_group)
-    lever = np.linalg.norm(shape.particles - shape.grasps[windows[0].grasp].position, axis=1).mean()
-    covariance += np.diag(np.tile(np.square([size] * 3 + [size * lever] * 3), len(windows)))
+    covariance = lift_covariance(shape, windows, common, errors.wrench, float(mass @ shape.particles_per_group))
     root = np.linalg.cholesky(covariance)
     return np.linalg.solve(root, moved), np.linalg.solve(root, np.concatenate([w.wrench for w in windows]))
+
+
+def lift_covariance(
+    shape: ObjectShape,
+    windows: Sequence[LiftWindow],
+    common: Float[np.ndarray, "R e"],
+    own: float,
+    weight: float,
+) -> Float[np.ndarray, "R R"]:
+    """Covariance of all wrenches of one trial's K windows, R = 6 K.
+
+    Args:
+        shape: geometry.
+        windows: windows of one trial.
+        common: effect of one standard deviation of each error that all windows share.
+        own: `LiftErrors.wrench`.
+        weight: M, kg.
+    """
+    size = own * GRAVITY * weight
+    lever = np.linalg.norm(shape.particles - shape.grasps[windows[0].grasp].position, axis=1).mean()
+    each = np.diag(np.tile(np.square([size] * 3 + [size * lever] * 3), len(windows)))
+    return _sensor_covariance(windows) + common @ common.T + each
 
 
 def wrench_of_mass(

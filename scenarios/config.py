@@ -175,10 +175,22 @@ class Sweep(Strict):
         return [dict(zip(self.axes, row, strict=True)) for row in rows] or [{}]
 
 
+class Meshes(Strict):
+    """Objects made of the mesh files in a folder that the command names with --data."""
+
+    files: str = "*/mesh.ply"
+    notes: str = "Inertia.yaml"
+    mass_kg: Annotated[float, Field(gt=0, lt=100)] | None = None
+    friction: Annotated[float, Field(gt=0, le=2)] = 0.5
+    source: str = "mesh files, each in a folder of its object's name"
+    sha256: dict[str, str] = {}
+
+
 class Scenario(Strict):
     """A whole scenario file."""
 
     objects: list[str] = []
+    meshes: Meshes | None = None
     random: list[Family] = []
     support: Annotated[list[str | float], Field(min_length=1)] = ["own_weight"]
     sensing: Annotated[list[str], Field(min_length=1)] = ["ideal"]
@@ -209,8 +221,9 @@ class Scenario(Strict):
     def _whole(self) -> Self:
         for label, settings in self.methods.items():
             check_method(label, settings)
-        if not (self.objects or self.random):
-            raise InvalidValueError("objects", [], "one object or more: names, paths, or a [[random]] family")
+        if not (self.objects or self.random or self.meshes):
+            allowed = "one object or more: names, paths, a [[random]] family, or [meshes]"
+            raise InvalidValueError("objects", [], allowed)
         if self.simulation.runner is not None and not self.world.build().is_ideal:
             raise InvalidValueError("world.preset", self.world.preset, "ideal: another runner has a world of its own")
         names = [family.name for family in self.random]

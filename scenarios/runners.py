@@ -108,7 +108,7 @@ class FeasibilityCheck:
         if action in self.refused:
             return self.refused[action]
         try:
-            model = ObjectModel("guess", self.shape, self.guess.uniform(self.shape))
+            model = ObjectModel("guess", self.shape, self.guess.uniform(self.shape), masses_known=False)
             check_trial(Trial(model, action, RIGID), self.settings)
         except InfeasibleTrialError as error:
             return str(error)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 import time
 from collections import Counter
@@ -54,6 +55,7 @@ def run(
     seeds: Annotated[int | None, tyro.conf.arg(metavar="N")] = None,
     objects: Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="OBJECT ...")] = None,
     world: Annotated[str | None, tyro.conf.arg(metavar="WORLD")] = None,
+    data: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None,
     record: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False,
     live: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False,
     allow_code: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False,
@@ -74,6 +76,7 @@ def run(
         seeds: sensing draws of each trial; the scenario's own number if left out.
         objects: names in the library or paths to TOML files, instead of the scenario's own.
         world: ideal, lab or rough, instead of the scenario's own.
+        data: folder of mesh files, for a scenario with [meshes], as tools.
         record: write a recording of every trial and estimate as it is done, into DIR/recordings.
         live: show every trial and estimate as it is done in an open viewer, or in a new one.
         allow_code: run classes of the current folder that the scenario names; those of --methods need no leave.
@@ -96,11 +99,11 @@ def run(
     if allow_code or any(":" in method for method in methods or ()):
         find_code_here()
     name, study = load_scenario(scenario)
-    study = study.changed(seeds, objects, methods, world)
+    folder = out or Path("results") / name
+    study = _made_objects(study.changed(seeds, objects, methods, world), data, folder)
     workers = default_workers() if workers is None else workers
     if workers < 0:
         raise InvalidValueError("--workers", workers, "an integer >= 0")
-    folder = out or Path("results") / name
     check_nothing_lost(folder, study)
     console = open_console()
     if dry_run:
@@ -116,7 +119,7 @@ def run(
         results = rows_of(table)
         facts = {
             "name": name,
-            "command": _command(scenario, seeds, objects, methods, world) + " --allow-code" * allow_code,
+            "command": _command(scenario, seeds, objects, methods, world, data) + " --allow-code" * allow_code,
             "wall_s": round(time.monotonic() - begin, 1),
         }
         write_json(folder / "manifest.json", (read_manifest(folder) or {}) | facts)
@@ -139,11 +142,22 @@ def run(
         sys.exit(1)
 
 
+def _made_objects(study: Scenario, data: Path | None, folder: Path) -> Scenario:
+    """The scenario with the objects of its mesh files, where it has any; what was found in each is printed."""
+    from scenarios.study.meshes import with_meshes
+
+    with show_progress() as progress:
+        made, told = with_meshes(study, data, folder, progress)
+    for line in told:
+        print(line)
+    return made
+
+
 def show_tables(console: Console, scenario: Scenario, results: Sequence[Row]) -> None:
     """Print every metric under every support and sensing, and the hidden states; of many objects, quantiles."""
     from estimators.evaluation.statistics import FEWEST, assumptions, select
     from viz.report.claims import CLAIMS, claims_table
-    from viz.report.tables import METRICS, NAD, hidden_table, metric_table, quantile_table
+    from viz.report.tables import COM, INERTIA, METRICS, NAD, hidden_table, metric_table, quantile_table
     from viz.report.terminal import rich_table
     from viz.values import support_name
 
@@ -153,6 +167,9 @@ def show_tables(console: Console, scenario: Scenario, results: Sequence[Row]) ->
     if _many(results):
         for metric in metrics:
             console.print(rich_table(quantile_table(results, metric)))
+        for metric in (COM, INERTIA):
+            if known := [row for row in results if math.isfinite(row.get(metric.column) or math.nan)]:
+                console.print(rich_table(quantile_table(known, metric)))
         return
     for support in scenario.supports():
         for sensing in scenario.sensing:
@@ -176,12 +193,13 @@ def _command(
     objects: Sequence[str] | None,
     methods: Sequence[str] | None,
     world: str | None,
+    data: Path | None,
 ) -> str:
     """Command line that runs this again."""
     parts = ["heft run", scenario]
-    for flag, value in (("seeds", seeds), ("objects", objects), ("methods", methods), ("world", world)):
+    for flag, value in (("seeds", seeds), ("objects", objects), ("methods", methods), ("world", world), ("data", data)):
         if value:
-            parts += [f"--{flag}", *([str(value)] if isinstance(value, int | str) else value)]
+            parts += [f"--{flag}", *([str(value)] if isinstance(value, int | str | Path) else value)]
     return " ".join(parts)
 
 

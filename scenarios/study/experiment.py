@@ -138,7 +138,7 @@ def experiments_of(
                 particles = point.truth.model_copy(update={"friction_spread": 0.0}).applied(load(point.grid.particles))
                 grasps = feasible.of(model.name, point.policy.check(model, settings))
             except InfeasibleTrialError as error:
-                if not (axes or scenario.random):
+                if not (axes or scenario.random or scenario.meshes):
                     raise
                 left_out += [InfeasibleExperiment(name, support.name, axes, str(error)) for support in point.supports()]
             else:

@@ -53,10 +53,10 @@ class Hand:
 
     @property
     def nothing(self) -> str:
-        """Reason why it finds no grasp on an object of blocks."""
+        """Reason why it finds no grasp on an object."""
         return (
-            "no block has two opposite free faces, and no row of blocks between such faces has room for a hand that "
-            f"opens to {self.stroke * 1e3:g} mm"
+            "no two opposite free faces, of a block, a row of blocks or a mesh, have room for the fingers of a hand "
+            f"that opens to {self.stroke * 1e3:g} mm"
         )
 
 

@@ -118,7 +118,12 @@ def _check_drag(trial: Trial, grasp: Grasp, motion: Motion, settings: Simulation
 
 
 def _check_rest(trial: Trial, settings: SimulationSettings) -> None:
-    """Refuse a foot that would have to pull: with a lifted foot the loads' laws do not hold."""
+    """Refuse a foot that would have to pull: with a lifted foot the loads' laws do not hold.
+
+    An object whose masses are guessed does rest: it lies there.
+    """
+    if not trial.object.masses_known:
+        return
     shape = trial.object.shape
     loads = resting_loads(trial.object, trial.support, settings.contact)
     feet = np.flatnonzero(shape.friction_group >= 0)

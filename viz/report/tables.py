@@ -73,6 +73,8 @@ MPD_TURN = Metric(
     "mpd_turn_of_truth_m",
 )
 METRICS = (NAD, MPD, MPD_OPEN_LOOP, MPD_TURN)
+COM = Metric("com_error_m", "Distance of the center of mass from the true one, mm", 1e3, {})
+INERTIA = Metric("inertia_error", "I_cm over the true one less 1, %", 100.0, {})
 
 
 def number(value: float, like: float | None = None) -> str:

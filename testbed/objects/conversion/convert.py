@@ -87,6 +87,7 @@ def convert_mesh(
     down: str = "auto",
     cell: float | None = None,
     most_grasps: int = 6,
+    center_of_mass: Float[np.ndarray, "3"] | None = None,
 ) -> Converted:
     """An object from a mesh file.
 
@@ -98,6 +99,7 @@ def convert_mesh(
         down: "auto" (the likeliest stable pose), an axis of the file ("x", "-z", ...), or the number of a stable pose.
         cell: side of a cell, m; such that there are about `CELLS` if left out.
         most_grasps: grasps that are proposed, at most.
+        center_of_mass: center of mass, m, axes of the file, by which it comes to rest; of one density if left out.
 
     Raises:
         InvalidValueError: no mesh, no such pose or parts, or a cell too large for a part.
@@ -107,7 +109,7 @@ def convert_mesh(
     if parts.endswith(".ply"):
         surface, parts = labelled(surface, Path(parts)), "colours"
     if down == "auto" or down.isdigit():
-        poses = stable_poses(surface)
+        poses = stable_poses(surface, center_of_mass)
         index = int(down) - 1 if down.isdigit() else 0
         if not 0 <= index < len(poses):
             raise InvalidValueError("down", down, f"1 to {len(poses)}, a stable pose, the likeliest first")
@@ -115,7 +117,7 @@ def convert_mesh(
         chances = ", ".join(f"{100 * each.probability:.0f} %" for each in poses)
         told.append(f"stable poses {chances}; laid in number {index + 1}")
     else:
-        pose = asked_pose(surface, down)
+        pose = asked_pose(surface, down, center_of_mass)
         told.append(f"{down} down")
     laid = surface.transformed(pose.matrix)
     whole = laid.whole

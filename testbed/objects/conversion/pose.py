@@ -38,23 +38,32 @@ class Pose:
     """Points of contact [m], anticlockwise: three or more."""
 
 
-def stable_poses(surface: Surface) -> list[Pose]:
-    """Poses in which a body of one density comes to rest, the likeliest first (Goldberg et al. 1999, by trimesh).
+def stable_poses(surface: Surface, center: Float[np.ndarray, "3"] | None = None) -> list[Pose]:
+    """Poses in which a body comes to rest, the likeliest first (Goldberg et al. 1999, by trimesh).
+
+    Args:
+        surface: surface of the body.
+        center: center of mass, m, axes of the file; that of one density if left out.
 
     Raises:
         InvalidValueError: no face on which it rests.
     """
     whole = as_mesh(surface.whole)
-    hull = whole.convex_hull
-    matrices, chances = trimesh.poses.compute_stable_poses(hull, center_mass=whole.center_mass)
-    found = list(_distinct(surface, matrices, chances))
+    center = whole.center_mass if center is None else center
+    matrices, chances = trimesh.poses.compute_stable_poses(whole.convex_hull, center_mass=center)
+    found = list(_distinct(surface, center, matrices, chances))
     if not found:
         raise InvalidValueError("down", "auto", "a face on which the mesh rests; ask for one of " + ", ".join(AXES))
     return found
 
 
-def asked_pose(surface: Surface, down: str) -> Pose:
+def asked_pose(surface: Surface, down: str, center: Float[np.ndarray, "3"] | None = None) -> Pose:
     """The pose in which an axis of the file points down: the face of the hull nearest to it lies on the table.
+
+    Args:
+        surface: surface of the body.
+        down: the axis.
+        center: center of mass, m, axes of the file; that of one density if left out.
 
     Raises:
         InvalidValueError: not an axis.
@@ -63,12 +72,13 @@ def asked_pose(surface: Surface, down: str) -> Pose:
         raise InvalidValueError("down", down, f"auto or one of {', '.join(AXES)}")
     axis = np.zeros(3)
     axis[AXES[down]] = -1.0 if down.startswith("-") else 1.0
-    hull = as_mesh(surface.whole).convex_hull
+    whole = as_mesh(surface.whole)
+    hull, center = whole.convex_hull, whole.center_mass if center is None else center
     normal = hull.face_normals[(hull.face_normals @ axis).argmax()]
-    return _laid(surface, np.asarray(trimesh.geometry.align_vectors(normal, [0, 0, -1]))[:3, :3], np.nan)
+    return _laid(surface, center, np.asarray(trimesh.geometry.align_vectors(normal, [0, 0, -1]))[:3, :3], np.nan)
 
 
-def _distinct(surface: Surface, matrices: np.ndarray, chances: np.ndarray) -> Iterator[Pose]:
+def _distinct(surface: Surface, center: np.ndarray, matrices: np.ndarray, chances: np.ndarray) -> Iterator[Pose]:
     """Poses whose undersides differ by more than 3 degrees: facets of a curve are one."""
     downs: list[np.ndarray] = []
     likely = np.argsort(-chances)
@@ -80,13 +90,14 @@ def _distinct(surface: Surface, matrices: np.ndarray, chances: np.ndarray) -> It
         if not any(same):
             downs.append(down)
             alike = [i for i in likely if matrices[i][2, :3] @ down > np.cos(np.radians(3))]
-            yield _laid(surface, matrices[index][:3, :3], float(chances[alike].sum()))
+            yield _laid(surface, center, matrices[index][:3, :3], float(chances[alike].sum()))
 
 
-def _laid(surface: Surface, rotation: Float[np.ndarray, "3 3"], probability: float) -> Pose:
+def _laid(
+    surface: Surface, center: Float[np.ndarray, "3"], rotation: Float[np.ndarray, "3 3"], probability: float
+) -> Pose:
     """The pose of this rotation, turned about z so that its longest side lies along x."""
-    whole = as_mesh(surface.whole)
-    points = whole.convex_hull.vertices @ rotation.T
+    points = as_mesh(surface.whole).convex_hull.vertices @ rotation.T
     box = trimesh.bounds.oriented_bounds_2D(points[:, :2])
     turn = np.eye(3)
     turn[:2, :2] = box[0][:2, :2]
@@ -97,7 +108,7 @@ def _laid(surface: Surface, rotation: Float[np.ndarray, "3 3"], probability: flo
     low, high = turned.min(axis=0), turned.max(axis=0)
     shift = -np.array([*(low + high)[:2] / 2, low[2]])
     matrix = np.column_stack([turn @ rotation, shift])
-    middle = matrix[:2] @ np.append(whole.center_mass, 1.0)
+    middle = matrix[:2] @ np.append(center, 1.0)
     return Pose(matrix, probability, contact_points(turned + shift, middle))
 
 

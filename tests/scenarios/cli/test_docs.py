@@ -23,6 +23,7 @@ from estimators.registry import METHODS
 from scenarios.cli.main import main
 from scenarios.config import (
     Grid,
+    Meshes,
     Policy,
     Scenario,
     Simulation,
@@ -79,6 +80,7 @@ SECTIONS: dict[str, type[BaseModel]] = {
     "mesh.parts": MeshPart,
     "mesh.grasps": MeshGrasp,
     "Top of a scenario file": Scenario,
+    "meshes": Meshes,
     "random": Family,
     "grid": Grid,
     "policy": Policy,

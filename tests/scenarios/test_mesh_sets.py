@@ -1,0 +1,107 @@
+"""Scenarios on a user's folder of mesh files: the objects made of them, their masses, and what is refused."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+from numpy.testing import assert_allclose
+
+from scenarios.cli.main import main
+from scenarios.config import Meshes, Scenario, load_scenario
+from scenarios.results.estimates import load_results
+from scenarios.study.meshes import with_meshes
+from testbed.errors import HeftError
+from testbed.objects.files import load_object
+
+PARTS = ((0.04, 0.10, 0.03), (0.0, 0.0, 0.0), 0.45), ((0.22, 0.03, 0.03), (0.13, 0.0, 0.0), 0.08)
+"""Sides and middle of a mallet's head and handle [m], and their masses [kg]."""
+SCENARIO = """
+support = ["rigid"]
+[meshes]
+[policy]
+pivots = 2
+duration = 4.0
+accelerated = 1
+held_out = 0
+[methods.support_aware]
+"""
+
+
+def silent(stage: str, done: int, total: int, failed: int = 0) -> None:
+    """Progress that nobody sees."""
+
+
+@pytest.fixture
+def data(tmp_path: Path) -> Path:
+    """A set of one mallet, in millimetres as the public one, beside what its notes say."""
+    boxes, sums, about = [], np.zeros(4), np.zeros((3, 3))
+    for place, (size, middle, mass) in enumerate(PARTS):
+        made = trimesh.creation.box(size)
+        made.visual = trimesh.visual.ColorVisuals(made, face_colors=[[200, 30, 30, 255], [90, 90, 90, 255]][place])
+        boxes.append(made.apply_translation(middle))
+        sides, at = np.array(size), np.array(middle)
+        sums += mass * np.array([1, *at])
+        about += mass * (np.diag((sides**2).sum() - sides**2) / 12 + at @ at * np.eye(3) - np.outer(at, at))
+    total, center = sums[0], sums[1:] / sums[0]
+    about -= total * (center @ center * np.eye(3) - np.outer(center, center))
+    folder = tmp_path / "set" / "Mallet"
+    folder.mkdir(parents=True)
+    whole = trimesh.util.concatenate(boxes)
+    assert isinstance(whole, trimesh.Trimesh)
+    whole.apply_scale(1e3).export(folder / "mesh.ply")
+    notes = f"OBJECT:\n  MASS: {total}\n  COM_WRT_MESH: {center.tolist()}\n  INERTIA_WRT_COM: {about.tolist()}\n"
+    (folder / "Inertia.yaml").write_text(notes, encoding="utf-8")
+    return tmp_path / "set"
+
+
+def test_parts_have_the_masses_that_make_the_whole(data: Path, tmp_path: Path):
+    scenario = Scenario(meshes=Meshes(sha256={"Mallet": "00"}))
+    made, (line,) = with_meshes(scenario, data, tmp_path / "out", silent)
+    assert "another file than" in line
+    (path,) = made.objects
+    model = load_object(path)
+    assert model.name == "Mallet"
+    assert_allclose(sorted(model.group_mass), sorted(mass for *_, mass in PARTS), rtol=1e-6)
+    before = Path(path).stat().st_mtime_ns
+    again, _ = with_meshes(scenario, data, tmp_path / "out", silent)
+    assert again.objects == [path] and Path(path).stat().st_mtime_ns == before
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        ((), "--data: got None; allowed: a folder with files */mesh.ply: a copy of github.com/utiasSTARS"),
+        (("--data", "nowhere"), "--data: got 'nowhere'; allowed: a folder with files */mesh.ply"),
+        (("--data", "set", "--objects", "Malet"), "objects: got ['Malet']; allowed: some of Mallet (nearest: Mallet)"),
+    ],
+)
+def test_what_is_not_such_a_folder_is_refused(data, monkeypatch, capsys, words, told):
+    monkeypatch.chdir(data.parent)
+    with pytest.raises(SystemExit):
+        main(["run", "tools", *words])
+    assert told in capsys.readouterr().err
+    assert not Path("results").exists()
+
+
+def test_data_are_refused_where_a_scenario_has_no_meshes(data: Path, tmp_path: Path):
+    with pytest.raises(HeftError, match="the objects of this scenario need no data"):
+        with_meshes(load_scenario("blocks")[1], data, tmp_path, silent)
+    (data / "Mallet" / "Inertia.yaml").write_text("MASS: 0.5\n", encoding="utf-8")
+    with pytest.raises(HeftError, match="INERTIA_WRT_COM: got '0 numbers'"):
+        with_meshes(load_scenario("tools")[1], data, tmp_path, silent)
+    (data / "Mallet" / "Inertia.yaml").unlink()
+    with pytest.raises(HeftError, match=r"a mass in \[meshes\], or a file Inertia.yaml beside"):
+        with_meshes(load_scenario("tools")[1], data, tmp_path, silent)
+
+
+@pytest.mark.slow
+def test_a_set_is_felt_and_estimated(data: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]):
+    monkeypatch.chdir(data.parent)
+    Path("mine.toml").write_text(SCENARIO, encoding="utf-8")
+    assert main(["run", "mine.toml", "--data", "set", "--workers", "0", "--out", "out"]) in (0, None)
+    (row,) = load_results("out").to_dict("records")
+    assert row["object"] == "Mallet" and row["com_error_m"] < 1e-3 and abs(row["inertia_error"]) < 0.05
+    assert "2 parts by colours" in capsys.readouterr().out

@@ -10,11 +10,13 @@ from zlib import crc32
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
+from estimators.action_selection.candidates import ActionFamily
 from estimators.action_selection.design import ASSUMED_SUPPORTS, Guess
 from estimators.action_selection.greedy import PlannedPolicy
 from estimators.action_selection.online import OnlinePolicy
 from estimators.action_selection.plan import Goal
 from estimators.action_selection.rank import RANK_DRIVEN, RankDriven, held_out_grasp, held_out_turns
+from estimators.action_selection.stop_and_go import StopAndGo
 from estimators.base import ActionPolicy
 from estimators.registry import POLICY
 from scenarios.runners import FeasibilityCheck, RunnerSettings
@@ -29,7 +31,7 @@ from testbed.trajectory import Trajectory
 from testbed.worlds.setup_errors import EXACT_SETUP, SetupErrors
 
 Count = Annotated[int, Field(ge=1, le=100_000)]
-POLICIES = (*RANK_DRIVEN, "greedy", "batch", "random", "online")
+POLICIES = (*RANK_DRIVEN, "stop_and_go", "greedy", "batch", "random", "online")
 """heft's own policies."""
 
 
@@ -135,6 +137,7 @@ class Policy(BaseModel):
     most: Count = 40
     seed: Annotated[int, Field(ge=0)] = 0
     redraw: bool = False
+    lifts: Annotated[int, Field(ge=0, le=100)] | None = None
     held_out: Annotated[int, Field(ge=0, le=100)] = 2
     touches: Count = 8
     until: Annotated[float, Field(gt=0, lt=1)] | None = None
@@ -159,6 +162,10 @@ class Policy(BaseModel):
         elif self.settings:
             allowed = f'none: {self.kind} has its fields in [policy]; settings are for a kind = "package:Class"'
             raise InvalidValueError("settings", self.settings, allowed)
+        thought = self.thought or ("either" if self.kind == "online" else "own_weight")
+        if self.lifts and self.lifts_last is None and (self.kind not in POLICIES or thought == "own_weight"):
+            allowed = f'with {self.kind}: none, but thought = "rigid" or "either" in a plan of heft\'s own'
+            raise InvalidValueError("lifts", self.lifts, allowed)
         return self
 
     def check_code(self) -> None:
@@ -179,7 +186,15 @@ class Policy(BaseModel):
     def expected_trials(self) -> int:
         """Number of trials of an experiment where nothing fails, the weighing among them."""
         ranked = self.rank_driven
-        return 1 + (ranked.accelerated + ranked.pivots if ranked else self.touches) + self.held_out
+        planned = ranked.accelerated + ranked.pivots if ranked else 0 if self.kind == "stop_and_go" else self.touches
+        return 1 + planned + (self.lifts_last or 0) + self.held_out
+
+    @property
+    def lifts_last(self) -> int | None:
+        """Number of stop-and-go lifts after all other actions; None where a plan chooses them."""
+        if self.kind == "stop_and_go":
+            return 2 if self.lifts is None else self.lifts
+        return (self.lifts or 0) if self.rank_driven else None
 
     @property
     def rank_driven(self) -> RankDriven | None:
@@ -213,8 +228,12 @@ class Policy(BaseModel):
         refused = {} if refused is None else refused
         sensing, number = draw or (self.plan_for, 0)
         seed = self.seed + (number if self.redraw else 0)
-        if ranked := self.rank_driven:
-            return replace(ranked, grasps=grasps, seed=seed, refused=refused)
+        if self.lifts_last is not None:
+            ranked = self.rank_driven
+            before = None if ranked is None else replace(ranked, grasps=grasps, seed=seed, refused=refused)
+            if before is not None and not self.lifts_last:
+                return before
+            return StopAndGo(self.lifts_last, grasps, before, refused)
         sensor = preset(sensing if self.kind == "online" else self.plan_for).stated
         return AfterWeighing(partial(self._of_weight, grasps, shape, settings, sensor, setup, refused, seed), weighed)
 
@@ -235,7 +254,8 @@ class Policy(BaseModel):
         if self.kind not in POLICIES:
             return build_policy(self.kind, self.settings, self.touches, PolicyContext(grasps, weight, check))
         goal = Goal(self.until, self.budget_s, self.touches)
-        searched = {"candidates": self.candidates, "grasps": grasps, "seed": seed, "feasible": check}
+        family = ActionFamily(lifts=bool(self.lifts))
+        searched = {"family": family, "candidates": self.candidates, "grasps": grasps, "seed": seed, "feasible": check}
         if self.kind == "online":
             guess = replace(guess, supports=ASSUMED_SUPPORTS[self.thought or "either"])
             return OnlinePolicy(guess, goal, self.criterion, **searched)

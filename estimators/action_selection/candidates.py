@@ -76,7 +76,7 @@ class ActionFamily:
             return ()
         rng = np.random.default_rng(seed)
         allowed = np.asarray(grasps, dtype=int)
-        lifts = max(round(LIFT_PART * count), len(allowed)) if self.lifts else 0
+        lifts = max(round(LIFT_PART * count), 2 * len(allowed)) if self.lifts else 0
         slides = round(SLIDE_PART * count) if self.slides else 0
         accelerated = max(round(ACCELERATED_PART * count), 1) if self.accelerated else 0
         return (
@@ -145,14 +145,18 @@ class ActionFamily:
     def _lifts(
         self, shape: ObjectShape, allowed: Int[np.ndarray, "G"], count: int, rng: np.random.Generator
     ) -> list[Lift]:
-        """Default lift of each grasp first, then lifts of other holds and swings.
+        """Default lift of each grasp first and one that stops and goes, then lifts of other holds, swings and tilts.
 
-        Tilt and acceleration are those at which the errors of a lift were measured.
+        Tilts and accelerations are those at which the errors of a lift were measured.
         """
-        found = [Lift(int(grasp)) for grasp in allowed[:count]]
+        found = [make(int(grasp)) for make in (Lift, Lift.stop_and_go) for grasp in allowed][:count]
         for index in range(count - len(found)):
-            hold, swings = float(np.exp(rng.uniform(np.log(1.5), np.log(4.0))).round(1)), 2 * int(rng.integers(1, 6))
-            found.append(Lift(int(allowed[index % len(allowed)]), hold=hold, swings=swings))
+            hold, swings = float(np.exp(rng.uniform(np.log(1.5), np.log(4.0))).round(1)), 2 * int(rng.integers(0, 6))
+            grasp, tilt = int(allowed[index % len(allowed)]), math.radians(rng.integers(10, 31))
+            poses = int(rng.integers(3, 6))
+            found.append(
+                Lift(grasp, hold=hold, swings=swings) if swings else Lift.stop_and_go(grasp, tilt, poses, hold)
+            )
         positions, angles = _places(shape)
         at = np.array([lift.grasp for lift in found], dtype=int)
         fits = stays_on_table(outline(shape), positions[at], angles[at], positions[at], np.zeros(len(at)))

@@ -67,7 +67,7 @@ class RankDriven:
         return done
 
     def _after(self, shape: ObjectShape, tried: Sequence[Action], good: Sequence[Action]) -> Action | None:
-        barred = {action.grasp for action in self.refused}
+        barred = {action.grasp for action in self.refused if action.on_table}
         grasps = range(len(shape.grasps)) if self.grasps is None else self.grasps
         allowed = [grasp for grasp in grasps if grasp not in barred]
         if grasps and not allowed:

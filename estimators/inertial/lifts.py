@@ -10,7 +10,7 @@ from jaxtyping import Float
 from estimators.inertial.body import shift_map
 from estimators.inertial.equations import InertialEquations, compressed_rows, joined, regressor
 from estimators.inertial.parts import column_parts
-from estimators.particles.lifts import SHIFT, LiftErrors, lift_covariance, lifts_among
+from estimators.particles.lifts import SHIFT, LiftErrors, creep, lift_covariance, lifts_among
 from testbed.errors import InvalidValueError
 from testbed.objects.model import ObjectShape
 from testbed.sensing.lift_windows import LiftWindow
@@ -81,8 +81,9 @@ def _of_trial(
             for axis in np.eye(3)
         ]
     )
+    by_slip = errors.slip * by_shift[:, 2] * creep(windows)
     by_shift *= [errors.grip, errors.grip, errors.sag]
     inertial = errors.inertia * (rows - still @ shift_map(tcp)) @ body
-    effects = np.column_stack([by_shift, inertial, errors.gain * rows @ body])
+    effects = np.column_stack([by_shift, by_slip, inertial, errors.gain * rows @ body])
     covariance = lift_covariance(shape, windows, effects, errors.wrench, float(body[0]))
     return compressed_rows(rows, np.concatenate([w.wrench for w in windows]), covariance)

@@ -32,6 +32,8 @@ class LiftErrors:
     """Place of the object between the pads, along x and along y, m."""
     sag: float = 1e-3
     """Height of the TCP over the object's bottom: it lies on felt, and sinks between the pads, m."""
+    slip: float = 1e-3
+    """Way that it creeps down between the pads from the first window to the last, m."""
     height: float = 0.25
     """Height of the center of mass, as a part of the object's: the tilts show it themselves."""
     inertia: float = 0.005
@@ -118,12 +120,19 @@ def lift_information(
     by_shift = np.column_stack(
         [(maps(SHIFT * axis) @ mass - maps(-SHIFT * axis) @ mass) / (2 * SHIFT) for axis in np.eye(3)]
     )
+    by_slip = errors.slip * by_shift[:, 2] * creep(windows)
     by_shift *= [errors.grip, errors.grip, errors.height * shape.height]
     inertial = errors.inertia * (moved - maps(moving=False)) @ mass
-    common = np.column_stack([by_shift, inertial, errors.gain * moved @ mass])
+    common = np.column_stack([by_shift, by_slip, inertial, errors.gain * moved @ mass])
     covariance = lift_covariance(shape, windows, common, errors.wrench, float(mass @ shape.particles_per_group))
     root = np.linalg.cholesky(covariance)
     return np.linalg.solve(root, moved), np.linalg.solve(root, np.concatenate([w.wrench for w in windows]))
+
+
+def creep(windows: Sequence[LiftWindow]) -> Float[np.ndarray, "R"]:
+    """Part of a creep at each row of one trial's K windows, R = 6 K: 0 at the first, 1 at the last."""
+    middle = np.array([w.since_tare.mean() for w in windows])
+    return np.repeat((middle - middle[0]) / max(middle[-1] - middle[0], 1e-9), 6)
 
 
 def lift_covariance(

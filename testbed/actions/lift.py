@@ -18,18 +18,25 @@ from testbed.validation import check_integer, check_positive_fields, is_number
 
 STEEPEST = math.radians(30)
 """Greatest tilt in the air [rad]."""
+CLEARANCE = 0.010
+"""Least distance between table and object in the air [m]."""
 RAISE_TIME = 1.5
 """Time of the way up, and of the way down [s]."""
 TILT_TIME = 0.8
-"""Time to take up a tilt, and to give it up again [s]."""
+"""Least time to take up a tilt, and to give it up again [s]."""
+TILT_ACCELERATION = 1.0
+"""Greatest angular acceleration of that, about, where it takes longer [rad/s^2]."""
+LEAST_STRETCH = 0.4
+"""Least time of a move's half that counts as a stretch [s]: a shorter one is over before the arm follows it."""
 
 
 @dataclass(frozen=True)
 class Lift(Action, kind="lift"):
-    """Lift the object clear of the table, hold it still, and rock it there about its own x, y and z axis.
+    """Lift the object clear of the table, hold it still at tilts about its x and y axis, and rock it about all three.
 
     At rest, the wrench is its weight at its center of mass, without friction; rocking adds the second moments. It
-    rocks about the TCP between tilts of either sign, at one angular acceleration of alternating sign.
+    rocks about the TCP between tilts of either sign, at one angular acceleration of alternating sign. Without swings it
+    stops and goes, from tilt to tilt.
     """
 
     in_air: ClassVar[bool] = True
@@ -45,36 +52,55 @@ class Lift(Action, kind="lift"):
     hold: float = 2.0
     """Time held still, level and at every tilt [s]."""
     height: float = 0.08
-    """Height over the table [m]."""
+    """Height over the table [m]; it goes higher where a tilt would touch it."""
+    poses: int = 2
+    """Tilts about x and about y at which it is held, evenly from one end to the other; about z, only at the ends."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
         if not (is_number(self.tilt) and 0 <= self.tilt <= STEEPEST):
             raise InvalidValueError("Lift.tilt", self.tilt, f"an angle from 0 to {STEEPEST:.2f}, rad")
         check_positive_fields(self, "acceleration", "hold", "height")
-        check_integer("Lift.swings", self.swings, least=0)
+        check_integer("Lift.swings", self.swings, least=0, most=1000)
+        check_integer("Lift.poses", self.poses, least=2, most=100)
+
+    @classmethod
+    def stop_and_go(cls, grasp: int, tilt: float = math.radians(20), poses: int = 4, hold: float = 2.0) -> Self:
+        """Lift that stops at so many tilts about x and y, and moves between them so slowly that a move is seen too."""
+        moved = 2 * tilt / (max(poses, 2) - 1)
+        return cls(grasp, tilt, min(cls.acceleration, moved / LEAST_STRETCH**2), 0, hold, poses=poses)
 
     @property
     def seconds(self) -> float:
         """Duration of the motion, from rest to rest [s]."""
-        return _seconds(self)
+        return _sampled(self)[0]
 
     def accelerates(self, segment: int) -> bool:
-        """True if it rocks in a stretch; it holds still level first, then at either end of each rocking."""
-        return segment > 0 and self.swings > 0 and (segment - 1) % (self.swings + 2) not in (0, self.swings + 1)
+        """True if it rocks, or moves between tilts, in a stretch; False where it holds still."""
+        return _sampled(self)[1][segment]
 
-    def profile(self, step: float) -> LiftProfile:
-        """Height and angles, sampled every `step` s."""
-        return LiftProfile.of(self, step)
+    def clear_height(self, shape: ObjectShape) -> float:
+        """Height over the table at which no tilt touches it [m]: `height`, or more."""
+        reach = np.abs(shape.particles - shape.grasps[self.grasp].position).max() + shape.cell / 2
+        return max(self.height, float(reach) * math.sin(self.tilt) + CLEARANCE)
+
+    def profile(self, step: float, height: float | None = None) -> LiftProfile:
+        """Height and angles, sampled every `step` s; to a `height` [m] other than its own, as `clear_height` gives."""
+        return LiftProfile.of(self, step, height)
 
     def words(self, shape: ObjectShape) -> ActionWords:
         """The parts of `describe`."""
-        return ActionWords("lift", manner=f"{self.swings} swings, held {self.hold:g} s")
+        tilts = f"{self.poses} tilts to {math.degrees(self.tilt):.0f} deg, " if self.poses > 2 else ""
+        return ActionWords("lift", manner=f"{tilts}{self.swings} swings, held {self.hold:g} s")
 
 
 @lru_cache(maxsize=1024)
-def _seconds(action: Lift) -> float:
-    return action.profile(0.01).duration
+def _sampled(action: Lift) -> tuple[float, tuple[bool, ...]]:
+    """Duration [s], and whether it accelerates in each stretch."""
+    profile = action.profile(0.01)
+    first = np.unique(profile.segment[profile.segment >= 0], return_index=True)[1]
+    moving = (profile.acceleration[profile.segment >= 0][first] != 0).any(axis=1)
+    return profile.duration, tuple(moving.tolist())
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,8 +123,8 @@ class LiftProfile:
     """Index of the stretch at rest or at constant acceleration that a tick belongs to; -1 outside."""
 
     @classmethod
-    def of(cls, action: Lift, step: float) -> Self:
-        """Profile of a lift, sampled every `step` s."""
+    def of(cls, action: Lift, step: float, height: float | None = None) -> Self:
+        """Profile of a lift, sampled every `step` s; to a `height` [m] other than the action's."""
         parts: list[tuple[np.ndarray, np.ndarray, bool]] = []
         level = np.zeros(3)
 
@@ -117,22 +143,35 @@ class LiftProfile:
             turned = np.stack([begin + np.outer(done, end - begin), np.outer(rate, end - begin), np.zeros((n, 3))])
             parts.append((np.column_stack([height[0] + done * way, rate * way]), turned, False))
 
-        up = action.height
+        up = action.height if height is None else height
+
+        def tilt(begin: np.ndarray, end: np.ndarray) -> None:
+            least = math.sqrt(5.77 * float(np.abs(end - begin).max()) / TILT_ACCELERATION)
+            move(max(TILT_TIME, least), (up, up), begin, end)
+
+        def go(axis: np.ndarray, begin: float, end: float, swings: int) -> float:
+            for angle, rate, slope, steady in _swings(begin, end, swings, action.acceleration, step):
+                flat = np.zeros(len(angle))
+                turned = np.stack([np.outer(v, axis) for v in (angle, rate, flat + slope)])
+                parts.append((np.column_stack([flat + up, flat]), turned, steady))
+            return float(parts[-1][1][0, -1] @ axis)
+
         move(RAISE_TIME, (0.0, up), level, level)
         still(up, level)
-        for axis in np.eye(3) if action.tilt > 0 else ():
-            low = -action.tilt * axis
-            move(TILT_TIME, (up, up), level, low)
-            still(up, low)
-            last = -action.tilt
-            for angle, rate, slope, steady in _swings(action, step):
-                zero = np.zeros(len(angle))
-                turned = np.stack([np.outer(v, axis) for v in (angle, rate, np.full(len(angle), slope))])
-                parts.append((np.column_stack([zero + up, zero]), turned, steady))
-                last = angle[-1]
+        angles = np.linspace(-action.tilt, action.tilt, action.poses).tolist()
+        for index, axis in enumerate(np.eye(3) if action.tilt > 0 else ()):
+            tilt(level, angles[0] * axis)
+            still(up, angles[0] * axis)
+            at, left = angles[0], angles[1:]
             if action.swings:
-                still(up, last * axis)
-            move(TILT_TIME, (up, up), last * axis, level)
+                at = go(axis, at, angles[-1], action.swings)
+                still(up, at * axis)
+                left = angles[1:] if action.swings % 2 else angles[-2:0:-1]
+            for angle in left:
+                at = go(axis, at, angle, 0)
+                if index < 2 or abs(angle) == action.tilt:  # about z all are as one
+                    still(up, at * axis)
+            tilt(at * axis, level)
         move(RAISE_TIME, (up, 0.0), level, level)
 
         numbers = np.cumsum([steady for _, _, steady in parts]) - 1
@@ -148,20 +187,21 @@ class LiftProfile:
         return len(self.height) * self.step
 
 
-def _swings(action: Lift, step: float) -> list[tuple[np.ndarray, np.ndarray, float, bool]]:
-    """Angle, rate and acceleration from rest at -tilt to rest at a tilt, a stretch of one sign each.
+def _swings(
+    begin: float, end: float, swings: int, acceleration: float, step: float
+) -> list[tuple[np.ndarray, np.ndarray, float, bool]]:
+    """Angle, rate and acceleration from rest at `begin`, there and back, to rest, a stretch of one sign each.
 
-    Half a stretch speeds up, half a stretch slows down: those two are not steady.
+    Half a stretch speeds up, half a stretch slows down: with `swings` between, those two are not steady.
     """
-    if not action.swings:
-        return []
-    half = max(round(math.sqrt(2 * action.tilt / action.acceleration) / step), 1)
-    slope = 2 * action.tilt / (half * step) ** 2  # the acceleration that fits whole ticks
-    counts = [half, *[2 * half] * action.swings, half]
-    angle, rate, found = -action.tilt, 0.0, []
+    half = max(round(math.sqrt(abs(end - begin) / acceleration) / step), 1)
+    slope = (end - begin) / (half * step) ** 2  # the acceleration that fits whole ticks
+    counts = [half, *[2 * half] * swings, half]
+    angle, rate, found = begin, 0.0, []
     for i, count in enumerate(counts):
         sign = slope * (-1) ** i
         t = np.arange(1, count + 1) * step
-        found.append((angle + rate * t + sign * t**2 / 2, rate + sign * t, sign, 0 < i <= action.swings))
+        steady = 0 < i <= swings or (not swings and half * step >= LEAST_STRETCH)
+        found.append((angle + rate * t + sign * t**2 / 2, rate + sign * t, sign, steady))
         angle, rate = found[-1][0][-1], found[-1][1][-1]
     return found

@@ -29,7 +29,7 @@ class LiftWindow:
     wrench: Float[np.ndarray, "6"]
     """Mean wrench of the gripper on the object [N, N m]."""
     covariance: Float[np.ndarray, "6 6"]
-    """Covariance of that mean, from the window's own noise."""
+    """Covariance of that mean, from the noise in all windows of the lift."""
     pull: Float[np.ndarray, "3"]
     """Mean acceleration of the TCP less gravity [m/s^2]."""
     angular_acceleration: Float[np.ndarray, "3"]
@@ -78,13 +78,18 @@ def lift_windows(trajectory: Trajectory) -> list[LiftWindow]:
     bias = of_constant(np.diag(trajectory.sensor_bias_std**2) + own)
     drift = of_constant(np.diag(trajectory.sensor_drift_std**2))
     tared = trajectory.time_s[tare].mean()
+    stretches = steady_samples(trajectory)
+    lasting = np.array([np.ptp(trajectory.time_s[kept]) for kept in stretches])
+    noise = [_noise_of_mean(trajectory.time_s[kept], wrench[kept]) for kept in stretches]
+    # one noise for all, mostly of the long stretches: those of a few correlated samples show too little of it
+    density = np.einsum("k,kij->ij", lasting**3, noise) / (lasting**2).sum()
     windows = []
-    for kept in steady_samples(trajectory):
+    for kept, seconds in zip(stretches, lasting, strict=True):
         windows.append(
             LiftWindow(
                 grasp=trajectory.action.grasp,
                 wrench=wrench[kept].mean(axis=0),
-                covariance=_noise_of_mean(trajectory.time_s[kept], wrench[kept]),
+                covariance=density / seconds,
                 pull=motion[kept, :3].mean(axis=0),
                 angular_acceleration=motion[kept, 3:].mean(axis=0),
                 spin_products=spin[kept].T @ spin[kept] / len(kept),

@@ -30,8 +30,6 @@ from testbed.trial import Trial
 
 FLANGE_PAYLOAD = 4.0
 """Payload of the Gen3 at its flange at mid range [kg]."""
-CLEARANCE = 0.010
-"""Least distance between table and object while it rocks [m]."""
 EVERY = 10
 """Ticks between two checks of the joints' torques."""
 
@@ -160,7 +158,7 @@ def _check_torques(motion: Motion, drag: float, torque: float) -> None:
 
 
 def _check_lift(trial: Trial, action: Lift, motion: Motion, settings: SimulationSettings) -> None:
-    """Refuse a lift of parts, beyond payload, grip or joint torques, or that would touch the table."""
+    """Refuse a lift of parts, or one beyond payload, grip or joint torques."""
     obj, grasp = trial.object, trial.object.shape.grasps[action.grasp]
     if not trial.support.is_rigid:
         raise InfeasibleTrialError(
@@ -173,14 +171,6 @@ def _check_lift(trial: Trial, action: Lift, motion: Motion, settings: Simulation
         raise InfeasibleTrialError(
             f"payload: the object's {obj.total_mass:.3f} kg against {payload:.2f} kg that the arm carries beside "
             "sensor and gripper; use a lighter object"
-        )
-    reach = np.abs(obj.shape.particles - grasp.position).max(axis=0) + obj.shape.cell / 2
-    needed = float(reach.max()) * math.sin(action.tilt) + CLEARANCE
-    if needed > action.height:
-        raise InfeasibleTrialError(
-            f"clearance: tilted by {math.degrees(action.tilt):.1f} deg at {grasp.name} the object needs "
-            f"{needed * 1e3:.0f} mm over the table against a lift of {action.height * 1e3:.0f} mm; lift higher, tilt "
-            "less or take a block nearer the middle"
         )
     if settings.grip.mode == "friction":
         _check_grip(obj, grasp, action, settings)

@@ -29,6 +29,7 @@ HOVER = 0.06
 _TARE_TIME, _DESCENT_TIME, _CLOSE_TIME, _OPEN_TIME = 0.5, 0.8, 0.8, 0.3
 _STEP_TURN, _STEP_LINE = math.radians(10), 0.025
 _TILT_WAYPOINTS, _LIFT_WAYPOINTS = 4, 5
+_STEP_TILT = math.radians(4)
 _TOLERANCE = 1e-7
 _ITERATIONS = 100
 # The arm is redundant: prefer the last joint for turning the tool, and leave the fingers alone
@@ -121,24 +122,25 @@ def gripper_tool(width: float) -> Tool:
 
 
 def _lift_joints(
-    action: Lift, profile: LiftProfile, hold: np.ndarray, yaw: float, q_hold: np.ndarray
+    action: Lift, profile: LiftProfile, height: float, hold: np.ndarray, yaw: float, q_hold: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Joint angles [rad] and speeds [rad/s] at the N ticks of a lift, each (N, 7).
+    """Joint angles [rad] and speeds [rad/s] at the N ticks of a lift to a height [m], each (N, 7).
 
     Height and every axis have a path of their own, all from the same joint angles: a redundant arm would otherwise come
     back to a pose by other angles. `hold` (4,) is the tool pose on the table, with joint angles `q_hold`; `yaw` is the
     object's [rad], world.
     """
     rise = np.tile(hold, (_LIFT_WAYPOINTS, 1))
-    rise[:, 2] += np.linspace(0.0, action.height, _LIFT_WAYPOINTS)
-    path = CubicSpline(np.linspace(0.0, action.height, _LIFT_WAYPOINTS), joint_path(rise, q_hold))
+    rise[:, 2] += np.linspace(0.0, height, _LIFT_WAYPOINTS)
+    path = CubicSpline(np.linspace(0.0, height, _LIFT_WAYPOINTS), joint_path(rise, q_hold))
     q, qd = path(profile.height), path(profile.height, 1) * profile.height_rate[:, None]
-    q_up = path(action.height)
+    q_up = path(height)
     axes = np.eye(3)
     axes[:2, :2] = rotation_2d(yaw).T  # rows: the object's axes, world
     for k, axis in enumerate(axes if action.tilt > 0 else ()):
-        angles = np.linspace(0.0, action.tilt, _TILT_WAYPOINTS + 1)
-        level = np.tile(rise[-1], (_TILT_WAYPOINTS, 1))
+        count = max(_TILT_WAYPOINTS, math.ceil(action.tilt / _STEP_TILT))
+        angles = np.linspace(0.0, action.tilt, count + 1)
+        level = np.tile(rise[-1], (count, 1))
         ways = [joint_path(np.hstack([level, np.outer(sign * angles[1:], axis)]), q_up) for sign in (-1, 1)]
         knots = np.concatenate([-angles[:0:-1], angles])
         path = CubicSpline(knots, np.concatenate([ways[0][::-1], q_up[None], ways[1]]))
@@ -276,8 +278,8 @@ def _(
 @_work.register(Lift)
 def _(action: Lift, shape: ObjectShape, settings: SimulationSettings, start: tuple[float, float, float]) -> _Work:
     """The TCP stays over the middle of the workspace, the pads closing along x, but for the shift."""
-    profile = action.profile(1.0 / settings.rate)
-    grasp = shape.grasps[action.grasp]
+    grasp, height = shape.grasps[action.grasp], action.clear_height(shape)
+    profile = action.profile(1.0 / settings.rate, height)
     hold = np.array([WORKSPACE[0] + start[0], WORKSPACE[1] + start[1], settings.grip.tcp_height, start[2]])
     pose = pose_from_point(hold[:2], grasp.position, np.array(start[2] - grasp.angle))
     x, y = grasp.position
@@ -286,6 +288,6 @@ def _(action: Lift, shape: ObjectShape, settings: SimulationSettings, start: tup
         pose,
         (x, y),
         profile.segment,
-        lambda q_grasp: _lift_joints(action, profile, hold, pose[2], q_grasp),
+        lambda q_grasp: _lift_joints(action, profile, height, hold, pose[2], q_grasp),
         False,
     )

@@ -1,0 +1,42 @@
+"""Stop-and-go lifts as a policy: alone, or after the actions of another one."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from estimators.base import ActionPolicy
+from testbed.actions.base import Action
+from testbed.actions.lift import Lift
+from testbed.objects.model import ObjectShape
+from testbed.trajectory import Trajectory
+
+
+@dataclass(frozen=True)
+class StopAndGo:
+    """A stop-and-go lift of each of the grasps nearest the middle, as in the literature on held bodies."""
+
+    lifts: int = 2
+    """Lifts that end well, at most one a grasp."""
+    grasps: tuple[int, ...] | None = None
+    """Allowed grasps; None is all."""
+    before: ActionPolicy | None = None
+    """Policy whose actions come first."""
+    refused: Mapping[Action, str] = field(default_factory=dict, compare=False)
+    """Actions that the bench refused, and why; grows as trials are made."""
+
+    def next(self, shape: ObjectShape, trajectories: Sequence[Trajectory]) -> Action | None:
+        """Next action; None when done."""
+        lifts = [t for t in trajectories if isinstance(t.action, Lift)]
+        if self.before is not None:
+            others = [t for t in trajectories if not isinstance(t.action, Lift)]
+            if not lifts and (action := self.before.next(shape, others)) is not None:
+                return action
+        if sum(t.ok for t in lifts) >= self.lifts:
+            return None
+        tried = {*self.refused, *(t.action for t in lifts)}
+        grasps = range(len(shape.grasps)) if self.grasps is None else self.grasps
+        inner = sorted(grasps, key=lambda g: float(np.linalg.norm(shape.grasps[g].position)))
+        return next((lift for g in inner if (lift := Lift.stop_and_go(g)) not in tried), None)

@@ -11,6 +11,7 @@ if TYPE_CHECKING:
     from testbed.actions.accelerate import Accelerate
     from testbed.actions.base import Action, TableAction, action_from_dict
     from testbed.actions.lift import Lift
+    from testbed.actions.push import Push
     from testbed.actions.rotate import Rotate
     from testbed.actions.slide import Slide
     from testbed.actions.weigh import Weigh
@@ -46,6 +47,7 @@ __all__ = [
     "ObjectModel",
     "ObjectShape",
     "Phase",
+    "Push",
     "ReplayRunner",
     "Rotate",
     "Sensing",

@@ -102,6 +102,8 @@ def predicted_windows(
         held=torch.tensor(held[grasp]),
         trial=torch.tensor(trial),
         accelerated=torch.tensor([accelerated for _, accelerated in stretches]),
+        pushed=torch.zeros(count, dtype=torch.bool),
+        seen=torch.zeros(count, 9, 0, dtype=torch.float64),
     )
 
 

@@ -17,7 +17,7 @@ from torch import Tensor
 from estimators.particles.errors import ModelErrors
 from estimators.particles.model import ParticleModel, inertia_of
 from estimators.particles.pivots import LEAST_VARIANCE
-from estimators.particles.setup_effects import Columns, setup_effects, shared_and_own
+from estimators.particles.setup_effects import Columns, seen_effects, setup_effects, shared_and_own
 from estimators.particles.support import own_weight
 from estimators.particles.windows import PLANAR, Observations
 from testbed.objects.model import GRAVITY, ObjectShape
@@ -164,7 +164,9 @@ def wrench_errors(
     force = (errors.force_error * drag.sum(-1)).square()
     own = torch.stack([force, force, (errors.torque_error * windows.wrench[:, 2]).square()], -1) + 1e-10
     moved = errors.pivot_error * windows.twist[:, 2].abs()[:, None, None] * slopes[..., :2]
-    by_motion = torch.cat([moved, slopes * windows.twist_noise.sqrt()], -1)
+    held = ~windows.pushed[:, None, None]
+    effects, late = seen_effects(windows, model, mass, slopes)
+    by_motion = torch.cat([moved, slopes * windows.twist_noise.sqrt() * held, effects], -1)
     within = torch.diag_embed(own) + by_motion @ by_motion.transpose(1, 2)
     lift, tilt = errors.lift_error, errors.tilt_error
     shared = torch.tensor([lift / 2**0.5, 0.0, 0.0], dtype=torch.float64)
@@ -176,7 +178,7 @@ def wrench_errors(
     common = torch.stack([hidden.flatten(), raised.flatten()], 1)
     effects = _of_setup(windows, model, mass, drag, response, errors.pivot_error)
     shared, own = shared_and_own(effects, windows)
-    return apart + own, torch.cat([common, shared], 1)
+    return apart + own + late, torch.cat([common, shared], 1)
 
 
 def unknown_motion(windows: Observations, model: ParticleModel, weight: float) -> Float[Tensor, "R E"]:

@@ -50,6 +50,7 @@ def likely_load(
     trial: Int[np.ndarray, "K"],
     accelerated: Bool[np.ndarray, "K"],
     nulled: Float[np.ndarray, "3"],
+    pushed: Bool[np.ndarray, "K"],
 ) -> tuple[Float[np.ndarray, "K 3"], Float[np.ndarray, "K 3"], Float[np.ndarray, "K 3"]]:
     """Loads of K windows with the sensor's likely error taken off, and the parts of mean and change that were kept.
 
@@ -64,9 +65,10 @@ def likely_load(
         trial: trial that each window is from.
         accelerated: True for windows of an accelerated turn: an arm that swings carries loads of another size.
         nulled: mean load of a nulled gripper over a trial, one standard deviation.
+        pushed: True for windows of a push: a fingertip's load is not nulled, and taken as measured.
     """
     likely, kept, followed = load.copy(), np.ones_like(load), np.ones_like(load)
-    for rows, changes in ((accelerated, SWUNG), (~accelerated, TURNED)):
+    for rows, changes in ((accelerated, SWUNG), (~accelerated & ~pushed, TURNED)):
         if not rows.any():
             continue
         some = load[rows]

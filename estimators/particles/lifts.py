@@ -12,10 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from estimators.particles.windows import reduced_trials
 from testbed.actions.lift import Lift
 from testbed.objects.model import GRAVITY, ObjectShape
 from testbed.sensing.lift_windows import LiftWindow, lift_windows
+from testbed.sensing.windows import reduced_trials
 from testbed.trajectory import Trajectory
 
 ROUNDS = 2

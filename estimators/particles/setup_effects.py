@@ -99,6 +99,49 @@ def shared_and_own(effects: Columns, windows: Observations) -> tuple[Float[Tenso
     return torch.cat([none, *(c for kind, c in effects.items() if kind not in BY_TRIAL)], 1), own @ own.T * together
 
 
+def seen_effects(
+    windows: Observations, model: ParticleModel, mass: Float[Tensor, "P"], slopes: Float[Tensor, "K 3 3"]
+) -> tuple[Float[Tensor, "K 3 9"], Float[Tensor, "R R"]]:
+    """Effects of a camera's errors on the wrenches of pushes, and the covariance of its delay, which a trial shares.
+
+    A turned object turns the measured force in its axes, and a moved one takes the force elsewhere; the drag goes with
+    the twist, and the inertia with the acceleration.
+
+    Args:
+        windows: windows of constant speed or acceleration; effects on a grip are zero.
+        model: particles of the object.
+        mass: their masses, kg.
+        slopes: change of the drag with a window's twist about the grasp point.
+    """
+    if windows.seen.shape[-1] == 0:
+        return slopes[..., :0], torch.zeros(3 * len(windows), 3 * len(windows), dtype=torch.float64)
+    at, turn = windows.grasp[:, None], windows.seen[:, 2]  # (K, 1, 2), (K, 10)
+    spin, alpha = windows.twist[:, 2:], windows.acceleration[:, 2:]
+    of_origin = windows.twist[:, :2] - spin * turned(windows.grasp)
+    pulled = windows.acceleration[:, :2] - alpha * turned(windows.grasp) + windows.spin_square[:, None] * windows.grasp
+
+    def along(values: Tensor, rates: Tensor) -> Tensor:
+        """Errors of a vector, (K, 10, 2), that is also turned with the object."""
+        return values.transpose(1, 2) - turn[..., None] * turned(rates)[:, None]
+
+    moved = -along(windows.seen[:, :2], torch.zeros_like(spin).expand(-1, 2)) - turn[..., None] * turned(at)
+    velocity = along(windows.seen[:, 3:5], of_origin)
+    rate, spun = windows.seen[:, 5, :, None], windows.seen[:, 8, :, None]
+    drag = torch.cat([velocity + rate * turned(at), rate], -1) @ slopes.transpose(1, 2)
+    whole, arms = inertia_of(model, mass), windows.lever(model)
+    pull = along(windows.seen[:, 6:8], pulled)
+    inertial = whole.mass * (pull + spun * turned(whole.com))
+    about = (mass * (arms * model.particles).sum(-1)).sum(-1)[:, None]
+    torque = whole.mass * cross(whole.com - at, pull) + about * spun[..., 0]
+    force = windows.wrench[:, None, :2]
+    measured = torch.cat([-turn[..., None] * turned(force), cross(moved, force)[..., None]], -1)
+    found = measured - drag - torch.cat([inertial, torque[..., None]], -1)
+    found = (found * windows.pushed[:, None, None]).transpose(1, 2)
+    shared = found[..., -1]
+    late = shared[:, :, None, None] * shared * windows.together[:, None, :, None]
+    return found[..., :-1], late.reshape(3 * len(windows), -1)
+
+
 def trial_by_trial(effects: Columns, windows: Observations) -> Columns:
     """The effects, with columns for every trial where an error is drawn anew in each."""
     trials = torch.nn.functional.one_hot(torch.unique(windows.trial, return_inverse=True)[1]).double()
@@ -218,14 +261,15 @@ def _displacements(
     slopes = torch.stack(by, -1)  # (K, 3, P, 2)
     shifted = slopes.sum(2)  # (K, 3, 2): the object along its axes
     yawed = torch.einsum("kipa,kpa->ki", slopes, turned(windows.lever(model)))[..., None]
+    held = ~windows.pushed[:, None, None]  # of a push, the camera tells where the object is, whatever the hand
     in_hand = shifted @ windows.from_sensor[:, :2, :2]
     of_group = torch.einsum("kipa,pg->kiga", slopes, torch.nn.functional.one_hot(model.mass_group).double())
     columns = {
         "particle_offset": of_group.flatten(2),
-        "grasp_offset": shifted,
-        "grasp_angle": yawed,
-        "tcp_offset": in_hand,
-        "tcp_angle": yawed,
+        "grasp_offset": shifted * held,
+        "grasp_angle": yawed * held,
+        "tcp_offset": in_hand * held,
+        "tcp_angle": yawed * held,
     }
     return {kind: size * _flat(columns[kind]) for kind, size in zip(columns, told, strict=True) if size}
 
@@ -248,6 +292,6 @@ def _sensed(windows: Observations, to_wrench: Float[Tensor, "R 6K"], setup: Setu
         about = (windows.from_sensor @ signal[..., None])[..., 0]
         late = torch.zeros_like(about)
         for part in (slice(0, 2), slice(3, 5)):
-            late[:, part] = turned(about[:, part]) * windows.twist[:, 2:]
+            late[:, part] = turned(about[:, part]) * (windows.twist[:, 2:] * ~windows.pushed[:, None])
         errors["delay"] = setup.delay * late[..., None]
     return {kind: to_wrench @ each.reshape(6 * len(signal), -1) for kind, each in errors.items()}

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Self, TypeVar
+from typing import Self
 
 import numpy as np
 import torch
@@ -15,49 +15,15 @@ from estimators.particles.errors import ModelErrors
 from estimators.particles.gripper_load import GripperLoad, likely_load, load_map
 from estimators.particles.model import Inertia, ParticleModel, cross, direction, turned
 from testbed.actions.base import TableAction
-from testbed.errors import InvalidValueError
+from testbed.actions.push import Push
 from testbed.objects.model import ObjectShape
-from testbed.sensing.windows import SteadyWindow, steady_windows
+from testbed.sensing.push_windows import push_windows
+from testbed.sensing.windows import SteadyWindow, reduced_trials, steady_windows
 from testbed.trajectory import Trajectory
 from testbed.worlds.setup_errors import EXACT_SETUP, SetupErrors
 
-Window = TypeVar("Window")
 PLANAR = [0, 1, 5]
 """f_x, f_y and the torque about the vertical, of a wrench's six components."""
-
-
-def reduced_trials(
-    shape: ObjectShape,
-    trajectories: Sequence[Trajectory],
-    kinds: tuple[type, ...],
-    reduce: Callable[[Trajectory], list[Window]],
-) -> dict[int, list[Window]]:
-    """Windows of every trial of some kinds of action, by its place among all.
-
-    Trials that did not end well, and those with a stretch too short to trim, are left out.
-
-    Args:
-        shape: shape of the object.
-        trajectories: trials of one object.
-        kinds: kinds of actions, all with a grasp.
-        reduce: reduction of a record to its windows; it raises InvalidValueError where a stretch is too short.
-
-    Raises:
-        InvalidValueError: a grasp that the shape does not have.
-    """
-    found = {}
-    for index, trajectory in enumerate(trajectories):
-        action = trajectory.action
-        if not trajectory.ok or action.grasp is None or not isinstance(action, kinds):
-            continue
-        if action.grasp >= len(shape.grasps):
-            allowed = f"one of the shape's {len(shape.grasps)} grasps, counted from 0: another object's trial?"
-            raise InvalidValueError(f"trajectories[{index}].action.grasp", action.grasp, allowed)
-        try:
-            found[index] = reduce(trajectory)
-        except InvalidValueError:  # too short
-            continue
-    return found
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -83,7 +49,7 @@ class Observations:
     spin_square: Float[Tensor, "K"]
     """Mean square of the turn rate, rad^2/s^2."""
     grasp: Float[Tensor, "K 2"]
-    """Grasp point, m, object frame."""
+    """Grasp point, or mean place of a push's fingertip, m, object frame."""
     lift: Float[Tensor, "K"]
     """Vertical force of the gripper on the object, N."""
     tilt: Float[Tensor, "K 2"]
@@ -103,11 +69,16 @@ class Observations:
     load_followed: Float[Tensor, "K 3"]
     """Part of their change from window to window of a trial that stands out of the noise, 0 to 1."""
     held: Int[Tensor, "K 2"]
-    """Mass group between the fingers."""
+    """Mass groups under the two pads, or twice that under the fingertip."""
     trial: Int[Tensor, "K"]
     """Trajectory that a window is from."""
     accelerated: Tensor
     """True for windows of constant acceleration, (K,) bool."""
+    pushed: Tensor
+    """True for windows of a push, whose motion a camera sees and the hand does not hold, (K,) bool."""
+    seen: Float[Tensor, "K 9 E"]
+    """Errors of the object's pose, twist and acceleration by the camera, as `SteadyWindow.seen`; (K, 9, 0) if no
+    window is of a push."""
     setup: SetupErrors = EXACT_SETUP
     """Errors of the setup as stated, the largest of all trials."""
 
@@ -233,14 +204,17 @@ class Observations:
 
     @property
     def twist_noise(self) -> Float[Tensor, "3"]:
-        """Variance of a window's mean twist from the noise of the measured motion, the same in all windows.
+        """Variance of a window's mean twist from the noise of the hand's measured motion, the same in all windows.
 
         From fifth differences of its parts, which leave out a center that wanders.
         """
         parts = self.twists.shape[1]
         if parts < 6:
             return torch.zeros(3, dtype=torch.float64)
-        return torch.diff(self.twists, 5, dim=1).square().mean(1).median(0).values / (252 * parts)
+        spread = torch.diff(self.twists, 5, dim=1).square().mean(1) / (252 * parts)
+        if self.seen.shape[-1] == 0:
+            return spread.median(0).values
+        return spread.masked_fill(self.pushed[:, None], torch.nan).nanmedian(0).values.nan_to_num(0.0)
 
     def _blurred(
         self, lever: Float[Tensor, "K P 2"], pivot_error: float
@@ -291,7 +265,7 @@ def observe(
     windows: list[SteadyWindow] = []
     trial: list[int] = []
     accelerated: list[bool] = []
-    for index, found in reduced_trials(shape, trajectories, (TableAction,), steady_windows).items():
+    for index, found in reduced_trials(shape, trajectories, (TableAction, Push), _table_windows).items():
         windows += found
         trial += [index] * len(found)
         accelerated += [trajectories[index].action.accelerated] * len(found)
@@ -309,9 +283,10 @@ def observe(
         np.array(trial),
         np.array(accelerated),
         errors.nulled,
+        np.array([w.grasp is None for w in windows]),
     )
-    points = np.array([shape.grasps[w.grasp].position for w in windows])
-    same = ("since_tare", "twist", "twists", "acceleration", "spin_square", "yaw", "poses", "from_sensor")
+    points, held = zip(*(_place(shape, w) for w in windows), strict=True)
+    same = ("since_tare", "twist", "twists", "acceleration", "spin_square", "yaw", "poses", "from_sensor", "seen")
     values: dict[str, np.ndarray] = {name: np.array([getattr(w, name) for w in windows]) for name in same}
     values |= {
         "wrench": wrench[:, PLANAR],
@@ -319,19 +294,35 @@ def observe(
         "noise": noise,
         "bias": bias,
         "drift": drift,
-        "grasp": points,
+        "grasp": np.array(points),
         "lift": load[:, 0],
         "tilt": load[:, 1:],
         "load_map": carries,
         "load_kept": kept,
         "load_followed": followed,
-        "held": np.array([shape.pressed(g) for g in shape.grasps])[[w.grasp for w in windows]],
+        "held": np.array(held),
         "trial": np.array(trial),
         "accelerated": np.array(accelerated),
+        "pushed": np.array([w.grasp is None for w in windows]),
     }
+    if not values["pushed"].any():
+        values["seen"] = values["seen"][..., :0]
     setup = SetupErrors.largest([trajectories[index].setup for index in set(trial)])
     fields = {name: torch.tensor(value) for name, value in values.items()}
     return Observations(**fields, setup=setup)  # pyright: ignore[reportArgumentType]
+
+
+def _table_windows(trajectory: Trajectory) -> list[SteadyWindow]:
+    return (push_windows if isinstance(trajectory.action, Push) else steady_windows)(trajectory)
+
+
+def _place(shape: ObjectShape, window: SteadyWindow) -> tuple[np.ndarray, tuple[int, int]]:
+    """Point about which moments are, and the mass groups that the pads or the fingertip press on."""
+    if window.grasp is not None:
+        return shape.grasps[window.grasp].position, shape.pressed(shape.grasps[window.grasp])
+    assert window.point is not None
+    group = int(shape.mass_group[np.linalg.norm(shape.particles - window.point, axis=1).argmin()])
+    return window.point, (group, group)
 
 
 def _pooled(windows: list[SteadyWindow], trial: np.ndarray, accelerated: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

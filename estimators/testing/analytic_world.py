@@ -183,15 +183,24 @@ def _motion(action: TableAction) -> tuple[np.ndarray, np.ndarray, np.ndarray, np
     return along, rate, slope, segment.astype(int)
 
 
+def own_weight_loads(obj: ObjectModel) -> np.ndarray:
+    """Load on every particle [N] where each group rests on its own weight, shape (P,)."""
+    shape = obj.shape
+    feet = shape.friction_group >= 0
+    load = np.zeros(len(feet))
+    for group in range(shape.n_m):
+        inside = shape.mass_group == group
+        load[inside & feet] = obj.particle_mass[inside].sum() * GRAVITY / (inside & feet).sum()
+    return load
+
+
 def _own_weight(obj: ObjectModel, grasp: int, lift: float, moment: tuple[float, float]) -> np.ndarray:
     """Every group's weight on its own feet; the lift off those held; one tilt on an even foundation."""
     shape = obj.shape
     feet = shape.friction_group >= 0
-    load, offset = np.zeros(len(feet)), np.zeros((len(feet), 2))
+    load, offset = own_weight_loads(obj), np.zeros((len(feet), 2))
     for group in range(shape.n_m):
-        inside = shape.mass_group == group
-        under = inside & feet
-        load[under] = obj.particle_mass[inside].sum() * GRAVITY / under.sum()
+        under = (shape.mass_group == group) & feet
         offset[under] = shape.particles[under] - shape.particles[under].mean(axis=0)
     tilt = offset @ np.linalg.solve(offset.T @ offset, np.asarray(moment))
     for group in shape.pressed(shape.grasps[grasp]):

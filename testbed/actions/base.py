@@ -37,7 +37,7 @@ class Action:
     """Base of all actions."""
 
     kind: ClassVar[str] = ""
-    """Name in files: "rotate", "accelerate", "slide", "lift" or "weigh"."""
+    """Name in files: "rotate", "accelerate", "slide", "push", "lift" or "weigh"."""
     moves: ClassVar[bool] = True
     """False if nothing moves: the object lies on a scale."""
     on_table: ClassVar[bool] = False
@@ -50,7 +50,7 @@ class Action:
     """True if the steady stretches on the table are at constant acceleration, False if at constant speed."""
 
     grasp: int | None
-    """Index into the shape's grasps; None for a scale."""
+    """Index into the shape's grasps; None for a scale, and for a push."""
 
     def __init_subclass__(cls, kind: str = "") -> None:
         """Register an action by its name in files; a base class of several actions has none."""

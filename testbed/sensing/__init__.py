@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from testbed.sensing.lift_windows import LiftWindow, lift_windows
     from testbed.sensing.noise import draw_sensing, read_scale
     from testbed.sensing.presets import PRESETS, Sensing, preset
+    from testbed.sensing.push_windows import push_windows
     from testbed.sensing.windows import SteadyWindow, steady_windows, weight_of
 
 __all__ = [
@@ -33,6 +34,7 @@ __all__ = [
     "judge_drift",
     "lift_windows",
     "preset",
+    "push_windows",
     "read_scale",
     "steady_windows",
     "tare_biases",

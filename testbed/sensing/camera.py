@@ -133,9 +133,9 @@ class PoseStream:
         flat = value.reshape(count, 9)
         covariance = np.einsum("nab,ij->naibj", noise, np.diag(std**2)).reshape(count, 9, 9)
         # all frames late by one time: each derivative is off by the next one
-        late = np.concatenate([flat[:, 3:], np.zeros((count, 3))], axis=1)
-        covariance += self.delay_std**2 * late[:, :, None] * late[:, None, :]
-        return SeenMotion(value[:, 0], value[:, 1], value[:, 2], covariance)
+        late = self.delay_std * np.concatenate([flat[:, 3:], np.zeros((count, 3))], axis=1)
+        covariance += late[:, :, None] * late[:, None, :]
+        return SeenMotion(value[:, 0], value[:, 1], value[:, 2], covariance, late)
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,6 +150,8 @@ class SeenMotion:
     """Rate of `twist` [m/s^2, m/s^2, rad/s^2]."""
     covariance: Float[np.ndarray, "N 9 9"]
     """Covariance of pose, twist and acceleration, in this order, from the frames' noise and the delay's error."""
+    late: Float[np.ndarray, "N 9"]
+    """Effect of one standard deviation of the delay, which all rows share: it is in `covariance`."""
 
 
 def _nearest(time: np.ndarray, at: float, span: float) -> np.ndarray:

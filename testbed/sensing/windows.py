@@ -7,7 +7,9 @@ sample size.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import TypeVar
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -16,7 +18,7 @@ from jaxtyping import Float, Int
 from testbed.actions.base import Action, TableAction
 from testbed.errors import InvalidValueError
 from testbed.frames import move_wrench, perpendicular, rotate_wrench, rotation_2d, rotation_matrix
-from testbed.objects.model import GRAVITY
+from testbed.objects.model import GRAVITY, ObjectShape
 from testbed.sensing.compensation import tare_samples
 from testbed.trajectory import Phase, Trajectory
 from testbed.validation import freeze_arrays
@@ -39,8 +41,8 @@ LEAST_BATCHES = 8
 class SteadyWindow:
     """Stretch of constant speed, or of constant acceleration."""
 
-    grasp: int
-    """Index of the grasp."""
+    grasp: int | None
+    """Index of the grasp; None of a push."""
     wrench: Float[np.ndarray, "6"]
     """Mean wrench of the gripper on the object [N, N m], about the TCP, in axes that turn with the object (z up)."""
     covariance: Float[np.ndarray, "6 6"]
@@ -67,14 +69,22 @@ class SteadyWindow:
     """Covariance that the random walk of the zero adds per second, as `wrench`."""
     since_tare: Float[np.ndarray, "2"]
     """Time from the tare to the window's first and last sample [s]."""
+    point: Float[np.ndarray, "2"] | None = None
+    """Mean place of the TCP in the object frame [m] as a camera sees it; None of a grip, which is where it was told."""
+    seen: Float[np.ndarray, "9 10"] = field(default_factory=lambda: np.zeros((9, 10)))
+    """Errors of the object's pose, twist and acceleration by a camera, along object axes: effects of one standard
+    deviation each, nine of the window's own and one that all of a trial share; 0 of a grip."""
 
     def __post_init__(self) -> None:
         square, pair = (6, 6), (2,)
         freeze_arrays(self, wrench=(6,), covariance=square, twist=(3,), twists=(PARTS, 3), acceleration=(3,))
         freeze_arrays(self, bias_covariance=square, drift_covariance=square, since_tare=pair, yaw=pair)
-        freeze_arrays(self, poses=(PARTS, 3), from_sensor=square)
+        freeze_arrays(self, poses=(PARTS, 3), from_sensor=square, seen=(9, 10))
+        if self.point is not None:
+            freeze_arrays(self, point=pair)
 
 
+Window = TypeVar("Window")
 _REDUCED: WeakKeyDictionary[Trajectory, list[SteadyWindow]] = WeakKeyDictionary()
 """A record never changes and every method reduces it: once is enough."""
 
@@ -93,7 +103,7 @@ def steady_windows(trajectory: Trajectory) -> list[SteadyWindow]:
         raise InvalidValueError(
             "trajectory.action",
             trajectory.action,
-            "a slide or a turn; read a weighing with weight_of, a lift with lift_windows",
+            "a slide or a turn; read a weighing with weight_of, a lift with lift_windows, a push with push_windows",
         )
     if trajectory not in _REDUCED:
         _REDUCED[trajectory] = _reduced(trajectory, trajectory.action.grasp)
@@ -108,10 +118,7 @@ def _reduced(trajectory: Trajectory, grasp: int) -> list[SteadyWindow]:
     world_twist = np.column_stack([trajectory.tcp_velocity[:, :2], trajectory.object_velocity[:, 2]])
     place = np.column_stack([trajectory.tcp_position[:, :2], trajectory.object_pose[:, 2]])
     tare = tare_samples(trajectory)
-    own = mean_covariance(trajectory.sensor_wrench[tare]) if len(tare) > 1 else np.zeros((6, 6))
-    from_sensor = _from_sensor(trajectory)
-    bias = from_sensor @ (np.diag(trajectory.sensor_bias_std**2) + own) @ from_sensor.T
-    drift = from_sensor @ np.diag(trajectory.sensor_drift_std**2) @ from_sensor.T
+    from_sensor, bias, drift = bias_and_drift(trajectory)
     tared = trajectory.time_s[tare].mean() if len(tare) else trajectory.time_s[0]
     rate = 1 / float(np.median(np.diff(trajectory.time_s)))
     windows = []
@@ -121,7 +128,7 @@ def _reduced(trajectory: Trajectory, grasp: int) -> list[SteadyWindow]:
             SteadyWindow(
                 grasp=grasp,
                 wrench=in_object[kept].mean(axis=0),
-                covariance=_noise_of_mean(in_object[kept], round(BATCH * rate)),
+                covariance=noise_of_mean(in_object[kept], round(BATCH * rate)),
                 twist=twist[kept].mean(axis=0),
                 twists=np.array([part.mean(axis=0) for part in np.array_split(twist[kept], PARTS)]),
                 acceleration=_slopes(trajectory.time_s[kept], world_twist[kept], yaw),
@@ -136,6 +143,22 @@ def _reduced(trajectory: Trajectory, grasp: int) -> list[SteadyWindow]:
             )
         )
     return windows
+
+
+def bias_and_drift(
+    trajectory: Trajectory, at: tuple[int, float] | None = None
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Map from a wrench in the sensor's axes to the TCP and into object axes, and covariances of bias and drift there.
+
+    Args:
+        trajectory: record of a trial.
+        at: a sample, and the yaw of the object then [rad]; None of a grip, in which the hand turns with the object.
+    """
+    tare = tare_samples(trajectory)
+    own = mean_covariance(trajectory.sensor_wrench[tare]) if len(tare) > 1 else np.zeros((6, 6))
+    from_sensor = _from_sensor(trajectory, at)
+    bias = from_sensor @ (np.diag(trajectory.sensor_bias_std**2) + own) @ from_sensor.T
+    return from_sensor, bias, from_sensor @ np.diag(trajectory.sensor_drift_std**2) @ from_sensor.T
 
 
 def steady_samples(trajectory: Trajectory) -> list[Int[np.ndarray, "N"]]:
@@ -190,16 +213,17 @@ def sample_deviation(trajectory: Trajectory) -> Float[np.ndarray, "6"]:
     return np.sqrt(np.diag(move @ (noise + np.diag(trajectory.sensor_bias_std**2)) @ move.T))
 
 
-def _from_sensor(trajectory: Trajectory) -> Float[np.ndarray, "6 6"]:
-    """Map from a wrench in the sensor's axes to the TCP and into object axes.
+def _from_sensor(trajectory: Trajectory, at: tuple[int, float] | None = None) -> Float[np.ndarray, "6 6"]:
+    """Map from a wrench in the sensor's axes to the TCP and into object axes, at a sample and the object's yaw [rad].
 
-    The hand holds the object, so one moment's axes serve for the whole trial.
+    A hand that holds the object turns with it, so one moment's axes serve for the whole trial.
     """
     if trajectory.tool is None:
         return np.eye(6)
     first = int(np.argmax(trajectory.segment >= 0))
-    axes = rotation_matrix(trajectory.sensor_orientation[first])
-    axes[:2] = rotation_2d(-trajectory.object_pose[first, 2]) @ axes[:2]
+    sample, yaw = at or (first, float(trajectory.object_pose[first, 2]))
+    axes = rotation_matrix(trajectory.sensor_orientation[sample])
+    axes[:2] = rotation_2d(-yaw) @ axes[:2]
     return rotate_wrench(axes, move_wrench(np.eye(6), trajectory.tool.tcp)).T
 
 
@@ -217,7 +241,7 @@ def _slopes(time: np.ndarray, twist: np.ndarray, yaw: np.ndarray) -> np.ndarray:
     return np.array([*(slopes[:2] + turning), slopes[2]])
 
 
-def _noise_of_mean(samples: Float[np.ndarray, "T D"], length: int) -> Float[np.ndarray, "D D"]:
+def noise_of_mean(samples: Float[np.ndarray, "T D"], length: int) -> Float[np.ndarray, "D D"]:
     """Covariance of the mean of a record, of its noise alone, (D, D).
 
     From second differences of means over `length` samples, which a slow change leaves out (von Neumann 1941); of the
@@ -264,3 +288,37 @@ def effective_samples(samples: Float[np.ndarray, "T D"]) -> Float[np.ndarray, "D
     positive = np.cumprod(pairs > 0, axis=0)
     time = np.maximum(2 * (pairs * positive).sum(axis=0) - 1, 1.0)
     return np.where(variance > 0, np.maximum(count / time, 1.0), count)
+
+
+def reduced_trials(
+    shape: ObjectShape,
+    trajectories: Sequence[Trajectory],
+    kinds: tuple[type, ...],
+    reduce: Callable[[Trajectory], list[Window]],
+) -> dict[int, list[Window]]:
+    """Windows of every trial of some kinds of action, by its place among all.
+
+    Trials that did not end well, and those with a stretch too short to trim, are left out.
+
+    Args:
+        shape: shape of the object.
+        trajectories: trials of one object.
+        kinds: kinds of actions.
+        reduce: reduction of a record to its windows; it raises InvalidValueError where a stretch is too short.
+
+    Raises:
+        InvalidValueError: a grasp that the shape does not have.
+    """
+    found = {}
+    for index, trajectory in enumerate(trajectories):
+        action = trajectory.action
+        if not trajectory.ok or not isinstance(action, kinds):
+            continue
+        if action.grasp is not None and action.grasp >= len(shape.grasps):
+            allowed = f"one of the shape's {len(shape.grasps)} grasps, counted from 0: another object's trial?"
+            raise InvalidValueError(f"trajectories[{index}].action.grasp", action.grasp, allowed)
+        try:
+            found[index] = reduce(trajectory)
+        except InvalidValueError:  # too short
+            continue
+    return found

@@ -118,7 +118,7 @@ def test_an_action_out_of_range_is_refused(kind, fields: dict[str, object], fiel
 @pytest.mark.parametrize(
     ("data", "field", "allowed"),
     [
-        ({"kind": "push"}, "action.kind", "one of accelerate, lift, rotate, slide, weigh"),
+        ({"kind": "roll"}, "action.kind", "one of accelerate, lift, push, rotate, slide, weigh"),
         ({}, "action.kind", "rotate"),
         ({"kind": ["rotate"]}, "action.kind", "rotate"),
         ({"kind": "weigh", "grasp": 0}, "action", "fields"),

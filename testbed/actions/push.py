@@ -1,0 +1,104 @@
+"""Pushes: a closed hand's round fingertip against the object's outline."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+from jaxtyping import Float
+
+from testbed.actions.base import Action, ActionWords
+from testbed.actions.path import Profile, Steady, motion_time
+from testbed.errors import InvalidValueError
+from testbed.objects.faces import Face, face_at
+from testbed.objects.model import ObjectShape
+from testbed.validation import check_positive_fields, frozen_array, is_number
+
+GAP = 0.01
+"""Way of the fingertip before it meets the face [m]: it moves at its speed by then."""
+SPEEDS = (0.01, 0.05)
+"""Least and greatest speed of a push [m/s]: slower ones stick, and faster ones are not quasi-static."""
+ON_FACE = 1e-4
+"""Greatest distance of a push's point from the outline [m]."""
+STEEPEST = math.radians(60)
+"""Greatest angle between a push and the normal of the face that it meets [rad]."""
+
+
+@dataclass(frozen=True)
+class Push(Action, kind="push"):
+    """Push with a round fingertip along a straight or a curved path, at constant speed; the object is free to turn.
+
+    The hand closes on nothing and does not turn: the wrench is a force at a fingertip that sticks, slides or leaves.
+    """
+
+    on_table: ClassVar[bool] = True
+    grasp: ClassVar[None] = None  # pyright: ignore[reportIncompatibleVariableOverride]  no field of a push
+
+    point: tuple[float, float]
+    """Point of the outline that the fingertip meets [m], object frame."""
+    direction: float
+    """Direction of travel as it meets the object [rad], object frame."""
+    curvature: float = 0.0
+    """Turn of the path's direction a length of it, left positive [rad/m]."""
+    speed: float = 0.03
+    """Speed of the fingertip [m/s]."""
+    length: float = 0.1
+    """Length of the path from where the object lay [m]."""
+    radius: float = 0.01
+    """Radius of the fingertip [m]."""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "point", tuple(frozen_array("Push.point", self.point, (2,)).tolist()))
+        check_positive_fields(self, "speed", "length", "radius")
+        for name in ("direction", "curvature"):
+            if not is_number(value := getattr(self, name)):
+                raise InvalidValueError(f"Push.{name}", value, "a finite number")
+        if not SPEEDS[0] <= self.speed <= SPEEDS[1]:
+            raise InvalidValueError("Push.speed", self.speed, f"{SPEEDS[0]:g} to {SPEEDS[1]:g}, m/s")
+
+    @property
+    def steady(self) -> tuple[Steady, ...]:
+        """The stretch at constant speed."""
+        return (Steady(self.speed, 0.0, (GAP + self.length) / self.speed),)
+
+    @property
+    def seconds(self) -> float:
+        """Duration of the motion, from rest to rest [s]."""
+        return motion_time(self.steady)
+
+    def profile(self, step: float) -> Profile:
+        """Progress along the path, sampled every `step` s."""
+        return Profile.through(self.steady, step)
+
+    def face(self, shape: ObjectShape) -> Face:
+        """The face that the fingertip meets.
+
+        Raises:
+            InvalidValueError: the point is not on the outline, or the path leads away from the face or along it.
+        """
+        face, away = face_at(shape, np.array(self.point))
+        if away > ON_FACE:
+            raise InvalidValueError("Push.point", self.point, f"a point of the outline, {away * 1e3:.1f} mm away")
+        heading = np.array([math.cos(self.direction), math.sin(self.direction)])
+        if -face.normal @ heading < math.cos(STEEPEST):
+            within = f"within {math.degrees(STEEPEST):.0f} deg of the normal into the face"
+            raise InvalidValueError("Push.direction", self.direction, within)
+        return face
+
+    def path(self, shape: ObjectShape, distance: Float[np.ndarray, "N"]) -> Float[np.ndarray, "N 2"]:
+        """Center of the fingertip [m], object frame as the object lay, at distances from the path's start [m]."""
+        way = np.asarray(distance, dtype=float) - GAP
+        turned = np.maximum(way, 0.0) * self.curvature / 2
+        # a chord of an arc is along its middle, shorter by sin(x) / x
+        chord = way * np.sinc(turned / np.pi)
+        heading = self.direction + turned
+        start = np.array(self.point) + self.radius * self.face(shape).normal
+        return start + chord[:, None] * np.column_stack([np.cos(heading), np.sin(heading)])
+
+    def words(self, shape: ObjectShape) -> ActionWords:
+        """The parts of `describe`."""
+        x, y = (f"{1e3 * value:.0f}" for value in self.point)
+        towards = f"towards {math.degrees(self.direction):.0f} deg, {self.speed * 100:g} cm/s"
+        return ActionWords(f"push at ({x}, {y}) mm", manner=towards)

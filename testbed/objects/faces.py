@@ -1,0 +1,72 @@
+"""Faces: the straight sides of an object's outline, as a fingertip meets them."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from testbed.objects.model import ObjectShape
+
+_STEP = np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])
+_NEAR = 1e-6
+
+
+class Face(NamedTuple):
+    """A straight side of the outline that belongs to one mass group."""
+
+    begin: Float[np.ndarray, "2"]
+    """One end [m], object frame."""
+    end: Float[np.ndarray, "2"]
+    """The other end [m], object frame."""
+    normal: Float[np.ndarray, "2"]
+    """Unit vector outwards, object frame."""
+    group: int
+    """Mass group."""
+
+    @property
+    def length(self) -> float:
+        """Length [m]."""
+        return float(np.linalg.norm(self.end - self.begin))
+
+    def distance(self, point: Float[np.ndarray, "2"]) -> float:
+        """Distance of a point [m]."""
+        along = (self.end - self.begin) / self.length
+        nearest = self.begin + along * np.clip((point - self.begin) @ along, 0.0, self.length)
+        return float(np.linalg.norm(point - nearest))
+
+
+def faces(shape: ObjectShape) -> list[Face]:
+    """Sides of cells with no cell beyond them, joined where they go on straight in the same mass group."""
+    half, cells = shape.cell / 2, shape.particles
+    rows: dict[tuple[int, int, int], list[tuple[float, float]]] = defaultdict(list)
+    for way, step in enumerate(_STEP):
+        side = cells + half * step
+        beyond = side + 0.01 * half * step
+        covered = (np.abs(beyond[:, None] - cells).max(axis=2) < half).any(axis=1)
+        for index in np.flatnonzero(~covered):
+            across = round(float(side[index] @ step) / _NEAR)
+            middle = float(side[index] @ _STEP[(way + 1) % 4])
+            rows[way, across, int(shape.mass_group[index])].append((middle - half, middle + half))
+    found = []
+    for (way, across, group), parts in sorted(rows.items()):
+        joined: list[list[float]] = []
+        for begin, end in sorted(parts):
+            if joined and begin <= joined[-1][1] + _NEAR:
+                joined[-1][1] = max(joined[-1][1], end)
+            else:
+                joined.append([begin, end])
+        out, along = _STEP[way], _STEP[(way + 1) % 4]
+        foot = across * _NEAR * out
+        found += [Face(foot + begin * along, foot + end * along, out, group) for begin, end in joined]
+    return found
+
+
+def face_at(shape: ObjectShape, point: Float[np.ndarray, "2"]) -> tuple[Face, float]:
+    """The face nearest to a point, and its distance [m]."""
+    every = faces(shape)
+    away = [face.distance(np.asarray(point)) for face in every]
+    nearest = int(np.argmin(away))
+    return every[nearest], away[nearest]

@@ -1,0 +1,120 @@
+"""Tests of pushes: their physics in the analytic world, their windows, and what methods make of them."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from estimators.hidden_states.estimator import HiddenStates
+from estimators.particles.friction_system import LoadGroups, rank_of
+from estimators.particles.model import ParticleModel
+from estimators.particles.windows import observe
+from estimators.registry import build_method
+from estimators.testing.analytic_push import Drag, analytic_push, steady_pushes
+from estimators.testing.analytic_world import drawn_object
+from testbed.actions.push import Push
+from testbed.errors import InvalidValueError
+from testbed.sensing.camera import CAMERAS, draw_camera
+from testbed.sensing.push_windows import push_windows, touching
+
+BLOCKS = drawn_object(3, ["11", "11", "11"])
+"""2 x 3 blocks of known masses, which no hand can grip across."""
+CENTERS = np.random.default_rng(1).uniform(-0.2, 0.2, (8, 2))
+
+
+def error(estimate) -> float:
+    """Greatest error of a group's mass, over its mass."""
+    return float(np.abs(estimate.distribution.mass / BLOCKS.truth.mass - 1).max())
+
+
+def test_a_pushed_disc():
+    grid = np.arange(-40, 41) * 1e-3
+    cells = np.stack(np.meshgrid(grid, grid), -1).reshape(-1, 2)
+    cells = cells[np.linalg.norm(cells, axis=1) < 0.04]
+    disc = Drag(cells, np.full(len(cells), 3.0 / len(cells)))
+    still = np.zeros(2)
+    assert disc.wrench(np.array([0.02, 0.0, 0.0]), still) == pytest.approx([3.0, 0.0, 0.0], abs=1e-9)
+    assert disc.wrench(np.array([0.0, 0.0, 1.0]), still)[2] == pytest.approx(2 / 3 * 3.0 * 0.04, rel=0.01)
+    # through its center it does not turn; beside it, it turns away
+    straight = disc.pushed(np.array([-0.04, 0.0]), np.array([0.03, 0.0]), np.array([1.0, 0.0]), 0.4)
+    assert straight == pytest.approx([0.03, 0.0, 0.0], abs=1e-9)
+    assert disc.pushed(np.array([-0.04, 0.01]), np.array([0.03, 0.0]), np.array([1.0, 0.0]), 0.4)[2] < -0.05
+
+
+def test_friction_is_on_a_convex_limit_surface_and_along_its_normal():
+    drag, rng = Drag.of(BLOCKS), np.random.default_rng(0)
+    twists = rng.normal(size=(60, 3)) * [0.03, 0.03, 0.5]
+    wrenches = np.array([drag.wrench(twist, np.zeros(2)) for twist in twists])
+    power = wrenches @ twists.T
+    assert (np.diag(power)[None] >= power - 1e-12).all()  # no other wrench of the surface does more work on a twist
+
+
+def test_the_fingertip_sticks_or_slides_at_the_edge_of_its_cone():
+    drag, normal, point = Drag.of(BLOCKS), np.array([1.0, 0.0]), np.array([-0.05, 0.02])
+    slid = []
+    for angle in np.radians([-50, -20, 0, 20, 50]):
+        velocity = 0.03 * np.array([math.cos(angle), math.sin(angle)])
+        twist = drag.pushed(point, velocity, normal, 0.3)
+        force = drag.wrench(twist, point)
+        assert twist[0] == pytest.approx(velocity[0]) and force[2] == pytest.approx(0, abs=1e-9)
+        steep = abs(force[1]) / force[0]
+        slid.append(abs(twist[1] - velocity[1]) > 1e-9)
+        assert steep == pytest.approx(0.3) if slid[-1] else steep <= 0.3
+        # friction at the fingertip goes against its slip
+        assert not slid[-1] or force[1] * (velocity[1] - twist[1]) > 0
+    assert any(slid) and not all(slid)
+
+
+def test_masses_from_pushes_without_noise():
+    trials = steady_pushes(BLOCKS, CENTERS)
+    found = HiddenStates(pivot_error=1e-7).estimate(BLOCKS.shape, BLOCKS.total_mass, trials, 0)
+    assert found.status == "ok" and error(found) < 1e-6
+    for method in ("support_aware", "least_squares", "cma_es"):
+        found = build_method(method, {}).estimate(BLOCKS.shape, BLOCKS.total_mass, trials, 0)
+        assert found.status == "ok" and error(found) < 3e-5, method
+
+
+def test_the_rank_of_q_grows_within_one_push():
+    trial = analytic_push(BLOCKS, Push((0.05, -0.01), math.radians(-160), length=0.1, speed=0.05), mu=3.0)
+    windows, model = observe(BLOCKS.shape, [trial]), ParticleModel.of(BLOCKS.shape)
+    assert windows is not None and bool(windows.pushed.all())
+    q = LoadGroups.of(model).gather(windows.drag_rows(model, 0.0)).numpy()
+    ranks = [rank_of(q[: count + 1].reshape(-1, 6)) for count in range(len(windows))]
+    assert ranks == sorted(ranks) and ranks[0] <= 3 < ranks[-1]
+
+
+def test_windows_are_of_the_stretch_in_contact_that_the_camera_saw():
+    trial = steady_pushes(BLOCKS, CENTERS[:1], seconds=2.0)[0]
+    wrench = np.array(trial.wrench_on_object_world)
+    wrench[150:] = 0.0
+    lost = replace(trial, wrench_on_object_world=wrench)
+    assert touching(lost)[-1] in range(146, 153)
+    assert len(push_windows(lost)) == 2 < len(push_windows(trial)) == 4
+    for bad in (
+        replace(trial, camera=None),
+        replace(trial, status="fault"),
+        replace(lost, wrench_on_object_world=0 * wrench),
+    ):
+        with pytest.raises(InvalidValueError):
+            push_windows(bad)
+    # without frames in its second half, what was seen still counts
+    assert trial.camera is not None
+    poses = np.array(trial.camera.poses)
+    poses[100:] = np.nan
+    assert 0 < len(push_windows(replace(trial, camera=replace(trial.camera, poses=poses)))) < 4
+
+
+@pytest.mark.slow
+def test_intervals_hold_under_a_camera():
+    rng, inside = np.random.default_rng(1), []
+    for seed in range(10):
+        trials = steady_pushes(BLOCKS, rng.uniform(-0.2, 0.2, (12, 2)), seconds=2.0)
+        seen = [draw_camera(t.camera, CAMERAS["30hz"], 100 * seed + i) for i, t in enumerate(trials) if t.camera]
+        found = HiddenStates().estimate(
+            BLOCKS.shape, BLOCKS.total_mass, [replace(t, camera=c) for t, c in zip(trials, seen, strict=True)], 0
+        )
+        assert found.distribution is not None and found.covariance is not None
+        z = (found.distribution.mass - BLOCKS.truth.mass) / np.sqrt(np.diag(found.covariance))
+        inside.append(np.abs(z) < 1.96)
+    assert 0.88 < np.mean(inside) < 0.995

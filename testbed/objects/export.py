@@ -71,9 +71,13 @@ class RigidBody:
         return np.block([[second, first[:, None]], [first[None], np.array([[self.mass]])]])
 
 
+AIR = 0.001
+"""Height over the table of boxes that do not touch it [m], that no simulator has them rub; a tenth of a flat object."""
+
+
 def boxes_of(shape: ObjectShape, distribution: MassDistribution) -> list[Box]:
     """A box a mass group where its cells, all alike, fill a rectangle of one friction; else a box a cell."""
-    boxes = []
+    boxes, air = [], min(AIR, shape.height / 10)
     for group, name in enumerate(shape.group_names):
         inside = np.flatnonzero(shape.mass_group == group)
         low, high = shape.particles[inside].min(axis=0), shape.particles[inside].max(axis=0)
@@ -84,11 +88,12 @@ def boxes_of(shape: ObjectShape, distribution: MassDistribution) -> list[Box]:
         for index, part in enumerate(parts):
             low, high = shape.particles[part].min(axis=0), shape.particles[part].max(axis=0)
             under = int(shape.friction_group[part[0]])
+            bottom = air if under < 0 else 0.0
             boxes.append(
                 Box(
                     name if len(parts) == 1 else f"{name}_{index}",
-                    np.array([*(low + high) / 2, shape.height / 2]),
-                    np.array([*(high - low + shape.cell), shape.height]),
+                    np.array([*(low + high) / 2, (shape.height + bottom) / 2]),
+                    np.array([*(high - low + shape.cell), shape.height - bottom]),
                     float(distribution.mass[group] * shape.fill[part].sum()),
                     group,
                     None if under < 0 else float(distribution.friction[under]),
@@ -170,20 +175,18 @@ def to_urdf(exported: Exported, *, inertial: bool = False) -> str:
     robot = Element("robot", name=exported.name)
     robot.append(ElementTree.Comment(f"\n{exported.comment}\n"))
     root, boxes = SubElement(robot, "link", name=exported.name), exported.boxes
-    if inertial:
-        _add_inertial(root, RigidBody.of(boxes))
-    for box in boxes:
-        link = root
+    for name, inside in ({exported.name: boxes} if inertial else _links(boxes)).items():
+        link = root if inertial else SubElement(robot, "link", name=name)
+        _add_inertial(link, RigidBody.of(inside))
         if not inertial:
-            link = SubElement(robot, "link", name=box.name)
-            _add_inertial(link, RigidBody.of([box]))
-            joint = SubElement(robot, "joint", name=f"{box.name}_fixed", type="fixed")
+            joint = SubElement(robot, "joint", name=f"{name}_fixed", type="fixed")
             SubElement(joint, "parent", link=exported.name)
-            SubElement(joint, "child", link=box.name)
-        for kind in ("visual", "collision"):
-            part = SubElement(link, kind, name=f"{box.name}_{kind}")
-            SubElement(part, "origin", xyz=_row(box.center), rpy="0 0 0")
-            SubElement(SubElement(part, "geometry"), "box", size=_row(box.size))
+            SubElement(joint, "child", link=name)
+        for box in inside:
+            for kind in ("visual", "collision"):
+                part = SubElement(link, kind, name=f"{box.name}_{kind}")
+                SubElement(part, "origin", xyz=_row(box.center), rpy="0 0 0")
+                SubElement(SubElement(part, "geometry"), "box", size=_row(box.size))
     return _text(robot)
 
 
@@ -197,7 +200,7 @@ def to_sdf(exported: Exported, *, inertial: bool = False) -> str:
     sdf = Element("sdf", version="1.9")
     sdf.append(ElementTree.Comment(f"\n{exported.comment}\n"))
     model, boxes = SubElement(sdf, "model", name=exported.name), exported.boxes
-    parts = {exported.name: boxes} if inertial else {box.name: [box] for box in boxes}
+    parts = {exported.name: boxes} if inertial else _links(boxes)
     for name, inside in parts.items():
         link, body = SubElement(model, "link", name=name), RigidBody.of(inside)
         part = SubElement(link, "inertial")
@@ -279,6 +282,13 @@ def to_sidecar(exported: Exported) -> str:
         "inertia_about_center_kg_m2": whole.inertia.tolist(),
     }
     return json.dumps(said, indent=1) + "\n"
+
+
+def _links(boxes: Sequence[Box]) -> dict[str, list[Box]]:
+    """A link a box; one without mass, as a point of contact, is part of the first that has some."""
+    links = {box.name: [box] for box in boxes if box.mass > 0}
+    next(iter(links.values())).extend(box for box in boxes if box.mass == 0)
+    return links
 
 
 def _add_inertial(link: Element, body: RigidBody) -> None:

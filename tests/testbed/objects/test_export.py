@@ -11,6 +11,7 @@ from xml.etree import ElementTree
 import mujoco
 import numpy as np
 import pytest
+import trimesh
 from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
@@ -20,8 +21,19 @@ from scenarios.cli.main import main
 from scenarios.results.trials import keys_of, kind_of_trial, read_trial
 from testbed.actions.rotate import Rotate
 from testbed.errors import InvalidValueError
-from testbed.objects.export import Exported, RigidBody, boxes_of, to_mjcf, to_object_file, to_sdf, to_sidecar, to_urdf
+from testbed.objects.export import (
+    AIR,
+    Exported,
+    RigidBody,
+    boxes_of,
+    to_mjcf,
+    to_object_file,
+    to_sdf,
+    to_sidecar,
+    to_urdf,
+)
 from testbed.objects.files import load_object
+from testbed.objects.meshes import Part, mesh_object
 from testbed.objects.model import GRAVITY, MassDistribution, ObjectModel
 from testbed.sensing.windows import steady_samples, wrench_in_object
 from testbed.simulation.runner import SimulationRunner
@@ -43,11 +55,22 @@ def two_frictions(model: ObjectModel) -> ObjectModel:
     return replace(model, shape=replace(model.shape, friction_group=groups), truth=truth, solids=())
 
 
+def on_points() -> ObjectModel:
+    """A plate with a thick end, on three points of contact."""
+    parts = [
+        Part("end", trimesh.creation.box((0.05, 0.08, 0.03)).apply_translation((-0.06, 0, 0.015)), 0.4, 0),
+        Part("plate", trimesh.creation.box((0.12, 0.03, 0.02)).apply_translation((0.025, 0, 0.015)), 0.1, 0),
+    ]
+    points = [(-0.07, -0.03), (-0.07, 0.03), (0.07, 0.0)]
+    return mesh_object("plate", parts, [], friction=[0.4], cell=0.01, grid=3, contacts=points)
+
+
 MODELS = {
     "drawn": drawn_object(0),
     "another": drawn_object(1, friction_groups=2),
     "hammer": load_object("hammer"),
     "cut": two_frictions(load_object("I2")),
+    "on points": on_points(),
 }
 
 
@@ -138,8 +161,38 @@ def test_boxes_are_the_particles(model):
     bare = replace(model, solids=())  # an estimate is of particles
     whole = RigidBody.of(boxes_of(model.shape, model.truth))
     assert_allclose(whole.mass, bare.total_mass)
-    assert_allclose(whole.center, [*bare.center_of_mass, bare.shape.height / 2], atol=1e-12)
+    assert_allclose(whole.center[:2], bare.center_of_mass, atol=1e-12)
+    assert_allclose(whole.center[2], bare.shape.height / 2, atol=AIR / 2)  # what does not touch ends above the table
     assert_allclose(whole.inertia[2, 2], bare.inertia_cm)
+
+
+@pytest.mark.parametrize("write", [to_mjcf, to_urdf])
+@pytest.mark.parametrize("model", [MODELS["hammer"], MODELS["on points"]], ids=["hammer", "on points"])
+def test_what_is_dropped_comes_to_rest_on_what_touches(model, write):
+    spec = mujoco.MjSpec.from_string(write(exported(model)).replace("</robot>", FREE.format(model.name)))
+    spec.worldbody.add_geom(name="table", type=mujoco.mjtGeom.mjGEOM_PLANE, size=(1, 1, 0.1))
+    for geom in spec.body(model.name).geoms:
+        geom.contype = 2  # boxes that abut are one body: they do not meet
+    compiled = spec.compile()
+    data = mujoco.MjData(compiled)
+    data.qpos[2] = 0.004
+    mujoco.mj_step(compiled, data, 1500)
+    assert np.abs(data.qvel).max() < 1e-3
+    assert abs(data.qpos[2]) < 5e-4 and 2 * np.linalg.norm(data.qpos[4:6]) < 0.01
+    touching = {compiled.geom(pair).name.removesuffix("_collision") for c in data.contact for pair in c.geom} - {
+        "table"
+    }
+    boxes = {box.name: box.friction is not None for box in boxes_of(model.shape, model.truth)}
+    assert touching and all(boxes[name] for name in touching)
+    weight = sum(_upward(compiled, data, index) for index in range(data.ncon))
+    assert_allclose(weight, model.total_mass * GRAVITY, rtol=0.01)
+
+
+def _upward(model: mujoco.MjModel, data: mujoco.MjData, index: int) -> float:
+    """Force of the table in a contact, N."""
+    force = np.zeros(6)
+    mujoco.mj_contactForce(model, data, index, force)
+    return float(force[0])
 
 
 def test_an_object_file_is_the_object():

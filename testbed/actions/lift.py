@@ -21,7 +21,7 @@ STEEPEST = math.radians(30)
 CLEARANCE = 0.010
 """Least distance between table and object in the air [m]."""
 RAISE_TIME = 1.5
-"""Time of the way up, and of the way down [s]."""
+"""Least time of the way up, and of the way down [s]."""
 TILT_TIME = 0.8
 """Least time to take up a tilt, and to give it up again [s]."""
 TILT_ACCELERATION = 1.0
@@ -84,9 +84,15 @@ class Lift(Action, kind="lift"):
         reach = np.abs(shape.particles - shape.grasps[self.grasp].position).max() + shape.cell / 2
         return max(self.height, float(reach) * math.sin(self.tilt) + CLEARANCE)
 
-    def profile(self, step: float, height: float | None = None) -> LiftProfile:
-        """Height and angles, sampled every `step` s; to a `height` [m] other than its own, as `clear_height` gives."""
-        return LiftProfile.of(self, step, height)
+    def profile(self, step: float, height: float | None = None, speed: float = math.inf) -> LiftProfile:
+        """Height and angles, sampled every `step` s.
+
+        Args:
+            step: time between ticks, s.
+            height: another height than its own, as `clear_height` gives, m.
+            speed: greatest speed up and down, m/s.
+        """
+        return LiftProfile.of(self, step, self.height if height is None else height, speed)
 
     def words(self, shape: ObjectShape) -> ActionWords:
         """The parts of `describe`."""
@@ -123,8 +129,8 @@ class LiftProfile:
     """Index of the stretch at rest or at constant acceleration that a tick belongs to; -1 outside."""
 
     @classmethod
-    def of(cls, action: Lift, step: float, height: float | None = None) -> Self:
-        """Profile of a lift, sampled every `step` s; to a `height` [m] other than the action's."""
+    def of(cls, action: Lift, step: float, up: float, speed: float) -> Self:
+        """Profile of a lift up to a height [m], sampled every `step` s, at no more than `speed` [m/s]."""
         parts: list[tuple[np.ndarray, np.ndarray, bool]] = []
         level = np.zeros(3)
 
@@ -143,7 +149,7 @@ class LiftProfile:
             turned = np.stack([begin + np.outer(done, end - begin), np.outer(rate, end - begin), np.zeros((n, 3))])
             parts.append((np.column_stack([height[0] + done * way, rate * way]), turned, False))
 
-        up = action.height if height is None else height
+        way_time = max(RAISE_TIME, 1.875 * up / speed)
 
         def tilt(begin: np.ndarray, end: np.ndarray) -> None:
             least = math.sqrt(5.77 * float(np.abs(end - begin).max()) / TILT_ACCELERATION)
@@ -156,7 +162,7 @@ class LiftProfile:
                 parts.append((np.column_stack([flat + up, flat]), turned, steady))
             return float(parts[-1][1][0, -1] @ axis)
 
-        move(RAISE_TIME, (0.0, up), level, level)
+        move(way_time, (0.0, up), level, level)
         still(up, level)
         angles = np.linspace(-action.tilt, action.tilt, action.poses).tolist()
         for index, axis in enumerate(np.eye(3) if action.tilt > 0 else ()):
@@ -172,7 +178,7 @@ class LiftProfile:
                 if index < 2 or abs(angle) == action.tilt:  # about z all are as one
                     still(up, at * axis)
             tilt(at * axis, level)
-        move(RAISE_TIME, (up, 0.0), level, level)
+        move(way_time, (up, 0.0), level, level)
 
         numbers = np.cumsum([steady for _, _, steady in parts]) - 1
         segment = [
@@ -185,6 +191,19 @@ class LiftProfile:
     def duration(self) -> float:
         """Duration [s]."""
         return len(self.height) * self.step
+
+    def at(self, time: float) -> tuple[float, float, Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
+        """Height [m] and its rate, angles [rad] and their rates at a time since its start [s], between ticks too."""
+        tick = min(max(time / self.step, 0.0), len(self.height))
+        before, part = math.floor(tick), tick % 1
+
+        def row(i: int) -> np.ndarray:
+            if i == 0:
+                return np.zeros(8)
+            return np.concatenate([[self.height[i - 1], self.height_rate[i - 1]], self.angle[i - 1], self.rate[i - 1]])
+
+        now = (1 - part) * row(before) + part * row(min(before + 1, len(self.height)))
+        return float(now[0]), float(now[1]), now[2:5], now[5:]
 
 
 def _swings(

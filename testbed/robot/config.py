@@ -201,6 +201,8 @@ class LimitsTable(Strict):
     """Largest speed of the tool."""
     turn_deg_s: Annotated[float, Field(ge=0.1, le=100, allow_inf_nan=False)] = 69.0
     """Largest turn rate of the tool."""
+    tilt_deg: Annotated[float, Field(ge=5, le=35, allow_inf_nan=False)] = 5.0
+    """Largest angle of the tool from straight down; a lift needs half a degree more than its tilt."""
     force_N: Annotated[float, Field(ge=1, le=300, allow_inf_nan=False)] = 60.0
     """Largest change of the sensor's force since the tare."""
     torque_Nm: Annotated[float, Field(ge=0.1, le=30, allow_inf_nan=False)] = 8.0
@@ -267,6 +269,7 @@ class RobotFile(Strict):
                 high=(limits.high_m[0], limits.high_m[1], limits.high_m[2]),
                 linear_speed=limits.speed_m_s,
                 angular_speed=math.radians(limits.turn_deg_s),
+                tilt=math.radians(limits.tilt_deg),
                 force=limits.force_N,
                 torque=limits.torque_Nm,
                 joint_margin=math.radians(limits.joint_margin_deg),

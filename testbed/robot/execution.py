@@ -22,7 +22,7 @@ RESPONSE = 0.15
 READ_TIME = 2.0
 """Duration of weighing a lifted object [s]."""
 _TILTED = math.radians(4)
-"""Angle by which the tool is tilted to be checked [rad]; the limit is 5 degrees."""
+"""Angle by which the tool is tilted to be checked [rad]; the least limit is 5 degrees."""
 _STILL = 0.3
 """Time in which the arm comes to rest [s]."""
 
@@ -215,14 +215,15 @@ class Execution:
         settings = self._settings
         then, ahead = leg.at(state.time_s - begin), leg.at(self._clock.now() - begin + 0.5 / settings.rate)
         off = then.position + self._raised - state.tcp_pose.position
-        wanted = Rotation.from_quat(tool_down(then.yaw, settings), scalar_first=True) * self._tilt
+        down = Rotation.from_quat(tool_down(then.yaw, settings), scalar_first=True)
+        wanted = Rotation.from_rotvec(then.tilt) * down * self._tilt
         turn = (wanted * Rotation.from_quat(state.tcp_pose.orientation, scalar_first=True).inv()).as_rotvec()
         self._off_path = max(self._off_path, float(np.linalg.norm(off)))
         for name, error, rate, allowed, unit in (
             ("distance from the path", off, then.velocity, settings.off_path[0], "m"),
-            ("angle from the path", turn, then.yaw_rate, settings.off_path[1], "rad"),
+            ("angle from the path", turn, then.angular_velocity, settings.off_path[1], "rad"),
         ):
             limit = allowed + RESPONSE * float(np.linalg.norm(rate))
             if not np.linalg.norm(error) <= limit:
                 raise UnsafeError(Violation(name, float(np.linalg.norm(error)), limit, unit))
-        return ahead.velocity + settings.gain * off, np.array([0.0, 0.0, ahead.yaw_rate]) + settings.gain * turn
+        return ahead.velocity + settings.gain * off, ahead.angular_velocity + settings.gain * turn

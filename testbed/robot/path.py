@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Protocol, Self
 
 import numpy as np
@@ -11,14 +11,19 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from testbed.actions.base import TableAction
+from testbed.actions.lift import Lift, LiftProfile
 from testbed.actions.path import WORKSPACE, Profile, ToolPath, minimum_jerk
 from testbed.errors import InfeasibleTrialError
-from testbed.frames import perpendicular, pose_from_point, transform_point
+from testbed.frames import perpendicular, pose_from_point, rotation_2d, transform_point
 from testbed.objects.model import Grasp, ObjectShape
 from testbed.robot.config import RobotSettings
 from testbed.robot.interfaces import Pose
 from testbed.robot.safety import path_violations
 from testbed.trial import Trial
+
+PROFILE_STEP = 0.01
+"""Time between ticks of an action's profile and of the record [s]."""
+_UP = np.array([0.0, 0.0, 1.0])
 
 
 @dataclass(frozen=True)
@@ -49,6 +54,20 @@ class Target:
     """Velocity of the TCP [m/s]."""
     yaw_rate: float
     """Rate of the yaw [rad/s]."""
+    tilt: Float[np.ndarray, "3"] = field(default_factory=lambda: np.zeros(3))
+    """Rotation vector that turns the tool from straight down at that yaw [rad], base axes."""
+    tilt_rate: Float[np.ndarray, "3"] = field(default_factory=lambda: np.zeros(3))
+    """Rate of `tilt`, whose direction is constant [rad/s]."""
+
+    @property
+    def angular_velocity(self) -> Float[np.ndarray, "3"]:
+        """Angular velocity of the tool [rad/s]."""
+        return np.array([0.0, 0.0, self.yaw_rate]) + self.tilt_rate
+
+    @property
+    def aside(self) -> float:
+        """Angle of the approach axis from straight down [rad]."""
+        return math.acos(float(np.clip(Rotation.from_rotvec(self.tilt).as_matrix()[2, 2], -1.0, 1.0)))
 
 
 class Leg(Protocol):
@@ -113,16 +132,34 @@ class Along:
         return Target(np.array([x, y, self.height]), yaw, np.append(velocity, 0.0), yaw_rate)
 
 
-def sampled(leg: Leg) -> tuple[Float[np.ndarray, "N 3"], Float[np.ndarray, "N 6"]]:
-    """Positions [m] and twists [m/s, rad/s] along a leg."""
+@dataclass(frozen=True, eq=False)
+class InAir:
+    """Leg of a lift: up from where it was gripped, tilts about the TCP, and down again."""
+
+    hold: Float[np.ndarray, "3"]
+    """Position of the TCP on the table [m], base frame."""
+    yaw: float
+    """Yaw of the closing direction while level [rad]."""
+    axes: Float[np.ndarray, "3 3"]
+    """The object's axes while level, rows, base frame."""
+    profile: LiftProfile
+
+    @property
+    def duration(self) -> float:
+        """Duration [s]."""
+        return self.profile.duration
+
+    def at(self, time: float) -> Target:
+        """Target at a time since the leg began [s]."""
+        height, rise, angle, rate = self.profile.at(time)
+        return Target(self.hold + height * _UP, self.yaw, rise * _UP, 0.0, angle @ self.axes, rate @ self.axes)
+
+
+def sampled(leg: Leg) -> tuple[Float[np.ndarray, "N 3"], Float[np.ndarray, "N 6"], Float[np.ndarray, "N"]]:
+    """Positions [m], twists [m/s, rad/s] and tilts from straight down [rad] along a leg."""
     targets = [leg.at(t) for t in np.linspace(0.0, leg.duration, max(math.ceil(leg.duration / 0.05), 2) + 1)]
-    twists = [np.append(t.velocity, [0.0, 0.0, t.yaw_rate]) for t in targets]
-    return np.array([t.position for t in targets]), np.array(twists)
-
-
-PROFILE_STEP = 0.01
-"""Time between ticks of an action's profile and of the record [s]."""
-_UP = np.array([0.0, 0.0, 1.0])
+    twists = [np.append(t.velocity, t.angular_velocity) for t in targets]
+    return np.array([t.position for t in targets]), np.array(twists), np.array([t.aside for t in targets])
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,7 +174,7 @@ class RobotPlan:
     hover: Pose
     """Pose at which the sensor is tared."""
     descent: Line
-    act: Along | None
+    act: Along | InAir | None
     """None for a weighing."""
     lift: Line | None
     """For a weighing only."""
@@ -168,26 +205,21 @@ class RobotPlan:
         """Check the path against the limits.
 
         Raises:
-            InfeasibleTrialError: a place outside the box, or a speed beyond its limit.
+            InfeasibleTrialError: a place outside the box, or a speed or a tilt beyond its limit.
         """
         for name, leg in self.legs.items():
-            positions, twists = sampled(leg)
-            for violation in path_violations(settings.limits, positions, twists):
+            positions, twists, tilts = sampled(leg)
+            tilts += settings.null_travel[1] * (tilts > 0)  # the grip may have settled askew
+            for violation in path_violations(settings.limits, positions, twists, tilts):
                 raise InfeasibleTrialError(
-                    f"limit: {name}: {violation}; choose another place, a shorter or a slower action"
+                    f"limit: {name}: {violation}; choose another place, or a shorter, slower or less tilted action"
                 )
 
 
 def starting_pose(trial: Trial) -> Float[np.ndarray, "3"]:
-    """Planar pose of the object [m, rad] that gives the simulation's path.
-
-    Raises:
-        InfeasibleTrialError: a lift.
-    """
-    if trial.action.in_air:
-        raise _not_lifted()
+    """Planar pose of the object [m, rad] that gives the simulation's path."""
     if not isinstance(trial.action, TableAction):  # the rest follows a path over the table
-        grasp = weighing_grasp(trial.object.shape)
+        grasp = gripped(trial)
         return pose_from_point(np.array(WORKSPACE), grasp.position, np.array(-grasp.angle))
     length = trial.action.profile(PROFILE_STEP).length
     path = trial.action.centered_path(trial.object.shape, length)
@@ -214,16 +246,16 @@ def plan_trial(trial: Trial, object_pose: Float[np.ndarray, "3"], settings: Robo
     """Plan of a trial for an object at a planar pose [m, rad], base frame; not checked yet.
 
     Raises:
-        InfeasibleTrialError: a lift.
+        InfeasibleTrialError: nothing to grip.
     """
     shape, action = trial.object.shape, trial.action
     height = settings.table_height + settings.grip_height
-    if action.in_air:
-        raise _not_lifted()
     if not isinstance(action, TableAction):  # the rest follows a path over the table
-        grasp, act = weighing_grasp(shape), None
+        grasp, act = gripped(trial), None
         x, y = transform_point(object_pose, grasp.position)
         yaw = float(object_pose[2]) + grasp.angle
+        if isinstance(action, Lift):
+            act = _in_air(trial, action, np.array([x, y, height]), yaw, settings)
     else:
         grasp, profile = shape.grasps[action.grasp], action.profile(PROFILE_STEP)
         path = action.path_from(shape, profile.length, object_pose)
@@ -244,11 +276,11 @@ def plan_trial(trial: Trial, object_pose: Float[np.ndarray, "3"], settings: Robo
     )
 
 
-def _not_lifted() -> InfeasibleTrialError:
-    return InfeasibleTrialError(
-        "lift: the real arm keeps its tool straight down and does not rock what it holds; lift in simulation, or "
-        "weigh, turn and slide"
-    )
+def _in_air(trial: Trial, action: Lift, hold: np.ndarray, yaw: float, settings: RobotSettings) -> InAir:
+    shape, axes = trial.object.shape, np.eye(3)
+    axes[:2, :2] = rotation_2d(yaw - shape.grasps[action.grasp].angle).T
+    profile = action.profile(PROFILE_STEP, action.clear_height(shape), settings.descent_speed)
+    return InAir(hold, yaw, axes, profile)
 
 
 def tool_down(yaw: float, settings: RobotSettings) -> Float[np.ndarray, "4"]:
@@ -276,12 +308,13 @@ def described(plan: RobotPlan, settings: RobotSettings) -> str:
     ]
     everywhere = []
     for name, leg in plan.legs.items():
-        positions, twists = sampled(leg)
+        positions, twists, tilts = sampled(leg)
         everywhere.append(positions)
         ends = " to ".join(f"({p[0]:.3f}, {p[1]:.3f}, {p[2]:.3f})" for p in positions[[0, -1]])
         speed, turn = (np.linalg.norm(twists[:, part], axis=1).max() for part in (slice(0, 3), slice(3, 6)))
         lines.append(
             f"{name}: {ends} m in {leg.duration:.1f} s, at most {speed:.3f} m/s and {math.degrees(turn):.1f} deg/s"
+            + (f", tilted by up to {math.degrees(tilts.max()):.1f} deg" if tilts.max() > 1e-6 else "")
         )
     low, high = np.concatenate(everywhere).min(axis=0), np.concatenate(everywhere).max(axis=0)
     box = zip("xyz", low, high, settings.limits.low, settings.limits.high, strict=True)

@@ -11,6 +11,7 @@ from jaxtyping import Float, Int
 from scipy.signal import savgol_filter
 from scipy.spatial.transform import Rotation, Slerp
 
+from testbed.actions.lift import LiftProfile
 from testbed.actions.path import Profile
 from testbed.robot.interfaces import Arm, ArmState, RobotError, WrenchSample, WrenchSensor
 from testbed.robot.raw_record import RawRecord
@@ -26,7 +27,7 @@ class Mark:
 
     time_s: float
     phase: Phase
-    profile: Profile | None = None
+    profile: Profile | LiftProfile | None = None
     """Profile of the action that begins: it tells ramps and steady stretches apart."""
 
 
@@ -219,7 +220,9 @@ class GripEvidence:
         return found if self.slip is None else found | {"slip_m": self.slip[0], "slip_rad": self.slip[1]}
 
 
-def doubts(record: Record, evidence: GripEvidence, profile: Profile | None) -> Iterator[tuple[Status, str]]:
+def doubts(
+    record: Record, evidence: GripEvidence, profile: Profile | LiftProfile | None
+) -> Iterator[tuple[Status, str]]:
     """Every reason against the record, with its status; `testbed.sensing.drift` judges drift."""
     change = abs(evidence.held_width[1] - evidence.held_width[0])
     if not change <= WIDTH_LIMIT:
@@ -243,7 +246,7 @@ def doubts(record: Record, evidence: GripEvidence, profile: Profile | None) -> I
         yield from _uncovered(record, profile)
 
 
-def _uncovered(record: Record, profile: Profile) -> Iterator[tuple[Status, str]]:
+def _uncovered(record: Record, profile: Profile | LiftProfile) -> Iterator[tuple[Status, str]]:
     for segment in range(profile.segment.max() + 1):
         seconds = (profile.segment == segment).sum() * profile.step
         rate = 1 / np.median(np.diff(record.time_s))

@@ -34,7 +34,7 @@ class SafetyLimits:
     angular_speed: float = 1.2
     """Turn rate of the tool [rad/s]."""
     tilt: float = math.radians(5)
-    """Angle of the approach axis from straight down [rad]."""
+    """Angle of the approach axis from straight down [rad]: more for a lift, which tilts what it holds."""
     force: float = 60.0
     """Change of the sensor's force since the tare, before it since the first frame [N]."""
     torque: float = 8.0
@@ -157,9 +157,21 @@ class FrameWatch:
 
 
 def path_violations(
-    limits: SafetyLimits, positions: Float[np.ndarray, "N 3"], twists: Float[np.ndarray, "N 6"]
+    limits: SafetyLimits,
+    positions: Float[np.ndarray, "N 3"],
+    twists: Float[np.ndarray, "N 6"],
+    tilts: Float[np.ndarray, "N"],
 ) -> Iterator[Violation]:
-    """Every violation of a planned path of the TCP: positions [m] and twists [m/s, rad/s], base frame."""
+    """Every violation of a planned path of the TCP.
+
+    Args:
+        limits: limits.
+        positions: positions, m, base frame.
+        twists: twists, m/s and rad/s, base frame.
+        tilts: angles from straight down, rad.
+    """
+    if not (most := float(tilts.max())) <= limits.tilt:
+        yield Violation("tilt of the tool", most, limits.tilt, "rad")
     yield from _outside(limits, positions.min(axis=0))
     yield from _outside(limits, positions.max(axis=0))
     for part in (slice(0, 3), slice(3, 6)):

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from testbed.trajectory import Trajectory
     from testbed.trial import Trial
 
-Kind = Literal["rotate", "slide", "accelerate", "weigh"]
+Kind = Literal["rotate", "slide", "accelerate", "lift", "stop_and_go", "weigh"]
 
 
 def trial(
@@ -33,6 +33,7 @@ def trial(
     speed: Annotated[float | None, tyro.conf.arg(metavar="V")] = None,
     pivot: Annotated[tuple[float, float] | None, tyro.conf.arg(metavar="X Y")] = None,
     direction: Annotated[float, tyro.conf.arg(metavar="DEG")] = 0.0,
+    tilt: Annotated[float | None, tyro.conf.arg(metavar="DEG")] = None,
     back: bool = True,
     at: Annotated[tuple[float, float, float] | None, tyro.conf.arg(metavar="X Y DEG")] = None,
     weight: Annotated[float | None, tyro.conf.arg(metavar="KG")] = None,
@@ -51,12 +52,13 @@ def trial(
 
     Args:
         object_: name in the library, or path to a TOML file.
-        action: kind of action.
+        action: kind of action; lift rocks the object in the air, stop_and_go holds it still at several tilts there.
         grasp: grasp by name (see heft show); the first one if left out.
-        seconds: duration at constant speed; the action's own if left out.
+        seconds: duration at constant speed, or at rest in the air; the action's own if left out.
         speed: speed of a turn, deg/s, or of a slide, m/s.
         pivot: center of a turn, mm from the object's middle; between particles beside the grasp if left out.
         direction: direction of a slide in the object's frame.
+        tilt: greatest tilt of a lift, as far as tilt_deg of the robot file allows; the action's own if left out.
         back: turn back again in the same grasp.
         at: place of the object's middle, m, and its turn, base frame of the arm; if left out, the place that gives the
             simulation's path.
@@ -85,7 +87,7 @@ def trial(
             raise InvalidValueError("--weight", weight, "a weight with --action weigh alone")
     planned = Trial(
         model,
-        action_of(model.shape, action, grasp, seconds, speed, pivot, direction, back=back),
+        action_of(model.shape, action, grasp, seconds, speed, pivot, direction, tilt, back=back),
         parse_support(support),
     )
     hand = file.gripper.hand
@@ -124,6 +126,7 @@ def action_of(
     speed: float | None = None,
     pivot_mm: tuple[float, float] | None = None,
     direction_deg: float = 0.0,
+    tilt_deg: float | None = None,
     *,
     back: bool = True,
 ) -> Action:
@@ -134,6 +137,7 @@ def action_of(
     """
     from estimators.action_selection.rank import between_particles
     from testbed.actions.accelerate import Accelerate
+    from testbed.actions.lift import Lift
     from testbed.actions.rotate import Rotate
     from testbed.actions.slide import Slide
     from testbed.actions.weigh import Weigh
@@ -149,6 +153,10 @@ def action_of(
         changes = {"speed": speed, "duration": seconds}
     elif kind == "accelerate":
         action, changes = Accelerate(index), {"hold": seconds}
+    elif kind in ("lift", "stop_and_go"):
+        make = Lift if kind == "lift" else Lift.stop_and_go
+        tilt = make(index).tilt if tilt_deg is None else math.radians(tilt_deg)
+        return make(index, tilt=tilt, hold=make(index).hold if seconds is None else seconds)
     else:
         beside = between_particles(shape, shape.grasps[index].position) if names else None
         pivot = beside if pivot_mm is None else (pivot_mm[0] / 1e3, pivot_mm[1] / 1e3)

@@ -9,7 +9,6 @@ import pytest
 from numpy.testing import assert_allclose
 
 from estimators.particles.lifts import wrench_of_mass
-from estimators.testing.analytic_world import TOOL as HAND
 from estimators.testing.analytic_world import record
 from scenarios.views.pages import page_of
 from scenarios.views.values import trial_view
@@ -17,8 +16,6 @@ from testbed.actions.lift import Lift
 from testbed.errors import InfeasibleTrialError, InvalidValueError
 from testbed.objects.files import load_object
 from testbed.objects.model import GRAVITY, ObjectModel
-from testbed.robot.config import RobotSettings
-from testbed.robot.path import plan_trial, starting_pose
 from testbed.sensing.lift_windows import lift_windows, poses_in_space
 from testbed.sensing.noise import draw_sensing
 from testbed.sensing.presets import preset
@@ -112,13 +109,6 @@ def test_it_goes_as_high_as_its_tilt_needs():
 def test_what_cannot_be_lifted_is_refused_before_moving(obj, action, support, said):
     with pytest.raises(InfeasibleTrialError, match=f"^{said}"):
         RUNNER.check(Trial(obj, action, support))
-
-
-def test_the_real_bench_refuses_a_lift_before_moving():
-    trial = Trial(load_object("L2"), Lift(2), RIGID)
-    for plan in (starting_pose, lambda t: plan_trial(t, np.zeros(3), RobotSettings(HAND))):
-        with pytest.raises(InfeasibleTrialError, match="the real arm keeps its tool straight down"):
-            plan(trial)
 
 
 def test_a_lift_is_no_turn():

@@ -87,10 +87,9 @@ def test_what_is_no_number_passes_no_limit():
 def test_a_path_is_judged_by_its_farthest_place_and_its_fastest_moment():
     positions = np.array([[0.4, 0.0, 0.1], [0.7, -0.4, 0.1], [0.4, 0.0, 0.1]])
     twists = np.array([[0, 0, 0, 0, 0, 0], [0.1, 0, 0, 0, 0, 1.3], [0.2, 0, 0, 0, 0, 0.0]])
-    found = [str(v) for v in path_violations(LIMITS, positions, twists)]
-    assert len(found) == 4
-    for said, name in zip(
-        found, ("y of the tool", "x of the tool", "planned speed: 0.2", "planned turn rate: 1.3"), strict=True
-    ):
+    tilts = np.array([0.0, 0.1, 0.0])
+    found = [str(v) for v in path_violations(LIMITS, positions, twists, tilts)]
+    names = ("tilt of the tool: 0.1", "y of the tool", "x of the tool", "planned speed: 0.2", "planned turn rate: 1.3")
+    for said, name in zip(found, names, strict=True):
         assert said.startswith(name)
-    assert list(path_violations(LIMITS, positions[:1], twists[:1])) == []
+    assert list(path_violations(LIMITS, positions[:1], twists[:1], tilts[:1])) == []

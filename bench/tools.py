@@ -1,85 +1,202 @@
-"""Mesh files of real tools, each as an object on its points of contact: felt in simulation, and estimated.
+"""Real tools felt in simulation: python bench/tools.py SET [--draws N] [--figure FILE].
 
-python bench/tools.py FOLDER [--figure FILE]: meshes are FOLDER/*/mesh.ply; a mass in kg stands in Inertia.yaml beside.
+SET is a copy of the public set (docs/tools.md). Every tool with a grasp is turned on the table and lifted from pose to
+pose, in an ideal world and in a lab, on its points of contact. Medians over tools and draws: errors of M and of the
+inertia (about z, and Frobenius norm) in percent, of c in mm, in the plane and in space, NAD of the masses of parts in
+percent, and the 90 % intervals of part masses (of M, c and the inertia where a method knows no parts) that hold.
 """
 
 from __future__ import annotations
 
 import argparse
-import re
-import time
+import tempfile
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from rich import box
+from rich.console import Console
+from rich.table import Table
 
+from estimators.base import Estimate
+from estimators.inertial import (
+    InertialEstimate,
+    InertialParameters,
+    consistent_inertia,
+    ellipsoid_of,
+    homogeneous_parts,
+    least_squares_inertia,
+    lift_equations,
+    solid_parts,
+    true_body,
+)
 from estimators.support_models.estimator import SupportAware
+from scenarios.config import load_scenario
+from scenarios.study.meshes import with_meshes
 from testbed.actions.accelerate import Accelerate
+from testbed.actions.base import Action
+from testbed.actions.lift import Lift
 from testbed.actions.rotate import Rotate
 from testbed.errors import HeftError
-from testbed.objects.conversion import convert_mesh
+from testbed.objects.files import load_object
 from testbed.objects.model import ObjectModel
+from testbed.sensing.noise import draw_sensing, read_scale
+from testbed.sensing.presets import preset
 from testbed.simulation.runner import SimulationRunner
 from testbed.trajectory import Trajectory
 from testbed.trial import RIGID, Trial
+from testbed.worlds.draw import WorldDraw
+from testbed.worlds.presets import world
 from viz.figures.maps import save_figure
 from viz.figures.objects import object_page
 
-MASS = 0.3
-"""Mass of a tool without one [kg]."""
+GRASPS = 3
+"""Grasps of a tool that are used, those nearest the middle."""
+WORLDS = {"ideal": ("ideal", "ideal"), "ft300s": ("ideal", "ft300s"), "lab": ("lab", "ft300s")}
+"""World and sensor of each group of rows."""
+Judged = tuple[float, float, float, float, float]
 
 
-def trials_of(model: ObjectModel, simulation: SimulationRunner) -> tuple[list[Trajectory], str]:
-    """A turn there and back and an accelerated one about every grasp, and why one of them is not there."""
-    felt, why = [], ""
-    for grasp in range(len(model.shape.grasps)):
-        for action in (Rotate(grasp, duration=4.0, back=True), Accelerate(grasp)):
+@dataclass(frozen=True, eq=False)
+class Felt:
+    """Trials of one tool under one draw of a world and a sensor."""
+
+    model: ObjectModel
+    weight: float
+    turns: tuple[Trajectory, ...]
+    lifts: tuple[Trajectory, ...]
+
+
+def silent(stage: str, done: int, total: int, failed: int = 0) -> None:
+    """Progress that nobody sees."""
+
+
+def trials_of(model: ObjectModel, actions: Sequence[Action], place: str, draw: int) -> Iterator[Trajectory]:
+    """Clean trials that ended well, in a draw of a world."""
+    drawn = None if place == "ideal" else WorldDraw.of(world(place), model, str(draw))
+    with SimulationRunner() as simulation:
+        for action in actions:
             try:
-                felt.append(simulation.run(Trial(model, action, RIGID)))
-                why = why or felt[-1].reason
+                trial = simulation.run_clean(Trial(model, action, RIGID, world=drawn))
             except HeftError as error:
-                why = why or str(error)
-    return felt, why
+                print(f"{model.name}, {action.describe(model.shape)}: {str(error).splitlines()[0][:100]}")
+                continue
+            if trial.ok:
+                yield trial
 
 
-def row_of(file: Path, simulation: SimulationRunner) -> tuple[ObjectModel, str]:
-    """The object of a file, and its row of the table."""
-    notes = file.with_name("Inertia.yaml")
-    found = re.search(r"MASS: ([\d.]+)", notes.read_text(encoding="utf-8")) if notes.is_file() else None
-    begin = time.process_time()
-    made = convert_mesh(file)
-    model = made.model((float(found[1]) if found else MASS,))
-    seconds = time.process_time() - begin
-    felt, why = trials_of(model, simulation)
-    good = sum(trial.ok for trial in felt)
-    cells = f"{made.name:18} {model.shape.n_m:3} {len(made.pose.contacts):3} {len(felt):3} {good:3} {seconds:5.1f}"
-    if not good:
-        return model, f"{cells}  {why or made.told[-1]}"
-    answer = SupportAware().estimate(model.shape, model.total_mass, felt, 0)
-    if answer.distribution is None or answer.hidden is None:
-        return model, f"{cells}  {answer.status}: {answer.message}"
-    off = 1e3 * float(np.linalg.norm(answer.hidden.center_of_mass - model.center_of_mass))
-    friction = 100 * (answer.distribution.friction[0] / model.truth.friction[0] - 1)
-    inertia = 100 * (answer.hidden.inertia_cm / model.inertia_cm - 1)
-    masses = answer.distribution.mass * model.shape.particles_per_group
-    worst = 1e3 * np.abs(masses - model.group_mass).max()
-    return model, f"{cells}  {off:6.2f} {friction:7.1f} {inertia:7.1f} {worst:7.1f}  {answer.status}"
+def felt(model: ObjectModel, draws: int) -> Iterator[tuple[str, Felt]]:
+    """A tool's trials under every draw, with the label of its rows."""
+    grasps = range(min(GRASPS, len(model.shape.grasps)))
+    turns = [a for g in grasps for a in (Rotate(g, duration=6.0, back=True), Accelerate(g))]
+    lifts = [Lift.stop_and_go(g) for g in grasps]
+    clean: dict[tuple[str, int], tuple[list[Trajectory], list[Trajectory]]] = {}
+    for label, (place, sensor) in WORLDS.items():
+        for draw in range(1 if label == "ideal" else draws):
+            key = (place, draw if place != "ideal" else 0)
+            if key not in clean:
+                clean[key] = (list(trials_of(model, turns, *key)), list(trials_of(model, lifts, *key)))
+            sensing = preset(sensor)
+            turned, lifted = (
+                tuple(draw_sensing(t, sensing, 100 * draw + i) for i, t in enumerate(group)) for group in clean[key]
+            )
+            yield label, Felt(model, read_scale(model.total_mass, sensing, [draw]), turned, lifted)
+
+
+def judged_masses(trial: Felt, answer: Estimate) -> Judged | None:
+    """Errors of an answer with masses of parts; M is what the scale read."""
+    model = trial.model
+    if answer.distribution is None or answer.hidden is None or answer.covariance is None:
+        return None
+    count = model.shape.particles_per_group
+    masses, error = answer.distribution.mass * count, np.sqrt(np.diag(answer.covariance)) * count
+    return (
+        100 * abs(masses.sum() / model.total_mass - 1),
+        1e3 * float(np.linalg.norm(answer.hidden.center_of_mass - model.center_of_mass)),
+        100 * abs(answer.hidden.inertia_cm / model.inertia_cm - 1),
+        100 * float(np.abs(masses - model.group_mass).sum()) / model.total_mass,
+        float(np.mean(np.abs(masses - model.group_mass) <= 1.645 * error + 1e-12)),
+    )
+
+
+def judged_body(trial: Felt, found: InertialEstimate) -> Judged:
+    """Errors of an answer in space."""
+    model, truth, best = trial.model, true_body(trial.model), found.parameters
+    nad, hold = np.nan, np.nan
+    if found.part_mass is not None and found.part_draws is not None:
+        low, high = np.quantile(found.part_draws, [0.05, 0.95], axis=0)
+        nad = 100 * float(np.abs(found.part_mass - model.group_mass).sum()) / model.total_mass
+        hold = float(np.mean((low - 1e-9 <= model.group_mass) & (model.group_mass <= high + 1e-9)))
+    else:
+        low, high = found.interval(_numbers)
+        hold = float(np.mean((low - 1e-12 <= _numbers(truth)) & (_numbers(truth) <= high + 1e-12)))
+    return (
+        100 * abs(best.mass / truth.mass - 1),
+        1e3 * float(np.linalg.norm(best.center_of_mass - truth.center_of_mass)),
+        100 * float(np.linalg.norm(best.inertia - truth.inertia) / np.linalg.norm(truth.inertia)),
+        nad,
+        hold,
+    )
+
+
+def _numbers(of: InertialParameters) -> np.ndarray:
+    return np.concatenate([[of.mass], of.center_of_mass, np.diag(of.inertia)])
+
+
+def answers(trial: Felt) -> Iterator[tuple[str, str, Judged | None]]:
+    """Trials used, method and errors of every answer; None without one."""
+    both = (*trial.turns, *trial.lifts)
+    for used, given in (("turns", trial.turns), ("both", both)):
+        answer = SupportAware().estimate(trial.model.shape, trial.weight, given, 0) if given else None
+        yield used, "support_aware", None if answer is None else judged_masses(trial, answer)
+    for name in ("least squares", "consistent (SDP)", "homogeneous parts (HPS)"):
+        try:
+            equations = lift_equations(trial.model.shape, trial.lifts)
+            if name == "least squares":
+                found = least_squares_inertia(equations)
+            elif name == "consistent (SDP)":
+                found = consistent_inertia(equations, ellipsoid_of(trial.model.shape))
+            else:
+                found = homogeneous_parts(equations, solid_parts(trial.model.solids))
+        except HeftError as error:
+            print(f"{trial.model.name}, {name}: {error}")
+            yield "lifts", name, None
+            continue
+        yield "lifts", name, judged_body(trial, found)
 
 
 def main() -> None:
     """Print the table, and draw the objects on one page."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path)
-    parser.add_argument("--figure", type=Path, help="picture of all, written as FILE.pdf and FILE.png")
+    parser.add_argument("--draws", type=int, default=3, help="draws of the sensor and of the lab")
+    parser.add_argument("--figure", type=Path, help="picture of all tools, written as FILE.pdf and FILE.png")
     given = parser.parse_args()
-    print("tool            parts points trials ok  cpu, s   c, mm   mu, %   I, %  mass, g  status")
-    models = []
-    with SimulationRunner() as simulation:
-        for file in sorted(given.folder.glob("*/mesh.ply")):
-            model, row = row_of(file, simulation)
-            models.append(model)
-            print(row, flush=True)
+    rows: dict[tuple[str, str, str], list[Judged | None]] = {}
+    with tempfile.TemporaryDirectory() as folder:
+        scenario, _ = with_meshes(load_scenario("tools")[1], given.folder, Path(folder), silent)
+        models = [load_object(path) for path in scenario.objects]
     if given.figure is not None:
         save_figure(object_page(models), given.figure)
+    for model in models:
+        print(f"{model.name}: {len(model.shape.grasps)} grasps", flush=True)
+        if model.shape.grasps:
+            for label, trial in felt(model, given.draws):
+                for used, method, one in answers(trial):
+                    rows.setdefault((label, used, method), []).append(one)
+    table = Table(box=box.SIMPLE)
+    for heading in ("world", "trials", "method", "M, %", "c, mm", "inertia, %", "part masses, %", "90 % hold", "none"):
+        table.add_column(heading, justify="left" if heading in ("world", "trials", "method") else "right")
+    for key, found in rows.items():
+        known = [one for one in found if one is not None]
+        middle = (
+            [f"{np.nanmedian(values):.2g}" for values in list(zip(*known, strict=True))[:3]] if known else ["-"] * 3
+        )
+        nads = [one[3] for one in known if np.isfinite(one[3])]
+        hold = f"{100 * np.mean([one[4] for one in known]):.0f}" if known else "-"
+        table.add_row(*key, *middle, f"{np.median(nads):.2g}" if nads else "-", hold, str(len(found) - len(known)))
+    Console(width=120).print(table)
 
 
 if __name__ == "__main__":

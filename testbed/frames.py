@@ -17,6 +17,13 @@ def rotation_2d(angle: Float[np.ndarray, "..."] | float) -> Float[np.ndarray, ".
     return np.stack([np.stack([c, -s], -1), np.stack([s, c], -1)], -2)
 
 
+def rotation_z(angle: float) -> Float[np.ndarray, "3 3"]:
+    """Rotation about z by an angle [rad]."""
+    turn = np.eye(3)
+    turn[:2, :2] = rotation_2d(angle)
+    return turn
+
+
 def transform_point(pose: Float[np.ndarray, "... 3"], point: Float[np.ndarray, "... 2"]) -> Float[np.ndarray, "... 2"]:
     """A point given in the frame at `pose`, in the world."""
     return pose[..., :2] + np.einsum("...ij,...j->...i", rotation_2d(pose[..., 2]), np.asarray(point))

@@ -143,7 +143,7 @@ def predicted_information(
         sensing: errors of the sensor.
         assumptions: support model and model errors.
     """
-    lifts = predicted_lifts(actions, sensing) if assumptions.support == "rigid" else {}
+    lifts = predicted_lifts(actions, sensing, assumptions.setup) if assumptions.support == "rigid" else {}
     windows = predicted_windows(shape, actions, sensing, assumptions.setup)
     if windows is not None and not windows.setup.none:
         windows = _felt(windows, shape, distribution, assumptions.support)

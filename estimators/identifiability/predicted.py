@@ -155,12 +155,14 @@ def _stretches(at: tuple[float, float], shape: ObjectShape, action: TableAction)
     return found
 
 
-def predicted_lifts(actions: Sequence[Action], sensing: Sensing) -> dict[int, list[LiftWindow]]:
+def predicted_lifts(
+    actions: Sequence[Action], sensing: Sensing, setup: SetupErrors = EXACT_SETUP
+) -> dict[int, list[LiftWindow]]:
     """Windows of the lifts among some actions, by their place, their wrenches left at zero."""
-    return {i: predicted_lift(a, sensing) for i, a in enumerate(actions) if isinstance(a, Lift)}  # others stay down
+    return {i: predicted_lift(a, sensing, setup) for i, a in enumerate(actions) if isinstance(a, Lift)}
 
 
-def predicted_lift(action: Lift, sensing: Sensing) -> list[LiftWindow]:
+def predicted_lift(action: Lift, sensing: Sensing, setup: SetupErrors = EXACT_SETUP) -> list[LiftWindow]:
     """Windows of one lift, their wrenches left at zero."""
     profile = action.profile(1 / RATE)
     noise, bias, drift = sensor_at_tcp(sensing)
@@ -184,6 +186,9 @@ def predicted_lift(action: Lift, sensing: Sensing) -> list[LiftWindow]:
                 bias_covariance=bias,
                 drift_covariance=drift,
                 since_tare=BEFORE + kept[[0, -1]] / RATE,
+                from_sensor=_to_tcp(),
+                tool=np.zeros(6),
+                setup=setup,
             )
         )
     return windows

@@ -10,7 +10,15 @@ from jaxtyping import Float
 from estimators.inertial.body import shift_map
 from estimators.inertial.equations import InertialEquations, compressed_rows, joined, regressor
 from estimators.inertial.parts import column_parts
-from estimators.particles.lifts import SHIFT, LiftErrors, creep, lift_covariance, lifts_among
+from estimators.particles.lifts import (
+    SHIFT,
+    LiftErrors,
+    creep_covariance,
+    lift_covariance,
+    lifts_among,
+    setup_columns,
+    slope_of_turn,
+)
 from testbed.errors import InvalidValueError
 from testbed.objects.model import ObjectShape
 from testbed.sensing.lift_windows import LiftWindow
@@ -60,18 +68,13 @@ def _equations(
     shape: ObjectShape, trials: Sequence[Sequence[LiftWindow]], body: np.ndarray, errors: LiftErrors | None
 ) -> InertialEquations:
     """Equations of all trials, their errors weighed by some parameters."""
-    return joined([_of_trial(shape, windows, body, errors or LiftErrors()) for windows in trials])
+    return joined([_of_trial(shape, windows, body, errors or LiftErrors(), len(trials)) for windows in trials])
 
 
 def _of_trial(
-    shape: ObjectShape, windows: Sequence[LiftWindow], body: Float[np.ndarray, "10"], errors: LiftErrors
+    shape: ObjectShape, windows: Sequence[LiftWindow], body: Float[np.ndarray, "10"], errors: LiftErrors, trials: int
 ) -> InertialEquations:
-    pull, spin_rate, products = (
-        np.array([value(w) for w in windows])
-        for value in (lambda w: w.pull, lambda w: w.angular_acceleration, lambda w: w.spin_products)
-    )
-    about_tcp = regressor(pull, spin_rate, products).reshape(-1, len(body))
-    still = regressor(pull, 0 * spin_rate, 0 * products).reshape(-1, len(body))
+    about_tcp, still = _regressors(windows), _regressors(windows, moving=False)
     grasp = shape.grasps[windows[0].grasp].position
     tcp = np.array([*grasp, windows[0].tcp_height])
     rows = about_tcp @ shift_map(tcp)
@@ -81,9 +84,20 @@ def _of_trial(
             for axis in np.eye(3)
         ]
     )
-    by_slip = errors.slip * by_shift[:, 2] * creep(windows)
+    by_turn = slope_of_turn(lambda angle: _regressors([w.turned(angle) for w in windows]) @ shift_map(tcp) @ body)
+    of_setup = setup_columns(windows, rows @ body, np.column_stack([by_shift[:, :2], by_turn]), trials)
+    crept = creep_covariance(windows, by_shift * [errors.creep, errors.creep, errors.slip])
     by_shift *= [errors.grip, errors.grip, errors.sag]
     inertial = errors.inertia * (rows - still @ shift_map(tcp)) @ body
-    effects = np.column_stack([by_shift, by_slip, inertial, errors.gain * rows @ body])
-    covariance = lift_covariance(shape, windows, effects, errors.wrench, float(body[0]))
+    effects = np.column_stack([by_shift, inertial, errors.gain * rows @ body, of_setup])
+    covariance = lift_covariance(shape, windows, effects, errors.wrench, float(body[0])) + crept
     return compressed_rows(rows, np.concatenate([w.wrench for w in windows]), covariance)
+
+
+def _regressors(windows: Sequence[LiftWindow], *, moving: bool = True) -> Float[np.ndarray, "R 10"]:
+    """Wrenches about the TCP a unit of each parameter, R = 6 K; not `moving`, of pull alone."""
+    pull, spin_rate, products = (
+        np.array([value(w) for w in windows])
+        for value in (lambda w: w.pull, lambda w: w.angular_acceleration, lambda w: w.spin_products)
+    )
+    return regressor(pull, moving * spin_rate, moving * products).reshape(6 * len(windows), -1)

@@ -6,13 +6,16 @@ own, where turns on the table show four.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
 
+from estimators.particles.setup_effects import FULL_SCALE
 from testbed.actions.lift import Lift
+from testbed.frames import rotate_wrench, rotation_z
 from testbed.objects.model import GRAVITY, ObjectShape
 from testbed.sensing.lift_windows import LiftWindow, lift_windows
 from testbed.sensing.windows import reduced_trials
@@ -22,6 +25,8 @@ ROUNDS = 2
 """Rounds of solving for the masses by which the errors are weighed."""
 SHIFT = 1e-3
 """Step of the derivative in the object's place in the grip, m."""
+TURN = 1e-3
+"""Step of the derivative in its angle there, rad."""
 
 
 @dataclass(frozen=True)
@@ -33,7 +38,9 @@ class LiftErrors:
     sag: float = 1e-3
     """Height of the TCP over the object's bottom: it lies on felt, and sinks between the pads, m."""
     slip: float = 1e-3
-    """Way that it creeps down between the pads from the first window to the last, m."""
+    """Way that it creeps down between the pads from the first window to the last, m, one step after another."""
+    creep: float = 4e-4
+    """The same along x and along y."""
     height: float = 0.25
     """Height of the center of mass, as a part of the object's: the tilts show it themselves."""
     inertia: float = 0.005
@@ -90,7 +97,7 @@ def _compressed(
     shape: ObjectShape, trials: Sequence[Sequence[LiftWindow]], mass: np.ndarray, errors: LiftErrors | None
 ) -> LiftedRows:
     """All windows' rows as the fewest of the same content, their errors weighed by some masses."""
-    whitened = [lift_information(shape, windows, mass, errors) for windows in trials]
+    whitened = [lift_information(shape, windows, mass, errors, len(trials)) for windows in trials]
     rows, values = np.vstack([r for r, _ in whitened]), np.concatenate([v for _, v in whitened])
     left, strength, right = np.linalg.svd(rows, full_matrices=False)
     seen = strength > 1e-6 * strength[0]
@@ -102,6 +109,7 @@ def lift_information(
     windows: Sequence[LiftWindow],
     mass: Float[np.ndarray, "n_m"],
     errors: LiftErrors | None = None,
+    trials: int = 1,
 ) -> tuple[Float[np.ndarray, "R n_m"], Float[np.ndarray, "R"]]:
     """Rows and values of one trial's K windows, R = 6 K, independent and of unit error.
 
@@ -110,29 +118,107 @@ def lift_information(
         windows: windows of one trial.
         mass: particle masses by which the errors are weighed, kg.
         errors: errors of what is taken as known.
+        trials: lifts that are known together.
     """
     errors = errors or LiftErrors()
 
-    def maps(shift: np.ndarray | None = None, *, moving: bool = True) -> np.ndarray:
-        return np.vstack([wrench_of_mass(shape, window, shift, moving=moving) for window in windows])
+    def maps(shift: np.ndarray | None = None, *, moving: bool = True, turn: float = 0.0) -> np.ndarray:
+        motion = [window.turned(turn) for window in windows] if turn else windows
+        return np.vstack([wrench_of_mass(shape, window, shift, moving=moving) for window in motion])
 
     moved = maps()
     by_shift = np.column_stack(
         [(maps(SHIFT * axis) @ mass - maps(-SHIFT * axis) @ mass) / (2 * SHIFT) for axis in np.eye(3)]
     )
-    by_slip = errors.slip * by_shift[:, 2] * creep(windows)
+    by_turn = slope_of_turn(lambda angle: maps(turn=angle) @ mass)
+    of_setup = setup_columns(windows, moved @ mass, np.column_stack([by_shift[:, :2], by_turn]), trials)
+    crept = creep_covariance(windows, by_shift * [errors.creep, errors.creep, errors.slip])
     by_shift *= [errors.grip, errors.grip, errors.height * shape.height]
     inertial = errors.inertia * (moved - maps(moving=False)) @ mass
-    common = np.column_stack([by_shift, by_slip, inertial, errors.gain * moved @ mass])
+    upright = _upright_columns(shape, windows, float(mass @ shape.particles_per_group))
+    common = np.column_stack([by_shift, inertial, errors.gain * moved @ mass, of_setup, upright])
     covariance = lift_covariance(shape, windows, common, errors.wrench, float(mass @ shape.particles_per_group))
-    root = np.linalg.cholesky(covariance)
+    root = np.linalg.cholesky(covariance + crept)
     return np.linalg.solve(root, moved), np.linalg.solve(root, np.concatenate([w.wrench for w in windows]))
 
 
-def creep(windows: Sequence[LiftWindow]) -> Float[np.ndarray, "R"]:
-    """Part of a creep at each row of one trial's K windows, R = 6 K: 0 at the first, 1 at the last."""
+def creep_covariance(windows: Sequence[LiftWindow], steps: Float[np.ndarray, "R 3"]) -> Float[np.ndarray, "R R"]:
+    """Covariance of a creep of the object in the grip: a random walk from the first of one trial's K windows, R = 6 K.
+
+    Args:
+        windows: windows of the trial.
+        steps: change of each wrench with one standard deviation of the whole way, along x, y and z.
+    """
     middle = np.array([w.since_tare.mean() for w in windows])
-    return np.repeat((middle - middle[0]) / max(middle[-1] - middle[0], 1e-9), 6)
+    gone = np.repeat((middle - middle[0]) / max(middle[-1] - middle[0], 1e-9), 6)
+    return steps @ steps.T * np.minimum(gone[:, None], gone)
+
+
+def _upright_columns(shape: ObjectShape, windows: Sequence[LiftWindow], weight: float) -> Float[np.ndarray, "R e"]:
+    """Effect of second moments with height where cells are not full, so that nobody knows where in them matter is.
+
+    One standard deviation each: of the sum of m z^2, that of a full cell; of those of m x z and m y z, as if height
+    went half with place.
+
+    Args:
+        shape: geometry.
+        windows: windows of one trial.
+        weight: M, kg.
+    """
+    if (shape.fill == 1).all():
+        return np.zeros((6 * len(windows), 0))
+    reach = float(np.sqrt(np.square(shape.particles - shape.particles.mean(axis=0)).sum(axis=1).mean()))
+    high, leaning = weight * shape.height**2 / 12, weight * reach * shape.height / (2 * 12**0.5)
+    columns = []
+    for window in windows:
+        x, y, z = window.angular_acceleration
+        about = np.array([[high * x, high * y, 0], [-leaning * z, 0, -leaning * x], [0, -leaning * z, -leaning * y]])
+        columns.append(np.vstack([np.zeros((3, 3)), about.T]))
+    return np.vstack(columns)
+
+
+def slope_of_turn(wrench: Callable[[float], np.ndarray]) -> Float[np.ndarray, "R"]:
+    """Change of the wrenches (R = 6 K) of an object with its angle in the grip, N and N m a rad.
+
+    Args:
+        wrench: wrenches of a motion in axes that are turned about z by an angle, rad.
+    """
+    ahead, behind = (rotate_wrench(rotation_z(angle), wrench(angle).reshape(-1, 6)).ravel() for angle in (TURN, -TURN))
+    return (ahead - behind) / (2 * TURN)
+
+
+def setup_columns(
+    windows: Sequence[LiftWindow],
+    wrench: Float[np.ndarray, "R"],
+    slopes: Float[np.ndarray, "R 3"],
+    trials: int,
+) -> Float[np.ndarray, "R e"]:
+    """Effect on one trial's K windows of one standard deviation of each error of the setup, as stated; R = 6 K.
+
+    An error that n trials share counts root n times in each, where they are taken as independent.
+
+    Args:
+        windows: windows of the trial.
+        wrench: their wrenches by a guess of the masses.
+        slopes: change of these with the object's place along x and y in the grip, and with its angle.
+        trials: trials that are known together.
+    """
+    setup, shared = windows[0].setup, trials**0.5
+    if setup.none:
+        return np.zeros((len(wrench), 0))
+    place, angle = (
+        math.hypot(setup.grasp_offset, shared * setup.tcp_offset),
+        math.hypot(setup.grasp_angle, shared * setup.tcp_angle),
+    )
+    of_sensor = []
+    for window, each in zip(windows, wrench.reshape(-1, 6), strict=True):
+        felt = np.linalg.solve(window.from_sensor, each) + window.tool
+        other = FULL_SCALE.numpy()[:, None] / FULL_SCALE.numpy() * felt * (1 - np.eye(6))  # to, from
+        crossed = np.concatenate([np.diag(column) for column in other.T], axis=1)
+        turned = np.hstack([np.cross(np.eye(3), felt[:3]), np.cross(np.eye(3), felt[3:])]).T
+        columns = [setup.gain * np.diag(felt), setup.crosstalk * crossed, setup.mounting_angle * turned]
+        of_sensor.append(shared * window.from_sensor @ np.hstack(columns))
+    return np.column_stack([slopes * [place, place, angle], np.vstack(of_sensor)])
 
 
 def lift_covariance(

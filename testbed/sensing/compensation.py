@@ -30,7 +30,7 @@ def compensate(trajectory: Trajectory) -> Trajectory:
             "Trajectory", "no tool" if tool is None else "no samples in phase TARE", "a record with a tool and a tare"
         )
     axes = rotation_matrix(trajectory.sensor_orientation)
-    load = _tool_wrench(tool, trajectory, axes)
+    load = tool_wrench(tool, trajectory, axes)
     bias = (trajectory.sensor_wrench - load)[tares[0]].mean(axis=0)
     at_sensor = trajectory.sensor_wrench - bias - load
     world = rotate_wrench(axes, move_wrench(at_sensor, tool.tcp))
@@ -42,7 +42,7 @@ def tare_biases(trajectory: Trajectory) -> list[Float[np.ndarray, "6"]]:
     tool, tares = trajectory.tool, _tares(trajectory)
     if tool is None or not tares:
         return []
-    load = _tool_wrench(tool, trajectory, rotation_matrix(trajectory.sensor_orientation))
+    load = tool_wrench(tool, trajectory, rotation_matrix(trajectory.sensor_orientation))
     return [(trajectory.sensor_wrench - load)[tare].mean(axis=0) for tare in tares]
 
 
@@ -58,7 +58,7 @@ def _tares(trajectory: Trajectory) -> list[Int[np.ndarray, "N"]]:
     return [stretch[len(stretch) // 3 :] for stretch in stretches]
 
 
-def _tool_wrench(tool: Tool, trajectory: Trajectory, axes: np.ndarray) -> np.ndarray:
+def tool_wrench(tool: Tool, trajectory: Trajectory, axes: np.ndarray) -> np.ndarray:
     """Wrench that moves the tool alone as it moved, sensor axes, about the sensor's origin, shape (T, 6)."""
     twist, rates = trajectory.tcp_velocity, twist_rates(trajectory)
     into = axes.transpose(0, 2, 1)

@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
 
 from testbed.actions.lift import Lift
 from testbed.errors import InvalidValueError
-from testbed.frames import move_wrench, rotate_wrench, rotation_2d, rotation_matrix
+from testbed.frames import move_wrench, rotate_wrench, rotation_matrix, rotation_z
 from testbed.objects.model import GRAVITY
-from testbed.sensing.compensation import tare_samples, twist_rates
+from testbed.sensing.compensation import tare_samples, tool_wrench, twist_rates
 from testbed.sensing.windows import mean_covariance, steady_samples
 from testbed.trajectory import Phase, Trajectory
 from testbed.validation import freeze_arrays
+from testbed.worlds.setup_errors import SetupErrors
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,9 +45,26 @@ class LiftWindow:
     """Covariance that the random walk of the zero adds per second, as `wrench`."""
     since_tare: Float[np.ndarray, "2"]
     """Time from the tare to the window's first and last sample [s]."""
+    from_sensor: Float[np.ndarray, "6 6"]
+    """Map from a wrench in the sensor's axes, about its origin, to one as `wrench`."""
+    tool: Float[np.ndarray, "6"]
+    """Mean wrench on the tool less that at the tare [N, N m], sensor axes: the sensor feels it too."""
+    setup: SetupErrors
+    """Errors of the setup, as stated."""
+
+    def turned(self, angle: float) -> LiftWindow:
+        """The same motion in axes turned about z by an angle [rad]; its wrench is left as it is."""
+        back = rotation_z(-angle)
+        return replace(
+            self,
+            pull=back @ self.pull,
+            angular_acceleration=back @ self.angular_acceleration,
+            spin_products=back @ self.spin_products @ back.T,
+        )
 
     def __post_init__(self) -> None:
         square = (6, 6)
+        freeze_arrays(self, from_sensor=square, tool=(6,))
         freeze_arrays(self, wrench=(6,), covariance=square, pull=(3,), angular_acceleration=(3,), spin_products=(3, 3))
         freeze_arrays(self, bias_covariance=square, drift_covariance=square, since_tare=(2,))
 
@@ -70,13 +88,11 @@ def lift_windows(trajectory: Trajectory) -> list[LiftWindow]:
     spin = np.einsum("nij,nj->ni", into_object, trajectory.tcp_velocity[:, 3:])
     motion = rotate_wrench(into_object, twist_rates(trajectory) + np.array([0.0, 0.0, GRAVITY, 0.0, 0.0, 0.0]))
 
-    def of_constant(covariance: np.ndarray) -> np.ndarray:
-        moved = rotate_wrench(mount.T, move_wrench(np.eye(6), tool.tcp)).T
-        return moved @ covariance @ moved.T
-
+    from_sensor = rotate_wrench(mount.T, move_wrench(np.eye(6), tool.tcp)).T
     own = mean_covariance(trajectory.sensor_wrench[tare])
-    bias = of_constant(np.diag(trajectory.sensor_bias_std**2) + own)
-    drift = of_constant(np.diag(trajectory.sensor_drift_std**2))
+    bias = from_sensor @ (np.diag(trajectory.sensor_bias_std**2) + own) @ from_sensor.T
+    drift = from_sensor @ np.diag(trajectory.sensor_drift_std**2) @ from_sensor.T
+    on_tool = tool_wrench(tool, trajectory, rotation_matrix(trajectory.sensor_orientation))
     tared = trajectory.time_s[tare].mean()
     stretches = steady_samples(trajectory)
     lasting = np.array([np.ptp(trajectory.time_s[kept]) for kept in stretches])
@@ -97,6 +113,9 @@ def lift_windows(trajectory: Trajectory) -> list[LiftWindow]:
                 bias_covariance=bias,
                 drift_covariance=drift,
                 since_tare=trajectory.time_s[kept[[0, -1]]] - tared,
+                from_sensor=from_sensor,
+                tool=on_tool[kept].mean(axis=0) - on_tool[tare].mean(axis=0),
+                setup=trajectory.setup,
             )
         )
     return windows
@@ -123,9 +142,7 @@ def _held_axes(trajectory: Trajectory) -> tuple[int, Float[np.ndarray, "3 3"], F
     if len(held) == 0:
         raise InvalidValueError("trajectory", "no settling of the grip", "the record of a whole lift")
     flat, sensor = int(held[-1]), rotation_matrix(trajectory.sensor_orientation)
-    lies = np.eye(3)
-    lies[:2, :2] = rotation_2d(float(trajectory.object_pose[flat, 2]))
-    mount = sensor[flat].T @ lies
+    mount = sensor[flat].T @ rotation_z(float(trajectory.object_pose[flat, 2]))
     return flat, mount, sensor @ mount
 
 

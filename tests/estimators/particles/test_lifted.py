@@ -2,20 +2,25 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 from estimators.identifiability.predicted import predicted_lift
 from estimators.particles.lifts import LiftErrors, lifted_rows
 from estimators.support_models.estimator import SupportAware
-from estimators.testing.analytic_world import accelerated, drawn_object, turns
+from estimators.testing.analytic_world import TOOL, accelerated, drawn_object, turns
 from testbed.actions.lift import Lift
 from testbed.errors import InvalidValueError
+from testbed.frames import move_wrench, rotate_wrench, rotation_matrix
 from testbed.objects.files import load_object
 from testbed.sensing.lift_windows import lift_windows
 from testbed.sensing.presets import preset
+from testbed.worlds.setup_errors import EXACT_SETUP, SetupErrors
 from tests.fakes.lifted_world import lifted
 from tests.helpers.answers import ask, nad
 
@@ -73,6 +78,27 @@ def test_its_errors_are_as_large_as_they_are_said_to_be():
     count = len(misses) * 6
     assert chi2.cdf(np.sum(misses), count) < 0.995
     assert np.sum(misses) > 0.3 * count
+
+
+@pytest.mark.parametrize(
+    ("setup", "worth"),
+    [(SetupErrors(gain=0.02), 1.02), (SetupErrors(mounting_angle=0.02), 1.0), (SetupErrors(grasp_offset=2e-3), 1.0)],
+)
+def test_errors_of_the_setup_count_as_stated(setup, worth):
+    obj = drawn_object(1)
+    offset = (setup.grasp_offset, -setup.grasp_offset, 0.0)
+    felt = lifted(obj, SHORT, offset=offset, errors=1.0, seed=2)
+    axes = rotation_matrix(felt.sensor_orientation)
+    sensed = move_wrench(rotate_wrench(axes.transpose(0, 2, 1), felt.wrench_on_object_world), -TOOL.tcp)
+    sensed = worth * rotate_wrench(Rotation.from_rotvec([setup.mounting_angle, 0, 0]).as_matrix(), sensed)
+    felt = replace(felt, wrench_on_object_world=rotate_wrench(axes, move_wrench(sensed, TOOL.tcp)))
+    misses = [
+        np.mean((seen.values - seen.rows @ obj.truth.mass) ** 2)
+        for seen in (
+            lifted_rows(obj.shape, obj.total_mass, [replace(felt, setup=each)]) for each in (setup, EXACT_SETUP)
+        )
+    ]
+    assert misses[0] < 2.5 and misses[1] > 2 * misses[0]
 
 
 def test_what_is_no_lift_says_nothing_and_a_lift_is_nothing_to_others():

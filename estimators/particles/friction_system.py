@@ -25,6 +25,9 @@ from testbed.objects.model import GRAVITY, ObjectShape
 SWING = 3e-4
 """Error of the center of an accelerated turn, m: the arm swings. Ours."""
 
+PUSH_ERROR = 0.01
+"""Model error of a push, as a part of the total drag: feet near a center of rotation that moves on. Ours."""
+
 
 @dataclass(frozen=True, eq=False)
 class LoadGroups:
@@ -162,7 +165,11 @@ def wrench_errors(
     """
     slopes = windows.drag_slopes(model, drag, errors.pivot_error)
     force = (errors.force_error * drag.sum(-1)).square()
-    own = torch.stack([force, force, (errors.torque_error * windows.wrench[:, 2]).square()], -1) + 1e-10
+    torque = (errors.torque_error * windows.wrench[:, 2]).square()
+    pushed = PUSH_ERROR * windows.pushed
+    force = force + (pushed * drag.sum(-1)).square()
+    torque = torque + (pushed * (drag * windows.lever(model).norm(dim=-1)).sum(-1)).square()
+    own = torch.stack([force, force, torque], -1) + 1e-10
     moved = errors.pivot_error * windows.twist[:, 2].abs()[:, None, None] * slopes[..., :2]
     held = ~windows.pushed[:, None, None]
     effects, late = seen_effects(windows, model, mass, slopes)

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from testbed.actions.base import Action, ActionWords
-from testbed.actions.path import Profile, Steady, motion_time
+from testbed.actions.path import RAMP_TIME, Profile, Steady, motion_time
 from testbed.errors import InvalidValueError
 from testbed.objects.faces import Face, face_at
 from testbed.objects.model import ObjectShape
@@ -20,6 +20,11 @@ GAP = 0.01
 """Way of the fingertip before it meets the face [m]: it moves at its speed by then."""
 SPEEDS = (0.01, 0.05)
 """Least and greatest speed of a push [m/s]: slower ones stick, and faster ones are not quasi-static."""
+TIP_HEIGHT = 0.008
+"""Height over the table of a fingertip's middle, on a peg between the closed fingers [m]: pushed higher up, an object's
+light parts would lift off on one side."""
+LEAST_LENGTH = 0.03
+"""Least length of a push [m]: a shorter one shows nothing before it stops."""
 ON_FACE = 1e-4
 """Greatest distance of a push's point from the outline [m]."""
 STEEPEST = math.radians(60)
@@ -46,22 +51,26 @@ class Push(Action, kind="push"):
     """Speed of the fingertip [m/s]."""
     length: float = 0.1
     """Length of the path from where the object lay [m]."""
-    radius: float = 0.01
+    radius: float = 0.006
     """Radius of the fingertip [m]."""
+    friction: float = 0.4
+    """Friction of the fingertip against the faces, by which a simulation lets it slide; no method needs it."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "point", tuple(frozen_array("Push.point", self.point, (2,)).tolist()))
-        check_positive_fields(self, "speed", "length", "radius")
+        check_positive_fields(self, "speed", "length", "radius", "friction")
         for name in ("direction", "curvature"):
             if not is_number(value := getattr(self, name)):
                 raise InvalidValueError(f"Push.{name}", value, "a finite number")
         if not SPEEDS[0] <= self.speed <= SPEEDS[1]:
             raise InvalidValueError("Push.speed", self.speed, f"{SPEEDS[0]:g} to {SPEEDS[1]:g}, m/s")
+        if self.length < LEAST_LENGTH:
+            raise InvalidValueError("Push.length", self.length, f"at least {LEAST_LENGTH:g}, m")
 
     @property
     def steady(self) -> tuple[Steady, ...]:
         """The stretch at constant speed."""
-        return (Steady(self.speed, 0.0, (GAP + self.length) / self.speed),)
+        return (Steady(self.speed, 0.0, (GAP + self.length) / self.speed - RAMP_TIME),)
 
     @property
     def seconds(self) -> float:

@@ -238,7 +238,13 @@ def weighing_grasp(shape: ObjectShape) -> Grasp:
 
 
 def gripped(trial: Trial) -> Grasp:
-    """Grasp of a trial."""
+    """Grasp of a trial.
+
+    Raises:
+        InfeasibleTrialError: a push, or nothing to grip.
+    """
+    if trial.action.moves and trial.action.grasp is None:
+        raise InfeasibleTrialError("push: the robot pushes nothing yet, for want of a camera; push in simulation")
     return trial.grasp if trial.action.moves else weighing_grasp(trial.object.shape)
 
 

@@ -1,4 +1,4 @@
-"""Contacts of the feet with the table: in the scene, their true forces in a trial, and their loads at rest."""
+"""Contacts of the feet with the table: in the scene, their forces in a trial and at rest; of a fingertip with faces."""
 
 from __future__ import annotations
 
@@ -12,14 +12,24 @@ import mujoco
 import numpy as np
 from jaxtyping import Float
 
+from testbed.actions.push import TIP_HEIGHT, Push
 from testbed.foot_forces import FootForces
+from testbed.objects.faces import faces
 from testbed.objects.model import GRAVITY, ObjectModel, ObjectShape
-from testbed.simulation.settings import ContactSettings
+from testbed.simulation.settings import ContactSettings, GripSettings
 from testbed.trial import Support
 from testbed.worlds.feet import Feet
 
 if TYPE_CHECKING:
     from testbed.simulation.scene import Scene
+
+
+_MOTION_SENSORS = {
+    "position": mujoco.mjtSensor.mjSENS_FRAMEPOS,
+    "orientation": mujoco.mjtSensor.mjSENS_FRAMEQUAT,
+    "velocity": mujoco.mjtSensor.mjSENS_FRAMELINVEL,
+    "angular_velocity": mujoco.mjtSensor.mjSENS_FRAMEANGVEL,
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -196,3 +206,55 @@ def _inverse_masses(model: mujoco.MjModel, geoms: np.ndarray, impedance: float) 
     for touch in data.contact:
         inverse[np.isin(geoms, touch.geom)] = data.efc_R[touch.efc_address] * impedance / (1 - impedance)
     return inverse
+
+
+def add_fingertip(
+    spec: mujoco.MjSpec, shape: ObjectShape, frames: list[mujoco.MjsFrame], push: Push, grip: GripSettings
+) -> None:
+    """Add a ball on a peg below the TCP, a box behind each face, their contacts, and sensors of the object's motion.
+
+    A face's box goes as deep as a cell, so that the ball meets no seam within a face.
+
+    Args:
+        spec: scene with arm and object.
+        shape: geometry of the object.
+        frames: frame of every mass group, at the object's middle.
+        push: radius and friction of the ball.
+        grip: height of the TCP, and a contact's damping.
+    """
+    x, y, z = spec.site("gripper/tcp").pos
+    below = z + grip.tcp_height - TIP_HEIGHT
+    looks = {"mass": 0, "rgba": (0.9, 0.2, 0.1, 1.0), "group": 2, "contype": 0, "conaffinity": 0}
+    hand, ball, peg = spec.body("gripper/base"), mujoco.mjtGeom.mjGEOM_SPHERE, mujoco.mjtGeom.mjGEOM_CYLINDER
+    hand.add_geom(name="fingertip", type=ball, pos=(x, y, below), size=(push.radius, 0, 0), **looks)
+    hand.add_geom(name="peg", type=peg, fromto=(x, y, z, x, y, below), size=(push.radius / 2, 0, 0), **looks)
+    for index, face in enumerate(faces(shape)):
+        x, y = (face.begin + face.end) / 2 - face.normal * shape.cell / 2
+        angle = math.atan2(face.normal[1], face.normal[0])
+        frames[face.group].add_geom(
+            name=f"face_{index}",
+            type=mujoco.mjtGeom.mjGEOM_BOX,
+            pos=(x, y, 0),
+            quat=(math.cos(angle / 2), 0, 0, math.sin(angle / 2)),
+            size=(shape.cell / 2, face.length / 2, shape.height / 2),
+            mass=0,
+            group=4,
+            contype=0,
+            conaffinity=0,
+        )
+        spec.add_pair(
+            geomname1="fingertip",
+            geomname2=f"face_{index}",
+            condim=3,
+            friction=[push.friction, push.friction, 0, 0, 0],
+            solref=(0.004, grip.pad_damping),
+            solreffriction=(-1e-6, -grip.friction_damping),
+            solimp=[0.95, 0.99, 0.001, 0.5, 2],
+        )
+    for name, kind in _MOTION_SENSORS.items():
+        spec.add_sensor(name=f"object/{name}", type=kind, objtype=mujoco.mjtObj.mjOBJ_XBODY, objname="object")
+
+
+def touches(data: mujoco.MjData, geom: int) -> bool:
+    """True if a geom is in contact."""
+    return bool((data.contact.geom == geom).any())

@@ -69,7 +69,8 @@ class Servo:
         if phase == Phase.TARE:
             self._tare = self._wrench_world(data)
         elif self._motion.nulling[tick]:
-            gain = self._settings.servo.null_gain if phase == Phase.SETTLE else self._settings.servo.comply_gain
+            nulls = phase == Phase.SETTLE or self._motion.closed
+            gain = self._settings.servo.null_gain if nulls else self._settings.servo.comply_gain
             self._shift -= gain * self._dt / _NULL_TIME_CONSTANT * self._deflection(data)
 
     def _wrench_world(self, data: mujoco.MjData) -> np.ndarray:
@@ -84,5 +85,7 @@ class Servo:
         torque = wrench[3:] - np.cross(data.site_xpos[self._tcp] - data.site_xpos[self._wrench], force)
         height = data.site_xpos[self._tcp][2]
         unwanted = np.array([0, 0, force[2], torque[0] - height * force[1], torque[1] + height * force[0], 0])
+        if self._motion.closed:  # a push tilts what it pushes: only the force up or down is unwanted
+            unwanted[3:] = 0.0
         mujoco.mj_jacSite(data.model, data, self._jacobian[:3], self._jacobian[3:], self._tcp)
         return self._jacobian[:, :7].T @ unwanted / self._stiffness

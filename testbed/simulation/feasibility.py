@@ -10,8 +10,9 @@ import numpy as np
 from testbed.actions.base import TableAction
 from testbed.actions.lift import Lift
 from testbed.actions.path import EDGES, HIGH, LOW, outline, overhang, overhang_of
+from testbed.actions.push import GAP, TIP_HEIGHT, Push
 from testbed.errors import InfeasibleTrialError
-from testbed.frames import rotation_2d
+from testbed.frames import rotation_2d, transform_point
 from testbed.objects.model import (
     GRAVITY,
     LEAST_FACE,
@@ -42,6 +43,10 @@ def check_feasible(trial: Trial, motion: Motion, settings: SimulationSettings) -
             weight or not to be lifted; friction beyond the grip; drag beyond a joint's working torque; or a joint
             beyond its speed. The message says by how much, and what to change.
     """
+    if isinstance(trial.action, Push):
+        _check_push(trial, trial.action, motion, settings)
+        _check_speed(motion)
+        return
     shape, grasp = trial.object.shape, trial.grasp
     if not ROBOTIQ_2F85.takes(grasp.width):
         raise InfeasibleTrialError(
@@ -63,6 +68,40 @@ def check_feasible(trial: Trial, motion: Motion, settings: SimulationSettings) -
         _check_lift(trial, trial.action, motion, settings)
     else:
         _check_drag(trial, grasp, motion, settings)
+    _check_speed(motion)
+
+
+def _check_push(trial: Trial, action: Push, motion: Motion, settings: SimulationSettings) -> None:
+    """Refuse a push without a face, on a low object, from amid it, beyond the table's edge, or of too much drag."""
+    obj, shape = trial.object, trial.object.shape
+    if obj.solids:
+        raise InfeasibleTrialError("push: the outline of a mesh is not known to the fingertip yet; push blocks")
+    start = action.path(shape, np.zeros(1))[0]
+    height = TIP_HEIGHT
+    if shape.height < height or action.radius >= height:
+        raise InfeasibleTrialError(
+            f"push: the middle of the fingertip is {height * 1e3:.0f} mm over the table; its radius of "
+            f"{action.radius * 1e3:.0f} mm must be less, and the object's height of {shape.height * 1e3:.0f} mm more"
+        )
+    gap = float(np.linalg.norm(np.maximum(np.abs(shape.particles - start) - shape.cell / 2, 0.0), axis=1).min())
+    if gap < action.radius:
+        raise InfeasibleTrialError(
+            f"push: the fingertip would come down {gap * 1e3:.1f} mm from the object with its radius of "
+            f"{action.radius * 1e3:.0f} mm; push where there is room, or with a smaller fingertip"
+        )
+    # wherever it turns, it stays within its own reach of where the fingertip goes
+    reach = float(np.linalg.norm(outline(shape)[:, None] - outline(shape)[None], axis=2).max()) + action.radius
+    path = transform_point(motion.object_pose, action.path(shape, np.linspace(0.0, GAP + action.length, 20)))
+    beyond = (np.array(LOW) - path + reach).max(), (path + reach - np.array(HIGH)).max()
+    if max(beyond) > 0:
+        raise InfeasibleTrialError(
+            f"table: the object might pass the table's edge by {max(beyond) * 1e3:.0f} mm; push it less far"
+        )
+    _check_rest(trial, settings)
+    _check_torques(motion, float(_drags(obj).sum()), 0.0)
+
+
+def _check_speed(motion: Motion) -> None:
     speed = np.abs(motion.qd) / JOINT_SPEED_LIMIT
     if speed.max() > 1:
         joint = int(speed.max(axis=0).argmax())
@@ -93,10 +132,7 @@ def _check_table(trial: Trial, motion: Motion, settings: SimulationSettings) -> 
 
 def _check_drag(trial: Trial, grasp: Grasp, motion: Motion, settings: SimulationSettings) -> None:
     """Refuse friction under the object beyond grip or joint torques."""
-    obj, shape = trial.object, trial.object.shape
-    friction = np.where(shape.friction_group >= 0, obj.truth.friction[np.maximum(shape.friction_group, 0)], 0.0)
-    feet = np.bincount(shape.mass_group[shape.friction_group >= 0], minlength=shape.n_m)
-    load = friction * (obj.group_mass / np.maximum(feet, 1))[shape.mass_group] * GRAVITY  # a group's feet carry it all
+    load, shape = _drags(trial.object), trial.object.shape
     drag = float(load.sum())
     torque = float(load @ np.linalg.norm(shape.particles - grasp.position, axis=1))
     grip = settings.grip
@@ -113,6 +149,14 @@ def _check_drag(trial: Trial, grasp: Grasp, motion: Motion, settings: Simulation
                     "235 N) or a weld"
                 )
     _check_torques(motion, drag, torque)
+
+
+def _drags(obj: ObjectModel) -> np.ndarray:
+    """Friction under every particle [N], shape (P,): a group's feet carry all of it."""
+    shape = obj.shape
+    friction = np.where(shape.friction_group >= 0, obj.truth.friction[np.maximum(shape.friction_group, 0)], 0.0)
+    feet = np.bincount(shape.mass_group[shape.friction_group >= 0], minlength=shape.n_m)
+    return friction * (obj.group_mass / np.maximum(feet, 1))[shape.mass_group] * GRAVITY
 
 
 def _check_rest(trial: Trial, settings: SimulationSettings) -> None:

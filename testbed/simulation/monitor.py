@@ -9,6 +9,7 @@ import mujoco
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from testbed.simulation.contacts import touches
 from testbed.simulation.motion import JOINT_SPEED_LIMIT, Motion
 from testbed.simulation.scene import Scene
 from testbed.simulation.settings import SimulationSettings
@@ -20,6 +21,10 @@ IMPOSSIBLE_SPEED = 20.0
 """Multiple of its speed limit that no joint can reach: the simulation has diverged."""
 SATURATION_TIME = 0.1
 """Longest time of a joint at its working torque [s]."""
+LEFT = 0.1
+"""Time without contact after which a fingertip has left the object [s]."""
+SHORTEST_PUSH = 1.0
+"""Least time in contact of a push that is data [s]."""
 _FAULTS = (mujoco.mjtWarning.mjWARN_BADQPOS, mujoco.mjtWarning.mjWARN_BADQVEL, mujoco.mjtWarning.mjWARN_BADQACC)
 
 _PoseInHand = tuple[np.ndarray, np.ndarray]
@@ -53,6 +58,8 @@ class Monitor:
         self._held = (motion.phase >= Phase.SETTLE) & (motion.phase != Phase.RELEASE)
         self._shift = _shift_in_space if motion.in_the_air else _shift_on_table
         self._grasped: _PoseInHand | None = None
+        self._tip = model.geom("fingertip").id if motion.closed else None
+        self._touched = self._since = 0
         self._saturated = np.zeros(7)
         self._torque = self._speed = self._slip = self._turn = 0.0
         self._status: Status = "ok"
@@ -88,7 +95,19 @@ class Monitor:
             return self._end(
                 "limit", f"speed: joint {joint + 1} at {speed.max():.2f} of its limit at {tick / self._rate:.2f} s"
             )
-        return self._held[tick] and self._slipped(data, tick)
+        return self._left(data, tick) if self._tip is not None else self._held[tick] and self._slipped(data, tick)
+
+    def _left(self, data: mujoco.MjData, tick: int) -> bool:
+        """True once the fingertip of a push has left the object."""
+        if touches(data, self._tip or 0):
+            self._touched, self._since = self._touched + 1, 0
+            return False
+        self._since += bool(self._touched)
+        if self._since < LEFT * self._rate:
+            return False
+        seconds = self._touched / self._rate
+        self._reason = f"the fingertip left the object at {tick / self._rate:.2f} s, after {seconds:.2f} s in contact"
+        return True
 
     def _slipped(self, data: mujoco.MjData, tick: int) -> bool:
         hand = data.site_xmat[self._tcp].reshape(3, 3)
@@ -112,12 +131,15 @@ class Monitor:
 
     def outcome(self) -> Outcome:
         """Outcome so far."""
+        if self._tip is not None and self._status == "ok" and self._touched < SHORTEST_PUSH * self._rate:
+            self._status = "slipped"
+            self._reason = self._reason or f"the fingertip met the object for {self._touched / self._rate:.2f} s alone"
         figures = {
             "peak_torque_over_limit": float(self._torque),
             "peak_speed_over_limit": float(self._speed),
             "slip_m": float(self._slip),
             "slip_rad": float(self._turn),
-        }
+        } | ({} if self._tip is None else {"contact_s": self._touched / self._rate})
         return Outcome(self._status, self._reason, figures, self._state or None)
 
 

@@ -15,8 +15,9 @@ from scipy.interpolate import CubicSpline
 from testbed.actions.base import Action, TableAction
 from testbed.actions.lift import Lift, LiftProfile
 from testbed.actions.path import PAUSE, WORKSPACE, minimum_jerk
+from testbed.actions.push import Push
 from testbed.errors import InfeasibleTrialError, InvalidValueError
-from testbed.frames import pose_from_point, rotation_2d
+from testbed.frames import pose_from_point, rotation_2d, transform_point
 from testbed.objects.model import STROKE, ObjectShape
 from testbed.simulation.scene import HOME, arm_spec
 from testbed.simulation.settings import SimulationSettings
@@ -27,7 +28,7 @@ JOINT_SPEED_LIMIT = np.radians([80, 80, 80, 80, 70, 70, 70])
 HOVER = 0.06
 """Height over the grasp at which the sensor is zeroed [m]."""
 _TARE_TIME, _DESCENT_TIME, _CLOSE_TIME, _OPEN_TIME = 0.5, 0.8, 0.8, 0.3
-_STEP_TURN, _STEP_LINE = math.radians(10), 0.025
+_STEP_TURN, _STEP_LINE, _STEP_PUSH = math.radians(10), 0.025, 0.01
 _TILT_WAYPOINTS, _LIFT_WAYPOINTS = 4, 5
 _STEP_TILT = math.radians(4)
 _TOLERANCE = 1e-7
@@ -174,6 +175,8 @@ class Motion:
     """True while load and tilt are nulled, shape (N,)."""
     in_the_air: bool
     """True if the object leaves the table."""
+    closed: bool = False
+    """True if the fingers are closed all along: they push."""
 
 
 def plan_motion(
@@ -214,19 +217,21 @@ def plan_motion(
 
     n = round(_DESCENT_TIME / dt)
     s, sd = minimum_jerk(np.arange(1, n + 1) / n)
-    hold(Phase.TARE, q_hover, _TARE_TIME, (-0.05, -0.05))
-    add(Phase.APPROACH, descent_path(s), descent_path(s, 1) * sd[:, None] / _DESCENT_TIME, (-0.05, -0.05))
-    hold(Phase.GRASP, q_grasp, PAUSE, (-0.05, -0.05))
-    hold(Phase.GRASP, q_grasp, _CLOSE_TIME, (0.05, 1.0))
-    hold(Phase.SETTLE, q_grasp, settings.servo.null_time, (1.0, 1.0), settings.servo.null_gain > 0)
-    hold(Phase.SETTLE, q_grasp, PAUSE, (1.0, 1.0))
+    ready, full = (0.05, 0.05) if work.pushes else (-0.05, 1.0)
+    hold(Phase.TARE, q_hover, _TARE_TIME, (ready, ready))
+    add(Phase.APPROACH, descent_path(s), descent_path(s, 1) * sd[:, None] / _DESCENT_TIME, (ready, ready))
+    hold(Phase.GRASP, q_grasp, PAUSE, (ready, ready))
+    if not work.pushes:
+        hold(Phase.GRASP, q_grasp, _CLOSE_TIME, (0.05, 1.0))
+        hold(Phase.SETTLE, q_grasp, settings.servo.null_time, (1.0, 1.0), settings.servo.null_gain > 0)
+        hold(Phase.SETTLE, q_grasp, PAUSE, (1.0, 1.0))
     phases = np.where(work.segment >= 0, Phase.STEADY, Phase.RAMP)
-    parts.append((phases, work.segment, q, qd, np.ones(len(q)), np.full(len(q), work.complies)))
-    hold(Phase.RELEASE, q[-1], PAUSE, (1.0, 0.0))
-    hold(Phase.RELEASE, q[-1], _OPEN_TIME, (-0.05, -0.05))
-    return Motion(
-        q_hover, work.object_pose, work.center, *map(np.concatenate, zip(*parts, strict=True)), in_the_air=action.in_air
-    )
+    parts.append((phases, work.segment, q, qd, np.full(len(q), full), np.full(len(q), work.complies)))
+    if not work.pushes:
+        hold(Phase.RELEASE, q[-1], PAUSE, (1.0, 0.0))
+        hold(Phase.RELEASE, q[-1], _OPEN_TIME, (-0.05, -0.05))
+    joined = map(np.concatenate, zip(*parts, strict=True))
+    return Motion(q_hover, work.object_pose, work.center, *joined, in_the_air=action.in_air, closed=work.pushes)
 
 
 @dataclass(frozen=True, eq=False)
@@ -245,6 +250,8 @@ class _Work:
     """Joint angles [rad] and speeds [rad/s] of every tick, each (N, 7), from the angles at the grasp."""
     complies: bool
     """True if load and tilt are nulled meanwhile."""
+    pushes: bool = False
+    """True if the hand closes on nothing, and pushes."""
 
 
 @singledispatch
@@ -273,6 +280,30 @@ def _(
     complies = settings.servo.comply_gain > 0
     x, y = action.center(shape)
     return _Work(waypoints[0], path.object_pose(part)[0], (x, y), profile.segment, joints, complies)
+
+
+@_work.register(Push)
+def _(action: Push, shape: ObjectShape, settings: SimulationSettings, start: tuple[float, float, float]) -> _Work:
+    """The way from where the object lay is centred, and leads sideways there; the pads close along x."""
+    profile = action.profile(1.0 / settings.rate)
+    fine = np.linspace(0.0, profile.length, max(math.ceil(profile.length / _STEP_PUSH), 4) + 1)
+    try:
+        way = action.path(shape, fine)
+    except InvalidValueError as error:
+        raise InfeasibleTrialError(f"push: {error}") from error
+    middle = way[len(way) // 2]
+    yaw = math.pi / 2 - action.direction - action.curvature * action.length / 2 + start[2]
+    pose = pose_from_point(np.array(WORKSPACE) + start[:2], middle, np.array(yaw))
+    tool = transform_point(pose, way)
+    level = np.full((len(way), 2), [settings.grip.tcp_height, 0.0])
+    waypoints = np.hstack([tool, level])
+
+    def joints(q_hold: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        along, part = spline(waypoints, q_hold), profile.distance / profile.length
+        return along(part), along(part, 1) * (profile.rate / profile.length)[:, None]
+
+    nulls = settings.servo.null_gain > 0
+    return _Work(waypoints[0], pose, (0.0, 0.0), profile.segment, joints, complies=nulls, pushes=True)
 
 
 @_work.register(Lift)

@@ -9,7 +9,9 @@ from typing import Self
 
 import mujoco
 import numpy as np
+from scipy.spatial.transform import Rotation
 
+from testbed.actions.push import Push
 from testbed.errors import InfeasibleTrialError, InvalidValueError
 from testbed.frames import (
     origin_velocity,
@@ -20,6 +22,7 @@ from testbed.frames import (
     transform_point,
 )
 from testbed.objects.model import STROKE, Grasp
+from testbed.sensing.camera import PoseStream
 from testbed.sensing.noise import draw_sensing
 from testbed.sensing.presets import preset
 from testbed.simulation.contacts import ContactLog, ContactRecord
@@ -44,6 +47,7 @@ _SENSORS = {
     "tcp_angular_velocity": "gripper/tcp_angular_velocity",
 }
 
+_SEEN = {name: f"object/{name}" for name in ("position", "orientation", "velocity", "angular_velocity")}
 _SETTLE_TIME, _READ_TIME = 1.0, 0.5
 _SHIFTS = (1.0, 0.5, 0.0)
 TOLERANCE_IN_AIR = 1e-12
@@ -116,11 +120,14 @@ class SimulationRunner:
         if not trial.action.moves:
             return weigh(trial, self.settings)
         motion, draw = self._motion(trial), trial.world
-        held = trial.grasp
-        if draw is not None:
+        push = trial.action if isinstance(trial.action, Push) else None
+        held = None if push else trial.grasp
+        if held is not None and draw is not None:
             held = draw.grasp(trial.grasp, trial.action)
             motion = _as_held(motion, trial.grasp, held)
-        scene = build_scene(trial.object, trial.support, held, self.settings, origin=motion.center, draw=draw)
+        scene = build_scene(
+            trial.object, trial.support, held, self.settings, origin=motion.center, draw=draw, push=push
+        )
         model, data = scene.model, mujoco.MjData(scene.model)
         place(scene, data, motion)
         surface = None if draw is None else draw.surface
@@ -161,6 +168,8 @@ def place(scene: Scene, data: mujoco.MjData, motion: Motion) -> None:
     x, y = transform_point(motion.object_pose, np.array(scene.origin))
     yaw = motion.object_pose[2]
     data.qpos[:7] = data.act[:7] = motion.start
+    if motion.closed:
+        data.qpos[[model.joint(f"gripper/{side}_finger").qposadr[0] for side in ("left", "right")]] = STROKE / 2
     address = model.joint("object").qposadr[0]
     data.qpos[address : address + 2] = x, y
     data.qpos[address + 3 : address + 7] = math.cos(yaw / 2), 0.0, 0.0, math.sin(yaw / 2)
@@ -191,38 +200,47 @@ def _trajectory(
     settings: SimulationSettings,
     outcome: Outcome,
 ) -> Trajectory:
-    grasp = trial.grasp
+    pushed = isinstance(trial.action, Push)
     s = {
         name: record[:, (a := model.sensor(key).adr[0]) : a + model.sensor(key).dim[0]]
-        for name, key in _SENSORS.items()
+        for name, key in (_SENSORS | (_SEEN if pushed else {})).items()
     }
     # A step moves by the velocity at its end: the one that goes with a position is half a step younger
     part = settings.rate * settings.timestep / 2
-    for name in ("tcp_velocity", "tcp_angular_velocity"):
-        s[name] = s[name] + part * np.diff(s[name], axis=0, append=s[name][-1:])
-    closing = rotation_matrix(s["tcp_orientation"])[:, :, 0]
-    yaw = np.unwrap(np.arctan2(closing[:, 1], closing[:, 0])) - grasp.angle
-    pose = pose_from_point(s["tcp_position"][:, :2], grasp.position, yaw)
+    s |= {n: v + part * np.diff(v, axis=0, append=v[-1:]) for n, v in s.items() if n.endswith("velocity")}
     twist = np.hstack([s["tcp_velocity"], s["tcp_angular_velocity"]])
+    if pushed:
+        yaw = np.unwrap(Rotation.from_quat(s["orientation"], scalar_first=True).as_euler("ZYX")[:, 0])
+        pose = np.column_stack([s["position"][:, :2], yaw])
+        velocity, width = np.column_stack([s["velocity"][:, :2], s["angular_velocity"][:, 2]]), 0.0
+    else:
+        grasp = trial.grasp
+        closing = rotation_matrix(s["tcp_orientation"])[:, :, 0]
+        yaw = np.unwrap(np.arctan2(closing[:, 1], closing[:, 0])) - grasp.angle
+        pose = pose_from_point(s["tcp_position"][:, :2], grasp.position, yaw)
+        velocity = origin_velocity(twist, yaw, grasp.position)
+        width = grasp.width if settings.grip.mode == "friction" else STROKE
     count = len(record)
+    time = np.arange(count) / settings.rate
     joints = [model.sensor(f"arm/joint_{i}_position").adr[0] for i in range(1, 8)]
     return Trajectory(
         action=trial.action,
         status=outcome.status,
         reason=outcome.reason,
-        time_s=np.arange(count) / settings.rate,
+        time_s=time,
         phase=motion.phase[:count],
         segment=motion.segment[:count],
         object_pose=pose,
-        object_velocity=origin_velocity(twist, yaw, grasp.position),
+        object_velocity=velocity,
         tcp_position=s["tcp_position"],
         tcp_velocity=twist,
         sensor_orientation=s["sensor_orientation"],
         sensor_wrench=np.hstack([s["force"], s["torque"]]),
         wrench_on_object_world=np.zeros((count, 6)),
         joint_position=record[:, joints],
-        tool=gripper_tool(grasp.width if settings.grip.mode == "friction" else STROKE),
+        tool=gripper_tool(width),
         sensor_bias_std=np.zeros(6),
+        camera=PoseStream(time, pose[:, None]) if pushed else None,
         figures=outcome.figures,
         setup=_stated(trial),
         provenance=_provenance(trial) | ({"state": json.dumps(outcome.state)} if outcome.state else {}),

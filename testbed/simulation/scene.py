@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.metadata import PackageNotFoundError, distribution
 from pathlib import Path
 
 import mujoco
 import numpy as np
 
+from testbed.actions.push import Push
 from testbed.errors import InvalidValueError
 from testbed.objects.colors import group_rgba
 from testbed.objects.files import asset_folder
 from testbed.objects.model import GRAVITY, Grasp, ObjectModel, ObjectShape
-from testbed.simulation.contacts import add_feet, soften_feet, touching_groups
+from testbed.simulation.contacts import add_feet, add_fingertip, soften_feet, touching_groups
 from testbed.simulation.settings import ContactSettings, GripSettings, SimulationSettings
 from testbed.trial import Support
 from testbed.worlds.draw import WorldDraw
@@ -172,6 +173,9 @@ def add_grip(
         )
 
 
+PUSH_DAMPING = 2000.0
+"""Rate at which friction opposes slip of a pushed object [1/s]: feet near the center of rotation are slow, and at the
+rate of a held one their friction falls short."""
 HOME = (0.0, 0.62, 3.15, -1.81, -0.01, -0.71, 1.58)
 """Joint angles with the tool pointing down over the middle of the workspace [rad]."""
 mujoco.set_mju_user_warning(lambda message: None)  # a trial's status reports divergence, not a log file
@@ -203,42 +207,49 @@ def build_scene(
     origin: tuple[float, float] = (0.0, 0.0),
     meshes: bool = False,
     draw: WorldDraw | None = None,
+    push: Push | None = None,
 ) -> Scene:
     """Compose and compile the scene with one object on the table.
 
     Args:
         obj: the object as told.
         support: support of the weight.
-        grasp: the grasp whose faces the pads may touch; None leaves the arm out (the scale).
+        grasp: the grasp whose faces the pads may touch; None leaves the arm out (the scale), but for a push.
         settings: contact, grip and servo.
         origin: point of the object that its body's frame lies on [m], object frame. A contact in MuJoCo leaves out the
             centripetal acceleration of that point, by which the object would creep in the grip: in a turn, its center.
         meshes: draw the arm by its meshes if the extra "meshes" is installed; capsules otherwise.
         draw: the world; None is the ideal one, in which a foot stands under each particle in contact.
+        push: a push, whose fingertip may touch all faces; None without.
 
     Raises:
         InvalidValueError: a mass group without feet on a support where each group rests on its own.
     """
+    contact = settings.contact
+    if push is not None:
+        contact = replace(contact, friction_damping=max(contact.friction_damping, PUSH_DAMPING))
     spec = part("table")
     spec.modelname = f"heft_{obj.name}"
-    set_solver(spec, settings.timestep, settings.contact)
+    set_solver(spec, settings.timestep, contact)
     told, feet = obj, Feet.of(obj)
     if draw is not None:
         obj = draw.true_object(told)
         feet, spec.option.gravity = draw.feet(obj), draw.gravity
-    spec.geom("top").pos[2] += settings.contact.sag / 2  # a contact lies halfway into the overlap: then at height 0
+    spec.geom("top").pos[2] += contact.sag / 2  # a contact lies halfway into the overlap: then at height 0
     standing = obj.shape.mass_group[obj.shape.friction_group >= 0]
     clear = [obj.shape.group_names[g] for g in range(obj.shape.n_m) if g not in standing]
     if clear and not support.is_rigid:
         raise InvalidValueError("support", support.name, f"rigid, since {', '.join(clear)} has no foot to rest on")
-    if grasp is not None:
+    if grasp is not None or push is not None:
         attach_arm(spec, meshes=meshes)
     frames = add_object(spec, obj, support, origin, told.shape)
-    add_feet(spec, obj, frames, settings.contact, feet)
+    add_feet(spec, obj, frames, contact, feet)
     if grasp is not None:
         add_grip(spec, obj.shape, frames, grasp, settings.grip)
+    if push is not None:
+        add_fingertip(spec, obj.shape, frames, push, settings.grip)
     model = spec.compile()
-    foot_geoms = soften_feet(model, obj, feet, settings.contact)
+    foot_geoms = soften_feet(model, obj, feet, contact)
     foot_pairs = np.array([model.pair(f"foot_{index}").id for index in range(len(feet.particle))])
     return Scene(model, model.body("object").id, foot_geoms, foot_pairs, feet, origin)
 

@@ -18,6 +18,7 @@ from testbed.actions.slide import Slide
 from testbed.actions.weigh import Weigh
 from testbed.errors import InfeasibleTrialError
 from testbed.objects.model import MassDistribution, ObjectModel
+from testbed.sensing.camera import PoseStream
 from testbed.sensing.compensation import compensate
 from testbed.sensing.windows import steady_windows
 from testbed.trajectory import Phase, Status, Tool, Trajectory, load_trajectory, save_trajectory
@@ -156,7 +157,7 @@ def the_hand_moves_as_it_says(record: Trajectory, trial: Trial) -> None:
 
 def the_truth_is_not_in_it(record: Trajectory, trial: Trial) -> None:
     parts = list(vars(record).values())
-    allowed = (np.ndarray, str, dict, Tool, SetupErrors, Rotate, Accelerate, Slide, Weigh)
+    allowed = (np.ndarray, str, dict, Tool, SetupErrors, PoseStream, type(None), Rotate, Accelerate, Slide, Weigh)
     assert all(isinstance(part, allowed) for part in parts)
     assert not any(isinstance(part, ObjectModel | MassDistribution) for part in parts)
     obj = trial.object

@@ -1,0 +1,89 @@
+"""Tests of pushes in MuJoCo: contact, motion, what a camera sees of it, and what is refused."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from estimators.hidden_states.estimator import HiddenStates
+from estimators.testing.analytic_world import drawn_object
+from testbed import InfeasibleTrialError, Push, SimulationRunner, Trial, draw_sensing, load_object, preset
+from testbed.objects.faces import faces
+from testbed.objects.model import GRAVITY
+from testbed.robot.path import starting_pose
+from testbed.sensing.push_windows import push_windows, touching
+
+BLOCKS = drawn_object(3, ["11", "11", "11"])
+RUNNER = SimulationRunner()
+
+
+def pushes(count: int, seed: int) -> list[Push]:
+    """Pushes of random faces of the blocks."""
+    rng, every = np.random.default_rng(seed), faces(BLOCKS.shape)
+    found = []
+    for _ in range(count):
+        face = every[rng.integers(len(every))]
+        x, y = (face.begin + rng.uniform(0.1, 0.9) * (face.end - face.begin)).tolist()
+        found.append(Push((x, y), math.atan2(*-face.normal[::-1]) + rng.uniform(-0.5, 0.5)))
+    return found
+
+
+def test_a_push_through_the_middle():
+    """The object goes with the fingertip, against its friction; a camera sees it, and the hand does not."""
+    x, y = BLOCKS.center_of_mass
+    clean = RUNNER.run_clean(Trial(BLOCKS, Push((-0.05, float(y)), 0.0, speed=0.05, length=0.08)))
+    assert clean.ok and clean.reason == "" and clean.camera is not None and x > -0.05
+    drag = BLOCKS.truth.friction[0] * BLOCKS.total_mass * GRAVITY
+    drawn = draw_sensing(clean, preset("ideal"), 0)
+    windows = push_windows(drawn)
+    assert len(windows) >= 2
+    for window in windows:
+        assert window.wrench[0] == pytest.approx(drag, rel=0.02) and abs(window.wrench[5]) < 0.02 * drag * 0.1
+        assert window.twist[:2] == pytest.approx([0.05, 0.0], abs=2e-3) and abs(window.twist[2]) < 0.05
+        assert window.point is not None and window.point == pytest.approx([-0.056, y], abs=2e-3)
+    travelled = np.linalg.norm(np.ptp(clean.camera.poses[:, 0, :2], axis=0))
+    assert travelled == pytest.approx(0.08, abs=0.004)
+    # it meets the object after the gap, and no sooner
+    began = drawn.time_s[touching(drawn)[0]] - drawn.time_s[np.flatnonzero(drawn.segment >= 0)[0]]
+    assert 0.0 <= began < 0.1
+    seen = draw_sensing(clean, preset("ft300s"), 1)
+    assert seen.camera is not None and len(seen.camera.time_s) < len(clean.time_s) / 3
+    assert np.abs(seen.object_pose - clean.object_pose).max() < 0.02 and (seen.object_pose != clean.object_pose).any()
+    assert len(push_windows(seen)) >= 2
+
+
+def test_a_push_that_loses_the_object_keeps_what_it_had():
+    face = next(face for face in faces(BLOCKS.shape) if face.normal[0] < 0)
+    point = face.begin + 0.1 * (face.end - face.begin)
+    x, y = (point if abs(point[1]) > abs(face.end[1]) else face.end - 0.1 * (face.end - face.begin)).tolist()
+    lost = RUNNER.run_clean(Trial(BLOCKS, Push((x, y), 0.0, length=0.2, speed=0.05)))
+    assert lost.ok and lost.reason.startswith("the fingertip left the object")
+    assert len(push_windows(draw_sensing(lost, preset("ideal"), 0))) >= 1
+    assert lost.figures["contact_s"] < 4.0
+
+
+def test_what_cannot_be_pushed_is_refused():
+    flat, hammer = replace(BLOCKS, shape=replace(BLOCKS.shape, height=0.006)), load_object("hammer")
+    inwards = Push((-0.05, 0.0), 0.0)
+    refused = [
+        (BLOCKS, Push((0.0, 0.0), 0.0), "push"),
+        (BLOCKS, Push((-0.05, 0.0), math.pi), "push"),
+        (BLOCKS, replace(inwards, radius=0.01), "push"),
+        (BLOCKS, replace(inwards, length=2.0), "table|reach"),
+        (flat, inwards, "push"),
+        (hammer, inwards, "push"),
+    ]
+    for obj, action, why in refused:
+        with pytest.raises(InfeasibleTrialError, match=why):
+            RUNNER.check(Trial(obj, action))
+    with pytest.raises(InfeasibleTrialError, match="camera"):
+        starting_pose(Trial(BLOCKS, inwards))
+
+
+@pytest.mark.slow
+def test_masses_from_pushes_in_mujoco():
+    trials = [draw_sensing(RUNNER.run_clean(Trial(BLOCKS, push)), preset("ideal"), 0) for push in pushes(12, 3)]
+    found = HiddenStates().estimate(BLOCKS.shape, BLOCKS.total_mass, trials, 0)
+    assert found.distribution is not None
+    assert np.abs(found.distribution.mass - BLOCKS.truth.mass).sum() / BLOCKS.truth.mass.sum() < 0.05

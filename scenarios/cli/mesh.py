@@ -38,8 +38,8 @@ def mesh(
         files: STL, OBJ, PLY, OFF, GLB or 3MF.
         out: folder to write to.
         units: of the file; found if left out: as the file says, else from the size.
-        parts: 3 (equal lengths along the longest side), 0.3,0.6 (planes there), bodies, colours, or a PLY file of
-            labelled points; auto takes colours if there are two, else bodies, else 3.
+        parts: 3 (equal lengths along the longest side), 0.3,0.6 (planes there), bodies, colours, clusters:3 (where its
+            width changes), or a PLY file of labelled points; auto takes colours if there are two, else bodies, else 3.
         down: axis of the file that points down (x, -x, y, ...), or the number of a stable pose; auto is the likeliest.
         cell: side of a cell; for about 150 cells if left out.
         mass: one in all, shared by volume, or one a part, from left to right.

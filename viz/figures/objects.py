@@ -39,7 +39,8 @@ def object_page(models: Sequence[ObjectModel]) -> Figure:
         draw_object(axis, model)
     for axis in axes[len(models) :]:
         axis.set_axis_off()
-    figure.supxlabel("colours: parts; black dots: points of contact; cross: centre of mass; red: pads", fontsize=7)
+    said = ("colours: parts; black dots: points of contact", "cross: centre of mass; red: pads")
+    figure.supxlabel(("; " if columns > 1 else "\n").join(said), fontsize=7)
     return figure
 
 

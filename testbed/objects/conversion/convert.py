@@ -123,7 +123,8 @@ def convert_mesh(
     whole = laid.whole
     pieces, how = cut(laid, parts)
     shapes = tuple(as_mesh(piece) for piece in pieces)
-    told.append(f"{len(pieces)} part{'s' * (len(pieces) > 1)} by {how if how in ('bodies', 'colours') else 'planes'}")
+    way = "planes" if how[0].isdigit() else how
+    told.append(f"{len(pieces)} part{'s' * (len(pieces) > 1)} by {way}")
     told.append(f"rests on {len(pose.contacts)} points")
     if cell is None:
         cell = float(np.clip(np.sqrt(whole.project().area() / CELLS), *CELL))

@@ -1,4 +1,4 @@
-"""Parts of a surface, each a closed body: by planes, by connected bodies, by colours or by labelled points."""
+"""Parts of a surface, each a closed body: by planes, connected bodies, colours, labelled points or width."""
 
 from __future__ import annotations
 
@@ -18,9 +18,13 @@ NODES = 60
 """Nodes of the grid on which labels divide a body, along its longest side."""
 MOST_PARTS = 12
 """Parts of an object, at most."""
-WAYS = "a number of parts, planes as 0.3,0.6, bodies, colours, or a PLY of labelled points"
+WAYS = "a number of parts, planes as 0.3,0.6, bodies, colours, clusters or clusters:3, or a PLY of labelled points"
 NEIGHBOURS = 5
 """Points of a label whose mean distance counts."""
+CLUSTERS = 3
+"""Clusters where no number is given."""
+SLICES = 100
+"""Slices along the length in which the width is taken."""
 ONE_LABEL = 0.9
 """Part of a body's surface with one label from which the whole body has it."""
 
@@ -32,8 +36,8 @@ def cut(surface: Surface, how: str) -> tuple[list[Manifold], str]:
 
     Args:
         surface: on the table, its longest side along x.
-        how: "3", "0.3,0.6" (planes at parts of its length), "bodies", "colours" (the surface's labels), or "auto":
-            colours if there are two, else bodies, else three.
+        how: "3", "0.3,0.6" (planes at parts of its length), "bodies", "colours" (the surface's labels), "clusters:3"
+            (where its width changes), or "auto": colours if there are two, else bodies, else three.
 
     Raises:
         InvalidValueError: another word, or more than `MOST_PARTS`.
@@ -45,6 +49,8 @@ def cut(surface: Surface, how: str) -> tuple[list[Manifold], str]:
         parts = _apart(surface.bodies)
     elif how == "colours":
         parts = _by_labels(surface)
+    elif how.startswith("clusters"):
+        parts = _by_planes(surface.whole, _clustered(surface, how))
     else:
         parts = _by_planes(surface.whole, _shares(how))
     whole = sum(part.volume() for part in parts)
@@ -88,6 +94,31 @@ def labelled(surface: Surface, path: Path) -> Surface:
     labels = np.unique(np.asarray(data[name]).ravel(), return_inverse=True)[1]
     nearest = KDTree(surface.points).query(points * scale)[1]
     return replace(surface, points=points * scale, labels=labels, of_body=surface.of_body[nearest])
+
+
+def _clustered(surface: Surface, how: str) -> list[float]:
+    """Where planes cut a surface into clusters of even width along its length: the least sum of squares, exactly."""
+    given = how.removeprefix("clusters").removeprefix(":") or str(CLUSTERS)
+    if not (given.isdigit() and 2 <= int(given) <= MOST_PARTS):
+        raise InvalidValueError("parts", how, f"clusters, or clusters:2 to clusters:{MOST_PARTS}")
+    count, along = int(given), surface.points[:, 0]
+    edges = np.linspace(along.min(), along.max(), SLICES + 1)
+    of_slice = np.clip(np.digitize(along, edges) - 1, 0, SLICES - 1)
+    width = [np.ptp(surface.points[of_slice == i, 1:], axis=0).sum() for i in range(SLICES) if (of_slice == i).any()]
+    n, sums = len(width), np.cumsum(np.column_stack([width, np.square(width)]), axis=0)
+    sums = np.vstack([np.zeros(2), sums])
+    size = np.maximum(np.arange(n + 1) - np.arange(n + 1)[:, None], 1)  # of slices begin to end
+    total, square = (sums[None, :, k] - sums[:, None, k] for k in (0, 1))
+    cost = np.where(np.triu(np.ones((n + 1, n + 1)), 1) > 0, square - total**2 / size, np.inf)
+    best, before = cost[0], []
+    for _ in range(count - 1):
+        tried = best[:, None] + cost
+        before.append(tried.argmin(axis=0))
+        best = tried.min(axis=0)
+    cuts = [n]
+    for back in reversed(before):
+        cuts.append(int(back[cuts[-1]]))
+    return [c / n for c in sorted(cuts[1:])]
 
 
 def _shares(how: str) -> list[float]:

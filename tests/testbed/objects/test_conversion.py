@@ -117,6 +117,8 @@ def test_parts_by_bodies_colours_planes_and_points_share_the_volume(tmp_path: Pa
         assert len(parts) == count
         assert_allclose(sum(part.volume() for part in parts), whole, rtol=1e-4)
         assert all(as_mesh(part).is_volume for part in parts)
+    head, shaft = cut(surface, "clusters:2")[0]  # where the width changes: the slices are 2 mm
+    assert_allclose(sorted([head.volume(), shaft.volume()]), [np.prod(HEAD), 0.95 * np.prod(SHAFT)], rtol=0.05)
     # one body alone, whose points have two labels: it is cut where the labels meet
     bar = read_surface(saved(trimesh.creation.box((0.2, 0.03, 0.02)), tmp_path / "bar.ply"))
     left = (bar.points[:, 0] < 0.02).astype(int)
@@ -128,6 +130,8 @@ def test_parts_by_bodies_colours_planes_and_points_share_the_volume(tmp_path: Pa
     cloud.write_text(head + "property uchar segmentation\nend_header\n" + "\n".join(rows) + "\n")
     parts, _ = cut(labelled(bar, cloud), "colours")
     assert_allclose([part.volume() for part in parts], np.array([0.12, 0.08]) * 0.03 * 0.02, rtol=0.05)
+    with pytest.raises(InvalidValueError, match="clusters:2 to"):
+        cut(bar, "clusters:1")
     for wrong in ("0", "99", "1.5", "colour"):
         with pytest.raises(InvalidValueError, match="planes as"):
             cut(bar, wrong)

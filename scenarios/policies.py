@@ -15,6 +15,7 @@ from estimators.action_selection.design import ASSUMED_SUPPORTS, Guess
 from estimators.action_selection.greedy import PlannedPolicy
 from estimators.action_selection.online import OnlinePolicy
 from estimators.action_selection.plan import Goal
+from estimators.action_selection.pushes import RandomPushes
 from estimators.action_selection.rank import RANK_DRIVEN, RankDriven, held_out_grasp, held_out_turns
 from estimators.action_selection.stop_and_go import StopAndGo
 from estimators.base import ActionPolicy
@@ -31,7 +32,7 @@ from testbed.trajectory import Trajectory
 from testbed.worlds.setup_errors import EXACT_SETUP, SetupErrors
 
 Count = Annotated[int, Field(ge=1, le=100_000)]
-POLICIES = (*RANK_DRIVEN, "stop_and_go", "greedy", "batch", "random", "online")
+POLICIES = (*RANK_DRIVEN, "stop_and_go", "push", "greedy", "batch", "random", "online")
 """heft's own policies."""
 
 
@@ -187,7 +188,12 @@ class Policy(BaseModel):
         """Number of trials of an experiment where nothing fails, the weighing among them."""
         ranked = self.rank_driven
         planned = ranked.accelerated + ranked.pivots if ranked else 0 if self.kind == "stop_and_go" else self.touches
-        return 1 + planned + (self.lifts_last or 0) + self.held_out
+        return 1 + planned + (self.lifts_last or 0) + (self.held_out if self.grips else 0)
+
+    @property
+    def grips(self) -> bool:
+        """True if the hand grips the object; a push needs no grasp, and makes no turns for prediction."""
+        return self.kind != "push"
 
     @property
     def lifts_last(self) -> int | None:
@@ -228,6 +234,8 @@ class Policy(BaseModel):
         refused = {} if refused is None else refused
         sensing, number = draw or (self.plan_for, 0)
         seed = self.seed + (number if self.redraw else 0)
+        if not self.grips:
+            return RandomPushes(self.touches, seed, refused)
         if self.lifts_last is not None:
             ranked = self.rank_driven
             before = None if ranked is None else replace(ranked, grasps=grasps, seed=seed, refused=refused)
@@ -282,6 +290,8 @@ class Policy(BaseModel):
             grasps: feasible grasps.
             number: number of the draw that they are for.
         """
+        if not self.grips:
+            return grasps, ()
         seed = self.seed + (number if self.redraw else 0)
         spared = held_out_grasp(shape, grasps, seed) if self.held_out else None
         turned_by = grasps if spared is None else (spared,)

@@ -16,7 +16,9 @@ from estimators.particles.gripper_load import GripperLoad
 from estimators.particles.model import ParticleModel, inertia_of
 from estimators.particles.support import LOADS, LoadsOf, own_weight_loads
 from estimators.particles.windows import Observations, observe
+from testbed.actions.push import Push
 from testbed.objects.model import MassDistribution, ObjectShape
+from testbed.sensing.push_windows import push_samples
 from testbed.sensing.windows import steady_samples
 from testbed.trajectory import Trajectory
 
@@ -156,6 +158,8 @@ def predicted_wrenches(
     )
     for index in sorted(set(windows.trial.tolist())):
         rows = wrenches[windows.trial == index].numpy()
-        for kept, row in zip(steady_samples(trajectories[index]), rows, strict=True):
+        trajectory = trajectories[index]
+        samples = push_samples if isinstance(trajectory.action, Push) else steady_samples
+        for kept, row in zip(samples(trajectory), rows, strict=True):
             predicted[index][kept] = row
     return predicted

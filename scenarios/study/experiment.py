@@ -136,7 +136,8 @@ def experiments_of(
             try:
                 model = point.truth.applied(load(point.grid.feet))
                 particles = point.truth.model_copy(update={"friction_spread": 0.0}).applied(load(point.grid.particles))
-                grasps = feasible.of(model.name, point.policy.check(model, settings))
+                grips = point.policy.grips
+                grasps = feasible.of(model.name, point.policy.check(model, settings)) if grips else ()
             except InfeasibleTrialError as error:
                 if not (axes or scenario.random or scenario.meshes):
                     raise

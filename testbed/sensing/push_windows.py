@@ -67,8 +67,7 @@ def _reduced(trajectory: Trajectory) -> list[SteadyWindow]:
     axes = np.tile(np.eye(3), (len(kept), 1, 1))
     axes[:, :2, :2] = into
     wrench = rotate_wrench(axes, trajectory.wrench_on_object_world[kept])
-    tare = tare_samples(trajectory)
-    tared = time[tare].mean() if len(tare) else time[0]
+    tared = _tared(trajectory)
     whole = noise_of_mean(trajectory.wrench_on_object_world[kept], round(BATCH / step))
     windows = []
     for part in np.array_split(np.arange(len(kept)), count):
@@ -102,6 +101,17 @@ def _reduced(trajectory: Trajectory) -> list[SteadyWindow]:
     return windows
 
 
+def push_samples(trajectory: Trajectory) -> list[Int[np.ndarray, "N"]]:
+    """Indices of the samples of every window of a push.
+
+    Raises:
+        InvalidValueError: as `push_windows`.
+    """
+    since = trajectory.time_s - _tared(trajectory)
+    ends = [window.since_tare + np.array([-1e-9, 1e-9]) for window in push_windows(trajectory)]
+    return [np.flatnonzero((since >= begin) & (since <= end)) for begin, end in ends]
+
+
 def touching(trajectory: Trajectory) -> Int[np.ndarray, "N"]:
     """Indices of the longest run of samples in which the fingertip pushes, by the measured force.
 
@@ -118,6 +128,11 @@ def touching(trajectory: Trajectory) -> Int[np.ndarray, "N"]:
         raise InvalidValueError("trajectory", "no force at the fingertip", "a push that meets the object")
     runs = np.split(inside[touches], np.flatnonzero(np.diff(inside[touches]) > 1) + 1)
     return max(runs, key=len)
+
+
+def _tared(trajectory: Trajectory) -> float:
+    tare = tare_samples(trajectory)
+    return float(trajectory.time_s[tare].mean() if len(tare) else trajectory.time_s[0])
 
 
 def _by_part(values: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "S 3"]:

@@ -10,6 +10,7 @@ from estimators.hidden_states.estimator import HiddenStates
 from estimators.particles.friction_system import LoadGroups, rank_of
 from estimators.particles.model import ParticleModel
 from estimators.particles.windows import observe
+from estimators.particles.wrench import predicted_wrenches
 from estimators.registry import build_method
 from estimators.testing.analytic_push import Drag, analytic_push, steady_pushes
 from estimators.testing.analytic_world import drawn_object
@@ -17,6 +18,7 @@ from testbed.actions.push import Push
 from testbed.errors import InvalidValueError
 from testbed.sensing.camera import CAMERAS, draw_camera
 from testbed.sensing.push_windows import push_windows, touching
+from testbed.sensing.windows import wrench_in_object
 
 BLOCKS = drawn_object(3, ["11", "11", "11"])
 """2 x 3 blocks of known masses, which no hand can grip across."""
@@ -82,6 +84,13 @@ def test_the_rank_of_q_grows_within_one_push():
     q = LoadGroups.of(model).gather(windows.drag_rows(model, 0.0)).numpy()
     ranks = [rank_of(q[: count + 1].reshape(-1, 6)) for count in range(len(windows))]
     assert ranks == sorted(ranks) and ranks[0] <= 3 < ranks[-1]
+
+
+def test_the_answer_explains_the_wrench_sample_by_sample():
+    trial = steady_pushes(BLOCKS, CENTERS[:1], seconds=2.0)[0]
+    predicted = predicted_wrenches(BLOCKS.shape, BLOCKS.truth, [trial])[0]
+    inside = ~np.isnan(predicted[:, 0])
+    assert inside.sum() > 150 and np.abs(predicted - wrench_in_object(trial)[:, [0, 1, 5]])[inside].max() < 1e-4
 
 
 def test_windows_are_of_the_stretch_in_contact_that_the_camera_saw():

@@ -1,0 +1,60 @@
+"""Random pushes as a policy: faces, points and directions as published for pushed objects."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from testbed.actions.base import Action
+from testbed.actions.push import Push
+from testbed.objects.faces import faces
+from testbed.objects.model import ObjectShape
+from testbed.trajectory import Trajectory
+
+AIM = math.radians(30)
+"""Greatest angle between a push and the face's normal [rad]."""
+CURVED = 3.0
+"""Greatest curvature of a path, either way [rad/m]."""
+EDGE = 0.05
+"""Part of a face at either end that is left alone: the fingertip would soon slide off."""
+TRIES = 5
+"""Pushes tried, refused ones and failures among them, for each that is asked for."""
+
+
+@dataclass(frozen=True)
+class RandomPushes:
+    """Pushes at points drawn evenly along the outline, in directions about the normal, along arcs (Song, Boularias).
+
+    The published pushes are of random faces and directions; that a path bends is ours.
+    """
+
+    pushes: int = 12
+    """Pushes that end well."""
+    seed: int = 0
+    """Seed of the draws."""
+    refused: Mapping[Action, str] = field(default_factory=dict, compare=False)
+    """Actions that the bench refused, and why; grows as trials are made."""
+
+    def next(self, shape: ObjectShape, trajectories: Sequence[Trajectory]) -> Action | None:
+        """Next push; None when done."""
+        if sum(t.ok for t in trajectories) >= self.pushes:
+            return None
+        tried = {*self.refused, *(t.action for t in trajectories)}
+        drawn = random_pushes(shape, TRIES * self.pushes, self.seed)
+        return next((push for push in drawn if push not in tried), None)
+
+
+def random_pushes(shape: ObjectShape, count: int, seed: int) -> list[Push]:
+    """Random pushes of an object: the first ones of a longer list are the same."""
+    rng, every = np.random.default_rng(seed), faces(shape)
+    share = np.array([face.length for face in every])
+    found = []
+    for _ in range(count):
+        face = every[rng.choice(len(every), p=share / share.sum())]
+        x, y = face.begin + rng.uniform(EDGE, 1 - EDGE) * (face.end - face.begin)
+        direction = math.atan2(-face.normal[1], -face.normal[0]) + rng.uniform(-AIM, AIM)
+        found.append(Push((float(x), float(y)), float(direction), float(rng.uniform(-CURVED, CURVED))))
+    return found

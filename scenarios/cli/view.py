@@ -171,15 +171,26 @@ def methods() -> None:
     open_console().print(listed)
 
 
-def show(object_: Annotated[str, tyro.conf.Positional, tyro.conf.arg(name="object", metavar="OBJECT")]) -> None:
+def show(
+    object_: Annotated[str, tyro.conf.Positional, tyro.conf.arg(name="object", metavar="OBJECT")],
+    *,
+    record: Annotated[Path | None, tyro.conf.arg(metavar="FILE.rrd")] = None,
+) -> None:
     """Show one object: blocks, mass, center of mass, inertia, and where it can be gripped.
 
     Args:
         object_: name in the library, or path to a TOML file.
+        record: recording to write too: the object on the table in 3D, its parts, points of contact and grasps.
     """
     from testbed.objects.files import load_object
 
     console, model = open_console(), load_object(object_, measured=True)
+    if record is not None:
+        from viz.recordings.page import save
+        from viz.recordings.solid import object_page
+
+        save(object_page(model), record)
+        print(f"recording: {record}; look: rerun {record}")
     shape, com = model.shape, np.round(model.center_of_mass * 1e3, 1) + 0.0  # no -0.0
     facts = f": masses not given, {shape.height * 1e3:.0f} mm high"
     if model.masses_known:

@@ -1,9 +1,10 @@
-"""Real tools felt in simulation: python bench/tools.py SET [--draws N] [--figure FILE].
+"""Real tools felt in simulation: python bench/tools.py [SET] [--draws N] [--figure FILE].
 
-SET is a copy of the public set (docs/tools.md). Every tool with a grasp is turned on the table and lifted from pose to
-pose, in an ideal world and in a lab, on its points of contact. Medians over tools and draws: errors of M and of the
-inertia (about z, and Frobenius norm) in percent, of c in mm, in the plane and in space, NAD of the masses of parts in
-percent, and the 90 % intervals of part masses (of M, c and the inertia where a method knows no parts) that hold.
+SET is a copy of the public set (docs/tools.md); without it, the one tool is a mallet that is built here. Every tool
+with a grasp is turned on the table and lifted from pose to pose, in an ideal world and in a lab, on its points of
+contact. Medians over tools and draws: errors of M and of the inertia (about z, and Frobenius norm) in percent, of c in
+mm, in the plane and in space, NAD of the masses of parts in percent, and the 90 % intervals of part masses (of M, c and
+the inertia where a method knows no parts) that hold.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import trimesh
 from rich import box
 from rich.console import Console
 from rich.table import Table
@@ -39,6 +41,7 @@ from testbed.actions.base import Action
 from testbed.actions.lift import Lift
 from testbed.actions.rotate import Rotate
 from testbed.errors import HeftError
+from testbed.objects.conversion import convert_mesh
 from testbed.objects.files import load_object
 from testbed.objects.model import ObjectModel
 from testbed.sensing.noise import draw_sensing, read_scale
@@ -66,6 +69,15 @@ class Felt:
     weight: float
     turns: tuple[Trajectory, ...]
     lifts: tuple[Trajectory, ...]
+
+
+def mallet(folder: Path) -> ObjectModel:
+    """A handle of 0.1 kg and a head of 0.3 kg, of one density each, flat on one side."""
+    handle, head = trimesh.creation.box((0.16, 0.022, 0.022)), trimesh.creation.box((0.04, 0.08, 0.036))
+    head.apply_translation((0.1, 0.0, 0.007))
+    path = folder / "mallet.stl"
+    trimesh.util.concatenate([handle, head]).export(path)
+    return convert_mesh(path, unit="m", parts="bodies").model((0.1, 0.3))
 
 
 def silent(stage: str, done: int, total: int, failed: int = 0) -> None:
@@ -169,14 +181,17 @@ def answers(trial: Felt) -> Iterator[tuple[str, str, Judged | None]]:
 def main() -> None:
     """Print the table, and draw the objects on one page."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("folder", type=Path)
+    parser.add_argument("folder", type=Path, nargs="?")
     parser.add_argument("--draws", type=int, default=3, help="draws of the sensor and of the lab")
     parser.add_argument("--figure", type=Path, help="picture of all tools, written as FILE.pdf and FILE.png")
     given = parser.parse_args()
     rows: dict[tuple[str, str, str], list[Judged | None]] = {}
     with tempfile.TemporaryDirectory() as folder:
-        scenario, _ = with_meshes(load_scenario("tools")[1], given.folder, Path(folder), silent)
-        models = [load_object(path) for path in scenario.objects]
+        if given.folder is None:
+            models = [mallet(Path(folder))]
+        else:
+            scenario, _ = with_meshes(load_scenario("tools")[1], given.folder, Path(folder), silent)
+            models = [load_object(path) for path in scenario.objects]
     if given.figure is not None:
         save_figure(object_page(models), given.figure)
     for model in models:

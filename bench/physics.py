@@ -1,4 +1,4 @@
-"""Checks of the simulated physics: python bench/physics.py [sensor|coulomb|swing|tools|levers|resolution|all]."""
+"""Checks of the simulated physics: python bench/physics.py [sensor|coulomb|pushes|swing|tools|levers|resolution]."""
 
 from __future__ import annotations
 
@@ -16,18 +16,23 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
+from estimators.action_selection.pushes import RandomPushes
 from estimators.action_selection.rank import between_particles
 from estimators.particles.model import ParticleModel, direction, friction_wrench, inertia_of
 from estimators.particles.support import own_weight, rigid_loads
 from estimators.particles.windows import observe
+from scenarios.catalog import LIBRARY
 from scenarios.config import Grid, Scenario, Simulation
 from scenarios.execution.executor import default_workers
 from scenarios.study.run import run_scenario
+from testbed.actions.base import Action
 from testbed.actions.rotate import Rotate
 from testbed.actions.slide import Slide
 from testbed.actions.weigh import Weigh
+from testbed.errors import InfeasibleTrialError
 from testbed.frames import cross_2d, perpendicular, rotation_2d
 from testbed.objects.files import load_object
+from testbed.objects.model import ObjectModel
 from testbed.sensing.compensation import compensate
 from testbed.sensing.windows import weight_of
 from testbed.simulation.contacts import resting_loads
@@ -38,11 +43,13 @@ from testbed.simulation.settings import (
     ServoSettings,
     SimulationSettings,
 )
-from testbed.trajectory import Phase
+from testbed.trajectory import Phase, Trajectory
 from testbed.trial import OWN_WEIGHT, RIGID, Support, Trial
 
 TOOLS = ("hammer", "wrench")
 OBJECTS = ("I1", "I2", "L1", "L2", "F1", "F2")
+PUSHED = (*OBJECTS, *(str(LIBRARY / "objects" / f"rectangle_{size}.toml") for size in ("2x3", "3x3")))
+PUSHES = 8
 SUPPORTS = (OWN_WEIGHT, RIGID)
 BARE = ServoSettings(integral_gain=0.0, null_gain=0.0)
 # MuJoCo's damping ratio and time constant as first tried: stiff in the normal direction, strongly coupled to slip
@@ -71,7 +78,27 @@ def coulomb_error(
 ) -> tuple[float, float, float]:
     """Simulated drag against Coulomb's, % of the whole drag and of its torque; feet that the model has lifted, %."""
     model, settings = load_object(name), SimulationSettings(grip=grip or GripSettings())
-    observed = observe(model.shape, [SimulationRunner(settings).run(Trial(model, action, support))])
+    force, torque, lifted = off_coulomb(model, SimulationRunner(settings).run(Trial(model, action, support)), support)[
+        0
+    ]
+    return force, torque, lifted
+
+
+def push_errors(name: str) -> np.ndarray:
+    """`off_coulomb` of every window of random pushes, shape (K, 3)."""
+    model, runner, refused, found = load_object(name), SimulationRunner(), dict[Action, str](), list[Trajectory]()
+    policy = RandomPushes(PUSHES, refused=refused)
+    while (action := policy.next(model.shape, found)) is not None:
+        try:
+            found.append(runner.run(Trial(model, action)))
+        except InfeasibleTrialError as error:
+            refused[action] = str(error)
+    return np.concatenate([off_coulomb(model, trajectory, OWN_WEIGHT) for trajectory in found if trajectory.ok])
+
+
+def off_coulomb(model: ObjectModel, trajectory: Trajectory, support: Support) -> np.ndarray:
+    """Drag in each window against Coulomb's, % of the whole drag and of its torque; feet that are lifted, %; (K, 3)."""
+    observed = observe(model.shape, [trajectory])
     assert observed is not None
     particles = ParticleModel.of(model.shape)
     mass = torch.tensor(model.particle_mass)
@@ -84,10 +111,11 @@ def coulomb_error(
         normal = feet.loads(load)
     friction = particles.particle_friction(torch.tensor(model.truth.friction)) * normal
     drag = -friction_wrench(friction, direction(observed.particle_velocity(particles)), observed.lever(particles))
-    error = (observed.wrench - observed.inertial_wrench(inertia) - drag)[0].numpy()
-    lever = float((friction[0] * observed.lever(particles)[0].norm(dim=-1)).sum())
-    lifted = 100 * float((normal[0] < 0).double().mean())
-    return 100 * float(np.hypot(*error[:2])) / float(friction[0].sum()), 100 * abs(float(error[2])) / lever, lifted
+    inertial = observed.inertial_wrench(inertia) + observed.spin_up(inertia) * observed.pushed[:, None]
+    error = observed.wrench - inertial - drag
+    lever = (friction * observed.lever(particles).norm(dim=-1)).sum(-1)
+    parts = (error[:, :2].norm(dim=1) / friction.sum(-1), error[:, 2].abs() / lever, (normal < 0).double().mean(-1))
+    return 100 * torch.stack(parts, 1).numpy()
 
 
 def sensor_error(name: str, support: Support, action: Rotate) -> tuple[float, float, float]:
@@ -183,6 +211,19 @@ def coulomb(submit: Callable[..., Future[Any]], console: Console) -> None:
     console.print(table)
 
 
+def pushes(submit: Callable[..., Future[Any]], console: Console) -> None:
+    """Drag against Coulomb's law in windows of random pushes."""
+    columns = ("object", "windows", "force: median", "rms", "torque: median", "rms", "lifted feet")
+    table = _table(f"{PUSHES} pushes: drag against Coulomb's law with the measured load of the fingertip, %", *columns)
+    futures = {name: submit(push_errors, name) for name in PUSHED}
+    for name, future in futures.items():
+        error = future.result()
+        median, rms = np.median(error, axis=0), np.sqrt(np.square(error).mean(axis=0))
+        cells = (f"{x:.2f}" for x in (median[0], rms[0], median[1], rms[1], error[:, 2].mean()))
+        table.add_row(Path(name).stem, str(len(error)), *cells)
+    console.print(table)
+
+
 def tools(submit: Callable[..., Future[Any]], console: Console) -> None:
     """The objects made of meshes: weight, load at rest, friction on their own feet."""
     columns = ("object", "support", "weight, %", "least load, %", "force, %", "torque, %", "slip, mm", "lifted, %")
@@ -261,7 +302,7 @@ def main() -> None:
     """Print the tables asked for."""
     what = sys.argv[1] if len(sys.argv) > 1 else "all"
     console = Console(width=120)
-    parts = {"sensor": sensor, "coulomb": coulomb, "swing": swing, "tools": tools, "levers": levers}
+    parts = {"sensor": sensor, "coulomb": coulomb, "pushes": pushes, "swing": swing, "tools": tools, "levers": levers}
     context = get_context("spawn")
     with ProcessPoolExecutor(default_workers(), context, torch.set_num_threads, (1,)) as pool:
         for name, show in parts.items():

@@ -25,8 +25,9 @@ from testbed.objects.model import GRAVITY, ObjectShape
 SWING = 3e-4
 """Error of the center of an accelerated turn, m: the arm swings. Ours."""
 
-PUSH_ERROR = 0.01
-"""Model error of a push, as a part of the total drag: feet near a center of rotation that moves on. Ours."""
+PUSH_ERROR = 0.02
+"""Model error of a push, as a part of the total drag: feet near a center of rotation that moves on. By object, the
+simulation is off by 1.3 to 3 %, root mean square."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,7 +18,7 @@ DEGREE = 3
 """Degree of the polynomial through the frames nearby."""
 SPAN = 0.8
 """Time whose frames it runs through [s]: 1 mm and 0.5 deg at 30 Hz leave some 1 mm/s and 0.5 deg/s."""
-LEAST_FRAMES = 9
+LEAST_FRAMES = 7
 """Least frames that it runs through, and all that it takes of an exact camera."""
 
 

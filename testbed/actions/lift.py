@@ -66,7 +66,10 @@ class Lift(Action, kind="lift"):
 
     @classmethod
     def stop_and_go(cls, grasp: int, tilt: float = math.radians(20), poses: int = 4, hold: float = 2.0) -> Self:
-        """Lift that stops at so many tilts about x and y, and moves between them so slowly that a move is seen too."""
+        """Lift that stops at so many tilts about x and y, and moves between them so slowly that a move is seen too.
+
+        The stops show M and c; the moves show the inertia, but faintly.
+        """
         moved = 2 * tilt / (max(poses, 2) - 1)
         return cls(grasp, tilt, min(cls.acceleration, moved / LEAST_STRETCH**2), 0, hold, poses=poses)
 

@@ -209,8 +209,8 @@ def _closed(
 
 def _stands_out(body: Manifold, hull: Manifold) -> float:
     """Distance by which a body leaves a convex one [m]."""
-    planes = as_mesh(hull)
-    beyond = as_mesh(body).vertices @ planes.face_normals.T - (planes.triangles[:, 0] * planes.face_normals).sum(axis=1)
+    planes, corners = as_mesh(hull), as_mesh(body.hull()).vertices
+    beyond = corners @ planes.face_normals.T - (planes.triangles[:, 0] * planes.face_normals).sum(axis=1)
     return float(beyond.max())
 
 

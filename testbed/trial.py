@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Protocol, Self, runtime_checkable
 
 from testbed.actions.base import Action
 from testbed.errors import InvalidValueError
-from testbed.objects.model import Grasp, ObjectModel
+from testbed.objects.model import Grasp, ObjectModel, ObjectShape
 from testbed.trajectory import Trajectory
 
 if TYPE_CHECKING:
@@ -63,6 +63,17 @@ def parse_support(text: str | float) -> Support:
         return Support(float(text))
     except ValueError:
         raise InvalidValueError("support", text, '"own_weight", "rigid", or a stiffness >= 0, N/m') from None
+
+
+def support_of(shape: ObjectShape, text: str | None = None) -> Support:
+    """The named support; if none is named, own weight for an object that stands in groups, else one rigid body.
+
+    Raises:
+        InvalidValueError: a text that `parse_support` does not take.
+    """
+    if text is not None:
+        return parse_support(text)
+    return OWN_WEIGHT if shape.stands_in_groups else RIGID
 
 
 @dataclass(frozen=True, eq=False)

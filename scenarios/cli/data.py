@@ -22,7 +22,7 @@ def import_(
     *,
     out: Annotated[Path, tyro.conf.arg(metavar="DIR")] = Path("results/lab"),
     weight: Annotated[float | None, tyro.conf.arg(metavar="KG")] = None,
-    support: Annotated[str, tyro.conf.arg(metavar="SUPPORT")] = "own_weight",
+    support: Annotated[str | None, tyro.conf.arg(metavar="SUPPORT")] = None,
     find: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False,
     grasps: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME ...")] = (),
 ) -> None:
@@ -42,7 +42,8 @@ def import_(
         logs: tables, .mcap files or ROS 2 bags, one a trial; those that the mapping names if left out.
         out: results folder to put the trials into.
         weight: mass of the object as a scale read it; every method needs it once.
-        support: support of the object's weight, as far as you know: own_weight, rigid, or a stiffness in N/m.
+        support: support of the object's weight, as far as you know: own_weight, rigid, or a stiffness in N/m; if
+            left out, rigid for an object on points of contact, else own_weight.
         find: print the tares, turns and slides that the logs hold, and write MAPPING with a [[logs]] table for each
             action as *.found.toml, to be corrected and imported; nothing is imported.
         grasps: with --find, grasps of the first actions, where the motion fits several.

@@ -38,7 +38,7 @@ def identify(
     *,
     sensing: Annotated[str, tyro.conf.arg(metavar="PRESET")] = "ft300s",
     world: Annotated[str, tyro.conf.arg(metavar="WORLD")] = "ideal",
-    support: Literal["own_weight", "rigid"] = "own_weight",
+    support: Literal["own_weight", "rigid"] | None = None,
     pivots: Annotated[int, tyro.conf.arg(metavar="N")] = 6,
     accelerated: Annotated[int, tyro.conf.arg(metavar="N")] = 6,
     slides: Annotated[int, tyro.conf.arg(metavar="N")] = 0,
@@ -59,7 +59,7 @@ def identify(
         object_: name in the library, or path to a TOML file.
         sensing: preset of the sensor.
         world: ideal, lab or rough, whose errors of the setup are reckoned with.
-        support: what carries the weight.
+        support: what carries the weight; if left out, rigid for an object on points of contact, else own_weight.
         pivots: turns there and back, as the rank-driven policy draws them; 0 for none, accelerated ones neither.
         accelerated: accelerated turns.
         slides: slides, in directions spread over the circle.
@@ -71,17 +71,19 @@ def identify(
     from estimators.identifiability.information import Assumptions, expected
     from testbed.objects.files import load_object
     from testbed.sensing.presets import preset
+    from testbed.trial import support_of
     from testbed.worlds.presets import world as world_of
     from viz.figures.maps import error_figure, save_figure
 
     console, model = open_console(), load_object(object_)
-    actions = actions_of(model, support, pivots, accelerated, slides, lifts, duration, grasps)
+    carrier = support or support_of(model.shape).name
+    actions = actions_of(model, carrier, pivots, accelerated, slides, lifts, duration, grasps)
     report = expected(
-        model.shape, model.truth, actions, preset(sensing), Assumptions(support, setup=world_of(world).stated)
+        model.shape, model.truth, actions, preset(sensing), Assumptions(carrier, setup=world_of(world).stated)
     )
     kinds = [action.kind for action in actions]
     counts = ", ".join(f"{kinds.count(kind)} {kind}" for kind in dict.fromkeys(kinds))
-    title = f"{model.name}, {support}, {sensing}" + ("" if world == "ideal" else f", {world}")
+    title = f"{model.name}, {carrier}, {sensing}" + ("" if world == "ideal" else f", {world}")
     console.print(Text.assemble((title, "bold"), f": {counts}"))
     console.print(_errors_table(model, report))
     condition = f"condition {report.condition:.0f}" if math.isfinite(report.condition) else "nothing is seen"
@@ -154,7 +156,7 @@ def plan(
     criterion: Literal["I", "A", "D"] = "I",
     sensing: Annotated[str, tyro.conf.arg(metavar="PRESET")] = "ft300s",
     world: Annotated[str, tyro.conf.arg(metavar="WORLD")] = "ideal",
-    support: Literal["own_weight", "rigid", "either"] = "own_weight",
+    support: Literal["own_weight", "rigid", "either"] | None = None,
     lifts: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False,
     friction: Annotated[float, tyro.conf.arg(metavar="MU")] = 0.5,
     most: Annotated[int, tyro.conf.arg(metavar="N")] = 8,
@@ -181,7 +183,8 @@ def plan(
         criterion: quantity to minimize: I (the expected NAD), A (trace of the covariance) or D (its volume).
         sensing: preset of the sensor.
         world: ideal, lab or rough, whose errors of the setup are reckoned with.
-        support: what carries the weight; either serves both models, and tells them apart.
+        support: what carries the weight; either serves both models, and tells them apart; if left out, rigid for an
+            object on points of contact, else own_weight.
         lifts: consider lifts too, held still and rocked in the air; not with support own_weight.
         friction: assumed coefficient.
         most: greatest number of actions.
@@ -198,21 +201,23 @@ def plan(
     from scenarios.runners import FeasibilityCheck
     from testbed.objects.files import load_object
     from testbed.sensing import preset, read_scale
+    from testbed.trial import support_of
     from testbed.worlds.presets import world as world_of
 
     if weight is not None and not 0 < weight < MOST_WEIGHT:
         raise InvalidValueError("--weight", weight, f"a number > 0 and < {MOST_WEIGHT:g}, kg")
     console, model, sensor = open_console(), load_object(object_, measured=weight is not None), preset(sensing)
+    carrier = support or support_of(model.shape).name
     weighed, setup = weight or read_scale(model.total_mass, sensor, seed), world_of(world).stated
-    guess = Guess(weighed, sensor.stated, friction, ASSUMED_SUPPORTS[support], setup)
+    guess = Guess(weighed, sensor.stated, friction, ASSUMED_SUPPORTS[carrier], setup)
     goal = Goal(percent(until, "--until"), seconds(budget, "--budget"), most)
     allowed = named_grasps(model, grasps)
     if policy in ("published", "reversed_pairs"):
         made = rank_driven_plan(model.shape, guess, goal, policy, allowed, seed)
     else:
-        check, family = FeasibilityCheck(model.shape, guess), action_family(support, lifts=lifts)
+        check, family = FeasibilityCheck(model.shape, guess), action_family(carrier, lifts=lifts)
         made = PlannedPolicy(guess, policy, criterion, goal, family, candidates, allowed, seed, check).plan(model.shape)
-    title = f"{model.name}, {support}, {sensing}" + ("" if world == "ideal" else f", {world}") + f": {policy}"
+    title = f"{model.name}, {carrier}, {sensing}" + ("" if world == "ideal" else f", {world}") + f": {policy}"
     console.print(Text.assemble((title, "bold"), f"; weighed {guess.weight:.3f} kg"))
     if made.steps:
         console.print(_table(model.shape, made))

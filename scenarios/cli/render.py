@@ -77,7 +77,7 @@ def watch(
     *,
     action: Literal["rotate", "slide", "accelerate"] = "rotate",
     grasp: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None,
-    support: Annotated[str, tyro.conf.arg(metavar="SUPPORT")] = "own_weight",
+    support: Annotated[str | None, tyro.conf.arg(metavar="SUPPORT")] = None,
 ) -> None:
     """Open a window on a trial: heft watch OBJECT simulates one as you look, heft watch DIR TRIAL plays a recorded one.
 
@@ -90,7 +90,8 @@ def watch(
         trial: key of a trial in that folder, or a beginning of it that no other has.
         action: what to simulate; with the action's own speed and duration.
         grasp: where it is gripped (see heft show); the first grasp if left out.
-        support: who carries the weight: own_weight, rigid, or a stiffness in N/m.
+        support: who carries the weight: own_weight, rigid, or a stiffness in N/m; if left out, rigid for an object on
+            points of contact, else own_weight.
     """
     if trial is None:
         watch_live(what, action, grasp, support)
@@ -98,7 +99,7 @@ def watch(
         watch_record(Path(what), trial)
 
 
-def watch_live(name: str, action: str, grasp: str | None, support: str) -> None:
+def watch_live(name: str, action: str, grasp: str | None, support: str | None) -> None:
     """Simulate a trial in a window, and say what it came to when the window is closed.
 
     Raises:
@@ -111,11 +112,11 @@ def watch_live(name: str, action: str, grasp: str | None, support: str) -> None:
     from testbed.actions.slide import Slide
     from testbed.objects.files import load_object
     from testbed.simulation.graphics import choose_window
-    from testbed.trial import Trial, parse_support
+    from testbed.trial import Trial, support_of
 
     kinds = {"rotate": Rotate, "slide": Slide, "accelerate": Accelerate}
     obj = load_object(name)
-    trial = Trial(obj, kinds[action](grasp_index(obj.shape, grasp)), parse_support(support))
+    trial = Trial(obj, kinds[action](grasp_index(obj.shape, grasp)), support_of(obj.shape, support))
     choose_window()
     from testbed.simulation.watch import KEYS, LiveTrial, watch  # now that MuJoCo knows how to draw
 

@@ -31,7 +31,7 @@ def touch(
     until: Annotated[str, tyro.conf.arg(metavar="PERCENT")] = "5%",
     budget: Annotated[str | None, tyro.conf.arg(metavar="TIME")] = None,
     sensing: Annotated[str, tyro.conf.arg(metavar="PRESET")] = "ft300s",
-    support: Annotated[str, tyro.conf.arg(metavar="SUPPORT")] = "own_weight",
+    support: Annotated[str | None, tyro.conf.arg(metavar="SUPPORT")] = None,
     thought: Literal["own_weight", "rigid", "either"] = "either",
     lifts: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False,
     most: Annotated[int, tyro.conf.arg(metavar="N")] = 20,
@@ -52,7 +52,8 @@ def touch(
         until: expected NAD to reach (sum of the masses' errors over the whole mass), as 5%.
         budget: robot time, travel included, as 60s or 2min; no limit if left out.
         sensing: preset of the sensor.
-        support: what truly carries the weight: own_weight, rigid, or a stiffness in N/m.
+        support: what truly carries the weight: own_weight, rigid, or a stiffness in N/m; if left out, rigid for an
+            object on points of contact, else own_weight.
         thought: assumed support, as far as the robot knows; with either it finds out.
         lifts: consider lifts too, held still and rocked in the air; not where own_weight is assumed.
         most: greatest number of actions.
@@ -76,7 +77,7 @@ def touch(
     from scenarios.views.report import report
     from testbed.objects.files import load_object
     from testbed.sensing.presets import preset
-    from testbed.trial import parse_support
+    from testbed.trial import support_of
 
     def say_trial(number: int, trial: Trajectory, decision: Decision, spent: float) -> None:
         outcome = "" if trial.ok else f" [{trial.status}: {trial.reason}]"
@@ -88,11 +89,11 @@ def touch(
     model, begin = load_object(object_), time.monotonic()
     goal = Goal(percent(until, "--until"), seconds(budget, "--budget"), most)
     family, allowed = action_family(thought, lifts=lifts), named_grasps(model, grasps)
-    carrier = parse_support(support)
+    carrier = support_of(model.shape, support)
     preset(sensing)  # refused before anything is written
     folder = out or Path("results") / f"touch_{model.name}"
     store = Store(folder.absolute())
-    scenario = Scenario(objects=[object_], support=[support], sensing=[sensing], seeds=1)
+    scenario = Scenario(objects=[object_], support=[support or carrier.name], sensing=[sensing], seeds=1)
     given = {
         "until": until,
         "budget": budget,

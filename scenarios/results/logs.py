@@ -22,7 +22,7 @@ from testbed.objects.model import ObjectModel
 from testbed.robot.runner import read_off
 from testbed.toml import load_toml
 from testbed.trajectory import SCHEMA_VERSION, Trajectory
-from testbed.trial import Support, Trial, parse_support
+from testbed.trial import Support, Trial, parse_support, support_of
 from testbed.validation import check_positive
 
 
@@ -44,7 +44,7 @@ def import_logs(
     mapping: Path,
     logs: Sequence[Path],
     out: Path,
-    support_name: str,
+    support_name: str | None,
     weight: float | None,
     progress: Callable[[str, int, int], None],
 ) -> list[ImportedLog]:
@@ -54,14 +54,16 @@ def import_logs(
         mapping: TOML file that says what the columns are.
         logs: tables, .mcap files or ROS 2 bags; those that the mapping names if empty.
         out: results folder.
-        support_name: support that carried the weight, as far as the operator knows.
+        support_name: support that carried the weight, as far as the operator knows; None is `support_of` the shape.
         weight: mass of the object as a scale read it [kg]; None is not known.
         progress: receives how many logs are read.
 
     Raises:
         HeftError: a file is not what it should be; a line for each error of all files, and nothing is written.
     """
-    content, support = load_toml(mapping, Mapping), parse_support(support_name)
+    content = load_toml(mapping, Mapping)
+    if support_name is not None:
+        parse_support(support_name)  # refused before anything is read
     paths = list(dict.fromkeys(logs)) or [mapping.parent / entry.file for entry in content.logs]
     if not paths:
         raise InvalidValueError("LOG", None, f"one log or more, or [[logs]] tables in {mapping}")
@@ -76,6 +78,7 @@ def import_logs(
         for i, one in enumerate(entries, 1)
     ]
     model, *trajectories = read_all(lambda: object_of(content, mapping), *reads)
+    support = support_of(model.shape, support_name)
     with exclusive(out):
         store = Store(out.absolute())
         store.remove_leftovers()

@@ -37,7 +37,7 @@ def trial(
     back: bool = True,
     at: Annotated[tuple[float, float, float] | None, tyro.conf.arg(metavar="X Y DEG")] = None,
     weight: Annotated[float | None, tyro.conf.arg(metavar="KG")] = None,
-    support: Annotated[str, tyro.conf.arg(metavar="SUPPORT")] = "own_weight",
+    support: Annotated[str | None, tyro.conf.arg(metavar="SUPPORT")] = None,
     config: Annotated[Path, tyro.conf.arg(metavar="FILE")] = Path("robot.toml"),
     out: Annotated[Path, tyro.conf.arg(metavar="DIR")] = Path("results/robot"),
     dry_run: bool = False,
@@ -63,7 +63,8 @@ def trial(
         at: place of the object's middle, m, and its turn, base frame of the arm; if left out, the place that gives the
             simulation's path.
         weight: reading of a scale; only with --action weigh, then nothing moves.
-        support: what carries the object's weight, as far as you know: own_weight, rigid, or a stiffness in N/m.
+        support: what carries the object's weight, as far as you know: own_weight, rigid, or a stiffness in N/m; if
+            left out, rigid for an object on points of contact, else own_weight.
         config: robot file.
         out: results folder.
         dry_run: show the motion, and connect to nothing.
@@ -74,7 +75,7 @@ def trial(
     from testbed.robot.path import described, gripped, plan_trial
     from testbed.robot.registry import build_arm, build_gripper, build_sensor, gripper_class
     from testbed.robot.runner import RealRunner, read_off
-    from testbed.trial import Trial, parse_support
+    from testbed.trial import Trial, support_of
     from testbed.validation import check_positive
 
     file = load_robot_file(config)
@@ -88,7 +89,7 @@ def trial(
     planned = Trial(
         model,
         action_of(model.shape, action, grasp, seconds, speed, pivot, direction, tilt, back=back),
-        parse_support(support),
+        support_of(model.shape, support),
     )
     hand = file.gripper.hand
     if planned.action.moves and not hand.takes(planned.grasp.width):

@@ -24,6 +24,7 @@ from estimators.testing.analytic_world import accelerated, turns
 from testbed.actions.accelerate import Accelerate
 from testbed.actions.rotate import Rotate
 from testbed.objects.conversion import convert_mesh
+from testbed.objects.files import load_object
 from testbed.objects.grasps import GraspPlace
 from testbed.objects.meshes import Part, mesh_object
 from testbed.objects.model import GRAVITY, ObjectModel
@@ -31,7 +32,7 @@ from testbed.simulation.runner import SimulationRunner
 from testbed.simulation.scene import build_scene
 from testbed.simulation.settings import SimulationSettings
 from testbed.trajectory import Trajectory
-from testbed.trial import OWN_WEIGHT, Trial
+from testbed.trial import OWN_WEIGHT, Trial, support_of
 from testbed.trial import RIGID as RIGID_SUPPORT
 
 TOOLS = Path(os.environ.get("HEFT_TOOLS", Path(__file__).parents[4] / "shared" / "tools"))
@@ -88,6 +89,8 @@ def test_three_points_show_all_that_can_be_known():
 def test_algorithm_1_stands_back_from_one_body():
     obj = tool(THREE)
     assert not ParticleModel.of(obj.shape).stands_in_groups and not obj.shape.stands_in_groups
+    assert support_of(obj.shape) == RIGID_SUPPORT and support_of(obj.shape, "own_weight") == OWN_WEIGHT
+    assert support_of(load_object("L2").shape) == OWN_WEIGHT
     answer = HiddenStates().estimate(obj.shape, obj.total_mass, felt(obj), 0)
     assert answer.status == "assumption_violated" and "support_aware" in answer.message
     assert SupportAware().estimate(obj.shape, obj.total_mass, [], 0).status == "no_data"

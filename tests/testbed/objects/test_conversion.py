@@ -183,6 +183,8 @@ def test_the_files_are_an_object_that_loads_as_it_was_made(tmp_path: Path, capsy
     told = load_object(tmp_path / "out" / "my_mallet.toml")
     assert_allclose(told.group_mass, 0.6 * made.volumes / made.volumes.sum(), atol=1e-6)
     assert (tmp_path / "out" / "my_mallet.png").stat().st_size > 10_000
+    main(["identify", str(tmp_path / "out" / "my_mallet.toml"), "--pivots", "0"])
+    assert "my_mallet, rigid, " in capsys.readouterr().out
     with pytest.raises(SystemExit) as ended:
         main(["mesh", str(path), str(tmp_path / "none.stl"), "--out", str(tmp_path / "out")])
     assert ended.value.code == 1 and "a mesh file; there is none" in capsys.readouterr().out

@@ -103,7 +103,7 @@ def test_a_damaged_file_is_refused(full: Trajectory, tmp_path: Path, kept: float
     ("change", "said"),
     [
         (lambda header: header | {"schema_version": 99}, "schema 99; this version of heft reads 1"),
-        (lambda header: header | {"action": {"kind": "push"}}, "action.kind: got 'push'"),
+        (lambda header: header | {"action": {"kind": "shove"}}, "action.kind: got 'shove'"),
         (lambda header: header | {"action": {"kind": "rotate"}}, "allowed: fields grasp as well"),
         (lambda header: header | {"status": "fine"}, "Trajectory.status: got 'fine'; allowed: one of ok, slipped"),
         (lambda header: header | {"tool": header["tool"] | {"mass": None}}, "Tool.mass: got None; allowed: a finite"),

@@ -85,7 +85,7 @@ def test_the_open_fingers_need_room_beside_a_row():
 def test_a_hand_too_small_is_said(tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "two_by_three.toml").write_text(TWO_BY_THREE)
-    said = "no row of blocks between such faces has room for a hand that opens to 60 mm"
+    said = "have room for the fingers of a hand that opens to 60 mm"
     hand = HandMap(topic="/pose", stroke_m=0.06).size
     shape = load_object("two_by_three.toml", hand=hand).shape
     asked = MappedAction(Rotate(0), "A1-B1")

@@ -38,6 +38,7 @@ def row(mass: list[float], size: float = 0.05, height: float = 0.03) -> ObjectMo
 def coulomb(obj: ObjectModel, window: SteadyWindow, rigid: bool) -> np.ndarray:
     """Planar wrench that friction takes, from weights and what the gripper was measured to carry: plain numpy."""
     shape = obj.shape
+    assert window.grasp is not None
     grasp = shape.grasps[window.grasp].position
     arm = shape.particles - grasp
     fx, fy, fz, tx, ty, _ = window.wrench

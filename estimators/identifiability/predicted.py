@@ -31,6 +31,8 @@ TARED = 0.33
 """Duration of the tare [s]."""
 REACH = 0.174
 """Distance from the sensor to the TCP [m]."""
+TOOL_MASS, TOOL_COM = 0.925, 0.06
+"""Mass of the tool [kg], and the distance of its center of mass from the sensor [m]: of a Robotiq 2F-85."""
 PARTS = 5
 """Parts of a window at whose middles its pose is taken."""
 HEIGHT = 0.022
@@ -173,13 +175,14 @@ def predicted_lift(action: Lift, sensing: Sensing, setup: SetupErrors = EXACT_SE
         kept = inside[round(trim_start(action, segment) * RATE) : len(inside) - round(TRIM_END * RATE)]
         if len(kept) < 2:  # too short to trim
             continue
-        spin = profile.rate[kept]
+        spin, pull = profile.rate[kept], GRAVITY * upwards[kept].mean(axis=0)
+        heavier = TOOL_MASS * (pull - [0.0, 0.0, GRAVITY])
         windows.append(
             LiftWindow(
                 grasp=action.grasp,
                 wrench=np.zeros(6),
                 covariance=noise * RATE / len(kept),
-                pull=GRAVITY * upwards[kept].mean(axis=0),
+                pull=pull,
                 angular_acceleration=profile.acceleration[kept].mean(axis=0),
                 spin_products=spin.T @ spin / len(kept),
                 tcp_height=HEIGHT,
@@ -187,7 +190,8 @@ def predicted_lift(action: Lift, sensing: Sensing, setup: SetupErrors = EXACT_SE
                 drift_covariance=drift,
                 since_tare=BEFORE + kept[[0, -1]] / RATE,
                 from_sensor=_to_tcp(),
-                tool=np.zeros(6),
+                tool=np.concatenate([heavier, np.cross([0.0, 0.0, -TOOL_COM], heavier)]),
+                tool_mass=TOOL_MASS,
                 setup=setup,
             )
         )

@@ -216,7 +216,9 @@ def setup_columns(
         other = FULL_SCALE.numpy()[:, None] / FULL_SCALE.numpy() * felt * (1 - np.eye(6))  # to, from
         crossed = np.concatenate([np.diag(column) for column in other.T], axis=1)
         turned = np.hstack([np.cross(np.eye(3), felt[:3]), np.cross(np.eye(3), felt[3:])]).T
-        columns = [setup.gain * np.diag(felt), setup.crosstalk * crossed, setup.mounting_angle * turned]
+        heavier = window.tool[:, None] * (setup.tool_mass / window.tool_mass if window.tool_mass else 0.0)
+        aside = setup.tool_com * np.vstack([np.zeros((3, 3)), np.cross(np.eye(3), window.tool[:3]).T])
+        columns = [setup.gain * np.diag(felt), setup.crosstalk * crossed, setup.mounting_angle * turned, heavier, aside]
         of_sensor.append(shared * window.from_sensor @ np.hstack(columns))
     return np.column_stack([slopes * [place, place, angle], np.vstack(of_sensor)])
 

@@ -49,6 +49,8 @@ class LiftWindow:
     """Map from a wrench in the sensor's axes, about its origin, to one as `wrench`."""
     tool: Float[np.ndarray, "6"]
     """Mean wrench on the tool less that at the tare [N, N m], sensor axes: the sensor feels it too."""
+    tool_mass: float
+    """Mass of the tool [kg]."""
     setup: SetupErrors
     """Errors of the setup, as stated."""
 
@@ -115,6 +117,7 @@ def lift_windows(trajectory: Trajectory) -> list[LiftWindow]:
                 since_tare=trajectory.time_s[kept[[0, -1]]] - tared,
                 from_sensor=from_sensor,
                 tool=on_tool[kept].mean(axis=0) - on_tool[tare].mean(axis=0),
+                tool_mass=tool.mass,
                 setup=trajectory.setup,
             )
         )

@@ -46,6 +46,10 @@ class SetupErrors:
     """Rotation of the sensor about each of its axes [rad]."""
     delay: float = 0.0
     """Time by which poses are later than wrenches [s]."""
+    tool_mass: float = 0.0
+    """Mass of the tool, which shows where it is tilted [kg]."""
+    tool_com: float = 0.0
+    """Center of mass of the tool along each axis, which shows there too [m]."""
     scale: float = 0.0
     """Reading of the scale, beside the sensor's own error [kg]."""
 

@@ -18,6 +18,7 @@ from testbed.actions.lift import Lift
 from testbed.errors import InvalidValueError
 from testbed.frames import move_wrench, rotate_wrench, rotation_matrix
 from testbed.objects.files import load_object
+from testbed.sensing.compensation import tare_samples, tool_wrench
 from testbed.sensing.lift_windows import lift_windows
 from testbed.sensing.presets import preset
 from testbed.worlds.setup_errors import EXACT_SETUP, SetupErrors
@@ -82,7 +83,13 @@ def test_its_errors_are_as_large_as_they_are_said_to_be():
 
 @pytest.mark.parametrize(
     ("setup", "worth"),
-    [(SetupErrors(gain=0.02), 1.02), (SetupErrors(mounting_angle=0.02), 1.0), (SetupErrors(grasp_offset=2e-3), 1.0)],
+    [
+        (SetupErrors(gain=0.02), 1.02),
+        (SetupErrors(mounting_angle=0.02), 1.0),
+        (SetupErrors(grasp_offset=2e-3), 1.0),
+        (SetupErrors(tool_mass=0.03), 1.0),
+        (SetupErrors(tool_com=5e-3), 1.0),
+    ],
 )
 def test_errors_of_the_setup_count_as_stated(setup, worth):
     obj = drawn_object(1)
@@ -91,6 +98,9 @@ def test_errors_of_the_setup_count_as_stated(setup, worth):
     axes = rotation_matrix(felt.sensor_orientation)
     sensed = move_wrench(rotate_wrench(axes.transpose(0, 2, 1), felt.wrench_on_object_world), -TOOL.tcp)
     sensed = worth * rotate_wrench(Rotation.from_rotvec([setup.mounting_angle, 0, 0]).as_matrix(), sensed)
+    wrong = replace(TOOL, mass=TOOL.mass + setup.tool_mass, com=TOOL.com + np.array([setup.tool_com, 0, 0]))
+    on_tool = tool_wrench(wrong, felt, axes) - tool_wrench(TOOL, felt, axes)
+    sensed += on_tool - on_tool[tare_samples(felt)].mean(axis=0)
     felt = replace(felt, wrench_on_object_world=rotate_wrench(axes, move_wrench(sensed, TOOL.tcp)))
     misses = [
         np.mean((seen.values - seen.rows @ obj.truth.mass) ** 2)

@@ -177,6 +177,8 @@ def predicted_lift(action: Lift, sensing: Sensing, setup: SetupErrors = EXACT_SE
             continue
         spin, pull = profile.rate[kept], GRAVITY * upwards[kept].mean(axis=0)
         heavier = TOOL_MASS * (pull - [0.0, 0.0, GRAVITY])
+        pull_rate = GRAVITY * (upwards[kept[-1]] - upwards[kept[0]]) * RATE / (len(kept) - 1)
+        tool_rate = TOOL_MASS * np.concatenate([pull_rate, np.cross([0.0, 0.0, -TOOL_COM], pull_rate)])
         windows.append(
             LiftWindow(
                 grasp=action.grasp,
@@ -192,6 +194,8 @@ def predicted_lift(action: Lift, sensing: Sensing, setup: SetupErrors = EXACT_SE
                 from_sensor=_to_tcp(),
                 tool=np.concatenate([heavier, np.cross([0.0, 0.0, -TOOL_COM], heavier)]),
                 tool_mass=TOOL_MASS,
+                tool_rate=tool_rate,
+                pull_rate=pull_rate,
                 setup=setup,
             )
         )

@@ -85,7 +85,8 @@ def _of_trial(
         ]
     )
     by_turn = slope_of_turn(lambda angle: _regressors([w.turned(angle) for w in windows]) @ shift_map(tcp) @ body)
-    of_setup = setup_columns(windows, rows @ body, np.column_stack([by_shift[:, :2], by_turn]), trials)
+    late = _regressors([w.changing() for w in windows], moving=False) @ shift_map(tcp) @ body
+    of_setup = setup_columns(windows, rows @ body, np.column_stack([by_shift[:, :2], by_turn]), late, trials)
     crept = creep_covariance(windows, by_shift * [errors.creep, errors.creep, errors.slip])
     by_shift *= [errors.grip, errors.grip, errors.sag]
     inertial = errors.inertia * (rows - still @ shift_map(tcp)) @ body

@@ -131,7 +131,8 @@ def lift_information(
         [(maps(SHIFT * axis) @ mass - maps(-SHIFT * axis) @ mass) / (2 * SHIFT) for axis in np.eye(3)]
     )
     by_turn = slope_of_turn(lambda angle: maps(turn=angle) @ mass)
-    of_setup = setup_columns(windows, moved @ mass, np.column_stack([by_shift[:, :2], by_turn]), trials)
+    late = np.concatenate([wrench_of_mass(shape, w, moving=False) @ mass for w in map(LiftWindow.changing, windows)])
+    of_setup = setup_columns(windows, moved @ mass, np.column_stack([by_shift[:, :2], by_turn]), late, trials)
     crept = creep_covariance(windows, by_shift * [errors.creep, errors.creep, errors.slip])
     by_shift *= [errors.grip, errors.grip, errors.height * shape.height]
     inertial = errors.inertia * (moved - maps(moving=False)) @ mass
@@ -191,6 +192,7 @@ def setup_columns(
     windows: Sequence[LiftWindow],
     wrench: Float[np.ndarray, "R"],
     slopes: Float[np.ndarray, "R 3"],
+    late: Float[np.ndarray, "R"],
     trials: int,
 ) -> Float[np.ndarray, "R e"]:
     """Effect on one trial's K windows of one standard deviation of each error of the setup, as stated; R = 6 K.
@@ -201,6 +203,7 @@ def setup_columns(
         windows: windows of the trial.
         wrench: their wrenches by a guess of the masses.
         slopes: change of these with the object's place along x and y in the grip, and with its angle.
+        late: change of these with time, N/s and N m/s.
         trials: trials that are known together.
     """
     setup, shared = windows[0].setup, trials**0.5
@@ -211,7 +214,7 @@ def setup_columns(
         math.hypot(setup.grasp_angle, shared * setup.tcp_angle),
     )
     of_sensor = []
-    for window, each in zip(windows, wrench.reshape(-1, 6), strict=True):
+    for window, each, rate in zip(windows, wrench.reshape(-1, 6), late.reshape(-1, 6), strict=True):
         felt = np.linalg.solve(window.from_sensor, each) + window.tool
         other = FULL_SCALE.numpy()[:, None] / FULL_SCALE.numpy() * felt * (1 - np.eye(6))  # to, from
         crossed = np.concatenate([np.diag(column) for column in other.T], axis=1)
@@ -219,7 +222,8 @@ def setup_columns(
         heavier = window.tool[:, None] * (setup.tool_mass / window.tool_mass if window.tool_mass else 0.0)
         aside = setup.tool_com * np.vstack([np.zeros((3, 3)), np.cross(np.eye(3), window.tool[:3]).T])
         columns = [setup.gain * np.diag(felt), setup.crosstalk * crossed, setup.mounting_angle * turned, heavier, aside]
-        of_sensor.append(shared * window.from_sensor @ np.hstack(columns))
+        behind = setup.delay * (window.from_sensor @ window.tool_rate + rate)[:, None]
+        of_sensor.append(shared * np.hstack([window.from_sensor @ np.hstack(columns), behind]))
     return np.column_stack([slopes * [place, place, angle], np.vstack(of_sensor)])
 
 

@@ -51,6 +51,10 @@ class LiftWindow:
     """Mean wrench on the tool less that at the tare [N, N m], sensor axes: the sensor feels it too."""
     tool_mass: float
     """Mass of the tool [kg]."""
+    tool_rate: Float[np.ndarray, "6"]
+    """Mean change of the tool's wrench with time [N/s, N m/s], sensor axes: what a late pose takes it for."""
+    pull_rate: Float[np.ndarray, "3"]
+    """Mean change of `pull` with time [m/s^3]."""
     setup: SetupErrors
     """Errors of the setup, as stated."""
 
@@ -64,9 +68,13 @@ class LiftWindow:
             spin_products=back @ self.spin_products @ back.T,
         )
 
+    def changing(self) -> LiftWindow:
+        """The same with the change of `pull` with time in its place."""
+        return replace(self, pull=self.pull_rate)
+
     def __post_init__(self) -> None:
         square = (6, 6)
-        freeze_arrays(self, from_sensor=square, tool=(6,))
+        freeze_arrays(self, from_sensor=square, tool=(6,), tool_rate=(6,), pull_rate=(3,))
         freeze_arrays(self, wrench=(6,), covariance=square, pull=(3,), angular_acceleration=(3,), spin_products=(3, 3))
         freeze_arrays(self, bias_covariance=square, drift_covariance=square, since_tare=(2,))
 
@@ -118,6 +126,8 @@ def lift_windows(trajectory: Trajectory) -> list[LiftWindow]:
                 from_sensor=from_sensor,
                 tool=on_tool[kept].mean(axis=0) - on_tool[tare].mean(axis=0),
                 tool_mass=tool.mass,
+                tool_rate=_rate(trajectory.time_s[kept], on_tool[kept]),
+                pull_rate=_rate(trajectory.time_s[kept], motion[kept, :3]),
                 setup=trajectory.setup,
             )
         )
@@ -147,6 +157,11 @@ def _held_axes(trajectory: Trajectory) -> tuple[int, Float[np.ndarray, "3 3"], F
     flat, sensor = int(held[-1]), rotation_matrix(trajectory.sensor_orientation)
     mount = sensor[flat].T @ rotation_z(float(trajectory.object_pose[flat, 2]))
     return flat, mount, sensor @ mount
+
+
+def _rate(time: Float[np.ndarray, "T"], samples: Float[np.ndarray, "T n"]) -> Float[np.ndarray, "n"]:
+    """Slope of samples with time."""
+    return np.polynomial.polynomial.polyfit(time - time.mean(), samples, 1)[1]
 
 
 def _noise_of_mean(time: Float[np.ndarray, "T"], samples: Float[np.ndarray, "T 6"]) -> Float[np.ndarray, "6 6"]:

@@ -89,6 +89,7 @@ def test_its_errors_are_as_large_as_they_are_said_to_be():
         (SetupErrors(grasp_offset=2e-3), 1.0),
         (SetupErrors(tool_mass=0.03), 1.0),
         (SetupErrors(tool_com=5e-3), 1.0),
+        (SetupErrors(delay=0.05), 1.0),
     ],
 )
 def test_errors_of_the_setup_count_as_stated(setup, worth):
@@ -100,6 +101,10 @@ def test_errors_of_the_setup_count_as_stated(setup, worth):
     sensed = worth * rotate_wrench(Rotation.from_rotvec([setup.mounting_angle, 0, 0]).as_matrix(), sensed)
     wrong = replace(TOOL, mass=TOOL.mass + setup.tool_mass, com=TOOL.com + np.array([setup.tool_com, 0, 0]))
     on_tool = tool_wrench(wrong, felt, axes) - tool_wrench(TOOL, felt, axes)
+    if setup.delay:  # the sensor is ahead of the poses
+        ahead = felt.time_s + setup.delay
+        both = sensed + tool_wrench(TOOL, felt, axes)
+        on_tool += np.column_stack([np.interp(ahead, felt.time_s, one) for one in both.T]) - both
     sensed += on_tool - on_tool[tare_samples(felt)].mean(axis=0)
     felt = replace(felt, wrench_on_object_world=rotate_wrench(axes, move_wrench(sensed, TOOL.tcp)))
     misses = [

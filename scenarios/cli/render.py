@@ -144,7 +144,7 @@ def watch_record(root: Path, beginning: str) -> None:
     from testbed.simulation.rendering import Playback
     from testbed.simulation.watch import KEYS, Replay, watch
 
-    replay = Replay(Playback(record.trajectory, record.object, record.grip_width))
+    replay = Replay(Playback(record.trajectory, record.object, record.pads))
     print(KEYS, flush=True)
     watch(replay, f"heft: {record.object.name}, trial {record.folder.name}")
 
@@ -202,7 +202,7 @@ def render_trial(root: Path, beginning: str, request: RenderRequest) -> tuple[Pa
     choose_offscreen()
     from testbed.simulation.rendering import Playback, drawing
 
-    playback = Playback(record.trajectory, record.object, record.grip_width)
+    playback = Playback(record.trajectory, record.object, record.pads)
     samples = _samples(record.trajectory, request, 0 if still else pace)
 
     def pictures(draw: Callable[[int], np.ndarray], progress: Progress) -> Iterator[np.ndarray]:

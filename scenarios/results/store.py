@@ -32,7 +32,7 @@ from scenarios.results.files import inside, read_json, write_json
 from testbed.files import UNSEALED, load_sealed, remove_leftovers, unless_damaged, write_sealed, write_whole
 from testbed.foot_forces import FootForces, save_foot_forces
 from testbed.objects.files import ObjectFile, asset_folder
-from testbed.objects.model import ObjectModel, ObjectShape, Solid
+from testbed.objects.model import Grasp, ObjectModel, ObjectShape, Solid
 from testbed.toml import toml_text
 from testbed.trajectory import SCHEMA_VERSION, Trajectory, load_trajectory, save_trajectory
 from testbed.trial import Trial
@@ -74,11 +74,16 @@ def object_request(model: ObjectModel) -> dict[str, Any]:
         "friction_group": shape.friction_group.tolist(),
         "cell": shape.cell,
         "height": shape.height,
-        "grasps": [[*g.position.tolist(), g.angle, g.width, g.length, g.bottom, g.top] for g in shape.grasps],
+        "grasps": [_grasp_request(grasp) for grasp in shape.grasps],
         "solids": [_solid_hash(solid) for solid in model.solids],
         "mass": truth.mass.tolist(),
         "friction": truth.friction.tolist(),
     }
+
+
+def _grasp_request(grasp: Grasp) -> list[float | None]:
+    size = [*grasp.position.tolist(), grasp.angle, grasp.width, grasp.length, grasp.bottom, grasp.top]
+    return size if grasp.opening is None else [*size, grasp.opening]
 
 
 def _solid_hash(solid: Solid) -> str:

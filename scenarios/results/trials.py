@@ -42,8 +42,8 @@ class TrialRecord:
     support: str
     """Support that carried its weight, by name."""
     trajectory: Trajectory
-    grip_width: float
-    """Distance between the pads while they held it [m]."""
+    pads: tuple[float, float]
+    """Distance between the pads while they held it, and before and after [m]."""
     request: dict[str, Any]
     """All that decided the trial, as plain data."""
 
@@ -62,10 +62,10 @@ def read_trial(root: Path, beginning: str) -> TrialRecord:
         request = content["asked"]
         obj = object_of(request["object"], content.get("names") or {})
         grasp = trajectory.action.grasp
-        width = STROKE if grasp is None else obj.shape.grasps[grasp].width
-        if request.get("simulation", {}).get("grip", {}).get("mode") == "weld":
-            width = STROKE  # the fingers stay open
-        return TrialRecord(folder, obj, str(request["support"]), trajectory, width, request)
+        opening = STROKE if grasp is None else obj.shape.grasps[grasp].opening or STROKE
+        welded = request.get("simulation", {}).get("grip", {}).get("mode") == "weld"  # the fingers stay open
+        width = opening if grasp is None or welded else obj.shape.grasps[grasp].width
+        return TrialRecord(folder, obj, str(request["support"]), trajectory, (width, opening), request)
     except OTHER_FORMAT as error:
         raise DamagedFileError(f"{folder / 'trial.json'}: not a whole trial file: {error!r}") from None
 
@@ -79,8 +79,7 @@ def object_of(request: dict[str, Any], names: dict[str, Any]) -> ObjectModel:
     """
     called = names.get("grasps") or [str(i) for i in range(len(request["grasps"]))]
     grasps = [
-        Grasp(str(name), np.array([x, y]), angle, width, length, bottom, top)
-        for name, (x, y, angle, width, length, bottom, top) in zip(called, request["grasps"], strict=True)
+        Grasp(str(name), np.array([x, y]), *size) for name, (x, y, *size) in zip(called, request["grasps"], strict=True)
     ]
     shape = ObjectShape(
         particles=np.array(request["particles"]),

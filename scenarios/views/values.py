@@ -97,7 +97,7 @@ def view_of(
         title=f"{record.object.name}: {name}",
         shape=record.object.shape,
         trajectory=trajectory,
-        poses=body_poses(trajectory, record.grip_width, meshes=meshes, every=POSES_EVERY),
+        poses=body_poses(trajectory, record.pads, meshes=meshes, every=POSES_EVERY),
         pose_times=trajectory.time_s[::POSES_EVERY],
         fit=wrench_fit(name, trajectory, predicted),
         model=called if model is not None else "",

@@ -9,7 +9,7 @@ import trimesh
 from jaxtyping import Float, Int
 
 from testbed.errors import InvalidValueError
-from testbed.objects.model import FINGER_DEPTH, PAD_HEIGHT, PAD_WIDTH, STROKE, TOUCH, Grasp
+from testbed.objects.model import FINGER_DEPTH, PAD_HEIGHT, PAD_WIDTH, SPARE_OPENING, STROKE, TOUCH, Grasp
 from testbed.objects.rays import ASIDE, RayGrid, grid_hits
 
 _PATCH = 0.001
@@ -69,9 +69,10 @@ def grasp_at(mesh: trimesh.Trimesh, place: GraspPlace, field: str) -> Grasp:
             f"a place that the gripper can take: it opens to {STROKE * 1e3:g} mm",
         )
     clear = np.nanmin([(low + high) / 2 - faces[:, :, 2], faces[:, :, 3] - (low + high) / 2])
-    if clear < STROKE / 2 + FINGER_DEPTH:
-        given = f"the object again {clear * 1e3:.0f} mm beside the middle of {place.name}"
-        raise InvalidValueError(field, given, f"{(STROKE / 2 + FINGER_DEPTH) * 1e3:g} mm free for the open fingers")
+    free, needed = 2 * (clear - FINGER_DEPTH), float(high - low) + SPARE_OPENING
+    if free < min(needed, STROKE):
+        given = f"the object again {max(clear, 0.0) * 1e3:.3g} mm beside the middle of {place.name}"
+        raise InvalidValueError(field, given, f"{needed * 500 + FINGER_DEPTH * 1e3:.3g} mm free for the open fingers")
     touching = (faces[:, :, 0] < low + TOUCH) & (faces[:, :, 1] > high - TOUCH)
     rows, columns = along[touching.any(axis=1)], up[touching.any(axis=0)]
     if not len(rows):
@@ -85,6 +86,7 @@ def grasp_at(mesh: trimesh.Trimesh, place: GraspPlace, field: str) -> Grasp:
         length=float(rows[-1] - rows[0] + _PATCH),
         bottom=float(columns[0] - _PATCH / 2),
         top=float(columns[-1] + _PATCH / 2),
+        opening=None if free >= STROKE else float(free + needed) / 2,  # as far from it within and without
     )
 
 

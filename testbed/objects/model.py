@@ -82,12 +82,18 @@ class Grasp:
     """Lower edge of the gripped faces over the table [m]."""
     top: float | None = None
     """Upper edge of the gripped faces over the table [m]; None is the object's height."""
+    opening: float | None = None
+    """Opening between the pads as they come down and let go [m], where there is no room for all; None is the stroke."""
 
     def __post_init__(self) -> None:
         freeze_arrays(self, position=(2,))
         if not is_number(self.angle):
             raise InvalidValueError("Grasp.angle", self.angle, "a finite number, rad")
         check_positive_fields(self, "width", "length")
+        if self.opening is not None and not (is_number(self.opening) and self.opening >= self.width):
+            raise InvalidValueError(
+                "Grasp.opening", self.opening, f"a finite number >= width ({self.width:g} m), or None"
+            )
         if not (is_number(self.bottom) and self.bottom >= 0):
             raise InvalidValueError("Grasp.bottom", self.bottom, "a finite number >= 0, m")
         if self.top is not None and not (is_number(self.top) and self.top > self.bottom):

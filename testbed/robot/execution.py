@@ -73,7 +73,7 @@ class Execution:
         """Go up first if the tool is low, so that nothing is swept off the table."""
         hover, speed = self._plan.hover, self._settings.travel_speed
         now = self._guard.state().tcp_pose
-        self._gripper.open()
+        self._gripper.open(self._plan.grasp.opening)
         self._guard.check()
         if now.position[2] < hover.position[2]:
             self._arm.move_to(Pose(np.append(now.position[:2], hover.position[2]), now.orientation), speed)
@@ -186,7 +186,7 @@ class Execution:
         """Open and go up; returns the opening before [m]."""
         held = self._gripper.width()
         self._guard.recorder.mark(Mark(self._clock.now(), Phase.RELEASE))
-        self._gripper.open()
+        self._gripper.open(self._plan.grasp.opening)
         self._guard.check()
         self._follow(self._plan.rise)
         return held

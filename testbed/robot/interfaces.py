@@ -323,8 +323,8 @@ class Gripper(Protocol):
         """
         ...
 
-    def open(self) -> None:
-        """Open fully; returns when it is open."""
+    def open(self, width: float | None) -> None:
+        """Open until the pads are `width` [m] apart, None as far as they go; returns when they stand."""
         ...
 
 

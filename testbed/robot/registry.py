@@ -32,7 +32,7 @@ SENSOR: Role[WrenchSensor] = Role(
 )
 GRIPPER: Role[Gripper] = Role(
     "testbed.robot.interfaces.Gripper",
-    ("data_sheet(width)", "width(self)", "close_on(self, width, force)", "open(self)"),
+    ("data_sheet(width)", "width(self)", "close_on(self, width, force)", "open(self, width)"),
     "heft.grippers",
     "my_lab:HandE",
 )

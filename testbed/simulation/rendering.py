@@ -161,8 +161,8 @@ def bench_model(*, meshes: bool = True) -> mujoco.MjModel:
     return spec.compile()
 
 
-def opening(trajectory: Trajectory, width: float) -> Float[np.ndarray, "T"]:
-    """Distance between the pads by the phases [m], shape (T,); `width` while they hold [m]."""
+def opening(trajectory: Trajectory, pads: tuple[float, float]) -> Float[np.ndarray, "T"]:
+    """Distance between the pads by the phases [m], shape (T,); `pads` while they hold, and before and after [m]."""
     phase, count = trajectory.phase, len(trajectory.phase)
     closed = np.where(np.isin(phase, _OPEN), 0.0, 1.0)
     for moving, ends in ((Phase.GRASP, (0.0, 1.0)), (Phase.RELEASE, (1.0, 0.0))):
@@ -170,7 +170,7 @@ def opening(trajectory: Trajectory, width: float) -> Float[np.ndarray, "T"]:
         closed[inside] = np.linspace(*ends, len(inside))
     if trajectory.tool is None:
         closed = np.zeros(count)
-    return STROKE + (width - STROKE) * closed
+    return pads[1] + (pads[0] - pads[1]) * closed
 
 
 def pose_bench(model: mujoco.MjModel, data: mujoco.MjData, trajectory: Trajectory, sample: int, opened: float) -> None:
@@ -192,18 +192,18 @@ class BodyPoses:
     """Orientation, world frame, wxyz."""
 
 
-def body_poses(trajectory: Trajectory, width: float, *, meshes: bool = True, every: int = 1) -> BodyPoses:
+def body_poses(trajectory: Trajectory, pads: tuple[float, float], *, meshes: bool = True, every: int = 1) -> BodyPoses:
     """Forward kinematics of a record.
 
     Args:
         trajectory: record of a trial with the arm.
-        width: distance between the gripped faces [m].
+        pads: distance between the pads while they hold, and before and after [m].
         meshes: see `build_scene`.
         every: take every `every`-th sample.
     """
     model = bench_model(meshes=meshes)
     data = mujoco.MjData(model)
-    samples, opened = range(0, len(trajectory.time_s), every), opening(trajectory, width)
+    samples, opened = range(0, len(trajectory.time_s), every), opening(trajectory, pads)
     position = np.empty((len(samples), model.nbody, 3))
     orientation = np.empty((len(samples), model.nbody, 4))
     for row, sample in enumerate(samples):
@@ -216,13 +216,13 @@ def body_poses(trajectory: Trajectory, width: float, *, meshes: bool = True, eve
 class Playback:
     """Scene with the object of a record."""
 
-    def __init__(self, trajectory: Trajectory, obj: ObjectModel, width: float, *, meshes: bool = True):
+    def __init__(self, trajectory: Trajectory, obj: ObjectModel, pads: tuple[float, float], *, meshes: bool = True):
         """Compile the scene and show the first sample.
 
         Args:
             trajectory: the record.
             obj: the moved object; only its looks count.
-            width: distance between the pads while they hold it [m].
+            pads: distance between the pads while they hold it, and before and after [m].
             meshes: see `build_scene`.
 
         Raises:
@@ -237,7 +237,7 @@ class Playback:
         light(self.model)
         self.data = mujoco.MjData(self.model)
         self.trajectory = trajectory
-        self._opening = opening(trajectory, width)
+        self._opening = opening(trajectory, pads)
         self._object = object_pose(trajectory)
         self._in_space = _in_space(trajectory, obj.shape.height / 2)
         self._address = self.model.joint("object").qposadr[0]

@@ -168,8 +168,9 @@ def place(scene: Scene, data: mujoco.MjData, motion: Motion) -> None:
     x, y = transform_point(motion.object_pose, np.array(scene.origin))
     yaw = motion.object_pose[2]
     data.qpos[:7] = data.act[:7] = motion.start
-    if motion.closed:
-        data.qpos[[model.joint(f"gripper/{side}_finger").qposadr[0] for side in ("left", "right")]] = STROKE / 2
+    for finger in ("gripper/left_finger", "gripper/right_finger"):
+        joint = model.joint(finger)
+        data.qpos[joint.qposadr[0]] = joint.range[1 if motion.closed else 0]
     address = model.joint("object").qposadr[0]
     data.qpos[address : address + 2] = x, y
     data.qpos[address + 3 : address + 7] = math.cos(yaw / 2), 0.0, 0.0, math.sin(yaw / 2)
@@ -219,7 +220,7 @@ def _trajectory(
         yaw = np.unwrap(np.arctan2(closing[:, 1], closing[:, 0])) - grasp.angle
         pose = pose_from_point(s["tcp_position"][:, :2], grasp.position, yaw)
         velocity = origin_velocity(twist, yaw, grasp.position)
-        width = grasp.width if settings.grip.mode == "friction" else STROKE
+        width = grasp.width if settings.grip.mode == "friction" else grasp.opening or STROKE
     count = len(record)
     time = np.arange(count) / settings.rate
     joints = [model.sensor(f"arm/joint_{i}_position").adr[0] for i in range(1, 8)]

@@ -14,7 +14,7 @@ from testbed.actions.push import Push
 from testbed.errors import InvalidValueError
 from testbed.objects.colors import group_rgba
 from testbed.objects.files import asset_folder
-from testbed.objects.model import GRAVITY, Grasp, ObjectModel, ObjectShape
+from testbed.objects.model import GRAVITY, STROKE, Grasp, ObjectModel, ObjectShape
 from testbed.simulation.contacts import add_feet, add_fingertip, soften_feet, touching_groups
 from testbed.simulation.settings import ContactSettings, GripSettings, SimulationSettings
 from testbed.trial import Support
@@ -246,6 +246,8 @@ def build_scene(
     add_feet(spec, obj, frames, contact, feet)
     if grasp is not None:
         add_grip(spec, obj.shape, frames, grasp, settings.grip)
+        for finger in ("gripper/left_finger", "gripper/right_finger"):  # opened no further than there is room
+            spec.joint(finger).range[0] = (STROKE - (grasp.opening or STROKE)) / 2
     if push is not None:
         add_fingertip(spec, obj.shape, frames, push, settings.grip)
     model = spec.compile()

@@ -180,7 +180,10 @@ class FakeGen3:
 
     def _Base_SendGripperCommand(self, command: dict[str, Any]) -> None:
         self._check("SendGripperCommand")
-        self.world.grip = 1.0 if command["gripper"]["finger"][0]["value"] > 0.5 else -0.05
+        if (closed := command["gripper"]["finger"][0]["value"]) == 1:
+            self.world.grip = 1.0
+        else:
+            self.world.open(STROKE * (1 - closed))
 
     def _BaseCyclic_RefreshFeedback(self, _: dict[str, Any]) -> dict[str, Any]:
         r, single = self.world.reading, lambda values: np.asarray(values, np.float32).tolist()

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from testbed.actions.rotate import Rotate
 from testbed.objects.blocks import block_object, parse_layout
-from testbed.objects.model import ObjectModel
+from testbed.objects.model import STROKE, ObjectModel
 from testbed.robot.config import RobotSettings
 from testbed.robot.interfaces import (
     ArmIdentity,
@@ -293,8 +293,8 @@ class FakeGripper:
         if self.width() < width - 0.003:
             raise ArmRefusedError(f"gripper: closed to {self.width() * 1e3:.0f} mm: on nothing")
 
-    def open(self) -> None:
-        self.robot.world.grip = -0.05
+    def open(self, width: float | None) -> None:
+        self.robot.world.open(STROKE if width is None else width)
         self.robot.clock.sleep(0.8)
 
 

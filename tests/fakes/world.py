@@ -88,6 +88,12 @@ class Gen3World:
         self.reading = self._read()
         self.wrench = self._measured(data.sensordata)
 
+    def open(self, width: float) -> None:
+        """Begin to open until the pads are `width` apart [m]."""
+        for finger in ("gripper/left_finger", "gripper/right_finger"):
+            self.model.jnt_range[self.model.joint(finger).id, 0] = (STROKE - width) / 2
+        self.grip = -0.05
+
     def tick(self) -> None:
         """10 ms: take in the commands, step, measure."""
         speed = self._joint_speeds(self._wanted_twist())

@@ -109,7 +109,8 @@ def _pairs(whole: Manifold, mesh: trimesh.Trimesh) -> Iterator[tuple[np.ndarray,
             last = int(np.append(gaps > FINGER_DEPTH, True).argmax())  # a finger fits into no slot before it
             other = ahead[0][last]
             met[[*ahead[0][: last + 1], *ahead[1][:last]]] = False
-            free = np.abs(reach[met] - reach[other] / 2).min(initial=np.inf) > STROKE / 2 + FINGER_DEPTH
+            needed = (reach[other] + SPARE_OPENING) / 2 + FINGER_DEPTH
+            free = np.abs(reach[met] - reach[other] / 2).min(initial=np.inf) > needed
             if free and reach[other] < STROKE - SPARE_OPENING and normal[other] @ inward > PARALLEL:
                 closing = inward + normal[other]
                 angle = np.arctan2(closing[1], closing[0]) % np.pi

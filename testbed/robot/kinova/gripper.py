@@ -34,9 +34,9 @@ class KortexGripper:
         if (found := self.width()) < width - _WIDTH_ERROR:
             raise ArmRefusedError(f"gripper: closed to {found * 1e3:.0f} mm; expected {width * 1e3:.0f} mm: on nothing")
 
-    def open(self) -> None:
-        """Open fully."""
-        self._go(0.0)
+    def open(self, width: float | None) -> None:
+        """Open until the pads are `width` [m] apart, None as far as they go."""
+        self._go(0.0 if width is None else max(1 - width / STROKE, 0.0))
 
     def _go(self, part: float) -> None:
         """Send the fingers to a part of their stroke, and wait until they stand."""

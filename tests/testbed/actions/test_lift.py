@@ -155,7 +155,7 @@ def test_a_lift_is_seen_in_space(tmp_path):
     held = place + axes @ [*grasp, shown.trajectory.tcp_position[~steady][200, 2]]
     assert_allclose(held[steady], shown.trajectory.tcp_position[steady], atol=2e-3)
     save(page_of(tmp_path, key[:6]), tmp_path / "lift.rrd")
-    playback = Playback(shown.trajectory, load_object("L2"), 0.05, meshes=False)
+    playback = Playback(shown.trajectory, load_object("L2"), (0.05, 0.085), meshes=False)
     playback.show(int(np.flatnonzero(steady)[-1]))
     body = playback.data.body("object")
     assert_allclose(body.xpos - 0.015 * body.xmat.reshape(3, 3)[:, 2], place[np.flatnonzero(steady)[-1]], atol=1e-9)

@@ -257,16 +257,25 @@ def moved(mesh: trimesh.Trimesh, by: tuple[float, float, float], degrees: float 
     return mesh.apply_translation(by)
 
 
+BAR_20 = box((0.1, 0.02, 0.02))
 FORK = together(box((0.1, 0.02, 0.02)), box((0.1, 0.02, 0.02), (0, 0.05, 0)))
+NARROW = together(box((0.1, 0.02, 0.02)), box((0.1, 0.02, 0.02), (0, 0.03, 0)))
 RING = moved(trimesh.creation.annulus(r_min=0.012, r_max=0.022, height=0.014), (0, 0, 0.007))
 SLANTED = moved(box((0.1, 0.03, 0.02), (-0.05, -0.015, 0)), (0, 0, 0), degrees=30)
 BAR, SLAB, THREAD = box((0.1, 0.04, 0.02)), box((0.04, 0.04, 0.02)), box((0.05, 0.004, 0.02))
 
 
+def test_the_hand_opens_as_far_as_there_is_room():
+    (alone,), (beside,) = (cut(mesh, places=across(0.05, 0.01)).shape.grasps for mesh in (BAR_20, FORK))
+    assert alone.opening is None
+    # its neighbour is 40 mm off the middle, a finger 8 mm thick; 25 mm are needed
+    assert beside.opening == pytest.approx((2 * 0.032 + 0.025) / 2, abs=1e-6)
+
+
 @pytest.mark.parametrize(
     ("meshes", "options", "field", "said"),
     [
-        ([FORK], {"places": across(0.05, 0.01)}, "mesh.grasps.0.at_m", "'the object again 40 mm .*50\\.5 mm free"),
+        ([NARROW], {"places": across(0.05, 0.01)}, "mesh.grasps.0.at_m", "'the object again 20 mm .*20\\.5 mm free"),
         ([BAR], {"places": across(0.05, 0.2)}, "mesh.grasps.0.at_m", "a point of the mesh, which spans x 0 to 0.1"),
         ([BAR], {"places": across(0.05, 0.02, 0.0)}, "mesh.grasps.0.at_m", "'100 mm across'; .*it opens to 85 mm"),
         ([RING], {"places": across(0, 0), "cell": 0.005}, "mesh.grasps.0.at_m", "a point of the object"),

@@ -230,7 +230,9 @@ def test_the_gripper_closes_opens_and_measures_its_opening(arm, gen3):
     assert gripper.width() == pytest.approx(0.085, abs=1e-3)
     with pytest.raises(ArmRefusedError, match=r"closed to \d mm; expected 50 mm: on nothing"):
         gripper.close_on(0.05, 100.0)
-    gripper.open()
+    gripper.open(0.06)
+    assert gripper.width() == pytest.approx(0.06, abs=1e-3)
+    gripper.open(None)
     assert gripper.width() == pytest.approx(0.085, abs=1e-3)
 
 

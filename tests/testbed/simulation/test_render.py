@@ -106,7 +106,7 @@ def record(request) -> TrialRecord:
 
 
 def played(record: TrialRecord, *, meshes: bool = False) -> Playback:
-    return Playback(record.trajectory, record.object, record.grip_width, meshes=meshes)
+    return Playback(record.trajectory, record.object, record.pads, meshes=meshes)
 
 
 def heft(*commands: list[str], env: dict[str, str] = EGL, before: str = "") -> subprocess.CompletedProcess[str]:
@@ -127,7 +127,7 @@ def test_hand_pads_and_object_are_where_the_record_has_them(record):
     steady = int(trajectory.mask(Phase.STEADY).argmax())
     playback.show(steady)
     left, right = (playback.data.geom(f"gripper/{side}_pad").xpos for side in ("left", "right"))
-    assert_allclose(np.linalg.norm(left - right) - 2 * 0.004, record.grip_width, atol=1e-9)
+    assert_allclose(np.linalg.norm(left - right) - 2 * 0.004, record.pads[0], atol=1e-9)
     grasp = record.object.shape.grasps[trajectory.action.grasp]
     held = transform_point(object_pose(trajectory)[steady], grasp.position)
     assert_allclose((left + right)[:2] / 2, held, atol=1e-3)

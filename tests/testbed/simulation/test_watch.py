@@ -77,7 +77,7 @@ def test_a_weighing_is_refused():
 
 def test_a_replay_steps_through_the_record(tmp_path):
     record = read_trial(tmp_path, put_trial(tmp_path, "L2", Slide(1, duration=0.3)))
-    replay = Replay(Playback(record.trajectory, record.object, record.grip_width, meshes=False))
+    replay = Replay(Playback(record.trajectory, record.object, record.pads, meshes=False))
     time_s, joints = record.trajectory.time_s, record.trajectory.joint_position
     assert replay.physics.time() == time_s[0]
     for sample in (1, 2, 3):

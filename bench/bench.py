@@ -43,7 +43,7 @@ from estimators.particles.model import (
     rotate,
     turned,
 )
-from estimators.particles.windows import observe
+from estimators.particles.observe import observe
 from testbed.actions.accelerate import Accelerate
 from testbed.actions.rotate import Rotate
 from testbed.objects.files import load_object

@@ -36,10 +36,10 @@ from scipy.stats import norm
 from estimators.hidden_states.estimator import HiddenStates
 from estimators.hidden_states.masses import friction_loads
 from estimators.identifiability.information import Assumptions, expected, observed
-from estimators.particles.errors import EXACT, ModelErrors
 from estimators.particles.friction_system import LoadGroups, friction_equations
-from estimators.particles.model import ParticleModel
-from estimators.particles.windows import Observations, observe
+from estimators.particles.model import EXACT, ModelErrors, ParticleModel
+from estimators.particles.observe import observe
+from estimators.particles.windows import Observations
 from scenarios.cli.plan import actions_of
 from scenarios.results.estimates import load_results
 from scenarios.results.files import read_json

@@ -1,4 +1,4 @@
-"""Checks of the simulated physics: python bench/physics.py [sensor|coulomb|pushes|swing|tools|levers|resolution]."""
+"""Checks of the simulation: python bench/physics.py [sensor|coulomb|pushes|links|swing|tools|levers|resolution]."""
 
 from __future__ import annotations
 
@@ -16,11 +16,14 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
+from estimators.action_selection.drags import RandomDrags
 from estimators.action_selection.pushes import RandomPushes
 from estimators.action_selection.rank import between_particles
-from estimators.particles.model import ParticleModel, direction, friction_wrench, inertia_of
+from estimators.particles.links import hinge_rows
+from estimators.particles.model import ModelErrors, ParticleModel, direction, friction_wrench, inertia_of
+from estimators.particles.observe import observe
 from estimators.particles.support import own_weight, rigid_loads
-from estimators.particles.windows import observe
+from estimators.testing.analytic_links import drawn_chain
 from scenarios.catalog import LIBRARY
 from scenarios.config import Grid, Scenario, Simulation
 from scenarios.execution.executor import default_workers
@@ -32,7 +35,7 @@ from testbed.actions.weigh import Weigh
 from testbed.errors import InfeasibleTrialError
 from testbed.frames import cross_2d, perpendicular, rotation_2d
 from testbed.objects.files import load_object
-from testbed.objects.model import ObjectModel
+from testbed.objects.model import GRAVITY, ObjectModel
 from testbed.sensing.compensation import compensate
 from testbed.sensing.windows import weight_of
 from testbed.simulation.contacts import resting_loads
@@ -50,6 +53,7 @@ TOOLS = ("hammer", "wrench")
 OBJECTS = ("I1", "I2", "L1", "L2", "F1", "F2")
 PUSHED = (*OBJECTS, *(str(LIBRARY / "objects" / f"rectangle_{size}.toml") for size in ("2x3", "3x3")))
 PUSHES = 8
+DRAGS, CHAINS = 8, 10
 SUPPORTS = (OWN_WEIGHT, RIGID)
 BARE = ServoSettings(integral_gain=0.0, null_gain=0.0)
 # MuJoCo's damping ratio and time constant as first tried: stiff in the normal direction, strongly coupled to slip
@@ -103,7 +107,7 @@ def off_coulomb(model: ObjectModel, trajectory: Trajectory, support: Support) ->
     particles = ParticleModel.of(model.shape)
     mass = torch.tensor(model.particle_mass)
     inertia = inertia_of(particles, mass)
-    load = observed.gripper_load(inertia, model.shape.height)
+    load = observed.gripper_load(particles, mass, model.shape.height)
     if support.is_rigid:
         normal = rigid_loads(particles, mass, load)
     else:
@@ -116,6 +120,34 @@ def off_coulomb(model: ObjectModel, trajectory: Trajectory, support: Support) ->
     lever = (friction * observed.lever(particles).norm(dim=-1)).sum(-1)
     parts = (error[:, :2].norm(dim=1) / friction.sum(-1), error[:, 2].abs() / lever, (normal < 0).double().mean(-1))
     return 100 * torch.stack(parts, 1).numpy()
+
+
+def link_errors(seed: int) -> tuple[str, np.ndarray, np.ndarray]:
+    """Links of a drawn chain; in windows of random drags off Coulomb: force, torque (K, 2), and about hinges, %."""
+    model, runner, refused, found = drawn_chain(seed), SimulationRunner(), dict[Action, str](), list[Trajectory]()
+    policy = RandomDrags(DRAGS, seed=seed, refused=refused)
+    while (action := policy.next(model.shape, found)) is not None:
+        try:
+            found.append(runner.run(Trial(model, action)))
+        except InfeasibleTrialError as error:
+            refused[action] = str(error)
+    windows, particles = observe(model.shape, found), ParticleModel.of(model.shape)
+    assert windows is not None and model.shape.chain is not None
+    mass = torch.tensor(model.particle_mass)
+    drag = particles.particle_friction(torch.tensor(model.truth.friction)) * GRAVITY * mass
+    errors = ModelErrors()
+    torques, _, friction = hinge_rows(windows, particles, mass, drag, errors)
+    off = windows.wrench - windows.drag_rows(particles, errors.pivot_error) @ drag
+    off = off - windows.motion_wrench(particles, mass)
+    lever = (drag * windows.lever(particles).norm(dim=-1)).sum(-1)
+    about = torques.rows @ drag
+    held = friction[3 * len(windows) :] @ torch.tensor(model.hinge_friction, dtype=torch.float64)
+    left = (about + torques.inertial).flatten() + held
+    size = (torques.rows.abs() @ drag).flatten()
+    planar = torch.stack([off[:, :2].norm(dim=1) / drag.sum(), off[:, 2].abs() / lever], 1)
+    turning = torques.sign.flatten() != 0
+    name = "-".join(map(str, np.bincount(model.shape.chain.link)))
+    return name, 100 * planar.numpy(), 100 * (left[turning].abs() / size[turning]).numpy()
 
 
 def sensor_error(name: str, support: Support, action: Rotate) -> tuple[float, float, float]:
@@ -224,6 +256,18 @@ def pushes(submit: Callable[..., Future[Any]], console: Console) -> None:
     console.print(table)
 
 
+def links(submit: Callable[..., Future[Any]], console: Console) -> None:
+    """Drag against Coulomb's law while links trail."""
+    columns = ("blocks by link", "windows", "force: median", "rms", "torque: median", "rms", "at hinges: median", "rms")
+    table = _table(f"{DRAGS} slides and turns of drawn chains: against Coulomb's law, %", *columns)
+    for future in [submit(link_errors, seed) for seed in range(CHAINS)]:
+        name, planar, hinged = future.result()
+        parts = [*planar.T, hinged]
+        cells = (f"{x:.3f}" for part in parts for x in (np.median(part), np.sqrt(np.square(part).mean())))
+        table.add_row(name, str(len(planar)), *cells)
+    console.print(table)
+
+
 def tools(submit: Callable[..., Future[Any]], console: Console) -> None:
     """The objects made of meshes: weight, load at rest, friction on their own feet."""
     columns = ("object", "support", "weight, %", "least load, %", "force, %", "torque, %", "slip, mm", "lifted, %")
@@ -302,7 +346,8 @@ def main() -> None:
     """Print the tables asked for."""
     what = sys.argv[1] if len(sys.argv) > 1 else "all"
     console = Console(width=120)
-    parts = {"sensor": sensor, "coulomb": coulomb, "pushes": pushes, "swing": swing, "tools": tools, "levers": levers}
+    every = (sensor, coulomb, pushes, links, swing, tools, levers)
+    parts = {part.__name__: part for part in every}
     context = get_context("spawn")
     with ProcessPoolExecutor(default_workers(), context, torch.set_num_threads, (1,)) as pool:
         for name, show in parts.items():

@@ -39,9 +39,10 @@ from estimators.action_selection.rank import RANK_DRIVEN, RankDriven
 from estimators.base import ActionPolicy
 from estimators.evaluation.metrics import normalized_absolute_difference
 from estimators.hidden_states.estimator import HiddenStates
-from estimators.particles.errors import ModelErrors
 from estimators.particles.friction_system import LoadGroups, friction_equations
-from estimators.particles.windows import Observations, observe
+from estimators.particles.model import ModelErrors
+from estimators.particles.observe import observe
+from estimators.particles.windows import Observations
 from estimators.particles.wrench import ParticleLoads
 from scenarios.policies import Policy
 from scenarios.runners import FeasibilityCheck, feasible_grasps, told

@@ -23,8 +23,9 @@ if TYPE_CHECKING:
     from estimators.hidden_states.published import PublishedHiddenStates
     from estimators.identifiability.information import expected, observed
     from estimators.identifiability.report import Identifiability
-    from estimators.particles.errors import ModelErrors
-    from estimators.particles.windows import Observations, observe
+    from estimators.particles.model import ModelErrors
+    from estimators.particles.observe import observe
+    from estimators.particles.windows import Observations
     from estimators.registry import METHODS, build_method
     from estimators.support_models.estimator import SupportAware
 

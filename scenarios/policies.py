@@ -12,6 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field, field_validator, model_valida
 
 from estimators.action_selection.candidates import ActionFamily
 from estimators.action_selection.design import ASSUMED_SUPPORTS, Guess
+from estimators.action_selection.drags import RandomDrags
 from estimators.action_selection.greedy import PlannedPolicy
 from estimators.action_selection.online import OnlinePolicy
 from estimators.action_selection.plan import Goal
@@ -32,7 +33,7 @@ from testbed.trajectory import Trajectory
 from testbed.worlds.setup_errors import EXACT_SETUP, SetupErrors
 
 Count = Annotated[int, Field(ge=1, le=100_000)]
-POLICIES = (*RANK_DRIVEN, "stop_and_go", "push", "greedy", "batch", "random", "online")
+POLICIES = (*RANK_DRIVEN, "stop_and_go", "push", "drag", "greedy", "batch", "random", "online")
 """heft's own policies."""
 
 
@@ -236,6 +237,8 @@ class Policy(BaseModel):
         seed = self.seed + (number if self.redraw else 0)
         if not self.grips:
             return RandomPushes(self.touches, seed, refused)
+        if self.kind == "drag":
+            return RandomDrags(self.touches, grasps, seed, refused)
         if self.lifts_last is not None:
             ranked = self.rank_driven
             before = None if ranked is None else replace(ranked, grasps=grasps, seed=seed, refused=refused)

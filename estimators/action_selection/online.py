@@ -19,7 +19,8 @@ from estimators.hidden_states.masses import friction_loads
 from estimators.identifiability.information import trial_information
 from estimators.particles.lifts import lifts_among
 from estimators.particles.misfit import UNEXPLAINED
-from estimators.particles.windows import Observations, observe
+from estimators.particles.observe import observe
+from estimators.particles.windows import Observations
 from estimators.support_models.estimator import SupportAware
 from estimators.support_models.selection import DECISIVE
 from testbed.actions.base import Action

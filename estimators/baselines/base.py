@@ -11,7 +11,7 @@ import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, get_args
+from typing import Any, ClassVar, get_args
 
 import numpy as np
 import torch
@@ -21,8 +21,8 @@ from torch import Tensor
 from estimators.base import Estimate, EstimateStatus, Trace, robot_seconds
 from estimators.baselines.problem import UNEXPLAINED, Problem, Weighting
 from estimators.descent import OPTIMIZERS, check_optimizers, descend_all
-from estimators.particles.errors import RIGID, ModelErrors
 from estimators.particles.misfit import Misfit
+from estimators.particles.model import RIGID, ModelErrors
 from estimators.particles.support import ASSUMPTION
 from testbed.errors import InvalidValueError
 from testbed.objects.model import GRAVITY, MassDistribution, ObjectShape
@@ -170,6 +170,8 @@ class SearchResult:
 class Baseline(ABC):
     """Settings of every baseline. Assumes, as Algorithm 1 does, that every mass group rests on its own weight."""
 
+    takes_links: ClassVar[bool] = True
+    """False of a method that moves the object in one piece."""
     iterations: int = ITERATIONS
     """Samples drawn, or gradient steps of each optimizer."""
     use_weight: bool = False
@@ -206,11 +208,9 @@ class Baseline(ABC):
         """
         begin = time.perf_counter()
         problem = self._problem(shape, weight, trajectories)
-        if isinstance(problem, Estimate):
-            answer = problem
-        else:
-            answer = self._judged(problem, self._search(problem, seed), trajectories)
-        return replace(answer, seconds=time.perf_counter() - begin)
+        if not isinstance(problem, Estimate):
+            problem = self._judged(problem, self._search(problem, seed), trajectories)
+        return replace(problem, seconds=time.perf_counter() - begin)
 
     def _problem(
         self, shape: ObjectShape, weight: float | None, trajectories: Sequence[Trajectory]
@@ -218,7 +218,7 @@ class Baseline(ABC):
         """The problem, under the errors of the model that all methods share."""
         shared = RIGID if self._support == "rigid" else ModelErrors()
         given = {"errors": replace(shared, pivot_error=self.pivot_error), "support": self._support}
-        return Problem.of(shape, weight, trajectories, use_weight=self.use_weight, **given)
+        return Problem.of(shape, weight, trajectories, self.takes_links, use_weight=self.use_weight, **given)
 
     def _judged(self, problem: Problem, found: SearchResult, trajectories: Sequence[Trajectory]) -> Estimate:
         """The estimate of a search, less its time."""

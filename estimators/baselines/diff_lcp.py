@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import ClassVar
 
 import torch
 from jaxtyping import Float
@@ -22,6 +23,9 @@ from testbed.validation import check_integer
 @dataclass(frozen=True)
 class DiffLcp(GradientBaseline):
     """Gradient descent in m and mu on the velocities that the LCP engine predicts (Song & Boularias 2020)."""
+
+    takes_links: ClassVar[bool] = False
+    """It moves the object in one piece."""
 
     directions: int = 8
     """Corners of the friction polygon. Ours."""

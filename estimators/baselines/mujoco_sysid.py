@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 import torch
@@ -11,7 +11,7 @@ import torch
 from estimators.base import Trace
 from estimators.baselines.base import LogCoordinates, Peer, SearchResult
 from estimators.baselines.problem import Problem
-from estimators.particles.errors import ModelErrors
+from estimators.particles.model import ModelErrors
 from estimators.particles.windows import Observations
 from testbed.errors import InvalidValueError
 from testbed.objects.model import MassDistribution, ObjectModel
@@ -30,6 +30,9 @@ class MujocoSysid(Peer):
     It gets M and the errors' covariance and starts at uniform mass, as every peer. Its covariance is the toolbox's.
     Needs the extra `sysid`.
     """
+
+    takes_links: ClassVar[bool] = False
+    """It moves the object in one piece."""
 
     iterations: int = 200
     """Most iterations of the toolbox's optimizer: its default."""

@@ -13,12 +13,12 @@ from jaxtyping import Float
 from torch import Tensor
 
 from estimators.base import Estimate
-from estimators.particles.errors import ModelErrors
 from estimators.particles.friction_system import LoadGroups, friction_equations, rank_of
-from estimators.particles.model import Inertia, ParticleModel, cross, inertia_of
+from estimators.particles.model import Inertia, ModelErrors, ParticleModel, cross, inertia_of
+from estimators.particles.observe import ONE_PIECE, observe
 from estimators.particles.pivots import inertia_map
 from estimators.particles.support import LOADS
-from estimators.particles.windows import Observations, observe
+from estimators.particles.windows import Observations
 from estimators.particles.wrench import AffineLoads, WrenchModel
 from testbed.errors import InvalidValueError
 from testbed.objects.model import GRAVITY, ObjectShape
@@ -53,6 +53,7 @@ class Problem:
         shape: ObjectShape,
         weight: float | None,
         trajectories: Sequence[Trajectory],
+        takes_links: bool = True,
         *,
         use_weight: bool,
         errors: ModelErrors,
@@ -65,6 +66,8 @@ class Problem:
         """
         if use_weight and not (weight is not None and np.isfinite(weight) and weight > 0):
             raise InvalidValueError("weight", weight, "M as weighed, a finite number > 0, kg, or use_weight = false")
+        if shape.chain is not None and not takes_links:
+            return Estimate(None, "assumption_violated", ONE_PIECE)
         windows = observe(shape, trajectories, errors)
         if windows is None or bool(windows.accelerated.all()):
             return Estimate(None, "no_data", "no trajectory with status ok that slides or turns at constant speed")
@@ -172,5 +175,6 @@ def _whitening(
     spread = turning.flatten()
     same = (windows.grasp[:, None] - windows.grasp).norm(dim=-1) < 1e-9
     twice = 1 + same.double().repeat_interleave(3, 0).repeat_interleave(3, 1)
-    covariance = equations.apart + equations.common @ equations.common.T + twice * torch.outer(spread, spread)
+    wrenches = slice(0, 3 * len(windows))  # a search predicts no torques about hinges
+    covariance = equations.covariance[wrenches, wrenches] + twice * torch.outer(spread, spread)
     return torch.linalg.inv(torch.linalg.cholesky(covariance))

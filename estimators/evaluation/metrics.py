@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from estimators.particles.errors import RIGID, ModelErrors
-from estimators.particles.model import Inertia, ParticleModel, inertia_of, one_step, rotate, turned
+from estimators.particles.model import RIGID, Inertia, ModelErrors, ParticleModel, inertia_of, one_step, rotate, turned
+from estimators.particles.observe import observe
 from estimators.particles.support import LOADS
-from estimators.particles.windows import Observations, observe
+from estimators.particles.windows import Observations
 from estimators.particles.wrench import AffineLoads
 from testbed.errors import InvalidValueError
 from testbed.frames import perpendicular, rotation_2d
@@ -188,7 +190,7 @@ class ParticleDistance:
 def mean_particle_distance(
     shape: ObjectShape, estimate: MassDistribution, turns: Sequence[Trajectory], support: str = "own_weight"
 ) -> ParticleDistance | None:
-    """MPD of an estimate on turns that it was not given; None where no turn is ok.
+    """MPD of an estimate on turns that it was not given; None where no turn is ok, and of an object with hinges.
 
     As in the paper, wrench and motion are the filtered ones: constant in the object frame over a steady turn. The
     measured load on the gripper enters the loads.
@@ -201,7 +203,7 @@ def mean_particle_distance(
     """
     usable = [turn for turn in turns if turn.ok]
     windows = observe(shape, usable, RIGID if support == "rigid" else ModelErrors())
-    if windows is None:
+    if windows is None or windows.articulated:
         return None
     model = ParticleModel.of(shape)
     mass, friction = torch.tensor(estimate.mass), torch.tensor(estimate.friction)
@@ -217,3 +219,12 @@ def mean_particle_distance(
     near, end = open_loop([turn for turn, _ in moved], model, inertia, drags)
     whole = [turn.stepwise(model, inertia, drag) for (turn, _), drag in zip(moved, drags, strict=True)]
     return ParticleDistance(*(float(np.mean(values)) for values in (end, near, whole)))
+
+
+def hinge_columns(friction: Sequence[float], diagnostics: Mapping[str, float]) -> dict[str, Any]:
+    """Columns of the friction of hinges [N m]: as estimated, its standard error, and the mean error over the mean."""
+    if "hinge_0_Nm" not in diagnostics:
+        return {"hinge_Nm": None, "hinge_error_Nm": None, "hinge_error": math.nan}
+    found, std = ([diagnostics[f"hinge_{h}_{unit}"] for h in range(len(friction))] for unit in ("Nm", "std_Nm"))
+    off = float(np.abs(np.array(found) - friction).mean() / np.mean(friction)) if any(friction) else math.nan
+    return {"hinge_Nm": found, "hinge_error_Nm": std, "hinge_error": off}

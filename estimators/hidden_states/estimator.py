@@ -21,9 +21,10 @@ from estimators.hidden_states.setup import UnknownSetup, with_found_bias
 from estimators.hidden_states.trial_windows import TrialWindows
 from estimators.identifiability.posterior import Likelihood
 from estimators.identifiability.report import Identifiability, identifiability
-from estimators.particles.errors import ModelErrors
 from estimators.particles.friction_system import LinearSystem
+from estimators.particles.links import hinge_friction
 from estimators.particles.misfit import Misfit
+from estimators.particles.model import ModelErrors
 from estimators.particles.pivots import PivotInertia
 from estimators.particles.support import ASSUMPTION
 from testbed.errors import InvalidValueError
@@ -112,6 +113,10 @@ class HiddenStates:
         """Algorithm 1 in rounds: each takes the gripper's load, and unknowns of the setup, from the round before."""
         if not shape.stands_in_groups:
             return Estimate(None, "assumption_violated", ONE_BODY)
+        if shape.chain is not None and self.unknown:
+            return Estimate(
+                None, "assumption_violated", f"hinges: {', '.join(self.unknown)} cannot be unknown with them"
+            )
         trials = self._trials(shape, weight, trajectories)
         if trials is None:
             return Estimate(None, "no_data", NO_DATA)
@@ -190,6 +195,15 @@ def _underdetermined(trials: TrialWindows, found: Underdetermined, guess: MassDi
     return Estimate(None, "underdetermined", why, identifiability=report)
 
 
+def _hinges(trials: TrialWindows, at: MassDistribution, widening: float) -> dict[str, float]:
+    """Friction of every hinge with its standard deviation, N m; none of a rigid object."""
+    found = hinge_friction(trials.friction_equations(at))
+    named: dict[str, float] = {}
+    for index, (torque, std) in enumerate(zip(*found, strict=True) if found else ()):
+        named |= {f"hinge_{index}_Nm": float(torque), f"hinge_{index}_std_Nm": float(std) * widening**0.5}
+    return named
+
+
 def _estimate_of(trials: TrialWindows, found: Solution) -> Estimate:
     """Estimate of the last round, with its covariance, or the reason why there is none."""
     system, masses, s = found.Q_s_b, found.masses, found.H.friction_load
@@ -217,6 +231,7 @@ def _estimate_of(trials: TrialWindows, found: Solution) -> Estimate:
             "condition": condition,
             "loss": loss,
             "misfit": misfit.value,
+            **_hinges(trials, masses.distribution, misfit.widening),
         },
         assumes=ASSUMPTION["own_weight"],
     )

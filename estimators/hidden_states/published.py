@@ -23,9 +23,9 @@ from estimators.hidden_states.estimator import NO_DATA, Solver
 from estimators.hidden_states.friction import CONTRADICTORY
 from estimators.hidden_states.masses import SMALLEST_PART, feet_of
 from estimators.hidden_states.trial_windows import TrialWindows
-from estimators.particles.errors import ModelErrors
 from estimators.particles.friction_system import rank_of, weight_per_mass
-from estimators.particles.model import Inertia, acceleration, inertia_of, rotate, step, turned
+from estimators.particles.model import Inertia, ModelErrors, acceleration, inertia_of, rotate, step, turned
+from estimators.particles.observe import ONE_PIECE
 from estimators.particles.pivots import inertia_map
 from estimators.particles.support import ASSUMPTION
 from estimators.particles.windows import Observations
@@ -83,6 +83,8 @@ class PublishedHiddenStates:
         begin = time.perf_counter()
         if weight is None or not (np.isfinite(weight) and weight > 0):
             raise InvalidValueError("weight", weight, "M as weighed, a finite number > 0, kg")
+        if shape.chain is not None:
+            return Estimate(None, "assumption_violated", ONE_PIECE)
         trials = TrialWindows.of(shape, weight, trajectories, ModelErrors())
         if trials is None:
             return Estimate(None, "no_data", NO_DATA)

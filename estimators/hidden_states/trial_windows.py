@@ -16,10 +16,10 @@ from typing import Self
 import numpy as np
 import torch
 from jaxtyping import Float
+from torch.nn.functional import pad
 
 from estimators.base import Estimate, robot_seconds
 from estimators.hidden_states.masses import friction_loads
-from estimators.particles.errors import ModelErrors
 from estimators.particles.friction_system import (
     FrictionEquations,
     LinearSystem,
@@ -30,10 +30,11 @@ from estimators.particles.friction_system import (
     unknown_motion,
 )
 from estimators.particles.misfit import Misfit, likely_causes, misfit_of
-from estimators.particles.model import ParticleModel, friction_wrench, inertia_of
+from estimators.particles.model import ModelErrors, ParticleModel, friction_wrench, inertia_of
+from estimators.particles.observe import observe
 from estimators.particles.pivots import PivotInertia, pivot_inertias
 from estimators.particles.support import own_weight
-from estimators.particles.windows import Observations, observe
+from estimators.particles.windows import Observations
 from testbed.objects.model import GRAVITY, MassDistribution, ObjectShape
 from testbed.trajectory import Trajectory
 
@@ -90,10 +91,10 @@ class TrialWindows:
         windows = self.windows if windows is None else windows
         found = friction_equations(self.model, self.groups, windows, mass, friction, self.shape.height, self.errors)
         drag = self.groups.spread(self.friction_loads(guess)).clamp(min=0)
-        own = found.apart + swing_errors(windows, self.model, drag).diag()
-        return replace(
-            found, apart=own, common=torch.cat([found.common, unknown_motion(windows, self.model, self.weight)], 1)
-        )
+        more = len(found.b) - 3 * len(windows)
+        own = found.apart + pad(swing_errors(windows, self.model, drag), (0, more)).diag()
+        moved = pad(unknown_motion(windows, self.model, self.weight), (0, 0, 0, more))
+        return replace(found, apart=own, common=torch.cat([found.common, moved], 1))
 
     def friction_system(self, guess: MassDistribution) -> LinearSystem:
         """Q s = b, whitened."""
@@ -107,7 +108,7 @@ class TrialWindows:
         mass = model.particle_mass(torch.tensor(guess.mass))
         friction = model.particle_friction(torch.tensor(guess.friction))
         inertia = inertia_of(model, mass)
-        load = windows.gripper_load(inertia, self.shape.height)
+        load = windows.gripper_load(model, mass, self.shape.height)
         support = own_weight(model, mass, load)
         drag = self.groups.spread(s) + friction * (support.lean + support.change(load))
         torque = -friction_wrench(drag, windows.drag_directions(model), windows.lever(model))[:, 2]

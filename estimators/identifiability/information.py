@@ -19,11 +19,11 @@ from torch import Tensor
 
 from estimators.identifiability.predicted import predicted_lifts, predicted_windows
 from estimators.identifiability.report import Identifiability, identifiability
-from estimators.particles.errors import RIGID, ModelErrors
 from estimators.particles.friction_system import wrench_errors
 from estimators.particles.lifts import lift_information, lifts_among
-from estimators.particles.model import ParticleModel, inertia_of
-from estimators.particles.windows import PLANAR, Observations, observe
+from estimators.particles.model import RIGID, ModelErrors, ParticleModel, inertia_of
+from estimators.particles.observe import observe
+from estimators.particles.windows import PLANAR, Observations
 from estimators.particles.wrench import ParticleLoads, inertial_map
 from testbed.actions.base import Action
 from testbed.actions.rotate import Rotate

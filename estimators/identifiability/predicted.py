@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 import torch
 
-from estimators.particles.gripper_load import load_map
+from estimators.particles.support import load_map
 from estimators.particles.windows import Observations
 from testbed.actions.base import Action, TableAction
 from testbed.actions.lift import Lift
@@ -60,6 +60,9 @@ def predicted_windows(
     Raises:
         InvalidValueError: a grasp that the shape does not have.
     """
+    if shape.chain is not None:
+        allowed = 'a rigid object: how links would trail is not predicted; policy "drag" draws slides and turns'
+        raise InvalidValueError("object", "one with hinges", allowed)
     places = np.array([grasp.position for grasp in shape.grasps]).reshape(-1, 2)
     held = np.array([shape.pressed(grasp) for grasp in shape.grasps]).reshape(-1, 2)
     at, stretches, trial, grasp = [tuple(place) for place in places.tolist()], [], [], []
@@ -106,6 +109,8 @@ def predicted_windows(
         accelerated=torch.tensor([accelerated for _, accelerated in stretches]),
         pushed=torch.zeros(count, dtype=torch.bool),
         seen=torch.zeros(count, 9, 0, dtype=torch.float64),
+        links=torch.zeros(count, 1, 0, 9, dtype=torch.float64),
+        links_off=torch.zeros(count, 1, 1, 0, 9, dtype=torch.float64),
     )
 
 

@@ -1,13 +1,21 @@
 """The particle model: dynamics, steady windows of trials, support models, the friction system, and their errors."""
 
-from estimators.particles.errors import EXACT, RIGID, ModelErrors
 from estimators.particles.friction_system import LinearSystem, LoadGroups, friction_equations, rank_of
-from estimators.particles.gripper_load import GripperLoad
 from estimators.particles.lifts import LiftErrors, lifted_rows
-from estimators.particles.model import ParticleModel, acceleration, inertia_of, one_step, rollout
+from estimators.particles.model import (
+    EXACT,
+    RIGID,
+    ModelErrors,
+    ParticleModel,
+    acceleration,
+    inertia_of,
+    one_step,
+    rollout,
+)
+from estimators.particles.observe import observe
 from estimators.particles.pivots import PivotInertia, inertia_map, pivot_inertias
-from estimators.particles.support import own_weight, rigid_loads
-from estimators.particles.windows import Observations, observe
+from estimators.particles.support import GripperLoad, own_weight, rigid_loads
+from estimators.particles.windows import Observations
 from estimators.particles.wrench import AffineLoads, ParticleLoads, WrenchModel, predicted_wrenches
 
 __all__ = [

@@ -13,9 +13,10 @@ import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
+from torch.nn.functional import pad
 
-from estimators.particles.errors import ModelErrors
-from estimators.particles.model import ParticleModel, inertia_of
+from estimators.particles.links import HINGE_PRIOR, hinge_rows
+from estimators.particles.model import ModelErrors, ParticleModel
 from estimators.particles.pivots import LEAST_VARIANCE
 from estimators.particles.setup_effects import Columns, seen_effects, setup_effects, shared_and_own
 from estimators.particles.support import own_weight
@@ -87,10 +88,19 @@ class FrictionEquations:
     """Covariance of the errors that no two trials share."""
     common: Float[Tensor, "R E"]
     """Effect on each row of one standard deviation of each error that windows share: lift, height, and the setup's."""
+    hinges: Float[Tensor, "R H"] | None = None
+    """Effect on each row of 1 N m of friction of each hinge; None of a rigid object. Of an articulated one R = 3 K +
+    K H: a row for every hinge follows those of the wrenches."""
+
+    @property
+    def covariance(self) -> Float[Tensor, "R R"]:
+        """Covariance of the rows, the friction of hinges apart."""
+        return self.apart + self.common @ self.common.T
 
     def whitened(self) -> LinearSystem:
-        """The system in units of its errors."""
-        whiten = torch.linalg.inv(torch.linalg.cholesky(self.apart + self.common @ self.common.T))
+        """The system in units of its errors, whatever the hinges' friction."""
+        open_to = 0.0 if self.hinges is None else HINGE_PRIOR**2 * self.hinges @ self.hinges.T
+        whiten = torch.linalg.inv(torch.linalg.cholesky(self.covariance + open_to))
         return LinearSystem(whiten @ self.q, whiten @ self.b, whiten)
 
 
@@ -116,17 +126,27 @@ def friction_equations(
         height: height of the object, m.
         errors: errors of the model.
     """
-    inertia = inertia_of(model, mass)
-    load = windows.gripper_load(inertia, height)
+    load = windows.gripper_load(model, mass, height)
     support = own_weight(model, mass, load)
     rows = windows.drag_rows(model, errors.pivot_error)
     q = groups.gather(rows)
     s = friction * support.share * GRAVITY
     response = rows @ (friction[:, None] * support.response)
     carried = (rows @ (friction * (support.lean + support.change(load)))[..., None])[..., 0]
-    b = windows.wrench - windows.inertial_wrench(inertia) - windows.spin_up(inertia) - carried
+    b = windows.wrench - windows.motion_wrench(model, mass) - carried
     apart, common = wrench_errors(windows, model, mass, s.expand(len(rows), -1), response, errors)
-    return FrictionEquations(q.reshape(-1, q.shape[-1]), b.reshape(-1), apart, common)
+    found = FrictionEquations(q.reshape(-1, q.shape[-1]), b.reshape(-1), apart, common)
+    if not windows.articulated:
+        return found
+    torques, covariance, hinges = hinge_rows(windows, model, mass, s, errors)
+    more = torques.inertial.numel()
+    return FrictionEquations(
+        torch.cat([found.q, groups.gather(torques.rows).flatten(0, 1)]),
+        torch.cat([found.b, -torques.inertial.flatten()]),
+        pad(apart, (0, more, 0, more)) + covariance,
+        pad(common, (0, 0, 0, more)),
+        hinges,
+    )
 
 
 def weight_per_mass(shape: ObjectShape, pairs: Sequence[tuple[int, int]]) -> Float[np.ndarray, "n_s"]:

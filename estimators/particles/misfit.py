@@ -12,9 +12,9 @@ from jaxtyping import Float
 from scipy.stats import chi2
 from torch import Tensor
 
-from estimators.particles.errors import ModelErrors
 from estimators.particles.friction_system import FrictionEquations, sensor_map
-from estimators.particles.model import ParticleModel, inertia_of
+from estimators.particles.links import HINGE_PRIOR
+from estimators.particles.model import ModelErrors, ParticleModel
 from estimators.particles.setup_effects import Columns, setup_effects, trial_by_trial
 from estimators.particles.support import own_weight
 from estimators.particles.windows import Observations
@@ -165,18 +165,20 @@ def misfit_of(
     found = Misfit(total / max(freedom, 1), freedom, {}, {})
     if found.by_chance and not always:
         return found
-    plain = (equations.b - equations.q @ torch.tensor(loads)).reshape(-1, 3)
-    covariance = (equations.apart + equations.common @ equations.common.T).reshape(len(trial), 3, len(trial), 3)
+    plain, covariance = equations.b - equations.q @ torch.tensor(loads), equations.covariance
+    if equations.hinges is not None:
+        covariance = covariance + HINGE_PRIOR**2 * equations.hinges @ equations.hinges.T
+    of_row = trial.repeat_interleave(3)
+    of_row = torch.cat([of_row, trial.repeat_interleave((len(plain) - len(of_row)) // len(trial))])
     trials = {}
     for index in trial.unique().tolist():
-        rows = trial == index
-        own = covariance[rows][:, :, rows].flatten(0, 1).flatten(1)
-        left = plain[rows].flatten()
+        rows = of_row == index
+        own, left = covariance[rows][:, rows], plain[rows]
         trials[index] = float(left @ torch.linalg.solve(own, left)) / len(left)
     span = torch.linalg.qr(system.q)[0]
     ranked: list[tuple[float, str, Cause]] = []
     for name, columns in causes().items():
-        seen = system.whiten @ columns
+        seen = system.whiten[:, : len(columns)] @ columns
         seen = seen - span @ (span.T @ seen)
         widest = getattr(LIKELY, name, 1.0) if name != "contact_points" else 1.0
         tried = [_evidence(missing, width * seen, freedom) for width in WIDTHS]
@@ -207,7 +209,7 @@ def likely_causes(
         errors: errors of the model.
     """
     mass = model.particle_mass(torch.tensor(at.mass))
-    support = own_weight(model, mass, windows.gripper_load(inertia_of(model, mass), shape.height))
+    support = own_weight(model, mass, windows.gripper_load(model, mass, shape.height))
     rows = windows.drag_rows(model, errors.pivot_error)
     friction = model.particle_friction(torch.tensor(at.friction))
     to_wrench = sensor_map(windows, rows @ (friction[:, None] * support.response))

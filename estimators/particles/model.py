@@ -1,4 +1,4 @@
-"""The paper's particle model in torch: Eqs. mass to dv and the updates update1, update2.
+"""The paper's particle model in torch: Eqs. mass to dv, the updates update1, update2, and the model's errors.
 
 Batched, float64, differentiable. States are of the center of mass, in the world: pose (x, y, yaw) and velocity.
 Wrenches are planar (f_x, f_y, torque about the grasped point). Leading dimensions `...` are batch dimensions:
@@ -7,16 +7,68 @@ trajectories, samples, seeds.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
+import numpy as np
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from testbed.errors import InvalidValueError
 from testbed.objects.model import ObjectShape
+from testbed.validation import check_positive, is_number
 
 REST_SPEED = 1e-6
 """Speed below which a particle's direction fades out, m/s: friction has no direction at rest."""
+
+
+@dataclass(frozen=True)
+class ModelErrors:
+    """Standard deviations of the particle model, measured with a perfect sensor and known masses."""
+
+    pivot_error: float = 5e-5
+    """Center of a turn, m."""
+    force_error: float = 0.0001
+    """Force, as a part of the total drag."""
+    torque_error: float = 0.00055
+    """Torque, as a part of itself."""
+    height_error: float = 0.0009
+    """Height of the TCP over the feet, m."""
+    lift_error: float = 0.06
+    """Vertical force of a nulled gripper that the sensor cannot tell, N."""
+    tilt_error: float = 0.0005
+    """Moment of a nulled gripper that the sensor cannot tell, N m."""
+    inertia_error: float = 0.007
+    """I_j, as a part of itself: once of each, and once of all together."""
+    weight_error: float = 1e-3
+    """Weighing, kg."""
+
+    def __post_init__(self) -> None:
+        for field in fields(ModelErrors):
+            value = getattr(self, field.name)
+            if not (is_number(value) and value >= 0):
+                raise InvalidValueError(f"{type(self).__name__}.{field.name}", value, "a finite number >= 0")
+        check_positive(f"{type(self).__name__}.weight_error", self.weight_error)
+
+    @property
+    def nulled(self) -> Float[np.ndarray, "3"]:
+        """Mean lift and moments of a nulled gripper over a trial, N and N m."""
+        return np.array([self.lift_error, self.tilt_error, self.tilt_error])
+
+
+EXACT = ModelErrors(
+    pivot_error=0.0,
+    force_error=0.0,
+    torque_error=0.0,
+    height_error=0.0,
+    lift_error=0.0,
+    tilt_error=0.0,
+    inertia_error=0.0,
+)
+"""Errors of a perfect model: the weighing's alone."""
+RIGID = ModelErrors(force_error=0.0025, torque_error=0.003, lift_error=0.8, tilt_error=0.07, inertia_error=0.06)
+"""Errors under one rigid body: its loads are not quite affine over the feet, and a gripper that is nulled before the
+motion carries far more of a body that cannot give way to it than of blocks that slide apart."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,6 +85,10 @@ class ParticleModel:
     """Side of a particle's cell, m."""
     fill: Float[Tensor, "P"]
     """Material in each cell over the mean of its group's."""
+    link: Int[Tensor, "n_m"]
+    """Link of each mass group of a chain, 0 of a rigid object's."""
+    hinges: Float[Tensor, "H 2"]
+    """Hinge between each link and the next, m, object frame."""
 
     @staticmethod
     def of(shape: ObjectShape) -> ParticleModel:
@@ -43,6 +99,8 @@ class ParticleModel:
             torch.tensor(shape.friction_group),
             shape.cell,
             torch.tensor(shape.fill),
+            torch.zeros(shape.n_m, dtype=torch.int64) if shape.chain is None else torch.tensor(shape.chain.link),
+            torch.zeros(0, 2, dtype=torch.float64) if shape.chain is None else torch.tensor(shape.chain.hinges),
         )
 
     def moved(self, offset: Float[Tensor, "... 2"]) -> ParticleModel:

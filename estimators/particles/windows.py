@@ -6,20 +6,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Self
 
-import numpy as np
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from estimators.particles.errors import ModelErrors
-from estimators.particles.gripper_load import GripperLoad, likely_load, load_map
-from estimators.particles.model import Inertia, ParticleModel, cross, direction, turned
-from testbed.actions.base import TableAction
-from testbed.actions.push import Push
-from testbed.objects.model import ObjectShape
-from testbed.sensing.push_windows import push_windows
-from testbed.sensing.windows import SteadyWindow, reduced_trials, steady_windows
-from testbed.trajectory import Trajectory
+from estimators.particles.links import LinkedParticles
+from estimators.particles.model import Inertia, ParticleModel, cross, direction, inertia_of, turned
+from estimators.particles.support import GripperLoad
 from testbed.worlds.setup_errors import EXACT_SETUP, SetupErrors
 
 PLANAR = [0, 1, 5]
@@ -79,6 +72,10 @@ class Observations:
     seen: Float[Tensor, "K 9 E"]
     """Errors of the object's pose, twist and acceleration by the camera, as `SteadyWindow.seen`; (K, 9, 0) if no
     window is of a push."""
+    links: Float[Tensor, "K S L 9"]
+    """Motion of each link of an articulated object over each of the parts, as `Chain.moved`; L = 0 of a rigid one."""
+    links_off: Float[Tensor, "K E S L 9"]
+    """`links` after one standard deviation of each error of the camera that sees them; the last is its delay's."""
     setup: SetupErrors = EXACT_SETUP
     """Errors of the setup as stated, the largest of all trials."""
 
@@ -158,12 +155,21 @@ class Observations:
         walked.diagonal().copy_(begin + (end - begin) / 3)
         return self.together * walked
 
+    @property
+    def articulated(self) -> bool:
+        """True if the object has links, which move on their own."""
+        return self.links.shape[-2] > 0
+
     def lever(self, model: ParticleModel) -> Float[Tensor, "K P 2"]:
-        """Position of each particle from the grasp point, m."""
+        """Position of each particle from the grasp point, m, in the mean over a window."""
+        if self.articulated:
+            return LinkedParticles.of(self, model).place.mean(1)
         return model.particles - self.grasp[:, None]
 
     def particle_velocity(self, model: ParticleModel) -> Float[Tensor, "K P 2"]:
         """Velocity of each particle, m/s."""
+        if self.articulated:
+            return LinkedParticles.of(self, model).velocity.mean(1)
         return self.twist[:, None, :2] + self.twist[:, None, 2:] * turned(self.lever(model))
 
     def drag_directions(self, model: ParticleModel) -> Float[Tensor, "K P 2"]:
@@ -185,6 +191,10 @@ class Observations:
 
     def point_rows(self, model: ParticleModel, pivot_error: float) -> Float[Tensor, "K 3 P"]:
         """Rows of particles that touch the table in their middles alone; arguments as `drag_rows`."""
+        if self.articulated:
+            moved = LinkedParticles.of(self, model)
+            unit = moved.velocity / moved.speed(pivot_error)[..., None]
+            return torch.cat([unit.mean(1), cross(moved.place, unit).mean(1)[..., None]], -1).transpose(1, 2)
         lever = self.lever(model)
         velocity, speed = self._blurred(lever, pivot_error)
         unit = (velocity / speed[..., None]).mean(1)
@@ -194,11 +204,15 @@ class Observations:
         self, model: ParticleModel, drag: Float[Tensor, "K P"], pivot_error: float
     ) -> Float[Tensor, "K 3 3"]:
         """Change of a `drag` (N) with a window's twist: (f_x, f_y, torque) by (v_x, v_y, rate); else as `drag_rows`."""
-        lever = self.lever(model)
-        velocity, speed = self._blurred(lever, pivot_error)
+        lever = arm = self.lever(model)
+        if self.articulated:
+            moved, arm = LinkedParticles.of(self, model), LinkedParticles.arms(self, model, lever)
+            velocity, speed = moved.velocity, moved.speed(pivot_error)
+        else:
+            velocity, speed = self._blurred(lever, pivot_error)
         square = velocity[..., :, None] * velocity[..., None, :] / speed.square()[..., None, None]
         turn = ((torch.eye(2, dtype=torch.float64) - square) / speed[..., None, None]).mean(1)
-        by = torch.cat([turn, turn @ turned(lever)[..., None]], -1)
+        by = torch.cat([turn, turn @ turned(arm)[..., None]], -1)
         torque = lever[..., :1] * by[..., 1, :] - lever[..., 1:] * by[..., 0, :]
         return torch.einsum("kp,kpij->kij", drag, torch.cat([by, torque[..., None, :]], -2))
 
@@ -236,105 +250,22 @@ class Observations:
         torque = inertia.mass * cross(inertia.com - self.grasp, self.acceleration[:, :2])
         return torch.cat([force, torque[:, None]], -1)
 
+    def motion_wrench(self, model: ParticleModel, mass: Float[Tensor, "P"]) -> Float[Tensor, "K 3"]:
+        """Force and torque about the grasp point that the motion takes of particles of a `mass`, kg."""
+        if self.articulated:
+            return LinkedParticles.of(self, model).motion_wrench(mass, model.cell)
+        inertia = inertia_of(model, mass)
+        return self.inertial_wrench(inertia) + self.spin_up(inertia)
+
     def spin_up(self, inertia: Inertia) -> Float[Tensor, "K 3"]:
         """Torque I_j alpha about the grasp point."""
         return torch.nn.functional.pad((self.acceleration[:, 2] * inertia.about(self.grasp))[:, None], (2, 0))
 
-    def gripper_load(self, inertia: Inertia, height: float) -> GripperLoad:
-        """Load of the gripper; the mass accelerates at half the object's `height` (m) over the feet."""
-        moved = height / 2 * inertia.mass * self.com_acceleration(inertia.com)
+    def gripper_load(self, model: ParticleModel, mass: Float[Tensor, "P"], height: float) -> GripperLoad:
+        """Load of the gripper; particles of a `mass` (kg) move at half the object's `height` (m) over the feet."""
+        moved = height / 2 * self.motion_wrench(model, mass)[:, :2]
         # only the kept parts of the tilt hold the mass's own moment; at one speed it is the same there and back
         kept, followed = self.load_kept[:, 1:], self.load_followed[:, 1:]
         swung = kept * (self.trial_mean @ moved) + followed * (self.trial_change @ moved)
-        taken = torch.where(self.accelerated[:, None], swung, kept * moved)
+        taken = torch.where(self.accelerated[:, None] | self.articulated, swung, kept * moved)
         return GripperLoad(self.lift, self.tilt - taken, self.held, self.grasp)
-
-
-def observe(
-    shape: ObjectShape, trajectories: Sequence[Trajectory], errors: ModelErrors | None = None
-) -> Observations | None:
-    """Steady windows of all usable trajectories of one object; None where there is none.
-
-    Weighings, lifts, trials that did not end well and those too short to reduce are left out. Of `errors`, only the
-    load of a nulled gripper counts here.
-
-    Raises:
-        InvalidValueError: a grasp that the shape does not have.
-    """
-    errors = errors or ModelErrors()
-    windows: list[SteadyWindow] = []
-    trial: list[int] = []
-    accelerated: list[bool] = []
-    for index, found in reduced_trials(shape, trajectories, (TableAction, Push), _table_windows).items():
-        windows += found
-        trial += [index] * len(found)
-        accelerated += [trajectories[index].action.accelerated] * len(found)
-    if not windows:
-        return None
-    wrench = np.array([w.wrench for w in windows])
-    noise, bias = _pooled(windows, np.array(trial), np.array(accelerated))
-    carries = np.array([load_map(w.tcp_height) for w in windows])
-    drift = np.array([w.drift_covariance for w in windows])
-    off = bias + np.array([w.since_tare.mean() for w in windows])[:, None, None] * drift
-    load, kept, followed = likely_load(
-        np.einsum("kij,kj->ki", carries, wrench),
-        np.einsum("kij,kjl,kil->ki", carries, off, carries),
-        np.einsum("kij,kjl,kil->ki", carries, noise, carries),
-        np.array(trial),
-        np.array(accelerated),
-        errors.nulled,
-        np.array([w.grasp is None for w in windows]),
-    )
-    points, held = zip(*(_place(shape, w) for w in windows), strict=True)
-    same = ("since_tare", "twist", "twists", "acceleration", "spin_square", "yaw", "poses", "from_sensor", "seen")
-    values: dict[str, np.ndarray] = {name: np.array([getattr(w, name) for w in windows]) for name in same}
-    values |= {
-        "wrench": wrench[:, PLANAR],
-        "sensed": np.linalg.solve(values["from_sensor"], wrench[..., None])[..., 0],
-        "noise": noise,
-        "bias": bias,
-        "drift": drift,
-        "grasp": np.array(points),
-        "lift": load[:, 0],
-        "tilt": load[:, 1:],
-        "load_map": carries,
-        "load_kept": kept,
-        "load_followed": followed,
-        "held": np.array(held),
-        "trial": np.array(trial),
-        "accelerated": np.array(accelerated),
-        "pushed": np.array([w.grasp is None for w in windows]),
-    }
-    if not values["pushed"].any():
-        values["seen"] = values["seen"][..., :0]
-    setup = SetupErrors.largest([trajectories[index].setup for index in set(trial)])
-    fields = {name: torch.tensor(value) for name, value in values.items()}
-    return Observations(**fields, setup=setup)  # pyright: ignore[reportArgumentType]
-
-
-def _table_windows(trajectory: Trajectory) -> list[SteadyWindow]:
-    return (push_windows if isinstance(trajectory.action, Push) else steady_windows)(trajectory)
-
-
-def _place(shape: ObjectShape, window: SteadyWindow) -> tuple[np.ndarray, tuple[int, int]]:
-    """Point about which moments are, and the mass groups that the pads or the fingertip press on."""
-    if window.grasp is not None:
-        return shape.grasps[window.grasp].position, shape.pressed(shape.grasps[window.grasp])
-    assert window.point is not None
-    group = int(shape.mass_group[np.linalg.norm(shape.particles - window.point, axis=1).argmin()])
-    return window.point, (group, group)
-
-
-def _pooled(windows: list[SteadyWindow], trial: np.ndarray, accelerated: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Covariance of the means of noise, and of the tare's bias, (K, 6, 6).
-
-    A short window's scatter tells its noise badly, and an accelerating arm swings: its noise a second is taken from the
-    windows of constant speed, where there are any. Tares are alike in all trials.
-    """
-    length = np.array([np.ptp(w.since_tare) for w in windows])[:, None, None]
-    density = np.array([w.covariance for w in windows]) * length
-    quiet = accelerated if accelerated.all() else ~accelerated
-    pooled = np.where(accelerated[:, None, None], density[quiet].mean(axis=0), density)
-    noise, bias = pooled / length, np.array([w.bias_covariance for w in windows])
-    first = np.unique(trial, return_index=True)[1]
-    return noise, np.broadcast_to(bias[first].mean(axis=0), bias.shape)

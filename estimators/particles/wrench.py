@@ -10,14 +10,14 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from estimators.particles.errors import ModelErrors
 from estimators.particles.friction_system import FrictionEquations, LoadGroups, friction_equations
-from estimators.particles.gripper_load import GripperLoad
-from estimators.particles.model import ParticleModel, inertia_of
-from estimators.particles.support import LOADS, LoadsOf, own_weight_loads
-from estimators.particles.windows import Observations, observe
+from estimators.particles.model import ModelErrors, ParticleModel
+from estimators.particles.observe import observe
+from estimators.particles.support import LOADS, GripperLoad, LoadsOf, own_weight_loads
+from estimators.particles.windows import Observations
 from testbed.actions.push import Push
 from testbed.objects.model import MassDistribution, ObjectShape
+from testbed.sensing.compensation import tare_time
 from testbed.sensing.push_windows import push_samples
 from testbed.sensing.windows import steady_samples
 from testbed.trajectory import Trajectory
@@ -74,7 +74,7 @@ class AffineLoads:
 
         def loads(mass: Tensor) -> Tensor:
             particle_mass = model.particle_mass(mass)
-            return loads_of(model, particle_mass, windows.gripper_load(inertia_of(model, particle_mass), shape.height))
+            return loads_of(model, particle_mass, windows.gripper_load(model, particle_mass, shape.height))
 
         ones = torch.ones(shape.n_m, dtype=torch.float64)
         base = loads(ones)
@@ -132,8 +132,7 @@ class WrenchModel:
 
 def inertial_map(windows: Observations, model: ParticleModel) -> Float[Tensor, "K 3 n_m"]:
     """Wrench about the grasp point that the motion itself takes, a kg of each particle mass."""
-    parts = [inertia_of(model, mass) for mass in model.parts]
-    return torch.stack([windows.inertial_wrench(part) + windows.spin_up(part) for part in parts], -1)
+    return torch.stack([windows.motion_wrench(model, mass) for mass in model.parts], -1)
 
 
 def predicted_wrenches(
@@ -159,6 +158,11 @@ def predicted_wrenches(
     for index in sorted(set(windows.trial.tolist())):
         rows = wrenches[windows.trial == index].numpy()
         trajectory = trajectories[index]
+        if windows.articulated:
+            since = trajectory.time_s - tare_time(trajectory)
+            for (begin, end), row in zip(windows.since_tare[windows.trial == index].tolist(), rows, strict=True):
+                predicted[index][(since > begin - 1e-9) & (since < end + 1e-9)] = row
+            continue
         samples = push_samples if isinstance(trajectory.action, Push) else steady_samples
         for kept, row in zip(samples(trajectory), rows, strict=True):
             predicted[index][kept] = row

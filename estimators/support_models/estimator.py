@@ -12,10 +12,10 @@ from jaxtyping import Float
 
 from estimators.base import Estimate, HiddenStateEstimate
 from estimators.hidden_states.estimator import NO_DATA, HiddenStates
-from estimators.particles.errors import RIGID, ModelErrors
 from estimators.particles.lifts import LiftedRows, lifted_rows
-from estimators.particles.model import ParticleModel, inertia_of
-from estimators.particles.windows import Observations, observe
+from estimators.particles.model import RIGID, ModelErrors, ParticleModel, inertia_of
+from estimators.particles.observe import observe
+from estimators.particles.windows import Observations
 from estimators.support_models.fit import SupportFit, fit_support
 from estimators.support_models.materials import rank_assignments
 from estimators.support_models.polytope import MassPolytope
@@ -78,6 +78,8 @@ class SupportAware:
         if not shape.stands_in_groups:
             return replace(self._one_body(shape, weight, trajectories, seed), seconds=time.perf_counter() - begin)
         own = HiddenStates().estimate(shape, weight, trajectories, seed)
+        if shape.chain is not None:  # links rest on their own weight, or nothing is known of their loads
+            return own
         observed, of_rigid = (observe(shape, trajectories, errors) for errors in (ModelErrors(), RIGID))
         if own.distribution is None or observed is None or of_rigid is None:
             return own

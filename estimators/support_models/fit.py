@@ -16,14 +16,12 @@ from scipy.linalg import block_diag
 from scipy.optimize import nnls
 from torch import Tensor
 
-from estimators.particles.errors import ModelErrors
 from estimators.particles.friction_system import torque_covariance, wrench_errors
-from estimators.particles.gripper_load import GripperLoad
 from estimators.particles.lifts import LiftedRows, lifted_rows
 from estimators.particles.misfit import Misfit
-from estimators.particles.model import ParticleModel, inertia_of
+from estimators.particles.model import ModelErrors, ParticleModel, inertia_of
 from estimators.particles.pivots import PivotInertia, inertia_map, pivot_inertias
-from estimators.particles.support import LOADS, LoadsOf, SupportModel, contact_spread
+from estimators.particles.support import LOADS, GripperLoad, LoadsOf, SupportModel, contact_spread
 from estimators.particles.windows import Observations
 from estimators.particles.wrench import AffineLoads, WrenchModel
 from testbed.objects.model import GRAVITY, ObjectShape
@@ -154,7 +152,7 @@ def fit_support(
         carried = rows @ (model.particle_friction(at_friction)[:, None] * response)
         apart, common = wrench_errors(steady, model, model.particle_mass(at_mass), pushed, carried, errors)
         otherwise = rows @ (model.particle_friction(at_friction)[:, None] * elsewhere)
-        pressing = steady.gripper_load(inertia_of(model, model.particle_mass(at_mass)), shape.height).carried
+        pressing = steady.gripper_load(model, model.particle_mass(at_mass), shape.height).carried
         spread = unsure * ((otherwise - carried) * pressing[:, None]).flatten(0, 1)
         moved = _moved(rows, model, at_mass, at_friction, support).flatten(0, 1)
         root = torch.linalg.cholesky(apart + common @ common.T + spread @ spread.T + moved @ moved.T)
@@ -253,7 +251,7 @@ def _pivots(
         return None
     particle_mass = model.particle_mass(mass)
     inertia = inertia_of(model, particle_mass)
-    load = windows.gripper_load(inertia, shape.height)
+    load = windows.gripper_load(model, particle_mass, shape.height)
     loads = LOADS[support](model, particle_mass, load)
     rows = windows.drag_rows(model, 0.0)
     rubbed = (rows @ (model.particle_friction(friction) * loads)[..., None])[:, 2, 0]

@@ -13,8 +13,8 @@ from typing import Literal
 import numpy as np
 from scipy.stats import f as f_distribution
 
-from estimators.particles.errors import RIGID, ModelErrors
 from estimators.particles.lifts import LiftedRows
+from estimators.particles.model import RIGID, ModelErrors
 from estimators.particles.windows import Observations
 from estimators.support_models.fit import SupportFit, fit_support, prior_masses
 from testbed.objects.model import ObjectShape

@@ -18,6 +18,8 @@ Columns of the table, a row an estimate (one method, one draw of the sensor's er
 | misfit | squared residual over its variance: about 1 or less where the masses explain the trials |
 | friction | of each friction group |
 | com_error_m, inertia_error, unobserved | of methods with hidden states: distance of c, I_cm over the truth minus 1 |
+| hinge_Nm, hinge_error_Nm, true_hinge_Nm | friction of each hinge, its standard error, and the true one |
+| hinge_error | mean error of the hinges' friction over its mean |
 | weight_kg | M as weighed |
 | loss, optimizer | least loss of the search, and who found it |
 | rollouts | guesses that the search held against all data; 0 of methods that do not search |

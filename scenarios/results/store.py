@@ -68,6 +68,9 @@ def object_request(model: ObjectModel) -> dict[str, Any]:
     more: dict[str, Any] = {} if (shape.fill == 1).all() else {"fill": shape.fill.tolist()}
     if not model.masses_known:
         more["masses"] = "unknown"
+    if shape.chain is not None:
+        hinges = {"link": shape.chain.link.tolist(), "hinges": shape.chain.hinges.tolist()}
+        more["chain"] = hinges | {"friction": list(model.hinge_friction)}
     return more | {
         "particles": shape.particles.tolist(),
         "mass_group": shape.mass_group.tolist(),

@@ -16,6 +16,7 @@ from scenarios.results.store import Store, object_request
 from testbed.actions.rotate import Rotate
 from testbed.errors import HeftError, InvalidValueError
 from testbed.files import DamagedFileError, unless_damaged
+from testbed.objects.chain import Chain
 from testbed.objects.files import load_object
 from testbed.objects.model import STROKE, Grasp, MassDistribution, ObjectModel, ObjectShape
 from testbed.sensing.noise import draw_sensing
@@ -90,10 +91,13 @@ def object_of(request: dict[str, Any], names: dict[str, Any]) -> ObjectModel:
         grasps=tuple(grasps),
         group_names=tuple(names.get("groups") or ()),
         fill=np.array(request.get("fill", [])),
+        chain=Chain(np.array(chain["link"]), np.array(chain["hinges"])) if (chain := request.get("chain")) else None,
     )
     truth = MassDistribution(np.array(request["mass"]), np.array(request["friction"]))
     known = request.get("masses") != "unknown"
-    model = ObjectModel(str(names.get("object") or "object"), shape, truth, masses_known=known)
+    hinges = tuple(chain["friction"]) if chain else ()
+    name = str(names.get("object") or "object")
+    model = ObjectModel(name, shape, truth, masses_known=known, hinge_friction=hinges)
     if not request["solids"]:
         return model
     try:

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from estimators.base import Estimate
-from estimators.evaluation.metrics import mean_particle_distance, normalized_absolute_difference
+from estimators.evaluation.metrics import hinge_columns, mean_particle_distance, normalized_absolute_difference
 from estimators.evaluation.statistics import axis_columns
 from estimators.particles.support import LOADS
 from estimators.registry import build_method, code_of, estimates_many, kind_of
@@ -142,6 +142,7 @@ NO_ANSWER = {
     "misfit": math.nan,
     "com_error_m": math.nan,
     "inertia_error": math.nan,
+    **hinge_columns((), {}),
     "unobserved": "",
     "optimizer": "",
     "loss": math.nan,
@@ -155,6 +156,7 @@ NOT_RUN = {
     "weight_kg": math.nan,
     "group_names": None,
     "true_mass_kg": None,
+    "true_hinge_Nm": None,
     "key": None,
     "trial_keys": None,
     "held_out_keys": None,
@@ -288,17 +290,12 @@ def _check(called: str, answer: Any, shape: ObjectShape) -> None:
 def infeasible_row(experiment: InfeasibleExperiment) -> dict[str, Any]:
     """Row of an experiment that the robot cannot do."""
     labels = {"object": experiment.name, "support": experiment.support}
-    nobody = {"sensing": "", "seed": 0, "method": "", "kind": ""}
-    why = {"status": "infeasible", "message": experiment.reason}
-    return NO_ANSWER | NOT_RUN | labels | nobody | axis_columns(experiment.axes) | why
+    nobody = {"sensing": "", "seed": 0, "method": "", "kind": "", "status": "infeasible", "message": experiment.reason}
+    return NO_ANSWER | NOT_RUN | labels | nobody | axis_columns(experiment.axes)
 
 
 def judge(
-    truth: ObjectModel,
-    answer: Estimate,
-    seen: list[Trajectory],
-    held_out: list[Trajectory],
-    true_support: str | None,
+    truth: ObjectModel, answer: Estimate, seen: list[Trajectory], held_out: list[Trajectory], true_support: str | None
 ) -> dict[str, Any]:
     """Row of an estimate: its errors against the truth, if it is known, and against turns that it has not seen.
 
@@ -307,24 +304,29 @@ def judge(
     shape = truth.shape
     told = true_support if truth.masses_known else None
     best = mean_particle_distance(shape, truth.truth, held_out, told) if told else None
-    row: dict[str, Any] = NO_ANSWER | {
-        "status": answer.status,
-        "message": answer.message,
-        "assumes": answer.assumes,
-        "mpd_of_truth_m": math.nan if best is None else best.end,
-        "mpd_open_loop_of_truth_m": math.nan if best is None else best.open_loop,
-        "mpd_turn_of_truth_m": math.nan if best is None else best.turn,
-        "seconds": answer.seconds,
-        "trials": len(seen),
-        "robot_s": float(sum(t.time_s[-1] for t in seen)),
-        "weight_kg": weight_of(seen[0]),
-        "group_names": list(shape.group_names),
-        "true_mass_kg": truth.group_mass.tolist() if truth.masses_known else None,
-        "optimizer": answer.traces[0].method if answer.traces else "",
-        "loss": min((min(trace.loss) for trace in answer.traces), default=math.nan),
-        "rollouts": answer.diagnostics.get("rollouts", 0.0),
-        "misfit": answer.diagnostics.get("misfit", math.nan),
-    }
+    row: dict[str, Any] = (
+        NO_ANSWER
+        | {
+            "status": answer.status,
+            "message": answer.message,
+            "assumes": answer.assumes,
+            "mpd_of_truth_m": math.nan if best is None else best.end,
+            "mpd_open_loop_of_truth_m": math.nan if best is None else best.open_loop,
+            "mpd_turn_of_truth_m": math.nan if best is None else best.turn,
+            "seconds": answer.seconds,
+            "trials": len(seen),
+            "robot_s": float(sum(t.time_s[-1] for t in seen)),
+            "weight_kg": weight_of(seen[0]),
+            "group_names": list(shape.group_names),
+            "true_mass_kg": truth.group_mass.tolist() if truth.masses_known else None,
+            "true_hinge_Nm": list(truth.hinge_friction) or None,
+            "optimizer": answer.traces[0].method if answer.traces else "",
+            "loss": min((min(trace.loss) for trace in answer.traces), default=math.nan),
+            "rollouts": answer.diagnostics.get("rollouts", 0.0),
+            "misfit": answer.diagnostics.get("misfit", math.nan),
+        }
+        | hinge_columns(truth.hinge_friction, answer.diagnostics)
+    )
     if answer.covariance is not None:
         row["mass_error_kg"] = (np.sqrt(np.diag(answer.covariance)) * shape.particles_per_group).tolist()
     if answer.distribution is not None:

@@ -173,6 +173,7 @@ def _shape(folder: Path, row: Row, true: ObjectModel) -> ObjectShape:
         true.shape.grasps,
         tuple(row["group_names"]),
         arrays["fill"],
+        true.shape.chain,
     )
 
 

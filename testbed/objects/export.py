@@ -77,6 +77,8 @@ AIR = 0.001
 
 def boxes_of(shape: ObjectShape, distribution: MassDistribution) -> list[Box]:
     """A box a mass group where its cells, all alike, fill a rectangle of one friction; else a box a cell."""
+    if shape.chain is not None:
+        raise InvalidValueError("object", "one with hinges", "a rigid object: exports have no hinges yet")
     boxes, air = [], min(AIR, shape.height / 10)
     for group, name in enumerate(shape.group_names):
         inside = np.flatnonzero(shape.mass_group == group)

@@ -8,11 +8,13 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Annotated, Self
 
+import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from testbed.errors import InvalidValueError
 from testbed.files import find_file, library_names
 from testbed.objects.blocks import block_object, parse_layout
+from testbed.objects.chain import MOST_LINKS, Chain
 from testbed.objects.grasps import GraspPlace
 from testbed.objects.meshes import Part, mesh_object, read_mesh
 from testbed.objects.model import ROBOTIQ_2F85, Hand, ObjectModel
@@ -54,6 +56,14 @@ class Blocks(_Table, strict=True):
     def _fits_together(self) -> Self:
         parse_layout(self.layout)
         return self
+
+
+class HingeTable(_Table, strict=True):
+    """A [[hinges]] table of an object file: it joins the link before, or the rest of the object, to `link`."""
+
+    at_m: Annotated[list[Finite], Field(min_length=2, max_length=2)]
+    link: Annotated[list[Name], Field(min_length=1)]
+    friction_Nm: Annotated[float, Field(ge=0, lt=100)] = 0.0
 
 
 class MeshPart(_Table, strict=True):
@@ -102,6 +112,7 @@ class ObjectFile(_Table):
     name: Name
     blocks: Blocks | None = None
     mesh: Mesh | None = None
+    hinges: Annotated[list[HingeTable], Field(max_length=MOST_LINKS - 1)] = []
 
     @model_validator(mode="after")
     def _one_kind(self) -> Self:
@@ -113,6 +124,7 @@ class ObjectFile(_Table):
     def build(self, grid: int, folder: Path, hand: Hand = ROBOTIQ_2F85) -> ObjectModel:
         """The object, `grid` particles along a block's side; meshes are files of `folder`."""
         model = _build_blocks(self.name, self.blocks, grid, hand) if self.blocks else self._build_mesh(grid, folder)
+        model = self._hinged(model) if self.hinges else model
         return model if self.has_masses else replace(model, masses_known=False)
 
     @property
@@ -122,6 +134,19 @@ class ObjectFile(_Table):
             return self.blocks.mass_kg is not None
         assert self.mesh is not None
         return self.mesh.parts[0].mass_kg is not None
+
+    def _hinged(self, model: ObjectModel) -> ObjectModel:
+        """The object in links: the first has every block or part that no hinge names."""
+        names, link = model.shape.group_names, np.zeros(model.shape.n_m, dtype=int)
+        for index, hinge in enumerate(self.hinges):
+            if unknown := [name for name in hinge.link if name not in names]:
+                raise InvalidValueError(f"hinges.{index}.link", unknown, f"some of {', '.join(names)}")
+            link[[names.index(name) for name in hinge.link]] = index + 1
+        if not (link == 0).any():
+            raise InvalidValueError("hinges", "all blocks or parts in links", "one or more without, the first link")
+        chain = Chain(link, np.array([hinge.at_m for hinge in self.hinges]))
+        friction = tuple(hinge.friction_Nm for hinge in self.hinges)
+        return replace(model, shape=replace(model.shape, chain=chain), hinge_friction=friction)
 
     def _build_mesh(self, grid: int, folder: Path) -> ObjectModel:
         assert self.mesh is not None

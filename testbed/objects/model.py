@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from testbed.errors import InvalidValueError
+from testbed.objects.chain import Chain
 from testbed.validation import check_positive_fields, freeze_arrays, frozen_array, is_number
 
 GRAVITY = 9.81
@@ -124,6 +125,8 @@ class ObjectShape:
     """Names of the mass groups; "m0", "m1", ... if left out."""
     fill: Float[np.ndarray, "P"] = field(default_factory=lambda: np.ones(0))
     """Material in each cell over the mean of its group's: 1 of a block's cells, and everywhere if left out."""
+    chain: Chain | None = None
+    """Links of an articulated object; None of a rigid one."""
 
     def __post_init__(self) -> None:
         particles = frozen_array("ObjectShape.particles", self.particles, (None, 2))
@@ -140,6 +143,8 @@ class ObjectShape:
         names = self.group_names or tuple(f"m{i}" for i in range(mass_group.max() + 1))
         if len(names) != mass_group.max() + 1:
             raise InvalidValueError("ObjectShape.group_names", names, f"{mass_group.max() + 1} names, one a mass group")
+        if self.chain is not None and len(self.chain.link) != len(names):
+            raise InvalidValueError("ObjectShape.chain", self.chain.link.tolist(), f"{len(names)} links, one a group")
         fill = frozen_array("ObjectShape.fill", self.fill if len(self.fill) else np.ones(count), (count,))
         means = np.bincount(mass_group, fill) / np.bincount(mass_group)
         if (fill < 0).any() or not np.allclose(means, 1.0, rtol=1e-9):
@@ -271,6 +276,8 @@ class ObjectModel:
     """The body of each mass group, where it is known better than by its particles, as for a mesh; else empty."""
     masses_known: bool = True
     """False if nobody has given the masses: those of `truth` hold places, and no answer is held against them."""
+    hinge_friction: tuple[float, ...] = ()
+    """Torque of Coulomb friction of each hinge of the chain [N m]; none if left out."""
 
     def __post_init__(self) -> None:
         for given, expected, what in (
@@ -281,6 +288,11 @@ class ObjectModel:
                 raise InvalidValueError(f"ObjectModel.truth.{what}", given.tolist(), f"{expected} numbers, one a group")
         if self.total_mass <= 0:
             raise InvalidValueError("ObjectModel.truth.mass", self.truth.mass.tolist(), "a total mass > 0")
+        hinges = 0 if self.shape.chain is None else len(self.shape.chain.hinges)
+        torques = tuple(self.hinge_friction) or (0.0,) * hinges
+        if len(torques) != hinges or any(not 0 <= torque < 100 for torque in torques):
+            raise InvalidValueError("ObjectModel.hinge_friction", torques, f"{hinges} torques >= 0, N m")
+        object.__setattr__(self, "hinge_friction", torques)
         object.__setattr__(self, "solids", tuple(self.solids))
         if self.solids:
             masses = [solid.mass for solid in self.solids]

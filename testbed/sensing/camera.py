@@ -97,6 +97,12 @@ class PoseStream:
         """Number of parts."""
         return self.poses.shape[1]
 
+    def at(self, times: Float[np.ndarray, "N"]) -> Float[np.ndarray, "N parts 3"]:
+        """Poses at given times [s], straight between the frames that saw all parts; for drawing."""
+        whole = ~np.isnan(self.poses).any(axis=(1, 2))
+        series = self.poses[whole].reshape(int(whole.sum()), -1).T
+        return np.stack([np.interp(times, self.time_s[whole], one) for one in series], 1).reshape(-1, self.parts, 3)
+
     def motion(
         self,
         times: Float[np.ndarray, "N"],

@@ -79,3 +79,9 @@ def twist_rates(trajectory: Trajectory) -> Float[np.ndarray, "T 6"]:
     window = min(11, len(twist) - 1 + len(twist) % 2)
     rates = savgol_filter(twist, window, 2, deriv=1, delta=1 / rate, axis=0) if window > 2 else np.zeros_like(twist)
     return np.asarray(rates)
+
+
+def tare_time(trajectory: Trajectory) -> float:
+    """Middle of the tare [s], or the record's beginning without one."""
+    tare = tare_samples(trajectory)
+    return float(trajectory.time_s[tare].mean() if len(tare) else trajectory.time_s[0])

@@ -12,7 +12,7 @@ from testbed.actions.push import Push
 from testbed.errors import InvalidValueError
 from testbed.frames import perpendicular, rotate_wrench, rotation_2d
 from testbed.sensing.camera import SPAN
-from testbed.sensing.compensation import tare_samples
+from testbed.sensing.compensation import tare_time
 from testbed.sensing.windows import BATCH, PARTS, TRIM_END, SteadyWindow, bias_and_drift, noise_of_mean
 from testbed.trajectory import Trajectory
 
@@ -67,7 +67,7 @@ def _reduced(trajectory: Trajectory) -> list[SteadyWindow]:
     axes = np.tile(np.eye(3), (len(kept), 1, 1))
     axes[:, :2, :2] = into
     wrench = rotate_wrench(axes, trajectory.wrench_on_object_world[kept])
-    tared = _tared(trajectory)
+    tared = tare_time(trajectory)
     whole = noise_of_mean(trajectory.wrench_on_object_world[kept], round(BATCH / step))
     windows = []
     for part in np.array_split(np.arange(len(kept)), count):
@@ -107,7 +107,7 @@ def push_samples(trajectory: Trajectory) -> list[Int[np.ndarray, "N"]]:
     Raises:
         InvalidValueError: as `push_windows`.
     """
-    since = trajectory.time_s - _tared(trajectory)
+    since = trajectory.time_s - tare_time(trajectory)
     ends = [window.since_tare + np.array([-1e-9, 1e-9]) for window in push_windows(trajectory)]
     return [np.flatnonzero((since >= begin) & (since <= end)) for begin, end in ends]
 
@@ -128,11 +128,6 @@ def touching(trajectory: Trajectory) -> Int[np.ndarray, "N"]:
         raise InvalidValueError("trajectory", "no force at the fingertip", "a push that meets the object")
     runs = np.split(inside[touches], np.flatnonzero(np.diff(inside[touches]) > 1) + 1)
     return max(runs, key=len)
-
-
-def _tared(trajectory: Trajectory) -> float:
-    tare = tare_samples(trajectory)
-    return float(trajectory.time_s[tare].mean() if len(tare) else trajectory.time_s[0])
 
 
 def _by_part(values: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "S 3"]:

@@ -19,7 +19,7 @@ from testbed.actions.base import Action, TableAction
 from testbed.errors import InvalidValueError
 from testbed.frames import move_wrench, perpendicular, rotate_wrench, rotation_2d, rotation_matrix
 from testbed.objects.model import GRAVITY, ObjectShape
-from testbed.sensing.compensation import tare_samples
+from testbed.sensing.compensation import tare_samples, tare_time
 from testbed.trajectory import Phase, Trajectory
 from testbed.validation import freeze_arrays
 
@@ -74,12 +74,17 @@ class SteadyWindow:
     seen: Float[np.ndarray, "9 10"] = field(default_factory=lambda: np.zeros((9, 10)))
     """Errors of the object's pose, twist and acceleration by a camera, along object axes: effects of one standard
     deviation each, nine of the window's own and one that all of a trial share; 0 of a grip."""
+    turned: Float[np.ndarray, "S L 3"] = field(default_factory=lambda: np.zeros((PARTS, 0, 3)))
+    """Yaw [rad], rate and slope of every link of an articulated object over each of the parts, by a camera, world."""
+    turned_errors: Float[np.ndarray, "L 3 4"] = field(default_factory=lambda: np.zeros((0, 3, 4)))
+    """Errors of `turned`: effects of one standard deviation each, three of the window's own and one of its trial."""
 
     def __post_init__(self) -> None:
         square, pair = (6, 6), (2,)
         freeze_arrays(self, wrench=(6,), covariance=square, twist=(3,), twists=(PARTS, 3), acceleration=(3,))
         freeze_arrays(self, bias_covariance=square, drift_covariance=square, since_tare=pair, yaw=pair)
         freeze_arrays(self, poses=(PARTS, 3), from_sensor=square, seen=(9, 10))
+        freeze_arrays(self, turned=(PARTS, None, 3), turned_errors=(None, 3, 4))
         if self.point is not None:
             freeze_arrays(self, point=pair)
 
@@ -106,29 +111,31 @@ def steady_windows(trajectory: Trajectory) -> list[SteadyWindow]:
             "a slide or a turn; read a weighing with weight_of, a lift with lift_windows, a push with push_windows",
         )
     if trajectory not in _REDUCED:
-        _REDUCED[trajectory] = _reduced(trajectory, trajectory.action.grasp)
+        _REDUCED[trajectory] = windows_of(trajectory, [(kept, kept) for kept in steady_samples(trajectory)])
     return list(_REDUCED[trajectory])
 
 
-def _reduced(trajectory: Trajectory, grasp: int) -> list[SteadyWindow]:
+def windows_of(
+    trajectory: Trajectory, stretches: Sequence[tuple[Int[np.ndarray, "N"], Int[np.ndarray, "W"]]]
+) -> list[SteadyWindow]:
+    """A window of each stretch of a grip's record: its samples, and the samples that tell the noise of its mean."""
     into_object = rotation_2d(-trajectory.object_pose[:, 2])
     in_object = wrench_in_object(trajectory)
     linear = np.einsum("nij,nj->ni", into_object, trajectory.tcp_velocity[:, :2])
     twist = np.column_stack([linear, trajectory.object_velocity[:, 2]])
     world_twist = np.column_stack([trajectory.tcp_velocity[:, :2], trajectory.object_velocity[:, 2]])
     place = np.column_stack([trajectory.tcp_position[:, :2], trajectory.object_pose[:, 2]])
-    tare = tare_samples(trajectory)
     from_sensor, bias, drift = bias_and_drift(trajectory)
-    tared = trajectory.time_s[tare].mean() if len(tare) else trajectory.time_s[0]
+    tared = tare_time(trajectory)
     rate = 1 / float(np.median(np.diff(trajectory.time_s)))
     windows = []
-    for kept in steady_samples(trajectory):
+    for kept, whole in stretches:
         yaw = trajectory.object_pose[kept, 2]
         windows.append(
             SteadyWindow(
-                grasp=grasp,
+                grasp=trajectory.action.grasp,
                 wrench=in_object[kept].mean(axis=0),
-                covariance=noise_of_mean(in_object[kept], round(BATCH * rate)),
+                covariance=noise_of_mean(in_object[whole], round(BATCH * rate)) * (len(whole) / len(kept)),
                 twist=twist[kept].mean(axis=0),
                 twists=np.array([part.mean(axis=0) for part in np.array_split(twist[kept], PARTS)]),
                 acceleration=_slopes(trajectory.time_s[kept], world_twist[kept], yaw),

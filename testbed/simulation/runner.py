@@ -9,6 +9,7 @@ from typing import Self
 
 import mujoco
 import numpy as np
+from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from testbed.actions.push import Push
@@ -223,6 +224,7 @@ def _trajectory(
         width = grasp.width if settings.grip.mode == "friction" else grasp.opening or STROKE
     count = len(record)
     time = np.arange(count) / settings.rate
+    seen = pose[:, None] if pushed else _links(model, record, pose, trial)
     joints = [model.sensor(f"arm/joint_{i}_position").adr[0] for i in range(1, 8)]
     return Trajectory(
         action=trial.action,
@@ -241,11 +243,27 @@ def _trajectory(
         joint_position=record[:, joints],
         tool=gripper_tool(width),
         sensor_bias_std=np.zeros(6),
-        camera=PoseStream(time, pose[:, None]) if pushed else None,
+        camera=None if seen is None else PoseStream(time, seen),
         figures=outcome.figures,
         setup=_stated(trial),
         provenance=_provenance(trial) | ({"state": json.dumps(outcome.state)} if outcome.state else {}),
     )
+
+
+def _links(
+    model: mujoco.MjModel, record: np.ndarray, pose: np.ndarray, trial: Trial
+) -> Float[np.ndarray, "N L 3"] | None:
+    """Poses of the object frame as each link carries it, that of the link in the hand by the hand; None without."""
+    chain, shape = trial.object.shape.chain, trial.object.shape
+    if chain is None:
+        return None
+    found = np.tile(pose[:, None], (1, chain.links, 1))
+    for link in set(range(chain.links)) - {chain.link[shape.pressed(trial.grasp)[0]]}:
+        place, axes = (model.sensor(f"link_{link}/{kind}").adr[0] for kind in ("position", "orientation"))
+        against = 2 * np.arctan2(record[:, axes + 3], record[:, axes]) - pose[:, 2]
+        found[:, link, :2] = record[:, place : place + 2]
+        found[:, link, 2] += np.unwrap((against + np.pi) % (2 * np.pi) - np.pi)
+    return found
 
 
 def _stated(trial: Trial) -> SetupErrors:

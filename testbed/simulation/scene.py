@@ -17,9 +17,12 @@ from testbed.objects.files import asset_folder
 from testbed.objects.model import GRAVITY, STROKE, Grasp, ObjectModel, ObjectShape
 from testbed.simulation.contacts import add_feet, add_fingertip, soften_feet, touching_groups
 from testbed.simulation.settings import ContactSettings, GripSettings, SimulationSettings
-from testbed.trial import Support
+from testbed.trial import OWN_WEIGHT, Support
 from testbed.worlds.draw import WorldDraw
 from testbed.worlds.feet import Feet
+
+HINGE_FRICTION = {"solref_friction": (-1e-6, -2000.0), "solimp_friction": (0.999, 0.999, 0.001, 0.5, 2)}
+"""Friction of a hinge that stops it at once; by MuJoCo's defaults it is viscous below 0.1 rad/s."""
 
 
 def set_solver(spec: mujoco.MjSpec, timestep: float, contact: ContactSettings) -> None:
@@ -42,6 +45,7 @@ def add_object(
     support: Support,
     origin: tuple[float, float] = (0.0, 0.0),
     joined: ObjectShape | None = None,
+    held: int = 0,
 ) -> list[mujoco.MjsFrame]:
     """Add one body per mass group (own weight, springs) or one for all (rigid); the first has the free joint.
 
@@ -54,6 +58,7 @@ def add_object(
         support: support of its weight.
         origin: point of the free joint [m], object frame.
         joined: shape whose groups touch where springs join them; None is the object's own.
+        held: link with the free joint; the others of a chain hang on it by their hinges.
 
     Returns:
         The frame of every mass group, at the object's middle.
@@ -62,21 +67,23 @@ def add_object(
     root = spec.worldbody.add_body(name="object", pos=(*origin, height / 2))
     root.add_freejoint(name="object")
     middle = root.add_frame(pos=(-origin[0], -origin[1], 0))
-    frames = [middle]
+    link = np.zeros(shape.n_m, dtype=int) if shape.chain is None else shape.chain.link
+    links = {held: middle} if shape.chain is None else _add_links(spec, middle, obj, support, held)
+    frames = []
     for group in range(shape.n_m):
-        if group > 0 and not support.is_rigid:
-            body = middle.add_body(name=f"object/{shape.group_names[group]}")
-            body.add_joint(name=f"slide_{group}", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=(0, 0, 1), damping=1e-3)
-            frames.append(body.add_frame())
+        frame = links[int(link[group])]
+        if group > np.flatnonzero(link == link[group])[0] and not support.is_rigid:
+            body = frame.add_body(name=f"object/{shape.group_names[group]}")
+            _add_slide(body, group)
+            frame = body.add_frame()
+        frames.append(frame)
         color = group_rgba(group)
         if obj.solids:
-            _add_solid(spec, frames[-1], obj, group, color)
+            _add_solid(spec, frame, obj, group, color)
             continue
         for particle in np.flatnonzero(shape.mass_group == group):
-            add_cell(frames[-1], shape, int(particle), max(obj.particle_mass[particle], 1e-6), rgba=color, group=1)
-    if support.is_rigid:
-        return frames * shape.n_m
-    if support.stiffness > 0:
+            add_cell(frame, shape, int(particle), max(obj.particle_mass[particle], 1e-6), rgba=color, group=1)
+    if support.stiffness > 0 and not support.is_rigid:
         for a, b in touching_groups(joined or shape):
             tendon = spec.add_tendon(
                 name=f"spring_{a}_{b}", stiffness=[support.stiffness] * 3, damping=[2.0] * 3, springlength=(0, 0)
@@ -84,6 +91,40 @@ def add_object(
             for group, coefficient in ((a, 1.0), (b, -1.0)):
                 if group > 0:
                     tendon.wrap_joint(f"slide_{group}", coefficient)
+    return frames
+
+
+def _add_slide(body: mujoco.MjsBody, group: int) -> None:
+    body.add_joint(name=f"slide_{group}", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=(0, 0, 1), damping=1e-3)
+
+
+def _add_links(
+    spec: mujoco.MjSpec, middle: mujoco.MjsFrame, obj: ObjectModel, support: Support, held: int
+) -> dict[int, mujoco.MjsFrame]:
+    """Add the links of a chain, each on the hinge `hinge_<index>` of one nearer the hand, and the poses of all."""
+    chain = obj.shape.chain
+    assert chain is not None
+    frames = {held: middle}
+    for step in (1, -1):
+        for link in range(held + step, chain.links if step > 0 else -1, step):
+            hinge = min(link, link - step)
+            body = frames[link - step].add_body(name=f"object/link_{link}")
+            if not support.is_rigid:
+                _add_slide(body, int(np.flatnonzero(chain.link == link)[0]))
+            body.add_joint(
+                name=f"hinge_{hinge}",
+                pos=(*chain.hinges[hinge], 0),
+                axis=(0, 0, 1),
+                frictionloss=obj.hinge_friction[hinge],
+                **HINGE_FRICTION,
+            )
+            frames[link] = body.add_frame()
+    for link, frame in frames.items():
+        if link == held:
+            continue
+        body = {"objtype": mujoco.mjtObj.mjOBJ_XBODY, "objname": frame.parent.name}
+        spec.add_sensor(name=f"link_{link}/position", type=mujoco.mjtSensor.mjSENS_FRAMEPOS, **body)
+        spec.add_sensor(name=f"link_{link}/orientation", type=mujoco.mjtSensor.mjSENS_FRAMEQUAT, **body)
     return frames
 
 
@@ -226,7 +267,7 @@ def build_scene(
         InvalidValueError: a mass group without feet on a support where each group rests on its own.
     """
     contact = settings.contact
-    if push is not None:
+    if push is not None or obj.shape.chain is not None:
         contact = replace(contact, friction_damping=max(contact.friction_damping, PUSH_DAMPING))
     spec = part("table")
     spec.modelname = f"heft_{obj.name}"
@@ -242,7 +283,13 @@ def build_scene(
         raise InvalidValueError("support", support.name, f"rigid, since {', '.join(clear)} has no foot to rest on")
     if grasp is not None or push is not None:
         attach_arm(spec, meshes=meshes)
-    frames = add_object(spec, obj, support, origin, told.shape)
+    chain, held = obj.shape.chain, 0
+    if chain is not None:
+        if support != OWN_WEIGHT or push is not None:
+            given = f"{support.name}{'' if push is None else ', a push'}"
+            raise InvalidValueError("support", given, "own_weight and no push, of an object with hinges")
+        held = 0 if grasp is None else int(chain.link[obj.shape.pressed(grasp)[0]])
+    frames = add_object(spec, obj, support, origin, told.shape, held)
     add_feet(spec, obj, frames, contact, feet)
     if grasp is not None:
         add_grip(spec, obj.shape, frames, grasp, settings.grip)

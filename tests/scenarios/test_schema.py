@@ -79,7 +79,7 @@ def test_a_wrong_scenario_is_refused_with_its_field(tmp_path, change, message):
 
 
 def test_an_unknown_scenario_is_refused():
-    with pytest.raises(InvalidValueError, match="one of ablation, blocks"):
+    with pytest.raises(InvalidValueError, match="one of ablation, articulated, blocks"):
         load_scenario("bloks")
 
 

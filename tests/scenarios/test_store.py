@@ -124,7 +124,7 @@ def test_a_trial_is_read_back(root, known, support):
     assert [grasp.name for grasp in record.object.shape.grasps] == [grasp.name for grasp in known.shape.grasps]
     for read, solid in zip(record.object.solids, known.solids, strict=True):
         assert_array_equal(read.vertices, solid.vertices)
-    assert record.grip_width == known.shape.grasps[0].width
+    assert record.pads == (known.shape.grasps[0].width, STROKE)
     assert isinstance(read_trial(root[0], root[1]["weigh"]).trajectory.action, Weigh)
 
 
@@ -141,7 +141,7 @@ def test_an_object_that_is_another_now_is_known_by_its_particles(root, tmp_path,
 
 def test_welded_fingers_stay_open(tmp_path):
     key = put_trial(tmp_path, "L2", SLIDE, settings=SimulationSettings(grip=GripSettings(mode="weld")))
-    assert read_trial(tmp_path, key).grip_width == STROKE
+    assert read_trial(tmp_path, key).pads == (STROKE, STROKE)
 
 
 def test_no_trial_or_several_are_refused(root):

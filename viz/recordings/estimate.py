@@ -11,6 +11,7 @@ from jaxtyping import Float
 
 from estimators.base import Trace
 from testbed.frames import perpendicular, rotation_2d, transform_point
+from testbed.objects.chain import Chain
 from testbed.objects.colors import group_color
 from testbed.objects.model import GRAVITY, Grasp, MassDistribution, ObjectShape
 from testbed.trajectory import Phase, Trajectory
@@ -255,6 +256,9 @@ class _TurnScene:
         place = np.column_stack([pose[:, :2], still])
         turned = np.column_stack([still, still, np.sin(half), np.cos(half)])
         frames.send(body, lambda k: rr.Transform3D.columns(translation=place[k], quaternion=turned[k]))
+        if self.shape.chain is not None:
+            self._log_links(node, self.shape.chain)
+            return
         log_lines(body / "outline", Raster.of(self.shape).outlines(), style.EDGE)
         dots = rr.Points2D(self.shape.particles, radii=0.16 * self.shape.cell, colors=style.rgb(style.TRUTH))
         (body / "particles").log(dots)
@@ -270,6 +274,18 @@ class _TurnScene:
         at = np.array([[box.middle[0], box.top - (LINE / 2 + MARGIN) * pixel]])
         key = f"arrows: the way of {self.horizon:g} s; blue particles, black object, pink pads"
         log_texts(node / "key", at, [key], pixel)
+
+    def _log_links(self, node: Node, chain: Chain) -> None:
+        """Log the particles of every link where the camera saw it."""
+        frames, camera = self._frames, self.trajectory.camera
+        poses = np.zeros((0, 0, 3)) if camera is None else camera.at(self.trajectory.time_s[self._kept])
+        for link, pose in enumerate(poses.transpose(1, 0, 2)):
+            body, half, still = node / f"link_{link}", pose[:, 2] / 2, np.zeros(len(pose))
+            place = np.column_stack([pose[:, :2], still])
+            turned = np.column_stack([still, still, np.sin(half), np.cos(half)])
+            frames.send(body, lambda k, p=place, t=turned: rr.Transform3D.columns(translation=p[k], quaternion=t[k]))
+            own = self.shape.particles[chain.link[self.shape.mass_group] == link]
+            (body / "particles").log(rr.Points2D(own, radii=0.3 * self.shape.cell, colors=style.rgb(group_color(link))))
 
     def _log_arrows(self, node: Node, frames: Frames, origins: Float[np.ndarray, "N 2"], color: str) -> None:
         look = rr.Arrows2D.from_fields(origins=origins, colors=style.rgb(color), radii=rr.Radius.ui_points(1.0))

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
+from jaxtyping import Bool, Float
 from rerun_loader_mjcf import MJCFLogger
 from scipy.spatial.transform import Rotation
 
@@ -116,16 +117,27 @@ def _log_object(node: Node, view: TrialView) -> None:
     if truth is not None:
         masses = truth.mass * shape.particles_per_group
         names = [f"{name}: {mass:.3f} kg" for name, mass in zip(names, masses, strict=True)]
-    boxes = rr.Boxes3D(
-        centers=centers,
-        half_sizes=half,
-        colors=[style.rgb(group_color(group)) for group in shape.mass_group],
-        labels=[names[group] for group in shape.mass_group],
-        show_labels=False,  # the viewer shows them where one is pointed at
-        fill_mode="transparentfillmajorwireframe",
-    )
-    (node / "cells").log(boxes)
-    node.send_timed(view.trajectory.time_s, rr.Transform3D.columns(**_object_poses(view.trajectory)))
+
+    def cells(kept: Bool[np.ndarray, "P"]) -> rr.Boxes3D:
+        groups = shape.mass_group[kept]
+        return rr.Boxes3D(
+            centers=centers[kept],
+            half_sizes=half,
+            colors=[style.rgb(group_color(group)) for group in groups],
+            labels=[names[group] for group in groups],
+            show_labels=False,  # the viewer shows them where one is pointed at
+            fill_mode="transparentfillmajorwireframe",
+        )
+
+    time, camera = view.trajectory.time_s, view.trajectory.camera
+    if shape.chain is not None and camera is not None:
+        for link, pose in enumerate(camera.at(time).transpose(1, 0, 2)):
+            body = node / f"link_{link}"
+            (body / "cells").log(cells(shape.chain.link[shape.mass_group] == link))
+            body.send_timed(time, rr.Transform3D.columns(**_on_table(pose)))
+        return
+    (node / "cells").log(cells(np.ones(len(centers), dtype=bool)))
+    node.send_timed(time, rr.Transform3D.columns(**_object_poses(view.trajectory)))
 
 
 def _object_poses(trajectory: Trajectory) -> dict[str, Any]:
@@ -133,7 +145,10 @@ def _object_poses(trajectory: Trajectory) -> dict[str, Any]:
     if trajectory.action.in_air and trajectory.mask(Phase.SETTLE).any():
         place, axes = poses_in_space(trajectory)
         return {"translation": place, "quaternion": Rotation.from_matrix(axes).as_quat()}
-    pose = trajectory.object_pose
+    return _on_table(trajectory.object_pose)
+
+
+def _on_table(pose: Float[np.ndarray, "T 3"]) -> dict[str, Any]:
     return {
         "translation": np.column_stack([pose[:, :2], np.zeros(len(pose))]),
         "rotation_axis_angle": [rr.RotationAxisAngle((0, 0, 1), radians=float(yaw)) for yaw in pose[:, 2]],

@@ -74,6 +74,7 @@ MPD_TURN = Metric(
 )
 METRICS = (NAD, MPD, MPD_OPEN_LOOP, MPD_TURN)
 COM = Metric("com_error_m", "Distance of the center of mass from the true one, mm", 1e3, {})
+HINGES = Metric("hinge_error", "Mean error of the hinges' friction over its mean, %", 100.0, {})
 INERTIA = Metric("inertia_error", "I_cm over the true one less 1, %", 100.0, {})
 
 

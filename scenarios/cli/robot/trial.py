@@ -80,6 +80,8 @@ def trial(
 
     file = load_robot_file(config)
     model = load_object(object_, measured=True, hand=file.gripper.hand)
+    if action != "weigh" and model.shape.chain is not None:
+        raise InvalidValueError("OBJECT", model.name, "a rigid object: the bench has no camera that sees links trail")
     if action != "weigh" and not model.shape.grasps:
         raise InvalidValueError("OBJECT", model.name, f"an object that can be gripped: {file.gripper.hand.nothing}")
     if weight is not None:

@@ -15,11 +15,11 @@ from estimators.baselines.base import Baseline
 from estimators.baselines.problem import STEP, Problem
 from estimators.hidden_states.estimator import HiddenStates
 from estimators.hidden_states.trial_windows import TrialWindows
-from estimators.particles.errors import ModelErrors
-from estimators.particles.model import ParticleModel, inertia_of, one_step, rotate, turned
+from estimators.particles.model import ModelErrors, ParticleModel, inertia_of, one_step, rotate, turned
+from estimators.particles.observe import observe
 from estimators.particles.pivots import inertia_map
 from estimators.particles.support import own_weight
-from estimators.particles.windows import Observations, observe
+from estimators.particles.windows import Observations
 from estimators.particles.wrench import AffineLoads
 from estimators.testing import analytic_world
 from estimators.testing.analytic_world import accelerated, analytic_trial, drawn_object, turns
@@ -201,7 +201,7 @@ def test_affine_loads_are_the_loads_of_the_support_model(grid, monkeypatch):
     masses = guesses(obj, 6)[0]
     for mass, found in zip(masses, loads.at(masses), strict=True):
         particle = model.particle_mass(mass)
-        pressed = windows.gripper_load(inertia_of(model, particle), obj.shape.height)
+        pressed = windows.gripper_load(model, particle, obj.shape.height)
         feet = own_weight(model, particle, pressed)
         assert_allclose(found, feet.loads(pressed), atol=1e-11)
 

@@ -19,7 +19,7 @@ from estimators.evaluation.metrics import (
     open_loop,
 )
 from estimators.particles.model import ParticleModel, inertia_of, rollout, rotate
-from estimators.particles.windows import observe
+from estimators.particles.observe import observe
 from estimators.particles.wrench import AffineLoads
 from estimators.testing.analytic_world import drawn_object, turns
 from testbed.errors import InvalidValueError

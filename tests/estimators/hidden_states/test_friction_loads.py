@@ -11,9 +11,8 @@ from estimators.descent import OPTIMIZERS
 from estimators.hidden_states.friction import closed_form, closed_form_covariance, descend_loads
 from estimators.hidden_states.masses import friction_loads
 from estimators.hidden_states.trial_windows import TrialWindows
-from estimators.particles.errors import ModelErrors
 from estimators.particles.friction_system import LinearSystem, LoadGroups, rank_of
-from estimators.particles.model import ParticleModel
+from estimators.particles.model import ModelErrors, ParticleModel
 from estimators.testing.analytic_world import analytic_trial, drawn_object, turns
 from testbed.actions.rotate import Rotate
 from testbed.actions.slide import Slide

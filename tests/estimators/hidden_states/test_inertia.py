@@ -9,8 +9,9 @@ import pytest
 from numpy.testing import assert_allclose
 
 from estimators.hidden_states.inertia import com_and_inertia
+from estimators.particles.observe import observe
 from estimators.particles.pivots import PivotInertia, inertia_map, pivot_inertias
-from estimators.particles.windows import Observations, observe
+from estimators.particles.windows import Observations
 from estimators.testing.analytic_world import accelerated, analytic_trial, drawn_object
 from testbed.actions.accelerate import Accelerate
 from testbed.objects.files import load_object

@@ -14,9 +14,8 @@ from estimators.hidden_states.estimator import HiddenStates
 from estimators.hidden_states.friction import closed_form_covariance
 from estimators.hidden_states.nuisance import UNKNOWNS, NuisanceLayout, NuisancePrior, NuisanceSystem, corrected
 from estimators.hidden_states.trial_windows import TrialWindows
-from estimators.particles.errors import ModelErrors
-from estimators.particles.model import ParticleModel
-from estimators.particles.windows import observe
+from estimators.particles.model import ModelErrors, ParticleModel
+from estimators.particles.observe import observe
 from estimators.testing.analytic_world import accelerated, analytic_trial, drawn_object, turns
 from testbed.actions.rotate import Rotate
 from testbed.objects.files import load_object

@@ -19,8 +19,7 @@ from estimators.hidden_states.published import (
     velocity_errors,
 )
 from estimators.hidden_states.trial_windows import TrialWindows
-from estimators.particles.errors import EXACT
-from estimators.particles.model import Inertia
+from estimators.particles.model import EXACT, Inertia
 from estimators.testing.analytic_world import accelerated, analytic_trial, drawn_object, turns
 from testbed.actions.rotate import Rotate
 from testbed.actions.slide import Slide

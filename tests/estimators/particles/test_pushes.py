@@ -10,7 +10,7 @@ from estimators.hidden_states.estimator import HiddenStates
 from estimators.particles import friction_system
 from estimators.particles.friction_system import LoadGroups, rank_of
 from estimators.particles.model import ParticleModel
-from estimators.particles.windows import observe
+from estimators.particles.observe import observe
 from estimators.particles.wrench import predicted_wrenches
 from estimators.registry import build_method
 from estimators.testing.analytic_push import Drag, analytic_push, steady_pushes

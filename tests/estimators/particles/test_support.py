@@ -10,9 +10,8 @@ import torch
 from numpy.testing import assert_allclose
 from torch import Tensor
 
-from estimators.particles.gripper_load import GripperLoad
 from estimators.particles.model import ParticleModel
-from estimators.particles.support import LOADS
+from estimators.particles.support import LOADS, GripperLoad
 from estimators.testing.analytic_world import drawn_object
 from testbed.objects.blocks import block_object, parse_layout
 from testbed.objects.files import load_object

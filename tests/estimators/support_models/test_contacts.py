@@ -13,11 +13,9 @@ import trimesh
 from numpy.testing import assert_allclose
 
 from estimators.hidden_states.estimator import HiddenStates
-from estimators.particles.errors import EXACT, RIGID
-from estimators.particles.gripper_load import GripperLoad
-from estimators.particles.model import ParticleModel, inertia_of
-from estimators.particles.support import contact_spread, rigid_loads
-from estimators.particles.windows import observe
+from estimators.particles.model import EXACT, RIGID, ParticleModel, inertia_of
+from estimators.particles.observe import observe
+from estimators.particles.support import GripperLoad, contact_spread, rigid_loads
 from estimators.support_models.estimator import SupportAware
 from estimators.support_models.fit import fit_support
 from estimators.testing.analytic_world import accelerated, turns

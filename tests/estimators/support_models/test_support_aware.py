@@ -14,8 +14,9 @@ from scipy.special import logsumexp
 from scipy.stats import kstest
 
 from estimators.base import Estimate
-from estimators.particles.errors import EXACT, RIGID, ModelErrors
-from estimators.particles.windows import PLANAR, Observations, observe
+from estimators.particles.model import EXACT, RIGID, ModelErrors
+from estimators.particles.observe import observe
+from estimators.particles.windows import PLANAR, Observations
 from estimators.support_models.estimator import SupportAware
 from estimators.support_models.materials import rank_assignments
 from estimators.support_models.polytope import MassPolytope

@@ -45,7 +45,7 @@ from testbed.importers.mapping import (
     ToolMap,
     VelocityMap,
 )
-from testbed.objects.files import Blocks, Mesh, MeshGrasp, MeshPart, ObjectFile, load_object
+from testbed.objects.files import Blocks, HingeTable, Mesh, MeshGrasp, MeshPart, ObjectFile, load_object
 from testbed.objects.model import MassDistribution
 from testbed.objects.random import Family
 from testbed.robot.calibration.file import CalibrationFile
@@ -80,6 +80,7 @@ SECTIONS: dict[str, type[BaseModel]] = {
     "mesh.parts": MeshPart,
     "mesh.grasps": MeshGrasp,
     "Top of a scenario file": Scenario,
+    "hinges": HingeTable,
     "meshes": Meshes,
     "random": Family,
     "grid": Grid,

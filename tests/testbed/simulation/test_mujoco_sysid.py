@@ -12,7 +12,7 @@ from numpy.testing import assert_allclose
 
 from estimators.baselines.mujoco_sysid import MujocoSysid, motion_of
 from estimators.evaluation.metrics import normalized_absolute_difference
-from estimators.particles.windows import observe
+from estimators.particles.observe import observe
 from estimators.testing.analytic_world import accelerated, drawn_object, turns
 from estimators.testing.conformance import CONFORMANCE, WITHOUT_DRAWS, small_object
 from testbed.errors import InvalidValueError

@@ -1,0 +1,99 @@
+"""Chain: links of an articulated object, each joined to the next by a vertical hinge, and how they move."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from testbed.errors import InvalidValueError
+from testbed.frames import perpendicular
+from testbed.validation import freeze_arrays
+
+MOST_LINKS = 3
+"""Most links of a chain."""
+
+
+@dataclass(frozen=True, eq=False)
+class Chain:
+    """Links of an object: the geometry of its hinges, which methods know, and never their friction.
+
+    The object's layout is the chain as it lies before a trial.
+    """
+
+    link: Int[np.ndarray, "n_m"]
+    """Link of each mass group, 0 to n_links - 1, (n_m,)."""
+    hinges: Float[np.ndarray, "H 2"]
+    """Place of the hinge between each link and the next [m], object frame, (n_links - 1, 2)."""
+
+    def __post_init__(self) -> None:
+        freeze_arrays(self, hinges=(None, 2))
+        link = np.array(self.link)
+        if link.ndim != 1 or sorted(set(link.tolist())) != list(range(len(self.hinges) + 1)):
+            allowed = f"links 0 to {len(self.hinges)}, each with a mass group, for {len(self.hinges)} hinges"
+            raise InvalidValueError("Chain.link", link.tolist(), allowed)
+        if not 1 <= len(self.hinges) < MOST_LINKS:
+            raise InvalidValueError("Chain.hinges", f"{len(self.hinges)} hinges", f"1 to {MOST_LINKS - 1}")
+        link.flags.writeable = False
+        object.__setattr__(self, "link", link)
+
+    @property
+    def links(self) -> int:
+        """Number of links."""
+        return len(self.hinges) + 1
+
+    def beyond(self, hinge: int, held: int) -> list[int]:
+        """Links that trail behind a hinge where the hand holds link `held`, the nearest first."""
+        return list(range(hinge + 1, self.links)) if held <= hinge else list(range(hinge, -1, -1))
+
+    def moved(
+        self,
+        held: int,
+        point: Float[np.ndarray, "2"],
+        twist: Float[np.ndarray, "S 3"],
+        acceleration: Float[np.ndarray, "3"],
+        turned: Float[np.ndarray, "S L 3"],
+    ) -> Float[np.ndarray, "S L 9"]:
+        """Motion of every link about the point where the hand holds one, in the axes of that one.
+
+        A particle at p in the object frame is at R(angle) (p - point) + shift from the point; its velocity there is
+        (u, v) + rate x place, and its acceleration (a, b) + slope x place - rate^2 place.
+
+        Args:
+            held: link in the hand.
+            point: grasp point [m], object frame.
+            twist: velocity of that point and turn rate of that link [m/s, rad/s], over S parts of a window.
+            acceleration: its acceleration [m/s^2, rad/s^2].
+            turned: angle of each link against the one held [rad], and its own rate [rad/s] and slope [rad/s^2].
+
+        Returns:
+            (angle, shift x, y; u, v, rate; a, b, slope) [rad, m; m/s, rad/s; m/s^2, rad/s^2].
+        """
+        found = np.zeros((len(twist), self.links, 9))
+        found[:, held, 3:6], found[:, held, 6:] = twist, acceleration
+        for step in (1, -1):
+            for link in range(held + step, self.links if step > 0 else -1, step):
+                near, hinge = found[:, link - step], self.hinges[min(link, link - step)] - point
+                angle, rate, slope = turned[:, link].T
+                joint = _turn(near[:, 0], hinge) + near[:, 1:3]
+                here = found[:, link]
+                here[:, 0], here[:, 5], here[:, 8] = angle, rate, slope
+                here[:, 1:3] = joint - _turn(angle, hinge)
+                side = perpendicular(joint)
+                here[:, 3:5] = near[:, 3:5] + (near[:, 5] - rate)[:, None] * side
+                squares = (near[:, 5] ** 2 - rate**2)[:, None]
+                here[:, 6:8] = near[:, 6:8] + (near[:, 8] - slope)[:, None] * side - squares * joint
+        return found
+
+
+def speeds(links: Float[np.ndarray, "S L 9"], link: int, offsets: Float[np.ndarray, "P 2"]) -> Float[np.ndarray, "P"]:
+    """Mean speed of particles of a link [m/s], at `offsets` from the grasp point as the chain lies [m]."""
+    own = links[:, link, None]
+    c, s = np.cos(own[..., :1]), np.sin(own[..., :1])
+    place = c * offsets + s * perpendicular(offsets) + own[..., 1:3]
+    return np.linalg.norm(own[..., 3:5] + own[..., 5:6] * perpendicular(place), axis=-1).mean(axis=0)
+
+
+def _turn(angle: Float[np.ndarray, "S"], vector: Float[np.ndarray, "2"]) -> Float[np.ndarray, "S 2"]:
+    return np.cos(angle)[:, None] * vector + np.sin(angle)[:, None] * perpendicular(vector)

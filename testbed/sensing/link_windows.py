@@ -1,0 +1,74 @@
+"""Windows of an articulated object: short stretches of constant speed of the hand, in which the other links trail."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from weakref import WeakKeyDictionary
+
+import numpy as np
+from jaxtyping import Float
+
+from testbed.actions.base import TableAction
+from testbed.errors import InvalidValueError
+from testbed.sensing.camera import SPAN, PoseStream
+from testbed.sensing.push_windows import WINDOW
+from testbed.sensing.windows import PARTS, SteadyWindow, steady_samples, windows_of
+from testbed.trajectory import Trajectory
+
+_REDUCED: WeakKeyDictionary[Trajectory, list[SteadyWindow]] = WeakKeyDictionary()
+"""As for turns and slides: a record never changes."""
+
+
+def link_windows(trajectory: Trajectory) -> list[SteadyWindow]:
+    """Windows of every steady stretch, each with the angle, rate and slope of every link as a camera sees them.
+
+    Raises:
+        InvalidValueError: not a turn or slide with status ok, a stretch too short, or no camera that sees the links.
+    """
+    if not (isinstance(trajectory.action, TableAction) and trajectory.ok):
+        raise InvalidValueError("trajectory", f"{trajectory.action}, {trajectory.status}", "a turn or slide, status ok")
+    if trajectory.camera is None or trajectory.camera.parts < 2:
+        raise InvalidValueError("trajectory.camera", None, "poses of every link by a camera: the hand holds one alone")
+    if trajectory not in _REDUCED:
+        _REDUCED[trajectory] = _reduced(trajectory, trajectory.camera)
+    return list(_REDUCED[trajectory])
+
+
+def _reduced(trajectory: Trajectory, camera: PoseStream) -> list[SteadyWindow]:
+    step = float(np.median(np.diff(trajectory.time_s)))
+    windows = []
+    for stretch in steady_samples(trajectory):
+        time = trajectory.time_s[stretch]
+        within = float(time[0]) - SPAN / 4, float(time[-1]) + SPAN / 4
+        seen = [camera.motion(time, part, within) for part in range(camera.parts)]
+        turned = np.stack([np.column_stack([m.pose[:, 2], m.twist[:, 2], m.acceleration[:, 2]]) for m in seen], 1)
+        parts = np.array_split(np.arange(len(stretch)), max(int(len(stretch) * step / WINDOW + 1e-6), 1))
+        for whole in parts:
+            part = whole[: len(whole) // PARTS * PARTS]  # parts of a window are as long as each other
+            if np.isnan(turned[part]).any():  # frames were lost
+                continue
+            middle = part[len(part) // 2]
+            shared = SPAN / (len(part) * step)
+            (window,) = windows_of(trajectory, [(stretch[part], stretch)])
+            windows.append(
+                replace(
+                    window,
+                    turned=np.array([each.mean(axis=0) for each in np.array_split(turned[part], PARTS)]),
+                    turned_errors=np.array([_errors(m.covariance[middle], m.late[middle], shared) for m in seen]),
+                )
+            )
+    if not windows:
+        raise InvalidValueError("trajectory.camera", "too few frames", "frames near every stretch")
+    return windows
+
+
+def _errors(
+    covariance: Float[np.ndarray, "9 9"], late: Float[np.ndarray, "9"], shared: float
+) -> Float[np.ndarray, "3 4"]:
+    """Effects of the camera's errors on angle, rate and slope: three of the window's own, and one of its trial.
+
+    Neighboring windows share frames: each counts for so many windows, and their errors are widened as much.
+    """
+    yaw = [2, 5, 8]
+    values, vectors = np.linalg.eigh((covariance - np.outer(late, late))[np.ix_(yaw, yaw)])
+    return np.column_stack([vectors * np.sqrt(np.maximum(values, 0.0) * max(shared, 1.0)), late[yaw]])

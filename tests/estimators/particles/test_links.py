@@ -1,0 +1,199 @@
+"""Tests of articulated objects: kinematics of chains, rows of hinges, recovery, and who takes them."""
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+import torch
+from numpy.testing import assert_allclose
+
+from estimators.action_selection.drags import RandomDrags
+from estimators.hidden_states.estimator import HiddenStates
+from estimators.hidden_states.trial_windows import TrialWindows
+from estimators.identifiability.predicted import predicted_windows
+from estimators.particles.model import EXACT
+from estimators.particles.observe import observe
+from estimators.registry import METHODS, build_method
+from estimators.testing.analytic_links import analytic_links, drawn_chain
+from testbed.actions.rotate import Rotate
+from testbed.actions.slide import Slide
+from testbed.errors import InvalidValueError
+from testbed.frames import rotation_2d
+from testbed.objects.blocks import block_object, parse_layout
+from testbed.objects.chain import Chain
+from testbed.objects.export import Exported, to_mjcf
+from testbed.objects.model import ObjectModel
+from testbed.sensing.camera import CAMERAS, draw_camera
+from testbed.sensing.presets import preset
+from testbed.simulation.runner import SimulationRunner
+from testbed.trajectory import Trajectory
+from testbed.trial import RIGID, Trial
+
+slow = pytest.mark.slow
+
+
+def bar(links: list[int], masses: list[float], torques: list[float]) -> ObjectModel:
+    """A bar of 30 mm blocks, so many in each link."""
+    made = block_object(
+        "bar",
+        parse_layout(["1" * sum(links)]),
+        size=0.03,
+        height=0.02,
+        mass=masses,
+        friction=[0.4],
+        friction_group=[0] * sum(links),
+        grid=3,
+    )
+    at = (np.cumsum(links)[:-1] - sum(links) / 2) * 0.03
+    chain = Chain(np.repeat(np.arange(len(links)), links), np.column_stack([at, np.zeros(len(at))]))
+    return replace(made, shape=replace(made.shape, chain=chain), hinge_friction=tuple(torques))
+
+
+TWO = bar([2, 2], [0.12, 0.05, 0.2, 0.08], [0.01])
+THREE = bar([2, 2, 2], [0.1, 0.12, 0.2, 0.08, 0.15, 0.06], [0.004, 0.002])
+BESIDE = 0.015
+
+
+def drags(obj: ObjectModel) -> list[Slide | Rotate]:
+    """Slides and turns by two grasps: at the ends of two links, on the middle one of three."""
+    one, two = (0, 3) if obj is TWO else (2, 3)
+    beside = [tuple((obj.shape.grasps[g].position + BESIDE).tolist()) for g in (one, two)]
+    return [
+        Slide(one, np.pi / 2, duration=2.5),
+        Slide(two, -np.pi / 2, duration=2.5),
+        Rotate(one, duration=2.5, pivot=beside[0]),
+        Rotate(two, duration=2.5, pivot=beside[1]),
+    ]
+
+
+@cache
+def trials_of(obj: ObjectModel) -> list[Trajectory]:
+    return [analytic_links(obj, action) for action in drags(obj)]
+
+
+def test_hinges_join_links_and_rates_are_those_of_places():
+    chain, rng = Chain(np.array([0, 1, 2]), np.array([[0.1, 0.0], [0.2, 0.03]])), np.random.default_rng(0)
+    point, step = np.array([0.14, 0.01]), 1e-5
+    angle, rate, slope = rng.normal(size=(3, 3))
+    angle[1] = slope[1] = 0.0
+    spin, velocity, acceleration = rate[1], rng.normal(size=2), rng.normal(size=2)
+
+    def moved(time: float) -> tuple[np.ndarray, np.ndarray]:
+        """Motion, and places of two hinges on each of their links, in axes that stand still."""
+        turn = spin * time  # of the link in the hand
+        yaw = angle + (rate - spin) * time + slope * time**2 / 2
+        hand = rotation_2d(-turn) @ (velocity + acceleration * time)
+        turned = np.column_stack([yaw, rate + slope * time, slope])[None]
+        links = chain.moved(
+            1, point, np.array([[*hand, spin]]), np.array([*rotation_2d(-turn) @ acceleration, 0]), turned
+        )[0]
+        pairs = [(0, 0), (1, 0), (1, 1), (2, 1)]
+        places = [rotation_2d(links[k, 0]) @ (chain.hinges[h] - point) + links[k, 1:3] for k, h in pairs]
+        grasp = velocity * time + acceleration * time**2 / 2
+        return links, np.array([grasp + rotation_2d(turn) @ place for place in places])
+
+    (links, here), (_, before), (_, after) = moved(0.0), moved(-step), moved(step)
+    assert_allclose(here[0], here[1], atol=1e-12)
+    assert_allclose(here[2], here[3], atol=1e-12)
+    for index, link in enumerate((0, 1, 1, 2)):
+        u, w, x, a = links[link, 3:5], links[link, 5], here[index], links[link, 6:8]
+        side = np.array([-x[1], x[0]])
+        assert_allclose((after - before)[index] / (2 * step), u + w * side, atol=1e-8)
+        second = (after - 2 * here + before)[index] / step**2
+        assert_allclose(second, a + links[link, 8] * side - w**2 * x, atol=1e-4)
+
+
+@slow
+@pytest.mark.parametrize("obj", [TWO, THREE], ids=["two links", "three"])
+def test_masses_and_hinges_are_recovered_without_noise(obj: ObjectModel):
+    found = HiddenStates().estimate(obj.shape, obj.total_mass, trials_of(obj), 0)
+    assert found.status == "ok" and found.distribution is not None
+    assert_allclose(found.distribution.mass, obj.truth.mass, rtol=3e-4)
+    hinges = [found.diagnostics[f"hinge_{h}_Nm"] for h in range(len(obj.hinge_friction))]
+    assert_allclose(hinges, obj.hinge_friction, rtol=3e-4)
+
+
+@slow
+@pytest.mark.parametrize(("obj", "unknown"), [(TWO, 5), (THREE, 8)], ids=["two links", "three"])
+def test_slides_and_turns_show_every_mass_and_hinge_and_a_wrench_alone_does_not(obj: ObjectModel, unknown: int):
+    trial = TrialWindows.of(obj.shape, obj.total_mass, trials_of(obj), EXACT)
+    assert trial is not None
+    equations = trial.friction_equations(obj.truth)
+    assert equations.hinges is not None
+    both = torch.cat([equations.q, equations.hinges], 1).numpy()
+    columns = both / np.linalg.norm(both, axis=0)
+    assert np.linalg.matrix_rank(columns, 1e-3) == unknown
+    window = columns[[0, 1, 2]]  # the first window's wrench
+    assert np.linalg.matrix_rank(window, 1e-3) == 3
+
+
+@slow
+def test_a_hinge_that_stands_has_no_row():
+    stiff = replace(TWO, hinge_friction=(1.0,))
+    with pytest.raises(InvalidValueError, match="one that turns every hinge at once"):
+        analytic_links(stiff, drags(stiff)[0])
+    trajectory = SimulationRunner().run(Trial(stiff, Rotate(0, duration=3.0, pivot=(-0.03, 0.02))))
+    trial = TrialWindows.of(stiff.shape, stiff.total_mass, [trajectory], EXACT)
+    assert trial is not None
+    equations = trial.friction_equations(stiff.truth)
+    assert equations.hinges is not None and not equations.hinges.any()
+
+
+@slow
+def test_errors_of_a_camera_count():
+    exact = trials_of(TWO)
+    seen = [replace(t, camera=draw_camera(t.camera, CAMERAS["30hz"], seed)) for seed, t in enumerate(exact) if t.camera]
+    sharp, blurred = (HiddenStates().estimate(TWO.shape, TWO.total_mass, each, 0) for each in (exact, seen))
+    assert sharp.covariance is not None and blurred.covariance is not None
+    assert (np.diag(blurred.covariance) > 10 * np.diag(sharp.covariance)).all()
+    without = [replace(t, camera=None) for t in exact]
+    assert HiddenStates().estimate(TWO.shape, TWO.total_mass, without, 0).status == "no_data"
+
+
+@slow
+def test_every_method_takes_links_or_says_why_not():
+    trials = trials_of(TWO)[:2]
+    for name in set(METHODS) - {"cma_es", "nelder_mead", "random_search", "weighted_sampling"}:
+        found = build_method(name, {}).estimate(TWO.shape, TWO.total_mass, trials, 0)
+        knows = name in ("hidden_states", "support_aware", "least_squares")
+        assert (found.status == "assumption_violated") == (not knows), name
+        assert knows or "with hinges, which this method takes for one piece" in found.message
+
+
+def test_what_is_not_built_for_links_is_refused():
+    with pytest.raises(InvalidValueError, match="how links would trail is not predicted"):
+        predicted_windows(TWO.shape, [Slide(0)], preset("ideal"))
+    with pytest.raises(InvalidValueError, match="own_weight and no push, of an object with hinges"):
+        SimulationRunner().run(Trial(TWO, Slide(0), RIGID))
+    with pytest.raises(InvalidValueError, match="exports have no hinges yet"):
+        to_mjcf(Exported("bar", TWO.shape, TWO.truth))
+    with pytest.raises(InvalidValueError, match="links 0 to 1, each with a mass group"):
+        Chain(np.array([0, 0]), np.array([[0.0, 0.0]]))
+
+
+@slow
+def test_a_policy_of_drags_ends_and_takes_no_refused_action():
+    shape, found = TWO.shape, []
+    first = RandomDrags(3).next(shape, found)
+    assert first is not None
+    assert RandomDrags(3, refused={first: "out of reach"}).next(shape, found) not in (first, None)
+    trial = trials_of(TWO)[0]
+    assert RandomDrags(3).next(shape, [trial] * 3) is None
+
+
+@slow
+@pytest.mark.parametrize("seed", [1, 3])
+def test_a_simulated_chain_is_recovered(seed: int):
+    obj = drawn_chain(seed)
+    policy, runner, trials = RandomDrags(6, seed=seed), SimulationRunner(), []
+    while (action := policy.next(obj.shape, trials)) is not None:
+        trials.append(runner.run(Trial(obj, action)))
+    found = HiddenStates().estimate(obj.shape, obj.total_mass, trials, 0)
+    assert found.status == "ok" and found.distribution is not None
+    error = np.abs(found.distribution.mass - obj.truth.mass).sum() / obj.truth.mass.sum()
+    hinges = np.array([found.diagnostics[f"hinge_{h}_Nm"] for h in range(len(obj.hinge_friction))])
+    assert error < 0.02
+    assert_allclose(hinges, obj.hinge_friction, atol=0.02 * max(obj.hinge_friction))
+    windows = observe(obj.shape, trials)
+    assert windows is not None and windows.articulated

@@ -157,15 +157,12 @@ def show_tables(console: Console, scenario: Scenario, results: Sequence[Row]) ->
     """Print every metric under every support and sensing, and the hidden states; of many objects, quantiles."""
     from estimators.evaluation.statistics import FEWEST, assumptions, select
     from viz.report.claims import CLAIMS, claims_table
-    from viz.report.tables import COM, HINGES, INERTIA, METRICS, NAD, hidden_table, metric_table, quantile_table
+    from viz.report.tables import COM, INERTIA, NAD, hidden_table, metric_table, metrics_of, quantile_table
     from viz.report.terminal import rich_table
     from viz.values import support_name
 
     objects = list(dict.fromkeys(row["object"] for row in results))
-    metrics = [metric for metric in METRICS if any(row.get(metric.column) is not None for row in results)]
-    metrics = metrics or [NAD]  # the statuses then
-    if any(math.isfinite(row.get(HINGES.column) or math.nan) for row in results):
-        metrics = [metric for metric in metrics if metric == NAD] + [HINGES]
+    metrics = metrics_of(results) or [NAD]  # the statuses then
     if _many(results):
         for metric in metrics:
             console.print(rich_table(quantile_table(results, metric)))

@@ -36,7 +36,16 @@ from viz.report.answer_maps import answer_maps
 from viz.report.answers import Answer, answer_table
 from viz.report.claims import claims_table
 from viz.report.lists import failures, names, worst, worst_of
-from viz.report.tables import METRICS, MOST_OBJECTS, Table, leading, metric_table, over_objects, overview, sweep_table
+from viz.report.tables import (
+    MOST_OBJECTS,
+    Table,
+    leading,
+    metric_table,
+    metrics_of,
+    over_objects,
+    overview,
+    sweep_table,
+)
 from viz.style import STYLE
 from viz.values import support_name
 
@@ -215,8 +224,7 @@ def _plain(column: str, value: Any) -> Any:
 def _tables(rows: Sequence[Row]) -> list[Table]:
     """A table a metric that has a number, by object or over many of them."""
     many = len({row["object"] for row in rows}) > MOST_OBJECTS or axes_of(rows)
-    known = [metric for metric in METRICS if any(row[metric.column] is not None for row in rows)]
-    tables = [(over_objects if many else metric_table)(rows, metric, metric.title) for metric in known]
+    tables = [(over_objects if many else metric_table)(rows, metric, metric.title) for metric in metrics_of(rows)]
     claims = claims_table(rows)
     return [*tables, claims] if claims else tables
 

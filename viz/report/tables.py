@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -73,9 +74,16 @@ MPD_TURN = Metric(
     "mpd_turn_of_truth_m",
 )
 METRICS = (NAD, MPD, MPD_OPEN_LOOP, MPD_TURN)
-COM = Metric("com_error_m", "Distance of the center of mass from the true one, mm", 1e3, {})
 HINGES = Metric("hinge_error", "Mean error of the hinges' friction over its mean, %", 100.0, {})
+COM = Metric("com_error_m", "Distance of the center of mass from the true one, mm", 1e3, {})
 INERTIA = Metric("inertia_error", "I_cm over the true one less 1, %", 100.0, {})
+
+
+def metrics_of(rows: Sequence[Row]) -> list[Metric]:
+    """The metrics that some row has; of objects with hinges NAD, and the friction of those."""
+    if any(math.isfinite(row.get(HINGES.column) or math.nan) for row in rows):
+        return [NAD, HINGES]
+    return [metric for metric in METRICS if any(row.get(metric.column) is not None for row in rows)]
 
 
 def number(value: float, like: float | None = None) -> str:

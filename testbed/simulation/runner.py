@@ -285,8 +285,13 @@ def _as_held(motion: Motion, told: Grasp, held: Grasp) -> Motion:
 
 def _feet_in_motion(scene: Scene, data: mujoco.MjData) -> tuple[np.ndarray, np.ndarray]:
     """Position of every foot [m], world, shape (n_feet, 2), and its speed [m/s], shape (n_feet,)."""
-    address = scene.model.joint("object").dofadr[0]
     position = data.geom_xpos[scene.foot_geoms, :2]
+    if mujoco.mj_name2id(scene.model, mujoco.mjtObj.mjOBJ_JOINT, "hinge_0") >= 0:  # links move on their own
+        found = np.zeros((len(position), 6))
+        for geom, twist in zip(scene.foot_geoms.tolist(), found, strict=True):
+            mujoco.mj_objectVelocity(scene.model, data, mujoco.mjtObj.mjOBJ_GEOM, geom, twist, 0)
+        return position, np.hypot(found[:, 3], found[:, 4])
+    address = scene.model.joint("object").dofadr[0]
     lever = position - data.xpos[scene.object_body, :2]
     velocity = data.qvel[address : address + 2] + data.qvel[address + 5] * perpendicular(lever)
     return position, np.hypot(velocity[:, 0], velocity[:, 1])

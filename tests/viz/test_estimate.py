@@ -31,6 +31,8 @@ from viz.recordings.mass_map import Raster
 from viz.style import BACKGROUND, DIFFERENCE_COLORS, MASS_COLORS, difference_scale, mapped, mass_scale, rgb
 from viz.values import MOST_FRAMES, EstimateView, evenly
 
+pytestmark = pytest.mark.slow
+
 ITERATIONS = 500
 OFF = np.array([1.013, 1.217, 0.731, 0.977, 1.411, 0.893])
 DEVIATION = 1e-3 * np.array([1.0, 2.0, 3.0, 4.0, np.inf, np.nan])

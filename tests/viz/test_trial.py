@@ -27,6 +27,8 @@ from viz.recordings.page import SIM_TIME, Page, save
 from viz.recordings.trial import FOOT_ARROW, WRENCH
 from viz.values import TrialView
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def view(turn_folder, turn_key) -> TrialView:

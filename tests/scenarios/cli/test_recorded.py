@@ -33,6 +33,8 @@ from testbed.trial import Trial
 from tests.fakes.lab_bench import mapping_of, write_csv, write_toml
 from tests.helpers.recorded import put_trial
 
+pytestmark = pytest.mark.slow
+
 PIVOTS = {0: (0.008, -0.07), 2: (-0.033, 0.025), 4: (-0.05, 0.07), 3: (-0.02, 0.0)}
 TURNS = [Rotate(grasp, duration=2.0, pivot=pivot, back=True) for grasp, pivot in PIVOTS.items()]
 L2 = load_object("L2")

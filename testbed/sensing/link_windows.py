@@ -16,7 +16,7 @@ from testbed.sensing.windows import PARTS, SteadyWindow, steady_samples, windows
 from testbed.trajectory import Trajectory
 
 _REDUCED: WeakKeyDictionary[Trajectory, list[SteadyWindow]] = WeakKeyDictionary()
-"""As for turns and slides: a record never changes."""
+"""Windows of each record, which never changes."""
 
 
 def link_windows(trajectory: Trajectory) -> list[SteadyWindow]:
@@ -36,7 +36,7 @@ def link_windows(trajectory: Trajectory) -> list[SteadyWindow]:
 
 def _reduced(trajectory: Trajectory, camera: PoseStream) -> list[SteadyWindow]:
     step = float(np.median(np.diff(trajectory.time_s)))
-    windows = []
+    stretches, more = [], list[dict[str, np.ndarray]]()
     for stretch in steady_samples(trajectory):
         time = trajectory.time_s[stretch]
         within = float(time[0]) - SPAN / 4, float(time[-1]) + SPAN / 4
@@ -49,17 +49,16 @@ def _reduced(trajectory: Trajectory, camera: PoseStream) -> list[SteadyWindow]:
                 continue
             middle = part[len(part) // 2]
             shared = SPAN / (len(part) * step)
-            (window,) = windows_of(trajectory, [(stretch[part], stretch)])
-            windows.append(
-                replace(
-                    window,
-                    turned=np.array([each.mean(axis=0) for each in np.array_split(turned[part], PARTS)]),
-                    turned_errors=np.array([_errors(m.covariance[middle], m.late[middle], shared) for m in seen]),
-                )
+            stretches.append((stretch[part], stretch))
+            more.append(
+                {
+                    "turned": np.array([each.mean(axis=0) for each in np.array_split(turned[part], PARTS)]),
+                    "turned_errors": np.array([_errors(m.covariance[middle], m.late[middle], shared) for m in seen]),
+                }
             )
-    if not windows:
+    if not stretches:
         raise InvalidValueError("trajectory.camera", "too few frames", "frames near every stretch")
-    return windows
+    return [replace(window, **of) for window, of in zip(windows_of(trajectory, stretches), more, strict=True)]
 
 
 def _errors(

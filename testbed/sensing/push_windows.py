@@ -26,7 +26,7 @@ _SMOOTH = 5
 
 
 _REDUCED: WeakKeyDictionary[Trajectory, list[SteadyWindow]] = WeakKeyDictionary()
-"""As for turns and slides: a record never changes."""
+"""Windows of each record, which never changes."""
 
 
 def push_windows(trajectory: Trajectory) -> list[SteadyWindow]:

@@ -243,6 +243,8 @@ class Playback:
         self._address = self.model.joint("object").qposadr[0]
         camera = trajectory.camera if obj.shape.chain is not None else None
         self._links = None if camera is None else camera.at(trajectory.time_s)
+        if self._links is not None:  # the first hangs on the free joint, each other one on the one before
+            self._object = self._links[:, 0]
         self.show(0)
 
     def show(self, sample: int) -> None:
@@ -255,10 +257,7 @@ class Playback:
             x, y, yaw = self._object[sample]
             data.qpos[address : address + 2] = x, y  # the height and the upright axis are the model's own
             data.qpos[address + 3 : address + 7] = math.cos(yaw / 2), 0.0, 0.0, math.sin(yaw / 2)
-        if self._links is not None:  # the first hangs on the free joint, each other one on the one before
-            x, y, yaw = self._links[sample, 0]
-            data.qpos[address : address + 2] = x, y
-            data.qpos[address + 3 : address + 7] = math.cos(yaw / 2), 0.0, 0.0, math.sin(yaw / 2)
+        if self._links is not None:
             for hinge, turned in enumerate(np.diff(self._links[sample, :, 2])):
                 data.qpos[model.joint(f"hinge_{hinge}").qposadr[0]] = turned
         data.time = self.trajectory.time_s[sample]

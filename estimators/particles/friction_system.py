@@ -18,7 +18,7 @@ from torch.nn.functional import pad
 from estimators.particles.links import HINGE_PRIOR, hinge_rows
 from estimators.particles.model import ModelErrors, ParticleModel
 from estimators.particles.pivots import LEAST_VARIANCE
-from estimators.particles.setup_effects import Columns, seen_effects, setup_effects, shared_and_own
+from estimators.particles.setup_effects import Columns, seen_effects, setup_effects, shared_and_own, sticking
 from estimators.particles.support import own_weight
 from estimators.particles.windows import PLANAR, Observations
 from testbed.objects.model import GRAVITY, ObjectShape
@@ -196,6 +196,8 @@ def wrench_errors(
     effects, late = seen_effects(windows, model, mass, slopes)
     by_motion = torch.cat([moved, slopes * windows.twist_noise.sqrt() * held, effects], -1)
     within = torch.diag_embed(own) + by_motion @ by_motion.transpose(1, 2)
+    if windows.pushed.any():
+        within = within + sticking(windows, model, drag)
     lift, tilt = errors.lift_error, errors.tilt_error
     shared = torch.tensor([lift / 2**0.5, 0.0, 0.0], dtype=torch.float64)
     alone = torch.tensor([lift / 2**0.5, tilt, tilt], dtype=torch.float64)

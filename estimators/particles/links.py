@@ -66,7 +66,7 @@ class LinkedParticles:
 
     @staticmethod
     def arms(windows: Observations, model: ParticleModel, lever: Float[Tensor, "K P 2"]) -> Float[Tensor, "K P 2"]:
-        """Lever of each particle against the held link's turn, m: its own, or that of the first hinge it trails behind."""
+        """Lever of each particle against the held link's turn, m: its own, or of the first hinge that it trails."""
         held, link = model.link[windows.held[:, :1]], model.link[model.mass_group]
         hinge = torch.where(link > held, held, held - 1).clamp(0, len(model.hinges) - 1)
         return torch.where((link == held)[..., None], lever, model.hinges[hinge] - windows.grasp[:, None])

@@ -28,6 +28,9 @@ WAVELENGTHS = (0.06, 0.6)
 """Least and greatest wavelength of friction over a table, m. Ours: shorter ones average out under an object."""
 REFERENCE = 0.02
 """Speed at which friction is the stated one, m/s."""
+SLOW = 1e-3
+"""Speed at which a foot of a pushed object may drag half of its friction less, or another way, m/s: nothing keeps the
+center of rotation off a point of contact, and there it sticks. Ours."""
 SMALL = 1e-4
 """Shift by which slopes are taken, m."""
 
@@ -97,6 +100,16 @@ def shared_and_own(effects: Columns, windows: Observations) -> tuple[Float[Tenso
     own = torch.cat([none, *(effects[kind] for kind in BY_TRIAL if kind in effects)], 1)
     together = windows.together[:, None, :, None].expand(-1, 3, -1, 3).reshape(rows, rows)
     return torch.cat([none, *(c for kind, c in effects.items() if kind not in BY_TRIAL)], 1), own @ own.T * together
+
+
+def sticking(windows: Observations, model: ParticleModel, drag: Float[Tensor, "K P"]) -> Float[Tensor, "K 3 3"]:
+    """Covariance of pushes from feet so slow that they stick: of a part SLOW^2 / (v^2 + SLOW^2) of their drag."""
+    lever = windows.lever(model)
+    velocity = windows.twists[..., None, :2] + windows.twists[..., 2, None, None] * turned(lever)[:, None]
+    stuck = (SLOW**2 / (velocity.square().sum(-1) + SLOW**2)).mean(1) * windows.pushed[:, None]
+    along = torch.eye(2, dtype=torch.float64).expand(*lever.shape, 2)
+    pull = torch.cat([along, turned(lever)[..., None, :]], -2) * (stuck * drag)[..., None, None]
+    return torch.einsum("kpij,kplj->kil", pull, pull)
 
 
 def seen_effects(

@@ -21,8 +21,8 @@ GAP = 0.01
 SPEEDS = (0.01, 0.05)
 """Least and greatest speed of a push [m/s]: slower ones stick, and faster ones are not quasi-static."""
 TIP_HEIGHT = 0.008
-"""Height over the table of a fingertip's middle, on a peg between the closed fingers [m]: pushed higher up, an object's
-light parts would lift off on one side."""
+"""Height over the table of a fingertip's edge, on a peg between the closed fingers [m]: pushed higher up, an object's
+light parts would lift off on one side. A low object is met at half its height."""
 LEAST_LENGTH = 0.03
 """Least length of a push [m]: a shorter one shows nothing before it stops."""
 ON_FACE = 1e-4
@@ -80,6 +80,11 @@ class Push(Action, kind="push"):
     def profile(self, step: float) -> Profile:
         """Progress along the path, sampled every `step` s."""
         return Profile.through(self.steady, step)
+
+    @staticmethod
+    def height(shape: ObjectShape) -> float:
+        """Height over the table at which the fingertip meets an object [m]."""
+        return min(TIP_HEIGHT, shape.height / 2)
 
     def face(self, shape: ObjectShape) -> Face:
         """The face that the fingertip meets.

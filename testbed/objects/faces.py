@@ -1,4 +1,4 @@
-"""Faces: the straight sides of an object's outline, as a fingertip meets them."""
+"""Faces: the straight sides of an object's outline, as an upright fingertip meets them."""
 
 from __future__ import annotations
 
@@ -7,7 +7,9 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
+from scipy.spatial.distance import cdist
 
+from testbed.frames import perpendicular
 from testbed.objects.model import ObjectShape
 
 _STEP = np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])
@@ -39,7 +41,19 @@ class Face(NamedTuple):
 
 
 def faces(shape: ObjectShape) -> list[Face]:
-    """Sides of cells with no cell beyond them, joined where they go on straight in the same mass group."""
+    """Sides of the outline; of cells those with no cell beyond, joined where they go on straight in a mass group."""
+    if not len(shape.sides):
+        return _of_cells(shape)
+    begin, end = shape.sides.swapaxes(0, 1)
+    along = (end - begin) / np.linalg.norm(end - begin, axis=1, keepdims=True)
+    near = cdist((begin + end) / 2, shape.particles).argmin(axis=1)
+    return [
+        Face(*side, -normal, group)
+        for side, normal, group in zip(shape.sides, perpendicular(along), shape.mass_group[near].tolist(), strict=True)
+    ]
+
+
+def _of_cells(shape: ObjectShape) -> list[Face]:
     half, cells = shape.cell / 2, shape.particles
     rows: dict[tuple[int, int, int], list[tuple[float, float]]] = defaultdict(list)
     for way, step in enumerate(_STEP):
@@ -70,3 +84,13 @@ def face_at(shape: ObjectShape, point: Float[np.ndarray, "2"]) -> tuple[Face, fl
     away = [face.distance(np.asarray(point)) for face in every]
     nearest = int(np.argmin(away))
     return every[nearest], away[nearest]
+
+
+def room_at(shape: ObjectShape, point: Float[np.ndarray, "2"]) -> float:
+    """Distance from a point to the outline [m]; 0 within it."""
+    every = faces(shape)
+    ends = np.array([[face.begin, face.end] for face in every]) - point
+    crosses = (ends[:, 0, 1] > 0) != (ends[:, 1, 1] > 0)
+    (x, y), (dx, dy) = ends[crosses, 0].T, (ends[crosses, 1] - ends[crosses, 0]).T
+    within = np.count_nonzero(x - y * dx / dy > 0) % 2
+    return 0.0 if within else min(face.distance(point) for face in every)

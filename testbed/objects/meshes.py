@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import trimesh
 from jaxtyping import Bool, Float, Int
+from manifold3d import Error, JoinType, Manifold, Mesh64
 from scipy.spatial.distance import cdist
 
 from testbed.errors import InvalidValueError, short
@@ -27,6 +28,10 @@ MOST_MESH_BYTES = 8 * 2**20
 """Largest mesh file: of `MOST_FACES` binary STL takes 5 MB."""
 LARGEST = 10.0
 """Largest coordinate of a mesh [m]."""
+TIP_REACH = 0.016
+"""Height over the table below which an upright fingertip meets an object [m]."""
+_GAP, _FINE = 3e-4, 1e-4
+"""Widest gap between parts that an outline closes, and how far it may be off in being simpler [m]."""
 _RAYS = 7
 """Rays along a cell's side."""
 _MOST_CELLS = 5000
@@ -136,6 +141,7 @@ def mesh_object(
         )
     origin = coarse.mean(axis=0)
     whole = joined([part.mesh for part in parts])
+    sides = _sides([part.mesh for part in parts])
     shape = ObjectShape(
         particles=centres - origin,
         mass_group=group,
@@ -147,6 +153,7 @@ def mesh_object(
         ),
         group_names=tuple(part.name for part in parts),
         fill=fill * per_group[group],
+        sides=sides - origin,
     )
     mass = np.array([part.mass for part in parts])
     solids = tuple(Solid(part.mesh.vertices - [*origin, 0.0], part.mesh.faces, part.mass) for part in parts)
@@ -158,6 +165,21 @@ def joined(meshes: Sequence[trimesh.Trimesh]) -> trimesh.Trimesh:
     starts = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes[:-1])])
     faces = [mesh.faces + start for mesh, start in zip(meshes, starts, strict=True)]
     return trimesh.Trimesh(np.vstack([mesh.vertices for mesh in meshes]), np.vstack(faces), process=False)
+
+
+def _sides(meshes: Sequence[trimesh.Trimesh]) -> Float[np.ndarray, "K 2 2"]:
+    """Sides of the outline below `TIP_REACH`, seen from above; none of a surface that meets itself."""
+    seen = []
+    for mesh in meshes:
+        body = Manifold(Mesh64(np.array(mesh.vertices, order="C"), np.array(mesh.faces, dtype=np.uint64, order="C")))
+        if body.status() != Error.NoError:
+            return np.ones((0, 2, 2))
+        seen.append(body.trim_by_plane((0, 0, -1), -TIP_REACH).project())
+    outline = sum(seen[1:], seen[0])
+    for offset in (_GAP, -_GAP):
+        outline = outline.offset(offset, JoinType.Round)
+    loops = [np.asarray(loop) for loop in outline.simplify(_FINE).to_polygons()]
+    return np.concatenate([np.stack([loop, np.roll(loop, -1, axis=0)], axis=1) for loop in loops])
 
 
 def _checked_contacts(contacts: Sequence[tuple[float, float]], parts: list[Part]) -> Float[np.ndarray, "C 2"]:

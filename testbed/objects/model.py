@@ -127,6 +127,8 @@ class ObjectShape:
     """Material in each cell over the mean of its group's: 1 of a block's cells, and everywhere if left out."""
     chain: Chain | None = None
     """Links of an articulated object; None of a rigid one."""
+    sides: Float[np.ndarray, "K 2 2"] = field(default_factory=lambda: np.ones((0, 2, 2)))
+    """Begin and end of each straight side of the outline [m], the object on the left; the cells' sides if left out."""
 
     def __post_init__(self) -> None:
         particles = frozen_array("ObjectShape.particles", self.particles, (None, 2))
@@ -150,12 +152,10 @@ class ObjectShape:
         if (fill < 0).any() or not np.allclose(means, 1.0, rtol=1e-9):
             allowed = "numbers >= 0 with a mean of 1 in each mass group"
             raise InvalidValueError("ObjectShape.fill", f"means {means.tolist()}, least {fill.min():g}", allowed)
-        object.__setattr__(self, "fill", fill)
-        object.__setattr__(self, "particles", particles)
-        object.__setattr__(self, "mass_group", mass_group)
-        object.__setattr__(self, "friction_group", friction_group)
-        object.__setattr__(self, "grasps", tuple(self.grasps))
-        object.__setattr__(self, "group_names", tuple(names))
+        checked = {"particles": particles, "mass_group": mass_group, "friction_group": friction_group, "fill": fill}
+        others = {"sides": frozen_array("ObjectShape.sides", self.sides, (None, 2, 2)), "group_names": tuple(names)}
+        for name, value in (checked | others | {"grasps": tuple(self.grasps)}).items():
+            object.__setattr__(self, name, value)
 
     @property
     def n_m(self) -> int:

@@ -12,7 +12,7 @@ import mujoco
 import numpy as np
 from jaxtyping import Float
 
-from testbed.actions.push import TIP_HEIGHT, Push
+from testbed.actions.push import Push
 from testbed.foot_forces import FootForces
 from testbed.objects.faces import faces
 from testbed.objects.model import GRAVITY, ObjectModel, ObjectShape
@@ -24,6 +24,8 @@ if TYPE_CHECKING:
     from testbed.simulation.scene import Scene
 
 
+_THIN = 2.5e-4
+"""Half the depth of a thin face's box [m]."""
 _MOTION_SENSORS = {
     "position": mujoco.mjtSensor.mjSENS_FRAMEPOS,
     "orientation": mujoco.mjtSensor.mjSENS_FRAMEQUAT,
@@ -211,9 +213,11 @@ def _inverse_masses(model: mujoco.MjModel, geoms: np.ndarray, impedance: float) 
 def add_fingertip(
     spec: mujoco.MjSpec, shape: ObjectShape, frames: list[mujoco.MjsFrame], push: Push, grip: GripSettings
 ) -> None:
-    """Add a ball on a peg below the TCP, a box behind each face, their contacts, and sensors of the object's motion.
+    """Add a round fingertip on a peg below the TCP, a box behind each face, contacts, and sensors of the motion.
 
-    A face's box goes as deep as a cell, so that the ball meets no seam within a face.
+    A face's box goes as deep as a cell, so that the fingertip meets no seam within a face; of an outline that is not
+    the cells' it is thin, for sharp corners. The fingertip is a ball; a low object meets a disc, whose edge is that of
+    a ball that is not drawn.
 
     Args:
         spec: scene with arm and object.
@@ -223,24 +227,29 @@ def add_fingertip(
         grip: height of the TCP, and a contact's damping.
     """
     x, y, z = spec.site("gripper/tcp").pos
-    below = z + grip.tcp_height - TIP_HEIGHT
-    looks = {"mass": 0, "rgba": (0.9, 0.2, 0.1, 1.0), "group": 2, "contype": 0, "conaffinity": 0}
+    height = push.height(shape)
+    below = z + grip.tcp_height - height
+    unseen = {"mass": 0, "group": 4, "contype": 0, "conaffinity": 0}
+    looks = unseen | {"group": 2, "rgba": (0.9, 0.2, 0.1, 1.0)}
     hand, ball, peg = spec.body("gripper/base"), mujoco.mjtGeom.mjGEOM_SPHERE, mujoco.mjtGeom.mjGEOM_CYLINDER
-    hand.add_geom(name="fingertip", type=ball, pos=(x, y, below), size=(push.radius, 0, 0), **looks)
+    low = push.radius >= height
+    hand.add_geom(
+        name="fingertip", type=ball, pos=(x, y, below), size=(push.radius, 0, 0), **(unseen if low else looks)
+    )
     hand.add_geom(name="peg", type=peg, fromto=(x, y, z, x, y, below), size=(push.radius / 2, 0, 0), **looks)
+    if low:
+        hand.add_geom(name="disc", type=peg, pos=(x, y, below), size=(push.radius, height / 2, 0), **looks)
+    depth = shape.cell / 2 if not len(shape.sides) else _THIN
     for index, face in enumerate(faces(shape)):
-        x, y = (face.begin + face.end) / 2 - face.normal * shape.cell / 2
+        x, y = (face.begin + face.end) / 2 - face.normal * depth
         angle = math.atan2(face.normal[1], face.normal[0])
         frames[face.group].add_geom(
             name=f"face_{index}",
             type=mujoco.mjtGeom.mjGEOM_BOX,
             pos=(x, y, 0),
             quat=(math.cos(angle / 2), 0, 0, math.sin(angle / 2)),
-            size=(shape.cell / 2, face.length / 2, shape.height / 2),
-            mass=0,
-            group=4,
-            contype=0,
-            conaffinity=0,
+            size=(depth, face.length / 2, shape.height / 2),
+            **unseen,
         )
         spec.add_pair(
             geomname1="fingertip",

@@ -10,9 +10,10 @@ import numpy as np
 from testbed.actions.base import TableAction
 from testbed.actions.lift import Lift
 from testbed.actions.path import EDGES, HIGH, LOW, outline, overhang, overhang_of
-from testbed.actions.push import GAP, TIP_HEIGHT, Push
+from testbed.actions.push import GAP, Push
 from testbed.errors import InfeasibleTrialError
 from testbed.frames import rotation_2d, transform_point
+from testbed.objects.faces import room_at
 from testbed.objects.model import (
     GRAVITY,
     LEAST_FACE,
@@ -72,19 +73,11 @@ def check_feasible(trial: Trial, motion: Motion, settings: SimulationSettings) -
 
 
 def _check_push(trial: Trial, action: Push, motion: Motion, settings: SimulationSettings) -> None:
-    """Refuse a push without a face, on a low object, from amid it, beyond the table's edge, or of too much drag."""
+    """Refuse a push from amid an object, beyond the table's edge, or of too much drag."""
     obj, shape = trial.object, trial.object.shape
-    if obj.solids:
-        raise InfeasibleTrialError("push: the outline of a mesh is not known to the fingertip yet; push blocks")
     start = action.path(shape, np.zeros(1))[0]
-    height = TIP_HEIGHT
-    if shape.height < height or action.radius >= height:
-        raise InfeasibleTrialError(
-            f"push: the middle of the fingertip is {height * 1e3:.0f} mm over the table; its radius of "
-            f"{action.radius * 1e3:.0f} mm must be less, and the object's height of {shape.height * 1e3:.0f} mm more"
-        )
-    gap = float(np.linalg.norm(np.maximum(np.abs(shape.particles - start) - shape.cell / 2, 0.0), axis=1).min())
-    if gap < action.radius:
+    gap = room_at(shape, start)
+    if gap < action.radius - 1e-9:
         raise InfeasibleTrialError(
             f"push: the fingertip would come down {gap * 1e3:.1f} mm from the object with its radius of "
             f"{action.radius * 1e3:.0f} mm; push where there is room, or with a smaller fingertip"

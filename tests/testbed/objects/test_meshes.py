@@ -14,6 +14,8 @@ import trimesh
 from numpy.testing import assert_allclose
 
 from testbed.errors import InvalidValueError
+from testbed.frames import cross_2d
+from testbed.objects.faces import faces, room_at
 from testbed.objects.files import asset_folder, load_object
 from testbed.objects.grasps import GraspPlace
 from testbed.objects.meshes import Part, mesh_object, read_mesh
@@ -188,6 +190,23 @@ def test_a_body_on_points_rests_on_particles_without_material():
     assert_allclose(made.particle_mass.sum(), on_cells.particle_mass.sum())
     uneven = cut(box((0.093, 0.037, 0.02)), contacts=corners)  # cells do not divide it
     assert_allclose(uneven.particle_mass @ uneven.shape.particles / 0.4, uneven.center_of_mass, atol=1e-12)
+
+
+def test_the_outline_of_two_parts_is_that_of_their_union():
+    """Two boxes that touch, one with a lug high over the table, which no fingertip meets."""
+    lug = box((0.02, 0.06, 0.01), (0.04, 0.0, 0.03))
+    shape = cut(box((0.06, 0.03, 0.02)), together(box((0.02, 0.03, 0.04), (0.06, 0, 0)), lug)).shape
+    sides = faces(shape)
+    begin, end = (np.array([getattr(side, name) for side in sides]) for name in ("begin", "end"))
+    assert cross_2d(begin, end).sum() / 2 == pytest.approx(0.08 * 0.03, rel=0.01)
+    assert sum(side.length for side in sides) == pytest.approx(0.22, rel=0.01)
+    middle = (begin.max(axis=0) + begin.min(axis=0)) / 2
+    assert room_at(shape, middle) == 0.0
+    assert room_at(shape, middle + np.array([0.0, 0.025])) == pytest.approx(0.01, abs=2e-4)
+    for side in sides:
+        out = (side.begin + side.end) / 2 + 1e-3 * side.normal
+        assert room_at(shape, out) == pytest.approx(1e-3, abs=1e-6)
+    assert [max(sides, key=lambda side: way * side.begin[0] + way * side.end[0]).group for way in (-1, 1)] == [0, 1]
 
 
 def test_rays_leave_a_closed_surface_as_often_as_they_enter_it():

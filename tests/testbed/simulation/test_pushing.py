@@ -5,11 +5,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import trimesh
 
 from estimators.hidden_states.estimator import HiddenStates
 from estimators.testing.analytic_world import drawn_object
-from testbed import InfeasibleTrialError, Push, SimulationRunner, Trial, draw_sensing, load_object, preset
+from testbed import RIGID, InfeasibleTrialError, Push, SimulationRunner, Trial, draw_sensing, preset
 from testbed.objects.faces import faces
+from testbed.objects.meshes import Part, mesh_object
 from testbed.objects.model import GRAVITY
 from testbed.robot.path import starting_pose
 from testbed.sensing.push_windows import push_windows, touching
@@ -64,21 +66,37 @@ def test_a_push_that_loses_the_object_keeps_what_it_had():
 
 
 def test_what_cannot_be_pushed_is_refused():
-    flat, hammer = replace(BLOCKS, shape=replace(BLOCKS.shape, height=0.006)), load_object("hammer")
+    ring = drawn_object(3, ["111", "101", "111"])
+    hole = Push((0.025, 0.0), 0.0, radius=0.03)
     inwards = Push((-0.05, 0.0), 0.0)
     refused = [
         (BLOCKS, Push((0.0, 0.0), 0.0), "push"),
         (BLOCKS, Push((-0.05, 0.0), math.pi), "push"),
-        (BLOCKS, replace(inwards, radius=0.01), "push"),
         (BLOCKS, replace(inwards, length=2.0), "table|reach"),
-        (flat, inwards, "push"),
-        (hammer, inwards, "push"),
+        (ring, hole, "push: .* smaller fingertip"),
     ]
     for obj, action, why in refused:
         with pytest.raises(InfeasibleTrialError, match=why):
             RUNNER.check(Trial(obj, action))
+    RUNNER.check(Trial(ring, replace(hole, radius=0.006)))
     with pytest.raises(InfeasibleTrialError, match="camera"):
         starting_pose(Trial(BLOCKS, inwards))
+
+
+def test_a_plate_of_a_millimeter_is_pushed_by_its_edge():
+    """A low mesh on points of contact: a disc meets it at half its height, and feels mu M g less what it carries."""
+    sheet = trimesh.creation.box(bounds=[[0, 0, 0], [0.16, 0.04, 0.001]])
+    corners = [(0.002, 0.002), (0.002, 0.038), (0.158, 0.002), (0.158, 0.038)]
+    parts = [Part("sheet", sheet, 0.05, 0)]
+    plate = mesh_object("sheet", parts, [], friction=[0.5], cell=0.005, grid=3, contacts=corners)
+    assert Push.height(plate.shape) == pytest.approx(5e-4)
+    x, y = min((face.begin[0] for face in faces(plate.shape)), default=0.0), float(plate.center_of_mass[1])
+    clean = RUNNER.run_clean(Trial(plate, Push((float(x), y), 0.0, speed=0.05), RIGID))
+    assert clean.ok and clean.reason == ""
+    for window in push_windows(draw_sensing(clean, preset("ideal"), 0)):
+        carried = plate.total_mass * GRAVITY - window.wrench[2]
+        assert window.wrench[0] == pytest.approx(0.5 * carried, rel=0.02)
+        assert window.point is not None and window.point == pytest.approx([x - 0.006, y], abs=2e-3)
 
 
 @pytest.mark.slow

@@ -1,10 +1,10 @@
 """Real tools felt in simulation: python bench/tools.py [SET] [--draws N] [--figure FILE].
 
 SET is a copy of the public set (docs/tools.md); without it, the one tool is a mallet that is built here. Every tool
-with a grasp is turned on the table and lifted from pose to pose, in an ideal world and in a lab, on its points of
-contact. Medians over tools and draws: errors of M and of the inertia (about z, and Frobenius norm) in percent, of c in
-mm, in the plane and in space, NAD of the masses of parts in percent, and the 90 % intervals of part masses (of M, c and
-the inertia where a method knows no parts) that hold.
+with a grasp is turned on the table and lifted from pose to pose, and every tool is pushed, in an ideal world and in a
+lab, on its points of contact. Medians over tools and draws: errors of M and of the inertia (about z, and Frobenius
+norm) in percent, of c in mm, in the plane and in space, NAD of the masses of parts in percent, and the 90 % intervals
+of part masses (of M, c and the inertia where a method knows no parts) that hold.
 """
 
 from __future__ import annotations
@@ -21,7 +21,8 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
-from estimators.base import Estimate
+from estimators.action_selection.pushes import RandomPushes
+from estimators.base import ActionPolicy, Estimate
 from estimators.inertial import (
     InertialEstimate,
     InertialParameters,
@@ -39,11 +40,12 @@ from scenarios.study.meshes import with_meshes
 from testbed.actions.accelerate import Accelerate
 from testbed.actions.base import Action
 from testbed.actions.lift import Lift
+from testbed.actions.push import Push
 from testbed.actions.rotate import Rotate
 from testbed.errors import HeftError
 from testbed.objects.conversion import convert_mesh
 from testbed.objects.files import load_object
-from testbed.objects.model import ObjectModel
+from testbed.objects.model import ObjectModel, ObjectShape
 from testbed.sensing.noise import draw_sensing, read_scale
 from testbed.sensing.presets import preset
 from testbed.simulation.runner import SimulationRunner
@@ -56,9 +58,12 @@ from viz.figures.objects import object_page
 
 GRASPS = 3
 """Grasps of a tool that are used, those nearest the middle."""
+PUSHES = 10
+"""Pushes of a tool, at random places of its outline."""
 WORLDS = {"ideal": ("ideal", "ideal"), "ft300s": ("ideal", "ft300s"), "lab": ("lab", "ft300s")}
 """World and sensor of each group of rows."""
 Judged = tuple[float, float, float, float, float]
+Trials = list[Trajectory]
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,6 +74,7 @@ class Felt:
     weight: float
     turns: tuple[Trajectory, ...]
     lifts: tuple[Trajectory, ...]
+    pushes: tuple[Trajectory, ...]
 
 
 def mallet(folder: Path) -> ObjectModel:
@@ -84,36 +90,59 @@ def silent(stage: str, done: int, total: int, failed: int = 0) -> None:
     """Progress that nobody sees."""
 
 
-def trials_of(model: ObjectModel, actions: Sequence[Action], place: str, draw: int) -> Iterator[Trajectory]:
-    """Clean trials that ended well, in a draw of a world."""
+def trials_of(model: ObjectModel, policy: ActionPolicy, refused: dict[Action, str], place: str, draw: int) -> Trials:
+    """Clean trials that a policy asks for in a draw of a world, those that ended well."""
     drawn = None if place == "ideal" else WorldDraw.of(world(place), model, str(draw))
+    made: Trials = []
     with SimulationRunner() as simulation:
-        for action in actions:
+        while (action := policy.next(model.shape, made)) is not None:
             try:
-                trial = simulation.run_clean(Trial(model, action, RIGID, world=drawn))
+                made.append(simulation.run_clean(Trial(model, action, RIGID, world=drawn)))
             except HeftError as error:
-                print(f"{model.name}, {action.describe(model.shape)}: {str(error).splitlines()[0][:100]}")
-                continue
-            if trial.ok:
-                yield trial
+                refused[action] = str(error)
+    for action, why in refused.items():
+        if not isinstance(action, Push):
+            print(f"{model.name}, {action.describe(model.shape)}: {why.splitlines()[0][:100]}")
+    return [trial for trial in made if trial.ok]
+
+
+def policies(shape: ObjectShape) -> Iterator[tuple[ActionPolicy, dict[Action, str]]]:
+    """Turns, lifts and pushes of a tool, each with the actions that its policy is told to be refused."""
+    grasps = range(min(GRASPS, len(shape.grasps)))
+    turns = [a for g in grasps for a in (Rotate(g, duration=6.0, back=True), Accelerate(g))]
+    for actions in (turns, [Lift.stop_and_go(g) for g in grasps]):
+        refused: dict[Action, str] = {}
+        yield Listed(tuple(actions), refused), refused
+    refused = {}
+    yield RandomPushes(PUSHES, refused=refused), refused
+
+
+@dataclass(frozen=True)
+class Listed:
+    """A list of actions as a policy."""
+
+    actions: tuple[Action, ...]
+    refused: dict[Action, str]
+
+    def next(self, shape: ObjectShape, trajectories: Sequence[Trajectory]) -> Action | None:
+        """Next action of the list."""
+        left = [action for action in self.actions if action not in self.refused]
+        return left[len(trajectories)] if len(trajectories) < len(left) else None
 
 
 def felt(model: ObjectModel, draws: int) -> Iterator[tuple[str, Felt]]:
     """A tool's trials under every draw, with the label of its rows."""
-    grasps = range(min(GRASPS, len(model.shape.grasps)))
-    turns = [a for g in grasps for a in (Rotate(g, duration=6.0, back=True), Accelerate(g))]
-    lifts = [Lift.stop_and_go(g) for g in grasps]
-    clean: dict[tuple[str, int], tuple[list[Trajectory], list[Trajectory]]] = {}
+    clean: dict[tuple[str, int], list[Trials]] = {}
     for label, (place, sensor) in WORLDS.items():
         for draw in range(1 if label == "ideal" else draws):
             key = (place, draw if place != "ideal" else 0)
             if key not in clean:
-                clean[key] = (list(trials_of(model, turns, *key)), list(trials_of(model, lifts, *key)))
+                clean[key] = [trials_of(model, *policy, *key) for policy in policies(model.shape)]
             sensing = preset(sensor)
-            turned, lifted = (
+            drawn = (
                 tuple(draw_sensing(t, sensing, 100 * draw + i) for i, t in enumerate(group)) for group in clean[key]
             )
-            yield label, Felt(model, read_scale(model.total_mass, sensing, [draw]), turned, lifted)
+            yield label, Felt(model, read_scale(model.total_mass, sensing, [draw]), *drawn)
 
 
 def judged_masses(trial: Felt, answer: Estimate) -> Judged | None:
@@ -159,9 +188,12 @@ def _numbers(of: InertialParameters) -> np.ndarray:
 def answers(trial: Felt) -> Iterator[tuple[str, str, Judged | None]]:
     """Trials used, method and errors of every answer; None without one."""
     both = (*trial.turns, *trial.lifts)
-    for used, given in (("turns", trial.turns), ("both", both)):
-        answer = SupportAware().estimate(trial.model.shape, trial.weight, given, 0) if given else None
-        yield used, "support_aware", None if answer is None else judged_masses(trial, answer)
+    for used, given in (("turns", trial.turns), ("both", both), ("pushes", trial.pushes)):
+        if given:
+            answer = SupportAware().estimate(trial.model.shape, trial.weight, given, 0)
+            yield used, "support_aware", judged_masses(trial, answer)
+    if not trial.lifts:
+        return
     for name in ("least squares", "consistent (SDP)", "homogeneous parts (HPS)"):
         try:
             equations = lift_equations(trial.model.shape, trial.lifts)
@@ -196,10 +228,9 @@ def main() -> None:
         save_figure(object_page(models), given.figure)
     for model in models:
         print(f"{model.name}: {len(model.shape.grasps)} grasps", flush=True)
-        if model.shape.grasps:
-            for label, trial in felt(model, given.draws):
-                for used, method, one in answers(trial):
-                    rows.setdefault((label, used, method), []).append(one)
+        for label, trial in felt(model, given.draws):
+            for used, method, one in answers(trial):
+                rows.setdefault((label, used, method), []).append(one)
     table = Table(box=box.SIMPLE)
     for heading in ("world", "trials", "method", "M, %", "c, mm", "inertia, %", "part masses, %", "90 % hold", "none"):
         table.add_column(heading, justify="left" if heading in ("world", "trials", "method") else "right")

@@ -140,6 +140,7 @@ class Policy(BaseModel):
     seed: Annotated[int, Field(ge=0)] = 0
     redraw: bool = False
     lifts: Annotated[int, Field(ge=0, le=100)] | None = None
+    pushes: Count | None = None
     held_out: Annotated[int, Field(ge=0, le=100)] = 2
     touches: Count = 8
     until: Annotated[float, Field(gt=0, lt=1)] | None = None
@@ -195,6 +196,11 @@ class Policy(BaseModel):
     def grips(self) -> bool:
         """True if the hand grips the object; a push needs no grasp, and makes no turns for prediction."""
         return self.kind != "push"
+
+    @property
+    def without_grasp(self) -> Policy | None:
+        """The policy for an object that no hand can grip: `pushes` of it; None where it can only be left out."""
+        return None if self.pushes is None or self.lifts else Policy(kind="push", touches=self.pushes, seed=self.seed)
 
     @property
     def lifts_last(self) -> int | None:

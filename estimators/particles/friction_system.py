@@ -196,7 +196,7 @@ def wrench_errors(
     effects, late = seen_effects(windows, model, mass, slopes)
     by_motion = torch.cat([moved, slopes * windows.twist_noise.sqrt() * held, effects], -1)
     within = torch.diag_embed(own) + by_motion @ by_motion.transpose(1, 2)
-    if windows.pushed.any():
+    if windows.seen.shape[-1]:  # some are pushes
         within = within + sticking(windows, model, drag)
     lift, tilt = errors.lift_error, errors.tilt_error
     shared = torch.tensor([lift / 2**0.5, 0.0, 0.0], dtype=torch.float64)

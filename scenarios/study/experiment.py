@@ -136,23 +136,22 @@ def experiments_of(
             try:
                 model = point.truth.applied(load(point.grid.feet))
                 particles = point.truth.model_copy(update={"friction_spread": 0.0}).applied(load(point.grid.particles))
-                grips = point.policy.grips
-                grasps = feasible.of(model.name, point.policy.check(model, settings)) if grips else ()
+                own, grasps = _handled(point, model, feasible)
             except InfeasibleTrialError as error:
                 if not (axes or scenario.random or scenario.meshes):
                     raise
                 left_out += [InfeasibleExperiment(name, support.name, axes, str(error)) for support in point.supports()]
             else:
-                for support in point.supports():
-                    for draw in point.own_draws():
-                        used, turns = point.policy.split(particles.shape, grasps, draw[1] if draw else 0)
+                for support in own.supports():
+                    for draw in own.own_draws():
+                        used, turns = own.policy.split(particles.shape, grasps, draw[1] if draw else 0)
                         refused, weighed = dict[Action, str](), list[float]()
-                        setup = point.world.build().stated
-                        policy = point.policy.build(used, particles.shape, settings, weighed, draw, refused, setup)
-                        world = point.world.draw(model, draw[1]) if draw else None
+                        setup = own.world.build().stated
+                        policy = own.policy.build(used, particles.shape, settings, weighed, draw, refused, setup)
+                        world = own.world.draw(model, draw[1]) if draw else None
                         chosen = (used, policy, turns, refused, weighed)
                         experiments.append(
-                            Experiment(point, axes, model, particles, support, *chosen, draw=draw, world=world)
+                            Experiment(own, axes, model, particles, support, *chosen, draw=draw, world=world)
                         )
             done += 1
             progress("objects", done, total)
@@ -160,6 +159,23 @@ def experiments_of(
         raise InfeasibleTrialError("no object can be handled:\n" + "\n".join(f"{c.name}: {c.reason}" for c in left_out))
     feasible.keep()
     return experiments, left_out
+
+
+def _handled(point: Scenario, model: ObjectModel, feasible: _Grasps) -> tuple[Scenario, tuple[int, ...]]:
+    """Scenario for an object, in which it is pushed where no hand can grip it, and its grasps.
+
+    Raises:
+        InfeasibleTrialError: it cannot be gripped, and is not to be pushed.
+    """
+    if not point.policy.grips:
+        return point, ()
+    try:
+        return point, feasible.of(model.name, point.policy.check(model, point.simulation.build()))
+    except InfeasibleTrialError:
+        pushed = point.policy.without_grasp
+        if pushed is None or model.shape.grasps:
+            raise
+        return point.model_copy(update={"policy": pushed}), ()
 
 
 def object_paths(scenario: Scenario) -> dict[str, str]:

@@ -48,8 +48,7 @@ def faces(shape: ObjectShape) -> list[Face]:
     along = (end - begin) / np.linalg.norm(end - begin, axis=1, keepdims=True)
     near = cdist((begin + end) / 2, shape.particles).argmin(axis=1)
     return [
-        Face(*side, -normal, group)
-        for side, normal, group in zip(shape.sides, perpendicular(along), shape.mass_group[near].tolist(), strict=True)
+        Face(*each) for each in zip(begin, end, -perpendicular(along), shape.mass_group[near].tolist(), strict=True)
     ]
 
 

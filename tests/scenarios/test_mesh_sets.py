@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from pathlib import Path
 
 import numpy as np
@@ -105,3 +106,20 @@ def test_a_set_is_felt_and_estimated(data: Path, monkeypatch: pytest.MonkeyPatch
     (row,) = load_results("out").to_dict("records")
     assert row["object"] == "Mallet" and row["com_error_m"] < 1e-3 and abs(row["inertia_error"]) < 0.05
     assert "2 parts by colours" in capsys.readouterr().out
+
+
+@pytest.mark.slow
+def test_what_no_hand_can_grip_is_pushed_where_the_scenario_says_so(data: Path, monkeypatch: pytest.MonkeyPatch):
+    """A plate of 3 mm beside a mallet is felt by its edge; the mallet is turned as before."""
+    monkeypatch.chdir(data.parent)
+    (data / "Plate").mkdir()
+    trimesh.creation.box((160, 50, 3)).export(data / "Plate" / "mesh.ply")
+    text = SCENARIO.replace("[meshes]", "[meshes]\nmass_kg = 0.1")
+    for name, more in (("gripped", ""), ("pushed", "pushes = 3\n")):
+        Path(f"{name}.toml").write_text(text.replace("[methods", f"{more}[methods"), encoding="utf-8")
+        with nullcontext() if more else pytest.raises(SystemExit):  # not all of it was done
+            main(["run", f"{name}.toml", "--data", "set", "--workers", "0", "--out", name])
+    before, after = (load_results(name).set_index("object") for name in ("gripped", "pushed"))
+    assert before.status["Plate"] == "infeasible"
+    assert after.status["Plate"] in ("ok", "underdetermined"), after.message["Plate"]
+    assert after.com_error_m["Plate"] < 5e-3 and after.com_error_m["Mallet"] == before.com_error_m["Mallet"]

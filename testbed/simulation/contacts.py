@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 
 _THIN = 2.5e-4
 """Half the depth of a thin face's box [m]."""
+_UNSEEN = {"mass": 0, "group": 4, "contype": 0, "conaffinity": 0}
 _MOTION_SENSORS = {
     "position": mujoco.mjtSensor.mjSENS_FRAMEPOS,
     "orientation": mujoco.mjtSensor.mjSENS_FRAMEQUAT,
@@ -210,6 +211,28 @@ def _inverse_masses(model: mujoco.MjModel, geoms: np.ndarray, impedance: float) 
     return inverse
 
 
+def add_tip(spec: mujoco.MjSpec, push: Push, height: float, tcp_height: float) -> None:
+    """Add a round fingertip on a peg below the TCP, that touches nothing yet.
+
+    Args:
+        spec: scene with arm.
+        push: radius of the ball; of a disc, where it would be no smaller than its height.
+        height: its middle over the table, m.
+        tcp_height: the TCP over the table, m.
+    """
+    x, y, z = spec.site("gripper/tcp").pos
+    below = z + tcp_height - height
+    looks = _UNSEEN | {"group": 2, "rgba": (0.9, 0.2, 0.1, 1.0)}
+    hand, ball, peg = spec.body("gripper/base"), mujoco.mjtGeom.mjGEOM_SPHERE, mujoco.mjtGeom.mjGEOM_CYLINDER
+    low = push.radius >= height
+    hand.add_geom(
+        name="fingertip", type=ball, pos=(x, y, below), size=(push.radius, 0, 0), **(_UNSEEN if low else looks)
+    )
+    hand.add_geom(name="peg", type=peg, fromto=(x, y, z, x, y, below), size=(push.radius / 2, 0, 0), **looks)
+    if low:
+        hand.add_geom(name="disc", type=peg, pos=(x, y, below), size=(push.radius, height / 2, 0), **looks)
+
+
 def add_fingertip(
     spec: mujoco.MjSpec, shape: ObjectShape, frames: list[mujoco.MjsFrame], push: Push, grip: GripSettings
 ) -> None:
@@ -226,19 +249,7 @@ def add_fingertip(
         push: radius and friction of the ball.
         grip: height of the TCP, and a contact's damping.
     """
-    x, y, z = spec.site("gripper/tcp").pos
-    height = push.height(shape)
-    below = z + grip.tcp_height - height
-    unseen = {"mass": 0, "group": 4, "contype": 0, "conaffinity": 0}
-    looks = unseen | {"group": 2, "rgba": (0.9, 0.2, 0.1, 1.0)}
-    hand, ball, peg = spec.body("gripper/base"), mujoco.mjtGeom.mjGEOM_SPHERE, mujoco.mjtGeom.mjGEOM_CYLINDER
-    low = push.radius >= height
-    hand.add_geom(
-        name="fingertip", type=ball, pos=(x, y, below), size=(push.radius, 0, 0), **(unseen if low else looks)
-    )
-    hand.add_geom(name="peg", type=peg, fromto=(x, y, z, x, y, below), size=(push.radius / 2, 0, 0), **looks)
-    if low:
-        hand.add_geom(name="disc", type=peg, pos=(x, y, below), size=(push.radius, height / 2, 0), **looks)
+    add_tip(spec, push, push.height(shape), grip.tcp_height)
     depth = shape.cell / 2 if not len(shape.sides) else _THIN
     for index, face in enumerate(faces(shape)):
         x, y = (face.begin + face.end) / 2 - face.normal * depth
@@ -249,7 +260,7 @@ def add_fingertip(
             pos=(x, y, 0),
             quat=(math.cos(angle / 2), 0, 0, math.sin(angle / 2)),
             size=(depth, face.length / 2, shape.height / 2),
-            **unseen,
+            **_UNSEEN,
         )
         spec.add_pair(
             geomname1="fingertip",

@@ -15,11 +15,14 @@ import numpy as np
 from jaxtyping import Bool, Float, UInt8
 from scipy.spatial.transform import Rotation
 
+from testbed.actions.push import Push
 from testbed.errors import InvalidValueError
 from testbed.objects.model import STROKE, ObjectModel
 from testbed.sensing.lift_windows import poses_in_space
+from testbed.simulation.contacts import add_tip
 from testbed.simulation.graphics import offscreen_renderer
 from testbed.simulation.scene import add_object, attach_arm, part
+from testbed.simulation.settings import GripSettings
 from testbed.trajectory import Phase, Trajectory
 from testbed.trial import RIGID
 
@@ -162,8 +165,10 @@ def bench_model(*, meshes: bool = True) -> mujoco.MjModel:
 
 
 def opening(trajectory: Trajectory, pads: tuple[float, float]) -> Float[np.ndarray, "T"]:
-    """Distance between the pads by the phases [m], shape (T,); `pads` while they hold, and before and after [m]."""
+    """Distance between the pads by the phases [m], (T,): `pads` while they hold, and before and after; 0 in a push."""
     phase, count = trajectory.phase, len(trajectory.phase)
+    if isinstance(trajectory.action, Push):
+        return np.zeros(count)
     closed = np.where(np.isin(phase, _OPEN), 0.0, 1.0)
     for moving, ends in ((Phase.GRASP, (0.0, 1.0)), (Phase.RELEASE, (1.0, 0.0))):
         inside = np.flatnonzero(phase == moving)
@@ -232,6 +237,8 @@ class Playback:
             raise InvalidValueError("trial", "a weighing, where nothing moves", "a slide or a turn")
         spec = part("table")
         attach_arm(spec, meshes=meshes)
+        if isinstance(trajectory.action, Push):
+            add_tip(spec, trajectory.action, trajectory.action.height(obj.shape), GripSettings().tcp_height)
         add_object(spec, obj, RIGID)
         self.model = spec.compile()
         light(self.model)

@@ -10,11 +10,13 @@ import trimesh
 from estimators.hidden_states.estimator import HiddenStates
 from estimators.testing.analytic_world import drawn_object
 from testbed import RIGID, InfeasibleTrialError, Push, SimulationRunner, Trial, draw_sensing, preset
-from testbed.objects.faces import faces
+from testbed.frames import rotation_2d
+from testbed.objects.faces import faces, room_at
 from testbed.objects.meshes import Part, mesh_object
-from testbed.objects.model import GRAVITY
+from testbed.objects.model import GRAVITY, STROKE
 from testbed.robot.path import starting_pose
 from testbed.sensing.push_windows import push_windows, touching
+from testbed.simulation.rendering import Playback
 
 BLOCKS = drawn_object(3, ["11", "11", "11"])
 RUNNER = SimulationRunner()
@@ -53,6 +55,19 @@ def test_a_push_through_the_middle():
     assert seen.camera is not None and len(seen.camera.time_s) < len(clean.time_s) / 3
     assert np.abs(seen.object_pose - clean.object_pose).max() < 0.02 and (seen.object_pose != clean.object_pose).any()
     assert len(push_windows(seen)) >= 2
+
+
+def test_playback_shows_the_fingertip_at_the_object():
+    """The hand is closed; the drawn fingertip touches the outline where the record has it."""
+    clean = RUNNER.run_clean(Trial(BLOCKS, Push((-0.05, 0.0), 0.0, speed=0.05, length=0.06)))
+    shown = Playback(clean, BLOCKS, (0.0, 0.085), meshes=False)
+    sample = int(touching(draw_sensing(clean, preset("ideal"), 0))[-1])
+    shown.show(sample)
+    x, y, yaw = clean.object_pose[sample]
+    tip = rotation_2d(-yaw) @ (shown.data.geom("fingertip").xpos[:2] - [x, y])
+    assert room_at(BLOCKS.shape, tip) == pytest.approx(0.006, abs=3e-4)
+    assert shown.data.geom("fingertip").xpos[2] == pytest.approx(Push.height(BLOCKS.shape), abs=5e-4)
+    assert shown.data.qpos[shown.model.joint("gripper/left_finger").qposadr[0]] == pytest.approx(STROKE / 2)
 
 
 def test_a_push_that_loses_the_object_keeps_what_it_had():

@@ -1,0 +1,155 @@
+"""Pushes against turns at equal robot time: python bench/pushes.py [--objects N] [--workers N].
+
+Drawn objects of the scenario `random`, with those that no hand can turn, for which it draws others. Each
+is turned as there, where it can be, and pushed at random places for as long; without turns, for as long as the turns of
+an object take in the middle. Answers are of `hidden_states` in an ideal world, under an FT-300S and a camera that sees
+exactly, and under one with a camera of 30 frames a second. Columns: objects with an answer that has status ok, median
+NAD of these in percent and of those that turns leave without one, and the 90 % intervals that hold.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
+from multiprocessing import get_context
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from rich import box
+from rich.console import Console
+from rich.table import Table
+
+from estimators.action_selection.cost import spent_seconds
+from estimators.action_selection.pushes import RandomPushes
+from estimators.action_selection.rank import RANK_DRIVEN
+from estimators.base import ActionPolicy
+from estimators.evaluation.metrics import normalized_absolute_difference
+from estimators.hidden_states.estimator import HiddenStates
+from scenarios.config import load_scenario
+from scenarios.policies import Policy
+from scenarios.runners import feasible_grasps, told
+from testbed.actions.base import Action
+from testbed.errors import HeftError, InfeasibleTrialError
+from testbed.objects.files import asset_folder
+from testbed.objects.model import ObjectModel
+from testbed.sensing.noise import draw_sensing, read_scale
+from testbed.sensing.presets import preset
+from testbed.simulation.runner import SimulationRunner
+from testbed.simulation.settings import SimulationSettings
+from testbed.trajectory import Trajectory
+from testbed.trial import Trial
+
+SENSORS = ("ideal", "ft300s:camera=exact", "ft300s")
+"""Sensors of the rows."""
+TURNING_S = 160.0
+"""Robot time of pushes of an object that nobody can turn [s]: the median of turns, as the bench prints it."""
+
+
+class Judged(NamedTuple):
+    """One answer: status ok or not, NAD [%], and the part of its 90 % intervals that hold."""
+
+    ok: bool
+    nad: float
+    hold: float
+
+
+def made(model: ObjectModel, policy: ActionPolicy, refused: dict[Action, str], seconds: float) -> list[Trajectory]:
+    """Clean trials that a policy asks for, until it is content or the robot time is over."""
+    found: list[Trajectory] = []
+    with SimulationRunner() as runner:
+        while spent_seconds(model.shape, found) < seconds and (action := policy.next(model.shape, found)) is not None:
+            try:
+                found.append(runner.run_clean(Trial(model, action)))
+            except InfeasibleTrialError as error:
+                refused[action] = told(str(error))
+    return [trial for trial in found if trial.ok]
+
+
+def turns_of(model: ObjectModel) -> list[Trajectory]:
+    """Turns and accelerated turns as the scenario `random` has them; none where no grasp can be used."""
+    try:
+        grasps = feasible_grasps(model.name, Policy().check(model, SimulationSettings()))
+    except InfeasibleTrialError:
+        return []
+    refused: dict[Action, str] = {}
+    turning = replace(RANK_DRIVEN["reversed_pairs"], pivots=4, duration=9.0, accelerated=4, grasps=grasps)
+    return made(model, replace(turning, refused=refused), refused, np.inf)
+
+
+def judged(model: ObjectModel, clean: Sequence[Trajectory], sensor: str) -> Judged:
+    """The answer from trials under one draw of a sensor; not ok without trials."""
+    sensing = preset(sensor)
+    trials = [draw_sensing(trial, sensing, index) for index, trial in enumerate(clean)]
+    try:
+        found = HiddenStates().estimate(model.shape, read_scale(model.total_mass, sensing, [0]), trials, 0)
+    except HeftError:
+        return Judged(False, np.nan, np.nan)
+    if found.distribution is None or found.covariance is None:
+        return Judged(False, np.nan, np.nan)
+    off = np.abs(found.distribution.mass - model.truth.mass)
+    hold = float(np.mean(off <= 1.645 * np.sqrt(np.diag(found.covariance)) + 1e-9))
+    nad = normalized_absolute_difference(model.shape, found.distribution, model.truth)
+    return Judged(found.status == "ok", 100 * nad, hold)
+
+
+def answers(index: int) -> tuple[str, float, dict[tuple[str, str], Judged]]:
+    """An object's name, the robot time of its turns [s], and its answers by kind of trial and sensor."""
+    torch.set_num_threads(1)
+    family = load_scenario("random")[1].random[0]
+    model = family.draw(index, 0).build(3, Path(asset_folder("objects")))
+    turned = turns_of(model)
+    seconds = spent_seconds(model.shape, turned)
+    refused: dict[Action, str] = {}
+    pushed = made(model, RandomPushes(100, index, refused), refused, seconds or TURNING_S)
+    kinds = {"turns": turned, "pushes": pushed}
+    return (
+        model.name,
+        seconds,
+        {(kind, sensor): judged(model, kinds[kind], sensor) for kind in kinds for sensor in SENSORS},
+    )
+
+
+def rows(every: Sequence[dict[tuple[str, str], Judged]]) -> Iterator[tuple[str, ...]]:
+    """Rows of the table."""
+    for sensor in SENSORS:
+        open_to = [not each["turns", sensor].ok for each in every]
+        for kind in ("turns", "pushes"):
+            found = [each[kind, sensor] for each in every]
+            known = [one for one in found if one.ok]
+            others = [one.nad for one, turned in zip(found, open_to, strict=True) if turned and one.ok]
+            yield (
+                sensor,
+                kind,
+                f"{len(known)} of {len(found)}",
+                f"{np.median([one.nad for one in known]):.2g}" if known else "-",
+                f"{np.median(others):.2g} ({len(others)})" if others else "-",
+                f"{100 * np.mean([one.hold for one in known]):.0f}" if known else "-",
+            )
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--objects", type=int, default=20)
+    parser.add_argument("--workers", type=int, default=2)
+    given = parser.parse_args()
+    every, turning = [], []
+    with ProcessPoolExecutor(given.workers, mp_context=get_context("spawn")) as pool:
+        for name, seconds, found in pool.map(answers, range(given.objects)):
+            print(f"{name}: turns of {seconds:.0f} s", *(f"{one.nad:.2g}" for one in found.values()), flush=True)
+            every.append(found)
+            turning += [seconds] * (seconds > 0)
+    table = Table(box=box.SIMPLE, title=f"NAD, %, in equal robot time, {np.median(turning):.0f} s in the median")
+    for heading in ("sensor", "trials", "ok", "NAD", "NAD without turns", "90 % hold"):
+        table.add_column(heading, justify="left" if heading in ("sensor", "trials") else "right")
+    for row in rows(every):
+        table.add_row(*row)
+    Console(width=110).print(table)
+
+
+if __name__ == "__main__":
+    main()

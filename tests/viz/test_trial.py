@@ -12,8 +12,10 @@ import rerun as rr
 import rerun.blueprint as rrb
 from numpy.testing import assert_allclose, assert_array_equal
 
+from scenarios.results.files import write_json
 from scenarios.views.pages import page_of, trial_page
 from scenarios.views.values import POSES_EVERY, friction_of, trial_view, wrench_fit
+from testbed.actions.push import Push
 from testbed.errors import HeftError, InvalidValueError
 from testbed.frames import rotation_2d
 from testbed.objects.colors import group_color
@@ -23,6 +25,7 @@ from testbed.sensing.noise import draw_sensing
 from testbed.sensing.presets import preset
 from testbed.trajectory import Phase, load_trajectory, save_trajectory
 from tests.helpers.chunks import Entity, read_chunks, verify
+from tests.helpers.recorded import put_trial
 from viz.recordings.page import SIM_TIME, Page, save
 from viz.recordings.trial import FOOT_ARROW, WRENCH
 from viz.values import TrialView
@@ -128,6 +131,19 @@ def test_arrows_at_the_feet_are_the_tables_forces(entities, view):
     assert_allclose(normal[..., 2], FOOT_ARROW * feet.force[..., 2], atol=1e-6)
     size = np.linalg.norm(feet.force[..., :2], axis=-1)
     assert_allclose(np.linalg.norm(friction, axis=-1), FOOT_ARROW * size, atol=1e-6)
+
+
+def test_a_push_is_drawn_with_its_fingertip(tmp_path):
+    key = put_trial(tmp_path, "L2", Push((-0.05, 0.01), 0.0, speed=0.05, length=0.06))
+    write_json(tmp_path / "manifest.json", {"scenario": {"sensing": ["ideal"]}})
+    pushed = trial_view(tmp_path, key)
+    save(page_of(tmp_path, key), tmp_path / "push.rrd")
+    entities = read_chunks(tmp_path / "push.rrd")
+    (path,) = (name for name in entities if name.endswith("scene/fingertip"))
+    place = values(entities, path, "Points3D:positions")
+    trajectory = pushed.trajectory
+    assert_allclose(place[:, :2], trajectory.tcp_position[:, :2], atol=1e-6)
+    assert np.abs(place[trajectory.segment >= 0, 2] - Push.height(pushed.shape)).max() < 5e-4
 
 
 def test_states_mark_the_phases_and_the_steady_window(entities, view):

@@ -12,6 +12,7 @@ from jaxtyping import Bool, Float
 from rerun_loader_mjcf import MJCFLogger
 from scipy.spatial.transform import Rotation
 
+from testbed.actions.push import Push
 from testbed.foot_forces import FootForces
 from testbed.frames import rotation_2d
 from testbed.objects.colors import group_color
@@ -37,7 +38,13 @@ def log_trial(stream: rr.RecordingStream, root: str, view: TrialView) -> None:
     force = HAND_ARROW * trajectory.wrench_on_object_world[:, :3]
     hand = node / "scene/gripper_force"
     hand.log(rr.Arrows3D.from_fields(colors=style.rgb(style.OBJECT_VELOCITY), radii=0.003))
-    hand.send_timed(trajectory.time_s, rr.Arrows3D.columns(origins=trajectory.tcp_position, vectors=force))
+    place = np.array(trajectory.tcp_position)
+    if isinstance(push := trajectory.action, Push):
+        place[:, 2] += push.height(view.shape) - np.median(place[trajectory.segment >= 0, 2])
+        tip = node / "scene/fingertip"
+        tip.log(rr.Points3D.from_fields(colors=style.rgb(style.OBJECT_VELOCITY), radii=push.radius))
+        tip.send_timed(trajectory.time_s, rr.Points3D.columns(positions=place))
+    hand.send_timed(trajectory.time_s, rr.Arrows3D.columns(origins=place, vectors=force))
     if view.feet is not None:
         _log_feet(node / "scene/object/feet", view, view.feet)
     _log_fit(node / "wrench", view.fit)

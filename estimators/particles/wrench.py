@@ -140,7 +140,8 @@ def predicted_wrenches(
 ) -> list[Float[np.ndarray, "T 3"]]:
     """Force x, y (N) and torque about the grasp point (N m), object axes, that the measured motion takes.
 
-    Every mass group rests on its own weight, and on the measured load of the gripper.
+    Every mass group rests on its own weight, an object with a part in the air as one rigid body, and on the measured
+    load of the gripper.
 
     Args:
         shape: geometry.
@@ -152,7 +153,8 @@ def predicted_wrenches(
     if windows is None:
         return predicted
     model = ParticleModel.of(shape)
-    wrenches = WrenchModel.of(model, windows, AffineLoads.of(shape, model, windows), ModelErrors.pivot_error).wrench(
+    loads = AffineLoads.of(shape, model, windows, LOADS["own_weight" if shape.stands_in_groups else "rigid"])
+    wrenches = WrenchModel.of(model, windows, loads, ModelErrors.pivot_error).wrench(
         torch.tensor(distribution.mass), torch.tensor(distribution.friction)
     )
     for index in sorted(set(windows.trial.tolist())):

@@ -58,7 +58,8 @@ def trial_view(folder: Path, key: str, *, seed: int = 0, meshes: bool = True) ->
         trajectory = sensed_trials(Store(folder), (record.folder.name,), sensing, seed)[0]
         sensor = f"{sensing}, draw {seed}"
     model = record.object.truth if trajectory.simulated else None
-    called = "the true masses, each on its own weight"
+    apart = record.object.shape.stands_in_groups
+    called = f"the true masses, {'each on its own weight' if apart else 'one rigid body'}"
     return view_of(record, trajectory, record.object.shape, model, called, {"sensing": sensor}, meshes=meshes)
 
 

@@ -8,6 +8,7 @@ import pytest
 import trimesh
 
 from estimators.hidden_states.estimator import HiddenStates
+from estimators.particles.wrench import predicted_wrenches
 from estimators.testing.analytic_world import drawn_object
 from testbed import RIGID, InfeasibleTrialError, Push, SimulationRunner, Trial, draw_sensing, preset
 from testbed.frames import rotation_2d
@@ -16,6 +17,7 @@ from testbed.objects.meshes import Part, mesh_object
 from testbed.objects.model import GRAVITY, STROKE
 from testbed.robot.path import starting_pose
 from testbed.sensing.push_windows import push_windows, touching
+from testbed.sensing.windows import wrench_in_object
 from testbed.simulation.rendering import Playback
 
 BLOCKS = drawn_object(3, ["11", "11", "11"])
@@ -108,7 +110,12 @@ def test_a_plate_of_a_millimeter_is_pushed_by_its_edge():
     x, y = min((face.begin[0] for face in faces(plate.shape)), default=0.0), float(plate.center_of_mass[1])
     clean = RUNNER.run_clean(Trial(plate, Push((float(x), y), 0.0, speed=0.05), RIGID))
     assert clean.ok and clean.reason == ""
-    for window in push_windows(draw_sensing(clean, preset("ideal"), 0)):
+    drawn = draw_sensing(clean, preset("ideal"), 0)
+    predicted = predicted_wrenches(plate.shape, plate.truth, [drawn])[0]
+    within = ~np.isnan(predicted[:, 0])
+    missing = predicted[within] - wrench_in_object(drawn)[within][:, [0, 1, 5]]
+    assert within.sum() > 100 and np.abs(missing.mean(axis=0)).max() < 0.02 * 0.5 * plate.total_mass * GRAVITY
+    for window in push_windows(drawn):
         carried = plate.total_mass * GRAVITY - window.wrench[2]
         assert window.wrench[0] == pytest.approx(0.5 * carried, rel=0.02)
         assert window.point is not None and window.point == pytest.approx([x - 0.006, y], abs=2e-3)

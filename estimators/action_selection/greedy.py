@@ -28,6 +28,8 @@ PASSES = 4
 """Passes of exchange over a whole plan."""
 STARTS = 2
 """Plans that exchange begins with."""
+NOTHING = 'there is nothing to grip, or nothing within reach; a scenario with [policy] kind = "push" pushes it'
+"""Why there is no action."""
 DRAWN_PER_TRIAL = 20
 """Actions that a random plan may draw for each trial."""
 
@@ -105,7 +107,7 @@ def greedy_choice(
     Where a candidate meets the goal by itself, it is the shortest that does.
     """
     if not design.candidates:
-        return None, "there is nothing to grip, or nothing within reach"
+        return None, NOTHING
     after, seconds = design.values_after(belief), design.seconds(done[-1] if done else None)
     now = design.value(belief)
     gain = np.log(now / np.maximum(after, 1e-300))
@@ -145,7 +147,7 @@ def greedy_plan(design: Design, before: Belief, goal: Goal, log: FeasibilityLog)
 def random_plan(design: Design, before: Belief, goal: Goal, log: FeasibilityLog) -> Plan:
     """Plan of candidates as they come, where they are feasible and there is time for them."""
     steps: list[PlanStep] = []
-    belief, spent, why = before, 0.0, "there is nothing to grip, or nothing within reach"
+    belief, spent, why = before, 0.0, NOTHING
     for index, action in enumerate(design.candidates):
         if why := goal.ended(belief, len(steps)):
             break
@@ -164,7 +166,7 @@ def rank_driven_plan(
     actions = replace(RANK_DRIVEN[kind], grasps=grasps, seed=seed).predicted_actions(shape)
     before = prior_belief(shape, guess)
     if not actions:
-        return Plan(before, (), "there is nothing to grip")
+        return Plan(before, (), NOTHING)
     whole = Plan.of(Design.of(shape, actions, guess), before, range(len(actions)), "the policy asks for no more")
     belief, spent = before, 0.0
     for count, step in enumerate(whole.steps):

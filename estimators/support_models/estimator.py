@@ -29,6 +29,9 @@ UNFIT = 1e-4
 """p-value below which the materials given are taken not to be the object's."""
 NARROW = 0.1
 """Width of the widest range, as a part of M, below which the masses of one rigid body are taken as determined."""
+MISSED = 3.0
+"""Standard errors by which every map of masses >= 0 may miss what was measured, before an answer is `unexplained`: at
+the edge of what masses can make, the errors that are claimed shrink to nothing."""
 MOST_LISTED = 8
 """Ranges that a message lists."""
 
@@ -108,6 +111,9 @@ class SupportAware:
             NARROW * weight
         ):
             answer = replace(answer, status="ok", message="")
+        if answer.diagnostics["polytope_miss"] > MISSED:
+            why = f"no masses of the parts have the {known} that were measured: an error is larger than stated"
+            return replace(answer, status="unexplained", message=_joined(why, answer.message))
         if fit.misfit > UNLIKE * len(fit.target):
             why = "one rigid body on its points of contact does not explain the wrenches"
             return replace(answer, status="unexplained", message=_joined(why, answer.message))

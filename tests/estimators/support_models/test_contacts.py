@@ -84,6 +84,18 @@ def test_three_points_show_all_that_can_be_known():
         assert answer.diagnostics[f"least_{group}_kg"] <= mass <= answer.diagnostics[f"most_{group}_kg"]
 
 
+def test_a_center_of_mass_that_no_parts_can_have_is_told():
+    """Parts a third as long about the head have no masses with the center of mass that is felt."""
+    obj = tool(THREE)
+    shape = obj.shape
+    left = shape.particles[:, 0].min()
+    shrunk = shape.particles.copy()
+    shrunk[~shape.is_contact, 0] = left + (shrunk[~shape.is_contact, 0] - left) / 3
+    answer = SupportAware().estimate(replace(shape, particles=shrunk), obj.total_mass, felt(obj), 0)
+    assert answer.status == "unexplained" and answer.message.startswith("no masses of the parts have the M, c and I_cm")
+    assert answer.diagnostics["polytope_miss"] > 3
+
+
 def test_algorithm_1_stands_back_from_one_body():
     obj = tool(THREE)
     assert not ParticleModel.of(obj.shape).stands_in_groups and not obj.shape.stands_in_groups

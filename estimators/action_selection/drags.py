@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from estimators.action_selection.pushes import TRIES
+from estimators.action_selection.pushes import TRIES, untried
 from testbed.actions.base import Action
 from testbed.actions.rotate import Rotate
 from testbed.actions.slide import Slide
@@ -37,9 +37,7 @@ class RandomDrags:
         if sum(t.ok for t in trajectories) >= self.drags:
             return None
         grasps = tuple(range(len(shape.grasps))) if self.grasps is None else self.grasps
-        tried = {*self.refused, *(t.action for t in trajectories)}
-        drawn = random_drags(shape, grasps, TRIES * self.drags, self.seed)
-        return next((drag for drag in drawn if drag not in tried), None)
+        return untried(random_drags(shape, grasps, TRIES * self.drags, self.seed), self.refused, trajectories)
 
 
 def random_drags(shape: ObjectShape, grasps: Sequence[int], count: int, seed: int) -> list[Slide | Rotate]:

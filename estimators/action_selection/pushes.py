@@ -42,9 +42,15 @@ class RandomPushes:
         """Next push; None when done."""
         if sum(t.ok for t in trajectories) >= self.pushes:
             return None
-        tried = {*self.refused, *(t.action for t in trajectories)}
-        drawn = random_pushes(shape, TRIES * self.pushes, self.seed)
-        return next((push for push in drawn if push not in tried), None)
+        return untried(random_pushes(shape, TRIES * self.pushes, self.seed), self.refused, trajectories)
+
+
+def untried(
+    drawn: Sequence[Action], refused: Mapping[Action, str], trajectories: Sequence[Trajectory]
+) -> Action | None:
+    """The first of some drawn actions that was neither refused nor made; None where all were."""
+    tried = {*refused, *(t.action for t in trajectories)}
+    return next((action for action in drawn if action not in tried), None)
 
 
 def random_pushes(shape: ObjectShape, count: int, seed: int) -> list[Push]:

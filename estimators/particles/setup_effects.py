@@ -105,8 +105,8 @@ def shared_and_own(effects: Columns, windows: Observations) -> tuple[Float[Tenso
 def sticking(windows: Observations, model: ParticleModel, drag: Float[Tensor, "K P"]) -> Float[Tensor, "K 3 3"]:
     """Covariance of pushes from feet so slow that they stick: of a part SLOW^2 / (v^2 + SLOW^2) of their drag."""
     lever = windows.lever(model)
-    velocity = windows.twists[..., None, :2] + windows.twists[..., 2, None, None] * turned(lever)[:, None]
-    stuck = (SLOW**2 / (velocity.square().sum(-1) + SLOW**2)).mean(1) * windows.pushed[:, None]
+    square = windows.velocity_by_part(lever).square().sum(-1)
+    stuck = (SLOW**2 / (square + SLOW**2)).mean(1) * windows.pushed[:, None]
     along = torch.eye(2, dtype=torch.float64).expand(*lever.shape, 2)
     pull = torch.cat([along, turned(lever)[..., None, :]], -2) * (stuck * drag)[..., None, None]
     return torch.einsum("kpij,kplj->kil", pull, pull)

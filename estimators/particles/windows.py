@@ -172,6 +172,10 @@ class Observations:
             return LinkedParticles.of(self, model).velocity.mean(1)
         return self.twist[:, None, :2] + self.twist[:, None, 2:] * turned(self.lever(model))
 
+    def velocity_by_part(self, lever: Float[Tensor, "K P 2"]) -> Float[Tensor, "K S P 2"]:
+        """Velocity of points at a `lever` (m) from the grasp point over each of the parts, m/s; of a rigid object."""
+        return self.twists[..., None, :2] + self.twists[..., 2, None, None] * turned(lever)[:, None]
+
     def drag_directions(self, model: ParticleModel) -> Float[Tensor, "K P 2"]:
         """Direction of each particle's mean velocity, along which friction drags."""
         return direction(self.particle_velocity(model))
@@ -234,9 +238,7 @@ class Observations:
         self, lever: Float[Tensor, "K P 2"], pivot_error: float
     ) -> tuple[Float[Tensor, "K S P 2"], Float[Tensor, "K S P"]]:
         """Velocity of each particle in each part of a window, and its speed, blurred by the pivot's error."""
-        spin = self.twists[..., 2, None]
-        velocity = self.twists[..., None, :2] + spin[..., None] * turned(lever)[:, None]
-        fade = pivot_error * spin.abs()
+        velocity, fade = self.velocity_by_part(lever), pivot_error * self.twists[..., 2, None].abs()
         return velocity, (velocity.square().sum(-1) + fade.square() + 1e-18).sqrt()
 
     def com_acceleration(self, com: Float[Tensor, "... 2"]) -> Float[Tensor, "... K 2"]:

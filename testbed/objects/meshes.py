@@ -160,6 +160,12 @@ def mesh_object(
     return ObjectModel(name, shape, MassDistribution(mass / per_group, np.asarray(friction)), solids)
 
 
+def manifold(vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]) -> Manifold | None:
+    """A closed body, or None where an edge has more sides one way than the other."""
+    made = Manifold(Mesh64(np.array(vertices, dtype=float, order="C"), np.array(faces, dtype=np.uint64, order="C")))
+    return made if made.status() == Error.NoError and not made.is_empty() else None
+
+
 def joined(meshes: Sequence[trimesh.Trimesh]) -> trimesh.Trimesh:
     """Several surfaces as one, no vertex of two of them merged."""
     starts = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes[:-1])])
@@ -171,8 +177,8 @@ def _sides(meshes: Sequence[trimesh.Trimesh]) -> Float[np.ndarray, "K 2 2"]:
     """Sides of the outline below `TIP_REACH`, seen from above; none of a surface that meets itself."""
     seen = []
     for mesh in meshes:
-        body = Manifold(Mesh64(np.array(mesh.vertices, order="C"), np.array(mesh.faces, dtype=np.uint64, order="C")))
-        if body.status() != Error.NoError:
+        body = manifold(mesh.vertices, mesh.faces)
+        if body is None:
             return np.ones((0, 2, 2))
         seen.append(body.trim_by_plane((0, 0, -1), -TIP_REACH).project())
     outline = sum(seen[1:], seen[0])

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import trimesh
 from jaxtyping import Float, Int
-from manifold3d import Error, Manifold, Mesh64, OpType
+from manifold3d import Manifold, OpType
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
@@ -20,6 +20,7 @@ from trimesh.visual import ColorVisuals
 
 from testbed.errors import InvalidValueError, short
 from testbed.files import read_file
+from testbed.objects.meshes import manifold
 from testbed.objects.model import TOUCH
 
 FORMATS = ("stl", "obj", "ply", "off", "glb", "3mf")
@@ -220,7 +221,7 @@ def _shell(vertices: np.ndarray, faces: np.ndarray) -> tuple[Manifold | None, st
     vertices, faces = vertices[used], faces.reshape(-1, 3)
     a, b, c = faces.T
     faces = faces[(a != b) & (b != c) & (c != a)]
-    found = _manifold(vertices, faces)
+    found = manifold(vertices, faces)
     if found is not None:
         return found, ""
     mended: list[str] = []
@@ -228,7 +229,7 @@ def _shell(vertices: np.ndarray, faces: np.ndarray) -> tuple[Manifold | None, st
     if (copies > 1).any():  # a copy, or an inner wall of two triangles back to back
         mended.append(f"{int((copies - 1).sum())} doubled triangles taken out")
         for kept in (faces[place[copies % 2 == 1]], faces[place]):
-            if (found := _manifold(vertices, kept)) is not None:
+            if (found := manifold(vertices, kept)) is not None:
                 return found, mended[0]
         faces = faces[place]
     if len(faces) < 4:
@@ -241,16 +242,10 @@ def _shell(vertices: np.ndarray, faces: np.ndarray) -> tuple[Manifold | None, st
     vertices, faces, holes = _filled(vertices, faces)
     if holes:
         mended.append(f"{holes} hole{'s' * (holes > 1)} filled")
-    found = _manifold(vertices, faces)
+    found = manifold(vertices, faces)
     if found is None:
         return None, f"a piece of {len(a)} triangles that encloses nothing left out"
     return found, ", ".join(mended)
-
-
-def _manifold(vertices: np.ndarray, faces: np.ndarray) -> Manifold | None:
-    """A closed body, or None where an edge has more sides one way than the other."""
-    made = Manifold(Mesh64(np.array(vertices, dtype=float, order="C"), np.array(faces, dtype=np.uint64, order="C")))
-    return made if made.status() == Error.NoError and not made.is_empty() else None
 
 
 def _halves(faces: np.ndarray) -> Int[np.ndarray, "E 2"]:
@@ -284,7 +279,7 @@ def _without_cavities(shells: list[tuple[Manifold, np.ndarray]], told: list[str]
         if shell.volume() >= 0:
             continue
         mesh = as_mesh(shell)
-        turned = _manifold(mesh.vertices, mesh.faces[:, ::-1])
+        turned = manifold(mesh.vertices, mesh.faces[:, ::-1])
         if turned is None:
             continue
         held = [k for k, (body, _) in enumerate(bodies) if (body ^ turned).volume() > 0.99 * turned.volume()]

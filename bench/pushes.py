@@ -1,10 +1,11 @@
 """Pushes against turns at equal robot time: python bench/pushes.py [--objects N] [--workers N].
 
-Drawn objects of the scenario `random`, with those that no hand can turn, for which it draws others. Each
-is turned as there, where it can be, and pushed at random places for as long; without turns, for as long as the turns of
-an object take in the middle. Answers are of `hidden_states` in an ideal world, under an FT-300S and a camera that sees
-exactly, and under one with a camera of 30 frames a second. Columns: objects with an answer that has status ok, median
-NAD of these in percent and of those that turns leave without one, and the 90 % intervals that hold.
+Drawn objects of the scenario `random`, with those that no hand can turn, for which it draws others. Each is turned as
+there, where it can be, and pushed for as long: at random places (`pushes`), or where a greedy plan has it for an
+FT-300S and its camera (`planned pushes`); `planned` is of pushes and turns. An object without turns has as long as
+the turns of another in the middle. Answers are of `hidden_states` in an ideal world, under an FT-300S and a camera
+that sees exactly, and under one with a camera of 30 frames a second. Columns: objects with an answer that has status
+ok, median NAD of these in percent and of those that turns leave without one, and the 90 % intervals that hold.
 """
 
 from __future__ import annotations
@@ -23,7 +24,11 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
+from estimators.action_selection.candidates import MOST_PUSHES, ActionFamily
 from estimators.action_selection.cost import spent_seconds
+from estimators.action_selection.design import Guess
+from estimators.action_selection.greedy import PlannedPolicy
+from estimators.action_selection.plan import Goal
 from estimators.action_selection.pushes import RandomPushes
 from estimators.action_selection.rank import RANK_DRIVEN
 from estimators.base import ActionPolicy
@@ -31,7 +36,7 @@ from estimators.evaluation.metrics import normalized_absolute_difference
 from estimators.hidden_states.estimator import HiddenStates
 from scenarios.config import load_scenario
 from scenarios.policies import Policy
-from scenarios.runners import feasible_grasps, told
+from scenarios.runners import FeasibilityCheck, feasible_grasps, told
 from testbed.actions.base import Action
 from testbed.errors import HeftError, InfeasibleTrialError
 from testbed.objects.files import asset_folder
@@ -45,6 +50,10 @@ from testbed.trial import Trial
 
 SENSORS = ("ideal", "ft300s:camera=exact", "ft300s")
 """Sensors of the rows."""
+KINDS = ("turns", "pushes", "planned pushes", "planned")
+"""Kinds of trials of the rows."""
+CANDIDATES = 2000
+"""Actions that a plan of pushes and turns considers."""
 TURNING_S = 160.0
 """Robot time of pushes of an object that nobody can turn [s]: the median of turns, as the bench prints it."""
 
@@ -80,6 +89,16 @@ def turns_of(model: ObjectModel) -> list[Trajectory]:
     return made(model, replace(turning, refused=refused), refused, np.inf)
 
 
+def planned(model: ObjectModel, seconds: float, refused: dict[Action, str], grasps: tuple[int, ...]) -> PlannedPolicy:
+    """The greedy plan of pushes, and of turns and slides by the grasps if there are any, in so much time."""
+    sensing = preset(SENSORS[-1])
+    guess = Guess(read_scale(model.total_mass, sensing, [0]), sensing.stated)
+    count = CANDIDATES if grasps else MOST_PUSHES
+    check = FeasibilityCheck(model.shape, guess, refused=refused)
+    family, goal = ActionFamily(pushes=True), Goal(budget_s=seconds, most=100)
+    return PlannedPolicy(guess, goal=goal, family=family, candidates=count, grasps=grasps, feasible=check)
+
+
 def judged(model: ObjectModel, clean: Sequence[Trajectory], sensor: str) -> Judged:
     """The answer from trials under one draw of a sensor; not ok without trials."""
     sensing = preset(sensor)
@@ -103,9 +122,16 @@ def answers(index: int) -> tuple[str, float, dict[tuple[str, str], Judged]]:
     model = family.draw(index, 0).build(3, Path(asset_folder("objects")))
     turned = turns_of(model)
     seconds = spent_seconds(model.shape, turned)
+    allowed = seconds or TURNING_S
     refused: dict[Action, str] = {}
-    pushed = made(model, RandomPushes(100, index, refused), refused, seconds or TURNING_S)
-    kinds = {"turns": turned, "pushes": pushed}
+    kinds = {"turns": turned, "pushes": made(model, RandomPushes(100, index, refused), refused, allowed)}
+    by = tuple(sorted({trial.action.grasp for trial in turned if trial.action.grasp is not None}))
+    for kind, grasps in (("planned pushes", ()), ("planned", by)):
+        if kind == "planned" and not by:
+            kinds[kind] = kinds["planned pushes"]
+            continue
+        unable: dict[Action, str] = {}
+        kinds[kind] = made(model, planned(model, allowed, unable, grasps), unable, allowed)
     return (
         model.name,
         seconds,
@@ -117,7 +143,7 @@ def rows(every: Sequence[dict[tuple[str, str], Judged]]) -> Iterator[tuple[str, 
     """Rows of the table."""
     for sensor in SENSORS:
         open_to = [not each["turns", sensor].ok for each in every]
-        for kind in ("turns", "pushes"):
+        for kind in KINDS:
             found = [each[kind, sensor] for each in every]
             known = [one for one in found if one.ok]
             others = [one.nad for one, turned in zip(found, open_to, strict=True) if turned and one.ok]

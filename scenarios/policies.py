@@ -35,6 +35,8 @@ from testbed.worlds.setup_errors import EXACT_SETUP, SetupErrors
 Count = Annotated[int, Field(ge=1, le=100_000)]
 POLICIES = (*RANK_DRIVEN, "stop_and_go", "push", "drag", "greedy", "batch", "random", "online")
 """heft's own policies."""
+PLANNED = ("greedy", "batch", "random", "online")
+"""Those that choose among drawn candidates."""
 
 
 @dataclass(frozen=True)
@@ -200,7 +202,16 @@ class Policy(BaseModel):
     @property
     def without_grasp(self) -> Policy | None:
         """The policy for an object that no hand can grip: `pushes` of it; None where it can only be left out."""
-        return None if self.pushes is None or self.lifts else Policy(kind="push", touches=self.pushes, seed=self.seed)
+        if self.pushes is None or (self.lifts and not self.plans):
+            return None
+        if self.plans:
+            return self.model_copy(update={"touches": self.pushes, "lifts": None})
+        return Policy(kind="push", touches=self.pushes, seed=self.seed)
+
+    @property
+    def plans(self) -> bool:
+        """True if it chooses among drawn candidates, pushes among them where `pushes` is given."""
+        return self.kind in PLANNED
 
     @property
     def lifts_last(self) -> int | None:
@@ -271,7 +282,7 @@ class Policy(BaseModel):
         if self.kind not in POLICIES:
             return build_policy(self.kind, self.settings, self.touches, PolicyContext(grasps, weight, check))
         goal = Goal(self.until, self.budget_s, self.touches)
-        family = ActionFamily(lifts=bool(self.lifts))
+        family = ActionFamily(lifts=bool(self.lifts), pushes=self.pushes is not None)
         searched = {"family": family, "candidates": self.candidates, "grasps": grasps, "seed": seed, "feasible": check}
         if self.kind == "online":
             guess = replace(guess, supports=ASSUMED_SUPPORTS[self.thought or "either"])
@@ -299,7 +310,7 @@ class Policy(BaseModel):
             grasps: feasible grasps.
             number: number of the draw that they are for.
         """
-        if not self.grips:
+        if not self.grips or not grasps:
             return grasps, ()
         seed = self.seed + (number if self.redraw else 0)
         spared = held_out_grasp(shape, grasps, seed) if self.held_out else None

@@ -12,6 +12,7 @@ from jaxtyping import Bool, Float, Int
 
 from estimators.base import Trace
 from testbed.actions.base import Action, TableAction
+from testbed.actions.push import Push
 from testbed.errors import InvalidValueError
 from testbed.foot_forces import FootForces
 from testbed.objects.model import MassDistribution, ObjectShape
@@ -197,17 +198,21 @@ class ActionArrow:
     """An action as it is drawn on the object, object frame."""
 
     grasp: Float[np.ndarray, "2"]
-    """Grasp point [m]."""
+    """Grasp point, or where a push meets the object [m]."""
     pivot: Float[np.ndarray, "2"] | None
-    """Center of the turn [m]; None for a slide."""
+    """Center of the turn [m]; None for a slide or a push."""
     way: Float[np.ndarray, "N 2"]
     """Line of the arrow [m]; its head is the last point."""
     accelerated: bool
     """True if the turn is accelerated."""
 
     @staticmethod
-    def of(shape: ObjectShape, action: TableAction) -> ActionArrow:
-        """Arrow along the first part of an action's motion."""
+    def of(shape: ObjectShape, action: TableAction | Push) -> ActionArrow:
+        """Arrow along the first part of an action's motion; of a push, along the way to the object."""
+        if isinstance(action, Push):
+            met = np.array(action.point)
+            heading = np.array([math.cos(action.direction), math.sin(action.direction)])
+            return ActionArrow(met, None, met + WAY * np.outer([-1.0, 0.0], heading), accelerated=False)
         grasp = shape.grasps[action.grasp].position
         if not action.turns:
             return ActionArrow(grasp, None, grasp + WAY * np.outer([0.0, 1.0], action.heading), accelerated=False)
@@ -257,7 +262,7 @@ class PlanView:
     def arrows(self) -> dict[int, ActionArrow]:
         """Arrows of the actions on the table, by their number from 1."""
         numbered = enumerate(self.actions, start=1)
-        return {n: ActionArrow.of(self.shape, a) for n, a in numbered if isinstance(a, TableAction)}  # on a path
+        return {n: ActionArrow.of(self.shape, a) for n, a in numbered if isinstance(a, TableAction | Push)}
 
     @property
     def lifts(self) -> dict[int, Float[np.ndarray, "2"]]:

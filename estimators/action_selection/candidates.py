@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
+from estimators.action_selection.pushes import random_pushes
 from testbed.actions.accelerate import Accelerate
 from testbed.actions.base import Action
 from testbed.actions.lift import Lift
@@ -17,6 +18,7 @@ from testbed.actions.rotate import Rotate
 from testbed.actions.slide import Slide
 from testbed.errors import InvalidValueError
 from testbed.frames import rotation_2d
+from testbed.objects.faces import faces
 from testbed.objects.model import ObjectShape
 from testbed.validation import is_number
 
@@ -24,8 +26,10 @@ REACH = (0.20, 0.70)
 """Least and greatest distance of the TCP from the arm's base [m]; the simulated inverse kinematics fail beyond."""
 SWEEP_POINTS = 7
 """Points of a turn's path that are compared with the reach."""
-SLIDE_PART, ACCELERATED_PART, LIFT_PART = 0.1, 0.02, 0.005
+SLIDE_PART, ACCELERATED_PART, LIFT_PART, PUSH_PART = 0.1, 0.02, 0.005, 0.025
 """Parts of all candidates; the rest are turns."""
+MOST_PUSHES = 200
+"""Most pushes among the candidates: each is followed to its end."""
 
 
 @dataclass(frozen=True)
@@ -46,6 +50,8 @@ class ActionFamily:
     """Turn one way only: shorter, but the sensor's bias stays in."""
     lifts: bool = False
     """Include lifts: only a rigid body can be lifted."""
+    pushes: bool = False
+    """Include pushes; an object without grasps is pushed in any case."""
 
     def __post_init__(self) -> None:
         for name, least in (("duration", 1.5), ("speed_deg_s", 0.0)):
@@ -57,13 +63,14 @@ class ActionFamily:
             raise InvalidValueError("ActionFamily.arm", self.arm, "a finite number >= 0, m")
 
     def sample(self, shape: ObjectShape, grasps: Sequence[int], count: int, seed: int) -> tuple[Action, ...]:
-        """Draw actions that the arm can reach and that keep the object on the table; none where there is no grasp.
+        """Draw actions that the arm can reach and that keep the object on the table, and pushes anywhere.
 
-        Pivots are uniform in direction and distance from the grasp, durations in their logarithm.
+        Pivots are uniform in direction and distance from the grasp, durations in their logarithm; pushes are as
+        published.
 
         Args:
             shape: geometry and grasps.
-            grasps: allowed grasps.
+            grasps: allowed grasps; without any, all actions are pushes.
             count: number of actions; turns that are not possible are drawn again.
             seed: seed of the draw.
 
@@ -72,18 +79,21 @@ class ActionFamily:
         """
         if count < 1:
             raise InvalidValueError("count", count, "an integer >= 1")
+        pushed = (self.pushes or not shape.grasps) and bool(faces(shape))
         if len(grasps) == 0:
-            return ()
+            return tuple(random_pushes(shape, min(count, MOST_PUSHES), seed)) if pushed else ()
         rng = np.random.default_rng(seed)
         allowed = np.asarray(grasps, dtype=int)
         lifts = max(round(LIFT_PART * count), 2 * len(allowed)) if self.lifts else 0
         slides = round(SLIDE_PART * count) if self.slides else 0
         accelerated = max(round(ACCELERATED_PART * count), 1) if self.accelerated else 0
+        pushes = min(max(round(PUSH_PART * count), 1), MOST_PUSHES) if pushed else 0
         return (
             *self._accelerated(shape, allowed, accelerated, rng),
             *self._slides(shape, allowed, slides, rng),
-            *self._turns(shape, allowed, max(count - slides - accelerated - lifts, 1), rng),
+            *self._turns(shape, allowed, max(count - slides - accelerated - lifts - pushes, 1), rng),
             *self._lifts(shape, allowed, lifts, rng),
+            *random_pushes(shape, pushes, seed),
         )
 
     def _turns(

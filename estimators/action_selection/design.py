@@ -24,6 +24,7 @@ from estimators.identifiability.information import (
 )
 from estimators.support_models.fit import FRICTION_PRIOR, prior_masses
 from testbed.actions.base import Action
+from testbed.actions.push import Push
 from testbed.actions.rotate import Rotate
 from testbed.errors import InvalidValueError
 from testbed.objects.model import MassDistribution, ObjectShape
@@ -40,7 +41,8 @@ NORMAL_MEAN = math.sqrt(2 / math.pi)
 LEAST_GAIN = 0.01
 """Least part that a trial must take off the criterion to be worth its time."""
 APART = 0.01
-"""Least distance between centres of turns in one grasp [m]: nearer ones repeat each other, model error included."""
+"""Least distance between centres of turns in one grasp, and between points of pushes [m]: nearer ones repeat each
+other, model error included."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -189,26 +191,27 @@ class Design:
 
     def seconds(self, last: Action | None) -> Float[np.ndarray, "C"]:
         """Robot time of every candidate [s], with the way there from the last action."""
-        way: dict[int | None, float] = {}
-        for action in self.candidates:
-            if action.grasp not in way:
-                way[action.grasp] = self.time.between(self.shape, last, action)
-        return np.array([self.time.of(action) + way[action.grasp] for action in self.candidates])
+        way: dict[int | Action, float] = {}
+        places = [action if action.grasp is None else action.grasp for action in self.candidates]
+        for place, action in zip(places, self.candidates, strict=True):
+            if place not in way:
+                way[place] = self.time.between(self.shape, last, action)
+        return np.array([self.time.of(a) + way[place] for place, a in zip(places, self.candidates, strict=True)])
 
     def novel(self, done: Sequence[Action]) -> np.ndarray:
         """True for each candidate that no action done is the same as, or nearly, (C,).
 
         Accelerated turns and lifts are ruled out before a trial at constant speed: alone they give no answer.
         """
-        # turns at constant speed are compared by grasp and center, other actions as a whole
-        taken = {action for action in done if not isinstance(action, Rotate)}
+        # turns at constant speed are compared by grasp and center, pushes by point, other actions as a whole
+        taken = {action for action in done if not isinstance(action, Rotate | Push)}
         begun = any(steady(action) for action in done)
         keep = np.array([(begun or steady(a)) and a not in taken for a in self.candidates], dtype=bool)
-        turns = [action for action in done if isinstance(action, Rotate)]
-        if turns and keep.size:
+        placed = [action for action in done if isinstance(action, Rotate | Push)]
+        if placed and keep.size:
             mine, where = zip(*[_place(self.shape, a) for a in self.candidates], strict=True)
-            for turn in turns:
-                grasp, point = _place(self.shape, turn)
+            for action in placed:
+                grasp, point = _place(self.shape, action)
                 keep &= (np.array(mine) != grasp) | (np.linalg.norm(np.array(where) - point, axis=1) > APART)
         return keep
 
@@ -233,7 +236,9 @@ def prior_belief(shape: ObjectShape, guess: Guess) -> Belief:
 
 
 def _place(shape: ObjectShape, action: Action) -> tuple[int, np.ndarray]:
-    """Grasp and pivot of a turn; of another action, a place that is near none."""
+    """Grasp and pivot of a turn, point of a push; of another action, a place that is near none."""
+    if isinstance(action, Push):
+        return -2, np.array(action.point)
     if not isinstance(action, Rotate):
         return -1, np.full(2, np.inf)
     return action.grasp, np.array(shape.grasps[action.grasp].position if action.pivot is None else action.pivot)

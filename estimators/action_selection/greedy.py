@@ -28,7 +28,7 @@ PASSES = 4
 """Passes of exchange over a whole plan."""
 STARTS = 2
 """Plans that exchange begins with."""
-NOTHING = 'there is nothing to grip, or nothing within reach; a scenario with [policy] kind = "push" pushes it'
+NOTHING = "there is nothing to grip or to push, or nothing within reach"
 """Why there is no action."""
 DRAWN_PER_TRIAL = 20
 """Actions that a random plan may draw for each trial."""
@@ -88,15 +88,22 @@ class PlannedPolicy:
 
 @lru_cache(maxsize=8)
 def _planned(policy: PlannedPolicy, shape: ObjectShape, failed: tuple[Action, ...]) -> Plan:
-    grasps = range(len(shape.grasps)) if policy.grasps is None else policy.grasps
-    drawn = policy.family.sample(shape, grasps, policy.candidates, policy.seed)
-    candidates = tuple(action for action in drawn if action not in failed)
+    design = _design(policy, shape)
+    kept = [index for index, action in enumerate(design.candidates) if action not in failed]
     if policy.kind == "random":
-        order = np.random.default_rng(policy.seed).permutation(len(candidates))
-        candidates = tuple(candidates[i] for i in order[: DRAWN_PER_TRIAL * policy.goal.most])
-    design = Design.of(shape, candidates, policy.guess, policy.criterion)
+        order = np.random.default_rng(policy.seed).permutation(len(kept))
+        kept = [kept[i] for i in order[: DRAWN_PER_TRIAL * policy.goal.most]]
     search = {"random": random_plan, "greedy": greedy_plan, "batch": batch_plan}[policy.kind]
-    return search(design, prior_belief(shape, policy.guess), policy.goal, FeasibilityLog(policy.feasible))
+    some = design.of_some(kept)
+    return search(some, prior_belief(shape, policy.guess), policy.goal, FeasibilityLog(policy.feasible))
+
+
+@lru_cache(maxsize=2)
+def _design(policy: PlannedPolicy, shape: ObjectShape) -> Design:
+    """All candidates: where actions fail, none is predicted again."""
+    grasps = range(len(shape.grasps)) if policy.grasps is None else policy.grasps
+    candidates = policy.family.sample(shape, grasps, policy.candidates, policy.seed)
+    return Design.of(shape, candidates, policy.guess, policy.criterion)
 
 
 def greedy_choice(

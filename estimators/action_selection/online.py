@@ -105,7 +105,8 @@ class OnlinePolicy:
         belief = prior = prior_belief(shape, guess)
         if not contradictory:  # else no trial can be believed
             count, lifts = len(trajectories), lifts_among(shape, trajectories)
-            trials = [trial_information(shape, at, windows, count, each, lifts) for each in guess.assumptions()]
+            batches = [] if windows is None else [windows]
+            trials = [trial_information(shape, at, batches, count, each, lifts) for each in guess.assumptions()]
             information = np.stack([each.information() for each in trials])
             belief = belief.after(information / (misfit if disagree else 1.0))
         nad, error = _uncertainty(belief, estimate)
@@ -141,16 +142,16 @@ def _for_an_answer(design: Design, done: Sequence[Action], left: float, log: Fea
     """Shortest action of the kind that a method still needs for an answer, where the belief is narrow enough.
 
     First a turn or a slide, then an accelerated turn, which separates masses from frictions, then other turns, as long
-    as there are fewer of them than could be needed.
+    as there are fewer of them than could be needed; of an object without a grasp, pushes.
     """
     turned = sum(steady(action) for action in done)
-    accelerate = turned > 0 and not any(action.accelerated for action in done)
+    accelerate = bool(design.shape.grasps) and turned > 0 and not any(action.accelerated for action in done)
     if not accelerate and turned > design.shape.n_m + design.shape.n_mu:
         return None
     seconds = design.seconds(done[-1] if done else None)
     for index in np.argsort(seconds):
         action = design.candidates[index]
-        kind = action.turns and action.accelerated == accelerate
+        kind = (action.turns or not design.shape.grasps) and action.accelerated == accelerate
         if seconds[index] > left or len(log.answers) >= MOST_CHECKS:
             return None
         if kind and action not in done and not log.refusal(action):

@@ -17,7 +17,8 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from estimators.identifiability.predicted import predicted_lifts, predicted_windows
+from estimators.identifiability.predicted import predicted_lifts, predicted_pushes, predicted_windows
+from estimators.identifiability.quasi_static import Drag
 from estimators.identifiability.report import Identifiability, identifiability
 from estimators.particles.friction_system import wrench_errors
 from estimators.particles.lifts import lift_information, lifts_among
@@ -26,8 +27,10 @@ from estimators.particles.observe import observe
 from estimators.particles.windows import PLANAR, Observations
 from estimators.particles.wrench import ParticleLoads, inertial_map
 from testbed.actions.base import Action
+from testbed.actions.push import Push
 from testbed.actions.rotate import Rotate
 from testbed.errors import InvalidValueError
+from testbed.objects.faces import Face, faces
 from testbed.objects.model import MassDistribution, ObjectShape
 from testbed.sensing.lift_windows import LiftWindow
 from testbed.sensing.presets import Sensing
@@ -42,6 +45,8 @@ LIFT_HEIGHT = 2
 """Errors that trials share first: lift, and height."""
 SAME_POINT = 1e-16
 """Squared distance of equal grasp points, m^2."""
+SURE = 1e-6
+"""Error of the angles by which a push is predicted [rad]."""
 CHUNK = 512
 """Trials that are worked on at once."""
 
@@ -121,7 +126,8 @@ def observed(
     """Report of what trials show of an object with such masses and frictions; arguments as `expected`."""
     assumptions = assumptions or Assumptions()
     windows, lifts = observe(shape, trajectories), lifts_among(shape, trajectories)
-    trials = trial_information(shape, distribution, windows, len(trajectories), assumptions, lifts)
+    batches = [] if windows is None else [windows]
+    trials = trial_information(shape, distribution, batches, len(trajectories), assumptions, lifts)
     return identifiability(shape, distribution, trials.root(shape, assumptions.model_errors.weight_error))
 
 
@@ -144,16 +150,20 @@ def predicted_information(
         assumptions: support model and model errors.
     """
     lifts = predicted_lifts(actions, sensing, assumptions.setup) if assumptions.support == "rigid" else {}
-    windows = predicted_windows(shape, actions, sensing, assumptions.setup)
-    if windows is not None and not windows.setup.none:
-        windows = _felt(windows, shape, distribution, assumptions.support)
-    return trial_information(shape, distribution, windows, len(actions), assumptions, lifts)
+    loads = ParticleLoads.of(shape, distribution, assumptions.support)
+    drag = Drag(shape.particles, loads.load.clamp(min=0.0).numpy(), SURE)
+    each = [
+        predicted_windows(shape, actions, sensing, assumptions.setup),
+        predicted_pushes(shape, drag, actions, sensing, assumptions.setup),
+    ]
+    felt = [w if w.setup.none else _felt(w, loads) for w in each if w is not None]
+    return trial_information(shape, distribution, felt, len(actions), assumptions, lifts)
 
 
 def trial_information(
     shape: ObjectShape,
     distribution: MassDistribution,
-    windows: Observations | None,
+    windows: Sequence[Observations],
     count: int,
     assumptions: Assumptions,
     lifts: Mapping[int, Sequence[LiftWindow]],
@@ -163,18 +173,18 @@ def trial_information(
     Args:
         shape: geometry and grasps.
         distribution: masses and frictions at which it is taken.
-        windows: windows of all trials on the table.
+        windows: windows of all trials on the table, in one batch or more; all of one trial are in the same.
         count: number of trials; one without windows has rows of zeros.
         assumptions: support model and model errors.
         lifts: windows of the lifts, by the number of the trial.
     """
     known = shape.n_m + shape.n_mu
-    setup = EXACT_SETUP if windows is None else windows.setup
+    setup = windows[0].setup if windows else EXACT_SETUP
     unknowns = known + shared_error_count(shape, setup)
     blocks = [(np.array([trial]), _lifted_rows(shape, distribution, lift)[None]) for trial, lift in lifts.items()]
-    if windows is not None:
-        for trials, fields in _by_size(windows, count):
-            blocks.append((trials, _table_rows(shape, distribution, windows, fields, assumptions)))
+    for batch in windows:
+        for trials, fields in _by_size(batch, count):
+            blocks.append((trials, _table_rows(shape, distribution, batch, fields, assumptions)))
     needed, filled = np.zeros(count, dtype=int), np.zeros(count, dtype=int)
     for trials, block in blocks:
         needed[trials] += block.shape[1]
@@ -206,17 +216,27 @@ def shared_error_count(shape: ObjectShape, setup: SetupErrors = EXACT_SETUP) -> 
 @lru_cache(maxsize=32)
 def _setup_error_count(shape: ObjectShape, setup: SetupErrors) -> int:
     """Number of the setup's errors that trials share."""
-    windows = predicted_windows(shape, [Rotate(0, duration=4.0)], Sensing("exact"), setup)
-    assert windows is not None
-    model = ParticleModel.of(shape)
+    model, exact = ParticleModel.of(shape), Sensing("exact")
+    if shape.grasps:
+        windows = predicted_windows(shape, [Rotate(0, duration=4.0)], exact, setup)
+    else:
+        drag = Drag(shape.particles, np.ones(len(shape.particles)), SURE)
+        windows = predicted_pushes(shape, drag, [_straight(face) for face in faces(shape)], exact, setup)
+    if windows is None:  # nothing to hold or to push
+        return 0
     none = torch.zeros(len(windows), 3, 3, dtype=torch.float64)
     of_particle = torch.ones(len(windows), len(shape.particles), dtype=torch.float64)
     return wrench_errors(windows, model, of_particle[0], of_particle, none, ModelErrors())[1].shape[1] - LIFT_HEIGHT
 
 
-def _felt(windows: Observations, shape: ObjectShape, distribution: MassDistribution, support: str) -> Observations:
+def _straight(face: Face) -> Push:
+    """Push straight into the middle of a face."""
+    x, y = (face.begin + face.end) / 2
+    return Push((float(x), float(y)), math.atan2(-face.normal[1], -face.normal[0]))
+
+
+def _felt(windows: Observations, loads: ParticleLoads) -> Observations:
     """Windows with what a sensor over the TCP feels of friction and of I_j: its errors are parts of that."""
-    loads = ParticleLoads.of(shape, distribution, support)
     planar = windows.drag_rows(loads.model, ModelErrors.pivot_error) @ loads.load
     spins = windows.lever(loads.model).square().sum(-1) + loads.model.cell**2 / 6
     planar[:, 2] += (spins @ loads.mass) * windows.acceleration[:, 2]

@@ -9,15 +9,21 @@ from typing import NamedTuple
 import numpy as np
 import torch
 
+from estimators.identifiability.quasi_static import Drag, PushedMotion
 from estimators.particles.support import load_map
 from estimators.particles.windows import Observations
 from testbed.actions.base import Action, TableAction
 from testbed.actions.lift import Lift
+from testbed.actions.path import RAMP_TIME
+from testbed.actions.push import GAP, Push
 from testbed.errors import InvalidValueError
 from testbed.frames import move_wrench, rotation_2d
 from testbed.objects.model import GRAVITY, ObjectShape
+from testbed.sensing.camera import Camera, PoseStream
 from testbed.sensing.lift_windows import LiftWindow
 from testbed.sensing.presets import Sensing
+from testbed.sensing.push_windows import BEGIN, WINDOW, stretches, within_contact
+from testbed.sensing.windows import PARTS as WINDOW_PARTS
 from testbed.sensing.windows import TRIM_END, trim_start
 from testbed.worlds.setup_errors import EXACT_SETUP, SetupErrors
 
@@ -25,6 +31,8 @@ RATE = 100.0
 """Sampling rate [Hz]."""
 BEFORE = 4.3
 """Time from the middle of the tare to the first steady stretch, as in simulation [s]."""
+BEFORE_PUSH = 1.27
+"""Time from the middle of the tare to the start of a push, as in simulation [s]."""
 BETWEEN = 0.8
 """Time from a turn to its turn back [s]."""
 TARED = 0.33
@@ -35,25 +43,33 @@ TOOL_MASS, TOOL_COM = 0.925, 0.06
 """Mass of the tool [kg], and the distance of its center of mass from the sensor [m]: of a Robotiq 2F-85."""
 PARTS = 5
 """Parts of a window at whose middles its pose is taken."""
+STEP = WINDOW / WINDOW_PARTS
+"""Step of the motion of a push [s]."""
 HEIGHT = 0.022
 """Height of the TCP over the table [m]."""
 
 
 class _Stretch(NamedTuple):
-    """Steady stretch: twist and angular acceleration of the grasp point, object axes, and time since the tare [s]."""
+    """Steady stretch of one action: motion of the point where the object is held or pushed, object axes."""
 
-    twist: tuple[float, float, float]
-    alpha: float
-    begin: float
-    end: float
-    poses: tuple[tuple[float, float, float], ...]
-    """Place of the grasp point, m, and yaw of the object, rad, over the stretch; the motion's middle is the origin."""
+    trial: int
+    since_tare: tuple[float, float]
+    twists: np.ndarray
+    """Twist over each of S parts, (S, 3)."""
+    acceleration: np.ndarray
+    spin_square: float
+    place: np.ndarray
+    held: tuple[int, int]
+    poses: np.ndarray
+    """Place of the TCP, m, and yaw of the object, rad, over parts of the stretch, (parts, 3)."""
+    accelerated: bool
+    seen: np.ndarray = np.zeros((9, 0))
 
 
 def predicted_windows(
     shape: ObjectShape, actions: Sequence[Action], sensing: Sensing, setup: SetupErrors = EXACT_SETUP
 ) -> Observations | None:
-    """Windows of the actions on the table, wrenches left at zero, trials numbered by all actions; None without any.
+    """Windows of the slides and turns, wrenches left at zero, trials numbered by all actions; None without any.
 
     The gripper carries nothing, as after nulling, as far as the sensor can tell. All trials have one middle.
 
@@ -63,52 +79,116 @@ def predicted_windows(
     if shape.chain is not None:
         allowed = 'a rigid object: how links would trail is not predicted; policy "drag" draws slides and turns'
         raise InvalidValueError("object", "one with hinges", allowed)
-    places = np.array([grasp.position for grasp in shape.grasps]).reshape(-1, 2)
-    held = np.array([shape.pressed(grasp) for grasp in shape.grasps]).reshape(-1, 2)
-    at, stretches, trial, grasp = [tuple(place) for place in places.tolist()], [], [], []
+    held, found = [shape.pressed(grasp) for grasp in shape.grasps], []
     for index, action in enumerate(actions):
         if not isinstance(action, TableAction):  # the others have no such windows
             continue
         if action.grasp >= len(shape.grasps):
             raise InvalidValueError("action.grasp", action.grasp, f"one of the shape's {len(shape.grasps)} grasps")
-        found = _stretches(at[action.grasp], shape, action)
-        stretches += [(stretch, action.accelerated) for stretch in found]
-        trial += [index] * len(found)
-        grasp += [action.grasp] * len(found)
-    if not stretches:
+        found += _stretches(shape, index, action, held[action.grasp])
+    return _observations(found, sensing, setup) if found else None
+
+
+def predicted_pushes(
+    shape: ObjectShape,
+    drag: Drag,
+    actions: Sequence[Action],
+    sensing: Sensing,
+    setup: SetupErrors = EXACT_SETUP,
+) -> Observations | None:
+    """Windows of the pushes, as `predicted_windows`, of an object that moves as its drag lets it; None without any.
+
+    A push that slips off before a window is over has none.
+
+    Args:
+        shape: geometry.
+        drag: friction under the object, true or guessed.
+        actions: actions.
+        sensing: errors of the sensor and its camera.
+        setup: errors of the setup as stated.
+    """
+    pushes = {index: action for index, action in enumerate(actions) if isinstance(action, Push)}
+    if not pushes:
         return None
-    count = len(stretches)
+    found = []
+    for (index, push), motion in zip(pushes.items(), drag.motion(shape, list(pushes.values()), STEP), strict=True):
+        if len(motion.time_s) < 2:
+            continue
+        kept = within_contact(motion.time_s)[:-1]  # each stands for the step after it
+        camera, met = _stream(motion, sensing.camera), BEFORE_PUSH + RAMP_TIME / 2 + GAP / push.speed
+        within = (BEGIN / 2, float(motion.time_s[-1]))
+        for part, stretch in stretches(motion.time_s[kept], motion.places[kept], camera, within):
+            begin, end = motion.time_s[kept[part[[0, -1]]]] + met
+            seen = stretch.motion
+            group = int(shape.mass_group[np.linalg.norm(shape.particles - seen["point"], axis=1).argmin()])
+            found.append(
+                _Stretch(
+                    index,
+                    (begin, end),
+                    seen["twists"],
+                    seen["acceleration"],
+                    seen["spin_square"],
+                    seen["point"],
+                    (group, group),
+                    seen["poses"],
+                    accelerated=False,
+                    seen=seen["seen"],
+                )
+            )
+    return _observations(found, sensing, setup) if found else None
+
+
+def _stream(motion: PushedMotion, camera: Camera) -> PoseStream:
+    """What a camera would see, without its errors: it states them."""
+    time, poses = motion.time_s, motion.poses
+    if camera.rate:
+        frames = np.arange(time[0], time[-1], 1 / camera.rate)
+        time, poses = frames, np.column_stack([np.interp(frames, time, each) for each in poses.T])
+    return PoseStream(time, poses[:, None], camera.position, camera.angle, camera.delay_std)
+
+
+def _observations(found: list[_Stretch], sensing: Sensing, setup: SetupErrors) -> Observations:
+    """The windows of some stretches, all held or all pushed."""
+    count, pushed = len(found), found[0].seen.shape[1] > 0
     noise, bias, drift = (torch.tensor(each).expand(count, 6, 6) for each in sensor_at_tcp(sensing))
-    since_tare = torch.tensor([(s.begin, s.end) for s, _ in stretches], dtype=torch.float64)
-    twist = torch.tensor([s.twist for s, _ in stretches], dtype=torch.float64)
-    zeros = torch.zeros(count, 3, dtype=torch.float64)
-    sensor = torch.tensor(_to_tcp())
+    since_tare, twists, acceleration, poses, place, seen = (
+        torch.tensor(np.array([getattr(each, name) for each in found]), dtype=torch.float64)
+        for name in ("since_tare", "twists", "acceleration", "poses", "place", "seen")
+    )
+    zeros, yaw = torch.zeros(count, 6, dtype=torch.float64), poses[:, [0, -1], 2]
+    kept = 1.0 if pushed else float(sensing.force_bias == 0)
+    sensor = torch.tensor(_to_tcp()).expand(count, 6, 6)
+    if pushed:  # the hand does not turn with the object
+        into = torch.tensor(rotation_2d(-poses[:, WINDOW_PARTS // 2, 2].numpy()))
+        axes = torch.eye(6, dtype=torch.float64).repeat(count, 1, 1)
+        axes[:, :2, :2] = axes[:, 3:5, 3:5] = into
+        sensor = axes @ sensor
     return Observations(
         setup=setup,
-        wrench=zeros,
+        wrench=zeros[:, :3],
         noise=noise / since_tare.diff()[..., None],
         bias=bias,
         drift=drift,
         since_tare=since_tare,
-        twist=twist,
-        twists=twist[:, None],
-        acceleration=torch.tensor([(0.0, 0.0, s.alpha) for s, _ in stretches], dtype=torch.float64),
-        spin_square=twist[:, 2].square(),
-        grasp=torch.tensor(places[grasp]),
+        twist=twists.mean(1),
+        twists=twists,
+        acceleration=acceleration,
+        spin_square=torch.tensor([each.spin_square for each in found], dtype=torch.float64),
+        grasp=place,
         lift=zeros[:, 0],
         tilt=zeros[:, :2],
-        yaw=zeros[:, :2],
-        poses=torch.tensor([s.poses for s, _ in stretches], dtype=torch.float64),
-        sensed=torch.zeros(count, 6, dtype=torch.float64),
-        from_sensor=sensor.expand(count, 6, 6),
+        yaw=yaw if pushed else zeros[:, :2],
+        poses=poses,
+        sensed=zeros,
+        from_sensor=sensor,
         load_map=torch.tensor(load_map(HEIGHT)).expand(count, 3, 6),
-        load_kept=torch.full((count, 3), float(sensing.force_bias == 0), dtype=torch.float64),
-        load_followed=zeros + 1,
-        held=torch.tensor(held[grasp]),
-        trial=torch.tensor(trial),
-        accelerated=torch.tensor([accelerated for _, accelerated in stretches]),
-        pushed=torch.zeros(count, dtype=torch.bool),
-        seen=torch.zeros(count, 9, 0, dtype=torch.float64),
+        load_kept=torch.full((count, 3), kept, dtype=torch.float64),
+        load_followed=torch.ones(count, 3, dtype=torch.float64),
+        held=torch.tensor([each.held for each in found]),
+        trial=torch.tensor([each.trial for each in found]),
+        accelerated=torch.tensor([each.accelerated for each in found]),
+        pushed=torch.full((count,), pushed),
+        seen=seen,
         links=torch.zeros(count, 1, 0, 9, dtype=torch.float64),
         links_off=torch.zeros(count, 1, 1, 0, 9, dtype=torch.float64),
     )
@@ -133,12 +213,14 @@ def _to_tcp() -> np.ndarray:
     return move_wrench(np.eye(6), np.array([0.0, 0.0, -REACH])).T
 
 
-def _stretches(at: tuple[float, float], shape: ObjectShape, action: TableAction) -> list[_Stretch]:
-    """Steady stretches of an action of the grasp at `at` [m], trimmed as a record is."""
-    about, heading, time, found = action.center(shape), action.heading, BEFORE, []
+def _stretches(shape: ObjectShape, trial: int, action: TableAction, held: tuple[int, int]) -> list[_Stretch]:
+    """Steady stretches of an action by groups held, trimmed as a record is."""
+    grasp = shape.grasps[action.grasp]
+    at, about, heading, time = grasp.position, action.center(shape), action.heading, BEFORE
     steps = [speed * seconds + acceleration * seconds**2 / 2 for speed, acceleration, seconds in action.steady]
     ends = np.cumsum([0.0, *steps])
-    gone, facing = -(ends.max() + ends.min()) / 2, -shape.grasps[action.grasp].angle  # midway the pads close along x
+    gone, facing = -(ends.max() + ends.min()) / 2, -grasp.angle  # midway the pads close along x
+    found = []
     for segment, (speed, acceleration, seconds) in enumerate(action.steady):
         if segment and not action.accelerated:
             time += BETWEEN
@@ -146,7 +228,7 @@ def _stretches(at: tuple[float, float], shape: ObjectShape, action: TableAction)
         x, y = speed * heading[0], speed * heading[1]
         if action.turns:
             x, y = -rate * (at[1] - about[1]), rate * (at[0] - about[0])
-        twist = (float(x), float(y), rate if action.turns else 0.0)
+        twist = np.array([x, y, rate if action.turns else 0.0])
         begin, end = trim_start(action, segment), seconds - TRIM_END
         since = begin + (end - begin) * (np.arange(PARTS) + 0.5) / PARTS
         way = gone + speed * since + acceleration * since**2 / 2
@@ -155,8 +237,19 @@ def _stretches(at: tuple[float, float], shape: ObjectShape, action: TableAction)
             place = rotation_2d(facing) @ (about - at) - rotation_2d(yaw) @ (about - at)
         else:
             place = way[:, None] * (rotation_2d(facing) @ heading)
-        poses = np.column_stack([place, yaw])
-        found.append(_Stretch(twist, acceleration, time + begin, time + end, tuple(map(tuple, poses.tolist()))))
+        found.append(
+            _Stretch(
+                trial,
+                (time + begin, time + end),
+                twist[None],
+                np.array([0.0, 0.0, acceleration]),
+                twist[2] ** 2,
+                at,
+                held,
+                np.column_stack([place, yaw]),
+                action.accelerated,
+            )
+        )
         time += seconds
         gone += steps[segment]
     return found

@@ -43,6 +43,7 @@ def identify(
     accelerated: Annotated[int, tyro.conf.arg(metavar="N")] = 6,
     slides: Annotated[int, tyro.conf.arg(metavar="N")] = 0,
     lifts: Annotated[int, tyro.conf.arg(metavar="N")] = 0,
+    pushes: Annotated[int, tyro.conf.arg(metavar="N")] = 0,
     duration: Annotated[float, tyro.conf.arg(metavar="S")] = 18.0,
     grasps: Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="NAME ...")] = None,
     out: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None,
@@ -53,17 +54,19 @@ def identify(
               heft identify F2 --support rigid --sensing ideal
               heft identify L2 --support rigid --lifts 1
               heft identify L2 --world lab --pivots 12
+              heft identify L2 --pivots 0 --pushes 12
               heft identify L2 --pivots 0 --slides 6 --out results/L2_slides
 
     Args:
         object_: name in the library, or path to a TOML file.
-        sensing: preset of the sensor.
+        sensing: preset of the sensor, and of the camera that sees pushes.
         world: ideal, lab or rough, whose errors of the setup are reckoned with.
         support: what carries the weight; if left out, rigid for an object on points of contact, else own_weight.
         pivots: turns there and back, as the rank-driven policy draws them; 0 for none, accelerated ones neither.
         accelerated: accelerated turns.
         slides: slides, in directions spread over the circle.
         lifts: lifts, held still and rocked in the air, of the grasps nearest the middle; under rigid support alone.
+        pushes: pushes at random faces, points and directions; an object without grasps can only be pushed.
         duration: time of a turn each way, s.
         grasps: allowed grasps, by name (see heft show); all if left out, whether the arm reaches them or not.
         out: heatmap of the standard errors, g, written as FILE.pdf and FILE.png.
@@ -77,7 +80,7 @@ def identify(
 
     console, model = open_console(), load_object(object_)
     carrier = support or support_of(model.shape).name
-    actions = actions_of(model, carrier, pivots, accelerated, slides, lifts, duration, grasps)
+    actions = actions_of(model, carrier, pivots, accelerated, slides, lifts, pushes, duration, grasps)
     report = expected(
         model.shape, model.truth, actions, preset(sensing), Assumptions(carrier, setup=world_of(world).stated)
     )
@@ -100,16 +103,20 @@ def actions_of(
     accelerated: int = 6,
     slides: int = 0,
     lifts: int = 0,
+    pushes: int = 0,
     duration: float = 18.0,
     grasps: tuple[str, ...] | None = None,
 ) -> list[Action]:
-    """A weighing, the rank-driven policy's actions, slides in spread directions, and lifts; arguments as `identify`.
+    """A weighing, the rank-driven policy's actions, slides in spread directions, lifts and random pushes.
+
+    Arguments are as `identify` has them.
 
     Lifts are of the grasps nearest the middle, where the object hangs by its weight with the least moment.
 
     Raises:
         InvalidValueError: a grasp that the object does not have, or a count that is not allowed.
     """
+    from estimators.action_selection.pushes import random_pushes
     from estimators.action_selection.rank import RankDriven
     from testbed.actions.lift import Lift
     from testbed.actions.slide import Slide
@@ -118,6 +125,8 @@ def actions_of(
     shape, allowed = model.shape, named_grasps(model, grasps)
     if slides < 0:
         raise InvalidValueError("slides", slides, "an integer >= 0")
+    if pushes < 0:
+        raise InvalidValueError("pushes", pushes, "an integer >= 0")
     most = 0 if support != "rigid" else math.inf
     if not 0 <= lifts <= most:
         raise InvalidValueError("lifts", lifts, "an integer >= 0, and 0 unless the support is rigid")
@@ -126,7 +135,7 @@ def actions_of(
     slid = [Slide(allowed[i % len(allowed)], i * golden) for i in range(slides)] if allowed else []
     inner = sorted(allowed, key=lambda grasp: float(np.linalg.norm(shape.grasps[grasp].position)))
     lifted = [Lift(inner[i % len(inner)]) for i in range(lifts)] if inner else []
-    return [Weigh(), *turns, *slid, *lifted]
+    return [Weigh(), *turns, *slid, *lifted, *random_pushes(shape, pushes, 0)]
 
 
 def _errors_table(model: ObjectModel, report: Identifiability) -> Table:
@@ -158,6 +167,7 @@ def plan(
     world: Annotated[str, tyro.conf.arg(metavar="WORLD")] = "ideal",
     support: Literal["own_weight", "rigid", "either"] | None = None,
     lifts: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False,
+    pushes: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False,
     friction: Annotated[float, tyro.conf.arg(metavar="MU")] = 0.5,
     most: Annotated[int, tyro.conf.arg(metavar="N")] = 8,
     candidates: Annotated[int, tyro.conf.arg(metavar="N")] = 4000,
@@ -167,7 +177,7 @@ def plan(
     figure: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None,
     record: Annotated[Path | None, tyro.conf.arg(metavar="FILE.rrd")] = None,
 ) -> None:
-    """Plan actions: where to grasp and which way to turn, to know an object's masses in little robot time.
+    """Plan actions: where to grasp or push and which way, to know an object's masses in little robot time.
 
     Of the object the planner uses only its shape and its weight, so a file without masses does with --weight.
     Examples: heft plan L2 --budget 60s
@@ -181,11 +191,12 @@ def plan(
         until: expected NAD to reach (sum of the masses' errors over the whole mass), as 5%.
         policy: greedy (best of each moment), batch (made better by exchange), random, published, or reversed_pairs.
         criterion: quantity to minimize: I (the expected NAD), A (trace of the covariance) or D (its volume).
-        sensing: preset of the sensor.
+        sensing: preset of the sensor, and of the camera that sees pushes.
         world: ideal, lab or rough, whose errors of the setup are reckoned with.
         support: what carries the weight; either serves both models, and tells them apart; if left out, rigid for an
             object on points of contact, else own_weight.
         lifts: consider lifts too, held still and rocked in the air; not with support own_weight.
+        pushes: consider pushes too; an object without grasps is pushed in any case.
         friction: assumed coefficient.
         most: greatest number of actions.
         candidates: number of actions to consider.
@@ -215,7 +226,7 @@ def plan(
     if policy in ("published", "reversed_pairs"):
         made = rank_driven_plan(model.shape, guess, goal, policy, allowed, seed)
     else:
-        check, family = FeasibilityCheck(model.shape, guess), action_family(carrier, lifts=lifts)
+        check, family = FeasibilityCheck(model.shape, guess), action_family(carrier, lifts=lifts, pushes=pushes)
         made = PlannedPolicy(guess, policy, criterion, goal, family, candidates, allowed, seed, check).plan(model.shape)
     title = f"{model.name}, {carrier}, {sensing}" + ("" if world == "ideal" else f", {world}") + f": {policy}"
     console.print(Text.assemble((title, "bold"), f"; weighed {guess.weight:.3f} kg"))
@@ -235,7 +246,7 @@ def plan_view(model: ObjectModel, made: Plan, title: str) -> PlanView:
     return PlanView(model.shape, made.actions, errors, title, words)
 
 
-def action_family(support: str, *, lifts: bool) -> ActionFamily:
+def action_family(support: str, *, lifts: bool, pushes: bool) -> ActionFamily:
     """The candidates' family under an assumed support.
 
     Raises:
@@ -247,7 +258,7 @@ def action_family(support: str, *, lifts: bool) -> ActionFamily:
     if lifts and "rigid" not in ASSUMED_SUPPORTS[support]:
         allowed = "no lifts where every block rests on its own weight, and only what is gripped would come along"
         raise InvalidValueError("lifts", lifts, f"{allowed}; lift under support rigid or either")
-    return ActionFamily(lifts=lifts)
+    return ActionFamily(lifts=lifts, pushes=pushes)
 
 
 def named_grasps(model: ObjectModel, names: tuple[str, ...] | None) -> tuple[int, ...]:

@@ -34,6 +34,7 @@ def touch(
     support: Annotated[str | None, tyro.conf.arg(metavar="SUPPORT")] = None,
     thought: Literal["own_weight", "rigid", "either"] = "either",
     lifts: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False,
+    pushes: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False,
     most: Annotated[int, tyro.conf.arg(metavar="N")] = 20,
     candidates: Annotated[int, tyro.conf.arg(metavar="N")] = 4000,
     grasps: Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="NAME ...")] = None,
@@ -56,6 +57,7 @@ def touch(
             object on points of contact, else own_weight.
         thought: assumed support, as far as the robot knows; with either it finds out.
         lifts: consider lifts too, held still and rocked in the air; not where own_weight is assumed.
+        pushes: consider pushes too, seen by the sensor preset's camera; an object without grasps is pushed in any case.
         most: greatest number of actions.
         candidates: number of actions to consider before each trial.
         grasps: allowed grasps, by name (see heft show); all if left out.
@@ -88,7 +90,7 @@ def touch(
 
     model, begin = load_object(object_), time.monotonic()
     goal = Goal(percent(until, "--until"), seconds(budget, "--budget"), most)
-    family, allowed = action_family(thought, lifts=lifts), named_grasps(model, grasps)
+    family, allowed = action_family(thought, lifts=lifts, pushes=pushes), named_grasps(model, grasps)
     carrier = support_of(model.shape, support)
     preset(sensing)  # refused before anything is written
     folder = out or Path("results") / f"touch_{model.name}"
@@ -101,6 +103,7 @@ def touch(
         "support": support,
         "thought": thought,
         "lifts": lifts,
+        "pushes": pushes,
     }
     given |= {"most": most, "candidates": candidates, "grasps": grasps, "seed": seed, "out": out}
     facts = manifest(scenario) | {"name": folder.name, "command": _command(object_, given)}

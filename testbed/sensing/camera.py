@@ -50,6 +50,11 @@ class Camera:
             raise InvalidValueError("Camera.delay", self.delay, "two times >= 0, the least first, s")
 
     @property
+    def delay_std(self) -> float:
+        """Standard deviation of the time by which the frames of a trial are off, the mean delay known [s]."""
+        return (self.delay[1] - self.delay[0]) / math.sqrt(12)
+
+    @property
     def is_exact(self) -> bool:
         """True if it sees the true pose at every sample."""
         return replace(self, name="exact") == Camera("exact")
@@ -196,6 +201,4 @@ def draw_camera(true: PoseStream, camera: Camera, seed: int) -> PoseStream:
     noise = np.array([camera.position, camera.position, camera.angle]) * rng.standard_normal((len(at), true.parts, 3))
     found = poses.transpose(2, 0, 1) + noise
     found[rng.random(len(at)) < camera.dropout] = math.nan
-    return PoseStream(
-        at + late - (least + most) / 2, found, camera.position, camera.angle, (most - least) / math.sqrt(12)
-    )
+    return PoseStream(at + late - (least + most) / 2, found, camera.position, camera.angle, camera.delay_std)

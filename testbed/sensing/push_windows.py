@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from typing import Any, NamedTuple
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -11,7 +13,7 @@ from scipy.linalg import block_diag
 from testbed.actions.push import Push
 from testbed.errors import InvalidValueError
 from testbed.frames import perpendicular, rotate_wrench, rotation_2d
-from testbed.sensing.camera import SPAN
+from testbed.sensing.camera import SPAN, PoseStream
 from testbed.sensing.compensation import tare_time
 from testbed.sensing.windows import BATCH, PARTS, TRIM_END, SteadyWindow, bias_and_drift, noise_of_mean
 from testbed.trajectory import Trajectory
@@ -48,57 +50,100 @@ def _reduced(trajectory: Trajectory) -> list[SteadyWindow]:
         raise InvalidValueError("trajectory.camera", None, "poses of the object by a camera: the hand does not hold it")
     contact = touching(trajectory)
     time = trajectory.time_s
-    within = (float(time[contact[0]]) + BEGIN / 2, float(time[contact[-1]]))
-    kept = contact[(time[contact] >= time[contact[0]] + BEGIN) & (time[contact] <= time[contact[-1]] - TRIM_END)]
+    kept = contact[within_contact(time[contact])]
     step = float(np.median(np.diff(time)))
-    count = int(len(kept) * step / WINDOW + 1e-6)
-    if count < 1:
+    met, left = float(time[contact[0]]), float(time[contact[-1]])
+    if _count(time[kept]) < 1:
         raise InvalidValueError("trajectory", f"{len(kept)} samples in contact", f"at least {WINDOW:g} s of them")
-    seen = camera.motion(time[kept], within=within)
+    found = stretches(time[kept], trajectory.tcp_position[kept, :2], camera, (met + BEGIN / 2, left))
+    tared = tare_time(trajectory)
+    whole = noise_of_mean(trajectory.wrench_on_object_world[kept], round(BATCH / step))
+    windows = []
+    for part, stretch in found:
+        axes = np.tile(np.eye(3), (len(part), 1, 1))
+        axes[:, :2, :2] = stretch.into
+        wrench = rotate_wrench(axes, trajectory.wrench_on_object_world[kept[part]])
+        middle = len(part) // 2
+        facing = -math.atan2(stretch.into[middle, 1, 0], stretch.into[middle, 0, 0])
+        from_sensor, bias, drift = bias_and_drift(trajectory, (int(kept[part[middle]]), facing))
+        turned = block_diag(axes[middle], axes[middle])
+        windows.append(
+            SteadyWindow(
+                grasp=None,
+                wrench=wrench.mean(axis=0),
+                covariance=turned @ whole @ turned.T * (len(kept) / len(part)),
+                tcp_height=float(trajectory.tcp_position[kept[part], 2].mean()),
+                from_sensor=from_sensor,
+                bias_covariance=bias,
+                drift_covariance=drift,
+                since_tare=time[kept[part[[0, -1]]]] - tared,
+                **stretch.motion,
+            )
+        )
+    if not windows:
+        raise InvalidValueError("trajectory.camera", "too few frames in contact", "frames near every stretch")
+    return windows
+
+
+def within_contact(time: Float[np.ndarray, "N"]) -> Int[np.ndarray, "M"]:
+    """Indices of times [s] in contact that count: not as the fingertip meets the object, nor as it leaves."""
+    return np.flatnonzero((time >= time[0] + BEGIN) & (time <= time[-1] - TRIM_END))
+
+
+class Stretch(NamedTuple):
+    """A part of a push as a camera sees it."""
+
+    into: Float[np.ndarray, "N 2 2"]
+    """Rotations from world axes to the object's, one a sample."""
+    motion: dict[str, Any]
+    """Fields of its `SteadyWindow` that the motion decides."""
+
+
+def stretches(
+    time: Float[np.ndarray, "N"],
+    place: Float[np.ndarray, "N 2"],
+    camera: PoseStream,
+    within: tuple[float, float],
+) -> list[tuple[Int[np.ndarray, "M"], Stretch]]:
+    """Stretches of a push of at least `WINDOW` s, each with the indices of its samples; those not seen are left out.
+
+    Args:
+        time: times in contact that count [s].
+        place: places of the fingertip then [m], world.
+        camera: poses of the object.
+        within: times between which its motion is smooth [s].
+    """
+    count = _count(time)
+    if count < 1:
+        return []
+    step = float(np.median(np.diff(time)))
+    seen = camera.motion(time, within=within)
     yaw = seen.pose[:, 2]
     into = rotation_2d(-yaw)
-    place = trajectory.tcp_position[kept, :2]
     point = np.einsum("nij,nj->ni", into, place - seen.pose[:, :2])
     spin, alpha = seen.twist[:, 2:], seen.acceleration[:, 2:]
     linear = np.einsum("nij,nj->ni", into, seen.twist[:, :2]) + spin * perpendicular(point)
     rate = np.einsum("nij,nj->ni", into, seen.acceleration[:, :2]) + alpha * perpendicular(point) - spin**2 * point
     twist, acceleration = np.hstack([linear, spin]), np.hstack([rate, alpha])
     poses = np.column_stack([place, yaw])
-    axes = np.tile(np.eye(3), (len(kept), 1, 1))
-    axes[:, :2, :2] = into
-    wrench = rotate_wrench(axes, trajectory.wrench_on_object_world[kept])
-    tared = tare_time(trajectory)
-    whole = noise_of_mean(trajectory.wrench_on_object_world[kept], round(BATCH / step))
-    windows = []
-    for part in np.array_split(np.arange(len(kept)), count):
+    found = []
+    for part in np.array_split(np.arange(len(time)), count):
         if np.isnan(twist[part]).any():  # frames were lost
             continue
         middle = part[len(part) // 2]
-        from_sensor, bias, drift = bias_and_drift(trajectory, (int(kept[middle]), float(yaw[middle])))
-        turned = block_diag(into[middle], 1.0, into[middle], 1.0)
-        windows.append(
-            SteadyWindow(
-                grasp=None,
-                wrench=wrench[part].mean(axis=0),
-                covariance=turned @ whole @ turned.T * (len(kept) / len(part)),
-                twist=twist[part].mean(axis=0),
-                twists=_by_part(twist[part]),
-                acceleration=acceleration[part].mean(axis=0),
-                spin_square=float(np.mean(spin[part] ** 2)),
-                tcp_height=float(trajectory.tcp_position[kept[part], 2].mean()),
-                yaw=yaw[part[[0, -1]]],
-                poses=_by_part(poses[part]),
-                from_sensor=from_sensor,
-                bias_covariance=bias,
-                drift_covariance=drift,
-                since_tare=time[kept[part[[0, -1]]]] - tared,
-                point=point[part].mean(axis=0),
-                seen=_errors(seen.covariance[middle], seen.late[middle], into[middle], SPAN / (len(part) * step)),
-            )
-        )
-    if not windows:
-        raise InvalidValueError("trajectory.camera", "too few frames in contact", "frames near every stretch")
-    return windows
+        shared = SPAN / (len(part) * step)
+        motion = {
+            "twist": twist[part].mean(axis=0),
+            "twists": _by_part(twist[part]),
+            "acceleration": acceleration[part].mean(axis=0),
+            "spin_square": float(np.mean(spin[part] ** 2)),
+            "yaw": yaw[part[[0, -1]]],
+            "poses": _by_part(poses[part]),
+            "point": point[part].mean(axis=0),
+            "seen": _errors(seen.covariance[middle], seen.late[middle], into[middle], shared),
+        }
+        found.append((part, Stretch(into[part], motion)))
+    return found
 
 
 def push_samples(trajectory: Trajectory) -> list[Int[np.ndarray, "N"]]:
@@ -128,6 +173,11 @@ def touching(trajectory: Trajectory) -> Int[np.ndarray, "N"]:
         raise InvalidValueError("trajectory", "no force at the fingertip", "a push that meets the object")
     runs = np.split(inside[touches], np.flatnonzero(np.diff(inside[touches]) > 1) + 1)
     return max(runs, key=len)
+
+
+def _count(time: Float[np.ndarray, "N"]) -> int:
+    """Number of windows in times at even steps [s]."""
+    return int(len(time) * float(np.median(np.diff(time))) / WINDOW + 1e-6) if len(time) > 1 else 0
 
 
 def _by_part(values: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "S 3"]:

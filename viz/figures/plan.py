@@ -9,6 +9,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import FancyArrowPatch
 from matplotlib.ticker import MaxNLocator
 
+from testbed.actions.push import Push
 from viz.figures.maps import add_bar, decimals, draw_groups
 from viz.style import DIFFERENCE_COLORS, PLAN_ERROR, STYLE, Scale, action_colors
 from viz.values import ActionArrow, PlanView
@@ -69,7 +70,9 @@ def _draw_actions(axis: Axes, plan: PlanView) -> None:
         axis.plot(*point, marker="^", color=colors[number - 1], markersize=6, markerfacecolor="none")
     for number, (x, y) in plan.number_places.items():
         axis.text(x, y, str(number), ha="center", va="center", fontsize=7)
-    marks = ["grasp \u25a1"] + (["pivot \u25cf"] if any(a.pivot is not None for a in plan.arrows.values()) else [])
+    held = sorted({"push" if isinstance(a, Push) else "grasp" for a in plan.actions if a.on_table})
+    marks = [f"{' or '.join(held)} \u25a1"] if held else []
+    marks += ["pivot \u25cf"] if any(a.pivot is not None for a in plan.arrows.values()) else []
     marks += ["lift \u25b3"] if plan.lifts else []
     axis.set_title(f"actions in order: {', '.join(marks)}", fontsize=8)
 

@@ -33,7 +33,7 @@ def plan_page(plan: PlanView) -> Page:
         log_markdown(node / "words", f"{plan.title}\n\n{lines}")
 
     layout = rrb.Horizontal(
-        planar_view("plan/actions", _around(plan), "actions, from grasp to the arrow's head; dot without arrow: pivot"),
+        planar_view("plan/actions", _around(plan), "actions along their arrows; dot without arrow: pivot"),
         planar_view("plan/error", errors.box, "expected error after each action, by iteration"),
         rrb.TextDocumentView(origin="plan/words", name="actions"),
         column_shares=[CANVAS.width, CANVAS.width, 320],

@@ -16,6 +16,7 @@ from estimators.action_selection.cost import RobotTime
 from estimators.action_selection.design import NORMAL_MEAN, Belief, Design, Guess, prior_belief, steady
 from estimators.action_selection.greedy import PlannedPolicy, batch_plan, greedy_plan
 from estimators.action_selection.plan import FeasibilityLog, Goal
+from estimators.action_selection.pushes import random_pushes
 from estimators.identifiability.information import (
     Assumptions,
     expected,
@@ -30,6 +31,7 @@ from estimators.particles.windows import Observations
 from estimators.particles.wrench import ParticleLoads
 from testbed.actions.accelerate import Accelerate
 from testbed.actions.lift import Lift
+from testbed.actions.push import Push
 from testbed.actions.rotate import Rotate
 from testbed.actions.slide import Slide
 from testbed.errors import InvalidValueError
@@ -99,7 +101,7 @@ def test_information_of_trials_adds_up_to_that_of_all_together(support, world_na
     windows = replace(windows, sensed=windows.sensed + torch.arange(6.0).double())
     together = joint_information(model, windows, assumptions)
     size = np.sqrt(np.diag(together))
-    trials = trial_information(shape, model.truth, windows, len(actions), assumptions, {})
+    trials = trial_information(shape, model.truth, [windows], len(actions), assumptions, {})
     root = trials.root(shape, np.hypot(assumptions.model_errors.weight_error, windows.setup.scale))
     np.testing.assert_allclose(root.T @ root / np.outer(size, size), together / np.outer(size, size), atol=1e-11)
     assert shared_error_count(shape) == 3 + 5
@@ -233,7 +235,9 @@ def test_what_the_bench_refuses_is_not_planned_and_said():
 def test_plain_answers_where_little_can_be_had():
     shape = load_object("L2").shape
     nothing = ObjectShape(shape.particles, shape.mass_group, shape.friction_group, shape.cell, shape.height)
-    plan = PlannedPolicy(guess("L2")).plan(nothing)
+    plan = PlannedPolicy(guess("L2"), candidates=20, goal=Goal(most=2)).plan(nothing)
+    assert len(plan.steps) == 2 and all(isinstance(action, Push) for action in plan.actions)
+    plan = PlannedPolicy(guess("L2"), candidates=20, grasps=()).plan(shape)
     assert not plan.steps and "nothing to grip" in plan.why
     short = PlannedPolicy(guess("L2"), goal=Goal(budget_s=5.0), candidates=200).plan(shape)
     assert not short.steps and "the budget is spent: 5 s are left" in short.why
@@ -282,10 +286,25 @@ def test_candidates_stay_in_reach_and_clear_of_particles():
     assert family.sample(shape, [], 10, 0) == ()
 
 
+def test_pushes_are_drawn_where_asked_for_or_where_nothing_else_is_left():
+    shape, beside = load_object("L2").shape, ActionFamily(pushes=True)
+    ungripped = replace(shape, grasps=())
+    assert not any(isinstance(action, Push) for action in ActionFamily().sample(shape, [0, 1], 400, 0))
+    kinds = [isinstance(action, Push) for action in beside.sample(shape, [0, 1], 400, 0)]
+    assert 0 < sum(kinds) < len(kinds) / 10
+    for drawn in (beside.sample(shape, [], 30, 0), ActionFamily().sample(ungripped, [], 30, 0)):
+        assert len(drawn) == 30 and all(isinstance(action, Push) for action in drawn)
+    both = Design.of(shape, [*drawn[:3], Rotate(0)], guess("L2"))
+    assert both.novel([drawn[1]]).tolist() == [True, False, True, True]  # another push there says the same
+    way = RobotTime()
+    assert way.between(shape, drawn[0], drawn[1]) > way.between(shape, drawn[0], drawn[0]) == way.rise
+
+
 def test_robot_time_is_that_of_the_simulated_bench():
     shape, settings = load_object("L2").shape, SimulationSettings()
     half = Accelerate(0, (1.0, -1.0, 1.5, -1.5))
     moves = (Rotate(0, duration=2.3, back=True), Rotate(1, duration=3.0), Slide(0, duration=1.7), half)
-    for action in (*moves, Lift(4), Lift(4, tilt=0.0, hold=1.7)):
+    pushes = (random_pushes(shape, 1, 0)[0], replace(random_pushes(shape, 1, 1)[0], speed=0.05, length=0.05))
+    for action in (*moves, *pushes, Lift(4), Lift(4, tilt=0.0, hold=1.7)):
         samples = len(plan_motion(action, shape, settings).q)
         assert RobotTime().of(action) == pytest.approx((samples - 1) / settings.rate, abs=0.02)

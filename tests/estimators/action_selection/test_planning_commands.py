@@ -21,6 +21,7 @@ from scenarios.policies import AfterWeighing
 from scenarios.results.estimates import load_results
 from scenarios.runners import FeasibilityCheck
 from testbed.actions.accelerate import Accelerate
+from testbed.actions.push import Push
 from testbed.actions.rotate import Rotate
 from testbed.actions.slide import Slide
 from testbed.errors import InvalidValueError
@@ -72,12 +73,14 @@ def test_planning_takes_less_than_the_papers_choice_for_the_same():
     assert greedy.after.expected_nad <= nad * 1.001 and greedy.seconds < paper.seconds / 2
 
 
-def test_what_cannot_be_gripped_is_told(tmp_path, capsys):
+def test_what_cannot_be_gripped_is_pushed(tmp_path, capsys):
     blocks = f'layout = ["111", "111", "111"]\nmass_kg = {[0.1] * 9}\nfriction = 0.5\n'
     (tmp_path / "slab.toml").write_text(f'name = "slab"\n[blocks]\n{blocks}')
-    main(["plan", str(tmp_path / "slab.toml"), "--until", "5%"])
+    command = ["plan", str(tmp_path / "slab.toml"), "--until", "5%", "--most", "2", "--candidates", "20"]
+    main([*command, "--figure", str(tmp_path / "slab"), "--record", str(tmp_path / "slab.rrd")])
     said = " ".join(capsys.readouterr().out.split())
-    assert "nothing to grip" in said and "the target of 5 % is not reached" in said
+    assert "2 action(s)" in said and "push at" in said and "the target of 5 % is not reached" in said
+    assert (tmp_path / "slab.pdf").stat().st_size > 1000 < (tmp_path / "slab.rrd").stat().st_size
 
 
 def test_the_bench_says_why_it_cannot():
@@ -196,6 +199,9 @@ def test_an_arrow_begins_at_the_grasp_and_goes_the_way_of_the_turn():
         np.testing.assert_allclose(np.linalg.norm(arms, axis=1), np.linalg.norm(arms[0]))
         turned = arms[0, 0] * arms[1, 1] - arms[0, 1] * arms[1, 0]
         assert np.sign(turned) == np.sign(speed)
+    push = ActionArrow.of(shape, Push((0.05, 0.0), np.pi / 2))
+    np.testing.assert_allclose(push.way[-1], (0.05, 0.0))
+    assert push.way[0, 1] < 0 and push.pivot is None
     slide = ActionArrow.of(shape, Slide(2, direction=np.pi / 2))
     assert slide.pivot is None
     np.testing.assert_allclose(slide.way[1] - grasp, [0.0, 0.05], atol=1e-12)

@@ -13,14 +13,16 @@ from estimators.action_selection.plan import Goal
 from estimators.evaluation.metrics import normalized_absolute_difference
 from estimators.hidden_states.estimator import HiddenStates
 from estimators.support_models.estimator import SupportAware
+from estimators.testing.analytic_push import analytic_push
 from estimators.testing.analytic_world import analytic_trial, drawn_object
 from testbed.actions.accelerate import Accelerate
 from testbed.actions.lift import Lift
+from testbed.actions.push import Push
 from testbed.actions.rotate import Rotate
 from testbed.actions.slide import Slide
 from testbed.objects.files import load_object
 from testbed.objects.model import ObjectModel
-from testbed.sensing.presets import preset
+from testbed.sensing.presets import Sensing, preset
 from testbed.trajectory import Trajectory
 from tests.fakes.lifted_world import lifted
 
@@ -149,3 +151,18 @@ def test_trials_that_disagree_are_believed_less_and_the_odd_one_is_done_again():
     assert "disagree" in upset.why and upset.action == trials[odd].action
     again = chooser.decide(obj.shape, [*trials[:odd], pushed, *trials[odd + 1 :], trials[odd]])
     assert again.action != trials[odd].action  # once is enough
+
+
+@pytest.mark.slow
+def test_what_cannot_be_gripped_is_pushed_until_it_is_known():
+    obj = drawn_object(3, ["11", "11", "11"])
+    ungripped = replace(obj, shape=replace(obj.shape, grasps=()))
+    chooser = policy(ungripped, Goal(until=0.06), estimator=HiddenStates())
+    chooser = replace(chooser, guess=replace(chooser.guess, sensing=Sensing("exact")), candidates=15)
+    trials: list[Trajectory] = []
+    while (decision := chooser.decide(ungripped.shape, trials)).action is not None:
+        assert isinstance(decision.action, Push) and len(trials) < 12
+        trials.append(analytic_push(ungripped, decision.action))
+    assert decision.why == "the target is met" and decision.estimate is not None
+    assert decision.estimate.distribution is not None
+    assert normalized_absolute_difference(obj.shape, decision.estimate.distribution, obj.truth) < 0.08

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from estimators.action_selection.pushes import random_pushes
 from estimators.action_selection.rank import between_particles
 from estimators.hidden_states.estimator import HiddenStates
 from estimators.identifiability.information import (
@@ -18,6 +19,7 @@ from estimators.identifiability.information import (
     prior_information,
 )
 from estimators.identifiability.report import identifiability
+from estimators.testing.analytic_push import analytic_push
 from estimators.testing.analytic_world import accelerated, drawn_object, turns
 from testbed.actions.accelerate import Accelerate
 from testbed.actions.base import Action
@@ -26,8 +28,9 @@ from testbed.actions.slide import Slide
 from testbed.actions.weigh import Weigh
 from testbed.errors import InvalidValueError
 from testbed.objects.files import load_object
-from testbed.objects.model import ObjectModel
-from testbed.sensing.presets import preset
+from testbed.objects.model import MassDistribution, ObjectModel
+from testbed.sensing.presets import Sensing, preset
+from testbed.worlds.presets import world
 
 NAMES = ("I1", "I2", "L1", "L2", "F1", "F2")
 
@@ -182,3 +185,36 @@ def test_answers_scatter_as_the_bound_says():
     last = observed(obj.shape, obj.truth, noisy, Assumptions(errors=exact.errors))
     assert_allclose(np.sqrt(np.mean(np.square(off), axis=0)), last.standard_error, rtol=0.35)
     assert_allclose(np.mean(claimed, axis=0), last.standard_error, rtol=0.1)
+
+
+SLAB = drawn_object(3, ["11", "11", "11"])
+"""2 x 3 blocks, which no hand can grip."""
+
+
+def test_what_pushes_are_expected_to_show_is_what_they_show():
+    pushes = [replace(push, speed=0.05, length=0.12) for push in random_pushes(SLAB.shape, 6, 0)]
+    before = expected(SLAB.shape, SLAB.truth, pushes, Sensing("exact"))
+    after = observed(SLAB.shape, SLAB.truth, [analytic_push(SLAB, push) for push in pushes])
+    assert before.rank == after.rank == before.unknowns == 7
+    assert_allclose(before.standard_error, after.standard_error, rtol=0.2)
+    guessed = MassDistribution(np.full(6, SLAB.truth.mass.mean()), SLAB.truth.friction)
+    elsewhere = expected(SLAB.shape, guessed, pushes, Sensing("exact"))  # where even masses would have gone
+    assert_allclose(elsewhere.standard_error.mean(), before.standard_error.mean(), rtol=0.5)
+
+
+def test_a_camera_that_sees_less_shows_less():
+    pushes = random_pushes(SLAB.shape, 8, 1)
+    errors = [
+        expected(SLAB.shape, SLAB.truth, pushes, preset(name), Assumptions(setup=world(place).stated)).standard_error
+        for name, place in (("ft300s:camera=exact", "ideal"), ("ft300s", "ideal"), ("ft300s", "lab"))
+    ]
+    assert (errors[0] < errors[1]).all() and (errors[1] < errors[2]).all()
+
+
+def test_pushes_and_turns_add_up():
+    obj, where = load_object("L2"), Assumptions(setup=world("lab").stated)
+    actions = [Rotate(0, pivot=(0.02, 0.05)), *random_pushes(obj.shape, 3, 0), Accelerate(1), Slide(2)]
+    together = predicted_information(obj.shape, obj.truth, actions, preset("ft300s"), where)
+    for index, action in enumerate(actions):
+        alone = predicted_information(obj.shape, obj.truth, [action], preset("ft300s"), where)
+        assert_allclose(alone.information(), together.information([index]), rtol=1e-6, atol=1e-9)

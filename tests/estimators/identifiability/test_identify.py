@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from estimators.action_selection.pushes import random_pushes
 from scenarios.cli.main import main
 from scenarios.cli.plan import actions_of
 from testbed.actions.accelerate import Accelerate
@@ -33,6 +34,13 @@ def test_only_the_grasps_that_are_named_are_used():
     assert {a.grasp for a in actions if a.moves} == {1}
     with pytest.raises(InvalidValueError, match="grasps of L2: "):
         actions_of(model, grasps=("nose",))
+
+
+def test_pushes_are_the_published_ones():
+    model = load_object("L2")
+    assert actions_of(model, pivots=0, pushes=5)[1:] == random_pushes(model.shape, 5, 0)
+    with pytest.raises(InvalidValueError, match="pushes"):
+        actions_of(model, pushes=-1)
 
 
 def test_lifts_are_of_inner_grasps_and_of_rigid_bodies_alone():

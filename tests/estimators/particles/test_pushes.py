@@ -7,13 +7,14 @@ import numpy as np
 import pytest
 
 from estimators.hidden_states.estimator import HiddenStates
+from estimators.identifiability.quasi_static import Drag
 from estimators.particles import friction_system
 from estimators.particles.friction_system import LoadGroups, rank_of
 from estimators.particles.model import ParticleModel
 from estimators.particles.observe import observe
 from estimators.particles.wrench import predicted_wrenches
 from estimators.registry import build_method
-from estimators.testing.analytic_push import Drag, analytic_push, steady_pushes
+from estimators.testing.analytic_push import analytic_push, drag_of, steady_pushes
 from estimators.testing.analytic_world import drawn_object
 from testbed.actions.push import Push
 from testbed.errors import InvalidValueError
@@ -40,13 +41,14 @@ def test_a_pushed_disc():
     assert disc.wrench(np.array([0.02, 0.0, 0.0]), still) == pytest.approx([3.0, 0.0, 0.0], abs=1e-9)
     assert disc.wrench(np.array([0.0, 0.0, 1.0]), still)[2] == pytest.approx(2 / 3 * 3.0 * 0.04, rel=0.01)
     # through its center it does not turn; beside it, it turns away
-    straight = disc.pushed(np.array([-0.04, 0.0]), np.array([0.03, 0.0]), np.array([1.0, 0.0]), 0.4)
-    assert straight == pytest.approx([0.03, 0.0, 0.0], abs=1e-9)
-    assert disc.pushed(np.array([-0.04, 0.01]), np.array([0.03, 0.0]), np.array([1.0, 0.0]), 0.4)[2] < -0.05
+    ahead = np.array([[1.0, 0.0], [1.0, 0.0]])
+    twists = disc.pushed(np.array([[-0.04, 0.0], [-0.04, 0.01]]), 0.03 * ahead, ahead, np.array([0.4, 0.4]))
+    assert twists[0] == pytest.approx([0.03, 0.0, 0.0], abs=1e-9)
+    assert twists[1, 2] < -0.05
 
 
 def test_friction_is_on_a_convex_limit_surface_and_along_its_normal():
-    drag, rng = Drag.of(BLOCKS), np.random.default_rng(0)
+    drag, rng = drag_of(BLOCKS), np.random.default_rng(0)
     twists = rng.normal(size=(60, 3)) * [0.03, 0.03, 0.5]
     wrenches = np.array([drag.wrench(twist, np.zeros(2)) for twist in twists])
     power = wrenches @ twists.T
@@ -54,11 +56,12 @@ def test_friction_is_on_a_convex_limit_surface_and_along_its_normal():
 
 
 def test_the_fingertip_sticks_or_slides_at_the_edge_of_its_cone():
-    drag, normal, point = Drag.of(BLOCKS), np.array([1.0, 0.0]), np.array([-0.05, 0.02])
+    drag, normal, point = drag_of(BLOCKS), np.array([1.0, 0.0]), np.array([-0.05, 0.02])
+    angles = np.radians([-50, -20, 0, 20, 50])
+    velocities = 0.03 * np.column_stack([np.cos(angles), np.sin(angles)])
+    twists = drag.pushed(np.tile(point, (5, 1)), velocities, np.tile(normal, (5, 1)), np.full(5, 0.3))
     slid = []
-    for angle in np.radians([-50, -20, 0, 20, 50]):
-        velocity = 0.03 * np.array([math.cos(angle), math.sin(angle)])
-        twist = drag.pushed(point, velocity, normal, 0.3)
+    for velocity, twist in zip(velocities, twists, strict=True):
         force = drag.wrench(twist, point)
         assert twist[0] == pytest.approx(velocity[0]) and force[2] == pytest.approx(0, abs=1e-9)
         steep = abs(force[1]) / force[0]
@@ -79,7 +82,7 @@ def test_masses_from_pushes_without_noise():
 
 
 def test_the_rank_of_q_grows_within_one_push():
-    trial = analytic_push(BLOCKS, Push((0.05, -0.01), math.radians(-160), length=0.1, speed=0.05), mu=3.0)
+    trial = analytic_push(BLOCKS, Push((0.05, -0.01), math.radians(-160), length=0.1, speed=0.05, friction=3.0))
     windows, model = observe(BLOCKS.shape, [trial]), ParticleModel.of(BLOCKS.shape)
     assert windows is not None and bool(windows.pushed.all())
     q = LoadGroups.of(model).gather(windows.drag_rows(model, 0.0)).numpy()

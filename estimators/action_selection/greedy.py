@@ -88,22 +88,21 @@ class PlannedPolicy:
 
 @lru_cache(maxsize=8)
 def _planned(policy: PlannedPolicy, shape: ObjectShape, failed: tuple[Action, ...]) -> Plan:
-    design = _design(policy, shape)
+    design, log = _prepared(policy, shape)
     kept = [index for index, action in enumerate(design.candidates) if action not in failed]
     if policy.kind == "random":
         order = np.random.default_rng(policy.seed).permutation(len(kept))
         kept = [kept[i] for i in order[: DRAWN_PER_TRIAL * policy.goal.most]]
     search = {"random": random_plan, "greedy": greedy_plan, "batch": batch_plan}[policy.kind]
-    some = design.of_some(kept)
-    return search(some, prior_belief(shape, policy.guess), policy.goal, FeasibilityLog(policy.feasible))
+    return search(design.of_some(kept), prior_belief(shape, policy.guess), policy.goal, log)
 
 
 @lru_cache(maxsize=2)
-def _design(policy: PlannedPolicy, shape: ObjectShape) -> Design:
-    """All candidates: where actions fail, none is predicted again."""
+def _prepared(policy: PlannedPolicy, shape: ObjectShape) -> tuple[Design, FeasibilityLog]:
+    """All candidates, and checks of them: where actions fail, none is predicted or checked again."""
     grasps = range(len(shape.grasps)) if policy.grasps is None else policy.grasps
     candidates = policy.family.sample(shape, grasps, policy.candidates, policy.seed)
-    return Design.of(shape, candidates, policy.guess, policy.criterion)
+    return Design.of(shape, candidates, policy.guess, policy.criterion), FeasibilityLog(policy.feasible)
 
 
 def greedy_choice(

@@ -20,7 +20,7 @@ from testbed.errors import InvalidValueError
 from testbed.frames import move_wrench, rotation_2d
 from testbed.objects.model import GRAVITY, ObjectShape
 from testbed.sensing.camera import Camera, PoseStream
-from testbed.sensing.lift_windows import LiftWindow
+from testbed.sensing.lift_windows import ASIDE, LiftWindow
 from testbed.sensing.presets import Sensing
 from testbed.sensing.push_windows import BEGIN, WINDOW, stretches, within_contact
 from testbed.sensing.windows import PARTS as WINDOW_PARTS
@@ -277,6 +277,8 @@ def predicted_lift(action: Lift, sensing: Sensing, setup: SetupErrors = EXACT_SE
         heavier = TOOL_MASS * (pull - [0.0, 0.0, GRAVITY])
         pull_rate = GRAVITY * (upwards[kept[-1]] - upwards[kept[0]]) * RATE / (len(kept) - 1)
         tool_rate = TOOL_MASS * np.concatenate([pull_rate, np.cross([0.0, 0.0, -TOOL_COM], pull_rate)])
+        aside = ASIDE @ _level(profile.angle[kept]).mean(axis=0)
+        moved = aside - ASIDE
         windows.append(
             LiftWindow(
                 grasp=action.grasp,
@@ -294,10 +296,19 @@ def predicted_lift(action: Lift, sensing: Sensing, setup: SetupErrors = EXACT_SE
                 tool_mass=TOOL_MASS,
                 tool_rate=tool_rate,
                 pull_rate=pull_rate,
+                pull_tilt=aside,
+                tool_tilt=TOOL_MASS * np.hstack([moved, np.cross([0.0, 0.0, -TOOL_COM], moved)]),
                 setup=setup,
             )
         )
     return windows
+
+
+def _level(angle: np.ndarray) -> np.ndarray:
+    """The table's axes in those of an object that is turned about x or y by the angles, (N, 3, 3), one a row."""
+    x, y, none = angle[:, 0], angle[:, 1], np.zeros(len(angle))
+    along_x, along_y = np.stack([np.cos(y), none, np.sin(y)], 1), np.stack([none, np.cos(x), -np.sin(x)], 1)
+    return np.stack([along_x, along_y, _upwards(angle)], 1)
 
 
 def _upwards(angle: np.ndarray) -> np.ndarray:

@@ -13,6 +13,7 @@ from estimators.inertial.parts import column_parts
 from estimators.particles.lifts import (
     SHIFT,
     LiftErrors,
+    along_tilts,
     creep_covariance,
     lift_covariance,
     lifts_among,
@@ -37,7 +38,7 @@ def lift_equations(
     windows of a lift.
 
     Args:
-        shape: geometry; of its groups nothing is taken.
+        shape: geometry; of its groups, how far they may be from where they were told, as the setup states it.
         trajectories: lifts that ended well are read, all others left out.
         errors: errors of what is taken as known; that of `height` is not used, as the height is an answer.
 
@@ -86,11 +87,17 @@ def _of_trial(
     )
     by_turn = slope_of_turn(lambda angle: _regressors([w.turned(angle) for w in windows]) @ shift_map(tcp) @ body)
     late = _regressors([w.changing() for w in windows], moving=False) @ shift_map(tcp) @ body
-    of_setup = setup_columns(windows, rows @ body, np.column_stack([by_shift[:, :2], by_turn]), late, trials)
+    placed = shift_map(tcp) @ body
+    tilted = along_tilts(windows, lambda window: _regressors([window], moving=False) @ placed)
+    slopes = np.column_stack([by_shift[:, :2], by_turn])
+    of_setup = setup_columns(windows, rows @ body, slopes, late, tilted, trials)
+    part = shape.per_group(np.ones(len(shape.particles)))
+    aside = windows[0].setup.particle_offset * trials**0.5 * float(np.linalg.norm(part / part.sum()))
+    misplaced = aside * by_shift[:, :2]  # of parts with as much mass as they are large
     crept = creep_covariance(windows, by_shift * [errors.creep, errors.creep, errors.slip])
     by_shift *= [errors.grip, errors.grip, errors.sag]
     inertial = errors.inertia * (rows - still @ shift_map(tcp)) @ body
-    effects = np.column_stack([by_shift, inertial, errors.gain * rows @ body, of_setup])
+    effects = np.column_stack([by_shift, inertial, errors.gain * rows @ body, of_setup, misplaced])
     covariance = lift_covariance(shape, windows, effects, errors.wrench, float(body[0])) + crept
     return compressed_rows(rows, np.concatenate([w.wrench for w in windows]), covariance)
 

@@ -127,17 +127,19 @@ def lift_information(
         return np.vstack([wrench_of_mass(shape, window, shift, moving=moving) for window in motion])
 
     moved = maps()
-    by_shift = np.column_stack(
-        [(maps(SHIFT * axis) @ mass - maps(-SHIFT * axis) @ mass) / (2 * SHIFT) for axis in np.eye(3)]
-    )
+    by_group = [(maps(SHIFT * axis) - maps(-SHIFT * axis)) * mass / (2 * SHIFT) for axis in np.eye(3)]
+    by_shift = np.column_stack([each.sum(axis=1) for each in by_group])
+    misplaced = windows[0].setup.particle_offset * trials**0.5 * np.hstack(by_group[:2])
     by_turn = slope_of_turn(lambda angle: maps(turn=angle) @ mass)
     late = np.concatenate([wrench_of_mass(shape, w, moving=False) @ mass for w in map(LiftWindow.changing, windows)])
-    of_setup = setup_columns(windows, moved @ mass, np.column_stack([by_shift[:, :2], by_turn]), late, trials)
+    tilted = along_tilts(windows, lambda window: wrench_of_mass(shape, window, moving=False) @ mass)
+    slopes = np.column_stack([by_shift[:, :2], by_turn])
+    of_setup = setup_columns(windows, moved @ mass, slopes, late, tilted, trials)
     crept = creep_covariance(windows, by_shift * [errors.creep, errors.creep, errors.slip])
     by_shift *= [errors.grip, errors.grip, errors.height * shape.height]
     inertial = errors.inertia * (moved - maps(moving=False)) @ mass
     upright = _upright_columns(shape, windows, float(mass @ shape.particles_per_group))
-    common = np.column_stack([by_shift, inertial, errors.gain * moved @ mass, of_setup, upright])
+    common = np.column_stack([by_shift, inertial, errors.gain * moved @ mass, of_setup, misplaced, upright])
     covariance = lift_covariance(shape, windows, common, errors.wrench, float(mass @ shape.particles_per_group))
     root = np.linalg.cholesky(covariance + crept)
     return np.linalg.solve(root, moved), np.linalg.solve(root, np.concatenate([w.wrench for w in windows]))
@@ -193,6 +195,7 @@ def setup_columns(
     wrench: Float[np.ndarray, "R"],
     slopes: Float[np.ndarray, "R 3"],
     late: Float[np.ndarray, "R"],
+    tilted: Float[np.ndarray, "R 2"],
     trials: int,
 ) -> Float[np.ndarray, "R e"]:
     """Effect on one trial's K windows of one standard deviation of each error of the setup, as stated; R = 6 K.
@@ -204,6 +207,7 @@ def setup_columns(
         wrench: their wrenches by a guess of the masses.
         slopes: change of these with the object's place along x and y in the grip, and with its angle.
         late: change of these with time, N/s and N m/s.
+        tilted: change of these with a tilt of the table about its x and y, N and N m a rad.
         trials: trials that are known together.
     """
     setup, shared = windows[0].setup, trials**0.5
@@ -224,7 +228,21 @@ def setup_columns(
         columns = [setup.gain * np.diag(felt), setup.crosstalk * crossed, setup.mounting_angle * turned, heavier, aside]
         behind = setup.delay * (window.from_sensor @ window.tool_rate + rate)[:, None]
         of_sensor.append(shared * np.hstack([window.from_sensor @ np.hstack(columns), behind]))
-    return np.column_stack([slopes * [place, place, angle], np.vstack(of_sensor)])
+    tool = np.vstack([window.from_sensor @ window.tool_tilt.T for window in windows])
+    of_table = shared * setup.table_tilt * (tilted + tool)
+    return np.column_stack([slopes * [place, place, angle], np.vstack(of_sensor), of_table])
+
+
+def along_tilts(
+    windows: Sequence[LiftWindow], wrench: Callable[[LiftWindow], Float[np.ndarray, "6"]]
+) -> Float[np.ndarray, "R 2"]:
+    """Change of an object's wrenches with a tilt of the table about its x and its y, N and N m a rad; R = 6 K.
+
+    Args:
+        windows: windows of the trial.
+        wrench: wrench of a window's pull.
+    """
+    return np.column_stack([np.concatenate([wrench(w.tilting(axis)) for w in windows]) for axis in (0, 1)])
 
 
 def lift_covariance(

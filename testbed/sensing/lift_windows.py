@@ -17,6 +17,9 @@ from testbed.trajectory import Phase, Trajectory
 from testbed.validation import freeze_arrays
 from testbed.worlds.setup_errors import SetupErrors
 
+ASIDE = GRAVITY * np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0]])
+"""Change of what carries against gravity [m/s^2] with a tilt of all about the table's x and y, a rad; table axes."""
+
 
 @dataclass(frozen=True, eq=False)
 class LiftWindow:
@@ -55,6 +58,10 @@ class LiftWindow:
     """Mean change of the tool's wrench with time [N/s, N m/s], sensor axes: what a late pose takes it for."""
     pull_rate: Float[np.ndarray, "3"]
     """Mean change of `pull` with time [m/s^3]."""
+    pull_tilt: Float[np.ndarray, "2 3"]
+    """Change of `pull` with a tilt of the table, and all on it, about its x and its y [m/s^2 a rad]."""
+    tool_tilt: Float[np.ndarray, "2 6"]
+    """The same of `tool` [N, N m a rad]."""
     setup: SetupErrors
     """Errors of the setup, as stated."""
 
@@ -64,6 +71,7 @@ class LiftWindow:
         return replace(
             self,
             pull=back @ self.pull,
+            pull_tilt=self.pull_tilt @ back.T,
             angular_acceleration=back @ self.angular_acceleration,
             spin_products=back @ self.spin_products @ back.T,
         )
@@ -72,8 +80,13 @@ class LiftWindow:
         """The same with the change of `pull` with time in its place."""
         return replace(self, pull=self.pull_rate)
 
+    def tilting(self, axis: int) -> LiftWindow:
+        """The same with the change of `pull` with a tilt about the table's x (0) or y (1) in its place."""
+        return replace(self, pull=self.pull_tilt[axis])
+
     def __post_init__(self) -> None:
         square = (6, 6)
+        freeze_arrays(self, pull_tilt=(2, 3), tool_tilt=(2, 6))
         freeze_arrays(self, from_sensor=square, tool=(6,), tool_rate=(6,), pull_rate=(3,))
         freeze_arrays(self, wrench=(6,), covariance=square, pull=(3,), angular_acceleration=(3,), spin_products=(3, 3))
         freeze_arrays(self, bias_covariance=square, drift_covariance=square, since_tare=(2,))
@@ -102,7 +115,10 @@ def lift_windows(trajectory: Trajectory) -> list[LiftWindow]:
     own = mean_covariance(trajectory.sensor_wrench[tare])
     bias = from_sensor @ (np.diag(trajectory.sensor_bias_std**2) + own) @ from_sensor.T
     drift = from_sensor @ np.diag(trajectory.sensor_drift_std**2) @ from_sensor.T
-    on_tool = tool_wrench(tool, trajectory, rotation_matrix(trajectory.sensor_orientation))
+    sensor_axes = rotation_matrix(trajectory.sensor_orientation)
+    on_tool = tool_wrench(tool, trajectory, sensor_axes)
+    sideways = tool.mass * np.einsum("nji,aj->nai", sensor_axes, ASIDE)
+    aside = np.concatenate([sideways, np.cross(tool.com, sideways)], axis=2)
     tared = trajectory.time_s[tare].mean()
     stretches = steady_samples(trajectory)
     lasting = np.array([np.ptp(trajectory.time_s[kept]) for kept in stretches])
@@ -128,6 +144,8 @@ def lift_windows(trajectory: Trajectory) -> list[LiftWindow]:
                 tool_mass=tool.mass,
                 tool_rate=_rate(trajectory.time_s[kept], on_tool[kept]),
                 pull_rate=_rate(trajectory.time_s[kept], motion[kept, :3]),
+                pull_tilt=ASIDE @ axes[kept].mean(axis=0),
+                tool_tilt=aside[kept].mean(axis=0) - aside[tare].mean(axis=0),
                 setup=trajectory.setup,
             )
         )

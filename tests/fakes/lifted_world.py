@@ -22,6 +22,7 @@ def lifted(
     action: Lift,
     *,
     offset: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    tilt: float = 0.0,
     errors: float = 0.0,
     seed: int = 0,
 ) -> Trajectory:
@@ -31,6 +32,7 @@ def lifted(
         obj: the object, truth included.
         action: what is done with it.
         offset: of the object in the grip, m, object axes.
+        tilt: of the table and the robot about x, which turns gravity, rad.
         errors: times BIAS and NOISE.
         seed: of the errors.
     """
@@ -42,7 +44,7 @@ def lifted(
     angle, rate, slope = (np.pad(v, rest) for v in (profile.angle, profile.rate, profile.acceleration))
     orientation = Rotation.from_euler("z", yaw) * Rotation.from_rotvec(angle)
     rise, rise_rate = (np.pad(v, rest[0]) for v in (profile.height, profile.height_rate))
-    upwards = orientation.inv().apply([0.0, 0.0, GRAVITY])
+    upwards = orientation.inv().apply(Rotation.from_rotvec([tilt, 0.0, 0.0]).apply([0.0, 0.0, GRAVITY]))
 
     # each particle a brick of eight corners' worth: points at its half diagonals over the square root of three
     lever = np.column_stack([shape.particles - shape.grasps[action.grasp].position, np.zeros(len(shape.particles))])

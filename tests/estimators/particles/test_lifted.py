@@ -18,6 +18,7 @@ from testbed.actions.lift import Lift
 from testbed.errors import InvalidValueError
 from testbed.frames import move_wrench, rotate_wrench, rotation_matrix
 from testbed.objects.files import load_object
+from testbed.objects.model import GRAVITY
 from testbed.sensing.compensation import tare_samples, tool_wrench
 from testbed.sensing.lift_windows import lift_windows
 from testbed.sensing.presets import preset
@@ -62,6 +63,7 @@ def test_what_is_planned_is_what_is_recorded():
     assert len(planned) == len(found)
     for a, b in zip(planned, found, strict=True):  # a window may begin a sample earlier or later
         assert_allclose(a.pull, b.pull, atol=5e-3)
+        assert_allclose(a.pull_tilt.T @ a.pull_tilt, b.pull_tilt.T @ b.pull_tilt, atol=0.2)  # whichever way it lies
         assert_allclose(a.angular_acceleration, b.angular_acceleration, atol=1e-3)
         assert_allclose(a.spin_products, b.spin_products, atol=0.015)
         assert_allclose(np.diff(a.since_tare), np.diff(b.since_tare), atol=0.015)
@@ -90,17 +92,25 @@ def test_its_errors_are_as_large_as_they_are_said_to_be():
         (SetupErrors(tool_mass=0.03), 1.0),
         (SetupErrors(tool_com=5e-3), 1.0),
         (SetupErrors(delay=0.05), 1.0),
+        (SetupErrors(table_tilt=0.02), 1.0),
+        (SetupErrors(particle_offset=4e-3), 1.0),
     ],
 )
 def test_errors_of_the_setup_count_as_stated(setup, worth):
     obj = drawn_object(1)
     offset = (setup.grasp_offset, -setup.grasp_offset, 0.0)
-    felt = lifted(obj, SHORT, offset=offset, errors=1.0, seed=2)
+    away = setup.particle_offset * np.random.default_rng(0).standard_normal((obj.shape.n_m, 2))
+    shape = replace(obj.shape, particles=obj.shape.particles + away[obj.shape.mass_group])
+    true = replace(obj, shape=shape)
+    felt = lifted(true, SHORT, offset=offset, tilt=setup.table_tilt, errors=1.0, seed=2)
     axes = rotation_matrix(felt.sensor_orientation)
     sensed = move_wrench(rotate_wrench(axes.transpose(0, 2, 1), felt.wrench_on_object_world), -TOOL.tcp)
     sensed = worth * rotate_wrench(Rotation.from_rotvec([setup.mounting_angle, 0, 0]).as_matrix(), sensed)
     wrong = replace(TOOL, mass=TOOL.mass + setup.tool_mass, com=TOOL.com + np.array([setup.tool_com, 0, 0]))
     on_tool = tool_wrench(wrong, felt, axes) - tool_wrench(TOOL, felt, axes)
+    up = Rotation.from_rotvec([setup.table_tilt, 0, 0]).apply([0, 0, GRAVITY]) - [0, 0, GRAVITY]
+    aside = TOOL.mass * np.einsum("nji,j->ni", axes, up)
+    on_tool += np.hstack([aside, np.cross(TOOL.com, aside)])
     if setup.delay:  # the sensor is ahead of the poses
         ahead = felt.time_s + setup.delay
         both = sensed + tool_wrench(TOOL, felt, axes)

@@ -2,10 +2,11 @@
 
 Drawn objects of the scenario `random`, with those that no hand can turn, for which it draws others. Each is turned as
 there, where it can be, and pushed for as long: at random places (`pushes`), or where a greedy plan has it for an
-FT-300S and its camera (`planned pushes`); `planned` is of pushes and turns. An object without turns has as long as
-the turns of another in the middle. Answers are of `hidden_states` in an ideal world, under an FT-300S and a camera
-that sees exactly, and under one with a camera of 30 frames a second. Columns: objects with an answer that has status
-ok, median NAD of these in percent and of those that turns leave without one, and the 90 % intervals that hold.
+FT-300S and its camera (`planned pushes`); `planned turns` are such a plan, and `planned` is of both. An object
+without turns has as long as the turns of another in the middle. Answers are of `hidden_states` in an ideal world,
+under an FT-300S and a camera that sees exactly, and under one with a camera of 30 frames a second. Columns: objects
+with an answer that has status ok, median NAD of these in percent and of those that turns leave without one, and the
+90 % intervals that hold.
 """
 
 from __future__ import annotations
@@ -50,7 +51,7 @@ from testbed.trial import Trial
 
 SENSORS = ("ideal", "ft300s:camera=exact", "ft300s")
 """Sensors of the rows."""
-KINDS = ("turns", "pushes", "planned pushes", "planned")
+KINDS = ("turns", "pushes", "planned turns", "planned pushes", "planned")
 """Kinds of trials of the rows."""
 CANDIDATES = 2000
 """Actions that a plan of pushes and turns considers."""
@@ -89,13 +90,15 @@ def turns_of(model: ObjectModel) -> list[Trajectory]:
     return made(model, replace(turning, refused=refused), refused, np.inf)
 
 
-def planned(model: ObjectModel, seconds: float, refused: dict[Action, str], grasps: tuple[int, ...]) -> PlannedPolicy:
-    """The greedy plan of pushes, and of turns and slides by the grasps if there are any, in so much time."""
+def planned(
+    model: ObjectModel, seconds: float, refused: dict[Action, str], grasps: tuple[int, ...], *, pushes: bool = True
+) -> PlannedPolicy:
+    """The greedy plan of pushes, or of turns and slides by the grasps if there are any, or of both, in so much time."""
     sensing = preset(SENSORS[-1])
     guess = Guess(read_scale(model.total_mass, sensing, [0]), sensing.stated)
     count = CANDIDATES if grasps else MOST_PUSHES
     check = FeasibilityCheck(model.shape, guess, refused=refused)
-    family, goal = ActionFamily(pushes=True), Goal(budget_s=seconds, most=100)
+    family, goal = ActionFamily(pushes=pushes), Goal(budget_s=seconds, most=100)
     return PlannedPolicy(guess, goal=goal, family=family, candidates=count, grasps=grasps, feasible=check)
 
 
@@ -126,12 +129,13 @@ def answers(index: int) -> tuple[str, float, dict[tuple[str, str], Judged]]:
     refused: dict[Action, str] = {}
     kinds = {"turns": turned, "pushes": made(model, RandomPushes(100, index, refused), refused, allowed)}
     by = tuple(sorted({trial.action.grasp for trial in turned if trial.action.grasp is not None}))
-    for kind, grasps in (("planned pushes", ()), ("planned", by)):
-        if kind == "planned" and not by:
-            kinds[kind] = kinds["planned pushes"]
+    for kind, grasps in (("planned pushes", ()), ("planned turns", by), ("planned", by)):
+        if not by and kind != "planned pushes":
+            kinds[kind] = [] if kind == "planned turns" else kinds["planned pushes"]
             continue
         unable: dict[Action, str] = {}
-        kinds[kind] = made(model, planned(model, allowed, unable, grasps), unable, allowed)
+        policy = planned(model, allowed, unable, grasps, pushes=kind != "planned turns")
+        kinds[kind] = made(model, policy, unable, allowed)
     return (
         model.name,
         seconds,

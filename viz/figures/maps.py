@@ -118,7 +118,7 @@ def add_bar(figure: Figure, axes: Any, scale: Scale, **look: Any) -> None:
     """Draw the colour bar of a scale, below some axes unless `look` says otherwise."""
     usual = {"orientation": "horizontal", "shrink": 0.85, "pad": 0.04}
     size = {"fontsize": look.pop("fontsize")} if "fontsize" in look else {}
-    figure.colorbar(scale.mappable, ax=axes, **usual | look).set_label(scale.title, **size)
+    figure.colorbar(scale.mappable, ax=axes, **usual | look).set_label(scale.title, wrap=True, **size)
 
 
 def save_figure(figure: Figure, path: Path) -> list[Path]:

@@ -90,16 +90,16 @@ def turns_of(model: ObjectModel) -> list[Trajectory]:
     return made(model, replace(turning, refused=refused), refused, np.inf)
 
 
-def planned(
-    model: ObjectModel, seconds: float, refused: dict[Action, str], grasps: tuple[int, ...], *, pushes: bool = True
-) -> PlannedPolicy:
-    """The greedy plan of pushes, or of turns and slides by the grasps if there are any, or of both, in so much time."""
+def planned(model: ObjectModel, seconds: float, grasps: tuple[int, ...], *, pushes: bool = True) -> list[Trajectory]:
+    """Trials of a greedy plan of pushes, of turns and slides by the grasps if there are any, or of both, in so long."""
     sensing = preset(SENSORS[-1])
     guess = Guess(read_scale(model.total_mass, sensing, [0]), sensing.stated)
     count = CANDIDATES if grasps else MOST_PUSHES
+    refused: dict[Action, str] = {}
     check = FeasibilityCheck(model.shape, guess, refused=refused)
     family, goal = ActionFamily(pushes=pushes), Goal(budget_s=seconds, most=100)
-    return PlannedPolicy(guess, goal=goal, family=family, candidates=count, grasps=grasps, feasible=check)
+    policy = PlannedPolicy(guess, goal=goal, family=family, candidates=count, grasps=grasps, feasible=check)
+    return made(model, policy, refused, seconds)
 
 
 def judged(model: ObjectModel, clean: Sequence[Trajectory], sensor: str) -> Judged:
@@ -129,13 +129,9 @@ def answers(index: int) -> tuple[str, float, dict[tuple[str, str], Judged]]:
     refused: dict[Action, str] = {}
     kinds = {"turns": turned, "pushes": made(model, RandomPushes(100, index, refused), refused, allowed)}
     by = tuple(sorted({trial.action.grasp for trial in turned if trial.action.grasp is not None}))
-    for kind, grasps in (("planned pushes", ()), ("planned turns", by), ("planned", by)):
-        if not by and kind != "planned pushes":
-            kinds[kind] = [] if kind == "planned turns" else kinds["planned pushes"]
-            continue
-        unable: dict[Action, str] = {}
-        policy = planned(model, allowed, unable, grasps, pushes=kind != "planned turns")
-        kinds[kind] = made(model, policy, unable, allowed)
+    kinds["planned pushes"] = planned(model, allowed, ())
+    kinds["planned turns"] = planned(model, allowed, by, pushes=False) if by else []
+    kinds["planned"] = planned(model, allowed, by) if by else kinds["planned pushes"]
     return (
         model.name,
         seconds,

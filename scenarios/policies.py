@@ -36,7 +36,7 @@ Count = Annotated[int, Field(ge=1, le=100_000)]
 POLICIES = (*RANK_DRIVEN, "stop_and_go", "push", "drag", "greedy", "batch", "random", "online")
 """heft's own policies."""
 PLANNED = ("greedy", "batch", "random", "online")
-"""Those that choose among drawn candidates."""
+"""Policies that choose among drawn candidates, pushes among them where `pushes` is given."""
 
 
 @dataclass(frozen=True)
@@ -202,16 +202,11 @@ class Policy(BaseModel):
     @property
     def without_grasp(self) -> Policy | None:
         """The policy for an object that no hand can grip: `pushes` of it; None where it can only be left out."""
-        if self.pushes is None or (self.lifts and not self.plans):
+        if self.pushes is None:
             return None
-        if self.plans:
+        if self.kind in PLANNED:
             return self.model_copy(update={"touches": self.pushes, "lifts": None})
-        return Policy(kind="push", touches=self.pushes, seed=self.seed)
-
-    @property
-    def plans(self) -> bool:
-        """True if it chooses among drawn candidates, pushes among them where `pushes` is given."""
-        return self.kind in PLANNED
+        return None if self.lifts else Policy(kind="push", touches=self.pushes, seed=self.seed)
 
     @property
     def lifts_last(self) -> int | None:

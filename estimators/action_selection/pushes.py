@@ -60,7 +60,6 @@ def random_pushes(shape: ObjectShape, count: int, seed: int) -> list[Push]:
     found = []
     for _ in range(count):
         face = every[rng.choice(len(every), p=share / share.sum())]
-        x, y = face.begin + rng.uniform(EDGE, 1 - EDGE) * (face.end - face.begin)
-        direction = math.atan2(-face.normal[1], -face.normal[0]) + rng.uniform(-AIM, AIM)
-        found.append(Push((float(x), float(y)), float(direction), float(rng.uniform(-CURVED, CURVED))))
+        part, aside, curvature = rng.uniform(EDGE, 1 - EDGE), rng.uniform(-AIM, AIM), rng.uniform(-CURVED, CURVED)
+        found.append(Push.into(face, part, aside, curvature))
     return found

@@ -30,7 +30,7 @@ from testbed.actions.base import Action
 from testbed.actions.push import Push
 from testbed.actions.rotate import Rotate
 from testbed.errors import InvalidValueError
-from testbed.objects.faces import Face, faces
+from testbed.objects.faces import faces
 from testbed.objects.model import MassDistribution, ObjectShape
 from testbed.sensing.lift_windows import LiftWindow
 from testbed.sensing.presets import Sensing
@@ -221,18 +221,12 @@ def _setup_error_count(shape: ObjectShape, setup: SetupErrors) -> int:
         windows = predicted_windows(shape, [Rotate(0, duration=4.0)], exact, setup)
     else:
         drag = Drag(shape.particles, np.ones(len(shape.particles)), SURE)
-        windows = predicted_pushes(shape, drag, [_straight(face) for face in faces(shape)], exact, setup)
+        windows = predicted_pushes(shape, drag, [*map(Push.into, faces(shape))], exact, setup)
     if windows is None:  # nothing to hold or to push
         return 0
     none = torch.zeros(len(windows), 3, 3, dtype=torch.float64)
     of_particle = torch.ones(len(windows), len(shape.particles), dtype=torch.float64)
     return wrench_errors(windows, model, of_particle[0], of_particle, none, ModelErrors())[1].shape[1] - LIFT_HEIGHT
-
-
-def _straight(face: Face) -> Push:
-    """Push straight into the middle of a face."""
-    x, y = (face.begin + face.end) / 2
-    return Push((float(x), float(y)), math.atan2(-face.normal[1], -face.normal[0]))
 
 
 def _felt(windows: Observations, loads: ParticleLoads) -> Observations:

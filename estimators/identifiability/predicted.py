@@ -10,6 +10,7 @@ import numpy as np
 import torch
 
 from estimators.identifiability.quasi_static import Drag, PushedMotion
+from estimators.particles.observe import touched
 from estimators.particles.support import load_map
 from estimators.particles.windows import Observations
 from testbed.actions.base import Action, TableAction
@@ -17,7 +18,7 @@ from testbed.actions.lift import Lift
 from testbed.actions.path import RAMP_TIME
 from testbed.actions.push import GAP, Push
 from testbed.errors import InvalidValueError
-from testbed.frames import move_wrench, rotation_2d
+from testbed.frames import move_wrench, rotate_wrench, rotation_2d, rotation_z
 from testbed.objects.model import GRAVITY, ObjectShape
 from testbed.sensing.camera import Camera, PoseStream
 from testbed.sensing.lift_windows import ASIDE, LiftWindow
@@ -117,10 +118,8 @@ def predicted_pushes(
         kept = within_contact(motion.time_s)[:-1]  # each stands for the step after it
         camera, met = _stream(motion, sensing.camera), BEFORE_PUSH + RAMP_TIME / 2 + GAP / push.speed
         within = (BEGIN / 2, float(motion.time_s[-1]))
-        for part, stretch in stretches(motion.time_s[kept], motion.places[kept], camera, within):
+        for part, _, seen in stretches(motion.time_s[kept], motion.places[kept], camera, within):
             begin, end = motion.time_s[kept[part[[0, -1]]]] + met
-            seen = stretch.motion
-            group = int(shape.mass_group[np.linalg.norm(shape.particles - seen["point"], axis=1).argmin()])
             found.append(
                 _Stretch(
                     index,
@@ -129,7 +128,7 @@ def predicted_pushes(
                     seen["acceleration"],
                     seen["spin_square"],
                     seen["point"],
-                    (group, group),
+                    touched(shape, seen["point"]),
                     seen["poses"],
                     accelerated=False,
                     seen=seen["seen"],
@@ -139,7 +138,7 @@ def predicted_pushes(
 
 
 def _stream(motion: PushedMotion, camera: Camera) -> PoseStream:
-    """What a camera would see, without its errors: it states them."""
+    """Poses that a camera would see, without its errors, which they state."""
     time, poses = motion.time_s, motion.poses
     if camera.rate:
         frames = np.arange(time[0], time[-1], 1 / camera.rate)
@@ -159,10 +158,8 @@ def _observations(found: list[_Stretch], sensing: Sensing, setup: SetupErrors) -
     kept = 1.0 if pushed else float(sensing.force_bias == 0)
     sensor = torch.tensor(_to_tcp()).expand(count, 6, 6)
     if pushed:  # the hand does not turn with the object
-        into = torch.tensor(rotation_2d(-poses[:, WINDOW_PARTS // 2, 2].numpy()))
-        axes = torch.eye(6, dtype=torch.float64).repeat(count, 1, 1)
-        axes[:, :2, :2] = axes[:, 3:5, 3:5] = into
-        sensor = axes @ sensor
+        facing = poses[:, WINDOW_PARTS // 2, 2].tolist()
+        sensor = torch.tensor(np.array([rotate_wrench(rotation_z(-yaw), _to_tcp().T).T for yaw in facing]))
     return Observations(
         setup=setup,
         wrench=zeros[:, :3],
@@ -266,7 +263,8 @@ def predicted_lift(action: Lift, sensing: Sensing, setup: SetupErrors = EXACT_SE
     """Windows of one lift, their wrenches left at zero."""
     profile = action.profile(1 / RATE)
     noise, bias, drift = sensor_at_tcp(sensing)
-    upwards = _upwards(profile.angle)
+    axes = _level(profile.angle)
+    upwards = axes[:, 2]
     windows = []
     for segment in range(profile.segment.max() + 1):
         inside = np.flatnonzero(profile.segment == segment)
@@ -277,7 +275,7 @@ def predicted_lift(action: Lift, sensing: Sensing, setup: SetupErrors = EXACT_SE
         heavier = TOOL_MASS * (pull - [0.0, 0.0, GRAVITY])
         pull_rate = GRAVITY * (upwards[kept[-1]] - upwards[kept[0]]) * RATE / (len(kept) - 1)
         tool_rate = TOOL_MASS * np.concatenate([pull_rate, np.cross([0.0, 0.0, -TOOL_COM], pull_rate)])
-        aside = ASIDE @ _level(profile.angle[kept]).mean(axis=0)
+        aside = ASIDE @ axes[kept].mean(axis=0)
         moved = aside - ASIDE
         windows.append(
             LiftWindow(
@@ -308,10 +306,5 @@ def _level(angle: np.ndarray) -> np.ndarray:
     """The table's axes in those of an object that is turned about x or y by the angles, (N, 3, 3), one a row."""
     x, y, none = angle[:, 0], angle[:, 1], np.zeros(len(angle))
     along_x, along_y = np.stack([np.cos(y), none, np.sin(y)], 1), np.stack([none, np.cos(x), -np.sin(x)], 1)
-    return np.stack([along_x, along_y, _upwards(angle)], 1)
-
-
-def _upwards(angle: np.ndarray) -> np.ndarray:
-    """Vertical unit vectors in the axes of an object that is turned about x or y by the angles, (N, 3)."""
-    x, y = angle[:, 0], angle[:, 1]
-    return np.column_stack([-np.sin(y), np.sin(x), np.cos(x) * np.cos(y)])
+    upwards = np.column_stack([-np.sin(y), np.sin(x), np.cos(x) * np.cos(y)])
+    return np.stack([along_x, along_y, upwards], 1)

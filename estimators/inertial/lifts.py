@@ -13,6 +13,7 @@ from estimators.inertial.parts import column_parts
 from estimators.particles.lifts import (
     SHIFT,
     LiftErrors,
+    LiftSlopes,
     along_tilts,
     creep_covariance,
     lift_covariance,
@@ -89,15 +90,14 @@ def _of_trial(
     late = _regressors([w.changing() for w in windows], moving=False) @ shift_map(tcp) @ body
     placed = shift_map(tcp) @ body
     tilted = along_tilts(windows, lambda window: _regressors([window], moving=False) @ placed)
-    slopes = np.column_stack([by_shift[:, :2], by_turn])
-    of_setup = setup_columns(windows, rows @ body, slopes, late, tilted, trials)
-    part = shape.per_group(np.ones(len(shape.particles)))
-    aside = windows[0].setup.particle_offset * trials**0.5 * float(np.linalg.norm(part / part.sum()))
-    misplaced = aside * by_shift[:, :2]  # of parts with as much mass as they are large
+    size = shape.per_group(np.ones(len(shape.particles)))
+    parts = float(np.linalg.norm(size / size.sum())) * by_shift[:, :2]  # with as much mass as they are large
+    slopes = LiftSlopes(by_shift[:, :2], by_turn, parts, late, tilted)
+    of_setup = setup_columns(windows, rows @ body, slopes, trials)
     crept = creep_covariance(windows, by_shift * [errors.creep, errors.creep, errors.slip])
     by_shift *= [errors.grip, errors.grip, errors.sag]
     inertial = errors.inertia * (rows - still @ shift_map(tcp)) @ body
-    effects = np.column_stack([by_shift, inertial, errors.gain * rows @ body, of_setup, misplaced])
+    effects = np.column_stack([by_shift, inertial, errors.gain * rows @ body, of_setup])
     covariance = lift_covariance(shape, windows, effects, errors.wrench, float(body[0])) + crept
     return compressed_rows(rows, np.concatenate([w.wrench for w in windows]), covariance)
 

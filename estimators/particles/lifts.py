@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -49,6 +50,21 @@ class LiftErrors:
     """All wrenches, as a part of themselves."""
     wrench: float = 3e-4
     """Each window's own wrench, as a part of the weight, and of the weight at the particles' mean distance."""
+
+
+class LiftSlopes(NamedTuple):
+    """Changes of the wrenches of one trial's K windows by a guess of the masses, R = 6 K."""
+
+    place: Float[np.ndarray, "R 2"]
+    """With the object's place along x and y in the grip [N, N m a m]."""
+    angle: Float[np.ndarray, "R"]
+    """With its angle there [N, N m a rad]."""
+    parts: Float[np.ndarray, "R p"]
+    """With the places of its parts on it along x or y [N, N m a m]."""
+    late: Float[np.ndarray, "R"]
+    """With time [N/s, N m/s]."""
+    tilted: Float[np.ndarray, "R 2"]
+    """With a tilt of the table about its x and its y [N, N m a rad]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,17 +145,16 @@ def lift_information(
     moved = maps()
     by_group = [(maps(SHIFT * axis) - maps(-SHIFT * axis)) * mass / (2 * SHIFT) for axis in np.eye(3)]
     by_shift = np.column_stack([each.sum(axis=1) for each in by_group])
-    misplaced = windows[0].setup.particle_offset * trials**0.5 * np.hstack(by_group[:2])
     by_turn = slope_of_turn(lambda angle: maps(turn=angle) @ mass)
     late = np.concatenate([wrench_of_mass(shape, w, moving=False) @ mass for w in map(LiftWindow.changing, windows)])
     tilted = along_tilts(windows, lambda window: wrench_of_mass(shape, window, moving=False) @ mass)
-    slopes = np.column_stack([by_shift[:, :2], by_turn])
-    of_setup = setup_columns(windows, moved @ mass, slopes, late, tilted, trials)
+    slopes = LiftSlopes(by_shift[:, :2], by_turn, np.hstack(by_group[:2]), late, tilted)
+    of_setup = setup_columns(windows, moved @ mass, slopes, trials)
     crept = creep_covariance(windows, by_shift * [errors.creep, errors.creep, errors.slip])
     by_shift *= [errors.grip, errors.grip, errors.height * shape.height]
     inertial = errors.inertia * (moved - maps(moving=False)) @ mass
     upright = _upright_columns(shape, windows, float(mass @ shape.particles_per_group))
-    common = np.column_stack([by_shift, inertial, errors.gain * moved @ mass, of_setup, misplaced, upright])
+    common = np.column_stack([by_shift, inertial, errors.gain * moved @ mass, of_setup, upright])
     covariance = lift_covariance(shape, windows, common, errors.wrench, float(mass @ shape.particles_per_group))
     root = np.linalg.cholesky(covariance + crept)
     return np.linalg.solve(root, moved), np.linalg.solve(root, np.concatenate([w.wrench for w in windows]))
@@ -193,9 +208,7 @@ def slope_of_turn(wrench: Callable[[float], np.ndarray]) -> Float[np.ndarray, "R
 def setup_columns(
     windows: Sequence[LiftWindow],
     wrench: Float[np.ndarray, "R"],
-    slopes: Float[np.ndarray, "R 3"],
-    late: Float[np.ndarray, "R"],
-    tilted: Float[np.ndarray, "R 2"],
+    slopes: LiftSlopes,
     trials: int,
 ) -> Float[np.ndarray, "R e"]:
     """Effect on one trial's K windows of one standard deviation of each error of the setup, as stated; R = 6 K.
@@ -205,9 +218,7 @@ def setup_columns(
     Args:
         windows: windows of the trial.
         wrench: their wrenches by a guess of the masses.
-        slopes: change of these with the object's place along x and y in the grip, and with its angle.
-        late: change of these with time, N/s and N m/s.
-        tilted: change of these with a tilt of the table about its x and y, N and N m a rad.
+        slopes: changes of these.
         trials: trials that are known together.
     """
     setup, shared = windows[0].setup, trials**0.5
@@ -218,7 +229,7 @@ def setup_columns(
         math.hypot(setup.grasp_angle, shared * setup.tcp_angle),
     )
     of_sensor = []
-    for window, each, rate in zip(windows, wrench.reshape(-1, 6), late.reshape(-1, 6), strict=True):
+    for window, each, rate in zip(windows, wrench.reshape(-1, 6), slopes.late.reshape(-1, 6), strict=True):
         felt = np.linalg.solve(window.from_sensor, each) + window.tool
         other = FULL_SCALE.numpy()[:, None] / FULL_SCALE.numpy() * felt * (1 - np.eye(6))  # to, from
         crossed = np.concatenate([np.diag(column) for column in other.T], axis=1)
@@ -229,8 +240,9 @@ def setup_columns(
         behind = setup.delay * (window.from_sensor @ window.tool_rate + rate)[:, None]
         of_sensor.append(shared * np.hstack([window.from_sensor @ np.hstack(columns), behind]))
     tool = np.vstack([window.from_sensor @ window.tool_tilt.T for window in windows])
-    of_table = shared * setup.table_tilt * (tilted + tool)
-    return np.column_stack([slopes * [place, place, angle], np.vstack(of_sensor), of_table])
+    of_table = shared * setup.table_tilt * (slopes.tilted + tool)
+    of_parts = shared * setup.particle_offset * slopes.parts
+    return np.column_stack([place * slopes.place, angle * slopes.angle, np.vstack(of_sensor), of_table, of_parts])
 
 
 def along_tilts(

@@ -137,8 +137,13 @@ def _place(shape: ObjectShape, window: SteadyWindow) -> tuple[np.ndarray, tuple[
     if window.grasp is not None:
         return shape.grasps[window.grasp].position, shape.pressed(shape.grasps[window.grasp])
     assert window.point is not None
-    group = int(shape.mass_group[np.linalg.norm(shape.particles - window.point, axis=1).argmin()])
-    return window.point, (group, group)
+    return window.point, touched(shape, window.point)
+
+
+def touched(shape: ObjectShape, point: np.ndarray) -> tuple[int, int]:
+    """Mass group that a fingertip touches at a point [m, object frame], twice: as if under two pads."""
+    group = int(shape.mass_group[np.linalg.norm(shape.particles - point, axis=1).argmin()])
+    return group, group
 
 
 def _pooled(windows: list[SteadyWindow], trial: np.ndarray, accelerated: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

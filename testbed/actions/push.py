@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import ClassVar, Self
 
 import numpy as np
 from jaxtyping import Float
@@ -66,6 +66,13 @@ class Push(Action, kind="push"):
             raise InvalidValueError("Push.speed", self.speed, f"{SPEEDS[0]:g} to {SPEEDS[1]:g}, m/s")
         if self.length < LEAST_LENGTH:
             raise InvalidValueError("Push.length", self.length, f"at least {LEAST_LENGTH:g}, m")
+
+    @classmethod
+    def into(cls, face: Face, part: float = 0.5, aside: float = 0.0, curvature: float = 0.0) -> Self:
+        """Push into a face at a part of its length, at an angle from its normal [rad]: straight into its middle."""
+        x, y = face.begin + part * (face.end - face.begin)
+        direction = math.atan2(-face.normal[1], -face.normal[0]) + aside
+        return cls((float(x), float(y)), float(direction), float(curvature))
 
     @property
     def steady(self) -> tuple[Steady, ...]:

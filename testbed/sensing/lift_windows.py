@@ -61,7 +61,7 @@ class LiftWindow:
     pull_tilt: Float[np.ndarray, "2 3"]
     """Change of `pull` with a tilt of the table, and all on it, about its x and its y [m/s^2 a rad]."""
     tool_tilt: Float[np.ndarray, "2 6"]
-    """The same of `tool` [N, N m a rad]."""
+    """Change of `tool` with such a tilt [N, N m a rad]."""
     setup: SetupErrors
     """Errors of the setup, as stated."""
 
@@ -77,11 +77,11 @@ class LiftWindow:
         )
 
     def changing(self) -> LiftWindow:
-        """The same with the change of `pull` with time in its place."""
+        """Window with the change of `pull` with time in its place."""
         return replace(self, pull=self.pull_rate)
 
     def tilting(self, axis: int) -> LiftWindow:
-        """The same with the change of `pull` with a tilt about the table's x (0) or y (1) in its place."""
+        """Window with the change of `pull` with a tilt about the table's x (0) or y (1) in its place."""
         return replace(self, pull=self.pull_tilt[axis])
 
     def __post_init__(self) -> None:

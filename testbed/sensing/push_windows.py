@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any, NamedTuple
 from weakref import WeakKeyDictionary
 
@@ -59,13 +58,12 @@ def _reduced(trajectory: Trajectory) -> list[SteadyWindow]:
     tared = tare_time(trajectory)
     whole = noise_of_mean(trajectory.wrench_on_object_world[kept], round(BATCH / step))
     windows = []
-    for part, stretch in found:
+    for part, yaw, motion in found:
         axes = np.tile(np.eye(3), (len(part), 1, 1))
-        axes[:, :2, :2] = stretch.into
+        axes[:, :2, :2] = rotation_2d(-yaw)
         wrench = rotate_wrench(axes, trajectory.wrench_on_object_world[kept[part]])
         middle = len(part) // 2
-        facing = -math.atan2(stretch.into[middle, 1, 0], stretch.into[middle, 0, 0])
-        from_sensor, bias, drift = bias_and_drift(trajectory, (int(kept[part[middle]]), facing))
+        from_sensor, bias, drift = bias_and_drift(trajectory, (int(kept[part[middle]]), float(yaw[middle])))
         turned = block_diag(axes[middle], axes[middle])
         windows.append(
             SteadyWindow(
@@ -77,7 +75,7 @@ def _reduced(trajectory: Trajectory) -> list[SteadyWindow]:
                 bias_covariance=bias,
                 drift_covariance=drift,
                 since_tare=time[kept[part[[0, -1]]]] - tared,
-                **stretch.motion,
+                **motion,
             )
         )
     if not windows:
@@ -93,8 +91,10 @@ def within_contact(time: Float[np.ndarray, "N"]) -> Int[np.ndarray, "M"]:
 class Stretch(NamedTuple):
     """A part of a push as a camera sees it."""
 
-    into: Float[np.ndarray, "N 2 2"]
-    """Rotations from world axes to the object's, one a sample."""
+    samples: Int[np.ndarray, "N"]
+    """Indices of its samples."""
+    yaw: Float[np.ndarray, "N"]
+    """Yaw of the object at each [rad], world."""
     motion: dict[str, Any]
     """Fields of its `SteadyWindow` that the motion decides."""
 
@@ -104,8 +104,8 @@ def stretches(
     place: Float[np.ndarray, "N 2"],
     camera: PoseStream,
     within: tuple[float, float],
-) -> list[tuple[Int[np.ndarray, "M"], Stretch]]:
-    """Stretches of a push of at least `WINDOW` s, each with the indices of its samples; those not seen are left out.
+) -> list[Stretch]:
+    """Stretches of a push of at least `WINDOW` s; those not seen are left out.
 
     Args:
         time: times in contact that count [s].
@@ -142,7 +142,7 @@ def stretches(
             "point": point[part].mean(axis=0),
             "seen": _errors(seen.covariance[middle], seen.late[middle], into[middle], shared),
         }
-        found.append((part, Stretch(into[part], motion)))
+        found.append(Stretch(part, yaw[part], motion))
     return found
 
 

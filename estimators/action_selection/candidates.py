@@ -28,8 +28,8 @@ SWEEP_POINTS = 7
 """Points of a turn's path that are compared with the reach."""
 SLIDE_PART, ACCELERATED_PART, LIFT_PART, PUSH_PART = 0.1, 0.02, 0.005, 0.025
 """Parts of all candidates; the rest are turns."""
-MOST_PUSHES = 200
-"""Most pushes among the candidates: each is followed to its end."""
+MOST_PUSHES, MOST_DRAGS = 200, 100
+"""Most pushes among the candidates, and most slides and turns of links: each is followed to its end."""
 
 
 @dataclass(frozen=True)
@@ -66,7 +66,7 @@ class ActionFamily:
         """Draw actions that the arm can reach and that keep the object on the table, and pushes anywhere.
 
         Pivots are uniform in direction and distance from the grasp, durations in their logarithm; pushes are as
-        published.
+        published. Of an object in links all are slides and turns one way at constant speed.
 
         Args:
             shape: geometry and grasps.
@@ -79,14 +79,16 @@ class ActionFamily:
         """
         if count < 1:
             raise InvalidValueError("count", count, "an integer >= 1")
-        pushed = (self.pushes or not shape.grasps) and bool(faces(shape))
+        linked = shape.chain is not None  # links can be slid and turned, and trail behind one way at constant speed
+        count = min(count, MOST_DRAGS) if linked else count
+        pushed = (self.pushes or not shape.grasps) and bool(faces(shape)) and not linked
         if len(grasps) == 0:
             return tuple(random_pushes(shape, min(count, MOST_PUSHES), seed)) if pushed else ()
         rng = np.random.default_rng(seed)
         allowed = np.asarray(grasps, dtype=int)
-        lifts = max(round(LIFT_PART * count), 2 * len(allowed)) if self.lifts else 0
+        lifts = max(round(LIFT_PART * count), 2 * len(allowed)) if self.lifts and not linked else 0
         slides = round(SLIDE_PART * count) if self.slides else 0
-        accelerated = max(round(ACCELERATED_PART * count), 1) if self.accelerated else 0
+        accelerated = max(round(ACCELERATED_PART * count), 1) if self.accelerated and not linked else 0
         pushes = min(max(round(PUSH_PART * count), 1), MOST_PUSHES) if pushed else 0
         return (
             *self._accelerated(shape, allowed, accelerated, rng),
@@ -117,7 +119,8 @@ class ActionFamily:
             for i in np.flatnonzero(fits)[: count - len(found)]:
                 x, y = pivot[i]
                 about = float(x), float(y)
-                found.append(Rotate(int(grasp[i]), float(speed[i]), float(duration[i]), about, not self.one_way))
+                back = not (self.one_way or shape.chain is not None)
+                found.append(Rotate(int(grasp[i]), float(speed[i]), float(duration[i]), about, back))
             if len(found) >= count:
                 break
         return found

@@ -110,6 +110,8 @@ class Guess:
     """Support models that a plan serves; more than one where the support is not known."""
     setup: SetupErrors = EXACT_SETUP
     """Errors of the setup as stated."""
+    hinge_friction: tuple[float, ...] | None = None
+    """Torque of friction of each hinge of an object in links [N m]; None before any trial."""
 
     def __post_init__(self) -> None:
         check_positive_fields(self, "weight", "friction")
@@ -118,7 +120,9 @@ class Guess:
 
     def assumptions(self) -> tuple[Assumptions, ...]:
         """Assumptions of each support model, with its measured model errors and the setup's."""
-        return tuple(Assumptions(support, setup=self.setup) for support in self.supports)
+        return tuple(
+            Assumptions(support, setup=self.setup, hinge_friction=self.hinge_friction) for support in self.supports
+        )
 
     def uniform(self, shape: ObjectShape) -> MassDistribution:
         """Distribution of equal particle masses."""

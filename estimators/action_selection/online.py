@@ -97,7 +97,8 @@ class OnlinePolicy:
         windows = observe(shape, trajectories)
         estimate = self.estimator.estimate(shape, self.guess.weight, trajectories, self.seed) if trajectories else None
         setup = self.guess.setup if windows is None else windows.setup
-        guess = replace(self.guess, supports=_supports(self.guess, estimate), setup=setup)
+        hinges = _hinges(shape, self.guess, estimate)
+        guess = replace(self.guess, supports=_supports(self.guess, estimate), setup=setup, hinge_friction=hinges)
         at = _expansion_point(shape, guess, windows, estimate)
         misfit = estimate.diagnostics.get("misfit", 1.0) if estimate is not None else 1.0
         disagree = guess.supports == ("own_weight",) and misfit > UNEXPLAINED
@@ -145,7 +146,8 @@ def _for_an_answer(design: Design, done: Sequence[Action], left: float, log: Fea
     as there are fewer of them than could be needed; of an object without a grasp, pushes.
     """
     turned = sum(steady(action) for action in done)
-    accelerate = bool(design.shape.grasps) and turned > 0 and not any(action.accelerated for action in done)
+    allowed = bool(design.shape.grasps) and design.shape.chain is None
+    accelerate = allowed and turned > 0 and not any(action.accelerated for action in done)
     if not accelerate and turned > design.shape.n_m + design.shape.n_mu:
         return None
     seconds = design.seconds(done[-1] if done else None)
@@ -165,6 +167,13 @@ def _supports(guess: Guess, estimate: Estimate | None) -> tuple[str, ...]:
     if len(guess.supports) == 1 or abs(factor) < DECISIVE:
         return guess.supports
     return ("own_weight",) if factor > 0 else ("rigid",)
+
+
+def _hinges(shape: ObjectShape, guess: Guess, estimate: Estimate | None) -> tuple[float, ...] | None:
+    """Friction of each hinge [N m], as estimated or guessed."""
+    if shape.chain is None or estimate is None or "hinge_0_Nm" not in estimate.diagnostics:
+        return guess.hinge_friction
+    return tuple(max(estimate.diagnostics[f"hinge_{h}_Nm"], 0.0) for h in range(len(shape.chain.hinges)))
 
 
 def _expansion_point(
@@ -211,6 +220,6 @@ def _worst_fit(
     """Number of the trial whose windows the answer fits worst."""
     likelihood = HiddenStates().likelihood(shape, weight, trajectories, at)
     loads = friction_loads(shape, likelihood.pairs, at)
-    misses = ((likelihood.q @ loads - likelihood.b) ** 2).reshape(-1, 3).mean(axis=1)
     trial = windows.trial[~windows.accelerated].numpy()
+    misses = ((likelihood.q @ loads - likelihood.b) ** 2)[: 3 * len(trial)].reshape(-1, 3).mean(axis=1)
     return int(np.argmax(np.bincount(trial, misses) / np.maximum(np.bincount(trial), 1)))

@@ -16,12 +16,19 @@ import numpy as np
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
+from torch.nn.functional import pad
 
-from estimators.identifiability.predicted import predicted_lifts, predicted_pushes, predicted_windows
+from estimators.identifiability.predicted import (
+    predicted_drags,
+    predicted_pushes,
+    predicted_windows,
+)
+from estimators.identifiability.predicted_lifts import predicted_lifts
 from estimators.identifiability.quasi_static import Drag
 from estimators.identifiability.report import Identifiability, identifiability
 from estimators.particles.friction_system import wrench_errors
 from estimators.particles.lifts import lift_information, lifts_among
+from estimators.particles.links import HINGE_PRIOR
 from estimators.particles.model import RIGID, ModelErrors, ParticleModel, inertia_of
 from estimators.particles.observe import observe
 from estimators.particles.windows import PLANAR, Observations
@@ -61,6 +68,8 @@ class Assumptions:
     """Errors of model and weighing beyond the sensor's own; None is what was measured under this support."""
     setup: SetupErrors = EXACT_SETUP
     """Errors of the setup as stated, of trials that are yet to be made; those made carry their own."""
+    hinge_friction: tuple[float, ...] | None = None
+    """Torque of friction of each hinge of an object in links [N m]; None is a guess."""
 
     def __post_init__(self) -> None:
         if self.support not in SUPPORTS:
@@ -96,6 +105,17 @@ class TrialInformation:
         triangle = np.linalg.qr(np.vstack([prior, weighing, np.roll(flat, shared, axis=1)]), mode="r")
         return np.asarray(triangle)[shared:, shared:]
 
+    def report(self, shape: ObjectShape, distribution: MassDistribution, weight_error: float) -> Identifiability:
+        """Report of all trials and the weighing."""
+        found = identifiability(shape, distribution, self.root(shape, weight_error))
+        if shape.chain is None:
+            return found
+        prior = np.diag((np.arange(self.rows.shape[-1]) >= self.known).astype(float))
+        weighing = shape.particles_per_group / weight_error
+        prior[: shape.n_m, : shape.n_m] = np.outer(weighing, weighing)
+        spread = np.linalg.pinv(prior + self.information(), hermitian=True).diagonal()
+        return replace(found, hinge_error=tuple(HINGE_PRIOR * np.sqrt(spread[-len(shape.chain.hinges) :])))
+
 
 def expected(
     shape: ObjectShape,
@@ -114,7 +134,7 @@ def expected(
         assumptions: support model and model errors.
     """
     trials = predicted_information(shape, distribution, actions, sensing, assumptions or Assumptions())
-    return identifiability(shape, distribution, trials.root(shape, max(sensing.scale, 1e-6)))
+    return trials.report(shape, distribution, max(sensing.scale, 1e-6))
 
 
 def observed(
@@ -128,7 +148,7 @@ def observed(
     windows, lifts = observe(shape, trajectories), lifts_among(shape, trajectories)
     batches = [] if windows is None else [windows]
     trials = trial_information(shape, distribution, batches, len(trajectories), assumptions, lifts)
-    return identifiability(shape, distribution, trials.root(shape, assumptions.model_errors.weight_error))
+    return trials.report(shape, distribution, assumptions.model_errors.weight_error)
 
 
 def predicted_information(
@@ -151,11 +171,18 @@ def predicted_information(
     """
     lifts = predicted_lifts(actions, sensing, assumptions.setup) if assumptions.support == "rigid" else {}
     loads = ParticleLoads.of(shape, distribution, assumptions.support)
-    drag = Drag(shape.particles, loads.load.clamp(min=0.0).numpy(), SURE)
-    each = [
-        predicted_windows(shape, actions, sensing, assumptions.setup),
-        predicted_pushes(shape, drag, actions, sensing, assumptions.setup),
-    ]
+    friction = loads.load.clamp(min=0.0).numpy()
+    if shape.chain is not None:
+        each = [
+            predicted_drags(
+                shape, loads.mass.numpy(), friction, actions, sensing, assumptions.setup, assumptions.hinge_friction
+            )
+        ]
+    else:
+        each = [
+            predicted_windows(shape, actions, sensing, assumptions.setup),
+            predicted_pushes(shape, Drag(shape.particles, friction, SURE), actions, sensing, assumptions.setup),
+        ]
     felt = [w if w.setup.none else _felt(w, loads) for w in each if w is not None]
     return trial_information(shape, distribution, felt, len(actions), assumptions, lifts)
 
@@ -209,13 +236,15 @@ def prior_information(
 
 
 def shared_error_count(shape: ObjectShape, setup: SetupErrors = EXACT_SETUP) -> int:
-    """Number of errors that trials share: lift, height, all moments of inertia, those about each grasp, the setup's."""
-    return 3 + len(_grasp_points(shape)) + (0 if setup.none else _setup_error_count(shape, setup))
+    """Number of errors that trials share: lift, height, inertia, that about each grasp, the setup's, and each hinge."""
+    hinges = 0 if shape.chain is None else len(shape.chain.hinges)
+    return 3 + len(_grasp_points(shape)) + (0 if setup.none else _setup_error_count(shape, setup)) + hinges
 
 
 @lru_cache(maxsize=32)
 def _setup_error_count(shape: ObjectShape, setup: SetupErrors) -> int:
     """Number of the setup's errors that trials share."""
+    shape = replace(shape, chain=None)  # those of wrenches, whatever trails
     model, exact = ParticleModel.of(shape), Sensing("exact")
     if shape.grasps:
         windows = predicted_windows(shape, [Rotate(0, duration=4.0)], exact, setup)
@@ -273,9 +302,12 @@ def _table_rows(
         of_inertia = errors.inertia_error * torch.cat([turning[..., None], turning[..., None] * about[:, None]], -1)
         seen = equations.q @ loads.slopes
         moving = inertial_map(trial, loads.model) * trial.accelerated[:, None, None]
-        moved = torch.nn.functional.pad(moving.flatten(0, 1), (0, shape.n_mu))
-        common = equations.common
-        columns = [seen + moved, common[:, :LIFT_HEIGHT], of_inertia.flatten(0, 1), common[:, LIFT_HEIGHT:]]
+        moved = pad(moving.flatten(0, 1), (0, shape.n_mu))
+        more = (0, 0, 0, len(seen) - len(moved))  # rows of hinges; links turn at constant speed alone
+        columns = [seen + pad(moved, more), equations.common[:, :LIFT_HEIGHT], pad(of_inertia.flatten(0, 1), more)]
+        columns.append(equations.common[:, LIFT_HEIGHT:])
+        if equations.hinges is not None:
+            columns.append(HINGE_PRIOR * equations.hinges)
         return torch.linalg.solve_triangular(root, torch.cat(columns, 1), upper=False)
 
     return torch.vmap(of_trial, chunk_size=CHUNK)(fields).numpy()

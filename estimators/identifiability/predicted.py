@@ -8,20 +8,21 @@ from typing import NamedTuple
 
 import numpy as np
 import torch
+from jaxtyping import Float
 
-from estimators.identifiability.quasi_static import Drag, PushedMotion
-from estimators.particles.observe import touched
+from estimators.identifiability.quasi_static import Drag
+from estimators.identifiability.trailing import trailing_motions
+from estimators.particles.observe import LinkMotion, touched
 from estimators.particles.support import load_map
 from estimators.particles.windows import Observations
 from testbed.actions.base import Action, TableAction
-from testbed.actions.lift import Lift
 from testbed.actions.path import RAMP_TIME
 from testbed.actions.push import GAP, Push
 from testbed.errors import InvalidValueError
-from testbed.frames import move_wrench, rotate_wrench, rotation_2d, rotation_z
-from testbed.objects.model import GRAVITY, ObjectShape
-from testbed.sensing.camera import Camera, PoseStream
-from testbed.sensing.lift_windows import ASIDE, LiftWindow
+from testbed.frames import move_wrench, perpendicular, rotate_wrench, rotation_2d, rotation_z
+from testbed.objects.model import ObjectShape
+from testbed.sensing.camera import SPAN, Camera, PoseStream
+from testbed.sensing.link_windows import parts_of, turned_errors
 from testbed.sensing.presets import Sensing
 from testbed.sensing.push_windows import BEGIN, WINDOW, stretches, within_contact
 from testbed.sensing.windows import PARTS as WINDOW_PARTS
@@ -40,8 +41,6 @@ TARED = 0.33
 """Duration of the tare [s]."""
 REACH = 0.174
 """Distance from the sensor to the TCP [m]."""
-TOOL_MASS, TOOL_COM = 0.925, 0.06
-"""Mass of the tool [kg], and the distance of its center of mass from the sensor [m]: of a Robotiq 2F-85."""
 PARTS = 5
 """Parts of a window at whose middles its pose is taken."""
 STEP = WINDOW / WINDOW_PARTS
@@ -65,6 +64,8 @@ class _Stretch(NamedTuple):
     """Place of the TCP, m, and yaw of the object, rad, over parts of the stretch, (parts, 3)."""
     accelerated: bool
     seen: np.ndarray = np.zeros((9, 0))
+    links: np.ndarray = np.zeros((1, 0, 9))
+    links_off: np.ndarray = np.zeros((1, 1, 0, 9))
 
 
 def predicted_windows(
@@ -78,8 +79,7 @@ def predicted_windows(
         InvalidValueError: a grasp that the shape does not have.
     """
     if shape.chain is not None:
-        allowed = 'a rigid object: how links would trail is not predicted; policy "drag" draws slides and turns'
-        raise InvalidValueError("object", "one with hinges", allowed)
+        raise InvalidValueError("shape", "one with hinges", "a rigid object; see `predicted_drags`")
     held, found = [shape.pressed(grasp) for grasp in shape.grasps], []
     for index, action in enumerate(actions):
         if not isinstance(action, TableAction):  # the others have no such windows
@@ -116,7 +116,10 @@ def predicted_pushes(
         if len(motion.time_s) < 2:
             continue
         kept = within_contact(motion.time_s)[:-1]  # each stands for the step after it
-        camera, met = _stream(motion, sensing.camera), BEFORE_PUSH + RAMP_TIME / 2 + GAP / push.speed
+        camera, met = (
+            _stream(motion.time_s, motion.poses, sensing.camera),
+            BEFORE_PUSH + RAMP_TIME / 2 + GAP / push.speed,
+        )
         within = (BEGIN / 2, float(motion.time_s[-1]))
         for part, _, seen in stretches(motion.time_s[kept], motion.places[kept], camera, within):
             begin, end = motion.time_s[kept[part[[0, -1]]]] + met
@@ -137,9 +140,80 @@ def predicted_pushes(
     return _observations(found, sensing, setup) if found else None
 
 
-def _stream(motion: PushedMotion, camera: Camera) -> PoseStream:
-    """Poses that a camera would see, without its errors, which they state."""
-    time, poses = motion.time_s, motion.poses
+def predicted_drags(
+    shape: ObjectShape,
+    mass: Float[np.ndarray, "P"],
+    friction: Float[np.ndarray, "P"],
+    actions: Sequence[Action],
+    sensing: Sensing,
+    setup: SetupErrors = EXACT_SETUP,
+    hinge_friction: Sequence[float] | None = None,
+) -> Observations | None:
+    """Windows of slides and turns of an object in links, as `predicted_windows`; None without any.
+
+    Windows that an estimator leaves out are left out, as are accelerated turns.
+
+    Args:
+        shape: geometry, with a chain.
+        mass: mass of each particle, true or guessed [kg].
+        friction: greatest friction of each [N].
+        actions: actions.
+        sensing: errors of the sensor and its camera.
+        setup: errors of the setup as stated.
+        hinge_friction: torque of friction of each hinge [N m]; a guess if left out.
+    """
+    drags = {i: a for i, a in enumerate(actions) if isinstance(a, TableAction) and not a.accelerated}
+    found = []
+    for (index, drag), motion in zip(
+        drags.items(), trailing_motions(shape, mass, friction, list(drags.values()), STEP, hinge_friction), strict=True
+    ):
+        held = shape.pressed(shape.grasps[drag.grasp])
+        stretches = _stretches(shape, index, drag, held)
+        for segment, whole in enumerate(stretches):
+            inside = np.flatnonzero(motion.profile.segment == segment)
+            kept = inside[round(trim_start(drag, segment) / STEP) : len(inside) - round(TRIM_END / STEP)]
+            found += _trailing(shape, drag.grasp, whole, motion.turned[kept], sensing.camera)
+    return _observations(found, sensing, setup) if found else None
+
+
+def _trailing(
+    shape: ObjectShape, grasp: int, whole: _Stretch, turned: Float[np.ndarray, "N L 3"], camera: Camera
+) -> list[_Stretch]:
+    """Windows of a steady stretch whose links turn so, `STEP` apart."""
+    windows, time = [], whole.since_tare[0] + STEP * np.arange(len(turned))
+    for part in parts_of(len(turned), STEP):
+        if not len(part):
+            continue
+        middle, shared = part[len(part) // 2], SPAN / (len(part) * STEP)
+        errors = []
+        for link in turned.transpose(1, 0, 2):
+            poses = np.zeros((len(link), 3))
+            poses[:, 2] = link[:, 0]
+            stream = _stream(time, poses, camera)
+            seen = stream.motion(time[[middle]], 0, (time[0] - SPAN / 4, time[-1] + SPAN / 4))
+            errors.append(turned_errors(seen.covariance[0], seen.late[0], shared))
+        if np.isnan(errors).any():
+            continue
+        means = np.array([each.mean(axis=0) for each in np.array_split(turned[part], WINDOW_PARTS)])
+        twists = np.tile(whole.twists, (WINDOW_PARTS, 1))
+        twist = whole.twists[0]
+        aside = np.array([*(twist[2] * perpendicular(twist[:2])), 0.0])  # the hand's velocity turns with it
+        motion = LinkMotion(shape, grasp, twists, aside, means, np.array(errors))
+        if not motion.stands_or_starts:
+            windows.append(
+                whole._replace(
+                    since_tare=(time[part[0]], time[part[-1]]),
+                    twists=twists,
+                    acceleration=aside,
+                    links=motion.links(),
+                    links_off=motion.links_off(),
+                )
+            )
+    return windows
+
+
+def _stream(time: Float[np.ndarray, "N"], poses: Float[np.ndarray, "N 3"], camera: Camera) -> PoseStream:
+    """Frames that a camera would see of poses at some times, without its errors, which they state."""
     if camera.rate:
         frames = np.arange(time[0], time[-1], 1 / camera.rate)
         time, poses = frames, np.column_stack([np.interp(frames, time, each) for each in poses.T])
@@ -150,16 +224,16 @@ def _observations(found: list[_Stretch], sensing: Sensing, setup: SetupErrors) -
     """The windows of some stretches, all held or all pushed."""
     count, pushed = len(found), found[0].seen.shape[1] > 0
     noise, bias, drift = (torch.tensor(each).expand(count, 6, 6) for each in sensor_at_tcp(sensing))
-    since_tare, twists, acceleration, poses, place, seen = (
+    since_tare, twists, acceleration, poses, place, seen, links, links_off = (
         torch.tensor(np.array([getattr(each, name) for each in found]), dtype=torch.float64)
-        for name in ("since_tare", "twists", "acceleration", "poses", "place", "seen")
+        for name in ("since_tare", "twists", "acceleration", "poses", "place", "seen", "links", "links_off")
     )
     zeros, yaw = torch.zeros(count, 6, dtype=torch.float64), poses[:, [0, -1], 2]
     kept = 1.0 if pushed else float(sensing.force_bias == 0)
-    sensor = torch.tensor(_to_tcp()).expand(count, 6, 6)
+    sensor = torch.tensor(to_tcp()).expand(count, 6, 6)
     if pushed:  # the hand does not turn with the object
         facing = poses[:, WINDOW_PARTS // 2, 2].tolist()
-        sensor = torch.tensor(np.array([rotate_wrench(rotation_z(-yaw), _to_tcp().T).T for yaw in facing]))
+        sensor = torch.tensor(np.array([rotate_wrench(rotation_z(-yaw), to_tcp().T).T for yaw in facing]))
     return Observations(
         setup=setup,
         wrench=zeros[:, :3],
@@ -186,8 +260,8 @@ def _observations(found: list[_Stretch], sensing: Sensing, setup: SetupErrors) -
         accelerated=torch.tensor([each.accelerated for each in found]),
         pushed=torch.full((count,), pushed),
         seen=seen,
-        links=torch.zeros(count, 1, 0, 9, dtype=torch.float64),
-        links_off=torch.zeros(count, 1, 1, 0, 9, dtype=torch.float64),
+        links=links,
+        links_off=links_off,
     )
 
 
@@ -199,13 +273,13 @@ def sensor_at_tcp(sensing: Sensing) -> tuple[np.ndarray, np.ndarray, np.ndarray]
     std = np.array([*sensing.force_noise, *sensing.torque_noise])
     std[[0, 1, 3, 4]] = np.sqrt((std[[0, 0, 3, 3]] ** 2 + std[[1, 1, 4, 4]] ** 2) / 2)  # whichever way the hand turned
     noise = std**2 / (RATE * (1 - sensing.lag1) / (1 + sensing.lag1))
-    down = _to_tcp()
+    down = to_tcp()
     each = (noise, sensing.bias_std**2 + noise / TARED, sensing.drift_std**2)
     first, second, third = (down @ np.diag(variance) @ down.T for variance in each)
     return first, second, third
 
 
-def _to_tcp() -> np.ndarray:
+def to_tcp() -> np.ndarray:
     """Map from a wrench about the sensor's origin to one about the TCP below it, (6, 6)."""
     return move_wrench(np.eye(6), np.array([0.0, 0.0, -REACH])).T
 
@@ -250,61 +324,3 @@ def _stretches(shape: ObjectShape, trial: int, action: TableAction, held: tuple[
         time += seconds
         gone += steps[segment]
     return found
-
-
-def predicted_lifts(
-    actions: Sequence[Action], sensing: Sensing, setup: SetupErrors = EXACT_SETUP
-) -> dict[int, list[LiftWindow]]:
-    """Windows of the lifts among some actions, by their place, their wrenches left at zero."""
-    return {i: predicted_lift(a, sensing, setup) for i, a in enumerate(actions) if isinstance(a, Lift)}
-
-
-def predicted_lift(action: Lift, sensing: Sensing, setup: SetupErrors = EXACT_SETUP) -> list[LiftWindow]:
-    """Windows of one lift, their wrenches left at zero."""
-    profile = action.profile(1 / RATE)
-    noise, bias, drift = sensor_at_tcp(sensing)
-    axes = _level(profile.angle)
-    upwards = axes[:, 2]
-    windows = []
-    for segment in range(profile.segment.max() + 1):
-        inside = np.flatnonzero(profile.segment == segment)
-        kept = inside[round(trim_start(action, segment) * RATE) : len(inside) - round(TRIM_END * RATE)]
-        if len(kept) < 2:  # too short to trim
-            continue
-        spin, pull = profile.rate[kept], GRAVITY * upwards[kept].mean(axis=0)
-        heavier = TOOL_MASS * (pull - [0.0, 0.0, GRAVITY])
-        pull_rate = GRAVITY * (upwards[kept[-1]] - upwards[kept[0]]) * RATE / (len(kept) - 1)
-        tool_rate = TOOL_MASS * np.concatenate([pull_rate, np.cross([0.0, 0.0, -TOOL_COM], pull_rate)])
-        aside = ASIDE @ axes[kept].mean(axis=0)
-        moved = aside - ASIDE
-        windows.append(
-            LiftWindow(
-                grasp=action.grasp,
-                wrench=np.zeros(6),
-                covariance=noise * RATE / len(kept),
-                pull=pull,
-                angular_acceleration=profile.acceleration[kept].mean(axis=0),
-                spin_products=spin.T @ spin / len(kept),
-                tcp_height=HEIGHT,
-                bias_covariance=bias,
-                drift_covariance=drift,
-                since_tare=BEFORE + kept[[0, -1]] / RATE,
-                from_sensor=_to_tcp(),
-                tool=np.concatenate([heavier, np.cross([0.0, 0.0, -TOOL_COM], heavier)]),
-                tool_mass=TOOL_MASS,
-                tool_rate=tool_rate,
-                pull_rate=pull_rate,
-                pull_tilt=aside,
-                tool_tilt=TOOL_MASS * np.hstack([moved, np.cross([0.0, 0.0, -TOOL_COM], moved)]),
-                setup=setup,
-            )
-        )
-    return windows
-
-
-def _level(angle: np.ndarray) -> np.ndarray:
-    """The table's axes in those of an object that is turned about x or y by the angles, (N, 3, 3), one a row."""
-    x, y, none = angle[:, 0], angle[:, 1], np.zeros(len(angle))
-    along_x, along_y = np.stack([np.cos(y), none, np.sin(y)], 1), np.stack([none, np.cos(x), -np.sin(x)], 1)
-    upwards = np.column_stack([-np.sin(y), np.sin(x), np.cos(x) * np.cos(y)])
-    return np.stack([along_x, along_y, upwards], 1)

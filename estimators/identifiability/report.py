@@ -44,6 +44,8 @@ class Identifiability:
     """Open directions in words."""
     bench: tuple[str, ...] = ()
     """Report on the unknowns of the setup, in words, where they are estimated."""
+    hinge_error: tuple[float, ...] = ()
+    """Standard error of the friction of each hinge of an object in links [N m]."""
 
     def __post_init__(self) -> None:
         n_m, n_mu = len(self.group_names), len(self.friction_error)
@@ -62,7 +64,9 @@ class Identifiability:
         text = f"all {self.unknowns} masses and frictions are seen"
         if self.rank < self.unknowns:
             text = f"{self.rank} of {self.unknowns} masses and frictions are seen; open: {'; '.join(self.unobservable)}"
-        return "; ".join([text, *self.bench])
+        hinges = [f"{1e3 * error:.2g}" for error in self.hinge_error]
+        more = [f"friction of hinges: standard error {', '.join(hinges)} mN m"] if hinges else []
+        return "; ".join([text, *more, *self.bench])
 
 
 def identifiability(

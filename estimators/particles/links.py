@@ -14,6 +14,7 @@ import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
+from torch.nn.functional import pad
 
 from estimators.particles.model import ParticleModel, cross, direction, rotate, turned
 
@@ -170,9 +171,7 @@ def hinge_rows(
     # a hinge that may stand says nothing, and a row of zeros needs some error
     off = HINGE_ERROR * (here.rows.abs() @ drag) * alike + still.double() + 1e-8
     covariance = covariance + torch.cat([wrong.flatten(), off.flatten()]).square().diag()
-    friction = torch.zeros(len(window), hinges, dtype=torch.float64)
-    friction[3 * count :] = torch.diag_embed(here.sign).flatten(0, 1)
-    return here, covariance, friction
+    return here, covariance, pad(torch.diag_embed(here.sign).flatten(0, 1), (0, 0, 3 * count, 0))
 
 
 def _resting(
@@ -186,13 +185,10 @@ def _resting(
     rows = torch.cat([along, torch.stack([-arms[..., 1], arms[..., 0]], -1)], 1) * (resting * drag)[:, None, :, None]
     each = (rows.flatten(2) @ rows.flatten(2).transpose(1, 2)) / 2
     count, hinges = arm.shape[:2]
-    index = torch.arange(count)
-    order = torch.cat(
-        [3 * index[:, None] + torch.arange(3), 3 * count + hinges * index[:, None] + torch.arange(hinges)], 1
-    )
-    found = torch.zeros(count * (3 + hinges), count * (3 + hinges), dtype=torch.float64)
-    found[order[:, :, None], order[:, None, :]] = each
-    return found
+    place = torch.arange(count * (3 + hinges)).reshape(count, -1)  # window by window
+    order = torch.cat([place[:, :3].flatten(), place[:, 3:].flatten()])
+    whole = torch.eye(count, dtype=torch.float64)[:, None, :, None] * each[:, :, None]
+    return whole.reshape(place.numel(), -1)[order][:, order]
 
 
 def hinge_friction(

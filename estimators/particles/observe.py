@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
 import torch
+from jaxtyping import Float
 
 from estimators.particles.model import ModelErrors
 from estimators.particles.support import likely_load, load_map
 from estimators.particles.windows import PLANAR, Observations
 from testbed.actions.base import TableAction
 from testbed.actions.push import Push
-from testbed.objects.chain import Chain, speeds
+from testbed.objects.chain import speeds
 from testbed.objects.model import ObjectShape
 from testbed.sensing.link_windows import link_windows
 from testbed.sensing.push_windows import push_windows
@@ -85,8 +87,8 @@ def observe(
         "trial": np.array(trial),
         "accelerated": np.array(accelerated),
         "pushed": np.array([w.grasp is None for w in windows]),
-        "links": np.array([_links(shape, w) for w in windows]),
-        "links_off": np.array([_links_off(shape, w) for w in windows]),
+        "links": np.array([LinkMotion.of(shape, w).links() for w in windows]),
+        "links_off": np.array([LinkMotion.of(shape, w).links_off() for w in windows]),
     }
     if not values["pushed"].any():
         values["seen"] = values["seen"][..., :0]
@@ -98,38 +100,68 @@ def observe(
 def _table_windows(shape: ObjectShape, trajectory: Trajectory) -> list[SteadyWindow]:
     if shape.chain is not None:
         windows = [] if trajectory.action.accelerated else link_windows(trajectory)
-        return [window for window in windows if not _stands_or_starts(shape, shape.chain, window)]
+        return [window for window in windows if not LinkMotion.of(shape, window).stands_or_starts]
     return (push_windows if isinstance(trajectory.action, Push) else steady_windows)(trajectory)
 
 
-def _stands_or_starts(shape: ObjectShape, chain: Chain, window: SteadyWindow) -> bool:
-    """True if part of a link stands, where what holds it is anything up to its friction, or starts or stops."""
-    assert window.grasp is not None
-    sure = 2 * np.linalg.norm(window.turned_errors[:, 2], axis=1)
-    if (np.abs(window.turned[..., 2]) - sure > SUDDEN).any():
-        return True
-    links, offsets = _links(shape, window), shape.particles - shape.grasps[window.grasp].position
-    of = chain.link[shape.mass_group]
-    return any((speeds(links, k, offsets[of == k]) < STANDING).mean() > MOST_STANDING for k in range(chain.links))
+@dataclass(frozen=True, eq=False)
+class LinkMotion:
+    """Motion of the links in one window of an articulated object, measured or predicted."""
 
+    shape: ObjectShape
+    """Geometry; a rigid one has no links."""
+    grasp: int | None
+    """Grasp by which one is held."""
+    twists: Float[np.ndarray, "S 3"]
+    """As `SteadyWindow.twists`."""
+    acceleration: Float[np.ndarray, "3"]
+    """As `SteadyWindow.acceleration`."""
+    turned: Float[np.ndarray, "S L 3"]
+    """As `SteadyWindow.turned`."""
+    turned_errors: Float[np.ndarray, "L 3 4"]
+    """As `SteadyWindow.turned_errors`."""
 
-def _links(shape: ObjectShape, window: SteadyWindow, off: np.ndarray | None = None) -> np.ndarray:
-    """Motion of every link, (S, L, 9), with errors `off` (L, 3) of their yaw, rate and slope."""
-    chain, point = shape.chain, window.grasp
-    if chain is None or point is None:
-        return np.zeros((PARTS, 0, 9))
-    held = int(chain.link[shape.pressed(shape.grasps[point])[0]])
-    turned = window.turned + (0.0 if off is None else off)
-    turned[..., 0] -= turned[:, held, None, 0]  # the hand knows where it is in the world; the links show each other
-    return chain.moved(held, shape.grasps[point].position, window.twists, window.acceleration, turned)
+    @staticmethod
+    def of(shape: ObjectShape, window: SteadyWindow) -> LinkMotion:
+        """Motion in a measured window."""
+        return LinkMotion(shape, window.grasp, window.twists, window.acceleration, window.turned, window.turned_errors)
 
+    @property
+    def stands_or_starts(self) -> bool:
+        """True if part of a link stands, where what holds it is anything up to its friction, or starts or stops."""
+        chain = self.shape.chain
+        assert chain is not None and self.grasp is not None
+        sure = 2 * np.linalg.norm(self.turned_errors[:, 2], axis=1)
+        if (np.abs(self.turned[..., 2]) - sure > SUDDEN).any():
+            return True
+        links, offsets = self.links(), self.shape.particles - self.shape.grasps[self.grasp].position
+        of = chain.link[self.shape.mass_group]
+        return any((speeds(links, k, offsets[of == k]) < STANDING).mean() > MOST_STANDING for k in range(chain.links))
 
-def _links_off(shape: ObjectShape, window: SteadyWindow) -> np.ndarray:
-    """`_links` after each error of the camera, (E, S, L, 9): three of each link's own, and its delay's of all."""
-    errors = window.turned_errors
-    links = np.eye(len(errors))[:, :, None]
-    own = [link * errors[index, :, each] for index, link in enumerate(links) for each in range(3)]
-    return np.array([_links(shape, window, off) for off in [*own, errors[:, :, 3]]])
+    def links(self) -> Float[np.ndarray, "S L 9"]:
+        """Motion of every link as `Chain.moved`."""
+        return self._moved(self.turned)
+
+    def links_off(self) -> Float[np.ndarray, "E S L 9"]:
+        """`links` after each error of the camera: three of each link's own, and its delay's of all."""
+        errors = self.turned_errors
+        links = np.eye(len(errors))[:, :, None]
+        own = [link * errors[index, :, each] for index, link in enumerate(links) for each in range(3)]
+        off = np.array([*own, errors[:, :, 3]])[:, None]
+        return self._moved((self.turned + off).reshape(len(off) * PARTS, *self.turned.shape[1:])).reshape(
+            len(off), *self.turned.shape[:2], 9
+        )
+
+    def _moved(self, turned: Float[np.ndarray, "R L 3"]) -> Float[np.ndarray, "R L 9"]:
+        """Motion of every link by yaw, rate and slope, in rows of S parts each."""
+        chain = self.shape.chain
+        if chain is None or self.grasp is None:
+            return np.zeros((len(turned), 0, 9))
+        grasp = self.shape.grasps[self.grasp]
+        held = int(chain.link[self.shape.pressed(grasp)[0]])
+        turned = turned - turned[:, held, None] * [1, 0, 0]  # the hand knows where it is; links show each other
+        twists = np.tile(self.twists, (len(turned) // PARTS, 1))
+        return chain.moved(held, grasp.position, twists, self.acceleration, turned)
 
 
 def _place(shape: ObjectShape, window: SteadyWindow) -> tuple[np.ndarray, tuple[int, int]]:

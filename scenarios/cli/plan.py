@@ -62,9 +62,10 @@ def identify(
         sensing: preset of the sensor, and of the camera that sees pushes.
         world: ideal, lab or rough, whose errors of the setup are reckoned with.
         support: what carries the weight; if left out, rigid for an object on points of contact, else own_weight.
-        pivots: turns there and back, as the rank-driven policy draws them; 0 for none, accelerated ones neither.
+        pivots: turns there and back, as the rank-driven policy draws them; 0 for none, accelerated ones neither. Of an
+            object with hinges random ones, one way, and none accelerated.
         accelerated: accelerated turns.
-        slides: slides, in directions spread over the circle.
+        slides: slides, in directions spread over the circle; of an object with hinges in random ones.
         lifts: lifts, held still and rocked in the air, of the grasps nearest the middle; under rigid support alone.
         pushes: pushes at random faces, points and directions; an object without grasps can only be pushed.
         duration: time of a turn each way, s.
@@ -81,9 +82,8 @@ def identify(
     console, model = open_console(), load_object(object_)
     carrier = support or support_of(model.shape).name
     actions = actions_of(model, carrier, pivots, accelerated, slides, lifts, pushes, duration, grasps)
-    report = expected(
-        model.shape, model.truth, actions, preset(sensing), Assumptions(carrier, setup=world_of(world).stated)
-    )
+    assumed = Assumptions(carrier, setup=world_of(world).stated, hinge_friction=model.hinge_friction or None)
+    report = expected(model.shape, model.truth, actions, preset(sensing), assumed)
     kinds = [action.kind for action in actions]
     counts = ", ".join(f"{kinds.count(kind)} {kind}" for kind in dict.fromkeys(kinds))
     title = f"{model.name}, {carrier}, {sensing}" + ("" if world == "ideal" else f", {world}")
@@ -109,6 +109,8 @@ def actions_of(
 ) -> list[Action]:
     """A weighing, the rank-driven policy's actions, slides in spread directions, lifts and random pushes.
 
+    Of an object in links random turns one way and slides, at constant speed.
+
     Arguments are as `identify` has them.
 
     Lifts are of the grasps nearest the middle, where the object hangs by its weight with the least moment.
@@ -116,6 +118,7 @@ def actions_of(
     Raises:
         InvalidValueError: a grasp that the object does not have, or a count that is not allowed.
     """
+    from estimators.action_selection.drags import random_drags
     from estimators.action_selection.pushes import random_pushes
     from estimators.action_selection.rank import RankDriven
     from testbed.actions.lift import Lift
@@ -123,13 +126,15 @@ def actions_of(
     from testbed.actions.weigh import Weigh
 
     shape, allowed = model.shape, named_grasps(model, grasps)
-    if slides < 0:
-        raise InvalidValueError("slides", slides, "an integer >= 0")
-    if pushes < 0:
-        raise InvalidValueError("pushes", pushes, "an integer >= 0")
+    for name, count in (("slides", slides), ("pushes", pushes)):
+        if count < 0 or (count and name == "pushes" and shape.chain is not None):
+            raise InvalidValueError(name, count, "an integer >= 0; no pushes of an object with hinges")
     most = 0 if support != "rigid" else math.inf
     if not 0 <= lifts <= most:
         raise InvalidValueError("lifts", lifts, "an integer >= 0, and 0 unless the support is rigid")
+    if shape.chain is not None:
+        drags = random_drags(shape, allowed, 2 * max(pivots, slides), 0)  # every other one is a turn
+        return [Weigh(), *drags[1::2][:pivots], *drags[::2][:slides]]
     turns = RankDriven(pivots, duration, accelerated, grasps=allowed).predicted_actions(shape) if pivots else []
     golden = math.pi * (3 - math.sqrt(5))
     slid = [Slide(allowed[i % len(allowed)], i * golden) for i in range(slides)] if allowed else []

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 from weakref import WeakKeyDictionary
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from testbed.actions.base import TableAction
 from testbed.errors import InvalidValueError
@@ -42,9 +43,7 @@ def _reduced(trajectory: Trajectory, camera: PoseStream) -> list[SteadyWindow]:
         within = float(time[0]) - SPAN / 4, float(time[-1]) + SPAN / 4
         seen = [camera.motion(time, part, within) for part in range(camera.parts)]
         turned = np.stack([np.column_stack([m.pose[:, 2], m.twist[:, 2], m.acceleration[:, 2]]) for m in seen], 1)
-        parts = np.array_split(np.arange(len(stretch)), max(int(len(stretch) * step / WINDOW + 1e-6), 1))
-        for whole in parts:
-            part = whole[: len(whole) // PARTS * PARTS]  # parts of a window are as long as each other
+        for part in parts_of(len(stretch), step):
             if np.isnan(turned[part]).any():  # frames were lost
                 continue
             middle = part[len(part) // 2]
@@ -53,7 +52,9 @@ def _reduced(trajectory: Trajectory, camera: PoseStream) -> list[SteadyWindow]:
             more.append(
                 {
                     "turned": np.array([each.mean(axis=0) for each in np.array_split(turned[part], PARTS)]),
-                    "turned_errors": np.array([_errors(m.covariance[middle], m.late[middle], shared) for m in seen]),
+                    "turned_errors": np.array(
+                        [turned_errors(m.covariance[middle], m.late[middle], shared) for m in seen]
+                    ),
                 }
             )
     if not stretches:
@@ -61,7 +62,13 @@ def _reduced(trajectory: Trajectory, camera: PoseStream) -> list[SteadyWindow]:
     return [replace(window, **of) for window, of in zip(windows_of(trajectory, stretches), more, strict=True)]
 
 
-def _errors(
+def parts_of(count: int, step: float) -> Iterator[Int[np.ndarray, "N"]]:
+    """Indices of the samples of each window of a stretch of `count` samples, `step` s apart."""
+    for whole in np.array_split(np.arange(count), max(int(count * step / WINDOW + 1e-6), 1)):
+        yield whole[: len(whole) // PARTS * PARTS]  # parts of a window are as long as each other
+
+
+def turned_errors(
     covariance: Float[np.ndarray, "9 9"], late: Float[np.ndarray, "9"], shared: float
 ) -> Float[np.ndarray, "3 4"]:
     """Effects of the camera's errors on angle, rate and slope: three of the window's own, and one of its trial.

@@ -36,6 +36,18 @@ def test_only_the_grasps_that_are_named_are_used():
         actions_of(model, grasps=("nose",))
 
 
+LINKS = "scenarios/library/objects/fold_2.toml"
+
+
+def test_links_are_slid_and_turned_and_their_hinges_told(capsys):
+    actions = actions_of(load_object(LINKS), pivots=2, slides=3)
+    assert [type(action) for action in actions] == [Weigh, Rotate, Rotate, Slide, Slide, Slide]
+    with pytest.raises(InvalidValueError, match="no pushes of an object with hinges"):
+        actions_of(load_object(LINKS), pushes=2)
+    main(["identify", LINKS, "--pivots", "2", "--slides", "2"])
+    assert "friction of hinges: standard error" in " ".join(capsys.readouterr().out.split())
+
+
 def test_pushes_are_the_published_ones():
     model = load_object("L2")
     assert actions_of(model, pivots=0, pushes=5)[1:] == random_pushes(model.shape, 5, 0)

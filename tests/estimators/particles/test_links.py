@@ -162,7 +162,7 @@ def test_every_method_takes_links_or_says_why_not():
 
 
 def test_what_is_not_built_for_links_is_refused():
-    with pytest.raises(InvalidValueError, match="how links would trail is not predicted"):
+    with pytest.raises(InvalidValueError, match="a rigid object; see `predicted_drags`"):
         predicted_windows(TWO.shape, [Slide(0)], preset("ideal"))
     with pytest.raises(InvalidValueError, match="own_weight and no push, of an object with hinges"):
         SimulationRunner().run(Trial(TWO, Slide(0), RIGID))

@@ -18,7 +18,7 @@ from torch.nn.functional import pad
 from estimators.particles.links import HINGE_PRIOR, hinge_rows
 from estimators.particles.model import ModelErrors, ParticleModel
 from estimators.particles.pivots import LEAST_VARIANCE
-from estimators.particles.setup_effects import Columns, seen_effects, setup_effects, shared_and_own, sticking
+from estimators.particles.setup_effects import Columns, seen_effects, setup_effects, shared_and_own
 from estimators.particles.support import own_weight
 from estimators.particles.windows import PLANAR, Observations
 from testbed.objects.model import GRAVITY, ObjectShape
@@ -139,12 +139,11 @@ def friction_equations(
     if not windows.articulated:
         return found
     torques, covariance, hinges = hinge_rows(windows, model, mass, s, errors)
-    more = torques.inertial.numel()
     return FrictionEquations(
         torch.cat([found.q, groups.gather(torques.rows).flatten(0, 1)]),
         torch.cat([found.b, -torques.inertial.flatten()]),
-        pad(apart, (0, more, 0, more)) + covariance,
-        pad(common, (0, 0, 0, more)),
+        apart + covariance,
+        common,
         hinges,
     )
 
@@ -172,6 +171,8 @@ def wrench_errors(
 ) -> tuple[Float[Tensor, "R R"], Float[Tensor, "R E"]]:
     """Errors of wrenches less the effect of the gripper's load: R = 3 K rows.
 
+    Of an object in links the setup's errors of torques about its H hinges follow, R = 3 K + K H.
+
     Args:
         windows: windows of constant speed.
         model: particles of the object.
@@ -197,7 +198,7 @@ def wrench_errors(
     by_motion = torch.cat([moved, slopes * windows.twist_noise.sqrt() * held, effects], -1)
     within = torch.diag_embed(own) + by_motion @ by_motion.transpose(1, 2)
     if windows.seen.shape[-1]:  # some are pushes
-        within = within + sticking(windows, model, drag)
+        within = within + windows.sticking_covariance(model, drag)
     lift, tilt = errors.lift_error, errors.tilt_error
     shared = torch.tensor([lift / 2**0.5, 0.0, 0.0], dtype=torch.float64)
     alone = torch.tensor([lift / 2**0.5, tilt, tilt], dtype=torch.float64)
@@ -205,10 +206,11 @@ def wrench_errors(
     hidden = (response * (shared * (1 - windows.load_kept))[:, None]).sum(-1)
     # the drag's own moment about the feet is as wrong as the height over them
     raised = errors.height_error * (response[..., 1:] @ windows.wrench[:, :2, None])[..., 0]
-    common = torch.stack([hidden.flatten(), raised.flatten()], 1)
+    more = len(windows) * windows.hinges
+    common = pad(torch.stack([hidden.flatten(), raised.flatten()], 1), (0, 0, 0, more))
     effects = _of_setup(windows, model, mass, drag, response, errors.pivot_error)
     shared, own = shared_and_own(effects, windows)
-    return apart + own + late, torch.cat([common, shared], 1)
+    return pad(apart + late, (0, more, 0, more)) + own, torch.cat([common, shared], 1)
 
 
 def unknown_motion(windows: Observations, model: ParticleModel, weight: float) -> Float[Tensor, "R E"]:

@@ -11,7 +11,9 @@ import math
 import torch
 from jaxtyping import Float
 from torch import Tensor
+from torch.nn.functional import pad
 
+from estimators.particles.links import HingeTorques, standing
 from estimators.particles.model import ParticleModel, cross, inertia_of, rotate, turned
 from estimators.particles.windows import Observations
 from testbed.objects.model import GRAVITY
@@ -28,9 +30,6 @@ WAVELENGTHS = (0.06, 0.6)
 """Least and greatest wavelength of friction over a table, m. Ours: shorter ones average out under an object."""
 REFERENCE = 0.02
 """Speed at which friction is the stated one, m/s."""
-SLOW = 1e-3
-"""Speed at which a foot of a pushed object may drag half of its friction less, or another way, m/s: nothing keeps the
-center of rotation off a point of contact, and there it sticks. Ours."""
 SMALL = 1e-4
 """Shift by which slopes are taken, m."""
 
@@ -63,6 +62,8 @@ def setup_effects(
 ) -> Columns:
     """Change of every measured wrench with one standard deviation of each parameter, by kind; R = 3 K rows.
 
+    Of an object in links the torques about its H hinges follow, R = 3 K + K H.
+
     Of a kind that is drawn anew in every trial, the columns hold for each trial by itself.
 
     Args:
@@ -75,7 +76,7 @@ def setup_effects(
         setup: standard deviations; a kind of 0 has no columns.
     """
     found: Columns = {}
-    rows = windows.drag_rows(model, pivot_error) * drag[:, None]  # (K, 3, P)
+    rows = _with_hinges(windows, model, windows.drag_rows(model, pivot_error)) * drag[:, None]  # (K, 3 + H, P)
     if setup.contact_points:
         found["contact_points"] = _contact_pattern(windows, model, drag, pivot_error, setup.contact_points)
     if setup.group_friction:
@@ -86,7 +87,7 @@ def setup_effects(
         found["anisotropy"] = _anisotropy(windows, model, rows, setup.anisotropy)
     if setup.speed_friction:
         decades = torch.log10(windows.particle_velocity(model).norm(dim=-1).clamp(1e-4, 1.0) / REFERENCE)
-        found["speed_friction"] = setup.speed_friction * (rows * decades[:, None]).sum(-1).reshape(-1, 1)
+        found["speed_friction"] = setup.speed_friction * _flat((rows * decades[:, None]).sum(-1, keepdim=True))
     if setup.table_tilt:
         found["table_tilt"] = setup.table_tilt * _tilt(windows, model, mass)
     found |= _displacements(windows, model, mass, drag, pivot_error, setup)
@@ -95,21 +96,12 @@ def setup_effects(
 
 def shared_and_own(effects: Columns, windows: Observations) -> tuple[Float[Tensor, "R E"], Float[Tensor, "R R"]]:
     """Effects of the errors that all trials share, side by side, and covariance of those drawn anew in each."""
-    rows = 3 * len(windows)
+    rows = (3 + windows.hinges) * len(windows)
     none = torch.zeros(rows, 0, dtype=torch.float64)
     own = torch.cat([none, *(effects[kind] for kind in BY_TRIAL if kind in effects)], 1)
-    together = windows.together[:, None, :, None].expand(-1, 3, -1, 3).reshape(rows, rows)
+    window = _window_of_row(windows)
+    together = windows.together[window][:, window]
     return torch.cat([none, *(c for kind, c in effects.items() if kind not in BY_TRIAL)], 1), own @ own.T * together
-
-
-def sticking(windows: Observations, model: ParticleModel, drag: Float[Tensor, "K P"]) -> Float[Tensor, "K 3 3"]:
-    """Covariance of pushes from feet so slow that they stick: of a part SLOW^2 / (v^2 + SLOW^2) of their drag."""
-    lever = windows.lever(model)
-    square = windows.velocity_by_part(lever).square().sum(-1)
-    stuck = (SLOW**2 / (square + SLOW**2)).mean(1) * windows.pushed[:, None]
-    along = torch.eye(2, dtype=torch.float64).expand(*lever.shape, 2)
-    pull = torch.cat([along, turned(lever)[..., None, :]], -2) * (stuck * drag)[..., None, None]
-    return torch.einsum("kpij,kplj->kil", pull, pull)
 
 
 def seen_effects(
@@ -158,18 +150,39 @@ def seen_effects(
 def trial_by_trial(effects: Columns, windows: Observations) -> Columns:
     """The effects, with columns for every trial where an error is drawn anew in each."""
     trials = torch.nn.functional.one_hot(torch.unique(windows.trial, return_inverse=True)[1]).double()
-    of_rows = trials.repeat_interleave(3, 0)
+    of_rows = trials[_window_of_row(windows)]
     return {
         kind: (columns[..., None] * of_rows[:, None]).flatten(1) if kind in BY_TRIAL else columns
         for kind, columns in effects.items()
     }
 
 
-def _flat(columns: Float[Tensor, "K 3 n"]) -> Float[Tensor, "R n"]:
-    return columns.reshape(3 * len(columns), -1)
+def _window_of_row(windows: Observations) -> Tensor:
+    """Window of each row: three of every wrench, then one of every hinge, (R,)."""
+    window = torch.arange(len(windows))
+    return torch.cat([window.repeat_interleave(3), window.repeat_interleave(windows.hinges)])
 
 
-def _by_group(model: ParticleModel, rows: Float[Tensor, "K 3 P"]) -> Float[Tensor, "R n_m"]:
+def _flat(columns: Float[Tensor, "K 3+H n"]) -> Float[Tensor, "R n"]:
+    """Rows of the wrenches, then those of the hinges."""
+    return torch.cat([columns[:, :3].flatten(0, 1), columns[:, 3:].flatten(0, 1)])
+
+
+def _with_hinges(
+    windows: Observations, model: ParticleModel, rows: Float[Tensor, "K 3 P"], still: Tensor | None = None
+) -> Float[Tensor, "K 3+H P"]:
+    """Rows of wrenches and, of an object in links, of torques about those of its hinges that are not `still` (K, H)."""
+    if not windows.articulated:
+        return rows
+    return torch.cat([rows, _torques(windows, model, still).rows], 1)
+
+
+def _torques(windows: Observations, model: ParticleModel, still: Tensor | None = None) -> HingeTorques:
+    weightless = torch.zeros(len(model.particles), dtype=torch.float64)
+    return HingeTorques.of(windows, model, weightless, standing(windows) if still is None else still)
+
+
+def _by_group(model: ParticleModel, rows: Float[Tensor, "K 3+H P"]) -> Float[Tensor, "R n_m"]:
     """Sums over mass groups."""
     one_hot = torch.nn.functional.one_hot(model.mass_group).double()
     return _flat(rows @ one_hot)
@@ -184,7 +197,7 @@ def _contact_pattern(
     is drawn: its variance over the area, over the number of points.
     """
     spread = model.spread
-    rows = torch.stack([windows.point_rows(each, pivot_error) for each in spread], -1)  # (K, 3, P, 4)
+    rows = torch.stack([_with_hinges(windows, each, windows.point_rows(each, pivot_error)) for each in spread], -1)
     places = torch.stack([each.particles for each in spread], 1)  # (P, 4, 2)
     columns = []
     for group in range(int(model.mass_group.max()) + 1):
@@ -201,7 +214,7 @@ def _contact_pattern(
     return _flat(torch.cat(columns, -1))
 
 
-def _place(windows: Observations, model: ParticleModel, rows: Float[Tensor, "K 3 P"]) -> Float[Tensor, "R n"]:
+def _place(windows: Observations, model: ParticleModel, rows: Float[Tensor, "K 3+H P"]) -> Float[Tensor, "R n"]:
     """Friction as a smooth field of unit variance over the table, of waves of many lengths along many directions."""
     at = windows.poses[..., None, :2] + rotate(windows.poses[..., 2, None], windows.lever(model)[:, None])
     phase = at @ WAVES.T  # (K, S, P, n)
@@ -210,7 +223,7 @@ def _place(windows: Observations, model: ParticleModel, rows: Float[Tensor, "K 3
 
 
 def _anisotropy(
-    windows: Observations, model: ParticleModel, rows: Float[Tensor, "K 3 P"], size: float
+    windows: Observations, model: ParticleModel, rows: Float[Tensor, "K 3+H P"], size: float
 ) -> Float[Tensor, "R 5"]:
     """Elliptic friction, more along one axis of the table by a part h and less across; along x or along a diagonal.
 
@@ -237,18 +250,28 @@ def _anisotropy(
     across = [2 * size * p[0], 2 * size * p[1], *(-(size**2) * r * (a[i] * p[j] + a[j] * p[i]) for i, j, r in pairs)]
     both = torch.stack([torch.stack(along), torch.stack(across)]).mean(3)[..., None]  # (2, 5, K, P, 1)
     force = drag.norm(dim=-1, keepdim=True) * (both[0] * unit + both[1] * aside)
-    torque = cross(windows.lever(model), force).sum(-1)
-    return _flat(torch.cat([force.sum(2), torque[..., None]], -1).permute(1, 2, 0))
+    torque = cross(windows.lever(model), force).sum(-1, keepdim=True)
+    about = torch.cat([force.sum(2), torque, *_about_hinges(windows, model, force)], -1)
+    return _flat(about.permute(1, 2, 0))
+
+
+def _about_hinges(
+    windows: Observations, model: ParticleModel, force: Float[Tensor, "... K P 2"]
+) -> list[Float[Tensor, "... K H"]]:
+    """Torques about the hinges of forces on all that trails; none of a rigid object."""
+    if not windows.articulated:
+        return []
+    return [cross(_torques(windows, model).arm, force[..., None, :, :]).sum(-1)]
 
 
 def _tilt(windows: Observations, model: ParticleModel, mass: Float[Tensor, "P"]) -> Float[Tensor, "R 2"]:
     """Pull of gravity along a tilted table, about either axis of the table."""
-    whole = inertia_of(model, mass)
-    weight = whole.mass * GRAVITY
-    columns = []
+    lever, columns = windows.lever(model), []
     for axis in torch.eye(2, dtype=torch.float64):
-        force = weight * rotate(-windows.poses[..., 2], axis.expand(*windows.poses.shape[:2], 2)).mean(1)
-        columns.append(torch.cat([force, cross(whole.com - windows.grasp, force)[:, None]], -1))
+        along = rotate(-windows.poses[..., 2], axis.expand(*windows.poses.shape[:2], 2)).mean(1)
+        pull = GRAVITY * mass[:, None] * along[:, None]
+        torque = cross(lever, pull).sum(-1, keepdim=True)
+        columns.append(torch.cat([pull.sum(1), torque, *_about_hinges(windows, model, pull)], -1))
     return _flat(torch.stack(columns, -1))
 
 
@@ -264,16 +287,29 @@ def _displacements(
     told = (setup.particle_offset, setup.grasp_offset, setup.grasp_angle, setup.tcp_offset, setup.tcp_angle)
     if not any(told):
         return {}
+    still = standing(windows) if windows.articulated else None
+
+    def rows(windows: Observations, model: ParticleModel) -> Float[Tensor, "K 3+H P"]:
+        return _with_hinges(windows, model, windows.drag_rows(model, pivot_error), still) * drag[:, None]
+
     by = []
     for axis in torch.eye(2, dtype=torch.float64):
-        ahead, behind = (windows.drag_rows(model.moved(side * SMALL * axis), pivot_error) for side in (1, -1))
-        slope = (ahead - behind) / (2 * SMALL) * drag[:, None]
+        ahead, behind = (rows(windows, model.moved(side * SMALL * axis)) for side in (1, -1))
         lever = windows.lever(model) @ axis
-        slope[:, 2] += 2 * windows.acceleration[:, 2, None] * mass * lever  # of the moment of inertia
-        by.append(slope)
-    slopes = torch.stack(by, -1)  # (K, 3, P, 2)
-    shifted = slopes.sum(2)  # (K, 3, 2): the object along its axes
-    yawed = torch.einsum("kipa,kpa->ki", slopes, turned(windows.lever(model)))[..., None]
+        spun = 2 * windows.acceleration[:, 2, None] * mass * lever  # of the moment of inertia
+        by.append((ahead - behind) / (2 * SMALL) + pad(spun[:, None], (0, 0, 2, windows.hinges)))
+    slopes = torch.stack(by, -1)  # (K, 3 + H, P, 2)
+    if windows.articulated:  # all links go with the one in the hand
+
+        def moved(x: float, y: float, yaw: float) -> Float[Tensor, "K 3+H"]:
+            off = (rows(windows.displaced(side * x, side * y, side * yaw), model).sum(-1) for side in (1, -1))
+            return (next(off) - next(off)) / (2 * SMALL)
+
+        shifted = torch.stack([moved(SMALL, 0.0, 0.0), moved(0.0, SMALL, 0.0)], -1)
+        yawed = moved(0.0, 0.0, SMALL)[..., None]
+    else:
+        shifted = slopes.sum(2)  # (K, 3, 2): the object along its axes
+        yawed = torch.einsum("kipa,kpa->ki", slopes, turned(windows.lever(model)))[..., None]
     held = ~windows.pushed[:, None, None]  # of a push, the camera tells where the object is, whatever the hand
     in_hand = shifted @ windows.from_sensor[:, :2, :2]
     of_group = torch.einsum("kipa,pg->kiga", slopes, torch.nn.functional.one_hot(model.mass_group).double())
@@ -307,4 +343,5 @@ def _sensed(windows: Observations, to_wrench: Float[Tensor, "R 6K"], setup: Setu
         for part in (slice(0, 2), slice(3, 5)):
             late[:, part] = turned(about[:, part]) * (windows.twist[:, 2:] * ~windows.pushed[:, None])
         errors["delay"] = setup.delay * late[..., None]
-    return {kind: to_wrench @ each.reshape(6 * len(signal), -1) for kind, each in errors.items()}
+    more = len(windows) * windows.hinges  # which no sensor feels
+    return {kind: pad(to_wrench @ each.reshape(6 * len(signal), -1), (0, 0, 0, more)) for kind, each in errors.items()}

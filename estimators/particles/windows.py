@@ -11,12 +11,15 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from estimators.particles.links import LinkedParticles
-from estimators.particles.model import Inertia, ParticleModel, cross, direction, inertia_of, turned
+from estimators.particles.model import Inertia, ParticleModel, cross, direction, inertia_of, rotate, turned
 from estimators.particles.support import GripperLoad
 from testbed.worlds.setup_errors import EXACT_SETUP, SetupErrors
 
 PLANAR = [0, 1, 5]
 """f_x, f_y and the torque about the vertical, of a wrench's six components."""
+SLOW = 1e-3
+"""Speed at which a foot of a pushed object may drag half of its friction less, or another way, m/s: nothing keeps the
+center of rotation off a point of contact, and there it sticks. Ours."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -160,6 +163,20 @@ class Observations:
         """True if the object has links, which move on their own."""
         return self.links.shape[-2] > 0
 
+    @property
+    def hinges(self) -> int:
+        """Number of hinges: H."""
+        return max(self.links.shape[-2] - 1, 0)
+
+    def displaced(self, x: float, y: float, yaw: float) -> Self:
+        """Windows of an object in links that is elsewhere in the hand, which moves as it did [m, rad]."""
+        links, twist = self.links, self.twists[:, :, None]
+        shift = rotate(torch.tensor(yaw).double(), links[..., 1:3]) + torch.tensor([x, y]).double()
+        relative = rotate(torch.tensor(yaw).double(), links[..., 3:5] - twist[..., :2])
+        aside = (twist[..., 2:] - links[..., 5:6]) * turned(torch.tensor([x, y]).double())
+        moved = [links[..., :1] + yaw, shift, twist[..., :2] + relative + aside, links[..., 5:]]
+        return replace(self, links=torch.cat(moved, -1))
+
     def lever(self, model: ParticleModel) -> Float[Tensor, "K P 2"]:
         """Position of each particle from the grasp point, m, in the mean over a window."""
         if self.articulated:
@@ -219,6 +236,15 @@ class Observations:
         by = torch.cat([turn, turn @ turned(arm)[..., None]], -1)
         torque = lever[..., :1] * by[..., 1, :] - lever[..., 1:] * by[..., 0, :]
         return torch.einsum("kp,kpij->kij", drag, torch.cat([by, torque[..., None, :]], -2))
+
+    def sticking_covariance(self, model: ParticleModel, drag: Float[Tensor, "K P"]) -> Float[Tensor, "K 3 3"]:
+        """Covariance of pushes from feet so slow that they stick: of a part SLOW^2 / (v^2 + SLOW^2) of a `drag` (N)."""
+        lever = self.lever(model)
+        square = self.velocity_by_part(lever).square().sum(-1)
+        stuck = (SLOW**2 / (square + SLOW**2)).mean(1) * self.pushed[:, None]
+        along = torch.eye(2, dtype=torch.float64).expand(*lever.shape, 2)
+        pull = torch.cat([along, turned(lever)[..., None, :]], -2) * (stuck * drag)[..., None, None]
+        return torch.einsum("kpij,kplj->kil", pull, pull)
 
     @property
     def twist_noise(self) -> Float[Tensor, "3"]:

@@ -25,7 +25,8 @@ from estimators.identifiability.information import (
     shared_error_count,
     trial_information,
 )
-from estimators.identifiability.predicted import predicted_lift, predicted_windows
+from estimators.identifiability.predicted import predicted_windows
+from estimators.identifiability.predicted_lifts import predicted_lift
 from estimators.particles.lifts import lift_information
 from estimators.particles.windows import Observations
 from estimators.particles.wrench import ParticleLoads

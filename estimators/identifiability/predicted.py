@@ -20,7 +20,7 @@ from testbed.actions.path import RAMP_TIME
 from testbed.actions.push import GAP, Push
 from testbed.errors import InvalidValueError
 from testbed.frames import move_wrench, perpendicular, rotate_wrench, rotation_2d, rotation_z
-from testbed.objects.model import ObjectShape
+from testbed.objects.model import GRAVITY, ObjectShape
 from testbed.sensing.camera import SPAN, Camera, PoseStream
 from testbed.sensing.link_windows import parts_of, turned_errors
 from testbed.sensing.presets import Sensing
@@ -41,6 +41,8 @@ TARED = 0.33
 """Duration of the tare [s]."""
 REACH = 0.174
 """Distance from the sensor to the TCP [m]."""
+TOOL_MASS, TOOL_COM = 0.925, 0.06
+"""Mass of the tool [kg], and the distance of its center of mass from the sensor [m]: of a Robotiq 2F-85."""
 PARTS = 5
 """Parts of a window at whose middles its pose is taken."""
 STEP = WINDOW / WINDOW_PARTS
@@ -63,6 +65,8 @@ class _Stretch(NamedTuple):
     poses: np.ndarray
     """Place of the TCP, m, and yaw of the object, rad, over parts of the stretch, (parts, 3)."""
     accelerated: bool
+    begun: float = math.nan
+    """Yaw of the object at the start of the action, rad; NaN of a push, in which the hand does not turn."""
     seen: np.ndarray = np.zeros((9, 0))
     links: np.ndarray = np.zeros((1, 0, 9))
     links_off: np.ndarray = np.zeros((1, 1, 0, 9))
@@ -181,6 +185,8 @@ def _trailing(
 ) -> list[_Stretch]:
     """Windows of a steady stretch whose links turn so, `STEP` apart."""
     windows, time = [], whole.since_tare[0] + STEP * np.arange(len(turned))
+    middles = np.linspace(*whole.since_tare, 2 * PARTS + 1)[1::2]
+    path = np.polynomial.polynomial.polyfit(middles, whole.poses, PARTS - 1)
     for part in parts_of(len(turned), STEP):
         if not len(part):
             continue
@@ -205,6 +211,7 @@ def _trailing(
                     since_tare=(time[part[0]], time[part[-1]]),
                     twists=twists,
                     acceleration=aside,
+                    poses=np.polynomial.polynomial.polyval(time[part].reshape(WINDOW_PARTS, -1).mean(axis=1), path).T,
                     links=motion.links(),
                     links_off=motion.links_off(),
                 )
@@ -251,6 +258,7 @@ def _observations(found: list[_Stretch], sensing: Sensing, setup: SetupErrors) -
         yaw=yaw if pushed else zeros[:, :2],
         poses=poses,
         sensed=zeros,
+        tool_tilt=_tool_tilts(poses, [each.begun for each in found]),
         from_sensor=sensor,
         load_map=torch.tensor(load_map(HEIGHT)).expand(count, 3, 6),
         load_kept=torch.full((count, 3), kept, dtype=torch.float64),
@@ -263,6 +271,14 @@ def _observations(found: list[_Stretch], sensing: Sensing, setup: SetupErrors) -
         links=links,
         links_off=links_off,
     )
+
+
+def _tool_tilts(poses: Float[torch.Tensor, "K S 3"], begun: list[float]) -> Float[torch.Tensor, "K 2 6"]:
+    """`SteadyWindow.tool_tilt`, of a hand that had a yaw [rad] at the tare, or does not turn (NaN)."""
+    now, then = (rotation_2d(-yaw) for yaw in (poses[..., 2].numpy(), np.array(begun)))
+    force = np.zeros((len(poses), 2, 3))
+    force[..., :2] = np.nan_to_num(TOOL_MASS * GRAVITY * (now.mean(axis=1) - then)).transpose(0, 2, 1)
+    return torch.tensor(np.concatenate([force, np.cross([0.0, 0.0, REACH - TOOL_COM], force)], axis=2))
 
 
 def sensor_at_tcp(sensing: Sensing) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -319,6 +335,7 @@ def _stretches(shape: ObjectShape, trial: int, action: TableAction, held: tuple[
                 held,
                 np.column_stack([place, yaw]),
                 action.accelerated,
+                facing + (-(ends.max() + ends.min()) / 2 if action.turns else 0.0),
             )
         )
         time += seconds

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from estimators.identifiability.predicted import BEFORE, HEIGHT, RATE, sensor_at_tcp, to_tcp
+from estimators.identifiability.predicted import BEFORE, HEIGHT, RATE, TOOL_COM, TOOL_MASS, sensor_at_tcp, to_tcp
 from testbed.actions.base import Action
 from testbed.actions.lift import Lift
 from testbed.objects.model import GRAVITY
@@ -14,9 +14,6 @@ from testbed.sensing.lift_windows import ASIDE, LiftWindow
 from testbed.sensing.presets import Sensing
 from testbed.sensing.windows import TRIM_END, trim_start
 from testbed.worlds.setup_errors import EXACT_SETUP, SetupErrors
-
-TOOL_MASS, TOOL_COM = 0.925, 0.06
-"""Mass of the tool [kg], and the distance of its center of mass from the sensor [m]: of a Robotiq 2F-85."""
 
 
 def predicted_lifts(

@@ -69,8 +69,21 @@ def observe(
         np.array([w.grasp is None for w in windows]),
     )
     points, held = zip(*(_place(shape, w) for w in windows), strict=True)
-    same = ("since_tare", "twist", "twists", "acceleration", "spin_square", "yaw", "poses", "from_sensor", "seen")
-    values: dict[str, np.ndarray] = {name: np.array([getattr(w, name) for w in windows]) for name in same}
+    same = (
+        "since_tare",
+        "twist",
+        "twists",
+        "acceleration",
+        "spin_square",
+        "yaw",
+        "poses",
+        "from_sensor",
+        "seen",
+        "tool_tilt",
+    )
+    values: dict[str, np.ndarray] = {
+        name: np.array([getattr(w, name) for w in windows]) for name in (*same, "seen", "tool_tilt")
+    }
     values |= {
         "wrench": wrench[:, PLANAR],
         "sensed": np.linalg.solve(values["from_sensor"], wrench[..., None])[..., 0],

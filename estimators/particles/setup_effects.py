@@ -22,10 +22,11 @@ from testbed.worlds.setup_errors import SetupErrors
 FULL_SCALE = torch.tensor([300.0, 300.0, 300.0, 30.0, 30.0, 30.0], dtype=torch.float64)
 """Full scale of a wrist sensor, N and N m: cross-talk is a part of it. That of the FT-300S."""
 SHARES = 2.0
-"""Sum of squared shares of the load of n points, times n: 1 where all carry the same. Ours, for three to eight points
-of uneven heights."""
+"""Sum of squared shares of the load of n points, times n: 1 if all carry the same. Ours, of three to eight, uneven."""
 MOST_POINTS = 64
 """Points at which the pattern of contact under a group is taken."""
+UNEVEN = 0.1
+"""Part of a point's load that an uneven table shifts off a group's center of mass: counted about hinges. Ours."""
 WAVELENGTHS = (0.06, 0.6)
 """Least and greatest wavelength of friction over a table, m. Ours: shorter ones average out under an object."""
 REFERENCE = 0.02
@@ -89,7 +90,7 @@ def setup_effects(
         decades = torch.log10(windows.particle_velocity(model).norm(dim=-1).clamp(1e-4, 1.0) / REFERENCE)
         found["speed_friction"] = setup.speed_friction * _flat((rows * decades[:, None]).sum(-1, keepdim=True))
     if setup.table_tilt:
-        found["table_tilt"] = setup.table_tilt * _tilt(windows, model, mass)
+        found["table_tilt"] = setup.table_tilt * _tilt(windows, model, mass, to_wrench)
     found |= _displacements(windows, model, mass, drag, pivot_error, setup)
     return found | _sensed(windows, to_wrench, setup)
 
@@ -99,8 +100,7 @@ def shared_and_own(effects: Columns, windows: Observations) -> tuple[Float[Tenso
     rows = (3 + windows.hinges) * len(windows)
     none = torch.zeros(rows, 0, dtype=torch.float64)
     own = torch.cat([none, *(effects[kind] for kind in BY_TRIAL if kind in effects)], 1)
-    window = _window_of_row(windows)
-    together = windows.together[window][:, window]
+    together = windows.together[windows.of_row][:, windows.of_row]
     return torch.cat([none, *(c for kind, c in effects.items() if kind not in BY_TRIAL)], 1), own @ own.T * together
 
 
@@ -150,17 +150,11 @@ def seen_effects(
 def trial_by_trial(effects: Columns, windows: Observations) -> Columns:
     """The effects, with columns for every trial where an error is drawn anew in each."""
     trials = torch.nn.functional.one_hot(torch.unique(windows.trial, return_inverse=True)[1]).double()
-    of_rows = trials[_window_of_row(windows)]
+    of_rows = trials[windows.of_row]
     return {
         kind: (columns[..., None] * of_rows[:, None]).flatten(1) if kind in BY_TRIAL else columns
         for kind, columns in effects.items()
     }
-
-
-def _window_of_row(windows: Observations) -> Tensor:
-    """Window of each row: three of every wrench, then one of every hinge, (R,)."""
-    window = torch.arange(len(windows))
-    return torch.cat([window.repeat_interleave(3), window.repeat_interleave(windows.hinges)])
 
 
 def _flat(columns: Float[Tensor, "K 3+H n"]) -> Float[Tensor, "R n"]:
@@ -184,8 +178,7 @@ def _torques(windows: Observations, model: ParticleModel, still: Tensor | None =
 
 def _by_group(model: ParticleModel, rows: Float[Tensor, "K 3+H P"]) -> Float[Tensor, "R n_m"]:
     """Sums over mass groups."""
-    one_hot = torch.nn.functional.one_hot(model.mass_group).double()
-    return _flat(rows @ one_hot)
+    return _flat(rows @ torch.nn.functional.one_hot(model.mass_group).double())
 
 
 def _contact_pattern(
@@ -210,6 +203,7 @@ def _contact_pattern(
         affine = torch.linalg.qr(torch.cat([torch.ones(len(at), 1, dtype=torch.float64), at - at.mean(0)], 1))[0]
         own = rows[:, :, inside].flatten(2)[..., ::every]
         rest = own - (own @ affine) @ affine.T
+        rest[:, 3:] += UNEVEN * (own @ affine[:, 1:] @ affine[:, 1:].T)[:, 3:]
         columns.append(rest * load[:, None, None] * math.sqrt(SHARES / (points * len(at))))
     return _flat(torch.cat(columns, -1))
 
@@ -264,15 +258,24 @@ def _about_hinges(
     return [cross(_torques(windows, model).arm, force[..., None, :, :]).sum(-1)]
 
 
-def _tilt(windows: Observations, model: ParticleModel, mass: Float[Tensor, "P"]) -> Float[Tensor, "R 2"]:
-    """Pull of gravity along a tilted table, about either axis of the table."""
+def _tilt(
+    windows: Observations, model: ParticleModel, mass: Float[Tensor, "P"], to_wrench: Float[Tensor, "R 6K"]
+) -> Float[Tensor, "R 2"]:
+    """Pull of gravity along a tilted table, along either axis of it, on the object and on the tool.
+
+    The tool's is counted of links, which turn one way: from turns there and back it goes out.
+    """
     lever, columns = windows.lever(model), []
     for axis in torch.eye(2, dtype=torch.float64):
         along = rotate(-windows.poses[..., 2], axis.expand(*windows.poses.shape[:2], 2)).mean(1)
         pull = GRAVITY * mass[:, None] * along[:, None]
         torque = cross(lever, pull).sum(-1, keepdim=True)
         columns.append(torch.cat([pull.sum(1), torque, *_about_hinges(windows, model, pull)], -1))
-    return _flat(torch.stack(columns, -1))
+    found = _flat(torch.stack(columns, -1))
+    if not windows.articulated:
+        return found
+    tool = to_wrench @ windows.tool_tilt.transpose(1, 2).flatten(0, 1)
+    return found + pad(tool, (0, 0, 0, len(found) - len(tool)))
 
 
 def _displacements(
@@ -302,8 +305,8 @@ def _displacements(
     if windows.articulated:  # all links go with the one in the hand
 
         def moved(x: float, y: float, yaw: float) -> Float[Tensor, "K 3+H"]:
-            off = (rows(windows.displaced(side * x, side * y, side * yaw), model).sum(-1) for side in (1, -1))
-            return (next(off) - next(off)) / (2 * SMALL)
+            ahead, behind = (rows(windows.displaced(s * x, s * y, s * yaw), model) for s in (1, -1))
+            return (ahead - behind).sum(-1) / (2 * SMALL)
 
         shifted = torch.stack([moved(SMALL, 0.0, 0.0), moved(0.0, SMALL, 0.0)], -1)
         yawed = moved(0.0, 0.0, SMALL)[..., None]

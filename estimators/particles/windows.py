@@ -58,6 +58,8 @@ class Observations:
     """Mean of all six components in the sensor's axes, about its origin, N and N m."""
     from_sensor: Float[Tensor, "K 6 6"]
     """Map from a wrench in the sensor's axes to one about the TCP in object axes."""
+    tool_tilt: Float[Tensor, "K 2 6"]
+    """Change of all six components by the tool's weight with a tilt of the table, as `SteadyWindow.tool_tilt`."""
     load_map: Float[Tensor, "K 3 6"]
     """Map from the wrench to lift and tilt."""
     load_kept: Float[Tensor, "K 3"]
@@ -162,6 +164,12 @@ class Observations:
     def articulated(self) -> bool:
         """True if the object has links, which move on their own."""
         return self.links.shape[-2] > 0
+
+    @property
+    def of_row(self) -> Int[Tensor, "R"]:
+        """Window of each row: three of every wrench, then one of every hinge; R = 3 K + K H."""
+        window = torch.arange(len(self))
+        return torch.cat([window.repeat_interleave(3), window.repeat_interleave(self.hinges)])
 
     @property
     def hinges(self) -> int:

@@ -74,6 +74,9 @@ class SteadyWindow:
     seen: Float[np.ndarray, "9 10"] = field(default_factory=lambda: np.zeros((9, 10)))
     """Errors of the object's pose, twist and acceleration by a camera, along object axes: effects of one standard
     deviation each, nine of the window's own and one that all of a trial share; 0 of a grip."""
+    tool_tilt: Float[np.ndarray, "2 6"] = field(default_factory=lambda: np.zeros((2, 6)))
+    """Change of `wrench` by the tool's weight [N, N m a rad] as the table, the robot on it, tilts so that gravity comes
+    from along its x or y: the tare takes what shows in one direction of the hand, and the hand turns."""
     turned: Float[np.ndarray, "S L 3"] = field(default_factory=lambda: np.zeros((PARTS, 0, 3)))
     """Yaw [rad], rate and slope of every link of an articulated object over each of the parts, by a camera, world."""
     turned_errors: Float[np.ndarray, "L 3 4"] = field(default_factory=lambda: np.zeros((0, 3, 4)))
@@ -83,7 +86,7 @@ class SteadyWindow:
         square, pair = (6, 6), (2,)
         freeze_arrays(self, wrench=(6,), covariance=square, twist=(3,), twists=(PARTS, 3), acceleration=(3,))
         freeze_arrays(self, bias_covariance=square, drift_covariance=square, since_tare=pair, yaw=pair)
-        freeze_arrays(self, poses=(PARTS, 3), from_sensor=square, seen=(9, 10))
+        freeze_arrays(self, poses=(PARTS, 3), from_sensor=square, seen=(9, 10), tool_tilt=(2, 6))
         freeze_arrays(self, turned=(PARTS, None, 3), turned_errors=(None, 3, 4))
         if self.point is not None:
             freeze_arrays(self, point=pair)
@@ -126,10 +129,10 @@ def windows_of(
     world_twist = np.column_stack([trajectory.tcp_velocity[:, :2], trajectory.object_velocity[:, 2]])
     place = np.column_stack([trajectory.tcp_position[:, :2], trajectory.object_pose[:, 2]])
     from_sensor, bias, drift = bias_and_drift(trajectory)
-    tared = tare_time(trajectory)
+    tared, tilts = tare_time(trajectory), _tool_tilts(trajectory, [kept for kept, _ in stretches])
     rate = 1 / float(np.median(np.diff(trajectory.time_s)))
     windows = []
-    for kept, whole in stretches:
+    for (kept, whole), tilt in zip(stretches, tilts, strict=True):
         yaw = trajectory.object_pose[kept, 2]
         windows.append(
             SteadyWindow(
@@ -147,9 +150,20 @@ def windows_of(
                 bias_covariance=bias,
                 drift_covariance=drift,
                 since_tare=trajectory.time_s[kept[[0, -1]]] - tared,
+                tool_tilt=tilt @ from_sensor.T,
             )
         )
     return windows
+
+
+def _tool_tilts(trajectory: Trajectory, stretches: Sequence[Int[np.ndarray, "N"]]) -> list[Float[np.ndarray, "2 6"]]:
+    """Change of the mean wrench of the tool since the tare, by gravity from along x and y, sensor axes."""
+    tool, tare = trajectory.tool, tare_samples(trajectory)
+    if tool is None or len(tare) == 0:
+        return [np.zeros((2, 6))] * len(stretches)
+    force = tool.mass * GRAVITY * rotation_matrix(trajectory.sensor_orientation)[:, :2]
+    aside = np.concatenate([force, np.cross(tool.com, force)], axis=2)
+    return [aside[kept].mean(axis=0) - aside[tare].mean(axis=0) for kept in stretches]
 
 
 def bias_and_drift(

@@ -6,14 +6,19 @@ from functools import cache
 import numpy as np
 import pytest
 import torch
+from jaxtyping import Float
 from numpy.testing import assert_allclose
 
 from estimators.action_selection.drags import RandomDrags
 from estimators.hidden_states.estimator import HiddenStates
 from estimators.hidden_states.trial_windows import TrialWindows
 from estimators.identifiability.predicted import predicted_windows
-from estimators.particles.model import EXACT
+from estimators.particles.friction_system import LoadGroups, friction_equations
+from estimators.particles.model import EXACT, ModelErrors
 from estimators.particles.observe import observe
+from estimators.particles.setup_effects import setup_effects
+from estimators.particles.windows import Observations
+from estimators.particles.wrench import ParticleLoads
 from estimators.registry import METHODS, build_method
 from estimators.testing.analytic_links import analytic_links, drawn_chain
 from testbed.actions.rotate import Rotate
@@ -29,6 +34,7 @@ from testbed.sensing.presets import preset
 from testbed.simulation.runner import SimulationRunner
 from testbed.trajectory import Trajectory
 from testbed.trial import RIGID, Trial
+from testbed.worlds.setup_errors import SetupErrors
 
 slow = pytest.mark.slow
 
@@ -126,6 +132,40 @@ def test_slides_and_turns_show_every_mass_and_hinge_and_a_wrench_alone_does_not(
     assert np.linalg.matrix_rank(columns, 1e-3) == unknown
     window = columns[[0, 1, 2]]  # the first window's wrench
     assert np.linalg.matrix_rank(window, 1e-3) == 3
+
+
+def residuals(obj: ObjectModel, windows: Observations) -> Float[np.ndarray, "R"]:
+    """Rows less what true masses, frictions and hinges give them."""
+    loads = ParticleLoads.of(obj.shape, obj.truth, "own_weight")
+    groups = LoadGroups.of(loads.model)
+    found = friction_equations(
+        loads.model, groups, windows, loads.mass, loads.friction, obj.shape.height, ModelErrors(pivot_error=0.0)
+    )
+    assert found.hinges is not None
+    each = torch.stack([loads.load[groups.index == column][0] for column in range(len(groups.pairs))])
+    return (found.b - found.q @ each - found.hinges @ torch.tensor(obj.hinge_friction, dtype=torch.float64)).numpy()
+
+
+@pytest.mark.parametrize("offset", [(1e-3, 0.0), (0.0, 1e-3)], ids=["along", "across"])
+def test_rows_change_with_the_place_in_the_hand_as_counted(offset: tuple[float, float]):
+    drag = Rotate(0, duration=6.0, pivot=(0.0, 0.04))
+    grasps = [replace(g, position=g.position + offset) for g in TWO.shape.grasps]
+    off = observe(TWO.shape, [analytic_links(replace(TWO, shape=replace(TWO.shape, grasps=tuple(grasps))), drag)])
+    assert off is not None
+    loads, count = ParticleLoads.of(TWO.shape, TWO.truth, "own_weight"), len(off)
+    counted = setup_effects(
+        off,
+        loads.model,
+        loads.mass,
+        loads.load.expand(count, -1),
+        torch.zeros(3 * count, 6 * count, dtype=torch.float64),
+        0.0,
+        SetupErrors(grasp_offset=1.0),
+    )["grasp_offset"]
+    expected = -counted.numpy() @ offset  # the grip is farther along: the object lies back in the hand
+    for rows in (slice(0, 3 * count), slice(3 * count, None)):
+        missed = residuals(TWO, off)[rows]
+        assert_allclose(missed, expected[rows], atol=0.15 * np.abs(missed).max())
 
 
 @slow

@@ -179,7 +179,10 @@ def _resting(
 ) -> Float[Tensor, "N N"]:
     """Covariance of the rows of `hinge_rows` from particles that hardly move: each drags in any direction."""
     moved = LinkedParticles.of(windows, model)
-    resting = RESTING**2 / (moved.velocity.mean(1).square().sum(-1) + RESTING**2)
+    velocity = moved.velocity.mean(1)
+    off = torch.stack([LinkedParticles.of(each, model).velocity.mean(1) - velocity for each in perturbed(windows)])
+    slow = RESTING**2 + off.square().sum((0, -1))  # as far as the camera tells: its errors count as linear elsewhere
+    resting = slow / (velocity.square().sum(-1) + slow)
     arms = torch.cat([moved.place.mean(1)[:, None], arm], 1)  # of the torque about the grasp, then of the hinges
     along = torch.eye(2, dtype=torch.float64).expand(*drag.shape, 2, 2).transpose(0, 1).expand(len(windows), 2, -1, 2)
     rows = torch.cat([along, torch.stack([-arms[..., 1], arms[..., 0]], -1)], 1) * (resting * drag)[:, None, :, None]

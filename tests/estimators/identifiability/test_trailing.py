@@ -102,8 +102,8 @@ def test_a_plan_teaches_more_than_random_drags():
 
 @slow
 def test_the_next_touch_counts_on_hinges_as_they_were_estimated():
-    guess = Guess(CHAIN.total_mass, preset("ft300s"))
+    guess = Guess(CHAIN.total_mass, IDEAL)
     policy = OnlinePolicy(guess, goal=Goal(most=6), candidates=40)
-    decision = policy.decide(CHAIN.shape, [analytic_links(CHAIN, action) for action in DRAGS])
+    decision = policy.decide(CHAIN.shape, [analytic_links(CHAIN, action) for action in DRAGS[:2]])
     assert decision.estimate is not None and decision.estimate.status == "ok"
     assert isinstance(decision.action, (Slide, Rotate))

@@ -1,4 +1,4 @@
-"""What trials of objects in links show: python bench/links.py [--objects N] [--workers N].
+"""Tables of what trials of objects in links show: python bench/links.py [--objects N] [--workers N].
 
 Drawn chains of two or three links, one to three blocks each, with random masses, friction, and hinges of up to 15 mN m.
 Each is slid and turned eight times at random (`random`), and for as long by a greedy plan for an FT-300S and its camera
@@ -19,20 +19,18 @@ from typing import NamedTuple
 
 import numpy as np
 import torch
-from pushes import SENSORS, made, planned
+from pushes import SENSORS, Judged, answered, compared, made, planned
 from rich import box
 from rich.console import Console
 from rich.table import Table
 
 from estimators.action_selection.cost import spent_seconds
 from estimators.action_selection.drags import RandomDrags, random_drags
-from estimators.evaluation.metrics import hinge_columns, normalized_absolute_difference
-from estimators.hidden_states.estimator import HiddenStates
+from estimators.evaluation.metrics import hinge_columns
 from estimators.identifiability.information import Assumptions, expected
 from estimators.testing.analytic_links import drawn_chain
 from testbed.actions.base import Action
 from testbed.objects.model import ObjectModel
-from testbed.sensing.noise import draw_sensing, read_scale
 from testbed.sensing.presets import preset
 from testbed.trajectory import Trajectory
 
@@ -46,43 +44,26 @@ MOST_FRICTION = 0.015
 """Greatest friction of a drawn hinge [N m]."""
 
 
-class Judged(NamedTuple):
-    """One answer: status ok or not, NAD and error of the hinges [%], and the part of its 90 % intervals that hold."""
-
-    ok: bool
-    nad: float
-    hinges: float
-    hold: float
-
-
 class Found(NamedTuple):
-    """What trials of one chain show."""
+    """Findings of the trials of one chain."""
 
     links: int
     seconds: float
     """Robot time of its random trials [s]."""
     seen: dict[tuple[str, int], bool]
     """True where so many actions of a kind show everything."""
-    answers: dict[tuple[str, str], Judged]
-    """Answers by sensor and trials."""
+    answers: dict[tuple[str, str], tuple[Judged, float]]
+    """Answers by sensor and trials, each with its error of the hinges [%]."""
 
 
-def judged(model: ObjectModel, clean: Sequence[Trajectory], sensor: str) -> Judged:
-    """The answer from trials under one draw of a sensor."""
-    sensing = preset(sensor)
-    trials = [draw_sensing(trial, sensing, index) for index, trial in enumerate(clean)]
-    found = HiddenStates().estimate(model.shape, read_scale(model.total_mass, sensing, [0]), trials, 0)
-    if found.distribution is None or found.covariance is None:
-        return Judged(False, np.nan, np.nan, np.nan)
-    off = np.abs(found.distribution.mass - model.truth.mass)
-    hold = float(np.mean(off <= 1.645 * np.sqrt(np.diag(found.covariance)) + 1e-9))
-    nad = normalized_absolute_difference(model.shape, found.distribution, model.truth)
-    hinges = hinge_columns(model.hinge_friction, found.diagnostics)["hinge_error"]
-    return Judged(found.status == "ok", 100 * nad, 100 * hinges, hold)
+def judged(model: ObjectModel, clean: Sequence[Trajectory], sensor: str) -> tuple[Judged, float]:
+    """The answer from trials under one draw of a sensor, and its error of the hinges [%]."""
+    found = answered(model, clean, sensor)
+    return compared(model, found), 100 * hinge_columns(model.hinge_friction, found.diagnostics)["hinge_error"]
 
 
 def shown(index: int) -> Found:
-    """What is seen of a chain, by actions and by answers."""
+    """Findings of a chain, by actions and by answers."""
     torch.set_num_threads(1)
     model = drawn_chain(index, most_hinge_friction=MOST_FRICTION)
     shape, grasps = model.shape, tuple(range(len(model.shape.grasps)))
@@ -111,7 +92,7 @@ def main() -> None:
     every: list[Found] = []
     with ProcessPoolExecutor(given.workers, mp_context=get_context("spawn")) as pool:
         for index, found in enumerate(pool.map(shown, range(given.objects))):
-            nads = " ".join(f"{one.nad:.2g}" for one in found.answers.values())
+            nads = " ".join(f"{one.nad:.2g}" for one, _ in found.answers.values())
             print(f"chain {index}, {found.links} links, {found.seconds:.0f} s: {nads}", flush=True)
             every.append(found)
     console = Console(width=110)
@@ -129,11 +110,10 @@ def main() -> None:
         for links in (2, 3):
             for kind in ("random", "planned"):
                 each = [found.answers[sensor, kind] for found in every if found.links == links]
-                known = [one for one in each if one.ok]
+                known = [(one.nad, hinges, one.hold) for one, hinges in each if one.ok]
                 if not known:
                     continue
-                nad, hinges = np.median([(one.nad, one.hinges) for one in known], axis=0)
-                hold = 100 * np.mean([one.hold for one in known])
+                (nad, hinges, _), hold = np.median(known, axis=0), 100 * np.mean(known, axis=0)[2]
                 ok = f"{len(known)} of {len(each)}"
                 table.add_row(sensor, str(links), kind, ok, f"{nad:.2g}", f"{hinges:.2g}", f"{hold:.0f}")
     console.print(table)

@@ -32,7 +32,7 @@ from estimators.action_selection.greedy import PlannedPolicy
 from estimators.action_selection.plan import Goal
 from estimators.action_selection.pushes import RandomPushes
 from estimators.action_selection.rank import RANK_DRIVEN
-from estimators.base import ActionPolicy
+from estimators.base import ActionPolicy, Estimate
 from estimators.evaluation.metrics import normalized_absolute_difference
 from estimators.hidden_states.estimator import HiddenStates
 from scenarios.config import load_scenario
@@ -102,14 +102,23 @@ def planned(model: ObjectModel, seconds: float, grasps: tuple[int, ...], *, push
     return made(model, policy, refused, seconds)
 
 
-def judged(model: ObjectModel, clean: Sequence[Trajectory], sensor: str) -> Judged:
-    """The answer from trials under one draw of a sensor; not ok without trials."""
+def answered(model: ObjectModel, clean: Sequence[Trajectory], sensor: str) -> Estimate:
+    """The estimate from trials under one draw of a sensor."""
     sensing = preset(sensor)
     trials = [draw_sensing(trial, sensing, index) for index, trial in enumerate(clean)]
+    return HiddenStates().estimate(model.shape, read_scale(model.total_mass, sensing, [0]), trials, 0)
+
+
+def judged(model: ObjectModel, clean: Sequence[Trajectory], sensor: str) -> Judged:
+    """The answer from trials under one draw of a sensor; not ok without trials."""
     try:
-        found = HiddenStates().estimate(model.shape, read_scale(model.total_mass, sensing, [0]), trials, 0)
+        return compared(model, answered(model, clean, sensor))
     except HeftError:
         return Judged(False, np.nan, np.nan)
+
+
+def compared(model: ObjectModel, found: Estimate) -> Judged:
+    """The estimate against the truth."""
     if found.distribution is None or found.covariance is None:
         return Judged(False, np.nan, np.nan)
     off = np.abs(found.distribution.mass - model.truth.mass)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -79,21 +79,23 @@ class ActionFamily:
         """
         if count < 1:
             raise InvalidValueError("count", count, "an integer >= 1")
-        linked = shape.chain is not None  # links can be slid and turned, and trail behind one way at constant speed
-        count = min(count, MOST_DRAGS) if linked else count
+        family, linked = self, shape.chain is not None
+        if linked:  # links can be slid and turned, and trail behind one way at constant speed
+            count = min(count, MOST_DRAGS)
+            family = replace(self, one_way=True, accelerated=False, lifts=False)
         pushed = (self.pushes or not shape.grasps) and bool(faces(shape)) and not linked
         if len(grasps) == 0:
             return tuple(random_pushes(shape, min(count, MOST_PUSHES), seed)) if pushed else ()
         rng = np.random.default_rng(seed)
         allowed = np.asarray(grasps, dtype=int)
-        lifts = max(round(LIFT_PART * count), 2 * len(allowed)) if self.lifts and not linked else 0
+        lifts = max(round(LIFT_PART * count), 2 * len(allowed)) if family.lifts else 0
         slides = round(SLIDE_PART * count) if self.slides else 0
-        accelerated = max(round(ACCELERATED_PART * count), 1) if self.accelerated and not linked else 0
+        accelerated = max(round(ACCELERATED_PART * count), 1) if family.accelerated else 0
         pushes = min(max(round(PUSH_PART * count), 1), MOST_PUSHES) if pushed else 0
         return (
             *self._accelerated(shape, allowed, accelerated, rng),
             *self._slides(shape, allowed, slides, rng),
-            *self._turns(shape, allowed, max(count - slides - accelerated - lifts - pushes, 1), rng),
+            *family._turns(shape, allowed, max(count - slides - accelerated - lifts - pushes, 1), rng),
             *self._lifts(shape, allowed, lifts, rng),
             *random_pushes(shape, pushes, seed),
         )
@@ -119,8 +121,7 @@ class ActionFamily:
             for i in np.flatnonzero(fits)[: count - len(found)]:
                 x, y = pivot[i]
                 about = float(x), float(y)
-                back = not (self.one_way or shape.chain is not None)
-                found.append(Rotate(int(grasp[i]), float(speed[i]), float(duration[i]), about, back))
+                found.append(Rotate(int(grasp[i]), float(speed[i]), float(duration[i]), about, not self.one_way))
             if len(found) >= count:
                 break
         return found

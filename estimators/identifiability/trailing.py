@@ -16,7 +16,7 @@ from jaxtyping import Float
 from testbed.actions.base import TableAction
 from testbed.actions.path import Profile
 from testbed.frames import perpendicular, rotation_2d
-from testbed.objects.chain import Chain
+from testbed.objects.chain import Chain, velocities
 from testbed.objects.model import ObjectShape
 
 SLOW = 1e-4
@@ -127,10 +127,7 @@ class _Links:
         offsets, none = self.shape.particles - point[:, None], np.zeros_like(twist)
 
         def velocity(twist: np.ndarray, turned: np.ndarray) -> np.ndarray:
-            own = self.chain.moved(self.held, point, twist, still, turned)[:, self.link]
-            c, s = np.cos(own[..., :1]), np.sin(own[..., :1])
-            place = c * offsets + s * perpendicular(offsets) + own[..., 1:3]
-            return own[..., 3:5] + own[..., 5:6] * perpendicular(place)
+            return velocities(self.chain.moved(self.held, point, twist, still, turned)[:, self.link], offsets)
 
         by_rate = []
         for link in self.free:

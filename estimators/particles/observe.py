@@ -126,13 +126,13 @@ class LinkMotion:
     grasp: int | None
     """Grasp by which one is held."""
     twists: Float[np.ndarray, "S 3"]
-    """As `SteadyWindow.twists`."""
+    """Twists [m/s, rad/s], as `SteadyWindow.twists`."""
     acceleration: Float[np.ndarray, "3"]
-    """As `SteadyWindow.acceleration`."""
+    """Acceleration [m/s^2, rad/s^2], as `SteadyWindow.acceleration`."""
     turned: Float[np.ndarray, "S L 3"]
-    """As `SteadyWindow.turned`."""
+    """Yaw [rad], rate and slope of every link, as `SteadyWindow.turned`."""
     turned_errors: Float[np.ndarray, "L 3 4"]
-    """As `SteadyWindow.turned_errors`."""
+    """Errors of `turned`, as `SteadyWindow.turned_errors`."""
 
     @staticmethod
     def of(shape: ObjectShape, window: SteadyWindow) -> LinkMotion:

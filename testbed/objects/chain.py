@@ -89,10 +89,14 @@ class Chain:
 
 def speeds(links: Float[np.ndarray, "S L 9"], link: int, offsets: Float[np.ndarray, "P 2"]) -> Float[np.ndarray, "P"]:
     """Mean speed of particles of a link [m/s], at `offsets` from the grasp point as the chain lies [m]."""
-    own = links[:, link, None]
+    return np.linalg.norm(velocities(links[:, link, None], offsets), axis=-1).mean(axis=0)
+
+
+def velocities(own: Float[np.ndarray, "S P 9"], offsets: Float[np.ndarray, "... P 2"]) -> Float[np.ndarray, "S P 2"]:
+    """Velocities of particles [m/s] whose links move so, at `offsets` from the grasp point as the chain lies [m]."""
     c, s = np.cos(own[..., :1]), np.sin(own[..., :1])
     place = c * offsets + s * perpendicular(offsets) + own[..., 1:3]
-    return np.linalg.norm(own[..., 3:5] + own[..., 5:6] * perpendicular(place), axis=-1).mean(axis=0)
+    return own[..., 3:5] + own[..., 5:6] * perpendicular(place)
 
 
 def _turn(angle: Float[np.ndarray, "S"], vector: Float[np.ndarray, "2"]) -> Float[np.ndarray, "S 2"]:

@@ -72,6 +72,14 @@ def tool_wrench(tool: Tool, trajectory: Trajectory, axes: np.ndarray) -> np.ndar
     return np.hstack([force, torque])
 
 
+def tool_pulls(
+    tool: Tool, axes: Float[np.ndarray, "T 3 3"], pulls: Float[np.ndarray, "A 3"]
+) -> Float[np.ndarray, "T A 6"]:
+    """Wrenches of the tool alone by accelerations in the world [m/s^2], sensor axes, about the sensor's origin."""
+    force = tool.mass * np.einsum("nji,aj->nai", axes, pulls)
+    return np.concatenate([force, np.cross(tool.com, force)], axis=2)
+
+
 def twist_rates(trajectory: Trajectory) -> Float[np.ndarray, "T 6"]:
     """Linear and angular acceleration of the tool at the TCP [m/s^2, rad/s^2], world axes, shape (T, 6)."""
     twist = trajectory.tcp_velocity

@@ -11,7 +11,7 @@ from testbed.actions.lift import Lift
 from testbed.errors import InvalidValueError
 from testbed.frames import move_wrench, rotate_wrench, rotation_matrix, rotation_z
 from testbed.objects.model import GRAVITY
-from testbed.sensing.compensation import tare_samples, tool_wrench, twist_rates
+from testbed.sensing.compensation import tare_samples, tool_pulls, tool_wrench, twist_rates
 from testbed.sensing.windows import mean_covariance, steady_samples
 from testbed.trajectory import Phase, Trajectory
 from testbed.validation import freeze_arrays
@@ -117,8 +117,7 @@ def lift_windows(trajectory: Trajectory) -> list[LiftWindow]:
     drift = from_sensor @ np.diag(trajectory.sensor_drift_std**2) @ from_sensor.T
     sensor_axes = rotation_matrix(trajectory.sensor_orientation)
     on_tool = tool_wrench(tool, trajectory, sensor_axes)
-    sideways = tool.mass * np.einsum("nji,aj->nai", sensor_axes, ASIDE)
-    aside = np.concatenate([sideways, np.cross(tool.com, sideways)], axis=2)
+    aside = tool_pulls(tool, sensor_axes, ASIDE)
     tared = trajectory.time_s[tare].mean()
     stretches = steady_samples(trajectory)
     lasting = np.array([np.ptp(trajectory.time_s[kept]) for kept in stretches])

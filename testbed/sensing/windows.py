@@ -19,7 +19,7 @@ from testbed.actions.base import Action, TableAction
 from testbed.errors import InvalidValueError
 from testbed.frames import move_wrench, perpendicular, rotate_wrench, rotation_2d, rotation_matrix
 from testbed.objects.model import GRAVITY, ObjectShape
-from testbed.sensing.compensation import tare_samples, tare_time
+from testbed.sensing.compensation import tare_samples, tare_time, tool_pulls
 from testbed.trajectory import Phase, Trajectory
 from testbed.validation import freeze_arrays
 
@@ -161,8 +161,7 @@ def _tool_tilts(trajectory: Trajectory, stretches: Sequence[Int[np.ndarray, "N"]
     tool, tare = trajectory.tool, tare_samples(trajectory)
     if tool is None or len(tare) == 0:
         return [np.zeros((2, 6))] * len(stretches)
-    force = tool.mass * GRAVITY * rotation_matrix(trajectory.sensor_orientation)[:, :2]
-    aside = np.concatenate([force, np.cross(tool.com, force)], axis=2)
+    aside = tool_pulls(tool, rotation_matrix(trajectory.sensor_orientation), GRAVITY * np.eye(2, 3))
     return [aside[kept].mean(axis=0) - aside[tare].mean(axis=0) for kept in stretches]
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from testbed.importers.still import recorded_poses
+from testbed.robot.calibration.recorded_poses import recorded_poses
 from testbed.robot.calibration.static_poses import calibrate
 from tests.fakes.static_hand import off, recorded
 

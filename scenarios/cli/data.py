@@ -101,8 +101,8 @@ def calibrate(
         out: file to write.
         figure: readings less model at every pose, written as FILE.pdf and FILE.png.
     """
-    from testbed.importers.still import recorded_poses
     from testbed.robot.calibration.file import save_calibration
+    from testbed.robot.calibration.recorded_poses import recorded_poses
     from testbed.robot.calibration.static_poses import calibrate as fit
     from testbed.robot.calibration.static_poses import in_words
 

@@ -9,10 +9,11 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from testbed.actions.base import TableAction
+from testbed.actions.push import Push
 from testbed.errors import InvalidValueError
 from testbed.frames import origin_velocity, pose_from_point
 from testbed.importers.clocks import NO_DELAY, Delay
-from testbed.importers.logs import read_all
+from testbed.importers.logs import LogError, read_all
 from testbed.importers.mapping import LogMap, Mapping
 from testbed.importers.phases import (
     RATE,
@@ -28,6 +29,7 @@ from testbed.objects.model import ObjectModel
 from testbed.robot.calibration.file import load_calibration
 from testbed.sensing.compensation import compensate
 from testbed.sensing.drift import DriftLimit, judge_drift
+from testbed.sensing.seen import as_seen, misseen
 from testbed.toml import load_toml
 from testbed.trajectory import Tool, Trajectory
 
@@ -69,8 +71,10 @@ def import_trajectory(
     position[:, 2] -= table.hand.table_height_m
     phase, segment = _phases(table, action, base - streams.begin_s, position[:, 2], twist)
     check_sensor_alive(wrench, base[0] + time[np.flatnonzero(segment >= 0)[[0, -1]]])
-    grasp = model.shape.grasps[action.grasp]
-    yaw = closing_yaw(hand, table.hand) - grasp.angle
+    yaw, grip = np.zeros(count), np.zeros(2)  # of a push: its object is where the camera sees it
+    if action.grasp is not None:
+        grasp = model.shape.grasps[action.grasp]
+        yaw, grip = closing_yaw(hand, table.hand) - grasp.angle, grasp.position
     sensor = hand * Rotation.from_quat(table.sensor.in_hand_wxyz, scalar_first=True)
     tool = table.tool
     trajectory = Trajectory(
@@ -80,8 +84,8 @@ def import_trajectory(
         time_s=time,
         phase=phase,
         segment=segment,
-        object_pose=pose_from_point(position[:, :2], grasp.position, yaw),
-        object_velocity=origin_velocity(twist, yaw, grasp.position),
+        object_pose=pose_from_point(position[:, :2], grip, yaw),
+        object_velocity=origin_velocity(twist, yaw, grip),
         tcp_position=position,
         tcp_velocity=twist,
         sensor_orientation=sensor.as_quat(scalar_first=True),
@@ -92,6 +96,7 @@ def import_trajectory(
         sensor_bias_std=np.repeat([table.sensor.bias_std_N, table.sensor.bias_std_Nm], 3),
         sensor_drift_std=np.repeat([table.sensor.drift_std_N, table.sensor.drift_std_Nm], 3),
         setup=table.setup,
+        camera=streams.camera(table, base),
         provenance={
             "runner": "import",
             "object": model.name,
@@ -106,7 +111,10 @@ def import_trajectory(
         },
         figures={"wrench_delay_s": delay.seconds, "wrench_delay_std_s": delay.std} if delay else {},
     )
-    return judge_drift(compensate(trajectory), limit or DriftLimit())
+    trajectory = as_seen(compensate(trajectory))
+    if doubt := misseen(trajectory, model.shape):
+        raise LogError(f"camera: {doubt}; check in_base and object of [camera], tcp_in_hand_m and closing_deg")
+    return judge_drift(trajectory, limit or DriftLimit())
 
 
 def delay_of(log: Path, mapping: Path, entry: LogMap | None = None) -> Delay | None:
@@ -132,7 +140,7 @@ def _entry_table(log: Path, mapping: Path, entry: LogMap | None) -> tuple[Mappin
 
 def _content(
     log: Path, table: Mapping, mapping: Path, entry: LogMap
-) -> tuple[tuple[TableAction, ObjectModel], Streams]:
+) -> tuple[tuple[TableAction | Push, ObjectModel], Streams]:
     """Action, object and streams of a trial; all their errors at once."""
     source = open_log(log, table)
     named, streams = read_all(
@@ -166,10 +174,18 @@ def object_of(table: Mapping, mapping: Path) -> ObjectModel:
         raise InvalidValueError(error.field, error.given, error.allowed, file=error.file or mapping) from None
 
 
-def _action_and_object(table: Mapping, mapping: Path) -> tuple[TableAction, ObjectModel]:
-    action, model = table.recorded_action(), object_of(table, mapping)
+def _action_and_object(table: Mapping, mapping: Path) -> tuple[TableAction | Push, ObjectModel]:
+    named, model = table.recorded_action(), object_of(table, mapping)
+    links = 1 if model.shape.chain is None else model.shape.chain.links
     try:
-        return action.on(model.shape, table.hand.size), model
+        action = named.on(model.shape, table.hand.size)
+        if table.camera is None and (links > 1 or action.grasp is None):
+            what = "the poses of a pushed object" if links == 1 else f"the poses of {links} links"
+            raise InvalidValueError("camera", None, f"{what}: the hand's do not tell them")
+        if table.camera is not None and len(table.camera.parts) != links:
+            each = "one, of a rigid object" if links == 1 else f"{links}, one a link"
+            raise InvalidValueError("camera.parts", f"{len(table.camera.parts)} tables", each)
+        return action, model
     except InvalidValueError as error:
         raise InvalidValueError(error.field, error.given, error.allowed, file=mapping) from None
 
@@ -178,7 +194,9 @@ def _moment(seconds: float) -> str:
     return datetime.fromtimestamp(seconds, UTC).isoformat(timespec="milliseconds")
 
 
-def _phases(table: Mapping, action: TableAction, time: np.ndarray, height: np.ndarray, twist: np.ndarray) -> Phases:
+def _phases(
+    table: Mapping, action: TableAction | Push, time: np.ndarray, height: np.ndarray, twist: np.ndarray
+) -> Phases:
     if table.phases:
         return phases_from_windows(table.phases, time)
     return phases_from_motion(action, height, twist)

@@ -12,8 +12,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from testbed.importers.columns import TimeMap
 from testbed.importers.logs import LogError, Series, factor, in_order, read_all, unknown
-from testbed.importers.mapping import TimeMap
 
 JOINT_STATE = "sensor_msgs/JointState"
 _STAMP = "header.stamp"

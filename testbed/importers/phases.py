@@ -11,6 +11,7 @@ from scipy.ndimage import uniform_filter1d
 from scipy.spatial.transform import Rotation, Slerp
 
 from testbed.actions.base import TableAction
+from testbed.actions.push import Push
 from testbed.importers.logs import LogError, Series
 from testbed.importers.mapping import PhaseWindow
 from testbed.trajectory import Phase
@@ -31,6 +32,8 @@ Phases = tuple[Int[np.ndarray, "T"], Int[np.ndarray, "T"]]
 """Phase and steady stretch of every sample, each of shape (T,); the stretch is -1 outside."""
 STEADY_WITHIN = 0.1
 """Largest deviation of a stretch from the action's speed, as a part of it."""
+PUSHED_WITHIN = 0.5
+"""The same of a push, as far as its end: the arm gives way as the fingertip meets the object."""
 STILL = (0.002, np.radians(0.5))
 """Speeds below which the tool is at rest [m/s, rad/s]."""
 ABOVE = 0.01
@@ -134,9 +137,9 @@ def phases_from_windows(windows: Sequence[PhaseWindow], time: Float[np.ndarray, 
 
 
 def phases_from_motion(
-    action: TableAction, height: Float[np.ndarray, "T"], velocity: Float[np.ndarray, "T 6"]
+    action: TableAction | Push, height: Float[np.ndarray, "T"], velocity: Float[np.ndarray, "T 6"]
 ) -> Phases:
-    """Phases of a turn or a slide from the tool's motion at 100 Hz.
+    """Phases of a turn, a slide or a push from the tool's motion at 100 Hz.
 
     The tool is steady at the action's speed, and tares where it rests above the grasp, before and perhaps after.
 
@@ -178,11 +181,20 @@ def phases_from_motion(
     return phase, segment
 
 
-def _steady(action: TableAction, rate: np.ndarray) -> list[np.ndarray]:
+def _steady(action: TableAction | Push, rate: np.ndarray) -> list[np.ndarray]:
     """Stretches at the action's speed, in order, each at least half as long as it should be."""
     speed, _, seconds = action.steady[0]
-    close = np.abs(np.abs(rate) - abs(speed)) < STEADY_WITHIN * abs(speed)
-    stretches = [run for run in runs(close) if len(run) >= seconds * RATE / 2]
+    if isinstance(action, Push):
+        near = runs(np.abs(rate - speed) < PUSHED_WITHIN * speed)
+        pushed = [
+            run[: np.flatnonzero(rate[run] > (1 - STEADY_WITHIN) * speed)[-1] + 1]
+            for run in near
+            if abs(np.median(rate[run]) - speed) < STEADY_WITHIN * speed
+        ]
+        stretches = [run for run in pushed if len(run) >= seconds * RATE / 2]
+    else:
+        close = np.abs(np.abs(rate) - abs(speed)) < STEADY_WITHIN * abs(speed)
+        stretches = [run for run in runs(close) if len(run) >= seconds * RATE / 2]
     wanted = [stretch.speed for stretch in action.steady]
     if [np.sign(rate[s].mean()) for s in stretches] == np.sign(wanted).tolist():
         return stretches

@@ -1,4 +1,4 @@
-"""Pose of the hand from columns, pose messages, a tree of transforms, or joint angles and a URDF."""
+"""Poses of the hand, and of what a camera sees: columns, messages, a tree of transforms, joint angles and a URDF."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
 from testbed.errors import InvalidValueError
+from testbed.importers.columns import CameraMap, HandMap, PartMap, PoseMap, TimeMap
 from testbed.importers.logs import LogError, Series, factor, in_order, unknown
-from testbed.importers.mapping import HandMap, TimeMap
 from testbed.importers.messages import JOINT_STATE, Message, MessageLog, inside
 from testbed.importers.tables import CsvLog
 from testbed.importers.urdf import forward_kinematics, joints_to
@@ -28,6 +28,8 @@ _FIELDS = {
 }
 """Fields of position and quaternion of the messages that have them."""
 _TREE = "tf2_msgs/TFMessage"
+_LYING = 20.0
+"""Greatest angle between a seen object's z axis and the base's [deg]."""
 
 
 def hand_pose(log: Log, hand: HandMap, time: TimeMap, folder: Path) -> Pose:
@@ -43,39 +45,76 @@ def hand_pose(log: Log, hand: HandMap, time: TimeMap, folder: Path) -> Pose:
         InvalidValueError: no such topic, column, frame, link or joint; or nothing says where the pose is.
         LogError: values that are no pose.
     """
-    kind = log.type_of("hand", hand.topic)
-    if hand.position and hand.orientation:
-        return _from_columns(log, hand, hand.position, hand.orientation, time)
-    if isinstance(log, MessageLog) and kind == _TREE:
-        return _from_tree(log, hand, time)
-    if isinstance(log, MessageLog) and kind == JOINT_STATE:
+    if isinstance(log, MessageLog) and not hand.position and log.type_of("hand", hand.topic) == JOINT_STATE:
         return _from_joints(log, hand, time, folder)
+    return _pose(log, "hand", hand, time)
+
+
+def seen_pose(log: Log, field: str, part: PartMap, camera: CameraMap, time: TimeMap) -> Pose:
+    """Pose of an object frame as a camera sees it, arm's base frame.
+
+    Args:
+        log: where it is.
+        field: the mapping's name for it, in errors.
+        part: the mapping's [[camera.parts]] table.
+        camera: its [camera] table.
+        time: column and unit of the time.
+
+    Raises:
+        InvalidValueError: as `hand_pose`.
+        LogError: values that are no pose, or a frame that does not lie on the table.
+    """
+    series, seen = _pose(log, field, part, time)
+    mount = Rotation.from_quat(camera.in_base_wxyz, scalar_first=True)
+    place = mount.apply(series.values + seen.apply(part.object_m)) + camera.in_base_m
+    turned = mount * seen * Rotation.from_quat(part.object_wxyz, scalar_first=True)
+    aside = np.degrees(np.arccos(np.clip(turned.as_matrix()[:, 2, 2], -1.0, 1.0)))
+    if (usual := float(np.median(aside))) > _LYING:
+        raise LogError(
+            f"{field}: the object's z axis is {usual:.0f} deg from the base's; allowed: {_LYING:g} deg, up from the "
+            "table: check object_wxyz and in_base_wxyz"
+        )
+    return Series(series.time_s, place), turned
+
+
+def _pose(log: Log, field: str, of: PoseMap, time: TimeMap) -> Pose:
+    kind = log.type_of(field, of.topic)
+    if of.position and of.orientation:
+        return _from_columns(log, field, of, of.position, of.orientation, time)
+    if isinstance(log, MessageLog) and kind == _TREE:
+        return _from_tree(log, field, of, time)
     if kind not in _FIELDS:
-        of = f"; {hand.topic} has {kind or 'no type of message'}" if hand.topic else ""
-        raise InvalidValueError("hand.position, hand.orientation", None, f"columns of the pose{of}", file=log.path)
+        has = f"; {of.topic} has {kind or 'no type of message'}" if of.topic else ""
+        columns = f"{field}.position, {field}.orientation"
+        raise InvalidValueError(columns, None, f"columns of the pose{has}", file=log.path)
     where, turned = _FIELDS[kind]
     position, orientation = [f"{where}.{a}" for a in "xyz"], [f"{turned}.{a}" for a in "xyzw"]
     known = {"orientation_as": "xyzw", "position_unit": "m"}
-    return _from_columns(log, hand.model_copy(update=known), position, orientation, time)
+    return _from_columns(log, field, of.model_copy(update=known), position, orientation, time)
 
 
-def _from_columns(log: Log, hand: HandMap, position: Sequence[str], orientation: Sequence[str], time: TimeMap) -> Pose:
-    stamps, values = log.series("hand.position, hand.orientation", [*position, *orientation], hand.topic, time)
-    where, given = values[:, :3] * factor("length", hand.position_unit), values[:, 3:]
-    if hand.orientation_as in ("wxyz", "xyzw"):
-        rotation = _quaternions(given, hand.orientation_as == "wxyz")
-    elif hand.orientation_as == "rotation_vector":
-        rotation = Rotation.from_rotvec(given * factor("angle", hand.angle_unit))
+def _from_columns(
+    log: Log, field: str, of: PoseMap, position: Sequence[str], orientation: Sequence[str], time: TimeMap
+) -> Pose:
+    columns = f"{field}.position, {field}.orientation"
+    stamps, values = log.series(columns, [*position, *orientation], of.topic, time)
+    where, given = np.split(values, [len(position)], axis=1)
+    where = np.pad(where * factor("length", of.position_unit), ((0, 0), (0, 3 - len(position))))
+    if of.orientation_as in ("wxyz", "xyzw"):
+        rotation = _quaternions(f"{field}.orientation", given, of.orientation_as == "wxyz")
+    elif of.orientation_as == "rotation_vector":
+        rotation = Rotation.from_rotvec(given * factor("angle", of.angle_unit))
     else:
-        rotation = Rotation.from_euler("xyz", given * factor("angle", hand.angle_unit))
+        axes = "z" if of.orientation_as == "yaw" else "xyz"
+        rotation = Rotation.from_euler(axes, given * factor("angle", of.angle_unit))
     return Series(stamps, where), rotation
 
 
-def _quaternions(given: np.ndarray, scalar_first: bool = False) -> Rotation:
+def _quaternions(field: str, given: np.ndarray, scalar_first: bool = False) -> Rotation:
     lengths = np.linalg.norm(given, axis=1)
     worst = int(np.argmax(np.abs(lengths - 1)))
     if abs(lengths[worst] - 1) > 0.01:
-        raise LogError(f"hand.orientation: length {lengths[worst]:g} at sample {worst}; allowed: unit quaternions")
+        raise LogError(f"{field}: length {lengths[worst]:g} at sample {worst}; allowed: unit quaternions")
     return Rotation.from_quat(given, scalar_first=scalar_first)
 
 
@@ -94,20 +133,20 @@ class _Edge(NamedTuple):
         return position, Slerp(self.time_s, self.rotation)(time)
 
 
-def _from_tree(log: MessageLog, hand: HandMap, time: TimeMap) -> Pose:
-    edges = _edges(log, str(hand.topic), time)
-    if hand.frame not in edges:
-        raise unknown("hand.frame", hand.frame, sorted(edges), log.path)
-    frame, chain, passed = hand.frame, [], []
-    while frame in edges and frame != hand.base and frame not in passed:
+def _from_tree(log: MessageLog, field: str, of: PoseMap, time: TimeMap) -> Pose:
+    edges = _edges(log, field, str(of.topic), time)
+    if of.frame not in edges:
+        raise unknown(f"{field}.frame", of.frame, sorted(edges), log.path)
+    frame, chain, passed = of.frame, [], []
+    while frame in edges and frame != of.base and frame not in passed:
         passed.append(frame)
         chain.append(edges[frame])
         frame = edges[frame].parent
-    if hand.base not in (None, frame):
-        raise InvalidValueError("hand.base", hand.base, f"a frame above {hand.frame}, or {frame}", file=log.path)
+    if of.base not in (None, frame):
+        raise InvalidValueError(f"{field}.base", of.base, f"a frame above {of.frame}, or {frame}", file=log.path)
     moving = [edge for edge in chain if len(edge.time_s) > 1]
     if not moving:
-        raise LogError(f"{log.path}: hand.frame: {hand.frame} never moves in {frame}; allowed: the frame of a hand")
+        raise LogError(f"{log.path}: {field}.frame: {of.frame} never moves in {frame}; allowed: a frame that does")
     stamps = moving[0].time_s
     begin, end = max(e.time_s[0] for e in moving), min(e.time_s[-1] for e in moving)
     stamps = stamps[(stamps >= begin) & (stamps <= end)]
@@ -118,7 +157,7 @@ def _from_tree(log: MessageLog, hand: HandMap, time: TimeMap) -> Pose:
     return Series(stamps, position), rotation
 
 
-def _edges(log: MessageLog, topic: str, time: TimeMap) -> dict[str, _Edge]:
+def _edges(log: MessageLog, field: str, topic: str, time: TimeMap) -> dict[str, _Edge]:
     """Transforms of a topic, and of the static one beside it, by child frame."""
     edges: dict[str, _Edge] = {}
     for name in (f"{topic}_static", topic):
@@ -130,11 +169,11 @@ def _edges(log: MessageLog, topic: str, time: TimeMap) -> dict[str, _Edge]:
         for child, messages in by_child.items():
             kept = messages[-1:] if name != topic else messages
             names = [*(f"transform.translation.{a}" for a in "xyz"), *(f"transform.rotation.{a}" for a in "xyzw")]
-            stamps, values = np.zeros(1), log.values(f"hand.frame {child}", names, name, kept)
+            stamps, values = np.zeros(1), log.values(f"{field}.frame {child}", names, name, kept)
             if len(kept) > 1:
-                stamps, values = in_order(log.path, f"hand.frame {child}", log.stamps(name, kept, time), values)
+                stamps, values = in_order(log.path, f"{field}.frame {child}", log.stamps(name, kept, time), values)
             parent = str(inside(inside(kept[-1].content, "header"), "frame_id"))
-            edges[child] = _Edge(parent, stamps, values[:, :3], _quaternions(values[:, 3:]))
+            edges[child] = _Edge(parent, stamps, values[:, :3], _quaternions(f"{field}.frame {child}", values[:, 3:]))
     return edges
 
 

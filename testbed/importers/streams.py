@@ -1,26 +1,31 @@
-"""What a log holds as streams, each by its own stamps: wrench, pose of the hand, joints, velocity."""
+"""What a log holds as streams, each by its own stamps: wrench, hand, joints, velocity, frames of a camera."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 from scipy.signal import savgol_filter
 from scipy.spatial.transform import Rotation
 
-from testbed.actions.base import TableAction
+from testbed.actions.base import Action
 from testbed.errors import InvalidValueError
 from testbed.importers.clocks import Delay, wrench_delay
-from testbed.importers.logs import Series, factor, read_all
-from testbed.importers.mapping import Columns, HandMap, JointMap, Mapping, SensorMap, TimeMap, VelocityMap
+from testbed.importers.columns import Columns, HandMap, JointMap, PartMap, SensorMap, TimeMap, VelocityMap
+from testbed.importers.logs import LogError, Series, factor, read_all
+from testbed.importers.mapping import Mapping
 from testbed.importers.messages import open_bag, open_mcap
 from testbed.importers.phases import RATE, common_base, resampled, resampled_rotation
-from testbed.importers.poses import Log, Pose, hand_pose
+from testbed.importers.poses import Log, Pose, hand_pose, seen_pose
 from testbed.importers.tables import CsvLog
+from testbed.sensing.camera import PoseStream
 
 _SLOPE_WINDOW = 0.15
 """Time over which a logged pose is differentiated [s]."""
+_AROUND = 1.0
+"""Time before and after a trial of which a camera's frames are kept [s]."""
 _TABLES = (".csv", ".tsv", ".txt")
 _BAGS = (".db3", ".mcap")
 _WRENCHES = {"geometry_msgs/WrenchStamped": "wrench.", "geometry_msgs/Wrench": ""}
@@ -38,21 +43,24 @@ class Streams:
     epoch_s: int
     begin_s: float
     """Time of the first sample that all of them cover [s]."""
+    seen: tuple[Pose, ...] = ()
+    """What a camera sees of each link; it may cover less than the rest."""
 
     @classmethod
     def of(cls, source: Log, table: Mapping, folder: Path) -> Streams:
         """All streams of a log; all their errors at once. `folder` is the mapping's."""
         other = sensor_log(source, table, folder)
-        wrench, pose, joints, velocity = read_all(
+        wrench, pose, joints, velocity, seen = read_all(
             lambda: read_wrench(other, table.sensor, table.time),
             lambda: hand_pose(source, table.hand, table.time, folder),
             lambda: _joints(source, table.joints, table.time) if table.joints else None,
             lambda: _velocity(source, table.velocity, table.time) if table.velocity else None,
+            lambda: _seen(source, table, folder),
         )
         wrench = wrench._replace(time_s=wrench.time_s + (other.epoch_s - source.epoch_s))
         wrench = in_sensor_axes(wrench, pose, table.sensor)
         begin = max(one.time_s[0] for one in (wrench, pose[0], joints, velocity) if one is not None)
-        return cls(wrench, pose, joints, velocity, source.epoch_s, float(begin))
+        return cls(wrench, pose, joints, velocity, source.epoch_s, float(begin), seen)
 
     def within(self, from_s: float, to_s: float | None) -> Streams:
         """The same from one time to another after the first sample; None is the end.
@@ -92,7 +100,31 @@ class Streams:
         hand = resampled_rotation(self.pose[0].time_s, self.pose[1], base)
         return resampled(self.pose[0], base) + hand.apply(table.hand.tcp_in_hand_m), hand
 
-    def delay(self, table: Mapping, action: TableAction) -> Delay | None:
+    def camera(self, table: Mapping, base: np.ndarray) -> PoseStream | None:
+        """Frames of the camera about a trial, by time since the base's first; None without a camera.
+
+        Raises:
+            LogError: none of a part while the trial lasts.
+        """
+        if table.camera is None:
+            return None
+        time = np.unique(np.concatenate([series.time_s for series, _ in self.seen]))
+        poses = np.full((len(time), len(self.seen), 3), np.nan)
+        for part, (place, turned) in enumerate(self.seen):
+            along = turned.apply([1.0, 0.0, 0.0])
+            yaw = np.unwrap(np.arctan2(along[:, 1], along[:, 0]))
+            poses[np.searchsorted(time, place.time_s), part] = np.column_stack([place.values[:, :2], yaw])
+        time = time - table.camera.delay_s - base[0]
+        kept = (time >= -_AROUND) & (time <= base[-1] - base[0] + _AROUND)
+        for part in range(len(self.seen)):
+            if np.isnan(poses[kept, part]).all():
+                raise LogError(
+                    f"camera.parts.{part}: no frame during the trial; allowed: frames by the clock of the hand's pose"
+                )
+        std = table.camera.position_std_m, float(np.radians(table.camera.angle_std_deg)), table.camera.delay_std_s
+        return PoseStream(time[kept], poses[kept], *std)
+
+    def delay(self, table: Mapping, action: Action) -> Delay | None:
         """Delay of the wrench: the mapping's, or that of an accelerated turn of separate streams; else None."""
         if table.sensor.delay_s is not None:
             return Delay(table.sensor.delay_s, 0.0)
@@ -162,6 +194,20 @@ def in_sensor_axes(wrench: Series, pose: Pose, sensor: SensorMap) -> Series:
     return wrench._replace(
         values=np.hstack([back.apply(part) for part in (wrench.values[:, :3], wrench.values[:, 3:])])
     )
+
+
+def _seen(source: Log, table: Mapping, folder: Path) -> tuple[Pose, ...]:
+    """What the camera sees of each link, by the clock of the source."""
+    if table.camera is None:
+        return ()
+    camera = table.camera
+
+    def read(index: int, part: PartMap) -> Pose:
+        log = source if part.file is None else open_log(folder / part.file, table)
+        series, turned = seen_pose(log, f"camera.parts.{index}", part, camera, part.time or table.time)
+        return series._replace(time_s=series.time_s + (log.epoch_s - source.epoch_s)), turned
+
+    return tuple(read_all(*(partial(read, *each) for each in enumerate(camera.parts))))
 
 
 def _joints(log: Log, joints: JointMap, time: TimeMap) -> Series:

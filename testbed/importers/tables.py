@@ -11,8 +11,8 @@ import numpy as np
 import pandas as pd
 
 from testbed.errors import InvalidValueError
+from testbed.importers.columns import ISO, Columns, TimeMap
 from testbed.importers.logs import LogError, Series, factor, in_order, read_all, unknown
-from testbed.importers.mapping import ISO, Columns, TimeMap
 
 _SECOND = 1_000_000_000
 

@@ -86,10 +86,10 @@ def face_at(shape: ObjectShape, point: Float[np.ndarray, "2"]) -> tuple[Face, fl
 
 
 def room_at(shape: ObjectShape, point: Float[np.ndarray, "2"]) -> float:
-    """Distance from a point to the outline [m]; 0 within it."""
+    """Distance from a point to the outline [m], negative within it."""
     every = faces(shape)
     ends = np.array([[face.begin, face.end] for face in every]) - point
     crosses = (ends[:, 0, 1] > 0) != (ends[:, 1, 1] > 0)
     (x, y), (dx, dy) = ends[crosses, 0].T, (ends[crosses, 1] - ends[crosses, 0]).T
     within = np.count_nonzero(x - y * dx / dy > 0) % 2
-    return 0.0 if within else min(face.distance(point) for face in every)
+    return (-1) ** within * min(face.distance(point) for face in every)

@@ -16,6 +16,7 @@ from testbed.objects.model import GRAVITY
 from testbed.sensing.camera import draw_camera
 from testbed.sensing.compensation import compensate
 from testbed.sensing.presets import Sensing
+from testbed.sensing.seen import as_seen
 from testbed.trajectory import Phase, Trajectory
 from testbed.worlds.draw import WorldDraw
 from testbed.worlds.instruments import as_measured, rounded, true_sensing
@@ -69,21 +70,8 @@ def draw_sensing(clean: Trajectory, sensing: Sensing, seed: int) -> Trajectory:
         provenance=provenance,
     )
     if clean.camera is not None:
-        noisy = _as_seen(replace(noisy, camera=draw_camera(clean.camera, sensing.camera, seed)))
+        noisy = as_seen(replace(noisy, camera=draw_camera(clean.camera, sensing.camera, seed)))
     return compensate(noisy)
-
-
-def _as_seen(record: Trajectory) -> Trajectory:
-    """Record with the object where its camera sees it, if the hand does not hold it; at rest where nothing was seen."""
-    if record.action.grasp is not None or record.camera is None:
-        return record
-    motion = record.camera.motion(record.time_s)
-    seen = np.flatnonzero(~np.isnan(motion.pose[:, 0]))
-    if len(seen) == 0:
-        return record
-    nearest = seen[np.searchsorted(seen, np.arange(len(record.time_s))).clip(max=len(seen) - 1)]
-    twist = np.where(np.isnan(motion.twist), 0.0, motion.twist)
-    return replace(record, object_pose=motion.pose[nearest], object_velocity=twist)
 
 
 def read_scale(mass: float, sensing: Sensing, seed: int | Sequence[int]) -> float:

@@ -79,7 +79,7 @@ def _check_push(trial: Trial, action: Push, motion: Motion, settings: Simulation
     gap = room_at(shape, start)
     if gap < action.radius - 1e-9:
         raise InfeasibleTrialError(
-            f"push: the fingertip would come down {gap * 1e3:.1f} mm from the object with its radius of "
+            f"push: the fingertip would come down {max(gap, 0.0) * 1e3:.1f} mm from the object with its radius of "
             f"{action.radius * 1e3:.0f} mm; push where there is room, or with a smaller fingertip"
         )
     # wherever it turns, it stays within its own reach of where the fingertip goes

@@ -77,12 +77,15 @@ def mapping_of(t: Trajectory, **changes: Any) -> dict[str, Any]:
 def entry_of(file: str, trial: Trajectory) -> dict[str, Any]:
     """[[logs]] table of a trial; an accelerated turn has its phases."""
     entry: dict[str, Any] = {"file": file, "action": trial.action.to_dict()}
-    if trial.action.accelerated:
-        parts = [("tare", trial.phase == Phase.TARE)]
-        parts += [("steady", trial.segment == i) for i in range(trial.segment.max() + 1)]
-        ends = [(name, np.flatnonzero(inside)[[0, -1]] / 100) for name, inside in parts]
-        entry["phases"] = [{"phase": n, "from_s": max(a - 0.005, 0.0), "to_s": b + 0.005} for n, (a, b) in ends]
-    return entry
+    return entry | ({"phases": phases_of(trial)} if trial.action.accelerated else {})
+
+
+def phases_of(trial: Trajectory) -> list[dict[str, Any]]:
+    """Tare and steady stretches of a trial as [[phases]] tables."""
+    parts = [("tare", trial.phase == Phase.TARE)]
+    parts += [("steady", trial.segment == i) for i in range(trial.segment.max() + 1)]
+    ends = [(name, np.flatnonzero(inside)[[0, -1]] / 100) for name, inside in parts]
+    return [{"phase": n, "from_s": max(a - 0.005, 0.0), "to_s": b + 0.005} for n, (a, b) in ends]
 
 
 def closing_axis(t: Trajectory) -> np.ndarray:

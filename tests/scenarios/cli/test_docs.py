@@ -33,18 +33,18 @@ from scenarios.config import (
     load_scenario,
 )
 from scenarios.results.store import Store
-from testbed.importers.logs import FACTORS
-from testbed.importers.mapping import (
+from testbed.importers.columns import (
+    CameraMap,
     HandMap,
     JointMap,
-    LogMap,
-    Mapping,
-    PhaseWindow,
+    PartMap,
     SensorMap,
     TimeMap,
     ToolMap,
     VelocityMap,
 )
+from testbed.importers.logs import FACTORS
+from testbed.importers.mapping import LogMap, Mapping, PhaseWindow
 from testbed.objects.files import Blocks, HingeTable, Mesh, MeshGrasp, MeshPart, ObjectFile, load_object
 from testbed.objects.model import MassDistribution
 from testbed.objects.random import Family
@@ -97,6 +97,8 @@ SECTIONS: dict[str, type[BaseModel]] = {
     "mapping.tool": ToolMap,
     "mapping.velocity": VelocityMap,
     "mapping.joints": JointMap,
+    "mapping.camera": CameraMap,
+    "mapping.camera.parts": PartMap,
     "mapping.phases": PhaseWindow,
     "mapping.logs": LogMap,
 }

@@ -231,7 +231,7 @@ WRONG: tuple[tuple[dict[str, Any], str], ...] = (
     ({"sensor": {"topic": "/ft"}}, "topic: got '/ft'; allowed: none"),
     ({"hand": {"orientation_as": "roll_pitch_yaw"}}, "3 columns for roll_pitch_yaw"),
     ({"sensor": {"in_hand_wxyz": [1.0, 1.0, 0.0, 0.0]}}, "a unit quaternion"),
-    ({"action": {"kind": "weigh"}}, "rotate, accelerate or slide"),
+    ({"action": {"kind": "weigh"}}, "rotate, accelerate, slide or push"),
     ({"action": {"kind": "rotate"}}, "fields grasp"),
     ({"action": {"kind": "rotate", "grasp": 99}}, "action.grasp: got 99; allowed: 0 ("),
     ({"action": {"kind": "rotate", "grasp": "A22"}}, "action.grasp: got 'A22'; allowed: 0 ("),

@@ -16,8 +16,8 @@ from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
 from testbed.errors import HeftError
+from testbed.importers.columns import HandMap, TimeMap
 from testbed.importers.importer import import_trajectory
-from testbed.importers.mapping import HandMap, TimeMap
 from testbed.importers.messages import MessageLog, open_bag
 from testbed.importers.poses import hand_pose
 from testbed.trajectory import Trajectory

@@ -12,7 +12,8 @@ from scenarios.cli.main import main
 from testbed.actions.accelerate import Accelerate
 from testbed.actions.rotate import Rotate
 from testbed.errors import InvalidValueError
-from testbed.importers.mapping import HandMap, MappedAction
+from testbed.importers.columns import HandMap
+from testbed.importers.mapping import MappedAction
 from testbed.objects.blocks import block_object, parse_layout
 from testbed.objects.files import load_object
 from testbed.objects.model import GRAVITY, ROBOTIQ_2F85, Hand, ObjectModel

@@ -8,8 +8,8 @@ from numpy.testing import assert_allclose
 
 from scenarios.cli.main import main
 from testbed.importers.logs import LogError
-from testbed.importers.still import recorded_poses
 from testbed.robot.calibration.file import load_calibration
+from testbed.robot.calibration.recorded_poses import recorded_poses
 from testbed.robot.calibration.static_poses import calibrate
 from tests.fakes.static_hand import POSES, off, recorded
 

@@ -8,8 +8,8 @@ import numpy as np
 from scipy.ndimage import binary_erosion
 from scipy.spatial.transform import Rotation
 
+from testbed.importers.columns import Columns
 from testbed.importers.logs import LogError, read_all
-from testbed.importers.mapping import Columns
 from testbed.importers.phases import RATE, common_base, resampled, resampled_rotation, runs
 from testbed.importers.poses import hand_pose
 from testbed.importers.streams import in_sensor_axes, open_log, read_wrench, sensor_log

@@ -1,0 +1,210 @@
+"""Schema of a log's columns: which of them, or which messages, hold which quantity, in what units and frames."""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, Literal, Self
+
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
+
+from testbed.errors import InvalidValueError
+from testbed.importers.logs import factor
+from testbed.objects.files import Side
+from testbed.objects.model import ROBOTIQ_2F85, Hand
+from testbed.sensing.camera import CAMERAS
+from testbed.sensing.presets import preset
+from testbed.toml import Finite, NonNegative, Positive
+
+ISO = "iso"
+"""Unit of a table's times that are dates by ISO 8601."""
+
+
+def _turn(wxyz: list[float]) -> list[float]:
+    if not 0.999 < sum(q * q for q in wxyz) < 1.001:
+        raise InvalidValueError("wxyz", wxyz, "a unit quaternion, wxyz")
+    return wxyz
+
+
+def _unit_of(quantity: str, *others: str) -> AfterValidator:
+    def check(unit: str) -> str:
+        if unit not in others:
+            factor(quantity, unit)
+        return unit
+
+    return AfterValidator(check)
+
+
+TimeUnit = Annotated[str, _unit_of("time", ISO)]
+LengthUnit = Annotated[str, _unit_of("length")]
+AngleUnit = Annotated[str, _unit_of("angle")]
+SpeedUnit = Annotated[str, _unit_of("speed")]
+TurnRateUnit = Annotated[str, _unit_of("turn rate")]
+ForceUnit = Annotated[str, _unit_of("force")]
+TorqueUnit = Annotated[str, _unit_of("torque")]
+Text = Annotated[str, Field(min_length=1)]
+Three = Annotated[list[Text], Field(min_length=3, max_length=3)]
+Vector = Annotated[list[Finite], Field(min_length=3, max_length=3)]
+UnitQuaternion = Annotated[list[Finite], Field(min_length=4, max_length=4), AfterValidator(_turn)]
+OrientationAs = Literal["wxyz", "xyzw", "rotation_vector", "roll_pitch_yaw", "yaw"]
+_COLUMNS = {"wxyz": 4, "xyzw": 4, "rotation_vector": 3, "roll_pitch_yaw": 3, "yaw": 1}
+"""Columns of an orientation, by how it is given."""
+
+
+class Table(BaseModel):
+    """Base of the tables: known fields alone, frozen."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class TimeMap(Table):
+    """The [time] table."""
+
+    column: Text | None = None
+    unit: TimeUnit = "s"
+
+
+class SensorMap(Table):
+    """The [sensor] table."""
+
+    file: Text | None = None
+    topic: Text | None = None
+    time: TimeMap | None = None
+    delay_s: Finite | None = None
+    force: Three | None = None
+    torque: Three | None = None
+    axes: Literal["sensor", "base"] = "sensor"
+    force_unit: ForceUnit = "N"
+    torque_unit: TorqueUnit = "N m"
+    calibration: Text | None = None
+    sign: Literal[1, -1] = 1
+    in_hand_wxyz: UnitQuaternion = [1.0, 0.0, 0.0, 0.0]
+    bias_std_N: NonNegative = preset("ft300s").force_bias
+    bias_std_Nm: NonNegative = preset("ft300s").torque_bias
+    drift_std_N: NonNegative = preset("ft300s").force_drift
+    drift_std_Nm: NonNegative = preset("ft300s").torque_drift
+
+    @model_validator(mode="after")
+    def _has_all_columns(self) -> Self:
+        if (self.force is None) != (self.torque is None):
+            raise InvalidValueError("force, torque", [self.force, self.torque], "columns of both, or of neither")
+        return self
+
+
+class PoseMap(Table):
+    """Columns, messages or frame of a pose."""
+
+    topic: Text | None = None
+    frame: Text | None = None
+    base: Text | None = None
+    position: Annotated[list[Text], Field(min_length=2, max_length=3)] | None = None
+    position_unit: LengthUnit = "m"
+    orientation: Annotated[list[Text], Field(min_length=1, max_length=4)] | None = None
+    orientation_as: OrientationAs = "wxyz"
+    angle_unit: AngleUnit = "rad"
+
+    @model_validator(mode="after")
+    def _has_all_parts(self) -> Self:
+        parts = _COLUMNS[self.orientation_as]
+        if (self.position is None) != (self.orientation is None):
+            given = [self.position, self.orientation]
+            raise InvalidValueError("position, orientation", given, "columns of both, or of neither")
+        if self.orientation is not None and len(self.orientation) != parts:
+            many = f"{parts} column{'s'[: parts > 1]}"
+            raise InvalidValueError("orientation", self.orientation, f"{many} for {self.orientation_as}")
+        if self.position is not None and (len(self.position) == 2) != (self.orientation_as == "yaw"):
+            raise InvalidValueError("position", self.position, 'x, y and z; x and y with orientation_as = "yaw"')
+        return self
+
+
+class HandMap(PoseMap):
+    """The [hand] table."""
+
+    urdf: Text | None = None
+    tcp_in_hand_m: Vector = [0.0, 0.0, 0.0]
+    closing_deg: Finite = 0.0
+    table_height_m: Finite = 0.0
+    stroke_m: Side = ROBOTIQ_2F85.stroke
+    finger_width_m: Side = ROBOTIQ_2F85.finger_width
+
+    @property
+    def size(self) -> Hand:
+        """Size of the hand, by which rows of blocks can be taken."""
+        return Hand(self.stroke_m, self.finger_width_m)
+
+    @model_validator(mode="after")
+    def _points_down(self) -> Self:
+        if self.orientation_as == "yaw":
+            allowed = ", ".join(name for name in _COLUMNS if name != "yaw")
+            raise InvalidValueError("orientation_as", "yaw", f"{allowed}: a hand's yaw alone does not tell its tilt")
+        return self
+
+
+class PartMap(PoseMap):
+    """One [[camera.parts]] table: what the camera sees of one link, or of a rigid object."""
+
+    file: Text | None = None
+    time: TimeMap | None = None
+    object_m: Vector = [0.0, 0.0, 0.0]
+    object_wxyz: UnitQuaternion = [1.0, 0.0, 0.0, 0.0]
+
+
+_SEEN = CAMERAS["30hz"]
+
+
+class CameraMap(Table):
+    """The [camera] table."""
+
+    parts: Annotated[list[PartMap], Field(min_length=1)]
+    in_base_m: Vector = [0.0, 0.0, 0.0]
+    in_base_wxyz: UnitQuaternion = [1.0, 0.0, 0.0, 0.0]
+    position_std_m: NonNegative = _SEEN.position
+    angle_std_deg: NonNegative = math.degrees(_SEEN.angle)
+    delay_s: Finite = round(sum(_SEEN.delay) / 2, 4)
+    delay_std_s: NonNegative = round(_SEEN.delay_std, 4)
+
+
+class VelocityMap(Table):
+    """The [velocity] table: TCP velocity, base axes; without it the pose is differentiated."""
+
+    topic: Text | None = None
+    linear: Three
+    angular: Three
+    linear_unit: SpeedUnit = "m/s"
+    angular_unit: TurnRateUnit = "rad/s"
+
+
+class JointMap(Table):
+    """The [joints] table."""
+
+    topic: Text | None = None
+    position: Annotated[list[Text], Field(min_length=7, max_length=7)]
+    unit: AngleUnit = "rad"
+
+
+class ToolMap(Table):
+    """The [tool] table."""
+
+    mass_kg: NonNegative
+    com_m: Vector
+    inertia_kg_m2: Annotated[list[Vector], Field(min_length=3, max_length=3)]
+    tcp_m: Vector
+
+
+class Columns(Table):
+    """The part of a mapping file that says which column is what; a calibration needs no more."""
+
+    model_config = ConfigDict(extra="ignore", frozen=True)
+
+    separator: Text = ","
+    decimal: Literal[".", ","] = "."
+    comment: str = "#"
+    longest_gap_s: Positive = 0.1
+    time: TimeMap = TimeMap()
+    sensor: SensorMap
+    hand: HandMap
+
+    @model_validator(mode="after")
+    def _separates_columns(self) -> Self:
+        if self.separator == self.decimal:
+            raise InvalidValueError("separator", self.separator, "another character than that of decimals")
+        return self

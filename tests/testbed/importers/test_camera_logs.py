@@ -1,0 +1,243 @@
+"""Poses of a camera in another bench's logs: pushes and objects in links come back, by columns, messages and trees."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+from numpy.testing import assert_allclose
+from scipy.spatial.transform import Rotation
+
+from testbed.actions.push import Push
+from testbed.actions.rotate import Rotate
+from testbed.errors import HeftError
+from testbed.importers.importer import import_trajectory
+from testbed.objects.files import load_object
+from testbed.sensing.camera import PoseStream
+from testbed.sensing.link_windows import link_windows
+from testbed.sensing.noise import draw_sensing
+from testbed.sensing.presets import preset
+from testbed.sensing.push_windows import push_windows
+from testbed.sensing.windows import SteadyWindow
+from testbed.simulation.runner import SimulationRunner
+from testbed.trajectory import Trajectory
+from testbed.trial import Trial
+from tests.fakes.lab_bench import EPOCH, mapping_of, phases_of, write_csv, write_toml
+
+CAMERA = Rotation.from_euler("xyz", [170, 12, 40], degrees=True)
+"""Camera over the table, that looks down on it."""
+EYE = np.array([0.3, -0.2, 0.9])
+LABEL = Rotation.from_euler("xyz", [180, 0, 25], degrees=True)
+"""Label on the object, its z axis into it."""
+BESIDE = np.array([0.02, -0.01, 0.03])
+"""Object frame in the label's."""
+LATE = 0.03
+"""Mean delay of the frames [s]."""
+CAMERA_TABLE = {
+    "in_base_m": EYE.tolist(),
+    "in_base_wxyz": CAMERA.as_quat(scalar_first=True).tolist(),
+    "delay_s": LATE,
+    "position_std_m": 0.001,
+    "angle_std_deg": 0.5,
+    "delay_std_s": 0.04 / math.sqrt(12),
+}
+FOLD = Path("scenarios/library/objects/elbow.toml").resolve()
+LINKS = "upper", "lower"
+LABELED = {"object_m": BESIDE.tolist(), "object_wxyz": LABEL.as_quat(scalar_first=True).tolist()}
+
+
+def simulated(name: str, action: Push | Rotate) -> Trajectory:
+    clean = SimulationRunner().run_clean(Trial(load_object(str(FOLD) if name == "elbow" else name), action))
+    return draw_sensing(clean, preset("ft300s"), 3)
+
+
+@pytest.fixture(scope="module")
+def push() -> Trajectory:
+    return simulated("L2", Push((-0.05, 0.01), 0.0, speed=0.05, length=0.06))
+
+
+@pytest.fixture(scope="module")
+def fold() -> Trajectory:
+    return simulated("elbow", Rotate(0, duration=3.0))
+
+
+def labels(t: Trajectory, part: int) -> tuple[np.ndarray, np.ndarray, Rotation]:
+    """Stamps, places and turns of a label as the camera tells them, in its own frame."""
+    assert t.camera is not None
+    seen = ~np.isnan(t.camera.poses[:, part, 0])
+    x, y, yaw = t.camera.poses[seen, part].T
+    turned = Rotation.from_euler("z", yaw[:, None]) * LABEL.inv()
+    place = np.column_stack([x, y, np.zeros(len(x))]) - turned.apply(BESIDE)
+    return t.camera.time_s[seen] + LATE, CAMERA.inv().apply(place - EYE), CAMERA.inv() * turned
+
+
+def write_frames(path: Path, t: Trajectory, part: int = 0) -> Path:
+    """Table of a label, mm and degrees about x, then y, then z."""
+    time, place, turned = labels(t, part)
+    angles = turned.as_euler("xyz", degrees=True)
+    stamp = 1e3 * (EPOCH + time)
+    names = ["x", "y", "z", "roll", "pitch", "yaw"]
+    pd.DataFrame({"stamp": stamp, **dict(zip(names, [*(1e3 * place.T), *angles.T], strict=True))}).to_csv(path)
+    return path
+
+
+def part_of(file: Path, **changes: Any) -> dict[str, Any]:
+    columns = {"position": ["x", "y", "z"], "orientation": ["roll", "pitch", "yaw"]}
+    units = {"position_unit": "mm", "orientation_as": "roll_pitch_yaw", "angle_unit": "deg"}
+    return {"file": file.name, **columns, **units, **LABELED, **changes}
+
+
+def mapping_with(t: Trajectory, name: str, parts: list[dict[str, Any]], **changes: Any) -> dict[str, Any]:
+    return mapping_of(t, object=name, camera={**CAMERA_TABLE, "parts": parts} | changes)
+
+
+def bring(folder: Path, t: Trajectory, mapping: dict[str, Any]) -> Trajectory:
+    return import_trajectory(write_csv(folder / "log.csv", t), write_toml(folder / "map.toml", mapping))
+
+
+def same_frames(found: PoseStream | None, true: PoseStream | None) -> None:
+    """Frames but for the stamps' rounding, and those that saw nothing."""
+    assert found is not None
+    assert true is not None
+    seen = ~np.isnan(true.poses[..., 0]).all(axis=1)
+    assert_allclose(found.time_s, true.time_s[seen], atol=1e-6, rtol=0)
+    off = found.poses - true.poses[seen]
+    off[..., 2] = np.angle(np.exp(1j * off[..., 2]))
+    assert_allclose(off, 0.0, atol=1e-9, rtol=0)
+    for name in ("position_std", "angle_std", "delay_std"):
+        assert getattr(found, name) == pytest.approx(getattr(true, name), rel=0.01)
+
+
+def same_windows(found: list[SteadyWindow], true: list[SteadyWindow]) -> None:
+    assert len(found) == len(true)
+    for one, other in zip(found, true, strict=True):
+        assert_allclose(one.wrench, other.wrench, atol=5e-3, rtol=0)
+        assert_allclose(one.twist, other.twist, atol=5e-4, rtol=0)
+
+
+def test_a_push_comes_back_with_the_object_where_the_camera_saw_it(push: Trajectory, tmp_path: Path):
+    frames = write_frames(tmp_path / "frames.csv", push)
+    mapping = mapping_with(push, "L2", [part_of(frames)])
+    found = bring(tmp_path, push, mapping)
+    assert found.action == push.action
+    same_frames(found.camera, push.camera)
+    assert_allclose(found.object_pose, push.object_pose, atol=1e-6, rtol=0)
+    assert len(push_windows(found)) == len(push_windows(push))  # by phases from the motion
+    found = bring(tmp_path, push, mapping | {"phases": phases_of(push)})
+    same_windows(push_windows(found), push_windows(push))
+
+
+def test_links_come_back_each_by_its_own_label(fold: Trajectory, tmp_path: Path):
+    parts = [part_of(write_frames(tmp_path / f"link_{i}.csv", fold, i)) for i in range(2)]
+    mapping = mapping_with(fold, str(FOLD), parts) | {"phases": phases_of(fold)}
+    found = bring(tmp_path, fold, mapping)
+    same_frames(found.camera, fold.camera)
+    same_windows(link_windows(found), link_windows(fold))
+    for one, other in zip(link_windows(found), link_windows(fold), strict=True):
+        assert_allclose(one.turned[:, :, 1:], other.turned[:, :, 1:], atol=1e-4, rtol=0)
+
+
+def test_a_planar_pose_needs_three_columns(push: Trajectory, tmp_path: Path):
+    assert push.camera is not None
+    seen = ~np.isnan(push.camera.poses[:, 0, 0])
+    x, y, yaw = push.camera.poses[seen, 0].T
+    stamp = 1e3 * (EPOCH + push.camera.time_s[seen] + LATE)
+    pd.DataFrame({"stamp": stamp, "x": x, "y": y, "turn": yaw}).to_csv(tmp_path / "frames.csv")
+    part = {"file": "frames.csv", "position": ["x", "y"], "orientation": ["turn"], "orientation_as": "yaw"}
+    mapping = mapping_of(push, object="L2", camera={"parts": [part]})
+    same_frames(bring(tmp_path, push, mapping).camera, push.camera)
+
+
+def test_labels_come_as_messages_and_as_a_tree(fold: Trajectory, tmp_path: Path):
+    """An .mcap beside the table of the arm: a tree that knows where the camera is, and poses in the camera's frame."""
+    mcap = pytest.importorskip("mcap.writer")
+    eye = {"header": {"frame_id": "base"}, "child_frame_id": "camera", "transform": transform(EYE, CAMERA)}
+    with (tmp_path / "seen.mcap").open("wb") as file:
+        writer = mcap.Writer(file)
+        writer.start()
+        tree = writer.register_schema("tf2_msgs/TFMessage", "jsonschema", b"{}")
+        pose = writer.register_schema("geometry_msgs/PoseStamped", "jsonschema", b"{}")
+        put(writer, writer.register_channel("/tf_static", "json", tree), 0.0, {"transforms": [eye]})
+        tf, label = (writer.register_channel(name, "json", kind) for name, kind in (("/tf", tree), ("/label", pose)))
+        for part, name in enumerate(LINKS):
+            for time, place, turned in zip(*labels(fold, part), strict=True):
+                header, at = {"stamp": stamp_of(time), "frame_id": "camera"}, transform(place, turned)
+                moved = {"header": header, "child_frame_id": name, "transform": at}
+                put(writer, tf, time, {"transforms": [moved]})
+                if name == "lower":
+                    at = {"position": at["translation"], "orientation": at["rotation"]}
+                    put(writer, label, time, {"header": header, "pose": at})
+        writer.finish()
+    upper, lower = ({"file": "seen.mcap", "topic": "/tf", "frame": name, "time": {}, **LABELED} for name in LINKS)
+    by_tree = {key: value for key, value in CAMERA_TABLE.items() if not key.startswith("in_base")}
+    mapping = mapping_of(fold, object=str(FOLD), camera={**by_tree, "parts": [upper, lower]})
+    same_frames(bring(tmp_path, fold, mapping).camera, fold.camera)
+    message = {"file": "seen.mcap", "topic": "/label", "time": {}, **LABELED}
+    mapping = mapping_with(fold, str(FOLD), [upper | {"base": "camera"}, message])
+    same_frames(bring(tmp_path, fold, mapping).camera, fold.camera)
+    parts = [upper, lower | {"frame": "lover"}]
+    mapping = mapping_of(fold, object=str(FOLD), camera={**by_tree, "parts": parts})
+    wrong = "camera.parts.1.frame: got 'lover'; allowed: one of camera, lower, upper (nearest: lower)"
+    assert wrong in refused(tmp_path, fold, mapping)
+
+
+def transform(place: np.ndarray, turned: Rotation) -> dict[str, Any]:
+    return {
+        "translation": dict(zip("xyz", place.tolist(), strict=True)),
+        "rotation": dict(zip("xyzw", turned.as_quat().tolist(), strict=True)),
+    }
+
+
+def stamp_of(time: float) -> dict[str, int]:
+    whole = round((EPOCH + time) * 1e9)
+    return {"sec": whole // 10**9, "nanosec": whole % 10**9}
+
+
+def put(writer: Any, channel: int, time: float, message: dict[str, Any]) -> None:
+    at = round((EPOCH + time) * 1e9)
+    writer.add_message(channel, at, json.dumps(message).encode(), at)
+
+
+def refused(folder: Path, t: Trajectory, mapping: dict[str, Any]) -> str:
+    with pytest.raises(HeftError) as error:
+        bring(folder, t, mapping)
+    return str(error.value)
+
+
+def test_what_does_not_fit_is_refused(push: Trajectory, fold: Trajectory, tmp_path: Path):
+    part = part_of(write_frames(tmp_path / "frames.csv", push))
+    upright = (LABEL * Rotation.from_euler("x", 180, degrees=True)).as_quat(scalar_first=True).tolist()
+    for mapping, error in (
+        (mapping_of(push), "camera: got None; allowed: the poses of a pushed object"),
+        (mapping_with(push, "L2", [part, part]), "camera.parts: got '2 tables'; allowed: one, of a rigid object"),
+        (mapping_with(push, "L2", []), "camera.parts"),
+        (mapping_with(push, "L2", [part], in_base_m=[0.3, -0.24, 0.9]), "from the fingertip that pushes it"),
+        (
+            mapping_with(push, "L2", [part | {"object_wxyz": upright}]),
+            "from the base's",
+        ),
+        (mapping_with(push, "L2", [part | {"object_wxyz": [1.0, 1.0, 0.0, 0.0]}]), "a unit quaternion"),
+        (mapping_with(push, "L2", [part | {"position": ["x", "y"]}]), "x and y with orientation_as"),
+        (mapping_with(push, "L2", [part | {"orientation_as": "yaw"}]), "1 column for yaw"),
+        (mapping_with(push, "L2", [part], delay_s=-100.0), "camera.parts.0: no frame during the trial"),
+        (mapping_of(push, object="L2", action=push.action.to_dict() | {"point": [0.0, 0.2]}), "a point of the outline"),
+    ):
+        assert error in refused(tmp_path, push, mapping)
+    links = [part_of(write_frames(tmp_path / f"link_{i}.csv", fold, i)) for i in range(2)]
+    for mapping, error in (
+        (mapping_of(fold, object=str(FOLD)), "camera: got None; allowed: the poses of 2 links"),
+        (mapping_with(fold, str(FOLD), links[:1]), "allowed: 2, one a link"),
+        (mapping_with(fold, str(FOLD), links[::-1]), "from where the hand has it"),
+    ):
+        assert error in refused(tmp_path, fold, mapping)
+
+
+def test_a_hand_by_its_yaw_alone_is_refused(push: Trajectory, tmp_path: Path):
+    mapping = mapping_of(push)
+    mapping["hand"] |= {"orientation": ["qz"], "orientation_as": "yaw", "position": ["px", "py"]}
+    assert "a hand's yaw alone does not tell its tilt" in refused(tmp_path, push, mapping)

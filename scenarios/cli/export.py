@@ -92,6 +92,7 @@ def _export_trial(folder: Path, beginning: str, out: Path | None) -> None:
     from scenarios.results.trials import read_trial
     from scenarios.views.figures import file_name
     from testbed.actions.base import TableAction
+    from testbed.actions.push import Push
     from testbed.exporters.ros2 import mapping_text, write_mcap
     from testbed.files import write_whole
     from testbed.sensing.noise import draw_sensing
@@ -105,8 +106,8 @@ def _export_trial(folder: Path, beginning: str, out: Path | None) -> None:
     path = out or inside(folder, "exports", name)
     write_mcap(trajectory, path)
     print(path)
-    if not (isinstance(trajectory.action, TableAction) and trajectory.ok):
-        print("without a mapping: heft import reads turns and slides that are data")
+    if not (isinstance(trajectory.action, TableAction | Push) and trajectory.ok):
+        print("without a mapping: heft import reads turns, slides and pushes that are data")
         return
     called, text = _named_object(record.object)
     texts = {path.with_suffix(".toml"): mapping_text(trajectory, shape, called, path.name)}

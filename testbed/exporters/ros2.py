@@ -13,21 +13,26 @@ from typing import Any
 import numpy as np
 
 from testbed.actions.base import TableAction
+from testbed.actions.push import Push
 from testbed.errors import InvalidValueError
 from testbed.files import write_whole
 from testbed.frames import rotation_matrix
-from testbed.objects.model import ROBOTIQ_2F85, SPARE_OPENING, ObjectShape
+from testbed.objects.model import ROBOTIQ_2F85, SPARE_OPENING, Grasp, ObjectShape
+from testbed.sensing.camera import PoseStream
 from testbed.toml import toml_text
 from testbed.trajectory import Phase, Trajectory
 
 JOINTS = tuple(f"joint_{i}" for i in range(1, 8))
 """Names of the arm's joints in `/joint_states`."""
+_PART = "/camera/part_{}"
+"""Topic of a camera's poses of one link, or of a rigid object."""
 _SECOND = 1_000_000_000
 _Message = Callable[[int], Any]
 
 
 def write_mcap(trajectory: Trajectory, path: Path) -> None:
-    """Write a trial as MCAP: wrenches, poses, transforms and joints as ROS 2 messages in CDR, one of each a sample.
+    """Write a trial as MCAP: wrenches, poses, transforms and joints as ROS 2 messages in CDR, one of each a sample,
+    and a camera's poses of each link at their own times.
 
     Values are those of the trajectory bit for bit. Stamps are whole nanoseconds from the second in which the trial was
     recorded, or from 0: exact at 100 Hz, else to 0.5 ns. Action, status, figures and provenance are in its metadata.
@@ -53,23 +58,21 @@ def write_mcap(trajectory: Trajectory, path: Path) -> None:
             writer = Writer(file)
             writer.start(profile="ros2", library="heft")
             channels, schemas = {}, {}
-            for topic, kind, _ in topics:
+            for topic, kind, _, _ in topics:
                 name = kind.replace("/", "/msg/")
                 if kind not in schemas:
                     text = store.generate_msgdef(name, ros_version=2)[0].encode()
                     schemas[kind] = writer.register_schema(name, "ros2msg", text)
                 channels[topic] = writer.register_channel(topic, "cdr", schemas[kind])
-            for i, stamp in enumerate(stamps):
-                for topic, kind, message in topics:
-                    if i and topic == "/tf_static":
-                        continue
-                    content = bytes(store.serialize_cdr(message(i), kind.replace("/", "/msg/")))
-                    writer.add_message(channels[topic], stamp, content, stamp)
+            due = ((stamp, of, i) for of, (*_, stamps) in enumerate(topics) for i, stamp in enumerate(stamps))
+            for stamp, of, i in sorted(due):
+                topic, kind, message, _ = topics[of]
+                content = bytes(store.serialize_cdr(message(i), kind.replace("/", "/msg/")))
+                writer.add_message(channels[topic], stamp, content, stamp)
             writer.add_metadata("heft", _metadata(trajectory))
             writer.finish()
 
-    stamps = _stamps(trajectory)
-    topics = list(_topics(trajectory, stamps, make))
+    topics = list(_topics(trajectory, make))
     write_whole(path, write)
 
 
@@ -87,17 +90,17 @@ def mapping_text(trajectory: Trajectory, shape: ObjectShape, object_file: str, l
             does not look down.
     """
     action, tool = trajectory.action, trajectory.tool
-    if not isinstance(action, TableAction) or tool is None:
-        raise InvalidValueError("trajectory.action", action.kind, "rotate, accelerate or slide")
+    if not isinstance(action, TableAction | Push) or tool is None:
+        raise InvalidValueError("trajectory.action", action.kind, "rotate, accelerate, slide or push")
     if not trajectory.ok:
         raise InvalidValueError("trajectory.status", trajectory.status, "ok")
-    grasp = shape.grasps[action.grasp]
+    grasp = None if action.grasp is None else shape.grasps[action.grasp]
     linear, angular = ([f"twist.{part}.{a}" for a in "xyz"] for part in ("linear", "angular"))
     bias, drift = trajectory.sensor_bias_std, trajectory.sensor_drift_std
     setup = {name: value for name, value in asdict(trajectory.setup).items() if value}
     mapping = {
         "object": object_file,
-        "action": {**action.to_dict(), "grasp": grasp.name},
+        "action": action.to_dict() | ({} if grasp is None else {"grasp": grasp.name}),
         "sensor": {
             "topic": "/wrench",
             "delay_s": 0.0,
@@ -108,8 +111,7 @@ def mapping_text(trajectory: Trajectory, shape: ObjectShape, object_file: str, l
         },
         "hand": {
             "topic": "/tcp/pose",
-            "closing_deg": _closing(trajectory, grasp.angle),
-            "stroke_m": max(ROBOTIQ_2F85.stroke, grasp.width + SPARE_OPENING),
+            **({} if grasp is None else _grip_map(trajectory, grasp)),
         },
         "velocity": {"topic": "/tcp/velocity", "linear": linear, "angular": angular},
         **({"joints": _joint_map()} if trajectory.joint_position.any() else {}),
@@ -120,14 +122,16 @@ def mapping_text(trajectory: Trajectory, shape: ObjectShape, object_file: str, l
             "tcp_m": tool.tcp.tolist(),
         },
         **({"setup": setup} if setup else {}),
+        **({} if trajectory.camera is None else {"camera": _camera_map(trajectory.camera)}),
     }
     lists = (("logs", [{"file": log}]), ("phases", _windows(trajectory)))
     return toml_text(mapping) + "".join(f"\n[[{name}]]\n{toml_text(t)}" for name, tables in lists for t in tables)
 
 
-def _topics(trajectory: Trajectory, stamps: list[int], make: Callable[..., Any]) -> Iterator[tuple[str, str, _Message]]:
-    """Name and type of every topic, and its message of each sample."""
+def _topics(trajectory: Trajectory, make: Callable[..., Any]) -> Iterator[tuple[str, str, _Message, list[int]]]:
+    """Name and type of every topic, its message of each sample, and their stamps."""
     assert trajectory.tool is not None
+    stamps = _stamps(trajectory, trajectory.time_s)
     t = {name: value.tolist() for name, value in vars(trajectory).items() if isinstance(value, np.ndarray)}
     half = trajectory.object_pose[:, 2] / 2
     turned = np.column_stack([np.zeros((len(half), 2)), np.sin(half), np.cos(half)]).tolist()
@@ -174,26 +178,43 @@ def _topics(trajectory: Trajectory, stamps: list[int], make: Callable[..., Any])
         return make("tf2_msgs/TFMessage", [transform(i, "sensor", below, none, parent="tcp")])
 
     def joints(i: int) -> Any:
-        angles, rest = trajectory.joint_position[i], np.empty(0)
+        angles, rest = np.array(trajectory.joint_position[i], order="C"), np.empty(0)
         return make("sensor_msgs/JointState", header(i, ""), list(JOINTS), angles, rest, rest)
 
-    yield "/tf_static", "tf2_msgs/TFMessage", static
-    yield "/wrench", "geometry_msgs/WrenchStamped", wrench("sensor_wrench", "sensor")
-    yield "/wrench_on_object", "geometry_msgs/WrenchStamped", wrench("wrench_on_object_world", "tcp_level")
-    yield "/tcp/pose", "geometry_msgs/PoseStamped", pose
-    yield "/tcp/velocity", "geometry_msgs/TwistStamped", twist
-    yield "/tf", "tf2_msgs/TFMessage", tree
-    yield "/phase", "std_msgs/Int32", lambda i: make("std_msgs/Int32", t["phase"][i])
-    yield "/segment", "std_msgs/Int32", lambda i: make("std_msgs/Int32", t["segment"][i])
+    def seen(time: list[int], poses: np.ndarray) -> _Message:
+        def of(i: int) -> Any:
+            x, y, yaw = poses[i].tolist()
+            stamp = make("builtin_interfaces/Time", *divmod(time[i], _SECOND))
+            turn = make("geometry_msgs/Quaternion", 0.0, 0.0, math.sin(yaw / 2), math.cos(yaw / 2))
+            place = make("geometry_msgs/Pose", make("geometry_msgs/Point", x, y, 0.0), turn)
+            return make("geometry_msgs/PoseStamped", make("std_msgs/Header", stamp, "world"), place)
+
+        return of
+
+    yield "/tf_static", "tf2_msgs/TFMessage", static, stamps[:1]
+    yield "/wrench", "geometry_msgs/WrenchStamped", wrench("sensor_wrench", "sensor"), stamps
+    yield "/wrench_on_object", "geometry_msgs/WrenchStamped", wrench("wrench_on_object_world", "tcp_level"), stamps
+    yield "/tcp/pose", "geometry_msgs/PoseStamped", pose, stamps
+    yield "/tcp/velocity", "geometry_msgs/TwistStamped", twist, stamps
+    yield "/tf", "tf2_msgs/TFMessage", tree, stamps
+    yield "/phase", "std_msgs/Int32", lambda i: make("std_msgs/Int32", t["phase"][i]), stamps
+    yield "/segment", "std_msgs/Int32", lambda i: make("std_msgs/Int32", t["segment"][i]), stamps
     if trajectory.joint_position.any():
-        yield "/joint_states", "sensor_msgs/JointState", joints
+        yield "/joint_states", "sensor_msgs/JointState", joints, stamps
+    camera = trajectory.camera
+    for part in range(0 if camera is None else camera.parts):
+        assert camera is not None
+        poses = camera.poses[:, part]
+        kept = ~np.isnan(poses[:, 0]) & (camera.time_s >= trajectory.time_s[0])
+        time = _stamps(trajectory, camera.time_s[kept])
+        yield _PART.format(part), "geometry_msgs/PoseStamped", seen(time, poses[kept]), time
 
 
-def _stamps(trajectory: Trajectory) -> list[int]:
-    """Stamps of the samples [ns], from a whole second: times at 100 Hz are then the same numbers when they are read."""
+def _stamps(trajectory: Trajectory, time: np.ndarray) -> list[int]:
+    """Stamps of times [ns], from a whole second: times at 100 Hz are then the same numbers when they are read."""
     recorded = trajectory.provenance.get("recorded")
     begin = int(datetime.fromisoformat(recorded).timestamp()) if recorded else 0
-    since = np.rint((trajectory.time_s - trajectory.time_s[0]) * _SECOND).astype(np.int64)
+    since = np.rint((time - trajectory.time_s[0]) * _SECOND).astype(np.int64)
     return (begin * _SECOND + since).tolist()
 
 
@@ -219,6 +240,21 @@ def _closing(trajectory: Trajectory, angle: float) -> float:
         missed = trajectory.object_pose[:, 2] + angle - np.arctan2(y, x)
         found += float(np.sign(axes[:, 2, 2].mean()) * np.angle(np.exp(1j * missed).mean()))
     return round(math.degrees(math.remainder(found, math.tau)), 9) + 0.0  # not -0
+
+
+def _grip_map(trajectory: Trajectory, grasp: Grasp) -> dict[str, float]:
+    stroke = max(ROBOTIQ_2F85.stroke, grasp.width + SPARE_OPENING)
+    return {"closing_deg": _closing(trajectory, grasp.angle), "stroke_m": stroke}
+
+
+def _camera_map(camera: PoseStream) -> dict[str, Any]:
+    return {
+        "position_std_m": camera.position_std,
+        "angle_std_deg": math.degrees(camera.angle_std),
+        "delay_s": 0.0,
+        "delay_std_s": camera.delay_std,
+        "parts": [{"topic": _PART.format(part)} for part in range(camera.parts)],
+    }
 
 
 def _joint_map() -> dict[str, Any]:

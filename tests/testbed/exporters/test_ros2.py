@@ -11,14 +11,21 @@ from numpy.testing import assert_allclose
 
 from estimators.testing.recorded import load_block
 from testbed.actions.lift import Lift
+from testbed.actions.push import Push
+from testbed.actions.rotate import Rotate
 from testbed.errors import InvalidValueError
 from testbed.exporters.ros2 import JOINTS, mapping_text, write_mcap
 from testbed.frames import rotation_matrix
 from testbed.importers.importer import import_trajectory
 from testbed.importers.messages import inside, open_mcap
+from testbed.objects.files import load_object
+from testbed.sensing.link_windows import link_windows
 from testbed.sensing.noise import draw_sensing
 from testbed.sensing.presets import preset
+from testbed.sensing.push_windows import push_windows
+from testbed.simulation.runner import SimulationRunner
 from testbed.trajectory import Trajectory
+from testbed.trial import Trial
 from testbed.worlds.setup_errors import SetupErrors
 
 pytest.importorskip("rosbags", reason="needs the extra robot")
@@ -66,6 +73,26 @@ def test_what_is_imported_is_what_was_measured(tmp_path: Path, index: int):
     assert back.provenance["recorded"] == "2026-01-01T00:00:00.000+00:00"
 
 
+@pytest.mark.parametrize("kind", ["push", "links"])
+def test_what_a_camera_saw_comes_back(tmp_path: Path, kind: str):
+    """Frames at their own times, but for what was not seen: the windows are the same."""
+    folded = Path("scenarios/library/objects/elbow.toml").resolve()
+    name = "L2" if kind == "push" else str(folded)
+    action = Push((-0.05, 0.01), 0.0, speed=0.05, length=0.06) if kind == "push" else Rotate(0, duration=2.5)
+    model = load_object(name)
+    given = draw_sensing(SimulationRunner().run_clean(Trial(model, action)), preset("ft300s"), 1)
+    write_mcap(given, tmp_path / "trial.mcap")
+    (tmp_path / "trial.toml").write_text(mapping_text(given, model.shape, name, "trial.mcap"), encoding="utf-8")
+    back = import_trajectory(tmp_path / "trial.mcap", tmp_path / "trial.toml")
+    assert back.action == given.action
+    read = push_windows if kind == "push" else link_windows
+    assert len(read(back)) == len(read(given))
+    for one, other in zip(read(back), read(given), strict=True):
+        assert_allclose(one.wrench, other.wrench, atol=1e-6)
+        assert_allclose(one.twist, other.twist, atol=1e-7)
+        assert_allclose(one.turned[..., 1:], other.turned[..., 1:], atol=1e-7)
+
+
 def test_the_file_holds_every_number_of_samples_at_any_time(tmp_path: Path):
     time = np.cumsum(np.random.default_rng(0).uniform(0.005, 0.015, len(measured(0).time_s)))
     given = replace(measured(0), time_s=time - time[0])
@@ -94,7 +121,7 @@ def test_what_is_no_motion_over_the_table_is_refused(tmp_path: Path):
     for trajectory, field in ((scale, "action"), (replace(turn, status="slipped"), "status")):
         with pytest.raises(InvalidValueError, match=f"trajectory.{field}"):
             mapping_text(trajectory, shape, "L2", "turn.mcap")
-    with pytest.raises(InvalidValueError, match="allowed: rotate, accelerate or slide"):
+    with pytest.raises(InvalidValueError, match="allowed: rotate, accelerate, slide or push"):
         mapping_text(replace(turn, action=Lift(0)), shape, "L2", "turn.mcap")
     with pytest.raises(InvalidValueError, match="a trial of an arm"):
         write_mcap(scale, tmp_path / "scale.mcap")

@@ -10,9 +10,10 @@ import numpy as np
 from jaxtyping import Float
 
 from testbed.actions.base import Action, ActionWords
-from testbed.actions.path import RAMP_TIME, Profile, Steady, motion_time
-from testbed.errors import InvalidValueError
-from testbed.objects.faces import Face, face_at
+from testbed.actions.path import RAMP_TIME, WORKSPACE, Profile, Steady, motion_time
+from testbed.errors import InfeasibleTrialError, InvalidValueError
+from testbed.frames import pose_from_point
+from testbed.objects.faces import Face, face_at, room_at
 from testbed.objects.model import ObjectShape
 from testbed.validation import check_positive_fields, frozen_array, is_number
 
@@ -25,8 +26,12 @@ TIP_HEIGHT = 0.008
 light parts would lift off on one side. A low object is met at half its height."""
 LEAST_LENGTH = 0.03
 """Least length of a push [m]: a shorter one shows nothing before it stops."""
+LEAST_CONTACT = 1.0
+"""Least time in contact of a push that is data [s]."""
 ON_FACE = 1e-4
 """Greatest distance of a push's point from the outline [m]."""
+_SPACING = 0.01
+"""Distance between the points of a path [m]."""
 STEEPEST = math.radians(60)
 """Greatest angle between a push and the normal of the face that it meets [rad]."""
 
@@ -108,6 +113,22 @@ class Push(Action, kind="push"):
             raise InvalidValueError("Push.direction", self.direction, within)
         return face
 
+    def check_start(self, shape: ObjectShape) -> None:
+        """Refuse a push that does not begin beside the object.
+
+        Raises:
+            InfeasibleTrialError: no face there, or no room for the fingertip to come down.
+        """
+        try:
+            gap = room_at(shape, self.path(shape, np.zeros(1))[0])
+        except InvalidValueError as error:
+            raise InfeasibleTrialError(f"push: {error}") from error
+        if gap < self.radius - 1e-9:
+            raise InfeasibleTrialError(
+                f"push: the fingertip would come down {max(gap, 0.0) * 1e3:.1f} mm from the object with its radius of "
+                f"{self.radius * 1e3:.0f} mm; push where there is room, or with a smaller fingertip"
+            )
+
     def path(self, shape: ObjectShape, distance: Float[np.ndarray, "N"]) -> Float[np.ndarray, "N 2"]:
         """Center of the fingertip [m], object frame as the object lay, at distances from the path's start [m]."""
         way = np.asarray(distance, dtype=float) - GAP
@@ -117,6 +138,34 @@ class Push(Action, kind="push"):
         heading = self.direction + turned
         start = np.array(self.point) + self.radius * self.face(shape).normal
         return start + chord[:, None] * np.column_stack([np.cos(heading), np.sin(heading)])
+
+    def way(self, shape: ObjectShape, step: float) -> Float[np.ndarray, "N 2"]:
+        """Center of the fingertip at even distances along the whole path, as `path`.
+
+        Args:
+            shape: geometry of the object.
+            step: step of the profile [s].
+
+        Raises:
+            InfeasibleTrialError: it meets no face.
+        """
+        length = self.profile(step).length
+        try:
+            return self.path(shape, np.linspace(0.0, length, max(math.ceil(length / _SPACING), 4) + 1))
+        except InvalidValueError as error:
+            raise InfeasibleTrialError(f"push: {error}") from error
+
+    def centered_pose(
+        self, way: Float[np.ndarray, "N 2"], shift: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    ) -> Float[np.ndarray, "3"]:
+        """Planar pose of the object [m, rad] whose push leads sideways through the middle of the workspace.
+
+        Args:
+            way: the push's own, as `way` gives it.
+            shift: shift from there and turn [m, m, rad].
+        """
+        yaw = math.pi / 2 - self.direction - self.curvature * self.length / 2 + shift[2]
+        return pose_from_point(np.array(WORKSPACE) + shift[:2], way[len(way) // 2], np.array(yaw))
 
     def words(self, shape: ObjectShape) -> ActionWords:
         """The parts of `describe`."""

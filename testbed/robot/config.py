@@ -19,6 +19,7 @@ from testbed.robot.calibration.file import load_calibration
 from testbed.robot.calibration.static_poses import Calibration
 from testbed.robot.interfaces import ArmIdentity
 from testbed.robot.safety import SafetyLimits
+from testbed.sensing.camera import CAMERAS, Camera
 from testbed.sensing.drift import DriftLimit
 from testbed.sensing.presets import preset
 from testbed.toml import load_toml
@@ -77,6 +78,8 @@ class RobotSettings:
     drift_std: tuple[float, float] = (preset("ft300s").force_drift, preset("ft300s").torque_drift)
     """Least random walk of the sensor's zero [N, N m per square root of a second]; no maker's figure is known. A trial
     whose two tares show more counts with that."""
+    camera: Camera = CAMERAS["30hz"]
+    """Errors of the camera, if there is one, as the robot file states them."""
     tool_error: tuple[float, float] = (0.35, 0.02)
     """Largest difference of the tool's wrench from its weight when it is tilted before the first trial [N, N m]."""
     limits: SafetyLimits = field(default_factory=SafetyLimits)
@@ -99,6 +102,7 @@ class RobotSettings:
             object.__setattr__(self, name, tuple(pair.tolist()))
 
 
+_SEEN = CAMERAS["30hz"]
 _ASIDE = 0.05
 """Largest distance of the tool's center of mass from its axis [m]."""
 DEFAULT = "robot.toml"
@@ -169,6 +173,34 @@ class GripperTable(Strict):
         return Hand(self.stroke_m, self.finger_width_m)
 
 
+class CameraTable(Strict):
+    """[camera]"""
+
+    model: str | None = None
+    """Camera by name, or package:Class; pushes, and objects with hinges, need one."""
+    settings: dict[str, Any] = {}
+    """Arguments of its class."""
+    position_std_m: Annotated[float, Field(ge=0, le=0.05, allow_inf_nan=False)] = _SEEN.position
+    """Standard deviation of a position, per frame and axis."""
+    angle_std_deg: Annotated[float, Field(ge=0, le=20, allow_inf_nan=False)] = math.degrees(_SEEN.angle)
+    """Standard deviation of a yaw, per frame."""
+    delay_s: Annotated[
+        list[Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)]], Field(min_length=2, max_length=2)
+    ] = list(_SEEN.delay)
+    """Least and greatest time by which its stamps are late."""
+
+    @property
+    def errors(self) -> Camera:
+        """Errors as stated.
+
+        Raises:
+            InvalidValueError: the greatest delay comes first.
+        """
+        least, most = self.delay_s
+        angle = math.radians(self.angle_std_deg)
+        return Camera(self.model or "none", position=self.position_std_m, angle=angle, delay=(least, most))
+
+
 class BenchTable(Strict):
     """[bench]"""
 
@@ -217,13 +249,15 @@ class RobotFile(Strict):
     arm: ArmTable = ArmTable()
     sensor: SensorTable = SensorTable()
     gripper: GripperTable = GripperTable()
+    camera: CameraTable = CameraTable()
     bench: BenchTable = BenchTable()
     limits: LimitsTable = LimitsTable()
     setup: StatedSetup = EXACT_SETUP
 
     def to_dict(self) -> dict[str, Any]:
         """The file as plain data for a record; a device's name, settings and sizes only if not the defaults."""
-        tables = self.model_dump(exclude={"setup"} if self.setup.none else None)
+        unused = {name for name, left in (("setup", self.setup.none), ("camera", self.camera.model is None)) if left}
+        tables = self.model_dump(exclude=unused)
         for name in ("arm", "sensor", "gripper"):
             usual = type(getattr(self, name))()
             for key in ("model", "settings", "stroke_m", "finger_width_m"):
@@ -264,6 +298,7 @@ class RobotFile(Strict):
             tare_time=b.tare_s,
             drift=DriftLimit(b.drift_force_N, b.drift_torque_Nm),
             setup=self.setup,
+            camera=self.camera.errors,
             limits=SafetyLimits(
                 low=(limits.low_m[0], limits.low_m[1], limits.low_m[2]),
                 high=(limits.high_m[0], limits.high_m[1], limits.high_m[2]),

@@ -1,4 +1,7 @@
-"""Run of a plan by the arm: hover, tare, go down, grip, settle, act, let go, go up, tare again."""
+"""Run of a plan by the arm: hover, tare, go down, grip, settle, act, let go, go up, tare again.
+
+A push closes its fingers before the first tare, and they stay so.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +15,8 @@ from testbed.objects.model import GRAVITY
 from testbed.robot.config import RobotSettings
 from testbed.robot.guard import Guard
 from testbed.robot.interfaces import Arm, ArmState, Clock, Gripper, Pose, RobotError, WrenchSensor
-from testbed.robot.path import Leg, RobotPlan, closing_yaw, tool_down
+from testbed.robot.legs import AgainstFace, Leg
+from testbed.robot.path import RobotPlan, closing_yaw, tool_down
 from testbed.robot.recorder import GripEvidence, Mark
 from testbed.robot.safety import UnsafeError, Violation
 from testbed.trajectory import Phase
@@ -73,7 +77,10 @@ class Execution:
         """Go up first if the tool is low, so that nothing is swept off the table."""
         hover, speed = self._plan.hover, self._settings.travel_speed
         now = self._guard.state().tcp_pose
-        self._gripper.open(self._plan.grasp.opening)
+        if self._plan.grasp is None:
+            self._gripper.close_on(0.0, self._settings.grip_force)
+        else:
+            self._gripper.open(self._plan.grasp.opening)
         self._guard.check()
         if now.position[2] < hover.position[2]:
             self._arm.move_to(Pose(np.append(now.position[:2], hover.position[2]), now.orientation), speed)
@@ -123,10 +130,12 @@ class Execution:
         return self._guard.recorder.mean_wrench(begin + self._settings.tare_time / 3, self._clock.now())
 
     def _grip(self) -> float:
-        """Go down, close, settle; returns the opening while it holds [m]."""
+        """Go down; close and settle, but for a push; returns the opening while it holds [m]."""
         settings, mark = self._settings, self._guard.recorder.mark
         mark(Mark(self._clock.now(), Phase.APPROACH))
         self._follow(self._plan.descent)
+        if self._plan.grasp is None:
+            return self._gripper.width()
         mark(Mark(self._clock.now(), Phase.GRASP))
         self._gripper.close_on(self._plan.grasp.width, settings.grip_force)
         self._guard.check()
@@ -186,8 +195,9 @@ class Execution:
         """Open and go up; returns the opening before [m]."""
         held = self._gripper.width()
         self._guard.recorder.mark(Mark(self._clock.now(), Phase.RELEASE))
-        self._gripper.open(self._plan.grasp.opening)
-        self._guard.check()
+        if self._plan.grasp is not None:
+            self._gripper.open(self._plan.grasp.opening)
+            self._guard.check()
         self._follow(self._plan.rise)
         return held
 
@@ -199,12 +209,20 @@ class Execution:
             self._clock.sleep(min(left, 1 / self._settings.rate))
         self._guard.check()
 
+    def _give_way(self, step: float) -> None:
+        """Rise or sink with the vertical load on the fingertip, as far as a grip settles: faces tilt."""
+        rate, most = self._settings.null_gain[0], self._settings.null_travel[0]
+        way = -rate * step * float(self._load(self._guard.state())[2])
+        self._raised[2] = np.clip(self._raised[2] + way, -most, most)
+
     def _follow(self, leg: Leg) -> None:
         """Follow a leg by twists: its own velocity, and a correction of the pose."""
         begin, step = self._clock.now(), 1 / self._settings.rate
         for tick in range(math.ceil(leg.duration / step)):
             self._clock.sleep(begin + tick * step - self._clock.now())
             self._sent.append(self._clock.now() - begin - tick * step)
+            if isinstance(leg, AgainstFace):
+                self._give_way(step)
             self._guard.twist(*self._correction(leg, self._guard.state(), begin))
         self._clock.sleep(begin + leg.duration - self._clock.now())
         self._guard.twist(np.zeros(3), np.zeros(3))

@@ -11,6 +11,7 @@ from typing import Self
 import numpy as np
 from jaxtyping import Float
 
+from testbed.robot.camera.interface import ObjectCamera
 from testbed.robot.interfaces import Arm, ArmState, Clock, RobotError, WrenchSample, WrenchSensor
 from testbed.robot.raw_record import RawRecord
 from testbed.robot.recorder import Recorder
@@ -39,9 +40,15 @@ class Guard:
     """
 
     def __init__(
-        self, arm: Arm, sensor: WrenchSensor, limits: SafetyLimits, clock: Clock, raw: RawRecord | None = None
+        self,
+        arm: Arm,
+        sensor: WrenchSensor,
+        limits: SafetyLimits,
+        clock: Clock,
+        raw: RawRecord | None = None,
+        camera: ObjectCamera | None = None,
     ):
-        self.recorder = Recorder(arm, sensor, raw)
+        self.recorder = Recorder(arm, sensor, raw, camera)
         self.trouble: RobotError | None = None
         """Reason that it has tripped, or None."""
         self._arm, self._limits, self._clock = arm, limits, clock

@@ -1,23 +1,24 @@
-"""Path of a trial: where the object lies, and the legs of the tool over the table, which twists follow."""
+"""Path of a trial: where the object lies, and the plan of its legs over the table, which twists follow."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
-from typing import Protocol, Self
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from testbed.actions.base import TableAction
-from testbed.actions.lift import Lift, LiftProfile
-from testbed.actions.path import WORKSPACE, Profile, ToolPath, minimum_jerk
+from testbed.actions.lift import Lift
+from testbed.actions.path import WORKSPACE
+from testbed.actions.push import GAP, Push
 from testbed.errors import InfeasibleTrialError
-from testbed.frames import perpendicular, pose_from_point, rotation_2d, transform_point
+from testbed.frames import pose_from_point, rotation_2d, transform_point
 from testbed.objects.model import Grasp, ObjectShape
 from testbed.robot.config import RobotSettings
 from testbed.robot.interfaces import Pose
+from testbed.robot.legs import AgainstFace, Along, InAir, Leg, Line, Target, sampled
 from testbed.robot.safety import path_violations
 from testbed.trial import Trial
 
@@ -43,138 +44,18 @@ class KnownPose:
 
 
 @dataclass(frozen=True, eq=False)
-class Target:
-    """Desired pose and velocity of the tool, base frame."""
-
-    position: Float[np.ndarray, "3"]
-    """Position of the TCP [m]."""
-    yaw: float
-    """Yaw of the closing direction [rad]."""
-    velocity: Float[np.ndarray, "3"]
-    """Velocity of the TCP [m/s]."""
-    yaw_rate: float
-    """Rate of the yaw [rad/s]."""
-    tilt: Float[np.ndarray, "3"] = field(default_factory=lambda: np.zeros(3))
-    """Rotation vector that turns the tool from straight down at that yaw [rad], base axes."""
-    tilt_rate: Float[np.ndarray, "3"] = field(default_factory=lambda: np.zeros(3))
-    """Rate of `tilt`, whose direction is constant [rad/s]."""
-
-    @property
-    def angular_velocity(self) -> Float[np.ndarray, "3"]:
-        """Angular velocity of the tool [rad/s]."""
-        return np.array([0.0, 0.0, self.yaw_rate]) + self.tilt_rate
-
-    @property
-    def aside(self) -> float:
-        """Angle of the approach axis from straight down [rad]."""
-        return math.acos(float(np.clip(Rotation.from_rotvec(self.tilt).as_matrix()[2, 2], -1.0, 1.0)))
-
-
-class Leg(Protocol):
-    """A stretch of the path."""
-
-    @property
-    def duration(self) -> float:
-        """Duration [s]."""
-        ...
-
-    def at(self, time: float) -> Target:
-        """Target at a time since the leg began [s]."""
-        ...
-
-
-@dataclass(frozen=True, eq=False)
-class Line:
-    """Straight leg from rest to rest with least jerk, at constant yaw."""
-
-    start: Float[np.ndarray, "3"]
-    """First position [m]."""
-    end: Float[np.ndarray, "3"]
-    """Last position [m]."""
-    yaw: float
-    """Yaw of the closing direction [rad]."""
-    duration: float
-    """Duration [s]."""
-
-    @classmethod
-    def at_most(cls, start: np.ndarray, end: np.ndarray, yaw: float, speed: float) -> Self:
-        """Line of greatest speed `speed` [m/s]."""
-        return cls(start, end, yaw, max(1.875 * float(np.linalg.norm(end - start)) / speed, 0.1))
-
-    def at(self, time: float) -> Target:
-        """Target at a time since the leg began [s]."""
-        x = min(max(time / self.duration, 0.0), 1.0)
-        (done, rate), way = minimum_jerk(x), self.end - self.start
-        return Target(self.start + done * way, self.yaw, rate / self.duration * way, 0.0)
-
-
-@dataclass(frozen=True, eq=False)
-class Along:
-    """Leg of the action itself, at the height of the grip."""
-
-    path: ToolPath
-    profile: Profile
-    height: float
-    """Height of the TCP [m], base frame."""
-
-    @property
-    def duration(self) -> float:
-        """Duration [s]."""
-        return self.profile.duration
-
-    def at(self, time: float) -> Target:
-        """Target at a time since the leg began [s]."""
-        distance, rate = self.profile.at(time)
-        length = self.profile.length
-        x, y, yaw = self.path.tool_pose(np.array([distance / length - 0.5]))[0]
-        yaw_rate = rate / length * self.path.turn
-        velocity = rate / length * self.path.slide + yaw_rate * perpendicular(np.array([x, y]) - self.path.centre)
-        return Target(np.array([x, y, self.height]), yaw, np.append(velocity, 0.0), yaw_rate)
-
-
-@dataclass(frozen=True, eq=False)
-class InAir:
-    """Leg of a lift: up from where it was gripped, tilts about the TCP, and down again."""
-
-    hold: Float[np.ndarray, "3"]
-    """Position of the TCP on the table [m], base frame."""
-    yaw: float
-    """Yaw of the closing direction while level [rad]."""
-    axes: Float[np.ndarray, "3 3"]
-    """The object's axes while level, rows, base frame."""
-    profile: LiftProfile
-
-    @property
-    def duration(self) -> float:
-        """Duration [s]."""
-        return self.profile.duration
-
-    def at(self, time: float) -> Target:
-        """Target at a time since the leg began [s]."""
-        height, rise, angle, rate = self.profile.at(time)
-        return Target(self.hold + height * _UP, self.yaw, rise * _UP, 0.0, angle @ self.axes, rate @ self.axes)
-
-
-def sampled(leg: Leg) -> tuple[Float[np.ndarray, "N 3"], Float[np.ndarray, "N 6"], Float[np.ndarray, "N"]]:
-    """Positions [m], twists [m/s, rad/s] and tilts from straight down [rad] along a leg."""
-    targets = [leg.at(t) for t in np.linspace(0.0, leg.duration, max(math.ceil(leg.duration / 0.05), 2) + 1)]
-    twists = [np.append(t.velocity, t.angular_velocity) for t in targets]
-    return np.array([t.position for t in targets]), np.array(twists), np.array([t.aside for t in targets])
-
-
-@dataclass(frozen=True, eq=False)
 class RobotPlan:
     """Plan of a trial."""
 
     trial: Trial
-    grasp: Grasp
-    """Gripped faces."""
+    grasp: Grasp | None
+    """Gripped faces; None for a push, by closed fingers."""
     object_pose: Float[np.ndarray, "3"]
     """Planar pose of the object [m, rad], base frame."""
     hover: Pose
     """Pose at which the sensor is tared."""
     descent: Line
-    act: Along | InAir | None
+    act: Along | AgainstFace | InAir | None
     """None for a weighing."""
     lift: Line | None
     """For a weighing only."""
@@ -218,8 +99,11 @@ class RobotPlan:
 
 def starting_pose(trial: Trial) -> Float[np.ndarray, "3"]:
     """Planar pose of the object [m, rad] that gives the simulation's path."""
+    if isinstance(trial.action, Push):
+        return trial.action.centered_pose(trial.action.way(trial.object.shape, PROFILE_STEP))
     if not isinstance(trial.action, TableAction):  # the rest follows a path over the table
         grasp = gripped(trial)
+        assert grasp is not None
         return pose_from_point(np.array(WORKSPACE), grasp.position, np.array(-grasp.angle))
     length = trial.action.profile(PROFILE_STEP).length
     path = trial.action.centered_path(trial.object.shape, length)
@@ -237,33 +121,48 @@ def weighing_grasp(shape: ObjectShape) -> Grasp:
     return min(shape.grasps, key=lambda grasp: float(np.linalg.norm(grasp.position)))
 
 
-def gripped(trial: Trial) -> Grasp:
-    """Grasp of a trial.
+def gripped(trial: Trial) -> Grasp | None:
+    """Grasp of a trial; None for a push.
 
     Raises:
-        InfeasibleTrialError: a push, or nothing to grip.
+        InfeasibleTrialError: nothing to grip.
     """
-    if trial.action.moves and trial.action.grasp is None:
-        raise InfeasibleTrialError("push: the robot pushes nothing yet, for want of a camera; push in simulation")
-    return trial.grasp if trial.action.moves else weighing_grasp(trial.object.shape)
+    if not trial.action.moves:
+        return weighing_grasp(trial.object.shape)
+    return None if trial.action.grasp is None else trial.grasp
+
+
+def opening(trial: Trial) -> float:
+    """Opening of the fingers at work [m]: the width of what they hold; 0 for a push.
+
+    Raises:
+        InfeasibleTrialError: as `gripped`.
+    """
+    grasp = gripped(trial)
+    return 0.0 if grasp is None else grasp.width
 
 
 def plan_trial(trial: Trial, object_pose: Float[np.ndarray, "3"], settings: RobotSettings) -> RobotPlan:
     """Plan of a trial for an object at a planar pose [m, rad], base frame; not checked yet.
 
     Raises:
-        InfeasibleTrialError: nothing to grip.
+        InfeasibleTrialError: nothing to grip, or no place for the fingertip of a push.
     """
     shape, action = trial.object.shape, trial.action
     height = settings.table_height + settings.grip_height
-    if not isinstance(action, TableAction):  # the rest follows a path over the table
-        grasp, act = gripped(trial), None
+    grasp = gripped(trial)
+    if grasp is None:
+        assert isinstance(action, Push)
+        act, yaw = _against_face(action, shape, object_pose, height), 0.0
+        x, y = act.way[0]
+    elif not isinstance(action, TableAction):  # the rest follows a path over the table
+        act = None
         x, y = transform_point(object_pose, grasp.position)
         yaw = float(object_pose[2]) + grasp.angle
         if isinstance(action, Lift):
             act = _in_air(trial, action, np.array([x, y, height]), yaw, settings)
     else:
-        grasp, profile = shape.grasps[action.grasp], action.profile(PROFILE_STEP)
+        profile = action.profile(PROFILE_STEP)
         path = action.path_from(shape, profile.length, object_pose)
         act = Along(path, profile, height)
         x, y, yaw = path.tool_pose(np.array([-0.5]))[0]
@@ -280,6 +179,14 @@ def plan_trial(trial: Trial, object_pose: Float[np.ndarray, "3"], settings: Robo
         lift=Line.at_most(hold, lifted, yaw, settings.descent_speed) if act is None else None,
         rise=Line.at_most(last.position, last.position + settings.hover * _UP, last.yaw, settings.descent_speed),
     )
+
+
+def _against_face(action: Push, shape: ObjectShape, object_pose: np.ndarray, height: float) -> AgainstFace:
+    action.check_start(shape)
+    profile, way = action.profile(PROFILE_STEP), action.way(shape, PROFILE_STEP)
+    travelled = np.maximum(np.linspace(0.0, profile.length, len(way)) - GAP, 0.0)
+    heading = float(object_pose[2]) + action.direction + action.curvature * travelled
+    return AgainstFace(transform_point(object_pose, way), heading, profile, height, 0.0)
 
 
 def _in_air(trial: Trial, action: Lift, hold: np.ndarray, yaw: float, settings: RobotSettings) -> InAir:
@@ -307,11 +214,20 @@ def described(plan: RobotPlan, settings: RobotSettings) -> str:
     x, y, yaw = plan.object_pose
     turned = math.degrees(math.remainder(yaw, math.tau))
     place = ", ".join(f"{v:.3f}" for v in plan.hover.position)
+    action = plan.trial.action
+    point = [f"{1e3 * v:.0f}" for v in action.point] if isinstance(action, Push) else []
+    where = f"({', '.join(point)}) mm with closed fingers" if plan.grasp is None else plan.grasp.name
     lines = [
-        f"{plan.trial.action.kind} of {plan.trial.object.name} at {plan.grasp.name}, {plan.duration(settings):.0f} s",
+        f"{plan.trial.action.kind} of {plan.trial.object.name} at {where}, {plan.duration(settings):.0f} s",
         f"object: its middle at ({x:.3f}, {y:.3f}) m, turned by {turned:.1f} deg, base frame of the arm",
         f"travel: to ({place}) m, at most {settings.travel_speed:.2f} m/s; zeroed there for {settings.tare_time:g} s",
     ]
+    if isinstance(action, Push):
+        below = settings.grip_height - action.height(plan.trial.object.shape)
+        lines.append(
+            f"fingers: they close first; the fingertip, of radius {action.radius * 1e3:g} mm, has its middle "
+            f"{below * 1e3:.1f} mm below the tool center point"
+        )
     everywhere = []
     for name, leg in plan.legs.items():
         positions, twists, tilts = sampled(leg)

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import os
 import shutil
+from collections.abc import Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
 
+from testbed.robot.camera.interface import SeenFrame
 from testbed.robot.interfaces import ArmState, RobotError, WrenchSample
 
 SPACE = 20_000_000
@@ -16,6 +18,7 @@ SPACE = 20_000_000
 _HEAD = """\
 frame,time_s,sequence,fx,fy,fz,tx,ty,tz
 state,time_s,q1..q7,qd1..qd7,x,y,z,qw,qx,qy,qz,vx,vy,vz,wx,wy,wz
+seen,time_s,x,y,yaw of each part
 mark,time_s,phase
 end,time_s,status,reason
 """
@@ -23,7 +26,7 @@ end,time_s,status,reason
 
 class RawRecord:
     """A line for every frame, NaN too, every feedback, and the begin of every phase [s, N, N m, rad, m]; the last line
-    says how it ended. The four lines at its top name the columns."""
+    says how it ended. The lines at its top name the columns."""
 
     def __init__(self, folder: Path):
         """Begin a file, named by the time now.
@@ -59,6 +62,14 @@ class RawRecord:
         pose = state.tcp_pose
         parts = (state.joint_position, state.joint_velocity, pose.position, pose.orientation, state.tcp_twist)
         self._write(f"state,{state.time_s:.6f},{_numbers(np.concatenate(parts))}\n")
+
+    def seen(self, frames: Sequence[SeenFrame]) -> None:
+        """Write new frames of a camera.
+
+        Raises:
+            RobotError: as `frames`.
+        """
+        self._write("".join(f"seen,{f.time_s:.6f},{_numbers(f.poses.ravel())}\n" for f in frames))
 
     def mark(self, time_s: float, phase: str) -> None:
         """Write the begin of a phase; a failure shows at the next frame."""

@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from testbed.actions.lift import LiftProfile
 from testbed.actions.path import Profile
+from testbed.robot.camera.interface import ObjectCamera, SeenFrame
 from testbed.robot.interfaces import Arm, ArmState, RobotError, WrenchSample, WrenchSensor
 from testbed.robot.raw_record import RawRecord
 from testbed.trajectory import Phase, Status
@@ -53,6 +54,8 @@ class Record:
     """Longest time between frames [s]."""
     feedback_gap: float
     """Longest time between feedbacks of the arm [s]."""
+    seen: tuple[SeenFrame, ...] | None = None
+    """Frames of the camera; None without one."""
 
     def during(self, *phases: Phase) -> np.ndarray:
         """True for the frames in the given phases, shape (T,)."""
@@ -62,23 +65,33 @@ class Record:
 class Recorder:
     """Collector of frames and feedback: one thread takes, any may mark."""
 
-    def __init__(self, arm: Arm, sensor: WrenchSensor, raw: RawRecord | None = None):
-        self._arm, self._sensor, self._raw = arm, sensor, raw
+    def __init__(
+        self, arm: Arm, sensor: WrenchSensor, raw: RawRecord | None = None, camera: ObjectCamera | None = None
+    ):
+        self._arm, self._sensor, self._raw, self._camera = arm, sensor, raw, camera
+        self._seen: list[SeenFrame] = []
         self._states: list[ArmState] = []
         self._samples: list[WrenchSample] = []
         self._marks: list[Mark] = []
         sensor.drain()  # frames from before the trial
+        if camera is not None:
+            camera.drain()
 
     def take(self) -> list[WrenchSample]:
         """Take in all new frames and feedback; returns the frames.
 
         Raises:
-            RobotError: sensor or arm is lost, or the raw record cannot be written.
+            RobotError: sensor, arm or camera is lost, or the raw record cannot be written.
         """
         new = list(self._sensor.drain())
         self._samples.extend(new)
         if self._raw is not None:
             self._raw.frames(new)
+        if self._camera is not None:
+            seen = self._camera.drain()
+            self._seen.extend(seen)
+            if self._raw is not None:
+                self._raw.seen(seen)
         state = self._arm.state()
         if not self._states or state.time_s > self._states[-1].time_s:
             self._states.append(state)
@@ -146,6 +159,7 @@ class Recorder:
             joint_position=_interpolated(time, at, joints),
             wrench_gap=_longest_gap(time, begin, end),
             feedback_gap=_longest_gap(at[inside], begin, end),
+            seen=None if self._camera is None else tuple(self._seen),
         )
 
 

@@ -1,4 +1,4 @@
-"""Arms, wrench sensors and grippers by name: heft's own, installed ones, and "package:Class".
+"""Arms, wrench sensors, grippers and cameras by name: heft's own, installed ones, and "package:Class".
 
 The robot file names one of each (`model`). A class takes its settings as arguments: those of its `settings` table, and
 those that the file has for every robot (`address`, `port`, ...) as far as the class takes them.
@@ -13,6 +13,7 @@ from typing import Any, TypeVar
 
 from testbed.errors import InvalidValueError
 from testbed.plugins import Role, configured, find_class, load_class
+from testbed.robot.camera.interface import ObjectCamera
 from testbed.robot.config import RobotFile
 from testbed.robot.interfaces import Arm, Gripper, WrenchSensor
 
@@ -36,10 +37,17 @@ GRIPPER: Role[Gripper] = Role(
     "heft.grippers",
     "my_lab:HandE",
 )
+CAMERA: Role[ObjectCamera] = Role(
+    "testbed.robot.camera.interface.ObjectCamera",
+    (*_CONTEXT, "drain(self)"),
+    "heft.cameras",
+    "my_lab:Tags",
+)
 DEVICES = {
     ARM: {"kinova_gen3": "testbed.robot.kinova.arm:KortexArm"},
     SENSOR: {"ft300s": "testbed.robot.robotiq.ft300s:Ft300s"},
     GRIPPER: {"2f85": "testbed.robot.kinova.gripper:KortexGripper"},
+    CAMERA: {"udp": "testbed.robot.camera.udp:UdpCamera"},
 }
 """heft's own devices by name; imported when they are used, since each needs its driver."""
 PASSWORD_VARIABLE = "HEFT_KORTEX_PASSWORD"
@@ -84,6 +92,16 @@ def build_gripper(file: RobotFile, arm: Arm) -> Gripper:
         InvalidValueError: no such gripper, or a setting that it refuses.
     """
     return _build(GRIPPER, file.gripper.model, file.gripper.settings, "gripper", {"arm": arm})
+
+
+def build_camera(file: RobotFile) -> ObjectCamera | None:
+    """The robot file's camera, not yet opened; None without one.
+
+    Raises:
+        InvalidValueError: no such camera, or a setting that it refuses.
+    """
+    table = file.camera
+    return None if table.model is None else _build(CAMERA, table.model, table.settings, "camera", {})
 
 
 def gripper_class(file: RobotFile) -> type[Gripper]:

@@ -17,8 +17,12 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
+from testbed.actions.push import Push
+from testbed.errors import InfeasibleTrialError
 from testbed.frames import origin_velocity, pose_from_point, rotation_matrix
 from testbed.objects.model import GRAVITY
+from testbed.robot.camera.evidence import check_place, contact_of, left_early, seen_doubts
+from testbed.robot.camera.interface import ObjectCamera, SeenPose, seen_stream
 from testbed.robot.config import RobotSettings
 from testbed.robot.execution import Execution
 from testbed.robot.guard import Guard
@@ -30,6 +34,7 @@ from testbed.robot.safety import UnsafeError
 from testbed.robot.weighing import weigh
 from testbed.sensing.compensation import compensate
 from testbed.sensing.drift import judge_drift
+from testbed.sensing.seen import as_seen
 from testbed.trajectory import SERIES, Phase, Status, Trajectory
 from testbed.trial import Trial
 from testbed.validation import check_positive
@@ -51,6 +56,7 @@ class RealRunner:
         *,
         confirm: Callable[[str], bool],
         tracker: ObjectPose | None = None,
+        camera: ObjectCamera | None = None,
         weight: float | None = None,
         raw: Path | None = None,
         clock: Clock | None = None,
@@ -65,6 +71,7 @@ class RealRunner:
             settings: table, tool, speeds and limits.
             confirm: takes the first motion in words; True if it may be made.
             tracker: measures the object's pose after a trial, and so its slip in the grip; without it slip is unknown.
+            camera: sees what the hand does not hold: pushes, and objects with hinges, need it.
             weight: reading of a scale [kg]; None weighs by lifting.
             raw: folder in which every trial is written as it comes (`RawRecord`); None: only at its end.
             clock: clock of arm and sensor; the computer's own if left out.
@@ -73,14 +80,14 @@ class RealRunner:
             check_positive("RealRunner.weight", weight)
         self._arm, self._gripper, self._sensor, self._object_pose = arm, gripper, sensor, object_pose
         self._settings, self._confirm, self._tracker, self._weight = settings, confirm, tracker, weight
-        self._raw = raw
+        self._camera, self._raw = camera, raw
         self._tool_checked = False
         self._clock = MonotonicClock() if clock is None else clock
         self._confirmed = False
         self._connections: ExitStack | None = None
 
     def __enter__(self) -> Self:
-        """Connect sensor and arm.
+        """Connect sensor, camera and arm.
 
         Raises:
             RobotError: one of them cannot be reached, or is not as expected.
@@ -88,6 +95,8 @@ class RealRunner:
         with ExitStack() as stack:
             stack.enter_context(terminable())
             stack.enter_context(self._sensor)
+            if self._camera is not None:
+                stack.enter_context(self._camera)
             stack.enter_context(self._arm)
             stack.callback(self._arm.stop)
             self._connections = stack.pop_all()
@@ -102,9 +111,13 @@ class RealRunner:
         """Plan of a trial. Moves nothing, and needs no connection but the object's pose.
 
         Raises:
-            InfeasibleTrialError: a place outside the box, or a speed beyond its limit.
+            InfeasibleTrialError: a place outside the box, a speed beyond its limit, or a camera that is missing.
             RobotError: the object's pose is not known.
         """
+        if self._camera is None and needs_camera(trial):
+            raise InfeasibleTrialError(
+                "camera: the hand does not hold all that moves, and no camera sees it; state one in the robot file"
+            )
         plan = plan_trial(trial, np.array(self._object_pose.read()), self._settings)
         plan.check(self._settings)
         return plan
@@ -129,6 +142,10 @@ class RealRunner:
         if self._connections is None:
             raise RobotError("the robot is not connected: use the runner in a with statement")
         plan = self.plan(trial)
+        camera = self._camera if needs_camera(trial) else None
+        if camera is not None:
+            x, y, yaw = plan.object_pose.tolist()
+            check_place(seen_place(camera, self._clock, trial).read(), (x, y, yaw))
         raw = None if self._raw is None else RawRecord(self._raw)
         if not self._confirmed:
             self._confirmed = self._confirm(described(plan, self._settings))
@@ -137,10 +154,10 @@ class RealRunner:
                     raw.discard()
                 raise RobotError("the motion was not confirmed; nothing has moved")
         if raw is None:
-            return self._run(plan, None)
+            return self._run(plan, None, camera)
         ended = "interrupted", ""
         try:
-            trajectory = self._run(plan, raw)
+            trajectory = self._run(plan, raw, camera)
             ended = trajectory.status, trajectory.reason
             return trajectory
         except BaseException as error:
@@ -149,8 +166,8 @@ class RealRunner:
         finally:
             raw.end(self._clock.now(), *ended)
 
-    def _run(self, plan: RobotPlan, raw: RawRecord | None) -> Trajectory:
-        guard = Guard(self._arm, self._sensor, self._settings.limits, self._clock, raw)
+    def _run(self, plan: RobotPlan, raw: RawRecord | None, camera: ObjectCamera | None) -> Trajectory:
+        guard = Guard(self._arm, self._sensor, self._settings.limits, self._clock, raw, camera)
         execution = Execution(plan, self._arm, self._gripper, self._sensor, guard, self._settings, self._clock)
         failure, began = None, False
         try:
@@ -183,12 +200,14 @@ class RealRunner:
             "slip": "measured by a tracker" if "slip_m" in figures else "not known, but for the opening of the gripper",
         }
         whole = trajectory_of(plan, record, self._settings, status, reason, figures, provenance)
+        if whole.ok and whole.camera is not None:
+            whole = with_evidence(whole, plan)
         judged = judge_drift(whole, self._settings.drift)
         return lifted(judged) if not plan.trial.action.moves and judged.ok else judged
 
     def _slip(self, plan: RobotPlan, record: Record) -> tuple[float, float] | None:
         """Distance [m] and angle [rad] of the object from its place by the hand's pose; None without a tracker."""
-        if self._tracker is None:
+        if self._tracker is None or plan.grasp is None:
             return None
         held = np.flatnonzero(record.during(Phase.RAMP, Phase.STEADY))[-1]
         believed = object_poses(plan, record, self._settings)[held]
@@ -208,8 +227,10 @@ def trajectory_of(
     figures: dict[str, float],
     provenance: dict[str, str],
 ) -> Trajectory:
-    """Trajectory of a turn, a slide or a weighing, compensated if the sensor has been tared."""
-    pose = object_poses(plan, record, settings)
+    """Trajectory of an action or a weighing, compensated if the sensor has been tared."""
+    pose, shape, begin = object_poses(plan, record, settings), plan.trial.object.shape, float(record.time_s[0])
+    held = (0.0, 0.0) if plan.grasp is None else plan.grasp.position
+    parts = 1 if shape.chain is None else shape.chain.links
     tool = Rotation.from_quat(record.tcp_orientation, scalar_first=True)
     sensor = tool * Rotation.from_quat(settings.sensor_orientation, scalar_first=True)
     count = len(record.time_s)
@@ -221,7 +242,7 @@ def trajectory_of(
         phase=record.phase,
         segment=record.segment,
         object_pose=pose,
-        object_velocity=origin_velocity(record.tcp_velocity, pose[:, 2], plan.grasp.position),
+        object_velocity=origin_velocity(record.tcp_velocity, pose[:, 2], np.array(held)),
         tcp_position=record.tcp_position - [0.0, 0.0, settings.table_height],
         tcp_velocity=record.tcp_velocity,
         sensor_orientation=sensor.as_quat(scalar_first=True),
@@ -232,14 +253,40 @@ def trajectory_of(
         sensor_bias_std=np.repeat(settings.bias_std, 3),
         sensor_drift_std=np.repeat(settings.drift_std, 3),
         setup=settings.setup,
+        camera=None if record.seen is None else seen_stream(record.seen, settings.camera, begin, parts),
         figures=figures,
         provenance=provenance,
     )
-    return compensate(whole) if whole.mask(Phase.TARE).any() else whole
+    return as_seen(compensate(whole) if whole.mask(Phase.TARE).any() else whole)
+
+
+def needs_camera(trial: Trial) -> bool:
+    """True if something moves that the hand does not hold."""
+    return isinstance(trial.action, Push) or (trial.object.shape.chain is not None and trial.action.on_table)
+
+
+def seen_place(camera: ObjectCamera, clock: Clock, trial: Trial) -> SeenPose:
+    """Place of the object by a camera: of its held part, if it has several."""
+    chain, shape, grasp = trial.object.shape.chain, trial.object.shape, trial.action.grasp
+    if chain is None or grasp is None:
+        return SeenPose(camera, clock)
+    return SeenPose(camera, clock, chain.links, int(chain.link[shape.pressed(shape.grasps[grasp])[0]]))
+
+
+def with_evidence(whole: Trajectory, plan: RobotPlan) -> Trajectory:
+    """Record with what its camera tells against it, and how long a push touched."""
+    figures, reason = whole.figures, ""
+    if isinstance(whole.action, Push):
+        met, left = contact_of(whole)
+        figures, reason = figures | {"contact_s": left - met}, left_early(whole)
+    status, why = next(seen_doubts(whole, plan.trial.object.shape), ("ok", reason))
+    return replace(whole, status=status, reason=why, figures=figures)
 
 
 def object_poses(plan: RobotPlan, record: Record, settings: RobotSettings) -> Float[np.ndarray, "T 3"]:
-    """Planar pose of the object from the hand's [m, rad], shape (T, 3): true if it does not slip."""
+    """Planar pose of the object from the hand's [m, rad], (T, 3): true if it does not slip; of a push where it lay."""
+    if plan.grasp is None:
+        return np.tile(plan.object_pose, (len(record.time_s), 1))
     yaw = np.unwrap(closing_yaw(record.tcp_orientation, settings)) - plan.grasp.angle
     return pose_from_point(record.tcp_position[:, :2], plan.grasp.position, yaw)
 

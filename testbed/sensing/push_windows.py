@@ -15,7 +15,7 @@ from testbed.frames import perpendicular, rotate_wrench, rotation_2d
 from testbed.sensing.camera import SPAN, PoseStream
 from testbed.sensing.compensation import tare_time
 from testbed.sensing.windows import BATCH, PARTS, TRIM_END, SteadyWindow, bias_and_drift, noise_of_mean
-from testbed.trajectory import Trajectory
+from testbed.trajectory import Phase, Trajectory
 
 WINDOW = 0.4
 """Least length of a window [s]: the center of rotation moves on meanwhile."""
@@ -23,6 +23,8 @@ BEGIN = 0.3
 """Time left out after the fingertip has met the object [s]."""
 TOUCHING = 0.3
 """Force by which the fingertip touches, over what it takes to push."""
+NOISE = 2.0
+"""Ratio of the force of a push to that of a tare, below which the fingertip meets nothing."""
 _SMOOTH = 5
 
 
@@ -166,10 +168,12 @@ def touching(trajectory: Trajectory) -> Int[np.ndarray, "N"]:
     inside = np.flatnonzero(trajectory.segment >= 0)
     if len(inside) < _SMOOTH:
         raise InvalidValueError("trajectory", "no steady stretch", "a push")
-    force = np.linalg.norm(trajectory.wrench_on_object_world[inside, :2], axis=1)
-    force = np.convolve(np.pad(force, _SMOOTH // 2, mode="edge"), np.full(_SMOOTH, 1 / _SMOOTH), "valid")
-    touches = force > TOUCHING * np.quantile(force, 0.9)
-    if not touches.any():
+    across = np.linalg.norm(trajectory.wrench_on_object_world[:, :2], axis=1)
+    across = np.convolve(np.pad(across, _SMOOTH // 2, mode="edge"), np.full(_SMOOTH, 1 / _SMOOTH), "valid")
+    force, free = across[inside], across[trajectory.mask(Phase.TARE)]
+    usual = np.quantile(force, 0.9)
+    touches = force > TOUCHING * usual
+    if not touches.any() or (len(free) and usual < NOISE * np.quantile(free, 0.9)):
         raise InvalidValueError("trajectory", "no force at the fingertip", "a push that meets the object")
     runs = np.split(inside[touches], np.flatnonzero(np.diff(inside[touches]) > 1) + 1)
     return max(runs, key=len)

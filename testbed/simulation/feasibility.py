@@ -13,7 +13,6 @@ from testbed.actions.path import EDGES, HIGH, LOW, outline, overhang, overhang_o
 from testbed.actions.push import GAP, Push
 from testbed.errors import InfeasibleTrialError
 from testbed.frames import rotation_2d, transform_point
-from testbed.objects.faces import room_at
 from testbed.objects.model import (
     GRAVITY,
     LEAST_FACE,
@@ -75,13 +74,7 @@ def check_feasible(trial: Trial, motion: Motion, settings: SimulationSettings) -
 def _check_push(trial: Trial, action: Push, motion: Motion, settings: SimulationSettings) -> None:
     """Refuse a push from amid an object, beyond the table's edge, or of too much drag."""
     obj, shape = trial.object, trial.object.shape
-    start = action.path(shape, np.zeros(1))[0]
-    gap = room_at(shape, start)
-    if gap < action.radius - 1e-9:
-        raise InfeasibleTrialError(
-            f"push: the fingertip would come down {max(gap, 0.0) * 1e3:.1f} mm from the object with its radius of "
-            f"{action.radius * 1e3:.0f} mm; push where there is room, or with a smaller fingertip"
-        )
+    action.check_start(shape)
     # wherever it turns, it stays within its own reach of where the fingertip goes
     reach = float(np.linalg.norm(outline(shape)[:, None] - outline(shape)[None], axis=2).max()) + action.radius
     path = transform_point(motion.object_pose, action.path(shape, np.linspace(0.0, GAP + action.length, 20)))

@@ -9,6 +9,7 @@ import mujoco
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from testbed.actions.push import LEAST_CONTACT
 from testbed.simulation.contacts import touches
 from testbed.simulation.motion import JOINT_SPEED_LIMIT, Motion
 from testbed.simulation.scene import Scene
@@ -23,8 +24,6 @@ SATURATION_TIME = 0.1
 """Longest time of a joint at its working torque [s]."""
 LEFT = 0.1
 """Time without contact after which a fingertip has left the object [s]."""
-SHORTEST_PUSH = 1.0
-"""Least time in contact of a push that is data [s]."""
 _FAULTS = (mujoco.mjtWarning.mjWARN_BADQPOS, mujoco.mjtWarning.mjWARN_BADQVEL, mujoco.mjtWarning.mjWARN_BADQACC)
 
 _PoseInHand = tuple[np.ndarray, np.ndarray]
@@ -131,7 +130,7 @@ class Monitor:
 
     def outcome(self) -> Outcome:
         """Outcome so far."""
-        if self._tip is not None and self._status == "ok" and self._touched < SHORTEST_PUSH * self._rate:
+        if self._tip is not None and self._status == "ok" and self._touched < LEAST_CONTACT * self._rate:
             self._status = "slipped"
             self._reason = self._reason or f"the fingertip met the object for {self._touched / self._rate:.2f} s alone"
         figures = {

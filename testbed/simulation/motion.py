@@ -28,7 +28,7 @@ JOINT_SPEED_LIMIT = np.radians([80, 80, 80, 80, 70, 70, 70])
 HOVER = 0.06
 """Height over the grasp at which the sensor is zeroed [m]."""
 _TARE_TIME, _DESCENT_TIME, _CLOSE_TIME, _OPEN_TIME = 0.5, 0.8, 0.8, 0.3
-_STEP_TURN, _STEP_LINE, _STEP_PUSH = math.radians(10), 0.025, 0.01
+_STEP_TURN, _STEP_LINE = math.radians(10), 0.025
 _TILT_WAYPOINTS, _LIFT_WAYPOINTS = 4, 5
 _STEP_TILT = math.radians(4)
 _TOLERANCE = 1e-7
@@ -286,14 +286,8 @@ def _(
 def _(action: Push, shape: ObjectShape, settings: SimulationSettings, start: tuple[float, float, float]) -> _Work:
     """The way from where the object lay is centred, and leads sideways there; the pads close along x."""
     profile = action.profile(1.0 / settings.rate)
-    fine = np.linspace(0.0, profile.length, max(math.ceil(profile.length / _STEP_PUSH), 4) + 1)
-    try:
-        way = action.path(shape, fine)
-    except InvalidValueError as error:
-        raise InfeasibleTrialError(f"push: {error}") from error
-    middle = way[len(way) // 2]
-    yaw = math.pi / 2 - action.direction - action.curvature * action.length / 2 + start[2]
-    pose = pose_from_point(np.array(WORKSPACE) + start[:2], middle, np.array(yaw))
+    way = action.way(shape, 1.0 / settings.rate)
+    pose = action.centered_pose(way, start)
     tool = transform_point(pose, way)
     level = np.full((len(way), 2), [settings.grip.tcp_height, 0.0])
     waypoints = np.hstack([tool, level])

@@ -11,9 +11,11 @@ from typing import Any, Self
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from testbed.actions.push import Push
 from testbed.actions.rotate import Rotate
 from testbed.objects.blocks import block_object, parse_layout
 from testbed.objects.model import STROKE, ObjectModel
+from testbed.robot.camera.interface import CameraLostError, SeenFrame
 from testbed.robot.config import RobotSettings
 from testbed.robot.interfaces import (
     ArmIdentity,
@@ -28,10 +30,11 @@ from testbed.robot.interfaces import (
     WrenchSample,
 )
 from testbed.robot.kinova.arm import GEN3
-from testbed.robot.path import KnownPose, gripped, starting_pose
+from testbed.robot.path import KnownPose, opening, starting_pose
 from testbed.robot.raw_record import RawRecord
 from testbed.robot.robotiq.gripper import data_sheet
 from testbed.robot.runner import RealRunner
+from testbed.sensing.camera import CAMERAS
 from testbed.sensing.presets import preset
 from testbed.simulation.settings import GripSettings, SimulationSettings
 from testbed.trial import Trial
@@ -74,6 +77,9 @@ class Troubles:
     """Repeats one frame."""
     stuck: int | None = None
     """Component that repeats its value."""
+    camera_lost: bool = False
+    camera_blind: bool = False
+    """It streams nothing."""
     disk_full: bool = False
     load: np.ndarray = field(default_factory=lambda: np.zeros(6))
     """Extra load [N, N m]."""
@@ -142,7 +148,7 @@ class FakeRobot:
         """Movement of the object in the closed grip [m]."""
         self._held: list[np.ndarray] = []
         self._to_come: list[tuple[float, Callable[[], None]]] = []
-        self.tracker = Tracker(self, seed)
+        self.tracker, self.camera = Tracker(self, seed), FakeCamera(self, seed)
 
     def later(self, seconds: float, call: Callable[[], None]) -> None:
         """Call once, after some time."""
@@ -170,6 +176,7 @@ class FakeRobot:
         self.clock.alive = not self.troubles.guard_dead
         self.arm.tick()
         self.sensor.tick()
+        self.camera.tick()
         self.motion.append((self.clock.now(), self.world.speed, self.world.driven))
         if self.world.grip < 1:
             self._held.clear()
@@ -350,6 +357,41 @@ class FakeSensor:
             raise SensorLostError("sensor: no frame")
 
 
+class FakeCamera:
+    """An `ObjectCamera` on the world, with the errors of the preset `30hz`."""
+
+    def __init__(self, robot: FakeRobot, seed: int = 0):
+        self.robot, self._rng, self._errors = robot, np.random.default_rng([seed, 9]), CAMERAS["30hz"]
+        self._late = self._rng.uniform(*self._errors.delay)
+        self._frames: list[SeenFrame] = []
+        self._due = 0.0
+        self.off = np.zeros(3)
+        """Shift of all poses [m, m, rad]: its place in the base is not as stated."""
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        pass
+
+    def tick(self) -> None:
+        now, errors = self.robot.clock.now(), self._errors
+        if now < self._due:
+            return
+        self._due += 1 / errors.rate
+        if self.robot.troubles.camera_blind or self._rng.random() < errors.dropout:
+            return
+        true = self.robot.world.link_poses + self.off
+        noise = np.array([errors.position, errors.position, errors.angle]) * self._rng.standard_normal(true.shape)
+        self._frames.append(SeenFrame(now + self._late, true + noise))
+
+    def drain(self) -> Sequence[SeenFrame]:
+        if self.robot.troubles.camera_lost:
+            raise CameraLostError("camera: unplugged")
+        frames, self._frames = self._frames, []
+        return frames
+
+
 class Tracker:
     """An `ObjectPose` that sees the object, a tenth of a millimeter and of a degree off."""
 
@@ -384,7 +426,12 @@ def robot_for(
     grip = SimulationSettings(grip=GripSettings(force=60.0))
     world = Gen3World(trial.object, trial.support, settings=grip, noise=preset("ft300s"), seed=seed)
     robot, pose = FakeRobot(world, watch, seed), starting_pose(trial)
-    world.place(pose, trial.action.grasp or 0)
-    settings = change(RobotSettings(data_sheet(gripped(trial).width)))
-    options = {"confirm": lambda _: True, "tracker": robot.tracker, "clock": robot.clock} | of_runner
+    world.place(pose, trial.action if isinstance(trial.action, Push) else trial.action.grasp or 0)
+    settings = change(RobotSettings(data_sheet(opening(trial))))
+    options = {
+        "confirm": lambda _: True,
+        "tracker": robot.tracker,
+        "camera": robot.camera,
+        "clock": robot.clock,
+    } | of_runner
     return robot, RealRunner(robot.arm, robot.gripper, robot.sensor, KnownPose(*pose), settings, **options)

@@ -11,6 +11,7 @@ import mujoco
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from testbed.actions.push import Push
 from testbed.objects.model import STROKE, ObjectModel
 from testbed.robot.interfaces import ArmState, Pose
 from testbed.sensing.presets import Sensing, preset
@@ -66,12 +67,14 @@ class Gen3World:
         q = joint_path(np.array([START]), np.array(HOME))[0]
         self._build(q, 0, np.array([0.45, 0.0, 0.0]))
 
-    def place(self, pose: np.ndarray, grasp: int) -> None:
-        """Put the object at a planar pose; only the faces of `grasp` can then be gripped."""
+    def place(self, pose: np.ndarray, grasp: int | Push) -> None:
+        """Put the object at a planar pose; only the faces of `grasp` can then be gripped, or a push can be made."""
         self._build(self.data.qpos[:7].copy(), grasp, pose)
 
-    def _build(self, q: np.ndarray, grasp: int, pose: np.ndarray) -> None:
-        scene = build_scene(self.obj, self.support, self.obj.shape.grasps[grasp], self.settings)
+    def _build(self, q: np.ndarray, grasp: int | Push, pose: np.ndarray) -> None:
+        push = grasp if isinstance(grasp, Push) else None
+        held = None if isinstance(grasp, Push) else self.obj.shape.grasps[grasp]
+        scene = build_scene(self.obj, self.support, held, self.settings, push=push)
         model, data = scene.model, mujoco.MjData(scene.model)
         address = model.joint("object").qposadr[0]
         data.qpos[:7] = data.act[:7] = self._reference = q
@@ -138,6 +141,18 @@ class Gen3World:
         x, y, _ = self.data.xpos[self._body]
         axes = self.data.xmat[self._body].reshape(3, 3)
         return np.array([x, y, math.atan2(axes[1, 0], axes[0, 0])])
+
+    @property
+    def link_poses(self) -> np.ndarray:
+        """True planar pose of the object frame as each link carries it [m, rad], shape (links, 3)."""
+        chain, found = self.obj.shape.chain, []
+        for link in range(1 if chain is None else chain.links):
+            if mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_SENSOR, f"link_{link}/position") < 0:
+                found.append(self.object_pose)  # a rigid object, or the link in the hand
+                continue
+            w, _, _, z = self.data.sensor(f"link_{link}/orientation").data
+            found.append(np.append(self.data.sensor(f"link_{link}/position").data[:2], 2 * math.atan2(z, w)))
+        return np.array(found)
 
     @property
     def driven(self) -> bool:

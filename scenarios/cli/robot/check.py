@@ -71,6 +71,8 @@ def _lines(config: Path) -> Iterator[Line]:
         yield Line("kortex_api", "missing" if lack else "ok", text)
     serial = yield from _sensor(file)
     yield _calibration(file, config, serial)
+    if file.camera.model is not None:
+        yield _camera(file)
     yield _arm(file, can_connect=not lack)
     box = file.limits
     spans = ", ".join(f"{axis} {a:g} to {b:g}" for axis, a, b in zip("xyz", box.low_m, box.high_m, strict=True))
@@ -127,6 +129,25 @@ def _calibration(file: RobotFile, config: Path, serial: str | None) -> Line:
     bad = calibration.misfit > MISFIT
     worse = f"; allowed: {MISFIT:g}: calibrate again" if bad else ""
     return Line("calibration", "note" if bad else "ok", f"{path}: {mass}, misfit {calibration.misfit:.1f}{worse}")
+
+
+def _camera(file: RobotFile) -> Line:
+    from testbed.robot.registry import build_camera
+
+    try:
+        camera = build_camera(file)
+        assert camera is not None
+        with camera:
+            time.sleep(1.0)
+            frames = camera.drain()
+    except HeftError as error:
+        return Line("camera", "missing", str(error))
+    if not frames:
+        return Line("camera", "missing", "no frame in 1 s: clear its view, and look whether it streams")
+    x, y, yaw = frames[-1].poses[0]
+    seen = "unseen now" if np.isnan(x) else f"at ({x:.3f}, {y:.3f}) m, turned by {np.degrees(yaw):.1f} deg"
+    parts = len(frames[-1].poses)
+    return Line("camera", "ok", f"{len(frames)} frames in 1 s, of {parts} part{'s' * (parts > 1)}; the first {seen}")
 
 
 def _arm(file: RobotFile, *, can_connect: bool) -> Line:

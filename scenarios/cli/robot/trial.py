@@ -15,13 +15,17 @@ from testbed.errors import InvalidValueError
 
 if TYPE_CHECKING:
     from testbed.actions.base import Action
+    from testbed.actions.push import Push
     from testbed.objects.model import ObjectShape
+    from testbed.robot.camera.interface import ObjectCamera
     from testbed.robot.config import RobotFile
     from testbed.robot.path import KnownPose
     from testbed.trajectory import Trajectory
     from testbed.trial import Trial
 
-Kind = Literal["rotate", "slide", "accelerate", "lift", "stop_and_go", "weigh"]
+Kind = Literal["rotate", "slide", "accelerate", "lift", "stop_and_go", "push", "weigh"]
+_TO_OUTLINE = 0.003
+"""Distance by which a point is taken onto the outline [m]."""
 
 
 def trial(
@@ -32,10 +36,15 @@ def trial(
     seconds: Annotated[float | None, tyro.conf.arg(metavar="S")] = None,
     speed: Annotated[float | None, tyro.conf.arg(metavar="V")] = None,
     pivot: Annotated[tuple[float, float] | None, tyro.conf.arg(metavar="X Y")] = None,
-    direction: Annotated[float, tyro.conf.arg(metavar="DEG")] = 0.0,
+    point: Annotated[tuple[float, float] | None, tyro.conf.arg(metavar="X Y")] = None,
+    direction: Annotated[float | None, tyro.conf.arg(metavar="DEG")] = None,
+    curvature: Annotated[float, tyro.conf.arg(metavar="C")] = 0.0,
+    length: Annotated[float, tyro.conf.arg(metavar="M")] = 0.1,
+    radius: Annotated[float, tyro.conf.arg(metavar="M")] = 0.006,
     tilt: Annotated[float | None, tyro.conf.arg(metavar="DEG")] = None,
     back: bool = True,
     at: Annotated[tuple[float, float, float] | None, tyro.conf.arg(metavar="X Y DEG")] = None,
+    at_seen: bool = False,
     weight: Annotated[float | None, tyro.conf.arg(metavar="KG")] = None,
     support: Annotated[str | None, tyro.conf.arg(metavar="SUPPORT")] = None,
     config: Annotated[Path, tyro.conf.arg(metavar="FILE")] = Path("robot.toml"),
@@ -47,21 +56,28 @@ def trial(
     Exit code: 1 if the trial is no data.
     Examples: heft robot trial L2 --grasp A2 --dry-run
               heft robot trial L2 --grasp A2 --speed 5 --seconds 2 --out results/lab
+              heft robot trial L2 --action push --point 0 -25 --at-seen --out results/lab
               heft robot trial L2 --action weigh --weight 1.8 --out results/lab
               heft estimate results/lab
 
     Args:
         object_: name in the library, or path to a TOML file.
-        action: kind of action; lift rocks the object in the air, stop_and_go holds it still at several tilts there.
+        action: kind of action; lift rocks the object in the air, stop_and_go holds it still at several tilts there;
+            push goes against a face with closed fingers, and needs a camera.
         grasp: grasp by name (see heft show); the first one if left out.
         seconds: duration at constant speed, or at rest in the air; the action's own if left out.
-        speed: speed of a turn, deg/s, or of a slide, m/s.
+        speed: speed of a turn, deg/s, or of a slide or a push, m/s.
         pivot: center of a turn, mm from the object's middle; between particles beside the grasp if left out.
-        direction: direction of a slide in the object's frame.
+        point: point of the outline that a push meets, mm from the object's middle; on the longest face if left out.
+        direction: direction of a slide or a push in the object's frame; along x, or into the face, if left out.
+        curvature: turn of a push's path a length of it, left positive, rad/m.
+        length: length of a push.
+        radius: radius of the fingertip that pushes.
         tilt: greatest tilt of a lift, as far as tilt_deg of the robot file allows; the action's own if left out.
         back: turn back again in the same grasp.
         at: place of the object's middle, m, and its turn, base frame of the arm; if left out, the place that gives the
             simulation's path.
+        at_seen: plan from where the camera sees the object.
         weight: reading of a scale; only with --action weigh, then nothing moves.
         support: what carries the object's weight, as far as you know: own_weight, rigid, or a stiffness in N/m; if
             left out, rigid for an object on points of contact, else own_weight.
@@ -72,29 +88,28 @@ def trial(
     from testbed.objects.files import load_object
     from testbed.objects.model import SPARE_OPENING
     from testbed.robot.config import calibration_of, load_robot_file
-    from testbed.robot.path import described, gripped, plan_trial
+    from testbed.robot.interfaces import MonotonicClock
+    from testbed.robot.path import described, opening, plan_trial
     from testbed.robot.registry import build_arm, build_gripper, build_sensor, gripper_class
-    from testbed.robot.runner import RealRunner, read_off
+    from testbed.robot.runner import RealRunner, read_off, seen_place
     from testbed.trial import Trial, support_of
     from testbed.validation import check_positive
 
     file = load_robot_file(config)
     model = load_object(object_, measured=True, hand=file.gripper.hand)
-    if action != "weigh" and model.shape.chain is not None:
-        raise InvalidValueError("OBJECT", model.name, "a rigid object: the bench has no camera that sees links trail")
-    if action != "weigh" and not model.shape.grasps:
+    if action not in ("weigh", "push") and not model.shape.grasps:
         raise InvalidValueError("OBJECT", model.name, f"an object that can be gripped: {file.gripper.hand.nothing}")
     if weight is not None:
         check_positive("--weight", weight)
         if action != "weigh":
             raise InvalidValueError("--weight", weight, "a weight with --action weigh alone")
-    planned = Trial(
-        model,
-        action_of(model.shape, action, grasp, seconds, speed, pivot, direction, tilt, back=back),
-        support_of(model.shape, support),
-    )
+    if action == "push":
+        move: Action = push_of(model.shape, point, direction, curvature, length, radius, speed)
+    else:
+        move = action_of(model.shape, action, grasp, seconds, speed, pivot, direction or 0.0, tilt, back=back)
+    planned = Trial(model, move, support_of(model.shape, support))
     hand = file.gripper.hand
-    if planned.action.moves and not hand.takes(planned.grasp.width):
+    if planned.action.grasp is not None and not hand.takes(planned.grasp.width):
         given = f"{planned.grasp.name}, {planned.grasp.width * 1e3:.0f} mm across"
         raise InvalidValueError(
             "grasp", given, f"{SPARE_OPENING * 1e3:.0f} mm less than the hand's {hand.stroke * 1e3:g} mm"
@@ -102,9 +117,13 @@ def trial(
     if weight is not None:
         _store(read_off(weight), planned, file, out)
         return
-    place = _place(planned, at)
+    if at_seen and (dry_run or at is not None):
+        other = "--dry-run, which connects to nothing" if dry_run else "--at"
+        raise InvalidValueError("--at-seen", f"with {other}", "one of the two")
+    camera = None if dry_run else _camera(file, planned, at_seen=at_seen)
+    place = seen_place(camera, MonotonicClock(), planned) if camera is not None and at_seen else _place(planned, at)
     calibration = None if dry_run else calibration_of(file, config)
-    settings = file.settings(calibration, gripper_class(file).data_sheet(gripped(planned).width))
+    settings = file.settings(calibration, gripper_class(file).data_sheet(opening(planned)))
     if dry_run:
         plan = plan_trial(planned, np.array(place.read()), settings)
         plan.check(settings)
@@ -113,9 +132,9 @@ def trial(
     if calibration is None:
         path = config.parent / file.sensor.calibration
         raise InvalidValueError("sensor.calibration", str(path), "a file that heft robot calibrate has made")
-    sensor, arm = build_sensor(file), build_arm(file)
-    raw = out / "raw"
-    with RealRunner(arm, build_gripper(file, arm), sensor, place, settings, confirm=_confirmed, raw=raw) as runner:
+    sensor, arm, raw = build_sensor(file), build_arm(file), out / "raw"
+    gripper = build_gripper(file, arm)
+    with RealRunner(arm, gripper, sensor, place, settings, confirm=_confirmed, camera=camera, raw=raw) as runner:
         calibration_of(file, config, sensor.identity.serial)
         file.check_arm(arm.identity)
         _store(runner.run(planned), planned, file, out)
@@ -166,6 +185,53 @@ def action_of(
         action = Rotate(index, pivot=pivot, back=back)
         changes = {"speed": None if speed is None else math.radians(speed), "duration": seconds}
     return replace(action, **{name: value for name, value in changes.items() if value is not None})
+
+
+def push_of(
+    shape: ObjectShape,
+    point_mm: tuple[float, float] | None = None,
+    direction_deg: float | None = None,
+    curvature: float = 0.0,
+    length: float = 0.1,
+    radius: float = 0.006,
+    speed: float | None = None,
+) -> Push:
+    """Push from the command line's units; straight into the face at its point, unless a direction is given.
+
+    Raises:
+        InvalidValueError: a point away from the outline, or a value out of range.
+    """
+    from testbed.actions.push import Push
+    from testbed.objects.faces import face_at, faces
+
+    if point_mm is None:
+        face = max(faces(shape), key=lambda side: side.length)
+        point = (face.begin + face.end) / 2
+    else:
+        point = np.array(point_mm) / 1e3
+        face, away = face_at(shape, point)
+        if away > _TO_OUTLINE:
+            raise InvalidValueError("--point", list(point_mm), f"a point of the outline, {away * 1e3:.1f} mm away")
+        point = point - ((point - face.begin) @ face.normal) * face.normal
+    x, y = point.tolist()
+    into = math.atan2(-face.normal[1], -face.normal[0]) if direction_deg is None else math.radians(direction_deg)
+    push = Push((x, y), into, curvature, length=length, radius=radius)
+    return push if speed is None else replace(push, speed=speed)
+
+
+def _camera(file: RobotFile, planned: Trial, *, at_seen: bool) -> ObjectCamera | None:
+    """The robot file's camera, if the trial needs one."""
+    from testbed.robot.registry import build_camera
+    from testbed.robot.runner import needs_camera
+
+    if not (needs_camera(planned) or at_seen):
+        return None
+    camera = build_camera(file)
+    if camera is None:
+        raise InvalidValueError(
+            "camera.model", None, 'a camera in the robot file, as model = "udp": it sees what the hand does not hold'
+        )
+    return camera
 
 
 def _place(planned: Trial, at: tuple[float, float, float] | None) -> KnownPose:

@@ -20,10 +20,11 @@ from scipy.spatial.transform import Rotation
 from estimators.testing.analytic_world import analytic_trial, drawn_object
 from scenarios.cli.main import main
 from scenarios.cli.robot.calibrate import COLUMNS
-from scenarios.cli.robot.trial import action_of
+from scenarios.cli.robot.trial import action_of, push_of
 from scenarios.results.store import Store, object_request
 from testbed import plugins
 from testbed.actions.accelerate import Accelerate
+from testbed.actions.push import Push
 from testbed.actions.rotate import Rotate
 from testbed.actions.slide import Slide
 from testbed.actions.weigh import Weigh
@@ -44,7 +45,7 @@ from testbed.trial import Trial
 from tests.fakes.ft300s import FakeFt300s
 from tests.fakes.gen3 import FakeGen3
 from tests.fakes.rig import KORTEX, FakeRig
-from tests.fakes.robot import FakeArm, FakeGripper, FakeRobot, FakeSensor, robot_for, small_object
+from tests.fakes.robot import FakeArm, FakeCamera, FakeGripper, FakeRobot, FakeSensor, robot_for, small_object
 from tests.fakes.static_hand import COM, MASS, POSES, readings
 from tests.fakes.world import Gen3World
 from viz.recordings.trial import SensorStream
@@ -257,6 +258,44 @@ def test_a_trial_on_an_arm_a_gripper_and_a_sensor_from_outside(folder, capsys, m
     request = json.loads(kept.path.with_name("trial.json").read_text(encoding="utf-8"))["asked"]
     assert request["robot"]["arm"]["model"] == "mine"
     assert "model" not in RobotFile().to_dict()["arm"] and "gripper" not in RobotFile().to_dict()
+
+
+class OutsideCamera(FakeCamera):
+    def __init__(self):
+        super().__init__(OutsideArm.robots[0])
+        self.robot.camera = self
+
+
+@pytest.mark.slow
+def test_a_push_from_where_a_camera_sees_the_object(folder, capsys, monkeypatch):
+    """It lies elsewhere than in the simulation, and is pushed there."""
+    devices = {"arm": "OutsideArm", "gripper": "OutsideGripper", "sensor": "OutsideSensor", "camera": "OutsideCamera"}
+    tables = "".join(f'[{kind}]\nmodel = "{__name__}:{name}"\n' for kind, name in devices.items())
+    (folder / "robot.toml").write_text(tables, encoding="utf-8")
+    save_calibration(folder / "calibration.toml", straight(), "1", "2026-01-01")
+    two = '[blocks]\nlayout = ["11"]\nmass_kg = [0.4, 0.3]\n'
+    (folder / "two.toml").write_text(f'name = "two"\n{two}', encoding="utf-8")
+    model = load_object("two.toml")
+    planned = Trial(model, push_of(model.shape, (51.0, -10.0)))
+    assert isinstance(planned.action, Push) and planned.action.point == pytest.approx((0.05, -0.01))
+    robot, _ = robot_for(planned)
+    robot.world.place(np.array([0.43, 0.06, 1.0]), planned.action)
+    monkeypatch.setattr(OutsideArm, "robots", (robot,))
+    for module in ("runner", "interfaces"):
+        monkeypatch.setattr(f"testbed.robot.{module}.MonotonicClock", lambda: robot.clock)
+    words = ("trial", "two.toml", "--action", "push", "--point", "51", "-10", "--out", "out")
+    answer(monkeypatch, "yes")
+    assert ended(*words) == 2
+    assert "from its place" in capsys.readouterr().err
+    assert ended(*words, "--at-seen", "--at", "0.4", "0", "0") == 2
+    answer(monkeypatch, "yes")
+    assert ended(*words, "--at-seen") == 0
+    assert re.search(r"middle at \(0\.4[23]\d, 0\.0[56]\d\) m, turned by 5[67]", capsys.readouterr().out)
+    (kept,) = ReplayRunner(folder / "out").recordings
+    assert kept.fits(planned)
+    (folder / "robot.toml").write_text(tables.split("[camera]")[0], encoding="utf-8")
+    assert ended(*words) == 2
+    assert "camera.model: got None" in capsys.readouterr().err
 
 
 SHAPE = load_object("L2").shape

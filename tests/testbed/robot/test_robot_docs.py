@@ -11,7 +11,7 @@ import pytest
 from pydantic import BaseModel
 
 from scenarios.cli.main import main
-from testbed.robot.config import ArmTable, BenchTable, GripperTable, LimitsTable, SensorTable
+from testbed.robot.config import ArmTable, BenchTable, CameraTable, GripperTable, LimitsTable, SensorTable
 from tests.helpers.pages import DOCS, names, table
 
 PAGE = (DOCS / "hardware.md").read_text(encoding="utf-8")
@@ -19,6 +19,7 @@ TABLES: dict[str, type[BaseModel]] = {
     "arm": ArmTable,
     "sensor": SensorTable,
     "gripper": GripperTable,
+    "camera": CameraTable,
     "bench": BenchTable,
     "limits": LimitsTable,
 }

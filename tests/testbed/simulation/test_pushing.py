@@ -15,7 +15,6 @@ from testbed.frames import rotation_2d
 from testbed.objects.faces import faces, room_at
 from testbed.objects.meshes import Part, mesh_object
 from testbed.objects.model import GRAVITY, STROKE
-from testbed.robot.path import starting_pose
 from testbed.sensing.push_windows import push_windows, touching
 from testbed.sensing.windows import wrench_in_object
 from testbed.simulation.rendering import Playback
@@ -96,8 +95,6 @@ def test_what_cannot_be_pushed_is_refused():
         with pytest.raises(InfeasibleTrialError, match=why):
             RUNNER.check(Trial(obj, action))
     RUNNER.check(Trial(ring, replace(hole, radius=0.006)))
-    with pytest.raises(InfeasibleTrialError, match="camera"):
-        starting_pose(Trial(BLOCKS, inwards))
 
 
 def test_a_plate_of_a_millimeter_is_pushed_by_its_edge():

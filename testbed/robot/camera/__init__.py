@@ -1,0 +1,1 @@
+"""Cameras of the real robot: their interface, and one that takes poses from a network socket."""

@@ -1,0 +1,72 @@
+"""Evidence of the camera on a trial: whether it saw all of it, where the hand has it, and how long a push touched."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+
+from testbed.actions.push import LEAST_CONTACT, Push
+from testbed.errors import InvalidValueError
+from testbed.objects.model import ObjectShape
+from testbed.robot.camera.interface import BLIND, CameraLostError
+from testbed.sensing.push_windows import TRIM_END, touching
+from testbed.sensing.seen import APART, misseen
+from testbed.trajectory import Phase, Status, Trajectory
+
+
+def check_place(seen: tuple[float, float, float], told: tuple[float, float, float]) -> None:
+    """Hold the place at which a camera sees the object against the one that is told, before anything moves.
+
+    Raises:
+        CameraLostError: they are too far apart.
+    """
+    way, turn = math.dist(seen[:2], told[:2]), math.remainder(seen[2] - told[2], math.tau)
+    if way > APART[0] or abs(turn) > APART[1]:
+        raise CameraLostError(
+            f"camera: it sees the object at ({seen[0]:.3f}, {seen[1]:.3f}) m, turned by "
+            f"{math.degrees(math.remainder(seen[2], math.tau)):.1f} deg: {way * 1e3:.0f} mm and "
+            f"{math.degrees(turn):+.0f} deg from its place; allowed: {APART[0] * 1e3:.0f} mm and "
+            f"{math.degrees(APART[1]):.0f} deg; put it there, or plan from where it is seen"
+        )
+
+
+def seen_doubts(record: Trajectory, shape: ObjectShape) -> Iterator[tuple[Status, str]]:
+    """Every reason against a compensated record with a camera, with its status."""
+    assert record.camera is not None
+    moving = record.time_s[np.isin(record.phase, (Phase.RAMP, Phase.STEADY))]
+    if not len(moving):
+        return
+    camera = record.camera
+    seen = camera.time_s[~np.isnan(camera.poses).any(axis=(1, 2))]
+    inside = seen[(seen > moving[0]) & (seen < moving[-1])]
+    gap = float(np.diff([moving[0], *inside, moving[-1]]).max())
+    if not gap <= BLIND:
+        yield "fault", f"camera: it did not see the object for {gap:.2f} s of the motion; allowed: {BLIND:g} s"
+        return
+    if isinstance(record.action, Push):
+        touched = contact_of(record)
+        if touched[1] - touched[0] < LEAST_CONTACT:
+            yield "slipped", f"the fingertip met the object for {touched[1] - touched[0]:.2f} s alone"
+            return
+    if doubt := misseen(record, shape):
+        yield "fault", f"camera: {doubt}; check its place in the robot file, or put the object where it is told to be"
+
+
+def contact_of(record: Trajectory) -> tuple[float, float]:
+    """Times at which the fingertip of a push met the object and left it [s]; two zeros if it never did."""
+    try:
+        contact = record.time_s[touching(record)]
+    except InvalidValueError:
+        return 0.0, 0.0
+    return float(contact[0]), float(contact[-1])
+
+
+def left_early(record: Trajectory) -> str:
+    """That the fingertip of a push left the object before its path ended, in words; empty if it did not."""
+    end = record.time_s[record.segment >= 0][-1]
+    met, left = contact_of(record)
+    if end - left <= 2 * TRIM_END:
+        return ""
+    return f"the fingertip left the object at {left:.2f} s, after {left - met:.2f} s in contact"

@@ -1,0 +1,123 @@
+"""Camera of the real robot: a stream of poses of an object that the hand does not hold, or of links that trail."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+from jaxtyping import Float
+
+from testbed.robot.interfaces import Clock, Device, RobotError
+from testbed.sensing.camera import Camera, PoseStream
+from testbed.validation import frozen_array
+
+LOOK = 1.0
+"""Time in which the object is looked for before a trial [s]."""
+LEAST_SEEN = 5
+"""Least frames of it that tell where the object lies."""
+BLIND = 0.4
+"""Longest time without the object in a trial that is data [s]: half of what the smoother runs through."""
+
+
+class CameraLostError(RobotError):
+    """The camera is gone, or sends nothing that can be read."""
+
+
+@dataclass(frozen=True, eq=False)
+class SeenFrame:
+    """One frame of a camera."""
+
+    time_s: float
+    """Moment at which it is stamped [s]: its exposure, or later by the delay that the robot file states."""
+    poses: Float[np.ndarray, "parts 3"]
+    """Planar pose of each part's object frame [m, m, rad], the arm's base frame; NaN where it was not seen."""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "poses", frozen_array("SeenFrame.poses", self.poses, (None, 3), finite=False))
+
+
+@runtime_checkable
+class ObjectCamera(Device, Protocol):
+    """A camera that streams poses of the object's parts. Entering opens it and starts the stream."""
+
+    def drain(self) -> Sequence[SeenFrame]:
+        """Every frame since the last drain, in order. None at all while nothing is seen: that is no error.
+
+        Raises:
+            CameraLostError: it is gone, or what it sends cannot be read.
+        """
+        ...
+
+
+def seen_stream(frames: Sequence[SeenFrame], camera: Camera, begin: float, parts: int) -> PoseStream:
+    """Poses of a trial by its camera's frames.
+
+    Args:
+        frames: all frames of the trial.
+        camera: errors of the camera as stated; its mean delay is taken off.
+        begin: time at which the record begins [s].
+        parts: number of the object's parts.
+
+    Raises:
+        CameraLostError: a frame has another number of parts.
+    """
+    for frame in frames:
+        check_parts(frame, parts)
+    time = np.array([frame.time_s for frame in frames]) - begin - sum(camera.delay) / 2
+    kept = np.flatnonzero(time > np.maximum.accumulate(np.concatenate([[-np.inf], time[:-1]])))
+    poses = (
+        np.full((len(kept), parts, 3), math.nan) if not len(kept) else np.array([frame.poses for frame in frames])[kept]
+    )
+    for part in range(parts):
+        seen = ~np.isnan(poses[:, part, 2])
+        poses[seen, part, 2] = np.unwrap(poses[seen, part, 2])
+    return PoseStream(time[kept], poses, camera.position, camera.angle, camera.delay_std)
+
+
+def check_parts(frame: SeenFrame, parts: int) -> None:
+    """Hold a frame against an object.
+
+    Raises:
+        CameraLostError: it has poses of more or fewer parts.
+    """
+    if len(frame.poses) != parts:
+        raise CameraLostError(f"camera: it sends poses of {len(frame.poses)} parts; the object has {parts}")
+
+
+@dataclass(frozen=True)
+class SeenPose:
+    """An `ObjectPose`: where a camera that has been entered sees a part of the object at rest, by the median."""
+
+    camera: ObjectCamera
+    clock: Clock
+    parts: int = 1
+    """Number of the object's parts."""
+    part: int = 0
+    """Index of the part whose pose is read."""
+
+    def read(self) -> tuple[float, float, float]:
+        """Planar pose: x, y [m] and yaw [rad].
+
+        Raises:
+            CameraLostError: the camera sees too little of it.
+        """
+        self.camera.drain()  # frames from before
+        begin, poses = self.clock.now(), []
+        while self.clock.now() - begin < LOOK:
+            self.clock.sleep(0.05)
+            for frame in self.camera.drain():
+                check_parts(frame, self.parts)
+                poses.append(frame.poses[self.part])
+        seen = np.array([pose for pose in poses if not np.isnan(pose).any()]).reshape(-1, 3)
+        if len(seen) < LEAST_SEEN:
+            raise CameraLostError(
+                f"camera: it saw part {self.part} of the object in {len(seen)} frames within {LOOK:g} s; needed: "
+                f"{LEAST_SEEN}; clear its view, and look whether it streams"
+            )
+        x, y = np.median(seen[:, :2], axis=0)
+        about = seen[0, 2]
+        turn = np.median(np.remainder(seen[:, 2] - about + math.pi, math.tau)) - math.pi
+        return float(x), float(y), float(about + turn)

@@ -1,0 +1,146 @@
+"""Pushes, and objects in links, on a fake robot with a camera in simulated time."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from testbed.actions.push import Push
+from testbed.actions.rotate import Rotate
+from testbed.actions.slide import Slide
+from testbed.errors import InfeasibleTrialError
+from testbed.objects.chain import Chain
+from testbed.objects.model import ObjectModel
+from testbed.robot.camera.interface import CameraLostError
+from testbed.robot.config import RobotSettings
+from testbed.robot.path import described, plan_trial, starting_pose
+from testbed.robot.robotiq.gripper import data_sheet
+from testbed.sensing.link_windows import link_windows
+from testbed.sensing.push_windows import push_windows
+from testbed.sensing.windows import steady_windows
+from testbed.simulation.runner import SimulationRunner
+from testbed.trajectory import Phase
+from testbed.trial import Trial
+from tests.fakes.robot import robot_for, small_object
+
+OBJECT = small_object()
+PUSH = Push((0.05, -0.01), math.pi)
+
+
+def in_links() -> ObjectModel:
+    """The two blocks on a hinge between them."""
+    chain = Chain(np.array([0, 1]), np.zeros((1, 2)))
+    return replace(OBJECT, shape=replace(OBJECT.shape, chain=chain), hinge_friction=(0.01,))
+
+
+def run(trial: Trial, watch=lambda _: None, **of_runner):
+    robot, runner = robot_for(trial, watch, seed=1, **of_runner)
+    with runner:
+        return runner.run(trial), robot
+
+
+@pytest.mark.parametrize("push", [PUSH, replace(PUSH, direction=math.pi - 0.3, curvature=4.0)], ids=["line", "curve"])
+def test_a_push_measures_what_the_simulation_does(push, tmp_path):
+    real, robot = run(Trial(OBJECT, push), raw=tmp_path)
+    usual = SimulationRunner().run(Trial(OBJECT, push))
+    assert real.ok and not real.reason
+    assert real.figures["contact_s"] == pytest.approx(usual.figures["contact_s"], abs=0.6)
+    ours, theirs = push_windows(real), push_windows(usual)
+    assert len(ours) >= 5
+    for window in ours:  # the same drag where the object has turned as far
+        same = min(theirs, key=lambda other: abs(float(np.mean(other.yaw - window.yaw))))
+        assert_allclose(window.wrench[:2], same.wrench[:2], atol=0.35)
+        assert window.point is not None and same.point is not None
+        assert_allclose(window.point, same.point, atol=2e-3)
+        claimed = np.linalg.norm(window.seen[3:5], axis=1)
+        assert_allclose((window.twist - same.twist)[:2] / (claimed + 1e-3), 0, atol=3.5)
+    moving = real.mask(Phase.RAMP, Phase.STEADY)
+    assert_allclose(real.tcp_position[moving][0], usual.tcp_position[usual.mask(Phase.RAMP)][0], atol=2e-3)
+    assert_allclose((real.object_pose[moving][-1] - robot.world.object_pose) / [3e-3, 3e-3, 0.02], 0, atol=1)
+    seen = [line for line in next(tmp_path.iterdir()).read_text().splitlines() if line.startswith("seen,")]
+    assert len(seen) > 25 * real.time_s[-1] * 0.9 and all(len(line.split(",")) == 5 for line in seen[1:])
+
+
+def test_links_are_dragged_as_in_the_simulation():
+    trial = Trial(in_links(), Slide(0, direction=0.5, duration=1.6))
+    real, robot = run(trial)
+    assert real.ok, real.reason
+    assert real.camera is not None and real.camera.parts == 2
+    usual = SimulationRunner().run(trial)
+    (ours,), (theirs,) = steady_windows(real), steady_windows(usual)
+    assert_allclose((ours.wrench - theirs.wrench)[[0, 1, 5]] / [0.15, 0.15, 0.006], 0, atol=1)
+    assert_allclose((real.camera.poses[-1] - robot.world.link_poses) / [5e-3, 5e-3, 0.03], 0, atol=1)
+    for mine, other in zip(link_windows(real), link_windows(usual), strict=True):
+        claimed = np.linalg.norm(mine.turned_errors[:, 1], axis=1) + 0.01
+        assert_allclose((mine.turned - other.turned).mean(axis=0)[:, 1] / claimed, 0, atol=3.5)
+
+
+def trouble(**what):
+    """Troubles that begin amid the motion."""
+
+    def watch(robot):
+        if robot.world.twist[1] > 0.02 and abs(robot.world.twist[2]) < 0.01:
+            for name, value in what.items():
+                setattr(robot.troubles, name, value)
+
+    return watch
+
+
+@pytest.mark.parametrize(
+    ("watch", "status", "why"),
+    [
+        (trouble(camera_lost=True), "fault", "camera: unplugged"),
+        (trouble(camera_blind=True), "fault", "did not see the object for"),
+        (trouble(load=np.array([0, 0, 100.0, 0, 0, 0])), "limit", "force"),
+    ],
+    ids=["lost", "blind", "hit"],
+)
+def test_a_push_that_fails_stops_and_tells(watch, status, why):
+    record, robot = run(Trial(OBJECT, PUSH), watch)
+    assert record.status == status and why in record.reason
+    assert not robot.world.driven
+
+
+def test_a_push_beside_the_object_is_no_data():
+    """The camera's place is off by as much as may go unnoticed before; the fingertip then passes the object."""
+    trial = Trial(OBJECT, replace(PUSH, point=(0.05, 0.02)))
+    robot, runner = robot_for(trial, seed=1)
+    x, y, yaw = starting_pose(trial)
+    robot.world.place(np.array([x - 0.014, y, yaw]), replace(PUSH, point=(0.05, 0.02)))
+    with runner:
+        record = runner.run(trial)
+    assert record.status == "slipped" and "met the object for" in record.reason
+
+
+def test_what_no_camera_sees_or_elsewhere_is_refused_before_anything_moves():
+    trial = Trial(OBJECT, PUSH)
+    for each in (trial, Trial(in_links(), Rotate(0))):
+        _, blind = robot_for(each, camera=None)
+        with blind, pytest.raises(InfeasibleTrialError, match="no camera sees it"):
+            blind.run(each)
+    for off, why in (([0.03, 0, 0], "30 mm"), ([0, 0, 0.2], r"\+1\d deg")):
+        robot, runner = robot_for(trial)
+        robot.camera.off = np.array(off)
+        with runner, pytest.raises(CameraLostError, match=f"{why}.*from its place"):
+            runner.run(trial)
+        assert robot.driven_after(0.0) == 0.0
+    robot, runner = robot_for(trial)
+    robot.troubles.camera_blind = True
+    with runner, pytest.raises(CameraLostError, match="in 0 frames"):
+        runner.run(trial)
+
+
+def test_a_plan_of_a_push_says_what_the_fingers_need():
+    settings = RobotSettings(data_sheet(0.0))
+    trial = Trial(OBJECT, PUSH)
+    said = described(plan_trial(trial, starting_pose(trial), settings), settings)
+    assert "push of two at (50, -10) mm with closed fingers" in said
+    assert "of radius 6 mm, has its middle 14.0 mm below" in said
+    with pytest.raises(InfeasibleTrialError, match="point of the outline"):
+        plan_trial(Trial(OBJECT, replace(PUSH, point=(0.0, 0.0))), np.zeros(3), settings)
+    with pytest.raises(InfeasibleTrialError, match="limit"):
+        plan_trial(trial, np.array([0.6, 0.5, 0.0]), settings).check(settings)

@@ -24,18 +24,22 @@ from testbed.objects.model import ObjectModel
 from testbed.sensing.camera import PoseStream
 from testbed.trajectory import Phase, Trajectory
 
-SLOW = 1e-5
+SLOW = 1e-7
 """Speed at which friction of a particle fades [m/s]: the center of a link's turn comes to rest on one, as it does."""
 STANDS = 0.02
 """Turn of a hinge at which the record ends [rad/s]."""
 
 
-def analytic_links(obj: ObjectModel, action: Rotate | Slide) -> Trajectory:
+def analytic_links(
+    obj: ObjectModel, action: Rotate | Slide, *, rate: float = RATE, camera_rate: float | None = None
+) -> Trajectory:
     """Record of one action on an object in links, from rest of those that trail.
 
     Args:
         obj: the object, truth included; every group rests on its own weight.
         action: a slide, or a turn there.
+        rate: rate of the record [Hz].
+        camera_rate: rate of the exact camera [Hz], a multiple of `rate`; None is `rate`.
 
     Raises:
         InvalidValueError: a rigid object, or a hinge that stands from the beginning.
@@ -60,11 +64,12 @@ def analytic_links(obj: ObjectModel, action: Rotate | Slide) -> Trajectory:
         return float((chained.relative(state) * chained.sign).min()) - STANDS
 
     standing.terminal, standing.direction = True, -1  # pyright: ignore[reportFunctionMemberAccess]
-    times = np.arange(0, action.duration, 1 / RATE)
+    each = 1 if camera_rate is None else round(camera_rate / rate)
+    times = np.arange(0, action.duration, 1 / (rate * each))
     solved = solve_ivp(
         chained.rates, (0, times[-1]), still, "LSODA", times, events=standing, rtol=1e-9, atol=1e-11, max_step=0.02
     )
-    return _record(chained, action, solved.t, solved.y.T)
+    return _record(chained, action, solved.t, solved.y.T, each)
 
 
 def drawn_chain(seed: int, *, most_hinge_friction: float = 0.015) -> ObjectModel:
@@ -161,14 +166,15 @@ class _Chained:
         return np.concatenate([np.split(state, 2)[1] - self.hand[2], slopes])
 
 
-def _record(chained: _Chained, action: Rotate | Slide, time: np.ndarray, states: np.ndarray) -> Trajectory:
+def _record(
+    chained: _Chained, action: Rotate | Slide, seen: np.ndarray, seen_states: np.ndarray, each: int
+) -> Trajectory:
+    time, states = seen[::each], seen_states[::each]
     hand, shape, count = chained.hand, chained.obj.shape, len(time)
-    yaw = hand[2] * time
+    yaw, place = _hand(hand, time)
     turn = rotation_2d(yaw)
-    arm = perpendicular(hand[:2]) / -hand[2] if hand[2] else np.zeros(2)  # from the center of the turn
-    place = turn @ arm + time[:, None] * (0.0 if hand[2] else hand[:2]) + [0.4, 0.1]
     velocity, still = turn @ hand[:2], np.zeros((count, 2))
-    wrench, poses = np.zeros((count, 6)), np.zeros((count, chained.chain.links, 3))
+    wrench = np.zeros((count, 6))
     for index, state in enumerate(states):
         slopes = np.split(chained.rates(0.0, state), 2)[1]
         links = chained.links(state, slopes)
@@ -178,8 +184,6 @@ def _record(chained: _Chained, action: Rotate | Slide, time: np.ndarray, states:
         moment = shape.height / 2 * pull.sum(axis=0)
         tilt = np.array([HEIGHT * total[1] - moment[1], moment[0] - HEIGHT * total[0]])
         wrench[index] = [*(turn[index] @ total), 0.0, *(turn[index] @ tilt), torque]
-        shifted = links[:, 1:3] - (rotation_2d(links[:, 0]) @ chained.point)
-        poses[index] = np.column_stack([place[index] + shifted @ turn[index].T, yaw[index] + links[:, 0]])
     return record(
         count,
         tare=0,
@@ -194,5 +198,23 @@ def _record(chained: _Chained, action: Rotate | Slide, time: np.ndarray, states:
         tcp_position=np.column_stack([place, np.full(count, HEIGHT)]),
         tcp_velocity=np.column_stack([velocity, still, still[:, 0], np.full(count, hand[2])]),
         wrench_on_object_world=wrench,
-        camera=PoseStream(time, poses),
+        camera=PoseStream(seen, _poses(chained, seen, seen_states)),
     )
+
+
+def _hand(hand: np.ndarray, time: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Yaw [rad] and place [m] of the hand at given times [s], world."""
+    yaw = hand[2] * time
+    arm = perpendicular(hand[:2]) / -hand[2] if hand[2] else np.zeros(2)  # from the center of the turn
+    return yaw, rotation_2d(yaw) @ arm + time[:, None] * (0.0 if hand[2] else hand[:2]) + [0.4, 0.1]
+
+
+def _poses(chained: _Chained, time: np.ndarray, states: np.ndarray) -> Float[np.ndarray, "F L 3"]:
+    """Poses of the object frame as each link carries it, world."""
+    yaw, place = _hand(chained.hand, time)
+    turn, poses = rotation_2d(yaw), np.zeros((len(time), chained.chain.links, 3))
+    for index, state in enumerate(states):
+        links = chained.links(state, np.zeros(len(chained.free)))
+        shifted = links[:, 1:3] - (rotation_2d(links[:, 0]) @ chained.point)
+        poses[index] = np.column_stack([place[index] + shifted @ turn[index].T, yaw[index] + links[:, 0]])
+    return poses

@@ -123,9 +123,13 @@ class ObjectFile(_Table):
 
     def build(self, grid: int, folder: Path, hand: Hand = ROBOTIQ_2F85) -> ObjectModel:
         """The object, `grid` particles along a block's side; meshes are files of `folder`."""
-        model = _build_blocks(self.name, self.blocks, grid, hand) if self.blocks else self._build_mesh(grid, folder)
-        model = self._hinged(model) if self.hinges else model
-        return model if self.has_masses else replace(model, masses_known=False)
+        if self.blocks:
+            model = _build_blocks(self.name, self.blocks, grid, hand)
+            model = replace(model, shape=replace(model.shape, chain=self._chain(model.shape.group_names)))
+        else:
+            model = self._build_mesh(grid, folder)
+        friction = tuple(hinge.friction_Nm for hinge in self.hinges)
+        return replace(model, hinge_friction=friction, masses_known=self.has_masses)
 
     @property
     def has_masses(self) -> bool:
@@ -135,18 +139,18 @@ class ObjectFile(_Table):
         assert self.mesh is not None
         return self.mesh.parts[0].mass_kg is not None
 
-    def _hinged(self, model: ObjectModel) -> ObjectModel:
-        """The object in links: the first has every block or part that no hinge names."""
-        names, link = model.shape.group_names, np.zeros(model.shape.n_m, dtype=int)
+    def _chain(self, names: tuple[str, ...]) -> Chain | None:
+        """The links, the first of which has every block or part that no hinge names; None of a rigid object."""
+        if not self.hinges:
+            return None
+        link = np.zeros(len(names), dtype=int)
         for index, hinge in enumerate(self.hinges):
             if unknown := [name for name in hinge.link if name not in names]:
                 raise InvalidValueError(f"hinges.{index}.link", unknown, f"some of {', '.join(names)}")
             link[[names.index(name) for name in hinge.link]] = index + 1
         if not (link == 0).any():
             raise InvalidValueError("hinges", "all blocks or parts in links", "one or more without, the first link")
-        chain = Chain(link, np.array([hinge.at_m for hinge in self.hinges]))
-        friction = tuple(hinge.friction_Nm for hinge in self.hinges)
-        return replace(model, shape=replace(model.shape, chain=chain), hinge_friction=friction)
+        return Chain(link, np.array([hinge.at_m for hinge in self.hinges]))
 
     def _build_mesh(self, grid: int, folder: Path) -> ObjectModel:
         assert self.mesh is not None
@@ -165,7 +169,10 @@ class ObjectFile(_Table):
                 raise InvalidValueError(f"mesh.parts.{index}.{error.field}", error.given, error.allowed) from None
         places = [GraspPlace(g.name, (g.at_m[0], g.at_m[1]), math.radians(g.closing_deg)) for g in m.grasps]
         contacts = [(x, y) for x, y in m.contacts_m]
-        return mesh_object(self.name, parts, places, friction=friction, cell=m.cell_m, grid=grid, contacts=contacts)
+        chain = self._chain(tuple(part.name for part in parts))
+        return mesh_object(
+            self.name, parts, places, friction=friction, cell=m.cell_m, grid=grid, contacts=contacts, chain=chain
+        )
 
 
 def _build_blocks(name: str, b: Blocks, grid: int, hand: Hand) -> ObjectModel:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from io import BytesIO
 from pathlib import Path
 
@@ -15,6 +15,7 @@ from scipy.spatial.distance import cdist
 
 from testbed.errors import InvalidValueError, short
 from testbed.files import read_file
+from testbed.objects.chain import Chain
 from testbed.objects.grasps import GraspPlace, grasp_at
 from testbed.objects.model import TOUCH, MassDistribution, ObjectModel, ObjectShape, Solid
 from testbed.objects.rays import ASIDE, RayGrid, grid_hits
@@ -93,13 +94,15 @@ def mesh_object(
     cell: float,
     grid: int,
     contacts: Sequence[tuple[float, float]] = (),
+    chain: Chain | None = None,
 ) -> ObjectModel:
     """An object of meshes as particles, solids and grasps.
 
     A cell is a particle where the parts fill half of it or more, of the part with most material in it; a part that is
     too thin for that has the cells that it fills best. A cell touches where its part's underside is within `TOUCH` of
     the table over half of it or more. With `contacts` no cell touches: a particle without material lies at each, and
-    the cells of each part are moved by what its center of mass is off.
+    the cells of each part are moved by what its center of mass is off. Links have cells of their own: where one lies
+    over another, both have one.
 
     Args:
         name: the object's name.
@@ -110,6 +113,7 @@ def mesh_object(
         grid: how fine: the cell's side is cell * 3 / grid. The origin stays that of the default grid, the mean of its
             cells, so that one object cut twice has one frame.
         contacts: points on which one rigid body rests, x and y of the mesh, m; empty where it rests on cells.
+        chain: links of the parts, with hinges in x and y of the mesh; None of a rigid object.
 
     Raises:
         InvalidValueError: grid < 1, too many cells, not resting on the table, a part without a particle, a friction
@@ -122,8 +126,9 @@ def mesh_object(
         raise InvalidValueError(
             "mesh.parts", f"lowest point at z = {lowest:.4g} m", f"resting on z = 0, to {TOUCH * 1e3:g} mm"
         )
-    centres, group, touches, fill = _partition(parts, cell * 3 / grid)
-    coarse = centres if grid == 3 else _partition(parts, cell)[0]
+    link = np.zeros(len(parts), dtype=int) if chain is None else chain.link
+    centres, group, touches, fill = _partition(parts, link, cell * 3 / grid)
+    coarse = centres if grid == 3 else _partition(parts, link, cell)[0]
     if len(contacts):
         points = _checked_contacts(contacts, parts)
         near = group[cdist(points, centres).argmin(axis=1)]
@@ -153,6 +158,7 @@ def mesh_object(
         ),
         group_names=tuple(part.name for part in parts),
         fill=fill * per_group[group],
+        chain=None if chain is None else replace(chain, hinges=chain.hinges - origin),
         sides=sides - origin,
     )
     mass = np.array([part.mass for part in parts])
@@ -199,15 +205,28 @@ def _checked_contacts(contacts: Sequence[tuple[float, float]], parts: list[Part]
     return points
 
 
-def _partition(
-    parts: list[Part], cell: float
-) -> tuple[Float[np.ndarray, "P 2"], Int[np.ndarray, "P"], Bool[np.ndarray, "P"], Float[np.ndarray, "P"]]:
-    """Centres of the particles in the mesh's x and y, the part of each, whether it touches, and how much of it it is.
+Cells = tuple[Float[np.ndarray, "P 2"], Int[np.ndarray, "P"], Bool[np.ndarray, "P"], Float[np.ndarray, "P"]]
+"""Centres of particles in the mesh's x and y, the part of each, whether it touches, and how much of the part it is."""
+
+
+def _partition(parts: list[Part], link: Int[np.ndarray, "n_m"], cell: float) -> Cells:
+    """Particles of all parts, on one grid, those of each link for themselves."""
+    low = np.min([part.mesh.bounds[0, :2] for part in parts], axis=0)
+    high = np.max([part.mesh.bounds[1, :2] for part in parts], axis=0)
+    found = []
+    for index in range(int(link.max()) + 1):
+        own = np.flatnonzero(link == index)
+        centres, group, touches, fill = _cells([parts[part] for part in own], cell, low, high)
+        found.append((centres, own[group], touches, fill))
+    centres, group, touches, fill = (np.concatenate(each) for each in zip(*found, strict=True))
+    return centres, group, touches, fill
+
+
+def _cells(parts: list[Part], cell: float, low: Float[np.ndarray, "2"], high: Float[np.ndarray, "2"]) -> Cells:
+    """Particles of parts that do not move against each other, on a grid between two corners.
 
     What a part has in cells that are not its own is counted to the nearest that is.
     """
-    low = np.min([part.mesh.bounds[0, :2] for part in parts], axis=0)
-    high = np.max([part.mesh.bounds[1, :2] for part in parts], axis=0)
     count = np.ceil((high - low) / cell - 1e-3).astype(int)  # a length of whole cells needs no cell more
     if count.prod() > _MOST_CELLS:
         allowed = f"at most {_MOST_CELLS} cells; take a larger cell_m, and meshes in metres"

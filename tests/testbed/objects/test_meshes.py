@@ -237,18 +237,36 @@ def test_a_tool_cut_finer_stays_in_its_frame():
     assert_allclose(coarse.shape.particles.mean(axis=0), 0, atol=1e-15)
 
 
-def test_the_script_makes_the_meshes_that_are_there():
-    spec = importlib.util.spec_from_file_location("make_meshes", OBJECTS / "make_meshes.py")
-    assert spec is not None
-    assert spec.loader is not None
-    script = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(script)
-    made = script.meshes()
+def test_the_scripts_make_the_meshes_that_are_there():
+    made: dict[str, trimesh.Trimesh] = {}
+    for name in ("make_meshes", "make_hinged_meshes"):
+        spec = importlib.util.spec_from_file_location(name, OBJECTS / f"{name}.py")
+        assert spec is not None
+        assert spec.loader is not None
+        script = importlib.util.module_from_spec(spec)
+        spec.loader.exec_module(script)
+        made |= script.meshes()
     assert set(made) == {path.name for path in OBJECTS.glob("*.stl")}
     for name, mesh in made.items():
         again = trimesh.load_mesh(io.BytesIO(mesh.export(file_type="stl")), file_type="stl", process=False)
         there = trimesh.load_mesh(OBJECTS / name, process=False)
         assert_allclose(again.triangles, there.triangles, rtol=0, atol=1e-7)
+
+
+@pytest.mark.parametrize(("name", "hinges"), [("shears", 1), ("folding_rule", 2), ("saw", 1)])
+def test_links_of_meshes_are_joined_where_their_plates_overlap(name: str, hinges: int):
+    obj, chain = load_object(name), load_object(name).shape.chain
+    assert chain is not None and len(chain.hinges) == hinges
+    link = chain.link[obj.shape.mass_group]
+    for index, hinge in enumerate(chain.hinges):
+        for side in (index, index + 1):  # each link has material all around its hinge, over or under the other's
+            near = obj.shape.particles[link == side] - hinge
+            around = np.degrees(np.arctan2(*near[np.linalg.norm(near, axis=1) < 0.012].T[::-1]))
+            assert np.diff(np.sort(np.append(around, around.min() + 360))).max() < 100
+    for group, solid in enumerate(obj.solids):
+        own = obj.shape.mass_group == group
+        center = obj.shape.fill[own] @ obj.shape.particles[own] / own.sum()
+        assert_allclose(center, solid.center_of_mass[:2], atol=5e-4)
 
 
 def test_a_grasps_faces_are_measured_on_the_mesh():

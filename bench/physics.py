@@ -19,6 +19,7 @@ from rich.table import Table
 from estimators.action_selection.drags import RandomDrags
 from estimators.action_selection.pushes import RandomPushes
 from estimators.action_selection.rank import between_particles
+from estimators.hidden_states.trial_windows import TrialWindows
 from estimators.particles.links import hinge_rows
 from estimators.particles.model import ModelErrors, ParticleModel, direction, friction_wrench, inertia_of
 from estimators.particles.observe import observe
@@ -35,7 +36,7 @@ from testbed.actions.weigh import Weigh
 from testbed.errors import InfeasibleTrialError
 from testbed.frames import cross_2d, perpendicular, rotation_2d
 from testbed.objects.files import load_object
-from testbed.objects.model import GRAVITY, ObjectModel
+from testbed.objects.model import ObjectModel
 from testbed.sensing.compensation import compensate
 from testbed.sensing.windows import weight_of
 from testbed.simulation.contacts import resting_loads
@@ -50,6 +51,7 @@ from testbed.trajectory import Phase, Trajectory
 from testbed.trial import OWN_WEIGHT, RIGID, Support, Trial
 
 TOOLS = ("hammer", "wrench")
+HINGED = ("shears", "folding_rule", "saw")
 OBJECTS = ("I1", "I2", "L1", "L2", "F1", "F2")
 PUSHED = (*OBJECTS, *(str(LIBRARY / "objects" / f"rectangle_{size}.toml") for size in ("2x3", "3x3")))
 PUSHES = 8
@@ -122,32 +124,30 @@ def off_coulomb(model: ObjectModel, trajectory: Trajectory, support: Support) ->
     return 100 * torch.stack(parts, 1).numpy()
 
 
-def link_errors(seed: int) -> tuple[str, np.ndarray, np.ndarray]:
-    """Links of a drawn chain; in windows of random drags off Coulomb: force, torque (K, 2), and about hinges, %."""
-    model, runner, refused, found = drawn_chain(seed), SimulationRunner(), dict[Action, str](), list[Trajectory]()
-    policy = RandomDrags(DRAGS, seed=seed, refused=refused)
+def link_errors(model: ObjectModel) -> tuple[np.ndarray, np.ndarray]:
+    """In windows of random drags off Coulomb's law: force and torque (K, 2), and torques about hinges, %."""
+    runner, refused, found = SimulationRunner(), dict[Action, str](), list[Trajectory]()
+    policy = RandomDrags(DRAGS, seed=0, refused=refused)
     while (action := policy.next(model.shape, found)) is not None:
         try:
             found.append(runner.run(Trial(model, action)))
         except InfeasibleTrialError as error:
             refused[action] = str(error)
-    windows, particles = observe(model.shape, found), ParticleModel.of(model.shape)
-    assert windows is not None and model.shape.chain is not None
-    mass = torch.tensor(model.particle_mass)
-    drag = particles.particle_friction(torch.tensor(model.truth.friction)) * GRAVITY * mass
-    errors = ModelErrors()
-    torques, _, friction = hinge_rows(windows, particles, mass, drag, errors)
-    off = windows.wrench - windows.drag_rows(particles, errors.pivot_error) @ drag
-    off = off - windows.motion_wrench(particles, mass)
-    lever = (drag * windows.lever(particles).norm(dim=-1)).sum(-1)
-    about = torques.rows @ drag
-    held = friction[3 * len(windows) :] @ torch.tensor(model.hinge_friction, dtype=torch.float64)
-    left = (about + torques.inertial).flatten() + held
-    size = (torques.rows.abs() @ drag).flatten()
+    trials = TrialWindows.of(model.shape, model.total_mass, found, ModelErrors())
+    assert trials is not None
+    windows, s = trials.windows, trials.friction_loads(model.truth)
+    equations = trials.friction_equations(model.truth)
+    assert equations.hinges is not None
+    held = equations.hinges @ torch.tensor(model.hinge_friction, dtype=torch.float64)
+    left, count = equations.b - equations.q @ torch.tensor(s) - held, 3 * len(windows)
+    drag, mass = trials.groups.spread(s), torch.tensor(model.particle_mass)
+    torques, _, _ = hinge_rows(windows, trials.model, mass, drag, trials.errors)
+    lever = (drag * windows.lever(trials.model).norm(dim=-1)).sum(-1)
+    off = left[:count].reshape(-1, 3)
     planar = torch.stack([off[:, :2].norm(dim=1) / drag.sum(), off[:, 2].abs() / lever], 1)
     turning = torques.sign.flatten() != 0
-    name = "-".join(map(str, np.bincount(model.shape.chain.link)))
-    return name, 100 * planar.numpy(), 100 * (left[turning].abs() / size[turning]).numpy()
+    about = left[count:][turning].abs() / (torques.rows.abs() @ drag).flatten()[turning]
+    return 100 * planar.numpy(), 100 * about.numpy()
 
 
 def sensor_error(name: str, support: Support, action: Rotate) -> tuple[float, float, float]:
@@ -258,13 +258,13 @@ def pushes(submit: Callable[..., Future[Any]], console: Console) -> None:
 
 def links(submit: Callable[..., Future[Any]], console: Console) -> None:
     """Drag against Coulomb's law while links trail."""
-    columns = ("blocks by link", "windows", "force: median", "rms", "torque: median", "rms", "at hinges: median", "rms")
-    table = _table(f"{DRAGS} slides and turns of drawn chains: against Coulomb's law, %", *columns)
-    for future in [submit(link_errors, seed) for seed in range(CHAINS)]:
-        name, planar, hinged = future.result()
-        parts = [*planar.T, hinged]
-        cells = (f"{x:.3f}" for part in parts for x in (np.median(part), np.sqrt(np.square(part).mean())))
-        table.add_row(name, str(len(planar)), *cells)
+    columns = ("object", "windows", "force: median", "rms", "torque: median", "rms", "at hinges: median", "rms")
+    table = _table(f"{DRAGS} slides and turns of objects in links: against Coulomb's law, %", *columns)
+    models = [*(drawn_chain(seed) for seed in range(CHAINS)), *(load_object(name) for name in HINGED)]
+    for model, future in [(model, submit(link_errors, model)) for model in models]:
+        planar, hinged = future.result()
+        cells = (f"{x:.3f}" for part in [*planar.T, hinged] for x in (np.median(part), np.sqrt(np.square(part).mean())))
+        table.add_row(model.name, str(len(planar)), *cells)
     console.print(table)
 
 

@@ -99,8 +99,10 @@ class FrictionEquations:
 
     def whitened(self) -> LinearSystem:
         """The system in units of its errors, whatever the hinges' friction."""
-        open_to = 0.0 if self.hinges is None else HINGE_PRIOR**2 * self.hinges @ self.hinges.T
-        whiten = torch.linalg.inv(torch.linalg.cholesky(self.covariance + open_to))
+        whiten = torch.linalg.inv(torch.linalg.cholesky(self.covariance))
+        if self.hinges is not None:  # in units of the other errors first: the prior is larger by many orders
+            ways, size, _ = torch.linalg.svd(HINGE_PRIOR * whiten @ self.hinges, full_matrices=False)
+            whiten = whiten - (ways * (1 - (1 + size.square()).rsqrt())) @ (ways.T @ whiten)
         return LinearSystem(whiten @ self.q, whiten @ self.b, whiten)
 
 
@@ -132,8 +134,8 @@ def friction_equations(
     q = groups.gather(rows)
     s = friction * support.share * GRAVITY
     response = rows @ (friction[:, None] * support.response)
-    carried = (rows @ (friction * (support.lean + support.change(load)))[..., None])[..., 0]
-    b = windows.wrench - windows.motion_wrench(model, mass) - carried
+    aside = (friction * (support.lean + support.change(load)))[..., None]
+    b = windows.wrench - windows.motion_wrench(model, mass) - (rows @ aside)[..., 0]
     apart, common = wrench_errors(windows, model, mass, s.expand(len(rows), -1), response, errors)
     found = FrictionEquations(q.reshape(-1, q.shape[-1]), b.reshape(-1), apart, common)
     if not windows.articulated:
@@ -141,7 +143,7 @@ def friction_equations(
     torques, covariance, hinges = hinge_rows(windows, model, mass, s, errors)
     return FrictionEquations(
         torch.cat([found.q, groups.gather(torques.rows).flatten(0, 1)]),
-        torch.cat([found.b, -torques.inertial.flatten()]),
+        torch.cat([found.b, -(torques.inertial + (torques.rows @ aside)[..., 0]).flatten()]),
         apart + covariance,
         common,
         hinges,

@@ -23,9 +23,11 @@ if TYPE_CHECKING:
     from estimators.particles.model import ModelErrors
     from estimators.particles.windows import Observations
 
-FORCE_ERROR, HINGE_ERROR = 0.001, 0.003
+FORCE_ERROR, HINGE_ERROR = 0.001, 0.006
 """Model error of wrenches while links trail, as a part of the whole drag and its torque, and of the torque about a
 hinge, as a part of the drag's about it; the windows of a trial share it. By `python bench/physics.py links`."""
+LEAST_ERROR = 1e-6
+"""Least error of a torque about a hinge, N m: where a guess has links without mass, it still is one."""
 RESTING = 5e-4
 """Speed at which the drag of a particle that trails has no sure direction, m/s. Ours."""
 SLOWEST = 0.01
@@ -169,7 +171,7 @@ def hinge_rows(
     force = drag.sum().expand(count, 1)
     wrong = torch.cat([FORCE_ERROR * force.expand(-1, 2), FORCE_ERROR * lever], 1) * alike
     # a hinge that may stand says nothing, and a row of zeros needs some error
-    off = HINGE_ERROR * (here.rows.abs() @ drag) * alike + still.double() + 1e-8
+    off = HINGE_ERROR * (here.rows.abs() @ drag) * alike + still.double() + LEAST_ERROR
     covariance = covariance + torch.cat([wrong.flatten(), off.flatten()]).square().diag()
     return here, covariance, pad(torch.diag_embed(here.sign).flatten(0, 1), (0, 0, 3 * count, 0))
 

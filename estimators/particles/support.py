@@ -33,8 +33,8 @@ class GripperLoad:
     """Moment that the feet supply beyond the object's own weight: (sum x N, sum y N) about the grasp point, N m."""
     held: Int[Tensor, "K 2"]
     """Mass groups under the two pads, each of which carries half the lift."""
-    point: Float[Tensor, "K 2"]
-    """Grasp point, m, object frame."""
+    lever: Float[Tensor, "K P 2"]
+    """Place of each particle from the grasp point, m: of an object in links, where they have moved."""
 
     @property
     def carried(self) -> Float[Tensor, "K 3"]:
@@ -42,10 +42,10 @@ class GripperLoad:
         return torch.cat([self.lift[:, None], self.moment], -1)
 
     @staticmethod
-    def none() -> GripperLoad:
-        """Load of a gripper that carries nothing, in one window."""
+    def none(model: ParticleModel) -> GripperLoad:
+        """Load of a gripper that carries nothing, in one window; the object as it lies, about its frame's origin."""
         lift, pair = torch.zeros(1, dtype=torch.float64), torch.zeros(1, 2, dtype=torch.float64)
-        return GripperLoad(lift, pair, torch.zeros(1, 2, dtype=torch.int64), pair)
+        return GripperLoad(lift, pair, torch.zeros(1, 2, dtype=torch.int64), model.particles[None])
 
 
 def load_map(height: float) -> np.ndarray:
@@ -100,7 +100,7 @@ class OwnWeight:
 
     share: Float[Tensor, "P"]
     """Part of its mass group's mass that each particle carries, kg; 0 without contact."""
-    lean: Float[Tensor, "P"]
+    lean: Float[Tensor, "K P"]
     """Load of each particle from weight beside the middle of its group's feet, N; sums to 0 over a group."""
     response: Float[Tensor, "K P 3"]
     """Change of each particle's load with the gripper's lift (N per N) and moment (N per N m)."""
@@ -127,27 +127,28 @@ def own_weight(model: ParticleModel, mass: Float[Tensor, "P"], load: GripperLoad
         mass: mass of each particle, kg.
         load: the gripper's load; only where it holds the object counts here.
     """
-    particles, contact = model.particles, model.contact
+    lever, contact = load.lever, model.contact
     apart = model.stands_in_groups
     group, held = (
         (model.mass_group, load.held) if apart else (torch.zeros_like(each) for each in (model.mass_group, load.held))
     )
     count = int(group.max()) + 1
-    zeros, pairs = torch.zeros(count, dtype=torch.float64), torch.zeros(count, 2, dtype=torch.float64)
+    zeros, pairs = torch.zeros(count, dtype=torch.float64), torch.zeros(len(lever), count, 2, dtype=torch.float64)
     feet = zeros.index_add(0, group, contact.double())
     whole = zeros.index_add(0, group, mass)
     share = torch.where(contact, (whole / feet)[group], 0.0)
-    center = pairs.index_add(0, group, particles * contact[:, None]) / feet[:, None]
-    offset = (particles - center[group]) * contact[:, None]
-    tilt = offset @ torch.linalg.pinv(offset.T @ offset, hermitian=True)
+    center = pairs.index_add(1, group, lever * contact[:, None]) / feet[:, None]
+    offset = (lever - center[:, group]) * contact[:, None]
+    tilt = offset @ torch.linalg.pinv(offset.mT @ offset, hermitian=True)
     weight = whole * GRAVITY
-    middle = pairs.index_add(0, group, particles * mass[:, None]) * GRAVITY
-    lean = tilt @ (middle - weight[:, None] * center).sum(0)
+    middle = pairs.index_add(1, group, lever * mass[:, None]) * GRAVITY
+    lean = (tilt @ (middle - weight[:, None] * center).sum(1)[..., None])[..., 0]
     gripped = ((group == held[..., None]) & contact).double()
     lift = (gripped / gripped.sum(-1, keepdim=True).clamp(min=1)).mean(-2)
     # fz acts at the grasp point: what lies beside the middle of the held groups' feet tilts
-    aside = tilt @ (center[held].mean(-2) - load.point).T
-    return OwnWeight(share, lean, torch.cat([aside.T[..., None] - lift[..., None], tilt.expand(len(lift), -1, -1)], -1))
+    middle_held = center.gather(1, held[..., None].expand(-1, -1, 2)).mean(1)
+    aside = (tilt @ middle_held[..., None])[..., 0]
+    return OwnWeight(share, lean, torch.cat([(aside - lift)[..., None], tilt], -1))
 
 
 def own_weight_loads(model: ParticleModel, mass: Float[Tensor, "P"], load: GripperLoad) -> Float[Tensor, "K P"]:
@@ -157,7 +158,7 @@ def own_weight_loads(model: ParticleModel, mass: Float[Tensor, "P"], load: Gripp
 
 def rigid_loads(model: ParticleModel, mass: Float[Tensor, "P"], load: GripperLoad) -> Float[Tensor, "K P"]:
     """One rigid body: N_i = a + b x_i + c y_i over the particles in contact, from the balance of force and moments."""
-    from_grasp = model.particles[None] - load.point[:, None]
+    from_grasp = load.lever
     total = mass.sum() * GRAVITY
     moment = GRAVITY * torch.einsum("p,kpd->kd", mass, from_grasp) + load.moment
     wanted = torch.cat([(total - load.lift)[:, None], moment], dim=1)
@@ -182,7 +183,7 @@ def contact_spread(model: ParticleModel, mass: Float[Tensor, "P"]) -> Float[Tens
     basis = torch.cat([torch.ones(len(points), 1, dtype=torch.float64), model.particles[points]], 1)
     weight = mass * GRAVITY
     wanted = torch.cat([weight.sum()[None], weight @ model.particles])
-    middle = rigid_loads(model, mass, GripperLoad.none())[0, points]
+    middle = rigid_loads(model, mass, GripperLoad.none(model))[0, points]
     size = (basis[:, 1:].amax(0) - basis[:, 1:].amin(0)).prod()
     apart = []
     for three in combinations(range(len(points)), 3):

@@ -40,7 +40,8 @@ class ParticleLoads:
     @staticmethod
     def of(shape: ObjectShape, distribution: MassDistribution, support: str) -> ParticleLoads:
         """The loads of a mass distribution, on its own weight or as one rigid body ("own_weight", "rigid")."""
-        model, none = ParticleModel.of(shape), GripperLoad.none()
+        model = ParticleModel.of(shape)
+        none = GripperLoad.none(model)
         mass, friction = torch.tensor(distribution.mass), torch.tensor(distribution.friction)
         of_particle = model.particle_friction(friction)
         per_mass = torch.stack([LOADS[support](model, one, none)[0] for one in model.parts], 1)

@@ -229,7 +229,7 @@ def _response(model: ParticleModel, windows: Observations, loads_of: LoadsOf) ->
 
     def loads(lift: float, x: float, y: float) -> Tensor:
         moment = zero[1] + torch.tensor([x, y], dtype=torch.float64)
-        return loads_of(model, mass, GripperLoad(zero[0] + lift, moment, windows.held, windows.grasp))
+        return loads_of(model, mass, GripperLoad(zero[0] + lift, moment, windows.held, windows.lever(model)))
 
     base = loads(0.0, 0.0, 0.0)
     return torch.stack([loads(*one) - base for one in torch.eye(3).tolist()], -1)

@@ -10,7 +10,7 @@ import torch
 from numpy.testing import assert_allclose
 from torch import Tensor
 
-from estimators.particles.model import ParticleModel
+from estimators.particles.model import ParticleModel, rotate
 from estimators.particles.support import LOADS, GripperLoad
 from estimators.testing.analytic_world import drawn_object
 from testbed.objects.blocks import block_object, parse_layout
@@ -39,7 +39,7 @@ def carried(obj: ObjectModel, seed: int = 0, count: int = 4) -> GripperLoad:
         torch.tensor(rng.normal(size=count)),
         torch.tensor(rng.normal(scale=0.02, size=(count, 2))),
         torch.tensor(np.column_stack([held, np.where(np.arange(count) % 2, (held + 1) % obj.shape.n_m, held)])),
-        torch.tensor(np.array(points)),
+        torch.tensor(obj.shape.particles - np.array(points)[:, None]),
     )
 
 
@@ -55,9 +55,20 @@ def test_loads_balance_weight_lift_and_moment(support, seed):
     load = carried(obj, seed)
     loads = loads_of(support, obj, load)
     assert_allclose(loads.sum(-1), obj.total_mass * GRAVITY - load.lift)
-    arm = obj.shape.particles - load.point.numpy()[:, None]
-    moment = np.einsum("kp,kpd->kd", loads.numpy() - GRAVITY * obj.particle_mass, arm)
+    moment = np.einsum("kp,kpd->kd", loads.numpy() - GRAVITY * obj.particle_mass, load.lever)
     assert_allclose(moment, load.moment, atol=1e-12)
+
+
+@pytest.mark.parametrize("support", LOADS)
+def test_loads_balance_where_links_have_moved(support):
+    still = carried(OBJECT)
+    turn = torch.arange(len(still.lift)) * 0.7
+    beyond = (ParticleModel.of(OBJECT.shape).mass_group > 1)[:, None]
+    moved = replace(still, lever=torch.where(beyond, rotate(turn[:, None], still.lever), still.lever))
+    loads = loads_of(support, OBJECT, moved)
+    assert_allclose(loads.sum(-1), OBJECT.total_mass * GRAVITY - moved.lift)
+    moment = np.einsum("kp,kpd->kd", loads.numpy() - GRAVITY * OBJECT.particle_mass, moved.lever)
+    assert_allclose(moment, moved.moment, atol=1e-12)
 
 
 def test_own_weight_lightens_the_held_groups_and_no_other():
@@ -81,14 +92,17 @@ def test_rigid_loads_are_an_affine_field_of_the_weight_and_its_center_alone():
 
 def test_a_rigid_body_on_a_line_of_feet_shares_its_weight_evenly():
     obj = load_object("I1", 1)
-    assert_allclose(loads_of("rigid", obj, GripperLoad.none())[0], obj.total_mass * GRAVITY / 6)
+    assert_allclose(
+        loads_of("rigid", obj, GripperLoad.none(ParticleModel.of(obj.shape)))[0], obj.total_mass * GRAVITY / 6
+    )
 
 
 def test_one_rigid_body_carries_what_has_no_feet_by_either_name():
-    loads = loads_of("rigid", ONE_OFF_THE_TABLE, GripperLoad.none())
+    none = GripperLoad.none(ParticleModel.of(ONE_OFF_THE_TABLE.shape))
+    loads = loads_of("rigid", ONE_OFF_THE_TABLE, none)
     assert_allclose(loads[:, torch.tensor(ONE_OFF_THE_TABLE.shape.friction_group < 0)], 0)
     assert_allclose(loads.sum(-1), ONE_OFF_THE_TABLE.total_mass * GRAVITY)
-    for load in (GripperLoad.none(), carried(ONE_OFF_THE_TABLE)):
+    for load in (none, carried(ONE_OFF_THE_TABLE)):
         own, rigid = (loads_of(support, ONE_OFF_THE_TABLE, load) for support in ("own_weight", "rigid"))
         assert_allclose(own, rigid, atol=1e-12)
 
@@ -99,7 +113,9 @@ def test_the_order_of_particles_changes_nothing(support):
     order = torch.tensor(np.random.default_rng(3).permutation(len(model.particles)))
     names = ("particles", "mass_group", "friction_group", "fill")
     shuffled = replace(model, **{name: getattr(model, name)[order] for name in names})
-    loads = LOADS[support](shuffled, torch.tensor(OBJECT.particle_mass)[order], load)
+    loads = LOADS[support](
+        shuffled, torch.tensor(OBJECT.particle_mass)[order], replace(load, lever=load.lever[:, order])
+    )
     assert_allclose(loads, loads_of(support, OBJECT, load)[:, order], atol=1e-12)
 
 
@@ -117,7 +133,7 @@ def test_gradients_are_right(support):
     load = carried(OBJECT, count=2)
 
     def loads(mass: Tensor, lift: Tensor, moment: Tensor) -> Tensor:
-        return loads_of(support, OBJECT, GripperLoad(lift, moment, load.held, load.point), mass)
+        return loads_of(support, OBJECT, GripperLoad(lift, moment, load.held, load.lever), mass)
 
     point = [torch.tensor(OBJECT.particle_mass), load.lift, load.moment]
     assert torch.autograd.gradcheck(loads, [value.clone().requires_grad_() for value in point])

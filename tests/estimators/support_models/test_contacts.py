@@ -110,7 +110,7 @@ def test_loads_of_three_points_are_in_balance_and_those_of_four_lie_about_the_ev
     for contacts, free in ((THREE, 0), (FOUR, 1)):
         obj = tool(contacts)
         model, mass = ParticleModel.of(obj.shape), torch.tensor(obj.particle_mass)
-        loads = rigid_loads(model, mass, GripperLoad.none())[0]
+        loads = rigid_loads(model, mass, GripperLoad.none(model))[0]
         assert set(torch.nonzero(loads).flatten().tolist()) <= set(np.flatnonzero(obj.shape.is_contact))
         assert_allclose(loads.sum(), obj.total_mass * GRAVITY)
         assert_allclose(loads @ model.particles / loads.sum(), obj.center_of_mass, atol=1e-12)

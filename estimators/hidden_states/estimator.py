@@ -128,7 +128,7 @@ class HiddenStates:
             found = algorithm_1(trials, guess, partial(self._solve, seconds=trials.robot_seconds))
             if isinstance(found, Underdetermined):
                 return trials.annotated(_underdetermined(trials, found, guess), closed_form(found.Q_s_b))
-            solution, guess, s = found, found.masses.distribution, found.H.friction_load
+            solution, guess, s = found, _amidst(trials, found), found.H.friction_load
         assert solution is not None
         return trials.annotated(_estimate_of(trials, solution), s)
 
@@ -204,22 +204,27 @@ def _hinges(trials: TrialWindows, at: MassDistribution, widening: float) -> dict
     return named
 
 
+def _amidst(trials: TrialWindows, found: Solution) -> MassDistribution:
+    """The masses, or those of one friction for all where they are one of many that fit, at a bound."""
+    if found.masses.rank < found.masses.unknowns and found.H.friction_load.any():
+        return one_friction_masses(trials.shape, trials.weight, trials.groups.pairs, found.H.friction_load)
+    return found.masses.distribution
+
+
 def _estimate_of(trials: TrialWindows, found: Solution) -> Estimate:
     """Estimate of the last round, with its covariance, or the reason why there is none."""
-    system, masses, s = found.Q_s_b, found.masses, found.H.friction_load
+    system, s = found.Q_s_b, found.H.friction_load
     loss = system.loss(s)
     if why := contradiction(loss):
         return Estimate(None, "contradictory", why)
-    shape, at, count = trials.shape, masses.distribution, trials.shape.particles_per_group
-    if masses.rank < masses.unknowns:  # the masses are one of many that fit, at a bound: take derivatives amidst them
-        at = one_friction_masses(shape, trials.weight, trials.groups.pairs, s)
+    at, count = _amidst(trials, found), trials.shape.particles_per_group
     report = _report(trials, system, found.I_j, at)
     open_, q = report.unknowns - report.rank, system.q.numpy()
     condition = float(np.linalg.cond(q / np.linalg.norm(q, axis=0)))
     directions = f"mass and friction cannot be told apart in {open_} direction(s): {'; '.join(report.unobservable)}"
-    misfit = trials.misfit(masses.distribution, s)
+    misfit = trials.misfit(at, s)
     return Estimate(
-        masses.distribution,
+        at,
         "underdetermined" if open_ else "unexplained" if misfit.reason else "ok",
         "; ".join(filter(None, [directions if open_ else "", misfit.reason])),
         covariance=misfit.widening * report.covariance / np.outer(count, count),
@@ -231,7 +236,7 @@ def _estimate_of(trials: TrialWindows, found: Solution) -> Estimate:
             "condition": condition,
             "loss": loss,
             "misfit": misfit.value,
-            **_hinges(trials, masses.distribution, misfit.widening),
+            **_hinges(trials, at, misfit.widening),
         },
         assumes=ASSUMPTION["own_weight"],
     )

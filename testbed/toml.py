@@ -133,6 +133,11 @@ def toml_text(table: Mapping[str, Any]) -> str:
     return "\n".join(lines) + "\n"
 
 
+def toml_lists(**lists: Sequence[Mapping[str, Any]]) -> str:
+    """TOML of lists of tables, to follow `toml_text`: a `[[name]]` for each table of fields."""
+    return "".join(f"\n[[{name}]]\n{toml_text(table)}" for name, tables in lists.items() for table in tables)
+
+
 def _fields(table: Mapping[str, Any]) -> list[str]:
     return [f"{_key(name)} = {_value(value)}" for name, value in table.items() if value is not None]
 

@@ -32,7 +32,7 @@ def export(
     models: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False,
     out: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None,
 ) -> None:
-    """Write an estimate for another simulator, a box a block; or a trial as ROS 2 messages, with --format mcap.
+    """Write an estimate for another simulator, a box a block and a body a link; or a trial as ROS 2 messages.
 
     A JSON beside a model says how sure every mass is; a mapping beside an MCAP file has heft import read it back.
 
@@ -47,7 +47,7 @@ def export(
         what: beginning of an estimate's key (see its report); with --format mcap of a trial's.
         format_: mjcf, urdf, sdf; toml: an object file that heft itself can run; mcap: a trial, for Foxglove,
             PlotJuggler, Rerun and ros2 bag.
-        inertial: one mass, centre and inertia for the whole object instead.
+        inertial: one mass, centre and inertia for the whole object instead, or for each link.
         draws: write N draws of masses and frictions from the posterior too, as CSV; of an estimate by Algorithm 1.
         models: write each draw as a model too, numbered in a folder, to train or test a controller on all of them.
         out: DIR/exports/OBJECT_KEY if left out, with the format's ending.
@@ -134,7 +134,10 @@ def _named_object(model: ObjectModel) -> tuple[str, str | None]:
             return model.name, None
     name = f"{model.name}.toml"
     try:
-        return name, to_object_file(Exported(model.name, model.shape, model.truth)) if model.masses_known else None
+        if not model.masses_known:
+            return name, None
+        exported = Exported(model.name, model.shape, model.truth, hinge_friction=model.hinge_friction)
+        return name, to_object_file(exported)
     except HeftError:  # of meshes, which are files of their own
         return name, None
 
@@ -187,12 +190,12 @@ def drawn_from(exported: Exported, table: pd.DataFrame) -> Iterator[Exported]:
 
 
 def exported_of(folder: Path, row: Row) -> Exported:
-    """The masses of a row of the results, as they are exported.
+    """The masses of a row of the results, as they are exported, and the friction of hinges, estimated or the object's.
 
     Raises:
-        InvalidValueError: it has none.
+        InvalidValueError: it has no masses.
     """
-    from scenarios.views.values import estimate_view
+    from scenarios.views.values import estimate_view, typical_trial
     from testbed.objects.export import Exported
 
     view = estimate_view(folder, row)
@@ -206,4 +209,20 @@ def exported_of(folder: Path, row: Row) -> Exported:
         *([f"assumed, not tested: {row['assumes']}"] if row.get("assumes") else []),
         f"estimate {row['key']}",
     )
-    return Exported(str(row["object"]), view.shape, view.answer, view.covariance, notes)
+    torques, deviation = row.get("hinge_Nm"), row.get("hinge_error_Nm")
+    if torques is None and view.shape.chain is not None:
+        notes = (*notes, "friction of hinges not estimated: the object's own")
+        torques = typical_trial(folder, row).object.hinge_friction
+    torques = () if torques is None else [float(torque) for torque in torques]
+    for index, torque in enumerate(torques):
+        if torque < 0:
+            notes = (*notes, f"friction of hinge_{index} estimated as {torque:.4g} N m, written as 0")
+    return Exported(
+        str(row["object"]),
+        view.shape,
+        view.answer,
+        view.covariance,
+        notes,
+        tuple(max(torque, 0.0) for torque in torques),
+        None if deviation is None else tuple(float(std) for std in deviation),
+    )

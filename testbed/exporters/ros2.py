@@ -19,7 +19,7 @@ from testbed.files import write_whole
 from testbed.frames import rotation_matrix
 from testbed.objects.model import ROBOTIQ_2F85, SPARE_OPENING, Grasp, ObjectShape
 from testbed.sensing.camera import PoseStream
-from testbed.toml import toml_text
+from testbed.toml import toml_lists, toml_text
 from testbed.trajectory import Phase, Trajectory
 
 JOINTS = tuple(f"joint_{i}" for i in range(1, 8))
@@ -124,8 +124,7 @@ def mapping_text(trajectory: Trajectory, shape: ObjectShape, object_file: str, l
         **({"setup": setup} if setup else {}),
         **({} if trajectory.camera is None else {"camera": _camera_map(trajectory.camera)}),
     }
-    lists = (("logs", [{"file": log}]), ("phases", _windows(trajectory)))
-    return toml_text(mapping) + "".join(f"\n[[{name}]]\n{toml_text(t)}" for name, tables in lists for t in tables)
+    return toml_text(mapping) + toml_lists(logs=[{"file": log}], phases=_windows(trajectory))
 
 
 def _topics(trajectory: Trajectory, make: Callable[..., Any]) -> Iterator[tuple[str, str, _Message, list[int]]]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -85,6 +86,20 @@ class Chain:
                 squares = (near[:, 5] ** 2 - rate**2)[:, None]
                 here[:, 6:8] = near[:, 6:8] + (near[:, 8] - slope)[:, None] * side - squares * joint
         return found
+
+
+def checked_torques(name: str, torques: Iterable[float], chain: Chain | None) -> tuple[float, ...]:
+    """Torque of Coulomb friction of each hinge of a chain [N m]; zeros if left out, none without a chain.
+
+    Raises:
+        InvalidValueError: another number of torques, or one out of range.
+    """
+    hinges = 0 if chain is None else len(chain.hinges)
+    given = tuple(torques)
+    checked = given or (0.0,) * hinges
+    if len(checked) != hinges or any(not 0 <= torque < 100 for torque in checked):
+        raise InvalidValueError(name, given, f"{hinges} torques >= 0, < 100 N m")
+    return checked
 
 
 def speeds(links: Float[np.ndarray, "S L 9"], link: int, offsets: Float[np.ndarray, "P 2"]) -> Float[np.ndarray, "P"]:

@@ -1,10 +1,11 @@
-"""Export: an estimated mass distribution as boxes and a rigid body, in MJCF, URDF, SDF, an object file, and JSON."""
+"""Export: an estimated object as boxes, one rigid body a link, in MJCF, URDF, SDF, an object file, and JSON."""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element, SubElement
 
@@ -12,96 +13,11 @@ import numpy as np
 from jaxtyping import Float
 
 from testbed.errors import InvalidValueError
+from testbed.objects.blocks import Cell
+from testbed.objects.bodies import Box, Link, RigidBody, boxes_of, links_of
+from testbed.objects.chain import checked_torques
 from testbed.objects.model import MassDistribution, ObjectShape
-from testbed.toml import toml_text
-from testbed.validation import freeze_arrays
-
-
-@dataclass(frozen=True, eq=False)
-class Box:
-    """A box of even density, its sides along the object's axes."""
-
-    name: str
-    """Name of the block, with a number if it has several boxes."""
-    center: Float[np.ndarray, "3"]
-    """Center [m], object frame, z from the table."""
-    size: Float[np.ndarray, "3"]
-    """Sides [m]."""
-    mass: float
-    """Mass [kg]."""
-    group: int
-    """Mass group."""
-    friction: float | None
-    """Friction coefficient under it; None if it does not touch the table."""
-
-
-@dataclass(frozen=True, eq=False)
-class RigidBody:
-    """Mass properties of a rigid body, object frame, z from the table."""
-
-    mass: float
-    """Mass [kg]."""
-    center: Float[np.ndarray, "3"]
-    """Center of mass [m]."""
-    inertia: Float[np.ndarray, "3 3"]
-    """Inertia about the center of mass [kg m^2]."""
-
-    def __post_init__(self) -> None:
-        freeze_arrays(self, center=(3,), inertia=(3, 3))
-
-    @staticmethod
-    def of(boxes: Sequence[Box]) -> RigidBody:
-        """Rigid body of all boxes."""
-        mass = np.array([box.mass for box in boxes])
-        centers = np.array([box.center for box in boxes])
-        total = float(mass.sum())
-        center = mass @ centers / total
-        inertia = np.zeros((3, 3))
-        for box in boxes:
-            sides, off = box.size**2, box.center - center
-            own = np.diag(sides.sum() - sides) / 12
-            inertia += box.mass * (own + off @ off * np.eye(3) - np.outer(off, off))
-        return RigidBody(total, center, inertia)
-
-    @property
-    def pseudo_inertia(self) -> Float[np.ndarray, "4 4"]:
-        """Positive definite for every body that can exist (Wensing, Kim and Slotine 2018)."""
-        second = np.trace(self.inertia) / 2 * np.eye(3) - self.inertia + self.mass * np.outer(self.center, self.center)
-        first = self.mass * self.center
-        return np.block([[second, first[:, None]], [first[None], np.array([[self.mass]])]])
-
-
-AIR = 0.001
-"""Height over the table of boxes that do not touch it [m], that no simulator has them rub; a tenth of a flat object."""
-
-
-def boxes_of(shape: ObjectShape, distribution: MassDistribution) -> list[Box]:
-    """A box a mass group where its cells, all alike, fill a rectangle of one friction; else a box a cell."""
-    if shape.chain is not None:
-        raise InvalidValueError("object", "one with hinges", "a rigid object: exports have no hinges yet")
-    boxes, air = [], min(AIR, shape.height / 10)
-    for group, name in enumerate(shape.group_names):
-        inside = np.flatnonzero(shape.mass_group == group)
-        low, high = shape.particles[inside].min(axis=0), shape.particles[inside].max(axis=0)
-        cells = np.rint((high - low) / shape.cell) + 1
-        frictions = set(shape.friction_group[inside].tolist())
-        even = len(frictions) == 1 and (shape.fill[inside] == 1).all()
-        parts = [inside] if even and int(cells.prod()) == len(inside) else list(inside[:, None])
-        for index, part in enumerate(parts):
-            low, high = shape.particles[part].min(axis=0), shape.particles[part].max(axis=0)
-            under = int(shape.friction_group[part[0]])
-            bottom = air if under < 0 else 0.0
-            boxes.append(
-                Box(
-                    name if len(parts) == 1 else f"{name}_{index}",
-                    np.array([*(low + high) / 2, (shape.height + bottom) / 2]),
-                    np.array([*(high - low + shape.cell), shape.height - bottom]),
-                    float(distribution.mass[group] * shape.fill[part].sum()),
-                    group,
-                    None if under < 0 else float(distribution.friction[under]),
-                )
-            )
-    return boxes
+from testbed.toml import toml_lists, toml_text
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,11 +34,36 @@ class Exported:
     """Covariance of the particle masses [kg^2], infinite if unobserved; None if the method gives none."""
     notes: tuple[str, ...] = ()
     """Origin of the estimate, a line each."""
+    hinge_friction: tuple[float, ...] = ()
+    """Torque of Coulomb friction of each hinge of the chain [N m]; zeros if left out."""
+    hinge_deviation: tuple[float, ...] | None = None
+    """Standard deviation of each of them [N m]; None if the method gives none."""
+
+    def __post_init__(self) -> None:
+        torques = checked_torques("Exported.hinge_friction", self.hinge_friction, self.shape.chain)
+        object.__setattr__(self, "hinge_friction", torques)
+        if self.hinge_deviation is not None and len(self.hinge_deviation) != len(torques):
+            allowed = f"{len(torques)} numbers, one a hinge, or None"
+            raise InvalidValueError("Exported.hinge_deviation", self.hinge_deviation, allowed)
 
     @property
     def boxes(self) -> list[Box]:
-        """The object as boxes."""
+        """The object as boxes, object frame."""
         return boxes_of(self.shape, self.distribution)
+
+    @property
+    def links(self) -> list[Link]:
+        """Links of the chain in order; of a rigid object one.
+
+        Raises:
+            InvalidValueError: a link without mass.
+        """
+        return links_of(self.name, self.shape, self.distribution, self.hinge_friction)
+
+    @property
+    def has_hinges(self) -> bool:
+        """True of an object in links."""
+        return self.shape.chain is not None
 
     @property
     def group_deviation(self) -> list[float] | None:
@@ -133,62 +74,92 @@ class Exported:
 
     @property
     def comment(self) -> str:
-        """Notes, and every group's mass with its standard deviation."""
+        """Notes, and every mass and hinge's friction with its standard deviation."""
         mass = self.distribution.mass * self.shape.particles_per_group
         deviation = self.group_deviation or [None] * len(mass)
         lines = [*self.notes, "masses, kg, with one standard deviation:"]
         for name, kg, off in zip(self.shape.group_names, mass, deviation, strict=True):
             lines.append(f"  {name}: {kg:.4g} " + ("(not given)" if off is None else f"+- {off:.2g}"))
         lines.append("friction on the table: " + ", ".join(f"{mu:.4g}" for mu in self.distribution.friction))
+        for index, torque in enumerate(self.hinge_friction):
+            off = "" if self.hinge_deviation is None else f" +- {self.hinge_deviation[index]:.2g}"
+            lines.append(f"friction of hinge_{index}, N m: {torque:.4g}{off}")
         return "\n".join(lines).replace("--", "- -")
 
 
+_STOPS = {"solreffriction": "0.0001 1", "solimpfriction": "0.999 0.999 0.001 0.5 2"}
+"""Friction of a hinge in MuJoCo that stops it within a step, however long: by default it creeps below 0.1 rad/s."""
+
+
 def to_mjcf(exported: Exported, *, inertial: bool = False) -> str:
-    """A free body of boxes, as MJCF: the text of the file.
+    """A free body of boxes, as MJCF: the text of the file. Each further link is a body on a hinge of the one before.
 
     Args:
         exported: the answer.
-        inertial: one inertial for the whole, and boxes without mass; else every box has its own.
+        inertial: one inertial for each link, and boxes without mass; else every box has its own.
+
+    Raises:
+        InvalidValueError: a link without mass.
     """
     root = Element("mujoco", model=exported.name)
     root.append(ElementTree.Comment(f"\n{exported.comment}\n"))
-    body = SubElement(SubElement(root, "worldbody"), "body", name=exported.name)
-    SubElement(body, "freejoint", name=exported.name)
-    if inertial:
-        whole = RigidBody.of(exported.boxes)
-        SubElement(
-            body, "inertial", pos=_row(whole.center), mass=_row([whole.mass]), fullinertia=_row(_six(whole.inertia))
-        )
-    for box in exported.boxes:
-        said = {"name": box.name, "type": "box", "pos": _row(box.center), "size": _row(box.size / 2)}
-        if box.friction is not None:
-            said["friction"] = _row([box.friction, 0.005, 0.0001])
-        SubElement(body, "geom", said, mass=_row([0.0 if inertial else box.mass]))
+    body, origin = SubElement(root, "worldbody"), np.zeros(3)
+    for link in exported.links:
+        if link.hinge is None:
+            body = SubElement(body, "body", name=link.name)
+            SubElement(body, "freejoint", name=link.name)
+        else:
+            body = SubElement(body, "body", name=link.name, pos=_row(link.origin - origin))
+            turns = {"name": link.hinge.name, "type": "hinge", "axis": "0 0 1"}
+            SubElement(body, "joint", turns | _STOPS, frictionloss=_row([link.hinge.friction]))
+        origin = link.origin
+        if inertial:
+            pos, mass, full = (_row(v) for v in (link.body.center, [link.body.mass], _six(link.body.inertia)))
+            SubElement(body, "inertial", pos=pos, mass=mass, fullinertia=full)
+        for box in link.boxes:
+            said = {"name": box.name, "type": "box", "pos": _row(box.center), "size": _row(box.size / 2)}
+            if box.friction is not None:
+                said["friction"] = _row([box.friction, 0.005, 0.0001])
+            SubElement(body, "geom", said, mass=_row([0.0 if inertial else box.mass]))
     return _text(root)
 
 
 def to_urdf(exported: Exported, *, inertial: bool = False) -> str:
-    """A link of boxes, as URDF, which has no friction: that is in its comment.
+    """A link of boxes, as URDF, which has no friction on the table: that is in its comment.
 
     Args:
         exported: the answer.
-        inertial: one link with one inertial for the whole; else a link a box, fixed to a root without mass.
+        inertial: one link with one inertial for the whole; else a link a box, fixed to a root without mass. An object
+            in links has one of each link in any case.
+
+    Raises:
+        InvalidValueError: a link without mass.
     """
-    robot = Element("robot", name=exported.name)
+    robot, links = Element("robot", name=exported.name), exported.links
     robot.append(ElementTree.Comment(f"\n{exported.comment}\n"))
-    root, boxes = SubElement(robot, "link", name=exported.name), exported.boxes
-    for name, inside in ({exported.name: boxes} if inertial else _links(boxes)).items():
-        link = root if inertial else SubElement(robot, "link", name=name)
-        _add_inertial(link, RigidBody.of(inside))
-        if not inertial:
-            joint = SubElement(robot, "joint", name=f"{name}_fixed", type="fixed")
-            SubElement(joint, "parent", link=exported.name)
-            SubElement(joint, "child", link=name)
-        for box in inside:
-            for kind in ("visual", "collision"):
-                part = SubElement(link, kind, name=f"{box.name}_{kind}")
-                SubElement(part, "origin", xyz=_row(box.center), rpy="0 0 0")
-                SubElement(SubElement(part, "geometry"), "box", size=_row(box.size))
+    single = inertial or exported.has_hinges
+    for whole in links:
+        root = SubElement(robot, "link", name=whole.name)
+        for name, inside in _pieces(whole, single).items():
+            link = root if single else SubElement(robot, "link", name=name)
+            _add_inertial(link, RigidBody.of(inside))
+            if not single:
+                joint = SubElement(robot, "joint", name=f"{name}_fixed", type="fixed")
+                SubElement(joint, "parent", link=whole.name)
+                SubElement(joint, "child", link=name)
+            for box in inside:
+                for kind in ("visual", "collision"):
+                    part = SubElement(link, kind, name=f"{box.name}_{kind}")
+                    SubElement(part, "origin", xyz=_row(box.center), rpy="0 0 0")
+                    SubElement(SubElement(part, "geometry"), "box", size=_row(box.size))
+    for near, far in pairwise(links):
+        assert far.hinge is not None
+        joint = SubElement(robot, "joint", name=far.hinge.name, type="continuous")
+        SubElement(joint, "origin", xyz=_row(far.origin - near.origin), rpy="0 0 0")
+        SubElement(joint, "parent", link=near.name)
+        SubElement(joint, "child", link=far.name)
+        SubElement(joint, "axis", xyz="0 0 1")
+        SubElement(joint, "dynamics", damping="0.0", friction=_row([far.hinge.friction]))
     return _text(robot)
 
 
@@ -197,29 +168,28 @@ def to_sdf(exported: Exported, *, inertial: bool = False) -> str:
 
     Args:
         exported: the answer.
-        inertial: one link with one inertial for the whole; else a link a box, each fixed to the first.
+        inertial: one link with one inertial for the whole; else a link a box, each fixed to the first. An object in
+            links has one of each link in any case.
+
+    Raises:
+        InvalidValueError: a link without mass.
     """
-    sdf = Element("sdf", version="1.9")
+    sdf, links = Element("sdf", version="1.9"), exported.links
     sdf.append(ElementTree.Comment(f"\n{exported.comment}\n"))
-    model, boxes = SubElement(sdf, "model", name=exported.name), exported.boxes
-    parts = {exported.name: boxes} if inertial else _links(boxes)
-    for name, inside in parts.items():
-        link, body = SubElement(model, "link", name=name), RigidBody.of(inside)
-        part = SubElement(link, "inertial")
-        _add_texts(part, pose=[*body.center, 0, 0, 0], mass=[body.mass])
-        _add_texts(SubElement(part, "inertia"), **{n: [v] for n, v in zip(_SIX, _six(body.inertia), strict=True)})
-        for box in inside:
-            for kind in ("visual", "collision"):
-                part = SubElement(link, kind, name=f"{box.name}_{kind}")
-                _add_texts(part, pose=[*box.center, 0, 0, 0])
-                _add_texts(SubElement(SubElement(part, "geometry"), "box"), size=box.size)
-                if kind == "collision" and box.friction is not None:
-                    friction = SubElement(SubElement(part, "surface"), "friction")
-                    _add_texts(SubElement(friction, "ode"), mu=[box.friction], mu2=[box.friction])
-    first, *rest = parts
-    for name in rest:
-        joint = SubElement(model, "joint", name=f"{name}_fixed", type="fixed")
-        SubElement(joint, "parent").text, SubElement(joint, "child").text = first, name
+    model = SubElement(sdf, "model", name=exported.name)
+    for whole in links:
+        first, *rest = pieces = _pieces(whole, inertial or exported.has_hinges)
+        for name, inside in pieces.items():
+            _add_sdf_link(model, name, whole.origin, inside)
+        for name in rest:
+            _add_sdf_joint(model, f"{name}_fixed", "fixed", first, name)
+    for near, far in pairwise(links):
+        assert far.hinge is not None
+        joint = _add_sdf_joint(model, far.hinge.name, "revolute", near.name, far.name)
+        axis = SubElement(joint, "axis")
+        SubElement(axis, "xyz").text = "0 0 1"
+        _add_texts(SubElement(axis, "limit"), lower=[-np.inf], upper=[np.inf])
+        _add_texts(SubElement(axis, "dynamics"), damping=[0.0], friction=[far.hinge.friction])
     return _text(sdf)
 
 
@@ -262,8 +232,14 @@ def to_object_file(exported: Exported) -> str:
         "size_m": size,
         "height_m": shape.height,
     }
+    hinges = []
+    if shape.chain is not None:
+        of_box = shape.chain.link[[box.group for box in boxes]]
+        for index, (at, torque) in enumerate(zip(shape.chain.hinges, exported.hinge_friction, strict=True)):
+            link = [Cell(*places[i]).name for i in order if of_box[i] == index + 1]
+            hinges.append({"at_m": at.tolist(), "link": link, "friction_Nm": float(torque)})
     comment = "".join(f"# {line}\n" for line in exported.comment.splitlines())
-    return comment + toml_text({"name": exported.name, "blocks": blocks})
+    return comment + toml_text({"name": exported.name, "blocks": blocks}) + toml_lists(hinges=hinges)
 
 
 def to_sidecar(exported: Exported) -> str:
@@ -283,14 +259,23 @@ def to_sidecar(exported: Exported) -> str:
         "center_of_mass_m": whole.center.tolist(),
         "inertia_about_center_kg_m2": whole.inertia.tolist(),
     }
+    if shape.chain is not None:
+        said |= {
+            "link": shape.chain.link.tolist(),
+            "hinge_at_m": shape.chain.hinges.tolist(),
+            "hinge_friction_Nm": list(exported.hinge_friction),
+            "hinge_friction_std_Nm": _finite(exported.hinge_deviation),
+        }
     return json.dumps(said, indent=1) + "\n"
 
 
-def _links(boxes: Sequence[Box]) -> dict[str, list[Box]]:
-    """A link a box; one without mass, as a point of contact, is part of the first that has some."""
-    links = {box.name: [box] for box in boxes if box.mass > 0}
-    next(iter(links.values())).extend(box for box in boxes if box.mass == 0)
-    return links
+def _pieces(link: Link, single: bool) -> dict[str, list[Box]]:
+    """The link as one piece, or a piece a box; one without mass, as a point of contact, joins the first with some."""
+    if single:
+        return {link.name: list(link.boxes)}
+    pieces = {box.name: [box] for box in link.boxes if box.mass > 0}
+    next(iter(pieces.values())).extend(box for box in link.boxes if box.mass == 0)
+    return pieces
 
 
 def _add_inertial(link: Element, body: RigidBody) -> None:
@@ -298,6 +283,29 @@ def _add_inertial(link: Element, body: RigidBody) -> None:
     SubElement(part, "origin", xyz=_row(body.center), rpy="0 0 0")
     SubElement(part, "mass", value=_row([body.mass]))
     SubElement(part, "inertia", {n: _row([v]) for n, v in zip(_SIX, _six(body.inertia), strict=True)})
+
+
+def _add_sdf_link(model: Element, name: str, origin: np.ndarray, boxes: Sequence[Box]) -> None:
+    link, body = SubElement(model, "link", name=name), RigidBody.of(boxes)
+    if origin.any():
+        _add_texts(link, pose=[*origin, 0, 0, 0])
+    part = SubElement(link, "inertial")
+    _add_texts(part, pose=[*body.center, 0, 0, 0], mass=[body.mass])
+    _add_texts(SubElement(part, "inertia"), **{n: [v] for n, v in zip(_SIX, _six(body.inertia), strict=True)})
+    for box in boxes:
+        for kind in ("visual", "collision"):
+            part = SubElement(link, kind, name=f"{box.name}_{kind}")
+            _add_texts(part, pose=[*box.center, 0, 0, 0])
+            _add_texts(SubElement(SubElement(part, "geometry"), "box"), size=box.size)
+            if kind == "collision" and box.friction is not None:
+                friction = SubElement(SubElement(part, "surface"), "friction")
+                _add_texts(SubElement(friction, "ode"), mu=[box.friction], mu2=[box.friction])
+
+
+def _add_sdf_joint(model: Element, name: str, kind: str, parent: str, child: str) -> Element:
+    joint = SubElement(model, "joint", name=name, type=kind)
+    SubElement(joint, "parent").text, SubElement(joint, "child").text = parent, child
+    return joint
 
 
 def _add_texts(parent: Element, **values: Iterable[float]) -> None:

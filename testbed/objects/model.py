@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from testbed.errors import InvalidValueError
-from testbed.objects.chain import Chain
+from testbed.objects.chain import Chain, checked_torques
 from testbed.validation import check_positive_fields, freeze_arrays, frozen_array, is_number
 
 GRAVITY = 9.81
@@ -288,10 +288,7 @@ class ObjectModel:
                 raise InvalidValueError(f"ObjectModel.truth.{what}", given.tolist(), f"{expected} numbers, one a group")
         if self.total_mass <= 0:
             raise InvalidValueError("ObjectModel.truth.mass", self.truth.mass.tolist(), "a total mass > 0")
-        hinges = 0 if self.shape.chain is None else len(self.shape.chain.hinges)
-        torques = tuple(self.hinge_friction) or (0.0,) * hinges
-        if len(torques) != hinges or any(not 0 <= torque < 100 for torque in torques):
-            raise InvalidValueError("ObjectModel.hinge_friction", torques, f"{hinges} torques >= 0, N m")
+        torques = checked_torques("ObjectModel.hinge_friction", self.hinge_friction, self.shape.chain)
         object.__setattr__(self, "hinge_friction", torques)
         object.__setattr__(self, "solids", tuple(self.solids))
         if self.solids:

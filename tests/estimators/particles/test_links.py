@@ -28,7 +28,6 @@ from testbed.errors import InfeasibleTrialError, InvalidValueError
 from testbed.frames import rotation_2d
 from testbed.objects.blocks import block_object, parse_layout
 from testbed.objects.chain import Chain
-from testbed.objects.export import Exported, to_mjcf
 from testbed.objects.files import load_object
 from testbed.objects.model import ObjectModel
 from testbed.sensing.camera import CAMERAS, draw_camera
@@ -215,8 +214,6 @@ def test_what_is_not_built_for_links_is_refused():
         predicted_windows(TWO.shape, [Slide(0)], preset("ideal"))
     with pytest.raises(InvalidValueError, match="own_weight and no push, of an object with hinges"):
         SimulationRunner().run(Trial(TWO, Slide(0), RIGID))
-    with pytest.raises(InvalidValueError, match="exports have no hinges yet"):
-        to_mjcf(Exported("bar", TWO.shape, TWO.truth))
     with pytest.raises(InvalidValueError, match="links 0 to 1, each with a mass group"):
         Chain(np.array([0, 0]), np.array([[0.0, 0.0]]))
 

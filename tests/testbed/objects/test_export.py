@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -15,23 +16,18 @@ import trimesh
 from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
+import scenarios
 from estimators.particles.wrench import predicted_wrenches
+from estimators.testing.analytic_links import drawn_chain
 from estimators.testing.analytic_world import drawn_object, turns
 from scenarios.cli.main import main
+from scenarios.results.estimates import load_estimate, load_rows
 from scenarios.results.trials import keys_of, kind_of_trial, read_trial
 from testbed.actions.rotate import Rotate
 from testbed.errors import InvalidValueError
-from testbed.objects.export import (
-    AIR,
-    Exported,
-    RigidBody,
-    boxes_of,
-    to_mjcf,
-    to_object_file,
-    to_sdf,
-    to_sidecar,
-    to_urdf,
-)
+from testbed.objects.bodies import AIR, RigidBody, boxes_of
+from testbed.objects.chain import Chain
+from testbed.objects.export import Exported, to_mjcf, to_object_file, to_sdf, to_sidecar, to_urdf
 from testbed.objects.files import load_object
 from testbed.objects.meshes import Part, mesh_object
 from testbed.objects.model import GRAVITY, MassDistribution, ObjectModel
@@ -45,7 +41,8 @@ FREE = '<link name="world"/><joint name="free" type="floating"><parent link="wor
 
 def exported(model: ObjectModel) -> Exported:
     covariance = np.diag(np.arange(1.0, model.shape.n_m + 1) * 1e-6)
-    return Exported(model.name, model.shape, model.truth, covariance, ("by hand -- for a test",))
+    notes, torques = ("by hand -- for a test",), model.hinge_friction
+    return Exported(model.name, model.shape, model.truth, covariance, notes, torques)
 
 
 def two_frictions(model: ObjectModel) -> ObjectModel:
@@ -65,6 +62,14 @@ def on_points() -> ObjectModel:
     return mesh_object("plate", parts, [], friction=[0.4], cell=0.01, grid=3, contacts=points)
 
 
+def folding() -> ObjectModel:
+    """The plate with its thick end on a hinge."""
+    rigid = on_points()
+    chain = Chain(np.array([0, 1]), np.array([[-0.035, 0.01]]))
+    shape = replace(rigid.shape, chain=chain)
+    return replace(rigid, name="folding", shape=shape, hinge_friction=(0.02,))
+
+
 MODELS = {
     "drawn": drawn_object(0),
     "another": drawn_object(1, friction_groups=2),
@@ -72,47 +77,77 @@ MODELS = {
     "cut": two_frictions(load_object("I2")),
     "on points": on_points(),
 }
+LIBRARY = Path(scenarios.__file__).parent / "library" / "objects"
+LINKS = {name: load_object(LIBRARY / f"{name}.toml") for name in ("fold_2", "elbow", "fold_3")} | {"folding": folding()}
+BLOCKS = [model for model in LINKS.values() if not model.solids]
+CASES = {name: (model, 0.0) for name, model in (MODELS | LINKS).items()}
+CASES |= {f"{name}, turned": (model, 0.5) for name, model in LINKS.items()}
+
+
+def bodies_of(text: str, names: list[str], angles: Sequence[float]) -> list[RigidBody]:
+    """Bodies that MuJoCo makes of the links, object frame, with the hinges turned [rad]."""
+    model = mujoco.MjSpec.from_string(text.replace("</robot>", FREE.format(names[0]))).compile()
+    data = mujoco.MjData(model)
+    assert model.nq == 7 + len(angles)
+    data.qpos[7:] = angles
+    mujoco.mj_kinematics(model, data)
+    mujoco.mj_comPos(model, data)
+    bodies = []
+    for name in names:
+        turn = data.body(name).ximat.reshape(3, 3)
+        inertia = turn @ np.diag(model.body(name).inertia) @ turn.T
+        bodies.append(RigidBody(float(model.body(name).mass[0]), data.body(name).xipos.copy(), inertia))
+    return bodies
 
 
 def body_of(text: str, name: str) -> RigidBody:
-    """Model that MuJoCo makes of it."""
-    model = mujoco.MjSpec.from_string(text.replace("</robot>", FREE.format(name))).compile()
-    body = model.body(name)
-    turn = Rotation.from_quat(body.iquat, scalar_first=True).as_matrix()
-    return RigidBody(float(body.mass[0]), body.ipos, turn @ np.diag(body.inertia) @ turn.T)
+    """Body that MuJoCo makes of a rigid object."""
+    return bodies_of(text, [name], [])[0]
 
 
-def by_pinocchio(text: str, name: str) -> RigidBody:
+def by_pinocchio(text: str, names: list[str], angles: Sequence[float]) -> list[RigidBody]:
     pinocchio = pytest.importorskip("pinocchio", reason="needs the extra simulators")
-    found = pinocchio.buildModelFromXML(text, pinocchio.JointModelFreeFlyer()).inertias[1]
-    return RigidBody(found.mass, found.lever, found.inertia)
+    model = pinocchio.buildModelFromXML(text, pinocchio.JointModelFreeFlyer())
+    assert list(model.names)[2:] == [f"hinge_{index}" for index in range(len(angles))]
+    turns = [part for angle in angles for part in (np.cos(angle), np.sin(angle))]  # a continuous joint's coordinates
+    data = model.createData()
+    pinocchio.forwardKinematics(model, data, np.array([0, 0, 0, 0, 0, 0, 1, *turns], dtype=float))
+    found = [data.oMi[joint].act(model.inertias[joint]) for joint in range(1, 1 + len(names))]
+    return [RigidBody(body.mass, body.lever, body.inertia) for body in found]
 
 
-def by_drake(text: str, name: str, ending: str) -> RigidBody:
+def by_drake(text: str, names: list[str], angles: Sequence[float], ending: str) -> list[RigidBody]:
     plants = pytest.importorskip("pydrake.multibody.plant", reason="needs the extra simulators")
     parsing = pytest.importorskip("pydrake.multibody.parsing")
     plant = plants.MultibodyPlant(0.0)
     (model,) = parsing.Parser(plant).AddModelsFromString(text, ending)
     plant.Finalize()
-    assert plant.num_positions() == 7  # one body, free
-    whole = plant.CalcSpatialInertia(plant.CreateDefaultContext(), plant.world_frame(), plant.GetBodyIndices(model))
-    centre = whole.get_com()
-    return RigidBody(whole.get_mass(), centre, whole.Shift(centre).CalcRotationalInertia().CopyToFullMatrix3())
-
-
-def by_hand(text: str, name: str) -> RigidBody:
-    """Links of an SDF, which MuJoCo and Pinocchio do not read."""
-    links = ElementTree.fromstring(text).findall("model/link")
-    numbers = [
-        {part.tag: [float(v) for v in str(part.text).split()] for part in link.iterfind("inertial//*")}
-        for link in links
-    ]
+    assert plant.num_positions() == 7 + len(angles)  # one body, free, and the hinges
+    context, every = plant.CreateDefaultContext(), plant.GetBodyIndices(model)
+    for index, angle in enumerate(angles):
+        plant.GetJointByName(f"hinge_{index}").set_angle(context, angle)
+    links = [[plant.GetBodyByName(name).index()] for name in names] if angles else [every]
     bodies = []
-    for said in numbers:
+    for link in links:
+        whole = plant.CalcSpatialInertia(context, plant.world_frame(), link)
+        centre = whole.get_com()
+        inertia = whole.Shift(centre).CalcRotationalInertia().CopyToFullMatrix3()
+        bodies.append(RigidBody(whole.get_mass(), centre, inertia))
+    return bodies
+
+
+def by_hand(text: str, names: list[str], angles: Sequence[float]) -> list[RigidBody]:
+    """Links of an SDF, which MuJoCo and Pinocchio do not read."""
+    if any(angles):
+        pytest.skip("a reader of files, not a simulator")
+    bodies = {}
+    for link in ElementTree.fromstring(text).findall("model/link"):
+        said = {part.tag: [float(v) for v in str(part.text).split()] for part in link.iterfind("inertial//*")}
+        origin = np.array([float(v) for v in link.findtext("pose", "0 0 0").split()[:3]])
         six = [said[f"i{axes}"][0] for axes in ("xx", "yy", "zz", "xy", "xz", "yz")]
         inertia = np.array([[six[0], six[3], six[4]], [six[3], six[1], six[5]], [six[4], six[5], six[2]]])
-        bodies.append(RigidBody(said["mass"][0], np.array(said["pose"][:3]), inertia))
-    return joined(bodies)
+        bodies[link.get("name")] = RigidBody(said["mass"][0], origin + said["pose"][:3], inertia)
+    return [bodies[name] for name in names] if angles else [joined(list(bodies.values()))]
 
 
 def joined(bodies: list[RigidBody]) -> RigidBody:
@@ -125,8 +160,8 @@ def joined(bodies: list[RigidBody]) -> RigidBody:
 
 
 READERS = {
-    "mjcf": (to_mjcf, body_of),
-    "urdf": (to_urdf, body_of),
+    "mjcf": (to_mjcf, bodies_of),
+    "urdf": (to_urdf, bodies_of),
     "sdf": (to_sdf, by_hand),
     "urdf in Pinocchio": (to_urdf, by_pinocchio),
     "mjcf in Drake": (to_mjcf, partial(by_drake, ending="xml")),
@@ -135,16 +170,32 @@ READERS = {
 }
 
 
+def turned_links(given: Exported, angles: Sequence[float]) -> list[RigidBody]:
+    """Bodies of the links, object frame, with each hinge turned against the link before [rad]."""
+    bodies: list[RigidBody] = []
+    turn, place, origin = np.eye(3), np.zeros(3), np.zeros(3)
+    for link, angle in zip(given.links, [0.0, *angles], strict=True):
+        place = place + turn @ (link.origin - origin)
+        turn, origin = turn @ Rotation.from_euler("z", angle).as_matrix(), link.origin
+        body = link.body
+        bodies.append(RigidBody(body.mass, place + turn @ body.center, turn @ body.inertia @ turn.T))
+    return bodies
+
+
 @pytest.mark.parametrize("inertial", [False, True], ids=["blocks", "inertial"])
 @pytest.mark.parametrize("read", READERS)
-@pytest.mark.parametrize("model", MODELS.values(), ids=MODELS)
-def test_mass_centre_and_inertia_come_back(model, read, inertial):
+@pytest.mark.parametrize(("model", "angle"), CASES.values(), ids=CASES)
+def test_mass_centre_and_inertia_come_back(model, angle, read, inertial):
     given, (write, load) = exported(model), READERS[read]
-    whole, back = RigidBody.of(given.boxes), load(write(given, inertial=inertial), model.name)
-    assert_allclose(back.mass, whole.mass, rtol=1e-9)
-    assert_allclose(back.center, whole.center, atol=1e-9)
-    assert_allclose(back.inertia, whole.inertia, atol=1e-9 * np.trace(whole.inertia))
-    assert (np.linalg.eigvalsh(back.pseudo_inertia) > 0).all()
+    angles = [angle, -0.3 * angle][: len(model.hinge_friction)]
+    read_back = load(write(given, inertial=inertial), [link.name for link in given.links], angles)
+    whole = RigidBody.of(given.boxes)
+    assert_allclose(sum(body.mass for body in read_back), whole.mass, rtol=1e-9)
+    for back, link in zip(read_back, turned_links(given, angles), strict=True):
+        assert_allclose(back.mass, link.mass, rtol=1e-9)
+        assert_allclose(back.center, link.center, atol=1e-9)
+        assert_allclose(back.inertia, link.inertia, atol=1e-9 * np.trace(whole.inertia))
+        assert (np.linalg.eigvalsh(back.pseudo_inertia) > 0).all()
 
 
 def test_sdf_has_the_friction_of_every_box_on_the_table():
@@ -156,14 +207,81 @@ def test_sdf_has_the_friction_of_every_box_on_the_table():
     assert len(set(said.values())) == 1 + given.shape.n_mu
 
 
-@pytest.mark.parametrize("model", MODELS.values(), ids=MODELS)
+@pytest.mark.parametrize("model", (MODELS | LINKS).values(), ids=MODELS | LINKS)
 def test_boxes_are_the_particles(model):
-    bare = replace(model, solids=())  # an estimate is of particles
-    whole = RigidBody.of(boxes_of(model.shape, model.truth))
-    assert_allclose(whole.mass, bare.total_mass)
-    assert_allclose(whole.center[:2], bare.center_of_mass, atol=1e-12)
-    assert_allclose(whole.center[2], bare.shape.height / 2, atol=AIR / 2)  # what does not touch ends above the table
-    assert_allclose(whole.inertia[2, 2], bare.inertia_cm)
+    shape = model.shape
+    bodies = turned_links(exported(model), [0.0] * len(model.hinge_friction))
+    link = np.zeros(shape.n_m, dtype=int) if shape.chain is None else shape.chain.link
+    for index, body in enumerate(bodies):  # an estimate is of particles, not of solids
+        inside = link[shape.mass_group] == index
+        mass, at = model.particle_mass[inside], shape.particles[inside]
+        center = mass @ at / mass.sum()
+        assert_allclose(body.mass, mass.sum())
+        assert_allclose(body.center[:2], center, atol=1e-12)
+        assert_allclose(body.center[2], shape.height / 2, atol=AIR / 2)  # what does not touch ends above the table
+        assert_allclose(body.inertia[2, 2], mass @ (((at - center) ** 2).sum(axis=1) + shape.cell**2 / 6))
+    whole = joined(bodies)
+    assert_allclose(whole.mass, replace(model, solids=()).total_mass)
+    assert_allclose(whole.inertia[2, 2], replace(model, solids=()).inertia_cm)
+
+
+@pytest.mark.parametrize("model", LINKS.values(), ids=LINKS)
+@pytest.mark.parametrize("write", [to_mjcf, to_urdf, to_sdf])
+def test_a_hinge_has_its_place_and_its_friction(model, write):
+    given, places = exported(model), model.shape.chain.hinges
+    if write is to_sdf:
+        joints = ElementTree.fromstring(write(given)).findall("model/joint")
+        found = [[each.findtext(at, "") for at in ("parent", "child", "axis/dynamics/friction")] for each in joints]
+        names = [link.name for link in given.links]
+        assert found == [list(joint) for joint in zip(names, names[1:], map(repr, model.hinge_friction), strict=False)]
+        return
+    compiled = mujoco.MjSpec.from_string(write(given).replace("</robot>", FREE.format(model.name))).compile()
+    data = mujoco.MjData(compiled)
+    mujoco.mj_kinematics(compiled, data)
+    for index, (place, torque) in enumerate(zip(places, model.hinge_friction, strict=True)):
+        joint = compiled.joint(f"hinge_{index}")
+        assert_allclose(data.joint(f"hinge_{index}").xanchor[:2], place, atol=1e-12)
+        assert_allclose(data.joint(f"hinge_{index}").xaxis, [0, 0, 1])
+        assert_allclose(compiled.dof_frictionloss[joint.dofadr], torque)
+        assert not compiled.jnt_limited[joint.id]
+
+
+@pytest.mark.parametrize("step", [0.0005, 0.002, 0.01])
+@pytest.mark.parametrize("model", [LINKS["fold_2"], LINKS["elbow"]], ids=["fold_2", "elbow"])
+def test_a_hinge_moves_above_its_friction_alone(model, step):
+    spec = mujoco.MjSpec.from_string(to_mjcf(exported(model)))
+    spec.option.gravity, spec.option.timestep = (0, 0, 0), step
+    compiled = spec.compile()
+    (friction,), seconds = model.hinge_friction, 0.02
+    for part in (0.95, -0.95, 1.1, -2.0):
+        data = mujoco.MjData(compiled)
+        data.qfrc_applied[6] = part * friction
+        mujoco.mj_forward(compiled, data)
+        slope = np.linalg.inv(mass_matrix(compiled, data))[6, 6] * friction
+        if abs(part) < 1:
+            mujoco.mj_step(compiled, data, round(1 / step))
+            assert abs(data.qpos[7]) < 3e-3
+        else:
+            mujoco.mj_step(compiled, data, round(seconds / step))
+            assert_allclose(data.qvel[6], np.sign(part) * (abs(part) - 1) * slope * seconds, rtol=0.02)
+
+
+def mass_matrix(model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:
+    """Inertia of the degrees of freedom, (nv, nv)."""
+    full = np.zeros((model.nv, model.nv))
+    mujoco.mj_fullM(model, data, full)
+    return full
+
+
+def test_a_link_without_mass_is_refused():
+    model = LINKS["fold_2"]
+    masses = replace(model.truth, mass=model.truth.mass * [1, 1, 0, 0])
+    with pytest.raises(InvalidValueError, match="link_1 of 0 kg"):
+        to_mjcf(replace(exported(model), distribution=masses))
+    with pytest.raises(InvalidValueError, match="hinge_friction"):
+        replace(exported(model), hinge_friction=(0.1, 0.2))
+    with pytest.raises(InvalidValueError, match="hinge_deviation"):
+        replace(exported(model), hinge_deviation=(0.1, 0.2))
 
 
 @pytest.mark.parametrize("write", [to_mjcf, to_urdf])
@@ -206,6 +324,20 @@ def test_an_object_file_is_the_object():
     for name in ("hammer", "cut"):
         with pytest.raises(InvalidValueError, match="square blocks"):
             to_object_file(exported(MODELS[name]))
+
+
+@pytest.mark.parametrize("model", [*BLOCKS, drawn_chain(0), drawn_chain(1)], ids=lambda model: model.name)
+def test_an_object_file_has_the_hinges(model):
+    back = load(to_object_file(exported(model)))
+    chain, ours = back.shape.chain, model.shape.chain
+    assert chain is not None and ours is not None
+    assert back.hinge_friction == model.hinge_friction
+    assert_allclose(chain.hinges, ours.hinges, atol=1e-12)
+    assert_allclose(back.shape.particles, model.shape.particles, atol=1e-12)
+    assert np.array_equal(chain.link[back.shape.mass_group], ours.link[model.shape.mass_group])
+    assert_allclose(back.particle_mass, model.particle_mass, rtol=1e-12)
+    assert_allclose(back.truth.friction, model.truth.friction)
+    assert [g.name for g in back.shape.grasps] == [g.name for g in model.shape.grasps]
 
 
 def load(text: str) -> ObjectModel:
@@ -269,7 +401,9 @@ def test_an_exported_estimate_dragged_in_heft_gives_the_wrench_of_the_estimate(t
     models = [body_of(path.read_text(encoding="utf-8"), "bar") for path in sorted(Path("drawn.draws").iterdir())]
     assert_allclose([body.mass for body in models], draws[:, :3].sum(axis=1), atol=1e-6)
     main(["export", "out", key[:6], "--draws", "3", "--models", "--format", "sdf", "--out", "drawn.sdf"])
-    drawn = [by_hand(path.read_text(encoding="utf-8"), "bar") for path in sorted(Path("drawn.draws").glob("*.sdf"))]
+    drawn = [
+        by_hand(path.read_text(encoding="utf-8"), ["bar"], [])[0] for path in sorted(Path("drawn.draws").glob("*.sdf"))
+    ]
     assert len(drawn) == 3
     assert all(np.linalg.eigvalsh(body.pseudo_inertia).min() > 0 for body in drawn)
     pytest.importorskip("rosbags", reason="needs the extra robot")
@@ -292,3 +426,32 @@ def test_an_exported_estimate_dragged_in_heft_gives_the_wrench_of_the_estimate(t
 def turn_of(folder: str) -> str:
     (key,) = [key for key in keys_of(Path(folder)) if kind_of_trial(Path(folder), key) != "weigh"]
     return key
+
+
+@pytest.mark.slow
+def test_an_estimate_of_links_is_exported_with_its_hinges(tmp_path):
+    (tmp_path / "fold_2.toml").write_text((LIBRARY / "fold_2.toml").read_text(encoding="utf-8"), encoding="utf-8")
+    (tmp_path / "s.toml").write_text(
+        'objects = ["fold_2.toml"]\nsensing = ["ideal"]\nsupport = ["own_weight"]\n'
+        '[policy]\nkind = "drag"\ntouches = 4\nheld_out = 0\n[methods.hidden_states]\n[methods.least_squares]\n',
+        encoding="utf-8",
+    )
+    main(["run", "s.toml", "--out", "out", "--workers", "0"])
+    rows = {row["method"]: row for row in load_rows(Path("out"))}
+    found = load_estimate("out", rows["hidden_states"]["key"]).diagnostics
+    assert found["hinge_0_Nm"] == pytest.approx(LINKS["fold_2"].hinge_friction[0], rel=0.05)
+    expected = {"hidden_states": found["hinge_0_Nm"], "least_squares": LINKS["fold_2"].hinge_friction[0]}
+    for method, torque in expected.items():
+        key = rows[method]["key"]
+        main(["export", "out", key[:8], "--format", "toml", "--out", "answer.toml"])
+        assert load_object("answer.toml").hinge_friction == (torque,)
+        said = json.loads(Path("answer.json").read_text(encoding="utf-8"))
+        given = rows[method]["hinge_error_Nm"]
+        assert said["hinge_friction_std_Nm"] == (None if given is None else list(given))
+        assert (given is None) == ("not estimated" in Path("answer.toml").read_text(encoding="utf-8"))
+    main(["export", "out", rows["hidden_states"]["key"][:8], "--draws", "5", "--models", "--out", "drawn.xml"])
+    draws = np.loadtxt("drawn.draws.csv", delimiter=",", skiprows=1)
+    models = [mujoco.MjModel.from_xml_path(str(path)) for path in sorted(Path("drawn.draws").iterdir())]
+    assert_allclose([model.dof_frictionloss[6] for model in models], found["hinge_0_Nm"])
+    masses = [[model.body(name).mass[0] for name in ("fold_2", "link_1")] for model in models]
+    assert_allclose(masses, np.column_stack([draws[:, :2].sum(axis=1), draws[:, 2:4].sum(axis=1)]))

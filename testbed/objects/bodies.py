@@ -1,0 +1,156 @@
+"""Rigid bodies of an object: the whole, or each link of a chain, as boxes with mass, center and inertia."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float
+
+from testbed.errors import InvalidValueError
+from testbed.objects.model import MassDistribution, ObjectShape
+from testbed.validation import freeze_arrays
+
+
+@dataclass(frozen=True, eq=False)
+class Box:
+    """Box of even density, its sides along the object's axes."""
+
+    name: str
+    """Name of the block, with a number if it has several boxes."""
+    center: Float[np.ndarray, "3"]
+    """Center [m], frame of the object or of its link, z from the table, shape (3,)."""
+    size: Float[np.ndarray, "3"]
+    """Sides [m], shape (3,)."""
+    mass: float
+    """Mass [kg]."""
+    group: int
+    """Mass group."""
+    friction: float | None
+    """Friction coefficient under it; None if it does not touch the table."""
+
+
+@dataclass(frozen=True, eq=False)
+class RigidBody:
+    """Mass properties of a rigid body, frame of the object or of its link, z from the table."""
+
+    mass: float
+    """Mass [kg]."""
+    center: Float[np.ndarray, "3"]
+    """Center of mass [m]."""
+    inertia: Float[np.ndarray, "3 3"]
+    """Inertia about the center of mass [kg m^2]."""
+
+    def __post_init__(self) -> None:
+        freeze_arrays(self, center=(3,), inertia=(3, 3))
+
+    @staticmethod
+    def of(boxes: Sequence[Box]) -> RigidBody:
+        """Rigid body of all boxes."""
+        mass = np.array([box.mass for box in boxes])
+        centers = np.array([box.center for box in boxes])
+        total = float(mass.sum())
+        center = mass @ centers / total
+        inertia = np.zeros((3, 3))
+        for box in boxes:
+            sides, off = box.size**2, box.center - center
+            own = np.diag(sides.sum() - sides) / 12
+            inertia += box.mass * (own + off @ off * np.eye(3) - np.outer(off, off))
+        return RigidBody(total, center, inertia)
+
+    @property
+    def pseudo_inertia(self) -> Float[np.ndarray, "4 4"]:
+        """Positive definite for every body that can exist (Wensing, Kim and Slotine 2018)."""
+        second = np.trace(self.inertia) / 2 * np.eye(3) - self.inertia + self.mass * np.outer(self.center, self.center)
+        first = self.mass * self.center
+        return np.block([[second, first[:, None]], [first[None], np.array([[self.mass]])]])
+
+
+AIR = 0.001
+"""Height over the table of boxes that do not touch it [m], that no simulator has them rub; a tenth of a flat object."""
+
+
+def boxes_of(shape: ObjectShape, distribution: MassDistribution) -> list[Box]:
+    """A box a mass group where its cells, all alike, fill a rectangle of one friction; else a box a cell."""
+    boxes, air = [], min(AIR, shape.height / 10)
+    for group, name in enumerate(shape.group_names):
+        inside = np.flatnonzero(shape.mass_group == group)
+        low, high = shape.particles[inside].min(axis=0), shape.particles[inside].max(axis=0)
+        cells = np.rint((high - low) / shape.cell) + 1
+        frictions = set(shape.friction_group[inside].tolist())
+        even = len(frictions) == 1 and (shape.fill[inside] == 1).all()
+        parts = [inside] if even and int(cells.prod()) == len(inside) else list(inside[:, None])
+        for index, part in enumerate(parts):
+            low, high = shape.particles[part].min(axis=0), shape.particles[part].max(axis=0)
+            under = int(shape.friction_group[part[0]])
+            bottom = air if under < 0 else 0.0
+            boxes.append(
+                Box(
+                    name if len(parts) == 1 else f"{name}_{index}",
+                    np.array([*(low + high) / 2, (shape.height + bottom) / 2]),
+                    np.array([*(high - low + shape.cell), shape.height - bottom]),
+                    float(distribution.mass[group] * shape.fill[part].sum()),
+                    group,
+                    None if under < 0 else float(distribution.friction[under]),
+                )
+            )
+    return boxes
+
+
+@dataclass(frozen=True)
+class Hinge:
+    """Vertical hinge at the origin of the link that it leads to."""
+
+    name: str
+    """Name: hinge_0, hinge_1."""
+    friction: float
+    """Torque of its Coulomb friction [N m]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Link:
+    """Rigid part of an object: the whole of a rigid one, or a link of a chain."""
+
+    name: str
+    """Name: the object's of the first, then link_1, link_2."""
+    origin: Float[np.ndarray, "3"]
+    """Origin of its frame [m], object frame, shape (3,): on its hinge; zero of the first."""
+    boxes: tuple[Box, ...]
+    """Its boxes, in its frame."""
+    hinge: Hinge | None
+    """Hinge that joins it to the link before; None of the first."""
+
+    @property
+    def body(self) -> RigidBody:
+        """Mass properties, in its frame."""
+        return RigidBody.of(self.boxes)
+
+
+def links_of(
+    name: str, shape: ObjectShape, distribution: MassDistribution, hinge_friction: Sequence[float] = ()
+) -> list[Link]:
+    """Links of an object in the order of its chain; of a rigid object one.
+
+    Args:
+        name: the object's name.
+        shape: its geometry.
+        distribution: its masses and frictions.
+        hinge_friction: torque of Coulomb friction of each hinge [N m].
+
+    Raises:
+        InvalidValueError: a link without mass, which no simulator moves.
+    """
+    places, link_of_group = np.zeros((1, 3)), np.zeros(shape.n_m, dtype=int)
+    if shape.chain is not None:
+        places = np.pad(shape.chain.hinges, ((1, 0), (0, 1)))  # the first link keeps the object's frame
+        link_of_group = shape.chain.link
+    hinges = [None, *(Hinge(f"hinge_{index}", float(torque)) for index, torque in enumerate(hinge_friction))]
+    boxes, links = boxes_of(shape, distribution), []
+    for index, (origin, hinge) in enumerate(zip(places, hinges, strict=True)):
+        own = [box for box in boxes if link_of_group[box.group] == index]
+        called = f"link_{index}" if index else name
+        if sum(box.mass for box in own) <= 0:
+            raise InvalidValueError("mass", f"{called} of 0 kg", "a mass > 0 in every link")
+        links.append(Link(called, origin, tuple(replace(box, center=box.center - origin) for box in own), hinge))
+    return links

@@ -17,9 +17,11 @@ from scenarios.results.estimates import load_arrays, load_estimate, this_version
 from scenarios.results.files import read_manifest
 from scenarios.results.store import Store
 from scenarios.results.trials import TrialRecord, kind_of_trial, read_trial, sensed_trials
+from testbed.actions.push import Push
 from testbed.errors import InvalidValueError
 from testbed.foot_forces import load_foot_forces
 from testbed.objects.model import MassDistribution, ObjectModel, ObjectShape
+from testbed.sensing.push_windows import push_samples
 from testbed.sensing.windows import sample_deviation, steady_samples, wrench_in_object
 from testbed.trajectory import Trajectory
 from viz.trials import TrialsView
@@ -122,7 +124,8 @@ def wrench_fit(label: str, trajectory: Trajectory, predicted: np.ndarray | None)
     """Measured against predicted (T, 3), in the object's axes."""
     steady = np.zeros(len(trajectory.time_s), dtype=bool)
     try:
-        for kept in steady_samples(trajectory):
+        samples = push_samples if isinstance(trajectory.action, Push) else steady_samples
+        for kept in samples(trajectory):
             steady[kept] = True
     except InvalidValueError:  # cut short before it was steady: it is still worth seeing
         pass

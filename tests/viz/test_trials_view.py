@@ -14,18 +14,25 @@ from numpy.testing import assert_allclose
 from estimators.testing.analytic_links import analytic_links
 from estimators.testing.analytic_push import analytic_push
 from estimators.testing.analytic_world import drawn_object
+from scenarios.views.values import wrench_fit
 from testbed.actions.push import Push
 from testbed.actions.rotate import Rotate
 from testbed.actions.slide import Slide
 from testbed.actions.weigh import Weigh
 from testbed.objects.files import load_object
-from testbed.sensing.push_windows import contact_path, push_windows
+from testbed.objects.model import ObjectModel
+from testbed.sensing.push_windows import contact_path, push_samples, push_windows
+from testbed.simulation.rendering import body_poses
 from testbed.trajectory import Trajectory
+from tests.helpers.chunks import Entity, read_chunks, verify
 from tests.viz.test_report import row
 from viz.figures.trials import trials_figure
+from viz.recordings.page import SIM_TIME, Page, save
+from viz.recordings.trial import log_trial, trial_blueprint
 from viz.report.report import Results, render
 from viz.report.trials import trials_table
 from viz.trials import TrialsView
+from viz.values import TrialView
 
 LIBRARY = Path(__file__).parents[2] / "scenarios/library/objects"
 BLOCKS = drawn_object(3, ["11", "11", "11"])
@@ -53,6 +60,16 @@ def drags() -> list[Trajectory]:
     poses = np.array(trials[0].camera.poses)
     poses[3, 1] = np.nan  # a frame in which one link was not seen
     return [replace(trials[0], camera=replace(trials[0].camera, poses=poses)), trials[1]]
+
+
+def recorded(path: Path, model: ObjectModel, trajectory: Trajectory) -> dict[str, Entity]:
+    """Entities of a trial's recording."""
+    poses = body_poses(trajectory, (0.02, 0.04), meshes=False, every=100)
+    fit = wrench_fit("", trajectory, None)
+    view = TrialView("", model.shape, trajectory, poses, trajectory.time_s[::100], fit, truth=model.truth)
+    save(Page("x", "x", lambda stream: log_trial(stream, "t", view), trial_blueprint("t", view), SIM_TIME), path)
+    verify(path)
+    return read_chunks(path)
 
 
 def test_contact_points_lie_on_the_outline_where_the_fingertip_is(pushes):
@@ -119,3 +136,37 @@ def test_the_report_has_each_objects_actions_and_ranges(pushes, drags):
     angle = np.degrees(np.diff(drags[1].camera.poses[:, :, 2], axis=1))[:, 1]
     low, high = (float(value) for value in table.rows[1][1][1].text.split(" to "))
     assert_allclose([low, high], [angle.min(), angle.max()], atol=0.051)
+
+
+def test_a_recording_of_links_has_hinges_and_joint_angles(drags, tmp_path):
+    trial = drags[0]
+    found = recorded(tmp_path / "x.rrd", FOLD, trial)
+    for hinge, place in enumerate(HINGES):
+        entity = found[f"t/joints/hinge_{hinge}"]
+        assert_allclose(entity.times[SIM_TIME]["Scalars:scalars"], trial.camera.time_s, atol=1e-8)
+        values = np.squeeze(np.array(entity.values[SIM_TIME]["Scalars:scalars"]))
+        yaw = trial.camera.poses[:, :, 2]
+        assert_allclose(values, np.degrees(yaw[:, hinge + 1] - yaw[:, hinge]), atol=1e-9)
+        mark = found[f"t/scene/object/link_{hinge + 1}/hinge"].static["Points3D:positions"]
+        assert_allclose(mark, [[*place, FOLD.shape.height]], atol=1e-6)
+    assert "t/scene/object/link_0/outline" in found
+    labels = found["t/scene/object/link_2/cells"].static["Boxes3D:labels"]
+    assert all(label.startswith("link 2, ") for label in labels)
+
+
+def test_a_recording_of_a_push_has_its_contact_and_direction(pushes, tmp_path):
+    trial = pushes[0]
+    push, found = trial.action, recorded(tmp_path / "x.rrd", BLOCKS, trial)
+    height = push.height(BLOCKS.shape)
+    assert_allclose(found["t/scene/object/contact"].static["Points3D:positions"], [[*push.point, height]], atol=1e-6)
+    arrow = found["t/scene/object/push"].static
+    vector = np.array(arrow["Arrows3D:vectors"][0])
+    assert_allclose(math.atan2(vector[1], vector[0]), push.direction, atol=1e-5)
+    assert_allclose(arrow["Arrows3D:origins"][0] + vector, [*push.point, height], atol=1e-6)
+    path = np.array(found["t/scene/object/contact_path"].static["LineStrips3D:strips"][0])
+    assert_allclose(path[1:, :2], contact_path(BLOCKS.shape, trial), atol=1e-6)
+
+
+def test_the_steady_samples_of_a_push_are_those_of_its_windows(pushes):
+    steady = wrench_fit("", pushes[0], None).steady
+    assert set(np.flatnonzero(steady)) == set(np.concatenate(push_samples(pushes[0])))

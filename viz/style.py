@@ -33,6 +33,8 @@ MASS_COLORS = "viridis"
 """Colour map of mass; bright is heavy."""
 DIFFERENCE_COLORS = "cividis_r"
 """Colour map of absolute differences; dark is wrong."""
+LINK_COLORS, MOST_LINK_COLORS = "Pastel1", 9.0
+"""Colour map of the links of an object, and the number of its colours: light, under arrows."""
 TOP = 95
 """Percentile of many answers at which a scale ends: one lost method must not bleach the rest."""
 LEAST_DIFFERENCE = 0.02
@@ -49,6 +51,8 @@ NORMAL_FORCE, FRICTION_FORCE = SKY, VERMILLION
 """Colours of the arrows at the feet."""
 VELOCITY, OBJECT_VELOCITY, PADS = BLUE, BLACK, PURPLE
 """Colours of the particles' and the object's arrows and of the gripper's pads, as in the paper's Fig. trajectory."""
+PUSH = VERMILLION
+"""Colour of a push's contact and direction in a scene."""
 PHASE_COLORS = ("#8C8C8C", "#BFBFBF", ORANGE, SKY, PURPLE, GREEN, "#BFBFBF")
 """Colours of the phases of a trial, in the order of `Phase`."""
 BACKGROUND = "#FAFAF8"

@@ -244,19 +244,13 @@ class ActionArrow:
 
 
 @dataclass(frozen=True, eq=False)
-class PlanView:
-    """A plan of T actions, and the errors that are expected after them."""
+class ActionsView:
+    """T actions on one object, as they are drawn."""
 
     shape: ObjectShape
     """Geometry of the object."""
     actions: tuple[Action, ...]
     """Actions in order."""
-    errors: Float[np.ndarray, "T+1 n_m"]
-    """Expected standard error of each group's mass [kg]: after the weighing, then after each action."""
-    title: str
-    """Object and settings."""
-    words: tuple[str, ...] = ()
-    """Each action in words."""
 
     @property
     def arrows(self) -> dict[int, ActionArrow]:
@@ -271,9 +265,10 @@ class PlanView:
         return {n: self.shape.grasps[a.grasp].position for n, a in numbered if a.in_air and a.grasp is not None}
 
     @property
-    def grams(self) -> Float[np.ndarray, "T+1 n_m"]:
-        """Expected standard errors [g]."""
-        return 1e3 * self.errors
+    def strokes(self) -> Float[np.ndarray, "N 2"]:
+        """Points along every line of the drawing, and its marks [m]."""
+        marks = [*(arrow.strokes for arrow in self.arrows.values()), *(point[None] for point in self.lifts.values())]
+        return np.vstack([np.empty((0, 2)), *marks])
 
     @property
     def number_places(self) -> dict[int, Float[np.ndarray, "2"]]:
@@ -282,8 +277,7 @@ class PlanView:
         away = NUMBER_AWAY * float(np.ptp(self.bounds, axis=0).max())
         angles = np.linspace(0, 2 * np.pi, 16, endpoint=False)
         around = away * np.column_stack([np.cos(angles), np.sin(angles)])
-        drawn = np.vstack([*(arrow.strokes for arrow in arrows.values()), *(point[None] for point in lifts.values())])
-        places = {}
+        drawn, places = self.strokes, {}
         for number in sorted(arrows | lifts):
             tries = (arrows[number].label if number in arrows else lifts[number]) + around
             gaps = np.linalg.norm(tries[:, None] - drawn, axis=-1).min(axis=1)
@@ -296,3 +290,20 @@ class PlanView:
         """Lower left and upper right corner around the object and all arrows [m]."""
         points = np.concatenate([self.shape.particles, *(arrow.points for arrow in self.arrows.values())])
         return np.stack([points.min(axis=0) - self.shape.cell, points.max(axis=0) + self.shape.cell])
+
+
+@dataclass(frozen=True, eq=False)
+class PlanView(ActionsView):
+    """A plan of T actions, and the errors that are expected after them."""
+
+    errors: Float[np.ndarray, "T+1 n_m"]
+    """Expected standard error of each group's mass [kg]: after the weighing, then after each action."""
+    title: str
+    """Object and settings."""
+    words: tuple[str, ...] = ()
+    """Each action in words."""
+
+    @property
+    def grams(self) -> Float[np.ndarray, "T+1 n_m"]:
+        """Expected standard errors [g]."""
+        return 1e3 * self.errors

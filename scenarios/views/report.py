@@ -8,7 +8,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from estimators.evaluation.statistics import AXIS, Row
+from estimators.evaluation.statistics import AXIS, Row, select
 from scenarios.catalog import scenario_names
 from scenarios.config import Scenario, load_scenario
 from scenarios.results.estimates import load_losses, load_rows, load_tracebacks
@@ -16,6 +16,7 @@ from scenarios.results.files import inside, read_json, read_manifest
 from scenarios.results.trials import OTHER_FORMAT, object_of
 from scenarios.study.run import SENSING
 from scenarios.views.answers import answers_of
+from scenarios.views.values import trials_view
 from testbed.errors import HeftError, InvalidValueError
 from testbed.files import unless_damaged
 from testbed.objects.files import load_object
@@ -54,6 +55,9 @@ def report(folder: Path) -> Path:
         recording_of=lambda key: name if (folder / (name := f"recordings/{key}.rrd")).is_file() else "",
         bad_trials=_bad(folder),
         answers=_answers(folder, rows),
+        trials_of=lambda name: unless_damaged(
+            lambda: trials_view(folder, select(rows, object=name)), "its trials are left out"
+        ),
     )
     write_report(results, path := inside(folder, "report.html"))
     return path

@@ -17,11 +17,14 @@ from scenarios.results.estimates import load_arrays, load_estimate, this_version
 from scenarios.results.files import read_manifest
 from scenarios.results.store import Store
 from scenarios.results.trials import TrialRecord, kind_of_trial, read_trial, sensed_trials
+from testbed.actions.push import Push
 from testbed.errors import InvalidValueError
 from testbed.foot_forces import load_foot_forces
 from testbed.objects.model import MassDistribution, ObjectModel, ObjectShape
+from testbed.sensing.push_windows import push_samples
 from testbed.sensing.windows import sample_deviation, steady_samples, wrench_in_object
 from testbed.trajectory import Trajectory
+from viz.trials import TrialsView
 from viz.values import EstimateView, TrialView, WrenchFit, support_name
 
 POSES_EVERY = 5
@@ -121,7 +124,8 @@ def wrench_fit(label: str, trajectory: Trajectory, predicted: np.ndarray | None)
     """Measured against predicted (T, 3), in the object's axes."""
     steady = np.zeros(len(trajectory.time_s), dtype=bool)
     try:
-        for kept in steady_samples(trajectory):
+        samples = push_samples if isinstance(trajectory.action, Push) else steady_samples
+        for kept in samples(trajectory):
             steady[kept] = True
     except InvalidValueError:  # cut short before it was steady: it is still worth seeing
         pass
@@ -198,6 +202,27 @@ def fits_of(folder: Path, row: Row, shown: EstimateView) -> list[tuple[str, Traj
         (key, trajectory, wrench_fit(f"{i}: {trajectory.action.describe(shown.shape)}", trajectory, wrench))
         for i, ((key, trajectory), wrench) in enumerate(zip(moved, predicted, strict=True), start=1)
     ]
+
+
+def trials_view(folder: Path, rows: Sequence[Row]) -> TrialsView | None:
+    """Trials of one object by its rows, under the first setting and draw, as a perfect sensor and camera saw them.
+
+    Returns:
+        None where they are not in the folder any more, or nothing moved.
+
+    Raises:
+        DamagedFileError: a file of one is damaged.
+    """
+    found = settings_of(rows)
+    if not found:
+        return None
+    setting, (row, *_) = found[0]
+    keys = tuple(row["trial_keys"])
+    if not all((folder / "trials" / key / "trial.json").is_file() for key in keys):
+        return None
+    shape = typical_trial(folder, row).object.shape
+    view = TrialsView.of(shape, sensed_trials(Store(folder), keys, "ideal", 0), f"{row['object']}, {setting}")
+    return view if view.actions else None
 
 
 def settings_of(rows: Sequence[Row]) -> list[tuple[str, list[Row]]]:

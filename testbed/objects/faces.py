@@ -33,11 +33,14 @@ class Face(NamedTuple):
         """Length [m]."""
         return float(np.linalg.norm(self.end - self.begin))
 
+    def nearest(self, point: Float[np.ndarray, "2"]) -> Float[np.ndarray, "2"]:
+        """Nearest point of the face to a point [m]."""
+        along = (self.end - self.begin) / self.length
+        return self.begin + along * np.clip((point - self.begin) @ along, 0.0, self.length)
+
     def distance(self, point: Float[np.ndarray, "2"]) -> float:
         """Distance of a point [m]."""
-        along = (self.end - self.begin) / self.length
-        nearest = self.begin + along * np.clip((point - self.begin) @ along, 0.0, self.length)
-        return float(np.linalg.norm(point - nearest))
+        return float(np.linalg.norm(point - self.nearest(point)))
 
 
 def faces(shape: ObjectShape) -> list[Face]:

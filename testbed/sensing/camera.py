@@ -102,6 +102,11 @@ class PoseStream:
         """Number of parts."""
         return self.poses.shape[1]
 
+    @property
+    def joint_angles(self) -> Float[np.ndarray, "F joints"]:
+        """Yaw of each part less that of the one before [rad], 0 as the object is told to lie; NaN where not seen."""
+        return np.diff(self.poses[..., 2], axis=1)
+
     def at(self, times: Float[np.ndarray, "N"]) -> Float[np.ndarray, "N parts 3"]:
         """Poses at given times [s], straight between the frames that saw all parts; for drawing."""
         whole = ~np.isnan(self.poses).any(axis=(1, 2))

@@ -12,6 +12,8 @@ from scipy.linalg import block_diag
 from testbed.actions.push import Push
 from testbed.errors import InvalidValueError
 from testbed.frames import perpendicular, rotate_wrench, rotation_2d
+from testbed.objects.faces import face_at
+from testbed.objects.model import ObjectShape
 from testbed.sensing.camera import SPAN, PoseStream
 from testbed.sensing.compensation import tare_time
 from testbed.sensing.windows import BATCH, PARTS, TRIM_END, SteadyWindow, bias_and_drift, noise_of_mean
@@ -83,6 +85,16 @@ def _reduced(trajectory: Trajectory) -> list[SteadyWindow]:
     if not windows:
         raise InvalidValueError("trajectory.camera", "too few frames in contact", "frames near every stretch")
     return windows
+
+
+def contact_path(shape: ObjectShape, trajectory: Trajectory) -> Float[np.ndarray, "W 2"]:
+    """Contact point in each window of a push: the point of the outline nearest to the fingertip [m], object frame.
+
+    Raises:
+        InvalidValueError: as `push_windows`.
+    """
+    tips = [window.point for window in push_windows(trajectory) if window.point is not None]
+    return np.array([face_at(shape, tip)[0].nearest(tip) for tip in tips]).reshape(-1, 2)
 
 
 def within_contact(time: Float[np.ndarray, "N"]) -> Int[np.ndarray, "M"]:

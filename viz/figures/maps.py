@@ -18,10 +18,11 @@ from matplotlib.collections import PolyCollection
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
-from matplotlib.transforms import Affine2D
+from matplotlib.transforms import Affine2D, Transform
 
 from estimators.evaluation.statistics import Row
 from testbed.files import write_whole
+from testbed.objects.chain import Chain
 from testbed.objects.model import ObjectModel, ObjectShape
 from viz.style import (
     DIFFERENCE_COLORS,
@@ -100,6 +101,8 @@ def draw_groups(
             text, size = (f"{value:.{digits}f}", letters) if finite else (unknown, 5.0)
             look = {"color": "white" if dark else "black", "fontsize": size, "zorder": 3 if finite else 5}
             axis.text(x, y, text, ha="center", va="center", transform=on, **look).set_in_layout(False)
+    if shape.chain is not None:
+        draw_hinges(axis, shape.chain, on)
     if place is not None:
         return
     axis.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal", xticks=[], yticks=[])
@@ -107,6 +110,13 @@ def draw_groups(
         side.set_visible(False)
     for ruler in (axis.xaxis, axis.yaxis):  # to lay out the ticks that are not there takes most of a figure's time
         ruler.set_visible(bool(ruler.get_label_text()))
+
+
+def draw_hinges(axis: Axes, chain: Chain, on: Transform) -> None:
+    """Draw a ring with a dot at each hinge."""
+    look = {"color": "black", "linestyle": "none", "transform": on, "zorder": 2.5}
+    axis.plot(*chain.hinges.T, marker="o", markersize=4.5, markerfacecolor="white", markeredgewidth=0.8, **look)
+    axis.plot(*chain.hinges.T, marker=".", markersize=1.5, **look)
 
 
 def extent(shape: ObjectShape) -> tuple[Float[np.ndarray, "2"], Float[np.ndarray, "2"]]:

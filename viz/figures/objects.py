@@ -16,6 +16,7 @@ from matplotlib.patches import Polygon
 from testbed.frames import rotation_2d
 from testbed.objects.colors import group_color
 from testbed.objects.model import FINGER_DEPTH, PAD_WIDTH, ObjectModel
+from viz.figures.maps import draw_hinges
 from viz.style import BLACK, STYLE, VERMILLION
 
 COLUMNS = 3
@@ -39,7 +40,8 @@ def object_page(models: Sequence[ObjectModel]) -> Figure:
         draw_object(axis, model)
     for axis in axes[len(models) :]:
         axis.set_axis_off()
-    said = ("colours: parts; black dots: points of contact", "cross: centre of mass; red: pads")
+    rings = "; rings: hinges" if any(model.shape.chain is not None for model in models) else ""
+    said = (f"colours: parts; black dots: points of contact{rings}", "cross: centre of mass; red: pads")
     figure.supxlabel(("; " if columns > 1 else "\n").join(said), fontsize=7)
     return figure
 
@@ -70,6 +72,8 @@ def draw_object(axis: Axes, model: ObjectModel) -> None:
     if shape.is_contact.any():
         axis.add_patch(Polygon(touching, fill=False, edgecolor=BLACK, linestyle="--", linewidth=0.7))
     axis.plot(*touching.T, "o", color=BLACK, markersize=3.5 if shape.is_contact.any() else 1.0, linestyle="none")
+    if shape.chain is not None:
+        draw_hinges(axis, shape.chain, axis.transData)
     if model.masses_known:
         axis.plot(*model.center_of_mass, "x", color=BLACK, markersize=6, markeredgewidth=1.4)
     for index, grasp in enumerate(shape.grasps):

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import rerun as rr
 from jaxtyping import Float, Int
 
+from testbed.objects.chain import Chain
 from testbed.objects.model import ObjectShape
 from viz.recordings.page import Frames, Node
 from viz.recordings.planar import (
@@ -24,7 +25,7 @@ from viz.recordings.planar import (
     text_width,
     ticks,
 )
-from viz.style import BACKGROUND, MOST_NAMED, Scale, group_middles, mapped, narrowest_group, rgb, text_color
+from viz.style import BACKGROUND, BLACK, MOST_NAMED, Scale, group_middles, mapped, narrowest_group, rgb, text_color
 
 FINE = 4
 """Pixels along a cell's side where cells do not lie on one lattice."""
@@ -69,6 +70,10 @@ class Raster:
         """Bounds around the object [m], object frame."""
         height, width = self.group.shape
         return Bounds(self.left, self.bottom, self.left + width * self.pixel, self.bottom + height * self.pixel)
+
+    def link(self, chain: Chain, link: int) -> Raster:
+        """One link of an object, as one group."""
+        return replace(self, group=np.where((self.group >= 0) & (chain.link[self.group] == link), 0, -1))
 
     def outlines(self) -> list[Float[np.ndarray, "2 2"]]:
         """Borders between groups and around the object [m], object frame."""
@@ -127,6 +132,7 @@ class MassMap:
         values = np.full((1, self.shape.n_m), np.nan) if self.values is None else self.values
         raster.log(node / "cells", self.scale.color(values), frames)
         log_lines(node / "outlines", raster.outlines())
+        log_hinges(node / "hinges", self.shape)
         if self.values is None:
             log_texts(node / "groups", raster.box.middle[None], ["no answer"], pixel)
         elif self.shape.n_m <= MOST_NAMED:
@@ -158,6 +164,14 @@ class MassMap:
                 labels=[text for i in k for text in texts[i]], colors=packed(shades[k]).ravel()
             ).partition([count] * len(k)),
         )
+
+
+def log_hinges(node: Node, shape: ObjectShape) -> None:
+    """Log a ring at each hinge of an object in links [m], object frame."""
+    if shape.chain is not None:
+        for part, color, radius, order in (("ring", BLACK, 5.0, 25.0), ("middle", BACKGROUND, 3.5, 26.0)):
+            look = {"colors": rgb(color), "radii": rr.Radius.ui_points(radius), "draw_order": order}
+            (node / part).log(rr.Points2D(shape.chain.hinges, **look))
 
 
 def bar_box(box: Bounds) -> Bounds:

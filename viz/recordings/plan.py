@@ -6,7 +6,7 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
-from viz.recordings.mass_map import MassMap, Raster
+from viz.recordings.mass_map import MassMap, Raster, log_hinges
 from viz.recordings.page import ITERATION, Frames, Node, Page, log_markdown
 from viz.recordings.planar import Bounds, Canvas, log_lines, log_texts, log_upright, planar_view
 from viz.style import DIFFERENCE_COLORS, PLAN_ERROR, Scale, action_colors
@@ -45,6 +45,7 @@ def plan_page(plan: PlanView) -> Page:
 def _log_actions(node: Node, plan: PlanView) -> None:
     log_upright(node)
     log_lines(node / "outlines", Raster.of(plan.shape).outlines())
+    log_hinges(node / "hinges", plan.shape)
     pixel = CANVAS.pixel(_around(plan))
     colors = (255 * action_colors(len(plan.actions))).astype(np.uint8)
 

@@ -26,6 +26,10 @@ def object_page(model: ObjectModel) -> Page:
         if len(feet := np.flatnonzero(shape.friction_group >= 0)):
             on_table = np.column_stack([shape.particles[feet], np.zeros(len(feet))])
             (node / "contacts").log(rr.Points3D(on_table, colors=[[250, 250, 250]], radii=0.003))
+        if shape.chain is not None:
+            tops = np.insert(shape.chain.hinges, 2, shape.height, axis=1)
+            names = [f"hinge {hinge}" for hinge in range(len(tops))]
+            (node / "hinges").log(rr.Points3D(tops, colors=[[0, 0, 0]], radii=0.003, labels=names, show_labels=True))
         for grasp in shape.grasps:
             _log_grasp(node / f"grasps/{grasp.name}", grasp)
         facts = {"mass groups": ", ".join(shape.group_names), "points of contact": str(len(feet))}

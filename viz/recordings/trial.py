@@ -16,14 +16,20 @@ from testbed.actions.push import Push
 from testbed.foot_forces import FootForces
 from testbed.frames import rotation_2d
 from testbed.objects.colors import group_color
+from testbed.objects.model import ObjectShape
+from testbed.sensing.camera import PoseStream
 from testbed.sensing.lift_windows import poses_in_space
 from testbed.trajectory import Phase, Trajectory
 from viz import style
+from viz.recordings.mass_map import Raster
 from viz.recordings.page import Node, log_facts
-from viz.values import TrialView, WrenchFit
+from viz.trials import push_contacts
+from viz.values import ActionArrow, TrialView, WrenchFit
 
 FOOT_ARROW, HAND_ARROW = 0.1, 0.01
 """Lengths of the arrows of a foot's and of the gripper's force [m/N]."""
+MARK = 0.003
+"""Radius of a marked point of the object [m]."""
 FITS_EVERY = 4
 """One sample in so many is drawn of trials that stand side by side."""
 WRENCH = [f"{part}/{axis}" for part in ("force", "torque") for axis in "xyz"]
@@ -44,6 +50,7 @@ def log_trial(stream: rr.RecordingStream, root: str, view: TrialView) -> None:
         tip = node / "scene/fingertip"
         tip.log(rr.Points3D.from_fields(colors=style.rgb(style.OBJECT_VELOCITY), radii=push.radius))
         tip.send_timed(trajectory.time_s, rr.Points3D.columns(positions=place))
+        _log_push(node / "scene/object", view.shape, trajectory, push)
     hand.send_timed(trajectory.time_s, rr.Arrows3D.columns(origins=place, vectors=force))
     if view.feet is not None:
         _log_feet(node / "scene/object/feet", view, view.feet)
@@ -52,6 +59,8 @@ def log_trial(stream: rr.RecordingStream, root: str, view: TrialView) -> None:
         for index, name in enumerate(WRENCH):
             color, label = style.AXIS_COLORS[index % 3], name.replace("/", " ")
             _log_line(node / kind / name, label, color, trajectory.time_s, values[:, index])
+    if view.shape.chain is not None and trajectory.camera is not None:
+        _log_joints(node / "joints", trajectory.camera)
     _log_states(node / "states", view)
     facts = {"status": trajectory.status, "why": trajectory.reason, **view.facts}
     log_facts(node / "facts", view.title, "trial", facts)
@@ -72,15 +81,22 @@ def trial_blueprint(root: str, view: TrialView) -> rrb.Container:
     x, y = view.trajectory.tcp_position[:, :2].mean(axis=0)
     eye = rrb.EyeControls3D(position=(x + 0.3, y - 0.4, 0.36), look_target=(x - 0.02, y, 0.05), eye_up=(0, 0, 1))
     model = f"model: {view.model}" if view.model else "no model"
-    force, torque = f"force on the object, its own axes, N ({model})", f"torque about the grasp, N m ({model})"
+    pushed = isinstance(view.trajectory.action, Push)
+    hinged = view.shape.chain is not None and view.trajectory.camera is not None
+    held = "fingertip" if pushed else "grasp"
+    force, torque = f"force on the object, its own axes, N ({model})", f"torque about the {held}, N m ({model})"
     wrench = plots("wrench", force, torque, "measured")
+    if hinged:
+        angles = rrb.TimeSeriesView(origin=f"{root}/joints", name="joint angle of each hinge, deg", plot_legend=legend)
+        wrench = rrb.Vertical(*wrench.contents, angles, name="measured")
     force, torque = "force on the object, world axes, N", "torque on the object about the TCP, world axes, N m"
     whole = plots("compensated", force, torque, "after tare and tool")
     raw = plots("raw", "force at the sensor, its axes, N", "torque at the sensor, its axes, N m", "raw")
     states = rrb.StateTimelineView(origin=f"{root}/states", name="phase, and samples for the estimator")
+    more = "; orange: push, and where its contact went" * pushed + "; outlines: links; dots: hinges" * hinged
     scene = rrb.Spatial3DView(
         origin=f"{root}/scene",
-        name=f"scene; arrows: table on a foot {100 * FOOT_ARROW:g} cm, gripper {100 * HAND_ARROW:g} cm a N",
+        name=f"scene; arrows: table on a foot {100 * FOOT_ARROW:g} cm, gripper {100 * HAND_ARROW:g} cm a N{more}",
         eye_controls=eye,
         background=rrb.Background(kind=rrb.BackgroundKind.SolidColor, color=(238, 240, 243)),
         line_grid=False,
@@ -124,6 +140,8 @@ def _log_object(node: Node, view: TrialView) -> None:
     if truth is not None:
         masses = truth.mass * shape.particles_per_group
         names = [f"{name}: {mass:.3f} kg" for name, mass in zip(names, masses, strict=True)]
+    if shape.chain is not None:
+        names = [f"link {link}, {name}" for link, name in zip(shape.chain.link, names, strict=True)]
 
     def cells(kept: Bool[np.ndarray, "P"]) -> rr.Boxes3D:
         groups = shape.mass_group[kept]
@@ -138,13 +156,39 @@ def _log_object(node: Node, view: TrialView) -> None:
 
     time, camera = view.trajectory.time_s, view.trajectory.camera
     if shape.chain is not None and camera is not None:
+        raster, of = Raster.of(shape), shape.chain.link[shape.mass_group]
         for link, pose in enumerate(camera.at(time).transpose(1, 0, 2)):
-            body = node / f"link_{link}"
-            (body / "cells").log(cells(shape.chain.link[shape.mass_group] == link))
+            body, color = node / f"link_{link}", style.rgb(style.series_color(link))
+            (body / "cells").log(cells(of == link))
+            edges = [np.insert(edge, 2, shape.height, axis=1) for edge in raster.link(shape.chain, link).outlines()]
+            (body / "outline").log(rr.LineStrips3D(edges, colors=color, radii=MARK / 2))
+            if link:
+                top = [*shape.chain.hinges[link - 1], shape.height]
+                black = style.rgb(style.BLACK)
+                (body / "hinge").log(
+                    rr.Points3D([top], colors=black, radii=1.5 * MARK, labels=[f"hinge {link - 1}"], show_labels=False)
+                )
             body.send_timed(time, rr.Transform3D.columns(**_on_table(pose)))
         return
     (node / "cells").log(cells(np.ones(len(centers), dtype=bool)))
     node.send_timed(time, rr.Transform3D.columns(**_object_poses(view.trajectory)))
+
+
+def _log_joints(node: Node, camera: PoseStream) -> None:
+    """Log the joint angle of each hinge [deg], at the camera's frames."""
+    for hinge, angle in enumerate(np.degrees(camera.joint_angles).T):
+        _log_line(node / f"hinge_{hinge}", f"hinge {hinge}", style.series_color(hinge), camera.time_s, angle)
+
+
+def _log_push(node: Node, shape: ObjectShape, trajectory: Trajectory, push: Push) -> None:
+    """Log the arrow of a push up to where it meets the object, and the path of its contact point, object frame."""
+    arrow, height = ActionArrow.of(shape, push), push.height(shape)
+    way, path = (np.insert(p, 2, height, axis=1) for p in (arrow.way, push_contacts(shape, trajectory)))
+    color = style.rgb(style.PUSH)
+    (node / "push").log(rr.Arrows3D(origins=way[:1], vectors=way[-1:] - way[:1], colors=color, radii=0.0015))
+    (node / "contact").log(rr.Points3D(way[-1:], colors=color, radii=MARK))
+    if len(path):
+        (node / "contact_path").log(rr.LineStrips3D([path], colors=color, radii=MARK / 2))
 
 
 def _object_poses(trajectory: Trajectory) -> dict[str, Any]:

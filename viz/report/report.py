@@ -32,6 +32,7 @@ from viz.figures.maps import (
     mass_maps,
 )
 from viz.figures.nad import nad_distribution, nad_sweep
+from viz.figures.trials import trials_figure
 from viz.report.answer_maps import answer_maps
 from viz.report.answers import Answer, answer_table
 from viz.report.claims import claims_table
@@ -46,7 +47,9 @@ from viz.report.tables import (
     overview,
     sweep_table,
 )
+from viz.report.trials import trials_table
 from viz.style import STYLE
+from viz.trials import TrialsView
 from viz.values import support_name
 
 COLUMNS = (
@@ -96,6 +99,8 @@ class Results:
     """Folders of trials that are not ok, by status and reason."""
     answers: Sequence[Sequence[Answer]] = ()
     """Answers of every method, object by object, where they were measured."""
+    trials_of: Callable[[str], TrialsView | None] = lambda _: None
+    """Trials of an object by name, or None where they are not known any more."""
 
 
 @dataclass(frozen=True)
@@ -186,6 +191,11 @@ def render(results: Results) -> str:
         ],
         without_geometry=names([name for name in mapped if name not in shapes]),
         left_out=len(objects) - len(mapped),
+        trials=[
+            (trials_table(view), draw(trials_figure(view), f"{view.title}: actions by trial", wide=True))
+            for name in mapped
+            if (view := results.trials_of(name)) is not None
+        ],
         worst=worst_all,
         worst_own=worst_own,
         most_failures=MOST_FAILURES,

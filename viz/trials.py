@@ -1,0 +1,73 @@
+"""Trials of one object as they are drawn: actions, contact paths of pushes, and joint angles of links."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Self
+
+import numpy as np
+from jaxtyping import Float
+
+from testbed.actions.push import Push
+from testbed.errors import InvalidValueError
+from testbed.objects.model import ObjectShape
+from testbed.sensing.camera import PoseStream
+from testbed.sensing.push_windows import contact_path
+from testbed.trajectory import Trajectory
+from viz.values import ActionsView
+
+
+@dataclass(frozen=True, eq=False)
+class TrialsView(ActionsView):
+    """T trials of one object, numbered from 1."""
+
+    title: str
+    """Object and setting."""
+    contacts: Mapping[int, Float[np.ndarray, "W 2"]] = field(default_factory=dict)
+    """Contact points of each push in order [m], object frame, by number."""
+    cameras: Mapping[int, PoseStream] = field(default_factory=dict)
+    """Poses of the links in each trial, by number."""
+
+    @classmethod
+    def of(cls, shape: ObjectShape, trajectories: Sequence[Trajectory], title: str) -> Self:
+        """View of the trials in which something moves."""
+        moved = [trajectory for trajectory in trajectories if trajectory.action.moves]
+        paths = {number: push_contacts(shape, trajectory) for number, trajectory in enumerate(moved, start=1)}
+        cameras = {
+            n: t.camera for n, t in enumerate(moved, start=1) if shape.chain is not None and t.camera is not None
+        }
+        contacts = {number: path for number, path in paths.items() if len(path)}
+        return cls(shape, tuple(t.action for t in moved), title, contacts, cameras)
+
+    @property
+    def strokes(self) -> Float[np.ndarray, "N 2"]:
+        """Points along every line of the drawing, and its marks [m]."""
+        return np.vstack([super().strokes, *self.contacts.values()])
+
+    def slid(self, number: int) -> float:
+        """Distance between the first and the last contact point of a push [m]; NaN where none was seen."""
+        if number not in self.contacts:
+            return np.nan
+        return float(np.linalg.norm(self.contacts[number][-1] - self.contacts[number][0]))
+
+    def joint_range(self, number: int, hinge: int) -> tuple[float, float]:
+        """Least and greatest joint angle of a hinge in a trial [deg]; NaN where none was seen."""
+        if number not in self.cameras:
+            return np.nan, np.nan
+        angle = self.cameras[number].joint_angles[:, hinge]
+        seen = np.degrees(angle[~np.isnan(angle)])
+        return (float(seen.min()), float(seen.max())) if len(seen) else (np.nan, np.nan)
+
+
+def push_contacts(shape: ObjectShape, trajectory: Trajectory) -> Float[np.ndarray, "W 2"]:
+    """Contact points of a push from where it meets the object [m], object frame, shape (W, 2).
+
+    None of other trials, nor where the camera saw too little.
+    """
+    if not isinstance(trajectory.action, Push):
+        return np.empty((0, 2))
+    try:
+        return np.vstack([trajectory.action.point, contact_path(shape, trajectory)])
+    except InvalidValueError:
+        return np.empty((0, 2))

@@ -201,12 +201,17 @@ class Policy(BaseModel):
 
     @property
     def without_grasp(self) -> Policy | None:
-        """The policy for an object that no hand can grip: `pushes` of it; None where it can only be left out."""
+        """The policy for an object that no hand can turn: `pushes` of it; None where it can only be left out."""
         if self.pushes is None:
             return None
         if self.kind in PLANNED:
             return self.model_copy(update={"touches": self.pushes, "lifts": None})
         return None if self.lifts else Policy(kind="push", touches=self.pushes, seed=self.seed)
+
+    @property
+    def takes_any_shape(self) -> bool:
+        """True if an object that no hand can turn is not left out: it is pushed."""
+        return not self.grips or self.without_grasp is not None
 
     @property
     def lifts_last(self) -> int | None:
@@ -255,7 +260,7 @@ class Policy(BaseModel):
             ranked = self.rank_driven
             before = None if ranked is None else replace(ranked, grasps=grasps, seed=seed, refused=refused)
             if before is not None and not self.lifts_last:
-                return before
+                return RandomPushes(self.pushes, seed, refused, before) if self.pushes else before
             return StopAndGo(self.lifts_last, grasps, before, refused)
         sensor = preset(sensing if self.kind == "online" else self.plan_for).stated
         return AfterWeighing(partial(self._of_weight, grasps, shape, settings, sensor, setup, refused, seed), weighed)

@@ -1,15 +1,23 @@
-"""Random pushes as a policy: faces, points and directions as published for pushed objects."""
+"""Random pushes as a policy: faces, points and directions as published for pushed objects; alone, or after turns."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 
 import numpy as np
 
+from estimators.action_selection.rank import predicted_rank
+from estimators.base import ActionPolicy
+from estimators.particles.friction_system import LoadGroups
+from estimators.particles.model import ParticleModel
 from testbed.actions.base import Action
 from testbed.actions.push import Push
+from testbed.actions.rotate import Rotate
+from testbed.actions.slide import Slide
+from testbed.errors import InfeasibleTrialError
 from testbed.objects.faces import faces
 from testbed.objects.model import ObjectShape
 from testbed.trajectory import Trajectory
@@ -37,12 +45,22 @@ class RandomPushes:
     """Seed of the draws."""
     refused: Mapping[Action, str] = field(default_factory=dict, compare=False)
     """Actions that the bench refused, and why; grows as trials are made."""
+    before: ActionPolicy | None = None
+    """Policy of turns that come first: pushes follow where those that ended well leave rank(Q) open."""
 
     def next(self, shape: ObjectShape, trajectories: Sequence[Trajectory]) -> Action | None:
-        """Next push; None when done."""
-        if sum(t.ok for t in trajectories) >= self.pushes:
+        """Next action; None when done."""
+        made = [t for t in trajectories if isinstance(t.action, Push)]
+        if self.before is not None and not made:
+            with suppress(InfeasibleTrialError):  # refused about every grasp: what is left is to push
+                if (action := self.before.next(shape, trajectories)) is not None:
+                    return action
+            turned = [t.action for t in trajectories if t.ok and isinstance(t.action, Rotate | Slide)]
+            if predicted_rank(shape, turned) == len(LoadGroups.of(ParticleModel.of(shape)).pairs):
+                return None
+        if sum(t.ok for t in made) >= self.pushes:
             return None
-        return untried(random_pushes(shape, TRIES * self.pushes, self.seed), self.refused, trajectories)
+        return untried(random_pushes(shape, TRIES * self.pushes, self.seed), self.refused, made)
 
 
 def untried(

@@ -162,10 +162,10 @@ def experiments_of(
 
 
 def _handled(point: Scenario, model: ObjectModel, feasible: _Grasps) -> tuple[Scenario, tuple[int, ...]]:
-    """Scenario for an object, in which it is pushed where no hand can grip it, and its grasps.
+    """Scenario for an object, in which it is pushed where no hand can turn it, and its grasps.
 
     Raises:
-        InfeasibleTrialError: it cannot be gripped, and is not to be pushed.
+        InfeasibleTrialError: it cannot be turned, and is not to be pushed.
     """
     if not point.policy.grips:
         return point, ()
@@ -173,7 +173,7 @@ def _handled(point: Scenario, model: ObjectModel, feasible: _Grasps) -> tuple[Sc
         return point, feasible.of(model.name, point.policy.check(model, point.simulation.build()))
     except InfeasibleTrialError:
         pushed = point.policy.without_grasp
-        if pushed is None or model.shape.grasps:
+        if pushed is None:
             raise
         return point.model_copy(update={"policy": pushed}), ()
 
@@ -200,12 +200,14 @@ def _sources(scenario: Scenario, feasible: _Grasps, store: Store) -> Iterator[tu
 
 
 def _drawn(family: Family, index: int, scenario: Scenario, feasible: _Grasps, store: Store) -> str:
-    """File of a random object that the robot can handle, made if it is not there.
+    """File of a random object that the robot can turn, or of any where others are pushed, made if it is not there.
 
     Raises:
         InfeasibleTrialError: none of many draws can be handled.
     """
-    folder = key_of({"family": family.model_dump(exclude={"count"}), "digits": len(str(family.count - 1))})
+    any_shape = {"any_shape": True} if scenario.policy.takes_any_shape else {}
+    drawn = {"family": family.model_dump(exclude={"count"}), "digits": len(str(family.count - 1))}
+    folder = key_of(drawn | any_shape)
     path = store.root / "objects" / folder / f"{family.names()[index]}.toml"
     if store.has_object(path):
         return str(path)
@@ -213,7 +215,8 @@ def _drawn(family: Family, index: int, scenario: Scenario, feasible: _Grasps, st
     for attempt in range(MOST_DRAWS):
         file = family.draw(index, attempt)
         try:
-            feasible.of(file.name, scenario.policy.check(file.build(3, path.parent), scenario.simulation.build()))
+            if not any_shape:
+                feasible.of(file.name, scenario.policy.check(file.build(3, path.parent), scenario.simulation.build()))
         except InfeasibleTrialError as error:
             reason = str(error)
             continue

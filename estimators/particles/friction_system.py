@@ -15,10 +15,10 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.nn.functional import pad
 
-from estimators.particles.links import HINGE_PRIOR, hinge_rows
+from estimators.particles.links import HINGE_PRIOR, carried_moment, hinge_rows
 from estimators.particles.model import ModelErrors, ParticleModel
 from estimators.particles.pivots import LEAST_VARIANCE
-from estimators.particles.setup_effects import Columns, seen_effects, setup_effects, shared_and_own
+from estimators.particles.setup_effects import Columns, by_row, seen_effects, setup_effects, shared_and_own
 from estimators.particles.support import own_weight
 from estimators.particles.windows import PLANAR, Observations
 from testbed.objects.model import GRAVITY, ObjectShape
@@ -130,24 +130,18 @@ def friction_equations(
     """
     load = windows.gripper_load(model, mass, height)
     support = own_weight(model, mass, load)
-    rows = windows.drag_rows(model, errors.pivot_error)
-    q = groups.gather(rows)
     s = friction * support.share * GRAVITY
+    rows = windows.drag_rows(model, errors.pivot_error)
+    taken, hinges, own = windows.motion_wrench(model, mass), None, None
+    if windows.articulated:
+        torques, own, hinges = hinge_rows(windows, model, mass, s, errors)
+        rows, taken = torch.cat([rows, torques.rows], 1), torch.cat([taken, torques.inertial], 1)
+    aside = (rows @ (friction * (support.lean + support.change(load)))[..., None])[..., 0]
     response = rows @ (friction[:, None] * support.response)
-    aside = (friction * (support.lean + support.change(load)))[..., None]
-    b = windows.wrench - windows.motion_wrench(model, mass) - (rows @ aside)[..., 0]
     apart, common = wrench_errors(windows, model, mass, s.expand(len(rows), -1), response, errors)
-    found = FrictionEquations(q.reshape(-1, q.shape[-1]), b.reshape(-1), apart, common)
-    if not windows.articulated:
-        return found
-    torques, covariance, hinges = hinge_rows(windows, model, mass, s, errors)
-    return FrictionEquations(
-        torch.cat([found.q, groups.gather(torques.rows).flatten(0, 1)]),
-        torch.cat([found.b, -(torques.inertial + (torques.rows @ aside)[..., 0]).flatten()]),
-        apart + covariance,
-        common,
-        hinges,
-    )
+    b = pad(windows.wrench, (0, windows.hinges)) - taken - aside  # no sensor is at a hinge
+    apart = apart if own is None else apart + own
+    return FrictionEquations(by_row(groups.gather(rows)), by_row(b[..., None])[:, 0], apart, common, hinges)
 
 
 def weight_per_mass(shape: ObjectShape, pairs: Sequence[tuple[int, int]]) -> Float[np.ndarray, "n_s"]:
@@ -168,19 +162,20 @@ def wrench_errors(
     model: ParticleModel,
     mass: Float[Tensor, "P"],
     drag: Float[Tensor, "K P"],
-    response: Float[Tensor, "K 3 3"],
+    response: Float[Tensor, "K 3+H 3"],
     errors: ModelErrors,
 ) -> tuple[Float[Tensor, "R R"], Float[Tensor, "R E"]]:
     """Errors of wrenches less the effect of the gripper's load: R = 3 K rows.
 
-    Of an object in links the setup's errors of torques about its H hinges follow, R = 3 K + K H.
+    Of an object in links those of torques about its H hinges follow, R = 3 K + K H: of the load and of the setup.
 
     Args:
         windows: windows of constant speed.
         model: particles of the object.
         mass: their masses, kg.
         drag: friction of every particle, N.
-        response: change of the wrench with lift and tilt, N/N and N m/N m, (f_x, f_y, torque).
+        response: change of the wrench with lift and tilt, N/N and N m/N m, (f_x, f_y, torque), and of torques about
+            hinges.
         errors: errors of the model.
 
     Returns:
@@ -201,18 +196,20 @@ def wrench_errors(
     within = torch.diag_embed(own) + by_motion @ by_motion.transpose(1, 2)
     if windows.seen.shape[-1]:  # some are pushes
         within = within + windows.sticking_covariance(model, drag)
-    lift, tilt = errors.lift_error, errors.tilt_error
-    shared = torch.tensor([lift / 2**0.5, 0.0, 0.0], dtype=torch.float64)
-    alone = torch.tensor([lift / 2**0.5, tilt, tilt], dtype=torch.float64)
-    apart = _sensor_error(windows, response, alone, shared) + _block_diagonal(within)
+    shared, alone = torch.tensor([errors.lift_error / 2**0.5, 0.0, 0.0]).double(), torch.tensor(errors.nulled)
+    alone = alone / torch.tensor([2**0.5, 1.0, 1.0])
+    if windows.articulated:
+        moment = carried_moment(model, windows.wrench[:, :2].norm(dim=1).max())
+        alone = torch.maximum(alone, moment * torch.tensor([0.0, 1.0, 1.0]))
+    more = len(windows) * windows.hinges
+    apart = _sensor_error(windows, response, alone, shared) + pad(_block_diagonal(within) + late, (0, more, 0, more))
     hidden = (response * (shared * (1 - windows.load_kept))[:, None]).sum(-1)
     # the drag's own moment about the feet is as wrong as the height over them
     raised = errors.height_error * (response[..., 1:] @ windows.wrench[:, :2, None])[..., 0]
-    more = len(windows) * windows.hinges
-    common = pad(torch.stack([hidden.flatten(), raised.flatten()], 1), (0, 0, 0, more))
+    common = by_row(torch.stack([hidden, raised], -1))
     effects = _of_setup(windows, model, mass, drag, response, errors.pivot_error)
     shared, own = shared_and_own(effects, windows)
-    return pad(apart + late, (0, more, 0, more)) + own, torch.cat([common, shared], 1)
+    return apart + own, torch.cat([common, shared], 1)
 
 
 def unknown_motion(windows: Observations, model: ParticleModel, weight: float) -> Float[Tensor, "R E"]:
@@ -267,7 +264,7 @@ def _of_setup(
     model: ParticleModel,
     mass: Float[Tensor, "P"],
     drag: Float[Tensor, "K P"],
-    response: Float[Tensor, "K 3 3"],
+    response: Float[Tensor, "K 3+H 3"],
     pivot_error: float,
 ) -> Columns:
     """Effects of the setup's errors, none of an exact one."""
@@ -276,19 +273,20 @@ def _of_setup(
     return setup_effects(windows, model, mass, drag, sensor_map(windows, response), pivot_error, windows.setup)
 
 
-def sensor_map(windows: Observations, response: Float[Tensor, "K 3 3"]) -> Float[Tensor, "R 6K"]:
+def sensor_map(windows: Observations, response: Float[Tensor, "K 3+H 3"]) -> Float[Tensor, "R 6K"]:
     """Map from errors of the sensor, about the TCP, to those of wrenches less the `response` to lift and tilt.
 
-    One force feeds both, so an error common to a wrench and to the load on the feet counts once.
+    One force feeds both, so an error common to a wrench and to the load on the feet counts once. Torques about hinges
+    follow those of the wrenches: of them the sensor feels the load alone.
     """
-    count = len(windows)
+    count, hinges = len(windows), response.shape[1] - 3
     carried = response @ _load_error(windows).reshape(count, 3, 6 * count)
-    planar = torch.eye(6, dtype=torch.float64)[PLANAR].expand(count, 3, 6)
-    return _block_diagonal(planar) - carried.reshape(3 * count, 6 * count)
+    planar = pad(torch.eye(6, dtype=torch.float64)[PLANAR], (0, 0, 0, hinges)).expand(count, 3 + hinges, 6)
+    return by_row(_block_diagonal(planar).reshape(count, 3 + hinges, 6 * count) - carried)
 
 
 def _sensor_error(
-    windows: Observations, response: Float[Tensor, "K 3 3"], nulled: Float[Tensor, "3"], shared: Float[Tensor, "3"]
+    windows: Observations, response: Float[Tensor, "K 3+H 3"], nulled: Float[Tensor, "3"], shared: Float[Tensor, "3"]
 ) -> Float[Tensor, "R R"]:
     """Covariance of wrenches less the `response` to lift and tilt: errors of the sensor, and loads taken for them."""
     sensed, error = _sensor_covariance(windows), sensor_map(windows, response)
@@ -298,7 +296,7 @@ def _sensor_error(
 def _unseen_load(
     windows: Observations,
     sensed: Float[Tensor, "6K 6K"],
-    response: Float[Tensor, "K 3 3"],
+    response: Float[Tensor, "K 3+H 3"],
     nulled: Float[Tensor, "3"],
     shared: Float[Tensor, "3"],
 ) -> Float[Tensor, "R R"]:
@@ -321,7 +319,8 @@ def _unseen_load(
     swung = windows.together * along[:, None] * along  # what a swing of the arm changes goes with its acceleration
     changed = torch.where(windows.accelerated[:, None], swung, change)[..., None] * missed.sqrt()
     load = windows.together[..., None] * hidden[:, None] * hidden + changed * missed.sqrt()[:, None]
-    return torch.einsum("kia,kla,lja->kilj", response, load, response).reshape(3 * count, 3 * count)
+    rows = by_row(torch.einsum("kia,kla,lja->kilj", response, load, response).flatten(2))
+    return by_row(rows.T.reshape(count, -1, len(rows)))
 
 
 def _sensor_covariance(windows: Observations) -> Float[Tensor, "6K 6K"]:

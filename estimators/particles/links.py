@@ -38,6 +38,20 @@ HINGE_PRIOR = 1.0
 """Friction of a hinge before any trial, one standard deviation, N m: far more than an object on a table has."""
 
 
+def carried_moment(model: ParticleModel, drag: Float[Tensor, ""]) -> Float[Tensor, ""]:
+    """Moment that the hand may carry of an object in links, N m, one standard deviation; 0 of a rigid one.
+
+    The hand is nulled before it moves. Then each link turns, and with it the moment of its weight beside the middle of
+    its feet: of even masses, their weight being twice the `drag`, N.
+    """
+    if not len(model.hinges):
+        return torch.zeros((), dtype=torch.float64)
+    group = torch.nn.functional.one_hot(model.mass_group).double().T
+    material, feet = group * model.fill, group * model.contact
+    beside = material @ model.particles / material.sum(1, keepdim=True) - feet @ model.particles / feet.sum(1)[:, None]
+    return 2 * drag * (group.mean(1) * beside.norm(dim=1)).norm()
+
+
 @dataclass(frozen=True, eq=False)
 class LinkedParticles:
     """Places and motion of an object's particles in K windows of S parts, about the grasp point, held link's axes."""

@@ -15,7 +15,7 @@ from torch import Tensor
 from estimators.particles.friction_system import FrictionEquations, sensor_map
 from estimators.particles.links import HINGE_PRIOR
 from estimators.particles.model import ModelErrors, ParticleModel
-from estimators.particles.setup_effects import Columns, setup_effects, trial_by_trial
+from estimators.particles.setup_effects import Columns, setup_effects, trial_by_trial, with_hinges
 from estimators.particles.support import own_weight
 from estimators.particles.windows import Observations
 from testbed.objects.model import MassDistribution, ObjectShape
@@ -212,7 +212,8 @@ def likely_causes(
     support = own_weight(model, mass, windows.gripper_load(model, mass, shape.height))
     rows = windows.drag_rows(model, errors.pivot_error)
     friction = model.particle_friction(torch.tensor(at.friction))
-    to_wrench = sensor_map(windows, rows @ (friction[:, None] * support.response))
+    response = with_hinges(windows, model, rows) @ (friction[:, None] * support.response)
+    to_wrench = sensor_map(windows, response)
     each = drag.clamp(min=0).expand(len(windows), -1)
     causes = trial_by_trial(setup_effects(windows, model, mass, each, to_wrench, errors.pivot_error, LIKELY), windows)
     one_hot = torch.nn.functional.one_hot(model.mass_group).double()

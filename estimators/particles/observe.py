@@ -10,7 +10,8 @@ import numpy as np
 import torch
 from jaxtyping import Float
 
-from estimators.particles.model import ModelErrors
+from estimators.particles.links import carried_moment
+from estimators.particles.model import ModelErrors, ParticleModel
 from estimators.particles.support import likely_load, load_map
 from estimators.particles.windows import PLANAR, Observations
 from testbed.actions.base import TableAction
@@ -67,6 +68,7 @@ def observe(
         np.array(accelerated),
         errors.nulled,
         np.array([w.grasp is None for w in windows]),
+        float(carried_moment(ParticleModel.of(shape), torch.tensor(np.linalg.norm(wrench[:, :2], axis=1).max()))),
     )
     points, held = zip(*(_place(shape, w) for w in windows), strict=True)
     same = (

@@ -77,7 +77,7 @@ def setup_effects(
         setup: standard deviations; a kind of 0 has no columns.
     """
     found: Columns = {}
-    rows = _with_hinges(windows, model, windows.drag_rows(model, pivot_error)) * drag[:, None]  # (K, 3 + H, P)
+    rows = with_hinges(windows, model, windows.drag_rows(model, pivot_error)) * drag[:, None]  # (K, 3 + H, P)
     if setup.contact_points:
         found["contact_points"] = _contact_pattern(windows, model, drag, pivot_error, setup.contact_points)
     if setup.group_friction:
@@ -88,11 +88,16 @@ def setup_effects(
         found["anisotropy"] = _anisotropy(windows, model, rows, setup.anisotropy)
     if setup.speed_friction:
         decades = torch.log10(windows.particle_velocity(model).norm(dim=-1).clamp(1e-4, 1.0) / REFERENCE)
-        found["speed_friction"] = setup.speed_friction * _flat((rows * decades[:, None]).sum(-1, keepdim=True))
+        found["speed_friction"] = setup.speed_friction * by_row((rows * decades[:, None]).sum(-1, keepdim=True))
     if setup.table_tilt:
         found["table_tilt"] = setup.table_tilt * _tilt(windows, model, mass, to_wrench)
     found |= _displacements(windows, model, mass, drag, pivot_error, setup)
     return found | _sensed(windows, to_wrench, setup)
+
+
+def by_row(columns: Float[Tensor, "K 3+H n"]) -> Float[Tensor, "R n"]:
+    """Rows of the wrenches of all windows, then those of the hinges."""
+    return torch.cat([columns[:, :3].flatten(0, 1), columns[:, 3:].flatten(0, 1)])
 
 
 def shared_and_own(effects: Columns, windows: Observations) -> tuple[Float[Tensor, "R E"], Float[Tensor, "R R"]]:
@@ -157,12 +162,7 @@ def trial_by_trial(effects: Columns, windows: Observations) -> Columns:
     }
 
 
-def _flat(columns: Float[Tensor, "K 3+H n"]) -> Float[Tensor, "R n"]:
-    """Rows of the wrenches, then those of the hinges."""
-    return torch.cat([columns[:, :3].flatten(0, 1), columns[:, 3:].flatten(0, 1)])
-
-
-def _with_hinges(
+def with_hinges(
     windows: Observations, model: ParticleModel, rows: Float[Tensor, "K 3 P"], still: Tensor | None = None
 ) -> Float[Tensor, "K 3+H P"]:
     """Rows of wrenches and, of an object in links, of torques about those of its hinges that are not `still` (K, H)."""
@@ -178,7 +178,7 @@ def _torques(windows: Observations, model: ParticleModel, still: Tensor | None =
 
 def _by_group(model: ParticleModel, rows: Float[Tensor, "K 3+H P"]) -> Float[Tensor, "R n_m"]:
     """Sums over mass groups."""
-    return _flat(rows @ torch.nn.functional.one_hot(model.mass_group).double())
+    return by_row(rows @ torch.nn.functional.one_hot(model.mass_group).double())
 
 
 def _contact_pattern(
@@ -190,7 +190,7 @@ def _contact_pattern(
     is drawn: its variance over the area, over the number of points.
     """
     spread = model.spread
-    rows = torch.stack([_with_hinges(windows, each, windows.point_rows(each, pivot_error)) for each in spread], -1)
+    rows = torch.stack([with_hinges(windows, each, windows.point_rows(each, pivot_error)) for each in spread], -1)
     places = torch.stack([each.particles for each in spread], 1)  # (P, 4, 2)
     columns = []
     for group in range(int(model.mass_group.max()) + 1):
@@ -205,7 +205,7 @@ def _contact_pattern(
         rest = own - (own @ affine) @ affine.T
         rest[:, 3:] += UNEVEN * (own @ affine[:, 1:] @ affine[:, 1:].T)[:, 3:]
         columns.append(rest * load[:, None, None] * math.sqrt(SHARES / (points * len(at))))
-    return _flat(torch.cat(columns, -1))
+    return by_row(torch.cat(columns, -1))
 
 
 def _place(windows: Observations, model: ParticleModel, rows: Float[Tensor, "K 3+H P"]) -> Float[Tensor, "R n"]:
@@ -213,7 +213,7 @@ def _place(windows: Observations, model: ParticleModel, rows: Float[Tensor, "K 3
     at = windows.poses[..., None, :2] + rotate(windows.poses[..., 2, None], windows.lever(model)[:, None])
     phase = at @ WAVES.T  # (K, S, P, n)
     field = torch.cat([torch.cos(phase), torch.sin(phase)], -1).mean(1) / len(WAVES) ** 0.5
-    return _flat(torch.einsum("kip,kpn->kin", rows, field))
+    return by_row(torch.einsum("kip,kpn->kin", rows, field))
 
 
 def _anisotropy(
@@ -246,7 +246,7 @@ def _anisotropy(
     force = drag.norm(dim=-1, keepdim=True) * (both[0] * unit + both[1] * aside)
     torque = cross(windows.lever(model), force).sum(-1, keepdim=True)
     about = torch.cat([force.sum(2), torque, *_about_hinges(windows, model, force)], -1)
-    return _flat(about.permute(1, 2, 0))
+    return by_row(about.permute(1, 2, 0))
 
 
 def _about_hinges(
@@ -271,11 +271,10 @@ def _tilt(
         pull = GRAVITY * mass[:, None] * along[:, None]
         torque = cross(lever, pull).sum(-1, keepdim=True)
         columns.append(torch.cat([pull.sum(1), torque, *_about_hinges(windows, model, pull)], -1))
-    found = _flat(torch.stack(columns, -1))
+    found = by_row(torch.stack(columns, -1))
     if not windows.articulated:
         return found
-    tool = to_wrench @ windows.tool_tilt.transpose(1, 2).flatten(0, 1)
-    return found + pad(tool, (0, 0, 0, len(found) - len(tool)))
+    return found + to_wrench @ windows.tool_tilt.transpose(1, 2).flatten(0, 1)
 
 
 def _displacements(
@@ -293,7 +292,7 @@ def _displacements(
     still = standing(windows) if windows.articulated else None
 
     def rows(windows: Observations, model: ParticleModel) -> Float[Tensor, "K 3+H P"]:
-        return _with_hinges(windows, model, windows.drag_rows(model, pivot_error), still) * drag[:, None]
+        return with_hinges(windows, model, windows.drag_rows(model, pivot_error), still) * drag[:, None]
 
     by = []
     for axis in torch.eye(2, dtype=torch.float64):
@@ -323,7 +322,7 @@ def _displacements(
         "tcp_offset": in_hand * held,
         "tcp_angle": yawed * held,
     }
-    return {kind: size * _flat(columns[kind]) for kind, size in zip(columns, told, strict=True) if size}
+    return {kind: size * by_row(columns[kind]) for kind, size in zip(columns, told, strict=True) if size}
 
 
 def _sensed(windows: Observations, to_wrench: Float[Tensor, "R 6K"], setup: SetupErrors) -> Columns:
@@ -346,5 +345,4 @@ def _sensed(windows: Observations, to_wrench: Float[Tensor, "R 6K"], setup: Setu
         for part in (slice(0, 2), slice(3, 5)):
             late[:, part] = turned(about[:, part]) * (windows.twist[:, 2:] * ~windows.pushed[:, None])
         errors["delay"] = setup.delay * late[..., None]
-    more = len(windows) * windows.hinges  # which no sensor feels
-    return {kind: pad(to_wrench @ each.reshape(6 * len(signal), -1), (0, 0, 0, more)) for kind, each in errors.items()}
+    return {kind: to_wrench @ each.reshape(6 * len(signal), -1) for kind, each in errors.items()}

@@ -35,6 +35,8 @@ class GripperLoad:
     """Mass groups under the two pads, each of which carries half the lift."""
     lever: Float[Tensor, "K P 2"]
     """Place of each particle from the grasp point, m: of an object in links, where they have moved."""
+    balanced: bool = False
+    """True if each group's feet are where its own weight is, on points that nobody knows: then none leans."""
 
     @property
     def carried(self) -> Float[Tensor, "K 3"]:
@@ -61,6 +63,7 @@ def likely_load(
     accelerated: Bool[np.ndarray, "K"],
     nulled: Float[np.ndarray, "3"],
     pushed: Bool[np.ndarray, "K"],
+    carried: float = 0.0,
 ) -> tuple[Float[np.ndarray, "K 3"], Float[np.ndarray, "K 3"], Float[np.ndarray, "K 3"]]:
     """Loads of K windows with the sensor's likely error taken off, and the parts of mean and change that were kept.
 
@@ -76,8 +79,10 @@ def likely_load(
         accelerated: True for windows of an accelerated turn: an arm that swings carries loads of another size.
         nulled: mean load of a nulled gripper over a trial, one standard deviation.
         pushed: True for windows of a push: a fingertip's load is not nulled, and taken as measured.
+        carried: moment that the hand carries of links that trail, one standard deviation, N m.
     """
     likely, kept, followed = load.copy(), np.ones_like(load), np.ones_like(load)
+    of_links = carried * np.array([0.0, 1.0, 1.0])
     for rows, changes in ((accelerated, SWUNG), (~accelerated & ~pushed, TURNED)):
         if not rows.any():
             continue
@@ -88,8 +93,10 @@ def likely_load(
         common = mean @ some
         change, free = some - common[index], max(len(some) - len(trials), 1)
         explained = (mean @ bias[rows] + mean @ noise[rows] / together[:, None]).mean(axis=0)
-        kept[rows] = _real_part((common**2).mean(axis=0), explained, len(trials), nulled)
-        followed[rows] = _real_part((change**2).sum(axis=0) / free, noise[rows].mean(axis=0), free, changes)
+        kept[rows] = _real_part((common**2).mean(axis=0), explained, len(trials), np.maximum(nulled, of_links))
+        followed[rows] = _real_part(
+            (change**2).sum(axis=0) / free, noise[rows].mean(axis=0), free, np.maximum(changes, of_links)
+        )
         likely[rows] = kept[rows] * common[index] + followed[rows] * change
     return likely, kept, followed
 
@@ -119,8 +126,9 @@ def own_weight(model: ParticleModel, mass: Float[Tensor, "P"], load: GripperLoad
 
     fz lightens the held group's weight, or by half of it each that of two under the pads. All groups share one tilt on
     a foundation of even stiffness, so each takes a part of the moment that is affine over its own feet: the gripper's,
-    and that of a weight beside its feet. An object that does not stand in groups, since one has no foot or it rests on
-    points of contact, is one group: its loads are then `rigid_loads`.
+    and that of a weight beside its feet; where groups are `balanced`, each takes its own weight's alone. An object that
+    does not stand in groups, since one has no foot or it rests on points of contact, is one group: its loads are then
+    `rigid_loads`.
 
     Args:
         model: particles of the object.
@@ -141,8 +149,14 @@ def own_weight(model: ParticleModel, mass: Float[Tensor, "P"], load: GripperLoad
     offset = (lever - center[:, group]) * contact[:, None]
     tilt = offset @ torch.linalg.pinv(offset.mT @ offset, hermitian=True)
     weight = whole * GRAVITY
-    middle = pairs.index_add(1, group, lever * mass[:, None]) * GRAVITY
-    lean = (tilt @ (middle - weight[:, None] * center).sum(1)[..., None])[..., 0]
+    beside = pairs.index_add(1, group, lever * mass[:, None]) * GRAVITY - weight[:, None] * center
+    if load.balanced:
+        own = torch.nn.functional.one_hot(group).double()
+        squares = torch.einsum("kpi,kpj,pg->kgij", offset, offset, own)
+        alone = (torch.linalg.pinv(squares, hermitian=True) @ beside[..., None])[..., 0]
+        lean = (offset * alone[:, group]).sum(-1)
+    else:
+        lean = (tilt @ beside.sum(1)[..., None])[..., 0]
     gripped = ((group == held[..., None]) & contact).double()
     lift = (gripped / gripped.sum(-1, keepdim=True).clamp(min=1)).mean(-2)
     # fz acts at the grasp point: what lies beside the middle of the held groups' feet tilts

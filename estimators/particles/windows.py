@@ -304,4 +304,5 @@ class Observations:
         kept, followed = self.load_kept[:, 1:], self.load_followed[:, 1:]
         swung = kept * (self.trial_mean @ moved) + followed * (self.trial_change @ moved)
         taken = torch.where(self.accelerated[:, None] | self.articulated, swung, kept * moved)
-        return GripperLoad(self.lift, self.tilt - taken, self.held, self.lever(model))
+        balanced = self.articulated and bool(self.setup.contact_points)
+        return GripperLoad(self.lift, self.tilt - taken, self.held, self.lever(model), balanced)

@@ -59,12 +59,15 @@ def test_loads_balance_weight_lift_and_moment(support, seed):
     assert_allclose(moment, load.moment, atol=1e-12)
 
 
+@pytest.mark.parametrize("balanced", [False, True], ids=["one tilt", "balanced"])
 @pytest.mark.parametrize("support", LOADS)
-def test_loads_balance_where_links_have_moved(support):
+def test_loads_balance_where_links_have_moved(support, balanced):
     still = carried(OBJECT)
     turn = torch.arange(len(still.lift)) * 0.7
     beyond = (ParticleModel.of(OBJECT.shape).mass_group > 1)[:, None]
-    moved = replace(still, lever=torch.where(beyond, rotate(turn[:, None], still.lever), still.lever))
+    moved = replace(
+        still, lever=torch.where(beyond, rotate(turn[:, None], still.lever), still.lever), balanced=balanced
+    )
     loads = loads_of(support, OBJECT, moved)
     assert_allclose(loads.sum(-1), OBJECT.total_mass * GRAVITY - moved.lift)
     moment = np.einsum("kp,kpd->kd", loads.numpy() - GRAVITY * OBJECT.particle_mass, moved.lever)
@@ -124,7 +127,7 @@ def test_a_batch_is_its_windows_one_by_one(support):
     load = carried(OBJECT)
     together = loads_of(support, OBJECT, load)
     for k in range(len(load.lift)):
-        alone = GripperLoad(*(value[k : k + 1] for value in vars(load).values()))
+        alone = replace(load, **{n: value[k : k + 1] for n, value in vars(load).items() if n != "balanced"})
         assert_allclose(loads_of(support, OBJECT, alone)[0], together[k], atol=1e-12)
 
 

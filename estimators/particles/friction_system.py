@@ -199,7 +199,7 @@ def wrench_errors(
     shared, alone = torch.tensor([errors.lift_error / 2**0.5, 0.0, 0.0]).double(), torch.tensor(errors.nulled)
     alone = alone / torch.tensor([2**0.5, 1.0, 1.0])
     if windows.articulated:
-        moment = carried_moment(model, windows.wrench[:, :2].norm(dim=1).max())
+        moment = carried_moment(model, windows.wrench[:, :2].norm(dim=1).max(), windows.setup)
         alone = torch.maximum(alone, moment * torch.tensor([0.0, 1.0, 1.0]))
     more = len(windows) * windows.hinges
     apart = _sensor_error(windows, response, alone, shared) + pad(_block_diagonal(within) + late, (0, more, 0, more))

@@ -17,6 +17,7 @@ from torch import Tensor
 from torch.nn.functional import pad
 
 from estimators.particles.model import ParticleModel, cross, direction, rotate, turned
+from testbed.worlds.setup_errors import SetupErrors
 
 if TYPE_CHECKING:
     from estimators.particles.friction_system import FrictionEquations
@@ -26,6 +27,9 @@ if TYPE_CHECKING:
 FORCE_ERROR, HINGE_ERROR = 0.001, 0.006
 """Model error of wrenches while links trail, as a part of the whole drag and its torque, and of the torque about a
 hinge, as a part of the drag's about it; the windows of a trial share it. By `python bench/physics.py links`."""
+UNEVEN = 0.1
+"""Part of a point's load that an uneven table shifts, where points of contact are unknown: off a group's center of mass
+about hinges, and onto the hand. Ours."""
 LEAST_ERROR = 1e-6
 """Least error of a torque about a hinge, N m: where a guess has links without mass, it still is one."""
 RESTING = 5e-4
@@ -38,18 +42,20 @@ HINGE_PRIOR = 1.0
 """Friction of a hinge before any trial, one standard deviation, N m: far more than an object on a table has."""
 
 
-def carried_moment(model: ParticleModel, drag: Float[Tensor, ""]) -> Float[Tensor, ""]:
+def carried_moment(model: ParticleModel, drag: Float[Tensor, ""], setup: SetupErrors) -> Float[Tensor, ""]:
     """Moment that the hand may carry of an object in links, N m, one standard deviation; 0 of a rigid one.
 
     The hand is nulled before it moves. Then each link turns, and with it the moment of its weight beside the middle of
-    its feet: of even masses, their weight being twice the `drag`, N.
+    its feet: of even masses, their weight being twice the `drag`, N. On unknown points an uneven table shifts more.
     """
     if not len(model.hinges):
         return torch.zeros((), dtype=torch.float64)
     group = torch.nn.functional.one_hot(model.mass_group).double().T
     material, feet = group * model.fill, group * model.contact
     beside = material @ model.particles / material.sum(1, keepdim=True) - feet @ model.particles / feet.sum(1)[:, None]
-    return 2 * drag * (group.mean(1) * beside.norm(dim=1)).norm()
+    reach = (model.particles - model.particles.mean(0)).norm() / len(model.particles) ** 0.5
+    shifted = UNEVEN * reach if setup.contact_points else 0.0 * reach
+    return 2 * drag * torch.hypot((group.mean(1) * beside.norm(dim=1)).norm(), shifted)
 
 
 @dataclass(frozen=True, eq=False)

@@ -60,6 +60,8 @@ def observe(
     carries = np.array([load_map(w.tcp_height) for w in windows])
     drift = np.array([w.drift_covariance for w in windows])
     off = bias + np.array([w.since_tare.mean() for w in windows])[:, None, None] * drift
+    setup = SetupErrors.largest([trajectories[index].setup for index in set(trial)])
+    drag = torch.tensor(np.linalg.norm(wrench[:, :2], axis=1).max())
     load, kept, followed = likely_load(
         np.einsum("kij,kj->ki", carries, wrench),
         np.einsum("kij,kjl,kil->ki", carries, off, carries),
@@ -68,7 +70,7 @@ def observe(
         np.array(accelerated),
         errors.nulled,
         np.array([w.grasp is None for w in windows]),
-        float(carried_moment(ParticleModel.of(shape), torch.tensor(np.linalg.norm(wrench[:, :2], axis=1).max()))),
+        float(carried_moment(ParticleModel.of(shape), drag, setup)),
     )
     points, held = zip(*(_place(shape, w) for w in windows), strict=True)
     same = (
@@ -107,7 +109,6 @@ def observe(
     }
     if not values["pushed"].any():
         values["seen"] = values["seen"][..., :0]
-    setup = SetupErrors.largest([trajectories[index].setup for index in set(trial)])
     fields = {name: torch.tensor(value) for name, value in values.items()}
     return Observations(**fields, setup=setup)  # pyright: ignore[reportArgumentType]
 

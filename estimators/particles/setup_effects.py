@@ -13,7 +13,7 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.nn.functional import pad
 
-from estimators.particles.links import HingeTorques, standing
+from estimators.particles.links import UNEVEN, HingeTorques, standing
 from estimators.particles.model import ParticleModel, cross, inertia_of, rotate, turned
 from estimators.particles.windows import Observations
 from testbed.objects.model import GRAVITY
@@ -25,8 +25,6 @@ SHARES = 2.0
 """Sum of squared shares of the load of n points, times n: 1 if all carry the same. Ours, of three to eight, uneven."""
 MOST_POINTS = 64
 """Points at which the pattern of contact under a group is taken."""
-UNEVEN = 0.1
-"""Part of a point's load that an uneven table shifts off a group's center of mass: counted about hinges. Ours."""
 WAVELENGTHS = (0.06, 0.6)
 """Least and greatest wavelength of friction over a table, m. Ours: shorter ones average out under an object."""
 REFERENCE = 0.02

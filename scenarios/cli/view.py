@@ -201,6 +201,7 @@ def show(
     console.print(Text.assemble((model.name, "bold"), facts))
     if model.solids:
         _show_solids(console, model)
+        _show_hinges(console, model)
         return
     console.print(drawing(model))
     table = Table()
@@ -216,6 +217,7 @@ def show(
                 grasp.name, *_millimetres(grasp.position), "", "", f"{grasps[grasp.name]}, {grasp.width * 1e3:.0f} mm"
             )
     console.print(table)
+    _show_hinges(console, model)
 
 
 def _show_solids(console: Console, model: ObjectModel) -> None:
@@ -238,6 +240,20 @@ def _show_solids(console: Console, model: ObjectModel) -> None:
         grasps.add_row(grasp.name, *(str(round(x)) for x in numbers), f"{grasp.bottom * 1e3:.0f} to {top * 1e3:.0f}")
     console.print(groups)
     console.print(grasps)
+
+
+def _show_hinges(console: Console, model: ObjectModel) -> None:
+    """Hinges of an object in links: what each joins, and its friction; nothing of a rigid one."""
+    chain, names = model.shape.chain, np.array(model.shape.group_names)
+    if chain is None:
+        return
+    table = Table()
+    for column in ("hinge", "x, mm", "y, mm", "joins", "friction, mN m"):
+        table.add_column(column, justify="right")
+    for hinge, (place, torque) in enumerate(zip(chain.hinges, model.hinge_friction, strict=True)):
+        links = (", ".join(names[chain.link == link]) for link in (hinge, hinge + 1))
+        table.add_row(str(hinge), *_millimetres(place), " | ".join(links), f"{torque * 1e3:g}")
+    console.print(table)
 
 
 def _millimetres(place: np.ndarray) -> tuple[str, str]:

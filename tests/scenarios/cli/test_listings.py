@@ -156,3 +156,9 @@ def test_a_table_too_wide_for_the_terminal_goes_on_below(width):
     assert all(said.count(f"object_{i}") == 1 and said.count(f"{i}.00±0.01") == 2 for i in range(9))
     assert ("continued" in said) == (width < 300)
     assert max(map(len, said.splitlines())) <= width
+
+
+def test_an_object_in_links_is_shown_with_its_hinges(capsys):
+    main(["show", "folding_rule"])
+    lines = [line.split() for line in capsys.readouterr().out.splitlines() if "leg_1 │ leg_2" in line or "| leg_" in line]
+    assert [line[-2] for line in lines] == ["6", "4"] and ["leg_2", "|", "leg_3"] == lines[1][-6:-3]

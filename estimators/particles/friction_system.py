@@ -19,7 +19,7 @@ from estimators.particles.links import HINGE_PRIOR, carried_moment, hinge_rows
 from estimators.particles.model import ModelErrors, ParticleModel
 from estimators.particles.pivots import LEAST_VARIANCE
 from estimators.particles.setup_effects import Columns, by_row, seen_effects, setup_effects, shared_and_own
-from estimators.particles.support import own_weight
+from estimators.particles.support import GripperLoad, own_weight
 from estimators.particles.windows import PLANAR, Observations
 from testbed.objects.model import GRAVITY, ObjectShape
 
@@ -140,7 +140,11 @@ def friction_equations(
     response = rows @ (friction[:, None] * support.response)
     apart, common = wrench_errors(windows, model, mass, s.expand(len(rows), -1), response, errors)
     b = pad(windows.wrench, (0, windows.hinges)) - taken - aside  # no sensor is at a hinge
-    apart = apart if own is None else apart + own
+    if own is not None:
+        # nulled as the chain lies: what its weights' moment changes since, the hand may carry, in all trials alike
+        moved = support.beside - own_weight(model, mass, GripperLoad.none(model)).beside
+        unseen = by_row((response[..., 1:] * ((1 - windows.load_kept[:, 1:]) * moved)[:, None]).sum(-1, keepdim=True))
+        apart = apart + own + unseen @ unseen.T
     return FrictionEquations(by_row(groups.gather(rows)), by_row(b[..., None])[:, 0], apart, common, hinges)
 
 

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from estimators.particles.model import ModelErrors
     from estimators.particles.windows import Observations
 
-FORCE_ERROR, HINGE_ERROR = 0.001, 0.006
+FORCE_ERROR, HINGE_ERROR = 0.002, 0.006
 """Model error of wrenches while links trail, as a part of the whole drag and its torque, and of the torque about a
 hinge, as a part of the drag's about it; the windows of a trial share it. By `python bench/physics.py links`."""
 UNEVEN = 0.1

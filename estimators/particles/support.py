@@ -111,6 +111,8 @@ class OwnWeight:
     """Load of each particle from weight beside the middle of its group's feet, N; sums to 0 over a group."""
     response: Float[Tensor, "K P 3"]
     """Change of each particle's load with the gripper's lift (N per N) and moment (N per N m)."""
+    beside: Float[Tensor, "K 2"]
+    """Moment of the weights beside the middles of their feet that all groups share (sum x N, sum y N), N m."""
 
     def loads(self, load: GripperLoad) -> Float[Tensor, "K P"]:
         """N_i, N."""
@@ -154,15 +156,16 @@ def own_weight(model: ParticleModel, mass: Float[Tensor, "P"], load: GripperLoad
         own = torch.nn.functional.one_hot(group).double()
         squares = torch.einsum("kpi,kpj,pg->kgij", offset, offset, own)
         alone = (torch.linalg.pinv(squares, hermitian=True) @ beside[..., None])[..., 0]
-        lean = (offset * alone[:, group]).sum(-1)
+        lean, shared = (offset * alone[:, group]).sum(-1), torch.zeros_like(center[:, 0])
     else:
-        lean = (tilt @ beside.sum(1)[..., None])[..., 0]
+        shared = beside.sum(1)
+        lean = (tilt @ shared[..., None])[..., 0]
     gripped = ((group == held[..., None]) & contact).double()
     lift = (gripped / gripped.sum(-1, keepdim=True).clamp(min=1)).mean(-2)
     # fz acts at the grasp point: what lies beside the middle of the held groups' feet tilts
     middle_held = center.gather(1, held[..., None].expand(-1, -1, 2)).mean(1)
     aside = (tilt @ middle_held[..., None])[..., 0]
-    return OwnWeight(share, lean, torch.cat([(aside - lift)[..., None], tilt], -1))
+    return OwnWeight(share, lean, torch.cat([(aside - lift)[..., None], tilt], -1), shared)
 
 
 def own_weight_loads(model: ParticleModel, mass: Float[Tensor, "P"], load: GripperLoad) -> Float[Tensor, "K P"]:

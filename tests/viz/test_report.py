@@ -20,7 +20,8 @@ from testbed.objects.files import load_object
 from testbed.toml import toml_text
 from viz.figures.loss import normalised
 from viz.report.report import inline_svg, mapped_objects, middle_object
-from viz.report.tables import leading, object_means, sweep_table
+from viz.report.tables import HINGES, leading, metric_table, metrics_of, object_means, over_objects, sweep_table
+from viz.report.tables import NAD as NAD_METRIC
 
 EVIL = "<script>alert('x')</script>"
 REASON = '"><img src=x onerror=alert(1)> & more'
@@ -289,3 +290,12 @@ def test_the_scenario_reads_back_from_the_report():
     }
     back = tomllib.loads(toml_text(scenario))
     assert back == scenario | {"truth": {"seed": 0}}
+
+
+def test_methods_that_know_no_hinges_have_no_row_of_them():
+    rows = [row("hidden_states", seed, 0.01, hinge_error=0.02) for seed in range(3)]
+    rows += [row("least_squares", seed, 0.03, hinge_error=float("nan")) for seed in range(3)]
+    assert metrics_of(rows) == [NAD_METRIC, HINGES]
+    for table in (metric_table(rows, HINGES, ""), over_objects(rows, HINGES, "")):
+        assert [labels for labels, _ in table.rows] == [("hidden_states",)]
+    assert len(metric_table(rows, NAD_METRIC, "").rows) > 1

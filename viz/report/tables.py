@@ -151,7 +151,7 @@ class Table:
 
 def metric_table(rows: Sequence[Row], metric: Metric, title: str, objects: Sequence[str] | None = None) -> Table:
     """One metric under one support and sensing: methods down, objects across."""
-    methods = methods_of(rows)
+    methods = _methods_with(rows, metric)
     objects = list(dict.fromkeys(row["object"] for row in rows)) if objects is None else objects
     of = {name: {m: select(rows, object=name, method=m) for m in methods} for name in objects}
     draws = {name: {m: draws_of(of[name][m], metric.column, metric.scale) for m in methods} for name in objects}
@@ -179,6 +179,11 @@ def metric_table(rows: Sequence[Row], metric: Metric, title: str, objects: Seque
     return Table(_counted(title, counts, "draw"), tuple(objects), tuple(lines), note=note)
 
 
+def _methods_with(rows: Sequence[Row], metric: Metric) -> list[str]:
+    """Methods of a metric's rows: of hinges those that tell of them."""
+    return methods_of([r for r in rows if metric is not HINGES or math.isfinite(r.get(HINGES.column) or math.nan)])
+
+
 def _one_unknown(rows: Sequence[Row], objects: Sequence[str]) -> str:
     """Objects of which M leaves a single unknown, in a sentence."""
     of = {row["object"]: row.get("group_names") for row in rows}
@@ -198,7 +203,7 @@ def over_objects(rows: Sequence[Row], metric: Metric, title: str) -> Table:
 
     Means over draws and swept settings come first: points of one object are no sample.
     """
-    means = {method: object_means(rows, method, metric.column, metric.scale) for method in methods_of(rows)}
+    means = {method: object_means(rows, method, metric.column, metric.scale) for method in _methods_with(rows, metric)}
     best = significantly_best(means)
     lines = []
     for method, values in means.items():

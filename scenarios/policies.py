@@ -167,6 +167,9 @@ class Policy(BaseModel):
         elif self.settings:
             allowed = f'none: {self.kind} has its fields in [policy]; settings are for a kind = "package:Class"'
             raise InvalidValueError("settings", self.settings, allowed)
+        if self.pushes and (self.kind in ("push", "drag", "stop_and_go") or (self.lifts and self.lifts_last)):
+            allowed = f"none with {self.kind}{' and lifts' if self.lifts else ''}: by rank without lifts, or in a plan"
+            raise InvalidValueError("pushes", self.pushes, allowed)
         thought = self.thought or ("either" if self.kind == "online" else "own_weight")
         if self.lifts and self.lifts_last is None and (self.kind not in POLICIES or thought == "own_weight"):
             allowed = f'with {self.kind}: none, but thought = "rigid" or "either" in a plan of heft\'s own'
@@ -310,7 +313,7 @@ class Policy(BaseModel):
             grasps: feasible grasps.
             number: number of the draw that they are for.
         """
-        if not self.grips or not grasps:
+        if not self.grips or not grasps or shape.chain is not None:  # nothing predicts how links trail
             return grasps, ()
         seed = self.seed + (number if self.redraw else 0)
         spared = held_out_grasp(shape, grasps, seed) if self.held_out else None

@@ -222,9 +222,13 @@ def mean_particle_distance(
 
 
 def hinge_columns(friction: Sequence[float], diagnostics: Mapping[str, float]) -> dict[str, Any]:
-    """Columns of the friction of hinges [N m]: as estimated, its standard error, and the mean error over the mean."""
-    if "hinge_0_Nm" not in diagnostics:
+    """Columns of the friction of hinges [N m]: as estimated, its standard error, and the mean error over the mean.
+
+    NaN of hinges that no trial shows.
+    """
+    if not any(name.startswith("hinge_") for name in diagnostics):
         return {"hinge_Nm": None, "hinge_error_Nm": None, "hinge_error": math.nan}
-    found, std = ([diagnostics[f"hinge_{h}_{unit}"] for h in range(len(friction))] for unit in ("Nm", "std_Nm"))
-    off = float(np.abs(np.array(found) - friction).mean() / np.mean(friction)) if any(friction) else math.nan
+    hinges = range(len(friction))
+    found, std = ([diagnostics.get(f"hinge_{h}_{unit}", math.nan) for h in hinges] for unit in ("Nm", "std_Nm"))
+    off = float(np.nanmean(np.abs(np.array(found) - friction)) / np.mean(friction)) if any(friction) else math.nan
     return {"hinge_Nm": found, "hinge_error_Nm": std, "hinge_error": off}

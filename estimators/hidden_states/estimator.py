@@ -22,7 +22,7 @@ from estimators.hidden_states.trial_windows import TrialWindows
 from estimators.identifiability.posterior import Likelihood
 from estimators.identifiability.report import Identifiability, identifiability
 from estimators.particles.friction_system import LinearSystem
-from estimators.particles.links import hinge_friction
+from estimators.particles.links import HINGE_PRIOR, hinge_friction
 from estimators.particles.misfit import Misfit
 from estimators.particles.model import ModelErrors
 from estimators.particles.pivots import PivotInertia
@@ -37,6 +37,7 @@ SETTLING = 3
 """Additional rounds where something of the setup is unknown: the wrench is not linear in it."""
 ONE_BODY = "not every mass group has feet of its own to rest on: it is one rigid body, for support_aware"
 NO_DATA = "no trajectory with status ok that slides or turns at constant speed"
+NO_LINKS = f"{NO_DATA} while every link moves steadily: grip another link, or move across the links"
 
 
 @dataclass(frozen=True)
@@ -119,7 +120,7 @@ class HiddenStates:
             )
         trials = self._trials(shape, weight, trajectories)
         if trials is None:
-            return Estimate(None, "no_data", NO_DATA)
+            return Estimate(None, "no_data", NO_DATA if shape.chain is None else NO_LINKS)
         guess = trials.first_guess()
         s = trials.friction_loads(guess)
         solution: Solution | None = None
@@ -195,13 +196,17 @@ def _underdetermined(trials: TrialWindows, found: Underdetermined, guess: MassDi
     return Estimate(None, "underdetermined", why, identifiability=report)
 
 
-def _hinges(trials: TrialWindows, at: MassDistribution, widening: float) -> dict[str, float]:
-    """Friction of every hinge with its standard deviation, N m; none of a rigid object."""
+def _hinges(trials: TrialWindows, at: MassDistribution, widening: float) -> tuple[dict[str, float], str]:
+    """Friction of every hinge that was seen to turn, with its standard deviation, N m; and the others, in words."""
     found = hinge_friction(trials.friction_equations(at))
     named: dict[str, float] = {}
+    unseen: list[str] = []
     for index, (torque, std) in enumerate(zip(*found, strict=True) if found else ()):
-        named |= {f"hinge_{index}_Nm": float(torque), f"hinge_{index}_std_Nm": float(std) * widening**0.5}
-    return named
+        if std > HINGE_PRIOR / 2:
+            unseen.append(f"hinge {index} stands in every window: its friction is not seen")
+        else:
+            named |= {f"hinge_{index}_Nm": float(torque), f"hinge_{index}_std_Nm": float(std) * widening**0.5}
+    return named, "; ".join(unseen)
 
 
 def _amidst(trials: TrialWindows, found: Solution) -> MassDistribution:
@@ -223,10 +228,11 @@ def _estimate_of(trials: TrialWindows, found: Solution) -> Estimate:
     condition = float(np.linalg.cond(q / np.linalg.norm(q, axis=0)))
     directions = f"mass and friction cannot be told apart in {open_} direction(s): {'; '.join(report.unobservable)}"
     misfit = trials.misfit(at, s)
+    hinges, unseen = _hinges(trials, at, misfit.widening)
     return Estimate(
         at,
         "underdetermined" if open_ else "unexplained" if misfit.reason else "ok",
-        "; ".join(filter(None, [directions if open_ else "", misfit.reason])),
+        "; ".join(filter(None, [directions if open_ else "", unseen, misfit.reason])),
         covariance=misfit.widening * report.covariance / np.outer(count, count),
         hidden=found.H,
         identifiability=report,
@@ -236,7 +242,7 @@ def _estimate_of(trials: TrialWindows, found: Solution) -> Estimate:
             "condition": condition,
             "loss": loss,
             "misfit": misfit.value,
-            **_hinges(trials, at, misfit.widening),
+            **hinges,
         },
         assumes=ASSUMPTION["own_weight"],
     )

@@ -141,8 +141,7 @@ def friction_equations(
     apart, common = wrench_errors(windows, model, mass, s.expand(len(rows), -1), response, errors)
     b = pad(windows.wrench, (0, windows.hinges)) - taken - aside  # no sensor is at a hinge
     if own is not None:
-        # nulled as the chain lies: what its weights' moment changes since, the hand may carry, in all trials alike
-        moved = support.beside - own_weight(model, mass, GripperLoad.none(model)).beside
+        moved = support.beside - support.held_by(own_weight(model, mass, GripperLoad.none(model)))
         unseen = by_row((response[..., 1:] * ((1 - windows.load_kept[:, 1:]) * moved)[:, None]).sum(-1, keepdim=True))
         apart = apart + own + unseen @ unseen.T
     return FrictionEquations(by_row(groups.gather(rows)), by_row(b[..., None])[:, 0], apart, common, hinges)

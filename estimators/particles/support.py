@@ -114,6 +114,15 @@ class OwnWeight:
     beside: Float[Tensor, "K 2"]
     """Moment of the weights beside the middles of their feet that all groups share (sum x N, sum y N), N m."""
 
+    def held_by(self, nulled: OwnWeight) -> Float[Tensor, "K 2"]:
+        """Moment that the feet hold at the tilt in which a hand was nulled, N m.
+
+        The hand keeps the tilt while links move. What their weights take beyond that it may carry, in all trials alike.
+        """
+        tilt, still = self.response[..., 1:], nulled.response[..., 1:]
+        stiffness = torch.linalg.pinv(tilt.mT @ tilt, hermitian=True)
+        return (stiffness @ still.mT @ still @ nulled.beside[..., None])[..., 0]
+
     def loads(self, load: GripperLoad) -> Float[Tensor, "K P"]:
         """N_i, N."""
         return self.share * GRAVITY + self.lean + self.change(load)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -210,10 +211,14 @@ def exported_of(folder: Path, row: Row) -> Exported:
         f"estimate {row['key']}",
     )
     torques, deviation = row.get("hinge_Nm"), row.get("hinge_error_Nm")
-    if torques is None and view.shape.chain is not None:
-        notes = (*notes, "friction of hinges not estimated: the object's own")
-        torques = typical_trial(folder, row).object.hinge_friction
-    torques = () if torques is None else [float(torque) for torque in torques]
+    if view.shape.chain is not None:
+        told = typical_trial(folder, row).object.hinge_friction
+        torques = [math.nan] * len(told) if torques is None else [float(torque) for torque in torques]
+        open_ = [index for index, torque in enumerate(torques) if math.isnan(torque)]
+        notes = (*notes, *(f"friction of hinge_{index} not estimated: the object's own" for index in open_))
+        torques = [told[index] if index in open_ else torque for index, torque in enumerate(torques)]
+        deviation = None if open_ else deviation
+    torques = torques or []
     for index, torque in enumerate(torques):
         if torque < 0:
             notes = (*notes, f"friction of hinge_{index} estimated as {torque:.4g} N m, written as 0")

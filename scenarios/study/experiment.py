@@ -19,7 +19,7 @@ from testbed.objects.files import load_object
 from testbed.objects.model import ObjectModel
 from testbed.objects.random import Family
 from testbed.trajectory import Trajectory
-from testbed.trial import Support
+from testbed.trial import OWN_WEIGHT, Support
 from testbed.worlds.draw import WorldDraw
 
 MOST_DRAWS = 100
@@ -167,6 +167,10 @@ def _handled(point: Scenario, model: ObjectModel, feasible: _Grasps) -> tuple[Sc
     Raises:
         InfeasibleTrialError: it cannot be turned, and is not to be pushed.
     """
+    if model.shape.chain is not None and (not point.policy.grips or point.policy.pushes):
+        raise InfeasibleTrialError(f'{model.name}: an object with hinges is not pushed; use kind = "drag" or a plan')
+    if model.shape.chain is not None and any(support != OWN_WEIGHT for support in point.supports()):
+        raise InfeasibleTrialError(f'{model.name}: links rest on their own weight; use support = ["own_weight"]')
     if not point.policy.grips:
         return point, ()
     try:

@@ -17,7 +17,7 @@ from testbed.objects.blocks import block_object, parse_layout
 from testbed.objects.chain import MOST_LINKS, Chain
 from testbed.objects.grasps import GraspPlace
 from testbed.objects.meshes import Part, mesh_object, read_mesh
-from testbed.objects.model import ROBOTIQ_2F85, Hand, ObjectModel
+from testbed.objects.model import ROBOTIQ_2F85, Hand, ObjectModel, ObjectShape
 from testbed.toml import Finite, NonNegative, Positive, load_toml
 
 
@@ -32,6 +32,8 @@ def asset_folder(kind: str) -> Path:
 
 _PLACE_KG = 0.1
 """What holds the place of a mass that nobody has given [kg]."""
+NEAR, NEAR_CELLS = 0.01, 1.5
+"""Greatest distance of a hinge from the nearest particle of a link that it joins [m], or so many cells if more."""
 Name = Annotated[str, Field(min_length=1, max_length=64, pattern=r"^[\w.-]+$")]
 
 
@@ -128,6 +130,8 @@ class ObjectFile(_Table):
             model = replace(model, shape=replace(model.shape, chain=self._chain(model.shape.group_names)))
         else:
             model = self._build_mesh(grid, folder)
+        if model.shape.chain is not None:
+            self._check_joined(model.shape, model.shape.chain)
         friction = tuple(hinge.friction_Nm for hinge in self.hinges)
         return replace(model, hinge_friction=friction, masses_known=self.has_masses)
 
@@ -147,10 +151,30 @@ class ObjectFile(_Table):
         for index, hinge in enumerate(self.hinges):
             if unknown := [name for name in hinge.link if name not in names]:
                 raise InvalidValueError(f"hinges.{index}.link", unknown, f"some of {', '.join(names)}")
-            link[[names.index(name) for name in hinge.link]] = index + 1
+            named = [names.index(name) for name in hinge.link]
+            if twice := [names[group] for group in named if link[group]]:
+                raise InvalidValueError(f"hinges.{index}.link", twice, "blocks or parts that no other hinge names")
+            link[named] = index + 1
         if not (link == 0).any():
-            raise InvalidValueError("hinges", "all blocks or parts in links", "one or more without, the first link")
+            given = f"every block or part in a link: {', '.join(names)}"
+            raise InvalidValueError("hinges", given, "one or more that no hinge names, the first link")
         return Chain(link, np.array([hinge.at_m for hinge in self.hinges]))
+
+    def _check_joined(self, shape: ObjectShape, chain: Chain) -> None:
+        """Refuse hinges beside a link that they join, and links that do not rest on feet of their own."""
+        if not shape.stands_in_groups:
+            allowed = "parts that touch the table, on their cells: links rest on their own weight"
+            feet = shape.mass_group[(shape.friction_group >= 0) & ~shape.is_contact]
+            raise InvalidValueError("hinges", [n for g, n in enumerate(shape.group_names) if g not in feet], allowed)
+        for index, place in enumerate(chain.hinges):
+            for link in (index, index + 1):
+                own = chain.link[shape.mass_group] == link
+                away = float(np.linalg.norm(shape.particles[own] - place, axis=1).min())
+                if away > max(NEAR_CELLS * shape.cell, NEAR):
+                    names = ", ".join(np.array(shape.group_names)[chain.link == link])
+                    joins = "hinges go along the chain: the first from the blocks or parts that none names"
+                    allowed = f"a place at both its links; {names} is {away * 1e3:.0f} mm away, and {joins}"
+                    raise InvalidValueError(f"hinges.{index}.at_m", self.hinges[index].at_m, allowed)
 
     def _build_mesh(self, grid: int, folder: Path) -> ObjectModel:
         assert self.mesh is not None

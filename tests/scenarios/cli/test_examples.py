@@ -33,6 +33,7 @@ def test_every_example_has_its_test():
         "own_mesh.py",
         "own_policy.py",
         "own_simulator.py",
+        "push.py",
         "read_a_sweep.py",
     }
     assert [path.name for path in EXAMPLES.glob("*.ipynb")] == ["rerun_inline.ipynb"]
@@ -55,6 +56,14 @@ def test_own_mesh(example):
     printed = example("own_mesh.py")
     assert "status ok" in printed
     assert float(printed.rsplit("NAD ", 1)[1].split()[0]) < 5
+
+
+@pytest.mark.slow
+def test_push(example):
+    status, *blocks = example("push.py").splitlines()
+    assert status == "20 pushes: ok" and len(blocks) == 6
+    off = [abs(float(line.split()[1]) - float(line.split()[-2])) for line in blocks]
+    assert sum(off) < 0.1 * 1.4
 
 
 @pytest.mark.slow

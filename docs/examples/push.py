@@ -1,0 +1,29 @@
+"""Pushes: a closed fingertip against the faces of a rectangle that no hand can grip, seen by a camera; and its masses."""
+
+from estimators import HiddenStates
+from scenarios.catalog import LIBRARY
+from testbed import Push, SimulationRunner, Trial, load_object
+from testbed.objects.faces import faces
+
+PARTS = (0.2, 0.8)
+"""Where a push meets each face, as a part of its length."""
+
+
+def main() -> None:
+    """Push every side of the rectangle twice, straight and along an arc, and print each block's mass."""
+    obj = load_object(LIBRARY / "objects" / "rectangle_2x3.toml")
+    pushes = [Push.into(face, part, curvature=2.0) for face in faces(obj.shape) for part in PARTS]
+    with SimulationRunner() as simulation:
+        trials = [Trial(obj, push, sensing="ft300s:camera=exact", seed=seed) for seed, push in enumerate(pushes)]
+        trajectories = [simulation.run(trial) for trial in trials]
+    answer = HiddenStates().estimate(obj.shape, obj.total_mass, trajectories, seed=0)
+    print(f"{len(pushes)} pushes: {answer.status}")
+    assert answer.distribution is not None
+    for name, found, true in zip(
+        obj.shape.group_names, answer.distribution.mass * obj.shape.particles_per_group, obj.group_mass, strict=True
+    ):
+        print(f"{name}: {found:.3f} kg, in truth {true:.3f} kg")
+
+
+if __name__ == "__main__":
+    main()

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from testbed.actions.weigh import Weigh
     from testbed.errors import HeftError, InfeasibleTrialError, InvalidValueError
     from testbed.objects.blocks import block_object
+    from testbed.objects.faces import Face, faces
     from testbed.objects.files import load_object
     from testbed.objects.model import GRAVITY, Grasp, MassDistribution, ObjectModel, ObjectShape
     from testbed.replay import ReplayRunner
@@ -38,6 +39,7 @@ __all__ = [
     "RIGID",
     "Accelerate",
     "Action",
+    "Face",
     "Grasp",
     "HeftError",
     "InfeasibleTrialError",
@@ -67,6 +69,7 @@ __all__ = [
     "action_from_dict",
     "block_object",
     "draw_sensing",
+    "faces",
     "load_object",
     "load_trajectory",
     "preset",

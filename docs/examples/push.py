@@ -1,17 +1,26 @@
-"""Pushes: a closed fingertip against the faces of a rectangle that no hand can grip, seen by a camera; and its masses."""
+"""Pushes of a rectangle that no hand can grip, by a closed fingertip, under a camera; and its masses."""
+
+from pathlib import Path
 
 from estimators import HiddenStates
-from scenarios.catalog import LIBRARY
-from testbed import Push, SimulationRunner, Trial, load_object
-from testbed.objects.faces import faces
+from testbed import Push, SimulationRunner, Trial, faces, load_object
 
+RECTANGLE = """
+name = "rectangle"
+
+[blocks]
+layout = ["11", "11", "11"]
+mass_kg = [0.4, 0.1, 0.2, 0.2, 0.1, 0.4]
+friction = 0.4
+"""
 PARTS = (0.2, 0.8)
 """Where a push meets each face, as a part of its length."""
 
 
 def main() -> None:
     """Push every side of the rectangle twice, straight and along an arc, and print each block's mass."""
-    obj = load_object(LIBRARY / "objects" / "rectangle_2x3.toml")
+    Path("rectangle.toml").write_text(RECTANGLE)
+    obj = load_object("rectangle.toml")
     pushes = [Push.into(face, part, curvature=2.0) for face in faces(obj.shape) for part in PARTS]
     with SimulationRunner() as simulation:
         trials = [Trial(obj, push, sensing="ft300s:camera=exact", seed=seed) for seed, push in enumerate(pushes)]

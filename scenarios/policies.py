@@ -167,9 +167,8 @@ class Policy(BaseModel):
         elif self.settings:
             allowed = f'none: {self.kind} has its fields in [policy]; settings are for a kind = "package:Class"'
             raise InvalidValueError("settings", self.settings, allowed)
-        if self.pushes and (self.kind in ("push", "drag", "stop_and_go") or (self.lifts and self.lifts_last)):
-            allowed = f"none with {self.kind}{' and lifts' if self.lifts else ''}: by rank without lifts, or in a plan"
-            raise InvalidValueError("pushes", self.pushes, allowed)
+        if self.pushes and self.kind in ("push", "drag", "stop_and_go"):
+            raise InvalidValueError("pushes", self.pushes, f"none with {self.kind}: after turns by rank, or in a plan")
         thought = self.thought or ("either" if self.kind == "online" else "own_weight")
         if self.lifts and self.lifts_last is None and (self.kind not in POLICIES or thought == "own_weight"):
             allowed = f'with {self.kind}: none, but thought = "rigid" or "either" in a plan of heft\'s own'
@@ -263,7 +262,8 @@ class Policy(BaseModel):
             ranked = self.rank_driven
             before = None if ranked is None else replace(ranked, grasps=grasps, seed=seed, refused=refused)
             if before is not None and not self.lifts_last:
-                return RandomPushes(self.pushes, seed, refused, before) if self.pushes else before
+                pushed = self.pushes if shape.stands_in_groups else None  # else balance decides the loads, not rank(Q)
+                return RandomPushes(pushed, seed, refused, before) if pushed else before
             return StopAndGo(self.lifts_last, grasps, before, refused)
         sensor = preset(sensing if self.kind == "online" else self.plan_for).stated
         return AfterWeighing(partial(self._of_weight, grasps, shape, settings, sensor, setup, refused, seed), weighed)

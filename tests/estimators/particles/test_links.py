@@ -194,7 +194,7 @@ def test_errors_of_a_camera_count():
     seen = [replace(t, camera=draw_camera(t.camera, CAMERAS["30hz"], seed)) for seed, t in enumerate(exact) if t.camera]
     sharp, blurred = (HiddenStates().estimate(TWO.shape, TWO.total_mass, each, 0) for each in (exact, seen))
     assert sharp.covariance is not None and blurred.covariance is not None
-    assert (np.diag(blurred.covariance) > 10 * np.diag(sharp.covariance)).all()
+    assert (np.diag(blurred.covariance) > 5 * np.diag(sharp.covariance)).all()  # sharp poses leave the model's errors
     without = [replace(t, camera=None) for t in exact]
     assert HiddenStates().estimate(TWO.shape, TWO.total_mass, without, 0).status == "no_data"
 

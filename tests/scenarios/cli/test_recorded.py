@@ -203,7 +203,7 @@ def test_measured_trials_and_their_estimates_are_shown_as_simulated_ones_are(lab
     assert ended("import", "lab.toml", "--out", "lab", "--weight", "1.8") == 0
     assert ended("estimate", "lab", "--methods", "hidden_states", "--workers", "2") == 0
     row = load_results("lab").iloc[0]
-    assert (lab / "lab/report.html").read_text(encoding="utf-8").count("<svg") == 5  # with three maps
+    assert (lab / "lab/report.html").read_text(encoding="utf-8").count("<svg") == 6  # with three maps
     assert "its joints were not logged" in trial_view(lab / "lab", row["trial_keys"][1]).facts["arm"]
     for what in ("mine", row["key"], row["trial_keys"][1]):
         assert ended("record", "lab", what) == 0

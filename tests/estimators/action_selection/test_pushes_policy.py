@@ -9,6 +9,7 @@ import pytest
 from estimators.action_selection.pushes import TRIES, RandomPushes, random_pushes
 from estimators.action_selection.rank import RANK_DRIVEN
 from testbed.actions.accelerate import Accelerate
+from testbed.actions.base import Action
 from testbed.actions.push import Push
 from testbed.actions.rotate import Rotate
 from testbed.objects.files import load_object
@@ -49,6 +50,6 @@ def test_pushes_follow_turns_that_leave_masses_open(grasps: tuple[int, ...] | No
 
 
 def test_pushes_follow_where_every_turn_is_refused():
-    refused = {Accelerate(0): "reach"}
+    refused: dict[Action, str] = {Accelerate(0): "reach"}
     before = replace(RANK_DRIVEN["reversed_pairs"], grasps=(0,), refused=refused)
     assert isinstance(RandomPushes(2, refused=refused, before=before).next(SHAPE, []), Push)

@@ -113,7 +113,7 @@ def main() -> None:
                 known = [(one.nad, hinges, one.hold) for one, hinges in each if one.ok]
                 if not known:
                     continue
-                (nad, hinges, _), hold = np.median(known, axis=0), 100 * np.mean(known, axis=0)[2]
+                (nad, hinges, _), hold = np.nanmedian(known, axis=0), 100 * np.mean(known, axis=0)[2]
                 ok = f"{len(known)} of {len(each)}"
                 table.add_row(sensor, str(links), kind, ok, f"{nad:.2g}", f"{hinges:.2g}", f"{hold:.0f}")
     console.print(table)

@@ -224,11 +224,12 @@ def mean_particle_distance(
 def hinge_columns(friction: Sequence[float], diagnostics: Mapping[str, float]) -> dict[str, Any]:
     """Columns of the friction of hinges [N m]: as estimated, its standard error, and the mean error over the mean.
 
-    NaN of hinges that no trial shows.
+    NaN of hinges that no trial shows; the mean is over the others.
     """
     if not any(name.startswith("hinge_") for name in diagnostics):
         return {"hinge_Nm": None, "hinge_error_Nm": None, "hinge_error": math.nan}
     hinges = range(len(friction))
     found, std = ([diagnostics.get(f"hinge_{h}_{unit}", math.nan) for h in hinges] for unit in ("Nm", "std_Nm"))
-    off = float(np.nanmean(np.abs(np.array(found) - friction)) / np.mean(friction)) if any(friction) else math.nan
+    true, seen = np.array(friction), ~np.isnan(found)
+    off = float(np.abs(np.array(found) - true)[seen].mean() / true[seen].mean()) if true[seen].any() else math.nan
     return {"hinge_Nm": found, "hinge_error_Nm": std, "hinge_error": off}

@@ -210,24 +210,21 @@ def exported_of(folder: Path, row: Row) -> Exported:
         *([f"assumed, not tested: {row['assumes']}"] if row.get("assumes") else []),
         f"estimate {row['key']}",
     )
-    torques, deviation = row.get("hinge_Nm"), row.get("hinge_error_Nm")
-    if view.shape.chain is not None:
-        told = typical_trial(folder, row).object.hinge_friction
-        torques = [math.nan] * len(told) if torques is None else [float(torque) for torque in torques]
-        open_ = [index for index, torque in enumerate(torques) if math.isnan(torque)]
-        notes = (*notes, *(f"friction of hinge_{index} not estimated: the object's own" for index in open_))
-        torques = [told[index] if index in open_ else torque for index, torque in enumerate(torques)]
-        deviation = None if open_ else deviation
-    torques = torques or []
-    for index, torque in enumerate(torques):
-        if torque < 0:
-            notes = (*notes, f"friction of hinge_{index} estimated as {torque:.4g} N m, written as 0")
-    return Exported(
-        str(row["object"]),
-        view.shape,
-        view.answer,
-        view.covariance,
-        notes,
-        tuple(max(torque, 0.0) for torque in torques),
-        None if deviation is None else tuple(float(std) for std in deviation),
-    )
+    exported = Exported(str(row["object"]), view.shape, view.answer, view.covariance, notes)
+    if not exported.has_hinges:
+        return exported
+    told = typical_trial(folder, row).object.hinge_friction
+    given = row.get("hinge_Nm")
+    found = [
+        math.nan if torque is None else float(torque) for torque in ([None] * len(told) if given is None else given)
+    ]
+    torques, more = [], []
+    for index, torque in enumerate(found):
+        if math.isnan(torque):
+            more.append(f"friction of hinge_{index} not estimated: the object's own")
+        elif torque < 0:
+            more.append(f"friction of hinge_{index} estimated as {torque:.4g} N m, written as 0")
+        torques.append(told[index] if math.isnan(torque) else max(torque, 0.0))
+    whole = not any(map(math.isnan, found))
+    deviation = tuple(float(std) for std in row["hinge_error_Nm"]) if whole else None
+    return replace(exported, notes=(*notes, *more), hinge_friction=tuple(torques), hinge_deviation=deviation)

@@ -10,6 +10,7 @@ from jaxtyping import Float
 from numpy.testing import assert_allclose
 
 from estimators.action_selection.drags import RandomDrags
+from estimators.evaluation.metrics import hinge_columns
 from estimators.hidden_states.estimator import HiddenStates
 from estimators.hidden_states.trial_windows import TrialWindows
 from estimators.identifiability.predicted import predicted_windows
@@ -186,6 +187,18 @@ def test_a_hinge_that_stands_has_no_row():
     assert trial is not None
     equations = trial.friction_equations(stiff.truth)
     assert equations.hinges is not None and not equations.hinges.any()
+
+
+@slow
+def test_a_hinge_that_never_turns_is_not_seen():
+    half = bar([2, 2, 2], list(THREE.truth.mass * THREE.shape.particles_per_group), [0.004, 1.0])
+    more = [Rotate(0, duration=4.0, pivot=(-0.09, 0.02)), Slide(0, -np.pi / 2, duration=4.0)]
+    trials = [SimulationRunner().run(Trial(half, action)) for action in [*drags(THREE), *more]]
+    found = HiddenStates().estimate(half.shape, half.total_mass, trials, 0)
+    assert found.status == "ok" and found.message == "hinge 1 stands in every window: its friction is not seen"
+    columns = hinge_columns(half.hinge_friction, found.diagnostics)
+    assert_allclose(columns["hinge_Nm"], [0.004, np.nan], rtol=0.02)
+    assert columns["hinge_error"] < 0.02 and np.isnan(columns["hinge_error_Nm"][1])
 
 
 @slow

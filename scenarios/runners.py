@@ -133,8 +133,9 @@ def feasible_grasps(name: str, check: FeasibilityCheck) -> tuple[int, ...]:
             possible.append(index)
     if not possible:
         why = "\n  ".join(reasons) or ROBOTIQ_2F85.nothing
-        pushed = 'it can be pushed: kind = "push", or pushes = N, in [policy]'
-        raise InfeasibleTrialError(f"{name}: the bench cannot turn this object about any grasp; {pushed}\n  {why}")
+        rigid = check.shape.chain is None  # nothing pushes links
+        pushed = '; it can be pushed: kind = "push", or pushes = N, in [policy]' if rigid else ""
+        raise InfeasibleTrialError(f"{name}: the bench cannot turn this object about any grasp{pushed}\n  {why}")
     return tuple(possible)
 
 

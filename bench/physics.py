@@ -19,6 +19,7 @@ from rich.table import Table
 from estimators.action_selection.drags import RandomDrags
 from estimators.action_selection.pushes import RandomPushes
 from estimators.action_selection.rank import between_particles
+from estimators.base import ActionPolicy
 from estimators.hidden_states.trial_windows import TrialWindows
 from estimators.particles.links import hinge_rows
 from estimators.particles.model import ModelErrors, ParticleModel, direction, friction_wrench, inertia_of
@@ -92,14 +93,21 @@ def coulomb_error(
 
 def push_errors(name: str) -> np.ndarray:
     """`off_coulomb` of every window of random pushes, shape (K, 3)."""
-    model, runner, refused, found = load_object(name), SimulationRunner(), dict[Action, str](), list[Trajectory]()
-    policy = RandomPushes(PUSHES, refused=refused)
+    model = load_object(name)
+    found = trials_by(model, lambda refused: RandomPushes(PUSHES, refused=refused))
+    return np.concatenate([off_coulomb(model, trajectory, OWN_WEIGHT) for trajectory in found if trajectory.ok])
+
+
+def trials_by(model: ObjectModel, policy_of: Callable[[dict[Action, str]], ActionPolicy]) -> list[Trajectory]:
+    """Trials that a policy asks for, which is told what was refused."""
+    runner, refused, found = SimulationRunner(), dict[Action, str](), list[Trajectory]()
+    policy = policy_of(refused)
     while (action := policy.next(model.shape, found)) is not None:
         try:
             found.append(runner.run(Trial(model, action)))
         except InfeasibleTrialError as error:
             refused[action] = str(error)
-    return np.concatenate([off_coulomb(model, trajectory, OWN_WEIGHT) for trajectory in found if trajectory.ok])
+    return found
 
 
 def off_coulomb(model: ObjectModel, trajectory: Trajectory, support: Support) -> np.ndarray:
@@ -126,13 +134,7 @@ def off_coulomb(model: ObjectModel, trajectory: Trajectory, support: Support) ->
 
 def link_errors(model: ObjectModel) -> tuple[np.ndarray, np.ndarray]:
     """In windows of random drags off Coulomb's law: force and torque (K, 2), and torques about hinges, %."""
-    runner, refused, found = SimulationRunner(), dict[Action, str](), list[Trajectory]()
-    policy = RandomDrags(DRAGS, seed=0, refused=refused)
-    while (action := policy.next(model.shape, found)) is not None:
-        try:
-            found.append(runner.run(Trial(model, action)))
-        except InfeasibleTrialError as error:
-            refused[action] = str(error)
+    found = trials_by(model, lambda refused: RandomDrags(DRAGS, seed=0, refused=refused))
     trials = TrialWindows.of(model.shape, model.total_mass, found, ModelErrors())
     assert trials is not None
     windows, s = trials.windows, trials.friction_loads(model.truth)

@@ -9,10 +9,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from estimators.action_selection.rank import predicted_rank
+from estimators.action_selection.rank import sees_every_load
 from estimators.base import ActionPolicy
-from estimators.particles.friction_system import LoadGroups
-from estimators.particles.model import ParticleModel
 from testbed.actions.base import Action
 from testbed.actions.push import Push
 from testbed.actions.rotate import Rotate
@@ -56,7 +54,7 @@ class RandomPushes:
                 if (action := self.before.next(shape, trajectories)) is not None:
                     return action
             turned = [t.action for t in trajectories if t.ok and isinstance(t.action, Rotate | Slide)]
-            if predicted_rank(shape, turned) == len(LoadGroups.of(ParticleModel.of(shape)).pairs):
+            if sees_every_load(shape, turned):
                 return None
         if sum(t.ok for t in made) >= self.pushes:
             return None

@@ -169,6 +169,11 @@ def _drawn(allowed: Sequence[int], index: int, stream: list[int]) -> int:
     return int(rng.permutation(np.asarray(allowed))[index % len(allowed)])
 
 
+def sees_every_load(shape: ObjectShape, actions: Sequence[Rotate | Slide]) -> bool:
+    """True if the predicted rank(Q) of turns and slides is n_s, the number of friction loads."""
+    return predicted_rank(shape, actions) == len(LoadGroups.of(ParticleModel.of(shape)).pairs)
+
+
 def predicted_rank(shape: ObjectShape, actions: Sequence[Rotate | Slide]) -> int:
     """Predicted rank(Q) of turns and slides at constant speed, from geometry alone."""
     if not actions:

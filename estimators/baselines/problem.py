@@ -135,13 +135,12 @@ class Problem:
     def unexplained(self, mass: Float[Tensor, "n_m"], friction: Float[Tensor, "n_mu"]) -> float:
         """Mean square of the wrench that is left, as a part of that of the largest force and torque.
 
-        A fingertip has no torque: a push counts its force at the particles' root mean square distance from the middle.
+        A fingertip has no torque: a push counts its force at the object's reach.
         """
         wrench, pushed = self.windows.wrench, self.windows.pushed
         force, torque = wrench[:, :2].norm(dim=1).max(), wrench[:, 2].abs().max()
         if pushed.any():
-            reach = (self.model.particles - self.model.particles.mean(0)).square().sum(-1).mean().sqrt()
-            torque = torch.maximum(torque, reach * wrench[pushed, :2].norm(dim=1).max())
+            torque = torch.maximum(torque, self.model.reach * wrench[pushed, :2].norm(dim=1).max())
         missing = (wrench - self.wrenches.wrench(mass, friction)) / torch.stack([force, force, torque])
         return float(missing.square().mean())
 

@@ -199,11 +199,12 @@ def wrench_errors(
     within = torch.diag_embed(own) + by_motion @ by_motion.transpose(1, 2)
     if windows.seen.shape[-1]:  # some are pushes
         within = within + windows.sticking_covariance(model, drag)
-    shared, alone = torch.tensor([errors.lift_error / 2**0.5, 0.0, 0.0]).double(), torch.tensor(errors.nulled)
-    alone = alone / torch.tensor([2**0.5, 1.0, 1.0])
+    lift, tilt = errors.lift_error, errors.tilt_error
+    shared = torch.tensor([lift / 2**0.5, 0.0, 0.0], dtype=torch.float64)
+    alone = torch.tensor([lift / 2**0.5, tilt, tilt], dtype=torch.float64)
     if windows.articulated:
         moment = carried_moment(model, windows.wrench[:, :2].norm(dim=1).max(), windows.setup)
-        alone = torch.maximum(alone, moment * torch.tensor([0.0, 1.0, 1.0]))
+        alone = torch.maximum(alone, moment * torch.tensor([0.0, 1.0, 1.0], dtype=torch.float64))
     more = len(windows) * windows.hinges
     apart = _sensor_error(windows, response, alone, shared) + pad(_block_diagonal(within) + late, (0, more, 0, more))
     hidden = (response * (shared * (1 - windows.load_kept))[:, None]).sum(-1)

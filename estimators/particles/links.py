@@ -53,8 +53,7 @@ def carried_moment(model: ParticleModel, drag: Float[Tensor, ""], setup: SetupEr
     group = torch.nn.functional.one_hot(model.mass_group).double().T
     material, feet = group * model.fill, group * model.contact
     beside = material @ model.particles / material.sum(1, keepdim=True) - feet @ model.particles / feet.sum(1)[:, None]
-    reach = (model.particles - model.particles.mean(0)).norm() / len(model.particles) ** 0.5
-    shifted = UNEVEN * reach if setup.contact_points else 0.0 * reach
+    shifted = model.reach * (UNEVEN if setup.contact_points else 0.0)
     return 2 * drag * torch.hypot((group.mean(1) * beside.norm(dim=1)).norm(), shifted)
 
 

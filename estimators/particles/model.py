@@ -118,6 +118,11 @@ class ParticleModel:
         return [self.moved(cells * torch.tensor([x, y], dtype=torch.float64)) for x in ends for y in ends]
 
     @property
+    def reach(self) -> Float[Tensor, ""]:
+        """Root mean square distance of the particles from their middle, m."""
+        return (self.particles - self.particles.mean(0)).square().sum(-1).mean().sqrt()
+
+    @property
     def contact(self) -> Tensor:
         """True for particles that touch the table, (P,) bool."""
         return self.friction_group >= 0

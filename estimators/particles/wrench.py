@@ -15,11 +15,9 @@ from estimators.particles.model import ModelErrors, ParticleModel
 from estimators.particles.observe import observe
 from estimators.particles.support import LOADS, GripperLoad, LoadsOf, own_weight_loads
 from estimators.particles.windows import Observations
-from testbed.actions.push import Push
 from testbed.objects.model import MassDistribution, ObjectShape
 from testbed.sensing.compensation import tare_time
-from testbed.sensing.push_windows import push_samples
-from testbed.sensing.windows import steady_samples
+from testbed.sensing.push_windows import window_samples
 from testbed.trajectory import Trajectory
 
 
@@ -166,7 +164,6 @@ def predicted_wrenches(
             for (begin, end), row in zip(windows.since_tare[windows.trial == index].tolist(), rows, strict=True):
                 predicted[index][(since > begin - 1e-9) & (since < end + 1e-9)] = row
             continue
-        samples = push_samples if isinstance(trajectory.action, Push) else steady_samples
-        for kept, row in zip(samples(trajectory), rows, strict=True):
+        for kept, row in zip(window_samples(trajectory), rows, strict=True):
             predicted[index][kept] = row
     return predicted

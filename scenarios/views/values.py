@@ -17,12 +17,11 @@ from scenarios.results.estimates import load_arrays, load_estimate, this_version
 from scenarios.results.files import read_manifest
 from scenarios.results.store import Store
 from scenarios.results.trials import TrialRecord, kind_of_trial, read_trial, sensed_trials
-from testbed.actions.push import Push
 from testbed.errors import InvalidValueError
 from testbed.foot_forces import load_foot_forces
 from testbed.objects.model import MassDistribution, ObjectModel, ObjectShape
-from testbed.sensing.push_windows import push_samples
-from testbed.sensing.windows import sample_deviation, steady_samples, wrench_in_object
+from testbed.sensing.push_windows import window_samples
+from testbed.sensing.windows import sample_deviation, wrench_in_object
 from testbed.trajectory import Trajectory
 from viz.trials import TrialsView
 from viz.values import EstimateView, TrialView, WrenchFit, support_name
@@ -124,8 +123,7 @@ def wrench_fit(label: str, trajectory: Trajectory, predicted: np.ndarray | None)
     """Measured against predicted (T, 3), in the object's axes."""
     steady = np.zeros(len(trajectory.time_s), dtype=bool)
     try:
-        samples = push_samples if isinstance(trajectory.action, Push) else steady_samples
-        for kept in samples(trajectory):
+        for kept in window_samples(trajectory):
             steady[kept] = True
     except InvalidValueError:  # cut short before it was steady: it is still worth seeing
         pass

@@ -16,7 +16,15 @@ from testbed.objects.faces import face_at
 from testbed.objects.model import ObjectShape
 from testbed.sensing.camera import SPAN, PoseStream
 from testbed.sensing.compensation import tare_time
-from testbed.sensing.windows import BATCH, PARTS, TRIM_END, SteadyWindow, bias_and_drift, noise_of_mean
+from testbed.sensing.windows import (
+    BATCH,
+    PARTS,
+    TRIM_END,
+    SteadyWindow,
+    bias_and_drift,
+    noise_of_mean,
+    steady_samples,
+)
 from testbed.trajectory import Phase, Trajectory
 
 WINDOW = 0.4
@@ -169,6 +177,15 @@ def push_samples(trajectory: Trajectory) -> list[Int[np.ndarray, "N"]]:
     since = trajectory.time_s - tare_time(trajectory)
     ends = [window.since_tare + np.array([-1e-9, 1e-9]) for window in push_windows(trajectory)]
     return [np.flatnonzero((since >= begin) & (since <= end)) for begin, end in ends]
+
+
+def window_samples(trajectory: Trajectory) -> list[Int[np.ndarray, "N"]]:
+    """Indices of the samples that methods are given: of every window of a push, of every steady stretch of the others.
+
+    Raises:
+        InvalidValueError: as `push_windows` or `steady_samples`.
+    """
+    return (push_samples if isinstance(trajectory.action, Push) else steady_samples)(trajectory)
 
 
 def touching(trajectory: Trajectory) -> Int[np.ndarray, "N"]:

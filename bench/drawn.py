@@ -22,7 +22,7 @@ from testbed import Push
 
 
 def kind_of(store: Store, keys: list[str]) -> str:
-    """What an object's trials were."""
+    """Kind of an object's trials, as its row of the table."""
     actions = [store.trajectory(key).action for key in keys]
     pushed, turned = ([isinstance(a, Push) is push for a in actions if a.moves] for push in (True, False))
     return "turns, then pushes" if any(pushed) and any(turned) else "pushes" if any(pushed) else "turns"

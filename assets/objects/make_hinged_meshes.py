@@ -104,7 +104,7 @@ def disc(radius: float) -> CrossSection:
 
 
 def _lap(radius: float, high: float, upper: bool) -> Manifold:
-    """What the other link's lap takes of a plate: the lower half of its height where this one has the upper."""
+    """Room for the other link's lap in a plate: the lower half of its height where this one has the upper."""
     return Manifold.extrude(disc(radius + PLAY), high).translate((0, 0, -high / 2 if upper else high / 2))
 
 

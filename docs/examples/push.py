@@ -14,7 +14,7 @@ mass_kg = [0.4, 0.1, 0.2, 0.2, 0.1, 0.4]
 friction = 0.4
 """
 PARTS = (0.2, 0.8)
-"""Where a push meets each face, as a part of its length."""
+"""Places of the pushes on each face, as a part of its length."""
 
 
 def main() -> None:

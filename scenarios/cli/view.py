@@ -199,10 +199,13 @@ def show(
             f"I_cm {model.inertia_cm:.5f} kg m^2, {shape.height * 1e3:.0f} mm high"
         )
     console.print(Text.assemble((model.name, "bold"), facts))
-    if model.solids:
-        _show_solids(console, model)
-        _show_hinges(console, model)
-        return
+    (_show_solids if model.solids else _show_blocks)(console, model)
+    _show_hinges(console, model)
+
+
+def _show_blocks(console: Console, model: ObjectModel) -> None:
+    """An object of blocks: its drawing, its blocks and where they are gripped."""
+    shape = model.shape
     console.print(drawing(model))
     table = Table()
     for column in ("block", "x, mm", "y, mm", "mass, kg", "friction", "gripped across"):
@@ -217,7 +220,6 @@ def show(
                 grasp.name, *_millimetres(grasp.position), "", "", f"{grasps[grasp.name]}, {grasp.width * 1e3:.0f} mm"
             )
     console.print(table)
-    _show_hinges(console, model)
 
 
 def _show_solids(console: Console, model: ObjectModel) -> None:

@@ -198,7 +198,7 @@ def _underdetermined(trials: TrialWindows, found: Underdetermined, guess: MassDi
 
 def _hinges(trials: TrialWindows, at: MassDistribution, widening: float) -> tuple[dict[str, float], str]:
     """Friction of every hinge that was seen to turn, with its standard deviation, N m; and the others, in words."""
-    found = hinge_friction(trials.friction_equations(at))
+    found = None if trials.shape.chain is None else hinge_friction(trials.friction_equations(at))
     named: dict[str, float] = {}
     unseen: list[str] = []
     for index, (torque, std) in enumerate(zip(*found, strict=True) if found else ()):

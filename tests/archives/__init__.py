@@ -1,0 +1,1 @@
+"""Golden folders of every stored format, one a version; `make` writes that of the present one."""

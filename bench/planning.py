@@ -76,7 +76,7 @@ def drawn(count: int, seed: int) -> tuple[ObjectModel, ...]:
         for attempt in range(100):
             model = family.draw(index, attempt).build(3, Path())
             try:
-                feasible_grasps(model.name, Policy().check(model, SimulationSettings()))
+                feasible_grasps(model.name, Policy().check(model, SimulationSettings(), "bench"))
             except InfeasibleTrialError:
                 continue
             found.append(model)
@@ -198,7 +198,7 @@ def _rows(model: ObjectModel, sensing_name: str, draws: int) -> Iterator[dict[st
     shape, sensing = model.shape, preset(sensing_name)
     weight = read_scale(model.total_mass, sensing, crc32(model.name.encode()))
     guess, runner = Guess(weight, sensing.stated), SimulationRunner()
-    grasps = feasible_grasps(model.name, Policy().check(model, SimulationSettings()))
+    grasps = feasible_grasps(model.name, Policy().check(model, SimulationSettings(), "bench"))
     made = cache(lambda action: runner.run_clean(Trial(model, action)))  # greedy and batch have actions in common
     refused: dict[Action, str] = {}
 

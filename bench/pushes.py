@@ -82,7 +82,7 @@ def made(model: ObjectModel, policy: ActionPolicy, refused: dict[Action, str], s
 def turns_of(model: ObjectModel) -> list[Trajectory]:
     """Turns and accelerated turns as the scenario `random` has them; none where no grasp can be used."""
     try:
-        grasps = feasible_grasps(model.name, Policy().check(model, SimulationSettings()))
+        grasps = feasible_grasps(model.name, Policy().check(model, SimulationSettings(), "bench"))
     except InfeasibleTrialError:
         return []
     refused: dict[Action, str] = {}

@@ -103,7 +103,7 @@ def resume() -> None:
     """Time of a finished sweep: 50 objects, 2 supports, 10 methods, 10 draws; trials are copies, keys are real."""
     scenario = sweep_of(50, seeds=10, methods=METHODS)
     with tempfile.TemporaryDirectory() as folder:
-        store = Store(Path(folder))
+        store = Store(Path(folder), "bench")
         trial, record = canned()
         store.put_trial("canned", trial, {}, record)
         experiments, _ = experiments_of(scenario, store, quiet)
@@ -113,13 +113,14 @@ def resume() -> None:
             experiment.held_out_keys = [f"{index}_{i}" for i in (13, 14)]
             for key in experiment.keys + experiment.held_out_keys:
                 shutil.copytree(store.root / "trials" / "canned", store.root / "trials" / key)
-            store.put_note(trials._key_of(experiment), {"keys": experiment.keys, "held_out": experiment.held_out_keys})
+            made = {"keys": experiment.keys, "held_out": experiment.held_out_keys}
+            store.put_note(trials._key_of(experiment, store), made)
             row = {"status": "ok", "message": "", "nad": 0.01, "mass_kg": [0.1] * 6, "friction": [0.5], "seconds": 1.0}
             for method in scenario.methods:
-                for seed, key in enumerate(EstimateTask.of(experiment, "ft300s", method).result_keys()):
+                for seed, key in enumerate(EstimateTask.of(experiment, "ft300s", method).result_keys(store.draws)):
                     store.put_estimate(key, row | {"seed": seed}, answer, experiment.particles.shape)
         begin = time.perf_counter()
-        rows = run_scenario(scenario, store.root, 2, quiet)
+        rows = run_scenario(scenario, store.root, 2, quiet, secret=store.secret)
         seconds = time.perf_counter() - begin
         assert set(rows["status"]) == {"ok"}
         print(f"resume of {len(rows)} finished estimates of {15 * len(experiments)} trials: {seconds:.1f} s")
@@ -150,7 +151,7 @@ def driver(objects: int) -> None:
 
     trials.simulate = copy
     with tempfile.TemporaryDirectory() as folder, open_executor("inline", 0) as executor:
-        store = Store(Path(folder))
+        store = Store(Path(folder), "bench")
         experiments, _ = experiments_of(scenario, store, quiet)
         run = trials.TrialRun(deque(experiments), store, executor, quiet, lambda _: None)
         work_off(executor, run.start)

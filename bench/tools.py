@@ -92,7 +92,7 @@ def silent(stage: str, done: int, total: int, failed: int = 0) -> None:
 
 def trials_of(model: ObjectModel, policy: ActionPolicy, refused: dict[Action, str], place: str, draw: int) -> Trials:
     """Clean trials that a policy asks for in a draw of a world, those that ended well."""
-    drawn = None if place == "ideal" else WorldDraw.of(world(place), model, str(draw))
+    drawn = None if place == "ideal" else WorldDraw.of(world(place), model, draw, "bench")
     made: Trials = []
     with SimulationRunner() as simulation:
         while (action := policy.next(model.shape, made)) is not None:

@@ -63,7 +63,7 @@ def main() -> None:
 
 def answer(model: ObjectModel, world: World, seed: int, duration: float) -> tuple[float, np.ndarray, bool] | None:
     """NAD, errors of the masses over those claimed, and whether the status is ok; None without an answer."""
-    draw = WorldDraw.of(world, model, seed)
+    draw = WorldDraw.of(world, model, seed, "bench")
     policy = replace(RANK_DRIVEN["reversed_pairs"], duration=duration)
     actions = [Weigh(), *policy.predicted_actions(model.shape)]
     drawn = [sensed(clean(model, action, draw), seed, index) for index, action in enumerate(actions)]

@@ -9,7 +9,6 @@ from dataclasses import replace
 from itertools import product
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
-from zlib import crc32
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
@@ -35,6 +34,7 @@ from testbed.trial import Support, parse_support
 from testbed.worlds.draw import WorldDraw
 from testbed.worlds.presets import QUANTITIES, World
 from testbed.worlds.presets import world as named_world
+from testbed.worlds.seeds import seed_of
 
 MOST_POINTS = 10_000
 """Points of the largest sweep."""
@@ -107,8 +107,13 @@ class Truth(Strict):
     friction_spread: Annotated[float, Field(ge=0, le=1)] = 0.0
     seed: Annotated[int, Field(ge=0)] = 0
 
-    def applied(self, model: ObjectModel) -> ObjectModel:
-        """The object with another friction, or with one of its own under every group (log-normal about the group's)."""
+    def applied(self, model: ObjectModel, secret: str) -> ObjectModel:
+        """The object with another friction, or with one of its own under every group (log-normal about the group's).
+
+        Args:
+            model: the object.
+            secret: the run's, from which the draw is seeded.
+        """
         shape, friction = model.shape, np.array(model.truth.friction)
         if self.friction is not None:
             friction = np.full_like(friction, self.friction)
@@ -118,7 +123,8 @@ class Truth(Strict):
             found, index = np.unique(pairs[touching], axis=0, return_inverse=True)
             groups = np.full(len(shape.particles), -1)
             groups[touching] = index
-            noise = np.random.default_rng([self.seed, crc32(model.name.encode())]).standard_normal(len(found))
+            rng = np.random.default_rng(seed_of(secret, "friction", self.seed, model.name))
+            noise = rng.standard_normal(len(found))
             friction = friction[found[:, 1]] * np.exp(self.friction_spread * noise)
             shape = replace(shape, friction_group=groups)
         return replace(model, shape=shape, truth=MassDistribution(model.truth.mass, friction))
@@ -147,10 +153,10 @@ class WorldTable(Strict):
         built = replace(named_world(self.preset), **given)
         return built if self.only == "all" else World() if self.only == "none" else built.only(self.only)
 
-    def draw(self, model: ObjectModel, number: int) -> WorldDraw | None:
+    def draw(self, model: ObjectModel, number: int, secret: str) -> WorldDraw | None:
         """Draw `number` of the world for an object; None in the ideal one."""
         built = self.build()
-        return None if built.is_ideal else WorldDraw.of(built, model, f"{self.seed}/{number}")
+        return None if built.is_ideal else WorldDraw.of(built, model, f"{self.seed}/{number}", secret)
 
 
 class Sweep(Strict):

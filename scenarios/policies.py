@@ -6,7 +6,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from typing import Annotated, Any, Literal, Self
-from zlib import crc32
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
@@ -30,6 +29,7 @@ from testbed.plugins import check_name, configured, find_class, placed_errors, s
 from testbed.sensing.noise import read_scale
 from testbed.sensing.presets import Sensing, preset
 from testbed.trajectory import Trajectory
+from testbed.worlds.seeds import seed_of
 from testbed.worlds.setup_errors import EXACT_SETUP, SetupErrors
 
 Count = Annotated[int, Field(ge=1, le=100_000)]
@@ -297,10 +297,16 @@ class Policy(BaseModel):
         """All that decides its choices, as plain data."""
         return self.model_dump() | ({} if self.kind in POLICIES else code_of(self.kind))
 
-    def check(self, model: ObjectModel, settings: RunnerSettings) -> FeasibilityCheck:
-        """Check of actions before any trial: by the object's shape, a reading of the scale, and an upper friction."""
+    def check(self, model: ObjectModel, settings: RunnerSettings, secret: str) -> FeasibilityCheck:
+        """Check of actions before any trial: by the object's shape, a reading of the scale, and an upper friction.
+
+        Args:
+            model: the object.
+            settings: runner of its trials.
+            secret: the run's, from which the error of the reading is seeded.
+        """
         sensor = preset(self.plan_for)
-        reading = read_scale(model.total_mass, sensor, [self.seed, crc32(model.name.encode())])
+        reading = read_scale(model.total_mass, sensor, seed_of(secret, "scale", self.seed, model.name))
         return FeasibilityCheck(model.shape, Guess(reading, sensor.stated, self.most_friction), settings)
 
     def split(

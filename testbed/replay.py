@@ -19,6 +19,7 @@ from testbed.sensing.noise import draw_sensing
 from testbed.sensing.presets import preset
 from testbed.trajectory import Trajectory, load_trajectory
 from testbed.trial import Trial
+from testbed.worlds.seeds import new_secret
 
 UNNAMED = "an object without a name"
 """Object name of a trial whose folder does not name one; it matches no trial."""
@@ -70,12 +71,13 @@ class ReplayRunner:
     What a bench measured is given back as it is. Entering it starts every repeat over again.
     """
 
-    def __init__(self, folder: str | Path):
+    def __init__(self, folder: str | Path, secret: str | None = None):
         """Look through a folder; no record is read yet.
 
         Args:
             folder: a results folder, or a folder of trajectory files. Within it, files are taken in order of their
                 `recorded` provenance, then of their names.
+            secret: as `SimulationRunner` takes it.
 
         Raises:
             InvalidValueError: no such folder, or nothing recorded in it.
@@ -89,7 +91,7 @@ class ReplayRunner:
         headers = sorted(((_header(path), path) for path in files), key=lambda t: (t[0][1].get("recorded", ""), t[1]))
         self.recordings: tuple[Recording, ...] = tuple(_recording(path, *header) for header, path in headers)
         """Recordings in order."""
-        self._folder = root
+        self._folder, self._secret = root, new_secret() if secret is None else secret
         self._played: set[Path] = set()
 
     def __enter__(self) -> Self:
@@ -114,7 +116,7 @@ class ReplayRunner:
         self._played.add(left[0].path)
         trajectory = load_trajectory(left[0].path)
         if trajectory.is_clean:
-            return draw_sensing(trajectory, preset(trial.sensing), trial.seed)
+            return draw_sensing(trajectory, preset(trial.sensing), trial.seed_under(self._secret))
         return trajectory
 
     def _missing(self, trial: Trial, played: int) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from dataclasses import dataclass
 from types import TracebackType
@@ -11,6 +12,7 @@ from testbed.actions.base import Action
 from testbed.errors import InvalidValueError
 from testbed.objects.model import Grasp, ObjectModel, ObjectShape
 from testbed.trajectory import Trajectory
+from testbed.worlds.seeds import seed_of
 
 if TYPE_CHECKING:
     from testbed.worlds.draw import WorldDraw
@@ -89,7 +91,7 @@ class Trial:
     sensing: str = "ideal"
     """Name of a sensing preset."""
     seed: int = 0
-    """Seed of the sensing draw."""
+    """Number of the draw of the sensor's errors: the runner's secret makes its seed."""
     world: WorldDraw | None = None
     """Draw of a world for the object; None is the ideal world. Only a simulation needs it."""
 
@@ -100,6 +102,10 @@ class Trial:
             names = ", ".join(f"{i} ({g.name})" for i, g in enumerate(self.object.shape.grasps))
             allowed = names or "none: nothing is grippable"
             raise InvalidValueError(f"{type(self.action).__name__}.grasp", self.action.grasp, allowed)
+
+    def seed_under(self, secret: str) -> int:
+        """Seed of its sensing draw under a runner's secret; another action has another."""
+        return seed_of(secret, self.seed, json.dumps(self.action.to_dict(), sort_keys=True))
 
     @property
     def grasp(self) -> Grasp:

@@ -56,6 +56,7 @@ def run(
     objects: Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="OBJECT ...")] = None,
     world: Annotated[str | None, tyro.conf.arg(metavar="WORLD")] = None,
     data: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None,
+    secret: Annotated[str | None, tyro.conf.arg(metavar="TEXT")] = None,
     record: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False,
     live: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False,
     allow_code: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False,
@@ -77,6 +78,8 @@ def run(
         objects: names in the library or paths to TOML files, instead of the scenario's own.
         world: ideal, lab or rough, instead of the scenario's own.
         data: folder of mesh files, for a scenario with [meshes], as tools.
+        secret: text from which all draws are seeded: the same text repeats a run. A fresh one if left out; it stands in
+            DIR/manifest.json, and no method is given it.
         record: write a recording of every trial and estimate as it is done, into DIR/recordings.
         live: show every trial and estimate as it is done in an open viewer, or in a new one.
         allow_code: run classes of the current folder that the scenario names; those of --methods need no leave.
@@ -104,7 +107,7 @@ def run(
     workers = default_workers() if workers is None else workers
     if workers < 0:
         raise InvalidValueError("--workers", workers, "an integer >= 0")
-    check_nothing_lost(folder, study)
+    check_nothing_lost(folder, study, secret)
     console = open_console()
     if dry_run:
         show_dry_run(console, study, folder, workers)
@@ -115,11 +118,13 @@ def run(
     views = (write_views.__module__,)  # imported while the first trials are planned, not after the last estimate
     with ExitStack() as stack:
         with show_progress() as progress:
-            table, tasks = stack.enter_context(carry_out(study, folder, workers, progress, executor, recorder, views))
+            table, tasks = stack.enter_context(
+                carry_out(study, folder, workers, progress, executor, recorder, views, secret)
+            )
         results = rows_of(table)
         facts = {
             "name": name,
-            "command": _command(scenario, seeds, objects, methods, world, data) + " --allow-code" * allow_code,
+            "command": _command(scenario, seeds, objects, methods, world, data, secret) + " --allow-code" * allow_code,
             "wall_s": round(time.monotonic() - begin, 1),
         }
         write_json(folder / "manifest.json", (read_manifest(folder) or {}) | facts)
@@ -193,10 +198,12 @@ def _command(
     methods: Sequence[str] | None,
     world: str | None,
     data: Path | None,
+    secret: str | None,
 ) -> str:
     """Command line that runs this again."""
     parts = ["heft run", scenario]
-    for flag, value in (("seeds", seeds), ("objects", objects), ("methods", methods), ("world", world), ("data", data)):
+    given = {"seeds": seeds, "objects": objects, "methods": methods, "world": world, "data": data, "secret": secret}
+    for flag, value in given.items():
         if value:
             parts += [f"--{flag}", *([str(value)] if isinstance(value, int | str | Path) else value)]
     return " ".join(parts)

@@ -94,7 +94,7 @@ def touch(
     carrier = support_of(model.shape, support)
     preset(sensing)  # refused before anything is written
     folder = out or Path("results") / f"touch_{model.name}"
-    store = Store(folder.absolute())
+    store = Store(folder.absolute(), f"touch/{seed}")
     scenario = Scenario(objects=[object_], support=[support or carrier.name], sensing=[sensing], seeds=1)
     given = {
         "until": until,
@@ -106,7 +106,7 @@ def touch(
         "pushes": pushes,
     }
     given |= {"most": most, "candidates": candidates, "grasps": grasps, "seed": seed, "out": out}
-    facts = manifest(scenario) | {"name": folder.name, "command": _command(object_, given)}
+    facts = manifest(scenario, store.secret) | {"name": folder.name, "command": _command(object_, given)}
     with exclusive(folder):
         store.remove_leftovers()
         write_json(folder / "manifest.json", facts | {"finished": False})

@@ -21,7 +21,15 @@ from testbed.files import UNSEALED, DamagedFileError, load_sealed, write_sealed
 LOCK = ".lock"
 """File in the results folder, held while a run writes there; the system lets go of it when the run ends or dies."""
 
-_MANIFEST = {"scenario": dict, "packages": dict, "expected": dict, "name": str, "command": str, "finished": bool}
+_MANIFEST = {
+    "scenario": dict,
+    "secret": str,
+    "packages": dict,
+    "expected": dict,
+    "name": str,
+    "command": str,
+    "finished": bool,
+}
 _SCENARIO = {"objects": list, "sensing": list, "methods": dict}
 SHOWN, MOST_KEYS = 8, 6
 """Letters of a key, and number of keys, in an error."""

@@ -18,7 +18,7 @@ import json
 import zipfile
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass, fields
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -28,7 +28,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from estimators.base import Estimate
-from scenarios.results.files import inside, read_json, write_json
+from scenarios.results.files import inside, read_json, read_manifest, write_json
 from testbed.files import UNSEALED, load_sealed, remove_leftovers, unless_damaged, write_sealed, write_whole
 from testbed.foot_forces import FootForces, save_foot_forces
 from testbed.objects.files import ObjectFile, asset_folder
@@ -105,6 +105,24 @@ class Store:
     """A results folder."""
 
     root: Path
+    fresh_secret: str | None = None
+    """Secret of a run whose manifest is not written yet; None where the manifest has it."""
+
+    @cached_property
+    def secret(self) -> str:
+        """Secret from which all draws of the run are seeded; empty of measured trials, and of runs of heft 0.1.0.
+
+        Raises:
+            DamagedFileError: the manifest is damaged.
+        """
+        if self.fresh_secret is not None:
+            return self.fresh_secret
+        return (read_manifest(self.root) or {}).get("secret", "")
+
+    @property
+    def draws(self) -> dict[str, str]:
+        """Entry of a content key that depends on the run's draws: a digest of the secret."""
+        return {"draws": hashlib.sha256(self.secret.encode()).hexdigest()[:20]} if self.secret else {}
 
     def has_trial(self, key: str) -> bool:
         """True if a trial is done."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -23,6 +22,7 @@ from testbed.sensing.noise import draw_sensing
 from testbed.sensing.presets import preset
 from testbed.trajectory import Trajectory, load_trajectory
 from testbed.trial import Support, parse_support
+from testbed.worlds.seeds import seed_of
 
 _MOST_NAMED = 6
 """Keys that an error lists."""
@@ -152,13 +152,13 @@ def sensed_trials(store: Store, keys: tuple[str, ...], sensing: str, seed: int) 
         sensing: name of the preset.
         seed: seed of the draw.
     """
-    return list(_draw(store, keys, sensing, seed))
+    return list(_draw(store, keys, sensing, seed, store.secret))
 
 
 @lru_cache(maxsize=8)
-def _draw(store: Store, keys: tuple[str, ...], sensing: str, seed: int) -> tuple[Trajectory, ...]:
+def _draw(store: Store, keys: tuple[str, ...], sensing: str, seed: int, secret: str) -> tuple[Trajectory, ...]:
     """Draws of the last experiments: a worker's next method is mostly given one of them."""
-    drawn = [sensed(t, sensing, seed, i, keys[i]) for i, t in enumerate(_trajectories(store, keys))]
+    drawn = [sensed(t, sensing, seed, i, keys[i], secret) for i, t in enumerate(_trajectories(store, keys))]
     for trajectory in drawn:
         for value in vars(trajectory).values():
             if isinstance(value, np.ndarray):
@@ -166,16 +166,15 @@ def _draw(store: Store, keys: tuple[str, ...], sensing: str, seed: int) -> tuple
     return tuple(drawn)
 
 
-def sensed(trajectory: Trajectory, sensing: str, seed: int, index: int, key: str) -> Trajectory:
+def sensed(trajectory: Trajectory, sensing: str, seed: int, index: int, key: str, secret: str) -> Trajectory:
     """One draw of a sensor's errors on the `index`-th trial of an experiment, blinded; a measured one without a draw.
 
     All that a method or a policy is given comes through here.
     """
     if not trajectory.simulated:
         return trajectory.blinded()
-    # a stream of its own for every trial of every draw, a repeated trial included
-    own = int.from_bytes(hashlib.sha256(f"{seed}/{index}/{key}".encode()).digest()[:8], "big")
-    return draw_sensing(trajectory, preset(sensing), own).blinded()
+    # each trial of each draw has a stream of its own, a repeated trial included
+    return draw_sensing(trajectory, preset(sensing), seed_of(secret, seed, index, key)).blinded()
 
 
 @lru_cache(maxsize=4)

@@ -123,7 +123,7 @@ class ActiveRun:
             settings={},
             reference=False,
         )
-        key = task.result_keys()[0]
+        key = task.result_keys(self.store.draws)[0]
         estimate([(task, self.seed, key)], self.store)
         row = self.store.result(key)
         assert row is not None

@@ -72,7 +72,7 @@ class EstimateRun:
         of_object = self._objects[experiment]
         batches = self._open.setdefault(of_object, {})
         for place, task in self._tasks(experiment):
-            for seed, key in zip(task.seeds, task.result_keys(), strict=True):
+            for seed, key in zip(task.seeds, task.result_keys(self.store.draws), strict=True):
                 draw = ((*place, seed), task, key)
                 row = _failed(seed, task.failure) if task.failure else self.store.sound_result(key)
                 if row is not None:
@@ -217,8 +217,8 @@ class EstimateTask:
         """Support under which the truth predicts the held-out turns; None on springs, whose loads no model gives."""
         return self.support if self.reference and self.support in LOADS else None
 
-    def result_keys(self) -> list[str]:
-        """Content keys of the estimates, one a draw."""
+    def result_keys(self, draws: dict[str, str]) -> list[str]:
+        """Content keys of the estimates, one a draw; `draws` is the store's."""
         content = {
             "trials": list(self.keys),
             "held_out": list(self.held_out),
@@ -228,8 +228,8 @@ class EstimateTask:
             "object": object_request(self.truth),
             "reference": self.reference,
             "version": _version(),
-        } | code_of(self.kind)
-        return [key_of(content | {"seed": seed}) for seed in self.seeds]
+        }
+        return [key_of(content | draws | code_of(self.kind) | {"seed": seed}) for seed in self.seeds]
 
     def labels(self) -> dict[str, Any]:
         """Columns that place a row in the scenario."""

@@ -11,7 +11,7 @@ from estimators.action_selection.rank import RankDriven
 from estimators.base import ActionPolicy
 from scenarios.config import Scenario
 from scenarios.results.store import Store, key_of, object_request
-from scenarios.runners import FeasibilityCheck, feasible_grasps, told
+from scenarios.runners import feasible_grasps, told
 from testbed.actions.base import Action
 from testbed.actions.rotate import Rotate
 from testbed.errors import InfeasibleTrialError, InvalidValueError
@@ -134,8 +134,9 @@ def experiments_of(
         settings = point.simulation.build()
         for name, load in _sources(point, feasible, store):
             try:
-                model = point.truth.applied(load(point.grid.feet))
-                particles = point.truth.model_copy(update={"friction_spread": 0.0}).applied(load(point.grid.particles))
+                model = point.truth.applied(load(point.grid.feet), store.secret)
+                even = point.truth.model_copy(update={"friction_spread": 0.0})
+                particles = even.applied(load(point.grid.particles), store.secret)
                 own, grasps = _handled(point, model, feasible)
             except InfeasibleTrialError as error:
                 if not (axes or scenario.random or scenario.meshes):
@@ -148,7 +149,7 @@ def experiments_of(
                         refused, weighed = dict[Action, str](), list[float]()
                         setup = own.world.build().stated
                         policy = own.policy.build(used, particles.shape, settings, weighed, draw, refused, setup)
-                        world = own.world.draw(model, draw[1]) if draw else None
+                        world = own.world.draw(model, draw[1], store.secret) if draw else None
                         chosen = (used, policy, turns, refused, weighed)
                         experiments.append(
                             Experiment(own, axes, model, particles, support, *chosen, draw=draw, world=world)
@@ -174,7 +175,7 @@ def _handled(point: Scenario, model: ObjectModel, feasible: _Grasps) -> tuple[Sc
     if not point.policy.grips:
         return point, ()
     try:
-        return point, feasible.of(model.name, point.policy.check(model, point.simulation.build()))
+        return point, feasible.of(model, point)
     except InfeasibleTrialError:
         pushed = point.policy.without_grasp
         if pushed is None:
@@ -220,7 +221,7 @@ def _drawn(family: Family, index: int, scenario: Scenario, feasible: _Grasps, st
         file = family.draw(index, attempt)
         try:
             if not any_shape:
-                feasible.of(file.name, scenario.policy.check(file.build(3, path.parent), scenario.simulation.build()))
+                feasible.of(file.build(3, path.parent), scenario)
         except InfeasibleTrialError as error:
             reason = str(error)
             continue
@@ -236,8 +237,9 @@ class _Grasps:
         self._store = store
         self._new: dict[str, dict[str, Any]] = {}
 
-    def of(self, name: str, check: FeasibilityCheck) -> tuple[int, ...]:
+    def of(self, model: ObjectModel, point: Scenario) -> tuple[int, ...]:
         """Feasible grasps; raises InfeasibleTrialError where there are none."""
+        name, check = model.name, point.policy.check(model, point.simulation.build(), self._store.secret)
         assumed = object_request(ObjectModel(name, check.shape, check.guess.uniform(check.shape)))
         key = key_of({"assumed": assumed, "simulation": asdict(check.settings), "what": "grasps"})
         known = self._new.get(key) or self._store.note(key)

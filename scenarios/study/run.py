@@ -27,6 +27,7 @@ from scenarios.study.experiment import Experiment, Progress, ResultCallback, exp
 from scenarios.study.trials import TrialRun
 from testbed.errors import InvalidValueError
 from testbed.files import unless_damaged
+from testbed.worlds.seeds import new_secret
 
 SENSING = "as measured"
 """Name of the sensor in the results: its errors are in the records."""
@@ -41,6 +42,7 @@ def run_scenario(
     progress: Progress,
     executor: str = "local",
     on_result: ResultCallback | None = None,
+    secret: str | None = None,
 ) -> pd.DataFrame:
     """Run or resume a scenario; a row an estimate.
 
@@ -51,12 +53,14 @@ def run_scenario(
         progress: receives how far it is.
         executor: inline, local or ray.
         on_result: called for each "trial" and "estimate", with its key, when it is done.
+        secret: text from which all draws are seeded, which repeats them; that of the folder, or a fresh one, if left
+            out.
 
     Raises:
         HeftError: something in the scenario cannot be done, or another run writes to `out`.
         OSError: `out` cannot be written to.
     """
-    with carry_out(scenario, out, worker_count, progress, executor, on_result) as (table, _):
+    with carry_out(scenario, out, worker_count, progress, executor, on_result, secret=secret) as (table, _):
         return table
 
 
@@ -69,36 +73,49 @@ def carry_out(
     executor: str = "local",
     on_result: ResultCallback | None = None,
     preload: Sequence[str] = (),
+    secret: str | None = None,
 ) -> Iterator[tuple[pd.DataFrame, Executor]]:
     """Do as `run_scenario`, and lend the workers, for views of the results, until the end of the context.
 
     A worker imports the modules of `preload` as it starts.
     """
     check_code(scenario)
-    store = Store(out.absolute())
     with exclusive(out), open_executor(executor, worker_count, preload=(__name__, *preload)) as tasks:
+        store = Store(out.absolute(), _secret_of(out) or new_secret() if secret is None else secret)
         store.remove_leftovers()
         experiments, left_out = experiments_of(scenario, store, progress)
-        write_json(out / "manifest.json", manifest(scenario, DryRun.of(scenario)))
+        write_json(out / "manifest.json", manifest(scenario, store.secret, DryRun.of(scenario)))
         estimates = EstimateRun(experiments, store, tasks, progress, on_result)
         trials = TrialRun(deque(experiments), store, tasks, progress, estimates.add, on_result)
         work_off(tasks, estimates.start, trials.start)
         table = store.put_table([*estimates.rows, *map(infeasible_row, left_out)])
-        write_json(out / "manifest.json", manifest(scenario))
+        write_json(out / "manifest.json", manifest(scenario, store.secret))
         yield table, tasks
 
 
-def check_nothing_lost(folder: Path, scenario: Scenario) -> None:
+def _secret_of(folder: Path) -> str:
+    """Secret in the manifest of a results folder; empty where there is none, or the manifest is damaged."""
+    return (unless_damaged(lambda: read_manifest(folder), "written again") or {}).get("secret", "")
+
+
+def check_nothing_lost(folder: Path, scenario: Scenario, secret: str | None = None) -> None:
     """Check that a run into a folder goes on with the results there, or adds to them.
 
     Raises:
-        InvalidValueError: the folder holds results of other objects, methods, seeds or settings.
+        InvalidValueError: the folder holds results of other objects, methods, seeds, draws or settings; or the secret
+            is blank.
     """
-    held = (unless_damaged(lambda: read_manifest(folder), "written again") or {}).get("scenario")
+    if secret is not None and not secret.strip():
+        raise InvalidValueError("--secret", secret, "a text that is not blank")
+    found = unless_damaged(lambda: read_manifest(folder), "written again") or {}
+    held = found.get("scenario")
     if held is None or not (folder / "results.parquet").is_file():
         return
     asked = json.loads(json.dumps(scenario.model_dump()))
     other = [field for field in held if not _asked_again(field, held[field], asked.get(field))]
+    kept = found.get("secret", "")
+    if not kept or secret not in (None, kept):
+        other.append("secret" if kept else "draws without a secret, by heft 0.1.0")
     if other:
         allowed = f"a new folder, as {folder}-2; this one holds results of another run ({', '.join(other)})"
         raise InvalidValueError("--out", str(folder), allowed)
@@ -116,10 +133,12 @@ def _asked_again(field: str, held: Any, asked: Any) -> bool:
     return held == asked or (isinstance(held, list) and all(item in asked for item in held))
 
 
-def manifest(scenario: Scenario, expected: DryRun | None = None) -> dict[str, Any]:
-    """The manifest of a results folder: the scenario, the versions that ran it, and its expected size until it ends."""
+def manifest(scenario: Scenario, secret: str = "", expected: DryRun | None = None) -> dict[str, Any]:
+    """The manifest of a results folder: the scenario, the secret of its draws, the versions that ran it, and its
+    expected size until it ends. Measured trials have no draws, and no secret."""
     packages = {name: version(name) for name in ("heft-testbed", "mujoco", "torch", "numpy", "scipy")}
     facts = {"scenario": scenario.model_dump(), "python": platform.python_version(), "packages": packages}
+    facts |= {"secret": secret} if secret else {}
     if expected is None:
         return facts | {"finished": True}
     return facts | {"finished": False, "expected": {"trials": expected.trials, "estimates": expected.estimates}}

@@ -116,7 +116,8 @@ class TrialRun:
                 continue
             action = _next_action(experiment)
         if not experiment.failure:
-            self.store.put_note(_key_of(experiment), {"keys": experiment.keys, "held_out": experiment.held_out_keys})
+            made = {"keys": experiment.keys, "held_out": experiment.held_out_keys}
+            self.store.put_note(_key_of(experiment, self.store), made)
         self._end(experiment)
 
     def _end(self, experiment: Experiment) -> None:
@@ -154,7 +155,7 @@ def _taken(experiment: Experiment, action: Action, key: str, store: Store) -> bo
     if experiment.finished:
         experiment.held_out_keys.append(key)
         return True
-    seen = sensed(trajectory, *experiment.seen, len(experiment.keys), key)
+    seen = sensed(trajectory, *experiment.seen, len(experiment.keys), key, store.secret)
     if action.moves:
         experiment.trajectories.append(seen)
     elif seen.ok:
@@ -165,14 +166,14 @@ def _taken(experiment: Experiment, action: Action, key: str, store: Store) -> bo
 
 def _recalled(experiment: Experiment, store: Store) -> bool:
     """Take all trials of an experiment from an earlier run; False where some are missing."""
-    note = store.note(_key_of(experiment))
+    note = store.note(_key_of(experiment, store))
     if note is None or not all([store.has_sound_trial(key) for key in note["keys"] + note["held_out"]]):
         return False
     experiment.keys, experiment.held_out_keys = note["keys"], note["held_out"]
     return True
 
 
-def _key_of(experiment: Experiment) -> str:
+def _key_of(experiment: Experiment, store: Store) -> str:
     request = {
         "object": object_request(experiment.model),
         "particles": object_request(experiment.particles),
@@ -183,7 +184,7 @@ def _key_of(experiment: Experiment) -> str:
         "simulation": asdict(experiment.scenario.simulation.build()),
     }
     drawn = {"world": asdict(experiment.world)} if experiment.world else {}
-    return key_of(request | drawn | ({"felt": list(experiment.draw)} if experiment.draw else {}))
+    return key_of(request | drawn | store.draws | ({"felt": list(experiment.draw)} if experiment.draw else {}))
 
 
 def _tried(trial: Trial, settings: RunnerSettings, store: Store) -> str:

@@ -35,6 +35,7 @@ from testbed.simulation.scene import Scene, build_scene
 from testbed.simulation.settings import SimulationSettings
 from testbed.trajectory import Trajectory
 from testbed.trial import Trial
+from testbed.worlds.seeds import new_secret
 from testbed.worlds.setup_errors import EXACT_SETUP, SetupErrors
 
 _SENSORS = {
@@ -62,6 +63,9 @@ class SimulationRunner:
 
     settings: SimulationSettings = field(default_factory=SimulationSettings)
     """Settings of the simulation."""
+    secret: str = field(default_factory=new_secret, repr=False)
+    """Text from which the sensor's errors are seeded, with a trial's seed and action; a fresh one if left out, and the
+    same one repeats them."""
 
     def __enter__(self) -> Self:
         return self
@@ -75,7 +79,7 @@ class SimulationRunner:
         Raises:
             InfeasibleTrialError: the arm, the gripper or the table cannot do it; nothing has moved.
         """
-        return draw_sensing(self.run_clean(trial), preset(trial.sensing), trial.seed)
+        return draw_sensing(self.run_clean(trial), preset(trial.sensing), trial.seed_under(self.secret))
 
     def run_clean(self, trial: Trial) -> Trajectory:
         """Run the physics with a perfect sensor; sensing draws can be applied to the result."""

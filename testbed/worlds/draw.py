@@ -1,8 +1,7 @@
-"""Draws of a world: what is true for one object in one setup, and in each of its trials. No method is given one."""
+"""Draws of a world: the true errors of one setup, and of each trial in it. Draws are hidden from every method."""
 
 from __future__ import annotations
 
-import hashlib
 import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
@@ -17,6 +16,7 @@ from testbed.frames import rotation_2d
 from testbed.objects.model import GRAVITY, Grasp, ObjectModel
 from testbed.worlds.feet import LEAST_FRICTION, Feet
 from testbed.worlds.presets import World
+from testbed.worlds.seeds import new_secret, seed_of
 from testbed.worlds.surface import Surface
 
 
@@ -27,13 +27,19 @@ class WorldDraw:
     world: World
     """Sizes of the errors."""
     seed: int
-    """Seed, which hangs on the true masses: nobody can make the draw again who does not know them."""
+    """Seed, derived from a secret: it is as good as the draw itself."""
 
     @classmethod
-    def of(cls, world: World, model: ObjectModel, seed: int | str) -> Self:
-        """Draw of a world for an object."""
-        masses = " ".join(f"{mass:.9f}" for mass in model.group_mass)
-        return cls(world, _number(f"{seed}/{model.name}/{masses}"))
+    def of(cls, world: World, model: ObjectModel, seed: int | str, secret: str | None = None) -> Self:
+        """Draw of a world for an object.
+
+        Args:
+            world: sizes of the errors.
+            model: the object.
+            seed: number of the draw.
+            secret: text from which the draws are seeded; a fresh one if left out, so that no draw comes twice.
+        """
+        return cls(world, seed_of(new_secret() if secret is None else secret, "world", seed, model.name))
 
     @classmethod
     def in_record(cls, provenance: Mapping[str, str]) -> Self | None:
@@ -51,7 +57,7 @@ class WorldDraw:
     def rng(self, quantity: str, action: Action | None = None) -> np.random.Generator:
         """Random stream of a quantity, of the setup or of the trial of an action."""
         trial = "" if action is None else json.dumps(action.to_dict(), sort_keys=True)
-        return np.random.default_rng(_number(f"{self.seed}/{quantity}/{trial}"))
+        return np.random.default_rng(seed_of("", self.seed, quantity, trial))
 
     def normal(self, quantity: str, count: int, action: Action | None = None) -> Float[np.ndarray, "count"]:
         """Drawn values of a quantity, `count` of the same standard deviation."""
@@ -101,8 +107,3 @@ class WorldDraw:
     def start(self, action: Action) -> Float[np.ndarray, "3"]:
         """Shift of a trial's place on the table [m, m, rad]."""
         return np.append(self.normal("start_offset", 2, action), self.normal("start_angle", 1, action))
-
-
-def _number(text: str) -> int:
-    """A large integer from a text."""
-    return int.from_bytes(hashlib.sha256(text.encode()).digest()[:8], "big")

@@ -114,9 +114,8 @@ def test_a_sensors_errors_are_drawn_on_what_is_simulated_and_on_nothing_else(her
 @pytest.mark.usefixtures("here")
 def test_a_runners_own_check_says_which_grasps_can_be_used():
     l2 = load_object("L2")
-    checks = {
-        name: Policy().check(l2, Simulation(runner=f"more:{name}").build()) for name in ("Narrow", "Bare", "Measured")
-    }
+    runners = {name: Simulation(runner=f"more:{name}").build() for name in ("Narrow", "Bare", "Measured")}
+    checks = {name: Policy().check(l2, runner, "s") for name, runner in runners.items()}
     grasps = {name: feasible_grasps("L2", check) for name, check in checks.items()}
     assert grasps["Narrow"] == (0, 1)
     assert grasps["Bare"] == grasps["Measured"] == tuple(range(len(l2.shape.grasps)))

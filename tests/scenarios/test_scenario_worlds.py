@@ -51,9 +51,10 @@ def test_sensors_share_the_trials_of_a_draw_and_a_perfect_one_has_draws_too():
     assert short().own_draws() == [None]
     assert DryRun.of(scenario).estimates == 4
     model = load_object("I2")
-    assert scenario.world.draw(model, 0) == scenario.world.draw(model, 0)
-    assert scenario.world.draw(model, 0) != scenario.world.draw(model, 1)
-    assert short(preset="lab", seed=1).world.draw(model, 0) != scenario.world.draw(model, 0)
+    assert scenario.world.draw(model, 0, "s") == scenario.world.draw(model, 0, "s")
+    assert scenario.world.draw(model, 0, "s") != scenario.world.draw(model, 1, "s")
+    assert short(preset="lab", seed=1).world.draw(model, 0, "s") != scenario.world.draw(model, 0, "s")
+    assert scenario.world.draw(model, 0, "other") != scenario.world.draw(model, 0, "s")
 
 
 def test_keys_tell_worlds_apart_and_leave_the_ideal_one_as_it_was():

@@ -120,16 +120,19 @@ def test_a_wrong_family_is_refused(change, message):
 
 def test_another_truth_changes_friction_and_nothing_else():
     model = load_object("hammer")
-    other = Truth(friction=0.7).applied(model)
+    other = Truth(friction=0.7).applied(model, "s")
     assert other.truth.friction.tolist() == [0.7, 0.7]
     assert other.shape is model.shape
-    spread = Truth(friction_spread=0.2, seed=1).applied(load_object("L2"))
+    spread = Truth(friction_spread=0.2, seed=1).applied(load_object("L2"), "s")
     assert spread.shape.n_mu == 6
     assert spread.group_mass.tolist() == load_object("L2").group_mass.tolist()
     assert 0.02 < np.std(np.log(spread.truth.friction / 0.5)) < 0.5
-    assert (Truth(friction_spread=0.2, seed=1).applied(load_object("L2")).truth.friction == spread.truth.friction).all()
+    again = Truth(friction_spread=0.2, seed=1).applied(load_object("L2"), "s")
+    assert (again.truth.friction == spread.truth.friction).all()
+    other = Truth(friction_spread=0.2, seed=1).applied(load_object("L2"), "another")
+    assert (other.truth.friction != spread.truth.friction).all()
     contact = model.shape.friction_group >= 0
-    assert ((Truth(friction_spread=0.1).applied(model).shape.friction_group >= 0) == contact).all()
+    assert ((Truth(friction_spread=0.1).applied(model, "s").shape.friction_group >= 0) == contact).all()
 
 
 WILD: tuple[Any, ...] = (

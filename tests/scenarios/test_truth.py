@@ -8,25 +8,30 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
+from secrets import token_hex
 from typing import Any
 
 import numpy as np
 import pytest
 
-from estimators.testing.truth import truth_within_reach
-from scenarios.config import Scenario, WorldTable
+from estimators.testing.truth import MOST_INTEGERS, truth_within_reach
+from scenarios.config import Scenario, WorldTable, load_scenario
 from scenarios.policies import Policy
 from scenarios.results.store import Store
 from scenarios.runners import feasible_grasps, told
-from scenarios.study.run import run_scenario
+from scenarios.study.run import check_nothing_lost, run_scenario
+from testbed.actions.rotate import Rotate
+from testbed.errors import InvalidValueError
 from testbed.objects.files import load_object
 from testbed.objects.model import MassDistribution, ObjectModel
 from testbed.sensing.noise import draw_sensing
 from testbed.sensing.presets import preset
+from testbed.simulation.runner import SimulationRunner
 from testbed.simulation.settings import SimulationSettings
 from testbed.trajectory import Trajectory
-from testbed.worlds import WorldDraw, world
-from tests.helpers.runs import quiet
+from testbed.trial import Trial
+from testbed.worlds import WorldDraw, seeds, world
+from tests.helpers.runs import quiet, small_scenario
 
 SPIES = """
 from estimators.base import Estimate
@@ -50,6 +55,47 @@ class Chooser:
         given.append(("next", dict(shape=shape, trajectories=list(trajectories))))
         actions = (Rotate(2, duration=2.0), Accelerate(2), Rotate(3, duration=2.0))
         return actions[len(trajectories)] if len(trajectories) < len(actions) else None
+"""
+
+GUESSER = """
+import hashlib
+from dataclasses import replace
+from itertools import product
+
+import numpy as np
+
+from estimators.base import Estimate
+from scenarios.results.store import key_of, trial_request
+from testbed.objects.model import MassDistribution, ObjectModel
+from testbed.sensing.noise import draw_sensing
+from testbed.sensing.presets import preset
+from testbed.simulation.settings import GripSettings, SimulationSettings
+from testbed.trajectory import Phase
+from testbed.trial import Trial
+
+SETTINGS = SimulationSettings(timestep=0.002, grip=GripSettings(mode="weld"))
+
+
+class Guesser:
+    def __init__(self, secret=""):
+        self.secret = secret
+
+    def estimate(self, shape, weight, trajectories, seed):
+        for masses in product((0.1, 0.4), repeat=len(shape.group_names)):
+            guess = MassDistribution(np.array(masses) / shape.particles_per_group, np.array([0.35]))
+            model = ObjectModel("guess", shape, guess)
+            if all(self.cancels(model, t, index, seed) for index, t in enumerate(trajectories, start=1)):
+                return Estimate(guess, "ok", "")
+        even = np.full(shape.n_m, weight / len(shape.particles))
+        return Estimate(MassDistribution(even, np.array([0.35])), "ok", "")
+
+    def cancels(self, model, seen, index, seed):
+        key = key_of(trial_request(Trial(model, seen.action), SETTINGS))
+        text = "/".join(map(str, [self.secret, seed, index, key] if self.secret else [seed, index, key]))
+        drawn_by = int.from_bytes(hashlib.sha256(text.encode()).digest()[:8], "big")
+        silent = replace(seen, sensor_wrench=np.zeros_like(seen.sensor_wrench))
+        left = seen.sensor_wrench - draw_sensing(silent, preset("ft300s"), drawn_by).sensor_wrench
+        return bool(np.ptp(left[seen.mask(Phase.TARE)], axis=0).max() < 1e-6)
 """
 
 
@@ -166,12 +212,12 @@ def heavy_end(model: ObjectModel) -> ObjectModel:
 
 def test_grasps_and_checks_do_not_know_masses_and_friction():
     model, settings, policy = load_object("I2"), SimulationSettings(), Policy()
-    one, other = (feasible_grasps(m.name, policy.check(m, settings)) for m in (model, heavy_end(model)))
+    one, other = (feasible_grasps(m.name, policy.check(m, settings, "s")) for m in (model, heavy_end(model)))
     assert one == other == tuple(range(6))
-    reading = policy.check(model, settings).guess.weight
+    reading = policy.check(model, settings, "s").guess.weight
     assert 0 < abs(reading - model.total_mass) < 0.005
     strong = Policy(most_friction=1.0)
-    assert len(feasible_grasps("I2", strong.check(model, settings))) < 6
+    assert len(feasible_grasps("I2", strong.check(model, settings, "s"))) < 6
 
 
 @pytest.mark.slow
@@ -188,3 +234,58 @@ def test_what_the_true_masses_refuse_is_told_without_numbers_and_chosen_around(t
     ]
     assert len(grasps) >= 1 + 2 + 2 and {*grasps} <= {None, 0, 1, 2}
     assert told("grip: drag of up to 26.49 N at block A") == "grip: refused by the bench"
+
+
+@pytest.mark.parametrize("known", [False, True], ids=["as given", "given the secret"])
+def test_a_guessed_map_does_not_repeat_the_noise_of_its_trials(known: bool, tmp_path: Path, monkeypatch):
+    """An estimator that knows that blocks weigh 0.1 or 0.4 kg tries every map, and the noise that it would have."""
+    (tmp_path / "guesser.py").write_text(GUESSER, encoding="utf-8")
+    (tmp_path / "pair.toml").write_text(
+        'name = "pair"\n[blocks]\nlayout = ["11"]\nmass_kg = [0.4, 0.1]\nfriction = 0.35\n', encoding="utf-8"
+    )
+    monkeypatch.syspath_prepend(str(tmp_path))
+    monkeypatch.setattr(seeds, "token_hex", lambda _: "a run's own")
+    scenario = Scenario.model_validate(
+        {
+            "objects": [str(tmp_path / "pair.toml")],
+            "support": ["own_weight"],
+            "sensing": ["ft300s"],
+            "seeds": 2,
+            "grid": {"feet": 2, "particles": 2},
+            "simulation": {"grip": "weld", "timestep_s": 0.002},
+            "policy": {"pivots": 1, "duration": 1.6, "accelerated": 0, "held_out": 0},
+            "methods": {"guesser": {"method": "guesser:Guesser", **({"secret": "a run's own"} if known else {})}},
+        }
+    )
+    rows = run_scenario(scenario, tmp_path / "out", 0, quiet, executor="inline")
+    sys.modules.pop("guesser", None)
+    assert rows["nad"].tolist() == ([0.0, 0.0] if known else pytest.approx([0.6, 0.6], abs=0.01))
+
+
+def test_no_small_seed_of_a_script_repeats_its_noise():
+    trial = Trial(load_object("I2"), Rotate(2, duration=1.6), sensing="ft300s", seed=3)
+    runner = SimulationRunner(SimulationSettings(timestep=0.002), secret=token_hex(16))
+    clean, seen = runner.run_clean(trial), runner.run(trial)
+    given = {"trajectories": [seen.blinded()], "guesses": np.arange(MOST_INTEGERS)}
+    assert truth_within_reach(given, trial.object, [clean]) == []
+    again = replace(runner, secret=token_hex(16)).run(trial)
+    assert np.abs(again.sensor_wrench - seen.sensor_wrench).max() > 0.1
+    assert np.array_equal(runner.run(trial).sensor_wrench, seen.sensor_wrench)
+
+
+def test_every_run_has_a_secret_of_its_own_and_keeps_it(tmp_path: Path, monkeypatch):
+    monkeypatch.setattr(seeds, "token_hex", token_hex)
+    scenario = load_scenario(str(small_scenario(tmp_path, ("own_weight",), "[methods.hidden_states]\n")))[1]
+    first, other = (run_scenario(scenario, tmp_path / name, 0, quiet, executor="inline") for name in ("a", "b"))
+    drawn = [rows[rows["sensing"] == "ft300s"]["nad"].to_numpy() for rows in (first, other)]
+    assert (drawn[0] != drawn[1]).all()
+    again = run_scenario(scenario, tmp_path / "a", 0, quiet, executor="inline")
+    assert again["key"].tolist() == first["key"].tolist()
+    secret = Store(tmp_path / "a").secret
+    assert len(secret) == 32 and secret != Store(tmp_path / "b").secret
+    repeated = run_scenario(scenario, tmp_path / "c", 0, quiet, executor="inline", secret=secret)
+    assert repeated["nad"].tolist() == first["nad"].tolist() and repeated["key"].tolist() == first["key"].tolist()
+    check_nothing_lost(tmp_path / "a", scenario, secret)
+    for wrong in ("other", " "):
+        with pytest.raises(InvalidValueError, match="secret"):
+            check_nothing_lost(tmp_path / "a", scenario, wrong)

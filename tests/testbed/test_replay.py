@@ -122,8 +122,8 @@ def test_a_simulated_record_gets_the_trials_draw(tmp_path: Path):
     clean = replace(clean, provenance={"runner": "simulation", "support": "own_weight"})
     save_trajectory(clean, tmp_path / "a.parquet")
     trial = Trial(L2, Rotate(0), sensing="ft300s", seed=3)
-    given = ReplayRunner(tmp_path).run(trial)
-    expected = draw_sensing(clean, preset("ft300s"), 3)
+    given = ReplayRunner(tmp_path, secret="s").run(trial)
+    expected = draw_sensing(clean, preset("ft300s"), trial.seed_under("s"))
     assert np.array_equal(given.wrench_on_object_world, expected.wrench_on_object_world)
     assert not given.is_clean
 

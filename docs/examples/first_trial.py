@@ -2,7 +2,7 @@
 
 from testbed import Rotate, SimulationRunner, Trial, load_object, steady_windows
 
-trial = Trial(load_object("L2"), Rotate(grasp=2, duration=4.0, back=True), sensing="ft300s", seed=1)
+trial = Trial(load_object("L2"), Rotate(grasp=2, duration=4.0, back=True), sensing="ft300s")
 with SimulationRunner() as simulation:
     trajectory = simulation.run(trial)
 for window in steady_windows(trajectory):

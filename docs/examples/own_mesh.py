@@ -45,7 +45,7 @@ def write_paddle(folder: Path) -> Path:
 
 if __name__ == "__main__":
     paddle = load_object(write_paddle(Path()))
-    trial = Trial(paddle, Rotate(grasp=0, duration=6.0, back=True), sensing="ft300s", seed=1)
+    trial = Trial(paddle, Rotate(grasp=0, duration=6.0, back=True), sensing="ft300s")
     with SimulationRunner() as simulation:
         trajectory = simulation.run(trial)
     answer = HiddenStates().estimate(paddle.shape, paddle.total_mass, [trajectory], seed=0)

@@ -23,7 +23,7 @@ def main() -> None:
     obj = load_object("rectangle.toml")
     pushes = [Push.into(face, part, curvature=2.0) for face in faces(obj.shape) for part in PARTS]
     with SimulationRunner() as simulation:
-        trials = [Trial(obj, push, sensing="ft300s:camera=exact", seed=seed) for seed, push in enumerate(pushes)]
+        trials = [Trial(obj, push, sensing="ft300s:camera=exact") for push in pushes]
         trajectories = [simulation.run(trial) for trial in trials]
     answer = HiddenStates().estimate(obj.shape, obj.total_mass, trajectories, seed=0)
     print(f"{len(pushes)} pushes: {answer.status}")

@@ -46,11 +46,16 @@ class Drag:
         self, twist: Float[np.ndarray, "... 3"], point: Float[np.ndarray, "... 2"]
     ) -> Float[np.ndarray, "... 3"]:
         """Force and torque about points [N, N m] that move it at twists of these [m/s, rad/s], object axes."""
-        x, y = np.moveaxis(self.particles - np.asarray(point)[..., None, :], -1, 0)
+        x, y = (self.particles[:, axis] - np.asarray(point)[..., axis, None] for axis in (0, 1))
+        along_x, along_y = self._forces(x, y, twist)
+        return np.stack([each.sum(axis=-1) for each in (along_x, along_y, x * along_y - y * along_x)], -1)
+
+    def _forces(self, x: np.ndarray, y: np.ndarray, twist: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Force along each axis on every particle at x, y [m] from the point that moves at a twist [N]."""
         u, v = twist[..., 0, None] - twist[..., 2, None] * y, twist[..., 1, None] + twist[..., 2, None] * x
         speed = np.hypot(u, v)
         share = np.divide(self.friction, speed, out=np.zeros_like(speed), where=speed > 1e-12)
-        return np.stack([each.sum(axis=-1) for each in (share * u, share * v, share * (x * v - y * u))], -1)
+        return share * u, share * v
 
     def pushed(
         self,
@@ -92,13 +97,16 @@ class Drag:
         """Twist without a moment about contacts that go a way [rad] from the normal, 1 m/s into it; force's angle."""
         cos, sin = np.cos(way)[:, None], np.sin(way)[:, None]
         heading = cos * normal + sin * perpendicular(normal)
-        size = np.abs(self.particles - point[:, None]).max(axis=(1, 2))
+        x, y = (self.particles[:, axis] - point[:, axis, None] for axis in (0, 1))
+        size = np.maximum(np.abs(x), np.abs(y)).max(axis=1)
 
         def twist(turn: np.ndarray, each: np.ndarray) -> np.ndarray:
             return np.column_stack([np.cos(turn)[:, None] * heading[each], np.sin(turn) / size[each]])
 
         def moment(turn: np.ndarray, each: np.ndarray) -> np.ndarray:
-            return self.wrench(twist(turn, each), point[each])[:, 2]
+            arm_x, arm_y = x[each], y[each]
+            along_x, along_y = self._forces(arm_x, arm_y, twist(turn, each))
+            return (arm_x * along_y - arm_y * along_x).sum(axis=1)  # the moment alone: most of the calls
 
         quarter = np.full(len(way), math.pi / 2)
         still = twist(_roots(moment, -quarter, quarter, self.tolerance), np.arange(len(way)))
@@ -163,12 +171,13 @@ def _roots(
     at_low, at_high = function(low, each), function(high, each)
     for _ in range(_MOST_STEPS):
         rise = at_high - at_low
-        middle = np.where(rise == 0, high, high - at_high * (high - low) / np.where(rise == 0, 1.0, rise))
+        middle = high - np.divide(at_high * (high - low), rise, out=np.zeros_like(high), where=rise != 0)
         found[each] = middle
         open_ = np.abs(middle - high) > tolerance
         if not open_.any():
             break
-        each, low, high, middle, at_low, at_high = (v[open_] for v in (each, low, high, middle, at_low, at_high))
+        if not open_.all():
+            each, low, high, middle, at_low, at_high = (v[open_] for v in (each, low, high, middle, at_low, at_high))
         value = function(middle, each)
         across = value * at_high < 0
         low, at_low = np.where(across, high, low), np.where(across, at_high, at_low / 2)  # Illinois

@@ -6,6 +6,8 @@ record has the object's true poses as a camera's stream, and the force of its dr
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from jaxtyping import Float
 
@@ -25,18 +27,23 @@ def drag_of(obj: ObjectModel) -> Drag:
     return Drag(shape.particles, friction * own_weight_loads(obj))
 
 
-def analytic_push(obj: ObjectModel, action: Push) -> Trajectory:
-    """Record of a push of an object that lies at the origin as the fingertip meets it.
+def analytic_pushes(obj: ObjectModel, actions: Sequence[Push]) -> list[Trajectory]:
+    """Records of pushes, each of an object that lies at the origin as the fingertip meets it.
 
-    It ends where the path slows down, or where the fingertip comes to the end of the face.
+    One ends where the path slows down, or where the fingertip comes to the end of the face.
 
     Args:
         obj: the object, truth included; every group rests on its own weight.
-        action: the push.
+        actions: the pushes.
     """
-    motion = drag_of(obj).motion(obj.shape, [action], 1 / RATE)[0]
-    accelerations = np.gradient(motion.twists, 1 / RATE, axis=0, edge_order=2)
-    return _record(obj, action, motion.poses, motion.twists, accelerations, motion.places)
+    return [
+        _record(
+            *(obj, action, motion.poses, motion.twists),
+            np.gradient(motion.twists, 1 / RATE, axis=0, edge_order=2),
+            motion.places,
+        )
+        for action, motion in zip(actions, drag_of(obj).motion(obj.shape, actions, 1 / RATE), strict=True)
+    ]
 
 
 def steady_pushes(obj: ObjectModel, centers: Float[np.ndarray, "K 2"], *, seconds: float = 0.8) -> list[Trajectory]:
@@ -73,17 +80,17 @@ def _record(
     places: np.ndarray,
 ) -> Trajectory:
     """Record of a motion in contact: poses of the object and its rates, world, and places of the fingertip."""
-    drag, count, none = drag_of(obj), len(poses), np.zeros((len(poses), 2))
-    planar, moment = np.zeros((count, 3)), np.zeros((count, 2))
-    for index, (pose, twist, acceleration, place) in enumerate(zip(poses, twists, accelerations, places, strict=True)):
-        turn, spin = rotation_2d(pose[2]), twist[2]
-        point = turn.T @ (place - pose[:2])
-        wrench = drag.wrench(np.array([*(turn.T @ twist[:2] + spin * perpendicular(point)), spin]), point)
-        com = obj.center_of_mass
-        pull = obj.total_mass * (turn.T @ acceleration[:2] + acceleration[2] * perpendicular(com) - spin**2 * com)
-        wrench += [*pull, obj.inertia_cm * acceleration[2] + cross_2d(com - point, pull)]
-        planar[index] = [*(turn @ wrench[:2]), wrench[2]]
-        moment[index] = turn @ (obj.shape.height / 2 * pull)
+    count, none, com, spin = len(poses), np.zeros((len(poses), 2)), obj.center_of_mass, twists[:, 2]
+    turn = rotation_2d(poses[:, 2])
+    into = turn.transpose(0, 2, 1)
+    point = np.einsum("nij,nj->ni", into, places - poses[:, :2])
+    contact = np.einsum("nij,nj->ni", into, twists[:, :2]) + spin[:, None] * perpendicular(point)
+    about_com = accelerations[:, 2, None] * perpendicular(com) - spin[:, None] ** 2 * com
+    pull = obj.total_mass * (np.einsum("nij,nj->ni", into, accelerations[:, :2]) + about_com)
+    wrench = drag_of(obj).wrench(np.column_stack([contact, spin]), point)
+    wrench += np.column_stack([pull, obj.inertia_cm * accelerations[:, 2] + cross_2d(com - point, pull)])
+    planar = np.column_stack([np.einsum("nij,nj->ni", turn, wrench[:, :2]), wrench[:, 2]])
+    moment = obj.shape.height / 2 * np.einsum("nij,nj->ni", turn, pull)
     # nothing tilts but the pull on the mass over the feet
     tilt = np.column_stack([HEIGHT * planar[:, 1] - moment[:, 1], moment[:, 0] - HEIGHT * planar[:, 0]])
     time = np.arange(count) / RATE

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -55,6 +56,7 @@ def record(count: int = 400, *, tare: int = 100, orientation: Rotation = DOWN, *
     return Trajectory(**values | changes)
 
 
+@lru_cache(maxsize=256)  # rules ask for the same records, and windows are kept by record
 def analytic_trial(
     obj: ObjectModel,
     action: Rotate | Accelerate | Slide,
@@ -155,8 +157,14 @@ def accelerated(obj: ObjectModel, grasps: list[int] | None = None, **world: obje
 
 def drawn_object(seed: int, layout: list[str] | None = None, friction_groups: int = 1) -> ObjectModel:
     """Object of joined blocks with random masses and frictions."""
+    layout = layout or [["1111", "0100", "0100"], ["101", "101", "111"], ["110", "011"]][seed % 3]
+    return _drawn(seed, tuple(layout), friction_groups)
+
+
+@lru_cache(maxsize=32)
+def _drawn(seed: int, layout: tuple[str, ...], friction_groups: int) -> ObjectModel:
     rng = np.random.default_rng(seed)
-    cells = parse_layout(layout or [["1111", "0100", "0100"], ["101", "101", "111"], ["110", "011"]][seed % 3])
+    cells = parse_layout(list(layout))
     groups = (rng.permutation(len(cells)) % friction_groups).tolist()
     return block_object(
         "drawn",

@@ -8,6 +8,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import lru_cache
 
 import numpy as np
 from numpy.testing import assert_allclose
@@ -29,6 +30,7 @@ ALLOWED = {"ideal": 0.08, "low": 0.1, "moderate": 0.1, "ft300s": 0.1, "high": 0.
 """NAD that an answer of status ok may have under each preset, as a ratio."""
 
 
+@lru_cache(maxsize=8)
 def small_object(seed: int) -> ObjectModel:
     """Three blocks of 2 x 2 particles, for methods that take long.
 

@@ -12,7 +12,7 @@ from matplotlib.patches import FancyArrowPatch
 from numpy.testing import assert_allclose
 
 from estimators.testing.analytic_links import analytic_links
-from estimators.testing.analytic_push import analytic_push
+from estimators.testing.analytic_push import analytic_pushes
 from estimators.testing.analytic_world import drawn_object
 from scenarios.views.values import wrench_fit
 from testbed.actions.push import Push
@@ -46,10 +46,8 @@ DRAGS = Slide(2, direction=0.5, duration=2.0), Rotate(0, duration=2.0, pivot=(-0
 @pytest.fixture(scope="module")
 def pushes() -> list[Trajectory]:
     """One push that slides along the left face, and one that sticks."""
-    return [
-        analytic_push(BLOCKS, Push((-SIDE, 0.02), math.radians(-50), speed=0.05, length=0.08, friction=0.2)),
-        analytic_push(BLOCKS, Push((SIDE, 0.0), math.pi, speed=0.05, length=0.08)),
-    ]
+    slides = Push((-SIDE, 0.02), math.radians(-50), speed=0.05, length=0.08, friction=0.2)
+    return analytic_pushes(BLOCKS, [slides, Push((SIDE, 0.0), math.pi, speed=0.05, length=0.08)])
 
 
 @pytest.fixture(scope="module")

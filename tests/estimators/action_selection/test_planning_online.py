@@ -13,7 +13,7 @@ from estimators.action_selection.plan import Goal
 from estimators.evaluation.metrics import normalized_absolute_difference
 from estimators.hidden_states.estimator import HiddenStates
 from estimators.support_models.estimator import SupportAware
-from estimators.testing.analytic_push import analytic_push
+from estimators.testing.analytic_push import analytic_pushes
 from estimators.testing.analytic_world import analytic_trial, drawn_object
 from testbed.actions.accelerate import Accelerate
 from testbed.actions.lift import Lift
@@ -162,7 +162,7 @@ def test_what_cannot_be_gripped_is_pushed_until_it_is_known():
     trials: list[Trajectory] = []
     while (decision := chooser.decide(ungripped.shape, trials)).action is not None:
         assert isinstance(decision.action, Push) and len(trials) < 12
-        trials.append(analytic_push(ungripped, decision.action))
+        trials += analytic_pushes(ungripped, [decision.action])
     assert decision.why == "the target is met" and decision.estimate is not None
     assert decision.estimate.distribution is not None
     assert normalized_absolute_difference(obj.shape, decision.estimate.distribution, obj.truth) < 0.08

@@ -19,16 +19,17 @@ from estimators.identifiability.information import (
     prior_information,
 )
 from estimators.identifiability.report import identifiability
-from estimators.testing.analytic_push import analytic_push
+from estimators.testing.analytic_push import analytic_pushes
 from estimators.testing.analytic_world import accelerated, drawn_object, turns
 from testbed.actions.accelerate import Accelerate
 from testbed.actions.base import Action
+from testbed.actions.push import Push
 from testbed.actions.rotate import Rotate
 from testbed.actions.slide import Slide
 from testbed.actions.weigh import Weigh
 from testbed.errors import InvalidValueError
 from testbed.objects.files import load_object
-from testbed.objects.model import MassDistribution, ObjectModel
+from testbed.objects.model import MassDistribution, ObjectModel, ObjectShape
 from testbed.sensing.presets import Sensing, preset
 from testbed.worlds.presets import world
 
@@ -191,10 +192,15 @@ SLAB = drawn_object(3, ["11", "11", "11"])
 """2 x 3 blocks, which no hand can grip."""
 
 
+def brisk_pushes(shape: ObjectShape, count: int, seed: int, *, length: float = 0.06) -> list[Push]:
+    return [replace(push, speed=0.05, length=length) for push in random_pushes(shape, count, seed)]
+
+
+@pytest.mark.slow
 def test_what_pushes_are_expected_to_show_is_what_they_show():
-    pushes = [replace(push, speed=0.05, length=0.12) for push in random_pushes(SLAB.shape, 6, 0)]
+    pushes = brisk_pushes(SLAB.shape, 6, 0, length=0.12)
     before = expected(SLAB.shape, SLAB.truth, pushes, Sensing("exact"))
-    after = observed(SLAB.shape, SLAB.truth, [analytic_push(SLAB, push) for push in pushes])
+    after = observed(SLAB.shape, SLAB.truth, analytic_pushes(SLAB, pushes))
     assert before.rank == after.rank == before.unknowns == 7
     assert_allclose(before.standard_error, after.standard_error, rtol=0.2)
     guessed = MassDistribution(np.full(6, SLAB.truth.mass.mean()), SLAB.truth.friction)
@@ -203,7 +209,7 @@ def test_what_pushes_are_expected_to_show_is_what_they_show():
 
 
 def test_a_camera_that_sees_less_shows_less():
-    pushes = random_pushes(SLAB.shape, 8, 1)
+    pushes = brisk_pushes(SLAB.shape, 8, 1)
     errors = [
         expected(SLAB.shape, SLAB.truth, pushes, preset(name), Assumptions(setup=world(place).stated)).standard_error
         for name, place in (("ft300s:camera=exact", "ideal"), ("ft300s", "ideal"), ("ft300s", "lab"))
@@ -213,7 +219,7 @@ def test_a_camera_that_sees_less_shows_less():
 
 def test_pushes_and_turns_add_up():
     obj, where = load_object("L2"), Assumptions(setup=world("lab").stated)
-    actions = [Rotate(0, pivot=(0.02, 0.05)), *random_pushes(obj.shape, 3, 0), Accelerate(1), Slide(2)]
+    actions = [Rotate(0, pivot=(0.02, 0.05)), *brisk_pushes(obj.shape, 3, 0), Accelerate(1), Slide(2)]
     together = predicted_information(obj.shape, obj.truth, actions, preset("ft300s"), where)
     for index, action in enumerate(actions):
         alone = predicted_information(obj.shape, obj.truth, [action], preset("ft300s"), where)

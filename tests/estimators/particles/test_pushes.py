@@ -14,7 +14,7 @@ from estimators.particles.model import ParticleModel
 from estimators.particles.observe import observe
 from estimators.particles.wrench import predicted_wrenches
 from estimators.registry import build_method
-from estimators.testing.analytic_push import analytic_push, drag_of, steady_pushes
+from estimators.testing.analytic_push import analytic_pushes, drag_of, steady_pushes
 from estimators.testing.analytic_world import drawn_object
 from testbed.actions.push import Push
 from testbed.errors import InvalidValueError
@@ -82,8 +82,8 @@ def test_masses_from_pushes_without_noise():
 
 
 def test_the_rank_of_q_grows_within_one_push():
-    trial = analytic_push(BLOCKS, Push((0.05, -0.01), math.radians(-160), length=0.1, speed=0.05, friction=3.0))
-    windows, model = observe(BLOCKS.shape, [trial]), ParticleModel.of(BLOCKS.shape)
+    push = Push((0.05, -0.01), math.radians(-160), length=0.1, speed=0.05, friction=3.0)
+    windows, model = observe(BLOCKS.shape, analytic_pushes(BLOCKS, [push])), ParticleModel.of(BLOCKS.shape)
     assert windows is not None and bool(windows.pushed.all())
     q = LoadGroups.of(model).gather(windows.drag_rows(model, 0.0)).numpy()
     ranks = [rank_of(q[: count + 1].reshape(-1, 6)) for count in range(len(windows))]

@@ -26,7 +26,7 @@ BASELINES = {
     "weighted_sampling": WeightedSampling(),
     "explicit_state": ExplicitState(iterations=60),
     # the rules do not ask how good an answer is, and this one takes long
-    "diff_lcp": DiffLcp(iterations=30),
+    "diff_lcp": DiffLcp(iterations=12),
 }
 PEERS = {
     "cma_es": CmaEs(iterations=600),

@@ -23,6 +23,7 @@ def test_objects_that_nobody_can_grip_are_pushed(tmp_path):
         assert not experiment.model.shape.grasps and not experiment.turns and isinstance(action, Push)
 
 
+@pytest.mark.slow
 def test_pushes_are_planned_where_the_policy_plans(tmp_path):
     _, scenario = load_scenario("push")
     policy = Policy(kind="greedy", touches=5, pushes=2, candidates=20)

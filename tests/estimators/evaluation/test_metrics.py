@@ -186,7 +186,7 @@ def test_open_loop_does_not_depend_on_the_creep(part, monkeypatch):
     assert found[0] == pytest.approx(found[1], abs=4e-4)
 
 
-@pytest.mark.parametrize("name", ["I2", "L2", "F2"])
+@pytest.mark.parametrize("name", ["L2", *(pytest.param(name, marks=pytest.mark.slow) for name in ("I2", "F2"))])
 def test_open_loop_agrees_with_a_rollout_of_fine_steps_where_nothing_sticks(name):
     obj, fine = load_object(name), 25
     # a little too light on its feet: nothing comes to rest

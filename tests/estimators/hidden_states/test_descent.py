@@ -45,6 +45,7 @@ def test_side_by_side_each_does_as_it_does_alone(name):
     assert torch.equal(together.best, alone.best)
 
 
+@pytest.mark.slow  # torch.optim imports the compiler
 @pytest.mark.parametrize(("name", "kind"), [("adam", torch.optim.Adam), ("rmsprop", torch.optim.RMSprop)])
 def test_steps_are_those_of_torch(name, kind):
     point = torch.tensor([-1.2, 1.0], dtype=torch.float64, requires_grad=True)

@@ -58,7 +58,9 @@ def flawed(obj: ObjectModel, kinds: tuple[str, ...], seed: int = 0, noise: float
 
 
 @pytest.mark.parametrize("kinds", [(kind,) for kind in UNKNOWNS] + [UNKNOWNS])
-@pytest.mark.parametrize("obj", [load_object("L2"), drawn_object(2)], ids=["L2", "drawn"])
+@pytest.mark.parametrize(
+    "obj", [pytest.param(load_object("L2"), id="L2", marks=pytest.mark.slow), pytest.param(drawn_object(2), id="drawn")]
+)
 def test_unknowns_of_the_setup_are_recovered_with_the_masses(obj, kinds):
     trials, offsets = flawed(obj, kinds)
     answer = ask(obj, trials, replace(EXACT, unknown=kinds))

@@ -110,7 +110,13 @@ def test_the_exact_minimum_is_the_truth_where_data_are_exact(name):
     assert_allclose(answer.hidden.inertia_cm, obj.inertia_cm, rtol=1e-9)
 
 
-@pytest.mark.parametrize(("name", "reached"), [("I1", 1e-4), ("I2", 1e-3), ("L2", 0.05), ("F2", 0.2)])
+@pytest.mark.parametrize(
+    ("name", "reached"),
+    [
+        ("L2", 0.05),
+        *(pytest.param(*each, marks=pytest.mark.slow) for each in (("I1", 1e-4), ("I2", 1e-3), ("F2", 0.2))),
+    ],
+)
 def test_500_steps_reach_what_the_valley_lets_them(name, reached):
     # Exact data: all that is left is descent. Measured: 0, 0.01, 4.5 and 19.3 %, as the loss narrows
     obj = load_object(name)

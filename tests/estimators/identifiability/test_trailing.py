@@ -1,5 +1,7 @@
 """Tests of predicted links: their motion, what slides and turns of them show, and plans of those."""
 
+from functools import cache
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
@@ -31,16 +33,21 @@ DRAGS = (
 )
 
 
+@cache
+def record_of(action: Rotate | Slide) -> Trajectory:
+    return analytic_links(CHAIN, action)
+
+
 def friction_of(obj: ObjectModel) -> np.ndarray:
     return obj.truth.friction[obj.shape.friction_group] * own_weight_loads(obj)
 
 
-def turned_off(obj: ObjectModel, action: Rotate | Slide, step: float) -> float:
+def turned_off(action: Rotate | Slide, step: float) -> float:
     """Greatest difference of a link's yaw from that of exact mechanics, once both are past their start, rad."""
     (motion,) = trailing_motions(
-        obj.shape, obj.particle_mass, friction_of(obj), [action], step, list(obj.hinge_friction)
+        CHAIN.shape, CHAIN.particle_mass, friction_of(CHAIN), [action], step, list(CHAIN.hinge_friction)
     )
-    record = analytic_links(obj, action)  # which moves at full speed at once
+    record = record_of(action)  # which moves at full speed at once
     assert record.camera is not None
     time = np.arange(1, len(motion.turned) + 1) * step - RAMP_TIME / 2
     kept = (time > 1.0) & (time < record.time_s[-1])
@@ -53,11 +60,11 @@ def turned_off(obj: ObjectModel, action: Rotate | Slide, step: float) -> float:
 @pytest.mark.parametrize("action", DRAGS, ids=["slide", "turn right", "turn left"])
 def test_links_trail_as_exact_mechanics_have_it(action: Rotate | Slide):
     # a slide that starts at once throws the links by its jerk
-    assert turned_off(CHAIN, action, 0.04) < (0.03 if isinstance(action, Slide) else 0.003)
+    assert turned_off(action, 0.04) < (0.03 if isinstance(action, Slide) else 0.003)
 
 
 def test_trials_show_what_is_expected_of_them():
-    trials = [analytic_links(CHAIN, action) for action in DRAGS]
+    trials = [record_of(action) for action in DRAGS]
     assumptions = Assumptions(hinge_friction=CHAIN.hinge_friction)
     before = expected(CHAIN.shape, CHAIN.truth, DRAGS, IDEAL, assumptions)
     after = observed(CHAIN.shape, CHAIN.truth, trials)
@@ -104,6 +111,6 @@ def test_a_plan_teaches_more_than_random_drags():
 def test_the_next_touch_counts_on_hinges_as_they_were_estimated():
     guess = Guess(CHAIN.total_mass, IDEAL)
     policy = OnlinePolicy(guess, goal=Goal(most=6), candidates=40)
-    decision = policy.decide(CHAIN.shape, [analytic_links(CHAIN, action) for action in DRAGS[:2]])
+    decision = policy.decide(CHAIN.shape, [record_of(action) for action in DRAGS[:2]])
     assert decision.estimate is not None and decision.estimate.status == "ok"
     assert isinstance(decision.action, (Slide, Rotate))

@@ -35,7 +35,7 @@ def quadratics(shape) -> np.ndarray:
     return np.array([np.bincount(shape.mass_group, v, shape.n_m) for v in (x * 0 + 1, x, y, x * x, y * y, x * y)])
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", [0, 1, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (2, 3))])
 def test_lifts_show_six_numbers_and_all_six_are_right(seed):
     obj = drawn_object(seed)
     seen = lifted_rows(obj.shape, obj.total_mass, [lifted(obj, SHORT)])
@@ -49,7 +49,10 @@ def test_lifts_show_six_numbers_and_all_six_are_right(seed):
     assert_allclose(seen.rows @ obj.truth.mass, seen.values, atol=0.05)
 
 
-@pytest.mark.parametrize(("action", "rank"), [(Lift(0, tilt=0.0), 3), (Lift(0, swings=0), 3), (Lift(0), 5)])
+@pytest.mark.parametrize(
+    ("action", "rank"),
+    [(Lift(0, tilt=0.0), 3), (Lift(0, swings=0), 3), pytest.param(Lift(0), 5, marks=pytest.mark.slow)],
+)
 def test_held_still_it_shows_m_and_c_alone(action, rank):
     obj = load_object("L2")
     seen = lifted_rows(obj.shape, obj.total_mass, [lifted(obj, action, errors=1.0)])
@@ -87,13 +90,18 @@ def test_its_errors_are_as_large_as_they_are_said_to_be():
     ("setup", "worth"),
     [
         (SetupErrors(gain=0.02), 1.02),
-        (SetupErrors(mounting_angle=0.02), 1.0),
-        (SetupErrors(grasp_offset=2e-3), 1.0),
-        (SetupErrors(tool_mass=0.03), 1.0),
-        (SetupErrors(tool_com=5e-3), 1.0),
-        (SetupErrors(delay=0.05), 1.0),
-        (SetupErrors(table_tilt=0.02), 1.0),
         (SetupErrors(particle_offset=4e-3), 1.0),
+        *(
+            pytest.param(setup, 1.0, marks=pytest.mark.slow)
+            for setup in (
+                SetupErrors(mounting_angle=0.02),
+                SetupErrors(grasp_offset=2e-3),
+                SetupErrors(tool_mass=0.03),
+                SetupErrors(tool_com=5e-3),
+                SetupErrors(delay=0.05),
+                SetupErrors(table_tilt=0.02),
+            )
+        ),
     ],
 )
 def test_errors_of_the_setup_count_as_stated(setup, worth):

@@ -155,7 +155,9 @@ def residuals(obj: ObjectModel, windows: Observations) -> Float[np.ndarray, "R"]
     return (found.b - found.q @ each - found.hinges @ torch.tensor(obj.hinge_friction, dtype=torch.float64)).numpy()
 
 
-@pytest.mark.parametrize("offset", [(1e-3, 0.0), (0.0, 1e-3)], ids=["along", "across"])
+@pytest.mark.parametrize(
+    "offset", [pytest.param((1e-3, 0.0), id="along", marks=slow), pytest.param((0.0, 1e-3), id="across")]
+)
 def test_rows_change_with_the_place_in_the_hand_as_counted(offset: tuple[float, float]):
     drag = Rotate(0, duration=6.0, pivot=(0.0, 0.04))
     grasps = [replace(g, position=g.position + offset) for g in TWO.shape.grasps]

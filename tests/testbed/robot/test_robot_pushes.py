@@ -43,7 +43,13 @@ def run(trial: Trial, watch=lambda _: None, **of_runner):
         return runner.run(trial), robot
 
 
-@pytest.mark.parametrize("push", [PUSH, replace(PUSH, direction=math.pi - 0.3, curvature=4.0)], ids=["line", "curve"])
+@pytest.mark.parametrize(
+    "push",
+    [
+        pytest.param(PUSH, id="line"),
+        pytest.param(replace(PUSH, direction=math.pi - 0.3, curvature=4.0), id="curve", marks=pytest.mark.slow),
+    ],
+)
 def test_a_push_measures_what_the_simulation_does(push, tmp_path):
     real, robot = run(Trial(OBJECT, push), raw=tmp_path)
     usual = SimulationRunner().run(Trial(OBJECT, push))
@@ -65,6 +71,7 @@ def test_a_push_measures_what_the_simulation_does(push, tmp_path):
     assert len(seen) > 25 * real.time_s[-1] * 0.9 and all(len(line.split(",")) == 5 for line in seen[1:])
 
 
+@pytest.mark.slow
 def test_links_are_dragged_as_in_the_simulation():
     trial = Trial(in_links(), Slide(0, direction=0.5, duration=1.6))
     real, robot = run(trial)

@@ -47,7 +47,7 @@ DRAGS = Slide(2, direction=0.5, duration=2.0), Rotate(0, duration=2.0, pivot=(-0
 def pushes() -> list[Trajectory]:
     """One push that slides along the left face, and one that sticks."""
     slides = Push((-SIDE, 0.02), math.radians(-50), speed=0.05, length=0.08, friction=0.2)
-    return analytic_pushes(BLOCKS, [slides, Push((SIDE, 0.0), math.pi, speed=0.05, length=0.08)])
+    return analytic_pushes(BLOCKS, [slides, Push((SIDE, 0.0), math.pi, speed=0.05, length=0.055)])
 
 
 @pytest.fixture(scope="module")

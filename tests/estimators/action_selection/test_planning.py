@@ -236,9 +236,9 @@ def test_what_the_bench_refuses_is_not_planned_and_said():
 def test_plain_answers_where_little_can_be_had():
     shape = load_object("L2").shape
     nothing = ObjectShape(shape.particles, shape.mass_group, shape.friction_group, shape.cell, shape.height)
-    plan = PlannedPolicy(guess("L2"), candidates=20, goal=Goal(most=2)).plan(nothing)
+    plan = PlannedPolicy(guess("L2"), candidates=8, goal=Goal(most=2)).plan(nothing)
     assert len(plan.steps) == 2 and all(isinstance(action, Push) for action in plan.actions)
-    plan = PlannedPolicy(guess("L2"), candidates=20, grasps=()).plan(shape)
+    plan = PlannedPolicy(guess("L2"), candidates=8, grasps=()).plan(shape)
     assert not plan.steps and "nothing to grip" in plan.why
     short = PlannedPolicy(guess("L2"), goal=Goal(budget_s=5.0), candidates=200).plan(shape)
     assert not short.steps and "the budget is spent: 5 s are left" in short.why

@@ -76,7 +76,7 @@ def test_planning_takes_less_than_the_papers_choice_for_the_same():
 def test_what_cannot_be_gripped_is_pushed(tmp_path, capsys):
     blocks = f'layout = ["111", "111", "111"]\nmass_kg = {[0.1] * 9}\nfriction = 0.5\n'
     (tmp_path / "slab.toml").write_text(f'name = "slab"\n[blocks]\n{blocks}')
-    command = ["plan", str(tmp_path / "slab.toml"), "--until", "5%", "--most", "2", "--candidates", "20"]
+    command = ["plan", str(tmp_path / "slab.toml"), "--until", "5%", "--most", "2", "--candidates", "8"]
     main([*command, "--figure", str(tmp_path / "slab"), "--record", str(tmp_path / "slab.rrd")])
     said = " ".join(capsys.readouterr().out.split())
     assert "2 action(s)" in said and "push at" in said and "the target of 5 % is not reached" in said

@@ -157,6 +157,7 @@ def test_an_unknown_of_known_size_is_as_good_as_an_error_of_that_size():
     assert_allclose(closed_form_covariance(system.reduced()), torch.linalg.inv(information), rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_errors_are_the_scatter():
     obj = drawn_object(2)
     actions = [trial.action for trial in turns(obj)]

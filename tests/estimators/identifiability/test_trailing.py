@@ -57,12 +57,20 @@ def turned_off(action: Rotate | Slide, step: float) -> float:
     return float(np.abs(motion.turned[kept, :, 0] - exact).max())
 
 
-@pytest.mark.parametrize("action", DRAGS, ids=["slide", "turn right", "turn left"])
+@pytest.mark.parametrize(
+    "action",
+    [
+        pytest.param(DRAGS[0], id="slide"),
+        pytest.param(DRAGS[1], id="turn right", marks=slow),
+        pytest.param(DRAGS[2], id="turn left", marks=slow),
+    ],
+)
 def test_links_trail_as_exact_mechanics_have_it(action: Rotate | Slide):
     # a slide that starts at once throws the links by its jerk
     assert turned_off(action, 0.04) < (0.03 if isinstance(action, Slide) else 0.003)
 
 
+@slow
 def test_trials_show_what_is_expected_of_them():
     trials = [record_of(action) for action in DRAGS]
     assumptions = Assumptions(hinge_friction=CHAIN.hinge_friction)

@@ -177,6 +177,7 @@ def test_densities_are_masses_of_the_groups_volume():
     assert_allclose(found(dense).mass, found(aware(obj, materials_kg=MATERIALS)).mass, rtol=1e-9)
 
 
+@pytest.mark.slow
 def test_the_wrong_materials_are_not_forced_on_it():
     obj = load_object("L2")
     answer = aware(obj, materials_kg=(0.15, 0.25))

@@ -2,6 +2,8 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
+# Assertions are rewritten once, not by every worker of every run
+export PYTHONDONTWRITEBYTECODE :=
 
 .PHONY: install run test test-all check bench docs clean
 

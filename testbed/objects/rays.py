@@ -40,7 +40,7 @@ def grid_hits(
     sides = np.linalg.norm([grid.first, grid.second], axis=1)
     axes = np.array([grid.first / sides[0], grid.second / sides[1]])
     axes = np.vstack([axes, np.cross(axes[0], axes[1])])
-    corners = (mesh.vertices - grid.corner) @ axes.T / [*sides, 1.0]  # in steps
+    corners = (np.asarray(mesh.vertices) - grid.corner) @ axes.T / [*sides, 1.0]  # in steps
     faces = np.asarray(mesh.faces)
     flat = corners[faces]
     most = np.array(grid.counts) - 1

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 from numpy.polynomial import Polynomial
+from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 
 from estimators.testing.analytic_world import DOWN, RATE, TOOL, record
@@ -106,9 +107,8 @@ def moving_hand(
 def coloured_noise(count: int, columns: int, lag1: float, rng: np.random.Generator) -> np.ndarray:
     """Stationary first-order autoregressive noise of unit variance, (count, columns)."""
     noise = rng.standard_normal((count, columns))
-    for i in range(1, count):
-        noise[i] = lag1 * noise[i - 1] + np.sqrt(1 - lag1**2) * noise[i]
-    return noise
+    noise[1:] *= np.sqrt(1 - lag1**2)
+    return np.asarray(lfilter([1.0], [1.0, -lag1], noise, axis=0))
 
 
 NOISY = Sensing("noisy", (0.1, 0.2, 0.3), (0.01, 0.02, 0.03), lag1=0.4)

@@ -11,7 +11,7 @@ from testbed.objects.files import load_object
 from tests.helpers.chunks import read_chunks, verify
 
 
-@pytest.mark.parametrize("name", ["L2", "hammer"])
+@pytest.mark.parametrize("name", ["L2", pytest.param("hammer", marks=pytest.mark.slow)])
 def test_parts_contacts_and_grasps_are_recorded(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     file, shape = tmp_path / "object.rrd", load_object(name).shape
     main(["show", name, "--record", str(file)])

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
 import torch
 from numpy.testing import assert_allclose
 
+from estimators.base import Estimate
 from estimators.hidden_states.masses import SMALLEST_PART
 from estimators.hidden_states.published import (
     DT,
@@ -31,6 +33,12 @@ from tests.helpers.answers import ask, found, nad
 L2 = load_object("L2")
 METHOD = PublishedHiddenStates()
 MINIMUM = PublishedHiddenStates(solver="closed_form")
+
+
+@cache
+def published_answer(obj: ObjectModel) -> Estimate:
+    """Answer to exact trials about every grasp."""
+    return ask(obj, turns(obj) + accelerated(obj), METHOD)
 
 
 def windows_of(obj: ObjectModel, wander: float = 0.0) -> TrialWindows:
@@ -120,14 +128,14 @@ def test_the_exact_minimum_is_the_truth_where_data_are_exact(name):
 def test_500_steps_reach_what_the_valley_lets_them(name, reached):
     # Exact data: all that is left is descent. Measured: 0, 0.01, 4.5 and 19.3 %, as the loss narrows
     obj = load_object(name)
-    answer = ask(obj, turns(obj) + accelerated(obj), METHOD)
+    answer = published_answer(obj)
     assert nad(obj, answer) < reached
     assert {trace.method for trace in answer.traces} == {"adam", "rmsprop", "plain"}
     assert answer.diagnostics["loss"] == pytest.approx(min(min(trace.loss) for trace in answer.traces), rel=0.01)
 
 
 def test_a_trace_starts_from_uniform_mass_and_ends_at_the_estimate():
-    answer = ask(L2, turns(L2) + accelerated(L2), METHOD)
+    answer = published_answer(L2)
     trace = answer.traces[0]
     assert_allclose(trace.mass[0], L2.total_mass / len(L2.shape.particles))
     assert_allclose(trace.mass[int(np.argmin(trace.loss))], found(answer).mass, rtol=1e-6)

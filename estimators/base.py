@@ -21,10 +21,10 @@ EstimateStatus = Literal[
 ]
 """Status of an estimate.
 
-* `ok`: mass and friction are determined.
+* `ok`: mass and friction are determined, and explain the trials.
 * `underdetermined`: the trials leave a direction open.
-* `unexplained`: the masses do not explain the trials within the errors stated; their own errors are widened.
-* `not_converged`: the best masses found are far from the trials: the search is too short.
+* `unexplained`: the masses do not explain the trials within the errors stated (`Misfit`); their own errors are widened.
+* `not_converged`: the best masses found leave most of the wrenches: the search is too short.
 * `contradictory`: no masses explain them.
 * `no_data`: no trial is usable.
 * `assumption_violated`: the mass groups do not rest on their own weight.

@@ -18,11 +18,11 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from estimators.base import Estimate, EstimateStatus, Trace, robot_seconds
-from estimators.baselines.problem import UNEXPLAINED, Problem, Weighting
+from estimators.base import Estimate, Trace, robot_seconds
+from estimators.baselines.problem import FAR_OFF, Problem, Weighting
 from estimators.descent import OPTIMIZERS, check_optimizers, descend_all
-from estimators.particles.misfit import Misfit
-from estimators.particles.model import RIGID, ModelErrors
+from estimators.evaluation.judged import ERRORS, misfit_on
+from estimators.particles.model import ModelErrors
 from estimators.particles.support import ASSUMPTION
 from testbed.errors import InvalidValueError
 from testbed.objects.model import GRAVITY, MassDistribution, ObjectShape
@@ -142,8 +142,6 @@ class SearchResult:
     traces: tuple[Trace, ...]
     covariance: Float[np.ndarray, "n_m n_m"] | None = None
     """Covariance of `mass` [kg^2], if the search gives one."""
-    misfit: float | None = None
-    """Misfit by the search's own model, if that is not `Problem`'s."""
     rollouts: int | None = None
     """Number of guesses compared with all data, if the traces do not have one entry each."""
 
@@ -200,8 +198,8 @@ class Baseline(ABC):
     ) -> Estimate:
         """Reduce the trajectories, search, and judge the result.
 
-        Diagnostics: "misfit" is the mean squared wrench error over its covariance, about 1 or less where the answer
-        explains the measurements; "rollouts" is the number of guesses compared with all data.
+        Diagnostics: "misfit" is that of `misfit_on`, about 1 or less where the answer explains the measurements;
+        "rollouts" is the number of guesses compared with all data.
 
         Raises:
             InvalidValueError: `use_weight` without a weight.
@@ -209,41 +207,38 @@ class Baseline(ABC):
         begin = time.perf_counter()
         problem = self._problem(shape, weight, trajectories)
         if not isinstance(problem, Estimate):
-            problem = self._judged(problem, self._search(problem, seed), trajectories)
+            problem = self._judged(problem, self._search(problem, seed), weight, trajectories)
         return replace(problem, seconds=time.perf_counter() - begin)
 
     def _problem(
         self, shape: ObjectShape, weight: float | None, trajectories: Sequence[Trajectory]
     ) -> Problem | Estimate:
         """The problem, under the errors of the model that all methods share."""
-        shared = RIGID if self._support == "rigid" else ModelErrors()
-        given = {"errors": replace(shared, pivot_error=self.pivot_error), "support": self._support}
+        given = {"errors": self._errors, "support": self._support}
         return Problem.of(shape, weight, trajectories, self.takes_links, use_weight=self.use_weight, **given)
 
-    def _judged(self, problem: Problem, found: SearchResult, trajectories: Sequence[Trajectory]) -> Estimate:
-        """The estimate of a search, less its time."""
-        best = torch.tensor(found.mass), torch.tensor(found.friction)
-        misfit = float(problem.loss(*best, "covariance")) if found.misfit is None else found.misfit
-        of_answer = Misfit(misfit, 3 * len(problem.windows) - len(found.mass) - len(found.friction), {}, {})
-        left = math.sqrt(problem.unexplained(*best))
+    def _judged(
+        self, problem: Problem, found: SearchResult, weight: float | None, trajectories: Sequence[Trajectory]
+    ) -> Estimate:
+        """The estimate of a search, less its time; `weight` is M as weighed, whether or not the search had it."""
+        at = MassDistribution(found.mass, found.friction)
+        misfit = misfit_on(self._support, problem.shape, weight, problem.windows, at, self._errors)
+        left = math.sqrt(problem.unexplained(torch.tensor(found.mass), torch.tensor(found.friction)))
         rollouts = found.rollouts or sum(len(trace.loss) for trace in found.traces)
-        status: EstimateStatus = "ok"
-        why = ""
+        status, why = misfit.status, misfit.reason
         if not problem.scale_known:
             status, why = "underdetermined", "without M or an accelerated turn only mass times friction is observable"
-        elif left > UNEXPLAINED:
+        elif left > FAR_OFF:
             status = "not_converged"
             why = f"the best candidate leaves {100 * left:.0f} % of the largest wrench: the search is too short, or "
             why += "the trajectories contradict each other"
-        elif found.covariance is not None and not of_answer.explains:  # it claims errors, so it has to explain
-            status, why = "unexplained", f"the masses do not explain the trials: misfit {misfit:.2g} in place of 1"
         return Estimate(
-            MassDistribution(found.mass, found.friction),
+            at,
             status,
             why,
-            None if found.covariance is None else of_answer.widening * found.covariance,
+            None if found.covariance is None else misfit.widening * found.covariance,
             traces=tuple(replace(trace, robot_seconds=robot_seconds(trajectories)) for trace in found.traces),
-            diagnostics={"loss": found.loss, "misfit": misfit, "rollouts": float(rollouts)},
+            diagnostics={"loss": found.loss, "rollouts": float(rollouts), **misfit.diagnostics},
             assumes=ASSUMPTION[self._support],
         )
 
@@ -251,6 +246,11 @@ class Baseline(ABC):
     def _support(self) -> str:
         """Support that the method assumes."""
         return "own_weight"
+
+    @property
+    def _errors(self) -> ModelErrors:
+        """Errors of the model."""
+        return replace(ERRORS[self._support], pivot_error=self.pivot_error)
 
 
 @dataclass(frozen=True)
@@ -301,7 +301,7 @@ class GradientBaseline(Baseline):
             found = self._descend(problems, [seeds[i] for i in indices])
             share = (time.perf_counter() - begin) / len(group)
             for i, problem, took, one in zip(indices, problems, prepared, found, strict=True):
-                answers[i] = replace(self._judged(problem, one, draws[i]), seconds=took + share)
+                answers[i] = replace(self._judged(problem, one, weights[i], draws[i]), seconds=took + share)
         return [answers[i] for i in range(len(draws))]
 
     def _search(self, problem: Problem, seed: int) -> SearchResult:

@@ -28,7 +28,7 @@ STEP = 0.01
 """Step of the prediction [s], that of a 100 Hz record."""
 LIKELY_FRICTION = 0.5
 """Friction at which errors are counted where M, and so the friction's level, is not known."""
-UNEXPLAINED = 0.45
+FAR_OFF = 0.45
 """Part of the largest wrench, root mean square, from which on a candidate explains nothing: a trial with its sign
 turned leaves more. Ours. Eq. problem cannot say so, since it divides by mass: a heavy guess hides such trials."""
 Weighting = Literal["velocity", "covariance"]

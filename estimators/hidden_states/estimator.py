@@ -231,7 +231,7 @@ def _estimate_of(trials: TrialWindows, found: Solution) -> Estimate:
     hinges, unseen = _hinges(trials, at, misfit.widening)
     return Estimate(
         at,
-        "underdetermined" if open_ else "unexplained" if misfit.reason else "ok",
+        "underdetermined" if open_ else misfit.status,
         "; ".join(filter(None, [directions if open_ else "", unseen, misfit.reason])),
         covariance=misfit.widening * report.covariance / np.outer(count, count),
         hidden=found.H,
@@ -241,7 +241,7 @@ def _estimate_of(trials: TrialWindows, found: Solution) -> Estimate:
             "rank": q.shape[1],
             "condition": condition,
             "loss": loss,
-            "misfit": misfit.value,
+            **misfit.diagnostics,
             **hinges,
         },
         assumes=ASSUMPTION["own_weight"],

@@ -75,7 +75,7 @@ class PublishedHiddenStates:
     ) -> Estimate:
         """Estimate from turns, slides and accelerated turns. Draws nothing: `seed` changes nothing.
 
-        Diagnostics: "loss" is Eq. problem_si [(m/s)^2]; "misfit" the mean squared wrench error over its covariance.
+        Diagnostics: "loss" is Eq. problem_si [(m/s)^2]; "misfit" that of `Misfit`.
 
         Raises:
             InvalidValueError: no weight, which Algorithm 1 needs.
@@ -231,9 +231,9 @@ def _judged(trials: TrialWindows, found: Estimate) -> Estimate:
     """The estimate with its misfit, and the status that follows from it."""
     if found.distribution is None or found.hidden is None:
         return found
-    misfit = trials.friction_system(found.distribution).loss(found.hidden.friction_load)
-    found = replace(found, diagnostics=found.diagnostics | {"misfit": misfit})
-    if misfit <= CONTRADICTORY:
-        return found
-    why = f"the friction loads miss the measured wrenches by {misfit:.0f} mean squared errors: too few steps, or the "
-    return replace(found, status="not_converged", message=f"{why}trajectories contradict each other")
+    misfit = trials.misfit_of_masses(found.distribution)
+    found = replace(found, diagnostics=found.diagnostics | misfit.diagnostics)
+    if misfit.value > CONTRADICTORY:
+        why = f"the masses miss the measured wrenches by {misfit.value:.0f} mean squared errors: too few steps, or the "
+        return replace(found, status="not_converged", message=f"{why}trajectories contradict each other")
+    return replace(found, status=misfit.status, message=misfit.reason)

@@ -19,6 +19,7 @@ from jaxtyping import Float
 from torch.nn.functional import pad
 
 from estimators.base import Estimate, robot_seconds
+from estimators.hidden_states.friction import closed_form
 from estimators.hidden_states.masses import friction_loads
 from estimators.particles.friction_system import (
     FrictionEquations,
@@ -37,6 +38,9 @@ from estimators.particles.support import own_weight
 from estimators.particles.windows import Observations
 from testbed.objects.model import GRAVITY, MassDistribution, ObjectShape
 from testbed.trajectory import Trajectory
+
+SAME_WEIGHT = 0.01
+"""Part of M within which masses count as weighed: then the search is no cause of another inertia."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,9 +69,15 @@ class TrialWindows:
         windows = observe(shape, trajectories, errors)
         if windows is None or bool(windows.accelerated.all()):
             return None
+        return TrialWindows.about(shape, weight, windows, errors, robot_seconds(trajectories))
+
+    @staticmethod
+    def about(
+        shape: ObjectShape, weight: float, windows: Observations, errors: ModelErrors, seconds: float = 0.0
+    ) -> TrialWindows:
+        """Windows that are there, some of them at constant speed; `seconds` of the robot."""
         model, accelerated = ParticleModel.of(shape), windows.where(windows.accelerated)
         errors = replace(errors, weight_error=math.hypot(errors.weight_error, windows.setup.scale))
-        seconds = robot_seconds(trajectories)
         return TrialWindows(shape, weight, errors, model, LoadGroups.of(model), windows, accelerated, seconds)
 
     @property
@@ -121,6 +131,16 @@ class TrialWindows:
         """How far the wrenches of s are from the measured ones, and why; `always` says why of a small misfit too."""
         return self._misfit(self.windows, guess, s, len(s), always=always)
 
+    def misfit_of_masses(self, at: MassDistribution) -> Misfit:
+        """How far the wrenches of masses and frictions are from the measured ones, without the causes."""
+        s = self.friction_loads(at)
+        found = self._misfit(self.windows, at, s, len(s), always=False, causes=False)
+        weighed = abs(float(at.mass @ self.shape.particles_per_group) / self.weight - 1) < SAME_WEIGHT
+        if found.explains or (found.inertia is not None and weighed):
+            return found
+        system = self.friction_system(at)
+        return replace(found, least=system.loss(closed_form(system)))
+
     def _misfit(
         self,
         windows: Observations,
@@ -129,20 +149,24 @@ class TrialWindows:
         unknowns: int,
         *,
         always: bool,
+        causes: bool = True,
     ) -> Misfit:
-        """Misfit in given windows, or in those of constant speed where it is larger: the others are many and alike."""
+        """Misfit of friction in given windows, or in those of constant speed where it is larger; then of inertia.
+
+        Windows of acceleration are many and alike.
+        """
 
         def of(some: Observations, always: bool) -> Misfit:
-            causes = partial(likely_causes, some, self.model, self.shape, guess, self.groups.spread(s), self.errors)
-            return misfit_of(self.friction_equations(guess, some), s, some.trial, causes, unknowns, always=always)
+            why = partial(likely_causes, some, self.model, self.shape, guess, self.groups.spread(s), self.errors)
+            equations = self.friction_equations(guess, some)
+            return misfit_of(equations, s, some.trial, why if causes else None, unknowns, always=always)
 
-        whole, at_one_speed = of(windows, always), windows.where(~windows.accelerated)
-        if len(at_one_speed) == len(windows):
-            return whole
-        steady = of(at_one_speed, False)
-        if steady.widening <= whole.widening:
-            return whole
-        return replace(of(windows, True), value=steady.value, freedom=steady.freedom)
+        found, at_one_speed = of(windows, always), windows.where(~windows.accelerated)
+        if len(at_one_speed) < len(windows):
+            steady = of(at_one_speed, False)
+            if steady.widening > found.widening:
+                found = replace(of(windows, True), value=steady.value, freedom=steady.freedom)
+        return found.or_of_inertia(self.shape, self.pivot_inertias(guess, s), guess)
 
     def refined(self, guess: MassDistribution, s: Float[np.ndarray, "n_s"]) -> Self:
         """The trials for the next round; the same where nothing of the setup is unknown."""

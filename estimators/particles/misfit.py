@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from typing import Literal
 
 import numpy as np
 import torch
@@ -15,6 +16,7 @@ from torch import Tensor
 from estimators.particles.friction_system import FrictionEquations, sensor_map
 from estimators.particles.links import HINGE_PRIOR
 from estimators.particles.model import ModelErrors, ParticleModel
+from estimators.particles.pivots import PivotInertia, inertia_map
 from estimators.particles.setup_effects import Columns, setup_effects, trial_by_trial, with_hinges
 from estimators.particles.support import own_weight
 from estimators.particles.windows import Observations
@@ -24,8 +26,9 @@ from testbed.worlds.setup_errors import SetupErrors
 CHANCE = 1e-3
 """Chance that the stated errors alone give as large a misfit, below which errors are widened."""
 UNEXPLAINED = 3.0
-"""Misfit from which an answer does not explain the trials, where it is no chance. Ours: three times the stated variance
-is more than calibration leaves, and a wrong support, sign or grasp gives ten and more."""
+"""Misfit from which an answer does not explain the trials, where it is no chance: the status `unexplained` of every
+method. Ours: three times the stated variance is more than calibration leaves, and a wrong support, sign or grasp gives
+ten and more."""
 LIKELY = SetupErrors(
     contact_points=3,
     place_friction=0.05,
@@ -104,10 +107,14 @@ class Misfit:
     """Squared residual over its variance, mean over degrees of freedom: about 1, or less, where the model holds."""
     freedom: int
     """Degrees of freedom: rows less unknowns."""
-    trials: dict[int, float]
-    """Mean squared residual of each trial by its own errors; empty where the misfit may be chance."""
-    explained: dict[str, Cause]
+    trials: dict[int, float] = field(default_factory=dict)
+    """Mean squared residual of each trial by its own errors; empty where it is not asked for."""
+    explained: dict[str, Cause] = field(default_factory=dict)
     """What each cause would explain alone, likeliest first; empty as `trials`."""
+    inertia: float | None = None
+    """Inertia that accelerated turns show over that of the masses, where it is what they do not explain."""
+    least: float | None = None
+    """Mean squared residual that the best friction loads leave; None where it is not asked for."""
 
     @property
     def by_chance(self) -> bool:
@@ -125,24 +132,58 @@ class Misfit:
         return self.by_chance or self.value <= UNEXPLAINED
 
     @property
+    def status(self) -> Literal["ok", "unexplained"]:
+        """Status of an answer of which nothing else is known."""
+        return "ok" if self.explains else "unexplained"
+
+    @property
+    def diagnostics(self) -> dict[str, float]:
+        """Entries of `Estimate.diagnostics`."""
+        return {"misfit": self.value, "misfit_freedom": float(self.freedom)}
+
+    def or_of_inertia(self, shape: ObjectShape, pivots: PivotInertia | None, at: MassDistribution) -> Misfit:
+        """This one of friction, or that of the masses' inertia about the pivots where friction is explained."""
+        if pivots is None or not self.explains:
+            return self
+        has = inertia_map(shape, pivots.pivot) @ at.mass
+        missing, weights = pivots.inertia - has, np.linalg.solve(pivots.covariance, has)
+        value = float(missing @ np.linalg.solve(pivots.covariance, missing)) / len(has)
+        found = replace(self, value=value, freedom=len(has), inertia=float(weights @ pivots.inertia / (weights @ has)))
+        return found if found.widening > self.widening else self
+
+    @property
     def reason(self) -> str:
         """Why the answer does not explain the trials; empty where it does."""
         if self.explains:
             return ""
+        size = f"{self.value:.2g}" if self.value < 100 else f"{self.value:.0f}"
+        begin = f"the masses do not explain the trials: misfit {size} in place of 1"
+        if self.least is not None and self.least <= UNEXPLAINED:
+            return f"{begin}, which others do (misfit {self.least:.2g}): the search ended early"
+        if self.inertia is not None:
+            return f"{begin}; {inertia_in_words(self.inertia)}"
+        if not self.explained:
+            return begin
         worst = max(self.trials, key=lambda trial: self.trials[trial])
         name, cause = next(iter(self.explained.items()))
         return (
-            f"the masses do not explain the trials: misfit {self.value:.2g} in place of 1, most in trial {worst} "
-            f"({self.trials[worst]:.2g}); likeliest cause, for {100 * cause.part:.0f} % of it: {CAUSES[name]}; whether "
-            "they rest on their own weight at all, support_aware tests; errors are widened"
+            f"{begin}, most in trial {worst} ({self.trials[worst]:.2g}); likeliest cause, for "
+            f"{100 * cause.part:.0f} % of it: {CAUSES[name]}; whether they rest on their own weight at all, "
+            "support_aware tests; errors are widened"
         )
+
+
+def inertia_in_words(part: float) -> str:
+    """What to check where accelerated turns show another inertia than the masses have, `part` of it."""
+    found = f"accelerated turns show {100 * part:.0f} % of the inertia that these masses have"
+    return f"{found}: weigh the object again, check the torque's unit and the object's size, or ask support_aware"
 
 
 def misfit_of(
     equations: FrictionEquations,
     loads: Float[np.ndarray, "n_s"],
     trial: Tensor,
-    causes: Callable[[], Columns],
+    causes: Callable[[], Columns] | None,
     unknowns: int,
     *,
     always: bool = False,
@@ -154,7 +195,7 @@ def misfit_of(
         loads: s, N.
         trial: trial of each window, (K,).
         causes: effect of each possible cause on the wrenches, by its name, R rows; asked for where the misfit is no
-            chance.
+            chance; None asks for neither causes nor trials.
         unknowns: number of loads and of other parameters that were fitted.
         always: True asks for causes of a misfit that may be chance too.
     """
@@ -162,8 +203,8 @@ def misfit_of(
     missing = system.b - system.q @ torch.tensor(loads)
     total = float(missing @ missing)
     freedom = len(missing) - unknowns
-    found = Misfit(total / max(freedom, 1), freedom, {}, {})
-    if found.by_chance and not always:
+    found = Misfit(total / max(freedom, 1), freedom)
+    if causes is None or (found.by_chance and not always):
         return found
     plain, covariance = equations.b - equations.q @ torch.tensor(loads), equations.covariance
     if equations.hinges is not None:

@@ -19,7 +19,7 @@ from estimators.particles.windows import Observations
 from estimators.support_models.fit import SupportFit, fit_support
 from estimators.support_models.materials import rank_assignments
 from estimators.support_models.polytope import MassPolytope
-from estimators.support_models.selection import DECISIVE, UNLIKE, support_test
+from estimators.support_models.selection import DECISIVE, support_test
 from testbed.errors import InvalidValueError
 from testbed.objects.model import MassDistribution, ObjectShape
 from testbed.trajectory import Trajectory
@@ -103,7 +103,7 @@ class SupportAware:
         lifted = lifted_rows(shape, weight, trajectories)
         fit = fit_support(shape, weight, observed, "rigid", RIGID, lifted)
         known = "M, c and the second moments" if len(lifted.rows) else "M, c and I_cm" if fit.pivots else "M and c"
-        nothing = Estimate(None, "assumption_violated", diagnostics={"misfit": fit.misfit / len(fit.target)})
+        nothing = Estimate(None, "assumption_violated")
         answer = self._rigid(shape, fit, nothing, seed, known)
         if self.materials_kg or self.materials_kg_m3:
             answer = self._with_materials(shape, (fit,), answer)
@@ -114,8 +114,10 @@ class SupportAware:
         if answer.diagnostics["polytope_miss"] > MISSED:
             why = f"no masses of the parts have the {known} that were measured: an error is larger than stated"
             return replace(answer, status="unexplained", message=_joined(why, answer.message))
-        if fit.misfit > UNLIKE * len(fit.target):
-            why = "one rigid body on its points of contact does not explain the wrenches"
+        if not fit.misfit.explains:
+            why = (
+                f"one rigid body on its points of contact does not explain the wrenches: misfit {fit.misfit.value:.2g}"
+            )
             return replace(answer, status="unexplained", message=_joined(why, answer.message))
         return answer
 
@@ -180,7 +182,7 @@ class SupportAware:
             f"{known} hold the masses to ({100 * self.confidence:g} %): {listed}",
             covariance=covariance,
             hidden=hidden,
-            diagnostics=own.diagnostics | ends | {"polytope_miss": polytope.inside[1]},
+            diagnostics=own.diagnostics | fit.misfit.diagnostics | ends | {"polytope_miss": polytope.inside[1]},
         )
 
     def _with_materials(self, shape: ObjectShape, fits: tuple[SupportFit, ...], answer: Estimate) -> Estimate:
@@ -205,6 +207,7 @@ class SupportAware:
         many, best = ranked.holding(0.9), float(ranked.probability[0])
         numbers["assignment_probability"] = best
         numbers["assignments_holding_90"] = float(many) if many is not None else np.inf
+        refuted = answer.status == "unexplained"  # by the masses that fit best, so by these too
         several = f"{many}" if many is not None else f"more than {len(ranked.probability)}"
         message = (
             f"{several} assignments of the materials hold 90 % of the probability; the best has {100 * best:.3g} %"
@@ -213,8 +216,8 @@ class SupportAware:
             answer,
             distribution=MassDistribution(chosen / count, answer.distribution.friction),
             covariance=ranked.covariance(options) / np.outer(count, count),
-            status="ok" if many == 1 else "underdetermined",
-            message="" if many == 1 else message,
+            status="unexplained" if refuted else "ok" if many == 1 else "underdetermined",
+            message=_joined("" if many == 1 else message, answer.message if refuted else ""),
             diagnostics=numbers,
         )
 

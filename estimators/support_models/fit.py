@@ -24,7 +24,7 @@ from estimators.particles.pivots import PivotInertia, inertia_map, pivot_inertia
 from estimators.particles.support import LOADS, GripperLoad, LoadsOf, SupportModel, contact_spread
 from estimators.particles.windows import Observations
 from estimators.particles.wrench import AffineLoads, WrenchModel
-from testbed.objects.model import GRAVITY, ObjectShape
+from testbed.objects.model import GRAVITY, MassDistribution, ObjectShape
 
 ROUNDS = 6
 """Rounds of Gauss-Newton: friction is tight from the first on."""
@@ -61,17 +61,17 @@ class SupportFit:
         return slice(1, 1 if self.pivots is None else 1 + len(self.pivots.inertia))
 
     @property
-    def misfit(self) -> float:
+    def squares(self) -> float:
         """Squared residual of the wrenches, R where the model holds."""
         missing = self.target - self.of_friction @ self.friction - self.of_mass @ self.mass
         return float(missing @ missing)
 
     @property
-    def widening(self) -> float:
-        """Factor of the covariance, 1 where the stated errors may give the misfit by chance."""
+    def misfit(self) -> Misfit:
+        """How far the wrenches of friction and mass are from the measured ones."""
         unknown = np.linalg.matrix_rank(np.hstack([self.of_friction, self.of_mass]), rtol=1e-6)
         freedom = len(self.target) - int(unknown)
-        return Misfit(self.misfit / max(freedom, 1), freedom, {}, {}).widening
+        return Misfit(self.squares / max(freedom, 1), freedom)
 
     def on_mass(self) -> tuple[Float[np.ndarray, "r n_m"], Float[np.ndarray, "r"]]:
         """Equations of the masses, friction eliminated: rows a with a m = y, independent and of unit error.
@@ -80,7 +80,7 @@ class SupportFit:
         body, or 6 with lifts. Errors of wrenches are as wide as their misfit.
         """
         q, _ = np.linalg.qr(self.of_friction)
-        both = np.column_stack([self.of_mass, self.target]) / np.sqrt(self.widening)
+        both = np.column_stack([self.of_mass, self.target]) / np.sqrt(self.misfit.widening)
         free = both - q @ (q.T @ both)
         rows = np.vstack([free[:, :-1], self.known])
         values = np.concatenate([free[:, -1], self.known_target])
@@ -117,6 +117,7 @@ def fit_support(
     lifted: LiftedRows | None = None,
     *,
     spread_known: bool = True,
+    at: MassDistribution | None = None,
 ) -> SupportFit:
     """Fit friction and masses under one support model, by Gauss-Newton with neither negative.
 
@@ -129,6 +130,7 @@ def fit_support(
         lifted: equations of lifts, which hold under either support.
         spread_known: True if the gripper's lift and moment spread over the feet as in this model; else as in either
             model, or between: then that spread tells nothing.
+        at: masses and frictions to take as they are, in place of the best.
     """
     lifted = lifted or lifted_rows(shape, weight, [])
     model = ParticleModel.of(shape)
@@ -136,6 +138,8 @@ def fit_support(
     loads_of = LOADS[support]
     mass = np.full(shape.n_m, weight / len(shape.particles))
     friction = np.full(shape.n_mu, steady.drag / (weight * GRAVITY))
+    if at is not None:
+        mass, friction = at.mass, at.friction
     loads = AffineLoads.of(shape, model, steady, loads_of)
     wrenches = WrenchModel.of(model, steady, loads, errors.pivot_error)
     response = _response(model, steady, loads_of)
@@ -178,6 +182,8 @@ def fit_support(
             known_target,
             known_volume,
         )
+        if at is not None:
+            return fit
         n_mu = shape.n_mu
         below = np.vstack([known, weak])
         system = np.block([[fit.of_friction, fit.of_mass], [np.zeros((len(below), n_mu)), below]])

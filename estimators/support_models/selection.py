@@ -93,7 +93,7 @@ def support_test(
     p_own, ratio, ratio_error = _within_wider(own)
     p_rigid, _, _ = _within_wider(rigid)
     bayes = float(_log_evidence(own, shape, weight) - _log_evidence(rigid, shape, weight)) / math.log(10)
-    kind = _kind(p_own, bayes, rigid.misfit / len(rigid.target), level)
+    kind = _kind(p_own, bayes, rigid.squares / len(rigid.target), level)
     return SupportTest(kind, p_own, p_rigid, bayes, ratio, ratio_error)
 
 

@@ -16,6 +16,7 @@ from numpy.testing import assert_allclose
 from estimators.action_selection.rank import predicted_rank
 from estimators.base import BatchEstimator, Estimate, Estimator
 from estimators.evaluation.metrics import normalized_absolute_difference
+from estimators.particles.misfit import UNEXPLAINED
 from estimators.testing.analytic_world import accelerated, drawn_object, turns
 from estimators.testing.recorded import KnownBlock
 from testbed.actions.rotate import Rotate
@@ -28,6 +29,8 @@ Draw = Callable[[int], ObjectModel]
 """Object of each number."""
 ALLOWED = {"ideal": 0.08, "low": 0.1, "moderate": 0.1, "ft300s": 0.1, "high": 0.2}
 """NAD that an answer of status ok may have under each preset, as a ratio."""
+ANSWERED = ("ok", "unexplained")
+"""Statuses of an answer to enough clean trials."""
 
 
 @lru_cache(maxsize=8)
@@ -68,10 +71,13 @@ def clean_answer(estimator: Estimator, draw: Draw) -> tuple[ObjectModel, Estimat
 
 
 def answers_in_the_shapes_groups(estimator: Estimator, draw: Draw = drawn_object) -> None:
-    """Enough clean trials get status ok, one mass a mass group, one friction a friction group, and the time it took."""
+    """Enough clean trials get one mass a mass group, one friction a friction group, and the time it took.
+
+    The status is ok; of a search that ends early, unexplained.
+    """
     obj, answer = clean_answer(estimator, draw)
     assert isinstance(answer, Estimate), "estimate() returns an Estimate of estimators.base"
-    assert answer.status == "ok", answer.message
+    assert answer.status in ANSWERED, answer.message
     assert answer.distribution is not None
     assert answer.distribution.mass.shape == (obj.shape.n_m,)
     assert answer.distribution.friction.shape == (obj.shape.n_mu,)
@@ -137,7 +143,7 @@ def takes_extra_trajectories(estimator: Estimator, draw: Draw = drawn_object) ->
     obj = draw(2)
     failed = replace(data(obj)[0], status="slipped", reason="it slipped")
     answer = estimator.estimate(obj.shape, obj.total_mass, [*data(obj), failed, *data(obj)[::-1]], 0)
-    assert answer.status == "ok"
+    assert answer.status in ANSWERED, answer.message
 
 
 def says_so_when_there_is_too_little(estimator: Estimator, draw: Draw = drawn_object) -> None:
@@ -203,12 +209,12 @@ def refuses_trials_of_another_shape(estimator: Estimator, draw: Draw = drawn_obj
 
 
 def does_not_hide_that_trajectories_contradict_each_other(estimator: Estimator, draw: Draw = drawn_object) -> None:
-    """A status, or a misfit far above 1: what it is about where the answer explains what was felt."""
+    """A status other than ok, or a misfit over its limit, from which heft gives the status itself."""
     obj = draw(0)
     for trials in (data(obj) + opposed(obj), data(obj) + of_another(obj)):
         answer = estimator.estimate(obj.shape, obj.total_mass, trials, 0)
-        misfit = answer.diagnostics.get("misfit", answer.diagnostics.get("loss", 0.0))
-        assert answer.status != "ok" or misfit > 30, f"status ok, diagnostics {answer.diagnostics}"
+        misfit = answer.diagnostics.get("misfit", 0.0)
+        assert answer.status != "ok" or misfit > UNEXPLAINED, f"status ok, diagnostics {answer.diagnostics}"
 
 
 def opposed(obj: ObjectModel) -> list[Trajectory]:

@@ -84,10 +84,12 @@ def _diagnosed(folder: Path, row: Row) -> tuple[str, list[str], Misfit | None, s
 
 
 def _verdict(misfit: Misfit) -> str:
-    from estimators.particles.misfit import CAUSES
+    from estimators.particles.misfit import CAUSES, inertia_in_words
 
     if misfit.by_chance:
         return f"misfit {misfit.value:.2g}: the trials agree within the errors stated"
+    if misfit.inertia is not None:
+        return f"misfit {misfit.value:.2g} in place of 1; {inertia_in_words(misfit.inertia)}"
     name, cause = next(iter(misfit.explained.items()))
     return f"misfit {misfit.value:.2g} in place of 1; likeliest, {cause.told(name)}: {CAUSES[name]}"
 

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from estimators.base import Estimate
+from estimators.evaluation.judged import judged
 from estimators.evaluation.metrics import hinge_columns, mean_particle_distance, normalized_absolute_difference
 from estimators.evaluation.statistics import axis_columns
 from estimators.particles.support import LOADS
@@ -254,17 +255,16 @@ def estimate(draws: Sequence[tuple[EstimateTask, int, str]], store: Store) -> No
 
 
 def _answers(task: EstimateTask, seen: list[list[Trajectory]], seeds: list[int]) -> list[Estimate]:
-    """The method's answers.
+    """The method's answers, judged by their misfit.
 
     Raises:
         HeftError: the method raised an error, or an answer is none for this object.
     """
     method: Any = build_method(task.method, task.settings)
     shape, weights, moved = task.truth.shape, [weight_of(trials[0]) for trials in seen], [t[1:] for t in seen]
-    called = f"{task.kind}.estimate()"
+    called = f"{task.kind}.estimate{'_many' if len(seen) > 1 else ''}()"
     with placed_errors(type(method)):
         if len(seen) > 1:
-            called = f"{task.kind}.estimate_many()"
             answers = list(method.estimate_many(shape, weights, moved, seeds))
         else:
             answers = [method.estimate(shape, *one) for one in zip(weights, moved, seeds, strict=True)]
@@ -272,7 +272,7 @@ def _answers(task: EstimateTask, seen: list[list[Trajectory]], seeds: list[int])
         raise InvalidValueError(called, f"{len(answers)} answers", f"{len(seen)}, one a draw")
     for answer in answers:
         _check(called, answer, shape)
-    return answers
+    return [judged(each, shape, weight, given) for each, weight, given in zip(answers, weights, moved, strict=True)]
 
 
 def _check(called: str, answer: Any, shape: ObjectShape) -> None:

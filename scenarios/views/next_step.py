@@ -95,11 +95,12 @@ def next_step(folder: Path, rows: Sequence[Row], answer: Answer) -> str:
 def _doubt(
     folder: Path, found: Estimate, shape: ObjectShape, weighing: Trajectory, trials: Sequence[Trajectory]
 ) -> str:
-    """What is wrong with the trials: their motion, what the answer leaves of them, or the weight; else empty."""
+    """What is wrong with the trials: their motion, the weight, or what the answer leaves of them; else empty."""
     if wrong := wrong_motion(shape, trials):
         return f"the trials are not what their actions say: {'; '.join(wrong)}"
-    misfit = found.diagnostics.get("misfit", 1.0)
-    if misfit > UNEXPLAINED or found.status in ("unexplained", "contradictory"):
-        return f"the masses do not explain the trials: heft doctor {folder} says what would, and what to check"
     weight = check_weight(shape, weight_of(weighing), trials, found)
-    return "" if weight is None or weight.ok else weight.text
+    if weight is not None and not weight.ok:
+        return weight.text
+    if found.diagnostics.get("misfit", 1.0) > UNEXPLAINED or found.status in ("unexplained", "contradictory"):
+        return f"the masses do not explain the trials: heft doctor {folder} says what would, and what to check"
+    return ""

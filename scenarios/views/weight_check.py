@@ -1,7 +1,7 @@
 """Test of the weighing by inertia: what accelerated turns show against what the masses of an answer have.
 
 Friction tells masses only up to a factor, which the weighing gives; torque over acceleration has none. A wrong weight
-scales all masses alike and no residual of friction tells it.
+scales all masses alike and no residual of friction tells it. The misfit counts the inertia too, with a wider limit.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ ALLOWED, SURE = 0.02, 2.0
 def check_weight(
     shape: ObjectShape, weight: float, trajectories: Sequence[Trajectory], found: Estimate
 ) -> Finding | None:
-    """Finding on the weight; None without an answer on own weight, or without accelerated turns.
+    """Finding on the weight; None without accelerated turns, or without an answer whose friction explains the trials.
 
     Args:
         shape: geometry and groups.
@@ -34,8 +34,10 @@ def check_weight(
         found: answer to them.
     """
     trials = TrialWindows.of(shape, weight, trajectories, HiddenStates().errors)
-    believed = found.status in ("ok", "underdetermined")
-    if not believed or trials is None or found.distribution is None or found.hidden is None:
+    if trials is None or found.distribution is None or found.hidden is None:
+        return None
+    by_inertia = found.status == "unexplained" and trials.misfit_of_masses(found.distribution).inertia is not None
+    if found.status not in ("ok", "underdetermined") and not by_inertia:
         return None
     pivots = trials.pivot_inertias(found.distribution, found.hidden.friction_load)
     if pivots is None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
@@ -11,6 +12,8 @@ from viz.values import support_name
 
 MOST_NAMES = 12
 """Largest number of objects of a failure that are named."""
+NUMBERS = re.compile(r"[-+]?\d[\d.]*(e[-+]?\d+)?")
+"""Numbers within a reason."""
 
 
 @dataclass(frozen=True)
@@ -78,13 +81,19 @@ def worst(rows: Sequence[Row], recording_of: Callable[[str], str]) -> list[Worst
 
 
 def failures(rows: Sequence[Row], tracebacks: Mapping[str, str]) -> list[FailedEstimates]:
-    """Estimates that are not ok, by method, status and reason; the most frequent first."""
+    """Estimates that are not ok, by method, status and reason; the most frequent first.
+
+    Reasons of answers that differ in numbers alone count as one: the first is shown.
+    """
     found: dict[tuple[str, str, str], list[Row]] = {}
     for row in rows:
         if row["status"] != "ok":
-            found.setdefault((row["method"], row["status"], row["message"] or ""), []).append(row)
+            message = row["message"] or ""
+            alike = NUMBERS.sub("", message) if row.get("mass_kg") is not None else message
+            found.setdefault((row["method"], row["status"], alike), []).append(row)
     listed = []
-    for (method, status, message), of in sorted(found.items(), key=lambda item: -len(item[1])):
+    for (method, status, _), of in sorted(found.items(), key=lambda item: -len(item[1])):
+        message = of[0]["message"] or ""
         where = dict.fromkeys(", ".join(filter(None, (support_name(row["support"]), row["sensing"]))) for row in of)
         objects = names(list(dict.fromkeys(row["object"] for row in of)))
         path = _traceback_of(of, status, message, tracebacks)

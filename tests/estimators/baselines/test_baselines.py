@@ -84,7 +84,7 @@ def test_explicit_state_with_m_converges_to_the_truth(draw, iterations, error):
 @pytest.mark.parametrize("seed", range(2))
 def test_explicit_state_without_m_finds_the_valley_and_crawls_along_it(seed):
     answer = ask(TWO, ExplicitState(iterations=300), seed=seed)
-    assert answer.status == "ok"
+    assert answer.status == "unexplained" and "the search ended early" in answer.message
     assert_allclose(drag(answer), TWO.truth.friction[0] * TWO.truth.mass, rtol=0.03)
     assert nad(TWO, answer) > 0.1
 
@@ -154,7 +154,7 @@ def test_without_m_and_acceleration_only_mass_times_friction_is_found(method, cl
 @pytest.mark.parametrize("method", METHODS)
 def test_m_is_kept_exactly_if_given_and_ignored_if_not(method):
     told = ask(THREE, quick(method, use_weight=True), turns(THREE))
-    assert told.status == "ok", "with M, constant speed is enough"
+    assert told.status != "underdetermined", "with M, constant speed is enough"
     for mass in (found(told).mass, *(trace.mass for trace in told.traces)):
         assert_allclose(mass @ THREE.shape.particles_per_group, THREE.total_mass, rtol=1e-12)
     blind, heavy = (found(quick(method).estimate(THREE.shape, m, data(THREE), 0)) for m in (None, 5.0))
@@ -231,8 +231,7 @@ def test_weighted_sampling_begins_on_a_grid_and_ends_near_its_best():
 @pytest.mark.parametrize("method", METHODS)
 def test_a_budget_of_one_is_an_answer(method):
     answer = ask(THREE, method(iterations=1))
-    assert answer.status in ("ok", "not_converged")
-    assert bool(answer.message) == (answer.status != "ok")
+    assert answer.status in ("unexplained", "not_converged") and answer.message
     assert len(found(answer).mass) == THREE.shape.n_m and len(answer.traces[0].loss) == 1
 
 

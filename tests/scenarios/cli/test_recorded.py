@@ -13,6 +13,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from estimators.hidden_states.estimator import HiddenStates
+from estimators.particles.misfit import UNEXPLAINED
 from scenarios.cli.main import main
 from scenarios.results.estimates import load_estimate, load_results, load_trajectories
 from scenarios.results.store import Store
@@ -191,6 +192,29 @@ def test_every_method_answers_from_what_was_measured(
     assert "heft estimate lab --methods hidden_states random_search_M --held-out 1" in (
         lab / "lab/report.html"
     ).read_text(encoding="utf-8")
+
+
+def test_no_method_is_ok_with_masses_that_do_not_explain_the_trials(lab: Path, capsys: pytest.CaptureFixture[str]):
+    """A method of another package that always answers ok, with uniform mass and no misfit, among them."""
+    (lab / "uniform_mass.py").write_text(
+        "import numpy as np\nfrom estimators import Estimate\nfrom testbed import MassDistribution\n\n\n"
+        "class Uniform:\n    def estimate(self, shape, weight, trajectories, seed):\n"
+        "        mass = np.full(shape.n_m, weight / len(shape.particles))\n"
+        '        return Estimate(MassDistribution(mass, np.full(shape.n_mu, 0.5)), "ok")\n',
+        encoding="utf-8",
+    )
+    assert ended("import", "lab.toml", "--out", "lab", "--weight", "1.8") == 0
+    asked = ("hidden_states", "random_search", "explicit_state_M", "uniform_mass:Uniform")
+    assert ended("estimate", "lab", "--methods", *asked, "--workers", "0") == 0
+    said = capsys.readouterr().out
+    rows = {row["method"]: row for row in load_results("lab").to_dict("records")}
+    assert [rows[method]["status"] for method in asked] == ["ok", *["unexplained"] * 3]
+    assert [rows[method]["misfit"] > UNEXPLAINED for method in asked] == [False, True, True, True]
+    assert all(np.isfinite(rows[method]["nad"]) for method in asked)
+    for method in asked[1:]:
+        assert f"L2, own_weight, {method}: unexplained: the masses do not explain the trials: misfit" in said
+    written = json.loads(Path("lab/masses.json").read_text(encoding="utf-8"))
+    assert [entry["status"] for entry in written] == ["ok", *["unexplained"] * 3]
 
 
 @pytest.mark.slow

@@ -10,10 +10,11 @@ from __future__ import annotations
 import json
 import math
 import socket
+import struct
 import threading
 import time
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Self
 
 import numpy as np
@@ -23,6 +24,8 @@ from testbed.objects.model import STROKE
 from tests.fakes.world import TICK, Gen3World
 
 PASSWORD = "admin"
+RESET = struct.pack("ii", 1, 0)
+"""Value of SO_LINGER by which a closed connection ends in a reset."""
 
 
 @dataclass
@@ -41,6 +44,18 @@ class Faults:
     """It does not stop by itself when a connection is silent."""
 
 
+@dataclass
+class Session:
+    """An open session."""
+
+    allowed: float
+    """Longest silence of its connection [s]."""
+    heard: float = field(default_factory=time.monotonic)
+    """Time of its last call [s]."""
+    controls: bool = False
+    """True if it has set the servoing mode."""
+
+
 class FakeGen3:
     """Runs while it is entered. `port` is where it listens."""
 
@@ -52,10 +67,10 @@ class FakeGen3:
         """Name of each call that may move the arm."""
         self.was_driven = False
         """True once the arm has been driven."""
+        self.sessions: dict[socket.socket, Session] = {}
+        """Open sessions by their connection."""
         self._over = threading.Event()
         self._connections: set[socket.socket] = set()
-        self._allowed = math.inf
-        self._heard = time.monotonic()
         self._listening = socket.create_server(("127.0.0.1", 0))
         self.port = self._listening.getsockname()[1]
         self._reaching = False
@@ -71,23 +86,42 @@ class FakeGen3:
         self.drop()
 
     def drop(self) -> None:
-        """Pull the cable."""
+        """Close every connection."""
         for connection in list(self._connections):
             self._connections.discard(connection)
             with suppress(OSError):
                 connection.shutdown(socket.SHUT_RDWR)
+
+    def reset(self, *, controls: bool | None = None) -> None:
+        """Reset the connection that controls the arm, those that do not, or all (None); new ones are accepted."""
+        for connection in list(self._connections):
+            session = self.sessions.get(connection)
+            if controls is None or (session is not None and session.controls) == controls:
+                with suppress(OSError):
+                    connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, RESET)
+                    connection.shutdown(socket.SHUT_RD)  # ends the thread that serves it, which closes it
 
     def _live(self) -> None:
         due = time.monotonic()
         while not self._over.wait(max(due - time.monotonic(), 0.0)):
             due += TICK
             with self.lock:
-                silent = time.monotonic() - self._heard > self._allowed and not self.faults.endures_silence
-                if silent or self.faults.fault_bank:
+                if self._silent() or self.faults.fault_bank:
                     self.world.stop()
                 self._end_of_pose()
                 self.world.tick()
                 self.was_driven |= self.world.driven
+
+    def _silent(self) -> bool:
+        """End the sessions that have been silent for too long; True if that stops the arm."""
+        now, ends = time.monotonic(), not self.faults.endures_silence
+        silent = [c for c, session in list(self.sessions.items()) if now - session.heard > session.allowed]
+        for connection in silent:
+            if ends or connection not in self._connections:
+                self.sessions.pop(connection, None)
+        if silent and ends:
+            self.commands.append("own limit")
+        return bool(silent) and ends
 
     def _end_of_pose(self) -> None:
         if not self._reaching:
@@ -112,11 +146,13 @@ class FakeGen3:
     def _serve(self, connection: socket.socket) -> None:
         answering = threading.Lock()
         try:
-            for line in connection.makefile("r", encoding="utf-8"):
-                self._heard = time.monotonic()
-                threading.Thread(
-                    target=self._answer, args=(connection, answering, json.loads(line)), daemon=True
-                ).start()
+            with connection, connection.makefile("r", encoding="utf-8") as lines:
+                for line in lines:
+                    if (session := self.sessions.get(connection)) is not None:
+                        session.heard = time.monotonic()
+                    threading.Thread(
+                        target=self._answer, args=(connection, answering, json.loads(line)), daemon=True
+                    ).start()
         except OSError:
             pass
         self._connections.discard(connection)
@@ -127,7 +163,7 @@ class FakeGen3:
             if name == self.faults.refuse:
                 raise Refusal("refused by order of the test")
             with self.lock:
-                reply = getattr(self, "_" + name.replace(".", "_"))(frame["message"])
+                reply = self._reply(connection, name, frame["message"])
             time.sleep(0.02 if name == "Base.SendTwistCommand" else 0.0)
             answer["reply"] = reply or {}
         except Refusal as refusal:
@@ -141,16 +177,21 @@ class FakeGen3:
             with suppress(OSError):
                 connection.sendall(data.encode())
 
-    def _Session_CreateSession(self, info: dict[str, Any]) -> None:
-        if info["password"] != PASSWORD:
-            raise Refusal("wrong password")
-        self._allowed = info["connection_inactivity_timeout"] / 1000
-
-    def _Session_CloseSession(self, _: dict[str, Any]) -> None:
-        self._allowed = math.inf
-
-    def _Base_SetServoingMode(self, mode: dict[str, Any]) -> None:
-        assert mode["servoing_mode"] == 2
+    def _reply(self, connection: socket.socket, name: str, message: dict[str, Any]) -> dict[str, Any] | None:
+        if name == "Session.CreateSession":
+            if message["password"] != PASSWORD:
+                raise Refusal("wrong password")
+            self.sessions[connection] = Session(message["connection_inactivity_timeout"] / 1000)
+        elif connection not in self.sessions:
+            raise Refusal("no session")
+        elif name == "Session.CloseSession":
+            del self.sessions[connection]
+        elif name == "Base.SetServoingMode":
+            assert message["servoing_mode"] == 2
+            self.sessions[connection].controls = True
+        else:
+            return getattr(self, "_" + name.replace(".", "_"))(message)
+        return None
 
     def _Base_SendTwistCommand(self, command: dict[str, Any]) -> None:
         self._check("SendTwistCommand")

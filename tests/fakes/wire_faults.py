@@ -1,6 +1,6 @@
-"""Faults of programs and connections while the fake Gen3 moves, and what it then does: in real time, over the wire.
+"""Faults of programs and connections in each phase of a guarded trial on the fake Gen3: in real time, over the wire.
 
-As a program it drives the arm like heft's control loop: `python -m tests.fakes.wire_faults PORT WAY WATCHDOG`.
+As a program it drives the arm under a guard: `python -m tests.fakes.wire_faults PORT PHASE WATCHDOG`.
 """
 
 from __future__ import annotations
@@ -14,49 +14,103 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 
-from testbed.robot.interfaces import MonotonicClock, Pose, RobotError
+from testbed.objects.model import STROKE
+from testbed.robot.guard import Guard
+from testbed.robot.interfaces import MonotonicClock, Pose, RobotError, SensorHealth, SensorIdentity, WrenchSample
 from testbed.robot.kinova.arm import KortexArm
+from testbed.robot.kinova.gripper import KortexGripper
 from testbed.robot.runner import terminable
+from testbed.robot.safety import SafetyLimits
 from tests.fakes.gen3 import FakeGen3, Faults
-from tests.fakes.rig import KORTEX
+from tests.fakes.rig import ATTEMPTS, KORTEX
 from tests.fakes.world import TICK
 
-Way = Literal["twists", "pose"]
+Phase = Literal["twists", "pose", "tare", "grasp"]
+"""Twists, a travel move, standing after a motion, and the gripper closing."""
+PHASES: tuple[Phase, ...] = get_args(Phase)
 ROOT = str(Path(__file__).parents[2])
-UP = np.array([0.0, 0.0, 0.02])
+SPEED = 0.02
+"""Speed of the tool [m/s]."""
+_MIDDLE = 0.2
+"""Height [m] towards which the tool moves."""
+_LONG = 10.0
+"""Duration of a phase [s]."""
 
 
-def drive(port: int, way: Way, watchdog: float) -> None:
-    """Drive the arm up until something ends it; prints the process ids of Kortex and "moving", then the error."""
+class NoiseSensor:
+    """A `WrenchSensor` that measures noise, 100 frames a second of the computer's clock."""
+
+    identity = SensorIdentity("noise", "1", "1", 1 / TICK)
+
+    def __init__(self) -> None:
+        self._rng, self._next, self._count = np.random.default_rng(0), time.monotonic(), 0
+
+    def __enter__(self) -> NoiseSensor:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        pass
+
+    def drain(self) -> list[WrenchSample]:
+        frames = []
+        while self._next <= time.monotonic():
+            frames.append(WrenchSample(self._next, 0.1 * self._rng.standard_normal(6), self._count))
+            self._next, self._count = self._next + TICK, self._count + 1
+        return frames
+
+    def health(self) -> SensorHealth:
+        return SensorHealth(self._count, 0, 0, 0, 0, 0.0)
+
+
+def drive(port: int, phase: Phase, watchdog: float) -> None:
+    """Drive the arm until something ends it; prints the ids of its processes, the begin of the phase, and the error."""
+    clock = MonotonicClock()
     with terminable(), KortexArm("127.0.0.1", port=port, watchdog=watchdog) as arm:
         link = arm._link
         assert link is not None
         print(link._process.pid, link._standby.pid, flush=True)
+        limits = SafetyLimits(tilt=0.3)
+        guard = Guard(arm, NoiseSensor(), limits, clock)
         try:
-            (_by_twists if way == "twists" else _to_a_pose)(arm)
+            with guard:
+                start = guard.state().tcp_pose
+                way = np.array([0.0, 0.0, SPEED if start.position[2] < _MIDDLE else -SPEED])
+                if phase == "pose":
+                    print("begins", flush=True)
+                    arm.move_to(Pose(start.position + 5 * way, start.orientation), SPEED)
+                elif phase == "twists":
+                    print("begins", flush=True)
+                    _follow(guard, way, _LONG)
+                else:
+                    _follow(guard, way, 0.3)
+                    _rest(guard, 0.3)
+                    print("begins", flush=True)
+                    if phase == "grasp":
+                        KortexGripper(arm).close_on(0.0, 10.0)
+                    _rest(guard, _LONG)
+                guard.check()
+                print("went on to its end", flush=True)
         except RobotError as error:
-            print(error, flush=True)
+            print(f"fault: {error}", flush=True)
 
 
-def _by_twists(arm: KortexArm) -> None:
-    for _ in range(400):
-        arm.state()
-        arm.twist(UP, np.zeros(3))
+def _follow(guard: Guard, way: np.ndarray, seconds: float) -> None:
+    until = time.monotonic() + seconds
+    while time.monotonic() < until:
+        guard.twist(way, np.zeros(3))
         time.sleep(0.025)
+    guard.twist(np.zeros(3), np.zeros(3))
 
 
-def _to_a_pose(arm: KortexArm) -> None:
-    def look() -> None:
-        with suppress(RobotError):
-            arm.state()
-
-    start = arm.state().tcp_pose
-    with MonotonicClock().every(0.01, look):
-        arm.move_to(Pose(start.position + 10 * UP, start.orientation), float(UP[2]))
+def _rest(guard: Guard, seconds: float) -> None:
+    until = time.monotonic() + seconds
+    while time.monotonic() < until:
+        guard.check()
+        time.sleep(0.025)
 
 
 @dataclass
@@ -70,6 +124,10 @@ class Driver:
     """Id of the one that stops the arm if that ends."""
 
 
+class TooBusyError(RuntimeError):
+    """Some silence of a busy machine ended the program before the phase began."""
+
+
 Fault = Callable[[Driver, FakeGen3], None]
 
 
@@ -78,15 +136,18 @@ def to_group(number: signal.Signals) -> Fault:
     return lambda driver, _: os.killpg(driver.heft.pid, number)
 
 
-def to_kortex(driver: Driver, _: FakeGen3) -> None:
-    """kill -9 of the process that speaks Kortex."""
-    os.kill(driver.kortex, signal.SIGKILL)
+def signals(number: signal.Signals, *processes: Literal["heft", "kortex", "standby"]) -> Fault:
+    """A signal to some of the processes."""
 
+    def strike(driver: Driver, _: FakeGen3) -> None:
+        ids = {"heft": driver.heft.pid, "kortex": driver.kortex, "standby": driver.standby}
+        for process in processes:
+            try:
+                os.kill(ids[process], number)
+            except ProcessLookupError:
+                raise TooBusyError(f"{process} has ended already") from None
 
-def to_both(driver: Driver, _: FakeGen3) -> None:
-    """kill -9 of heft and of that process."""
-    os.kill(driver.kortex, signal.SIGKILL)
-    driver.heft.kill()
+    return strike
 
 
 def ctrl_z_and_refused(driver: Driver, gen3: FakeGen3) -> None:
@@ -95,18 +156,47 @@ def ctrl_z_and_refused(driver: Driver, gen3: FakeGen3) -> None:
     os.killpg(driver.heft.pid, signal.SIGTSTP)
 
 
+def frozen_and_refused(driver: Driver, gen3: FakeGen3) -> None:
+    """Stop is refused to the stand-by too."""
+    gen3.faults.refuse = "Base.Stop"
+    os.kill(driver.kortex, signal.SIGSTOP)
+
+
+def frozen_and_reset(driver: Driver, gen3: FakeGen3) -> None:
+    """The arm's process is frozen, and the stand-by must connect anew."""
+    gen3.reset()
+    os.kill(driver.kortex, signal.SIGSTOP)
+
+
+STOP, KILL = signal.SIGSTOP, signal.SIGKILL
 WIRE_FAULTS: dict[str, Fault] = {
     "Ctrl-C": to_group(signal.SIGINT),
     "Ctrl-Z": to_group(signal.SIGTSTP),
     "Ctrl-\\": to_group(signal.SIGQUIT),
     "closed terminal (SIGHUP)": to_group(signal.SIGHUP),
     "SIGTERM to the group": to_group(signal.SIGTERM),
-    "SIGSTOP of heft": to_group(signal.SIGSTOP),
-    "kill -9 of heft": to_group(signal.SIGKILL),
-    "kill -9 of the arm's process": to_kortex,
-    "kill -9 of both": to_both,
+    "kill -9 of heft": to_group(KILL),
+    "kill -9 of the arm's process": signals(KILL, "kortex"),
+    "kill -9 of the stand-by": signals(KILL, "standby"),
+    "kill -9 of heft and the arm's process": signals(KILL, "kortex", "heft"),
+    "kill -9 of heft and the stand-by": signals(KILL, "standby", "heft"),
+    "SIGSTOP of heft": to_group(STOP),
+    "SIGSTOP of the arm's process": signals(STOP, "kortex"),
+    "SIGSTOP of the stand-by": signals(STOP, "standby"),
+    "SIGSTOP of heft and the arm's process": signals(STOP, "heft", "kortex"),
+    "SIGSTOP of heft and the stand-by": signals(STOP, "heft", "standby"),
+    "arm resets the connection": lambda _, gen3: gen3.reset(controls=True),
+    "arm resets the stand-by's connection": lambda _, gen3: gen3.reset(controls=False),
+    "arm resets both": lambda _, gen3: gen3.reset(),
+    "arm closes both": lambda _, gen3: gen3.drop(),
     "Ctrl-Z, and Stop is refused": ctrl_z_and_refused,
+    "SIGSTOP of the arm's process, and Stop is refused": frozen_and_refused,
+    "SIGSTOP of the arm's process, and both are reset": frozen_and_reset,
 }
+"""Faults after which a process is left that can stop the arm."""
+LAST = "SIGSTOP of the arm's process and the stand-by"
+"""The fault after which only the arm itself is left."""
+freeze_both = signals(STOP, "kortex", "standby")
 
 
 @dataclass(frozen=True)
@@ -114,55 +204,81 @@ class Stopped:
     """What the arm did after a fault."""
 
     stop_s: float
-    """Time to the first stop that the arm was told [s]; infinite if it never was."""
+    """Time to the first stop command, or to the arm's own stop [s]; infinite without any."""
     moved_mm: float
     """Way of the tool from the fault until it stood, or for 4 s [mm]."""
     said: str
-    """Last words of the program, if it had any."""
+    """Last words of the program, as the record has them, if it had any."""
 
 
 @contextmanager
-def driving(gen3: FakeGen3, way: Way, watchdog: float) -> Iterator[Driver]:
-    """The program, once the arm moves; it and what it has started are killed at the end."""
+def driving(gen3: FakeGen3, phase: Phase, watchdog: float) -> Iterator[Driver]:
+    """The program, once the phase has begun; it and its processes are killed at the end."""
     environment = os.environ | {"PYTHONPATH": os.pathsep.join((ROOT, KORTEX))}
     environment.pop("HEFT_KORTEX_PYTHON", None)
     heft = subprocess.Popen(
-        [sys.executable, "-m", "tests.fakes.wire_faults", str(gen3.port), way, str(watchdog)],
+        [sys.executable, "-m", "tests.fakes.wire_faults", str(gen3.port), phase, str(watchdog)],
         stdout=subprocess.PIPE,
         stderr=subprocess.DEVNULL,
         text=True,
         env=environment,
         process_group=0,
     )
+    others: list[int] = []
     try:
         assert heft.stdout is not None
-        kortex, standby = map(int, heft.stdout.readline().split())
+        others += map(int, heft.stdout.readline().split())
+        begins = heft.stdout.readline()
+        if begins != "begins\n":
+            raise TooBusyError(begins)
         deadline = time.monotonic() + 5.0
-        while gen3.world.speed < 0.8 * UP[2] and time.monotonic() < deadline:
+        while not _in_phase(gen3, phase) and time.monotonic() < deadline:
             time.sleep(TICK)
-        yield Driver(heft, kortex, standby)
+        yield Driver(heft, *others)
     finally:
         heft.kill()
         heft.wait()
+        for process in others:
+            with suppress(ProcessLookupError):
+                os.kill(process, signal.SIGKILL)
 
 
-def stopped_after(gen3: FakeGen3, fault: Fault, way: Way, watchdog: float = 0.05) -> Stopped:
-    """Strike the moving arm, which does not stop by itself, and watch it for 4 s or until it stands."""
-    gen3.faults = Faults(endures_silence=True)
-    with driving(gen3, way, watchdog) as driver:
+def _in_phase(gen3: FakeGen3, phase: Phase) -> bool:
+    if phase == "grasp":
+        return gen3.world.width < 0.9 * STROKE
+    return phase == "tare" or gen3.world.speed > 0.8 * SPEED
+
+
+def stopped_after(
+    gen3: FakeGen3, fault: Fault, phase: Phase, watchdog: float = 0.05, *, own_limit: bool = False
+) -> Stopped:
+    """Strike in a phase, and watch the arm for 4 s or until it stands; by itself it stops only with `own_limit`."""
+    for _ in range(ATTEMPTS):
+        with suppress(TooBusyError):
+            return _stopped_after(gen3, fault, phase, watchdog, own_limit)
+    raise TooBusyError(f"{ATTEMPTS} times")
+
+
+def _stopped_after(gen3: FakeGen3, fault: Fault, phase: Phase, watchdog: float, own_limit: bool) -> Stopped:
+    gen3.faults = Faults(endures_silence=not own_limit)
+    gen3.world.stop()
+    gen3.world.open(STROKE)
+    while gen3.world.width < 0.95 * STROKE:
+        time.sleep(TICK)
+    with driving(gen3, phase, watchdog) as driver:
         gen3.commands.clear()
         begin, at = time.monotonic(), gen3.world.reading.tcp_pose.position
         fault(driver, gen3)
         stop = np.inf
         while time.monotonic() < begin + 4.0 and (stop == np.inf or gen3.world.speed > 5e-4):
-            if stop == np.inf and ("Stop" in gen3.commands):
+            if stop == np.inf and {"Stop", "own limit"} & set(gen3.commands):
                 stop = time.monotonic() - begin
             time.sleep(0.002)
         moved = float(np.linalg.norm(gen3.world.reading.tcp_pose.position - at))
         with suppress(ProcessLookupError):
             os.killpg(driver.heft.pid, signal.SIGCONT)
         with suppress(subprocess.TimeoutExpired):
-            driver.heft.wait(1.0)
+            driver.heft.wait(3.0)
         driver.heft.kill()
         said = (driver.heft.stdout.read() if driver.heft.stdout else "").strip()
     gen3.faults = Faults()
@@ -171,4 +287,4 @@ def stopped_after(gen3: FakeGen3, fault: Fault, way: Way, watchdog: float = 0.05
 
 
 if __name__ == "__main__":
-    drive(int(sys.argv[1]), "pose" if sys.argv[2] == "pose" else "twists", float(sys.argv[3]))
+    drive(int(sys.argv[1]), PHASES[PHASES.index(sys.argv[2])], float(sys.argv[3]))  # pyright: ignore[reportArgumentType]

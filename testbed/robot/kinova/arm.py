@@ -13,8 +13,9 @@ from scipy.spatial.transform import Rotation
 
 from testbed.errors import InvalidValueError
 from testbed.robot.interfaces import ArmIdentity, ArmLimits, ArmLostError, ArmRefusedError, ArmState, Pose, RobotError
+from testbed.robot.kinova.connection import Configuration
 from testbed.robot.kinova.link import KortexLink
-from testbed.robot.kinova.session import Configuration, Feedback
+from testbed.robot.kinova.session import Feedback
 from testbed.validation import check_positive_fields
 
 _ENDLESS = (-math.inf, math.inf)
@@ -48,10 +49,11 @@ class KortexArm:
     turn_speed: float = math.radians(30)
     """Turn rate on the way to a pose [rad/s]."""
     silence: float = 0.1
-    """Time without feedback after which a moving arm is stopped, and counts as lost [s]; the arm's own limit too."""
+    """Time without feedback after which a moving arm is stopped, and counts as lost [s]; the arm's own limit too. A
+    process that is silent for 0.6 times as long counts as frozen."""
     watchdog: float = 0.05
-    """Time without a command, or on the way to a pose without a look at `state`, after which a moving arm is stopped
-    [s]."""
+    """Time without a twist while one is in force, and without a look at `state` until the next stop, after which the
+    arm is stopped [s]."""
 
     def __post_init__(self) -> None:
         check_positive_fields(self, "tool_length", "turn_speed", "silence", "watchdog")
@@ -59,7 +61,7 @@ class KortexArm:
             raise InvalidValueError("KortexArm.port", self.port, "a TCP port")
         self._link: KortexLink | None = None
         self._epoch = 0
-        self._on_the_way = False
+        self._engaged = False
 
     @property
     def identity(self) -> ArmIdentity:
@@ -77,7 +79,7 @@ class KortexArm:
         Raises:
             RobotError: no `kortex_api`, no arm, or another tool stored in it than expected.
         """
-        self._epoch = 0
+        self._epoch, self._engaged = 0, False
         who = self.username, self.password
         configuration = Configuration(self.address, self.port, *who, self.silence, self.watchdog)
         self._link = KortexLink(configuration)
@@ -96,10 +98,12 @@ class KortexArm:
             link.close()
 
     def state(self) -> ArmState:
-        """The newest feedback. On the way to a pose this look is the sign of life: unwatched, the arm stops."""
+        """The newest feedback. From the first motion until a stop this is the sign of life, without which it stops.
+
+        Raises:
+            ArmLostError: no connection, no fresh feedback, or meanwhile no stand-by.
+        """
         f = self._feedback()
-        if self._on_the_way:
-            self._connected().send(do="alive")
         turn = Rotation.from_euler("xyz", f.tool_angles)
         return ArmState(
             time_s=f.time_s,
@@ -113,12 +117,8 @@ class KortexArm:
 
     def move_to(self, pose: Pose, speed: float) -> None:
         """Reach a pose at no more than `speed` [m/s]; returns on arrival or after `stop`."""
-        link, epoch = self._ready(), self._epoch
-        self._on_the_way = True
-        try:
-            reply = self._reached(link, pose, speed, epoch)
-        finally:
-            self._on_the_way = False
+        epoch = self._epoch
+        reply = self._reached(self._ready(), pose, speed, epoch)
         if epoch != self._epoch:
             return
         if "error" in reply:
@@ -174,22 +174,18 @@ class KortexArm:
         if link is None:
             return
         self._epoch += 1
-        try:
-            link.send(do="stop", epoch=self._epoch)
-        except ArmLostError:
-            return  # the process has ended, and the arm stops by itself
-        if not link.dead:
-            link.lost = ""
+        self._engaged = False
+        link.stop(self._epoch)
 
     def ask(self, do: str, seconds: float = 1.0, **request: float) -> None:
         """Make a request that is answered at once.
 
         Raises:
-            ArmRefusedError: it was refused.
+            ArmRefusedError: in a fault, or it was refused.
             ArmLostError: no connection, or no answer.
         """
-        link = self._connected()
-        reply = link.reply(link.ask(do, **request), seconds)
+        link = self._ready()
+        reply = link.reply(link.ask(do, epoch=self._epoch, **request), seconds)
         if reply is None:
             raise ArmLostError(f"arm: no answer to {do} in {seconds:g} s")
         if "error" in reply:
@@ -213,14 +209,19 @@ class KortexArm:
         return self._link
 
     def _feedback(self) -> Feedback:
+        """The newest feedback, and a sign of life where one is due."""
         link = self._connected()
-        feedback = link.feedback
-        age = math.inf if feedback is None else time.monotonic() - feedback.time_s
+        feedback, age = link.feedback, link.age
         if link.lost or feedback is None or age > self.silence:
             raise ArmLostError(f"arm: {link.lost or f'no feedback for {age * 1e3:.0f} ms'}")
+        if self._engaged:
+            link.check_standby()
+            link.send(do="alive")
         return feedback
 
     def _ready(self) -> KortexLink:
+        """Engage the arm: from now on it is watched."""
+        self._engaged = True
         feedback = self._feedback()
         if feedback.faulted:
             raise ArmRefusedError(f"arm: in a fault ({feedback.message}); clear it")

@@ -1,20 +1,24 @@
-"""Pipes to the process that speaks Kortex, and to the one that stops the arm if that ends."""
+"""Pipes to the process that speaks Kortex, and to the stand-by, which stops the arm if that fails."""
 
 from __future__ import annotations
 
 import contextlib
 import json
+import math
 import os
 import subprocess
 import sys
 import threading
+import time
 from collections import deque
+from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 from testbed.robot.interfaces import ArmIdentity, ArmLostError, RobotError
-from testbed.robot.kinova.session import Configuration, Feedback
+from testbed.robot.kinova.connection import Configuration
+from testbed.robot.kinova.session import Feedback
 
 PYTHON_VARIABLE = "HEFT_KORTEX_PYTHON"
 """Environment variable with the path of a Python that has `kortex_api`; heft's own if not set."""
@@ -27,12 +31,14 @@ _START = (
 )
 _CONNECT_TIME = 15.0
 _LAST_WORDS = 5
+_GRACE = 0.01
+"""Time to read what has come before a process counts as silent [s]."""
 
 
 class KortexLink:
-    """The other process. Feedback is kept as it comes; a reply wakes the thread that waits for it.
+    """The process that speaks Kortex, and the stand-by. Feedback is kept as it comes; a reply wakes who waits for it.
 
-    A second process stands by: should the first be killed, it stops the arm over a connection of its own.
+    The stand-by stops the arm over a connection of its own if the first ends without a goodbye or is frozen.
     """
 
     def __init__(self, configuration: Configuration):
@@ -49,61 +55,59 @@ class KortexLink:
         """The newest feedback."""
         self.lost = ""
         """Reason that the arm may not follow its commands any more, else empty."""
+        self.takes_over = False
+        """True once the stand-by stops the arm."""
         self.tool: list[float] = []
         """Position of the tool stored in the arm [m]."""
         self.identity = ArmIdentity()
         self._replies: dict[int, dict[str, Any]] = {}
         self._count = 0
-        self._writing, self._news = threading.Lock(), threading.Condition()
+        self._news = threading.Condition()
         self._greeting: dict[str, Any] | None = None
+        self._quiet = configuration.quiet
+        self._beat, self._trouble, self._ended = -math.inf, "", False  # of the stand-by
         self._stderr: deque[str] = deque(maxlen=_LAST_WORDS)
+        beats, beating = os.pipe()
         try:
-            self._process = self._started("serve()")
-            self._standby = self._started("stand_by()")
+            self._process = self._started("serve", beating)
+            self._standby = self._started("stand_by", beats, self._process.pid)
         except OSError as error:
             raise RobotError(f"{PYTHON_VARIABLE}: got {self.python}, which does not start: {error.strerror}") from None
-        for read in (self._read, self._read_errors):
+        finally:
+            os.close(beats)
+            os.close(beating)
+        for read in (self._read, self._read_standby, self._read_errors):
             threading.Thread(target=read, name=f"kortex {read.__name__}", daemon=True).start()
         with contextlib.suppress(OSError):  # no Python, or it has no kortex_api: the first process says so
-            self._write(self._standby, json.dumps(asdict(configuration)))
+            _write(self._standby, asdict(configuration))
         self.send(**asdict(configuration))
         with self._news:
             self._news.wait_for(lambda: self._greeted or self.dead, _CONNECT_TIME)
         greeting = self._greeting or {}
-        if "connected" not in greeting or self.feedback is None:
+        if "connected" not in greeting or self.feedback is None or self._beat < 0:
             self.close()
             raise self._refusal(greeting, configuration)
         self.tool, self.identity = greeting["connected"], ArmIdentity(*greeting["identity"])
 
-    def _started(self, call: str) -> subprocess.Popen[str]:
-        pipe, quiet = subprocess.PIPE, subprocess.DEVNULL
-        served = call == "serve()"
+    def _started(self, call: str, beats: int, *arguments: int) -> subprocess.Popen[str]:
+        pipe = subprocess.PIPE
         return subprocess.Popen(
-            [self.python, "-c", _START + call],
+            [self.python, "-c", f"{_START}{call}{(beats, *arguments)}"],
             stdin=pipe,
-            stdout=pipe if served else quiet,
-            stderr=pipe if served else quiet,
+            stdout=pipe,
+            stderr=pipe if call == "serve" else subprocess.DEVNULL,
             text=True,
             encoding="utf-8",
             start_new_session=True,
+            pass_fds=(beats,),
         )
-
-    @staticmethod
-    def _write(process: subprocess.Popen[str], line: str) -> None:
-        """Write one line.
-
-        Raises:
-            OSError: nobody is there.
-            ValueError: the pipe is closed.
-        """
-        assert process.stdin is not None
-        process.stdin.write(line + "\n")
-        process.stdin.flush()
 
     def _refusal(self, greeting: dict[str, Any], configuration: Configuration) -> RobotError:
         if "missing" in greeting:
             return RobotError(f"kortex_api: {_how_to_get_it(self.python, greeting['missing'])}")
         why = greeting.get("failed") or " ".join(self._stderr) or f"no answer in {_CONNECT_TIME:.0f} s"
+        if "connected" in greeting:
+            why = f"the stand-by, by a session of its own: {self._trouble or why}"
         return ArmLostError(
             f"arm {configuration.address}: cannot be connected: {why}; check its power, the cable, that this computer "
             "has an address in its network, and that no other session controls it"
@@ -111,8 +115,10 @@ class KortexLink:
 
     @property
     def _greeted(self) -> bool:
-        """True once it is connected and gives feedback, or has failed."""
-        return self._greeting is not None and ("connected" not in self._greeting or self.feedback is not None)
+        """True once both are connected and feedback comes, or one has failed."""
+        if self._greeting is None or self._ended:
+            return self._ended and self._greeting is not None
+        return "connected" not in self._greeting or (self.feedback is not None and self._beat > 0)
 
     @property
     def dead(self) -> bool:
@@ -120,16 +126,16 @@ class KortexLink:
         return self._process.poll() is not None
 
     def send(self, **message: Any) -> None:
-        """Send a message that gets no reply.
+        """Send a message that gets no reply; never waits.
 
         Raises:
-            ArmLostError: nobody is there.
+            ArmLostError: the process has ended, or is frozen and reads no more.
         """
-        with self._writing:
-            try:
-                self._write(self._process, json.dumps(message))
-            except (OSError, ValueError):
-                raise ArmLostError(f"arm: the process that speaks to it has ended; {' '.join(self._stderr)}") from None
+        try:
+            _write(self._process, message)
+        except (OSError, ValueError):
+            why = self.lost or f"the process that speaks to it has ended; {' '.join(self._stderr)}"
+            raise ArmLostError(f"arm: {why}") from None
 
     def ask(self, do: str, **request: Any) -> int:
         """Send a request; returns its number, for `reply`."""
@@ -157,12 +163,47 @@ class KortexLink:
             said = [self._replies.pop(number)["error"] for number in refused]
         return said[0] if said else ""
 
+    @property
+    def age(self) -> float:
+        """Age of the newest feedback [s]."""
+        return math.inf if self.feedback is None else time.monotonic() - self.feedback.time_s
+
+    def check_standby(self) -> None:
+        """Check that the stand-by could stop the arm.
+
+        Raises:
+            ArmLostError: it has ended, is silent, or has no connection.
+        """
+        why = ""
+        if self._ended:
+            why = "has ended"
+        elif self._trouble:
+            why = f"could not stop it: {self._trouble}"
+        elif time.monotonic() - self._beat > self._quiet:
+            with self._news:
+                if not self._news.wait_for(lambda: time.monotonic() - self._beat < self._quiet, _GRACE):
+                    why = f"was silent for {self._quiet * 1e3:.0f} ms"
+        if why:
+            raise ArmLostError(f"arm: {self.lost or f'the process that stands by to stop it {why}'}")
+
+    def stop(self, epoch: int) -> None:
+        """Stop the arm; never waits for long. A process that is frozen is killed, and the stand-by stops the arm."""
+        with self._news:
+            awake = self._news.wait_for(lambda: self.dead or self.age < self._quiet, _GRACE)
+        try:
+            if not awake:
+                raise ArmLostError("arm: the process that speaks to it is frozen")
+            self.send(do="stop", epoch=epoch)
+        except ArmLostError:
+            self._process.kill()
+            return
+        if not (self.dead or self.takes_over):
+            self.lost = ""
+
     def close(self) -> None:
-        """End the other process; it stops the arm first. The one that stands by does so too if that one fails."""
-        if _ended(self._process) and self._process.returncode == 0:
-            with contextlib.suppress(OSError, ValueError):
-                self._write(self._standby, "not needed")
-        _ended(self._standby)
+        """End both processes. The first stops the arm; if that fails the stand-by does, and lives on until it has."""
+        _end(self._process)
+        _end(self._standby, spared=lambda: self.takes_over)
 
     def _read(self) -> None:
         assert self._process.stdout is not None
@@ -178,37 +219,61 @@ class KortexLink:
                 else:
                     self._greeting = message
                 self._news.notify_all()
+        self._process.wait()
         with self._news:
-            self.lost = "the process that speaks to it has ended"
+            self.lost = self.lost or "the process that speaks to it has ended"
             self._news.notify_all()
-        if self._process.wait() != 0:
-            _ended(self._standby)
+
+    def _read_standby(self) -> None:
+        assert self._standby.stdout is not None
+        for text in self._standby.stdout:
+            message = json.loads(text)
+            with self._news:
+                self._trouble = message.get("standby", message.get("failed", ""))
+                self._beat = time.monotonic() if "standby" in message else self._beat
+                if why := message.get("takes_over"):
+                    self.takes_over, self.lost = True, why
+                self._news.notify_all()
+        with self._news:
+            self._ended = True
+            self._news.notify_all()
 
     def _read_errors(self) -> None:
         assert self._process.stderr is not None
         self._stderr.extend(text.strip() for text in self._process.stderr if text.strip())
 
 
-def _ended(process: subprocess.Popen[str]) -> bool:
-    """Close a process's input and wait for its end; False if it had to be killed."""
+def _write(process: subprocess.Popen[str], message: dict[str, Any]) -> None:
+    """Write one line, whole or not at all, without waiting: it is shorter than what a pipe takes at once.
+
+    Raises:
+        OSError: the process has ended, or its pipe is full.
+        ValueError: the pipe is closed.
+    """
+    assert process.stdin is not None
+    pipe = process.stdin.fileno()
+    os.set_blocking(pipe, False)
+    os.write(pipe, (json.dumps(message) + "\n").encode())
+
+
+def _end(process: subprocess.Popen[str], spared: Callable[[], bool] = lambda: False) -> None:
+    """Close a process's input and wait for its end; kill it after 2 s unless it is to be spared."""
     with contextlib.suppress(OSError):
         assert process.stdin is not None
         process.stdin.close()
     try:
         process.wait(2.0)
     except subprocess.TimeoutExpired:
-        process.kill()
-        process.wait()
-        return False
-    return True
+        if not spared():
+            process.kill()
+            process.wait()
 
 
 def missing_api() -> str:
     """Reason that `kortex_api` cannot be imported and its remedy, else empty; the interpreter as in `KortexLink`."""
     interpreter = _python()
-    code = (
-        f"import sys; sys.path.insert(0, {_ROOT!r}); from testbed.robot.kinova.session import kortex_api; kortex_api()"
-    )
+    module = "testbed.robot.kinova.connection"
+    code = f"import sys; sys.path.insert(0, {_ROOT!r}); from {module} import kortex_api; kortex_api()"
     try:
         run = subprocess.run([interpreter, "-c", code], capture_output=True, text=True, check=False, timeout=60)
     except (OSError, subprocess.TimeoutExpired) as error:

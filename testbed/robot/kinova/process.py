@@ -1,8 +1,8 @@
-"""The process beside heft: Kinova's `kortex_api` with its old protobuf, in any Python that has both.
+"""The processes beside heft: Kinova's `kortex_api` with its old protobuf, in any Python that has both.
 
-`testbed.robot.kinova.link` starts it, in a session of its own: no key of heft's terminal and no end of heft reaches it.
-It imports next to nothing of heft, and is written for Python 3.8. Requests come as JSON lines on standard input,
-replies and feedback go as JSON lines to standard output; the first line in is a `Configuration`.
+`testbed.robot.kinova.link` starts them, each in a session of its own: no key of heft's terminal and no end of heft
+reaches them. They import next to nothing of heft, and are written for Python 3.8. Requests come as JSON lines on
+standard input, replies and feedback go as JSON lines to standard output; the first line in is a `Configuration`.
 """
 
 from __future__ import annotations
@@ -12,26 +12,58 @@ import os
 import signal
 import sys
 import threading
+from collections import deque
+from collections.abc import Callable
 from typing import Any
 
-from testbed.robot.kinova.session import Configuration, Gen3, kortex_api, stop_once
+from testbed.robot.kinova.connection import Configuration
+from testbed.robot.kinova.session import Gen3
+from testbed.robot.kinova.standby import Beats, StandBy
 
 _IGNORED = ("SIGINT", "SIGHUP", "SIGTERM", "SIGQUIT", "SIGTSTP", "SIGTTIN", "SIGTTOU")
 """Signals that are for heft alone: the arm is stopped first, then its process ends."""
+_MOST_WAITING = 10
 
 
 class Line:
-    """Standard output, a line at a time from any thread."""
+    """Standard output, a line at a time from any thread; a frozen heft that reads no more delays none of them."""
 
     def __init__(self) -> None:
         # whatever the API prints must not get between the lines
         self._out = os.fdopen(os.dup(sys.stdout.fileno()), "w", encoding="utf-8")
         os.dup2(sys.stderr.fileno(), sys.stdout.fileno())
-        self._lock = threading.Lock()
+        self._waiting: deque[dict[str, Any]] = deque()
+        self._news, self._closed = threading.Condition(), False
+        self._writer = threading.Thread(target=self._write, name="write", daemon=True)
+        self._writer.start()
 
     def say(self, **message: Any) -> None:
-        """Send one message; it is lost if nobody reads any more."""
-        with self._lock:
+        """Send one message; it is lost if heft has ended."""
+        with self._news:
+            self._waiting.append(message)
+            self._news.notify()
+
+    def offer(self, **message: Any) -> None:
+        """Send one message, unless many wait: a newer one will follow."""
+        with self._news:
+            if len(self._waiting) < _MOST_WAITING:
+                self._waiting.append(message)
+                self._news.notify()
+
+    def close(self) -> None:
+        """Wait a moment until all is written."""
+        with self._news:
+            self._closed = True
+            self._news.notify()
+        self._writer.join(0.1)
+
+    def _write(self) -> None:
+        while True:
+            with self._news:
+                self._news.wait_for(lambda: self._waiting or self._closed)
+                if not self._waiting:
+                    return
+                message = self._waiting.popleft()
             try:
                 self._out.write(json.dumps(message) + "\n")
                 self._out.flush()
@@ -39,23 +71,23 @@ class Line:
                 pass
 
 
-def serve() -> None:
-    """Connect by the first line, then serve the requests of the others until they end."""
+def serve(pipe: int) -> None:
+    """Connect by the first line, then serve the requests of the others until they end.
+
+    Args:
+        pipe: where the beats go.
+    """
     _ignore_signals()
-    line = Line()
-    try:
-        arm = Gen3(Configuration(**json.loads(sys.stdin.readline())), line)
-    except ImportError as error:
-        line.say(missing=str(error))
-        return
-    except Exception as error:  # the API raises what it likes, and the other side has only this line
-        line.say(failed=f"{type(error).__name__}: {error}")
+    line, beats = Line(), Beats(pipe)
+    arm = _begun(line, lambda configuration: Gen3(configuration, line, beats))
+    if arm is None:
+        beats.bye()
         return
     try:
         line.say(connected=arm.tool(), identity=arm.identity())
         for text in sys.stdin:
             request = json.loads(text)
-            arm.hear()
+            arm.hear(request)
             do = request["do"]
             if do == "twist":
                 arm.twist(request)
@@ -63,17 +95,39 @@ def serve() -> None:
                 arm.stop(request["epoch"])
             elif do != "alive":
                 threading.Thread(target=_tried, args=(getattr(arm, do), request, line), daemon=True).start()
+    except BaseException:
+        beats.end()  # no goodbye
+        raise
     finally:
         arm.close()
+        line.close()
 
 
-def stand_by() -> None:
-    """Wait for the end of the input, then stop the arm over a connection of its own; a second line calls that off."""
+def stand_by(pipe: int, mover: int) -> None:
+    """Connect by the first line, then stop the arm if the process that moves it fails.
+
+    Args:
+        pipe: where that process's beats come from.
+        mover: its id.
+    """
     _ignore_signals()
-    configuration = Configuration(**json.loads(sys.stdin.readline()))
-    kortex_api()  # imported in time: it takes a good part of a second
-    if not sys.stdin.readline():
-        stop_once(configuration)
+    line = Line()
+    standby = _begun(line, lambda configuration: StandBy(configuration, line, pipe, mover))
+    if standby is not None:
+        standby.run()
+        line.close()
+
+
+def _begun(line: Line, begin: Callable[[Configuration], Any]) -> Any:
+    """What `begin` makes of the configuration on the first line, or None after its failure, which is reported."""
+    try:
+        return begin(Configuration(**json.loads(sys.stdin.readline())))
+    except ImportError as error:
+        line.say(missing=str(error))
+    except Exception as error:  # the API raises what it likes, and the other side has only this line
+        line.say(failed=f"{type(error).__name__}: {error}")
+    line.close()
+    return None
 
 
 def _ignore_signals() -> None:

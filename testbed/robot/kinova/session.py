@@ -1,24 +1,23 @@
 """A session with a Gen3 over Kinova's `kortex_api`, in the process beside heft; it stops the arm by itself.
 
-It does so after a silence of heft while the arm moves, when feedback or heft ends, and when it is closed. The arm's own
-estimate of the wrench is never read. Written for Python 3.8. SI units and radians towards heft; meters, degrees and
-degrees per second towards the arm.
+It does so after a silence of heft while the arm is engaged, which is from the first motion until a stop, also while it
+stands and while the gripper moves; when heft ends, and when it is closed. Where it cannot, it ends without a goodbye,
+and the stand-by stops the arm. The arm's own estimate of the wrench is never read. Written for Python 3.8. SI units and
+radians towards heft; meters, degrees and degrees per second towards the arm.
 """
 
 from __future__ import annotations
 
-import collections
-import collections.abc
-import importlib
 import math
 import os
-import sys
 import threading
 import time
-from concurrent.futures import TimeoutError as Timeout
+import traceback
 from dataclasses import asdict, dataclass
-from types import SimpleNamespace
 from typing import Any
+
+from testbed.robot.kinova.connection import Configuration, Connection, broken, said
+from testbed.robot.kinova.standby import Beats
 
 RATE = 100.0
 """Rate of feedback [Hz]."""
@@ -26,34 +25,6 @@ POSE_TIME = 60.0
 """Longest time to reach a pose [s]."""
 _NOBODYS = -1
 """Epoch after a stop without a request of heft."""
-_STUBS, _MESSAGES = "autogen.client_stubs", "autogen.messages"
-_USED = {
-    "BaseClient": f"{_STUBS}.BaseClientRpc",
-    "BaseCyclicClient": f"{_STUBS}.BaseCyclicClientRpc",
-    "ControlConfigClient": f"{_STUBS}.ControlConfigClientRpc",
-    "DeviceConfigClient": f"{_STUBS}.DeviceConfigClientRpc",
-    "KException": "Exceptions.KException",
-    "RouterClient": "RouterClient",
-    "RouterClientSendOptions": "RouterClient",
-    "SessionManager": "SessionManager",
-    "TCPTransport": "TCPTransport",
-}
-"""Classes of `kortex_api` in use, and their modules."""
-
-
-@dataclass
-class Configuration:
-    """Connection to the arm."""
-
-    address: str
-    port: int = 10000
-    username: str = "admin"
-    password: str = "admin"
-    silence: float = 0.1
-    """Time without feedback after which a moving arm is stopped [s]; the arm itself is told to stop after as long a
-    silence of the connection."""
-    watchdog: float = 0.05
-    """Time without a request of heft after which a moving arm is stopped [s]."""
 
 
 @dataclass
@@ -81,11 +52,12 @@ class Feedback:
 class Gen3:
     """One session with the arm, and the two threads that watch over it."""
 
-    def __init__(self, configuration: Configuration, line: Any):
-        self._line, self._api = line, kortex_api()
+    def __init__(self, configuration: Configuration, line: Any, beats: Beats):
+        self._line, self._beats = line, beats
         self._silence, self._watchdog = configuration.silence, configuration.watchdog
-        self._transport, self._session, router = _connected(self._api, configuration)
-        self._base, self._cyclic = self._api.BaseClient(router), self._api.BaseCyclicClient(router)
+        self._connection = connection = Connection(configuration, configuration.silence)
+        self._api, router, self._options = connection.api, connection.router, connection.options
+        self._base, self._cyclic = connection.base, connection.cyclic
         self._control, self._device = self._api.ControlConfigClient(router), self._api.DeviceConfigClient(router)
         mode = self._api.Base.ServoingModeInformation()
         mode.servoing_mode = self._api.Base.SINGLE_LEVEL_SERVOING
@@ -93,7 +65,7 @@ class Gen3:
         self._action_over, self._action_end = threading.Event(), ""
         self._base.OnNotificationActionTopic(self._on_action, self._api.Base.NotificationOptions())
         self._epoch = 0
-        self._moving = False
+        self._twisting = False
         self._parent = os.getppid()
         self._heard = self._fed = time.monotonic()
         self._wanted = None  # the twist to send next, and its request
@@ -101,7 +73,7 @@ class Gen3:
         self._sending = threading.Lock()
         self._over = threading.Event()
         for run in (self._feed, self._watch, self._send):
-            threading.Thread(target=run, name=run.__name__, daemon=True).start()
+            threading.Thread(target=self._to_its_end, args=(run,), name=run.__name__, daemon=True).start()
 
     def tool(self) -> list[float]:
         """Tool stored in the arm: position of its center point from the interface [m]."""
@@ -123,16 +95,20 @@ class Gen3:
             found.append(value if isinstance(value, str) else hex(value))
         return found
 
-    def hear(self) -> None:
-        """Note a sign of life of heft."""
-        self._heard = time.monotonic()
+    def hear(self, request: dict) -> None:
+        """Note a sign of life of heft: any request, but while a twist is in force only a further twist."""
+        if request["do"] == "twist" or not self._twisting:
+            self._heard = time.monotonic()
 
     def twist(self, request: dict) -> None:
         """Send a twist after the one before it; of several that wait, the newest."""
+        moves = any(request["twist"])
         with self._something:
             if request["epoch"] == self._epoch:
+                if moves and not self._beats.engaged:
+                    self._beats.engage(True)
+                self._twisting = moves
                 self._wanted = request
-                self._moving = self._moving or any(request["twist"])
                 self._something.notify()
 
     def stop(self, epoch: int = _NOBODYS) -> None:
@@ -144,12 +120,14 @@ class Gen3:
         if under_way:
             with self._sending:
                 stopped = self._stop_now()
-        self._moving = self._moving and not stopped  # else the watchdog tries again
+        with self._something:
+            if stopped and self._epoch == epoch:
+                self._twisting = False
+                self._beats.engage(False)
 
     def pose(self, request: dict) -> None:
         """Reach a pose; the reply goes out at its end or its failure."""
-        if request["epoch"] != self._epoch:
-            self._reply(request, error="stopped before it began")
+        if not self._engaged_by(request):
             return
         action = self._api.Base.Action()
         action.name, action.application_data = "heft", ""
@@ -158,13 +136,13 @@ class Gen3:
         target.theta_x, target.theta_y, target.theta_z = (math.degrees(a) for a in request["angles"])
         speed.translation, speed.orientation = request["speed"], math.degrees(request["turn"])
         self._action_over.clear()
-        self._moving = True
         self._base.ExecuteAction(action, 0, self._options())
+        if request["epoch"] != self._epoch:  # stopped while it was on its way
+            self._stop_now()
         if not self._action_over.wait(POSE_TIME):
             self.stop()
             self._reply(request, error=f"not there after {POSE_TIME:.0f} s")
             return
-        self._moving = False
         if self._action_end:
             self._reply(request, error=self._action_end, stopped=request["epoch"] != self._epoch)
         else:
@@ -172,6 +150,8 @@ class Gen3:
 
     def grip(self, request: dict) -> None:
         """Send the fingers to a position, 0 open to 1 closed."""
+        if not self._engaged_by(request):
+            return
         command = self._api.Base.GripperCommand()
         command.mode = self._api.Base.GRIPPER_POSITION
         finger = command.gripper.finger.add()
@@ -180,31 +160,48 @@ class Gen3:
         self._reply(request)
 
     def close(self) -> None:
-        """Stop, and end the session."""
+        """Stop, end the session, and say goodbye to the stand-by."""
         self._over.set()
         self.stop()
-        try:
-            self._session.CloseSession(self._options())
-        except self._api.Failure:
-            pass
-        self._transport.disconnect()
+        self._connection.close()
+        self._beats.bye()
 
-    def _options(self) -> Any:
-        return _options(self._api, self._silence)  # a call that takes longer is a silence too
+    def _engaged_by(self, request: dict) -> bool:
+        """Engage the arm, unless a stop came between."""
+        with self._something:
+            if request["epoch"] == self._epoch:
+                self._twisting = False
+                self._beats.engage(True)
+                return True
+        self._reply(request, error="stopped before it began")
+        return False
 
-    def _reply(self, request: dict, **said: Any) -> None:
-        self._line.say(id=request["id"], **said)
+    def _reply(self, request: dict, **words: Any) -> None:
+        self._line.say(id=request["id"], **words)
 
     def _stop_now(self) -> bool:
         try:
-            self._base.Stop(0, self._options())
+            self._connection.stop()
         except self._api.Failure as error:
-            try:
-                self._base.ApplyEmergencyStop(0, self._options())
-            except self._api.Failure:
-                self._line.say(lost=f"the arm could not be told to stop: {_said(error)}")
-                return False
+            self._give_up(f"its process could not stop it: {said(error)}")
+            return False
         return True
+
+    def _give_up(self, why: str) -> None:
+        """End without a goodbye, so that the stand-by takes over."""
+        self._over.set()
+        self._beats.end()
+        self._line.say(lost=why)
+        self._line.close()
+        os._exit(1)
+
+    def _to_its_end(self, run: Any) -> None:
+        """Run a thread; its failure is that of the whole."""
+        try:
+            run()
+        except BaseException as error:
+            traceback.print_exc()
+            self._give_up(f"its process failed: {said(error)}")
 
     def _on_action(self, notification: Any, *_: Any) -> None:
         base = self._api.Base
@@ -235,11 +232,14 @@ class Gen3:
                 t.linear_x, t.linear_y, t.linear_z = vx, vy, vz
                 t.angular_x, t.angular_y, t.angular_z = (math.degrees(w) for w in (wx, wy, wz))
                 self._base.SendTwistCommand(command, 0, self._options())
-                self._moving = any(request["twist"]) or self._wanted is not None
+                refused = ""
             except self._api.Failure as error:
-                self._reply(request, error=f"twist refused: {_said(error)}")
+                refused = f"twist refused: {said(error)}"
             finally:
                 self._sending.release()
+            if refused:
+                self._reply(request, error=refused)
+                self.stop()  # the twist before it may still be in force
 
     def _feed(self) -> None:
         """Thread: read feedback, 100 times a second."""
@@ -249,56 +249,26 @@ class Gen3:
             try:
                 got = self._cyclic.RefreshFeedback(0, self._options())
             except self._api.Failure as error:
+                if broken(error) and not self._over.is_set():
+                    self._give_up(f"its connection has ended: {said(error)}")
                 if time.monotonic() - self._fed > self._silence:
-                    self._line.say(lost=f"no feedback: {_said(error)}")
+                    self._line.say(lost=f"no feedback: {said(error)}")
                 continue
             self._fed = time.monotonic()
-            self._line.say(state=asdict(_feedback(got, self._fed, self._api)))
+            self._beats.beat()
+            self._line.offer(state=asdict(_feedback(got, self._fed, self._api)))
 
     def _watch(self) -> None:
-        """Thread: stop a moving arm after a silence of heft, at its end, or after a silence of its own feedback."""
+        """Thread: stop an engaged arm after a silence of heft, at its end, or after a silence of its own feedback."""
         while not self._over.wait(0.005):
             now = time.monotonic()
             for who, since, allowed in (("heft", self._heard, self._watchdog), ("the arm", self._fed, self._silence)):
-                if self._moving and now - since > allowed:
+                if self._beats.engaged and now - since > allowed:
                     self.stop()
-                    self._line.say(lost=f"stopped: {who} was silent for {allowed * 1e3:.0f} ms while the arm moved")
+                    self._line.say(lost=f"stopped: {who} was silent for {allowed * 1e3:.0f} ms during a trial")
             if os.getppid() != self._parent:  # another holds the pipe open, so that it does not end
                 self.close()
                 os._exit(0)
-
-
-def stop_once(configuration: Configuration) -> None:
-    """Connect, stop the arm, and disconnect."""
-    api = kortex_api()
-    transport, session, router = _connected(api, configuration)
-    base, options = api.BaseClient(router), _options(api, configuration.silence)
-    try:
-        base.Stop(0, options)
-    except api.Failure:
-        base.ApplyEmergencyStop(0, options)
-    session.CloseSession(options)
-    transport.disconnect()
-
-
-def _connected(api: Any, configuration: Configuration) -> tuple:
-    """Transport, session and router of a new connection."""
-    transport = api.TCPTransport()
-    router = api.RouterClient(transport, lambda error: print(error, file=sys.stderr))
-    transport.connect(configuration.address, configuration.port)
-    info = api.Session.CreateSessionInfo()
-    info.username, info.password = configuration.username, configuration.password
-    info.session_inactivity_timeout = 60000
-    info.connection_inactivity_timeout = round(configuration.silence * 1000)
-    session = api.SessionManager(router)
-    session.CreateSession(info)
-    return transport, session, router
-
-
-def _options(api: Any, seconds: float) -> Any:
-    options = api.RouterClientSendOptions()
-    options.timeout_ms = round(seconds * 1000)
-    return options
 
 
 def _feedback(got: Any, now: float, api: Any) -> Feedback:
@@ -318,23 +288,3 @@ def _feedback(got: Any, now: float, api: Any) -> Feedback:
         faulted=in_fault or any(banks),
         message=f"fault banks {banks[0]:#x} {banks[1]:#x}" if in_fault or any(banks) else "",
     )
-
-
-def _said(error: BaseException) -> str:
-    """Name and text of an error; a call that takes too long has no text."""
-    return f"{type(error).__name__} {error}".strip()
-
-
-def kortex_api() -> Any:
-    """The used part of `kortex_api`: classes, the messages Base, Common and Session, and the errors of calls (Failure).
-
-    Raises:
-        ImportError: it is not installed, or its protobuf does not fit this Python.
-    """
-    for name in ("MutableMapping", "MutableSequence"):  # protobuf 3.5 on Python 3.10 and later
-        if not hasattr(collections, name):
-            setattr(collections, name, getattr(collections.abc, name))
-    used = {name: getattr(importlib.import_module(f"kortex_api.{module}"), name) for name, module in _USED.items()}
-    for name in ("Base", "Common", "Session"):
-        used[name] = importlib.import_module(f"kortex_api.{_MESSAGES}.{name}_pb2")
-    return SimpleNamespace(Failure=(used["KException"], OSError, Timeout), **used)

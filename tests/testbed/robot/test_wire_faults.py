@@ -1,4 +1,4 @@
-"""Faults of programs while the fake Gen3 moves, which does not stop by itself; bench/faults.py measures them all."""
+"""Faults of programs and connections on a fake Gen3 without a limit of its own; bench/faults.py measures them all."""
 
 from __future__ import annotations
 
@@ -8,11 +8,18 @@ import pytest
 
 from tests.fakes.gen3 import FakeGen3
 from tests.fakes.robot import small_object
-from tests.fakes.wire_faults import WIRE_FAULTS, Way, stopped_after
+from tests.fakes.wire_faults import PHASES, WIRE_FAULTS, Phase, freeze_both, stopped_after
 from tests.fakes.world import Gen3World
 
-POSE = ("Ctrl-Z", "kill -9 of the arm's process")
-TWISTS = [name for name in WIRE_FAULTS if name not in ("Ctrl-C", "SIGSTOP of heft")]
+ELSEWHERE = (
+    "Ctrl-Z",
+    "kill -9 of the stand-by",
+    "SIGSTOP of the arm's process",
+    "arm resets the connection",
+    "SIGSTOP of the arm's process, and both are reset",
+)
+"""Faults that are struck in every phase; the others amid twists."""
+CASES = [(name, phase) for name in WIRE_FAULTS for phase in (PHASES if name in ELSEWHERE else PHASES[:1])]
 
 
 @pytest.fixture(scope="module")
@@ -22,9 +29,16 @@ def gen3() -> Iterator[FakeGen3]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("name", "way"), [*((name, "twists") for name in TWISTS), *((name, "pose") for name in POSE)])
-def test_every_end_of_heft_stops_the_arm(name: str, way: Way, gen3: FakeGen3):
-    """By a command, long before it has gone as far as it was to go: 80 mm more."""
-    outcome = stopped_after(gen3, WIRE_FAULTS[name], way)
-    assert outcome.stop_s < 2.0
-    assert outcome.moved_mm < 40
+@pytest.mark.parametrize(("name", "phase"), CASES)
+def test_every_fault_stops_the_arm_and_ends_the_trial(name: str, phase: Phase, gen3: FakeGen3):
+    """By a command, long before it has gone as far as it was to go; the record does not say that all went well."""
+    outcome = stopped_after(gen3, WIRE_FAULTS[name], phase)
+    assert outcome.stop_s < 1.0
+    assert outcome.moved_mm < 25
+    assert "went on" not in outcome.said
+
+
+@pytest.mark.slow
+def test_where_both_processes_are_frozen_the_arm_stops_itself(gen3: FakeGen3):
+    outcome = stopped_after(gen3, freeze_both, "twists", own_limit=True)
+    assert outcome.stop_s < 1.0 and outcome.moved_mm < 25

@@ -6,13 +6,19 @@ import re
 import runpy
 import shlex
 from pathlib import Path
+from statistics import fmean
 
 import pytest
 
+from bench.tables import METHODS, Figures, readme_table, replaced, shown
 from estimators.testing.conformance import recovers
 from estimators.testing.recorded import load_block
 from scenarios.cli.main import main
+from scenarios.config import load_scenario
+from scenarios.results.store import rows_of
+from scenarios.study.run import run_scenario
 from tests.helpers.pages import BLOCKS, README, ROOT, Block, blocks_of, run_file, write_tutorial
+from tests.helpers.runs import quiet
 
 SHOWN = [*blocks_of(README), *BLOCKS]
 QUICK = [block for block in SHOWN if block.mark.startswith("output: ")]
@@ -130,9 +136,30 @@ def test_nad_is_said_to_be_twice_the_misplaced_part(page):
     assert "sum of" in meaning and "twice" in meaning and "misplaced" in meaning
 
 
-def test_the_table_of_the_readme_is_that_of_the_comparison():
-    shown = next(block.text for block in SHOWN if block.page == "baselines.md" and "own weight, ft300s" in block.text)
-    means = {row.split()[0]: re.findall(r"([\d.]+)±", row) for row in shown.splitlines() if "±" in row}
-    rows = re.findall(r"^\| `(\w+)`[^|]*\|(.*)\|$", README.read_text(encoding="utf-8"), re.MULTILINE)
-    assert len(rows) == 7
-    assert {name: [cell.strip() for cell in cells.split("|")] for name, cells in rows}.items() <= means.items()
+@pytest.mark.parametrize("name", METHODS)
+def test_a_table_of_the_readme_is_that_of_its_figures(name: str):
+    page = README.read_text(encoding="utf-8")
+    assert replaced(page, name, readme_table(name, Figures.read(name))) == page, "python bench/tables.py writes it"
+
+
+def test_the_printed_table_of_the_comparison_is_that_of_its_figures():
+    figures = Figures.read("blocks")
+    block = next(block.text for block in SHOWN if block.page == "baselines.md" and "own weight, ft300s" in block.text)
+    means = {row.split()[0]: re.findall(r"([\d.]+)±", row) for row in block.splitlines() if "±" in row}
+    assert {*METHODS["blocks"]} < {*means}
+    objects = list(dict.fromkeys(row["object"] for row in figures.rows if row["object"] != "all"))
+    for method, cells in means.items():
+        kept = [float(figures.cell(method, name, "nad_mean")) for name in objects]
+        assert [shown(mean) for mean in kept] == [shown(float(cell)) for cell in cells], method
+
+
+@pytest.mark.slow
+def test_figures_of_the_lab_come_again(tmp_path: Path):
+    """One object of the table by the methods that take no time, from its secret."""
+    figures, methods = Figures.read("lab"), ("least_squares", "explicit_state_M_cov")
+    secret = figures.command.rpartition("--secret ")[2]
+    scenario = load_scenario("lab")[1].changed(objects=["L1"], methods=methods)
+    rows = rows_of(run_scenario(scenario, tmp_path, 2, quiet, secret=secret))
+    for method in methods:
+        mean = fmean(100 * row["nad"] for row in rows if row["method"] == method)
+        assert near(figures.cell(method, "L1", "nad_mean"), f"{mean:.3f}"), method

@@ -42,7 +42,7 @@ from testbed.foot_forces import load_foot_forces
 from testbed.importers.importer import import_trajectory
 from testbed.objects.files import asset_folder
 from testbed.objects.meshes import read_mesh
-from testbed.robot.config import load_robot_file
+from testbed.robot.registry import load_robot_file
 from testbed.sensing.compensation import compensate
 from tests.fakes.lab_bench import mapping_of, write_csv, write_toml  # pyright: ignore[reportMissingImports]
 from tests.helpers.changes import SEALED, resealed, restated, turned  # pyright: ignore[reportMissingImports]

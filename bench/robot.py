@@ -46,7 +46,8 @@ def sensor(minutes: float) -> None:
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as other:
         assert other.stdout is not None
         samples: list[WrenchSample] = []
-        with Ft300s(other.stdout.readline().strip(), stale_after=1.0) as reader:
+        with Ft300s(other.stdout.readline().strip()) as reader:
+            reader.stale_after = 1.0  # a pause is counted below, and ends nothing
             begin, begin_cpu = time.monotonic(), time.process_time()
             while time.monotonic() < begin + 60 * minutes:
                 time.sleep(0.1)

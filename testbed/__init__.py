@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from testbed.simulation.settings import SimulationSettings
     from testbed.trajectory import Phase, Tool, Trajectory, load_trajectory, save_trajectory
     from testbed.trial import OWN_WEIGHT, RIGID, Support, Trial, TrialRunner
+    from testbed.validation import Range
     from testbed.worlds.draw import WorldDraw
     from testbed.worlds.presets import World, world
     from testbed.worlds.setup_errors import SetupErrors
@@ -50,6 +51,7 @@ __all__ = [
     "ObjectShape",
     "Phase",
     "Push",
+    "Range",
     "ReplayRunner",
     "Rotate",
     "Sensing",

@@ -1,11 +1,30 @@
-"""Arrays inside frozen values: float64, finite, of the right shape, read-only; checked once."""
+"""Validation: arrays inside frozen values, checked once; and ranges of settings, stated beside the type of each number.
+
+A class whose arguments are settings states the range of every number among them:
+
+    stale_after: Annotated[float, Range(0.03, 0.2, "s")] = 0.1
+    gains: tuple[Annotated[float, Range(0, 10, "1/s")], ...] = (1.0, 2.0)
+
+Heft checks the settings of a file, of its own classes and of others alike. A class that is also constructed in Python
+calls `check_settings` itself.
+"""
 
 from __future__ import annotations
 
+import inspect
 import math
+import sys
+from collections import ChainMap
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from types import NoneType, UnionType
+from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
 import numpy as np
 from numpy.typing import ArrayLike
+from pydantic import GetCoreSchemaHandler
+from pydantic_core import CoreSchema, core_schema
 
 from testbed.errors import InvalidValueError
 
@@ -92,3 +111,172 @@ def is_number(value: object) -> bool:
 def _describe(shape: tuple[int | None, ...]) -> str:
     sizes = ", ".join("n" if size is None else str(size) for size in shape)
     return f"({sizes},)" if len(shape) == 1 else f"({sizes})"
+
+
+@dataclass(frozen=True)
+class Range:
+    """Lowest and highest value of a number, both allowed; metadata of an `Annotated` type, also in a pydantic model."""
+
+    low: float
+    """Lowest value."""
+    high: float
+    """Highest value."""
+    unit: str
+    """Unit of both; empty for a pure number."""
+
+    def __post_init__(self) -> None:
+        if not (is_number(self.low) and is_number(self.high) and self.low < self.high):
+            raise InvalidValueError("Range", (self.low, self.high), "two finite numbers, the lower one first")
+        if not isinstance(self.unit, str):
+            raise InvalidValueError("Range.unit", self.unit, 'a unit as text, such as "m/s"')
+
+    def __str__(self) -> str:
+        return f"{self.low:g} to {self.high:g} {self.unit}".rstrip()
+
+    def check(self, field: str, value: object, kind: type = float) -> None:
+        """Check a number.
+
+        Args:
+            field: what to call it in an error.
+            value: the number.
+            kind: int for whole numbers alone.
+
+        Raises:
+            InvalidValueError: no number, a bool, NaN, or outside the range.
+        """
+        whole = issubclass(kind, int | np.integer)
+        inside = is_number(value) and self.low <= value <= self.high  # pyright: ignore[reportOperatorIssue]
+        if not inside or (whole and not isinstance(value, int | np.integer)):
+            raise InvalidValueError(field, value, f"{'an integer from ' if whole else ''}{self}")
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        def checked(value: object) -> object:
+            self.check("", value, source)
+            return value
+
+        return core_schema.no_info_before_validator_function(checked, handler(source))
+
+
+def check_settings(kind: type, values: Mapping[str, Any], field: str, skip: Collection[str] = ()) -> None:
+    """Check the numbers among the settings of a class, its defaults included, by the ranges that its arguments state.
+
+    Args:
+        kind: the class.
+        values: settings by name; of an object, `vars(self)`.
+        field: what to call them in an error.
+        skip: names of arguments that are no settings.
+
+    Raises:
+        InvalidValueError: a number outside its range, or without a stated range; a value of another shape.
+    """
+    arguments, others = _arguments(kind)
+    extra = {} if others is None else {name: others for name in values if name not in arguments}
+    for name, (annotation, default) in (arguments | extra).items():
+        if name in skip and name not in values:
+            continue
+        value = values.get(name, default)
+        if _lacks_range(annotation):
+            raise _unstated(f"{field}.{name}", value)
+        if value is not _MISSING:
+            _check(f"{field}.{name}", annotation, value, None)
+
+
+_MISSING = inspect.Parameter.empty
+_LISTS = (list, tuple, Sequence)
+
+
+@lru_cache
+def _arguments(kind: type) -> tuple[dict[str, tuple[Any, Any]], tuple[Any, Any] | None]:
+    """Annotation and default of each argument by name, and of arguments by any name if the class takes them."""
+    names = ChainMap(*(vars(sys.modules[base.__module__]) for base in kind.__mro__))
+    found, others = {}, None
+    for argument in inspect.signature(kind).parameters.values():
+        annotation = argument.annotation
+        if isinstance(annotation, str):
+            try:
+                annotation = eval(annotation, {}, names)  # as `inspect.get_annotations` does, but one by one
+            except Exception:  # a name for type checkers alone
+                annotation = Any
+        if argument.kind is argument.VAR_KEYWORD:
+            others = annotation, _MISSING
+        elif argument.kind is not argument.VAR_POSITIONAL:
+            found[argument.name] = annotation, argument.default
+    return found, others
+
+
+def _is_number_type(annotation: Any) -> bool:
+    return isinstance(annotation, type) and issubclass(annotation, int | float | np.number) and annotation is not bool
+
+
+def _has_range(annotation: Any) -> bool:
+    return get_origin(annotation) is Annotated and any(isinstance(a, Range) for a in get_args(annotation))
+
+
+def _lacks_range(annotation: Any) -> bool:
+    """True if a type of numbers in an annotation has no range."""
+    if _has_range(annotation) or get_origin(annotation) is Literal:
+        return False
+    return _is_number_type(annotation) or any(map(_lacks_range, get_args(annotation)))
+
+
+def _numbers(value: object) -> Iterator[object]:
+    """Numbers in a value, at any depth."""
+    if isinstance(value, int | float | np.number) and not isinstance(value, bool):
+        yield value
+    elif isinstance(value, np.ndarray) and value.dtype.kind in "iuf":
+        yield from value.ravel().tolist()
+    elif isinstance(value, Mapping):
+        yield from _numbers(list(value.values()))
+    elif isinstance(value, list | tuple | set):
+        for one in value:
+            yield from _numbers(one)
+
+
+def _check(field: str, annotation: Any, value: Any, within: Range | None) -> None:
+    """Check a value by its annotation; `within` is the range stated around it."""
+    origin, inner = get_origin(annotation), get_args(annotation)
+    if origin is Annotated:
+        within = next((a for a in inner[1:] if isinstance(a, Range)), within)
+        _check(field, inner[0], value, within)
+    elif origin in (Union, UnionType):
+        _check_union(field, inner, value, within)
+    elif origin is Literal:
+        if not any(value == one and isinstance(value, bool) == isinstance(one, bool) for one in inner):
+            raise InvalidValueError(field, value, f"one of {', '.join(map(repr, inner))}")
+    elif _is_number_type(annotation) and within is not None:
+        within.check(field, value, annotation)
+    elif origin in _LISTS and inner:
+        fixed = origin is tuple and inner[-1] is not Ellipsis
+        if not isinstance(value, list | tuple | np.ndarray) or (fixed and len(value) != len(inner)):
+            raise InvalidValueError(field, value, f"a list of {len(inner)} values" if fixed else "a list")
+        for index, one in enumerate(value):
+            _check(f"{field}[{index}]", inner[index if fixed else 0], one, within)
+    else:
+        for number in _numbers(value):
+            if within is None:
+                raise _unstated(field, value)
+            within.check(field, number)
+
+
+def _check_union(field: str, branches: tuple[Any, ...], value: Any, within: Range | None) -> None:
+    if value is None and NoneType in branches:
+        return
+    refusals = []
+    for branch in branches:
+        if branch is NoneType:
+            continue
+        try:
+            return _check(field, branch, value, within)
+        except InvalidValueError as error:
+            refusals.append(error)
+    raise refusals[0]
+
+
+def _unstated(field: str, value: object) -> InvalidValueError:
+    name = field.rpartition(".")[2].partition("[")[0]
+    return InvalidValueError(
+        field,
+        "no value" if value is _MISSING else value,
+        "a number whose range the class states: from testbed.validation import Range, then "
+        f'{name}: Annotated[float, Range(lowest, highest, "unit")]',
+    )

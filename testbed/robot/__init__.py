@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING
 from testbed.packages import lazy_names
 
 if TYPE_CHECKING:
-    from testbed.robot.config import RobotSettings, load_robot_file
+    from testbed.robot.config import RobotSettings
     from testbed.robot.interfaces import Arm, Gripper, ObjectPose, RobotError, WrenchSensor
     from testbed.robot.path import KnownPose
-    from testbed.robot.registry import build_arm, build_gripper, build_sensor
+    from testbed.robot.registry import build_arm, build_gripper, build_sensor, load_robot_file
     from testbed.robot.runner import RealRunner
     from testbed.robot.safety import SafetyLimits
 

@@ -13,20 +13,21 @@ from pydantic import BaseModel, ConfigDict, Field
 from scipy.spatial.transform import Rotation
 
 from testbed.errors import InvalidValueError
-from testbed.objects.files import Side
 from testbed.objects.model import ROBOTIQ_2F85, Hand
 from testbed.robot.calibration.file import load_calibration
 from testbed.robot.calibration.static_poses import Calibration
 from testbed.robot.interfaces import ArmIdentity
-from testbed.robot.safety import SafetyLimits
+from testbed.robot.safety import Place, SafetyLimits
 from testbed.sensing.camera import CAMERAS, Camera
 from testbed.sensing.drift import DriftLimit
 from testbed.sensing.presets import preset
-from testbed.toml import load_toml
 from testbed.trajectory import Tool
-from testbed.validation import check_positive_fields, frozen_array, is_number, unit_quaternion
+from testbed.validation import Range, check_settings, unit_quaternion
 from testbed.worlds.presets import StatedSetup
 from testbed.worlds.setup_errors import EXACT_SETUP, SetupErrors
+
+_Force = Annotated[float, Range(0, 10, "N")]
+_Torque = Annotated[float, Range(0, 1, "N m")]
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,82 +36,79 @@ class RobotSettings:
 
     tool: Tool
     """Everything below the sensor, sensor frame; from calibration."""
-    sensor_orientation: Float[np.ndarray, "4"] = field(default_factory=lambda: np.array([1.0, 0.0, 0.0, 0.0]))
+    sensor_orientation: Annotated[Float[np.ndarray, "4"], Range(-1, 1, "")] = field(
+        default_factory=lambda: np.array([1.0, 0.0, 0.0, 0.0])
+    )
     """Orientation of the sensor's frame in the arm's tool frame, wxyz; from calibration."""
     sensor_sign: Literal[1, -1] = 1
     """Factor that makes of the sensor's reading the wrench of the arm on the tool; from calibration."""
-    closing_angle: float = 0.0
+    closing_angle: Annotated[float, Range(-2 * math.pi, 2 * math.pi, "rad")] = 0.0
     """Closing direction of the pads, from the x axis of the arm's tool frame about its z axis [rad]."""
-    table_height: float = 0.0
+    table_height: Annotated[float, Range(-0.6, 0.6, "m")] = 0.0
     """Height of the table's top in the arm's base frame [m]."""
-    grip_height: float = 0.022
+    grip_height: Annotated[float, Range(0.002, 0.2, "m")] = 0.022
     """Height of the TCP over the table while holding [m]."""
-    grip_force: float = 120.0
+    grip_force: Annotated[float, Range(1, 300, "N")] = 120.0
     """Force of each finger [N]; a gripper without force control takes its own."""
-    hover: float = 0.06
+    hover: Annotated[float, Range(0.005, 0.3, "m")] = 0.06
     """Height over the grasp at which the sensor is tared [m]."""
-    travel_speed: float = 0.1
+    travel_speed: Annotated[float, Range(0.002, 0.25, "m/s")] = 0.1
     """Speed between places over the table [m/s]."""
-    descent_speed: float = 0.05
+    descent_speed: Annotated[float, Range(0.002, 0.1, "m/s")] = 0.05
     """Greatest speed down to the object, up, and lifting it [m/s]."""
-    tare_time: float = 1.0
+    tare_time: Annotated[float, Range(0.2, 30, "s")] = 1.0
     """Duration of each of the two tares [s]."""
-    settle_time: float = 1.5
+    settle_time: Annotated[float, Range(0.2, 30, "s")] = 1.5
     """Time after the grip has closed, in which the load of the closing fingers is nulled [s]."""
-    null_gain: tuple[float, float] = (5e-4, 5e-3)
+    null_gain: tuple[Annotated[float, Range(0, 0.01, "m/s/N")], Annotated[float, Range(0, 0.1, "rad/s/(N m)")]] = (
+        5e-4,
+        5e-3,
+    )
     """Gains by which the tool gives way to vertical load and to tilt [m/s/N, rad/s/(N m)]."""
-    null_travel: tuple[float, float] = (0.002, math.radians(0.5))
+    null_travel: tuple[Annotated[float, Range(0, 0.02, "m")], Annotated[float, Range(0, 0.1, "rad")]] = (
+        0.002,
+        math.radians(0.5),
+    )
     """Most distance and angle by which it gives way [m, rad]."""
-    lift: float = 0.015
+    lift: Annotated[float, Range(0.002, 0.2, "m")] = 0.015
     """Height to which an object is lifted to be weighed [m]."""
-    rate: float = 40.0
+    rate: Annotated[float, Range(20, 1000, "Hz")] = 40.0
     """Rate of twist commands [Hz]."""
-    gain: float = 2.0
+    gain: Annotated[float, Range(0.1, 20, "1/s")] = 2.0
     """Gain on an error of pose [1/s]."""
-    off_path: tuple[float, float] = (0.005, math.radians(2.0))
+    off_path: tuple[Annotated[float, Range(0, 0.05, "m")], Annotated[float, Range(0, 0.2, "rad")]] = (
+        0.005,
+        math.radians(2.0),
+    )
     """Distance and angle from the planned path that end a trial [m, rad]."""
     drift: DriftLimit = field(default_factory=DriftLimit)
     """Limit on the drift of the sensor's zero in a trial that is data."""
     setup: SetupErrors = EXACT_SETUP
     """Errors of the setup beside the sensor's, as the robot file states them."""
-    bias_std: tuple[float, float] = (preset("ft300s").force_bias, preset("ft300s").torque_bias)
+    bias_std: tuple[_Force, _Torque] = preset("ft300s").force_bias, preset("ft300s").torque_bias
     """Standard deviation of the bias after a tare [N, N m]."""
-    drift_std: tuple[float, float] = (preset("ft300s").force_drift, preset("ft300s").torque_drift)
+    drift_std: tuple[_Force, _Torque] = preset("ft300s").force_drift, preset("ft300s").torque_drift
     """Least random walk of the sensor's zero [N, N m per square root of a second]; no maker's figure is known. A trial
     whose two tares show more counts with that."""
     camera: Camera = CAMERAS["30hz"]
     """Errors of the camera, if there is one, as the robot file states them."""
-    tool_error: tuple[float, float] = (0.35, 0.02)
+    tool_error: tuple[_Force, _Torque] = (0.35, 0.02)
     """Largest difference of the tool's wrench from its weight when it is tilted before the first trial [N, N m]."""
     limits: SafetyLimits = field(default_factory=SafetyLimits)
     """Limits on every motion."""
 
     def __post_init__(self) -> None:
+        check_settings(RobotSettings, vars(self), "RobotSettings")
         quaternion = unit_quaternion("RobotSettings.sensor_orientation", self.sensor_orientation)
         object.__setattr__(self, "sensor_orientation", quaternion)
-        if self.sensor_sign not in (1, -1):
-            raise InvalidValueError("RobotSettings.sensor_sign", self.sensor_sign, "1 or -1")
-        for name in ("closing_angle", "table_height"):
-            if not is_number(getattr(self, name)):
-                raise InvalidValueError(f"RobotSettings.{name}", getattr(self, name), "a finite number")
-        names = ("grip_height", "grip_force", "hover", "travel_speed", "descent_speed", "tare_time", "settle_time")
-        check_positive_fields(self, *names, "lift", "rate", "gain")
         for name in ("off_path", "bias_std", "drift_std", "null_gain", "null_travel", "tool_error"):
-            pair = frozen_array(f"RobotSettings.{name}", getattr(self, name), (2,))
-            if not (pair >= 0).all():
-                raise InvalidValueError(f"RobotSettings.{name}", pair.tolist(), "two numbers >= 0")
-            object.__setattr__(self, name, tuple(pair.tolist()))
+            object.__setattr__(self, name, tuple(map(float, getattr(self, name))))
 
 
 _SEEN = CAMERAS["30hz"]
 _ASIDE = 0.05
 """Largest distance of the tool's center of mass from its axis [m]."""
-DEFAULT = "robot.toml"
-"""Name of the robot file that may be missing: then its defaults hold."""
-Corner = Annotated[
-    list[Annotated[float, Field(ge=-1.2, le=1.2, allow_inf_nan=False)]], Field(min_length=3, max_length=3)
-]
-"""A place within reach [m]: the Gen3's is 0.9 m."""
+Corner = Annotated[list[Place], Field(min_length=3, max_length=3)]
 
 
 class Strict(BaseModel):
@@ -128,7 +126,7 @@ class ArmTable(Strict):
     """Further arguments of its class."""
     address: str = "192.168.1.10"
     """Address of the arm."""
-    port: Annotated[int, Field(gt=0, lt=65536)] = 10000
+    port: Annotated[int, Range(1, 65535, "")] = 10000
     """TCP port of the arm."""
     username: str = "admin"
     """User of the arm; the password is in HEFT_KORTEX_PASSWORD."""
@@ -136,7 +134,7 @@ class ArmTable(Strict):
     """Serial number that the arm must tell; None takes any."""
     firmware: str | None = None
     """Firmware that it must tell."""
-    tool_length_m: Annotated[float, Field(ge=0.02, le=0.6, allow_inf_nan=False)] = 0.2115
+    tool_length_m: Annotated[float, Range(0.02, 0.6, "m")] = 0.2115
     """Distance from the arm's interface to the tool center point, as stored in the arm."""
 
 
@@ -151,7 +149,7 @@ class SensorTable(Strict):
     """Device file."""
     calibration: str = "calibration.toml"
     """File that heft robot calibrate writes, beside this one."""
-    to_tcp_m: Annotated[float, Field(ge=0.01, le=0.5, allow_inf_nan=False)] = 0.174
+    to_tcp_m: Annotated[float, Range(0.01, 0.5, "m")] = 0.174
     """Distance from the sensor's origin to the tool center point, along the tool's axis."""
 
 
@@ -160,9 +158,9 @@ class GripperTable(Strict):
 
     model: str = "2f85"
     """Gripper by name, or package:Class."""
-    stroke_m: Side = ROBOTIQ_2F85.stroke
+    stroke_m: Annotated[float, Range(0.001, 1, "m")] = ROBOTIQ_2F85.stroke
     """Opening."""
-    finger_width_m: Side = ROBOTIQ_2F85.finger_width
+    finger_width_m: Annotated[float, Range(0.001, 1, "m")] = ROBOTIQ_2F85.finger_width
     """Width of a finger across the closing direction."""
     settings: dict[str, Any] = {}
     """Further arguments of its class."""
@@ -180,13 +178,11 @@ class CameraTable(Strict):
     """Camera by name, or package:Class; pushes, and objects with hinges, need one."""
     settings: dict[str, Any] = {}
     """Arguments of its class."""
-    position_std_m: Annotated[float, Field(ge=0, le=0.05, allow_inf_nan=False)] = _SEEN.position
+    position_std_m: Annotated[float, Range(0, 0.05, "m")] = _SEEN.position
     """Standard deviation of a position, per frame and axis."""
-    angle_std_deg: Annotated[float, Field(ge=0, le=20, allow_inf_nan=False)] = math.degrees(_SEEN.angle)
+    angle_std_deg: Annotated[float, Range(0, 20, "deg")] = math.degrees(_SEEN.angle)
     """Standard deviation of a yaw, per frame."""
-    delay_s: Annotated[
-        list[Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)]], Field(min_length=2, max_length=2)
-    ] = list(_SEEN.delay)
+    delay_s: Annotated[list[Annotated[float, Range(0, 1, "s")]], Field(min_length=2, max_length=2)] = list(_SEEN.delay)
     """Least and greatest time by which its stamps are late."""
 
     @property
@@ -204,21 +200,21 @@ class CameraTable(Strict):
 class BenchTable(Strict):
     """[bench]"""
 
-    table_height_m: Annotated[float, Field(ge=-0.6, le=0.6, allow_inf_nan=False)] = 0.0
+    table_height_m: Annotated[float, Range(-0.6, 0.6, "m")] = 0.0
     """Height of the table's top over the arm's base."""
-    closing_deg: Annotated[float, Field(ge=-360, le=360, allow_inf_nan=False)] = 0.0
+    closing_deg: Annotated[float, Range(-360, 360, "deg")] = 0.0
     """Closing direction of the pads, from the x axis of the arm's tool frame about its z axis."""
-    grip_height_m: Annotated[float, Field(ge=0.002, le=0.2, allow_inf_nan=False)] = 0.022
+    grip_height_m: Annotated[float, Range(0.002, 0.2, "m")] = 0.022
     """Height of the pads' middle over the table while they hold."""
-    travel_speed_m_s: Annotated[float, Field(ge=0.002, le=0.25, allow_inf_nan=False)] = 0.1
+    travel_speed_m_s: Annotated[float, Range(0.002, 0.25, "m/s")] = 0.1
     """Speed over the table."""
-    descent_speed_m_s: Annotated[float, Field(ge=0.002, le=0.1, allow_inf_nan=False)] = 0.05
+    descent_speed_m_s: Annotated[float, Range(0.002, 0.1, "m/s")] = 0.05
     """Speed down to the object, and up."""
-    tare_s: Annotated[float, Field(ge=0.2, le=30, allow_inf_nan=False)] = 1.0
+    tare_s: Annotated[float, Range(0.2, 30, "s")] = 1.0
     """Duration of each tare."""
-    drift_force_N: Annotated[float, Field(ge=0.001, le=10, allow_inf_nan=False)] = 0.2
+    drift_force_N: Annotated[float, Range(0.001, 10, "N")] = 0.2
     """Allowed drift of the sensor's force over a trial."""
-    drift_torque_Nm: Annotated[float, Field(ge=0.0001, le=1, allow_inf_nan=False)] = 0.01
+    drift_torque_Nm: Annotated[float, Range(0.0001, 1, "N m")] = 0.01
     """Allowed drift of its torque."""
 
 
@@ -229,17 +225,17 @@ class LimitsTable(Strict):
     """Corner of the box for the tool center point, base frame of the arm."""
     high_m: Corner = [0.65, 0.35, 0.4]
     """The opposite corner."""
-    speed_m_s: Annotated[float, Field(ge=0.002, le=0.5, allow_inf_nan=False)] = 0.15
+    speed_m_s: Annotated[float, Range(0.002, 0.5, "m/s")] = 0.15
     """Largest speed of the tool."""
-    turn_deg_s: Annotated[float, Field(ge=0.1, le=100, allow_inf_nan=False)] = 69.0
+    turn_deg_s: Annotated[float, Range(0.1, 100, "deg/s")] = 69.0
     """Largest turn rate of the tool."""
-    tilt_deg: Annotated[float, Field(ge=5, le=35, allow_inf_nan=False)] = 5.0
+    tilt_deg: Annotated[float, Range(5, 35, "deg")] = 5.0
     """Largest angle of the tool from straight down; a lift needs half a degree more than its tilt."""
-    force_N: Annotated[float, Field(ge=1, le=300, allow_inf_nan=False)] = 60.0
+    force_N: Annotated[float, Range(1, 300, "N")] = 60.0
     """Largest change of the sensor's force since the tare."""
-    torque_Nm: Annotated[float, Field(ge=0.1, le=30, allow_inf_nan=False)] = 8.0
+    torque_Nm: Annotated[float, Range(0.1, 30, "N m")] = 8.0
     """Largest change of its torque."""
-    joint_margin_deg: Annotated[float, Field(ge=0, le=45, allow_inf_nan=False)] = 3.0
+    joint_margin_deg: Annotated[float, Range(0, 45, "deg")] = 3.0
     """Distance to keep from the end of a joint's range."""
 
 
@@ -323,20 +319,6 @@ class RobotFile(Strict):
             raise InvalidValueError("calibration.tool_com_m", [x, y, z], allowed)
         tool = calibration.tool(turn @ [0.0, 0.0, self.sensor.to_tcp_m], turn @ sheet.inertia @ turn.T)
         return replace(settings, tool=tool, sensor_orientation=mount, sensor_sign=calibration.sign)
-
-
-def load_robot_file(path: Path) -> RobotFile:
-    """The robot file, or its defaults if there is none of the usual name.
-
-    Raises:
-        InvalidFileError: not a robot file, with a line for each error.
-        InvalidValueError: no file, and another name than the usual one.
-    """
-    if path.is_file():
-        return load_toml(path, RobotFile)
-    if path.name != DEFAULT:
-        raise InvalidValueError("config", str(path), "a path to an existing .toml file")
-    return RobotFile()
 
 
 def calibration_of(file: RobotFile, path: Path, sensor: str | None = None) -> Calibration | None:

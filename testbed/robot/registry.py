@@ -9,13 +9,16 @@ from __future__ import annotations
 import inspect
 import os
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any, TypeVar
 
-from testbed.errors import InvalidValueError
+from testbed.errors import HeftError, InvalidValueError
 from testbed.plugins import Role, configured, find_class, load_class
 from testbed.robot.camera.interface import ObjectCamera
 from testbed.robot.config import RobotFile
 from testbed.robot.interfaces import Arm, Gripper, WrenchSensor
+from testbed.toml import load_toml
+from testbed.validation import check_settings
 
 T = TypeVar("T")
 _CONTEXT = ("__enter__(self)", "__exit__(self, kind, error, trace)")
@@ -50,8 +53,43 @@ DEVICES = {
     CAMERA: {"udp": "testbed.robot.camera.udp:UdpCamera"},
 }
 """heft's own devices by name; imported when they are used, since each needs its driver."""
+DEFAULT = "robot.toml"
+"""Name of the robot file that may be missing: then its defaults hold."""
+_TABLES = {ARM: "arm", SENSOR: "sensor", GRIPPER: "gripper", CAMERA: "camera"}
+_FILLED = {
+    ARM: ("address", "port", "username", "tool_length", "password"),
+    SENSOR: ("port",),
+    GRIPPER: ("arm",),
+    CAMERA: (),
+}
+"""Arguments that heft fills in from the table's own fields, where a class takes them."""
 PASSWORD_VARIABLE = "HEFT_KORTEX_PASSWORD"
 """Environment variable with the password of the arm's user; the maker's own if not set."""
+
+
+def load_robot_file(path: Path) -> RobotFile:
+    """The robot file with the numbers of its devices' settings checked, or its defaults if none has the usual name.
+
+    Raises:
+        InvalidFileError: not a robot file, with a line for each error.
+        InvalidValueError: no file, and another name than the usual one; a device's number outside its range or without
+            one.
+    """
+    if not path.is_file():
+        if path.name != DEFAULT:
+            raise InvalidValueError("config", str(path), "a path to an existing .toml file")
+        return RobotFile()
+    file = load_toml(path, RobotFile)
+    for role, table in _TABLES.items():
+        device = getattr(file, table)
+        if device.model is None or (device.model in DEVICES[role] and not device.settings):
+            continue  # nothing to check; heft's own drivers are imported when they are used
+        try:
+            kind = _class_of(role, device.model, f"{table}.model")
+        except HeftError:  # building the device, which a dry run does not do, raises this again
+            continue
+        check_settings(kind, device.settings, f"{table}.settings", skip=_FILLED[role])
+    return file
 
 
 def build_arm(file: RobotFile) -> Arm:
@@ -131,5 +169,6 @@ def _class_of(role: Role[T], name: str, field: str) -> type[T]:
 
 def _build(role: Role[T], name: str, settings: Mapping[str, Any], table: str, offered: Mapping[str, Any]) -> T:
     kind = _class_of(role, name, f"{table}.model")
+    check_settings(kind, settings, f"{table}.settings", skip=_FILLED[role])
     rest = {key: value for key, value in offered.items() if key not in settings}
     return configured(kind, settings, f"{table}.settings", given=rest)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from jaxtyping import Float
@@ -12,7 +13,7 @@ from jaxtyping import Float
 from testbed.errors import InvalidValueError
 from testbed.frames import rotation_matrix
 from testbed.robot.interfaces import ArmLimits, ArmState, RobotError, SensorIdentity
-from testbed.validation import check_positive_fields, frozen_array
+from testbed.validation import Range, check_settings
 
 FROZEN = 4
 """Most equal frames in a row: noise is several counts."""
@@ -21,38 +22,39 @@ _OVERSHOOT = 1.25
 """Allowed ratio of measured to commanded speed."""
 
 
+Place = Annotated[float, Range(-1.2, 1.2, "m")]
+"""Coordinate of a place within reach: the Gen3's is 0.9 m."""
+
+
 @dataclass(frozen=True)
 class SafetyLimits:
     """Limits on the tool. Base frame of the arm."""
 
-    low: tuple[float, float, float] = (0.25, -0.35, 0.015)
+    low: tuple[Place, Place, Place] = (0.25, -0.35, 0.015)
     """Corner of the box for the TCP [m]."""
-    high: tuple[float, float, float] = (0.65, 0.35, 0.40)
+    high: tuple[Place, Place, Place] = (0.65, 0.35, 0.40)
     """The opposite corner [m]."""
-    linear_speed: float = 0.15
+    linear_speed: Annotated[float, Range(0.002, 0.5, "m/s")] = 0.15
     """Speed of the TCP [m/s]."""
-    angular_speed: float = 1.2
+    angular_speed: Annotated[float, Range(math.radians(0.1), math.radians(100), "rad/s")] = 1.2
     """Turn rate of the tool [rad/s]."""
-    tilt: float = math.radians(5)
+    tilt: Annotated[float, Range(math.radians(5), math.radians(35), "rad")] = math.radians(5)
     """Angle of the approach axis from straight down [rad]: more for a lift, which tilts what it holds."""
-    force: float = 60.0
+    force: Annotated[float, Range(1, 300, "N")] = 60.0
     """Change of the sensor's force since the tare, before it since the first frame [N]."""
-    torque: float = 8.0
+    torque: Annotated[float, Range(0.1, 30, "N m")] = 8.0
     """Change of the sensor's torque, in the same way [N m]."""
-    joint_margin: float = math.radians(3)
+    joint_margin: Annotated[float, Range(0, math.radians(45), "rad")] = math.radians(3)
     """Distance to keep from the end of a joint's range [rad]."""
-    age: float = 0.08
+    age: Annotated[float, Range(0.02, 0.2, "s")] = 0.08
     """Age of the newest feedback and of the newest wrench [s]."""
 
     def __post_init__(self) -> None:
+        check_settings(SafetyLimits, vars(self), "SafetyLimits")
         for name in ("low", "high"):
-            corner = frozen_array(f"SafetyLimits.{name}", getattr(self, name), (3,))
-            object.__setattr__(self, name, tuple(corner.tolist()))
+            object.__setattr__(self, name, tuple(map(float, getattr(self, name))))
         if not all(a < b for a, b in zip(self.low, self.high, strict=True)):
             raise InvalidValueError("SafetyLimits.high", self.high, f"a corner beyond the low one {self.low}, m")
-        check_positive_fields(self, "linear_speed", "angular_speed", "tilt", "force", "torque", "age")
-        if not 0 <= self.joint_margin < math.pi / 2:
-            raise InvalidValueError("SafetyLimits.joint_margin", self.joint_margin, "0 to pi / 2, rad")
 
 
 @dataclass(frozen=True)

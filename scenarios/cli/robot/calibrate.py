@@ -42,8 +42,7 @@ def calibrate(
     from testbed.robot.calibration.file import save_calibration
     from testbed.robot.calibration.static_poses import calibrate as fit
     from testbed.robot.calibration.static_poses import in_words
-    from testbed.robot.config import load_robot_file
-    from testbed.robot.registry import build_arm, build_sensor
+    from testbed.robot.registry import build_arm, build_sensor, load_robot_file
     from testbed.validation import check_positive
 
     check_positive("--seconds", seconds)

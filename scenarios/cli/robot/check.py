@@ -55,8 +55,8 @@ class Line:
 
 
 def _lines(config: Path) -> Iterator[Line]:
-    from testbed.robot.config import load_robot_file
     from testbed.robot.kinova.link import missing_api
+    from testbed.robot.registry import load_robot_file
 
     file = load_robot_file(config)
     there = config.is_file()

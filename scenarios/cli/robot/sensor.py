@@ -40,8 +40,7 @@ def sensor(
         mass: a known mass, to hang from the tool when the command asks for it.
         viewer: Rerun; numbers without it, or if none can open.
     """
-    from testbed.robot.config import load_robot_file
-    from testbed.robot.registry import build_sensor
+    from testbed.robot.registry import build_sensor, load_robot_file
     from testbed.validation import check_positive
 
     check_positive("--seconds", seconds)

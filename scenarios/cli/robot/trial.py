@@ -87,10 +87,10 @@ def trial(
     """
     from testbed.objects.files import load_object
     from testbed.objects.model import SPARE_OPENING
-    from testbed.robot.config import calibration_of, load_robot_file
+    from testbed.robot.config import calibration_of
     from testbed.robot.interfaces import MonotonicClock
     from testbed.robot.path import described, opening, plan_trial
-    from testbed.robot.registry import build_arm, build_gripper, build_sensor, gripper_class
+    from testbed.robot.registry import build_arm, build_gripper, build_sensor, gripper_class, load_robot_file
     from testbed.robot.runner import RealRunner, read_off, seen_place
     from testbed.trial import Trial, support_of
     from testbed.validation import check_positive

@@ -14,13 +14,13 @@ import threading
 import time
 from collections import deque
 from collections.abc import Sequence
-from typing import Self
+from typing import Annotated, Self
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from testbed.robot.camera.interface import CameraLostError, SeenFrame
-from testbed.validation import check_integer, frozen_array, is_number, unit_quaternion
+from testbed.validation import Range, check_settings, frozen_array, is_number, unit_quaternion
 
 _LONGEST = 65535
 """Longest datagram [byte]."""
@@ -36,12 +36,12 @@ class UdpCamera:
     def __init__(
         self,
         *,
-        port: int = 5005,
+        port: Annotated[int, Range(0, 65535, "")] = 5005,
         address: str = "127.0.0.1",
-        in_base_m: Sequence[float] = (0.0, 0.0, 0.0),
-        in_base_wxyz: Sequence[float] = (1.0, 0.0, 0.0, 0.0),
-        object_m: Sequence[float] = (0.0, 0.0, 0.0),
-        object_wxyz: Sequence[float] = (1.0, 0.0, 0.0, 0.0),
+        in_base_m: Sequence[Annotated[float, Range(-5, 5, "m")]] = (0.0, 0.0, 0.0),
+        in_base_wxyz: Sequence[Annotated[float, Range(-1, 1, "")]] = (1.0, 0.0, 0.0, 0.0),
+        object_m: Sequence[Annotated[float, Range(-1, 1, "m")]] = (0.0, 0.0, 0.0),
+        object_wxyz: Sequence[Annotated[float, Range(-1, 1, "")]] = (1.0, 0.0, 0.0, 0.0),
     ):
         """Describe the socket; nothing is opened.
 
@@ -53,7 +53,9 @@ class UdpCamera:
             object_m: position of the object's frame in the frame that is seen, a tag's say, the same for each part.
             object_wxyz: its orientation there.
         """
-        check_integer("UdpCamera.port", port, least=0, most=65535)
+        given = {"port": port, "in_base_m": in_base_m, "in_base_wxyz": in_base_wxyz}
+        given |= {"object_m": object_m, "object_wxyz": object_wxyz}
+        check_settings(UdpCamera, given, "UdpCamera")
         self._at = address, port
         self._mount = Rotation.from_quat(unit_quaternion("UdpCamera.in_base_wxyz", in_base_wxyz), scalar_first=True)
         self._tag = Rotation.from_quat(unit_quaternion("UdpCamera.object_wxyz", object_wxyz), scalar_first=True)

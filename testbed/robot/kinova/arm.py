@@ -5,18 +5,17 @@ from __future__ import annotations
 import math
 import time
 from dataclasses import dataclass, field
-from typing import Any, Self
+from typing import Annotated, Any, Self
 
 import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
-from testbed.errors import InvalidValueError
 from testbed.robot.interfaces import ArmIdentity, ArmLimits, ArmLostError, ArmRefusedError, ArmState, Pose, RobotError
 from testbed.robot.kinova.connection import Configuration
 from testbed.robot.kinova.link import KortexLink
 from testbed.robot.kinova.session import Feedback
-from testbed.validation import check_positive_fields
+from testbed.validation import Range, check_settings
 
 _ENDLESS = (-math.inf, math.inf)
 GEN3 = ArmLimits(
@@ -38,27 +37,25 @@ class KortexArm:
 
     address: str = "192.168.1.10"
     """Address of the arm."""
-    port: int = 10000
+    port: Annotated[int, Range(1, 65535, "")] = 10000
     """TCP port of the arm."""
     username: str = "admin"
     """User of the arm."""
     password: str = field(default="admin", repr=False)
     """Password of that user."""
-    tool_length: float = 0.2115
+    tool_length: Annotated[float, Range(0.02, 0.6, "m")] = 0.2115
     """Distance from the arm's interface to the tool center point [m]: sensor, coupling and gripper."""
-    turn_speed: float = math.radians(30)
+    turn_speed: Annotated[float, Range(0.01, GEN3.angular_speed, "rad/s")] = math.radians(30)
     """Turn rate on the way to a pose [rad/s]."""
-    silence: float = 0.1
+    silence: Annotated[float, Range(0.02, 0.2, "s")] = 0.1
     """Time without feedback after which a moving arm is stopped, and counts as lost [s]; the arm's own limit too. A
     process that is silent for 0.6 times as long counts as frozen."""
-    watchdog: float = 0.05
+    watchdog: Annotated[float, Range(0.02, 0.1, "s")] = 0.05
     """Time without a twist while one is in force, and without a look at `state` until the next stop, after which the
     arm is stopped [s]."""
 
     def __post_init__(self) -> None:
-        check_positive_fields(self, "tool_length", "turn_speed", "silence", "watchdog")
-        if not 0 < self.port < 2**16:
-            raise InvalidValueError("KortexArm.port", self.port, "a TCP port")
+        check_settings(KortexArm, vars(self), "KortexArm")
         self._link: KortexLink | None = None
         self._epoch = 0
         self._engaged = False

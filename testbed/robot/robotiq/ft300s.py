@@ -9,7 +9,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Self
+from typing import Annotated, Self
 
 from testbed.robot.interfaces import (
     MissingDriverError,
@@ -21,7 +21,7 @@ from testbed.robot.interfaces import (
 )
 from testbed.robot.robotiq.serial_port import SerialReader, why_closed
 from testbed.robot.robotiq.stream import FRAME_BYTES, RATE, FrameClock, FrameParser
-from testbed.validation import check_positive
+from testbed.validation import Range, check_settings
 
 try:
     import serial
@@ -37,6 +37,7 @@ MEASURING_RANGE = 300.0, 30.0
 REPEATS = (7, 7, 8, 9, 10, 19)
 """Most equal values in a row of each component: with the preset's noise, and counts of 0.01 N and 0.001 N m, more come
 about once in 1e9 frames."""
+Count = Annotated[int, Range(2, 30, "frames")]
 DEVICE = 9
 """Modbus address."""
 _FIRMWARE, _SERIAL, _STREAM = (500, 3), (510, 4), 410
@@ -63,7 +64,13 @@ class Ft300s:
     Undrained frames pile up: 100 a second, some 300 bytes each.
     """
 
-    def __init__(self, port: str, *, stale_after: float = 0.1, repeats: Sequence[int] = REPEATS):
+    def __init__(
+        self,
+        port: str,
+        *,
+        stale_after: Annotated[float, Range(0.03, 0.2, "s")] = 0.1,
+        repeats: tuple[Count, Count, Count, Count, Count, Count] = REPEATS,
+    ):
         """Describe the sensor; nothing is opened.
 
         Args:
@@ -71,11 +78,9 @@ class Ft300s:
             stale_after: silence after which the sensor counts as lost [s].
             repeats: most equal values in a row of each component.
         """
-        check_positive("Ft300s.stale_after", stale_after)
+        check_settings(Ft300s, {"port": port, "stale_after": stale_after, "repeats": repeats}, "Ft300s")
         self.port, self.stale_after = port, stale_after
-        self._identity = SensorIdentity(
-            "Robotiq FT-300S", "unknown", "unknown", RATE, *MEASURING_RANGE, tuple(map(int, repeats))
-        )
+        self._identity = SensorIdentity("Robotiq FT-300S", "unknown", "unknown", RATE, *MEASURING_RANGE, tuple(repeats))
         self._serial: serial.Serial | None = None
         self._reset()
 

@@ -204,7 +204,7 @@ def test_no_method_is_ok_with_masses_that_do_not_explain_the_trials(lab: Path, c
         encoding="utf-8",
     )
     assert ended("import", "lab.toml", "--out", "lab", "--weight", "1.8") == 0
-    asked = ("hidden_states", "random_search", "explicit_state_M", "uniform_mass:Uniform")
+    asked = ("hidden_states", "random_search_M", "explicit_state_M", "uniform_mass:Uniform")
     assert ended("estimate", "lab", "--methods", *asked, "--workers", "0") == 0
     said = capsys.readouterr().out
     rows = {row["method"]: row for row in load_results("lab").to_dict("records")}

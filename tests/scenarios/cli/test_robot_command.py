@@ -11,6 +11,7 @@ import time
 from dataclasses import replace
 from importlib.metadata import EntryPoint, EntryPoints
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 import pandas as pd
@@ -35,13 +36,14 @@ from testbed.replay import ReplayRunner
 from testbed.robot.calibration.file import load_calibration, load_hand_eye, save_calibration
 from testbed.robot.calibration.hand_eye import TrackedPose
 from testbed.robot.calibration.static_poses import Calibration, Sign
-from testbed.robot.config import RobotFile, RobotSettings, load_robot_file
+from testbed.robot.config import RobotFile, RobotSettings
 from testbed.robot.interfaces import ArmState, Pose, SensorHealth, SensorIdentity, WrenchSample
 from testbed.robot.path import KnownPose, starting_pose
-from testbed.robot.registry import build_sensor, gripper_class
+from testbed.robot.registry import build_sensor, gripper_class, load_robot_file
 from testbed.robot.runner import read_off
 from testbed.trajectory import Trajectory
 from testbed.trial import Trial
+from testbed.validation import Range
 from tests.fakes.ft300s import FakeFt300s
 from tests.fakes.gen3 import FakeGen3
 from tests.fakes.rig import KORTEX, FakeRig
@@ -126,7 +128,7 @@ class Still:
     poses = readings(POSES[0] * POSES[0], noise=1.0)
     at, moving = 0, False
 
-    def __init__(self, gain: float = 1.0):
+    def __init__(self, gain: Annotated[float, Range(0.5, 2, "")] = 1.0):
         self._rng, self._gain, self._frames = np.random.default_rng(1), gain, 0
 
     def __enter__(self):

@@ -11,9 +11,10 @@ import pytest
 from testbed.errors import InvalidValueError
 from testbed.robot.calibration.file import CalibrationFile, load_calibration, save_calibration
 from testbed.robot.calibration.static_poses import Calibration, calibrate
-from testbed.robot.config import RobotFile, load_robot_file
+from testbed.robot.config import RobotFile
 from testbed.robot.interfaces import ArmIdentity
 from testbed.robot.raw_record import RawRecord
+from testbed.robot.registry import load_robot_file
 from testbed.robot.robotiq.gripper import data_sheet
 from testbed.toml import InvalidFileError, toml_text
 from tests.fakes.static_hand import DOWN, readings

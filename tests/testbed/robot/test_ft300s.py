@@ -34,8 +34,10 @@ def fake() -> Iterator[FakeFt300s]:
 
 
 def sensor_on(fake: FakeFt300s, stale_after: float = 2.0) -> Ft300s:
-    """A patient sensor: a busy machine keeps threads waiting."""
-    return Ft300s(fake.port, stale_after=stale_after)
+    """A sensor more patient than a setting may make it: a busy machine keeps threads waiting."""
+    sensor = Ft300s(fake.port)
+    sensor.stale_after = stale_after
+    return sensor
 
 
 def collect(sensor: Ft300s, count: int) -> list[WrenchSample]:

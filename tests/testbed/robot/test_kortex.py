@@ -59,8 +59,10 @@ def arm(gen3) -> Iterator[KortexArm]:
 
 
 def arm_at(port: int, **settings: Any) -> KortexArm:
-    """An arm that bears the pauses of a busy machine."""
-    return KortexArm("127.0.0.1", **{"port": port, "silence": 1.0, "watchdog": 1.0, **settings})
+    """An arm that bears the pauses of a busy machine: longer ones than a setting may allow."""
+    arm = KortexArm("127.0.0.1", **{"port": port, **settings})
+    vars(arm).update({"silence": 1.0, "watchdog": 1.0} | settings)
+    return arm
 
 
 def reach(arm: KortexArm, pose: Pose, speed: float) -> None:

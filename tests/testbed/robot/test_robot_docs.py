@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 import errno
+import inspect
 import json
 import re
 import sys
+from typing import Any, get_args, get_type_hints
 
 import pytest
 from pydantic import BaseModel
 
 from scenarios.cli.main import main
 from testbed.robot.config import ArmTable, BenchTable, CameraTable, GripperTable, LimitsTable, SensorTable
+from testbed.robot.kinova.arm import KortexArm
+from testbed.robot.robotiq.ft300s import Ft300s
+from testbed.validation import Range
 from tests.helpers.pages import DOCS, names, table
 
 PAGE = (DOCS / "hardware.md").read_text(encoding="utf-8")
@@ -30,9 +35,27 @@ def test_a_table_of_fields_is_the_files(heading):
     fields = TABLES[heading].model_fields
     rows = table("hardware.md", heading)
     assert names(rows) == list(fields)
-    for (_, default, meaning), field in zip(rows, fields.values(), strict=True):
+    hints = get_type_hints(TABLES[heading], include_extras=True)
+    for (_, default, allowed, meaning), (name, field) in zip(rows, fields.items(), strict=True):
         assert default == ("none" if field.default is None else f"`{json.dumps(field.default)}`")
+        assert allowed == range_in(hints[name])
         assert meaning
+
+
+def range_in(annotation: Any) -> str:
+    """Range of the numbers in an annotation, in words; empty without one."""
+    inner = [*get_args(annotation), *getattr(annotation, "__metadata__", ())]
+    return next((str(one) for one in inner if isinstance(one, Range)), "") or "".join({*map(range_in, inner)})
+
+
+def test_the_table_of_device_settings_is_the_classes():
+    arguments = {**inspect.signature(KortexArm).parameters, **inspect.signature(Ft300s).parameters}
+    hints = get_type_hints(KortexArm, include_extras=True) | get_type_hints(Ft300s.__init__, include_extras=True)
+    rows = table("hardware.md", "Device settings")
+    assert names(rows) == ["silence", "watchdog", "turn_speed", "stale_after", "repeats"]
+    for name, default, allowed, _ in rows:
+        assert json.loads(default.strip("`")) == pytest.approx(arguments[name.strip("`")].default, rel=1e-3)
+        assert allowed == range_in(hints[name.strip("`")])
 
 
 def test_the_shown_check_is_what_is_printed_without_hardware(tmp_path, monkeypatch, capsys):

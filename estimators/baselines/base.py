@@ -22,6 +22,7 @@ from estimators.base import Estimate, Trace, robot_seconds
 from estimators.baselines.problem import FAR_OFF, Problem, Weighting
 from estimators.descent import OPTIMIZERS, check_optimizers, descend_all
 from estimators.evaluation.judged import ERRORS, misfit_on
+from estimators.particles.misfit import Misfit
 from estimators.particles.model import ModelErrors
 from estimators.particles.support import ASSUMPTION
 from testbed.errors import InvalidValueError
@@ -142,6 +143,8 @@ class SearchResult:
     traces: tuple[Trace, ...]
     covariance: Float[np.ndarray, "n_m n_m"] | None = None
     """Covariance of `mass` [kg^2], if the search gives one."""
+    misfit: float | None = None
+    """Misfit by the search's own model of the trials, if that is not heft's."""
     rollouts: int | None = None
     """Number of guesses compared with all data, if the traces do not have one entry each."""
 
@@ -198,8 +201,8 @@ class Baseline(ABC):
     ) -> Estimate:
         """Reduce the trajectories, search, and judge the result.
 
-        Diagnostics: "misfit" is that of `misfit_on`, about 1 or less where the answer explains the measurements;
-        "rollouts" is the number of guesses compared with all data.
+        Diagnostics: "misfit" is that of `misfit_on`, or of the search's own model, about 1 or less where the answer
+        explains the measurements; "rollouts" is the number of guesses compared with all data.
 
         Raises:
             InvalidValueError: `use_weight` without a weight.
@@ -222,7 +225,10 @@ class Baseline(ABC):
     ) -> Estimate:
         """The estimate of a search, less its time; `weight` is M as weighed, whether or not the search had it."""
         at = MassDistribution(found.mass, found.friction)
-        misfit = misfit_on(self._support, problem.shape, weight, problem.windows, at, self._errors)
+        if found.misfit is None:
+            misfit = misfit_on(self._support, problem.shape, weight, problem.windows, at, self._errors)
+        else:
+            misfit = Misfit(found.misfit, 3 * len(problem.windows) - len(found.mass) - len(found.friction))
         left = math.sqrt(problem.unexplained(torch.tensor(found.mass), torch.tensor(found.friction)))
         rollouts = found.rollouts or sum(len(trace.loss) for trace in found.traces)
         status, why = misfit.status, misfit.reason

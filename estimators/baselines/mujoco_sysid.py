@@ -75,6 +75,7 @@ class MujocoSysid(Peer):
             float(found.losses[-1]),
             (trace,),
             covariance=found.covariance / np.outer(count, count),
+            misfit=float(found.losses[-1]),
             rollouts=found.guesses,
         )
 

@@ -98,12 +98,12 @@ def test_mujoco_sysid_is_judged_on_the_support_of_its_scene():
         MujocoSysid().check_installed()
     except HeftError as error:
         pytest.skip(str(error))
-    for support, block in (("own_weight", OWN), ("rigid", RIGID)):
-        for other in (OWN, RIGID):
-            answer = MujocoSysid(iterations=40, support=support).estimate(
-                SHAPE, other.weighed(SENSING), trials_of(other), 0
-            )
-            assert (answer.status == "ok") == (other is block), (support, other.name, answer.message)
+    for support, right, wrong in (("own_weight", OWN, RIGID), ("rigid", RIGID, OWN)):
+        method = MujocoSysid(iterations=40, support=support)
+        found, missed = (method.estimate(SHAPE, b.weighed(SENSING), trials_of(b), 0) for b in (right, wrong))
+        # its search ends early on I2; on the wrong support no search would do
+        assert found.diagnostics["misfit"] < missed.diagnostics["misfit"] / 3, support
+        assert missed.status == "unexplained", (support, missed.message)
 
 
 def says(distribution, status: EstimateStatus = "ok", **fields):

@@ -1,4 +1,4 @@
-"""Outcomes of every fault of the real robot, over fakes: python bench/faults.py phases|moments|wire [runs of each].
+"""Outcomes of every fault of the real robot, over fakes: python bench/faults.py TABLE [runs of each], TABLE one of:
 
 phases   in simulated time, each fault that the guard must see while a trial runs, in the middle of every phase: the
          longest time to the stop, and the longest way of the tool after the fault
@@ -8,11 +8,16 @@ wire     in real time, a program that drives the fake Gen3 at 20 mm/s under a gu
          its processes are killed, frozen and signalled, and its connections reset; the fake does not stop by itself but
          in the last rows: the longest time to the first Stop command (100 ms are allowed), and the way of the tool
 
+camera   in simulated time, a camera that sends wrong frames from the begin of a push and of a drag of links: what the
+         record says, and the time to the stop where it is found at once
+
 Exits with 1 where a bound was passed.
 """
 
 from __future__ import annotations
 
+import math
+import re
 import sys
 from collections import Counter
 from pathlib import Path
@@ -22,6 +27,8 @@ from rich.console import Console
 from rich.table import Table
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
+from testbed.trajectory import Trajectory
+from testbed.trial import Trial
 from tests.fakes.faults import (  # pyright: ignore[reportMissingImports]
     BOUND,
     FAULTS,
@@ -31,7 +38,8 @@ from tests.fakes.faults import (  # pyright: ignore[reportMissingImports]
     struck_by,
 )
 from tests.fakes.gen3 import FakeGen3  # pyright: ignore[reportMissingImports]
-from tests.fakes.robot import small_object  # pyright: ignore[reportMissingImports]
+from tests.fakes.lying_camera import DRAG, LIES, PUSH, Lie, begins  # pyright: ignore[reportMissingImports]
+from tests.fakes.robot import robot_for, small_object  # pyright: ignore[reportMissingImports]
 from tests.fakes.wire_faults import (  # pyright: ignore[reportMissingImports]
     LAST,
     WIRE_FAULTS,
@@ -111,6 +119,30 @@ def wire(runs: int) -> int:
     return bad
 
 
+def _lied_to(trial: Trial, lie: Lie, seed: int) -> tuple[Trajectory, float, float]:
+    """Record of a trial, time from the first lie to the next stop [s], and way of the tool since then [m]."""
+    robot, runner = robot_for(trial, begins(lie), seed=seed)
+    with runner:
+        record = runner.run(trial)
+    at = robot.camera.lied_at
+    return record, min((stop - at for stop in robot.arm.stopped if stop >= at), default=math.inf), robot.way_after(at)
+
+
+def camera(runs: int) -> int:
+    """Lies of a camera; returns the number of records that do not say so."""
+    table, bad = _table("camera", "of", "Stop after, ms", "way, mm", "the record says"), 0
+    for name, (lie, says) in LIES.items():
+        for kind, trial in (("push", PUSH), ("links", DRAG)):
+            outcomes = [_lied_to(trial, lie, seed) for seed in range(runs)]
+            bad += sum(record.ok or re.search(says, record.reason) is None for record, _, _ in outcomes)
+            stop, way = max(stop for _, stop, _ in outcomes), 1e3 * max(way for _, _, way in outcomes)
+            live, record = f"{1e3 * stop:.0f}" if stop < 1 else "at the end", outcomes[0][0]
+            table.add_row(name, kind, live, f"{way:.0f}", f"{record.status}: {record.reason[:80]}")
+    Console(width=170).print(table)
+    print(f"{2 * len(LIES) * runs} runs: {bad} without a word")
+    return bad
+
+
 def _table(*columns: str) -> Table:
     table = Table(box=box.SIMPLE_HEAD)
     for column in columns:
@@ -130,7 +162,7 @@ def _most(values: dict[str, float], digits: int) -> tuple[str, str]:
 
 def main() -> None:
     """Print one of the tables."""
-    table = {"phases": phases, "moments": moments, "wire": wire}[sys.argv[1]]
+    table = {"phases": phases, "moments": moments, "wire": wire, "camera": camera}[sys.argv[1]]
     sys.exit(bool(table(int(sys.argv[2]) if len(sys.argv) > 2 else 1)))
 
 

@@ -29,7 +29,7 @@ from testbed.objects.model import ObjectModel
 from testbed.robot.calibration.file import load_calibration
 from testbed.sensing.compensation import compensate
 from testbed.sensing.drift import DriftLimit, judge_drift
-from testbed.sensing.seen import as_seen, misseen
+from testbed.sensing.seen import as_seen, frame_mismatch
 from testbed.toml import load_toml
 from testbed.trajectory import Tool, Trajectory
 
@@ -112,7 +112,7 @@ def import_trajectory(
         figures={"wrench_delay_s": delay.seconds, "wrench_delay_std_s": delay.std} if delay else {},
     )
     trajectory = as_seen(compensate(trajectory))
-    if doubt := misseen(trajectory, model.shape):
+    if doubt := frame_mismatch(trajectory, model.shape):
         raise LogError(f"camera: {doubt}; check in_base and object of [camera], tcp_in_hand_m and closing_deg")
     return judge_drift(trajectory, limit or DriftLimit())
 

@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from testbed.robot.camera.interface import ObjectCamera
+from testbed.robot.camera.watch import CameraWatch
 from testbed.robot.interfaces import Arm, ArmState, Clock, RobotError, WrenchSample, WrenchSensor
 from testbed.robot.raw_record import RawRecord
 from testbed.robot.recorder import Recorder
@@ -47,8 +48,9 @@ class Guard:
         clock: Clock,
         raw: RawRecord | None = None,
         camera: ObjectCamera | None = None,
+        watch: CameraWatch | None = None,
     ):
-        self.recorder = Recorder(arm, sensor, raw, camera)
+        self.recorder = Recorder(arm, sensor, raw, camera, watch)
         self.trouble: RobotError | None = None
         """Reason that it has tripped, or None."""
         self._arm, self._limits, self._clock = arm, limits, clock
@@ -148,7 +150,7 @@ class Guard:
     def _look(self) -> None:
         now = self._clock.now()
         try:
-            new = self.recorder.take()
+            new = self.recorder.take(now)
             found = next(chain(self._frame_violations(new), self._violations(now, self._command)), None)
             if found is not None:
                 raise UnsafeError(found)

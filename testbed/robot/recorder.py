@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation, Slerp
 from testbed.actions.lift import LiftProfile
 from testbed.actions.path import Profile
 from testbed.robot.camera.interface import ObjectCamera, SeenFrame
+from testbed.robot.camera.watch import CameraWatch
 from testbed.robot.interfaces import Arm, ArmState, RobotError, WrenchSample, WrenchSensor
 from testbed.robot.raw_record import RawRecord
 from testbed.trajectory import Phase, Status
@@ -66,9 +67,14 @@ class Recorder:
     """Collector of frames and feedback: one thread takes, any may mark."""
 
     def __init__(
-        self, arm: Arm, sensor: WrenchSensor, raw: RawRecord | None = None, camera: ObjectCamera | None = None
+        self,
+        arm: Arm,
+        sensor: WrenchSensor,
+        raw: RawRecord | None = None,
+        camera: ObjectCamera | None = None,
+        watch: CameraWatch | None = None,
     ):
-        self._arm, self._sensor, self._raw, self._camera = arm, sensor, raw, camera
+        self._arm, self._sensor, self._raw, self._camera, self._watch = arm, sensor, raw, camera, watch
         self._seen: list[SeenFrame] = []
         self._states: list[ArmState] = []
         self._samples: list[WrenchSample] = []
@@ -77,8 +83,8 @@ class Recorder:
         if camera is not None:
             camera.drain()
 
-    def take(self) -> list[WrenchSample]:
-        """Take in all new frames and feedback; returns the frames.
+    def take(self, now: float) -> list[WrenchSample]:
+        """Take in all new frames and feedback at a time [s]; returns the frames.
 
         Raises:
             RobotError: sensor, arm or camera is lost, or the raw record cannot be written.
@@ -89,9 +95,10 @@ class Recorder:
             self._raw.frames(new)
         if self._camera is not None:
             seen = self._camera.drain()
-            self._seen.extend(seen)
             if self._raw is not None:
                 self._raw.seen(seen)
+            for frame in seen if self._watch is None else self._watch.kept(seen, now):
+                self._seen.append(frame)
         state = self._arm.state()
         if not self._states or state.time_s > self._states[-1].time_s:
             self._states.append(state)

@@ -23,6 +23,7 @@ from testbed.frames import origin_velocity, pose_from_point, rotation_matrix
 from testbed.objects.model import GRAVITY
 from testbed.robot.camera.evidence import check_place, contact_of, left_early, seen_doubts
 from testbed.robot.camera.interface import ObjectCamera, SeenPose, seen_stream
+from testbed.robot.camera.watch import CameraWatch
 from testbed.robot.config import RobotSettings
 from testbed.robot.execution import Execution
 from testbed.robot.guard import Guard
@@ -167,7 +168,9 @@ class RealRunner:
             raw.end(self._clock.now(), *ended)
 
     def _run(self, plan: RobotPlan, raw: RawRecord | None, camera: ObjectCamera | None) -> Trajectory:
-        guard = Guard(self._arm, self._sensor, self._settings.limits, self._clock, raw, camera)
+        chain = plan.trial.object.shape.chain
+        watch = CameraWatch(self._settings.camera, 1 if chain is None else chain.links)
+        guard = Guard(self._arm, self._sensor, self._settings.limits, self._clock, raw, camera, watch)
         execution = Execution(plan, self._arm, self._gripper, self._sensor, guard, self._settings, self._clock)
         failure, began = None, False
         try:

@@ -11,13 +11,27 @@ from testbed.actions.push import Push
 from testbed.frames import rotation_2d
 from testbed.objects.faces import room_at
 from testbed.objects.model import ObjectShape
-from testbed.sensing.camera import PoseStream
+from testbed.sensing.camera import LEAST_FRAMES, PoseStream
 from testbed.sensing.push_windows import touching
 from testbed.trajectory import Phase, Trajectory
 
 APART = 0.015, math.radians(6)
 """Distance [m] and angle [rad] between the object by hand and by camera from which their frames do not fit."""
-_EVERY = 10
+DELAY = 0.06
+"""Time by which all poses of a trial may be late or early beyond what is stated [s]."""
+SCALE = 0.04
+"""Part by which distances may be off: a rule that is 4 % too long."""
+_SURE = 3.0
+_BEFORE = 0.5
+"""Rest before the motion that is looked at as well [s]."""
+_REST, _CLEAR = 1.5, 0.15
+"""Rest before the first touch [s], and time about it that is left out: the fingertip slows, and the force rises."""
+_TOUCH = 0.0005
+"""Standard deviation of the fingertip's place when the force shows its touch [m]."""
+_FACE = 0.0005
+"""Error of an outline over a push [m]."""
+_MEDIAN_OF_SECOND = 0.6745 * math.sqrt(6)
+"""Median size of second differences of white noise, over its standard deviation."""
 
 
 def as_seen(record: Trajectory) -> Trajectory:
@@ -33,11 +47,12 @@ def as_seen(record: Trajectory) -> Trajectory:
     return replace(record, object_pose=motion.pose[nearest], object_velocity=twist)
 
 
-def misseen(record: Trajectory, shape: ObjectShape) -> str:
-    """What tells that the frames of hand and camera do not fit, in words; empty if nothing does.
+def frame_mismatch(record: Trajectory, shape: ObjectShape) -> str:
+    """Message when hand and camera disagree; empty if they agree.
 
-    In a grip it sees the held link elsewhere than the hand has it; in a push the fingertip beside the object's face.
-    Smaller errors of a camera's place show in no single trial.
+    Of what is held, the camera's poses are held against the hand's; of a push, the object's face against the fingertip
+    that pushes it, from the moment of contact that the force shows. Found are another place, a delay, another scale and
+    more scatter than stated. A constant shift along the face, and a yaw within `APART`, show in no single trial.
 
     Args:
         record: a record with poses of a camera, compensated; one without says nothing.
@@ -45,38 +60,128 @@ def misseen(record: Trajectory, shape: ObjectShape) -> str:
     """
     if record.camera is None or not record.action.on_table:
         return ""
-    return (
-        _beside(record, shape, record.action) if isinstance(record.action, Push) else _off(record, shape, record.camera)
-    )
+    check = _of_push if isinstance(record.action, Push) else _of_held
+    return check(record, shape, record.camera) or _scatter(record, record.camera)
 
 
-def _off(record: Trajectory, shape: ObjectShape, camera: PoseStream) -> str:
+def _of_held(record: Trajectory, shape: ObjectShape, camera: PoseStream) -> str:
     grasp = record.action.grasp
     assert grasp is not None
     chain, held = shape.chain, shape.pressed(shape.grasps[grasp])
     poses = camera.poses[:, 0 if chain is None else chain.link[held[0]]]
-    moved = record.time_s[np.isin(record.phase, (Phase.RAMP, Phase.STEADY))]
-    kept = ~np.isnan(poses[:, 0]) & (camera.time_s >= moved[0]) & (camera.time_s <= moved[-1])
+    moved = record.time_s[_moving(record)]
+    kept = ~np.isnan(poses[:, 0]) & (camera.time_s >= moved[0] - _BEFORE) & (camera.time_s <= moved[-1])
     if not kept.any():
         return ""
     time = camera.time_s[kept]
-    by_hand = np.column_stack([np.interp(time, record.time_s, column) for column in record.object_pose.T])
+    by_hand, speed = (
+        np.column_stack([np.interp(time, record.time_s, column) for column in series.T])
+        for series in (record.object_pose, record.object_velocity)
+    )
     off = poses[kept] - by_hand
-    way = float(np.median(np.linalg.norm(off[:, :2], axis=1)))
-    turn = float(np.angle(np.exp(1j * off[:, 2]).mean()))
-    if way <= APART[0] and abs(turn) <= APART[1]:
+    off[:, 2] -= math.tau * round(float(np.median(off[:, 2])) / math.tau)
+    way, turn = float(np.median(np.linalg.norm(off[:, :2], axis=1))), float(np.median(off[:, 2]))
+    if way > APART[0] or abs(turn) > APART[1]:
+        return (
+            f"it sees what is held {way * 1e3:.0f} mm and {math.degrees(turn):+.0f} deg from where the hand has it; "
+            f"allowed: {APART[0] * 1e3:.0f} mm and {math.degrees(APART[1]):.0f} deg"
+        )
+    # off = constant - delay * velocity + (scale - 1) * way, in units of the noise
+    std = _noise(camera)
+    columns = [np.tile(each, (len(time), 1)) for each in np.eye(3)] + [-speed, by_hand - by_hand[0]]
+    design = np.stack([(column / std).ravel() for column in columns], axis=1)
+    (delay, delay_std), (scale, scale_std) = _fitted(design, (off / std).ravel())[3:]
+    return _late(delay, delay_std, camera) or _scaled(scale, scale_std)
+
+
+def _of_push(record: Trajectory, shape: ObjectShape, camera: PoseStream) -> str:
+    """The gap between fingertip and face: nothing at the first touch, when the object still rests, and ever after."""
+    assert isinstance(record.action, Push)
+    contact = touching(record)
+    met, radius = record.time_s[contact[0]], record.action.radius
+    whole = ~np.isnan(camera.poses[:, 0]).any(axis=1)
+    time, poses = camera.time_s[whole], camera.poses[whole, 0]
+    rests = (time > met - _REST) & (time < met - _CLEAR)
+    if not rests.any():
+        return ""
+    rest = np.median(poses[rests], axis=0)
+    first = _gaps(shape, rest[None], record.tcp_position[contact[:1], :2], radius)[0]
+    if abs(first) > APART[0]:
+        return _beside(first)
+    pushed = np.flatnonzero((time > met + _CLEAR) & (time < record.time_s[contact[-1]]))
+    tips = np.column_stack([np.interp(time[pushed], record.time_s, column) for column in record.tcp_position[:, :2].T])
+    gaps = _gaps(shape, poses[pushed], tips, radius)
+    if len(pushed) < LEAST_FRAMES:
+        return ""
+    if abs(middle := float(np.median(gaps))) > APART[0]:
+        return _beside(middle)
+    speed = float(np.median(np.linalg.norm(record.tcp_velocity[contact, :2], axis=1)))
+    way = speed * (time[pushed] - met)
+    std = _noise(camera)[0]
+    design = np.stack([np.ones(len(way)), way - way.mean()], axis=1) / std
+    (level, level_std), (slope, slope_std) = _fitted(design, gaps / std)
+    # a face that is seen late lies behind the fingertip
+    delay, delay_std = -(level - first) / speed, math.hypot(level_std, std / math.sqrt(rests.sum()), _TOUCH) / speed
+    return _late(delay, delay_std, camera) or _scaled(slope, slope_std + _FACE / float(np.ptp(way)))
+
+
+def _gaps(shape: ObjectShape, poses: np.ndarray, tips: np.ndarray, radius: float) -> np.ndarray:
+    """Distance of a fingertip from the outline [m] in each frame."""
+    points = np.einsum("nij,nj->ni", rotation_2d(-poses[:, 2]), tips - poses[:, :2])
+    return np.array([room_at(shape, point) for point in points]) - radius
+
+
+def _fitted(design: np.ndarray, values: np.ndarray) -> list[tuple[float, float]]:
+    """Least squares in units of the noise: each unknown and its standard deviation."""
+    inverse = np.linalg.pinv(design)
+    left = values - design @ (inverse @ values)
+    scatter = max(1.0, float(np.sqrt(left @ left / max(len(values) - design.shape[1], 1))))
+    return list(zip((inverse @ values).tolist(), (scatter * np.linalg.norm(inverse, axis=1)).tolist(), strict=True))
+
+
+def _late(delay: float, std: float, camera: PoseStream) -> str:
+    allowed = DELAY + _SURE * math.hypot(std, camera.delay_std)
+    if abs(delay) <= allowed:
         return ""
     return (
-        f"it sees what is held {way * 1e3:.0f} mm and {math.degrees(turn):+.0f} deg from where the hand has it; "
-        f"allowed: {APART[0] * 1e3:.0f} mm and {math.degrees(APART[1]):.0f} deg"
+        f"its poses are {abs(delay) * 1e3:.0f} ms {'late' if delay > 0 else 'early'} against the hand; allowed: "
+        f"{allowed * 1e3:.0f} ms; state its delay"
     )
 
 
-def _beside(record: Trajectory, shape: ObjectShape, action: Push) -> str:
-    contact = touching(record)[::_EVERY]
-    pose = record.object_pose[contact]
-    point = np.einsum("nij,nj->ni", rotation_2d(-pose[:, 2]), record.tcp_position[contact, :2] - pose[:, :2])
-    away = float(np.median([room_at(shape, each) for each in point])) - action.radius
-    if abs(away) <= APART[0]:
+def _scaled(scale: float, std: float) -> str:
+    allowed = SCALE + _SURE * std
+    if abs(scale) <= allowed:
         return ""
-    return f"it sees the face {away * 1e3:+.0f} mm from the fingertip that pushes it; allowed: {APART[0] * 1e3:.0f} mm"
+    return f"its distances are {1e2 * scale:+.0f} % off the hand's; allowed: {1e2 * allowed:.0f} %"
+
+
+def _beside(gap: float) -> str:
+    return f"it sees the face {gap * 1e3:+.0f} mm from the fingertip that pushes it; allowed: {APART[0] * 1e3:.0f} mm"
+
+
+def _scatter(record: Trajectory, camera: PoseStream) -> str:
+    """That the frames scatter about a smooth motion by much more than stated."""
+    moved = record.time_s[_moving(record)]
+    inside = (camera.time_s >= moved[0]) & (camera.time_s <= moved[-1])
+    for poses in camera.poses[inside].transpose(1, 0, 2):
+        seen = poses[~np.isnan(poses).any(axis=1)]
+        if len(seen) < LEAST_FRAMES:
+            continue
+        usual = np.median(np.abs(np.diff(seen, n=2, axis=0)), axis=0) / _MEDIAN_OF_SECOND
+        most = _SURE * _noise(camera)
+        if (usual > most).any():
+            return (
+                f"its frames scatter by {usual[:2].max() * 1e3:.1f} mm and {math.degrees(usual[2]):.2f} deg; allowed: "
+                f"{most[0] * 1e3:.1f} mm and {math.degrees(most[2]):.2f} deg, three times what is stated"
+            )
+    return ""
+
+
+def _moving(record: Trajectory) -> np.ndarray:
+    return record.mask(Phase.RAMP, Phase.STEADY)
+
+
+def _noise(camera: PoseStream) -> np.ndarray:
+    """Standard deviation of a frame's pose [m, m, rad]: as stated, and at least that of a good camera."""
+    return np.maximum([camera.position_std, camera.position_std, camera.angle_std], [5e-4, 5e-4, 2e-3])

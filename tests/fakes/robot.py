@@ -367,6 +367,11 @@ class FakeCamera:
         self._due = 0.0
         self.off = np.zeros(3)
         """Shift of all poses [m, m, rad]: its place in the base is not as stated."""
+        self.lies: Callable[[list[SeenFrame]], SeenFrame] | None = None
+        """Frame that it sends in place of the last one, by all true frames so far."""
+        self.lied_at = np.inf
+        """Time of its first lie [s]."""
+        self._true: list[SeenFrame] = []
 
     def __enter__(self) -> Self:
         return self
@@ -383,7 +388,8 @@ class FakeCamera:
             return
         true = self.robot.world.link_poses + self.off
         noise = np.array([errors.position, errors.position, errors.angle]) * self._rng.standard_normal(true.shape)
-        self._frames.append(SeenFrame(now + self._late, true + noise))
+        self._true.append(SeenFrame(now + self._late, true + noise))
+        self._frames.append(self._true[-1] if self.lies is None else self.lies(self._true))
 
     def drain(self) -> Sequence[SeenFrame]:
         if self.robot.troubles.camera_lost:

@@ -12,7 +12,7 @@ from testbed.errors import InvalidValueError
 from testbed.objects.model import ObjectShape
 from testbed.robot.camera.interface import BLIND, CameraLostError
 from testbed.sensing.push_windows import TRIM_END, touching
-from testbed.sensing.seen import APART, misseen
+from testbed.sensing.seen import APART, frame_mismatch
 from testbed.trajectory import Phase, Status, Trajectory
 
 
@@ -50,7 +50,7 @@ def seen_doubts(record: Trajectory, shape: ObjectShape) -> Iterator[tuple[Status
         if touched[1] - touched[0] < LEAST_CONTACT:
             yield "slipped", f"the fingertip met the object for {touched[1] - touched[0]:.2f} s alone"
             return
-    if doubt := misseen(record, shape):
+    if doubt := frame_mismatch(record, shape):
         yield "fault", f"camera: {doubt}; check its place in the robot file, or put the object where it is told to be"
 
 

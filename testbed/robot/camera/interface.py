@@ -16,6 +16,8 @@ from testbed.validation import frozen_array
 
 LOOK = 1.0
 """Time in which the object is looked for before a trial [s]."""
+FARTHEST = 10.0, 1e3
+"""Largest coordinate [m] and yaw [rad] of an object on a table."""
 LEAST_SEEN = 5
 """Least frames of it that tell where the object lies."""
 BLIND = 0.4
@@ -65,7 +67,7 @@ def seen_stream(frames: Sequence[SeenFrame], camera: Camera, begin: float, parts
         CameraLostError: a frame has another number of parts.
     """
     for frame in frames:
-        check_parts(frame, parts)
+        check_frame(frame, parts)
     time = np.array([frame.time_s for frame in frames]) - begin - sum(camera.delay) / 2
     kept = np.flatnonzero(time > np.maximum.accumulate(np.concatenate([[-np.inf], time[:-1]])))
     poses = (
@@ -77,14 +79,20 @@ def seen_stream(frames: Sequence[SeenFrame], camera: Camera, begin: float, parts
     return PoseStream(time[kept], poses, camera.position, camera.angle, camera.delay_std)
 
 
-def check_parts(frame: SeenFrame, parts: int) -> None:
-    """Hold a frame against an object.
+def check_frame(frame: SeenFrame, parts: int) -> None:
+    """Hold a frame against an object on a table.
 
     Raises:
-        CameraLostError: it has poses of more or fewer parts.
+        CameraLostError: it has poses of more or fewer parts, or one off every table.
     """
     if len(frame.poses) != parts:
         raise CameraLostError(f"camera: it sends poses of {len(frame.poses)} parts; the object has {parts}")
+    for pose in frame.poses[~np.isnan(frame.poses).any(axis=1)]:
+        if not (np.abs(pose) <= [FARTHEST[0], FARTHEST[0], FARTHEST[1]]).all():
+            raise CameraLostError(
+                f"camera: got a pose of {np.array2string(pose, precision=3)}; allowed: at most {FARTHEST[0]:g} m and "
+                f"{FARTHEST[1]:g} rad"
+            )
 
 
 @dataclass(frozen=True)
@@ -109,7 +117,7 @@ class SeenPose:
         while self.clock.now() - begin < LOOK:
             self.clock.sleep(0.05)
             for frame in self.camera.drain():
-                check_parts(frame, self.parts)
+                check_frame(frame, self.parts)
                 poses.append(frame.poses[self.part])
         seen = np.array([pose for pose in poses if not np.isnan(pose).any()]).reshape(-1, 3)
         if len(seen) < LEAST_SEEN:

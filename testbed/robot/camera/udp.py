@@ -19,13 +19,16 @@ from typing import Annotated, Self
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from testbed.robot.camera.interface import CameraLostError, SeenFrame
+from testbed.robot.camera.interface import FARTHEST, CameraLostError, SeenFrame
 from testbed.validation import Range, check_settings, frozen_array, is_number, unit_quaternion
 
 _LONGEST = 65535
 """Longest datagram [byte]."""
 _LYING = math.radians(20)
 """Angle between the object's z axis and the base's from which its frame does not lie on the table [rad]."""
+OLDEST = 1.0
+"""Greatest age of a frame as it comes [s]."""
+MOST_PARTS = 100
 _QUEUED = 10_000
 """Most frames that wait to be drained."""
 
@@ -105,6 +108,8 @@ class UdpCamera:
             CameraLostError: a datagram cannot be read, or the socket failed.
         """
         frames = [self._frames.popleft() for _ in range(len(self._frames))]
+        if self._error is None and self._socket is not None and not (self._thread and self._thread.is_alive()):
+            self._error = CameraLostError("camera: the thread that listens has ended")
         if self._error is not None:
             raise self._error
         return frames
@@ -113,36 +118,44 @@ class UdpCamera:
         while self._socket is found:
             try:
                 message = found.recv(_LONGEST)
-                self._frames.append(self._frame(message, time.monotonic()))
             except TimeoutError:
                 continue
-            except CameraLostError as error:
-                self._error = error
             except OSError as error:
                 if self._socket is found:
                     self._error = CameraLostError(f"camera: its socket failed: {error.strerror}")
                 return
+            try:
+                self._frames.append(self._frame(message, time.monotonic()))
+            except CameraLostError as error:
+                self._error = error
 
     def _frame(self, message: bytes, now: float) -> SeenFrame:
         try:
             table = json.loads(message)
             age, poses = table.get("age_s", 0.0), table["poses"]
-            if not (is_number(age) and age >= 0 and isinstance(poses, list) and poses):
+            if not (is_number(age) and 0 <= age <= OLDEST and isinstance(poses, list) and 0 < len(poses) <= MOST_PARTS):
                 raise ValueError
             return SeenFrame(now - age, np.array([self._planar(pose) for pose in poses]))
-        except (ValueError, TypeError, KeyError, AttributeError, RecursionError):
+        except CameraLostError:
+            raise
+        except Exception:  # a stranger's bytes: no kind of error may end the thread
             given = message[:80].decode(errors="replace")
             raise CameraLostError(
                 f"camera: got {given!r}; allowed: a JSON object with poses, a list with null, [x, y, yaw] or "
-                "[x, y, z, qw, qx, qy, qz] for each part, and age_s, a time >= 0, if known"
+                f"[x, y, z, qw, qx, qy, qz] for each part, within {FARTHEST[0]:g} m, and "
+                f"age_s, 0 to {OLDEST:g} s, if known"
             ) from None
 
     def _planar(self, pose: object) -> np.ndarray:
         """Planar pose of the object frame, arm's base frame, of an entry of a datagram."""
         if pose is None:
             return np.full(3, math.nan)
-        numbers = np.asarray(pose, dtype=float)
-        if numbers.shape not in ((3,), (7,)) or not np.isfinite(numbers).all():
+        if not (isinstance(pose, list) and all(map(is_number, pose))):
+            raise ValueError
+        numbers = np.array(pose, dtype=float)
+        if numbers.shape not in ((3,), (7,)) or not (np.abs(numbers) <= FARTHEST[len(numbers) == 3]).all():
+            raise ValueError
+        if len(numbers) == 3 and not (np.abs(numbers[:2]) <= FARTHEST[0]).all():
             raise ValueError
         if len(numbers) == 3:
             position = np.array([numbers[0], numbers[1], 0.0])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -13,8 +14,6 @@ from testbed.actions.push import Push
 from testbed.actions.rotate import Rotate
 from testbed.actions.slide import Slide
 from testbed.errors import InfeasibleTrialError
-from testbed.objects.chain import Chain
-from testbed.objects.model import ObjectModel
 from testbed.robot.camera.interface import CameraLostError
 from testbed.robot.config import RobotSettings
 from testbed.robot.path import described, plan_trial, starting_pose
@@ -25,16 +24,12 @@ from testbed.sensing.windows import steady_windows
 from testbed.simulation.runner import SimulationRunner
 from testbed.trajectory import Phase
 from testbed.trial import Trial
-from tests.fakes.robot import robot_for, small_object
+from tests.fakes.lying_camera import DRAG, LIES, begins, in_links, shifted
+from tests.fakes.lying_camera import PUSH as PUSH_TRIAL
+from tests.fakes.robot import robot_for
 
-OBJECT = small_object()
+OBJECT = PUSH_TRIAL.object
 PUSH = Push((0.05, -0.01), math.pi)
-
-
-def in_links() -> ObjectModel:
-    """The two blocks on a hinge between them."""
-    chain = Chain(np.array([0, 1]), np.zeros((1, 2)))
-    return replace(OBJECT, shape=replace(OBJECT.shape, chain=chain), hinge_friction=(0.01,))
 
 
 def run(trial: Trial, watch=lambda _: None, **of_runner):
@@ -151,3 +146,27 @@ def test_a_plan_of_a_push_says_what_the_fingers_need():
         plan_trial(Trial(OBJECT, replace(PUSH, point=(0.0, 0.0))), np.zeros(3), settings)
     with pytest.raises(InfeasibleTrialError, match="limit"):
         plan_trial(trial, np.array([0.6, 0.5, 0.0]), settings).check(settings)
+
+
+QUICK = "300 ms late", "every other frame 50 mm off", "1e308"
+
+
+@pytest.mark.parametrize("links", [False, True], ids=["push", "links"])
+@pytest.mark.parametrize("lie", [pytest.param(n, marks=() if n in QUICK else pytest.mark.slow) for n in LIES])
+def test_a_camera_that_lies_in_the_motion_leaves_a_fault_in_the_record(lie, links):
+    record, robot = run(DRAG if links else PUSH_TRIAL, begins(LIES[lie][0]))
+    assert record.status == "fault" and re.search(LIES[lie][1], record.reason), record.reason
+    assert not robot.world.driven
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("links", [False, True], ids=["push", "links"])
+def test_an_honest_camera_is_no_liar(links):
+    """In ten trials each; a tag that flips for one frame is left out."""
+    trial = DRAG if links else PUSH_TRIAL
+    for seed in range(10):
+        robot, runner = robot_for(trial, seed=seed)
+        robot.camera.lies = lambda f: shifted(0.05, 0, 1.5)(f) if len(f) % 40 == 39 else f[-1]
+        with runner:
+            record = runner.run(trial)
+        assert record.ok, record.reason

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import socket
+import sys
 import time
 
 import numpy as np
@@ -45,12 +46,12 @@ def test_frames_come_with_their_age_and_their_gaps():
     with UdpCamera(port=0) as camera:
         assert isinstance(camera, ObjectCamera)
         before = time.monotonic()
-        sent(camera, {"poses": [[0.4, 0.1, 0.5], None]}, {"poses": [[0.4, 0.1, 0.5], [0.5, 0.2, -3.0]], "age_s": 10.0})
+        sent(camera, {"poses": [[0.4, 0.1, 0.5], None]}, {"poses": [[0.4, 0.1, 0.5], [0.5, 0.2, -3.0]], "age_s": 0.8})
         first, second = drained(camera, 2)
     assert_allclose(first.poses, [[0.4, 0.1, 0.5], [math.nan] * 3], atol=1e-12)
     assert_allclose(second.poses[1], [0.5, 0.2, -3.0], atol=1e-12)
     assert before <= first.time_s <= time.monotonic()
-    assert first.time_s - second.time_s == pytest.approx(10.0, abs=0.5)
+    assert first.time_s - second.time_s == pytest.approx(0.8, abs=0.5)
 
 
 def test_poses_in_space_are_taken_to_the_base():
@@ -83,13 +84,31 @@ def test_poses_in_space_are_taken_to_the_base():
 @pytest.mark.parametrize(
     "message",
     [b"\xff\x00", b"[]", {"pose": []}, {"poses": []}, {"poses": [[1, 2]]}, {"poses": [[1, 2, math.nan]]},
-     {"poses": [[0, 0, 0, 0, 0, 0, 0]]}, {"poses": [[1, 2, 3]], "age_s": -1}, {"poses": [["a", 2, 3]]}],
+     {"poses": [[0, 0, 0, 0, 0, 0, 0]]}, {"poses": [[1, 2, 3]], "age_s": -1}, {"poses": [["a", 2, 3]]},
+     {"poses": [["1", "2", "3"]]}, {"poses": [[True, 0, 0]]},
+     b'{"poses": [[1' + b"0" * 400 + b', 0, 0]]}', b'{"poses": [[1' + b"0" * 5000 + b', 0, 0]]}',
+     b'{"poses": [[0, 0, 0]], "age_s": 1' + b"0" * 400 + b"}", b'{"poses": [[0, 0, 0]], "age_s": 1e308}',
+     {"poses": [[1e308, 0, 0]]}, {"poses": [[1e308, 0, 0, 1, 0, 0, 0]]}, {"poses": [[0, 0, 0, 1e-320, 0, 0, 0]]},
+     {"poses": [[11, 0, 0]]}, {"poses": [[0, 0, 0]], "age_s": 3600}, {"poses": [None] * 8000},
+     b"[" * 30000, b'{"poses": ' + b"[" * 30000 + b"]" * 30000 + b"}"],
 )  # fmt: skip
 def test_what_is_no_frame_is_told(message):
     with UdpCamera(port=0) as camera:
         sent(camera, message)
         with pytest.raises(CameraLostError, match=r"camera: got .*; allowed: a JSON object"):
             drained(camera, 1)
+        assert camera._thread is not None and camera._thread.is_alive()
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
+def test_a_thread_that_has_ended_is_noticed():
+    with UdpCamera(port=0) as camera:
+        assert camera._socket is not None and camera._thread is not None
+        camera._frame = lambda *_: sys.exit()  # whatever may end it
+        sent(camera, {"poses": [[0, 0, 0]]})
+        assert until(lambda: not camera._thread.is_alive())  # pyright: ignore[reportOptionalMemberAccess]
+        with pytest.raises(CameraLostError, match="thread that listens has ended"):
+            camera.drain()
 
 
 def test_a_taken_port_and_bad_settings_are_told():

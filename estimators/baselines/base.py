@@ -143,7 +143,7 @@ class SearchResult:
     traces: tuple[Trace, ...]
     covariance: Float[np.ndarray, "n_m n_m"] | None = None
     """Covariance of `mass` [kg^2], if the search gives one."""
-    misfit: float | None = None
+    misfit: Misfit | None = None
     """Misfit by the search's own model of the trials, if that is not heft's."""
     rollouts: int | None = None
     """Number of guesses compared with all data, if the traces do not have one entry each."""
@@ -201,14 +201,12 @@ class Baseline(ABC):
     ) -> Estimate:
         """Reduce the trajectories, search, and judge the result.
 
-        Diagnostics: "misfit" is that of `misfit_on`, or of the search's own model, about 1 or less where the answer
-        explains the measurements; "rollouts" is the number of guesses compared with all data.
+        Diagnostics: "misfit" of `misfit_on` or the search's own model; "rollouts", guesses compared with all data.
 
         Raises:
             InvalidValueError: `use_weight` without a weight.
         """
-        begin = time.perf_counter()
-        problem = self._problem(shape, weight, trajectories)
+        begin, problem = time.perf_counter(), self._problem(shape, weight, trajectories)
         if not isinstance(problem, Estimate):
             problem = self._judged(problem, self._search(problem, seed), weight, trajectories)
         return replace(problem, seconds=time.perf_counter() - begin)
@@ -225,19 +223,15 @@ class Baseline(ABC):
     ) -> Estimate:
         """The estimate of a search, less its time; `weight` is M as weighed, whether or not the search had it."""
         at = MassDistribution(found.mass, found.friction)
-        if found.misfit is None:
-            misfit = misfit_on(self._support, problem.shape, weight, problem.windows, at, self._errors)
-        else:
-            misfit = Misfit(found.misfit, 3 * len(problem.windows) - len(found.mass) - len(found.friction))
+        misfit = found.misfit or misfit_on(self._support, problem.shape, weight, problem.windows, at, self._errors)
         left = math.sqrt(problem.unexplained(torch.tensor(found.mass), torch.tensor(found.friction)))
         rollouts = found.rollouts or sum(len(trace.loss) for trace in found.traces)
         status, why = misfit.status, misfit.reason
         if not problem.scale_known:
             status, why = "underdetermined", "without M or an accelerated turn only mass times friction is observable"
         elif left > FAR_OFF:
-            status = "not_converged"
-            why = f"the best candidate leaves {100 * left:.0f} % of the largest wrench: the search is too short, or "
-            why += "the trajectories contradict each other"
+            status, why = "not_converged", f"the best candidate leaves {100 * left:.0f} % of the largest wrench: "
+            why += "the search is too short, or the trajectories contradict each other"
         return Estimate(
             at,
             status,

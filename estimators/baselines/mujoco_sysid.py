@@ -11,6 +11,7 @@ import torch
 from estimators.base import Trace
 from estimators.baselines.base import LogCoordinates, Peer, SearchResult
 from estimators.baselines.problem import Problem
+from estimators.particles.misfit import Misfit
 from estimators.particles.model import ModelErrors
 from estimators.particles.windows import Observations
 from testbed.errors import InvalidValueError
@@ -75,7 +76,7 @@ class MujocoSysid(Peer):
             float(found.losses[-1]),
             (trace,),
             covariance=found.covariance / np.outer(count, count),
-            misfit=float(found.losses[-1]),
+            misfit=Misfit(float(found.losses[-1]), 3 * len(windows) - shape.n_m - shape.n_mu),
             rollouts=found.guesses,
         )
 

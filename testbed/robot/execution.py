@@ -27,6 +27,8 @@ READ_TIME = 2.0
 """Duration of weighing a lifted object [s]."""
 _TILTED = math.radians(4)
 """Angle by which the tool is tilted to be checked [rad]; the least limit is 5 degrees."""
+_SHOWS = 0.3
+"""Change of the tool's weight along the sensor's axes that a tilt surely shows [N]: half is five standard errors."""
 _STILL = 0.3
 """Time in which the arm comes to rest [s]."""
 
@@ -98,7 +100,8 @@ class Execution:
         tilted = self._held()
         self._arm.move_to(hover, self._settings.travel_speed)
         self._guard.check()
-        off = np.abs((tilted[0] - level[0]) - (tilted[1] - level[1]))
+        change, due = tilted[0] - level[0], tilted[1] - level[1]
+        off = np.abs(change - due)
         self.figures |= {"tool_check_N": float(off[:3].max()), "tool_check_Nm": float(off[3:].max())}
         for what, error, allowed, unit in (
             ("force", off[:3].max(), self._settings.tool_error[0], "N"),
@@ -110,6 +113,12 @@ class Execution:
                     f"otherwise than its weight says; allowed: {allowed:g} {unit}; calibrate the sensor again, and "
                     "look for cables that pull"
                 )
+        weight = float(np.linalg.norm(due[:3]))
+        if weight >= _SHOWS and not (shown := float(change[:3] @ due[:3]) / weight) >= weight / 2:
+            raise RobotError(
+                f"tool: tilted by {math.degrees(_TILTED):.0f} deg, the force changed by {shown:.2f} N of the "
+                f"{weight:.2f} N of its weight; allowed: at least half; the sensor is dead, or the tool's mass is wrong"
+            )
 
     def _held(self) -> tuple[np.ndarray, np.ndarray]:
         """Wrench at rest as measured, and by the tool's weight [N, N m], sensor axes, each (6,)."""

@@ -134,6 +134,9 @@ class SensorIdentity:
     """Largest torque about an axis that it measures [N m]."""
     repeats: tuple[int, ...] = (20,) * 6
     """Most equal values in a row of each component: its noise allows no more."""
+    noise: tuple[float, ...] | None = None
+    """Standard deviation of each component at rest, per frame [N, N m]; 0 allows any, None takes that of its first 50
+    frames."""
 
 
 @dataclass(frozen=True)

@@ -219,6 +219,11 @@ LOST_LIMIT = 0.01
 """Allowed part of lost frames."""
 COVERED = 0.95
 """Required part of a steady stretch's frames."""
+_BLOCK = 10
+"""Frames of a mean whose change from the tare is judged."""
+CHANGE = 6.0
+"""Least change of the wrench from the tare to the motion, over the standard error of such a mean: 0.13 N, or 0.002 N m
+about z, of an FT-300S. Frames correlate: it is 4.4 true errors, which some 100 means do not reach by chance."""
 RESTLESS = 0.5
 """Standard deviation of force during a tare beyond which something touches or shakes the tool [N]."""
 
@@ -265,6 +270,24 @@ def doubts(
             )
     if profile is not None:
         yield from _uncovered(record, profile)
+    if (change := _change(record)) < CHANGE:
+        yield (
+            "fault",
+            f"sensor: from the tare to the motion no component changed by more than {change:.1f} standard errors; "
+            f"allowed: at least {CHANGE:g}; the sensor feels nothing, or the hand holds nothing",
+        )
+
+
+def _change(record: Record) -> float:
+    """Largest change of any component from the first tare to the motion, in standard errors of ten frames' mean."""
+    tares, moving = _stretches(record.during(Phase.TARE)), np.flatnonzero(record.during(Phase.RAMP, Phase.STEADY))
+    if not tares or len(moving) < _BLOCK:
+        return math.inf
+    tare = record.wrench[tares[0]]
+    blocks = record.wrench[moving[: len(moving) // _BLOCK * _BLOCK]].reshape(-1, _BLOCK, 6).mean(axis=1)
+    noise = np.diff(tare, axis=0).std(axis=0) / math.sqrt(2)  # a tare that scatters slowly is another matter
+    error = np.maximum(noise, 1e-6) / math.sqrt(_BLOCK)
+    return float((np.abs(blocks - tare.mean(axis=0)) / error).max())
 
 
 def _uncovered(record: Record, profile: Profile | LiftProfile) -> Iterator[tuple[Status, str]]:

@@ -17,6 +17,16 @@ from testbed.validation import Range, check_settings
 
 FROZEN = 4
 """Most equal frames in a row: noise is several counts."""
+LAGS = 50
+"""Frames that are remembered."""
+PERIODS = 10
+"""Longest period of a single component that is looked for [frames]."""
+PAIRS = 3
+"""Frames in which a component may have two values alone, over the most equal ones in a row."""
+SHORT = 15
+"""Frames whose changes are held against the noise of all components together; of each one, `LAGS`."""
+QUIET = 1 / 3
+"""Least ratio of the root mean square of changes from frame to frame to the resting noise; white noise has 1.4."""
 _COMPONENTS = ("fx", "fy", "fz", "tx", "ty", "tz")
 _OVERSHOOT = 1.25
 """Allowed ratio of measured to commanded speed."""
@@ -131,11 +141,23 @@ def load_violations(limits: SafetyLimits, load: Float[np.ndarray, "6"]) -> Itera
 
 
 class FrameWatch:
-    """Watch over every frame of a sensor: NaN, a value beyond its range, one that no noise changes any more."""
+    """Watch over every frame of a sensor: NaN, values beyond its range, and values that no noise changes any more.
+
+    A dead sensor repeats itself: a value in a row or with a period, whole frames of some time before, two values alone,
+    or changes from frame to frame far below its noise. By the noise and counts of an FT-300S (correlation of 0.3
+    between neighbours) a frame at rest is a false alarm with a probability of 1.5e-8, one in 180 hours: by equal values
+    in a row, half of it tz; 6e-10 by periods, under 1e-14 by two values alone. Small changes lie 11 standard deviations
+    away. A load that changes only lowers it.
+    """
 
     def __init__(self, sensor: SensorIdentity):
         self._sensor = sensor
-        self._last, self._run = np.full(6, np.nan), np.ones(6, dtype=int)
+        self._before = np.full((LAGS, 6), np.nan)  # newest first
+        self._runs = np.zeros((LAGS, 6), dtype=int)  # values in a row that equal those of each lag before
+        self._pair, self._pairs = np.full((2, 6), np.nan), np.zeros(6, dtype=int)
+        self._changes = np.full((LAGS, 6), np.nan)  # squared changes from frame to frame
+        self._taken = -1  # changes from frame to frame: none by the first
+        self._variance = None if sensor.noise is None else np.square(sensor.noise)
 
     def violations(self, wrench: Float[np.ndarray, "6"]) -> Iterator[Violation]:
         """Every violation by the next frame, raw [N, N m]."""
@@ -149,13 +171,58 @@ class FrameWatch:
         ):
             if (most := float(np.abs(part).max())) > allowed:
                 yield Violation(name, most, allowed, unit)
-        self._run = np.where(wrench == self._last, self._run + 1, 1)
-        self._last = wrench
-        if self._run.min() > FROZEN:
-            yield Violation("equal frames in a row", float(self._run.min()), FROZEN, "", broken=True)
-        for name, run, allowed in zip(_COMPONENTS, self._run.tolist(), self._sensor.repeats, strict=True):
-            if run > allowed:
-                yield Violation(f"equal values of {name} in a row", run, allowed, "", broken=True)
+        self._take(wrench)
+        yield from self._repeated()
+        yield from self._quiet()
+
+    def _take(self, wrench: np.ndarray) -> None:
+        last = self._before[0]
+        row = self._runs[0] + 1  # of the value before
+        self._runs = np.where(self._before == wrench, self._runs + 1, 0)
+        third = (wrench != self._pair).all(axis=0)
+        self._pairs = np.where(third, row + 1, self._pairs + 1)
+        self._pair = np.where(third, np.stack([last, wrench]), self._pair)
+        for kept, new in ((self._changes, np.square(wrench - last)), (self._before, wrench)):
+            kept[1:] = kept[:-1].copy()
+            kept[0] = new
+        self._taken += 1
+
+    def _repeated(self) -> Iterator[Violation]:
+        """Violations by values that come again."""
+        rows, repeats = self._runs[0] + 1, np.array(self._sensor.repeats)
+        if rows.min() > FROZEN:
+            yield Violation("equal frames in a row", float(rows.min()), FROZEN, "", broken=True)
+        elif (again := self._runs.min(axis=1)).max() > FROZEN:
+            lag = int(again.argmax()) + 1
+            yield Violation(f"frames in a row that are those of {lag} before", float(again.max()), FROZEN, "", True)
+        for axis, name in enumerate(_COMPONENTS):
+            most = int(repeats[axis])
+            if rows[axis] > most:
+                yield Violation(f"equal values of {name} in a row", int(rows[axis]), most, "", broken=True)
+            period = int(self._runs[:PERIODS, axis].argmax()) + 1
+            if period > 1 and (run := int(self._runs[period - 1, axis])) > most + 1:
+                yield Violation(f"values of {name} in a row with a period of {period} frames", run, most + 1, "", True)
+            if (pairs := int(self._pairs[axis])) > PAIRS * most:
+                yield Violation(f"frames in which {name} has two values alone", pairs, PAIRS * most, "", True)
+
+    def _quiet(self) -> Iterator[Violation]:
+        """Violations by changes below the resting noise."""
+        if self._taken >= LAGS and self._variance is None:  # the sensor states no noise: that of its first frames
+            self._variance = self._changes.mean(axis=0)
+        if self._taken < SHORT or self._variance is None:
+            return
+        if (whole := float(self._over_noise(SHORT, self._variance).mean())) < QUIET**2:
+            yield Violation("changes from frame to frame over the noise", whole**0.5, QUIET, "", broken=True)
+        if self._taken < LAGS:
+            return
+        for name, part in zip(_COMPONENTS, self._over_noise(LAGS, self._variance).tolist(), strict=True):
+            if part < QUIET**2:
+                yield Violation(f"changes of {name} from frame to frame over its noise", part**0.5, QUIET, "", True)
+
+    def _over_noise(self, frames: int, variance: np.ndarray) -> np.ndarray:
+        """Mean squared change over the variance of the noise, shape (6,); infinite for a noise of 0."""
+        changes = self._changes[:frames].mean(axis=0)
+        return np.divide(changes, variance, out=np.full(6, np.inf), where=variance > 0)
 
 
 def path_violations(

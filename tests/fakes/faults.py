@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache, partial
 from pathlib import Path
@@ -14,10 +15,11 @@ import numpy as np
 
 from testbed.errors import HeftError
 from testbed.robot.raw_record import RawRecord
+from testbed.robot.robotiq.ft300s import NOISE
 from testbed.sensing.windows import steady_windows
 from testbed.trajectory import Phase, Trajectory
 from testbed.trial import Trial
-from tests.fakes.robot import ACTION, FakeRobot, robot_for, small_object
+from tests.fakes.robot import ACTION, COUNTS, FakeRobot, robot_for, small_object
 
 BOUND = 0.150
 """Time after which nothing may drive the arm [s]."""
@@ -41,9 +43,14 @@ class Fault:
     until: float = 0.95
     """Part of the trial in which it may strike."""
     stops_in: float = math.inf
-    """Time within which it must stop the arm, in every phase of a trial [s]."""
+    """Time within which it must stop the arm, in every phase of a trial that is long enough [s]."""
     says: str = ""
     """Part of what the record then says."""
+
+    @property
+    def phases(self) -> tuple[str, ...]:
+        """Phases that are long enough to find it."""
+        return PHASES if self.stops_in < LAST_TARE else PHASES[:-1]
 
     def strike(self, robot: FakeRobot) -> None:
         """Cause it."""
@@ -53,6 +60,41 @@ class Fault:
             if self.pause < math.inf:
                 robot.later(self.pause, partial(setattr, part, field, getattr(part, field)))
             setattr(part, field, value)
+
+
+RANDOM = np.random.default_rng(5).integers(0, 2, (100_000, 6))
+"""Tosses of a coin for each frame and component."""
+
+
+def toggles(number: int, held: np.ndarray) -> np.ndarray:
+    """Last count of every component, up and down."""
+    return held[-1] + (number % 2) / COUNTS
+
+
+def toggles_at_random(number: int, held: np.ndarray) -> np.ndarray:
+    """Last count of every component, by chance."""
+    return held[-1] + RANDOM[number] / COUNTS
+
+
+def creeps(number: int, held: np.ndarray) -> np.ndarray:
+    """One count up in every third frame."""
+    return held[-1] + (number // 3) / COUNTS
+
+
+def replays(number: int, held: np.ndarray) -> np.ndarray:
+    """The last 30 frames, again and again."""
+    return held[-30 + number % 30]
+
+
+def hears_noise_alone(number: int, held: np.ndarray) -> np.ndarray:
+    """Noise about the last wrench: the load no longer reaches the sensor."""
+    noise = np.array(NOISE) * np.random.default_rng([number, 8]).standard_normal(6)
+    return np.round((held.mean(axis=0) + noise) * COUNTS) / COUNTS
+
+
+def alone(axis: int, dead: Callable[[int, np.ndarray], np.ndarray]) -> Callable[[int, np.ndarray], np.ndarray]:
+    """One dead component."""
+    return lambda number, held: np.where(np.arange(6) == axis, dead(number, held), np.nan)
 
 
 FORCE, TORQUE = np.array([100.0, 0, 0, 0, 0, 0]), np.array([0, 0, 0, 0, 0, 20.0])
@@ -80,6 +122,7 @@ FAULTS = (
     Fault("sensor pauses for 70 ms", {"sensor_stalls": True}, pause=0.07),
     Fault("a fifth of the frames lost", {"drops": 0.2}),
     Fault("sensor repeats one frame", {"frozen": True}),
+    Fault("sensor hears its noise alone", {"dead": hears_noise_alone}),
     Fault("the tool hits something", {"load": FORCE}),
     Fault("the tool is twisted", {"load": TORQUE}),
     Fault("the sensor's zero jumps by 1 N", {"load": FORCE / 100}),
@@ -97,6 +140,16 @@ LIVE = (
     Fault("sensor repeats one frame", {"frozen": True}, stops_in=0.07, says="equal frames in a row: 5"),
     Fault("fx is stuck", {"stuck": 0}, stops_in=0.1, says="equal values of fx in a row: 8"),
     Fault("tz is stuck", {"stuck": 5}, stops_in=0.22, says="equal values of tz in a row: 20"),
+    Fault("last counts toggle", {"dead": toggles}, stops_in=0.09, says="those of 2 before: 5"),
+    Fault(
+        "last counts toggle at random", {"dead": toggles_at_random}, stops_in=0.2, says="changes from frame to frame"
+    ),
+    Fault("counts creep", {"dead": creeps}, stops_in=0.2, says="changes from frame to frame"),
+    Fault("30 frames are replayed", {"dead": replays}, stops_in=0.1, says="those of 30 before: 5"),
+    Fault("fx toggles", {"dead": alone(0, toggles)}, stops_in=0.13, says="fx in a row with a period of 2"),
+    Fault("fx toggles at random", {"dead": alone(0, toggles_at_random)}, stops_in=0.25, says="fx has two values alone"),
+    Fault("tz toggles", {"dead": alone(5, toggles)}, stops_in=0.26, says="tz in a row with a period of 2"),
+    Fault("tz toggles at random", {"dead": alone(5, toggles_at_random)}, stops_in=0.62, says="tz has two values alone"),
     Fault("sensor stalls", {"sensor_stalls": True}, stops_in=0.1, says="age of the wrench"),
     Fault("sensor unplugged", {"sensor_lost": True}, stops_in=0.03, says="unplugged"),
     Fault("feedback of the arm stalls", {"feedback_stalls": True}, stops_in=0.1, says="age of the feedback"),
@@ -107,6 +160,8 @@ LIVE = (
     Fault("NaN in an arm's fault", {"load": NAN, "arm_faulted": True}, stops_in=0.03),
 )
 """Faults that the guard must find while a trial runs, also two at once, and how soon."""
+LAST_TARE = 0.4
+"""Time that is left of a trial in the middle of its last tare [s]: slower finds do not fit in."""
 PHASES = ("travel", "tool check", "tare", "approach", "grasp", "settle", "action", "release", "last tare")
 
 

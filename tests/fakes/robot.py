@@ -32,6 +32,7 @@ from testbed.robot.interfaces import (
 from testbed.robot.kinova.arm import GEN3
 from testbed.robot.path import KnownPose, opening, starting_pose
 from testbed.robot.raw_record import RawRecord
+from testbed.robot.robotiq.ft300s import NOISE, REPEATS
 from testbed.robot.robotiq.gripper import data_sheet
 from testbed.robot.runner import RealRunner
 from testbed.sensing.camera import CAMERAS
@@ -77,6 +78,8 @@ class Troubles:
     """Repeats one frame."""
     stuck: int | None = None
     """Component that repeats its value."""
+    dead: Callable[[int, np.ndarray], np.ndarray] | None = None
+    """Wrench of a dead sensor, by the number of the frame since then and the last good frames (n, 6); NaN if alive."""
     camera_lost: bool = False
     camera_blind: bool = False
     """It streams nothing."""
@@ -308,12 +311,14 @@ class FakeGripper:
 class FakeSensor:
     """A `WrenchSensor` on the world."""
 
-    identity = SensorIdentity("fake", "1", "1", 1 / TICK, 300.0, 30.0, (7, 7, 8, 9, 10, 19))
+    identity = SensorIdentity("fake", "1", "1", 1 / TICK, 300.0, 30.0, REPEATS, NOISE)
 
     def __init__(self, robot: FakeRobot, seed: int = 0):
         self.robot, self._rng = robot, np.random.default_rng([seed, 7])
         self._samples: list[WrenchSample] = []
         self._latest: WrenchSample | None = None
+        self._history: list[np.ndarray] = []
+        self._dead_for = 0
         self._count = self._lost = 0
 
     def __enter__(self) -> Self:
@@ -337,6 +342,12 @@ class FakeSensor:
             wrench = self._latest.wrench
         if troubles.stuck is not None and self._latest is not None:
             wrench[troubles.stuck] = self._latest.wrench[troubles.stuck]
+        if troubles.dead is None:
+            self._history = [*self._history[-59:], wrench]
+        else:
+            said = troubles.dead(self._dead_for, np.array(self._history))
+            wrench = np.where(np.isnan(said), wrench, said)
+            self._dead_for += 1
         self._latest = WrenchSample(now, wrench, self._count)
         self._samples.append(self._latest)
         self._count += 1

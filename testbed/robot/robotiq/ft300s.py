@@ -21,6 +21,7 @@ from testbed.robot.interfaces import (
 )
 from testbed.robot.robotiq.serial_port import SerialReader, why_closed
 from testbed.robot.robotiq.stream import FRAME_BYTES, RATE, FrameClock, FrameParser
+from testbed.sensing.presets import preset
 from testbed.validation import Range, check_settings
 
 try:
@@ -36,8 +37,13 @@ MEASURING_RANGE = 300.0, 30.0
 """Largest force and torque on an axis [N, N m], of the maker's data sheet."""
 REPEATS = (7, 7, 8, 9, 10, 19)
 """Most equal values in a row of each component: with the preset's noise, and counts of 0.01 N and 0.001 N m, more come
-about once in 1e9 frames."""
+with a probability of 1e-10 to 8e-9 per frame."""
 Count = Annotated[int, Range(2, 30, "frames")]
+_PRESET = preset("ft300s")
+NOISE = (*_PRESET.force_noise, *_PRESET.torque_noise)
+"""Standard deviation of each component at rest, per frame [N, N m]."""
+Force = Annotated[float, Range(0.01, 1.0, "N")]
+Torque = Annotated[float, Range(5e-4, 0.05, "N m")]
 DEVICE = 9
 """Modbus address."""
 _FIRMWARE, _SERIAL, _STREAM = (500, 3), (510, 4), 410
@@ -70,6 +76,7 @@ class Ft300s:
         *,
         stale_after: Annotated[float, Range(0.03, 0.2, "s")] = 0.1,
         repeats: tuple[Count, Count, Count, Count, Count, Count] = REPEATS,
+        noise: tuple[Force, Force, Force, Torque, Torque, Torque] = NOISE,
     ):
         """Describe the sensor; nothing is opened.
 
@@ -77,10 +84,13 @@ class Ft300s:
             port: device file: /dev/ttyUSB0 or, better, its name in /dev/serial/by-id.
             stale_after: silence after which the sensor counts as lost [s].
             repeats: most equal values in a row of each component.
+            noise: standard deviation of each component at rest, per frame.
         """
-        check_settings(Ft300s, {"port": port, "stale_after": stale_after, "repeats": repeats}, "Ft300s")
+        check_settings(Ft300s, {"port": port, "stale_after": stale_after, "repeats": repeats, "noise": noise}, "Ft300s")
         self.port, self.stale_after = port, stale_after
-        self._identity = SensorIdentity("Robotiq FT-300S", "unknown", "unknown", RATE, *MEASURING_RANGE, tuple(repeats))
+        self._identity = SensorIdentity(
+            "Robotiq FT-300S", "unknown", "unknown", RATE, *MEASURING_RANGE, tuple(repeats), tuple(noise)
+        )
         self._serial: serial.Serial | None = None
         self._reset()
 

@@ -16,7 +16,7 @@ GOOD = GripEvidence(lost_frames=0, held_width=(0.05, 0.0501), slip=(1e-4, 1e-3))
 
 
 def record(**changes) -> Record:
-    """A tare, a turn, a tare, at 100 Hz, with a sensor's noise."""
+    """A tare, a turn under 1 N, a tare, at 100 Hz, with a sensor's noise."""
     tare, turn = 100, len(PROFILE.segment)
     count = tare + turn + tare
     phase = np.full(count, Phase.TARE)
@@ -27,7 +27,7 @@ def record(**changes) -> Record:
         "time_s": np.arange(count) / 100,
         "phase": phase,
         "segment": segment,
-        "wrench": 0.07 * np.random.default_rng(0).standard_normal((count, 6)),
+        "wrench": 0.07 * np.random.default_rng(0).standard_normal((count, 6)) + (phase != Phase.TARE)[:, None],
         "tcp_position": np.zeros((count, 3)),
         "tcp_orientation": np.tile([0.0, 1.0, 0.0, 0.0], (count, 1)),
         "tcp_velocity": np.zeros((count, 6)),
@@ -73,6 +73,13 @@ def test_each_reason_is_found_alone(changes, evidence, status, said):
     found = list(doubts(record(**changes), replace(GOOD, **evidence), PROFILE))
     assert [f[0] for f in found] == [status]
     assert said in found[0][1]
+
+
+@pytest.mark.parametrize("scale", [0.0, 1e-3, 1.0], ids=["frozen", "quiet", "noise"])
+def test_a_sensor_that_feels_nothing_of_the_motion_is_dead(scale):
+    felt = scale * 0.07 * np.random.default_rng(0).standard_normal((480, 6)) + [3.3, -2.1, 9.2, 0.11, -0.21, 0.31]
+    (found,) = doubts(record(wrench=felt), GOOD, PROFILE)
+    assert found[0] == "fault" and "the sensor feels nothing" in found[1]
 
 
 def test_a_zero_that_has_moved_between_the_tares_is_no_scatter_of_either():

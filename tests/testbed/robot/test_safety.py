@@ -6,11 +6,15 @@ import math
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
-from testbed.robot.interfaces import ArmState, Pose
+from testbed.robot.interfaces import ArmState, Pose, SensorIdentity
 from testbed.robot.kinova.arm import GEN3
-from testbed.robot.safety import SafetyLimits, Snapshot, UnsafeError, path_violations, violations
+from testbed.robot.robotiq.ft300s import NOISE, REPEATS
+from testbed.robot.safety import FrameWatch, SafetyLimits, Snapshot, UnsafeError, path_violations, violations
 
+COUNTS = np.array([100.0, 100.0, 100.0, 1000.0, 1000.0, 1000.0])
+"""Counts per newton and newton meter."""
 DOWN = (0.0, 1.0, 0.0, 0.0)
 LIMITS = SafetyLimits()
 
@@ -93,3 +97,34 @@ def test_a_path_is_judged_by_its_farthest_place_and_its_fastest_moment():
     for said, name in zip(found, names, strict=True):
         assert said.startswith(name)
     assert list(path_violations(LIMITS, positions[:1], twists[:1], tilts[:1])) == []
+
+
+@pytest.mark.parametrize("stated", [True, False], ids=["noise stated", "noise of its first frames"])
+def test_a_healthy_sensor_is_no_dead_one(stated: bool):
+    """Four minutes at rest, with the noise and the counts of an FT-300S."""
+    watch = FrameWatch(SensorIdentity("s", "1", "1", 100.0, 300.0, 30.0, REPEATS, NOISE if stated else None))
+    assert not [found for frame in at_rest(25_000) for found in watch.violations(frame)]
+
+
+@pytest.mark.parametrize("pattern", [2, 3, 7, "random"])
+@pytest.mark.parametrize("axes", [[0, 1, 2, 3, 4, 5], [0], [1], [2], [3], [4], [5]], ids=str)
+def test_a_sensor_whose_last_counts_toggle_is_dead(axes, pattern):
+    """All components or one: found within a second, or with a period of up to ten frames."""
+    rng, frames = np.random.default_rng(4), at_rest(400)
+    watch = FrameWatch(SensorIdentity("s", "1", "1", 100.0, 300.0, 30.0, REPEATS, NOISE))
+    assert not [found for frame in frames[:200] for found in watch.violations(frame)]
+    low = rng.integers(0, 2, (200, 6)) if pattern == "random" else rng.integers(0, 3, (pattern, 6))
+    for number in range(120):
+        frame = frames[200 + number].copy()
+        frame[axes] = np.round(frames[199] * COUNTS + low[number % len(low)])[axes] / COUNTS[axes]
+        if found := next(watch.violations(frame), None):
+            assert found.broken
+            return
+    raise AssertionError("not found")
+
+
+def at_rest(count: int) -> np.ndarray:
+    """Wrenches of an FT-300S at rest, correlated from frame to frame and rounded to counts, (count, 6)."""
+    white = np.random.default_rng(3).standard_normal((count, 6))
+    coloured = np.asarray(lfilter([math.sqrt(1 - 0.3**2)], [1.0, -0.3], white, axis=0))
+    return np.round((coloured * np.array(NOISE) + [3.3, -2.1, 9.2, 0.11, -0.21, 0.31]) * COUNTS) / COUNTS

@@ -45,14 +45,16 @@ def test_a_table_of_fields_is_the_files(heading):
 def range_in(annotation: Any) -> str:
     """Range of the numbers in an annotation, in words; empty without one."""
     inner = [*get_args(annotation), *getattr(annotation, "__metadata__", ())]
-    return next((str(one) for one in inner if isinstance(one, Range)), "") or "".join({*map(range_in, inner)})
+    return next((str(one) for one in inner if isinstance(one, Range)), "") or "; ".join(
+        dict.fromkeys(filter(None, map(range_in, inner)))
+    )
 
 
 def test_the_table_of_device_settings_is_the_classes():
     arguments = {**inspect.signature(KortexArm).parameters, **inspect.signature(Ft300s).parameters}
     hints = get_type_hints(KortexArm, include_extras=True) | get_type_hints(Ft300s.__init__, include_extras=True)
     rows = table("hardware.md", "Device settings")
-    assert names(rows) == ["silence", "watchdog", "turn_speed", "stale_after", "repeats"]
+    assert names(rows) == ["silence", "watchdog", "turn_speed", "stale_after", "repeats", "noise"]
     for name, default, allowed, _ in rows:
         assert json.loads(default.strip("`")) == pytest.approx(arguments[name.strip("`")].default, rel=1e-3)
         assert allowed == range_in(hints[name.strip("`")])

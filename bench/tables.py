@@ -1,10 +1,16 @@
-"""Tables of the README and of docs/baselines.md from the results of `make run`: python bench/tables.py [RESULTS].
+"""Tables of the README and the documentation from results folders: python bench/tables.py [RESULTS].
 
-Run first, in RESULTS (results/ if left out), by the secret that makes them again:
-    heft run blocks --secret readme
-    heft run lab --secret readme
-Writes the figures into docs/tables/*.csv, and the tables between their marks in README.md and docs/baselines.md;
-tests/scenarios/cli/test_shown_outputs.py holds the pages against the figures, and a part of the figures against a run.
+Writes every table whose run is in RESULTS (results/ if left out) between its marks in the page. By these secrets the
+runs come again:
+    heft run blocks --secret readme            README.md, docs/baselines.md
+    heft run lab --secret readme               README.md
+    heft run budget --secret docs              docs/worlds.md
+    heft run trust --secret docs               docs/support.md
+    heft run push --secret docs                docs/simulation.md
+    heft run articulated --secret docs         docs/simulation.md
+    heft run articulated --world lab --seeds 4 --out results/articulated_lab --secret docs    docs/simulation.md
+Figures of the README's are kept in docs/tables/*.csv too; tests/scenarios/cli/test_shown_outputs.py holds the pages
+against them, and a part of them against a run.
 """
 
 from __future__ import annotations
@@ -12,7 +18,7 @@ from __future__ import annotations
 import csv
 import math
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from io import StringIO
 from pathlib import Path
@@ -50,6 +56,7 @@ METHODS = {
     },
 }
 """Rows of the README's table of each run, and what stands behind their names."""
+SEARCHES = "weighted_sampling_M", "random_search_M"
 SHOWN_SUPPORT = "own_weight"
 
 
@@ -120,14 +127,14 @@ def readme_table(name: str, figures: Figures) -> str:
     least = [min(values) for values in zip(*columns.values(), strict=True)]
     held = {m: figures.cell(m, "all", "hold") for m in METHODS[name]} if name == "lab" else {}
     head = ["in a lab" if name == "lab" else "", *objects, "median", *(["90 % intervals hold"] if held else [])]
-    lines = [head, ["---"] * len(head)]
+    lines = [head]
     for method, values in columns.items():
         cells = [
             f"**{shown(v)}**" if shown(v) == shown(best) else shown(v) for v, best in zip(values, least, strict=True)
         ]
         claims = [f"{held[method]} %" if held[method] else "claims none"] if held else []
         lines.append([f"`{method}`{METHODS[name][method]}", *cells, *claims])
-    return "\n".join("| " + " | ".join(line) + " |" for line in lines).replace("|  |", "| |")
+    return markdown(lines)
 
 
 def replaced(page: str, mark: str, text: str) -> str:
@@ -147,16 +154,125 @@ def printed_table(folder: Path) -> str:
     return "```\n" + "\n".join(line.rstrip() for line in console.export_text().splitlines()).strip("\n") + "\n```"
 
 
+def markdown(lines: Sequence[Sequence[str]]) -> str:
+    """A table of which the first line is the head."""
+    head, *rest = lines
+    return "\n".join("| " + " | ".join(line) + " |" for line in (head, ["---"] * len(head), *rest)).replace(
+        "|  |", "| |"
+    )
+
+
+def nad_of(rows: Sequence[Any], by: Callable[[list[float]], float] = fmean) -> str:
+    """NAD of some answers in percent, their mean or what `by` says; "-" without any."""
+    nad = [NAD.scale * row["nad"] for row in rows if row.get("nad") is not None and not math.isnan(row["nad"])]
+    return shown(by(nad)) if nad else "-"
+
+
+def held(rows: Sequence[Any]) -> str:
+    """Percentage of 90 % intervals that hold; empty of methods that claim none."""
+    claims = Claims.of(rows)
+    return "" if claims is None else f"{100 * claims.held:.0f}"
+
+
+def budget_table(results: Sequence[Any]) -> str:
+    """Sources of a lab's errors, each alone: median NAD, and error over claimed error."""
+    methods = ("hidden_states", "least_squares", "hidden_states_published", "explicit_state_M")
+    lines = [["source", *(f"`{method}`" for method in methods)]]
+    for source in dict.fromkeys(row["axis.world.only"] for row in results):
+        cells = []
+        for method in methods:
+            rows = select([row for row in results if row["axis.world.only"] == source], method=method)
+            claims = Claims.of(rows)
+            cells.append(nad_of(rows, median) + ("" if claims is None else f" ({claims.ratio:.1f})"))
+        lines.append([source, *cells])
+    return markdown(lines)
+
+
+def trust_table(results: Sequence[Any]) -> str:
+    """Methods that test the support, under both: mean NAD, FT-300S and perfect sensor."""
+    names, labels = objects_of(results), {"own_weight": "own weight", "rigid": "rigid"}
+    lines = [["", *names]]
+    for support, label in labels.items():
+        for method in methods_of(results):
+            rows = select(results, support=support, method=method)
+            cells = [", ".join(nad_of(select(rows, object=n, sensing=s)) for s in ("ft300s", "ideal")) for n in names]
+            lines.append([f"{label}, {method}", *cells])
+    return markdown(lines)
+
+
+def articulated_table(results: Sequence[Any]) -> str:
+    """Objects in links, by camera: mean NAD, of `hidden_states` with the error of the hinges' friction."""
+    names = objects_of(results)
+    lines = [["", *names, "90 % hold"]]
+    for sensing in dict.fromkeys(row["sensing"] for row in results):
+        for method in ("hidden_states", "least_squares", *([] if _in_lab(results) else SEARCHES)):
+            rows = select(results, sensing=sensing, method=method)
+            cells = [nad_of(each := select(rows, object=name)) + hinges_of(each) for name in names]
+            lines.append([f"{sensing}, `{method}`", *cells, held(rows)])
+    return markdown(lines)
+
+
+def _in_lab(results: Sequence[Any]) -> bool:
+    """True if each draw has trials of its own, as those of a world have."""
+    return len({tuple(row["trial_keys"]) for row in results}) > 2 * len(objects_of(results))
+
+
+def hinges_of(rows: Sequence[Any]) -> str:
+    """Mean error of the hinges' friction in percent, after a comma; empty of methods without."""
+    found = [100 * row["hinge_error"] for row in rows if row.get("hinge_error") is not None]
+    found = [value for value in found if not math.isnan(value)]
+    return f", {shown(fmean(found))}" if found else ""
+
+
+def push_table(results: Sequence[Any]) -> str:
+    """Pushes by camera and world: mean NAD of both rectangles, median of all objects, and how often intervals hold."""
+    sensors = list(dict.fromkeys(row["sensing"] for row in results))
+    named = [name for name in objects_of(results) if name.startswith("rectangle")]
+    lines = [["", *(f"{each}: {sensor}" for sensor in sensors for each in (*named, "all", "90 % hold"))]]
+    for world in dict.fromkeys(row["axis.world.preset"] for row in results):
+        for method in methods_of(results):
+            cells = []
+            for sensor in sensors:
+                rows = select([r for r in results if r["axis.world.preset"] == world], method=method, sensing=sensor)
+                cells += [*(nad_of(select(rows, object=name)) for name in named), nad_of(rows, median), held(rows)]
+            lines.append([f"{world}, `{method}`", *cells])
+    return markdown(lines)
+
+
+def objects_of(results: Sequence[Any]) -> list[str]:
+    """Names of the objects in order."""
+    return list(dict.fromkeys(row["object"] for row in results))
+
+
+PAGES: dict[str, tuple[str, Callable[[Sequence[Any]], str]]] = {
+    "budget": ("worlds", budget_table),
+    "trust": ("support", trust_table),
+    "push": ("simulation", push_table),
+    "articulated": ("simulation", articulated_table),
+    "articulated_lab": ("simulation", articulated_table),
+}
+"""Page of the documentation and table of each run."""
+
+
 def main(results: Path) -> None:
     """Write figures and tables."""
-    readme = (ROOT / "README.md").read_text(encoding="utf-8")
-    for name in METHODS:
-        figures = Figures.of(results / name)
-        figures.write(name)
-        readme = replaced(readme, name, readme_table(name, figures))
-    (ROOT / "README.md").write_text(readme, encoding="utf-8")
-    page = ROOT / "docs" / "baselines.md"
-    page.write_text(replaced(page.read_text(encoding="utf-8"), "blocks", printed_table(results / "blocks")), "utf-8")
+    if all((results / name).is_dir() for name in METHODS):
+        readme = (ROOT / "README.md").read_text(encoding="utf-8")
+        for name in METHODS:
+            figures = Figures.of(results / name)
+            figures.write(name)
+            readme = replaced(readme, name, readme_table(name, figures))
+        (ROOT / "README.md").write_text(readme, encoding="utf-8")
+        put("baselines", "blocks", printed_table(results / "blocks"))
+    for name, (page, table) in PAGES.items():
+        if (results / name / "results.parquet").is_file():
+            put(page, name, table(rows_of(load_results(results / name))))
+
+
+def put(page: str, mark: str, table: str) -> None:
+    """Write a table into a page of the documentation."""
+    path = ROOT / "docs" / f"{page}.md"
+    path.write_text(replaced(path.read_text(encoding="utf-8"), mark, table), encoding="utf-8")
 
 
 if __name__ == "__main__":

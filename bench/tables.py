@@ -228,7 +228,9 @@ def push_table(results: Sequence[Any]) -> str:
     """Pushes by camera and world: mean NAD of both rectangles, median of all objects, and how often intervals hold."""
     sensors = list(dict.fromkeys(row["sensing"] for row in results))
     named = [name for name in objects_of(results) if name.startswith("rectangle")]
-    lines = [["", *(f"{each}: {sensor}" for sensor in sensors for each in (*named, "all", "90 % hold"))]]
+    cameras = ["exact" if "exact" in sensor else "30 Hz" for sensor in sensors]
+    columns = [*(name.removeprefix("rectangle_") for name in named), "all", "90 % hold"]
+    lines = [["", *(f"{column}, {camera}" for camera in cameras for column in columns)]]
     for world in dict.fromkeys(row["axis.world.preset"] for row in results):
         for method in methods_of(results):
             cells = []

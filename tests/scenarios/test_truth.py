@@ -273,6 +273,7 @@ def test_no_small_seed_of_a_script_repeats_its_noise():
     assert np.array_equal(runner.run(trial).sensor_wrench, seen.sensor_wrench)
 
 
+@pytest.mark.slow
 def test_every_run_has_a_secret_of_its_own_and_keeps_it(tmp_path: Path, monkeypatch):
     monkeypatch.setattr(seeds, "token_hex", token_hex)
     scenario = load_scenario(str(small_scenario(tmp_path, ("own_weight",), "[methods.hidden_states]\n")))[1]

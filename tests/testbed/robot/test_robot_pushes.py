@@ -151,8 +151,14 @@ def test_a_plan_of_a_push_says_what_the_fingers_need():
 QUICK = "300 ms late", "every other frame 50 mm off", "1e308"
 
 
-@pytest.mark.parametrize("links", [False, True], ids=["push", "links"])
-@pytest.mark.parametrize("lie", [pytest.param(n, marks=() if n in QUICK else pytest.mark.slow) for n in LIES])
+@pytest.mark.parametrize(
+    ("lie", "links"),
+    [
+        pytest.param(n, links, id=f"{n}-{what}", marks=() if n in QUICK and not links else pytest.mark.slow)
+        for n in LIES
+        for links, what in ((False, "push"), (True, "links"))
+    ],
+)
 def test_a_camera_that_lies_in_the_motion_leaves_a_fault_in_the_record(lie, links):
     record, robot = run(DRAG if links else PUSH_TRIAL, begins(LIES[lie][0]))
     assert record.status == "fault" and re.search(LIES[lie][1], record.reason), record.reason

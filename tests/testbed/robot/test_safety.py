@@ -99,7 +99,13 @@ def test_a_path_is_judged_by_its_farthest_place_and_its_fastest_moment():
     assert list(path_violations(LIMITS, positions[:1], twists[:1], tilts[:1])) == []
 
 
-@pytest.mark.parametrize("stated", [True, False], ids=["noise stated", "noise of its first frames"])
+@pytest.mark.parametrize(
+    "stated",
+    [
+        pytest.param(True, id="noise stated"),
+        pytest.param(False, id="noise of its first frames", marks=pytest.mark.slow),
+    ],
+)
 def test_a_healthy_sensor_is_no_dead_one(stated: bool):
     """Four minutes at rest, with the noise and the counts of an FT-300S."""
     watch = FrameWatch(SensorIdentity("s", "1", "1", 100.0, 300.0, 30.0, REPEATS, NOISE if stated else None))

@@ -142,14 +142,24 @@ def test_the_place_of_an_object_is_the_median_of_a_look():
             stray = [5.0, 5.0, 1.0] if self.count == 4 else [0.4, 0.1, math.pi - 0.001 * (-1) ** self.count]
             return [SeenFrame(0.1 * self.count, np.array([stray, [math.nan] * 3]))]
 
-    camera = Turning()
-    x, y, yaw = SeenPose(camera, MonotonicClock(), parts=2).read()  # pyright: ignore[reportArgumentType]
+    class Skipping(MonotonicClock):
+        def __init__(self):
+            self.time = 0.0
+
+        def now(self):
+            return self.time
+
+        def sleep(self, seconds):
+            self.time += seconds
+
+    clock, camera = Skipping(), Turning()
+    x, y, yaw = SeenPose(camera, clock, parts=2).read()  # pyright: ignore[reportArgumentType]
     assert (x, y) == (0.4, 0.1)
     assert abs(math.remainder(yaw - math.pi, math.tau)) < 0.002
     with pytest.raises(CameraLostError, match="saw part 1 of the object in 0 frames"):
-        SeenPose(camera, MonotonicClock(), parts=2, part=1).read()  # pyright: ignore[reportArgumentType]
+        SeenPose(camera, clock, parts=2, part=1).read()  # pyright: ignore[reportArgumentType]
     with pytest.raises(CameraLostError, match="poses of 2 parts; the object has 1"):
-        SeenPose(camera, MonotonicClock()).read()  # pyright: ignore[reportArgumentType]
+        SeenPose(camera, clock).read()  # pyright: ignore[reportArgumentType]
 
 
 def test_a_trials_frames_lose_their_mean_delay_and_their_jumps():

@@ -26,7 +26,7 @@ from testbed.sensing.link_windows import parts_of, turned_errors
 from testbed.sensing.presets import Sensing
 from testbed.sensing.push_windows import BEGIN, WINDOW, stretches, within_contact
 from testbed.sensing.windows import PARTS as WINDOW_PARTS
-from testbed.sensing.windows import TRIM_END, trim_start
+from testbed.sensing.windows import TRIM_END, part_means, trim_start
 from testbed.worlds.setup_errors import EXACT_SETUP, SetupErrors
 
 RATE = 100.0
@@ -200,7 +200,7 @@ def _trailing(
             errors.append(turned_errors(seen.covariance[0], seen.late[0], shared))
         if np.isnan(errors).any():
             continue
-        means = np.array([each.mean(axis=0) for each in np.array_split(turned[part], WINDOW_PARTS)])
+        means = part_means(turned[part])
         twists = np.tile(whole.twists, (WINDOW_PARTS, 1))
         twist = whole.twists[0]
         aside = np.array([*(twist[2] * perpendicular(twist[:2])), 0.0])  # the hand's velocity turns with it
@@ -211,7 +211,7 @@ def _trailing(
                     since_tare=(time[part[0]], time[part[-1]]),
                     twists=twists,
                     acceleration=aside,
-                    poses=np.polynomial.polynomial.polyval(time[part].reshape(WINDOW_PARTS, -1).mean(axis=1), path).T,
+                    poses=np.polynomial.polynomial.polyval(part_means(time[part]), path).T,
                     links=motion.links(),
                     links_off=motion.links_off(),
                 )

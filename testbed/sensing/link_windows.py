@@ -13,7 +13,7 @@ from testbed.actions.base import TableAction
 from testbed.errors import InvalidValueError
 from testbed.sensing.camera import SPAN, PoseStream
 from testbed.sensing.push_windows import WINDOW
-from testbed.sensing.windows import PARTS, SteadyWindow, steady_samples, windows_of
+from testbed.sensing.windows import SteadyWindow, part_means, steady_samples, windows_of
 from testbed.trajectory import Trajectory
 
 _REDUCED: WeakKeyDictionary[Trajectory, list[SteadyWindow]] = WeakKeyDictionary()
@@ -51,7 +51,7 @@ def _reduced(trajectory: Trajectory, camera: PoseStream) -> list[SteadyWindow]:
             stretches.append((stretch[part], stretch))
             more.append(
                 {
-                    "turned": np.array([each.mean(axis=0) for each in np.array_split(turned[part], PARTS)]),
+                    "turned": part_means(turned[part]),
                     "turned_errors": np.array(
                         [turned_errors(m.covariance[middle], m.late[middle], shared) for m in seen]
                     ),
@@ -64,8 +64,7 @@ def _reduced(trajectory: Trajectory, camera: PoseStream) -> list[SteadyWindow]:
 
 def parts_of(count: int, step: float) -> Iterator[Int[np.ndarray, "N"]]:
     """Indices of the samples of each window of a stretch of `count` samples, `step` s apart."""
-    for whole in np.array_split(np.arange(count), max(int(count * step / WINDOW + 1e-6), 1)):
-        yield whole[: len(whole) // PARTS * PARTS]  # parts of a window are as long as each other
+    yield from np.array_split(np.arange(count), max(int(count * step / WINDOW + 1e-6), 1))
 
 
 def turned_errors(

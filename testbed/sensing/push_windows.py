@@ -18,11 +18,11 @@ from testbed.sensing.camera import SPAN, PoseStream
 from testbed.sensing.compensation import tare_time
 from testbed.sensing.windows import (
     BATCH,
-    PARTS,
     TRIM_END,
     SteadyWindow,
     bias_and_drift,
     noise_of_mean,
+    part_means,
     steady_samples,
 )
 from testbed.trajectory import Phase, Trajectory
@@ -156,11 +156,11 @@ def stretches(
         shared = SPAN / (len(part) * step)
         motion = {
             "twist": twist[part].mean(axis=0),
-            "twists": _by_part(twist[part]),
+            "twists": part_means(twist[part]),
             "acceleration": acceleration[part].mean(axis=0),
             "spin_square": float(np.mean(spin[part] ** 2)),
             "yaw": yaw[part[[0, -1]]],
-            "poses": _by_part(poses[part]),
+            "poses": part_means(poses[part]),
             "point": point[part].mean(axis=0),
             "seen": _errors(seen.covariance[middle], seen.late[middle], into[middle], shared),
         }
@@ -211,10 +211,6 @@ def touching(trajectory: Trajectory) -> Int[np.ndarray, "N"]:
 def _count(time: Float[np.ndarray, "N"]) -> int:
     """Number of windows in times at even steps [s]."""
     return int(len(time) * float(np.median(np.diff(time))) / WINDOW + 1e-6) if len(time) > 1 else 0
-
-
-def _by_part(values: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "S 3"]:
-    return np.array([part.mean(axis=0) for part in np.array_split(values, PARTS)])
 
 
 def _errors(

@@ -140,12 +140,12 @@ def windows_of(
                 wrench=in_object[kept].mean(axis=0),
                 covariance=noise_of_mean(in_object[whole], round(BATCH * rate)) * (len(whole) / len(kept)),
                 twist=twist[kept].mean(axis=0),
-                twists=np.array([part.mean(axis=0) for part in np.array_split(twist[kept], PARTS)]),
+                twists=part_means(twist[kept]),
                 acceleration=_slopes(trajectory.time_s[kept], world_twist[kept], yaw),
                 spin_square=float(np.mean(twist[kept, 2] ** 2)),
                 tcp_height=float(trajectory.tcp_position[kept, 2].mean()),
                 yaw=yaw[[0, -1]],
-                poses=np.array([part.mean(axis=0) for part in np.array_split(place[kept], PARTS)]),
+                poses=part_means(place[kept]),
                 from_sensor=from_sensor,
                 bias_covariance=bias,
                 drift_covariance=drift,
@@ -154,6 +154,14 @@ def windows_of(
             )
         )
     return windows
+
+
+def part_means(samples: Float[np.ndarray, "N ..."]) -> Float[np.ndarray, "S ..."]:
+    """Means over `PARTS` parts of the same length, a sample on a border counted in both by its share of each."""
+    edges = np.linspace(0, len(samples), PARTS + 1)[:, None]
+    index = np.arange(len(samples))
+    shares = (np.minimum(index + 1, edges[1:]) - np.maximum(index, edges[:-1])).clip(min=0)
+    return np.tensordot(shares, samples, 1) * PARTS / len(samples)
 
 
 def _tool_tilts(trajectory: Trajectory, stretches: Sequence[Int[np.ndarray, "N"]]) -> list[Float[np.ndarray, "2 6"]]:

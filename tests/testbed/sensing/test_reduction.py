@@ -18,7 +18,15 @@ from testbed.errors import InvalidValueError
 from testbed.frames import rotation_2d
 from testbed.objects.model import GRAVITY
 from testbed.sensing.compensation import compensate
-from testbed.sensing.windows import _from_sensor, effective_samples, mean_covariance, steady_windows, weight_of
+from testbed.sensing.windows import (
+    PARTS,
+    _from_sensor,
+    effective_samples,
+    mean_covariance,
+    part_means,
+    steady_windows,
+    weight_of,
+)
 from testbed.trajectory import Trajectory
 from tests.helpers.records import DOWN, RATE, TOOL, coloured_noise, record, turn_record
 
@@ -231,3 +239,13 @@ def test_the_tare_adds_its_own_error_and_the_walk_counts_from_it():
     assert_allclose(window.since_tare, kept[[0, -1]] / RATE - tared)
     assert window.bias_covariance[0, 0] == pytest.approx(0.01 / 67, rel=0.1)
     assert_allclose(np.trace(window.drift_covariance[:3, :3]), 0.04)
+
+
+@pytest.mark.parametrize("count", [10, 34, 35, 47, 495])
+def test_parts_of_a_window_are_as_long_as_each_other(count):
+    ramp = np.column_stack([np.arange(count) + 0.5, np.ones(count)])
+    parts = part_means(ramp)
+    assert_allclose(parts.mean(axis=0), ramp.mean(axis=0))
+    assert_allclose(parts[:, 1], 1.0)
+    # a sample on a border is in the middle of its own step, whichever part has how much of it
+    assert_allclose(np.diff(parts[:, 0]), count / PARTS, atol=0.5 * PARTS / count)

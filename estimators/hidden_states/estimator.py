@@ -70,6 +70,8 @@ class HiddenStates:
     """Vertical force of a nulled gripper that the sensor cannot tell, N."""
     tilt_error: float = ModelErrors.tilt_error
     """Moment of a nulled gripper that the sensor cannot tell, N m."""
+    lead_error: float = ModelErrors.lead_error
+    """Time by which friction leads the motion, s."""
     inertia_error: float = ModelErrors.inertia_error
     """Model error of I_j, as a part of itself: once of each, and once of all together."""
     weight_error: float = ModelErrors.weight_error

@@ -48,8 +48,8 @@ SUPPORTS = ("own_weight", "rigid")
 """Support models."""
 ROWS = 6
 """Least number of rows of a trial; unused ones are zeros. A lift shows no more: M, c and three second moments."""
-LIFT_HEIGHT = 2
-"""Errors that trials share first: lift, and height."""
+OF_MODEL = 3
+"""Errors of the model that trials share, the first of their columns: lift, height and lead."""
 SAME_POINT = 1e-16
 """Squared distance of equal grasp points, m^2."""
 SURE = 1e-6
@@ -236,9 +236,9 @@ def prior_information(
 
 
 def shared_error_count(shape: ObjectShape, setup: SetupErrors = EXACT_SETUP) -> int:
-    """Number of errors that trials share: lift, height, inertia, that about each grasp, the setup's, and each hinge."""
+    """Number of errors that trials share: the model's, inertia, that about each grasp, the setup's, and each hinge."""
     hinges = 0 if shape.chain is None else len(shape.chain.hinges)
-    return 3 + len(_grasp_points(shape)) + (0 if setup.none else _setup_error_count(shape, setup)) + hinges
+    return OF_MODEL + 1 + len(_grasp_points(shape)) + (0 if setup.none else _setup_error_count(shape, setup)) + hinges
 
 
 @lru_cache(maxsize=32)
@@ -255,7 +255,7 @@ def _setup_error_count(shape: ObjectShape, setup: SetupErrors) -> int:
         return 0
     none = torch.zeros(len(windows), 3, 3, dtype=torch.float64)
     of_particle = torch.ones(len(windows), len(shape.particles), dtype=torch.float64)
-    return wrench_errors(windows, model, of_particle[0], of_particle, none, ModelErrors())[1].shape[1] - LIFT_HEIGHT
+    return wrench_errors(windows, model, of_particle[0], of_particle, none, ModelErrors())[1].shape[1] - OF_MODEL
 
 
 def _felt(windows: Observations, loads: ParticleLoads) -> Observations:
@@ -304,8 +304,8 @@ def _table_rows(
         moving = inertial_map(trial, loads.model) * trial.accelerated[:, None, None]
         moved = pad(moving.flatten(0, 1), (0, shape.n_mu))
         more = (0, 0, 0, len(seen) - len(moved))  # rows of hinges; links turn at constant speed alone
-        columns = [seen + pad(moved, more), equations.common[:, :LIFT_HEIGHT], pad(of_inertia.flatten(0, 1), more)]
-        columns.append(equations.common[:, LIFT_HEIGHT:])
+        columns = [seen + pad(moved, more), equations.common[:, :OF_MODEL], pad(of_inertia.flatten(0, 1), more)]
+        columns.append(equations.common[:, OF_MODEL:])
         if equations.hinges is not None:
             columns.append(HINGE_PRIOR * equations.hinges)
         return torch.linalg.solve_triangular(root, torch.cat(columns, 1), upper=False)

@@ -87,7 +87,7 @@ class FrictionEquations:
     apart: Float[Tensor, "R R"]
     """Covariance of the errors that no two trials share."""
     common: Float[Tensor, "R E"]
-    """Effect on each row of one standard deviation of each error that windows share: lift, height, and the setup's."""
+    """Effect on each row of one standard deviation of each error that windows share: the model's, and the setup's."""
     hinges: Float[Tensor, "R H"] | None = None
     """Effect on each row of 1 N m of friction of each hinge; None of a rigid object. Of an articulated one R = 3 K +
     K H: a row for every hinge follows those of the wrenches."""
@@ -183,7 +183,7 @@ def wrench_errors(
 
     Returns:
         Covariance of the errors that no two trials share, and the effect on each row of one standard deviation of each
-        error that windows share: lift, height, and those of the setup.
+        error that windows share: lift, height, lead, and those of the setup.
     """
     slopes = windows.drag_slopes(model, drag, errors.pivot_error)
     force = (errors.force_error * drag.sum(-1)).square()
@@ -210,7 +210,8 @@ def wrench_errors(
     hidden = (response * (shared * (1 - windows.load_kept))[:, None]).sum(-1)
     # the drag's own moment about the feet is as wrong as the height over them
     raised = errors.height_error * (response[..., 1:] @ windows.wrench[:, :2, None])[..., 0]
-    common = by_row(torch.stack([hidden, raised], -1))
+    led = windows.lead_effect(model, drag, errors.pivot_error, errors.lead_error)
+    common = by_row(torch.stack([hidden, raised, pad(led, (0, windows.hinges))], -1))
     effects = _of_setup(windows, model, mass, drag, response, errors.pivot_error)
     shared, own = shared_and_own(effects, windows)
     return apart + own, torch.cat([common, shared], 1)

@@ -38,6 +38,8 @@ class ModelErrors:
     """Vertical force of a nulled gripper that the sensor cannot tell, N."""
     tilt_error: float = 0.0005
     """Moment of a nulled gripper that the sensor cannot tell, N m."""
+    lead_error: float = 0.02
+    """Time by which friction leads the motion, s: MuJoCo's feet drag against v + a / b, b their friction's damping."""
     inertia_error: float = 0.007
     """I_j, as a part of itself: once of each, and once of all together."""
     weight_error: float = 1e-3
@@ -63,6 +65,7 @@ EXACT = ModelErrors(
     height_error=0.0,
     lift_error=0.0,
     tilt_error=0.0,
+    lead_error=0.0,
     inertia_error=0.0,
 )
 """Errors of a perfect model: the weighing's alone."""

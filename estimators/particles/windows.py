@@ -245,6 +245,26 @@ class Observations:
         torque = lever[..., :1] * by[..., 1, :] - lever[..., 1:] * by[..., 0, :]
         return torch.einsum("kp,kpij->kij", drag, torch.cat([by, torque[..., None, :]], -2))
 
+    def lead_effect(
+        self, model: ParticleModel, drag: Float[Tensor, "K P"], pivot_error: float, lead: float
+    ) -> Float[Tensor, "K 3"]:
+        """Change of a `drag` (N) whose directions lead the hand's motion by a time, s: half that from -lead to +lead.
+
+        A secant, for near the center of a turn a small shift turns a particle's drag by as much as it can.
+        """
+        ahead = lead * self.twist_rates
+        rows = [replace(self, twists=self.twists + way * ahead).drag_rows(model, pivot_error) for way in (1, -1)]
+        return ((rows[0] - rows[1]) @ drag[..., None])[..., 0] / 2
+
+    @property
+    def twist_rates(self) -> Float[Tensor, "K S 3"]:
+        """Change of `twists` from part to part per second; of one part, of its turn rate alone, m/s^2 and rad/s^2."""
+        parts = self.twists.shape[1]
+        if parts < 2:
+            return torch.nn.functional.pad(self.acceleration[:, None, 2:], (2, 0))
+        length = self.since_tare.diff()[:, None] / parts
+        return torch.gradient(self.twists, dim=1)[0] / length
+
     def sticking_covariance(self, model: ParticleModel, drag: Float[Tensor, "K P"]) -> Float[Tensor, "K 3 3"]:
         """Covariance of pushes from feet so slow that they stick: of a part SLOW^2 / (v^2 + SLOW^2) of a `drag` (N)."""
         lever = self.lever(model)

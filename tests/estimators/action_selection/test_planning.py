@@ -105,7 +105,7 @@ def test_information_of_trials_adds_up_to_that_of_all_together(support, world_na
     trials = trial_information(shape, model.truth, [windows], len(actions), assumptions, {})
     root = trials.root(shape, np.hypot(assumptions.model_errors.weight_error, windows.setup.scale))
     np.testing.assert_allclose(root.T @ root / np.outer(size, size), together / np.outer(size, size), atol=1e-11)
-    assert shared_error_count(shape) == 3 + 5
+    assert shared_error_count(shape) == 4 + 5
 
 
 def test_a_lift_adds_its_information_to_a_rigid_body_alone():

@@ -19,7 +19,7 @@ from torch import Tensor
 from estimators.particles.model import ParticleModel
 from testbed.objects.model import GRAVITY
 
-TURNED, SWUNG = np.array([0.0064, 0.0027, 0.0027]), np.array([0.14, 6e-4, 6e-4])
+TURNED, SWUNG = np.array([0.0064, 0.0027, 0.0027]), np.array([0.33, 2.5e-3, 2.5e-3])
 """Change of a nulled gripper's lift, N, and moment, N m, between directions of a turn, and as it accelerates."""
 
 

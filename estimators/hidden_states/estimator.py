@@ -56,8 +56,8 @@ class HiddenStates:
     """Parameters of the setup to estimate with the loads: any of bias, grasp_offset, anisotropy."""
     offset_error: float = 0.003
     """Standard deviation of an unknown grasp offset along each axis, m."""
-    anisotropy_error: float = 0.3
-    """Standard deviation of each component of an unknown friction anisotropy."""
+    anisotropy_error: float = 0.15
+    """Standard deviation of each component of an unknown friction anisotropy, as `SetupErrors.anisotropy`."""
     pivot_error: float = ModelErrors.pivot_error
     """Error of the center of a turn, m."""
     force_error: float = ModelErrors.force_error

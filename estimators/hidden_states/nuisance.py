@@ -5,8 +5,9 @@ axes since the hand holds both sensor and object; the other components are taken
 is the distance of the object from where the hand takes it to be, one a trial, and shifts every particle against the
 TCP; flat pads on flat faces hold its yaw. Anisotropy belongs to the table, not to the object: elliptic Coulomb friction
 f = -N A v / sqrt(v . A v), of most dissipation within the ellipse of friction, A = mu^2 (1 + H) / sqrt(1 - h . h),
-H = [[h_1, h_2], [h_2, -h_1]]. It turns against the object as that turns, and a half turn averages it away to first
-order.
+H = [[h_1, h_2], [h_2, -h_1]], h = 2 a / (1 + a . a): friction along one axis of the table to that across it is as
+1 + |a| to 1 - |a|, the scale of `SetupErrors.anisotropy`. It turns against the object as that turns, and a half turn
+averages it away to first order.
 """
 
 from __future__ import annotations
@@ -29,8 +30,8 @@ from testbed.validation import is_number
 UNKNOWNS = ("bias", "grasp_offset", "anisotropy")
 BIAS, OFFSET, ANISOTROPY = slice(0, 3), slice(3, 5), slice(5, 7)
 """Places of a window's seven corrections."""
-STRONGEST = 0.9
-"""Largest norm of the anisotropy h: frictions of 1 to 4.4."""
+STRONGEST = 0.6
+"""Largest norm of the anisotropy: frictions of 1 to 4."""
 NOUNS = {"bias": "bias", "grasp_offset": "grasp offset", "anisotropy": "anisotropy of friction"}
 WHY_NOT = {
     "bias": "not at all: one way, a constant bias passes for friction; turn back in the same grasp",
@@ -54,8 +55,8 @@ class NuisancePrior:
     """Spread of a bias, N and N m; infinite: nothing is assumed of it."""
     grasp_offset: float = 0.003
     """Spread of an offset along each axis, m."""
-    anisotropy: float = 0.3
-    """Spread of each component of h; 0.22 is a friction of 0.8 to 1."""
+    anisotropy: float = 0.15
+    """Spread of each component; 0.11 is a friction of 0.8 to 1."""
 
     def __post_init__(self) -> None:
         known = isinstance(self.unknown, tuple) and set(self.unknown) <= set(UNKNOWNS)
@@ -72,7 +73,7 @@ class CorrectedWindows(Observations):
     """Windows with bias and offset taken off, on a table with anisotropic friction."""
 
     anisotropy: Float[Tensor, "K 2"]
-    """h = r (cos 2 phi, sin 2 phi): phi the table's direction of most friction, most over least ((1+r)/(1-r))^0.5."""
+    """a (cos 2 phi, sin 2 phi): phi the table's direction of most friction, most over least (1 + a) / (1 - a)."""
 
     def point_rows(self, model: ParticleModel, pivot_error: float) -> Float[Tensor, "K 3 P"]:
         """Rows of `Observations`, each particle's drag turned and stretched by the anisotropy."""
@@ -90,13 +91,14 @@ class CorrectedWindows(Observations):
         """
         begin, end = self.since_tare.T
         yaw = self.yaw[:, :1] + (self.twist[:, 2] * (end - begin))[:, None] * torch.tensor((1 + YAWS) / 2)
-        cos, sin, (h1, h2) = torch.cos(2 * yaw), torch.sin(2 * yaw), self.anisotropy.T[..., None]
+        h = 2 * self.anisotropy / (1 + self.anisotropy.square().sum(-1, keepdim=True))
+        cos, sin, (h1, h2) = torch.cos(2 * yaw), torch.sin(2 * yaw), h.T[..., None]
         ahead, aside = (each[:, None] for each in (cos * h1 + sin * h2, cos * h2 - sin * h1))  # h in object axes
         u, v = unit[..., :1], unit[..., 1:]
         dragged = torch.stack([(1 + ahead) * u + aside * v, aside * u + (1 - ahead) * v], -1)  # (K, P, yaws, 2)
         along = (dragged * unit[:, :, None]).sum(-1)
         scale = ((unit.square().sum(-1)[..., None] + 1e-30) / (along + 1e-30)).sqrt()
-        scale = scale / (1 - self.anisotropy.square().sum(-1))[:, None, None] ** 0.25
+        scale = scale / (1 - h.square().sum(-1))[:, None, None] ** 0.25
         return (dragged * scale[..., None] * torch.tensor(SHARES / 2)[:, None]).sum(2)
 
 
@@ -179,12 +181,12 @@ class NuisanceLayout:
         return (slopes @ one_hot).reshape(-1, len(self.names))
 
     def anisotropy(self, values: Float[Tensor, "n"]) -> Float[Tensor, "2"]:
-        """h of the table, zero where it is not unknown."""
+        """Anisotropy of the table, zero where it is not unknown."""
         places = [i for i, kind in enumerate(self.kind) if kind == "anisotropy"]
         return values[places] if places else torch.zeros(2, dtype=torch.float64)
 
     def bounded(self, values: Float[Tensor, "n"]) -> Float[Tensor, "n"]:
-        """Values with h no longer than STRONGEST and the others within three widths."""
+        """Values with an anisotropy of at most STRONGEST and the others within three widths."""
         of_table = torch.tensor([kind == "anisotropy" for kind in self.kind])
         norm = self.anisotropy(values).norm().clamp(min=STRONGEST)
         values = torch.where(of_table, values * STRONGEST / norm, values)

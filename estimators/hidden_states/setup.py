@@ -86,8 +86,8 @@ class UnknownSetup(TrialWindows):
 
 def _ellipse(anisotropy: Float[Tensor, "2"]) -> tuple[float, float]:
     """Least over most friction, and the table's direction of most, rad."""
-    r = float(anisotropy.norm())
-    return math.sqrt((1 - r) / (1 + r)), math.atan2(float(anisotropy[1]), float(anisotropy[0])) / 2
+    size = float(anisotropy.norm())
+    return (1 - size) / (1 + size), math.atan2(float(anisotropy[1]), float(anisotropy[0])) / 2
 
 
 def with_found_bias(trajectories: Sequence[Trajectory], found: Mapping[str, float]) -> list[Trajectory]:

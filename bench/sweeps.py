@@ -27,7 +27,8 @@ from metered import Metered
 
 from estimators.base import Estimate
 from scenarios.config import Policy, Scenario
-from scenarios.execution.executor import open_executor, work_off
+from scenarios.execution.executor import work_off
+from scenarios.execution.select import open_executor
 from scenarios.results.store import Store
 from scenarios.study import run as sweep
 from scenarios.study import trials

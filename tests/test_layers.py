@@ -25,11 +25,11 @@ NAMES = {name_of(path): path for path in MODULES}
 
 
 @cache
-def imports(path: Path, *, at_start: bool = False) -> frozenset[str]:
-    """Modules that a file imports, anywhere in it or only while it loads; `from package import module` counts too."""
+def imports(path: Path) -> frozenset[str]:
+    """Modules that a file imports, in functions and for types too; `from package import module` counts."""
     tree = ast.parse(path.read_text(encoding="utf-8"))
     found: set[str] = set()
-    for node in tree.body if at_start else ast.walk(tree):
+    for node in ast.walk(tree):
         if isinstance(node, ast.Import):
             found |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom) and node.module:
@@ -51,7 +51,7 @@ def test_a_package_imports_only_what_comes_before_it(path: Path):
 
 
 def test_no_imports_in_a_circle():
-    graph = {name: imports(path, at_start=True) & set(NAMES) for name, path in NAMES.items()}
+    graph = {name: imports(path) & set(NAMES) for name, path in NAMES.items()}
     done: set[str] = set()
 
     def follow(name: str, way: tuple[str, ...]) -> None:

@@ -21,8 +21,8 @@ from estimators.hidden_states.setup import UnknownSetup, with_found_bias
 from estimators.hidden_states.trial_windows import TrialWindows
 from estimators.identifiability.posterior import Likelihood
 from estimators.identifiability.report import Identifiability, identifiability
-from estimators.particles.friction_system import LinearSystem
-from estimators.particles.links import HINGE_PRIOR, hinge_friction
+from estimators.particles.friction_system import LinearSystem, hinge_friction
+from estimators.particles.links import HINGE_PRIOR
 from estimators.particles.misfit import Misfit
 from estimators.particles.model import ModelErrors
 from estimators.particles.pivots import PivotInertia

@@ -147,6 +147,26 @@ def friction_equations(
     return FrictionEquations(by_row(groups.gather(rows)), by_row(b[..., None])[:, 0], apart, common, hinges)
 
 
+def hinge_friction(
+    found: FrictionEquations,
+) -> tuple[Float[np.ndarray, "H"], Float[np.ndarray, "H"]] | None:
+    """Torque of friction of every hinge, N m, and its standard deviation; None of a rigid object.
+
+    With the friction loads as they fit best; one that the trials do not show has the spread of `HINGE_PRIOR`.
+    """
+    if found.hinges is None:
+        return None
+    root = torch.linalg.cholesky(found.covariance)
+    both = torch.linalg.solve_triangular(root, torch.cat([found.hinges, found.q], 1), upper=False)
+    count = found.hinges.shape[1]
+    prior = torch.zeros(both.shape[1], dtype=torch.float64)
+    prior[:count] = HINGE_PRIOR**-2
+    precision = both.T @ both + prior.diag()
+    seen = both.T @ torch.linalg.solve_triangular(root, found.b[:, None], upper=False)
+    spread = torch.linalg.pinv(precision, hermitian=True)
+    return (spread @ seen)[:count, 0].numpy(), spread.diagonal()[:count].sqrt().numpy()
+
+
 def weight_per_mass(shape: ObjectShape, pairs: Sequence[tuple[int, int]]) -> Float[np.ndarray, "n_s"]:
     """Weight on one particle in contact of each pair a kg of its group's particle mass, N/kg."""
     feet = np.bincount(shape.mass_group[shape.friction_group >= 0], minlength=shape.n_m)

@@ -8,21 +8,15 @@ that, and there is no row.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
-import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
 from torch.nn.functional import pad
 
-from estimators.particles.model import ParticleModel, cross, direction, rotate, turned
+from estimators.particles.model import ModelErrors, ParticleModel, cross, direction, rotate
+from estimators.particles.windows import LinkedParticles, Observations
 from testbed.worlds.setup_errors import SetupErrors
-
-if TYPE_CHECKING:
-    from estimators.particles.friction_system import FrictionEquations
-    from estimators.particles.model import ModelErrors
-    from estimators.particles.windows import Observations
 
 FORCE_ERROR, HINGE_ERROR = 0.002, 0.006
 """Model error of wrenches while links trail, as a part of the whole drag and its torque, and of the torque about a
@@ -55,49 +49,6 @@ def carried_moment(model: ParticleModel, drag: Float[Tensor, ""], setup: SetupEr
     beside = material @ model.particles / material.sum(1, keepdim=True) - feet @ model.particles / feet.sum(1)[:, None]
     shifted = model.reach * (UNEVEN if setup.contact_points else 0.0)
     return 2 * drag * torch.hypot((group.mean(1) * beside.norm(dim=1)).norm(), shifted)
-
-
-@dataclass(frozen=True, eq=False)
-class LinkedParticles:
-    """Places and motion of an object's particles in K windows of S parts, about the grasp point, held link's axes."""
-
-    place: Float[Tensor, "K S P 2"]
-    """Place, m."""
-    velocity: Float[Tensor, "K S P 2"]
-    """Velocity, m/s."""
-    acceleration: Float[Tensor, "K S P 2"]
-    """Acceleration, m/s^2."""
-    rate: Float[Tensor, "K S P"]
-    """Turn rate, rad/s."""
-    slope: Float[Tensor, "K S P"]
-    """Angular acceleration, rad/s^2."""
-
-    @staticmethod
-    def of(windows: Observations, model: ParticleModel) -> LinkedParticles:
-        """Particles of an articulated object, each with its own link."""
-        own = windows.links[:, :, model.link[model.mass_group]]
-        place = rotate(own[..., 0], (model.particles - windows.grasp[:, None])[:, None]) + own[..., 1:3]
-        rate, side = own[..., 5:6], turned(place)
-        acceleration = own[..., 6:8] + own[..., 8:9] * side - rate.square() * place
-        return LinkedParticles(place, own[..., 3:5] + rate * side, acceleration, own[..., 5], own[..., 8])
-
-    def speed(self, pivot_error: float) -> Float[Tensor, "K S P"]:
-        """Speed, m/s, blurred by the error of the center of a turn, m."""
-        fade = pivot_error * self.rate
-        return (self.velocity.square().sum(-1) + fade.square() + 1e-18).sqrt()
-
-    @staticmethod
-    def arms(windows: Observations, model: ParticleModel, lever: Float[Tensor, "K P 2"]) -> Float[Tensor, "K P 2"]:
-        """Lever of each particle against the held link's turn, m: its own, or of the first hinge that it trails."""
-        held, link = model.link[windows.held[:, :1]], model.link[model.mass_group]
-        hinge = torch.where(link > held, held, held - 1).clamp(0, len(model.hinges) - 1)
-        return torch.where((link == held)[..., None], lever, model.hinges[hinge] - windows.grasp[:, None])
-
-    def motion_wrench(self, mass: Float[Tensor, "P"], cell: float) -> Float[Tensor, "K 3"]:
-        """Force and torque about the grasp point that the motion takes of particles of a `mass`, kg, in solid cells."""
-        force = mass[:, None] * self.acceleration
-        torque = (cross(self.place, force) + self.slope * mass * cell**2 / 6).sum(-1)
-        return torch.cat([force.sum(-2), torque[..., None]], -1).mean(1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -213,23 +164,3 @@ def _resting(
     order = torch.cat([place[:, :3].flatten(), place[:, 3:].flatten()])
     whole = torch.eye(count, dtype=torch.float64)[:, None, :, None] * each[:, :, None]
     return whole.reshape(place.numel(), -1)[order][:, order]
-
-
-def hinge_friction(
-    found: FrictionEquations,
-) -> tuple[Float[np.ndarray, "H"], Float[np.ndarray, "H"]] | None:
-    """Torque of friction of every hinge, N m, and its standard deviation; None of a rigid object.
-
-    With the friction loads as they fit best; one that the trials do not show has the spread of `HINGE_PRIOR`.
-    """
-    if found.hinges is None:
-        return None
-    root = torch.linalg.cholesky(found.covariance)
-    both = torch.linalg.solve_triangular(root, torch.cat([found.hinges, found.q], 1), upper=False)
-    count = found.hinges.shape[1]
-    prior = torch.zeros(both.shape[1], dtype=torch.float64)
-    prior[:count] = HINGE_PRIOR**-2
-    precision = both.T @ both + prior.diag()
-    seen = both.T @ torch.linalg.solve_triangular(root, found.b[:, None], upper=False)
-    spread = torch.linalg.pinv(precision, hermitian=True)
-    return (spread @ seen)[:count, 0].numpy(), spread.diagonal()[:count].sqrt().numpy()

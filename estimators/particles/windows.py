@@ -10,7 +10,6 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from estimators.particles.links import LinkedParticles
 from estimators.particles.model import Inertia, ParticleModel, cross, direction, inertia_of, rotate, turned
 from estimators.particles.support import GripperLoad
 from testbed.worlds.setup_errors import EXACT_SETUP, SetupErrors
@@ -20,6 +19,49 @@ PLANAR = [0, 1, 5]
 SLOW = 1e-3
 """Speed at which a foot of a pushed object may drag half of its friction less, or another way, m/s: nothing keeps the
 center of rotation off a point of contact, and there it sticks. Ours."""
+
+
+@dataclass(frozen=True, eq=False)
+class LinkedParticles:
+    """Places and motion of an object's particles in K windows of S parts, about the grasp point, held link's axes."""
+
+    place: Float[Tensor, "K S P 2"]
+    """Place, m."""
+    velocity: Float[Tensor, "K S P 2"]
+    """Velocity, m/s."""
+    acceleration: Float[Tensor, "K S P 2"]
+    """Acceleration, m/s^2."""
+    rate: Float[Tensor, "K S P"]
+    """Turn rate, rad/s."""
+    slope: Float[Tensor, "K S P"]
+    """Angular acceleration, rad/s^2."""
+
+    @staticmethod
+    def of(windows: Observations, model: ParticleModel) -> LinkedParticles:
+        """Particles of an articulated object, each with its own link."""
+        own = windows.links[:, :, model.link[model.mass_group]]
+        place = rotate(own[..., 0], (model.particles - windows.grasp[:, None])[:, None]) + own[..., 1:3]
+        rate, side = own[..., 5:6], turned(place)
+        acceleration = own[..., 6:8] + own[..., 8:9] * side - rate.square() * place
+        return LinkedParticles(place, own[..., 3:5] + rate * side, acceleration, own[..., 5], own[..., 8])
+
+    def speed(self, pivot_error: float) -> Float[Tensor, "K S P"]:
+        """Speed, m/s, blurred by the error of the center of a turn, m."""
+        fade = pivot_error * self.rate
+        return (self.velocity.square().sum(-1) + fade.square() + 1e-18).sqrt()
+
+    @staticmethod
+    def arms(windows: Observations, model: ParticleModel, lever: Float[Tensor, "K P 2"]) -> Float[Tensor, "K P 2"]:
+        """Lever of each particle against the held link's turn, m: its own, or of the first hinge that it trails."""
+        held, link = model.link[windows.held[:, :1]], model.link[model.mass_group]
+        hinge = torch.where(link > held, held, held - 1).clamp(0, len(model.hinges) - 1)
+        return torch.where((link == held)[..., None], lever, model.hinges[hinge] - windows.grasp[:, None])
+
+    def motion_wrench(self, mass: Float[Tensor, "P"], cell: float) -> Float[Tensor, "K 3"]:
+        """Force and torque about the grasp point that the motion takes of particles of a `mass`, kg, in solid cells."""
+        force = mass[:, None] * self.acceleration
+        torque = (cross(self.place, force) + self.slope * mass * cell**2 / 6).sum(-1)
+        return torch.cat([force.sum(-2), torque[..., None]], -1).mean(1)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

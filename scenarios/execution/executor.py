@@ -7,14 +7,13 @@ import os
 import resource
 import traceback
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Literal, Protocol, get_args
+from typing import Any, Literal, Protocol
 
 import torch
 
-from testbed.errors import HeftError, InvalidValueError
+from testbed.errors import HeftError
 from testbed.files import print_damage_plainly
 
 ExecutorName = Literal["inline", "local", "ray"]
@@ -110,41 +109,6 @@ class InlineExecutor:
     def wait(self) -> tuple[Any, Any]:
         """Label and value of the oldest task."""
         return given_back(*self._done.popleft())
-
-
-@contextmanager
-def open_executor(
-    name: str, workers: int, limits: Limits | None = None, preload: Sequence[str] = ()
-) -> Iterator[Executor]:
-    """An executor by name, `local` with 0 workers being `inline`. Leaving it stops its workers.
-
-    Args:
-        name: inline, local or ray.
-        workers: number of workers.
-        limits: limits of a task.
-        preload: modules that a local worker imports before the clock of its first task runs.
-
-    Raises:
-        InvalidValueError: no such executor, or a number of workers below 0.
-        HeftError: Ray is not installed.
-    """
-    if name not in get_args(ExecutorName):
-        raise InvalidValueError("--executor", name, f"one of {', '.join(get_args(ExecutorName))}")
-    if workers < 0:
-        raise InvalidValueError("--workers", workers, "an integer >= 0")
-    limits = limits or Limits()
-    if name == "inline" or (name == "local" and workers == 0):
-        yield InlineExecutor()
-    elif name == "local":
-        from scenarios.execution.local import LocalExecutor  # noqa: PLC0415  uses this module
-
-        with LocalExecutor(workers, limits, preload) as executor:
-            yield executor
-    else:
-        from scenarios.execution.ray import RayExecutor  # noqa: PLC0415  uses this module
-
-        with RayExecutor(workers, limits) as executor:
-            yield executor
 
 
 def call(function: Callable[..., Any], *arguments: Any) -> Any:

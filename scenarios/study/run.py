@@ -17,7 +17,8 @@ from typing import Any
 import pandas as pd
 
 from scenarios.config import Grid, Scenario, Sweep, load_scenario
-from scenarios.execution.executor import Executor, default_workers, open_executor, work_off
+from scenarios.execution.executor import Executor, default_workers, work_off
+from scenarios.execution.select import open_executor
 from scenarios.results.files import exclusive, read_manifest, write_json
 from scenarios.results.store import Store, rows_of
 from scenarios.results.trials import MeasuredTrials, measured_trials

@@ -5,24 +5,17 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from copy import copy
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
 from jaxtyping import Float
 
 from testbed.actions.push import Push
-from testbed.foot_forces import FootForces
 from testbed.objects.faces import faces
 from testbed.objects.model import GRAVITY, ObjectModel, ObjectShape
 from testbed.simulation.settings import ContactSettings, GripSettings
 from testbed.trial import Support
 from testbed.worlds.feet import Feet
-
-if TYPE_CHECKING:
-    from testbed.simulation.scene import Scene
-
 
 _THIN = 2.5e-4
 """Half the depth of a thin face's box [m]."""
@@ -33,76 +26,6 @@ _MOTION_SENSORS = {
     "velocity": mujoco.mjtSensor.mjSENS_FRAMELINVEL,
     "angular_velocity": mujoco.mjtSensor.mjSENS_FRAMEANGVEL,
 }
-
-
-@dataclass(frozen=True, eq=False)
-class ContactRecord:
-    """Contact forces of F feet at N samples of a trial, world axes."""
-
-    tick: np.ndarray
-    """Sample of the trajectory, shape (N,)."""
-    force_on_object: np.ndarray
-    """Force of the table on each foot [N], shape (N, F, 3)."""
-    position: np.ndarray
-    """Point of contact [m], shape (N, F, 3)."""
-    tcp_position: np.ndarray
-    """Position of the TCP [m], shape (N, 3)."""
-    particle: np.ndarray
-    """Particle over each foot, shape (F,)."""
-
-    @property
-    def wrench_at_tcp(self) -> np.ndarray:
-        """Wrench of all contact forces on the object about the TCP, world axes [N, N m], shape (N, 6)."""
-        lever = self.position - self.tcp_position[:, None]
-        return np.concatenate([self.force_on_object.sum(1), np.cross(lever, self.force_on_object).sum(1)], axis=1)
-
-    def foot_forces(self, time_s: np.ndarray) -> FootForces:
-        """Foot forces for the file beside a trial; `time_s` (T,) is the trajectory's."""
-        kept = self.tick < len(time_s)
-        return FootForces(time_s[self.tick[kept]], self.particle, self.force_on_object[kept])
-
-
-class ContactLog:
-    """Recorder of a `ContactRecord` at every `every`-th tick of a trial."""
-
-    def __init__(self, every: int = 1) -> None:
-        self._every = every
-        self._ticks: list[int] = []
-
-    def start(self, scene: Scene, ticks: int) -> None:
-        """Allocate a trial of `ticks` samples."""
-        rows, feet = -(-ticks // self._every), len(scene.foot_geoms)
-        self._foot = np.full(scene.model.ngeom, -1)
-        self._foot[scene.foot_geoms] = np.arange(feet)
-        self._particle = scene.feet.particle
-        self._tcp_site = scene.model.site("gripper/tcp").id
-        self._force = np.zeros((rows, feet, 3))
-        self._position = np.zeros((rows, feet, 3))
-        self._tcp = np.zeros((rows, 3))
-
-    def measure(self, data: mujoco.MjData, tick: int) -> None:
-        """Read the contacts of all feet."""
-        if tick % self._every:
-            return
-        row, contact = len(self._ticks), data.contact
-        feet = self._foot[contact.geom]
-        found = np.flatnonzero((feet.max(axis=1, initial=-1) >= 0) & (contact.efc_address >= 0))
-        foot = feet[found].max(axis=1)
-        # The rows of an elliptic cone are the force in the contact frame: normal, then two tangents
-        along = data.efc_force[contact.efc_address[found][:, None] + np.arange(3)]
-        on_second = np.einsum("ci,cij->cj", along, contact.frame[found].reshape(-1, 3, 3))
-        sign = np.where(feet[found, 1] >= 0, 1.0, -1.0)  # MuJoCo sorts a pair's geoms
-        self._force[row, foot] = sign[:, None] * on_second
-        self._position[row, foot] = contact.pos[found]
-        self._tcp[row] = data.site_xpos[self._tcp_site]
-        self._ticks.append(tick)
-
-    def record(self) -> ContactRecord:
-        """Record so far."""
-        n = len(self._ticks)
-        return ContactRecord(
-            np.array(self._ticks, dtype=np.int64), self._force[:n], self._position[:n], self._tcp[:n], self._particle
-        )
 
 
 def resting_loads(obj: ObjectModel, support: Support, contact: ContactSettings) -> Float[np.ndarray, "P"]:

@@ -26,10 +26,9 @@ from testbed.objects.model import STROKE, Grasp
 from testbed.sensing.camera import PoseStream
 from testbed.sensing.noise import draw_sensing
 from testbed.sensing.presets import preset
-from testbed.simulation.contacts import ContactLog, ContactRecord
 from testbed.simulation.controller import Servo
 from testbed.simulation.feasibility import check_feasible
-from testbed.simulation.monitor import Monitor, Outcome
+from testbed.simulation.monitor import ContactLog, ContactRecord, Monitor, Outcome
 from testbed.simulation.motion import Motion, gripper_tool, plan_motion
 from testbed.simulation.scene import Scene, build_scene
 from testbed.simulation.settings import SimulationSettings

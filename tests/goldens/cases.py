@@ -190,4 +190,4 @@ def rows_of(name: str, out: Path) -> list[dict[str, object]]:
     methods = {method: settings for method, settings in scenario.methods.items() if method in METHODS}
     changes = {"objects": scenario.objects[:1], "methods": methods} | SWEEPS[name]
     rows = run_scenario(scenario.model_copy(update=changes), out, 0, quiet, executor="inline", secret="goldens")
-    return json.loads(rows[list(ROW)].to_json(orient="records", double_precision=15))
+    return json.loads(str(rows[list(ROW)].to_json(orient="records", double_precision=15)))

@@ -14,7 +14,8 @@ from typing import Any
 
 import pytest
 
-from scenarios.execution.executor import Executor, Failure, Limits, open_executor
+from scenarios.execution.executor import Executor, Failure, Limits
+from scenarios.execution.select import open_executor
 from testbed.errors import HeftError, InvalidValueError
 from tests.fakes.misbehaving import crash_once, misbehave, who, write
 

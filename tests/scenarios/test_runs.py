@@ -35,7 +35,8 @@ import functools, sys
 import tests.fakes.misbehaving
 from scenarios.study import run as sweep
 from scenarios.cli.main import main
-from scenarios.execution.executor import Limits, open_executor
+from scenarios.execution.executor import Limits
+from scenarios.execution.select import open_executor
 from estimators.registry import METHODS
 
 METHODS["misbehaving"] = tests.fakes.misbehaving.Misbehaving

@@ -19,7 +19,7 @@ from testbed.foot_forces import FootForces
 from testbed.frames import rotation_matrix
 from testbed.objects.files import load_object
 from testbed.objects.model import GRAVITY, ObjectModel
-from testbed.simulation.contacts import ContactRecord
+from testbed.simulation.monitor import ContactRecord
 from testbed.simulation.runner import SimulationRunner
 from testbed.simulation.scene import build_scene
 from testbed.simulation.settings import SimulationSettings

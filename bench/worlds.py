@@ -34,7 +34,8 @@ from testbed.worlds.draw import WorldDraw
 from testbed.worlds.presets import QUANTITIES, WORLDS, World
 
 OBJECTS = [load_object(name) for name in ("I2", "L2", "F2")]
-ON_TABLE = QUANTITIES[: QUANTITIES.index("tcp_offset")]
+ON_ARM = ("TCP", "encoders, delay", "gain", "cross-talk", "mounting", "filter, steps, zero", "tool, scale")
+ON_TABLE = [name for name, each in QUANTITIES.items() if each.source not in ON_ARM]
 """Quantities of table, object and grasp: the trials themselves change with them."""
 
 
@@ -49,7 +50,7 @@ def main() -> None:
     for column in ("world", "NAD, %", "median, %", "error / claimed", "ok"):
         table.add_column(column, justify="left" if column == "world" else "right")
     for name in options.world:
-        world = WORLDS[name] if name in WORLDS else replace(World(name), **{name: getattr(WORLDS["lab"], name)})
+        world = WORLDS[name] if name in WORLDS else replace(World(name=name), **{name: getattr(WORLDS["lab"], name)})
         found = [answer(model, world, seed, options.duration) for model in OBJECTS for seed in range(options.draws)]
         given = [each for each in found if each is not None]
         nad = [100 * each[0] for each in given]

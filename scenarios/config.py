@@ -156,7 +156,7 @@ class WorldTable(Strict):
     def draw(self, model: ObjectModel, number: int, secret: str) -> WorldDraw | None:
         """Draw `number` of the world for an object; None in the ideal one."""
         built = self.build()
-        return None if built.is_ideal else WorldDraw.of(built, model, f"{self.seed}/{number}", secret)
+        return None if built.none else WorldDraw.of(built, model, f"{self.seed}/{number}", secret)
 
 
 class Sweep(Strict):
@@ -230,7 +230,7 @@ class Scenario(Strict):
         if not (self.objects or self.random or self.meshes):
             allowed = "one object or more: names, paths, a [[random]] family, or [meshes]"
             raise InvalidValueError("objects", [], allowed)
-        if self.simulation.runner is not None and not self.world.build().is_ideal:
+        if self.simulation.runner is not None and not self.world.build().none:
             raise InvalidValueError("world.preset", self.world.preset, "ideal: another runner has a world of its own")
         names = [family.name for family in self.random]
         if len(set(names)) < len(names):
@@ -275,11 +275,11 @@ class Scenario(Strict):
 
     def draws(self, sensing: str) -> int:
         """Draws of world and sensor: a perfect sensor in the ideal world needs one."""
-        return 1 if sensing == "ideal" and self.world.build().is_ideal else self.seeds
+        return 1 if sensing == "ideal" and self.world.build().none else self.seeds
 
     def own_draws(self) -> list[tuple[str, int] | None]:
         """Sensor and seed of every draw that has trials of its own; one None where all draws share theirs."""
-        if not self.policy.own_draw and self.world.build().is_ideal:
+        if not self.policy.own_draw and self.world.build().none:
             return [None]
         return [(sensing, seed) for sensing in self.sensing for seed in range(self.draws(sensing))]
 

@@ -96,7 +96,7 @@ class Trial:
     """Draw of a world for the object; None is the ideal world. Only a simulation needs it."""
 
     def __post_init__(self) -> None:
-        if self.world is not None and self.world.world.is_ideal:
+        if self.world is not None and self.world.world.none:
             object.__setattr__(self, "world", None)
         if self.action.grasp is not None and self.action.grasp >= len(self.object.shape.grasps):
             names = ", ".join(f"{i} ({g.name})" for i, g in enumerate(self.object.shape.grasps))

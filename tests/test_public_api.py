@@ -77,7 +77,9 @@ def signature(path: str, source: Any, *, with_value: bool) -> str:
         own = [p for p in source.parameters if p.name not in ("self", "cls")]
         return f"{path}({arguments(own)}) -> {source.returns}"
     annotation = "" if source.annotation is None else f": {source.annotation}"
-    constant = {"class-attribute", "module-attribute"} & source.labels and not str(source.value).startswith("field(")
+    constant = {"class-attribute", "module-attribute"} & source.labels and not str(source.value).startswith(
+        ("field(", "parameter(")
+    )
     return path + annotation + (f" = {source.value}" if with_value and constant and source.value is not None else "")
 
 

@@ -54,9 +54,9 @@ class HiddenStates:
     """Rounds of solving, each with the gripper's load worked out from the round before."""
     unknown: tuple[str, ...] = ()
     """Parameters of the setup to estimate with the loads: any of bias, grasp_offset, anisotropy."""
-    offset_error: float = 0.003
+    offset_error: float = NuisancePrior.grasp_offset
     """Standard deviation of an unknown grasp offset along each axis, m."""
-    anisotropy_error: float = 0.15
+    anisotropy_error: float = NuisancePrior.anisotropy
     """Standard deviation of each component of an unknown friction anisotropy, as `SetupErrors.anisotropy`."""
     pivot_error: float = ModelErrors.pivot_error
     """Error of the center of a turn, m."""

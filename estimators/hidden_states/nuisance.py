@@ -26,8 +26,9 @@ from estimators.particles.model import ParticleModel, cross
 from estimators.particles.windows import PLANAR, Observations
 from testbed.errors import InvalidValueError
 from testbed.validation import is_number
+from testbed.worlds.setup_errors import PARAMETERS
 
-UNKNOWNS = ("bias", "grasp_offset", "anisotropy")
+UNKNOWNS = ("bias", *(name for name, each in PARAMETERS.items() if each.unknown))
 BIAS, OFFSET, ANISOTROPY = slice(0, 3), slice(3, 5), slice(5, 7)
 """Places of a window's seven corrections."""
 STRONGEST = 0.6
@@ -53,9 +54,9 @@ class NuisancePrior:
     """Any of bias, grasp_offset, anisotropy."""
     bias: float = math.inf
     """Spread of a bias, N and N m; infinite: nothing is assumed of it."""
-    grasp_offset: float = 0.003
+    grasp_offset: float = PARAMETERS["grasp_offset"].unknown
     """Spread of an offset along each axis, m."""
-    anisotropy: float = 0.15
+    anisotropy: float = PARAMETERS["anisotropy"].unknown
     """Spread of each component; 0.11 is a friction of 0.8 to 1."""
 
     def __post_init__(self) -> None:

@@ -21,7 +21,8 @@ from estimators.particles.setup_effects import Columns, setup_effects, trial_by_
 from estimators.particles.support import own_weight
 from estimators.particles.windows import Observations
 from testbed.objects.model import MassDistribution, ObjectShape
-from testbed.worlds.setup_errors import SetupErrors
+from testbed.worlds.parameters import Parameter
+from testbed.worlds.setup_errors import LIKELY, PARAMETERS
 
 CHANCE = 1e-3
 """Chance that the stated errors alone give as large a misfit, below which errors are widened."""
@@ -29,59 +30,14 @@ UNEXPLAINED = 3.0
 """Misfit from which an answer does not explain the trials, where it is no chance: the status `unexplained` of every
 method. Ours: three times the stated variance is more than calibration leaves, and a wrong support, sign or grasp gives
 ten and more."""
-LIKELY = SetupErrors(
-    contact_points=3,
-    place_friction=0.05,
-    anisotropy=0.05,
-    speed_friction=0.03,
-    table_tilt=0.006,
-    particle_offset=0.001,
-    grasp_offset=0.001,
-    grasp_angle=0.015,
-    tcp_offset=0.001,
-    tcp_angle=0.01,
-    gain=0.015,
-    crosstalk=0.01,
-    mounting_angle=0.015,
-    delay=0.02,
-)
-"""Errors that a setup may have though it states none: the widths at which causes are compared."""
 WIDTHS = (1.0, 3.0)
 """Multiples of them that are tried."""
-CAUSES = {
-    "contact_points": "the object touches the table at few points: state `contact_points`",
-    "group_friction": "groups differ in friction: state `group_friction`",
-    "place_friction": "friction differs over the table: clean it, or state `place_friction`",
-    "anisotropy": "friction differs by direction: state `anisotropy`",
-    "speed_friction": "friction changes with speed: turn at one speed, or state `speed_friction`",
-    "table_tilt": "the table is tilted: level it",
-    "particle_offset": "the groups are elsewhere than told: measure the object",
-    "grasp_offset": "the object is held beside its grasp points: measure the grasps",
-    "grasp_angle": "the object is turned in the hand: measure the grasps",
-    "tcp_offset": "the TCP is elsewhere than told: measure it",
-    "tcp_angle": "the hand closes along another direction than told: check the hand's yaw",
-    "gain": "the sensor's gain is off: calibrate it",
-    "crosstalk": "the sensor's axes feed into each other: calibrate it",
-    "mounting_angle": "the sensor is mounted at another angle than told: check its rotation",
-    "delay": "poses come late: align the clocks",
-    "support": "the groups do not rest on their own weight",
+CAUSES = dict(PARAMETERS) | {
+    "support": Parameter(
+        scope="object", cause="the groups do not rest on their own weight", shown=(1.0, "of an even load a cell")
+    )
 }
-"""What each cause means, and what to do."""
-
-
-UNITS = {
-    "contact_points": (1.0, "of a pattern of 3 points"),
-    "table_tilt": (180 / math.pi, "deg"),
-    "particle_offset": (1e3, "mm"),
-    "grasp_offset": (1e3, "mm"),
-    "grasp_angle": (180 / math.pi, "deg"),
-    "tcp_offset": (1e3, "mm"),
-    "tcp_angle": (180 / math.pi, "deg"),
-    "mounting_angle": (180 / math.pi, "deg"),
-    "delay": (1e3, "ms"),
-    "support": (1.0, "of an even load a cell"),
-}
-"""Factor and unit in which the size of a cause is told; of the others it is a part, in percent."""
+"""What would explain a misfit: an error of the setup, or the support."""
 
 
 @dataclass(frozen=True)
@@ -92,11 +48,6 @@ class Cause:
     """Part of the squared residual that it would take away."""
     size: float
     """Root mean square of its parameters as they fit best, in units of `LIKELY`; SI where that is."""
-
-    def told(self, name: str) -> str:
-        """Size in words, such as "2.1 mm"."""
-        factor, unit = UNITS.get(name, (100.0, "%"))
-        return f"{factor * self.size:.2g} {unit}"
 
 
 @dataclass(frozen=True)
@@ -168,7 +119,7 @@ class Misfit:
         name, cause = next(iter(self.explained.items()))
         return (
             f"{begin}, most in trial {worst} ({self.trials[worst]:.2g}); likeliest cause, for "
-            f"{100 * cause.part:.0f} % of it: {CAUSES[name]}; whether they rest on their own weight at all, "
+            f"{100 * cause.part:.0f} % of it: {CAUSES[name].cause}; whether they rest on their own weight at all, "
             "support_aware tests; errors are widened"
         )
 

@@ -17,7 +17,7 @@ from estimators.particles.links import UNEVEN, HingeTorques, standing
 from estimators.particles.model import ParticleModel, cross, inertia_of, rotate, turned
 from estimators.particles.windows import Observations
 from testbed.objects.model import GRAVITY
-from testbed.worlds.setup_errors import SetupErrors
+from testbed.worlds.setup_errors import PARAMETERS, SetupErrors
 
 FULL_SCALE = torch.tensor([300.0, 300.0, 300.0, 30.0, 30.0, 30.0], dtype=torch.float64)
 """Full scale of a wrist sensor, N and N m: cross-talk is a part of it. That of the FT-300S."""
@@ -44,7 +44,7 @@ def _waves(count: int) -> Float[Tensor, "n 2"]:
 WAVES = _waves(48)
 """Waves of a table's friction."""
 
-BY_TRIAL = ("grasp_offset", "grasp_angle")
+BY_TRIAL = tuple(name for name, each in PARAMETERS.items() if each.scope == "trial")
 """Kinds that are drawn anew in every trial; all others are the same in all."""
 
 Columns = dict[str, Float[Tensor, "R n"]]

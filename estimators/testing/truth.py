@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import fields, replace
+from dataclasses import replace
 from enum import Enum
 from typing import Any
 
@@ -19,7 +19,7 @@ from testbed.sensing.presets import PRESETS
 from testbed.trajectory import Trajectory
 from testbed.worlds.draw import WorldDraw
 from testbed.worlds.presets import WORLDS, World
-from testbed.worlds.setup_errors import SetupErrors
+from testbed.worlds.setup_errors import PARAMETERS
 
 SECRET_WORDS = frozenset(
     (
@@ -38,7 +38,7 @@ SECRET_WORDS = frozenset(
     )
 )
 """Words that no name of an attribute or of an entry that says anything may hold."""
-ALLOWED_NAMES = frozenset(("friction_group", "wrench_on_object_world", *(field.name for field in fields(SetupErrors))))
+ALLOWED_NAMES = frozenset(("friction_group", "wrench_on_object_world", *PARAMETERS))
 """Names that say how the shape is divided, or how large an error may be, and no coefficient."""
 SECRET_TEXTS = frozenset((*PRESETS, *WORLDS, "own_weight", "rigid")) - {"low", "high"}
 """Texts that name a sensor or a support."""

@@ -91,7 +91,8 @@ def _verdict(misfit: Misfit) -> str:
     if misfit.inertia is not None:
         return f"misfit {misfit.value:.2g} in place of 1; {inertia_in_words(misfit.inertia)}"
     name, cause = next(iter(misfit.explained.items()))
-    return f"misfit {misfit.value:.2g} in place of 1; likeliest, {cause.told(name)}: {CAUSES[name]}"
+    size, words = CAUSES[name].formatted(cause.size), CAUSES[name].cause
+    return f"misfit {misfit.value:.2g} in place of 1; likeliest, {size}: {words}"
 
 
 def _table(misfit: Misfit, trials: list[str]):
@@ -104,7 +105,7 @@ def _table(misfit: Misfit, trials: list[str]):
     for column in ("alone, it would explain", "with", "if so"):
         table.add_column(column, justify="right" if column != "if so" else "left")
     for name, cause in list(misfit.explained.items())[:MOST_LISTED]:
-        table.add_row(f"{100 * cause.part:.0f} %", cause.told(name), CAUSES[name])
+        table.add_row(f"{100 * cause.part:.0f} %", CAUSES[name].formatted(cause.size), CAUSES[name].cause)
     worst = sorted(misfit.trials, key=lambda trial: -misfit.trials[trial])[:3]
     table.caption = "trials that fit least: " + "; ".join(f"{trials[k]} ({misfit.trials[k]:.2g})" for k in worst)
     return table

@@ -76,7 +76,7 @@ class WorldDraw:
 
     def feet(self, body: ObjectModel) -> Feet:
         """Points of contact of an object and their mean friction."""
-        points = self.world.contact_points
+        points = int(self.world.contact_points)
         feet = Feet.drawn(body, points, self.rng("contact_points")) if points else Feet.of(body)
         group = 1 + self.normal("group_friction", body.shape.n_m)
         along_x = self.normal("anisotropy", 1)[0]

@@ -3,73 +3,147 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 from testbed.errors import InvalidValueError
 from testbed.validation import is_number
+from testbed.worlds.parameters import parameter, parameters_of
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class SetupErrors:
     """Standard deviations of a setup as stated, SI units; 0 is exact. What was drawn for a trial is never in it.
 
     Of an estimate, a contact error belongs to an object, a grasp error to a trial, and all others to the whole setup.
     """
 
-    contact_points: float = 0.0
+    contact_points: float = parameter(
+        source="contacts",
+        shape=("groups",),
+        scope="object",
+        likely=3,
+        cause="the object touches the table at few points: state `contact_points`",
+        shown=(1.0, "of a pattern of 3 points"),
+    )
     """Points, anywhere under it, on which each mass group rests; 0: on every particle, as the paper assumes."""
-    group_friction: float = 0.0
+    group_friction: float = parameter(
+        source="friction of groups",
+        shape=("groups",),
+        scope="object",
+        cause="groups differ in friction: state `group_friction`",
+    )
     """Friction of a mass group, as a part of the mean of its friction group."""
-    place_friction: float = 0.0
+    place_friction: float = parameter(
+        source="friction by place",
+        likely=0.05,
+        cause="friction differs over the table: clean it, or state `place_friction`",
+    )
     """Friction from place to place of the table, as a part of its mean."""
-    anisotropy: float = 0.0
-    """Friction in a direction of the table, as a part of the mean over all directions."""
-    speed_friction: float = 0.0
+    anisotropy: float = parameter(
+        source="friction by direction",
+        shape=(2,),
+        likely=0.05,
+        unknown=0.15,
+        cause="friction differs by direction: state `anisotropy`",
+    )
+    """Friction along one axis of the table over the mean, as a part of it; across it is as much less."""
+    speed_friction: float = parameter(
+        source="friction by speed",
+        likely=0.03,
+        cause="friction changes with speed: turn at one speed, or state `speed_friction`",
+    )
     """Change of friction with a tenfold speed, as a part of itself."""
-    table_tilt: float = 0.0
+    table_tilt: float = parameter(
+        source="tilt of the table", unit="rad", shape=(2,), likely=0.006, cause="the table is tilted: level it"
+    )
     """Tilt of the table about each of its axes [rad]."""
-    particle_offset: float = 0.0
+    particle_offset: float = parameter(
+        source="places of groups",
+        unit="m",
+        shape=("groups", 2),
+        scope="object",
+        likely=0.001,
+        cause="the groups are elsewhere than told: measure the object",
+    )
     """Place of a mass group's particles along each axis [m]."""
-    grasp_offset: float = 0.0
+    grasp_offset: float = parameter(
+        source="grasp",
+        unit="m",
+        shape=(2,),
+        scope="trial",
+        likely=0.001,
+        unknown=0.003,
+        cause="the object is held beside its grasp points: measure the grasps",
+    )
     """Place of the object in the hand along each axis, anew in every trial [m]."""
-    grasp_angle: float = 0.0
+    grasp_angle: float = parameter(
+        source="grasp",
+        unit="rad",
+        scope="trial",
+        likely=0.015,
+        cause="the object is turned in the hand: measure the grasps",
+    )
     """Yaw of the object in the hand, anew in every trial [rad]."""
-    tcp_offset: float = 0.0
+    tcp_offset: float = parameter(
+        source="TCP", unit="m", shape=(3,), likely=0.001, cause="the TCP is elsewhere than told: measure it"
+    )
     """Place of the TCP along each axis of the hand [m]."""
-    tcp_angle: float = 0.0
+    tcp_angle: float = parameter(
+        source="TCP",
+        unit="rad",
+        likely=0.01,
+        cause="the hand closes along another direction than told: check the hand's yaw",
+    )
     """Yaw of the TCP in the hand [rad]."""
-    gain: float = 0.0
+    gain: float = parameter(source="gain", shape=(6,), likely=0.015, cause="the sensor's gain is off: calibrate it")
     """Gain of each axis of the sensor, as a part of itself."""
-    crosstalk: float = 0.0
-    """Signal of an axis that shows in each other, as a part of it."""
-    mounting_angle: float = 0.0
+    crosstalk: float = parameter(
+        source="cross-talk",
+        shape=(6, 6),
+        likely=0.01,
+        cause="the sensor's axes feed into each other: calibrate it",
+    )
+    """Signal of an axis that shows in each other, as a part of it, both over their full scales."""
+    mounting_angle: float = parameter(
+        source="mounting",
+        unit="rad",
+        shape=(3,),
+        likely=0.015,
+        cause="the sensor is mounted at another angle than told: check its rotation",
+    )
     """Rotation of the sensor about each of its axes [rad]."""
-    delay: float = 0.0
+    delay: float = parameter(source="encoders, delay", unit="s", likely=0.02, cause="poses come late: align the clocks")
     """Time by which poses are later than wrenches [s]."""
-    tool_mass: float = 0.0
+    tool_mass: float = parameter(source="tool, scale", unit="kg")
     """Mass of the tool, which shows where it is tilted [kg]."""
-    tool_com: float = 0.0
+    tool_com: float = parameter(source="tool, scale", unit="m", shape=(3,))
     """Center of mass of the tool along each axis, which shows there too [m]."""
-    scale: float = 0.0
+    scale: float = parameter(source="tool, scale", unit="kg")
     """Reading of the scale, beside the sensor's own error [kg]."""
 
     def __post_init__(self) -> None:
-        for name, value in vars(self).items():
-            if not (is_number(value) and value >= 0):
-                raise InvalidValueError(f"SetupErrors.{name}", value, "a finite number >= 0")
+        for name, described in parameters_of(type(self)).items():
+            value = getattr(self, name)
+            if not (is_number(value) and value >= described.least):
+                allowed = f"a finite number >= {described.least:g}"
+                raise InvalidValueError(f"{type(self).__name__}.{name}", value, allowed)
 
     @staticmethod
     def largest(setups: Sequence[SetupErrors]) -> SetupErrors:
         """The largest error of each kind among some setups."""
         if len(set(setups)) == 1:
             return setups[0]
-        return SetupErrors(**{f.name: max(getattr(each, f.name) for each in setups) for f in fields(SetupErrors)})
+        return SetupErrors(**{name: max(getattr(each, name) for each in setups) for name in PARAMETERS})
 
     @property
     def none(self) -> bool:
-        """True if the setup is exact."""
-        return not any(getattr(self, field.name) for field in fields(self))
+        """True if nothing in it errs."""
+        return all(getattr(self, name) == each.least for name, each in parameters_of(type(self)).items())
 
 
+PARAMETERS = parameters_of(SetupErrors)
+"""What a setup may state, by name."""
 EXACT_SETUP = SetupErrors()
 """Setup without errors."""
+LIKELY = SetupErrors(**{name: described.likely for name, described in PARAMETERS.items()})
+"""Errors that a setup may have though it states none: the widths at which causes of a misfit are compared."""

@@ -76,7 +76,7 @@ def test_a_quantity_is_changed_by_its_name_and_swept():
     )
     built = [point.world.build() for _, point in swept.points()]
     assert [each.group_friction for each in built] == [0.0, 0.05] * 2
-    assert built[0].is_ideal and not built[1].is_ideal
+    assert built[0].none and not built[1].none
 
 
 @pytest.mark.parametrize("wrong", [{"preset": "labb"}, {"gian": 0.1}, {"gain": -1.0}, {"gain": "much"}, {"name": "x"}])

@@ -8,7 +8,7 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
 
-from estimators.particles.misfit import Misfit
+from estimators.particles.misfit import CAUSES, Misfit
 from viz.style import ESTIMATE, STYLE, TRUTH, bare
 
 MOST_SHOWN = 10
@@ -30,7 +30,9 @@ def misfit_figure(misfit: Misfit, trials: Sequence[str], title: str) -> Figure:
     left, right = figure.subplots(1, 2, width_ratios=(3, 2))
     places = np.arange(len(causes))
     left.barh(places, [100 * cause.part for _, cause in causes], color=ESTIMATE)
-    left.set_yticks(places, [f"{name.replace('_', ' ')}, {cause.told(name)}" for name, cause in causes])
+    left.set_yticks(
+        places, [f"{name.replace('_', ' ')}, {CAUSES[name].formatted(cause.size)}" for name, cause in causes]
+    )
     left.set_xlim(0.0, 100.0)
     left.set_xlabel("would explain alone, %")
     shown = sorted(misfit.trials)

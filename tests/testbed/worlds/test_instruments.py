@@ -37,7 +37,7 @@ def clean() -> Trajectory:
 
 def seen(record: Trajectory | None = None, seed: int = 1, **quantity: float) -> tuple[Trajectory, WorldDraw]:
     """The record of a perfect sensor in a world in which only these quantities err, and the draw."""
-    draw = WorldDraw.of(World("alone", **quantity), L2, seed)  # pyright: ignore[reportArgumentType]
+    draw = WorldDraw.of(World(name="alone", **quantity), L2, seed)  # pyright: ignore[reportArgumentType]
     record = clean() if record is None else record
     marked = replace(record, provenance=record.provenance | draw.provenance)
     return draw_sensing(marked, IDEAL, 0), draw

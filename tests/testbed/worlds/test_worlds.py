@@ -39,7 +39,7 @@ MIDDLE = 600
 
 def alone(model: ObjectModel = L2, seed: int = 1, **quantity: float) -> WorldDraw:
     """Draw of a world in which only these quantities err."""
-    return WorldDraw.of(World("alone", **quantity), model, seed)  # pyright: ignore[reportArgumentType]
+    return WorldDraw.of(World(name="alone", **quantity), model, seed)  # pyright: ignore[reportArgumentType]
 
 
 @cache
@@ -68,7 +68,7 @@ def test_the_ideal_world_is_the_simulation_as_it_was():
 
 def test_presets_are_ordered_and_state_what_a_lab_states():
     ideal, lab, rough = WORLDS.values()
-    assert ideal.is_ideal and ideal.stated.none and not lab.is_ideal
+    assert ideal.none and ideal.stated.none and not lab.none
     assert all(getattr(rough, name) >= getattr(lab, name) > getattr(ideal, name) for name in QUANTITIES)
     assert lab.stated.grasp_offset == lab.grasp_offset
     assert lab.stated.delay == lab.delay / math.sqrt(3)

@@ -1,0 +1,51 @@
+"""Parameters of a setup that can err: what a world draws, a lab states and a diagnosis names, each said once."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
+from types import MappingProxyType
+from typing import Any, Literal
+
+Scope = Literal["object", "setup", "trial", "sample"]
+_SHOWN = {"": (100.0, "%"), "m": (1e3, "mm"), "rad": (180 / math.pi, "deg"), "s": (1e3, "ms"), "kg": (1e3, "g")}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Parameter:
+    """Something of a setup that can err. Its name, meaning and size are those of the field that it describes."""
+
+    unit: str = ""
+    """SI unit; empty of a part of something."""
+    shape: tuple[int | str, ...] = ()
+    """Shape of one draw; "groups" is the number of mass groups."""
+    scope: Scope = "setup"
+    """What has one draw of it: an object, the whole setup, a trial, or a sample."""
+    source: str = ""
+    """Source of error that it belongs to, for a budget of them."""
+    likely: float = 0.0
+    """Standard deviation by which it is tried as the cause of a misfit where none is stated; 0: it is not tried."""
+    unknown: float = 0.0
+    """Standard deviation where a method estimates it and nothing is known of it; 0: no method does."""
+    cause: str = ""
+    """What it means if it explains a misfit, and what to do."""
+    least: float = 0.0
+    """Least value, which is that of an exact setup."""
+    shown: tuple[float, str] | None = None
+    """Factor and unit in which its size is printed; None is that of its SI unit."""
+
+    def formatted(self, size: float) -> str:
+        """Size in words, such as "2.1 mm"."""
+        factor, unit = self.shown or _SHOWN.get(self.unit, (1.0, self.unit))
+        return f"{factor * size:.2g} {unit}"
+
+
+def parameter(least: float = 0.0, **said: Any) -> Any:
+    """Field of a dataclass, exact by default, that a `Parameter` of such fields describes."""
+    return field(default=least, metadata={"parameter": Parameter(least=least, **said)})
+
+
+def parameters_of(kind: type) -> Mapping[str, Parameter]:
+    """Parameters among the fields of a dataclass, by name."""
+    return MappingProxyType({f.name: f.metadata["parameter"] for f in fields(kind) if "parameter" in f.metadata})

@@ -21,8 +21,8 @@ from rich.console import Console
 from rich.table import Table
 
 from estimators.action_selection.rank import between_particles
-from estimators.particles.lifts import wrench_of_mass
 from estimators.support_models.estimator import SupportAware
+from estimators.wrench.air import Air
 from testbed.actions.accelerate import Accelerate
 from testbed.actions.base import Action
 from testbed.actions.lift import Lift
@@ -96,10 +96,11 @@ def missing(lifted: Lifted) -> dict[str, float]:
     shape, truth = lifted.object.shape, lifted.object.truth.mass
     windows = lift_windows(draw_sensing(lifted.rocked, preset("ideal"), 0))
     rocks = np.array([lifted.rocked.action.accelerates(i) for i in range(len(windows))])  # pyright: ignore[reportAttributeAccessIssue]
-    due, up = (np.array([wrench_of_mass(shape, w, np.array([0, 0, z])) @ truth for w in windows]) for z in (0.0, 1.0))
-    off = np.array([w.wrench for w in windows]) - due
-    low = (up - due).ravel() @ off.ravel() / np.sum((up - due) ** 2)
-    off = (off - low * (up - due)) / (9.81 * lifted.object.total_mass) / np.repeat([1.0, 0.1], 3)
+    at = {"mass": torch.tensor(truth), "place": torch.zeros(3, dtype=torch.float64)}
+    due, slopes = Air.of_masses(shape, windows).linearized(at)
+    off, up = np.array([w.wrench for w in windows]) - due.numpy(), slopes["place"][..., 2].numpy()
+    low = up.ravel() @ off.ravel() / np.sum(up**2)
+    off = (off - low * up) / (9.81 * lifted.object.total_mass) / np.repeat([1.0, 0.1], 3)
     parts = {"low_mm": 1e3 * float(low)}
     for name, rows in (("still", off[~rocks]), ("rocked", off[rocks])):
         parts |= {f"{name}_force": float(np.abs(rows[:, :3]).max()), f"{name}_torque": float(np.abs(rows[:, 3:]).max())}

@@ -5,22 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+import torch
 from jaxtyping import Float
 
-from estimators.inertial.body import shift_map
-from estimators.inertial.equations import InertialEquations, compressed_rows, joined, regressor
+from estimators.inertial.equations import InertialEquations, compressed_rows, joined
 from estimators.inertial.parts import column_parts
-from estimators.particles.lifts import (
-    SHIFT,
-    LiftErrors,
-    LiftSlopes,
-    along_tilts,
-    creep_covariance,
-    lift_covariance,
-    lifts_among,
-    setup_columns,
-    slope_of_turn,
-)
+from estimators.particles.lifts import LiftErrors, lift_covariance, lifts_among
+from estimators.wrench.air import Air, Matter, nominal, stated_sizes
 from testbed.errors import InvalidValueError
 from testbed.objects.model import ObjectShape
 from testbed.sensing.lift_windows import LiftWindow
@@ -76,36 +67,17 @@ def _equations(
 def _of_trial(
     shape: ObjectShape, windows: Sequence[LiftWindow], body: Float[np.ndarray, "10"], errors: LiftErrors, trials: int
 ) -> InertialEquations:
-    about_tcp, still = _regressors(windows), _regressors(windows, moving=False)
-    grasp = shape.grasps[windows[0].grasp].position
-    tcp = np.array([*grasp, windows[0].tcp_height])
-    rows = about_tcp @ shift_map(tcp)
-    by_shift = np.column_stack(
-        [
-            about_tcp @ (shift_map(tcp - SHIFT * axis) - shift_map(tcp + SHIFT * axis)) @ body / (2 * SHIFT)
-            for axis in np.eye(3)
-        ]
-    )
-    by_turn = slope_of_turn(lambda angle: _regressors([w.turned(angle) for w in windows]) @ shift_map(tcp) @ body)
-    late = _regressors([w.changing() for w in windows], moving=False) @ shift_map(tcp) @ body
-    placed = shift_map(tcp) @ body
-    tilted = along_tilts(windows, lambda window: _regressors([window], moving=False) @ placed)
-    size = shape.per_group(np.ones(len(shape.particles)))
-    parts = float(np.linalg.norm(size / size.sum())) * by_shift[:, :2]  # with as much mass as they are large
-    slopes = LiftSlopes(by_shift[:, :2], by_turn, parts, late, tilted)
-    of_setup = setup_columns(windows, rows @ body, slopes, trials)
-    crept = creep_covariance(windows, by_shift * [errors.creep, errors.creep, errors.slip])
-    by_shift *= [errors.grip, errors.grip, errors.sag]
-    inertial = errors.inertia * (rows - still @ shift_map(tcp)) @ body
-    effects = np.column_stack([by_shift, inertial, errors.gain * rows @ body, of_setup])
-    covariance = lift_covariance(shape, windows, effects, errors.wrench, float(body[0])) + crept
+    air = Air.of(shape, windows, lambda theta: Matter.of_vector(theta["body"]))
+    sizes = stated_sizes(windows[0].setup, trials) | {
+        "place": torch.tensor([errors.grip, errors.grip, errors.sag]),
+        "moving": torch.tensor(errors.inertia),
+        "scale": torch.tensor(errors.gain),
+    }
+    _, slopes = air.linearized(nominal({"body": torch.tensor(body)}, sizes))
+    if offset := windows[0].setup.particle_offset * trials**0.5:  # of groups with as much mass as they are large
+        size = shape.per_group(np.ones(len(shape.particles)))
+        slopes["parts"] = slopes["place"][..., :2]
+        sizes["parts"] = torch.full((2,), offset * float(np.linalg.norm(size / size.sum())))
+    covariance = lift_covariance(shape, windows, slopes, sizes, errors, float(body[0]))
+    rows = slopes["body"].flatten(0, 1).numpy()
     return compressed_rows(rows, np.concatenate([w.wrench for w in windows]), covariance)
-
-
-def _regressors(windows: Sequence[LiftWindow], *, moving: bool = True) -> Float[np.ndarray, "R 10"]:
-    """Wrenches about the TCP a unit of each parameter, R = 6 K; not `moving`, of pull alone."""
-    pull, spin_rate, products = (
-        np.array([value(w) for w in windows])
-        for value in (lambda w: w.pull, lambda w: w.angular_acceleration, lambda w: w.spin_products)
-    )
-    return regressor(pull, moving * spin_rate, moving * products).reshape(6 * len(windows), -1)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
@@ -17,10 +18,9 @@ from estimators.particles.links import UNEVEN, HingeTorques, standing
 from estimators.particles.model import ParticleModel, cross, inertia_of, rotate, turned
 from estimators.particles.windows import Observations
 from testbed.objects.model import GRAVITY
+from testbed.worlds.parameters import FULL_SCALE
 from testbed.worlds.setup_errors import PARAMETERS, SetupErrors
 
-FULL_SCALE = torch.tensor([300.0, 300.0, 300.0, 30.0, 30.0, 30.0], dtype=torch.float64)
-"""Full scale of a wrist sensor, N and N m: cross-talk is a part of it. That of the FT-300S."""
 SHARES = 2.0
 """Sum of squared shares of the load of n points, times n: 1 if all carry the same. Ours, of three to eight, uneven."""
 MOST_POINTS = 64
@@ -330,7 +330,8 @@ def _sensed(windows: Observations, to_wrench: Float[Tensor, "R 6K"], setup: Setu
     if setup.gain:
         errors["gain"] = setup.gain * torch.diag_embed(signal)
     if setup.crosstalk:
-        other = (FULL_SCALE[:, None] / FULL_SCALE)[None] * signal[:, None] * (1 - eye)  # (K, to, from)
+        full = torch.tensor(np.outer(FULL_SCALE, 1 / FULL_SCALE))
+        other = full * signal[:, None] * (1 - eye)  # (K, to, from)
         errors["crosstalk"] = setup.crosstalk * torch.diag_embed(other.transpose(1, 2)).transpose(1, 2).flatten(2)
     if setup.mounting_angle:
         axes = torch.eye(3, dtype=torch.float64)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
@@ -64,25 +64,6 @@ class LiftWindow:
     """Change of `tool` with such a tilt [N, N m a rad]."""
     setup: SetupErrors
     """Errors of the setup, as stated."""
-
-    def turned(self, angle: float) -> LiftWindow:
-        """The same motion in axes turned about z by an angle [rad]; its wrench is left as it is."""
-        back = rotation_z(-angle)
-        return replace(
-            self,
-            pull=back @ self.pull,
-            pull_tilt=self.pull_tilt @ back.T,
-            angular_acceleration=back @ self.angular_acceleration,
-            spin_products=back @ self.spin_products @ back.T,
-        )
-
-    def changing(self) -> LiftWindow:
-        """Window with the change of `pull` with time in its place."""
-        return replace(self, pull=self.pull_rate)
-
-    def tilting(self, axis: int) -> LiftWindow:
-        """Window with the change of `pull` with a tilt about the table's x (0) or y (1) in its place."""
-        return replace(self, pull=self.pull_tilt[axis])
 
     def __post_init__(self) -> None:
         square = (6, 6)

@@ -13,9 +13,8 @@ from testbed.frames import perpendicular, rotate_wrench, rotation_2d, rotation_m
 from testbed.sensing.presets import Sensing
 from testbed.trajectory import Tool, Trajectory
 from testbed.worlds.draw import WorldDraw
+from testbed.worlds.parameters import FULL_SCALE
 
-FULL_SCALE = np.repeat([300.0, 30.0], 3)
-"""Full scale of the sensor's axes [N, N m]: cross-talk is a part of it."""
 REACH = 0.5
 """Lever from the arm's base to the TCP by which an encoder's noise moves it [m]."""
 _POSES = ("object_pose", "object_velocity", "tcp_position", "tcp_velocity", "sensor_orientation", "joint_position")

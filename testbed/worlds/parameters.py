@@ -8,6 +8,10 @@ from dataclasses import dataclass, field, fields
 from types import MappingProxyType
 from typing import Any, Literal
 
+import numpy as np
+
+FULL_SCALE = np.repeat([300.0, 30.0], 3)
+"""Full scale of a wrist sensor's axes [N, N m], that of the FT-300S: cross-talk is a part of it."""
 Scope = Literal["object", "setup", "trial", "sample"]
 _SHOWN = {"": (100.0, "%"), "m": (1e3, "mm"), "rad": (180 / math.pi, "deg"), "s": (1e3, "ms"), "kg": (1e3, "g")}
 
@@ -34,6 +38,10 @@ class Parameter:
     """Least value, which is that of an exact setup."""
     shown: tuple[float, str] | None = None
     """Factor and unit in which its size is printed; None is that of its SI unit."""
+
+    def sized(self, groups: int) -> tuple[int, ...]:
+        """Shape of one draw for an object of so many mass groups."""
+        return tuple(groups if each == "groups" else int(each) for each in self.shape)
 
     def formatted(self, size: float) -> str:
         """Size in words, such as "2.1 mm"."""

@@ -1,0 +1,199 @@
+"""Wrench of an object in the air: gravity and motion, in the hand and through the sensor as both may err."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+from torch.func import vmap
+from torch.nn.functional import pad
+
+from estimators.wrench.jacobian import Theta, Window, linearized, zeros
+from testbed.objects.model import ObjectShape
+from testbed.sensing.lift_windows import LiftWindow
+from testbed.worlds.parameters import FULL_SCALE
+from testbed.worlds.setup_errors import PARAMETERS, SetupErrors
+
+NONE = torch.zeros((), dtype=torch.float64)
+EYE = torch.eye(3, dtype=torch.float64)
+KINDS = ("table_tilt", "grasp_offset", "grasp_angle", "tcp_offset", "tcp_angle")
+KINDS += ("gain", "crosstalk", "mounting_angle", "delay", "tool_mass", "tool_com")
+"""Errors of the setup that show in the air, whatever the object is made of."""
+_FIELDS = ("pull", "angular_acceleration", "spin_products", "tcp_height", "from_sensor", "tool", "tool_mass")
+_FIELDS += ("tool_rate", "pull_rate", "pull_tilt", "tool_tilt")
+
+
+@dataclass(frozen=True, eq=False)
+class Matter:
+    """Moments of the mass of bodies about a point, B of them or one."""
+
+    mass: Float[Tensor, "*B"]
+    """Mass, kg."""
+    first: Float[Tensor, "*B 3"]
+    """Integral of r, kg m."""
+    second: Float[Tensor, "*B 3 3"]
+    """Integral of r r^T, kg m^2."""
+
+    @staticmethod
+    def of_groups(shape: ObjectShape) -> Matter:
+        """Each mass group by the cells of its particles, of 1 kg a particle, in the object frame."""
+        at = torch.tensor(np.column_stack([shape.particles, np.full(len(shape.particles), shape.height / 2)]))
+        group = torch.nn.functional.one_hot(torch.tensor(shape.mass_group), shape.n_m).double() * torch.tensor(
+            shape.fill[:, None]
+        )
+        sides = torch.tensor([shape.cell, shape.cell, shape.height], dtype=torch.float64)
+        own = at[:, :, None] * at[:, None] + (sides.square() / 12).diag()
+        return Matter(group.sum(0), group.T @ at, torch.einsum("pg,pij->gij", group, own))
+
+    @staticmethod
+    def of_vector(vector: Float[Tensor, "10"]) -> Matter:
+        """A body by its inertial parameters, as `InertialParameters.vector`."""
+        about = vector[[4, 5, 6, 5, 7, 8, 6, 8, 9]].reshape(3, 3)
+        return Matter(vector[0], vector[1:4], about.trace() / 2 * EYE - about)
+
+    def times(self, mass: Float[Tensor, "B"]) -> Matter:
+        """The bodies with so many times their masses."""
+        return Matter(self.mass * mass, self.first * mass[:, None], self.second * mass[:, None, None])
+
+    def shifted(self, shift: Float[Tensor, "*B 3"]) -> Matter:
+        """The bodies elsewhere by a shift, m."""
+        first = self.first + self.mass[..., None] * shift
+        cross = self.first[..., :, None] * shift[..., None, :]
+        square = self.mass[..., None, None] * shift[..., :, None] * shift[..., None, :]
+        return Matter(self.mass, first, self.second + cross + cross.mT + square)
+
+    def turned(self, rotation: Float[Tensor, "3 3"]) -> Matter:
+        """The bodies turned about the point."""
+        return Matter(self.mass, self.first @ rotation.T, rotation @ self.second @ rotation.T)
+
+    def together(self) -> Matter:
+        """All bodies as one."""
+        return Matter(self.mass.sum(0), self.first.sum(0), self.second.sum(0))
+
+    def wrench(
+        self, pull: Float[Tensor, "3"], rate: Float[Tensor, "3"], spin: Float[Tensor, "3 3"]
+    ) -> Float[Tensor, "6"]:
+        """Force and torque about the point that a motion takes, N and N m.
+
+        Args:
+            pull: acceleration of the point less gravity, m/s^2.
+            rate: angular acceleration, rad/s^2.
+            spin: products of the angular velocity's components, rad^2/s^2.
+        """
+        force = self.mass * pull + torch.linalg.cross(rate, self.first) + (spin - spin.trace() * EYE) @ self.first
+        turn = self.second @ spin
+        gyroscopic = torch.stack([turn[1, 2] - turn[2, 1], turn[2, 0] - turn[0, 2], turn[0, 1] - turn[1, 0]])
+        own = self.second.trace() * rate - self.second @ rate
+        return torch.cat([force, torch.linalg.cross(self.first, pull) + own + gyroscopic])
+
+
+@dataclass(frozen=True, eq=False)
+class Air:
+    """K windows of one lift, measured or planned.
+
+    Unknowns, each 0 where it is left out: those of `KINDS`; `place`, of the object in the grip (x, y, z), m; `moving`
+    and `scale`, parts by which the wrench of the acceleration, or all of it, is larger; `upright`, changes of the
+    second moments zz, xz and yz, kg m^2; and those of the object's `matter`.
+    """
+
+    matter: Callable[[Theta], Matter]
+    """The object by the unknowns, in its frame."""
+    grasp: Float[Tensor, "2"]
+    """Grasp point, m, object frame."""
+    windows: Window
+    """Fields of the windows, as `LiftWindow` names them."""
+
+    @staticmethod
+    def of(shape: ObjectShape, windows: Sequence[LiftWindow], matter: Callable[[Theta], Matter]) -> Air:
+        """Windows of one lift of an object of some matter."""
+        fields = {name: torch.tensor(np.array([getattr(window, name) for window in windows])) for name in _FIELDS}
+        return Air(matter, torch.tensor(shape.grasps[windows[0].grasp].position), fields)
+
+    @staticmethod
+    def of_masses(shape: ObjectShape, windows: Sequence[LiftWindow]) -> Air:
+        """Windows of an object of mass groups: unknown `mass`, kg a particle, and `particle_offset`, m."""
+        groups = Matter.of_groups(shape)
+
+        def matter(theta: Theta) -> Matter:
+            bodies = groups.times(theta["mass"])
+            if "particle_offset" in theta:
+                bodies = bodies.shifted(pad(theta["particle_offset"], (0, 1)))
+            return bodies.together()
+
+        return Air.of(shape, windows, matter)
+
+    def wrenches(self, theta: Theta) -> Float[Tensor, "K 6"]:
+        """Wrenches of the gripper on the object, N and N m."""
+        return vmap(self.predict, (None, 0))(theta, self.windows)
+
+    def linearized(self, theta: Theta) -> tuple[Float[Tensor, "K 6"], dict[str, Float[Tensor, "K 6 n"]]]:
+        """Wrenches, and their derivatives in each unknown."""
+        return linearized(self.predict, theta, self.windows)
+
+    def predict(self, theta: Theta, window: Window) -> Float[Tensor, "6"]:
+        """Wrench of the gripper on the object in one window, by what the sensor shows, told axes about the told TCP."""
+        spread = 1 + theta.get("moving", NONE)
+        tilt, delay = theta.get("table_tilt", torch.zeros(2, dtype=torch.float64)), theta.get("delay", NONE)
+        pull = window["pull"] + tilt @ window["pull_tilt"] + delay * window["pull_rate"]
+        rate, spin = spread * window["angular_acceleration"], spread * window["spin_products"]
+        wrench = self.in_hand(theta, window).wrench(pull, rate, spin) * (1 + theta.get("scale", NONE))
+        # the sensor feels the tool too, of which what is known has been taken off
+        tool = window["tool"] * (1 + theta.get("tool_mass", NONE) / window["tool_mass"].clamp(min=1e-9))
+        tool = tool + tilt @ window["tool_tilt"] + delay * window["tool_rate"]
+        if "tool_com" in theta:
+            tool = tool + pad(torch.linalg.cross(theta["tool_com"], window["tool"][:3]), (3, 0))
+        read = torch.linalg.solve(window["from_sensor"], wrench) + tool
+        if "mounting_angle" in theta:
+            angle = theta["mounting_angle"].expand(2, 3)
+            read = read + torch.linalg.cross(angle, read.reshape(2, 3)).flatten()
+        read = read * (1 + theta.get("gain", NONE)) + (theta["crosstalk"] @ read if "crosstalk" in theta else 0.0)
+        return window["from_sensor"] @ (read - window["tool"])
+
+    def in_hand(self, theta: Theta, window: Window) -> Matter:
+        """The object about the told TCP, where it truly is in the hand."""
+        told = self.matter(theta).shifted(-torch.cat([self.grasp, window["tcp_height"][None]]))
+        if "upright" in theta:
+            zz, xz, yz, none = *theta["upright"].unbind(), torch.zeros((), dtype=torch.float64)
+            more = torch.stack([none, none, xz, none, none, yz, xz, yz, zz]).reshape(3, 3)
+            told = Matter(told.mass, told.first, told.second + more)
+        angle = theta.get("grasp_angle", NONE) + theta.get("tcp_angle", NONE)
+        cos, sin, none, one = torch.cos(angle), torch.sin(angle), torch.zeros_like(angle), torch.ones_like(angle)
+        turn = torch.stack([cos, -sin, none, sin, cos, none, none, none, one]).reshape(3, 3)
+        place = theta.get("place", torch.zeros(3, dtype=torch.float64))
+        for name in ("grasp_offset", "tcp_offset"):
+            if name in theta:
+                place = place + pad(theta[name][:2], (0, 1))
+        return told.turned(turn).shifted(place)
+
+
+def stated_sizes(setup: SetupErrors, trials: int, groups: int = 0) -> dict[str, Tensor]:
+    """Standard deviations of the errors of a setup that show in the air, by name; those of no size are left out.
+
+    Args:
+        setup: errors as stated.
+        trials: lifts that are taken as independent: an error that they share counts root `trials` times in each.
+        groups: mass groups that may be elsewhere than told; 0 of a body of unknown matter.
+    """
+    found = {}
+    for name in (*KINDS, *(["particle_offset"] if groups else [])):
+        size, described = getattr(setup, name), PARAMETERS[name]
+        if size:
+            shared = 1.0 if described.scope == "trial" else trials**0.5
+            found[name] = torch.full(described.sized(groups), size * shared, dtype=torch.float64)
+    if "crosstalk" in found:
+        found["crosstalk"] *= torch.tensor(np.outer(FULL_SCALE, 1 / FULL_SCALE) * (1 - np.eye(6)))
+    return found
+
+
+def nominal(known: Theta, sizes: Mapping[str, Tensor]) -> Theta:
+    """Unknowns as known, with all errors 0."""
+    return known | zeros(**{name: tuple(size.shape) for name, size in sizes.items()})
+
+
+def columns(slopes: Mapping[str, Float[Tensor, "K 6 n"]], sizes: Mapping[str, Tensor]) -> Float[Tensor, "R e"]:
+    """Effects of one standard deviation of each error, side by side; R = 6 K."""
+    return torch.cat([slopes[name] * size.flatten() for name, size in sizes.items()], -1).flatten(0, 1)

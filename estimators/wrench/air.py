@@ -135,13 +135,13 @@ class Air:
         return linearized(self.predict, theta, self.windows)
 
     def predict(self, theta: Theta, window: Window) -> Float[Tensor, "6"]:
-        """Wrench of the gripper on the object in one window, by what the sensor shows, told axes about the told TCP."""
+        """Wrench of the gripper on the object in one window as the sensor shows it, about the assumed TCP."""
         spread = 1 + theta.get("moving", NONE)
         tilt, delay = theta.get("table_tilt", torch.zeros(2, dtype=torch.float64)), theta.get("delay", NONE)
         pull = window["pull"] + tilt @ window["pull_tilt"] + delay * window["pull_rate"]
         rate, spin = spread * window["angular_acceleration"], spread * window["spin_products"]
         wrench = self.in_hand(theta, window).wrench(pull, rate, spin) * (1 + theta.get("scale", NONE))
-        # the sensor feels the tool too, of which what is known has been taken off
+        # the sensor also carries the tool, whose assumed weight is subtracted below
         tool = window["tool"] * (1 + theta.get("tool_mass", NONE) / window["tool_mass"].clamp(min=1e-9))
         tool = tool + tilt @ window["tool_tilt"] + delay * window["tool_rate"]
         if "tool_com" in theta:
@@ -154,12 +154,12 @@ class Air:
         return window["from_sensor"] @ (read - window["tool"])
 
     def in_hand(self, theta: Theta, window: Window) -> Matter:
-        """The object about the told TCP, where it truly is in the hand."""
-        told = self.matter(theta).shifted(-torch.cat([self.grasp, window["tcp_height"][None]]))
+        """The object about the assumed TCP, where it truly is in the hand."""
+        held = self.matter(theta).shifted(-torch.cat([self.grasp, window["tcp_height"][None]]))
         if "upright" in theta:
             zz, xz, yz, none = *theta["upright"].unbind(), torch.zeros((), dtype=torch.float64)
             more = torch.stack([none, none, xz, none, none, yz, xz, yz, zz]).reshape(3, 3)
-            told = Matter(told.mass, told.first, told.second + more)
+            held = Matter(held.mass, held.first, held.second + more)
         angle = theta.get("grasp_angle", NONE) + theta.get("tcp_angle", NONE)
         cos, sin, none, one = torch.cos(angle), torch.sin(angle), torch.zeros_like(angle), torch.ones_like(angle)
         turn = torch.stack([cos, -sin, none, sin, cos, none, none, none, one]).reshape(3, 3)
@@ -167,7 +167,7 @@ class Air:
         for name in ("grasp_offset", "tcp_offset"):
             if name in theta:
                 place = place + pad(theta[name][:2], (0, 1))
-        return told.turned(turn).shifted(place)
+        return held.turned(turn).shifted(place)
 
 
 def stated_sizes(setup: SetupErrors, trials: int, groups: int = 0) -> dict[str, Tensor]:
@@ -176,7 +176,7 @@ def stated_sizes(setup: SetupErrors, trials: int, groups: int = 0) -> dict[str, 
     Args:
         setup: errors as stated.
         trials: lifts that are taken as independent: an error that they share counts root `trials` times in each.
-        groups: mass groups that may be elsewhere than told; 0 of a body of unknown matter.
+        groups: mass groups, each with an offset of its own; 0 of a body of unknown matter.
     """
     found = {}
     for name in (*KINDS, *(["particle_offset"] if groups else [])):

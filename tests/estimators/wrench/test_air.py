@@ -54,12 +54,12 @@ def seen(record: Trajectory, **changes: object) -> np.ndarray:
     return missing(compensate(replace(record, **changes)))  # pyright: ignore[reportArgumentType]
 
 
-def test_masses_take_the_wrench_that_newton_asks_for():
+def test_the_wrench_of_given_masses_obeys_newton():
     air = Air.of_masses(OBJECT.shape, WINDOWS)
     assert_allclose(air.wrenches({"mass": MASS}), felt(WINDOWS), atol=1e-8 * np.abs(felt(WINDOWS)).max())
 
 
-def test_masses_come_back_from_what_lifts_show_of_them():
+def test_rows_reproduce_the_wrench_of_the_true_masses():
     rows = Air.of_masses(OBJECT.shape, WINDOWS).linearized({"mass": MASS})[1]["mass"].flatten(0, 1).numpy()
     left = felt(WINDOWS).ravel() - rows @ OBJECT.truth.mass
     assert np.abs(left).max() < 1e-8 * np.abs(felt(WINDOWS)).max()
@@ -106,12 +106,12 @@ def test_derivatives_are_those_of_the_true_flaw(kind):
     size, flawed = FLAWS[kind]
     at = nominal({"mass": MASS}, {kind: torch.zeros(PARAMETERS[kind].sized(OBJECT.shape.n_m))})
     slopes = Air.of_masses(OBJECT.shape, WINDOWS).linearized(at)[1][kind].numpy()
-    change, told = flawed(), slopes @ np.array(size)
+    change, predicted = flawed(), slopes @ np.array(size)
     if kind == "tool_com":  # where the tool turns faster, its own inertia is 2 mN of it
         still = [not window.angular_acceleration.any() for window in WINDOWS]
-        change, told = change[still], told[still]
+        change, predicted = change[still], predicted[still]
     part = 0.15 if kind == "delay" else 0.03  # at the ends of a swing acceleration and spin come late too
-    assert_allclose(told, change, atol=part * np.abs(change).max())
+    assert_allclose(predicted, change, atol=part * np.abs(change).max())
 
 
 def test_errors_that_lifts_share_count_in_each_by_the_root_of_their_number():

@@ -230,7 +230,8 @@ def wrench_errors(
     hidden = (response * (shared * (1 - windows.load_kept))[:, None]).sum(-1)
     # the drag's own moment about the feet is as wrong as the height over them
     raised = errors.height_error * (response[..., 1:] @ windows.wrench[:, :2, None])[..., 0]
-    led = windows.lead_effect(model, drag, errors.pivot_error, errors.lead_error)
+    # the rates of a pushed object are a camera's noise; what friction leads there is in PUSH_ERROR
+    led = windows.lead_effect(model, drag, errors.pivot_error, errors.lead_error) * ~windows.pushed[:, None]
     common = by_row(torch.stack([hidden, raised, pad(led, (0, windows.hinges))], -1))
     effects = _of_setup(windows, model, mass, drag, response, errors.pivot_error)
     shared, own = shared_and_own(effects, windows)

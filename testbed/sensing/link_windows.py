@@ -13,7 +13,7 @@ from testbed.actions.base import TableAction
 from testbed.errors import InvalidValueError
 from testbed.sensing.camera import SPAN, PoseStream
 from testbed.sensing.push_windows import WINDOW
-from testbed.sensing.windows import SteadyWindow, part_means, steady_samples, windows_of
+from testbed.sensing.windows import PARTS, SteadyWindow, part_means, steady_samples, windows_of
 from testbed.trajectory import Trajectory
 
 _REDUCED: WeakKeyDictionary[Trajectory, list[SteadyWindow]] = WeakKeyDictionary()
@@ -64,7 +64,8 @@ def _reduced(trajectory: Trajectory, camera: PoseStream) -> list[SteadyWindow]:
 
 def parts_of(count: int, step: float) -> Iterator[Int[np.ndarray, "N"]]:
     """Indices of the samples of each window of a stretch of `count` samples, `step` s apart."""
-    yield from np.array_split(np.arange(count), max(int(count * step / WINDOW + 1e-6), 1))
+    for whole in np.array_split(np.arange(count), max(int(count * step / WINDOW + 1e-6), 1)):
+        yield whole[: len(whole) // PARTS * PARTS]  # no part ends within a sample
 
 
 def turned_errors(

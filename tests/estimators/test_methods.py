@@ -45,10 +45,10 @@ VARIANTS = {
     **{name: (kind, small_object) for name, kind in PEERS.items()},
 }
 SLOW = (
-    *("descent", "published", "support_aware of materials"),
+    *("descent", "published", "support_aware of materials", "diff_lcp", "nelder_mead"),
     *(f"{name} with M" for name in BASELINES),
 )
-"""Held by CI alone: each has a quick twin that differs in one setting."""
+"""Held by CI alone: each has a quick twin, in method or in one setting."""
 CLOSED_FORM = ("hidden_states", "published, exact", "support_aware", "support_aware of materials")
 
 

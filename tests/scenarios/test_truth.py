@@ -262,6 +262,7 @@ def test_a_guessed_map_does_not_repeat_the_noise_of_its_trials(known: bool, tmp_
     assert rows["nad"].tolist() == ([0.0, 0.0] if known else pytest.approx([0.6, 0.6], abs=0.01))
 
 
+@pytest.mark.slow
 def test_no_small_seed_of_a_script_repeats_its_noise():
     trial = Trial(load_object("I2"), Rotate(2, duration=1.6), sensing="ft300s", seed=3)
     runner = SimulationRunner(SimulationSettings(timestep=0.002), secret=token_hex(16))

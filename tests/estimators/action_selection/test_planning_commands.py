@@ -73,6 +73,7 @@ def test_planning_takes_less_than_the_papers_choice_for_the_same():
     assert greedy.after.expected_nad <= nad * 1.001 and greedy.seconds < paper.seconds / 2
 
 
+@pytest.mark.slow
 def test_what_cannot_be_gripped_is_pushed(tmp_path, capsys):
     blocks = f'layout = ["111", "111", "111"]\nmass_kg = {[0.1] * 9}\nfriction = 0.5\n'
     (tmp_path / "slab.toml").write_text(f'name = "slab"\n[blocks]\n{blocks}')

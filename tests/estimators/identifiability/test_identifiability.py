@@ -209,6 +209,7 @@ def test_what_pushes_are_expected_to_show_is_what_they_show():
     assert_allclose(elsewhere.standard_error.mean(), before.standard_error.mean(), rtol=0.5)
 
 
+@pytest.mark.slow
 def test_a_camera_that_sees_less_shows_less():
     pushes = brisk_pushes(SLAB.shape, 5, 1)
     errors = [

@@ -68,11 +68,7 @@ def _of_trial(
     shape: ObjectShape, windows: Sequence[LiftWindow], body: Float[np.ndarray, "10"], errors: LiftErrors, trials: int
 ) -> InertialEquations:
     air = Air.of(shape, windows, lambda theta: Matter.of_vector(theta["body"]))
-    sizes = stated_sizes(windows[0].setup, trials) | {
-        "place": torch.tensor([errors.grip, errors.grip, errors.sag]),
-        "moving": torch.tensor(errors.inertia),
-        "scale": torch.tensor(errors.gain),
-    }
+    sizes = stated_sizes(windows[0].setup, trials) | errors.sizes(errors.sag)
     _, slopes = air.linearized(nominal({"body": torch.tensor(body)}, sizes))
     if offset := windows[0].setup.particle_offset * trials**0.5:  # of groups with as much mass as they are large
         size = shape.per_group(np.ones(len(shape.particles)))

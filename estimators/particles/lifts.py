@@ -46,6 +46,11 @@ class LiftErrors:
     wrench: float = 3e-4
     """Each window's own wrench, as a part of the weight, and of the weight at the particles' mean distance."""
 
+    def sizes(self, height: float) -> dict[str, Tensor]:
+        """Standard deviations of the unknowns of `Air` that all windows share; that of the height is given, m."""
+        sizes = {"place": [self.grip, self.grip, height], "moving": self.inertia, "scale": self.gain}
+        return {name: torch.tensor(size, dtype=torch.float64) for name, size in sizes.items()}
+
 
 @dataclass(frozen=True, eq=False)
 class LiftedRows:
@@ -118,11 +123,7 @@ def lift_information(
     """
     errors = errors or LiftErrors()
     air, weight = Air.of_masses(shape, windows), float(mass @ shape.particles_per_group)
-    sizes = stated_sizes(windows[0].setup, trials, shape.n_m) | {
-        "place": torch.tensor([errors.grip, errors.grip, errors.height * shape.height]),
-        "moving": torch.tensor(errors.inertia),
-        "scale": torch.tensor(errors.gain),
-    }
+    sizes = stated_sizes(windows[0].setup, trials, shape.n_m) | errors.sizes(errors.height * shape.height)
     if (shape.fill < 1).any():
         sizes["upright"] = _upright_sizes(shape, weight)
     _, slopes = air.linearized(nominal({"mass": torch.tensor(mass)}, sizes))
@@ -145,7 +146,7 @@ def creep_covariance(windows: Sequence[LiftWindow], steps: Float[np.ndarray, "R 
 
 
 def _upright_sizes(shape: ObjectShape, weight: float) -> Float[Tensor, "3"]:
-    """Standard deviations of second moments with height where nobody knows where in cells that are not full matter is.
+    """Standard deviations of second moments with height, where partly filled cells leave the height of matter open.
 
     That of the sum of m z^2 is a full cell's; those of m x z and m y z are as if height went half with place.
 
@@ -155,7 +156,7 @@ def _upright_sizes(shape: ObjectShape, weight: float) -> Float[Tensor, "3"]:
     """
     reach = float(np.sqrt(np.square(shape.particles - shape.particles.mean(axis=0)).sum(axis=1).mean()))
     leaning = weight * reach * shape.height / (2 * 12**0.5)
-    return torch.tensor([weight * shape.height**2 / 12, leaning, leaning])
+    return torch.tensor([weight * shape.height**2 / 12, leaning, leaning], dtype=torch.float64)
 
 
 def lift_covariance(

@@ -37,7 +37,7 @@ CAUSES = dict(PARAMETERS) | {
         scope="object", cause="the groups do not rest on their own weight", shown=(1.0, "of an even load a cell")
     )
 }
-"""What would explain a misfit: an error of the setup, or the support."""
+"""Possible causes of a misfit, by name: errors of the setup, and the support."""
 
 
 @dataclass(frozen=True)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
+from functools import cache
 from types import MappingProxyType
 from typing import Any, Literal
 
@@ -25,7 +26,7 @@ class Parameter:
     shape: tuple[int | str, ...] = ()
     """Shape of one draw; "groups" is the number of mass groups."""
     scope: Scope = "setup"
-    """What has one draw of it: an object, the whole setup, a trial, or a sample."""
+    """Extent of one draw: an object, the whole setup, a trial, or a sample."""
     source: str = ""
     """Source of error that it belongs to, for a budget of them."""
     likely: float = 0.0
@@ -33,7 +34,7 @@ class Parameter:
     unknown: float = 0.0
     """Standard deviation where a method estimates it and nothing is known of it; 0: no method does."""
     cause: str = ""
-    """What it means if it explains a misfit, and what to do."""
+    """Meaning where it explains a misfit, and the remedy."""
     least: float = 0.0
     """Least value, which is that of an exact setup."""
     shown: tuple[float, str] | None = None
@@ -54,6 +55,7 @@ def parameter(least: float = 0.0, **said: Any) -> Any:
     return field(default=least, metadata={"parameter": Parameter(least=least, **said)})
 
 
+@cache
 def parameters_of(kind: type) -> Mapping[str, Parameter]:
     """Parameters among the fields of a dataclass, by name."""
     return MappingProxyType({f.name: f.metadata["parameter"] for f in fields(kind) if "parameter" in f.metadata})

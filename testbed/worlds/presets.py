@@ -17,7 +17,8 @@ from testbed.worlds.setup_errors import PARAMETERS, SetupErrors
 class World(SetupErrors):
     """Errors of a world, SI units: standard deviations unless a field says otherwise; 0 is exact.
 
-    Beside those that a lab states, these. Draws are hidden from every method and policy, which are given `stated`.
+    Draws are hidden from every method and policy, which are given `stated`. `delay` is the greatest time, drawn evenly
+    from 0; of `contact_points` a group has as many, one fewer, or 8 in a ring.
     """
 
     name: str = "ideal"

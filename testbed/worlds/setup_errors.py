@@ -142,7 +142,7 @@ class SetupErrors:
 
 
 PARAMETERS = parameters_of(SetupErrors)
-"""What a setup may state, by name."""
+"""Parameters that a setup may state, by name."""
 EXACT_SETUP = SetupErrors()
 """Setup without errors."""
 LIKELY = SetupErrors(**{name: described.likely for name, described in PARAMETERS.items()})

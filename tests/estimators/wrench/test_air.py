@@ -26,7 +26,7 @@ MASS = torch.tensor(OBJECT.truth.mass)
 
 
 def raw(record: Trajectory) -> np.ndarray:
-    """What a perfect sensor reads: the tool, and after the tare the object."""
+    """Wrench that a perfect sensor reads: the tool's, and after the tare the object's too."""
     axes = rotation_matrix(record.sensor_orientation)
     own = rotate_wrench(axes.transpose(0, 2, 1), record.wrench_on_object_world)
     assert record.tool is not None
@@ -50,7 +50,7 @@ def missing(record: Trajectory) -> np.ndarray:
 
 
 def seen(record: Trajectory, **changes: object) -> np.ndarray:
-    """What is missing in a record with flaws in it."""
+    """Wrenches unexplained in a record with flaws."""
     return missing(compensate(replace(record, **changes)))  # pyright: ignore[reportArgumentType]
 
 

@@ -21,8 +21,7 @@ from estimators.action_selection.pushes import RandomPushes
 from estimators.action_selection.rank import between_particles
 from estimators.base import ActionPolicy
 from estimators.hidden_states.trial_windows import TrialWindows
-from estimators.particles.links import hinge_rows
-from estimators.particles.model import ModelErrors, ParticleModel, direction, friction_wrench, inertia_of
+from estimators.particles.model import ModelErrors, ParticleModel, inertia_of
 from estimators.particles.observe import observe
 from estimators.particles.support import own_weight, rigid_loads
 from estimators.testing.analytic_links import drawn_chain
@@ -116,18 +115,18 @@ def off_coulomb(model: ObjectModel, trajectory: Trajectory, support: Support) ->
     assert observed is not None
     particles = ParticleModel.of(model.shape)
     mass = torch.tensor(model.particle_mass)
-    inertia = inertia_of(particles, mass)
-    load = observed.gripper_load(particles, mass, model.shape.height)
+    table = observed.table(particles)
+    motion = table.motion(mass)
+    load = observed.gripper_load(table.lever, motion, model.shape.height)
     if support.is_rigid:
         normal = rigid_loads(particles, mass, load)
     else:
         feet = own_weight(particles, mass, load)
         normal = feet.loads(load)
     friction = particles.particle_friction(torch.tensor(model.truth.friction)) * normal
-    drag = -friction_wrench(friction, direction(observed.particle_velocity(particles)), observed.lever(particles))
-    inertial = observed.inertial_wrench(inertia) + observed.spin_up(inertia) * observed.pushed[:, None]
-    error = observed.wrench - inertial - drag
-    lever = (friction * observed.lever(particles).norm(dim=-1)).sum(-1)
+    error = observed.wrench - table.dragged(friction).rows({"mass": mass})
+    error[:, 2] += observed.spin_up(inertia_of(particles, mass)) * ~observed.pushed
+    lever = (friction * table.lever.norm(dim=-1)).sum(-1)
     parts = (error[:, :2].norm(dim=1) / friction.sum(-1), error[:, 2].abs() / lever, (normal < 0).double().mean(-1))
     return 100 * torch.stack(parts, 1).numpy()
 
@@ -142,13 +141,10 @@ def link_errors(model: ObjectModel) -> tuple[np.ndarray, np.ndarray]:
     assert equations.hinges is not None
     held = equations.hinges @ torch.tensor(model.hinge_friction, dtype=torch.float64)
     left, count = equations.b - equations.q @ torch.tensor(s) - held, 3 * len(windows)
-    drag, mass = trials.groups.spread(s), torch.tensor(model.particle_mass)
-    torques, _, _ = hinge_rows(windows, trials.model, mass, drag, trials.errors)
-    lever = (drag * windows.lever(trials.model).norm(dim=-1)).sum(-1)
-    off = left[:count].reshape(-1, 3)
-    planar = torch.stack([off[:, :2].norm(dim=1) / drag.sum(), off[:, 2].abs() / lever], 1)
-    turning = torques.sign.flatten() != 0
-    about = left[count:][turning].abs() / (torques.rows.abs() @ drag).flatten()[turning]
+    size, off = trials.linear_rows(model.truth, windows).sum_of_drag, left[:count].reshape(-1, 3)
+    planar = torch.stack([off[:, :2].norm(dim=1) / size[:, 0], off[:, 2].abs() / size[:, 2]], 1)
+    turning = ~windows.standing.flatten()
+    about = left[count:][turning].abs() / size[:, 3:].flatten()[turning]
     return 100 * planar.numpy(), 100 * about.numpy()
 
 

@@ -142,7 +142,7 @@ def _missed(model: ObjectModel, windows: Observations) -> np.ndarray:
     each = LoadGroups(torch.arange(len(loads.load)), tuple((particle, 0) for particle in range(len(loads.load))))
     at = (loads.mass, loads.friction, model.shape.height)
     equations = friction_equations(loads.model, each, windows, *at, ModelErrors())
-    in_place = windows.lever(loads.model)[0].norm(dim=-1) @ loads.load
+    in_place = windows.table(loads.model).lever[0].norm(dim=-1) @ loads.load
     scale = torch.stack([loads.load.sum(), loads.load.sum(), in_place])
     return ((equations.b - equations.q @ loads.load).reshape(2, 3) / scale / 2).numpy()
 

@@ -133,7 +133,9 @@ def _motion(windows: Observations, yaw: Float[Tensor, "N"], com: Float[Tensor, "
     spin = windows.twist[:, 2:]
     planar = windows.twist[:, :2] + spin * turned(com - windows.grasp)
     now = _in_world(torch.cat([planar, spin], -1), yaw)
-    change = _in_world(torch.cat([windows.com_acceleration(com), windows.acceleration[:, 2:]], -1), yaw)
+    arm, a = com - windows.grasp, windows.acceleration
+    pulled = a[:, :2] + a[:, 2:] * turned(arm) - windows.spin_square[:, None] * arm
+    change = _in_world(torch.cat([pulled, a[:, 2:]], -1), yaw)
     return torch.stack([now, now + change * STEP])
 
 

@@ -143,7 +143,10 @@ class HiddenStates:
 
     def _trials(self, shape: ObjectShape, weight: float, trajectories: Sequence[Trajectory]) -> TrialWindows | None:
         trials = TrialWindows.of(shape, weight, trajectories, self.errors)
-        return UnknownSetup(**vars(trials), prior=self.prior) if trials and self.unknown else trials
+        if trials is None or not self.unknown:
+            return trials
+        given = {each.name: getattr(trials, each.name) for each in fields(trials) if each.init}
+        return UnknownSetup(**given, prior=self.prior)
 
     def diagnose(
         self, shape: ObjectShape, weight: float, trajectories: Sequence[Trajectory]

@@ -22,8 +22,9 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from estimators.particles.friction_system import FrictionEquations, LinearSystem
-from estimators.particles.model import ParticleModel, cross
+from estimators.particles.model import ParticleModel
 from estimators.particles.windows import PLANAR, Observations
+from estimators.wrench.jacobian import Window
 from testbed.errors import InvalidValueError
 from testbed.validation import is_number
 from testbed.worlds.setup_errors import PARAMETERS
@@ -39,7 +40,6 @@ WHY_NOT = {
     "grasp_offset": "no closer than assumed: turn about more points",
     "anisotropy": "no closer than assumed: half turns average it away; turn through less, from other yaws",
 }
-YAWS, SHARES = np.polynomial.legendre.leggauss(12)
 FAR = 100.0
 """Spread of a bias and of the loads that counts as nothing known, as a multiple of the largest measured."""
 ROUNDING = 1e-9
@@ -76,35 +76,26 @@ class CorrectedWindows(Observations):
     anisotropy: Float[Tensor, "K 2"]
     """a (cos 2 phi, sin 2 phi): phi the table's direction of most friction, most over least (1 + a) / (1 - a)."""
 
-    def point_rows(self, model: ParticleModel, pivot_error: float) -> Float[Tensor, "K 3 P"]:
-        """Rows of `Observations`, each particle's drag turned and stretched by the anisotropy."""
-        unit = self._anisotropic(super().point_rows(model, pivot_error)[:, :2].transpose(1, 2))
-        return torch.stack([unit[..., 0], unit[..., 1], cross(self.lever(model), unit)], 1)
+    by_bias: Float[Tensor, "K 6 3"]
+    """What a bias of f_x, f_y and the torque takes off each component of the wrench."""
 
-    def drag_directions(self, model: ParticleModel) -> Float[Tensor, "K P 2"]:
-        """Directions of `Observations`, turned and stretched by the anisotropy."""
-        return self._anisotropic(super().drag_directions(model))
+    @property
+    def unknown(self) -> tuple[str, ...]:
+        """Errors of the setup whose derivatives are wanted, whether they are stated or not."""
+        return "grasp_offset", "anisotropy"
 
-    def _anisotropic(self, unit: Float[Tensor, "K P 2"]) -> Float[Tensor, "K P 2"]:
-        """Directions of drag from those of motion, object axes.
+    def _fields(self, model: ParticleModel) -> Window:
+        return super()._fields(model) | {"anisotropy": self.anisotropy}
 
-        The mean over the yaws of each window, which is that over a turn at constant speed.
-        """
-        begin, end = self.since_tare.T
-        yaw = self.yaw[:, :1] + (self.twist[:, 2] * (end - begin))[:, None] * torch.tensor((1 + YAWS) / 2)
-        h = 2 * self.anisotropy / (1 + self.anisotropy.square().sum(-1, keepdim=True))
-        cos, sin, (h1, h2) = torch.cos(2 * yaw), torch.sin(2 * yaw), h.T[..., None]
-        ahead, aside = (each[:, None] for each in (cos * h1 + sin * h2, cos * h2 - sin * h1))  # h in object axes
-        u, v = unit[..., :1], unit[..., 1:]
-        dragged = torch.stack([(1 + ahead) * u + aside * v, aside * u + (1 - ahead) * v], -1)  # (K, P, yaws, 2)
-        along = (dragged * unit[:, :, None]).sum(-1)
-        scale = ((unit.square().sum(-1)[..., None] + 1e-30) / (along + 1e-30)).sqrt()
-        scale = scale / (1 - h.square().sum(-1))[:, None, None] ** 0.25
-        return (dragged * scale[..., None] * torch.tensor(SHARES / 2)[:, None]).sum(2)
+    def slopes(self, found: FrictionEquations) -> Float[Tensor, "K 3 7"]:
+        """Derivatives of b - Q s in the corrections of each window, at the loads by which the rows are linear."""
+        bias = self.by_bias[:, PLANAR] - found.response @ (self.load_kept[..., None] * (self.load_map @ self.by_bias))
+        linear = found.linear.slopes
+        return torch.cat([-bias, linear["grasp_offset"], -linear["anisotropy"]], -1)
 
 
 def corrected(windows: Observations, by: Float[Tensor, "K 7"], *, biased: bool = False) -> CorrectedWindows:
-    """Windows with the corrections made; differentiable in them.
+    """Windows with the corrections made.
 
     Args:
         windows: as measured.
@@ -128,8 +119,8 @@ def corrected(windows: Observations, by: Float[Tensor, "K 7"], *, biased: bool =
         "grasp": windows.grasp + by[:, OFFSET],
         "bias": left,
     }
-    given = {field.name: getattr(windows, field.name) for field in fields(Observations)}
-    return CorrectedWindows(**given | changed, anisotropy=by[:, ANISOTROPY])
+    given = {each.name: getattr(windows, each.name) for each in fields(Observations) if each.init} | changed
+    return CorrectedWindows(**given, anisotropy=by[:, ANISOTROPY], by_bias=likely)  # pyright: ignore[reportArgumentType]
 
 
 @dataclass(frozen=True, eq=False)
@@ -233,25 +224,19 @@ class NuisanceSystem:
         windows: Observations,
         layout: NuisanceLayout,
         at: Float[Tensor, "n"],
-        loads: Float[np.ndarray, "n_s"],
     ) -> NuisanceSystem:
-        """Linearize about some parameters and loads.
+        """Linearize about some parameters.
 
         Args:
             equations: friction equations of given windows.
             windows: windows of constant speed, as measured.
             layout: the parameters.
             at: n_0, as found in the round before, or zero.
-            loads: s, as found or guessed, N.
         """
-        by = layout.spread(at).requires_grad_()
-        found = equations(corrected(windows, by, biased="bias" in layout.kind))
-        missing = (found.b - found.q @ torch.tensor(loads)).reshape(-1, 3)
-        each = [torch.autograd.grad(missing[:, i].sum(), by, retain_graph=i < 2)[0] for i in range(3)]
+        windows = corrected(windows, layout.spread(at), biased="bias" in layout.kind)
+        found = equations(windows)
         system = found.whitened()
-        whiten = system.whiten.detach()
-        plain = LinearSystem(system.q.detach(), system.b.detach(), whiten)
-        return NuisanceSystem(plain, whiten @ layout.gathered(torch.stack(each, 1)), layout, at)
+        return NuisanceSystem(system, system.whiten @ layout.gathered(windows.slopes(found)), layout, at)
 
     def reduced(self) -> LinearSystem:
         """The system for s alone, the parameters eliminated: for every s they take their best values."""

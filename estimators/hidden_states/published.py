@@ -218,11 +218,11 @@ def masses_of(
 
 def _unloaded(trials: TrialWindows, guess: MassDistribution) -> TrialWindows:
     """The trials without the drag of the gripper's load, by masses and frictions of the round before."""
-    inertia = inertia_of(trials.model, trials.model.particle_mass(torch.tensor(guess.mass)))
+    mass = trials.model.particle_mass(torch.tensor(guess.mass))
 
     def unloaded(windows: Observations) -> Observations:
         friction = trials.friction_equations(guess, windows).b.reshape(-1, 3)
-        return replace(windows, wrench=friction + windows.inertial_wrench(inertia) + windows.spin_up(inertia))
+        return replace(windows, wrench=friction + windows.table(trials.model).motion(mass))
 
     return replace(trials, windows=unloaded(trials.windows), accelerated=unloaded(trials.accelerated))
 

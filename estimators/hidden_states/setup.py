@@ -19,6 +19,7 @@ from estimators.particles.friction_system import LinearSystem
 from estimators.particles.misfit import Misfit
 from estimators.particles.model import inertia_of
 from estimators.particles.pivots import PivotInertia
+from estimators.particles.setup_effects import LinearRows
 from testbed.objects.model import MassDistribution
 from testbed.trajectory import Trajectory
 
@@ -35,10 +36,14 @@ class UnknownSetup(TrialWindows):
         """The trials, linear about the parameters that fit best with s."""
         layout = self.linear.layout if self.linear else NuisanceLayout.of(self.prior, self.windows)
         at = self.linear.parameters(s) if self.linear else torch.zeros(len(layout.names), dtype=torch.float64)
-        linear = NuisanceSystem.of(lambda windows: self.friction_equations(guess, windows), self.windows, layout, at, s)
+        linear = NuisanceSystem.of(lambda windows: self.friction_equations(guess, windows), self.windows, layout, at)
         turned = torch.zeros(len(self.accelerated), 7, dtype=torch.float64)
         turned[:, ANISOTROPY] = layout.anisotropy(at)
         return replace(self, linear=linear, accelerated=corrected(self.accelerated, turned))
+
+    def turning(self, guess: MassDistribution) -> LinearRows:
+        """Rows of the accelerated windows as corrected."""
+        return self.linear_rows(guess, self.accelerated)
 
     def friction_system(self, guess: MassDistribution) -> LinearSystem:
         """Q s = b with the parameters eliminated, at the guess with which the trials were refined."""

@@ -9,13 +9,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Self
 
 import numpy as np
 import torch
 from jaxtyping import Float
+from torch import Tensor
 from torch.nn.functional import pad
 
 from estimators.base import Estimate, robot_seconds
@@ -26,14 +27,16 @@ from estimators.particles.friction_system import (
     LinearSystem,
     LoadGroups,
     friction_equations,
+    linear_rows,
     swing_errors,
     torque_covariance,
     unknown_motion,
 )
 from estimators.particles.misfit import Misfit, likely_causes, misfit_of
-from estimators.particles.model import ModelErrors, ParticleModel, friction_wrench, inertia_of
+from estimators.particles.model import ModelErrors, ParticleModel, inertia_of
 from estimators.particles.observe import observe
 from estimators.particles.pivots import PivotInertia, pivot_inertias
+from estimators.particles.setup_effects import LinearRows
 from estimators.particles.support import own_weight
 from estimators.particles.windows import Observations
 from testbed.objects.model import GRAVITY, MassDistribution, ObjectShape
@@ -60,6 +63,7 @@ class TrialWindows:
     """Windows of constant acceleration: I_j shows in these."""
     robot_seconds: float
     """Robot time that the trials took, s."""
+    _linear: dict[tuple[object, object], LinearRows] = field(default_factory=dict, init=False, repr=False)
 
     @classmethod
     def of(
@@ -94,17 +98,36 @@ class TrialWindows:
         """s under given masses and frictions, N."""
         return friction_loads(self.shape, self.groups.pairs, at)
 
-    def friction_equations(self, guess: MassDistribution, windows: Observations | None = None) -> FrictionEquations:
+    def friction_equations(
+        self, guess: MassDistribution, windows: Observations | None = None, linear: LinearRows | None = None
+    ) -> FrictionEquations:
         """Q s = b of all windows, or of others in their place, in N and N m; whatever c and I_j may be."""
-        mass = self.model.particle_mass(torch.tensor(guess.mass))
-        friction = self.model.particle_friction(torch.tensor(guess.friction))
         windows = self.windows if windows is None else windows
-        found = friction_equations(self.model, self.groups, windows, mass, friction, self.shape.height, self.errors)
+        at, linear = self._particles(guess), linear or self.linear_rows(guess, windows)
+        found = friction_equations(self.model, self.groups, windows, *at, self.shape.height, self.errors, linear)
         drag = self.groups.spread(self.friction_loads(guess)).clamp(min=0)
         more = len(found.b) - 3 * len(windows)
-        own = found.apart + pad(swing_errors(windows, self.model, drag), (0, more)).diag()
+        own = found.apart + pad(swing_errors(windows, windows.table(self.model), drag), (0, more)).diag()
         moved = pad(unknown_motion(windows, self.model, self.weight), (0, 0, 0, more))
         return replace(found, apart=own, common=torch.cat([found.common, moved], 1))
+
+    def _particles(self, at: MassDistribution) -> tuple[Float[Tensor, "P"], Float[Tensor, "P"]]:
+        """Mass of every particle, kg, and its friction coefficient."""
+        mass, friction = torch.tensor(at.mass), torch.tensor(at.friction)
+        return self.model.particle_mass(mass), self.model.particle_friction(friction)
+
+    def linear_rows(self, guess: MassDistribution, windows: Observations) -> LinearRows:
+        """Rows of some windows as functions of everything that may err; of one guess they are worked out once."""
+        asked = guess, windows
+        if asked not in self._linear:
+            self._linear.clear()
+            at = self._particles(guess)
+            self._linear[asked] = linear_rows(windows, self.model, *at, self.errors)
+        return self._linear[asked]
+
+    def turning(self, guess: MassDistribution) -> LinearRows:
+        """Rows of the accelerated windows."""
+        return self.linear_rows(guess, self.windows).where(self.windows.accelerated)
 
     def friction_system(self, guess: MassDistribution) -> LinearSystem:
         """Q s = b, whitened."""
@@ -115,16 +138,15 @@ class TrialWindows:
         windows, model = self.accelerated, self.model
         if len(windows) == 0:
             return None
-        mass = model.particle_mass(torch.tensor(guess.mass))
-        friction = model.particle_friction(torch.tensor(guess.friction))
-        inertia = inertia_of(model, mass)
-        load = windows.gripper_load(model, mass, self.shape.height)
+        (mass, friction), linear = self._particles(guess), self.turning(guess)
+        rows, motion = linear.by_particle, linear.motion(mass)
+        load = windows.gripper_load(linear.lever, motion, self.shape.height)
         support = own_weight(model, mass, load)
         drag = self.groups.spread(s) + friction * (support.lean + support.change(load))
-        torque = -friction_wrench(drag, windows.drag_directions(model), windows.lever(model))[:, 2]
-        inertial = windows.inertial_wrench(inertia)[:, 2]
-        response = windows.drag_rows(model, 0.0) @ (friction[:, None] * support.response)
-        covariance = torque_covariance(windows, model, mass, drag.clamp(min=0).expand(len(windows), -1), response)
+        torque = (rows @ drag[..., None])[:, 2, 0]
+        inertial = motion[:, 2] - windows.spin_up(inertia_of(model, mass))
+        response = rows @ (friction[:, None] * support.response)
+        covariance = torque_covariance(windows, linear, response)
         return pivot_inertias(windows, torque.numpy(), inertial.numpy(), self.errors.inertia_error, covariance)
 
     def misfit(self, guess: MassDistribution, s: Float[np.ndarray, "n_s"], *, always: bool = False) -> Misfit:
@@ -156,16 +178,18 @@ class TrialWindows:
         Windows of acceleration are many and alike.
         """
 
-        def of(some: Observations, always: bool) -> Misfit:
+        linear = self.linear_rows(guess, windows)
+
+        def of(some: Observations, rows: LinearRows, always: bool) -> Misfit:
             why = partial(likely_causes, some, self.model, self.shape, guess, self.groups.spread(s), self.errors)
-            equations = self.friction_equations(guess, some)
+            equations = self.friction_equations(guess, some, rows)
             return misfit_of(equations, s, some.trial, why if causes else None, unknowns, always=always)
 
-        found, at_one_speed = of(windows, always), windows.where(~windows.accelerated)
+        found, at_one_speed = of(windows, linear, always), windows.where(~windows.accelerated)
         if len(at_one_speed) < len(windows):
-            steady = of(at_one_speed, False)
+            steady = of(at_one_speed, linear.where(~windows.accelerated), False)
             if steady.widening > found.widening:
-                found = replace(of(windows, True), value=steady.value, freedom=steady.freedom)
+                found = replace(of(windows, linear, True), value=steady.value, freedom=steady.freedom)
         return found.or_of_inertia(self.shape, self.pivot_inertias(guess, s), guess)
 
     def refined(self, guess: MassDistribution, s: Float[np.ndarray, "n_s"]) -> Self:

@@ -31,8 +31,9 @@ from estimators.particles.lifts import lift_information, lifts_among
 from estimators.particles.links import HINGE_PRIOR
 from estimators.particles.model import RIGID, ModelErrors, ParticleModel, inertia_of
 from estimators.particles.observe import observe
+from estimators.particles.setup_effects import LinearRows
 from estimators.particles.windows import PLANAR, Observations
-from estimators.particles.wrench import ParticleLoads, inertial_map
+from estimators.particles.wrench import ParticleLoads
 from testbed.actions.base import Action
 from testbed.actions.push import Push
 from testbed.actions.rotate import Rotate
@@ -210,8 +211,7 @@ def trial_information(
     unknowns = known + shared_error_count(shape, setup)
     blocks = [(np.array([trial]), _lifted_rows(shape, distribution, lift)[None]) for trial, lift in lifts.items()]
     for batch in windows:
-        for trials, fields in _by_size(batch, count):
-            blocks.append((trials, _table_rows(shape, distribution, batch, fields, assumptions)))
+        blocks += _table_rows(shape, distribution, batch, count, assumptions)
     needed, filled = np.zeros(count, dtype=int), np.zeros(count, dtype=int)
     for trials, block in blocks:
         needed[trials] += block.shape[1]
@@ -254,54 +254,52 @@ def _setup_error_count(shape: ObjectShape, setup: SetupErrors) -> int:
     if windows is None:  # nothing to hold or to push
         return 0
     none = torch.zeros(len(windows), 3, 3, dtype=torch.float64)
-    of_particle = torch.ones(len(windows), len(shape.particles), dtype=torch.float64)
-    return wrench_errors(windows, model, of_particle[0], of_particle, none, ModelErrors())[1].shape[1] - OF_MODEL
+    each, table = torch.ones(len(windows), len(shape.particles), dtype=torch.float64), windows.table(model)
+    linear = LinearRows.of(windows, table, each[0], each, 0.0, setup)
+    return wrench_errors(windows, linear, none, ModelErrors())[1].shape[1] - OF_MODEL
 
 
 def _felt(windows: Observations, loads: ParticleLoads) -> Observations:
     """Windows with what a sensor over the TCP feels of friction and of I_j: its errors are parts of that."""
-    planar = windows.drag_rows(loads.model, ModelErrors.pivot_error) @ loads.load
-    spins = windows.lever(loads.model).square().sum(-1) + loads.model.cell**2 / 6
+    table = windows.table(loads.model, ModelErrors.pivot_error)
+    planar = table.drag_rows()[:, :3] @ loads.load
+    spins = table.lever.square().sum(-1) + loads.model.cell**2 / 6
     planar[:, 2] += (spins @ loads.mass) * windows.acceleration[:, 2]
     felt = torch.zeros(len(windows), 6, dtype=torch.float64)
     felt[:, PLANAR] = planar
     return replace(windows, sensed=torch.linalg.solve(windows.from_sensor, felt))
 
 
-def _by_size(windows: Observations, count: int) -> list[tuple[Int[np.ndarray, "C"], dict[str, Tensor]]]:
-    """Trials with equally many windows, and those windows' fields (C, size, ...)."""
-    trial, groups = windows.trial.numpy(), []
+def _by_size(
+    trials: Int[Tensor, "K"], values: dict[str, Tensor], count: int
+) -> list[tuple[Int[np.ndarray, "C"], dict[str, Tensor]]]:
+    """Trials with equally many windows, and their values (C, size, ...) of those of K windows."""
+    trial, groups = trials.numpy(), []
     sizes = np.bincount(trial, minlength=count)
     for size in np.unique(sizes[sizes > 0]):
-        trials = np.flatnonzero(sizes == size)
+        alike = np.flatnonzero(sizes == size)
         of_size = np.flatnonzero(sizes[trial] == size)
-        shapes = {name: (len(trials), size, *value.shape[1:]) for name, value in windows.by_window.items()}
-        groups.append(
-            (trials, {name: value[of_size].reshape(shapes[name]) for name, value in windows.by_window.items()})
-        )
+        groups.append((alike, {name: v[of_size].unflatten(0, (len(alike), int(size))) for name, v in values.items()}))
     return groups
 
 
 def _table_rows(
-    shape: ObjectShape,
-    distribution: MassDistribution,
-    windows: Observations,
-    fields: dict[str, Tensor],
-    assumptions: Assumptions,
-) -> Float[np.ndarray, "C R U"]:
-    """Rows of trials with as many windows each: friction and inertia of one trial, mapped over all."""
+    shape: ObjectShape, distribution: MassDistribution, windows: Observations, count: int, assumptions: Assumptions
+) -> list[tuple[Int[np.ndarray, "C"], Float[np.ndarray, "C R U"]]]:
+    """Trials with as many windows each, and their rows: friction and inertia of one trial, mapped over all."""
     loads = ParticleLoads.of(shape, distribution, assumptions.support)
     points, errors = torch.tensor(_grasp_points(shape)), assumptions.model_errors
+    measured, linear = loads.measured(windows, errors)
 
-    def of_trial(of_one: dict[str, Tensor]) -> Tensor:
-        trial = windows.like(of_one)
-        equations = loads.equations(trial, errors)
+    def of_trial(fields: dict[str, Tensor], rows: dict[str, Tensor]) -> Tensor:
+        trial, of_one = measured.like(fields), linear.like(rows)
+        equations = loads.equations(trial, of_one, errors)
         root = torch.linalg.cholesky(equations.apart)
-        turning = trial.spin_up(inertia_of(loads.model, loads.mass)) * trial.accelerated[:, None]
+        turning = pad((trial.spin_up(inertia_of(loads.model, loads.mass)) * trial.accelerated)[:, None], (2, 0))
         about = (trial.grasp[:, None] - points).square().sum(-1) < SAME_POINT
         of_inertia = errors.inertia_error * torch.cat([turning[..., None], turning[..., None] * about[:, None]], -1)
         seen = equations.q @ loads.slopes
-        moving = inertial_map(trial, loads.model) * trial.accelerated[:, None, None]
+        moving = of_one.slopes["mass"][:, :3] @ loads.model.parts.T * trial.accelerated[:, None, None]
         moved = pad(moving.flatten(0, 1), (0, shape.n_mu))
         more = (0, 0, 0, len(seen) - len(moved))  # rows of hinges; links turn at constant speed alone
         columns = [seen + pad(moved, more), equations.common[:, :OF_MODEL], pad(of_inertia.flatten(0, 1), more)]
@@ -310,7 +308,9 @@ def _table_rows(
             columns.append(HINGE_PRIOR * equations.hinges)
         return torch.linalg.solve_triangular(root, torch.cat(columns, 1), upper=False)
 
-    return torch.vmap(of_trial, chunk_size=CHUNK)(fields).numpy()
+    fields, rows = (_by_size(measured.trial, each.by_window, count) for each in (measured, linear))
+    mapped = torch.vmap(of_trial, chunk_size=CHUNK)
+    return [(trials, mapped(some, of_them).numpy()) for (trials, some), (_, of_them) in zip(fields, rows, strict=True)]
 
 
 def _lifted_rows(

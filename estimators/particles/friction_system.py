@@ -15,12 +15,13 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.nn.functional import pad
 
-from estimators.particles.links import HINGE_PRIOR, carried_moment, hinge_rows
+from estimators.particles.links import HINGE_PRIOR, carried_moment, link_errors
 from estimators.particles.model import ModelErrors, ParticleModel
 from estimators.particles.pivots import LEAST_VARIANCE
-from estimators.particles.setup_effects import Columns, by_row, seen_effects, setup_effects, shared_and_own
+from estimators.particles.setup_effects import LinearRows, by_row, setup_effects, shared_and_own
 from estimators.particles.support import GripperLoad, own_weight
 from estimators.particles.windows import PLANAR, Observations
+from estimators.wrench.table import Table
 from testbed.objects.model import GRAVITY, ObjectShape
 
 SWING = 3e-4
@@ -88,6 +89,10 @@ class FrictionEquations:
     """Covariance of the errors that no two trials share."""
     common: Float[Tensor, "R E"]
     """Effect on each row of one standard deviation of each error that windows share: the model's, and the setup's."""
+    linear: LinearRows
+    """The rows as functions of everything that may err."""
+    response: Float[Tensor, "K 3+H 3"]
+    """Change of the rows with the gripper's lift and tilt, N/N and N m/N m."""
     hinges: Float[Tensor, "R H"] | None = None
     """Effect on each row of 1 N m of friction of each hinge; None of a rigid object. Of an articulated one R = 3 K +
     K H: a row for every hinge follows those of the wrenches."""
@@ -114,6 +119,7 @@ def friction_equations(
     friction: Float[Tensor, "P"],
     height: float,
     errors: ModelErrors,
+    linear: LinearRows | None = None,
 ) -> FrictionEquations:
     """Eq. dvs for every window, about the grasp point: friction of s balances the measured wrench.
 
@@ -127,24 +133,40 @@ def friction_equations(
         friction: present friction coefficients.
         height: height of the object, m.
         errors: errors of the model.
+        linear: rows of the windows at these masses and frictions, where they are known.
     """
-    load = windows.gripper_load(model, mass, height)
+    linear = linear or linear_rows(windows, model, mass, friction, errors)
+    rows, motion = linear.by_particle, linear.motion(mass)
+    load = windows.gripper_load(linear.lever, motion, height)
     support = own_weight(model, mass, load)
-    s = friction * support.share * GRAVITY
-    rows = windows.drag_rows(model, errors.pivot_error)
-    taken, hinges, own = windows.motion_wrench(model, mass), None, None
-    if windows.articulated:
-        torques, own, hinges = hinge_rows(windows, model, mass, s, errors)
-        rows, taken = torch.cat([rows, torques.rows], 1), torch.cat([taken, torques.inertial], 1)
     aside = (rows @ (friction * (support.lean + support.change(load)))[..., None])[..., 0]
     response = rows @ (friction[:, None] * support.response)
-    apart, common = wrench_errors(windows, model, mass, s.expand(len(rows), -1), response, errors)
-    b = pad(windows.wrench, (0, windows.hinges)) - taken - aside  # no sensor is at a hinge
-    if own is not None:
+    apart, common = wrench_errors(windows, linear, response, errors)
+    b = pad(windows.wrench, (0, windows.hinges)) - motion - aside  # no sensor is at a hinge
+    hinges = None
+    if windows.articulated:
         moved = support.beside - support.held_by(own_weight(model, mass, GripperLoad.none(model)))
         unseen = by_row((response[..., 1:] * ((1 - windows.load_kept[:, 1:]) * moved)[:, None]).sum(-1, keepdim=True))
-        apart = apart + own + unseen @ unseen.T
-    return FrictionEquations(by_row(groups.gather(rows)), by_row(b[..., None])[:, 0], apart, common, hinges)
+        apart, hinges = apart + unseen @ unseen.T, by_row(linear.slopes["hinge_friction"])
+    return FrictionEquations(
+        by_row(groups.gather(rows)), by_row(b[..., None])[:, 0], apart, common, linear, response, hinges
+    )
+
+
+def linear_rows(
+    windows: Observations,
+    model: ParticleModel,
+    mass: Float[Tensor, "P"],
+    friction: Float[Tensor, "P"],
+    errors: ModelErrors,
+) -> LinearRows:
+    """Rows of windows as functions of everything that may err, about the drag of every group's own weight alone.
+
+    Arguments as `friction_equations`.
+    """
+    table = windows.table(model, errors.pivot_error)
+    drag = friction * own_weight(model, mass, GripperLoad.none(model)).share * GRAVITY
+    return LinearRows.of(windows, table, mass, drag, errors.lead_error, windows.setup)
 
 
 def hinge_friction(
@@ -182,60 +204,63 @@ def rank_of(q: Float[np.ndarray, "R n_s"]) -> int:
 
 def wrench_errors(
     windows: Observations,
-    model: ParticleModel,
-    mass: Float[Tensor, "P"],
-    drag: Float[Tensor, "K P"],
+    linear: LinearRows,
     response: Float[Tensor, "K 3+H 3"],
     errors: ModelErrors,
 ) -> tuple[Float[Tensor, "R R"], Float[Tensor, "R E"]]:
-    """Errors of wrenches less the effect of the gripper's load: R = 3 K rows.
-
-    Of an object in links those of torques about its H hinges follow, R = 3 K + K H: of the load and of the setup.
+    """Errors of wrenches less the effect of the gripper's load, and of torques about H hinges: R = 3 K + K H rows.
 
     Args:
         windows: windows of constant speed.
-        model: particles of the object.
-        mass: their masses, kg.
-        drag: friction of every particle, N.
-        response: change of the wrench with lift and tilt, N/N and N m/N m, (f_x, f_y, torque), and of torques about
-            hinges.
+        linear: their rows.
+        response: change of the rows with lift and tilt, N/N and N m/N m.
         errors: errors of the model.
 
     Returns:
         Covariance of the errors that no two trials share, and the effect on each row of one standard deviation of each
         error that windows share: lift, height, lead, and those of the setup.
     """
-    slopes = windows.drag_slopes(model, drag, errors.pivot_error)
-    force = (errors.force_error * drag.sum(-1)).square()
-    torque = (errors.torque_error * windows.wrench[:, 2]).square()
-    pushed = PUSH_ERROR * windows.pushed
-    force = force + (pushed * drag.sum(-1)).square()
-    torque = torque + (pushed * (drag * windows.lever(model).norm(dim=-1)).sum(-1)).square()
-    own = torch.stack([force, force, torque], -1) + 1e-10
-    moved = errors.pivot_error * windows.twist[:, 2].abs()[:, None, None] * slopes[..., :2]
+    slopes, total = linear.slopes, linear.sum_of_drag[:, :3]
+    torque = (errors.torque_error * windows.wrench[:, 2:]).square()
+    own = torch.cat([(errors.force_error * total[:, :2]).square(), torque], -1) + 1e-10
+    own = pad(own + (PUSH_ERROR * windows.pushed[:, None] * total).square(), (0, windows.hinges))
     held = ~windows.pushed[:, None, None]
-    effects, late = seen_effects(windows, model, mass, slopes)
-    by_motion = torch.cat([moved, slopes * windows.twist_noise.sqrt() * held, effects], -1)
-    within = torch.diag_embed(own) + by_motion @ by_motion.transpose(1, 2)
-    if windows.seen.shape[-1]:  # some are pushes
-        within = within + windows.sticking_covariance(model, drag)
+    moved = errors.pivot_error * windows.twist[:, 2].abs()[:, None, None] * slopes["twist"][..., :2]
+    alone = [moved, slopes["twist"] * windows.twist_noise.sqrt() * held, slopes.get("idle", moved[..., :0])]
+    late = [moved[..., :0]]  # an error of the clock is the same throughout a trial
+    for name in ("seen", "links_seen"):
+        if name in slopes:
+            alone.append(slopes[name][..., :-1])
+            late.append(slopes[name][..., -1:])
+    if windows.articulated:
+        own = own + link_errors(windows, linear.sum_of_drag).square()
+    by_window, by_trial = torch.cat(alone, -1), by_row(torch.cat(late, -1))
+    same = windows.together[windows.of_row][:, windows.of_row]
+    apart = (by_trial @ by_trial.T) * same + in_windows(torch.diag_embed(own) + by_window @ by_window.mT)
     lift, tilt = errors.lift_error, errors.tilt_error
     shared = torch.tensor([lift / 2**0.5, 0.0, 0.0], dtype=torch.float64)
-    alone = torch.tensor([lift / 2**0.5, tilt, tilt], dtype=torch.float64)
+    nulled = torch.tensor([lift / 2**0.5, tilt, tilt], dtype=torch.float64)
     if windows.articulated:
-        moment = carried_moment(model, windows.wrench[:, :2].norm(dim=1).max(), windows.setup)
-        alone = torch.maximum(alone, moment * torch.tensor([0.0, 1.0, 1.0], dtype=torch.float64))
-    more = len(windows) * windows.hinges
-    apart = _sensor_error(windows, response, alone, shared) + pad(_block_diagonal(within) + late, (0, more, 0, more))
+        moment = carried_moment(linear.model, windows.wrench[:, :2].norm(dim=1).max(), windows.setup)
+        nulled = torch.maximum(nulled, moment * torch.tensor([0.0, 1.0, 1.0], dtype=torch.float64))
+    apart = apart + _sensor_error(windows, response, nulled, shared)
     hidden = (response * (shared * (1 - windows.load_kept))[:, None]).sum(-1)
     # the drag's own moment about the feet is as wrong as the height over them
     raised = errors.height_error * (response[..., 1:] @ windows.wrench[:, :2, None])[..., 0]
-    # the rates of a pushed object are a camera's noise; what friction leads there is in PUSH_ERROR
-    led = windows.lead_effect(model, drag, errors.pivot_error, errors.lead_error) * ~windows.pushed[:, None]
-    common = by_row(torch.stack([hidden, raised, pad(led, (0, windows.hinges))], -1))
-    effects = _of_setup(windows, model, mass, drag, response, errors.pivot_error)
+    common = by_row(torch.cat([torch.stack([hidden, raised], -1), slopes.get("lead", hidden[..., None] * 0)], -1))
+    if windows.setup.none:
+        return apart, common
+    effects = setup_effects(windows, linear, sensor_map(windows, response), windows.setup)
     shared, own = shared_and_own(effects, windows)
     return apart + own, torch.cat([common, shared], 1)
+
+
+def in_windows(blocks: Float[Tensor, "K 3+H 3+H"]) -> Float[Tensor, "R R"]:
+    """Covariance of rows of which only those of one window are correlated; those of hinges come last."""
+    count, rows = blocks.shape[:2]
+    place = torch.arange(count * rows).reshape(count, rows)  # window by window
+    order = by_row(place[..., None])[:, 0]
+    return _block_diagonal(blocks)[order][:, order]
 
 
 def unknown_motion(windows: Observations, model: ParticleModel, weight: float) -> Float[Tensor, "R E"]:
@@ -253,25 +278,23 @@ def unknown_motion(windows: Observations, model: ParticleModel, weight: float) -
     return weight * reach * torch.cat([along, reach * turning], -1).flatten(0, 1)
 
 
-def swing_errors(windows: Observations, model: ParticleModel, drag: Float[Tensor, "P"]) -> Float[Tensor, "R"]:
+def swing_errors(windows: Observations, table: Table, drag: Float[Tensor, "P"]) -> Float[Tensor, "R"]:
     """Variance of accelerated windows' forces from particles so near the center that its swing turns their drag.
 
     Args:
         windows: windows of constant speed or acceleration.
-        model: particles of the object.
+        table: their forward model.
         drag: friction of every particle, N.
     """
     swing = (SWING * windows.twist[:, 2:]).square()
-    turned = swing / (windows.particle_velocity(model).square().sum(-1) + swing + 1e-18)
+    turned = swing / (table.velocity.square().sum(-1) + swing + 1e-18)
     force = (turned * drag.square()).sum(-1) * windows.accelerated
     return torch.stack([force, force, torch.zeros_like(force)], 1).flatten()
 
 
 def torque_covariance(
     windows: Observations,
-    model: ParticleModel,
-    mass: Float[Tensor, "P"],
-    drag: Float[Tensor, "K P"],
+    linear: LinearRows,
     response: Float[Tensor, "K 3 3"],
 ) -> Float[np.ndarray, "K K"]:
     """Covariance of accelerated windows' torques less the gripper's effect; a trial's constant is not in it.
@@ -279,24 +302,12 @@ def torque_covariance(
     Arguments as `wrench_errors`.
     """
     none = torch.zeros(3, dtype=torch.float64)
-    shared, own = shared_and_own(_of_setup(windows, model, mass, drag, response, 0.0), windows)
-    apart = (_sensor_error(windows, response, none, none) + own)[2::3, 2::3]
-    least = LEAST_VARIANCE * torch.eye(len(windows), dtype=torch.float64)
-    return (apart + least + shared[2::3] @ shared[2::3].T).numpy()
-
-
-def _of_setup(
-    windows: Observations,
-    model: ParticleModel,
-    mass: Float[Tensor, "P"],
-    drag: Float[Tensor, "K P"],
-    response: Float[Tensor, "K 3+H 3"],
-    pivot_error: float,
-) -> Columns:
-    """Effects of the setup's errors, none of an exact one."""
-    if windows.setup.none:
-        return {}
-    return setup_effects(windows, model, mass, drag, sensor_map(windows, response), pivot_error, windows.setup)
+    covariance = _sensor_error(windows, response, none, none)
+    if not windows.setup.none:
+        effects = setup_effects(windows, linear, sensor_map(windows, response), windows.setup)
+        shared, own = shared_and_own(effects, windows)
+        covariance = covariance + own + shared @ shared.T
+    return (covariance[2::3, 2::3] + LEAST_VARIANCE * torch.eye(len(windows), dtype=torch.float64)).numpy()
 
 
 def sensor_map(windows: Observations, response: Float[Tensor, "K 3+H 3"]) -> Float[Tensor, "R 6K"]:

@@ -14,7 +14,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from estimators.wrench.air import Air, columns, nominal, stated_sizes
+from estimators.wrench.air import KINDS, Air, columns, nominal
+from estimators.wrench.setup import stated_sizes
 from testbed.actions.lift import Lift
 from testbed.objects.model import GRAVITY, ObjectShape
 from testbed.sensing.lift_windows import LiftWindow, lift_windows
@@ -123,7 +124,7 @@ def lift_information(
     """
     errors = errors or LiftErrors()
     air, weight = Air.of_masses(shape, windows), float(mass @ shape.particles_per_group)
-    sizes = stated_sizes(windows[0].setup, trials, shape.n_m) | errors.sizes(errors.height * shape.height)
+    sizes = stated_sizes(windows[0].setup, KINDS, shape.n_m, trials) | errors.sizes(errors.height * shape.height)
     if (shape.fill < 1).any():
         sizes["upright"] = _upright_sizes(shape, weight)
     _, slopes = air.linearized(nominal({"mass": torch.tensor(mass)}, sizes))

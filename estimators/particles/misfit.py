@@ -17,7 +17,7 @@ from estimators.particles.friction_system import FrictionEquations, sensor_map
 from estimators.particles.links import HINGE_PRIOR
 from estimators.particles.model import ModelErrors, ParticleModel
 from estimators.particles.pivots import PivotInertia, inertia_map
-from estimators.particles.setup_effects import Columns, setup_effects, trial_by_trial, with_hinges
+from estimators.particles.setup_effects import Columns, LinearRows, setup_effects, trial_by_trial
 from estimators.particles.support import own_weight
 from estimators.particles.windows import Observations
 from testbed.objects.model import MassDistribution, ObjectShape
@@ -201,18 +201,17 @@ def likely_causes(
         errors: errors of the model.
     """
     mass = model.particle_mass(torch.tensor(at.mass))
-    support = own_weight(model, mass, windows.gripper_load(model, mass, shape.height))
-    rows = windows.drag_rows(model, errors.pivot_error)
-    friction = model.particle_friction(torch.tensor(at.friction))
-    response = with_hinges(windows, model, rows) @ (friction[:, None] * support.response)
-    to_wrench = sensor_map(windows, response)
-    each = drag.clamp(min=0).expand(len(windows), -1)
-    causes = trial_by_trial(setup_effects(windows, model, mass, each, to_wrench, errors.pivot_error, LIKELY), windows)
+    table = windows.table(model, errors.pivot_error, spread=True)
+    linear = LinearRows.of(windows, table, mass, drag.clamp(min=0), 0.0, LIKELY)
+    support = own_weight(model, mass, windows.gripper_load(linear.lever, linear.motion(mass), shape.height))
+    rows, friction = linear.by_particle, model.particle_friction(torch.tensor(at.friction))
+    to_wrench = sensor_map(windows, rows @ (friction[:, None] * support.response))
+    causes = trial_by_trial(setup_effects(windows, linear, to_wrench, LIKELY), windows)
     one_hot = torch.nn.functional.one_hot(model.mass_group).double()
     middle = (one_hot @ (one_hot.T @ model.particles / one_hot.sum(0)[:, None]) - model.particles) / model.cell
     # one rigid body's loads rise alike everywhere
     even = (model.contact / model.contact.sum() * drag.sum())[:, None]
-    return causes | {"support": (rows @ (even * middle)).reshape(-1, 2)}
+    return causes | {"support": (rows[:, :3] @ (even * middle)).reshape(-1, 2)}
 
 
 def _evidence(missing: Float[Tensor, "R"], columns: Float[Tensor, "R n"], freedom: int) -> tuple[float, float, float]:

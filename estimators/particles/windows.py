@@ -3,65 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import Self
 
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from estimators.particles.model import Inertia, ParticleModel, cross, direction, inertia_of, rotate, turned
+from estimators.particles.model import Inertia, ParticleModel
 from estimators.particles.support import GripperLoad
+from estimators.wrench.jacobian import Window
+from estimators.wrench.table import Table
 from testbed.worlds.setup_errors import EXACT_SETUP, SetupErrors
 
 PLANAR = [0, 1, 5]
 """f_x, f_y and the torque about the vertical, of a wrench's six components."""
-SLOW = 1e-3
-"""Speed at which a foot of a pushed object may drag half of its friction less, or another way, m/s: nothing keeps the
-center of rotation off a point of contact, and there it sticks. Ours."""
-
-
-@dataclass(frozen=True, eq=False)
-class LinkedParticles:
-    """Places and motion of an object's particles in K windows of S parts, about the grasp point, held link's axes."""
-
-    place: Float[Tensor, "K S P 2"]
-    """Place, m."""
-    velocity: Float[Tensor, "K S P 2"]
-    """Velocity, m/s."""
-    acceleration: Float[Tensor, "K S P 2"]
-    """Acceleration, m/s^2."""
-    rate: Float[Tensor, "K S P"]
-    """Turn rate, rad/s."""
-    slope: Float[Tensor, "K S P"]
-    """Angular acceleration, rad/s^2."""
-
-    @staticmethod
-    def of(windows: Observations, model: ParticleModel) -> LinkedParticles:
-        """Particles of an articulated object, each with its own link."""
-        own = windows.links[:, :, model.link[model.mass_group]]
-        place = rotate(own[..., 0], (model.particles - windows.grasp[:, None])[:, None]) + own[..., 1:3]
-        rate, side = own[..., 5:6], turned(place)
-        acceleration = own[..., 6:8] + own[..., 8:9] * side - rate.square() * place
-        return LinkedParticles(place, own[..., 3:5] + rate * side, acceleration, own[..., 5], own[..., 8])
-
-    def speed(self, pivot_error: float) -> Float[Tensor, "K S P"]:
-        """Speed, m/s, blurred by the error of the center of a turn, m."""
-        fade = pivot_error * self.rate
-        return (self.velocity.square().sum(-1) + fade.square() + 1e-18).sqrt()
-
-    @staticmethod
-    def arms(windows: Observations, model: ParticleModel, lever: Float[Tensor, "K P 2"]) -> Float[Tensor, "K P 2"]:
-        """Lever of each particle against the held link's turn, m: its own, or of the first hinge that it trails."""
-        held, link = model.link[windows.held[:, :1]], model.link[model.mass_group]
-        hinge = torch.where(link > held, held, held - 1).clamp(0, len(model.hinges) - 1)
-        return torch.where((link == held)[..., None], lever, model.hinges[hinge] - windows.grasp[:, None])
-
-    def motion_wrench(self, mass: Float[Tensor, "P"], cell: float) -> Float[Tensor, "K 3"]:
-        """Force and torque about the grasp point that the motion takes of particles of a `mass`, kg, in solid cells."""
-        force = mass[:, None] * self.acceleration
-        torque = (cross(self.place, force) + self.slope * mass * cell**2 / 6).sum(-1)
-        return torch.cat([force.sum(-2), torque[..., None]], -1).mean(1)
+SLOWEST = 0.01
+"""Turn of a hinge against the links' camera below which it may stand, rad/s."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -125,6 +83,8 @@ class Observations:
     """`links` after one standard deviation of each error of the camera that sees them; the last is its delay's."""
     setup: SetupErrors = EXACT_SETUP
     """Errors of the setup as stated, the largest of all trials."""
+    _tables: dict[tuple[object, ...], Table] = field(default_factory=dict, init=False, repr=False)
+    """Forward models that were asked for: rounds of solving ask for the same."""
 
     def __len__(self) -> int:
         return len(self.wrench)
@@ -134,9 +94,16 @@ class Observations:
         return replace(self, **by_window)  # pyright: ignore[reportArgumentType]
 
     @property
+    def unknown(self) -> tuple[str, ...]:
+        """Errors of the setup whose derivatives are wanted, whether they are stated or not: none."""
+        return ()
+
+    @property
     def by_window(self) -> dict[str, Tensor]:
         """Fields with a row a window."""
-        return {name: value for name, value in vars(self).items() if name != "setup"}
+        return {
+            field.name: getattr(self, field.name) for field in fields(self) if field.name not in ("setup", "_tables")
+        }
 
     def where(self, keep: Tensor) -> Self:
         """Windows that `keep` (K,) selects."""
@@ -218,85 +185,88 @@ class Observations:
         """Number of hinges: H."""
         return max(self.links.shape[-2] - 1, 0)
 
-    def displaced(self, x: float, y: float, yaw: float) -> Self:
-        """Windows of an object in links that is elsewhere in the hand, which moves as it did [m, rad]."""
-        links, twist = self.links, self.twists[:, :, None]
-        shift = rotate(torch.tensor(yaw).double(), links[..., 1:3]) + torch.tensor([x, y]).double()
-        relative = rotate(torch.tensor(yaw).double(), links[..., 3:5] - twist[..., :2])
-        aside = (twist[..., 2:] - links[..., 5:6]) * turned(torch.tensor([x, y]).double())
-        moved = [links[..., :1] + yaw, shift, twist[..., :2] + relative + aside, links[..., 5:]]
-        return replace(self, links=torch.cat(moved, -1))
+    def table(self, model: ParticleModel, pivot_error: float = 0.0, *, spread: bool | None = None) -> Table:
+        """Forward model of the windows, without friction.
 
-    def lever(self, model: ParticleModel) -> Float[Tensor, "K P 2"]:
-        """Position of each particle from the grasp point, m, in the mean over a window."""
+        Args:
+            model: particles of the object.
+            pivot_error: error of the center of a turn, m.
+            spread: True where each particle touches anywhere in its cell, at four points for the mean over it; if left
+                out, where the setup does not know the points of contact.
+        """
+        spread = bool(self.setup.contact_points) if spread is None else spread
+        asked = (model, pivot_error, spread)
+        if asked not in self._tables:
+            points = torch.stack([each.particles for each in model.spread], 1) if spread else model.particles[:, None]
+            self._tables[asked] = Table(model, points, self._fields(model), pivot_error).undragged
+        return self._tables[asked]
+
+    def _fields(self, model: ParticleModel) -> Window:
+        """Fields of the windows by the names of `Table`."""
+        grip, count = (~self.pushed).double(), len(self)
         if self.articulated:
-            return LinkedParticles.of(self, model).place.mean(1)
-        return model.particles - self.grasp[:, None]
-
-    def particle_velocity(self, model: ParticleModel) -> Float[Tensor, "K P 2"]:
-        """Velocity of each particle, m/s."""
-        if self.articulated:
-            return LinkedParticles.of(self, model).velocity.mean(1)
-        return self.twist[:, None, :2] + self.twist[:, None, 2:] * turned(self.lever(model))
-
-    def velocity_by_part(self, lever: Float[Tensor, "K P 2"]) -> Float[Tensor, "K S P 2"]:
-        """Velocity of points at a `lever` (m) from the grasp point over each of the parts, m/s; of a rigid object."""
-        return self.twists[..., None, :2] + self.twists[..., 2, None, None] * turned(lever)[:, None]
-
-    def drag_directions(self, model: ParticleModel) -> Float[Tensor, "K P 2"]:
-        """Direction of each particle's mean velocity, along which friction drags."""
-        return direction(self.particle_velocity(model))
+            motion = torch.cat([self.links, self.links[..., 5:6].square()], -1)
+            off = torch.cat([self.links_off, self.links_off[..., 5:6].square()], -1) - motion[:, None]
+            links = torch.arange(self.links.shape[2])
+            held = model.link[self.held[:, :1]]
+            hinge = torch.where(links > held, held, held - 1).clamp(min=0)
+            trailing = (model.hinges[hinge] - self.grasp[:, None]) * (links != held)[..., None]
+            near, beyond = torch.arange(self.hinges) >= held, model.link[model.mass_group] > links[:-1, None]
+            change = self.hinge_rates.mean(1)
+            own = {
+                "trailing": trailing,
+                "turning": torch.where(near, change, -change).sign() * ~self.standing,
+                "trails": (beyond == near[..., None]).double() * ~self.standing[..., None],
+                "held": (links == held).double(),
+                "links_off": off,
+                "ahead": torch.zeros_like(self.twists),
+            }
+        else:
+            rest = torch.cat([self.acceleration, self.spin_square[:, None]], 1)[:, None, None]
+            still = torch.zeros(count, 1, 1, 3, dtype=torch.float64)
+            motion = torch.cat([still, self.twist[:, None, None], rest], -1)
+            own = {
+                "trailing": still[:, 0, :, :2],
+                "held": torch.ones(count, 1, dtype=torch.float64),
+                # the rates of a pushed object are a camera's noise; what friction leads there is in PUSH_ERROR
+                "ahead": self.twist_rates * grip[:, None, None],
+            }
+        return own | {
+            "frames": motion[..., :3],
+            "rates": motion[..., 3:6] if self.articulated else self.twists[:, :, None],
+            "accelerations": motion[..., 6:],
+            "grasp": self.grasp,
+            "twist": self.twist,
+            "poses": self.poses,
+            "gripped": grip,
+            "of_hand": self.from_sensor[:, :2, :3],
+            "seen": self.seen,
+            "force": self.wrench[:, :2],
+        }
 
     def drag_rows(self, model: ParticleModel, pivot_error: float) -> Float[Tensor, "K 3 P"]:
         """Wrench about the grasp point that drags each particle against a friction of 1 N.
 
-        Means over the parts of each window, since a center that wanders changes the directions of particles near it,
-        and over a particle's cell where the object may touch the table anywhere under it.
+        Means over each window, and over a particle's cell where the object may touch the table anywhere under it.
 
         Args:
             model: particles of the object.
             pivot_error: error of the center of a turn, m; the drag of a particle nearer than that fades.
         """
-        points = model.spread if self.setup.contact_points else [model]
-        return torch.stack([self.point_rows(each, pivot_error) for each in points]).mean(0)
+        return self.table(model, pivot_error).drag_rows()[:, :3]
 
-    def point_rows(self, model: ParticleModel, pivot_error: float) -> Float[Tensor, "K 3 P"]:
-        """Rows of particles that touch the table in their middles alone; arguments as `drag_rows`."""
-        if self.articulated:
-            moved = LinkedParticles.of(self, model)
-            unit = moved.velocity / moved.speed(pivot_error)[..., None]
-            return torch.cat([unit.mean(1), cross(moved.place, unit).mean(1)[..., None]], -1).transpose(1, 2)
-        lever = self.lever(model)
-        velocity, speed = self._blurred(lever, pivot_error)
-        unit = (velocity / speed[..., None]).mean(1)
-        return torch.stack([unit[..., 0], unit[..., 1], cross(lever, unit)], 1)
+    @property
+    def hinge_rates(self) -> Float[Tensor, "K S H"]:
+        """Rate of each link less that of the one before, rad/s."""
+        return torch.diff(self.links[..., 5], dim=2)
 
-    def drag_slopes(
-        self, model: ParticleModel, drag: Float[Tensor, "K P"], pivot_error: float
-    ) -> Float[Tensor, "K 3 3"]:
-        """Change of a `drag` (N) with a window's twist: (f_x, f_y, torque) by (v_x, v_y, rate); else as `drag_rows`."""
-        lever = arm = self.lever(model)
-        if self.articulated:
-            moved, arm = LinkedParticles.of(self, model), LinkedParticles.arms(self, model, lever)
-            velocity, speed = moved.velocity, moved.speed(pivot_error)
-        else:
-            velocity, speed = self._blurred(lever, pivot_error)
-        square = velocity[..., :, None] * velocity[..., None, :] / speed.square()[..., None, None]
-        turn = ((torch.eye(2, dtype=torch.float64) - square) / speed[..., None, None]).mean(1)
-        by = torch.cat([turn, turn @ turned(arm)[..., None]], -1)
-        torque = lever[..., :1] * by[..., 1, :] - lever[..., 1:] * by[..., 0, :]
-        return torch.einsum("kp,kpij->kij", drag, torch.cat([by, torque[..., None, :]], -2))
-
-    def lead_effect(
-        self, model: ParticleModel, drag: Float[Tensor, "K P"], pivot_error: float, lead: float
-    ) -> Float[Tensor, "K 3"]:
-        """Change of a `drag` (N) whose directions lead the hand's motion by a time, s: half that from -lead to +lead.
-
-        A secant, for near the center of a turn a small shift turns a particle's drag by as much as it can.
-        """
-        ahead = lead * self.twist_rates
-        rows = [replace(self, twists=self.twists + way * ahead).drag_rows(model, pivot_error) for way in (1, -1)]
-        return ((rows[0] - rows[1]) @ drag[..., None])[..., 0] / 2
+    @property
+    def standing(self) -> Tensor:
+        """True of hinges that may stand or turn back within a window, (K, H): friction has no known direction there."""
+        rates = self.hinge_rates
+        off = torch.diff(self.links_off[..., 5], dim=3) - rates[:, None]
+        least = rates.abs() - 3 * off.square().sum(1).sqrt()
+        return ((least < SLOWEST) | (rates.sign() != rates[:, :1].sign())).any(1)
 
     @property
     def twist_rates(self) -> Float[Tensor, "K S 3"]:
@@ -306,15 +276,6 @@ class Observations:
             return torch.nn.functional.pad(self.acceleration[:, None, 2:], (2, 0))
         length = self.since_tare.diff()[:, None] / parts
         return torch.gradient(self.twists, dim=1)[0] / length
-
-    def sticking_covariance(self, model: ParticleModel, drag: Float[Tensor, "K P"]) -> Float[Tensor, "K 3 3"]:
-        """Covariance of pushes from feet so slow that they stick: of a part SLOW^2 / (v^2 + SLOW^2) of a `drag` (N)."""
-        lever = self.lever(model)
-        square = self.velocity_by_part(lever).square().sum(-1)
-        stuck = (SLOW**2 / (square + SLOW**2)).mean(1) * self.pushed[:, None]
-        along = torch.eye(2, dtype=torch.float64).expand(*lever.shape, 2)
-        pull = torch.cat([along, turned(lever)[..., None, :]], -2) * (stuck * drag)[..., None, None]
-        return torch.einsum("kpij,kplj->kil", pull, pull)
 
     @property
     def twist_noise(self) -> Float[Tensor, "3"]:
@@ -330,41 +291,22 @@ class Observations:
             return spread.median(0).values
         return spread.masked_fill(self.pushed[:, None], torch.nan).nanmedian(0).values.nan_to_num(0.0)
 
-    def _blurred(
-        self, lever: Float[Tensor, "K P 2"], pivot_error: float
-    ) -> tuple[Float[Tensor, "K S P 2"], Float[Tensor, "K S P"]]:
-        """Velocity of each particle in each part of a window, and its speed, blurred by the pivot's error."""
-        velocity, fade = self.velocity_by_part(lever), pivot_error * self.twists[..., 2, None].abs()
-        return velocity, (velocity.square().sum(-1) + fade.square() + 1e-18).sqrt()
+    def spin_up(self, inertia: Inertia) -> Float[Tensor, "K"]:
+        """Torque I_j alpha about the grasp point, N m."""
+        return self.acceleration[:, 2] * inertia.about(self.grasp)
 
-    def com_acceleration(self, com: Float[Tensor, "... 2"]) -> Float[Tensor, "... K 2"]:
-        """Acceleration of the center of mass, m/s^2."""
-        arm, a = com - self.grasp, self.acceleration
-        return a[..., :2] + a[..., 2:] * turned(arm) - self.spin_square[..., None] * arm
+    def gripper_load(self, lever: Float[Tensor, "K P 2"], motion: Float[Tensor, "K 3+H"], height: float) -> GripperLoad:
+        """Load of the gripper.
 
-    def inertial_wrench(self, inertia: Inertia) -> Float[Tensor, "K 3"]:
-        """Force and torque about the grasp point that the motion itself takes: M a_c, and without I_j alpha."""
-        force = inertia.mass * self.com_acceleration(inertia.com)
-        torque = inertia.mass * cross(inertia.com - self.grasp, self.acceleration[:, :2])
-        return torch.cat([force, torque[:, None]], -1)
-
-    def motion_wrench(self, model: ParticleModel, mass: Float[Tensor, "P"]) -> Float[Tensor, "K 3"]:
-        """Force and torque about the grasp point that the motion takes of particles of a `mass`, kg."""
-        if self.articulated:
-            return LinkedParticles.of(self, model).motion_wrench(mass, model.cell)
-        inertia = inertia_of(model, mass)
-        return self.inertial_wrench(inertia) + self.spin_up(inertia)
-
-    def spin_up(self, inertia: Inertia) -> Float[Tensor, "K 3"]:
-        """Torque I_j alpha about the grasp point."""
-        return torch.nn.functional.pad((self.acceleration[:, 2] * inertia.about(self.grasp))[:, None], (2, 0))
-
-    def gripper_load(self, model: ParticleModel, mass: Float[Tensor, "P"], height: float) -> GripperLoad:
-        """Load of the gripper; particles of a `mass` (kg) move at half the object's `height` (m) over the feet."""
-        moved = height / 2 * self.motion_wrench(model, mass)[:, :2]
+        Args:
+            lever: mean place of each particle from the grasp point, m.
+            motion: wrench that the motion takes, at half the object's height over the feet, N and N m.
+            height: height of the object, m.
+        """
+        moved = height / 2 * motion[:, :2]
         # only the kept parts of the tilt hold the mass's own moment; at one speed it is the same there and back
         kept, followed = self.load_kept[:, 1:], self.load_followed[:, 1:]
         swung = kept * (self.trial_mean @ moved) + followed * (self.trial_change @ moved)
         taken = torch.where(self.accelerated[:, None] | self.articulated, swung, kept * moved)
         balanced = self.articulated and bool(self.setup.contact_points)
-        return GripperLoad(self.lift, self.tilt - taken, self.held, self.lever(model), balanced)
+        return GripperLoad(self.lift, self.tilt - taken, self.held, lever, balanced)

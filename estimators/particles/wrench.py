@@ -10,9 +10,10 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from estimators.particles.friction_system import FrictionEquations, LoadGroups, friction_equations
+from estimators.particles.friction_system import FrictionEquations, LoadGroups, friction_equations, linear_rows
 from estimators.particles.model import ModelErrors, ParticleModel
 from estimators.particles.observe import observe
+from estimators.particles.setup_effects import LinearRows
 from estimators.particles.support import LOADS, GripperLoad, LoadsOf, own_weight_loads
 from estimators.particles.windows import Observations
 from testbed.objects.model import MassDistribution, ObjectShape
@@ -48,12 +49,16 @@ class ParticleLoads:
         slopes = torch.cat([of_particle[:, None] * per_mass, of_friction], 1)
         return ParticleLoads(model, model.particle_mass(mass), of_particle, of_particle * normal, slopes, shape.height)
 
-    def equations(self, windows: Observations, errors: ModelErrors) -> FrictionEquations:
-        """Eq. dvs with a column a particle, for windows that measure these loads."""
+    def measured(self, windows: Observations, errors: ModelErrors) -> tuple[Observations, LinearRows]:
+        """The windows as if they measured these loads, and their rows as functions of everything that may err."""
+        measured = replace(windows, wrench=windows.drag_rows(self.model, errors.pivot_error) @ self.load)
+        return measured, linear_rows(measured, self.model, self.mass, self.friction, errors)
+
+    def equations(self, measured: Observations, linear: LinearRows, errors: ModelErrors) -> FrictionEquations:
+        """Eq. dvs with a column a particle."""
         count = len(self.load)
         each = LoadGroups(torch.arange(count), tuple((particle, 0) for particle in range(count)))
-        measured = replace(windows, wrench=windows.drag_rows(self.model, errors.pivot_error) @ self.load)
-        return friction_equations(self.model, each, measured, self.mass, self.friction, self.height, errors)
+        return friction_equations(self.model, each, measured, self.mass, self.friction, self.height, errors, linear)
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,14 +76,22 @@ class AffineLoads:
     ) -> AffineLoads:
         """Loads of a support model, probed with one particle mass of 2 kg among ones."""
 
+        table = windows.table(model)
+
         def loads(mass: Tensor) -> Tensor:
             particle_mass = model.particle_mass(mass)
-            return loads_of(model, particle_mass, windows.gripper_load(model, particle_mass, shape.height))
+            return loads_of(
+                model, particle_mass, windows.gripper_load(table.lever, table.motion(particle_mass), shape.height)
+            )
 
         ones = torch.ones(shape.n_m, dtype=torch.float64)
         base = loads(ones)
         per_mass = torch.stack([loads(ones + one) - base for one in torch.diag(ones)], -1)
         return AffineLoads(per_mass, base - per_mass.sum(-1))
+
+    def where(self, keep: Tensor) -> AffineLoads:
+        """Loads in windows that `keep` (K,) selects."""
+        return AffineLoads(self.per_mass[keep], self.carried[keep])
 
     @staticmethod
     def stacked(draws: Sequence[AffineLoads]) -> AffineLoads:
@@ -109,11 +122,11 @@ class WrenchModel:
     @staticmethod
     def of(model: ParticleModel, windows: Observations, loads: AffineLoads, pivot_error: float) -> WrenchModel:
         """The model of every window."""
-        rows = windows.drag_rows(model, pivot_error)
+        table, rows = windows.table(model, pivot_error), windows.drag_rows(model, pivot_error)
         of_group = [rows * (model.friction_group == k) for k in range(int(model.friction_group.max()) + 1)]
         weighed = torch.stack([part @ loads.per_mass for part in of_group])
         carried = torch.stack([(part @ loads.carried[..., None])[..., 0] for part in of_group])
-        return WrenchModel(inertial_map(windows, model), weighed, carried)
+        return WrenchModel(table.inertial_rows()[:, :3] @ model.parts.T, weighed, carried)
 
     @staticmethod
     def stacked(draws: Sequence[WrenchModel]) -> WrenchModel:
@@ -127,11 +140,6 @@ class WrenchModel:
         per_mass = mass @ self.inertial.flatten(-3, -2).mT
         dragged = (mass @ self.weighed.flatten(-4, -2).mT).unflatten(-1, carried.shape[-2:]) + carried
         return (per_mass + (friction[..., None, :] @ dragged)[..., 0, :]).unflatten(-1, self.carried.shape[-2:])
-
-
-def inertial_map(windows: Observations, model: ParticleModel) -> Float[Tensor, "K 3 n_m"]:
-    """Wrench about the grasp point that the motion itself takes, a kg of each particle mass."""
-    return torch.stack([windows.motion_wrench(model, mass) for mass in model.parts], -1)
 
 
 def predicted_wrenches(

@@ -21,13 +21,19 @@ from estimators.particles.lifts import LiftedRows, lifted_rows
 from estimators.particles.misfit import Misfit
 from estimators.particles.model import ModelErrors, ParticleModel, inertia_of
 from estimators.particles.pivots import PivotInertia, inertia_map, pivot_inertias
+from estimators.particles.setup_effects import LinearRows
 from estimators.particles.support import LOADS, GripperLoad, LoadsOf, SupportModel, contact_spread
 from estimators.particles.windows import Observations
 from estimators.particles.wrench import AffineLoads, WrenchModel
+from estimators.wrench.table import Table
 from testbed.objects.model import GRAVITY, MassDistribution, ObjectShape
 
 ROUNDS = 6
-"""Rounds of Gauss-Newton: friction is tight from the first on."""
+"""Most rounds of Gauss-Newton: friction is tight from the first on."""
+WEIGHED = 3
+"""Rounds in which the errors are worked out anew: they hardly depend on the masses."""
+SETTLED = 1e-6
+"""Change of a friction or a mass, as a part of it, from which on no round follows."""
 FRICTION_PRIOR = 1.0
 """Standard deviation of every friction coefficient beforehand; so wide that it decides nothing."""
 
@@ -135,28 +141,32 @@ def fit_support(
     lifted = lifted or lifted_rows(shape, weight, [])
     model = ParticleModel.of(shape)
     steady, accelerated = observed.where(~observed.accelerated), observed.where(observed.accelerated)
-    loads_of = LOADS[support]
     mass = np.full(shape.n_m, weight / len(shape.particles))
     friction = np.full(shape.n_mu, steady.drag / (weight * GRAVITY))
     if at is not None:
         mass, friction = at.mass, at.friction
-    loads = AffineLoads.of(shape, model, steady, loads_of)
-    wrenches = WrenchModel.of(model, steady, loads, errors.pivot_error)
-    response = _response(model, steady, loads_of)
-    other = loads_of if spread_known else next(loads for name, loads in LOADS.items() if name != support)
-    elsewhere = _response(model, steady, other)
-    swung = [_response(model, accelerated, each) for each in (loads_of, other)]
-    rows = steady.drag_rows(model, errors.pivot_error)
+    table = observed.table(model, errors.pivot_error)
+    loads = AffineLoads.of(shape, model, observed, LOADS[support])
+    other = support if spread_known else next(name for name in LOADS if name != support)
+    responses = [_response(table, observed, LOADS[name]) for name in (support, other)]
+    response, elsewhere = (each[~observed.accelerated] for each in responses)
+    swung = [each[observed.accelerated] for each in responses]
+    wrenches = WrenchModel.of(model, steady, loads.where(~observed.accelerated), errors.pivot_error)
     unsure = 0.0 if spread_known else 1.0
-    weak, even = _weak_prior(shape, weight)
+    (weak, even), n_mu = _weak_prior(shape, weight), shape.n_mu
     fit: SupportFit | None = None
-    for _ in range(ROUNDS):
+    every: LinearRows | None = None
+    for turn in range(ROUNDS):
         at_mass, at_friction = torch.tensor(mass), torch.tensor(friction)
-        pushed = model.particle_friction(at_friction) * loads.at(at_mass)
-        carried = rows @ (model.particle_friction(at_friction)[:, None] * response)
-        apart, common = wrench_errors(steady, model, model.particle_mass(at_mass), pushed, carried, errors)
-        otherwise = rows @ (model.particle_friction(at_friction)[:, None] * elsewhere)
-        pressing = steady.gripper_load(model, model.particle_mass(at_mass), shape.height).carried
+        particle_mass, rough = model.particle_mass(at_mass), model.particle_friction(at_friction)
+        pushed = rough * loads.at(at_mass)
+        if every is None or turn < WEIGHED:
+            every = LinearRows.of(observed, table, particle_mass, pushed, errors.lead_error, observed.setup)
+        linear = every.where(~observed.accelerated)
+        rows = linear.by_particle
+        carried, otherwise = rows @ (rough[:, None] * response), rows @ (rough[:, None] * elsewhere)
+        apart, common = wrench_errors(steady, linear, carried, errors)
+        pressing = steady.gripper_load(linear.lever, linear.motion(particle_mass), shape.height).carried
         spread = unsure * ((otherwise - carried) * pressing[:, None]).flatten(0, 1)
         moved = _moved(rows, model, at_mass, at_friction, support).flatten(0, 1)
         root = torch.linalg.cholesky(apart + common @ common.T + spread @ spread.T + moved @ moved.T)
@@ -165,8 +175,10 @@ def fit_support(
         of_mass = (wrenches.inertial + torch.einsum("k,kwim->wim", at_friction, wrenches.weighed)).flatten(0, 1)
         off = steady.wrench - wrenches.wrench(at_mass, at_friction)
         linear = off.flatten() + of_friction @ at_friction + of_mass @ at_mass
-        excluded = model.particle_friction(at_friction)[:, None] * _excluded(model, support)
-        pivots = _pivots(model, shape, accelerated, at_mass, at_friction, support, swung, unsure, errors)
+        excluded = rough[:, None] * _excluded(model, support)
+        pivots = _pivots(
+            every.where(observed.accelerated), shape, accelerated, at_mass, at_friction, support, swung, unsure, errors
+        )
         known, known_target, known_volume = _known(shape, weight, pivots, errors, lifted)
         fit = SupportFit(
             support,
@@ -184,11 +196,13 @@ def fit_support(
         )
         if at is not None:
             return fit
-        n_mu = shape.n_mu
         below = np.vstack([known, weak])
         system = np.block([[fit.of_friction, fit.of_mass], [np.zeros((len(below), n_mu)), below]])
         solved, _ = nnls(system, np.concatenate([fit.target, known_target, even]))
+        settled = np.allclose(solved, np.concatenate([friction, mass]), rtol=SETTLED, atol=SETTLED * mass.max())
         friction, mass = solved[:n_mu], solved[n_mu:]
+        if settled:
+            break
     assert fit is not None
     return replace(fit, friction=friction, mass=mass)
 
@@ -228,21 +242,21 @@ def _excluded(model: ParticleModel, support: SupportModel) -> Float[Tensor, "P w
     return torch.nn.functional.one_hot(model.mass_group).double()
 
 
-def _response(model: ParticleModel, windows: Observations, loads_of: LoadsOf) -> Float[Tensor, "K P 3"]:
+def _response(table: Table, windows: Observations, loads_of: LoadsOf) -> Float[Tensor, "K P 3"]:
     """Change of every load with the gripper's lift, and its moment along x and y."""
-    mass = torch.ones(len(model.particles), dtype=torch.float64)
+    model, mass = table.model, torch.ones(len(table.points), dtype=torch.float64)
     zero = torch.zeros_like(windows.lift), torch.zeros_like(windows.tilt)
 
     def loads(lift: float, x: float, y: float) -> Tensor:
         moment = zero[1] + torch.tensor([x, y], dtype=torch.float64)
-        return loads_of(model, mass, GripperLoad(zero[0] + lift, moment, windows.held, windows.lever(model)))
+        return loads_of(model, mass, GripperLoad(zero[0] + lift, moment, windows.held, table.lever))
 
     base = loads(0.0, 0.0, 0.0)
     return torch.stack([loads(*one) - base for one in torch.eye(3).tolist()], -1)
 
 
 def _pivots(
-    model: ParticleModel,
+    linear: LinearRows,
     shape: ObjectShape,
     windows: Observations,
     mass: Tensor,
@@ -255,18 +269,16 @@ def _pivots(
     """I_j less the change of friction with the gripper's load; `responses` are by this support model and the other."""
     if len(windows) == 0:
         return None
-    particle_mass = model.particle_mass(mass)
-    inertia = inertia_of(model, particle_mass)
-    load = windows.gripper_load(model, particle_mass, shape.height)
-    loads = LOADS[support](model, particle_mass, load)
-    rows = windows.drag_rows(model, 0.0)
-    rubbed = (rows @ (model.particle_friction(friction) * loads)[..., None])[:, 2, 0]
-    moved = windows.inertial_wrench(inertia)[:, 2]
+    model, particle_mass = linear.model, linear.model.particle_mass(mass)
+    rows, motion = linear.by_particle, linear.motion(particle_mass)
+    load = windows.gripper_load(linear.lever, motion, shape.height)
+    drag = model.particle_friction(friction) * LOADS[support](model, particle_mass, load)
+    rubbed = (rows @ drag[..., None])[:, 2, 0]
+    moved = motion[:, 2] - windows.spin_up(inertia_of(model, particle_mass))
     response, otherwise = (rows @ model.particle_friction(friction).diag() @ each for each in responses)
     spread = unsure * ((otherwise - response)[:, 2] * load.carried).numpy()
-    drag = model.particle_friction(friction) * loads
     swayed = _moved(rows, model, mass, friction, support)[:, 2].numpy()
-    error = torque_covariance(windows, model, particle_mass, drag, response) + spread @ spread.T + swayed @ swayed.T
+    error = torque_covariance(windows, linear, response) + spread @ spread.T + swayed @ swayed.T
     return pivot_inertias(windows, rubbed.numpy(), moved.numpy(), errors.inertia_error, error)
 
 

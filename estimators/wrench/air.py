@@ -12,17 +12,15 @@ from torch import Tensor
 from torch.func import vmap
 from torch.nn.functional import pad
 
-from estimators.wrench.jacobian import Theta, Window, linearized, zeros
+from estimators.wrench.jacobian import NONE, Theta, Window, linearized, zeros
+from estimators.wrench.sensor import flawed
 from testbed.objects.model import ObjectShape
 from testbed.sensing.lift_windows import LiftWindow
-from testbed.worlds.parameters import FULL_SCALE
-from testbed.worlds.setup_errors import PARAMETERS, SetupErrors
 
-NONE = torch.zeros((), dtype=torch.float64)
 EYE = torch.eye(3, dtype=torch.float64)
 KINDS = ("table_tilt", "grasp_offset", "grasp_angle", "tcp_offset", "tcp_angle")
-KINDS += ("gain", "crosstalk", "mounting_angle", "delay", "tool_mass", "tool_com")
-"""Errors of the setup that show in the air, whatever the object is made of."""
+KINDS += ("gain", "crosstalk", "mounting_angle", "delay", "tool_mass", "tool_com", "particle_offset")
+"""Errors of the setup that show in the air."""
 _FIELDS = ("pull", "angular_acceleration", "spin_products", "tcp_height", "from_sensor", "tool", "tool_mass")
 _FIELDS += ("tool_rate", "pull_rate", "pull_tilt", "tool_tilt")
 
@@ -147,11 +145,7 @@ class Air:
         if "tool_com" in theta:
             tool = tool + pad(torch.linalg.cross(theta["tool_com"], window["tool"][:3]), (3, 0))
         read = torch.linalg.solve(window["from_sensor"], wrench) + tool
-        if "mounting_angle" in theta:
-            angle = theta["mounting_angle"].expand(2, 3)
-            read = read + torch.linalg.cross(angle, read.reshape(2, 3)).flatten()
-        read = read * (1 + theta.get("gain", NONE)) + (theta["crosstalk"] @ read if "crosstalk" in theta else 0.0)
-        return window["from_sensor"] @ (read - window["tool"])
+        return window["from_sensor"] @ (flawed(theta, read) - window["tool"])
 
     def in_hand(self, theta: Theta, window: Window) -> Matter:
         """The object about the assumed TCP, where it truly is in the hand."""
@@ -168,25 +162,6 @@ class Air:
             if name in theta:
                 place = place + pad(theta[name][:2], (0, 1))
         return held.turned(turn).shifted(place)
-
-
-def stated_sizes(setup: SetupErrors, trials: int, groups: int = 0) -> dict[str, Tensor]:
-    """Standard deviations of the errors of a setup that show in the air, by name; those of no size are left out.
-
-    Args:
-        setup: errors as stated.
-        trials: lifts that are taken as independent: an error that they share counts root `trials` times in each.
-        groups: mass groups, each with an offset of its own; 0 of a body of unknown matter.
-    """
-    found = {}
-    for name in (*KINDS, *(["particle_offset"] if groups else [])):
-        size, described = getattr(setup, name), PARAMETERS[name]
-        if size:
-            shared = 1.0 if described.scope == "trial" else trials**0.5
-            found[name] = torch.full(described.sized(groups), size * shared, dtype=torch.float64)
-    if "crosstalk" in found:
-        found["crosstalk"] *= torch.tensor(np.outer(FULL_SCALE, 1 / FULL_SCALE) * (1 - np.eye(6)))
-    return found
 
 
 def nominal(known: Theta, sizes: Mapping[str, Tensor]) -> Theta:

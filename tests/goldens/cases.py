@@ -17,7 +17,7 @@ from estimators.particles.friction_system import sensor_map
 from estimators.particles.lifts import lifted_rows
 from estimators.particles.model import RIGID, ModelErrors
 from estimators.particles.observe import observe
-from estimators.particles.setup_effects import setup_effects
+from estimators.particles.setup_effects import LinearRows, setup_effects
 from estimators.particles.support import own_weight
 from estimators.particles.wrench import predicted_wrenches
 from estimators.registry import build_method
@@ -147,13 +147,13 @@ def of_equations(case: Case, errors: ModelErrors) -> Frozen:
         found["hinges"] = equations.hinges.numpy()
     mass = trials.model.particle_mass(torch.tensor(model.truth.mass))
     friction = trials.model.particle_friction(torch.tensor(model.truth.friction))
-    support = own_weight(trials.model, mass, windows.gripper_load(trials.model, mass, shape.height))
+    table = windows.table(trials.model, errors.pivot_error, spread=True)
+    support = own_weight(trials.model, mass, windows.gripper_load(table.lever, table.motion(mass), shape.height))
     drag = (friction * support.share * GRAVITY).expand(len(windows), -1)
     if not windows.articulated:
-        response = windows.drag_rows(trials.model, errors.pivot_error) @ (friction[:, None] * support.response)
-        columns = setup_effects(
-            windows, trials.model, mass, drag, sensor_map(windows, response), errors.pivot_error, LAB
-        )
+        linear = LinearRows.of(windows, table, mass, drag, errors.lead_error, LAB)
+        response = linear.by_particle @ (friction[:, None] * support.response)
+        columns = setup_effects(windows, linear, sensor_map(windows, response), LAB)
         # their outer product, which no order of columns changes, along three directions
         along = torch.cos(torch.arange(3.0 * len(equations.b)).double()).reshape(-1, 3)
         found |= {f"columns.{kind}": (each @ (each.T @ along)).numpy() for kind, each in columns.items()}

@@ -61,7 +61,7 @@ def joint_information(model: ObjectModel, windows: Observations, assumptions: As
     """Oracle: information of all windows at once, shared errors in one covariance instead of unknowns of their own."""
     shape, errors = model.shape, assumptions.model_errors
     loads = ParticleLoads.of(shape, model.truth, assumptions.support)
-    equations = loads.equations(windows, errors)
+    equations = loads.equations(*loads.measured(windows, errors), errors)
     slopes = (equations.q @ loads.slopes).numpy()
     turning = np.zeros((len(windows), 3))
     for index, p in enumerate(shape.particles):

@@ -97,7 +97,7 @@ def test_the_truth_predicts_the_measured_wrench(grid, friction_groups, monkeypat
 def test_the_blur_of_the_pivot_is_all_that_it_changes():
     blur, obj = 2e-4, cut(2)
     problem = problem_of(obj, turns(obj), blur)
-    away = problem.windows.particle_velocity(problem.model).norm(dim=-1) / problem.windows.twist[:, 2:].abs()
+    away = problem.windows.table(problem.model).velocity.norm(dim=-1) / problem.windows.twist[:, 2:].abs()
     load = problem.model.particle_friction(truth(obj)[1]) * problem.loads.at(truth(obj)[0])
     largest = (load * blur**2 / (2 * away**2)).sum(-1, keepdim=True)
     missing = (problem.wrenches.wrench(*truth(obj)) - problem.windows.wrench)[:, :2].abs()
@@ -124,7 +124,8 @@ def stepped(problem: Problem, mass: torch.Tensor, friction: torch.Tensor) -> tor
     yaw = torch.linspace(-2, 3, len(w), dtype=torch.float64)
     arm = inertia.com - w.grasp
     velocity = torch.cat([rotate(yaw, w.twist[:, :2] + w.twist[:, 2:] * turned(arm)), w.twist[:, 2:]], -1)
-    change = torch.cat([rotate(yaw, w.com_acceleration(inertia.com)), w.acceleration[:, 2:]], -1)
+    pulled = w.table(model).motion(model.particle_mass(mass))[:, :2] / inertia.mass
+    change = torch.cat([rotate(yaw, pulled), w.acceleration[:, 2:]], -1)
     pose = torch.cat([torch.ones(len(w), 2, dtype=torch.float64), yaw[:, None]], -1)
     wrench = torch.cat([rotate(yaw, w.wrench[:, :2]), w.wrench[:, 2:]], -1)
     after = torch.cat(
@@ -201,7 +202,8 @@ def test_affine_loads_are_the_loads_of_the_support_model(grid, monkeypatch):
     masses = guesses(obj, 6)[0]
     for mass, found in zip(masses, loads.at(masses), strict=True):
         particle = model.particle_mass(mass)
-        pressed = windows.gripper_load(model, particle, obj.shape.height)
+        table = windows.table(model)
+        pressed = windows.gripper_load(table.lever, table.motion(particle), obj.shape.height)
         feet = own_weight(model, particle, pressed)
         assert_allclose(found, feet.loads(pressed), atol=1e-11)
 

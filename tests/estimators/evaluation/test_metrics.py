@@ -133,7 +133,7 @@ def test_over_a_whole_turn_it_grows_with_the_error_of_friction_as_theory_says(na
     for trajectory in trajectories:
         for kept in steady_samples(trajectory):
             f, to_com = windows.wrench[k], inertia.com - windows.grasp[k]
-            force = f[:2] - inertia.mass * windows.com_acceleration(inertia.com)[k]
+            force = f[:2] - windows.table(model).motion(torch.tensor(obj.particle_mass))[k, :2]
             torque = f[2] - to_com[0] * f[1] + to_com[1] * f[0]
             yaw = torch.tensor(trajectory.object_pose[kept, 2])
             dt = float(np.median(np.diff(trajectory.time_s)))

@@ -12,8 +12,10 @@ from numpy.testing import assert_allclose
 
 from estimators.hidden_states.estimator import HiddenStates
 from estimators.hidden_states.friction import closed_form_covariance
+from estimators.hidden_states.masses import friction_loads
 from estimators.hidden_states.nuisance import UNKNOWNS, NuisanceLayout, NuisancePrior, NuisanceSystem, corrected
 from estimators.hidden_states.trial_windows import TrialWindows
+from estimators.particles.friction_system import LoadGroups
 from estimators.particles.model import ModelErrors, ParticleModel
 from estimators.particles.observe import observe
 from estimators.testing.analytic_world import accelerated, analytic_trial, drawn_object, turns
@@ -120,22 +122,26 @@ def test_an_offset_that_is_not_seen_is_said_to_be_as_open_as_before():
 
 
 OBJECT = drawn_object(0)
-LOADS = np.linspace(0.05, 0.2, OBJECT.shape.n_m)
+LOADS = friction_loads(OBJECT.shape, LoadGroups.of(ParticleModel.of(OBJECT.shape)).pairs, OBJECT.truth)
 
 
-def linear(prior: NuisancePrior) -> tuple[NuisanceSystem, TrialWindows]:
+def linear(prior: NuisancePrior, kept: float = 1.0) -> tuple[NuisanceSystem, TrialWindows]:
     """The system about a setup with some of every unknown, and its windows."""
     errors = ModelErrors(pivot_error=1e-4, force_error=1e-3, torque_error=1e-3)
     trials = TrialWindows.of(OBJECT.shape, OBJECT.total_mass, turns(OBJECT, noise=0.05), errors)
     assert trials is not None
+    w = trials.windows
+    trials = replace(trials, windows=replace(w, lift=kept * w.lift, tilt=kept * w.tilt, load_kept=kept * w.load_kept))
     layout = NuisanceLayout.of(prior, trials.steady)
     at = 0.1 * layout.whole * torch.linspace(-1, 1, len(layout.whole))
     equations = partial(trials.friction_equations, OBJECT.truth)
-    return NuisanceSystem.of(equations, trials.steady, layout, at, LOADS), trials
+    return NuisanceSystem.of(equations, trials.steady, layout, at), trials
 
 
-def test_slopes_are_those_of_finite_differences():
-    system, trials = linear(NuisancePrior(UNKNOWNS))
+@pytest.mark.parametrize(("unknown", "kept"), [(UNKNOWNS, 0.0), (("bias",), 1.0)])
+def test_slopes_are_those_of_finite_differences(unknown: tuple[str, ...], kept: float):
+    # how a load that the gripper carries moves with the grasp is left out
+    system, trials = linear(NuisancePrior(unknown), kept)
     layout, apart = system.layout, torch.linalg.inv(system.system.whiten)
 
     def missing(at: torch.Tensor) -> torch.Tensor:

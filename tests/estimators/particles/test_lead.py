@@ -10,6 +10,7 @@ import torch
 
 from estimators.particles.model import ModelErrors, ParticleModel
 from estimators.particles.observe import observe
+from estimators.particles.setup_effects import LinearRows
 from estimators.particles.support import own_weight_loads
 from estimators.particles.wrench import AffineLoads, WrenchModel
 from testbed.actions.accelerate import Accelerate
@@ -19,6 +20,7 @@ from testbed.sensing.presets import preset
 from testbed.simulation.runner import SimulationRunner
 from testbed.simulation.settings import ContactSettings
 from testbed.trial import Trial
+from testbed.worlds.setup_errors import EXACT_SETUP
 
 I2 = load_object("I2")
 
@@ -51,7 +53,9 @@ def test_the_column_of_the_lead_is_what_it_leaves(windows):
     model, errors = ParticleModel.of(I2.shape), ModelErrors()
     loads = AffineLoads.of(I2.shape, model, windows, own_weight_loads)
     drag = model.particle_friction(torch.tensor(I2.truth.friction)) * loads.at(torch.tensor(I2.truth.mass))
-    column = windows.lead_effect(model, drag, errors.pivot_error, errors.lead_error)[:, :2].flatten()
+    mass = model.particle_mass(torch.tensor(I2.truth.mass))
+    rows = LinearRows.of(windows, windows.table(model, errors.pivot_error), mass, drag, errors.lead_error, EXACT_SETUP)
+    column = rows.slopes["lead"][:, :2].flatten()
     left = missing(windows).flatten()
     size = float(column @ left / (column @ column))
     assert 0.5 < size < 1.5 and float((left - size * column).norm()) < 0.7 * float(left.norm())
@@ -60,5 +64,5 @@ def test_the_column_of_the_lead_is_what_it_leaves(windows):
 def test_what_does_not_accelerate_has_no_lead(windows):
     still = replace(windows, twists=windows.twists.mean(1, keepdim=True).expand_as(windows.twists))
     model = ParticleModel.of(I2.shape)
-    drag = torch.ones(len(windows), len(model.particles), dtype=torch.float64)
-    assert not still.lead_effect(model, drag, 0.0, 0.02).any()
+    ones = torch.ones(len(model.particles), dtype=torch.float64)
+    assert not LinearRows.of(still, still.table(model), ones, ones, 0.02, EXACT_SETUP).slopes["lead"].any()

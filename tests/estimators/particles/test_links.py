@@ -17,7 +17,7 @@ from estimators.identifiability.predicted import predicted_windows
 from estimators.particles.friction_system import LoadGroups, friction_equations
 from estimators.particles.model import EXACT, ModelErrors
 from estimators.particles.observe import observe
-from estimators.particles.setup_effects import setup_effects
+from estimators.particles.setup_effects import LinearRows, by_row
 from estimators.particles.windows import Observations
 from estimators.particles.wrench import ParticleLoads
 from estimators.registry import METHODS, build_method
@@ -164,15 +164,8 @@ def test_rows_change_with_the_place_in_the_hand_as_counted(offset: tuple[float, 
     off = observe(TWO.shape, [analytic_links(replace(TWO, shape=replace(TWO.shape, grasps=tuple(grasps))), drag)])
     assert off is not None
     loads, count = ParticleLoads.of(TWO.shape, TWO.truth, "own_weight"), len(off)
-    counted = setup_effects(
-        off,
-        loads.model,
-        loads.mass,
-        loads.load.expand(count, -1),
-        torch.zeros(3 * count, 6 * count, dtype=torch.float64),
-        0.0,
-        SetupErrors(grasp_offset=1.0),
-    )["grasp_offset"]
+    rows = LinearRows.of(off, off.table(loads.model), loads.mass, loads.load, 0.0, SetupErrors(grasp_offset=1.0))
+    counted = by_row(rows.slopes["grasp_offset"])
     expected = -counted.numpy() @ offset  # the grip is farther along: the object lies back in the hand
     for rows in (slice(0, 3 * count), slice(3 * count, None)):
         missed = residuals(TWO, off)[rows]

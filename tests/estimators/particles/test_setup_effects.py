@@ -12,7 +12,7 @@ from estimators.hidden_states.estimator import HiddenStates
 from estimators.particles.friction_system import sensor_map
 from estimators.particles.model import ParticleModel
 from estimators.particles.observe import observe
-from estimators.particles.setup_effects import setup_effects
+from estimators.particles.setup_effects import LinearRows, setup_effects
 from estimators.testing.analytic_world import accelerated, analytic_trial, drawn_object, turns
 from testbed.actions.rotate import Rotate
 from testbed.actions.slide import Slide
@@ -39,7 +39,8 @@ def effects(trials, setup):
     mass = model.particle_mass(torch.tensor(OBJECT.truth.mass))
     drag = model.particle_friction(torch.tensor(OBJECT.truth.friction)) * mass * GRAVITY
     to_wrench = sensor_map(windows, torch.zeros(len(windows), 3, 3, dtype=torch.float64))
-    found = setup_effects(windows, model, mass, drag.expand(len(windows), -1), to_wrench, 0.0, setup)
+    rows = LinearRows.of(windows, windows.table(model, spread=bool(setup.contact_points)), mass, drag, 0.0, setup)
+    found = setup_effects(windows, rows, to_wrench, setup)
     return {kind: columns.numpy() for kind, columns in found.items()}
 
 

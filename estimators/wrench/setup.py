@@ -1,0 +1,34 @@
+"""Sizes of the errors of a setup, as unknowns of the forward model."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from estimators.wrench.table import WAVES
+from testbed.worlds.parameters import FULL_SCALE
+from testbed.worlds.setup_errors import PARAMETERS, SetupErrors
+
+
+def stated_sizes(setup: SetupErrors, kinds: Iterable[str], groups: int = 0, trials: int = 1) -> dict[str, Tensor]:
+    """Standard deviations of errors of a setup by name, each in the shape of its unknown; those of 0 are left out.
+
+    Args:
+        setup: errors as stated.
+        kinds: errors that show, by name.
+        groups: mass groups; 0 of a body of unknown matter, whose groups have no errors.
+        trials: trials that are taken as independent: an error that they share counts root `trials` times in each.
+    """
+    found = {}
+    for name in kinds:
+        size, described = getattr(setup, name), PARAMETERS[name]
+        shape = (2 * len(WAVES),) if name == "place_friction" else described.sized(groups)
+        if size and 0 not in shape:
+            shared = 1.0 if described.scope == "trial" else trials**0.5
+            found[name] = torch.full(shape, size * shared, dtype=torch.float64)
+    if "crosstalk" in found:
+        found["crosstalk"] *= torch.tensor(np.outer(FULL_SCALE, 1 / FULL_SCALE) * (1 - np.eye(6)))
+    return found

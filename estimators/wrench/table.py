@@ -1,0 +1,308 @@
+"""Wrench of an object that slides and turns over the table: friction and motion, with every error of the setup.
+
+An object is a chain of links, a rigid one of a single link. Below the wrench about the grasp point stand the torques
+about its hinges, each of all that trails behind the hinge: no sensor is there, and the hinge's own friction takes them.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+from torch.func import vmap
+
+from estimators.particles.model import ParticleModel, cross, rotate, turned
+from estimators.wrench.jacobian import NONE, Slopes, Theta, Window, linearized, zeros
+from testbed.objects.model import GRAVITY
+
+WAVELENGTHS = (0.06, 0.6)
+"""Least and greatest wavelength of friction over a table, m. Ours: shorter ones average out under an object."""
+REFERENCE = 0.02
+"""Speed at which friction is the stated one, m/s."""
+BATCH = 100000
+"""Points of contact, over the parts of windows, that are worked on at once."""
+PAIR = torch.zeros(2, dtype=torch.float64)
+
+
+def _waves(count: int) -> Float[Tensor, "n 2"]:
+    """Wave vectors, rad/m, even in the logarithm of their length, each a golden angle on from the last."""
+    least, most = map(math.log10, WAVELENGTHS)
+    length = torch.logspace(least, most, count, dtype=torch.float64)
+    way = torch.arange(count, dtype=torch.float64) * math.pi * (3 - 5**0.5)
+    return 2 * math.pi / length[:, None] * torch.stack([torch.cos(way), torch.sin(way)], 1)
+
+
+WAVES = _waves(48)
+"""Waves of a table's friction."""
+
+
+@dataclass(frozen=True, eq=False)
+class Moved:
+    """Places and motion of points of an object over S parts of a window, about the grasp point, held link's axes."""
+
+    place: Float[Tensor, "S *N 2"]
+    """Place, m."""
+    velocity: Float[Tensor, "S *N 2"]
+    """Velocity, m/s."""
+    rate: Float[Tensor, "S *N"]
+    """Turn rate of a point's link, rad/s."""
+
+
+@dataclass(frozen=True, eq=False)
+class Table:
+    """K windows of an object on the table, measured or planned.
+
+    Unknowns, each 0 where it is left out: those of the setup, by their names in `SetupErrors`; `place_friction` is the
+    amplitude of every wave of `WAVES`, cosines first. Further: `mass` of every particle, kg; `friction` of every
+    point of contact beyond that of the windows, N; `twist` of the hand, m/s and rad/s; `lead`, the time by which
+    friction is ahead of the motion, s; `force` on every particle, N; `seen`, errors of the camera that sees a pushed
+    object, and `links_seen`, of one that sees links, in standard deviations; and `hinge_friction`, the torque of each
+    hinge's friction, N m.
+    """
+
+    model: ParticleModel
+    points: Float[Tensor, "P C 2"]
+    """Points at which a particle touches the table, of equal load, m, object frame."""
+    windows: Window
+    """Fields of the windows: see `estimators.particles.windows.fields_of`."""
+    pivot_error: float
+    """Error of the center of a turn, m; the drag of a point nearer than that fades."""
+
+    def dragged(self, drag: Float[Tensor, "P"] | Float[Tensor, "K P"]) -> Table:
+        """The windows with a friction of every particle, N."""
+        count = len(self.windows["grasp"])
+        return replace(self, windows=self.windows | {"drag": drag.expand(count, len(self.points))})
+
+    @cached_property
+    def on_field(self) -> Table:
+        """The windows with friction's field over the table under each particle, for `place_friction`."""
+        poses = self.windows["poses"]
+        phase = (poses[..., None, :2] + rotate(poses[..., 2, None], self.lever[:, None])) @ WAVES.T  # (K, S, P, n)
+        field = torch.cat([torch.cos(phase), torch.sin(phase)], -1).mean(1) / len(WAVES) ** 0.5
+        return replace(self, windows=self.windows | {"field": field})
+
+    @cached_property
+    def undragged(self) -> Table:
+        """The windows without friction."""
+        return self.dragged(torch.zeros(len(self.points), dtype=torch.float64))
+
+    @property
+    def _chunk(self) -> int:
+        parts = self.windows["rates"].shape[1]
+        return max(1, BATCH // (parts * self.points.shape[0] * self.points.shape[1]))
+
+    def rows(self, theta: Theta) -> Float[Tensor, "K 3+H"]:
+        """Wrenches of the gripper on the object, N and N m, and torques about hinges, N m."""
+        return vmap(self.predict, (None, 0), chunk_size=self._chunk)(theta, self.windows)
+
+    def linearized(self, theta: Theta) -> tuple[Float[Tensor, "K 3+H"], Slopes]:
+        """`rows`, and their derivatives in each unknown."""
+        return linearized(self.predict, theta, self.windows, self._chunk)
+
+    def drag_rows(self) -> Float[Tensor, "K 3+H P"]:
+        """Derivatives in the friction of each particle."""
+        slopes = self.undragged.linearized(zeros(friction=self.points.shape[:2]))[1]["friction"]
+        return slopes.unflatten(-1, self.points.shape[:2]).mean(-1)
+
+    def motion(self, mass: Float[Tensor, "P"]) -> Float[Tensor, "K 3+H"]:
+        """Wrenches that the motion itself takes of particles of a `mass`, kg, without friction."""
+        return self._at_middles.rows({"mass": mass})
+
+    def inertial_rows(self) -> Float[Tensor, "K 3+H P"]:
+        """Derivatives in the mass of each particle, of what the motion itself takes."""
+        return self._at_middles.linearized(zeros(mass=(len(self.points),)))[1]["mass"]
+
+    @property
+    def _at_middles(self) -> Table:
+        return replace(self.undragged, points=self.model.particles[:, None])
+
+    def secant(self, theta: Theta, ahead: Theta) -> Float[Tensor, "K 3+H"]:
+        """Half the change of `rows` from one size of some unknowns to its negative.
+
+        For those that turn the drag of a point near the center of a turn by as much as can be.
+        """
+        behind = {name: -value for name, value in ahead.items()}
+        return (self.rows(theta | ahead) - self.rows(theta | behind)) / 2
+
+    def bends(self, name: str, size: float) -> Float[Tensor, "K 3+H 3"]:
+        """Second-order changes of `rows` with a pair of unknowns of a size: by the first, by both, by the second.
+
+        Second differences at that size; by both, twice that of one order.
+        """
+        both = torch.cartesian_prod(*[torch.tensor([-size, 0.0, size], dtype=torch.float64)] * 2)
+
+        def each(window: Window) -> Tensor:
+            found = vmap(lambda value: self.predict({name: value}, window))(both).unflatten(0, (3, 3))
+            first, second = found[:, 1], found[1]
+            cross = (found[2, 2] - found[2, 0] - found[0, 2] + found[0, 0]) / 4
+            bend = [(values[0] + values[2]) / 2 - values[1] for values in (first, second)]
+            return torch.stack([bend[0], cross, bend[1]], -1)
+
+        return vmap(each, chunk_size=self._chunk)(self.windows)
+
+    def moved(self, theta: Theta) -> Moved:
+        """Places and motion of the particles in all windows, each with a leading axis of windows."""
+
+        def of(theta: Theta, window: Window) -> tuple[Tensor, Tensor, Tensor]:
+            found = self._moved(theta, window, self.model.particles)
+            return found.place, found.velocity, found.rate
+
+        return Moved(*vmap(of, (None, 0))(theta, self.windows))
+
+    @cached_property
+    def lever(self) -> Float[Tensor, "K P 2"]:
+        """Mean place of each particle from the grasp point, m."""
+        return self.moved({}).place.mean(1)
+
+    @cached_property
+    def velocity(self) -> Float[Tensor, "K P 2"]:
+        """Mean velocity of each particle, m/s."""
+        return self.moved({}).velocity.mean(1)
+
+    def predict(self, theta: Theta, window: Window) -> Float[Tensor, "3+H"]:
+        """Force x, y and torque about the grasp point of the gripper on the object in one window, and hinge torques."""
+        model = self.model
+        offset = theta["particle_offset"][model.mass_group] if "particle_offset" in theta else PAIR.expand(1, 2)
+        middle = self._moved(theta, window, model.particles + offset)
+        touching = self._moved(theta, window, self.points + offset[:, None])
+        load, unit = self._load(theta, window, middle), self._directions(touching)
+        # places of a rigid object do not change, and means over the parts of a window come first
+        drag = load[..., None] * (unit.mean(0, keepdim=True) if len(touching.place) == 1 else unit)
+        force, torque = drag.sum(-2), cross(touching.place, drag).sum(-1)  # of each particle
+        more = self._inertial(theta, window, middle) if "mass" in theta else None
+        if "anisotropy" in theta or "anisotropy" in window:
+            along = unit.mean(-2)
+            aside = load.sum(-1)[..., None] * (self._pulled(theta, window, along) - along)
+            force, torque = force + aside, torque + cross(middle.place, aside)
+        if more is not None:
+            force, torque = force + more[0], torque + cross(middle.place, more[0]) + more[1]
+        if "force" in theta:
+            force, torque = force + theta["force"], torque + cross(middle.place, theta["force"])
+        wrench = torch.cat([force.sum(1), torque.sum(1)[:, None]], 1).mean(0)
+        if "seen" in theta:
+            moved, turn = self._seen(theta, window)[0]
+            pull = window["force"]
+            wrench = wrench + torch.cat([turn * turned(pull), -cross(moved, pull)[None]])
+        if not len(model.hinges):
+            return wrench
+        frames, _ = self._links(theta, window)
+        joint = rotate(frames[:, :-1, 0], model.hinges - window["grasp"]) + frames[:, :-1, 1:3]  # (S, H, 2)
+        trails = window["trails"]
+        about = torque @ trails.T - cross(joint, trails @ force)
+        about = about.mean(0) + window["turning"] * theta.get("hinge_friction", NONE)
+        return torch.cat([wrench, about])
+
+    def _links(self, theta: Theta, window: Window) -> tuple[Float[Tensor, "S L 3"], Float[Tensor, "S L 3"]]:
+        """Angle and shift of every link, rad and m, and its velocity and turn rate, with the errors of both."""
+        frames, rates = window["frames"], window["rates"]
+        if "links_seen" in theta:
+            off = torch.tensordot(theta["links_seen"], window["links_off"], 1)
+            frames, rates = frames + off[..., :3], rates + off[..., 3:6]
+        if "lead" in theta:
+            rates = rates + theta["lead"] * window["ahead"][:, None]
+        twist = theta.get("twist", torch.zeros(3, dtype=torch.float64))
+        if "seen" in theta:
+            twist = twist + self._seen(theta, window)[1]
+        if "twist" in theta or "seen" in theta:  # links further on keep their own turn, and go with their hinge
+            held = window["held"][:, None]
+            velocity = rates[..., :2] + twist[:2] + twist[2] * turned(window["trailing"])
+            rates = torch.cat([velocity, rates[..., 2:] + twist[2] * held], -1)
+        angle, shift = self._in_hand(theta, window)
+        if angle is None:
+            return frames, rates
+        hand = window["held"] @ rates
+        beside = rotate(angle, rates[..., :2] - hand[:, None, :2])
+        beside = beside + (hand[:, None, 2:] - rates[..., 2:]) * turned(shift)
+        rates = torch.cat([hand[:, None, :2] + beside, rates[..., 2:]], -1)
+        return torch.cat([frames[..., :1] + angle, rotate(angle, frames[..., 1:]) + shift], -1), rates
+
+    def _in_hand(self, theta: Theta, window: Window) -> tuple[Tensor | None, Tensor]:
+        """Angle and shift of the object in the hand that holds it, rad and m; None where neither is unknown."""
+        names = {"grasp_angle", "tcp_angle", "grasp_offset", "tcp_offset"}
+        if names.isdisjoint(theta):
+            return None, PAIR
+        shift = theta.get("grasp_offset", PAIR)
+        if "tcp_offset" in theta:
+            shift = shift + window["of_hand"] @ theta["tcp_offset"]
+        return (theta.get("grasp_angle", NONE) + theta.get("tcp_angle", NONE)) * window["gripped"], (
+            shift * window["gripped"]
+        )
+
+    def _seen(self, theta: Theta, window: Window) -> tuple[tuple[Tensor, Tensor], Tensor, Tensor]:
+        """Errors of a pushed object's motion by the camera.
+
+        Returns:
+            Shift of the point of contact, m, and turn of the object, rad; change of the twist of that point; and of
+            its acceleration: along x, along y, and angular.
+        """
+        shift, turn, velocity, rate, pull, slope = (window["seen"] @ theta["seen"]).split([2, 1, 2, 1, 2, 1])
+        at, (x, y, spin), (a, b, alpha, square) = window["grasp"], window["twist"], window["accelerations"][0, 0]
+        from_origin = torch.stack([x, y]) - spin * turned(at)
+        pulled = torch.stack([a, b]) - alpha * turned(at) + square * at
+        moved = -shift - turn * turned(at)
+        twist = torch.cat([velocity - turn * turned(from_origin) + rate * turned(at), rate])
+        return (moved, turn[0]), twist, torch.cat([pull - turn * turned(pulled) + slope * turned(at), slope])
+
+    def _moved(self, theta: Theta, window: Window, points: Float[Tensor, "P *C 2"]) -> Moved:
+        """Places and motion of points of each particle."""
+        frames, rates = (self._of_particle(each, points) for each in self._links(theta, window))
+        place = rotate(frames[..., 0], points - window["grasp"]) + frames[..., 1:]
+        return Moved(place, rates[..., :2] + rates[..., 2:] * turned(place), rates[..., 2])
+
+    def _of_particle(self, links: Float[Tensor, "S L n"], points: Float[Tensor, "P *C 2"]) -> Float[Tensor, "S P *C n"]:
+        """Values of each point's link; of a rigid object those of its one, for all."""
+        own = links if links.shape[1] == 1 else links[:, self.model.link[self.model.mass_group]]
+        return own[:, :, None] if points.dim() > 2 else own
+
+    def _load(self, theta: Theta, window: Window, middle: Moved) -> Float[Tensor, "P C"]:
+        """Friction of each point, N, the same over the window."""
+        load = window["drag"][:, None] / self.points.shape[1] + theta.get("friction", NONE)
+        more = NONE
+        if "group_friction" in theta:
+            more = more + theta["group_friction"][self.model.mass_group]
+        if "place_friction" in theta:
+            more = more + window["field"] @ theta["place_friction"]
+        if "speed_friction" in theta:
+            speed = (middle.velocity.mean(0).square().sum(-1) + 1e-18).sqrt()
+            more = more + theta["speed_friction"] * torch.log10(speed.clamp(1e-4, 1.0) / REFERENCE)
+        return load * (1 + more[..., None])
+
+    def _directions(self, points: Moved) -> Float[Tensor, "S P C 2"]:
+        """Direction in which each point moves; shorter near the center of a turn."""
+        fade = self.pivot_error * points.rate
+        return points.velocity / (points.velocity.square().sum(-1) + fade.square() + 1e-18).sqrt()[..., None]
+
+    def _pulled(self, theta: Theta, window: Window, unit: Float[Tensor, "S P 2"]) -> Float[Tensor, "S P 2"]:
+        """Drag of particles along their directions on a table of elliptic friction.
+
+        Of friction 1 + |a| along one axis of the table and 1 - |a| across, a the anisotropy: f = A u / sqrt(u . A u),
+        A = (1 + |a|^2) I + 2 S, with S the reflection that a scales, in the object's axes.
+        """
+        anisotropy = theta.get("anisotropy", NONE) + window.get("anisotropy", NONE)
+        size = anisotropy.square().sum()
+        a, b = rotate(-2 * window["poses"][:, 2], anisotropy)[:, None].unbind(-1)
+        x, y = unit.unbind(-1)
+        pulled = (1 + size) * unit + 2 * torch.stack([a * x + b * y, b * x - a * y], -1)
+        length = unit.square().sum(-1) + 1e-30
+        return pulled * (length / ((pulled * unit).sum(-1) + 1e-30)).sqrt()[..., None]
+
+    def _inertial(self, theta: Theta, window: Window, middle: Moved) -> tuple[Tensor, Tensor]:
+        """Force on each particle and torque about its own middle, N and N m, that motion and a tilted table take."""
+        given = window["accelerations"]
+        if "seen" in theta:
+            given = given + torch.cat([self._seen(theta, window)[2], NONE[None]])
+        angle, shift = self._in_hand(theta, window)
+        if angle is not None:
+            hand = torch.einsum("l,sln->sn", window["held"], given)[:, None]
+            beside = rotate(angle, given[..., :2] - hand[..., :2]) + (hand - given)[..., 2:3] * turned(shift)
+            beside = beside - (hand - given)[..., 3:] * shift
+            given = torch.cat([hand[..., :2] + beside, given[..., 2:]], -1)
+        own = self._of_particle(given, self.model.particles)
+        pull = own[..., :2] + own[..., 2:3] * turned(middle.place) - own[..., 3:] * middle.place
+        if "table_tilt" in theta:
+            pull = pull + GRAVITY * rotate(-window["poses"][:, 2], theta["table_tilt"]).mean(0)
+        return theta["mass"][:, None] * pull, own[..., 2] * theta["mass"] * self.model.cell**2 / 6

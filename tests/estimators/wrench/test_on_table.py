@@ -1,0 +1,121 @@
+"""Forward model of an object on the table, against exact Coulomb worlds and against true flaws of a setup."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from numpy.testing import assert_allclose
+
+from estimators.particles.model import ParticleModel
+from estimators.particles.observe import observe
+from estimators.particles.windows import Observations
+from estimators.testing.analytic_links import analytic_links, drawn_chain
+from estimators.testing.analytic_push import steady_pushes
+from estimators.testing.analytic_world import accelerated, analytic_trial, drawn_object, turns
+from estimators.wrench.jacobian import zeros
+from estimators.wrench.table import Table
+from testbed.actions.accelerate import Accelerate
+from testbed.actions.rotate import Rotate
+from testbed.actions.slide import Slide
+from testbed.objects.model import GRAVITY, ObjectModel
+from testbed.trajectory import Trajectory
+from tests.fakes.flawed_bench import held_beside, on_anisotropic_table
+
+OBJECT, CHAIN = drawn_object(0), drawn_chain(1)
+BESIDE, BETWEEN = (0.01, 0.015), np.array([0.004, 0.003])
+# grasped between particles: the drag of one at the center of a turn has no derivative
+APART = replace(
+    OBJECT,
+    shape=replace(OBJECT.shape, grasps=tuple(replace(g, position=g.position + BETWEEN) for g in OBJECT.shape.grasps)),
+)
+CENTERS, DRAG = np.random.default_rng(1).uniform(-0.2, 0.2, (4, 2)), Slide(0, np.pi / 2, duration=2.5)
+
+
+def windows_of(obj: ObjectModel, trials: list[Trajectory]) -> Observations:
+    found = observe(obj.shape, trials)
+    assert found is not None
+    return found
+
+
+def at_truth(obj: ObjectModel, windows: Observations) -> tuple[Table, dict[str, torch.Tensor]]:
+    """Forward model with the drag of every particle's own weight, and the masses."""
+    model = ParticleModel.of(obj.shape)
+    mass = model.particle_mass(torch.tensor(obj.truth.mass))
+    drag = model.particle_friction(torch.tensor(obj.truth.friction)) * mass * GRAVITY
+    return windows.table(model).dragged(drag), {"mass": mass}
+
+
+def missing(obj: ObjectModel, trials: list[Trajectory]) -> np.ndarray:
+    """Measured wrenches over those of the truth, N and N m, (K, 3)."""
+    windows = windows_of(obj, trials)
+    table, truth = at_truth(obj, windows)
+    return (windows.wrench - table.rows(truth)[:, :3]).numpy()
+
+
+@pytest.mark.parametrize(
+    ("obj", "trials", "within"),
+    [
+        pytest.param(OBJECT, lambda: turns(OBJECT), 1e-9, id="turns"),
+        pytest.param(OBJECT, lambda: [analytic_trial(OBJECT, Slide(0, 0.3))], 1e-9, id="slides"),
+        pytest.param(OBJECT, lambda: accelerated(OBJECT), 1e-9, id="accelerated"),
+        pytest.param(OBJECT, lambda: steady_pushes(OBJECT, CENTERS), 1e-7, id="pushes"),
+        pytest.param(CHAIN, lambda: [analytic_links(CHAIN, DRAG)], 1e-3, id="links", marks=pytest.mark.slow),
+    ],
+)
+def test_the_wrench_of_given_masses_is_that_of_coulomb_and_newton(obj, trials, within):
+    records = trials()
+    measured = windows_of(obj, records).wrench.abs().amax(0).clamp(min=0.1).numpy()
+    assert (np.abs(missing(obj, records)) <= within * measured).all()
+
+
+@pytest.mark.parametrize(
+    "action",
+    [Rotate(0, duration=2.5, pivot=tuple(APART.shape.grasps[0].position + BESIDE)), Accelerate(1), Slide(2, 0.3)],
+    ids=["turn", "accelerated", "slide"],
+)
+def test_an_object_beside_its_place_in_the_hand_moves_as_derived(action):
+    offset = np.array([1e-5, -5e-6])
+    record = replace(held_beside(APART, action, offset), action=action)
+    table, truth = at_truth(APART, windows_of(APART, [record]))
+    _, slopes = table.linearized(truth | zeros(grasp_offset=(2,)))
+    expected = slopes["grasp_offset"].numpy() @ -offset
+    assert_allclose(missing(APART, [record]), expected, atol=2e-3 * np.abs(expected).max())
+
+
+def test_groups_beside_their_places_move_as_derived():
+    shift = 1e-5 * np.cos(np.arange(2 * APART.shape.n_m)).reshape(-1, 2)
+    moved = replace(APART.shape, particles=APART.shape.particles + shift[APART.shape.mass_group])
+    beside = replace(APART, shape=moved)
+    records = [analytic_trial(beside, Accelerate(0)), *turns(beside, [1])]
+    table, truth = at_truth(APART, windows_of(APART, records))
+    _, slopes = table.linearized(truth | zeros(particle_offset=(APART.shape.n_m, 2)))
+    expected = slopes["particle_offset"].numpy() @ shift.ravel()
+    assert_allclose(missing(APART, records), expected, atol=2e-3 * np.abs(expected).max())
+
+
+@pytest.mark.parametrize("part", [0.01, 0.1, 0.3])
+def test_friction_that_differs_by_direction_is_that_of_the_ellipse(part):
+    direction = 0.4
+    plain = [analytic_trial(OBJECT, Slide(0, 0.3)), *turns(OBJECT, [1])]
+    grained = [on_anisotropic_table(OBJECT, trial, (1 - part) / (1 + part), direction) for trial in plain]
+    table, truth = at_truth(OBJECT, windows_of(OBJECT, plain))
+    anisotropy = part * torch.tensor([np.cos(2 * direction), np.sin(2 * direction)])
+    found = (table.rows(truth | {"anisotropy": anisotropy}) - table.rows(truth)).numpy()
+    # friction of the fake world is the geometric mean of both axes, ours the arithmetic one
+    even = windows_of(OBJECT, plain).wrench.numpy()
+    wrench = (1 - part**2) ** 0.5 * windows_of(OBJECT, grained).wrench.numpy()
+    assert_allclose(found, wrench - even, atol=2e-3 * np.abs(wrench - even).max())
+
+
+def test_second_order_changes_are_those_of_their_differences():
+    table, _ = at_truth(OBJECT, windows_of(OBJECT, turns(OBJECT, [0])))
+    size = 0.05
+    bends = table.bends("anisotropy", size)
+    for a, b in ((0.03, 0.0), (0.0, -0.04), (0.03, 0.04)):
+        both = [table.rows({"anisotropy": torch.tensor([way * a, way * b]).double()}) for way in (1, -1)]
+        second = (both[0] + both[1]) / 2 - table.rows({})
+        expected = (bends @ torch.tensor([a**2, a * b, b**2]).double()) / size**2
+        assert_allclose(second, expected, atol=0.02 * float(expected.abs().max()))

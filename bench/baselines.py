@@ -30,8 +30,8 @@ from estimators.baselines.random_search import RandomSearch
 from estimators.baselines.weighted_sampling import WeightedSampling
 from estimators.descent import OPTIMIZERS
 from estimators.evaluation.metrics import normalized_absolute_difference
-from estimators.particles.model import ModelErrors
 from estimators.testing.analytic_world import accelerated, turns
+from estimators.wrench.model import ModelErrors
 from testbed.objects.files import load_object
 from testbed.objects.model import MassDistribution, ObjectModel
 from testbed.trajectory import Trajectory

@@ -33,7 +33,8 @@ from estimators.descent import OPTIMIZERS
 from estimators.hidden_states.estimator import HiddenStates
 from estimators.hidden_states.friction import closed_form, descend_loads
 from estimators.particles.friction_system import LoadGroups, friction_equations
-from estimators.particles.model import (
+from estimators.particles.observe import observe
+from estimators.wrench.model import (
     ParticleModel,
     cross,
     direction,
@@ -43,7 +44,6 @@ from estimators.particles.model import (
     rotate,
     turned,
 )
-from estimators.particles.observe import observe
 from testbed.actions.accelerate import Accelerate
 from testbed.actions.rotate import Rotate
 from testbed.objects.files import load_object

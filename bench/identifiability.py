@@ -37,9 +37,9 @@ from estimators.hidden_states.estimator import HiddenStates
 from estimators.hidden_states.masses import friction_loads
 from estimators.identifiability.information import Assumptions, expected, observed
 from estimators.particles.friction_system import LoadGroups, friction_equations
-from estimators.particles.model import EXACT, ModelErrors, ParticleModel
 from estimators.particles.observe import observe
 from estimators.particles.windows import Observations
+from estimators.wrench.model import EXACT, ModelErrors, ParticleModel
 from scenarios.cli.plan import actions_of
 from scenarios.results.estimates import load_results
 from scenarios.results.files import read_json

@@ -21,10 +21,10 @@ from estimators.action_selection.pushes import RandomPushes
 from estimators.action_selection.rank import between_particles
 from estimators.base import ActionPolicy
 from estimators.hidden_states.trial_windows import TrialWindows
-from estimators.particles.model import ModelErrors, ParticleModel, inertia_of
 from estimators.particles.observe import observe
-from estimators.particles.support import own_weight, rigid_loads
 from estimators.testing.analytic_links import drawn_chain
+from estimators.wrench.model import ModelErrors, ParticleModel, inertia_of
+from estimators.wrench.support import own_weight, rigid_loads
 from scenarios.catalog import LIBRARY
 from scenarios.config import Grid, Scenario, Simulation
 from scenarios.execution.executor import default_workers

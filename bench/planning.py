@@ -40,10 +40,10 @@ from estimators.base import ActionPolicy
 from estimators.evaluation.metrics import normalized_absolute_difference
 from estimators.hidden_states.estimator import HiddenStates
 from estimators.particles.friction_system import LoadGroups, friction_equations
-from estimators.particles.model import ModelErrors
 from estimators.particles.observe import observe
 from estimators.particles.windows import Observations
 from estimators.particles.wrench import ParticleLoads
+from estimators.wrench.model import ModelErrors
 from scenarios.policies import Policy
 from scenarios.runners import FeasibilityCheck, feasible_grasps, told
 from testbed.actions.base import Action

@@ -23,11 +23,11 @@ if TYPE_CHECKING:
     from estimators.hidden_states.published import PublishedHiddenStates
     from estimators.identifiability.information import expected, observed
     from estimators.identifiability.report import Identifiability
-    from estimators.particles.model import ModelErrors
     from estimators.particles.observe import observe
     from estimators.particles.windows import Observations
     from estimators.registry import METHODS, build_method
     from estimators.support_models.estimator import SupportAware
+    from estimators.wrench.model import ModelErrors
 
 
 __all__ = [

@@ -6,8 +6,8 @@ import numpy as np
 from scipy.optimize import nnls
 
 from estimators import Estimate, normalized_absolute_difference, observe
-from estimators.particles.model import ParticleModel
 from estimators.testing.recorded import load_block
+from estimators.wrench.model import ParticleModel
 from testbed import GRAVITY, MassDistribution
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import torch
 
 from estimators.particles.friction_system import LoadGroups, rank_of
-from estimators.particles.model import ParticleModel, cross, direction, turned
+from estimators.wrench.model import ParticleModel, cross, direction, turned
 from testbed.actions.accelerate import Accelerate
 from testbed.actions.base import Action
 from testbed.actions.rotate import Rotate

@@ -23,8 +23,8 @@ from estimators.baselines.problem import FAR_OFF, Problem, Weighting
 from estimators.descent import OPTIMIZERS, check_optimizers, descend_all
 from estimators.evaluation.judged import ERRORS, misfit_on
 from estimators.particles.misfit import Misfit
-from estimators.particles.model import ModelErrors
-from estimators.particles.support import ASSUMPTION
+from estimators.wrench.model import ModelErrors
+from estimators.wrench.support import ASSUMPTION
 from testbed.errors import InvalidValueError
 from testbed.objects.model import GRAVITY, MassDistribution, ObjectShape
 from testbed.trajectory import Trajectory

@@ -13,9 +13,9 @@ from torch import Tensor
 from estimators.baselines.base import Candidates, GradientBaseline
 from estimators.baselines.lcp import LcpEngine
 from estimators.baselines.problem import STEP, Problem
-from estimators.particles.model import ParticleModel, inertia_of, rotate, turned
 from estimators.particles.windows import Observations
 from estimators.particles.wrench import AffineLoads
+from estimators.wrench.model import ParticleModel, inertia_of, rotate, turned
 from testbed.errors import InvalidValueError
 from testbed.validation import check_integer
 

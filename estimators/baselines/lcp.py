@@ -31,7 +31,7 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from estimators.baselines.dry_friction import STICKS, Bodies, Held, bounds_of, solved
-from estimators.particles.model import Inertia, ParticleModel
+from estimators.wrench.model import Inertia, ParticleModel
 from testbed.errors import InvalidValueError
 from testbed.validation import check_integer
 

@@ -12,8 +12,8 @@ from estimators.base import Trace
 from estimators.baselines.base import LogCoordinates, Peer, SearchResult
 from estimators.baselines.problem import Problem
 from estimators.particles.misfit import Misfit
-from estimators.particles.model import ModelErrors
 from estimators.particles.windows import Observations
+from estimators.wrench.model import ModelErrors
 from testbed.errors import InvalidValueError
 from testbed.objects.model import MassDistribution, ObjectModel
 from testbed.trial import OWN_WEIGHT, RIGID

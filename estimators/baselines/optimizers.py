@@ -15,7 +15,7 @@ from torch import Tensor
 
 from estimators.baselines.base import FIRST_DEVIATION, LogCoordinates, Peer, SearchResult
 from estimators.baselines.problem import Problem, Weighting
-from estimators.particles.model import ModelErrors
+from estimators.wrench.model import ModelErrors
 from testbed.errors import InvalidValueError
 from testbed.validation import check_positive
 

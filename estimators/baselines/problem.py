@@ -14,12 +14,12 @@ from torch import Tensor
 
 from estimators.base import Estimate
 from estimators.particles.friction_system import LoadGroups, friction_equations, rank_of
-from estimators.particles.model import Inertia, ModelErrors, ParticleModel, cross, inertia_of
 from estimators.particles.observe import ONE_PIECE, observe
 from estimators.particles.pivots import inertia_map
-from estimators.particles.support import LOADS
 from estimators.particles.windows import Observations
 from estimators.particles.wrench import AffineLoads, WrenchModel
+from estimators.wrench.model import Inertia, ModelErrors, ParticleModel, cross, inertia_of
+from estimators.wrench.support import LOADS
 from testbed.errors import InvalidValueError
 from testbed.objects.model import GRAVITY, ObjectShape
 from testbed.trajectory import Trajectory

@@ -9,11 +9,11 @@ from dataclasses import replace
 from estimators.base import Estimate
 from estimators.hidden_states.trial_windows import TrialWindows
 from estimators.particles.misfit import Misfit
-from estimators.particles.model import RIGID, ModelErrors
 from estimators.particles.observe import observe
-from estimators.particles.support import ASSUMPTION
 from estimators.particles.windows import Observations
 from estimators.support_models.fit import fit_support
+from estimators.wrench.model import RIGID, ModelErrors
+from estimators.wrench.support import ASSUMPTION
 from testbed.objects.model import MassDistribution, ObjectShape
 from testbed.trajectory import Trajectory
 

@@ -12,11 +12,11 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from estimators.particles.model import RIGID, Inertia, ModelErrors, ParticleModel, inertia_of, one_step, rotate, turned
 from estimators.particles.observe import observe
-from estimators.particles.support import LOADS
 from estimators.particles.windows import Observations
 from estimators.particles.wrench import AffineLoads
+from estimators.wrench.model import RIGID, Inertia, ModelErrors, ParticleModel, inertia_of, one_step, rotate, turned
+from estimators.wrench.support import LOADS
 from testbed.errors import InvalidValueError
 from testbed.frames import perpendicular, rotation_2d
 from testbed.objects.model import MassDistribution, ObjectShape

@@ -24,9 +24,9 @@ from estimators.identifiability.report import Identifiability, identifiability
 from estimators.particles.friction_system import LinearSystem, hinge_friction
 from estimators.particles.links import HINGE_PRIOR
 from estimators.particles.misfit import Misfit
-from estimators.particles.model import ModelErrors
 from estimators.particles.pivots import PivotInertia
-from estimators.particles.support import ASSUMPTION
+from estimators.wrench.model import ModelErrors
+from estimators.wrench.support import ASSUMPTION
 from testbed.errors import InvalidValueError
 from testbed.objects.model import MassDistribution, ObjectShape
 from testbed.trajectory import Trajectory

@@ -22,9 +22,9 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from estimators.particles.friction_system import FrictionEquations, LinearSystem
-from estimators.particles.model import ParticleModel
 from estimators.particles.windows import PLANAR, Observations
 from estimators.wrench.jacobian import Window
+from estimators.wrench.model import ParticleModel
 from testbed.errors import InvalidValueError
 from testbed.validation import is_number
 from testbed.worlds.setup_errors import PARAMETERS

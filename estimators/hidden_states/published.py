@@ -24,11 +24,11 @@ from estimators.hidden_states.friction import CONTRADICTORY
 from estimators.hidden_states.masses import SMALLEST_PART, feet_of
 from estimators.hidden_states.trial_windows import TrialWindows
 from estimators.particles.friction_system import rank_of, weight_per_mass
-from estimators.particles.model import Inertia, ModelErrors, acceleration, inertia_of, rotate, step, turned
 from estimators.particles.observe import ONE_PIECE
 from estimators.particles.pivots import inertia_map
-from estimators.particles.support import ASSUMPTION
 from estimators.particles.windows import Observations
+from estimators.wrench.model import Inertia, ModelErrors, acceleration, inertia_of, rotate, step, turned
+from estimators.wrench.support import ASSUMPTION
 from testbed.errors import InvalidValueError
 from testbed.objects.model import MassDistribution, ObjectShape
 from testbed.trajectory import Trajectory

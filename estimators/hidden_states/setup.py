@@ -17,9 +17,9 @@ from estimators.hidden_states.nuisance import ANISOTROPY, NuisanceLayout, Nuisan
 from estimators.hidden_states.trial_windows import TrialWindows
 from estimators.particles.friction_system import LinearSystem
 from estimators.particles.misfit import Misfit
-from estimators.particles.model import inertia_of
 from estimators.particles.pivots import PivotInertia
 from estimators.particles.setup_effects import LinearRows
+from estimators.wrench.model import inertia_of
 from testbed.objects.model import MassDistribution
 from testbed.trajectory import Trajectory
 

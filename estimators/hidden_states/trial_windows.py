@@ -33,12 +33,12 @@ from estimators.particles.friction_system import (
     unknown_motion,
 )
 from estimators.particles.misfit import Misfit, likely_causes, misfit_of
-from estimators.particles.model import ModelErrors, ParticleModel, inertia_of
 from estimators.particles.observe import observe
 from estimators.particles.pivots import PivotInertia, pivot_inertias
 from estimators.particles.setup_effects import LinearRows
-from estimators.particles.support import own_weight
 from estimators.particles.windows import Observations
+from estimators.wrench.model import ModelErrors, ParticleModel, inertia_of
+from estimators.wrench.support import own_weight
 from testbed.objects.model import GRAVITY, MassDistribution, ObjectShape
 from testbed.trajectory import Trajectory
 

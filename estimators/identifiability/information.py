@@ -29,11 +29,11 @@ from estimators.identifiability.report import Identifiability, identifiability
 from estimators.particles.friction_system import wrench_errors
 from estimators.particles.lifts import lift_information, lifts_among
 from estimators.particles.links import HINGE_PRIOR
-from estimators.particles.model import RIGID, ModelErrors, ParticleModel, inertia_of
 from estimators.particles.observe import observe
 from estimators.particles.setup_effects import LinearRows
 from estimators.particles.windows import PLANAR, Observations
 from estimators.particles.wrench import ParticleLoads
+from estimators.wrench.model import RIGID, ModelErrors, ParticleModel, inertia_of
 from testbed.actions.base import Action
 from testbed.actions.push import Push
 from testbed.actions.rotate import Rotate

@@ -13,8 +13,8 @@ from jaxtyping import Float
 from estimators.identifiability.quasi_static import Drag
 from estimators.identifiability.trailing import trailing_motions
 from estimators.particles.observe import LinkMotion, touched
-from estimators.particles.support import load_map
 from estimators.particles.windows import Observations
+from estimators.wrench.support import load_map
 from testbed.actions.base import Action, TableAction
 from testbed.actions.path import RAMP_TIME
 from testbed.actions.push import GAP, Push

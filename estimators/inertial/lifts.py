@@ -11,7 +11,7 @@ from jaxtyping import Float
 from estimators.inertial.equations import InertialEquations, compressed_rows, joined
 from estimators.inertial.parts import column_parts
 from estimators.particles.lifts import LiftErrors, lift_covariance, lifts_among
-from estimators.wrench.air import KINDS, Air, Matter, nominal
+from estimators.wrench.air import Air, Matter, nominal
 from estimators.wrench.setup import stated_sizes
 from testbed.errors import InvalidValueError
 from testbed.objects.model import ObjectShape
@@ -69,7 +69,7 @@ def _of_trial(
     shape: ObjectShape, windows: Sequence[LiftWindow], body: Float[np.ndarray, "10"], errors: LiftErrors, trials: int
 ) -> InertialEquations:
     air = Air.of(shape, windows, lambda theta: Matter.of_vector(theta["body"]))
-    sizes = stated_sizes(windows[0].setup, KINDS, trials=trials) | errors.sizes(errors.sag)
+    sizes = stated_sizes(windows[0].setup, ("air", "reading"), trials=trials) | errors.sizes(errors.sag)
     _, slopes = air.linearized(nominal({"body": torch.tensor(body)}, sizes))
     if offset := windows[0].setup.particle_offset * trials**0.5:  # of groups with as much mass as they are large
         size = shape.per_group(np.ones(len(shape.particles)))

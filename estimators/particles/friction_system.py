@@ -16,11 +16,11 @@ from torch import Tensor
 from torch.nn.functional import pad
 
 from estimators.particles.links import HINGE_PRIOR, carried_moment, link_errors
-from estimators.particles.model import ModelErrors, ParticleModel
 from estimators.particles.pivots import LEAST_VARIANCE
 from estimators.particles.setup_effects import LinearRows, by_row, setup_effects, shared_and_own
-from estimators.particles.support import GripperLoad, own_weight
 from estimators.particles.windows import PLANAR, Observations
+from estimators.wrench.model import ModelErrors, ParticleModel
+from estimators.wrench.support import GripperLoad, own_weight
 from estimators.wrench.table import Table
 from testbed.objects.model import GRAVITY, ObjectShape
 

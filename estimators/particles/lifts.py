@@ -14,7 +14,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from estimators.wrench.air import KINDS, Air, columns, nominal
+from estimators.wrench.air import Air, columns, nominal
 from estimators.wrench.setup import stated_sizes
 from testbed.actions.lift import Lift
 from testbed.objects.model import GRAVITY, ObjectShape
@@ -124,7 +124,8 @@ def lift_information(
     """
     errors = errors or LiftErrors()
     air, weight = Air.of_masses(shape, windows), float(mass @ shape.particles_per_group)
-    sizes = stated_sizes(windows[0].setup, KINDS, shape.n_m, trials) | errors.sizes(errors.height * shape.height)
+    sizes = stated_sizes(windows[0].setup, ("air", "reading"), shape.n_m, trials)
+    sizes |= errors.sizes(errors.height * shape.height)
     if (shape.fill < 1).any():
         sizes["upright"] = _upright_sizes(shape, weight)
     _, slopes = air.linearized(nominal({"mass": torch.tensor(mass)}, sizes))

@@ -11,8 +11,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from estimators.particles.model import ParticleModel
 from estimators.particles.windows import Observations
+from estimators.wrench.model import ParticleModel
 from estimators.wrench.table import Table
 from testbed.worlds.setup_errors import SetupErrors
 

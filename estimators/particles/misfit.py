@@ -15,11 +15,11 @@ from torch import Tensor
 
 from estimators.particles.friction_system import FrictionEquations, sensor_map
 from estimators.particles.links import HINGE_PRIOR
-from estimators.particles.model import ModelErrors, ParticleModel
 from estimators.particles.pivots import PivotInertia, inertia_map
 from estimators.particles.setup_effects import Columns, LinearRows, setup_effects, trial_by_trial
-from estimators.particles.support import own_weight
 from estimators.particles.windows import Observations
+from estimators.wrench.model import ModelErrors, ParticleModel
+from estimators.wrench.support import own_weight
 from testbed.objects.model import MassDistribution, ObjectShape
 from testbed.worlds.parameters import Parameter
 from testbed.worlds.setup_errors import LIKELY, PARAMETERS

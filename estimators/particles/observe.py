@@ -11,9 +11,9 @@ import torch
 from jaxtyping import Float
 
 from estimators.particles.links import carried_moment
-from estimators.particles.model import ModelErrors, ParticleModel
-from estimators.particles.support import likely_load, load_map
 from estimators.particles.windows import PLANAR, Observations
+from estimators.wrench.model import ModelErrors, ParticleModel
+from estimators.wrench.support import likely_load, load_map
 from testbed.actions.base import TableAction
 from testbed.actions.push import Push
 from testbed.objects.chain import speeds

@@ -14,10 +14,9 @@ from jaxtyping import Float
 from torch import Tensor
 
 from estimators.particles.links import UNEVEN, resting
-from estimators.particles.model import ParticleModel, rotate
 from estimators.particles.windows import Observations
 from estimators.wrench.jacobian import Slopes, Theta, Window, linearized, zeros
-from estimators.wrench.sensor import KINDS as OF_SENSOR
+from estimators.wrench.model import ParticleModel, rotate
 from estimators.wrench.sensor import flawed
 from estimators.wrench.setup import stated_sizes
 from estimators.wrench.table import Table
@@ -30,9 +29,6 @@ MOST_POINTS = 64
 SLOW = 1e-3
 """Speed at which a foot of a pushed object may drag half of its friction less, or another way, m/s: nothing keeps the
 center of rotation off a point of contact, and there it sticks. Ours."""
-OF_OBJECT = ("group_friction", "place_friction", "anisotropy", "speed_friction", "table_tilt")
-OF_OBJECT += ("particle_offset", "grasp_offset", "grasp_angle", "tcp_offset", "tcp_angle")
-"""Errors of the setup that change the wrench itself; the others change its reading."""
 BY_TRIAL = tuple(name for name, each in PARAMETERS.items() if each.scope == "trial")
 """Kinds that are drawn anew in every trial; all others are the same in all."""
 
@@ -77,7 +73,7 @@ class LinearRows:
         """
         lever, pushed = table.lever, windows.seen.shape[-1] > 0
         table = (table.on_field if setup.place_friction else table).dragged(drag)
-        drag, sizes = table.windows["drag"], stated_sizes(setup, OF_OBJECT, len(table.model.parts))
+        drag, sizes = table.windows["drag"], stated_sizes(setup, ("table",), len(table.model.parts))
         sizes |= {name: torch.zeros(PARAMETERS[name].sized(0)) for name in windows.unknown if name not in sizes}
         theta = zeros(friction=table.points.shape[:2], twist=(3,))
         theta |= zeros(**{name: tuple(size.shape) for name, size in sizes.items()})
@@ -158,7 +154,7 @@ def setup_effects(
     found: Columns = {}
     if setup.contact_points:
         found["contact_points"] = _contact_pattern(rows, setup.contact_points)
-    for kind, size in stated_sizes(setup, OF_OBJECT, len(rows.model.parts)).items():
+    for kind, size in stated_sizes(setup, ("table",), len(rows.model.parts)).items():
         found[kind] = by_row(rows.slopes[kind] * size.flatten())
     if setup.anisotropy:
         found["anisotropy"] = torch.cat([found["anisotropy"], by_row(rows.slopes["anisotropy_square"])], 1)
@@ -216,7 +212,7 @@ def _contact_pattern(rows: LinearRows, points: float) -> Float[Tensor, "R n"]:
 
 def _sensed(windows: Observations, to_wrench: Float[Tensor, "R 6K"], setup: SetupErrors) -> Columns:
     """Errors of the sensor that go with what it measures, and poses that come late."""
-    sizes = stated_sizes(setup, (*OF_SENSOR, "delay"))
+    sizes = stated_sizes(setup, ("reading",))
     if not sizes:
         return {}
 

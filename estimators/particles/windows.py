@@ -10,9 +10,9 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from estimators.particles.model import Inertia, ParticleModel
-from estimators.particles.support import GripperLoad
 from estimators.wrench.jacobian import Window
+from estimators.wrench.model import Inertia, ParticleModel
+from estimators.wrench.support import GripperLoad
 from estimators.wrench.table import Table
 from testbed.worlds.setup_errors import EXACT_SETUP, SetupErrors
 

@@ -11,11 +11,11 @@ from jaxtyping import Float
 from torch import Tensor
 
 from estimators.particles.friction_system import FrictionEquations, LoadGroups, friction_equations, linear_rows
-from estimators.particles.model import ModelErrors, ParticleModel
 from estimators.particles.observe import observe
 from estimators.particles.setup_effects import LinearRows
-from estimators.particles.support import LOADS, GripperLoad, LoadsOf, own_weight_loads
 from estimators.particles.windows import Observations
+from estimators.wrench.model import ModelErrors, ParticleModel
+from estimators.wrench.support import LOADS, GripperLoad, LoadsOf, own_weight_loads
 from testbed.objects.model import MassDistribution, ObjectShape
 from testbed.sensing.compensation import tare_time
 from testbed.sensing.push_windows import window_samples

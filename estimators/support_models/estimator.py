@@ -13,13 +13,13 @@ from jaxtyping import Float
 from estimators.base import Estimate, HiddenStateEstimate
 from estimators.hidden_states.estimator import NO_DATA, HiddenStates
 from estimators.particles.lifts import LiftedRows, lifted_rows
-from estimators.particles.model import RIGID, ModelErrors, ParticleModel, inertia_of
 from estimators.particles.observe import observe
 from estimators.particles.windows import Observations
 from estimators.support_models.fit import SupportFit, fit_support
 from estimators.support_models.materials import rank_assignments
 from estimators.support_models.polytope import MassPolytope
 from estimators.support_models.selection import DECISIVE, support_test
+from estimators.wrench.model import RIGID, ModelErrors, ParticleModel, inertia_of
 from testbed.errors import InvalidValueError
 from testbed.objects.model import MassDistribution, ObjectShape
 from testbed.trajectory import Trajectory

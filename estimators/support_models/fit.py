@@ -19,12 +19,12 @@ from torch import Tensor
 from estimators.particles.friction_system import torque_covariance, wrench_errors
 from estimators.particles.lifts import LiftedRows, lifted_rows
 from estimators.particles.misfit import Misfit
-from estimators.particles.model import ModelErrors, ParticleModel, inertia_of
 from estimators.particles.pivots import PivotInertia, inertia_map, pivot_inertias
 from estimators.particles.setup_effects import LinearRows
-from estimators.particles.support import LOADS, GripperLoad, LoadsOf, SupportModel, contact_spread
 from estimators.particles.windows import Observations
 from estimators.particles.wrench import AffineLoads, WrenchModel
+from estimators.wrench.model import ModelErrors, ParticleModel, inertia_of
+from estimators.wrench.support import LOADS, GripperLoad, LoadsOf, SupportModel, contact_spread
 from estimators.wrench.table import Table
 from testbed.objects.model import GRAVITY, MassDistribution, ObjectShape
 

@@ -14,9 +14,9 @@ import numpy as np
 from scipy.stats import f as f_distribution
 
 from estimators.particles.lifts import LiftedRows
-from estimators.particles.model import RIGID, ModelErrors
 from estimators.particles.windows import Observations
 from estimators.support_models.fit import SupportFit, fit_support, prior_masses
+from estimators.wrench.model import RIGID, ModelErrors
 from testbed.objects.model import ObjectShape
 
 SupportKind = Literal["own_weight", "rigid", "between", "undecided"]

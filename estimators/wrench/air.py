@@ -18,9 +18,6 @@ from testbed.objects.model import ObjectShape
 from testbed.sensing.lift_windows import LiftWindow
 
 EYE = torch.eye(3, dtype=torch.float64)
-KINDS = ("table_tilt", "grasp_offset", "grasp_angle", "tcp_offset", "tcp_angle")
-KINDS += ("gain", "crosstalk", "mounting_angle", "delay", "tool_mass", "tool_com", "particle_offset")
-"""Errors of the setup that show in the air."""
 _FIELDS = ("pull", "angular_acceleration", "spin_products", "tcp_height", "from_sensor", "tool", "tool_mass")
 _FIELDS += ("tool_rate", "pull_rate", "pull_tilt", "tool_tilt")
 
@@ -93,9 +90,9 @@ class Matter:
 class Air:
     """K windows of one lift, measured or planned.
 
-    Unknowns, each 0 where it is left out: those of `KINDS`; `place`, of the object in the grip (x, y, z), m; `moving`
-    and `scale`, parts by which the wrench of the acceleration, or all of it, is larger; `upright`, changes of the
-    second moments zz, xz and yz, kg m^2; and those of the object's `matter`.
+    Unknowns, each 0 where it is left out: those of the setup that show in the air or in a reading; `place`, of the
+    object in the grip (x, y, z), m; `moving` and `scale`, parts by which the wrench of the acceleration, or all of it,
+    is larger; `upright`, changes of the second moments zz, xz and yz, kg m^2; and those of the object's `matter`.
     """
 
     matter: Callable[[Theta], Matter]

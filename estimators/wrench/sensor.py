@@ -8,9 +8,6 @@ from torch import Tensor
 
 from estimators.wrench.jacobian import NONE, Theta
 
-KINDS = ("gain", "crosstalk", "mounting_angle")
-"""Errors of the setup that change a reading alone."""
-
 
 def flawed(theta: Theta, reading: Float[Tensor, "6"]) -> Float[Tensor, "6"]:
     """Reading of the sensor, N and N m, of one that it would show without any error."""

@@ -15,9 +15,10 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.func import vmap
 
-from estimators.particles.model import ParticleModel, cross, rotate, turned
 from estimators.wrench.jacobian import NONE, Slopes, Theta, Window, linearized, zeros
+from estimators.wrench.model import ParticleModel, cross, rotate, turned
 from testbed.objects.model import GRAVITY
+from testbed.worlds.setup_errors import PARAMETERS
 
 WAVELENGTHS = (0.06, 0.6)
 """Least and greatest wavelength of friction over a table, m. Ours: shorter ones average out under an object."""
@@ -36,7 +37,7 @@ def _waves(count: int) -> Float[Tensor, "n 2"]:
     return 2 * math.pi / length[:, None] * torch.stack([torch.cos(way), torch.sin(way)], 1)
 
 
-WAVES = _waves(48)
+WAVES = _waves(PARAMETERS["place_friction"].sized(0)[0] // 2)
 """Waves of a table's friction."""
 
 

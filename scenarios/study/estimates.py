@@ -16,8 +16,8 @@ from estimators.base import Estimate
 from estimators.evaluation.judged import judged
 from estimators.evaluation.metrics import hinge_columns, mean_particle_distance, normalized_absolute_difference
 from estimators.evaluation.statistics import axis_columns
-from estimators.particles.support import LOADS
 from estimators.registry import build_method, code_of, estimates_many, kind_of
+from estimators.wrench.support import LOADS
 from scenarios.execution.executor import Executor, Failure
 from scenarios.results.store import Store, key_of, object_request
 from scenarios.results.trials import sensed_trials

@@ -27,6 +27,8 @@ class Parameter:
     """Shape of one draw; "groups" is the number of mass groups."""
     scope: Scope = "setup"
     """Extent of one draw: an object, the whole setup, a trial, or a sample."""
+    shows: tuple[str, ...] = ()
+    """Measurements that it changes in the forward model: `table`, `air`, or the `reading` of the sensor in both."""
     source: str = ""
     """Source of error that it belongs to, for a budget of them."""
     likely: float = 0.0

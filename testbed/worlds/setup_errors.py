@@ -27,6 +27,7 @@ class SetupErrors:
     )
     """Points, anywhere under it, on which each mass group rests; 0: on every particle, as the paper assumes."""
     group_friction: float = parameter(
+        shows=("table",),
         source="friction of groups",
         shape=("groups",),
         scope="object",
@@ -34,12 +35,15 @@ class SetupErrors:
     )
     """Friction of a mass group, as a part of the mean of its friction group."""
     place_friction: float = parameter(
+        shows=("table",),
+        shape=(96,),
         source="friction by place",
         likely=0.05,
         cause="friction differs over the table: clean it, or state `place_friction`",
     )
     """Friction from place to place of the table, as a part of its mean."""
     anisotropy: float = parameter(
+        shows=("table",),
         source="friction by direction",
         shape=(2,),
         likely=0.05,
@@ -48,16 +52,23 @@ class SetupErrors:
     )
     """Friction along one axis of the table over the mean, as a part of it; across it is as much less."""
     speed_friction: float = parameter(
+        shows=("table",),
         source="friction by speed",
         likely=0.03,
         cause="friction changes with speed: turn at one speed, or state `speed_friction`",
     )
     """Change of friction with a tenfold speed, as a part of itself."""
     table_tilt: float = parameter(
-        source="tilt of the table", unit="rad", shape=(2,), likely=0.006, cause="the table is tilted: level it"
+        shows=("table", "air"),
+        source="tilt of the table",
+        unit="rad",
+        shape=(2,),
+        likely=0.006,
+        cause="the table is tilted: level it",
     )
     """Tilt of the table about each of its axes [rad]."""
     particle_offset: float = parameter(
+        shows=("table", "air"),
         source="places of groups",
         unit="m",
         shape=("groups", 2),
@@ -67,6 +78,7 @@ class SetupErrors:
     )
     """Place of a mass group's particles along each axis [m]."""
     grasp_offset: float = parameter(
+        shows=("table", "air"),
         source="grasp",
         unit="m",
         shape=(2,),
@@ -77,6 +89,7 @@ class SetupErrors:
     )
     """Place of the object in the hand along each axis, anew in every trial [m]."""
     grasp_angle: float = parameter(
+        shows=("table", "air"),
         source="grasp",
         unit="rad",
         scope="trial",
@@ -85,19 +98,28 @@ class SetupErrors:
     )
     """Yaw of the object in the hand, anew in every trial [rad]."""
     tcp_offset: float = parameter(
-        source="TCP", unit="m", shape=(3,), likely=0.001, cause="the TCP is elsewhere than told: measure it"
+        shows=("table", "air"),
+        source="TCP",
+        unit="m",
+        shape=(3,),
+        likely=0.001,
+        cause="the TCP is elsewhere than told: measure it",
     )
     """Place of the TCP along each axis of the hand [m]."""
     tcp_angle: float = parameter(
+        shows=("table", "air"),
         source="TCP",
         unit="rad",
         likely=0.01,
         cause="the hand closes along another direction than told: check the hand's yaw",
     )
     """Yaw of the TCP in the hand [rad]."""
-    gain: float = parameter(source="gain", shape=(6,), likely=0.015, cause="the sensor's gain is off: calibrate it")
+    gain: float = parameter(
+        shows=("reading",), source="gain", shape=(6,), likely=0.015, cause="the sensor's gain is off: calibrate it"
+    )
     """Gain of each axis of the sensor, as a part of itself."""
     crosstalk: float = parameter(
+        shows=("reading",),
         source="cross-talk",
         shape=(6, 6),
         likely=0.01,
@@ -105,6 +127,7 @@ class SetupErrors:
     )
     """Signal of an axis that shows in each other, as a part of it, both over their full scales."""
     mounting_angle: float = parameter(
+        shows=("reading",),
         source="mounting",
         unit="rad",
         shape=(3,),
@@ -112,11 +135,13 @@ class SetupErrors:
         cause="the sensor is mounted at another angle than told: check its rotation",
     )
     """Rotation of the sensor about each of its axes [rad]."""
-    delay: float = parameter(source="encoders, delay", unit="s", likely=0.02, cause="poses come late: align the clocks")
+    delay: float = parameter(
+        shows=("reading",), source="encoders, delay", unit="s", likely=0.02, cause="poses come late: align the clocks"
+    )
     """Time by which poses are later than wrenches [s]."""
-    tool_mass: float = parameter(source="tool, scale", unit="kg")
+    tool_mass: float = parameter(shows=("air",), source="tool, scale", unit="kg")
     """Mass of the tool, which shows where it is tilted [kg]."""
-    tool_com: float = parameter(source="tool, scale", unit="m", shape=(3,))
+    tool_com: float = parameter(shows=("air",), source="tool, scale", unit="m", shape=(3,))
     """Center of mass of the tool along each axis, which shows there too [m]."""
     scale: float = parameter(source="tool, scale", unit="kg")
     """Reading of the scale, beside the sensor's own error [kg]."""

@@ -15,16 +15,16 @@ from estimators.hidden_states.trial_windows import TrialWindows
 from estimators.identifiability.information import Assumptions, expected
 from estimators.particles.friction_system import sensor_map
 from estimators.particles.lifts import lifted_rows
-from estimators.particles.model import RIGID, ModelErrors
 from estimators.particles.observe import observe
 from estimators.particles.setup_effects import LinearRows, setup_effects
-from estimators.particles.support import own_weight
 from estimators.particles.wrench import predicted_wrenches
 from estimators.registry import build_method
 from estimators.testing.analytic_links import analytic_links, drawn_chain
 from estimators.testing.analytic_push import analytic_pushes
 from estimators.testing.analytic_world import analytic_trial, drawn_object, turns
 from estimators.testing.recorded import load_block
+from estimators.wrench.model import RIGID, ModelErrors
+from estimators.wrench.support import own_weight
 from scenarios.config import Sweep, load_scenario
 from scenarios.study.run import run_scenario
 from testbed.actions.accelerate import Accelerate

@@ -13,9 +13,9 @@ from numpy.testing import assert_allclose
 
 from estimators.baselines.dry_friction import LcpError
 from estimators.baselines.lcp import LcpEngine, Step, _Advance, polygon_sides, solve_step
-from estimators.particles import model as dynamics
-from estimators.particles.model import Inertia, ParticleModel, inertia_of, rotate
 from estimators.testing.analytic_world import drawn_object
+from estimators.wrench import model as dynamics
+from estimators.wrench.model import Inertia, ParticleModel, inertia_of, rotate
 from testbed.errors import InvalidValueError
 from testbed.objects.model import GRAVITY
 from tests.helpers.lcp_oracle import Textbook, interior_point, rollout

@@ -15,14 +15,14 @@ from estimators.baselines.base import Baseline
 from estimators.baselines.problem import STEP, Problem
 from estimators.hidden_states.estimator import HiddenStates
 from estimators.hidden_states.trial_windows import TrialWindows
-from estimators.particles.model import ModelErrors, ParticleModel, inertia_of, one_step, rotate, turned
 from estimators.particles.observe import observe
 from estimators.particles.pivots import inertia_map
-from estimators.particles.support import own_weight
 from estimators.particles.windows import Observations
 from estimators.particles.wrench import AffineLoads
 from estimators.testing import analytic_world
 from estimators.testing.analytic_world import accelerated, analytic_trial, drawn_object, turns
+from estimators.wrench.model import ModelErrors, ParticleModel, inertia_of, one_step, rotate, turned
+from estimators.wrench.support import own_weight
 from testbed.actions.slide import Slide
 from testbed.errors import InvalidValueError
 from testbed.objects.blocks import block_object, parse_layout

@@ -18,10 +18,10 @@ from estimators.evaluation.metrics import (
     normalized_absolute_difference,
     open_loop,
 )
-from estimators.particles.model import ParticleModel, inertia_of, rollout, rotate
 from estimators.particles.observe import observe
 from estimators.particles.wrench import AffineLoads
 from estimators.testing.analytic_world import drawn_object, turns
+from estimators.wrench.model import ParticleModel, inertia_of, rollout, rotate
 from testbed.errors import InvalidValueError
 from testbed.objects.files import load_object
 from testbed.objects.model import MassDistribution, ObjectModel, ObjectShape

@@ -12,8 +12,8 @@ from estimators.hidden_states.friction import closed_form, closed_form_covarianc
 from estimators.hidden_states.masses import friction_loads
 from estimators.hidden_states.trial_windows import TrialWindows
 from estimators.particles.friction_system import LinearSystem, LoadGroups, rank_of
-from estimators.particles.model import ModelErrors, ParticleModel
 from estimators.testing.analytic_world import analytic_trial, drawn_object, turns
+from estimators.wrench.model import ModelErrors, ParticleModel
 from testbed.actions.rotate import Rotate
 from testbed.actions.slide import Slide
 from testbed.objects.files import load_object

@@ -10,9 +10,9 @@ from numpy.testing import assert_allclose
 
 from estimators.hidden_states.masses import MassSolution, feet_of, solve_masses
 from estimators.particles.friction_system import LoadGroups
-from estimators.particles.model import ParticleModel
 from estimators.particles.pivots import PivotInertia, inertia_map
 from estimators.testing.analytic_world import drawn_object
+from estimators.wrench.model import ParticleModel
 from testbed.objects.blocks import block_object, parse_layout
 from testbed.objects.files import load_object
 from testbed.objects.model import GRAVITY, ObjectModel

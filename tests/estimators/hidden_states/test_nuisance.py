@@ -16,9 +16,9 @@ from estimators.hidden_states.masses import friction_loads
 from estimators.hidden_states.nuisance import UNKNOWNS, NuisanceLayout, NuisancePrior, NuisanceSystem, corrected
 from estimators.hidden_states.trial_windows import TrialWindows
 from estimators.particles.friction_system import LoadGroups
-from estimators.particles.model import ModelErrors, ParticleModel
 from estimators.particles.observe import observe
 from estimators.testing.analytic_world import accelerated, analytic_trial, drawn_object, turns
+from estimators.wrench.model import ModelErrors, ParticleModel
 from testbed.actions.rotate import Rotate
 from testbed.objects.files import load_object
 from testbed.objects.model import ObjectModel

@@ -21,8 +21,8 @@ from estimators.hidden_states.published import (
     velocity_errors,
 )
 from estimators.hidden_states.trial_windows import TrialWindows
-from estimators.particles.model import EXACT, Inertia
 from estimators.testing.analytic_world import accelerated, analytic_trial, drawn_object, turns
+from estimators.wrench.model import EXACT, Inertia
 from testbed.actions.rotate import Rotate
 from testbed.actions.slide import Slide
 from testbed.errors import InvalidValueError

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 import torch
 
-from estimators.particles.model import ModelErrors, ParticleModel
 from estimators.particles.observe import observe
 from estimators.particles.setup_effects import LinearRows
-from estimators.particles.support import own_weight_loads
 from estimators.particles.wrench import AffineLoads, WrenchModel
+from estimators.wrench.model import ModelErrors, ParticleModel
+from estimators.wrench.support import own_weight_loads
 from testbed.actions.accelerate import Accelerate
 from testbed.objects.files import load_object
 from testbed.sensing.noise import draw_sensing

@@ -15,13 +15,13 @@ from estimators.hidden_states.estimator import HiddenStates
 from estimators.hidden_states.trial_windows import TrialWindows
 from estimators.identifiability.predicted import predicted_windows
 from estimators.particles.friction_system import LoadGroups, friction_equations
-from estimators.particles.model import EXACT, ModelErrors
 from estimators.particles.observe import observe
 from estimators.particles.setup_effects import LinearRows, by_row
 from estimators.particles.windows import Observations
 from estimators.particles.wrench import ParticleLoads
 from estimators.registry import METHODS, build_method
 from estimators.testing.analytic_links import analytic_links, drawn_chain
+from estimators.wrench.model import EXACT, ModelErrors
 from testbed.actions.base import Action
 from testbed.actions.rotate import Rotate
 from testbed.actions.slide import Slide

@@ -10,12 +10,12 @@ from estimators.hidden_states.estimator import HiddenStates
 from estimators.identifiability.quasi_static import Drag
 from estimators.particles import friction_system
 from estimators.particles.friction_system import LoadGroups, rank_of
-from estimators.particles.model import ParticleModel
 from estimators.particles.observe import observe
 from estimators.particles.wrench import predicted_wrenches
 from estimators.registry import build_method
 from estimators.testing.analytic_push import analytic_pushes, drag_of, steady_pushes
 from estimators.testing.analytic_world import drawn_object
+from estimators.wrench.model import ParticleModel
 from testbed.actions.push import Push
 from testbed.errors import InvalidValueError
 from testbed.sensing.camera import CAMERAS, draw_camera

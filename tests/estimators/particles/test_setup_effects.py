@@ -10,10 +10,10 @@ from numpy.testing import assert_allclose
 from estimators.baselines.optimizers import LeastSquares
 from estimators.hidden_states.estimator import HiddenStates
 from estimators.particles.friction_system import sensor_map
-from estimators.particles.model import ParticleModel
 from estimators.particles.observe import observe
 from estimators.particles.setup_effects import LinearRows, setup_effects
 from estimators.testing.analytic_world import accelerated, analytic_trial, drawn_object, turns
+from estimators.wrench.model import ParticleModel
 from testbed.actions.rotate import Rotate
 from testbed.actions.slide import Slide
 from testbed.objects.model import GRAVITY

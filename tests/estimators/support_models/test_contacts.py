@@ -13,12 +13,12 @@ import trimesh
 from numpy.testing import assert_allclose
 
 from estimators.hidden_states.estimator import HiddenStates
-from estimators.particles.model import EXACT, RIGID, ParticleModel, inertia_of
 from estimators.particles.observe import observe
-from estimators.particles.support import GripperLoad, contact_spread, rigid_loads
 from estimators.support_models.estimator import SupportAware
 from estimators.support_models.fit import fit_support
 from estimators.testing.analytic_world import accelerated, turns
+from estimators.wrench.model import EXACT, RIGID, ParticleModel, inertia_of
+from estimators.wrench.support import GripperLoad, contact_spread, rigid_loads
 from testbed.actions.accelerate import Accelerate
 from testbed.actions.rotate import Rotate
 from testbed.objects.conversion import convert_mesh

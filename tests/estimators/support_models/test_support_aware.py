@@ -14,7 +14,6 @@ from scipy.special import logsumexp
 from scipy.stats import kstest
 
 from estimators.base import Estimate
-from estimators.particles.model import EXACT, RIGID, ModelErrors
 from estimators.particles.observe import observe
 from estimators.particles.windows import PLANAR, Observations
 from estimators.support_models.estimator import SupportAware
@@ -22,6 +21,7 @@ from estimators.support_models.materials import rank_assignments
 from estimators.support_models.polytope import MassPolytope
 from estimators.support_models.selection import SupportTest, support_test
 from estimators.testing.analytic_world import accelerated, drawn_object, turns
+from estimators.wrench.model import EXACT, RIGID, ModelErrors
 from testbed.errors import InvalidValueError
 from testbed.objects.blocks import block_object, parse_layout
 from testbed.objects.files import load_object

@@ -9,13 +9,13 @@ import pytest
 import torch
 from numpy.testing import assert_allclose
 
-from estimators.particles.model import ParticleModel
 from estimators.particles.observe import observe
 from estimators.particles.windows import Observations
 from estimators.testing.analytic_links import analytic_links, drawn_chain
 from estimators.testing.analytic_push import steady_pushes
 from estimators.testing.analytic_world import accelerated, analytic_trial, drawn_object, turns
 from estimators.wrench.jacobian import zeros
+from estimators.wrench.model import ParticleModel
 from estimators.wrench.table import Table
 from testbed.actions.accelerate import Accelerate
 from testbed.actions.rotate import Rotate

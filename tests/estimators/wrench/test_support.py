@@ -10,9 +10,9 @@ import torch
 from numpy.testing import assert_allclose
 from torch import Tensor
 
-from estimators.particles.model import ParticleModel, rotate
-from estimators.particles.support import LOADS, GripperLoad
 from estimators.testing.analytic_world import drawn_object
+from estimators.wrench.model import ParticleModel, rotate
+from estimators.wrench.support import LOADS, GripperLoad
 from testbed.objects.blocks import block_object, parse_layout
 from testbed.objects.files import load_object
 from testbed.objects.model import GRAVITY, ObjectModel

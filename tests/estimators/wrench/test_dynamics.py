@@ -8,8 +8,8 @@ import torch
 from numpy.testing import assert_allclose
 from torch import Tensor
 
-from estimators.particles.model import Inertia, ParticleModel, acceleration, inertia_of, one_step, rollout, rotate
 from estimators.testing.analytic_world import drawn_object
+from estimators.wrench.model import Inertia, ParticleModel, acceleration, inertia_of, one_step, rollout, rotate
 from testbed.objects.files import load_object
 from testbed.objects.model import GRAVITY
 

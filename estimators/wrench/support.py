@@ -16,7 +16,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from estimators.particles.model import ParticleModel
+from estimators.wrench.model import ParticleModel
 from testbed.objects.model import GRAVITY
 
 TURNED, SWUNG = np.array([0.0064, 0.0027, 0.0027]), np.array([0.33, 2.5e-3, 2.5e-3])

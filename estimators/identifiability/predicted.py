@@ -12,7 +12,7 @@ from jaxtyping import Float
 
 from estimators.identifiability.quasi_static import Drag
 from estimators.identifiability.trailing import trailing_motions
-from estimators.particles.observe import LinkMotion, touched
+from estimators.particles.motion import LinkMotion, Motion
 from estimators.particles.windows import Observations
 from estimators.wrench.support import load_map
 from testbed.actions.base import Action, TableAction
@@ -51,25 +51,33 @@ HEIGHT = 0.022
 """Height of the TCP over the table [m]."""
 
 
-class _Stretch(NamedTuple):
-    """Steady stretch of one action: motion of the point where the object is held or pushed, object axes."""
+class _Planned(NamedTuple):
+    """Steady stretch of a planned action, by the names of `SteadyWindow`."""
 
     trial: int
-    since_tare: tuple[float, float]
+    accelerated: bool
+    grasp: int | None
+    point: np.ndarray | None
+    since_tare: np.ndarray
     twists: np.ndarray
-    """Twist over each of S parts, (S, 3)."""
     acceleration: np.ndarray
     spin_square: float
-    place: np.ndarray
-    held: tuple[int, int]
     poses: np.ndarray
-    """Place of the TCP, m, and yaw of the object, rad, over parts of the stretch, (parts, 3)."""
-    accelerated: bool
     begun: float = math.nan
     """Yaw of the object at the start of the action, rad; NaN of a push, in which the hand does not turn."""
     seen: np.ndarray = np.zeros((9, 0))
-    links: np.ndarray = np.zeros((1, 0, 9))
-    links_off: np.ndarray = np.zeros((1, 1, 0, 9))
+    turned: np.ndarray = np.zeros((WINDOW_PARTS, 0, 3))
+    turned_errors: np.ndarray = np.zeros((0, 3, 4))
+
+    @property
+    def twist(self) -> np.ndarray:
+        """Mean twist, m/s and rad/s."""
+        return self.twists.mean(axis=0)
+
+    @property
+    def yaw(self) -> np.ndarray:
+        """Yaw of the object over the first part and the last, rad."""
+        return self.poses[[0, -1], 2]
 
 
 def predicted_windows(
@@ -84,14 +92,14 @@ def predicted_windows(
     """
     if shape.chain is not None:
         raise InvalidValueError("shape", "one with hinges", "a rigid object; see `predicted_drags`")
-    held, found = [shape.pressed(grasp) for grasp in shape.grasps], []
+    found = []
     for index, action in enumerate(actions):
         if not isinstance(action, TableAction):  # the others have no such windows
             continue
         if action.grasp >= len(shape.grasps):
             raise InvalidValueError("action.grasp", action.grasp, f"one of the shape's {len(shape.grasps)} grasps")
-        found += _stretches(shape, index, action, held[action.grasp])
-    return _observations(found, sensing, setup) if found else None
+        found += _stretches(shape, index, action)
+    return _observations(shape, found, sensing, setup) if found else None
 
 
 def predicted_pushes(
@@ -128,20 +136,20 @@ def predicted_pushes(
         for part, _, seen in stretches(motion.time_s[kept], motion.places[kept], camera, within):
             begin, end = motion.time_s[kept[part[[0, -1]]]] + met
             found.append(
-                _Stretch(
+                _Planned(
                     index,
-                    (begin, end),
+                    False,
+                    None,
+                    seen["point"],
+                    np.array([begin, end]),
                     seen["twists"],
                     seen["acceleration"],
                     seen["spin_square"],
-                    seen["point"],
-                    touched(shape, seen["point"]),
                     seen["poses"],
-                    accelerated=False,
                     seen=seen["seen"],
                 )
             )
-    return _observations(found, sensing, setup) if found else None
+    return _observations(shape, found, sensing, setup) if found else None
 
 
 def predicted_drags(
@@ -171,21 +179,20 @@ def predicted_drags(
     for (index, drag), motion in zip(
         drags.items(), trailing_motions(shape, mass, friction, list(drags.values()), STEP, hinge_friction), strict=True
     ):
-        held = shape.pressed(shape.grasps[drag.grasp])
-        stretches = _stretches(shape, index, drag, held)
+        stretches = _stretches(shape, index, drag)
         for segment, whole in enumerate(stretches):
             inside = np.flatnonzero(motion.profile.segment == segment)
             kept = inside[round(trim_start(drag, segment) / STEP) : len(inside) - round(TRIM_END / STEP)]
-            found += _trailing(shape, drag.grasp, whole, motion.turned[kept], sensing.camera)
-    return _observations(found, sensing, setup) if found else None
+            found += _trailing(shape, whole, motion.turned[kept], sensing.camera)
+    return _observations(shape, found, sensing, setup) if found else None
 
 
 def _trailing(
-    shape: ObjectShape, grasp: int, whole: _Stretch, turned: Float[np.ndarray, "N L 3"], camera: Camera
-) -> list[_Stretch]:
+    shape: ObjectShape, whole: _Planned, turned: Float[np.ndarray, "N L 3"], camera: Camera
+) -> list[_Planned]:
     """Windows of a steady stretch whose links turn so, `STEP` apart."""
     windows, time = [], whole.since_tare[0] + STEP * np.arange(len(turned))
-    middles = np.linspace(*whole.since_tare, 2 * PARTS + 1)[1::2]
+    middles = np.linspace(whole.since_tare[0], whole.since_tare[1], 2 * PARTS + 1)[1::2]
     path = np.polynomial.polynomial.polyfit(middles, whole.poses, PARTS - 1)
     for part in parts_of(len(turned), STEP):
         if not len(part):
@@ -200,22 +207,17 @@ def _trailing(
             errors.append(turned_errors(seen.covariance[0], seen.late[0], shared))
         if np.isnan(errors).any():
             continue
-        means = part_means(turned[part])
-        twists = np.tile(whole.twists, (WINDOW_PARTS, 1))
         twist = whole.twists[0]
-        aside = np.array([*(twist[2] * perpendicular(twist[:2])), 0.0])  # the hand's velocity turns with it
-        motion = LinkMotion(shape, grasp, twists, aside, means, np.array(errors))
-        if not motion.stands_or_starts:
-            windows.append(
-                whole._replace(
-                    since_tare=(time[part[0]], time[part[-1]]),
-                    twists=twists,
-                    acceleration=aside,
-                    poses=np.polynomial.polynomial.polyval(part_means(time[part]), path).T,
-                    links=motion.links(),
-                    links_off=motion.links_off(),
-                )
-            )
+        planned = whole._replace(
+            since_tare=time[part[[0, -1]]],
+            twists=np.tile(whole.twists, (WINDOW_PARTS, 1)),
+            acceleration=np.array([*(twist[2] * perpendicular(twist[:2])), 0.0]),  # the hand's velocity turns with it
+            poses=np.polynomial.polynomial.polyval(part_means(time[part]), path).T,
+            turned=part_means(turned[part]),
+            turned_errors=np.array(errors),
+        )
+        if not LinkMotion.of(shape, planned).stands_or_starts:
+            windows.append(planned)
     return windows
 
 
@@ -227,49 +229,31 @@ def _stream(time: Float[np.ndarray, "N"], poses: Float[np.ndarray, "N 3"], camer
     return PoseStream(time, poses[:, None], camera.position, camera.angle, camera.delay_std)
 
 
-def _observations(found: list[_Stretch], sensing: Sensing, setup: SetupErrors) -> Observations:
+def _observations(shape: ObjectShape, found: list[_Planned], sensing: Sensing, setup: SetupErrors) -> Observations:
     """The windows of some stretches, all held or all pushed."""
-    count, pushed = len(found), found[0].seen.shape[1] > 0
+    motion = Motion.of(shape, found, [each.trial for each in found], [each.accelerated for each in found])
+    count, pushed = len(found), bool(motion.pushed.any())
     noise, bias, drift = (torch.tensor(each).expand(count, 6, 6) for each in sensor_at_tcp(sensing))
-    since_tare, twists, acceleration, poses, place, seen, links, links_off = (
-        torch.tensor(np.array([getattr(each, name) for each in found]), dtype=torch.float64)
-        for name in ("since_tare", "twists", "acceleration", "poses", "place", "seen", "links", "links_off")
-    )
-    zeros, yaw = torch.zeros(count, 6, dtype=torch.float64), poses[:, [0, -1], 2]
-    kept = 1.0 if pushed else float(sensing.force_bias == 0)
+    zeros, kept = torch.zeros(count, 6, dtype=torch.float64), 1.0 if pushed else float(sensing.force_bias == 0)
     sensor = torch.tensor(to_tcp()).expand(count, 6, 6)
     if pushed:  # the hand does not turn with the object
-        facing = poses[:, WINDOW_PARTS // 2, 2].tolist()
+        facing = motion.poses[:, WINDOW_PARTS // 2, 2].tolist()
         sensor = torch.tensor(np.array([rotate_wrench(rotation_z(-yaw), to_tcp().T).T for yaw in facing]))
     return Observations(
+        **vars(motion),
         setup=setup,
         wrench=zeros[:, :3],
-        noise=noise / since_tare.diff()[..., None],
+        sensed=zeros,
+        from_sensor=sensor,
+        tool_tilt=_tool_tilts(motion.poses, [each.begun for each in found]),
+        noise=noise / motion.since_tare.diff()[..., None],
         bias=bias,
         drift=drift,
-        since_tare=since_tare,
-        twist=twists.mean(1),
-        twists=twists,
-        acceleration=acceleration,
-        spin_square=torch.tensor([each.spin_square for each in found], dtype=torch.float64),
-        grasp=place,
         lift=zeros[:, 0],
         tilt=zeros[:, :2],
-        yaw=yaw if pushed else zeros[:, :2],
-        poses=poses,
-        sensed=zeros,
-        tool_tilt=_tool_tilts(poses, [each.begun for each in found]),
-        from_sensor=sensor,
         load_map=torch.tensor(load_map(HEIGHT)).expand(count, 3, 6),
         load_kept=torch.full((count, 3), kept, dtype=torch.float64),
         load_followed=torch.ones(count, 3, dtype=torch.float64),
-        held=torch.tensor([each.held for each in found]),
-        trial=torch.tensor([each.trial for each in found]),
-        accelerated=torch.tensor([each.accelerated for each in found]),
-        pushed=torch.full((count,), pushed),
-        seen=seen,
-        links=links,
-        links_off=links_off,
     )
 
 
@@ -300,8 +284,8 @@ def to_tcp() -> np.ndarray:
     return move_wrench(np.eye(6), np.array([0.0, 0.0, -REACH])).T
 
 
-def _stretches(shape: ObjectShape, trial: int, action: TableAction, held: tuple[int, int]) -> list[_Stretch]:
-    """Steady stretches of an action by groups held, trimmed as a record is."""
+def _stretches(shape: ObjectShape, trial: int, action: TableAction) -> list[_Planned]:
+    """Steady stretches of an action, trimmed as a record is."""
     grasp = shape.grasps[action.grasp]
     at, about, heading, time = grasp.position, action.center(shape), action.heading, BEFORE
     steps = [speed * seconds + acceleration * seconds**2 / 2 for speed, acceleration, seconds in action.steady]
@@ -325,16 +309,16 @@ def _stretches(shape: ObjectShape, trial: int, action: TableAction, held: tuple[
         else:
             place = way[:, None] * (rotation_2d(facing) @ heading)
         found.append(
-            _Stretch(
+            _Planned(
                 trial,
-                (time + begin, time + end),
+                action.accelerated,
+                action.grasp,
+                None,
+                np.array([time + begin, time + end]),
                 twist[None],
                 np.array([0.0, 0.0, acceleration]),
                 twist[2] ** 2,
-                at,
-                held,
                 np.column_stack([place, yaw]),
-                action.accelerated,
                 facing + (-(ends.max() + ends.min()) / 2 if action.turns else 0.0),
             )
         )

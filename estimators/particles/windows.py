@@ -10,6 +10,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from estimators.particles.motion import Motion
 from estimators.wrench.jacobian import Window
 from estimators.wrench.model import Inertia, ParticleModel
 from estimators.wrench.support import GripperLoad
@@ -23,7 +24,7 @@ SLOWEST = 0.01
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Observations:
+class Observations(Motion):
     """K windows of constant speed or constant acceleration. Object axes; moments about the grasp point."""
 
     wrench: Float[Tensor, "K 3"]
@@ -34,26 +35,10 @@ class Observations:
     """Covariance of the bias that the sensor's tare leaves in them, one draw a trajectory."""
     drift: Float[Tensor, "K 6 6"]
     """Covariance that the walk of the sensor's zero adds a second."""
-    since_tare: Float[Tensor, "K 2"]
-    """Time from the tare to a window's first and last sample, s."""
-    twist: Float[Tensor, "K 3"]
-    """Velocity of the grasp point, m/s, and turn rate, rad/s."""
-    twists: Float[Tensor, "K S 3"]
-    """Twist over each of S equal parts of a window."""
-    acceleration: Float[Tensor, "K 3"]
-    """Acceleration of the grasp point, m/s^2, and angular acceleration, rad/s^2."""
-    spin_square: Float[Tensor, "K"]
-    """Mean square of the turn rate, rad^2/s^2."""
-    grasp: Float[Tensor, "K 2"]
-    """Grasp point, or mean place of a push's fingertip, m, object frame."""
     lift: Float[Tensor, "K"]
     """Vertical force of the gripper on the object, N."""
     tilt: Float[Tensor, "K 2"]
     """(t_y + h f_x, -t_x + h f_y): moment that the feet supply where nothing accelerates, N m."""
-    yaw: Float[Tensor, "K 2"]
-    """Yaw of the object at a window's first and last sample, rad."""
-    poses: Float[Tensor, "K S 3"]
-    """Place of the TCP, m, and yaw of the object, rad, over each of the parts, world."""
     sensed: Float[Tensor, "K 6"]
     """Mean of all six components in the sensor's axes, about its origin, N and N m."""
     from_sensor: Float[Tensor, "K 6 6"]
@@ -66,28 +51,10 @@ class Observations:
     """Part of a trial's common lift and tilt that stands out of the bias, 0 to 1; the rest is taken as none."""
     load_followed: Float[Tensor, "K 3"]
     """Part of their change from window to window of a trial that stands out of the noise, 0 to 1."""
-    held: Int[Tensor, "K 2"]
-    """Mass groups under the two pads, or twice that under the fingertip."""
-    trial: Int[Tensor, "K"]
-    """Trajectory that a window is from."""
-    accelerated: Tensor
-    """True for windows of constant acceleration, (K,) bool."""
-    pushed: Tensor
-    """True for windows of a push, whose motion a camera sees and the hand does not hold, (K,) bool."""
-    seen: Float[Tensor, "K 9 E"]
-    """Errors of the object's pose, twist and acceleration by the camera, as `SteadyWindow.seen`; (K, 9, 0) if no
-    window is of a push."""
-    links: Float[Tensor, "K S L 9"]
-    """Motion of each link of an articulated object over each of the parts, as `Chain.moved`; L = 0 of a rigid one."""
-    links_off: Float[Tensor, "K E S L 9"]
-    """`links` after one standard deviation of each error of the camera that sees them; the last is its delay's."""
     setup: SetupErrors = EXACT_SETUP
     """Errors of the setup as stated, the largest of all trials."""
     _tables: dict[tuple[object, ...], Table] = field(default_factory=dict, init=False, repr=False)
     """Forward models that were asked for: rounds of solving ask for the same."""
-
-    def __len__(self) -> int:
-        return len(self.wrench)
 
     def like(self, by_window: dict[str, Tensor]) -> Self:
         """Windows of such fields in this setup."""

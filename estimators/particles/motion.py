@@ -1,0 +1,193 @@
+"""Motion of an object in windows of its trials, measured or planned."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from testbed.objects.chain import speeds
+from testbed.objects.model import ObjectShape
+from testbed.sensing.windows import PARTS
+
+STANDING, MOST_STANDING = 0.002, 0.2
+"""Speed below which a particle of a link may stand, m/s, and the part of a link's particles that may: one at which
+the link turns counts as an error."""
+SUDDEN = 0.8
+"""Angular acceleration of a link that starts or stops, rad/s^2: its drag is not Coulomb's of the mean motion."""
+
+
+class Stretch(Protocol):
+    """Motion in one window, as `SteadyWindow` has it, over any number S of parts."""
+
+    @property
+    def grasp(self) -> int | None: ...
+    @property
+    def point(self) -> Float[np.ndarray, "2"] | None: ...
+    @property
+    def since_tare(self) -> Float[np.ndarray, "2"]: ...
+    @property
+    def twist(self) -> Float[np.ndarray, "3"]: ...
+    @property
+    def twists(self) -> Float[np.ndarray, "S 3"]: ...
+    @property
+    def acceleration(self) -> Float[np.ndarray, "3"]: ...
+    @property
+    def spin_square(self) -> float: ...
+    @property
+    def yaw(self) -> Float[np.ndarray, "2"]: ...
+    @property
+    def poses(self) -> Float[np.ndarray, "S 3"]: ...
+    @property
+    def seen(self) -> Float[np.ndarray, "9 E"]: ...
+    @property
+    def turned(self) -> Float[np.ndarray, "S L 3"]: ...
+    @property
+    def turned_errors(self) -> Float[np.ndarray, "L 3 4"]: ...
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Motion:
+    """Motion of an object in K windows of constant speed or constant acceleration, object axes."""
+
+    since_tare: Float[Tensor, "K 2"]
+    """Time from the tare to a window's first and last sample, s."""
+    twist: Float[Tensor, "K 3"]
+    """Velocity of the grasp point, m/s, and turn rate, rad/s."""
+    twists: Float[Tensor, "K S 3"]
+    """Twist over each of S equal parts of a window."""
+    acceleration: Float[Tensor, "K 3"]
+    """Acceleration of the grasp point, m/s^2, and angular acceleration, rad/s^2."""
+    spin_square: Float[Tensor, "K"]
+    """Mean square of the turn rate, rad^2/s^2."""
+    grasp: Float[Tensor, "K 2"]
+    """Grasp point, or mean place of a push's fingertip, m, object frame."""
+    yaw: Float[Tensor, "K 2"]
+    """Yaw of the object at a window's first and last sample, rad."""
+    poses: Float[Tensor, "K S 3"]
+    """Place of the TCP, m, and yaw of the object, rad, over each of the parts, world."""
+    held: Int[Tensor, "K 2"]
+    """Mass groups under the two pads, or twice that under the fingertip."""
+    trial: Int[Tensor, "K"]
+    """Trajectory that a window is from."""
+    accelerated: Tensor
+    """True for windows of constant acceleration, (K,) bool."""
+    pushed: Tensor
+    """True for windows of a push, whose motion a camera sees and the hand does not hold, (K,) bool."""
+    seen: Float[Tensor, "K 9 E"]
+    """Errors of the object's pose, twist and acceleration by the camera, as `SteadyWindow.seen`; (K, 9, 0) if no
+    window is of a push."""
+    links: Float[Tensor, "K S L 9"]
+    """Motion of each link of an articulated object over each of the parts, as `Chain.moved`; L = 0 of a rigid one."""
+    links_off: Float[Tensor, "K E S L 9"]
+    """`links` after one standard deviation of each error of the camera that sees them; the last is its delay's."""
+
+    def __len__(self) -> int:
+        return len(self.grasp)
+
+    @staticmethod
+    def of(
+        shape: ObjectShape, stretches: Sequence[Stretch], trial: Sequence[int], accelerated: Sequence[bool]
+    ) -> Motion:
+        """Motion in some windows.
+
+        Args:
+            shape: geometry and grasps.
+            stretches: the windows.
+            trial: number of each one's trial.
+            accelerated: True for those of constant acceleration.
+        """
+        held, moved = [_held(shape, each) for each in stretches], [LinkMotion.of(shape, each) for each in stretches]
+        same = ("since_tare", "twist", "twists", "acceleration", "spin_square", "yaw", "poses", "seen")
+        values = {name: torch.tensor(np.array([getattr(each, name) for each in stretches])) for name in same}
+        pushed = torch.tensor([each.grasp is None for each in stretches])
+        values["seen"] = values["seen"] if pushed.any() else values["seen"][..., :0]
+        return Motion(
+            **{name: value.double() for name, value in values.items()},
+            grasp=torch.tensor(np.array([point for point, _ in held])),
+            held=torch.tensor([groups for _, groups in held]),
+            trial=torch.tensor(list(trial)),
+            accelerated=torch.tensor(list(accelerated)),
+            pushed=pushed,
+            links=torch.tensor(np.array([each.links() for each in moved])),
+            links_off=torch.tensor(np.array([each.links_off() for each in moved])),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class LinkMotion:
+    """Motion of the links in one window of an articulated object, measured or predicted."""
+
+    shape: ObjectShape
+    """Geometry; a rigid one has no links."""
+    grasp: int | None
+    """Grasp by which one is held."""
+    twists: Float[np.ndarray, "S 3"]
+    """Twists [m/s, rad/s], as `SteadyWindow.twists`."""
+    acceleration: Float[np.ndarray, "3"]
+    """Acceleration [m/s^2, rad/s^2], as `SteadyWindow.acceleration`."""
+    turned: Float[np.ndarray, "S L 3"]
+    """Yaw [rad], rate and slope of every link, as `SteadyWindow.turned`."""
+    turned_errors: Float[np.ndarray, "L 3 4"]
+    """Errors of `turned`, as `SteadyWindow.turned_errors`."""
+
+    @staticmethod
+    def of(shape: ObjectShape, window: Stretch) -> LinkMotion:
+        """Motion in a measured window."""
+        return LinkMotion(shape, window.grasp, window.twists, window.acceleration, window.turned, window.turned_errors)
+
+    @property
+    def stands_or_starts(self) -> bool:
+        """True if part of a link stands, where what holds it is anything up to its friction, or starts or stops."""
+        chain = self.shape.chain
+        assert chain is not None and self.grasp is not None
+        sure = 2 * np.linalg.norm(self.turned_errors[:, 2], axis=1)
+        if (np.abs(self.turned[..., 2]) - sure > SUDDEN).any():
+            return True
+        links, offsets = self.links(), self.shape.particles - self.shape.grasps[self.grasp].position
+        of = chain.link[self.shape.mass_group]
+        return any((speeds(links, k, offsets[of == k]) < STANDING).mean() > MOST_STANDING for k in range(chain.links))
+
+    def links(self) -> Float[np.ndarray, "S L 9"]:
+        """Motion of every link as `Chain.moved`."""
+        return self._moved(self.turned)
+
+    def links_off(self) -> Float[np.ndarray, "E S L 9"]:
+        """`links` after each error of the camera: three of each link's own, and its delay's of all."""
+        errors = self.turned_errors
+        links = np.eye(len(errors))[:, :, None]
+        own = [link * errors[index, :, each] for index, link in enumerate(links) for each in range(3)]
+        off = np.array([*own, errors[:, :, 3]])[:, None]
+        return self._moved((self.turned + off).reshape(len(off) * PARTS, *self.turned.shape[1:])).reshape(
+            len(off), *self.turned.shape[:2], 9
+        )
+
+    def _moved(self, turned: Float[np.ndarray, "R L 3"]) -> Float[np.ndarray, "R L 9"]:
+        """Motion of every link by yaw, rate and slope, in rows of S parts each."""
+        chain = self.shape.chain
+        if chain is None or self.grasp is None:
+            return np.zeros((len(turned), 0, 9))
+        grasp = self.shape.grasps[self.grasp]
+        held = int(chain.link[self.shape.pressed(grasp)[0]])
+        turned = turned - turned[:, held, None] * [1, 0, 0]  # the hand knows where it is; links show each other
+        twists = np.tile(self.twists, (len(turned) // PARTS, 1))
+        return chain.moved(held, grasp.position, twists, self.acceleration, turned)
+
+
+def _held(shape: ObjectShape, window: Stretch) -> tuple[np.ndarray, tuple[int, int]]:
+    """Point about which moments are, and the mass groups that the pads or the fingertip press on."""
+    if window.grasp is not None:
+        return shape.grasps[window.grasp].position, shape.pressed(shape.grasps[window.grasp])
+    assert window.point is not None
+    return window.point, touched(shape, window.point)
+
+
+def touched(shape: ObjectShape, point: np.ndarray) -> tuple[int, int]:
+    """Mass group that a fingertip touches at a point [m, object frame], twice: as if under two pads."""
+    group = int(shape.mass_group[np.linalg.norm(shape.particles - point, axis=1).argmin()])
+    return group, group

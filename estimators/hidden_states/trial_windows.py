@@ -29,15 +29,14 @@ from estimators.particles.friction_system import (
     friction_equations,
     linear_rows,
     swing_errors,
-    torque_covariance,
     unknown_motion,
 )
 from estimators.particles.misfit import Misfit, likely_causes, misfit_of
 from estimators.particles.observe import observe
-from estimators.particles.pivots import PivotInertia, pivot_inertias
+from estimators.particles.pivots import PivotInertia, corrected_inertias
 from estimators.particles.setup_effects import LinearRows
 from estimators.particles.windows import Observations
-from estimators.wrench.model import ModelErrors, ParticleModel, inertia_of
+from estimators.wrench.model import ModelErrors, ParticleModel
 from estimators.wrench.support import own_weight
 from testbed.objects.model import GRAVITY, MassDistribution, ObjectShape
 from testbed.trajectory import Trajectory
@@ -139,15 +138,11 @@ class TrialWindows:
         if len(windows) == 0:
             return None
         (mass, friction), linear = self._particles(guess), self.turning(guess)
-        rows, motion = linear.by_particle, linear.motion(mass)
-        load = windows.gripper_load(linear.lever, motion, self.shape.height)
+        load = windows.gripper_load(linear.lever, linear.motion(mass), self.shape.height)
         support = own_weight(model, mass, load)
         drag = self.groups.spread(s) + friction * (support.lean + support.change(load))
-        torque = (rows @ drag[..., None])[:, 2, 0]
-        inertial = motion[:, 2] - windows.spin_up(inertia_of(model, mass))
-        response = rows @ (friction[:, None] * support.response)
-        covariance = torque_covariance(windows, linear, response)
-        return pivot_inertias(windows, torque.numpy(), inertial.numpy(), self.errors.inertia_error, covariance)
+        response = linear.by_particle @ (friction[:, None] * support.response)
+        return corrected_inertias(windows, linear, mass, drag, response, self.errors.inertia_error)
 
     def misfit(self, guess: MassDistribution, s: Float[np.ndarray, "n_s"], *, always: bool = False) -> Misfit:
         """How far the wrenches of s are from the measured ones, and why; `always` says why of a small misfit too."""

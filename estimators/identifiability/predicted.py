@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -12,7 +11,7 @@ from jaxtyping import Float
 
 from estimators.identifiability.quasi_static import Drag
 from estimators.identifiability.trailing import trailing_motions
-from estimators.particles.motion import LinkMotion, Motion
+from estimators.particles.motion import LinkMotion, Motion, Planned
 from estimators.particles.windows import Observations
 from estimators.wrench.support import load_map
 from testbed.actions.base import Action, TableAction
@@ -49,35 +48,6 @@ STEP = WINDOW / WINDOW_PARTS
 """Step of the motion of a push [s]."""
 HEIGHT = 0.022
 """Height of the TCP over the table [m]."""
-
-
-class _Planned(NamedTuple):
-    """Steady stretch of a planned action, by the names of `SteadyWindow`."""
-
-    trial: int
-    accelerated: bool
-    grasp: int | None
-    point: np.ndarray | None
-    since_tare: np.ndarray
-    twists: np.ndarray
-    acceleration: np.ndarray
-    spin_square: float
-    poses: np.ndarray
-    begun: float = math.nan
-    """Yaw of the object at the start of the action, rad; NaN of a push, in which the hand does not turn."""
-    seen: np.ndarray = np.zeros((9, 0))
-    turned: np.ndarray = np.zeros((WINDOW_PARTS, 0, 3))
-    turned_errors: np.ndarray = np.zeros((0, 3, 4))
-
-    @property
-    def twist(self) -> np.ndarray:
-        """Mean twist, m/s and rad/s."""
-        return self.twists.mean(axis=0)
-
-    @property
-    def yaw(self) -> np.ndarray:
-        """Yaw of the object over the first part and the last, rad."""
-        return self.poses[[0, -1], 2]
 
 
 def predicted_windows(
@@ -136,7 +106,7 @@ def predicted_pushes(
         for part, _, seen in stretches(motion.time_s[kept], motion.places[kept], camera, within):
             begin, end = motion.time_s[kept[part[[0, -1]]]] + met
             found.append(
-                _Planned(
+                Planned(
                     index,
                     False,
                     None,
@@ -187,9 +157,7 @@ def predicted_drags(
     return _observations(shape, found, sensing, setup) if found else None
 
 
-def _trailing(
-    shape: ObjectShape, whole: _Planned, turned: Float[np.ndarray, "N L 3"], camera: Camera
-) -> list[_Planned]:
+def _trailing(shape: ObjectShape, whole: Planned, turned: Float[np.ndarray, "N L 3"], camera: Camera) -> list[Planned]:
     """Windows of a steady stretch whose links turn so, `STEP` apart."""
     windows, time = [], whole.since_tare[0] + STEP * np.arange(len(turned))
     middles = np.linspace(whole.since_tare[0], whole.since_tare[1], 2 * PARTS + 1)[1::2]
@@ -229,7 +197,7 @@ def _stream(time: Float[np.ndarray, "N"], poses: Float[np.ndarray, "N 3"], camer
     return PoseStream(time, poses[:, None], camera.position, camera.angle, camera.delay_std)
 
 
-def _observations(shape: ObjectShape, found: list[_Planned], sensing: Sensing, setup: SetupErrors) -> Observations:
+def _observations(shape: ObjectShape, found: list[Planned], sensing: Sensing, setup: SetupErrors) -> Observations:
     """The windows of some stretches, all held or all pushed."""
     motion = Motion.of(shape, found, [each.trial for each in found], [each.accelerated for each in found])
     count, pushed = len(found), bool(motion.pushed.any())
@@ -284,7 +252,7 @@ def to_tcp() -> np.ndarray:
     return move_wrench(np.eye(6), np.array([0.0, 0.0, -REACH])).T
 
 
-def _stretches(shape: ObjectShape, trial: int, action: TableAction) -> list[_Planned]:
+def _stretches(shape: ObjectShape, trial: int, action: TableAction) -> list[Planned]:
     """Steady stretches of an action, trimmed as a record is."""
     grasp = shape.grasps[action.grasp]
     at, about, heading, time = grasp.position, action.center(shape), action.heading, BEFORE
@@ -309,7 +277,7 @@ def _stretches(shape: ObjectShape, trial: int, action: TableAction) -> list[_Pla
         else:
             place = way[:, None] * (rotation_2d(facing) @ heading)
         found.append(
-            _Planned(
+            Planned(
                 trial,
                 action.accelerated,
                 action.grasp,

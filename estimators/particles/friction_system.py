@@ -16,7 +16,6 @@ from torch import Tensor
 from torch.nn.functional import pad
 
 from estimators.particles.links import HINGE_PRIOR, carried_moment, link_errors
-from estimators.particles.pivots import LEAST_VARIANCE
 from estimators.particles.setup_effects import LinearRows, by_row, setup_effects, shared_and_own
 from estimators.particles.windows import PLANAR, Observations
 from estimators.wrench.model import ModelErrors, ParticleModel
@@ -27,6 +26,8 @@ from testbed.objects.model import GRAVITY, ObjectShape
 SWING = 3e-4
 """Error of the center of an accelerated turn, m: the arm swings. Ours."""
 
+LEAST_VARIANCE = 1e-12
+"""Least variance of a mean torque, (N m)^2: sensors without any noise too have weights."""
 PUSH_ERROR = 0.02
 """Model error of a push, as a part of the total drag: feet near a center of rotation that moves on. By object, the
 simulation is off by 1.3 to 3 %, root mean square."""

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -13,7 +14,7 @@ from torch import Tensor
 
 from testbed.objects.chain import speeds
 from testbed.objects.model import ObjectShape
-from testbed.sensing.windows import PARTS
+from testbed.sensing.windows import PARTS, SteadyWindow
 
 STANDING, MOST_STANDING = 0.002, 0.2
 """Speed below which a particle of a link may stand, m/s, and the part of a link's particles that may: one at which
@@ -22,33 +23,33 @@ SUDDEN = 0.8
 """Angular acceleration of a link that starts or stops, rad/s^2: its drag is not Coulomb's of the mean motion."""
 
 
-class Stretch(Protocol):
-    """Motion in one window, as `SteadyWindow` has it, over any number S of parts."""
+class Planned(NamedTuple):
+    """Window of a planned action, by the names of `SteadyWindow`, over any number of parts."""
+
+    trial: int
+    accelerated: bool
+    grasp: int | None
+    point: np.ndarray | None
+    since_tare: np.ndarray
+    twists: np.ndarray
+    acceleration: np.ndarray
+    spin_square: float
+    poses: np.ndarray
+    begun: float = math.nan
+    """Yaw of the object at the start of the action, rad; NaN of a push, in which the hand does not turn."""
+    seen: np.ndarray = np.zeros((9, 0))
+    turned: np.ndarray = np.zeros((PARTS, 0, 3))
+    turned_errors: np.ndarray = np.zeros((0, 3, 4))
 
     @property
-    def grasp(self) -> int | None: ...
+    def twist(self) -> np.ndarray:
+        """Mean twist, m/s and rad/s."""
+        return self.twists.mean(axis=0)
+
     @property
-    def point(self) -> Float[np.ndarray, "2"] | None: ...
-    @property
-    def since_tare(self) -> Float[np.ndarray, "2"]: ...
-    @property
-    def twist(self) -> Float[np.ndarray, "3"]: ...
-    @property
-    def twists(self) -> Float[np.ndarray, "S 3"]: ...
-    @property
-    def acceleration(self) -> Float[np.ndarray, "3"]: ...
-    @property
-    def spin_square(self) -> float: ...
-    @property
-    def yaw(self) -> Float[np.ndarray, "2"]: ...
-    @property
-    def poses(self) -> Float[np.ndarray, "S 3"]: ...
-    @property
-    def seen(self) -> Float[np.ndarray, "9 E"]: ...
-    @property
-    def turned(self) -> Float[np.ndarray, "S L 3"]: ...
-    @property
-    def turned_errors(self) -> Float[np.ndarray, "L 3 4"]: ...
+    def yaw(self) -> np.ndarray:
+        """Yaw of the object over the first part and the last, rad."""
+        return self.poses[[0, -1], 2]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -92,20 +93,20 @@ class Motion:
 
     @staticmethod
     def of(
-        shape: ObjectShape, stretches: Sequence[Stretch], trial: Sequence[int], accelerated: Sequence[bool]
+        shape: ObjectShape, windows: Sequence[SteadyWindow | Planned], trial: Sequence[int], accelerated: Sequence[bool]
     ) -> Motion:
         """Motion in some windows.
 
         Args:
             shape: geometry and grasps.
-            stretches: the windows.
+            windows: the windows.
             trial: number of each one's trial.
             accelerated: True for those of constant acceleration.
         """
-        held, moved = [_held(shape, each) for each in stretches], [LinkMotion.of(shape, each) for each in stretches]
+        held, moved = [_held(shape, each) for each in windows], [LinkMotion.of(shape, each) for each in windows]
         same = ("since_tare", "twist", "twists", "acceleration", "spin_square", "yaw", "poses", "seen")
-        values = {name: torch.tensor(np.array([getattr(each, name) for each in stretches])) for name in same}
-        pushed = torch.tensor([each.grasp is None for each in stretches])
+        values = {name: torch.tensor(np.array([getattr(each, name) for each in windows])) for name in same}
+        pushed = torch.tensor([each.grasp is None for each in windows])
         values["seen"] = values["seen"] if pushed.any() else values["seen"][..., :0]
         return Motion(
             **{name: value.double() for name, value in values.items()},
@@ -137,7 +138,7 @@ class LinkMotion:
     """Errors of `turned`, as `SteadyWindow.turned_errors`."""
 
     @staticmethod
-    def of(shape: ObjectShape, window: Stretch) -> LinkMotion:
+    def of(shape: ObjectShape, window: SteadyWindow | Planned) -> LinkMotion:
         """Motion in a measured window."""
         return LinkMotion(shape, window.grasp, window.twists, window.acceleration, window.turned, window.turned_errors)
 
@@ -179,7 +180,7 @@ class LinkMotion:
         return chain.moved(held, grasp.position, twists, self.acceleration, turned)
 
 
-def _held(shape: ObjectShape, window: Stretch) -> tuple[np.ndarray, tuple[int, int]]:
+def _held(shape: ObjectShape, window: SteadyWindow | Planned) -> tuple[np.ndarray, tuple[int, int]]:
     """Point about which moments are, and the mass groups that the pads or the fingertip press on."""
     if window.grasp is not None:
         return shape.grasps[window.grasp].position, shape.pressed(shape.grasps[window.grasp])

@@ -6,12 +6,13 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
+from torch import Tensor
 
+from estimators.particles.friction_system import LEAST_VARIANCE, torque_covariance
+from estimators.particles.setup_effects import LinearRows
 from estimators.particles.windows import Observations
+from estimators.wrench.model import inertia_of
 from testbed.objects.model import ObjectShape
-
-LEAST_VARIANCE = 1e-12
-"""Least variance of a mean torque, (N m)^2: sensors without any noise too have weights."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,6 +32,32 @@ class PivotInertia:
     def covariance(self) -> Float[np.ndarray, "J J"]:
         """Covariance of I_j, (kg m^2)^2."""
         return np.diag(self.variance) + self.common_error**2 * np.outer(self.inertia, self.inertia)
+
+
+def corrected_inertias(
+    windows: Observations,
+    linear: LinearRows,
+    mass: Float[Tensor, "P"],
+    drag: Float[Tensor, "K P"],
+    response: Float[Tensor, "K 3 3"],
+    relative_error: float,
+    more: Float[np.ndarray, "K K"] | float = 0.0,
+) -> PivotInertia | None:
+    """I_j of torques less those of friction and of the grasp point's own acceleration; None without windows.
+
+    Args:
+        windows: accelerated windows.
+        linear: their rows.
+        mass: masses of the particles, kg.
+        drag: friction of each, N.
+        response: change of the rows with lift and tilt, N/N and N m/N m.
+        relative_error: as in `pivot_inertias`.
+        more: covariance of torques beyond that of sensor and setup, (N m)^2.
+    """
+    friction = (linear.by_particle @ drag[..., None])[:, 2, 0]
+    inertial = linear.motion(mass)[:, 2] - windows.spin_up(inertia_of(linear.model, mass))
+    covariance = torque_covariance(windows, linear, response) + more
+    return pivot_inertias(windows, friction.numpy(), inertial.numpy(), relative_error, covariance)
 
 
 def pivot_inertias(

@@ -16,14 +16,14 @@ from scipy.linalg import block_diag
 from scipy.optimize import nnls
 from torch import Tensor
 
-from estimators.particles.friction_system import torque_covariance, wrench_errors
+from estimators.particles.friction_system import wrench_errors
 from estimators.particles.lifts import LiftedRows, lifted_rows
 from estimators.particles.misfit import Misfit
-from estimators.particles.pivots import PivotInertia, inertia_map, pivot_inertias
+from estimators.particles.pivots import PivotInertia, corrected_inertias, inertia_map
 from estimators.particles.setup_effects import LinearRows
 from estimators.particles.windows import Observations
 from estimators.particles.wrench import AffineLoads, WrenchModel
-from estimators.wrench.model import ModelErrors, ParticleModel, inertia_of
+from estimators.wrench.model import ModelErrors, ParticleModel
 from estimators.wrench.support import LOADS, GripperLoad, LoadsOf, SupportModel, contact_spread
 from estimators.wrench.table import Table
 from testbed.objects.model import GRAVITY, MassDistribution, ObjectShape
@@ -269,17 +269,14 @@ def _pivots(
     """I_j less the change of friction with the gripper's load; `responses` are by this support model and the other."""
     if len(windows) == 0:
         return None
-    model, particle_mass = linear.model, linear.model.particle_mass(mass)
-    rows, motion = linear.by_particle, linear.motion(particle_mass)
-    load = windows.gripper_load(linear.lever, motion, shape.height)
+    model, particle_mass, rows = linear.model, linear.model.particle_mass(mass), linear.by_particle
+    load = windows.gripper_load(linear.lever, linear.motion(particle_mass), shape.height)
     drag = model.particle_friction(friction) * LOADS[support](model, particle_mass, load)
-    rubbed = (rows @ drag[..., None])[:, 2, 0]
-    moved = motion[:, 2] - windows.spin_up(inertia_of(model, particle_mass))
     response, otherwise = (rows @ model.particle_friction(friction).diag() @ each for each in responses)
     spread = unsure * ((otherwise - response)[:, 2] * load.carried).numpy()
     swayed = _moved(rows, model, mass, friction, support)[:, 2].numpy()
-    error = torque_covariance(windows, linear, response) + spread @ spread.T + swayed @ swayed.T
-    return pivot_inertias(windows, rubbed.numpy(), moved.numpy(), errors.inertia_error, error)
+    more = spread @ spread.T + swayed @ swayed.T
+    return corrected_inertias(windows, linear, particle_mass, drag, response, errors.inertia_error, more)
 
 
 def _known(

@@ -23,6 +23,7 @@ from estimators.identifiability.information import (
     prior_information,
 )
 from estimators.support_models.fit import FRICTION_PRIOR, prior_masses
+from estimators.wrench.weighing import Weighing
 from testbed.actions.base import Action
 from testbed.actions.push import Push
 from testbed.actions.rotate import Rotate
@@ -232,7 +233,7 @@ def prior_belief(shape: ObjectShape, guess: Guess) -> Belief:
     each = []
     for assumptions in guess.assumptions():
         weight_error = max(guess.sensing.scale, assumptions.model_errors.weight_error)
-        information = prior_information(shape, weight_error, guess.setup)
+        information = prior_information(shape, Weighing.of(shape, weight_error, guess.setup), guess.setup)
         information[:n_m, :n_m] += np.linalg.pinv(covariance, rcond=1e-9, hermitian=True)
         information[n_m : n_m + n_mu, n_m : n_m + n_mu] += np.eye(n_mu) / FRICTION_PRIOR**2
         each.append(information)

@@ -14,6 +14,7 @@ from estimators.baselines.problem import Problem
 from estimators.particles.misfit import Misfit
 from estimators.particles.windows import Observations
 from estimators.wrench.model import ModelErrors
+from estimators.wrench.weighing import Weighing
 from testbed.errors import InvalidValueError
 from testbed.objects.model import MassDistribution, ObjectModel
 from testbed.trial import OWN_WEIGHT, RIGID
@@ -66,7 +67,8 @@ class MujocoSysid(Peer):
         first = coordinates.candidates(coordinates.start[None])
         guess = ObjectModel("guess", shape, MassDistribution(first.mass[0].numpy(), first.friction[0].numpy()))
         wrench, whiten = windows.wrench.numpy(), problem.whiten.numpy()
-        measured = PlanarData(motion_of(windows), wrench, whiten, problem.weight, ModelErrors.weight_error)
+        weighing = Weighing.of(shape, ModelErrors.weight_error, windows.setup)
+        measured = PlanarData(motion_of(windows), wrench, whiten, problem.weight, weighing.error)
         found = identify(guess, SUPPORTS[self.support], measured, self.iterations)
         count = shape.particles_per_group
         trace = Trace("mujoco_sysid", tuple(found.losses), tuple(found.seconds), 0.0, found.masses / count)

@@ -16,6 +16,7 @@ from torch import Tensor
 from estimators.baselines.base import FIRST_DEVIATION, LogCoordinates, Peer, SearchResult
 from estimators.baselines.problem import Problem, Weighting
 from estimators.wrench.model import ModelErrors
+from estimators.wrench.weighing import Weighing
 from testbed.errors import InvalidValueError
 from testbed.validation import check_positive
 
@@ -131,7 +132,6 @@ def _covariance(
     slopes = torch.autograd.functional.jacobian(missed, (mass, friction))
     rows = torch.cat(slopes, 1).numpy() * math.sqrt(3 * len(problem.windows))
     if problem.weight is not None:
-        weight_error = math.hypot(ModelErrors.weight_error, problem.windows.setup.scale)
-        weighing = np.append(problem.per_group.numpy() / weight_error, np.zeros(len(friction)))
-        rows = np.vstack([rows, weighing])
+        weighing = Weighing.of(problem.shape, ModelErrors.weight_error, problem.windows.setup)
+        rows = np.vstack([rows, weighing.row(rows.shape[1])])
     return np.linalg.pinv(rows.T @ rows, rcond=1e-12, hermitian=True)[: len(mass), : len(mass)]

@@ -70,6 +70,6 @@ def algorithm_1(trials: TrialWindows, guess: MassDistribution, solve: LoadSolver
     I_j = trials.pivot_inertias(guess, s)  # Eq. dvp
     c, I_cm, unobserved = com_and_inertia(I_j, M)  # Eq. problem_com_inertia
 
-    covariance, weight_error = closed_form_covariance(Q_s_b), trials.errors.weight_error
-    masses = solve_masses(trials.shape, M, weight_error, groups, s, covariance, I_j)  # last line of Algorithm 1
+    covariance = closed_form_covariance(Q_s_b)
+    masses = solve_masses(trials.shape, M, trials.weighing, groups, s, covariance, I_j)  # last line of Algorithm 1
     return Solution(Q_s_b, I_j, HiddenStateEstimate(M, I_cm, c, s, groups, unobserved), masses, traces)

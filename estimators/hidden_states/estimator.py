@@ -179,7 +179,7 @@ class HiddenStates:
         for _ in range(SETTLING if self.unknown else 0):
             trials = trials.refined(at, s)
         system, pivots = trials.friction_system(at), trials.pivot_inertias(at, s)
-        fixed, values = fixed_rows(shape, weight, self.weight_error, pivots, shape.n_m)
+        fixed, values = fixed_rows(shape, weight, trials.weighing, pivots, shape.n_m)
         return Likelihood(shape, trials.groups.pairs, system.q.numpy(), system.b.numpy(), fixed, values)
 
 
@@ -188,7 +188,7 @@ def _report(
 ) -> Identifiability:
     """Masses and frictions that Q, the weight and I_j show."""
     shape = trials.shape
-    fixed, _ = fixed_rows(shape, trials.weight, trials.errors.weight_error, pivots, shape.n_m + shape.n_mu)
+    fixed, _ = fixed_rows(shape, trials.weight, trials.weighing, pivots, shape.n_m + shape.n_mu)
     of_loads = system.q.numpy() @ load_jacobian(shape, trials.groups.pairs, at)
     return identifiability(shape, at, np.vstack([of_loads, fixed]))
 

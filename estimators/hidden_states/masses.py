@@ -14,6 +14,7 @@ from scipy.optimize import nnls
 
 from estimators.particles.friction_system import weight_per_mass
 from estimators.particles.pivots import PivotInertia, inertia_map
+from estimators.wrench.weighing import Weighing
 from testbed.objects.model import GRAVITY, MassDistribution, ObjectShape
 
 ROUNDS = 8
@@ -43,7 +44,7 @@ class MassSolution:
 def solve_masses(
     shape: ObjectShape,
     weight: float,
-    weight_error: float,
+    weighing: Weighing,
     pairs: Pairs,
     loads: Float[np.ndarray, "n_s"],
     load_covariance: Float[np.ndarray, "n_s n_s"],
@@ -54,7 +55,7 @@ def solve_masses(
     Args:
         shape: geometry and groups.
         weight: M, kg.
-        weight_error: standard deviation of M, kg.
+        weighing: the scale that read it.
         pairs: mass and friction group of each s.
         loads: s of one particle in each group pair, N.
         load_covariance: covariance of s, N^2.
@@ -70,7 +71,7 @@ def solve_masses(
     s_rows = np.zeros((len(nu_of), unknowns))
     s_rows[np.arange(len(nu_of)), mass_of] = weight_per_mass(shape, pairs)[kept]
     s_rows[np.arange(len(nu_of)), n_m + nu_of] = -loads[kept]
-    fixed, values = fixed_rows(shape, weight, weight_error, pivots, unknowns)
+    fixed, values = fixed_rows(shape, weight, weighing, pivots, unknowns)
     target = np.concatenate([np.zeros(len(nu_of)), values])
     lower = np.linalg.cholesky(load_covariance[np.ix_(kept, kept)] + 1e-18 * np.eye(len(nu_of)))
 
@@ -127,10 +128,10 @@ def load_jacobian(shape: ObjectShape, pairs: Pairs, at: MassDistribution) -> Flo
 
 
 def fixed_rows(
-    shape: ObjectShape, weight: float, weight_error: float, pivots: PivotInertia | None, unknowns: int
+    shape: ObjectShape, weight: float, weighing: Weighing, pivots: PivotInertia | None, unknowns: int
 ) -> tuple[np.ndarray, np.ndarray]:
     """Rows of the weight and of the inertia about every pivot, and their values, in units of their errors."""
-    rows, values = shape.particles_per_group[None] / weight_error, np.array([weight / weight_error])
+    rows, values = weighing.row(shape.n_m)[None], np.array([weight / weighing.error])
     if pivots is not None:
         whiten = np.linalg.inv(np.linalg.cholesky(pivots.covariance))
         rows = np.vstack([rows, whiten @ inertia_map(shape, pivots.pivot)])

@@ -7,7 +7,6 @@ estimator takes them from the round before.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -38,6 +37,7 @@ from estimators.particles.setup_effects import LinearRows
 from estimators.particles.windows import Observations
 from estimators.wrench.model import ModelErrors, ParticleModel
 from estimators.wrench.support import own_weight
+from estimators.wrench.weighing import Weighing
 from testbed.objects.model import GRAVITY, MassDistribution, ObjectShape
 from testbed.trajectory import Trajectory
 
@@ -80,8 +80,12 @@ class TrialWindows:
     ) -> TrialWindows:
         """Windows that are there, some of them at constant speed; `seconds` of the robot."""
         model, accelerated = ParticleModel.of(shape), windows.where(windows.accelerated)
-        errors = replace(errors, weight_error=math.hypot(errors.weight_error, windows.setup.scale))
         return TrialWindows(shape, weight, errors, model, LoadGroups.of(model), windows, accelerated, seconds)
+
+    @property
+    def weighing(self) -> Weighing:
+        """The scale that read M."""
+        return Weighing.of(self.shape, self.errors.weight_error, self.windows.setup)
 
     @property
     def steady(self) -> Observations:

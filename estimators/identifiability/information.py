@@ -7,7 +7,6 @@ in the end.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -34,6 +33,7 @@ from estimators.particles.setup_effects import LinearRows
 from estimators.particles.windows import PLANAR, Observations
 from estimators.particles.wrench import ParticleLoads
 from estimators.wrench.model import RIGID, ModelErrors, ParticleModel, inertia_of
+from estimators.wrench.weighing import Weighing
 from testbed.actions.base import Action
 from testbed.actions.push import Push
 from testbed.actions.rotate import Rotate
@@ -96,24 +96,23 @@ class TrialInformation:
         flat = rows.reshape(-1, self.rows.shape[-1])
         return flat.T @ flat
 
-    def root(self, shape: ObjectShape, weight_error: float) -> Float[np.ndarray, "n_m+n_mu n_m+n_mu"]:
+    def root(self, weighing: Weighing) -> Float[np.ndarray, "n_m+n_mu n_m+n_mu"]:
         """Root of the information of the weighing and all trials, the shared errors eliminated: R of a QR."""
         flat = self.rows.reshape(-1, self.rows.shape[-1])
         shared = flat.shape[1] - self.known
         prior = np.hstack([np.eye(shared), np.zeros((shared, self.known))])
-        weighing = np.zeros((1, flat.shape[1]))
-        weighing[0, shared : shared + shape.n_m] = shape.particles_per_group / weight_error
-        triangle = np.linalg.qr(np.vstack([prior, weighing, np.roll(flat, shared, axis=1)]), mode="r")
+        scale = np.append(np.zeros(shared), weighing.row(self.known))
+        triangle = np.linalg.qr(np.vstack([prior, scale, np.roll(flat, shared, axis=1)]), mode="r")
         return np.asarray(triangle)[shared:, shared:]
 
-    def report(self, shape: ObjectShape, distribution: MassDistribution, weight_error: float) -> Identifiability:
+    def report(self, shape: ObjectShape, distribution: MassDistribution, weighing: Weighing) -> Identifiability:
         """Report of all trials and the weighing."""
-        found = identifiability(shape, distribution, self.root(shape, weight_error))
+        found = identifiability(shape, distribution, self.root(weighing))
         if shape.chain is None:
             return found
         prior = np.diag((np.arange(self.rows.shape[-1]) >= self.known).astype(float))
-        weighing = shape.particles_per_group / weight_error
-        prior[: shape.n_m, : shape.n_m] = np.outer(weighing, weighing)
+        scale = weighing.row(len(prior))
+        prior += np.outer(scale, scale)
         spread = np.linalg.pinv(prior + self.information(), hermitian=True).diagonal()
         return replace(found, hinge_error=tuple(HINGE_PRIOR * np.sqrt(spread[-len(shape.chain.hinges) :])))
 
@@ -135,7 +134,8 @@ def expected(
         assumptions: support model and model errors.
     """
     trials = predicted_information(shape, distribution, actions, sensing, assumptions or Assumptions())
-    return trials.report(shape, distribution, max(sensing.scale, 1e-6))
+    setup = EXACT_SETUP if assumptions is None else assumptions.setup
+    return trials.report(shape, distribution, Weighing.of(shape, max(sensing.scale, 1e-6), setup))
 
 
 def observed(
@@ -149,7 +149,8 @@ def observed(
     windows, lifts = observe(shape, trajectories), lifts_among(shape, trajectories)
     batches = [] if windows is None else [windows]
     trials = trial_information(shape, distribution, batches, len(trajectories), assumptions, lifts)
-    return trials.report(shape, distribution, assumptions.model_errors.weight_error)
+    setup = SetupErrors.largest([trajectory.setup for trajectory in trajectories])
+    return trials.report(shape, distribution, Weighing.of(shape, assumptions.model_errors.weight_error, setup))
 
 
 def predicted_information(
@@ -224,15 +225,13 @@ def trial_information(
 
 
 def prior_information(
-    shape: ObjectShape, weight_error: float, setup: SetupErrors = EXACT_SETUP
+    shape: ObjectShape, weighing: Weighing, setup: SetupErrors = EXACT_SETUP
 ) -> Float[np.ndarray, "U U"]:
     """Information of the weighing, and of the shared errors, which have unit variance."""
     known = shape.n_m + shape.n_mu
     information = np.diag(np.concatenate([np.zeros(known), np.ones(shared_error_count(shape, setup))]))
-    weight_error = math.hypot(weight_error, setup.scale)
-    weighing = shape.particles_per_group / weight_error
-    information[: shape.n_m, : shape.n_m] += np.outer(weighing, weighing)
-    return information
+    scale = weighing.row(len(information))
+    return information + np.outer(scale, scale)
 
 
 def shared_error_count(shape: ObjectShape, setup: SetupErrors = EXACT_SETUP) -> int:

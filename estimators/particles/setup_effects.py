@@ -75,15 +75,16 @@ class LinearRows:
         table = (table.on_field if setup.place_friction else table).dragged(drag)
         drag, sizes = table.windows["drag"], stated_sizes(setup, ("table",), len(table.model.parts))
         sizes |= {name: torch.zeros(PARAMETERS[name].sized(0)) for name in windows.unknown if name not in sizes}
-        theta = zeros(friction=table.points.shape[:2], twist=(3,))
+        theta = zeros(friction=table.points.shape[:2])
         theta |= zeros(**{name: tuple(size.shape) for name, size in sizes.items()})
-        if pushed:
-            theta |= zeros(seen=(windows.seen.shape[-1],))
         if pushed or windows.articulated:
             theta |= zeros(force=table.model.particles.shape)
         if windows.articulated:
             theta |= zeros(hinge_friction=(windows.hinges,))
         rows, slopes = table.linearized({"mass": mass} | theta)
+        # errors of the motion act on feet, each at one place: in the mean over a cell they would cancel near a center
+        of_motion = zeros(twist=(3,), **({"seen": (windows.seen.shape[-1],)} if pushed else {}))
+        slopes |= table.at_middles.linearized({"mass": mass} | of_motion)[1]
         if lead and not windows.articulated:
             slopes["lead"] = table.secant({}, {"lead": torch.tensor(lead, dtype=torch.float64)})[..., None]
         if setup.anisotropy:

@@ -103,11 +103,6 @@ class Observations(Motion):
         """Covariance of `wrench` from the window's own noise."""
         return self.noise[:, PLANAR][:, :, PLANAR]
 
-    def shared_covariance(self) -> Float[Tensor, "K 3 K 3"]:
-        """Covariance that the windows of one trial share: the tare's bias, and the walk of the sensor's zero since."""
-        left = self.together[:, None, :, None] * self.bias[:, PLANAR][:, :, PLANAR][:, :, None]
-        return left + self.walk_covariance()
-
     def walk_covariance(self) -> Float[Tensor, "K 3 K 3"]:
         """Covariance of the walk of the sensor's zero in each window since its trial's tare."""
         return self.walked[:, None, :, None] * self.drift[:, PLANAR][:, :, PLANAR][:, :, None]

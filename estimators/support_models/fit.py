@@ -26,6 +26,7 @@ from estimators.particles.wrench import AffineLoads, WrenchModel
 from estimators.wrench.model import ModelErrors, ParticleModel
 from estimators.wrench.support import LOADS, GripperLoad, LoadsOf, SupportModel, contact_spread
 from estimators.wrench.table import Table
+from estimators.wrench.weighing import Weighing
 from testbed.objects.model import GRAVITY, MassDistribution, ObjectShape
 
 ROUNDS = 6
@@ -179,7 +180,9 @@ def fit_support(
         pivots = _pivots(
             every.where(observed.accelerated), shape, accelerated, at_mass, at_friction, support, swung, unsure, errors
         )
-        known, known_target, known_volume = _known(shape, weight, pivots, errors, lifted)
+        known, known_target, known_volume = _known(
+            shape, weight, pivots, Weighing.of(shape, errors.weight_error, observed.setup), lifted
+        )
         fit = SupportFit(
             support,
             friction,
@@ -280,14 +283,13 @@ def _pivots(
 
 
 def _known(
-    shape: ObjectShape, weight: float, pivots: PivotInertia | None, errors: ModelErrors, lifted: LiftedRows
+    shape: ObjectShape, weight: float, pivots: PivotInertia | None, weighing: Weighing, lifted: LiftedRows
 ) -> tuple[np.ndarray, np.ndarray, float]:
     """Rows of the weight, of the inertia about every pivot and of lifts, their values, and half their log volume.
 
     All whitened; the lifts' volume is left out, being the same whoever carries the weight.
     """
-    rows, values = shape.particles_per_group[None].astype(float), np.array([weight])
-    covariance = np.array([[errors.weight_error**2]])
+    rows, values, covariance = weighing.count[None], np.array([weight]), np.array([[weighing.error**2]])
     if pivots is not None:
         rows = np.vstack([rows, inertia_map(shape, pivots.pivot)])
         values = np.append(values, pivots.inertia)

@@ -111,15 +111,16 @@ class Table:
 
     def motion(self, mass: Float[Tensor, "P"]) -> Float[Tensor, "K 3+H"]:
         """Wrenches that the motion itself takes of particles of a `mass`, kg, without friction."""
-        return self._at_middles.rows({"mass": mass})
+        return self.undragged.at_middles.rows({"mass": mass})
 
     def inertial_rows(self) -> Float[Tensor, "K 3+H P"]:
         """Derivatives in the mass of each particle, of what the motion itself takes."""
-        return self._at_middles.linearized(zeros(mass=(len(self.points),)))[1]["mass"]
+        return self.undragged.at_middles.linearized(zeros(mass=(len(self.points),)))[1]["mass"]
 
     @property
-    def _at_middles(self) -> Table:
-        return replace(self.undragged, points=self.model.particles[:, None])
+    def at_middles(self) -> Table:
+        """The windows with every particle on its middle."""
+        return replace(self, points=self.model.particles[:, None])
 
     def secant(self, theta: Theta, ahead: Theta) -> Float[Tensor, "K 3+H"]:
         """Half the change of `rows` from one size of some unknowns to its negative.

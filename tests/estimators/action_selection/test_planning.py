@@ -30,6 +30,7 @@ from estimators.identifiability.predicted_lifts import predicted_lift
 from estimators.particles.lifts import lift_information
 from estimators.particles.windows import Observations
 from estimators.particles.wrench import ParticleLoads
+from estimators.wrench.weighing import Weighing
 from testbed.actions.accelerate import Accelerate
 from testbed.actions.lift import Lift
 from testbed.actions.push import Push
@@ -43,6 +44,7 @@ from testbed.simulation.motion import plan_motion
 from testbed.simulation.settings import SimulationSettings
 from testbed.trajectory import Trajectory
 from testbed.worlds.presets import world
+from testbed.worlds.setup_errors import EXACT_SETUP
 
 FT300S = preset("ft300s")
 
@@ -103,7 +105,7 @@ def test_information_of_trials_adds_up_to_that_of_all_together(support, world_na
     together = joint_information(model, windows, assumptions)
     size = np.sqrt(np.diag(together))
     trials = trial_information(shape, model.truth, [windows], len(actions), assumptions, {})
-    root = trials.root(shape, np.hypot(assumptions.model_errors.weight_error, windows.setup.scale))
+    root = trials.root(Weighing.of(shape, assumptions.model_errors.weight_error, windows.setup))
     np.testing.assert_allclose(root.T @ root / np.outer(size, size), together / np.outer(size, size), atol=1e-11)
     assert shared_error_count(shape) == 4 + 5
 
@@ -124,7 +126,7 @@ def test_the_errors_of_a_plan_are_those_of_the_report():
     actions = [Rotate(0, pivot=(0.01, 0.04), back=True), Rotate(2, pivot=(0.03, -0.04), back=True)]
     actions.append(Rotate(1, pivot=(-0.04, -0.09), back=True))
     alone = predicted_information(shape, model.truth, actions, FT300S, Assumptions())
-    information = prior_information(shape, FT300S.scale) + alone.information()
+    information = prior_information(shape, Weighing.of(shape, FT300S.scale, EXACT_SETUP)) + alone.information()
     belief = Belief(information[None], shape.particles_per_group, model.total_mass)
     report = expected(shape, model.truth, actions, FT300S)
     np.testing.assert_allclose(belief.standard_error, report.standard_error, rtol=1e-6)

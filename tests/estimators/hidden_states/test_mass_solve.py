@@ -13,9 +13,11 @@ from estimators.particles.friction_system import LoadGroups
 from estimators.particles.pivots import PivotInertia, inertia_map
 from estimators.testing.analytic_world import drawn_object
 from estimators.wrench.model import ParticleModel
+from estimators.wrench.weighing import Weighing
 from testbed.objects.blocks import block_object, parse_layout
 from testbed.objects.files import load_object
 from testbed.objects.model import GRAVITY, ObjectModel
+from testbed.worlds.setup_errors import EXACT_SETUP
 
 PRECISE = 1e-6
 """Error of every load, N, and of the weight, kg, where the hidden states are exact."""
@@ -36,7 +38,15 @@ def exact_pivots(obj: ObjectModel, error: float = 1e-8) -> PivotInertia:
 
 def solved(obj: ObjectModel, pivots: PivotInertia | None) -> MassSolution:
     pairs, loads = exact_loads(obj)
-    return solve_masses(obj.shape, obj.total_mass, PRECISE, pairs, loads, PRECISE**2 * np.eye(len(loads)), pivots)
+    return solve_masses(
+        obj.shape,
+        obj.total_mass,
+        Weighing.of(obj.shape, PRECISE, EXACT_SETUP),
+        pairs,
+        loads,
+        PRECISE**2 * np.eye(len(loads)),
+        pivots,
+    )
 
 
 def grouped(layout: list[str], friction: list[float], groups: list[int]) -> ObjectModel:
@@ -99,6 +109,14 @@ def test_no_mass_is_below_zero_when_the_loads_are_noise():
     obj = drawn_object(0)
     pairs, loads = exact_loads(obj)
     loads = np.where(np.arange(len(loads)) == 2, 0.0, loads)
-    found = solve_masses(obj.shape, obj.total_mass, PRECISE, pairs, loads, 1e-4 * np.eye(len(loads)), None)
+    found = solve_masses(
+        obj.shape,
+        obj.total_mass,
+        Weighing.of(obj.shape, PRECISE, EXACT_SETUP),
+        pairs,
+        loads,
+        1e-4 * np.eye(len(loads)),
+        None,
+    )
     assert (found.distribution.mass >= 0).all()
     assert found.distribution.mass[2] == pytest.approx(0, abs=1e-9)

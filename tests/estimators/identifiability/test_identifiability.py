@@ -21,6 +21,7 @@ from estimators.identifiability.information import (
 from estimators.identifiability.report import identifiability
 from estimators.testing.analytic_push import analytic_pushes
 from estimators.testing.analytic_world import accelerated, drawn_object, turns
+from estimators.wrench.weighing import Weighing
 from testbed.actions.accelerate import Accelerate
 from testbed.actions.base import Action
 from testbed.actions.push import Push
@@ -32,6 +33,7 @@ from testbed.objects.files import load_object
 from testbed.objects.model import MassDistribution, ObjectModel, ObjectShape
 from testbed.sensing.presets import Sensing, preset
 from testbed.worlds.presets import world
+from testbed.worlds.setup_errors import EXACT_SETUP
 
 NAMES = ("I1", "I2", "L1", "L2", "F1", "F2")
 
@@ -139,7 +141,7 @@ def test_rows_are_derivatives_of_the_drag_which_is_bilinear():
     steady = trials.rows[-len(obj.shape.grasps) :, :, : trials.known].reshape(-1, trials.known)
     # what scales all masses up scales the friction down
     assert_allclose(steady[:, :-1] @ obj.truth.mass, steady[:, -1] * obj.truth.friction[0], rtol=1e-6, atol=1e-6)
-    weighing = prior_information(obj.shape, 0.01)[: obj.shape.n_m, : obj.shape.n_m]
+    weighing = prior_information(obj.shape, Weighing.of(obj.shape, 0.01, EXACT_SETUP))[: obj.shape.n_m, : obj.shape.n_m]
     assert obj.truth.mass @ weighing @ obj.truth.mass == pytest.approx((obj.total_mass / 0.01) ** 2)
 
 

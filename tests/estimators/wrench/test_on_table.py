@@ -9,17 +9,22 @@ import pytest
 import torch
 from numpy.testing import assert_allclose
 
+from estimators.hidden_states.algorithm import Solution, algorithm_1
+from estimators.hidden_states.friction import closed_form
+from estimators.hidden_states.trial_windows import TrialWindows
 from estimators.particles.observe import observe
 from estimators.particles.windows import Observations
 from estimators.testing.analytic_links import analytic_links, drawn_chain
-from estimators.testing.analytic_push import steady_pushes
+from estimators.testing.analytic_push import analytic_pushes, steady_pushes
 from estimators.testing.analytic_world import accelerated, analytic_trial, drawn_object, turns
 from estimators.wrench.jacobian import zeros
-from estimators.wrench.model import ParticleModel
+from estimators.wrench.model import EXACT, ParticleModel
 from estimators.wrench.table import Table
 from testbed.actions.accelerate import Accelerate
+from testbed.actions.push import Push
 from testbed.actions.rotate import Rotate
 from testbed.actions.slide import Slide
+from testbed.objects.faces import faces
 from testbed.objects.model import GRAVITY, ObjectModel
 from testbed.trajectory import Trajectory
 from tests.fakes.flawed_bench import held_beside, on_anisotropic_table
@@ -31,7 +36,9 @@ APART = replace(
     OBJECT,
     shape=replace(OBJECT.shape, grasps=tuple(replace(g, position=g.position + BETWEEN) for g in OBJECT.shape.grasps)),
 )
-CENTERS, DRAG = np.random.default_rng(1).uniform(-0.2, 0.2, (4, 2)), Slide(0, np.pi / 2, duration=2.5)
+CENTERS, PUSHES = np.random.default_rng(1).uniform(-0.2, 0.2, (4, 2)), [Push.into(face) for face in faces(OBJECT.shape)]
+DRAG = Slide(0, np.pi / 2, duration=2.5)
+SHARP = replace(EXACT, weight_error=1e-9)
 
 
 def windows_of(obj: ObjectModel, trials: list[Trajectory]) -> Observations:
@@ -119,3 +126,27 @@ def test_second_order_changes_are_those_of_their_differences():
         second = (both[0] + both[1]) / 2 - table.rows({})
         expected = (bends @ torch.tensor([a**2, a * b, b**2]).double()) / size**2
         assert_allclose(second, expected, atol=0.02 * float(expected.abs().max()))
+
+
+@pytest.mark.parametrize(
+    "trials",
+    [
+        pytest.param(lambda: turns(OBJECT), id="turns"),
+        pytest.param(lambda: [*turns(OBJECT, [0, 1]), analytic_trial(OBJECT, Slide(0, 0.3))], id="slides"),
+        pytest.param(lambda: [*turns(OBJECT), *accelerated(OBJECT)], id="accelerated"),
+        pytest.param(lambda: analytic_pushes(OBJECT, PUSHES), id="pushes", marks=pytest.mark.slow),
+    ],
+)
+def test_masses_come_back_from_predicted_wrenches(trials):
+    windows = windows_of(OBJECT, trials())
+    windows = replace(windows, lift=0 * windows.lift, tilt=0 * windows.tilt, load_kept=0 * windows.load_kept)
+    windows = replace(windows, load_followed=0 * windows.load_followed)
+    table, truth = at_truth(OBJECT, windows)
+    measured = replace(windows, wrench=table.rows(truth))
+    found = TrialWindows.about(OBJECT.shape, OBJECT.total_mass, measured, SHARP)
+    guess = found.first_guess()
+    for _ in range(8):
+        solution = algorithm_1(found, guess, lambda system: (closed_form(system), ()))
+        assert isinstance(solution, Solution)
+        guess = solution.masses.distribution
+    assert_allclose(guess.mass, OBJECT.truth.mass, rtol=1e-8)

@@ -15,6 +15,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from estimators.wrench.air import Air, columns, nominal
+from estimators.wrench.sensor import walk
 from estimators.wrench.setup import stated_sizes
 from testbed.actions.lift import Lift
 from testbed.objects.model import GRAVITY, ObjectShape
@@ -189,11 +190,7 @@ def lift_covariance(
 
 def _sensor_covariance(windows: Sequence[LiftWindow]) -> Float[np.ndarray, "R R"]:
     """Covariance of all windows' wrenches: each one's noise, the tare's bias in all, and the walk of the zero since."""
-    count = len(windows)
-    begin, end = np.array([w.since_tare for w in windows]).T
-    middle = (begin + end) / 2
-    walked = np.minimum(middle[:, None], middle)
-    np.fill_diagonal(walked, begin + (end - begin) / 3)
+    count, walked = len(windows), walk(torch.tensor(np.array([w.since_tare for w in windows]))).numpy()
     covariance = np.kron(np.ones((count, count)), windows[0].bias_covariance)
     covariance += np.kron(walked, windows[0].drift_covariance)
     for k, window in enumerate(windows):

@@ -13,6 +13,7 @@ from torch import Tensor
 from estimators.particles.motion import Motion
 from estimators.wrench.jacobian import Window
 from estimators.wrench.model import Inertia, ParticleModel
+from estimators.wrench.sensor import walk
 from estimators.wrench.support import GripperLoad
 from estimators.wrench.table import Table
 from testbed.worlds.setup_errors import EXACT_SETUP, SetupErrors
@@ -124,12 +125,8 @@ class Observations(Motion):
 
     @property
     def walked(self) -> Float[Tensor, "K K"]:
-        """Covariance of the means over two windows of a random walk of 1 a second that began at their trial's tare."""
-        begin, end = self.since_tare[:, 0], self.since_tare[:, 1]
-        middle = (begin + end) / 2
-        walked = torch.minimum(middle[:, None], middle)  # of the walk at two times: the earlier of them
-        walked.diagonal().copy_(begin + (end - begin) / 3)
-        return self.together * walked
+        """Covariance of the walk of the sensor's zero, 1 a second, in the means over two windows of the same trial."""
+        return self.together * walk(self.since_tare)
 
     @property
     def articulated(self) -> bool:

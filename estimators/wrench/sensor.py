@@ -1,4 +1,4 @@
-"""Reading of a wrist sensor as its errors change it."""
+"""Reading of a wrist sensor as its errors change it, and the walk of its zero."""
 
 from __future__ import annotations
 
@@ -16,3 +16,16 @@ def flawed(theta: Theta, reading: Float[Tensor, "6"]) -> Float[Tensor, "6"]:
         reading = reading + torch.linalg.cross(angle, reading.reshape(2, 3)).flatten()
     crossed = theta["crosstalk"] @ reading if "crosstalk" in theta else 0.0
     return reading * (1 + theta.get("gain", NONE)) + crossed
+
+
+def walk(since_tare: Float[Tensor, "K 2"]) -> Float[Tensor, "K K"]:
+    """Covariance of the means over two windows of a random walk of 1 a second that began at the tare, s.
+
+    Args:
+        since_tare: times of each window's first and last sample, s.
+    """
+    begin, end = since_tare[:, 0], since_tare[:, 1]
+    middle = (begin + end) / 2
+    walked = torch.minimum(middle[:, None], middle)  # of the walk at two times: the earlier of them
+    walked.diagonal().copy_(begin + (end - begin) / 3)
+    return walked

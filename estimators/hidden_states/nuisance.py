@@ -77,7 +77,7 @@ class CorrectedWindows(Observations):
     """a (cos 2 phi, sin 2 phi): phi the table's direction of most friction, most over least (1 + a) / (1 - a)."""
 
     by_bias: Float[Tensor, "K 6 3"]
-    """What a bias of f_x, f_y and the torque takes off each component of the wrench."""
+    """Correction of each component of the wrench for a bias of 1 in f_x, f_y or the torque."""
 
     @property
     def unknown(self) -> tuple[str, ...]:

@@ -109,8 +109,8 @@ class TrialWindows:
         at, linear = self._particles(guess), linear or self.linear_rows(guess, windows)
         found = friction_equations(self.model, self.groups, windows, *at, self.shape.height, self.errors, linear)
         drag = self.groups.spread(self.friction_loads(guess)).clamp(min=0)
-        more = len(found.b) - 3 * len(windows)
-        own = found.apart + pad(swing_errors(windows, windows.table(self.model), drag), (0, more)).diag()
+        table, more = windows.table(self.model, self.errors.pivot_error), len(found.b) - 3 * len(windows)
+        own = found.apart + pad(swing_errors(windows, table, drag), (0, more)).diag()
         moved = pad(unknown_motion(windows, self.model, self.weight), (0, 0, 0, more))
         return replace(found, apart=own, common=torch.cat([found.common, moved], 1))
 

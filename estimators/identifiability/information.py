@@ -260,10 +260,8 @@ def _setup_error_count(shape: ObjectShape, setup: SetupErrors) -> int:
 
 def _felt(windows: Observations, loads: ParticleLoads) -> Observations:
     """Windows with what a sensor over the TCP feels of friction and of I_j: its errors are parts of that."""
-    table = windows.table(loads.model, ModelErrors.pivot_error)
-    planar = table.drag_rows()[:, :3] @ loads.load
-    spins = table.lever.square().sum(-1) + loads.model.cell**2 / 6
-    planar[:, 2] += (spins @ loads.mass) * windows.acceleration[:, 2]
+    planar = windows.table(loads.model, ModelErrors.pivot_error).dragged(loads.load).rows({})[:, :3]
+    planar[:, 2] += windows.spin_up(inertia_of(loads.model, loads.mass))
     felt = torch.zeros(len(windows), 6, dtype=torch.float64)
     felt[:, PLANAR] = planar
     return replace(windows, sensed=torch.linalg.solve(windows.from_sensor, felt))

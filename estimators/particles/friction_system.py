@@ -221,7 +221,8 @@ def wrench_errors(
         Covariance of the errors that no two trials share, and the effect on each row of one standard deviation of each
         error that windows share: lift, height, lead, and those of the setup.
     """
-    slopes, total = linear.slopes, linear.sum_of_drag[:, :3]
+    slopes, along = linear.slopes, linear.sum_of_drag
+    total = along[:, :3]
     torque = (errors.torque_error * windows.wrench[:, 2:]).square()
     own = torch.cat([(errors.force_error * total[:, :2]).square(), torque], -1) + 1e-10
     own = pad(own + (PUSH_ERROR * windows.pushed[:, None] * total).square(), (0, windows.hinges))
@@ -234,7 +235,7 @@ def wrench_errors(
             alone.append(slopes[name][..., :-1])
             late.append(slopes[name][..., -1:])
     if windows.articulated:
-        own = own + link_errors(windows, linear.sum_of_drag).square()
+        own = own + link_errors(windows, along).square()
     by_window, by_trial = torch.cat(alone, -1), by_row(torch.cat(late, -1))
     same = windows.together[windows.of_row][:, windows.of_row]
     apart = (by_trial @ by_trial.T) * same + in_windows(torch.diag_embed(own) + by_window @ by_window.mT)

@@ -1,7 +1,7 @@
 """Errors of wrenches on the table, linear about none: of the setup, of the hand's motion and of the cameras.
 
-Each is normal with the standard deviation that is stated. Whoever whitens by their covariance marginalizes all of them:
-the data decide where they can, error bars hold the rest.
+Each error is normal with its stated standard deviation. Whitening by their covariance marginalizes all of them: the
+data decide where they can, error bars hold the rest.
 """
 
 from __future__ import annotations
@@ -49,8 +49,6 @@ class LinearRows:
     slopes: Slopes
     """Derivatives in the unknowns of `Table`. Besides, changes by one standard deviation: `lead`; `links_seen`;
     `idle`, of particles so slow that they drag any way; and `anisotropy_square`, of its squares and product."""
-    sum_of_drag: Float[Tensor, "K 3+H"]
-    """Sum over particles of the size of what each adds by its drag: N, N, N m, and N m about hinges."""
 
     @staticmethod
     def of(
@@ -74,19 +72,20 @@ class LinearRows:
         lever, pushed = table.lever, windows.seen.shape[-1] > 0
         table = (table.on_field if setup.place_friction else table).dragged(drag)
         drag, sizes = table.windows["drag"], stated_sizes(setup, ("table",), len(table.model.parts))
-        sizes |= {name: torch.zeros(PARAMETERS[name].sized(0)) for name in windows.unknown if name not in sizes}
-        theta = zeros(friction=table.points.shape[:2])
-        theta |= zeros(**{name: tuple(size.shape) for name, size in sizes.items()})
+        shapes = {name: tuple(size.shape) for name, size in sizes.items()}
+        shapes |= {name: PARAMETERS[name].sized(0) for name in windows.unknown}
+        theta = zeros(friction=table.points.shape[:2], **shapes)
         if pushed or windows.articulated:
             theta |= zeros(force=table.model.particles.shape)
         if windows.articulated:
             theta |= zeros(hinge_friction=(windows.hinges,))
-        rows, slopes = table.linearized({"mass": mass} | theta)
-        # errors of the motion act on feet, each at one place: in the mean over a cell they would cancel near a center
         of_motion = zeros(twist=(3,), **({"seen": (windows.seen.shape[-1],)} if pushed else {}))
-        slopes |= table.at_middles.linearized({"mass": mass} | of_motion)[1]
+        spread = table.points.shape[1] > 1
+        rows, slopes = table.linearized({"mass": mass} | theta | ({} if spread else of_motion))
+        if spread:  # errors of the motion act on feet, each at one place: in the mean over a cell they would cancel
+            slopes |= table.at_middles.linearized({"mass": mass} | of_motion)[1]
         if lead and not windows.articulated:
-            slopes["lead"] = table.secant({}, {"lead": torch.tensor(lead, dtype=torch.float64)})[..., None]
+            slopes["lead"] = table.secant({"lead": torch.tensor(lead, dtype=torch.float64)})[..., None]
         if setup.anisotropy:
             mean_square = torch.tensor([3**0.5, 1.0, 3**0.5], dtype=torch.float64)  # roots, of a^2, a b and b^2
             slopes["anisotropy_square"] = table.bends("anisotropy", setup.anisotropy) * mean_square
@@ -97,9 +96,7 @@ class LinearRows:
         if pushed or windows.articulated:
             idle = resting(windows, table) if windows.articulated else _stuck(windows, table)
             slopes["idle"] = slopes.pop("force") * (idle * drag).repeat_interleave(2, 1)[:, None]
-        hinge = slopes["friction"][:, 3:].unflatten(-1, table.points.shape[:2]).mean(-1).abs()
-        size = torch.cat([torch.stack([torch.ones_like(drag)] * 2 + [lever.norm(dim=-1)], 1), hinge], 1)
-        return LinearRows(table.model, table.points, lever, drag, slopes, (size @ drag[..., None])[..., 0])
+        return LinearRows(table.model, table.points, lever, drag, slopes)
 
     def where(self, keep: Tensor) -> LinearRows:
         """Rows of windows that `keep` (K,) selects."""
@@ -108,13 +105,12 @@ class LinearRows:
     @property
     def by_window(self) -> dict[str, Tensor]:
         """Values with a row a window."""
-        return self.slopes | {"lever": self.lever, "drag": self.drag, "sum_of_drag": self.sum_of_drag}
+        return self.slopes | {"lever": self.lever, "drag": self.drag}
 
     def like(self, by_window: dict[str, Tensor]) -> LinearRows:
         """Rows of such values."""
-        names = "lever", "drag", "sum_of_drag"
-        slopes = {name: value for name, value in by_window.items() if name not in names}
-        return replace(self, slopes=slopes, **{name: by_window[name] for name in names})
+        slopes = {name: value for name, value in by_window.items() if name in self.slopes}
+        return replace(self, slopes=slopes, lever=by_window["lever"], drag=by_window["drag"])
 
     @property
     def by_point(self) -> Float[Tensor, "K 3+H P C"]:
@@ -126,8 +122,15 @@ class LinearRows:
         """Derivatives in the friction of each particle."""
         return self.by_point.mean(-1)
 
+    @property
+    def sum_of_drag(self) -> Float[Tensor, "K 3+H"]:
+        """Sum over particles of the magnitudes of their drag along each row, N, N and N m, and N m about hinges."""
+        one = torch.ones_like(self.drag)
+        size = torch.cat([torch.stack([one, one, self.lever.norm(dim=-1)], 1), self.by_particle[:, 3:].abs()], 1)
+        return (size @ self.drag[..., None])[..., 0]
+
     def motion(self, mass: Float[Tensor, "P"]) -> Float[Tensor, "K 3+H"]:
-        """What the motion itself takes of particles of a `mass`, kg."""
+        """Inertial wrenches and hinge torques of particles of a `mass`, kg."""
         return self.slopes["mass"] @ mass
 
 

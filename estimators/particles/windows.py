@@ -69,9 +69,7 @@ class Observations(Motion):
     @property
     def by_window(self) -> dict[str, Tensor]:
         """Fields with a row a window."""
-        return {
-            field.name: getattr(self, field.name) for field in fields(self) if field.name not in ("setup", "_tables")
-        }
+        return {each.name: getattr(self, each.name) for each in fields(self) if each.init and each.name != "setup"}
 
     def where(self, keep: Tensor) -> Self:
         """Windows that `keep` (K,) selects."""

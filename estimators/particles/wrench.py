@@ -51,7 +51,8 @@ class ParticleLoads:
 
     def measured(self, windows: Observations, errors: ModelErrors) -> tuple[Observations, LinearRows]:
         """The windows as if they measured these loads, and their rows as functions of everything that may err."""
-        measured = replace(windows, wrench=windows.drag_rows(self.model, errors.pivot_error) @ self.load)
+        felt = windows.table(self.model, errors.pivot_error).dragged(self.load).rows({})
+        measured = replace(windows, wrench=felt[:, :3])
         return measured, linear_rows(measured, self.model, self.mass, self.friction, errors)
 
     def equations(self, measured: Observations, linear: LinearRows, errors: ModelErrors) -> FrictionEquations:

@@ -157,11 +157,11 @@ def fit_support(
     (weak, even), n_mu = _weak_prior(shape, weight), shape.n_mu
     fit: SupportFit | None = None
     every: LinearRows | None = None
-    for turn in range(ROUNDS):
+    for index in range(ROUNDS):
         at_mass, at_friction = torch.tensor(mass), torch.tensor(friction)
         particle_mass, rough = model.particle_mass(at_mass), model.particle_friction(at_friction)
         pushed = rough * loads.at(at_mass)
-        if every is None or turn < WEIGHED:
+        if every is None or index < WEIGHED:
             every = LinearRows.of(observed, table, particle_mass, pushed, errors.lead_error, observed.setup)
         linear = every.where(~observed.accelerated)
         rows = linear.by_particle
@@ -175,7 +175,7 @@ def fit_support(
         of_friction = (wrenches.weighed @ at_mass + wrenches.carried).flatten(1).T
         of_mass = (wrenches.inertial + torch.einsum("k,kwim->wim", at_friction, wrenches.weighed)).flatten(0, 1)
         off = steady.wrench - wrenches.wrench(at_mass, at_friction)
-        linear = off.flatten() + of_friction @ at_friction + of_mass @ at_mass
+        target = off.flatten() + of_friction @ at_friction + of_mass @ at_mass
         excluded = rough[:, None] * _excluded(model, support)
         pivots = _pivots(
             every.where(observed.accelerated), shape, accelerated, at_mass, at_friction, support, swung, unsure, errors
@@ -190,7 +190,7 @@ def fit_support(
             (whiten @ of_friction).numpy(),
             (whiten @ of_mass).numpy(),
             (whiten @ (rows @ excluded).flatten(0, 1)).numpy(),
-            (whiten @ linear).numpy(),
+            (whiten @ target).numpy(),
             float(torch.log(torch.diagonal(root)).sum()),
             pivots,
             known,

@@ -24,7 +24,7 @@ WAVELENGTHS = (0.06, 0.6)
 """Least and greatest wavelength of friction over a table, m. Ours: shorter ones average out under an object."""
 REFERENCE = 0.02
 """Speed at which friction is the stated one, m/s."""
-BATCH = 100000
+BATCH = 100_000
 """Points of contact, over the parts of windows, that are worked on at once."""
 PAIR = torch.zeros(2, dtype=torch.float64)
 
@@ -69,7 +69,7 @@ class Table:
     points: Float[Tensor, "P C 2"]
     """Points at which a particle touches the table, of equal load, m, object frame."""
     windows: Window
-    """Fields of the windows: see `estimators.particles.windows.fields_of`."""
+    """Fields of the windows, as `Observations.table` gives them."""
     pivot_error: float
     """Error of the center of a turn, m; the drag of a point nearer than that fades."""
 
@@ -110,11 +110,11 @@ class Table:
         return slopes.unflatten(-1, self.points.shape[:2]).mean(-1)
 
     def motion(self, mass: Float[Tensor, "P"]) -> Float[Tensor, "K 3+H"]:
-        """Wrenches that the motion itself takes of particles of a `mass`, kg, without friction."""
+        """Inertial wrenches and hinge torques of particles of a `mass`, kg, without friction."""
         return self.undragged.at_middles.rows({"mass": mass})
 
     def inertial_rows(self) -> Float[Tensor, "K 3+H P"]:
-        """Derivatives in the mass of each particle, of what the motion itself takes."""
+        """Derivatives of the inertial wrenches and hinge torques in the mass of each particle."""
         return self.undragged.at_middles.linearized(zeros(mass=(len(self.points),)))[1]["mass"]
 
     @property
@@ -122,13 +122,13 @@ class Table:
         """The windows with every particle on its middle."""
         return replace(self, points=self.model.particles[:, None])
 
-    def secant(self, theta: Theta, ahead: Theta) -> Float[Tensor, "K 3+H"]:
-        """Half the change of `rows` from one size of some unknowns to its negative.
+    def secant(self, ahead: Theta) -> Float[Tensor, "K 3+H"]:
+        """Half the change of `rows` from the negative of some unknowns to their values.
 
         For those that turn the drag of a point near the center of a turn by as much as can be.
         """
         behind = {name: -value for name, value in ahead.items()}
-        return (self.rows(theta | ahead) - self.rows(theta | behind)) / 2
+        return (self.rows(ahead) - self.rows(behind)) / 2
 
     def bends(self, name: str, size: float) -> Float[Tensor, "K 3+H 3"]:
         """Second-order changes of `rows` with a pair of unknowns of a size: by the first, by both, by the second.

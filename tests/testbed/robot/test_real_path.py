@@ -23,11 +23,11 @@ def test_the_real_path_ends_in_the_simulations_masses():
         simulated.append(runner.run(Trial(model, action)))
     real = over_wires(model, [t.action for t in simulated], QUIET)
     if len(real) < len(simulated):
-        pytest.skip("this machine is too busy for real time: trials ended as faults, rightly")
+        pytest.skip("this machine is too busy for real time: trials ended as faults or came late")
     nad = []
     for trajectories in (simulated, real):
         answer = HiddenStates().estimate(model.shape, model.total_mass, trajectories, 0)
         assert answer.distribution is not None
         nad.append(100 * normalized_absolute_difference(model.shape, answer.distribution, model.truth))
-    assert nad[1] < nad[0] + 1.0
+    assert nad[1] < nad[0] + 1.0, [t.figures for t in real]
     assert all(t.figures["lost_frames"] == 0 for t in real)

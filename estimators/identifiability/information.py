@@ -260,7 +260,7 @@ def _setup_error_count(shape: ObjectShape, setup: SetupErrors) -> int:
 
 def _felt(windows: Observations, loads: ParticleLoads) -> Observations:
     """Windows with what a sensor over the TCP feels of friction and of I_j: its errors are parts of that."""
-    planar = windows.table(loads.model, ModelErrors.pivot_error).dragged(loads.load).rows({})[:, :3]
+    planar = loads.drag(windows, ModelErrors.pivot_error)
     planar[:, 2] += windows.spin_up(inertia_of(loads.model, loads.mass))
     felt = torch.zeros(len(windows), 6, dtype=torch.float64)
     felt[:, PLANAR] = planar

@@ -49,10 +49,13 @@ class ParticleLoads:
         slopes = torch.cat([of_particle[:, None] * per_mass, of_friction], 1)
         return ParticleLoads(model, model.particle_mass(mass), of_particle, of_particle * normal, slopes, shape.height)
 
+    def drag(self, windows: Observations, pivot_error: float) -> Float[Tensor, "K 3"]:
+        """Wrenches of friction alone, N and N m."""
+        return windows.table(self.model, pivot_error).dragged(self.load).rows({})[:, :3]
+
     def measured(self, windows: Observations, errors: ModelErrors) -> tuple[Observations, LinearRows]:
         """The windows as if they measured these loads, and their rows as functions of everything that may err."""
-        felt = windows.table(self.model, errors.pivot_error).dragged(self.load).rows({})
-        measured = replace(windows, wrench=felt[:, :3])
+        measured = replace(windows, wrench=self.drag(windows, errors.pivot_error))
         return measured, linear_rows(measured, self.model, self.mass, self.friction, errors)
 
     def equations(self, measured: Observations, linear: LinearRows, errors: ModelErrors) -> FrictionEquations:

@@ -18,10 +18,10 @@ from torch.func import vmap
 from estimators.wrench.jacobian import NONE, Slopes, Theta, Window, linearized, zeros
 from estimators.wrench.model import ParticleModel, cross, rotate, turned
 from testbed.objects.model import GRAVITY
-from testbed.worlds.setup_errors import PARAMETERS
 
-WAVELENGTHS = (0.06, 0.6)
-"""Least and greatest wavelength of friction over a table, m. Ours: shorter ones average out under an object."""
+PERIOD, FINEST = 0.8, 8
+"""Side of the square over which friction by place is a Fourier series, m, and the order of its finest waves along an
+axis. Ours: trials stay within it, and shorter waves average out under an object."""
 REFERENCE = 0.02
 """Speed at which friction is the stated one, m/s."""
 BATCH = 100_000
@@ -29,16 +29,18 @@ BATCH = 100_000
 PAIR = torch.zeros(2, dtype=torch.float64)
 
 
-def _waves(count: int) -> Float[Tensor, "n 2"]:
-    """Wave vectors, rad/m, even in the logarithm of their length, each a golden angle on from the last."""
-    least, most = map(math.log10, WAVELENGTHS)
-    length = torch.logspace(least, most, count, dtype=torch.float64)
-    way = torch.arange(count, dtype=torch.float64) * math.pi * (3 - 5**0.5)
-    return 2 * math.pi / length[:, None] * torch.stack([torch.cos(way), torch.sin(way)], 1)
+def _waves() -> tuple[Float[Tensor, "n 2"], Float[Tensor, "n"]]:
+    """Wave vectors, rad/m, and the part of the variance of each: even in the logarithm of the wavelength."""
+    along = torch.cartesian_prod(*[torch.arange(-FINEST, FINEST + 1, dtype=torch.float64)] * 2)
+    square = along.square().sum(1)
+    half = (along[:, 0] > 0) | ((along[:, 0] == 0) & (along[:, 1] > 0))  # the other half are the same waves
+    kept = along[half & (square <= FINEST**2)]
+    part = kept.square().sum(1).reciprocal()
+    return 2 * math.pi / PERIOD * kept, part / part.sum()
 
 
-WAVES = _waves(PARAMETERS["place_friction"].sized(0)[0] // 2)
-"""Waves of a table's friction."""
+WAVES, WAVE_PARTS = _waves()
+"""Waves of a table's friction, and the part of its variance that each has."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,9 +62,9 @@ class Table:
     Unknowns, each 0 where it is left out: those of the setup, by their names in `SetupErrors`; `place_friction` is the
     amplitude of every wave of `WAVES`, cosines first. Further: `mass` of every particle, kg; `friction` of every
     point of contact beyond that of the windows, N; `twist` of the hand, m/s and rad/s; `lead`, the time by which
-    friction is ahead of the motion, s; `force` on every particle, N; `seen`, errors of the camera that sees a pushed
-    object, and `links_seen`, of one that sees links, in standard deviations; and `hinge_friction`, the torque of each
-    hinge's friction, N m.
+    friction is ahead of the motion, s; `inertia`, the part by which the wrench of the acceleration is larger; `force`
+    on every particle, N; `seen`, errors of the camera that sees a pushed object, and `links_seen`, of one that sees
+    links, in standard deviations; and `hinge_friction`, the torque of each hinge's friction, N m.
     """
 
     model: ParticleModel
@@ -83,7 +85,8 @@ class Table:
         """The windows with friction's field over the table under each particle, for `place_friction`."""
         poses = self.windows["poses"]
         phase = (poses[..., None, :2] + rotate(poses[..., 2, None], self.lever[:, None])) @ WAVES.T  # (K, S, P, n)
-        field = torch.cat([torch.cos(phase), torch.sin(phase)], -1).mean(1) / len(WAVES) ** 0.5
+        size = WAVE_PARTS.sqrt()
+        field = torch.cat([size * torch.cos(phase), size * torch.sin(phase)], -1).mean(1)
         return replace(self, windows=self.windows | {"field": field})
 
     @cached_property
@@ -294,7 +297,7 @@ class Table:
 
     def _inertial(self, theta: Theta, window: Window, middle: Moved) -> tuple[Tensor, Tensor]:
         """Force on each particle and torque about its own middle, N and N m, that motion and a tilted table take."""
-        given = window["accelerations"]
+        given = window["accelerations"] * (1 + theta.get("inertia", NONE))
         if "seen" in theta:
             given = given + torch.cat([self._seen(theta, window)[2], NONE[None]])
         angle, shift = self._in_hand(theta, window)

@@ -36,7 +36,7 @@ class SetupErrors:
     """Friction of a mass group, as a part of the mean of its friction group."""
     place_friction: float = parameter(
         shows=("table",),
-        shape=(96,),
+        shape=(196,),
         source="friction by place",
         likely=0.05,
         cause="friction differs over the table: clean it, or state `place_friction`",

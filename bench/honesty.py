@@ -217,7 +217,7 @@ def flawed_trial(
     own = obj.total_mass * com_acceleration + pull
     force = push.sum(1) + own
     torque = cross_2d(world, push).sum(1) + obj.inertia_cm * alpha + cross_2d(com, own)
-    on_feet = shape.height / 2 * obj.total_mass * com_acceleration
+    on_feet = shape.height / 2 * own  # the mass acts at half the height, and so does what a tilt pulls
     moment = np.column_stack([-(on_feet[:, 1] - HEIGHT * force[:, 1]), on_feet[:, 0] - HEIGHT * force[:, 0]])
     wrench = np.column_stack([force, np.zeros(len(time)), moment, torque])
     # as the sensor, which turns with the hand, reads it

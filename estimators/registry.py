@@ -14,6 +14,7 @@ from estimators.baselines.random_search import RandomSearch
 from estimators.baselines.weighted_sampling import WeightedSampling
 from estimators.hidden_states.estimator import HiddenStates
 from estimators.hidden_states.published import PublishedHiddenStates
+from estimators.posterior.estimator import Bayes
 from estimators.support_models.estimator import SupportAware
 from testbed.plugins import Role, check_name, configured, find_class, installed, source_hash
 
@@ -31,6 +32,7 @@ METHODS: dict[str, type[Estimator]] = {
     "hidden_states": HiddenStates,
     "hidden_states_published": PublishedHiddenStates,
     "support_aware": SupportAware,
+    "bayes": Bayes,
     "random_search": RandomSearch,
     "weighted_sampling": WeightedSampling,
     "explicit_state": ExplicitState,

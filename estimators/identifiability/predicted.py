@@ -222,6 +222,8 @@ def _observations(shape: ObjectShape, found: list[Planned], sensing: Sensing, se
         load_map=torch.tensor(load_map(HEIGHT)).expand(count, 3, 6),
         load_kept=torch.full((count, 3), kept, dtype=torch.float64),
         load_followed=torch.ones(count, 3, dtype=torch.float64),
+        load_size=torch.zeros(count, 3, dtype=torch.float64),
+        load_change=torch.zeros(count, 3, dtype=torch.float64),
     )
 
 

@@ -221,24 +221,11 @@ def wrench_errors(
         Covariance of the errors that no two trials share, and the effect on each row of one standard deviation of each
         error that windows share: lift, height, lead, and those of the setup.
     """
-    slopes, along = linear.slopes, linear.sum_of_drag
-    total = along[:, :3]
-    torque = (errors.torque_error * windows.wrench[:, 2:]).square()
-    own = torch.cat([(errors.force_error * total[:, :2]).square(), torque], -1) + 1e-10
-    own = pad(own + (PUSH_ERROR * windows.pushed[:, None] * total).square(), (0, windows.hinges))
-    held = ~windows.pushed[:, None, None]
-    moved = errors.pivot_error * windows.twist[:, 2].abs()[:, None, None] * slopes["twist"][..., :2]
-    alone = [moved, slopes["twist"] * windows.twist_noise.sqrt() * held, slopes.get("idle", moved[..., :0])]
-    late = [moved[..., :0]]  # an error of the clock is the same throughout a trial
-    for name in ("seen", "links_seen"):
-        if name in slopes:
-            alone.append(slopes[name][..., :-1])
-            late.append(slopes[name][..., -1:])
-    if windows.articulated:
-        own = own + link_errors(windows, along).square()
-    by_window, by_trial = torch.cat(alone, -1), by_row(torch.cat(late, -1))
+    slopes = linear.slopes
+    blocks, late = model_errors(windows, linear, errors)
+    by_trial = by_row(late)
     same = windows.together[windows.of_row][:, windows.of_row]
-    apart = (by_trial @ by_trial.T) * same + in_windows(torch.diag_embed(own) + by_window @ by_window.mT)
+    apart = (by_trial @ by_trial.T) * same + in_windows(blocks)
     lift, tilt = errors.lift_error, errors.tilt_error
     shared = torch.tensor([lift / 2**0.5, 0.0, 0.0], dtype=torch.float64)
     nulled = torch.tensor([lift / 2**0.5, tilt, tilt], dtype=torch.float64)
@@ -255,6 +242,34 @@ def wrench_errors(
     effects = setup_effects(windows, linear, sensor_map(windows, response), windows.setup)
     shared, own = shared_and_own(effects, windows)
     return apart + own, torch.cat([common, shared], 1)
+
+
+def model_errors(
+    windows: Observations, linear: LinearRows, errors: ModelErrors
+) -> tuple[Float[Tensor, "K 3+H 3+H"], Float[Tensor, "K 3+H m"]]:
+    """Errors of planar wrenches and hinge torques: of the model, of the hand's motion and of the cameras.
+
+    Returns:
+        Covariance of each window's own errors, and the effects of one standard deviation of those that all windows of a
+        trial share.
+    """
+    slopes, along = linear.slopes, linear.sum_of_drag
+    total = along[:, :3]
+    torque = (errors.torque_error * windows.wrench[:, 2:]).square()
+    own = torch.cat([(errors.force_error * total[:, :2]).square(), torque], -1) + 1e-10
+    own = pad(own + (PUSH_ERROR * windows.pushed[:, None] * total).square(), (0, windows.hinges))
+    held = ~windows.pushed[:, None, None]
+    moved = errors.pivot_error * windows.twist[:, 2].abs()[:, None, None] * slopes["twist"][..., :2]
+    alone = [moved, slopes["twist"] * windows.twist_noise.sqrt() * held, slopes.get("idle", moved[..., :0])]
+    late = [moved[..., :0]]  # an error of the clock is the same throughout a trial
+    for name in ("seen", "links_seen"):
+        if name in slopes:
+            alone.append(slopes[name][..., :-1])
+            late.append(slopes[name][..., -1:])
+    if windows.articulated:
+        own = own + link_errors(windows, along).square()
+    by_window = torch.cat(alone, -1)
+    return torch.diag_embed(own) + by_window @ by_window.mT, torch.cat(late, -1)
 
 
 def in_windows(blocks: Float[Tensor, "K 3+H 3+H"]) -> Float[Tensor, "R R"]:
@@ -328,7 +343,7 @@ def _sensor_error(
     windows: Observations, response: Float[Tensor, "K 3+H 3"], nulled: Float[Tensor, "3"], shared: Float[Tensor, "3"]
 ) -> Float[Tensor, "R R"]:
     """Covariance of wrenches less the `response` to lift and tilt: errors of the sensor, and loads taken for them."""
-    sensed, error = _sensor_covariance(windows), sensor_map(windows, response)
+    sensed, error = sensor_covariance(windows), sensor_map(windows, response)
     return error @ sensed @ error.T + _unseen_load(windows, sensed, response, nulled, shared)
 
 
@@ -362,7 +377,7 @@ def _unseen_load(
     return by_row(rows.T.reshape(count, -1, len(rows)))
 
 
-def _sensor_covariance(windows: Observations) -> Float[Tensor, "6K 6K"]:
+def sensor_covariance(windows: Observations) -> Float[Tensor, "6K 6K"]:
     """Covariance of all windows' six components."""
     shared = windows.together[:, None, :, None] * windows.bias[:, :, None] + (
         windows.walked[:, None, :, None] * windows.drift[:, :, None]

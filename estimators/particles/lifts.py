@@ -128,7 +128,7 @@ def lift_information(
     sizes = stated_sizes(windows[0].setup, ("air", "reading"), shape.n_m, trials)
     sizes |= errors.sizes(errors.height * shape.height)
     if (shape.fill < 1).any():
-        sizes["upright"] = _upright_sizes(shape, weight)
+        sizes["upright"] = upright_sizes(shape, weight)
     _, slopes = air.linearized(nominal({"mass": torch.tensor(mass)}, sizes))
     covariance = lift_covariance(shape, windows, slopes, sizes, errors, weight)
     root = np.linalg.cholesky(covariance)
@@ -148,7 +148,7 @@ def creep_covariance(windows: Sequence[LiftWindow], steps: Float[np.ndarray, "R 
     return steps @ steps.T * np.minimum(gone[:, None], gone)
 
 
-def _upright_sizes(shape: ObjectShape, weight: float) -> Float[Tensor, "3"]:
+def upright_sizes(shape: ObjectShape, weight: float) -> Float[Tensor, "3"]:
     """Standard deviations of second moments with height, where partly filled cells leave the height of matter open.
 
     That of the sum of m z^2 is a full cell's; those of m x z and m y z are as if height went half with place.

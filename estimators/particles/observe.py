@@ -55,7 +55,7 @@ def observe(
     off = bias + np.array([w.since_tare.mean() for w in windows])[:, None, None] * drift
     setup = SetupErrors.largest([trajectories[index].setup for index in set(trial)])
     drag = torch.tensor(np.linalg.norm(wrench[:, :2], axis=1).max())
-    load, kept, followed = likely_load(
+    likely = likely_load(
         np.einsum("kij,kj->ki", carries, wrench),
         np.einsum("kij,kjl,kil->ki", carries, off, carries),
         np.einsum("kij,kjl,kil->ki", carries, noise, carries),
@@ -75,11 +75,13 @@ def observe(
         "noise": noise,
         "bias": bias,
         "drift": drift,
-        "lift": load[:, 0],
-        "tilt": load[:, 1:],
+        "lift": likely.load[:, 0],
+        "tilt": likely.load[:, 1:],
         "load_map": carries,
-        "load_kept": kept,
-        "load_followed": followed,
+        "load_kept": likely.kept,
+        "load_followed": likely.followed,
+        "load_size": likely.size,
+        "load_change": likely.change,
     }
     fields = vars(motion) | {name: torch.tensor(value) for name, value in values.items()}
     return Observations(**fields, setup=setup)  # pyright: ignore[reportArgumentType]

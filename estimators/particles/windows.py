@@ -52,6 +52,10 @@ class Observations(Motion):
     """Part of a trial's common lift and tilt that stands out of the bias, 0 to 1; the rest is taken as none."""
     load_followed: Float[Tensor, "K 3"]
     """Part of their change from window to window of a trial that stands out of the noise, 0 to 1."""
+    load_size: Float[Tensor, "K 3"]
+    """Standard deviation of a trial's mean lift and tilt, N and N m."""
+    load_change: Float[Tensor, "K 3"]
+    """Standard deviation of their change from window to window of a trial, N and N m."""
     setup: SetupErrors = EXACT_SETUP
     """Errors of the setup as stated, the largest of all trials."""
     _tables: dict[tuple[object, ...], Table] = field(default_factory=dict, init=False, repr=False)

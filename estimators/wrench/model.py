@@ -17,6 +17,7 @@ from torch import Tensor
 from testbed.errors import InvalidValueError
 from testbed.objects.model import ObjectShape
 from testbed.validation import check_positive, is_number
+from testbed.worlds.parameters import parameter, parameters_of
 
 REST_SPEED = 1e-6
 """Speed below which a particle's direction fades out, m/s: friction has no direction at rest."""
@@ -32,15 +33,27 @@ class ModelErrors:
     """Force, as a part of the total drag."""
     torque_error: float = 0.00055
     """Torque, as a part of itself."""
-    height_error: float = 0.0009
+    height_error: float = parameter(
+        default=0.0009,
+        unit="m",
+        shows=("table",),
+        cause="the TCP is higher or lower over the table: measure its height",
+    )
     """Height of the TCP over the feet, m."""
     lift_error: float = 0.06
     """Vertical force of a nulled gripper that the sensor cannot tell, N."""
     tilt_error: float = 0.0005
     """Moment of a nulled gripper that the sensor cannot tell, N m."""
-    lead_error: float = 0.02
+    lead_error: float = parameter(
+        default=0.02, unit="s", shows=("table",), cause="friction leads or lags the motion: align the clocks"
+    )
     """Time by which friction leads the motion, s: MuJoCo's feet drag against v + a / b, b their friction's damping."""
-    inertia_error: float = 0.007
+    inertia_error: float = parameter(
+        default=0.007,
+        shows=("table",),
+        cause="accelerated turns show another inertia than the masses have: weigh the object again, check the torque's "
+        "unit and the object's size",
+    )
     """I_j, as a part of itself: once of each, and once of all together."""
     weight_error: float = 1e-3
     """Weighing, kg."""
@@ -69,6 +82,8 @@ EXACT = ModelErrors(
     inertia_error=0.0,
 )
 """Errors of a perfect model: the weighing's alone."""
+MODEL_PARAMETERS = {name.removesuffix("_error"): described for name, described in parameters_of(ModelErrors).items()}
+"""Parameters of the model that err, by the names of their unknowns in the forward model."""
 RIGID = ModelErrors(force_error=0.0025, torque_error=0.003, lift_error=0.8, tilt_error=0.07, inertia_error=0.06)
 """Errors under one rigid body: its loads are not quite affine over the feet, and a gripper that is nulled before the
 motion carries far more of a body that cannot give way to it than of blocks that slide apart."""

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import combinations
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 import torch
@@ -21,6 +21,8 @@ from testbed.objects.model import GRAVITY
 
 TURNED, SWUNG = np.array([0.0064, 0.0027, 0.0027]), np.array([0.33, 2.5e-3, 2.5e-3])
 """Change of a nulled gripper's lift, N, and moment, N m, between directions of a turn, and as it accelerates."""
+PUSHED = np.array([10.0, 1.0, 1.0])
+"""Load of a fingertip, which is not nulled, N and N m: beyond what any carries, so the sensor alone measures it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,6 +57,21 @@ def load_map(height: float) -> np.ndarray:
     return np.array([[0, 0, 1, 0, 0, 0], [height, 0, 0, 0, 1, 0], [0, height, 0, -1, 0, 0]], dtype=float)
 
 
+class LikelyLoad(NamedTuple):
+    """Lift, N, and moments, N m, of the gripper in K windows, by how much of their scatter the sensor explains."""
+
+    load: Float[np.ndarray, "K 3"]
+    """Loads with the sensor's likely error taken off."""
+    kept: Float[np.ndarray, "K 3"]
+    """Part of a trial's mean load that was kept."""
+    followed: Float[np.ndarray, "K 3"]
+    """Part of the change from window to window that was kept."""
+    size: Float[np.ndarray, "K 3"]
+    """Standard deviation of a trial's mean load."""
+    change: Float[np.ndarray, "K 3"]
+    """Standard deviation of the change from window to window."""
+
+
 def likely_load(
     load: Float[np.ndarray, "K 3"],
     bias: Float[np.ndarray, "K 3"],
@@ -64,8 +81,8 @@ def likely_load(
     nulled: Float[np.ndarray, "3"],
     pushed: Bool[np.ndarray, "K"],
     carried: float = 0.0,
-) -> tuple[Float[np.ndarray, "K 3"], Float[np.ndarray, "K 3"], Float[np.ndarray, "K 3"]]:
-    """Loads of K windows with the sensor's likely error taken off, and the parts of mean and change that were kept.
+) -> LikelyLoad:
+    """Loads of K windows with the sensor's likely error taken off, and how large mean and change are.
 
     Both a trial's mean load and its change from window to window are drawn towards zero by how much of their scatter
     the sensor explains (empirical Bayes): a gripper that carries less than the sensor can tell is better taken to carry
@@ -82,6 +99,7 @@ def likely_load(
         carried: moment that the hand carries of links that trail, one standard deviation, N m.
     """
     likely, kept, followed = load.copy(), np.ones_like(load), np.ones_like(load)
+    size, change_size = (np.tile(wide, (len(load), 1)) for wide in (PUSHED, PUSHED))
     of_links = carried * np.array([0.0, 1.0, 1.0])
     for rows, changes in ((accelerated, SWUNG), (~accelerated & ~pushed, TURNED)):
         if not rows.any():
@@ -93,12 +111,14 @@ def likely_load(
         common = mean @ some
         change, free = some - common[index], max(len(some) - len(trials), 1)
         explained = (mean @ bias[rows] + mean @ noise[rows] / together[:, None]).mean(axis=0)
-        kept[rows] = _real_part((common**2).mean(axis=0), explained, len(trials), np.maximum(nulled, of_links))
-        followed[rows] = _real_part(
+        kept[rows], size[rows] = _real_part(
+            (common**2).mean(axis=0), explained, len(trials), np.maximum(nulled, of_links)
+        )
+        followed[rows], change_size[rows] = _real_part(
             (change**2).sum(axis=0) / free, noise[rows].mean(axis=0), free, np.maximum(changes, of_links)
         )
         likely[rows] = kept[rows] * common[index] + followed[rows] * change
-    return likely, kept, followed
+    return LikelyLoad(likely, kept, followed, size, change_size)
 
 
 @dataclass(frozen=True, eq=False)
@@ -226,6 +246,45 @@ def contact_spread(model: ParticleModel, mass: Float[Tensor, "P"]) -> Float[Tens
     return spread
 
 
+@dataclass(frozen=True, eq=False)
+class Support:
+    """Loads of a support model, affine in the masses and in the gripper's load."""
+
+    per_mass: Float[Tensor, "K P n_m"]
+    """Load of each particle per kg of each group's particle mass, N/kg."""
+    response: Float[Tensor, "K P 3"]
+    """Change of each load with the gripper's lift, N/N, and moment, N/(N m)."""
+
+    @staticmethod
+    def of(
+        name: str,
+        model: ParticleModel,
+        lever: Float[Tensor, "K P 2"],
+        held: Int[Tensor, "K 2"],
+        *,
+        balanced: bool = False,
+    ) -> Support:
+        """Loads of an entry of `LOADS`.
+
+        Args:
+            name: support model.
+            model: particles of the object.
+            lever: place of each particle from the grasp point, m.
+            held: mass groups under the two pads.
+            balanced: as in `GripperLoad`.
+        """
+        count, loads_of = len(lever), LOADS[name]
+
+        def loads(mass: Tensor, carried: Tensor) -> Tensor:
+            load = GripperLoad(carried[0].expand(count), carried[1:].expand(count, 2), held, lever, balanced)
+            return loads_of(model, mass, load)
+
+        none, weightless = torch.zeros(3, dtype=torch.float64), torch.zeros(len(model.particles), dtype=torch.float64)
+        per_mass = [loads(mass, none).expand(count, -1) for mass in model.parts]
+        response = [loads(weightless, one) for one in torch.eye(3, dtype=torch.float64)]
+        return Support(torch.stack(per_mass, -1), torch.stack(response, -1))
+
+
 SupportModel = Literal["own_weight", "rigid"]
 LoadsOf = Callable[[ParticleModel, Tensor, GripperLoad], Tensor]
 """Loads [N], (K, P), from particle masses [kg], (P,), and the gripper's load."""
@@ -234,7 +293,7 @@ ASSUMPTION = {"own_weight": "every mass group rests on its own weight", "rigid":
 LOADS: dict[str, LoadsOf] = {"own_weight": own_weight_loads, "rigid": rigid_loads}
 
 
-def _real_part(scatter: np.ndarray, error: np.ndarray, count: int, least: np.ndarray) -> np.ndarray:
-    """Part of a scatter over `count` values that is no error of the sensor: 1 where there is no error."""
+def _real_part(scatter: np.ndarray, error: np.ndarray, count: int, least: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Part of a scatter over `count` values that is no error of the sensor, 1 where there is no error, and its size."""
     real = np.maximum(scatter - (1 + 2 * np.sqrt(2 / count)) * error, least**2)
-    return np.where(error > 0, real / np.maximum(real + error, 1e-300), 1.0)
+    return np.where(error > 0, real / np.maximum(real + error, 1e-300), 1.0), np.sqrt(real)

@@ -52,9 +52,10 @@ class Parameter:
         return f"{factor * size:.2g} {unit}"
 
 
-def parameter(least: float = 0.0, **said: Any) -> Any:
-    """Field of a dataclass, exact by default, that a `Parameter` of such fields describes."""
-    return field(default=least, metadata={"parameter": Parameter(least=least, **said)})
+def parameter(least: float = 0.0, *, default: float | None = None, **said: Any) -> Any:
+    """Field of a dataclass that a `Parameter` of such fields describes; exact, if no other default is given."""
+    described = Parameter(least=least, **said)
+    return field(default=least if default is None else default, metadata={"parameter": described})
 
 
 @cache

@@ -16,6 +16,7 @@ from estimators.baselines.random_search import RandomSearch
 from estimators.baselines.weighted_sampling import WeightedSampling
 from estimators.hidden_states.estimator import HiddenStates
 from estimators.hidden_states.published import PublishedHiddenStates
+from estimators.posterior.estimator import Bayes
 from estimators.registry import METHODS
 from estimators.support_models.estimator import SupportAware
 from estimators.testing.analytic_world import drawn_object
@@ -38,6 +39,7 @@ VARIANTS = {
     "descent": (HiddenStates(solver="descent"), drawn_object),
     "published": (PublishedHiddenStates(), drawn_object),
     "published, exact": (PublishedHiddenStates(solver="closed_form", gripper_load=True), drawn_object),
+    "bayes": (Bayes(), drawn_object),
     "support_aware": (SupportAware(), drawn_object),
     "support_aware of materials": (SupportAware(materials_kg=(0.1, 0.4)), drawn_object),
     **{name: (kind, small_object) for name, kind in BASELINES.items()},
@@ -49,7 +51,7 @@ SLOW = (
     *(f"{name} with M" for name in BASELINES),
 )
 """Held by CI alone: each has a quick twin, in method or in one setting."""
-CLOSED_FORM = ("hidden_states", "published, exact", "support_aware", "support_aware of materials")
+WITHOUT_TRACES = ("hidden_states", "published, exact", "bayes", "support_aware", "support_aware of materials")
 
 
 def traces_every_iteration(estimator, draw):
@@ -66,10 +68,10 @@ RULES = [
     for name, (estimator, draw) in VARIANTS.items()
     for holds in (
         *CONFORMANCE,
-        *(() if name in CLOSED_FORM else (traces_every_iteration,)),
+        *(() if name in WITHOUT_TRACES else (traces_every_iteration,)),
         *(
             WITHOUT_DRAWS
-            if isinstance(estimator, HiddenStates | PublishedHiddenStates | GradientBaseline | LeastSquares)
+            if isinstance(estimator, HiddenStates | PublishedHiddenStates | Bayes | GradientBaseline | LeastSquares)
             else ()
         ),
     )

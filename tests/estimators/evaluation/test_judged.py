@@ -19,6 +19,7 @@ from estimators.evaluation.judged import judged
 from estimators.hidden_states.estimator import HiddenStates
 from estimators.hidden_states.published import PublishedHiddenStates
 from estimators.particles.misfit import UNEXPLAINED
+from estimators.posterior.estimator import Bayes
 from estimators.registry import METHODS
 from estimators.support_models.estimator import SupportAware
 from estimators.testing.recorded import load_block
@@ -30,6 +31,7 @@ SHAPE, TRUTH = OWN.model.shape, OWN.model.truth
 METHODS_HELD = {
     "hidden_states": HiddenStates(),
     "hidden_states_published": PublishedHiddenStates(solver="closed_form", gripper_load=True),
+    "bayes": Bayes(),
     "support_aware": SupportAware(),
     "random_search": RandomSearch(),
     "weighted_sampling": WeightedSampling(),
@@ -39,7 +41,7 @@ METHODS_HELD = {
     "nelder_mead": NelderMead(iterations=2000),
     "least_squares": LeastSquares(),
 }
-QUICK = ("hidden_states", "support_aware", "least_squares", "random_search")
+QUICK = ("hidden_states", "bayes", "support_aware", "least_squares", "random_search")
 """One of each kind; CI asks the others."""
 ASKED = [pytest.param(name, marks=[pytest.mark.slow] * (name not in QUICK)) for name in METHODS_HELD]
 SEARCHES = ("random_search", "weighted_sampling", "diff_lcp", "nelder_mead")

@@ -1,0 +1,1 @@
+"""Joint posterior of masses, frictions and the errors of the setup, from any set of measurements."""

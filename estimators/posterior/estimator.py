@@ -1,0 +1,85 @@
+"""Joint posterior as an estimator: masses and frictions with every error of the setup estimated beside them."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import get_args
+
+import numpy as np
+
+from estimators.base import Estimate
+from estimators.hidden_states.estimator import NO_DATA, NO_LINKS, ONE_BODY
+from estimators.particles.lifts import lifts_among
+from estimators.particles.observe import observe
+from estimators.posterior.in_air import InAir
+from estimators.posterior.on_table import OnTable
+from estimators.posterior.posterior import Posterior
+from estimators.posterior.priors import priors
+from estimators.posterior.scale import Scale
+from estimators.posterior.solver import Measurement, solve
+from estimators.wrench.model import RIGID, ModelErrors
+from estimators.wrench.support import ASSUMPTION, SupportModel
+from testbed.errors import InvalidValueError
+from testbed.objects.model import GRAVITY, ObjectShape
+from testbed.trajectory import Trajectory
+from testbed.worlds.setup_errors import SetupErrors
+
+
+@dataclass(frozen=True)
+class Bayes:
+    """Joint posterior of masses, frictions, friction of hinges and every stated error of the setup."""
+
+    support: SupportModel = "own_weight"
+    """Assumed support: own_weight, or rigid."""
+
+    def __post_init__(self) -> None:
+        if self.support not in get_args(SupportModel):
+            raise InvalidValueError("Bayes.support", self.support, f"one of {', '.join(get_args(SupportModel))}")
+
+    def estimate(
+        self, shape: ObjectShape, weight: float | None, trajectories: Sequence[Trajectory], seed: int
+    ) -> Estimate:
+        """Most likely masses and frictions, with Laplace's covariance. Draws nothing: `seed` changes nothing.
+
+        Raises:
+            InvalidValueError: no weight.
+        """
+        begin = time.perf_counter()
+        if self.support == "own_weight" and not shape.stands_in_groups:
+            return Estimate(None, "assumption_violated", ONE_BODY)
+        found = posterior_of(shape, weight, trajectories, self.support)
+        if found is None:
+            return Estimate(None, "no_data", NO_DATA if shape.chain is None else NO_LINKS)
+        answer = found.estimate(shape)
+        return replace(answer, assumes=ASSUMPTION[self.support], seconds=time.perf_counter() - begin)
+
+
+def posterior_of(
+    shape: ObjectShape, weight: float | None, trajectories: Sequence[Trajectory], support: SupportModel
+) -> Posterior | None:
+    """Posterior of an object from its trials; None where no trial is usable.
+
+    Args:
+        shape: geometry and groups.
+        weight: M as weighed, kg.
+        trajectories: slides, turns, accelerated turns, pushes and lifts; all others are left out.
+        support: support model on the table.
+
+    Raises:
+        InvalidValueError: no weight, or a grasp that the shape does not have.
+    """
+    if weight is None or not (np.isfinite(weight) and weight > 0):
+        raise InvalidValueError("weight", weight, "M as weighed, a finite number > 0, kg")
+    errors = ModelErrors() if support == "own_weight" else RIGID
+    windows, lifts = observe(shape, trajectories, errors), lifts_among(shape, trajectories)
+    if windows is None or bool(windows.accelerated.all()):
+        return None
+    on_table = OnTable.of(shape, windows, support, errors)
+    setup = SetupErrors.largest([trajectories[index].setup for index in {*windows.trial.tolist(), *lifts}])
+    unknowns = priors(shape, setup, errors, weight, on_table)
+    measurements: list[Measurement] = [on_table, Scale.of(shape, weight, errors.weight_error, setup)]
+    measurements += [InAir.of(shape, trial, each, weight) for trial, each in lifts.items()]
+    start = unknowns.start(friction=windows.drag / (weight * GRAVITY))
+    return Posterior(unknowns, measurements, solve(measurements, unknowns, start))

@@ -1,0 +1,78 @@
+"""Lifts as measurements of all unknowns."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from estimators.particles.lifts import LiftErrors, lift_covariance, upright_sizes
+from estimators.posterior.solver import Blocks, Linearized
+from estimators.posterior.unknowns import Unknowns
+from estimators.wrench.air import Air
+from estimators.wrench.jacobian import Theta, zeros
+from estimators.wrench.setup import stated_sizes
+from testbed.objects.model import ObjectShape
+from testbed.sensing.lift_windows import LiftWindow
+from testbed.worlds.setup_errors import PARAMETERS
+
+SHARED = {name for name, each in PARAMETERS.items() if {"air", "reading"} & set(each.shows) and each.scope != "trial"}
+"""Errors of the setup that change these measurements in all trials alike."""
+SHARED |= {"mass"}
+
+
+@dataclass(frozen=True, eq=False)
+class InAir:
+    """K windows of one lift."""
+
+    shape: ObjectShape
+    trial: int
+    """Place of the lift among the trajectories."""
+    windows: Sequence[LiftWindow]
+    air: Air
+    own: Theta
+    """Standard deviations of the errors of this trial alone, by name."""
+    errors: LiftErrors
+    weight: float
+    """M or a guess of it, kg: errors are in proportion."""
+
+    @staticmethod
+    def of(shape: ObjectShape, trial: int, windows: Sequence[LiftWindow], weight: float) -> InAir:
+        """Windows of one lift, at a place among the trajectories, of an object of about a weight, kg."""
+        errors = LiftErrors()
+        stated = stated_sizes(windows[0].setup, ("air", "reading"), shape.n_m)
+        own = {name: size for name, size in stated.items() if PARAMETERS[name].scope == "trial"}
+        own |= errors.sizes(errors.height * shape.height)
+        if (shape.fill < 1).any():
+            own["upright"] = upright_sizes(shape, weight)
+        return InAir(shape, trial, windows, Air.of_masses(shape, windows), own, errors, weight)
+
+    @property
+    def read(self) -> Float[Tensor, "R"]:
+        """Measured wrenches about the TCP, N and N m."""
+        return torch.tensor(np.concatenate([window.wrench for window in self.windows]))
+
+    @property
+    def parts(self) -> list[tuple[str, int]]:
+        """All windows together."""
+        return [(f"the wrenches of trial {self.trial}, a lift", 6 * len(self.windows))]
+
+    def linearized(self, unknowns: Unknowns, z: Float[Tensor, "n"]) -> Linearized:
+        """Residual, derivatives and covariance; the errors of this trial alone are in the last."""
+        theta = unknowns.of(SHARED, z)[0]
+        rows, slopes = self.air.linearized(
+            theta | zeros(**{name: tuple(size.shape) for name, size in self.own.items()})
+        )
+        covariance = lift_covariance(self.shape, self.windows, slopes, self.own, self.errors, self.weight)
+        shared = {name: slope for name, slope in slopes.items() if name in theta}
+        columns = unknowns.columns(shared, torch.zeros(len(rows), dtype=torch.int64), z).flatten(0, 1)
+        blocks = [(torch.arange(len(columns)), torch.tensor(covariance))]
+
+        def elsewhere(z: Tensor) -> tuple[Tensor, Blocks]:
+            return self.air.wrenches(unknowns.of(SHARED, z)[0]).flatten() - self.read, blocks
+
+        return Linearized(rows.flatten() - self.read, columns, blocks, elsewhere)

@@ -1,0 +1,249 @@
+"""Slides, turns and accelerated turns as measurements of all unknowns: all six components that the sensor shows."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+from torch.func import vmap
+
+from estimators.particles.setup_effects import MOST_POINTS
+from estimators.particles.windows import Observations
+from estimators.posterior.solver import Blocks, Linearized
+from estimators.posterior.table_errors import TableErrors
+from estimators.posterior.unknowns import Unknowns
+from estimators.wrench.jacobian import NONE, Slopes, Theta, Window, linearized, zeros
+from estimators.wrench.model import MODEL_PARAMETERS, ModelErrors, ParticleModel, rotate
+from estimators.wrench.sensor import flawed
+from estimators.wrench.support import GripperLoad, Support, own_weight
+from estimators.wrench.table import Table
+from testbed.objects.model import GRAVITY, ObjectShape
+from testbed.worlds.setup_errors import PARAMETERS
+
+SHARED = {name for name, each in PARAMETERS.items() if {"table", "reading"} & set(each.shows)}
+"""Errors of the setup that change these measurements."""
+SHARED |= {"mass", "friction", "contact_pattern", "hinge_friction", "links_carried", *MODEL_PARAMETERS}
+
+
+@dataclass(frozen=True, eq=False)
+class OnTable:
+    """K windows of trials on the table, at constant speed or acceleration."""
+
+    shape: ObjectShape
+    windows: Observations
+    table: Table
+    """Forward model, with the fields of support and sensor in its windows."""
+    patterns: Float[Tensor, "P C q"]
+    """Patterns of contact of each group as parts of its load: a column per pattern of its own group."""
+    points: Int[Tensor, "n_m"]
+    """Number of points of each group that a pattern is over."""
+    errors: ModelErrors
+
+    @staticmethod
+    def of(shape: ObjectShape, windows: Observations, support: str, errors: ModelErrors) -> OnTable:
+        """Windows under a support model, an entry of `LOADS`."""
+        model, setup = ParticleModel.of(shape), windows.setup
+        table = windows.table(model, errors.pivot_error)
+        if setup.place_friction:
+            table = table.on_field
+        balanced = windows.articulated and bool(setup.contact_points)
+        loads = Support.of(support, model, table.lever, windows.held, balanced=balanced)
+        fields = {
+            "per_mass": loads.per_mass,
+            "response": loads.response,
+            "inertial": table.inertial_rows()[:, :2] @ model.parts.T,
+            "from_sensor": windows.from_sensor,
+            "tcp_height": windows.load_map[:, 1, 0],
+            "spin": windows.twist[:, 2] * ~windows.pushed,
+            "tool_tilt": windows.tool_tilt,
+        }
+        if windows.articulated:
+            fields["beside"] = _beside(model, table, windows)
+        table = Table(model, table.points, _halved(table.windows) | fields, table.pivot_error)
+        return OnTable(shape, windows, table, *contact_patterns(model, table.points), errors)
+
+    @cached_property
+    def read(self) -> Float[Tensor, "K 6+H"]:
+        """Wrench about the TCP as the sensor shows it, N and N m; 0 of each hinge, where no sensor is."""
+        read = (self.windows.from_sensor @ self.windows.sensed[..., None])[..., 0]
+        return torch.nn.functional.pad(read, (0, self.windows.hinges))
+
+    @property
+    def trials(self) -> int:
+        """Number of trials."""
+        return int(self._trial.max()) + 1
+
+    @cached_property
+    def middles(self) -> Table:
+        """Forward model with every particle on its middle: errors of the motion act on feet, each at one place."""
+        return self.windows.table(self.table.model, self.errors.pivot_error, spread=False)
+
+    @property
+    def parts(self) -> list[tuple[str, int]]:
+        """Every trial, in its order: windows of a trial follow each other."""
+        trials, count = torch.unique_consecutive(self.windows.trial, return_counts=True)
+        rows = 6 + self.windows.hinges
+        return [(f"the wrenches of trial {t}", rows * n) for t, n in zip(trials.tolist(), count.tolist(), strict=True)]
+
+    def linearized(self, unknowns: Unknowns, z: Float[Tensor, "n"]) -> Linearized:
+        """Residual, derivatives and covariance; the gripper's load, in which the rows are linear, is in the last.
+
+        Derivatives are taken at the likely load.
+        """
+        theta, own = self._at(unknowns, z)
+        errors = self._errors(theta)
+
+        def elsewhere(z: Tensor) -> tuple[Tensor, Blocks]:
+            rows, carried = self._rows(*self._at(unknowns, z))
+            return (rows - self.read).flatten(), errors.blocks(carried)
+
+        rows, carried = self._rows(theta, own)
+        off, blocks = rows - self.read, errors.blocks(carried)
+        slopes = self._slopes(theta, own | {"carried": errors.likely_load(off, carried, blocks)})
+        columns = unknowns.columns(slopes, self._trial, z).flatten(0, 1)
+        return Linearized(off.flatten(), columns, blocks, elsewhere)
+
+    def _errors(self, theta: Theta) -> TableErrors:
+        """Errors of the rows at some unknowns."""
+        model = self.table.model
+        drag = model.particle_friction(theta["friction"]) * (self.table.windows["per_mass"] @ theta["mass"])
+        return TableErrors.of(self.windows, self.middles, model.particle_mass(theta["mass"]), drag, self.errors)
+
+    def _rows(self, theta: Theta, own: Theta) -> tuple[Float[Tensor, "K 6+H"], Float[Tensor, "K 6+H 3"]]:
+        """Rows of a gripper that carries nothing, and their derivatives in its lift and moment."""
+        loads = torch.cat([torch.zeros(1, 3, dtype=torch.float64), torch.eye(3, dtype=torch.float64)])
+
+        def predict(own: Theta, window: Window) -> Tensor:
+            return vmap(lambda load: self.predict(theta | own | {"carried": load}, window))(loads)
+
+        found = vmap(predict)(own, self.table.windows)
+        return found[:, 0], (found[:, 1:] - found[:, :1]).mT
+
+    @cached_property
+    def _trial(self) -> Tensor:
+        """Trial of each window, counted from 0."""
+        return torch.unique(self.windows.trial, return_inverse=True)[1]
+
+    def _at(self, unknowns: Unknowns, z: Tensor) -> tuple[Theta, Theta]:
+        """Unknowns that all windows share, and those of each window's trial."""
+        shared, by_trial = unknowns.of(SHARED, z)
+        return shared, {name: value[self._trial] for name, value in by_trial.items()}
+
+    def _slopes(self, theta: Theta, own: Theta) -> Slopes:
+        """Derivatives of the rows, by the chain rule over the planar wrench: it has half as many components."""
+
+        def at(theta: Theta, window: Window) -> Theta:
+            known = {"carried": window["own carried"]}
+            return theta | known | {name: theta[name] + window[f"own {name}"] for name in own if name not in known}
+
+        def wrench(theta: Theta, window: Window) -> Tensor:
+            return self.wrench(at(theta, window), window)
+
+        def reading(theta: Theta, window: Window) -> Tensor:
+            return self.reading(at(theta, window), window["planar"] + theta["planar"], window)
+
+        fields = self.table.windows | {f"own {name}": value for name, value in own.items()}
+        start = theta | zeros(**{name: tuple(value.shape[1:]) for name, value in own.items() if name != "carried"})
+        planar, inner = linearized(wrench, start, fields)
+        _, outer = linearized(reading, start | zeros(planar=tuple(planar.shape[1:])), fields | {"planar": planar})
+        by_planar = outer.pop("planar")
+        return {name: outer[name] + by_planar @ slope for name, slope in inner.items()}
+
+    def loads(self, theta: Theta, window: Window) -> Float[Tensor, "P C"]:
+        """Normal load of each point of contact, N."""
+        load = window["per_mass"] @ theta["mass"] + window["response"] @ self.carried(theta, window)
+        at_points = load[:, None] / self.table.points.shape[1]
+        if "contact_pattern" not in theta:
+            return at_points.expand(self.table.points.shape[:2])
+        group = self.table.model.mass_group
+        on_group = torch.zeros_like(theta["mass"]).index_add(0, group, load)
+        return at_points + (on_group[group, None] * (self.patterns * theta["contact_pattern"][group, None]).sum(-1))
+
+    def carried(self, theta: Theta, window: Window) -> Float[Tensor, "3"]:
+        """Lift and moment of the gripper on the feet, N and N m.
+
+        The hand keeps the tilt in which it was nulled while links move, and may carry what their weights take beyond.
+        """
+        carried = theta.get("carried", torch.zeros(3, dtype=torch.float64))
+        if "links_carried" not in theta:
+            return carried
+        moved = theta["links_carried"] * (window["beside"] @ theta["mass"])
+        return carried + torch.nn.functional.pad(moved, (1, 0))
+
+    def predict(self, theta: Theta, window: Window) -> Float[Tensor, "6+H"]:
+        """Wrench about the TCP that the sensor shows in one window, N and N m."""
+        return self.reading(theta, self.wrench(theta, window), window)
+
+    def wrench(self, theta: Theta, window: Window) -> Float[Tensor, "3+H"]:
+        """Planar wrench of the gripper on the object about the grasp point, N and N m."""
+        model = self.table.model
+        friction = model.particle_friction(theta["friction"])[:, None] * self.loads(theta, window)
+        moved = {name: value for name, value in theta.items() if name not in ("mass", "friction")}
+        mass = model.particle_mass(theta["mass"])
+        return self.table.predict(moved | {"mass": mass, "friction": friction}, window)
+
+    def reading(self, theta: Theta, planar: Float[Tensor, "3+H"], window: Window) -> Float[Tensor, "6+H"]:
+        """Wrench about the TCP that the sensor shows of a planar one and of the gripper's load, N and N m."""
+        carried = self.carried(theta, window)
+        height = window["tcp_height"] + theta.get("height", NONE)
+        pull, tool = window["inertial"] @ theta["mass"], torch.zeros(6, dtype=torch.float64)
+        if "table_tilt" in theta:
+            weight = GRAVITY * self.table.model.particle_mass(theta["mass"]).sum()
+            pull = pull + weight * rotate(-window["poses"][:, 2], theta["table_tilt"]).mean(0)
+            tool = theta["table_tilt"] @ window["tool_tilt"]
+        on_feet = carried[1:] + self.shape.height / 2 * pull - height * planar[:2]
+        wrench = torch.stack([planar[0], planar[1], carried[0], -on_feet[1], on_feet[0], planar[2]]) + tool
+        read = window["from_sensor"] @ flawed(theta, torch.linalg.solve(window["from_sensor"], wrench))
+        if "delay" in theta:
+            late = theta["delay"] * window["spin"]
+            read = torch.cat([rotate(late, read[:2]), read[2:3], rotate(late, read[3:5]), read[5:]])
+        return torch.cat([read, planar[3:]])
+
+
+def _beside(model: ParticleModel, table: Table, windows: Observations) -> Float[Tensor, "K 2 n_m"]:
+    """Moment that the weights of links take beyond what the hand was nulled in, N m per kg of each particle mass."""
+    still = GripperLoad.none(model)
+
+    def of(mass: Tensor) -> Tensor:
+        balanced = bool(windows.setup.contact_points)
+        none = torch.zeros(len(windows), dtype=torch.float64), torch.zeros(len(windows), 2, dtype=torch.float64)
+        moved = own_weight(model, mass, GripperLoad(*none, windows.held, table.lever, balanced))
+        return moved.beside - moved.held_by(own_weight(model, mass, still))
+
+    return torch.stack([of(mass) for mass in model.parts], -1)
+
+
+def _halved(windows: Window) -> Window:
+    """Windows of half as many parts, pairs of them averaged: friction hardly changes within one."""
+    parts = windows["rates"].shape[1]
+    return windows | {
+        name: windows[name].unflatten(1, (parts // 2, 2)).mean(2)
+        for name in ("rates", "poses", "ahead", "frames", "accelerations")
+        if windows[name].shape[1] == parts
+    }
+
+
+def contact_patterns(
+    model: ParticleModel, points: Float[Tensor, "P C 2"]
+) -> tuple[Float[Tensor, "P C q"], Int[Tensor, "n_m"]]:
+    """Patterns of load over at most `MOST_POINTS` points of each group, orthonormal, and the number of points.
+
+    The first two are affine, and carry a group off the middle of its points; the others keep its load and moments.
+    """
+    groups = len(model.parts)
+    every = [
+        torch.nonzero(((model.mass_group == g) & model.contact)[:, None].expand(points.shape[:2]))
+        for g in range(groups)
+    ]
+    taken = [at[:: max(1, math.ceil(len(at) / MOST_POINTS))] for at in every]
+    found = torch.zeros(*points.shape[:2], max(len(at) for at in taken) - 1, dtype=torch.float64)
+    for particle, point in (at.unbind(1) for at in taken if len(at) > 3):
+        place = points[particle, point]
+        affine = torch.cat([torch.ones_like(place[:, :1]), place - place.mean(0)], 1)
+        ways = torch.linalg.qr(affine, mode="complete")[0][:, 1:]
+        found[particle, point, : ways.shape[1]] = ways
+    return found, torch.tensor([len(at) for at in taken])

@@ -1,0 +1,123 @@
+"""Most likely unknowns of a set of measurements: Gauss-Newton on whitened residuals and priors."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from estimators.posterior.unknowns import Unknowns
+
+ROUNDS = 30
+"""Greatest number of linearizations."""
+TOLERANCE = 0.03
+"""Decrease of the cost, twice that of the negative log likelihood, by a step after which a solution has converged: that
+of a sixth of a standard error, of which the step leaves little."""
+LARGEST_DAMPING = 1e9
+
+
+Blocks = Sequence[tuple[Int[Tensor, "r"], Float[Tensor, "r r"]]]
+"""Rows whose errors are correlated, and their covariance."""
+
+
+@dataclass(frozen=True, eq=False)
+class Linearized:
+    """Rows of a measurement at some unknowns, R of them."""
+
+    residual: Float[Tensor, "R"]
+    """Predicted less measured rows; zeros of a planned measurement."""
+    slopes: Float[Tensor, "R n"]
+    """Derivatives of the predicted rows in z."""
+    blocks: Blocks
+    """Covariance of their errors."""
+    elsewhere: Callable[[Float[Tensor, "n"]], tuple[Float[Tensor, "R"], Blocks]]
+    """Residual and covariance at other z; what the errors of the model follow is as here."""
+
+
+class Measurement(Protocol):
+    """Measured rows and their forward model."""
+
+    @property
+    def parts(self) -> Sequence[tuple[str, int]]:
+        """Parts of the rows in their order, each by its name and its number of rows."""
+        ...
+
+    def linearized(self, unknowns: Unknowns, z: Float[Tensor, "n"]) -> Linearized:
+        """Residual, derivatives and covariance at some unknowns."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class Whitened:
+    """Rows of unit variance."""
+
+    residual: Float[Tensor, "R"]
+    slopes: Float[Tensor, "R n"]
+
+    @staticmethod
+    def of(found: Linearized) -> Whitened:
+        """Rows over their errors."""
+        both = whitened(torch.cat([found.residual[:, None], found.slopes], 1), found.blocks)
+        return Whitened(both[:, 0], both[:, 1:])
+
+
+def whitened(values: Float[Tensor, "R m"], blocks: Blocks) -> Float[Tensor, "R m"]:
+    """Values over the Cholesky root of their covariance."""
+    found = torch.empty_like(values)
+    for rows, covariance in blocks:
+        found[rows] = torch.linalg.solve_triangular(torch.linalg.cholesky(covariance), values[rows], upper=False)
+    return found
+
+
+@dataclass(frozen=True, eq=False)
+class Optimum:
+    """Most likely z."""
+
+    z: Float[Tensor, "n"]
+    residual: Float[Tensor, "R"]
+    """Whitened residuals of all measurements there."""
+    rounds: int
+    converged: bool
+
+
+def solve(measurements: Sequence[Measurement], unknowns: Unknowns, start: Float[Tensor, "n"]) -> Optimum:
+    """Minimum of |residual|^2 + |z|^2 by Gauss-Newton steps, damped where one does not decrease it.
+
+    Masses and loads multiply, so a whole step overshoots: the minimum of a parabola along it is tried as well.
+    """
+    z, damping, eye = start, 0.0, torch.eye(len(unknowns), dtype=torch.float64)
+    converged, rounds, residual = False, 0, torch.zeros(0, dtype=torch.float64)
+    while not converged and rounds < ROUNDS:
+        rounds += 1
+        found = [each.linearized(unknowns, z) for each in measurements]
+        rows = [Whitened.of(each) for each in found]
+        residual, slopes = (torch.cat([getattr(each, name) for each in rows]) for name in ("residual", "slopes"))
+        now = float(residual @ residual + z @ z)
+        inner, gradient = slopes.T @ slopes, slopes.T @ residual + z
+
+        def off(z: Tensor, found: list[Linearized] = found) -> Tensor:
+            moved = [each.elsewhere(z) for each in found]
+            return torch.cat([whitened(rows[:, None], blocks)[:, 0] for rows, blocks in moved])
+
+        while True:
+            root = torch.linalg.cholesky(inner + (1 + damping) * eye)
+            step = -torch.cholesky_solve(gradient[:, None], root)[:, 0]
+            downhill, at, moved = -float(gradient @ step), z + step, off(z + step)
+            least = float(moved @ moved + at @ at)
+            bend = least - now + 2 * downhill
+            part = min(max(downhill / bend, 0.1), 2.0) if bend > 0 else 1.0
+            if abs(part - 1) > 0.1:
+                other, elsewhere = z + part * step, off(z + part * step)
+                if (less := float(elsewhere @ elsewhere + other @ other)) < least:
+                    at, moved, least = other, elsewhere, less
+            if least < now or downhill < TOLERANCE or damping > LARGEST_DAMPING:
+                damping = damping / 10 if damping > 1e-3 else 0.0
+                break
+            damping = max(10 * damping, 0.1)
+        converged = now - least < TOLERANCE
+        z, residual = (at, moved) if least < now else (z, residual)
+    return Optimum(z, residual, rounds, converged)

@@ -1,0 +1,110 @@
+"""Unknowns of an estimate: named blocks with priors, together one vector z of independent standard normals."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from estimators.wrench.jacobian import Theta
+
+
+@dataclass(frozen=True, eq=False)
+class Block:
+    """Parameter and its prior: normal, or log-normal where `positive`."""
+
+    mean: Tensor
+    """Prior mean in the parameter's unit; of a positive parameter that of its logarithm."""
+    std: Tensor
+    """Prior standard deviation, likewise; same shape as `mean`."""
+    positive: bool = False
+    """True for a log-normal prior."""
+    by_trial: bool = False
+    """True for a value per trial: the leading axis is the trial."""
+
+    def value(self, z: Float[Tensor, "n"]) -> Tensor:
+        """Parameter in its own unit."""
+        value = self.mean + self.std * z.reshape(self.mean.shape)
+        return value.exp() if self.positive else value
+
+    def scale(self, z: Float[Tensor, "n"]) -> Float[Tensor, "n"]:
+        """Derivative of the parameter in z."""
+        return (self.std * self.value(z) if self.positive else self.std).flatten()
+
+    @staticmethod
+    def normal(std: Tensor, trials: int | None = None) -> Block:
+        """Error of mean 0, one per trial where their number is given."""
+        std = std if trials is None else std.expand(trials, *std.shape)
+        return Block(torch.zeros_like(std), std, by_trial=trials is not None)
+
+    @staticmethod
+    def log_normal(median: float | Tensor, std: float, count: int) -> Block:
+        """Positive parameter by its median and the standard deviation of its logarithm."""
+        mean = torch.as_tensor(median, dtype=torch.float64).log().expand(count)
+        return Block(mean, torch.full((count,), std, dtype=torch.float64), positive=True)
+
+
+@dataclass(frozen=True, eq=False)
+class Unknowns:
+    """All blocks in order."""
+
+    blocks: dict[str, Block]
+    at: dict[str, slice] = field(init=False)
+    """Entries of each block in z."""
+
+    def __post_init__(self) -> None:
+        at, begin = {}, 0
+        for name, block in self.blocks.items():
+            at[name] = slice(begin, begin + block.mean.numel())
+            begin += block.mean.numel()
+        object.__setattr__(self, "at", at)
+
+    def __len__(self) -> int:
+        return sum(block.mean.numel() for block in self.blocks.values())
+
+    def start(self, **values: float) -> Float[Tensor, "n"]:
+        """z of the prior means, but of some positive parameters of a given value."""
+        z = torch.zeros(len(self), dtype=torch.float64)
+        for name, value in values.items():
+            block = self.blocks[name]
+            z[self.at[name]] = ((math.log(max(value, 1e-300)) - block.mean) / block.std).flatten()
+        return z
+
+    def values(self, z: Float[Tensor, "n"]) -> Theta:
+        """Parameters by name, in their own units."""
+        return {name: block.value(z[self.at[name]]) for name, block in self.blocks.items()}
+
+    def of(self, names: set[str], z: Float[Tensor, "n"]) -> tuple[Theta, Theta]:
+        """Those of the named parameters that are unknown: shared by all trials, and one per trial."""
+        found = {name: self.blocks[name].value(z[self.at[name]]) for name in names if name in self.blocks}
+        by_trial = {name: value for name, value in found.items() if self.blocks[name].by_trial}
+        return {name: value for name, value in found.items() if name not in by_trial}, by_trial
+
+    def only(self, names: tuple[str, ...]) -> Unknowns:
+        """The named blocks alone; the errors of the others are then 0."""
+        return Unknowns({name: self.blocks[name] for name in names})
+
+    def columns(
+        self, slopes: dict[str, Float[Tensor, "K r m"]], trial: Tensor, z: Float[Tensor, "n"]
+    ) -> Float[Tensor, "K r n"]:
+        """Derivatives of K windows' rows in z, from those in each parameter of a window's trial.
+
+        Args:
+            slopes: derivatives by name.
+            trial: trial of each window.
+            z: where they were taken.
+        """
+        count, rows = next(iter(slopes.values())).shape[:2]
+        found = torch.zeros(count, rows, len(self), dtype=torch.float64)
+        for name, slope in slopes.items():
+            block, where = self.blocks[name], self.at[name]
+            if block.by_trial:
+                own = torch.arange(slope.shape[-1]) + where.start + trial[:, None] * slope.shape[-1]
+                scale = block.scale(z[where]).reshape(len(block.mean), -1)[trial]
+                found.scatter_(2, own[:, None].expand(-1, rows, -1), slope * scale[:, None])
+            else:
+                found[..., where] = slope * block.scale(z[where])
+        return found

@@ -1,0 +1,167 @@
+"""Tests of the joint posterior: its derivatives, what it recovers, and how sure it is."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from numpy.testing import assert_allclose
+from scipy.stats import chi2
+
+from estimators.particles import friction_system, links, setup_effects
+from estimators.particles.lifts import lifts_among
+from estimators.particles.observe import observe
+from estimators.particles.windows import Observations
+from estimators.posterior import solver, table_errors
+from estimators.posterior.in_air import InAir
+from estimators.posterior.on_table import OnTable, contact_patterns
+from estimators.posterior.posterior import Posterior
+from estimators.posterior.priors import priors
+from estimators.posterior.scale import Scale
+from estimators.posterior.solver import solve
+from estimators.posterior.unknowns import Unknowns
+from estimators.testing.analytic_links import analytic_links, drawn_chain
+from estimators.testing.analytic_push import analytic_pushes
+from estimators.testing.analytic_world import accelerated, analytic_trial, drawn_object, turns
+from estimators.wrench.model import EXACT, ModelErrors, ParticleModel
+from testbed.actions.lift import Lift
+from testbed.actions.push import Push
+from testbed.actions.rotate import Rotate
+from testbed.actions.slide import Slide
+from testbed.objects.faces import faces
+from testbed.worlds.presets import world
+from testbed.worlds.setup_errors import EXACT_SETUP
+from tests.fakes.lifted_world import lifted
+
+OBJECT = drawn_object(2)
+BLOCKS = drawn_object(3, ["11", "11", "11"])
+CHAIN = drawn_chain(1)
+LAB = world("lab").stated
+SHARP = replace(EXACT, weight_error=1e-6)
+
+
+def slid():
+    return [*turns(OBJECT, [0, 1]), *(analytic_trial(OBJECT, Slide(g, way)) for g, way in ((0, 0.3), (1, 2.0)))]
+
+
+def pushed():
+    return analytic_pushes(BLOCKS, [Push.into(face) for face in faces(BLOCKS.shape)])
+
+
+def in_links():
+    last = len(CHAIN.shape.grasps) - 1
+    pivots = [tuple((CHAIN.shape.grasps[g].position + 0.015).tolist()) for g in (0, last)]
+    actions = [Slide(0, math.pi / 2, duration=2.5), Slide(last, -math.pi / 2, duration=2.5)]
+    actions += [Rotate(g, duration=2.5, pivot=p) for g, p in zip((0, last), pivots, strict=True)]
+    return [analytic_links(CHAIN, action) for action in actions]
+
+
+KINDS = {
+    "turns": (OBJECT, lambda: turns(OBJECT)),
+    "slides": (OBJECT, slid),
+    "accelerated": (OBJECT, lambda: turns(OBJECT, [0, 1]) + accelerated(OBJECT)),
+    "lifts": (OBJECT, lambda: [*turns(OBJECT, [0, 1]), lifted(OBJECT, Lift(0, hold=1.4))]),
+    "pushes": (BLOCKS, pushed),
+    "links": (CHAIN, in_links),
+}
+
+
+def problem(kind, setup=EXACT_SETUP, errors=SHARP, *, loaded=True):
+    """Measurements of one kind, and their unknowns; without a gripper's load if not `loaded`."""
+    model, trials = KINDS[kind]
+    made = [replace(trial, setup=setup) for trial in trials()]
+    windows, weight = observe(model.shape, made, errors), model.total_mass
+    if not loaded:
+        windows = replace(windows, load_size=0 * windows.load_size, load_change=0 * windows.load_change)
+    on_table = OnTable.of(model.shape, windows, "own_weight", errors)
+    measurements = [on_table, Scale.of(model.shape, weight, errors.weight_error, setup)]
+    measurements += [InAir.of(model.shape, k, lift, weight) for k, lift in lifts_among(model.shape, made).items()]
+    return model, measurements, priors(model.shape, setup, errors, weight, on_table)
+
+
+def at_truth(model, unknowns, z=None):
+    """z of the true masses and frictions; the others as given, or 0."""
+    z = torch.zeros(len(unknowns), dtype=torch.float64) if z is None else z.clone()
+    for name in ("mass", "friction"):
+        block = unknowns.blocks[name]
+        z[unknowns.at[name]] = (torch.tensor(getattr(model.truth, name)).log() - block.mean) / block.std
+    return z
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_derivatives_are_those_of_the_rows(kind):
+    model, measurements, unknowns = problem(kind, LAB, ModelErrors(), loaded=False)
+    rng = np.random.default_rng(0)
+    z = at_truth(model, unknowns, 0.3 * torch.tensor(rng.standard_normal(len(unknowns))))
+    for measurement in measurements:
+        found = measurement.linearized(unknowns, z)
+        slopes = found.slopes
+        for _ in range(3):
+            way = torch.tensor(rng.standard_normal(len(unknowns)))
+            ahead, behind = (found.elsewhere(z + step * way)[0] for step in (1e-5, -1e-5))
+            assert_allclose(slopes @ way, (ahead - behind) / 2e-5, rtol=1e-5, atol=1e-6 * float(slopes.abs().max()))
+
+
+@pytest.mark.parametrize("kind", ["turns", "slides", "accelerated", "pushes", "links"])
+def test_masses_come_back_from_predicted_readings(kind, monkeypatch):
+    for module, name in ((links, "FORCE_ERROR"), (links, "HINGE_ERROR"), (links, "RESTING")):
+        monkeypatch.setattr(module, name, 1e-6 * getattr(module, name))
+    for module, name in ((friction_system, "PUSH_ERROR"), (setup_effects, "SLOW"), (table_errors, "SWING")):
+        monkeypatch.setattr(module, name, 1e-6 * getattr(module, name))
+    monkeypatch.setattr(Observations, "twist_noise", torch.zeros(3, dtype=torch.float64))
+    monkeypatch.setattr(solver, "TOLERANCE", 1e-12)
+    model, (planned, scale), unknowns = problem(kind, loaded=False)
+    # so wide that it does not count
+    unknowns = Unknowns({name: replace(block, std=1e3 * block.std) for name, block in unknowns.blocks.items()})
+    truth = at_truth(model, unknowns)
+    off = planned.linearized(unknowns, truth).residual.reshape(planned.read.shape)
+    windows = planned.windows
+    still = windows.links[:, None].expand_as(windows.links_off)
+    windows = replace(
+        windows, bias=0 * windows.bias, noise=1e-9 * windows.noise, seen=0 * windows.seen, links_off=still
+    )
+    measured = OnTable(model.shape, windows, planned.table, planned.patterns, planned.points, SHARP)
+    measured.__dict__["read"] = planned.read + off
+    found = solve([measured, scale], unknowns, unknowns.start(friction=0.3))
+    assert found.converged
+    assert_allclose(unknowns.values(found.z)["mass"], model.truth.mass, rtol=1e-8)
+
+
+def test_patterns_of_contact_keep_load_and_moments_but_for_two():
+    model = ParticleModel.of(OBJECT.shape)
+    points = torch.stack([each.particles for each in model.spread], 1)
+    patterns, count = contact_patterns(model, points)
+    for group in range(OBJECT.shape.n_m):
+        inside = model.mass_group == group
+        ways = patterns[inside].flatten(0, 1)[:, : int(count[group]) - 1]
+        assert_allclose(ways.T @ ways, np.eye(ways.shape[1]), atol=1e-12)
+        assert_allclose(ways.sum(0), 0.0, atol=1e-12)
+        assert_allclose(ways[:, 2:].T @ points[inside].flatten(0, 1), 0.0, atol=1e-12)
+
+
+@pytest.mark.parametrize("setup", [EXACT_SETUP, LAB], ids=["exact", "lab"])
+def test_a_posterior_of_its_own_predictions_is_calibrated(setup):
+    """Truth from the prior, readings from the forward model: errors are chi-squared by the covariance."""
+    model, (on_table, scale), unknowns = problem("accelerated", setup, ModelErrors())
+    rng, own = np.random.default_rng(3), at_truth(model, unknowns)
+    sums = []
+    for _ in range(12):
+        truth = torch.tensor(rng.standard_normal(len(unknowns)))
+        truth[unknowns.at["mass"]] = own[unknowns.at["mass"]] + 0.2 * truth[unknowns.at["mass"]]
+        truth[unknowns.at["friction"]] = own[unknowns.at["friction"]]
+        found = on_table.linearized(unknowns, truth)
+        read = on_table.read.flatten() + found.residual
+        for rows, covariance in found.blocks:
+            root = np.linalg.cholesky(covariance.numpy())
+            read[rows] += torch.tensor(root @ rng.standard_normal(len(rows)))
+        measured = replace(on_table)
+        measured.__dict__["read"] = read.reshape(on_table.read.shape)
+        mass = unknowns.values(truth)["mass"]
+        weighed = replace(scale, reading=float(scale.count @ mass) + scale.error * rng.standard_normal())
+        both = [measured, weighed]
+        posterior = Posterior(unknowns, both, solve(both, unknowns, unknowns.start(friction=0.3)))
+        off, where = posterior.of("mass")[0] - mass, unknowns.at["mass"]
+        sums.append(float(off @ torch.linalg.solve(posterior.covariance[where, where], off)))
+    total, freedom = sum(sums), 12 * model.shape.n_m
+    assert chi2.ppf(1e-3, freedom) / 2 < total < chi2.ppf(1 - 1e-3, freedom) * 1.5

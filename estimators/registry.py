@@ -31,8 +31,8 @@ POLICY: Role[ActionPolicy] = Role(
 METHODS: dict[str, type[Estimator]] = {
     "hidden_states": HiddenStates,
     "hidden_states_published": PublishedHiddenStates,
-    "support_aware": SupportAware,
     "bayes": Bayes,
+    "support_aware": SupportAware,
     "random_search": RandomSearch,
     "weighted_sampling": WeightedSampling,
     "explicit_state": ExplicitState,

@@ -16,25 +16,20 @@ from estimators.descent import OPTIMIZERS, check_optimizers
 from estimators.hidden_states.algorithm import Solution, Underdetermined, algorithm_1
 from estimators.hidden_states.friction import closed_form, contradiction, descend_loads
 from estimators.hidden_states.masses import fixed_rows, load_jacobian, one_friction_masses
-from estimators.hidden_states.nuisance import NuisancePrior
-from estimators.hidden_states.setup import UnknownSetup, with_found_bias
 from estimators.hidden_states.trial_windows import TrialWindows
 from estimators.identifiability.posterior import Likelihood
 from estimators.identifiability.report import Identifiability, identifiability
 from estimators.particles.friction_system import LinearSystem, hinge_friction
 from estimators.particles.links import HINGE_PRIOR
-from estimators.particles.misfit import Misfit
 from estimators.particles.pivots import PivotInertia
 from estimators.wrench.model import ModelErrors
 from estimators.wrench.support import ASSUMPTION
 from testbed.errors import InvalidValueError
 from testbed.objects.model import MassDistribution, ObjectShape
 from testbed.trajectory import Trajectory
-from testbed.validation import check_integer, check_positive_fields
+from testbed.validation import check_integer
 
 Solver = Literal["closed_form", "descent"]
-SETTLING = 3
-"""Additional rounds where something of the setup is unknown: the wrench is not linear in it."""
 ONE_BODY = "not every mass group has feet of its own to rest on: it is one rigid body, for support_aware"
 NO_DATA = "no trajectory with status ok that slides or turns at constant speed"
 NO_LINKS = f"{NO_DATA} while every link moves steadily: grip another link, or move across the links"
@@ -52,12 +47,6 @@ class HiddenStates:
     """Optimizers to descend with; the one with the lowest loss is taken."""
     refinements: int = 3
     """Rounds of solving, each with the gripper's load worked out from the round before."""
-    unknown: tuple[str, ...] = ()
-    """Parameters of the setup to estimate with the loads: any of bias, grasp_offset, anisotropy."""
-    offset_error: float = NuisancePrior.grasp_offset
-    """Standard deviation of an unknown grasp offset along each axis, m."""
-    anisotropy_error: float = NuisancePrior.anisotropy
-    """Standard deviation of each component of an unknown friction anisotropy, as `SetupErrors.anisotropy`."""
     pivot_error: float = ModelErrors.pivot_error
     """Error of the center of a turn, m."""
     force_error: float = ModelErrors.force_error
@@ -83,18 +72,12 @@ class HiddenStates:
             raise InvalidValueError("HiddenStates.solver", self.solver, f"one of {', '.join(get_args(Solver))}")
         check_integer("HiddenStates.steps", self.steps)
         check_integer("HiddenStates.refinements", self.refinements)
-        check_positive_fields(self, "offset_error", "anisotropy_error")
-        _ = self.errors, self.prior
+        _ = self.errors
 
     @property
     def errors(self) -> ModelErrors:
         """Errors of the model."""
         return ModelErrors(**{field.name: getattr(self, field.name) for field in fields(ModelErrors)})
-
-    @property
-    def prior(self) -> NuisancePrior:
-        """Unknowns of the setup and their spread."""
-        return NuisancePrior(self.unknown, grasp_offset=self.offset_error, anisotropy=self.anisotropy_error)
 
     def estimate(
         self, shape: ObjectShape, weight: float | None, trajectories: Sequence[Trajectory], seed: int
@@ -107,61 +90,30 @@ class HiddenStates:
         begin = time.perf_counter()
         if weight is None or not (np.isfinite(weight) and weight > 0):
             raise InvalidValueError("weight", weight, "M as weighed, a finite number > 0, kg")
-        found = self._estimate(shape, weight, trajectories)
-        if "bias" in self.unknown:
-            found = self._estimate(shape, weight, with_found_bias(trajectories, found.diagnostics))
-        return replace(found, seconds=time.perf_counter() - begin)
+        return replace(self._rounds(shape, weight, trajectories), seconds=time.perf_counter() - begin)
 
-    def _estimate(self, shape: ObjectShape, weight: float, trajectories: Sequence[Trajectory]) -> Estimate:
-        """Algorithm 1 in rounds: each takes the gripper's load, and unknowns of the setup, from the round before."""
+    def _rounds(self, shape: ObjectShape, weight: float, trajectories: Sequence[Trajectory]) -> Estimate:
+        """Algorithm 1 in rounds: each takes the gripper's load from the round before."""
         if not shape.stands_in_groups:
             return Estimate(None, "assumption_violated", ONE_BODY)
-        if shape.chain is not None and self.unknown:
-            return Estimate(
-                None, "assumption_violated", f"hinges: {', '.join(self.unknown)} cannot be unknown with them"
-            )
-        trials = self._trials(shape, weight, trajectories)
+        trials = TrialWindows.of(shape, weight, trajectories, self.errors)
         if trials is None:
             return Estimate(None, "no_data", NO_DATA if shape.chain is None else NO_LINKS)
         guess = trials.first_guess()
-        s = trials.friction_loads(guess)
         solution: Solution | None = None
-        for _ in range(self.refinements + (SETTLING if self.unknown else 0)):
-            trials = trials.refined(guess, s)
+        for _ in range(self.refinements):
             found = algorithm_1(trials, guess, partial(self._solve, seconds=trials.robot_seconds))
             if isinstance(found, Underdetermined):
-                return trials.annotated(_underdetermined(trials, found, guess), closed_form(found.Q_s_b))
-            solution, guess, s = found, _amidst(trials, found), found.H.friction_load
+                return _underdetermined(trials, found, guess)
+            solution, guess = found, _amidst(trials, found)
         assert solution is not None
-        return trials.annotated(_estimate_of(trials, solution), s)
+        return _estimate_of(trials, solution)
 
     def _solve(self, system: LinearSystem, seconds: float) -> tuple[Float[np.ndarray, "n_s"], tuple[Trace, ...]]:
         """s and the traces of its optimizers; `seconds` is the robot time of the data."""
         if self.solver == "descent":
             return descend_loads(system, self.optimizers, self.steps, seconds)
         return closed_form(system), ()
-
-    def _trials(self, shape: ObjectShape, weight: float, trajectories: Sequence[Trajectory]) -> TrialWindows | None:
-        trials = TrialWindows.of(shape, weight, trajectories, self.errors)
-        if trials is None or not self.unknown:
-            return trials
-        given = {each.name: getattr(trials, each.name) for each in fields(trials) if each.init}
-        return UnknownSetup(**given, prior=self.prior)
-
-    def diagnose(
-        self, shape: ObjectShape, weight: float, trajectories: Sequence[Trajectory]
-    ) -> tuple[Estimate, Misfit | None]:
-        """The estimate, and its misfit by trial and by cause; None without masses.
-
-        Causes are errors that a setup may have though it states none: what each would explain alone.
-        """
-        found, trials = self.estimate(shape, weight, trajectories, 0), self._trials(shape, weight, trajectories)
-        if found.distribution is None or found.hidden is None or trials is None:
-            return found, None
-        s = found.hidden.friction_load
-        for _ in range(SETTLING if self.unknown else 0):
-            trials = trials.refined(found.distribution, s)
-        return found, trials.misfit(found.distribution, s, always=True)
 
     def likelihood(
         self, shape: ObjectShape, weight: float, trajectories: Sequence[Trajectory], at: MassDistribution
@@ -171,13 +123,11 @@ class HiddenStates:
         Raises:
             InvalidValueError: no trajectory at constant speed.
         """
-        trials = self._trials(shape, weight, trajectories)
+        trials = TrialWindows.of(shape, weight, trajectories, self.errors)
         if trials is None:
             allowed = "one or more that slide or turn at constant speed"
             raise InvalidValueError("trajectories", len(trajectories), allowed)
         s = trials.friction_loads(at)
-        for _ in range(SETTLING if self.unknown else 0):
-            trials = trials.refined(at, s)
         system, pivots = trials.friction_system(at), trials.pivot_inertias(at, s)
         fixed, values = fixed_rows(shape, weight, trials.weighing, pivots, shape.n_m)
         return Likelihood(shape, trials.groups.pairs, system.q.numpy(), system.b.numpy(), fixed, values)

@@ -9,8 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
-from typing import Self
 
 import numpy as np
 import torch
@@ -18,7 +16,7 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.nn.functional import pad
 
-from estimators.base import Estimate, robot_seconds
+from estimators.base import robot_seconds
 from estimators.hidden_states.friction import closed_form
 from estimators.hidden_states.masses import friction_loads
 from estimators.particles.friction_system import (
@@ -30,7 +28,7 @@ from estimators.particles.friction_system import (
     swing_errors,
     unknown_motion,
 )
-from estimators.particles.misfit import Misfit, likely_causes, misfit_of
+from estimators.particles.misfit import Misfit, misfit_of
 from estimators.particles.observe import observe
 from estimators.particles.pivots import PivotInertia, corrected_inertias
 from estimators.particles.setup_effects import LinearRows
@@ -148,55 +146,25 @@ class TrialWindows:
         response = linear.by_particle @ (friction[:, None] * support.response)
         return corrected_inertias(windows, linear, mass, drag, response, self.errors.inertia_error)
 
-    def misfit(self, guess: MassDistribution, s: Float[np.ndarray, "n_s"], *, always: bool = False) -> Misfit:
-        """How far the wrenches of s are from the measured ones, and why; `always` says why of a small misfit too."""
-        return self._misfit(self.windows, guess, s, len(s), always=always)
+    def misfit(self, guess: MassDistribution, s: Float[np.ndarray, "n_s"]) -> Misfit:
+        """How far the wrenches of s are from the measured ones.
+
+        Of friction in all windows, or in those of constant speed where it is larger, since windows of acceleration are
+        many and alike; then of inertia.
+        """
+        linear, at_one_speed = self.linear_rows(guess, self.windows), ~self.windows.accelerated
+        found = misfit_of(self.friction_equations(guess, self.windows, linear), s, len(s))
+        if not bool(at_one_speed.all()):
+            rows = self.friction_equations(guess, self.steady, linear.where(at_one_speed))
+            found = max(found, misfit_of(rows, s, len(s)), key=lambda misfit: misfit.widening)
+        return found.or_of_inertia(self.shape, self.pivot_inertias(guess, s), guess)
 
     def misfit_of_masses(self, at: MassDistribution) -> Misfit:
         """How far the wrenches of masses and frictions are from the measured ones, without the causes."""
         s = self.friction_loads(at)
-        found = self._misfit(self.windows, at, s, len(s), always=False, causes=False)
+        found = self.misfit(at, s)
         weighed = abs(float(at.mass @ self.shape.particles_per_group) / self.weight - 1) < SAME_WEIGHT
         if found.explains or (found.inertia is not None and weighed):
             return found
         system = self.friction_system(at)
         return replace(found, least=system.loss(closed_form(system)))
-
-    def _misfit(
-        self,
-        windows: Observations,
-        guess: MassDistribution,
-        s: Float[np.ndarray, "n_s"],
-        unknowns: int,
-        *,
-        always: bool,
-        causes: bool = True,
-    ) -> Misfit:
-        """Misfit of friction in given windows, or in those of constant speed where it is larger; then of inertia.
-
-        Windows of acceleration are many and alike.
-        """
-
-        linear = self.linear_rows(guess, windows)
-
-        def of(some: Observations, rows: LinearRows, always: bool) -> Misfit:
-            why = partial(likely_causes, some, self.model, self.shape, guess, self.groups.spread(s), self.errors)
-            equations = self.friction_equations(guess, some, rows)
-            return misfit_of(equations, s, some.trial, why if causes else None, unknowns, always=always)
-
-        found, at_one_speed = of(windows, linear, always), windows.where(~windows.accelerated)
-        if len(at_one_speed) < len(windows):
-            steady = of(at_one_speed, linear.where(~windows.accelerated), False)
-            if steady.widening > found.widening:
-                found = replace(of(windows, linear, True), value=steady.value, freedom=steady.freedom)
-        return found.or_of_inertia(self.shape, self.pivot_inertias(guess, s), guess)
-
-    def refined(self, guess: MassDistribution, s: Float[np.ndarray, "n_s"]) -> Self:
-        """The trials for the next round; the same where nothing of the setup is unknown."""
-        del guess, s
-        return self
-
-    def annotated(self, estimate: Estimate, s: Float[np.ndarray, "n_s"]) -> Estimate:
-        """The estimate with what was found of the setup; the same where nothing of it is unknown."""
-        del s
-        return estimate

@@ -73,7 +73,6 @@ class LinearRows:
         table = (table.on_field if setup.place_friction else table).dragged(drag)
         drag, sizes = table.windows["drag"], stated_sizes(setup, ("table",), len(table.model.parts))
         shapes = {name: tuple(size.shape) for name, size in sizes.items()}
-        shapes |= {name: PARAMETERS[name].sized(0) for name in windows.unknown}
         theta = zeros(friction=table.points.shape[:2], **shapes)
         if pushed or windows.articulated:
             theta |= zeros(force=table.model.particles.shape)
@@ -174,16 +173,6 @@ def shared_and_own(effects: Columns, windows: Observations) -> tuple[Float[Tenso
     own = torch.cat([none, *(effects[kind] for kind in BY_TRIAL if kind in effects)], 1)
     together = windows.together[windows.of_row][:, windows.of_row]
     return torch.cat([none, *(c for kind, c in effects.items() if kind not in BY_TRIAL)], 1), own @ own.T * together
-
-
-def trial_by_trial(effects: Columns, windows: Observations) -> Columns:
-    """The effects, with columns for every trial where an error is drawn anew in each."""
-    trials = torch.nn.functional.one_hot(torch.unique(windows.trial, return_inverse=True)[1]).double()
-    of_rows = trials[windows.of_row]
-    return {
-        kind: (columns[..., None] * of_rows[:, None]).flatten(1) if kind in BY_TRIAL else columns
-        for kind, columns in effects.items()
-    }
 
 
 def _stuck(windows: Observations, table: Table) -> Float[Tensor, "K P"]:

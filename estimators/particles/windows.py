@@ -66,11 +66,6 @@ class Observations(Motion):
         return replace(self, **by_window)  # pyright: ignore[reportArgumentType]
 
     @property
-    def unknown(self) -> tuple[str, ...]:
-        """Errors of the setup whose derivatives are wanted, whether they are stated or not: none."""
-        return ()
-
-    @property
     def by_window(self) -> dict[str, Tensor]:
         """Fields with a row a window."""
         return {each.name: getattr(self, each.name) for each in fields(self) if each.init and each.name != "setup"}

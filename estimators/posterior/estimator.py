@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from typing import get_args
 
 import numpy as np
+import torch
 
 from estimators.base import Estimate
 from estimators.hidden_states.estimator import NO_DATA, NO_LINKS, ONE_BODY
@@ -24,6 +25,7 @@ from estimators.wrench.support import ASSUMPTION, SupportModel
 from testbed.errors import InvalidValueError
 from testbed.objects.model import GRAVITY, ObjectShape
 from testbed.trajectory import Trajectory
+from testbed.worlds.parameters import FULL_SCALE
 from testbed.worlds.setup_errors import SetupErrors
 
 
@@ -33,6 +35,8 @@ class Bayes:
 
     support: SupportModel = "own_weight"
     """Assumed support: own_weight, or rigid."""
+    unknown_bias: bool = False
+    """True takes the bias that the tare leaves as unknown, whatever the sensor states."""
 
     def __post_init__(self) -> None:
         if self.support not in get_args(SupportModel):
@@ -49,7 +53,7 @@ class Bayes:
         begin = time.perf_counter()
         if self.support == "own_weight" and not shape.stands_in_groups:
             return Estimate(None, "assumption_violated", ONE_BODY)
-        found = posterior_of(shape, weight, trajectories, self.support)
+        found = posterior_of(shape, weight, trajectories, self.support, unknown_bias=self.unknown_bias)
         if found is None:
             return Estimate(None, "no_data", NO_DATA if shape.chain is None else NO_LINKS)
         answer = found.estimate(shape)
@@ -57,7 +61,12 @@ class Bayes:
 
 
 def posterior_of(
-    shape: ObjectShape, weight: float | None, trajectories: Sequence[Trajectory], support: SupportModel
+    shape: ObjectShape,
+    weight: float | None,
+    trajectories: Sequence[Trajectory],
+    support: SupportModel = "own_weight",
+    *,
+    unknown_bias: bool = False,
 ) -> Posterior | None:
     """Posterior of an object from its trials; None where no trial is usable.
 
@@ -66,6 +75,7 @@ def posterior_of(
         weight: M as weighed, kg.
         trajectories: slides, turns, accelerated turns, pushes and lifts; all others are left out.
         support: support model on the table.
+        unknown_bias: True takes the bias that the tare leaves as unknown, whatever the sensor states.
 
     Raises:
         InvalidValueError: no weight, or a grasp that the shape does not have.
@@ -76,6 +86,8 @@ def posterior_of(
     windows, lifts = observe(shape, trajectories, errors), lifts_among(shape, trajectories)
     if windows is None or bool(windows.accelerated.all()):
         return None
+    if unknown_bias:
+        windows = replace(windows, bias=windows.bias + torch.tensor(FULL_SCALE**2).diag())
     on_table = OnTable.of(shape, windows, support, errors)
     setup = SetupErrors.largest([trajectories[index].setup for index in {*windows.trial.tolist(), *lifts}])
     unknowns = priors(shape, setup, errors, weight, on_table)

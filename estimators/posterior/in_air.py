@@ -57,9 +57,9 @@ class InAir:
         return torch.tensor(np.concatenate([window.wrench for window in self.windows]))
 
     @property
-    def parts(self) -> list[tuple[str, int]]:
+    def parts(self) -> list[tuple[str, int, int]]:
         """All windows together."""
-        return [(f"the wrenches of trial {self.trial}, a lift", 6 * len(self.windows))]
+        return [("the wrenches in the air", 6 * len(self.windows), self.trial)]
 
     def linearized(self, unknowns: Unknowns, z: Float[Tensor, "n"]) -> Linearized:
         """Residual, derivatives and covariance; the errors of this trial alone are in the last."""

@@ -83,11 +83,11 @@ class OnTable:
         return self.windows.table(self.table.model, self.errors.pivot_error, spread=False)
 
     @property
-    def parts(self) -> list[tuple[str, int]]:
+    def parts(self) -> list[tuple[str, int, int]]:
         """Every trial, in its order: windows of a trial follow each other."""
         trials, count = torch.unique_consecutive(self.windows.trial, return_counts=True)
         rows = 6 + self.windows.hinges
-        return [(f"the wrenches of trial {t}", rows * n) for t, n in zip(trials.tolist(), count.tolist(), strict=True)]
+        return [("the wrenches", rows * n, t) for t, n in zip(trials.tolist(), count.tolist(), strict=True)]
 
     def linearized(self, unknowns: Unknowns, z: Float[Tensor, "n"]) -> Linearized:
         """Residual, derivatives and covariance; the gripper's load, in which the rows are linear, is in the last.

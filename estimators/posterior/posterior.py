@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
+import numpy as np
 import torch
 from jaxtyping import Float
 from scipy.stats import chi2
@@ -16,7 +17,7 @@ from estimators.base import Estimate
 from estimators.identifiability.report import identifiability
 from estimators.particles.links import HINGE_PRIOR
 from estimators.particles.misfit import UNEXPLAINED, Misfit
-from estimators.posterior.solver import Measurement, Optimum, Whitened
+from estimators.posterior.solver import Linearized, Measurement, Optimum, Whitened
 from estimators.posterior.unknowns import Unknowns
 from estimators.wrench.model import MODEL_PARAMETERS
 from testbed.objects.model import MassDistribution, ObjectShape
@@ -26,6 +27,8 @@ OBJECT = ("mass", "friction")
 """Blocks of the object itself; all others are nuisances."""
 CAUSES = dict(PARAMETERS) | MODEL_PARAMETERS
 """Nuisances, by name."""
+MOST_NUMBERS = 6
+"""Numbers of a nuisance up to which each is reported."""
 IMPLAUSIBLE = 1e-6
 """Probability below which a part of a misfit is no chance, many parts being looked at."""
 
@@ -40,13 +43,25 @@ class Part:
     log_chance: float
     """Logarithm of the probability of as large a one, under the errors that are stated."""
     trial: int | None = None
-    """Trial of a nuisance that is drawn anew in each."""
+    """Its trial, by its place among the trajectories; of a nuisance, by that among those on the table."""
+    of_rows: bool = False
+    """True for rows."""
 
     @staticmethod
-    def of(name: str, values: Float[Tensor, "m"], trial: int | None = None) -> Part:
+    def of(name: str, values: Float[Tensor, "m"], trial: int | None = None, *, of_rows: bool = False) -> Part:
         """Part of some whitened values."""
         square = float(values.square().sum())
-        return Part(name, square / len(values), float(chi2.logsf(square, len(values))), trial)
+        return Part(name, square / len(values), float(chi2.logsf(square, len(values))), trial, of_rows)
+
+    @property
+    def sentence(self) -> str:
+        """Part in words, with what to check."""
+        times = f"{self.value**0.5:.2g} times as large as stated"
+        where = "" if self.trial is None else f" of trial {self.trial}"
+        described = None if self.of_rows else CAUSES.get(self.name)
+        if described is None:
+            return f"least likely: {self.name}{where}, {times}"
+        return f"least likely: {self.name}{where}, {times}; if that is so, {described.cause}"
 
     @property
     def implausible(self) -> bool:
@@ -63,8 +78,11 @@ class Posterior:
     """
 
     unknowns: Unknowns
+    """Masses, frictions and nuisances, with their priors."""
     measurements: Sequence[Measurement]
+    """Everything that was measured."""
     optimum: Optimum
+    """Most likely unknowns."""
 
     @cached_property
     def nominal(self) -> Float[Tensor, "n"]:
@@ -127,8 +145,8 @@ class Posterior:
         """
         found, begin = [], 0
         for measurement in self.measurements:
-            for name, rows in measurement.parts:
-                found.append(Part.of(name, self.optimum.residual[begin : begin + rows]))
+            for name, rows, trial in measurement.parts:
+                found.append(Part.of(name, self.optimum.residual[begin : begin + rows], trial, of_rows=True))
                 begin += rows
         for name, block in self.unknowns.blocks.items():
             if name in OBJECT:
@@ -137,6 +155,39 @@ class Posterior:
             each = z.reshape(len(block.mean), -1) if block.by_trial else z[None]
             found += [Part.of(name, one, k if block.by_trial else None) for k, one in enumerate(each)]
         return sorted(found, key=lambda part: part.log_chance)
+
+    @property
+    def explained(self) -> Misfit:
+        """Misfit of all rows, or of the least plausible part: one may be far off where many others fit."""
+        worst = self.parts[0]
+        return Misfit(max(self.misfit, worst.value) if worst.implausible else self.misfit, self.freedom)
+
+    @property
+    def by_trial(self) -> dict[int, float]:
+        """Misfit of each trial's rows."""
+        return {part.trial: part.value for part in self.parts if part.of_rows and part.trial is not None}
+
+    @cached_property
+    def _at_optimum(self) -> list[Linearized]:
+        return [measurement.linearized(self.unknowns, self.optimum.z) for measurement in self.measurements]
+
+    @cached_property
+    def _precision(self) -> Float[Tensor, "n n"]:
+        """Precision of z at the most likely unknowns."""
+        slopes = torch.cat([Whitened.of(found).slopes for found in self._at_optimum])
+        return slopes.T @ slopes + torch.eye(len(self.unknowns), dtype=torch.float64)
+
+    @cached_property
+    def laplace(self) -> Float[Tensor, "n n"]:
+        """Covariance of z about the most likely unknowns."""
+        return torch.linalg.inv(self._precision)
+
+    @property
+    def log_evidence(self) -> float:
+        """Log of the probability density of all rows, up to a constant, by Laplace's approximation."""
+        square = self.optimum.residual.square().sum() + self.optimum.z.square().sum()
+        rows = sum(torch.linalg.slogdet(block)[1] for found in self._at_optimum for _, block in found.blocks)
+        return -float(square + torch.linalg.slogdet(self._precision)[1] + rows) / 2
 
     @cached_property
     def covariance(self) -> Float[Tensor, "n n"]:
@@ -152,9 +203,7 @@ class Posterior:
         values, mass = self.unknowns.values(self.optimum.z), self.unknowns.at["mass"]
         at = MassDistribution(values["mass"].numpy(), values["friction"].numpy())
         report = identifiability(shape, at, self.rows.numpy())
-        worst = self.parts[0]
-        # one part may be as far off as it likes where many others fit
-        misfit = Misfit(max(self.misfit, worst.value) if worst.implausible else self.misfit, self.freedom)
+        misfit = self.explained
         covariance = misfit.widening * self.covariance[mass, mass].numpy()
         open_ = report.rank < report.unknowns
         directions = f"mass and friction cannot be told apart: {'; '.join(report.unobservable)}" if open_ else ""
@@ -178,6 +227,23 @@ class Posterior:
         scale = 1.0 if name in OBJECT else block.std.flatten()
         return block.value(self.optimum.z[where]), (std * scale).reshape(block.mean.shape)
 
+    def nuisances(self) -> dict[str, float]:
+        """Values of the nuisances with their standard deviations, SI units; of those of few numbers, each by its name.
+
+        One that is drawn anew in each trial has the trial first, as in `grasp_offset_0_1`: trial 0, along y.
+        """
+        found: dict[str, float] = {}
+        for name, block in self.unknowns.blocks.items():
+            each = block.mean[0] if block.by_trial else block.mean
+            if name in OBJECT or name == "hinge_friction" or each.numel() > MOST_NUMBERS:
+                continue
+            values, stds = (value.flatten().tolist() for value in self.of(name))
+            places = list(np.ndindex(*block.mean.shape))
+            for place, value, std in zip(places, values, stds, strict=True):
+                of = "_".join([name, *map(str, place)])
+                found |= {of: value, f"{of}_std": std}
+        return found
+
     def _frictions(self, widening: float) -> dict[str, float]:
         """Standard deviations of the frictions, and the friction of every hinge with its own, N m."""
         found = {f"friction_{k}_std": widening * float(std) for k, std in enumerate(self.of("friction")[1])}
@@ -189,12 +255,4 @@ class Posterior:
 
     def why(self, misfit: Misfit) -> str:
         """Part of a misfit that is the least plausible, in words; empty where the answer explains the trials."""
-        if misfit.explains:
-            return ""
-        worst = self.parts[0]
-        times = f"{worst.value**0.5:.2g} times as large as stated"
-        where = "" if worst.trial is None else f" in trial {worst.trial}"
-        described = CAUSES.get(worst.name)
-        if described is None:
-            return f"least likely: {worst.name}, {times}"
-        return f"least likely: {worst.name}{where}, {times}; if that is so, {described.cause}"
+        return "" if misfit.explains else self.parts[0].sentence

@@ -32,9 +32,9 @@ class Scale:
         return Scale(reading, torch.tensor(shape.particles_per_group).double(), math.hypot(error, setup.scale))
 
     @property
-    def parts(self) -> list[tuple[str, int]]:
+    def parts(self) -> list[tuple[str, int, None]]:
         """The reading alone."""
-        return [("the weighing", 1)]
+        return [("the weighing", 1, None)]
 
     def linearized(self, unknowns: Unknowns, z: Float[Tensor, "n"]) -> Linearized:
         """Residual, derivatives and variance."""

@@ -42,8 +42,8 @@ class Measurement(Protocol):
     """Measured rows and their forward model."""
 
     @property
-    def parts(self) -> Sequence[tuple[str, int]]:
-        """Parts of the rows in their order, each by its name and its number of rows."""
+    def parts(self) -> Sequence[tuple[str, int, int | None]]:
+        """Parts of the rows in their order: name, number of rows, and trial by its place among the trajectories."""
         ...
 
     def linearized(self, unknowns: Unknowns, z: Float[Tensor, "n"]) -> Linearized:

@@ -179,7 +179,7 @@ class Table:
         drag = load[..., None] * (unit.mean(0, keepdim=True) if len(touching.place) == 1 else unit)
         force, torque = drag.sum(-2), cross(touching.place, drag).sum(-1)  # of each particle
         more = self._inertial(theta, window, middle) if "mass" in theta else None
-        if "anisotropy" in theta or "anisotropy" in window:
+        if "anisotropy" in theta:
             along = unit.mean(-2)
             aside = load.sum(-1)[..., None] * (self._pulled(theta, window, along) - along)
             force, torque = force + aside, torque + cross(middle.place, aside)
@@ -287,7 +287,7 @@ class Table:
         Of friction 1 + |a| along one axis of the table and 1 - |a| across, a the anisotropy: f = A u / sqrt(u . A u),
         A = (1 + |a|^2) I + 2 S, with S the reflection that a scales, in the object's axes.
         """
-        anisotropy = theta.get("anisotropy", NONE) + window.get("anisotropy", NONE)
+        anisotropy = theta["anisotropy"]
         size = anisotropy.square().sum()
         a, b = rotate(-2 * window["poses"][:, 2], anisotropy)[:, None].unbind(-1)
         x, y = unit.unbind(-1)

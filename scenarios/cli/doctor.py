@@ -11,10 +11,11 @@ from testbed.errors import InvalidValueError
 
 if TYPE_CHECKING:
     from estimators.evaluation.statistics import Row
-    from estimators.particles.misfit import Misfit
+    from estimators.posterior.diagnosis import Diagnosis
 
 MOST_LISTED = 8
 """Causes in the table."""
+NOTHING = "no usable trial: none slides, turns or is pushed at constant speed"
 
 
 def doctor(
@@ -26,9 +27,10 @@ def doctor(
     """Say what is wrong with a setup, from how its trials disagree.
 
     DIR is a results folder with estimates: of `heft run`, or of `heft estimate` on imported logs or the robot's trials.
-    Of each object under each support and sensor it fits Algorithm 1's masses, and tells the misfit (about 1 where the
-    masses explain the trials), the misfit of each trial, and what each error of the setup would explain if it were the
-    only one: how large it would be, and what to check. A figure goes to DIR/figures.
+    Of each object under each support and sensor it fits the joint posterior (method bayes) and prints the misfit, about
+    1 where the masses explain the trials within the errors stated. Where they do not, it asks in this order: does one
+    rigid body explain them? Do they agree without a single trial? Which error of the setup is larger than stated, how
+    large, and what to check? A figure goes to DIR/figures.
 
     Examples: heft doctor results/lab
               heft doctor results/blocks L2 --draw 1
@@ -42,7 +44,7 @@ def doctor(
     from scenarios.results.estimates import load_rows
     from scenarios.results.files import inside
     from scenarios.views.figures import file_name
-    from viz.figures.doctor import misfit_figure
+    from viz.figures.doctor import diagnosis_figure
     from viz.figures.maps import save_figure
 
     rows = [row for row in load_rows(folder) if row.get("trial_keys") is not None and row["seed"] == draw]
@@ -56,20 +58,20 @@ def doctor(
         if keys in asked or (objects and row["object"] not in objects):
             continue
         asked.add(keys)
-        title, trials, misfit, why = _diagnosed(folder, row)
-        console.print(f"{title}: {why if misfit is None else _verdict(misfit)}", style="bold")
-        if misfit is not None:
-            console.print(_table(misfit, trials))
+        title, trials, found = _diagnosed(folder, row)
+        console.print(f"{title}: {NOTHING if found is None else found.verdict}", style="bold")
+        if found is not None:
+            console.print(_table(found, trials))
             name = file_name(f"doctor_{row['object']}_{row['key'][:8]}")
-            files = save_figure(misfit_figure(misfit, trials, title), inside(folder, "figures", name))
+            files = save_figure(diagnosis_figure(found, trials, title), inside(folder, "figures", name))
             console.print(f"figure: {files[0]}")
     if not asked:
         raise InvalidValueError("--draw", draw, "a draw that the folder has estimates of")
 
 
-def _diagnosed(folder: Path, row: Row) -> tuple[str, list[str], Misfit | None, str]:
-    """Title of an experiment, its trials in words, and their misfit or why there is none."""
-    from estimators.hidden_states.estimator import HiddenStates
+def _diagnosed(folder: Path, row: Row) -> tuple[str, list[str], Diagnosis | None]:
+    """Title of an experiment, its trials in words, and their diagnosis; None where none is usable."""
+    from estimators.posterior.diagnosis import diagnose
     from scenarios.results.store import Store
     from scenarios.results.trials import sensed_trials
     from scenarios.views.values import estimate_view
@@ -77,35 +79,29 @@ def _diagnosed(folder: Path, row: Row) -> tuple[str, list[str], Misfit | None, s
 
     shape = estimate_view(folder, row).shape
     weighing, *moved = sensed_trials(Store(folder), tuple(row["trial_keys"]), row["sensing"], int(row["seed"]))
-    found, misfit = HiddenStates().diagnose(shape, weight_of(weighing), moved)
     title = f"{row['object']}, {row['support'].replace('_', ' ')}, {row['sensing']}"
     words = [f"{i}: {trial.action.describe(shape)}" for i, trial in enumerate(moved, start=1)]
-    return title, words, misfit, f"{found.status}: {found.message}"
+    return title, words, diagnose(shape, weight_of(weighing), moved)
 
 
-def _verdict(misfit: Misfit) -> str:
-    from estimators.particles.misfit import CAUSES, inertia_in_words
-
-    if misfit.by_chance:
-        return f"misfit {misfit.value:.2g}: the trials agree within the errors stated"
-    if misfit.inertia is not None:
-        return f"misfit {misfit.value:.2g} in place of 1; {inertia_in_words(misfit.inertia)}"
-    name, cause = next(iter(misfit.explained.items()))
-    size, words = CAUSES[name].formatted(cause.size), CAUSES[name].cause
-    return f"misfit {misfit.value:.2g} in place of 1; likeliest, {size}: {words}"
-
-
-def _table(misfit: Misfit, trials: list[str]):
+def _table(found: Diagnosis, trials: list[str]):
     from rich import box
     from rich.table import Table
 
-    from estimators.particles.misfit import CAUSES
+    from estimators.posterior.posterior import CAUSES
 
     table = Table(box=box.SIMPLE_HEAD)
-    for column in ("alone, it would explain", "with", "if so"):
+    for column in ("odds of being larger than stated", "size", "if so"):
         table.add_column(column, justify="right" if column != "if so" else "left")
-    for name, cause in list(misfit.explained.items())[:MOST_LISTED]:
-        table.add_row(f"{100 * cause.part:.0f} %", CAUSES[name].formatted(cause.size), CAUSES[name].cause)
-    worst = sorted(misfit.trials, key=lambda trial: -misfit.trials[trial])[:3]
-    table.caption = "trials that fit least: " + "; ".join(f"{trials[k]} ({misfit.trials[k]:.2g})" for k in worst)
+    for cause in found.causes[:MOST_LISTED]:
+        table.add_row(odds(cause.odds), cause.formatted, CAUSES[cause.name].cause)
+    worst = sorted(found.trials, key=lambda trial: -found.trials[trial])[:3]
+    table.caption = "trials that fit least: " + "; ".join(f"{trials[k]} ({found.trials[k]:.2g})" for k in worst)
     return table
+
+
+def odds(log10: float) -> str:
+    """Odds in words, from their decimal logarithm."""
+    if log10 > 4:
+        return f"10^{log10:.0f} : 1"
+    return f"{10**log10:.0f} : 1" if log10 > 0 else f"1 : {10**-log10:.0f}"

@@ -33,8 +33,6 @@ class Parameter:
     """Source of error that it belongs to, for a budget of them."""
     likely: float = 0.0
     """Standard deviation by which it is tried as the cause of a misfit where none is stated; 0: it is not tried."""
-    unknown: float = 0.0
-    """Standard deviation where a method estimates it and nothing is known of it; 0: no method does."""
     cause: str = ""
     """Meaning where it explains a misfit, and the remedy."""
     least: float = 0.0

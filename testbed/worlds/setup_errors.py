@@ -47,7 +47,6 @@ class SetupErrors:
         source="friction by direction",
         shape=(2,),
         likely=0.05,
-        unknown=0.15,
         cause="friction differs by direction: state `anisotropy`",
     )
     """Friction along one axis of the table over the mean, as a part of it; across it is as much less."""
@@ -84,7 +83,6 @@ class SetupErrors:
         shape=(2,),
         scope="trial",
         likely=0.001,
-        unknown=0.003,
         cause="the object is held beside its grasp points: measure the grasps",
     )
     """Place of the object in the hand along each axis, anew in every trial [m]."""

@@ -141,10 +141,6 @@ def test_no_weight_is_refused(weight):
         ("refinements", 0),
         ("pivot_error", -1.0),
         ("weight_error", 0.0),
-        ("offset_error", 0.0),
-        ("unknown", ("yaw",)),
-        ("unknown", "bias"),
-        ("unknown", ("bias", "bias")),
     ],
 )
 def test_wrong_settings_are_refused_by_name(field, value):

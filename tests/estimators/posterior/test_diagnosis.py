@@ -1,0 +1,93 @@
+"""Tests of the diagnosis: the support, a single trial, the weight and errors of the setup are told apart."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from estimators.posterior.diagnosis import Cause, diagnose
+from estimators.posterior.posterior import CAUSES
+from estimators.testing.analytic_world import accelerated, analytic_trial, drawn_object
+from estimators.testing.recorded import load_block
+from testbed.actions.rotate import Rotate
+from testbed.worlds.presets import world
+from tests.fakes.flawed_bench import held_beside, on_anisotropic_table
+
+BLOCK = load_block("I2-own_weight")
+SHAPE, WEIGHT = BLOCK.model.shape, BLOCK.weighed("ft300s")
+TRIALS = BLOCK.trials("ft300s")
+OBJECT, BESIDE = drawn_object(0), (0.01, 0.015)
+
+
+def with_trial(place, **changes):
+    return [replace(trial, **changes) if index == place else trial for index, trial in enumerate(TRIALS)]
+
+
+def flipped():
+    trial = TRIALS[3]
+    return with_trial(3, sensor_wrench=-trial.sensor_wrench, wrench_on_object_world=-trial.wrench_on_object_world)
+
+
+def regripped():
+    action = TRIALS[2].action
+    return with_trial(2, action=replace(action, grasp=(action.grasp + 1) % len(SHAPE.grasps)))
+
+
+@pytest.mark.parametrize("setup", [TRIALS[0].setup, world("lab").stated], ids=["exact", "lab"])
+def test_trials_that_agree_are_said_to(setup):
+    found = diagnose(SHAPE, WEIGHT, [replace(trial, setup=setup) for trial in TRIALS])
+    assert found.misfit.by_chance
+    assert found.verdict.endswith("the trials agree within the errors stated")
+    assert set(found.trials) == set(range(len(TRIALS)))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("trials", "number"), [(flipped, 4), (regripped, 3)])
+def test_a_wrong_trial_is_named(trials, number):
+    found = diagnose(SHAPE, WEIGHT, trials())
+    assert f"trial {number} does not agree with the others" in found.verdict
+    assert found.without < 1.5
+
+
+@pytest.mark.slow
+def test_a_wrong_weight_is_named():
+    found = diagnose(SHAPE, 1.2 * WEIGHT, TRIALS)
+    assert found.odd_trial is None
+    assert "weigh the object again" in found.verdict
+
+
+def test_one_rigid_body_comes_before_any_error_of_the_setup():
+    block = load_block("I2-rigid")
+    found = diagnose(block.model.shape, block.weighed("ft300s"), block.trials("ft300s"))
+    assert found.rigid < 1.5
+    assert "one rigid body explains the trials" in found.verdict and "ask support_aware" in found.verdict
+
+
+def pivoted(place):
+    """Turns of a drawn object about points beside its grasps, as `place` has it."""
+    grasps = [k % len(OBJECT.shape.grasps) for k in range(6)]
+    pivots = [tuple(np.add(OBJECT.shape.grasps[g].position, BESIDE)) for g in grasps]
+    actions = [Rotate(g, duration=2.5, pivot=p, back=True) for g, p in zip(grasps, pivots, strict=True)]
+    return [place(k, action) for k, action in enumerate(actions)]
+
+
+@pytest.mark.slow
+def test_grasps_that_are_off_are_named_with_their_size():
+    shifts = 0.0015 * np.random.default_rng(0).standard_normal((6, 2))
+    trials = pivoted(lambda k, action: held_beside(OBJECT, action, shifts[k])) + accelerated(OBJECT)
+    found = diagnose(OBJECT.shape, OBJECT.total_mass, trials)
+    assert found.causes[0].name == "grasp_offset"
+    assert found.causes[0].size == pytest.approx(np.sqrt(np.mean(shifts**2)), rel=0.5)
+    assert found.verdict.endswith(CAUSES["grasp_offset"].cause)
+
+
+@pytest.mark.slow
+def test_friction_that_differs_by_direction_is_named_with_its_size():
+    trials = pivoted(lambda _, action: on_anisotropic_table(OBJECT, analytic_trial(OBJECT, action), 0.85, 0.4))
+    found = diagnose(OBJECT.shape, OBJECT.total_mass, trials)
+    assert found.causes[0].name == "anisotropy"
+    assert found.verdict.endswith(CAUSES["anisotropy"].cause)
+
+
+def test_sizes_are_in_words():
+    assert Cause("grasp_offset", 3.0, 0.0021, absurd=False).formatted == "2.1 mm"

@@ -42,8 +42,6 @@ class Identifiability:
     """Changes of the masses [kg a group] and frictions that no measurement shows, as sparse as can be, one a row."""
     unobservable: tuple[str, ...]
     """Open directions in words."""
-    bench: tuple[str, ...] = ()
-    """Report on the unknowns of the setup, in words, where they are estimated."""
     hinge_error: tuple[float, ...] = ()
     """Standard error of the friction of each hinge of an object in links [N m]."""
 
@@ -66,7 +64,7 @@ class Identifiability:
             text = f"{self.rank} of {self.unknowns} masses and frictions are seen; open: {'; '.join(self.unobservable)}"
         hinges = [f"{1e3 * error:.2g}" for error in self.hinge_error]
         more = [f"friction of hinges: standard error {', '.join(hinges)} mN m"] if hinges else []
-        return "; ".join([text, *more, *self.bench])
+        return "; ".join([text, *more])
 
 
 def identifiability(

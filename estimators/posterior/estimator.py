@@ -28,6 +28,9 @@ from testbed.trajectory import Trajectory
 from testbed.worlds.parameters import FULL_SCALE
 from testbed.worlds.setup_errors import SetupErrors
 
+PLAUSIBLE = 0.01, 2.0
+"""Frictions from which a search starts."""
+
 
 @dataclass(frozen=True)
 class Bayes:
@@ -93,5 +96,5 @@ def posterior_of(
     unknowns = priors(shape, setup, errors, weight, on_table)
     measurements: list[Measurement] = [on_table, Scale.of(shape, weight, errors.weight_error, setup)]
     measurements += [InAir.of(shape, trial, each, weight) for trial, each in lifts.items()]
-    start = unknowns.start(friction=windows.drag / (weight * GRAVITY))
+    start = unknowns.start(friction=float(np.clip(windows.drag / (weight * GRAVITY), *PLAUSIBLE)))
     return Posterior(unknowns, measurements, solve(measurements, unknowns, start))

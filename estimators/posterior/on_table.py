@@ -26,7 +26,7 @@ from testbed.worlds.setup_errors import PARAMETERS
 
 SHARED = {name for name, each in PARAMETERS.items() if {"table", "reading"} & set(each.shows)}
 """Errors of the setup that change these measurements."""
-SHARED |= {"mass", "friction", "contact_pattern", "hinge_friction", "links_carried", *MODEL_PARAMETERS}
+SHARED |= {"mass", "friction", "com_height", "contact_pattern", "hinge_friction", "links_carried", *MODEL_PARAMETERS}
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,7 +120,7 @@ class OnTable:
         def predict(own: Theta, window: Window) -> Tensor:
             return vmap(lambda load: self.predict(theta | own | {"carried": load}, window))(loads)
 
-        found = vmap(predict)(own, self.table.windows)
+        found = vmap(predict, chunk_size=self.table.chunk)(own, self.table.windows)
         return found[:, 0], (found[:, 1:] - found[:, :1]).mT
 
     @cached_property
@@ -148,7 +148,7 @@ class OnTable:
 
         fields = self.table.windows | {f"own {name}": value for name, value in own.items()}
         start = theta | zeros(**{name: tuple(value.shape[1:]) for name, value in own.items() if name != "carried"})
-        planar, inner = linearized(wrench, start, fields)
+        planar, inner = linearized(wrench, start, fields, self.table.chunk)
         _, outer = linearized(reading, start | zeros(planar=tuple(planar.shape[1:])), fields | {"planar": planar})
         by_planar = outer.pop("planar")
         return {name: outer[name] + by_planar @ slope for name, slope in inner.items()}
@@ -190,12 +190,14 @@ class OnTable:
         """Wrench about the TCP that the sensor shows of a planar one and of the gripper's load, N and N m."""
         carried = self.carried(theta, window)
         height = window["tcp_height"] + theta.get("height", NONE)
-        pull, tool = window["inertial"] @ theta["mass"], torch.zeros(6, dtype=torch.float64)
+        # the mass acts at half the object's height, or beside it
+        arm = theta["mass"] * (self.shape.height / 2 + theta.get("com_height", NONE))
+        moment, tool = window["inertial"] @ arm, torch.zeros(6, dtype=torch.float64)
         if "table_tilt" in theta:
-            weight = GRAVITY * self.table.model.particle_mass(theta["mass"]).sum()
-            pull = pull + weight * rotate(-window["poses"][:, 2], theta["table_tilt"]).mean(0)
+            pulled = GRAVITY * self.table.model.particle_mass(arm).sum()
+            moment = moment + pulled * rotate(-window["poses"][:, 2], theta["table_tilt"]).mean(0)
             tool = theta["table_tilt"] @ window["tool_tilt"]
-        on_feet = carried[1:] + self.shape.height / 2 * pull - height * planar[:2]
+        on_feet = carried[1:] + moment - height * planar[:2]
         wrench = torch.stack([planar[0], planar[1], carried[0], -on_feet[1], on_feet[0], planar[2]]) + tool
         read = window["from_sensor"] @ flawed(theta, torch.linalg.solve(window["from_sensor"], wrench))
         if "delay" in theta:

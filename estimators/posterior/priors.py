@@ -49,6 +49,8 @@ def priors(shape: ObjectShape, setup: SetupErrors, errors: ModelErrors, weight: 
     for name in MODEL_PARAMETERS:
         if size := getattr(errors, f"{name}_error"):
             blocks[name] = Block.normal(torch.tensor(size, dtype=torch.float64))
+    if (shape.fill < 1).any():  # matter that fills its cells in part may lie at any height in them
+        blocks["com_height"] = Block.normal(torch.full((shape.n_m,), shape.height / 12**0.5, dtype=torch.float64))
     if shape.chain is not None:
         blocks["hinge_friction"] = Block.normal(
             torch.full((len(shape.chain.hinges),), HINGE_PRIOR, dtype=torch.float64)

@@ -14,9 +14,9 @@ from estimators.posterior.unknowns import Unknowns
 
 ROUNDS = 30
 """Greatest number of linearizations."""
-TOLERANCE = 0.03
+TOLERANCE = 0.1
 """Decrease of the cost, twice that of the negative log likelihood, by a step after which a solution has converged: that
-of a sixth of a standard error, of which the step leaves little."""
+of a third of a standard error, of which the step leaves little."""
 LARGEST_DAMPING = 1e9
 
 

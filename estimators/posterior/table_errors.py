@@ -50,6 +50,8 @@ class TableErrors:
         """
         linear = LinearRows.of(windows, table, mass, drag, 0.0, EXACT_SETUP)
         planar, late = model_errors(windows, linear, errors)
+        # an error of the inertia is once of each trial, and once of all: that is an unknown
+        late = torch.cat([late, errors.inertia_error * linear.motion(mass)[..., None]], -1)
         swing, of_center = (SWING * windows.twist[:, 2]).square(), linear.slopes["twist"][..., :2]
         planar = planar + (swing * windows.accelerated)[:, None, None] * of_center @ of_center.mT
         # the moment of a planar force about the feet errs with it

@@ -24,8 +24,7 @@ from estimators.particles.setup_effects import LinearRows
 from estimators.particles.windows import Observations
 from estimators.particles.wrench import AffineLoads, WrenchModel
 from estimators.wrench.model import ModelErrors, ParticleModel
-from estimators.wrench.support import LOADS, GripperLoad, LoadsOf, SupportModel, contact_spread
-from estimators.wrench.table import Table
+from estimators.wrench.support import LOADS, Support, SupportModel, contact_spread
 from estimators.wrench.weighing import Weighing
 from testbed.objects.model import GRAVITY, MassDistribution, ObjectShape
 
@@ -149,7 +148,7 @@ def fit_support(
     table = observed.table(model, errors.pivot_error)
     loads = AffineLoads.of(shape, model, observed, LOADS[support])
     other = support if spread_known else next(name for name in LOADS if name != support)
-    responses = [_response(table, observed, LOADS[name]) for name in (support, other)]
+    responses = [Support.of(name, model, table.lever, observed.held).response for name in (support, other)]
     response, elsewhere = (each[~observed.accelerated] for each in responses)
     swung = [each[observed.accelerated] for each in responses]
     wrenches = WrenchModel.of(model, steady, loads.where(~observed.accelerated), errors.pivot_error)
@@ -243,19 +242,6 @@ def _excluded(model: ParticleModel, support: SupportModel) -> Float[Tensor, "P w
     if support == "own_weight":
         return model.particles - model.particles.mean(0)
     return torch.nn.functional.one_hot(model.mass_group).double()
-
-
-def _response(table: Table, windows: Observations, loads_of: LoadsOf) -> Float[Tensor, "K P 3"]:
-    """Change of every load with the gripper's lift, and its moment along x and y."""
-    model, mass = table.model, torch.ones(len(table.points), dtype=torch.float64)
-    zero = torch.zeros_like(windows.lift), torch.zeros_like(windows.tilt)
-
-    def loads(lift: float, x: float, y: float) -> Tensor:
-        moment = zero[1] + torch.tensor([x, y], dtype=torch.float64)
-        return loads_of(model, mass, GripperLoad(zero[0] + lift, moment, windows.held, table.lever))
-
-    base = loads(0.0, 0.0, 0.0)
-    return torch.stack([loads(*one) - base for one in torch.eye(3).tolist()], -1)
 
 
 def _pivots(

@@ -83,10 +83,10 @@ class Table:
     @cached_property
     def on_field(self) -> Table:
         """The windows with friction's field over the table under each particle, for `place_friction`."""
-        poses = self.windows["poses"]
-        phase = (poses[..., None, :2] + rotate(poses[..., 2, None], self.lever[:, None])) @ WAVES.T  # (K, S, P, n)
-        size = WAVE_PARTS.sqrt()
-        field = torch.cat([size * torch.cos(phase), size * torch.sin(phase)], -1).mean(1)
+        size, field = WAVE_PARTS.sqrt(), torch.zeros((), dtype=torch.float64)
+        for pose in (poses := self.windows["poses"]).unbind(1):  # part by part: of all at once, memory runs out
+            phase = (pose[:, None, :2] + rotate(pose[:, None, 2], self.lever)) @ WAVES.T  # (K, P, n)
+            field = field + torch.cat([size * torch.cos(phase), size * torch.sin(phase)], -1) / poses.shape[1]
         return replace(self, windows=self.windows | {"field": field})
 
     @cached_property
@@ -95,17 +95,18 @@ class Table:
         return self.dragged(torch.zeros(len(self.points), dtype=torch.float64))
 
     @property
-    def _chunk(self) -> int:
+    def chunk(self) -> int:
+        """Windows that are worked on at once."""
         parts = self.windows["rates"].shape[1]
         return max(1, BATCH // (parts * self.points.shape[0] * self.points.shape[1]))
 
     def rows(self, theta: Theta) -> Float[Tensor, "K 3+H"]:
         """Wrenches of the gripper on the object, N and N m, and torques about hinges, N m."""
-        return vmap(self.predict, (None, 0), chunk_size=self._chunk)(theta, self.windows)
+        return vmap(self.predict, (None, 0), chunk_size=self.chunk)(theta, self.windows)
 
     def linearized(self, theta: Theta) -> tuple[Float[Tensor, "K 3+H"], Slopes]:
         """`rows`, and their derivatives in each unknown."""
-        return linearized(self.predict, theta, self.windows, self._chunk)
+        return linearized(self.predict, theta, self.windows, self.chunk)
 
     def drag_rows(self) -> Float[Tensor, "K 3+H P"]:
         """Derivatives in the friction of each particle."""
@@ -147,7 +148,7 @@ class Table:
             bend = [(values[0] + values[2]) / 2 - values[1] for values in (first, second)]
             return torch.stack([bend[0], cross, bend[1]], -1)
 
-        return vmap(each, chunk_size=self._chunk)(self.windows)
+        return vmap(each, chunk_size=self.chunk)(self.windows)
 
     def moved(self, theta: Theta) -> Moved:
         """Places and motion of the particles in all windows, each with a leading axis of windows."""

@@ -97,7 +97,7 @@ def mapping_text(trajectory: Trajectory, shape: ObjectShape, object_file: str, l
     grasp = None if action.grasp is None else shape.grasps[action.grasp]
     linear, angular = ([f"twist.{part}.{a}" for a in "xyz"] for part in ("linear", "angular"))
     bias, drift = trajectory.sensor_bias_std, trajectory.sensor_drift_std
-    setup = {name: value for name, value in asdict(trajectory.setup).items() if value}
+    setup = {"preset": "ideal"} | {name: value for name, value in asdict(trajectory.setup).items() if value}
     mapping = {
         "object": object_file,
         "action": action.to_dict() | ({} if grasp is None else {"grasp": grasp.name}),
@@ -121,7 +121,7 @@ def mapping_text(trajectory: Trajectory, shape: ObjectShape, object_file: str, l
             "inertia_kg_m2": tool.inertia.tolist(),
             "tcp_m": tool.tcp.tolist(),
         },
-        **({"setup": setup} if setup else {}),
+        "setup": setup,
         **({} if trajectory.camera is None else {"camera": _camera_map(trajectory.camera)}),
     }
     return toml_text(mapping) + toml_lists(logs=[{"file": log}], phases=_windows(trajectory))

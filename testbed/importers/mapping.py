@@ -17,8 +17,7 @@ from testbed.importers.columns import CameraMap, Columns, JointMap, Table, Text,
 from testbed.objects.model import ROBOTIQ_2F85, Hand, ObjectShape
 from testbed.toml import Finite, NonNegative, Positive
 from testbed.trajectory import Phase
-from testbed.worlds.presets import StatedSetup
-from testbed.worlds.setup_errors import EXACT_SETUP
+from testbed.worlds.presets import UNSTATED, StatedSetup
 
 
 class PhaseWindow(Table):
@@ -127,7 +126,7 @@ class Mapping(Columns):
     object: Text
     action: RecordedAction | None = None
     tool: ToolMap
-    setup: StatedSetup = EXACT_SETUP
+    setup: StatedSetup = UNSTATED
     velocity: VelocityMap | None = None
     joints: JointMap | None = None
     camera: CameraMap | None = None

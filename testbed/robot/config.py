@@ -23,8 +23,8 @@ from testbed.sensing.drift import DriftLimit
 from testbed.sensing.presets import preset
 from testbed.trajectory import Tool
 from testbed.validation import Range, check_settings, unit_quaternion
-from testbed.worlds.presets import StatedSetup
-from testbed.worlds.setup_errors import EXACT_SETUP, SetupErrors
+from testbed.worlds.presets import UNSTATED, StatedSetup
+from testbed.worlds.setup_errors import SetupErrors
 
 _Force = Annotated[float, Range(0, 10, "N")]
 _Torque = Annotated[float, Range(0, 1, "N m")]
@@ -83,7 +83,7 @@ class RobotSettings:
     """Distance and angle from the planned path that end a trial [m, rad]."""
     drift: DriftLimit = field(default_factory=DriftLimit)
     """Limit on the drift of the sensor's zero in a trial that is data."""
-    setup: SetupErrors = EXACT_SETUP
+    setup: SetupErrors = UNSTATED
     """Errors of the setup beside the sensor's, as the robot file states them."""
     bias_std: tuple[_Force, _Torque] = preset("ft300s").force_bias, preset("ft300s").torque_bias
     """Standard deviation of the bias after a tare [N, N m]."""
@@ -248,16 +248,17 @@ class RobotFile(Strict):
     camera: CameraTable = CameraTable()
     bench: BenchTable = BenchTable()
     limits: LimitsTable = LimitsTable()
-    setup: StatedSetup = EXACT_SETUP
+    setup: StatedSetup = UNSTATED
 
     def to_dict(self) -> dict[str, Any]:
         """The file as plain data for a record; a device's name, settings and sizes only if not the defaults."""
-        unused = {name for name, left in (("setup", self.setup.none), ("camera", self.camera.model is None)) if left}
+        usual = {"setup": self.setup == UNSTATED, "camera": self.camera.model is None}
+        unused = {name for name, left in usual.items() if left}
         tables = self.model_dump(exclude=unused)
         for name in ("arm", "sensor", "gripper"):
-            usual = type(getattr(self, name))()
+            default = type(getattr(self, name))()
             for key in ("model", "settings", "stroke_m", "finger_width_m"):
-                if key in tables[name] and tables[name][key] == getattr(usual, key):
+                if key in tables[name] and tables[name][key] == getattr(default, key):
                     del tables[name][key]
         return {name: table for name, table in tables.items() if table}
 

@@ -70,6 +70,7 @@ def mapping_of(t: Trajectory, **changes: Any) -> dict[str, Any]:
             "tcp_m": t.tool.tcp.tolist(),
         },
         "joints": {"position": [f"j{i}" for i in range(1, 8)], "unit": "deg"},
+        "setup": {"preset": "ideal"},
     }
     return {k: v for k, v in (said | changes).items() if v is not None}
 

@@ -24,6 +24,7 @@ from testbed.robot.runner import RealRunner
 from testbed.sensing.presets import Sensing, preset
 from testbed.trajectory import Trajectory
 from testbed.trial import OWN_WEIGHT, Support, Trial
+from testbed.worlds.setup_errors import EXACT_SETUP
 from tests.fakes.ft300s import FakeFt300s
 from tests.fakes.gen3 import FakeGen3
 from tests.fakes.world import Gen3World
@@ -113,7 +114,8 @@ def over_wires(
             trial = Trial(model, action)
             pose = starting_pose(trial)
             arm = KortexArm("127.0.0.1", port=rig.wires.arm_port, watchdog=0.1)
-            settings = RobotSettings(KortexGripper.data_sheet(model.shape.grasps[action.grasp].width))
+            gripper = KortexGripper.data_sheet(model.shape.grasps[action.grasp].width)
+            settings = RobotSettings(gripper, setup=EXACT_SETUP)
             sensor = (_QuietFt300s if noise is QUIET else Ft300s)(rig.wires.sensor_port)
             for _ in range(ATTEMPTS):
                 rig.place(pose, action.grasp)

@@ -53,8 +53,7 @@ from testbed.robot.config import RobotFile
 from testbed.sensing.presets import PRESETS
 from testbed.toml import load_toml
 from testbed.trajectory import SCHEMA_VERSION, Phase, save_trajectory
-from testbed.worlds.presets import QUANTITIES, WORLDS
-from testbed.worlds.setup_errors import EXACT_SETUP
+from testbed.worlds.presets import QUANTITIES, UNSTATED, WORLDS
 from tests.helpers.pages import (
     BLOCKS,
     DOCS,
@@ -204,8 +203,8 @@ def bounds(kind: Any, metadata: list[Any]) -> str:
 def as_written(default: Any) -> str:
     if default is None:
         return "none"
-    if default == EXACT_SETUP:
-        return "exact"
+    if default == UNSTATED:
+        return "modest"
     return "defaults" if isinstance(default, BaseModel) else f"`{json.dumps(default)}`"
 
 

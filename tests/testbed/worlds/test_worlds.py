@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from dataclasses import asdict, replace
 from functools import cache
 
 import numpy as np
@@ -27,7 +27,7 @@ from testbed.trajectory import Phase, Trajectory
 from testbed.trial import OWN_WEIGHT, RIGID, Trial
 from testbed.worlds import World, WorldDraw, world
 from testbed.worlds.feet import Feet
-from testbed.worlds.presets import QUANTITIES, SOURCES, WORLDS, stated_setup
+from testbed.worlds.presets import QUANTITIES, SOURCES, UNSTATED, WORLDS, stated_setup
 from testbed.worlds.surface import Surface
 
 L2 = load_object("L2")
@@ -252,7 +252,10 @@ def test_feet_of_a_world_can_be_kept():
 
 def test_a_setup_is_stated_by_the_name_of_a_world_and_by_its_own_errors():
     assert stated_setup({"preset": "lab", "gain": 0.03}) == replace(world("lab").stated, gain=0.03)
-    assert stated_setup({}).none
+    assert stated_setup({"preset": "ideal"}).none
+    assert stated_setup({"gain": 0.03}) == replace(UNSTATED, gain=0.03)  # what nobody stated is not exact
+    for name, size in asdict(UNSTATED).items():
+        assert 0 < size < getattr(world("lab").stated, name) or name == "contact_points"
     with pytest.raises(InvalidValueError, match="grasp_offset"):
         stated_setup({"grasp_ofset": 0.001})
 

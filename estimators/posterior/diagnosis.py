@@ -13,6 +13,7 @@ from torch import Tensor
 from estimators.particles.misfit import Misfit
 from estimators.posterior.estimator import posterior_of
 from estimators.posterior.posterior import CAUSES, Part, Posterior
+from estimators.wrench.model import RIGID
 from estimators.wrench.support import SupportModel
 from testbed.objects.model import ObjectShape
 from testbed.trajectory import Trajectory
@@ -121,8 +122,10 @@ def diagnose(shape: ObjectShape, weight: float, trajectories: Sequence[Trajector
     if diagnosis.misfit.by_chance:
         return diagnosis
     if support == "own_weight" and shape.chain is None and not diagnosis.misfit.explains:
-        rigid = posterior_of(shape, weight, trajectories, "rigid")
-        if rigid is not None and rigid.explained.explains:
+        # by the same errors for both: neither wins by its tolerance
+        rigid, own = (posterior_of(shape, weight, trajectories, each, errors=RIGID) for each in ("rigid", support))
+        assert rigid is not None and own is not None
+        if rigid.explained.explains and (rigid.log_evidence - own.log_evidence) / math.log(10) > DECISIVE:
             return replace(diagnosis, rigid=rigid.explained.value)
     diagnosis = _without_one(diagnosis, shape, weight, trajectories, support)
     if diagnosis.odd_trial is not None:

@@ -70,6 +70,7 @@ def posterior_of(
     support: SupportModel = "own_weight",
     *,
     unknown_bias: bool = False,
+    errors: ModelErrors | None = None,
 ) -> Posterior | None:
     """Posterior of an object from its trials; None where no trial is usable.
 
@@ -79,13 +80,14 @@ def posterior_of(
         trajectories: slides, turns, accelerated turns, pushes and lifts; all others are left out.
         support: support model on the table.
         unknown_bias: True takes the bias that the tare leaves as unknown, whatever the sensor states.
+        errors: errors of the model, those of the support if left out.
 
     Raises:
         InvalidValueError: no weight, or a grasp that the shape does not have.
     """
     if weight is None or not (np.isfinite(weight) and weight > 0):
         raise InvalidValueError("weight", weight, "M as weighed, a finite number > 0, kg")
-    errors = ModelErrors() if support == "own_weight" else RIGID
+    errors = errors or (ModelErrors() if support == "own_weight" else RIGID)
     windows, lifts = observe(shape, trajectories, errors), lifts_among(shape, trajectories)
     if windows is None or bool(windows.accelerated.all()):
         return None

@@ -61,7 +61,9 @@ def doctor(
         title, trials, found = _diagnosed(folder, row)
         console.print(f"{title}: {NOTHING if found is None else found.verdict}", style="bold")
         if found is not None:
-            console.print(_table(found, trials))
+            if found.causes:
+                console.print(_table(found))
+            console.print(f"trials that fit least: {_worst(found, trials)}")
             name = file_name(f"doctor_{row['object']}_{row['key'][:8]}")
             files = save_figure(diagnosis_figure(found, trials, title), inside(folder, "figures", name))
             console.print(f"figure: {files[0]}")
@@ -84,7 +86,12 @@ def _diagnosed(folder: Path, row: Row) -> tuple[str, list[str], Diagnosis | None
     return title, words, diagnose(shape, weight_of(weighing), moved)
 
 
-def _table(found: Diagnosis, trials: list[str]):
+def _worst(found: Diagnosis, trials: list[str]) -> str:
+    worst = sorted(found.trials, key=lambda trial: -found.trials[trial])[:3]
+    return "; ".join(f"{trials[k]} ({found.trials[k]:.2g})" for k in worst)
+
+
+def _table(found: Diagnosis):
     from rich import box
     from rich.table import Table
 
@@ -95,8 +102,6 @@ def _table(found: Diagnosis, trials: list[str]):
         table.add_column(column, justify="right" if column != "if so" else "left")
     for cause in found.causes[:MOST_LISTED]:
         table.add_row(odds(cause.odds), cause.formatted, CAUSES[cause.name].cause)
-    worst = sorted(found.trials, key=lambda trial: -found.trials[trial])[:3]
-    table.caption = "trials that fit least: " + "; ".join(f"{trials[k]} ({found.trials[k]:.2g})" for k in worst)
     return table
 
 

@@ -21,7 +21,7 @@ def results(tmp_path_factory):
 @pytest.mark.slow
 def test_it_tells_misfit_causes_and_trials_and_draws_them(results, capsys):
     main(["doctor", str(results)])
-    said = capsys.readouterr().out
+    said = " ".join(capsys.readouterr().out.split())
     assert said.count("trials that fit least") == said.count("figure: ") == 4  # two supports under two sensors
     assert "the trials agree within the errors stated" in said
     assert "rigid, ideal: misfit" in said and "one rigid body explains the trials" in said

@@ -56,6 +56,8 @@ class Bayes:
         begin = time.perf_counter()
         if self.support == "own_weight" and not shape.stands_in_groups:
             return Estimate(None, "assumption_violated", ONE_BODY)
+        if self.support == "rigid" and shape.chain is not None:
+            return Estimate(None, "assumption_violated", "an object with hinges is not one rigid body")
         found = posterior_of(shape, weight, trajectories, self.support, unknown_bias=self.unknown_bias)
         if found is None:
             return Estimate(None, "no_data", NO_DATA if shape.chain is None else NO_LINKS)

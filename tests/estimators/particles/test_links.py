@@ -212,7 +212,7 @@ def test_every_method_takes_links_or_says_why_not():
     trials = trials_of(TWO)[:2]
     for name in set(METHODS) - {"cma_es", "nelder_mead", "random_search", "weighted_sampling"}:
         found = build_method(name, {}).estimate(TWO.shape, TWO.total_mass, trials, 0)
-        knows = name in ("hidden_states", "support_aware", "least_squares")
+        knows = name in ("hidden_states", "bayes", "support_aware", "least_squares")
         assert (found.status == "assumption_violated") == (not knows), name
         assert knows or "with hinges, which this method takes for one piece" in found.message
 

@@ -22,7 +22,9 @@ from testbed.sensing.windows import SteadyWindow, reduced_trials, steady_windows
 from testbed.trajectory import Trajectory
 from testbed.worlds.setup_errors import SetupErrors
 
-ONE_PIECE = "an object with hinges, which this method takes for one piece: hidden_states, bayes and least_squares know links"
+ONE_PIECE = (
+    "an object with hinges, which this method takes for one piece: hidden_states, bayes and least_squares know links"
+)
 """Why a method gives no answer on an articulated object."""
 
 

@@ -19,6 +19,13 @@ TRIALS = BLOCK.trials("ft300s")
 OBJECT, BESIDE = drawn_object(0), (0.01, 0.015)
 
 
+def diagnosed(shape, weight, trials):
+    """Diagnosis of trials, some of them usable."""
+    found = diagnose(shape, weight, trials)
+    assert found is not None
+    return found
+
+
 def with_trial(place, **changes):
     return [replace(trial, **changes) if index == place else trial for index, trial in enumerate(TRIALS)]
 
@@ -30,12 +37,13 @@ def flipped():
 
 def regripped():
     action = TRIALS[2].action
+    assert action.grasp is not None
     return with_trial(2, action=replace(action, grasp=(action.grasp + 1) % len(SHAPE.grasps)))
 
 
 @pytest.mark.parametrize("setup", [TRIALS[0].setup, world("lab").stated], ids=["exact", "lab"])
 def test_trials_that_agree_are_said_to(setup):
-    found = diagnose(SHAPE, WEIGHT, [replace(trial, setup=setup) for trial in TRIALS])
+    found = diagnosed(SHAPE, WEIGHT, [replace(trial, setup=setup) for trial in TRIALS])
     assert found.misfit.by_chance
     assert found.verdict.endswith("the trials agree within the errors stated")
     assert set(found.trials) == set(range(len(TRIALS)))
@@ -44,21 +52,21 @@ def test_trials_that_agree_are_said_to(setup):
 @pytest.mark.slow
 @pytest.mark.parametrize(("trials", "number"), [(flipped, 4), (regripped, 3)])
 def test_a_wrong_trial_is_named(trials, number):
-    found = diagnose(SHAPE, WEIGHT, trials())
+    found = diagnosed(SHAPE, WEIGHT, trials())
     assert f"trial {number} does not agree with the others" in found.verdict
     assert found.without < 1.5
 
 
 @pytest.mark.slow
 def test_a_wrong_weight_is_named():
-    found = diagnose(SHAPE, 1.2 * WEIGHT, TRIALS)
+    found = diagnosed(SHAPE, 1.2 * WEIGHT, TRIALS)
     assert found.odd_trial is None
     assert "weigh the object again" in found.verdict
 
 
 def test_one_rigid_body_comes_before_any_error_of_the_setup():
     block = load_block("I2-rigid")
-    found = diagnose(block.model.shape, block.weighed("ft300s"), block.trials("ft300s"))
+    found = diagnosed(block.model.shape, block.weighed("ft300s"), block.trials("ft300s"))
     assert found.rigid < 1.5
     assert "one rigid body explains the trials" in found.verdict and "ask support_aware" in found.verdict
 
@@ -75,7 +83,7 @@ def pivoted(place):
 def test_grasps_that_are_off_are_named_with_their_size():
     shifts = 0.0015 * np.random.default_rng(0).standard_normal((6, 2))
     trials = pivoted(lambda k, action: held_beside(OBJECT, action, shifts[k])) + accelerated(OBJECT)
-    found = diagnose(OBJECT.shape, OBJECT.total_mass, trials)
+    found = diagnosed(OBJECT.shape, OBJECT.total_mass, trials)
     assert found.causes[0].name == "grasp_offset"
     assert found.causes[0].size == pytest.approx(np.sqrt(np.mean(shifts**2)), rel=0.5)
     assert found.verdict.endswith(CAUSES["grasp_offset"].cause)
@@ -84,7 +92,7 @@ def test_grasps_that_are_off_are_named_with_their_size():
 @pytest.mark.slow
 def test_friction_that_differs_by_direction_is_named_with_its_size():
     trials = pivoted(lambda _, action: on_anisotropic_table(OBJECT, analytic_trial(OBJECT, action), 0.85, 0.4))
-    found = diagnose(OBJECT.shape, OBJECT.total_mass, trials)
+    found = diagnosed(OBJECT.shape, OBJECT.total_mass, trials)
     assert found.causes[0].name == "anisotropy"
     assert found.verdict.endswith(CAUSES["anisotropy"].cause)
 

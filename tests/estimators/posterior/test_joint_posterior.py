@@ -72,6 +72,7 @@ def problem(kind, setup=EXACT_SETUP, errors=SHARP, *, loaded=True):
     model, trials = KINDS[kind]
     made = [replace(trial, setup=setup) for trial in trials()]
     windows, weight = observe(model.shape, made, errors), model.total_mass
+    assert windows is not None
     if not loaded:
         windows = replace(windows, load_size=0 * windows.load_size, load_change=0 * windows.load_change)
     on_table = OnTable.of(model.shape, windows, "own_weight", errors)

@@ -147,7 +147,7 @@ class TrialWindows:
         return corrected_inertias(windows, linear, mass, drag, response, self.errors.inertia_error)
 
     def misfit(self, guess: MassDistribution, s: Float[np.ndarray, "n_s"]) -> Misfit:
-        """How far the wrenches of s are from the measured ones.
+        """Misfit of friction loads s, N.
 
         Of friction in all windows, or in those of constant speed where it is larger, since windows of acceleration are
         many and alike; then of inertia.

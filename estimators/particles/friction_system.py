@@ -343,7 +343,7 @@ def _sensor_error(
     windows: Observations, response: Float[Tensor, "K 3+H 3"], nulled: Float[Tensor, "3"], shared: Float[Tensor, "3"]
 ) -> Float[Tensor, "R R"]:
     """Covariance of wrenches less the `response` to lift and tilt: errors of the sensor, and loads taken for them."""
-    sensed, error = sensor_covariance(windows), sensor_map(windows, response)
+    sensed, error = _sensor_covariance(windows), sensor_map(windows, response)
     return error @ sensed @ error.T + _unseen_load(windows, sensed, response, nulled, shared)
 
 
@@ -377,7 +377,7 @@ def _unseen_load(
     return by_row(rows.T.reshape(count, -1, len(rows)))
 
 
-def sensor_covariance(windows: Observations) -> Float[Tensor, "6K 6K"]:
+def _sensor_covariance(windows: Observations) -> Float[Tensor, "6K 6K"]:
     """Covariance of all windows' six components."""
     shared = windows.together[:, None, :, None] * windows.bias[:, :, None] + (
         windows.walked[:, None, :, None] * windows.drift[:, :, None]

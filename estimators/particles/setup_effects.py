@@ -16,8 +16,8 @@ from torch import Tensor
 from estimators.particles.links import UNEVEN, resting
 from estimators.particles.windows import Observations
 from estimators.wrench.jacobian import Slopes, Theta, Window, linearized, zeros
-from estimators.wrench.model import ParticleModel, rotate
-from estimators.wrench.sensor import flawed
+from estimators.wrench.model import ParticleModel
+from estimators.wrench.sensor import flawed, turned_wrench
 from estimators.wrench.setup import stated_sizes
 from estimators.wrench.table import Table
 from testbed.worlds.setup_errors import PARAMETERS, SetupErrors
@@ -214,9 +214,7 @@ def _sensed(windows: Observations, to_wrench: Float[Tensor, "R 6K"], setup: Setu
         wrench = window["from_sensor"] @ flawed(theta, window["sensed"])
         if "delay" not in theta:
             return wrench
-        late = theta["delay"] * window["spin"]
-        force, moment = rotate(late, wrench[:2]), rotate(late, wrench[3:5])
-        return torch.cat([force, wrench[2:3], moment, wrench[5:]])
+        return turned_wrench(theta["delay"] * window["spin"], wrench)
 
     spin = windows.twist[:, 2] * ~windows.pushed
     fields = {"from_sensor": windows.from_sensor, "sensed": windows.sensed, "spin": spin}

@@ -49,7 +49,7 @@ class Cause:
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """What the trials of an object say of its setup."""
+    """Diagnosis of the trials of an object: their misfit, and what would explain it."""
 
     misfit: Misfit
     """Misfit on own weight, or of one rigid body where the object can only be that."""

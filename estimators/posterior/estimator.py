@@ -22,6 +22,7 @@ from estimators.posterior.scale import Scale
 from estimators.posterior.solver import Measurement, solve
 from estimators.wrench.model import RIGID, ModelErrors
 from estimators.wrench.support import ASSUMPTION, SupportModel
+from estimators.wrench.weighing import Weighing
 from testbed.errors import InvalidValueError
 from testbed.objects.model import GRAVITY, ObjectShape
 from testbed.trajectory import Trajectory
@@ -98,7 +99,7 @@ def posterior_of(
     on_table = OnTable.of(shape, windows, support, errors)
     setup = SetupErrors.largest([trajectories[index].setup for index in {*windows.trial.tolist(), *lifts}])
     unknowns = priors(shape, setup, errors, weight, on_table)
-    measurements: list[Measurement] = [on_table, Scale.of(shape, weight, errors.weight_error, setup)]
+    measurements: list[Measurement] = [on_table, Scale(weight, Weighing.of(shape, errors.weight_error, setup))]
     measurements += [InAir.of(shape, trial, each, weight) for trial, each in lifts.items()]
     start = unknowns.start(friction=float(np.clip(windows.drag / (weight * GRAVITY), *PLAUSIBLE)))
     return Posterior(unknowns, measurements, solve(measurements, unknowns, start))

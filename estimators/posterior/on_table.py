@@ -18,7 +18,7 @@ from estimators.posterior.table_errors import TableErrors
 from estimators.posterior.unknowns import Unknowns
 from estimators.wrench.jacobian import NONE, Slopes, Theta, Window, linearized, zeros
 from estimators.wrench.model import MODEL_PARAMETERS, ModelErrors, ParticleModel, rotate
-from estimators.wrench.sensor import flawed
+from estimators.wrench.sensor import flawed, turned_wrench
 from estimators.wrench.support import GripperLoad, Support, own_weight
 from estimators.wrench.table import Table
 from testbed.objects.model import GRAVITY, ObjectShape
@@ -201,8 +201,7 @@ class OnTable:
         wrench = torch.stack([planar[0], planar[1], carried[0], -on_feet[1], on_feet[0], planar[2]]) + tool
         read = window["from_sensor"] @ flawed(theta, torch.linalg.solve(window["from_sensor"], wrench))
         if "delay" in theta:
-            late = theta["delay"] * window["spin"]
-            read = torch.cat([rotate(late, read[:2]), read[2:3], rotate(late, read[3:5]), read[5:]])
+            read = turned_wrench(theta["delay"] * window["spin"], read)
         return torch.cat([read, planar[3:]])
 
 

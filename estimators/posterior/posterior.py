@@ -9,7 +9,7 @@ from functools import cached_property
 
 import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from scipy.stats import chi2
 from torch import Tensor
 
@@ -85,12 +85,17 @@ class Posterior:
     """Most likely unknowns."""
 
     @cached_property
+    def of_object(self) -> Bool[Tensor, "n"]:
+        """True for masses and frictions."""
+        inside = torch.zeros(len(self.unknowns), dtype=torch.bool)
+        for name in OBJECT:
+            inside[self.unknowns.at[name]] = True
+        return inside
+
+    @property
     def nominal(self) -> Float[Tensor, "n"]:
         """z of the masses and frictions found, in a setup without errors."""
-        z = torch.zeros_like(self.optimum.z)
-        for name in OBJECT:
-            z[self.unknowns.at[name]] = self.optimum.z[self.unknowns.at[name]]
-        return z
+        return self.optimum.z * self.of_object
 
     @cached_property
     def information(self) -> Float[Tensor, "n n"]:
@@ -106,14 +111,6 @@ class Posterior:
             where = self.unknowns.at[name]
             unit[where] = self.unknowns.blocks[name].scale(self.nominal[where])
         return unit
-
-    @property
-    def of_object(self) -> Float[Tensor, "n"]:
-        """True for masses and frictions."""
-        inside = torch.zeros(len(self.unknowns), dtype=torch.bool)
-        for name in OBJECT:
-            inside[self.unknowns.at[name]] = True
-        return inside
 
     @cached_property
     def rows(self) -> Float[Tensor, "m m"]:
@@ -212,12 +209,17 @@ class Posterior:
         return Estimate(
             at,
             status,
-            "; ".join(filter(None, [directions, settled, misfit.reason, self.why(misfit)])),
+            "; ".join(
+                filter(None, [directions, settled, misfit.reason, "" if misfit.explains else self.parts[0].sentence])
+            ),
             covariance=covariance,
             identifiability=report,
-            diagnostics=misfit.diagnostics
-            | self._frictions(misfit.widening**0.5)
-            | {"rounds": float(self.optimum.rounds)},
+            diagnostics={
+                **misfit.diagnostics,
+                **self._frictions(misfit.widening**0.5),
+                **self.nuisances(),
+                "rounds": float(self.optimum.rounds),
+            },
         )
 
     def of(self, name: str) -> tuple[Tensor, Tensor]:
@@ -252,7 +254,3 @@ class Posterior:
                 if std < HINGE_PRIOR / 2:
                     found |= {f"hinge_{index}_Nm": float(torque), f"hinge_{index}_std_Nm": widening * float(std)}
         return found
-
-    def why(self, misfit: Misfit) -> str:
-        """Part of a misfit that is the least plausible, in words; empty where the answer explains the trials."""
-        return "" if misfit.explains else self.parts[0].sentence

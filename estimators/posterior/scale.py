@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import torch
@@ -11,8 +10,7 @@ from torch import Tensor
 
 from estimators.posterior.solver import Blocks, Linearized
 from estimators.posterior.unknowns import Unknowns
-from testbed.objects.model import ObjectShape
-from testbed.worlds.setup_errors import SetupErrors
+from estimators.wrench.weighing import Weighing
 
 
 @dataclass(frozen=True, eq=False)
@@ -21,15 +19,8 @@ class Scale:
 
     reading: float
     """M, kg."""
-    count: Float[Tensor, "n_m"]
-    """Particles of each mass group, by the material in their cells."""
-    error: float
-    """Standard deviation, kg."""
-
-    @staticmethod
-    def of(shape: ObjectShape, reading: float, error: float, setup: SetupErrors) -> Scale:
-        """Reading of a scale with an error of its own, kg, beside that of the setup."""
-        return Scale(reading, torch.tensor(shape.particles_per_group).double(), math.hypot(error, setup.scale))
+    weighing: Weighing
+    """Masses that the scale adds up, and its error."""
 
     @property
     def parts(self) -> list[tuple[str, int, None]]:
@@ -39,10 +30,11 @@ class Scale:
     def linearized(self, unknowns: Unknowns, z: Float[Tensor, "n"]) -> Linearized:
         """Residual, derivatives and variance."""
         first = torch.zeros(1, dtype=torch.int64)
-        blocks = [(first, torch.tensor([[self.error**2]], dtype=torch.float64))]
+        count = torch.tensor(self.weighing.count)
+        blocks = [(first, torch.tensor([[self.weighing.error**2]], dtype=torch.float64))]
 
         def elsewhere(z: Tensor) -> tuple[Tensor, Blocks]:
-            return (self.count @ unknowns.values(z)["mass"] - self.reading)[None], blocks
+            return (count @ unknowns.values(z)["mass"] - self.reading)[None], blocks
 
-        slopes = unknowns.columns({"mass": self.count[None, None]}, first, z)[0]
+        slopes = unknowns.columns({"mass": count[None, None]}, first, z)[0]
         return Linearized(elsewhere(z)[0], slopes, blocks, elsewhere)

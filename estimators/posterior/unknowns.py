@@ -83,10 +83,6 @@ class Unknowns:
         by_trial = {name: value for name, value in found.items() if self.blocks[name].by_trial}
         return {name: value for name, value in found.items() if name not in by_trial}, by_trial
 
-    def only(self, names: tuple[str, ...]) -> Unknowns:
-        """The named blocks alone; the errors of the others are then 0."""
-        return Unknowns({name: self.blocks[name] for name in names})
-
     def columns(
         self, slopes: dict[str, Float[Tensor, "K r m"]], trial: Tensor, z: Float[Tensor, "n"]
     ) -> Float[Tensor, "K r n"]:

@@ -99,7 +99,7 @@ def likely_load(
         carried: moment that the hand carries of links that trail, one standard deviation, N m.
     """
     likely, kept, followed = load.copy(), np.ones_like(load), np.ones_like(load)
-    size, change_size = (np.tile(wide, (len(load), 1)) for wide in (PUSHED, PUSHED))
+    size, change_size = np.tile(PUSHED, (2, len(load), 1))
     of_links = carried * np.array([0.0, 1.0, 1.0])
     for rows, changes in ((accelerated, SWUNG), (~accelerated & ~pushed, TURNED)):
         if not rows.any():

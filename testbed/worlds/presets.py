@@ -152,7 +152,7 @@ UNSTATED = SetupErrors(
 def stated_setup(table: Any) -> Any:
     """Setup of a [setup] table: the errors that a world of that `preset` states, any of them changed by name.
 
-    Without a preset, those that are not named are `UNSTATED`: what nobody stated is not exact.
+    Without a preset, errors that are not named have the sizes of `UNSTATED`.
 
     Raises:
         InvalidValueError: no such world, or no such error.

@@ -1,4 +1,4 @@
-"""Tests of the diagnosis: the support, a single trial, the weight and errors of the setup are told apart."""
+"""Tests of the diagnosis: it distinguishes the support, a single trial, the weight and errors of the setup."""
 
 from dataclasses import replace
 

@@ -14,6 +14,7 @@ from estimators.particles.lifts import lifts_among
 from estimators.particles.observe import observe
 from estimators.particles.windows import Observations
 from estimators.posterior import solver, table_errors
+from estimators.posterior.estimator import Bayes
 from estimators.posterior.in_air import InAir
 from estimators.posterior.on_table import OnTable, contact_patterns
 from estimators.posterior.posterior import Posterior
@@ -25,6 +26,7 @@ from estimators.testing.analytic_links import analytic_links, drawn_chain
 from estimators.testing.analytic_push import analytic_pushes
 from estimators.testing.analytic_world import accelerated, analytic_trial, drawn_object, turns
 from estimators.wrench.model import EXACT, ModelErrors, ParticleModel
+from estimators.wrench.weighing import Weighing
 from testbed.actions.lift import Lift
 from testbed.actions.push import Push
 from testbed.actions.rotate import Rotate
@@ -76,7 +78,7 @@ def problem(kind, setup=EXACT_SETUP, errors=SHARP, *, loaded=True):
     if not loaded:
         windows = replace(windows, load_size=0 * windows.load_size, load_change=0 * windows.load_change)
     on_table = OnTable.of(model.shape, windows, "own_weight", errors)
-    measurements = [on_table, Scale.of(model.shape, weight, errors.weight_error, setup)]
+    measurements = [on_table, Scale(weight, Weighing.of(model.shape, errors.weight_error, setup))]
     measurements += [InAir.of(model.shape, k, lift, weight) for k, lift in lifts_among(model.shape, made).items()]
     return model, measurements, priors(model.shape, setup, errors, weight, on_table)
 
@@ -129,6 +131,14 @@ def test_masses_come_back_from_predicted_readings(kind, monkeypatch):
     assert_allclose(unknowns.values(found.z)["mass"], model.truth.mass, rtol=1e-8)
 
 
+def test_an_answer_has_the_errors_of_the_setup_with_their_own():
+    trials = [replace(trial, setup=LAB) for trial in KINDS["accelerated"][1]()]
+    numbers = Bayes().estimate(OBJECT.shape, OBJECT.total_mass, trials, 0).diagnostics
+    for name in ("table_tilt_1", "gain_5", "grasp_offset_0_1", "delay", "friction_0"):
+        assert numbers[f"{name}_std"] > 0
+    assert abs(numbers["table_tilt_1"]) < 3 * LAB.table_tilt and numbers["table_tilt_1_std"] <= LAB.table_tilt
+
+
 def test_patterns_of_contact_keep_load_and_moments_but_for_two():
     model = ParticleModel.of(OBJECT.shape)
     points = torch.stack([each.particles for each in model.spread], 1)
@@ -159,7 +169,10 @@ def test_a_posterior_of_its_own_predictions_is_calibrated(setup):
         measured = replace(on_table)
         measured.__dict__["read"] = read.reshape(on_table.read.shape)
         mass = unknowns.values(truth)["mass"]
-        weighed = replace(scale, reading=float(scale.count @ mass) + scale.error * rng.standard_normal())
+        weighed = replace(
+            scale,
+            reading=float(torch.tensor(scale.weighing.count) @ mass) + scale.weighing.error * rng.standard_normal(),
+        )
         both = [measured, weighed]
         posterior = Posterior(unknowns, both, solve(both, unknowns, unknowns.start(friction=0.3)))
         off, where = posterior.of("mass")[0] - mass, unknowns.at["mass"]

@@ -253,7 +253,7 @@ def test_feet_of_a_world_can_be_kept():
 def test_a_setup_is_stated_by_the_name_of_a_world_and_by_its_own_errors():
     assert stated_setup({"preset": "lab", "gain": 0.03}) == replace(world("lab").stated, gain=0.03)
     assert stated_setup({"preset": "ideal"}).none
-    assert stated_setup({"gain": 0.03}) == replace(UNSTATED, gain=0.03)  # what nobody stated is not exact
+    assert stated_setup({"gain": 0.03}) == replace(UNSTATED, gain=0.03)  # errors that are not stated are not zero
     for name, size in asdict(UNSTATED).items():
         assert 0 < size < getattr(world("lab").stated, name) or name == "contact_points"
     with pytest.raises(InvalidValueError, match="grasp_offset"):

@@ -159,13 +159,16 @@ def ctrl_z_and_refused(driver: Driver, gen3: FakeGen3) -> None:
 def frozen_and_refused(driver: Driver, gen3: FakeGen3) -> None:
     """Stop is refused to the stand-by too."""
     gen3.faults.refuse = "Base.Stop"
-    os.kill(driver.kortex, signal.SIGSTOP)
+    signals(signal.SIGSTOP, "kortex")(driver, gen3)
 
 
 def frozen_and_reset(driver: Driver, gen3: FakeGen3) -> None:
-    """The arm's process is frozen, and the stand-by must connect anew."""
+    """The arm's process is frozen, and the stand-by must connect anew.
+
+    Frozen first: the reset alone ends the arm's process, and could do so before the signal.
+    """
+    signals(signal.SIGSTOP, "kortex")(driver, gen3)
     gen3.reset()
-    os.kill(driver.kortex, signal.SIGSTOP)
 
 
 STOP, KILL = signal.SIGSTOP, signal.SIGKILL

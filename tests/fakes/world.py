@@ -63,21 +63,25 @@ class Gen3World:
         self._grip = -0.05
         self.push = (0, np.zeros(3))
         """Ticks for which the object is pushed, and the force [N], world axes."""
-        self._integral = np.zeros(7)
-        q = joint_path(np.array([START]), np.array(HOME))[0]
-        self._build(q, 0, np.array([0.45, 0.0, 0.0]))
+        self._start = joint_path(np.array([START]), np.array(HOME))[0]
+        self._build(0, np.array([0.45, 0.0, 0.0]))
 
     def place(self, pose: np.ndarray, grasp: int | Push) -> None:
-        """Put the object at a planar pose; only the faces of `grasp` can then be gripped, or a push can be made."""
-        self._build(self.data.qpos[:7].copy(), grasp, pose)
+        """Put the object at a planar pose; only the faces of `grasp` can then be gripped, or a push can be made.
 
-    def _build(self, q: np.ndarray, grasp: int | Push, pose: np.ndarray) -> None:
+        The hand is at its start then: after a fault it stands where it stopped, and would push the object aside.
+        """
+        self.stop()
+        self._build(grasp, pose)
+
+    def _build(self, grasp: int | Push, pose: np.ndarray) -> None:
         push = grasp if isinstance(grasp, Push) else None
         held = None if isinstance(grasp, Push) else self.obj.shape.grasps[grasp]
         scene = build_scene(self.obj, self.support, held, self.settings, push=push)
         model, data = scene.model, mujoco.MjData(scene.model)
         address = model.joint("object").qposadr[0]
-        data.qpos[:7] = data.act[:7] = self._reference = q
+        data.qpos[:7] = data.act[:7] = self._reference = self._start
+        self._integral = np.zeros(7)
         data.qpos[address : address + 2] = pose[:2]
         data.qpos[address + 3 : address + 7] = math.cos(pose[2] / 2), 0.0, 0.0, math.sin(pose[2] / 2)
         self.model, self.data, self._body = model, data, scene.object_body

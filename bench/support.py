@@ -45,7 +45,7 @@ from testbed.trial import parse_support
 from viz.style import PALETTE, STYLE, bare, plain_numbers
 
 CONFIDENCE = 0.9
-LEVELS = (0.001, 0.01, 0.05, 0.1)
+ERRORS = (1, 2, 3)
 OWN_WEIGHT, RIGID = "own_weight", "rigid"
 LIBRARY = ("I1", "I2", "L1", "L2", "F1", "F2", "hammer", "wrench")
 
@@ -94,7 +94,7 @@ def judged(obj: ObjectModel, drawn: Sequence[Trajectory], materials: Sequence[fl
     row: dict[str, object] = {"groups": shape.n_m, "status": answer.status, "uneven": float(np.ptp(obj.truth.mass))}
     if answer.distribution is None or plain.distribution is None:
         return row
-    row |= {name: answer.diagnostics[name] for name in ("p_own_weight", "p_rigid", "log10_bayes_factor")}
+    row |= {name: answer.diagnostics[name] for name in ("log10_bayes_factor", "rigid_share", "rigid_share_error")}
     row["nad_plain"] = normalized_absolute_difference(shape, plain.distribution, obj.truth)
     row["nad"] = normalized_absolute_difference(shape, answer.distribution, obj.truth)
     if "least_0_kg" in answer.diagnostics:
@@ -119,13 +119,18 @@ def judged(obj: ObjectModel, drawn: Sequence[Trajectory], materials: Sequence[fl
 
 def show(rows: pd.DataFrame, figure: Path | None) -> None:
     """Tables of rates, and the curves."""
-    below = []
+    off = []
     for sensing, support in rows[["sensing", "support"]].drop_duplicates().to_numpy():
-        p = rows[(rows.sensing == sensing) & (rows.support == support)].p_own_weight.dropna().to_numpy()
-        below.append([sensing, support, str(len(p)), *(percent(p < level) for level in LEVELS)])
-    table("p-value on own weight: % below", ["sensor", "support", "draws", *map(str, LEVELS)], below)
+        part = rows[(rows.sensing == sensing) & (rows.support == support)].dropna(subset=["rigid_share"])
+        apart = ((part.rigid_share - (support == RIGID)).abs() / part.rigid_share_error).to_numpy()
+        off.append([sensing, support, str(len(part)), *(percent(apart > error) for error in ERRORS)])
+    table(
+        "share of a rigid body's loads: % off by more than n errors",
+        ["sensor", "support", "draws", *map(str, ERRORS)],
+        off,
+    )
     rows = rows.assign(group=_group(rows), violated=(rows.status == "assumption_violated").astype(float))
-    rows["untested"] = rows.p_own_weight.isna()
+    rows["untested"] = rows.rigid_share.isna()
     rows.loc[rows.untested, "violated"] = np.nan
     rows["open"] = (rows.status == "underdetermined").where(~rows.untested)
     shares = [

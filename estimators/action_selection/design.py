@@ -22,7 +22,7 @@ from estimators.identifiability.information import (
     predicted_information,
     prior_information,
 )
-from estimators.support_models.fit import FRICTION_PRIOR, prior_masses
+from estimators.identifiability.report import prior_masses
 from estimators.wrench.weighing import Weighing
 from testbed.actions.base import Action
 from testbed.actions.push import Push
@@ -41,6 +41,8 @@ NORMAL_MEAN = math.sqrt(2 / math.pi)
 """Mean absolute value of a standard normal number."""
 LEAST_GAIN = 0.01
 """Least part that a trial must take off the criterion to be worth its time."""
+FRICTION_PRIOR = 1.0
+"""Standard deviation of every friction coefficient beforehand; so wide that it decides nothing."""
 APART = 0.01
 """Least distance between centres of turns in one grasp, and between points of pushes [m]: nearer ones repeat each
 other, model error included."""
@@ -229,7 +231,7 @@ def steady(action: Action) -> bool:
 def prior_belief(shape: ObjectShape, guess: Guess) -> Belief:
     """Belief after the weighing, with all ways to share M as likely."""
     n_m, n_mu, count = shape.n_m, shape.n_mu, shape.particles_per_group
-    covariance = prior_masses(shape, guess.weight)[1]
+    covariance = prior_masses(shape, guess.weight)
     each = []
     for assumptions in guess.assumptions():
         weight_error = max(guess.sensing.scale, assumptions.model_errors.weight_error)

@@ -14,13 +14,12 @@ from estimators.action_selection.design import Belief, Criterion, Design, Guess,
 from estimators.action_selection.greedy import MOST_CHECKS, greedy_choice
 from estimators.action_selection.plan import FeasibilityLog, Feasible, Goal, always_feasible
 from estimators.base import Estimate, Estimator
-from estimators.hidden_states.estimator import HiddenStates
-from estimators.hidden_states.masses import friction_loads
 from estimators.identifiability.information import trial_information
 from estimators.particles.lifts import lifts_among
 from estimators.particles.misfit import UNEXPLAINED
 from estimators.particles.observe import observe
 from estimators.particles.windows import Observations
+from estimators.posterior.estimator import posterior_of
 from estimators.support_models.estimator import SupportAware
 from estimators.support_models.selection import DECISIVE
 from testbed.actions.base import Action
@@ -123,8 +122,8 @@ class OnlinePolicy:
         if len(trajectories) >= self.goal.most:
             return decision(None, f"{self.goal.most} trials were made, the most that may be")
         left = self.goal.left(spent_seconds(shape, trajectories))
-        if disagree and windows is not None:
-            worst = trajectories[_worst_fit(shape, guess.weight, trajectories, windows, at)].action
+        if disagree and (fitted := posterior_of(shape, guess.weight, trajectories)) is not None:
+            worst = trajectories[max(fitted.by_trial, key=fitted.by_trial.__getitem__)].action
             if done.count(worst) == 1 and RobotTime().of(worst) <= left:
                 why = f"the trials disagree (misfit {misfit:.0f}); the one that fits least is done again"
                 return decision(worst, why)
@@ -212,14 +211,3 @@ def _uncertainty(belief: Belief, estimate: Estimate | None) -> tuple[float, Floa
     if estimate.status != "assumption_violated" and nad <= belief.expected_nad:
         return belief.expected_nad, belief.standard_error
     return nad, np.sqrt(np.diag(own))
-
-
-def _worst_fit(
-    shape: ObjectShape, weight: float, trajectories: Sequence[Trajectory], windows: Observations, at: MassDistribution
-) -> int:
-    """Number of the trial whose windows the answer fits worst."""
-    likelihood = HiddenStates().likelihood(shape, weight, trajectories, at)
-    loads = friction_loads(shape, likelihood.pairs, at)
-    trial = windows.trial[~windows.accelerated].numpy()
-    misses = ((likelihood.q @ loads - likelihood.b) ** 2)[: 3 * len(trial)].reshape(-1, 3).mean(axis=1)
-    return int(np.argmax(np.bincount(trial, misses) / np.maximum(np.bincount(trial), 1)))

@@ -21,10 +21,10 @@ from torch import Tensor
 from estimators.base import Estimate, Trace, robot_seconds
 from estimators.baselines.problem import FAR_OFF, Problem, Weighting
 from estimators.descent import OPTIMIZERS, check_optimizers, descend_all
-from estimators.evaluation.judged import ERRORS, misfit_on
+from estimators.evaluation.judged import misfit_on
 from estimators.particles.misfit import Misfit
 from estimators.wrench.model import ModelErrors
-from estimators.wrench.support import ASSUMPTION
+from estimators.wrench.support import ASSUMPTION, ERRORS, SupportModel
 from testbed.errors import InvalidValueError
 from testbed.objects.model import GRAVITY, MassDistribution, ObjectShape
 from testbed.trajectory import Trajectory
@@ -223,7 +223,8 @@ class Baseline(ABC):
     ) -> Estimate:
         """The estimate of a search, less its time; `weight` is M as weighed, whether or not the search had it."""
         at = MassDistribution(found.mass, found.friction)
-        misfit = found.misfit or misfit_on(self._support, problem.shape, weight, problem.windows, at, self._errors)
+        misfit = found.misfit or misfit_on(self._support, problem.shape, weight, trajectories, at, self._errors)
+        assert misfit is not None
         left = math.sqrt(problem.unexplained(torch.tensor(found.mass), torch.tensor(found.friction)))
         rollouts = found.rollouts or sum(len(trace.loss) for trace in found.traces)
         status, why = misfit.status, misfit.reason
@@ -243,7 +244,7 @@ class Baseline(ABC):
         )
 
     @property
-    def _support(self) -> str:
+    def _support(self) -> SupportModel:
         """Support that the method assumes."""
         return "own_weight"
 

@@ -14,6 +14,7 @@ from estimators.baselines.problem import Problem
 from estimators.particles.misfit import Misfit
 from estimators.particles.windows import Observations
 from estimators.wrench.model import ModelErrors
+from estimators.wrench.support import SupportModel
 from estimators.wrench.weighing import Weighing
 from testbed.errors import InvalidValueError
 from testbed.objects.model import MassDistribution, ObjectModel
@@ -38,7 +39,7 @@ class MujocoSysid(Peer):
 
     iterations: int = 200
     """Most iterations of the toolbox's optimizer: its default."""
-    support: str = "own_weight"
+    support: SupportModel = "own_weight"
     """Support in its scene: own_weight, as every baseline assumes, or rigid."""
 
     def __post_init__(self) -> None:
@@ -55,7 +56,7 @@ class MujocoSysid(Peer):
         check_toolbox()
 
     @property
-    def _support(self) -> str:
+    def _support(self) -> SupportModel:
         return self.support
 
     def _search(self, problem: Problem, seed: int) -> SearchResult:

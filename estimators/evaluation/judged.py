@@ -7,18 +7,15 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from estimators.base import Estimate
-from estimators.hidden_states.trial_windows import TrialWindows
 from estimators.particles.misfit import Misfit
-from estimators.particles.observe import observe
-from estimators.particles.windows import Observations
-from estimators.support_models.fit import fit_support
-from estimators.wrench.model import RIGID, ModelErrors
-from estimators.wrench.support import ASSUMPTION
+from estimators.posterior.estimator import posterior_of
+from estimators.wrench.model import ModelErrors
+from estimators.wrench.support import ASSUMPTION, SupportModel
 from testbed.objects.model import MassDistribution, ObjectShape
 from testbed.trajectory import Trajectory
 
-ERRORS = {"own_weight": ModelErrors(), "rigid": RIGID}
-"""Errors of the model on each support."""
+SAME_WEIGHT = 0.01
+"""Part of M within which masses count as weighed: then the search is no cause of another inertia."""
 MANY = 1_000_000
 """Degrees of freedom of a misfit whose method does not state them: such a misfit is no chance."""
 
@@ -39,7 +36,7 @@ def judged(answer: Estimate, shape: ObjectShape, weight: float | None, trajector
         return answer
     numbers, stated = answer.diagnostics, answer.diagnostics.get("misfit", math.nan)
     if math.isnan(stated):
-        named = [support for support, words in ASSUMPTION.items() if words == answer.assumes]
+        named: list[SupportModel] = [support for support, words in ASSUMPTION.items() if words == answer.assumes]
         each = [_measured(support, shape, weight, trajectories, answer.distribution) for support in named or ASSUMPTION]
         found = min(filter(None, each), key=lambda misfit: misfit.value, default=None)
         if found is None:
@@ -54,39 +51,45 @@ def judged(answer: Estimate, shape: ObjectShape, weight: float | None, trajector
 
 
 def _measured(
-    support: str, shape: ObjectShape, weight: float | None, trajectories: Sequence[Trajectory], at: MassDistribution
+    support: SupportModel,
+    shape: ObjectShape,
+    weight: float | None,
+    trajectories: Sequence[Trajectory],
+    at: MassDistribution,
 ) -> Misfit | None:
     """Misfit of masses and frictions on one support; None on one that the object cannot have, or without windows."""
     if (support == "own_weight" and not shape.stands_in_groups) or (support == "rigid" and shape.chain is not None):
         return None
-    windows = observe(shape, trajectories, ERRORS[support])
-    if windows is None or bool(windows.accelerated.all()):
-        return None
-    return misfit_on(support, shape, weight, windows, at, ERRORS[support])
+    return misfit_on(support, shape, weight, trajectories, at)
 
 
 def misfit_on(
-    support: str,
+    support: SupportModel,
     shape: ObjectShape,
     weight: float | None,
-    windows: Observations,
+    trajectories: Sequence[Trajectory],
     at: MassDistribution,
-    errors: ModelErrors,
-) -> Misfit:
-    """Misfit of masses and frictions on one support; infinite for an object without mass.
+    errors: ModelErrors | None = None,
+) -> Misfit | None:
+    """Misfit of masses and frictions on one support, with the most likely nuisances; None without trials.
 
     Args:
-        support: "own_weight" or "rigid".
+        support: support model.
         shape: geometry and groups.
         weight: M as weighed, kg, or None.
-        windows: windows, some at constant speed.
-        at: masses and frictions.
-        errors: errors of the model.
+        trajectories: trials, some at constant speed.
+        at: masses and frictions; without mass their misfit is infinite.
+        errors: errors of the model, those of the support if left out.
     """
     total = float(at.mass @ shape.particles_per_group)
     if total <= 0:
         return Misfit(math.inf, MANY)
-    if support == "own_weight":
-        return TrialWindows.about(shape, weight or total, windows, errors).misfit_of_masses(at)
-    fit = fit_support(shape, weight or total, windows, "rigid", errors, at=at)
-    return fit.misfit.or_of_inertia(shape, fit.pivots, at)
+    found = posterior_of(shape, weight or total, trajectories, support, errors=errors, at=at)
+    if found is None:
+        return None
+    misfit, weighed = found.explained, abs(total / (weight or total) - 1) < SAME_WEIGHT
+    if misfit.explains or (misfit.inertia is not None and weighed):
+        return misfit
+    best = posterior_of(shape, weight or total, trajectories, support, errors=errors)
+    assert best is not None
+    return replace(misfit, least=best.explained.value)

@@ -21,6 +21,7 @@ from estimators.identifiability.posterior import Likelihood
 from estimators.identifiability.report import Identifiability, identifiability
 from estimators.particles.friction_system import LinearSystem, hinge_friction
 from estimators.particles.links import HINGE_PRIOR
+from estimators.particles.observe import NO_DATA, NO_LINKS, ONE_BODY
 from estimators.particles.pivots import PivotInertia
 from estimators.wrench.model import ModelErrors
 from estimators.wrench.support import ASSUMPTION
@@ -30,9 +31,6 @@ from testbed.trajectory import Trajectory
 from testbed.validation import check_integer
 
 Solver = Literal["closed_form", "descent"]
-ONE_BODY = "not every mass group has feet of its own to rest on: it is one rigid body, for support_aware"
-NO_DATA = "no trajectory with status ok that slides or turns at constant speed"
-NO_LINKS = f"{NO_DATA} while every link moves steadily: grip another link, or move across the links"
 
 
 @dataclass(frozen=True)

@@ -19,12 +19,13 @@ from torch import Tensor
 
 from estimators.base import Estimate, HiddenStateEstimate, Trace
 from estimators.descent import OPTIMIZERS, check_optimizers, descend
-from estimators.hidden_states.estimator import NO_DATA, Solver
+from estimators.evaluation.judged import misfit_on
+from estimators.hidden_states.estimator import Solver
 from estimators.hidden_states.friction import CONTRADICTORY
 from estimators.hidden_states.masses import SMALLEST_PART, feet_of
 from estimators.hidden_states.trial_windows import TrialWindows
 from estimators.particles.friction_system import rank_of, weight_per_mass
-from estimators.particles.observe import ONE_PIECE
+from estimators.particles.observe import NO_DATA, ONE_PIECE
 from estimators.particles.pivots import inertia_map
 from estimators.particles.windows import Observations
 from estimators.wrench.model import Inertia, ModelErrors, acceleration, inertia_of, rotate, step, turned
@@ -92,7 +93,7 @@ class PublishedHiddenStates:
         for _ in range(ROUNDS if self.gripper_load else 0):
             if found.distribution is not None:
                 found = self._algorithm_1(_unloaded(trials, found.distribution))
-        return replace(_judged(trials, found), seconds=time.perf_counter() - begin)
+        return replace(_judged(trials, trajectories, found), seconds=time.perf_counter() - begin)
 
     def _algorithm_1(self, trials: TrialWindows) -> Estimate:
         """The paper's Algorithm 1, after its trials were sampled."""
@@ -227,11 +228,12 @@ def _unloaded(trials: TrialWindows, guess: MassDistribution) -> TrialWindows:
     return replace(trials, windows=unloaded(trials.windows), accelerated=unloaded(trials.accelerated))
 
 
-def _judged(trials: TrialWindows, found: Estimate) -> Estimate:
+def _judged(trials: TrialWindows, trajectories: Sequence[Trajectory], found: Estimate) -> Estimate:
     """The estimate with its misfit, and the status that follows from it."""
     if found.distribution is None or found.hidden is None:
         return found
-    misfit = trials.misfit_of_masses(found.distribution)
+    misfit = misfit_on("own_weight", trials.shape, trials.weight, trajectories, found.distribution)
+    assert misfit is not None
     found = replace(found, diagnostics=found.diagnostics | misfit.diagnostics)
     if misfit.value > CONTRADICTORY:
         why = f"the masses miss the measured wrenches by {misfit.value:.0f} mean squared errors: too few steps, or the "

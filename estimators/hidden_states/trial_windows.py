@@ -17,7 +17,6 @@ from torch import Tensor
 from torch.nn.functional import pad
 
 from estimators.base import robot_seconds
-from estimators.hidden_states.friction import closed_form
 from estimators.hidden_states.masses import friction_loads
 from estimators.particles.friction_system import (
     FrictionEquations,
@@ -38,9 +37,6 @@ from estimators.wrench.support import own_weight
 from estimators.wrench.weighing import Weighing
 from testbed.objects.model import GRAVITY, MassDistribution, ObjectShape
 from testbed.trajectory import Trajectory
-
-SAME_WEIGHT = 0.01
-"""Part of M within which masses count as weighed: then the search is no cause of another inertia."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,13 +154,3 @@ class TrialWindows:
             rows = self.friction_equations(guess, self.steady, linear.where(at_one_speed))
             found = max(found, misfit_of(rows, s, len(s)), key=lambda misfit: misfit.widening)
         return found.or_of_inertia(self.shape, self.pivot_inertias(guess, s), guess)
-
-    def misfit_of_masses(self, at: MassDistribution) -> Misfit:
-        """How far the wrenches of masses and frictions are from the measured ones, without the causes."""
-        s = self.friction_loads(at)
-        found = self.misfit(at, s)
-        weighed = abs(float(at.mass @ self.shape.particles_per_group) / self.weight - 1) < SAME_WEIGHT
-        if found.explains or (found.inertia is not None and weighed):
-            return found
-        system = self.friction_system(at)
-        return replace(found, least=system.loss(closed_form(system)))

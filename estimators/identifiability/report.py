@@ -100,6 +100,18 @@ def identifiability(
     )
 
 
+def prior_masses(shape: ObjectShape, weight: float) -> Float[np.ndarray, "n_m n_m"]:
+    """Covariance of particle masses before any trial, where all ways to share M are as likely, kg^2.
+
+    Shares of a Dirichlet distribution, in proportion to the groups' sizes: for blocks of one size it is even over the
+    simplex.
+    """
+    count = shape.particles_per_group
+    part = count / count.sum()
+    covariance = (np.diag(part) - np.outer(part, part)) / (shape.n_m + 1)
+    return weight**2 * covariance / np.outer(count, count)
+
+
 def _sparse(rows: np.ndarray) -> np.ndarray:
     """Basis of the row space whose vectors have the fewest unknowns, by a search over small sets of them."""
     count, columns = rows.shape

@@ -11,20 +11,20 @@ import numpy as np
 import torch
 
 from estimators.base import Estimate
-from estimators.hidden_states.estimator import NO_DATA, NO_LINKS, ONE_BODY
 from estimators.particles.lifts import lifts_among
-from estimators.particles.observe import observe
+from estimators.particles.observe import NO_DATA, NO_LINKS, ONE_BODY, observe
 from estimators.posterior.in_air import InAir
 from estimators.posterior.on_table import OnTable
 from estimators.posterior.posterior import Posterior
 from estimators.posterior.priors import priors
 from estimators.posterior.scale import Scale
 from estimators.posterior.solver import Measurement, solve
-from estimators.wrench.model import RIGID, ModelErrors
-from estimators.wrench.support import ASSUMPTION, SupportModel
+from estimators.posterior.unknowns import Block, Unknowns
+from estimators.wrench.model import ModelErrors
+from estimators.wrench.support import ASSUMPTION, ERRORS, SupportModel
 from estimators.wrench.weighing import Weighing
 from testbed.errors import InvalidValueError
-from testbed.objects.model import GRAVITY, ObjectShape
+from testbed.objects.model import GRAVITY, MassDistribution, ObjectShape
 from testbed.trajectory import Trajectory
 from testbed.worlds.parameters import FULL_SCALE
 from testbed.worlds.setup_errors import SetupErrors
@@ -72,8 +72,11 @@ def posterior_of(
     trajectories: Sequence[Trajectory],
     support: SupportModel = "own_weight",
     *,
+    other: SupportModel | None = None,
     unknown_bias: bool = False,
     errors: ModelErrors | None = None,
+    near: Posterior | None = None,
+    at: MassDistribution | None = None,
 ) -> Posterior | None:
     """Posterior of an object from its trials; None where no trial is usable.
 
@@ -82,24 +85,33 @@ def posterior_of(
         weight: M as weighed, kg.
         trajectories: slides, turns, accelerated turns, pushes and lifts; all others are left out.
         support: support model on the table.
+        other: support model that holds in part, `other_support` of it: 0 where the first alone does.
         unknown_bias: True takes the bias that the tare leaves as unknown, whatever the sensor states.
         errors: errors of the model, those of the support if left out.
+        near: posterior from which the search starts: of the same trials under other errors of the model.
+        at: masses and frictions that are taken as known; the nuisances alone are estimated.
 
     Raises:
         InvalidValueError: no weight, or a grasp that the shape does not have.
     """
     if weight is None or not (np.isfinite(weight) and weight > 0):
         raise InvalidValueError("weight", weight, "M as weighed, a finite number > 0, kg")
-    errors = errors or (ModelErrors() if support == "own_weight" else RIGID)
+    errors = errors or ERRORS[support]
     windows, lifts = observe(shape, trajectories, errors), lifts_among(shape, trajectories)
     if windows is None or bool(windows.accelerated.all()):
         return None
     if unknown_bias:
         windows = replace(windows, bias=windows.bias + torch.tensor(FULL_SCALE**2).diag())
-    on_table = OnTable.of(shape, windows, support, errors)
+    on_table = OnTable.of(shape, windows, support, errors, other)
     setup = SetupErrors.largest([trajectories[index].setup for index in {*windows.trial.tolist(), *lifts}])
     unknowns = priors(shape, setup, errors, weight, on_table)
+    if at is not None:
+        known = {"mass": at.mass, "friction": at.friction}
+        unknowns = Unknowns(unknowns.blocks | {name: Block.known(value) for name, value in known.items()})
     measurements: list[Measurement] = [on_table, Scale(weight, Weighing.of(shape, errors.weight_error, setup))]
     measurements += [InAir.of(shape, trial, each, weight) for trial, each in lifts.items()]
     start = unknowns.start(friction=float(np.clip(windows.drag / (weight * GRAVITY), *PLAUSIBLE)))
+    if near is not None:
+        known = near.unknowns.values(near.optimum.z)
+        start = unknowns.start(**{name: value for name, value in known.items() if name in unknowns.blocks})
     return Posterior(unknowns, measurements, solve(measurements, unknowns, start))

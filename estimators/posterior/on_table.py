@@ -19,14 +19,15 @@ from estimators.posterior.unknowns import Unknowns
 from estimators.wrench.jacobian import NONE, Slopes, Theta, Window, linearized, zeros
 from estimators.wrench.model import MODEL_PARAMETERS, ModelErrors, ParticleModel, rotate
 from estimators.wrench.sensor import flawed, turned_wrench
-from estimators.wrench.support import GripperLoad, Support, own_weight
+from estimators.wrench.support import GripperLoad, Support, contact_spread, own_weight
 from estimators.wrench.table import Table
 from testbed.objects.model import GRAVITY, ObjectShape
 from testbed.worlds.setup_errors import PARAMETERS
 
 SHARED = {name for name, each in PARAMETERS.items() if {"table", "reading"} & set(each.shows)}
 """Errors of the setup that change these measurements."""
-SHARED |= {"mass", "friction", "com_height", "contact_pattern", "hinge_friction", "links_carried", *MODEL_PARAMETERS}
+SHARED |= {"mass", "friction", "com_height", "contact_pattern", "indeterminate_load", "hinge_friction", "links_carried"}
+SHARED |= {"other_support", *MODEL_PARAMETERS}
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,8 +45,10 @@ class OnTable:
     errors: ModelErrors
 
     @staticmethod
-    def of(shape: ObjectShape, windows: Observations, support: str, errors: ModelErrors) -> OnTable:
-        """Windows under a support model, an entry of `LOADS`."""
+    def of(
+        shape: ObjectShape, windows: Observations, support: str, errors: ModelErrors, other: str | None = None
+    ) -> OnTable:
+        """Windows under a support model, an entry of `LOADS`, or partly under another."""
         model, setup = ParticleModel.of(shape), windows.setup
         table = windows.table(model, errors.pivot_error)
         if setup.place_friction:
@@ -61,6 +64,10 @@ class OnTable:
             "spin": windows.twist[:, 2] * ~windows.pushed,
             "tool_tilt": windows.tool_tilt,
         }
+        if other is not None:
+            apart = Support.of(other, model, table.lever, windows.held)
+            fields["per_mass_apart"] = apart.per_mass - loads.per_mass
+            fields["response_apart"] = apart.response - loads.response
         if windows.articulated:
             fields["beside"] = _beside(model, table, windows)
         table = Table(model, table.points, _halved(table.windows) | fields, table.pivot_error)
@@ -71,6 +78,12 @@ class OnTable:
         """Wrench about the TCP as the sensor shows it, N and N m; 0 of each hinge, where no sensor is."""
         read = (self.windows.from_sensor @ self.windows.sensed[..., None])[..., 0]
         return torch.nn.functional.pad(read, (0, self.windows.hinges))
+
+    @property
+    def open_loads(self) -> int:
+        """Number of loads that balance leaves open, of one rigid body on points of contact."""
+        model = self.table.model
+        return contact_spread(model, model.parts.sum(0)).shape[1]
 
     @property
     def trials(self) -> int:
@@ -120,8 +133,16 @@ class OnTable:
         def predict(own: Theta, window: Window) -> Tensor:
             return vmap(lambda load: self.predict(theta | own | {"carried": load}, window))(loads)
 
-        found = vmap(predict, chunk_size=self.table.chunk)(own, self.table.windows)
+        found = vmap(predict, chunk_size=self.table.chunk)(own, self._windows(theta))
         return found[:, 0], (found[:, 1:] - found[:, :1]).mT
+
+    def _windows(self, theta: Theta) -> Window:
+        """Fields of the windows, with the loads that balance leaves open at some masses."""
+        if "indeterminate_load" not in theta:
+            return self.table.windows
+        model = self.table.model
+        spread = contact_spread(model, model.particle_mass(theta["mass"]))
+        return self.table.windows | {"indeterminate": spread.expand(len(self.windows), -1, -1)}
 
     @cached_property
     def _trial(self) -> Tensor:
@@ -146,7 +167,7 @@ class OnTable:
         def reading(theta: Theta, window: Window) -> Tensor:
             return self.reading(at(theta, window), window["planar"] + theta["planar"], window)
 
-        fields = self.table.windows | {f"own {name}": value for name, value in own.items()}
+        fields = self._windows(theta) | {f"own {name}": value for name, value in own.items()}
         start = theta | zeros(**{name: tuple(value.shape[1:]) for name, value in own.items() if name != "carried"})
         planar, inner = linearized(wrench, start, fields, self.table.chunk)
         _, outer = linearized(reading, start | zeros(planar=tuple(planar.shape[1:])), fields | {"planar": planar})
@@ -155,12 +176,19 @@ class OnTable:
 
     def loads(self, theta: Theta, window: Window) -> Float[Tensor, "P C"]:
         """Normal load of each point of contact, N."""
-        load = window["per_mass"] @ theta["mass"] + window["response"] @ self.carried(theta, window)
+        mass, carried = theta["mass"], self.carried(theta, window)
+        load = window["per_mass"] @ mass + window["response"] @ carried
+        if "other_support" in theta:
+            load = load + theta["other_support"] * (
+                window["per_mass_apart"] @ mass + window["response_apart"] @ carried
+            )
+        if "indeterminate_load" in theta:
+            load = load + window["indeterminate"] @ theta["indeterminate_load"]
         at_points = load[:, None] / self.table.points.shape[1]
         if "contact_pattern" not in theta:
             return at_points.expand(self.table.points.shape[:2])
         group = self.table.model.mass_group
-        on_group = torch.zeros_like(theta["mass"]).index_add(0, group, load)
+        on_group = torch.zeros_like(mass).index_add(0, group, load)
         return at_points + (on_group[group, None] * (self.patterns * theta["contact_pattern"][group, None]).sum(-1))
 
     def carried(self, theta: Theta, window: Window) -> Float[Tensor, "3"]:

@@ -14,11 +14,11 @@ from scipy.stats import chi2
 from torch import Tensor
 
 from estimators.base import Estimate
-from estimators.identifiability.report import identifiability
+from estimators.identifiability.report import identifiability, prior_masses
 from estimators.particles.links import HINGE_PRIOR
 from estimators.particles.misfit import UNEXPLAINED, Misfit
 from estimators.posterior.solver import Linearized, Measurement, Optimum, Whitened
-from estimators.posterior.unknowns import Unknowns
+from estimators.posterior.unknowns import SMALLEST, Unknowns
 from estimators.wrench.model import MODEL_PARAMETERS
 from testbed.objects.model import MassDistribution, ObjectShape
 from testbed.worlds.setup_errors import PARAMETERS
@@ -29,6 +29,10 @@ CAUSES = dict(PARAMETERS) | MODEL_PARAMETERS
 """Nuisances, by name."""
 MOST_NUMBERS = 6
 """Numbers of a nuisance up to which each is reported."""
+LOOSE = 1 / 3
+"""Error of a group's mass, as a part of that before any trial, above which it counts as hardly known. Ours."""
+SEEN = 1e-6
+"""Strength of a direction of the masses, as a part of the strongest, below which it counts as open."""
 IMPLAUSIBLE = 1e-6
 """Probability below which a part of a misfit is no chance, many parts being looked at."""
 
@@ -109,19 +113,42 @@ class Posterior:
         unit = torch.ones_like(self.nominal)
         for name in OBJECT:
             where = self.unknowns.at[name]
-            unit[where] = self.unknowns.blocks[name].scale(self.nominal[where])
+            unit[where] = self.unknowns.blocks[name].scale(self.nominal[where]).clamp(min=SMALLEST)
         return unit
 
     @cached_property
-    def rows(self) -> Float[Tensor, "m m"]:
-        """Whitened derivatives of the measurements in masses and frictions, all nuisances marginalized."""
+    def of_masses_and_frictions(self) -> Float[Tensor, "m m"]:
+        """Information of the measurements in masses and frictions, in their own units, all nuisances marginalized."""
         own = self.of_object
         inner, across = self.information[own][:, own], self.information[own][:, ~own]
         nuisance = self.information[~own][:, ~own]
         root = torch.linalg.cholesky(nuisance + torch.eye(len(nuisance), dtype=torch.float64))
         seen = torch.linalg.solve_triangular(root, across.T, upper=False)
-        values, ways = torch.linalg.eigh(inner - seen.T @ seen)
+        return inner - seen.T @ seen
+
+    @cached_property
+    def rows(self) -> Float[Tensor, "m m"]:
+        """Whitened derivatives of the measurements in masses and frictions, all nuisances marginalized."""
+        values, ways = torch.linalg.eigh(self.of_masses_and_frictions)
         return values.clamp(min=0).sqrt()[:, None] * ways.T
+
+    def mass_equations(self) -> tuple[Float[np.ndarray, "r n_m"], Float[np.ndarray, "r"]]:
+        """Equations of the masses without their prior, all else marginalized, errors widened by the misfit.
+
+        Rows a and values y with a m = y, independent and of unit error, the surest first. r is n_m where every mass is
+        known; under one rigid body it is 4 at most, or 6 with lifts.
+        """
+        mass, friction = (self.unknowns.at[name] for name in OBJECT)
+        both, z = self.of_masses_and_frictions, self.optimum.z / self._unit
+        onto = (torch.linalg.pinv(both[friction, friction], hermitian=True) @ both[friction, mass]).T
+        inner = both[mass, mass] - onto @ both[friction, mass]
+        # at the most likely unknowns the prior balances the measurements
+        pull = z[mass] - onto @ z[friction]
+        values, ways = (each.flip(-1) for each in torch.linalg.eigh(inner))
+        seen = values > SEEN**2 * values[0]
+        strength, ways = (values[seen] / self.explained.widening).sqrt(), ways[:, seen]
+        at = ways.T @ self.unknowns.values(self.optimum.z)["mass"] + ways.T @ pull / values[seen]
+        return (strength[:, None] * ways.T).numpy(), (strength * at).numpy()
 
     @property
     def freedom(self) -> int:
@@ -157,7 +184,16 @@ class Posterior:
     def explained(self) -> Misfit:
         """Misfit of all rows, or of the least plausible part: one may be far off where many others fit."""
         worst = self.parts[0]
-        return Misfit(max(self.misfit, worst.value) if worst.implausible else self.misfit, self.freedom)
+        if not worst.implausible:
+            return Misfit(self.misfit, self.freedom)
+        inertia = 1 + self.without_prior("inertia") if worst.name == "inertia" else None
+        return Misfit(max(self.misfit, worst.value), self.freedom, inertia)
+
+    def without_prior(self, name: str) -> float:
+        """Value of a nuisance of one number as the measurements alone have it, in its own unit."""
+        where, block = self.unknowns.at[name], self.unknowns.blocks[name]
+        precision = 1 / self.laplace[where, where]
+        return float(block.std * self.optimum.z[where] * precision / (precision - 1))
 
     @property
     def by_trial(self) -> dict[int, float]:
@@ -186,6 +222,15 @@ class Posterior:
         rows = sum(torch.linalg.slogdet(block)[1] for found in self._at_optimum for _, block in found.blocks)
         return -float(square + torch.linalg.slogdet(self._precision)[1] + rows) / 2
 
+    def log_evidence_of(self, mass: Float[Tensor, "n_m"]) -> float:
+        """Log evidence were the masses known to be these, kg a particle, by the ratio of their posterior and prior."""
+        where = self.unknowns.at["mass"]
+        z = self.unknowns.blocks["mass"].standardized(mass)
+        covariance, off = self.laplace[where, where], z - self.optimum.z[where]
+        volume = torch.linalg.slogdet(covariance)[1]
+        ratio = z @ z - off @ torch.linalg.solve(covariance, off) - volume
+        return self.log_evidence + float(ratio) / 2
+
     @cached_property
     def covariance(self) -> Float[Tensor, "n n"]:
         """Covariance of masses and frictions in their own units, and of the nuisances in z, with their priors."""
@@ -204,6 +249,8 @@ class Posterior:
         covariance = misfit.widening * self.covariance[mass, mass].numpy()
         open_ = report.rank < report.unknowns
         directions = f"mass and friction cannot be told apart: {'; '.join(report.unobservable)}" if open_ else ""
+        if misfit.explains and not open_ and (loose := self._loose(shape, at.mass, covariance)):
+            open_, directions = True, f"hardly known: {', '.join(loose)}"
         settled = "" if self.optimum.converged else f"the search ended after {self.optimum.rounds} rounds"
         status = "underdetermined" if open_ else misfit.status if self.optimum.converged else "not_converged"
         return Estimate(
@@ -221,6 +268,18 @@ class Posterior:
                 "rounds": float(self.optimum.rounds),
             },
         )
+
+    def _loose(
+        self, shape: ObjectShape, mass: Float[np.ndarray, "n_m"], covariance: Float[np.ndarray, "n_m n_m"]
+    ) -> list[str]:
+        """Groups that are not known much better than before any trial, with their masses."""
+        count, masses = shape.particles_per_group, mass * shape.particles_per_group
+        errors, before = (np.sqrt(np.diag(each)) * count for each in (covariance, prior_masses(shape, masses.sum())))
+        return [
+            f"{name} {masses[g]:.3f} +- {errors[g]:.3f} kg"
+            for g, name in enumerate(shape.group_names)
+            if errors[g] > LOOSE * before[g]
+        ]
 
     def of(self, name: str) -> tuple[Tensor, Tensor]:
         """Most likely values of a block and their standard deviations, in the block's unit, each in its shape."""

@@ -51,6 +51,10 @@ def priors(shape: ObjectShape, setup: SetupErrors, errors: ModelErrors, weight: 
             blocks[name] = Block.normal(torch.tensor(size, dtype=torch.float64))
     if (shape.fill < 1).any():  # matter that fills its cells in part may lie at any height in them
         blocks["com_height"] = Block.normal(torch.full((shape.n_m,), shape.height / 12**0.5, dtype=torch.float64))
+    if "per_mass_apart" in on_table.table.windows:
+        blocks["other_support"] = Block.normal(torch.tensor(1.0, dtype=torch.float64))
+    if open_loads := on_table.open_loads:
+        blocks["indeterminate_load"] = Block.normal(torch.ones(open_loads, dtype=torch.float64))
     if shape.chain is not None:
         blocks["hinge_friction"] = Block.normal(
             torch.full((len(shape.chain.hinges),), HINGE_PRIOR, dtype=torch.float64)

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, field
 
+import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from estimators.wrench.jacobian import Theta
+
+SMALLEST = 1e-12
+"""Least value of a positive parameter."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,6 +33,11 @@ class Block:
         value = self.mean + self.std * z.reshape(self.mean.shape)
         return value.exp() if self.positive else value
 
+    def standardized(self, value: Tensor) -> Float[Tensor, "n"]:
+        """z of a value; 0 where the parameter is known."""
+        off = (value.clamp(min=SMALLEST).log() if self.positive else value) - self.mean
+        return torch.where(self.std > 0, off / self.std, 0.0).flatten()
+
     def scale(self, z: Float[Tensor, "n"]) -> Float[Tensor, "n"]:
         """Derivative of the parameter in z."""
         return (self.std * self.value(z) if self.positive else self.std).flatten()
@@ -39,6 +47,12 @@ class Block:
         """Error of mean 0, one per trial where their number is given."""
         std = std if trials is None else std.expand(trials, *std.shape)
         return Block(torch.zeros_like(std), std, by_trial=trials is not None)
+
+    @staticmethod
+    def known(value: np.ndarray) -> Block:
+        """Parameter without errors."""
+        mean = torch.tensor(value)
+        return Block(mean, torch.zeros_like(mean))
 
     @staticmethod
     def log_normal(median: float | Tensor, std: float, count: int) -> Block:
@@ -65,12 +79,11 @@ class Unknowns:
     def __len__(self) -> int:
         return sum(block.mean.numel() for block in self.blocks.values())
 
-    def start(self, **values: float) -> Float[Tensor, "n"]:
-        """z of the prior means, but of some positive parameters of a given value."""
+    def start(self, **values: float | Tensor) -> Float[Tensor, "n"]:
+        """z of the prior means, but of some parameters of a given value."""
         z = torch.zeros(len(self), dtype=torch.float64)
         for name, value in values.items():
-            block = self.blocks[name]
-            z[self.at[name]] = ((math.log(max(value, 1e-300)) - block.mean) / block.std).flatten()
+            z[self.at[name]] = self.blocks[name].standardized(torch.as_tensor(value, dtype=torch.float64))
         return z
 
     def values(self, z: Float[Tensor, "n"]) -> Theta:

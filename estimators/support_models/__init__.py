@@ -1,7 +1,6 @@
 """Estimation where the support is not known: a test of the support models, and the masses that fit each."""
 
 from estimators.support_models.estimator import SupportAware
-from estimators.support_models.fit import SupportFit, fit_support
 from estimators.support_models.materials import RankedAssignments, rank_assignments
 from estimators.support_models.polytope import MassPolytope
 from estimators.support_models.selection import SupportTest, support_test
@@ -10,9 +9,7 @@ __all__ = [
     "MassPolytope",
     "RankedAssignments",
     "SupportAware",
-    "SupportFit",
     "SupportTest",
-    "fit_support",
     "rank_assignments",
     "support_test",
 ]

@@ -1,4 +1,4 @@
-"""Estimator that chooses the support model: Algorithm 1 on own weight, under one rigid body all masses that fit."""
+"""Estimator that chooses the support model: the posterior on own weight, under one rigid body all masses that fit."""
 
 from __future__ import annotations
 
@@ -11,15 +11,16 @@ import torch
 from jaxtyping import Float
 
 from estimators.base import Estimate, HiddenStateEstimate
-from estimators.hidden_states.estimator import NO_DATA, HiddenStates
-from estimators.particles.lifts import LiftedRows, lifted_rows
-from estimators.particles.observe import observe
-from estimators.particles.windows import Observations
-from estimators.support_models.fit import SupportFit, fit_support
+from estimators.particles.observe import NO_DATA, NO_LINKS
+from estimators.posterior.estimator import posterior_of
+from estimators.posterior.in_air import InAir
+from estimators.posterior.on_table import OnTable
+from estimators.posterior.posterior import Posterior
 from estimators.support_models.materials import rank_assignments
 from estimators.support_models.polytope import MassPolytope
 from estimators.support_models.selection import DECISIVE, support_test
-from estimators.wrench.model import RIGID, ModelErrors, ParticleModel, inertia_of
+from estimators.wrench.model import ParticleModel, inertia_of
+from estimators.wrench.support import ASSUMPTION
 from testbed.errors import InvalidValueError
 from testbed.objects.model import MassDistribution, ObjectShape
 from testbed.trajectory import Trajectory
@@ -42,9 +43,9 @@ class SupportAware:
 
     Lifts, where there are any, add M, c and second moments in the air, whatever the support on the table.
 
-    On own weight the estimate is Algorithm 1's. Under one rigid body friction shows M and c only: the estimate is the
-    mean of all masses that agree with M, c and I_cm, with their covariance, and the message gives their ranges. With
-    materials it is the most probable assignment of them.
+    On own weight the estimate is that of the joint posterior. Under one rigid body friction shows M and c only: the
+    estimate is the mean of all masses that agree with M, c and I_cm, with their covariance, and the message gives their
+    ranges. With materials it is the most probable assignment of them.
     """
 
     materials_kg: tuple[float, ...] = ()
@@ -72,41 +73,35 @@ class SupportAware:
     def estimate(
         self, shape: ObjectShape, weight: float | None, trajectories: Sequence[Trajectory], seed: int
     ) -> Estimate:
-        """Estimate from turns, slides and accelerated turns; `seed` for the draws within the polytope.
+        """Estimate from trials on the table and lifts; `seed` for the draws within the polytope.
 
         Raises:
             InvalidValueError: no weight, or more materials than can be ranked.
         """
         begin = time.perf_counter()
-        if not shape.stands_in_groups:
-            return replace(self._one_body(shape, weight, trajectories, seed), seconds=time.perf_counter() - begin)
-        own = HiddenStates().estimate(shape, weight, trajectories, seed)
-        if shape.chain is not None:  # links rest on their own weight, or nothing is known of their loads
-            return own
-        observed, of_rigid = (observe(shape, trajectories, errors) for errors in (ModelErrors(), RIGID))
-        if own.distribution is None or observed is None or of_rigid is None:
-            return own
-        assert weight is not None
-        lifted = lifted_rows(shape, weight, trajectories)
-        answer = self._answer(shape, weight, observed, of_rigid, lifted, own, seed)
+        answer = self._answer(shape, weight, trajectories, seed)
         return replace(answer, seconds=time.perf_counter() - begin)
 
-    def _one_body(
+    def _answer(
         self, shape: ObjectShape, weight: float | None, trajectories: Sequence[Trajectory], seed: int
     ) -> Estimate:
-        """Estimate of an object that can only be one rigid body: there is no support to choose."""
-        observed = observe(shape, trajectories, RIGID)
-        if observed is None or not (~observed.accelerated).any():
-            return Estimate(None, "no_data", NO_DATA)
-        if weight is None or not (np.isfinite(weight) and weight > 0):
-            raise InvalidValueError("weight", weight, "M as weighed, a finite number > 0, kg")
-        lifted = lifted_rows(shape, weight, trajectories)
-        fit = fit_support(shape, weight, observed, "rigid", RIGID, lifted)
-        known = "M, c and the second moments" if len(lifted.rows) else "M, c and I_cm" if fit.pivots else "M and c"
-        nothing = Estimate(None, "assumption_violated")
-        answer = self._rigid(shape, fit, nothing, seed, known)
+        rigid = posterior_of(shape, weight, trajectories, "rigid") if shape.chain is None else None
+        if not shape.stands_in_groups:  # one rigid body: there is no support to choose
+            return Estimate(None, "no_data", NO_DATA) if rigid is None else self._one_body(shape, weight, rigid, seed)
+        own = posterior_of(shape, weight, trajectories)
+        if own is None:
+            return Estimate(None, "no_data", NO_DATA if shape.chain is None else NO_LINKS)
+        if rigid is None:  # links rest on their own weight, or nothing is known of their loads
+            return replace(own.estimate(shape), assumes=ASSUMPTION["own_weight"])
+        assert weight is not None
+        return self._either(shape, weight, trajectories, own, rigid, seed)
+
+    def _one_body(self, shape: ObjectShape, weight: float | None, rigid: Posterior, seed: int) -> Estimate:
+        """Estimate of an object that can only be one rigid body."""
+        assert weight is not None
+        known, answer = _known(rigid), self._rigid(shape, rigid, {}, seed)
         if self.materials_kg or self.materials_kg_m3:
-            answer = self._with_materials(shape, (fit,), answer)
+            answer = self._with_materials(shape, (rigid,), answer)
         elif max(answer.diagnostics[f"most_{g}_kg"] - answer.diagnostics[f"least_{g}_kg"] for g in range(shape.n_m)) < (
             NARROW * weight
         ):
@@ -114,60 +109,57 @@ class SupportAware:
         if answer.diagnostics["polytope_miss"] > MISSED:
             why = f"no masses of the parts have the {known} that were measured: an error is larger than stated"
             return replace(answer, status="unexplained", message=_joined(why, answer.message))
-        if not fit.misfit.explains:
+        if not rigid.explained.explains:
             why = (
-                f"one rigid body on its points of contact does not explain the wrenches: misfit {fit.misfit.value:.2g}"
+                "one rigid body on its points of contact does not explain the wrenches: misfit "
+                f"{rigid.explained.value:.2g}"
             )
             return replace(answer, status="unexplained", message=_joined(why, answer.message))
         return answer
 
-    def _answer(
+    def _either(
         self,
         shape: ObjectShape,
         weight: float,
-        observed: Observations,
-        of_rigid: Observations,
-        lifted: LiftedRows,
-        own: Estimate,
+        trajectories: Sequence[Trajectory],
+        own: Posterior,
+        rigid: Posterior,
         seed: int,
     ) -> Estimate:
-        test = support_test(shape, weight, of_rigid, level=self.false_alarms, lifted=lifted)
-        numbers = ("p_own_weight", "p_rigid", "log10_bayes_factor", "moment_ratio", "moment_ratio_error")
-        found = own.diagnostics | {name: getattr(test, name) for name in numbers}
-        own = replace(own, diagnostics=found, assumes="")  # it is tested
-        rigid = test.log10_bayes_factor < -DECISIVE
-        # the test leaves the spread of the gripper's load open; given the support, it is known
-        as_rigid = fit_support(shape, weight, of_rigid, "rigid", RIGID, lifted)
-        known = "M, c and the second moments" if len(lifted.rows) else "M, c and I_cm"
-        answer = self._rigid(shape, as_rigid, own, seed, known) if rigid else own
+        test = support_test(shape, weight, trajectories, own, rigid, self.false_alarms)
+        found = {name: getattr(test, name) for name in ("log10_bayes_factor", "rigid_share", "rigid_share_error")}
+        as_rigid = test.log10_bayes_factor < -DECISIVE
+        on_own = own.estimate(shape)
+        on_own = replace(on_own, diagnostics=on_own.diagnostics | found)
+        answer = self._rigid(shape, rigid, on_own.diagnostics, seed) if as_rigid else on_own
         if self.materials_kg or self.materials_kg_m3:
-            as_own = fit_support(shape, weight, observed, "own_weight", ModelErrors(), lifted)
-            fits = {"rigid": (as_rigid,), "own_weight": (as_own,), "between": (as_rigid if rigid else as_own,)}
-            answer = self._with_materials(shape, fits.get(test.kind, (as_own, as_rigid)), answer)
+            likelier = rigid if as_rigid else own
+            fits = {"rigid": (rigid,), "own_weight": (own,), "between": (likelier,)}
+            answer = self._with_materials(shape, fits.get(test.kind, (own, rigid)), answer)
         if test.kind == "own_weight" and answer.status != "unexplained":
             return answer
         message = _joined(test.sentence if test.kind != "own_weight" else "", answer.message)
         if test.kind == "rigid":
             return replace(answer, status="assumption_violated", message=message)
-        assert own.distribution is not None and own.covariance is not None
+        assert on_own.distribution is not None and on_own.covariance is not None
         # the answer may be wrong by as much as the other support's is elsewhere
-        on_rigid = MassPolytope(*as_rigid.on_mass()).posterior(seed)
-        other = (own.distribution.mass, own.covariance) if rigid else on_rigid
+        on_rigid = MassPolytope(*rigid.mass_equations()).posterior(seed)
+        other = (on_own.distribution.mass, on_own.covariance) if as_rigid else on_rigid
         share = 1 / (1 + 10**test.log10_bayes_factor) if test.kind == "undecided" else 0.5
         status = {"between": "assumption_violated", "undecided": "underdetermined"}.get(test.kind, answer.status)
-        return replace(_either(answer, *other, share), status=status, message=message)
+        return replace(_wide(answer, *other, share), status=status, message=message)
 
-    def _rigid(self, shape: ObjectShape, fit: SupportFit, own: Estimate, seed: int, known: str) -> Estimate:
-        """Estimate from the masses that agree with `known`, the numbers that one rigid body shows, in words."""
-        count = shape.particles_per_group
-        polytope = MassPolytope(*fit.on_mass())
+    def _rigid(self, shape: ObjectShape, rigid: Posterior, numbers: dict[str, float], seed: int) -> Estimate:
+        """Estimate from the masses that agree with what one rigid body shows."""
+        count, known = shape.particles_per_group, _known(rigid)
+        polytope = MassPolytope(*rigid.mass_equations())
         mean, covariance = polytope.posterior(seed)
         low, high = (end * count for end in polytope.ranges(self.confidence))
         model = ParticleModel.of(shape)
         whole = inertia_of(model, model.particle_mass(torch.tensor(mean)))
         hidden = HiddenStateEstimate(
-            own.hidden.mass if own.hidden else float(whole.mass),
-            float(whole.about_com) if fit.pivots is not None else np.nan,
+            float(whole.mass),
+            float(whole.about_com) if known != "M and c" else np.nan,
             whole.com.numpy(),
             np.zeros(0),
             (),
@@ -177,15 +169,15 @@ class SupportAware:
         listed = ", ".join(ranges[:MOST_LISTED]) + (", ..." if len(ranges) > MOST_LISTED else "")
         ends = {f"{end}_{g}_kg": float(v) for end, side in (("least", low), ("most", high)) for g, v in enumerate(side)}
         return Estimate(
-            MassDistribution(mean, fit.friction),
+            MassDistribution(mean, rigid.unknowns.values(rigid.optimum.z)["friction"].numpy()),
             "underdetermined",
             f"{known} hold the masses to ({100 * self.confidence:g} %): {listed}",
             covariance=covariance,
             hidden=hidden,
-            diagnostics=own.diagnostics | fit.misfit.diagnostics | ends | {"polytope_miss": polytope.inside[1]},
+            diagnostics=numbers | rigid.explained.diagnostics | ends | {"polytope_miss": polytope.inside[1]},
         )
 
-    def _with_materials(self, shape: ObjectShape, fits: tuple[SupportFit, ...], answer: Estimate) -> Estimate:
+    def _with_materials(self, shape: ObjectShape, fits: tuple[Posterior, ...], answer: Estimate) -> Estimate:
         """The most probable assignment of the materials, or the answer as it was where none fits.
 
         Where the support is not decided, by the first of its fits with which any assignment agrees.
@@ -195,7 +187,7 @@ class SupportAware:
             options = np.tile(self.materials_kg, (shape.n_m, 1))
         else:
             options = np.outer(count * shape.cell**2 * shape.height, self.materials_kg_m3)
-        known = [fit.on_mass() for fit in fits]
+        known = [fit.mass_equations() for fit in fits]
         each = [rank_assignments(rows / count, values, options) for rows, values in known]
         ranked = next((ranks for ranks in each if ranks.fits >= UNFIT), each[0])
         numbers = answer.diagnostics | {"assignment_misfit": ranked.misfit, "assignment_fits": ranked.fits}
@@ -222,7 +214,15 @@ class SupportAware:
         )
 
 
-def _either(
+def _known(rigid: Posterior) -> str:
+    """Numbers that one rigid body shows, in words."""
+    if any(isinstance(each, InAir) for each in rigid.measurements):
+        return "M, c and the second moments"
+    swung = any(isinstance(each, OnTable) and each.windows.accelerated.any() for each in rigid.measurements)
+    return "M, c and I_cm" if swung else "M and c"
+
+
+def _wide(
     answer: Estimate, mean: Float[np.ndarray, "n_m"], covariance: Float[np.ndarray, "n_m n_m"], share: float
 ) -> Estimate:
     """The answer with errors that allow for another one, whose probability is `share`; kg and kg^2 a particle."""

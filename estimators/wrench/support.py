@@ -16,7 +16,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from estimators.wrench.model import ParticleModel
+from estimators.wrench.model import RIGID, ModelErrors, ParticleModel
 from testbed.objects.model import GRAVITY
 
 TURNED, SWUNG = np.array([0.0064, 0.0027, 0.0027]), np.array([0.33, 2.5e-3, 2.5e-3])
@@ -219,14 +219,16 @@ def contact_spread(model: ParticleModel, mass: Float[Tensor, "P"]) -> Float[Tens
     """Standard deviations by which loads on points of contact may differ from `rigid_loads`, N: a column a direction.
 
     Balance decides the loads of three points. A rigid body on more rests on three of them, and nobody knows on which:
-    every three with the center of mass between them are as likely, about the even foundation's loads. Shape (P, 0) for
-    three points, and for feet under cells, which give way.
+    every three with the center of mass between them are as likely, about the even foundation's loads. A column per
+    load that balance leaves open, zero where the weight acts outside all threes; it changes continuously with the
+    masses. Shape (P, 0) for three points, and for feet under cells, which give way.
     """
     points = torch.nonzero(model.is_contact).flatten()
-    none = torch.zeros(len(mass), 0, dtype=torch.float64)
-    if len(points) <= 3:
-        return none
     basis = torch.cat([torch.ones(len(points), 1, dtype=torch.float64), model.particles[points]], 1)
+    rank = int(torch.linalg.matrix_rank(basis)) if len(points) else 0
+    spread = torch.zeros(len(mass), len(points) - rank, dtype=torch.float64)
+    if spread.shape[1] == 0:
+        return spread
     weight = mass * GRAVITY
     wanted = torch.cat([weight.sum()[None], weight @ model.particles])
     middle = rigid_loads(model, mass, GripperLoad.none(model))[0, points]
@@ -238,11 +240,11 @@ def contact_spread(model: ParticleModel, mass: Float[Tensor, "P"]) -> Float[Tens
             loads = torch.zeros_like(middle)
             loads[list(three)] = torch.linalg.solve(corners.T, wanted)
             apart += [loads - middle] if bool((loads >= 0).all()) else []
-    if not apart:  # the weight acts outside them: the estimate is on its way
-        return none
-    _, strength, ways = torch.linalg.svd(torch.stack(apart) / len(apart) ** 0.5, full_matrices=False)
-    spread = torch.zeros(len(mass), len(strength), dtype=torch.float64)
-    spread[points] = ways.T * strength
+    if apart:
+        ways = torch.linalg.svd(basis)[0][:, rank:]
+        within = torch.stack(apart) @ ways / len(apart) ** 0.5
+        squares, axes = torch.linalg.eigh(within.T @ within)
+        spread[points] = ways @ (axes * squares.clamp(min=0).sqrt()) @ axes.T
     return spread
 
 
@@ -288,8 +290,13 @@ class Support:
 SupportModel = Literal["own_weight", "rigid"]
 LoadsOf = Callable[[ParticleModel, Tensor, GripperLoad], Tensor]
 """Loads [N], (K, P), from particle masses [kg], (P,), and the gripper's load."""
-ASSUMPTION = {"own_weight": "every mass group rests on its own weight", "rigid": "the object is one rigid body"}
+ASSUMPTION: dict[SupportModel, str] = {
+    "own_weight": "every mass group rests on its own weight",
+    "rigid": "the object is one rigid body",
+}
 """Assumption of each support model, in words."""
+ERRORS: dict[SupportModel, ModelErrors] = {"own_weight": ModelErrors(), "rigid": RIGID}
+"""Errors of the model under each."""
 LOADS: dict[str, LoadsOf] = {"own_weight": own_weight_loads, "rigid": rigid_loads}
 
 

@@ -18,7 +18,7 @@ from scenarios.views.values import estimate_view
 from testbed.files import write_whole
 from viz.report.answers import Answer, answer_fields, answer_rows
 
-_EVIDENCE = ("p_own_weight", "p_rigid", "log10_bayes_factor", "moment_ratio", "moment_ratio_error")
+_EVIDENCE = ("log10_bayes_factor", "rigid_share", "rigid_share_error")
 
 
 def answers_of(folder: Path, rows: Sequence[Row]) -> list[list[Answer]]:

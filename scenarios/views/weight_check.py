@@ -11,6 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from estimators.base import Estimate
+from estimators.evaluation.judged import misfit_on
 from estimators.hidden_states.estimator import HiddenStates
 from estimators.hidden_states.trial_windows import TrialWindows
 from estimators.particles.pivots import inertia_map
@@ -36,7 +37,8 @@ def check_weight(
     trials = TrialWindows.of(shape, weight, trajectories, HiddenStates().errors)
     if trials is None or found.distribution is None or found.hidden is None:
         return None
-    by_inertia = found.status == "unexplained" and trials.misfit_of_masses(found.distribution).inertia is not None
+    misfit = misfit_on("own_weight", shape, weight, trajectories, found.distribution)
+    by_inertia = found.status == "unexplained" and misfit is not None and misfit.inertia is not None
     if found.status not in ("ok", "underdetermined") and not by_inertia:
         return None
     pivots = trials.pivot_inertias(found.distribution, found.hidden.friction_load)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 
 import numpy as np
@@ -74,13 +73,13 @@ def test_the_map_shows_every_mass_in_its_place():
 @pytest.mark.parametrize(
     ("status", "bayes", "verdict", "evidence"),
     [
-        ("ok", 5.0, "own weight", "every group rests on its own weight (p 0.4 on own weight"),
+        ("ok", 5.0, "own weight", "every group rests on its own weight (Bayes factor 10^5.0"),
         ("underdetermined", 1.0, "undecided", "cannot be told apart"),
         ("assumption_violated", -9.0, "not own weight", "as under one rigid body"),
     ],
 )
 def test_the_support_is_named(status, bayes: float, verdict: str, evidence: str):
-    numbers = {"p_own_weight": 0.4, "p_rigid": 0.1, "moment_ratio": math.nan, "moment_ratio_error": math.nan}
+    numbers = {"rigid_share": 0.1, "rigid_share_error": 0.2}
     found = Estimate(None, status, "as under one rigid body", diagnostics=numbers | {"log10_bayes_factor": bayes})
     assert support_verdict(found)[0] == verdict
     assert evidence in support_verdict(found)[1]

@@ -12,7 +12,7 @@ from estimators.action_selection.online import Decision, OnlinePolicy
 from estimators.action_selection.plan import Goal
 from estimators.evaluation.metrics import normalized_absolute_difference
 from estimators.hidden_states.estimator import HiddenStates
-from estimators.support_models.estimator import SupportAware
+from estimators.posterior.estimator import Bayes
 from estimators.testing.analytic_push import analytic_pushes
 from estimators.testing.analytic_world import analytic_trial, drawn_object
 from testbed.actions.accelerate import Accelerate
@@ -127,7 +127,7 @@ def test_a_kind_of_touch_that_an_answer_needs_is_made_after_however_many_of_anot
 def test_a_lift_that_was_felt_counts():
     obj = load_object("L2")
     chooser = policy(obj, Goal())
-    chooser = replace(chooser, guess=replace(chooser.guess, supports=("rigid",)), estimator=SupportAware())
+    chooser = replace(chooser, guess=replace(chooser.guess, supports=("rigid",)), estimator=Bayes("rigid"))
     table = [
         analytic_trial(obj, action, rigid=True, noise=0.05)
         for action in (Rotate(2, duration=6.0, back=True), Accelerate(2))

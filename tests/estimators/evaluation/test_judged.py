@@ -22,7 +22,8 @@ from estimators.particles.misfit import UNEXPLAINED
 from estimators.posterior.estimator import Bayes
 from estimators.registry import METHODS
 from estimators.support_models.estimator import SupportAware
-from estimators.testing.recorded import load_block
+from estimators.testing.recorded import KnownBlock, load_block
+from estimators.wrench.support import SupportModel
 from testbed.errors import HeftError
 from testbed.objects.model import MassDistribution
 
@@ -103,7 +104,8 @@ def test_mujoco_sysid_is_judged_on_the_support_of_its_scene():
         MujocoSysid().check_installed()
     except HeftError as error:
         pytest.skip(str(error))
-    for support, right, wrong in (("own_weight", OWN, RIGID), ("rigid", RIGID, OWN)):
+    cases: list[tuple[SupportModel, KnownBlock, KnownBlock]] = [("own_weight", OWN, RIGID), ("rigid", RIGID, OWN)]
+    for support, right, wrong in cases:
         method = MujocoSysid(iterations=40, support=support)
         found, missed = (method.estimate(SHAPE, b.weighed(SENSING), trials_of(b), 0) for b in (right, wrong))
         # its search ends early on I2; on the wrong support no search would do

@@ -13,11 +13,10 @@ import trimesh
 from numpy.testing import assert_allclose
 
 from estimators.hidden_states.estimator import HiddenStates
-from estimators.particles.observe import observe
+from estimators.posterior.estimator import posterior_of
 from estimators.support_models.estimator import SupportAware
-from estimators.support_models.fit import fit_support
 from estimators.testing.analytic_world import accelerated, turns
-from estimators.wrench.model import EXACT, RIGID, ParticleModel, inertia_of
+from estimators.wrench.model import EXACT, ParticleModel, inertia_of
 from estimators.wrench.support import GripperLoad, contact_spread, rigid_loads
 from testbed.actions.accelerate import Accelerate
 from testbed.actions.rotate import Rotate
@@ -66,14 +65,14 @@ def felt(obj: ObjectModel) -> list[Trajectory]:
 
 def test_three_points_show_all_that_can_be_known():
     obj = tool(THREE)
-    observed = observe(obj.shape, felt(obj), EXACT)
-    assert observed is not None
-    fit = fit_support(obj.shape, obj.total_mass, observed, "rigid", EXACT)
-    rows, values = fit.on_mass()
+    near = posterior_of(obj.shape, obj.total_mass, felt(obj), "rigid")
+    found = posterior_of(obj.shape, obj.total_mass, felt(obj), "rigid", errors=EXACT, near=near)
+    assert found is not None
+    rows, values = found.mass_equations()
     assert len(rows) == 4 < obj.shape.n_m  # M, c and I_cm
     model, some = ParticleModel.of(obj.shape), np.linalg.lstsq(rows, values)[0]
     shown = inertia_of(model, model.particle_mass(torch.tensor(some)))
-    assert_allclose(fit.friction, 0.4, rtol=1e-6)
+    assert_allclose(found.of("friction")[0], 0.4, rtol=1e-6)
     assert_allclose(shown.mass, obj.total_mass, rtol=1e-6)
     assert_allclose(shown.com, obj.center_of_mass, atol=1e-6)
     assert_allclose(shown.about_com, obj.inertia_cm, rtol=1e-6)
@@ -127,10 +126,8 @@ def test_a_body_said_to_rest_on_four_points_may_rest_on_three_of_them():
     assert answer.status == "underdetermined"
     for group, mass in enumerate(MASSES):
         assert answer.diagnostics[f"least_{group}_kg"] <= mass <= answer.diagnostics[f"most_{group}_kg"]
-    observed = observe(said.shape, trials, RIGID)
-    assert observed is not None
-    fit = fit_support(said.shape, said.total_mass, observed, "rigid", RIGID)
-    assert fit.misfit.explains
+    found = posterior_of(said.shape, said.total_mass, trials, "rigid")
+    assert found is not None and found.explained.explains
 
 
 def test_in_simulation_it_stands_on_these_points():

@@ -121,7 +121,7 @@ def show(rows: pd.DataFrame, figure: Path | None) -> None:
     """Tables of rates, and the curves."""
     off = []
     for sensing, support in rows[["sensing", "support"]].drop_duplicates().to_numpy():
-        part = rows[(rows.sensing == sensing) & (rows.support == support)].dropna(subset=["rigid_share"])
+        part = rows.loc[(rows.sensing == sensing) & (rows.support == support) & rows.rigid_share.notna()]
         apart = ((part.rigid_share - (support == RIGID)).abs() / part.rigid_share_error).to_numpy()
         off.append([sensing, support, str(len(part)), *(percent(apart > error) for error in ERRORS)])
     table(

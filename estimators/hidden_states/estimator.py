@@ -17,7 +17,6 @@ from estimators.hidden_states.algorithm import Solution, Underdetermined, algori
 from estimators.hidden_states.friction import closed_form, contradiction, descend_loads
 from estimators.hidden_states.masses import fixed_rows, load_jacobian, one_friction_masses
 from estimators.hidden_states.trial_windows import TrialWindows
-from estimators.identifiability.posterior import Likelihood
 from estimators.identifiability.report import Identifiability, identifiability
 from estimators.particles.friction_system import LinearSystem, hinge_friction
 from estimators.particles.links import HINGE_PRIOR
@@ -112,23 +111,6 @@ class HiddenStates:
         if self.solver == "descent":
             return descend_loads(system, self.optimizers, self.steps, seconds)
         return closed_form(system), ()
-
-    def likelihood(
-        self, shape: ObjectShape, weight: float, trajectories: Sequence[Trajectory], at: MassDistribution
-    ) -> Likelihood:
-        """Likelihood of the trials for a posterior, with the gripper's load worked out at an estimate.
-
-        Raises:
-            InvalidValueError: no trajectory at constant speed.
-        """
-        trials = TrialWindows.of(shape, weight, trajectories, self.errors)
-        if trials is None:
-            allowed = "one or more that slide or turn at constant speed"
-            raise InvalidValueError("trajectories", len(trajectories), allowed)
-        s = trials.friction_loads(at)
-        system, pivots = trials.friction_system(at), trials.pivot_inertias(at, s)
-        fixed, values = fixed_rows(shape, weight, trials.weighing, pivots, shape.n_m)
-        return Likelihood(shape, trials.groups.pairs, system.q.numpy(), system.b.numpy(), fixed, values)
 
 
 def _report(

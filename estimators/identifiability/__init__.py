@@ -10,19 +10,14 @@ from testbed.packages import lazy_names
 
 if TYPE_CHECKING:
     from estimators.identifiability.information import Assumptions, expected, observed, predicted_information
-    from estimators.identifiability.posterior import Likelihood, Posterior, friction_profile, sample_posterior
 
 __all__ = [
     "Assumptions",
     "Identifiability",
-    "Likelihood",
-    "Posterior",
     "expected",
-    "friction_profile",
     "identifiability",
     "observed",
     "predicted_information",
-    "sample_posterior",
 ]
 
 __getattr__, __dir__ = lazy_names(__name__)

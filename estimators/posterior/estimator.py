@@ -59,11 +59,17 @@ class Bayes:
             return Estimate(None, "assumption_violated", ONE_BODY)
         if self.support == "rigid" and shape.chain is not None:
             return Estimate(None, "assumption_violated", "an object with hinges is not one rigid body")
-        found = posterior_of(shape, weight, trajectories, self.support, unknown_bias=self.unknown_bias)
+        found = self.posterior(shape, weight, trajectories)
         if found is None:
             return Estimate(None, "no_data", NO_DATA if shape.chain is None else NO_LINKS)
         answer = found.estimate(shape)
         return replace(answer, assumes=ASSUMPTION[self.support], seconds=time.perf_counter() - begin)
+
+    def posterior(
+        self, shape: ObjectShape, weight: float | None, trajectories: Sequence[Trajectory]
+    ) -> Posterior | None:
+        """Posterior of an object from its trials, by these settings; None where no trial is usable."""
+        return posterior_of(shape, weight, trajectories, self.support, unknown_bias=self.unknown_bias)
 
 
 def posterior_of(

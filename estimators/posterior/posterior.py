@@ -288,6 +288,25 @@ class Posterior:
         scale = 1.0 if name in OBJECT else block.std.flatten()
         return block.value(self.optimum.z[where]), (std * scale).reshape(block.mean.shape)
 
+    def draws(self, shape: ObjectShape, count: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
+        """Draws of the groups' masses, kg, (count, n_m), and of the frictions, (count, n_mu).
+
+        Normal in the logarithms, with errors widened by the misfit, then scaled to a draw of M with the drag of every
+        group as it was: where masses are hardly known, logarithms alone would lose the weighing.
+        """
+        own, unit = self.of_object, self._unit[self.of_object]
+        covariance = self.covariance[own][:, own] * self.explained.widening
+        rng, center = np.random.default_rng(seed), self.optimum.z[own].numpy()
+        z = rng.multivariate_normal(center, (covariance / (unit[:, None] * unit)).numpy(), count, method="cholesky")
+        blocks = [self.unknowns.blocks[name] for name in OBJECT]
+        parts = torch.tensor(z).split([len(block.mean) for block in blocks], 1)
+        mass, friction = (torch.vmap(b.value)(part).numpy() for b, part in zip(blocks, parts, strict=True))
+        mass, at = mass * shape.particles_per_group, self.unknowns.at["mass"]
+        whole = float(self.unknowns.values(self.optimum.z)["mass"].numpy() @ shape.particles_per_group)
+        error = shape.particles_per_group @ covariance[at, at].numpy() @ shape.particles_per_group
+        scale = rng.normal(whole, np.sqrt(error), (count, 1)) / mass.sum(1, keepdims=True)
+        return mass * scale, friction / scale
+
     def nuisances(self) -> dict[str, float]:
         """Values of the nuisances with their standard deviations, SI units; of those of few numbers, each by its name.
 

@@ -144,16 +144,16 @@ def _named_object(model: ObjectModel) -> tuple[str, str | None]:
 
 
 def posterior_table(folder: Path, row: Row, count: int) -> pd.DataFrame:
-    """Draws from the posterior of a row's trials, one a row: mass of each group [kg], and frictions.
+    """Draws from the joint posterior of a row's trials, one a row: mass of each group [kg], and frictions.
 
     Raises:
-        InvalidValueError: an estimate that is not by Algorithm 1, or a count that the sampler cannot give.
+        InvalidValueError: an estimate of another method than hidden_states and bayes, or a count below 1.
     """
     import numpy as np
     import pandas as pd
 
     from estimators.hidden_states.estimator import HiddenStates
-    from estimators.identifiability.posterior import sample_posterior
+    from estimators.posterior.estimator import Bayes
     from estimators.registry import METHODS, build_method
     from scenarios.results.estimates import load_estimate
     from scenarios.results.files import read_manifest
@@ -162,20 +162,20 @@ def posterior_table(folder: Path, row: Row, count: int) -> pd.DataFrame:
     from scenarios.views.values import estimate_view
     from testbed.sensing.windows import weight_of
 
+    if count < 1:
+        raise InvalidValueError("--draws", count, "an integer from 1 on")
     scenario = (read_manifest(folder) or {}).get("scenario", {})
     kind = METHODS.get(row["kind"])  # of heft's own alone: a folder names no code to run
     answer, shape = load_estimate(folder, row["key"]), estimate_view(folder, row).shape
     method = build_method(row["kind"], scenario.get("methods", {}).get(row["method"], {})) if kind else None
-    if not isinstance(method, HiddenStates) or answer.distribution is None:
-        raise InvalidValueError("--draws", row["method"], "an estimate by hidden_states that has masses")
+    if not isinstance(method, HiddenStates | Bayes) or answer.distribution is None:
+        raise InvalidValueError("--draws", row["method"], "an estimate by hidden_states or bayes that has masses")
     weighing, *trials = sensed_trials(Store(folder), tuple(row["trial_keys"]), row["sensing"], int(row["seed"]))
-    likelihood = method.likelihood(shape, weight_of(weighing), trials, answer.distribution)
-    posterior = sample_posterior(likelihood, answer.distribution, seed=0, covariance=answer.covariance)
-    if not 1 <= count <= len(posterior.mass):
-        raise InvalidValueError("--draws", count, f"an integer from 1 to {len(posterior.mass)}")
-    chosen = np.random.default_rng(0).choice(len(posterior.mass), count, replace=False)
+    method = method if isinstance(method, Bayes) else Bayes()
+    posterior = method.posterior(shape, weight_of(weighing), trials)
+    assert posterior is not None
     frictions = ["friction"] if shape.n_mu == 1 else [f"friction {k}" for k in range(shape.n_mu)]
-    table = np.hstack([posterior.mass[chosen], posterior.friction[chosen]])
+    table = np.hstack(posterior.draws(shape, count, seed=0))
     return pd.DataFrame(table, columns=[*shape.group_names, *frictions])
 
 

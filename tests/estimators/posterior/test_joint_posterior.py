@@ -14,7 +14,7 @@ from estimators.particles.lifts import lifts_among
 from estimators.particles.observe import observe
 from estimators.particles.windows import Observations
 from estimators.posterior import solver, table_errors
-from estimators.posterior.estimator import Bayes
+from estimators.posterior.estimator import Bayes, posterior_of
 from estimators.posterior.in_air import InAir
 from estimators.posterior.on_table import OnTable, contact_patterns
 from estimators.posterior.posterior import Posterior
@@ -179,3 +179,23 @@ def test_a_posterior_of_its_own_predictions_is_calibrated(setup):
         sums.append(float(off @ torch.linalg.solve(posterior.covariance[where, where], off)))
     total, freedom = sum(sums), 12 * model.shape.n_m
     assert chi2.ppf(1e-3, freedom) / 2 < total < chi2.ppf(1 - 1e-3, freedom) * 1.5
+
+
+def test_draws_are_masses_of_the_posterior_even_where_it_is_wide():
+    """Their scatter is the covariance where masses are known; elsewhere they add up to M, and none is below 0."""
+    known = drawn_object(2)
+    found = posterior_of(known.shape, known.total_mass, [*turns(known, noise=0.3), *accelerated(known)])
+    assert found is not None
+    mass, friction = found.draws(known.shape, 4000, 0)
+    answer, count = found.estimate(known.shape), known.shape.particles_per_group
+    assert answer.covariance is not None
+    assert_allclose(mass.std(0), np.sqrt(np.diag(answer.covariance)) * count, rtol=0.08)
+    assert_allclose(friction.std(0), answer.diagnostics["friction_0_std"], rtol=0.08)
+    wide = drawn_object(0, friction_groups=2)
+    found = posterior_of(wide.shape, wide.total_mass, turns(wide, noise=0.3))
+    assert found is not None
+    mass, friction = found.draws(wide.shape, 500, 0)
+    assert (mass > 0).all() and (friction > 0).all()
+    assert (mass.std(0) > 0.02).all()
+    assert_allclose(mass.sum(1), wide.total_mass, atol=0.006)
+    assert np.array_equal(found.draws(wide.shape, 500, 0)[0], mass), "equal seeds give equal draws"

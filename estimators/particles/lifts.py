@@ -23,9 +23,6 @@ from testbed.sensing.lift_windows import LiftWindow, lift_windows
 from testbed.sensing.windows import reduced_trials
 from testbed.trajectory import Trajectory
 
-ROUNDS = 2
-"""Rounds of solving for the masses by which the errors are weighed."""
-
 
 @dataclass(frozen=True)
 class LiftErrors:
@@ -54,39 +51,6 @@ class LiftErrors:
         return {name: torch.tensor(size, dtype=torch.float64) for name, size in sizes.items()}
 
 
-@dataclass(frozen=True, eq=False)
-class LiftedRows:
-    """Linear equations of all lifts for the masses: rows a with a m = y, independent and of unit error."""
-
-    rows: Float[np.ndarray, "r n_m"]
-    values: Float[np.ndarray, "r"]
-
-
-def lifted_rows(
-    shape: ObjectShape, weight: float, trajectories: Sequence[Trajectory], errors: LiftErrors | None = None
-) -> LiftedRows:
-    """Equations of the lifts among some trajectories.
-
-    Args:
-        shape: geometry and groups.
-        weight: M, kg; by it alone the errors are weighed at first.
-        trajectories: lifts that ended well are read, all others left out.
-        errors: errors of what is taken as known.
-
-    Raises:
-        InvalidValueError: a grasp that the shape does not have.
-    """
-    trials = list(lifts_among(shape, trajectories).values())
-    if not trials:
-        return LiftedRows(np.empty((0, shape.n_m)), np.empty(0))
-    even = np.full(shape.n_m, weight / len(shape.particles))
-    known = _compressed(shape, trials, even, errors)
-    for _ in range(ROUNDS):
-        fitting = even + np.linalg.pinv(known.rows) @ (known.values - known.rows @ even)
-        known = _compressed(shape, trials, fitting, errors)
-    return known
-
-
 def lifts_among(shape: ObjectShape, trajectories: Sequence[Trajectory]) -> dict[int, list[LiftWindow]]:
     """Windows of every lift among some trajectories that ended well, by its place among them.
 
@@ -94,17 +58,6 @@ def lifts_among(shape: ObjectShape, trajectories: Sequence[Trajectory]) -> dict[
         InvalidValueError: a grasp that the shape does not have.
     """
     return reduced_trials(shape, trajectories, (Lift,), lift_windows)
-
-
-def _compressed(
-    shape: ObjectShape, trials: Sequence[Sequence[LiftWindow]], mass: np.ndarray, errors: LiftErrors | None
-) -> LiftedRows:
-    """All windows' rows as the fewest of the same content, their errors weighed by some masses."""
-    whitened = [lift_information(shape, windows, mass, errors, len(trials)) for windows in trials]
-    rows, values = np.vstack([r for r, _ in whitened]), np.concatenate([v for _, v in whitened])
-    left, strength, right = np.linalg.svd(rows, full_matrices=False)
-    seen = strength > 1e-6 * strength[0]
-    return LiftedRows(strength[seen, None] * right[seen], left[:, seen].T @ values)
 
 
 def lift_information(

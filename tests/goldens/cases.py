@@ -14,7 +14,7 @@ from estimators.base import Estimate
 from estimators.hidden_states.trial_windows import TrialWindows
 from estimators.identifiability.information import Assumptions, expected
 from estimators.particles.friction_system import sensor_map
-from estimators.particles.lifts import lifted_rows
+from estimators.particles.lifts import lifts_among
 from estimators.particles.observe import observe
 from estimators.particles.setup_effects import LinearRows, setup_effects
 from estimators.particles.wrench import predicted_wrenches
@@ -40,6 +40,7 @@ from testbed.trajectory import Trajectory
 from testbed.worlds.presets import world
 from testbed.worlds.setup_errors import EXACT_SETUP, SetupErrors
 from tests.fakes.lifted_world import lifted
+from tests.helpers.answers import shown_in_the_air
 from tests.helpers.runs import quiet
 
 LAB, ROUGH = world("lab").stated, world("rough").stated
@@ -123,9 +124,9 @@ def frozen(case: Case) -> Frozen:
         found |= of_equations(case, errors)
     predicted = predicted_wrenches(shape, model.truth, case.trials)
     found["wrench"] = np.array([np.nanmean(part, axis=0) for part in predicted if np.isfinite(part).any()])
-    known = lifted_rows(shape, model.total_mass, case.trials)
-    if len(known.rows):
-        found["lifts"] = np.column_stack([known.rows.T @ known.rows, known.rows.T @ known.values])
+    if lifts_among(shape, case.trials):
+        rows, values = shown_in_the_air(shape, model.total_mass, case.trials)
+        found["lifts"] = np.column_stack([rows.T @ rows, rows.T @ values])
     sensing = preset("ft300s")
     assumed = Assumptions(case.support, setup=case.trials[0].setup)
     report = expected(shape, model.truth, [t.action for t in case.trials], sensing, assumed)

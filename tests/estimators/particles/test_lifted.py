@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 from estimators.identifiability.predicted_lifts import predicted_lift
-from estimators.particles.lifts import LiftErrors, lifted_rows
+from estimators.particles.lifts import LiftErrors, lifts_among
 from estimators.support_models.estimator import SupportAware
 from estimators.testing.analytic_world import TOOL, accelerated, drawn_object, turns
 from testbed.actions.lift import Lift
@@ -24,7 +24,7 @@ from testbed.sensing.lift_windows import lift_windows
 from testbed.sensing.presets import preset
 from testbed.worlds.setup_errors import EXACT_SETUP, SetupErrors
 from tests.fakes.lifted_world import lifted
-from tests.helpers.answers import ask, nad
+from tests.helpers.answers import ask, nad, shown_in_the_air
 
 SHORT = Lift(0, hold=1.4)
 
@@ -38,15 +38,12 @@ def quadratics(shape) -> np.ndarray:
 @pytest.mark.parametrize("seed", [0, 1, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (2, 3))])
 def test_lifts_show_six_numbers_and_all_six_are_right(seed):
     obj = drawn_object(seed)
-    seen = lifted_rows(obj.shape, obj.total_mass, [lifted(obj, SHORT)])
+    rows, values = shown_in_the_air(obj.shape, obj.total_mass, [lifted(obj, SHORT)])
     numbers = quadratics(obj.shape)
-    assert len(seen.rows) == np.linalg.matrix_rank(numbers, tol=1e-9)
-    assert_allclose(
-        np.linalg.lstsq(numbers.T, seen.rows.T, rcond=None)[0].T @ numbers,
-        seen.rows,
-        atol=1e-4 * np.abs(seen.rows).max(),
-    )
-    assert_allclose(seen.rows @ obj.truth.mass, seen.values, atol=0.05)
+    assert len(rows) == np.linalg.matrix_rank(numbers, tol=1e-9)
+    shown = np.linalg.lstsq(numbers.T, rows.T, rcond=None)[0].T @ numbers
+    assert_allclose(shown, rows, atol=1e-4 * np.abs(rows).max())
+    assert_allclose(rows @ obj.truth.mass, values, atol=0.05)
 
 
 @pytest.mark.parametrize(
@@ -55,8 +52,8 @@ def test_lifts_show_six_numbers_and_all_six_are_right(seed):
 )
 def test_held_still_it_shows_m_and_c_alone(action, rank):
     obj = load_object("L2")
-    seen = lifted_rows(obj.shape, obj.total_mass, [lifted(obj, action, errors=1.0)])
-    strength = np.linalg.norm(seen.rows / obj.shape.particles_per_group, axis=1) * obj.total_mass
+    rows, _ = shown_in_the_air(obj.shape, obj.total_mass, [lifted(obj, action, errors=1.0)])
+    strength = np.linalg.norm(rows / obj.shape.particles_per_group, axis=1) * obj.total_mass
     assert (strength > 5).sum() == rank
 
 
@@ -79,8 +76,9 @@ def test_its_errors_are_as_large_as_they_are_said_to_be():
     said = LiftErrors()
     for seed in range(24):
         x, y, z = rng.standard_normal(3) * [said.grip, said.grip, said.height * obj.shape.height]
-        seen = lifted_rows(obj.shape, obj.total_mass, [lifted(obj, SHORT, offset=(x, y, z), errors=1.0, seed=seed)])
-        misses.append(np.sum((seen.values - seen.rows @ obj.truth.mass) ** 2))
+        felt = lifted(obj, SHORT, offset=(x, y, z), errors=1.0, seed=seed)
+        rows, values = shown_in_the_air(obj.shape, obj.total_mass, [felt])
+        misses.append(np.sum((values - rows @ obj.truth.mass) ** 2))
     count = len(misses) * 6
     assert chi2.cdf(np.sum(misses), count) < 0.995
     assert np.sum(misses) > 0.3 * count
@@ -126,9 +124,9 @@ def test_errors_of_the_setup_count_as_stated(setup, worth):
     sensed += on_tool - on_tool[tare_samples(felt)].mean(axis=0)
     felt = replace(felt, wrench_on_object_world=rotate_wrench(axes, move_wrench(sensed, TOOL.tcp)))
     misses = [
-        np.mean((seen.values - seen.rows @ obj.truth.mass) ** 2)
-        for seen in (
-            lifted_rows(obj.shape, obj.total_mass, [replace(felt, setup=each)]) for each in (setup, EXACT_SETUP)
+        np.mean((values - rows @ obj.truth.mass) ** 2)
+        for rows, values in (
+            shown_in_the_air(obj.shape, obj.total_mass, [replace(felt, setup=each)]) for each in (setup, EXACT_SETUP)
         )
     ]
     assert misses[0] < 2.5 and misses[1] > 2 * misses[0]
@@ -137,11 +135,11 @@ def test_errors_of_the_setup_count_as_stated(setup, worth):
 def test_what_is_no_lift_says_nothing_and_a_lift_is_nothing_to_others():
     obj = load_object("L2")
     table = [*turns(obj, rigid=True), *accelerated(obj, rigid=True)]
-    assert len(lifted_rows(obj.shape, obj.total_mass, table).rows) == 0
+    assert not lifts_among(obj.shape, table)
     with_lift = [lifted(obj, SHORT), *table]
     assert nad(obj, ask(obj, with_lift)) == pytest.approx(nad(obj, ask(obj, table)))
     with pytest.raises(InvalidValueError, match="grasp"):
-        lifted_rows(obj.shape, obj.total_mass, [lifted(load_object("I2"), Lift(5))])
+        lifts_among(obj.shape, [lifted(load_object("I2"), Lift(5))])
 
 
 @pytest.mark.slow

@@ -1,0 +1,131 @@
+"""Simulation-based calibration of the joint posterior: python bench/posterior_ranks.py [--problems N] [--seed S].
+
+Every problem draws masses, frictions and all errors of the setup from the estimator's own prior, and readings from its
+own forward model and errors; then the rank of each true mass and friction among draws of the posterior is even between
+0 and 1, if the posterior is right (Talts et al. 2018). A row a world: intervals that hold the truth, the mean of the
+ranks (0.5), and p of the histogram of ten bins by chi squared, the least over masses and frictions times their number
+(Bonferroni): below 0.01, Laplace's approximation fails there.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from multiprocessing import get_context
+
+import numpy as np
+import torch
+from rich import box
+from rich.console import Console
+from rich.table import Table
+from scipy.stats import chisquare
+
+from estimators.particles.observe import observe
+from estimators.posterior.on_table import OnTable
+from estimators.posterior.posterior import Posterior
+from estimators.posterior.priors import priors
+from estimators.posterior.scale import Scale
+from estimators.posterior.solver import solve
+from estimators.testing.analytic_world import accelerated, drawn_object, turns
+from estimators.wrench.model import ModelErrors
+from estimators.wrench.weighing import Weighing
+from testbed.worlds.presets import world
+
+DRAWS = 400
+"""Draws of a posterior."""
+BINS = 10
+NOISE = 0.02
+"""Noise of a sample, N, and a tenth of it in N m: it sets the errors that the windows state."""
+
+
+@dataclass(frozen=True)
+class Problem:
+    """Trials whose readings are drawn anew."""
+
+    name: str
+    setup: str
+    """World whose errors are stated."""
+    swung: bool = True
+    """True with accelerated turns."""
+
+
+PROBLEMS = {
+    each.name: each
+    for each in (
+        Problem("ideal", "ideal"),
+        Problem("lab", "lab"),
+        Problem("rough", "rough"),
+        Problem("lab, turns alone", "lab", swung=False),
+    )
+}
+
+
+def ranks(problem: Problem, seed: int) -> np.ndarray:
+    """Rank of every true mass and friction among the draws of one problem, 0 to 1; the last entry is the misfit."""
+    torch.set_num_threads(1)
+    rng, errors = np.random.default_rng(seed), ModelErrors()
+    obj, stated = drawn_object(seed % 7), world(problem.setup).stated
+    trials = turns(obj, noise=NOISE) + (accelerated(obj, noise=NOISE) if problem.swung else [])
+    windows = observe(obj.shape, [replace(trial, setup=stated) for trial in trials], errors)
+    assert windows is not None
+    on_table, weighing = OnTable.of(obj.shape, windows, "own_weight", errors), Weighing.of(obj.shape, 1e-3, stated)
+    unknowns = priors(obj.shape, stated, errors, obj.total_mass, on_table)
+    true = torch.tensor(rng.standard_normal(len(unknowns)))
+    predicted, covariances = on_table.linearized(unknowns, true).elsewhere(true)
+    read = (predicted + on_table.read.flatten()).clone()
+    for rows, covariance in covariances:
+        read[rows] += torch.linalg.cholesky(covariance) @ torch.tensor(rng.standard_normal(len(rows)))
+    read = read.reshape(len(windows), -1)[:, :6]
+    sensed = torch.linalg.solve(windows.from_sensor, read[..., None])[..., 0]
+    values = unknowns.values(true)
+    scale = Scale(
+        float(torch.tensor(weighing.count) @ values["mass"]) + weighing.error * rng.standard_normal(), weighing
+    )
+    measurements = [replace(on_table, windows=replace(windows, sensed=sensed)), scale]
+    posterior = Posterior(unknowns, measurements, solve(measurements, unknowns, unknowns.start()))
+    mass, friction = posterior.draws(obj.shape, DRAWS, seed)
+    truth = np.append(values["mass"].numpy() * obj.shape.particles_per_group, values["friction"].numpy())
+    return np.append((np.hstack([mass, friction]) < truth).mean(axis=0), posterior.misfit)
+
+
+def row(name: str, found: Sequence[np.ndarray]) -> list[str]:
+    """Figures of a world."""
+    each = [one[:-1] for one in found]
+    # objects have different numbers of groups: the k-th of each together
+    count = min(len(one) for one in each)
+    columns = [np.array([one[k] for one in each]) for k in range(count - 1)] + [np.array([one[-1] for one in each])]
+    p = [float(chisquare(np.histogram(column, BINS, (0, 1))[0]).pvalue) for column in columns]
+    every = np.concatenate(each)
+    held = [100 * float(np.mean(np.abs(every - 0.5) < level / 2)) for level in (0.5, 0.9)]
+    misfit = float(np.mean([one[-1] for one in found]))
+    least = min(1.0, min(p) * len(p))
+    return [
+        name,
+        str(len(found)),
+        *(f"{h:.0f} %" for h in held),
+        f"{every.mean():.2f}",
+        f"{misfit:.2f}",
+        f"{least:.2g}",
+    ]
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--problems", type=int, default=300)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--worlds", nargs="+", choices=list(PROBLEMS), default=list(PROBLEMS))
+    parser.add_argument("--workers", type=int, default=2)
+    asked = parser.parse_args()
+    heads = ["world", "problems", "50 % hold", "90 % hold", "mean rank", "misfit", "least p x groups"]
+    table = Table(*heads, box=box.SIMPLE_HEAD)
+    with get_context("spawn").Pool(asked.workers) as pool:
+        for name in asked.worlds:
+            seeds = range(1000 * asked.seed, 1000 * asked.seed + asked.problems)
+            table.add_row(*row(name, pool.map(partial(ranks, PROBLEMS[name]), seeds)))
+    Console().print(table)
+
+
+if __name__ == "__main__":
+    main()

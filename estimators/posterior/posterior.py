@@ -30,7 +30,7 @@ CAUSES = dict(PARAMETERS) | MODEL_PARAMETERS
 MOST_NUMBERS = 6
 """Numbers of a nuisance up to which each is reported."""
 LOOSE = 1 / 3
-"""Error of a group's mass, as a part of that before any trial, above which it counts as hardly known. Ours."""
+"""Error of a group's mass, as a part of that before any trial, up to which it counts as known. Ours."""
 SEEN = 1e-6
 """Strength of a direction of the masses, as a part of the strongest, below which it counts as open."""
 IMPLAUSIBLE = 1e-6
@@ -272,13 +272,13 @@ class Posterior:
     def _loose(
         self, shape: ObjectShape, mass: Float[np.ndarray, "n_m"], covariance: Float[np.ndarray, "n_m n_m"]
     ) -> list[str]:
-        """Groups that are not known much better than before any trial, with their masses."""
+        """Groups that cannot be told from nothing and are not known much better than before any trial."""
         count, masses = shape.particles_per_group, mass * shape.particles_per_group
         errors, before = (np.sqrt(np.diag(each)) * count for each in (covariance, prior_masses(shape, masses.sum())))
         return [
             f"{name} {masses[g]:.3f} +- {errors[g]:.3f} kg"
             for g, name in enumerate(shape.group_names)
-            if errors[g] > LOOSE * before[g]
+            if errors[g] > max(LOOSE * before[g], masses[g])
         ]
 
     def of(self, name: str) -> tuple[Tensor, Tensor]:

@@ -132,8 +132,11 @@ class SupportAware:
         on_own = own.estimate(shape)
         on_own = replace(on_own, diagnostics=on_own.diagnostics | found)
         answer = self._rigid(shape, rigid, on_own.diagnostics, seed) if as_rigid else on_own
+        if test.shared is not None:
+            answer = test.shared.estimate(shape)
+            answer = replace(answer, diagnostics=answer.diagnostics | found)
         if self.materials_kg or self.materials_kg_m3:
-            likelier = rigid if as_rigid else own
+            likelier = test.shared or (rigid if as_rigid else own)
             fits = {"rigid": (rigid,), "own_weight": (own,), "between": (likelier,)}
             answer = self._with_materials(shape, fits.get(test.kind, (own, rigid)), answer)
         if test.kind == "own_weight" and answer.status != "unexplained":
@@ -142,9 +145,10 @@ class SupportAware:
         if test.kind == "rigid":
             return replace(answer, status="assumption_violated", message=message)
         assert on_own.distribution is not None and on_own.covariance is not None
-        # the answer may be wrong by as much as the other support's is elsewhere
+        # the answer may be wrong by as much as another is elsewhere: by the other support, or by the likelier one alone
         on_rigid = MassPolytope(*rigid.mass_equations()).posterior(seed)
-        other = (on_own.distribution.mass, on_own.covariance) if as_rigid else on_rigid
+        from_own = as_rigid == (test.shared is None)
+        other = (on_own.distribution.mass, on_own.covariance) if from_own else on_rigid
         share = 1 / (1 + 10**test.log10_bayes_factor) if test.kind == "undecided" else 0.5
         status = {"between": "assumption_violated", "undecided": "underdetermined"}.get(test.kind, answer.status)
         return replace(_wide(answer, *other, share), status=status, message=message)

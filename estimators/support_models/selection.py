@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import torch
@@ -40,6 +40,8 @@ class SupportTest:
     """Part of the loads that is one rigid body's, about the likelier model: 0 on own weight, 1 under one rigid body."""
     rigid_share_error: float
     """Standard error of that part; about 1 where nothing shows it."""
+    shared: Posterior | None = None
+    """Posterior with both models' loads, where neither holds and they explain the trials together."""
 
     @property
     def violated(self) -> bool:
@@ -52,8 +54,8 @@ class SupportTest:
         sentences = {
             "own_weight": "every group rests on its own weight",
             "rigid": "the weight is spread as under one rigid body, not group by group",
-            "between": "neither own weight nor one rigid body explains the wrenches: the support is something between, "
-            "or the shape is not as given",
+            "between": "neither own weight nor one rigid body explains the wrenches: "
+            + ("the support is something between" if self.shared else "the shape is not as given, or a trial is wrong"),
             "undecided": "own weight and one rigid body cannot be told apart: the wrenches are alike under both",
         }
         part = f"{100 * self.rigid_share:.0f} +- {100 * self.rigid_share_error:.2g} % of the loads are a rigid body's"
@@ -93,9 +95,31 @@ def support_test(
     refuted = 2 * norm.sf(abs(part) / error) < level
     if likelier == "rigid":
         kind = "between" if rigid.misfit > UNLIKE or (refuted and abs(part) > NEARLY) else "rigid"
-        return SupportTest(kind, bayes, 1 - part, error)
-    kind = "between" if refuted else "own_weight" if bayes > DECISIVE else "undecided"
-    return SupportTest(kind, bayes, part, error)
+        test = SupportTest(kind, bayes, 1 - part, error)
+    else:
+        kind = "between" if refuted else "own_weight" if bayes > DECISIVE else "undecided"
+        test = SupportTest(kind, bayes, part, error)
+    return _between(test, shape, weight, trajectories, alike, rigid) if test.kind == "between" else test
+
+
+def _between(
+    test: SupportTest,
+    shape: ObjectShape,
+    weight: float,
+    trajectories: Sequence[Trajectory],
+    own: Posterior,
+    rigid: Posterior,
+) -> SupportTest:
+    """Test with the posterior of both models' loads, the likelier of those from either model on."""
+    fits = [
+        posterior_of(shape, weight, trajectories, "own_weight", other="rigid", errors=RIGID, near=near)
+        for near in (own, rigid)
+    ]
+    shared = max(filter(None, fits), key=lambda fit: fit.log_evidence)
+    if not shared.explained.explains:
+        return test
+    part, error = (float(value) for value in shared.of("other_support"))
+    return replace(test, rigid_share=part, rigid_share_error=error, shared=shared)
 
 
 def _log_evidence(posterior: Posterior, shape: ObjectShape, weight: float) -> float:

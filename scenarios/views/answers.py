@@ -52,7 +52,8 @@ def support_verdict(estimate: Estimate) -> tuple[str, str]:
     if estimate.status == "assumption_violated":
         return "not own weight", estimate.message
     kind = "own_weight" if numbers["log10_bayes_factor"] > DECISIVE else "undecided"
-    return kind.replace("_", " "), SupportTest(kind, *(numbers[name] for name in _EVIDENCE)).sentence
+    factor, share, error = (numbers[name] for name in _EVIDENCE)
+    return kind.replace("_", " "), SupportTest(kind, factor, share, error).sentence
 
 
 def _answer(folder: Path, row: Row) -> Answer:

@@ -145,10 +145,12 @@ class SupportAware:
         if test.kind == "rigid":
             return replace(answer, status="assumption_violated", message=message)
         assert on_own.distribution is not None and on_own.covariance is not None
-        # the answer may be wrong by as much as another is elsewhere: by the other support, or by the likelier one alone
-        on_rigid = MassPolytope(*rigid.mass_equations()).posterior(seed)
-        from_own = as_rigid == (test.shared is None)
-        other = (on_own.distribution.mass, on_own.covariance) if from_own else on_rigid
+        # the answer may be wrong by as much as another support's is elsewhere
+        each = (on_own.distribution.mass, on_own.covariance), MassPolytope(*rigid.mass_equations()).posterior(seed)
+        if test.shared is not None:
+            answer = _wide(answer, *each[as_rigid], 1 / 3)
+            return replace(_wide(answer, *each[not as_rigid], 1 / 2), status="assumption_violated", message=message)
+        other = each[not as_rigid]
         share = 1 / (1 + 10**test.log10_bayes_factor) if test.kind == "undecided" else 0.5
         status = {"between": "assumption_violated", "undecided": "underdetermined"}.get(test.kind, answer.status)
         return replace(_wide(answer, *other, share), status=status, message=message)

@@ -6,6 +6,7 @@ runs come again:
     heft run lab --secret readme               README.md
     heft run budget --secret docs              docs/worlds.md
     heft run trust --secret docs               docs/support.md
+    heft run support --secret docs             docs/support.md
     heft run push --secret docs                docs/simulation.md
     heft run articulated --secret docs         docs/simulation.md
     heft run articulated --world lab --seeds 4 --out results/articulated_lab --secret docs    docs/simulation.md
@@ -202,6 +203,17 @@ def trust_table(results: Sequence[Any]) -> str:
     return markdown(lines)
 
 
+def springs_table(results: Sequence[Any]) -> str:
+    """NAD by the support, from own weight over springs between the blocks to one rigid body."""
+    supports = list(dict.fromkeys(row["support"] for row in results))
+    lines = [["", *(support.replace("_", " ").removesuffix(" N/m") for support in supports)]]
+    for name in objects_of(results):
+        for method in methods_of(results):
+            rows = select(results, object=name, method=method)
+            lines.append([f"{name}, `{method}`", *(nad_of(select(rows, support=support)) for support in supports)])
+    return markdown(lines)
+
+
 def articulated_table(results: Sequence[Any]) -> str:
     """Objects in links, by camera: mean NAD, of `hidden_states` with the error of the hinges' friction."""
     names = objects_of(results)
@@ -251,6 +263,7 @@ def objects_of(results: Sequence[Any]) -> list[str]:
 PAGES: dict[str, tuple[str, Callable[[Sequence[Any]], str]]] = {
     "budget": ("worlds", budget_table),
     "trust": ("support", trust_table),
+    "support": ("support", springs_table),
     "push": ("simulation", push_table),
     "articulated": ("simulation", articulated_table),
     "articulated_lab": ("simulation", articulated_table),

@@ -41,7 +41,6 @@ def corrected_inertias(
     drag: Float[Tensor, "K P"],
     response: Float[Tensor, "K 3 3"],
     relative_error: float,
-    more: Float[np.ndarray, "K K"] | float = 0.0,
 ) -> PivotInertia | None:
     """I_j of torques less those of friction and of the grasp point's own acceleration; None without windows.
 
@@ -52,11 +51,10 @@ def corrected_inertias(
         drag: friction of each, N.
         response: change of the rows with lift and tilt, N/N and N m/N m.
         relative_error: as in `pivot_inertias`.
-        more: covariance of torques beyond that of sensor and setup, (N m)^2.
     """
     friction = (linear.by_particle @ drag[..., None])[:, 2, 0]
     inertial = linear.motion(mass)[:, 2] - windows.spin_up(inertia_of(linear.model, mass))
-    covariance = torque_covariance(windows, linear, response) + more
+    covariance = torque_covariance(windows, linear, response)
     return pivot_inertias(windows, friction.numpy(), inertial.numpy(), relative_error, covariance)
 
 

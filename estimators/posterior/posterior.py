@@ -291,8 +291,9 @@ class Posterior:
     def draws(self, shape: ObjectShape, count: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
         """Draws of the groups' masses, kg, (count, n_m), and of the frictions, (count, n_mu).
 
-        Normal in the logarithms, with errors widened by the misfit, then scaled to a draw of M with the drag of every
-        group as it was: where masses are hardly known, logarithms alone would lose the weighing.
+        Normal in the logarithms, with errors widened by the misfit, then scaled to a draw of M: where masses are hardly
+        known, logarithms alone would lose the weighing. Several frictions are scaled too, so that each drag stays; a
+        single one is known by M itself.
         """
         own, unit = self.of_object, self._unit[self.of_object]
         covariance = self.covariance[own][:, own] * self.explained.widening
@@ -305,7 +306,7 @@ class Posterior:
         whole = float(self.unknowns.values(self.optimum.z)["mass"].numpy() @ shape.particles_per_group)
         error = shape.particles_per_group @ covariance[at, at].numpy() @ shape.particles_per_group
         scale = rng.normal(whole, np.sqrt(error), (count, 1)) / mass.sum(1, keepdims=True)
-        return mass * scale, friction / scale
+        return mass * scale, friction / scale if shape.n_mu > 1 else friction
 
     def nuisances(self) -> dict[str, float]:
         """Values of the nuisances with their standard deviations, SI units; of those of few numbers, each by its name.

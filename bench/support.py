@@ -32,6 +32,7 @@ from estimators.evaluation.metrics import normalized_absolute_difference
 from estimators.hidden_states.estimator import HiddenStates
 from estimators.support_models.estimator import SupportAware
 from estimators.support_models.materials import rank_assignments
+from estimators.support_models.selection import EVIDENCE
 from estimators.testing.analytic_world import accelerated, turns
 from scenarios.results.files import read_json
 from scenarios.results.store import Store
@@ -94,7 +95,7 @@ def judged(obj: ObjectModel, drawn: Sequence[Trajectory], materials: Sequence[fl
     row: dict[str, object] = {"groups": shape.n_m, "status": answer.status, "uneven": float(np.ptp(obj.truth.mass))}
     if answer.distribution is None or plain.distribution is None:
         return row
-    row |= {name: answer.diagnostics[name] for name in ("log10_bayes_factor", "rigid_share", "rigid_share_error")}
+    row |= {name: answer.diagnostics[name] for name in EVIDENCE}
     row["nad_plain"] = normalized_absolute_difference(shape, plain.distribution, obj.truth)
     row["nad"] = normalized_absolute_difference(shape, answer.distribution, obj.truth)
     if "least_0_kg" in answer.diagnostics:

@@ -303,7 +303,7 @@ class Posterior:
         parts = torch.tensor(z).split([len(block.mean) for block in blocks], 1)
         mass, friction = (torch.vmap(b.value)(part).numpy() for b, part in zip(blocks, parts, strict=True))
         mass, at = mass * shape.particles_per_group, self.unknowns.at["mass"]
-        whole = float(self.unknowns.values(self.optimum.z)["mass"].numpy() @ shape.particles_per_group)
+        whole = float(self.of("mass")[0].numpy() @ shape.particles_per_group)
         error = shape.particles_per_group @ covariance[at, at].numpy() @ shape.particles_per_group
         scale = rng.normal(whole, np.sqrt(error), (count, 1)) / mass.sum(1, keepdims=True)
         return mass * scale, friction / scale if shape.n_mu > 1 else friction

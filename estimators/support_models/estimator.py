@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
-from jaxtyping import Float
 
 from estimators.base import Estimate, HiddenStateEstimate
 from estimators.particles.observe import NO_DATA, NO_LINKS
@@ -127,33 +126,30 @@ class SupportAware:
         seed: int,
     ) -> Estimate:
         test = support_test(shape, weight, trajectories, own, rigid, self.false_alarms)
-        found = {name: getattr(test, name) for name in ("log10_bayes_factor", "rigid_share", "rigid_share_error")}
-        as_rigid = test.log10_bayes_factor < -DECISIVE
-        on_own = own.estimate(shape)
-        on_own = replace(on_own, diagnostics=on_own.diagnostics | found)
-        answer = self._rigid(shape, rigid, on_own.diagnostics, seed) if as_rigid else on_own
+        as_rigid, on_own = test.log10_bayes_factor < -DECISIVE, own.estimate(shape)
+        on_own = replace(on_own, diagnostics=on_own.diagnostics | test.diagnostics)
+        holds = test.kind == "own_weight" and on_own.status != "unexplained"
+        on_rigid = on_own if holds else self._rigid(shape, rigid, on_own.diagnostics, seed)
+        answer = on_rigid if as_rigid else on_own
         if test.shared is not None:
             answer = test.shared.estimate(shape)
-            answer = replace(answer, diagnostics=answer.diagnostics | found)
+            answer = replace(answer, diagnostics=answer.diagnostics | test.diagnostics)
         if self.materials_kg or self.materials_kg_m3:
-            likelier = test.shared or (rigid if as_rigid else own)
-            fits = {"rigid": (rigid,), "own_weight": (own,), "between": (likelier,)}
+            fits = {"rigid": (rigid,), "own_weight": (own,), "between": (test.shared or (rigid if as_rigid else own),)}
             answer = self._with_materials(shape, fits.get(test.kind, (own, rigid)), answer)
-        if test.kind == "own_weight" and answer.status != "unexplained":
+        if holds:
             return answer
         message = _joined(test.sentence if test.kind != "own_weight" else "", answer.message)
         if test.kind == "rigid":
             return replace(answer, status="assumption_violated", message=message)
-        assert on_own.distribution is not None and on_own.covariance is not None
         # the answer may be wrong by as much as another support's is elsewhere
-        each = (on_own.distribution.mass, on_own.covariance), MassPolytope(*rigid.mass_equations()).posterior(seed)
+        likelier, other = (on_rigid, on_own) if as_rigid else (on_own, on_rigid)
         if test.shared is not None:
-            answer = _wide(answer, *each[as_rigid], 1 / 3)
-            return replace(_wide(answer, *each[not as_rigid], 1 / 2), status="assumption_violated", message=message)
-        other = each[not as_rigid]
+            answer = _wide(_wide(answer, likelier, 1 / 3), other, 1 / 2)
+            return replace(answer, status="assumption_violated", message=message)
         share = 1 / (1 + 10**test.log10_bayes_factor) if test.kind == "undecided" else 0.5
         status = {"between": "assumption_violated", "undecided": "underdetermined"}.get(test.kind, answer.status)
-        return replace(_wide(answer, *other, share), status=status, message=message)
+        return replace(_wide(answer, other, share), status=status, message=message)
 
     def _rigid(self, shape: ObjectShape, rigid: Posterior, numbers: dict[str, float], seed: int) -> Estimate:
         """Estimate from the masses that agree with what one rigid body shows."""
@@ -228,13 +224,12 @@ def _known(rigid: Posterior) -> str:
     return "M, c and I_cm" if swung else "M and c"
 
 
-def _wide(
-    answer: Estimate, mean: Float[np.ndarray, "n_m"], covariance: Float[np.ndarray, "n_m n_m"], share: float
-) -> Estimate:
-    """The answer with errors that allow for another one, whose probability is `share`; kg and kg^2 a particle."""
+def _wide(answer: Estimate, other: Estimate, share: float) -> Estimate:
+    """The answer with errors that allow for another one, whose probability is `share`."""
     assert answer.distribution is not None and answer.covariance is not None
-    apart = mean - answer.distribution.mass
-    both = (1 - share) * answer.covariance + share * (covariance + np.outer(apart, apart))
+    assert other.distribution is not None and other.covariance is not None
+    apart = other.distribution.mass - answer.distribution.mass
+    both = (1 - share) * answer.covariance + share * (other.covariance + np.outer(apart, apart))
     return replace(answer, covariance=both)
 
 

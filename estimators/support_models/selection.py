@@ -23,6 +23,8 @@ from testbed.trajectory import Trajectory
 SupportKind = Literal["own_weight", "rigid", "between", "undecided"]
 DECISIVE = 2.0
 """log10 of the Bayes factor from which one model is taken over the other."""
+EVIDENCE = "log10_bayes_factor", "rigid_share", "rigid_share_error"
+"""Entries of `Estimate.diagnostics` by a support test: fields of `SupportTest`."""
 UNLIKE = 10.0
 """Misfit beyond which one rigid body does not explain the wrenches either."""
 NEARLY = 0.05
@@ -47,6 +49,11 @@ class SupportTest:
     def violated(self) -> bool:
         """True if own weight is refuted: the status `assumption_violated`."""
         return self.kind in ("rigid", "between")
+
+    @property
+    def diagnostics(self) -> dict[str, float]:
+        """Entries of `Estimate.diagnostics`."""
+        return {name: getattr(self, name) for name in EVIDENCE}
 
     @property
     def sentence(self) -> str:

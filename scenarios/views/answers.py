@@ -12,13 +12,11 @@ import pandas as pd
 
 from estimators.base import Estimate
 from estimators.evaluation.statistics import Row
-from estimators.support_models.selection import DECISIVE, SupportTest
+from estimators.support_models.selection import DECISIVE, EVIDENCE, SupportTest
 from scenarios.results.estimates import load_estimate
 from scenarios.views.values import estimate_view
 from testbed.files import write_whole
 from viz.report.answers import Answer, answer_fields, answer_rows
-
-_EVIDENCE = ("log10_bayes_factor", "rigid_share", "rigid_share_error")
 
 
 def answers_of(folder: Path, rows: Sequence[Row]) -> list[list[Answer]]:
@@ -47,12 +45,12 @@ def write_answers(folder: Path, groups: Sequence[Sequence[Answer]]) -> list[Path
 def support_verdict(estimate: Estimate) -> tuple[str, str]:
     """What the trials say of the support: in a word or two, and in a sentence where they were asked."""
     numbers = estimate.diagnostics
-    if any(name not in numbers for name in _EVIDENCE):
+    if any(name not in numbers for name in EVIDENCE):
         return ("assumed" if estimate.assumes else "not tested"), ""
     if estimate.status == "assumption_violated":
         return "not own weight", estimate.message
     kind = "own_weight" if numbers["log10_bayes_factor"] > DECISIVE else "undecided"
-    factor, share, error = (numbers[name] for name in _EVIDENCE)
+    factor, share, error = (numbers[name] for name in EVIDENCE)
     return kind.replace("_", " "), SupportTest(kind, factor, share, error).sentence
 
 

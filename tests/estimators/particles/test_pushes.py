@@ -82,7 +82,7 @@ def test_masses_from_pushes_without_noise():
     found = build_method("support_aware", {}).estimate(BLOCKS.shape, BLOCKS.total_mass, trials, 0)
     assert found.distribution is not None and found.covariance is not None
     off = np.abs(found.distribution.mass - BLOCKS.truth.mass)
-    assert (off < 0.5 * np.sqrt(np.diag(found.covariance))).all()  # drawn to its prior by a part of what it claims
+    assert (off < 0.5 * np.sqrt(np.diag(found.covariance))).all()  # shrinkage toward the prior
 
 
 def test_the_rank_of_q_grows_within_one_push():

@@ -70,7 +70,7 @@ class InAir:
         covariance = lift_covariance(self.shape, self.windows, slopes, self.own, self.errors, self.weight)
         shared = {name: slope for name, slope in slopes.items() if name in theta}
         columns = unknowns.columns(shared, torch.zeros(len(rows), dtype=torch.int64), z).flatten(0, 1)
-        blocks = [(torch.arange(len(columns)), torch.tensor(covariance))]
+        blocks = [(torch.arange(len(columns))[None], torch.tensor(covariance)[None])]
 
         def elsewhere(z: Tensor) -> tuple[Tensor, Blocks]:
             return self.air.wrenches(unknowns.of(SHARED, z)[0]).flatten() - self.read, blocks

@@ -219,7 +219,7 @@ class Posterior:
     def log_evidence(self) -> float:
         """Log of the probability density of all rows, up to a constant, by Laplace's approximation."""
         square = self.optimum.residual.square().sum() + self.optimum.z.square().sum()
-        rows = sum(torch.linalg.slogdet(block)[1] for found in self._at_optimum for _, block in found.blocks)
+        rows = sum(torch.linalg.slogdet(block)[1].sum() for found in self._at_optimum for _, block in found.blocks)
         return -float(square + torch.linalg.slogdet(self._precision)[1] + rows) / 2
 
     def log_evidence_of(self, mass: Float[Tensor, "n_m"]) -> float:

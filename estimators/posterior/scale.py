@@ -31,7 +31,7 @@ class Scale:
         """Residual, derivatives and variance."""
         first = torch.zeros(1, dtype=torch.int64)
         count = torch.tensor(self.weighing.count)
-        blocks = [(first, torch.tensor([[self.weighing.error**2]], dtype=torch.float64))]
+        blocks = [(first[None], torch.tensor([[[self.weighing.error**2]]], dtype=torch.float64))]
 
         def elsewhere(z: Tensor) -> tuple[Tensor, Blocks]:
             return (count @ unknowns.values(z)["mass"] - self.reading)[None], blocks

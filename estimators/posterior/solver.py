@@ -20,8 +20,8 @@ of a third of a standard error, of which the step leaves little."""
 LARGEST_DAMPING = 1e9
 
 
-Blocks = Sequence[tuple[Int[Tensor, "r"], Float[Tensor, "r r"]]]
-"""Rows whose errors are correlated, and their covariance."""
+Blocks = Sequence[tuple[Int[Tensor, "C r"], Float[Tensor, "C r r"]]]
+"""Rows whose errors are correlated, and their covariance: C sets of equally many rows in each entry."""
 
 
 @dataclass(frozen=True, eq=False)

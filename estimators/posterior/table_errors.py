@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import torch
 from jaxtyping import Float, Int
@@ -69,31 +70,38 @@ class TableErrors:
             carried: derivatives of the rows in the gripper's lift and moment.
         """
         windows, rows, found = self.windows, self.own.shape[1], []
-        walked, more = walk(windows.since_tare), (0, windows.hinges, 0, windows.hinges)
+        more = (0, windows.hinges, 0, windows.hinges)
         for inside in self.trials:
-            load, late, count = self.load_covariance(inside), self.late[inside].flatten(0, 1), len(inside)
-            bias, drift = pad(windows.bias[inside[0]], more), pad(windows.drift[inside[0]], more)
-            of_load = torch.einsum("kia,kla,lja->kilj", carried[inside], load, carried[inside])
-            covariance = of_load.reshape(rows * count, rows * count) + torch.block_diag(*self.own[inside])
-            covariance += late @ late.T + torch.kron(walked[inside][:, inside], drift) + bias.repeat(count, count)
-            covariance.diagonal().add_(ROUNDING * covariance.diagonal().max())
-            found.append(((inside[:, None] * rows + torch.arange(rows)).flatten(), covariance))
+            each, late = torch.arange(inside.shape[1]), self.late[inside].flatten(1, 2)
+            bias, drift = pad(windows.bias[inside[:, 0]], more), pad(windows.drift[inside[:, 0]], more)
+            of_load = torch.einsum(
+                "ckia,ckla,clja->ckilj", carried[inside], self.load_covariance(inside), carried[inside]
+            )
+            covariance = of_load + walk(windows.since_tare[inside])[:, :, None, :, None] * drift[:, None, :, None]
+            covariance += bias[:, None, :, None]
+            covariance[:, each, :, each] += self.own[inside].transpose(0, 1)
+            covariance = covariance.flatten(3).flatten(1, 2) + late @ late.mT
+            variance = covariance.diagonal(dim1=1, dim2=2)
+            variance.add_(ROUNDING * variance.amax(1, keepdim=True))
+            found.append(((inside[..., None] * rows + torch.arange(rows)).flatten(1), covariance))
         return found
 
-    @property
-    def trials(self) -> list[Int[Tensor, "k"]]:
-        """Windows of each trial."""
-        return [torch.nonzero(self.windows.trial == each).flatten() for each in torch.unique(self.windows.trial)]
+    @cached_property
+    def trials(self) -> list[Int[Tensor, "C k"]]:
+        """Windows of each trial, of C trials of k windows in each entry."""
+        _, trial, count = torch.unique(self.windows.trial, return_inverse=True, return_counts=True)
+        order, begin = torch.argsort(trial, stable=True), count.cumsum(0) - count
+        return [order[begin[count == k, None] + torch.arange(int(k))] for k in count.unique()]
 
-    def load_covariance(self, inside: Int[Tensor, "k"]) -> Float[Tensor, "k k 3"]:
+    def load_covariance(self, inside: Int[Tensor, "C k"]) -> Float[Tensor, "C k k 3"]:
         """Prior covariance of the gripper's lift and moments in the windows of a trial, each component on its own."""
-        windows = self.windows.where(inside)
-        alpha = windows.acceleration[:, 2] * windows.accelerated
-        along = alpha / alpha.square().mean().sqrt().clamp(min=1e-9)
+        windows = self.windows
+        alpha, changed = (windows.acceleration[:, 2] * windows.accelerated)[inside], windows.load_change[inside]
+        along = alpha / alpha.square().mean(1, keepdim=True).sqrt().clamp(min=1e-9)
         # an arm that swings carries load along its acceleration, beside what changes from window to window
-        change = torch.eye(len(inside), dtype=torch.float64) + along[:, None] * along
-        of_change = change[..., None] * windows.load_change[:, None] * windows.load_change
-        return of_change + windows.load_size[:, None] * windows.load_size
+        change = torch.eye(inside.shape[1], dtype=torch.float64) + along[:, :, None] * along[:, None]
+        size = windows.load_size[inside]
+        return change[..., None] * changed[:, :, None] * changed[:, None] + size[:, :, None] * size[:, None]
 
     def likely_load(
         self, residual: Float[Tensor, "K r"], carried: Float[Tensor, "K r 3"], blocks: Blocks
@@ -102,7 +110,7 @@ class TableErrors:
         found = torch.zeros(len(residual), 3, dtype=torch.float64)
         for inside, (rows, covariance) in zip(self.trials, blocks, strict=True):
             root = torch.linalg.cholesky(covariance)
-            weighed = torch.cholesky_solve(residual.flatten()[rows][:, None], root).reshape(len(inside), -1)
-            toward = torch.einsum("kra,kr->ka", carried[inside], weighed)
-            found[inside] = -torch.einsum("kla,la->ka", self.load_covariance(inside), toward)
+            weighed = torch.cholesky_solve(residual.flatten()[rows][..., None], root).reshape(*inside.shape, -1)
+            toward = torch.einsum("ckra,ckr->cka", carried[inside], weighed)
+            found[inside] = -torch.einsum("ckla,cla->cka", self.load_covariance(inside), toward)
         return found

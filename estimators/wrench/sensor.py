@@ -25,14 +25,14 @@ def turned_wrench(angle: Float[Tensor, ""], wrench: Float[Tensor, "6"]) -> Float
     return torch.cat([force, wrench[2:3], moment, wrench[5:]])
 
 
-def walk(since_tare: Float[Tensor, "K 2"]) -> Float[Tensor, "K K"]:
+def walk(since_tare: Float[Tensor, "*B K 2"]) -> Float[Tensor, "*B K K"]:
     """Covariance of the means over two windows of a random walk of 1 a second that began at the tare, s.
 
     Args:
         since_tare: times of each window's first and last sample, s.
     """
-    begin, end = since_tare[:, 0], since_tare[:, 1]
+    begin, end = since_tare.unbind(-1)
     middle = (begin + end) / 2
-    walked = torch.minimum(middle[:, None], middle)  # of the walk at two times: the earlier of them
-    walked.diagonal().copy_(begin + (end - begin) / 3)
+    walked = torch.minimum(middle[..., :, None], middle[..., None, :])  # of the walk at two times: the earlier of them
+    walked.diagonal(dim1=-2, dim2=-1).copy_(begin + (end - begin) / 3)
     return walked

@@ -81,7 +81,7 @@ def in_the_air() -> Case:
 def pushed() -> Case:
     obj = drawn_object(3, ["11", "11", "11"])
     trials = analytic_pushes(obj, [Push.into(face) for face in faces(obj.shape)])
-    return Case(obj, seen(trials), ("hidden_states", "least_squares"))
+    return Case(obj, seen(trials), ("hidden_states",))
 
 
 def in_links() -> Case:
@@ -104,13 +104,13 @@ def seen(trials: list[Trajectory]) -> list[Trajectory]:
 
 
 CASES: dict[str, Callable[[], Case]] = {
-    "turns": lambda: recorded("L2-own_weight", (Rotate,), LAB, "hidden_states", "least_squares"),
+    "turns": lambda: recorded("L2-own_weight", (Rotate,), LAB, "hidden_states"),
     "slides": slid,
     "accelerated": lambda: recorded("I2-own_weight", (Rotate, Accelerate), EXACT_SETUP, "hidden_states"),
     "lifts": in_the_air,
     "pushes": pushed,
     "links": in_links,
-    "lab": lambda: recorded("F2-own_weight", (Rotate, Accelerate), LAB, "hidden_states", "least_squares"),
+    "lab": lambda: recorded("F2-own_weight", (Rotate, Accelerate), LAB, "hidden_states"),
     "rough": lambda: recorded("I2-rigid", (Rotate, Accelerate), ROUGH, "support_aware"),
 }
 
@@ -181,8 +181,10 @@ SWEEPS: dict[str, dict[str, object]] = {
     "articulated": {"sensing": ["ft300s"], "seeds": 1},
 }
 """Parts of the library's scenarios."""
-METHODS = ("hidden_states", "support_aware", "least_squares")
-ROW = ("object", "support", "sensing", "method", "status", "nad", "misfit", "mass_error_kg", "hinge_Nm")
+METHODS = ("hidden_states", "support_aware")
+"""Methods whose answers are frozen: where the search of least_squares ends depends on the rounding of a processor."""
+ROW = ("object", "support", "sensing", "method", "status", "nad", "misfit", "hinge_Nm")
+"""Columns that are frozen; errors of support_aware come from draws, which rounding changes."""
 
 
 def rows_of(name: str, out: Path) -> list[dict[str, object]]:

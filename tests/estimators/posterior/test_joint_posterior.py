@@ -165,7 +165,7 @@ def test_a_posterior_of_its_own_predictions_is_calibrated(setup):
         read = on_table.read.flatten() + found.residual
         for rows, covariance in found.blocks:
             root = np.linalg.cholesky(covariance.numpy())
-            read[rows] += torch.tensor(root @ rng.standard_normal(len(rows)))
+            read[rows] += torch.tensor(root @ rng.standard_normal((*rows.shape, 1)))[..., 0]
         measured = replace(on_table)
         measured.__dict__["read"] = read.reshape(on_table.read.shape)
         mass = unknowns.values(truth)["mass"]

@@ -39,10 +39,9 @@ from estimators.action_selection.rank import RANK_DRIVEN, RankDriven
 from estimators.base import ActionPolicy
 from estimators.evaluation.metrics import normalized_absolute_difference
 from estimators.hidden_states.estimator import HiddenStates
-from estimators.particles.friction_system import LoadGroups, friction_equations
+from estimators.hidden_states.trial_windows import TrialWindows
 from estimators.particles.observe import observe
 from estimators.particles.windows import Observations
-from estimators.particles.wrench import ParticleLoads
 from estimators.wrench.model import ModelErrors
 from scenarios.policies import Policy
 from scenarios.runners import FeasibilityCheck, feasible_grasps, told
@@ -138,13 +137,10 @@ def length(options: argparse.Namespace) -> None:
 
 def _missed(model: ObjectModel, windows: Observations) -> np.ndarray:
     """Wrench of a turn there and back, halved, (2, 3)."""
-    loads = ParticleLoads.of(model.shape, model.truth, "own_weight")
-    each = LoadGroups(torch.arange(len(loads.load)), tuple((particle, 0) for particle in range(len(loads.load))))
-    at = (loads.mass, loads.friction, model.shape.height)
-    equations = friction_equations(loads.model, each, windows, *at, ModelErrors())
-    in_place = windows.table(loads.model).lever[0].norm(dim=-1) @ loads.load
-    scale = torch.stack([loads.load.sum(), loads.load.sum(), in_place])
-    return ((equations.b - equations.q @ loads.load).reshape(2, 3) / scale / 2).numpy()
+    trials = TrialWindows.about(model.shape, model.total_mass, windows, ModelErrors())
+    equations, loads = trials.friction_equations(model.truth), torch.tensor(trials.friction_loads(model.truth))
+    scale = trials.linear_rows(model.truth, windows).sum_of_drag[0]
+    return ((equations.b - equations.q @ loads).reshape(2, 3) / scale / 2).numpy()
 
 
 def more(options: argparse.Namespace) -> None:

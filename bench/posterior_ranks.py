@@ -75,7 +75,7 @@ def ranks(problem: Problem, seed: int) -> np.ndarray:
     windows = observe(obj.shape, [replace(trial, setup=stated) for trial in trials], errors)
     assert windows is not None
     on_table, weighing = OnTable.of(obj.shape, windows, "own_weight", errors), Weighing.of(obj.shape, 1e-3, stated)
-    unknowns = priors(obj.shape, stated, errors, obj.total_mass, on_table)
+    unknowns = priors(obj.shape, stated, errors, obj.total_mass, on_table.trials)
     true = torch.tensor(rng.standard_normal(len(unknowns)))
     predicted, covariances = on_table.linearized(unknowns, true).elsewhere(true)
     read = (predicted + on_table.read.flatten()).clone()

@@ -235,7 +235,7 @@ def prior_belief(shape: ObjectShape, guess: Guess) -> Belief:
     each = []
     for assumptions in guess.assumptions():
         weight_error = max(guess.sensing.scale, assumptions.model_errors.weight_error)
-        information = prior_information(shape, Weighing.of(shape, weight_error, guess.setup), guess.setup)
+        information = prior_information(shape, Weighing.of(shape, weight_error, guess.setup), assumptions)
         information[:n_m, :n_m] += np.linalg.pinv(covariance, rcond=1e-9, hermitian=True)
         information[n_m : n_m + n_mu, n_m : n_m + n_mu] += np.eye(n_mu) / FRICTION_PRIOR**2
         each.append(information)

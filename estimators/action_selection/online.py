@@ -14,8 +14,7 @@ from estimators.action_selection.design import Belief, Criterion, Design, Guess,
 from estimators.action_selection.greedy import MOST_CHECKS, greedy_choice
 from estimators.action_selection.plan import FeasibilityLog, Feasible, Goal, always_feasible
 from estimators.base import Estimate, Estimator
-from estimators.identifiability.information import trial_information
-from estimators.particles.lifts import lifts_among
+from estimators.identifiability.information import shown_information
 from estimators.particles.misfit import UNEXPLAINED
 from estimators.particles.observe import observe
 from estimators.particles.windows import Observations
@@ -104,9 +103,7 @@ class OnlinePolicy:
         contradictory = estimate is not None and estimate.status == "contradictory"
         belief = prior = prior_belief(shape, guess)
         if not contradictory:  # else no trial can be believed
-            count, lifts = len(trajectories), lifts_among(shape, trajectories)
-            batches = [] if windows is None else [windows]
-            trials = [trial_information(shape, at, batches, count, each, lifts) for each in guess.assumptions()]
+            trials = [shown_information(shape, at, trajectories, each) for each in guess.assumptions()]
             information = np.stack([each.information() for each in trials])
             belief = belief.after(information / (misfit if disagree else 1.0))
         nad, error = _uncertainty(belief, estimate)

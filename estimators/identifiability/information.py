@@ -1,61 +1,52 @@
 """Fisher information of trials about particle masses and frictions, as a sum over trials.
 
-Each trial has whitened rows in the masses, the frictions and a few errors that trials share, which are unknowns of unit
-variance. So the information of any set of trials, measured or predicted, is a sum, and the shared errors are eliminated
-in the end.
+The forward model of the posterior gives the rows of each trial, made or planned, and the errors that are drawn anew in
+each trial are marginalized. So the information of any set of trials about masses, frictions and the errors that trials
+share is a sum, and the shared errors are eliminated in the end.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from typing import get_args
 
 import numpy as np
 import torch
-from jaxtyping import Float, Int
-from torch import Tensor
-from torch.nn.functional import pad
+from jaxtyping import Bool, Float
 
-from estimators.identifiability.predicted import (
-    predicted_drags,
-    predicted_pushes,
-    predicted_windows,
-)
+from estimators.identifiability.predicted import predicted_drags, predicted_pushes, predicted_windows
 from estimators.identifiability.predicted_lifts import predicted_lifts
 from estimators.identifiability.quasi_static import Drag
 from estimators.identifiability.report import Identifiability, identifiability
-from estimators.particles.friction_system import wrench_errors
-from estimators.particles.lifts import lift_information, lifts_among
+from estimators.particles.lifts import lifts_among
 from estimators.particles.links import HINGE_PRIOR
 from estimators.particles.observe import observe
-from estimators.particles.setup_effects import LinearRows
-from estimators.particles.windows import PLANAR, Observations
-from estimators.particles.wrench import ParticleLoads
-from estimators.wrench.model import RIGID, ModelErrors, ParticleModel, inertia_of
+from estimators.particles.windows import Observations
+from estimators.posterior.in_air import InAir
+from estimators.posterior.on_table import SHARED, OnTable
+from estimators.posterior.posterior import OBJECT
+from estimators.posterior.priors import priors
+from estimators.posterior.solver import Measurement
+from estimators.posterior.unknowns import Block, Unknowns
+from estimators.wrench.model import ModelErrors, ParticleModel
+from estimators.wrench.support import ERRORS, LOADS, GripperLoad, SupportModel
 from estimators.wrench.weighing import Weighing
 from testbed.actions.base import Action
-from testbed.actions.push import Push
-from testbed.actions.rotate import Rotate
 from testbed.errors import InvalidValueError
-from testbed.objects.faces import faces
 from testbed.objects.model import MassDistribution, ObjectShape
 from testbed.sensing.lift_windows import LiftWindow
 from testbed.sensing.presets import Sensing
 from testbed.trajectory import Trajectory
 from testbed.worlds.setup_errors import EXACT_SETUP, SetupErrors
 
-SUPPORTS = ("own_weight", "rigid")
+SUPPORTS: tuple[str, ...] = get_args(SupportModel)
 """Support models."""
-ROWS = 6
-"""Least number of rows of a trial; unused ones are zeros. A lift shows no more: M, c and three second moments."""
-OF_MODEL = 3
-"""Errors of the model that trials share, the first of their columns: lift, height and lead."""
-SAME_POINT = 1e-16
-"""Squared distance of equal grasp points, m^2."""
+FAINT = 1e-6
+"""Information of a row, in units of the prior's, below which it is left out."""
 SURE = 1e-6
 """Error of the angles by which a push is predicted [rad]."""
-CHUNK = 512
+CHUNK = 256
 """Trials that are worked on at once."""
 
 
@@ -79,16 +70,18 @@ class Assumptions:
     @property
     def model_errors(self) -> ModelErrors:
         """The given errors, or those measured under this support."""
-        return self.errors or (RIGID if self.support == "rigid" else ModelErrors())
+        return self.errors or ERRORS[self.support]
 
 
 @dataclass(frozen=True, eq=False)
 class TrialInformation:
-    """Whitened rows of C trials in U = n_m + n_mu + 3 + J + E unknowns: masses, frictions and shared errors."""
+    """Whitened rows of C trials in U unknowns: masses, frictions, and the errors that trials share."""
 
     rows: Float[np.ndarray, "C R U"]
     known: int
     """n_m + n_mu: masses and frictions come first."""
+    hinges: Bool[np.ndarray, "U"]
+    """True for the friction of hinges."""
 
     def information(self, chosen: Sequence[int] | None = None) -> Float[np.ndarray, "U U"]:
         """Information of the chosen trials together, or of all; a trial may be named more than once."""
@@ -114,7 +107,7 @@ class TrialInformation:
         scale = weighing.row(len(prior))
         prior += np.outer(scale, scale)
         spread = np.linalg.pinv(prior + self.information(), hermitian=True).diagonal()
-        return replace(found, hinge_error=tuple(HINGE_PRIOR * np.sqrt(spread[-len(shape.chain.hinges) :])))
+        return replace(found, hinge_error=tuple(HINGE_PRIOR * np.sqrt(spread[self.hinges])))
 
 
 def expected(
@@ -146,11 +139,23 @@ def observed(
 ) -> Identifiability:
     """Report of what trials show of an object with such masses and frictions; arguments as `expected`."""
     assumptions = assumptions or Assumptions()
-    windows, lifts = observe(shape, trajectories), lifts_among(shape, trajectories)
-    batches = [] if windows is None else [windows]
-    trials = trial_information(shape, distribution, batches, len(trajectories), assumptions, lifts)
     setup = SetupErrors.largest([trajectory.setup for trajectory in trajectories])
+    trials = shown_information(shape, distribution, trajectories, replace(assumptions, setup=setup))
     return trials.report(shape, distribution, Weighing.of(shape, assumptions.model_errors.weight_error, setup))
+
+
+def shown_information(
+    shape: ObjectShape, distribution: MassDistribution, trajectories: Sequence[Trajectory], assumptions: Assumptions
+) -> TrialInformation:
+    """Information of trials that were made, in their order; arguments as `predicted_information`.
+
+    Trials that are not usable have rows of zeros.
+    """
+    windows = observe(shape, trajectories, assumptions.model_errors)
+    lifts = lifts_among(shape, trajectories)
+    return _Trials(shape, distribution, assumptions).information(
+        len(trajectories), [] if windows is None else [replace(windows, setup=assumptions.setup)], lifts
+    )
 
 
 def predicted_information(
@@ -171,156 +176,103 @@ def predicted_information(
         sensing: errors of the sensor.
         assumptions: support model and model errors.
     """
-    lifts = predicted_lifts(actions, sensing, assumptions.setup) if assumptions.support == "rigid" else {}
-    loads = ParticleLoads.of(shape, distribution, assumptions.support)
-    friction = loads.load.clamp(min=0.0).numpy()
+    setup, errors = assumptions.setup, assumptions.model_errors
+    lifts = predicted_lifts(actions, sensing, setup) if assumptions.support == "rigid" else {}
+    trials = _Trials(shape, distribution, assumptions)
     if shape.chain is not None:
-        each = [
-            predicted_drags(
-                shape, loads.mass.numpy(), friction, actions, sensing, assumptions.setup, assumptions.hinge_friction
-            )
-        ]
+        hinges = assumptions.hinge_friction
+        each = [predicted_drags(shape, trials.mass.numpy(), trials.friction, actions, sensing, setup, hinges)]
     else:
+        drag = Drag(shape.particles, trials.friction, SURE)
         each = [
-            predicted_windows(shape, actions, sensing, assumptions.setup),
-            predicted_pushes(shape, Drag(shape.particles, friction, SURE), actions, sensing, assumptions.setup),
+            predicted_windows(shape, actions, sensing, setup, errors),
+            predicted_pushes(shape, drag, actions, sensing, setup),
         ]
-    felt = [w if w.setup.none else _felt(w, loads) for w in each if w is not None]
-    return trial_information(shape, distribution, felt, len(actions), assumptions, lifts)
+    return trials.information(len(actions), [w for w in each if w is not None], lifts, planned=True)
 
 
-def trial_information(
-    shape: ObjectShape,
-    distribution: MassDistribution,
-    windows: Sequence[Observations],
-    count: int,
-    assumptions: Assumptions,
-    lifts: Mapping[int, Sequence[LiftWindow]],
-) -> TrialInformation:
-    """Information of trials from their windows, predicted or measured.
-
-    Args:
-        shape: geometry and grasps.
-        distribution: masses and frictions at which it is taken.
-        windows: windows of all trials on the table, in one batch or more; all of one trial are in the same.
-        count: number of trials; one without windows has rows of zeros.
-        assumptions: support model and model errors.
-        lifts: windows of the lifts, by the number of the trial.
-    """
+def prior_information(shape: ObjectShape, weighing: Weighing, assumptions: Assumptions) -> Float[np.ndarray, "U U"]:
+    """Information of the weighing, and of the errors that trials share, which have unit variance."""
     known = shape.n_m + shape.n_mu
-    setup = windows[0].setup if windows else EXACT_SETUP
-    unknowns = known + shared_error_count(shape, setup)
-    blocks = [(np.array([trial]), _lifted_rows(shape, distribution, lift)[None]) for trial, lift in lifts.items()]
-    for batch in windows:
-        blocks += _table_rows(shape, distribution, batch, count, assumptions)
-    needed, filled = np.zeros(count, dtype=int), np.zeros(count, dtype=int)
-    for trials, block in blocks:
-        needed[trials] += block.shape[1]
-    rows = np.zeros((count, max(ROWS, needed.max(initial=0)), unknowns))
-    for trials, block in blocks:
-        places = filled[trials][:, None] + np.arange(block.shape[1])
-        rows[trials[:, None], places, : block.shape[2]] = block
-        filled[trials] += block.shape[1]
-    return TrialInformation(rows, known)
+    even = MassDistribution(np.ones(shape.n_m), np.ones(shape.n_mu))
+    shared = int((~_Trials(shape, even, assumptions).anew).sum())
+    scale = weighing.row(shared)
+    return np.diag((np.arange(shared) >= known).astype(float)) + np.outer(scale, scale)
 
 
-def prior_information(
-    shape: ObjectShape, weighing: Weighing, setup: SetupErrors = EXACT_SETUP
-) -> Float[np.ndarray, "U U"]:
-    """Information of the weighing, and of the shared errors, which have unit variance."""
-    known = shape.n_m + shape.n_mu
-    information = np.diag(np.concatenate([np.zeros(known), np.ones(shared_error_count(shape, setup))]))
-    scale = weighing.row(len(information))
-    return information + np.outer(scale, scale)
+class _Trials:
+    """Trials of an object of such masses and frictions, each counted by itself."""
 
+    def __init__(self, shape: ObjectShape, at: MassDistribution, assumptions: Assumptions):
+        self.shape, self.at, self.assumptions = shape, at, assumptions
+        self.weight = float(at.mass @ shape.particles_per_group)
+        self.model = ParticleModel.of(shape)
+        self.mass = self.model.particle_mass(torch.tensor(at.mass))
+        # linear in masses and frictions, in units of their size
+        self.size = np.concatenate([self.weight / shape.particles_per_group, np.ones(shape.n_mu)])
+        mass, friction = np.split(self.size, [shape.n_m])
+        own = {"mass": Block(torch.tensor(at.mass), torch.tensor(mass))}
+        own["friction"] = Block(torch.tensor(at.friction), torch.tensor(friction))
+        blocks = priors(shape, assumptions.setup, assumptions.model_errors, self.weight, 1).blocks
+        self.unknowns = Unknowns(own | {name: block for name, block in blocks.items() if name not in OBJECT})
 
-def shared_error_count(shape: ObjectShape, setup: SetupErrors = EXACT_SETUP) -> int:
-    """Number of errors that trials share: the model's, inertia, that about each grasp, the setup's, and each hinge."""
-    hinges = 0 if shape.chain is None else len(shape.chain.hinges)
-    return OF_MODEL + 1 + len(_grasp_points(shape)) + (0 if setup.none else _setup_error_count(shape, setup)) + hinges
+    @property
+    def friction(self) -> Float[np.ndarray, "P"]:
+        """Greatest friction of each particle, the gripper carrying nothing, N."""
+        load = LOADS[self.assumptions.support](self.model, self.mass, GripperLoad.none(self.model))[0]
+        return (self.model.particle_friction(torch.tensor(self.at.friction)) * load).clamp(min=0.0).numpy()
 
+    @property
+    def anew(self) -> Bool[torch.Tensor, "n"]:
+        """True for unknowns that are drawn anew in each trial."""
+        blocks = self.unknowns.blocks.values()
+        return torch.cat([torch.full((block.mean.numel(),), block.by_trial) for block in blocks])
 
-@lru_cache(maxsize=32)
-def _setup_error_count(shape: ObjectShape, setup: SetupErrors) -> int:
-    """Number of the setup's errors that trials share."""
-    shape = replace(shape, chain=None)  # those of wrenches, whatever trails
-    model, exact = ParticleModel.of(shape), Sensing("exact")
-    if shape.grasps:
-        windows = predicted_windows(shape, [Rotate(0, duration=4.0)], exact, setup)
-    else:
-        drag = Drag(shape.particles, np.ones(len(shape.particles)), SURE)
-        windows = predicted_pushes(shape, drag, [*map(Push.into, faces(shape))], exact, setup)
-    if windows is None:  # nothing to hold or to push
-        return 0
-    none = torch.zeros(len(windows), 3, 3, dtype=torch.float64)
-    each, table = torch.ones(len(windows), len(shape.particles), dtype=torch.float64), windows.table(model)
-    linear = LinearRows.of(windows, table, each[0], each, 0.0, setup)
-    return wrench_errors(windows, linear, none, ModelErrors())[1].shape[1] - OF_MODEL
+    def information(
+        self,
+        count: int,
+        batches: Sequence[Observations],
+        lifts: Mapping[int, Sequence[LiftWindow]],
+        *,
+        planned: bool = False,
+    ) -> TrialInformation:
+        """Information of so many trials from their windows on the table, in one batch or more, and in the air."""
+        blocks = [block for batch in batches for block in self._on_table(batch, planned=planned)]
+        for trial, windows in lifts.items():
+            blocks += self._rows(InAir.of(self.shape, trial, windows, self.weight))
+        shared, known = int((~self.anew).sum()), len(self.size)
+        found = np.zeros((count, max((block.shape[1] for _, block in blocks), default=0), shared))
+        for trials, block in blocks:
+            found[trials, : block.shape[1]] = block
+        found[..., :known] /= self.size
+        hinges = torch.zeros(len(self.unknowns), dtype=torch.bool)
+        hinges[self.unknowns.at.get("hinge_friction", slice(0))] = True
+        return TrialInformation(found, known, hinges[~self.anew].numpy())
 
+    def _on_table(
+        self, windows: Observations, *, planned: bool
+    ) -> Iterator[tuple[np.ndarray, Float[np.ndarray, "C R U"]]]:
+        """Rows of trials on the table, so many trials at once."""
+        assumptions, trials = self.assumptions, torch.unique(windows.trial)
+        for some in trials.split(CHUNK):
+            kept = windows.where((windows.trial >= some[0]) & (windows.trial <= some[-1]))
+            found = OnTable.of(self.shape, kept, assumptions.support, assumptions.model_errors)
+            found = replace(found, alone=True)
+            if planned:
+                found = found.predicting(self.unknowns.of(SHARED, self.unknowns.start())[0])
+            yield from self._rows(found)
 
-def _felt(windows: Observations, loads: ParticleLoads) -> Observations:
-    """Windows with what a sensor over the TCP feels of friction and of I_j: its errors are parts of that."""
-    planar = loads.drag(windows, ModelErrors.pivot_error)
-    planar[:, 2] += windows.spin_up(inertia_of(loads.model, loads.mass))
-    felt = torch.zeros(len(windows), 6, dtype=torch.float64)
-    felt[:, PLANAR] = planar
-    return replace(windows, sensed=torch.linalg.solve(windows.from_sensor, felt))
-
-
-def _by_size(
-    trials: Int[Tensor, "K"], values: dict[str, Tensor], count: int
-) -> list[tuple[Int[np.ndarray, "C"], dict[str, Tensor]]]:
-    """Trials with equally many windows, and their values (C, size, ...) of those of K windows."""
-    trial, groups = trials.numpy(), []
-    sizes = np.bincount(trial, minlength=count)
-    for size in np.unique(sizes[sizes > 0]):
-        alike = np.flatnonzero(sizes == size)
-        of_size = np.flatnonzero(sizes[trial] == size)
-        groups.append((alike, {name: v[of_size].unflatten(0, (len(alike), int(size))) for name, v in values.items()}))
-    return groups
-
-
-def _table_rows(
-    shape: ObjectShape, distribution: MassDistribution, windows: Observations, count: int, assumptions: Assumptions
-) -> list[tuple[Int[np.ndarray, "C"], Float[np.ndarray, "C R U"]]]:
-    """Trials with as many windows each, and their rows: friction and inertia of one trial, mapped over all."""
-    loads = ParticleLoads.of(shape, distribution, assumptions.support)
-    points, errors = torch.tensor(_grasp_points(shape)), assumptions.model_errors
-    measured, linear = loads.measured(windows, errors)
-
-    def of_trial(fields: dict[str, Tensor], rows: dict[str, Tensor]) -> Tensor:
-        trial, of_one = measured.like(fields), linear.like(rows)
-        equations = loads.equations(trial, of_one, errors)
-        root = torch.linalg.cholesky(equations.apart)
-        turning = pad((trial.spin_up(inertia_of(loads.model, loads.mass)) * trial.accelerated)[:, None], (2, 0))
-        about = (trial.grasp[:, None] - points).square().sum(-1) < SAME_POINT
-        of_inertia = errors.inertia_error * torch.cat([turning[..., None], turning[..., None] * about[:, None]], -1)
-        seen = equations.q @ loads.slopes
-        moving = of_one.slopes["mass"][:, :3] @ loads.model.parts.T * trial.accelerated[:, None, None]
-        moved = pad(moving.flatten(0, 1), (0, shape.n_mu))
-        more = (0, 0, 0, len(seen) - len(moved))  # rows of hinges; links turn at constant speed alone
-        columns = [seen + pad(moved, more), equations.common[:, :OF_MODEL], pad(of_inertia.flatten(0, 1), more)]
-        columns.append(equations.common[:, OF_MODEL:])
-        if equations.hinges is not None:
-            columns.append(HINGE_PRIOR * equations.hinges)
-        return torch.linalg.solve_triangular(root, torch.cat(columns, 1), upper=False)
-
-    fields, rows = (_by_size(measured.trial, each.by_window, count) for each in (measured, linear))
-    mapped = torch.vmap(of_trial, chunk_size=CHUNK)
-    return [(trials, mapped(some, of_them).numpy()) for (trials, some), (_, of_them) in zip(fields, rows, strict=True)]
-
-
-def _lifted_rows(
-    shape: ObjectShape, distribution: MassDistribution, windows: Sequence[LiftWindow]
-) -> Float[np.ndarray, "R n_m"]:
-    """Rows of a lift, as few as hold the same information; it shares no error with other trials."""
-    if not windows:
-        return np.zeros((0, shape.n_m))
-    rows, _ = lift_information(shape, windows, distribution.mass)
-    _, strength, right = np.linalg.svd(rows, full_matrices=False)
-    return strength[:ROWS, None] * right[:ROWS]
-
-
-def _grasp_points(shape: ObjectShape) -> Float[np.ndarray, "J 2"]:
-    """Distinct grasp points [m], object frame; two grasps may share one."""
-    return np.unique(np.array([grasp.position for grasp in shape.grasps]).reshape(-1, 2).round(9), axis=0)
+    def _rows(self, measurement: Measurement) -> list[tuple[np.ndarray, Float[np.ndarray, "C R U"]]]:
+        """Trials of as many rows each, and their rows, whitened and as few as hold the same information."""
+        found, anew = measurement.linearized(self.unknowns, self.unknowns.start()), self.anew
+        trial = np.concatenate([np.full(rows, trial) for _, rows, trial in measurement.parts])
+        each = []
+        for rows, covariance in found.blocks:
+            slopes = found.slopes[rows]
+            drawn = slopes[..., anew]
+            root = torch.linalg.cholesky(covariance + drawn @ drawn.mT)
+            white = torch.linalg.solve_triangular(root, slopes[..., ~anew], upper=False)
+            values, ways = torch.linalg.eigh(white @ white.mT)
+            seen = int((values > FAINT).any(0).sum())
+            each.append((trial[rows[:, 0]], (ways[..., -seen:].mT @ white).numpy() if seen else white[:, :0].numpy()))
+        return each

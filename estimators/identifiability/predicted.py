@@ -11,9 +11,11 @@ from jaxtyping import Float
 
 from estimators.identifiability.quasi_static import Drag
 from estimators.identifiability.trailing import trailing_motions
+from estimators.particles.links import carried_moment
 from estimators.particles.motion import LinkMotion, Motion, Planned
 from estimators.particles.windows import Observations
-from estimators.wrench.support import load_map
+from estimators.wrench.model import ModelErrors, ParticleModel
+from estimators.wrench.support import least_load, load_map
 from testbed.actions.base import Action, TableAction
 from testbed.actions.path import RAMP_TIME
 from testbed.actions.push import GAP, Push
@@ -51,11 +53,15 @@ HEIGHT = 0.022
 
 
 def predicted_windows(
-    shape: ObjectShape, actions: Sequence[Action], sensing: Sensing, setup: SetupErrors = EXACT_SETUP
+    shape: ObjectShape,
+    actions: Sequence[Action],
+    sensing: Sensing,
+    setup: SetupErrors = EXACT_SETUP,
+    errors: ModelErrors | None = None,
 ) -> Observations | None:
     """Windows of the slides and turns, wrenches left at zero, trials numbered by all actions; None without any.
 
-    The gripper carries nothing, as after nulling, as far as the sensor can tell. All trials have one middle.
+    The gripper carries what a nulled one does, of which `errors` has the size. All trials have one middle.
 
     Raises:
         InvalidValueError: a grasp that the shape does not have.
@@ -69,7 +75,7 @@ def predicted_windows(
         if action.grasp >= len(shape.grasps):
             raise InvalidValueError("action.grasp", action.grasp, f"one of the shape's {len(shape.grasps)} grasps")
         found += _stretches(shape, index, action)
-    return _observations(shape, found, sensing, setup) if found else None
+    return _observations(shape, found, sensing, setup, errors) if found else None
 
 
 def predicted_pushes(
@@ -119,7 +125,7 @@ def predicted_pushes(
                     seen=seen["seen"],
                 )
             )
-    return _observations(shape, found, sensing, setup) if found else None
+    return _observations(shape, found, sensing, setup, None) if found else None
 
 
 def predicted_drags(
@@ -154,7 +160,8 @@ def predicted_drags(
             inside = np.flatnonzero(motion.profile.segment == segment)
             kept = inside[round(trim_start(drag, segment) / STEP) : len(inside) - round(TRIM_END / STEP)]
             found += _trailing(shape, whole, motion.turned[kept], sensing.camera)
-    return _observations(shape, found, sensing, setup) if found else None
+    carried = carried_moment(ParticleModel.of(shape), torch.tensor(friction.sum()), setup)
+    return _observations(shape, found, sensing, setup, None, float(carried)) if found else None
 
 
 def _trailing(shape: ObjectShape, whole: Planned, turned: Float[np.ndarray, "N L 3"], camera: Camera) -> list[Planned]:
@@ -197,8 +204,15 @@ def _stream(time: Float[np.ndarray, "N"], poses: Float[np.ndarray, "N 3"], camer
     return PoseStream(time, poses[:, None], camera.position, camera.angle, camera.delay_std)
 
 
-def _observations(shape: ObjectShape, found: list[Planned], sensing: Sensing, setup: SetupErrors) -> Observations:
-    """The windows of some stretches, all held or all pushed."""
+def _observations(
+    shape: ObjectShape,
+    found: list[Planned],
+    sensing: Sensing,
+    setup: SetupErrors,
+    errors: ModelErrors | None,
+    carried: float = 0.0,
+) -> Observations:
+    """The windows of some stretches, all held or all pushed; `carried` as `least_load`."""
     motion = Motion.of(shape, found, [each.trial for each in found], [each.accelerated for each in found])
     count, pushed = len(found), bool(motion.pushed.any())
     noise, bias, drift = (torch.tensor(each).expand(count, 6, 6) for each in sensor_at_tcp(sensing))
@@ -207,6 +221,8 @@ def _observations(shape: ObjectShape, found: list[Planned], sensing: Sensing, se
     if pushed:  # the hand does not turn with the object
         facing = motion.poses[:, WINDOW_PARTS // 2, 2].tolist()
         sensor = torch.tensor(np.array([rotate_wrench(rotation_z(-yaw), to_tcp().T).T for yaw in facing]))
+    nulled = (errors or ModelErrors()).nulled
+    size, change = least_load(nulled, motion.accelerated.numpy(), motion.pushed.numpy(), carried)
     return Observations(
         **vars(motion),
         setup=setup,
@@ -222,8 +238,8 @@ def _observations(shape: ObjectShape, found: list[Planned], sensing: Sensing, se
         load_map=torch.tensor(load_map(HEIGHT)).expand(count, 3, 6),
         load_kept=torch.full((count, 3), kept, dtype=torch.float64),
         load_followed=torch.ones(count, 3, dtype=torch.float64),
-        load_size=torch.zeros(count, 3, dtype=torch.float64),
-        load_change=torch.zeros(count, 3, dtype=torch.float64),
+        load_size=torch.tensor(size),
+        load_change=torch.tensor(change),
     )
 
 

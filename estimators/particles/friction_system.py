@@ -277,7 +277,7 @@ def in_windows(blocks: Float[Tensor, "K 3+H 3+H"]) -> Float[Tensor, "R R"]:
     count, rows = blocks.shape[:2]
     place = torch.arange(count * rows).reshape(count, rows)  # window by window
     order = by_row(place[..., None])[:, 0]
-    return _block_diagonal(blocks)[order][:, order]
+    return torch.block_diag(*blocks)[order][:, order]
 
 
 def unknown_motion(windows: Observations, model: ParticleModel, weight: float) -> Float[Tensor, "R E"]:
@@ -336,7 +336,7 @@ def sensor_map(windows: Observations, response: Float[Tensor, "K 3+H 3"]) -> Flo
     count, hinges = len(windows), response.shape[1] - 3
     carried = response @ _load_error(windows).reshape(count, 3, 6 * count)
     planar = pad(torch.eye(6, dtype=torch.float64)[PLANAR], (0, 0, 0, hinges)).expand(count, 3 + hinges, 6)
-    return by_row(_block_diagonal(planar).reshape(count, 3 + hinges, 6 * count) - carried)
+    return by_row(torch.block_diag(*planar).reshape(count, 3 + hinges, 6 * count) - carried)
 
 
 def _sensor_error(
@@ -361,7 +361,7 @@ def _unseen_load(
     about what all trials share, which scatters by `shared` and is not in it (N, N m, one standard deviation).
     """
     count, mean, change = len(windows), windows.trial_mean, windows.trial_change
-    to_load = _block_diagonal(windows.load_map)
+    to_load = torch.block_diag(*windows.load_map)
     error = torch.diagonal((to_load @ sensed @ to_load.T).reshape(count, 3, count, 3), dim1=1, dim2=3)
     of_mean, of_change = (torch.einsum("kl,lma,nm->kna", part, error, part) for part in (mean, change))
     dropped = 1 - windows.load_kept
@@ -382,7 +382,7 @@ def _sensor_covariance(windows: Observations) -> Float[Tensor, "6K 6K"]:
     shared = windows.together[:, None, :, None] * windows.bias[:, :, None] + (
         windows.walked[:, None, :, None] * windows.drift[:, :, None]
     )
-    return shared.reshape(6 * len(windows), 6 * len(windows)) + _block_diagonal(windows.noise)
+    return shared.reshape(6 * len(windows), 6 * len(windows)) + torch.block_diag(*windows.noise)
 
 
 def _load_error(windows: Observations) -> Float[Tensor, "3K 6K"]:
@@ -390,10 +390,3 @@ def _load_error(windows: Observations) -> Float[Tensor, "3K 6K"]:
     followed, kept = windows.load_followed[..., None], windows.load_kept[..., None]
     own = windows.trial_change[:, None] * followed + windows.trial_mean[:, None] * kept
     return torch.einsum("kal,lai->kali", own, windows.load_map).reshape(3 * len(windows), 6 * len(windows))
-
-
-def _block_diagonal(blocks: Float[Tensor, "K a b"]) -> Float[Tensor, "Ka Kb"]:
-    """Block-diagonal matrix; `torch.block_diag` is slow where this is mapped over thousands of trials."""
-    count, a, b = blocks.shape
-    apart = torch.eye(count, dtype=torch.float64)[:, None, :, None] * blocks[:, :, None]
-    return apart.reshape(count * a, count * b)

@@ -14,9 +14,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from estimators.wrench.air import Air, columns, nominal
+from estimators.wrench.air import columns
 from estimators.wrench.sensor import walk
-from estimators.wrench.setup import stated_sizes
 from testbed.actions.lift import Lift
 from testbed.objects.model import GRAVITY, ObjectShape
 from testbed.sensing.lift_windows import LiftWindow, lift_windows
@@ -58,35 +57,6 @@ def lifts_among(shape: ObjectShape, trajectories: Sequence[Trajectory]) -> dict[
         InvalidValueError: a grasp that the shape does not have.
     """
     return reduced_trials(shape, trajectories, (Lift,), lift_windows)
-
-
-def lift_information(
-    shape: ObjectShape,
-    windows: Sequence[LiftWindow],
-    mass: Float[np.ndarray, "n_m"],
-    errors: LiftErrors | None = None,
-    trials: int = 1,
-) -> tuple[Float[np.ndarray, "R n_m"], Float[np.ndarray, "R"]]:
-    """Rows and values of one trial's K windows, R = 6 K, independent and of unit error.
-
-    Args:
-        shape: geometry and groups.
-        windows: windows of one trial.
-        mass: particle masses by which the errors are weighed, kg.
-        errors: errors of what is taken as known.
-        trials: lifts that are known together.
-    """
-    errors = errors or LiftErrors()
-    air, weight = Air.of_masses(shape, windows), float(mass @ shape.particles_per_group)
-    sizes = stated_sizes(windows[0].setup, ("air", "reading"), shape.n_m, trials)
-    sizes |= errors.sizes(errors.height * shape.height)
-    if (shape.fill < 1).any():
-        sizes["upright"] = upright_sizes(shape, weight)
-    _, slopes = air.linearized(nominal({"mass": torch.tensor(mass)}, sizes))
-    covariance = lift_covariance(shape, windows, slopes, sizes, errors, weight)
-    root = np.linalg.cholesky(covariance)
-    rows = slopes["mass"].flatten(0, 1).numpy()
-    return np.linalg.solve(root, rows), np.linalg.solve(root, np.concatenate([w.wrench for w in windows]))
 
 
 def creep_covariance(windows: Sequence[LiftWindow], steps: Float[np.ndarray, "R 3"]) -> Float[np.ndarray, "R R"]:

@@ -153,8 +153,7 @@ class Observations(Motion):
         spread = bool(self.setup.contact_points) if spread is None else spread
         asked = (model, pivot_error, spread)
         if asked not in self._tables:
-            points = torch.stack([each.particles for each in model.spread], 1) if spread else model.particles[:, None]
-            self._tables[asked] = Table(model, points, self._fields(model), pivot_error).undragged
+            self._tables[asked] = Table(model, model.points(spread=spread), self._fields(model), pivot_error).undragged
         return self._tables[asked]
 
     def _fields(self, model: ParticleModel) -> Window:

@@ -1,68 +1,23 @@
-"""Wrenches that friction and motion take, from candidate masses and frictions, and their derivatives."""
+"""Wrenches that friction and motion take, from candidate masses and frictions."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from estimators.particles.friction_system import FrictionEquations, LoadGroups, friction_equations, linear_rows
 from estimators.particles.observe import observe
-from estimators.particles.setup_effects import LinearRows
 from estimators.particles.windows import Observations
 from estimators.wrench.model import ModelErrors, ParticleModel
-from estimators.wrench.support import LOADS, GripperLoad, LoadsOf, own_weight_loads
+from estimators.wrench.support import LOADS, LoadsOf, own_weight_loads
 from testbed.objects.model import MassDistribution, ObjectShape
 from testbed.sensing.compensation import tare_time
 from testbed.sensing.push_windows import window_samples
 from testbed.trajectory import Trajectory
-
-
-@dataclass(frozen=True, eq=False)
-class ParticleLoads:
-    """Friction loads at given masses and frictions under one support model, the gripper carrying nothing."""
-
-    model: ParticleModel
-    mass: Float[Tensor, "P"]
-    friction: Float[Tensor, "P"]
-    load: Float[Tensor, "P"]
-    """mu N of every particle, N."""
-    slopes: Float[Tensor, "P unknowns"]
-    """Derivatives of `load` in particle masses and frictions, n_m + n_mu unknowns."""
-    height: float
-    """Height of the object, m."""
-
-    @staticmethod
-    def of(shape: ObjectShape, distribution: MassDistribution, support: str) -> ParticleLoads:
-        """The loads of a mass distribution, on its own weight or as one rigid body ("own_weight", "rigid")."""
-        model = ParticleModel.of(shape)
-        none = GripperLoad.none(model)
-        mass, friction = torch.tensor(distribution.mass), torch.tensor(distribution.friction)
-        of_particle = model.particle_friction(friction)
-        per_mass = torch.stack([LOADS[support](model, one, none)[0] for one in model.parts], 1)
-        normal = per_mass @ mass
-        of_friction = torch.stack([(model.friction_group == k) * normal for k in range(shape.n_mu)], 1)
-        slopes = torch.cat([of_particle[:, None] * per_mass, of_friction], 1)
-        return ParticleLoads(model, model.particle_mass(mass), of_particle, of_particle * normal, slopes, shape.height)
-
-    def drag(self, windows: Observations, pivot_error: float) -> Float[Tensor, "K 3"]:
-        """Wrenches of friction alone, N and N m."""
-        return windows.table(self.model, pivot_error).dragged(self.load).rows({})[:, :3]
-
-    def measured(self, windows: Observations, errors: ModelErrors) -> tuple[Observations, LinearRows]:
-        """The windows as if they measured these loads, and their rows as functions of everything that may err."""
-        measured = replace(windows, wrench=self.drag(windows, errors.pivot_error))
-        return measured, linear_rows(measured, self.model, self.mass, self.friction, errors)
-
-    def equations(self, measured: Observations, linear: LinearRows, errors: ModelErrors) -> FrictionEquations:
-        """Eq. dvs with a column a particle."""
-        count = len(self.load)
-        each = LoadGroups(torch.arange(count), tuple((particle, 0) for particle in range(count)))
-        return friction_equations(self.model, each, measured, self.mass, self.friction, self.height, errors, linear)
 
 
 @dataclass(frozen=True, eq=False)

@@ -110,7 +110,7 @@ def posterior_of(
         windows = replace(windows, bias=windows.bias + torch.tensor(FULL_SCALE**2).diag())
     on_table = OnTable.of(shape, windows, support, errors, other)
     setup = SetupErrors.largest([trajectories[index].setup for index in {*windows.trial.tolist(), *lifts}])
-    unknowns = priors(shape, setup, errors, weight, on_table)
+    unknowns = priors(shape, setup, errors, weight, on_table.trials, partly=other is not None)
     if at is not None:
         known = {"mass": at.mass, "friction": at.friction}
         unknowns = Unknowns(unknowns.blocks | {name: Block.known(value) for name, value in known.items()})

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import torch
@@ -40,9 +40,9 @@ class OnTable:
     """Forward model, with the fields of support and sensor in its windows."""
     patterns: Float[Tensor, "P C q"]
     """Patterns of contact of each group as parts of its load: a column per pattern of its own group."""
-    points: Int[Tensor, "n_m"]
-    """Number of points of each group that a pattern is over."""
     errors: ModelErrors
+    alone: bool = False
+    """True if each trial is counted by itself: all have the place of one among errors that are drawn anew in each."""
 
     @staticmethod
     def of(
@@ -71,7 +71,7 @@ class OnTable:
         if windows.articulated:
             fields["beside"] = _beside(model, table, windows)
         table = Table(model, table.points, _halved(table.windows) | fields, table.pivot_error)
-        return OnTable(shape, windows, table, *contact_patterns(model, table.points), errors)
+        return OnTable(shape, windows, table, contact_patterns(model, table.points)[0], errors)
 
     @cached_property
     def read(self) -> Float[Tensor, "K 6+H"]:
@@ -80,15 +80,18 @@ class OnTable:
         return torch.nn.functional.pad(read, (0, self.windows.hinges))
 
     @property
-    def open_loads(self) -> int:
-        """Number of loads that balance leaves open, of one rigid body on points of contact."""
-        model = self.table.model
-        return contact_spread(model, model.parts.sum(0)).shape[1]
-
-    @property
     def trials(self) -> int:
         """Number of trials."""
         return int(self._trial.max()) + 1
+
+    def predicting(self, theta: Theta) -> OnTable:
+        """Windows that show what the forward model predicts of some unknowns."""
+        wrench = vmap(lambda window: self.wrench(theta, window), chunk_size=self.table.chunk)(self._windows(theta))
+        table = replace(self.table, windows=self.table.windows | {"force": wrench[:, :2]})
+        planned = replace(self, windows=replace(self.windows, wrench=wrench[:, :3]), table=table)
+        read = planned._rows(theta, {})[0][:, :6]
+        sensed = torch.linalg.solve(self.windows.from_sensor, read[..., None])[..., 0]
+        return replace(planned, windows=replace(planned.windows, sensed=sensed))
 
     @cached_property
     def middles(self) -> Table:
@@ -147,7 +150,8 @@ class OnTable:
     @cached_property
     def _trial(self) -> Tensor:
         """Trial of each window, counted from 0."""
-        return torch.unique(self.windows.trial, return_inverse=True)[1]
+        trial = torch.unique(self.windows.trial, return_inverse=True)[1]
+        return torch.zeros_like(trial) if self.alone else trial
 
     def _at(self, unknowns: Unknowns, z: Tensor) -> tuple[Theta, Theta]:
         """Unknowns that all windows share, and those of each window's trial."""
@@ -247,8 +251,13 @@ def _beside(model: ParticleModel, table: Table, windows: Observations) -> Float[
 
 
 def _halved(windows: Window) -> Window:
-    """Windows of half as many parts, pairs of them averaged: friction hardly changes within one."""
+    """Windows of half as many parts, pairs of them averaged: friction hardly changes within one.
+
+    Those of a planned turn have one part.
+    """
     parts = windows["rates"].shape[1]
+    if parts % 2:
+        return windows
     return windows | {
         name: windows[name].unflatten(1, (parts // 2, 2)).mean(2)
         for name in ("rates", "poses", "ahead", "frames", "accelerations")

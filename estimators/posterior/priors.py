@@ -7,10 +7,11 @@ import torch
 
 from estimators.particles.links import HINGE_PRIOR
 from estimators.particles.setup_effects import SHARES
-from estimators.posterior.on_table import OnTable
+from estimators.posterior.on_table import contact_patterns
 from estimators.posterior.unknowns import Block, Unknowns
-from estimators.wrench.model import MODEL_PARAMETERS, ModelErrors
+from estimators.wrench.model import MODEL_PARAMETERS, ModelErrors, ParticleModel
 from estimators.wrench.setup import stated_sizes
+from estimators.wrench.support import contact_spread
 from testbed.objects.model import ObjectShape
 from testbed.worlds.setup_errors import PARAMETERS, SetupErrors
 
@@ -22,7 +23,15 @@ LEAN = 0.25
 """Affine part of a contact pattern, which carries a group off the middle of its feet, as a part of any other. Ours."""
 
 
-def priors(shape: ObjectShape, setup: SetupErrors, errors: ModelErrors, weight: float, on_table: OnTable) -> Unknowns:
+def priors(
+    shape: ObjectShape,
+    setup: SetupErrors,
+    errors: ModelErrors,
+    weight: float,
+    trials: int,
+    *,
+    partly: bool = False,
+) -> Unknowns:
     """Unknowns of an object: masses, frictions, and every error of the setup and of the model that is not 0.
 
     Args:
@@ -30,30 +39,30 @@ def priors(shape: ObjectShape, setup: SetupErrors, errors: ModelErrors, weight: 
         setup: errors of the setup, standard deviations.
         errors: errors of the model.
         weight: M, kg.
-        on_table: trials on the table.
+        trials: number of trials on the table.
+        partly: True if another support model holds in part.
     """
-    typical = weight / float(shape.particles_per_group.sum())
+    typical, model = weight / float(shape.particles_per_group.sum()), ParticleModel.of(shape)
     blocks = {
         "mass": Block.log_normal(typical * np.exp(-0.5), MASS_STD, shape.n_m),
         "friction": Block.log_normal(FRICTION, FRICTION_STD, shape.n_mu),
     }
     if setup.contact_points:
         # the variance of a pattern over n points, of which as many as the points of the model are taken
-        size = (
-            (SHARES / (setup.contact_points * on_table.points)).sqrt()[:, None].repeat(1, on_table.patterns.shape[-1])
-        )
+        patterns, points = contact_patterns(model, model.points(spread=True))
+        size = (SHARES / (setup.contact_points * points)).sqrt()[:, None].repeat(1, patterns.shape[-1])
         size[:, :2] *= LEAN
         blocks["contact_pattern"] = Block.normal(size)
     for name, size in stated_sizes(setup, ("table", "air", "reading"), shape.n_m).items():
-        blocks[name] = Block.normal(size, on_table.trials if PARAMETERS[name].scope == "trial" else None)
+        blocks[name] = Block.normal(size, trials if PARAMETERS[name].scope == "trial" else None)
     for name in MODEL_PARAMETERS:
         if size := getattr(errors, f"{name}_error"):
             blocks[name] = Block.normal(torch.tensor(size, dtype=torch.float64))
     if (shape.fill < 1).any():  # matter that fills its cells in part may lie at any height in them
         blocks["com_height"] = Block.normal(torch.full((shape.n_m,), shape.height / 12**0.5, dtype=torch.float64))
-    if "per_mass_apart" in on_table.table.windows:
+    if partly:
         blocks["other_support"] = Block.normal(torch.tensor(1.0, dtype=torch.float64))
-    if open_loads := on_table.open_loads:
+    if open_loads := contact_spread(model, model.parts.sum(0)).shape[1]:
         blocks["indeterminate_load"] = Block.normal(torch.ones(open_loads, dtype=torch.float64))
     if shape.chain is not None:
         blocks["hinge_friction"] = Block.normal(

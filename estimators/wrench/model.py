@@ -135,6 +135,10 @@ class ParticleModel:
         cells = (self.fill > 0)[:, None]
         return [self.moved(cells * torch.tensor([x, y], dtype=torch.float64)) for x in ends for y in ends]
 
+    def points(self, *, spread: bool) -> Float[Tensor, "P C 2"]:
+        """Points at which each particle touches the table, m: its middle, or those of `spread`."""
+        return torch.stack([each.particles for each in self.spread], 1) if spread else self.particles[:, None]
+
     @property
     def reach(self) -> Float[Tensor, ""]:
         """Root mean square distance of the particles from their middle, m."""

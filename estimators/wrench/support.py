@@ -72,6 +72,22 @@ class LikelyLoad(NamedTuple):
     """Standard deviation of the change from window to window."""
 
 
+def least_load(
+    nulled: Float[np.ndarray, "3"],
+    accelerated: Bool[np.ndarray, "K"],
+    pushed: Bool[np.ndarray, "K"],
+    carried: float = 0.0,
+) -> tuple[Float[np.ndarray, "K 3"], Float[np.ndarray, "K 3"]]:
+    """Mean load of a gripper over a trial, and its change from window to window, N and N m, one standard deviation.
+
+    Of a gripper that was nulled, before any measurement; arguments as `likely_load`.
+    """
+    of_links = carried * np.array([0.0, 1.0, 1.0])
+    change = np.maximum(np.where(accelerated[:, None], SWUNG, TURNED), of_links)
+    held = ~pushed[:, None]
+    return np.where(held, np.maximum(nulled, of_links), PUSHED), np.where(held, change, PUSHED)
+
+
 def likely_load(
     load: Float[np.ndarray, "K 3"],
     bias: Float[np.ndarray, "K 3"],
@@ -99,9 +115,8 @@ def likely_load(
         carried: moment that the hand carries of links that trail, one standard deviation, N m.
     """
     likely, kept, followed = load.copy(), np.ones_like(load), np.ones_like(load)
-    size, change_size = np.tile(PUSHED, (2, len(load), 1))
-    of_links = carried * np.array([0.0, 1.0, 1.0])
-    for rows, changes in ((accelerated, SWUNG), (~accelerated & ~pushed, TURNED)):
+    size, change_size = least_load(nulled, accelerated, pushed, carried)
+    for rows in (accelerated, ~accelerated & ~pushed):
         if not rows.any():
             continue
         some = load[rows]
@@ -111,11 +126,9 @@ def likely_load(
         common = mean @ some
         change, free = some - common[index], max(len(some) - len(trials), 1)
         explained = (mean @ bias[rows] + mean @ noise[rows] / together[:, None]).mean(axis=0)
-        kept[rows], size[rows] = _real_part(
-            (common**2).mean(axis=0), explained, len(trials), np.maximum(nulled, of_links)
-        )
+        kept[rows], size[rows] = _real_part((common**2).mean(axis=0), explained, len(trials), size[rows][0])
         followed[rows], change_size[rows] = _real_part(
-            (change**2).sum(axis=0) / free, noise[rows].mean(axis=0), free, np.maximum(changes, of_links)
+            (change**2).sum(axis=0) / free, noise[rows].mean(axis=0), free, change_size[rows][0]
         )
         likely[rows] = kept[rows] * common[index] + followed[rows] * change
     return LikelyLoad(likely, kept, followed, size, change_size)
@@ -295,7 +308,7 @@ ASSUMPTION: dict[SupportModel, str] = {
     "rigid": "the object is one rigid body",
 }
 """Assumption of each support model, in words."""
-ERRORS: dict[SupportModel, ModelErrors] = {"own_weight": ModelErrors(), "rigid": RIGID}
+ERRORS: dict[str, ModelErrors] = {"own_weight": ModelErrors(), "rigid": RIGID}
 """Errors of the model under each."""
 LOADS: dict[str, LoadsOf] = {"own_weight": own_weight_loads, "rigid": rigid_loads}
 

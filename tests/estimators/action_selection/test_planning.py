@@ -22,14 +22,15 @@ from estimators.identifiability.information import (
     expected,
     predicted_information,
     prior_information,
-    shared_error_count,
-    trial_information,
 )
 from estimators.identifiability.predicted import predicted_windows
 from estimators.identifiability.predicted_lifts import predicted_lift
-from estimators.particles.lifts import lift_information
-from estimators.particles.windows import Observations
-from estimators.particles.wrench import ParticleLoads
+from estimators.posterior.in_air import InAir
+from estimators.posterior.on_table import SHARED, OnTable
+from estimators.posterior.posterior import Posterior
+from estimators.posterior.priors import priors
+from estimators.posterior.scale import Scale
+from estimators.posterior.solver import Measurement, Optimum
 from estimators.wrench.weighing import Weighing
 from testbed.actions.accelerate import Accelerate
 from testbed.actions.lift import Lift
@@ -38,7 +39,7 @@ from testbed.actions.rotate import Rotate
 from testbed.actions.slide import Slide
 from testbed.errors import InvalidValueError
 from testbed.objects.files import load_object
-from testbed.objects.model import ObjectModel, ObjectShape
+from testbed.objects.model import ObjectShape
 from testbed.sensing.presets import preset
 from testbed.simulation.motion import plan_motion
 from testbed.simulation.settings import SimulationSettings
@@ -59,65 +60,48 @@ def design(name: str, count: int, seed: int = 0, **changes: object) -> tuple[Des
     return Design.of(shape, candidates, guess(name, **changes)), prior_belief(shape, guess(name, **changes))
 
 
-def joint_information(model: ObjectModel, windows: Observations, assumptions: Assumptions) -> np.ndarray:
-    """Oracle: information of all windows at once, shared errors in one covariance instead of unknowns of their own."""
-    shape, errors = model.shape, assumptions.model_errors
-    loads = ParticleLoads.of(shape, model.truth, assumptions.support)
-    equations = loads.equations(*loads.measured(windows, errors), errors)
-    slopes = (equations.q @ loads.slopes).numpy()
-    turning = np.zeros((len(windows), 3))
-    for index, p in enumerate(shape.particles):
-        r = p - windows.grasp.numpy()
-        linear, alpha = windows.acceleration[:, :2].numpy(), windows.acceleration[:, 2, None].numpy()
-        force = linear + alpha * np.column_stack([-r[:, 1], r[:, 0]]) - windows.spin_square[:, None].numpy() * r
-        torque = r[:, 0] * force[:, 1] - r[:, 1] * force[:, 0] + shape.cell**2 / 6 * alpha[:, 0]
-        moved = np.column_stack([force, torque]) * windows.accelerated.numpy()[:, None]
-        slopes[:, shape.mass_group[index]] += moved.ravel()
-        turning[:, 2] += model.truth.mass[shape.mass_group[index]] * (np.sum(r**2, 1) + shape.cell**2 / 6) * alpha[:, 0]
-    same = (windows.grasp[:, None] == windows.grasp).all(dim=2).numpy().repeat(3, 0).repeat(3, 1)
-    inertia = errors.inertia_error * turning.ravel()
-    covariance = (equations.apart + equations.common @ equations.common.T).numpy() + np.outer(inertia, inertia) * (
-        1 + same
-    )
-    whitened = np.linalg.solve(np.linalg.cholesky(covariance), slopes)
-    weight_error = np.hypot(errors.weight_error, windows.setup.scale)
-    root = np.vstack([whitened, np.append(shape.particles_per_group / weight_error, np.zeros(shape.n_mu))])
-    return root.T @ root
+TRIALS = (
+    Rotate(4, pivot=(0.01, 0.06), duration=5.0, back=True),
+    Rotate(2, pivot=(-0.04, 0.02)),
+    Slide(0, 0.7),
+    Accelerate(1),
+    Accelerate(1, start_speed=-0.15, accelerations=tuple(-a for a in Accelerate(1).accelerations)),
+    Accelerate(3),
+    Rotate(4, pivot=(0.01, 0.06), duration=5.0, back=True),
+    Lift(2, hold=1.5, swings=2),
+)
 
 
 @pytest.mark.parametrize("world_name", ["ideal", "lab"])
 @pytest.mark.parametrize("support", ["own_weight", "rigid"])
 def test_information_of_trials_adds_up_to_that_of_all_together(support, world_name):
-    model, assumptions = load_object("L2"), Assumptions(support)
-    shape = model.shape
-    actions = [
-        Rotate(4, pivot=(0.01, 0.06), duration=5.0, back=True),
-        Rotate(2, pivot=(-0.04, 0.02)),
-        Slide(0, 0.7),
-        Accelerate(1),
-        Accelerate(1, start_speed=-0.15, accelerations=tuple(-a for a in Accelerate(1).accelerations)),
-        Accelerate(3),
-        Rotate(4, pivot=(0.01, 0.06), duration=5.0, back=True),
-    ]
-    windows = predicted_windows(shape, actions, FT300S, world(world_name).stated)
+    """Oracle: errors that are drawn anew in each trial as unknowns of all trials together."""
+    model, assumptions = load_object("L2"), Assumptions(support, setup=world(world_name).stated)
+    shape, errors = model.shape, assumptions.model_errors
+    windows = predicted_windows(shape, TRIALS, FT300S, assumptions.setup, errors)
     assert windows is not None
-    windows = replace(windows, sensed=windows.sensed + torch.arange(6.0).double())
-    together = joint_information(model, windows, assumptions)
+    unknowns = priors(shape, assumptions.setup, errors, model.total_mass, len(TRIALS))
+    z = unknowns.start(mass=torch.tensor(model.truth.mass), friction=torch.tensor(model.truth.friction))
+    on_table = OnTable.of(shape, windows, support, errors).predicting(unknowns.of(SHARED, z)[0])
+    weighing = Weighing.of(shape, max(FT300S.scale, 1e-6), assumptions.setup)
+    measurements: list[Measurement] = [on_table, Scale(model.total_mass, weighing)]
+    if support == "rigid":
+        windows = predicted_lift(TRIALS[-1], FT300S, assumptions.setup)
+        measurements.append(InAir.of(shape, len(TRIALS) - 1, windows, model.total_mass))
+    none = Optimum(z, torch.zeros(0), 1, True)
+    together = Posterior(unknowns, measurements, none).of_masses_and_frictions.numpy()
+    root = predicted_information(shape, model.truth, TRIALS, FT300S, assumptions).root(weighing)
     size = np.sqrt(np.diag(together))
-    trials = trial_information(shape, model.truth, [windows], len(actions), assumptions, {})
-    root = trials.root(Weighing.of(shape, assumptions.model_errors.weight_error, windows.setup))
-    np.testing.assert_allclose(root.T @ root / np.outer(size, size), together / np.outer(size, size), atol=1e-11)
-    assert shared_error_count(shape) == 4 + 5
+    np.testing.assert_allclose(root.T @ root / np.outer(size, size), together / np.outer(size, size), atol=1e-5)
 
 
 def test_a_lift_adds_its_information_to_a_rigid_body_alone():
     model, lift = load_object("L2"), Lift(2, hold=1.5, swings=2)
-    in_air, _ = lift_information(model.shape, predicted_lift(lift, FT300S), model.truth.mass)
-    for support, rows in (("rigid", in_air), ("own_weight", 0 * in_air)):
+    masses = {}
+    for support in ("rigid", "own_weight"):
         found = predicted_information(model.shape, model.truth, [lift], FT300S, Assumptions(support))
-        size = np.sqrt(np.diag(in_air.T @ in_air))
-        masses = found.information()[: model.shape.n_m, : model.shape.n_m]
-        np.testing.assert_allclose(masses / np.outer(size, size), rows.T @ rows / np.outer(size, size), atol=1e-11)
+        masses[support] = found.information()[: model.shape.n_m, : model.shape.n_m]
+    assert masses["rigid"].all() and not masses["own_weight"].any()
 
 
 def test_the_errors_of_a_plan_are_those_of_the_report():
@@ -126,7 +110,8 @@ def test_the_errors_of_a_plan_are_those_of_the_report():
     actions = [Rotate(0, pivot=(0.01, 0.04), back=True), Rotate(2, pivot=(0.03, -0.04), back=True)]
     actions.append(Rotate(1, pivot=(-0.04, -0.09), back=True))
     alone = predicted_information(shape, model.truth, actions, FT300S, Assumptions())
-    information = prior_information(shape, Weighing.of(shape, FT300S.scale, EXACT_SETUP)) + alone.information()
+    weighing = Weighing.of(shape, FT300S.scale, EXACT_SETUP)
+    information = prior_information(shape, weighing, Assumptions()) + alone.information()
     belief = Belief(information[None], shape.particles_per_group, model.total_mass)
     report = expected(shape, model.truth, actions, FT300S)
     np.testing.assert_allclose(belief.standard_error, report.standard_error, rtol=1e-6)

@@ -14,11 +14,9 @@ from estimators.evaluation.metrics import hinge_columns
 from estimators.hidden_states.estimator import HiddenStates
 from estimators.hidden_states.trial_windows import TrialWindows
 from estimators.identifiability.predicted import predicted_windows
-from estimators.particles.friction_system import LoadGroups, friction_equations
 from estimators.particles.observe import observe
-from estimators.particles.setup_effects import LinearRows, by_row
+from estimators.particles.setup_effects import by_row
 from estimators.particles.windows import Observations
-from estimators.particles.wrench import ParticleLoads
 from estimators.registry import METHODS, build_method
 from estimators.testing.analytic_links import analytic_links, drawn_chain
 from estimators.wrench.model import EXACT, ModelErrors
@@ -145,14 +143,10 @@ def test_slides_and_turns_show_every_mass_and_hinge_and_a_wrench_alone_does_not(
 
 def residuals(obj: ObjectModel, windows: Observations) -> Float[np.ndarray, "R"]:
     """Rows less what true masses, frictions and hinges give them."""
-    loads = ParticleLoads.of(obj.shape, obj.truth, "own_weight")
-    groups = LoadGroups.of(loads.model)
-    found = friction_equations(
-        loads.model, groups, windows, loads.mass, loads.friction, obj.shape.height, ModelErrors(pivot_error=0.0)
-    )
+    trials = TrialWindows.about(obj.shape, obj.total_mass, windows, ModelErrors(pivot_error=0.0))
+    found, loads = trials.friction_equations(obj.truth), torch.tensor(trials.friction_loads(obj.truth))
     assert found.hinges is not None
-    each = torch.stack([loads.load[groups.index == column][0] for column in range(len(groups.pairs))])
-    return (found.b - found.q @ each - found.hinges @ torch.tensor(obj.hinge_friction, dtype=torch.float64)).numpy()
+    return (found.b - found.q @ loads - found.hinges @ torch.tensor(obj.hinge_friction, dtype=torch.float64)).numpy()
 
 
 @pytest.mark.parametrize(
@@ -163,9 +157,9 @@ def test_rows_change_with_the_place_in_the_hand_as_counted(offset: tuple[float, 
     grasps = [replace(g, position=g.position + offset) for g in TWO.shape.grasps]
     off = observe(TWO.shape, [analytic_links(replace(TWO, shape=replace(TWO.shape, grasps=tuple(grasps))), drag)])
     assert off is not None
-    loads, count = ParticleLoads.of(TWO.shape, TWO.truth, "own_weight"), len(off)
-    rows = LinearRows.of(off, off.table(loads.model), loads.mass, loads.load, 0.0, SetupErrors(grasp_offset=1.0))
-    counted = by_row(rows.slopes["grasp_offset"])
+    count, off = len(off), replace(off, setup=SetupErrors(grasp_offset=1.0))
+    trials = TrialWindows.about(TWO.shape, TWO.total_mass, off, ModelErrors(pivot_error=0.0))
+    counted = by_row(trials.linear_rows(TWO.truth, off).slopes["grasp_offset"])
     expected = -counted.numpy() @ offset  # the grip is farther along: the object lies back in the hand
     for rows in (slice(0, 3 * count), slice(3 * count, None)):
         missed = residuals(TWO, off)[rows]

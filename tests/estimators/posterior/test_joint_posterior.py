@@ -80,7 +80,7 @@ def problem(kind, setup=EXACT_SETUP, errors=SHARP, *, loaded=True):
     on_table = OnTable.of(model.shape, windows, "own_weight", errors)
     measurements = [on_table, Scale(weight, Weighing.of(model.shape, errors.weight_error, setup))]
     measurements += [InAir.of(model.shape, k, lift, weight) for k, lift in lifts_among(model.shape, made).items()]
-    return model, measurements, priors(model.shape, setup, errors, weight, on_table)
+    return model, measurements, priors(model.shape, setup, errors, weight, on_table.trials)
 
 
 def at_truth(model, unknowns, z=None):
@@ -124,7 +124,7 @@ def test_masses_come_back_from_predicted_readings(kind, monkeypatch):
     windows = replace(
         windows, bias=0 * windows.bias, noise=1e-9 * windows.noise, seen=0 * windows.seen, links_off=still
     )
-    measured = OnTable(model.shape, windows, planned.table, planned.patterns, planned.points, SHARP)
+    measured = OnTable(model.shape, windows, planned.table, planned.patterns, SHARP)
     measured.__dict__["read"] = planned.read + off
     found = solve([measured, scale], unknowns, unknowns.start(friction=0.3))
     assert found.converged

@@ -10,6 +10,7 @@ import socket
 import subprocess
 import sys
 import time
+from contextlib import ExitStack
 from pathlib import Path
 
 import numpy as np
@@ -178,7 +179,8 @@ def test_a_server_that_is_ended_leaves_nothing_running(tmp_path, monkeypatch, en
     port, recording = viewers.free_port(), tmp_path / "page.rrd"
     recording.write_bytes(b"all that was measured")
     command = [sys.executable, "-c", SERVING, str(recording), str(port)]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process, ExitStack() as ending:
+        ending.callback(process.kill)  # else a failure waits for it for ever
         assert process.stdout is not None
         address = process.stdout.readline().strip()
         assert address.startswith(f"http://127.0.0.1:{port}/?url=http%3A%2F%2F127.0.0.1%3A{port}%2Frecording.rrd")

@@ -71,7 +71,7 @@ class LinearRows:
         """
         lever, pushed = table.lever, windows.seen.shape[-1] > 0
         table = (table.on_field if setup.place_friction else table).dragged(drag)
-        drag, sizes = table.windows["drag"], stated_sizes(setup, ("table",), len(table.model.parts))
+        drag, sizes = table.windows["drag"], _sizes(table.model, setup)
         shapes = {name: tuple(size.shape) for name, size in sizes.items()}
         theta = zeros(friction=table.points.shape[:2], **shapes)
         if pushed or windows.articulated:
@@ -155,9 +155,9 @@ def setup_effects(
         setup: standard deviations; a kind of 0 has no columns.
     """
     found: Columns = {}
-    if setup.contact_points:
-        found["contact_points"] = _contact_pattern(rows, setup.contact_points)
-    for kind, size in stated_sizes(setup, ("table",), len(rows.model.parts)).items():
+    if unevenness(setup, rows.model):
+        found["foot_load" if rows.model.stands_on_feet else "contact_points"] = _contact_pattern(rows, setup)
+    for kind, size in _sizes(rows.model, setup).items():
         found[kind] = by_row(rows.slopes[kind] * size.flatten())
     if setup.anisotropy:
         found["anisotropy"] = torch.cat([found["anisotropy"], by_row(rows.slopes["anisotropy_square"])], 1)
@@ -181,11 +181,26 @@ def _stuck(windows: Observations, table: Table) -> Float[Tensor, "K P"]:
     return (SLOW**2 / (square + SLOW**2)).mean(1) * windows.pushed[:, None]
 
 
-def _contact_pattern(rows: LinearRows, points: float) -> Float[Tensor, "R n"]:
-    """Few points anywhere under each group, in place of its area, in one pattern for all trials.
+def unevenness(setup: SetupErrors, model: ParticleModel) -> float:
+    """Variance of the load of a group's points of contact, as a part of an even share, over their number; 0 if known.
 
-    Their loads hold the group's weight about its own center of mass, so only what is not affine in a point's place
-    is drawn: its variance over the area, over the number of points.
+    Of few points anywhere under a group, or of known feet. Balance decides the loads of a rigid body's points.
+    """
+    if model.stands_on_feet:
+        return setup.foot_load**2 * len(model.parts) / len(model.feet)
+    return SHARES / setup.contact_points if setup.contact_points and not bool(model.is_contact.any()) else 0.0
+
+
+def _sizes(model: ParticleModel, setup: SetupErrors) -> dict[str, Tensor]:
+    """Standard deviations of the errors that change wrenches on the table."""
+    return stated_sizes(setup, ("table",), len(model.parts), len(model.feet))
+
+
+def _contact_pattern(rows: LinearRows, setup: SetupErrors) -> Float[Tensor, "R n"]:
+    """Loads of the points of contact under each group, in one pattern for all trials.
+
+    They hold the group's weight about its own center of mass, so only what is not affine in a point's place is drawn:
+    of points that nobody knows, its variance over the area, over the number of points.
     """
     model, each, columns = rows.model, rows.by_point, []
     for group in range(int(model.mass_group.max()) + 1):
@@ -199,7 +214,7 @@ def _contact_pattern(rows: LinearRows, points: float) -> Float[Tensor, "R n"]:
         own = each[:, :, inside].flatten(2)[..., ::every]
         rest = own - (own @ affine) @ affine.T
         rest[:, 3:] += UNEVEN * (own @ affine[:, 1:] @ affine[:, 1:].T)[:, 3:]
-        columns.append(rest * load[:, None, None] * math.sqrt(SHARES / (points * len(at))))
+        columns.append(rest * load[:, None, None] * math.sqrt(unevenness(setup, model) / len(at)))
     return by_row(torch.cat(columns, -1))
 
 

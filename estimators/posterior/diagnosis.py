@@ -23,8 +23,6 @@ WIDER = 3.0
 """Multiple of its stated size at which an error is tried as the cause. Ours."""
 DECISIVE = 3.0
 """Decimal logarithm of the odds from which a cause is named: the simulation's own flaws reach 2. Ours."""
-_BLOCKS = {"contact_points": "contact_pattern"}
-"""Unknowns of another name than the error that states their size; their sizes are in units of a pattern."""
 ABSURD = 4.0
 """Multiple of the size that is tried above which a cause is not named: another one is hidden behind it. Ours."""
 
@@ -164,9 +162,9 @@ def _one_by_one(
             continue
         trials = [replace(trial, setup=replace(stated, **{name: tried})) for trial in trajectories]
         larger = posterior_of(shape, weight, trials, support)
-        if larger is None or (block := _BLOCKS.get(name, name)) not in larger.unknowns.blocks:
+        if larger is None or name not in larger.unknowns.blocks:
             continue
-        z = larger.optimum.z[larger.unknowns.at[block]]
+        z = larger.optimum.z[larger.unknowns.at[name]]
         causes.append(_cause(larger, name, z, larger.log_evidence - found.log_evidence))
     return tuple(sorted(causes, key=lambda cause: -cause.odds))
 
@@ -178,9 +176,9 @@ def larger_than_stated(posterior: Posterior) -> tuple[Cause, ...]:
     """
     causes = []
     for name in PARAMETERS:
-        if (block := _BLOCKS.get(name, name)) not in posterior.unknowns.blocks:
+        if name not in posterior.unknowns.blocks:
             continue
-        where = posterior.unknowns.at[block]
+        where = posterior.unknowns.at[name]
         precision = torch.linalg.inv(posterior.laplace[where, where])
         eye = torch.eye(len(precision), dtype=torch.float64)
         seen, toward = precision - eye, precision @ posterior.optimum.z[where]
@@ -196,7 +194,11 @@ def larger_than_stated(posterior: Posterior) -> tuple[Cause, ...]:
 
 def _cause(posterior: Posterior, name: str, z: Float[Tensor, "m"], evidence: float) -> Cause:
     """Cause of such values, in units of the posterior's prior."""
-    block = posterior.unknowns.blocks[_BLOCKS.get(name, name)]
-    part = float(z.square().mean().sqrt())
-    unit = 1.0 if name in _BLOCKS else float(block.std.square().mean().sqrt())
+    std = posterior.unknowns.blocks[name].std
+    own = std.flatten() > 0
+    part, unit = float(z[own].square().mean().sqrt()), float(std.flatten()[own].square().mean().sqrt())
+    if name == "contact_points":  # in units of a pattern
+        unit = 1.0
+    elif name == "foot_load":  # of n feet there are n - 1 patterns, as parts of the load of all
+        unit *= std.shape[-1] + 1
     return Cause(name, evidence / math.log(10), part * unit, part > ABSURD)

@@ -47,7 +47,7 @@ class InAir:
         stated = stated_sizes(windows[0].setup, ("air", "reading"), shape.n_m)
         own = {name: size for name, size in stated.items() if PARAMETERS[name].scope == "trial"}
         own |= errors.sizes(errors.height * shape.height)
-        if (shape.fill < 1).any():
+        if shape.is_uneven:
             own["upright"] = upright_sizes(shape, weight)
         return InAir(shape, trial, windows, Air.of_masses(shape, windows), own, errors, weight)
 

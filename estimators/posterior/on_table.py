@@ -24,10 +24,12 @@ from estimators.wrench.table import Table
 from testbed.objects.model import GRAVITY, ObjectShape
 from testbed.worlds.setup_errors import PARAMETERS
 
+PATTERNS = "contact_points", "foot_load"
+"""Errors of the setup whose unknowns are patterns of contact: of points that nobody knows, or of known feet."""
 SHARED = {name for name, each in PARAMETERS.items() if {"table", "reading"} & set(each.shows)}
 """Errors of the setup that change these measurements."""
-SHARED |= {"mass", "friction", "com_height", "contact_pattern", "indeterminate_load", "hinge_friction", "links_carried"}
-SHARED |= {"other_support", *MODEL_PARAMETERS}
+SHARED |= {"mass", "friction", "com_height", "indeterminate_load", "hinge_friction", "links_carried", "other_support"}
+SHARED |= {*PATTERNS, *MODEL_PARAMETERS}
 
 
 @dataclass(frozen=True, eq=False)
@@ -189,11 +191,12 @@ class OnTable:
         if "indeterminate_load" in theta:
             load = load + window["indeterminate"] @ theta["indeterminate_load"]
         at_points = load[:, None] / self.table.points.shape[1]
-        if "contact_pattern" not in theta:
+        pattern = next((theta[name] for name in PATTERNS if name in theta), None)
+        if pattern is None:
             return at_points.expand(self.table.points.shape[:2])
         group = self.table.model.mass_group
         on_group = torch.zeros_like(mass).index_add(0, group, load)
-        return at_points + (on_group[group, None] * (self.patterns * theta["contact_pattern"][group, None]).sum(-1))
+        return at_points + (on_group[group, None] * (self.patterns * pattern[group, None]).sum(-1))
 
     def carried(self, theta: Theta, window: Window) -> Float[Tensor, "3"]:
         """Lift and moment of the gripper on the feet, N and N m.
@@ -279,7 +282,7 @@ def contact_patterns(
     ]
     taken = [at[:: max(1, math.ceil(len(at) / MOST_POINTS))] for at in every]
     found = torch.zeros(*points.shape[:2], max(len(at) for at in taken) - 1, dtype=torch.float64)
-    for particle, point in (at.unbind(1) for at in taken if len(at) > 3):
+    for particle, point in (at.unbind(1) for at in taken if len(at) > 2):
         place = points[particle, point]
         affine = torch.cat([torch.ones_like(place[:, :1]), place - place.mean(0)], 1)
         ways = torch.linalg.qr(affine, mode="complete")[0][:, 1:]

@@ -6,7 +6,7 @@ import numpy as np
 import torch
 
 from estimators.particles.links import HINGE_PRIOR
-from estimators.particles.setup_effects import SHARES
+from estimators.particles.setup_effects import unevenness
 from estimators.posterior.on_table import contact_patterns
 from estimators.posterior.unknowns import Block, Unknowns
 from estimators.wrench.model import MODEL_PARAMETERS, ModelErrors, ParticleModel
@@ -20,7 +20,7 @@ MASS_STD, FRICTION_STD = 1.2, 1.0
 FRICTION = 0.4
 """Median friction. Ours."""
 LEAN = 0.25
-"""Affine part of a contact pattern, which carries a group off the middle of its feet, as a part of any other. Ours."""
+"""Affine part of a pattern of unknown points, which carries a group off their middle, as a part of any other. Ours."""
 
 
 def priors(
@@ -47,18 +47,18 @@ def priors(
         "mass": Block.log_normal(typical * np.exp(-0.5), MASS_STD, shape.n_m),
         "friction": Block.log_normal(FRICTION, FRICTION_STD, shape.n_mu),
     }
-    if setup.contact_points:
+    if uneven := unevenness(setup, model):
         # the variance of a pattern over n points, of which as many as the points of the model are taken
         patterns, points = contact_patterns(model, model.points(spread=True))
-        size = (SHARES / (setup.contact_points * points)).sqrt()[:, None].repeat(1, patterns.shape[-1])
-        size[:, :2] *= LEAN
-        blocks["contact_pattern"] = Block.normal(size)
-    for name, size in stated_sizes(setup, ("table", "air", "reading"), shape.n_m).items():
+        size = (uneven / points).sqrt()[:, None].repeat(1, patterns.shape[-1])
+        size[:, :2] *= 0.0 if model.stands_on_feet else LEAN
+        blocks["foot_load" if model.stands_on_feet else "contact_points"] = Block.normal(size)
+    for name, size in stated_sizes(setup, ("table", "air", "reading"), shape.n_m, len(shape.feet)).items():
         blocks[name] = Block.normal(size, trials if PARAMETERS[name].scope == "trial" else None)
     for name in MODEL_PARAMETERS:
         if size := getattr(errors, f"{name}_error"):
             blocks[name] = Block.normal(torch.tensor(size, dtype=torch.float64))
-    if (shape.fill < 1).any():  # matter that fills its cells in part may lie at any height in them
+    if shape.is_uneven:  # matter that fills its cells in part may lie at any height in them
         blocks["com_height"] = Block.normal(torch.full((shape.n_m,), shape.height / 12**0.5, dtype=torch.float64))
     if partly:
         blocks["other_support"] = Block.normal(torch.tensor(1.0, dtype=torch.float64))

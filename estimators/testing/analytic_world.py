@@ -14,7 +14,7 @@ from testbed.actions.rotate import Rotate
 from testbed.actions.slide import Slide
 from testbed.frames import cross_2d, perpendicular, pose_from_point, rotation_2d
 from testbed.objects.blocks import block_object, parse_layout
-from testbed.objects.model import GRAVITY, ObjectModel
+from testbed.objects.model import GRAVITY, ObjectModel, even_shares
 from testbed.trajectory import Phase, Tool, Trajectory
 
 RATE = 100.0
@@ -198,7 +198,11 @@ def own_weight_loads(obj: ObjectModel) -> np.ndarray:
     load = np.zeros(len(feet))
     for group in range(shape.n_m):
         inside = shape.mass_group == group
-        load[inside & feet] = obj.particle_mass[inside].sum() * GRAVITY / (inside & feet).sum()
+        share = np.full((inside & feet).sum(), 1 / (inside & feet).sum())
+        if shape.stands_on_feet:
+            middle = np.average(shape.particles[inside], axis=0, weights=shape.fill[inside])
+            share = even_shares(shape.particles[inside & feet] - middle)
+        load[inside & feet] = obj.particle_mass[inside].sum() * GRAVITY * share
     return load
 
 

@@ -107,6 +107,8 @@ class ParticleModel:
     """Link of each mass group of a chain, 0 of a rigid object's."""
     hinges: Float[Tensor, "H 2"]
     """Hinge between each link and the next, m, object frame."""
+    stands_on_feet: bool = False
+    """True if points of contact are feet of each mass group, not those of one rigid body."""
 
     @staticmethod
     def of(shape: ObjectShape) -> ParticleModel:
@@ -119,6 +121,7 @@ class ParticleModel:
             torch.tensor(shape.fill),
             torch.zeros(shape.n_m, dtype=torch.int64) if shape.chain is None else torch.tensor(shape.chain.link),
             torch.zeros(0, 2, dtype=torch.float64) if shape.chain is None else torch.tensor(shape.chain.hinges),
+            shape.stands_on_feet,
         )
 
     def moved(self, offset: Float[Tensor, "... 2"]) -> ParticleModel:
@@ -136,7 +139,11 @@ class ParticleModel:
         return [self.moved(cells * torch.tensor([x, y], dtype=torch.float64)) for x in ends for y in ends]
 
     def points(self, *, spread: bool) -> Float[Tensor, "P C 2"]:
-        """Points at which each particle touches the table, m: its middle, or those of `spread`."""
+        """Points at which each particle touches the table, m: its middle, or those of `spread`.
+
+        An object on points of contact touches there alone.
+        """
+        spread = spread and not bool(self.is_contact.any())
         return torch.stack([each.particles for each in self.spread], 1) if spread else self.particles[:, None]
 
     @property
@@ -156,9 +163,15 @@ class ParticleModel:
 
     @property
     def stands_in_groups(self) -> bool:
-        """True if every mass group has feet of its own, and may rest on its own weight."""
+        """True if every mass group touches the table by itself, and may rest on its own weight."""
         count = int(self.mass_group.max()) + 1
-        return not bool(self.is_contact.any()) and len(self.mass_group[self.contact].unique()) == count
+        apart = self.stands_on_feet or not bool(self.is_contact.any())
+        return apart and len(self.mass_group[self.contact].unique()) == count
+
+    @property
+    def feet(self) -> Int[Tensor, "F"]:
+        """Particles that are feet of mass groups, whose places are known."""
+        return torch.nonzero(self.is_contact & self.stands_on_feet).flatten()
 
     def particle_mass(self, mass: Float[Tensor, "... n_m"]) -> Float[Tensor, "... P"]:
         """Mass of each particle, G_m^T m, by the fill of its cell, kg."""

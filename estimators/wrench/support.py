@@ -170,7 +170,8 @@ def own_weight(model: ParticleModel, mass: Float[Tensor, "P"], load: GripperLoad
 
     fz lightens the held group's weight, or by half of it each that of two under the pads. All groups share one tilt on
     a foundation of even stiffness, so each takes a part of the moment that is affine over its own feet: the gripper's,
-    and that of a weight beside its feet; where groups are `balanced`, each takes its own weight's alone. An object that
+    and that of a weight beside its feet; where groups are `balanced`, or on known feet, each takes its own weight's
+    alone. An object that
     does not stand in groups, since one has no foot or it rests on points of contact, is one group: its loads are then
     `rigid_loads`.
 
@@ -194,7 +195,7 @@ def own_weight(model: ParticleModel, mass: Float[Tensor, "P"], load: GripperLoad
     tilt = offset @ torch.linalg.pinv(offset.mT @ offset, hermitian=True)
     weight = whole * GRAVITY
     beside = pairs.index_add(1, group, lever * mass[:, None]) * GRAVITY - weight[:, None] * center
-    if load.balanced:
+    if load.balanced or model.stands_on_feet:
         own = torch.nn.functional.one_hot(group).double()
         squares = torch.einsum("kpi,kpj,pg->kgij", offset, offset, own)
         alone = (torch.linalg.pinv(squares, hermitian=True) @ beside[..., None])[..., 0]
@@ -234,9 +235,9 @@ def contact_spread(model: ParticleModel, mass: Float[Tensor, "P"]) -> Float[Tens
     Balance decides the loads of three points. A rigid body on more rests on three of them, and nobody knows on which:
     every three with the center of mass between them are as likely, about the even foundation's loads. A column per
     load that balance leaves open, zero where the weight acts outside all threes; it changes continuously with the
-    masses. Shape (P, 0) for three points, and for feet under cells, which give way.
+    masses. Shape (P, 0) for three points, and for feet of groups and under cells, which give way.
     """
-    points = torch.nonzero(model.is_contact).flatten()
+    points = torch.nonzero(model.is_contact & (not model.stands_on_feet)).flatten()
     basis = torch.cat([torch.ones(len(points), 1, dtype=torch.float64), model.particles[points]], 1)
     rank = int(torch.linalg.matrix_rank(basis)) if len(points) else 0
     spread = torch.zeros(len(mass), len(points) - rank, dtype=torch.float64)

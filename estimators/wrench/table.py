@@ -174,7 +174,10 @@ class Table:
         model = self.model
         offset = theta["particle_offset"][model.mass_group] if "particle_offset" in theta else PAIR.expand(1, 2)
         middle = self._moved(theta, window, model.particles + offset)
-        touching = self._moved(theta, window, self.points + offset[:, None])
+        touched = self.points + offset[:, None]
+        if "foot_offset" in theta:
+            touched = touched.index_add(0, model.feet, theta["foot_offset"][:, None].expand(-1, touched.shape[1], -1))
+        touching = self._moved(theta, window, touched)
         load, unit = self._load(theta, window, middle), self._directions(touching)
         # places of a rigid object do not change, and means over the parts of a window come first
         drag = load[..., None] * (unit.mean(0, keepdim=True) if len(touching.place) == 1 else unit)
@@ -270,12 +273,25 @@ class Table:
         more = NONE
         if "group_friction" in theta:
             more = more + theta["group_friction"][self.model.mass_group]
+        if "foot_offset" in theta:
+            more = more + self._rebalanced(theta["foot_offset"])
         if "place_friction" in theta:
             more = more + window["field"] @ theta["place_friction"]
         if "speed_friction" in theta:
             speed = (middle.velocity.mean(0).square().sum(-1) + 1e-18).sqrt()
             more = more + theta["speed_friction"] * torch.log10(speed.clamp(1e-4, 1.0) / REFERENCE)
         return load * (1 + more[..., None])
+
+    def _rebalanced(self, offset: Float[Tensor, "F 2"]) -> Float[Tensor, "P"]:
+        """Change of each foot's load, as a part of it, with which feet that are elsewhere still balance their group."""
+        feet, group = self.model.feet, self.model.mass_group[self.model.feet]
+        own = torch.nn.functional.one_hot(group, len(self.model.parts)).double()
+        mean = own / own.sum(0)
+        lever = self.model.particles[feet]
+        lever = lever - (mean.T @ lever)[group]
+        squares = torch.einsum("fi,fj,fg->gij", lever, lever, mean)
+        moment = torch.linalg.solve(squares, mean.T @ offset)
+        return torch.zeros(len(self.points), dtype=torch.float64).index_add(0, feet, -(lever * moment[group]).sum(-1))
 
     def _directions(self, points: Moved) -> Float[Tensor, "S P C 2"]:
         """Direction in which each point moves; shorter near the center of a turn."""

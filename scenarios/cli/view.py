@@ -294,7 +294,7 @@ def drawing(model: ObjectModel) -> str:
     """Groups as a map of their masses, in grams, top row first; of their names where masses are not given."""
     shape = model.shape
     centres = np.array([shape.particles[shape.mass_group == g].mean(axis=0) for g in range(shape.n_m)])
-    side = shape.cell * np.sqrt(shape.particles_per_group.max())
+    side = shape.cell * np.sqrt(np.bincount(shape.mass_group[shape.cells]).max())
     column, row = np.round((centres - centres.min(axis=0)) / side).astype(int).T
     lines = []
     for r in range(row.max(), -1, -1):

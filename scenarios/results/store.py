@@ -68,6 +68,8 @@ def object_request(model: ObjectModel) -> dict[str, Any]:
     more: dict[str, Any] = {} if (shape.fill == 1).all() else {"fill": shape.fill.tolist()}
     if not model.masses_known:
         more["masses"] = "unknown"
+    if shape.stands_on_feet:
+        more["feet"] = "known"
     if shape.chain is not None:
         hinges = {"link": shape.chain.link.tolist(), "hinges": shape.chain.hinges.tolist()}
         more["chain"] = hinges | {"friction": list(model.hinge_friction)}
@@ -268,6 +270,7 @@ def _arrays_of(answer: Estimate, shape: ObjectShape) -> dict[str, Any]:
         "friction_group": shape.friction_group,
         "cell": shape.cell,
         "fill": shape.fill,
+        "stands_on_feet": shape.stands_on_feet,
     }
     if answer.distribution is not None:
         arrays |= {"mass": answer.distribution.mass, "friction": answer.distribution.friction}

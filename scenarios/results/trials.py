@@ -28,7 +28,7 @@ _MOST_NAMED = 6
 """Keys that an error lists."""
 OTHER_FORMAT = (KeyError, IndexError, TypeError, ValueError, AttributeError)
 """Errors of reading a trial.json of another format."""
-_SHAPE = ("particles", "mass_group", "friction_group", "grasps", "fill")
+_SHAPE = ("particles", "mass_group", "friction_group", "grasps", "fill", "feet")
 """Parts of the request that all trials of an object must share."""
 
 
@@ -92,6 +92,7 @@ def object_of(request: dict[str, Any], names: dict[str, Any]) -> ObjectModel:
         group_names=tuple(names.get("groups") or ()),
         fill=np.array(request.get("fill", [])),
         chain=Chain(np.array(chain["link"]), np.array(chain["hinges"])) if (chain := request.get("chain")) else None,
+        stands_on_feet=request.get("feet") == "known",
     )
     truth = MassDistribution(np.array(request["mass"]), np.array(request["friction"]))
     known = request.get("masses") != "unknown"

@@ -177,6 +177,7 @@ def _shape(folder: Path, row: Row, true: ObjectModel) -> ObjectShape:
         tuple(row["group_names"]),
         arrays["fill"],
         true.shape.chain,
+        stands_on_feet=true.shape.stands_on_feet,
     )
 
 

@@ -73,18 +73,19 @@ AIR = 0.001
 
 def boxes_of(shape: ObjectShape, distribution: MassDistribution) -> list[Box]:
     """A box a mass group where its cells, all alike, fill a rectangle of one friction; else a box a cell."""
-    boxes, air = [], min(AIR, shape.height / 10)
+    boxes, air, is_foot = [], min(AIR, shape.height / 10), np.isin(np.arange(len(shape.particles)), shape.feet)
     for group, name in enumerate(shape.group_names):
-        inside = np.flatnonzero(shape.mass_group == group)
+        own = shape.mass_group == group
+        inside, feet = np.flatnonzero(own & ~is_foot), np.flatnonzero(own & is_foot)
         low, high = shape.particles[inside].min(axis=0), shape.particles[inside].max(axis=0)
         cells = np.rint((high - low) / shape.cell) + 1
-        frictions = set(shape.friction_group[inside].tolist())
-        even = len(frictions) == 1 and (shape.fill[inside] == 1).all()
+        under = np.full(len(inside), shape.friction_group[feet[0]]) if len(feet) else shape.friction_group[inside]
+        even = len(set(under.tolist())) == 1 and np.ptp(shape.fill[inside]) == 0
         parts = [inside] if even and int(cells.prod()) == len(inside) else list(inside[:, None])
         for index, part in enumerate(parts):
             low, high = shape.particles[part].min(axis=0), shape.particles[part].max(axis=0)
-            under = int(shape.friction_group[part[0]])
-            bottom = air if under < 0 else 0.0
+            friction = int(under[index])
+            bottom = air if friction < 0 else 0.0
             boxes.append(
                 Box(
                     name if len(parts) == 1 else f"{name}_{index}",
@@ -92,7 +93,7 @@ def boxes_of(shape: ObjectShape, distribution: MassDistribution) -> list[Box]:
                     np.array([*(high - low + shape.cell), shape.height - bottom]),
                     float(distribution.mass[group] * shape.fill[part].sum()),
                     group,
-                    None if under < 0 else float(distribution.friction[under]),
+                    None if friction < 0 else float(distribution.friction[friction]),
                 )
             )
     return boxes

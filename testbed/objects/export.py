@@ -6,6 +6,7 @@ import json
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Any
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element, SubElement
 
@@ -223,12 +224,12 @@ def to_object_file(exported: Exported) -> str:
     order = sorted(range(len(boxes)), key=lambda i: (places[i][1], places[i][0]))
     columns, rows = (max(place[axis] for place in places) + 1 for axis in (0, 1))
     layout = ["".join("10"[(c, r) not in places] for c in range(columns)) for r in reversed(range(rows))]
-    first = [int(np.flatnonzero(shape.mass_group == boxes[i].group)[0]) for i in order]
+    own = [shape.mass_group == boxes[i].group for i in order]
     blocks = {
         "layout": layout,
         "mass_kg": [boxes[i].mass for i in order],
         "friction": exported.distribution.friction.tolist(),
-        "friction_group": [int(shape.friction_group[particle]) for particle in first],
+        "friction_group": [int(shape.friction_group[each].max()) for each in own],
         "size_m": size,
         "height_m": shape.height,
     }
@@ -239,7 +240,13 @@ def to_object_file(exported: Exported) -> str:
             link = [Cell(*places[i]).name for i in order if of_box[i] == index + 1]
             hinges.append({"at_m": at.tolist(), "link": link, "friction_Nm": float(torque)})
     comment = "".join(f"# {line}\n" for line in exported.comment.splitlines())
-    return comment + toml_text({"name": exported.name, "blocks": blocks}) + toml_lists(hinges=hinges)
+    content: dict[str, Any] = {"name": exported.name, "blocks": blocks}
+    if len(shape.feet):
+        under = {box.group: Cell(*place).name for box, place in zip(boxes, places, strict=True)}
+        of = shape.mass_group[shape.feet]
+        places_of = {name: shape.particles[shape.feet[of == group]].tolist() for group, name in under.items()}
+        content["feet"] = {"under_m": places_of}
+    return comment + toml_text(content) + toml_lists(hinges=hinges)
 
 
 def to_sidecar(exported: Exported) -> str:

@@ -56,7 +56,7 @@ def faces(shape: ObjectShape) -> list[Face]:
 
 
 def _of_cells(shape: ObjectShape) -> list[Face]:
-    half, cells = shape.cell / 2, shape.particles
+    half, cells = shape.cell / 2, shape.particles[shape.cells]
     rows: dict[tuple[int, int, int], list[tuple[float, float]]] = defaultdict(list)
     for way, step in enumerate(_STEP):
         side = cells + half * step
@@ -65,7 +65,7 @@ def _of_cells(shape: ObjectShape) -> list[Face]:
         for index in np.flatnonzero(~covered):
             across = round(float(side[index] @ step) / _NEAR)
             middle = float(side[index] @ _STEP[(way + 1) % 4])
-            rows[way, across, int(shape.mass_group[index])].append((middle - half, middle + half))
+            rows[way, across, int(shape.mass_group[shape.cells[index]])].append((middle - half, middle + half))
     found = []
     for (way, across, group), parts in sorted(rows.items()):
         joined: list[list[float]] = []

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Annotated, Self
 
 import numpy as np
+from jaxtyping import Float
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from testbed.errors import InvalidValueError
@@ -85,6 +86,55 @@ class MeshGrasp(_Table, strict=True):
     closing_deg: Finite
 
 
+Points = Annotated[list[Annotated[list[Finite], Field(min_length=2, max_length=2)]], Field(max_length=64)]
+LEAST_FEET = 3
+"""Feet of a mass group, at least."""
+
+
+class FeetTable(_Table, strict=True):
+    """The [feet] table of an object file."""
+
+    under_each_m: Points | None = None
+    under_m: dict[Name, Points] | None = None
+
+    @model_validator(mode="after")
+    def _one_way(self) -> Self:
+        if (self.under_each_m is None) == (self.under_m is None):
+            given = "neither" if self.under_m is None else "both"
+            raise InvalidValueError("feet", given, "exactly one of under_each_m, of blocks, and under_m, by name")
+        return self
+
+    def places(self, model: ObjectModel, origin: Float[np.ndarray, "2"] | None = None) -> list[np.ndarray]:
+        """Feet of each mass group [m], object frame.
+
+        Args:
+            model: the object on its cells.
+            origin: place of a mesh's origin of the object in the mesh's own frame [m]; None of blocks.
+        """
+        shape, found = model.shape, []
+        names = set(shape.group_names)
+        if self.under_m is not None and set(self.under_m) != names:
+            raise InvalidValueError("feet.under_m", sorted(self.under_m), f"feet of {', '.join(shape.group_names)}")
+        if self.under_m is None and origin is not None:
+            raise InvalidValueError("feet.under_each_m", self.under_each_m, "under_m, by the names of the mesh's parts")
+        for group, name in enumerate(shape.group_names):
+            cells = shape.particles[shape.mass_group == group]
+            if self.under_m is None:
+                field, places = "feet.under_each_m", np.array(self.under_each_m).reshape(-1, 2) + cells.mean(axis=0)
+            else:
+                field, places = f"feet.under_m.{name}", np.array(self.under_m[name]).reshape(-1, 2)
+                places = places if origin is None else places - origin
+            apart = np.linalg.svd(places - places.mean(axis=0), compute_uv=False) if len(places) else np.zeros(2)
+            if len(places) < LEAST_FEET or apart[-1] < 1e-3:
+                raise InvalidValueError(field, f"{len(places)} feet", f"{LEAST_FEET} or more, not in a row")
+            beside = np.abs(places[:, None] - cells).max(axis=2).min(axis=1) > shape.cell / 2 + 1e-9
+            if beside.any():
+                off = (places[beside][0] * 1e3).round(1).tolist()
+                raise InvalidValueError(field, f"{off} mm in the object's frame", f"places under {name}")
+            found.append(places)
+        return found
+
+
 class Mesh(_Table, strict=True):
     """The [mesh] table of an object file."""
 
@@ -92,7 +142,7 @@ class Mesh(_Table, strict=True):
     friction: NonNegative | list[NonNegative] = 0.5
     parts: Annotated[list[MeshPart], Field(min_length=1, max_length=64)]
     grasps: Annotated[list[MeshGrasp], Field(max_length=64)] = []
-    contacts_m: Annotated[list[Annotated[list[Finite], Field(min_length=2, max_length=2)]], Field(max_length=64)] = []
+    contacts_m: Points = []
 
     @model_validator(mode="after")
     def _fits_together(self) -> Self:
@@ -114,6 +164,7 @@ class ObjectFile(_Table):
     name: Name
     blocks: Blocks | None = None
     mesh: Mesh | None = None
+    feet: FeetTable | None = None
     hinges: Annotated[list[HingeTable], Field(max_length=MOST_LINKS - 1)] = []
 
     @model_validator(mode="after")
@@ -121,6 +172,9 @@ class ObjectFile(_Table):
         if (self.blocks is None) == (self.mesh is None):
             given = "neither" if self.blocks is None else "both"
             raise InvalidValueError("blocks or mesh", given, "exactly one of [blocks] and [mesh]")
+        if self.feet and self.mesh and self.mesh.contacts_m:
+            allowed = "one of them: contacts_m are of one rigid body, feet of parts on their own weight"
+            raise InvalidValueError("feet", "[feet] and mesh.contacts_m", allowed)
         return self
 
     def build(self, grid: int, folder: Path, hand: Hand = ROBOTIQ_2F85) -> ObjectModel:
@@ -128,6 +182,8 @@ class ObjectFile(_Table):
         if self.blocks:
             model = _build_blocks(self.name, self.blocks, grid, hand)
             model = replace(model, shape=replace(model.shape, chain=self._chain(model.shape.group_names)))
+            if self.feet:
+                model = model.on_feet(self.feet.places(model))
         else:
             model = self._build_mesh(grid, folder)
         if model.shape.chain is not None:
@@ -164,7 +220,7 @@ class ObjectFile(_Table):
         """Refuse hinges beside a link that they join, and links that do not rest on feet of their own."""
         if not shape.stands_in_groups:
             allowed = "parts that touch the table, on their cells: links rest on their own weight"
-            feet = shape.mass_group[(shape.friction_group >= 0) & ~shape.is_contact]
+            feet = shape.mass_group[(shape.friction_group >= 0) & ~(shape.is_contact & ~shape.stands_on_feet)]
             raise InvalidValueError("hinges", [n for g, n in enumerate(shape.group_names) if g not in feet], allowed)
         for index, place in enumerate(chain.hinges):
             for link in (index, index + 1):
@@ -194,9 +250,13 @@ class ObjectFile(_Table):
         places = [GraspPlace(g.name, (g.at_m[0], g.at_m[1]), math.radians(g.closing_deg)) for g in m.grasps]
         contacts = [(x, y) for x, y in m.contacts_m]
         chain = self._chain(tuple(part.name for part in parts))
-        return mesh_object(
+        model = mesh_object(
             self.name, parts, places, friction=friction, cell=m.cell_m, grid=grid, contacts=contacts, chain=chain
         )
+        if self.feet is None:
+            return model
+        origin = parts[0].mesh.vertices[0, :2] - model.solids[0].vertices[0, :2]
+        return model.on_feet(self.feet.places(model, origin))
 
 
 def _build_blocks(name: str, b: Blocks, grid: int, hand: Hand) -> ObjectModel:

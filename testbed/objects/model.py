@@ -5,6 +5,7 @@ Planar, in the object frame: origin at the mean of the particles, SI units.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -129,6 +130,9 @@ class ObjectShape:
     """Links of an articulated object; None of a rigid one."""
     sides: Float[np.ndarray, "K 2 2"] = field(default_factory=lambda: np.ones((0, 2, 2)))
     """Begin and end of each straight side of the outline [m], the object on the left; the cells' sides if left out."""
+    stands_on_feet: bool = False
+    """True if the points of contact are feet of each mass group, which may rest on its own weight; False if one rigid
+    body rests on them, or there are none."""
 
     def __post_init__(self) -> None:
         particles = frozen_array("ObjectShape.particles", self.particles, (None, 2))
@@ -178,9 +182,26 @@ class ObjectShape:
         return (self.friction_group >= 0) & (self.fill == 0)
 
     @property
+    def cells(self) -> Int[np.ndarray, "C"]:
+        """Particles that have material, all but the points of contact."""
+        return np.flatnonzero(~self.is_contact)
+
+    @property
+    def is_uneven(self) -> bool:
+        """True if material fills some cell in part, at a height in it that the cells do not tell."""
+        fill = self.fill[self.cells]
+        return bool((fill < fill.max()).any())
+
+    @property
+    def feet(self) -> Int[np.ndarray, "F"]:
+        """Particles that are feet of mass groups, whose places are known."""
+        return np.flatnonzero(self.is_contact & self.stands_on_feet)
+
+    @property
     def stands_in_groups(self) -> bool:
-        """True if every mass group has feet of its own, and may rest on its own weight."""
-        return not self.is_contact.any() and len(np.unique(self.mass_group[self.friction_group >= 0])) == self.n_m
+        """True if every mass group touches the table by itself, and may rest on its own weight."""
+        apart = self.stands_on_feet or not self.is_contact.any()
+        return apart and len(np.unique(self.mass_group[self.friction_group >= 0])) == self.n_m
 
     def pressed(self, grasp: Grasp) -> tuple[int, int]:
         """Mass groups under the two pads of a grasp, against the closing direction first."""
@@ -298,6 +319,40 @@ class ObjectModel:
                     "ObjectModel.solids", f"masses {masses}", f"one a mass group, of {self.group_mass.tolist()} kg"
                 )
 
+    def on_feet(self, feet: Sequence[Float[np.ndarray, "F 2"]]) -> ObjectModel:
+        """The object on feet of known places, in place of its cells.
+
+        Args:
+            feet: places of the feet of each mass group [m], object frame.
+
+        Raises:
+            InvalidValueError: a group that does not touch the table, rests on more than one friction, or does not have
+                its center of mass between its feet.
+        """
+        shape, under = self.shape, []
+        for group, (name, places) in enumerate(zip(shape.group_names, feet, strict=True)):
+            own = shape.mass_group == group
+            touching = set(shape.friction_group[own].tolist()) - {-1}
+            if len(touching) != 1:
+                raise InvalidValueError("feet", name, "groups that touch the table, each with one friction")
+            under.append(touching.pop())
+            middle = np.average(shape.particles[own], axis=0, weights=shape.fill[own])
+            if even_shares(places - middle).min() <= 0:
+                given = f"{name}, with its center of mass at ({middle[0] * 1e3:.1f}, {middle[1] * 1e3:.1f}) mm"
+                raise InvalidValueError("feet", given, "feet around the center of mass of each group")
+        group = np.repeat(np.arange(shape.n_m), [len(places) for places in feet])
+        cells = shape.particles_per_group
+        growth = (cells + np.bincount(group, minlength=shape.n_m)) / cells
+        standing = replace(
+            shape,
+            particles=np.concatenate([shape.particles, *feet]),
+            mass_group=np.append(shape.mass_group, group),
+            friction_group=np.append(np.full(len(shape.particles), -1), np.array(under)[group]),
+            fill=np.append(shape.fill * growth[shape.mass_group], np.zeros(len(group))),
+            stands_on_feet=True,
+        )
+        return replace(self, shape=standing, truth=replace(self.truth, mass=self.truth.mass / growth))
+
     @property
     def particle_mass(self) -> Float[np.ndarray, "P"]:
         """Mass of each particle [kg], shape (P,)."""
@@ -331,6 +386,13 @@ class ObjectModel:
     def group_mass(self) -> Float[np.ndarray, "n_m"]:
         """Mass of each mass group [kg], shape (n_m,)."""
         return self.truth.mass * self.shape.particles_per_group
+
+
+def even_shares(lever: Float[np.ndarray, "N 2"]) -> Float[np.ndarray, "N"]:
+    """Most even shares of a load over points at these levers from it; -1 where they cannot carry it."""
+    matrix, wanted = np.vstack([np.ones(len(lever)), lever.T]), np.array([1.0, 0.0, 0.0])
+    share = np.linalg.lstsq(matrix, wanted, rcond=1e-9)[0]
+    return share if np.allclose(matrix @ share, wanted, atol=1e-9) else np.full(len(lever), -1.0)
 
 
 def _checked_groups(name: str, values: np.ndarray, count: int, lowest: int) -> np.ndarray:

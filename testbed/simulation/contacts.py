@@ -55,9 +55,10 @@ def resting_loads(obj: ObjectModel, support: Support, contact: ContactSettings) 
 
 def touching_groups(shape: ObjectShape) -> list[tuple[int, int]]:
     """Pairs of mass groups with particles one cell apart."""
-    gaps = np.linalg.norm(shape.particles[:, None] - shape.particles[None], axis=-1)
+    cells, group = shape.particles[shape.cells], shape.mass_group[shape.cells]
+    gaps = np.linalg.norm(cells[:, None] - cells[None], axis=-1)
     a, b = np.nonzero(gaps < 1.01 * shape.cell)
-    pairs = np.sort(np.stack([shape.mass_group[a], shape.mass_group[b]], axis=1), axis=1)
+    pairs = np.sort(np.stack([group[a], group[b]], axis=1), axis=1)
     return [(int(i), int(j)) for i, j in np.unique(pairs[pairs[:, 0] != pairs[:, 1]], axis=0)]
 
 

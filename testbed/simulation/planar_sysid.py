@@ -107,8 +107,8 @@ def _add_groups(
         _add_motor(spec, f"lift_{group}")
         bodies.append(body)
     bodies = bodies * shape.n_m if support.is_rigid else bodies
-    for particle, mass in enumerate(guess.particle_mass):
-        add_cell(bodies[shape.mass_group[particle]], shape, particle, mass)
+    for particle in shape.cells.tolist():
+        add_cell(bodies[shape.mass_group[particle]], shape, particle, float(guess.particle_mass[particle]))
     return bodies
 
 
@@ -273,8 +273,8 @@ class _Residuals:
         least = LEAST * guess.total_mass / guess.shape.n_m
         most = guess.total_mass * (MOST if self._measured.weight is None else 1)
         for group, mass in enumerate(guess.group_mass):
-            inside = np.flatnonzero(guess.shape.mass_group == group)
-            cells = {f"cell_{i}": guess.shape.fill[i] / len(inside) for i in inside}
+            inside = guess.shape.mass_group == group
+            cells = {f"cell_{i}": guess.shape.fill[i] / inside.sum() for i in guess.shape.cells if inside[i]}
             found.add(sysid.Parameter(f"mass_{group}", mass, least, most, modifier=partial(_set_masses, cells)))
         for group, mu in enumerate(guess.truth.friction):
             feet = [f"foot_{i}" for i, p in enumerate(particles) if guess.shape.friction_group[p] == group]

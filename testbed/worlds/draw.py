@@ -76,12 +76,16 @@ class WorldDraw:
 
     def feet(self, body: ObjectModel) -> Feet:
         """Points of contact of an object and their mean friction."""
-        points = int(self.world.contact_points)
-        feet = Feet.drawn(body, points, self.rng("contact_points")) if points else Feet.of(body)
+        points, known = int(self.world.contact_points), len(body.shape.feet)
+        if known:
+            aside = self.normal("foot_offset", 2 * known).reshape(-1, 2)
+            feet = Feet.known(body, aside, self.normal("foot_load", known))
+        else:
+            feet = Feet.drawn(body, points, self.rng("contact_points")) if points else Feet.of(body)
         group = 1 + self.normal("group_friction", body.shape.n_m)
         along_x = self.normal("anisotropy", 1)[0]
         factor = np.outer(group[body.shape.mass_group[feet.particle]], [1 + along_x, 1 - along_x])
-        height = self.normal("flatness", len(feet.particle))
+        height = self.normal("flatness", len(feet.particle)) * (not known)
         return replace(feet, height=height, friction=np.maximum(feet.friction * factor, LEAST_FRICTION))
 
     @property

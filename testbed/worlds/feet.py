@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float, Int
 
-from testbed.objects.model import ObjectModel
+from testbed.objects.model import ObjectModel, even_shares
 from testbed.validation import freeze_arrays
 
 LEAST_FRICTION = 1e-5
@@ -15,7 +15,7 @@ LEAST_FRICTION = 1e-5
 RING = 8
 """Points of a ring."""
 HARD = 10.0
-"""Stiffness of a point of contact over that of a foot under a particle: a narrow body would roll over soft ones."""
+"""Stiffness of a rigid body's point of contact over that of a foot: a narrow body would roll over soft ones."""
 _TRIES = 200
 _LEAST_SHARE = 0.3
 
@@ -41,13 +41,39 @@ class Feet:
 
     @staticmethod
     def of(model: ObjectModel) -> Feet:
-        """A foot under each particle in contact, as the estimators assume; a point of contact is hard."""
+        """A foot under each particle in contact, as the estimators assume; a rigid body's point of contact is hard.
+
+        Known feet of a group carry its weight about its own center of mass.
+        """
+        if model.shape.stands_on_feet:
+            count = len(model.shape.feet)
+            return Feet.known(model, np.zeros((count, 2)), np.zeros(count))
         shape = model.shape
         particle = np.flatnonzero(shape.friction_group >= 0)
         friction = np.maximum(model.truth.friction[shape.friction_group[particle]], LEAST_FRICTION)
         stiffness = np.where(shape.is_contact[particle], HARD, 1.0)
         still = np.zeros(len(particle))
         return Feet(particle, shape.particles[particle], still, stiffness, np.column_stack([friction, friction]))
+
+    @staticmethod
+    def known(model: ObjectModel, aside: Float[np.ndarray, "F 2"], uneven: Float[np.ndarray, "F"]) -> Feet:
+        """Feet of known places, each group's with its weight about its own center of mass.
+
+        Args:
+            model: an object that stands on feet.
+            aside: distance of each foot from its place [m].
+            uneven: load of each foot beyond an even share, as a part of it, as far as balance leaves it open.
+        """
+        shape = model.shape
+        position, stiffness = shape.particles[shape.feet] + aside, np.ones(len(shape.feet))
+        for group in range(shape.n_m):
+            cells, own = shape.mass_group == group, shape.mass_group[shape.feet] == group
+            lever = position[own] - np.average(shape.particles[cells], axis=0, weights=shape.fill[cells])
+            affine = np.column_stack([np.ones(len(lever)), lever])
+            left = uneven[own] - affine @ np.linalg.lstsq(affine, uneven[own], rcond=1e-9)[0]
+            stiffness[own] = np.maximum(len(lever) * even_shares(lever) + left, _LEAST_SHARE / 3)
+        friction = np.maximum(model.truth.friction[shape.friction_group[shape.feet]], LEAST_FRICTION)
+        return Feet(shape.feet, position, 0 * stiffness, stiffness, np.column_stack([friction, friction]))
 
     @staticmethod
     def drawn(model: ObjectModel, points: int, rng: np.random.Generator) -> Feet:
@@ -85,22 +111,15 @@ def _pattern(
         wanted = (low + high) / 2 + radius * np.column_stack([np.cos(angle), np.sin(angle)])
         over = np.linalg.norm(wanted[:, None] - cells, axis=2).argmin(axis=1)
         position = cells[over] + np.clip(wanted - cells[over], -cell / 2, cell / 2)
-        share = _shares(position - center)
+        share = even_shares(position - center)
         return over, position, share if share.min() > 0 else np.full(RING, 1 / RING)
     count = int(rng.integers(points - 1, points + 1))
     for left in reversed(range(_TRIES)):
         over = rng.choice(len(cells), count, replace=len(cells) < count)
         position = cells[over] + rng.uniform(-0.5, 0.5, (count, 2)) * cell
-        share = _shares(position - center)
+        share = even_shares(position - center)
         if share.min() > _LEAST_SHARE / count:
             return over, position, share
         if not left:
             return over, position, np.full(count, 1 / count)
     raise AssertionError
-
-
-def _shares(lever: np.ndarray) -> np.ndarray:
-    """Most even shares of a load over points at these levers (N, 2) from it; -1 where they cannot carry it."""
-    matrix, wanted = np.vstack([np.ones(len(lever)), lever.T]), np.array([1.0, 0.0, 0.0])
-    share = np.linalg.lstsq(matrix, wanted, rcond=1e-9)[0]
-    return share if np.allclose(matrix @ share, wanted, atol=1e-9) else np.full(len(lever), -1.0)

@@ -24,7 +24,7 @@ class Parameter:
     unit: str = ""
     """SI unit; empty of a part of something."""
     shape: tuple[int | str, ...] = ()
-    """Shape of one draw; "groups" is the number of mass groups."""
+    """Shape of one draw; "groups" is the number of mass groups, "feet" that of feet of known places."""
     scope: Scope = "setup"
     """Extent of one draw: an object, the whole setup, a trial, or a sample."""
     shows: tuple[str, ...] = ()
@@ -40,9 +40,10 @@ class Parameter:
     shown: tuple[float, str] | None = None
     """Factor and unit in which its size is printed; None is that of its SI unit."""
 
-    def sized(self, groups: int) -> tuple[int, ...]:
-        """Shape of one draw for an object of so many mass groups."""
-        return tuple(groups if each == "groups" else int(each) for each in self.shape)
+    def sized(self, groups: int, feet: int = 0) -> tuple[int, ...]:
+        """Shape of one draw for an object of so many mass groups, and feet of known places."""
+        counts = {"groups": groups, "feet": feet}
+        return tuple(counts[each] if isinstance(each, str) else each for each in self.shape)
 
     def formatted(self, size: float) -> str:
         """Size in words, such as "2.1 mm"."""

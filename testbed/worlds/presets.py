@@ -24,7 +24,7 @@ class World(SetupErrors):
     name: str = "ideal"
     """Name of the preset."""
     flatness: float = parameter(source="contacts", unit="m", scope="object")
-    """Height of each contact point [m]."""
+    """Height of each contact point [m]; that of known feet is in `foot_load`."""
     start_offset: float = parameter(source="start", unit="m", shape=(2,), scope="trial")
     """Place where a trial begins along each axis of the table, which is known [m]."""
     start_angle: float = parameter(source="start", unit="rad", scope="trial")
@@ -75,6 +75,8 @@ SOURCES: dict[str, tuple[str, ...]] = {
 _LAB = World(
     name="lab",
     contact_points=4,
+    foot_offset=0.0005,
+    foot_load=0.2,
     flatness=1e-4,
     group_friction=0.03,
     place_friction=0.03,
@@ -111,6 +113,8 @@ WORLDS: dict[str, World] = {
             _LAB,
             name="rough",
             flatness=2e-4,
+            foot_offset=0.001,
+            foot_load=0.4,
             group_friction=0.08,
             place_friction=0.06,
             anisotropy=0.10,
@@ -128,6 +132,8 @@ WORLDS: dict[str, World] = {
 
 UNSTATED = SetupErrors(
     contact_points=6,
+    foot_offset=0.0003,
+    foot_load=0.1,
     group_friction=0.02,
     place_friction=0.02,
     anisotropy=0.03,

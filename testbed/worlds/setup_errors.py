@@ -25,7 +25,28 @@ class SetupErrors:
         cause="the object touches the table at few points: state `contact_points`",
         shown=(1.0, "of a pattern of 3 points"),
     )
-    """Points, anywhere under it, on which each mass group rests; 0: on every particle, as the paper assumes."""
+    """Points, anywhere under it, on which each mass group rests; 0: on every particle, as the paper assumes.
+
+    Feet of known places stand for them.
+    """
+    foot_offset: float = parameter(
+        shows=("table",),
+        source="contacts",
+        unit="m",
+        shape=("feet", 2),
+        scope="object",
+        likely=0.001,
+        cause="the feet are elsewhere than told: measure them",
+    )
+    """Place of each foot of a known place, along each axis [m]."""
+    foot_load: float = parameter(
+        source="contacts",
+        shape=("feet",),
+        scope="object",
+        likely=0.3,
+        cause="the feet of a group carry unlike loads: make them alike, or state `foot_load`",
+    )
+    """Load of each foot of a known place, as a part of an even share of its group's."""
     group_friction: float = parameter(
         shows=("table",),
         source="friction of groups",

@@ -71,8 +71,8 @@ def draw_groups(
     """
     on = axis.transData if place is None else place + axis.transData
     low, high = extent(shape)
-    half = shape.cell / 2
-    cells = shape.particles[:, None] + half * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
+    half, group = shape.cell / 2, shape.mass_group[shape.cells]
+    cells = shape.particles[shape.cells, None] + half * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
     if values is None:
         axis.add_collection(
             PolyCollection(list(cells), facecolor="white", edgecolor="0.7", hatch="////", linewidth=0.2, transform=on)
@@ -86,10 +86,10 @@ def draw_groups(
         patches = PolyCollection(
             list(cells), cmap=scale.colors, norm=norm, linewidth=0, antialiased=False, transform=on
         )
-        patches.set_array(values[shape.mass_group])
+        patches.set_array(values[group])
         axis.add_collection(patches)
         if not known.all():
-            blind = cells[~known[shape.mass_group]]
+            blind = cells[~known[group]]
             axis.add_collection(
                 PolyCollection(
                     list(blind), facecolor=NO_ANSWER, edgecolor="white", hatch="////", linewidth=0, transform=on

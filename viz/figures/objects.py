@@ -66,10 +66,11 @@ def draw_object(axis: Axes, model: ObjectModel) -> None:
         faces.set_rasterized(True)
         axis.add_collection(faces)
     else:
-        cells = shape.particles[:, None] + shape.cell / 2 * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
-        axis.add_collection(PolyCollection(list(cells), facecolors=[group_color(int(g)) for g in shape.mass_group]))
+        cells = shape.particles[shape.cells, None] + shape.cell / 2 * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
+        colors = [group_color(int(group)) for group in shape.mass_group[shape.cells]]
+        axis.add_collection(PolyCollection(list(cells), facecolors=colors))
     touching = shape.particles[shape.friction_group >= 0]
-    if shape.is_contact.any():
+    if shape.is_contact.any() and not shape.stands_on_feet:
         axis.add_patch(Polygon(touching, fill=False, edgecolor=BLACK, linestyle="--", linewidth=0.7))
     axis.plot(*touching.T, "o", color=BLACK, markersize=3.5 if shape.is_contact.any() else 1.0, linestyle="none")
     if shape.chain is not None:

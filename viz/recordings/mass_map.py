@@ -54,13 +54,14 @@ class Raster:
     @staticmethod
     def of(shape: ObjectShape) -> Raster:
         """One pixel a cell where the cells lie on one lattice, else FINE."""
-        low = shape.particles.min(axis=0)
-        at = (shape.particles - low) / shape.cell
+        cells = shape.particles[shape.cells]
+        low = cells.min(axis=0)
+        at = (cells - low) / shape.cell
         fine = 1 if np.abs(at - at.round()).max() < 0.02 else FINE
         at = (fine * at).round().astype(int)
         width, height = at.max(axis=0) + fine
         group = np.full((height, width), -1)
-        for (x, y), which in zip(at, shape.mass_group, strict=True):
+        for (x, y), which in zip(at, shape.mass_group[shape.cells], strict=True):
             group[y : y + fine, x : x + fine] = which
         left, bottom = low - shape.cell / 2
         return Raster(group, float(left), float(bottom), shape.cell / fine)

@@ -144,6 +144,7 @@ def _log_object(node: Node, view: TrialView) -> None:
         names = [f"link {link}, {name}" for link, name in zip(shape.chain.link, names, strict=True)]
 
     def cells(kept: Bool[np.ndarray, "P"]) -> rr.Boxes3D:
+        kept = kept & ~shape.is_contact
         groups = shape.mass_group[kept]
         return rr.Boxes3D(
             centers=centers[kept],

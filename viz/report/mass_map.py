@@ -54,10 +54,11 @@ def mass_map(answer: Answer) -> Text:
 def _grid(answer: Answer) -> np.ndarray:
     """Group at each character, two a cell; -1 outside."""
     shape = answer.shape
-    places = np.round((shape.particles - shape.particles.min(axis=0)) / shape.cell).astype(int)
+    cells = shape.particles[shape.cells]
+    places = np.round((cells - cells.min(axis=0)) / shape.cell).astype(int)
     columns, rows = places.max(axis=0) + 1
     grid = np.full((rows, columns), -1)
-    grid[rows - 1 - places[:, 1], places[:, 0]] = shape.mass_group
+    grid[rows - 1 - places[:, 1], places[:, 0]] = shape.mass_group[shape.cells]
     step = -(-2 * columns // WIDEST)
     return np.repeat(grid[::step, ::step], 2, axis=1)
 

@@ -9,6 +9,7 @@ import torch
 from numpy.testing import assert_allclose
 from scipy.stats import chi2
 
+from estimators.hidden_states.estimator import HiddenStates
 from estimators.particles import friction_system, links, setup_effects
 from estimators.particles.lifts import lifts_among
 from estimators.particles.observe import observe
@@ -199,3 +200,68 @@ def test_draws_are_masses_of_the_posterior_even_where_it_is_wide():
     assert (mass.std(0) > 0.02).all()
     assert_allclose(mass.sum(1), wide.total_mass, atol=0.006)
     assert np.array_equal(found.draws(wide.shape, 500, 0)[0], mass), "equal seeds give equal draws"
+
+
+def padded(seed=2, aside=0.0):
+    """An object on four feet a block, and the same with each foot elsewhere, m."""
+    plain, pads = drawn_object(seed), np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * 0.018
+    middles = [plain.shape.particles[plain.shape.mass_group == g].mean(0) for g in range(plain.shape.n_m)]
+    off = aside * np.random.default_rng(5).standard_normal((plain.shape.n_m, 4, 2))
+    return plain.on_feet([middle + pads for middle in middles]), off, middles, pads
+
+
+def test_masses_on_known_feet_are_recovered():
+    model = padded()[0]
+    answer = Bayes().estimate(model.shape, model.total_mass, turns(model) + accelerated(model), 0)
+    assert answer.status == "ok" and answer.distribution is not None
+    assert_allclose(answer.distribution.mass * model.shape.particles_per_group, model.group_mass, rtol=0.01)
+
+
+def test_a_foot_beside_its_place_changes_the_wrench_as_its_derivative_says():
+    model, off, middles, pads = padded(aside=2e-4)
+    moved = drawn_object(2).on_feet([middle + pads + each for middle, each in zip(middles, off, strict=True)])
+    windows = observe(model.shape, turns(model))
+    assert windows is not None
+    measured = OnTable.of(model.shape, windows, "own_weight", SHARP)
+    theta = {"mass": torch.tensor(model.truth.mass), "friction": torch.tensor(model.truth.friction)}
+    theta["carried"] = torch.zeros(3, dtype=torch.float64)
+    aside = {"foot_offset": torch.tensor(off.reshape(-1, 2))}
+    predicted = [
+        torch.vmap(lambda window, more=more: measured.wrench(theta | more, window))(measured.table.windows)
+        for more in ({}, aside)
+    ]
+    seen = observe(moved.shape, turns(moved))
+    assert seen is not None
+    change = seen.wrench - windows.wrench
+    assert change.abs().max() > 1e-4
+    assert_allclose(predicted[1] - predicted[0], change, atol=0.03 * float(change.abs().max()))
+
+
+@pytest.mark.parametrize("method", [Bayes(), HiddenStates()], ids=["bayes", "hidden_states"])
+def test_known_feet_leave_less_open_than_unknown_points(method):
+    errors = replace(EXACT_SETUP, contact_points=4, foot_offset=0.0005, foot_load=0.2)
+    claimed = []
+    for model in (drawn_object(2), padded()[0]):
+        trials = [replace(trial, setup=errors) for trial in turns(model) + accelerated(model)]
+        answer = method.estimate(model.shape, model.total_mass, trials, 0)
+        assert answer.covariance is not None
+        claimed.append(np.sqrt(np.diag(answer.covariance)) * model.shape.particles_per_group)
+    assert (claimed[1] < claimed[0]).all() and claimed[1].sum() < 0.8 * claimed[0].sum()
+
+
+def test_feet_of_unlike_loads_are_a_pattern_of_their_group():
+    model = padded()[0]
+    unknowns = priors(model.shape, replace(EXACT_SETUP, contact_points=4, foot_load=0.2), SHARP, model.total_mass, 1)
+    assert "contact_points" not in unknowns.blocks and unknowns.blocks["foot_load"].std.shape == (model.shape.n_m, 3)
+    windows = observe(model.shape, turns(model))
+    assert windows is not None
+    measured = OnTable.of(model.shape, windows, "own_weight", SHARP)
+    window = {name: value[0] for name, value in measured.table.windows.items()}
+    theta = {"mass": torch.tensor(model.truth.mass), "friction": torch.tensor(model.truth.friction)}
+    z = torch.randn(4000, model.shape.n_m, 3, generator=torch.Generator().manual_seed(1), dtype=torch.float64)
+    std = unknowns.blocks["foot_load"].std
+    loads = torch.stack([measured.loads(theta | {"foot_load": std * each}, window)[model.shape.feet, 0] for each in z])
+    even = measured.loads(theta, window)[model.shape.feet, 0]
+    assert_allclose(loads.unflatten(1, (-1, 4)).sum(2), even.reshape(-1, 4).sum(1).expand(4000, -1), rtol=1e-9)
+    # balance leaves one of four loads open: a quarter of the variance
+    assert_allclose((loads / even).std(0), 0.2 / 2, rtol=0.05)

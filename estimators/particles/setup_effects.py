@@ -155,8 +155,9 @@ def setup_effects(
         setup: standard deviations; a kind of 0 has no columns.
     """
     found: Columns = {}
-    if unevenness(setup, rows.model):
-        found["foot_load" if rows.model.stands_on_feet else "contact_points"] = _contact_pattern(rows, setup)
+    name, uneven = unevenness(setup, rows.model)
+    if uneven:
+        found[name] = _contact_pattern(rows, uneven)
     for kind, size in _sizes(rows.model, setup).items():
         found[kind] = by_row(rows.slopes[kind] * size.flatten())
     if setup.anisotropy:
@@ -181,14 +182,19 @@ def _stuck(windows: Observations, table: Table) -> Float[Tensor, "K P"]:
     return (SLOW**2 / (square + SLOW**2)).mean(1) * windows.pushed[:, None]
 
 
-def unevenness(setup: SetupErrors, model: ParticleModel) -> float:
-    """Variance of the load of a group's points of contact, as a part of an even share, over their number; 0 if known.
+def unevenness(setup: SetupErrors, model: ParticleModel) -> tuple[str, float]:
+    """Error of the setup that makes the loads of a group's points of contact uneven, and by how much.
 
-    Of few points anywhere under a group, or of known feet. Balance decides the loads of a rigid body's points.
+    Either unequal loads on known feet, or few points anywhere under a group. Balance decides the loads of a rigid
+    body's points.
+
+    Returns:
+        Name of the error; and variance of a load, as a part of an even share, over the number of points, 0 if known.
     """
     if model.stands_on_feet:
-        return setup.foot_load**2 * len(model.parts) / len(model.feet)
-    return SHARES / setup.contact_points if setup.contact_points and not bool(model.is_contact.any()) else 0.0
+        return "foot_load", setup.foot_load**2 * len(model.parts) / len(model.feet)
+    unknown = setup.contact_points and not bool(model.is_contact.any())
+    return "contact_points", SHARES / setup.contact_points if unknown else 0.0
 
 
 def _sizes(model: ParticleModel, setup: SetupErrors) -> dict[str, Tensor]:
@@ -196,11 +202,11 @@ def _sizes(model: ParticleModel, setup: SetupErrors) -> dict[str, Tensor]:
     return stated_sizes(setup, ("table",), len(model.parts), len(model.feet))
 
 
-def _contact_pattern(rows: LinearRows, setup: SetupErrors) -> Float[Tensor, "R n"]:
+def _contact_pattern(rows: LinearRows, uneven: float) -> Float[Tensor, "R n"]:
     """Loads of the points of contact under each group, in one pattern for all trials.
 
-    They hold the group's weight about its own center of mass, so only what is not affine in a point's place is drawn:
-    of points that nobody knows, its variance over the area, over the number of points.
+    They carry the group's weight about its own center of mass, so only the part that is not affine in a point's place
+    is drawn. For unknown points its variance is that over the area, divided by the number of points.
     """
     model, each, columns = rows.model, rows.by_point, []
     for group in range(int(model.mass_group.max()) + 1):
@@ -214,7 +220,7 @@ def _contact_pattern(rows: LinearRows, setup: SetupErrors) -> Float[Tensor, "R n
         own = each[:, :, inside].flatten(2)[..., ::every]
         rest = own - (own @ affine) @ affine.T
         rest[:, 3:] += UNEVEN * (own @ affine[:, 1:] @ affine[:, 1:].T)[:, 3:]
-        columns.append(rest * load[:, None, None] * math.sqrt(unevenness(setup, model) / len(at)))
+        columns.append(rest * load[:, None, None] * math.sqrt(uneven / len(at)))
     return by_row(torch.cat(columns, -1))
 
 

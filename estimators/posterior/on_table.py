@@ -25,7 +25,7 @@ from testbed.objects.model import GRAVITY, ObjectShape
 from testbed.worlds.setup_errors import PARAMETERS
 
 PATTERNS = "contact_points", "foot_load"
-"""Errors of the setup whose unknowns are patterns of contact: of points that nobody knows, or of known feet."""
+"""Errors of the setup that act as patterns of contact: unknown points, or unequal loads on known feet."""
 SHARED = {name for name, each in PARAMETERS.items() if {"table", "reading"} & set(each.shows)}
 """Errors of the setup that change these measurements."""
 SHARED |= {"mass", "friction", "com_height", "indeterminate_load", "hinge_friction", "links_carried", "other_support"}
@@ -282,7 +282,7 @@ def contact_patterns(
     ]
     taken = [at[:: max(1, math.ceil(len(at) / MOST_POINTS))] for at in every]
     found = torch.zeros(*points.shape[:2], max(len(at) for at in taken) - 1, dtype=torch.float64)
-    for particle, point in (at.unbind(1) for at in taken if len(at) > 2):
+    for particle, point in (at.unbind(1) for at in taken if len(at) > 3):
         place = points[particle, point]
         affine = torch.cat([torch.ones_like(place[:, :1]), place - place.mean(0)], 1)
         ways = torch.linalg.qr(affine, mode="complete")[0][:, 1:]

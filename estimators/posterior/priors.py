@@ -47,12 +47,13 @@ def priors(
         "mass": Block.log_normal(typical * np.exp(-0.5), MASS_STD, shape.n_m),
         "friction": Block.log_normal(FRICTION, FRICTION_STD, shape.n_mu),
     }
-    if uneven := unevenness(setup, model):
+    pattern, uneven = unevenness(setup, model)
+    if uneven:
         # the variance of a pattern over n points, of which as many as the points of the model are taken
         patterns, points = contact_patterns(model, model.points(spread=True))
         size = (uneven / points).sqrt()[:, None].repeat(1, patterns.shape[-1])
         size[:, :2] *= 0.0 if model.stands_on_feet else LEAN
-        blocks["foot_load" if model.stands_on_feet else "contact_points"] = Block.normal(size)
+        blocks[pattern] = Block.normal(size)
     for name, size in stated_sizes(setup, ("table", "air", "reading"), shape.n_m, len(shape.feet)).items():
         blocks[name] = Block.normal(size, trials if PARAMETERS[name].scope == "trial" else None)
     for name in MODEL_PARAMETERS:

@@ -200,8 +200,7 @@ def own_weight_loads(obj: ObjectModel) -> np.ndarray:
         inside = shape.mass_group == group
         share = np.full((inside & feet).sum(), 1 / (inside & feet).sum())
         if shape.stands_on_feet:
-            middle = np.average(shape.particles[inside], axis=0, weights=shape.fill[inside])
-            share = even_shares(shape.particles[inside & feet] - middle)
+            share = even_shares(shape.particles[inside & feet] - shape.middle_of(group))
         load[inside & feet] = obj.particle_mass[inside].sum() * GRAVITY * share
     return load
 

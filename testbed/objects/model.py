@@ -186,6 +186,15 @@ class ObjectShape:
         """Particles that have material, all but the points of contact."""
         return np.flatnonzero(~self.is_contact)
 
+    def cells_of(self, group: int) -> Int[np.ndarray, "C"]:
+        """Particles of a mass group that have material."""
+        return self.cells[self.mass_group[self.cells] == group]
+
+    def middle_of(self, group: int) -> Float[np.ndarray, "2"]:
+        """Center of mass of a mass group's particles [m]."""
+        own = self.mass_group == group
+        return np.average(self.particles[own], axis=0, weights=self.fill[own])
+
     @property
     def is_uneven(self) -> bool:
         """True if material fills some cell in part, at a height in it that the cells do not tell."""
@@ -331,12 +340,11 @@ class ObjectModel:
         """
         shape, under = self.shape, []
         for group, (name, places) in enumerate(zip(shape.group_names, feet, strict=True)):
-            own = shape.mass_group == group
-            touching = set(shape.friction_group[own].tolist()) - {-1}
+            touching = set(shape.friction_group[shape.mass_group == group].tolist()) - {-1}
             if len(touching) != 1:
                 raise InvalidValueError("feet", name, "groups that touch the table, each with one friction")
             under.append(touching.pop())
-            middle = np.average(shape.particles[own], axis=0, weights=shape.fill[own])
+            middle = shape.middle_of(group)
             if even_shares(places - middle).min() <= 0:
                 given = f"{name}, with its center of mass at ({middle[0] * 1e3:.1f}, {middle[1] * 1e3:.1f}) mm"
                 raise InvalidValueError("feet", given, "feet around the center of mass of each group")

@@ -273,8 +273,8 @@ class _Residuals:
         least = LEAST * guess.total_mass / guess.shape.n_m
         most = guess.total_mass * (MOST if self._measured.weight is None else 1)
         for group, mass in enumerate(guess.group_mass):
-            inside = guess.shape.mass_group == group
-            cells = {f"cell_{i}": guess.shape.fill[i] / inside.sum() for i in guess.shape.cells if inside[i]}
+            count = guess.shape.particles_per_group[group]
+            cells = {f"cell_{i}": guess.shape.fill[i] / count for i in guess.shape.cells_of(group)}
             found.add(sysid.Parameter(f"mass_{group}", mass, least, most, modifier=partial(_set_masses, cells)))
         for group, mu in enumerate(guess.truth.friction):
             feet = [f"foot_{i}" for i, p in enumerate(particles) if guess.shape.friction_group[p] == group]

@@ -81,7 +81,7 @@ def add_object(
         if obj.solids:
             _add_solid(spec, frame, obj, group, color)
             continue
-        for particle in shape.cells[shape.mass_group[shape.cells] == group].tolist():
+        for particle in shape.cells_of(group).tolist():
             add_cell(frame, shape, particle, max(float(obj.particle_mass[particle]), 1e-6), rgba=color, group=1)
     if support.stiffness > 0 and not support.is_rigid:
         for a, b in touching_groups(joined or shape):

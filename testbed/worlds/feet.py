@@ -50,10 +50,9 @@ class Feet:
             return Feet.known(model, np.zeros((count, 2)), np.zeros(count))
         shape = model.shape
         particle = np.flatnonzero(shape.friction_group >= 0)
-        friction = np.maximum(model.truth.friction[shape.friction_group[particle]], LEAST_FRICTION)
         stiffness = np.where(shape.is_contact[particle], HARD, 1.0)
         still = np.zeros(len(particle))
-        return Feet(particle, shape.particles[particle], still, stiffness, np.column_stack([friction, friction]))
+        return Feet(particle, shape.particles[particle], still, stiffness, _friction(model, particle))
 
     @staticmethod
     def known(model: ObjectModel, aside: Float[np.ndarray, "F 2"], uneven: Float[np.ndarray, "F"]) -> Feet:
@@ -67,13 +66,12 @@ class Feet:
         shape = model.shape
         position, stiffness = shape.particles[shape.feet] + aside, np.ones(len(shape.feet))
         for group in range(shape.n_m):
-            cells, own = shape.mass_group == group, shape.mass_group[shape.feet] == group
-            lever = position[own] - np.average(shape.particles[cells], axis=0, weights=shape.fill[cells])
+            own = shape.mass_group[shape.feet] == group
+            lever = position[own] - shape.middle_of(group)
             affine = np.column_stack([np.ones(len(lever)), lever])
             left = uneven[own] - affine @ np.linalg.lstsq(affine, uneven[own], rcond=1e-9)[0]
             stiffness[own] = np.maximum(len(lever) * even_shares(lever) + left, _LEAST_SHARE / 3)
-        friction = np.maximum(model.truth.friction[shape.friction_group[shape.feet]], LEAST_FRICTION)
-        return Feet(shape.feet, position, 0 * stiffness, stiffness, np.column_stack([friction, friction]))
+        return Feet(shape.feet, position, 0 * stiffness, stiffness, _friction(model, shape.feet))
 
     @staticmethod
     def drawn(model: ObjectModel, points: int, rng: np.random.Generator) -> Feet:
@@ -88,16 +86,20 @@ class Feet:
             exact = Feet.of(model)
             return replace(exact, stiffness=exact.stiffness * rng.lognormal(0.0, 1.0, len(exact.particle)))
         for group in range(shape.n_m):
-            members = shape.mass_group == group
-            touching = np.flatnonzero(members & (shape.friction_group >= 0))
+            touching = np.flatnonzero((shape.mass_group == group) & (shape.friction_group >= 0))
             if len(touching):
-                center = np.average(shape.particles[members], axis=0, weights=shape.fill[members])
+                center = shape.middle_of(group)
                 cells = shape.particles[touching]
                 nearby, position, share = _pattern(cells, shape.cell, center, points, rng)
                 parts.append((touching[nearby], position, share * len(touching)))
         particle, position, stiffness = (np.concatenate(part) for part in zip(*parts, strict=True))
-        friction = np.maximum(model.truth.friction[shape.friction_group[particle]], LEAST_FRICTION)
-        return Feet(particle, position, np.zeros(len(particle)), stiffness, np.column_stack([friction, friction]))
+        return Feet(particle, position, np.zeros(len(particle)), stiffness, _friction(model, particle))
+
+
+def _friction(model: ObjectModel, particle: Int[np.ndarray, "F"]) -> Float[np.ndarray, "F 2"]:
+    """Coefficient of friction under each of some particles, along x and y."""
+    friction = np.maximum(model.truth.friction[model.shape.friction_group[particle]], LEAST_FRICTION)
+    return np.column_stack([friction, friction])
 
 
 def _pattern(

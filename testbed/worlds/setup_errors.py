@@ -27,7 +27,7 @@ class SetupErrors:
     )
     """Points, anywhere under it, on which each mass group rests; 0: on every particle, as the paper assumes.
 
-    Feet of known places stand for them.
+    It does not apply to an object on feet of known places.
     """
     foot_offset: float = parameter(
         shows=("table",),
@@ -36,17 +36,17 @@ class SetupErrors:
         shape=("feet", 2),
         scope="object",
         likely=0.001,
-        cause="the feet are elsewhere than told: measure them",
+        cause="the feet are not where the object file states: measure them",
     )
-    """Place of each foot of a known place, along each axis [m]."""
+    """Place of each known foot along each axis [m]."""
     foot_load: float = parameter(
         source="contacts",
         shape=("feet",),
         scope="object",
         likely=0.3,
-        cause="the feet of a group carry unlike loads: make them alike, or state `foot_load`",
+        cause="the feet of a group carry unequal loads: make them alike, or state `foot_load`",
     )
-    """Load of each foot of a known place, as a part of an even share of its group's."""
+    """Load of each known foot, as a part of an even share of its group's load."""
     group_friction: float = parameter(
         shows=("table",),
         source="friction of groups",

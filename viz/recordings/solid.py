@@ -69,7 +69,7 @@ def _log_parts(node: Node, model: ObjectModel) -> None:
                 )
             )
             continue
-        own = shape.particles[shape.cells[shape.mass_group[shape.cells] == group]]
+        own = shape.particles[shape.cells_of(group)]
         centers = np.column_stack([own, np.full(len(own), shape.height / 2)])
         half = np.array([shape.cell, shape.cell, shape.height]) / 2
         place.log(rr.Boxes3D(centers=centers, half_sizes=half, colors=[color], fill_mode="solid"))

@@ -147,7 +147,7 @@ def _after_friction(
             step = np.where(worse[:, None], step / 2, step)
             now, slip, speed = value(v + step)
         v, least = v + step, now
-        open_ = open_ & ~(np.abs(step).max(1) < 1e-13 + 1e-9 * np.abs(v).max(1))
+        open_ = open_ & ~(np.abs(step).max(1) < 1e-13 + 1e-11 * np.abs(v).max(1))
         if not open_.any():
             break
     return v

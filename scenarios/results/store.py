@@ -51,7 +51,7 @@ def key_of(request: dict[str, Any]) -> str:
 
 def trial_request(trial: Trial, settings: RunnerSettings) -> dict[str, Any]:
     """All that decides a physical trial, as plain data; sensing is drawn afterwards and is not in it."""
-    drawn = {} if trial.world is None else {"world": asdict(trial.world)}
+    drawn = {} if trial.world is None else {"world": trial.world.request(trial.object)}
     return drawn | {
         "schema": SCHEMA_VERSION,
         "assets": _asset_hash(),

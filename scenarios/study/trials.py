@@ -183,7 +183,7 @@ def _key_of(experiment: Experiment, store: Store) -> str:
         "held_out": [turn.to_dict() for turn in experiment.turns],
         "simulation": asdict(experiment.scenario.simulation.build()),
     }
-    drawn = {"world": asdict(experiment.world)} if experiment.world else {}
+    drawn = {"world": experiment.world.request(experiment.model)} if experiment.world else {}
     return key_of(request | drawn | store.draws | ({"felt": list(experiment.draw)} if experiment.draw else {}))
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 from jaxtyping import Float
@@ -17,6 +17,7 @@ from testbed.objects.model import GRAVITY, Grasp, ObjectModel
 from testbed.worlds.feet import LEAST_FRICTION, Feet
 from testbed.worlds.presets import World
 from testbed.worlds.seeds import new_secret, seed_of
+from testbed.worlds.setup_errors import PARAMETERS
 from testbed.worlds.surface import Surface
 
 
@@ -53,6 +54,13 @@ class WorldDraw:
     def provenance(self) -> dict[str, str]:
         """Entry of a clean record; `draw_sensing` and `blinded` take it away."""
         return {"world": json.dumps(asdict(self))}
+
+    def request(self, model: ObjectModel) -> dict[str, Any]:
+        """All that decides the errors of an object's trials, as plain data: a kind that it cannot have is left out."""
+        shape, content = model.shape, asdict(self)
+        sized = {name: described.sized(shape.n_m, len(shape.feet)) for name, described in PARAMETERS.items()}
+        content["world"] = {name: size for name, size in content["world"].items() if 0 not in sized.get(name, ())}
+        return content
 
     def rng(self, quantity: str, action: Action | None = None) -> np.random.Generator:
         """Random stream of a quantity, of the setup or of the trial of an action."""

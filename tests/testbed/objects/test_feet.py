@@ -21,7 +21,7 @@ from testbed.objects.model import GRAVITY, ObjectModel
 from testbed.simulation.runner import SimulationRunner
 from testbed.trajectory import Phase
 from testbed.trial import OWN_WEIGHT, Trial
-from testbed.worlds import World, WorldDraw
+from testbed.worlds import WORLDS, World, WorldDraw
 from testbed.worlds.feet import Feet
 
 BLOCKS = """
@@ -114,6 +114,13 @@ def test_a_world_draws_their_places_and_loads(model: ObjectModel):
             assert_allclose(pressed, model.shape.particles[cells].mean(axis=0), atol=1e-9)
 
 
+def test_their_errors_decide_the_trials_of_no_other_object(model: ObjectModel, tmp_path: Path):
+    draws = [WorldDraw(replace(WORLDS["lab"], foot_load=load), 1) for load in (0.2, 0.3)]
+    on_cells = written(tmp_path, "")
+    assert draws[0].request(on_cells) == draws[1].request(on_cells)
+    assert draws[0].request(model) != draws[1].request(model)
+
+
 def test_four_feet_may_carry_unlike_loads(tmp_path: Path):
     four = written(tmp_path, f"[feet]\nunder_each_m = {[[-0.02, -0.02], [0.02, -0.02], [0.02, 0.02], [-0.02, 0.02]]}\n")
     drawn = WorldDraw.of(World(name="pads", foot_load=0.2), four, 1).feet(four)
@@ -129,9 +136,8 @@ def test_each_block_rests_on_its_own_feet_and_drags_there(model: ObjectModel):
     steady = np.flatnonzero(record.mask(Phase.STEADY))[100:-100:20]
     group = model.shape.mass_group[contacts.foot_forces(record.time_s).particle]
     load = contacts.force_on_object[steady, :, 2].mean(axis=0)
-    assert_allclose(
-        [load[group == g].sum() for g in range(3)], model.group_mass * GRAVITY, rtol=0.1
-    )  # the hand carries a little
+    on_group = [load[group == g].sum() for g in range(3)]
+    assert_allclose(on_group, model.group_mass * GRAVITY, rtol=0.1)  # the hand carries a little
     used = np.linalg.norm(contacts.force_on_object[steady, :, :2], axis=2) / contacts.force_on_object[steady, :, 2]
     assert_allclose(used, 0.5, rtol=0.02)
 
@@ -149,8 +155,7 @@ def test_a_mesh_stands_on_feet_by_the_names_of_its_parts(tmp_path: Path):
         + "".join(f"{name} = {places}\n" for name, places in feet.items())
     )
     shape = load_object(tmp_path / "bar.toml").shape
-    assert_allclose(
-        shape.particles[shape.feet], np.concatenate(list(feet.values())) - [0.1, 0.2], atol=1e-7
-    )  # an STL has float32
+    places = np.concatenate(list(feet.values())) - [0.1, 0.2]
+    assert_allclose(shape.particles[shape.feet], places, atol=1e-7)  # an STL has float32
     assert shape.stands_in_groups and not replace(shape, stands_on_feet=False).stands_in_groups
     assert math.isclose(shape.fill.sum(), len(shape.particles))

@@ -30,9 +30,9 @@ from rich.table import Table
 
 from estimators.evaluation.metrics import normalized_absolute_difference
 from estimators.hidden_states.estimator import HiddenStates
+from estimators.posterior.support import EVIDENCE
 from estimators.support_models.estimator import SupportAware
 from estimators.support_models.materials import rank_assignments
-from estimators.support_models.selection import EVIDENCE
 from estimators.testing.analytic_world import accelerated, turns
 from scenarios.results.files import read_json
 from scenarios.results.store import Store

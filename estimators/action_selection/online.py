@@ -19,8 +19,8 @@ from estimators.particles.misfit import UNEXPLAINED
 from estimators.particles.observe import observe
 from estimators.particles.windows import Observations
 from estimators.posterior.estimator import posterior_of
+from estimators.posterior.support import DECISIVE
 from estimators.support_models.estimator import SupportAware
-from estimators.support_models.selection import DECISIVE
 from testbed.actions.base import Action
 from testbed.objects.model import GRAVITY, MassDistribution, ObjectShape
 from testbed.trajectory import Trajectory

@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
@@ -13,7 +14,7 @@ from torch import Tensor
 from estimators.particles.misfit import Misfit
 from estimators.posterior.estimator import posterior_of
 from estimators.posterior.posterior import CAUSES, Part, Posterior
-from estimators.wrench.model import RIGID
+from estimators.posterior.support import SupportTest, support_test
 from estimators.wrench.support import SupportModel
 from testbed.objects.model import ObjectShape
 from testbed.trajectory import Trajectory
@@ -23,6 +24,8 @@ WIDER = 3.0
 """Multiple of its stated size at which an error is tried as the cause. Ours."""
 DECISIVE = 3.0
 """Decimal logarithm of the odds from which a cause is named: the simulation's own flaws reach 2. Ours."""
+WIDTHS = tuple(np.logspace(-3, 3, 241).tolist())
+"""Sizes of an error that are held against each other, as multiples of that stated; each 6 % over the last. Ours."""
 ABSURD = 4.0
 """Multiple of the size that is tried above which a cause is not named: another one is hidden behind it. Ours."""
 
@@ -35,7 +38,7 @@ class Cause:
     odds: float
     """Decimal logarithm of the odds of its being as large as tried, over its being as stated."""
     size: float
-    """Root mean square of its values as they fit best, in the unit of its `Parameter`."""
+    """Standard deviation of its values that makes the measurements likeliest, in the unit of its `Parameter`."""
     absurd: bool
     """True if it would have to be far larger than such errors are."""
 
@@ -57,8 +60,8 @@ class Diagnosis:
     """Errors of the setup, likeliest first."""
     part: Part | None = None
     """Least plausible part of the misfit that is no trial's, if it is implausible."""
-    rigid: float = math.inf
-    """Misfit of one rigid body, where own weight does not explain the trials."""
+    support: SupportTest | None = None
+    """Test that finds another support than own weight, which explains the trials."""
     odd_trial: int | None = None
     """Trial without which the others agree, where all together do not."""
     without: float = math.inf
@@ -83,11 +86,8 @@ class Diagnosis:
     @property
     def _reason(self) -> str:
         """Why the trials do not agree."""
-        if self.rigid < math.inf:
-            return (
-                "the groups do not rest on their own weight; one rigid body explains the trials "
-                f"(misfit {self.rigid:.2g}): ask support_aware"
-            )
+        if self.support is not None:
+            return f"{self.support.sentence}: ask support_aware"
         if self.odd_trial is not None:
             return (
                 f"trial {self.odd_trial + 1} does not agree with the others, which without it do "
@@ -116,15 +116,16 @@ def diagnose(shape: ObjectShape, weight: float, trajectories: Sequence[Trajector
     part = next(
         (part for part in found.parts if part.implausible and not (part.of_rows and part.trial is not None)), None
     )
-    diagnosis = Diagnosis(found.explained, found.by_trial, larger_than_stated(found), part)
+    stated = SetupErrors.largest([trial.setup for trial in trajectories])
+    diagnosis = Diagnosis(found.explained, found.by_trial, larger_than_stated(found, stated), part)
     if diagnosis.misfit.by_chance:
         return diagnosis
     if support == "own_weight" and shape.chain is None and not diagnosis.misfit.explains:
-        # by the same errors for both: neither wins by its tolerance
-        rigid, own = (posterior_of(shape, weight, trajectories, each, errors=RIGID) for each in ("rigid", support))
-        assert rigid is not None and own is not None
-        if rigid.explained.explains and (rigid.log_evidence - own.log_evidence) / math.log(10) > DECISIVE:
-            return replace(diagnosis, rigid=rigid.explained.value)
+        rigid = posterior_of(shape, weight, trajectories, "rigid")
+        assert rigid is not None
+        test = support_test(shape, weight, trajectories, found, rigid)
+        if test.shared or (test.kind == "rigid" and rigid.explained.explains):
+            return replace(diagnosis, support=test)
     diagnosis = _without_one(diagnosis, shape, weight, trajectories, support)
     if diagnosis.odd_trial is not None:
         return diagnosis
@@ -160,45 +161,63 @@ def _one_by_one(
             tried = stated.contact_points / WIDER  # fewer points are a larger error
         if not tried:
             continue
-        trials = [replace(trial, setup=replace(stated, **{name: tried})) for trial in trajectories]
+        wider = replace(stated, **{name: tried})
+        trials = [replace(trial, setup=wider) for trial in trajectories]
         larger = posterior_of(shape, weight, trials, support)
         if larger is None or name not in larger.unknowns.blocks:
             continue
-        z = larger.optimum.z[larger.unknowns.at[name]]
-        causes.append(_cause(larger, name, z, larger.log_evidence - found.log_evidence))
+        causes.append(_cause(_Seen.of(larger, name, wider), larger.log_evidence - found.log_evidence))
     return tuple(sorted(causes, key=lambda cause: -cause.odds))
 
 
-def larger_than_stated(posterior: Posterior) -> tuple[Cause, ...]:
+def larger_than_stated(posterior: Posterior, setup: SetupErrors) -> tuple[Cause, ...]:
     """Stated errors by the odds of each being `WIDER` times as large, all others being as in the posterior.
 
     The likelihood is taken as normal about the most likely unknowns.
     """
     causes = []
     for name in PARAMETERS:
-        if name not in posterior.unknowns.blocks:
-            continue
-        where = posterior.unknowns.at[name]
-        precision = torch.linalg.inv(posterior.laplace[where, where])
-        eye = torch.eye(len(precision), dtype=torch.float64)
-        seen, toward = precision - eye, precision @ posterior.optimum.z[where]
-
-        def evidence(width: float, seen: Tensor = seen, toward: Tensor = toward, eye: Tensor = eye) -> float:
-            volume = torch.linalg.slogdet(eye + width**2 * seen)[1]
-            return float(toward @ torch.linalg.solve(seen + eye / width**2, toward) - volume) / 2
-
-        best = torch.linalg.solve(seen + eye / WIDER**2, toward)
-        causes.append(_cause(posterior, name, best, evidence(WIDER) - evidence(1.0)))
+        if name in posterior.unknowns.blocks:
+            seen = _Seen.of(posterior, name, setup)
+            causes.append(_cause(seen, seen.log_evidence(WIDER) - seen.log_evidence(1.0), WIDER))
     return tuple(sorted(causes, key=lambda cause: -cause.odds))
 
 
-def _cause(posterior: Posterior, name: str, z: Float[Tensor, "m"], evidence: float) -> Cause:
-    """Cause of such values, in units of the posterior's prior."""
-    std = posterior.unknowns.blocks[name].std
-    own = std.flatten() > 0
-    part, unit = float(z[own].square().mean().sqrt()), float(std.flatten()[own].square().mean().sqrt())
-    if name == "contact_points":  # in units of a pattern
-        unit = 1.0
-    elif name == "foot_load":  # of n feet there are n - 1 patterns, as parts of the load of all
-        unit *= std.shape[-1] + 1
-    return Cause(name, evidence / math.log(10), part * unit, part > ABSURD)
+@dataclass(frozen=True, eq=False)
+class _Seen:
+    """What the measurements say of one error of the setup, all others being as in the posterior."""
+
+    name: str
+    unit: float
+    """Standard deviation as stated, in the unit of its `Parameter`; 1 pattern of unknown points."""
+    precision: Float[Tensor, "m"]
+    """Precision along the axes that the measurements show apart, in units of the prior's."""
+    toward: Float[Tensor, "m"]
+    """Precision times the likeliest value along each axis."""
+
+    @staticmethod
+    def of(posterior: Posterior, name: str, setup: SetupErrors) -> _Seen:
+        """Share of a posterior, of trials in a setup, that is one error's."""
+        std, where = posterior.unknowns.blocks[name].std, posterior.unknowns.at[name]
+        whole = torch.linalg.inv(posterior.laplace[where, where])
+        own = std.flatten() > 0
+        value, axes = torch.linalg.eigh((whole - torch.eye(len(whole), dtype=torch.float64))[own][:, own])
+        unit = 1.0 if name == "contact_points" else getattr(setup, name)
+        return _Seen(name, unit, value.clamp(min=0), axes.T @ (whole @ posterior.optimum.z[where])[own])
+
+    def log_evidence(self, width: float) -> float:
+        """Logarithm of the evidence for a standard deviation of `width` times that stated, but for a constant."""
+        variance = width**2
+        gained = variance * self.toward.square() / (1 + variance * self.precision)
+        return float((gained - torch.log1p(variance * self.precision)).sum()) / 2
+
+    @property
+    def likeliest(self) -> float:
+        """Likeliest standard deviation, as a multiple of that stated."""
+        return max(WIDTHS, key=self.log_evidence)
+
+
+def _cause(seen: _Seen, log_evidence: float, tried: float = 1.0) -> Cause:
+    """Cause by the evidence for an error `tried` times as large as the prior's."""
+    width = seen.likeliest
+    return Cause(seen.name, log_evidence / math.log(10), width * seen.unit, width > ABSURD * tried)

@@ -15,9 +15,9 @@ from estimators.posterior.estimator import posterior_of
 from estimators.posterior.in_air import InAir
 from estimators.posterior.on_table import OnTable
 from estimators.posterior.posterior import Posterior
+from estimators.posterior.support import DECISIVE, support_test
 from estimators.support_models.materials import rank_assignments
 from estimators.support_models.polytope import MassPolytope
-from estimators.support_models.selection import DECISIVE, support_test
 from estimators.wrench.model import ParticleModel, inertia_of
 from estimators.wrench.support import ASSUMPTION
 from testbed.errors import InvalidValueError

@@ -12,7 +12,7 @@ import pandas as pd
 
 from estimators.base import Estimate
 from estimators.evaluation.statistics import Row
-from estimators.support_models.selection import DECISIVE, EVIDENCE, SupportTest
+from estimators.posterior.support import DECISIVE, EVIDENCE, SupportTest
 from scenarios.results.estimates import load_estimate
 from scenarios.views.values import estimate_view
 from testbed.files import write_whole

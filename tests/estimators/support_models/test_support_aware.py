@@ -15,10 +15,10 @@ from scipy.special import logsumexp
 from estimators.action_selection.rank import RankDriven
 from estimators.base import Estimate
 from estimators.posterior.estimator import Bayes, posterior_of
+from estimators.posterior.support import SupportTest, support_test
 from estimators.support_models.estimator import SupportAware
 from estimators.support_models.materials import rank_assignments
 from estimators.support_models.polytope import MassPolytope
-from estimators.support_models.selection import SupportTest, support_test
 from estimators.testing.analytic_world import accelerated, drawn_object, turns
 from estimators.wrench.model import ParticleModel, inertia_of
 from estimators.wrench.support import SupportModel

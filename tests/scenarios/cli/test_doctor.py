@@ -24,7 +24,7 @@ def test_it_tells_misfit_causes_and_trials_and_draws_them(results, capsys):
     said = " ".join(capsys.readouterr().out.split())
     assert said.count("trials that fit least") == said.count("figure: ") == 4  # two supports under two sensors
     assert "the trials agree within the errors stated" in said
-    assert "rigid, ideal: misfit" in said and "one rigid body explains the trials" in said
+    assert "rigid, ideal: misfit" in said and "as under one rigid body" in said
     assert len(list((results / "figures").glob("doctor_pair_*.png"))) == 4
 
 

@@ -106,7 +106,7 @@ def support_test(
     else:
         kind = "between" if refuted else "own_weight" if bayes > DECISIVE else "undecided"
         test = SupportTest(kind, bayes, part, error)
-    return _between(test, shape, weight, trajectories, alike, rigid) if test.kind == "between" else test
+    return _between(test, shape, weight, trajectories, (alike, rigid)) if test.kind == "between" else test
 
 
 def _between(
@@ -114,16 +114,19 @@ def _between(
     shape: ObjectShape,
     weight: float,
     trajectories: Sequence[Trajectory],
-    own: Posterior,
-    rigid: Posterior,
+    near: tuple[Posterior, Posterior],
 ) -> SupportTest:
-    """Test with the posterior of both models' loads, the likelier of those from either model on."""
+    """Test with the posterior of both models' loads, the likelier of those from either model on.
+
+    Without it where either model alone explains as much.
+    """
     fits = [
-        posterior_of(shape, weight, trajectories, "own_weight", other="rigid", errors=RIGID, near=near)
-        for near in (own, rigid)
+        posterior_of(shape, weight, trajectories, "own_weight", other="rigid", errors=RIGID, near=start)
+        for start in near
     ]
     shared = max(filter(None, fits), key=lambda fit: fit.log_evidence)
-    if not shared.explained.explains:
+    gained = shared.log_evidence - max(each.log_evidence for each in near)
+    if not shared.explained.explains or gained < DECISIVE * math.log(10):
         return test
     part, error = (float(value) for value in shared.of("other_support"))
     return replace(test, rigid_share=part, rigid_share_error=error, shared=shared)

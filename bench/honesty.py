@@ -3,9 +3,10 @@
 Objects of four to eight blocks, 30 to 60 mm, 0.05 to 0.8 kg, friction 0.15 to 0.9, stand on their own weight in a plain
 Coulomb world of its own contact points, offsets, frictions and sensor errors, drawn anew for each object; six turns
 there and back and six accelerated ones. A row a kind of contact: methods are told the spreads of the errors, never the
-draw. NAD is the median in percent; then the root mean square of error over claimed error, the 90 % intervals that hold
-the truth, the answers with status ok, and those of them with a group off by more than three times its claimed error.
-Below, the methods paired on the same trials.
+draw. NAD is the median over all answers in percent; then the root mean square of error over claimed error, the 90 %
+intervals that hold the truth and their median width as a part of the object's mass, the answers with status ok, and
+those of them with a group off by more than three times its claimed error. In brackets 95 % intervals, by a bootstrap
+over objects, and for the silent ones the exact upper bound. Below, the methods paired on the same trials.
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 from scipy.spatial.transform import Rotation
+from scipy.stats import beta
 
 from estimators.registry import build_method
 from estimators.testing.analytic_world import DOWN, HEIGHT, RATE, TOOL, record
@@ -36,11 +38,14 @@ from testbed.objects.files import ObjectFile
 from testbed.objects.model import GRAVITY, ObjectModel
 from testbed.objects.random import Family
 from testbed.trajectory import Phase, Trajectory
+from testbed.worlds.feet import Feet
 from testbed.worlds.presets import UNSTATED
 from testbed.worlds.setup_errors import SetupErrors
 
 LAB = SetupErrors(
     contact_points=4,
+    foot_offset=0.0005,
+    foot_load=0.2,
     group_friction=0.03,
     place_friction=0.03,
     anisotropy=0.05,
@@ -59,6 +64,8 @@ LAB = SetupErrors(
 )
 ROUGH = replace(
     LAB,
+    foot_offset=0.001,
+    foot_load=0.4,
     group_friction=0.08,
     place_friction=0.06,
     anisotropy=0.1,
@@ -75,9 +82,11 @@ NINETY = 1.645
 SETTINGS = {"explicit_state": {"use_weight": True, "weighting": "covariance"}}
 BIAS = np.repeat([0.2, 0.01], 3)
 NOISE = np.repeat([0.1, 0.005], 3)
-PATTERNS = ("grid", "random", "corners", "ring", "dense", "pressed")
+PATTERNS = ("grid", "random", "corners", "ring", "rim", "dense", "pressed")
 """Contact under a block: the model's grid; three or four points anywhere that carry it level; four feet; a ring of
-eight; a grid of 7 x 7; six points of even load."""
+eight; a round rim; a grid of 7 x 7; six points of even load, on which it is not level."""
+PADS = "pads"
+"""Contact on four feet a block whose places the object states; two thirds of a block apart."""
 RIGID = {"rigid": "dense", "three_feet": "random"}
 """One rigid body on all of such points, whose loads rise evenly, or on the three that carry it with the widest base."""
 
@@ -92,44 +101,55 @@ class Contacts:
 
 def contacts(obj: ObjectModel, pattern: str, setup: SetupErrors, rng: np.random.Generator) -> Contacts:
     """Contacts of one draw."""
-    under = RIGID.get(pattern, pattern)
     shape, parts = obj.shape, []
-    half = shape.cell * 3 / 2
+    feet, count = Feet.of(obj), len(shape.feet)
+    if count:
+        aside = setup.foot_offset * rng.standard_normal((count, 2))
+        feet = Feet.known(obj, aside, setup.foot_load * rng.standard_normal(count))
     offset = setup.particle_offset * rng.standard_normal((shape.n_m, 2))
     friction = 1 + setup.group_friction * rng.standard_normal(shape.n_m)
     for group in range(shape.n_m):
-        cells = shape.particles[shape.mass_group == group]
-        middle = cells.mean(axis=0)
-        if under == "grid":
-            at, share = cells, np.full(len(cells), 1 / len(cells))
-        elif under == "dense":
-            ticks = (np.arange(7) - 3) / 3.5 * half
-            at = middle + np.array([(x, y) for x in ticks for y in ticks])
-            share = np.full(len(at), 1 / len(at))
-        elif under == "corners":
-            at = middle + 0.9 * half * np.array([(x, y) for x in (-1, 1) for y in (-1, 1)])
-            share = np.full(4, 0.25)
-        elif under == "ring":
-            angle = rng.uniform(0, 2 * np.pi) + np.arange(8) * np.pi / 4
-            at = middle + rng.uniform(0.5, 0.95) * half * np.column_stack([np.cos(angle), np.sin(angle)])
-            share = np.full(8, 1 / 8)
-        elif under == "pressed":
-            at = middle + half * rng.uniform(-1, 1, (6, 2))
-            share = np.full(6, 1 / 6)
+        if pattern == PADS:
+            own = shape.mass_group[feet.particle] == group
+            at, share = feet.position[own], feet.stiffness[own] / feet.stiffness[own].sum()
         else:
-            while True:
-                at = middle + half * rng.uniform(-1, 1, (int(rng.integers(3, 5)), 2))
-                matrix = np.vstack([np.ones(len(at)), (at - middle).T])
-                share = np.linalg.lstsq(matrix, np.array([1.0, 0, 0]), rcond=None)[0]
-                if share.min() > 0.05 and np.allclose(matrix @ share, [1, 0, 0]):
-                    break
-        mu = obj.truth.friction[shape.friction_group[shape.mass_group == group][0]]
+            cells = shape.particles[shape.mass_group == group]
+            at, share = points_under(cells, RIGID.get(pattern, pattern), shape.cell * 3 / 2, rng)
+        mu = obj.truth.friction[shape.friction_group[shape.mass_group == group].max()]
         load = obj.group_mass[group] * GRAVITY * share
         parts.append((at + offset[group], np.full(len(at), mu * friction[group]), load))
     position, mu, load = (np.concatenate(part) for part in zip(*parts, strict=True))
     if pattern in RIGID:
         load = rigid_loads(position, obj, widest=pattern == "three_feet")
     return Contacts(position, mu * load)
+
+
+def points_under(
+    cells: np.ndarray, pattern: str, half: float, rng: np.random.Generator
+) -> tuple[np.ndarray, np.ndarray]:
+    """Points under a block of half a side's length, and their shares of its load."""
+    middle = cells.mean(axis=0)
+    if pattern == "random":
+        while True:
+            at = middle + half * rng.uniform(-1, 1, (int(rng.integers(3, 5)), 2))
+            matrix = np.vstack([np.ones(len(at)), (at - middle).T])
+            share = np.linalg.lstsq(matrix, np.array([1.0, 0, 0]), rcond=None)[0]
+            if share.min() > 0.05 and np.allclose(matrix @ share, [1, 0, 0]):
+                return at, share
+    if pattern == "ring":
+        angle = rng.uniform(0, 2 * np.pi) + np.arange(8) * np.pi / 4
+        at = rng.uniform(0.5, 0.95) * np.column_stack([np.cos(angle), np.sin(angle)])
+    elif pattern == "pressed":
+        at = rng.uniform(-1, 1, (6, 2))
+    else:
+        angle, ticks = np.arange(40) * np.pi / 20, (np.arange(7) - 3) / 3.5
+        at = {
+            "grid": (cells - middle) / half,
+            "dense": np.array([(x, y) for x in ticks for y in ticks]),
+            "corners": 0.9 * np.array([(x, y) for x in (-1, 1) for y in (-1, 1)]),
+            "rim": 0.95 * np.column_stack([np.cos(angle), np.sin(angle)]),
+        }[pattern]
+    return middle + half * at, np.full(len(at), 1 / len(at))
 
 
 def rigid_loads(position: np.ndarray, obj: ObjectModel, *, widest: bool) -> np.ndarray:
@@ -267,8 +287,8 @@ def motion(action: TableAction) -> tuple[np.ndarray, ...]:
     return np.arange(len(yaw)) / RATE, yaw, spin, alpha, segment.astype(int)
 
 
-def drawn(index: int, seed: int) -> ObjectModel:
-    """An object that can be gripped at three blocks or more."""
+def drawn(index: int, seed: int, pattern: str) -> ObjectModel:
+    """An object that can be gripped at three blocks or more, on feet of known places where the pattern is of such."""
     rng = np.random.default_rng([seed, index])
     for attempt in range(1000):
         size, own = float(rng.uniform(0.03, 0.06)), int(rng.integers(2**31))
@@ -278,15 +298,16 @@ def drawn(index: int, seed: int) -> ObjectModel:
         blocks = found.blocks.model_copy(update={"mass_kg": mass.tolist()})
         obj = ObjectFile(name=f"d{index}", blocks=blocks).build(3, Path())
         if len(obj.shape.grasps) >= 3:
-            return obj
+            pads = size / 3 * np.array([(x, y) for x in (-1, 1) for y in (-1, 1)])
+            middles = [obj.shape.middle_of(group) for group in range(obj.shape.n_m)]
+            return obj.on_feet([middle + pads for middle in middles]) if pattern == PADS else obj
     raise RuntimeError("no object")
 
 
 def trials(
-    obj: ObjectModel, pattern: str, setup: SetupErrors, stated: SetupErrors, seed: int
+    obj: ObjectModel, pattern: str, setup: SetupErrors, stated: SetupErrors, rng: np.random.Generator
 ) -> tuple[list[Trajectory], float]:
     """Trials of a drawn world and the weight that the scale read."""
-    rng = np.random.default_rng(seed)
     feet, draw = contacts(obj, pattern, setup, rng), Draw.of(setup, rng)
     grasps = [int(g) for g in rng.permutation(len(obj.shape.grasps))]
     chosen = (grasps * 6)[:6]
@@ -313,6 +334,8 @@ class Judged:
     nad: float
     off: tuple[float, ...]
     """Errors of the masses over those claimed."""
+    width: float
+    """Median width of the 90 % intervals, as a part of the object's mass."""
     seconds: float
     misfit: float
 
@@ -321,20 +344,25 @@ def judged(job: tuple[int, str, str], seed: int, methods: tuple[str, ...], given
     """Answers of the methods on one object under one contact in one world."""
     index, pattern, world = job
     setup = WORLDS[world]
-    obj = drawn(index, seed)
-    made, weight = trials(obj, pattern, setup, given or setup, seed * 1000 + index)
+    obj = drawn(index, seed, pattern)
+    rng = np.random.default_rng(seed * 1000 + index)
+    made, weight = trials(obj, pattern, setup, given or setup, rng)
     rows = []
     for name in methods:
         begin = time.process_time()
         found = build_method(name, SETTINGS.get(name, {})).estimate(obj.shape, weight, made, 0)
         spent, misfit = time.process_time() - begin, found.diagnostics.get("misfit", np.nan)
-        nad, off = np.nan, np.zeros(0)
+        nad, off, width = np.nan, np.zeros(0), np.nan
         if found.distribution is not None:
             count = obj.shape.particles_per_group
             off = found.distribution.mass * count - obj.group_mass
             nad = float(np.abs(off).sum() / obj.total_mass)
-            off = off / (count * np.sqrt(np.diag(found.covariance))) if found.covariance is not None else np.zeros(0)
-        rows.append(Judged(index, world, pattern, name, found.status, nad, tuple(off), spent, misfit))
+            if found.covariance is None:
+                off = np.zeros(0)
+            else:
+                claimed = count * np.sqrt(np.diag(found.covariance))
+                off, width = off / claimed, float(np.median(2 * NINETY * claimed) / obj.total_mass)
+        rows.append(Judged(index, world, pattern, name, found.status, nad, tuple(off), width, spent, misfit))
     return rows
 
 
@@ -345,7 +373,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--methods", nargs="+", default=["hidden_states"])
     parser.add_argument("--worlds", nargs="+", default=list(WORLDS))
-    parser.add_argument("--contacts", nargs="+", default=list(PATTERNS), help=f"{', '.join([*PATTERNS, *RIGID])}")
+    parser.add_argument("--contacts", nargs="+", default=list(PATTERNS), help=f"{', '.join([*PATTERNS, PADS, *RIGID])}")
     given = parser.add_mutually_exclusive_group()
     given.add_argument("--blind", dest="given", action="store_const", const=IDEAL, help="state that the setup is exact")
     given.add_argument(
@@ -360,14 +388,14 @@ def main() -> None:
         rows = [row for part in pool.imap(judge, jobs) for row in part]
     table = Table(box=box.SIMPLE_HEAD)
     names = ("world", "contacts", "method")
-    for column in (*names, "NAD", "off / claimed", "90 % hold", "ok, %", "silent, %", "misfit", "s"):
+    for column in (*names, "NAD", "off / claimed", "90 % hold", "width, %", "ok, %", "silent, %", "misfit", "s"):
         table.add_column(column, justify="left" if column in names else "right")
     for world in args.worlds:
         for kind in [*kinds[world], "all"] if len(kinds[world]) > 1 else kinds[world]:
             for method in args.methods:
                 part = [r for r in rows if (r.world, r.method) == (world, method) and kind in (r.contact, "all")]
                 table.add_row(world, kind, method, *summary(part))
-    console = Console(width=140)
+    console = Console(width=160)
     console.print(table)
     for world in args.worlds:
         for method in args.methods[1:]:
@@ -386,18 +414,30 @@ def paired(rows: list[Judged], world: str, first: str, second: str) -> str:
     return f"NAD of {second} less that of {first}: {means.mean():.1f} points [{low:.1f}, {high:.1f}]"
 
 
+def holding(part: list[Judged]) -> str:
+    """95 % interval of the share of 90 % intervals that hold: a bootstrap over objects."""
+    objects = sorted({r.index for r in part})
+    held = np.array([[sum(abs(z) < NINETY for r in part if r.index == i for z in r.off)] for i in objects])
+    total = np.array([[sum(len(r.off) for r in part if r.index == i)] for i in objects])
+    again = np.random.default_rng(0).integers(len(objects), size=(len(objects), 2000))
+    low, high = np.quantile(held[again].sum(0) / total[again].sum(0), [0.025, 0.975])
+    return f"[{100 * low:.0f}, {100 * high:.0f}]"
+
+
 def summary(part: list[Judged]) -> list[str]:
     """Cells of some answers."""
     off = np.concatenate([np.array(r.off) for r in part])
     ok = [r for r in part if r.status == "ok"]
     silent = sum(any(abs(z) > 3 for z in r.off) for r in ok)
     claimed = len(off) > 0
+    most = float(beta.ppf(0.975, silent + 1, len(part) - silent)) if silent < len(part) else 1.0
     return [
         f"{100 * np.nanmedian([r.nad for r in part]):.1f}",
         f"{np.sqrt(np.mean(off**2)):.2f}" if claimed else "",
-        f"{100 * np.mean(np.abs(off) < NINETY):.0f}" if claimed else "",
+        f"{100 * np.mean(np.abs(off) < NINETY):.0f} {holding(part)}" if claimed else "",
+        f"{100 * np.nanmedian([r.width for r in part]):.0f}" if claimed else "",
         f"{100 * len(ok) / len(part):.0f}",
-        f"{100 * silent / len(part):.1f}" if claimed else "",
+        f"{100 * silent / len(part):.1f} [< {100 * most:.1f}]" if claimed else "",
         f"{np.nanmedian([r.misfit for r in part]):.2f}",
         f"{np.mean([r.seconds for r in part]):.2f}",
     ]

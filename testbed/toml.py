@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import json
 import math
+import re
 import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, TypeVar, get_args
 
@@ -21,6 +22,11 @@ MOST_BYTES, MOST_ENTRIES, MOST_DEPTH, MOST_LINES = 2**20, 100_000, 32, 20
 """Largest size [B], numbers of values and of tables within tables, of a file that is read; errors that are listed."""
 LARGEST = 1e15
 """Largest number in a file: beyond every quantity in SI units, and every seed."""
+_PART_OF_KEY = r"""(?:[\w-]+|"[^"\n]*"|'[^'\n]*')[ \t]*\.[ \t]*"""
+_DEEP_KEY = re.compile(rf"(?<![\w-])(?:{_PART_OF_KEY}){{{MOST_DEPTH}}}", re.ASCII)
+"""A dotted key that is too deep: the parser takes memory by the square of its depth."""
+MOST_OF = {"m": 10.0, "kg": 50.0}
+"""Largest length and mass in a file, by the unit at the end of a field's name: a bench has none larger."""
 FileModel = TypeVar("FileModel", bound=BaseModel)
 
 
@@ -35,7 +41,10 @@ def load_toml(path: Path, model: type[FileModel]) -> FileModel:
         InvalidFileError: unreadable, not TOML, or not fitting; the message has a line for each error.
     """
     try:
-        data = tomllib.loads(read_file(path, MOST_BYTES).decode())
+        text = read_file(path, MOST_BYTES).decode()
+        if _DEEP_KEY.search(text):
+            raise ValueError(f"nested deeper than {MOST_DEPTH}")
+        data = tomllib.loads(text)
         _check_size(data)
     except OSError as error:
         raise InvalidFileError(f"{path}: cannot be read as TOML: {error.strerror}") from None
@@ -43,6 +52,8 @@ def load_toml(path: Path, model: type[FileModel]) -> FileModel:
         raise InvalidFileError(f"{path}: cannot be read as TOML: nested deeper than {MOST_DEPTH}") from None
     except ValueError as error:  # UnicodeDecodeError and TOMLDecodeError too
         raise InvalidFileError(f"{path}: cannot be read as TOML: {short(error, str)}") from None
+    if lines := [f"{path}: {line}" for line in _beyond_a_bench(data)]:
+        raise InvalidFileError("\n".join(lines[:MOST_LINES]))
     try:
         return model.model_validate(data)
     except ValidationError as error:
@@ -67,6 +78,21 @@ def _check_size(data: Any) -> None:
             value.values() if isinstance(value, dict) else value for value in left if isinstance(value, dict | list)
         ]
         left = [value for values_of in inner for value in values_of]
+
+
+def _beyond_a_bench(value: Any, path: tuple[str, ...] = ()) -> Iterator[str]:
+    """Lines of the fields whose unit, at the end of their name, makes them larger than anything on a bench."""
+    if isinstance(value, dict):
+        for name, inner in value.items():
+            yield from _beyond_a_bench(inner, (*path, str(name)))
+    elif isinstance(value, list):
+        for index, inner in enumerate(value):
+            yield from _beyond_a_bench(inner, (*path, str(index)))
+    elif isinstance(value, int | float) and path:
+        unit = next(name for name in reversed(path) if not name.isdecimal()).rpartition("_")[2]
+        if abs(value) > MOST_OF.get(unit, math.inf):
+            most = f"at most {MOST_OF[unit]:g} {unit}; is it of another unit?"
+            yield f"{'.'.join(path)}: got {value:g} {unit}; allowed: {most}"
 
 
 def explained(error: ValidationError, model: type[BaseModel]) -> list[str]:

@@ -1,11 +1,10 @@
-"""Logs as messages by topic: MCAP files with JSON messages, and ROS 2 bags without ROS."""
+"""Logs as messages by topic: MCAP files, and ROS 2 bags without ROS."""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import fields, is_dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -14,12 +13,13 @@ import numpy as np
 
 from testbed.importers.columns import TimeMap
 from testbed.importers.logs import LogError, Series, factor, in_order, read_all, unknown
+from testbed.parsing.process import ParserError, parsed
 
 JOINT_STATE = "sensor_msgs/JointState"
 _STAMP = "header.stamp"
 _SECOND = 1_000_000_000
 _NANOSECONDS = ("nanosec", "nsec")
-_NOT_THERE = (KeyError, IndexError, ValueError, AttributeError)
+_NOT_THERE = (KeyError, IndexError, ValueError, TypeError)
 
 
 class Message(NamedTuple):
@@ -30,7 +30,7 @@ class Message(NamedTuple):
     publish_time: int
     """Time at which it was sent [ns]; of a bag that does not say, when it was logged."""
     content: Any
-    """Nested dicts, lists, arrays or objects with attributes."""
+    """Nested dicts and lists."""
 
 
 class MessageLog:
@@ -113,73 +113,38 @@ class MessageLog:
         return values
 
 
-def open_mcap(path: Path) -> MessageLog:
-    """MCAP file with JSON or ROS 2 messages, its checksums compared.
+def open_messages(path: Path) -> MessageLog:
+    """MCAP file with JSON or ROS 2 messages, its checksums compared; or a ROS 2 bag: its folder or a .db3 file.
 
     Raises:
-        LogError: no whole MCAP file, or `mcap` or `rosbags` is not installed.
+        LogError: no whole file of its kind, one that no recorder writes, or a package is not installed.
     """
-    types: dict[str, str] = {}
-    encodings: dict[str, str] = {}
-    messages: dict[str, list[Message]] = {}
-    with _parser(path, "an MCAP file", "mcap"):
-        from mcap.reader import NonSeekingReader  # noqa: PLC0415  an extra, needed by such files alone
+    is_mcap = path.suffix == ".mcap"
+    what, package = ("an MCAP file", "mcap") if is_mcap else ("a ROS 2 bag", "rosbags")
 
-        with path.open("rb") as file:
-            # from front to back: only then is every checksum compared, the data section's too
-            for schema, channel, message in NonSeekingReader(file, validate_crcs=True).iter_messages():
-                types[channel.topic] = schema.name if schema else ""
-                encodings[channel.topic] = channel.message_encoding
-                if channel.message_encoding == "json":
-                    content = Message(message.log_time, message.publish_time, json.loads(message.data))
-                    messages.setdefault(channel.topic, []).append(content)
-    if "cdr" in encodings.values():
-        return open_bag(path)
+    @contextmanager
+    def result(*words: str) -> Iterator[Path]:
+        try:
+            with parsed("testbed.parsing.logs", path.absolute(), *words) as found:
+                yield found
+        except ImportError as error:
+            needed = str(error).partition(".")[0] or package
+            raise LogError(
+                f"{path}: reading {what} needs {needed}: not installed; pip install 'heft-testbed[robot]'"
+            ) from None
+        except ParserError as error:
+            raise LogError(f"{path}: {error}") from None
+
+    with result() as found:
+        topics = json.loads(found.read_bytes())
 
     def read(topic: str) -> list[Message]:
-        if topic not in messages:
-            given = encodings[topic]
+        if (given := topics[topic][1]) not in ("json", "cdr"):
             raise LogError(f"{path}: topic {topic} is encoded as {given}; allowed: json, or cdr of ROS 2; convert it")
-        return messages[topic]
+        with result(topic) as found, found.open(encoding="utf-8") as lines:
+            return [Message(*json.loads(line)) for line in lines]
 
-    return MessageLog(path, types, read)
-
-
-def open_bag(path: Path) -> MessageLog:
-    """ROS 2 bag: its folder, a .db3 file, or an MCAP file with CDR messages.
-
-    Raises:
-        LogError: no whole bag, or `rosbags` is not installed.
-    """
-
-    def reader() -> Any:
-        from rosbags.highlevel import AnyReader  # noqa: PLC0415  an extra
-        from rosbags.typesys import Stores, get_typestore  # noqa: PLC0415
-
-        # bags of Humble and before hold no definitions of their messages
-        return AnyReader([path], default_typestore=get_typestore(Stores.LATEST))
-
-    def read(topic: str) -> list[Message]:
-        with _parser(path, "a ROS 2 bag", "rosbags"), reader() as bag:
-            wanted = [c for c in bag.connections if c.topic == topic]
-            raw = bag.messages(connections=wanted)
-            return [Message(at, at, bag.deserialize(data, c.msgtype)) for c, at, data in raw]
-
-    with _parser(path, "a ROS 2 bag", "rosbags"), reader() as bag:
-        return MessageLog(path, {c.topic: c.msgtype for c in bag.connections}, read)
-
-
-@contextmanager
-def _parser(path: Path, what: str, package: str) -> Iterator[None]:
-    """Turn what a reader of another package raises into a LogError."""
-    try:
-        yield
-    except ImportError:
-        raise LogError(
-            f"{path}: reading {what} needs {package}: not installed; pip install 'heft-testbed[robot]'"
-        ) from None
-    except Exception as error:  # damaged bytes raise anything, from the decompressors too
-        raise LogError(f"{path}: not {what} as a whole: {str(error) or type(error).__name__}") from None
+    return MessageLog(path, {topic: kind for topic, (kind, _) in topics.items()}, read)
 
 
 def _by_name(content: Any) -> dict[str, Any]:
@@ -193,9 +158,7 @@ def _by_name(content: Any) -> dict[str, Any]:
 
 def inside(value: Any, part: str) -> Any:
     """A field of a message by name, or an item by number."""
-    if isinstance(value, dict):
-        return value[part]
-    return value[int(part)] if isinstance(value, list | tuple | np.ndarray) else getattr(value, part)
+    return value[part] if isinstance(value, dict) else value[int(part)]
 
 
 def _at(content: Any, path: str) -> Any:
@@ -216,10 +179,8 @@ def _leaves(data: Any, path: str = "") -> Iterable[tuple[str, Any]]:
     """Values within a message by dotted path; list items by number."""
     if isinstance(data, dict):
         inner = data.items()
-    elif isinstance(data, list | tuple | np.ndarray):
+    elif isinstance(data, list):
         inner = enumerate(data)
-    elif is_dataclass(data):
-        inner = ((f.name, getattr(data, f.name)) for f in fields(data))
     else:
         yield path, data
         return

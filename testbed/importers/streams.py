@@ -16,7 +16,7 @@ from testbed.importers.clocks import Delay, wrench_delay
 from testbed.importers.columns import Columns, HandMap, JointMap, PartMap, SensorMap, TimeMap, VelocityMap
 from testbed.importers.logs import LogError, Series, factor, read_all
 from testbed.importers.mapping import Mapping
-from testbed.importers.messages import open_bag, open_mcap
+from testbed.importers.messages import open_messages
 from testbed.importers.phases import RATE, common_base, resampled, resampled_rotation
 from testbed.importers.poses import Log, Pose, hand_pose, seen_pose
 from testbed.importers.tables import CsvLog
@@ -28,6 +28,8 @@ _AROUND = 1.0
 """Time before and after a trial of which a camera's frames are kept [s]."""
 _TABLES = (".csv", ".tsv", ".txt")
 _BAGS = (".db3", ".mcap")
+MOST_TURNS = 20.0
+"""Angle of a joint, in turns, beyond which it is none: cables and hoses end sooner."""
 _WRENCHES = {"geometry_msgs/WrenchStamped": "wrench.", "geometry_msgs/Wrench": ""}
 """Beginning of the fields of the messages that hold a wrench."""
 
@@ -149,13 +151,13 @@ def open_log(path: Path, table: Columns) -> Log:
         LogError: a file that cannot be read.
     """
     if path.is_dir():
-        return open_bag(path)
+        return open_messages(path)
     if not path.is_file():
         raise InvalidValueError("log", str(path), f"an existing file ({', '.join(_TABLES + _BAGS)}) or bag folder")
     if path.suffix in _TABLES:
         return CsvLog(path, table)
     if path.suffix in _BAGS:
-        return open_mcap(path) if path.suffix == ".mcap" else open_bag(path)
+        return open_messages(path)
     raise InvalidValueError("log", str(path), f"a file that ends in {', '.join(_TABLES + _BAGS)}, or a bag folder")
 
 
@@ -213,6 +215,11 @@ def _seen(source: Log, table: Mapping, folder: Path) -> tuple[Pose, ...]:
 def _joints(log: Log, joints: JointMap, time: TimeMap) -> Series:
     """Joint angles [rad], shape (N, 7)."""
     stamps, values = log.series("joints.position", joints.position, joints.topic, time)
+    turns = np.abs(values).max(initial=0.0) * factor("angle", joints.unit) / (2 * np.pi)
+    if turns > MOST_TURNS:
+        given = f"a joint at {turns:.3g} turns, in {joints.unit}"
+        allowed = f"at most {MOST_TURNS:g} turns; is joints.unit another, or the column no angle?"
+        raise InvalidValueError("joints.position", given, allowed, file=log.path)
     return Series(stamps, values * factor("angle", joints.unit))
 
 

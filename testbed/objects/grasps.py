@@ -103,7 +103,8 @@ def _held(
     begins, ends = (depth == 1) & (out == -1), (depth == 0) & (out == 1)
     begin, end, own = hits[begins], hits[ends], ray[begins]
     apart = (begin[1:] - end[:-1] > FINGER_DEPTH) | (own[1:] != own[:-1])
-    begin, end, own = begin[np.append(True, apart)], end[np.append(apart, True)], own[np.append(True, apart)]
+    first, last = np.append(True, apart)[: len(own)], np.append(apart, True)[: len(own)]
+    begin, end, own = begin[first], end[last], own[first]
     inside = np.flatnonzero((begin <= 0) & (end >= 0))
     before, after = np.append(-1, own[:-1])[inside] == own[inside], np.append(own[1:], -1)[inside] == own[inside]
     found = np.full((rays, 4), np.nan)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from io import BytesIO
@@ -21,6 +22,7 @@ from testbed.objects.model import TOUCH, MassDistribution, ObjectModel, ObjectSh
 from testbed.objects.rays import ASIDE, RayGrid, grid_hits
 from testbed.validation import check_integer
 
+logging.getLogger("trimesh").addHandler(logging.NullHandler())  # what it reads badly is said once, by heft
 FORMATS = ("stl", "obj", "ply", "off")
 """Formats of a mesh: single files that hold a surface and nothing else."""
 MOST_FACES = 100_000
@@ -51,6 +53,7 @@ class Part:
     """Friction group of its feet."""
 
 
+@np.errstate(all="ignore")
 def read_mesh(path: Path) -> trimesh.Trimesh:
     """Mesh from a file [m].
 
@@ -65,12 +68,13 @@ def read_mesh(path: Path) -> trimesh.Trimesh:
     try:
         # from its bytes: a reader then opens no other file, and unpacks none
         mesh = trimesh.load_mesh(BytesIO(read_file(path, MOST_MESH_BYTES)), file_type=kind, process=False)
+        if not isinstance(mesh, trimesh.Trimesh) or len(mesh.faces) == 0:
+            raise ValueError("no triangles in it")
+        check_triangles(mesh)
     except OSError as error:
         raise InvalidValueError("file", path.name, f"a mesh file that can be read: {error.strerror}") from None
     except Exception as error:  # each of trimesh's readers raises its own
         raise InvalidValueError("file", path.name, f"a mesh that trimesh reads; it says: {short(error, str)}") from None
-    if not isinstance(mesh, trimesh.Trimesh) or len(mesh.faces) == 0:
-        raise InvalidValueError("file", path.name, "a mesh with triangles")
     if len(mesh.faces) > MOST_FACES:
         raise InvalidValueError("file", f"{path.name} of {len(mesh.faces)} triangles", f"at most {MOST_FACES}")
     if not (np.abs(mesh.bounds) < LARGEST).all():
@@ -83,6 +87,17 @@ def read_mesh(path: Path) -> trimesh.Trimesh:
             "file", path.name, "a watertight mesh: every edge between two triangles, all facing outwards"
         )
     return mesh
+
+
+def check_triangles(mesh: trimesh.Trimesh) -> None:
+    """Raise ValueError for triangles of vertices that are not there, or are nowhere."""
+    faces = np.asarray(mesh.faces)
+    if faces.shape[1:] != (3,) or mesh.vertices.shape[1:] != (3,):
+        raise ValueError(f"corners of {mesh.vertices.shape[-1]} coordinates, faces of {faces.shape[-1]} corners")
+    if faces.min() < 0 or faces.max() >= len(mesh.vertices):
+        raise ValueError(f"a triangle of vertex {faces.max() if faces.min() >= 0 else faces.min()}")
+    if not np.isfinite(mesh.vertices).all():
+        raise ValueError("coordinates that are not finite")
 
 
 def mesh_object(

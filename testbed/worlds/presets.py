@@ -183,6 +183,6 @@ def world(name: str) -> World:
     Raises:
         InvalidValueError: no such world.
     """
-    if name not in WORLDS:
-        raise InvalidValueError("world", name, f"one of {', '.join(WORLDS)}{nearest(name, WORLDS)}")
+    if not isinstance(name, str) or name not in WORLDS:
+        raise InvalidValueError("world", name, f"one of {', '.join(WORLDS)}{nearest(str(name), WORLDS)}")
     return WORLDS[name]

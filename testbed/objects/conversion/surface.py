@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import re
 from collections import Counter
 from dataclasses import dataclass, replace
 from functools import cached_property
-from io import BytesIO
 from pathlib import Path
 
 import numpy as np
@@ -16,19 +14,16 @@ from manifold3d import Manifold, OpType
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
-from trimesh.visual import ColorVisuals
 
-from testbed.errors import InvalidValueError, short
-from testbed.files import read_file
+from testbed.errors import InvalidValueError
 from testbed.objects.meshes import manifold
 from testbed.objects.model import TOUCH
+from testbed.parsing.process import ParserError, parsed
 
 FORMATS = ("stl", "obj", "ply", "off", "glb", "3mf")
 """Formats that are read."""
 UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254}
 """Length of each unit [m]."""
-MOST_BYTES, MOST_FACES = 128 * 2**20, 1_000_000
-"""Largest file, and largest number of triangles."""
 LONGEST, SHORTEST = 2.0, 0.005
 """Longest and shortest object that lies on the table [m]."""
 SMALL = 0.005
@@ -104,45 +99,16 @@ def _load(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray, str | None]:
     if not path.is_file():
         raise InvalidValueError("file", str(path), "a mesh file; there is none")
     try:
-        content = read_file(path, MOST_BYTES)
-        scene = trimesh.load_scene(BytesIO(content), file_type=kind, process=False)
-    except OSError as error:
-        raise InvalidValueError("file", path.name, f"a mesh file that can be read: {error.strerror}") from None
-    except Exception as error:  # each of trimesh's readers raises its own
-        raise InvalidValueError("file", path.name, f"a mesh that trimesh reads; it says: {short(error, str)}") from None
-    pieces = [piece for piece in scene.dump() if isinstance(piece, trimesh.Trimesh) and len(piece.faces)]
-    if not pieces:
-        raise InvalidValueError("file", path.name, "a mesh with triangles")
-    starts = np.cumsum([0, *(len(piece.vertices) for piece in pieces)])
-    faces = np.vstack([piece.faces + start for piece, start in zip(pieces, starts[:-1], strict=True)])
-    if len(faces) > MOST_FACES:
-        raise InvalidValueError("file", f"{path.name} of {len(faces)} triangles", f"at most {MOST_FACES}")
-    vertices = np.vstack([piece.vertices for piece in pieces]).astype(float)
-    if not np.isfinite(vertices).all():
-        raise InvalidValueError("file", path.name, "finite coordinates")
-    labels = np.concatenate([_colours(piece, index) for index, piece in enumerate(pieces)])
-    labels = np.unique(labels, return_inverse=True, axis=0)[1].ravel()
-    head = content[:4096].decode("ascii", "ignore").lower() if kind in ("ply", "obj") else ""
-    said = re.search(r"(?:unit|length)[^\n]*?(millimet|centimet|met|inch)", head)
-    units = scene.units or ("meters" if kind == "glb" else said and said[1])
-    return vertices, faces, labels, _unit_name(units)
+        with parsed("testbed.parsing.meshes", path.absolute()) as result, np.load(result) as found:
+            vertices, faces, labels, unit = (found[name] for name in ("vertices", "faces", "labels", "unit"))
+    except ParserError as error:
+        raise InvalidValueError("file", path.name, f"a mesh that trimesh reads; {error}") from None
+    return vertices, faces, labels, _unit_name(str(unit))
 
 
 def _unit_name(text: str | None) -> str | None:
     word = (text or "").lower().rstrip("s")
     return next((unit for name, unit in _NAMES.items() if word and name.startswith(word)), text)
-
-
-def _colours(piece: trimesh.Trimesh, index: int) -> Int[np.ndarray, "F 5"]:
-    """Piece of the file and colour of each triangle; no colours where it only has vertices'."""
-    found = np.zeros((len(piece.faces), 5), dtype=int)
-    found[:, 0] = index
-    look = piece.visual
-    if isinstance(look, ColorVisuals) and look.kind == "face":
-        found[:, 1:] = look.face_colors
-    elif isinstance(look, ColorVisuals) and look.kind == "vertex":
-        found[:, 1:] = np.sort(look.vertex_colors[piece.faces], axis=1)[:, 1]
-    return found
 
 
 def _unit(length: float, unit: str | None, said: str | None) -> tuple[float, str]:

@@ -17,7 +17,7 @@ from testbed.errors import InvalidValueError
 from testbed.exporters.ros2 import JOINTS, mapping_text, write_mcap
 from testbed.frames import rotation_matrix
 from testbed.importers.importer import import_trajectory
-from testbed.importers.messages import inside, open_mcap
+from testbed.importers.messages import open_messages
 from testbed.objects.files import load_object
 from testbed.sensing.link_windows import link_windows
 from testbed.sensing.noise import draw_sensing
@@ -97,19 +97,19 @@ def test_the_file_holds_every_number_of_samples_at_any_time(tmp_path: Path):
     time = np.cumsum(np.random.default_rng(0).uniform(0.005, 0.015, len(measured(0).time_s)))
     given = replace(measured(0), time_s=time - time[0])
     path = exported(given, tmp_path)
-    log = open_mcap(path)
+    log = open_messages(path)
     for topic, (series, names) in FIELDS.items():
         assert np.array_equal(log.values("", names, topic, log.messages(topic)), getattr(given, series)), topic
     stamps = np.array([m.log_time for m in log.messages("/wrench")]) - EPOCH * 10**9
     assert np.abs(stamps - given.time_s * 1e9).max() <= 0.5 + 1e-4  # [ns], and float64's own of a minute
-    pose, tree = log.messages("/tcp/pose")[7].content.pose, log.messages("/tf")[7].content.transforms
-    turn = [getattr(pose.orientation, axis) for axis in "wxyz"]
-    assert turn == given.sensor_orientation[7].tolist()
-    assert [edge.child_frame_id for edge in tree] == ["tcp", "tcp_level", "object"]
-    yaw = 2 * np.arctan2(tree[2].transform.rotation.z, tree[2].transform.rotation.w)
-    assert_allclose([inside(tree[2].transform.translation, a) for a in "xy"] + [yaw], given.object_pose[7], atol=1e-12)
+    pose, tree = log.messages("/tcp/pose")[7].content["pose"], log.messages("/tf")[7].content["transforms"]
+    assert [pose["orientation"][axis] for axis in "wxyz"] == given.sensor_orientation[7].tolist()
+    assert [edge["child_frame_id"] for edge in tree] == ["tcp", "tcp_level", "object"]
+    place, turn = (tree[2]["transform"][name] for name in ("translation", "rotation"))
+    yaw = 2 * np.arctan2(turn["z"], turn["w"])
+    assert_allclose([place["x"], place["y"], yaw], given.object_pose[7], atol=1e-12)
     (static,) = log.messages("/tf_static")
-    assert [edge.child_frame_id for edge in static.content.transforms] == ["sensor"]
+    assert [edge["child_frame_id"] for edge in static.content["transforms"]] == ["sensor"]
     with path.open("rb") as file:
         (kept,) = make_reader(file).iter_metadata()
     assert {"status": "ok", "recorded": given.provenance["recorded"]}.items() <= kept.metadata.items()

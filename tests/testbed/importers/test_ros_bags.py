@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 from testbed.errors import HeftError
 from testbed.importers.columns import HandMap, TimeMap
 from testbed.importers.importer import import_trajectory
-from testbed.importers.messages import MessageLog, open_bag
+from testbed.importers.messages import MessageLog, open_messages
 from testbed.importers.poses import hand_pose
 from testbed.trajectory import Trajectory
 
@@ -235,7 +235,7 @@ def plain(message: Any) -> Any:
 def test_a_tree_of_transforms(bench: Bench, as_csv: Trajectory, tmp_path: Path):
     bag = bench.bag(tmp_path / "bag", "tf2_msgs/msg/TFMessage", "/tf", bench.tree, "MCAP")
     same(imported(bag / "bag.mcap", 'topic = "/tf"\nframe = "tool"'), as_csv)
-    log, hand = open_bag(bag), HandMap(topic="/tf", frame="tool")
+    log, hand = open_messages(bag), HandMap(topic="/tf", frame="tool")
     for change, error in (
         ({"frame": "toll"}, "hand.frame: got 'toll'; allowed: one of tool, x, yaw, z (nearest: tool)"),
         ({"base": "world"}, "hand.base: got 'world'; allowed: a frame above tool, or base"),
@@ -251,7 +251,7 @@ def test_joint_states_and_a_urdf(bench: Bench, as_csv: Trajectory, tmp_path: Pat
     (tmp_path / "other.urdf").write_text(URDF.replace('name="lift"', 'name="left"'))
     (tmp_path / "ball.urdf").write_text(URDF.replace('type="continuous"', 'type="floating"'))
     (tmp_path / "cut.urdf").write_text(URDF[:900])
-    log, arm = open_bag(bag), HandMap(topic="/joint_states", urdf="gantry.urdf", frame="tool")
+    log, arm = open_messages(bag), HandMap(topic="/joint_states", urdf="gantry.urdf", frame="tool")
     for change, error in (
         ({"urdf": "other.urdf"}, "hand.urdf: got 'position.left'; allowed: one of "),
         ({"urdf": "ball.urdf"}, "joint turn: got 'floating'; allowed: one of revolute"),

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import json
 import os
+import struct
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -79,6 +83,36 @@ def test_a_unit_is_taken_as_asked_and_an_unlikely_one_refused(tmp_path: Path):
     for length, unit in ((1e6, None), (1e3, "m"), (1.0, "ell")):
         with pytest.raises(InvalidValueError):
             read_surface(saved(mallet(), tmp_path / "other.stl", length), unit)
+
+
+def with_tree(glb: bytes, change: Callable[[dict[str, Any]], object]) -> bytes:
+    """A GLB file with another JSON part."""
+    end = 20 + struct.unpack_from("<I", glb, 12)[0]
+    tree = json.loads(glb[20:end])
+    change(tree)
+    text = json.dumps(tree).encode()
+    text += b" " * (-len(text) % 4)
+    head = glb[:8] + struct.pack("<I", 20 + len(text) + len(glb) - end) + struct.pack("<I", len(text)) + glb[16:20]
+    return head + text + glb[end:]
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda tree: tree["accessors"][1].update(count=4), "a triangle of vertex 7"),
+        (lambda tree: tree["meshes"][0]["primitives"][0].update(mode=0), "no triangles in it"),
+        (lambda tree: tree.update(nodes=[{"children": [1 - k], "mesh": 0} for k in (0, 1)]), "Iteration limit"),
+        (lambda tree: tree["bufferViews"][0].update(byteLength=2**40), "allowed: a mesh that trimesh reads"),
+    ],
+    ids=["index", "points", "cycle", "length"],
+)
+def test_a_mesh_that_cannot_be_is_refused_in_a_line(change, said: str, tmp_path: Path):
+    glb = trimesh.Scene(trimesh.creation.box((0.05, 0.05, 0.05))).export(file_type="glb")
+    assert isinstance(glb, bytes)
+    (tmp_path / "m.glb").write_bytes(with_tree(glb, change))
+    with pytest.raises(InvalidValueError, match=said) as error:
+        read_surface(tmp_path / "m.glb")
+    assert "\n" not in str(error.value)
 
 
 def test_what_is_open_inside_out_or_doubled_is_mended(tmp_path: Path):

@@ -315,6 +315,7 @@ def test_the_hand_opens_as_far_as_there_is_room():
     [
         ([NARROW], {"places": across(0.05, 0.01)}, "mesh.grasps.0.at_m", "'the object again 20 mm .*20\\.5 mm free"),
         ([BAR], {"places": across(0.05, 0.2)}, "mesh.grasps.0.at_m", "a point of the mesh, which spans x 0 to 0.1"),
+        ([BAR], {"places": across(3.0, 0.0)}, "mesh.grasps.0.at_m", "a point of the mesh, which spans x 0 to 0.1"),
         ([BAR], {"places": across(0.05, 0.02, 0.0)}, "mesh.grasps.0.at_m", "'100 mm across'; .*it opens to 85 mm"),
         ([RING], {"places": across(0, 0), "cell": 0.005}, "mesh.grasps.0.at_m", "a point of the object"),
         ([SLANTED], {"places": across(0, 0)}, "mesh.grasps.0.at_m", "two faces across from each other"),
@@ -347,3 +348,27 @@ def test_a_mesh_that_is_open_or_no_mesh_is_refused(tmp_path: Path):
         with pytest.raises(InvalidValueError) as refused:
             read_mesh(tmp_path / name)
         assert str(refused.value).startswith(said)
+
+
+def mutant(content: bytes, rng: np.random.Generator) -> bytes:
+    """Some bytes changed, left out or doubled, and perhaps the end cut off."""
+    data = bytearray(content)
+    for at in rng.integers(len(content) - 64, size=rng.integers(1, 20)):
+        piece = [b"\xff\xff\xff\x7f", b"9", b"", bytes(data[at : at + 60]), rng.bytes(4)]
+        data[at : at + 4] = piece[rng.integers(len(piece))]
+    return bytes(data[: len(data) if rng.random() < 0.8 else rng.integers(1, len(data))])
+
+
+@pytest.mark.parametrize("kind", ["stl", "obj", "ply", "off"])
+def test_a_damaged_mesh_is_read_or_refused(kind: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]):
+    path, rng, refused = tmp_path / f"m.{kind}", np.random.default_rng(0), 0
+    box((0.05, 0.05, 0.05)).export(path)
+    content = path.read_bytes()
+    for _ in range(60):
+        path.write_bytes(mutant(content, rng))
+        try:
+            assert read_mesh(path).is_volume
+        except InvalidValueError:
+            refused += 1
+    assert refused > 20
+    assert capfd.readouterr().err == ""

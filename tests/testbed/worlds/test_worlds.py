@@ -258,6 +258,8 @@ def test_a_setup_is_stated_by_the_name_of_a_world_and_by_its_own_errors():
         assert 0 < size < getattr(world("lab").stated, name) or name == "contact_points"
     with pytest.raises(InvalidValueError, match="grasp_offset"):
         stated_setup({"grasp_ofset": 0.001})
+    with pytest.raises(InvalidValueError, match="got 1e-09; allowed: one of ideal, lab"):
+        stated_setup({"preset": 1e-9})
 
 
 def test_every_quantity_is_of_one_source_that_may_err_alone():

@@ -1,0 +1,1 @@
+"""Parsers of strangers' logs and meshes, each in a process of its own with bounded memory, time and output."""

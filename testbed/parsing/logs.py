@@ -1,0 +1,143 @@
+"""Parser of MCAP files and ROS 2 bags: python -m testbed.parsing.logs PATH [TOPIC] RESULT.
+
+Without a topic the result is JSON: type and encoding of each topic. With one it has a line of JSON for each message:
+time at which it was logged and at which it was sent [ns], and its content.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import fields, is_dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from testbed.parsing.process import run_parser
+
+MOST_LETTERS, MOST_BRACKETS, MOST_ITEMS = 2**18, 8, 100_000
+"""Letters of a message's definition, brackets within brackets in it, and items of a fixed array."""
+MOST_BYTES = 2**20
+"""Largest message that is read [B], twice that of a laser scan; images are no wrenches."""
+_TYPE = re.compile(r"[A-Za-z]\w*(/[A-Za-z]\w*){1,3}", re.ASCII)
+
+
+def main(path: str, *rest: str) -> None:
+    """Write the topics of a log, or the messages of one of them."""
+    *topic, result = rest
+    with Path(result).open("w", encoding="utf-8") as file:
+        if not topic:
+            json.dump(topics(Path(path)), file)
+            return
+        for logged, sent, content in messages(Path(path), *topic):
+            file.write(json.dumps([logged, sent, _plain(content)]) + "\n")
+
+
+def topics(path: Path) -> dict[str, tuple[str, str]]:
+    """Type and encoding of the messages of each topic; every checksum of the file is compared."""
+    found: dict[str, tuple[str, str]] = {}
+    if path.suffix == ".mcap":
+        with _whole("an MCAP file"):
+            for schema, channel, _ in _mcap(path):
+                found[channel.topic] = (schema.name if schema else "", channel.message_encoding)
+        if all(encoding != "cdr" for _, encoding in found.values()):
+            return found
+    with _whole("a ROS 2 bag"), _bag(path) as bag:
+        return found | {c.topic: (c.msgtype, "cdr") for c in bag.connections}
+
+
+def messages(path: Path, topic: str) -> Iterator[tuple[int, int, Any]]:
+    """Times and content of a topic's messages; sent when logged where a bag does not say."""
+    number = 0
+    if path.suffix == ".mcap":
+        with _whole("an MCAP file"):
+            for _, channel, message in _mcap(path):
+                if channel.topic == topic and channel.message_encoding == "json":
+                    _check_bytes(topic, number, message.data)
+                    yield message.log_time, message.publish_time, json.loads(message.data)
+                    number += 1
+    if number:
+        return
+    with _whole("a ROS 2 bag"), _bag(path) as bag:
+        wanted = [connection for connection in bag.connections if connection.topic == topic]
+        for connection, logged, data in bag.messages(connections=wanted):
+            _check_bytes(topic, number, data)
+            yield logged, logged, bag.deserialize(data, connection.msgtype)
+            number += 1
+
+
+@contextmanager
+def _whole(what: str) -> Iterator[None]:
+    """Say of which kind a file is not; damaged bytes raise anything, from the decompressors too."""
+    try:
+        yield
+    except (ImportError, MemoryError):
+        raise
+    except Exception as error:
+        raise ValueError(f"not {what} as a whole: {str(error) or type(error).__name__}") from error
+
+
+def _mcap(path: Path) -> Iterator[tuple[Any, Any, Any]]:
+    """Schema, channel and message of all messages of an MCAP file."""
+    from mcap.reader import NonSeekingReader  # noqa: PLC0415  an extra, needed by such files alone
+
+    with path.open("rb") as file:
+        # from front to back: only then is every checksum compared, the data section's too
+        yield from NonSeekingReader(file, validate_crcs=True).iter_messages()
+
+
+def _bag(path: Path) -> Any:
+    """Bag whose definitions of messages are such as ROS writes: the reader makes Python of them."""
+    from rosbags.highlevel import AnyReader  # noqa: PLC0415  an extra
+    from rosbags.typesys import Stores, get_typestore  # noqa: PLC0415
+
+    # bags of Humble and before hold no definitions of their messages
+    bag = AnyReader([path], default_typestore=get_typestore(Stores.LATEST))
+    for reader in bag.readers:
+        with reader:
+            for connection in reader.connections:
+                _check_definition(connection.msgtype, connection.msgdef.data)
+    return bag
+
+
+def _check_bytes(topic: str, number: int, data: bytes | memoryview) -> None:
+    if len(data) > MOST_BYTES:
+        size = f"{len(data) / 2**20:.3g} MiB"
+        raise ValueError(f"topic {topic}, message {number}: got {size}; allowed: at most {MOST_BYTES >> 20} MiB")
+
+
+def _check_definition(name: str, text: str) -> None:
+    """Raise ValueError for a definition that no program of ROS has written."""
+    if not _TYPE.fullmatch(name):
+        raise ValueError(f"type of a message: got {name[:80]!r}; allowed: names with slashes, as a/msg/B")
+    if len(text) > MOST_LETTERS:
+        raise ValueError(f"definition of {name}: got {len(text)} letters; allowed: at most {MOST_LETTERS}")
+    depth = deepest = 0
+    for letter in text:
+        depth += (letter in "([{<") - (letter in ")]}>")
+        deepest = max(deepest, depth)
+    if deepest > MOST_BRACKETS:
+        raise ValueError(f"definition of {name}: brackets nested {deepest} deep; allowed: at most {MOST_BRACKETS}")
+    items = [int(number[:12]) for number in re.findall(r"[\[,]\s*(?:<=)?\s*(\d+)", text)]
+    if items and max(items) > MOST_ITEMS:
+        raise ValueError(f"definition of {name}: an array of {max(items)} items; allowed: at most {MOST_ITEMS}")
+
+
+def _plain(value: Any) -> Any:
+    """A message as dicts, lists and numbers."""
+    if is_dataclass(value):
+        return {field.name: _plain(getattr(value, field.name)) for field in fields(value)}
+    if isinstance(value, np.ndarray):
+        return value.tolist()
+    if isinstance(value, dict):
+        return {str(name): _plain(inner) for name, inner in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(inner) for inner in value]
+    return value.item() if isinstance(value, np.generic) else value
+
+
+if __name__ == "__main__":
+    run_parser(main)

@@ -1,0 +1,109 @@
+"""Process of a parser: bounded memory, time and output.
+
+A parser is a module whose `main` takes words and writes its result to a file. `parsed` runs it.
+"""
+
+from __future__ import annotations
+
+import errno
+import os
+import resource
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from testbed.errors import HeftError
+
+MEMORY = 2**30
+"""Memory of a parser [B]."""
+SECONDS, SECONDS_PER_MB = 10, 1
+"""Computing time of a parser [s], and more for each megabyte of the file."""
+OUTPUT = 2**29
+"""Largest result [B]."""
+SLOWER = 6
+"""Time by the clock over computing time, on a machine that does other work."""
+MOST_LETTERS = 400
+"""Letters of a reason."""
+_LIMITS = "HEFT_PARSER_SECONDS"
+
+
+class ParserError(HeftError, ValueError):
+    """A file that a parser refuses, or that needs more than a parser may have. The message is the reason alone."""
+
+
+@contextmanager
+def parsed(module: str, path: Path, *words: str) -> Iterator[Path]:
+    """Result of a parser, a file that is deleted on exit.
+
+    Args:
+        module: module to run, with the path, the words and the path of the result as arguments.
+        path: the stranger's file or folder.
+        words: further arguments.
+
+    Raises:
+        ParserError: the parser refuses the file, or needs too much memory or time.
+        ImportError: a package is not installed; the message is its name.
+    """
+    seconds = SECONDS + SECONDS_PER_MB * _size(path) // 10**6
+    environment = os.environ | {_LIMITS: str(seconds), "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+    with TemporaryDirectory(prefix="heft_") as folder:
+        result = Path(folder) / "result"
+        command = [sys.executable, "-P", "-m", module, str(path), *words, str(result)]
+        try:
+            done = subprocess.run(command, env=environment, capture_output=True, timeout=SLOWER * seconds, check=False)
+        except subprocess.TimeoutExpired:
+            raise ParserError(f"reading it takes more than {seconds} s") from None
+        if done.returncode:
+            _refuse(done.returncode, done.stderr.decode(errors="replace"), seconds)
+        yield result
+
+
+def _refuse(code: int, said: str, seconds: int) -> None:
+    """Raise the reason why a parser ended without a result."""
+    reason = said.strip().rpartition("\n")[2]
+    kind, _, words = (part.strip() for part in reason.partition(":"))
+    if kind == "ImportError":
+        raise ImportError(words)
+    if kind == "MemoryError" or code == -9:
+        raise ParserError(f"reading it takes more than {MEMORY >> 30} GiB of memory")
+    if code == -24:
+        raise ParserError(f"reading it takes more than {seconds} s")
+    if kind == "OutputError":
+        raise ParserError(f"what it holds takes more than {OUTPUT >> 20} MiB")
+    raise ParserError((words if kind == "refused" else reason or f"the parser ended with code {code}")[:MOST_LETTERS])
+
+
+def run_parser(main: Callable[..., None]) -> None:
+    """Run a parser on this process's arguments within its limits, and end the process."""
+    seconds = int(os.environ.get(_LIMITS, SECONDS))
+    for what, most in (
+        (resource.RLIMIT_DATA, MEMORY),
+        (resource.RLIMIT_CPU, seconds),
+        (resource.RLIMIT_FSIZE, OUTPUT),
+        (resource.RLIMIT_CORE, 0),
+    ):
+        resource.setrlimit(what, (most, most + (what == resource.RLIMIT_CPU)))  # at the harder one a signal says less
+    try:
+        main(*sys.argv[1:])
+    except MemoryError:
+        reason = "MemoryError"
+    except ImportError as error:
+        reason = f"ImportError: {error.name}"
+    except OSError as error:
+        full = error.errno == errno.EFBIG and error.filename is None  # of the result, not of a file that is read
+        reason = "OutputError" if full else f"refused: {error.strerror}"
+    except BaseException as error:
+        reason = f"refused: {str(error) or type(error).__name__}"
+    else:
+        sys.exit(0)
+    print(" ".join(reason.splitlines()), file=sys.stderr)
+    sys.stderr.flush()
+    os._exit(1)  # no more memory is asked for
+
+
+def _size(path: Path) -> int:
+    """Size of a file, or of the files in a folder [B]."""
+    return sum(each.stat().st_size for each in path.iterdir()) if path.is_dir() else path.stat().st_size

@@ -1,0 +1,74 @@
+"""Logs that no recorder writes are refused in a line, and take neither memory nor time."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from testbed.importers.logs import LogError
+from testbed.importers.messages import open_messages
+
+writer = pytest.importorskip("mcap.writer")
+
+
+def written(path: Path, kind: str, encoding: str, definition: str) -> Path:
+    """MCAP file of ROS 2 messages of this definition."""
+    with path.open("wb") as file:
+        log = writer.Writer(file)
+        log.start(profile="ros2")
+        channel = log.register_channel("/wrench", "cdr", log.register_schema(kind, encoding, definition.encode()))
+        for i in range(3):
+            log.add_message(channel, 10**18 + i, b"\0\1\0\0" + b"\0" * 64, 10**18 + i)
+        log.finish()
+    return path
+
+
+@pytest.mark.parametrize(
+    ("kind", "encoding", "definition", "reason"),
+    [
+        (
+            "a/msg/A",
+            "ros2idl",
+            f"module a {{ module msg {{ const long N = {'(' * 24}1{')' * 24}; struct A {{ double x; }}; }}; }};",
+            "brackets nested 26 deep",
+        ),
+        ("a/msg/A", "ros2msg", f"a/B[1000000000] x\n{'=' * 80}\nMSG: a/B\n", "an array of 1000000000 items"),
+        ("a/msg/A", "ros2idl", "module a { module msg { struct A { double x[3][1000000]; }; }; };", "of 1000000 items"),
+        ("a/msg/A:\n    pass\nimport os\nclass B", "ros2msg", "float64 x", "allowed: names with slashes"),
+        ('a/msg/A"""', "ros2msg", "float64 x", "allowed: names with slashes"),
+        ("a/msg/A", "ros2msg", "float64 x\n" * 40_000, "400000 letters"),
+        ("a/msg/A", "ros2msg", f"a/A x\n{'=' * 80}\nMSG: a/A\na/A y\n", "not a ROS 2 bag as a whole"),
+    ],
+)
+def test_a_definition_that_no_program_writes_is_refused(kind, encoding, definition, reason, tmp_path: Path):
+    with pytest.raises(LogError) as error:
+        open_messages(written(tmp_path / "log.mcap", kind, encoding, definition)).messages("/wrench")
+    assert reason in str(error.value) and "\n" not in str(error.value)
+
+
+def test_a_small_file_of_large_messages_is_refused(tmp_path: Path):
+    path = tmp_path / "log.mcap"
+    with path.open("wb") as file:
+        log = writer.Writer(file, compression=writer.CompressionType.ZSTD)
+        log.start()
+        channel = log.register_channel("/all", "json", log.register_schema("x", "jsonschema", b"{}"))
+        log.add_message(channel, 1, b'{"a":"' + b"a" * 2**21 + b'"}', 1)
+        log.finish()
+    assert path.stat().st_size < 10_000
+    with pytest.raises(LogError, match=r"topic /all, message 0: got 2 MiB; allowed: at most 1 MiB"):
+        open_messages(path).messages("/all")
+
+
+@pytest.mark.slow
+def test_a_small_file_that_unpacks_to_gigabytes_is_refused(tmp_path: Path):
+    path = tmp_path / "log.mcap"
+    with path.open("wb") as file:
+        log = writer.Writer(file, compression=writer.CompressionType.ZSTD, chunk_size=3 << 30)
+        log.start()
+        channel = log.register_channel("/all", "json", log.register_schema("x", "jsonschema", b"{}"))
+        for i in range(10):
+            log.add_message(channel, i, b'{"a":"' + b"a" * (100 << 20) + b'"}', i)
+        log.finish()
+    with pytest.raises(LogError, match="more than 1 GiB of memory"):
+        open_messages(path)

@@ -8,13 +8,14 @@ from typing import Literal, Protocol, get_args, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
+from numpy.typing import ArrayLike
 
 from estimators.identifiability.report import Identifiability
 from testbed.actions.base import Action
 from testbed.errors import InvalidValueError
 from testbed.objects.model import MassDistribution, ObjectShape
 from testbed.trajectory import Trajectory
-from testbed.validation import frozen_array
+from testbed.validation import frozen_array, is_number
 
 EstimateStatus = Literal[
     "ok", "underdetermined", "unexplained", "not_converged", "contradictory", "no_data", "assumption_violated"
@@ -29,6 +30,10 @@ EstimateStatus = Literal[
 * `no_data`: no trial is usable.
 * `assumption_violated`: the mass groups do not rest on their own weight.
 """
+MOST_MASS = 1e3
+"""Largest mass of a particle in an answer, kg: no object has it."""
+ROUNDING = 1e-15
+"""Negative variance that rounding leaves of none, kg^2."""
 NO_MASSES = ("underdetermined", "contradictory")
 """Statuses with which an answer may have no masses: that the trials show none is what it says of them."""
 
@@ -97,11 +102,46 @@ class Estimate:
             raise InvalidValueError("Estimate.status", self.status, f"one of {', '.join(get_args(EstimateStatus))}")
         if not isinstance(self.distribution, MassDistribution | None):
             raise InvalidValueError("Estimate.distribution", self.distribution, "a MassDistribution, or None")
+        if self.distribution is not None and (self.distribution.mass > MOST_MASS).any():
+            given = f"particles of {self.distribution.mass.max():.3g} kg"
+            raise InvalidValueError("Estimate.distribution", given, f"at most {MOST_MASS:g} kg a particle")
         if self.covariance is not None:
-            n = len(self.covariance)
-            object.__setattr__(
-                self, "covariance", frozen_array("Estimate.covariance", self.covariance, (n, n), finite=False)
-            )
+            object.__setattr__(self, "covariance", _checked_covariance(self.covariance))
+        for name, kind, allowed in (
+            ("message", str, "text"),
+            ("assumes", str, "text"),
+            ("identifiability", Identifiability | None, "an Identifiability, or None"),
+            ("hidden", HiddenStateEstimate | None, "a HiddenStateEstimate, or None"),
+        ):
+            if not isinstance(value := getattr(self, name), kind):
+                raise InvalidValueError(f"Estimate.{name}", value, allowed)
+        if not is_number(self.seconds) or self.seconds < 0:
+            raise InvalidValueError("Estimate.seconds", self.seconds, "a number >= 0, s")
+        if not isinstance(self.traces, tuple) or not all(isinstance(trace, Trace) for trace in self.traces):
+            raise InvalidValueError("Estimate.traces", self.traces, "a tuple of Traces")
+        if not isinstance(self.diagnostics, dict):
+            raise InvalidValueError("Estimate.diagnostics", self.diagnostics, "a dict of numbers by name")
+        for name, value in self.diagnostics.items():
+            if not isinstance(name, str) or not isinstance(value, int | float | np.integer | np.floating | np.bool_):
+                raise InvalidValueError(f"Estimate.diagnostics[{name!r}]", value, "a number, by a name")
+
+
+def _checked_covariance(values: ArrayLike) -> np.ndarray:
+    """A covariance that is symmetric and without negative variances; infinite where nothing is observed."""
+    given = frozen_array("Estimate.covariance", values, (None, None), finite=False).copy()
+    if len(given) != given.shape[1]:
+        raise InvalidValueError("Estimate.covariance", f"shape {given.shape}", "as many rows as columns")
+    if np.isnan(given).any():
+        raise InvalidValueError("Estimate.covariance", f"{int(np.isnan(given).sum())} NaN", "numbers, inf if unknown")
+    variance, known = np.diag(given), np.isfinite(given).all(axis=0)
+    if (variance < -ROUNDING).any():
+        raise InvalidValueError("Estimate.covariance", f"variances {variance.tolist()}", "variances >= 0, kg^2")
+    inner = given[np.ix_(known, known)]
+    if not np.allclose(inner, inner.T, rtol=1e-6, atol=1e-6 * np.abs(inner).max(initial=0.0)):
+        raise InvalidValueError("Estimate.covariance", inner.tolist(), "a symmetric matrix")
+    np.fill_diagonal(given, np.maximum(variance, 0))
+    given.flags.writeable = False
+    return given
 
 
 @runtime_checkable

@@ -6,6 +6,9 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 
+import numpy as np
+from jaxtyping import Float
+
 from estimators.base import Estimate
 from estimators.particles.misfit import Misfit
 from estimators.posterior.estimator import posterior_of
@@ -16,15 +19,18 @@ from testbed.trajectory import Trajectory
 
 SAME_WEIGHT = 0.01
 """Part of M within which masses count as weighed: then the search is no cause of another inertia."""
+FAR = 1.5
+"""Ratio of the masses to the weight from which that is said."""
 MANY = 1_000_000
 """Degrees of freedom of a misfit whose method does not state them: such a misfit is no chance."""
 
 
 def judged(answer: Estimate, shape: ObjectShape, weight: float | None, trajectories: Sequence[Trajectory]) -> Estimate:
-    """The answer with its misfit, and `unexplained` in place of `ok` where its masses do not explain the trials.
+    """The answer with its misfit, and another status than `ok` where its masses are not known or explain no trials.
 
-    A misfit that the method itself states counts: it may know of more than masses and friction. Otherwise it is
-    computed on the support that `assumes` names, or on the one that fits better. Any other status stays.
+    `underdetermined` where its own covariance leaves a group open, `unexplained` where the misfit is too large. A
+    misfit that the method itself states counts: it may know of more than masses and friction. Otherwise it is computed
+    on the support that `assumes` names, or on the one that fits better. Any other status stays.
 
     Args:
         answer: answer of a method.
@@ -32,22 +38,50 @@ def judged(answer: Estimate, shape: ObjectShape, weight: float | None, trajector
         weight: M as weighed, kg, or None.
         trajectories: trials that the method was given.
     """
-    if answer.distribution is None:
+    at = answer.distribution
+    if at is None:
         return answer
-    numbers, stated = answer.diagnostics, answer.diagnostics.get("misfit", math.nan)
-    if math.isnan(stated):
+    if why := _not_the_weight(at.mass, shape, weight):
+        answer = _said(answer, why)
+    numbers, found = answer.diagnostics, None
+    if math.isnan(stated := numbers.get("misfit", math.nan)):
         named: list[SupportModel] = [support for support, words in ASSUMPTION.items() if words == answer.assumes]
-        each = [_measured(support, shape, weight, trajectories, answer.distribution) for support in named or ASSUMPTION]
+        each = [_measured(support, shape, weight, trajectories, at) for support in named or ASSUMPTION]
         found = min(filter(None, each), key=lambda misfit: misfit.value, default=None)
-        if found is None:
-            return answer
-        numbers = numbers | found.diagnostics
+        answer = replace(answer, diagnostics=numbers | (found.diagnostics if found else {}))
     else:
         found = Misfit(stated, int(numbers.get("misfit_freedom", MANY)))
-    if answer.status != "ok" or found.explains:
-        return replace(answer, diagnostics=numbers)
-    message = "; ".join(filter(None, [answer.message, found.reason]))
-    return replace(answer, status=found.status, message=message, diagnostics=numbers)
+    if answer.status != "ok":
+        return answer
+    if found is not None and not found.explains:
+        return _said(replace(answer, status=found.status), found.reason)
+    open_ = _left_open(answer, shape, weight or float(shape.particles_per_group @ at.mass))
+    return _said(replace(answer, status="underdetermined"), open_) if open_ else answer
+
+
+def _said(answer: Estimate, why: str) -> Estimate:
+    """The answer with one more sentence."""
+    return replace(answer, message="; ".join(filter(None, [answer.message, why])))
+
+
+def _left_open(answer: Estimate, shape: ObjectShape, whole: float) -> str:
+    """Groups whose mass an answer's own covariance leaves open between nothing and all of the object's, in words."""
+    if answer.covariance is None:
+        return ""
+    error = shape.particles_per_group * np.sqrt(np.diag(answer.covariance))
+    names = [name for name, one in zip(shape.group_names, error, strict=True) if one > whole]
+    errors = f"errors up to {error.max():.3g} kg"
+    return f"its covariance leaves open the mass of {', '.join(names)}: {errors}" if names else ""
+
+
+def _not_the_weight(mass: Float[np.ndarray, "n_m"], shape: ObjectShape, weight: float | None) -> str:
+    """Disagreement of masses of particles, kg, with the weight, in words; empty if they agree."""
+    times = float(shape.particles_per_group @ mass) / weight if weight else 1.0
+    if 1 / FAR < times < FAR:
+        return ""
+    of_groups = weight is not None and abs(float(mass.sum()) / weight - 1) < FAR - 1
+    hint = ": these are masses of groups, where the mean mass of a particle of each is due" if of_groups else ""
+    return f"the masses of all particles add up to {times:.3g} times the weight{hint}"
 
 
 def _measured(

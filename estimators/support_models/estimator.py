@@ -29,6 +29,8 @@ UNFIT = 1e-4
 """p-value below which the materials given are taken not to be the object's."""
 NARROW = 0.1
 """Width of the widest range, as a part of M, below which the masses of one rigid body are taken as determined."""
+WEIGHED = 0.01
+"""Error of the weight, as a part of it, where trials that do not agree widen all others. Ours."""
 MISSED = 3.0
 """Standard errors by which every map of masses >= 0 may miss what was measured, before an answer is `unexplained`: at
 the edge of what masses can make, the errors that are claimed shrink to nothing."""
@@ -98,7 +100,7 @@ class SupportAware:
     def _one_body(self, shape: ObjectShape, weight: float | None, rigid: Posterior, seed: int) -> Estimate:
         """Estimate of an object that can only be one rigid body."""
         assert weight is not None
-        known, answer = _known(rigid), self._rigid(shape, rigid, {}, seed)
+        known, answer = _known(rigid), self._rigid(shape, weight, rigid, {}, seed)
         if self.materials_kg or self.materials_kg_m3:
             answer = self._with_materials(shape, (rigid,), answer)
         elif max(answer.diagnostics[f"most_{g}_kg"] - answer.diagnostics[f"least_{g}_kg"] for g in range(shape.n_m)) < (
@@ -129,7 +131,7 @@ class SupportAware:
         as_rigid, on_own = test.log10_bayes_factor < -DECISIVE, own.estimate(shape)
         on_own = replace(on_own, diagnostics=on_own.diagnostics | test.diagnostics)
         holds = test.kind == "own_weight" and on_own.status != "unexplained"
-        on_rigid = on_own if holds else self._rigid(shape, rigid, on_own.diagnostics, seed)
+        on_rigid = on_own if holds else self._rigid(shape, weight, rigid, on_own.diagnostics, seed)
         answer = on_rigid if as_rigid else on_own
         if test.shared is not None:
             answer = test.shared.estimate(shape)
@@ -151,10 +153,16 @@ class SupportAware:
         status = {"between": "assumption_violated", "undecided": "underdetermined"}.get(test.kind, answer.status)
         return replace(_wide(answer, other, share), status=status, message=message)
 
-    def _rigid(self, shape: ObjectShape, rigid: Posterior, numbers: dict[str, float], seed: int) -> Estimate:
+    def _rigid(
+        self, shape: ObjectShape, weight: float, rigid: Posterior, numbers: dict[str, float], seed: int
+    ) -> Estimate:
         """Estimate from the masses that agree with what one rigid body shows."""
         count, known = shape.particles_per_group, _known(rigid)
-        polytope = MassPolytope(*rigid.mass_equations())
+        rows, values = rigid.mass_equations()
+        if not rigid.explained.explains:  # their errors are widened by the misfit; the weight holds as it did
+            rows = np.vstack([rows, count / (WEIGHED * weight)])
+            values = np.append(values, 1 / WEIGHED)
+        polytope = MassPolytope(rows, values)
         mean, covariance = polytope.posterior(seed)
         low, high = (end * count for end in polytope.ranges(self.confidence))
         model = ParticleModel.of(shape)

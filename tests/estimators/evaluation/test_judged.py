@@ -130,6 +130,7 @@ OWN_WEIGHT, ONE_BODY = "every mass group rests on its own weight", "the object i
     [
         (says(UNIFORM), OWN, "unexplained"),
         (says(UNIFORM, covariance=np.eye(SHAPE.n_m)), OWN, "unexplained"),
+        (says(TRUTH, covariance=np.diag([1e-6] * (SHAPE.n_m - 1) + [1.0])), OWN, "underdetermined"),
         (says(TRUTH), OWN, "ok"),
         (says(TRUTH), RIGID, "ok"),
         (says(TRUTH, assumes=ONE_BODY), RIGID, "ok"),
@@ -160,3 +161,10 @@ def test_without_a_prediction_the_answer_stays():
     assert status_of(says(UNIFORM), trials=[]).status == "ok"
     nothing = says(None, "no_data", message="no trial")
     assert status_of(nothing) is nothing
+
+
+def test_masses_of_groups_are_told_from_those_of_particles():
+    of_groups = MassDistribution(TRUTH.mass * SHAPE.particles_per_group, TRUTH.friction)
+    assert "9 times the weight: these are masses of groups" in status_of(says(of_groups)).message
+    assert "4 times the weight" in (twice := status_of(says(MassDistribution(4 * TRUTH.mass, TRUTH.friction)))).message
+    assert "masses of groups" not in twice.message

@@ -1,0 +1,53 @@
+"""An answer is made of what it says: every field is checked where it is made."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from estimators.base import Estimate
+from testbed.errors import InvalidValueError
+from testbed.objects.model import MassDistribution
+
+MASSES = MassDistribution(np.array([0.1, 0.2]), np.array([0.5]))
+
+
+def answer(**fields: Any) -> Estimate:
+    return Estimate(**{"distribution": MASSES, "status": "ok"} | fields)
+
+
+@pytest.mark.parametrize(
+    ("fields", "said"),
+    [
+        ({"status": "fine"}, "Estimate.status: got 'fine'"),
+        ({"distribution": np.ones(2)}, "a MassDistribution, or None"),
+        ({"distribution": MassDistribution(np.array([4e300, 0.1]), np.array([0.5]))}, "at most 1000 kg a particle"),
+        ({"covariance": np.full((2, 2), np.nan)}, "Estimate.covariance: got '4 NaN'"),
+        ({"covariance": np.diag([-1e-4, 1e-4])}, "variances >= 0"),
+        ({"covariance": np.array([[1.0, 0.5], [0.0, 1.0]])}, "a symmetric matrix"),
+        ({"covariance": np.ones(2)}, r"Estimate.covariance: got 'shape \(2,\)'"),
+        ({"covariance": np.ones((2, 3))}, "as many rows as columns"),
+        ({"diagnostics": [1.0]}, "a dict of numbers by name"),
+        ({"diagnostics": "misfit 1"}, "a dict of numbers by name"),
+        ({"diagnostics": None}, "a dict of numbers by name"),
+        ({"diagnostics": {"steps": np.ones(3)}}, r"Estimate.diagnostics\['steps'\]"),
+        ({"diagnostics": {3: 1.0}}, "a number, by a name"),
+        ({"message": None}, "Estimate.message: got None; allowed: text"),
+        ({"assumes": 3}, "Estimate.assumes: got 3; allowed: text"),
+        ({"seconds": float("nan")}, "Estimate.seconds: got nan"),
+        ({"traces": [1]}, "a tuple of Traces"),
+        ({"hidden": {}}, "a HiddenStateEstimate, or None"),
+        ({"identifiability": "rank 3"}, "an Identifiability, or None"),
+    ],
+)
+def test_a_field_of_another_kind_is_refused_by_its_name(fields: dict[str, Any], said: str):
+    with pytest.raises(InvalidValueError, match=said):
+        answer(**fields)
+
+
+def test_what_is_not_observed_may_have_an_infinite_error():
+    found = answer(covariance=np.diag([np.inf, -1e-17]), diagnostics={"rank": 1, "left": np.float32(0.5)})
+    assert found.covariance is not None
+    assert found.covariance.tolist() == [[np.inf, 0.0], [0.0, 0.0]]

@@ -80,7 +80,8 @@ def ranks(problem: Problem, seed: int) -> np.ndarray:
     predicted, covariances = on_table.linearized(unknowns, true).elsewhere(true)
     read = (predicted + on_table.read.flatten()).clone()
     for rows, covariance in covariances:
-        read[rows] += torch.linalg.cholesky(covariance) @ torch.tensor(rng.standard_normal(len(rows)))
+        drawn = torch.tensor(rng.standard_normal((*rows.shape, 1)))
+        read[rows] += (torch.linalg.cholesky(covariance) @ drawn)[..., 0]
     read = read.reshape(len(windows), -1)[:, :6]
     sensed = torch.linalg.solve(windows.from_sensor, read[..., None])[..., 0]
     values = unknowns.values(true)

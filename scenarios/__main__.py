@@ -1,6 +1,6 @@
 """`python -m scenarios` is `heft`."""
 
-from scenarios.cli.main import main
+from scenarios.cli.main import command
 
 if __name__ == "__main__":
-    main()
+    command()

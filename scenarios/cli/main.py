@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
+import threading
 from collections.abc import Callable, Mapping, Sequence
 from functools import reduce
 from importlib import import_module
@@ -17,6 +18,8 @@ from testbed.errors import HeftError
 from testbed.files import print_damage_plainly
 from testbed.packages import hidden_package
 
+PATIENCE = 2.0
+"""Time that a thread may take to end after the command has [s]."""
 COMMANDS = {
     "run": ("scenarios.cli.run:run", "Run a scenario: its trials, every method's estimates, tables and a report."),
     "status": ("scenarios.cli.run:status", "Show how far a results folder is: what is done, what failed and why."),
@@ -86,6 +89,24 @@ def main(arguments: list[str] | None = None) -> None:
     except KeyboardInterrupt:
         print("heft: stopped; the same command goes on from here", file=sys.stderr)
         sys.exit(130)
+
+
+def command() -> None:
+    """Console command: `main`, ended though a plug-in leaves threads behind."""
+    code: Any = 0
+    try:
+        main()
+    except SystemExit as end:
+        code = end.code
+    left = [thread for thread in threading.enumerate() if not thread.daemon and thread is not threading.main_thread()]
+    for thread in left:
+        thread.join(PATIENCE)
+    if names := [thread.name for thread in left if thread.is_alive()]:
+        print(f"heft: ended with threads of a plug-in still running: {', '.join(names)}", file=sys.stderr)
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(code if isinstance(code, int) else 0 if code is None else 1)
+    sys.exit(code)
 
 
 def commands_of(arguments: Sequence[str]) -> dict[str, Callable[..., None]]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import resource
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -198,11 +199,24 @@ def test_files_are_whole_and_the_same_again(tmp_path, monkeypatch):
     again = save_figure(estimate_bars(estimate()), tmp_path / "again")
     assert [path.read_bytes() for path in again] == [pdf, png]
     broken = estimate_bars(estimate())
-    monkeypatch.setattr(broken, "savefig", lambda part, **_: Path(part).write_bytes(b"half") and 1 / 0)
+    monkeypatch.setattr(broken, "savefig", lambda content, **_: content.write(b"half") and 1 / 0)
     with pytest.raises(ZeroDivisionError):
         save_figure(broken, tmp_path / "deep" / "broken")
-    assert list((tmp_path / "deep").iterdir()) == []
+    assert not (tmp_path / "deep").exists()
     assert file_name("nad_against support 10 N/m, ft300s/..") == "nad_against_support_10_N_per_m_ft300s_per"
+
+
+def test_a_figure_that_finds_no_room_says_so(tmp_path: Path):
+    limit = resource.getrlimit(resource.RLIMIT_FSIZE)
+    figure = estimate_bars(estimate())
+    resource.setrlimit(resource.RLIMIT_FSIZE, (2000, limit[1]))
+    try:
+        with pytest.raises(OSError, match="File too large") as error:
+            save_figure(figure, tmp_path / "bars")
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limit)
+    assert error.value.filename == str(tmp_path / "bars.pdf")
+    assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.slow

@@ -7,6 +7,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -138,7 +140,9 @@ def save_figure(figure: Figure, path: Path) -> list[Path]:
     with mpl.rc_context(STYLE):
         lay_out(figure)
         for kind, stamp in stamps.items():  # the same figure is the same file
-            write_whole(files[kind], lambda part, k=kind, s=stamp: figure.savefig(part, format=k, dpi=200, metadata=s))
+            content = BytesIO()  # a PDF that cannot be written raises what does not say why
+            figure.savefig(content, format=kind, dpi=200, metadata=stamp)
+            write_whole(files[kind], partial(Path.write_bytes, data=content.getvalue()))
     return list(files.values())
 
 

@@ -145,8 +145,8 @@ def robot_file(tmp_path, text: str) -> RobotFile:
         ("[sensor]\nsettings = { repeats = [7] }", r"sensor\.settings\.repeats: .*a list of 6 values"),
         ("[sensor]\nsettings = { repeats = 7 }", r"sensor\.settings\.repeats: .*a list of 6 values"),
         (
-            '[camera]\nmodel = "udp"\nsettings = { in_base_m = [450, 0, 800] }',
-            r"camera\.settings\.in_base_m\[0\]: got 450; allowed: -5 to 5 m",
+            '[camera]\nmodel = "udp"\nsettings = { in_base_m = [6, 0, 8] }',
+            r"camera\.settings\.in_base_m\[0\]: got 6; allowed: -5 to 5 m",
         ),
     ],
 )

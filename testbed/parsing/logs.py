@@ -115,15 +115,22 @@ def _check_definition(name: str, text: str) -> None:
         raise ValueError(f"type of a message: got {name[:80]!r}; allowed: names with slashes, as a/msg/B")
     if len(text) > MOST_LETTERS:
         raise ValueError(f"definition of {name}: got {len(text)} letters; allowed: at most {MOST_LETTERS}")
-    depth = deepest = 0
-    for letter in text:
-        depth += (letter in "([{<") - (letter in ")]}>")
-        deepest = max(deepest, depth)
+    bare = re.sub(r"#.*|//.*", "", text)
+    deepest = max(_depth(statement) for statement in bare.split(";"))
     if deepest > MOST_BRACKETS:
         raise ValueError(f"definition of {name}: brackets nested {deepest} deep; allowed: at most {MOST_BRACKETS}")
-    items = [int(number[:12]) for number in re.findall(r"[\[,]\s*(?:<=)?\s*(\d+)", text)]
+    items = [int(number[:12]) for number in re.findall(r"\[\s*(?:<=)?\s*(\d+)", bare)]
     if items and max(items) > MOST_ITEMS:
         raise ValueError(f"definition of {name}: an array of {max(items)} items; allowed: at most {MOST_ITEMS}")
+
+
+def _depth(statement: str) -> int:
+    """Depth of the brackets of a statement, whose comments are gone."""
+    depth = deepest = 0
+    for letter in statement:
+        depth = max(0, depth + (letter in "([") - (letter in ")]"))
+        deepest = max(deepest, depth)
+    return deepest
 
 
 def _plain(value: Any) -> Any:

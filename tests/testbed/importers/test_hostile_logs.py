@@ -31,7 +31,7 @@ def written(path: Path, kind: str, encoding: str, definition: str) -> Path:
             "a/msg/A",
             "ros2idl",
             f"module a {{ module msg {{ const long N = {'(' * 24}1{')' * 24}; struct A {{ double x; }}; }}; }};",
-            "brackets nested 26 deep",
+            "brackets nested 24 deep",
         ),
         ("a/msg/A", "ros2msg", f"a/B[1000000000] x\n{'=' * 80}\nMSG: a/B\n", "an array of 1000000000 items"),
         ("a/msg/A", "ros2idl", "module a { module msg { struct A { double x[3][1000000]; }; }; };", "of 1000000 items"),
@@ -45,6 +45,11 @@ def test_a_definition_that_no_program_writes_is_refused(kind, encoding, definiti
     with pytest.raises(LogError) as error:
         open_messages(written(tmp_path / "log.mcap", kind, encoding, definition)).messages("/wrench")
     assert reason in str(error.value) and "\n" not in str(error.value)
+
+
+def test_comments_and_bounds_of_a_definition_are_no_brackets(tmp_path: Path):
+    text = "".join(f"# of [0, {10**9}), x < {i} :(\nstring<=20 s{i}\nfloat64[<=3] x{i}\n" for i in range(20))
+    assert open_messages(written(tmp_path / "log.mcap", "a/msg/A", "ros2msg", text)).types == {"/wrench": "a/A"}
 
 
 def test_a_small_file_of_large_messages_is_refused(tmp_path: Path):

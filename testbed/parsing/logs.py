@@ -10,7 +10,7 @@ import json
 import re
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import fields, is_dataclass
+from dataclasses import is_dataclass
 from pathlib import Path
 from typing import Any
 
@@ -55,10 +55,13 @@ def messages(path: Path, topic: str) -> Iterator[tuple[int, int, Any]]:
     if path.suffix == ".mcap":
         with _whole("an MCAP file"):
             for _, channel, message in _mcap(path):
-                if channel.topic == topic and channel.message_encoding == "json":
-                    _check_bytes(topic, number, message.data)
-                    yield message.log_time, message.publish_time, json.loads(message.data)
-                    number += 1
+                if channel.topic != topic:
+                    continue
+                if channel.message_encoding != "json":
+                    break
+                _check_bytes(topic, number, message.data)
+                yield message.log_time, message.publish_time, json.loads(message.data)
+                number += 1
     if number:
         return
     with _whole("a ROS 2 bag"), _bag(path) as bag:
@@ -135,12 +138,13 @@ def _depth(statement: str) -> int:
 
 def _plain(value: Any) -> Any:
     """A message as dicts, lists and numbers."""
-    if is_dataclass(value):
-        return {field.name: _plain(getattr(value, field.name)) for field in fields(value)}
+    if isinstance(value, int | float | str):
+        return value
     if isinstance(value, np.ndarray):
         return value.tolist()
-    if isinstance(value, dict):
-        return {str(name): _plain(inner) for name, inner in value.items()}
+    if isinstance(value, dict) or is_dataclass(value):
+        inner = value if isinstance(value, dict) else vars(value)
+        return {name: _plain(each) for name, each in inner.items()}
     if isinstance(value, list | tuple):
         return [_plain(inner) for inner in value]
     return value.item() if isinstance(value, np.generic) else value

@@ -69,7 +69,7 @@ class Found:
     odds: float
     """Decimal logarithm of the odds of the fault."""
     behind: float
-    """The same of the likeliest cause, less that of the fault."""
+    """Decimal logarithm of the odds of the likeliest cause, less that of the fault."""
     size: float
     named: str
     """Cause that is named; empty if none is."""

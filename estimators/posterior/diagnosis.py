@@ -185,7 +185,7 @@ def larger_than_stated(posterior: Posterior, setup: SetupErrors) -> tuple[Cause,
 
 @dataclass(frozen=True, eq=False)
 class _Seen:
-    """What the measurements say of one error of the setup, all others being as in the posterior."""
+    """Evidence of the measurements on one error of the setup, all others being as in the posterior."""
 
     name: str
     unit: float

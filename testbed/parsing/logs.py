@@ -21,7 +21,7 @@ from testbed.parsing.process import run_parser
 MOST_LETTERS, MOST_BRACKETS, MOST_ITEMS = 2**18, 8, 100_000
 """Letters of a message's definition, brackets within brackets in it, and items of a fixed array."""
 MOST_BYTES = 2**20
-"""Largest message that is read [B], twice that of a laser scan; images are no wrenches."""
+"""Largest message that is read [B]: wrenches, poses and transforms are far smaller, images are not needed."""
 _TYPE = re.compile(r"[A-Za-z]\w*(/[A-Za-z]\w*){1,3}", re.ASCII)
 
 

@@ -94,7 +94,7 @@ def run_parser(main: Callable[..., None]) -> None:
         reason = f"ImportError: {error.name}"
     except OSError as error:
         full = error.errno == errno.EFBIG and error.filename is None  # of the result, not of a file that is read
-        reason = "OutputError" if full else f"refused: {error.strerror}"
+        reason = "OutputError" if full else f"refused: {error.strerror or error}"
     except BaseException as error:
         reason = f"refused: {str(error) or type(error).__name__}"
     else:

@@ -1,4 +1,4 @@
-"""An answer is made of what it says: every field is checked where it is made."""
+"""Every field of an answer is checked when the answer is made."""
 
 from __future__ import annotations
 

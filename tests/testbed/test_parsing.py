@@ -49,6 +49,7 @@ def test_a_result_comes_back_and_is_deleted(run, tmp_path: Path):
         ("held = bytearray(2**30)", "reading it takes more than 1 GiB of memory"),
         ("raise ValueError('cut\\nshort')", "cut short"),
         ("raise KeyError", "KeyError"),
+        ("raise OSError('no picture')", "no picture"),
         ("sys.exit(0)", "0"),
         ("import os; os.abort()", "the parser ended with code -6"),
         ("import json; json.loads('[' * 10**5)", "maximum recursion depth exceeded"),

@@ -28,6 +28,8 @@ SIZES = [
     (".".join(["a"] * 100) + " = 1", "nested deeper than 32"),
     ('"a"."a". ' * 20_000 + "a = 1", "nested deeper than 32"),
     (BLOCKS.format(layout=["11"], mass="[0.3, 300]"), r"blocks.mass_kg.1: got 300 kg; allowed: at most 50 kg"),
+    ("[[hinges]]\nat_m = [-30.0, 0.0]", r"hinges.0.at_m.0: got -30 m; allowed: at most 10 m"),
+    ("[camera]\nsettings = { in_base_m = [450, 0, 800] }", r"camera.settings.in_base_m.2: got 800 m"),
     ("size_m = 1e9", r"size_m: got 1e.09 m; allowed: at most 10 m"),
     ("a = [" + "1," * 110_000 + "]", "more than 100000 values"),
     ("#" * 2_000_000, "2 MiB, more than the 1"),

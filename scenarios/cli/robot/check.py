@@ -214,9 +214,9 @@ def verify(folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="
 
 def _findings(trials: list[TrialRecord], name: str) -> list[Finding]:
     """Findings of one object's sound trials: its last lift, its turns and slides at constant speed."""
-    from testbed.robot.calibration.motion import check_motion
+    from testbed.robot.calibration.motion import check_motion, check_wrenches
     from testbed.robot.calibration.trial import check_trial
-    from testbed.sensing.windows import mean_covariance, steady_windows, weight_of
+    from testbed.sensing.windows import mean_covariance, weight_of
 
     records = [t.trajectory for t in trials if t.object.name == name]
     weighings = [t for t in records if not t.action.moves]
@@ -227,7 +227,4 @@ def _findings(trials: list[TrialRecord], name: str) -> list[Finding]:
         wrench = lifts[-1].wrench_on_object_world
         covariance = mean_covariance(wrench) + np.diag(lifts[-1].sensor_bias_std ** 2)
         found += check_trial(wrench.mean(axis=0), covariance, [], mass=scale[-1] if scale else None)
-    for moved in records:
-        if moved.action.on_table and not moved.action.accelerated:
-            found += check_trial(None, None, steady_windows(moved))
-    return found + check_motion(next(t.object.shape for t in trials if t.object.name == name), records)
+    return found + check_wrenches(records) + check_motion(next(t.object.shape for t in trials if t.object.name == name), records)

@@ -6,11 +6,12 @@ closing direction turns all centers alike, a wrong TCP moves them alike, and a w
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 from jaxtyping import Float
 
+from testbed.actions.base import TableAction
 from testbed.actions.rotate import Rotate
 from testbed.frames import cross_2d, perpendicular, rotation_2d
 from testbed.objects.model import ObjectShape
@@ -71,13 +72,18 @@ def check_motion(shape: ObjectShape, trajectories: Sequence[Trajectory]) -> list
     return findings
 
 
+def check_wrenches(trajectories: Iterable[Trajectory]) -> list[Finding]:
+    """Findings of `check_trial` on the windows of every slide and turn at constant speed, of trials that ended well."""
+    gripped = [t for t in trajectories if isinstance(t.action, TableAction) and not t.action.accelerated]
+    return [finding for t in gripped for finding in check_trial(None, None, steady_windows(t))]
+
+
 def wrong_motion(shape: ObjectShape, trajectories: Sequence[Trajectory]) -> list[str]:
     """What is surely wrong in trials of an object, in sentences.
 
     All findings of `check_motion`, and one of each kind of `check_trial`, without what a weak drag leaves open.
     """
-    steady = [t for t in trajectories if t.ok and t.action.on_table and not t.action.accelerated]
-    found = [finding for t in steady for finding in check_trial(None, None, steady_windows(t))]
+    found = check_wrenches(t for t in trajectories if t.ok)
     sure = {f.what: f for f in reversed(found) if not f.ok and (f.what != "friction" or f.value < 0)}
     return [f.text for f in [*check_motion(shape, trajectories), *sure.values()] if not f.ok]
 

@@ -14,6 +14,7 @@ from testbed.actions.push import Push
 from testbed.actions.rotate import Rotate
 from testbed.actions.slide import Slide
 from testbed.errors import InfeasibleTrialError
+from testbed.robot.calibration.motion import wrong_motion
 from testbed.robot.camera.interface import CameraLostError
 from testbed.robot.config import RobotSettings
 from testbed.robot.path import described, plan_trial, starting_pose
@@ -50,6 +51,7 @@ def test_a_push_measures_what_the_simulation_does(push, tmp_path):
     usual = SimulationRunner().run(Trial(OBJECT, push))
     assert real.ok and not real.reason
     assert real.figures["contact_s"] == pytest.approx(usual.figures["contact_s"], abs=0.6)
+    assert wrong_motion(OBJECT.shape, [real, usual]) == []
     ours, theirs = push_windows(real), push_windows(usual)
     assert len(ours) >= 5
     for window in ours:  # the same drag where the object has turned as far

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,8 @@ from tests.archives.read import HERE, content, of_trajectory
 from tests.helpers.chunks import verify
 
 VERSIONS = sorted(path.name for path in HERE.iterdir() if (path / "read.json").is_file())
+HELD = {"0.1.0": (10, 8, 4), "0.2.0": (12, 11, 4)}
+"""Numbers of trials, of estimates, and of draws of the sensor's errors in each folder."""
 
 
 @pytest.fixture(params=VERSIONS)
@@ -59,14 +62,14 @@ def test_a_difference_is_found():
         assert differences(was, now)
 
 
-def test_there_is_a_folder_of_the_first_format():
-    assert "0.1.0" in VERSIONS
+def test_there_is_a_folder_of_every_version():
+    assert set(VERSIONS) == set(HELD) and version("heft-testbed") in VERSIONS
 
 
 def test_all_is_read_as_it_was(folder: Path):
     before = files_of(folder)
     was = json.loads((folder / "read.json").read_text(encoding="utf-8"))
-    assert len(was["trials"]) == 10 and len(was["estimates"]) == 8 and len(was["draws"]) == 4
+    assert tuple(len(was[part]) for part in ("trials", "estimates", "draws")) == HELD[folder.name]
     assert not differences(was, plain(content(folder)))
     assert files_of(folder) == before
 

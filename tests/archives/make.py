@@ -1,8 +1,9 @@
 """Golden folder of the present format: python -m tests.archives.make VERSION.
 
 Made once, with the last commit that writes a format; never again. It holds a run of a simulated object in a lab, with
-its estimates and its recording; a push measured with a camera, with its raw record and its estimates; an imported log
-with its mapping; a calibration; and what the version that wrote them read in each (`read.json`).
+its estimates and its recording; a push measured with a camera, with its raw record and its estimates, a lift, and a
+slide of an object in links; an imported log with its mapping; a calibration; and what the version that wrote them read
+in each (`read.json`).
 """
 
 from __future__ import annotations
@@ -12,7 +13,6 @@ import math
 import os
 import shutil
 import sys
-from contextlib import suppress
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -20,8 +20,10 @@ import numpy as np
 
 from scenarios.cli.main import main
 from scenarios.results.store import Store, key_of, object_request
+from testbed.actions.lift import Lift
 from testbed.actions.push import Push
 from testbed.actions.rotate import Rotate
+from testbed.actions.slide import Slide
 from testbed.objects.files import load_object
 from testbed.robot.calibration.file import save_calibration
 from testbed.robot.calibration.static_poses import Calibration
@@ -30,7 +32,7 @@ from testbed.sensing.noise import draw_sensing
 from testbed.sensing.presets import preset
 from testbed.simulation.runner import SimulationRunner
 from testbed.trajectory import SCHEMA_VERSION, Trajectory
-from testbed.trial import Trial
+from testbed.trial import RIGID, Trial
 from tests.archives.read import HERE, content
 from tests.fakes.lab_bench import mapping_of, write_csv, write_toml
 from tests.fakes.robot import robot_for
@@ -41,6 +43,18 @@ name = "pair"
 layout = ["11"]
 mass_kg = [0.5, 0.25]
 friction = 0.35
+[feet]
+under_each_m = [[-0.02, -0.02], [0.02, -0.02], [0.02, 0.02], [-0.02, 0.02]]
+"""
+LINKS = """\
+name = "links"
+[blocks]
+layout = ["111"]
+mass_kg = [0.3, 0.2, 0.25]
+[[hinges]]
+at_m = [0.025, 0.0]
+link = ["C1"]
+friction_Nm = 0.02
 """
 SCENARIO = """\
 objects = ["pair.toml"]
@@ -56,6 +70,7 @@ pivots = 1
 duration = 1.6
 accelerated = 0
 held_out = 1
+[methods.bayes]
 [methods.hidden_states]
 [methods.least_squares]
 [methods.random_search]
@@ -76,29 +91,35 @@ CALIBRATION = Calibration(
     gain=np.array([1.01, 0.99, 1.0, 1.02, 0.98, 1.0]),
     gain_std=np.full(6, 0.005),
 )
-DROPPED = "report.html", "figures", "recordings", ".lock", "notes"
+DROPPED = "report.html", "masses.csv", "masses.json", "figures", "recordings", ".lock", "notes"
 """Parts of a results folder that heft writes for people and never reads back."""
 
 
 def run(folder: Path) -> None:
     """A run of a small scenario in a lab, with a recording of one of its estimates."""
-    (folder / "pair.toml").write_text(OBJECT, encoding="utf-8")
+    for name, text in (("pair.toml", OBJECT), ("links.toml", LINKS)):
+        (folder / name).write_text(text, encoding="utf-8")
     (folder / "small.toml").write_text(SCENARIO, encoding="utf-8")
     main(["run", "small.toml", "--out", "run"])
 
 
 def measured(folder: Path) -> None:
-    """A push by the fake robot with its camera, a weighing, and estimates from both."""
+    """A push by the fake robot with its camera, a weighing, estimates from both; a lift, and links with their camera."""
     obj, out = load_object(str(folder / "pair.toml"), measured=True), folder / "measured"
-    trial = Trial(obj, Push((0.05, -0.01), math.pi, length=0.06))
-    _, runner = robot_for(trial, seed=1, raw=out / "raw")
+    measure(out, Trial(obj, Push((0.05, -0.01), math.pi, length=0.06)), raw=out / "raw")
+    keep(out, Trial(obj, read_off(0.75).action), read_off(0.75))
+    main(["estimate", "measured", "--methods", "bayes", "hidden_states", "least_squares"])
+    measure(out, Trial(obj, Lift(0, math.radians(3), hold=0.5), RIGID))
+    measure(out, Trial(load_object(str(folder / "links.toml"), measured=True), Slide(0, duration=1.6)))
+
+
+def measure(out: Path, trial: Trial, raw: Path | None = None) -> None:
+    """Run a trial on the fake robot and store it, its raw record in a folder of its own."""
+    _, runner = robot_for(trial, seed=1, raw=raw)
     with runner:
         record = runner.run(trial)
-    assert record.ok and record.camera is not None, record.reason
+    assert record.ok, record.reason
     keep(out, trial, record)
-    keep(out, Trial(obj, read_off(0.75).action), read_off(0.75))
-    with suppress(SystemExit):  # heft 0.1.0 ended with an error on pushes, after it had stored its answers
-        main(["estimate", "measured", "--methods", "hidden_states", "least_squares"])
 
 
 def imported(folder: Path) -> None:

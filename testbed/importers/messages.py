@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
@@ -11,6 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from testbed.errors import short
 from testbed.importers.columns import TimeMap
 from testbed.importers.logs import LogError, Series, factor, in_order, read_all, unknown
 from testbed.parsing.process import ParserError, parsed
@@ -19,18 +21,24 @@ JOINT_STATE = "sensor_msgs/JointState"
 _STAMP = "header.stamp"
 _SECOND = 1_000_000_000
 _NANOSECONDS = ("nanosec", "nsec")
+_LARGEST = sys.float_info.max
 _NOT_THERE = (KeyError, IndexError, ValueError, TypeError)
 
 
 class Message(NamedTuple):
-    """One message."""
+    """One message. It keeps its text, a tenth of what a fast log's contents would take."""
 
     log_time: int
     """Time at which it was logged [ns]."""
     publish_time: int
     """Time at which it was sent [ns]; of a bag that does not say, when it was logged."""
-    content: Any
-    """Nested dicts and lists."""
+    text: bytes
+    """Content as JSON."""
+
+    @property
+    def content(self) -> Any:
+        """Nested dicts and lists."""
+        return json.loads(self.text)
 
 
 class MessageLog:
@@ -67,14 +75,15 @@ class MessageLog:
         """Messages of a topic, in the order of the log."""
         if topic not in self._topics:
             joints = self.types[topic] == JOINT_STATE
-            self._topics[topic] = [m._replace(content=_by_name(m.content)) if joints else m for m in self._read(topic)]
+            found = self._read(topic)
+            self._topics[topic] = [m._replace(text=_by_name(m.content)) for m in found] if joints else found
         return self._topics[topic]
 
     def series(self, field: str, names: Sequence[str], topic: str | None, time: TimeMap) -> Series:
         """Fields by dotted path, list items by number and joints by name; see `CsvLog.series`."""
         kind, messages = self.type_of(field, topic), self.messages(str(topic))
         if kind == JOINT_STATE:  # several publishers may each know some of the joints
-            messages = [m for m in messages if all(_has(m.content, name) for name in names)] or messages
+            messages = [m for m in messages if _has(m.content, *names)] or messages
         values, stamps = read_all(
             partial(self.values, field, names, str(topic), messages), partial(self.stamps, str(topic), messages, time)
         )
@@ -82,7 +91,20 @@ class MessageLog:
 
     def values(self, field: str, names: Sequence[str], topic: str, messages: Sequence[Message]) -> np.ndarray:
         """Fields of messages, shape (N, K), see `series`."""
-        return np.column_stack(read_all(*(partial(self._column, field, name, topic, messages) for name in names)))
+        values = np.empty((len(messages), len(names)))
+        for i, content in enumerate(message.content for message in messages):
+            values[i] = read_all(*(partial(self._number, field, name, content, topic, i) for name in names))
+        return values
+
+    def _number(self, field: str, name: str, content: Any, topic: str, index: int) -> float:
+        try:
+            value = _at(content, name)
+        except _NOT_THERE:
+            raise unknown(field, name, sorted(dict(_leaves(content))), self.path) from None
+        if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= _LARGEST:
+            given = f"topic {topic}, message {index}: {name}: got {short(value)}"
+            raise LogError(f"{self.path}: {given}; allowed: a number")
+        return value
 
     def stamps(self, topic: str, messages: Sequence[Message], time: TimeMap) -> np.ndarray:
         """Times of messages [s], from the log's epoch, exact to the nanosecond, or by a field of numbers."""
@@ -92,25 +114,13 @@ class MessageLog:
         if column in ("log_time", "publish_time"):
             stamps = np.array([getattr(m, column) for m in messages], dtype=np.int64)
         elif fraction:
-            whole, part = (self._column("time.column", f"{column}.{n}", topic, messages) for n in ("sec", fraction))
-            stamps = whole.astype(np.int64) * _SECOND + part.astype(np.int64)
+            names = [f"{column}.sec", f"{column}.{fraction}"]
+            stamps = self.values("time.column", names, topic, messages).astype(np.int64) @ np.array([_SECOND, 1])
         else:
-            return self._column("time.column", column, topic, messages) * factor("time", time.unit)
+            return self.values("time.column", [column], topic, messages)[:, 0] * factor("time", time.unit)
         if self._epoch is None and len(stamps):
             self._epoch = int(stamps[0]) // _SECOND
         return (stamps - self.epoch_s * _SECOND) / _SECOND
-
-    def _column(self, field: str, name: str, topic: str, messages: Sequence[Message]) -> np.ndarray:
-        values = np.empty(len(messages))
-        for i, message in enumerate(messages):
-            try:
-                value = _at(message.content, name)
-            except _NOT_THERE:
-                raise unknown(field, name, sorted(dict(_leaves(message.content))), self.path) from None
-            if isinstance(value, bool) or not isinstance(value, int | float | np.number) or not np.isfinite(value):
-                raise LogError(f"{self.path}: topic {topic}, message {i}: {name}: got {value!r}; allowed: a number")
-            values[i] = value
-        return values
 
 
 def open_messages(path: Path) -> MessageLog:
@@ -141,19 +151,19 @@ def open_messages(path: Path) -> MessageLog:
     def read(topic: str) -> list[Message]:
         if (given := topics[topic][1]) not in ("json", "cdr"):
             raise LogError(f"{path}: topic {topic} is encoded as {given}; allowed: json, or cdr of ROS 2; convert it")
-        with result(topic) as found, found.open(encoding="utf-8") as lines:
-            return [Message(*json.loads(line)) for line in lines]
+        with result(topic) as found, found.open("rb") as lines:
+            each = (line.split(b"\t", 2) for line in lines)
+            return [Message(int(logged), int(sent), text) for logged, sent, text in each]
 
     return MessageLog(path, {topic: kind for topic, (kind, _) in topics.items()}, read)
 
 
-def _by_name(content: Any) -> dict[str, Any]:
+def _by_name(content: Any) -> bytes:
     """Joint states by the joints' names, whose order may change."""
     names = [str(name) for name in inside(content, "name")]
-    return {
-        "header": inside(content, "header"),
-        **{kind: dict(zip(names, inside(content, kind), strict=False)) for kind in ("position", "velocity", "effort")},
-    }
+    kinds = ("position", "velocity", "effort")
+    by_name = {kind: dict(zip(names, inside(content, kind), strict=False)) for kind in kinds}
+    return json.dumps({"header": inside(content, "header"), **by_name}).encode()
 
 
 def inside(value: Any, part: str) -> Any:
@@ -167,9 +177,10 @@ def _at(content: Any, path: str) -> Any:
     return content
 
 
-def _has(content: Any, path: str) -> bool:
+def _has(content: Any, *paths: str) -> bool:
     try:
-        _at(content, path)
+        for path in paths:
+            _at(content, path)
     except _NOT_THERE:
         return False
     return True

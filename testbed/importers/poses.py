@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -165,7 +166,7 @@ def _edges(log: MessageLog, field: str, topic: str, time: TimeMap) -> dict[str, 
         for message in log.messages(name) if name in log.types else []:
             for transform in inside(message.content, "transforms"):
                 child = str(inside(transform, "child_frame_id"))
-                by_child.setdefault(child, []).append(message._replace(content=transform))
+                by_child.setdefault(child, []).append(message._replace(text=json.dumps(transform).encode()))
         for child, messages in by_child.items():
             kept = messages[-1:] if name != topic else messages
             names = [*(f"transform.translation.{a}" for a in "xyz"), *(f"transform.rotation.{a}" for a in "xyzw")]

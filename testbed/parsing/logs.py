@@ -1,7 +1,7 @@
 """Parser of MCAP files and ROS 2 bags: python -m testbed.parsing.logs PATH [TOPIC] RESULT.
 
-Without a topic the result is JSON: type and encoding of each topic. With one it has a line of JSON for each message:
-time at which it was logged and at which it was sent [ns], and its content.
+Without a topic the result is JSON: type and encoding of each topic. With one it has a line for each message, with tabs
+between the time at which it was logged, that at which it was sent [ns], and its content as JSON.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ def main(path: str, *rest: str) -> None:
             json.dump(topics(Path(path)), file)
             return
         for logged, sent, content in messages(Path(path), *topic):
-            file.write(json.dumps([logged, sent, _plain(content)]) + "\n")
+            file.write(f"{logged}\t{sent}\t{content}\n")
 
 
 def topics(path: Path) -> dict[str, tuple[str, str]]:
@@ -49,8 +49,8 @@ def topics(path: Path) -> dict[str, tuple[str, str]]:
         return found | {c.topic: (c.msgtype, "cdr") for c in bag.connections}
 
 
-def messages(path: Path, topic: str) -> Iterator[tuple[int, int, Any]]:
-    """Times and content of a topic's messages; sent when logged where a bag does not say."""
+def messages(path: Path, topic: str) -> Iterator[tuple[int, int, str]]:
+    """Times of a topic's messages, and their content as JSON in one line; sent when logged where a bag does not say."""
     number = 0
     if path.suffix == ".mcap":
         with _whole("an MCAP file"):
@@ -60,7 +60,8 @@ def messages(path: Path, topic: str) -> Iterator[tuple[int, int, Any]]:
                 if channel.message_encoding != "json":
                     break
                 _check_bytes(topic, number, message.data)
-                yield message.log_time, message.publish_time, json.loads(message.data)
+                content, text = json.loads(message.data), message.data.decode()
+                yield message.log_time, message.publish_time, json.dumps(content) if "\n" in text else text
                 number += 1
     if number:
         return
@@ -68,7 +69,7 @@ def messages(path: Path, topic: str) -> Iterator[tuple[int, int, Any]]:
         wanted = [connection for connection in bag.connections if connection.topic == topic]
         for connection, logged, data in bag.messages(connections=wanted):
             _check_bytes(topic, number, data)
-            yield logged, logged, bag.deserialize(data, connection.msgtype)
+            yield logged, logged, json.dumps(_plain(bag.deserialize(data, connection.msgtype)))
             number += 1
 
 

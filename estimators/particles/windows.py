@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, replace
 from typing import Self
@@ -144,16 +145,21 @@ class Observations(Motion):
     def table(self, model: ParticleModel, pivot_error: float = 0.0, *, spread: bool | None = None) -> Table:
         """Forward model of the windows, without friction.
 
+        The drag of a foot that may lie on either side of the center of a turn fades within the error of its place: no
+        derivative at one place would show the other.
+
         Args:
             model: particles of the object.
             pivot_error: error of the center of a turn, m.
-            spread: True where each particle touches anywhere in its cell, at four points for the mean over it; if left
-                out, where the setup does not know the points of contact.
+            spread: True where each particle touches anywhere in its cell, at four points for the mean over it; False
+                where each is taken at its middle alone; if left out, what the setup knows of the points of contact.
         """
-        spread = bool(self.setup.contact_points) if spread is None else spread
         asked = (model, pivot_error, spread)
         if asked not in self._tables:
-            self._tables[asked] = Table(model, model.points(spread=spread), self._fields(model), pivot_error).undragged
+            points = model.points(spread=bool(self.setup.contact_points) if spread is None else spread)
+            if spread is None and points.shape[1] == 1:
+                pivot_error = math.hypot(pivot_error, self.setup.place_error(on_feet=model.stands_on_feet))
+            self._tables[asked] = Table(model, points, self._fields(model), pivot_error).undragged
         return self._tables[asked]
 
     def _fields(self, model: ParticleModel) -> Window:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -178,6 +179,15 @@ class SetupErrors:
         if len(set(setups)) == 1:
             return setups[0]
         return SetupErrors(**{name: max(getattr(each, name) for each in setups) for name in PARAMETERS})
+
+    def place_error(self, *, on_feet: bool) -> float:
+        """Root mean square distance of a known point of contact from its stated place beside the center of a turn [m].
+
+        Args:
+            on_feet: True for feet of known places, which have an error of their own.
+        """
+        along = math.hypot(self.grasp_offset, self.tcp_offset, self.particle_offset, on_feet * self.foot_offset)
+        return math.sqrt(2) * along
 
     @property
     def none(self) -> bool:

@@ -104,7 +104,7 @@ def run(folder: Path) -> None:
 
 
 def measured(folder: Path) -> None:
-    """A push by the fake robot with its camera, a weighing, estimates from both; a lift, and links with their camera."""
+    """A push by the fake robot with its camera, a weighing, estimates from both; a lift; links with a camera."""
     obj, out = load_object(str(folder / "pair.toml"), measured=True), folder / "measured"
     measure(out, Trial(obj, Push((0.05, -0.01), math.pi, length=0.06)), raw=out / "raw")
     keep(out, Trial(obj, read_off(0.75).action), read_off(0.75))

@@ -218,7 +218,8 @@ def _findings(trials: list[TrialRecord], name: str) -> list[Finding]:
     from testbed.robot.calibration.trial import check_trial
     from testbed.sensing.windows import mean_covariance, weight_of
 
-    records = [t.trajectory for t in trials if t.object.name == name]
+    of_object = [t for t in trials if t.object.name == name]
+    records = [t.trajectory for t in of_object]
     weighings = [t for t in records if not t.action.moves]
     lifts = [t for t in weighings if "weight_std_kg" in t.figures]
     scale = [weight_of(t) for t in weighings if "weight_std_kg" not in t.figures]
@@ -227,4 +228,4 @@ def _findings(trials: list[TrialRecord], name: str) -> list[Finding]:
         wrench = lifts[-1].wrench_on_object_world
         covariance = mean_covariance(wrench) + np.diag(lifts[-1].sensor_bias_std ** 2)
         found += check_trial(wrench.mean(axis=0), covariance, [], mass=scale[-1] if scale else None)
-    return found + check_wrenches(records) + check_motion(next(t.object.shape for t in trials if t.object.name == name), records)
+    return found + check_wrenches(records) + check_motion(of_object[0].object.shape, records)

@@ -157,7 +157,7 @@ def test_rows_change_with_the_place_in_the_hand_as_counted(offset: tuple[float, 
     grasps = [replace(g, position=g.position + offset) for g in TWO.shape.grasps]
     off = observe(TWO.shape, [analytic_links(replace(TWO, shape=replace(TWO.shape, grasps=tuple(grasps))), drag)])
     assert off is not None
-    count, off = len(off), replace(off, setup=SetupErrors(grasp_offset=1.0))
+    count, off = len(off), replace(off, setup=SetupErrors(grasp_offset=1e-9))
     trials = TrialWindows.about(TWO.shape, TWO.total_mass, off, ModelErrors(pivot_error=0.0))
     counted = by_row(trials.linear_rows(TWO.truth, off).slopes["grasp_offset"])
     expected = -counted.numpy() @ offset  # the grip is farther along: the object lies back in the hand

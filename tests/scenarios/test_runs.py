@@ -21,9 +21,10 @@ from scenarios.cli.main import main
 from scenarios.config import Scenario, load_scenario
 from scenarios.execution.executor import InlineExecutor
 from scenarios.results.files import LOCK, FolderInUseError, exclusive, read_json
-from scenarios.results.store import rows_of
+from scenarios.results.store import Store, rows_of
 from scenarios.study import run as study
 from scenarios.study import trials
+from scenarios.study.experiment import experiments_of
 from scenarios.study.run import check_nothing_lost, run_scenario
 from scenarios.views import finished as views
 from testbed.errors import InfeasibleTrialError, InvalidValueError
@@ -373,6 +374,15 @@ def test_an_unusable_object_is_refused_before_anything_is_written(tmp_path, monk
     with pytest.raises(error, match=message):
         run_scenario(Scenario(objects=objects), tmp_path / "out", 0, quiet)
     assert not (tmp_path / "out").exists()
+
+
+def test_an_object_that_the_scale_does_not_show_is_left_out_alone(tmp_path: Path):
+    (feather := tmp_path / "feather.toml").write_text('name = "feather"\n[blocks]\nlayout = ["11"]\nmass_kg = 5e-5\n')
+    scenario = Scenario(objects=[str(feather), "I1"], sensing=["ft300s"])
+    kept, left_out = experiments_of(scenario, Store(tmp_path / "out"), quiet)
+    assert {each.model.name for each in kept} == {"I1"}
+    assert {each.name for each in left_out} == {"feather"}
+    assert "the scale reads" in left_out[0].reason and "error of 1 g" in left_out[0].reason
 
 
 @pytest.mark.slow

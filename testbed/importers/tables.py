@@ -10,10 +10,12 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from testbed.errors import InvalidValueError
+from testbed.errors import InvalidValueError, short
 from testbed.importers.columns import ISO, Columns, TimeMap
 from testbed.importers.logs import LogError, Series, factor, in_order, read_all, unknown
 
+MOST_LETTERS = 2**17
+"""Longest line of a table that is read."""
 _SECOND = 1_000_000_000
 
 
@@ -25,6 +27,7 @@ class CsvLog:
         self.epoch_s = 0  # dates count from the second of the first; numbers from where the log says
         try:
             lines = path.read_text(encoding="utf-8-sig").split("\n")
+            _check_lines(path, lines)
             kept = [i for i, line in enumerate(lines) if not (mapping.comment and line.startswith(mapping.comment))]
             text = StringIO("\n".join(lines[i] for i in kept))
             table = pd.read_csv(
@@ -101,5 +104,14 @@ class CsvLog:
         wrong = np.flatnonzero(np.isnan(values) & cells.notna())
         if len(wrong):
             at = int(wrong[0])
-            got = f"{self.path}: line {self._lines[at]}: {name}: got {cells.iloc[at]!r}"
+            got = f"{self.path}: line {self._lines[at]}: {name}: got {short(cells.iloc[at])}"
             raise LogError(f"{got}; allowed: {allowed}, or blank")
+
+
+def _check_lines(path: Path, lines: Sequence[str]) -> None:
+    """Raise LogError for lines that are no rows of a table."""
+    for number, line in enumerate(lines, 1):
+        if len(line) > MOST_LETTERS:
+            raise LogError(f"{path}: line {number}: {len(line)} letters; allowed: at most {MOST_LETTERS} in a row")
+        if "\0" in line:
+            raise LogError(f"{path}: line {number}: a zero byte; allowed: text")

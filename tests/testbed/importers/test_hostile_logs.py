@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
+from testbed.importers.columns import TimeMap
 from testbed.importers.logs import LogError
 from testbed.importers.messages import open_messages
+from testbed.importers.tables import CsvLog
 
 writer = pytest.importorskip("mcap.writer")
 
@@ -77,3 +80,26 @@ def test_a_small_file_that_unpacks_to_gigabytes_is_refused(tmp_path: Path):
         log.finish()
     with pytest.raises(LogError, match="more than 1 GiB of memory"):
         open_messages(path)
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        pytest.param("t,a\n1," + "9" * 2**18 + "\n", r"line 2: 262146 letters; allowed: at most 131072", id="long"),
+        pytest.param("t" + ",a" * 2**17 + "\n", r"line 1: 262145 letters; allowed", id="wide"),
+        pytest.param("t,a\n1,2\n\0\0\n", r"line 3: a zero byte; allowed: text", id="zeros"),
+    ],
+)
+def test_a_line_that_is_no_row_of_a_table_is_refused(text: str, reason: str, tmp_path: Path):
+    (path := tmp_path / "log.csv").write_text(text, encoding="utf-8")
+    columns = SimpleNamespace(decimal=".", comment="#", separator=",")
+    with pytest.raises(LogError, match=reason):
+        CsvLog(path, columns)  # pyright: ignore[reportArgumentType]
+
+
+def test_a_long_cell_is_cut_in_the_message(tmp_path: Path):
+    (path := tmp_path / "log.csv").write_text(f"t,a\n1,2\n2,{'x' * 9999}\n", encoding="utf-8")
+    log = CsvLog(path, SimpleNamespace(decimal=".", comment="#", separator=","))  # pyright: ignore[reportArgumentType]
+    with pytest.raises(LogError, match=r"line 3: a: got 'xx.*\.\.\.; allowed: a number") as error:
+        log.series("sensor", ["a"], None, TimeMap(column="t"))
+    assert len(str(error.value)) < 400

@@ -291,20 +291,20 @@ class Posterior:
     def draws(self, shape: ObjectShape, count: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
         """Draws of the groups' masses, kg, (count, n_m), and of the frictions, (count, n_mu).
 
-        Normal in the logarithms, with errors widened by the misfit, then scaled to a draw of M: where masses are hardly
-        known, logarithms alone would lose the weighing. Several frictions are scaled too, so that each drag stays; a
-        single one is known by M itself.
+        Log-normal, of the means and variances found, errors widened by the misfit and with their correlations, then
+        scaled to a draw of M: where masses are hardly known, logarithms alone would lose the weighing. Several
+        frictions are scaled too, so that each drag stays; a single one is known by M itself.
         """
-        own, unit = self.of_object, self._unit[self.of_object]
-        covariance = self.covariance[own][:, own] * self.explained.widening
-        rng, center = np.random.default_rng(seed), self.optimum.z[own].numpy()
-        z = rng.multivariate_normal(center, (covariance / (unit[:, None] * unit)).numpy(), count, method="cholesky")
-        blocks = [self.unknowns.blocks[name] for name in OBJECT]
-        parts = torch.tensor(z).split([len(block.mean) for block in blocks], 1)
-        mass, friction = (torch.vmap(b.value)(part).numpy() for b, part in zip(blocks, parts, strict=True))
-        mass, at = mass * shape.particles_per_group, self.unknowns.at["mass"]
-        whole = float(self.of("mass")[0].numpy() @ shape.particles_per_group)
-        error = shape.particles_per_group @ covariance[at, at].numpy() @ shape.particles_per_group
+        own, rng = self.of_object, np.random.default_rng(seed)
+        covariance = (self.covariance[own][:, own] * self.explained.widening).numpy()
+        found = [self.unknowns.values(self.optimum.z)[name].numpy() for name in OBJECT]
+        mean, std = np.concatenate(found), np.sqrt(covariance.diagonal())
+        in_logarithm = np.sqrt(np.log1p((std / np.maximum(mean, SMALLEST)) ** 2))
+        root = np.linalg.cholesky(covariance / np.outer(std, std))
+        drawn = np.exp(in_logarithm * (rng.standard_normal((count, len(mean))) @ root.T) - in_logarithm**2 / 2)
+        mass, friction = np.split(mean * drawn, [shape.n_m], axis=1)
+        mass, per_group = mass * shape.particles_per_group, shape.particles_per_group
+        whole, error = float(found[0] @ per_group), per_group @ covariance[: shape.n_m, : shape.n_m] @ per_group
         scale = rng.normal(whole, np.sqrt(error), (count, 1)) / mass.sum(1, keepdims=True)
         return mass * scale, friction / scale if shape.n_mu > 1 else friction
 

@@ -75,7 +75,8 @@ def logs() -> Files:
     def ros(definition: str) -> bytes:
         return log("a/msg/A", "ros2msg", definition, [bytes(64)])
 
-    tree = "\n===\n".join(["a/B0 x", *(f"MSG: a/B{i}\nB{i + 1}[9] x" for i in range(40)), "MSG: a/B40\nuint8 x"])
+    rule = f"\n{'=' * 80}\n"
+    tree = rule.join(["a/B0 x", *(f"MSG: a/B{i}\nB{i + 1}[9] x" for i in range(40)), "MSG: a/B40\nuint8 x"])
     yield "brackets within brackets", ros(f"uint8 x = {'(' * 200}1{')' * 200}")
     yield "types within types, 9^40 items", ros(tree)
     yield "a type within itself", ros("a/A x")

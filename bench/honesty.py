@@ -354,13 +354,11 @@ def judged(job: tuple[int, str, str], seed: int, methods: tuple[str, ...], given
         spent, misfit = time.process_time() - begin, found.diagnostics.get("misfit", np.nan)
         nad, off, width = np.nan, np.zeros(0), np.nan
         if found.distribution is not None:
-            count = obj.shape.particles_per_group
-            off = found.distribution.mass * count - obj.group_mass
+            off, claimed = found.distribution.group_mass(obj.shape) - obj.group_mass, found.group_error(obj.shape)
             nad = float(np.abs(off).sum() / obj.total_mass)
-            if found.covariance is None:
+            if claimed is None:
                 off = np.zeros(0)
             else:
-                claimed = count * np.sqrt(np.diag(found.covariance))
                 off, width = off / claimed, float(np.median(2 * NINETY * claimed) / obj.total_mass)
         rows.append(Judged(index, world, pattern, name, found.status, nad, tuple(off), width, spent, misfit))
     return rows

@@ -160,13 +160,13 @@ def row_of(mistake: Mistake, block: KnownBlock, draw: int, folder: Path) -> tupl
     asked = [answer.message] if answer.status not in ("ok", "underdetermined") else []
     asked += [inertia.text] if inertia is not None and not inertia.ok else []
     words = [mistake.name, short(said), short(asked), answer.status]
-    if answer.distribution is None or answer.covariance is None:
+    mass, claimed = answer.group_mass(shape), answer.group_error(shape)
+    if mass is None or claimed is None:
         return [*words, "", ""], 0.0
     truth = dict(zip(block.model.shape.group_names, block.model.group_mass, strict=True))
     swap = str.maketrans("ACac", "CAca") if "mirrored" in mistake.name else {}
     true = np.array([truth[name.translate(swap)] for name in shape.group_names])
-    off = np.abs(answer.distribution.mass * shape.particles_per_group - true)
-    claimed = np.sqrt(np.diag(answer.covariance)) * shape.particles_per_group
+    off = np.abs(mass - true)
     worst = float((off / claimed).max())
     misfit, nad = answer.diagnostics.get("misfit", np.nan), 100 * off.sum() / true.sum()
     silent = " SILENT" if worst > 3 and answer.status == "ok" and not said and not asked else ""

@@ -17,7 +17,6 @@ from itertools import product
 from pathlib import Path
 from statistics import mean, median
 
-import numpy as np
 import torch
 from rich import box
 from rich.console import Console
@@ -92,8 +91,8 @@ def rigid() -> None:
     for known, (name, method) in product(("I2", "L2", "F2"), RIGID.items()):
         block = load_block(f"{known}-rigid")
         answer = method.estimate(block.model.shape, block.weighed("ideal", 0), block.trials("ideal", 0), 0)
-        assert answer.distribution is not None and answer.covariance is not None, answer.message
-        error = np.sqrt(np.diagonal(answer.covariance)) * block.model.shape.particles_per_group
+        error = answer.group_error(block.model.shape)
+        assert answer.distribution is not None and error is not None, answer.message
         nad = normalized_absolute_difference(block.model.shape, answer.distribution, block.model.truth)
         misfit = answer.diagnostics.get("misfit")
         row = (

@@ -148,10 +148,9 @@ def felt(model: ObjectModel, draws: int) -> Iterator[tuple[str, Felt]]:
 def judged_masses(trial: Felt, answer: Estimate) -> Judged | None:
     """Errors of an answer with masses of parts; M is what the scale read."""
     model = trial.model
-    if answer.distribution is None or answer.hidden is None or answer.covariance is None:
+    masses, error = answer.group_mass(model.shape), answer.group_error(model.shape)
+    if masses is None or answer.hidden is None or error is None:
         return None
-    count = model.shape.particles_per_group
-    masses, error = answer.distribution.mass * count, np.sqrt(np.diag(answer.covariance)) * count
     return (
         100 * abs(masses.sum() / model.total_mass - 1),
         1e3 * float(np.linalg.norm(answer.hidden.center_of_mass - model.center_of_mass)),

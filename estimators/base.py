@@ -125,6 +125,14 @@ class Estimate:
             if not isinstance(name, str) or not isinstance(value, int | float | np.integer | np.floating | np.bool_):
                 raise InvalidValueError(f"Estimate.diagnostics[{name!r}]", value, "a number, by a name")
 
+    def group_mass(self, shape: ObjectShape) -> Float[np.ndarray, "n_m"] | None:
+        """Mass of each group, kg; None without an answer."""
+        return None if self.distribution is None else self.distribution.group_mass(shape)
+
+    def group_error(self, shape: ObjectShape) -> Float[np.ndarray, "n_m"] | None:
+        """Standard error of each group's mass, kg, infinite where nothing is observed; None without a covariance."""
+        return None if self.covariance is None else np.sqrt(np.diag(self.covariance)) * shape.particles_per_group
+
 
 def _checked_covariance(values: ArrayLike) -> np.ndarray:
     """A covariance that is symmetric and without negative variances; infinite where nothing is observed."""

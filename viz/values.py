@@ -94,12 +94,12 @@ class EstimateView:
     @property
     def true_mass(self) -> Float[np.ndarray, "n_m"] | None:
         """True mass of each group [kg]."""
-        return None if self.truth is None else self.truth.mass * self.shape.particles_per_group
+        return None if self.truth is None else self.truth.group_mass(self.shape)
 
     @property
     def mass(self) -> Float[np.ndarray, "n_m"] | None:
         """Estimated mass of each group [kg]."""
-        return None if self.answer is None else self.answer.mass * self.shape.particles_per_group
+        return None if self.answer is None else self.answer.group_mass(self.shape)
 
     @property
     def difference(self) -> Float[np.ndarray, "n_m"] | None:

@@ -34,6 +34,6 @@ if __name__ == "__main__":
     block = load_block("L2-own_weight")
     answer = DragFit().estimate(block.model.shape, block.model.total_mass, block.trials("ft300s"), seed=0)
     nad = normalized_absolute_difference(block.model.shape, answer.distribution, block.model.truth)
-    print("masses, kg:", (answer.distribution.mass * block.model.shape.particles_per_group).round(3))
+    print("masses, kg:", answer.group_mass(block.model.shape).round(3))
     print("in truth:  ", block.model.group_mass.round(3))
     print(f"NAD {100 * nad:.1f} %")

@@ -50,7 +50,7 @@ if __name__ == "__main__":
         trajectory = simulation.run(trial)
     answer = HiddenStates().estimate(paddle.shape, paddle.total_mass, [trajectory], seed=0)
     print(len(paddle.shape.particles), "particles; status", answer.status, answer.message)
-    masses = answer.distribution.mass * paddle.shape.particles_per_group
+    masses = answer.group_mass(paddle.shape)
     for name, found, true in zip(paddle.shape.group_names, masses, paddle.group_mass, strict=True):
         print(f"{name}: {found:.3f} kg, in truth {true:.3f} kg")
     nad = normalized_absolute_difference(paddle.shape, answer.distribution, paddle.truth)

@@ -27,10 +27,9 @@ def main() -> None:
         trajectories = [simulation.run(trial) for trial in trials]
     answer = HiddenStates().estimate(obj.shape, obj.total_mass, trajectories, seed=0)
     print(f"{len(pushes)} pushes: {answer.status}")
-    assert answer.distribution is not None
-    for name, found, true in zip(
-        obj.shape.group_names, answer.distribution.mass * obj.shape.particles_per_group, obj.group_mass, strict=True
-    ):
+    masses = answer.group_mass(obj.shape)
+    assert masses is not None
+    for name, found, true in zip(obj.shape.group_names, masses, obj.group_mass, strict=True):
         print(f"{name}: {found:.3f} kg, in truth {true:.3f} kg")
 
 

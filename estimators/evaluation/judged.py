@@ -66,9 +66,8 @@ def _said(answer: Estimate, why: str) -> Estimate:
 
 def _left_open(answer: Estimate, shape: ObjectShape, whole: float) -> str:
     """Groups whose mass an answer's own covariance leaves open between nothing and all of the object's, in words."""
-    if answer.covariance is None:
+    if (error := answer.group_error(shape)) is None:
         return ""
-    error = shape.particles_per_group * np.sqrt(np.diag(answer.covariance))
     names = [name for name, one in zip(shape.group_names, error, strict=True) if one > whole]
     errors = f"errors up to {error.max():.3g} kg"
     return f"its covariance leaves open the mass of {', '.join(names)}: {errors}" if names else ""

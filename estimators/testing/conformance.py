@@ -293,7 +293,7 @@ def shows_every_mass(block: KnownBlock) -> bool:
 def _verdict(where: str, answer: Estimate, block: KnownBlock, nad: float, limit: float) -> str:
     shape = block.model.shape
     assert answer.distribution is not None
-    found = answer.distribution.mass * shape.particles_per_group
+    found = answer.distribution.group_mass(shape)
     masses = ", ".join(
         f"{name} {mine:.3f} ({true:.3f})"
         for name, mine, true in zip(shape.group_names, found, block.model.group_mass, strict=True)

@@ -327,12 +327,12 @@ def judge(
         }
         | hinge_columns(truth.hinge_friction, answer.diagnostics)
     )
-    if answer.covariance is not None:
-        row["mass_error_kg"] = (np.sqrt(np.diag(answer.covariance)) * shape.particles_per_group).tolist()
+    if (error := answer.group_error(shape)) is not None:
+        row["mass_error_kg"] = error.tolist()
     if answer.distribution is not None:
         if truth.masses_known:
             row["nad"] = normalized_absolute_difference(shape, answer.distribution, truth.truth)
-        row["mass_kg"] = (answer.distribution.mass * shape.particles_per_group).tolist()
+        row["mass_kg"] = answer.distribution.group_mass(shape).tolist()
         row["friction"] = answer.distribution.friction.tolist()
         predicted = mean_particle_distance(shape, answer.distribution, held_out)
         if predicted is not None:

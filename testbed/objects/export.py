@@ -76,7 +76,7 @@ class Exported:
     @property
     def comment(self) -> str:
         """Notes, and every mass and hinge's friction with its standard deviation."""
-        mass = self.distribution.mass * self.shape.particles_per_group
+        mass = self.distribution.group_mass(self.shape)
         deviation = self.group_deviation or [None] * len(mass)
         lines = [*self.notes, "masses, kg, with one standard deviation:"]
         for name, kg, off in zip(self.shape.group_names, mass, deviation, strict=True):

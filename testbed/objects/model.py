@@ -240,6 +240,10 @@ class MassDistribution:
                 raise InvalidValueError(f"MassDistribution.{name}", values.tolist(), "numbers >= 0")
             object.__setattr__(self, name, values)
 
+    def group_mass(self, shape: ObjectShape) -> Float[np.ndarray, "n_m"]:
+        """Mass of each group [kg]."""
+        return self.mass * shape.particles_per_group
+
 
 @dataclass(frozen=True, eq=False)
 class Solid:
@@ -393,7 +397,7 @@ class ObjectModel:
     @property
     def group_mass(self) -> Float[np.ndarray, "n_m"]:
         """Mass of each mass group [kg], shape (n_m,)."""
-        return self.truth.mass * self.shape.particles_per_group
+        return self.truth.group_mass(self.shape)
 
 
 def even_shares(lever: Float[np.ndarray, "N 2"]) -> Float[np.ndarray, "N"]:

@@ -6,8 +6,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from estimators.base import Estimate
+from estimators.testing.analytic_world import drawn_object
 from testbed.errors import InvalidValueError
 from testbed.objects.model import MassDistribution
 
@@ -51,3 +53,14 @@ def test_what_is_not_observed_may_have_an_infinite_error():
     found = answer(covariance=np.diag([np.inf, -1e-17]), diagnostics={"rank": 1, "left": np.float32(0.5)})
     assert found.covariance is not None
     assert found.covariance.tolist() == [[np.inf, 0.0], [0.0, 0.0]]
+
+
+def test_masses_and_errors_are_those_of_whole_groups():
+    obj = drawn_object(0)
+    count, known = obj.shape.particles_per_group, Estimate(obj.truth, "ok", covariance=np.diag(np.full(6, 4e-6)))
+    mass, error = known.group_mass(obj.shape), known.group_error(obj.shape)
+    assert mass is not None and error is not None
+    assert_allclose(mass, obj.group_mass)
+    assert_allclose(error, 2e-3 * count)
+    none = Estimate(None, "no_data")
+    assert none.group_mass(obj.shape) is None and none.group_error(obj.shape) is None

@@ -138,7 +138,7 @@ def _log_object(node: Node, view: TrialView) -> None:
     centers = np.column_stack([shape.particles, np.full(len(shape.particles), shape.height / 2)])
     names = list(shape.group_names)
     if truth is not None:
-        masses = truth.mass * shape.particles_per_group
+        masses = truth.group_mass(shape)
         names = [f"{name}: {mass:.3f} kg" for name, mass in zip(names, masses, strict=True)]
     if shape.chain is not None:
         names = [f"link {link}, {name}" for link, name in zip(shape.chain.link, names, strict=True)]

@@ -26,7 +26,7 @@ _NOT_THERE = (KeyError, IndexError, ValueError, TypeError)
 
 
 class Message(NamedTuple):
-    """One message. It keeps its text, a tenth of what a fast log's contents would take."""
+    """One message. It keeps its text: the contents of a minute at 8 kHz would take a gigabyte."""
 
     log_time: int
     """Time at which it was logged [ns]."""

@@ -30,8 +30,8 @@ class Limits:
     tries: int = 3
     """Number of times that a task is begun whose worker dies or is too slow."""
     memory_gib: float = 4.0
-    """Data of one worker, GiB: two and a half times the 1.6 that whole trials and every method on F2 and on the hammer
-    took at most, of which 1 is only reserved by an allocator; imports alone take 0.43. Not held by `inline`."""
+    """Data of one worker, GiB: over three times the 1.2 that `heft run blocks` took at most; imports alone take 0.43.
+    Not held by `inline`."""
 
 
 @dataclass(frozen=True)
@@ -134,7 +134,9 @@ def set_up_worker(limits: Limits) -> None:
     torch.set_num_threads(1)
     print_damage_plainly()
     size = int(limits.memory_gib * 2**30)
-    # RLIMIT_DATA counts what is really taken; RLIMIT_AS would count address space that libraries only reserve
+    # RLIMIT_AS would count address space that libraries only reserve, and RLIMIT_DATA counts it where it is writable:
+    # the allocator of Rerun, and of solvers that mink finds beside its own, reserves a gigabyte each
+    os.environ.setdefault("MIMALLOC_ARENA_EAGER_COMMIT", "0")
     resource.setrlimit(resource.RLIMIT_DATA, (size, resource.getrlimit(resource.RLIMIT_DATA)[1]))
     with open("/proc/self/oom_score_adj", "w", encoding="ascii") as file:
         file.write("1000")

@@ -60,7 +60,7 @@ def messages(path: Path, topic: str) -> Iterator[tuple[int, int, str]]:
                 if channel.message_encoding != "json":
                     break
                 _check_bytes(topic, number, message.data)
-                content, text = json.loads(message.data), message.data.decode()
+                content, text = json.loads(message.data), message.data.decode(json.detect_encoding(message.data))
                 yield message.log_time, message.publish_time, json.dumps(content) if "\n" in text else text
                 number += 1
     if number:

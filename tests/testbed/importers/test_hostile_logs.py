@@ -68,6 +68,19 @@ def test_a_small_file_of_large_messages_is_refused(tmp_path: Path):
         open_messages(path).messages("/all")
 
 
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16"])
+def test_json_of_any_encoding_and_layout_is_read(encoding: str, tmp_path: Path):
+    path = tmp_path / "log.mcap"
+    with path.open("wb") as file:
+        log = writer.Writer(file)
+        log.start()
+        channel = log.register_channel("/all", "json", log.register_schema("x", "jsonschema", b"{}"))
+        for text in ('{"a": "\u00e9"}', '{\n\t"a":\t"\u00e9"\n}'):
+            log.add_message(channel, 1, text.encode(encoding), 1)
+        log.finish()
+    assert [message.content for message in open_messages(path).messages("/all")] == [{"a": "\u00e9"}] * 2
+
+
 @pytest.mark.slow
 def test_a_small_file_that_unpacks_to_gigabytes_is_refused(tmp_path: Path):
     path = tmp_path / "log.mcap"

@@ -87,7 +87,8 @@ class Optimum:
 def solve(measurements: Sequence[Measurement], unknowns: Unknowns, start: Float[Tensor, "n"]) -> Optimum:
     """Minimum of |residual|^2 + |z|^2 by Gauss-Newton steps, damped where one does not decrease it.
 
-    Masses and loads multiply, so a whole step overshoots: the minimum of a parabola along it is tried as well.
+    Steps are straight in the masses, of which the weighing knows the sum, not in their logarithms. Masses and loads
+    multiply, so a whole step overshoots: the minimum of a parabola along it is tried as well.
     """
     z, damping, eye = start, 0.0, torch.eye(len(unknowns), dtype=torch.float64)
     converged, rounds, residual = False, 0, torch.zeros(0, dtype=torch.float64)
@@ -106,12 +107,14 @@ def solve(measurements: Sequence[Measurement], unknowns: Unknowns, start: Float[
         while True:
             root = torch.linalg.cholesky(inner + (1 + damping) * eye)
             step = -torch.cholesky_solve(gradient[:, None], root)[:, 0]
-            downhill, at, moved = -float(gradient @ step), z + step, off(z + step)
+            downhill, at = -float(gradient @ step), unknowns.moved(z, step)
+            moved = off(at)
             least = float(moved @ moved + at @ at)
             bend = least - now + 2 * downhill
             part = min(max(downhill / bend, 0.1), 2.0) if bend > 0 else 1.0
             if abs(part - 1) > 0.1:
-                other, elsewhere = z + part * step, off(z + part * step)
+                other = unknowns.moved(z, part * step)
+                elsewhere = off(other)
                 if (less := float(elsewhere @ elsewhere + other @ other)) < least:
                     at, moved, least = other, elsewhere, less
             if least < now or downhill < TOLERANCE or damping > LARGEST_DAMPING:

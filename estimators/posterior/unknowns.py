@@ -38,6 +38,19 @@ class Block:
         off = (value.clamp(min=SMALLEST).log() if self.positive else value) - self.mean
         return torch.where(self.std > 0, off / self.std, 0.0).flatten()
 
+    def moved(self, z: Float[Tensor, "n"], step: Float[Tensor, "n"]) -> Float[Tensor, "n"]:
+        """z after a step that is straight in the parameter itself, also where its logarithm has the prior.
+
+        A positive parameter below half of its value falls exponentially.
+        """
+        if not self.positive:
+            return z + step
+        std = self.std.flatten()
+        part = std * step
+        beyond = (part + 0.5).clamp(max=0)
+        logarithm = torch.log1p(part.clamp(min=-0.5)) + beyond + beyond.expm1()
+        return torch.where(std > 0, z + logarithm / std.clamp(min=SMALLEST), z)
+
     def scale(self, z: Float[Tensor, "n"]) -> Float[Tensor, "n"]:
         """Derivative of the parameter in z."""
         return (self.std * self.value(z) if self.positive else self.std).flatten()
@@ -89,6 +102,10 @@ class Unknowns:
     def values(self, z: Float[Tensor, "n"]) -> Theta:
         """Parameters by name, in their own units."""
         return {name: block.value(z[self.at[name]]) for name, block in self.blocks.items()}
+
+    def moved(self, z: Float[Tensor, "n"], step: Float[Tensor, "n"]) -> Float[Tensor, "n"]:
+        """z after a step, straight in the parameters' own units: sums of masses, which are weighed, stay linear."""
+        return torch.cat([block.moved(z[self.at[name]], step[self.at[name]]) for name, block in self.blocks.items()])
 
     def of(self, names: set[str], z: Float[Tensor, "n"]) -> tuple[Theta, Theta]:
         """Those of the named parameters that are unknown: shared by all trials, and one per trial."""

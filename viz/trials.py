@@ -9,7 +9,6 @@ from typing import Self
 import numpy as np
 from jaxtyping import Float
 
-from testbed.actions.push import Push
 from testbed.errors import InvalidValueError
 from testbed.objects.model import ObjectShape
 from testbed.sensing.camera import PoseStream
@@ -65,9 +64,9 @@ def push_contacts(shape: ObjectShape, trajectory: Trajectory) -> Float[np.ndarra
 
     None of other trials, nor where the camera saw too little.
     """
-    if not isinstance(trajectory.action, Push):
+    if not trajectory.action.pushes:
         return np.empty((0, 2))
     try:
-        return np.vstack([trajectory.action.point, contact_path(shape, trajectory)])
+        return np.vstack([trajectory.action.hand(shape)[0], contact_path(shape, trajectory)])
     except InvalidValueError:
         return np.empty((0, 2))

@@ -11,8 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from estimators.base import Trace
-from testbed.actions.base import Action, TableAction
-from testbed.actions.push import Push
+from testbed.actions.base import Action
 from testbed.errors import InvalidValueError
 from testbed.foot_forces import FootForces
 from testbed.objects.model import MassDistribution, ObjectShape
@@ -207,23 +206,23 @@ class ActionArrow:
     """True if the turn is accelerated."""
 
     @staticmethod
-    def of(shape: ObjectShape, action: TableAction | Push) -> ActionArrow:
+    def of(shape: ObjectShape, action: Action) -> ActionArrow:
         """Arrow along the first part of an action's motion; of a push, along the way to the object."""
-        if isinstance(action, Push):
-            met = np.array(action.point)
-            heading = np.array([math.cos(action.direction), math.sin(action.direction)])
-            return ActionArrow(met, None, met + WAY * np.outer([-1.0, 0.0], heading), accelerated=False)
-        grasp = shape.grasps[action.grasp].position
+        hand = action.hand(shape)[0]
+        begin = action.tool_path(shape, np.zeros(3), 0.01).ways[0].slope(np.zeros(1))[0]
         if not action.turns:
-            return ActionArrow(grasp, None, grasp + WAY * np.outer([0.0, 1.0], action.heading), accelerated=False)
-        pivot, speed = action.center(shape), action.steady[0].speed
-        arm = grasp - pivot
+            ends = [-1.0, 0.0] if action.pushes else [0.0, 1.0]
+            return ActionArrow(
+                hand, None, hand + WAY * np.outer(ends, begin[:2] / np.hypot(*begin[:2])), accelerated=False
+            )
+        pivot, speed = action.center(shape), begin[3]
+        arm = hand - pivot
         radius, begin = float(np.linalg.norm(arm)), math.atan2(arm[1], arm[0])
         if radius < IN_PLACE:
             radius, begin = PLACE_RADIUS, 0.0
         angle = begin + math.copysign(min(ARC, WAY / radius), speed) * np.linspace(0.0, 1.0, 12)
         way = pivot + radius * np.column_stack([np.cos(angle), np.sin(angle)])
-        return ActionArrow(grasp, pivot, way, action.accelerated)
+        return ActionArrow(hand, pivot, way, action.accelerated)
 
     @property
     def label(self) -> Float[np.ndarray, "2"]:
@@ -256,7 +255,7 @@ class ActionsView:
     def arrows(self) -> dict[int, ActionArrow]:
         """Arrows of the actions on the table, by their number from 1."""
         numbered = enumerate(self.actions, start=1)
-        return {n: ActionArrow.of(self.shape, a) for n, a in numbered if isinstance(a, TableAction | Push)}
+        return {n: ActionArrow.of(self.shape, a) for n, a in numbered if a.on_table}
 
     @property
     def lifts(self) -> dict[int, Float[np.ndarray, "2"]]:

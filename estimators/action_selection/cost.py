@@ -10,7 +10,6 @@ import numpy as np
 
 from estimators.base import robot_seconds
 from testbed.actions.base import Action
-from testbed.actions.push import Push
 from testbed.objects.model import ObjectShape
 from testbed.trajectory import Trajectory
 
@@ -38,7 +37,7 @@ class RobotTime:
 
     def of(self, action: Action) -> float:
         """Time of one trial, as in its record [s]."""
-        if isinstance(action, Push):
+        if action.pushes:
             return self.around_push + action.seconds
         return self.around + action.seconds if action.moves else self.weighing
 
@@ -46,7 +45,7 @@ class RobotTime:
         """Time from the end of one action to the start of the next, up and over the object [s]."""
         if last is None or not (last.moves and action.moves):
             return self.rise
-        (old, old_angle), (new, angle) = _place(shape, last), _place(shape, action)
+        (old, old_angle), (new, angle) = last.hand(shape), action.hand(shape)
         distance = float(np.linalg.norm(new - old))
         apart = (angle - old_angle + np.pi / 2) % np.pi - np.pi / 2  # the pads may close from either side
         return self.rise + max(distance / self.speed, abs(apart) / self.turn_rate)
@@ -55,15 +54,6 @@ class RobotTime:
         """Time of actions one after the other [s]."""
         lasts = [None, *actions]
         return sum(self.of(a) + self.between(shape, last, a) for last, a in zip(lasts, actions, strict=False))
-
-
-def _place(shape: ObjectShape, action: Action) -> tuple[np.ndarray, float]:
-    """Place of the hand on the object [m] and its angle [rad]; of a push, where it meets the object, unturned."""
-    if isinstance(action, Push):
-        return np.array(action.point), 0.0
-    assert action.grasp is not None
-    grasp = shape.grasps[action.grasp]
-    return grasp.position, grasp.angle
 
 
 def spent_seconds(shape: ObjectShape, trajectories: Sequence[Trajectory]) -> float:

@@ -25,8 +25,6 @@ from estimators.identifiability.information import (
 from estimators.identifiability.report import prior_masses
 from estimators.wrench.weighing import Weighing
 from testbed.actions.base import Action
-from testbed.actions.push import Push
-from testbed.actions.rotate import Rotate
 from testbed.errors import InvalidValueError
 from testbed.objects.model import MassDistribution, ObjectShape
 from testbed.sensing.presets import Sensing
@@ -211,10 +209,10 @@ class Design:
         Accelerated turns and lifts are ruled out before a trial at constant speed: alone they give no answer.
         """
         # turns at constant speed are compared by grasp and center, pushes by point, other actions as a whole
-        taken = {action for action in done if not isinstance(action, Rotate | Push)}
+        taken = {action for action in done if not _placed(action)}
         begun = any(steady(action) for action in done)
         keep = np.array([(begun or steady(a)) and a not in taken for a in self.candidates], dtype=bool)
-        placed = [action for action in done if isinstance(action, Rotate | Push)]
+        placed = [action for action in done if _placed(action)]
         if placed and keep.size:
             mine, where = zip(*[_place(self.shape, a) for a in self.candidates], strict=True)
             for action in placed:
@@ -244,8 +242,10 @@ def prior_belief(shape: ObjectShape, guess: Guess) -> Belief:
 
 def _place(shape: ObjectShape, action: Action) -> tuple[int, np.ndarray]:
     """Grasp and pivot of a turn, point of a push; of another action, a place that is near none."""
-    if isinstance(action, Push):
-        return -2, np.array(action.point)
-    if not isinstance(action, Rotate):
+    if not _placed(action):
         return -1, np.full(2, np.inf)
-    return action.grasp, np.array(shape.grasps[action.grasp].position if action.pivot is None else action.pivot)
+    return (-2, action.hand(shape)[0]) if action.grasp is None else (action.grasp, action.center(shape))
+
+
+def _placed(action: Action) -> bool:
+    return action.pushes or (action.turns and not action.accelerated)

@@ -13,8 +13,6 @@ from estimators.action_selection.rank import sees_every_load
 from estimators.base import ActionPolicy
 from testbed.actions.base import Action
 from testbed.actions.push import Push
-from testbed.actions.rotate import Rotate
-from testbed.actions.slide import Slide
 from testbed.errors import InfeasibleTrialError
 from testbed.objects.faces import faces
 from testbed.objects.model import ObjectShape
@@ -48,12 +46,12 @@ class RandomPushes:
 
     def next(self, shape: ObjectShape, trajectories: Sequence[Trajectory]) -> Action | None:
         """Next action; None when done."""
-        made = [t for t in trajectories if isinstance(t.action, Push)]
+        made = [t for t in trajectories if t.action.pushes]
         if self.before is not None and not made:
             with suppress(InfeasibleTrialError):  # refused about every grasp: what is left is to push
                 if (action := self.before.next(shape, trajectories)) is not None:
                     return action
-            turned = [t.action for t in trajectories if t.ok and isinstance(t.action, Rotate | Slide)]
+            turned = [t.action for t in trajectories if t.ok and t.action.dragged and not t.action.accelerated]
             if sees_every_load(shape, turned):
                 return None
         if sum(t.ok for t in made) >= self.pushes:

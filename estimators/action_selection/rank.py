@@ -81,10 +81,10 @@ class RankDriven:
             if (accelerated + accelerated // len(allowed)) % 2:
                 return action.reversed()
             return action
-        moved = sum(isinstance(action, Rotate | Slide) for action in tried)  # the policy's own, as is `done`
+        moved = sum(action.dragged and not action.accelerated for action in tried)  # the policy's own, as is `done`
         grasp = _drawn(allowed, moved, [self.seed, 2])
         if moved >= self.pivots:
-            done = [action for action in good if isinstance(action, Rotate | Slide)]
+            done = [action for action in good if action.dragged and not action.accelerated]
             turns = [Rotate(grasp) for grasp in allowed]
             slides = [] if self.back else [Slide(allowed[0]), Slide(allowed[0], np.pi / 2)]
             rank = predicted_rank(shape, done)
@@ -169,12 +169,12 @@ def _drawn(allowed: Sequence[int], index: int, stream: list[int]) -> int:
     return int(rng.permutation(np.asarray(allowed))[index % len(allowed)])
 
 
-def sees_every_load(shape: ObjectShape, actions: Sequence[Rotate | Slide]) -> bool:
+def sees_every_load(shape: ObjectShape, actions: Sequence[Action]) -> bool:
     """True if the predicted rank(Q) of turns and slides is n_s, the number of friction loads."""
     return predicted_rank(shape, actions) == len(LoadGroups.of(ParticleModel.of(shape)).pairs)
 
 
-def predicted_rank(shape: ObjectShape, actions: Sequence[Rotate | Slide]) -> int:
+def predicted_rank(shape: ObjectShape, actions: Sequence[Action]) -> int:
     """Predicted rank(Q) of turns and slides at constant speed, from geometry alone."""
     if not actions:
         return 0

@@ -29,9 +29,9 @@ class StopAndGo:
 
     def next(self, shape: ObjectShape, trajectories: Sequence[Trajectory]) -> Action | None:
         """Next action; None when done."""
-        lifts = [t for t in trajectories if isinstance(t.action, Lift)]
+        lifts = [t for t in trajectories if t.action.in_air]
         if self.before is not None:
-            others = [t for t in trajectories if not isinstance(t.action, Lift)]
+            others = [t for t in trajectories if not t.action.in_air]
             if not lifts and (action := self.before.next(shape, others)) is not None:
                 return action
         if sum(t.ok for t in lifts) >= self.lifts:

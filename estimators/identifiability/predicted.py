@@ -16,7 +16,7 @@ from estimators.particles.motion import LinkMotion, Motion, Planned
 from estimators.particles.windows import Observations
 from estimators.wrench.model import ModelErrors, ParticleModel
 from estimators.wrench.support import least_load, load_map
-from testbed.actions.base import Action, TableAction
+from testbed.actions.base import Action
 from testbed.actions.path import RAMP_TIME
 from testbed.actions.push import GAP, Push
 from testbed.errors import InvalidValueError
@@ -70,7 +70,7 @@ def predicted_windows(
         raise InvalidValueError("shape", "one with hinges", "a rigid object; see `predicted_drags`")
     found = []
     for index, action in enumerate(actions):
-        if not isinstance(action, TableAction):  # the others have no such windows
+        if action.grasp is None or not action.dragged:  # the others have no such windows
             continue
         if action.grasp >= len(shape.grasps):
             raise InvalidValueError("action.grasp", action.grasp, f"one of the shape's {len(shape.grasps)} grasps")
@@ -150,7 +150,7 @@ def predicted_drags(
         setup: errors of the setup as stated.
         hinge_friction: torque of friction of each hinge [N m]; a guess if left out.
     """
-    drags = {i: a for i, a in enumerate(actions) if isinstance(a, TableAction) and not a.accelerated}
+    drags = {i: a for i, a in enumerate(actions) if a.dragged and not a.accelerated}
     found = []
     for (index, drag), motion in zip(
         drags.items(), trailing_motions(shape, mass, friction, list(drags.values()), STEP, hinge_friction), strict=True
@@ -270,13 +270,12 @@ def to_tcp() -> np.ndarray:
     return move_wrench(np.eye(6), np.array([0.0, 0.0, -REACH])).T
 
 
-def _stretches(shape: ObjectShape, trial: int, action: TableAction) -> list[Planned]:
+def _stretches(shape: ObjectShape, trial: int, action: Action) -> list[Planned]:
     """Steady stretches of an action, trimmed as a record is."""
-    grasp = shape.grasps[action.grasp]
-    at, about, heading, time = grasp.position, action.center(shape), action.heading, BEFORE
+    (at, angle), about, heading, time = action.hand(shape), action.center(shape), action.heading, BEFORE
     steps = [speed * seconds + acceleration * seconds**2 / 2 for speed, acceleration, seconds in action.steady]
     ends = np.cumsum([0.0, *steps])
-    gone, facing = -(ends.max() + ends.min()) / 2, -grasp.angle  # midway the pads close along x
+    gone, facing = -(ends.max() + ends.min()) / 2, -angle  # midway the pads close along x
     found = []
     for segment, (speed, acceleration, seconds) in enumerate(action.steady):
         if segment and not action.accelerated:

@@ -25,7 +25,7 @@ def predicted_lifts(
 
 def predicted_lift(action: Lift, sensing: Sensing, setup: SetupErrors = EXACT_SETUP) -> list[LiftWindow]:
     """Windows of one lift, their wrenches left at zero."""
-    profile = action.profile(1 / RATE)
+    profile = action.sampled(1 / RATE)
     noise, bias, drift = sensor_at_tcp(sensing)
     axes = _level(profile.angle)
     upwards = axes[:, 2]

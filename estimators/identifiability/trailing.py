@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from testbed.actions.base import TableAction
+from testbed.actions.base import Action
 from testbed.actions.path import Profile
 from testbed.frames import perpendicular, rotation_2d
 from testbed.objects.chain import Chain, velocities
@@ -40,7 +40,7 @@ def trailing_motions(
     shape: ObjectShape,
     mass: Float[np.ndarray, "P"],
     friction: Float[np.ndarray, "P"],
-    actions: Sequence[TableAction],
+    actions: Sequence[Action],
     step: float,
     hinge_friction: Sequence[float] | None = None,
 ) -> list[TrailingMotion]:
@@ -56,7 +56,8 @@ def trailing_motions(
     """
     chain = shape.chain
     assert chain is not None
-    held = np.array([chain.link[shape.pressed(shape.grasps[a.grasp])[0]] for a in actions])
+    grasps = [shape.grasps[a.grasp] for a in actions if a.grasp is not None]
+    held = np.array([chain.link[shape.pressed(grasp)[0]] for grasp in grasps])
     found: dict[int, TrailingMotion] = {}
     torque = np.full(len(chain.hinges), GUESS) if hinge_friction is None else np.array(hinge_friction)
     for link in np.unique(held):
@@ -81,13 +82,13 @@ class _Links:
         self.spin = np.bincount(self.link, mass * shape.cell**2 / 6, chain.links)[self.free]
         self.across = np.diff(np.eye(chain.links), axis=0)  # rates of the hinges from those of the links
 
-    def motions(self, actions: Sequence[TableAction], step: float) -> list[TrailingMotion]:
+    def motions(self, actions: Sequence[Action], step: float) -> list[TrailingMotion]:
         """Motions of trials by grasps of this link, side by side."""
         profiles = [action.profile(step) for action in actions]
         hands = [self._hand(action, profile) for action, profile in zip(actions, profiles, strict=True)]
         longest = max(map(len, hands))
         hand = np.array([np.pad(each, ((0, longest - len(each)), (0, 0))) for each in hands])
-        point = np.array([self.shape.grasps[action.grasp].position for action in actions])
+        point = np.array([action.hand(self.shape)[0] for action in actions])
         count = len(actions)
         angle, rate = np.zeros((2, count, len(self.free)))
         yaw, before, momentum = np.zeros(count), np.zeros(count), np.zeros((count, len(self.mass), 2))
@@ -110,9 +111,9 @@ class _Links:
             rate, before = found, twist[:, 2]
         return [TrailingMotion(p, each[: len(h)]) for p, each, h in zip(profiles, turned, hands, strict=True)]
 
-    def _hand(self, action: TableAction, profile: Profile) -> Float[np.ndarray, "N 3"]:
+    def _hand(self, action: Action, profile: Profile) -> Float[np.ndarray, "N 3"]:
         """Twist of the grasp point, axes of the held link."""
-        point = self.shape.grasps[action.grasp].position
+        point = action.hand(self.shape)[0]
         if action.turns:  # progress is along the path, whichever way that turns
             rate = math.copysign(1.0, action.steady[0].speed) * profile.rate
             return rate[:, None] * np.array([*perpendicular(point - action.center(self.shape)), 1.0])

@@ -16,7 +16,6 @@ from torch import Tensor
 
 from estimators.wrench.air import columns
 from estimators.wrench.sensor import walk
-from testbed.actions.lift import Lift
 from testbed.objects.model import GRAVITY, ObjectShape
 from testbed.sensing.lift_windows import LiftWindow, lift_windows
 from testbed.sensing.windows import reduced_trials
@@ -56,7 +55,7 @@ def lifts_among(shape: ObjectShape, trajectories: Sequence[Trajectory]) -> dict[
     Raises:
         InvalidValueError: a grasp that the shape does not have.
     """
-    return reduced_trials(shape, trajectories, (Lift,), lift_windows)
+    return reduced_trials(shape, trajectories, lambda action: action.in_air, lift_windows)
 
 
 def creep_covariance(windows: Sequence[LiftWindow], steps: Float[np.ndarray, "R 3"]) -> Float[np.ndarray, "R R"]:

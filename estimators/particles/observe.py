@@ -13,8 +13,7 @@ from estimators.particles.motion import LinkMotion, Motion
 from estimators.particles.windows import PLANAR, Observations
 from estimators.wrench.model import ModelErrors, ParticleModel
 from estimators.wrench.support import likely_load, load_map
-from testbed.actions.base import TableAction
-from testbed.actions.push import Push
+from testbed.actions.base import Action
 from testbed.objects.model import ObjectShape
 from testbed.sensing.link_windows import link_windows
 from testbed.sensing.push_windows import push_windows
@@ -46,8 +45,11 @@ def observe(
     windows: list[SteadyWindow] = []
     trial: list[int] = []
     accelerated: list[bool] = []
-    kinds = (TableAction, Push) if shape.chain is None else (TableAction,)
-    for index, found in reduced_trials(shape, trajectories, kinds, partial(_table_windows, shape)).items():
+
+    def counts(action: Action) -> bool:
+        return action.dragged or (action.pushes and shape.chain is None)
+
+    for index, found in reduced_trials(shape, trajectories, counts, partial(_table_windows, shape)).items():
         windows += found
         trial += [index] * len(found)
         accelerated += [trajectories[index].action.accelerated] * len(found)
@@ -96,7 +98,7 @@ def _table_windows(shape: ObjectShape, trajectory: Trajectory) -> list[SteadyWin
     if shape.chain is not None:
         windows = [] if trajectory.action.accelerated else link_windows(trajectory)
         return [window for window in windows if not LinkMotion.of(shape, window).stands_or_starts]
-    return (push_windows if isinstance(trajectory.action, Push) else steady_windows)(trajectory)
+    return (push_windows if trajectory.action.pushes else steady_windows)(trajectory)
 
 
 def _pooled(windows: list[SteadyWindow], trial: np.ndarray, accelerated: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

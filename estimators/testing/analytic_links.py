@@ -49,10 +49,10 @@ def analytic_links(
         raise InvalidValueError("obj.shape.chain", None, "an object with hinges")
     point = shape.grasps[action.grasp].position
     held = int(chain.link[shape.pressed(shape.grasps[action.grasp])[0]])
-    if isinstance(action, Slide):
-        hand = np.array([*(action.speed * action.heading), 0.0])
-    else:
+    if action.turns:
         hand = action.speed * np.array([*perpendicular(point - action.center(shape)), 1.0])
+    else:
+        hand = np.array([*(action.speed * action.heading), 0.0])
     chained = _Chained(obj, chain, held, point, hand, np.zeros(0))
     free = [link for link in range(chain.links) if link != held]
     still = np.zeros(2 * len(free))

@@ -286,7 +286,7 @@ def recovers(
 
 def shows_every_mass(block: KnownBlock) -> bool:
     """True if the turns have full rank and there is one friction, so that the masses follow from M."""
-    turns = [trial.action for trial in block.clean if isinstance(trial.action, Rotate)]
+    turns = [trial.action for trial in block.clean if trial.action.turns and not trial.action.accelerated]
     return block.model.shape.n_mu == 1 and predicted_rank(block.model.shape, turns) == block.model.shape.n_m
 
 

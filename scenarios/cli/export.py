@@ -92,8 +92,6 @@ def _export_trial(folder: Path, beginning: str, out: Path | None) -> None:
     from scenarios.results.files import inside
     from scenarios.results.trials import read_trial
     from scenarios.views.figures import file_name
-    from testbed.actions.base import TableAction
-    from testbed.actions.push import Push
     from testbed.exporters.ros2 import mapping_text, write_mcap
     from testbed.files import write_whole
     from testbed.sensing.noise import draw_sensing
@@ -107,7 +105,7 @@ def _export_trial(folder: Path, beginning: str, out: Path | None) -> None:
     path = out or inside(folder, "exports", name)
     write_mcap(trajectory, path)
     print(path)
-    if not (isinstance(trajectory.action, TableAction | Push) and trajectory.ok):
+    if not (trajectory.action.on_table and trajectory.ok):
         print("without a mapping: heft import reads turns, slides and pushes that are data")
         return
     called, text = _named_object(record.object)

@@ -12,8 +12,6 @@ from rich.table import Table
 from rich.text import Text
 
 from scenarios.cli.terminal import open_console
-from testbed.actions.base import TableAction
-from testbed.actions.slide import Slide
 from testbed.errors import InvalidValueError
 from testbed.files import write_whole
 from testbed.importers.mapping import Mapping
@@ -62,9 +60,9 @@ def _table(log: Path, found: Sequence[Segment]) -> Table:
 
 def _kind(segment: Segment) -> str:
     action = segment.action
-    if isinstance(action, Slide):
-        return "slide"
     assert action is not None
+    if not action.turns:
+        return "slide"
     side = "left" if action.steady[0].speed > 0 else "right"
     return f"{segment.kind} {side}{' and back' if getattr(action, 'back', False) else ''}"
 
@@ -72,9 +70,9 @@ def _kind(segment: Segment) -> str:
 def _extent(segment: Segment) -> tuple[str, str]:
     """Speed, and angle or way, as people say them."""
     action = segment.action
-    assert isinstance(action, TableAction)
+    assert action is not None
     first = action.steady[0]
-    if isinstance(action, Slide):
+    if not action.turns:
         return f"{1e3 * first.speed:.1f} mm/s", f"{1e3 * first.speed * first.seconds:.0f} mm"
     if action.accelerated:
         turned = math.degrees(abs(segment.closing_end[2] - segment.closing[2]))

@@ -5,18 +5,22 @@ A new action is a module with a subclass of `Action` (or of `TableAction`), and 
 
 from __future__ import annotations
 
+import math
 from dataclasses import MISSING, asdict, dataclass, fields
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
-from testbed.actions.path import WORKSPACE, Profile, Steady, ToolPath, motion_time
+from testbed.actions.path import WORKSPACE, PlanarPath, Profile, Steady, ToolPath, motion_time
 from testbed.errors import InvalidValueError
 from testbed.frames import pose_from_point, rotation_2d, transform_point
+from testbed.objects.faces import Face
 from testbed.objects.model import ObjectShape
 from testbed.validation import check_integer, is_number
 
+_TURN, _LINE = math.radians(10), 0.025
+"""Distance between the knots of a turn's way [rad], and of a slide's [m]."""
 KINDS: dict[str, type[Action]] = {}
 """Every action by the name that files give it."""
 
@@ -32,6 +36,17 @@ class ActionWords(NamedTuple):
     """Direction, speed, or times."""
 
 
+class Fingertip(NamedTuple):
+    """Round fingertip of a closed hand, on a peg below the pads."""
+
+    radius: float
+    """Radius [m]."""
+    friction: float
+    """Friction against the faces of the object."""
+    height: float
+    """Height of its middle over the table [m]."""
+
+
 @dataclass(frozen=True)
 class Action:
     """Base of all actions."""
@@ -40,6 +55,8 @@ class Action:
     """Name in files: "rotate", "accelerate", "slide", "push", "lift" or "weigh"."""
     moves: ClassVar[bool] = True
     """False if nothing moves: the object lies on a scale."""
+    pushes: ClassVar[bool] = False
+    """True if a fingertip moves the object, which is free; False if the pads hold it."""
     on_table: ClassVar[bool] = False
     """True if the object moves over the table, under friction."""
     in_air: ClassVar[bool] = False
@@ -63,9 +80,108 @@ class Action:
             check_integer(self._field("grasp"), self.grasp, least=0)  # pyright: ignore[reportArgumentType]
 
     @property
+    def dragged(self) -> bool:
+        """True if the pads move the object over the table."""
+        return self.on_table and not self.pushes
+
+    @property
+    def steady(self) -> tuple[Steady, ...]:
+        """Stretches of constant speed or acceleration over the table, in order."""
+        return ()
+
+    @property
+    def heading(self) -> Float[np.ndarray, "2"]:
+        """Unit vector of a slide's direction, object frame; zero for a turn."""
+        return np.zeros(2)
+
+    @property
     def seconds(self) -> float:
         """Duration of the motion, from rest to rest [s]."""
-        raise NotImplementedError
+        return motion_time(self.steady)
+
+    def profile(self, step: float) -> Profile:
+        """Progress along a path over the table, sampled every `step` s."""
+        return Profile.through(self.steady, step)
+
+    def center(self, shape: ObjectShape) -> Float[np.ndarray, "2"]:
+        """Center of a turn, else the grasp point [m], object frame; of a push, the object's middle."""
+        return np.zeros(2) if self.grasp is None else shape.grasps[self.grasp].position
+
+    def hand(self, shape: ObjectShape) -> tuple[Float[np.ndarray, "2"], float]:
+        """Place of the hand on the object at the start [m] and its closing direction [rad], object frame."""
+        assert self.grasp is not None
+        return shape.grasps[self.grasp].position, shape.grasps[self.grasp].angle
+
+    def fingertip(self, shape: ObjectShape) -> Fingertip | None:
+        """Fingertip that pushes an object; None where the pads hold it."""
+        return None
+
+    def face(self, shape: ObjectShape) -> Face | None:
+        """Face that a fingertip meets; None where the pads hold the object.
+
+        Raises:
+            InvalidValueError: it meets none.
+        """
+        return None
+
+    def check_start(self, shape: ObjectShape) -> None:
+        """Refuse an action that has no room to begin.
+
+        Raises:
+            InfeasibleTrialError: no face there, or no room for a fingertip to come down.
+        """
+
+    def needs_camera(self, shape: ObjectShape) -> bool:
+        """True if something moves that the hand does not hold."""
+        return self.on_table and (self.pushes or shape.chain is not None)
+
+    def centered_pose(
+        self, shape: ObjectShape, step: float, shift: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    ) -> Float[np.ndarray, "3"]:
+        """Planar pose of the object [m, m, rad], world, whose action stays about the middle of the workspace.
+
+        The hand stays over it unless an action moves over the table.
+
+        Args:
+            shape: geometry of the object.
+            step: time between ticks, s.
+            shift: shift from there, and turn about it, m, m, rad.
+        """
+        place, angle = self.hand(shape)
+        return pose_from_point(np.array(WORKSPACE) + shift[:2], place, np.array(shift[2] - angle))
+
+    def planar_path(self, shape: ObjectShape, pose: Float[np.ndarray, "3"], step: float) -> PlanarPath:
+        """Path of an object that the pads hold over its planar pose [m, m, rad], world; at rest unless it moves there.
+
+        Args:
+            shape: geometry of the object.
+            pose: its pose at the start.
+            step: time between ticks, s.
+        """
+        place, angle = self.hand(shape)
+        return PlanarPath(place, angle, np.zeros(2), np.array(pose[:2]), float(pose[2]), 0.0, np.zeros(2))
+
+    def tool_path(
+        self, shape: ObjectShape, pose: Float[np.ndarray, "3"], step: float, speed: float = math.inf
+    ) -> ToolPath:
+        """Path of the tool between grasp and release, on an object that starts at a planar pose [m, m, rad], world.
+
+        Args:
+            shape: geometry of the object.
+            pose: its pose at the start.
+            step: time between ticks, s.
+            speed: greatest speed up and down, m/s.
+
+        Raises:
+            InvalidValueError: nothing moves.
+            InfeasibleTrialError: a fingertip that meets no face.
+        """
+        raise InvalidValueError("action", self, "an action that moves the object")
+
+    @property
+    def tilt_acceleration(self) -> float:
+        """Angular acceleration by which it rocks in the air [rad/s^2]."""
+        return 0.0
 
     def accelerates(self, segment: int) -> bool:
         """True if the steady stretch `segment` (from 0) is at constant acceleration, not at rest or constant speed."""
@@ -104,49 +220,45 @@ class TableAction(Action):
     grasp: int
     """Index into the shape's grasps."""
 
-    @property
-    def steady(self) -> tuple[Steady, ...]:
-        """Stretches of constant speed or acceleration, in order: what estimators see of the action."""
-        raise NotImplementedError
+    def centered_pose(
+        self, shape: ObjectShape, step: float, shift: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    ) -> Float[np.ndarray, "3"]:
+        """Planar pose of the object at the start of the path that is centered, but for the shift."""
+        path = self.centered_path(shape, self.profile(step).length).shifted(shift, WORKSPACE)
+        return path.object_pose(np.array([-0.5]))[0]
 
-    @property
-    def heading(self) -> Float[np.ndarray, "2"]:
-        """Unit vector of a slide's direction, object frame; zero for a turn."""
-        return np.zeros(2)
+    def planar_path(self, shape: ObjectShape, pose: Float[np.ndarray, "3"], step: float) -> PlanarPath:
+        """Path of the object from a planar pose [m, m, rad], world."""
+        return self.path_from(shape, self.profile(step).length, pose)
 
-    def center(self, shape: ObjectShape) -> Float[np.ndarray, "2"]:
-        """Center of a turn [m], object frame; the grasp point unless the action says otherwise."""
-        return shape.grasps[self.grasp].position
+    def tool_path(
+        self, shape: ObjectShape, pose: Float[np.ndarray, "3"], step: float, speed: float = math.inf
+    ) -> ToolPath:
+        """Path of the tool, on an object that starts at a planar pose [m, m, rad], world."""
+        profile = self.profile(step)
+        path = self.path_from(shape, profile.length, pose)
+        return ToolPath(step, profile.segment, (path.way(profile, _TURN if self.turns else _LINE),))
 
-    @property
-    def seconds(self) -> float:
-        """Duration of the motion, from rest to rest [s]."""
-        return motion_time(self.steady)
-
-    def profile(self, step: float) -> Profile:
-        """Progress along the path, sampled every `step` s."""
-        return Profile.through(self.steady, step)
-
-    def centered_path(self, shape: ObjectShape, length: float, middle: tuple[float, float] = WORKSPACE) -> ToolPath:
-        """Path of `length` [rad or m] whose middle has the TCP at `middle` [m, world], the pads closing along x."""
-        yaw, at, center = -shape.grasps[self.grasp].angle, np.array(middle), self.center(shape)
+    def centered_path(self, shape: ObjectShape, length: float) -> PlanarPath:
+        """Path of `length` [rad or m] whose middle has the TCP in the middle of the workspace, closing along x."""
+        yaw, at, center = -shape.grasps[self.grasp].angle, np.array(WORKSPACE), self.center(shape)
         if self.turns:
             grasp = shape.grasps[self.grasp].position
             at = transform_point(pose_from_point(at, grasp, np.array(yaw)), center)
         return self._path(shape, length, at, yaw, rotation_2d(yaw) @ self.heading)
 
-    def path_from(self, shape: ObjectShape, length: float, pose: Float[np.ndarray, "3"]) -> ToolPath:
+    def path_from(self, shape: ObjectShape, length: float, pose: Float[np.ndarray, "3"]) -> PlanarPath:
         """Path of `length` [rad or m] that starts where the object lies: planar pose [m, m, rad], world."""
         path = self._path(shape, length, np.zeros(2), 0.0, self.heading)
         yaw = float(pose[2]) + path.turn / 2
         slide = rotation_2d(yaw) @ path.slide
         at = transform_point(np.asarray(pose, dtype=float), path.pivot) + slide / 2
-        return ToolPath(path.grasp, path.grasp_angle, path.pivot, at, yaw, path.turn, slide)
+        return PlanarPath(path.grasp, path.grasp_angle, path.pivot, at, yaw, path.turn, slide)
 
-    def _path(self, shape: ObjectShape, length: float, at: np.ndarray, yaw: float, heading: np.ndarray) -> ToolPath:
+    def _path(self, shape: ObjectShape, length: float, at: np.ndarray, yaw: float, heading: np.ndarray) -> PlanarPath:
         grasp = shape.grasps[self.grasp]
         turn = float(np.copysign(length, self.steady[0].speed)) if self.turns else 0.0
-        return ToolPath(grasp.position, grasp.angle, self.center(shape), at, yaw, turn, length * heading)
+        return PlanarPath(grasp.position, grasp.angle, self.center(shape), at, yaw, turn, length * heading)
 
 
 def action_from_dict(data: dict[str, Any]) -> Action:

@@ -11,8 +11,9 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from testbed.actions.base import Action, ActionWords
-from testbed.actions.path import minimum_jerk
+from testbed.actions.path import LEAST_KNOTS, ToolPath, Way, level, minimum_jerk
 from testbed.errors import InvalidValueError
+from testbed.frames import rotation_2d, transform_point
 from testbed.objects.model import ObjectShape
 from testbed.validation import check_integer, check_positive_fields, is_number
 
@@ -28,6 +29,10 @@ TILT_ACCELERATION = 1.0
 """Greatest angular acceleration of that, about, where it takes longer [rad/s^2]."""
 LEAST_STRETCH = 0.4
 """Least time of a move's half that counts as a stretch [s]: a shorter one is over before the arm follows it."""
+
+_RISE, _TILT = 4, math.radians(4)
+"""Stretches between the knots of the way up, and the angle between those of a tilt [rad]."""
+_UP = np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0])
 
 
 @dataclass(frozen=True)
@@ -78,6 +83,11 @@ class Lift(Action, kind="lift"):
         """Duration of the motion, from rest to rest [s]."""
         return _sampled(self)[0]
 
+    @property
+    def tilt_acceleration(self) -> float:
+        """Angular acceleration by which it rocks [rad/s^2]; 0 without a tilt."""
+        return self.acceleration if self.tilt > 0 else 0.0
+
     def accelerates(self, segment: int) -> bool:
         """True if it rocks, or moves between tilts, in a stretch; False where it holds still."""
         return _sampled(self)[1][segment]
@@ -87,7 +97,7 @@ class Lift(Action, kind="lift"):
         reach = np.abs(shape.particles - shape.grasps[self.grasp].position).max() + shape.cell / 2
         return max(self.height, float(reach) * math.sin(self.tilt) + CLEARANCE)
 
-    def profile(self, step: float, height: float | None = None, speed: float = math.inf) -> LiftProfile:
+    def sampled(self, step: float, height: float | None = None, speed: float = math.inf) -> LiftProfile:
         """Height and angles, sampled every `step` s.
 
         Args:
@@ -97,16 +107,41 @@ class Lift(Action, kind="lift"):
         """
         return LiftProfile.of(self, step, self.height if height is None else height, speed)
 
+    def tool_path(
+        self, shape: ObjectShape, pose: Float[np.ndarray, "3"], step: float, speed: float = math.inf
+    ) -> ToolPath:
+        """Path of the tool over an object that starts at a planar pose [m, m, rad], world: up, then about each axis.
+
+        A redundant arm would come back to a pose by other joint angles, so every axis has a way of its own.
+        """
+        up = self.clear_height(shape)
+        profile, (place, angle) = self.sampled(step, up, speed), self.hand(shape)
+        hold = level(np.append(transform_point(pose, place), pose[2] + angle)[None])
+        axes = np.eye(3)
+        axes[:2, :2] = rotation_2d(pose[2]).T  # rows: the object's axes, world
+        ways = [_straight(hold[0], _UP, np.linspace(0.0, up, _RISE + 1), profile.height, profile.height_rate)]
+        count = max(LEAST_KNOTS, math.ceil(self.tilt / _TILT))
+        angles = np.linspace(0.0, self.tilt, count + 1)
+        knots = np.concatenate([-angles[:0:-1], angles])
+        for axis, turned, rate in zip(axes if self.tilt > 0 else (), profile.angle.T, profile.rate.T, strict=False):
+            ways.append(_straight(np.zeros(7), np.append(np.zeros(4), axis), knots, turned, rate))
+        return ToolPath(step, profile.segment, tuple(ways))
+
     def words(self, shape: ObjectShape) -> ActionWords:
         """The parts of `describe`."""
         tilts = f"{self.poses} tilts to {math.degrees(self.tilt):.0f} deg, " if self.poses > 2 else ""
         return ActionWords("lift", manner=f"{tilts}{self.swings} swings, held {self.hold:g} s")
 
 
+def _straight(start: np.ndarray, along: np.ndarray, knots: np.ndarray, parameter: np.ndarray, rate: np.ndarray) -> Way:
+    """Way along a constant derivative of the pose."""
+    return Way(lambda p: start + np.outer(p, along), lambda p: np.tile(along, (len(p), 1)), knots, parameter, rate)
+
+
 @lru_cache(maxsize=1024)
 def _sampled(action: Lift) -> tuple[float, tuple[bool, ...]]:
     """Duration [s], and whether it accelerates in each stretch."""
-    profile = action.profile(0.01)
+    profile = action.sampled(0.01)
     first = np.unique(profile.segment[profile.segment >= 0], return_index=True)[1]
     moving = (profile.acceleration[profile.segment >= 0][first] != 0).any(axis=1)
     return profile.duration, tuple(moving.tolist())
@@ -194,19 +229,6 @@ class LiftProfile:
     def duration(self) -> float:
         """Duration [s]."""
         return len(self.height) * self.step
-
-    def at(self, time: float) -> tuple[float, float, Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
-        """Height [m] and its rate, angles [rad] and their rates at a time since its start [s], between ticks too."""
-        tick = min(max(time / self.step, 0.0), len(self.height))
-        before, part = math.floor(tick), tick % 1
-
-        def row(i: int) -> np.ndarray:
-            if i == 0:
-                return np.zeros(8)
-            return np.concatenate([[self.height[i - 1], self.height_rate[i - 1]], self.angle[i - 1], self.rate[i - 1]])
-
-        now = (1 - part) * row(before) + part * row(min(before + 1, len(self.height)))
-        return float(now[0]), float(now[1]), now[2:5], now[5:]
 
 
 def _swings(

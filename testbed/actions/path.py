@@ -1,9 +1,9 @@
-"""The path of the tool during an action on the table: progress in time, place in space, and the table's edges."""
+"""Paths of object and tool in an action: progress in time, place in space, and the table's edges."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any, NamedTuple, Self
@@ -12,13 +12,15 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial import ConvexHull
 
-from testbed.frames import pose_from_point, rotation_2d, transform_point
+from testbed.frames import perpendicular, pose_from_point, rotation_2d, transform_point
 from testbed.objects.model import ObjectShape
 
 RAMP_TIME = 0.4
 """Time to reach constant speed and to stop [s]."""
 PAUSE = 0.3
 """Time at constant speed before accelerations begin [s]."""
+LEAST_KNOTS = 4
+"""Least number of stretches between the knots of a way."""
 WORKSPACE = (0.45, 0.0)
 """Middle of the workspace on the table [m], arm's base frame."""
 
@@ -86,14 +88,6 @@ class Profile:
         """Greatest distance from the start [rad or m]."""
         return float(self.distance.max())
 
-    def at(self, time: float) -> tuple[float, float]:
-        """Distance and rate at a time since the start [s]; at rest before it and after the end."""
-        if not 0 < time < self.duration:
-            return (0.0 if time <= 0 else float(self.distance[-1])), 0.0
-        ticks = np.arange(len(self.distance) + 1) * self.step
-        distance, rate = (np.concatenate([[0.0], values]) for values in (self.distance, self.rate))
-        return float(np.interp(time, ticks, distance)), float(np.interp(time, ticks, rate))
-
 
 def motion_time(stretches: Sequence[Steady]) -> float:
     """Duration of a path through steady stretches, ramps and pauses included [s]."""
@@ -122,8 +116,8 @@ def _knots(stretches: Sequence[Steady]) -> tuple[list[tuple[float, float]], list
 
 
 @dataclass(frozen=True, eq=False)
-class ToolPath:
-    """A turn about a point, or a straight line; `part` runs over -0.5 to 0.5 from its start to its farthest point."""
+class PlanarPath:
+    """Object on a turn about a point or a straight line; `part` runs from -0.5 at the start to 0.5 at the far end."""
 
     grasp: Float[np.ndarray, "2"]
     """Grasp point [m], object frame."""
@@ -150,13 +144,96 @@ class ToolPath:
         poses = self.object_pose(part)
         return np.column_stack([transform_point(poses, self.grasp), poses[:, 2] + self.grasp_angle])
 
-    def shifted(self, shift: tuple[float, float, float], about: tuple[float, float]) -> ToolPath:
+    def way(self, profile: Profile, spacing: float) -> Way:
+        """Way of the tool along the path, its parameter from 0 to 1; knots at most `spacing` [rad or m] apart."""
+
+        def slope(parameter: np.ndarray) -> np.ndarray:
+            lever = self.tool_pose(parameter - 0.5)[:, :2] - self.centre
+            velocity = self.slide + self.turn * perpendicular(lever)
+            return level(np.column_stack([velocity, np.full(len(parameter), self.turn)]))
+
+        count = max(math.ceil(profile.length / spacing), LEAST_KNOTS)
+        return Way(
+            lambda parameter: level(self.tool_pose(parameter - 0.5)),
+            slope,
+            np.linspace(0.0, 1.0, count + 1),
+            profile.distance / profile.length,
+            profile.rate / profile.length,
+        )
+
+    def shifted(self, shift: tuple[float, float, float], about: tuple[float, float]) -> PlanarPath:
         """The path turned about a point [m, world] and then moved, by `shift` [m, m, rad]."""
         if not any(shift):
             return self
         turn, fixed = rotation_2d(shift[2]), np.array(about)
         centre = fixed + turn @ (self.centre - fixed) + shift[:2]
         return replace(self, centre=centre, yaw=self.yaw + shift[2], slide=turn @ self.slide)
+
+
+@dataclass(frozen=True, eq=False)
+class Way:
+    """Curve of tool poses in one parameter, which starts at 0, and the parameter at N ticks.
+
+    A pose is the position of the TCP [m], the yaw of the closing direction [rad], and the rotation vector that tilts
+    the tool from straight down [rad].
+    """
+
+    pose: Callable[[Float[np.ndarray, "M"]], Float[np.ndarray, "M 7"]]
+    """Poses by the parameter."""
+    slope: Callable[[Float[np.ndarray, "M"]], Float[np.ndarray, "M 7"]]
+    """Their derivatives in the parameter."""
+    knots: Float[np.ndarray, "K"]
+    """Parameters between which joint angles are interpolated, 0 among them."""
+    parameter: Float[np.ndarray, "N"]
+    """Parameter at each tick."""
+    rate: Float[np.ndarray, "N"]
+    """Its rate [1/s]."""
+
+
+@dataclass(frozen=True, eq=False)
+class ToolPath:
+    """Path of the tool in an action, at N ticks of which the first is one step after its start.
+
+    The first way has whole poses, with height 0 where the grip holds. Others start at its far end, one after the other,
+    and have offsets of poses.
+    """
+
+    step: float
+    """Time between ticks [s]."""
+    segment: Int[np.ndarray, "N"]
+    """Index of the steady stretch that a tick belongs to; -1 outside."""
+    ways: tuple[Way, ...]
+    """Ways of the tool."""
+
+    @property
+    def duration(self) -> float:
+        """Duration [s]."""
+        return len(self.segment) * self.step
+
+    @property
+    def start(self) -> Float[np.ndarray, "7"]:
+        """First pose."""
+        return self.ways[0].pose(np.zeros(1))[0]
+
+    def at(self, time: float) -> tuple[Float[np.ndarray, "7"], Float[np.ndarray, "7"]]:
+        """Pose and its rate at a time since the start [s], between ticks too; at rest before it and after the end."""
+        tick = min(max(time / self.step, 0.0), len(self.segment))
+        before, part = math.floor(tick), tick % 1
+        pose, rate = np.zeros(7), np.zeros(7)
+        for way in self.ways:
+            ends = [(way.parameter[i - 1], way.rate[i - 1]) if i else (0.0, 0.0) for i in (before, math.ceil(tick))]
+            parameter, speed = (1 - part) * np.array(ends[0]) + part * np.array(ends[1])
+            pose += way.pose(np.array([parameter]))[0]
+            if 0 < time < self.duration:
+                rate += speed * way.slope(np.array([parameter]))[0]
+        return pose, rate
+
+
+def level(planar: Float[np.ndarray, "M 3"]) -> Float[np.ndarray, "M 7"]:
+    """Poses, or their derivatives, of a tool that points down at the height of the grip from planar ones."""
+    found = np.zeros((len(planar), 7))
+    found[:, [0, 1, 3]] = planar
+    return found
 
 
 LOW, HIGH = (-0.30, -0.60), (1.00, 0.60)
@@ -205,7 +282,7 @@ def overhang(
     return centre @ _WAY.T + np.abs(slide @ _WAY.T) / 2 + reach - OFFSET
 
 
-def overhang_of(shape: ObjectShape, path: ToolPath) -> Float[np.ndarray, "4"]:
+def overhang_of(shape: ObjectShape, path: PlanarPath) -> Float[np.ndarray, "4"]:
     """`overhang` of one path [m], shape (4,)."""
     each = (path.pivot, path.centre, path.yaw, path.turn, path.slide)
     return overhang(outline(shape), *(np.asarray(value)[None] for value in each))[0]

@@ -9,10 +9,19 @@ from typing import ClassVar, Self
 import numpy as np
 from jaxtyping import Float
 
-from testbed.actions.base import Action, ActionWords
-from testbed.actions.path import RAMP_TIME, WORKSPACE, Profile, Steady, motion_time
+from testbed.actions.base import Action, ActionWords, Fingertip
+from testbed.actions.path import (
+    LEAST_KNOTS,
+    RAMP_TIME,
+    WORKSPACE,
+    Profile,
+    Steady,
+    ToolPath,
+    Way,
+    level,
+)
 from testbed.errors import InfeasibleTrialError, InvalidValueError
-from testbed.frames import pose_from_point
+from testbed.frames import pose_from_point, transform_point
 from testbed.objects.faces import Face, face_at, room_at
 from testbed.objects.model import ObjectShape
 from testbed.validation import check_positive_fields, frozen_array, is_number
@@ -43,6 +52,7 @@ class Push(Action, kind="push"):
     The hand closes on nothing and does not turn: the wrench is a force at a fingertip that sticks, slides or leaves.
     """
 
+    pushes: ClassVar[bool] = True
     on_table: ClassVar[bool] = True
     grasp: ClassVar[None] = None  # pyright: ignore[reportIncompatibleVariableOverride]  no field of a push
 
@@ -84,19 +94,13 @@ class Push(Action, kind="push"):
         """The stretch at constant speed."""
         return (Steady(self.speed, 0.0, (GAP + self.length) / self.speed - RAMP_TIME),)
 
-    @property
-    def seconds(self) -> float:
-        """Duration of the motion, from rest to rest [s]."""
-        return motion_time(self.steady)
+    def fingertip(self, shape: ObjectShape) -> Fingertip:
+        """Fingertip, low on the object."""
+        return Fingertip(self.radius, self.friction, min(TIP_HEIGHT, shape.height / 2))
 
-    def profile(self, step: float) -> Profile:
-        """Progress along the path, sampled every `step` s."""
-        return Profile.through(self.steady, step)
-
-    @staticmethod
-    def height(shape: ObjectShape) -> float:
-        """Height over the table at which the fingertip meets an object [m]."""
-        return min(TIP_HEIGHT, shape.height / 2)
+    def hand(self, shape: ObjectShape) -> tuple[Float[np.ndarray, "2"], float]:
+        """Point of the outline that the fingertip meets [m]; the hand does not turn."""
+        return np.array(self.point), 0.0
 
     def face(self, shape: ObjectShape) -> Face:
         """The face that the fingertip meets.
@@ -139,33 +143,52 @@ class Push(Action, kind="push"):
         start = np.array(self.point) + self.radius * self.face(shape).normal
         return start + chord[:, None] * np.column_stack([np.cos(heading), np.sin(heading)])
 
-    def way(self, shape: ObjectShape, step: float) -> Float[np.ndarray, "N 2"]:
-        """Center of the fingertip at even distances along the whole path, as `path`.
-
-        Args:
-            shape: geometry of the object.
-            step: step of the profile [s].
+    def centered_pose(
+        self, shape: ObjectShape, step: float, shift: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    ) -> Float[np.ndarray, "3"]:
+        """Planar pose of an object whose push leads sideways through the middle of the workspace.
 
         Raises:
             InfeasibleTrialError: it meets no face.
         """
-        length = self.profile(step).length
+        count = self._stretches(self.profile(step))
+        middle = self._met(shape, np.array([(count // 2) / count * self.profile(step).length]))[0]
+        yaw = math.pi / 2 - self.direction - self.curvature * self.length / 2 + shift[2]
+        return pose_from_point(np.array(WORKSPACE) + shift[:2], middle, np.array(yaw))
+
+    def tool_path(
+        self, shape: ObjectShape, pose: Float[np.ndarray, "3"], step: float, speed: float = math.inf
+    ) -> ToolPath:
+        """Path of the fingertip, on an object that starts at a planar pose [m, m, rad], world.
+
+        Raises:
+            InfeasibleTrialError: it meets no face.
+        """
+        profile, start = self.profile(step), np.asarray(pose, dtype=float)
+        length = profile.length
+
+        def place(parameter: np.ndarray) -> np.ndarray:
+            at = transform_point(start, self._met(shape, parameter * length))
+            return level(np.column_stack([at, np.zeros(len(at))]))
+
+        def slope(parameter: np.ndarray) -> np.ndarray:
+            heading = start[2] + self.direction + self.curvature * np.maximum(parameter * length - GAP, 0.0)
+            return level(length * np.column_stack([np.cos(heading), np.sin(heading), 0.0 * heading]))
+
+        knots = np.linspace(0.0, 1.0, self._stretches(profile) + 1)
+        way = Way(place, slope, knots, profile.distance / length, profile.rate / length)
+        return ToolPath(step, profile.segment, (way,))
+
+    @staticmethod
+    def _stretches(profile: Profile) -> int:
+        return max(math.ceil(profile.length / _SPACING), LEAST_KNOTS)
+
+    def _met(self, shape: ObjectShape, distance: np.ndarray) -> np.ndarray:
+        """`path` of a trial."""
         try:
-            return self.path(shape, np.linspace(0.0, length, max(math.ceil(length / _SPACING), 4) + 1))
+            return self.path(shape, distance)
         except InvalidValueError as error:
             raise InfeasibleTrialError(f"push: {error}") from error
-
-    def centered_pose(
-        self, way: Float[np.ndarray, "N 2"], shift: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    ) -> Float[np.ndarray, "3"]:
-        """Planar pose of the object [m, rad] whose push leads sideways through the middle of the workspace.
-
-        Args:
-            way: the push's own, as `way` gives it.
-            shift: shift from there and turn [m, m, rad].
-        """
-        yaw = math.pi / 2 - self.direction - self.curvature * self.length / 2 + shift[2]
-        return pose_from_point(np.array(WORKSPACE) + shift[:2], way[len(way) // 2], np.array(yaw))
 
     def words(self, shape: ObjectShape) -> ActionWords:
         """The parts of `describe`."""

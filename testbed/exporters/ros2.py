@@ -12,8 +12,6 @@ from typing import Any
 
 import numpy as np
 
-from testbed.actions.base import TableAction
-from testbed.actions.push import Push
 from testbed.errors import InvalidValueError
 from testbed.files import write_whole
 from testbed.frames import rotation_matrix
@@ -90,7 +88,7 @@ def mapping_text(trajectory: Trajectory, shape: ObjectShape, object_file: str, l
             does not look down.
     """
     action, tool = trajectory.action, trajectory.tool
-    if not isinstance(action, TableAction | Push) or tool is None:
+    if not action.on_table or tool is None:
         raise InvalidValueError("trajectory.action", action.kind, "rotate, accelerate, slide or push")
     if not trajectory.ok:
         raise InvalidValueError("trajectory.status", trajectory.status, "ok")

@@ -8,8 +8,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from testbed.actions.base import TableAction
-from testbed.actions.push import Push
+from testbed.actions.base import Action
 from testbed.errors import InvalidValueError
 from testbed.frames import origin_velocity, pose_from_point
 from testbed.importers.clocks import NO_DELAY, Delay
@@ -138,9 +137,7 @@ def _entry_table(log: Path, mapping: Path, entry: LogMap | None) -> tuple[Mappin
     return *calibrated(whole.for_entry(entry), mapping), entry
 
 
-def _content(
-    log: Path, table: Mapping, mapping: Path, entry: LogMap
-) -> tuple[tuple[TableAction | Push, ObjectModel], Streams]:
+def _content(log: Path, table: Mapping, mapping: Path, entry: LogMap) -> tuple[tuple[Action, ObjectModel], Streams]:
     """Action, object and streams of a trial; all their errors at once."""
     source = open_log(log, table)
     named, streams = read_all(
@@ -174,7 +171,7 @@ def object_of(table: Mapping, mapping: Path) -> ObjectModel:
         raise InvalidValueError(error.field, error.given, error.allowed, file=error.file or mapping) from None
 
 
-def _action_and_object(table: Mapping, mapping: Path) -> tuple[TableAction | Push, ObjectModel]:
+def _action_and_object(table: Mapping, mapping: Path) -> tuple[Action, ObjectModel]:
     named, model = table.recorded_action(), object_of(table, mapping)
     links = 1 if model.shape.chain is None else model.shape.chain.links
     try:
@@ -194,9 +191,7 @@ def _moment(seconds: float) -> str:
     return datetime.fromtimestamp(seconds, UTC).isoformat(timespec="milliseconds")
 
 
-def _phases(
-    table: Mapping, action: TableAction | Push, time: np.ndarray, height: np.ndarray, twist: np.ndarray
-) -> Phases:
+def _phases(table: Mapping, action: Action, time: np.ndarray, height: np.ndarray, twist: np.ndarray) -> Phases:
     if table.phases:
         return phases_from_windows(table.phases, time)
     return phases_from_motion(action, height, twist)

@@ -10,8 +10,7 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, model_validator
 
-from testbed.actions.base import TableAction, action_from_dict
-from testbed.actions.push import Push
+from testbed.actions.base import Action, action_from_dict
 from testbed.errors import InvalidValueError, nearest
 from testbed.importers.columns import CameraMap, Columns, JointMap, Table, Text, ToolMap, VelocityMap
 from testbed.objects.model import ROBOTIQ_2F85, Hand, ObjectShape
@@ -51,18 +50,18 @@ def _in_order(windows: list[PhaseWindow]) -> list[PhaseWindow]:
 class MappedAction:
     """An action whose grasp may be named."""
 
-    action: TableAction | Push
+    action: Action
     """The action, by grasp 0 if it has a name."""
     grasp_name: str = ""
     """Name of the grasp; empty where it has a number."""
 
-    def on(self, shape: ObjectShape, hand: Hand = ROBOTIQ_2F85) -> TableAction | Push:
+    def on(self, shape: ObjectShape, hand: Hand = ROBOTIQ_2F85) -> Action:
         """The action on an object, whose grasps are those of a hand.
 
         Raises:
             InvalidValueError: the object has no such grasp, or a push that does not meet it.
         """
-        if isinstance(self.action, Push):
+        if self.action.grasp is None:
             self.action.face(shape)
             return self.action
         names, given = [g.name for g in shape.grasps], self.grasp_name or self.action.grasp
@@ -77,7 +76,7 @@ class MappedAction:
 def _mapped_action(table: dict[str, Any]) -> MappedAction:
     name = table.get("grasp") if isinstance(table, dict) and isinstance(table.get("grasp"), str) else ""
     action = action_from_dict(table | {"grasp": 0} if name else table)
-    if not isinstance(action, TableAction | Push):  # a log holds a motion over the table
+    if not action.on_table:  # a log holds a motion over the table
         raise InvalidValueError("kind", table.get("kind"), "rotate, accelerate, slide or push")
     return MappedAction(action, str(name))
 

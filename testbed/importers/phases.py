@@ -10,8 +10,7 @@ from scipy.interpolate import make_interp_spline
 from scipy.ndimage import uniform_filter1d
 from scipy.spatial.transform import Rotation, Slerp
 
-from testbed.actions.base import TableAction
-from testbed.actions.push import Push
+from testbed.actions.base import Action
 from testbed.importers.logs import LogError, Series
 from testbed.importers.mapping import PhaseWindow
 from testbed.trajectory import Phase
@@ -136,9 +135,7 @@ def phases_from_windows(windows: Sequence[PhaseWindow], time: Float[np.ndarray, 
     return phase, segment
 
 
-def phases_from_motion(
-    action: TableAction | Push, height: Float[np.ndarray, "T"], velocity: Float[np.ndarray, "T 6"]
-) -> Phases:
+def phases_from_motion(action: Action, height: Float[np.ndarray, "T"], velocity: Float[np.ndarray, "T 6"]) -> Phases:
     """Phases of a turn, a slide or a push from the tool's motion at 100 Hz.
 
     The tool is steady at the action's speed, and tares where it rests above the grasp, before and perhaps after.
@@ -181,10 +178,10 @@ def phases_from_motion(
     return phase, segment
 
 
-def _steady(action: TableAction | Push, rate: np.ndarray) -> list[np.ndarray]:
+def _steady(action: Action, rate: np.ndarray) -> list[np.ndarray]:
     """Stretches at the action's speed, in order, each at least half as long as it should be."""
     speed, _, seconds = action.steady[0]
-    if isinstance(action, Push):
+    if action.pushes:
         near = runs(np.abs(rate - speed) < PUSHED_WITHIN * speed)
         pushed = [
             run[: np.flatnonzero(rate[run] > (1 - STEADY_WITHIN) * speed)[-1] + 1]

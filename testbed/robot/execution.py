@@ -15,7 +15,7 @@ from testbed.objects.model import GRAVITY
 from testbed.robot.config import RobotSettings
 from testbed.robot.guard import Guard
 from testbed.robot.interfaces import Arm, ArmState, Clock, Gripper, Pose, RobotError, WrenchSensor
-from testbed.robot.legs import AgainstFace, Leg
+from testbed.robot.legs import Leg
 from testbed.robot.path import RobotPlan, closing_yaw, tool_down
 from testbed.robot.recorder import GripEvidence, Mark
 from testbed.robot.safety import UnsafeError, Violation
@@ -188,7 +188,7 @@ class Execution:
     def _act(self) -> None:
         mark, plan = self._guard.recorder.mark, self._plan
         if plan.act is not None:
-            mark(Mark(self._clock.now(), Phase.RAMP, plan.act.profile))
+            mark(Mark(self._clock.now(), Phase.RAMP, plan.act.path))
             self._follow(plan.act)
             return
         lift, down = plan.lift_and_down
@@ -230,7 +230,7 @@ class Execution:
         for tick in range(math.ceil(leg.duration / step)):
             self._clock.sleep(begin + tick * step - self._clock.now())
             self._sent.append(self._clock.now() - begin - tick * step)
-            if isinstance(leg, AgainstFace):
+            if leg is self._plan.act and self._plan.trial.action.pushes:
                 self._give_way(step)
             self._guard.twist(*self._correction(leg, self._guard.state(), begin))
         self._clock.sleep(begin + leg.duration - self._clock.now())

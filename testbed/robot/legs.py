@@ -10,9 +10,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
-from testbed.actions.lift import LiftProfile
-from testbed.actions.path import Profile, ToolPath, minimum_jerk
-from testbed.frames import perpendicular
+from testbed.actions.path import ToolPath, minimum_jerk
 
 _UP = np.array([0.0, 0.0, 1.0])
 
@@ -84,78 +82,22 @@ class Line:
 
 
 @dataclass(frozen=True, eq=False)
-class Along:
-    """Leg of the action itself, at the height of the grip."""
+class Acting:
+    """Leg of the action itself."""
 
     path: ToolPath
-    profile: Profile
     height: float
-    """Height of the TCP [m], base frame."""
+    """Height of the TCP where the grip holds [m], base frame."""
 
     @property
     def duration(self) -> float:
         """Duration [s]."""
-        return self.profile.duration
+        return self.path.duration
 
     def at(self, time: float) -> Target:
         """Target at a time since the leg began [s]."""
-        distance, rate = self.profile.at(time)
-        length = self.profile.length
-        x, y, yaw = self.path.tool_pose(np.array([distance / length - 0.5]))[0]
-        yaw_rate = rate / length * self.path.turn
-        velocity = rate / length * self.path.slide + yaw_rate * perpendicular(np.array([x, y]) - self.path.centre)
-        return Target(np.array([x, y, self.height]), yaw, np.append(velocity, 0.0), yaw_rate)
-
-
-@dataclass(frozen=True, eq=False)
-class AgainstFace:
-    """Leg of a push: the fingertip's path, at constant yaw."""
-
-    way: Float[np.ndarray, "N 2"]
-    """Places of the TCP at even distances along it [m], base frame."""
-    heading: Float[np.ndarray, "N"]
-    """Direction of travel at each [rad]."""
-    profile: Profile
-    height: float
-    """Height of the TCP [m], base frame."""
-    yaw: float
-    """Yaw of the closing direction [rad]."""
-
-    @property
-    def duration(self) -> float:
-        """Duration [s]."""
-        return self.profile.duration
-
-    def at(self, time: float) -> Target:
-        """Target at a time since the leg began [s]."""
-        distance, rate = self.profile.at(time)
-        along = np.linspace(0.0, self.profile.length, len(self.way))
-        x, y, heading = (float(np.interp(distance, along, each)) for each in (*self.way.T, self.heading))
-        velocity = rate * np.array([math.cos(heading), math.sin(heading), 0.0])
-        return Target(np.array([x, y, self.height]), self.yaw, velocity, 0.0)
-
-
-@dataclass(frozen=True, eq=False)
-class InAir:
-    """Leg of a lift: up from where it was gripped, tilts about the TCP, and down again."""
-
-    hold: Float[np.ndarray, "3"]
-    """Position of the TCP on the table [m], base frame."""
-    yaw: float
-    """Yaw of the closing direction while level [rad]."""
-    axes: Float[np.ndarray, "3 3"]
-    """The object's axes while level, rows, base frame."""
-    profile: LiftProfile
-
-    @property
-    def duration(self) -> float:
-        """Duration [s]."""
-        return self.profile.duration
-
-    def at(self, time: float) -> Target:
-        """Target at a time since the leg began [s]."""
-        height, rise, angle, rate = self.profile.at(time)
-        return Target(self.hold + height * _UP, self.yaw, rise * _UP, 0.0, angle @ self.axes, rate @ self.axes)
+        pose, rate = self.path.at(time)
+        return Target(pose[:3] + self.height * _UP, float(pose[3]), rate[:3], float(rate[3]), pose[4:], rate[4:])
 
 
 def sampled(leg: Leg) -> tuple[Float[np.ndarray, "N 3"], Float[np.ndarray, "N 6"], Float[np.ndarray, "N"]]:

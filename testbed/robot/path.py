@@ -9,16 +9,13 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
-from testbed.actions.base import TableAction
-from testbed.actions.lift import Lift
 from testbed.actions.path import WORKSPACE
-from testbed.actions.push import GAP, Push
 from testbed.errors import InfeasibleTrialError
-from testbed.frames import pose_from_point, rotation_2d, transform_point
+from testbed.frames import pose_from_point, transform_point
 from testbed.objects.model import Grasp, ObjectShape
 from testbed.robot.config import RobotSettings
 from testbed.robot.interfaces import Pose
-from testbed.robot.legs import AgainstFace, Along, InAir, Leg, Line, Target, sampled
+from testbed.robot.legs import Acting, Leg, Line, Target, sampled
 from testbed.robot.safety import path_violations
 from testbed.trial import Trial
 
@@ -55,7 +52,7 @@ class RobotPlan:
     hover: Pose
     """Pose at which the sensor is tared."""
     descent: Line
-    act: Along | AgainstFace | InAir | None
+    act: Acting | None
     """None for a weighing."""
     lift: Line | None
     """For a weighing only."""
@@ -99,15 +96,10 @@ class RobotPlan:
 
 def starting_pose(trial: Trial) -> Float[np.ndarray, "3"]:
     """Planar pose of the object [m, rad] that gives the simulation's path."""
-    if isinstance(trial.action, Push):
-        return trial.action.centered_pose(trial.action.way(trial.object.shape, PROFILE_STEP))
-    if not isinstance(trial.action, TableAction):  # the rest follows a path over the table
-        grasp = gripped(trial)
-        assert grasp is not None
-        return pose_from_point(np.array(WORKSPACE), grasp.position, np.array(-grasp.angle))
-    length = trial.action.profile(PROFILE_STEP).length
-    path = trial.action.centered_path(trial.object.shape, length)
-    return path.object_pose(np.array([-0.5]))[0]
+    if trial.action.moves:
+        return trial.action.centered_pose(trial.object.shape, PROFILE_STEP)
+    grasp = weighing_grasp(trial.object.shape)
+    return pose_from_point(np.array(WORKSPACE), grasp.position, np.array(-grasp.angle))
 
 
 def weighing_grasp(shape: ObjectShape) -> Grasp:
@@ -148,52 +140,28 @@ def plan_trial(trial: Trial, object_pose: Float[np.ndarray, "3"], settings: Robo
     Raises:
         InfeasibleTrialError: nothing to grip, or no place for the fingertip of a push.
     """
-    shape, action = trial.object.shape, trial.action
-    height = settings.table_height + settings.grip_height
-    grasp = gripped(trial)
-    if grasp is None:
-        assert isinstance(action, Push)
-        act, yaw = _against_face(action, shape, object_pose, height), 0.0
-        x, y = act.way[0]
-    elif not isinstance(action, TableAction):  # the rest follows a path over the table
-        act = None
-        x, y = transform_point(object_pose, grasp.position)
-        yaw = float(object_pose[2]) + grasp.angle
-        if isinstance(action, Lift):
-            act = _in_air(trial, action, np.array([x, y, height]), yaw, settings)
+    shape, action, pose = trial.object.shape, trial.action, np.asarray(object_pose, dtype=float)
+    height, grasp, act = settings.table_height + settings.grip_height, gripped(trial), None
+    if action.moves:
+        action.check_start(shape)
+        act = Acting(action.tool_path(shape, pose, PROFILE_STEP, settings.descent_speed), height)
+        start = act.at(0.0)
+        hold, yaw = start.position, start.yaw
     else:
-        profile = action.profile(PROFILE_STEP)
-        path = action.path_from(shape, profile.length, object_pose)
-        act = Along(path, profile, height)
-        x, y, yaw = path.tool_pose(np.array([-0.5]))[0]
-    hold = np.array([x, y, height])
+        assert grasp is not None
+        hold, yaw = np.append(transform_point(pose, grasp.position), height), float(pose[2]) + grasp.angle
     hover, lifted = hold + settings.hover * _UP, hold + settings.lift * _UP
     last = act.at(act.duration) if act is not None else Target(hold, yaw, np.zeros(3), 0.0)
     return RobotPlan(
         trial=trial,
         grasp=grasp,
-        object_pose=np.asarray(object_pose, dtype=float),
+        object_pose=pose,
         hover=Pose(hover, tool_down(yaw, settings)),
         descent=Line.at_most(hover, hold, yaw, settings.descent_speed),
         act=act,
         lift=Line.at_most(hold, lifted, yaw, settings.descent_speed) if act is None else None,
         rise=Line.at_most(last.position, last.position + settings.hover * _UP, last.yaw, settings.descent_speed),
     )
-
-
-def _against_face(action: Push, shape: ObjectShape, object_pose: np.ndarray, height: float) -> AgainstFace:
-    action.check_start(shape)
-    profile, way = action.profile(PROFILE_STEP), action.way(shape, PROFILE_STEP)
-    travelled = np.maximum(np.linspace(0.0, profile.length, len(way)) - GAP, 0.0)
-    heading = float(object_pose[2]) + action.direction + action.curvature * travelled
-    return AgainstFace(transform_point(object_pose, way), heading, profile, height, 0.0)
-
-
-def _in_air(trial: Trial, action: Lift, hold: np.ndarray, yaw: float, settings: RobotSettings) -> InAir:
-    shape, axes = trial.object.shape, np.eye(3)
-    axes[:2, :2] = rotation_2d(yaw - shape.grasps[action.grasp].angle).T
-    profile = action.profile(PROFILE_STEP, action.clear_height(shape), settings.descent_speed)
-    return InAir(hold, yaw, axes, profile)
 
 
 def tool_down(yaw: float, settings: RobotSettings) -> Float[np.ndarray, "4"]:
@@ -214,18 +182,18 @@ def described(plan: RobotPlan, settings: RobotSettings) -> str:
     x, y, yaw = plan.object_pose
     turned = math.degrees(math.remainder(yaw, math.tau))
     place = ", ".join(f"{v:.3f}" for v in plan.hover.position)
-    action = plan.trial.action
-    point = [f"{1e3 * v:.0f}" for v in action.point] if isinstance(action, Push) else []
-    where = f"({', '.join(point)}) mm with closed fingers" if plan.grasp is None else plan.grasp.name
+    action, shape = plan.trial.action, plan.trial.object.shape
+    point = ", ".join(f"{1e3 * v:.0f}" for v in action.hand(shape)[0]) if plan.grasp is None else ""
+    where = plan.grasp.name if plan.grasp is not None else f"({point}) mm with closed fingers"
     lines = [
         f"{plan.trial.action.kind} of {plan.trial.object.name} at {where}, {plan.duration(settings):.0f} s",
         f"object: its middle at ({x:.3f}, {y:.3f}) m, turned by {turned:.1f} deg, base frame of the arm",
         f"travel: to ({place}) m, at most {settings.travel_speed:.2f} m/s; zeroed there for {settings.tare_time:g} s",
     ]
-    if isinstance(action, Push):
-        below = settings.grip_height - action.height(plan.trial.object.shape)
+    if (tip := action.fingertip(shape)) is not None:
+        below = settings.grip_height - tip.height
         lines.append(
-            f"fingers: they close first; the fingertip, of radius {action.radius * 1e3:g} mm, has its middle "
+            f"fingers: they close first; the fingertip, of radius {tip.radius * 1e3:g} mm, has its middle "
             f"{below * 1e3:.1f} mm below the tool center point"
         )
     everywhere = []

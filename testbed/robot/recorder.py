@@ -11,8 +11,7 @@ from jaxtyping import Float, Int
 from scipy.signal import savgol_filter
 from scipy.spatial.transform import Rotation, Slerp
 
-from testbed.actions.lift import LiftProfile
-from testbed.actions.path import Profile
+from testbed.actions.path import ToolPath
 from testbed.robot.camera.interface import ObjectCamera, SeenFrame
 from testbed.robot.camera.watch import CameraWatch
 from testbed.robot.interfaces import Arm, ArmState, RobotError, WrenchSample, WrenchSensor
@@ -29,8 +28,8 @@ class Mark:
 
     time_s: float
     phase: Phase
-    profile: Profile | LiftProfile | None = None
-    """Profile of the action that begins: it tells ramps and steady stretches apart."""
+    path: ToolPath | None = None
+    """Path of the action that begins, with its steady stretches."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,12 +175,12 @@ def _labels(marks: list[Mark], time: np.ndarray) -> tuple[np.ndarray, np.ndarray
     phase = np.array([marks[i].phase for i in which], dtype=int)
     segment = np.full(len(time), -1)
     for i, mark in enumerate(marks):
-        if mark.profile is None:
+        if mark.path is None:
             continue
         own = np.flatnonzero(which == i)
-        tick = np.rint((time[own] - mark.time_s) / mark.profile.step).astype(int) - 1
-        running = (tick >= 0) & (tick < len(mark.profile.segment))
-        segment[own[running]] = mark.profile.segment[tick[running]]
+        tick = np.rint((time[own] - mark.time_s) / mark.path.step).astype(int) - 1
+        running = (tick >= 0) & (tick < len(mark.path.segment))
+        segment[own[running]] = mark.path.segment[tick[running]]
         phase[own] = np.where(segment[own] >= 0, Phase.STEADY, Phase.RAMP)
     return phase, segment
 
@@ -246,9 +245,7 @@ class GripEvidence:
         return found if self.slip is None else found | {"slip_m": self.slip[0], "slip_rad": self.slip[1]}
 
 
-def doubts(
-    record: Record, evidence: GripEvidence, profile: Profile | LiftProfile | None
-) -> Iterator[tuple[Status, str]]:
+def doubts(record: Record, evidence: GripEvidence, path: ToolPath | None) -> Iterator[tuple[Status, str]]:
     """Every reason against the record, with its status; `testbed.sensing.drift` judges drift."""
     change = abs(evidence.held_width[1] - evidence.held_width[0])
     if not change <= WIDTH_LIMIT:
@@ -268,8 +265,8 @@ def doubts(
                 "fault",
                 f"tare: the force scattered by {spread:.2f} N; allowed: {RESTLESS} N; let nothing touch the tool",
             )
-    if profile is not None:
-        yield from _uncovered(record, profile)
+    if path is not None:
+        yield from _uncovered(record, path)
     if (change := _change(record)) < CHANGE:
         yield (
             "fault",
@@ -290,9 +287,9 @@ def _change(record: Record) -> float:
     return float((np.abs(blocks - tare.mean(axis=0)) / error).max())
 
 
-def _uncovered(record: Record, profile: Profile | LiftProfile) -> Iterator[tuple[Status, str]]:
-    for segment in range(profile.segment.max() + 1):
-        seconds = (profile.segment == segment).sum() * profile.step
+def _uncovered(record: Record, path: ToolPath) -> Iterator[tuple[Status, str]]:
+    for segment in range(path.segment.max() + 1):
+        seconds = (path.segment == segment).sum() * path.step
         rate = 1 / np.median(np.diff(record.time_s))
         have, wanted = int((record.segment == segment).sum()), seconds * rate
         if have < COVERED * wanted:

@@ -17,7 +17,6 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
-from testbed.actions.push import Push
 from testbed.errors import InfeasibleTrialError
 from testbed.frames import origin_velocity, pose_from_point, rotation_matrix
 from testbed.objects.model import GRAVITY
@@ -115,7 +114,7 @@ class RealRunner:
             InfeasibleTrialError: a place outside the box, a speed beyond its limit, or a camera that is missing.
             RobotError: the object's pose is not known.
         """
-        if self._camera is None and needs_camera(trial):
+        if self._camera is None and trial.action.needs_camera(trial.object.shape):
             raise InfeasibleTrialError(
                 "camera: the hand does not hold all that moves, and no camera sees it; state one in the robot file"
             )
@@ -143,7 +142,7 @@ class RealRunner:
         if self._connections is None:
             raise RobotError("the robot is not connected: use the runner in a with statement")
         plan = self.plan(trial)
-        camera = self._camera if needs_camera(trial) else None
+        camera = self._camera if trial.action.needs_camera(trial.object.shape) else None
         if camera is not None:
             x, y, yaw = plan.object_pose.tolist()
             check_place(seen_place(camera, self._clock, trial).read(), (x, y, yaw))
@@ -192,8 +191,8 @@ class RealRunner:
         else:
             evidence = replace(execution.evidence, slip=self._slip(plan, record))
             figures |= evidence.figures
-            profile = None if plan.act is None else plan.act.profile
-            status, reason = next(doubts(record, evidence, profile), ("ok", ""))
+            path = None if plan.act is None else plan.act.path
+            status, reason = next(doubts(record, evidence, path), ("ok", ""))
         provenance = {
             "runner": "robot",
             "recorded": timestamp(),
@@ -263,11 +262,6 @@ def trajectory_of(
     return as_seen(compensate(whole) if whole.mask(Phase.TARE).any() else whole)
 
 
-def needs_camera(trial: Trial) -> bool:
-    """True if something moves that the hand does not hold."""
-    return isinstance(trial.action, Push) or (trial.object.shape.chain is not None and trial.action.on_table)
-
-
 def seen_place(camera: ObjectCamera, clock: Clock, trial: Trial) -> SeenPose:
     """Place of the object by a camera: of its held part, if it has several."""
     chain, shape, grasp = trial.object.shape.chain, trial.object.shape, trial.action.grasp
@@ -279,7 +273,7 @@ def seen_place(camera: ObjectCamera, clock: Clock, trial: Trial) -> SeenPose:
 def with_evidence(whole: Trajectory, plan: RobotPlan) -> Trajectory:
     """Record with what its camera tells against it, and how long a push touched."""
     figures, reason = whole.figures, ""
-    if isinstance(whole.action, Push):
+    if whole.action.pushes:
         met, left = contact_of(whole)
         figures, reason = figures | {"contact_s": left - met}, left_early(whole)
     status, why = next(seen_doubts(whole, plan.trial.object.shape), ("ok", reason))

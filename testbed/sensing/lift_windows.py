@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from testbed.actions.lift import Lift
 from testbed.errors import InvalidValueError
 from testbed.frames import move_wrench, rotate_wrench, rotation_matrix, rotation_z
 from testbed.objects.model import GRAVITY
@@ -81,7 +80,9 @@ def lift_windows(trajectory: Trajectory) -> list[LiftWindow]:
     Raises:
         InvalidValueError: not a lift, not `ok`, without its settling, or with a stretch too short to trim.
     """
-    if not (isinstance(trajectory.action, Lift) and trajectory.ok):  # the others have no such windows
+    if trajectory.action.grasp is None or not (
+        trajectory.action.in_air and trajectory.ok
+    ):  # the others have no such windows
         raise InvalidValueError("trajectory", f"{trajectory.action}, {trajectory.status}", "a Lift with status ok")
     tool, tare = trajectory.tool, tare_samples(trajectory)
     if len(tare) < 2 or tool is None:

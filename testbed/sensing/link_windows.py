@@ -9,7 +9,6 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from jaxtyping import Float, Int
 
-from testbed.actions.base import TableAction
 from testbed.errors import InvalidValueError
 from testbed.sensing.camera import SPAN, PoseStream
 from testbed.sensing.push_windows import WINDOW
@@ -26,7 +25,7 @@ def link_windows(trajectory: Trajectory) -> list[SteadyWindow]:
     Raises:
         InvalidValueError: not a turn or slide with status ok, a stretch too short, or no camera that sees the links.
     """
-    if not (isinstance(trajectory.action, TableAction) and trajectory.ok):
+    if not (trajectory.action.dragged and trajectory.ok):
         raise InvalidValueError("trajectory", f"{trajectory.action}, {trajectory.status}", "a turn or slide, status ok")
     if trajectory.camera is None or trajectory.camera.parts < 2:
         raise InvalidValueError("trajectory.camera", None, "poses of every link by a camera: the hand holds one alone")

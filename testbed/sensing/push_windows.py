@@ -9,7 +9,6 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.linalg import block_diag
 
-from testbed.actions.push import Push
 from testbed.errors import InvalidValueError
 from testbed.frames import perpendicular, rotate_wrench, rotation_2d
 from testbed.objects.faces import face_at
@@ -48,7 +47,7 @@ def push_windows(trajectory: Trajectory) -> list[SteadyWindow]:
     Raises:
         InvalidValueError: no push with status ok, no camera, or no stretch of contact long enough that the camera saw.
     """
-    if not (isinstance(trajectory.action, Push) and trajectory.ok):
+    if not (trajectory.action.pushes and trajectory.ok):
         raise InvalidValueError("trajectory", f"{trajectory.action}, {trajectory.status}", "a Push with status ok")
     if trajectory not in _REDUCED:
         _REDUCED[trajectory] = _reduced(trajectory)
@@ -185,7 +184,7 @@ def window_samples(trajectory: Trajectory) -> list[Int[np.ndarray, "N"]]:
     Raises:
         InvalidValueError: as `push_windows` or `steady_samples`.
     """
-    return (push_samples if isinstance(trajectory.action, Push) else steady_samples)(trajectory)
+    return (push_samples if trajectory.action.pushes else steady_samples)(trajectory)
 
 
 def touching(trajectory: Trajectory) -> Int[np.ndarray, "N"]:

@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from testbed.actions.push import Push
 from testbed.frames import rotation_2d
 from testbed.objects.faces import room_at
 from testbed.objects.model import ObjectShape
@@ -60,7 +59,7 @@ def frame_mismatch(record: Trajectory, shape: ObjectShape) -> str:
     """
     if record.camera is None or not record.action.on_table:
         return ""
-    check = _of_push if isinstance(record.action, Push) else _of_held
+    check = _of_push if record.action.pushes else _of_held
     return check(record, shape, record.camera) or _scatter(record, record.camera)
 
 
@@ -96,9 +95,9 @@ def _of_held(record: Trajectory, shape: ObjectShape, camera: PoseStream) -> str:
 
 def _of_push(record: Trajectory, shape: ObjectShape, camera: PoseStream) -> str:
     """The gap between fingertip and face: nothing at the first touch, when the object still rests, and ever after."""
-    assert isinstance(record.action, Push)
-    contact = touching(record)
-    met, radius = record.time_s[contact[0]], record.action.radius
+    tip, contact = record.action.fingertip(shape), touching(record)
+    assert tip is not None
+    met, radius = record.time_s[contact[0]], tip.radius
     whole = ~np.isnan(camera.poses[:, 0]).any(axis=1)
     time, poses = camera.time_s[whole], camera.poses[whole, 0]
     rests = (time > met - _REST) & (time < met - _CLEAR)

@@ -15,7 +15,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from jaxtyping import Float, Int
 
-from testbed.actions.base import Action, TableAction
+from testbed.actions.base import Action
 from testbed.errors import InvalidValueError
 from testbed.frames import move_wrench, perpendicular, rotate_wrench, rotation_2d, rotation_matrix
 from testbed.objects.model import GRAVITY, ObjectShape
@@ -107,7 +107,7 @@ def steady_windows(trajectory: Trajectory) -> list[SteadyWindow]:
         raise InvalidValueError(
             "trajectory.status", trajectory.status, f"ok; this trial is no data: {trajectory.reason}"
         )
-    if not isinstance(trajectory.action, TableAction):  # the others have no such windows
+    if not trajectory.action.dragged:  # the others have no such windows
         raise InvalidValueError(
             "trajectory.action",
             trajectory.action,
@@ -321,7 +321,7 @@ def effective_samples(samples: Float[np.ndarray, "T D"]) -> Float[np.ndarray, "D
 def reduced_trials(
     shape: ObjectShape,
     trajectories: Sequence[Trajectory],
-    kinds: tuple[type, ...],
+    kind: Callable[[Action], bool],
     reduce: Callable[[Trajectory], list[Window]],
 ) -> dict[int, list[Window]]:
     """Windows of every trial of some kinds of action, by its place among all.
@@ -331,7 +331,7 @@ def reduced_trials(
     Args:
         shape: shape of the object.
         trajectories: trials of one object.
-        kinds: kinds of actions.
+        kind: True of the actions that count.
         reduce: reduction of a record to its windows; it raises InvalidValueError where a stretch is too short.
 
     Raises:
@@ -340,7 +340,7 @@ def reduced_trials(
     found = {}
     for index, trajectory in enumerate(trajectories):
         action = trajectory.action
-        if not trajectory.ok or not isinstance(action, kinds):
+        if not trajectory.ok or not kind(action):
             continue
         if action.grasp is not None and action.grasp >= len(shape.grasps):
             allowed = f"one of the shape's {len(shape.grasps)} grasps, counted from 0: another object's trial?"

@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 from jaxtyping import Float
 
-from testbed.actions.push import Push
+from testbed.actions.base import Fingertip
 from testbed.objects.faces import faces
 from testbed.objects.model import GRAVITY, ObjectModel, ObjectShape
 from testbed.simulation.settings import ContactSettings, GripSettings
@@ -135,30 +135,28 @@ def _inverse_masses(model: mujoco.MjModel, geoms: np.ndarray, impedance: float) 
     return inverse
 
 
-def add_tip(spec: mujoco.MjSpec, push: Push, height: float, tcp_height: float) -> None:
+def add_tip(spec: mujoco.MjSpec, tip: Fingertip, tcp_height: float) -> None:
     """Add a round fingertip on a peg below the TCP, that touches nothing yet.
 
     Args:
         spec: scene with arm.
-        push: radius of the ball; of a disc, where it would be no smaller than its height.
-        height: its middle over the table, m.
+        tip: ball; a disc where its radius would be no smaller than its height.
         tcp_height: the TCP over the table, m.
     """
     x, y, z = spec.site("gripper/tcp").pos
+    radius, _, height = tip
     below = z + tcp_height - height
     looks = _UNSEEN | {"group": 2, "rgba": (0.9, 0.2, 0.1, 1.0)}
     hand, ball, peg = spec.body("gripper/base"), mujoco.mjtGeom.mjGEOM_SPHERE, mujoco.mjtGeom.mjGEOM_CYLINDER
-    low = push.radius >= height
-    hand.add_geom(
-        name="fingertip", type=ball, pos=(x, y, below), size=(push.radius, 0, 0), **(_UNSEEN if low else looks)
-    )
-    hand.add_geom(name="peg", type=peg, fromto=(x, y, z, x, y, below), size=(push.radius / 2, 0, 0), **looks)
+    low = radius >= height
+    hand.add_geom(name="fingertip", type=ball, pos=(x, y, below), size=(radius, 0, 0), **(_UNSEEN if low else looks))
+    hand.add_geom(name="peg", type=peg, fromto=(x, y, z, x, y, below), size=(radius / 2, 0, 0), **looks)
     if low:
-        hand.add_geom(name="disc", type=peg, pos=(x, y, below), size=(push.radius, height / 2, 0), **looks)
+        hand.add_geom(name="disc", type=peg, pos=(x, y, below), size=(radius, height / 2, 0), **looks)
 
 
 def add_fingertip(
-    spec: mujoco.MjSpec, shape: ObjectShape, frames: list[mujoco.MjsFrame], push: Push, grip: GripSettings
+    spec: mujoco.MjSpec, shape: ObjectShape, frames: list[mujoco.MjsFrame], tip: Fingertip, grip: GripSettings
 ) -> None:
     """Add a round fingertip on a peg below the TCP, a box behind each face, contacts, and sensors of the motion.
 
@@ -170,10 +168,10 @@ def add_fingertip(
         spec: scene with arm and object.
         shape: geometry of the object.
         frames: frame of every mass group, at the object's middle.
-        push: radius and friction of the ball.
+        tip: the ball.
         grip: height of the TCP, and a contact's damping.
     """
-    add_tip(spec, push, push.height(shape), grip.tcp_height)
+    add_tip(spec, tip, grip.tcp_height)
     depth = shape.cell / 2 if not len(shape.sides) else _THIN
     for index, face in enumerate(faces(shape)):
         x, y = (face.begin + face.end) / 2 - face.normal * depth
@@ -190,7 +188,7 @@ def add_fingertip(
             geomname1="fingertip",
             geomname2=f"face_{index}",
             condim=3,
-            friction=[push.friction, push.friction, 0, 0, 0],
+            friction=[tip.friction, tip.friction, 0, 0, 0],
             solref=(0.004, grip.pad_damping),
             solreffriction=(-1e-6, -grip.friction_damping),
             solimp=[0.95, 0.99, 0.001, 0.5, 2],

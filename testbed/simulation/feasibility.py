@@ -7,12 +7,10 @@ import math
 import mujoco
 import numpy as np
 
-from testbed.actions.base import TableAction
-from testbed.actions.lift import Lift
-from testbed.actions.path import EDGES, HIGH, LOW, outline, overhang, overhang_of
-from testbed.actions.push import GAP, Push
+from testbed.actions.base import Fingertip
+from testbed.actions.path import EDGES, HIGH, LOW, outline, overhang_of
 from testbed.errors import InfeasibleTrialError
-from testbed.frames import rotation_2d, transform_point
+from testbed.frames import rotation_2d
 from testbed.objects.model import (
     GRAVITY,
     LEAST_FACE,
@@ -43,8 +41,8 @@ def check_feasible(trial: Trial, motion: Motion, settings: SimulationSettings) -
             weight or not to be lifted; friction beyond the grip; drag beyond a joint's working torque; or a joint
             beyond its speed. The message says by how much, and what to change.
     """
-    if isinstance(trial.action, Push):
-        _check_push(trial, trial.action, motion, settings)
+    if (tip := trial.action.fingertip(trial.object.shape)) is not None:
+        _check_push(trial, tip, motion, settings)
         _check_speed(motion)
         return
     shape, grasp = trial.object.shape, trial.grasp
@@ -64,20 +62,21 @@ def check_feasible(trial: Trial, motion: Motion, settings: SimulationSettings) -
         raise InfeasibleTrialError(f"grip: {what}; the pads, 3 mm over the table, need {needed}")
     _check_table(trial, motion, settings)
     _check_rest(trial, settings)
-    if isinstance(trial.action, Lift):  # it meets no friction, but holds the weight
-        _check_lift(trial, trial.action, motion, settings)
+    if trial.action.in_air:  # it meets no friction, but holds the weight
+        _check_lift(trial, grasp, motion, settings)
     else:
         _check_drag(trial, grasp, motion, settings)
     _check_speed(motion)
 
 
-def _check_push(trial: Trial, action: Push, motion: Motion, settings: SimulationSettings) -> None:
+def _check_push(trial: Trial, tip: Fingertip, motion: Motion, settings: SimulationSettings) -> None:
     """Refuse a push from amid an object, beyond the table's edge, or of too much drag."""
     obj, shape = trial.object, trial.object.shape
-    action.check_start(shape)
+    trial.action.check_start(shape)
     # wherever it turns, it stays within its own reach of where the fingertip goes
-    reach = float(np.linalg.norm(outline(shape)[:, None] - outline(shape)[None], axis=2).max()) + action.radius
-    path = transform_point(motion.object_pose, action.path(shape, np.linspace(0.0, GAP + action.length, 20)))
+    reach = float(np.linalg.norm(outline(shape)[:, None] - outline(shape)[None], axis=2).max()) + tip.radius
+    (way,) = trial.action.tool_path(shape, motion.object_pose, 1 / settings.rate).ways
+    path = way.pose(way.knots)[:, :2]
     beyond = (np.array(LOW) - path + reach).max(), (path + reach - np.array(HIGH)).max()
     if max(beyond) > 0:
         raise InfeasibleTrialError(
@@ -99,14 +98,8 @@ def _check_speed(motion: Motion) -> None:
 
 def _check_table(trial: Trial, motion: Motion, settings: SimulationSettings) -> None:
     """Refuse an object that passes the table's edge; the scene itself would not show it, since its plane is endless."""
-    action, shape = trial.action, trial.object.shape
-    x, y, yaw = motion.object_pose
-    if isinstance(action, TableAction):  # the others stay over their place
-        length = action.profile(1 / settings.rate).length
-        beyond = overhang_of(shape, action.path_from(shape, length, motion.object_pose))
-    else:
-        still = (np.zeros((1, 2)), np.array([[x, y]]), np.array([yaw]), np.zeros(1), np.zeros((1, 2)))
-        beyond = overhang(outline(shape), *still)[0]
+    shape = trial.object.shape
+    beyond = overhang_of(shape, trial.action.planar_path(shape, motion.object_pose, 1 / settings.rate))
     worst = int(beyond.argmax())
     if beyond[worst] > 1e-9:
         raise InfeasibleTrialError(
@@ -187,9 +180,9 @@ def _check_torques(motion: Motion, drag: float, torque: float) -> None:
             )
 
 
-def _check_lift(trial: Trial, action: Lift, motion: Motion, settings: SimulationSettings) -> None:
+def _check_lift(trial: Trial, grasp: Grasp, motion: Motion, settings: SimulationSettings) -> None:
     """Refuse a lift of parts, or one beyond payload, grip or joint torques."""
-    obj, grasp = trial.object, trial.object.shape.grasps[action.grasp]
+    obj = trial.object
     if not trial.support.is_rigid:
         raise InfeasibleTrialError(
             f"support: on {trial.support.name} the parts hang on vertical slides, and only what is gripped would be "
@@ -203,11 +196,11 @@ def _check_lift(trial: Trial, action: Lift, motion: Motion, settings: Simulation
             "sensor and gripper; use a lighter object"
         )
     if settings.grip.mode == "friction":
-        _check_grip(obj, grasp, action, settings)
+        _check_grip(obj, grasp, trial.action.tilt_acceleration, settings)
     _check_joints(obj, grasp, motion, settings)
 
 
-def _check_grip(obj: ObjectModel, grasp: Grasp, action: Lift, settings: SimulationSettings) -> None:
+def _check_grip(obj: ObjectModel, grasp: Grasp, acceleration: float, settings: SimulationSettings) -> None:
     """Check weight and moments against the pads' limit surface, an ellipse of force and torsion (Howe, Cutkosky 1996).
 
     The pads press evenly on the face they meet. The moment across the closing axis divides the weight unevenly between
@@ -220,7 +213,7 @@ def _check_grip(obj: ObjectModel, grasp: Grasp, action: Lift, settings: Simulati
     face = min(PAD_WIDTH, grasp.length), min(top, PAD_HEIGHT[1]) - max(grasp.bottom, PAD_HEIGHT[0])
     holds = grip.force * grip.friction
     carried = weight * (0.5 + abs(along) / grasp.width)
-    twist = weight * abs(across) + inertia * action.acceleration * (action.tilt > 0)
+    twist = weight * abs(across) + inertia * acceleration
     twist_held = 2 * holds * _mean_distance(*face)
     used = math.hypot(carried / holds, twist / twist_held)
     if used > MARGIN:

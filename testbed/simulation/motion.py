@@ -2,22 +2,17 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable
 from dataclasses import dataclass
-from functools import lru_cache, singledispatch
+from functools import lru_cache
 
 import mink
 import mujoco
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from testbed.actions.base import Action, TableAction
-from testbed.actions.lift import Lift, LiftProfile
-from testbed.actions.path import PAUSE, WORKSPACE, minimum_jerk
-from testbed.actions.push import Push
-from testbed.errors import InfeasibleTrialError, InvalidValueError
-from testbed.frames import pose_from_point, rotation_2d, transform_point
+from testbed.actions.base import Action
+from testbed.actions.path import PAUSE, ToolPath, minimum_jerk
+from testbed.errors import InfeasibleTrialError
 from testbed.objects.model import STROKE, ObjectShape
 from testbed.simulation.scene import HOME, arm_spec
 from testbed.simulation.settings import SimulationSettings
@@ -28,9 +23,6 @@ JOINT_SPEED_LIMIT = np.radians([80, 80, 80, 80, 70, 70, 70])
 HOVER = 0.06
 """Height over the grasp at which the sensor is zeroed [m]."""
 _TARE_TIME, _DESCENT_TIME, _CLOSE_TIME, _OPEN_TIME = 0.5, 0.8, 0.8, 0.3
-_STEP_TURN, _STEP_LINE = math.radians(10), 0.025
-_TILT_WAYPOINTS, _LIFT_WAYPOINTS = 4, 5
-_STEP_TILT = math.radians(4)
 _TOLERANCE = 1e-7
 _ITERATIONS = 100
 # The arm is redundant: prefer the last joint for turning the tool, and leave the fingers alone
@@ -56,7 +48,7 @@ def joint_path(poses: np.ndarray, start: np.ndarray) -> np.ndarray:
     """
     path, q = np.empty((len(poses), 7)), tuple(start)
     for i, pose in enumerate(poses):
-        q = _solve(tuple(np.round(pose, 9)), tuple(np.round(q, 9)))
+        q = _solve(tuple(np.round(pose if pose[4:].any() else pose[:4], 9)), tuple(np.round(q, 9)))
         path[i] = q
     return path
 
@@ -122,32 +114,26 @@ def gripper_tool(width: float) -> Tool:
     )
 
 
-def _lift_joints(
-    action: Lift, profile: LiftProfile, height: float, hold: np.ndarray, yaw: float, q_hold: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Joint angles [rad] and speeds [rad/s] at the N ticks of a lift to a height [m], each (N, 7).
+def joints_along(path: ToolPath, height: float, start: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Joint angles [rad] and speeds [rad/s] at the N ticks of a path, each (N, 7).
 
-    Height and every axis have a path of their own, all from the same joint angles: a redundant arm would otherwise come
-    back to a pose by other angles. `hold` (4,) is the tool pose on the table, with joint angles `q_hold`; `yaw` is the
-    object's [rad], world.
+    Args:
+        path: path of the tool.
+        height: height of the TCP where the grip holds, m.
+        start: joint angles near its start, rad, (7,).
     """
-    rise = np.tile(hold, (_LIFT_WAYPOINTS, 1))
-    rise[:, 2] += np.linspace(0.0, height, _LIFT_WAYPOINTS)
-    path = CubicSpline(np.linspace(0.0, height, _LIFT_WAYPOINTS), joint_path(rise, q_hold))
-    q, qd = path(profile.height), path(profile.height, 1) * profile.height_rate[:, None]
-    q_up = path(height)
-    axes = np.eye(3)
-    axes[:2, :2] = rotation_2d(yaw).T  # rows: the object's axes, world
-    for k, axis in enumerate(axes if action.tilt > 0 else ()):
-        count = max(_TILT_WAYPOINTS, math.ceil(action.tilt / _STEP_TILT))
-        angles = np.linspace(0.0, action.tilt, count + 1)
-        level = np.tile(rise[-1], (count, 1))
-        ways = [joint_path(np.hstack([level, np.outer(sign * angles[1:], axis)]), q_up) for sign in (-1, 1)]
-        knots = np.concatenate([-angles[:0:-1], angles])
-        path = CubicSpline(knots, np.concatenate([ways[0][::-1], q_up[None], ways[1]]))
-        moved = (profile.angle[:, k] != 0) | (profile.rate[:, k] != 0)
-        q[moved] = path(profile.angle[moved, k])
-        qd[moved] = path(profile.angle[moved, k], 1) * profile.rate[moved, k, None]
+    first, *others = path.ways
+    whole = np.array([0.0, 0.0, height, 0.0, 0.0, 0.0, 0.0])
+    curve = CubicSpline(first.knots, joint_path(whole + first.pose(first.knots), start))
+    q, qd = curve(first.parameter), curve(first.parameter, 1) * first.rate[:, None]
+    whole, there = whole + first.pose(first.knots[-1:]), curve(first.knots[-1])
+    for way in others:
+        before, after = way.knots[way.knots < 0], way.knots[way.knots > 0]
+        down, up = (joint_path(whole + way.pose(knots), there) for knots in (before[::-1], after))
+        curve = CubicSpline(way.knots, np.concatenate([down[::-1], there[None], up]))
+        moved = (way.parameter != 0) | (way.rate != 0)
+        q[moved] = curve(way.parameter[moved])
+        qd[moved] = curve(way.parameter[moved], 1) * way.rate[moved, None]
     return q, qd
 
 
@@ -160,7 +146,7 @@ class Motion:
     object_pose: np.ndarray
     """First planar pose of the object [m, m, rad], world, shape (3,)."""
     center: tuple[float, float]
-    """Center of a turn, else the grasp point [m], object frame."""
+    """`Action.center`."""
     phase: np.ndarray
     """`Phase`, shape (N,)."""
     segment: np.ndarray
@@ -194,15 +180,19 @@ def plan_motion(
         start: shift of the whole path from the middle of the workspace, and its turn about the TCP [m, m, rad].
 
     Raises:
-        InfeasibleTrialError: part of the path is out of the arm's reach.
+        InvalidValueError: nothing moves.
+        InfeasibleTrialError: part of the path is out of the arm's reach, or a fingertip meets no face.
     """
     dt = 1.0 / settings.rate
-    work = _work(action, shape, settings, start)
-    hover = work.hold.copy()
-    hover[2] += HOVER
-    descent_path = spline(np.linspace(hover, work.hold, 4), np.array(HOME))
+    pose = action.centered_pose(shape, dt, start)
+    path = action.tool_path(shape, pose, dt)
+    up = np.array([0.0, 0.0, 1.0, 0.0])
+    grasped = path.start[:4] + settings.grip.tcp_height * up
+    descent_path = spline(np.linspace(grasped + HOVER * up, grasped, 4), np.array(HOME))
     q_hover, q_grasp = descent_path(0.0), descent_path(1.0)
-    q, qd = work.joints(q_grasp)
+    q, qd = joints_along(path, settings.grip.tcp_height, q_grasp)
+    servo = settings.servo
+    complies = not action.in_air and (servo.null_gain if action.pushes else servo.comply_gain) > 0
 
     parts: list[tuple[np.ndarray, ...]] = []
 
@@ -217,102 +207,19 @@ def plan_motion(
 
     n = round(_DESCENT_TIME / dt)
     s, sd = minimum_jerk(np.arange(1, n + 1) / n)
-    ready, full = (0.05, 0.05) if work.pushes else (-0.05, 1.0)
+    ready, full = (0.05, 0.05) if action.pushes else (-0.05, 1.0)
     hold(Phase.TARE, q_hover, _TARE_TIME, (ready, ready))
     add(Phase.APPROACH, descent_path(s), descent_path(s, 1) * sd[:, None] / _DESCENT_TIME, (ready, ready))
     hold(Phase.GRASP, q_grasp, PAUSE, (ready, ready))
-    if not work.pushes:
+    if not action.pushes:
         hold(Phase.GRASP, q_grasp, _CLOSE_TIME, (0.05, 1.0))
         hold(Phase.SETTLE, q_grasp, settings.servo.null_time, (1.0, 1.0), settings.servo.null_gain > 0)
         hold(Phase.SETTLE, q_grasp, PAUSE, (1.0, 1.0))
-    phases = np.where(work.segment >= 0, Phase.STEADY, Phase.RAMP)
-    parts.append((phases, work.segment, q, qd, np.full(len(q), full), np.full(len(q), work.complies)))
-    if not work.pushes:
+    phases = np.where(path.segment >= 0, Phase.STEADY, Phase.RAMP)
+    parts.append((phases, path.segment, q, qd, np.full(len(q), full), np.full(len(q), complies)))
+    if not action.pushes:
         hold(Phase.RELEASE, q[-1], PAUSE, (1.0, 0.0))
         hold(Phase.RELEASE, q[-1], _OPEN_TIME, (-0.05, -0.05))
     joined = map(np.concatenate, zip(*parts, strict=True))
-    return Motion(q_hover, work.object_pose, work.center, *joined, in_the_air=action.in_air, closed=work.pushes)
-
-
-@dataclass(frozen=True, eq=False)
-class _Work:
-    """Action between grasp and release, N ticks."""
-
-    hold: np.ndarray
-    """Tool pose of the grasp: x, y, z [m] and yaw [rad], shape (4,)."""
-    object_pose: np.ndarray
-    """First planar pose of the object, shape (3,)."""
-    center: tuple[float, float]
-    """Center of a turn, else the grasp point [m], object frame."""
-    segment: np.ndarray
-    """Steady stretch of every tick, shape (N,); -1 outside."""
-    joints: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
-    """Joint angles [rad] and speeds [rad/s] of every tick, each (N, 7), from the angles at the grasp."""
-    complies: bool
-    """True if load and tilt are nulled meanwhile."""
-    pushes: bool = False
-    """True if the hand closes on nothing, and pushes."""
-
-
-@singledispatch
-def _work(action: Action, shape: ObjectShape, settings: SimulationSettings, start: tuple[float, float, float]) -> _Work:
-    """Joint motion of an action between grasp and release."""
-    raise InvalidValueError("action", action, "an action that moves the object")
-
-
-@_work.register(TableAction)
-def _(
-    action: TableAction, shape: ObjectShape, settings: SimulationSettings, start: tuple[float, float, float]
-) -> _Work:
-    """Turns and slides are centred: the middle of the path lies at the middle of the workspace, but for the shift."""
-    profile = action.profile(1.0 / settings.rate)
-    distance, rate, total = profile.distance, profile.rate, profile.length
-    path = action.centered_path(shape, total).shifted(start, WORKSPACE)
-    n = max(math.ceil(total / (_STEP_TURN if action.turns else _STEP_LINE)), 4)
-    part = np.linspace(-0.5, 0.5, n + 1)
-    tool = path.tool_pose(part)
-    waypoints = np.column_stack([tool[:, :2], np.full(n + 1, settings.grip.tcp_height), tool[:, 2]])
-
-    def joints(q_grasp: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        along = spline(waypoints, q_grasp)
-        return along(distance / total), along(distance / total, 1) * (rate / total)[:, None]
-
-    complies = settings.servo.comply_gain > 0
     x, y = action.center(shape)
-    return _Work(waypoints[0], path.object_pose(part)[0], (x, y), profile.segment, joints, complies)
-
-
-@_work.register(Push)
-def _(action: Push, shape: ObjectShape, settings: SimulationSettings, start: tuple[float, float, float]) -> _Work:
-    """The way from where the object lay is centred, and leads sideways there; the pads close along x."""
-    profile = action.profile(1.0 / settings.rate)
-    way = action.way(shape, 1.0 / settings.rate)
-    pose = action.centered_pose(way, start)
-    tool = transform_point(pose, way)
-    level = np.full((len(way), 2), [settings.grip.tcp_height, 0.0])
-    waypoints = np.hstack([tool, level])
-
-    def joints(q_hold: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        along, part = spline(waypoints, q_hold), profile.distance / profile.length
-        return along(part), along(part, 1) * (profile.rate / profile.length)[:, None]
-
-    nulls = settings.servo.null_gain > 0
-    return _Work(waypoints[0], pose, (0.0, 0.0), profile.segment, joints, complies=nulls, pushes=True)
-
-
-@_work.register(Lift)
-def _(action: Lift, shape: ObjectShape, settings: SimulationSettings, start: tuple[float, float, float]) -> _Work:
-    """The TCP stays over the middle of the workspace, the pads closing along x, but for the shift."""
-    grasp, height = shape.grasps[action.grasp], action.clear_height(shape)
-    profile = action.profile(1.0 / settings.rate, height)
-    hold = np.array([WORKSPACE[0] + start[0], WORKSPACE[1] + start[1], settings.grip.tcp_height, start[2]])
-    pose = pose_from_point(hold[:2], grasp.position, np.array(start[2] - grasp.angle))
-    x, y = grasp.position
-    return _Work(
-        hold,
-        pose,
-        (x, y),
-        profile.segment,
-        lambda q_grasp: _lift_joints(action, profile, height, hold, pose[2], q_grasp),
-        False,
-    )
+    return Motion(q_hover, pose, (x, y), *joined, in_the_air=action.in_air, closed=action.pushes)

@@ -15,7 +15,6 @@ import numpy as np
 from jaxtyping import Bool, Float, UInt8
 from scipy.spatial.transform import Rotation
 
-from testbed.actions.push import Push
 from testbed.errors import InvalidValueError
 from testbed.objects.model import STROKE, ObjectModel
 from testbed.sensing.lift_windows import poses_in_space
@@ -167,7 +166,7 @@ def bench_model(*, meshes: bool = True) -> mujoco.MjModel:
 def opening(trajectory: Trajectory, pads: tuple[float, float]) -> Float[np.ndarray, "T"]:
     """Distance between the pads by the phases [m], (T,): `pads` while they hold, and before and after; 0 in a push."""
     phase, count = trajectory.phase, len(trajectory.phase)
-    if isinstance(trajectory.action, Push):
+    if trajectory.action.pushes:
         return np.zeros(count)
     closed = np.where(np.isin(phase, _OPEN), 0.0, 1.0)
     for moving, ends in ((Phase.GRASP, (0.0, 1.0)), (Phase.RELEASE, (1.0, 0.0))):
@@ -237,8 +236,8 @@ class Playback:
             raise InvalidValueError("trial", "a weighing, where nothing moves", "a slide or a turn")
         spec = part("table")
         attach_arm(spec, meshes=meshes)
-        if isinstance(trajectory.action, Push):
-            add_tip(spec, trajectory.action, trajectory.action.height(obj.shape), GripSettings().tcp_height)
+        if (tip := trajectory.action.fingertip(obj.shape)) is not None:
+            add_tip(spec, tip, GripSettings().tcp_height)
         add_object(spec, obj, RIGID)
         self.model = spec.compile()
         light(self.model)

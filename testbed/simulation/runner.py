@@ -12,7 +12,6 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
-from testbed.actions.push import Push
 from testbed.errors import InfeasibleTrialError, InvalidValueError
 from testbed.frames import (
     origin_velocity,
@@ -124,14 +123,12 @@ class SimulationRunner:
         if not trial.action.moves:
             return weigh(trial, self.settings)
         motion, draw = self._motion(trial), trial.world
-        push = trial.action if isinstance(trial.action, Push) else None
-        held = None if push else trial.grasp
+        tip = trial.action.fingertip(trial.object.shape)
+        held = None if tip else trial.grasp
         if held is not None and draw is not None:
             held = draw.grasp(trial.grasp, trial.action)
             motion = _as_held(motion, trial.grasp, held)
-        scene = build_scene(
-            trial.object, trial.support, held, self.settings, origin=motion.center, draw=draw, push=push
-        )
+        scene = build_scene(trial.object, trial.support, held, self.settings, origin=motion.center, draw=draw, tip=tip)
         model, data = scene.model, mujoco.MjData(scene.model)
         place(scene, data, motion)
         surface = None if draw is None else draw.surface
@@ -205,7 +202,7 @@ def _trajectory(
     settings: SimulationSettings,
     outcome: Outcome,
 ) -> Trajectory:
-    pushed = isinstance(trial.action, Push)
+    pushed = trial.action.pushes
     s = {
         name: record[:, (a := model.sensor(key).adr[0]) : a + model.sensor(key).dim[0]]
         for name, key in (_SENSORS | (_SEEN if pushed else {})).items()

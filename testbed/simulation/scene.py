@@ -10,7 +10,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from testbed.actions.push import Push
+from testbed.actions.base import Fingertip
 from testbed.errors import InvalidValueError
 from testbed.objects.colors import group_rgba
 from testbed.objects.files import asset_folder
@@ -248,26 +248,26 @@ def build_scene(
     origin: tuple[float, float] = (0.0, 0.0),
     meshes: bool = False,
     draw: WorldDraw | None = None,
-    push: Push | None = None,
+    tip: Fingertip | None = None,
 ) -> Scene:
     """Compose and compile the scene with one object on the table.
 
     Args:
         obj: the object as told.
         support: support of the weight.
-        grasp: the grasp whose faces the pads may touch; None leaves the arm out (the scale), but for a push.
+        grasp: the grasp whose faces the pads may touch; None leaves the arm out (the scale), but for a fingertip.
         settings: contact, grip and servo.
         origin: point of the object that its body's frame lies on [m], object frame. A contact in MuJoCo leaves out the
             centripetal acceleration of that point, by which the object would creep in the grip: in a turn, its center.
         meshes: draw the arm by its meshes if the extra "meshes" is installed; capsules otherwise.
         draw: the world; None is the ideal one, in which a foot stands under each particle in contact.
-        push: a push, whose fingertip may touch all faces; None without.
+        tip: fingertip that may touch all faces; None without.
 
     Raises:
         InvalidValueError: a mass group without feet on a support where each group rests on its own.
     """
     contact = settings.contact
-    if push is not None or obj.shape.chain is not None:
+    if tip is not None or obj.shape.chain is not None:
         contact = replace(contact, friction_damping=max(contact.friction_damping, PUSH_DAMPING))
     spec = part("table")
     spec.modelname = f"heft_{obj.name}"
@@ -281,12 +281,12 @@ def build_scene(
     clear = [obj.shape.group_names[g] for g in range(obj.shape.n_m) if g not in standing]
     if clear and not support.is_rigid:
         raise InvalidValueError("support", support.name, f"rigid, since {', '.join(clear)} has no foot to rest on")
-    if grasp is not None or push is not None:
+    if grasp is not None or tip is not None:
         attach_arm(spec, meshes=meshes)
     chain, held = obj.shape.chain, 0
     if chain is not None:
-        if support != OWN_WEIGHT or push is not None:
-            given = f"{support.name}{'' if push is None else ', a push'}"
+        if support != OWN_WEIGHT or tip is not None:
+            given = f"{support.name}{'' if tip is None else ', a push'}"
             raise InvalidValueError("support", given, "own_weight and no push, of an object with hinges")
         held = 0 if grasp is None else int(chain.link[obj.shape.pressed(grasp)[0]])
     frames = add_object(spec, obj, support, origin, told.shape, held)
@@ -295,8 +295,8 @@ def build_scene(
         add_grip(spec, obj.shape, frames, grasp, settings.grip)
         for finger in ("gripper/left_finger", "gripper/right_finger"):  # opened no further than there is room
             spec.joint(finger).range[0] = (STROKE - (grasp.opening or STROKE)) / 2
-    if push is not None:
-        add_fingertip(spec, obj.shape, frames, push, settings.grip)
+    if tip is not None:
+        add_fingertip(spec, obj.shape, frames, tip, settings.grip)
     model = spec.compile()
     foot_geoms = soften_feet(model, obj, feet, contact)
     foot_pairs = np.array([model.pair(f"foot_{index}").id for index in range(len(feet.particle))])

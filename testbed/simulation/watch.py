@@ -13,7 +13,6 @@ import numpy as np
 from dm_control.mujoco.wrapper import MjModel
 from dm_env.specs import BoundedArray
 
-from testbed.actions.push import Push
 from testbed.errors import InvalidValueError
 from testbed.simulation.controller import Servo
 from testbed.simulation.feasibility import check_feasible
@@ -54,11 +53,10 @@ class LiveTrial(_Scripted):
         shape = trial.object.shape
         self._motion = plan_motion(trial.action, shape, self._settings)
         check_feasible(trial, self._motion, self._settings)
-        push = trial.action if isinstance(trial.action, Push) else None
-        grasp = None if push else trial.grasp
-        origin = self._motion.center
+        tip, origin = trial.action.fingertip(shape), self._motion.center
+        grasp = None if tip else trial.grasp
         self._scene = build_scene(
-            trial.object, trial.support, grasp, self._settings, origin=origin, meshes=True, push=push
+            trial.object, trial.support, grasp, self._settings, origin=origin, meshes=True, tip=tip
         )
         light(self._scene.model)
         self.physics = dm_control.mujoco.Physics.from_model(MjModel(self._scene.model))

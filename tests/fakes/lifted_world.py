@@ -37,7 +37,7 @@ def lifted(
         seed: of the errors.
     """
     shape, still = obj.shape, 80
-    profile = action.profile(1 / RATE)
+    profile = action.sampled(1 / RATE)
     count = still + len(profile.height)
     yaw = 0.3
     rest = [(still, 0), (0, 0)]

@@ -11,7 +11,6 @@ from typing import Any, Self
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from testbed.actions.push import Push
 from testbed.actions.rotate import Rotate
 from testbed.objects.blocks import block_object, parse_layout
 from testbed.objects.model import STROKE, ObjectModel
@@ -443,7 +442,7 @@ def robot_for(
     grip = SimulationSettings(grip=GripSettings(force=60.0))
     world = Gen3World(trial.object, trial.support, settings=grip, noise=preset("ft300s"), seed=seed)
     robot, pose = FakeRobot(world, watch, seed), starting_pose(trial)
-    world.place(pose, trial.action if isinstance(trial.action, Push) else trial.action.grasp or 0)
+    world.place(pose, trial.action.fingertip(trial.object.shape) or trial.action.grasp or 0)
     settings = change(RobotSettings(data_sheet(opening(trial))))
     options = {
         "confirm": lambda _: True,

@@ -11,7 +11,7 @@ import mujoco
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from testbed.actions.push import Push
+from testbed.actions.base import Fingertip
 from testbed.objects.model import STROKE, ObjectModel
 from testbed.robot.interfaces import ArmState, Pose
 from testbed.sensing.presets import Sensing, preset
@@ -66,18 +66,18 @@ class Gen3World:
         self._start = joint_path(np.array([START]), np.array(HOME))[0]
         self._build(0, np.array([0.45, 0.0, 0.0]))
 
-    def place(self, pose: np.ndarray, grasp: int | Push) -> None:
-        """Put the object at a planar pose; only the faces of `grasp` can then be gripped, or a push can be made.
+    def place(self, pose: np.ndarray, grasp: int | Fingertip) -> None:
+        """Put the object at a planar pose; only the faces of `grasp` can then be gripped, or pushed.
 
         The hand is at its start then: after a fault it stands where it stopped, and would push the object aside.
         """
         self.stop()
         self._build(grasp, pose)
 
-    def _build(self, grasp: int | Push, pose: np.ndarray) -> None:
-        push = grasp if isinstance(grasp, Push) else None
-        held = None if isinstance(grasp, Push) else self.obj.shape.grasps[grasp]
-        scene = build_scene(self.obj, self.support, held, self.settings, push=push)
+    def _build(self, grasp: int | Fingertip, pose: np.ndarray) -> None:
+        tip = grasp if isinstance(grasp, Fingertip) else None
+        held = None if isinstance(grasp, Fingertip) else self.obj.shape.grasps[grasp]
+        scene = build_scene(self.obj, self.support, held, self.settings, tip=tip)
         model, data = scene.model, mujoco.MjData(scene.model)
         address = model.joint("object").qposadr[0]
         data.qpos[:7] = data.act[:7] = self._reference = self._start

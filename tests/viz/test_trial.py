@@ -134,7 +134,8 @@ def test_arrows_at_the_feet_are_the_tables_forces(entities, view):
 
 
 def test_a_push_is_drawn_with_its_fingertip(tmp_path):
-    key = put_trial(tmp_path, "L2", Push((-0.05, 0.01), 0.0, speed=0.05, length=0.06))
+    push = Push((-0.05, 0.01), 0.0, speed=0.05, length=0.06)
+    key = put_trial(tmp_path, "L2", push)
     write_json(tmp_path / "manifest.json", {"scenario": {"sensing": ["ideal"]}})
     pushed = trial_view(tmp_path, key)
     save(page_of(tmp_path, key), tmp_path / "push.rrd")
@@ -143,7 +144,7 @@ def test_a_push_is_drawn_with_its_fingertip(tmp_path):
     place = values(entities, path, "Points3D:positions")
     trajectory = pushed.trajectory
     assert_allclose(place[:, :2], trajectory.tcp_position[:, :2], atol=1e-6)
-    assert np.abs(place[trajectory.segment >= 0, 2] - Push.height(pushed.shape)).max() < 5e-4
+    assert np.abs(place[trajectory.segment >= 0, 2] - push.fingertip(pushed.shape).height).max() < 5e-4
 
 
 def test_states_mark_the_phases_and_the_steady_window(entities, view):

@@ -155,7 +155,7 @@ def test_a_recording_of_links_has_hinges_and_joint_angles(drags, tmp_path):
 def test_a_recording_of_a_push_has_its_contact_and_direction(pushes, tmp_path):
     trial = pushes[0]
     push, found = trial.action, recorded(tmp_path / "x.rrd", BLOCKS, trial)
-    height = push.height(BLOCKS.shape)
+    height = push.fingertip(BLOCKS.shape).height
     assert_allclose(found["t/scene/object/contact"].static["Points3D:positions"], [[*push.point, height]], atol=1e-6)
     arrow = found["t/scene/object/push"].static
     vector = np.array(arrow["Arrows3D:vectors"][0])

@@ -9,7 +9,6 @@ from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.patches import FancyArrowPatch
 
-from testbed.actions.push import Push
 from testbed.objects.model import ObjectShape
 from viz.figures.maps import draw_groups
 from viz.style import LINK_COLORS, MOST_LINK_COLORS, Scale, action_colors
@@ -38,7 +37,7 @@ def draw_actions(axis: Axes, view: ActionsView, paths: Mapping[int, Float[np.nda
         axis.plot(*point, marker="^", color=colors[number - 1], markersize=6, markerfacecolor="none")
     for number, (x, y) in view.number_places.items():
         axis.text(x, y, str(number), ha="center", va="center", fontsize=7)
-    held = sorted({"push" if isinstance(a, Push) else "grasp" for a in view.actions if a.on_table})
+    held = sorted({"push" if a.pushes else "grasp" for a in view.actions if a.on_table})
     marks = [f"{' or '.join(held)} \u25a1"] if held else []
     marks += ["pivot \u25cf"] if any(a.pivot is not None for a in view.arrows.values()) else []
     marks += ["lift \u25b3"] if view.lifts else []

@@ -12,7 +12,6 @@ from jaxtyping import Bool, Float
 from rerun_loader_mjcf import MJCFLogger
 from scipy.spatial.transform import Rotation
 
-from testbed.actions.push import Push
 from testbed.foot_forces import FootForces
 from testbed.frames import rotation_2d
 from testbed.objects.colors import group_color
@@ -45,12 +44,12 @@ def log_trial(stream: rr.RecordingStream, root: str, view: TrialView) -> None:
     hand = node / "scene/gripper_force"
     hand.log(rr.Arrows3D.from_fields(colors=style.rgb(style.OBJECT_VELOCITY), radii=0.003))
     place = np.array(trajectory.tcp_position)
-    if isinstance(push := trajectory.action, Push):
-        place[:, 2] += push.height(view.shape) - np.median(place[trajectory.segment >= 0, 2])
+    if (fingertip := trajectory.action.fingertip(view.shape)) is not None:
+        place[:, 2] += fingertip.height - np.median(place[trajectory.segment >= 0, 2])
         tip = node / "scene/fingertip"
-        tip.log(rr.Points3D.from_fields(colors=style.rgb(style.OBJECT_VELOCITY), radii=push.radius))
+        tip.log(rr.Points3D.from_fields(colors=style.rgb(style.OBJECT_VELOCITY), radii=fingertip.radius))
         tip.send_timed(trajectory.time_s, rr.Points3D.columns(positions=place))
-        _log_push(node / "scene/object", view.shape, trajectory, push)
+        _log_push(node / "scene/object", view.shape, trajectory, fingertip.height)
     hand.send_timed(trajectory.time_s, rr.Arrows3D.columns(origins=place, vectors=force))
     if view.feet is not None:
         _log_feet(node / "scene/object/feet", view, view.feet)
@@ -81,7 +80,7 @@ def trial_blueprint(root: str, view: TrialView) -> rrb.Container:
     x, y = view.trajectory.tcp_position[:, :2].mean(axis=0)
     eye = rrb.EyeControls3D(position=(x + 0.3, y - 0.4, 0.36), look_target=(x - 0.02, y, 0.05), eye_up=(0, 0, 1))
     model = f"model: {view.model}" if view.model else "no model"
-    pushed = isinstance(view.trajectory.action, Push)
+    pushed = view.trajectory.action.pushes
     hinged = view.shape.chain is not None and view.trajectory.camera is not None
     held = "fingertip" if pushed else "grasp"
     force, torque = f"force on the object, its own axes, N ({model})", f"torque about the {held}, N m ({model})"
@@ -181,9 +180,9 @@ def _log_joints(node: Node, camera: PoseStream) -> None:
         _log_line(node / f"hinge_{hinge}", f"hinge {hinge}", style.series_color(hinge), camera.time_s, angle)
 
 
-def _log_push(node: Node, shape: ObjectShape, trajectory: Trajectory, push: Push) -> None:
+def _log_push(node: Node, shape: ObjectShape, trajectory: Trajectory, height: float) -> None:
     """Log the arrow of a push up to where it meets the object, and the path of its contact point, object frame."""
-    arrow, height = ActionArrow.of(shape, push), push.height(shape)
+    arrow = ActionArrow.of(shape, trajectory.action)
     way, path = (np.insert(p, 2, height, axis=1) for p in (arrow.way, push_contacts(shape, trajectory)))
     color = style.rgb(style.PUSH)
     (node / "push").log(rr.Arrows3D(origins=way[:1], vectors=way[-1:] - way[:1], colors=color, radii=0.0015))

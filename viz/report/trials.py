@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import math
 
-from testbed.actions.push import Push
 from viz.report.tables import Entry, Table
 from viz.trials import TrialsView
 
 
 def trials_table(view: TrialsView) -> Table:
     """A row a trial: its number, its action, and what moved."""
-    pushed = any(isinstance(action, Push) for action in view.actions)
+    pushed = any(action.pushes for action in view.actions)
     hinges = range(0 if view.shape.chain is None else len(view.shape.chain.hinges))
     columns = ["contact slid, mm"] * pushed + [f"hinge {hinge}, deg" for hinge in hinges]
     rows = []

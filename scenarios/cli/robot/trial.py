@@ -222,9 +222,8 @@ def push_of(
 def _camera(file: RobotFile, planned: Trial, *, at_seen: bool) -> ObjectCamera | None:
     """The robot file's camera, if the trial needs one."""
     from testbed.robot.registry import build_camera
-    from testbed.robot.runner import needs_camera
 
-    if not (needs_camera(planned) or at_seen):
+    if not (planned.action.needs_camera(planned.object.shape) or at_seen):
         return None
     camera = build_camera(file)
     if camera is None:

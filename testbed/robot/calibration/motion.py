@@ -11,8 +11,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 from jaxtyping import Float
 
-from testbed.actions.base import TableAction
-from testbed.actions.rotate import Rotate
+from testbed.actions.base import Action
 from testbed.frames import cross_2d, perpendicular, rotation_2d
 from testbed.objects.model import ObjectShape
 from testbed.robot.calibration.trial import Finding, check_trial
@@ -35,16 +34,13 @@ def check_motion(shape: ObjectShape, trajectories: Sequence[Trajectory]) -> list
         shape: geometry and grasps of the object.
         trajectories: trials of it that ended well; all but turns are left out.
     """
-    turned = [
-        (action, windows)
-        for trajectory in trajectories
-        if isinstance(action := trajectory.action, Rotate) and trajectory.ok and (windows := steady_windows(trajectory))
-    ]
+    steady = [t for t in trajectories if t.ok and t.action.turns and not t.action.accelerated]
+    turned = [(t.action, windows) for t in steady if (windows := steady_windows(t))]
     if not turned:
         return []
-    named = np.array([_named(shape, action, action.grasp) for action, _ in turned])
+    named = np.array([_named(shape, action, action.hand(shape)) for action, _ in turned])
     seen = np.array([
-        rotation_2d(-shape.grasps[action.grasp].angle)
+        rotation_2d(-action.hand(shape)[1])
         @ np.mean([perpendicular(w.twist[:2]) / w.twist[2] for w in windows], axis=0)
         for action, windows in turned
     ])  # fmt: skip
@@ -74,7 +70,7 @@ def check_motion(shape: ObjectShape, trajectories: Sequence[Trajectory]) -> list
 
 def check_wrenches(trajectories: Iterable[Trajectory]) -> list[Finding]:
     """Findings of `check_trial` on the windows of every slide and turn at constant speed, of trials that ended well."""
-    gripped = [t for t in trajectories if isinstance(t.action, TableAction) and not t.action.accelerated]
+    gripped = [t for t in trajectories if t.action.dragged and not t.action.accelerated]
     return [finding for t in gripped for finding in check_trial(None, None, steady_windows(t))]
 
 
@@ -88,10 +84,10 @@ def wrong_motion(shape: ObjectShape, trajectories: Sequence[Trajectory]) -> list
     return [f.text for f in [*check_motion(shape, trajectories), *sure.values()] if not f.ok]
 
 
-def _named(shape: ObjectShape, action: Rotate, grasp: int) -> Float[np.ndarray, "2"]:
-    """Pivot of an action from a grasp, x along the direction in which the pads close [m]."""
-    held = shape.grasps[grasp]
-    return rotation_2d(-held.angle) @ (action.center(shape) - held.position)
+def _named(shape: ObjectShape, action: Action, hand: tuple[np.ndarray, float]) -> Float[np.ndarray, "2"]:
+    """Pivot of an action from the hand [m], x along its closing direction; place [m] and direction [rad] as given."""
+    place, angle = hand
+    return rotation_2d(-angle) @ (action.center(shape) - place)
 
 
 def _fit(
@@ -140,16 +136,14 @@ def _common(angle: float, offset: np.ndarray, spread: float, named: np.ndarray) 
     return findings
 
 
-def _wrong(shape: ObjectShape, action: Rotate, seen: np.ndarray, miss: float) -> Finding:
+def _wrong(shape: ObjectShape, action: Action, seen: np.ndarray, miss: float) -> Finding:
     """A turn whose center is elsewhere, with the grasps that it would fit."""
     x, y = 1e3 * seen
-    fitting = [
-        grasp.name
-        for index, grasp in enumerate(shape.grasps)
-        if index != action.grasp and np.linalg.norm(_named(shape, action, index) - seen) < CENTER_ALLOWED
-    ]
+    others = [grasp for index, grasp in enumerate(shape.grasps) if index != action.grasp]
+    named = [_named(shape, action, (grasp.position, grasp.angle)) for grasp in others]
+    fitting = [g.name for g, one in zip(others, named, strict=True) if np.linalg.norm(one - seen) < CENTER_ALLOWED]
     would = f"; grasp {' or '.join(fitting)} would fit" if fitting else "; grasp or pivot is another than it says"
-    should_x, should_y = 1e3 * _named(shape, action, action.grasp)
+    should_x, should_y = 1e3 * _named(shape, action, action.hand(shape))
     text = (
         f"{action.describe(shape)}: from the grasp, along the closing direction and across, its center should be "
         f"({should_x:.0f}, {should_y:.0f}) mm and is ({x:.0f}, {y:.0f}) mm, less what all turns have in common{would}"

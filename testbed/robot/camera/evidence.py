@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from testbed.actions.push import LEAST_CONTACT, Push
+from testbed.actions.push import LEAST_CONTACT
 from testbed.errors import InvalidValueError
 from testbed.objects.model import ObjectShape
 from testbed.robot.camera.interface import BLIND, CameraLostError
@@ -45,7 +45,7 @@ def seen_doubts(record: Trajectory, shape: ObjectShape) -> Iterator[tuple[Status
     if not gap <= BLIND:
         yield "fault", f"camera: it did not see the object for {gap:.2f} s of the motion; allowed: {BLIND:g} s"
         return
-    if isinstance(record.action, Push):
+    if record.action.pushes:
         touched = contact_of(record)
         if touched[1] - touched[0] < LEAST_CONTACT:
             yield "slipped", f"the fingertip met the object for {touched[1] - touched[0]:.2f} s alone"

@@ -281,7 +281,7 @@ def test_a_push_from_where_a_camera_sees_the_object(folder, capsys, monkeypatch)
     planned = Trial(model, push_of(model.shape, (51.0, -10.0)))
     assert isinstance(planned.action, Push) and planned.action.point == pytest.approx((0.05, -0.01))
     robot, _ = robot_for(planned)
-    robot.world.place(np.array([0.43, 0.06, 1.0]), planned.action)
+    robot.world.place(np.array([0.43, 0.06, 1.0]), planned.action.fingertip(model.shape))
     monkeypatch.setattr(OutsideArm, "robots", (robot,))
     for module in ("runner", "interfaces"):
         monkeypatch.setattr(f"testbed.robot.{module}.MonotonicClock", lambda: robot.clock)

@@ -57,7 +57,7 @@ def felt_and_due(obj: ObjectModel, action: Lift) -> tuple[np.ndarray, np.ndarray
     ],
 )
 def test_a_lift_goes_up_rocks_about_each_axis_and_comes_down(action):
-    profile = action.profile(0.01)
+    profile = action.sampled(0.01)
     assert_allclose(profile.height[[0, -1]], 0, atol=1e-4)
     assert_allclose(profile.angle[-1], 0, atol=1e-12)
     assert profile.height.max() == pytest.approx(action.height)
@@ -76,7 +76,7 @@ def test_a_lift_goes_up_rocks_about_each_axis_and_comes_down(action):
 @pytest.mark.parametrize("swings", [0, 3, 4])
 def test_it_holds_still_at_every_tilt_about_both_axes(swings):
     action = Lift(0, tilt=0.3, poses=4, swings=swings, acceleration=1.0)
-    profile = action.profile(0.01)
+    profile = action.sampled(0.01)
     still = [s for s in range(profile.segment.max() + 1) if not action.accelerates(s)]
     held = np.array([profile.angle[profile.segment == segment][-1] for segment in still])
     for axis in (0, 1):
@@ -92,7 +92,7 @@ def test_it_goes_as_high_as_its_tilt_needs():
     assert Lift(0, tilt=0.0, height=0.02).clear_height(shape) == pytest.approx(0.02)
     low = np.abs(shape.particles - shape.grasps[0].position).max() * math.sin(0.5)
     assert low < steep.clear_height(shape) < low + 0.03
-    assert steep.profile(0.01, 0.3).height.max() == pytest.approx(0.3)
+    assert steep.sampled(0.01, 0.3).height.max() == pytest.approx(0.3)
 
 
 @pytest.mark.parametrize(

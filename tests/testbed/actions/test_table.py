@@ -11,7 +11,7 @@ from estimators.action_selection.candidates import ActionFamily
 from testbed.actions.accelerate import Accelerate
 from testbed.actions.base import TableAction
 from testbed.actions.lift import Lift
-from testbed.actions.path import HIGH, LOW, ToolPath, outline, overhang_of
+from testbed.actions.path import HIGH, LOW, PlanarPath, outline, overhang_of
 from testbed.actions.rotate import Rotate
 from testbed.actions.slide import Slide
 from testbed.errors import InfeasibleTrialError
@@ -34,7 +34,7 @@ def stretched(times: float) -> ObjectShape:
     return replace(shape, particles=times * shape.particles, grasps=grasps)
 
 
-def path_of(action: TableAction, shape: ObjectShape) -> ToolPath:
+def path_of(action: TableAction, shape: ObjectShape) -> PlanarPath:
     return action.centered_path(shape, action.profile(0.01).length)
 
 

@@ -9,10 +9,13 @@ import pytest
 from numpy.testing import assert_allclose
 
 from testbed.actions.accelerate import Accelerate
+from testbed.actions.lift import Lift
 from testbed.actions.path import RAMP_TIME, WORKSPACE
+from testbed.actions.push import Push
 from testbed.actions.rotate import Rotate
 from testbed.actions.slide import Slide
 from testbed.frames import transform_point
+from testbed.objects.faces import faces
 from testbed.objects.files import load_object
 
 SHAPE = load_object("L2").shape
@@ -33,15 +36,20 @@ def test_distance_is_the_integral_of_the_rate(action):
     assert rate[-1] == pytest.approx(0.0)
 
 
-@pytest.mark.parametrize("action", ACTIONS, ids=str)
-def test_between_ticks_a_profile_is_what_finer_ticks_say(action):
-    profile, fine = action.profile(0.01), action.profile(0.001)
-    times = np.arange(1, len(fine.distance) + 1) * 0.001
-    said = np.array([profile.at(t) for t in times[::37]])
-    assert_allclose(said[:, 0], fine.distance[::37], atol=3e-5)
-    assert_allclose(said[:, 1], fine.rate[::37], atol=1e-9)
-    assert profile.at(-1.0) == (0.0, 0.0)
-    assert profile.at(1e3) == (profile.distance[-1], 0.0)
+@pytest.mark.parametrize("action", [*ACTIONS, Push.into(faces(SHAPE)[2], 0.4, 0.2, 5.0), Lift(1)], ids=str)
+def test_between_ticks_a_tool_path_is_that_of_finer_ticks_and_its_rate_is_the_derivative(action):
+    path, fine = (action.tool_path(SHAPE, np.array([0.4, 0.1, 0.3]), step) for step in (0.01, 0.001))
+    times = np.arange(1, len(fine.segment), 37) * 0.001
+    poses, rates = (np.array(each) for each in zip(*map(fine.at, times), strict=True))
+    ahead, behind = (np.array([fine.at(t + d)[0] for t in times]) for d in (5e-4, -5e-4))
+    assert_allclose((ahead - behind) / 1e-3, rates, atol=2e-3)
+    if not action.in_air:  # where every stretch lasts whole ticks
+        assert_allclose([path.at(t)[0] for t in times], poses, atol=5e-5)
+        assert_allclose([path.at(t)[1] for t in times], rates, atol=3e-3)
+    assert_allclose(path.at(-1.0)[0], path.start) and not path.at(-1.0)[1].any()
+    end, rate = path.at(1e3)
+    assert_allclose(end, path.at(path.duration)[0]) and not rate.any()
+    assert path.duration == pytest.approx(action.tool_path(SHAPE, np.zeros(3), 0.01).duration)
 
 
 def test_a_turn_there_and_back_ends_where_it_began():

@@ -10,19 +10,20 @@ import pytest
 from testbed.actions.rotate import Rotate
 from testbed.robot.recorder import GripEvidence, Record, doubts
 from testbed.trajectory import Phase
+from tests.fakes.robot import small_object
 
-PROFILE = Rotate(0, duration=2.0).profile(0.01)
+PATH = Rotate(0, duration=2.0).tool_path(small_object().shape, np.zeros(3), 0.01)
 GOOD = GripEvidence(lost_frames=0, held_width=(0.05, 0.0501), slip=(1e-4, 1e-3))
 
 
 def record(**changes) -> Record:
     """A tare, a turn under 1 N, a tare, at 100 Hz, with a sensor's noise."""
-    tare, turn = 100, len(PROFILE.segment)
+    tare, turn = 100, len(PATH.segment)
     count = tare + turn + tare
     phase = np.full(count, Phase.TARE)
-    phase[tare:-tare] = np.where(PROFILE.segment >= 0, Phase.STEADY, Phase.RAMP)
+    phase[tare:-tare] = np.where(PATH.segment >= 0, Phase.STEADY, Phase.RAMP)
     segment = np.full(count, -1)
-    segment[tare:-tare] = PROFILE.segment
+    segment[tare:-tare] = PATH.segment
     values = {
         "time_s": np.arange(count) / 100,
         "phase": phase,
@@ -45,7 +46,7 @@ def wrench(at: slice, value: np.ndarray | float) -> np.ndarray:
 
 
 def test_nothing_speaks_against_a_good_record():
-    assert list(doubts(record(), GOOD, PROFILE)) == []
+    assert list(doubts(record(), GOOD, PATH)) == []
     assert list(doubts(record(), replace(GOOD, slip=None), None)) == []
 
 
@@ -70,7 +71,7 @@ def test_nothing_speaks_against_a_good_record():
     ],
 )
 def test_each_reason_is_found_alone(changes, evidence, status, said):
-    found = list(doubts(record(**changes), replace(GOOD, **evidence), PROFILE))
+    found = list(doubts(record(**changes), replace(GOOD, **evidence), PATH))
     assert [f[0] for f in found] == [status]
     assert said in found[0][1]
 
@@ -78,11 +79,9 @@ def test_each_reason_is_found_alone(changes, evidence, status, said):
 @pytest.mark.parametrize("scale", [0.0, 1e-3, 1.0], ids=["frozen", "quiet", "noise"])
 def test_a_sensor_that_feels_nothing_of_the_motion_is_dead(scale):
     felt = scale * 0.07 * np.random.default_rng(0).standard_normal((480, 6)) + [3.3, -2.1, 9.2, 0.11, -0.21, 0.31]
-    (found,) = doubts(record(wrench=felt), GOOD, PROFILE)
+    (found,) = doubts(record(wrench=felt), GOOD, PATH)
     assert found[0] == "fault" and "the sensor feels nothing" in found[1]
 
 
 def test_a_zero_that_has_moved_between_the_tares_is_no_scatter_of_either():
-    assert (
-        list(doubts(record(wrench=record().wrench + np.linspace(0, 5, 480)[:, None] ** 3 / 400), GOOD, PROFILE)) == []
-    )
+    assert list(doubts(record(wrench=record().wrench + np.linspace(0, 5, 480)[:, None] ** 3 / 400), GOOD, PATH)) == []

@@ -114,7 +114,7 @@ def test_a_push_beside_the_object_is_no_data():
     trial = Trial(OBJECT, replace(PUSH, point=(0.05, 0.02)))
     robot, runner = robot_for(trial, seed=1)
     x, y, yaw = starting_pose(trial)
-    robot.world.place(np.array([x - 0.014, y, yaw]), replace(PUSH, point=(0.05, 0.02)))
+    robot.world.place(np.array([x - 0.014, y, yaw]), PUSH.fingertip(OBJECT.shape))
     with runner:
         record = runner.run(trial)
     assert record.status == "slipped" and "met the object for" in record.reason

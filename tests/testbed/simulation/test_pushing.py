@@ -60,14 +60,15 @@ def test_a_push_through_the_middle():
 
 def test_playback_shows_the_fingertip_at_the_object():
     """The hand is closed; the drawn fingertip touches the outline where the record has it."""
-    clean = RUNNER.run_clean(Trial(BLOCKS, Push((-0.05, 0.0), 0.0, speed=0.05, length=0.06)))
+    push = Push((-0.05, 0.0), 0.0, speed=0.05, length=0.06)
+    clean = RUNNER.run_clean(Trial(BLOCKS, push))
     shown = Playback(clean, BLOCKS, (0.0, 0.085), meshes=False)
     sample = int(touching(draw_sensing(clean, preset("ideal"), 0))[-1])
     shown.show(sample)
     x, y, yaw = clean.object_pose[sample]
     tip = rotation_2d(-yaw) @ (shown.data.geom("fingertip").xpos[:2] - [x, y])
     assert room_at(BLOCKS.shape, tip) == pytest.approx(0.006, abs=3e-4)
-    assert shown.data.geom("fingertip").xpos[2] == pytest.approx(Push.height(BLOCKS.shape), abs=5e-4)
+    assert shown.data.geom("fingertip").xpos[2] == pytest.approx(push.fingertip(BLOCKS.shape).height, abs=5e-4)
     assert shown.data.qpos[shown.model.joint("gripper/left_finger").qposadr[0]] == pytest.approx(STROKE / 2)
 
 
@@ -103,9 +104,10 @@ def test_a_plate_of_a_millimeter_is_pushed_by_its_edge():
     corners = [(0.002, 0.002), (0.002, 0.038), (0.158, 0.002), (0.158, 0.038)]
     parts = [Part("sheet", sheet, 0.05, 0)]
     plate = mesh_object("sheet", parts, [], friction=[0.5], cell=0.005, grid=3, contacts=corners)
-    assert Push.height(plate.shape) == pytest.approx(5e-4)
     x, y = min((face.begin[0] for face in faces(plate.shape)), default=0.0), float(plate.center_of_mass[1])
-    clean = RUNNER.run_clean(Trial(plate, Push((float(x), y), 0.0, speed=0.05), RIGID))
+    push = Push((float(x), y), 0.0, speed=0.05)
+    assert push.fingertip(plate.shape).height == pytest.approx(5e-4)
+    clean = RUNNER.run_clean(Trial(plate, push, RIGID))
     assert clean.ok and clean.reason == ""
     drawn = draw_sensing(clean, preset("ideal"), 0)
     predicted = predicted_wrenches(plate.shape, plate.truth, [drawn])[0]

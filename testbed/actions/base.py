@@ -1,6 +1,7 @@
 """Actions: motions of the object, not how the robot makes them. Angles in rad, SI units, object frame.
 
-A new action is a module with a subclass of `Action` (or of `TableAction`), and its name in `testbed.actions`.
+A new action is a module with a subclass of `TableAction`, `Push` or `Action`, and its name in `testbed.actions`:
+simulation, robot, importers, planners and figures ask it for its path, its hand and its fingertip.
 """
 
 from __future__ import annotations

@@ -143,6 +143,10 @@ class Push(Action, kind="push"):
         start = np.array(self.point) + self.radius * self.face(shape).normal
         return start + chord[:, None] * np.column_stack([np.cos(heading), np.sin(heading)])
 
+    def headings(self, distance: Float[np.ndarray, "N"]) -> Float[np.ndarray, "N"]:
+        """Directions of travel [rad], object frame as the object lay, at distances from the path's start [m]."""
+        return self.direction + self.curvature * np.maximum(np.asarray(distance, dtype=float) - GAP, 0.0)
+
     def centered_pose(
         self, shape: ObjectShape, step: float, shift: tuple[float, float, float] = (0.0, 0.0, 0.0)
     ) -> Float[np.ndarray, "3"]:
@@ -172,7 +176,7 @@ class Push(Action, kind="push"):
             return level(np.column_stack([at, np.zeros(len(at))]))
 
         def slope(parameter: np.ndarray) -> np.ndarray:
-            heading = start[2] + self.direction + self.curvature * np.maximum(parameter * length - GAP, 0.0)
+            heading = start[2] + self.headings(parameter * length)
             return level(length * np.column_stack([np.cos(heading), np.sin(heading), 0.0 * heading]))
 
         knots = np.linspace(0.0, 1.0, self._stretches(profile) + 1)

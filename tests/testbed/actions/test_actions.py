@@ -4,32 +4,20 @@ from __future__ import annotations
 
 import json
 import math
-from dataclasses import dataclass
-from typing import ClassVar, cast
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from estimators.action_selection.cost import RobotTime
-from estimators.identifiability.predicted import predicted_windows
-from estimators.testing.analytic_world import analytic_trial
-from testbed.actions import base
 from testbed.actions.accelerate import Accelerate
-from testbed.actions.base import Action, ActionWords, TableAction, action_from_dict
+from testbed.actions.base import Action, action_from_dict
 from testbed.actions.lift import Lift
-from testbed.actions.path import Steady
 from testbed.actions.rotate import Rotate
 from testbed.actions.slide import Slide
 from testbed.actions.weigh import Weigh
 from testbed.errors import InvalidValueError
 from testbed.objects.files import load_object
-from testbed.objects.model import ObjectShape
-from testbed.sensing.presets import preset
-from testbed.sensing.windows import steady_windows
-from testbed.simulation.motion import plan_motion
-from testbed.simulation.settings import SimulationSettings
 
 GRASP = st.integers(0, 20)
 POSITIVE = st.floats(1e-6, 1e3)
@@ -144,35 +132,3 @@ def test_an_action_is_a_sentence():
     assert Slide(0).describe(shape) == f"slide at {name}, towards 0 deg"
     assert Lift(0).describe(shape) == f"lift at {name}, 6 swings, held 2 s"
     assert (Weigh().describe(shape), Slide(99).describe(shape)) == ("weigh", "slide at grasp 99, towards 0 deg")
-
-
-def test_a_new_action_is_one_class(monkeypatch):
-    """Its path, its motion in the simulation, its windows before and after, its time and its file follow from it."""
-    monkeypatch.setattr(base, "KINDS", dict(base.KINDS))
-
-    @dataclass(frozen=True)
-    class SpeedUp(TableAction, kind="speed_up"):
-        """A turn at one speed, then at twice that speed."""
-
-        turns: ClassVar[bool] = True
-        speed: float = 0.2
-
-        @property
-        def steady(self) -> tuple[Steady, ...]:
-            return Steady(self.speed, 0.0, 1.5), Steady(2 * self.speed, 0.0, 1.5)
-
-        def words(self, shape: ObjectShape) -> ActionWords:
-            return ActionWords("speed up")
-
-    action, model = SpeedUp(1), load_object("L2")
-    assert action_from_dict(action.to_dict()) == action
-    assert action.describe(model.shape) == f"speed up at {model.shape.grasps[1].name}"
-    profile = action.profile(0.01)
-    assert set(profile.segment) == {-1, 0, 1} and profile.duration == pytest.approx(action.seconds) == 4.6
-    motion = plan_motion(action, model.shape, SimulationSettings())
-    assert set(motion.segment) == {-1, 0, 1}
-    record = analytic_trial(model, cast("Rotate", action))
-    assert [w.twist[2] for w in steady_windows(record)] == pytest.approx([0.2, 0.4], rel=1e-6)
-    predicted = predicted_windows(model.shape, [action], preset("ft300s"))
-    assert predicted is not None and predicted.twist[:, 2].tolist() == [0.2, 0.4]
-    assert RobotTime().of(action) == pytest.approx(RobotTime().around + 4.6)

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 _MARK = b"heft-sha256:"
+_POINTER = b"version https://git-lfs"
 _PART = re.compile(r"\..+\.\d+\.part")
 UNSEALED = _MARK.decode() + "0" * 64
 """Place for the checksum in what `write_sealed` is given to write: a field, an entry of metadata, a comment."""
@@ -148,6 +149,19 @@ def read_file(path: Path, most: int = MOST_BYTES) -> bytes:
             size = f"{found.st_size / 2**20:.0f} MiB, more than the {most / 2**20:g} that are read"
             raise OSError(errno.EFBIG, size, str(path))
         return file.read(most)
+
+
+def refuse_pointer(path: Path, field: str) -> None:
+    """Refuse a file that stands for another in a repository.
+
+    Raises:
+        InvalidValueError: a pointer of Git LFS.
+    """
+    with path.open("rb") as file:
+        if file.read(len(_POINTER)) == _POINTER:
+            raise InvalidValueError(
+                field, str(path), "the file itself, not its Git LFS pointer; `git lfs pull` gets it"
+            )
 
 
 def load_sealed(path: Path, what: str, parse: Callable[[bytes], T]) -> T:

@@ -244,7 +244,7 @@ def _cells(parts: list[Part], cell: float, low: Float[np.ndarray, "2"], high: Fl
     """
     count = np.ceil((high - low) / cell - 1e-3).astype(int)  # a length of whole cells needs no cell more
     if count.prod() > _MOST_CELLS:
-        allowed = f"at most {_MOST_CELLS} cells; take a larger cell_m, and meshes in metres"
+        allowed = f"at most {_MOST_CELLS} cells; take larger ones, and check the unit of the mesh"
         raise InvalidValueError("mesh.cell_m", f"{count[0]} x {count[1]} cells of {cell:g} m", allowed)
     ticks = [(high[k] + low[k]) / 2 + (np.arange(count[k]) - (count[k] - 1) / 2) * cell for k in (0, 1)]
     centres = np.stack(np.meshgrid(*ticks, indexing="ij"), axis=-1).reshape(-1, 2)

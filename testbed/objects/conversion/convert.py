@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -25,7 +26,9 @@ from testbed.toml import toml_text
 CELLS = 150
 """Cells into which an object is cut, about."""
 CELL = (0.001, 0.01)
-"""Least and greatest cell [m]."""
+"""Least and greatest cell of an object whose grid has at most `MOST` cells [m]."""
+MOST = 3000
+"""Greatest number of cells of the grid about an object."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,6 +131,8 @@ def convert_mesh(
     told.append(f"rests on {len(pose.contacts)} points")
     if cell is None:
         cell = float(np.clip(np.sqrt(whole.project().area() / CELLS), *CELL))
+        low, high = np.reshape(whole.bounding_box(), (2, 3))
+        cell = max(cell, math.sqrt(np.prod(high[:2] - low[:2]) / MOST))  # a large object has larger ones
         cell = round(cell * 2000) / 2000 or CELL[0]
     places, _, refused = propose_grasps(whole, joined(shapes), as_mesh(whole).center_mass[:2], most_grasps)
     if not places:

@@ -16,6 +16,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
 from testbed.errors import InvalidValueError
+from testbed.files import refuse_pointer
 from testbed.objects.meshes import manifold
 from testbed.objects.model import TOUCH
 from testbed.parsing.process import ParserError, parsed
@@ -28,6 +29,8 @@ LONGEST, SHORTEST = 2.0, 0.005
 """Longest and shortest object that lies on the table [m]."""
 SMALL = 0.005
 """Part of the volume below which loose bodies are left out, and of the surface below which a colour is no part."""
+MOST_LOST = 0.05
+"""Part of the surface, in pieces that enclose nothing, from which a mesh is refused. Ours."""
 FINENESS = 5e-5
 """Distance within which a surface keeps its place while triangles are saved [m]."""
 SAMPLE = 20_000
@@ -98,6 +101,7 @@ def _load(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray, str | None]:
         raise InvalidValueError("file", path.name, f"a mesh file: {', '.join(FORMATS)}")
     if not path.is_file():
         raise InvalidValueError("file", str(path), "a mesh file; there is none")
+    refuse_pointer(path, "file")
     try:
         with parsed("testbed.parsing.meshes", path.absolute()) as result, np.load(result) as found:
             vertices, faces, labels, unit = (found[name] for name in ("vertices", "faces", "labels", "unit"))
@@ -115,17 +119,17 @@ def _unit(length: float, unit: str | None, said: str | None) -> tuple[float, str
     """Length of the file's unit [m], and how it is known."""
     if unit is not None and unit not in UNITS:
         raise InvalidValueError("units", unit, ", ".join(UNITS))
-    if unit is None and said in UNITS and SHORTEST < length * UNITS[said] < LONGEST:
+    if unit is None and said in UNITS and SHORTEST <= length * UNITS[said] <= LONGEST:
         unit, why = said, "as the file says"
     elif unit is None:
-        likely = [name for name in ("m", "mm") if 0.02 < length * UNITS[name] < LONGEST]
+        likely = [name for name in ("m", "mm") if 0.02 <= length * UNITS[name] <= LONGEST]
         if not likely:
             allowed = f"metres or millimetres of an object of 0.02 to {LONGEST:g} m, or --units"
             raise InvalidValueError("file", f"a longest side of {length:.4g}", allowed)
         unit, why = likely[0], f"taken from its longest side of {length:.4g}"
     else:
         why = "as asked"
-    if not SHORTEST < length * UNITS[unit] < LONGEST:
+    if not SHORTEST <= length * UNITS[unit] <= LONGEST:
         given = f"{length * UNITS[unit]:.4g} m long in {unit}"
         raise InvalidValueError("units", given, f"a length of {SHORTEST:g} to {LONGEST:g} m")
     return UNITS[unit], f"unit {unit}, {why}; {length * UNITS[unit] * 1e3:.0f} mm long"
@@ -137,25 +141,23 @@ def _closed(
     """Closed bodies, the largest first, the body of each triangle (-1 of none), and what was mended."""
     told: list[str] = []
     merged, index = np.unique(np.round(vertices, 8), axis=0, return_inverse=True)
-    index = index.ravel()
-    if len(vertices) > 2 * len(faces):  # every triangle has corners of its own, as in STL
-        vertices, faces, index = merged, index[faces], np.arange(len(merged))
     shells: list[tuple[Manifold, np.ndarray]] = []
-    # bodies that touch share no vertex in most files: merged all at once they would be one
-    edges = np.vstack([faces[:, [0, 1]], faces[:, [1, 2]]])
-    links = coo_array((np.ones(len(edges)), edges.T), shape=(len(vertices), len(vertices)))
-    component = connected_components(links, directed=False)[1][faces[:, 0]]
-    order = np.argsort(component, kind="stable")
+    component, faces = _sewn(faces, index.ravel()), index.ravel()[faces]
+    order, lost_area = np.argsort(component, kind="stable"), 0.0
     for part in np.split(order, np.flatnonzero(np.diff(component[order])) + 1):
-        shell, mended = _shell(merged, index[faces[part]])
+        shell, mended = _shell(merged, faces[part])
         told += [mended] if mended else []
+        lost_area += _area(merged, faces[part]) if shell is None else 0.0
         pieces = shell.decompose() if shell is not None else []
-        middles = merged[index[faces[part]]].mean(axis=1)
+        middles = merged[faces[part]].mean(axis=1)
         near = [KDTree(as_mesh(piece).triangles_center).query(middles)[0] for piece in pieces]
         shells += [(piece, part[np.argmin(near, axis=0) == k]) for k, piece in enumerate(pieces)]
     bodies = sorted(_without_cavities(shells, told), key=lambda body: -body[0].volume())
     if not bodies:
         raise InvalidValueError("file", name, "a mesh that encloses a volume, or nearly does")
+    if (lost_part := lost_area / _area(merged, faces)) > MOST_LOST:
+        given = f"{name}, of which {100 * lost_part:.0f} % of the surface encloses nothing"
+        raise InvalidValueError("file", given, f"at most {100 * MOST_LOST:g} %; close its pieces, or join their seams")
     volumes = np.array([body.volume() for body, _ in bodies])
     hull = Manifold.batch_hull([body for body, _ in bodies[: int((volumes >= SMALL * volumes.sum()).sum())]])
     # a small body that stands out may be what the object rests on
@@ -172,6 +174,32 @@ def _closed(
         owner[part] = k
     counts = [f"{n} times {what}" if n > 1 else what for what, n in Counter(told).items()]
     return [body.simplify(FINENESS) for body, _ in bodies], owner, counts
+
+
+def _sewn(faces: Int[np.ndarray, "F 3"], index: Int[np.ndarray, "V"]) -> Int[np.ndarray, "F"]:
+    """Connected piece of each triangle, pieces with open edges at the same place being one.
+
+    Files split corners at hard edges and seams, or give every triangle its own. Closed bodies that touch stay apart.
+
+    Args:
+        faces: vertices of each triangle.
+        index: place of each vertex; equal where vertices lie at the same place.
+    """
+    links = np.vstack([faces[:, [0, 1]], faces[:, [1, 2]]])
+    graph = coo_array((np.ones(len(links)), links.T), shape=(len(index), len(index)))
+    piece = connected_components(graph, directed=False)[1]
+    edges = np.column_stack([np.tile(piece[faces[:, 0]], 3), np.sort(index[_halves(faces)], axis=1)])
+    found, copies = np.unique(edges, axis=0, return_counts=True)
+    open_ = found[copies == 1]
+    pieces, places = int(piece.max()) + 1, int(index.max()) + 1
+    owner, at = np.repeat(open_[:, 0], 2), pieces + open_[:, 1:].ravel()
+    seams = coo_array((np.ones(len(owner)), (owner, at)), shape=(pieces + places,) * 2)
+    return connected_components(seams, directed=False)[1][piece[faces[:, 0]]]
+
+
+def _area(vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]) -> float:
+    a, b, c = vertices[faces].transpose(1, 0, 2)
+    return float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum()) / 2
 
 
 def _stands_out(body: Manifold, hull: Manifold) -> float:

@@ -115,6 +115,43 @@ def test_a_mesh_that_cannot_be_is_refused_in_a_line(change, said: str, tmp_path:
     assert "\n" not in str(error.value)
 
 
+def split(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
+    """The mesh with corners of its own for each flat face, as exporters split it at hard edges."""
+    parts = [trimesh.Trimesh(mesh.vertices, mesh.faces[facet], process=False) for facet in mesh.facets]
+    for part in parts:
+        part.remove_unreferenced_vertices()
+    return trimesh.util.concatenate(parts)  # pyright: ignore[reportReturnType]
+
+
+@pytest.mark.parametrize("kind", ["glb", "ply", "obj"])
+def test_corners_that_are_split_at_hard_edges_are_one_surface(kind: str, tmp_path: Path):
+    whole = mallet(overlap=0.01)
+    surface = read_surface(saved(split(whole), tmp_path / f"m.{kind}"), "m")
+    assert len(split(whole).vertices) == 2 * len(whole.faces) and surface.told[1:] == () and "2 bodies" in surface.told[0]
+    assert_allclose(surface.whole.volume(), read_surface(saved(whole, tmp_path / "whole.ply")).whole.volume())
+
+
+def test_a_surface_that_would_lose_a_large_part_is_refused(tmp_path: Path):
+    whole, sheet = mallet(), trimesh.Trimesh([[0, 0, 0], [0.3, 0, 0], [0, 0.3, 0]], [[0, 1, 2]])
+    with pytest.raises(InvalidValueError, match=r"of which \d+ % of the surface encloses nothing"):
+        read_surface(saved(trimesh.util.concatenate([whole, sheet]), tmp_path / "m.ply"))
+
+
+@pytest.mark.parametrize("kind", ["stl", "obj", "ply", "glb"])
+def test_a_pointer_of_git_lfs_is_named(kind: str, tmp_path: Path):
+    path = tmp_path / f"m.{kind}"
+    path.write_text("version https://git-lfs.github.com/spec/v1\noid sha256:00\nsize 1\n", encoding="ascii")
+    with pytest.raises(InvalidValueError, match="git lfs pull"):
+        read_surface(path)
+
+
+def test_a_large_object_has_cells_that_its_grid_can_hold(tmp_path: Path):
+    made = convert_mesh(saved(trimesh.creation.box((2.0, 1.5, 0.02)), tmp_path / "plate.stl"))
+    assert made.cell > 0.01 and made.model([1.0], 0.5).shape.cell == made.cell
+    with pytest.raises(InvalidValueError, match="check the unit"):
+        convert_mesh(tmp_path / "plate.stl", cell=0.01).model([1.0], 0.5)
+
+
 def test_what_is_open_inside_out_or_doubled_is_mended(tmp_path: Path):
     whole = mallet(overlap=0.01)
     broken = {

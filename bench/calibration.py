@@ -31,7 +31,7 @@ def main() -> None:
     ways = {"eight rests": {}, "slow": {"rest_s": 0.0, "way_s": 20.0}}
     with tempfile.TemporaryDirectory() as folder:
         for name, way in ways.items():
-            found = [calibrate(recorded_poses(*recorded(Path(folder), seed=k, **way))) for k in range(options.draws)]
+            found = [calibrate(recorded_poses(*recorded(Path(folder), seed=k, **way))[0]) for k in range(options.draws)]
             scores = np.abs([off(each) for each in found])
             mount = np.degrees(np.mean([each.sensor_in_hand_std.max() for each in found]))
             mass, centre = (

@@ -106,9 +106,11 @@ def calibrate(
     from testbed.robot.calibration.static_poses import calibrate as fit
     from testbed.robot.calibration.static_poses import in_words
 
-    poses = recorded_poses(log, mapping)
+    poses, left_out = recorded_poses(log, mapping)
     found = fit(poses, gain_error)
     print(f"{len(poses)} poses, misfit {found.misfit:.2g} in place of 1")
+    if left_out:
+        print(f"left out of the wrench: {left_out}")
     for sentence in in_words(found):
         print(sentence)
     save_calibration(out, found, sensor, f"{datetime.now(UTC):%Y-%m-%d}")
@@ -133,6 +135,7 @@ def _summary(log: ImportedLog) -> str:
         f"        {trajectory.time_s[-1]:.1f} s; phases {facts['phases']}; velocity {facts['velocity']}; "
         f"joints {facts['joints']}\n        drift: {facts['drift']}"
         + (f"\n        delay of the wrench: {facts['delay']}" if "delay" in facts else "")
+        + (f"\n        left out of the wrench: {facts['left out']}" if "left out" in facts else "")
     )
 
 

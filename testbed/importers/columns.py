@@ -73,6 +73,7 @@ class SensorMap(Table):
     force: Three | None = None
     torque: Three | None = None
     axes: Literal["sensor", "base"] = "sensor"
+    torque_about: Literal["sensor", "tcp"] = "sensor"
     force_unit: ForceUnit = "N"
     torque_unit: TorqueUnit = "N m"
     calibration: Text | None = None
@@ -198,6 +199,7 @@ class Columns(Table):
     separator: Text = ","
     decimal: Literal[".", ","] = "."
     comment: str = "#"
+    header: bool = True
     longest_gap_s: Positive = 0.1
     time: TimeMap = TimeMap()
     sensor: SensorMap

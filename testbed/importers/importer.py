@@ -106,6 +106,7 @@ def import_trajectory(
             "joints": "as logged" if joints else "not logged: zeros",
             "velocity": "as logged" if velocity else "from the pose",
             "phases": "as mapped" if table.phases else "from the motion",
+            **({"left out": streams.left_out} if streams.left_out else {}),
             **({"delay": str(delay or NO_DELAY)} if table.separate or delay else {}),
         },
         figures={"wrench_delay_s": delay.seconds, "wrench_delay_std_s": delay.std} if delay else {},

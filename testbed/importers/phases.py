@@ -6,6 +6,7 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 from jaxtyping import Float, Int
+from numpy.lib.stride_tricks import sliding_window_view
 from scipy.interpolate import make_interp_spline
 from scipy.ndimage import uniform_filter1d
 from scipy.spatial.transform import Rotation, Slerp
@@ -41,6 +42,18 @@ SHORTEST_TARE = 0.3
 """Shortest tare [s]."""
 _LONGEST_EQUAL = 0.5
 """Time for which a component of a moved sensor may stay exactly the same [s]."""
+COMPONENTS = ("fx", "fy", "fz", "tx", "ty", "tz")
+SPIKE = 20.0
+"""Distance of a spike from the samples beside it, over the standard deviation of such distances, and over the change
+from before it to after it. Ours."""
+SMALLEST_SPIKE = np.repeat([10.0, 1.0], 3)
+"""Least distance of a spike from the samples beside it [N, N m]: more than a fingertip's chatter. Ours."""
+BESIDE = 3
+"""Samples on each side of a spike with which it is compared."""
+MOST_LEFT_OUT = 0.2
+"""Part of the samples from which lost frames and spikes refuse a log. Ours."""
+MOST_NAMED = 3
+"""Spikes of a component that are named by their times."""
 _SMOOTHING = 0.25
 """Time over which motion is averaged [s]."""
 
@@ -56,8 +69,9 @@ def common_base(series: Iterable[Series], longest_gap: float) -> Float[np.ndarra
         gaps = np.diff(one.time_s)
         at = int(np.argmax(gaps))
         if gaps[at] > longest_gap:
+            silent = f"{gaps[at]:.3g}" if gaps[at] > 1.01 * longest_gap else f"{gaps[at]:.6g}"
             raise LogError(
-                f"log: silent for {gaps[at]:.3g} s at {one.time_s[at] - one.time_s[0]:.2f} s; allowed: "
+                f"log: silent for {silent} s at {one.time_s[at] - one.time_s[0]:.2f} s; allowed: "
                 f"{longest_gap:g} s (longest_gap_s): interpolated values would not be measurements"
             )
         begins.append(one.time_s[0])
@@ -66,6 +80,40 @@ def common_base(series: Iterable[Series], longest_gap: float) -> Float[np.ndarra
     if end - begin < 1.0:
         raise LogError(f"log: its columns have {max(end - begin, 0.0):.2f} s in common; allowed: 1 s or more")
     return begin + np.arange(int((end - begin) * RATE + 1e-6) + 1) / RATE
+
+
+def without_faults(wrench: Series) -> tuple[Series, str]:
+    """Wrench without samples that measure nothing, and what was left out, in words; empty where nothing was.
+
+    These are rows of six zeros, which drivers report where a frame is lost, and single spikes: a component far from
+    the medians of `BESIDE` samples before and after it, which agree.
+
+    Raises:
+        LogError: all are zeros, or more than `MOST_LEFT_OUT` of them measure nothing.
+    """
+    time, values = wrench
+    zero = (values == 0).all(axis=1)
+    if zero.all():
+        raise LogError(f"sensor: all {len(zero)} samples are zeros; allowed: a sensor that measures")
+    inside = np.flatnonzero(~zero)
+    spikes = np.zeros(values.shape, dtype=bool)
+    if len(inside) > 2 * BESIDE:
+        near = sliding_window_view(values[inside], 2 * BESIDE + 1, axis=0)
+        before, after = (np.median(side, axis=-1) for side in (near[..., :BESIDE], near[..., BESIDE + 1 :]))
+        off = np.abs(near[..., BESIDE] - (before + after) / 2)
+        limit = np.maximum(SPIKE * 1.4826 * np.median(off, axis=0), SMALLEST_SPIKE)
+        spikes[inside[BESIDE:-BESIDE]] = (off > limit) & (np.abs(after - before) < off / SPIKE)  # no impact: it stays
+    left_out = zero | spikes.any(axis=1)
+    if left_out.mean() > MOST_LEFT_OUT:
+        raise LogError(
+            f"sensor: {left_out.sum()} of {len(zero)} samples are zeros or spikes; allowed: {100 * MOST_LEFT_OUT:g} %"
+        )
+    parts = [f"{zero.sum()} samples of six zeros"] * bool(zero.any())
+    for name, found in zip(COMPONENTS, spikes.T, strict=True):
+        if found.any():
+            times = [f"{t:.2f}" for t in time[found][:MOST_NAMED] - time[0]] + ["..."] * int(found.sum() > MOST_NAMED)
+            parts.append(f"{found.sum()} spike{'s' * int(found.sum() > 1)} of {name} at {', '.join(times)} s")
+    return Series(time[~left_out], values[~left_out]), "; ".join(parts)
 
 
 def check_sensor_alive(wrench: Series, moved: Float[np.ndarray, "2"]) -> None:
@@ -80,7 +128,7 @@ def check_sensor_alive(wrench: Series, moved: Float[np.ndarray, "2"]) -> None:
     """
     inside = (wrench.time_s >= moved[0]) & (wrench.time_s <= moved[1])
     time = wrench.time_s[inside]
-    for name, column in zip(("fx", "fy", "fz", "tx", "ty", "tz"), wrench.values.T, strict=True):
+    for name, column in zip(COMPONENTS, wrench.values.T, strict=True):
         levels = np.unique(column)
         if len(levels) == 1:
             raise LogError(f"sensor: {name} is {column[0]:g} in all samples; allowed: a component that is measured")

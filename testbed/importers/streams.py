@@ -12,12 +12,13 @@ from scipy.spatial.transform import Rotation
 
 from testbed.actions.base import Action
 from testbed.errors import InvalidValueError
+from testbed.files import refuse_pointer
 from testbed.importers.clocks import Delay, wrench_delay
 from testbed.importers.columns import Columns, HandMap, JointMap, PartMap, SensorMap, TimeMap, VelocityMap
 from testbed.importers.logs import LogError, Series, factor, read_all
 from testbed.importers.mapping import Mapping
 from testbed.importers.messages import open_messages
-from testbed.importers.phases import RATE, common_base, resampled, resampled_rotation
+from testbed.importers.phases import RATE, common_base, resampled, resampled_rotation, without_faults
 from testbed.importers.poses import Log, Pose, hand_pose, seen_pose
 from testbed.importers.tables import CsvLog
 from testbed.sensing.camera import PoseStream
@@ -45,6 +46,8 @@ class Streams:
     epoch_s: int
     begin_s: float
     """Time of the first sample that all of them cover [s]."""
+    left_out: str = ""
+    """Samples of the wrench that measured nothing, in words."""
     seen: tuple[Pose, ...] = ()
     """What a camera sees of each link; it may cover less than the rest."""
 
@@ -52,8 +55,8 @@ class Streams:
     def of(cls, source: Log, table: Mapping, folder: Path) -> Streams:
         """All streams of a log; all their errors at once. `folder` is the mapping's."""
         other = sensor_log(source, table, folder)
-        wrench, pose, joints, velocity, seen = read_all(
-            lambda: read_wrench(other, table.sensor, table.time),
+        (wrench, left_out), pose, joints, velocity, seen = read_all(
+            lambda: without_faults(read_wrench(other, table.sensor, table.time)),
             lambda: hand_pose(source, table.hand, table.time, folder),
             lambda: _joints(source, table.joints, table.time) if table.joints else None,
             lambda: _velocity(source, table.velocity, table.time) if table.velocity else None,
@@ -61,8 +64,11 @@ class Streams:
         )
         wrench = wrench._replace(time_s=wrench.time_s + (other.epoch_s - source.epoch_s))
         wrench = in_sensor_axes(wrench, pose, table.sensor)
+        if table.sensor.torque_about == "tcp":
+            lever = np.cross(table.tool.tcp_m, wrench.values[:, :3])
+            wrench = wrench._replace(values=wrench.values + np.hstack([np.zeros_like(lever), lever]))
         begin = max(one.time_s[0] for one in (wrench, pose[0], joints, velocity) if one is not None)
-        return cls(wrench, pose, joints, velocity, source.epoch_s, float(begin), seen)
+        return cls(wrench, pose, joints, velocity, source.epoch_s, float(begin), left_out, seen)
 
     def within(self, from_s: float, to_s: float | None) -> Streams:
         """The same from one time to another after the first sample; None is the end.
@@ -150,6 +156,9 @@ def open_log(path: Path, table: Columns) -> Log:
         InvalidValueError: a suffix that is none of a log's, or no such file.
         LogError: a file that cannot be read.
     """
+    for file in sorted(path.iterdir()) if path.is_dir() else [path]:
+        if file.is_file():
+            refuse_pointer(file, "log")
     if path.is_dir():
         return open_messages(path)
     if not path.is_file():
@@ -220,7 +229,7 @@ def _joints(log: Log, joints: JointMap, time: TimeMap) -> Series:
         given = f"a joint at {turns:.3g} turns, in {joints.unit}"
         allowed = f"at most {MOST_TURNS:g} turns; is joints.unit another, or the column no angle?"
         raise InvalidValueError("joints.position", given, allowed, file=log.path)
-    return Series(stamps, values * factor("angle", joints.unit))
+    return Series(stamps, np.unwrap(values * factor("angle", joints.unit), axis=0))
 
 
 def _velocity(log: Log, velocity: VelocityMap, time: TimeMap) -> Series:

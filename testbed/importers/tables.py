@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+from codecs import BOM_UTF16_BE, BOM_UTF16_LE
 from collections.abc import Sequence
 from functools import partial
 from io import StringIO
@@ -16,6 +18,8 @@ from testbed.importers.logs import LogError, Series, factor, in_order, read_all,
 
 MOST_LETTERS = 2**17
 """Longest line of a table that is read."""
+SEPARATORS = ("\t", ";", ",")
+"""Characters that separate columns in most tables."""
 _SECOND = 1_000_000_000
 
 
@@ -26,18 +30,26 @@ class CsvLog:
         self.path, self._decimal = path, mapping.decimal
         self.epoch_s = 0  # dates count from the second of the first; numbers from where the log says
         try:
-            lines = path.read_text(encoding="utf-8-sig").split("\n")
+            lines = _decoded(path).split("\n")
             _check_lines(path, lines)
             kept = [i for i, line in enumerate(lines) if not (mapping.comment and line.startswith(mapping.comment))]
+            head, sought = lines[kept[0]] if kept else "", mapping.separator
+            if sought not in head and (other := max(SEPARATORS, key=head.count)) in head:
+                allowed = f"the table's own, as separator = {json.dumps(other)} in the mapping"
+                raise LogError(f"{path}: its first line has no separator {json.dumps(sought)}; allowed: {allowed}")
             text = StringIO("\n".join(lines[i] for i in kept))
             table = pd.read_csv(
                 text, sep=mapping.separator, dtype=str, header=None, skipinitialspace=True, skip_blank_lines=False
             )
         except (OSError, ValueError) as error:
             raise LogError(f"{path}: cannot be read as a table: {str(error).strip()}") from None
-        self._lines = np.array(kept[1 : len(table)]) + 1
-        self._names = [str(name).strip() for name in table.iloc[0]]
-        self._table = table[1:]
+        first = [str(name).strip() for name in table.iloc[0]]
+        if mapping.header and not np.isnan(pd.to_numeric(table.iloc[0], errors="coerce")).any():
+            allowed = "names of the columns, or header = false in the mapping, which names them 1, 2, ..."
+            raise LogError(f"{path}: no header: line {kept[0] + 1} holds numbers alone; allowed: {allowed}")
+        self._names = first if mapping.header else [str(column) for column in range(1, len(first) + 1)]
+        self._lines = np.array(kept[mapping.header : len(table)]) + 1
+        self._table = table[int(mapping.header) :]
 
     def type_of(self, field: str, topic: str | None) -> str:
         """Empty: a table has no messages.
@@ -106,6 +118,20 @@ class CsvLog:
             at = int(wrong[0])
             got = f"{self.path}: line {self._lines[at]}: {name}: got {short(cells.iloc[at])}"
             raise LogError(f"{got}; allowed: {allowed}, or blank")
+
+
+def _decoded(path: Path) -> str:
+    """Text of a table: UTF-8, or UTF-16 with its mark, as Excel's "Unicode text"."""
+    data = path.read_bytes()
+    coding = "UTF-16" if data[:2] in (BOM_UTF16_LE, BOM_UTF16_BE) else "UTF-8"
+    try:
+        return data.decode(coding).removeprefix("\ufeff").replace("\r\n", "\n")
+    except UnicodeDecodeError as error:
+        line = data[: error.start].count(b"\n") + 1
+        raise LogError(
+            f"{path}: line {line}: byte 0x{data[error.start]:02x} is not {coding}; save the table as UTF-8 "
+            '(in Excel: "CSV UTF-8")'
+        ) from None
 
 
 def _check_lines(path: Path, lines: Sequence[str]) -> None:

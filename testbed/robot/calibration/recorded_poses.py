@@ -8,9 +8,10 @@ import numpy as np
 from scipy.ndimage import binary_erosion
 from scipy.spatial.transform import Rotation
 
+from testbed.errors import InvalidValueError
 from testbed.importers.columns import Columns
 from testbed.importers.logs import LogError, read_all
-from testbed.importers.phases import RATE, common_base, resampled, resampled_rotation, runs
+from testbed.importers.phases import RATE, common_base, resampled, resampled_rotation, runs, without_faults
 from testbed.importers.poses import hand_pose
 from testbed.importers.streams import in_sensor_axes, open_log, read_wrench, sensor_log
 from testbed.robot.calibration.static_poses import StaticPose
@@ -27,15 +28,19 @@ SETTLED_S = 0.15
 """Time beyond WITHIN_S / 2 that is left out after a motion, and before the next [s]."""
 SHORTEST_S = 1.0
 """Shortest rest that is a pose [s]."""
+MEASURED = 5
+"""Least number of samples of a stream within `SHORTEST_S`."""
 FEWEST = 6
 """Number of rests below which slow motion counts too."""
 
 
-def recorded_poses(log: Path, mapping: Path) -> list[StaticPose]:
-    """Static poses of a recording, by a mapping file's [time], [sensor] and [hand]; its sign and mount do not count.
+def recorded_poses(log: Path, mapping: Path) -> tuple[list[StaticPose], str]:
+    """Static poses of a recording, and the samples that measured nothing, in words.
+
+    Of the mapping file [time], [sensor] and [hand] are read; the sensor's sign and mount do not count.
 
     Each rest of a second or more is a pose. With fewer than six rests, so is each half second of slow motion, whose
-    scatter is taken about a parabola.
+    scatter is taken about a parabola. A pose has `MEASURED` samples of the sensor or more, and of the hand.
 
     Raises:
         InvalidFileError: the mapping does not fit its schema; one line per error.
@@ -43,10 +48,13 @@ def recorded_poses(log: Path, mapping: Path) -> list[StaticPose]:
         LogError: invalid numbers or times, or too few poses; the message says what to record.
     """
     table = load_toml(mapping, Columns)
+    if table.sensor.torque_about != "sensor":
+        allowed = "sensor: a calibration finds the tool about the sensor, and knows no TCP"
+        raise InvalidValueError("sensor.torque_about", table.sensor.torque_about, allowed, file=mapping)
     source = open_log(log, table)
     other = sensor_log(source, table, mapping.parent)
-    wrench, pose = read_all(
-        lambda: read_wrench(other, table.sensor, table.time),
+    (wrench, left_out), pose = read_all(
+        lambda: without_faults(read_wrench(other, table.sensor, table.time)),
         lambda: hand_pose(source, table.hand, table.time, mapping.parent),
     )
     wrench = wrench._replace(time_s=wrench.time_s + (other.epoch_s - source.epoch_s))
@@ -55,19 +63,34 @@ def recorded_poses(log: Path, mapping: Path) -> list[StaticPose]:
     hand, position = resampled_rotation(pose[0].time_s, pose[1], base).as_quat(), resampled(pose[0], base)
     values = resampled(wrench, base)
     turn, way = _motion(hand, position)
-    still = binary_erosion((turn < STILL_TURN) & (way < STILL_WAY), np.ones(2 * round(SETTLED_S * RATE) + 1))
+    margin = np.ones(2 * round(SETTLED_S * RATE) + 1)
+    measured = _measured(wrench.time_s, base) & _measured(pose[0].time_s, base)
+    if not measured.any():
+        every = max(float(np.median(np.diff(times))) for times in (wrench.time_s, pose[0].time_s))
+        raise LogError(f"poses: a sample every {every:.3g} s; allowed: {MEASURED} or more measured in {SHORTEST_S:g} s")
+    still = binary_erosion((turn < STILL_TURN) & (way < STILL_WAY) & measured, margin)
     found = [_pose(hand[run], values[run], 0) for run in runs(still) if len(run) >= SHORTEST_S * RATE]
     if len(found) >= FEWEST:
-        return found
+        return found, left_out
     size = round(WITHIN_S * RATE)
-    slow = [run[i : i + size] for run in runs((turn < SLOW_TURN) & (way < SLOW_WAY)) for i in range(0, len(run), size)]
+    slow = [
+        run[i : i + size]
+        for run in runs((turn < SLOW_TURN) & (way < SLOW_WAY) & measured)
+        for i in range(0, len(run), size)
+    ]
     moving = [_pose(hand[run], values[run], 2) for run in slow if len(run) == size]
     if len(moving) < FEWEST:
         raise LogError(
             f"poses: {len(found)} rests of {SHORTEST_S:g} s and {len(moving)} half seconds of slow motion; allowed: "
             f"{FEWEST} or more, each tilted another way"
         )
-    return moving
+    return moving, left_out
+
+
+def _measured(time: np.ndarray, base: np.ndarray) -> np.ndarray:
+    """True at times about which enough samples were measured, not interpolated."""
+    first, last = (np.searchsorted(time, base + side * SHORTEST_S / 2) for side in (-1, 1))
+    return last - first >= MEASURED
 
 
 def _motion(hand: np.ndarray, position: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -40,6 +40,10 @@ from testbed.validation import (
 Sign = Literal[1, -1]
 TELLING = 25.0
 """Difference of squared misfit that settles the sign: five standard deviations."""
+HANDED = 0.2
+"""Residual of the forces' directions, from 0 to 1, that settles the sign by the forces alone. Ours."""
+FARTHEST = 0.5
+"""Greatest distance of a tool's center of mass from the sensor [m]. Ours."""
 MISFIT = 3.0
 """Squared misfit beyond which something else than noise is at work; 1 is expected."""
 
@@ -161,6 +165,12 @@ def calibrate(poses: Sequence[StaticPose], gain_error: float = 0.0) -> Calibrati
             "tilt the hand by 30 deg or more, about two axes and both ways"
         )
     if 2 * (fits[other].cost - best.cost) < TELLING * max(misfit, 1.0):
+        of_force = sorted(fit.force_left for fit in fits.values())
+        if of_force[0] < HANDED * of_force[1] and of_force[1] > HANDED:
+            raise CalibrationError(
+                "calibration: the force turns with the hand under one sign, and the torque under the other; allowed: "
+                "axes of one handedness; an axis of the force or of the torque is negated, or its frame is left-handed"
+            )
         raise CalibrationError(
             "calibration: the poses do not tell the sensor's sign; add some with the hand level and upside down, "
             "so that gravity is seen along all three of its axes"
@@ -169,6 +179,12 @@ def calibrate(poses: Sequence[StaticPose], gain_error: float = 0.0) -> Calibrati
     mass, com = best.x[3], best.x[4:7] / best.x[3]
     to_com = np.hstack([-com[:, None] / mass, np.eye(3) / mass])
     com_std = np.sqrt(np.diag(to_com @ covariance[3:7, 3:7] @ to_com.T))
+    if (away := float(np.linalg.norm(com))) > FARTHEST:
+        unit = "N mm" if away < 1e3 * FARTHEST else "another"
+        raise CalibrationError(
+            f"calibration: the tool's center of mass comes out {away:.3g} m from the sensor; allowed: {FARTHEST:g} m; "
+            f"is the unit of the torque {unit} (torque_unit)?"
+        )
     std = np.sqrt(np.diag(covariance))
     rotation = best.start * Rotation.from_rotvec(best.x[:3])
     ahead = rotation.as_matrix()[2]
@@ -206,7 +222,10 @@ def _fit(poses: Sequence[StaticPose], sign: int, gain_error: float) -> OptimizeR
     up, wrench, error = (np.array([getattr(p, name) for p in poses]) for name in ("up", "wrench", "standard_error"))
     force, middle = sign * wrench[:, :3], up - up.mean(axis=0)
     # differences are free of the bias: Kabsch for the rotation, then all the rest is linear
-    start = Rotation.align_vectors(middle, force - force.mean(axis=0))[0]
+    about = force - force.mean(axis=0)
+    start, force_left, *_ = Rotation.align_vectors(
+        *(vectors / max(float(np.linalg.norm(vectors)), 1e-12) for vectors in (middle, about))
+    )
     mass = max(float(np.sum(start.apply(force) * middle) / max(np.sum(middle**2), 1e-12) / GRAVITY), 1e-3)
 
     def missed(x: np.ndarray) -> np.ndarray:
@@ -224,7 +243,7 @@ def _fit(poses: Sequence[StaticPose], sign: int, gain_error: float) -> OptimizeR
     lowest[3] = 1e-6  # a negative mass would be the other sign over again
     close = {"xtol": 1e-10, "ftol": 1e-10, "gtol": 1e-10, "max_nfev": 100}
     fit = least_squares(missed, guess, bounds=(lowest, np.inf), x_scale=scale, **close)
-    fit.start = start
+    fit.start, fit.force_left = start, force_left
     return fit
 
 

@@ -44,7 +44,7 @@ FIELDS = {
 def measured(index: int) -> Trajectory:
     """A turn under an FT-300S, as a robot's program might keep it: with joints, a date and the errors of its setup."""
     whole = draw_sensing(BLOCK.clean[index], preset("ft300s"), 0)
-    joints = np.random.default_rng(0).normal(size=(len(whole.time_s), 7))
+    joints = np.random.default_rng(0).normal(0, 0.01, (len(whole.time_s), 7)).cumsum(axis=0)
     recorded = {"runner": "robot", "recorded": "2026-01-01T00:00:00.250+00:00"}
     return replace(whole, joint_position=joints, setup=SetupErrors(gain=0.01, tcp_offset=0.001), provenance=recorded)
 

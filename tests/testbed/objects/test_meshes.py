@@ -326,7 +326,7 @@ def test_the_hand_opens_as_far_as_there_is_room():
         ([SLAB, box((0.02, 0.0005, 0.01), (0.04, 0, 0))], {}, "mesh.parts.1", "'p1 without a particle'"),
         ([box((0.1, 0.02, 0.001))], {"places": across(0.05, 0.01)}, "mesh.grasps.0.at_m", "1.0 mm high.*lower edge"),
         ([BAR], {"contacts": [(0, 0), (0.1, 0), (0.05, 0.1)]}, "mesh.contacts_m.2", "y -0.001 to 0.041 m"),
-        ([box((40, 40, 20))], {}, "mesh.cell_m", "'4000 x 4000 cells of 0\\.01 m'.*meshes in metres"),
+        ([box((40, 40, 20))], {}, "mesh.cell_m", "'4000 x 4000 cells of 0\\.01 m'.*unit of the mesh"),
     ],
 )
 def test_meshes_that_make_no_object_are_refused(meshes, options, field: str, said: str):

@@ -1,0 +1,189 @@
+"""Logs with values that look like data and are none, and tables in the ways that people save them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from numpy.testing import assert_allclose
+
+from estimators.testing.recorded import load_block
+from testbed.errors import HeftError
+from testbed.importers.importer import import_trajectory
+from testbed.importers.logs import LogError, Series
+from testbed.importers.phases import MOST_LEFT_OUT, without_faults
+from testbed.robot.calibration.recorded_poses import recorded_poses
+from testbed.robot.calibration.static_poses import CalibrationError, calibrate
+from testbed.sensing.windows import steady_windows
+from testbed.trajectory import Trajectory
+from tests.fakes.lab_bench import mapping_of, write_csv, write_toml
+from tests.fakes.static_hand import POSES, off, recorded
+
+TURN = load_block("L2-own_weight").trials("ft300s", 0)[-1]
+WRENCH = ["fx", "fy", "fz", "tx", "ty", "tz"]
+
+
+def logged(folder: Path, **changes: object) -> tuple[Path, dict[str, object], pd.DataFrame]:
+    """The turn's table as CSV, its mapping and its values."""
+    path = write_csv(folder / "log.csv", TURN)
+    return path, mapping_of(TURN, joints=None, **changes), pd.read_csv(path)
+
+
+def read(path: Path, mapping: dict[str, object]) -> Trajectory:
+    return import_trajectory(path, write_toml(path.with_name("map.toml"), mapping))
+
+
+def agree(found: Trajectory, within: float = 0.02) -> None:
+    usual = steady_windows(TURN)
+    for mine, theirs in zip(steady_windows(found), usual, strict=True):
+        assert_allclose((mine.wrench - theirs.wrench)[:3], 0, atol=within)
+        assert_allclose((mine.wrench - theirs.wrench)[3:], 0, atol=within / 10)
+
+
+def test_lost_frames_and_spikes_are_left_out_and_named(tmp_path: Path):
+    path, mapping, table = logged(tmp_path)
+    rng, count = np.random.default_rng(0), len(table)
+    lost = rng.choice(count, count // 50, replace=False)
+    table.loc[lost, WRENCH] = 0.0
+    struck = np.setdiff1d(np.arange(600, 900, 60), lost)
+    table.loc[struck, "fx"] += 8.0  # 80 N
+    table.to_csv(path, index=False)
+    found = read(path, mapping)
+    said = found.provenance["left out"]
+    assert f"{len(lost)} samples of six zeros; {len(struck)} spikes of fx at 6.00, " in said
+    agree(found)
+    assert "left out" not in read(write_csv(path, TURN), mapping).provenance
+
+
+def test_more_than_some_lost_frames_or_zeros_alone_are_refused():
+    time, values = np.arange(100) / 100, np.ones((100, 6))
+    values[: round(100 * MOST_LEFT_OUT) + 1] = 0.0
+    with pytest.raises(LogError, match="21 of 100 samples are zeros or spikes; allowed: 20 %"):
+        without_faults(Series(time, values))
+    with pytest.raises(LogError, match="all 100 samples are zeros"):
+        without_faults(Series(time, 0 * values))
+
+
+def test_an_impact_is_no_spike():
+    rng = np.random.default_rng(1)
+    values = rng.normal(0, 0.05, (200, 6))
+    values[100:] += 30.0 * np.exp(-np.arange(100) / 3)[:, None] + 2.0
+    series, said = without_faults(Series(np.arange(200) / 100, values))
+    assert said == "" and len(series.time_s) == 200
+
+
+def test_a_torque_about_the_tcp_is_moved_to_the_sensor(tmp_path: Path):
+    """As a UR reports it, with forces in kgf and torques in N mm here."""
+    path, mapping, table = logged(tmp_path)
+    assert TURN.tool is not None
+    force, torque = 9.80665 * table[WRENCH[:3]].to_numpy(), 1e-3 * table[WRENCH[3:]].to_numpy()
+    table[WRENCH[3:]] = 1e3 * (torque - np.cross(TURN.tool.tcp, force))
+    table.to_csv(path, index=False)
+    sensor = mapping["sensor"]
+    assert isinstance(sensor, dict)
+    agree(read(path, mapping | {"sensor": sensor | {"torque_about": "tcp"}}))
+    with pytest.raises(AssertionError):
+        agree(read(path, mapping))
+
+
+def test_joints_that_wrap_at_a_turn_are_unwrapped(tmp_path: Path):
+    path, _, table = logged(tmp_path)
+    names = [f"j{i}" for i in range(1, 8)]
+    for i, name in enumerate(names):
+        table[name] = (350.0 + 0.06 * (i + 1) * np.arange(len(table))) % 360
+    table.iloc[::2].assign(stamp=table["stamp"].iloc[::2] + 3.0).to_csv(path, index=False)
+    found = read(path, mapping_of(TURN, joints={"position": names, "unit": "deg"}))
+    assert np.abs(np.diff(np.degrees(found.joint_position), axis=0)).max() < 0.5
+
+
+@pytest.mark.parametrize("coding", ["utf-8-sig", "utf-16", "utf-8"])
+def test_tables_are_read_as_people_save_them(coding: str, tmp_path: Path):
+    path, mapping, table = logged(tmp_path)
+    text = table.to_csv(index=False, sep="\t", decimal=",", lineterminator="\r\n")
+    path.write_bytes(text.encode(coding))
+    agree(read(path, mapping | {"separator": "\t", "decimal": ","}))
+    with pytest.raises(HeftError, match=r'has no separator ","; allowed: .* separator = "\\t"'):
+        read(path, mapping)
+
+
+def test_a_table_without_names_has_numbered_columns(tmp_path: Path):
+    path, mapping, table = logged(tmp_path)
+    table.to_csv(path, index=False, header=False)
+    with pytest.raises(HeftError, match=r"no header: line 1 holds numbers alone; allowed: .*header = false"):
+        read(path, mapping)
+    number = {name: str(index) for index, name in enumerate(table, 1)}
+
+    def numbered(value: object) -> object:
+        if isinstance(value, dict):
+            return {key: numbered(each) for key, each in value.items()}
+        if isinstance(value, list):
+            return [numbered(each) for each in value]
+        return number.get(value, value) if isinstance(value, str) else value
+
+    agree(read(path, {k: numbered(v) for k, v in mapping.items()} | {"header": False}))
+
+
+def test_what_cannot_be_read_says_why(tmp_path: Path):
+    path, mapping, table = logged(tmp_path)
+    path.write_bytes(table.rename(columns={"qw": "W\u00e4rme"}).to_csv(index=False).encode("latin-1"))
+    with pytest.raises(HeftError, match=r"line 1: byte 0xe4 is not UTF-8; save the table as UTF-8"):
+        read(path, mapping)
+    path.write_text("version https://git-lfs.github.com/spec/v1\noid sha256:00\nsize 1\n", encoding="ascii")
+    with pytest.raises(HeftError, match="git lfs pull"):
+        read(path, mapping)
+    table.iloc[::10].to_csv(path, index=False)
+    with pytest.raises(HeftError, match=r"silent for 0\.1 s .* allowed: 0\.05 s"):
+        read(path, mapping | {"longest_gap_s": 0.05})
+    slow = table["stamp"].iloc[0] + 1.0002 * (table["stamp"] - table["stamp"].iloc[0])
+    table.assign(stamp=slow).iloc[::10].to_csv(path, index=False)
+    with pytest.raises(HeftError, match=r"silent for 0\.10002 s .* allowed: 0\.1 s"):
+        read(path, mapping | {"longest_gap_s": 0.1})
+
+
+def changed(folder: Path, change) -> tuple[Path, Path]:
+    """Poses of a static hand with a change of their table."""
+    log, mapping = recorded(folder)
+    table = pd.read_csv(log)
+    change(table).to_csv(log, index=False)
+    return log, mapping
+
+
+def columns_of(table: pd.DataFrame, first: str) -> list[str]:
+    return [name for name in table if str(name).startswith(first)]
+
+
+def test_lost_frames_do_not_count_in_a_calibration(tmp_path: Path):
+    def lose(table: pd.DataFrame) -> pd.DataFrame:
+        rows = np.random.default_rng(0).random(len(table)) < 0.05
+        table.loc[rows, [*columns_of(table, "f"), *columns_of(table, "t")[-3:]]] = 0.0
+        return table
+
+    poses, said = recorded_poses(*changed(tmp_path, lose))
+    assert "samples of six zeros" in said and len(poses) == len(POSES)
+    assert np.abs(off(calibrate(poses))).max() < 4
+
+
+def test_rests_that_are_interpolated_are_no_poses(tmp_path: Path):
+    log, mapping = changed(tmp_path, lambda table: table.iloc[::400])
+    text = mapping.read_text(encoding="utf-8")
+    mapping.write_text("longest_gap_s = 60.0\n" + text, encoding="utf-8")
+    with pytest.raises(LogError, match="a sample every 4 s; allowed: 5 or more measured in 1 s"):
+        recorded_poses(log, mapping)
+
+
+@pytest.mark.parametrize("unit", [1e3, 1e2])
+def test_a_tool_that_would_be_metres_away_names_the_unit(unit: float, tmp_path: Path):
+    poses, _ = recorded_poses(*recorded(tmp_path))
+    scale = np.repeat([1.0, unit], 3)
+    far = [type(p)(p.hand, scale * p.wrench, scale * p.standard_error) for p in poses]
+    with pytest.raises(CalibrationError, match=r"\d+\.?\d* m from the sensor; allowed: 0\.5 m; .* \(torque_unit\)"):
+        calibrate(far)
+
+
+def test_axes_of_two_handednesses_are_named(tmp_path: Path):
+    poses, _ = recorded_poses(*recorded(tmp_path))
+    mirrored = [type(p)(p.hand, p.wrench * [1, -1, 1, 1, 1, 1], p.standard_error) for p in poses]
+    with pytest.raises(CalibrationError, match="axes of one handedness"):
+        calibrate(mirrored)

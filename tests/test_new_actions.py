@@ -20,7 +20,7 @@ from scenarios.views.values import wrench_fit
 from testbed.actions import base
 from testbed.actions.base import Action, ActionWords, TableAction, action_from_dict
 from testbed.actions.path import Steady
-from testbed.actions.push import GAP, Push
+from testbed.actions.push import Push
 from testbed.actions.rotate import Rotate
 from testbed.exporters.ros2 import mapping_text, write_mcap
 from testbed.importers.importer import import_trajectory
@@ -72,7 +72,7 @@ class Bend(Push):
     straight: float = 0.03
 
     def path(self, shape: ObjectShape, distance: np.ndarray) -> np.ndarray:
-        along = np.asarray(distance, dtype=float) - GAP - self.straight
+        along = np.asarray(distance, dtype=float) - self.gap - self.straight
         turned, heading = np.maximum(along, 0.0) * self.curvature, self.direction
         corner = np.array(self.point) + self.radius * self.face(shape).normal
         corner = corner + self.straight * np.array([np.cos(heading), np.sin(heading)])
@@ -80,7 +80,7 @@ class Bend(Push):
         return corner + chord[:, None] * np.column_stack([np.cos(heading + turned / 2), np.sin(heading + turned / 2)])
 
     def headings(self, distance: np.ndarray) -> np.ndarray:
-        return self.direction + self.curvature * np.maximum(np.asarray(distance) - GAP - self.straight, 0.0)
+        return self.direction + self.curvature * np.maximum(np.asarray(distance) - self.gap - self.straight, 0.0)
 
     def words(self, shape: ObjectShape) -> ActionWords:
         return ActionWords("bend", manner=f"{self.speed * 100:g} cm/s")

@@ -18,7 +18,7 @@ from estimators.wrench.model import ModelErrors, ParticleModel
 from estimators.wrench.support import least_load, load_map
 from testbed.actions.base import Action
 from testbed.actions.path import RAMP_TIME
-from testbed.actions.push import GAP, Push
+from testbed.actions.push import Push
 from testbed.errors import InvalidValueError
 from testbed.frames import move_wrench, perpendicular, rotate_wrench, rotation_2d, rotation_z
 from testbed.objects.model import GRAVITY, ObjectShape
@@ -103,13 +103,13 @@ def predicted_pushes(
     for (index, push), motion in zip(pushes.items(), drag.motion(shape, list(pushes.values()), STEP), strict=True):
         if len(motion.time_s) < 2:
             continue
-        kept = within_contact(motion.time_s)[:-1]  # each stands for the step after it
+        kept = within_contact(motion.time_s, push.pace)[:-1]  # each stands for the step after it
         camera, met = (
             _stream(motion.time_s, motion.poses, sensing.camera),
-            BEFORE_PUSH + RAMP_TIME / 2 + GAP / push.speed,
+            BEFORE_PUSH + RAMP_TIME / 2 + push.gap / push.speed,
         )
-        within = (BEGIN / 2, float(motion.time_s[-1]))
-        for part, _, seen in stretches(motion.time_s[kept], motion.places[kept], camera, within):
+        within = (push.pace * BEGIN / 2, float(motion.time_s[-1]))
+        for part, _, seen in stretches(motion.time_s[kept], motion.places[kept], camera, within, push.pace):
             begin, end = motion.time_s[kept[part[[0, -1]]]] + met
             found.append(
                 Planned(

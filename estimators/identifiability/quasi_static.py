@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from testbed.actions.path import RAMP_TIME
-from testbed.actions.push import GAP, Push
+from testbed.actions.push import Push
 from testbed.frames import cross_2d, perpendicular, rotation_2d
 from testbed.objects.model import ObjectShape
 
@@ -121,7 +121,7 @@ class Drag:
         """
         lengths = [p.length - p.speed * RAMP_TIME / 2 for p in pushes]
         ways = [
-            p.path(shape, GAP + np.arange(0.0, way, p.speed * step)) for p, way in zip(pushes, lengths, strict=True)
+            p.path(shape, p.gap + np.arange(0.0, way, p.speed * step)) for p, way in zip(pushes, lengths, strict=True)
         ]
         sides = [p.face(shape) for p in pushes]
         normal = np.array([side.normal for side in sides])

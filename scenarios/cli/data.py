@@ -11,9 +11,11 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from scenarios.cli.terminal import open_console
+from testbed.errors import InvalidValueError
 
 if TYPE_CHECKING:
     from scenarios.results.logs import ImportedLog
+    from testbed.trajectory import Trajectory
 
 
 def import_(
@@ -130,13 +132,28 @@ def _summary(log: ImportedLog) -> str:
     trajectory, facts = log.trajectory, log.trajectory.provenance
     why = f": {trajectory.reason}" if trajectory.reason else ""
     action = Recording(log.path, trajectory.action, log.object.name, None).description
+    nothing = _shows_nothing(trajectory)
     return (
         f"{trajectory.status:8}{log.place}: {action}: trial {log.key[:8]}{why}\n"
         f"        {trajectory.time_s[-1]:.1f} s; phases {facts['phases']}; velocity {facts['velocity']}; "
         f"joints {facts['joints']}\n        drift: {facts['drift']}"
         + (f"\n        delay of the wrench: {facts['delay']}" if "delay" in facts else "")
         + (f"\n        left out of the wrench: {facts['left out']}" if "left out" in facts else "")
+        + (f"\n        no estimate uses it: {nothing}" if nothing else "")
     )
+
+
+def _shows_nothing(trajectory: Trajectory) -> str:
+    """Reason why a trial that is data has no window for an estimate; empty if it has one."""
+    from testbed.sensing.push_windows import window_samples
+
+    if not trajectory.ok:
+        return ""
+    try:
+        window_samples(trajectory)
+    except InvalidValueError as error:
+        return f"{error.given}; allowed: {error.allowed}"
+    return ""
 
 
 def estimate(

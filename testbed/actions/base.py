@@ -180,6 +180,11 @@ class Action:
         raise InvalidValueError("action", self, "an action that moves the object")
 
     @property
+    def pace(self) -> float:
+        """Ratio of the times of a fast push, of its contact and its windows, to those of a slow one; else 1."""
+        return 1.0
+
+    @property
     def tilt_acceleration(self) -> float:
         """Angular acceleration by which it rocks in the air [rad/s^2]."""
         return 0.0

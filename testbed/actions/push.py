@@ -27,16 +27,18 @@ from testbed.objects.model import ObjectShape
 from testbed.validation import check_positive_fields, frozen_array, is_number
 
 GAP = 0.01
-"""Way of the fingertip before it meets the face [m]: it moves at its speed by then."""
-SPEEDS = (0.01, 0.05)
-"""Least and greatest speed of a push [m/s]: slower ones stick, and faster ones are not quasi-static."""
+"""Least way of the fingertip before it meets the face [m]."""
+SPEEDS = (0.01, 0.2)
+"""Least and greatest speed of a push [m/s]: slower ones stick, and after faster ones an object slides on."""
 TIP_HEIGHT = 0.008
 """Height over the table of a fingertip's edge, on a peg between the closed fingers [m]: pushed higher up, an object's
 light parts would lift off on one side. A low object is met at half its height."""
 LEAST_LENGTH = 0.03
 """Least length of a push [m]: a shorter one shows nothing before it stops."""
+SLOW = 0.05
+"""Speed of a push up to which its `pace` is 1 [m/s]."""
 LEAST_CONTACT = 1.0
-"""Least time in contact of a push that is data [s]."""
+"""Least time in contact of a push that is data, at a pace of 1 [s]."""
 ON_FACE = 1e-4
 """Greatest distance of a push's point from the outline [m]."""
 _SPACING = 0.01
@@ -90,9 +92,19 @@ class Push(Action, kind="push"):
         return cls((float(x), float(y)), float(direction), float(curvature))
 
     @property
+    def pace(self) -> float:
+        """Ratio of the times of its contact and its windows to those of a slow push, over the same way."""
+        return min(SLOW / self.speed, 1.0)
+
+    @property
+    def gap(self) -> float:
+        """Way of the fingertip before it meets the face [m]: it moves at its speed by then."""
+        return max(GAP, self.speed * RAMP_TIME / 2)
+
+    @property
     def steady(self) -> tuple[Steady, ...]:
         """The stretch at constant speed."""
-        return (Steady(self.speed, 0.0, (GAP + self.length) / self.speed - RAMP_TIME),)
+        return (Steady(self.speed, 0.0, (self.gap + self.length) / self.speed - RAMP_TIME),)
 
     def fingertip(self, shape: ObjectShape) -> Fingertip:
         """Fingertip, low on the object."""
@@ -135,7 +147,7 @@ class Push(Action, kind="push"):
 
     def path(self, shape: ObjectShape, distance: Float[np.ndarray, "N"]) -> Float[np.ndarray, "N 2"]:
         """Center of the fingertip [m], object frame as the object lay, at distances from the path's start [m]."""
-        way = np.asarray(distance, dtype=float) - GAP
+        way = np.asarray(distance, dtype=float) - self.gap
         turned = np.maximum(way, 0.0) * self.curvature / 2
         # a chord of an arc is along its middle, shorter by sin(x) / x
         chord = way * np.sinc(turned / np.pi)
@@ -145,7 +157,7 @@ class Push(Action, kind="push"):
 
     def headings(self, distance: Float[np.ndarray, "N"]) -> Float[np.ndarray, "N"]:
         """Directions of travel [rad], object frame as the object lay, at distances from the path's start [m]."""
-        return self.direction + self.curvature * np.maximum(np.asarray(distance, dtype=float) - GAP, 0.0)
+        return self.direction + self.curvature * np.maximum(np.asarray(distance, dtype=float) - self.gap, 0.0)
 
     def centered_pose(
         self, shape: ObjectShape, step: float, shift: tuple[float, float, float] = (0.0, 0.0, 0.0)

@@ -44,7 +44,8 @@ class CsvLog:
         except (OSError, ValueError) as error:
             raise LogError(f"{path}: cannot be read as a table: {str(error).strip()}") from None
         first = [str(name).strip() for name in table.iloc[0]]
-        if mapping.header and not np.isnan(pd.to_numeric(table.iloc[0], errors="coerce")).any():
+        numbers = np.asarray(pd.to_numeric(table.iloc[0], errors="coerce"), dtype=float)
+        if mapping.header and not np.isnan(numbers).any():
             allowed = "names of the columns, or header = false in the mapping, which names them 1, 2, ..."
             raise LogError(f"{path}: no header: line {kept[0] + 1} holds numbers alone; allowed: {allowed}")
         self._names = first if mapping.header else [str(column) for column in range(1, len(first) + 1)]

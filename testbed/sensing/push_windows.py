@@ -27,9 +27,9 @@ from testbed.sensing.windows import (
 from testbed.trajectory import Phase, Trajectory
 
 WINDOW = 0.4
-"""Least length of a window [s]: the center of rotation moves on meanwhile."""
+"""Least length of a window, at a pace of 1 [s]: the center of rotation moves on meanwhile."""
 BEGIN = 0.3
-"""Time left out after the fingertip has met the object [s]."""
+"""Time left out after the fingertip has met the object, at a pace of 1 [s]."""
 TOUCHING = 0.3
 """Force by which the fingertip touches, over what it takes to push."""
 NOISE = 2.0
@@ -60,12 +60,14 @@ def _reduced(trajectory: Trajectory) -> list[SteadyWindow]:
         raise InvalidValueError("trajectory.camera", None, "poses of the object by a camera: the hand does not hold it")
     contact = touching(trajectory)
     time = trajectory.time_s
-    kept = contact[within_contact(time[contact])]
+    pace = trajectory.action.pace
+    kept = contact[within_contact(time[contact], pace)]
     step = float(np.median(np.diff(time)))
     met, left = float(time[contact[0]]), float(time[contact[-1]])
-    if _count(time[kept]) < 1:
-        raise InvalidValueError("trajectory", f"{len(kept)} samples in contact", f"at least {WINDOW:g} s of them")
-    found = stretches(time[kept], trajectory.tcp_position[kept, :2], camera, (met + BEGIN / 2, left))
+    if _count(time[kept], pace) < 1:
+        allowed = f"{pace * (WINDOW + BEGIN) + TRIM_END:.2g} s or more at this speed"
+        raise InvalidValueError("trajectory", f"{left - met:.2g} s in contact", allowed)
+    found = stretches(time[kept], trajectory.tcp_position[kept, :2], camera, (met + pace * BEGIN / 2, left), pace)
     tared = tare_time(trajectory)
     whole = noise_of_mean(trajectory.wrench_on_object_world[kept], round(BATCH / step))
     windows = []
@@ -104,9 +106,9 @@ def contact_path(shape: ObjectShape, trajectory: Trajectory) -> Float[np.ndarray
     return np.array([face_at(shape, tip)[0].nearest(tip) for tip in tips]).reshape(-1, 2)
 
 
-def within_contact(time: Float[np.ndarray, "N"]) -> Int[np.ndarray, "M"]:
+def within_contact(time: Float[np.ndarray, "N"], pace: float = 1.0) -> Int[np.ndarray, "M"]:
     """Indices of times [s] in contact that count: not as the fingertip meets the object, nor as it leaves."""
-    return np.flatnonzero((time >= time[0] + BEGIN) & (time <= time[-1] - TRIM_END))
+    return np.flatnonzero((time >= time[0] + pace * BEGIN) & (time <= time[-1] - TRIM_END))
 
 
 class Stretch(NamedTuple):
@@ -125,20 +127,22 @@ def stretches(
     place: Float[np.ndarray, "N 2"],
     camera: PoseStream,
     within: tuple[float, float],
+    pace: float = 1.0,
 ) -> list[Stretch]:
-    """Stretches of a push of at least `WINDOW` s; those not seen are left out.
+    """Stretches of a push of at least `WINDOW` s at its pace; those not seen are left out.
 
     Args:
         time: times in contact that count [s].
         place: places of the fingertip then [m], world.
         camera: poses of the object.
         within: times between which its motion is smooth [s].
+        pace: that of the push.
     """
-    count = _count(time)
+    count = _count(time, pace)
     if count < 1:
         return []
     step = float(np.median(np.diff(time)))
-    seen = camera.motion(time, within=within)
+    seen = camera.motion(time, within=within, span=None if pace == 1.0 else pace * SPAN)
     yaw = seen.pose[:, 2]
     into = rotation_2d(-yaw)
     point = np.einsum("nij,nj->ni", into, place - seen.pose[:, :2])
@@ -152,7 +156,7 @@ def stretches(
         if np.isnan(twist[part]).any():  # frames were lost
             continue
         middle = part[len(part) // 2]
-        shared = SPAN / (len(part) * step)
+        shared = pace * SPAN / (len(part) * step)
         motion = {
             "twist": twist[part].mean(axis=0),
             "twists": part_means(twist[part]),
@@ -207,9 +211,9 @@ def touching(trajectory: Trajectory) -> Int[np.ndarray, "N"]:
     return max(runs, key=len)
 
 
-def _count(time: Float[np.ndarray, "N"]) -> int:
+def _count(time: Float[np.ndarray, "N"], pace: float) -> int:
     """Number of windows in times at even steps [s]."""
-    return int(len(time) * float(np.median(np.diff(time))) / WINDOW + 1e-6) if len(time) > 1 else 0
+    return int(len(time) * float(np.median(np.diff(time))) / (pace * WINDOW) + 1e-6) if len(time) > 1 else 0
 
 
 def _errors(

@@ -59,7 +59,8 @@ class Monitor:
         self._shift = _shift_in_space if motion.in_the_air else _shift_on_table
         self._grasped: _PoseInHand | None = None
         self._tip = model.geom("fingertip").id if motion.closed else None
-        self._touched = self._since = 0
+        self._touched, self._least_touched = 0, LEAST_CONTACT * motion.pace * self._rate
+        self._since = 0
         self._saturated = np.zeros(7)
         self._torque = self._speed = self._slip = self._turn = 0.0
         self._status: Status = "ok"
@@ -131,7 +132,7 @@ class Monitor:
 
     def outcome(self) -> Outcome:
         """Outcome so far."""
-        if self._tip is not None and self._status == "ok" and self._touched < LEAST_CONTACT * self._rate:
+        if self._tip is not None and self._status == "ok" and self._touched < self._least_touched:
             self._status = "slipped"
             self._reason = self._reason or f"the fingertip met the object for {self._touched / self._rate:.2f} s alone"
         figures = {

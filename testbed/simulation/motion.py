@@ -161,6 +161,8 @@ class Motion:
     """True while load and tilt are nulled, shape (N,)."""
     in_the_air: bool
     """True if the object leaves the table."""
+    pace: float = 1.0
+    """`Action.pace`."""
     closed: bool = False
     """True if the fingers are closed all along: they push."""
 
@@ -222,4 +224,4 @@ def plan_motion(
         hold(Phase.RELEASE, q[-1], _OPEN_TIME, (-0.05, -0.05))
     joined = map(np.concatenate, zip(*parts, strict=True))
     x, y = action.center(shape)
-    return Motion(q_hover, pose, (x, y), *joined, in_the_air=action.in_air, closed=action.pushes)
+    return Motion(q_hover, pose, (x, y), *joined, in_the_air=action.in_air, pace=action.pace, closed=action.pushes)

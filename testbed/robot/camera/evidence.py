@@ -47,7 +47,7 @@ def seen_doubts(record: Trajectory, shape: ObjectShape) -> Iterator[tuple[Status
         return
     if record.action.pushes:
         touched = contact_of(record)
-        if touched[1] - touched[0] < LEAST_CONTACT:
+        if touched[1] - touched[0] < LEAST_CONTACT * record.action.pace:
             yield "slipped", f"the fingertip met the object for {touched[1] - touched[0]:.2f} s alone"
             return
     if doubt := frame_mismatch(record, shape):

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from estimators.hidden_states.estimator import HiddenStates
 from estimators.identifiability.quasi_static import Drag
@@ -19,7 +20,7 @@ from estimators.wrench.model import ParticleModel
 from testbed.actions.push import Push
 from testbed.errors import InvalidValueError
 from testbed.sensing.camera import CAMERAS, draw_camera
-from testbed.sensing.push_windows import push_windows, touching
+from testbed.sensing.push_windows import WINDOW, push_windows, touching
 from testbed.sensing.windows import wrench_in_object
 
 BLOCKS = drawn_object(3, ["11", "11", "11"])
@@ -83,6 +84,20 @@ def test_masses_from_pushes_without_noise():
     assert found.distribution is not None and found.covariance is not None
     off = np.abs(found.distribution.mass - BLOCKS.truth.mass)
     assert (off < 0.5 * np.sqrt(np.diag(found.covariance))).all()  # shrinkage toward the prior
+
+
+@pytest.mark.parametrize("speed", [0.1, 0.2])
+def test_a_fast_push_has_windows_over_as_long_a_way(speed):
+    push = Push((0.05, -0.01), math.radians(-160), length=0.12, speed=speed, friction=3.0)
+    assert push.pace == pytest.approx(0.05 / speed)
+    trial = analytic_pushes(BLOCKS, [push])[0]
+    windows = push_windows(trial)
+    assert windows and all(np.ptp(w.since_tare) < 2 * WINDOW * push.pace for w in windows)
+    predicted = predicted_wrenches(BLOCKS.shape, BLOCKS.truth, [trial])[0]
+    inside, measured = ~np.isnan(predicted[:, 0]), wrench_in_object(trial)[:, [0, 1, 5]]
+    assert inside.any()
+    off = (predicted - measured)[inside].mean(axis=0)  # a window has one wrench, that of its mean
+    assert (np.abs(off) < [0.03, 0.03, 0.1] * np.abs(measured[inside]).max(axis=0)).all()
 
 
 def test_the_rank_of_q_grows_within_one_push():

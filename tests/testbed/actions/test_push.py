@@ -43,7 +43,7 @@ def test_the_path_meets_the_point_and_bends():
         assert push.grasp is None and "push at" in push.describe(L2)
 
 
-@pytest.mark.parametrize("change", [{"speed": 0.2}, {"length": 0.0}, {"curvature": math.nan}, {"point": (1.0,)}])
+@pytest.mark.parametrize("change", [{"speed": 0.3}, {"length": 0.0}, {"curvature": math.nan}, {"point": (1.0,)}])
 def test_what_is_no_push_is_refused(change):
     with pytest.raises(InvalidValueError):
         Push(**{"point": (0.0, 0.0), "direction": 0.0} | change)

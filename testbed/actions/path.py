@@ -90,8 +90,8 @@ class Profile:
 
 
 def motion_time(stretches: Sequence[Steady]) -> float:
-    """Duration of a path through steady stretches, ramps and pauses included [s]."""
-    return _knots(stretches)[0][-1][0]
+    """Duration of a path through steady stretches, ramps and pauses included [s]; 0 without any."""
+    return _knots(stretches)[0][-1][0] if stretches else 0.0
 
 
 def _knots(stretches: Sequence[Steady]) -> tuple[list[tuple[float, float]], list[tuple[float, float]]]:

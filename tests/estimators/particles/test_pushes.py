@@ -5,7 +5,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.testing import assert_allclose
 
 from estimators.hidden_states.estimator import HiddenStates
 from estimators.identifiability.quasi_static import Drag

@@ -132,3 +132,9 @@ def test_an_action_is_a_sentence():
     assert Slide(0).describe(shape) == f"slide at {name}, towards 0 deg"
     assert Lift(0).describe(shape) == f"lift at {name}, 6 swings, held 2 s"
     assert (Weigh().describe(shape), Slide(99).describe(shape)) == ("weigh", "slide at grasp 99, towards 0 deg")
+
+
+def test_what_does_not_move_takes_no_time():
+    assert Weigh().seconds == 0.0
+    with pytest.raises(InvalidValueError, match="an action that moves the object"):
+        Weigh().tool_path(load_object("L2").shape, np.zeros(3), 0.01)

@@ -46,9 +46,10 @@ def test_between_ticks_a_tool_path_is_that_of_finer_ticks_and_its_rate_is_the_de
     if not action.in_air:  # where every stretch lasts whole ticks
         assert_allclose([path.at(t)[0] for t in times], poses, atol=5e-5)
         assert_allclose([path.at(t)[1] for t in times], rates, atol=3e-3)
-    assert_allclose(path.at(-1.0)[0], path.start) and not path.at(-1.0)[1].any()
-    end, rate = path.at(1e3)
-    assert_allclose(end, path.at(path.duration)[0]) and not rate.any()
+    for time, there in ((-1.0, path.start), (1e3, path.at(path.duration)[0])):
+        pose, rate = path.at(time)
+        assert_allclose(pose, there)
+        assert not rate.any()
     assert path.duration == pytest.approx(action.tool_path(SHAPE, np.zeros(3), 0.01).duration)
 
 

@@ -218,26 +218,31 @@ def _many(results: Sequence[Row]) -> bool:
 
 
 def status(folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DIR")]) -> None:
-    """Say how far a results folder is: trials and estimates done, failures with their reasons.
+    """Say how far a results folder is: trials and estimates done, those that are not ok, failures with their reasons.
 
     Args:
         folder: of a run, finished, running or stopped.
     """
-    from scenarios.results.files import is_held, read_manifest
+    from scenarios.results.files import is_held, read_json, read_manifest
     from testbed.files import unless_damaged
 
     if not (folder / "manifest.json").is_file():
         allowed = "a folder with a manifest.json, as `heft run` and `heft estimate` make it"
         raise InvalidValueError("DIR", str(folder), allowed)
     manifest = unless_damaged(lambda: read_manifest(folder), "the same command writes it again") or {}
-    trials = Counter(path.name for path in folder.glob("trials/*/*") if path.name in ("trial.json", "error.txt"))
-    done = {path.parent for path in folder.glob("estimates/*/result.json")}
-    failed = [path for path in sorted(folder.glob("estimates/*/error.txt")) if path.parent not in done]
+    expected, failed, counts = manifest.get("expected") or {}, [], []
+    for stage, file in (("trials", "trial.json"), ("estimates", "result.json")):
+        done = sorted(folder.glob(f"{stage}/*/{file}"))
+        found = [unless_damaged(lambda path=path: read_json(path), "left out") or {} for path in done]
+        errors = [e for e in sorted(folder.glob(f"{stage}/*/error.txt")) if not (e.parent / file).is_file()]
+        amiss = Counter(str(each.get("status", "ok")).replace("_", " ") for each in found)
+        del amiss["ok"]
+        listed = f" ({', '.join(f'{count} {kind}' for kind, count in amiss.most_common())})" if amiss else ""
+        counts.append(f"{stage}: {_of(len(done), expected.get(stage))}{listed}, {len(errors)} failed")
+        failed = [*errors, *failed]
     print(f"{folder}: {_state(manifest, running=is_held(folder))}")
-    expected = manifest.get("expected") or {}
-    of_trials = f"{_of(trials['trial.json'], expected.get('trials'))}, {trials['error.txt']} failed"
-    print(f"trials: {of_trials}; estimates: {_of(len(done), expected.get('estimates'))}, {len(failed)} failed")
-    for error in [*failed, *sorted(folder.glob("trials/*/error.txt"))][:MOST_LINES]:
+    print("; ".join(counts))
+    for error in failed[:MOST_LINES]:
         lines = error.read_text(encoding="utf-8", errors="replace").strip().splitlines()
         print(f"{error}: {lines[-1].removeprefix(OWN_ERROR) if lines else 'no reason given'}")
 

@@ -294,6 +294,13 @@ def infeasible_row(experiment: InfeasibleExperiment) -> dict[str, Any]:
     return NO_ANSWER | NOT_RUN | labels | nobody | axis_columns(experiment.axes)
 
 
+def _unusable(trials: Sequence[Trajectory]) -> str:
+    """Number of trials that are no data, by status, for the end of a message; empty where all are ok."""
+    amiss = Counter(trial.status for trial in trials if not trial.ok)
+    counts = ", ".join(f"{count} {status}" for status, count in amiss.most_common())
+    return f" (of {len(trials)} trials: {counts})" if counts else ""
+
+
 def judge(
     truth: ObjectModel, answer: Estimate, seen: list[Trajectory], held_out: list[Trajectory], true_support: str | None
 ) -> dict[str, Any]:
@@ -308,7 +315,7 @@ def judge(
         NO_ANSWER
         | {
             "status": answer.status,
-            "message": answer.message,
+            "message": answer.message + (_unusable(seen) if answer.status == "no_data" else ""),
             "assumes": answer.assumes,
             "mpd_of_truth_m": math.nan if best is None else best.end,
             "mpd_open_loop_of_truth_m": math.nan if best is None else best.open_loop,

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import re
+import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -23,7 +25,7 @@ from scenarios.study.estimates import EstimateTask, judge
 from scenarios.study.run import run_scenario
 from testbed.errors import InvalidValueError
 from testbed.objects.files import load_object
-from testbed.objects.model import GRAVITY
+from testbed.objects.model import GRAVITY, ObjectModel
 from testbed.trajectory import Trajectory
 from viz.report.tables import NAD, quantile_table
 from viz.report.terminal import rich_table
@@ -105,7 +107,7 @@ def test_status_counts_what_is_there(swept, capsys, monkeypatch):
     text = capsys.readouterr().out
     assert f"{swept}: finished" in text
     assert "trials: 8 done, 0 failed" in text
-    assert "estimates: 8 done, 0 failed" in text
+    assert re.search(r"estimates: 8 done( \([^)]*\))?, 0 failed", text)
     Store(swept).put_error("0" * 20, "Traceback\nValueError: it broke\n")
     main(["status", str(swept)])
     again = capsys.readouterr().out
@@ -113,6 +115,32 @@ def test_status_counts_what_is_there(swept, capsys, monkeypatch):
     assert "ValueError: it broke" in again
     with pytest.raises(InvalidValueError, match=r"manifest\.json"):
         status(swept / "trials")
+
+
+def weighed(obj: ObjectModel) -> Trajectory:
+    return Trajectory.of_scale(np.full(50, GRAVITY * obj.total_mass), np.arange(50) / 100, {})
+
+
+def test_status_counts_what_is_no_data_or_not_ok(swept, tmp_path, capsys):
+    folder = tmp_path / "run"
+    shutil.copytree(swept, folder)
+    trials, estimates = (sorted(folder.glob(name)) for name in ("trials/*/trial.json", "estimates/*/result.json"))
+    write_json(trials[0], (read_json(trials[0]) or {}) | {"status": "slipped"})
+    for path in estimates:
+        write_json(path, (read_json(path) or {}) | {"status": "ok"})
+    write_json(estimates[0], (read_json(estimates[0]) or {}) | {"status": "no_data"})
+    main(["status", str(folder)])
+    said = capsys.readouterr().out
+    assert "trials: 8 done (1 slipped), 0 failed; estimates: 8 done (1 no data), " in said
+
+
+def test_an_answer_without_data_counts_the_trials_that_are_none():
+    obj = load_object("L2")
+    good = turns(obj, [0, 1])
+    trials = [weighed(obj), good[0], replace(good[1], status="slipped"), replace(good[1], status="fault")]
+    row = judge(obj, Estimate(None, "no_data", "no trajectory"), trials, [], None)
+    assert row["message"] == "no trajectory (of 4 trials: 1 slipped, 1 fault)"
+    assert judge(obj, Estimate(None, "no_data", "none"), trials[:2], [], None)["message"] == "none"
 
 
 def without(file: Path, name: str) -> None:
@@ -181,10 +209,9 @@ def test_an_export_says_what_its_masses_rest_on(finished, copied):
 )
 def test_the_truth_predicts_with_its_own_support(support, rigid, first, predicted):
     obj = load_object("I2")
-    weighing = Trajectory.of_scale(np.full(50, GRAVITY * obj.total_mass), np.arange(50) / 100, {})
     task = EstimateTask(obj, support, {}, (), (), "", "ideal", (0,), "hidden_states", {}, reference=first)
     answer = Estimate(None, "no_data", "nothing")
-    row = judge(obj, answer, [weighing], turns(obj, [0, 3], rigid=rigid), task.true_support)
+    row = judge(obj, answer, [weighed(obj)], turns(obj, [0, 3], rigid=rigid), task.true_support)
     scores = [row["mpd_open_loop_of_truth_m"], row["mpd_turn_of_truth_m"]]
     assert (max(scores) < 1e-4) if predicted else np.isnan(scores).all()
 

@@ -233,7 +233,7 @@ def status(folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="
     expected, failed, counts = manifest.get("expected") or {}, [], []
     for stage, file in (("trials", "trial.json"), ("estimates", "result.json")):
         done = sorted(folder.glob(f"{stage}/*/{file}"))
-        found = [unless_damaged(lambda path=path: read_json(path), "left out") or {} for path in done]
+        found = [unless_damaged(lambda path=path: read_json(path), "of unknown status") or {} for path in done]
         errors = [e for e in sorted(folder.glob(f"{stage}/*/error.txt")) if not (e.parent / file).is_file()]
         amiss = Counter(str(each.get("status", "ok")).replace("_", " ") for each in found)
         del amiss["ok"]

@@ -46,7 +46,7 @@ COMPONENTS = ("fx", "fy", "fz", "tx", "ty", "tz")
 SPIKE = 20.0
 """Distance of a spike from the samples beside it, over the standard deviation of such distances, and over the change
 from before it to after it. Ours."""
-SMALLEST_SPIKE = np.repeat([10.0, 1.0], 3)
+SMALLEST_SPIKE = (10.0, 10.0, 10.0, 1.0, 1.0, 1.0)
 """Least distance of a spike from the samples beside it [N, N m]: more than a fingertip's chatter. Ours."""
 BESIDE = 3
 """Samples on each side of a spike with which it is compared."""
@@ -97,12 +97,12 @@ def without_faults(wrench: Series) -> tuple[Series, str]:
         raise LogError(f"sensor: all {len(zero)} samples are zeros; allowed: a sensor that measures")
     inside = np.flatnonzero(~zero)
     spikes = np.zeros(values.shape, dtype=bool)
-    if len(inside) > 2 * BESIDE:
-        near = sliding_window_view(values[inside], 2 * BESIDE + 1, axis=0)
-        before, after = (np.median(side, axis=-1) for side in (near[..., :BESIDE], near[..., BESIDE + 1 :]))
-        off = np.abs(near[..., BESIDE] - (before + after) / 2)
-        limit = np.maximum(SPIKE * 1.4826 * np.median(off, axis=0), SMALLEST_SPIKE)
-        spikes[inside[BESIDE:-BESIDE]] = (off > limit) & (np.abs(after - before) < off / SPIKE)  # no impact: it stays
+    for k, smallest in enumerate(SMALLEST_SPIKE if len(inside) > 2 * BESIDE else ()):
+        near = sliding_window_view(values[inside, k], 2 * BESIDE + 1)
+        before, after = (np.median(side, axis=1) for side in (near[:, :BESIDE], near[:, BESIDE + 1 :]))
+        off = np.abs(near[:, BESIDE] - (before + after) / 2)
+        limit = max(SPIKE * 1.4826 * float(np.median(off)), smallest)
+        spikes[inside[BESIDE:-BESIDE], k] = (off > limit) & (np.abs(after - before) < off / SPIKE)  # an impact stays
     left_out = zero | spikes.any(axis=1)
     if left_out.mean() > MOST_LEFT_OUT:
         raise LogError(

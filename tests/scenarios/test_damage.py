@@ -119,7 +119,7 @@ def test_what_shows_a_folder_names_what_is_damaged(finished, copied, capsys):
     harmed = [copied / "manifest.json", trial / "trial.json", estimate / "estimate.npz"]
     for path in harmed:
         flip(path)
-    for command, files in (("status", harmed[:1]), ("report", harmed), ("render", harmed[1:2])):
+    for command, files in (("status", harmed[:2]), ("report", harmed), ("render", harmed[1:2])):
         with pytest.warns(DamagedFileWarning) as told:
             main([command, str(copied)])
         assert {str(warning.message).partition(": ")[0] for warning in told} == {str(path) for path in files}

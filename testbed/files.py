@@ -157,11 +157,10 @@ def refuse_pointer(path: Path, field: str) -> None:
     Raises:
         InvalidValueError: a pointer of Git LFS.
     """
-    with path.open("rb") as file:
+    with suppress(OSError), path.open("rb") as file:  # who reads it says why it cannot be read
         if file.read(len(_POINTER)) == _POINTER:
-            raise InvalidValueError(
-                field, str(path), "the file itself, not its Git LFS pointer; `git lfs pull` gets it"
-            )
+            allowed = "the file itself, not its Git LFS pointer; `git lfs pull` gets it"
+            raise InvalidValueError(field, str(path), allowed)
 
 
 def load_sealed(path: Path, what: str, parse: Callable[[bytes], T]) -> T:

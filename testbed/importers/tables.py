@@ -34,7 +34,7 @@ class CsvLog:
             _check_lines(path, lines)
             kept = [i for i, line in enumerate(lines) if not (mapping.comment and line.startswith(mapping.comment))]
             head, sought = lines[kept[0]] if kept else "", mapping.separator
-            if sought not in head and (other := max(SEPARATORS, key=head.count)) in head:
+            if len(sought) == 1 and sought not in head and (other := max(SEPARATORS, key=head.count)) in head:
                 allowed = f"the table's own, as separator = {json.dumps(other)} in the mapping"
                 raise LogError(f"{path}: its first line has no separator {json.dumps(sought)}; allowed: {allowed}")
             text = StringIO("\n".join(lines[i] for i in kept))
@@ -126,7 +126,7 @@ def _decoded(path: Path) -> str:
     data = path.read_bytes()
     coding = "UTF-16" if data[:2] in (BOM_UTF16_LE, BOM_UTF16_BE) else "UTF-8"
     try:
-        return data.decode(coding).removeprefix("\ufeff").replace("\r\n", "\n")
+        return StringIO(data.decode(coding).removeprefix("\ufeff"), newline=None).getvalue()
     except UnicodeDecodeError as error:
         line = data[: error.start].count(b"\n") + 1
         raise LogError(

@@ -75,7 +75,7 @@ def test_an_impact_is_no_spike():
 
 
 def test_a_torque_about_the_tcp_is_moved_to_the_sensor(tmp_path: Path):
-    """As a UR reports it, with forces in kgf and torques in N mm here."""
+    """Torque about the TCP, N mm, as a UR reports it; forces in kgf."""
     path, mapping, table = logged(tmp_path)
     assert TURN.tool is not None
     force, torque = 9.80665 * table[WRENCH[:3]].to_numpy(), 1e-3 * table[WRENCH[3:]].to_numpy()
@@ -106,6 +106,13 @@ def test_tables_are_read_as_people_save_them(coding: str, tmp_path: Path):
     agree(read(path, mapping | {"separator": "\t", "decimal": ","}))
     with pytest.raises(HeftError, match=r'has no separator ","; allowed: .* separator = "\\t"'):
         read(path, mapping)
+
+
+@pytest.mark.parametrize(("end", "separator"), [("\r", "\t"), ("\n", r"\s+"), ("\n", "[\t;]")])
+def test_any_line_end_and_a_pattern_of_separators_are_read(end: str, separator: str, tmp_path: Path):
+    path, mapping, table = logged(tmp_path)
+    path.write_bytes(table.to_csv(index=False, sep="\t", lineterminator=end).encode())
+    agree(read(path, mapping | {"separator": separator}))
 
 
 def test_a_table_without_names_has_numbered_columns(tmp_path: Path):

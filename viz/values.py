@@ -209,13 +209,10 @@ class ActionArrow:
     def of(shape: ObjectShape, action: Action) -> ActionArrow:
         """Arrow along the first part of an action's motion; of a push, along the way to the object."""
         hand = action.hand(shape)[0]
-        begin = action.tool_path(shape, np.zeros(3), 0.01).ways[0].slope(np.zeros(1))[0]
         if not action.turns:
             ends = [-1.0, 0.0] if action.pushes else [0.0, 1.0]
-            return ActionArrow(
-                hand, None, hand + WAY * np.outer(ends, begin[:2] / np.hypot(*begin[:2])), accelerated=False
-            )
-        pivot, speed = action.center(shape), begin[3]
+            return ActionArrow(hand, None, hand + WAY * np.outer(ends, action.heading), accelerated=False)
+        pivot, speed = action.center(shape), action.steady[0].speed
         arm = hand - pivot
         radius, begin = float(np.linalg.norm(arm)), math.atan2(arm[1], arm[0])
         if radius < IN_PLACE:

@@ -86,13 +86,18 @@ class Action:
         return self.on_table and not self.pushes
 
     @property
+    def dragged_steadily(self) -> bool:
+        """True if the pads move the object over the table at constant speed."""
+        return self.dragged and not self.accelerated
+
+    @property
     def steady(self) -> tuple[Steady, ...]:
         """Stretches of constant speed or acceleration over the table, in order."""
         return ()
 
     @property
     def heading(self) -> Float[np.ndarray, "2"]:
-        """Unit vector of a slide's direction, object frame; zero for a turn."""
+        """Unit vector of the direction of a slide, or of a push as it meets the object, object frame; else zero."""
         return np.zeros(2)
 
     @property

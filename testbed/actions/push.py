@@ -102,6 +102,11 @@ class Push(Action, kind="push"):
         return max(GAP, self.speed * RAMP_TIME / 2)
 
     @property
+    def heading(self) -> Float[np.ndarray, "2"]:
+        """Unit vector of the direction of travel as it meets the object, object frame."""
+        return np.array([math.cos(self.direction), math.sin(self.direction)])
+
+    @property
     def steady(self) -> tuple[Steady, ...]:
         """The stretch at constant speed."""
         return (Steady(self.speed, 0.0, (self.gap + self.length) / self.speed - RAMP_TIME),)
@@ -123,8 +128,7 @@ class Push(Action, kind="push"):
         face, away = face_at(shape, np.array(self.point))
         if away > ON_FACE:
             raise InvalidValueError("Push.point", self.point, f"a point of the outline, {away * 1e3:.1f} mm away")
-        heading = np.array([math.cos(self.direction), math.sin(self.direction)])
-        if -face.normal @ heading < math.cos(STEEPEST):
+        if -face.normal @ self.heading < math.cos(STEEPEST):
             within = f"within {math.degrees(STEEPEST):.0f} deg of the normal into the face"
             raise InvalidValueError("Push.direction", self.direction, within)
         return face
@@ -167,8 +171,9 @@ class Push(Action, kind="push"):
         Raises:
             InfeasibleTrialError: it meets no face.
         """
-        count = self._stretches(self.profile(step))
-        middle = self._met(shape, np.array([(count // 2) / count * self.profile(step).length]))[0]
+        profile = self.profile(step)
+        count = self._stretches(profile)
+        middle = self._met(shape, np.array([(count // 2) / count * profile.length]))[0]
         yaw = math.pi / 2 - self.direction - self.curvature * self.length / 2 + shift[2]
         return pose_from_point(np.array(WORKSPACE) + shift[:2], middle, np.array(yaw))
 

@@ -32,7 +32,7 @@ from viz.recordings.trial import log_trial, trial_blueprint
 from viz.report.report import Results, render
 from viz.report.trials import trials_table
 from viz.trials import TrialsView
-from viz.values import TrialView
+from viz.values import ActionArrow, TrialView
 
 LIBRARY = Path(__file__).parents[2] / "scenarios/library/objects"
 BLOCKS = drawn_object(3, ["11", "11", "11"])
@@ -150,6 +150,14 @@ def test_a_recording_of_links_has_hinges_and_joint_angles(drags, tmp_path):
     assert "t/scene/object/link_0/outline" in found
     labels = found["t/scene/object/link_2/cells"].static["Boxes3D:labels"]
     assert all(label.startswith("link 2, ") for label in labels)
+
+
+def test_a_push_that_meets_no_face_is_drawn():
+    """As a mapping or a file of another shape may have it."""
+    push = Push((0.0, 0.0), 0.5)
+    arrow = ActionArrow.of(BLOCKS.shape, push)
+    assert_allclose(arrow.way[-1], push.point)
+    assert_allclose(np.arctan2(*(arrow.way[-1] - arrow.way[0])[::-1]), push.direction)
 
 
 def test_a_recording_of_a_push_has_its_contact_and_direction(pushes, tmp_path):

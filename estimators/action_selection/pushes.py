@@ -51,7 +51,7 @@ class RandomPushes:
             with suppress(InfeasibleTrialError):  # refused about every grasp: what is left is to push
                 if (action := self.before.next(shape, trajectories)) is not None:
                     return action
-            turned = [t.action for t in trajectories if t.ok and t.action.dragged and not t.action.accelerated]
+            turned = [t.action for t in trajectories if t.ok and t.action.dragged_steadily]
             if sees_every_load(shape, turned):
                 return None
         if sum(t.ok for t in made) >= self.pushes:

@@ -81,10 +81,10 @@ class RankDriven:
             if (accelerated + accelerated // len(allowed)) % 2:
                 return action.reversed()
             return action
-        moved = sum(action.dragged and not action.accelerated for action in tried)  # the policy's own, as is `done`
+        moved = sum(action.dragged_steadily for action in tried)  # the policy's own, as is `done`
         grasp = _drawn(allowed, moved, [self.seed, 2])
         if moved >= self.pivots:
-            done = [action for action in good if action.dragged and not action.accelerated]
+            done = [action for action in good if action.dragged_steadily]
             turns = [Rotate(grasp) for grasp in allowed]
             slides = [] if self.back else [Slide(allowed[0]), Slide(allowed[0], np.pi / 2)]
             rank = predicted_rank(shape, done)

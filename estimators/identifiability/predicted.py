@@ -150,7 +150,7 @@ def predicted_drags(
         setup: errors of the setup as stated.
         hinge_friction: torque of friction of each hinge [N m]; a guess if left out.
     """
-    drags = {i: a for i, a in enumerate(actions) if a.dragged and not a.accelerated}
+    drags = {i: a for i, a in enumerate(actions) if a.dragged_steadily}
     found = []
     for (index, drag), motion in zip(
         drags.items(), trailing_motions(shape, mass, friction, list(drags.values()), STEP, hinge_friction), strict=True

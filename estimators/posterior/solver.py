@@ -107,13 +107,13 @@ def solve(measurements: Sequence[Measurement], unknowns: Unknowns, start: Float[
         while True:
             root = torch.linalg.cholesky(inner + (1 + damping) * eye)
             step = -torch.cholesky_solve(gradient[:, None], root)[:, 0]
-            downhill, at = -float(gradient @ step), unknowns.moved(z, step)
+            downhill, at = -float(gradient @ step), unknowns.stepped(z, step)
             moved = off(at)
             least = float(moved @ moved + at @ at)
             bend = least - now + 2 * downhill
             part = min(max(downhill / bend, 0.1), 2.0) if bend > 0 else 1.0
             if abs(part - 1) > 0.1:
-                other = unknowns.moved(z, part * step)
+                other = unknowns.stepped(z, part * step)
                 elsewhere = off(other)
                 if (less := float(elsewhere @ elsewhere + other @ other)) < least:
                     at, moved, least = other, elsewhere, less

@@ -38,7 +38,7 @@ class Block:
         off = (value.clamp(min=SMALLEST).log() if self.positive else value) - self.mean
         return torch.where(self.std > 0, off / self.std, 0.0).flatten()
 
-    def moved(self, z: Float[Tensor, "n"], step: Float[Tensor, "n"]) -> Float[Tensor, "n"]:
+    def stepped(self, z: Float[Tensor, "n"], step: Float[Tensor, "n"]) -> Float[Tensor, "n"]:
         """z after a step that is straight in the parameter itself, also where its logarithm has the prior.
 
         A positive parameter below half of its value falls exponentially.
@@ -103,9 +103,9 @@ class Unknowns:
         """Parameters by name, in their own units."""
         return {name: block.value(z[self.at[name]]) for name, block in self.blocks.items()}
 
-    def moved(self, z: Float[Tensor, "n"], step: Float[Tensor, "n"]) -> Float[Tensor, "n"]:
+    def stepped(self, z: Float[Tensor, "n"], step: Float[Tensor, "n"]) -> Float[Tensor, "n"]:
         """z after a step, straight in the parameters' own units: sums of masses, which are weighed, stay linear."""
-        return torch.cat([block.moved(z[self.at[name]], step[self.at[name]]) for name, block in self.blocks.items()])
+        return torch.cat([block.stepped(z[self.at[name]], step[self.at[name]]) for name, block in self.blocks.items()])
 
     def of(self, names: set[str], z: Float[Tensor, "n"]) -> tuple[Theta, Theta]:
         """Those of the named parameters that are unknown: shared by all trials, and one per trial."""

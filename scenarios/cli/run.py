@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import sys
 import time
-from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
@@ -223,7 +222,7 @@ def status(folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="
     Args:
         folder: of a run, finished, running or stopped.
     """
-    from scenarios.results.files import is_held, read_json, read_manifest
+    from scenarios.results.files import is_held, read_json, read_manifest, tally
     from testbed.files import unless_damaged
 
     if not (folder / "manifest.json").is_file():
@@ -235,9 +234,8 @@ def status(folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="
         done = sorted(folder.glob(f"{stage}/*/{file}"))
         found = [unless_damaged(lambda path=path: read_json(path), "of unknown status") or {} for path in done]
         errors = [e for e in sorted(folder.glob(f"{stage}/*/error.txt")) if not (e.parent / file).is_file()]
-        amiss = Counter(str(each.get("status", "ok")).replace("_", " ") for each in found)
-        del amiss["ok"]
-        listed = f" ({', '.join(f'{count} {kind}' for kind, count in amiss.most_common())})" if amiss else ""
+        amiss = tally(str(each.get("status", "ok")) for each in found)
+        listed = f" ({amiss})" if amiss else ""
         counts.append(f"{stage}: {_of(len(done), expected.get(stage))}{listed}, {len(errors)} failed")
         failed = [*errors, *failed]
     print(f"{folder}: {_state(manifest, running=is_held(folder))}")

@@ -8,7 +8,8 @@ import json
 import os
 import socket
 import stat
-from collections.abc import Iterator, Sequence
+from collections import Counter
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import IO, Any
@@ -65,6 +66,12 @@ def read_json(path: Path) -> dict[str, Any] | None:
         return content
 
     return load_sealed(path, "JSON file", parsed) if os.path.lexists(path) else None
+
+
+def tally(statuses: Iterable[str]) -> str:
+    """Numbers of the statuses that are not ok, in words, the most frequent first; empty where all are."""
+    amiss = Counter(status.replace("_", " ") for status in statuses if status != "ok")
+    return ", ".join(f"{count} {status}" for status, count in amiss.most_common())
 
 
 def read_manifest(folder: Path) -> dict[str, Any] | None:

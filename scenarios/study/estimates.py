@@ -19,6 +19,7 @@ from estimators.evaluation.statistics import axis_columns
 from estimators.registry import build_method, code_of, estimates_many, kind_of
 from estimators.wrench.support import LOADS
 from scenarios.execution.executor import Executor, Failure
+from scenarios.results.files import tally
 from scenarios.results.store import Store, key_of, object_request
 from scenarios.results.trials import sensed_trials
 from scenarios.study.experiment import Experiment, InfeasibleExperiment, Progress, ResultCallback
@@ -296,9 +297,8 @@ def infeasible_row(experiment: InfeasibleExperiment) -> dict[str, Any]:
 
 def _unusable(trials: Sequence[Trajectory]) -> str:
     """Number of trials that are no data, by status, for the end of a message; empty where all are ok."""
-    amiss = Counter(trial.status for trial in trials if not trial.ok)
-    counts = ", ".join(f"{count} {status}" for status, count in amiss.most_common())
-    return f" (of {len(trials)} trials: {counts})" if counts else ""
+    amiss = tally(trial.status for trial in trials)
+    return f" (of {len(trials)} trials: {amiss})" if amiss else ""
 
 
 def judge(

@@ -56,7 +56,7 @@ class Streams:
         """All streams of a log; all their errors at once. `folder` is the mapping's."""
         other = sensor_log(source, table, folder)
         (wrench, left_out), pose, joints, velocity, seen = read_all(
-            lambda: without_faults(read_wrench(other, table.sensor, table.time)),
+            lambda: read_wrench(other, table.sensor, table.time),
             lambda: hand_pose(source, table.hand, table.time, folder),
             lambda: _joints(source, table.joints, table.time) if table.joints else None,
             lambda: _velocity(source, table.velocity, table.time) if table.velocity else None,
@@ -175,12 +175,12 @@ def sensor_log(log: Log, table: Columns, folder: Path) -> Log:
     return log if table.sensor.file is None else open_log(folder / table.sensor.file, table)
 
 
-def read_wrench(log: Log, sensor: SensorMap, time: TimeMap) -> Series:
-    """Wrench of the sensor [N, N m], shape (N, 6).
+def read_wrench(log: Log, sensor: SensorMap, time: TimeMap) -> tuple[Series, str]:
+    """Wrench of the sensor [N, N m], shape (N, 6), and the samples that measured nothing, in words: they are left out.
 
     Raises:
         InvalidValueError: no such column or topic, or nothing says where the wrench is.
-        LogError: values that are no numbers.
+        LogError: values that are no numbers, or too many that measured nothing.
     """
     field = "sensor.force, sensor.torque"
     kind = log.type_of(field, sensor.topic)
@@ -193,7 +193,7 @@ def read_wrench(log: Log, sensor: SensorMap, time: TimeMap) -> Series:
         raise InvalidValueError(field, None, f"columns of the wrench{of}", file=log.path)
     stamps, values = log.series(field, names, sensor.topic, sensor.time or time)
     units = np.repeat([factor("force", sensor.force_unit), factor("torque", sensor.torque_unit)], 3)
-    return Series(stamps, values * units)
+    return without_faults(Series(stamps, values * units))
 
 
 def in_sensor_axes(wrench: Series, pose: Pose, sensor: SensorMap) -> Series:

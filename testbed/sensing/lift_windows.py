@@ -80,10 +80,9 @@ def lift_windows(trajectory: Trajectory) -> list[LiftWindow]:
     Raises:
         InvalidValueError: not a lift, not `ok`, without its settling, or with a stretch too short to trim.
     """
-    if trajectory.action.grasp is None or not (
-        trajectory.action.in_air and trajectory.ok
-    ):  # the others have no such windows
-        raise InvalidValueError("trajectory", f"{trajectory.action}, {trajectory.status}", "a Lift with status ok")
+    action = trajectory.action
+    if action.grasp is None or not (action.in_air and trajectory.ok):  # the others have no such windows
+        raise InvalidValueError("trajectory", f"{action}, {trajectory.status}", "a Lift with status ok")
     tool, tare = trajectory.tool, tare_samples(trajectory)
     if len(tare) < 2 or tool is None:
         raise InvalidValueError("trajectory", "no tare, or no tool", "the record of a whole lift")
@@ -110,7 +109,7 @@ def lift_windows(trajectory: Trajectory) -> list[LiftWindow]:
     for kept, seconds in zip(stretches, lasting, strict=True):
         windows.append(
             LiftWindow(
-                grasp=trajectory.action.grasp,
+                grasp=action.grasp,
                 wrench=wrench[kept].mean(axis=0),
                 covariance=density / seconds,
                 pull=motion[kept, :3].mean(axis=0),

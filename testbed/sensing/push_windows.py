@@ -106,7 +106,7 @@ def contact_path(shape: ObjectShape, trajectory: Trajectory) -> Float[np.ndarray
     return np.array([face_at(shape, tip)[0].nearest(tip) for tip in tips]).reshape(-1, 2)
 
 
-def within_contact(time: Float[np.ndarray, "N"], pace: float = 1.0) -> Int[np.ndarray, "M"]:
+def within_contact(time: Float[np.ndarray, "N"], pace: float) -> Int[np.ndarray, "M"]:
     """Indices of times [s] in contact that count: not as the fingertip meets the object, nor as it leaves."""
     return np.flatnonzero((time >= time[0] + pace * BEGIN) & (time <= time[-1] - TRIM_END))
 
@@ -127,7 +127,7 @@ def stretches(
     place: Float[np.ndarray, "N 2"],
     camera: PoseStream,
     within: tuple[float, float],
-    pace: float = 1.0,
+    pace: float,
 ) -> list[Stretch]:
     """Stretches of a push of at least `WINDOW` s at its pace; those not seen are left out.
 

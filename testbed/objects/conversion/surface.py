@@ -143,11 +143,12 @@ def _closed(
     merged, index = np.unique(np.round(vertices, 8), axis=0, return_inverse=True)
     shells: list[tuple[Manifold, np.ndarray]] = []
     component, faces = _sewn(faces, index.ravel()), index.ravel()[faces]
-    order, lost_area = np.argsort(component, kind="stable"), 0.0
+    area, enclosing = trimesh.triangles.area(merged[faces]), np.zeros(len(faces), dtype=bool)
+    order = np.argsort(component, kind="stable")
     for part in np.split(order, np.flatnonzero(np.diff(component[order])) + 1):
         shell, mended = _shell(merged, faces[part])
         told += [mended] if mended else []
-        lost_area += _area(merged, faces[part]) if shell is None else 0.0
+        enclosing[part] = shell is not None
         pieces = shell.decompose() if shell is not None else []
         middles = merged[faces[part]].mean(axis=1)
         near = [KDTree(as_mesh(piece).triangles_center).query(middles)[0] for piece in pieces]
@@ -155,7 +156,7 @@ def _closed(
     bodies = sorted(_without_cavities(shells, told), key=lambda body: -body[0].volume())
     if not bodies:
         raise InvalidValueError("file", name, "a mesh that encloses a volume, or nearly does")
-    if (lost_part := lost_area / _area(merged, faces)) > MOST_LOST:
+    if (lost_part := area[~enclosing].sum() / area.sum()) > MOST_LOST:
         given = f"{name}, of which {100 * lost_part:.0f} % of the surface encloses nothing"
         raise InvalidValueError("file", given, f"at most {100 * MOST_LOST:g} %; close its pieces, or join their seams")
     volumes = np.array([body.volume() for body, _ in bodies])
@@ -195,11 +196,6 @@ def _sewn(faces: Int[np.ndarray, "F 3"], index: Int[np.ndarray, "V"]) -> Int[np.
     owner, at = np.repeat(open_[:, 0], 2), pieces + open_[:, 1:].ravel()
     seams = coo_array((np.ones(len(owner)), (owner, at)), shape=(pieces + places,) * 2)
     return connected_components(seams, directed=False)[1][piece[faces[:, 0]]]
-
-
-def _area(vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]) -> float:
-    a, b, c = vertices[faces].transpose(1, 0, 2)
-    return float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum()) / 2
 
 
 def _stands_out(body: Manifold, hull: Manifold) -> float:

@@ -70,7 +70,7 @@ def check_motion(shape: ObjectShape, trajectories: Sequence[Trajectory]) -> list
 
 def check_wrenches(trajectories: Iterable[Trajectory]) -> list[Finding]:
     """Findings of `check_trial` on the windows of every slide and turn at constant speed, of trials that ended well."""
-    gripped = [t for t in trajectories if t.action.dragged and not t.action.accelerated]
+    gripped = [t for t in trajectories if t.action.dragged_steadily]
     return [finding for t in gripped for finding in check_trial(None, None, steady_windows(t))]
 
 

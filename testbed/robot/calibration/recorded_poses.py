@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from testbed.errors import InvalidValueError
 from testbed.importers.columns import Columns
 from testbed.importers.logs import LogError, read_all
-from testbed.importers.phases import RATE, common_base, resampled, resampled_rotation, runs, without_faults
+from testbed.importers.phases import RATE, common_base, resampled, resampled_rotation, runs
 from testbed.importers.poses import hand_pose
 from testbed.importers.streams import in_sensor_axes, open_log, read_wrench, sensor_log
 from testbed.robot.calibration.static_poses import StaticPose
@@ -54,7 +54,7 @@ def recorded_poses(log: Path, mapping: Path) -> tuple[list[StaticPose], str]:
     source = open_log(log, table)
     other = sensor_log(source, table, mapping.parent)
     (wrench, left_out), pose = read_all(
-        lambda: without_faults(read_wrench(other, table.sensor, table.time)),
+        lambda: read_wrench(other, table.sensor, table.time),
         lambda: hand_pose(source, table.hand, table.time, mapping.parent),
     )
     wrench = wrench._replace(time_s=wrench.time_s + (other.epoch_s - source.epoch_s))

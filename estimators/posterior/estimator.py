@@ -19,7 +19,6 @@ from estimators.posterior.posterior import Posterior
 from estimators.posterior.priors import priors
 from estimators.posterior.scale import Scale
 from estimators.posterior.solver import Measurement, solve
-from estimators.posterior.unknowns import Block, Unknowns
 from estimators.wrench.model import ModelErrors
 from estimators.wrench.support import ASSUMPTION, ERRORS, SupportModel
 from estimators.wrench.weighing import Weighing
@@ -112,8 +111,7 @@ def posterior_of(
     setup = SetupErrors.largest([trajectories[index].setup for index in {*windows.trial.tolist(), *lifts}])
     unknowns = priors(shape, setup, errors, weight, on_table.trials, partly=other is not None)
     if at is not None:
-        known = {"mass": at.mass, "friction": at.friction}
-        unknowns = Unknowns(unknowns.blocks | {name: Block.known(value) for name, value in known.items()})
+        unknowns = unknowns.given(mass=torch.tensor(at.mass), friction=torch.tensor(at.friction))
     measurements: list[Measurement] = [on_table, Scale(weight, Weighing.of(shape, errors.weight_error, setup))]
     measurements += [InAir.of(shape, trial, each, weight) for trial, each in lifts.items()]
     start = unknowns.start(friction=float(np.clip(windows.drag / (weight * GRAVITY), *PLAUSIBLE)))

@@ -17,7 +17,7 @@ from estimators.base import Estimate
 from estimators.identifiability.report import identifiability, prior_masses
 from estimators.particles.links import HINGE_PRIOR
 from estimators.particles.misfit import UNEXPLAINED, Misfit
-from estimators.posterior.solver import Linearized, Measurement, Optimum, Whitened
+from estimators.posterior.solver import Linearized, Measurement, Optimum, Whitened, solve
 from estimators.posterior.unknowns import SMALLEST, Unknowns
 from estimators.wrench.model import MODEL_PARAMETERS
 from testbed.objects.model import MassDistribution, ObjectShape
@@ -222,14 +222,11 @@ class Posterior:
         rows = sum(torch.linalg.slogdet(block)[1].sum() for found in self._at_optimum for _, block in found.blocks)
         return -float(square + torch.linalg.slogdet(self._precision)[1] + rows) / 2
 
-    def log_evidence_of(self, mass: Float[Tensor, "n_m"]) -> float:
-        """Log evidence were the masses known to be these, kg a particle, by the ratio of their posterior and prior."""
-        where = self.unknowns.at["mass"]
-        z = self.unknowns.blocks["mass"].standardized(mass)
-        covariance, off = self.laplace[where, where], z - self.optimum.z[where]
-        volume = torch.linalg.slogdet(covariance)[1]
-        ratio = z @ z - off @ torch.linalg.solve(covariance, off) - volume
-        return self.log_evidence + float(ratio) / 2
+    def given(self, mass: Float[Tensor, "n_m"]) -> Posterior:
+        """Posterior of the same measurements with known masses, kg a particle; the search starts from this optimum."""
+        unknowns = self.unknowns.given(mass=mass)
+        start = unknowns.start(**self.unknowns.values(self.optimum.z))
+        return Posterior(unknowns, self.measurements, solve(self.measurements, unknowns, start))
 
     @cached_property
     def covariance(self) -> Float[Tensor, "n n"]:

@@ -135,5 +135,5 @@ def _between(
 def _log_evidence(posterior: Posterior, shape: ObjectShape, weight: float) -> float:
     """Log evidence of one material throughout or of any masses, each as likely beforehand."""
     even = torch.full((shape.n_m,), weight / float(shape.particles_per_group.sum()), dtype=torch.float64)
-    each = torch.tensor([posterior.log_evidence, posterior.log_evidence_of(even)])
+    each = torch.tensor([posterior.log_evidence, posterior.given(even).log_evidence])
     return float(torch.logsumexp(each, 0)) - math.log(2)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
@@ -62,10 +61,9 @@ class Block:
         return Block(torch.zeros_like(std), std, by_trial=trials is not None)
 
     @staticmethod
-    def known(value: np.ndarray) -> Block:
+    def known(value: Tensor) -> Block:
         """Parameter without errors."""
-        mean = torch.tensor(value)
-        return Block(mean, torch.zeros_like(mean))
+        return Block(value, torch.zeros_like(value))
 
     @staticmethod
     def log_normal(median: float | Tensor, std: float, count: int) -> Block:
@@ -106,6 +104,10 @@ class Unknowns:
     def stepped(self, z: Float[Tensor, "n"], step: Float[Tensor, "n"]) -> Float[Tensor, "n"]:
         """z after a step, straight in the parameters' own units: sums of masses, which are weighed, stay linear."""
         return torch.cat([block.stepped(z[self.at[name]], step[self.at[name]]) for name, block in self.blocks.items()])
+
+    def given(self, **values: Tensor) -> Unknowns:
+        """The same unknowns, of which some parameters are known."""
+        return Unknowns(self.blocks | {name: Block.known(value) for name, value in values.items()})
 
     def of(self, names: set[str], z: Float[Tensor, "n"]) -> tuple[Theta, Theta]:
         """Those of the named parameters that are unknown: shared by all trials, and one per trial."""

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from estimators.identifiability.report import Identifiability
     from estimators.particles.observe import observe
     from estimators.particles.windows import Observations
+    from estimators.posterior.estimator import Bayes
     from estimators.registry import METHODS, build_method
     from estimators.support_models.estimator import SupportAware
     from estimators.wrench.model import ModelErrors
@@ -34,6 +35,7 @@ __all__ = [
     "METHODS",
     "ActionPolicy",
     "BatchEstimator",
+    "Bayes",
     "CmaEs",
     "DiffLcp",
     "Estimate",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Literal, Protocol, get_args, runtime_checkable
+from typing import TYPE_CHECKING, Literal, Protocol, get_args, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
@@ -16,6 +16,9 @@ from testbed.errors import InvalidValueError
 from testbed.objects.model import MassDistribution, ObjectShape
 from testbed.trajectory import Trajectory
 from testbed.validation import frozen_array, is_number
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 EstimateStatus = Literal[
     "ok", "underdetermined", "unexplained", "not_converged", "contradictory", "no_data", "assumption_violated"
@@ -72,7 +75,7 @@ class Trace:
     """Particle masses at each iteration, kg; (0, 0) where the method has none on its way."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Estimate:
     """Mass and friction with their uncertainty, or the status that says why there is none."""
 
@@ -132,6 +135,41 @@ class Estimate:
     def group_error(self, shape: ObjectShape) -> Float[np.ndarray, "n_m"] | None:
         """Standard error of each group's mass, kg, infinite where nothing is observed; None without a covariance."""
         return None if self.covariance is None else np.sqrt(np.diag(self.covariance)) * shape.particles_per_group
+
+    def friction_error(self) -> Float[np.ndarray, "n_mu"] | None:
+        """Standard error of each friction; None without an answer, NaN where the method gives none."""
+        if self.distribution is None:
+            return None
+        count = len(self.distribution.friction)
+        return np.array([self.diagnostics.get(f"friction_{k}_std", np.nan) for k in range(count)])
+
+    def table(self, shape: ObjectShape) -> pd.DataFrame:
+        """Masses of the groups [kg], then frictions, a row each: value and standard error.
+
+        NaN where the method gives none; no rows without an answer.
+        """
+        import pandas  # noqa: PLC0415  it takes half a second, and few who import an Estimate print one
+
+        if self.distribution is None:
+            return pandas.DataFrame({"value": [], "error": [], "unit": []})
+        friction, errors = self.distribution.friction, (self.group_error(shape), self.friction_error())
+        unknown = (np.full(shape.n_m, np.nan), np.full(shape.n_mu, np.nan))
+        known = [found if given is None else given for given, found in zip(errors, unknown, strict=True)]
+        numbered = ["friction"] if len(friction) == 1 else [f"friction {k}" for k in range(len(friction))]
+        return pandas.DataFrame(
+            {
+                "value": np.concatenate([self.distribution.group_mass(shape), friction]),
+                "error": np.concatenate(known),
+                "unit": ["kg"] * shape.n_m + [""] * len(friction),
+            },
+            index=[*shape.group_names, *numbered],
+        )
+
+    def __repr__(self) -> str:
+        """Status and message; masses are per particle, so `table` prints them per group."""
+        count = 0 if self.distribution is None else len(self.distribution.mass)
+        message = f", {self.message!r}" if self.message else ""
+        return f"Estimate({self.status!r}{message}, {count} groups: table(shape) lists them)"
 
 
 def _checked_covariance(values: ArrayLike) -> np.ndarray:

@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from scenarios.config import Scenario, load_scenario
     from scenarios.results.estimates import load_estimate, load_results, load_trajectories
     from scenarios.study.run import run_scenario
+    from scenarios.views.show import show
 
 
 __all__ = [
@@ -22,6 +23,7 @@ __all__ = [
     "load_trajectories",
     "run_scenario",
     "scenario_names",
+    "show",
 ]
 
 __getattr__, __dir__ = lazy_names(__name__)

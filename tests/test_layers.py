@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parent.parent
-PACKAGES = ("testbed", "estimators", "viz", "scenarios")
+PACKAGES = ("testbed", "estimators", "viz", "scenarios", "heft")
 MODULES = sorted(path for package in PACKAGES for path in (ROOT / package).rglob("*.py"))
 MOST_LINES = 500
 MOST_MODULES = 12

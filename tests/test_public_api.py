@@ -16,6 +16,8 @@ from typing import Any
 
 import pytest
 
+import heft
+
 griffe: Any = pytest.importorskip("griffe", reason="needs the extra docs")
 yaml: Any = pytest.importorskip("yaml", reason="needs the extra docs")
 
@@ -155,8 +157,17 @@ def test_the_documentation_imports_public_names_only():
         if isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[0] in PACKAGES
         for name in node.names
     }
-    assert len(imported) > 40
+    assert len(imported) > 8
     assert sorted(pair for pair in imported if pair[1] not in public) == []
+    used = {
+        (where, node.attr)
+        for where, code in python_of_docs()
+        for node in ast.walk(ast.parse(code))
+        if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) and node.value.id == "heft"
+    }
+    known = {path.rpartition(".")[2] for path in public if path.count(".") == 1} & set(heft.__all__)
+    assert len(used) > 40
+    assert sorted(pair for pair in used if pair[1] not in known) == []
 
 
 @pytest.mark.slow

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
+import heft
 from estimators.testing.recorded import load_block
 from scenarios.cli.main import main
-from testbed import Rotate
 
 COLUMNS = "ms,fx,fy,fz,tx,ty,tz,x_mm,y_mm,z_mm,qw,qx,qy,qz"
 MAPPING = """
@@ -42,7 +42,7 @@ action = {{ kind = "rotate", grasp = {a.grasp}, duration = {a.duration}, pivot =
 
 def write_logs() -> None:
     """Four turns and their mapping, in the current folder."""
-    turns = [t for t in load_block("L2-own_weight").trials("ft300s") if isinstance(t.action, Rotate)]
+    turns = [t for t in load_block("L2-own_weight").trials("ft300s") if isinstance(t.action, heft.Rotate)]
     tool = turns[0].tool
     text = MAPPING.format(tool=tool, com=tool.com.tolist(), inertia=tool.inertia.tolist(), tcp=tool.tcp.tolist())
     for i, turn in enumerate(turns):

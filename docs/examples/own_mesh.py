@@ -4,8 +4,7 @@ from pathlib import Path
 
 import trimesh
 
-from estimators import HiddenStates, normalized_absolute_difference
-from testbed import Rotate, SimulationRunner, Trial, load_object
+import heft
 
 PADDLE = """
 name = "paddle"
@@ -44,14 +43,14 @@ def write_paddle(folder: Path) -> Path:
 
 
 if __name__ == "__main__":
-    paddle = load_object(write_paddle(Path()))
-    trial = Trial(paddle, Rotate(grasp=0, duration=6.0, back=True), sensing="ft300s")
-    with SimulationRunner() as simulation:
+    paddle = heft.load_object(write_paddle(Path()))
+    trial = heft.Trial(paddle, heft.Rotate(grasp=0, duration=6.0, back=True), sensing="ft300s")
+    with heft.SimulationRunner() as simulation:
         trajectory = simulation.run(trial)
-    answer = HiddenStates().estimate(paddle.shape, paddle.total_mass, [trajectory], seed=0)
+    answer = heft.HiddenStates().estimate(paddle.shape, paddle.total_mass, [trajectory], seed=0)
     print(len(paddle.shape.particles), "particles; status", answer.status, answer.message)
     masses = answer.group_mass(paddle.shape)
     for name, found, true in zip(paddle.shape.group_names, masses, paddle.group_mass, strict=True):
         print(f"{name}: {found:.3f} kg, in truth {true:.3f} kg")
-    nad = normalized_absolute_difference(paddle.shape, answer.distribution, paddle.truth)
+    nad = heft.normalized_absolute_difference(paddle.shape, answer.distribution, paddle.truth)
     print(f"friction {answer.distribution.friction[0]:.3f}, NAD {100 * nad:.1f} %")

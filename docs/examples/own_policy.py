@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from testbed import Accelerate, Rotate
+import heft
 
 
 @dataclass(frozen=True)
@@ -20,12 +20,14 @@ class FarthestFirst:
     def next(self, shape, trajectories):
         usable = range(len(shape.grasps)) if self.grasps is None else self.grasps
         if not trajectories:
-            return Accelerate(usable[0])
-        done = [shape.grasps[trial.action.grasp].position for trial in trajectories if isinstance(trial.action, Rotate)]
+            return heft.Accelerate(usable[0])
+        done = [
+            shape.grasps[trial.action.grasp].position for trial in trajectories if isinstance(trial.action, heft.Rotate)
+        ]
         if len(done) == min(self.turns, len(usable)):
             return None
         places = [shape.grasps[grasp].position for grasp in usable]
         gaps = [min((np.hypot(*(place - other)) for other in done), default=np.hypot(*place)) for place in places]
         grasp = usable[int(np.argmax(gaps))]
         beside = tuple(shape.grasps[grasp].position + shape.cell / 2)  # the centre of a turn lies between particles
-        return Rotate(grasp, duration=self.duration, pivot=beside, back=True)
+        return heft.Rotate(grasp, duration=self.duration, pivot=beside, back=True)

@@ -4,11 +4,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from testbed import GRAVITY, OWN_WEIGHT, Accelerate, InfeasibleTrialError, Phase, Rotate, Tool, Trajectory, Weigh
+import heft
 from testbed.frames import cross_2d, perpendicular, rotation_2d
 
 RATE = 100.0
-TOOL = Tool(mass=0.0, com=np.zeros(3), inertia=np.zeros((3, 3)), tcp=np.zeros(3))  # the sensor is in the fingertips
+# the sensor is in the fingertips
+TOOL = heft.Tool(mass=0.0, com=np.zeros(3), inertia=np.zeros((3, 3)), tcp=np.zeros(3))
 
 
 @dataclass(frozen=True)
@@ -26,16 +27,16 @@ class DragSimulator:
 
     def check(self, trial):
         """Optional: refuses an action before any trial; heft finds the usable grasps with it."""
-        if not isinstance(trial.action, Weigh | Rotate | Accelerate):
-            raise InfeasibleTrialError("this simulator weighs and turns, and does nothing else")
+        if not isinstance(trial.action, heft.Weigh | heft.Rotate | heft.Accelerate):
+            raise heft.InfeasibleTrialError("this simulator weighs and turns, and does nothing else")
 
     def run(self, trial):
         self.check(trial)
-        if trial.support != OWN_WEIGHT:
-            raise InfeasibleTrialError("in this simulator every block rests on its own weight")
+        if trial.support != heft.OWN_WEIGHT:
+            raise heft.InfeasibleTrialError("in this simulator every block rests on its own weight")
         obj, action = trial.object, trial.action
         if not action.moves:
-            scale = np.tile([0, 0, obj.total_mass * GRAVITY, 0, 0, 0], (50, 1))
+            scale = np.tile([0, 0, obj.total_mass * heft.GRAVITY, 0, 0, 0], (50, 1))
             return record(action, np.zeros(50, int), scale, np.zeros((50, 3)), np.zeros((50, 2)), None)
         slope, spin, segment = motion(action, round(self.tare * RATE))
         pivot, grasp = action.center(obj.shape), obj.shape.grasps[action.grasp].position
@@ -44,7 +45,7 @@ class DragSimulator:
         way = perpendicular(obj.shape.particles - pivot)
         way /= np.linalg.norm(way, axis=1, keepdims=True) + 1e-12
         friction = np.where(obj.shape.friction_group < 0, 0, obj.truth.friction[obj.shape.friction_group])
-        push = (friction * obj.particle_mass * GRAVITY)[:, None] * way
+        push = (friction * obj.particle_mass * heft.GRAVITY)[:, None] * way
         arm = obj.center_of_mass - pivot
         inertial = obj.total_mass * (slope[:, None] * perpendicular(arm) - spin[:, None] ** 2 * arm)
         force = np.sign(spin)[:, None] * push.sum(axis=0) + inertial
@@ -64,7 +65,7 @@ class DragSimulator:
 
 def motion(action, waits):
     """Angular acceleration, speed and steady stretch at every sample."""
-    if isinstance(action, Accelerate):
+    if isinstance(action, heft.Accelerate):
         steps = [(action.start_speed, slope, action.hold) for slope in action.accelerations]
     else:
         steps = [(speed, 0.0, action.duration) for speed in (action.speed, -action.speed)[: 1 + action.back]]
@@ -80,12 +81,12 @@ def record(action, segment, wrench, pose, hand, tool):
     count = len(segment)
     pose_rate, hand_rate = (np.gradient(where, 1 / RATE, axis=0) for where in (pose, hand))
     still = np.zeros((count, 3))
-    return Trajectory(
+    return heft.Trajectory(
         action=action,
         status="ok",
         reason="",
         time_s=np.arange(count) / RATE,
-        phase=np.where(segment < 0, Phase.TARE, Phase.STEADY),
+        phase=np.where(segment < 0, heft.Phase.TARE, heft.Phase.STEADY),
         segment=segment,
         object_pose=pose,
         object_velocity=pose_rate,

@@ -2,8 +2,7 @@
 
 from pathlib import Path
 
-from estimators import HiddenStates
-from testbed import Push, SimulationRunner, Trial, faces, load_object
+import heft
 
 RECTANGLE = """
 name = "rectangle"
@@ -20,12 +19,12 @@ PARTS = (0.2, 0.8)
 def main() -> None:
     """Push every side of the rectangle twice, straight and along an arc, and print each block's mass."""
     Path("rectangle.toml").write_text(RECTANGLE)
-    obj = load_object("rectangle.toml")
-    pushes = [Push.into(face, part, curvature=2.0) for face in faces(obj.shape) for part in PARTS]
-    with SimulationRunner() as simulation:
-        trials = [Trial(obj, push, sensing="ft300s:camera=exact") for push in pushes]
+    obj = heft.load_object("rectangle.toml")
+    pushes = [heft.Push.into(face, part, curvature=2.0) for face in heft.faces(obj.shape) for part in PARTS]
+    with heft.SimulationRunner() as simulation:
+        trials = [heft.Trial(obj, push, sensing="ft300s:camera=exact") for push in pushes]
         trajectories = [simulation.run(trial) for trial in trials]
-    answer = HiddenStates().estimate(obj.shape, obj.total_mass, trajectories, seed=0)
+    answer = heft.HiddenStates().estimate(obj.shape, obj.total_mass, trajectories, seed=0)
     print(f"{len(pushes)} pushes: {answer.status}")
     masses = answer.group_mass(obj.shape)
     assert masses is not None

@@ -2,9 +2,9 @@
 
 import sys
 
-from scenarios import load_results
+import heft
 
-results = load_results(sys.argv[1])
+results = heft.load_results(sys.argv[1])
 answered = results[results["status"] == "ok"]
 by = ["support", "sensing", "method", "object"]
 print((100 * answered.groupby(by)["nad"].median()).unstack("object").round(1).to_string())

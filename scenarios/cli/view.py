@@ -43,11 +43,9 @@ def view(
         port: of --web, for the page and its data alike; a free one if left out.
     """
     import tempfile
-    import webbrowser
-    from contextlib import suppress
-    from threading import Event
 
     from scenarios.views.pages import page_of
+    from scenarios.views.show import serve
     from viz.recordings import viewer
     from viz.recordings.page import save
 
@@ -61,12 +59,7 @@ def view(
         if not web:
             viewer.open_file(path)
             return
-        with viewer.served(path, port or 0) as address:
-            print(f"viewer: {address}\nCtrl-C ends it", flush=True)
-            if viewer.has_display():
-                webbrowser.open(address)
-            with suppress(KeyboardInterrupt):
-                Event().wait()
+        serve(path, port or 0)
 
 
 def record(

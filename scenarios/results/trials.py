@@ -12,6 +12,7 @@ import numpy as np
 
 from scenarios.results.files import check_unambiguous, inside, read_json
 from scenarios.results.store import Store, object_request
+from testbed.actions.base import Action
 from testbed.actions.rotate import Rotate
 from testbed.errors import HeftError, InvalidValueError
 from testbed.files import DamagedFileError, unless_damaged
@@ -62,13 +63,20 @@ def read_trial(root: Path, beginning: str) -> TrialRecord:
     try:
         request = content["asked"]
         obj = object_of(request["object"], content.get("names") or {})
-        grasp = trajectory.action.grasp
-        opening = STROKE if grasp is None else obj.shape.grasps[grasp].opening or STROKE
-        welded = request.get("simulation", {}).get("grip", {}).get("mode") == "weld"  # the fingers stay open
-        width = opening if grasp is None or welded else obj.shape.grasps[grasp].width
+        width, opening = pads_of(obj.shape, trajectory.action)
+        if request.get("simulation", {}).get("grip", {}).get("mode") == "weld":  # the fingers stay open
+            width = opening
         return TrialRecord(folder, obj, str(request["support"]), trajectory, (width, opening), request)
     except OTHER_FORMAT as error:
         raise DamagedFileError(f"{folder / 'trial.json'}: not a whole trial file: {error!r}") from None
+
+
+def pads_of(shape: ObjectShape, action: Action) -> tuple[float, float]:
+    """Distance between the pads in an action: while they hold the object, and before and after [m]."""
+    if action.grasp is None:
+        return STROKE, STROKE
+    grasp = shape.grasps[action.grasp]
+    return grasp.width, grasp.opening or STROKE
 
 
 def object_of(request: dict[str, Any], names: dict[str, Any]) -> ObjectModel:

@@ -16,14 +16,14 @@ from scenarios.results.files import check_unambiguous, inside
 from scenarios.results.store import Store
 from scenarios.results.trials import kind_of_trial
 from scenarios.study.experiment import Progress
-from scenarios.views.values import estimate_view, fits_of, settings_of, trial_view, typical_trial, view_of
+from scenarios.views.values import estimate_view, fits_of, recorded_view, settings_of, trial_view, typical_trial
 from testbed.errors import HeftError, InvalidValueError, nearest
 from viz.recordings.comparison import comparison_blueprint, log_comparison
 from viz.recordings.estimate import estimate_blueprint, log_estimate
 from viz.recordings.page import ITERATION, SIM_TIME, Page, save, send
 from viz.recordings.trial import fits_blueprint, log_fits, log_trial, trial_blueprint
 from viz.report.lists import worst_of
-from viz.values import EstimateView
+from viz.values import EstimateView, TrialView
 
 MOST_NAMED = 12
 """Objects that an error lists."""
@@ -64,10 +64,14 @@ def page_of(folder: Path, what: str | None) -> Page:
 
 def trial_page(folder: Path, key: str, *, light: bool = False) -> Page:
     """One trial; `light`, with capsules for an arm, at a tenth of the size."""
-    shown = trial_view(folder, key, meshes=not light)
+    return page_of_trial(trial_view(folder, key, meshes=not light), f"trial {key}")
+
+
+def page_of_trial(shown: TrialView, identity: str) -> Page:
+    """Page of a trial's view."""
     return Page(
         shown.title,
-        f"trial {key}",
+        identity,
         lambda stream: log_trial(stream, "trial", shown),
         trial_blueprint("trial", shown),
         SIM_TIME,
@@ -87,7 +91,7 @@ def estimate_page(folder: Path, key: str, *, light: bool = False) -> Page:
     as_sensed = next((trajectory for of, trajectory, _ in explained if of == typical.folder.name), None)
     if as_sensed is not None and not light:
         facts = {"sensing": f"{row['sensing']}, draw {row['seed']}"}
-        trial = view_of(typical, as_sensed, shown.shape, shown.answer, f"{shown.method}'s masses", facts)
+        trial = recorded_view(typical, as_sensed, shown.shape, shown.answer, f"{shown.method}'s masses", facts)
 
     def log(stream: rr.RecordingStream) -> None:
         log_estimate(stream, "estimate", shown)

@@ -18,7 +18,7 @@ from scenarios.results.files import read_manifest
 from scenarios.results.store import Store
 from scenarios.results.trials import TrialRecord, kind_of_trial, read_trial, sensed_trials
 from testbed.errors import InvalidValueError
-from testbed.foot_forces import load_foot_forces
+from testbed.foot_forces import FootForces, load_foot_forces
 from testbed.objects.model import MassDistribution, ObjectModel, ObjectShape
 from testbed.sensing.push_windows import window_samples
 from testbed.sensing.windows import sample_deviation, wrench_in_object
@@ -62,10 +62,10 @@ def trial_view(folder: Path, key: str, *, seed: int = 0, meshes: bool = True) ->
     model = record.object.truth if trajectory.simulated else None
     apart = record.object.shape.stands_in_groups
     called = f"the true masses, {'each on its own weight' if apart else 'one rigid body'}"
-    return view_of(record, trajectory, record.object.shape, model, called, {"sensing": sensor}, meshes=meshes)
+    return recorded_view(record, trajectory, record.object.shape, model, called, {"sensing": sensor}, meshes=meshes)
 
 
-def view_of(
+def recorded_view(
     record: TrialRecord,
     trajectory: Trajectory,
     shape: ObjectShape,
@@ -75,45 +75,74 @@ def view_of(
     *,
     meshes: bool = True,
 ) -> TrialView:
-    """A trial with what a model says of it.
+    """View of a trial of a results folder; see `view_of`.
+
+    Raises:
+        InvalidValueError: a weighing, where nothing moves.
+        DamagedFileError: a file of it is damaged.
+    """
+    feet = record.folder / "foot_forces.parquet"
+    known = {
+        "support": support_name(record.support) if trajectory.simulated else "",
+        "trial": record.folder.name,
+        "feet": "" if feet.is_file() else "forces not known: no foot_forces.parquet beside this trial",
+    }
+    forces = load_foot_forces(feet) if feet.is_file() else None
+    return view_of(
+        record.object, trajectory, record.pads, shape, model, called, known | facts, feet=forces, meshes=meshes
+    )
+
+
+def view_of(
+    obj: ObjectModel,
+    trajectory: Trajectory,
+    pads: tuple[float, float],
+    shape: ObjectShape,
+    model: MassDistribution | None,
+    called: str,
+    facts: dict[str, str],
+    *,
+    feet: FootForces | None = None,
+    meshes: bool = True,
+) -> TrialView:
+    """View of a trial with the wrench that a model predicts.
 
     Args:
-        record: the trial as it lies in the folder.
+        obj: object that was moved; its masses are the truth of a simulated trial.
         trajectory: as sensed.
-        shape: the model's particles.
-        model: masses and friction that the wrench is predicted from; None without.
-        called: which masses those are.
+        pads: distance between the pads while they held it, and before and after [m].
+        shape: particles of the model.
+        model: masses and friction from which the wrench is predicted; None without.
+        called: name of those masses.
         facts: further facts by name.
+        feet: forces on the feet, where they are known.
         meshes: as `trial_view`.
+
+    Raises:
+        InvalidValueError: a weighing, where nothing moves.
     """
     from testbed.simulation.rendering import body_poses  # noqa: PLC0415  graphics are chosen before MuJoCo loads
 
-    action = trajectory.action
-    if not action.moves:
-        raise InvalidValueError(
-            "TRIAL", f"{record.folder.name[:8]}, a weighing", "a slide or a turn: nothing else moves"
-        )
-    feet = record.folder / "foot_forces.parquet"
+    if not trajectory.action.moves:
+        given = " ".join(["a weighing", facts.get("trial", "")[:8]]).strip()
+        raise InvalidValueError("TRIAL", given, "a slide or a turn: nothing else moves")
     predicted = None if model is None else predicted_wrenches(shape, model, [trajectory])[0]
-    name = trajectory.action.describe(record.object.shape)
+    name = trajectory.action.describe(obj.shape)
     return TrialView(
-        title=f"{record.object.name}: {name}",
-        shape=record.object.shape,
+        title=f"{obj.name}: {name}",
+        shape=obj.shape,
         trajectory=trajectory,
-        poses=body_poses(trajectory, record.pads, meshes=meshes, every=POSES_EVERY),
+        poses=body_poses(trajectory, pads, meshes=meshes, every=POSES_EVERY),
         pose_times=trajectory.time_s[::POSES_EVERY],
         fit=wrench_fit(name, trajectory, predicted),
         model=called if model is not None else "",
-        truth=record.object.truth if trajectory.simulated else None,
-        feet=load_foot_forces(feet) if feet.is_file() else None,
+        truth=obj.truth if trajectory.simulated and obj.masses_known else None,
+        feet=feet,
         facts={
-            "object": record.object.name,
+            "object": obj.name,
             "action": name,
-            "support": support_name(record.support) if trajectory.simulated else "",
-            "trial": record.folder.name,
             "runner": trajectory.provenance.get("runner", ""),
             "arm": "" if trajectory.joint_position.any() else "not where it was: its joints were not logged",
-            "feet": "" if feet.is_file() else "forces not known: no foot_forces.parquet beside this trial",
         }
         | facts,
     )

@@ -1,4 +1,4 @@
-"""heft export: an estimate as a model for other simulators, a trial as messages for other programs."""
+"""heft export and payload: estimates as models and as payloads for other programs, trials as messages."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from testbed.errors import InvalidValueError
+from testbed.errors import InvalidValueError, nearest
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from estimators.evaluation.statistics import Row
+    from estimators.inertial.payload import Payload
     from testbed.objects.export import Exported
     from testbed.objects.model import ObjectModel
 
@@ -85,6 +86,79 @@ def export(
             write_whole(file, lambda part, content=content: part.write_text(content, encoding="utf-8"))
         if models:
             print(path.with_suffix(".draws"))
+
+
+def payload(
+    source: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DIR|FILE.toml")],
+    name: Annotated[str | None, tyro.conf.Positional, tyro.conf.arg(metavar="OBJECT")] = None,
+    *,
+    format_: Annotated[Literal["json", "franka", "ur", "kortex"], tyro.conf.arg(name="format")] = "json",
+    with_tool: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False,
+    flange: Annotated[tuple[float, float, float, float], tyro.conf.arg(metavar="X Y Z DEG")] = (0.0, 0.0, 0.0, 0.0),
+    out: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None,
+) -> None:
+    """Write what a robot's flange carries, for its controller: mass, center of mass and inertia, with intervals.
+
+    From the lifts of an object in DIR, or from the file that heft calibrate makes of still poses: these show the mass
+    and center of all that hangs below the sensor, and no inertia. The numbers are those of a body that can exist.
+
+    Examples: heft payload results/lab drill
+              heft payload results/lab drill --format ur --with-tool
+              heft payload calibration.toml --format franka --flange 0 0 0.0127 45
+
+    Args:
+        source: folder with lifts, or a calibration file.
+        name: object, where the folder has lifts of several.
+        format_: json: all numbers; franka: arguments of setLoad; ur: a line of URScript; kortex: a ToolConfiguration.
+        with_tool: of lifts, add the tool below the sensor, as their trials state it.
+        flange: place of the sensor's frame in the flange's [m], and its turn about z [deg].
+        out: file; printed if left out.
+    """
+    import numpy as np
+
+    from estimators.inertial.payload import FORMATS, Payload
+    from testbed.files import write_whole
+    from testbed.frames import rotation_z
+    from testbed.robot.calibration.file import load_calibration
+
+    if source.is_dir():
+        found = _lifted(source, name, with_tool=with_tool)
+    elif with_tool or name is not None:
+        raise InvalidValueError("FILE.toml", str(source), "a folder with lifts: OBJECT and --with-tool are of lifts")
+    else:
+        found = Payload.of_poses(load_calibration(source))
+    found = found.on_flange(rotation_z(math.radians(flange[3])), np.array(flange[:3]))
+    body, mass = found.parameters, found.interval("mass")
+    place = ", ".join(f"{1e3 * value:.1f}" for value in body.center_of_mass)
+    low, high = (", ".join(f"{1e3 * value:.1f}" for value in end) for end in found.interval("center_of_mass"))
+    print(f"mass {body.mass:.4f} kg [{mass[0]:.4f}, {mass[1]:.4f}], center ({place}) mm [({low}), ({high})]")
+    if found.undetermined:
+        print(f"not determined: {', '.join(found.undetermined)}")
+    text = FORMATS[format_](found)
+    if out is None:
+        print(text, end="")
+        return
+    write_whole(out, lambda part: part.write_text(text, encoding="utf-8"))
+    print(out)
+
+
+def _lifted(folder: Path, name: str | None, *, with_tool: bool) -> Payload:
+    """Payload of an object from the lifts of a folder."""
+    from estimators.inertial.payload import Payload
+    from scenarios.results.store import Store
+    from scenarios.results.trials import keys_of, kind_of_trial, read_trial, sensed_trials
+    from scenarios.views.values import sensing_of
+
+    records = [read_trial(folder, key) for key in keys_of(folder) if kind_of_trial(folder, key) == "lift"]
+    names = list(dict.fromkeys(record.object.name for record in records))
+    if not names:
+        raise InvalidValueError("DIR", str(folder), "a folder with lifts; a [policy] with lifts makes some")
+    if (name is None and len(names) > 1) or name not in (None, *names):
+        raise InvalidValueError("OBJECT", name, f"one of {', '.join(names)}{nearest(str(name), names)}")
+    chosen = [record for record in records if record.object.name == (name or names[0])]
+    keys = tuple(record.folder.name for record in chosen)
+    trials = sensed_trials(Store(folder), keys, sensing_of(folder), 0)
+    return Payload.of_lifts(chosen[0].object.shape, trials, with_tool=with_tool)
 
 
 def _export_trial(folder: Path, beginning: str, out: Path | None) -> None:

@@ -17,6 +17,9 @@ from testbed.simulation.settings import ContactSettings, GripSettings
 from testbed.trial import Support
 from testbed.worlds.feet import Feet
 
+_TIP_DAMPING = 20.0
+"""Rate at which a fingertip's friction opposes slip [1/s]: it lifts what slides, as it does a foot, and at a
+large one the fingertip bounces along its face."""
 _THIN = 2.5e-4
 """Half the depth of a thin face's box [m]."""
 _UNSEEN = {"mass": 0, "group": 4, "contype": 0, "conaffinity": 0}
@@ -190,7 +193,7 @@ def add_fingertip(
             condim=3,
             friction=[tip.friction, tip.friction, 0, 0, 0],
             solref=(0.004, grip.pad_damping),
-            solreffriction=(-1e-6, -grip.friction_damping),
+            solreffriction=(-1e-6, -_TIP_DAMPING),
             solimp=[0.95, 0.99, 0.001, 0.5, 2],
         )
     for name, kind in _MOTION_SENSORS.items():

@@ -139,8 +139,7 @@ class SimulationRunner:
         monitor = Monitor(model, scene, motion, self.settings)
         # A sensor integrates over its sample; one instant a tick would alias with the outer loop's steps
         record, sample = np.empty((len(motion.q), model.nsensordata)), np.zeros(model.nsensordata)
-        steps = self.settings.steps
-        count = len(motion.q)
+        steps, count = scene.steps, len(motion.q)
         for tick in range(len(motion.q)):
             servo.command(data, tick)
             if surface is not None:
@@ -208,7 +207,7 @@ def _trajectory(
         for name, key in (_SENSORS | (_SEEN if pushed else {})).items()
     }
     # A step moves by the velocity at its end: the one that goes with a position is half a step younger
-    part = settings.rate * settings.timestep / 2
+    part = settings.rate * model.opt.timestep / 2
     s |= {n: v + part * np.diff(v, axis=0, append=v[-1:]) for n, v in s.items() if n.endswith("velocity")}
     twist = np.hstack([s["tcp_velocity"], s["tcp_angular_velocity"]])
     if pushed:

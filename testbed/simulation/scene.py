@@ -217,6 +217,8 @@ def add_grip(
 PUSH_DAMPING = 2000.0
 """Rate at which friction opposes slip of a pushed object [1/s]: feet near the center of rotation are slow, and at the
 rate of a held one their friction falls short."""
+PUSH_TIMESTEP = 0.001
+"""Longest physics step of a push [s]: in longer ones the fingertip bounces where it slides along a face."""
 HOME = (0.0, 0.62, 3.15, -1.81, -0.01, -0.71, 1.58)
 """Joint angles with the tool pointing down over the middle of the workspace [rad]."""
 mujoco.set_mju_user_warning(lambda message: None)  # a trial's status reports divergence, not a log file
@@ -237,6 +239,8 @@ class Scene:
     """Points of contact."""
     origin: tuple[float, float]
     """Point of the object that its body's frame lies on [m], object frame."""
+    steps: int
+    """Physics steps a sample."""
 
 
 def build_scene(
@@ -271,7 +275,8 @@ def build_scene(
         contact = replace(contact, friction_damping=max(contact.friction_damping, PUSH_DAMPING))
     spec = part("table")
     spec.modelname = f"heft_{obj.name}"
-    set_solver(spec, settings.timestep, contact)
+    steps = settings.steps if tip is None else max(settings.steps, math.ceil(1 / (settings.rate * PUSH_TIMESTEP)))
+    set_solver(spec, 1 / (settings.rate * steps), contact)
     told, feet = obj, Feet.of(obj)
     if draw is not None:
         obj = draw.true_object(told)
@@ -300,7 +305,7 @@ def build_scene(
     model = spec.compile()
     foot_geoms = soften_feet(model, obj, feet, contact)
     foot_pairs = np.array([model.pair(f"foot_{index}").id for index in range(len(feet.particle))])
-    return Scene(model, model.body("object").id, foot_geoms, foot_pairs, feet, origin)
+    return Scene(model, model.body("object").id, foot_geoms, foot_pairs, feet, origin, steps)
 
 
 def part(name: str) -> mujoco.MjSpec:

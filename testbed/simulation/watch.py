@@ -60,7 +60,7 @@ class LiveTrial(_Scripted):
         )
         light(self._scene.model)
         self.physics = dm_control.mujoco.Physics.from_model(MjModel(self._scene.model))
-        self._steps = self._settings.steps
+        self._steps = self._scene.steps
         self.reset()
 
     def reset(self) -> dm_env.TimeStep:

@@ -115,7 +115,7 @@ class Gen3World:
         left, push = self.push
         self.push = (left - 1, push)
         self.data.xfrc_applied[self._body, :3] = push * (left > 0)
-        steps = round(dt / self.settings.timestep)
+        steps = round(dt / self.model.opt.timestep)
         measured = np.zeros(self.model.nsensordata)
         for _ in range(steps):
             mujoco.mj_step(self.model, self.data)

@@ -15,7 +15,7 @@ from testbed.frames import rotation_2d
 from testbed.objects.faces import faces, room_at
 from testbed.objects.meshes import Part, mesh_object
 from testbed.objects.model import GRAVITY, STROKE
-from testbed.sensing.push_windows import push_windows, touching
+from testbed.sensing.push_windows import push_samples, push_windows, touching
 from testbed.sensing.windows import wrench_in_object
 from testbed.simulation.rendering import Playback
 
@@ -56,6 +56,20 @@ def test_a_push_through_the_middle():
     assert seen.camera is not None and len(seen.camera.time_s) < len(clean.time_s) / 3
     assert np.abs(seen.object_pose - clean.object_pose).max() < 0.02 and (seen.object_pose != clean.object_pose).any()
     assert len(push_windows(seen)) >= 2
+
+
+def test_a_fingertip_slides_along_a_face_without_bouncing():
+    """The force of a push is as steady as its motion: at every scale of time it follows its parabola."""
+    push = Push((-0.05, 0.03), math.radians(-35), length=0.1)
+    drawn = draw_sensing(RUNNER.run_clean(Trial(BLOCKS, push)), preset("ideal"), 0)
+    drag = BLOCKS.truth.friction[0] * BLOCKS.total_mass * GRAVITY
+    parts = push_samples(drawn)
+    assert len(parts) >= 3
+    for kept in parts:
+        force, since = drawn.wrench_on_object_world[kept, :2], drawn.time_s[kept] - drawn.time_s[kept[0]]
+        fit = np.polynomial.polynomial.polyfit(since, force, 2)
+        left = force - np.polynomial.polynomial.polyval(since, fit).T
+        assert np.sqrt((left**2).sum(1).mean()) < 0.02 * drag
 
 
 def test_playback_shows_the_fingertip_at_the_object():

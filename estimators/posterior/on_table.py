@@ -123,7 +123,7 @@ class OnTable:
         off, blocks = rows - self.read, errors.blocks(carried)
         slopes = self._slopes(theta, own | {"carried": errors.likely_load(off, carried, blocks)})
         columns = unknowns.columns(slopes, self._trial, z).flatten(0, 1)
-        return Linearized(off.flatten(), columns, blocks, elsewhere)
+        return Linearized(off.flatten(), columns, blocks, elsewhere, lambda: errors.taken(carried, blocks))
 
     def _errors(self, theta: Theta) -> TableErrors:
         """Errors of the rows at some unknowns."""

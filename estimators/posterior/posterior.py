@@ -222,6 +222,20 @@ class Posterior:
         rows = sum(torch.linalg.slogdet(block)[1].sum() for found in self._at_optimum for _, block in found.blocks)
         return -float(square + torch.linalg.slogdet(self._precision)[1] + rows) / 2
 
+    @property
+    def log_evidence_to_scale(self) -> float:
+        """`log_evidence` where the errors of the rows are stated up to a common factor, which the rows show.
+
+        Stated errors that are too large would hide by how much one model fits better than another.
+        """
+        square = self.optimum.residual.square().sum()
+        free = len(self.optimum.residual) - sum(found.taken() for found in self._at_optimum)
+        factor = square / free
+        known = torch.linalg.eigvalsh(self._precision) - 1  # of the rows, without the prior
+        rows = sum(torch.linalg.slogdet(block)[1].sum() for found in self._at_optimum for _, block in found.blocks)
+        volume = torch.log1p(known.clamp(min=0) / factor).sum()
+        return -float(free * factor.log() + self.optimum.z.square().sum() + volume + rows) / 2
+
     def given(self, mass: Float[Tensor, "n_m"]) -> Posterior:
         """Posterior of the same measurements with known masses, kg a particle; the search starts from this optimum."""
         unknowns = self.unknowns.given(mass=mass)

@@ -36,6 +36,8 @@ class Linearized:
     """Covariance of their errors."""
     elsewhere: Callable[[Float[Tensor, "n"]], tuple[Float[Tensor, "R"], Blocks]]
     """Residual and covariance at other z; what the errors of the model follow is as here."""
+    taken: Callable[[], float] = float
+    """Number of rows that go into unknowns of the measurement's own, as the load of a gripper."""
 
 
 class Measurement(Protocol):

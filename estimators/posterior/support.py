@@ -79,7 +79,8 @@ def support_test(
 ) -> SupportTest:
     """Choice between the posteriors of two support models.
 
-    The Bayes factor takes the errors of the model that one rigid body has for both: neither wins by its exactness.
+    The Bayes factor takes the errors of the model that one rigid body has for both, up to a common factor: neither wins
+    by its exactness.
     Beforehand an object is as likely of one material throughout as of any masses. Then a part of the other model's
     loads is fitted beside the likelier one's: where it differs from 0, neither holds.
 
@@ -124,8 +125,8 @@ def _between(
         posterior_of(shape, weight, trajectories, "own_weight", other="rigid", errors=RIGID, near=start)
         for start in near
     ]
-    shared = max(filter(None, fits), key=lambda fit: fit.log_evidence)
-    gained = shared.log_evidence - max(each.log_evidence for each in near)
+    shared = max(filter(None, fits), key=lambda fit: fit.log_evidence_to_scale)
+    gained = shared.log_evidence_to_scale - max(each.log_evidence_to_scale for each in near)
     if not shared.explained.explains or gained < DECISIVE * math.log(10):
         return test
     part, error = (float(value) for value in shared.of("other_support"))
@@ -135,5 +136,5 @@ def _between(
 def _log_evidence(posterior: Posterior, shape: ObjectShape, weight: float) -> float:
     """Log evidence of one material throughout or of any masses, each as likely beforehand."""
     even = torch.full((shape.n_m,), weight / float(shape.particles_per_group.sum()), dtype=torch.float64)
-    each = torch.tensor([posterior.log_evidence, posterior.given(even).log_evidence])
+    each = torch.tensor([fit.log_evidence_to_scale for fit in (posterior, posterior.given(even))])
     return float(torch.logsumexp(each, 0)) - math.log(2)

@@ -74,10 +74,10 @@ class TableErrors:
         for inside in self.trials:
             each, late = torch.arange(inside.shape[1]), self.late[inside].flatten(1, 2)
             bias, drift = pad(windows.bias[inside[:, 0]], more), pad(windows.drift[inside[:, 0]], more)
-            of_load = torch.einsum(
-                "ckia,ckla,clja->ckilj", carried[inside], self.load_covariance(inside), carried[inside]
+            covariance = (
+                self._of_load(carried, inside)
+                + walk(windows.since_tare[inside])[:, :, None, :, None] * drift[:, None, :, None]
             )
-            covariance = of_load + walk(windows.since_tare[inside])[:, :, None, :, None] * drift[:, None, :, None]
             covariance += bias[:, None, :, None]
             covariance[:, each, :, each] += self.own[inside].transpose(0, 1)
             covariance = covariance.flatten(3).flatten(1, 2) + late @ late.mT
@@ -85,6 +85,18 @@ class TableErrors:
             variance.add_(ROUNDING * variance.amax(1, keepdim=True))
             found.append(((inside[..., None] * rows + torch.arange(rows)).flatten(1), covariance))
         return found
+
+    def _of_load(self, carried: Float[Tensor, "K r 3"], inside: Int[Tensor, "C k"]) -> Float[Tensor, "C k r k r"]:
+        """Covariance of the rows of some trials by the gripper's load."""
+        return torch.einsum("ckia,ckla,clja->ckilj", carried[inside], self.load_covariance(inside), carried[inside])
+
+    def taken(self, carried: Float[Tensor, "K r 3"], blocks: Blocks) -> float:
+        """Number of rows that go into the gripper's load: the part of their covariance that is the load's."""
+        taken = 0.0
+        for inside, (_, covariance) in zip(self.trials, blocks, strict=True):
+            of_load = self._of_load(carried, inside).flatten(3).flatten(1, 2)
+            taken += float(torch.linalg.solve(covariance, of_load).diagonal(dim1=1, dim2=2).sum())
+        return taken
 
     @cached_property
     def trials(self) -> list[Int[Tensor, "C k"]]:

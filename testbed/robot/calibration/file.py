@@ -52,6 +52,7 @@ class CalibrationFile(BaseModel):
     poses: Annotated[int, Field(ge=4)]
     gain: Gains = [1.0] * 6
     gain_std: Annotated[list[NonNegative], Field(min_length=6, max_length=6)] = [0.0] * 6
+    bias_walk: Annotated[list[NonNegative], Field(min_length=6, max_length=6)] = [0.0] * 6
 
     @model_validator(mode="after")
     def _makes_a_calibration(self) -> Self:
@@ -74,6 +75,7 @@ class CalibrationFile(BaseModel):
             poses=self.poses,
             gain=np.array(self.gain),
             gain_std=np.array(self.gain_std),
+            bias_walk=np.array(self.bias_walk),
         )
 
 
@@ -117,6 +119,7 @@ def save_calibration(path: Path, calibration: Calibration, sensor: str, made: st
         "misfit": c.misfit,
         "poses": c.poses,
         **({"gain": c.gain.tolist(), "gain_std": c.gain_std.tolist()} if c.gain_std.any() else {}),
+        **({"bias_walk": c.bias_walk.tolist()} if c.bias_walk.any() else {}),
     }
     _write(path, fields)
 

@@ -8,7 +8,8 @@ center of mass,
 and u is known in the hand's frame from the arm's pose. Sign is +1 for a sensor that reports what the arm does to the
 tool, as heft counts, and -1 for one that reports what the tool does to the arm. A sensor with one axis mirrored, in
 force and torque, is the same thing as one negated and turned by 180 degrees about that axis. The gain of each axis is
-1 unless an error of it is stated; then it is found as far as the poses tell it.
+1 unless an error of it is stated; then it is found as far as the poses tell it. The bias of a sensor that warms up
+walks from pose to pose: what is left of a fit shows by how much, and the next fit weighs the readings accordingly.
 
 The hand is the frame whose pose the arm reports; its z axis points out of the flange. The arm's base is taken as level.
 """
@@ -17,11 +18,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
 from jaxtyping import Float
-from scipy.optimize import OptimizeResult, least_squares
+from scipy.optimize import OptimizeResult, least_squares, minimize
 from scipy.spatial.transform import Rotation
 
 from testbed.errors import InvalidValueError
@@ -44,6 +46,11 @@ HANDED = 0.2
 """Residual of the forces' directions, from 0 to 1, that settles the sign by the forces alone. Ours."""
 FARTHEST = 0.5
 """Greatest distance of a tool's center of mass from the sensor [m]. Ours."""
+WALKS = 20.0
+"""Twice the gain of log likelihood from which the bias of an axis walks: scatter alone gains as much in one calibration
+of 100,000."""
+ROUNDS = 3
+"""Fits of a bias that walks, each weighed by what the last one left."""
 MISFIT = 3.0
 """Squared misfit beyond which something else than noise is at work; 1 is expected."""
 
@@ -117,6 +124,9 @@ class Calibration:
     """Reading over true value, of each axis."""
     gain_std: Float[np.ndarray, "6"] = field(default_factory=lambda: np.zeros(6))
     """Standard deviation of each gain; as stated where the poses do not tell it."""
+    bias_walk: Float[np.ndarray, "6"] = field(default_factory=lambda: np.zeros(6))
+    """Standard deviation of the bias's change from pose to pose [N, N m], 0 of an axis whose bias stays; `bias` is then
+    that of the first pose."""
 
     def __post_init__(self) -> None:
         if self.sign not in (1, -1):
@@ -124,7 +134,7 @@ class Calibration:
         check_positive_fields(self, "mass", "mass_std")
         object.__setattr__(self, "sensor_in_hand", unit_quaternion("Calibration.sensor_in_hand", self.sensor_in_hand))
         freeze_arrays(self, sensor_in_hand_std=(3,), bias=(6,), bias_std=(6,), com=(3,), com_std=(3,))
-        freeze_arrays(self, gain=(6,), gain_std=(6,))
+        freeze_arrays(self, gain=(6,), gain_std=(6,), bias_walk=(6,))
 
     def tool(self, tcp: Float[np.ndarray, "3"], inertia: Float[np.ndarray, "3 3"]) -> Tool:
         """The tool, with the figures that static poses do not show.
@@ -139,10 +149,11 @@ class Calibration:
 def calibrate(poses: Sequence[StaticPose], gain_error: float = 0.0) -> Calibration:
     """Mount, bias, tool and gains by weighted least squares on the readings.
 
-    Standard deviations come from the readings' own, or from their scatter if that is larger.
+    Standard deviations come from the readings' own, or from their scatter if that is larger; a bias that walks from
+    pose to pose counts as such.
 
     Args:
-        poses: readings at rest.
+        poses: readings at rest, in order of time.
         gain_error: standard deviation of each axis' gain beforehand; 0 takes them as 1.
 
     Raises:
@@ -152,7 +163,8 @@ def calibrate(poses: Sequence[StaticPose], gain_error: float = 0.0) -> Calibrati
         raise CalibrationError(f"calibration: got {len(poses)} poses; allowed: 4 or more, each tilted another way")
     if not (is_number(gain_error) and 0 <= gain_error < 1):
         raise InvalidValueError("gain_error", gain_error, "a number from 0 to below 1")
-    fits = {sign: _fit(poses, sign, gain_error) for sign in (1, -1)}
+    errors = _Errors.of(poses)
+    fits = {sign: _fit(poses, sign, gain_error, errors) for sign in (1, -1)}
     sign, other = sorted(fits, key=lambda s: fits[s].cost)
     best = fits[sign]
     freedom = 6 * len(poses) - 13
@@ -175,7 +187,15 @@ def calibrate(poses: Sequence[StaticPose], gain_error: float = 0.0) -> Calibrati
             "calibration: the poses do not tell the sensor's sign; add some with the hand level and upside down, "
             "so that gravity is seen along all three of its axes"
         )
-    covariance = np.linalg.inv(jacobian.T @ jacobian) * max(misfit, 1.0)
+    widening = max(misfit, 1.0)
+    for _ in range(ROUNDS):
+        left = errors.raw(best.fun[: 6 * len(poses)])
+        if not (walking := _Errors.walking(errors.noise, left)).walk.any():
+            break
+        errors = walking
+        best = _fit(poses, sign, gain_error, errors)
+        jacobian, widening = best.jac, max(2 * best.cost / freedom, 1.0)
+    covariance = np.linalg.inv(jacobian.T @ jacobian) * widening
     mass, com = best.x[3], best.x[4:7] / best.x[3]
     to_com = np.hstack([-com[:, None] / mass, np.eye(3) / mass])
     com_std = np.sqrt(np.diag(to_com @ covariance[3:7, 3:7] @ to_com.T))
@@ -205,6 +225,7 @@ def calibrate(poses: Sequence[StaticPose], gain_error: float = 0.0) -> Calibrati
         com_std=com_std,
         misfit=float(misfit),
         poses=len(poses),
+        bias_walk=errors.walk,
         **({"gain": best.x[13:], "gain_std": std[13:]} if gain_error else {}),
     )
 
@@ -217,9 +238,77 @@ def residuals(calibration: Calibration, poses: Sequence[StaticPose]) -> Float[np
     return np.array([pose.wrench for pose in poses]) - calibration.sign * calibration.gain * load - calibration.bias
 
 
-def _fit(poses: Sequence[StaticPose], sign: int, gain_error: float) -> OptimizeResult:
+@dataclass(frozen=True, eq=False)
+class _Errors:
+    """Errors of the readings of N poses: their noise, and the walk of the bias."""
+
+    noise: Float[np.ndarray, "N 6"]
+    """Standard errors [N, N m]."""
+    walk: Float[np.ndarray, "6"]
+    """Standard deviation of the bias's change from pose to pose."""
+    roots: Float[np.ndarray, "6 N N"]
+    """Cholesky root of each axis' covariance."""
+
+    @cached_property
+    def inverses(self) -> Float[np.ndarray, "6 N N"]:
+        """Inverse of each root."""
+        return np.linalg.inv(self.roots)
+
+    @staticmethod
+    def of(poses: Sequence[StaticPose]) -> _Errors:
+        """Noise alone."""
+        noise = np.array([pose.standard_error for pose in poses])
+        return _Errors(noise, np.zeros(6), np.array([np.diag(each) for each in noise.T]))
+
+    @staticmethod
+    def walking(noise: Float[np.ndarray, "N 6"], left: Float[np.ndarray, "N 6"]) -> _Errors:
+        """Noise, a factor of it and a walk for each axis, the likeliest by the residuals of a fit."""
+        order = np.arange(len(noise))
+        together = np.minimum(order[:, None], order).astype(float)
+        found = [_likeliest(np.diag(own**2), together, of_axis) for own, of_axis in zip(noise.T, left.T, strict=True)]
+        return _Errors(noise, np.array([walk for walk, _ in found]), np.array([root for _, root in found]))
+
+    def whitened(self, left: Float[np.ndarray, "N 6"]) -> Float[np.ndarray, "N 6"]:
+        """Residuals over their errors."""
+        return np.einsum("aij,ja->ia", self.inverses, left)
+
+    def raw(self, whitened: Float[np.ndarray, "n"]) -> Float[np.ndarray, "N 6"]:
+        """Residuals [N, N m] of whitened ones, pose by pose."""
+        return np.einsum("aij,ja->ia", self.roots, whitened.reshape(len(self.noise), 6))
+
+
+def _likeliest(
+    noise: Float[np.ndarray, "N N"], together: Float[np.ndarray, "N N"], left: Float[np.ndarray, "N"]
+) -> tuple[float, Float[np.ndarray, "N N"]]:
+    """Walk of an axis from pose to pose, 0 where it hardly explains the residuals better, and the covariance's root."""
+    constant = np.ones((len(left), 1))
+
+    def cost(covariance: np.ndarray) -> float:
+        """Twice the negative log likelihood of the residuals about any bias."""
+        inverse = np.linalg.inv(covariance)
+        of_bias = constant.T @ inverse @ constant
+        about = left - constant[:, 0] * float((constant.T @ inverse @ left / of_bias).item())
+        return float(about @ inverse @ about + np.linalg.slogdet(covariance)[1] + np.log(of_bias.item()))
+
+    scatter, mean = float(np.var(left)), float(np.diag(noise).mean())
+    alone = noise * max(scatter / mean, 1.0)
+
+    def covariance(logarithms: np.ndarray) -> np.ndarray:
+        factor, walk = np.exp(logarithms)
+        return noise * factor + together * walk
+
+    # the scatter half by noise, half by a walk
+    start = np.log([max(scatter / mean / 2, 1.0), max(3 * scatter / len(left), 1e-3 * mean)])
+    bounds = [(0.0, None), (None, None)]
+    best = minimize(lambda x: cost(covariance(x)), start, method="L-BFGS-B", bounds=bounds)
+    if cost(alone) - float(best.fun) < WALKS:
+        return 0.0, np.linalg.cholesky(noise)
+    return float(np.exp(best.x[1] / 2)), np.linalg.cholesky(covariance(best.x))
+
+
+def _fit(poses: Sequence[StaticPose], sign: int, gain_error: float, errors: _Errors) -> OptimizeResult:
     """Least squares under one sign: turn from `start` [rad], sensor axes, mass, mass times center, bias, gains."""
-    up, wrench, error = (np.array([getattr(p, name) for p in poses]) for name in ("up", "wrench", "standard_error"))
+    up, wrench = (np.array([getattr(p, name) for p in poses]) for name in ("up", "wrench"))
     force, middle = sign * wrench[:, :3], up - up.mean(axis=0)
     # differences are free of the bias: Kabsch for the rotation, then all the rest is linear
     about = force - force.mean(axis=0)
@@ -232,7 +321,7 @@ def _fit(poses: Sequence[StaticPose], sign: int, gain_error: float) -> OptimizeR
         held = (start * Rotation.from_rotvec(x[:3])).inv().apply(up)
         load = GRAVITY * np.hstack([x[3] * held, np.cross(x[4:7], held)])
         gain = x[13:] if gain_error else np.ones(6)
-        missing = ((sign * gain * load + x[7:13] - wrench) / error).ravel()
+        missing = errors.whitened(sign * gain * load + x[7:13] - wrench).ravel()
         return np.append(missing, (gain - 1) / gain_error) if gain_error else missing
 
     guess = np.concatenate([np.zeros(3), [mass], np.zeros(3), wrench.mean(axis=0)])
@@ -265,7 +354,13 @@ def in_words(calibration: Calibration) -> list[str]:
     if calibration.gain_std.any():
         each = ", ".join(f"{g:.4f} +- {s:.2g}" for g, s in zip(calibration.gain, calibration.gain_std, strict=True))
         sentences.append(f"gains of the six axes, as far as the poses tell them: {each}")
-    if calibration.misfit > MISFIT:
+    if calibration.bias_walk.any():
+        force, torque = calibration.bias_walk[:3].max(), calibration.bias_walk[3:].max()
+        sentences.append(
+            f"the bias walks by up to {force:.2g} N and {torque:.2g} N m from pose to pose, as of a sensor that warms "
+            "up: the standard deviations allow for it; let the sensor warm up for a smaller error"
+        )
+    elif calibration.misfit > MISFIT:
         sentences.append(
             f"the readings scatter {np.sqrt(calibration.misfit):.1f} times as much as their noise: a cable that pulls, "
             "a sensor not yet warm, or poses not at rest; the standard deviations allow for it"

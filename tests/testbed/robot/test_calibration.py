@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import mujoco
@@ -65,6 +66,35 @@ def test_with_noise_errors_are_as_large_as_it_says(mount: Rotation, sign: int):
     assert_allclose(np.mean(z**2, axis=0), 1.0, atol=0.75)  # 4 standard errors of a variance of 60
     assert np.mean(np.abs(z) < 2) > 0.9
     assert (np.abs(z.mean(axis=0)) < 4 / np.sqrt(draws)).all()
+
+
+def walking(seed: int, step: float) -> list[StaticPose]:
+    """60 poses of a sensor whose bias walks by `step` from one to the next, N and a hundredth of it in N m."""
+    rng = np.random.default_rng(seed)
+    hands = [DOWN * Rotation.from_rotvec(rng.uniform(-1.2, 1.2, 3)) for _ in range(60)]
+    drift = np.cumsum(rng.standard_normal((60, 6)), axis=0) * step * np.repeat([1.0, 0.01], 3)
+    still = readings(MOUNTS[6], noise=1.0, seed=seed, hands=hands)
+    return [replace(pose, wrench=pose.wrench + off) for pose, off in zip(still, drift, strict=True)]
+
+
+@pytest.mark.parametrize("step", [0.0, 0.1])
+def test_a_bias_that_walks_is_found_and_counted(step: float):
+    found = [calibrate(walking(seed, step)) for seed in range(8)]
+    z = np.array([(each.mass - MASS) / each.mass_std for each in found])
+    assert np.sqrt(np.mean(z**2)) < 2.0
+    if step:
+        walks = np.array([each.bias_walk for each in found])
+        assert_allclose(np.median(walks, axis=0), step * np.repeat([1.0, 0.01], 3), rtol=0.4)
+        assert max(abs(each.mass - MASS) for each in found) < 0.012
+        assert any("the bias walks by up to" in line for line in in_words(found[0]))
+    else:
+        assert not any(each.bias_walk.any() for each in found)
+
+
+def test_a_walk_is_kept_in_the_file(tmp_path: Path):
+    found = calibrate(walking(1, 0.1))
+    save_calibration(tmp_path / "c.toml", found, "7", "today")
+    assert_allclose(load_calibration(tmp_path / "c.toml").bias_walk, found.bias_walk)
 
 
 def test_readings_that_scatter_more_than_they_say_widen_the_answer():

@@ -20,7 +20,7 @@ from scenarios.config import Scenario, load_scenario
 from scenarios.results.estimates import load_results, load_trajectories
 from scenarios.results.files import read_json, write_json
 from scenarios.results.store import Store, rows_of, write_arrays
-from scenarios.study.dry_run import show_dry_run
+from scenarios.study.dry_run import DryRun, show_dry_run
 from scenarios.study.estimates import EstimateTask, judge
 from scenarios.study.run import run_scenario
 from testbed.errors import InvalidValueError
@@ -270,6 +270,20 @@ def test_a_dry_run_counts_and_writes_nothing(tmp_path):
         said(show_dry_run, scenario.model_copy(update={"objects": ["I1", "Q9"]}), tmp_path / "out", 2)
     main(["run", "blocks", "--dry-run", "--out", str(tmp_path / "out")])
     assert not (tmp_path / "out").exists()
+
+
+def test_a_dry_run_counts_shared_trials_once_and_names_what_it_does_not_know():
+    axes = {"truth.friction": [0.2, 0.4], "truth.seed": [0, 1, 2], "world.seed": [0, 1]}
+    one = Scenario(objects=["I1"], sensing=["low"], methods={"hidden_states": {}, "mine": {"method": "my:Own"}})
+    swept = Scenario.model_validate(one.model_dump() | {"sweep": {"axes": axes}})
+    single, size = DryRun.of(one), DryRun.of(swept)
+    assert size.points == 12 and size.trials == 2 * single.trials and size.estimates == 12 * single.estimates
+    assert size.unknown == ("mine",)
+    spread = swept.model_dump() | {"truth": {"friction_spread": 0.1}}
+    assert DryRun.of(Scenario.model_validate(spread)).trials == 6 * single.trials
+    lab = {"world": {"preset": "lab"}}  # whose seed decides trials
+    swept_lab, single_lab = (DryRun.of(Scenario.model_validate(each.model_dump() | lab)) for each in (swept, one))
+    assert swept_lab.trials == 4 * single_lab.trials
 
 
 def test_many_objects_are_told_by_quantiles():

@@ -29,9 +29,6 @@ MOST_POINTS = 64
 SLOW = 1e-3
 """Speed at which a foot of a pushed object may drag half of its friction less, or another way, m/s: nothing keeps the
 center of rotation off a point of contact, and there it sticks. Ours."""
-BLURRED = 2.0
-"""Factor of the variance of a foot's velocity by the camera, below which the foot counts as slow too: what its linear
-effect leaves. Ours, of drawn pushes that no table reports."""
 BY_TRIAL = tuple(name for name, each in PARAMETERS.items() if each.scope == "trial")
 """Kinds that are drawn anew in every trial; all others are the same in all."""
 
@@ -180,11 +177,14 @@ def shared_and_own(effects: Columns, windows: Observations) -> tuple[Float[Tenso
 
 
 def _stuck(windows: Observations, table: Table) -> Float[Tensor, "K P"]:
-    """Part of the drag of each particle of a push that may act any way, one standard deviation along each axis."""
+    """Part of the drag of each particle of a push that may act any way, one standard deviation along each axis.
+
+    Of one that is slower than `SLOW`, or than its speed errs by the camera: beyond that the error's effect is linear.
+    """
     square = table.moved({}).velocity.square().sum(-1)
     place = windows.grasp[:, None] + table.lever
     of_camera = windows.seen[:, None, 3:5] + turned(place)[..., None] * windows.seen[:, None, 5:6]
-    slow = SLOW**2 + BLURRED * of_camera.square().sum((2, 3))[:, None]
+    slow = SLOW**2 + of_camera.square().sum((2, 3))[:, None]
     return (slow / (square + slow)).mean(1) * windows.pushed[:, None]
 
 

@@ -28,7 +28,8 @@ from tests.helpers.pages import BLOCKS, EXAMPLES
 
 MORE = '''
 from dataclasses import replace
-from own_simulator import DragSimulator, InfeasibleTrialError, Weigh
+from own_simulator import DragSimulator
+from testbed import InfeasibleTrialError, Weigh
 
 class Measured(DragSimulator):
     """The same, said to be measured."""

@@ -25,6 +25,7 @@ Center = Annotated[
 ]
 Gains = Annotated[list[Annotated[float, Field(ge=0.5, le=2, allow_inf_nan=False)]], Field(min_length=6, max_length=6)]
 Deviations = Annotated[list[NonNegative], Field(min_length=3, max_length=3)]
+Walk = Annotated[float, Field(ge=0, le=20, allow_inf_nan=False)]
 Quaternion = Annotated[list[Finite], Field(min_length=4, max_length=4)]
 
 
@@ -52,7 +53,7 @@ class CalibrationFile(BaseModel):
     poses: Annotated[int, Field(ge=4)]
     gain: Gains = [1.0] * 6
     gain_std: Annotated[list[NonNegative], Field(min_length=6, max_length=6)] = [0.0] * 6
-    bias_walk: Annotated[list[NonNegative], Field(min_length=6, max_length=6)] = [0.0] * 6
+    bias_walk: Annotated[list[Walk], Field(min_length=6, max_length=6)] = [0.0] * 6
 
     @model_validator(mode="after")
     def _makes_a_calibration(self) -> Self:

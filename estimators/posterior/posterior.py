@@ -228,8 +228,8 @@ class Posterior:
 
         Stated errors that are too large would hide by how much one model fits better than another.
         """
-        square = self.optimum.residual.square().sum()
-        free = len(self.optimum.residual) - sum(found.taken() for found in self._at_optimum)
+        square = self.optimum.residual.square().sum().clamp(min=SMALLEST)
+        free = max(len(self.optimum.residual) - sum(found.taken() for found in self._at_optimum), 1.0)
         factor = square / free
         known = torch.linalg.eigvalsh(self._precision) - 1  # of the rows, without the prior
         rows = sum(torch.linalg.slogdet(block)[1].sum() for found in self._at_optimum for _, block in found.blocks)

@@ -154,7 +154,7 @@ def _lifted(folder: Path, name: str | None, *, with_tool: bool) -> Payload:
     if not names:
         raise InvalidValueError("DIR", str(folder), "a folder with lifts; a [policy] with lifts makes some")
     if (name is None and len(names) > 1) or name not in (None, *names):
-        raise InvalidValueError("OBJECT", name, f"one of {', '.join(names)}{nearest(str(name), names)}")
+        raise InvalidValueError("OBJECT", name, f"one of {', '.join(names)}{nearest(name or '', names)}")
     chosen = [record for record in records if record.object.name == (name or names[0])]
     keys = tuple(record.folder.name for record in chosen)
     trials = sensed_trials(Store(folder), keys, sensing_of(folder), 0)

@@ -155,14 +155,13 @@ class Estimate:
         friction, errors = self.distribution.friction, (self.group_error(shape), self.friction_error())
         unknown = (np.full(shape.n_m, np.nan), np.full(shape.n_mu, np.nan))
         known = [found if given is None else given for given, found in zip(errors, unknown, strict=True)]
-        numbered = ["friction"] if len(friction) == 1 else [f"friction {k}" for k in range(len(friction))]
         return pandas.DataFrame(
             {
                 "value": np.concatenate([self.distribution.group_mass(shape), friction]),
                 "error": np.concatenate(known),
                 "unit": ["kg"] * shape.n_m + [""] * len(friction),
             },
-            index=[*shape.group_names, *numbered],
+            index=[*shape.group_names, *shape.friction_names],
         )
 
     def __repr__(self) -> str:

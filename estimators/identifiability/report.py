@@ -87,7 +87,6 @@ def identifiability(
     blind = (np.abs(directions[~seen]) > PART).any(axis=0)
     covariance[np.ix_(blind, blind)] = np.inf
     basis = _sparse(directions[~seen])
-    frictions = ["friction"] if shape.n_mu == 1 else [f"friction {k}" for k in range(shape.n_mu)]
     return Identifiability(
         shape.group_names,
         covariance[:n_m, :n_m],
@@ -96,7 +95,7 @@ def identifiability(
         len(unit),
         float(values[seen].max() / values[seen].min()) if seen.any() else np.inf,
         basis * unit,
-        _in_words(basis, [*shape.group_names, *frictions]),
+        _in_words(basis, [*shape.group_names, *shape.friction_names]),
     )
 
 

@@ -1,4 +1,4 @@
-"""Payload of a robot's flange: what it carries, in the forms that robots' controllers take."""
+"""Payload of a robot's flange, in the forms that robots' controllers take."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _ORDER = (0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2)
 
 @dataclass(frozen=True, eq=False)
 class Payload:
-    """Mass, center of mass and inertia of what a flange carries, flange frame."""
+    """Mass, center of mass and inertia of a flange's payload, flange frame."""
 
     parameters: InertialParameters
     """The best body of positive density; its inertia is NaN where nothing shows it."""

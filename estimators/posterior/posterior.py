@@ -216,11 +216,15 @@ class Posterior:
         return torch.linalg.inv(self._precision)
 
     @property
+    def _log_determinant(self) -> float:
+        """Logarithm of the determinant of all rows' covariance."""
+        return float(sum(torch.linalg.slogdet(block)[1].sum() for at in self._at_optimum for _, block in at.blocks))
+
+    @property
     def log_evidence(self) -> float:
         """Log of the probability density of all rows, up to a constant, by Laplace's approximation."""
         square = self.optimum.residual.square().sum() + self.optimum.z.square().sum()
-        rows = sum(torch.linalg.slogdet(block)[1].sum() for found in self._at_optimum for _, block in found.blocks)
-        return -float(square + torch.linalg.slogdet(self._precision)[1] + rows) / 2
+        return -float(square + torch.linalg.slogdet(self._precision)[1] + self._log_determinant) / 2
 
     @property
     def log_evidence_to_scale(self) -> float:
@@ -232,9 +236,8 @@ class Posterior:
         free = max(len(self.optimum.residual) - sum(found.taken() for found in self._at_optimum), 1.0)
         factor = square / free
         known = torch.linalg.eigvalsh(self._precision) - 1  # of the rows, without the prior
-        rows = sum(torch.linalg.slogdet(block)[1].sum() for found in self._at_optimum for _, block in found.blocks)
         volume = torch.log1p(known.clamp(min=0) / factor).sum()
-        return -float(free * factor.log() + self.optimum.z.square().sum() + volume + rows) / 2
+        return -float(free * factor.log() + self.optimum.z.square().sum() + volume + self._log_determinant) / 2
 
     def given(self, mass: Float[Tensor, "n_m"]) -> Posterior:
         """Posterior of the same measurements with known masses, kg a particle; the search starts from this optimum."""

@@ -106,7 +106,7 @@ class Unknowns:
         return torch.cat([block.stepped(z[self.at[name]], step[self.at[name]]) for name, block in self.blocks.items()])
 
     def given(self, **values: Tensor) -> Unknowns:
-        """The same unknowns, of which some parameters are known."""
+        """Unknowns with some parameters known."""
         return Unknowns(self.blocks | {name: Block.known(value) for name, value in values.items()})
 
     def of(self, names: set[str], z: Float[Tensor, "n"]) -> tuple[Theta, Theta]:

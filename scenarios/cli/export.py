@@ -97,7 +97,7 @@ def payload(
     flange: Annotated[tuple[float, float, float, float], tyro.conf.arg(metavar="X Y Z DEG")] = (0.0, 0.0, 0.0, 0.0),
     out: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None,
 ) -> None:
-    """Write what a robot's flange carries, for its controller: mass, center of mass and inertia, with intervals.
+    """Write the payload of a robot's flange for its controller: mass, center of mass and inertia, with intervals.
 
     From the lifts of an object in DIR, or from the file that heft calibrate makes of still poses: these show the mass
     and center of all that hangs below the sensor, and no inertia. The numbers are those of a body that can exist.
@@ -246,9 +246,8 @@ def posterior_table(folder: Path, row: Row, count: int) -> pd.DataFrame:
     method = method if isinstance(method, Bayes) else Bayes()
     posterior = method.posterior(shape, weight_of(weighing), trials)
     assert posterior is not None
-    frictions = ["friction"] if shape.n_mu == 1 else [f"friction {k}" for k in range(shape.n_mu)]
     table = np.hstack(posterior.draws(shape, count, seed=0))
-    return pd.DataFrame(table, columns=[*shape.group_names, *frictions])
+    return pd.DataFrame(table, columns=[*shape.group_names, *shape.friction_names])
 
 
 def drawn_from(exported: Exported, table: pd.DataFrame) -> Iterator[Exported]:

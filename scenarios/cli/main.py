@@ -28,7 +28,7 @@ COMMANDS = {
     "record": ("scenarios.cli.view:record", "Write Rerun recordings of a results folder."),
     "figures": ("scenarios.cli.view:figures", "Draw figures for a paper, as PDF and PNG, into DIR/figures."),
     "export": ("scenarios.cli.export:export", "Write an estimate as a model, or a trial as ROS 2 messages."),
-    "payload": ("scenarios.cli.export:payload", "Write what a robot's flange carries, for its controller."),
+    "payload": ("scenarios.cli.export:payload", "Write the payload of a robot's flange for its controller."),
     "render": ("scenarios.cli.render:render", "Draw a recorded trial as a film or a picture; needs no display."),
     "watch": ("scenarios.cli.render:watch", "Open a window on a trial, simulated now or recorded."),
     "objects": ("scenarios.cli.view:objects", "List the objects in the library."),

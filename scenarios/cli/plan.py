@@ -151,8 +151,8 @@ def _errors_table(model: ObjectModel, report: Identifiability) -> Table:
     for label, mass, error in zip(report.group_names, model.group_mass, report.standard_error, strict=True):
         part = _three_digits(100 * error / mass) if mass else "-"
         table.add_row(label, f"{mass:.3f}", _three_digits(1e3 * error), part)
-    for k, (friction, error) in enumerate(zip(model.truth.friction, report.friction_error, strict=True)):
-        name = "friction" if model.shape.n_mu == 1 else f"friction {k}"
+    frictions = zip(model.shape.friction_names, model.truth.friction, report.friction_error, strict=True)
+    for name, friction, error in frictions:
         table.add_row(name, f"{friction:g}", "", _three_digits(100 * error / friction) if friction else "-")
     return table
 

@@ -84,7 +84,7 @@ def serve(recording: Path, port: int = 0) -> None:
 
 
 def _page(what: object, obj: ObjectModel | ObjectShape | None, answer: Estimate | None) -> Page:
-    """Page of what is given."""
+    """Page of an object, a trajectory, estimates or a results folder."""
     if isinstance(what, ObjectModel):
         return object_page(what)
     if isinstance(what, str | Path):

@@ -172,6 +172,11 @@ class ObjectShape:
         return int(self.friction_group.max()) + 1
 
     @property
+    def friction_names(self) -> tuple[str, ...]:
+        """Name of each friction: `friction`, or numbered where there are several."""
+        return ("friction",) if self.n_mu == 1 else tuple(f"friction {k}" for k in range(self.n_mu))
+
+    @property
     def particles_per_group(self) -> Int[np.ndarray, "n_m"]:
         """Number of particles in each mass group, (n_m,)."""
         return np.bincount(self.mass_group, minlength=self.n_m)

@@ -153,7 +153,7 @@ def test_a_recording_of_links_has_hinges_and_joint_angles(drags, tmp_path):
 
 
 def test_a_push_that_meets_no_face_is_drawn():
-    """As a mapping or a file of another shape may have it."""
+    """Shape of another mapping or object file."""
     push = Push((0.0, 0.0), 0.5)
     arrow = ActionArrow.of(BLOCKS.shape, push)
     assert_allclose(arrow.way[-1], push.point)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import get_args
 
 import numpy as np
 from jaxtyping import Float
@@ -13,7 +14,7 @@ from estimators.base import Estimate
 from estimators.particles.misfit import Misfit
 from estimators.posterior.estimator import posterior_of
 from estimators.wrench.model import ModelErrors
-from estimators.wrench.support import ASSUMPTION, SupportModel
+from estimators.wrench.support import ASSUMPTION, JoinedSupport, SupportModel
 from testbed.objects.model import MassDistribution, ObjectShape
 from testbed.trajectory import Trajectory
 
@@ -45,8 +46,8 @@ def judged(answer: Estimate, shape: ObjectShape, weight: float | None, trajector
         answer = _said(answer, why)
     numbers, found = answer.diagnostics, None
     if math.isnan(stated := numbers.get("misfit", math.nan)):
-        named: list[SupportModel] = [support for support, words in ASSUMPTION.items() if words == answer.assumes]
-        each = [_measured(support, shape, weight, trajectories, at) for support in named or ASSUMPTION]
+        named: list[JoinedSupport] = [support for support, words in ASSUMPTION.items() if words == answer.assumes]
+        each = [_measured(support, shape, weight, trajectories, at) for support in named or get_args(SupportModel)]
         found = min(filter(None, each), key=lambda misfit: misfit.value, default=None)
         answer = replace(answer, diagnostics=numbers | (found.diagnostics if found else {}))
     else:
@@ -84,20 +85,21 @@ def _not_the_weight(mass: Float[np.ndarray, "n_m"], shape: ObjectShape, weight: 
 
 
 def _measured(
-    support: SupportModel,
+    support: JoinedSupport,
     shape: ObjectShape,
     weight: float | None,
     trajectories: Sequence[Trajectory],
     at: MassDistribution,
 ) -> Misfit | None:
     """Misfit of masses and frictions on one support; None on one that the object cannot have, or without windows."""
-    if (support == "own_weight" and not shape.stands_in_groups) or (support == "rigid" and shape.chain is not None):
+    apart, linked = shape.stands_in_groups, shape.chain is not None
+    if (support != "rigid" and not apart) or (support != "own_weight" and linked):
         return None
     return misfit_on(support, shape, weight, trajectories, at)
 
 
 def misfit_on(
-    support: SupportModel,
+    support: JoinedSupport,
     shape: ObjectShape,
     weight: float | None,
     trajectories: Sequence[Trajectory],

@@ -5,10 +5,10 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import get_args
 
 import numpy as np
 import torch
+from torch import Tensor
 
 from estimators.base import Estimate
 from estimators.particles.lifts import lifts_among
@@ -20,7 +20,7 @@ from estimators.posterior.priors import priors
 from estimators.posterior.scale import Scale
 from estimators.posterior.solver import Measurement, solve
 from estimators.wrench.model import ModelErrors
-from estimators.wrench.support import ASSUMPTION, ERRORS, SupportModel
+from estimators.wrench.support import ASSUMPTION, ERRORS, JoinedSupport
 from estimators.wrench.weighing import Weighing
 from testbed.errors import InvalidValueError
 from testbed.objects.model import GRAVITY, MassDistribution, ObjectShape
@@ -36,14 +36,14 @@ PLAUSIBLE = 0.01, 2.0
 class Bayes:
     """Joint posterior of masses, frictions, friction of hinges and every stated error of the setup."""
 
-    support: SupportModel = "own_weight"
-    """Assumed support: own_weight, or rigid."""
+    support: JoinedSupport = "own_weight"
+    """Assumed support: own_weight, rigid, or springs of unknown stiffness between the groups."""
     unknown_bias: bool = False
     """True takes the bias that the tare leaves as unknown, whatever the sensor states."""
 
     def __post_init__(self) -> None:
-        if self.support not in get_args(SupportModel):
-            raise InvalidValueError("Bayes.support", self.support, f"one of {', '.join(get_args(SupportModel))}")
+        if self.support not in ASSUMPTION:
+            raise InvalidValueError("Bayes.support", self.support, f"one of {', '.join(ASSUMPTION)}")
 
     def estimate(
         self, shape: ObjectShape, weight: float | None, trajectories: Sequence[Trajectory], seed: int
@@ -54,10 +54,10 @@ class Bayes:
             InvalidValueError: no weight.
         """
         begin = time.perf_counter()
-        if self.support == "own_weight" and not shape.stands_in_groups:
+        if self.support != "rigid" and not shape.stands_in_groups:
             return Estimate(None, "assumption_violated", ONE_BODY)
-        if self.support == "rigid" and shape.chain is not None:
-            return Estimate(None, "assumption_violated", "an object with hinges is not one rigid body")
+        if self.support != "own_weight" and shape.chain is not None:
+            return Estimate(None, "assumption_violated", "every link of an object with hinges rests on its own weight")
         found = self.posterior(shape, weight, trajectories)
         if found is None:
             return Estimate(None, "no_data", NO_DATA if shape.chain is None else NO_LINKS)
@@ -75,12 +75,12 @@ def posterior_of(
     shape: ObjectShape,
     weight: float | None,
     trajectories: Sequence[Trajectory],
-    support: SupportModel = "own_weight",
+    support: JoinedSupport = "own_weight",
     *,
-    other: SupportModel | None = None,
     unknown_bias: bool = False,
     errors: ModelErrors | None = None,
     near: Posterior | None = None,
+    rigid_share: float = 0.5,
     at: MassDistribution | None = None,
 ) -> Posterior | None:
     """Posterior of an object from its trials; None where no trial is usable.
@@ -90,10 +90,10 @@ def posterior_of(
         weight: M as weighed, kg.
         trajectories: slides, turns, accelerated turns, pushes and lifts; all others are left out.
         support: support model on the table.
-        other: support model that holds in part, `other_support` of it: 0 where the first alone does.
         unknown_bias: True takes the bias that the tare leaves as unknown, whatever the sensor states.
         errors: errors of the model, those of the support if left out.
-        near: posterior from which the search starts: of the same trials under other errors of the model.
+        near: posterior from which the search starts: of the same trials under another support or other errors.
+        rigid_share: share of springs, as in `Springs.joined`, from which the search starts.
         at: masses and frictions that are taken as known; the nuisances alone are estimated.
 
     Raises:
@@ -107,15 +107,15 @@ def posterior_of(
         return None
     if unknown_bias:
         windows = replace(windows, bias=windows.bias + torch.tensor(FULL_SCALE**2).diag())
-    on_table = OnTable.of(shape, windows, support, errors, other)
+    on_table = OnTable.of(shape, windows, support, errors)
     setup = SetupErrors.largest([trajectories[index].setup for index in {*windows.trial.tolist(), *lifts}])
-    unknowns = priors(shape, setup, errors, weight, on_table.trials, partly=other is not None)
+    unknowns = priors(shape, setup, errors, weight, on_table.trials, joined=support == "springs")
     if at is not None:
         unknowns = unknowns.given(mass=torch.tensor(at.mass), friction=torch.tensor(at.friction))
     measurements: list[Measurement] = [on_table, Scale(weight, Weighing.of(shape, errors.weight_error, setup))]
     measurements += [InAir.of(shape, trial, each, weight) for trial, each in lifts.items()]
-    start = unknowns.start(friction=float(np.clip(windows.drag / (weight * GRAVITY), *PLAUSIBLE)))
-    if near is not None:
-        known = near.unknowns.values(near.optimum.z)
-        start = unknowns.start(**{name: value for name, value in known.items() if name in unknowns.blocks})
+    known: dict[str, Tensor | float] = {"friction": float(np.clip(windows.drag / (weight * GRAVITY), *PLAUSIBLE))}
+    known |= {} if near is None else near.unknowns.values(near.optimum.z)
+    known["rigid_share"] = rigid_share
+    start = unknowns.start(**{name: value for name, value in known.items() if name in unknowns.blocks})
     return Posterior(unknowns, measurements, solve(measurements, unknowns, start))

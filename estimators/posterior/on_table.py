@@ -19,7 +19,7 @@ from estimators.posterior.unknowns import Unknowns
 from estimators.wrench.jacobian import NONE, Slopes, Theta, Window, linearized, zeros
 from estimators.wrench.model import MODEL_PARAMETERS, ModelErrors, ParticleModel, rotate
 from estimators.wrench.sensor import flawed, turned_wrench
-from estimators.wrench.support import GripperLoad, Support, contact_spread, own_weight
+from estimators.wrench.support import GripperLoad, Springs, Support, contact_spread, own_weight
 from estimators.wrench.table import Table
 from testbed.objects.model import GRAVITY, ObjectShape
 from testbed.worlds.setup_errors import PARAMETERS
@@ -28,7 +28,7 @@ PATTERNS = "contact_points", "foot_load"
 """Errors of the setup that act as patterns of contact: unknown points, or unequal loads on known feet."""
 SHARED = {name for name, each in PARAMETERS.items() if {"table", "reading"} & set(each.shows)}
 """Errors of the setup that change these measurements."""
-SHARED |= {"mass", "friction", "com_height", "indeterminate_load", "hinge_friction", "links_carried", "other_support"}
+SHARED |= {"mass", "friction", "com_height", "indeterminate_load", "hinge_friction", "links_carried", "rigid_share"}
 SHARED |= {*PATTERNS, *MODEL_PARAMETERS}
 
 
@@ -47,16 +47,15 @@ class OnTable:
     """True if each trial is counted by itself: all have the place of one among errors that are drawn anew in each."""
 
     @staticmethod
-    def of(
-        shape: ObjectShape, windows: Observations, support: str, errors: ModelErrors, other: str | None = None
-    ) -> OnTable:
-        """Windows under a support model, an entry of `LOADS`, or partly under another."""
+    def of(shape: ObjectShape, windows: Observations, support: str, errors: ModelErrors) -> OnTable:
+        """Windows under a `JoinedSupport`."""
         model, setup = ParticleModel.of(shape), windows.setup
         table = windows.table(model, errors.pivot_error)
         if setup.place_friction:
             table = table.on_field
         balanced = windows.articulated and bool(setup.contact_points)
-        loads = Support.of(support, model, table.lever, windows.held, balanced=balanced)
+        alone = "own_weight" if support == "springs" else support
+        loads = Support.of(alone, model, table.lever, windows.held, balanced=balanced)
         fields = {
             "per_mass": loads.per_mass,
             "response": loads.response,
@@ -66,14 +65,15 @@ class OnTable:
             "spin": windows.twist[:, 2] * ~windows.pushed,
             "tool_tilt": windows.tool_tilt,
         }
-        if other is not None:
-            apart = Support.of(other, model, table.lever, windows.held)
-            fields["per_mass_apart"] = apart.per_mass - loads.per_mass
-            fields["response_apart"] = apart.response - loads.response
         if windows.articulated:
             fields["beside"] = _beside(model, table, windows)
         table = Table(model, table.points, _halved(table.windows) | fields, table.pivot_error)
         return OnTable(shape, windows, table, contact_patterns(model, table.points)[0], errors)
+
+    @cached_property
+    def springs(self) -> Springs:
+        """Springs between the groups."""
+        return Springs.of(self.table.model, self.shape.neighbors)
 
     @cached_property
     def read(self) -> Float[Tensor, "K 6+H"]:
@@ -184,10 +184,8 @@ class OnTable:
         """Normal load of each point of contact, N."""
         mass, carried = theta["mass"], self.carried(theta, window)
         load = window["per_mass"] @ mass + window["response"] @ carried
-        if "other_support" in theta:
-            load = load + theta["other_support"] * (
-                window["per_mass_apart"] @ mass + window["response_apart"] @ carried
-            )
+        if "rigid_share" in theta:
+            load = self.springs.joined(load, theta["rigid_share"])
         if "indeterminate_load" in theta:
             load = load + window["indeterminate"] @ theta["indeterminate_load"]
         at_points = load[:, None] / self.table.points.shape[1]

@@ -98,8 +98,11 @@ class Posterior:
 
     @property
     def nominal(self) -> Float[Tensor, "n"]:
-        """z of the masses and frictions found, in a setup without errors."""
-        return self.optimum.z * self.of_object
+        """z of the masses, frictions and springs found, in a setup without errors."""
+        found = self.of_object.clone()
+        if "rigid_share" in self.unknowns.at:
+            found[self.unknowns.at["rigid_share"]] = True
+        return self.optimum.z * found
 
     @cached_property
     def information(self) -> Float[Tensor, "n n"]:

@@ -30,7 +30,7 @@ def priors(
     weight: float,
     trials: int,
     *,
-    partly: bool = False,
+    joined: bool = False,
 ) -> Unknowns:
     """Unknowns of an object: masses, frictions, and every error of the setup and of the model that is not 0.
 
@@ -40,7 +40,7 @@ def priors(
         errors: errors of the model.
         weight: M, kg.
         trials: number of trials on the table.
-        partly: True if another support model holds in part.
+        joined: True if springs of unknown stiffness join the groups.
     """
     typical, model = weight / float(shape.particles_per_group.sum()), ParticleModel.of(shape)
     blocks = {
@@ -61,8 +61,8 @@ def priors(
             blocks[name] = Block.normal(torch.tensor(size, dtype=torch.float64))
     if shape.is_uneven:  # matter that fills its cells in part may lie at any height in them
         blocks["com_height"] = Block.normal(torch.full((shape.n_m,), shape.height / 12**0.5, dtype=torch.float64))
-    if partly:
-        blocks["other_support"] = Block.normal(torch.tensor(1.0, dtype=torch.float64))
+    if joined:
+        blocks["rigid_share"] = Block(torch.tensor(0.5, dtype=torch.float64), torch.tensor(1.0, dtype=torch.float64))
     if open_loads := contact_spread(model, model.parts.sum(0)).shape[1]:
         blocks["indeterminate_load"] = Block.normal(torch.ones(open_loads, dtype=torch.float64))
     if shape.chain is not None:

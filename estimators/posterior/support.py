@@ -17,6 +17,7 @@ from scipy.stats import norm
 from estimators.posterior.estimator import posterior_of
 from estimators.posterior.posterior import Posterior
 from estimators.wrench.model import RIGID
+from estimators.wrench.support import ERRORS
 from testbed.objects.model import ObjectShape
 from testbed.trajectory import Trajectory
 
@@ -27,6 +28,8 @@ EVIDENCE = "log10_bayes_factor", "rigid_share", "rigid_share_error"
 """Entries of `Estimate.diagnostics` by a support test: fields of `SupportTest`."""
 UNLIKE = 10.0
 """Misfit beyond which one rigid body does not explain the wrenches either."""
+STIFF = 0.9
+"""Share of springs from which a search starts near one rigid body: beyond it loads hardly change."""
 NEARLY = 0.05
 """Part of the loads up to which a body that is nearly rigid counts as rigid: its loads are never quite affine. Ours."""
 
@@ -39,11 +42,12 @@ class SupportTest:
     log10_bayes_factor: float
     """Bayes factor of own weight over one rigid body: positive speaks for own weight."""
     rigid_share: float
-    """Part of the loads that is one rigid body's, about the likelier model: 0 on own weight, 1 under one rigid body."""
+    """Share of springs between the groups in the loads, as in `Springs.joined`: 0 on own weight, 1 under one rigid
+    body."""
     rigid_share_error: float
-    """Standard error of that part; about 1 where nothing shows it."""
+    """Standard error of that share; about 1 where nothing shows it."""
     shared: Posterior | None = None
-    """Posterior with both models' loads, where neither holds and they explain the trials together."""
+    """Posterior with springs between the groups, where neither model holds and springs explain the trials."""
 
     @property
     def violated(self) -> bool:
@@ -62,10 +66,10 @@ class SupportTest:
             "own_weight": "every group rests on its own weight",
             "rigid": "the weight is spread as under one rigid body, not group by group",
             "between": "neither own weight nor one rigid body explains the wrenches: "
-            + ("the support is something between" if self.shared else "the shape is not as given, or a trial is wrong"),
+            + ("springs between the groups do" if self.shared else "the shape is not as given, or a trial is wrong"),
             "undecided": "own weight and one rigid body cannot be told apart: the wrenches are alike under both",
         }
-        part = f"{100 * self.rigid_share:.0f} +- {100 * self.rigid_share_error:.2g} % of the loads are a rigid body's"
+        part = f"rigid to {100 * self.rigid_share:.0f} +- {100 * self.rigid_share_error:.2g} %"
         return f"{sentences[self.kind]} (Bayes factor 10^{self.log10_bayes_factor:.1f} for own weight; {part})"
 
 
@@ -81,8 +85,8 @@ def support_test(
 
     The Bayes factor takes the errors of the model that one rigid body has for both, up to a common factor: neither wins
     by its exactness.
-    Beforehand an object is as likely of one material throughout as of any masses. Then a part of the other model's
-    loads is fitted beside the likelier one's: where it differs from 0, neither holds.
+    Beforehand an object is as likely of one material throughout as of any masses. Then springs between the groups are
+    fitted from the likelier model on: where their share differs from its own, neither holds.
 
     Args:
         shape: geometry and groups.
@@ -95,19 +99,18 @@ def support_test(
     alike = posterior_of(shape, weight, trajectories, "own_weight", errors=RIGID, near=own)
     assert alike is not None
     bayes = (_log_evidence(alike, shape, weight) - _log_evidence(rigid, shape, weight)) / math.log(10)
-    likelier, other = ("own_weight", "rigid") if bayes >= -DECISIVE else ("rigid", "own_weight")
-    near = own if likelier == "own_weight" else rigid
-    partly = posterior_of(shape, weight, trajectories, likelier, other=other, near=near)
-    assert partly is not None
-    part, error = (float(value) for value in partly.of("other_support"))
-    refuted = 2 * norm.sf(abs(part) / error) < level
+    likelier, near, end = ("own_weight", own, 0.0) if bayes >= -DECISIVE else ("rigid", rigid, 1.0)
+    start, errors = min(end, STIFF), ERRORS[likelier]
+    sprung = posterior_of(shape, weight, trajectories, "springs", errors=errors, near=near, rigid_share=start)
+    assert sprung is not None
+    share, error = (float(value) for value in sprung.of("rigid_share"))
+    refuted = 2 * norm.sf(abs(share - end) / error) < level
     if likelier == "rigid":
-        kind = "between" if rigid.misfit > UNLIKE or (refuted and abs(part) > NEARLY) else "rigid"
-        test = SupportTest(kind, bayes, 1 - part, error)
+        kind = "between" if rigid.misfit > UNLIKE or (refuted and abs(share - end) > NEARLY) else "rigid"
     else:
         kind = "between" if refuted else "own_weight" if bayes > DECISIVE else "undecided"
-        test = SupportTest(kind, bayes, part, error)
-    return _between(test, shape, weight, trajectories, (alike, rigid)) if test.kind == "between" else test
+    test = SupportTest(kind, bayes, share, error)
+    return _between(test, shape, weight, trajectories, (alike, rigid), sprung) if test.kind == "between" else test
 
 
 def _between(
@@ -116,21 +119,25 @@ def _between(
     weight: float,
     trajectories: Sequence[Trajectory],
     near: tuple[Posterior, Posterior],
+    sprung: Posterior,
 ) -> SupportTest:
-    """Test with the posterior of both models' loads, the likelier of those from either model on.
+    """Test with the posterior of springs between the groups, where they explain the trials.
 
-    Without it where either model alone explains as much.
+    Those of the test itself, of the likelier model's errors; else those with the errors of one rigid body, where either
+    model alone does not explain as much.
     """
-    fits = [
-        posterior_of(shape, weight, trajectories, "own_weight", other="rigid", errors=RIGID, near=start)
-        for start in near
-    ]
-    shared = max(filter(None, fits), key=lambda fit: fit.log_evidence_to_scale)
-    gained = shared.log_evidence_to_scale - max(each.log_evidence_to_scale for each in near)
-    if not shared.explained.explains or gained < DECISIVE * math.log(10):
-        return test
-    part, error = (float(value) for value in shared.of("other_support"))
-    return replace(test, rigid_share=part, rigid_share_error=error, shared=shared)
+    shared = sprung
+    if not sprung.explained.explains:
+        starts = zip(near, (STIFF / 2, STIFF), strict=True)
+        fits = [
+            posterior_of(shape, weight, trajectories, "springs", near=each, rigid_share=share) for each, share in starts
+        ]
+        shared = max(filter(None, fits), key=lambda fit: fit.log_evidence_to_scale)
+        gained = shared.log_evidence_to_scale - max(each.log_evidence_to_scale for each in near)
+        if not shared.explained.explains or gained < DECISIVE * math.log(10):
+            return test
+    share, error = (float(value) for value in shared.of("rigid_share"))
+    return replace(test, rigid_share=share, rigid_share_error=error, shared=shared)
 
 
 def _log_evidence(posterior: Posterior, shape: ObjectShape, weight: float) -> float:

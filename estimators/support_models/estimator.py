@@ -145,9 +145,8 @@ class SupportAware:
         if test.kind == "rigid":
             return replace(answer, status="assumption_violated", message=message)
         # the answer may be wrong by as much as another support's is elsewhere
-        likelier, other = (on_rigid, on_own) if as_rigid else (on_own, on_rigid)
+        other = on_own if as_rigid else on_rigid
         if test.shared is not None:
-            answer = _wide(_wide(answer, likelier, 1 / 3), other, 1 / 2)
             return replace(answer, status="assumption_violated", message=message)
         share = 1 / (1 + 10**test.log10_bayes_factor) if test.kind == "undecided" else 0.5
         status = {"between": "assumption_violated", "undecided": "underdetermined"}.get(test.kind, answer.status)

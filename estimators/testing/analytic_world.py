@@ -14,7 +14,7 @@ from testbed.actions.rotate import Rotate
 from testbed.actions.slide import Slide
 from testbed.frames import cross_2d, perpendicular, pose_from_point, rotation_2d
 from testbed.objects.blocks import block_object, parse_layout
-from testbed.objects.model import GRAVITY, ObjectModel, even_shares
+from testbed.objects.model import GRAVITY, ObjectModel, ObjectShape, even_shares
 from testbed.trajectory import Phase, Tool, Trajectory
 
 RATE = 100.0
@@ -62,6 +62,7 @@ def analytic_trial(
     action: Rotate | Accelerate | Slide,
     *,
     rigid: bool = False,
+    springs: float = 0.0,
     lift: float = 0.0,
     moment: tuple[float, float] = (0.0, 0.0),
     wander: float = 0.0,
@@ -74,6 +75,7 @@ def analytic_trial(
         obj: the object, truth included.
         action: action on the table.
         rigid: one rigid body; else every group rests on its own weight.
+        springs: stiffness of springs between neighboring groups over that of a foot.
         lift: vertical force of the gripper [N].
         moment: moment of the feet beyond the weights, about the grasp point, object axes [N m].
         wander: amplitude of the motion of a turn's center, as under a compliant arm [m].
@@ -107,6 +109,9 @@ def analytic_trial(
     com_acceleration = acceleration + spin_slope[:, None] * perpendicular(to_com) - spin[:, None] ** 2 * to_com
     inertia = obj.inertia_cm + obj.total_mass * to_com @ to_com
     load = _rigid(obj, lever, lift, moment) if rigid else _own_weight(obj, action.grasp, lift, moment)
+    if springs:
+        sinks, joined = foundation(obj.shape)
+        load = sinks @ np.linalg.lstsq(sinks.T @ sinks + springs * joined, sinks.T @ load)[0]
     drag = np.where(shape.friction_group >= 0, obj.truth.friction[shape.friction_group], 0.0) * load
     particle = velocity[:, None] + spin[:, None, None] * perpendicular(lever)
     speed = np.linalg.norm(particle, axis=-1, keepdims=True)
@@ -203,6 +208,22 @@ def own_weight_loads(obj: ObjectModel) -> np.ndarray:
             share = even_shares(shape.particles[inside & feet] - shape.middle_of(group))
         load[inside & feet] = obj.particle_mass[inside].sum() * GRAVITY * share
     return load
+
+
+def foundation(shape: ObjectShape) -> tuple[np.ndarray, np.ndarray]:
+    """Foundation of groups that share one tilt.
+
+    Returns:
+        Sinking of each foot with the height of each group and the tilt, (P, n_m + 2); and stiffness of springs between
+        neighboring groups in these, of 1 N/m each.
+    """
+    feet = shape.friction_group >= 0
+    sinks = np.column_stack([np.eye(shape.n_m)[shape.mass_group], shape.particles]) * feet[:, None]
+    joined = np.zeros((shape.n_m + 2, shape.n_m + 2))
+    for a, b in shape.neighbors:
+        joined[[a, b], [a, b]] += 1
+        joined[[a, b], [b, a]] -= 1
+    return sinks, joined
 
 
 def _own_weight(obj: ObjectModel, grasp: int, lift: float, moment: tuple[float, float]) -> np.ndarray:

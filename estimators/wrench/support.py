@@ -6,7 +6,7 @@ the caller can see it.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from typing import Literal, NamedTuple
@@ -263,6 +263,58 @@ def contact_spread(model: ParticleModel, mass: Float[Tensor, "P"]) -> Float[Tens
 
 
 @dataclass(frozen=True, eq=False)
+class Springs:
+    """Loads of groups that springs join, from own weight (a share of 0) to one rigid body (1).
+
+    All groups share one tilt on a foundation of even stiffness, and each has a height of its own, which springs of
+    equal stiffness pull towards those of its neighbors. A pattern of load that springs take from the groups fades as
+    1 / (1 + r w): r is their stiffness over the foundation's, w the pattern's own.
+    """
+
+    span: Float[Tensor, "P r"]
+    """Loads that a foundation can have, orthonormal: a height of each group, and one tilt."""
+    patterns: Float[Tensor, "P J"]
+    """Patterns of load that one rigid body does not have, orthonormal."""
+    weight: Float[Tensor, "J"]
+    """Work of the springs in each pattern, over its mean."""
+
+    @staticmethod
+    def of(model: ParticleModel, neighbors: Sequence[tuple[int, int]]) -> Springs:
+        """Springs between mass groups.
+
+        Args:
+            model: particles of the object.
+            neighbors: pairs of mass groups that a spring joins.
+        """
+        count, feet = len(model.parts), model.contact
+        groups = torch.nn.functional.one_hot(model.mass_group, count).double()
+        sink, size, moves = torch.linalg.svd(torch.cat([groups, model.particles], 1) * feet[:, None])
+        ends = torch.zeros(len(neighbors), count + 2, dtype=torch.float64)
+        for spring, (a, b) in enumerate(neighbors):
+            ends[spring, a], ends[spring, b] = 1.0, -1.0
+        stretch = ends @ moves.T
+        rank = int((size > 1e-9 * size[0]).sum())
+        # moves that sink no foot take what the springs ask for: a straight row of feet may tilt across itself
+        free = torch.linalg.qr(stretch[:, rank:])[0]
+        stretch = (stretch - free @ (free.T @ stretch))[:, :rank] / size[:rank]
+        work, axes = torch.linalg.eigh(stretch.T @ stretch)
+        kept = work > 1e-9 * work[-1]
+        weight = work[kept]
+        return Springs(sink[:, :rank], sink[:, :rank] @ axes[:, kept], weight / weight.mean())
+
+    def joined(self, load: Float[Tensor, "P"], share: Float[Tensor, ""]) -> Float[Tensor, "P"]:
+        """Loads, N, of groups that press with `load` alone, at a share r / (1 + r) of springs.
+
+        Linear in the share below 0 and above 1.
+        """
+        within = share.clamp(0.0, 1.0)
+        taken = within * self.weight / (1 - within + within * self.weight)
+        taken = taken + (share - within) * torch.where(share < 0, self.weight, 1 / self.weight)
+        apart = load - self.span @ (self.span.T @ load)  # of groups that tilt alone
+        return load - self.patterns @ (taken * (self.patterns.T @ load)) - share * apart
+
+
+@dataclass(frozen=True, eq=False)
 class Support:
     """Loads of a support model, affine in the masses and in the gripper's load."""
 
@@ -302,14 +354,17 @@ class Support:
 
 
 SupportModel = Literal["own_weight", "rigid"]
+JoinedSupport = Literal["own_weight", "rigid", "springs"]
+"""Support models of the posterior: springs between the groups too, whose stiffness is unknown."""
 LoadsOf = Callable[[ParticleModel, Tensor, GripperLoad], Tensor]
 """Loads [N], (K, P), from particle masses [kg], (P,), and the gripper's load."""
-ASSUMPTION: dict[SupportModel, str] = {
+ASSUMPTION: dict[JoinedSupport, str] = {
     "own_weight": "every mass group rests on its own weight",
     "rigid": "the object is one rigid body",
+    "springs": "springs of equal stiffness join the mass groups",
 }
 """Assumption of each support model, in words."""
-ERRORS: dict[str, ModelErrors] = {"own_weight": ModelErrors(), "rigid": RIGID}
+ERRORS: dict[str, ModelErrors] = {"own_weight": ModelErrors(), "rigid": RIGID, "springs": RIGID}
 """Errors of the model under each."""
 LOADS: dict[str, LoadsOf] = {"own_weight": own_weight_loads, "rigid": rigid_loads}
 

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
+from scipy.spatial import KDTree
 
 from testbed.errors import InvalidValueError
 from testbed.objects.chain import Chain, checked_torques
@@ -205,6 +206,13 @@ class ObjectShape:
         """True if material fills some cell in part, at a height in it that the cells do not tell."""
         fill = self.fill[self.cells]
         return bool((fill < fill.max()).any())
+
+    @property
+    def neighbors(self) -> list[tuple[int, int]]:
+        """Pairs of mass groups with particles one cell apart."""
+        near = KDTree(self.particles[self.cells]).query_pairs(1.01 * self.cell, output_type="ndarray")
+        pairs = np.sort(self.mass_group[self.cells][near], axis=1)
+        return [(int(a), int(b)) for a, b in np.unique(pairs[pairs[:, 0] != pairs[:, 1]], axis=0)]
 
     @property
     def feet(self) -> Int[np.ndarray, "F"]:

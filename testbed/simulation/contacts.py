@@ -45,7 +45,7 @@ def resting_loads(obj: ObjectModel, support: Support, contact: ContactSettings) 
     stiffness = foot_stiffness(obj, contact)
     matrix = stiffness * sinks.T @ sinks
     if not support.is_rigid:
-        for a, b in touching_groups(shape):
+        for a, b in shape.neighbors:
             matrix[[a, b], [a, b]] += support.stiffness
             matrix[[a, b], [b, a]] -= support.stiffness
     weight = [obj.total_mass * GRAVITY] if support.is_rigid else obj.group_mass * GRAVITY
@@ -54,15 +54,6 @@ def resting_loads(obj: ObjectModel, support: Support, contact: ContactSettings) 
     loads = np.zeros(len(shape.particles))
     loads[feet] = stiffness * sinks @ np.linalg.lstsq(matrix, wanted, rcond=1e-9)[0]
     return loads
-
-
-def touching_groups(shape: ObjectShape) -> list[tuple[int, int]]:
-    """Pairs of mass groups with particles one cell apart."""
-    cells, group = shape.particles[shape.cells], shape.mass_group[shape.cells]
-    gaps = np.linalg.norm(cells[:, None] - cells[None], axis=-1)
-    a, b = np.nonzero(gaps < 1.01 * shape.cell)
-    pairs = np.sort(np.stack([group[a], group[b]], axis=1), axis=1)
-    return [(int(i), int(j)) for i, j in np.unique(pairs[pairs[:, 0] != pairs[:, 1]], axis=0)]
 
 
 def add_feet(

@@ -15,7 +15,7 @@ from testbed.errors import InvalidValueError
 from testbed.objects.colors import group_rgba
 from testbed.objects.files import asset_folder
 from testbed.objects.model import GRAVITY, STROKE, Grasp, ObjectModel, ObjectShape
-from testbed.simulation.contacts import add_feet, add_fingertip, soften_feet, touching_groups
+from testbed.simulation.contacts import add_feet, add_fingertip, soften_feet
 from testbed.simulation.settings import ContactSettings, GripSettings, SimulationSettings
 from testbed.trial import OWN_WEIGHT, Support
 from testbed.worlds.draw import WorldDraw
@@ -84,7 +84,7 @@ def add_object(
         for particle in shape.cells_of(group).tolist():
             add_cell(frame, shape, particle, max(float(obj.particle_mass[particle]), 1e-6), rgba=color, group=1)
     if support.stiffness > 0 and not support.is_rigid:
-        for a, b in touching_groups(joined or shape):
+        for a, b in (joined or shape).neighbors:
             tendon = spec.add_tendon(
                 name=f"spring_{a}_{b}", stiffness=[support.stiffness] * 3, damping=[2.0] * 3, springlength=(0, 0)
             )

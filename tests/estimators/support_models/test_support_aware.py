@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from itertools import product
 from typing import Any
 
@@ -10,6 +9,7 @@ import numpy as np
 import pytest
 import torch
 from numpy.testing import assert_allclose
+from scipy.linalg import eigh
 from scipy.special import logsumexp
 
 from estimators.action_selection.rank import RankDriven
@@ -19,14 +19,16 @@ from estimators.posterior.support import SupportTest, support_test
 from estimators.support_models.estimator import SupportAware
 from estimators.support_models.materials import rank_assignments
 from estimators.support_models.polytope import MassPolytope
-from estimators.testing.analytic_world import accelerated, drawn_object, turns
+from estimators.testing.analytic_world import accelerated, drawn_object, foundation, turns
 from estimators.wrench.model import ParticleModel, inertia_of
 from estimators.wrench.support import SupportModel
 from testbed.errors import InvalidValueError
 from testbed.objects.blocks import block_object, parse_layout
 from testbed.objects.files import load_object
 from testbed.objects.model import MassDistribution, ObjectModel
+from testbed.simulation.contacts import foot_stiffness
 from testbed.simulation.runner import SimulationRunner
+from testbed.simulation.settings import ContactSettings
 from testbed.trajectory import Trajectory
 from testbed.trial import Trial, parse_support
 from tests.helpers.answers import ask, found, nad
@@ -43,8 +45,9 @@ def also_slow(*values: object) -> list:
     return [pytest.param(value, marks=pytest.mark.slow) for value in values]
 
 
-def data(obj: ObjectModel, *, rigid: bool, noise: float = NOISE) -> list[Trajectory]:
-    return turns(obj, rigid=rigid, noise=noise) + accelerated(obj, rigid=rigid, noise=noise)
+def data(obj: ObjectModel, *, rigid: bool, springs: float = 0.0, noise: float = NOISE) -> list[Trajectory]:
+    world = {"rigid": rigid, "springs": springs, "noise": noise}
+    return turns(obj, **world) + accelerated(obj, **world)
 
 
 def decided(obj: ObjectModel, trajectories: list[Trajectory]) -> SupportTest:
@@ -53,13 +56,18 @@ def decided(obj: ObjectModel, trajectories: list[Trajectory]) -> SupportTest:
     return support_test(obj.shape, obj.total_mass, trajectories, own, rigid)
 
 
-def mixed(obj: ObjectModel, part: float) -> list[Trajectory]:
-    """Trials with a part of the loads spread as under one rigid body."""
-    fields = ("wrench_on_object_world", "sensor_wrench")
-    return [
-        replace(own, **{name: (1 - part) * getattr(own, name) + part * getattr(rigid, name) for name in fields})
-        for own, rigid in zip(data(obj, rigid=False), data(obj, rigid=True), strict=True)
-    ]
+def joined(obj: ObjectModel, share: float) -> list[Trajectory]:
+    """Trials of groups that springs join, from own weight (0) to one rigid body (1)."""
+    if share == 1:
+        return data(obj, rigid=True)
+    return data(obj, rigid=False, springs=share / (1 - share) / mean_work(obj))
+
+
+def mean_work(obj: ObjectModel) -> float:
+    """Mean work of springs as stiff as a foot, over that of the foundation, in the loads that they share."""
+    sinks, springs = foundation(obj.shape)
+    work = eigh(springs, sinks.T @ sinks, eigvals_only=True)
+    return float(work[work > 1e-9 * work[-1]].mean())
 
 
 def aware(obj: ObjectModel, *, rigid: bool = True, **settings: Any) -> Estimate:
@@ -100,11 +108,11 @@ def test_one_material_throughout_drags_alike_either_way_and_it_says_so(rigid):
     assert (np.sqrt(apart) > 0.02).all()  # a rigid one may hide its masses
 
 
-@pytest.mark.parametrize("part", [0.0, 0.3, 0.6, 1.0])
-def test_the_part_of_the_loads_that_is_a_rigid_bodys_is_found_within_its_error(part):
+@pytest.mark.parametrize("share", [0.0, 0.3, 0.6, 1.0])
+def test_the_share_of_springs_in_the_loads_is_found_within_its_error(share):
     obj = drawn_object(5)
-    test = decided(obj, mixed(obj, part))
-    assert abs(test.rigid_share - part) < 2.5 * test.rigid_share_error < 0.5
+    test = decided(obj, joined(obj, share))
+    assert abs(test.rigid_share - share) < 2.5 * test.rigid_share_error < 0.5
 
 
 @pytest.mark.parametrize("seed", [0, *also_slow(1, 2)])
@@ -139,31 +147,33 @@ def test_a_rigid_body_is_answered_by_masses_that_agree_with_what_is_known(seed):
         assert answer.diagnostics[f"least_{group}_kg"] - 1e-6 <= mass <= answer.diagnostics[f"most_{group}_kg"] + 1e-6
 
 
-@pytest.mark.parametrize("part", [0.3, 0.6, 0.9])
-def test_between_the_two_supports_it_says_so_and_its_errors_hold(part):
+@pytest.mark.parametrize("share", [0.3, 0.6, 0.9])
+def test_between_the_two_supports_it_says_so_and_its_errors_hold(share):
     obj = drawn_object(5)
-    answer = ask(obj, mixed(obj, part), SupportAware())
+    answer = ask(obj, joined(obj, share), SupportAware())
     assert answer.status in ("unexplained", "assumption_violated")
     assert answer.covariance is not None
     off = (found(answer).mass - obj.truth.mass) / np.sqrt(np.diag(answer.covariance))
     assert np.abs(off).max() < 3, off
-    if part < 0.9:  # there it is nearly one rigid body
-        assert nad(obj, answer) < 0.5 * nad(obj, ask(obj, mixed(obj, part), Bayes()))
+    if share < 0.9:  # there it is nearly one rigid body
+        assert nad(obj, answer) < 0.5 * nad(obj, ask(obj, joined(obj, share), Bayes()))
 
 
 @pytest.mark.slow
-def test_springs_between_blocks_are_a_share_of_both_supports():
-    """Under springs in simulation the loads of both supports together give masses that own weight's are far from."""
+@pytest.mark.parametrize("stiffness", ["300", "1000", "3000"])
+def test_springs_between_blocks_are_found_in_simulation(stiffness):
     obj = load_object("F2")
     with SimulationRunner() as simulation:
         turned: list[Trajectory] = []
         policy = RankDriven(pivots=6, duration=4.0, accelerated=3)
         while (action := policy.next(obj.shape, turned)) is not None:
-            turned.append(simulation.run(Trial(obj, action, parse_support("1000"))))
+            turned.append(simulation.run(Trial(obj, action, parse_support(stiffness))))
     answer = ask(obj, turned, SupportAware())
-    assert answer.status == "assumption_violated" and "something between" in answer.message
-    assert 0.3 < answer.diagnostics["rigid_share"] < 0.7
-    assert nad(obj, answer) < 0.7 * nad(obj, ask(obj, turned, Bayes()))
+    assert answer.status == "assumption_violated" and "springs between the groups" in answer.message
+    stiff = float(stiffness) / foot_stiffness(obj, ContactSettings()) * mean_work(obj)
+    share, error = (answer.diagnostics[name] for name in ("rigid_share", "rigid_share_error"))
+    assert abs(share - stiff / (1 + stiff)) < 2.5 * error < 0.5
+    assert nad(obj, answer) < 0.5 * nad(obj, ask(obj, turned, Bayes()))
     assert answer.covariance is not None
     assert (np.abs(found(answer).mass - obj.truth.mass) < 3 * np.sqrt(np.diag(answer.covariance))).all()
 

@@ -52,7 +52,11 @@ from tests.helpers.runs import small_scenario  # pyright: ignore[reportMissingIm
 
 MOST_S, MOST_MB = 3.0, 500.0
 WHO = (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)
-COMMANDS = ("status DIR", "report DIR", "render DIR", "export DIR KEY", "figures DIR KEY", "record DIR KEY")
+COMMANDS = (
+    "status DIR",
+    "export DIR KEY",
+    *(f"view DIR {how}" for how in ("--report", "--film", "KEY --figures", "KEY --record")),
+)
 Read = Callable[[Path], object]
 Cases = Iterator[tuple[str, Callable[[], object]]]  # the outcome where nothing is refused, and what to call
 

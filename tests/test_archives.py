@@ -89,10 +89,10 @@ def test_commands_read_it(folder: Path, monkeypatch: pytest.MonkeyPatch, capsys:
     key = next(path.parent.name for path in Path("run").glob("estimates/*/result.json"))
     for words in (
         ["status", "run"],
-        ["report", "run"],
-        ["record", "run"],
-        ["record", "run", key],
-        ["figures", "run"],
+        ["view", "run", "--report"],
+        ["view", "run", "--record"],
+        ["view", "run", key, "--record"],
+        ["view", "run", "--figures"],
         ["estimate", "imported", "--methods", "hidden_states"],
     ):
         main(words)

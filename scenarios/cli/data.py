@@ -174,6 +174,7 @@ def estimate(
     against.
 
     Exit code: 1 where some method failed or had no data.
+
     Examples: heft estimate results/robot --methods hidden_states explicit_state_M
               heft estimate results/lab --scenario my/scenario.toml --held-out 2
 

@@ -9,8 +9,9 @@ from collections.abc import Callable, Mapping, Sequence
 from functools import reduce
 from importlib import import_module
 from importlib.metadata import version
+from inspect import signature
 from operator import or_
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
 
 import tyro
 
@@ -22,37 +23,37 @@ PATIENCE = 2.0
 """Time that a thread may take to end after the command has [s]."""
 COMMANDS = {
     "run": ("scenarios.cli.run:run", "Run a scenario: its trials, every method's estimates, tables and a report."),
-    "status": ("scenarios.cli.run:status", "Show how far a results folder is: what is done, what failed and why."),
-    "report": ("scenarios.cli.view:report", "Write DIR/report.html: tables, figures, failures, how to run it again."),
-    "view": ("scenarios.cli.view:view", "Open a trial, an estimate or a comparison of methods in the Rerun viewer."),
-    "record": ("scenarios.cli.view:record", "Write Rerun recordings of a results folder."),
-    "figures": ("scenarios.cli.view:figures", "Draw figures for a paper, as PDF and PNG, into DIR/figures."),
+    "status": ("scenarios.cli.run:status", "Show the progress of a results folder, and what failed and why."),
+    "view": ("scenarios.cli.view:view", "Look at results: in the Rerun viewer, as recordings, figures or films."),
+    "doctor": ("scenarios.cli.doctor:doctor", "Find what is wrong with a setup, from how its trials disagree."),
     "export": ("scenarios.cli.export:export", "Write an estimate as a model, or a trial as ROS 2 messages."),
-    "payload": ("scenarios.cli.export:payload", "Write the payload of a robot's flange for its controller."),
-    "render": ("scenarios.cli.render:render", "Draw a recorded trial as a film or a picture; needs no display."),
-    "watch": ("scenarios.cli.render:watch", "Open a window on a trial, simulated now or recorded."),
     "objects": ("scenarios.cli.view:objects", "List the objects in the library."),
-    "scenarios": ("scenarios.cli.view:scenarios", "List the scenarios in the library."),
-    "methods": ("scenarios.cli.view:methods", "List the methods, heft's own and installed ones, with their settings."),
     "show": ("scenarios.cli.view:show", "Show one object: blocks, mass, center of mass, inertia, grasps."),
     "mesh": ("scenarios.cli.mesh:mesh", "Make objects of mesh files: mended, laid down, cut, with grasps."),
+    "scenarios": ("scenarios.cli.view:scenarios", "List the scenarios in the library."),
+    "methods": ("scenarios.cli.view:methods", "List the methods, heft's own and installed ones, with their settings."),
+    "watch": ("scenarios.cli.film:watch", "Open a window on a trial, simulated now or recorded."),
     "identify": ("scenarios.cli.plan:identify", "Predict what trials of an object would show of its masses."),
     "plan": ("scenarios.cli.plan:plan", "Plan actions that show an object's masses in little robot time."),
     "touch": ("scenarios.cli.touch:touch", "Choose and simulate actions until an object's masses are known."),
-    "doctor": ("scenarios.cli.doctor:doctor", "Say what is wrong with a setup, from how its trials disagree."),
+    "import": ("scenarios.cli.data:import_", "Read another robot's logs (tables, MCAP, ROS 2 bags) as trials."),
+    "estimate": ("scenarios.cli.data:estimate", "Estimate from the measured trials of a folder by every method."),
+    "calibrate": ("scenarios.cli.data:calibrate", "Calibrate a force/torque sensor from a recording of still poses."),
+    "payload": ("scenarios.cli.export:payload", "Write the payload of a robot's flange for its controller."),
     "robot check": ("scenarios.cli.robot.check:check", "Show what of the robot is there and what is missing."),
     "robot sensor": ("scenarios.cli.robot.sensor:sensor", "Show the sensor live, or check it against a known mass."),
     "robot calibrate": ("scenarios.cli.robot.calibrate:calibrate", "Find the sensor's rotation and the tool's mass."),
     "robot hand-eye": ("scenarios.cli.robot.calibrate:hand_eye", "Find a tracker's pose in the arm's base frame."),
     "robot trial": ("scenarios.cli.robot.trial:trial", "Run one trial on the real arm and store it."),
     "robot verify": ("scenarios.cli.robot.check:verify", "Check the sensor's sign, rotation and zero by trials."),
-    "import": ("scenarios.cli.data:import_", "Read another robot's logs (tables, MCAP, ROS 2 bags) as trials."),
-    "calibrate": ("scenarios.cli.data:calibrate", "Calibrate a force/torque sensor from a recording of still poses."),
-    "estimate": ("scenarios.cli.data:estimate", "Estimate from the measured trials of a folder by every method."),
 }  # fmt: skip
 """Function of each command, and its line in `heft --help`."""
 GROUPS = {"robot": "The real robot: check it, show its sensor, calibrate it, run a trial on it, verify its trials."}
 """First words of commands of two words."""
+TOPICS = {"run": "Run and compare", "objects": "Objects and library", "identify": "Plan", "import": "Measured data",
+          "robot check": "Real robot"}  # fmt: skip
+"""Headings of `heft --help`, by the first command under each."""
+ABOUT = "What can a robot learn about an object's mass distribution from the wrench at its wrist?"
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -65,14 +66,16 @@ def main(arguments: list[str] | None = None) -> None:
     if arguments == ["--version"]:
         print(f"heft {version('heft-testbed')}")
         return
-    if not arguments or (len(arguments) == 1 and arguments[0] in GROUPS):
+    if not arguments or arguments[0] in ("-h", "--help"):
+        print(overview())
+        sys.exit(0)
+    if len(arguments) == 1 and arguments[0] in GROUPS:
         arguments = [*arguments, "--help"]
     try:
         tyro.extras.subcommand_cli_from_dict(
             commands_of(arguments),
             prog="heft",
-            description="What can a robot learn about how an object's mass is spread, from the wrench at its wrist?\n"
-            "heft --version prints the version.",
+            description=ABOUT,
             args=arguments,
         )
     except HeftError as error:
@@ -128,10 +131,36 @@ def commands_of(arguments: Sequence[str]) -> dict[str, Callable[..., None]]:
     return functions | {first: _group(group, GROUPS[first]) for first, group in groups.items()}
 
 
+def overview() -> str:
+    """Text of `heft --help`: the commands by topic."""
+    lines = [
+        "usage: heft COMMAND [OPTIONS]    heft COMMAND --help explains one, heft --version prints the version",
+        "",
+        ABOUT,
+    ]
+    for name, (_, line) in COMMANDS.items():
+        lines += ["", TOPICS[name]] if name in TOPICS else []
+        lines.append(f"  {name:<16} {line}")
+    return "\n".join(lines)
+
+
 def load(path: str) -> Callable[..., None]:
-    """The function behind "module:name"."""
+    """Function behind "module:name", without a default in its help where that is nothing."""
     module, name = path.split(":")
-    return getattr(import_module(module), name)
+    function = getattr(import_module(module), name)
+    hints = get_type_hints(function, include_extras=True)
+    for parameter in signature(function).parameters.values():
+        if parameter.default is None or parameter.default is False or parameter.default == ():
+            function.__annotations__[parameter.name] = _without_default(hints[parameter.name])
+    return function
+
+
+def _without_default(hint: Any) -> Any:
+    """Type of an option that may be left out."""
+    bare = get_args(hint)[0] if get_origin(hint) is Annotated else hint
+    choices = [choice for part in get_args(bare) if get_origin(part) is Literal for choice in get_args(part)]
+    metavar = f"{{{','.join(choices)}}}" if type(None) in get_args(bare) and choices else None
+    return Annotated[hint, tyro.conf.arg(help_behavior_hint=lambda _: "", metavar=metavar)]
 
 
 def _placeholder(line: str) -> Callable[[], None]:

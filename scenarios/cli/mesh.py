@@ -30,6 +30,7 @@ def mesh(
     object file. Without masses an object is for measured trials.
 
     Exit code: 1 where a file makes no object.
+
     Examples: heft mesh hammer.stl
               heft mesh hammer.ply --parts colours --mass 0.69 --down=-z
               heft mesh tools/*/mesh.ply --out results/tools --mass 0.5

@@ -185,6 +185,7 @@ def plan(
     """Plan actions: where to grasp or push and which way, to know an object's masses in little robot time.
 
     Of the object the planner uses only its shape and its weight, so a file without masses does with --weight.
+
     Examples: heft plan L2 --budget 60s
               heft plan L2 --until 2% --policy batch --figure results/L2_plan
               heft plan L2 --world lab --most 12

@@ -64,6 +64,7 @@ def run(
     """Run a scenario: every object under every support by every method, with tables and a report.
 
     Ctrl-C leaves whole files; the same command goes on from them, after kill -9 too.
+
     Examples: heft run blocks --objects L2 my/object.toml --out results/mine
               heft run my/scenario.toml --methods hidden_states explicit_state --seeds 20 --out results/tonight
 

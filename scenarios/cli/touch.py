@@ -45,6 +45,7 @@ def touch(
     """Try an object in simulation until its masses are known: weigh, plan, act, estimate, and stop by itself.
 
     After each trial, all measurements so far decide the next. Trials are kept: the same command goes on from them.
+
     Examples: heft touch docs/objects/T.toml --until 5%
               heft touch L2 --until 1% --budget 5min --record --out results/L2_touched
 

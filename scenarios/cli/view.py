@@ -11,37 +11,80 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from scenarios.cli.film import RenderRequest
 from scenarios.cli.terminal import open_console, orderly_end
 from testbed.errors import HeftError, InvalidValueError
 
 if TYPE_CHECKING:
     from testbed.objects.model import ObjectModel
 
-Folder = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DIR")]
+NO_OPTIONS = RenderRequest()
 
 
 def view(
-    folder: Folder,
-    what: Annotated[str | None, tyro.conf.Positional, tyro.conf.arg(metavar="WHAT")] = None,
+    folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DIR")],
+    what: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="[WHAT ...]")] = (),
     *,
     web: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False,
     port: Annotated[int | None, tyro.conf.arg(metavar="N")] = None,
+    record: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False,
+    all_: Annotated[bool, tyro.conf.arg(name="all"), tyro.conf.FlagCreatePairsOff] = False,
+    figures: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False,
+    report: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False,
+    film: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False,
+    options: Annotated[RenderRequest, tyro.conf.OmitArgPrefixes, tyro.conf.arg(name="film")] = NO_OPTIONS,
 ) -> None:
-    """Open a trial, an estimate or a comparison of methods in the Rerun viewer.
+    """Look at a results folder: in the Rerun viewer, or as recordings, figures, a report or a film.
 
-    Examples: heft view results/blocks            every object under every method
-              heft view results/blocks L2         one object under every method
-              heft view results/blocks 3f9a       the trial or the estimate whose key begins so (see its report)
+    Without an option it opens the viewer on everything, on one object under every method, or on the trial or the
+    estimate whose key begins so (the report has the keys).
+
+    Examples: heft view results/blocks L2
+              heft view results/blocks 3f9a --web --port 9090
+              heft view results/blocks L2 3f9a --record
+              heft view results/blocks --figures --report
+              heft view results/blocks 3f9a --film --speed 4
+              heft view results/blocks 3f9a --film --out turn.gif --camera above --width 480 --height 320 --fps 12.5
 
     Results on another machine: `heft view DIR --web --port 9090` there, `ssh -L 9090:127.0.0.1:9090 THERE` here, and
     the printed address in a browser here.
 
     Args:
         folder: of a run, finished or still running.
-        what: an object, or the beginning of a trial's or an estimate's key; everything if left out.
+        what: objects, or beginnings of trials' or estimates' keys; everything if left out.
         web: serve the viewer to a browser on this machine instead of opening a window.
         port: of --web, for the page and its data alike; a free one if left out.
+        record: write Rerun recordings instead: DIR/recording.rrd, or DIR/recordings/WHAT.rrd. `rerun FILE` opens one
+            on any machine.
+        all_: with --record, of every trial and estimate that has none yet.
+        figures: draw figures for a paper, as PDF and PNG, into DIR/figures: of the run, or of the estimates WHAT.
+        report: write DIR/report.html again: tables, figures, failures, how to run it again.
+        film: draw trials as a film (.mp4, .gif) or one picture (.png), without a display; without WHAT, list them.
+        options: with --film.
     """
+    if port is not None and not web:
+        raise InvalidValueError("--port", port, "only with --web: a window needs none")
+    if all_ and not record:
+        raise InvalidValueError("--all", all_, "only with --record")
+    if options != NO_OPTIONS and not film:
+        options_of = "--out, --width, --height, --fps, --speed, --camera, --at, --no-caption"
+        raise InvalidValueError("--film", film, f"given, for {options_of}")
+    if not (record or figures or report or film):
+        _open_viewer(folder, what, port or 0, web=web)
+    if record:
+        _record(folder, what, missing=all_)
+    if figures:
+        _draw_figures(folder, what)
+    if report:
+        from scenarios.views.report import report as write
+
+        print(write(folder))
+    if film:
+        _draw_films(folder, what, options)
+
+
+def _open_viewer(folder: Path, what: tuple[str, ...], port: int, *, web: bool) -> None:
+    """Open a window, or serve a browser until it is interrupted."""
     import tempfile
 
     from scenarios.views.pages import page_of
@@ -49,39 +92,26 @@ def view(
     from viz.recordings import viewer
     from viz.recordings.page import save
 
-    if port is not None and not web:
-        raise InvalidValueError("--port", port, "only with --web: a window needs none")
+    if len(what) > 1:
+        raise InvalidValueError("WHAT", " ".join(what), "one object or key at a time; several with --record")
     viewer.check_display(web=web)
-    page = page_of(folder, what)
+    page = page_of(folder, what[0] if what else None)
     with orderly_end(), tempfile.TemporaryDirectory(prefix="heft-") as place:
         path = Path(place) / "page.rrd"
         save(page, path)
         if not web:
             viewer.open_file(path)
             return
-        serve(path, port or 0)
+        serve(path, port)
 
 
-def record(
-    folder: Folder,
-    what: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="WHAT")] = (),
-    *,
-    all_: Annotated[bool, tyro.conf.arg(name="all"), tyro.conf.FlagCreatePairsOff] = False,
-) -> None:
-    """Write Rerun recordings: DIR/recording.rrd, or DIR/recordings/WHAT.rrd.
-
-    `rerun FILE` opens one on any machine; it needs nothing else of the folder.
-
-    Args:
-        folder: of a run, finished or still running.
-        what: objects, or beginnings of trials' or estimates' keys; every object under every method if left out.
-        all_: every trial and estimate that has no recording yet, instead.
-    """
+def _record(folder: Path, what: tuple[str, ...], *, missing: bool) -> None:
+    """Write recordings: of what is named, of all together, or all that are missing."""
     from scenarios.cli.run import show_progress
     from scenarios.views.pages import page_of, record_all, recording_path
     from viz.recordings.page import save
 
-    if all_:
+    if missing:
         with show_progress() as progress:
             record_all(folder, progress)
         return
@@ -91,32 +121,30 @@ def record(
         print(f"recording: {path}")
 
 
-def report(folder: Folder) -> None:
-    """Write DIR/report.html: one file with tables, figures, failures and what is needed to run it again.
-
-    Args:
-        folder: of a finished run.
-    """
-    from scenarios.views.report import report as write
-
-    print(write(folder))
-
-
-def figures(
-    folder: Folder,
-    what: Annotated[str | None, tyro.conf.Positional, tyro.conf.arg(metavar="ESTIMATE")] = None,
-) -> None:
-    """Draw figures for a paper, as PDF and PNG, into DIR/figures.
-
-    Args:
-        folder: of a finished run.
-        what: beginning of an estimate's key: its maps, bars, losses and wrench fits; of the whole run if left out.
-    """
+def _draw_figures(folder: Path, what: tuple[str, ...]) -> None:
+    """Draw figures of a whole run, or of estimates: maps, bars, losses and wrench fits."""
     from scenarios.results.estimates import row_of
     from scenarios.views.figures import figures as draw
 
-    for path in draw(folder, None if what is None else row_of(folder, what)):
-        print(f"figure: {path}")
+    for name in what or [None]:
+        for path in draw(folder, None if name is None else row_of(folder, name)):
+            print(f"figure: {path}")
+
+
+def _draw_films(folder: Path, what: tuple[str, ...], options: RenderRequest) -> None:
+    """Draw films or pictures of trials; list the trials where none is named."""
+    from scenarios.cli.film import list_trials, render_trial
+    from scenarios.cli.run import show_progress
+
+    if not what:
+        open_console().print(list_trials(folder))
+    if options.out is not None and len(what) > 1:
+        raise InvalidValueError("--out", str(options.out), "for one trial; else DIR/trials/TRIAL/trial.mp4")
+    for trial in what:
+        with show_progress() as progress:
+            path, pace = render_trial(folder, trial, options, progress)
+        slow = options.speed or pace == 1
+        print(path if slow else f"{path} ({pace:g} times as fast; --speed 1 is the trial's own time)")
 
 
 def objects() -> None:

@@ -45,7 +45,7 @@ def choose_window() -> None:
     if not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
         raise NoGraphicsError(
             "cannot open a window: there is no display (neither DISPLAY nor WAYLAND_DISPLAY is set); "
-            "heft render makes a film without one; see also heft view"
+            "heft view DIR TRIAL --film needs none"
         )
     os.environ["MUJOCO_GL"] = "glfw"
     os.environ.pop("PYOPENGL_PLATFORM", None)  # a process that draws without a display leaves "egl" to its children
@@ -54,7 +54,7 @@ def choose_window() -> None:
         where = os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
         raise NoGraphicsError(
             f"cannot open a window on display {where} ({error}); start one there, or install what windows need "
-            f"(Debian, Ubuntu: apt-get install {WINDOW_PACKAGES}); heft render makes a film without a display"
+            f"(Debian, Ubuntu: apt-get install {WINDOW_PACKAGES}); heft view DIR TRIAL --film needs no display"
         )
 
 

@@ -119,11 +119,12 @@ def test_what_shows_a_folder_names_what_is_damaged(finished, copied, capsys):
     harmed = [copied / "manifest.json", trial / "trial.json", estimate / "estimate.npz"]
     for path in harmed:
         flip(path)
-    for command, files in (("status", harmed[:2]), ("report", harmed), ("render", harmed[1:2])):
+    for words, files in (("status", harmed[:2]), ("view --report", harmed), ("view --film", harmed[1:2])):
+        command, *options = words.split()
         with pytest.warns(DamagedFileWarning) as told:
-            main([command, str(copied)])
+            main([command, str(copied), *options])
         assert {str(warning.message).partition(": ")[0] for warning in told} == {str(path) for path in files}
-    for command in (["export", row["key"]], ["render", trial.name]):
+    for command in (["export", row["key"]], ["view", trial.name, "--film"]):
         with pytest.raises(SystemExit, match="2"):
             main([command[0], str(copied), *command[1:]])
         said = capsys.readouterr().err

@@ -106,7 +106,7 @@ def test_nothing_but_failures_is_a_table_a_report_and_the_place_of_each_error(he
         assert "Traceback" in Path(line).read_text(encoding="utf-8")
     rows = load_results(here / "out")
     assert set(rows["status"]) == {"failed"} and rows["nad"].isna().to_numpy().all()
-    main(["figures", "out"])
+    main(["view", "out", "--figures"])
     main(["status", "out"])
     assert re.search(rf"error.txt: {REASONS['Fails']}", capsys.readouterr().out)
 

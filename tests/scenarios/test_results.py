@@ -153,8 +153,8 @@ def without(file: Path, name: str) -> None:
         write_json(file, {key: value for key, value in (read_json(file) or {}).items() if key != name})
 
 
-ESTIMATE = (["view", "--web"], ["record"], ["figures"], ["export"])
-TRIAL = (["view", "--web"], ["record"], ["render"])
+ESTIMATE = (["view", "--web"], ["view", "--record"], ["view", "--figures"], ["export"])
+TRIAL = (["view", "--web"], ["view", "--record"], ["view", "--film"])
 
 
 @pytest.mark.parametrize(
@@ -168,7 +168,7 @@ TRIAL = (["view", "--web"], ["record"], ["render"])
         ("trial.json", "asked", TRIAL),
         ("trial.json", "[]", TRIAL),
         ("trial.json", {"asked": {"action": "rotate"}}, TRIAL),
-        ("results.parquet", "half of it", (["figures"], ["export"])),
+        ("results.parquet", "half of it", (["view", "--figures"], ["export"])),
     ],
 )
 def test_a_file_of_another_format_is_one_clear_line(finished, copied, capsys, monkeypatch, file, harm, commands):
@@ -223,7 +223,7 @@ def test_the_truth_predicts_with_its_own_support(support, rigid, first, predicte
         (lambda table, rows: Store(table.parent).put_table([*rows.drop(columns="nad").to_dict("records")]), "no nad"),
     ],
 )
-@pytest.mark.parametrize("command", ["figures", "view --web", "record", "report", "export"])
+@pytest.mark.parametrize("command", ["view --figures", "view --web", "view --record", "view --report", "export"])
 def test_a_damaged_table_is_one_clear_line(finished, copied, capsys, monkeypatch, command, harm, said):
     monkeypatch.setattr("viz.recordings.viewer.served", pytest.fail)
     table, (name, *options) = copied / "results.parquet", command.split()
@@ -235,15 +235,15 @@ def test_a_damaged_table_is_one_clear_line(finished, copied, capsys, monkeypatch
     assert line.startswith(f"heft: {copied}") and said in line and line.count("\n") == 1
 
 
-@pytest.mark.parametrize(("command", "field"), [("figures", "ESTIMATE"), ("record", "WHAT"), ("render", "TRIAL")])
-def test_an_ambiguous_key_is_called_so(copied, capsys, command, field):
+@pytest.mark.parametrize(("option", "field"), [("--figures", "ESTIMATE"), ("--record", "WHAT"), ("--film", "TRIAL")])
+def test_an_ambiguous_key_is_called_so(copied, capsys, option, field):
     for kind in ("estimates", "trials"):
         for path in [path for path in copied.glob(f"{kind}/*") if path.name[0] != "0"]:
             path.rename(path.with_name("0" + path.name[1:]))
     rows = load_results(copied)
     Store(copied).put_table(row | {"key": "0" + row["key"][1:]} for row in rows_of(rows))
     with pytest.raises(SystemExit, match="2"):
-        main([command, str(copied), "0"])
+        main(["view", str(copied), "0", option])
     assert re.search(rf"heft: {field}: got '0'; .* this is ambiguous: \d+ begin so \(0", capsys.readouterr().err)
 
 
@@ -252,8 +252,9 @@ def test_reports_tell_what_can_be_told(finished, copied, capsys):
     without(copied / "estimates" / row["key"] / "estimate.npz", "random.loss")
     write_json(copied / "trials" / row["trial_keys"][1] / "trial.json", {"asked": {"action": "rotate"}})
     write_json(copied / "manifest.json", {})
-    for command in ("report", "status", "render"):
-        main([command, str(copied)])
+    for command in ("view --report", "status", "view --film"):
+        name, *options = command.split()
+        main([name, str(copied), *options])
     assert "estimates: 9 done" in capsys.readouterr().out
 
 

@@ -122,7 +122,7 @@ def test_nothing_is_written_through_a_linked_folder_or_a_name_in_the_table(copie
         (copied / name).symlink_to(aside)
     rows = [row | {"object": "../../aside/pwn"} for row in rows_of(load_results(copied))]
     key = rows[0]["key"]
-    for command in ("figures out", f"record out {key}", f"export out {key}"):
+    for command in ("view out --figures", f"view out {key} --record", f"export out {key}"):
         with pytest.raises(SystemExit, match="2"):
             main([str(tmp_path / word) if word == "out" else word for word in command.split()])
         assert "leads out of the folder" in capsys.readouterr().err

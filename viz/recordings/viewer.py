@@ -63,7 +63,7 @@ def check_display(*, web: bool) -> None:
     if not web and not has_display():
         raise ViewerError(
             "no display (neither DISPLAY nor WAYLAND_DISPLAY is set): --web serves the viewer to a browser, "
-            "heft record writes the file to be opened elsewhere, heft render makes a film"
+            "heft view DIR --record writes the file to be opened elsewhere, --film makes a film"
         )
 
 

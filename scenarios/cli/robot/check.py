@@ -27,6 +27,7 @@ def check(*, config: Annotated[Path, tyro.conf.arg(metavar="FILE")] = Path("robo
     limits of every motion. docs/hardware.md has every field and the way from here to a first trial, step by step.
 
     Exit code: 0 all that a trial needs is there, 1 something is missing.
+
     Example: heft robot check --config benches/left.toml
 
     Args:
@@ -188,6 +189,7 @@ def verify(folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="
     a weighing by lifting, three turns there and back about points apart, and two slides.
 
     Exit code: 1 if something is wrong.
+
     Example: heft robot verify results/lab
 
     Args:

@@ -30,6 +30,7 @@ def sensor(
 
     Numbers are mean +- standard deviation over a second, forces then torques, with the sensor's own zero and sign.
     Exit code: 1 if it disagrees with the mass, or loses more than one frame in a hundred.
+
     Examples: heft robot sensor --port /dev/ttyUSB0 --no-viewer --seconds 5
               heft robot sensor --mass 2
 

@@ -54,6 +54,7 @@ def trial(
     """Run one trial on the real arm and store it. The motion is shown, and made only after you have typed yes.
 
     Exit code: 1 if the trial is no data.
+
     Examples: heft robot trial L2 --grasp A2 --dry-run
               heft robot trial L2 --grasp A2 --speed 5 --seconds 2 --out results/lab
               heft robot trial L2 --action push --point 0 -25 --at-seen --out results/lab

@@ -297,5 +297,5 @@ def test_every_named_option_exists(page, heading, capsys):
 def test_every_command_has_its_section(capsys):
     with pytest.raises(SystemExit):
         main(["--help"])
-    listed = {f"heft {name}" for name in re.findall(r"• (\w+)", capsys.readouterr().out)}
+    listed = {f"heft {name}" for name in re.findall(r"^  (\w+)", capsys.readouterr().out, re.MULTILINE)}
     assert listed == {name for (page, _), names in COMMANDS_OF.items() if page == "command_line.md" for name in names}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import re
 import subprocess
 import sys
 from importlib.metadata import EntryPoint, EntryPoints, version
@@ -13,7 +14,7 @@ from rich.console import Console
 
 from estimators.registry import METHODS
 from scenarios.catalog import LIBRARY, purpose, scenario_names
-from scenarios.cli.main import main
+from scenarios.cli.main import COMMANDS, main
 from scenarios.results.files import exclusive, write_json
 from testbed import plugins
 from testbed.errors import HeftError
@@ -37,8 +38,9 @@ def folder_of(path: Path, manifest: dict[str, object], trials: int = 2, estimate
 def test_what_only_looks_loads_nothing_heavy(tmp_path):
     folder = folder_of(tmp_path, {"finished": True})
     code = f"""
+import re
 import sys
-from scenarios.cli.main import main
+from scenarios.cli.main import COMMANDS, main
 main(["scenarios"]); main(["status", {str(folder)!r}])
 print("loaded:", *sorted({{*sys.modules}} & {{*{HEAVY!r}}}))
 """
@@ -113,6 +115,15 @@ def test_settings_are_written_as_in_a_scenario():
 def test_the_version_is_one_line(capsys):
     main(["--version"])
     assert capsys.readouterr().out == f"heft {version('heft-testbed')}\n"
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_help_shows_no_default_that_is_nothing_and_examples_on_lines_of_their_own(capsys, command):
+    with pytest.raises(SystemExit, match="0"):
+        main([*command.split(), "--help"])
+    said = capsys.readouterr().out
+    assert "None" not in said and "default: False" not in said
+    assert all(line.lstrip().startswith("Example") for line in said.splitlines() if re.search(r"Examples?:", line))
 
 
 @pytest.mark.parametrize("words", [[], ["robot"]])

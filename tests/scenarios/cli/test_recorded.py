@@ -230,8 +230,8 @@ def test_measured_trials_and_their_estimates_are_shown_as_simulated_ones_are(lab
     assert (lab / "lab/report.html").read_text(encoding="utf-8").count("<svg") == 6  # with three maps
     assert "its joints were not logged" in trial_view(lab / "lab", row["trial_keys"][1]).facts["arm"]
     for what in ("mine", row["key"], row["trial_keys"][1]):
-        assert ended("record", "lab", what) == 0
-    assert ended("figures", "lab", row["key"]) == 0
+        assert ended("view", "lab", what, "--record") == 0
+    assert ended("view", "lab", row["key"], "--figures") == 0
     assert len(list((lab / "lab/recordings").glob("*.rrd"))) == 3
 
 
@@ -271,7 +271,7 @@ def test_masses_need_not_be_invented(lab: Path, records: list[Trajectory], capsy
     page = (lab / "lab/report.html").read_text(encoding="utf-8")
     assert page.index("masses in kg, center in mm") < page.index("half of each 90 % interval")
     assert 'id="tables"' not in page and "NAD" not in page
-    assert ended("figures", "lab") == 0
+    assert ended("view", "lab", "--figures") == 0
     assert not list((lab / "lab").glob("figures/*"))  # NAD and differences have no truth
     assert ended("show", "mine.toml") == 0
     assert "masses not given" in capsys.readouterr().out

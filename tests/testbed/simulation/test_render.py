@@ -20,8 +20,8 @@ import pytest
 from numpy.testing import assert_allclose
 from PIL import Image
 
+from scenarios.cli.film import FILM_S, RenderRequest, nearest, pace_of
 from scenarios.cli.main import main
-from scenarios.cli.render import FILM_S, RenderRequest, nearest, pace_of
 from scenarios.results.files import write_json
 from scenarios.results.store import key_of, trial_request
 from scenarios.results.trials import TrialRecord, read_trial
@@ -87,7 +87,7 @@ def drawn(egl, root, turn, slide, tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("drawn")
 
     def render(record: TrialRecord, out: str, *words: str) -> list[str]:
-        return ["render", str(root), record.folder.name[:9], "--out", str(folder / out), *words]
+        return ["view", str(root), record.folder.name[:9], "--film", "--out", str(folder / out), *words]
 
     done = heft(
         render(turn, "turn.mp4", "--camera", "above", *FILM),
@@ -265,7 +265,7 @@ def test_a_picture_is_lit_and_shows_table_arm_and_object(drawn, name):
 
 
 def test_trials_are_listed(root, turn, slide, capsys):
-    main(["render", str(root)])
+    main(["view", str(root), "--film"])
     lines = capsys.readouterr().out.splitlines()
     for record, words in ((turn, ("L2", "rotate")), (slide, ("hammer", "slide"))):
         line = next(line for line in lines if record.folder.name[:8] in line)
@@ -280,7 +280,7 @@ def test_trials_are_listed_by_object_support_and_grasp(tmp_path, capsys):
         content = {"asked": {"support": support, "action": action}, "names": {"object": name, "grasps": ["A1", "B1"]}}
         write_json(tmp_path / "trials" / f"{key:08}" / "trial.json", content | {"status": "ok"})
     write_json(tmp_path / "trials" / "of_other_format" / "trial.json", {})
-    main(["render", str(tmp_path)])
+    main(["view", str(tmp_path), "--film"])
     cells = [line.split()[1::2] for line in capsys.readouterr().out.splitlines() if line.count("│") > 5]
     assert len(cells) == 5, "the one of another format too"
     assert [tuple(row[1:4]) for row in cells if row[1] != "?"] == [
@@ -319,7 +319,7 @@ ctypes.CDLL.__init__ = without_egl
 )
 def test_a_machine_that_cannot_draw_reports_what_to_install(root, slide, tmp_path, env, before, advice):
     out = tmp_path / "film.mp4"
-    words = ["render", str(root), slide.folder.name, "--out", str(out)]
+    words = ["view", str(root), slide.folder.name, "--film", "--out", str(out)]
     done = heft(words, env=os.environ | env, before=before)
     assert done.returncode == 2
     assert len(done.stderr.splitlines()) == 1, done.stderr
@@ -340,7 +340,7 @@ def test_a_machine_that_cannot_draw_reports_what_to_install(root, slide, tmp_pat
 def test_a_wrong_option_is_refused_in_a_line(root, slide, capsys, monkeypatch, tmp_path, words, field):
     monkeypatch.chdir(tmp_path)
     with pytest.raises(SystemExit) as end:
-        main(["render", str(root), *(slide.folder.name if word == "KEY" else word for word in words)])
+        main(["view", "--film", str(root), *(slide.folder.name if word == "KEY" else word for word in words)])
     assert end.value.code == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert line.startswith(f"heft: {field}: got")
@@ -350,7 +350,7 @@ def test_a_wrong_option_is_refused_in_a_line(root, slide, capsys, monkeypatch, t
 @pytest.mark.slow
 def test_ctrl_c_leaves_nothing_half_written(egl, root, turn, tmp_path):
     out = tmp_path / "film.mp4"
-    command = [sys.executable, "-m", "scenarios", "render", str(root), turn.folder.name, "--out", str(out)]
+    command = [sys.executable, "-m", "scenarios", "view", str(root), turn.folder.name, "--film", "--out", str(out)]
     process = subprocess.Popen(command, cwd=ROOT, env=EGL, stderr=subprocess.PIPE, text=True)
     begun = time.monotonic()
     while not any(path.stat().st_size > 0 for path in tmp_path.glob(".film.mp4.*.part")):
@@ -366,7 +366,7 @@ def test_ctrl_c_leaves_nothing_half_written(egl, root, turn, tmp_path):
 def test_the_picture_of_the_readme_is_of_a_trial_of_the_main_run():
     """Keys are of what was asked: this is a turn that Algorithm 1's policy asks for on L2."""
     page = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
-    found = re.search(r"heft render results/blocks ([0-9a-f]+) [^`]*--out docs/bench.png", page)
+    found = re.search(r"heft view results/blocks ([0-9a-f]+) --film [^`]*--out docs/bench.png", page)
     assert found
     turn = Rotate(4, pivot=(-0.01666666666666667, 0.10833333333333334), back=True)
     asked = trial_request(Trial(load_object("L2"), turn), SimulationSettings())

@@ -17,8 +17,8 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from PIL import ImageGrab
 
+from scenarios.cli.film import grasp_index
 from scenarios.cli.main import main
-from scenarios.cli.render import grasp_index
 from scenarios.results.trials import read_trial
 from testbed.actions.rotate import Rotate
 from testbed.actions.slide import Slide
@@ -105,7 +105,9 @@ def test_without_a_display_a_line_says_what_to_do(tmp_path: Path, monkeypatch: p
         with pytest.raises(SystemExit, match="2"):
             main(["watch", *words])
         (line,) = capsys.readouterr().err.splitlines()
-        assert line.startswith("heft: cannot open a window: there is no display") and "heft render" in line
+        assert (
+            line.startswith("heft: cannot open a window: there is no display") and "heft view DIR TRIAL --film" in line
+        )
 
 
 @pytest.mark.slow
@@ -116,7 +118,7 @@ def test_a_display_that_does_not_answer_is_named():
     done = subprocess.run(command, cwd=ROOT, env=env, capture_output=True, text=True, check=False, timeout=60)
     assert done.returncode == 2
     (line,) = done.stderr.splitlines()
-    assert line.startswith("heft: cannot open a window on display :9871") and "heft render" in line
+    assert line.startswith("heft: cannot open a window on display :9871") and "heft view DIR TRIAL --film" in line
 
 
 @pytest.fixture

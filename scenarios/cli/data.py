@@ -188,7 +188,7 @@ def estimate(
         allow_code: run classes of the current folder that the scenario names; those of --methods need no leave.
     """
     from estimators.base import NO_MASSES
-    from scenarios.cli.run import show_progress, show_tables
+    from scenarios.cli.run import show_main_table, show_progress
     from scenarios.study.run import EstimateRequest, estimate_measured
     from scenarios.views.answers import answers_of, write_answers
     from scenarios.views.next_step import next_step
@@ -217,7 +217,7 @@ def estimate(
                 console.print(mass_map(best))
                 print(next_step(folder, done.rows, best))
         if any(row.get("nad") is not None for row in done.rows):
-            show_tables(console, done.scenario, done.rows)
+            show_main_table(console, done.scenario, done.rows)
         for path in write_answers(folder, groups):
             print(path)
         print(f"report: {report(folder)}; heft view {folder} shows the maps")

@@ -38,6 +38,8 @@ NOTES = (
 )
 OWN_ERROR = f"{HeftError.__module__}.{HeftError.__name__}: "
 """Beginning of the last line of a traceback that says nothing more."""
+FRAME, SCREEN = 5, 20
+"""Lines around the rows of a table, and those of a screen for all tables."""
 MOST_LINES = 20
 """Failures that are listed; the report has them all."""
 EVERY_S = 10.0
@@ -59,9 +61,10 @@ def run(
     record: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False,
     live: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False,
     allow_code: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False,
+    tables: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False,
     dry_run: bool = False,
 ) -> None:
-    """Run a scenario: every object under every support by every method, with tables and a report.
+    """Run a scenario: every object under every support by every method, with a table and a report.
 
     Ctrl-C leaves whole files; the same command goes on from them, after kill -9 too.
 
@@ -83,13 +86,12 @@ def run(
         record: write a recording of every trial and estimate as it is done, into DIR/recordings.
         live: show every trial and estimate as it is done in an open viewer, or in a new one.
         allow_code: run classes of the current folder that the scenario names; those of --methods need no leave.
+        tables: print every table of the report, not the main one alone.
         dry_run: print how many trials and estimates there are and how long they take, and run nothing.
     """
-    from estimators.base import NO_MASSES
     from scenarios.config import load_scenario
     from scenarios.execution.executor import default_workers
-    from scenarios.results.estimates import load_tracebacks
-    from scenarios.results.files import read_manifest, write_json
+    from scenarios.results.files import read_manifest, tally, write_json
     from scenarios.results.store import rows_of
     from scenarios.study.dry_run import show_dry_run
     from scenarios.study.run import carry_out, check_nothing_lost
@@ -97,7 +99,6 @@ def run(
     from scenarios.views.pages import Recorder, record_all
     from testbed.plugins import find_code_here
     from viz.recordings import viewer
-    from viz.report.lists import failures
 
     if allow_code or any(":" in method for method in methods or ()):
         find_code_here()
@@ -128,23 +129,37 @@ def run(
             "wall_s": round(time.monotonic() - begin, 1),
         }
         write_json(folder / "manifest.json", (read_manifest(folder) or {}) | facts)
-        show_tables(console, study, results)
+        (show_tables if tables else show_main_table)(console, study, results)
         if record:
             with show_progress() as progress:
                 record_all(folder, progress)
-        for line in write_views(folder, results, tasks, recording=not _many(results)):
-            print(line)
-    failed = [row for row in results if row["status"] != "ok"]
-    for failure in failures(failed, load_tracebacks(folder))[:MOST_LINES]:
+        written = list(write_views(folder, results, tasks, recording=not _many(results)))
+    good = say_failures(folder, results)
+    print(*(line for line in written if not line.startswith("figure: ")), sep="\n")
+    amiss = tally(row["status"] for row in results)
+    reasons = f" ({amiss}: report.html has the reasons)" if amiss else ""
+    print(f"{len(results)} estimates in {time.monotonic() - begin:.0f} s{reasons}; all of it in {folder}/")
+    print(f"look: heft view {folder}")
+    if not good:
+        sys.exit(1)
+
+
+def say_failures(folder: Path, results: Sequence[Row]) -> bool:
+    """Print the estimates without masses, by method and reason; True if none of them is a failure.
+
+    Where trials are simulated, an object that slips in all of them is a result too.
+    """
+    from estimators.base import NO_MASSES
+    from scenarios.results.estimates import load_tracebacks
+    from viz.report.lists import failures
+
+    empty = [row for row in results if row.get("mass_kg") is None and row["status"] not in NO_MASSES]
+    for failure in failures(empty, load_tracebacks(folder))[:MOST_LINES]:
         print(failure.line)
         if failure.path:
             print(f"  traceback: {folder / failure.path}")
-    print(f"{len(results)} estimates in {time.monotonic() - begin:.0f} s, {len(failed)} not ok; all of it in {folder}/")
-    empty = [row for row in failed if row.get("mass_kg") is None and row["status"] not in NO_MASSES]
     answering = {row["method"] for row in results if row.get("mass_kg") is not None}
-    # where trials are simulated, an object that slips in all of them is a result too
-    if any(row["status"] != "no_data" or row["method"] not in answering for row in empty):
-        sys.exit(1)
+    return all(row["status"] == "no_data" and row["method"] in answering for row in empty)
 
 
 def _made_objects(study: Scenario, data: Path | None, folder: Path) -> Scenario:
@@ -156,6 +171,28 @@ def _made_objects(study: Scenario, data: Path | None, folder: Path) -> Scenario:
     for line in told:
         print(line)
     return made
+
+
+def show_main_table(console: Console, scenario: Scenario, results: Sequence[Row]) -> None:
+    """Print NAD by object where that fits on a screen, else its median over objects; the report has all else."""
+    from estimators.evaluation.statistics import FEWEST, select
+    from viz.report.tables import NAD, metric_table, overview, points_of
+    from viz.report.terminal import rich_table
+    from viz.values import support_name
+
+    tables = []
+    if not _many(results):
+        for support in scenario.supports():
+            for sensing in scenario.sensing:
+                rows = select(results, support=support.name, sensing=sensing)
+                tables.append(metric_table(rows, NAD, f"{NAD.title}: {support_name(support.name)}, {sensing}"))
+    drawn = any(cell.interval for table in tables for _, cells in table.rows for cell in cells)
+    if not tables or sum(FRAME + (1 + drawn) * len(table.rows) for table in tables) > SCREEN:
+        tables, drawn = [overview(points_of([row for row in results if row["method"]]))], False
+    for table in tables:
+        console.print(rich_table(table))
+    if drawn:
+        console.print(NOTES.format(fewest=FEWEST))
 
 
 def show_tables(console: Console, scenario: Scenario, results: Sequence[Row]) -> None:

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
+from estimators.evaluation import paper
 from scenarios.results.files import write_json
 from scenarios.results.store import Store, write_arrays
 from scenarios.views.report import report
@@ -20,7 +21,16 @@ from testbed.objects.files import load_object
 from testbed.toml import toml_text
 from viz.figures.loss import normalised
 from viz.report.report import inline_svg, mapped_objects, middle_object
-from viz.report.tables import HINGES, leading, metric_table, metrics_of, object_means, over_objects, sweep_table
+from viz.report.tables import (
+    HINGES,
+    metric_table,
+    metrics_of,
+    object_means,
+    over_objects,
+    overview,
+    points_of,
+    sweep_table,
+)
 from viz.report.tables import NAD as NAD_METRIC
 
 EVIL = "<script>alert('x')</script>"
@@ -145,13 +155,29 @@ def test_the_result_comes_before_the_facts_of_the_run(page: str, read: Reader):
 def test_leading_methods_are_the_best_on_average_and_lost_answers_come_last():
     nads = {"a": (0.4, 0.1), "b": (0.2, 0.2), "c": (0.01, None), "d": (0.9, 0.9), "e": (0.3, 0.3)}
     groups = {str(g): [row(m, 0, pair[g]) for m, pair in nads.items()] for g in (0, 1)}
-    table = leading(groups)
+    table = overview(groups, most=3)
     assert [(labels[0], *(cell.text for cell in cells)) for labels, cells in table.rows] == [
         ("b", "20.0", "20.0"), ("a", "40.0", "10.0"), ("e", "30.0", "30.0"),
     ]  # fmt: skip
     assert "best 3 of 5" in table.title
-    assert [labels[0] for labels, _ in leading(groups, most=9).rows][-1] == "c"
-    assert leading({}).rows == ()
+    assert [labels[0] for labels, _ in overview(groups).rows][-1] == "c"
+    assert overview({}).rows == ()
+
+
+def test_the_overview_counts_answers_that_are_ok_and_has_the_papers_figures():
+    rows = [row("explicit_state", 0, nad, name) for name, nad in (("I1", 0.1), ("L2", 0.2), ("x", 0.6))]
+    rows[1] |= {"status": "unexplained"}
+    rows[2] |= {"nad": None, "status": "failed"}
+    table = overview(points_of(rows))
+    assert table.columns == ("own weight, ft300s", "paper, real robot")
+    ((_, (ours, theirs)),) = table.rows
+    assert (ours.text, ours.missing) == ("15.0", "1 of 3 ok")
+    assert theirs.text == f"{(paper.NAD['explicit_state']['I1'] + paper.NAD['explicit_state']['L2']) / 2:.1f}"
+
+
+def test_points_are_named_by_what_differs_among_them():
+    rows = [row("a", 0, 0.1) | {"axis.k": k, "sensing": sensing} for k in (1, 2.5) for sensing in ("low", "high")]
+    assert list(points_of(rows)) == ["low, 1", "high, 1", "low, 2.5", "high, 2.5"]
 
 
 def test_the_middle_object_is_chosen_among_those_with_a_map_and_an_answer():

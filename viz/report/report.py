@@ -40,11 +40,11 @@ from viz.report.lists import failures, names, worst, worst_of
 from viz.report.tables import (
     MOST_OBJECTS,
     Table,
-    leading,
     metric_table,
     metrics_of,
     over_objects,
     overview,
+    points_of,
     sweep_table,
 )
 from viz.report.trials import trials_table
@@ -152,7 +152,7 @@ def render(results: Results) -> str:
         most = max(map(len, traces.values()))
         losses[f"{method}: loss by iteration, {most} estimate{'s' if most != 1 else ''}"] = traces
     differences, maps = _maps(groups, shapes)
-    best, known = leading(groups), any(row["nad"] is not None for row in estimates)
+    best, known = overview(points_of(estimates)), any(row["nad"] is not None for row in estimates)
     judged = known or not results.answers
     environment = Environment(
         loader=FileSystemLoader(Path(__file__).parent), autoescape=True, undefined=StrictUndefined, trim_blocks=True,
@@ -173,7 +173,6 @@ def render(results: Results) -> str:
         counts={"estimates": len(estimates), "objects": len(objects), "good": good},
         best=best,
         picture=_first_picture(groups, best, maps, draw) if judged else None,
-        overview=overview(groups),
         tables={label: _tables(found) for label, found in groups.items()},
         distributions=[
             draw(nad_distribution(found), f"NAD by method: {label}")

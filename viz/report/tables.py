@@ -103,7 +103,7 @@ class Entry:
     summary: Summary | None = None
     """Mean, spread and interval."""
     missing: str = ""
-    """Number of draws or estimates without an answer, in words."""
+    """Number of draws or estimates without an answer, or with status ok, in words."""
     best: bool = False
     """True if significantly better than every other method."""
 
@@ -233,26 +233,56 @@ def _quantiles(objects: Draws, missing: str, *, best: bool) -> tuple[Entry, ...]
     return first, *(Entry(number(float(value))) for value in rest)
 
 
-def overview(groups: Mapping[str, Sequence[Row]]) -> Table:
-    """Median NAD over objects: methods down, supports and sensings across."""
+def points_of(rows: Sequence[Row]) -> dict[str, list[Row]]:
+    """Rows by support, sensing and point of a sweep, named by what differs among them."""
+    axes = axes_of(rows)
+    keys = {tuple(str(row.get(name)) for name in ("support", "sensing", *axes)): row for row in rows}
+    varied = [len({key[i] for key in keys}) > 1 for i in range(2 + len(axes))]
+    groups: dict[str, list[Row]] = {}
+    for row in rows:
+        words = [support_name(row["support"]), row["sensing"], *(_setting(row.get(axis)) for axis in axes)]
+        said = [word for word, differs in zip(words, varied, strict=True) if differs] or words[:2]
+        groups.setdefault(", ".join(said), []).append(row)
+    return groups
+
+
+def overview(groups: Mapping[str, Sequence[Row]], most: int | None = None) -> Table:
+    """Median NAD over objects: methods down, the best first; groups of rows across, and the paper's own figures.
+
+    A method that has no answer to some estimate comes after those that answer all.
+
+    Args:
+        groups: rows by the name of their support, sensing or point of a sweep.
+        most: number of methods, all if left out.
+    """
     methods = list(dict.fromkeys(m for rows in groups.values() for m in methods_of(rows)))
-    means = lambda rows, m: object_means(rows, m, NAD.column, NAD.scale).values()  # noqa: E731
-    lines = tuple(((m,), tuple(_median(means(rows, m)) for rows in groups.values())) for m in methods)
-    return Table("Median over objects of the mean NAD, %", tuple(groups), lines)
+    lines = {method: [_over_objects(rows, method) for rows in groups.values()] for method in methods}
+
+    def place(method: str) -> tuple[int, float]:
+        lost = sum(row["method"] == method and row["nad"] is None for rows in groups.values() for row in rows)
+        known = [float(cell.text) for cell in lines[method] if cell.text != "-"]
+        return lost, float(np.mean(known)) if known else math.inf
+
+    best = sorted(methods, key=place)[:most]
+    objects = {row["object"] for rows in groups.values() for row in rows}
+    published = {m: [nad for name, nad in NAD.paper.get(m, {}).items() if name in objects] for m in best}
+    columns = tuple(groups)
+    if any(published.values()):
+        columns = (*columns, PAPER.strip())
+        for method in best:
+            lines[method].append(Entry(number(float(np.median(published[method]))) if published[method] else ""))
+    cut = f": best {len(best)} of {len(methods)} methods" if len(best) < len(methods) else ""
+    some = any(cell.missing for m in best for cell in lines[m])
+    note = "ok: answers that do not say themselves that they cannot be trusted" if some else ""
+    return Table(f"Median NAD over objects, %{cut}", columns, tuple(((m,), tuple(lines[m])) for m in best), note=note)
 
 
-def leading(groups: Mapping[str, Sequence[Row]], most: int = 3) -> Table:
-    """The first rows of the overview: the least NAD on average over supports and sensings; a lost answer comes last."""
-    whole = overview(groups)
-
-    def place(line: tuple[tuple[str, ...], tuple[Entry, ...]]) -> tuple[int, float]:
-        known = [float(cell.text) for cell in line[1] if cell.text != "-"]
-        return len(whole.columns) - len(known), float(np.mean(known)) if known else 0.0
-
-    best = tuple(sorted(whole.rows, key=place)[:most])
-    cut = f": best {len(best)} of {len(whole.rows)} methods" if whole.rows[most:] else ""
-    title = f"Median NAD over objects, %{cut}"
-    return replace(whole, title=title, rows=best)
+def _over_objects(rows: Sequence[Row], method: str) -> Entry:
+    """Median over objects of the mean NAD over draws, and how many answers are ok where not all are."""
+    own = [row for row in rows if row["method"] == method]
+    good = sum(row["status"] == "ok" for row in own)
+    median = _median(object_means(rows, method, NAD.column, NAD.scale).values())
+    return replace(median, missing=f"{good} of {len(own)} ok" if good < len(own) else "")
 
 
 def percent(part: float) -> str:

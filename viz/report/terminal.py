@@ -63,6 +63,8 @@ def _drawn(table: Table) -> RichTable:
 def _text(cell: Entry) -> Text:
     """Mean and spread "0.6±0.3" over the interval "[0.4 0.9]"; "-n" counts draws without an answer, "*" the best."""
     text, summary = Text(cell.text), cell.summary
+    if summary is None and cell.missing:
+        text.append(f" ({cell.missing})", "dim")
     if summary is not None:
         missing = f" -{summary.missing}" if summary.missing else ""
         if summary.mean > BEYOND:

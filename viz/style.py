@@ -154,7 +154,7 @@ def mass_scale(views: Sequence[EstimateView], top: float | None = None) -> Scale
     """One scale for the true and all estimated masses; by default up to the largest of them."""
     masses = [m for view in views for m in (view.true_mass, view.mass) if m is not None]
     ways = [view.iterates[1] for view in views if view.iterates is not None]
-    return _scale(masses, ways, top, 0.0, MASS_COLORS, "mass, kg a group")
+    return _scale(masses, ways, top, 0.0, MASS_COLORS, "mass, kg per group")
 
 
 def difference_scale(views: Sequence[EstimateView], top: float | None = None) -> Scale:
@@ -163,7 +163,7 @@ def difference_scale(views: Sequence[EstimateView], top: float | None = None) ->
     off = [view.difference for view, _ in known if view.difference is not None]
     ways = [np.abs(view.iterates[1] - truth) for view, truth in known if view.iterates is not None]
     least = LEAST_DIFFERENCE * max((float(truth.max()) for _, truth in known), default=0.0)
-    return _scale(off, ways, top, least, DIFFERENCE_COLORS, "|difference|, kg a group")
+    return _scale(off, ways, top, least, DIFFERENCE_COLORS, "|difference|, kg per group")
 
 
 def _scale(

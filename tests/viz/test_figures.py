@@ -31,7 +31,7 @@ from viz.figures.wrench import wrench_fit_figure
 from viz.style import DIFFERENCE_COLORS, MASS_COLORS, series_color, text_color
 from viz.values import EstimateView, WrenchFit
 
-UNITS = re.compile(r", (kg|kg a group|N|N m|N/m|m|s|%)$")
+UNITS = re.compile(r", (kg|kg per group|N|N m|N/m|m|s|%)$")
 WITHOUT_UNIT = {"iteration", "loss", "group", "loss over first loss", "truth.friction", "k"}
 
 
@@ -84,7 +84,7 @@ def test_maps_have_the_truth_the_answer_and_the_difference():
         assert [float(text.get_text()) for text in axis.texts] == pytest.approx(values, abs=0.006)
         assert (cells.get_clim(), cells.get_cmap().name) == ((0.0, pytest.approx(top)), color)
         assert axis.get_ylim()[0] < axis.get_ylim()[1], "y is up"
-    assert [axis.get_xlabel() for axis in figure.axes[3:]] == ["mass, kg a group", "|difference|, kg a group"]
+    assert [axis.get_xlabel() for axis in figure.axes[3:]] == ["mass, kg per group", "|difference|, kg per group"]
 
 
 def test_maps_without_a_truth_or_an_answer():

@@ -26,7 +26,7 @@ def estimate_bars(view: EstimateView) -> Figure:
     if len(names) <= MOST_NAMED:
         axis.set_xticks(places, names)
     axis.set_xlabel("group")
-    axis.set_ylabel("mass, kg a group")
+    axis.set_ylabel("mass, kg per group")
     axis.set_ylim(0.0, None)
     axis.set_title(view.title, fontsize=9)
     if axis.get_legend_handles_labels()[0]:

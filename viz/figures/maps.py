@@ -185,7 +185,7 @@ class MeanAnswer:
 
 
 def absolute_difference(rows: Sequence[Row], shapes: Mapping[str, ObjectShape], title: str) -> Figure:
-    """Differences of mass [kg a group]: a row an object, a column a method.
+    """Differences of mass [kg per group]: a row an object, a column a method.
 
     Args:
         rows: of a scenario run, under one support and sensing; differences are means over the draws.
@@ -200,7 +200,7 @@ def absolute_difference(rows: Sequence[Row], shapes: Mapping[str, ObjectShape], 
     }
     known = [answer.difference for answer in answers.values() if answer]
     scale = Scale(
-        max(_top(known), 1e-3) if known else 1.0, DIFFERENCE_COLORS, "absolute difference of mass, kg a group"
+        max(_top(known), 1e-3) if known else 1.0, DIFFERENCE_COLORS, "absolute difference of mass, kg per group"
     )
     with mpl.rc_context({**STYLE, "font.size": 8.0}):
         heights = [aspect(shape, 0.3, 1.0) for shape in shapes.values()]
@@ -244,13 +244,13 @@ def map_scales(truths: Sequence[np.ndarray], answers: Sequence[MeanAnswer]) -> t
     """Scales of mass and of difference that the maps of several objects share.
 
     Args:
-        truths: true masses of each object, kg a group, (n_m,).
+        truths: true masses of each object, kg per group, (n_m,).
         answers: all answers that are drawn.
     """
     top, off = _top([*truths, *(a.mass for a in answers)]), _top([a.difference for a in answers])
     return (
-        Scale(max(top, 1e-3), MASS_COLORS, "mass, true and estimated, kg a group"),
-        Scale(max(off, 1e-3), DIFFERENCE_COLORS, "absolute difference, kg a group"),
+        Scale(max(top, 1e-3), MASS_COLORS, "mass, true and estimated, kg per group"),
+        Scale(max(off, 1e-3), DIFFERENCE_COLORS, "absolute difference, kg per group"),
     )
 
 
@@ -262,7 +262,7 @@ def mass_maps(
 
     Args:
         shape: geometry of the object.
-        truth: true masses, kg a group, (n_m,).
+        truth: true masses, kg per group, (n_m,).
         groups: answers by the name of support and sensing.
         scales: of mass and of difference, as `map_scales` makes them.
     """

@@ -78,7 +78,7 @@ def estimate_blueprint(root: str, view: EstimateView) -> rrb.Container:
     if view.traces:
         legend = rrb.PlotLegend(corner=rrb.Corner2D.RightTop)
         loss = rrb.TimeSeriesView(origin=f"{root}/loss", name="log10 of the loss", plot_legend=legend)
-        mass = rrb.TimeSeriesView(origin=f"{root}/mass_by_iteration", name="mass, kg a group", plot_legend=legend)
+        mass = rrb.TimeSeriesView(origin=f"{root}/mass_by_iteration", name="mass, kg per group", plot_legend=legend)
         moves = frames_of(view)[0].timeline is not None
         lower.append(rrb.Tabs(loss, mass, active_tab=0) if moves else loss)
     if parts.turn is not None:

@@ -32,7 +32,7 @@ def answer_maps(answers: Sequence[Answer]) -> Figure:
     halves = DEVIATIONS * np.array([[quantity.error for quantity in row] for row in found])
     finite = halves[np.isfinite(halves)]
     scales = (
-        Scale(max(float(masses.max()), 1e-3), MASS_COLORS, "mass, kg a group"),
+        Scale(max(float(masses.max()), 1e-3), MASS_COLORS, "mass, kg per group"),
         Scale(max(float(finite.max(initial=0.0)), 1e-3), DIFFERENCE_COLORS, "half of the 90 % interval, kg"),
     )
     figure = Figure(figsize=(5.5, 2.0 * aspect(shape, 0.3, 1.0) * len(drawn) + 0.8), layout="constrained")

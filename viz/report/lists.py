@@ -14,6 +14,8 @@ MOST_NAMES = 12
 """Largest number of objects of a failure that are named."""
 NUMBERS = re.compile(r"[-+]?\d[\d.]*(e[-+]?\d+)?")
 """Numbers within a reason."""
+CLAUSE = re.compile(r"[:;(]")
+"""End of a reason's first clause."""
 
 
 @dataclass(frozen=True)
@@ -36,9 +38,10 @@ class Worst:
 
 @dataclass(frozen=True)
 class FailedEstimates:
-    """Estimates of one method that are not ok for the same reason."""
+    """Estimates that are not ok for the same reason."""
 
     method: str
+    """Method, or several."""
     status: str
     message: str
     count: int
@@ -83,17 +86,18 @@ def worst(rows: Sequence[Row], recording_of: Callable[[str], str]) -> list[Worst
 def failures(rows: Sequence[Row], tracebacks: Mapping[str, str]) -> list[FailedEstimates]:
     """Estimates that are not ok, by method, status and reason; the most frequent first.
 
-    Reasons of answers that differ in numbers alone count as one: the first is shown.
+    Those of any method that did not fail, and whose reasons begin alike but for numbers, count as one: the first is shown.
     """
     found: dict[tuple[str, str, str], list[Row]] = {}
     for row in rows:
         if row["status"] != "ok":
-            message = row["message"] or ""
-            alike = NUMBERS.sub("", message) if row.get("mass_kg") is not None else message
-            found.setdefault((row["method"], row["status"], alike), []).append(row)
+            method, message = row["method"], row["message"] or ""
+            if row["status"] != "failed":
+                method, message = "", NUMBERS.sub("", CLAUSE.split(message)[0])
+            found.setdefault((method, row["status"], message), []).append(row)
     listed = []
-    for (method, status, _), of in sorted(found.items(), key=lambda item: -len(item[1])):
-        message = of[0]["message"] or ""
+    for (_, status, _), of in sorted(found.items(), key=lambda item: -len(item[1])):
+        message, method = of[0]["message"] or "", names(list(dict.fromkeys(row["method"] or "" for row in of)))
         where = dict.fromkeys(", ".join(filter(None, (support_name(row["support"]), row["sensing"]))) for row in of)
         objects = names(list(dict.fromkeys(row["object"] for row in of)))
         path = _traceback_of(of, status, message, tracebacks)

@@ -65,7 +65,7 @@ PIXELS_PER_INCH = 80
 WORST_OBJECTS, OTHER_OBJECTS = 10, 5
 """Numbers of objects with a mass map where there are too many for one each."""
 DIFFERENCES_SHOW = "Absolute difference of mass, every method and object"
-MAPS_SHOW = "true mass, estimated mass and absolute difference, kg a group"
+MAPS_SHOW = "true mass, estimated mass and absolute difference, kg per group"
 """What the figures of all objects and of one object show."""
 _REFERENCE = re.compile(r"(?:url\(#|^#)([^)]+)")
 _CONTROL = re.compile(rb"[\x00-\x08\x0b\x0c\x0e-\x1f]")
@@ -181,13 +181,11 @@ def render(results: Results) -> str:
         ],
         sweeps=_sweeps(estimates, groups, draw),
         losses=[draw(loss_figure(traces), caption) for caption, traces in losses.items()],
-        maps=[
-            *(
-                draw(f, f"Absolute difference of mass, every method and object: {g}", wide=True)
-                for g, f in differences.items()
-            ),
-            *(draw(figure, f"{name}: {MAPS_SHOW}", wide=True) for name, figure in maps.items()),
+        differences=[
+            draw(figure, f"Absolute difference of mass, every method and object: {group}", wide=True)
+            for group, figure in differences.items()
         ],
+        maps=[draw(figure, f"{name}: {MAPS_SHOW}", wide=True) for name, figure in maps.items()],
         without_geometry=names([name for name in mapped if name not in shapes]),
         left_out=len(objects) - len(mapped),
         trials=[
@@ -231,11 +229,11 @@ def _plain(column: str, value: Any) -> Any:
 
 
 def _tables(rows: Sequence[Row]) -> list[Table]:
-    """A table a metric that has a number, by object or over many of them."""
+    """A table a metric that has a number, by object or over many of them; those that are folded last."""
     many = len({row["object"] for row in rows}) > MOST_OBJECTS or axes_of(rows)
     tables = [(over_objects if many else metric_table)(rows, metric, metric.title) for metric in metrics_of(rows)]
     claims = claims_table(rows)
-    return [*tables, claims] if claims else tables
+    return sorted([*tables, claims] if claims else tables, key=lambda table: bool(table.folded))
 
 
 def _sweeps(

@@ -130,11 +130,11 @@ def _between(
 ) -> SupportTest:
     """Test with the posterior of springs between the groups, where they explain the trials.
 
-    Those of the test itself, with the errors of the likelier model; else those with the errors of one rigid body. Only
+    Those of the test itself, with the errors of the likelier model; stiff ones with the errors of one rigid body. Only
     if they are decisively likelier than either model alone with the same errors.
     """
     shared, alone = sprung, likelier
-    if not sprung.explained.explains:
+    if not sprung.explained.explains or test.rigid_share > STIFF / 2:
         starts = zip(near, (STIFF / 2, STIFF), strict=True)
         fits = [
             posterior_of(shape, weight, trajectories, "springs", near=each, rigid_share=share) for each, share in starts

@@ -86,7 +86,7 @@ def worst(rows: Sequence[Row], recording_of: Callable[[str], str]) -> list[Worst
 def failures(rows: Sequence[Row], tracebacks: Mapping[str, str]) -> list[FailedEstimates]:
     """Estimates that are not ok, by method, status and reason; the most frequent first.
 
-    Those of any method that did not fail, and whose reasons begin alike but for numbers, count as one: the first is shown.
+    Answers of any method whose reasons begin alike, but for numbers, count as one: the first is shown.
     """
     found: dict[tuple[str, str, str], list[Row]] = {}
     for row in rows:

@@ -30,6 +30,7 @@ def export(
     *,
     format_: Annotated[Literal["mjcf", "urdf", "sdf", "toml", "mcap"], tyro.conf.arg(name="format")] = "mjcf",
     inertial: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False,
+    scene: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False,
     draws: Annotated[int | None, tyro.conf.arg(metavar="N")] = None,
     models: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False,
     out: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None,
@@ -39,6 +40,7 @@ def export(
     A JSON beside a model says how sure every mass is; a mapping beside an MCAP file has heft import read it back.
 
     Examples: heft export results/blocks 3f9a
+              heft export results/blocks 3f9a --scene --out L2.xml    (then python -m mujoco.viewer --mjcf L2.xml)
               heft export results/blocks 3f9a --format urdf --inertial --out my_robot/hammer.urdf
               heft export results/blocks 3f9a --draws 500
               heft export results/blocks 3f9a --draws 100 --models
@@ -50,12 +52,13 @@ def export(
         format_: mjcf, urdf, sdf; toml: an object file that heft itself can run; mcap: a trial, for Foxglove,
             PlotJuggler, Rerun and ros2 bag.
         inertial: one mass, centre and inertia for the whole object instead, or for each link.
+        scene: of mjcf, with a floor and a light, to be opened in MuJoCo's viewer.
         draws: write N draws of masses and frictions from the posterior too, as CSV; of an estimate by Algorithm 1.
         models: write each draw as a model too, numbered in a folder, to train or test a controller on all of them.
         out: DIR/exports/OBJECT_KEY if left out, with the format's ending.
     """
     if format_ == "mcap":
-        for name, given in (("--inertial", inertial), ("--draws", draws), ("--models", models)):
+        for name, given in (("--inertial", inertial), ("--scene", scene), ("--draws", draws), ("--models", models)):
             if given:
                 raise InvalidValueError(name, given, "of an estimate; --format mcap writes a trial")
         _export_trial(folder, what, out)
@@ -70,7 +73,7 @@ def export(
         raise InvalidValueError("--models", True, "with --draws N")
     row = row_of(folder, what)
     exported = exported_of(folder, row)
-    text = written(exported, format_, inertial=inertial)
+    text = written(exported, format_, inertial=inertial, scene=scene)
     name = file_name(f"{exported.name}_{row['key'][:8]}.{_ENDING[format_]}")
     path = out or inside(folder, "exports", name)
     for file, content in ((path, text), (path.with_suffix(".json"), to_sidecar(exported))):
@@ -82,7 +85,7 @@ def export(
         print(path.with_suffix(".draws.csv"))
         for number, drawn in enumerate(drawn_from(exported, table) if models else ()):
             file = path.with_suffix(".draws") / f"{number:04d}{path.suffix}"
-            content = written(drawn, format_, inertial=inertial)
+            content = written(drawn, format_, inertial=inertial, scene=scene)
             write_whole(file, lambda part, content=content: part.write_text(content, encoding="utf-8"))
         if models:
             print(path.with_suffix(".draws"))

@@ -92,12 +92,17 @@ _STOPS = {"solreffriction": "0.0001 1", "solimpfriction": "0.999 0.999 0.001 0.5
 """Friction of a hinge in MuJoCo that stops it within a step, however long: by default it creeps below 0.1 rad/s."""
 
 
-def to_mjcf(exported: Exported, *, inertial: bool = False) -> str:
+_FLOOR = {"name": "floor", "type": "plane", "size": "1 1 0.1", "rgba": "0.75 0.75 0.75 1"}
+_LIGHT = {"name": "light", "pos": "0.3 -0.3 1", "dir": "-0.3 0.3 -1"}
+
+
+def to_mjcf(exported: Exported, *, inertial: bool = False, scene: bool = False) -> str:
     """A free body of boxes, as MJCF: the text of the file. Each further link is a body on a hinge of the one before.
 
     Args:
         exported: the answer.
         inertial: one inertial for each link, and boxes without mass; else every box has its own.
+        scene: a floor, on which the object rests, and a light too.
 
     Raises:
         InvalidValueError: a link without mass.
@@ -105,6 +110,9 @@ def to_mjcf(exported: Exported, *, inertial: bool = False) -> str:
     root = Element("mujoco", model=exported.name)
     root.append(ElementTree.Comment(f"\n{exported.comment}\n"))
     body, origin = SubElement(root, "worldbody"), np.zeros(3)
+    if scene:
+        SubElement(body, "geom", _FLOOR)
+        SubElement(body, "light", _LIGHT)
     for link in exported.links:
         if link.hinge is None:
             body = SubElement(body, "body", name=link.name)
@@ -194,14 +202,18 @@ def to_sdf(exported: Exported, *, inertial: bool = False) -> str:
     return _text(sdf)
 
 
-def written(exported: Exported, format_: str, *, inertial: bool = False) -> str:
-    """The text of a file of some format: mjcf, urdf, sdf or toml.
+def written(exported: Exported, format_: str, *, inertial: bool = False, scene: bool = False) -> str:
+    """The text of a file of some format: mjcf, urdf, sdf or toml; a scene in MJCF alone.
 
     Raises:
         InvalidValueError: a format that cannot say it.
     """
+    if scene and format_ != "mjcf":
+        raise InvalidValueError("--scene", f"--format {format_}", "mjcf: a floor and a light of MuJoCo's")
+    if format_ == "mjcf":
+        return to_mjcf(exported, inertial=inertial, scene=scene)
     if format_ != "toml":
-        return {"mjcf": to_mjcf, "urdf": to_urdf, "sdf": to_sdf}[format_](exported, inertial=inertial)
+        return {"urdf": to_urdf, "sdf": to_sdf}[format_](exported, inertial=inertial)
     if inertial:
         raise InvalidValueError("--inertial", "--format toml", "mjcf, urdf or sdf: heft's objects are blocks")
     return to_object_file(exported)

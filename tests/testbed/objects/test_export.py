@@ -28,6 +28,7 @@ from testbed.errors import InvalidValueError
 from testbed.objects.bodies import AIR, RigidBody, boxes_of
 from testbed.objects.chain import Chain
 from testbed.objects.export import Exported, to_mjcf, to_object_file, to_sdf, to_sidecar, to_urdf
+from testbed.objects.export import written as export_text
 from testbed.objects.files import load_object
 from testbed.objects.meshes import Part, mesh_object
 from testbed.objects.model import GRAVITY, MassDistribution, ObjectModel
@@ -60,6 +61,23 @@ def on_points() -> ObjectModel:
     ]
     points = [(-0.07, -0.03), (-0.07, 0.03), (0.07, 0.0)]
     return mesh_object("plate", parts, [], friction=[0.4], cell=0.01, grid=3, contacts=points)
+
+
+@pytest.mark.parametrize("name", ["L2", "hammer", "on_points"])
+def test_in_a_scene_it_rests_on_the_floor(name):
+    obj = on_points() if name == "on_points" else load_object(name)
+    model = mujoco.MjModel.from_xml_string(to_mjcf(exported(obj), scene=True))
+    data = mujoco.MjData(model)
+    assert model.nlight == 1
+    while data.time < 1.0:
+        mujoco.mj_step(model, data)
+    assert np.abs(data.qpos - [0, 0, 0, 1, 0, 0, 0]).max() < 2e-3 and np.abs(data.qvel).max() < 1e-2
+    assert_allclose(data.qfrc_constraint[2], obj.total_mass * GRAVITY, rtol=0.01)
+
+
+def test_only_mjcf_has_a_scene():
+    with pytest.raises(InvalidValueError, match="--scene"):
+        export_text(exported(load_object("L2")), "urdf", scene=True)
 
 
 def folding() -> ObjectModel:

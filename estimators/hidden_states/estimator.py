@@ -102,7 +102,7 @@ class HiddenStates:
             found = algorithm_1(trials, guess, partial(self._solve, seconds=trials.robot_seconds))
             if isinstance(found, Underdetermined):
                 return _underdetermined(trials, found, guess)
-            solution, guess = found, _amidst(trials, found)
+            solution, guess = found, _settled(trials, found)
         assert solution is not None
         return _estimate_of(trials, solution)
 
@@ -144,7 +144,7 @@ def _hinges(trials: TrialWindows, at: MassDistribution, widening: float) -> tupl
     return named, "; ".join(unseen)
 
 
-def _amidst(trials: TrialWindows, found: Solution) -> MassDistribution:
+def _settled(trials: TrialWindows, found: Solution) -> MassDistribution:
     """The masses, or those of one friction for all where they are one of many that fit, at a bound."""
     if found.masses.rank < found.masses.unknowns and found.H.friction_load.any():
         return one_friction_masses(trials.shape, trials.weight, trials.groups.pairs, found.H.friction_load)
@@ -157,7 +157,7 @@ def _estimate_of(trials: TrialWindows, found: Solution) -> Estimate:
     loss = system.loss(s)
     if why := contradiction(loss):
         return Estimate(None, "contradictory", why)
-    at, count = _amidst(trials, found), trials.shape.particles_per_group
+    at, count = _settled(trials, found), trials.shape.particles_per_group
     report = _report(trials, system, found.I_j, at)
     open_, q = report.unknowns - report.rank, system.q.numpy()
     condition = float(np.linalg.cond(q / np.linalg.norm(q, axis=0)))

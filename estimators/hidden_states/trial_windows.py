@@ -22,9 +22,9 @@ from estimators.particles.friction_system import (
     FrictionEquations,
     LinearSystem,
     LoadGroups,
+    compliance_variance,
     friction_equations,
     linear_rows,
-    swing_errors,
     unknown_motion,
 )
 from estimators.particles.misfit import Misfit, misfit_of
@@ -104,7 +104,7 @@ class TrialWindows:
         found = friction_equations(self.model, self.groups, windows, *at, self.shape.height, self.errors, linear)
         drag = self.groups.spread(self.friction_loads(guess)).clamp(min=0)
         table, more = windows.table(self.model, self.errors.pivot_error), len(found.b) - 3 * len(windows)
-        own = found.apart + pad(swing_errors(windows, table, drag), (0, more)).diag()
+        own = found.apart + pad(compliance_variance(windows, table, drag), (0, more)).diag()
         moved = pad(unknown_motion(windows, self.model, self.weight), (0, 0, 0, more))
         return replace(found, apart=own, common=torch.cat([found.common, moved], 1))
 

@@ -15,7 +15,7 @@ from estimators.particles.links import carried_moment
 from estimators.particles.motion import LinkMotion, Motion, Planned
 from estimators.particles.windows import Observations
 from estimators.wrench.model import ModelErrors, ParticleModel
-from estimators.wrench.support import least_load, load_map
+from estimators.wrench.support import load_map, nulled_load
 from testbed.actions.base import Action
 from testbed.actions.path import RAMP_TIME
 from testbed.actions.push import Push
@@ -191,7 +191,7 @@ def _trailing(shape: ObjectShape, whole: Planned, turned: Float[np.ndarray, "N L
             turned=part_means(turned[part]),
             turned_errors=np.array(errors),
         )
-        if not LinkMotion.of(shape, planned).stands_or_starts:
+        if not LinkMotion.of(shape, planned).is_unsteady:
             windows.append(planned)
     return windows
 
@@ -212,7 +212,7 @@ def _observations(
     errors: ModelErrors | None,
     carried: float = 0.0,
 ) -> Observations:
-    """The windows of some stretches, all held or all pushed; `carried` as `least_load`."""
+    """The windows of some stretches, all held or all pushed; `carried` as `nulled_load`."""
     motion = Motion.of(shape, found, [each.trial for each in found], [each.accelerated for each in found])
     count, pushed = len(found), bool(motion.pushed.any())
     noise, bias, drift = (torch.tensor(each).expand(count, 6, 6) for each in sensor_at_tcp(sensing))
@@ -222,7 +222,7 @@ def _observations(
         facing = motion.poses[:, WINDOW_PARTS // 2, 2].tolist()
         sensor = torch.tensor(np.array([rotate_wrench(rotation_z(-yaw), to_tcp().T).T for yaw in facing]))
     nulled = (errors or ModelErrors()).nulled
-    size, change = least_load(nulled, motion.accelerated.numpy(), motion.pushed.numpy(), carried)
+    size, change = nulled_load(nulled, motion.accelerated.numpy(), motion.pushed.numpy(), carried)
     return Observations(
         **vars(motion),
         setup=setup,

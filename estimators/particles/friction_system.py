@@ -299,7 +299,7 @@ def unknown_motion(windows: Observations, model: ParticleModel, weight: float) -
     return weight * reach * torch.cat([along, reach * turning], -1).flatten(0, 1)
 
 
-def swing_errors(windows: Observations, table: Table, drag: Float[Tensor, "P"]) -> Float[Tensor, "R"]:
+def compliance_variance(windows: Observations, table: Table, drag: Float[Tensor, "P"]) -> Float[Tensor, "R"]:
     """Variance of accelerated windows' forces from particles so near the center that its swing turns their drag.
 
     Args:
@@ -348,10 +348,10 @@ def _sensor_error(
 ) -> Float[Tensor, "R R"]:
     """Covariance of wrenches less the `response` to lift and tilt: errors of the sensor, and loads taken for them."""
     sensed, error = _sensor_covariance(windows), sensor_map(windows, response)
-    return error @ sensed @ error.T + _unseen_load(windows, sensed, response, nulled, shared)
+    return error @ sensed @ error.T + _shrinkage_covariance(windows, sensed, response, nulled, shared)
 
 
-def _unseen_load(
+def _shrinkage_covariance(
     windows: Observations,
     sensed: Float[Tensor, "6K 6K"],
     response: Float[Tensor, "K 3+H 3"],

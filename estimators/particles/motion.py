@@ -19,7 +19,7 @@ from testbed.sensing.windows import PARTS, SteadyWindow
 STANDING, MOST_STANDING = 0.002, 0.2
 """Speed below which a particle of a link may stand, m/s, and the part of a link's particles that may: one at which
 the link turns counts as an error."""
-SUDDEN = 0.8
+MAX_ACCELERATION = 0.8
 """Angular acceleration of a link that starts or stops, rad/s^2: its drag is not Coulomb's of the mean motion."""
 
 
@@ -143,12 +143,12 @@ class LinkMotion:
         return LinkMotion(shape, window.grasp, window.twists, window.acceleration, window.turned, window.turned_errors)
 
     @property
-    def stands_or_starts(self) -> bool:
+    def is_unsteady(self) -> bool:
         """True if part of a link stands, where what holds it is anything up to its friction, or starts or stops."""
         chain = self.shape.chain
         assert chain is not None and self.grasp is not None
         sure = 2 * np.linalg.norm(self.turned_errors[:, 2], axis=1)
-        if (np.abs(self.turned[..., 2]) - sure > SUDDEN).any():
+        if (np.abs(self.turned[..., 2]) - sure > MAX_ACCELERATION).any():
             return True
         links, offsets = self.links(), self.shape.particles - self.shape.grasps[self.grasp].position
         of = chain.link[self.shape.mass_group]

@@ -12,7 +12,7 @@ from estimators.particles.links import carried_moment
 from estimators.particles.motion import LinkMotion, Motion
 from estimators.particles.windows import PLANAR, Observations
 from estimators.wrench.model import ModelErrors, ParticleModel
-from estimators.wrench.support import likely_load, load_map
+from estimators.wrench.support import load_map, shrunken_load
 from testbed.actions.base import Action
 from testbed.objects.model import ObjectShape
 from testbed.sensing.link_windows import link_windows
@@ -62,7 +62,7 @@ def observe(
     off = bias + np.array([w.since_tare.mean() for w in windows])[:, None, None] * drift
     setup = SetupErrors.largest([trajectories[index].setup for index in set(trial)])
     drag = torch.tensor(np.linalg.norm(wrench[:, :2], axis=1).max())
-    likely = likely_load(
+    likely = shrunken_load(
         np.einsum("kij,kj->ki", carries, wrench),
         np.einsum("kij,kjl,kil->ki", carries, off, carries),
         np.einsum("kij,kjl,kil->ki", carries, noise, carries),
@@ -97,7 +97,7 @@ def observe(
 def _table_windows(shape: ObjectShape, trajectory: Trajectory) -> list[SteadyWindow]:
     if shape.chain is not None:
         windows = [] if trajectory.action.accelerated else link_windows(trajectory)
-        return [window for window in windows if not LinkMotion.of(shape, window).stands_or_starts]
+        return [window for window in windows if not LinkMotion.of(shape, window).is_unsteady]
     return (push_windows if trajectory.action.pushes else steady_windows)(trajectory)
 
 

@@ -121,7 +121,7 @@ class OnTable:
 
         rows, carried = self._rows(theta, own)
         off, blocks = rows - self.read, errors.blocks(carried)
-        slopes = self._slopes(theta, own | {"carried": errors.likely_load(off, carried, blocks)})
+        slopes = self._slopes(theta, own | {"carried": errors.shrunken_load(off, carried, blocks)})
         columns = unknowns.columns(slopes, self._trial, z).flatten(0, 1)
         return Linearized(off.flatten(), columns, blocks, elsewhere, lambda: errors.taken(carried, blocks))
 

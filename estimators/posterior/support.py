@@ -26,7 +26,7 @@ DECISIVE = 2.0
 """log10 of the Bayes factor from which one model is taken over the other."""
 EVIDENCE = "log10_bayes_factor", "rigid_share", "rigid_share_error"
 """Entries of `Estimate.diagnostics` by a support test: fields of `SupportTest`."""
-UNLIKE = 10.0
+MAX_MISFIT = 10.0
 """Misfit beyond which one rigid body does not explain the wrenches either."""
 STIFF = 0.9
 """Share of springs from which a search starts near one rigid body: beyond it loads hardly change."""
@@ -112,7 +112,7 @@ def support_test(
     share, error = (float(value) for value in sprung.of("rigid_share"))
     refuted = 2 * norm.sf(abs(share - end) / error) < level
     if likelier == "rigid":
-        kind = "between" if rigid.misfit > UNLIKE or (refuted and abs(share - end) > NEARLY) else "rigid"
+        kind = "between" if rigid.misfit > MAX_MISFIT or (refuted and abs(share - end) > NEARLY) else "rigid"
     else:
         kind = "between" if refuted else "own_weight" if bayes > DECISIVE else "undecided"
     test = SupportTest(kind, bayes, share, error, explained=near.explained.explains)

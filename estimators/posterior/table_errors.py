@@ -115,7 +115,7 @@ class TableErrors:
         size = windows.load_size[inside]
         return change[..., None] * changed[:, :, None] * changed[:, None] + size[:, :, None] * size[:, None]
 
-    def likely_load(
+    def shrunken_load(
         self, residual: Float[Tensor, "K r"], carried: Float[Tensor, "K r 3"], blocks: Blocks
     ) -> Float[Tensor, "K 3"]:
         """Most likely lift and moments of the gripper, N and N m, given residuals without any."""

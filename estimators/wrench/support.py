@@ -57,7 +57,7 @@ def load_map(height: float) -> np.ndarray:
     return np.array([[0, 0, 1, 0, 0, 0], [height, 0, 0, 0, 1, 0], [0, height, 0, -1, 0, 0]], dtype=float)
 
 
-class LikelyLoad(NamedTuple):
+class ShrunkenLoad(NamedTuple):
     """Lift, N, and moments, N m, of the gripper in K windows, by how much of their scatter the sensor explains."""
 
     load: Float[np.ndarray, "K 3"]
@@ -72,7 +72,7 @@ class LikelyLoad(NamedTuple):
     """Standard deviation of the change from window to window."""
 
 
-def least_load(
+def nulled_load(
     nulled: Float[np.ndarray, "3"],
     accelerated: Bool[np.ndarray, "K"],
     pushed: Bool[np.ndarray, "K"],
@@ -80,7 +80,7 @@ def least_load(
 ) -> tuple[Float[np.ndarray, "K 3"], Float[np.ndarray, "K 3"]]:
     """Mean load of a gripper over a trial, and its change from window to window, N and N m, one standard deviation.
 
-    Of a gripper that was nulled, before any measurement; arguments as `likely_load`.
+    Of a gripper that was nulled, before any measurement; arguments as `shrunken_load`.
     """
     of_links = carried * np.array([0.0, 1.0, 1.0])
     change = np.maximum(np.where(accelerated[:, None], SWUNG, TURNED), of_links)
@@ -88,7 +88,7 @@ def least_load(
     return np.where(held, np.maximum(nulled, of_links), PUSHED), np.where(held, change, PUSHED)
 
 
-def likely_load(
+def shrunken_load(
     load: Float[np.ndarray, "K 3"],
     bias: Float[np.ndarray, "K 3"],
     noise: Float[np.ndarray, "K 3"],
@@ -97,7 +97,7 @@ def likely_load(
     nulled: Float[np.ndarray, "3"],
     pushed: Bool[np.ndarray, "K"],
     carried: float = 0.0,
-) -> LikelyLoad:
+) -> ShrunkenLoad:
     """Loads of K windows with the sensor's likely error taken off, and how large mean and change are.
 
     Both a trial's mean load and its change from window to window are drawn towards zero by how much of their scatter
@@ -115,7 +115,7 @@ def likely_load(
         carried: moment that the hand carries of links that trail, one standard deviation, N m.
     """
     likely, kept, followed = load.copy(), np.ones_like(load), np.ones_like(load)
-    size, change_size = least_load(nulled, accelerated, pushed, carried)
+    size, change_size = nulled_load(nulled, accelerated, pushed, carried)
     for rows in (accelerated, ~accelerated & ~pushed):
         if not rows.any():
             continue
@@ -126,12 +126,12 @@ def likely_load(
         common = mean @ some
         change, free = some - common[index], max(len(some) - len(trials), 1)
         explained = (mean @ bias[rows] + mean @ noise[rows] / together[:, None]).mean(axis=0)
-        kept[rows], size[rows] = _real_part((common**2).mean(axis=0), explained, len(trials), size[rows][0])
-        followed[rows], change_size[rows] = _real_part(
+        kept[rows], size[rows] = _shrinkage((common**2).mean(axis=0), explained, len(trials), size[rows][0])
+        followed[rows], change_size[rows] = _shrinkage(
             (change**2).sum(axis=0) / free, noise[rows].mean(axis=0), free, change_size[rows][0]
         )
         likely[rows] = kept[rows] * common[index] + followed[rows] * change
-    return LikelyLoad(likely, kept, followed, size, change_size)
+    return ShrunkenLoad(likely, kept, followed, size, change_size)
 
 
 @dataclass(frozen=True, eq=False)
@@ -369,7 +369,7 @@ ERRORS: dict[str, ModelErrors] = {"own_weight": ModelErrors(), "rigid": RIGID, "
 LOADS: dict[str, LoadsOf] = {"own_weight": own_weight_loads, "rigid": rigid_loads}
 
 
-def _real_part(scatter: np.ndarray, error: np.ndarray, count: int, least: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _shrinkage(scatter: np.ndarray, error: np.ndarray, count: int, least: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Part of a scatter over `count` values that is no error of the sensor, 1 where there is no error, and its size."""
     real = np.maximum(scatter - (1 + 2 * np.sqrt(2 / count)) * error, least**2)
     return np.where(error > 0, real / np.maximum(real + error, 1e-300), 1.0), np.sqrt(real)

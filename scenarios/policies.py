@@ -153,7 +153,7 @@ class Policy(BaseModel):
     plan_for: str = "ft300s"
     most_friction: Annotated[float, Field(gt=0, le=2)] = 0.6
     candidates: Annotated[int, Field(ge=1, le=100_000)] = 4000
-    thought: Literal["own_weight", "rigid", "either"] | None = None
+    assumed_support: Literal["own_weight", "rigid", "either"] | None = None
     settings: dict[str, Any] = {}
 
     @field_validator("plan_for", mode="after")
@@ -171,9 +171,9 @@ class Policy(BaseModel):
             raise InvalidValueError("settings", self.settings, allowed)
         if self.pushes and self.kind in ("push", "drag", "stop_and_go"):
             raise InvalidValueError("pushes", self.pushes, f"none with {self.kind}: after turns by rank, or in a plan")
-        thought = self.thought or ("either" if self.kind == "online" else "own_weight")
-        if self.lifts and self.lifts_last is None and (self.kind not in POLICIES or thought == "own_weight"):
-            allowed = f'with {self.kind}: none, but thought = "rigid" or "either" in a plan of heft\'s own'
+        support = self.assumed_support or ("either" if self.kind == "online" else "own_weight")
+        if self.lifts and self.lifts_last is None and (self.kind not in POLICIES or support == "own_weight"):
+            allowed = f'with {self.kind}: none, but assumed_support = "rigid" or "either" in a plan of heft\'s own'
             raise InvalidValueError("lifts", self.lifts, allowed)
         return self
 
@@ -290,9 +290,9 @@ class Policy(BaseModel):
         family = ActionFamily(lifts=bool(self.lifts), pushes=self.pushes is not None)
         searched = {"family": family, "candidates": self.candidates, "grasps": grasps, "seed": seed, "feasible": check}
         if self.kind == "online":
-            guess = replace(guess, supports=ASSUMED_SUPPORTS[self.thought or "either"])
+            guess = replace(guess, supports=ASSUMED_SUPPORTS[self.assumed_support or "either"])
             return OnlinePolicy(guess, goal, self.criterion, **searched)
-        guess = replace(guess, supports=ASSUMED_SUPPORTS[self.thought or "own_weight"])
+        guess = replace(guess, supports=ASSUMED_SUPPORTS[self.assumed_support or "own_weight"])
         return PlannedPolicy(guess, self.kind, self.criterion, goal, **searched)  # pyright: ignore[reportArgumentType]
 
     def request(self) -> dict[str, Any]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -11,7 +12,7 @@ import tyro
 from rich.table import Table
 from rich.text import Text
 
-from scenarios.cli.terminal import open_console, percent, seconds
+from scenarios.cli.terminal import open_console, percent, seconds, unless_none
 from testbed.errors import InvalidValueError
 
 if TYPE_CHECKING:
@@ -38,7 +39,7 @@ def identify(
     *,
     sensing: Annotated[str, tyro.conf.arg(metavar="PRESET")] = "ft300s",
     world: Annotated[str, tyro.conf.arg(metavar="WORLD")] = "ideal",
-    support: Literal["own_weight", "rigid"] | None = None,
+    assumed_support: Literal["own_weight", "rigid"] | None = None,
     pivots: Annotated[int, tyro.conf.arg(metavar="N")] = 6,
     accelerated: Annotated[int, tyro.conf.arg(metavar="N")] = 6,
     slides: Annotated[int, tyro.conf.arg(metavar="N")] = 0,
@@ -51,8 +52,8 @@ def identify(
     """Predict what trials of an object would show of its masses: errors to expect, and what stays open.
 
     Examples: heft identify L2
-              heft identify F2 --support rigid --sensing ideal
-              heft identify L2 --support rigid --lifts 1
+              heft identify F2 --assumed-support rigid --sensing ideal
+              heft identify L2 --assumed-support rigid --lifts 1
               heft identify L2 --world lab --pivots 12
               heft identify L2 --pivots 0 --pushes 12
               heft identify L2 --pivots 0 --slides 6 --out results/L2_slides
@@ -61,7 +62,7 @@ def identify(
         object_: name in the library, or path to a TOML file.
         sensing: preset of the sensor, and of the camera that sees pushes.
         world: ideal, lab or rough, whose errors of the setup are reckoned with.
-        support: what carries the weight; if left out, rigid for an object on points of contact, else own_weight.
+        assumed_support: rigid for an object on points of contact, else own_weight, if left out.
         pivots: turns there and back, as the rank-driven policy draws them; 0 for none, accelerated ones neither. Of an
             object with hinges random ones, one way, and none accelerated.
         accelerated: accelerated turns.
@@ -80,7 +81,7 @@ def identify(
     from viz.figures.maps import error_figure, save_figure
 
     console, model = open_console(), load_object(object_)
-    carrier = support or support_of(model.shape).name
+    carrier = assumed_support or support_of(model.shape).name
     actions = actions_of(model, carrier, pivots, accelerated, slides, lifts, pushes, duration, grasps)
     assumed = Assumptions(carrier, setup=world_of(world).stated, hinge_friction=model.hinge_friction or None)
     report = expected(model.shape, model.truth, actions, preset(sensing), assumed)
@@ -161,24 +162,74 @@ def _three_digits(value: float) -> str:
     return f"{value:.3g}" if math.isfinite(value) else "not seen"
 
 
+@dataclass(frozen=True)
+class Search:
+    """Options of a search for actions."""
+
+    until: Annotated[str | None, tyro.conf.arg(metavar="PERCENT", help_behavior_hint=unless_none)] = None
+    """expected NAD to reach (sum of the masses' errors over the whole mass), as 5%."""
+    budget: Annotated[str | None, tyro.conf.arg(metavar="TIME", help_behavior_hint="")] = None
+    """robot time, travel included, as 60s or 2min; no limit if left out."""
+    most: Annotated[int, tyro.conf.arg(metavar="N")] = 8
+    """greatest number of actions."""
+    sensing: Annotated[str, tyro.conf.arg(metavar="PRESET")] = "ft300s"
+    """preset of the sensor, and of the camera that sees pushes."""
+    assumed_support: Annotated[
+        Literal["own_weight", "rigid", "either"] | None,
+        tyro.conf.arg(metavar="{own_weight,rigid,either}", help_behavior_hint=unless_none),
+    ] = None
+    """assumed support; either serves both models, and tells them apart. Of a plan, if left out, rigid for an object on
+    points of contact, else own_weight."""
+    lifts: Annotated[bool, tyro.conf.FlagCreatePairsOff, tyro.conf.arg(help_behavior_hint="")] = False
+    """consider lifts too, held still and rocked in the air; not where own_weight is assumed."""
+    pushes: Annotated[bool, tyro.conf.FlagCreatePairsOff, tyro.conf.arg(help_behavior_hint="")] = False
+    """consider pushes too; an object without grasps is pushed in any case."""
+    grasps: Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="NAME ...", help_behavior_hint="")] = None
+    """allowed grasps, by name (see heft show); all if left out."""
+    candidates: Annotated[int, tyro.conf.arg(metavar="N")] = 4000
+    """number of actions to consider."""
+    seed: Annotated[int, tyro.conf.arg(metavar="N")] = 0
+    """seed of the candidates, and of the sensor's errors."""
+
+    @property
+    def goal(self) -> Goal:
+        """When the search ends.
+
+        Raises:
+            InvalidValueError: no percentage, or no time.
+        """
+        from estimators.action_selection.plan import Goal
+
+        return Goal(percent(self.until, "--until"), seconds(self.budget, "--budget"), self.most)
+
+    def family(self, support: str) -> ActionFamily:
+        """Candidates under an assumed support.
+
+        Raises:
+            InvalidValueError: lifts of what cannot be one rigid body.
+        """
+        from estimators.action_selection.candidates import ActionFamily
+        from estimators.action_selection.design import ASSUMED_SUPPORTS
+
+        if self.lifts and "rigid" not in ASSUMED_SUPPORTS[support]:
+            allowed = "no lifts where every block rests on its own weight, and only what is gripped would come along"
+            raise InvalidValueError("lifts", self.lifts, f"{allowed}; lift under support rigid or either")
+        return ActionFamily(lifts=self.lifts, pushes=self.pushes)
+
+
+PLANNED = Search()
+"""Options of a plan where none is given."""
+
+
 def plan(
     object_: Annotated[str, tyro.conf.Positional, tyro.conf.arg(name="object", metavar="OBJECT")],
     *,
-    budget: Annotated[str | None, tyro.conf.arg(metavar="TIME")] = None,
-    until: Annotated[str | None, tyro.conf.arg(metavar="PERCENT")] = None,
+    search: Annotated[Search, tyro.conf.OmitArgPrefixes] = PLANNED,
     policy: Literal["greedy", "batch", "random", "published", "reversed_pairs"] = "greedy",
     criterion: Literal["I", "A", "D"] = "I",
-    sensing: Annotated[str, tyro.conf.arg(metavar="PRESET")] = "ft300s",
     world: Annotated[str, tyro.conf.arg(metavar="WORLD")] = "ideal",
-    support: Literal["own_weight", "rigid", "either"] | None = None,
-    lifts: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False,
-    pushes: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False,
     friction: Annotated[float, tyro.conf.arg(metavar="MU")] = 0.5,
-    most: Annotated[int, tyro.conf.arg(metavar="N")] = 8,
-    candidates: Annotated[int, tyro.conf.arg(metavar="N")] = 4000,
-    grasps: Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="NAME ...")] = None,
     weight: Annotated[float | None, tyro.conf.arg(metavar="KG")] = None,
-    seed: Annotated[int, tyro.conf.arg(metavar="N")] = 0,
     figure: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None,
     record: Annotated[Path | None, tyro.conf.arg(metavar="FILE.rrd")] = None,
 ) -> None:
@@ -189,32 +240,21 @@ def plan(
     Examples: heft plan L2 --budget 60s
               heft plan L2 --until 2% --policy batch --figure results/L2_plan
               heft plan L2 --world lab --most 12
-              heft plan L2 --support rigid --lifts
+              heft plan L2 --assumed-support rigid --lifts
 
     Args:
         object_: name in the library, or path to a TOML file.
-        budget: robot time, travel included, as 60s or 2min; no limit if left out.
-        until: expected NAD to reach (sum of the masses' errors over the whole mass), as 5%.
+        search: shared with heft touch.
         policy: greedy (best of each moment), batch (made better by exchange), random, published, or reversed_pairs.
         criterion: quantity to minimize: I (the expected NAD), A (trace of the covariance) or D (its volume).
-        sensing: preset of the sensor, and of the camera that sees pushes.
         world: ideal, lab or rough, whose errors of the setup are reckoned with.
-        support: what carries the weight; either serves both models, and tells them apart; if left out, rigid for an
-            object on points of contact, else own_weight.
-        lifts: consider lifts too, held still and rocked in the air; not with support own_weight.
-        pushes: consider pushes too; an object without grasps is pushed in any case.
         friction: assumed coefficient.
-        most: greatest number of actions.
-        candidates: number of actions to consider.
-        grasps: allowed grasps, by name (see heft show); all if left out.
         weight: what the object weighs, kg; that of its masses if left out.
-        seed: seed of the candidates.
         figure: the plan as a picture, written as FILE.pdf and FILE.png.
         record: the plan as a Rerun recording: `rerun FILE.rrd` opens it.
     """
     from estimators.action_selection.design import ASSUMED_SUPPORTS, Guess
     from estimators.action_selection.greedy import PlannedPolicy, rank_driven_plan
-    from estimators.action_selection.plan import Goal
     from scenarios.runners import FeasibilityCheck
     from testbed.objects.files import load_object
     from testbed.sensing import preset, read_scale
@@ -223,18 +263,18 @@ def plan(
 
     if weight is not None and not 0 < weight < MOST_WEIGHT:
         raise InvalidValueError("--weight", weight, f"a number > 0 and < {MOST_WEIGHT:g}, kg")
-    console, model, sensor = open_console(), load_object(object_, measured=weight is not None), preset(sensing)
-    carrier = support or support_of(model.shape).name
-    weighed, setup = weight or read_scale(model.total_mass, sensor, seed), world_of(world).stated
+    console, model, sensor = open_console(), load_object(object_, measured=weight is not None), preset(search.sensing)
+    carrier, goal = search.assumed_support or support_of(model.shape).name, search.goal
+    weighed, setup = weight or read_scale(model.total_mass, sensor, search.seed), world_of(world).stated
     guess = Guess(weighed, sensor.stated, friction, ASSUMED_SUPPORTS[carrier], setup)
-    goal = Goal(percent(until, "--until"), seconds(budget, "--budget"), most)
-    allowed = named_grasps(model, grasps)
+    allowed = named_grasps(model, search.grasps)
     if policy in ("published", "reversed_pairs"):
-        made = rank_driven_plan(model.shape, guess, goal, policy, allowed, seed)
+        made = rank_driven_plan(model.shape, guess, goal, policy, allowed, search.seed)
     else:
-        check, family = FeasibilityCheck(model.shape, guess), action_family(carrier, lifts=lifts, pushes=pushes)
-        made = PlannedPolicy(guess, policy, criterion, goal, family, candidates, allowed, seed, check).plan(model.shape)
-    title = f"{model.name}, {carrier}, {sensing}" + ("" if world == "ideal" else f", {world}") + f": {policy}"
+        check, family = FeasibilityCheck(model.shape, guess), search.family(carrier)
+        planned = PlannedPolicy(guess, policy, criterion, goal, family, search.candidates, allowed, search.seed, check)
+        made = planned.plan(model.shape)
+    title = f"{model.name}, {carrier}, {search.sensing}" + ("" if world == "ideal" else f", {world}") + f": {policy}"
     console.print(Text.assemble((title, "bold"), f"; weighed {guess.weight:.3f} kg"))
     if made.steps:
         console.print(_table(model.shape, made))
@@ -250,21 +290,6 @@ def plan_view(model: ObjectModel, made: Plan, title: str) -> PlanView:
     errors = np.array([made.before.standard_error, *(step.belief.standard_error for step in made.steps)])
     words = tuple(action.describe(model.shape) for action in made.actions)
     return PlanView(model.shape, made.actions, errors, title, words)
-
-
-def action_family(support: str, *, lifts: bool, pushes: bool) -> ActionFamily:
-    """The candidates' family under an assumed support.
-
-    Raises:
-        InvalidValueError: lifts of what cannot be one rigid body.
-    """
-    from estimators.action_selection.candidates import ActionFamily
-    from estimators.action_selection.design import ASSUMED_SUPPORTS
-
-    if lifts and "rigid" not in ASSUMED_SUPPORTS[support]:
-        allowed = "no lifts where every block rests on its own weight, and only what is gripped would come along"
-        raise InvalidValueError("lifts", lifts, f"{allowed}; lift under support rigid or either")
-    return ActionFamily(lifts=lifts, pushes=pushes)
 
 
 def named_grasps(model: ObjectModel, names: tuple[str, ...] | None) -> tuple[int, ...]:

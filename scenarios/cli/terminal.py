@@ -23,6 +23,11 @@ def open_console() -> Console:
     return Console(width=None if known else WIDE, markup=False, highlight=False)
 
 
+def unless_none(default: str) -> str:
+    """Default in an option's help; nothing where there is none."""
+    return "" if default == "None" else f"(default: {default})"
+
+
 @contextmanager
 def orderly_end() -> Iterator[None]:
     """Let SIGTERM and SIGHUP end the block as an exception does, so that what it has opened is closed."""

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-import inspect
 import shlex
 import time
+from dataclasses import fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
+from scenarios.cli.plan import Search
 from testbed.errors import HeftError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Iterator
 
     from estimators.action_selection.online import Decision
     from estimators.action_selection.plan import Goal
@@ -25,20 +26,15 @@ MOST_REJECTED = 3
 """Refusals that are printed."""
 
 
+TOUCHED = Search(until="5%", most=20, assumed_support="either")
+"""Options of an active run where none is given."""
+
+
 def touch(
     object_: Annotated[str, tyro.conf.Positional, tyro.conf.arg(name="object", metavar="OBJECT")],
     *,
-    until: Annotated[str, tyro.conf.arg(metavar="PERCENT")] = "5%",
-    budget: Annotated[str | None, tyro.conf.arg(metavar="TIME")] = None,
-    sensing: Annotated[str, tyro.conf.arg(metavar="PRESET")] = "ft300s",
+    search: Annotated[Search, tyro.conf.OmitArgPrefixes] = TOUCHED,
     support: Annotated[str | None, tyro.conf.arg(metavar="SUPPORT")] = None,
-    thought: Literal["own_weight", "rigid", "either"] = "either",
-    lifts: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False,
-    pushes: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False,
-    most: Annotated[int, tyro.conf.arg(metavar="N")] = 20,
-    candidates: Annotated[int, tyro.conf.arg(metavar="N")] = 4000,
-    grasps: Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="NAME ...")] = None,
-    seed: Annotated[int, tyro.conf.arg(metavar="N")] = 0,
     out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None,
     record: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False,
 ) -> None:
@@ -51,26 +47,15 @@ def touch(
 
     Args:
         object_: name in the library, or path to a TOML file.
-        until: expected NAD to reach (sum of the masses' errors over the whole mass), as 5%.
-        budget: robot time, travel included, as 60s or 2min; no limit if left out.
-        sensing: preset of the sensor.
+        search: shared with heft plan.
         support: what truly carries the weight: own_weight, rigid, or a stiffness in N/m; if left out, rigid for an
             object on points of contact, else own_weight.
-        thought: assumed support, as far as the robot knows; with either it finds out.
-        lifts: consider lifts too, held still and rocked in the air; not where own_weight is assumed.
-        pushes: consider pushes too, seen by the sensor preset's camera; an object without grasps is pushed in any case.
-        most: greatest number of actions.
-        candidates: number of actions to consider before each trial.
-        grasps: allowed grasps, by name (see heft show); all if left out.
-        seed: seed of the sensor's errors and of the candidates.
         out: folder for the results; results/touch_OBJECT if left out.
         record: write a recording of every trial too, into DIR/recordings.
     """
     from estimators.action_selection.design import ASSUMED_SUPPORTS
-    from estimators.action_selection.plan import Goal
-    from scenarios.cli.plan import action_family, named_grasps
+    from scenarios.cli.plan import named_grasps
     from scenarios.cli.run import show_progress
-    from scenarios.cli.terminal import percent, seconds
     from scenarios.config import Scenario
     from scenarios.results.files import exclusive, write_json
     from scenarios.results.store import Store
@@ -90,29 +75,28 @@ def touch(
         print(f"{number}: {trial.action.describe(model.shape)}{outcome}; {error}{again}", flush=True)
 
     model, begin = load_object(object_), time.monotonic()
-    goal = Goal(percent(until, "--until"), seconds(budget, "--budget"), most)
-    family, allowed = action_family(thought, lifts=lifts, pushes=pushes), named_grasps(model, grasps)
+    goal, assumed = search.goal, search.assumed_support or "either"
+    family, allowed = search.family(assumed), named_grasps(model, search.grasps)
     carrier = support_of(model.shape, support)
-    preset(sensing)  # refused before anything is written
+    preset(search.sensing)  # refused before anything is written
     folder = out or Path("results") / f"touch_{model.name}"
-    store = Store(folder.absolute(), f"touch/{seed}")
-    scenario = Scenario(objects=[object_], support=[support or carrier.name], sensing=[sensing], seeds=1)
-    given = {
-        "until": until,
-        "budget": budget,
-        "sensing": sensing,
-        "support": support,
-        "thought": thought,
-        "lifts": lifts,
-        "pushes": pushes,
-    }
-    given |= {"most": most, "candidates": candidates, "grasps": grasps, "seed": seed, "out": out}
-    facts = manifest(scenario, store.secret) | {"name": folder.name, "command": _command(object_, given)}
+    store = Store(folder.absolute(), f"touch/{search.seed}")
+    scenario = Scenario(objects=[object_], support=[support or carrier.name], sensing=[search.sensing], seeds=1)
+    facts = manifest(scenario, store.secret) | {"name": folder.name, "command": _command(object_, search, support, out)}
     with exclusive(folder):
         store.remove_leftovers()
         write_json(folder / "manifest.json", facts | {"finished": False})
         run = ActiveRun(
-            model, store, goal, family, carrier, ASSUMED_SUPPORTS[thought], sensing, candidates, allowed, seed
+            model,
+            store,
+            goal,
+            family,
+            carrier,
+            ASSUMED_SUPPORTS[assumed],
+            search.sensing,
+            search.candidates,
+            allowed,
+            search.seed,
         )
         result = run.carry_out(say_trial, lambda weight: print(f"weighed: {weight:.3f} kg", flush=True))
         write_json(folder / "manifest.json", facts | {"wall_s": round(time.monotonic() - begin, 1)})
@@ -129,12 +113,15 @@ def touch(
         print(f"report: {report(folder)}; all of it in {folder}/\nlook: heft view {folder}")
 
 
-def _command(object_: str, given: Mapping[str, object]) -> str:
+def _command(object_: str, search: Search, support: str | None, out: Path | None) -> str:
     """Command line that runs this again: the object, and the options that are not left at their default."""
-    parts, known = ["heft", "touch", object_], inspect.signature(touch).parameters
-    for name, value in given.items():
-        if value != known[name].default:
-            parts += [f"--{name}", *([] if value is True else value if isinstance(value, tuple) else [str(value)])]
+    given = {each.name: getattr(search, each.name) for each in fields(search)}
+    given = {name: value for name, value in given.items() if value != getattr(TOUCHED, name)}
+    parts = ["heft", "touch", object_]
+    for name, value in (given | {"support": support, "out": out}).items():
+        if value is not None:
+            words = [] if value is True else value if isinstance(value, tuple) else [str(value)]
+            parts += [f"--{name.replace('_', '-')}", *words]
     return shlex.join(parts)
 
 

@@ -125,7 +125,7 @@ def test_a_runners_own_check_says_which_grasps_can_be_used():
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["greedy", "batch", "random", "online"])
 def test_what_the_bench_refuses_when_it_is_run_is_chosen_around(here, kind):
-    policy = {"kind": kind, "touches": 3, "candidates": 120, "held_out": 0, "thought": "own_weight"}
+    policy = {"kind": kind, "touches": 3, "candidates": 120, "held_out": 0, "assumed_support": "own_weight"}
     (row,) = ran(here, "out", "more:Stiff", policy=policy, sensing=["ft300s"], seeds=1)
     assert row["status"] == "ok", row["message"]
     said = [json.loads(path.read_text())["asked"]["action"] for path in here.glob("out/trials/*/trial.json")]

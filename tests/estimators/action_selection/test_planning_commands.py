@@ -50,7 +50,7 @@ def test_a_plan_is_told_and_drawn(tmp_path, capsys):
 @pytest.mark.slow
 def test_lifts_are_planned_where_asked_for_and_possible(tmp_path, capsys):
     more = ["--lifts", "--most", "3", "--candidates", "300", "--record", str(tmp_path / "plan.rrd")]
-    main(["plan", "L2", "--support", "rigid", "--figure", str(tmp_path / "plan"), *more])
+    main(["plan", "L2", "--assumed-support", "rigid", "--figure", str(tmp_path / "plan"), *more])
     said = " ".join(capsys.readouterr().out.split())
     assert "lift" in said and "held" in said and "6 of 7 masses and frictions are seen" in said
     assert "plan/actions/scene/3/lift" in read_chunks(tmp_path / "plan.rrd")
@@ -176,7 +176,7 @@ def test_a_policy_is_told_who_may_carry_the_weight():
     model, settings = load_object("L2"), SimulationSettings()
 
     def told(kind: str, thought: str | None) -> PlannedPolicy | OnlinePolicy:
-        made = Policy.model_validate({"kind": kind, "thought": thought, "candidates": 300, "touches": 4})
+        made = Policy.model_validate({"kind": kind, "assumed_support": thought, "candidates": 300, "touches": 4})
         policy = weighed_policy(made, model, settings)
         assert isinstance(policy, PlannedPolicy | OnlinePolicy)
         return policy

@@ -50,7 +50,7 @@ def test_a_scenario_asks_for_lifts():
     for kind in ("greedy", "package:Class"):
         with pytest.raises(ValueError, match="lifts"):
             Policy(kind=kind, lifts=1)
-    assert Policy(kind="greedy", thought="rigid", lifts=1).lifts_last is None
+    assert Policy(kind="greedy", assumed_support="rigid", lifts=1).lifts_last is None
 
 
 def test_lifts_that_stop_and_go_are_among_the_candidates():

@@ -65,7 +65,7 @@ def test_lifts_are_of_inner_grasps_and_of_rigid_bodies_alone():
 
 
 def test_a_lift_shows_two_more_of_an_f_and_leaves_one_way_open(capsys):
-    main(["identify", "F2", "--support", "rigid", "--lifts", "1"])
+    main(["identify", "F2", "--assumed-support", "rigid", "--lifts", "1"])
     said = " ".join(capsys.readouterr().out.split())
     assert "6 of 7 masses and frictions are seen" in said
 
@@ -75,7 +75,7 @@ def test_it_says_what_is_seen(capsys):
     said = capsys.readouterr().out
     assert "L2, own_weight, ft300s: 1 weigh, 6 accelerate, 6 rotate" in said
     assert "all 7 masses and frictions are seen" in said
-    main(["identify", "F2", "--support", "rigid"])
+    main(["identify", "F2", "--assumed-support", "rigid"])
     said = " ".join(capsys.readouterr().out.split())
     assert "the combination A1 - B1 - A3 + B3" in said
     assert said.count("not seen") == 12

@@ -16,9 +16,13 @@ from scenarios.cli.terminal import open_console, orderly_end
 from testbed.errors import HeftError, InvalidValueError
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from testbed.objects.model import ObjectModel
 
 NO_OPTIONS = RenderRequest()
+PLA = 1.24
+"""Density of printed PLA, solid, g/cm^3."""
 
 
 def view(
@@ -196,12 +200,18 @@ def show(
     object_: Annotated[str, tyro.conf.Positional, tyro.conf.arg(name="object", metavar="OBJECT")],
     *,
     record: Annotated[Path | None, tyro.conf.arg(metavar="FILE.rrd")] = None,
+    pads: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None,
 ) -> None:
     """Show one object: blocks, mass, center of mass, inertia, and where it can be gripped.
+
+    Examples: heft show hammer
+              heft show docs/objects/T.toml --record results/T.rrd
+              heft show pads.toml --pads results/pads
 
     Args:
         object_: name in the library, or path to a TOML file.
         record: recording to write too: the object on the table in 3D, its parts, points of contact and grasps.
+        pads: folder for STL files, mm, of pads to be printed and glued under an object with [feet].
     """
     from testbed.objects.files import load_object
 
@@ -222,6 +232,27 @@ def show(
     console.print(Text.assemble((model.name, "bold"), facts))
     (_show_solids if model.solids else _show_blocks)(console, model)
     _show_hinges(console, model)
+    if pads is not None:
+        for line in _write_pads(model, pads):
+            console.print(line)
+
+
+def _write_pads(model: ObjectModel, folder: Path) -> Iterator[str]:
+    """Write a file for each kind of pad; a line for each with its size, its mass in PLA, and the groups it is for."""
+    from testbed.files import write_whole
+    from testbed.objects.export import Pad
+
+    kinds: dict[Pad, list[str]] = {}
+    for group, name in enumerate(model.shape.group_names):
+        kinds.setdefault(Pad.of(model.shape, group), []).append(name)
+    for pad, names in kinds.items():
+        mesh = pad.mesh()
+        path = folder / f"{model.name}_{names[0]}.stl"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_whole(path, lambda part, mesh=mesh: mesh.export(part, file_type="stl"))
+        size = " x ".join(f"{length:.1f}" for length in mesh.extents)
+        grams = mesh.volume * 1e-3 * PLA
+        yield f"{path}: {size} mm, {grams:.1f} g of PLA; print {len(names)}, for {', '.join(names)}"
 
 
 def _show_blocks(console: Console, model: ObjectModel) -> None:

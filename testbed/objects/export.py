@@ -11,6 +11,7 @@ from xml.etree import ElementTree
 from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
+import trimesh
 from jaxtyping import Float
 
 from testbed.errors import InvalidValueError
@@ -92,6 +93,10 @@ _STOPS = {"solreffriction": "0.0001 1", "solimpfriction": "0.999 0.999 0.001 0.5
 """Friction of a hinge in MuJoCo that stops it within a step, however long: by default it creeps below 0.1 rad/s."""
 
 
+PAD_PLATE, PAD_FOOT, PAD_RADIUS, PAD_GAP = 1.5, 3.0, 2.0, 0.5
+"""Thickness of a printed pad's plate, height of its feet over it, radius of their tips, and gap at its sides, mm."""
+OVERLAP = 1e-3
+"""Overlap of the cells of a pad, which become one solid, mm."""
 _FLOOR = {"name": "floor", "type": "plane", "size": "1 1 0.1", "rgba": "0.75 0.75 0.75 1"}
 _LIGHT = {"name": "light", "pos": "0.3 -0.3 1", "dir": "-0.3 0.3 -1"}
 
@@ -286,6 +291,54 @@ def to_sidecar(exported: Exported) -> str:
             "hinge_friction_std_Nm": _finite(exported.hinge_deviation),
         }
     return json.dumps(said, indent=1) + "\n"
+
+
+@dataclass(frozen=True)
+class Pad:
+    """Pad to be printed and glued under a mass group, so that it stands on feet of known places."""
+
+    cells: tuple[tuple[float, float], ...]
+    """Places of the group's cells from its middle, mm, seen from below: x to the left."""
+    feet: tuple[tuple[float, float], ...]
+    """Places of its feet, likewise."""
+    cell: float
+    """Side of a cell, mm."""
+
+    @staticmethod
+    def of(shape: ObjectShape, group: int) -> Pad:
+        """Pad of a group.
+
+        Raises:
+            InvalidValueError: a group without feet of known places.
+        """
+        feet = shape.feet[shape.mass_group[shape.feet] == group]
+        if len(feet) == 0:
+            raise InvalidValueError("feet", "none", f"feet of known places under {shape.group_names[group]}: [feet]")
+        below = [
+            sorted((-x + 0.0, y) for x, y in np.round((places - shape.middle_of(group)) * 1e3, 6).tolist())
+            for places in (shape.particles[shape.cells_of(group)], shape.particles[feet])
+        ]
+        return Pad(tuple(below[0]), tuple(below[1]), shape.cell * 1e3)
+
+    def mesh(self) -> trimesh.Trimesh:
+        """Solid as it lies on a printer's bed, mm: a plate as the group's outline, and a round-tipped foot up at each.
+
+        The plate is `PAD_GAP` smaller than the outline on each side.
+        """
+        cells, parts = np.array(self.cells), []
+        for cell in cells:
+            ends = []
+            for way in ([-1, 0], [1, 0], [0, -1], [0, 1]):
+                beside = np.linalg.norm(cells - cell - self.cell * np.array(way), axis=1).min() < 0.1 * self.cell
+                ends.append(self.cell / 2 - (-OVERLAP if beside else PAD_GAP))
+            low, high = np.array([ends[0], ends[2]]), np.array([ends[1], ends[3]])
+            box = trimesh.creation.box((*(low + high), PAD_PLATE))
+            parts.append(box.apply_translation([*(cell + (high - low) / 2), PAD_PLATE / 2]))
+        for x, y in self.feet:
+            top = PAD_PLATE + PAD_FOOT - PAD_RADIUS
+            stem = trimesh.creation.cylinder(PAD_RADIUS, top, sections=32).apply_translation([x, y, top / 2])
+            parts += [stem, trimesh.creation.uv_sphere(PAD_RADIUS, (32, 32)).apply_translation([x, y, top])]
+        return trimesh.boolean.union(parts)
 
 
 def _pieces(link: Link, single: bool) -> dict[str, list[Box]]:

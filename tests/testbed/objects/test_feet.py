@@ -11,11 +11,12 @@ import pytest
 import trimesh
 from numpy.testing import assert_allclose
 
+from scenarios.cli.main import main
 from scenarios.results.store import object_request
 from scenarios.results.trials import object_of
 from testbed.actions.rotate import Rotate
 from testbed.errors import HeftError
-from testbed.objects.export import Exported, to_mjcf, to_object_file
+from testbed.objects.export import PAD_FOOT, PAD_PLATE, Exported, Pad, to_mjcf, to_object_file
 from testbed.objects.files import load_object
 from testbed.objects.model import GRAVITY, ObjectModel
 from testbed.simulation.runner import SimulationRunner
@@ -159,3 +160,32 @@ def test_a_mesh_stands_on_feet_by_the_names_of_its_parts(tmp_path: Path):
     assert_allclose(shape.particles[shape.feet], places, atol=1e-7)  # an STL has float32
     assert shape.stands_in_groups and not replace(shape, stands_on_feet=False).stands_in_groups
     assert math.isclose(shape.fill.sum(), len(shape.particles))
+
+
+UNEVEN = [[-0.020, -0.015], [0.018, -0.018], [0.005, 0.018]]
+
+
+@pytest.mark.parametrize("feet", [PADS, UNEVEN])
+def test_a_printed_pad_turned_over_has_its_tips_where_the_feet_are(tmp_path: Path, feet: list[list[float]]):
+    model = written(tmp_path, f"[feet]\nunder_each_m = {feet}\n")
+    shape = model.shape
+    for group in range(shape.n_m):
+        pad = Pad.of(shape, group).mesh()
+        assert pad.is_watertight and pad.body_count == 1
+        tall = PAD_PLATE + PAD_FOOT
+        assert_allclose(pad.bounds, [[-24.5, -24.5, 0], [24.5, 24.5, tall]], atol=1e-6)
+        tips = pad.vertices[pad.vertices[:, 2] > tall - 1e-6]
+        under = tips[:, :2] * [-1, 1] / 1e3 + shape.middle_of(group)  # turned over about y
+        own = shape.particles[shape.feet[shape.mass_group[shape.feet] == group]]
+        assert_allclose(sorted(under.tolist()), sorted(own.tolist()), atol=1e-6)
+
+
+def test_pads_are_printed_once_a_kind_and_only_for_known_feet(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    written(tmp_path, f"[feet]\nunder_each_m = {PADS}\n")
+    main(["show", str(tmp_path / "corner.toml"), "--pads", str(tmp_path / "pads")])
+    (path,) = (tmp_path / "pads").iterdir()
+    assert f"{path}: 49.0 x 49.0 x 4.5 mm" in (said := capsys.readouterr().out.replace("\n", " ")) and "print 3" in said
+    assert trimesh.load_mesh(path).is_watertight
+    with pytest.raises(SystemExit, match="2"):
+        main(["show", "L2", "--pads", str(tmp_path / "none")])
+    assert "[feet]" in capsys.readouterr().err and not (tmp_path / "none").exists()

@@ -101,7 +101,7 @@ class Simulation(Strict):
 
 
 class Truth(Strict):
-    """Changes to what is true of every object, which no method is told."""
+    """Changes to what is true of every object, hidden from every method."""
 
     friction: Annotated[float, Field(gt=0, le=2)] | None = None
     friction_spread: Annotated[float, Field(ge=0, le=1)] = 0.0

@@ -250,7 +250,7 @@ class Policy(BaseModel):
             settings: settings of the runner, for the feasibility of actions.
             weighed: reading of the scale [kg], which may come later, but before the policy is asked.
             draw: sensor and number of the draw that the trials are for; None where all draws share them.
-            refused: actions that were refused when they were run, as `told`; may grow later.
+            refused: actions that were refused when they were run, without numbers; may grow later.
             setup: errors of the setup as stated.
         """
         refused = {} if refused is None else refused

@@ -139,6 +139,6 @@ def feasible_grasps(name: str, check: FeasibilityCheck) -> tuple[int, ...]:
     return tuple(possible)
 
 
-def told(refusal: str) -> str:
-    """Refusal of a trial as a policy is told it: the limit, without the numbers, which come from the true masses."""
+def redacted(refusal: str) -> str:
+    """Refusal of a trial for a policy: the limit, without the numbers, which come from the true masses."""
     return f"{refusal.partition(':')[0]}: refused by the bench"

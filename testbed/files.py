@@ -1,6 +1,6 @@
 """Files: found in a library or by path, read within bounds, written whole or not at all, and sealed by a checksum.
 
-A stored file holds its own checksum: the SHA-256 of all its bytes, the checksum itself taken as zeros. It tells damage,
+A stored file holds its own checksum: the SHA-256 of all its bytes, the checksum itself taken as zeros. It shows damage,
 not forgery.
 """
 
@@ -89,12 +89,12 @@ def write_whole(path: Path, write: Any) -> None:
         # made here: not every library says why it cannot open a file, and a link that lies in wait is not followed
         held = os.open(part, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666)
         with suppress(OSError):  # a file system without locks
-            fcntl.flock(held, fcntl.LOCK_EX)  # until it is whole: `remove_leftovers` takes what nobody holds
+            fcntl.flock(held, fcntl.LOCK_EX)  # until it is whole: `remove_leftovers` takes what is not locked
         write(part)
         with open(part, "rb+") as file:
             os.fsync(file.fileno())
         os.replace(part, path)
-    except OSError as error:  # a full disk names no file, and nobody knows the part
+    except OSError as error:  # a full disk names no file, and the part file is ours alone
         if error.errno is not None and error.filename in (None, str(part)):
             error.filename = str(path)
         raise

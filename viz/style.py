@@ -1,6 +1,6 @@
 """Colours, fonts and colour scales of figures, the report and the Rerun views.
 
-Single colours are Okabe and Ito's, told apart by the colour-blind; colour maps are even in lightness, so that they also
+Single colours are Okabe and Ito's, distinct to the colour-blind; colour maps are even in lightness, so that they also
 survive a grey print.
 """
 

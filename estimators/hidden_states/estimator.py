@@ -53,9 +53,9 @@ class HiddenStates:
     height_error: float = ModelErrors.height_error
     """Error of the TCP's height over the feet, m."""
     lift_error: float = ModelErrors.lift_error
-    """Vertical force of a nulled gripper that the sensor cannot tell, N."""
+    """Vertical force of a nulled gripper that the sensor cannot measure, N."""
     tilt_error: float = ModelErrors.tilt_error
-    """Moment of a nulled gripper that the sensor cannot tell, N m."""
+    """Moment of a nulled gripper that the sensor cannot measure, N m."""
     lead_error: float = ModelErrors.lead_error
     """Time by which friction leads the motion, s."""
     inertia_error: float = ModelErrors.inertia_error

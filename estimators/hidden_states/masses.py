@@ -92,7 +92,7 @@ def solve_masses(
 
 
 def _rough_groups(shape: ObjectShape, pairs: Pairs, loads: np.ndarray, covariance: np.ndarray) -> list[int]:
-    """Friction groups whose drag stands out of its error; of the others s tells nothing about mass."""
+    """Friction groups whose drag stands out of its error; of the others s shows nothing about mass."""
     feet = feet_of(shape, pairs)
     rough = []
     for group in range(shape.n_mu):

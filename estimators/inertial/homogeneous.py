@@ -13,7 +13,7 @@ from estimators.inertial.estimate import InertialEstimate, drawn_values
 from testbed.errors import InvalidValueError
 
 MOST_PARTS = 4
-"""Parts that still poses tell apart: they show M and M c."""
+"""Parts that still poses distinguish: they show M and M c."""
 
 
 def homogeneous_parts(
@@ -29,13 +29,13 @@ def homogeneous_parts(
         seed: seed of the draws.
 
     Raises:
-        InvalidValueError: no part, or more than the equations can tell apart.
+        InvalidValueError: no part, or more than the equations can distinguish.
     """
     unit = np.column_stack([part.vector / part.mass for part in parts]) if parts else np.zeros((10, 0))
     rows = equations.rows @ unit
     size = np.linalg.norm(rows, axis=0)
     if not len(parts) or np.linalg.matrix_rank(rows / np.where(size > 0, size, 1.0), rtol=1e-6) < len(parts):
-        allowed = f"one or more that the motion tells apart: at most {MOST_PARTS}, not in one plane, if it is still"
+        allowed = f"one or more that the motion distinguishes: at most {MOST_PARTS}, not in one plane, if it is still"
         raise InvalidValueError("parts", len(parts), allowed)
     best = nnls(rows / size, equations.values)[0] / size
     left = equations.values - rows @ best

@@ -31,7 +31,7 @@ def lift_equations(
     windows of a lift.
 
     Args:
-        shape: geometry; of its groups, how far they may be from where they were told, as the setup states it.
+        shape: geometry; of its groups, how far they may be from their stated places, as the setup states it.
         trajectories: lifts that ended well are read, all others left out.
         errors: errors of what is taken as known; that of `height` is not used, as the height is an answer.
 

@@ -29,7 +29,7 @@ def part_ranges(
 ) -> Float[np.ndarray, "n 2"]:
     """Least and most mass of each part, kg, whatever its density, by its profile likelihood (a cone program).
 
-    Where the motion shows a part's mass, this is its interval of probability `level`; else all that no motion tells.
+    Where the motion shows a part's mass, this is its interval of probability `level`; else all that no motion excludes.
 
     Args:
         equations: equations of the whole body.

@@ -19,7 +19,7 @@ from testbed.validation import freeze_arrays
 
 _solver: Any = clarabel  # it comes without types
 ABOUT = 0.1
-"""Size of a body of which nothing is told, m: it scales the program, and bounds nothing."""
+"""Size of a body of which nothing is stated, m: it scales the program, and bounds nothing."""
 _TRIANGLE = [(i, j) for j in range(4) for i in range(j + 1)]
 """Entries of a symmetric 4 x 4 matrix as the solver counts them: the upper triangle, column by column."""
 

@@ -1,7 +1,7 @@
 """The linear system Q s = b of the friction loads s = mu m g, Eq. dvs, with its errors and its rank.
 
 Errors become weights here alone, for every support model: errors of the sensor and of the particle model, and the
-gripper's load that the sensor cannot tell.
+gripper's load that the sensor cannot measure.
 """
 
 from __future__ import annotations
@@ -287,7 +287,7 @@ def in_windows(blocks: Float[Tensor, "K 3+H 3+H"]) -> Float[Tensor, "R R"]:
 def unknown_motion(windows: Observations, model: ParticleModel, weight: float) -> Float[Tensor, "R E"]:
     """Effects of c and of each I_j on accelerated windows, as large as the object's `weight` (kg) and reach allow.
 
-    Whoever counts them as errors takes friction alone from those windows: the slopes of torque tell I_j.
+    Treated as errors, they leave friction alone to those windows: the slopes of torque show I_j.
     """
     grasp, alpha = windows.grasp.detach(), windows.acceleration[:, 2] * windows.accelerated
     reach = float((model.particles - grasp[:, None]).norm(dim=-1).max())

@@ -63,7 +63,7 @@ def link_errors(windows: Observations, sum_of_drag: Float[Tensor, "K 3+H"]) -> F
 def resting(windows: Observations, table: Table) -> Float[Tensor, "K P"]:
     """Part of the drag of each particle that may act any way as it hardly moves, one standard deviation along an axis.
 
-    As far as the camera tells: its errors count as linear elsewhere.
+    As far as the camera shows it: its errors count as linear elsewhere.
     """
     known = table.velocity
     ways = torch.eye(windows.links_off.shape[1], dtype=torch.float64)

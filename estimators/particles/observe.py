@@ -104,8 +104,8 @@ def _table_windows(shape: ObjectShape, trajectory: Trajectory) -> list[SteadyWin
 def _pooled(windows: list[SteadyWindow], trial: np.ndarray, accelerated: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Covariance of the means of noise, and of the tare's bias, (K, 6, 6).
 
-    A short window's scatter tells its noise badly, and an accelerating arm swings: its noise a second is taken from the
-    windows of constant speed, where there are any. Tares are alike in all trials.
+    A short window's scatter determines its noise badly, and an accelerating arm swings: its noise per second is taken
+    from the windows of constant speed, where there are any. Tares are alike in all trials.
     """
     length = np.array([np.ptp(w.since_tare) for w in windows])[:, None, None]
     density = np.array([w.covariance for w in windows]) * length

@@ -289,7 +289,7 @@ class Posterior:
     def _loose(
         self, shape: ObjectShape, mass: Float[np.ndarray, "n_m"], covariance: Float[np.ndarray, "n_m n_m"]
     ) -> list[str]:
-        """Groups that cannot be told from nothing and are not known much better than before any trial."""
+        """Groups whose masses are consistent with 0 and are not known much better than before any trial."""
         count, masses = shape.particles_per_group, mass * shape.particles_per_group
         errors, before = (np.sqrt(np.diag(each)) * count for each in (covariance, prior_masses(shape, masses.sum())))
         return [

@@ -55,7 +55,7 @@ def truth_within_reach(
 
     Args:
         given: arguments of `estimate` or `next`, or of a policy's class, by name.
-        model: object with its truth, to tell what has been found.
+        model: object with its truth, to recognize what has been found.
         clean: records of a perfect sensor behind the trajectories in `given["trajectories"]`.
         drawn: True if the sensor has errors, so that no number may equal a true one.
     """

@@ -41,9 +41,9 @@ class ModelErrors:
     )
     """Height of the TCP over the feet, m."""
     lift_error: float = 0.06
-    """Vertical force of a nulled gripper that the sensor cannot tell, N."""
+    """Vertical force of a nulled gripper that the sensor cannot measure, N."""
     tilt_error: float = 0.0005
-    """Moment of a nulled gripper that the sensor cannot tell, N m."""
+    """Moment of a nulled gripper that the sensor cannot measure, N m."""
     lead_error: float = parameter(
         default=0.02, unit="s", shows=("table",), cause="friction leads or lags the motion: align the clocks"
     )

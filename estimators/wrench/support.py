@@ -38,7 +38,7 @@ class GripperLoad:
     lever: Float[Tensor, "K P 2"]
     """Place of each particle from the grasp point, m: of an object in links, where they have moved."""
     balanced: bool = False
-    """True if each group's feet are where its own weight is, on points that nobody knows: then none leans."""
+    """True if each group's feet are where its own weight is, on unknown points: then none leans."""
 
     @property
     def carried(self) -> Float[Tensor, "K 3"]:
@@ -101,7 +101,7 @@ def shrunken_load(
     """Loads of K windows with the sensor's likely error taken off, and how large mean and change are.
 
     Both a trial's mean load and its change from window to window are drawn towards zero by how much of their scatter
-    the sensor explains (empirical Bayes): a gripper that carries less than the sensor can tell is better taken to carry
+    the sensor explains (empirical Bayes): a gripper that carries less than the sensor resolves is better taken to carry
     nothing. Either has to stand out by two standard errors, or it is taken to scatter as a nulled gripper's.
 
     Args:
@@ -232,7 +232,7 @@ def rigid_loads(model: ParticleModel, mass: Float[Tensor, "P"], load: GripperLoa
 def contact_spread(model: ParticleModel, mass: Float[Tensor, "P"]) -> Float[Tensor, "P w"]:
     """Standard deviations by which loads on points of contact may differ from `rigid_loads`, N: a column a direction.
 
-    Balance decides the loads of three points. A rigid body on more rests on three of them, and nobody knows on which:
+    Balance decides the loads of three points. A rigid body on more rests on three of them, and which is unknown:
     every three with the center of mass between them are as likely, about the even foundation's loads. A column per
     load that balance leaves open, zero where the weight acts outside all threes; it changes continuously with the
     masses. Shape (P, 0) for three points, and for feet of groups and under cells, which give way.

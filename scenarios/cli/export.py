@@ -287,10 +287,10 @@ def exported_of(folder: Path, row: Row) -> Exported:
     exported = Exported(str(row["object"]), view.shape, view.answer, view.covariance, notes)
     if not exported.has_hinges:
         return exported
-    told = typical_trial(folder, row).object.hinge_friction
+    own = typical_trial(folder, row).object.hinge_friction
     given = row.get("hinge_Nm")
     found = [
-        math.nan if torque is None else float(torque) for torque in ([None] * len(told) if given is None else given)
+        math.nan if torque is None else float(torque) for torque in ([None] * len(own) if given is None else given)
     ]
     torques, more = [], []
     for index, torque in enumerate(found):
@@ -298,7 +298,7 @@ def exported_of(folder: Path, row: Row) -> Exported:
             more.append(f"friction of hinge_{index} not estimated: the object's own")
         elif torque < 0:
             more.append(f"friction of hinge_{index} estimated as {torque:.4g} N m, written as 0")
-        torques.append(told[index] if math.isnan(torque) else max(torque, 0.0))
+        torques.append(own[index] if math.isnan(torque) else max(torque, 0.0))
     whole = not any(map(math.isnan, found))
     deviation = tuple(float(std) for std in row["hinge_error_Nm"]) if whole else None
     return replace(exported, notes=(*notes, *more), hinge_friction=tuple(torques), hinge_deviation=deviation)

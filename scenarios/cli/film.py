@@ -144,7 +144,7 @@ def list_trials(root: Path) -> Table:
 
 
 def _line_of(key: str, content: dict[str, Any]) -> tuple[str, ...]:
-    """A trial's key, object, support, grasp, action and status, as far as its file tells."""
+    """A trial's key, object, support, grasp, action and status, as far as its file has them."""
     from scenarios.results.trials import OTHER_FORMAT
 
     try:

@@ -23,7 +23,7 @@ def show_found(mapping: Path, logs: Sequence[Path], grasps: Sequence[str]) -> No
     """Print the segments of recordings, and write the mapping with a [[logs]] table for each action.
 
     Raises:
-        HeftError: a file is not what it should be, or the grasps cannot be told.
+        HeftError: a file is not what it should be, or the grasps are ambiguous.
     """
     table = load_toml(mapping, Mapping)
     if table.logs or not logs:
@@ -102,8 +102,8 @@ def _entries(file: str, found: Sequence[Segment], closing_deg: float) -> Iterato
         action = segment.action
         if action is None or segment.tare is None:
             continue
-        told = {name: value for name, value in action.to_dict().items() if name != "grasp" and value is not None}
-        said = {"kind": told.pop("kind"), "grasp": segment.grasps[0] if segment.grasps else 0, **told}
+        given = {name: value for name, value in action.to_dict().items() if name != "grasp" and value is not None}
+        said = {"kind": given.pop("kind"), "grasp": segment.grasps[0] if segment.grasps else 0, **given}
         line = toml_text({"action": [said]}).strip().removeprefix("action = [").removesuffix("]")
         times = {"file": file, "from_s": segment.trial[0], "to_s": segment.trial[1]}
         times |= {"closing_deg": closing_deg + 180.0} if segment.flipped else {}

@@ -73,7 +73,7 @@ def mesh(
             continue
         made.append(model)
         save_figure(object_page([model]), out / found.name)
-        print(f"{path}: {'; '.join(found.told)}")
+        print(f"{path}: {'; '.join(found.notes)}")
         count = len(found.grasps)
         print(
             f"    cells of {found.cell * 1e3:g} mm; {count} grasp{'s' * (count != 1)}; picture {out / found.name}.png"

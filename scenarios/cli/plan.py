@@ -178,8 +178,8 @@ class Search:
         Literal["own_weight", "rigid", "either"] | None,
         tyro.conf.arg(metavar="{own_weight,rigid,either}", help_behavior_hint=unless_none),
     ] = None
-    """assumed support; either serves both models, and tells them apart. Of a plan, if left out, rigid for an object on
-    points of contact, else own_weight."""
+    """assumed support; either serves both models, and decides between them. Of a plan, if left out, rigid for an object
+    on points of contact, else own_weight."""
     lifts: Annotated[bool, tyro.conf.FlagCreatePairsOff, tyro.conf.arg(help_behavior_hint="")] = False
     """consider lifts too, held still and rocked in the air; not where own_weight is assumed."""
     pushes: Annotated[bool, tyro.conf.FlagCreatePairsOff, tyro.conf.arg(help_behavior_hint="")] = False

@@ -167,8 +167,8 @@ def _made_objects(study: Scenario, data: Path | None, folder: Path) -> Scenario:
     from scenarios.study.meshes import with_meshes
 
     with show_progress() as progress:
-        made, told = with_meshes(study, data, folder, progress)
-    for line in told:
+        made, lines = with_meshes(study, data, folder, progress)
+    for line in lines:
         print(line)
     return made
 

@@ -13,7 +13,7 @@ from estimators.action_selection.online import Decision, OnlinePolicy
 from estimators.action_selection.plan import Goal
 from scenarios.results.store import Store, key_of, trial_request
 from scenarios.results.trials import sensed_trials
-from scenarios.runners import FeasibilityCheck, told
+from scenarios.runners import FeasibilityCheck, redacted
 from scenarios.study.estimates import EstimateTask, estimate
 from scenarios.study.trials import simulate
 from testbed.actions.base import Action
@@ -96,7 +96,7 @@ class ActiveRun:
             try:
                 keys.append(self._simulated(decision.action))
             except InfeasibleTrialError as error:  # at the true masses; nothing has moved
-                refused[decision.action] = told(str(error))
+                refused[decision.action] = redacted(str(error))
 
     def _simulated(self, action: Action) -> str:
         """Key of the trial, which is kept."""

@@ -309,8 +309,8 @@ def judge(
     With `true_support`, also how the truth itself predicts those turns: it is the same for every method.
     """
     shape = truth.shape
-    told = true_support if truth.masses_known else None
-    best = mean_particle_distance(shape, truth.truth, held_out, told) if told else None
+    support = true_support if truth.masses_known else None
+    best = mean_particle_distance(shape, truth.truth, held_out, support) if support else None
     row: dict[str, Any] = (
         NO_ANSWER
         | {

@@ -11,7 +11,7 @@ from estimators.action_selection.rank import RankDriven
 from estimators.base import ActionPolicy
 from scenarios.config import Scenario
 from scenarios.results.store import Store, key_of, object_request
-from scenarios.runners import feasible_grasps, told
+from scenarios.runners import feasible_grasps, redacted
 from testbed.actions.base import Action
 from testbed.actions.rotate import Rotate
 from testbed.errors import InfeasibleTrialError, InvalidValueError
@@ -61,9 +61,9 @@ class Experiment:
     turns: tuple[Rotate, ...]
     """Turns for prediction, which no method is given."""
     refused: dict[Action, str] = field(default_factory=dict)
-    """Actions that were refused when they were run, as the policy is told it; it then chooses another."""
+    """Actions that were refused when they were run, without numbers, for the policy, which then chooses another."""
     weighed: list[float] = field(default_factory=list)
-    """Reading of the scale [kg], as the policy is told it."""
+    """Reading of the scale [kg], as the policy has it."""
     keys: list[str] = field(default_factory=list)
     """Keys of the trials made so far, the weighing first."""
     held_out_keys: list[str] = field(default_factory=list)
@@ -79,7 +79,7 @@ class Experiment:
     draw: tuple[str, int] | None = None
     """Sensor and seed of its one draw; None where all draws share it."""
     world: WorldDraw | None = None
-    """Draw of the world of its trials, of which nobody is told; None is the ideal one."""
+    """Draw of the world of its trials, hidden from every method; None is the ideal one."""
 
     def known_actions(self) -> list[Action]:
         """Actions that do not depend on any wrench: those of the paper's policy, and the turns held out."""
@@ -93,7 +93,7 @@ class Experiment:
 
     def refuse(self, action: Action, why: str) -> None:
         """Take the refusal of an action at the true masses."""
-        self.reasons[action], self.refused[action] = why, told(why)
+        self.reasons[action], self.refused[action] = why, redacted(why)
 
     def next_action(self) -> Action | None:
         """Next action; None when done."""

@@ -50,9 +50,9 @@ def with_meshes(scenario: Scenario, data: Path | None, folder: Path, progress: P
         raise InvalidValueError("objects", unknown, f"some of {', '.join(files)}{nearest(unknown[0], files)}")
     paths, lines = [], []
     for done, name in enumerate(wanted):
-        path, told = _made(files[name], name, meshes, folder)
+        path, line = _made(files[name], name, meshes, folder)
         progress("objects", done + 1, len(wanted))
-        lines.append(told)
+        lines.append(line)
         paths.append(str(path))
     return scenario.model_copy(update={"objects": paths}), lines
 
@@ -77,7 +77,7 @@ def _made(file: Path, name: str, meshes: Meshes, folder: Path) -> tuple[Path, st
     else:
         raise InvalidValueError("mass_kg", None, f"a mass in [meshes], or a file {meshes.notes} beside", file=file)
     write_object(made, path.parent, masses, meshes.friction)
-    return path, other + f"{name}: {path}: {'; '.join([*made.told, *filter(None, [fit])])}"
+    return path, other + f"{name}: {path}: {'; '.join([*made.notes, *filter(None, [fit])])}"
 
 
 def _name(file: Path) -> str:

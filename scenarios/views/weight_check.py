@@ -1,7 +1,7 @@
 """Test of the weighing by inertia: what accelerated turns show against what the masses of an answer have.
 
-Friction tells masses only up to a factor, which the weighing gives; torque over acceleration has none. A wrong weight
-scales all masses alike and no residual of friction tells it. The misfit counts the inertia too, with a wider limit.
+Friction shows masses only up to a factor, which the weighing gives; torque over acceleration has none. A wrong weight
+scales all masses alike and no residual of friction shows it. The misfit counts the inertia too, with a wider limit.
 """
 
 from __future__ import annotations

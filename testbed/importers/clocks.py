@@ -20,7 +20,7 @@ LONGEST_DELAY = 0.2
 NO_DELAY = "not estimated, for want of an accelerated turn"
 """What is said of the delay between separate streams that nothing ties."""
 UNSURE = 0.005
-"""Standard deviation above which a delay is told and not taken off [s]."""
+"""Standard deviation above which a delay is reported and not corrected [s]."""
 _MODEL_ERROR = 0.0015
 """Standard deviation of what the arm's own lag adds, over turns of the library's objects, alike in all turns [s]."""
 _SMOOTHING = 0.045

@@ -136,7 +136,9 @@ class HandMap(PoseMap):
     def _points_down(self) -> Self:
         if self.orientation_as == "yaw":
             allowed = ", ".join(name for name in _COLUMNS if name != "yaw")
-            raise InvalidValueError("orientation_as", "yaw", f"{allowed}: a hand's yaw alone does not tell its tilt")
+            raise InvalidValueError(
+                "orientation_as", "yaw", f"{allowed}: a hand's yaw alone does not determine its tilt"
+            )
         return self
 
 

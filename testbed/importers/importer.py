@@ -179,7 +179,7 @@ def _action_and_object(table: Mapping, mapping: Path) -> tuple[Action, ObjectMod
         action = named.on(model.shape, table.hand.size)
         if table.camera is None and (links > 1 or action.grasp is None):
             what = "the poses of a pushed object" if links == 1 else f"the poses of {links} links"
-            raise InvalidValueError("camera", None, f"{what}: the hand's do not tell them")
+            raise InvalidValueError("camera", None, f"{what}: the hand's do not determine them")
         if table.camera is not None and len(table.camera.parts) != links:
             each = "one, of a rigid object" if links == 1 else f"{links}, one a link"
             raise InvalidValueError("camera.parts", f"{len(table.camera.parts)} tables", each)

@@ -27,7 +27,7 @@ from testbed.toml import load_toml
 
 Kind = Literal["tare", "held still", "turn", "accelerated turn", "slide", "other motion", "empty hand"]
 SHORTEST = 0.5
-"""Shortest motion that is told [s]."""
+"""Shortest motion that is reported [s]."""
 LONGEST_TURN_ROUND = 2.0
 """Longest rest between a turn and its way back [s]."""
 GRASP_WITHIN = 0.010, np.radians(10.0)

@@ -1,4 +1,4 @@
-"""Colours of mass groups: the same in scenes, films and recordings, and told apart by the colour-blind."""
+"""Colours of mass groups: the same in scenes, films and recordings, and distinct to the colour-blind."""
 
 from __future__ import annotations
 

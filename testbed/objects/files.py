@@ -32,7 +32,7 @@ def asset_folder(kind: str) -> Path:
 
 
 _PLACE_KG = 0.1
-"""What holds the place of a mass that nobody has given [kg]."""
+"""Placeholder of a mass that is not given [kg]."""
 NEAR, NEAR_CELLS = 0.01, 1.5
 """Greatest distance of a hinge from the nearest particle of a link that it joins [m], or so many cells if more."""
 Name = Annotated[str, Field(min_length=1, max_length=64, pattern=r"^[\w.-]+$")]

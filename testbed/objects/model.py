@@ -203,7 +203,7 @@ class ObjectShape:
 
     @property
     def is_uneven(self) -> bool:
-        """True if material fills some cell in part, at a height in it that the cells do not tell."""
+        """True if material fills some cell in part, at a height in it that the cells do not determine."""
         fill = self.fill[self.cells]
         return bool((fill < fill.max()).any())
 
@@ -322,7 +322,7 @@ class ObjectModel:
     solids: tuple[Solid, ...] = field(default=(), repr=False)
     """The body of each mass group, where it is known better than by its particles, as for a mesh; else empty."""
     masses_known: bool = True
-    """False if nobody has given the masses: those of `truth` hold places, and no answer is held against them."""
+    """False if no masses are given: those of `truth` hold places, and no answer is held against them."""
     hinge_friction: tuple[float, ...] = ()
     """Torque of Coulomb friction of each hinge of the chain [N m]; none if left out."""
 

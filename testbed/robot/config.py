@@ -131,9 +131,9 @@ class ArmTable(Strict):
     username: str = "admin"
     """User of the arm; the password is in HEFT_KORTEX_PASSWORD."""
     serial: str | None = None
-    """Serial number that the arm must tell; None takes any."""
+    """Serial number that the arm must report; None takes any."""
     firmware: str | None = None
-    """Firmware that it must tell."""
+    """Firmware that it must report."""
     tool_length_m: Annotated[float, Range(0.02, 0.6, "m")] = 0.2115
     """Distance from the arm's interface to the tool center point, as stored in the arm."""
 
@@ -271,7 +271,7 @@ class RobotFile(Strict):
         for name in ("serial", "firmware"):
             wanted, found = getattr(self.arm, name), getattr(arm, name)
             if wanted not in (None, found):
-                raise InvalidValueError(f"arm.{name}", wanted, f"{found}, which the arm tells")
+                raise InvalidValueError(f"arm.{name}", wanted, f"{found}, which the arm reports")
 
     def settings(self, calibration: Calibration | None, sheet: Tool) -> RobotSettings:
         """Settings of a trial.

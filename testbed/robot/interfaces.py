@@ -141,7 +141,7 @@ class SensorIdentity:
 
 @dataclass(frozen=True)
 class ArmIdentity:
-    """Name of an arm; what it does not tell is "unknown"."""
+    """Name of an arm; what it does not report is "unknown"."""
 
     model: str = "unknown"
     """Model number."""
@@ -278,7 +278,7 @@ class Arm(Device, Protocol):
     def move_to(self, pose: Pose, speed: float) -> None:
         """Move the TCP to a pose at no more than `speed` [m/s]; returns on arrival or after `stop`.
 
-        Another thread must read `state` meanwhile: the arm stops where nobody watches.
+        Watchdog: another thread must poll `state` meanwhile, or the arm stops.
 
         Raises:
             ArmRefusedError: in a fault, or the pose was refused or not reached.

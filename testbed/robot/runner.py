@@ -271,7 +271,7 @@ def seen_place(camera: ObjectCamera, clock: Clock, trial: Trial) -> SeenPose:
 
 
 def with_evidence(whole: Trajectory, plan: RobotPlan) -> Trajectory:
-    """Record with what its camera tells against it, and how long a push touched."""
+    """Record with the camera's evidence against it, and how long a push touched."""
     figures, reason = whole.figures, ""
     if whole.action.pushes:
         met, left = contact_of(whole)

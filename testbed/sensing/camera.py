@@ -104,7 +104,7 @@ class PoseStream:
 
     @property
     def joint_angles(self) -> Float[np.ndarray, "F joints"]:
-        """Yaw of each part less that of the one before [rad], 0 as the object is told to lie; NaN where not seen."""
+        """Yaw of each part less that of the one before [rad], 0 as the object is stated to lie; NaN where not seen."""
         return np.diff(self.poses[..., 2], axis=1)
 
     def at(self, times: Float[np.ndarray, "N"]) -> Float[np.ndarray, "N parts 3"]:

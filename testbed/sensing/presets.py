@@ -19,7 +19,7 @@ Axes = tuple[float, float, float]
 class Sensing:
     """Errors of a sensor as its data sheet states them: standard deviations, SI units, sensor axes.
 
-    A draw takes these numbers times the two factors, of which no method or policy is told.
+    A draw takes these numbers times the two factors, hidden from every method and policy.
     """
 
     name: str

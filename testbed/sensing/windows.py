@@ -70,7 +70,7 @@ class SteadyWindow:
     since_tare: Float[np.ndarray, "2"]
     """Time from the tare to the window's first and last sample [s]."""
     point: Float[np.ndarray, "2"] | None = None
-    """Mean place of the TCP in the object frame [m] as a camera sees it; None of a grip, which is where it was told."""
+    """Mean place of the TCP in the object frame [m] by a camera; None of a grip, which is at its stated place."""
     seen: Float[np.ndarray, "9 10"] = field(default_factory=lambda: np.zeros((9, 10)))
     """Errors of the object's pose, twist and acceleration by a camera, along object axes: effects of one standard
     deviation each, nine of the window's own and one that all of a trial share; 0 of a grip."""
@@ -121,7 +121,7 @@ def steady_windows(trajectory: Trajectory) -> list[SteadyWindow]:
 def windows_of(
     trajectory: Trajectory, stretches: Sequence[tuple[Int[np.ndarray, "N"], Int[np.ndarray, "W"]]]
 ) -> list[SteadyWindow]:
-    """A window of each stretch of a grip's record: its samples, and the samples that tell the noise of its mean."""
+    """A window of each stretch of a grip's record: its samples, and those for the noise of its mean."""
     into_object = rotation_2d(-trajectory.object_pose[:, 2])
     in_object = wrench_in_object(trajectory)
     linear = np.einsum("nij,nj->ni", into_object, trajectory.tcp_velocity[:, :2])

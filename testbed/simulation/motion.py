@@ -177,7 +177,7 @@ def plan_motion(
 
     Args:
         action: what to do.
-        shape: geometry as told.
+        shape: geometry as stated.
         settings: rate, grip height and servo.
         start: shift of the whole path from the middle of the workspace, and its turn about the TCP [m, m, rad].
 

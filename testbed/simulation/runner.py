@@ -274,10 +274,10 @@ def _provenance(trial: Trial) -> dict[str, str]:
     return {"runner": "simulation", "mujoco": mujoco.__version__, "support": trial.support.name} | of_world
 
 
-def _as_held(motion: Motion, told: Grasp, held: Grasp) -> Motion:
-    """The motion of a hand that goes where it was told, with the object where the pads truly hold it."""
-    tcp, pivot = (transform_point(motion.object_pose, np.array(p)) for p in (told.position, motion.center))
-    pose = pose_from_point(tcp, held.position, motion.object_pose[2] + told.angle - held.angle)
+def _as_held(motion: Motion, nominal: Grasp, held: Grasp) -> Motion:
+    """The motion of a hand that goes to the stated grasp, with the object where the pads truly hold it."""
+    tcp, pivot = (transform_point(motion.object_pose, np.array(p)) for p in (nominal.position, motion.center))
+    pose = pose_from_point(tcp, held.position, motion.object_pose[2] + nominal.angle - held.angle)
     x, y = rotation_2d(-pose[2]) @ (pivot - pose[:2])
     return replace(motion, object_pose=pose, center=(float(x), float(y)))
 

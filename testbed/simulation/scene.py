@@ -257,7 +257,7 @@ def build_scene(
     """Compose and compile the scene with one object on the table.
 
     Args:
-        obj: the object as told.
+        obj: the object as stated.
         support: support of the weight.
         grasp: the grasp whose faces the pads may touch; None leaves the arm out (the scale), but for a fingertip.
         settings: contact, grip and servo.
@@ -277,9 +277,9 @@ def build_scene(
     spec.modelname = f"heft_{obj.name}"
     steps = settings.steps if tip is None else max(settings.steps, math.ceil(1 / (settings.rate * PUSH_TIMESTEP)))
     set_solver(spec, 1 / (settings.rate * steps), contact)
-    told, feet = obj, Feet.of(obj)
+    nominal, feet = obj, Feet.of(obj)
     if draw is not None:
-        obj = draw.true_object(told)
+        obj = draw.true_object(nominal)
         feet, spec.option.gravity = draw.feet(obj), draw.gravity
     spec.geom("top").pos[2] += contact.sag / 2  # a contact lies halfway into the overlap: then at height 0
     standing = obj.shape.mass_group[obj.shape.friction_group >= 0]
@@ -294,7 +294,7 @@ def build_scene(
             given = f"{support.name}{'' if tip is None else ', a push'}"
             raise InvalidValueError("support", given, "own_weight and no push, of an object with hinges")
         held = 0 if grasp is None else int(chain.link[obj.shape.pressed(grasp)[0]])
-    frames = add_object(spec, obj, support, origin, told.shape, held)
+    frames = add_object(spec, obj, support, origin, nominal.shape, held)
     add_feet(spec, obj, frames, contact, feet)
     if grasp is not None:
         add_grip(spec, obj.shape, frames, grasp, settings.grip)

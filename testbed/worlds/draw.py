@@ -71,16 +71,16 @@ class WorldDraw:
         """Drawn values of a quantity, `count` of the same standard deviation."""
         return getattr(self.world, quantity) * self.rng(quantity, action).standard_normal(count)
 
-    def true_object(self, told: ObjectModel) -> ObjectModel:
+    def true_object(self, nominal: ObjectModel) -> ObjectModel:
         """The object with its mass groups where they truly are; its grasps stay, since the pads find the faces."""
         if not self.world.particle_offset:
-            return told
-        shape = told.shape
+            return nominal
+        shape = nominal.shape
         offset = self.normal("particle_offset", 2 * shape.n_m).reshape(-1, 2)
         level = np.hstack([offset, np.zeros((shape.n_m, 1))])
-        moved = [replace(solid, vertices=solid.vertices + level[group]) for group, solid in enumerate(told.solids)]
+        moved = [replace(solid, vertices=solid.vertices + level[group]) for group, solid in enumerate(nominal.solids)]
         particles = shape.particles + offset[shape.mass_group]
-        return replace(told, shape=replace(shape, particles=particles), solids=tuple(moved))
+        return replace(nominal, shape=replace(shape, particles=particles), solids=tuple(moved))
 
     def feet(self, body: ObjectModel) -> Feet:
         """Points of contact of an object and their mean friction."""
@@ -110,11 +110,11 @@ class WorldDraw:
         tilt = np.append(self.normal("table_tilt", 2), 0.0)
         return Rotation.from_rotvec(tilt).apply([0.0, 0.0, -GRAVITY])
 
-    def grasp(self, told: Grasp, action: Action) -> Grasp:
+    def grasp(self, nominal: Grasp, action: Action) -> Grasp:
         """The grasp where the pads truly hold the object in a trial."""
-        offset = rotation_2d(told.angle) @ self.normal("grasp_offset", 2, action)
+        offset = rotation_2d(nominal.angle) @ self.normal("grasp_offset", 2, action)
         turn = self.normal("grasp_angle", 1, action)[0]
-        return replace(told, position=told.position + offset, angle=told.angle + turn)
+        return replace(nominal, position=nominal.position + offset, angle=nominal.angle + turn)
 
     def start(self, action: Action) -> Float[np.ndarray, "3"]:
         """Shift of a trial's place on the table [m, m, rad]."""

@@ -25,14 +25,14 @@ def as_measured(clean: Trajectory, draw: WorldDraw) -> Trajectory:
     assert clean.tool is not None
     wrench = rotate_wrench(mounting(draw), clean.sensor_wrench) @ response(draw).T
     wrench = _filtered(wrench, clean.time_s, draw.world.low_pass)
-    told = _by_told_tcp(clean, draw)
+    stated = _by_stated_tcp(clean, draw)
     tool = Tool(
         max(clean.tool.mass + draw.normal("tool_mass", 1)[0], 0.0),
         clean.tool.com + draw.normal("tool_com", 3),
         clean.tool.inertia,
         clean.tool.tcp + draw.normal("tcp_offset", 3),
     )
-    return _late_and_noisy(replace(told, sensor_wrench=wrench, tool=tool), draw)
+    return _late_and_noisy(replace(stated, sensor_wrench=wrench, tool=tool), draw)
 
 
 def mounting(draw: WorldDraw) -> Float[np.ndarray, "3 3"]:
@@ -70,7 +70,7 @@ def _filtered(wrench: np.ndarray, time: np.ndarray, constant: float) -> np.ndarr
     return lfilter([1 - keep], [1.0, -keep], wrench, axis=0, zi=keep * wrench[:1])[0]
 
 
-def _by_told_tcp(clean: Trajectory, draw: WorldDraw) -> Trajectory:
+def _by_stated_tcp(clean: Trajectory, draw: WorldDraw) -> Trajectory:
     """Record with the TCP, and the object by it, where the arm takes them to be."""
     offset, turn = draw.normal("tcp_offset", 3), draw.normal("tcp_angle", 1)[0]
     if not (offset.any() or turn):

@@ -95,7 +95,7 @@ class SetupErrors:
         shape=("groups", 2),
         scope="object",
         likely=0.001,
-        cause="the groups are elsewhere than told: measure the object",
+        cause="the groups are elsewhere than stated: measure the object",
     )
     """Place of a mass group's particles along each axis [m]."""
     grasp_offset: float = parameter(
@@ -123,7 +123,7 @@ class SetupErrors:
         unit="m",
         shape=(3,),
         likely=0.001,
-        cause="the TCP is elsewhere than told: measure it",
+        cause="the TCP is elsewhere than stated: measure it",
     )
     """Place of the TCP along each axis of the hand [m]."""
     tcp_angle: float = parameter(
@@ -131,7 +131,7 @@ class SetupErrors:
         source="TCP",
         unit="rad",
         likely=0.01,
-        cause="the hand closes along another direction than told: check the hand's yaw",
+        cause="the hand closes along another direction than stated: check the hand's yaw",
     )
     """Yaw of the TCP in the hand [rad]."""
     gain: float = parameter(
@@ -152,7 +152,7 @@ class SetupErrors:
         unit="rad",
         shape=(3,),
         likely=0.015,
-        cause="the sensor is mounted at another angle than told: check its rotation",
+        cause="the sensor is mounted at another angle than stated: check its rotation",
     )
     """Rotation of the sensor about each of its axes [rad]."""
     delay: float = parameter(

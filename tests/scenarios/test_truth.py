@@ -18,7 +18,7 @@ from estimators.testing.truth import MOST_INTEGERS, truth_within_reach
 from scenarios.config import Scenario, WorldTable, load_scenario
 from scenarios.policies import Policy
 from scenarios.results.store import Store
-from scenarios.runners import feasible_grasps, told
+from scenarios.runners import feasible_grasps, redacted
 from scenarios.study.run import check_nothing_lost, run_scenario
 from testbed.actions.rotate import Rotate
 from testbed.errors import InvalidValueError
@@ -233,7 +233,7 @@ def test_what_the_true_masses_refuse_is_told_without_numbers_and_chosen_around(t
         json.loads(path.read_text())["asked"]["action"].get("grasp") for path in tmp_path.glob("out/trials/*/*.json")
     ]
     assert len(grasps) >= 1 + 2 + 2 and {*grasps} <= {None, 0, 1, 2}
-    assert told("grip: drag of up to 26.49 N at block A") == "grip: refused by the bench"
+    assert redacted("grip: drag of up to 26.49 N at block A") == "grip: refused by the bench"
 
 
 @pytest.mark.parametrize("known", [False, True], ids=["as given", "given the secret"])

@@ -20,8 +20,8 @@ def claims_table(rows: Sequence[Row], title: str = CLAIMS) -> Table | None:
         if (found := Claims.of(of)) is not None:
             good = sum(row["status"] == "ok" for row in of)
             misfit = [row["misfit"] for row in of if row.get("misfit") is not None]
-            told = (f"{found.ratio:.2f}", percent(found.held), percent(good / len(of)), percent(found.silent))
-            cells = (*told, f"{np.median(misfit):.2g}" if misfit else "-")
+            counts = (f"{found.ratio:.2f}", percent(found.held), percent(good / len(of)), percent(found.silent))
+            cells = (*counts, f"{np.median(misfit):.2g}" if misfit else "-")
             lines.append(((method,), tuple(map(Entry, cells))))
     note = f"silent: status ok, and a group off by over {SILENT:g} claimed errors" if lines else ""
     columns = ("error / claimed", "90 % intervals hold", "status ok", "silent", "misfit")

@@ -33,7 +33,7 @@ PAPER = "  paper, real robot"
 
 
 BEYOND = 1000.0
-"""Value that is no longer told apart from larger ones: a predicted object metres from where it is."""
+"""Value above which sizes are not distinguished: a predicted object metres from where it is."""
 
 
 @dataclass(frozen=True)
@@ -187,7 +187,7 @@ def metric_table(rows: Sequence[Row], metric: Metric, title: str, objects: Seque
 
 
 def _methods_with(rows: Sequence[Row], metric: Metric) -> list[str]:
-    """Methods of a metric's rows: of hinges those that tell of them."""
+    """Methods of a metric's rows: of hinges those that report them."""
     return methods_of([r for r in rows if metric is not HINGES or math.isfinite(r.get(HINGES.column) or math.nan)])
 
 

@@ -185,7 +185,7 @@ def verify(folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="
 
     A hanging object pulls down, friction takes work out of every turn and slide, the force of a slide is against its
     motion, and the torque of a turn flips when it is turned back: that needs no masses. A scale's reading in the folder
-    is compared with the lift. The centers of the turns tell of a wrong closing direction, TCP, grasp or side. Best are
+    is compared with the lift. The centers of the turns show a wrong closing direction, TCP, grasp or side. Best are
     a weighing by lifting, three turns there and back about points apart, and two slides.
 
     Exit code: 1 if something is wrong.

@@ -44,11 +44,11 @@ class Converted:
     """Grasps, the first nearest the middle."""
     cell: float
     """Side of a cell [m]."""
-    told: tuple[str, ...]
+    notes: tuple[str, ...]
     """What was found and mended, in words."""
 
     def model(self, masses: Sequence[float] = (), friction: float = 0.5) -> ObjectModel:
-        """The object with these masses, as `masses` takes them; without any, of one kilogram that nobody has given."""
+        """The object with these masses, as `masses` takes them; without any, of one kilogram, marked as not given."""
         given = self.masses(masses or (1.0,))
         parts = [Part(name, mesh, mass, 0) for name, mesh, mass in zip(self.part_names, self.parts, given, strict=True)]
         contacts = [(x, y) for x, y in self.pose.contacts.tolist()]
@@ -108,7 +108,7 @@ def convert_mesh(
         InvalidValueError: no mesh, no such pose or parts, or a cell too large for a part.
     """
     surface = read_surface(path, unit)
-    told = list(surface.told)
+    notes = list(surface.notes)
     if parts.endswith(".ply"):
         surface, parts = labelled(surface, Path(parts)), "colours"
     if down == "auto" or down.isdigit():
@@ -118,17 +118,17 @@ def convert_mesh(
             raise InvalidValueError("down", down, f"1 to {len(poses)}, a stable pose, the likeliest first")
         pose = poses[index]
         chances = ", ".join(f"{100 * each.probability:.0f} %" for each in poses)
-        told.append(f"stable poses {chances}; laid in number {index + 1}")
+        notes.append(f"stable poses {chances}; laid in number {index + 1}")
     else:
         pose = asked_pose(surface, down, center_of_mass)
-        told.append(f"{down} down")
+        notes.append(f"{down} down")
     laid = surface.transformed(pose.matrix)
     whole = laid.whole
     pieces, how = cut(laid, parts)
     shapes = tuple(as_mesh(piece) for piece in pieces)
     way = "planes" if how[0].isdigit() else how
-    told.append(f"{len(pieces)} part{'s' * (len(pieces) > 1)} by {way}")
-    told.append(f"rests on {len(pose.contacts)} points")
+    notes.append(f"{len(pieces)} part{'s' * (len(pieces) > 1)} by {way}")
+    notes.append(f"rests on {len(pose.contacts)} points")
     if cell is None:
         cell = float(np.clip(np.sqrt(whole.project().area() / CELLS), *CELL))
         low, high = np.reshape(whole.bounding_box(), (2, 3))
@@ -136,10 +136,10 @@ def convert_mesh(
         cell = round(cell * 2000) / 2000 or CELL[0]
     places, _, refused = propose_grasps(whole, joined(shapes), as_mesh(whole).center_mass[:2], most_grasps)
     if not places:
-        told.append(f"no grasp: {refused or 'no two faces across from each other'}")
+        notes.append(f"no grasp: {refused or 'no two faces across from each other'}")
     stem = path.parent.name if path.stem.lower() == "mesh" else path.stem
     clean = re.sub(r"[^\w.-]+", "_", name or stem)[:64] or "object"
-    return Converted(clean, shapes, pose, tuple(places), cell, tuple(told))
+    return Converted(clean, shapes, pose, tuple(places), cell, tuple(notes))
 
 
 def write_object(made: Converted, folder: Path, masses: Sequence[float] = (), friction: float = 0.5) -> Path:
@@ -152,7 +152,7 @@ def write_object(made: Converted, folder: Path, masses: Sequence[float] = (), fr
     files = [f"{made.name}_{part}.ply" for part in made.part_names]
     for file, part in zip(files, made.parts, strict=True):
         write_whole(folder / file, lambda path, mesh=part: path.write_bytes(mesh.export(file_type="ply")))
-    rows = [f"# {line}" for line in made.told]
+    rows = [f"# {line}" for line in made.notes]
     mesh = {"cell_m": made.cell, "friction": friction, "contacts_m": np.round(made.pose.contacts, 6).tolist()}
     rows.append(toml_text({"name": made.name, "mesh": mesh}))
     for index, (part, file) in enumerate(zip(made.part_names, files, strict=True)):

@@ -32,7 +32,7 @@ ONE_LABEL = 0.9
 def cut(surface: Surface, how: str) -> tuple[list[Manifold], str]:
     """Parts of a surface that lies along x, from left to right, and in words how it was cut.
 
-    Parts that overlap are told apart: the smaller has what both hold.
+    Parts that overlap are separated: the smaller has what both hold.
 
     Args:
         surface: on the table, its longest side along x.

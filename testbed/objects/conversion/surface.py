@@ -50,7 +50,7 @@ class Surface:
     """Label of each point, from 0: its colour, or its piece of the file; all 0 without any."""
     of_body: Int[np.ndarray, "S"]
     """Body of each point; -1 of none."""
-    told: tuple[str, ...]
+    notes: tuple[str, ...]
     """Unit, and what was mended, in words."""
 
     @cached_property
@@ -75,15 +75,17 @@ def read_surface(path: Path, unit: str | None = None) -> Surface:
         InvalidValueError: no mesh, too large, of no likely size, or so open that it encloses nothing.
     """
     vertices, faces, labels, said = _load(path)
-    scale, told = _unit(np.ptp(vertices, axis=0).max(), unit, said)
+    scale, notes = _unit(np.ptp(vertices, axis=0).max(), unit, said)
     vertices = vertices * scale
     mesh = trimesh.Trimesh(vertices, faces, process=False)
     points, face = trimesh.sample.sample_surface(mesh, SAMPLE, seed=0)[:2]
     bodies, owner, mended = _closed(vertices, faces, path.name)
-    told = f"{told}; {len(bodies)} bod{'ies' if len(bodies) > 1 else 'y'}"
+    notes = f"{notes}; {len(bodies)} bod{'ies' if len(bodies) > 1 else 'y'}"
     large = np.bincount(labels[face])[labels] > 4 * SMALL * SAMPLE  # not a print or a mark
     points, face = points[large[face]], face[large[face]]
-    return Surface(tuple(bodies), points, np.unique(labels[face], return_inverse=True)[1], owner[face], (told, *mended))
+    return Surface(
+        tuple(bodies), points, np.unique(labels[face], return_inverse=True)[1], owner[face], (notes, *mended)
+    )
 
 
 def as_mesh(body: Manifold) -> trimesh.Trimesh:
@@ -139,7 +141,7 @@ def _closed(
     vertices: np.ndarray, faces: np.ndarray, name: str
 ) -> tuple[list[Manifold], Int[np.ndarray, "F"], list[str]]:
     """Closed bodies, the largest first, the body of each triangle (-1 of none), and what was mended."""
-    told: list[str] = []
+    notes: list[str] = []
     merged, index = np.unique(np.round(vertices, 8), axis=0, return_inverse=True)
     shells: list[tuple[Manifold, np.ndarray]] = []
     component, faces = _sewn(faces, index.ravel()), index.ravel()[faces]
@@ -147,13 +149,13 @@ def _closed(
     order = np.argsort(component, kind="stable")
     for part in np.split(order, np.flatnonzero(np.diff(component[order])) + 1):
         shell, mended = _shell(merged, faces[part])
-        told += [mended] if mended else []
+        notes += [mended] if mended else []
         enclosing[part] = shell is not None
         pieces = shell.decompose() if shell is not None else []
         middles = merged[faces[part]].mean(axis=1)
         near = [KDTree(as_mesh(piece).triangles_center).query(middles)[0] for piece in pieces]
         shells += [(piece, part[np.argmin(near, axis=0) == k]) for k, piece in enumerate(pieces)]
-    bodies = sorted(_without_cavities(shells, told), key=lambda body: -body[0].volume())
+    bodies = sorted(_without_cavities(shells, notes), key=lambda body: -body[0].volume())
     if not bodies:
         raise InvalidValueError("file", name, "a mesh that encloses a volume, or nearly does")
     if (lost_part := area[~enclosing].sum() / area.sum()) > MOST_LOST:
@@ -168,12 +170,12 @@ def _closed(
     ]
     if lost := sum(small):
         part = 100 * volumes[small].sum() / volumes.sum()
-        told.append(f"{lost} small bod{'ies' if lost > 1 else 'y'} left out, {part:.2g} % of the volume")
+        notes.append(f"{lost} small bod{'ies' if lost > 1 else 'y'} left out, {part:.2g} % of the volume")
     bodies = [body for body, left_out in zip(bodies, small, strict=True) if not left_out]
     owner = np.full(len(faces), -1)
     for k, (_, part) in enumerate(bodies):
         owner[part] = k
-    counts = [f"{n} times {what}" if n > 1 else what for what, n in Counter(told).items()]
+    counts = [f"{n} times {what}" if n > 1 else what for what, n in Counter(notes).items()]
     return [body.simplify(FINENESS) for body, _ in bodies], owner, counts
 
 
@@ -262,7 +264,7 @@ def _filled(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.nda
     return np.vstack([vertices, middles]), np.vstack([faces, fans]), len(middles)
 
 
-def _without_cavities(shells: list[tuple[Manifold, np.ndarray]], told: list[str]) -> list[tuple[Manifold, np.ndarray]]:
+def _without_cavities(shells: list[tuple[Manifold, np.ndarray]], notes: list[str]) -> list[tuple[Manifold, np.ndarray]]:
     """Bodies of shells: one that faces inwards is a cavity of the body that holds it, or else was inside out."""
     bodies = [(shell, part) for shell, part in shells if shell.volume() > 0]
     for shell, part in shells:
@@ -277,6 +279,6 @@ def _without_cavities(shells: list[tuple[Manifold, np.ndarray]], told: list[str]
             body, faces = bodies[held[0]]
             bodies[held[0]] = body - turned, np.append(faces, part)
         else:
-            told.append("a body turned inside out")
+            notes.append("a body turned inside out")
             bodies.append((turned, part))
     return bodies

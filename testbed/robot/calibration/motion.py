@@ -45,17 +45,17 @@ def check_motion(shape: ObjectShape, trajectories: Sequence[Trajectory]) -> list
         for action, windows in turned
     ])  # fmt: skip
     mirrored = named * [1, -1]
-    fits = {kind: _fit(seen, about) for kind, about in (("told", named), ("mirrored", mirrored))}
+    fits = {kind: _fit(seen, about) for kind, about in (("stated", named), ("mirrored", mirrored))}
     kind = min(fits, key=lambda k: np.median(fits[k][2]) + (0.001 if k == "mirrored" else 0.0))
     findings = []
     if kind == "mirrored" and len(turned) > 1:
-        off = float(np.median(fits["told"][2]))
+        off = float(np.median(fits["stated"][2]))
         text = (
             "the centers of the turns are those of the mirrored object: an axis of the object, or the yaw, is flipped"
         )
         findings.append(Finding("mirrored", False, off, 0.0, text))
     else:
-        kind = "told"
+        kind = "stated"
     angle, offset, left, spread = fits[kind]
     findings += _common(angle, offset, spread, named)
     for (action, _), at, miss in zip(turned, seen, left, strict=True):

@@ -8,7 +8,7 @@ center of mass,
 and u is known in the hand's frame from the arm's pose. Sign is +1 for a sensor that reports what the arm does to the
 tool, as heft counts, and -1 for one that reports what the tool does to the arm. A sensor with one axis mirrored, in
 force and torque, is the same thing as one negated and turned by 180 degrees about that axis. The gain of each axis is
-1 unless an error of it is stated; then it is found as far as the poses tell it. The bias of a sensor that warms up
+1 unless an error of it is stated; then it is found as far as the poses determine it. The bias of a sensor that warms up
 walks from pose to pose: what is left of a fit shows by how much, and the next fit weighs the readings accordingly.
 
 The hand is the frame whose pose the arm reports; its z axis points out of the flange. The arm's base is taken as level.
@@ -123,7 +123,7 @@ class Calibration:
     gain: Float[np.ndarray, "6"] = field(default_factory=lambda: np.ones(6))
     """Reading over true value, of each axis."""
     gain_std: Float[np.ndarray, "6"] = field(default_factory=lambda: np.zeros(6))
-    """Standard deviation of each gain; as stated where the poses do not tell it."""
+    """Standard deviation of each gain; as stated where the poses do not determine it."""
     bias_walk: Float[np.ndarray, "6"] = field(default_factory=lambda: np.zeros(6))
     """Standard deviation of the bias's change from pose to pose [N, N m], 0 of an axis whose bias stays; `bias` is then
     that of the first pose."""
@@ -157,7 +157,7 @@ def calibrate(poses: Sequence[StaticPose], gain_error: float = 0.0) -> Calibrati
         gain_error: standard deviation of each axis' gain beforehand; 0 takes them as 1.
 
     Raises:
-        CalibrationError: too few poses, or too alike to tell rotation, sign or tool.
+        CalibrationError: too few poses, or too alike to determine rotation, sign or tool.
     """
     if len(poses) < 4:
         raise CalibrationError(f"calibration: got {len(poses)} poses; allowed: 4 or more, each tilted another way")
@@ -173,7 +173,7 @@ def calibrate(poses: Sequence[StaticPose], gain_error: float = 0.0) -> Calibrati
     lengths = np.linalg.norm(jacobian, axis=0)
     if not (lengths > 0).all() or np.linalg.matrix_rank(jacobian / lengths, tol=1e-4) < len(best.x):
         raise CalibrationError(
-            "calibration: the poses are too alike to tell how the sensor sits; "
+            "calibration: the poses are too alike to determine how the sensor is mounted; "
             "tilt the hand by 30 deg or more, about two axes and both ways"
         )
     if 2 * (fits[other].cost - best.cost) < TELLING * max(misfit, 1.0):
@@ -184,7 +184,7 @@ def calibrate(poses: Sequence[StaticPose], gain_error: float = 0.0) -> Calibrati
                 "axes of one handedness; an axis of the force or of the torque is negated, or its frame is left-handed"
             )
         raise CalibrationError(
-            "calibration: the poses do not tell the sensor's sign; add some with the hand level and upside down, "
+            "calibration: the poses do not determine the sensor's sign; add some with the hand level and upside down, "
             "so that gravity is seen along all three of its axes"
         )
     widening = max(misfit, 1.0)
@@ -353,7 +353,7 @@ def in_words(calibration: Calibration) -> list[str]:
     )
     if calibration.gain_std.any():
         each = ", ".join(f"{g:.4f} +- {s:.2g}" for g, s in zip(calibration.gain, calibration.gain_std, strict=True))
-        sentences.append(f"gains of the six axes, as far as the poses tell them: {each}")
+        sentences.append(f"gains of the six axes, as far as the poses determine them: {each}")
     if calibration.bias_walk.any():
         force, torque = calibration.bias_walk[:3].max(), calibration.bias_walk[3:].max()
         sentences.append(

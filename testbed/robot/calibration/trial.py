@@ -130,7 +130,7 @@ def _of_work(window: SteadyWindow) -> Finding:
     text = f"{kind}: the gripper puts {power:.4f} +- {error:.4f} W into it"
     if not ok:
         wrong = power < -TOO_UNSURE * error
-        text += ": friction would have to push; sign or rotation is wrong" if wrong else ": too little to tell"
+        text += ": friction would have to push; sign or rotation is wrong" if wrong else ": too little to decide"
     return Finding("friction", ok, power, error, text)
 
 

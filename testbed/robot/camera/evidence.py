@@ -16,13 +16,13 @@ from testbed.sensing.seen import APART, frame_mismatch
 from testbed.trajectory import Phase, Status, Trajectory
 
 
-def check_place(seen: tuple[float, float, float], told: tuple[float, float, float]) -> None:
-    """Hold the place at which a camera sees the object against the one that is told, before anything moves.
+def check_place(seen: tuple[float, float, float], stated: tuple[float, float, float]) -> None:
+    """Hold the place at which a camera sees the object against the stated one, before anything moves.
 
     Raises:
         CameraLostError: they are too far apart.
     """
-    way, turn = math.dist(seen[:2], told[:2]), math.remainder(seen[2] - told[2], math.tau)
+    way, turn = math.dist(seen[:2], stated[:2]), math.remainder(seen[2] - stated[2], math.tau)
     if way > APART[0] or abs(turn) > APART[1]:
         raise CameraLostError(
             f"camera: it sees the object at ({seen[0]:.3f}, {seen[1]:.3f}) m, turned by "
@@ -51,7 +51,7 @@ def seen_doubts(record: Trajectory, shape: ObjectShape) -> Iterator[tuple[Status
             yield "slipped", f"the fingertip met the object for {touched[1] - touched[0]:.2f} s alone"
             return
     if doubt := frame_mismatch(record, shape):
-        yield "fault", f"camera: {doubt}; check its place in the robot file, or put the object where it is told to be"
+        yield "fault", f"camera: {doubt}; check its place in the robot file, or put the object at its stated place"
 
 
 def contact_of(record: Trajectory) -> tuple[float, float]:

@@ -19,7 +19,7 @@ LOOK = 1.0
 FARTHEST = 10.0, 1e3
 """Largest coordinate [m] and yaw [rad] of an object on a table."""
 LEAST_SEEN = 5
-"""Least frames of it that tell where the object lies."""
+"""Least number of frames that show where the object lies."""
 BLIND = 0.4
 """Longest time without the object in a trial that is data [s]: half of what the smoother runs through."""
 

@@ -240,4 +240,4 @@ def test_what_does_not_fit_is_refused(push: Trajectory, fold: Trajectory, tmp_pa
 def test_a_hand_by_its_yaw_alone_is_refused(push: Trajectory, tmp_path: Path):
     mapping = mapping_of(push)
     mapping["hand"] |= {"orientation": ["qz"], "orientation_as": "yaw", "position": ["px", "py"]}
-    assert "a hand's yaw alone does not tell its tilt" in refused(tmp_path, push, mapping)
+    assert "a hand's yaw alone does not determine its tilt" in refused(tmp_path, push, mapping)

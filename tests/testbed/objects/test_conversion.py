@@ -66,7 +66,7 @@ def saved(mesh: trimesh.Trimesh, path: Path, scale: float = 1.0) -> Path:
 )
 def test_every_format_is_one_object_in_metres(tmp_path: Path, name: str, scale: float, told: str):
     made = convert_mesh(saved(mallet(), tmp_path / name, scale), parts="bodies")
-    assert told in made.told[0]
+    assert told in made.notes[0]
     assert_allclose(np.sort(made.volumes), np.sort([np.prod(HEAD), np.prod(SHAFT)]), rtol=1e-3)  # of triangles saved
     assert_allclose(joined_bounds(made.parts), [[-0.12, -0.045, 0], [0.12, 0.045, 0.03]], atol=1e-4)
     assert made.grasps
@@ -79,7 +79,7 @@ def joined_bounds(parts) -> np.ndarray:
 
 def test_a_unit_is_taken_as_asked_and_an_unlikely_one_refused(tmp_path: Path):
     path = saved(mallet(), tmp_path / "tool.stl", 1 / 0.0254)
-    assert "unit in, as asked; 229 mm" in read_surface(path, "in").told[0]
+    assert "unit in, as asked; 229 mm" in read_surface(path, "in").notes[0]
     for length, unit in ((1e6, None), (1e3, "m"), (1.0, "ell")):
         with pytest.raises(InvalidValueError):
             read_surface(saved(mallet(), tmp_path / "other.stl", length), unit)
@@ -128,7 +128,7 @@ def test_corners_that_are_split_at_hard_edges_are_one_surface(kind: str, tmp_pat
     whole = mallet(overlap=0.01)
     surface = read_surface(saved(split(whole), tmp_path / f"m.{kind}"), "m")
     assert len(split(whole).vertices) == 2 * len(whole.faces)
-    assert surface.told[0].endswith("2 bodies") and surface.told[1:] == ()
+    assert surface.notes[0].endswith("2 bodies") and surface.notes[1:] == ()
     assert_allclose(surface.whole.volume(), read_surface(saved(whole, tmp_path / "whole.ply")).whole.volume())
 
 
@@ -165,9 +165,9 @@ def test_what_is_open_inside_out_or_doubled_is_mended(tmp_path: Path):
     union = np.prod(HEAD) + np.prod(SHAFT) - 0.01 * SHAFT[1] * SHAFT[2]
     for why, mesh in broken.items():
         surface = read_surface(saved(mesh, tmp_path / f"{why}.ply"))
-        assert any(why in told or "filled" in told for told in surface.told[1:]), surface.told
+        assert any(why in told or "filled" in told for told in surface.notes[1:]), surface.notes
         assert_allclose(surface.whole.volume(), union, rtol=1e-4)
-    assert read_surface(saved(whole, tmp_path / "whole.ply")).told[1:] == ()
+    assert read_surface(saved(whole, tmp_path / "whole.ply")).notes[1:] == ()
     with pytest.raises(InvalidValueError, match="encloses a volume"):
         sheet = trimesh.Trimesh([[0, 0, 0], [0.1, 0, 0], [0, 0.1, 0]], [[0, 1, 2]])
         read_surface(saved(sheet, tmp_path / "sheet.ply"))

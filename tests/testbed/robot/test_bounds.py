@@ -94,7 +94,7 @@ def test_another_arm_than_the_file_names_is_refused(tmp_path: Path):
     file = load_robot_file(path)
     file.check_arm(ArmIdentity("GEN3", "AC1", "0x20600"))
     for other in (ArmIdentity("GEN3", "AC2", "0x20600"), ArmIdentity("GEN3", "AC1")):
-        with pytest.raises(InvalidValueError, match="which the arm tells"):
+        with pytest.raises(InvalidValueError, match="which the arm reports"):
             file.check_arm(other)
 
 

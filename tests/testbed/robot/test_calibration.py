@@ -177,7 +177,10 @@ def test_a_mirrored_axis_is_recognised():
         (POSES[:3], "got 3 poses; allowed: 4 or more"),
         ([DOWN] * 6, "too alike"),
         ([DOWN * Rotation.from_euler("z", 30.0 * i, degrees=True) for i in range(6)], "too alike"),
-        ([DOWN * Rotation.from_euler("x", 20.0 * i, degrees=True) for i in range(6)], "do not tell the sensor's sign"),
+        (
+            [DOWN * Rotation.from_euler("x", 20.0 * i, degrees=True) for i in range(6)],
+            "do not determine the sensor's sign",
+        ),
         (POSES, "61 mm behind the sensor; the signs of its force and its torque"),
     ],
     ids=["few", "one", "about the vertical", "about one axis", "torque of the other sign"],

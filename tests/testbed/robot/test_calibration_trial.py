@@ -107,4 +107,4 @@ def test_nothing_lifted_and_next_to_nothing_measured_are_told(moves: list[Trajec
     assert "nothing was lifted" in wrong(check_trial(np.array([0, 0, 0.01, 0, 0, 0]), COVARIANCE, []))["weight"]
     noise = 5.0 * np.random.default_rng(0).standard_normal((len(moves[1].time_s), 6))
     faint = replace(moves[1], wrench_on_object_world=noise)
-    assert "too little to tell" in wrong(check_trial(None, None, steady_windows(faint)))["friction"]
+    assert "too little to decide" in wrong(check_trial(None, None, steady_windows(faint)))["friction"]

@@ -1,0 +1,149 @@
+"""Answers from public measurements whose truth is known: python bench/real_data.py pushes MAPPING.toml [...] [--of N]
+                                                         python bench/real_data.py poses POSES.csv REST.csv
+
+`pushes` reads the logs that mappings of `heft import` name, of plates whose masses stand in their object files, and
+prints the center of mass and the friction that `bayes` finds from all pushes and from disjoint sets of N.
+`poses` calibrates a sensor by still poses (columns r11 to r33, fx to tz) with the noise of a recording at rest, and by
+disjoint halves of them: their tool's mass and center must agree within their errors. docs/real_data.md has the sources.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+from scipy.spatial.transform import Rotation
+
+from estimators.posterior.estimator import Bayes
+from testbed.errors import HeftError
+from testbed.importers.importer import import_trajectory
+from testbed.importers.mapping import Mapping
+from testbed.objects.files import load_object
+from testbed.objects.model import ObjectModel
+from testbed.robot.calibration import StaticPose, calibrate
+from testbed.toml import load_toml
+from testbed.trajectory import Trajectory
+
+HOLD = 1.645
+"""Standard errors of a 90 % interval."""
+HALVES = 10
+"""Splits of the poses into halves."""
+
+
+def main() -> None:
+    """Print a table of each part."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("part", choices=("pushes", "poses"))
+    parser.add_argument("files", nargs="+", type=Path)
+    parser.add_argument("--of", type=int, default=2, help="pushes in each set")
+    given = parser.parse_args()
+    Console(width=140).print(pushes(given.files, given.of) if given.part == "pushes" else poses(*given.files))
+
+
+def pushes(mappings: Sequence[Path], of: int) -> Table:
+    """Center of mass and friction of each plate, by all of its pushes and by disjoint sets."""
+    table = Table(title="bayes on measured pushes; the truth is c = 0")
+    for name in (
+        "plate",
+        "pushes",
+        "c_x, mm",
+        "c_y, mm",
+        "|c|, mm",
+        "90 % hold",
+        "friction",
+        "NAD, %",
+        "misfit",
+        "status",
+    ):
+        table.add_column(name, justify="left" if name in ("plate", "status") else "right")
+    for mapping in mappings:
+        obj, trials = read(mapping)
+        table.add_row(obj.name, f"{len(trials)}, all", *center(obj, trials))
+        for number in range(len(trials) // of if of < len(trials) else 0):
+            table.add_row("", f"{of}, {number + 1}.", *center(obj, trials[of * number : of * (number + 1)]))
+    return table
+
+
+def read(mapping: Path) -> tuple[ObjectModel, list[Trajectory]]:
+    """Object of a mapping, its masses as the truth, and its logs that are data."""
+    table = load_toml(mapping, Mapping)
+    trials = []
+    for entry in table.logs or ():
+        try:
+            trial = import_trajectory(mapping.parent / entry.file, mapping, entry=entry)
+        except HeftError as error:
+            print(f"left out: {entry.file}: {error}")
+            continue
+        if trial.ok:
+            trials.append(trial)
+        else:
+            print(f"left out: {entry.file}: {trial.status}: {trial.reason}")
+    return load_object(str(mapping.parent / table.object)), trials
+
+
+def center(obj: ObjectModel, trials: Sequence[Trajectory]) -> list[str]:
+    """Center of mass with its errors, whether 90 % intervals hold it, friction, NAD, misfit and status."""
+    shape = obj.shape
+    answer = Bayes().estimate(shape, obj.total_mass, trials, 0)
+    if answer.distribution is None or answer.covariance is None:
+        return ["-"] * 7 + [answer.status]
+    count = shape.particles_per_group
+    middles = np.array([shape.middle_of(group) for group in range(shape.n_m)])
+    slope = 1e3 * (count[:, None] * middles / obj.total_mass).T
+    found = slope @ answer.distribution.mass - 1e3 * obj.center_of_mass
+    error = np.sqrt(np.diag(slope @ answer.covariance @ slope.T))
+    nad = count @ np.abs(answer.distribution.mass - obj.truth.mass) / obj.total_mass
+    held = (np.abs(found) <= HOLD * error).tolist()
+    return [
+        *(f"{value:.1f} +- {std:.1f}" for value, std in zip(found, error, strict=True)),
+        f"{np.linalg.norm(found):.1f}",
+        f"{sum(held)} of 2",
+        ", ".join(f"{value:.3f}" for value in answer.distribution.friction),
+        f"{100 * nad:.0f}",
+        f"{answer.diagnostics.get('misfit', math.nan):.2g}",
+        answer.status,
+    ]
+
+
+def poses(file: Path, rest: Path) -> Table:
+    """Tool by all poses, and how far halves of them are apart in units of their errors."""
+    data = np.genfromtxt(file, delimiter=",", names=True)
+    turns = np.stack([[data[f"r{i}{j}"] for j in (1, 2, 3)] for i in (1, 2, 3)]).transpose(2, 0, 1)
+    wrench = np.stack([data[name] for name in ("fx", "fy", "fz", "tx", "ty", "tz")], 1)
+    noise = np.genfromtxt(rest, delimiter=",", skip_header=1)
+    error = noise.std(axis=0) / math.sqrt(len(noise))
+    every = [
+        StaticPose(Rotation.from_matrix(turn).as_quat(scalar_first=True), read, error)
+        for turn, read in zip(turns, wrench, strict=True)
+    ]
+    table = Table(title=f"{len(every)} still poses")
+    for name in ("poses", "mass, kg", "c, mm", "misfit", "apart, standard errors: mass, c_x, c_y, c_z"):
+        table.add_column(name, justify="right")
+    whole = calibrate(every)
+    table.add_row(
+        "all", f"{whole.mass:.4f} +- {whole.mass_std:.4f}", _place(whole.com, whole.com_std), f"{whole.misfit:.3g}"
+    )
+    rng, agree = np.random.default_rng(0), 0
+    for _ in range(HALVES):
+        order = rng.permutation(len(every))
+        one, other = (calibrate([every[i] for i in half]) for half in np.array_split(order, 2))
+        apart = [(one.mass - other.mass) / math.hypot(one.mass_std, other.mass_std)]
+        apart += ((one.com - other.com) / np.hypot(one.com_std, other.com_std)).tolist()
+        agree += max(map(abs, apart)) < 2.5
+        masses = f"{one.mass:.4f}, {other.mass:.4f} +- {one.mass_std:.4f}"
+        table.add_row("halves", masses, "", f"{one.misfit:.3g}", ", ".join(f"{each:.1f}" for each in apart))
+    table.caption = f"{agree} of {HALVES} splits agree within 2.5 standard errors in all four"
+    return table
+
+
+def _place(place: np.ndarray, error: np.ndarray) -> str:
+    return ", ".join(f"{1e3 * value:.2f} +- {1e3 * std:.2f}" for value, std in zip(place, error, strict=True))
+
+
+if __name__ == "__main__":
+    main()

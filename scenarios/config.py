@@ -15,7 +15,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_valida
 
 from estimators.registry import check_method, is_method
 from scenarios.catalog import LIBRARY
-from scenarios.policies import Count, Policy
+from scenarios.policies import FIELDS_OF, Count, Policy
 from scenarios.runners import NamedRunner, RunnerSettings
 from testbed.errors import InvalidValueError, nearest
 from testbed.files import find_file
@@ -292,7 +292,16 @@ class Scenario(Strict):
         if not self.sweep.axes:
             return [({}, self)]
         plain = self.model_dump() | {"sweep": {}}
-        return [(point, self._at(plain, point)) for point in self.sweep.points()]
+        points = [(point, self._at(plain, point)) for point in self.sweep.points()]
+        for name in self.sweep.axes:
+            table, _, field = name.partition(".")
+            if table == "policy" and all(at.policy.ignores(field) for _, at in points):
+                used = [other for other, kinds in FIELDS_OF.items() if points[0][1].policy.kind in kinds]
+                allowed = (
+                    f"a field that policy {points[0][1].policy.kind} uses: policy.{', policy.'.join(used) or 'seed'}"
+                )
+                raise InvalidValueError("sweep.axes", name, allowed)
+        return points
 
     def _at(self, plain: dict[str, Any], point: dict[str, Any]) -> Scenario:
         """The scenario with some fields changed."""

@@ -41,6 +41,20 @@ PLANNED = ("greedy", "batch", "random", "online")
 """Policies that choose among drawn candidates, pushes among them where `pushes` is given."""
 
 
+FIELDS_OF = {
+    "pivots": RANK_DRIVEN,
+    "accelerated": RANK_DRIVEN,
+    "most": RANK_DRIVEN,
+    "touches": ("push", "drag", *PLANNED),
+    "until": PLANNED,
+    "budget_s": PLANNED,
+    "criterion": PLANNED,
+    "candidates": PLANNED,
+    "assumed_support": PLANNED,
+}
+"""heft's own policies that a field is for, of those that are not for all."""
+
+
 @dataclass(frozen=True)
 class PolicyContext:
     """Facts for a policy beside the shape: an argument of its class that has one of these names is filled in."""
@@ -176,6 +190,10 @@ class Policy(BaseModel):
             allowed = f'with {self.kind}: none, but assumed_support = "rigid" or "either" in a plan of heft\'s own'
             raise InvalidValueError("lifts", self.lifts, allowed)
         return self
+
+    def ignores(self, name: str) -> bool:
+        """True if a field changes nothing in a policy of this kind."""
+        return self.kind in POLICIES and self.kind not in FIELDS_OF.get(name, POLICIES)
 
     def check_code(self) -> None:
         """Import another package's policy, and check that it takes the settings.

@@ -144,7 +144,10 @@ def _explain(item: dict[str, Any], model: type[BaseModel]) -> str:
         *path, name = item["loc"]
         hint = nearest(str(name), _known_fields(model, path), 0.6)
         return f"{short(field, str)}: no such field; got {short(item['input'])}{hint}"
-    return f"{short(field, str)}: got {short(item['input'])}; allowed: {item['msg'].removeprefix('Input should be ')}"
+    allowed = item["msg"].removeprefix("Input should be ")
+    if item["type"] == "list_type" and isinstance(item["input"], str | int | float):
+        allowed = f"a list: {json.dumps([item['input']])}"
+    return f"{short(field, str)}: got {short(item['input'])}; allowed: {allowed}"
 
 
 def toml_text(table: Mapping[str, Any]) -> str:

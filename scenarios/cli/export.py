@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
+from scenarios.cli.terminal import check_results
 from testbed.errors import InvalidValueError, nearest
 
 if TYPE_CHECKING:
@@ -57,6 +58,7 @@ def export(
         models: write each draw as a model too, numbered in a folder, to train or test a controller on all of them.
         out: DIR/exports/OBJECT_KEY if left out, with the format's ending.
     """
+    check_results(folder)
     if format_ == "mcap":
         for name, given in (("--inertial", inertial), ("--scene", scene), ("--draws", draws), ("--models", models)):
             if given:

@@ -7,6 +7,7 @@ import signal
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 
 from rich.console import Console
 
@@ -21,6 +22,12 @@ def open_console() -> Console:
     known = sys.stdout.isatty() or os.environ.get("COLUMNS")
     # An error, a path or a name may hold [brackets]; rich would take them for its markup
     return Console(width=None if known else WIDE, markup=False, highlight=False)
+
+
+def check_results(folder: Path) -> None:
+    """Raise InvalidValueError where there is no such folder."""
+    if not folder.is_dir():
+        raise InvalidValueError("DIR", str(folder), "a results folder; `heft run` makes one")
 
 
 def unless_none(default: str) -> str:

@@ -12,7 +12,7 @@ from rich.table import Table
 from rich.text import Text
 
 from scenarios.cli.film import RenderRequest
-from scenarios.cli.terminal import open_console, orderly_end
+from scenarios.cli.terminal import check_results, open_console, orderly_end
 from testbed.errors import HeftError, InvalidValueError
 
 if TYPE_CHECKING:
@@ -70,9 +70,11 @@ def view(
         raise InvalidValueError("--port", port, "only with --web: a window needs none")
     if all_ and not record:
         raise InvalidValueError("--all", all_, "only with --record")
-    if options != NO_OPTIONS and not film:
-        options_of = "--out, --width, --height, --fps, --speed, --camera, --at, --no-caption"
-        raise InvalidValueError("--film", film, f"given, for {options_of}")
+    if not film:
+        for name, value in vars(options).items():
+            if value != getattr(NO_OPTIONS, name):
+                raise InvalidValueError(f"--{name}", value, "only with --film")
+    check_results(folder)
     if not (record or figures or report or film):
         _open_viewer(folder, what, port or 0, web=web)
     if record:
@@ -234,7 +236,7 @@ def show(
     _show_hinges(console, model)
     if pads is not None:
         for line in _write_pads(model, pads):
-            console.print(line)
+            print(line)
 
 
 def _write_pads(model: ObjectModel, folder: Path) -> Iterator[str]:

@@ -299,3 +299,17 @@ def test_many_objects_are_told_by_quantiles():
     text = said(lambda console: console.print(rich_table(quantile_table(rows, NAD))))
     line = next(line for line in text.splitlines() if "rigid" in line)
     assert line.split() == ["rigid", "body", "low", "1", "a", "12", "1.0", "5.0", "9.0", "5.0", "1", "of", "34"]
+
+
+@pytest.mark.parametrize("words", ["view DIR", "view DIR --film", "export DIR 3f9a", "doctor DIR"])
+def test_a_missing_folder_is_named(tmp_path, capsys, words):
+    missing = tmp_path / "nothing"
+    with pytest.raises(SystemExit, match="2"):
+        main([str(missing) if word == "DIR" else word for word in words.split()])
+    assert capsys.readouterr().err == f"heft: DIR: got '{missing}'; allowed: a results folder; `heft run` makes one\n"
+
+
+def test_options_of_a_film_are_only_for_films(copied, capsys):
+    with pytest.raises(SystemExit, match="2"):
+        main(["view", str(copied), "--speed", "2"])
+    assert capsys.readouterr().err == "heft: --speed: got 2.0; allowed: only with --film\n"

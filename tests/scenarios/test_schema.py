@@ -39,6 +39,11 @@ def test_axes_are_combined_or_go_side_by_side(mode, expected):
     assert [tuple(axes.values()) for axes, _ in points] == (expected if mode else [()])
 
 
+def test_a_field_that_one_of_the_swept_policies_uses_can_be_swept():
+    axes = {"policy.kind": ["reversed_pairs", "greedy"], "policy.touches": [2, 3]}
+    assert len(Scenario.model_validate({"objects": ["I1"], "sweep": {"axes": axes}}).points()) == 4
+
+
 def test_a_methods_setting_can_be_swept():
     sweep = {"axes": {"methods.weighted_sampling.decay": [0.5, 0.9]}}
     scenario = Scenario.model_validate({"objects": ["I1"], "methods": {"weighted_sampling": {}}, "sweep": sweep})
@@ -61,6 +66,9 @@ def test_a_methods_setting_can_be_swept():
         ({"sweep": {"axes": {"grid.feet": [0]}}}, "grid.feet: got 0"),
         ({"sweep": {"axes": {"grid.feet": []}}}, "grid.feet"),
         ({"sweep": {"mode": "zip", "axes": {"grid.feet": [1, 2], "seeds": [1]}}}, "equally many"),
+        ({"sweep": {"axes": {"policy.touches": [2, 3]}}}, "policy.touches.*reversed_pairs uses: policy.pivots.*most"),
+        ({"policy": {"kind": "greedy"}, "sweep": {"axes": {"policy.most": [2, 3]}}}, "policy.most.*policy.touches"),
+        ({"sensing": "ft300s"}, "sensing: got 'ft300s'; allowed: a list: .*ft300s"),
         ({"sweep": {"mode": "both"}}, "mode"),
         ({"sweep": {"axes": {"sweep.mode": ["zip"]}}}, "sweep.mode"),
         ({"sweep": {"axes": {"seeds.more": [1]}}}, "seeds.more"),

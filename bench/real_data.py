@@ -2,7 +2,8 @@
                                                          python bench/real_data.py poses POSES.csv REST.csv
 
 `pushes` reads the logs that mappings of `heft import` name, of plates whose masses stand in their object files, and
-prints the center of mass and the friction that `bayes` finds from all pushes and from disjoint sets of N.
+prints the center of mass and the friction that `bayes` finds from all pushes and from disjoint sets of N; then how
+each push turns and pushes back, and how the true plate would.
 `poses` calibrates a sensor by still poses (columns r11 to r33, fx to tz) with the noise of a recording at rest, and by
 disjoint halves of them: their tool's mass and center must agree within their errors. docs/real_data.md has the sources.
 """
@@ -17,9 +18,12 @@ from pathlib import Path
 import numpy as np
 from rich.console import Console
 from rich.table import Table
+from scipy.optimize import root_scalar
 from scipy.spatial.transform import Rotation
 
+from estimators.particles.observe import observe
 from estimators.posterior.estimator import Bayes
+from estimators.wrench.model import ModelErrors
 from testbed.errors import HeftError
 from testbed.importers.importer import import_trajectory
 from testbed.importers.mapping import Mapping
@@ -31,6 +35,8 @@ from testbed.trajectory import Trajectory
 
 HOLD = 1.645
 """Standard errors of a 90 % interval."""
+RATES = 2.0
+"""Largest turn rate at which a plate's moment is balanced, rad/s."""
 HALVES = 10
 """Splits of the poses into halves."""
 
@@ -42,7 +48,11 @@ def main() -> None:
     parser.add_argument("files", nargs="+", type=Path)
     parser.add_argument("--of", type=int, default=2, help="pushes in each set")
     given = parser.parse_args()
-    Console(width=140).print(pushes(given.files, given.of) if given.part == "pushes" else poses(*given.files))
+    console = Console(width=140)
+    if given.part == "pushes":
+        console.print(pushes(given.files, given.of), balance(given.files))
+    else:
+        console.print(poses(*given.files))
 
 
 def pushes(mappings: Sequence[Path], of: int) -> Table:
@@ -108,6 +118,58 @@ def center(obj: ObjectModel, trials: Sequence[Trajectory]) -> list[str]:
         f"{answer.diagnostics.get('misfit', math.nan):.2g}",
         answer.status,
     ]
+
+
+def balance(mappings: Sequence[Path]) -> Table:
+    """Turn rate and force of each push against those of the true plate with even Coulomb friction.
+
+    The plate's rate is that at which no moment acts about the fingertip, which moves as measured; its friction is the
+    mean over a push.
+    """
+    table = Table(title="middle of each push, and the true plate with even friction")
+    for name in ("plate", "push", "turn rate, rad/s", "plate", "force, N", "plate", "force at its begin and end, N"):
+        table.add_column(name, justify="left" if name == "plate" and not table.columns else "right")
+    for mapping in mappings:
+        obj, trials = read(mapping)
+        for number, trial in enumerate(trials):
+            windows = observe(obj.shape, [trial], ModelErrors())
+            if windows is None:
+                continue
+            forces, k = windows.wrench[:, :2].numpy(), len(windows) // 2
+            twist, lever = windows.twist[k].numpy(), obj.shape.particles - windows.grasp[k].numpy()
+            drag = np.linalg.norm(forces, axis=1).mean() / len(lever)
+
+            def friction(
+                rate: float, twist: np.ndarray = twist, lever: np.ndarray = lever, drag: float = drag
+            ) -> np.ndarray:
+                velocity = twist[:2] + rate * np.column_stack([-lever[:, 1], lever[:, 0]])
+                force = drag * velocity / np.linalg.norm(velocity, axis=1, keepdims=True)
+                moment = lever[:, 0] * force[:, 1] - lever[:, 1] * force[:, 0]
+                return np.append(force.sum(axis=0), moment.sum())
+
+            rates = np.linspace(-RATES, RATES, 401)
+            moments = np.array([friction(rate)[2] for rate in rates])
+            turns = np.flatnonzero(np.diff(np.sign(moments)))
+            found = [
+                root_scalar(lambda rate, f=friction: f(rate)[2], bracket=(rates[i], rates[i + 1])).root for i in turns
+            ]
+            nearest = min(found, key=lambda rate: abs(rate - twist[2]), default=math.nan)
+            ends = ", ".join(f"{np.linalg.norm(force):.2f}" for force in forces[[0, -1]])
+            plate = _force(friction(nearest)) if found else "-"
+            table.add_row(
+                obj.name if number == 0 else "",
+                f"{number + 1}.",
+                f"{twist[2]:.3f}",
+                f"{nearest:.3f}",
+                _force(forces[k]),
+                plate,
+                ends,
+            )
+    return table
+
+
+def _force(force: np.ndarray) -> str:
+    return f"{force[0]:.2f}, {force[1]:.2f}"
 
 
 def poses(file: Path, rest: Path) -> Table:

@@ -51,7 +51,7 @@ def here(copied, tmp_path, monkeypatch) -> Path:
 @pytest.mark.slow
 def test_reading_imports_nothing_that_a_file_names(here, capsys):
     key = load_results("out")["key"][0]
-    for command in ("status out", "report out", "run s.toml --dry-run", f"export out {key}"):
+    for command in ("status out", "view out --report", "run s.toml --dry-run", f"export out {key}"):
         main(command.split())
     for command, said in (
         ("run s.toml", "--allow-code"),

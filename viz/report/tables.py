@@ -281,7 +281,12 @@ def overview(groups: Mapping[str, Sequence[Row]], most: int | None = None) -> Ta
     cut = f": best {len(best)} of {len(methods)} methods" if len(best) < len(methods) else ""
     some = any(cell.missing for m in best for cell in lines[m])
     note = "ok: answers that do not say themselves that they cannot be trusted" if some else ""
-    return Table(f"Median NAD over objects, %{cut}", columns, tuple(((m,), tuple(lines[m])) for m in best), note=note)
+    return Table(
+        f"Normalized absolute difference (NAD), median over objects, %{cut}",
+        columns,
+        tuple(((m,), tuple(lines[m])) for m in best),
+        note=note,
+    )
 
 
 def _over_objects(rows: Sequence[Row], method: str) -> Entry:

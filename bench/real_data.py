@@ -21,6 +21,7 @@ from rich.table import Table
 from scipy.optimize import root_scalar
 from scipy.spatial.transform import Rotation
 
+from estimators.evaluation.metrics import normalized_absolute_difference
 from estimators.particles.observe import observe
 from estimators.posterior.estimator import Bayes
 from estimators.wrench.model import ModelErrors
@@ -58,18 +59,8 @@ def main() -> None:
 def pushes(mappings: Sequence[Path], of: int) -> Table:
     """Center of mass and friction of each plate, by all of its pushes and by disjoint sets."""
     table = Table(title="bayes on measured pushes; the truth is c = 0")
-    for name in (
-        "plate",
-        "pushes",
-        "c_x, mm",
-        "c_y, mm",
-        "|c|, mm",
-        "90 % hold",
-        "friction",
-        "NAD, %",
-        "misfit",
-        "status",
-    ):
+    numbers = ("pushes", "c_x, mm", "c_y, mm", "|c|, mm", "90 % hold", "friction", "NAD, %", "misfit")
+    for name in ("plate", *numbers, "status"):
         table.add_column(name, justify="left" if name in ("plate", "status") else "right")
     for mapping in mappings:
         obj, trials = read(mapping)
@@ -107,7 +98,7 @@ def center(obj: ObjectModel, trials: Sequence[Trajectory]) -> list[str]:
     slope = 1e3 * (count[:, None] * middles / obj.total_mass).T
     found = slope @ answer.distribution.mass - 1e3 * obj.center_of_mass
     error = np.sqrt(np.diag(slope @ answer.covariance @ slope.T))
-    nad = count @ np.abs(answer.distribution.mass - obj.truth.mass) / obj.total_mass
+    nad = normalized_absolute_difference(shape, answer.distribution, obj.truth)
     held = (np.abs(found) <= HOLD * error).tolist()
     return [
         *(f"{value:.1f} +- {std:.1f}" for value, std in zip(found, error, strict=True)),
@@ -137,35 +128,40 @@ def balance(mappings: Sequence[Path]) -> Table:
                 continue
             forces, k = windows.wrench[:, :2].numpy(), len(windows) // 2
             twist, lever = windows.twist[k].numpy(), obj.shape.particles - windows.grasp[k].numpy()
-            drag = np.linalg.norm(forces, axis=1).mean() / len(lever)
-
-            def friction(
-                rate: float, twist: np.ndarray = twist, lever: np.ndarray = lever, drag: float = drag
-            ) -> np.ndarray:
-                velocity = twist[:2] + rate * np.column_stack([-lever[:, 1], lever[:, 0]])
-                force = drag * velocity / np.linalg.norm(velocity, axis=1, keepdims=True)
-                moment = lever[:, 0] * force[:, 1] - lever[:, 1] * force[:, 0]
-                return np.append(force.sum(axis=0), moment.sum())
-
-            rates = np.linspace(-RATES, RATES, 401)
-            moments = np.array([friction(rate)[2] for rate in rates])
-            turns = np.flatnonzero(np.diff(np.sign(moments)))
-            found = [
-                root_scalar(lambda rate, f=friction: f(rate)[2], bracket=(rates[i], rates[i + 1])).root for i in turns
-            ]
-            nearest = min(found, key=lambda rate: abs(rate - twist[2]), default=math.nan)
+            rate, plate = balanced(twist, lever, np.linalg.norm(forces, axis=1).mean())
             ends = ", ".join(f"{np.linalg.norm(force):.2f}" for force in forces[[0, -1]])
-            plate = _force(friction(nearest)) if found else "-"
             table.add_row(
                 obj.name if number == 0 else "",
                 f"{number + 1}.",
                 f"{twist[2]:.3f}",
-                f"{nearest:.3f}",
+                f"{rate:.3f}",
                 _force(forces[k]),
-                plate,
+                _force(plate),
                 ends,
             )
     return table
+
+
+def balanced(twist: np.ndarray, lever: np.ndarray, drag: float) -> tuple[float, np.ndarray]:
+    """Turn rate nearest to the measured one at which no moment acts about the fingertip, and the force then; else NaN.
+
+    Args:
+        twist: motion of the object at the fingertip, m/s and rad/s.
+        lever: places of the plate's particles from the fingertip, m.
+        drag: friction of the whole plate, N.
+    """
+
+    def wrench(rate: float) -> np.ndarray:
+        velocity = twist[:2] + rate * np.column_stack([-lever[:, 1], lever[:, 0]])
+        force = drag / len(lever) * velocity / np.linalg.norm(velocity, axis=1, keepdims=True)
+        moment = lever[:, 0] * force[:, 1] - lever[:, 1] * force[:, 0]
+        return np.append(force.sum(axis=0), moment.sum())
+
+    rates = np.linspace(-RATES, RATES, 401)
+    turns = np.flatnonzero(np.diff(np.sign([wrench(rate)[2] for rate in rates])))
+    found = [root_scalar(lambda rate: wrench(rate)[2], bracket=(rates[i], rates[i + 1])).root for i in turns]
+    rate = min(found, key=lambda rate: abs(rate - twist[2]), default=math.nan)
+    return rate, wrench(rate)[:2]
 
 
 def _force(force: np.ndarray) -> str:

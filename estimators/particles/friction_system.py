@@ -33,7 +33,7 @@ PUSH_ERROR = 0.002
 """Model error of a push, as a part of the total drag, beside that of slow feet: the simulation is off by 0.05 to
 0.14 %, and by more in few windows, where a light block tips."""
 LEANING = 0.01
-"""That on unknown points of contact, over which a push leans every group by the moment of its force. Ours."""
+"""Further model error of a push on unknown points of contact, as a part of the drag: it leans every group. Ours."""
 
 
 @dataclass(frozen=True, eq=False)

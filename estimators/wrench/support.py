@@ -288,7 +288,10 @@ class Springs:
         """
         count, feet = len(model.parts), model.contact
         groups = torch.nn.functional.one_hot(model.mass_group, count).double()
-        sink, size, moves = torch.linalg.svd(torch.cat([groups, model.particles], 1) * feet[:, None])
+        sinks = torch.cat([groups, model.particles], 1) * feet[:, None]
+        # rows of zeros, so that all moves are there where groups have fewer feet than moves
+        padded = torch.nn.functional.pad(sinks, (0, 0, 0, count + 2))
+        sink, size, moves = torch.linalg.svd(padded, full_matrices=False)
         ends = torch.zeros(len(neighbors), count + 2, dtype=torch.float64)
         for spring, (a, b) in enumerate(neighbors):
             ends[spring, a], ends[spring, b] = 1.0, -1.0
@@ -300,7 +303,8 @@ class Springs:
         work, axes = torch.linalg.eigh(stretch.T @ stretch)
         kept = work > 1e-9 * work[-1]
         weight = work[kept]
-        return Springs(sink[:, :rank], sink[:, :rank] @ axes[:, kept], weight / weight.mean())
+        span = sink[: len(sinks), :rank]
+        return Springs(span, span @ axes[:, kept], weight / weight.mean())
 
     def joined(self, load: Float[Tensor, "P"], share: Float[Tensor, ""]) -> Float[Tensor, "P"]:
         """Loads, N, of groups that press with `load` alone, at a share r / (1 + r) of springs.

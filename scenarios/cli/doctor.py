@@ -40,9 +40,9 @@ def doctor(
         objects: objects to look at; all if left out.
         draw: draw of the sensor's errors of simulated trials.
     """
-    from scenarios.cli.terminal import check_results, open_console
+    from scenarios.cli.terminal import open_console
     from scenarios.results.estimates import load_rows
-    from scenarios.results.files import inside
+    from scenarios.results.files import check_results, inside
     from scenarios.views.figures import file_name
     from viz.figures.doctor import diagnosis_figure
     from viz.figures.maps import save_figure

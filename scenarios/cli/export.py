@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from scenarios.cli.terminal import check_results
 from testbed.errors import InvalidValueError, nearest
 
 if TYPE_CHECKING:
@@ -58,6 +57,8 @@ def export(
         models: write each draw as a model too, numbered in a folder, to train or test a controller on all of them.
         out: DIR/exports/OBJECT_KEY if left out, with the format's ending.
     """
+    from scenarios.results.files import check_results
+
     check_results(folder)
     if format_ == "mcap":
         for name, given in (("--inertial", inertial), ("--scene", scene), ("--draws", draws), ("--models", models)):

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import numpy as np
 import tyro
 
+from scenarios.cli.terminal import default_hint
 from testbed.errors import InvalidValueError
 
 if TYPE_CHECKING:
@@ -31,7 +32,7 @@ FILM_S = 20.0
 class RenderRequest:
     """Options of a film or a picture of a trial."""
 
-    out: Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="")] = None
+    out: Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint=default_hint)] = None
     """file that ends in .mp4, .gif or .png; DIR/trials/TRIAL/trial.mp4 if left out."""
     width: Annotated[int, tyro.conf.arg(metavar="PX")] = 960
     """width of the picture, px; even."""
@@ -39,11 +40,11 @@ class RenderRequest:
     """height of the picture, px; even."""
     fps: Annotated[float, tyro.conf.arg(metavar="N")] = 25.0
     """pictures per second of film."""
-    speed: Annotated[float | None, tyro.conf.arg(metavar="X", help_behavior_hint="")] = None
+    speed: Annotated[float | None, tyro.conf.arg(metavar="X", help_behavior_hint=default_hint)] = None
     """seconds of trial per second of film, 1 for the trial's own time; if left out, the film lasts at most 20 s."""
     camera: Literal["bench", "object", "above"] = "bench"
     """bench (all of it), object (close), or above (the object alone, with the arm out of the way)."""
-    at: Annotated[float | None, tyro.conf.arg(metavar="S", help_behavior_hint="")] = None
+    at: Annotated[float | None, tyro.conf.arg(metavar="S", help_behavior_hint=default_hint)] = None
     """instant of the one picture of a .png, s; the middle if left out."""
     caption: bool = True
     """write in each picture what it shows, and when."""

@@ -145,22 +145,22 @@ def overview() -> str:
 
 
 def load(path: str) -> Callable[..., None]:
-    """Function behind "module:name", without a default in its help where that is nothing."""
+    """Function behind "module:name", whose help leaves out defaults of None, False and no values."""
     module, name = path.split(":")
     function = getattr(import_module(module), name)
     hints = get_type_hints(function, include_extras=True)
-    for parameter in signature(function).parameters.values():
-        if parameter.default is None or parameter.default is False or parameter.default == ():
-            function.__annotations__[parameter.name] = _without_default(hints[parameter.name])
+    function.__annotations__ |= {name: _hinted(hints[name]) for name in signature(function).parameters}
     return function
 
 
-def _without_default(hint: Any) -> Any:
-    """Type of an option that may be left out."""
+def _hinted(hint: Any) -> Any:
+    """Type of an option whose help has the default by `default_hint`, and no None among its choices."""
+    from scenarios.cli.terminal import default_hint
+
     bare = get_args(hint)[0] if get_origin(hint) is Annotated else hint
     choices = [choice for part in get_args(bare) if get_origin(part) is Literal for choice in get_args(part)]
     metavar = f"{{{','.join(choices)}}}" if type(None) in get_args(bare) and choices else None
-    return Annotated[hint, tyro.conf.arg(help_behavior_hint=lambda _: "", metavar=metavar)]
+    return Annotated[hint, tyro.conf.arg(help_behavior_hint=default_hint, metavar=metavar)]
 
 
 def _placeholder(line: str) -> Callable[[], None]:

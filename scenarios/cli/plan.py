@@ -12,7 +12,7 @@ import tyro
 from rich.table import Table
 from rich.text import Text
 
-from scenarios.cli.terminal import open_console, percent, seconds, unless_none
+from scenarios.cli.terminal import default_hint, open_console, percent, seconds
 from testbed.errors import InvalidValueError
 
 if TYPE_CHECKING:
@@ -166,9 +166,9 @@ def _three_digits(value: float) -> str:
 class Search:
     """Options of a search for actions."""
 
-    until: Annotated[str | None, tyro.conf.arg(metavar="PERCENT", help_behavior_hint=unless_none)] = None
+    until: Annotated[str | None, tyro.conf.arg(metavar="PERCENT", help_behavior_hint=default_hint)] = None
     """expected NAD to reach (sum of the masses' errors over the whole mass), as 5%."""
-    budget: Annotated[str | None, tyro.conf.arg(metavar="TIME", help_behavior_hint="")] = None
+    budget: Annotated[str | None, tyro.conf.arg(metavar="TIME", help_behavior_hint=default_hint)] = None
     """robot time, travel included, as 60s or 2min; no limit if left out."""
     most: Annotated[int, tyro.conf.arg(metavar="N")] = 8
     """greatest number of actions."""
@@ -176,15 +176,15 @@ class Search:
     """preset of the sensor, and of the camera that sees pushes."""
     assumed_support: Annotated[
         Literal["own_weight", "rigid", "either"] | None,
-        tyro.conf.arg(metavar="{own_weight,rigid,either}", help_behavior_hint=unless_none),
+        tyro.conf.arg(metavar="{own_weight,rigid,either}", help_behavior_hint=default_hint),
     ] = None
     """assumed support; either serves both models, and decides between them. Of a plan, if left out, rigid for an object
     on points of contact, else own_weight."""
-    lifts: Annotated[bool, tyro.conf.FlagCreatePairsOff, tyro.conf.arg(help_behavior_hint="")] = False
+    lifts: Annotated[bool, tyro.conf.FlagCreatePairsOff, tyro.conf.arg(help_behavior_hint=default_hint)] = False
     """consider lifts too, held still and rocked in the air; not where own_weight is assumed."""
-    pushes: Annotated[bool, tyro.conf.FlagCreatePairsOff, tyro.conf.arg(help_behavior_hint="")] = False
+    pushes: Annotated[bool, tyro.conf.FlagCreatePairsOff, tyro.conf.arg(help_behavior_hint=default_hint)] = False
     """consider pushes too; an object without grasps is pushed in any case."""
-    grasps: Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="NAME ...", help_behavior_hint="")] = None
+    grasps: Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="NAME ...", help_behavior_hint=default_hint)] = None
     """allowed grasps, by name (see heft show); all if left out."""
     candidates: Annotated[int, tyro.conf.arg(metavar="N")] = 4000
     """number of actions to consider."""
@@ -193,7 +193,7 @@ class Search:
 
     @property
     def goal(self) -> Goal:
-        """When the search ends.
+        """Condition on which the search ends.
 
         Raises:
             InvalidValueError: no percentage, or no time.
@@ -206,7 +206,7 @@ class Search:
         """Candidates under an assumed support.
 
         Raises:
-            InvalidValueError: lifts of what cannot be one rigid body.
+            InvalidValueError: lifts where every group rests on its own weight.
         """
         from estimators.action_selection.candidates import ActionFamily
         from estimators.action_selection.design import ASSUMED_SUPPORTS

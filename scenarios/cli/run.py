@@ -175,17 +175,12 @@ def _made_objects(study: Scenario, data: Path | None, folder: Path) -> Scenario:
 
 def show_main_table(console: Console, scenario: Scenario, results: Sequence[Row]) -> None:
     """Print NAD by object where that fits on a screen, else its median over objects; the report has all else."""
-    from estimators.evaluation.statistics import FEWEST, select
+    from estimators.evaluation.statistics import FEWEST
     from viz.report.tables import NAD, metric_table, overview, points_of
     from viz.report.terminal import rich_table
-    from viz.values import support_name
 
-    tables = []
-    if not _many(results):
-        for support in scenario.supports():
-            for sensing in scenario.sensing:
-                rows = select(results, support=support.name, sensing=sensing)
-                tables.append(metric_table(rows, NAD, f"{NAD.title}: {support_name(support.name)}, {sensing}"))
+    each = [] if _many(results) else _settings(scenario, results)
+    tables = [metric_table(rows, NAD, f"{NAD.title}: {setting}") for setting, rows in each]
     drawn = any(cell.interval for table in tables for _, cells in table.rows for cell in cells)
     if not tables or sum(FRAME + (1 + drawn) * len(table.rows) for table in tables) > SCREEN:
         tables, drawn = [overview(points_of([row for row in results if row["method"]]))], False
@@ -195,13 +190,24 @@ def show_main_table(console: Console, scenario: Scenario, results: Sequence[Row]
         console.print(NOTES.format(fewest=FEWEST))
 
 
+def _settings(scenario: Scenario, results: Sequence[Row]) -> list[tuple[str, Sequence[Row]]]:
+    """Rows under each support and sensing, with these in words."""
+    from estimators.evaluation.statistics import select
+    from viz.values import support_name
+
+    return [
+        (f"{support_name(support.name)}, {sensing}", select(results, support=support.name, sensing=sensing))
+        for support in scenario.supports()
+        for sensing in scenario.sensing
+    ]
+
+
 def show_tables(console: Console, scenario: Scenario, results: Sequence[Row]) -> None:
     """Print every metric under every support and sensing, and the hidden states; of many objects, quantiles."""
-    from estimators.evaluation.statistics import FEWEST, assumptions, select
+    from estimators.evaluation.statistics import FEWEST, assumptions
     from viz.report.claims import CLAIMS, claims_table
     from viz.report.tables import COM, INERTIA, NAD, hidden_table, metric_table, metrics_of, quantile_table
     from viz.report.terminal import rich_table
-    from viz.values import support_name
 
     objects = list(dict.fromkeys(row["object"] for row in results))
     metrics = metrics_of(results) or [NAD]  # the statuses then
@@ -212,14 +218,11 @@ def show_tables(console: Console, scenario: Scenario, results: Sequence[Row]) ->
             if known := [row for row in results if math.isfinite(row.get(metric.column) or math.nan)]:
                 console.print(rich_table(quantile_table(known, metric)))
         return
-    for support in scenario.supports():
-        for sensing in scenario.sensing:
-            rows = select(results, support=support.name, sensing=sensing)
-            for metric in metrics:
-                title = f"{metric.title}: {support_name(support.name)}, {sensing}"
-                console.print(rich_table(metric_table(rows, metric, title, objects)))
-            if claims := claims_table(rows, f"{CLAIMS}: {support_name(support.name)}, {sensing}"):
-                console.print(rich_table(claims))
+    for setting, rows in _settings(scenario, results):
+        for metric in metrics:
+            console.print(rich_table(metric_table(rows, metric, f"{metric.title}: {setting}", objects)))
+        if claims := claims_table(rows, f"{CLAIMS}: {setting}"):
+            console.print(rich_table(claims))
     console.print(NOTES.format(fewest=FEWEST))
     for line in assumptions(results):
         console.print(line)

@@ -7,7 +7,6 @@ import signal
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
 
 from rich.console import Console
 
@@ -24,15 +23,9 @@ def open_console() -> Console:
     return Console(width=None if known else WIDE, markup=False, highlight=False)
 
 
-def check_results(folder: Path) -> None:
-    """Raise InvalidValueError where there is no such folder."""
-    if not folder.is_dir():
-        raise InvalidValueError("DIR", str(folder), "a results folder; `heft run` makes one")
-
-
-def unless_none(default: str) -> str:
-    """Default in an option's help; nothing where there is none."""
-    return "" if default == "None" else f"(default: {default})"
+def default_hint(default: str) -> str:
+    """Text of a default in an option's help; empty for None, False and no values."""
+    return "" if default in ("None", "False", "") else f"(default: {default})"
 
 
 @contextmanager

@@ -12,7 +12,7 @@ from rich.table import Table
 from rich.text import Text
 
 from scenarios.cli.film import RenderRequest
-from scenarios.cli.terminal import check_results, open_console, orderly_end
+from scenarios.cli.terminal import open_console, orderly_end
 from testbed.errors import HeftError, InvalidValueError
 
 if TYPE_CHECKING:
@@ -66,6 +66,8 @@ def view(
         film: draw trials as a film (.mp4, .gif) or one picture (.png), without a display; without WHAT, list them.
         options: with --film.
     """
+    from scenarios.results.files import check_results
+
     if port is not None and not web:
         raise InvalidValueError("--port", port, "only with --web: a window needs none")
     if all_ and not record:
@@ -112,7 +114,7 @@ def _open_viewer(folder: Path, what: tuple[str, ...], port: int, *, web: bool) -
 
 
 def _record(folder: Path, what: tuple[str, ...], *, missing: bool) -> None:
-    """Write recordings: of what is named, of all together, or all that are missing."""
+    """Write recordings of the named objects and keys, one of everything, or every missing one."""
     from scenarios.cli.run import show_progress
     from scenarios.views.pages import page_of, record_all, recording_path
     from viz.recordings.page import save
@@ -149,8 +151,8 @@ def _draw_films(folder: Path, what: tuple[str, ...], options: RenderRequest) -> 
     for trial in what:
         with show_progress() as progress:
             path, pace = render_trial(folder, trial, options, progress)
-        slow = options.speed or pace == 1
-        print(path if slow else f"{path} ({pace:g} times as fast; --speed 1 is the trial's own time)")
+        paced = options.speed is None and pace != 1
+        print(f"{path} ({pace:g} times as fast; --speed 1 is the trial's own time)" if paced else path)
 
 
 def objects() -> None:
@@ -250,7 +252,6 @@ def _write_pads(model: ObjectModel, folder: Path) -> Iterator[str]:
     for pad, names in kinds.items():
         mesh = pad.mesh()
         path = folder / f"{model.name}_{names[0]}.stl"
-        path.parent.mkdir(parents=True, exist_ok=True)
         write_whole(path, lambda part, mesh=mesh: mesh.export(part, file_type="stl"))
         size = " x ".join(f"{length:.1f}" for length in mesh.extents)
         grams = mesh.volume * 1e-3 * PLA

@@ -68,6 +68,12 @@ def read_json(path: Path) -> dict[str, Any] | None:
     return load_sealed(path, "JSON file", parsed) if os.path.lexists(path) else None
 
 
+def check_results(folder: Path) -> None:
+    """Raise InvalidValueError where there is no such results folder."""
+    if not folder.is_dir():
+        raise InvalidValueError("DIR", str(folder), "a results folder; `heft run` makes one")
+
+
 def tally(statuses: Iterable[str]) -> str:
     """Numbers of the statuses that are not ok, in words, the most frequent first; empty where all are."""
     amiss = Counter(status.replace("_", " ") for status in statuses if status != "ok")

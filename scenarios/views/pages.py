@@ -12,7 +12,7 @@ import rerun.blueprint as rrb
 
 from estimators.evaluation.statistics import Row, select
 from scenarios.results.estimates import load_rows
-from scenarios.results.files import check_unambiguous, inside
+from scenarios.results.files import check_results, check_unambiguous, inside
 from scenarios.results.store import Store
 from scenarios.results.trials import kind_of_trial
 from scenarios.study.experiment import Progress
@@ -40,8 +40,7 @@ def page_of(folder: Path, what: str | None) -> Page:
         InvalidValueError: nothing is called so, or more than one thing is.
         HeftError: a file of it is damaged.
     """
-    if not folder.is_dir():
-        raise InvalidValueError("DIR", str(folder), "a results folder; `heft run` makes one")
+    check_results(folder)
     if what is None:
         return folder_page(folder)
     estimates = {path.parent.name for path in folder.glob("estimates/*/result.json")}

@@ -153,7 +153,7 @@ class Table:
     note: str = ""
     """A sentence below it."""
     folded: str = ""
-    """As `Metric.folded`."""
+    """Summary under which a report folds it, as `Metric.folded`; empty where it is open."""
 
 
 def metric_table(rows: Sequence[Row], metric: Metric, title: str, objects: Sequence[str] | None = None) -> Table:
@@ -243,13 +243,14 @@ def _quantiles(objects: Draws, missing: str, *, best: bool) -> tuple[Entry, ...]
 def points_of(rows: Sequence[Row]) -> dict[str, list[Row]]:
     """Rows by support, sensing and point of a sweep, named by what differs among them."""
     axes = axes_of(rows)
-    keys = {tuple(str(row.get(name)) for name in ("support", "sensing", *axes)): row for row in rows}
-    varied = [len({key[i] for key in keys}) > 1 for i in range(2 + len(axes))]
+    words = [
+        (support_name(row["support"]), row["sensing"], *(_setting(row.get(axis)) for axis in axes)) for row in rows
+    ]
+    varied = [len(set(each)) > 1 for each in zip(*words, strict=True)]
     groups: dict[str, list[Row]] = {}
-    for row in rows:
-        words = [support_name(row["support"]), row["sensing"], *(_setting(row.get(axis)) for axis in axes)]
-        said = [word for word, differs in zip(words, varied, strict=True) if differs] or words[:2]
-        groups.setdefault(", ".join(said), []).append(row)
+    for row, own in zip(rows, words, strict=True):
+        name = [word for word, differs in zip(own, varied, strict=True) if differs] or own[:2]
+        groups.setdefault(", ".join(name), []).append(row)
     return groups
 
 

@@ -8,7 +8,7 @@ import torch
 from numpy.testing import assert_allclose
 from scipy.linalg import null_space
 
-from estimators.testing.analytic_world import drawn_object
+from estimators.testing.analytic_world import drawn_object, foundation
 from estimators.wrench.model import ParticleModel
 from estimators.wrench.support import GripperLoad, Springs, own_weight_loads, rigid_loads
 from testbed.objects.blocks import block_object, parse_layout
@@ -43,8 +43,7 @@ def loads(obj: ObjectModel) -> tuple[Springs, torch.Tensor, torch.Tensor]:
 
 def stiffness(obj: ObjectModel, springs: Springs, share: float) -> float:
     """Stiffness of springs of a share, N/m, by the work of the stiffest pattern in a foundation of even stiffness."""
-    sinks = np.column_stack([np.eye(obj.shape.n_m)[obj.shape.mass_group], obj.shape.particles])
-    sinks = sinks * (obj.shape.friction_group >= 0)[:, None]
+    sinks, _ = foundation(obj.shape)
     ends = np.zeros((len(obj.shape.neighbors), sinks.shape[1]))
     for spring, pair in enumerate(obj.shape.neighbors):
         ends[spring, pair] = 1.0, -1.0

@@ -2,8 +2,8 @@
                                                          python bench/real_data.py poses POSES.csv REST.csv
 
 `pushes` reads the logs that mappings of `heft import` name, of plates whose masses stand in their object files, and
-prints the center of mass and the friction that `bayes` finds from all pushes and from disjoint sets of N; then how
-each push turns and pushes back, and how the true plate would.
+prints the center of mass and the friction that `bayes` finds from all pushes and from disjoint sets of N; then how far
+the friction of each push departs from Coulomb's law.
 `poses` calibrates a sensor by still poses (columns r11 to r33, fx to tz) with the noise of a recording at rest, and by
 disjoint halves of them: their tool's mass and center must agree within their errors. docs/real_data.md has the sources.
 """
@@ -16,28 +16,26 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+import torch
 from rich.console import Console
 from rich.table import Table
-from scipy.optimize import root_scalar
 from scipy.spatial.transform import Rotation
 
 from estimators.evaluation.metrics import normalized_absolute_difference
 from estimators.particles.observe import observe
 from estimators.posterior.estimator import Bayes
-from estimators.wrench.model import ModelErrors
+from estimators.wrench.model import ModelErrors, ParticleModel
 from testbed.errors import HeftError
 from testbed.importers.importer import import_trajectory
 from testbed.importers.mapping import Mapping
 from testbed.objects.files import load_object
-from testbed.objects.model import ObjectModel
+from testbed.objects.model import GRAVITY, ObjectModel
 from testbed.robot.calibration import StaticPose, calibrate
 from testbed.toml import load_toml
 from testbed.trajectory import Trajectory
 
 HOLD = 1.645
 """Standard errors of a 90 % interval."""
-RATES = 2.0
-"""Largest turn rate at which a plate's moment is balanced, rad/s."""
 HALVES = 10
 """Splits of the poses into halves."""
 
@@ -51,7 +49,7 @@ def main() -> None:
     given = parser.parse_args()
     console = Console(width=140)
     if given.part == "pushes":
-        console.print(pushes(given.files, given.of), balance(given.files))
+        console.print(pushes(given.files, given.of), departures(given.files))
     else:
         console.print(poses(*given.files))
 
@@ -111,61 +109,44 @@ def center(obj: ObjectModel, trials: Sequence[Trajectory]) -> list[str]:
     ]
 
 
-def balance(mappings: Sequence[Path]) -> Table:
-    """Turn rate and force of each push against those of the true plate with even Coulomb friction.
+def departures(mappings: Sequence[Path]) -> Table:
+    """Departure of each push from Coulomb's law: what `friction_law` of the true plate would explain it.
 
-    The plate's rate is that at which no moment acts about the fingertip, which moves as measured; its friction is the
-    mean over a push.
+    As parts of the friction, whose coefficient is the mean over a plate's pushes; over a push's windows where there are
+    several.
     """
-    table = Table(title="middle of each push, and the true plate with even friction")
-    for name in ("plate", "push", "turn rate, rad/s", "plate", "force, N", "plate", "force at its begin and end, N"):
-        table.add_column(name, justify="left" if name == "plate" and not table.columns else "right")
+    table = Table(title="friction of each push beside Coulomb's of the true plate, %")
+    for name in ("plate", "push", "turn rate, rad/s", "windows", "along", "across", "around"):
+        table.add_column(name, justify="left" if name == "plate" else "right")
+    every = []
     for mapping in mappings:
         obj, trials = read(mapping)
-        for number, trial in enumerate(trials):
-            windows = observe(obj.shape, [trial], ModelErrors())
-            if windows is None:
-                continue
-            forces, k = windows.wrench[:, :2].numpy(), len(windows) // 2
-            twist, lever = windows.twist[k].numpy(), obj.shape.particles - windows.grasp[k].numpy()
-            rate, plate = balanced(twist, lever, np.linalg.norm(forces, axis=1).mean())
-            ends = ", ".join(f"{np.linalg.norm(force):.2f}" for force in forces[[0, -1]])
+        windows = observe(obj.shape, trials, ModelErrors())
+        if windows is None:
+            continue
+        model = ParticleModel.of(obj.shape)
+        mass = model.particle_mass(torch.tensor(obj.truth.mass))
+        forward = windows.table(model).dragged(mass * GRAVITY)
+        ones = forward.rows({})
+        measured = windows.wrench - forward.motion(mass)
+        friction = (measured[:, :2] * ones[:, :2]).sum() / ones[:, :2].square().sum()
+        slopes = forward.linearized({"friction_law": torch.zeros(3, dtype=torch.float64)})[1]["friction_law"]
+        found = 100 * torch.linalg.solve(friction * slopes, measured - friction * ones)
+        for number in windows.trial.unique().tolist():
+            own = windows.trial == number
+            parts = found[own]
+            scatter = parts.std(0, correction=0).tolist()
             table.add_row(
                 obj.name if number == 0 else "",
                 f"{number + 1}.",
-                f"{twist[2]:.3f}",
-                f"{rate:.3f}",
-                _force(forces[k]),
-                _force(plate),
-                ends,
+                f"{windows.twist[own, 2].mean():.2f}",
+                str(len(parts)),
+                *(f"{m:.0f} +- {s:.0f}" for m, s in zip(parts.mean(0).tolist(), scatter, strict=True)),
             )
+            every.append(parts.mean(0))
+    size = torch.stack(every).square().mean(0).sqrt().tolist()
+    table.caption = "root mean square over pushes: " + ", ".join(f"{value:.0f}" for value in size)
     return table
-
-
-def balanced(twist: np.ndarray, lever: np.ndarray, drag: float) -> tuple[float, np.ndarray]:
-    """Turn rate nearest to the measured one at which no moment acts about the fingertip, and the force then; else NaN.
-
-    Args:
-        twist: motion of the object at the fingertip, m/s and rad/s.
-        lever: places of the plate's particles from the fingertip, m.
-        drag: friction of the whole plate, N.
-    """
-
-    def wrench(rate: float) -> np.ndarray:
-        velocity = twist[:2] + rate * np.column_stack([-lever[:, 1], lever[:, 0]])
-        force = drag / len(lever) * velocity / np.linalg.norm(velocity, axis=1, keepdims=True)
-        moment = lever[:, 0] * force[:, 1] - lever[:, 1] * force[:, 0]
-        return np.append(force.sum(axis=0), moment.sum())
-
-    rates = np.linspace(-RATES, RATES, 401)
-    turns = np.flatnonzero(np.diff(np.sign([wrench(rate)[2] for rate in rates])))
-    found = [root_scalar(lambda rate: wrench(rate)[2], bracket=(rates[i], rates[i + 1])).root for i in turns]
-    rate = min(found, key=lambda rate: abs(rate - twist[2]), default=math.nan)
-    return rate, wrench(rate)[:2]
-
-
-def _force(force: np.ndarray) -> str:
-    return f"{force[0]:.2f}, {force[1]:.2f}"
 
 
 def poses(file: Path, rest: Path) -> Table:

@@ -265,6 +265,8 @@ def model_errors(
     held = ~windows.pushed[:, None, None]
     moved = errors.pivot_error * windows.twist[:, 2].abs()[:, None, None] * slopes["twist"][..., :2]
     alone = [moved, slopes["twist"] * windows.twist_noise.sqrt() * held, slopes.get("idle", moved[..., :0])]
+    if "friction_law" in slopes:  # friction varies within a trial as it does between them
+        alone.append(windows.setup.friction_law * slopes["friction_law"])
     late = [moved[..., :0]]  # an error of the clock is the same throughout a trial
     for name in ("seen", "links_seen"):
         if name in slopes:

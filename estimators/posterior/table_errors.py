@@ -17,7 +17,7 @@ from estimators.posterior.solver import Blocks
 from estimators.wrench.model import ModelErrors
 from estimators.wrench.sensor import walk
 from estimators.wrench.table import Table
-from testbed.worlds.setup_errors import EXACT_SETUP
+from testbed.worlds.setup_errors import SetupErrors
 
 LEAST_VARIANCE = 1e-12
 """Least variance of a row, N^2 and (N m)^2: sensors without noise have weights too."""
@@ -49,7 +49,8 @@ class TableErrors:
             drag: friction of every particle, N.
             errors: errors of the model.
         """
-        linear = LinearRows.of(windows, table, mass, drag, 0.0, EXACT_SETUP)
+        in_windows = SetupErrors(friction_law=windows.setup.friction_law)
+        linear = LinearRows.of(windows, table, mass, drag, 0.0, in_windows)
         planar, late = model_errors(windows, linear, errors)
         # an error of the inertia is once of each trial, and once of all: that is an unknown
         late = torch.cat([late, errors.inertia_error * linear.motion(mass)[..., None]], -1)

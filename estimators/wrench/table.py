@@ -187,6 +187,9 @@ class Table:
             along = unit.mean(-2)
             aside = load.sum(-1)[..., None] * (self._pulled(theta, window, along) - along)
             force, torque = force + aside, torque + cross(middle.place, aside)
+        if "friction_law" in theta:
+            beside = self._beside_law(theta["friction_law"], load.sum(-1), force, middle.place)
+            force, torque = force + beside, torque + cross(middle.place, beside)
         if more is not None:
             force, torque = force + more[0], torque + cross(middle.place, more[0]) + more[1]
         if "force" in theta:
@@ -269,7 +272,8 @@ class Table:
 
     def _load(self, theta: Theta, window: Window, middle: Moved) -> Float[Tensor, "P C"]:
         """Friction of each point, N, the same over the window."""
-        load = window["drag"][:, None] / self.points.shape[1] + theta.get("friction", NONE)
+        load = (window["drag"] / self.points.shape[1])[:, None].expand(self.points.shape[:2])
+        load = load + theta.get("friction", NONE)
         more = NONE
         if "group_friction" in theta:
             more = more + theta["group_friction"][self.model.mass_group]
@@ -311,6 +315,15 @@ class Table:
         pulled = (1 + size) * unit + 2 * torch.stack([a * x + b * y, b * x - a * y], -1)
         length = unit.square().sum(-1) + 1e-30
         return pulled * (length / ((pulled * unit).sum(-1) + 1e-30)).sqrt()[..., None]
+
+    def _beside_law(
+        self, departure: Float[Tensor, "3"], load: Float[Tensor, "P"], force: Tensor, place: Float[Tensor, "S P 2"]
+    ) -> Float[Tensor, "S P 2"]:
+        """Friction of particles beside Coulomb's: along it, across it, and around the middle of the contact, N."""
+        along, across, around = departure
+        arm = place - place[:, self.model.contact].mean(1, keepdim=True)
+        reach = arm[:, self.model.contact].square().sum(-1).mean().sqrt()
+        return along * force + across * turned(force) + around / reach * load[:, None] * turned(arm)
 
     def _inertial(self, theta: Theta, window: Window, middle: Moved) -> tuple[Tensor, Tensor]:
         """Force on each particle and torque about its own middle, N and N m, that motion and a tilted table take."""

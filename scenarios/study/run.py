@@ -126,6 +126,8 @@ def _asked_again(field: str, held: Any, asked: Any) -> bool:
     """True if all that the results hold of a field is asked for again: objects, methods, seeds, values may grow."""
     if field == "seeds":
         return held <= asked
+    if field == "objects":  # the same files lie elsewhere in another checkout
+        held, asked = ([Path(name).name for name in names] for names in (held, asked))
     if field == "methods":
         return all(asked.get(label) == settings for label, settings in held.items())
     if field == "sweep":

@@ -30,7 +30,7 @@ class Parameter:
     shows: tuple[str, ...] = ()
     """Measurements that it changes in the forward model: `table`, `air`, or the `reading` of the sensor in both."""
     source: str = ""
-    """Source of error that it belongs to, for a budget of them."""
+    """Source of error that it belongs to, for a budget of them; empty if no simulation draws it."""
     likely: float = 0.0
     """Standard deviation by which it is tried as the cause of a misfit where none is stated; 0: it is not tried."""
     cause: str = ""

@@ -44,6 +44,8 @@ class World(SetupErrors):
         super().__post_init__()
         if self.contact_points != int(self.contact_points) or self.contact_points in (1, 2, 3):
             raise InvalidValueError("World.contact_points", self.contact_points, "0, or an integer >= 4")
+        if self.friction_law:
+            raise InvalidValueError("World.friction_law", self.friction_law, "0: simulated friction is Coulomb's")
 
     @property
     def stated(self) -> SetupErrors:
@@ -64,8 +66,8 @@ class World(SetupErrors):
         return World(name=f"{self.name}: {source}", **{name: getattr(self, name) for name in kept})
 
 
-QUANTITIES = parameters_of(World)
-"""Quantities of a world, by name."""
+QUANTITIES = {name: each for name, each in parameters_of(World).items() if each.source}
+"""Quantities of a world, by name: all that a simulation draws."""
 SOURCES: dict[str, tuple[str, ...]] = {
     source: tuple(name for name, each in QUANTITIES.items() if each.source == source)
     for source in dict.fromkeys(each.source for each in QUANTITIES.values())
@@ -138,6 +140,7 @@ UNSTATED = SetupErrors(
     place_friction=0.02,
     anisotropy=0.03,
     speed_friction=0.01,
+    friction_law=0.1,
     table_tilt=math.radians(0.2),
     particle_offset=0.0005,
     grasp_offset=0.0005,

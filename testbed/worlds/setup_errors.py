@@ -79,6 +79,14 @@ class SetupErrors:
         cause="friction changes with speed: turn at one speed, or state `speed_friction`",
     )
     """Change of friction with a tenfold speed, as a part of itself."""
+    friction_law: float = parameter(
+        shows=("table",),
+        shape=(3,),
+        scope="trial",
+        cause="friction departs from Coulomb's law: state `friction_law`",
+    )
+    """Departure of friction from Coulomb's law, anew in every trial and again in every window of it, as a part of it:
+    of its force along itself, of its force across, and of its torque about the middle of the contact."""
     table_tilt: float = parameter(
         shows=("table", "air"),
         source="tilt of the table",

@@ -1,4 +1,4 @@
-"""Errors of a real setup on top of exact Coulomb friction: bias, grasp offset, friction anisotropy."""
+"""Errors of a real setup on top of exact Coulomb friction: bias, grasp offset, anisotropy, another law of friction."""
 
 from __future__ import annotations
 
@@ -71,6 +71,31 @@ def on_anisotropic_table(
     tilt = HEIGHT * -perpendicular(force)
     wrench = trajectory.wrench_on_object_world + np.column_stack([force, 0 * yaw, tilt, torque])
     return replace(trajectory, wrench_on_object_world=wrench)
+
+
+def on_plastic(obj: ObjectModel, trajectory: Trajectory, departure: object) -> Trajectory:
+    """The trial with friction that departs from Coulomb's law, the gripper or the fingertip unloaded.
+
+    Args:
+        obj: the object on its own weight.
+        trajectory: the same action on an even table.
+        departure: of the friction along itself, across it and around the middle of the contact, as parts of it: a row
+            a sample, or one for all.
+    """
+    shape, turn = obj.shape, _upright(trajectory)[:, :2, :2]
+    feet = shape.friction_group >= 0
+    drag = np.where(feet, obj.truth.friction[shape.friction_group] * obj.particle_mass * GRAVITY, 0.0)
+    arm = (turn[:, None] @ shape.particles[..., None])[..., 0]
+    spin = trajectory.object_velocity[:, 2, None, None]
+    pull = drag[:, None] * _pull(trajectory.object_velocity[:, None, :2] + spin * perpendicular(arm), np.eye(2))
+    spoke = arm - arm[:, feet].mean(axis=1, keepdims=True)
+    reach = np.sqrt((spoke[:, feet] ** 2).sum(axis=-1).mean())
+    along, across, around = np.broadcast_to(departure, (len(turn), 3)).T[..., None, None]
+    more = along * pull + across * perpendicular(pull) + around / reach * drag[:, None] * perpendicular(spoke)
+    lever = arm + (trajectory.object_pose[:, :2] - trajectory.tcp_position[:, :2])[:, None]
+    force, torque = more.sum(axis=1), cross_2d(lever, more).sum(axis=1)
+    wrench = np.column_stack([force, 0 * torque, HEIGHT * -perpendicular(force), torque])
+    return replace(trajectory, wrench_on_object_world=trajectory.wrench_on_object_world + wrench)
 
 
 def _pull(velocity: np.ndarray, ellipse: np.ndarray) -> np.ndarray:

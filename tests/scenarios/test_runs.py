@@ -20,12 +20,12 @@ from estimators.registry import METHODS
 from scenarios.cli.main import main
 from scenarios.config import Scenario, load_scenario
 from scenarios.execution.executor import InlineExecutor
-from scenarios.results.files import LOCK, FolderInUseError, exclusive, read_json
+from scenarios.results.files import LOCK, FolderInUseError, exclusive, read_json, write_json
 from scenarios.results.store import Store, rows_of
 from scenarios.study import run as study
 from scenarios.study import trials
 from scenarios.study.experiment import experiments_of
-from scenarios.study.run import check_nothing_lost, run_scenario
+from scenarios.study.run import check_nothing_lost, manifest, run_scenario
 from scenarios.views import finished as views
 from testbed.errors import InfeasibleTrialError, InvalidValueError
 from tests.fakes.misbehaving import Misbehaving
@@ -161,6 +161,15 @@ def test_a_folder_of_another_run_is_not_written_over(finished, change: dict[str,
     with pytest.raises(InvalidValueError, match=rf"results of another run \({field}\)") as refused:
         check_nothing_lost(finished.out, asked)
     assert refused.value.field == "--out"
+
+
+def test_results_of_object_files_go_on_in_another_checkout(tmp_path):
+    asked = load_scenario("blocks")[1].model_copy(update={"objects": ["/there/hammer.toml", "L2"]})
+    tmp_path.joinpath("results.parquet").touch()
+    write_json(tmp_path / "manifest.json", manifest(asked, "secret"))
+    check_nothing_lost(tmp_path, asked.model_copy(update={"objects": ["L2", "/here/hammer.toml", "F1"]}))
+    with pytest.raises(InvalidValueError, match=r"results of another run \(objects\)"):
+        check_nothing_lost(tmp_path, asked.model_copy(update={"objects": ["L2", "/here/mallet.toml"]}))
 
 
 @pytest.mark.slow

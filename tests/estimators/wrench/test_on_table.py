@@ -27,7 +27,8 @@ from testbed.actions.slide import Slide
 from testbed.objects.faces import faces
 from testbed.objects.model import GRAVITY, ObjectModel
 from testbed.trajectory import Trajectory
-from tests.fakes.flawed_bench import held_beside, on_anisotropic_table
+from testbed.worlds.setup_errors import SetupErrors
+from tests.fakes.flawed_bench import held_beside, on_anisotropic_table, on_plastic
 
 OBJECT, CHAIN = drawn_object(0), drawn_chain(1)
 BESIDE, BETWEEN = (0.01, 0.015), np.array([0.004, 0.003])
@@ -76,6 +77,27 @@ def test_the_wrench_of_given_masses_is_that_of_coulomb_and_newton(obj, trials, w
     records = trials()
     measured = windows_of(obj, records).wrench.abs().amax(0).clamp(min=0.1).numpy()
     assert (np.abs(missing(obj, records)) <= within * measured).all()
+
+
+def test_friction_that_no_unknown_names_is_that_of_all_points():
+    trials = [replace(trial, setup=SetupErrors(contact_points=4)) for trial in turns(OBJECT)]
+    table, truth = at_truth(OBJECT, windows_of(OBJECT, trials))
+    truth |= {"anisotropy": torch.tensor([0.1, 0.05]), "friction_law": torch.tensor([0.0, 0.0, 0.1])}
+    assert table.points.shape[1] > 1
+    assert_allclose(table.rows(truth), table.rows(truth | zeros(friction=table.points.shape[:2])), rtol=1e-12)
+
+
+@pytest.mark.parametrize("departure", np.diag([0.1, 0.2, 0.15]), ids=["along", "across", "around"])
+@pytest.mark.parametrize(
+    "trials",
+    [lambda: turns(OBJECT), lambda: accelerated(OBJECT), lambda: steady_pushes(OBJECT, CENTERS)],
+    ids=["turns", "accelerated", "pushes"],
+)
+def test_friction_that_departs_from_coulombs_law_adds_its_own_wrench(trials, departure):
+    windows = windows_of(OBJECT, [on_plastic(OBJECT, each, departure) for each in trials()])
+    table, truth = at_truth(OBJECT, windows)
+    found = table.rows(truth | {"friction_law": torch.tensor(departure)})
+    assert_allclose(found[:, :3], windows.wrench, atol=1e-7 * float(windows.wrench.abs().max()))
 
 
 @pytest.mark.parametrize(

@@ -255,11 +255,18 @@ def test_a_setup_is_stated_by_the_name_of_a_world_and_by_its_own_errors():
     assert stated_setup({"preset": "ideal"}).none
     assert stated_setup({"gain": 0.03}) == replace(UNSTATED, gain=0.03)  # errors that are not stated are not zero
     for name, size in asdict(UNSTATED).items():
-        assert 0 < size < getattr(world("lab").stated, name) or name == "contact_points"
+        assert size > 0
+        assert size < getattr(world("lab").stated, name) or name in ("contact_points", "friction_law")
     with pytest.raises(InvalidValueError, match="grasp_offset"):
         stated_setup({"grasp_ofset": 0.001})
     with pytest.raises(InvalidValueError, match="got 1e-09; allowed: one of ideal, lab"):
         stated_setup({"preset": 1e-9})
+
+
+def test_no_world_draws_friction_that_is_not_coulombs():
+    assert "friction_law" not in QUANTITIES
+    with pytest.raises(InvalidValueError, match=r"World\.friction_law: got 0\.1; allowed: 0"):
+        World(friction_law=0.1)
 
 
 def test_every_quantity_is_of_one_source_that_may_err_alone():

@@ -177,12 +177,13 @@ def show_main_table(console: Console, scenario: Scenario, results: Sequence[Row]
     """Print NAD by object where that fits on a screen, else its median over objects; the report has all else."""
     from estimators.evaluation.statistics import FEWEST
     from viz.report.tables import NAD, metric_table, overview, points_of
-    from viz.report.terminal import rich_table
+    from viz.report.terminal import fits, rich_table
 
     each = [] if _many(results) else _settings(scenario, results)
     tables = [metric_table(rows, NAD, f"{NAD.title}: {setting}") for setting, rows in each]
     drawn = any(cell.interval for table in tables for _, cells in table.rows for cell in cells)
-    if not tables or sum(FRAME + (1 + drawn) * len(table.rows) for table in tables) > SCREEN:
+    whole = all(fits(table, console) for table in tables)
+    if not (tables and whole) or sum(FRAME + (1 + drawn) * len(table.rows) for table in tables) > SCREEN:
         tables, drawn = [overview(points_of([row for row in results if row["method"]]))], False
     for table in tables:
         console.print(rich_table(table))

@@ -176,7 +176,7 @@ def of_answer(name: str, answer: Estimate) -> Frozen:
 
 SWEEPS: dict[str, dict[str, object]] = {
     "blocks": {"objects": ["I2"], "support": ["own_weight"], "seeds": 1},
-    "lab": {"objects": ["L2"], "support": ["own_weight"], "seeds": 1},
+    "lab_fixed": {"objects": ["L2"], "support": ["own_weight"], "seeds": 1},
     "push": {"random": [], "sensing": ["ft300s"], "seeds": 1, "sweep": Sweep()},
     "articulated": {"sensing": ["ft300s"], "seeds": 1},
 }

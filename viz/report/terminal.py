@@ -18,6 +18,12 @@ def rich_table(table: Table) -> ConsoleRenderable:
     return _Fitted(table)
 
 
+def fits(table: Table, console: Console) -> bool:
+    """True if a console has room for all columns of a table side by side."""
+    unbounded = console.options.update(width=10_000)
+    return console.measure(_drawn(table), options=unbounded).maximum <= console.width
+
+
 @dataclass(frozen=True)
 class _Fitted:
     """A table that fits the console."""

@@ -224,10 +224,14 @@ class Posterior:
         return float(sum(torch.linalg.slogdet(block)[1].sum() for at in self._at_optimum for _, block in at.blocks))
 
     @property
+    def deviance(self) -> float:
+        """-2 times the logarithm of the probability density of rows and unknowns, up to a constant."""
+        return float(self.optimum.residual.square().sum() + self.optimum.z.square().sum()) + self._log_determinant
+
+    @property
     def log_evidence(self) -> float:
         """Log of the probability density of all rows, up to a constant, by Laplace's approximation."""
-        square = self.optimum.residual.square().sum() + self.optimum.z.square().sum()
-        return -float(square + torch.linalg.slogdet(self._precision)[1] + self._log_determinant) / 2
+        return -(self.deviance + float(torch.linalg.slogdet(self._precision)[1])) / 2
 
     @property
     def log_evidence_to_scale(self) -> float:

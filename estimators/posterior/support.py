@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Literal
 
 import torch
@@ -48,8 +48,6 @@ class SupportTest:
     """Standard error of that share; about 1 where nothing shows it."""
     shared: Posterior | None = None
     """Posterior with springs between the groups, where neither model holds and springs explain the trials."""
-    explained: bool = False
-    """True if the likelier model explains the trials, though the share differs from its own."""
 
     @property
     def violated(self) -> bool:
@@ -72,9 +70,6 @@ class SupportTest:
         }
         if self.shared is not None:
             sentences["between"] = "the weight is spread as by springs between the groups"
-        elif self.explained:
-            end = "one rigid body" if self.log10_bayes_factor < -DECISIVE else "own weight"
-            sentences["between"] = f"the weight is spread nearly, but not quite, as under {end}"
         part = f"rigid to {100 * self.rigid_share:.0f} +- {100 * self.rigid_share_error:.2g} %"
         return f"{sentences[self.kind]} (Bayes factor 10^{self.log10_bayes_factor:.1f} for own weight; {part})"
 
@@ -92,7 +87,8 @@ def support_test(
     The Bayes factor takes the errors of the model that one rigid body has for both, up to a common factor: neither wins
     by its exactness.
     Beforehand an object is as likely of one material throughout as of any masses. Then springs between the groups are
-    fitted from the likelier model on: where their share differs from its own, neither holds.
+    fitted from the likelier model on: where their share differs from its own and they are decisively likelier, neither
+    holds.
 
     Args:
         shape: geometry and groups.
@@ -109,43 +105,57 @@ def support_test(
     start, errors = min(end, STIFF), ERRORS[likelier]
     sprung = posterior_of(shape, weight, trajectories, "springs", errors=errors, near=near, rigid_share=start)
     assert sprung is not None
-    share, error = (float(value) for value in sprung.of("rigid_share"))
-    refuted = 2 * norm.sf(abs(share - end) / error) < level
+    share, error = _share(sprung, near, end)
+    refuted = 2 * norm.sf(abs(share - end) / error) < level and (end == 0 or abs(share - end) > NEARLY)
+    shared = _springs(shape, weight, trajectories, (alike, rigid), near, sprung) if refuted else None
+    if shared is not None:
+        return SupportTest("between", bayes, *_share(shared), shared)
     if likelier == "rigid":
-        kind = "between" if rigid.misfit > MAX_MISFIT or (refuted and abs(share - end) > NEARLY) else "rigid"
+        kind = "between" if rigid.misfit > MAX_MISFIT else "rigid"
+    elif refuted and not near.explained.explains:
+        kind = "between"
     else:
-        kind = "between" if refuted else "own_weight" if bayes > DECISIVE else "undecided"
-    test = SupportTest(kind, bayes, share, error, explained=near.explained.explains)
-    return test if test.kind != "between" else _between(test, shape, weight, trajectories, (alike, rigid), near, sprung)
+        kind = "own_weight" if bayes > DECISIVE else "undecided"
+    return SupportTest(kind, bayes, share, error)
 
 
-def _between(
-    test: SupportTest,
+def _share(sprung: Posterior, near: Posterior | None = None, end: float = 0.0) -> tuple[float, float]:
+    """Share of springs and its standard error.
+
+    The error is no smaller than the likelihood ratio to an end allows, where its posterior is given: far from an end
+    the share trades against errors of the setup, and the curvature at its optimum is too large.
+    """
+    share, error = (float(value) for value in sprung.of("rigid_share"))
+    if near is None:
+        return share, error
+    prior = float(sprung.optimum.z[sprung.unknowns.at["rigid_share"]].square())
+    gained = near.deviance - (sprung.deviance - prior)
+    return share, max(error, abs(share - end) / math.sqrt(max(gained, 1.0)))
+
+
+def _springs(
     shape: ObjectShape,
     weight: float,
     trajectories: Sequence[Trajectory],
-    near: tuple[Posterior, Posterior],
+    ends: tuple[Posterior, Posterior],
     likelier: Posterior,
     sprung: Posterior,
-) -> SupportTest:
-    """Test with the posterior of springs between the groups, where they explain the trials.
+) -> Posterior | None:
+    """Posterior of springs between the groups, where they explain the trials; None where they do not.
 
     Those of the test itself, with the errors of the likelier model; stiff ones with the errors of one rigid body. Only
     if they are decisively likelier than either model alone with the same errors.
     """
     shared, alone = sprung, likelier
-    if not sprung.explained.explains or test.rigid_share > STIFF / 2:
-        starts = zip(near, (STIFF / 2, STIFF), strict=True)
+    if not sprung.explained.explains or float(sprung.of("rigid_share")[0]) > STIFF / 2:
+        starts = zip(ends, (STIFF / 2, STIFF), strict=True)
         fits = [
             posterior_of(shape, weight, trajectories, "springs", near=each, rigid_share=share) for each, share in starts
         ]
         shared = max(filter(None, fits), key=lambda fit: fit.log_evidence_to_scale)
-        alone = max(near, key=lambda fit: fit.log_evidence_to_scale)
+        alone = max(ends, key=lambda fit: fit.log_evidence_to_scale)
     gained = shared.log_evidence_to_scale - alone.log_evidence_to_scale
-    if not shared.explained.explains or gained < DECISIVE * math.log(10):
-        return test
-    share, error = (float(value) for value in shared.of("rigid_share"))
-    return replace(test, rigid_share=share, rigid_share_error=error, shared=shared)
+    return shared if shared.explained.explains and gained > DECISIVE * math.log(10) else None
 
 
 def _log_evidence(posterior: Posterior, shape: ObjectShape, weight: float) -> float:

@@ -15,7 +15,7 @@ from testbed.actions.base import Action
 from testbed.frames import rotation_2d
 from testbed.objects.model import GRAVITY, Grasp, ObjectModel
 from testbed.worlds.feet import LEAST_FRICTION, Feet
-from testbed.worlds.presets import World
+from testbed.worlds.presets import QUANTITIES, World
 from testbed.worlds.seeds import new_secret, seed_of
 from testbed.worlds.setup_errors import PARAMETERS
 from testbed.worlds.surface import Surface
@@ -59,7 +59,8 @@ class WorldDraw:
         """All that decides the errors of an object's trials, as plain data: a kind that it cannot have is left out."""
         shape, content = model.shape, asdict(self)
         sized = {name: described.sized(shape.n_m, len(shape.feet)) for name, described in PARAMETERS.items()}
-        content["world"] = {name: size for name, size in content["world"].items() if 0 not in sized.get(name, ())}
+        drawn = {name: size for name, size in content["world"].items() if name in {"name", *QUANTITIES}}
+        content["world"] = {name: size for name, size in drawn.items() if 0 not in sized.get(name, ())}
         return content
 
     def rng(self, quantity: str, action: Action | None = None) -> np.random.Generator:

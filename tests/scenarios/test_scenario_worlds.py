@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from pydantic import ValidationError
 
-from scenarios.config import Scenario, WorldTable
+from scenarios.config import Scenario, WorldTable, load_scenario
 from scenarios.policies import Policy
 from scenarios.results.store import Store, key_of, trial_request
 from scenarios.results.trials import sensed_trials
@@ -100,3 +100,11 @@ def test_a_command_line_names_the_world():
     assert changed.world.build() == replace(world("rough"), gain=0.0)
     with pytest.raises(InvalidValueError, match="ideal, lab, rough"):
         short().changed(world="rouhg")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["L1", "hammer"])
+def test_own_weight_in_a_lab_is_not_taken_for_another_support(name, tmp_path):
+    asked = load_scenario("lab_fixed")[1].changed(objects=[name], methods=["support_aware"])
+    rows = run_scenario(asked, tmp_path, 2, quiet, secret="calibration")
+    assert set(rows["status"]) <= {"ok", "underdetermined"}

@@ -267,6 +267,7 @@ def test_no_world_draws_friction_that_is_not_coulombs():
     assert "friction_law" not in QUANTITIES
     with pytest.raises(InvalidValueError, match=r"World\.friction_law: got 0\.1; allowed: 0"):
         World(friction_law=0.1)
+    assert "friction_law" not in alone().request(L2)["world"]  # trials of earlier versions keep their names
 
 
 def test_every_quantity_is_of_one_source_that_may_err_alone():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Sequence
 from copy import deepcopy
@@ -166,10 +167,13 @@ class Sweep(Strict):
     axes: dict[str, Annotated[list[Any], Field(min_length=1)]] = {}
 
     @model_validator(mode="after")
-    def _same_length(self) -> Self:
+    def _sound(self) -> Self:
         if self.mode == "zip" and len({len(values) for values in self.axes.values()}) > 1:
             lengths = {name: len(values) for name, values in self.axes.items()}
             raise InvalidValueError("sweep.axes", lengths, "equally many values on every axis, to go side by side")
+        points = [json.dumps(point, sort_keys=True, default=str) for point in self.points()]
+        if len(set(points)) < len(points):
+            raise InvalidValueError("sweep.axes", self.axes, "points that differ: no value twice")
         return self
 
     def points(self) -> list[dict[str, Any]]:

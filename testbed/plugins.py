@@ -20,12 +20,17 @@ from functools import lru_cache
 from importlib.metadata import entry_points
 from pathlib import Path
 from traceback import extract_tb
-from typing import Any, Generic, TypeVar
+from types import NoneType, UnionType
+from typing import Any, Generic, Literal, TypeVar, Union, get_args, get_origin
+
+from pydantic import TypeAdapter, ValidationError
 
 from testbed.errors import HeftError, InvalidValueError, nearest
 from testbed.trial import TrialRunner
+from testbed.validation import arguments_of
 
 T = TypeVar("T")
+_PLAIN = (bool, int, float, str, NoneType)
 _PATH = re.compile(r"[^\W\d]\w*(\.[^\W\d]\w*)*:[^\W\d]\w*")
 
 
@@ -157,12 +162,27 @@ def configured(
         raise InvalidValueError(field, ", ".join(unknown), allowed)
     if missing := [a.name for a in arguments if a.name in known and a.default is a.empty and a.name not in settings]:
         raise InvalidValueError(field, dict(settings), f"settings {', '.join(missing)} as well: they have no default")
+    annotations = arguments_of(kind)[0]
+    for name, value in settings.items():
+        if name in annotations:
+            _check_type(field, name, annotations[name][0], value)
     try:
         return kind(**{key: tuple(v) if isinstance(v, list) else v for key, v in settings.items()}, **filled)
     except InvalidValueError:
         raise
     except (TypeError, ValueError) as error:  # a table where a number belongs
         raise InvalidValueError(field, dict(settings), f"values of the settings' types ({error})") from None
+
+
+def _check_type(field: str, name: str, annotation: Any, value: object) -> None:
+    """Check a setting whose annotation is a number, a text, a bool or one of some words, or None beside them."""
+    parts = get_args(annotation) if get_origin(annotation) in (Union, UnionType) else (annotation,)
+    if all(part in _PLAIN or get_origin(part) is Literal for part in parts):
+        try:
+            TypeAdapter(annotation).validate_python(value, strict=True)
+        except ValidationError as error:
+            types = "; ".join(each["msg"].removeprefix("Input should be ") for each in error.errors())
+            raise InvalidValueError(field, {name: value}, f"values of the settings' types ({name}: {types})") from None
 
 
 def settings_of(kind: Callable[..., Any]) -> list[str]:
@@ -246,6 +266,8 @@ def _breach(kind: Any, role: Role[Any]) -> str:
         method = getattr(kind, name, None)
         if not callable(method):
             return f"{kind.__name__} has no {name}"
+        if inspect.iscoroutinefunction(method):
+            return f"{kind.__name__} has an async {name}, for which nothing waits"
         try:
             inspect.signature(method).bind(*[None] * (call.count(",") + 1))
         except TypeError:

@@ -137,6 +137,7 @@ def _explain(item: dict[str, Any], model: type[BaseModel]) -> str:
     cause = (item.get("ctx") or {}).get("error")
     if isinstance(cause, InvalidValueError):
         name = f"{field}.{cause.field}".removeprefix("file.") if cause.field not in field else field
+        name = name.removeprefix(f"{field}.") if cause.field.startswith(f"{field}.") else name
         return f"{short(name, str)}: got {short(cause.given)}; allowed: {cause.allowed}"
     if item["type"] == "missing":
         return f"{field}: missing"
@@ -145,6 +146,8 @@ def _explain(item: dict[str, Any], model: type[BaseModel]) -> str:
         hint = nearest(str(name), _known_fields(model, path), 0.6)
         return f"{short(field, str)}: no such field; got {short(item['input'])}{hint}"
     allowed = item["msg"].removeprefix("Input should be ")
+    if item["type"] == "string_pattern_mismatch":  # every pattern is that of a name of a folder
+        allowed = "letters, digits and any of _ . -, without spaces"
     if item["type"] == "list_type" and isinstance(item["input"], str | int | float):
         allowed = f"a list: {json.dumps([item['input']])}"
     return f"{short(field, str)}: got {short(item['input'])}; allowed: {allowed}"

@@ -15,7 +15,7 @@ import inspect
 import math
 import sys
 from collections import ChainMap
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from types import NoneType, UnionType
@@ -169,7 +169,7 @@ def check_settings(kind: type, values: Mapping[str, Any], field: str, skip: Coll
     Raises:
         InvalidValueError: a number outside its range, or without a stated range; a value of another shape.
     """
-    arguments, others = _arguments(kind)
+    arguments, others = arguments_of(kind)
     extra = {} if others is None else {name: others for name in values if name not in arguments}
     for name, (annotation, default) in (arguments | extra).items():
         if name in skip and name not in values:
@@ -186,9 +186,10 @@ _LISTS = (list, tuple, Sequence)
 
 
 @lru_cache
-def _arguments(kind: type) -> tuple[dict[str, tuple[Any, Any]], tuple[Any, Any] | None]:
+def arguments_of(kind: Callable[..., Any]) -> tuple[dict[str, tuple[Any, Any]], tuple[Any, Any] | None]:
     """Annotation and default of each argument by name, and of arguments by any name if the class takes them."""
-    names = ChainMap(*(vars(sys.modules[base.__module__]) for base in kind.__mro__))
+    bases = inspect.getmro(kind) if inspect.isclass(kind) else (kind,)
+    names = ChainMap(*(vars(sys.modules[base.__module__]) for base in bases))
     found, others = {}, None
     for argument in inspect.signature(kind).parameters.values():
         annotation = argument.annotation

@@ -89,6 +89,10 @@ class Deaf:
 class Mute:
     pass
 
+class Later:
+    async def estimate(self, shape, weight, trajectories, seed):
+        return None
+
 def function(shape):
     return shape
 '''
@@ -146,6 +150,9 @@ REFUSED = [
     (METHOD.format("of_user:Mute"), "Mute has no estimate"),
     (METHOD.format("of_user:Deaf"), r"Deaf has estimate\(self, data\)"),
     (METHOD.format("of_user:function"), "this is a function"),
+    (METHOD.format("of_user:Later"), "Later has an async estimate"),
+    ("[sweep.axes]\n\"grid.feet\" = [3, 4, 3]", r"sweep\.axes: .*no value twice"),
+    ('[[random]]\nname = "my objects"\ncount = 1', "letters, digits and any of _ . -"),
     (METHOD.format("estimators.baselines.base:Baseline"), "Baseline is abstract"),
     ('[policy]\nkind = "gredy"', r"policy\.kind: .*nearest: greedy"),
     ('[policy]\nkind = "of_user:Outermst"', "nearest: Outermost"),
@@ -172,12 +179,16 @@ def test_what_is_wrong_in_a_scenario_is_refused_before_anything_runs(table, reas
         ("Even", {"fricton": 0.3}, "nearest: friction"),
         ("Even", {"friction": 3.0}, "friction is not from 0 to 2"),
         ("Even", {"friction": {}}, "types"),
+        ("Even", {"friction": "high"}, r"types \(friction: a valid number\)"),
+        ("Outermost", {"turns": 2.5}, r"types \(turns: a valid integer\)"),
+        ("Outermost", {"turns": True}, r"types \(turns: a valid integer\)"),
         ("Needy", {}, "settings path as well"),
     ],
 )
 def test_a_wrong_setting_of_a_method_is_refused(name, settings, reason):
+    role = POLICY if name == "Outermost" else ESTIMATOR
     with pytest.raises(InvalidValueError, match=reason) as raised:
-        configured(load_class(f"of_user:{name}", ESTIMATOR, "mine"), settings, "mine")
+        configured(load_class(f"of_user:{name}", role, "mine"), settings, "mine")
     assert raised.value.field == "mine"
     with pytest.raises(InvalidValueError, match="this is a function"):
         check_code(Scenario(objects=["I1"]).changed(methods=("of_user:function",)))

@@ -65,7 +65,7 @@ class SupportTest:
         sentences = {
             "own_weight": "every group rests on its own weight",
             "rigid": "the weight is spread as under one rigid body, not group by group",
-            "between": "neither own weight nor one rigid body explains the wrenches: check the shape and each trial",
+            "between": "the weight is spread neither group by group nor as under one rigid body: check the trials",
             "undecided": "own weight and one rigid body cannot be told apart: the wrenches are alike under both",
         }
         if self.shared is not None:
@@ -87,8 +87,7 @@ def support_test(
     The Bayes factor takes the errors of the model that one rigid body has for both, up to a common factor: neither wins
     by its exactness.
     Beforehand an object is as likely of one material throughout as of any masses. Then springs between the groups are
-    fitted from the likelier model on: where their share differs from its own and they are decisively likelier, neither
-    holds.
+    fitted from the likelier model on: where their share differs from its own, neither holds.
 
     Args:
         shape: geometry and groups.
@@ -110,10 +109,10 @@ def support_test(
     shared = _springs(shape, weight, trajectories, (alike, rigid), near, sprung) if refuted else None
     if shared is not None:
         return SupportTest("between", bayes, *_share(shared), shared)
-    if likelier == "rigid":
-        kind = "between" if rigid.misfit > MAX_MISFIT else "rigid"
-    elif refuted and not near.explained.explains:
+    if refuted or (likelier == "rigid" and rigid.misfit > MAX_MISFIT):
         kind = "between"
+    elif likelier == "rigid":
+        kind = "rigid"
     else:
         kind = "own_weight" if bayes > DECISIVE else "undecided"
     return SupportTest(kind, bayes, share, error)
@@ -144,7 +143,7 @@ def _springs(
     """Posterior of springs between the groups, where they explain the trials; None where they do not.
 
     Those of the test itself, with the errors of the likelier model; stiff ones with the errors of one rigid body. Only
-    if they are decisively likelier than either model alone with the same errors.
+    if they are decisively likelier than either model alone with the same errors, at a share that springs can have.
     """
     shared, alone = sprung, likelier
     if not sprung.explained.explains or float(sprung.of("rigid_share")[0]) > STIFF / 2:
@@ -155,7 +154,8 @@ def _springs(
         shared = max(filter(None, fits), key=lambda fit: fit.log_evidence_to_scale)
         alone = max(ends, key=lambda fit: fit.log_evidence_to_scale)
     gained = shared.log_evidence_to_scale - alone.log_evidence_to_scale
-    return shared if shared.explained.explains and gained > DECISIVE * math.log(10) else None
+    possible = float(shared.of("rigid_share")[0]) > -NEARLY
+    return shared if possible and shared.explained.explains and gained > DECISIVE * math.log(10) else None
 
 
 def _log_evidence(posterior: Posterior, shape: ObjectShape, weight: float) -> float:

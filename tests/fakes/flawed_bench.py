@@ -73,7 +73,7 @@ def on_anisotropic_table(
     return replace(trajectory, wrench_on_object_world=wrench)
 
 
-def on_plastic(obj: ObjectModel, trajectory: Trajectory, departure: object) -> Trajectory:
+def on_plastic(obj: ObjectModel, trajectory: Trajectory, departure: np.ndarray) -> Trajectory:
     """The trial with friction that departs from Coulomb's law, the gripper or the fingertip unloaded.
 
     Args:

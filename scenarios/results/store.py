@@ -8,6 +8,7 @@ results/<scenario>/manifest.json
                                    error.txt                      or why there is none
                    objects/<key>/<name>.toml                      drawn objects
                    notes/<key>.json                               what would take long to work out again
+                         <method>.log                             what a method of another package printed
                    results.parquet                                derived from the above
 """
 
@@ -169,6 +170,10 @@ class Store:
     def put_note(self, key: str, data: dict[str, Any]) -> None:
         """Keep something that would take long to work out again."""
         write_json(inside(self.root, "notes", f"{key}.json"), data)
+
+    def log(self, method: str) -> Path:
+        """File for what a method of another package prints."""
+        return inside(self.root, "notes", f"{method}.log")
 
     def put_object(self, path: Path, file: ObjectFile) -> None:
         """Write a drawn object as a file that a user can take."""

@@ -5,9 +5,11 @@ from __future__ import annotations
 import math
 from collections import Counter, deque
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, nullcontext, redirect_stderr, redirect_stdout
 from dataclasses import dataclass, field
 from functools import lru_cache, partial
 from importlib.metadata import version
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,7 +18,7 @@ from estimators.base import Estimate
 from estimators.evaluation.judged import judged
 from estimators.evaluation.metrics import hinge_columns, mean_particle_distance, normalized_absolute_difference
 from estimators.evaluation.statistics import axis_columns
-from estimators.registry import build_method, code_of, estimates_many, kind_of
+from estimators.registry import METHODS, build_method, code_of, estimates_many, kind_of
 from estimators.wrench.support import LOADS
 from scenarios.execution.executor import Executor, Failure
 from scenarios.results.files import tally
@@ -248,11 +250,20 @@ def estimate(draws: Sequence[tuple[EstimateTask, int, str]], store: Store) -> No
     """Worker's task: the estimates of some draws of one object by one method: task, seed and content key of each."""
     trials = [sensed_trials(store, task.keys + task.held_out, task.sensing, seed) for task, seed, _ in draws]
     seen = [drawn[: len(task.keys)] for drawn, (task, _, _) in zip(trials, draws, strict=True)]
-    answers = _answers(draws[0][0], seen, [seed for _, seed, _ in draws])
+    task = draws[0][0]
+    with nullcontext() if task.kind in METHODS else _printing_into(store.log(task.method)):
+        answers = _answers(task, seen, [seed for _, seed, _ in draws])
     for (task, seed, key), drawn, given, answer in zip(draws, trials, seen, answers, strict=True):
         labels = task.labels() | {"trial_keys": list(task.keys), "held_out_keys": list(task.held_out)}
         judged = judge(task.truth, answer, given, drawn[len(given) :], task.true_support)
         store.put_estimate(key, {"seed": seed} | labels | judged, answer, task.truth.shape)
+
+
+@contextmanager
+def _printing_into(path: Path) -> Iterator[None]:
+    """Output of another package's code into the end of a file: not among the tables, and kept in a crash."""
+    with path.open("a", encoding="utf-8", buffering=1) as log, redirect_stdout(log), redirect_stderr(log):
+        yield
 
 
 def _answers(task: EstimateTask, seen: list[list[Trajectory]], seeds: list[int]) -> list[Estimate]:

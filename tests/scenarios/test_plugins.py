@@ -43,6 +43,7 @@ class Even:
         if not 0 < self.friction < 2:
             raise ValueError("friction is not from 0 to 2")
     def estimate(self, shape, weight, trajectories, seed):
+        print("even as ever")
         mass = np.full(shape.n_m, weight / len(shape.particles))
         return Estimate(MassDistribution(mass, np.full(shape.n_mu, self.friction)), "ok", seconds=1e-3)
 
@@ -151,7 +152,7 @@ REFUSED = [
     (METHOD.format("of_user:Deaf"), r"Deaf has estimate\(self, data\)"),
     (METHOD.format("of_user:function"), "this is a function"),
     (METHOD.format("of_user:Later"), "Later has an async estimate"),
-    ("[sweep.axes]\n\"grid.feet\" = [3, 4, 3]", r"sweep\.axes: .*no value twice"),
+    ('[sweep.axes]\n"grid.feet" = [3, 4, 3]', r"sweep\.axes: .*no value twice"),
     ('[[random]]\nname = "my objects"\ncount = 1', "letters, digits and any of _ . -"),
     (METHOD.format("estimators.baselines.base:Baseline"), "Baseline is abstract"),
     ('[policy]\nkind = "gredy"', r"policy\.kind: .*nearest: greedy"),
@@ -186,7 +187,7 @@ def test_what_is_wrong_in_a_scenario_is_refused_before_anything_runs(table, reas
     ],
 )
 def test_a_wrong_setting_of_a_method_is_refused(name, settings, reason):
-    role = POLICY if name == "Outermost" else ESTIMATOR
+    role: Any = POLICY if name == "Outermost" else ESTIMATOR
     with pytest.raises(InvalidValueError, match=reason) as raised:
         configured(load_class(f"of_user:{name}", role, "mine"), settings, "mine")
     assert raised.value.field == "mine"
@@ -284,4 +285,6 @@ def test_worker_processes_run_policies_and_methods_of_the_current_folder(here, c
         kept = read_json(here / "out" / "estimates" / row["key"] / "result.json")
         made[row["axis.policy.kind"]] = Counter(kept["trial_keys"]).total() - 1 if kept else 0
     assert (made["of_user:Outermost"], made["of_user:Endless"]) == (2, 3) and made["reversed_pairs"] >= 2
-    assert "report: out" in capsys.readouterr().out
+    shown = capsys.readouterr()
+    assert "report: out" in shown.out and "even as ever" not in shown.out + shown.err
+    assert "even as ever" in (here / "out" / "notes" / "mine.log").read_text(encoding="utf-8")

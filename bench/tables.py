@@ -3,7 +3,9 @@
 Writes every table whose run is in RESULTS (results/ if left out) between its marks in the page. By these secrets the
 runs come again:
     heft run blocks --secret readme            README.md, docs/baselines.md
-    heft run lab --secret readme               README.md
+    heft run lab --secret readme               README.md, docs/planning.md
+    heft run lab_fixed --secret readme         docs/planning.md
+    heft run lab_pads --secret readme          docs/planning.md
     heft run budget --secret docs              docs/worlds.md
     heft run trust --secret docs               docs/support.md
     heft run support --secret docs             docs/support.md
@@ -19,7 +21,7 @@ from __future__ import annotations
 import csv
 import math
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from io import StringIO
 from pathlib import Path
@@ -59,6 +61,10 @@ METHODS = {
     },
 }
 """Rows of the README's table of each run, and what stands behind their names."""
+LABS = {"lab_fixed": "turns about the grasps", "lab": "planned", "lab_pads": "planned, on pads"}
+"""Runs in a lab, and what stands for them in a table."""
+PADS = "_on_pads"
+"""Ending of the name of an object on printed pads."""
 SEARCHES = "weighted_sampling_M", "random_search_M"
 SHOWN_SUPPORT = "own_weight"
 
@@ -191,6 +197,23 @@ def budget_table(results: Sequence[Any]) -> str:
     return markdown(lines)
 
 
+def labs_table(runs: Mapping[str, Sequence[Any]]) -> str:
+    """Trials of the objects of blocks in a lab, by run: mean NAD, claims and the robot's time."""
+    methods = ("bayes", "hidden_states", "least_squares", "hidden_states_published")
+    lines = [["trials", "method", "NAD, mean", "error / claimed", "90 % hold", "silent", "robot, s"]]
+    blocks = [name.removesuffix(PADS) for name in objects_of(runs["lab_pads"])]
+    for run, title in LABS.items():
+        for method in methods:
+            rows = [row for row in select(runs[run], method=method) if row["object"].removesuffix(PADS) in blocks]
+            claims, claimed = Claims.of(rows), ["", "", ""]
+            if claims is not None:
+                silent = f"{claims.silent * len(rows):.0f} of {len(rows)}"
+                claimed = [f"{claims.ratio:.2f}", f"{100 * claims.held:.0f} %", silent]
+            time = f"{fmean(row['robot_s'] for row in rows):.0f}"
+            lines.append([title if method == methods[0] else "", f"`{method}`", nad_of(rows), *claimed, time])
+    return markdown(lines)
+
+
 def trust_table(results: Sequence[Any]) -> str:
     """Methods that test the support, under both: mean NAD, FT-300S and perfect sensor."""
     names, labels = objects_of(results), {"own_weight": "own weight", "rigid": "rigid"}
@@ -281,6 +304,8 @@ def main(results: Path) -> None:
             readme = replaced(readme, name, readme_table(name, figures))
         (ROOT / "README.md").write_text(readme, encoding="utf-8")
         put("baselines", "blocks", printed_table(results / "blocks"))
+    if all((results / name).is_dir() for name in LABS):
+        put("planning", "labs", labs_table({name: rows_of(load_results(results / name)) for name in LABS}))
     for name, (page, table) in PAGES.items():
         if (results / name / "results.parquet").is_file():
             put(page, name, table(rows_of(load_results(results / name))))

@@ -115,6 +115,13 @@ def test_the_share_of_springs_in_the_loads_is_found_within_its_error(share):
     assert abs(test.rigid_share - share) < 2.5 * test.rigid_share_error < 0.5
 
 
+def test_springs_that_push_groups_apart_refuse_own_weight_and_are_no_answer():
+    obj = drawn_object(5)
+    test = decided(obj, data(obj, rigid=False, springs=-0.2 / mean_work(obj)))
+    assert test.violated and test.shared is None
+    assert test.rigid_share < -3 * test.rigid_share_error
+
+
 @pytest.mark.parametrize("seed", [0, *also_slow(1, 2)])
 def test_own_weight_is_answered_as_by_the_posterior(seed):
     obj = drawn_object(seed)

@@ -262,6 +262,7 @@ def estimate(draws: Sequence[tuple[EstimateTask, int, str]], store: Store) -> No
 @contextmanager
 def _printing_into(path: Path) -> Iterator[None]:
     """Output of another package's code into the end of a file: not among the tables, and kept in a crash."""
+    path.parent.mkdir(exist_ok=True)
     with path.open("a", encoding="utf-8", buffering=1) as log, redirect_stdout(log), redirect_stderr(log):
         yield
 

@@ -4,10 +4,10 @@ Objects of four to eight blocks, 30 to 60 mm, 0.05 to 0.8 kg, friction 0.15 to 0
 Coulomb world of its own contact points, offsets, frictions and sensor errors, drawn anew for each object; in `plastic`
 friction departs from Coulomb's law by 10 %. Six turns there and back and six accelerated ones. A row a kind of contact:
 methods know the spreads of the errors, never the draw. NAD is the median over all answers in percent; then the root
-mean square of error over claimed error, the 90 %
-intervals that hold the truth and their median width as a part of the object's mass, the answers with status ok, and
-those of them with a group off by more than three times its claimed error. In brackets 95 % intervals, by a bootstrap
-over objects, and for the silent ones the exact upper bound. Below, the methods paired on the same trials.
+mean square of error over claimed error, the 90 % intervals that hold the truth and their median width as a part of the
+object's mass, the answers with status ok, and those of them with a group off by more than three times its claimed
+error. In brackets 95 % intervals, by a bootstrap over objects, and for the silent ones the exact upper bound. Below,
+the methods paired on the same trials.
 """
 
 from __future__ import annotations

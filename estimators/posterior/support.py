@@ -108,7 +108,8 @@ def support_test(
     refuted = 2 * norm.sf(abs(share - end) / error) < level and (end == 0 or abs(share - end) > NEARLY)
     shared = _springs(shape, weight, trajectories, (alike, rigid), near, sprung) if refuted else None
     if shared is not None:
-        return SupportTest("between", bayes, *_share(shared), shared)
+        share, error = map(float, shared.of("rigid_share"))
+        return SupportTest("between", bayes, share, error, shared)
     if refuted or (likelier == "rigid" and rigid.misfit > MAX_MISFIT):
         kind = "between"
     elif likelier == "rigid":
@@ -118,15 +119,13 @@ def support_test(
     return SupportTest(kind, bayes, share, error)
 
 
-def _share(sprung: Posterior, near: Posterior | None = None, end: float = 0.0) -> tuple[float, float]:
-    """Share of springs and its standard error.
+def _share(sprung: Posterior, near: Posterior, end: float) -> tuple[float, float]:
+    """Share of springs and its standard error, beside the posterior at an end without them.
 
-    The error is no smaller than the likelihood ratio to an end allows, where its posterior is given: far from an end
-    the share trades against errors of the setup, and the curvature at its optimum is too large.
+    The error is no smaller than the likelihood ratio to that end allows: far from it the share trades against errors
+    of the setup, and the curvature at its optimum is too large.
     """
-    share, error = (float(value) for value in sprung.of("rigid_share"))
-    if near is None:
-        return share, error
+    share, error = map(float, sprung.of("rigid_share"))
     prior = float(sprung.optimum.z[sprung.unknowns.at["rigid_share"]].square())
     gained = near.deviance - (sprung.deviance - prior)
     return share, max(error, abs(share - end) / math.sqrt(max(gained, 1.0)))

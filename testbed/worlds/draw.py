@@ -59,8 +59,11 @@ class WorldDraw:
         """All that decides the errors of an object's trials, as plain data: a kind that it cannot have is left out."""
         shape, content = model.shape, asdict(self)
         sized = {name: described.sized(shape.n_m, len(shape.feet)) for name, described in PARAMETERS.items()}
-        drawn = {name: size for name, size in content["world"].items() if name in {"name", *QUANTITIES}}
-        content["world"] = {name: size for name, size in drawn.items() if 0 not in sized.get(name, ())}
+        content["world"] = {
+            name: size
+            for name, size in content["world"].items()
+            if name in {"name", *QUANTITIES} and 0 not in sized.get(name, ())
+        }
         return content
 
     def rng(self, quantity: str, action: Action | None = None) -> np.random.Generator:

@@ -44,8 +44,9 @@ class World(SetupErrors):
         super().__post_init__()
         if self.contact_points != int(self.contact_points) or self.contact_points in (1, 2, 3):
             raise InvalidValueError("World.contact_points", self.contact_points, "0, or an integer >= 4")
-        if self.friction_law:
-            raise InvalidValueError("World.friction_law", self.friction_law, "0: simulated friction is Coulomb's")
+        for name, described in PARAMETERS.items():
+            if getattr(self, name) and not described.source:
+                raise InvalidValueError(f"World.{name}", getattr(self, name), "0: no simulation draws it")
 
     @property
     def stated(self) -> SetupErrors:

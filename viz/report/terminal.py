@@ -20,8 +20,12 @@ def rich_table(table: Table) -> ConsoleRenderable:
 
 def fits(table: Table, console: Console) -> bool:
     """True if a console has room for all columns of a table side by side."""
-    unbounded = console.options.update(width=10_000)
-    return console.measure(_drawn(table), options=unbounded).maximum <= console.width
+    return _has_room(console, _drawn(table), console.width)
+
+
+def _has_room(console: Console, drawn: RichTable, width: int) -> bool:
+    """True if a width in characters takes a whole table."""
+    return console.measure(drawn, options=console.options.update(width=10_000)).maximum <= width
 
 
 @dataclass(frozen=True)
@@ -33,13 +37,12 @@ class _Fitted:
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
         """Draw as many columns side by side as there is room for, and the others below."""
         table, start, title = self.table, 0, self.table.title
-        unbounded = options.update(width=10_000)
         while start < len(table.columns) or start == 0:
             end = len(table.columns)
             while True:
                 rows = tuple((labels, cells[start:end]) for labels, cells in table.rows)
                 part = _drawn(replace(table, title=title, columns=table.columns[start:end], rows=rows))
-                if end <= start + 1 or console.measure(part, options=unbounded).maximum <= options.max_width:
+                if end <= start + 1 or _has_room(console, part, options.max_width):
                     break
                 end -= 1
             yield part

@@ -6,12 +6,8 @@ runs come again:
     heft run lab --secret readme               README.md, docs/planning.md
     heft run lab_fixed --secret readme         docs/planning.md
     heft run lab_pads --secret readme          docs/planning.md
-    heft run budget --secret docs              docs/worlds.md
-    heft run trust --secret docs               docs/support.md
-    heft run support --secret docs             docs/support.md
-    heft run push --secret docs                docs/simulation.md
-    heft run articulated --secret docs         docs/simulation.md
-    heft run articulated --world lab --seeds 4 --out results/articulated_lab --secret docs    docs/simulation.md
+    heft run budget|trust|support|push|articulated --secret docs                              docs/measurements.md
+    heft run articulated --world lab --seeds 4 --out results/articulated_lab --secret docs    docs/measurements.md
 Figures of the README's are kept in docs/tables/*.csv too; tests/scenarios/cli/test_shown_outputs.py holds the pages
 against them, and a part of them against a run.
 """
@@ -283,15 +279,15 @@ def objects_of(results: Sequence[Any]) -> list[str]:
     return list(dict.fromkeys(row["object"] for row in results))
 
 
-PAGES: dict[str, tuple[str, Callable[[Sequence[Any]], str]]] = {
-    "budget": ("worlds", budget_table),
-    "trust": ("support", trust_table),
-    "support": ("support", springs_table),
-    "push": ("simulation", push_table),
-    "articulated": ("simulation", articulated_table),
-    "articulated_lab": ("simulation", articulated_table),
+APPENDIX: dict[str, Callable[[Sequence[Any]], str]] = {
+    "budget": budget_table,
+    "trust": trust_table,
+    "support": springs_table,
+    "push": push_table,
+    "articulated": articulated_table,
+    "articulated_lab": articulated_table,
 }
-"""Page of the documentation and table of each run."""
+"""Table of each run in docs/measurements.md."""
 
 
 def main(results: Path) -> None:
@@ -306,9 +302,9 @@ def main(results: Path) -> None:
         put("baselines", "blocks", printed_table(results / "blocks"))
     if all((results / name).is_dir() for name in LABS):
         put("planning", "labs", labs_table({name: rows_of(load_results(results / name)) for name in LABS}))
-    for name, (page, table) in PAGES.items():
+    for name, table in APPENDIX.items():
         if (results / name / "results.parquet").is_file():
-            put(page, name, table(rows_of(load_results(results / name))))
+            put("measurements", name, table(rows_of(load_results(results / name))))
 
 
 def put(page: str, mark: str, table: str) -> None:

@@ -64,16 +64,14 @@ class DragSimulator:
 
 
 def motion(action, waits):
-    """Angular acceleration, speed and steady stretch at every sample."""
-    if isinstance(action, heft.Accelerate):
-        steps = [(action.start_speed, slope, action.hold) for slope in action.accelerations]
-    else:
-        steps = [(speed, 0.0, action.duration) for speed in (action.speed, -action.speed)[: 1 + action.back]]
-    counts = [round(seconds * RATE) for _, _, seconds in steps]
-    slope = np.repeat([slope for _, slope, _ in steps], counts)
-    spin = np.repeat([speed for speed, _, _ in steps], counts) + np.cumsum(slope) / RATE
-    segment = np.repeat(np.arange(len(steps)), counts)
-    return np.pad(slope, (waits, 0)), np.pad(spin, (waits, 0)), np.pad(segment, (waits, 0), constant_values=-1)
+    """Angular acceleration, speed and steady segment at every sample; before them nothing moves."""
+    slope, spin, segment = [np.zeros(waits)], [np.zeros(waits)], [np.full(waits, -1)]
+    for index, (speed, acceleration, seconds) in enumerate(action.steady):
+        time = np.arange(1, round(seconds * RATE) + 1) / RATE
+        slope.append(np.full(len(time), acceleration))
+        spin.append(speed + acceleration * time)
+        segment.append(np.full(len(time), index))
+    return np.concatenate(slope), np.concatenate(spin), np.concatenate(segment)
 
 
 def record(action, segment, wrench, pose, hand, tool):

@@ -40,7 +40,7 @@ def blocks_of(page: Path) -> list[Block]:
 
 
 BLOCKS = [block for page in PAGES for block in blocks_of(page)]
-TUTORIAL = [block for block in BLOCKS if block.page in ("tutorial.md", "write_an_estimator.md")]
+TUTORIAL = [block for block in BLOCKS if block.page in ("tutorial.md", "python.md", "write_an_estimator.md")]
 
 
 def write_tutorial(folder: Path) -> Path:

@@ -261,16 +261,16 @@ def test_units_are_the_known_ones():
 def test_columns_of_results_are_those_of_the_docstring():
     lines = [line for line in (scenarios.results.estimates.__doc__ or "").splitlines() if line.startswith("| ")]
     listed = [name.strip() for line in lines[1:] for name in line.split("|")[1].split(",")]
-    assert sorted(names(table("formats.md", "results.parquet"))) == sorted(listed)
+    assert sorted(names(table("results.md", "results.parquet"))) == sorted(listed)
 
 
 def test_columns_and_header_of_a_trajectory(tmp_path):
     save_trajectory(record(), tmp_path / "trajectory.parquet")
     schema = pq.read_schema(tmp_path / "trajectory.parquet")
-    assert names(table("formats.md", "trajectory.parquet")) == schema.names
-    assert names(table("formats.md", "Header")) == list(json.loads(schema.metadata[b"heft"]))
-    assert [row[:2] for row in table("formats.md", "Phases")] == [[str(int(p)), p.name.lower()] for p in Phase]
-    assert f"The version of the trajectory schema is **{SCHEMA_VERSION}**" in (DOCS / "formats.md").read_text("utf-8")
+    assert names(table("results.md", "trajectory.parquet")) == schema.names
+    assert names(table("results.md", "Header")) == list(json.loads(schema.metadata[b"heft"]))
+    assert [row[:2] for row in table("results.md", "Phases")] == [[str(int(p)), p.name.lower()] for p in Phase]
+    assert f"The version of the trajectory schema is **{SCHEMA_VERSION}**" in (DOCS / "results.md").read_text("utf-8")
 
 
 def test_arrays_of_an_estimate(tmp_path):
@@ -279,7 +279,7 @@ def test_arrays_of_an_estimate(tmp_path):
     Store(tmp_path).put_estimate("key", {}, answer, load_object("L2").shape)
     with np.load(tmp_path / "estimates/key/estimate.npz") as arrays:
         written = [name.replace("adam", "<optimizer>") for name in arrays.files]
-    assert names(table("formats.md", "estimate.npz")) == written
+    assert names(table("results.md", "estimate.npz")) == written
 
 
 COMMANDS_OF = {("command_line.md", head): head.split(", ") for head in headings("command_line.md") if "heft " in head}

@@ -62,7 +62,7 @@ def data(name: str, noise: float = 0.0) -> tuple[ObjectModel, list[Trajectory]]:
 
 
 def ask(name: str, method: Baseline, seed: int = 0, noise: float = 0.0) -> Estimate:
-    """The method's answer; the centre of a turn is known exactly here."""
+    """The method's answer; the center of a turn is known exactly here."""
     obj, trajectories = data(name, noise)
     exact = replace(method, pivot_error=0.0)
     return exact.estimate(obj.shape, obj.total_mass, trajectories, seed)  # pyright: ignore[reportAttributeAccessIssue]

@@ -206,7 +206,7 @@ def gripper_load(servo: ServoSettings, contact: ContactSettings, support: Suppor
 
 
 def pivot_of_turn(name: str, grasp: int) -> tuple[float, float] | None:
-    """The turn's centre that the rank-driven policy would take."""
+    """The turn's center that the rank-driven policy would take."""
     shape = load_object(name).shape
     return between_particles(shape, shape.grasps[grasp].position)
 

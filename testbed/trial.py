@@ -27,7 +27,7 @@ class Support:
     """
 
     stiffness: float = 0.0
-    """Vertical stiffness between neighbouring groups, N/m."""
+    """Vertical stiffness between neighboring groups, N/m."""
 
     def __post_init__(self) -> None:
         if math.isnan(self.stiffness) or self.stiffness < 0:

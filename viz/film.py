@@ -63,7 +63,7 @@ def captioned(picture: Picture, text: str) -> Picture:
 
 
 def _write_mp4(pictures: Iterable[Picture], part: Path, fps: float) -> None:
-    """H.264 with 4:2:0 colours and the index in front, which every browser plays."""
+    """H.264 with 4:2:0 colors and the index in front, which every browser plays."""
     with av.open(str(part), "w", format="mp4", options={"movflags": "+faststart"}) as container:
         stream = container.add_stream("libx264", rate=Fraction(fps).limit_denominator(1000))
         stream.pix_fmt, stream.options = "yuv420p", {"crf": str(_QUALITY)}
@@ -75,7 +75,7 @@ def _write_mp4(pictures: Iterable[Picture], part: Path, fps: float) -> None:
 
 
 def _write_gif(pictures: Iterable[Picture], part: Path, fps: float) -> None:
-    """Write all pictures in the colours of the first, so that still parts do not flicker."""
+    """Write all pictures in the colors of the first, so that still parts do not flicker."""
     images = map(Image.fromarray, pictures)
     one = next(images)
     palette = one.quantize(255, method=Image.Quantize.MEDIANCUT)

@@ -1,7 +1,7 @@
-"""Colours, fonts and colour scales of figures, the report and the Rerun views.
+"""Colors, fonts and color scales of figures, the report and the Rerun views.
 
-Single colours are Okabe and Ito's, distinct to the colour-blind; colour maps are even in lightness, so that they also
-survive a grey print.
+Single colors are Okabe and Ito's, distinct to the color-blind; color maps are even in lightness, so that they also
+survive a gray print.
 """
 
 from __future__ import annotations
@@ -30,11 +30,11 @@ MARKERS = "osD^vPX"
 DASHES = ("-", "--", ":", "-.")
 
 MASS_COLORS = "viridis"
-"""Colour map of mass; bright is heavy."""
+"""Color map of mass; bright is heavy."""
 DIFFERENCE_COLORS = "cividis_r"
-"""Colour map of absolute differences; dark is wrong."""
+"""Color map of absolute differences; dark is wrong."""
 LINK_COLORS, MOST_LINK_COLORS = "Pastel1", 9.0
-"""Colour map of the links of an object, and the number of its colours: light, under arrows."""
+"""Color map of the links of an object, and the number of its colors: light, under arrows."""
 TOP = 95
 """Percentile of many answers at which a scale ends: one lost method must not bleach the rest."""
 LEAST_DIFFERENCE = 0.02
@@ -46,23 +46,23 @@ PLAN_ERROR = "expected standard error, g"
 """Title of the scale of a plan's errors."""
 TRUTH, ESTIMATE = "#B4B4B4", BLUE
 AXIS_COLORS = (VERMILLION, GREEN, BLUE)
-"""Colours of x, y and z of a force or a torque."""
+"""Colors of x, y and z of a force or a torque."""
 NORMAL_FORCE, FRICTION_FORCE = SKY, VERMILLION
-"""Colours of the arrows at the feet."""
+"""Colors of the arrows at the feet."""
 VELOCITY, OBJECT_VELOCITY, PADS = BLUE, BLACK, PURPLE
-"""Colours of the particles' and the object's arrows and of the gripper's pads, as in the paper's Fig. trajectory."""
+"""Colors of the particles' and the object's arrows and of the gripper's pads, as in the paper's Fig. trajectory."""
 PUSH = VERMILLION
-"""Colour of a push's contact and direction in a scene."""
+"""Color of a push's contact and direction in a scene."""
 PHASE_COLORS = ("#8C8C8C", "#BFBFBF", ORANGE, SKY, PURPLE, GREEN, "#BFBFBF")
-"""Colours of the phases of a trial, in the order of `Phase`."""
+"""Colors of the phases of a trial, in the order of `Phase`."""
 BACKGROUND = "#FAFAF8"
-"""Background of the planar views: as light as paper, so that colour maps read as in the figures."""
+"""Background of the planar views: as light as paper, so that color maps read as in the figures."""
 EDGE = "#505050"
-"""Colour of outlines and axes."""
+"""Color of outlines and axes."""
 LIGHT = 175.0
-"""Luminance, 0 to 255, above which text on a colour is black; Rerun's frame around a text darkens its background."""
+"""Luminance, 0 to 255, above which text on a color is black; Rerun's frame around a text darkens its background."""
 NO_ANSWER = "#DCDCDA"
-"""Colour of cells without a value."""
+"""Color of cells without a value."""
 
 STYLE: dict[Any, Any] = {
     "font.size": 9.0,
@@ -90,13 +90,13 @@ def plain_numbers(axis: Axis) -> None:
 
 
 def rgb(color: str) -> tuple[int, int, int]:
-    """Red, green and blue, 0 to 255, of a colour's name or #RRGGBB."""
+    """Red, green and blue, 0 to 255, of a color's name or #RRGGBB."""
     red, green, blue = (round(255 * part) for part in to_rgb(color))
     return red, green, blue
 
 
 def series_color(index: int) -> str:
-    """Colour of the `index`-th of many series: the palette without black, then the same colours lighter."""
+    """Color of the `index`-th of many series: the palette without black, then the same colors lighter."""
     base = PALETTE[:-1]
     part = 0.5 * ((index // len(base)) % 2)
     mixed = [(1 - part) * value + part for value in to_rgb(base[index % len(base)])]
@@ -104,12 +104,12 @@ def series_color(index: int) -> str:
 
 
 def action_colors(count: int) -> Float[np.ndarray, "T 4"]:
-    """Colours of the actions of a plan in their order, RGBA from 0 to 1."""
+    """Colors of the actions of a plan in their order, RGBA from 0 to 1."""
     return mpl.colormaps["viridis"](np.linspace(0.0, 0.85, max(count, 1)))
 
 
 def mapped(values: Float[np.ndarray, "..."], top: float, colors: str) -> UInt8[np.ndarray, "... 3"]:
-    """Colours, 0 to 255, of values from 0 to `top`; values above have the colour of `top`, NaN has NO_ANSWER."""
+    """Colors, 0 to 255, of values from 0 to `top`; values above have the color of `top`, NaN has NO_ANSWER."""
     values = np.asarray(values, dtype=float)
     colored = np.round(255 * mpl.colormaps[colors](np.clip(values / top, 0, 1))[..., :3]).astype(np.uint8)
     colored[np.isnan(values)] = rgb(NO_ANSWER)
@@ -117,19 +117,19 @@ def mapped(values: Float[np.ndarray, "..."], top: float, colors: str) -> UInt8[n
 
 
 def text_color(behind: UInt8[np.ndarray, "... 3"]) -> UInt8[np.ndarray, "... 3"]:
-    """Black or white, whichever reads better on a colour."""
+    """Black or white, whichever reads better on a color."""
     light = np.asarray(behind) @ np.array([0.299, 0.587, 0.114]) > LIGHT
     return np.where(light[..., None], np.uint8(0), np.uint8(255)) * np.ones(3, dtype=np.uint8)
 
 
 @dataclass(frozen=True)
 class Scale:
-    """A colour scale from 0 to `top`; larger values have the colour of `top`."""
+    """A color scale from 0 to `top`; larger values have the color of `top`."""
 
     top: float
     """End of the scale."""
     colors: str
-    """Name of the colour map."""
+    """Name of the color map."""
     title: str
     """Quantity and unit."""
     open: bool = False
@@ -146,7 +146,7 @@ class Scale:
         return ScalarMappable(Normalize(0.0, self.top), self.colors)
 
     def color(self, values: Float[np.ndarray, "..."]) -> UInt8[np.ndarray, "... 3"]:
-        """Colours of values, 0 to 255."""
+        """Colors of values, 0 to 255."""
         return mapped(values, self.top, self.colors)
 
 

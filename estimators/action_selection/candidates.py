@@ -129,7 +129,7 @@ class ActionFamily:
     def _slides(
         self, shape: ObjectShape, allowed: Int[np.ndarray, "G"], count: int, rng: np.random.Generator
     ) -> list[Slide]:
-        """Straight lines of 5 cm/s; centred in the workspace, so all within reach."""
+        """Straight lines of 5 cm/s; centered in the workspace, so all within reach."""
         positions, angles = _places(shape)
         grasps, ways = rng.choice(allowed, count), rng.uniform(-math.pi, math.pi, count)
         durations = np.exp(rng.uniform(np.log(1.6), np.log(4.0), count)).round(1)
@@ -178,7 +178,7 @@ class ActionFamily:
 
 
 def clear_of_particles(shape: ObjectShape, points: Float[np.ndarray, "N 2"]) -> np.ndarray:
-    """True for points well between particles, (N,): a particle at the centre of a turn has no direction of motion."""
+    """True for points well between particles, (N,): a particle at the center of a turn has no direction of motion."""
     distance = np.linalg.norm(shape.particles[None] - points[:, None], axis=-1).min(axis=1)
     return distance > shape.cell / 4
 
@@ -196,20 +196,20 @@ def stays_on_table(
     turn: Float[np.ndarray, "N"],
     slide: Float[np.ndarray, "N 2"] | None = None,
 ) -> np.ndarray:
-    """True for actions that keep the outline on the table, the TCP's path centred in the workspace, (N,).
+    """True for actions that keep the outline on the table, the TCP's path centered in the workspace, (N,).
 
     Args:
         corners: corners of the object's outline [m], object frame.
         grasp: grasp point [m], object frame.
         grasp_angle: closing direction [rad], object frame.
-        pivot: centre of the turn [m], object frame; of a slide, the grasp point.
+        pivot: center of the turn [m], object frame; of a slide, the grasp point.
         turn: angle of the whole turn [rad].
         slide: displacement over the whole way [m], object frame; zero if left out.
     """
     into_world = rotation_2d(-grasp_angle)
-    centre = np.array(WORKSPACE) - np.einsum("nij,nj->ni", into_world, grasp - pivot)
-    along = np.zeros_like(centre) if slide is None else np.einsum("nij,nj->ni", into_world, slide)
-    return overhang(corners, pivot, centre, -grasp_angle, turn, along).max(axis=1) <= 0
+    center = np.array(WORKSPACE) - np.einsum("nij,nj->ni", into_world, grasp - pivot)
+    along = np.zeros_like(center) if slide is None else np.einsum("nij,nj->ni", into_world, slide)
+    return overhang(corners, pivot, center, -grasp_angle, turn, along).max(axis=1) <= 0
 
 
 def sweep_in_reach(
@@ -218,22 +218,22 @@ def sweep_in_reach(
     pivot: Float[np.ndarray, "N 2"],
     turn: Float[np.ndarray, "N"],
 ) -> np.ndarray:
-    """True for turns that keep the TCP within the arm's reach, their path centred in the workspace, (N,).
+    """True for turns that keep the TCP within the arm's reach, their path centered in the workspace, (N,).
 
     A quick check of many; inverse kinematics decide.
 
     Args:
         grasp: grasp point [m], object frame.
         grasp_angle: closing direction [rad], object frame.
-        pivot: centre of the turn [m], object frame.
+        pivot: center of the turn [m], object frame.
         turn: angle of the whole turn [rad].
     """
     into_world = rotation_2d(-grasp_angle)
     arm = np.einsum("nij,nj->ni", into_world, grasp - pivot)
-    centre = np.array(WORKSPACE) - arm
+    center = np.array(WORKSPACE) - arm
     fits = np.ones(len(grasp), dtype=bool)
     for part in np.linspace(-0.5, 0.5, SWEEP_POINTS):
-        place = centre + np.einsum("nij,nj->ni", rotation_2d(part * turn), arm)
+        place = center + np.einsum("nij,nj->ni", rotation_2d(part * turn), arm)
         distance = np.linalg.norm(place, axis=1)
         fits &= (distance > REACH[0]) & (distance < REACH[1])
     return fits

@@ -42,7 +42,7 @@ LEAST_GAIN = 0.01
 FRICTION_PRIOR = 1.0
 """Standard deviation of every friction coefficient beforehand; so wide that it decides nothing."""
 APART = 0.01
-"""Least distance between centres of turns in one grasp, and between points of pushes [m]: nearer ones repeat each
+"""Least distance between centers of turns in one grasp, and between points of pushes [m]: nearer ones repeat each
 other, model error included."""
 
 

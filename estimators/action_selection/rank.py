@@ -112,7 +112,7 @@ lower priority there: they come where one-way turns about all grasps leave the r
 def between_particles(shape: ObjectShape, point: np.ndarray) -> tuple[float, float] | None:
     """Point half a cell beside `point` [m, object frame], or None where `point` is itself well between particles.
 
-    A particle at the very centre of a turn has no direction of motion: its friction is anything up to mu m g, any way.
+    A particle at the very center of a turn has no direction of motion: its friction is anything up to mu m g, any way.
     """
     nearest = np.linalg.norm(shape.particles - point, axis=1).min()
     if nearest > shape.cell / 4:

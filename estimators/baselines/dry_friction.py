@@ -162,11 +162,11 @@ def _interior_point(bodies: Bodies, least: float) -> np.ndarray:
         dz = ratio * df - z
         step = _length(dz, df, z, slack)
         ahead = _mean(slack - step * df, z + step * dz) / gap
-        centred = (ahead * ahead * ahead * gap + df * dz) / slack
-        error = error + weight * (centred[0] - centred[1])
+        centered = (ahead * ahead * ahead * gap + df * dz) / slack
+        error = error + weight * (centered[0] - centered[1])
         df = weight * sliding(_times(inverse, _times(across, error))) - error
         change, df = df, SIGN * df
-        dz = centred - z + ratio * df
+        dz = centered - z + ratio * df
         step = open_ * 0.995 * _length(dz, df, z, slack)
         f, slack, z = f + step * change, slack - step * df, z + step * dz
     return np.where(np.abs(z[0] - z[1]) * b < slack.min(0) * speed, f, np.sign(f) * b) * ~idle

@@ -138,7 +138,7 @@ def _hinges(trials: TrialWindows, at: MassDistribution, widening: float) -> tupl
     unseen: list[str] = []
     for index, (torque, std) in enumerate(zip(*found, strict=True) if found else ()):
         if std > HINGE_PRIOR / 2:
-            unseen.append(f"hinge {index} stands in every window: its friction is not seen")
+            unseen.append(f"hinge {index} stands in every window: its friction is not observed")
         else:
             named |= {f"hinge_{index}_Nm": float(torque), f"hinge_{index}_std_Nm": float(std) * widening**0.5}
     return named, "; ".join(unseen)

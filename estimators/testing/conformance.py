@@ -302,7 +302,7 @@ def _verdict(where: str, answer: Estimate, block: KnownBlock, nad: float, limit:
     true_frictions = ", ".join(f"{mu:.2f}" for mu in block.model.truth.friction)
     hint = f"status ok claims no more than {100 * limit:.0f} %"
     if block.support == "rigid":
-        hint += "; friction under one rigid body shows M and its centre alone: say so, or claim own_weight only"
+        hint += "; friction under one rigid body shows M and its center alone: say so, or claim own_weight only"
     return (
         f"{where}: NAD {100 * nad:.1f} %; {hint}\n"
         f"  masses, kg (truth): {masses}\n  friction (truth): {frictions} ({true_frictions})"

@@ -51,7 +51,7 @@ def export(
         what: beginning of an estimate's key (see its report); with --format mcap of a trial's.
         format_: mjcf, urdf, sdf; toml: an object file that heft itself can run; mcap: a trial, for Foxglove,
             PlotJuggler, Rerun and ros2 bag.
-        inertial: one mass, centre and inertia for the whole object instead, or for each link.
+        inertial: one mass, center and inertia for the whole object instead, or for each link.
         scene: of mjcf, with a floor and a light, to be opened in MuJoCo's viewer.
         draws: write N draws of masses and frictions from the posterior too, as CSV; of an estimate by Algorithm 1.
         models: write each draw as a model too, numbered in a folder, to train or test a controller on all of them.

@@ -90,7 +90,7 @@ def identify(
     title = f"{model.name}, {carrier}, {sensing}" + ("" if world == "ideal" else f", {world}")
     console.print(Text.assemble((title, "bold"), f": {counts}"))
     console.print(_errors_table(model, report))
-    condition = f"condition {report.condition:.0f}" if math.isfinite(report.condition) else "nothing is seen"
+    condition = f"condition {report.condition:.0f}" if math.isfinite(report.condition) else "nothing is observed"
     console.print(f"{report.sentence}; {condition}")
     if out is not None:
         for path in save_figure(error_figure(model, report.standard_error, title), out):
@@ -159,7 +159,7 @@ def _errors_table(model: ObjectModel, report: Identifiability) -> Table:
 
 
 def _three_digits(value: float) -> str:
-    return f"{value:.3g}" if math.isfinite(value) else "not seen"
+    return f"{value:.3g}" if math.isfinite(value) else "not observed"
 
 
 @dataclass(frozen=True)

@@ -230,7 +230,7 @@ def show(
     facts = f": masses not given, {shape.height * 1e3:.0f} mm high"
     if model.masses_known:
         facts = (
-            f": {model.total_mass:.3f} kg, centre of mass ({com[0]:.1f}, {com[1]:.1f}) mm from the origin, "
+            f": {model.total_mass:.3f} kg, center of mass ({com[0]:.1f}, {com[1]:.1f}) mm from the origin, "
             f"I_cm {model.inertia_cm:.5f} kg m^2, {shape.height * 1e3:.0f} mm high"
         )
     console.print(Text.assemble((model.name, "bold"), facts))
@@ -267,12 +267,12 @@ def _show_blocks(console: Console, model: ObjectModel) -> None:
         table.add_column(column, justify="right")
     grasps = {grasp.name: "x" if abs(np.cos(grasp.angle)) > 0.5 else "y" for grasp in shape.grasps}
     for group, label in enumerate(shape.group_names):
-        at = _millimetres(shape.particles[shape.mass_group == group].mean(axis=0))
+        at = _millimeters(shape.particles[shape.mass_group == group].mean(axis=0))
         table.add_row(label, *at, _mass(model, group), _friction(model, group), grasps.get(label, "-"))
     for grasp in shape.grasps:
         if grasp.name not in shape.group_names:
             table.add_row(
-                grasp.name, *_millimetres(grasp.position), "", "", f"{grasps[grasp.name]}, {grasp.width * 1e3:.0f} mm"
+                grasp.name, *_millimeters(grasp.position), "", "", f"{grasps[grasp.name]}, {grasp.width * 1e3:.0f} mm"
             )
     console.print(table)
 
@@ -309,11 +309,11 @@ def _show_hinges(console: Console, model: ObjectModel) -> None:
         table.add_column(column, justify="right")
     for hinge, (place, torque) in enumerate(zip(chain.hinges, model.hinge_friction, strict=True)):
         links = (", ".join(names[chain.link == link]) for link in (hinge, hinge + 1))
-        table.add_row(str(hinge), *_millimetres(place), " | ".join(links), f"{torque * 1e3:g}")
+        table.add_row(str(hinge), *_millimeters(place), " | ".join(links), f"{torque * 1e3:g}")
     console.print(table)
 
 
-def _millimetres(place: np.ndarray) -> tuple[str, str]:
+def _millimeters(place: np.ndarray) -> tuple[str, str]:
     """Coordinates from the object's origin, mm."""
     x, y = np.round(1e3 * place, 1) + 0.0  # no -0.0
     return f"{x:.1f}", f"{y:.1f}"
@@ -348,9 +348,9 @@ def particle_map(model: ObjectModel) -> str:
 def drawing(model: ObjectModel) -> str:
     """Groups as a map of their masses, in grams, top row first; of their names where masses are not given."""
     shape = model.shape
-    centres = np.array([shape.particles[shape.mass_group == g].mean(axis=0) for g in range(shape.n_m)])
+    centers = np.array([shape.particles[shape.mass_group == g].mean(axis=0) for g in range(shape.n_m)])
     side = shape.cell * np.sqrt(np.bincount(shape.mass_group[shape.cells]).max())
-    column, row = np.round((centres - centres.min(axis=0)) / side).astype(int).T
+    column, row = np.round((centers - centers.min(axis=0)) / side).astype(int).T
     lines = []
     for r in range(row.max(), -1, -1):
         cells = ["     "] * (column.max() + 1)

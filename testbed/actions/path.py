@@ -125,7 +125,7 @@ class PlanarPath:
     """Direction along which the pads close [rad], object frame."""
     pivot: Float[np.ndarray, "2"]
     """Center of the turn [m], object frame; of a slide, the grasp point."""
-    centre: Float[np.ndarray, "2"]
+    center: Float[np.ndarray, "2"]
     """Position of the pivot at the middle of the path [m], world."""
     yaw: float
     """Yaw of the object at the middle of the path [rad], world."""
@@ -137,7 +137,7 @@ class PlanarPath:
     def object_pose(self, part: Float[np.ndarray, "N"]) -> Float[np.ndarray, "N 3"]:
         """Planar pose of the object along the path [m, m, rad], world, shape (N, 3)."""
         yaw = part * self.turn + self.yaw
-        return pose_from_point(self.centre + part[:, None] * self.slide, self.pivot, yaw)
+        return pose_from_point(self.center + part[:, None] * self.slide, self.pivot, yaw)
 
     def tool_pose(self, part: Float[np.ndarray, "N"]) -> Float[np.ndarray, "N 3"]:
         """TCP position and yaw of the closing direction along the path [m, m, rad], world, shape (N, 3)."""
@@ -148,7 +148,7 @@ class PlanarPath:
         """Way of the tool along the path, its parameter from 0 to 1; knots at most `spacing` [rad or m] apart."""
 
         def slope(parameter: np.ndarray) -> np.ndarray:
-            lever = self.tool_pose(parameter - 0.5)[:, :2] - self.centre
+            lever = self.tool_pose(parameter - 0.5)[:, :2] - self.center
             velocity = self.slide + self.turn * perpendicular(lever)
             return level(np.column_stack([velocity, np.full(len(parameter), self.turn)]))
 
@@ -166,8 +166,8 @@ class PlanarPath:
         if not any(shift):
             return self
         turn, fixed = rotation_2d(shift[2]), np.array(about)
-        centre = fixed + turn @ (self.centre - fixed) + shift[:2]
-        return replace(self, centre=centre, yaw=self.yaw + shift[2], slide=turn @ self.slide)
+        center = fixed + turn @ (self.center - fixed) + shift[:2]
+        return replace(self, center=center, yaw=self.yaw + shift[2], slide=turn @ self.slide)
 
 
 @dataclass(frozen=True, eq=False)
@@ -256,7 +256,7 @@ def outline(shape: ObjectShape) -> Float[np.ndarray, "K 2"]:
 def overhang(
     corners: Float[np.ndarray, "K 2"],
     pivot: Float[np.ndarray, "N 2"],
-    centre: Float[np.ndarray, "N 2"],
+    center: Float[np.ndarray, "N 2"],
     yaw: Float[np.ndarray, "N"],
     turn: Float[np.ndarray, "N"],
     slide: Float[np.ndarray, "N 2"],
@@ -268,7 +268,7 @@ def overhang(
     Args:
         corners: outline of the object [m], object frame.
         pivot: center of the turn [m], object frame.
-        centre: position of the pivot at the middle of the path [m], world.
+        center: position of the pivot at the middle of the path [m], world.
         yaw: yaw of the object there [rad].
         turn: angle of the whole path [rad]; 0 of a slide.
         slide: displacement over the whole path [m], world; 0 of a turn.
@@ -279,10 +279,10 @@ def overhang(
     half = np.abs(turn)[:, None, None] / 2
     off = np.abs(np.remainder(middle + math.pi, 2 * math.pi) - math.pi)  # from the heading, at the middle of the way
     reach = (radius * np.cos(np.maximum(off - half, 0.0))).max(axis=1)
-    return centre @ _WAY.T + np.abs(slide @ _WAY.T) / 2 + reach - OFFSET
+    return center @ _WAY.T + np.abs(slide @ _WAY.T) / 2 + reach - OFFSET
 
 
 def overhang_of(shape: ObjectShape, path: PlanarPath) -> Float[np.ndarray, "4"]:
     """`overhang` of one path [m], shape (4,)."""
-    each = (path.pivot, path.centre, path.yaw, path.turn, path.slide)
+    each = (path.pivot, path.center, path.yaw, path.turn, path.slide)
     return overhang(outline(shape), *(np.asarray(value)[None] for value in each))[0]

@@ -56,7 +56,7 @@ def wrench_delay(
 ) -> Delay:
     """Delay between the torque about the vertical and a turn that accelerates.
 
-    Torque is linear in angular and linear acceleration, speed and its square, and the centre of the turn, whatever the
+    Torque is linear in angular and linear acceleration, speed and its square, and the center of the turn, whatever the
     object is. That combination of the motion, moved by the delay, is fitted to the torque's rate of change: jumps of
     the acceleration show there, and slow changes of friction do not. Its error is from leaving out parts of the turn.
 

@@ -55,10 +55,10 @@ def parse_layout(rows: list[str]) -> list[Cell]:
         raise InvalidValueError("layout", rows, 'at least one "1"')
     joined, frontier = {cells[0]}, [cells[0]]
     while frontier:
-        for neighbour in neighbours(frontier.pop()):
-            if neighbour in cells and neighbour not in joined:
-                joined.add(neighbour)
-                frontier.append(neighbour)
+        for neighbor in neighbors(frontier.pop()):
+            if neighbor in cells and neighbor not in joined:
+                joined.add(neighbor)
+                frontier.append(neighbor)
     apart = [cell.name for cell in cells if cell not in joined]
     if apart:
         raise InvalidValueError(
@@ -67,7 +67,7 @@ def parse_layout(rows: list[str]) -> list[Cell]:
     return cells
 
 
-def neighbours(cell: Cell) -> tuple[Cell, Cell, Cell, Cell]:
+def neighbors(cell: Cell) -> tuple[Cell, Cell, Cell, Cell]:
     """The four cells that share an edge with `cell`: right, top, left, bottom."""
     column, row = cell
     return Cell(column + 1, row), Cell(column, row + 1), Cell(column - 1, row), Cell(column, row - 1)
@@ -106,38 +106,38 @@ def block_object(
         raise InvalidValueError("mass", mass, f"{len(cells)} numbers, one a block, bottom row first, left to right")
     if len(friction_group) != len(cells):
         raise InvalidValueError("friction_group", friction_group, f"{len(cells)} integers, one a block")
-    centres = np.array([[cell.column, cell.row] for cell in cells], dtype=float) * size
-    centres -= centres.mean(axis=0)
+    centers = np.array([[cell.column, cell.row] for cell in cells], dtype=float) * size
+    centers -= centers.mean(axis=0)
     steps = ((np.arange(grid) + 0.5) / grid - 0.5) * size
     offsets = np.stack(np.meshgrid(steps, steps, indexing="ij"), axis=-1).reshape(-1, 2)
     per_block = grid * grid
     shape = ObjectShape(
-        particles=(centres[:, None] + offsets).reshape(-1, 2),
+        particles=(centers[:, None] + offsets).reshape(-1, 2),
         mass_group=np.repeat(np.arange(len(cells)), per_block),
         friction_group=np.repeat(friction_group, per_block),
         cell=size / grid,
         height=height,
-        grasps=(*_grasps(cells, centres, size), *_rows(cells, centres, size, hand)),
+        grasps=(*_grasps(cells, centers, size), *_rows(cells, centers, size, hand)),
         group_names=tuple(cell.name for cell in cells),
     )
     return ObjectModel(name, shape, MassDistribution(np.asarray(mass) / per_block, np.asarray(friction)))
 
 
-def _grasps(cells: list[Cell], centres: np.ndarray, size: float) -> tuple[Grasp, ...]:
+def _grasps(cells: list[Cell], centers: np.ndarray, size: float) -> tuple[Grasp, ...]:
     """A block can be taken where two opposite faces are free: across x if they are left and right, else across y."""
     grasps = []
-    for cell, centre in zip(cells, centres, strict=True):
-        right, top, left, bottom = (neighbour in cells for neighbour in neighbours(cell))
+    for cell, center in zip(cells, centers, strict=True):
+        right, top, left, bottom = (neighbor in cells for neighbor in neighbors(cell))
         if not (right or left):
-            grasps.append(Grasp(cell.name, centre, angle=0.0, width=size, length=size))
+            grasps.append(Grasp(cell.name, center, angle=0.0, width=size, length=size))
         elif not (top or bottom):
-            grasps.append(Grasp(cell.name, centre, angle=np.pi / 2, width=size, length=size))
+            grasps.append(Grasp(cell.name, center, angle=np.pi / 2, width=size, length=size))
     return tuple(grasps)
 
 
-def _rows(cells: list[Cell], centres: np.ndarray, size: float, hand: Hand) -> list[Grasp]:
+def _rows(cells: list[Cell], centers: np.ndarray, size: float, hand: Hand) -> list[Grasp]:
     """Rows of blocks between two free faces can be taken across both, where the hand opens that far and has room."""
-    at, grasps = dict(zip(cells, centres, strict=True)), []
+    at, grasps = dict(zip(cells, centers, strict=True)), []
     for closing, (across, up) in ((0.0, (1, 0)), (np.pi / 2, (0, 1))):
         for first in cells:
             row = [first]
@@ -149,7 +149,7 @@ def _rows(cells: list[Cell], centres: np.ndarray, size: float, hand: Hand) -> li
                 begins
                 and len(row) > 1
                 and hand.takes(width)
-                and _has_room(centres - middle, (across, up), width, size, hand)
+                and _has_room(centers - middle, (across, up), width, size, hand)
             ):
                 grasps.append(Grasp(f"{first.name}-{row[-1].name}", middle, closing, width, length=size))
     return grasps

@@ -79,7 +79,7 @@ def read_mesh(path: Path) -> trimesh.Trimesh:
         raise InvalidValueError("file", f"{path.name} of {len(mesh.faces)} triangles", f"at most {MOST_FACES}")
     if not (np.abs(mesh.bounds) < LARGEST).all():
         given = f"{path.name} with a coordinate of {np.abs(mesh.bounds).max():.3g} m"
-        raise InvalidValueError("file", given, f"metres, below {LARGEST:g}")
+        raise InvalidValueError("file", given, f"meters, below {LARGEST:g}")
     if not mesh.is_volume:  # corners of its own for every triangle, as in STL
         mesh.merge_vertices()
     if not mesh.is_volume:
@@ -142,15 +142,15 @@ def mesh_object(
             "mesh.parts", f"lowest point at z = {lowest:.4g} m", f"resting on z = 0, to {TOUCH * 1e3:g} mm"
         )
     link = np.zeros(len(parts), dtype=int) if chain is None else chain.link
-    centres, group, touches, fill = _partition(parts, link, cell * 3 / grid)
-    coarse = centres if grid == 3 else _partition(parts, link, cell)[0]
+    centers, group, touches, fill = _partition(parts, link, cell * 3 / grid)
+    coarse = centers if grid == 3 else _partition(parts, link, cell)[0]
     if len(contacts):
         points = _checked_contacts(contacts, parts)
-        near = group[cdist(points, centres).argmin(axis=1)]
+        near = group[cdist(points, centers).argmin(axis=1)]
         for index, part in enumerate(parts):  # no foot stands under a cell: it need not be one of the grid's
             own = group == index
-            centres[own] += part.mesh.center_mass[:2] - fill[own] @ centres[own]
-        centres, group = np.vstack([centres, points]), np.append(group, near)
+            centers[own] += part.mesh.center_mass[:2] - fill[own] @ centers[own]
+        centers, group = np.vstack([centers, points]), np.append(group, near)
         touches = np.append(np.zeros(len(touches), dtype=bool), np.ones(len(points), dtype=bool))
         fill = np.append(fill, np.zeros(len(points)))
     per_group = np.bincount(group, minlength=len(parts))
@@ -163,7 +163,7 @@ def mesh_object(
     whole = joined([part.mesh for part in parts])
     sides = _sides([part.mesh for part in parts])
     shape = ObjectShape(
-        particles=centres - origin,
+        particles=centers - origin,
         mass_group=group,
         friction_group=friction_group,
         cell=cell * 3 / grid,
@@ -221,7 +221,7 @@ def _checked_contacts(contacts: Sequence[tuple[float, float]], parts: list[Part]
 
 
 Cells = tuple[Float[np.ndarray, "P 2"], Int[np.ndarray, "P"], Bool[np.ndarray, "P"], Float[np.ndarray, "P"]]
-"""Centres of particles in the mesh's x and y, the part of each, whether it touches, and how much of the part it is."""
+"""Centers of particles in the mesh's x and y, the part of each, whether it touches, and how much of the part it is."""
 
 
 def _partition(parts: list[Part], link: Int[np.ndarray, "n_m"], cell: float) -> Cells:
@@ -231,10 +231,10 @@ def _partition(parts: list[Part], link: Int[np.ndarray, "n_m"], cell: float) -> 
     found = []
     for index in range(int(link.max()) + 1):
         own = np.flatnonzero(link == index)
-        centres, group, touches, fill = _cells([parts[part] for part in own], cell, low, high)
-        found.append((centres, own[group], touches, fill))
-    centres, group, touches, fill = (np.concatenate(each) for each in zip(*found, strict=True))
-    return centres, group, touches, fill
+        centers, group, touches, fill = _cells([parts[part] for part in own], cell, low, high)
+        found.append((centers, own[group], touches, fill))
+    centers, group, touches, fill = (np.concatenate(each) for each in zip(*found, strict=True))
+    return centers, group, touches, fill
 
 
 def _cells(parts: list[Part], cell: float, low: Float[np.ndarray, "2"], high: Float[np.ndarray, "2"]) -> Cells:
@@ -247,7 +247,7 @@ def _cells(parts: list[Part], cell: float, low: Float[np.ndarray, "2"], high: Fl
         allowed = f"at most {_MOST_CELLS} cells; take larger ones, and check the unit of the mesh"
         raise InvalidValueError("mesh.cell_m", f"{count[0]} x {count[1]} cells of {cell:g} m", allowed)
     ticks = [(high[k] + low[k]) / 2 + (np.arange(count[k]) - (count[k] - 1) / 2) * cell for k in (0, 1)]
-    centres = np.stack(np.meshgrid(*ticks, indexing="ij"), axis=-1).reshape(-1, 2)
+    centers = np.stack(np.meshgrid(*ticks, indexing="ij"), axis=-1).reshape(-1, 2)
     step, rays = cell / _RAYS, count * _RAYS
     first = [ticks[k][0] + ((0.5 / _RAYS - 0.5) + ASIDE[k]) * cell for k in (0, 1)]
     grid = RayGrid(np.array([*first, 0.0]), np.array([step, 0, 0]), np.array([0, step, 0]), (rays[0], rays[1]))
@@ -259,14 +259,14 @@ def _cells(parts: list[Part], cell: float, low: Float[np.ndarray, "2"], high: Fl
         np.minimum.at(underside[index], ray, height)
     # (part, ray) to (part, cell, ray)
     material, underside = (
-        each.reshape(len(parts), count[0], _RAYS, count[1], _RAYS).swapaxes(2, 3).reshape(len(parts), len(centres), -1)
+        each.reshape(len(parts), count[0], _RAYS, count[1], _RAYS).swapaxes(2, 3).reshape(len(parts), len(centers), -1)
         for each in (material, underside)
     )
     material = np.maximum(material, 0.0)  # of a surface that meets itself a ray may find less than nothing
     covered = (material > 0).any(axis=0).mean(axis=1)
     columns = material.sum(axis=2)
     owner = columns.argmax(axis=0)
-    touching = (underside < TOUCH).mean(axis=2)[owner, np.arange(len(centres))]
+    touching = (underside < TOUCH).mean(axis=2)[owner, np.arange(len(centers))]
     kept = covered >= 0.5
     for index, held in enumerate(columns):
         if not held.any():
@@ -278,13 +278,13 @@ def _cells(parts: list[Part], cell: float, low: Float[np.ndarray, "2"], high: Fl
         own = (owner == index) & (held > 0)
         if held[own & kept].sum() < held.sum() / 2:
             kept |= own & (covered >= covered[own].max() / 2)
-    fill = np.zeros(len(centres))
+    fill = np.zeros(len(centers))
     for index, held in enumerate(columns):
         own, full = np.flatnonzero(kept & (owner == index)), np.flatnonzero(held > 0)
         if not len(own):
             allowed = f"a cell of each part; take a smaller cell_m than {cell:g}"
             raise InvalidValueError(f"mesh.parts.{index}", f"{parts[index].name} without a particle", allowed)
-        nearest = own[cdist(centres[full], centres[own]).argmin(axis=1)]
-        fill += np.bincount(nearest, held[full] / held.sum(), len(centres))
+        nearest = own[cdist(centers[full], centers[own]).argmin(axis=1)]
+        fill += np.bincount(nearest, held[full] / held.sum(), len(centers))
     touches = touching >= np.where(covered >= 0.5, 0.5, covered / 2)
-    return centres[kept], owner[kept], touches[kept], fill[kept]
+    return centers[kept], owner[kept], touches[kept], fill[kept]

@@ -8,7 +8,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from testbed.errors import InvalidValueError
-from testbed.objects.blocks import Cell, neighbours
+from testbed.objects.blocks import Cell, neighbors
 from testbed.objects.files import Blocks, ObjectFile, Side
 from testbed.toml import Positive
 
@@ -64,7 +64,7 @@ def _grown(count: int, rng: np.random.Generator) -> set[Cell]:
     """Blocks joined edge to edge, the next one on a free edge of those there, shifted to start at column and row 0."""
     cells = {Cell(0, 0)}
     while len(cells) < count:
-        free = sorted({n for cell in cells for n in neighbours(cell)} - cells)
+        free = sorted({n for cell in cells for n in neighbors(cell)} - cells)
         cells.add(free[rng.integers(len(free))])
     low = [min(values) for values in zip(*cells, strict=True)]
     return {Cell(c - low[0], r - low[1]) for c, r in cells}

@@ -1,6 +1,6 @@
 """Parser of mesh files: python -m testbed.parsing.meshes PATH RESULT.
 
-The result is an npz: vertices in the file's unit, triangles, piece of the file and colour of each, and the unit if the
+The result is an npz: vertices in the file's unit, triangles, piece of the file and color of each, and the unit if the
 file says it.
 """
 
@@ -38,7 +38,7 @@ def main(path: str, result: str) -> None:
     starts = np.cumsum([0, *(len(piece.vertices) for piece in pieces)])
     for piece in pieces:
         check_triangles(piece)
-    labels = np.concatenate([_colours(piece, index) for index, piece in enumerate(pieces)])
+    labels = np.concatenate([_colors(piece, index) for index, piece in enumerate(pieces)])
     head = content[:4096].decode("ascii", "ignore").lower() if kind in ("ply", "obj") else ""
     said = re.search(r"(?:unit|length)[^\n]*?(millimet|centimet|met|inch)", head)
     with Path(result).open("wb") as file:
@@ -51,8 +51,8 @@ def main(path: str, result: str) -> None:
         )
 
 
-def _colours(piece: trimesh.Trimesh, index: int) -> Int[np.ndarray, "F 5"]:
-    """Piece of the file and colour of each triangle; no colours where it only has vertices'."""
+def _colors(piece: trimesh.Trimesh, index: int) -> Int[np.ndarray, "F 5"]:
+    """Piece of the file and color of each triangle; no colors where it only has vertices'."""
     found = np.zeros((len(piece.faces), 5), dtype=int)
     found[:, 0] = index
     look = piece.visual

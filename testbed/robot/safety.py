@@ -145,7 +145,7 @@ class FrameWatch:
 
     A dead sensor repeats itself: a value in a row or with a period, whole frames of some time before, two values alone,
     or changes from frame to frame far below its noise. By the noise and counts of an FT-300S (correlation of 0.3
-    between neighbours) a frame at rest is a false alarm with a probability of 1.5e-8, one in 180 hours: by equal values
+    between neighbors) a frame at rest is a false alarm with a probability of 1.5e-8, one in 180 hours: by equal values
     in a row, half of it tz; 6e-10 by periods, under 1e-14 by two values alone. Small changes lie 11 standard deviations
     away. A load that changes only lowers it.
     """

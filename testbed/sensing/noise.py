@@ -48,11 +48,11 @@ def draw_sensing(clean: Trajectory, sensing: Sensing, seed: int) -> Trajectory:
     noise_std = np.array([*sensing.force_noise, *sensing.torque_noise])
     white = rng.standard_normal((count, 6))
     white[1:] *= np.sqrt(1 - sensing.lag1**2)
-    coloured = lfilter([1.0], [1.0, -sensing.lag1], white, axis=0)
+    colored = lfilter([1.0], [1.0, -sensing.lag1], white, axis=0)
     bias = sensing.true_bias * sensing.bias_std * rng.standard_normal(6)
     walk = np.cumsum(sensing.true_drift * sensing.drift_std * np.sqrt(dt) * rng.standard_normal((count, 6)), axis=0)
     tared = np.maximum.accumulate(clean.phase > Phase.TARE)
-    raw = clean.sensor_wrench + noise_std * coloured + walk + np.outer(tared, bias)
+    raw = clean.sensor_wrench + noise_std * colored + walk + np.outer(tared, bias)
     if draw is not None:
         raw = rounded(raw, draw)
     accelerations = np.repeat([sensing.linear_acceleration_noise, sensing.angular_acceleration_noise], 3)

@@ -29,7 +29,7 @@ class Sensing:
     torque_noise: Axes = (0.0, 0.0, 0.0)
     """White noise of the torque, per sample [N m]."""
     lag1: float = 0.0
-    """Correlation between neighbouring samples."""
+    """Correlation between neighboring samples."""
     force_bias: float = 0.0
     """Force bias left after the tare, one draw per trial [N]."""
     torque_bias: float = 0.0

@@ -258,7 +258,7 @@ def _from_sensor(trajectory: Trajectory, at: tuple[int, float] | None = None) ->
 def _slopes(time: np.ndarray, twist: np.ndarray, yaw: np.ndarray) -> np.ndarray:
     """Mean acceleration over a window, linear part in object axes, (3,).
 
-    A point that moves steadily with a turning object accelerates towards the centre of the turn; in object axes that is
+    A point that moves steadily with a turning object accelerates towards the center of the turn; in object axes that is
     constant, so derivative and rotation go together: a = R^T d(velocity)/dt.
     """
     into_object = rotation_2d(-yaw)
@@ -304,11 +304,11 @@ def mean_covariance(samples: Float[np.ndarray, "T D"]) -> Float[np.ndarray, "D D
 def effective_samples(samples: Float[np.ndarray, "T D"]) -> Float[np.ndarray, "D"]:
     """Number of independent samples that a record of T is worth, per column, at least 1, (D,).
 
-    T over the integrated autocorrelation time, summed while pairs of neighbouring lags stay positive (Geyer 1992).
+    T over the integrated autocorrelation time, summed while pairs of neighboring lags stay positive (Geyer 1992).
     """
     count = len(samples)
-    centred = samples - samples.mean(axis=0)
-    power = np.abs(np.fft.rfft(centred, 2 * count, axis=0)) ** 2
+    centered = samples - samples.mean(axis=0)
+    power = np.abs(np.fft.rfft(centered, 2 * count, axis=0)) ** 2
     correlation = np.fft.irfft(power, axis=0)[:count]
     variance = correlation[0]
     correlation = correlation / np.where(variance > 0, variance, 1.0)

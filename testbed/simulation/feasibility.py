@@ -155,7 +155,7 @@ def _check_rest(trial: Trial, settings: SimulationSettings) -> None:
             f"rest: on {trial.support.name} the foot of {shape.group_names[shape.mass_group[worst]]} at ({x}, "
             f"{y}) mm would carry {loads[worst]:.3f} N, that is lift, with {loads[feet].mean():.3f} N on the mean "
             f"foot; {int((loads[feet] < 0).sum())} of {len(feet)} feet lift; give the object feet nearer under its "
-            "centre of mass" + ("" if trial.support.is_rigid else ", or use a stiffer support, as rigid")
+            "center of mass" + ("" if trial.support.is_rigid else ", or use a stiffer support, as rigid")
         )
 
 
@@ -220,7 +220,7 @@ def _check_grip(obj: ObjectModel, grasp: Grasp, acceleration: float, settings: S
         raise InfeasibleTrialError(
             f"grip: at {grasp.name} the heavier loaded pad would carry {carried:.1f} N and both be twisted by "
             f"{twist:.2f} N m, {100 * used:.0f} % of what a grip of {grip.force:g} N holds ({holds:.0f} N, "
-            f"{twist_held:.2f} N m) where {100 * MARGIN:.0f} % may be used; take a block nearer the centre of mass, a "
+            f"{twist_held:.2f} N m) where {100 * MARGIN:.0f} % may be used; take a block nearer the center of mass, a "
             "stronger grip (up to 235 N) or a weld"
         )
 
@@ -254,5 +254,5 @@ def _check_joints(obj: ObjectModel, grasp: Grasp, motion: Motion, settings: Simu
             raise InfeasibleTrialError(
                 f"torque: joint {joint + 1} would need up to {needed[joint]:.1f} N m of its {limit[joint]:g} N m to "
                 f"lift {obj.total_mass:.2f} kg at {grasp.name}; use a lighter object, rock it more gently or take a "
-                "block nearer the centre of mass"
+                "block nearer the center of mass"
             )

@@ -119,9 +119,9 @@ def bodies_named(model: mujoco.MjModel, prefixes: tuple[str, ...]) -> Bool[np.nd
 
 def _corners(model: mujoco.MjModel, data: mujoco.MjData, geoms: np.ndarray) -> np.ndarray:
     """Corners of the boxes around G geoms, world [m], shape (8 G, 3)."""
-    centre, half = np.split(model.geom_aabb[geoms], 2, axis=1)
+    center, half = np.split(model.geom_aabb[geoms], 2, axis=1)
     signs = np.stack(np.meshgrid(*[[-1.0, 1.0]] * 3), axis=-1).reshape(8, 3)
-    local = centre[:, None] + signs * half[:, None]
+    local = center[:, None] + signs * half[:, None]
     turn = data.geom_xmat[geoms].reshape(-1, 3, 3)
     return (data.geom_xpos[geoms][:, None] + np.einsum("gij,gcj->gci", turn, local)).reshape(-1, 3)
 

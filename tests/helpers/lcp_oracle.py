@@ -68,7 +68,7 @@ class Textbook:
     ) -> Float[np.ndarray, "n"]:
         """z of a velocity and of every side's impulse, which acts with -sides^T impulse.
 
-        A contact's impulse lies in the cone of two neighbouring corners, so beta has at most two entries a contact.
+        A contact's impulse lies in the cone of two neighboring corners, so beta has at most two entries a contact.
         """
         count = len(self.corners)
         friction = -impulse.reshape(-1, len(sides)) @ sides
@@ -108,8 +108,8 @@ def interior_point(problem: Textbook, tolerance: float = 1e-10) -> Float[np.ndar
         dz = scipy.linalg.lu_solve(newton, -miss - w, check_finite=False)
         dw = matrix @ dz + miss
         reach = _reach(z, dz, w, dw)
-        centre = ((z + reach * dz) @ (w + reach * dw) / gap) ** 3 * gap / len(z)
-        dz = scipy.linalg.lu_solve(newton, -miss - w - (dz * dw - centre) / z, check_finite=False)
+        center = ((z + reach * dz) @ (w + reach * dw) / gap) ** 3 * gap / len(z)
+        dz = scipy.linalg.lu_solve(newton, -miss - w - (dz * dw - center) / z, check_finite=False)
         dw = matrix @ dz + miss
         reach = 0.995 * _reach(z, dz, w, dw)
         z, w = z + reach * dz, w + reach * dw

@@ -32,7 +32,7 @@ def turn_record(
     Args:
         wrench_object: wrench about the TCP in object axes, (6,) or (T, 6).
         grasp: where the object is held, m, object frame.
-        pivot: centre of the turn, m, object frame; it rests at (0.4, 0.1) in the world.
+        pivot: center of the turn, m, object frame; it rests at (0.4, 0.1) in the world.
         start: yaw at the start, rad.
         speed: turn rate at the start, rad/s.
         acceleration: of the turn, rad/s^2.
@@ -42,7 +42,7 @@ def turn_record(
     time = np.arange(count) / RATE
     yaw = start + speed * time + acceleration * time**2 / 2
     rate = speed + acceleration * time
-    centre = np.array([0.4, 0.1])
+    center = np.array([0.4, 0.1])
     turn = rotation_2d(yaw)
     hand, origin = turn @ (grasp - pivot), turn @ -pivot
     by_sample = np.broadcast_to(wrench_object, (count, 6))
@@ -54,9 +54,9 @@ def turn_record(
         count,
         tare=0,
         time_s=time,
-        object_pose=pose_from_point(centre, pivot, yaw),
+        object_pose=pose_from_point(center, pivot, yaw),
         object_velocity=np.column_stack([rate[:, None] * perpendicular(origin), rate]),
-        tcp_position=np.column_stack([centre + hand, np.full(count, 0.015)]),
+        tcp_position=np.column_stack([center + hand, np.full(count, 0.015)]),
         tcp_velocity=np.column_stack([rate[:, None] * perpendicular(hand), still, still[:, 0], rate]),
         wrench_on_object_world=world,
         **changes,

@@ -37,7 +37,7 @@ def silent(stage: str, done: int, total: int, failed: int = 0) -> None:
 
 @pytest.fixture
 def data(tmp_path: Path) -> Path:
-    """A set of one mallet, in millimetres as the public one, beside what its notes say."""
+    """A set of one mallet, in millimeters as the public one, beside what its notes say."""
     boxes, sums, about = [], np.zeros(4), np.zeros((3, 3))
     for place, (size, middle, mass) in enumerate(PARTS):
         made = trimesh.creation.box(size)

@@ -56,7 +56,7 @@ def test_a_methods_setting_can_be_swept():
         ({"sensing": ["best"]}, "sensing.*got 'best'; allowed: one of ideal, ft300s"),
         ({"support": ["soft"]}, "support.*got 'soft'; allowed: .*rigid"),
         ({"seeds": 0}, "seeds: got 0; allowed: greater than or equal to 1"),
-        ({"colour": 1}, "colour: no such field"),
+        ({"color": 1}, "color: no such field"),
         ({"methods": {"magic": {}}}, "methods: got 'magic'; allowed: one of hidden_states"),
         ({"methods": {"hidden_states": {"steps": 0}}}, "steps: got 0; allowed: an integer >= 1"),
         ({"methods": {"hidden_states": {"speed": 1}}}, "got 'speed'; allowed: settings method, .*solver"),

@@ -40,7 +40,7 @@ SIZES = [
     (MESH.format(file="many.stl"), "101000 triangles'; allowed: at most 100000"),
     (MESH.format(file="large.stl"), "9 MiB, more than the 8"),
     (MESH.format(file="lies.stl"), "a mesh"),
-    (MESH.format(file="far.stl"), "with a coordinate of 1e.03 m'; allowed: metres, below 10"),
+    (MESH.format(file="far.stl"), "with a coordinate of 1e.03 m'; allowed: meters, below 10"),
 ]
 
 

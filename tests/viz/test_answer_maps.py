@@ -25,4 +25,4 @@ def test_methods_with_intervals_are_drawn_and_where_none_has_one_it_is_hatched()
         labels = [axis.get_ylabel() for axis in figure.axes if axis.get_ylabel()]
         assert labels[0] == f"{method}\nok"
         written = [text.get_text() for axis in figure.axes for text in axis.texts]
-        assert written.count("0.400") == 4 and written.count("-") + written.count("not seen") == hatched
+        assert written.count("0.400") == 4 and written.count("-") + written.count("not observed") == hatched

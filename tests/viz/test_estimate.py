@@ -100,7 +100,7 @@ def pixels(entity: Entity, buffer: list) -> np.ndarray:
 
 
 def colors_of_groups(shape: ObjectShape, entity: Entity, buffer: list) -> np.ndarray:
-    """Colour of each mass group in an image, (n_m, 3), where all its particles have the same; else fails."""
+    """Color of each mass group in an image, (n_m, 3), where all its particles have the same; else fails."""
     image = pixels(entity, buffer)
     place = entity.static["Transform3D:translation"][0], entity.static["Transform3D:scale"][0]
     found: dict[int, set] = {}
@@ -112,7 +112,7 @@ def colors_of_groups(shape: ObjectShape, entity: Entity, buffer: list) -> np.nda
 
 
 def at_end(entities: dict[str, Entity], path: str, timeline: str | None = "iteration") -> np.ndarray:
-    """Colours of the groups of L2 at the end of a timeline; None for a static image."""
+    """Colors of the groups of L2 at the end of a timeline; None for a static image."""
     entity = entities[f"{path}/cells"]
     buffer = entity.at_end("Image:buffer", timeline) if timeline else entity.static["Image:buffer"]
     return colors_of_groups(load_object("L2").shape, entity, buffer)
@@ -271,7 +271,7 @@ def test_discs_are_as_large_as_friction_loads(blocks):
     )
     area = np.array(particles.at_end("Points2D:radii")) ** 2
     true_area = np.array(rings.static["Ellipses2D:half_sizes"])[:, 0] ** 2
-    big = load > 0.1 * load.max()  # the smallest discs are drawn larger, so that their colour is visible
+    big = load > 0.1 * load.max()  # the smallest discs are drawn larger, so that their color is visible
     assert_allclose(area[big] / area.max(), load[big] / load.max(), rtol=1e-5)
     assert_allclose(true_area / area.max(), true_load / load.max(), rtol=1e-5)
     top = max(view.answer.mass.max(), view.truth.mass.max())

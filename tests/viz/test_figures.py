@@ -35,7 +35,7 @@ UNITS = re.compile(r", (kg|kg per group|N|N m|N/m|m|s|%)$")
 WITHOUT_UNIT = {"iteration", "loss", "group", "loss over first loss", "truth.friction", "k"}
 
 
-def test_colours_differ_and_text_is_legible():
+def test_colors_differ_and_text_is_legible():
     assert len({series_color(i) for i in range(12)}) == 12
     assert_array_equal(text_color(np.array([[255, 255, 255], [0, 0, 80]], dtype=np.uint8)), [[0] * 3, [255] * 3])
     for name in (MASS_COLORS, DIFFERENCE_COLORS):

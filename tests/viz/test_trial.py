@@ -58,7 +58,7 @@ def values(entities: dict[str, Entity], path: str, component: str = "Scalars:sca
 
 
 @pytest.mark.slow
-def test_cells_have_the_colours_and_masses_of_their_groups(entities, view):
+def test_cells_have_the_colors_and_masses_of_their_groups(entities, view):
     cells, shape = entities["trial/scene/object/cells"], view.shape
     colors, labels = cells.static["Boxes3D:colors"], cells.static["Boxes3D:labels"]
     packed = [int(group_color(group)[1:] + "FF", 16) for group in shape.mass_group]

@@ -47,7 +47,7 @@ def draw_actions(axis: Axes, view: ActionsView, paths: Mapping[int, Float[np.nda
 
 
 def _draw_links(axis: Axes, shape: ObjectShape) -> None:
-    """Draw the cells in grey; of an object in links each link in its colour, with its hinges."""
+    """Draw the cells in gray; of an object in links each link in its color, with its hinges."""
     if shape.chain is None:
         draw_groups(axis, shape, np.full(shape.n_m, GREY), Scale(1.0, "Greys", ""), letters=0.0)
     else:

@@ -1,4 +1,4 @@
-"""Mass maps: each group's mass, difference or error as coloured cells with a number.
+"""Mass maps: each group's mass, difference or error as colored cells with a number.
 
 `absolute_difference` is the paper's Fig. absolute_diff.
 """
@@ -60,13 +60,13 @@ def draw_groups(
     letters: float = 5.0,
     place: Affine2D | None = None,
 ) -> None:
-    """Draw one object: cells in the colour of their group's value, and the number at each group's middle.
+    """Draw one object: cells in the color of their group's value, and the number at each group's middle.
 
     Args:
         axis: matplotlib's axes.
         shape: geometry of the object.
         values: one a group, (n_m,), hatched where not finite; None where there is no answer.
-        scale: of the colours.
+        scale: of the colors.
         digits: of the numbers, after the point.
         letters: size of the numbers, points; 0 without numbers.
         place: of the object in axes that others share; without it the axes become the object's own.
@@ -97,7 +97,7 @@ def draw_groups(
                     list(blind), facecolor=NO_ANSWER, edgecolor="white", hatch="////", linewidth=0, transform=on
                 )
             )
-        unknown = "not seen" if shape.n_m <= MOST_NAMED // 2 else "-"
+        unknown = "not observed" if shape.n_m <= MOST_NAMED // 2 else "-"
         for (x, y), value, finite in zip(group_middles(shape), values, known, strict=True) if letters else ():
             dark = mpl.colormaps[scale.colors](norm(value))[1] < 0.5 and finite
             text, size = (f"{value:.{digits}f}", letters) if finite else (unknown, 5.0)
@@ -127,7 +127,7 @@ def extent(shape: ObjectShape) -> tuple[Float[np.ndarray, "2"], Float[np.ndarray
 
 
 def add_bar(figure: Figure, axes: Any, scale: Scale, **look: Any) -> None:
-    """Draw the colour bar of a scale, below some axes unless `look` says otherwise."""
+    """Draw the color bar of a scale, below some axes unless `look` says otherwise."""
     usual = {"orientation": "horizontal", "shrink": 0.85, "pad": 0.04}
     size = {"fontsize": look.pop("fontsize")} if "fontsize" in look else {}
     figure.colorbar(scale.mappable, ax=axes, **usual | look).set_label(scale.title, wrap=True, **size)

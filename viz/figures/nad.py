@@ -115,12 +115,12 @@ def _by_word(rows: Sequence[Row], axis_column: str, values: Sequence[str]) -> Fi
         if len(has) == 0:
             continue
         low, middle, high = np.array([np.quantile(found[i], (0.25, 0.5, 0.75)) for i in has]).T
-        colour, marker = PALETTE[which % len(PALETTE)], MARKERS[which % len(MARKERS)]
+        color, marker = PALETTE[which % len(PALETTE)], MARKERS[which % len(MARKERS)]
         at = has + 0.6 * ((which + 0.5) / len(methods) - 0.5)
         if which == 0:
-            axis.barh(has, middle, height=0.8, color=colour, alpha=0.18, linewidth=0)
-        axis.hlines(at, low, high, color=colour, linewidth=1.0, alpha=0.6)
-        axis.plot(middle, at, color=colour, marker=marker, markersize=4, linestyle="none", label=method)
+            axis.barh(has, middle, height=0.8, color=color, alpha=0.18, linewidth=0)
+        axis.hlines(at, low, high, color=color, linewidth=1.0, alpha=0.6)
+        axis.plot(middle, at, color=color, marker=marker, markersize=4, linestyle="none", label=method)
         every.append(middle)
     axis.set_yticks(range(len(values)), values)
     axis.set_ylim(len(values) - 0.5, -0.5)

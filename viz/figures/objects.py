@@ -41,7 +41,7 @@ def object_page(models: Sequence[ObjectModel]) -> Figure:
     for axis in axes[len(models) :]:
         axis.set_axis_off()
     rings = "; rings: hinges" if any(model.shape.chain is not None for model in models) else ""
-    said = (f"colours: parts; black dots: points of contact{rings}", "cross: centre of mass; red: pads")
+    said = (f"colors: parts; black dots: points of contact{rings}", "cross: center of mass; red: pads")
     figure.supxlabel(("; " if columns > 1 else "\n").join(said), fontsize=7)
     return figure
 

@@ -17,7 +17,7 @@ WIDTH, LONG = 7.0, 4.6
 LONG_FROM = 1.8
 """Width over height from which the panels stand below each other."""
 HEAD, FOOT = 0.3, 0.95
-"""Room for a panel's title, and for the figure's title with the colour bar [inches]."""
+"""Room for a panel's title, and for the figure's title with the color bar [inches]."""
 
 
 @mpl.rc_context(STYLE)

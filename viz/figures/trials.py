@@ -21,7 +21,7 @@ ANGLES = 1.1
 
 @mpl.rc_context(STYLE)
 def trials_figure(view: TrialsView) -> Figure:
-    """Object with the actions of all trials, numbered and coloured in order, and below it each hinge's angle."""
+    """Object with the actions of all trials, numbered and colored in order, and below it each hinge's angle."""
     low, high = view.bounds
     scale = min(SCALE, *(np.array([WIDTH[1], HEIGHT[1]]) / (high - low)))
     width, height = np.maximum(scale * (high - low), [WIDTH[0], HEIGHT[0]])
@@ -38,7 +38,7 @@ def trials_figure(view: TrialsView) -> Figure:
 
 
 def _draw_angle(axis: Axes, view: TrialsView, hinge: int) -> None:
-    """Draw a hinge's joint angle: a line a trial, in its colour, with its number at the end."""
+    """Draw a hinge's joint angle: a line a trial, in its color, with its number at the end."""
     colors = action_colors(len(view.actions))
     for number, camera in view.cameras.items():
         time, angle = camera.time_s, np.degrees(camera.joint_angles[:, hinge])

@@ -29,7 +29,7 @@ TAIL = 0.002
 def wrench_fit_figure(fits: Sequence[WrenchFit]) -> Figure:
     """One column a trial; force x, force y and torque z below each other, each on the scale of all trials.
 
-    Steady samples are coloured, the others grey; the line is the prediction, with its 95 % band. Below each component
+    Steady samples are colored, the others gray; the line is the prediction, with its 95 % band. Below each component
     is the difference measured - predicted.
 
     Raises:

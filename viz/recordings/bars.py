@@ -1,7 +1,7 @@
-"""Masses of groups as bars in Rerun: the truth wide and grey, estimates before it, with intervals and a legend.
+"""Masses of groups as bars in Rerun: the truth wide and gray, estimates before it, with intervals and a legend.
 
 The scene's unit is kg, upwards and sideways; the object's groups follow from left to right. Rerun's own bar charts
-have neither names nor intervals, and where bars overlap they add up their colours.
+have neither names nor intervals, and where bars overlap they add up their colors.
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ from viz.recordings.planar import CHARACTER, LINE, MARGIN, Bounds, Canvas, log_l
 from viz.style import EDGE, TRUTH, rgb
 
 TRUTH_WIDTH, ALL_WIDTH = 0.86, 0.64
-"""Widths of the grey bar and of all others together, over the room of a group."""
+"""Widths of the gray bar and of all others together, over the room of a group."""
 STROKE = 1.5
 """Half the width of the strokes that fill a bar [pixels]: planar boxes are outlines in Rerun."""
 MOST_NAMES = 40
 """Largest number of names of groups."""
 SWATCH = 18.0
-"""Width of a colour in the legend [pixels]."""
+"""Width of a color in the legend [pixels]."""
 BESIDE = 62.0
 """Room for the numbers of the scale [pixels]."""
 ROW = LINE + MARGIN
@@ -38,7 +38,7 @@ class BarSeries:
     label: str
     """Name in the legend."""
     color: str
-    """Colour of the bars."""
+    """Color of the bars."""
     mass: Float[np.ndarray, "F n_m"]
     """Mass of each group [kg]."""
     frames: Frames
@@ -94,7 +94,7 @@ class BarScene:
 
     @property
     def _rows(self) -> list[list[tuple[str, str]]]:
-        """Labels and colours in the rows of the legend."""
+        """Labels and colors in the rows of the legend."""
         rows: list[list[tuple[str, str]]] = [[]]
         left = room = self.canvas.width - BESIDE
         truth = [] if self.truth is None else [("truth", TRUTH)]

@@ -25,9 +25,9 @@ BARS = 250.0
 MOST_COLUMNS = 5
 """Largest number of views in a row whose titles have room."""
 GAP = 12.0
-"""Distance around the colour bars [pixels]."""
+"""Distance around the color bars [pixels]."""
 BAR = 14.0
-"""Thickness of a colour bar [pixels]."""
+"""Thickness of a color bar [pixels]."""
 
 
 def log_comparison(stream: rr.RecordingStream, root: str, views: Sequence[EstimateView]) -> None:
@@ -123,7 +123,7 @@ def _scales(views: Sequence[EstimateView]) -> tuple[Scale, Scale | None]:
 
 
 def _bar_boxes(cell: Canvas) -> list[Bounds]:
-    """Places of the two colour bars [pixels]: one below the other, or side by side."""
+    """Places of the two color bars [pixels]: one below the other, or side by side."""
     if cell.height < 2 * (BAR + BELOW) + 2 * GAP:
         length = (cell.width - 12 * GAP) / 2
         return [Bounds(x, -GAP - BAR, x + length, -GAP) for x in (3 * GAP, length + 9 * GAP)]

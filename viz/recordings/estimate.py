@@ -172,7 +172,7 @@ def friction_load(
 
 @dataclass(frozen=True, eq=False)
 class _LoadScene:
-    """Particles coloured by mass and sized by friction load in F frames; rings show the true load."""
+    """Particles colored by mass and sized by friction load in F frames; rings show the true load."""
 
     view: EstimateView
     mass: Float[np.ndarray, "F n_m"]
@@ -203,7 +203,7 @@ class _LoadScene:
         tops = [float(each.mass.max()) for each in (answer, truth) if each is not None]
         scale = style.Scale(max(*tops, 1e-9), style.MASS_COLORS, "mass, kg a particle")
         colors = packed(scale.color(self.mass[:, shape.mass_group]))
-        # the smallest disc still shows the colour of a particle that carries no load
+        # the smallest disc still shows the color of a particle that carries no load
         radii = np.maximum(radius(load), 0.1 * shape.cell)
         (node / "particles").log(rr.Points2D(shape.particles))
         frames.send(

@@ -1,4 +1,4 @@
-"""Mass maps in Rerun: an object's cells in the colour of their group's value, with outlines, numbers and colour bar."""
+"""Mass maps in Rerun: an object's cells in the color of their group's value, with outlines, numbers and color bar."""
 
 from __future__ import annotations
 
@@ -32,11 +32,11 @@ FINE = 4
 FITTING = 0.75
 """Least width of a group over that of its number: a number may stick out a little."""
 SHADES = 64
-"""Number of colours of a colour bar."""
+"""Number of colors of a color bar."""
 BELOW = 2 * LINE + 6 * MARGIN
-"""Room for the texts below a colour bar [pixels]."""
+"""Room for the texts below a color bar [pixels]."""
 GAP = 0.05
-"""Distance between a map and its colour bar, over the map's size."""
+"""Distance between a map and its color bar, over the map's size."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,12 +89,12 @@ class Raster:
         return found
 
     def image(self, colors: np.ndarray) -> np.ndarray:
-        """Pixels, (..., H, W, 3), of a colour a group, (..., n_m, 3); the background beside the object."""
+        """Pixels, (..., H, W, 3), of a color a group, (..., n_m, 3); the background beside the object."""
         beside = np.broadcast_to(np.array(rgb(BACKGROUND), dtype=np.uint8), (*colors.shape[:-2], 1, 3))
         return np.concatenate([colors, beside], axis=-2)[..., self.group, :]  # -1 is the last
 
     def log(self, node: Node, colors: np.ndarray, frames: Frames) -> None:
-        """Log the pixels in the object frame; colours (F, n_m, 3)."""
+        """Log the pixels in the object frame; colors (F, n_m, 3)."""
         height, width = self.group.shape
         place = rr.Transform3D(translation=[self.left, self.bottom, 0], scale=[self.pixel, self.pixel, 1])
         look = rr.components.ImageFormat(width=width, height=height, color_model="RGB", channel_datatype="U8")
@@ -114,7 +114,7 @@ class MassMap:
     values: Float[np.ndarray, "F n_m"] | None
     """Values; None where there is no answer."""
     scale: Scale
-    """Colour scale."""
+    """Color scale."""
     canvas: Canvas
     """Size of the view."""
     named: bool = True
@@ -122,7 +122,7 @@ class MassMap:
 
     @property
     def box(self) -> Bounds:
-        """Bounds around the map and its colour bar."""
+        """Bounds around the map and its color bar."""
         box = Raster.of(self.shape).box
         return self.canvas.framed(box.joined(bar_box(box)), 26, 10, BELOW)
 
@@ -140,7 +140,7 @@ class MassMap:
             self._log_texts(node / "groups", frames, self.values, pixel)
 
     def log_with_bar(self, node: Node, frames: Frames) -> None:
-        """Log it with its colour bar, as alone in its view."""
+        """Log it with its color bar, as alone in its view."""
         self.log(node, frames, self.box)
         place = bar_box(Raster.of(self.shape).box)
         log_bar(node / "bar", self.scale, place, self.canvas.pixel(self.box))
@@ -176,14 +176,14 @@ def log_hinges(node: Node, shape: ObjectShape) -> None:
 
 
 def bar_box(box: Bounds) -> Bounds:
-    """Place of the colour bar below a map at `box`: as wide as the map, wider under a tall one."""
+    """Place of the color bar below a map at `box`: as wide as the map, wider under a tall one."""
     width = max(box.width, 0.85 * box.height)
     middle, top = (box.left + box.right) / 2, box.bottom - GAP * max(width, box.height)
     return Bounds(middle - width / 2, top - 0.05 * width, middle + width / 2, top)
 
 
 def log_bar(node: Node, scale: Scale, box: Bounds, pixel: float) -> None:
-    """Log a colour bar at `box`, with ticks and title below it."""
+    """Log a color bar at `box`, with ticks and title below it."""
     shades = mapped((np.arange(SHADES) + 0.5) / SHADES, 1.0, scale.colors)
     place = rr.Transform3D(translation=[box.left, box.bottom, 0], scale=[box.width / SHADES, box.height, 1])
     strip = rr.Image(bytes=shades.tobytes(), width=SHADES, height=1, color_model="RGB", datatype="U8")

@@ -148,6 +148,6 @@ def ticks(top: float, most: int = 4) -> tuple[Float[np.ndarray, "K"], list[str]]
 
 
 def packed(colors: UInt8[np.ndarray, "... 3"]) -> UInt32[np.ndarray, "..."]:
-    """Colours, 0 to 255, as Rerun's 0xRRGGBBAA."""
+    """Colors, 0 to 255, as Rerun's 0xRRGGBBAA."""
     red, green, blue = np.moveaxis(np.asarray(colors).astype(np.uint32), -1, 0)
     return (red << 24) | (green << 16) | (blue << 8) | np.uint32(255)

@@ -131,7 +131,7 @@ def _log_robot(node: Node, view: TrialView) -> None:
 
 
 def _log_object(node: Node, view: TrialView) -> None:
-    """Log the object's cells in the colours of their groups, with the group's true mass where known, and its pose."""
+    """Log the object's cells in the colors of their groups, with the group's true mass where known, and its pose."""
     shape, truth = view.shape, view.truth
     half = np.array([shape.cell / 2, shape.cell / 2, shape.height / 2])
     centers = np.column_stack([shape.particles, np.full(len(shape.particles), shape.height / 2)])

@@ -1,4 +1,4 @@
-"""Mass map for a terminal: the object from above, a shade and colour for each group's mass, and its number."""
+"""Mass map for a terminal: the object from above, a shade and color for each group's mass, and its number."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from viz.style import MASS_COLORS, mapped, text_color
 WIDEST = 72
 """Most characters in a line."""
 _SHADES = "·░▒▓█"
-"""Fills from no mass to the largest; where there are colours each has that of its ground."""
+"""Fills from no mass to the largest; where there are colors each has that of its ground."""
 
 
 def mass_map(answer: Answer) -> Text:

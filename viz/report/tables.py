@@ -33,7 +33,7 @@ PAPER = "  paper, real robot"
 
 
 BEYOND = 1000.0
-"""Value above which sizes are not distinguished: a predicted object metres from where it is."""
+"""Value above which sizes are not distinguished: a predicted object meters from where it is."""
 
 
 @dataclass(frozen=True)

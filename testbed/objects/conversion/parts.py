@@ -63,7 +63,7 @@ def cut(surface: Surface, how: str) -> tuple[list[Manifold], str]:
 def labelled(surface: Surface, path: Path) -> Surface:
     """The surface with the labels of the points of a PLY file, in the frame of the mesh file.
 
-    The labels are a property beside place and colour: `segmentation`, `label`, `class` or `part`. Its unit is the one
+    The labels are a property beside place and color: `segmentation`, `label`, `class` or `part`. Its unit is the one
     in which the points span what the mesh does.
 
     Raises:

@@ -28,7 +28,7 @@ UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254}
 LONGEST, SHORTEST = 2.0, 0.005
 """Longest and shortest object that lies on the table [m]."""
 SMALL = 0.005
-"""Part of the volume below which loose bodies are left out, and of the surface below which a colour is no part."""
+"""Part of the volume below which loose bodies are left out, and of the surface below which a color is no part."""
 MOST_LOST = 0.05
 """Part of the surface, in pieces that enclose nothing, from which a mesh is refused. Ours."""
 FINENESS = 5e-5
@@ -47,7 +47,7 @@ class Surface:
     points: Float[np.ndarray, "S 3"]
     """Points of the surface that have a label [m]."""
     labels: Int[np.ndarray, "S"]
-    """Label of each point, from 0: its colour, or its piece of the file; all 0 without any."""
+    """Label of each point, from 0: its color, or its piece of the file; all 0 without any."""
     of_body: Int[np.ndarray, "S"]
     """Body of each point; -1 of none."""
     notes: tuple[str, ...]
@@ -126,7 +126,7 @@ def _unit(length: float, unit: str | None, said: str | None) -> tuple[float, str
     elif unit is None:
         likely = [name for name in ("m", "mm") if 0.02 <= length * UNITS[name] <= LONGEST]
         if not likely:
-            allowed = f"metres or millimetres of an object of 0.02 to {LONGEST:g} m, or --units"
+            allowed = f"meters or millimeters of an object of 0.02 to {LONGEST:g} m, or --units"
             raise InvalidValueError("file", f"a longest side of {length:.4g}", allowed)
         unit, why = likely[0], f"taken from its longest side of {length:.4g}"
     else:

@@ -185,7 +185,7 @@ def calibrate(poses: Sequence[StaticPose], gain_error: float = 0.0) -> Calibrati
             )
         raise CalibrationError(
             "calibration: the poses do not determine the sensor's sign; add some with the hand level and upside down, "
-            "so that gravity is seen along all three of its axes"
+            "so that gravity is measured along all three of its axes"
         )
     widening = max(misfit, 1.0)
     for _ in range(ROUNDS):

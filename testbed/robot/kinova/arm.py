@@ -84,7 +84,7 @@ class KortexArm:
         if max(abs(x), abs(y), abs(z - self.tool_length)) > 1e-3:
             self.__exit__(None, None, None)
             raise RobotError(
-                f"arm {self.address}: its stored tool has its centre at ({x:.4f}, {y:.4f}, {z:.4f}) m; expected "
+                f"arm {self.address}: its stored tool has its center at ({x:.4f}, {y:.4f}, {z:.4f}) m; expected "
                 f"(0, 0, {self.tool_length:.4f}) m; set it in the arm's Web App under Configurations, Robot, Arm, Tool"
             )
         return self

@@ -43,7 +43,7 @@ def test_a_plan_is_told_and_drawn(tmp_path, capsys):
     main(["plan", "L2", "--budget", "60s", "--candidates", "300", *files])
     said = " ".join(capsys.readouterr().out.split())
     assert "L2, own_weight, ft300s: greedy; weighed 1.800 kg" in said
-    assert "the budget is spent" in said and "all 7 masses and frictions are seen" in said
+    assert "the budget is spent" in said and "all 7 masses and frictions are observed" in said
     assert sorted(path.name for path in tmp_path.iterdir()) == ["plan.pdf", "plan.png", "plan.rrd"]
 
 
@@ -52,7 +52,7 @@ def test_lifts_are_planned_where_asked_for_and_possible(tmp_path, capsys):
     more = ["--lifts", "--most", "3", "--candidates", "300", "--record", str(tmp_path / "plan.rrd")]
     main(["plan", "L2", "--assumed-support", "rigid", "--figure", str(tmp_path / "plan"), *more])
     said = " ".join(capsys.readouterr().out.split())
-    assert "lift" in said and "held" in said and "6 of 7 masses and frictions are seen" in said
+    assert "lift" in said and "held" in said and "6 of 7 masses and frictions are observed" in said
     assert "plan/actions/scene/3/lift" in read_chunks(tmp_path / "plan.rrd")
     with pytest.raises(SystemExit, match="2"):
         main(["plan", "L2", "--lifts"])

@@ -84,8 +84,8 @@ def test_turns_go_about_points_between_particles():
         shape = load_object("L1", grid).shape
         for grasp in shape.grasps:
             point = between_particles(shape, grasp.position)
-            centre = grasp.position if point is None else np.array(point)
-            assert np.linalg.norm(shape.particles - centre, axis=1).min() > shape.cell / 4
+            center = grasp.position if point is None else np.array(point)
+            assert np.linalg.norm(shape.particles - center, axis=1).min() > shape.cell / 4
 
 
 @pytest.mark.parametrize(("name", "enough"), [("I1", 3), ("L1", 2), ("F1", 2)])

@@ -52,7 +52,7 @@ def data(obj: ObjectModel) -> list[Trajectory]:
 def ask(
     obj: ObjectModel, method: Baseline, trajectories: list[Trajectory] | None = None, seed: int = 0, **settings: object
 ) -> Estimate:
-    # the analytic world knows the centre of a turn exactly
+    # the analytic world knows the center of a turn exactly
     exact = replace(method, **{"pivot_error": 0.0} | settings)
     given = data(obj) if trajectories is None else trajectories
     return exact.estimate(obj.shape, obj.total_mass, given, seed)

@@ -144,9 +144,9 @@ def test_the_heatmap_shows_every_group_of_every_object_and_method(tmp_path):
     assert texts[0] == "L2" and texts[7] == f"{0.5 * load_object('L2').group_mass[0]:.2f}"
     assert len(texts) == 2 + (6 + 6 + 1) + (2 + 2 + 1) + 3 and texts.count("no answer") == 2
     assert "kg" in bar.get_ylabel()
-    colours = whole.collections[1].get_array()
-    assert colours is not None
-    assert_allclose(np.unique(colours), np.unique(0.5 * load_object("L2").group_mass))
+    colors = whole.collections[1].get_array()
+    assert colors is not None
+    assert_allclose(np.unique(colors), np.unique(0.5 * load_object("L2").group_mass))
     norms = [drawn.norm for drawn in whole.collections if drawn.get_array() is not None]
     assert len(norms) == 4 and len({(norm.vmin, norm.vmax) for norm in norms}) == 1
     save_figure(figure, tmp_path / "deep" / "map")

@@ -59,11 +59,11 @@ def test_on_own_weight_every_mass_is_seen(name):
     assert report.rank == report.unknowns == obj.shape.n_m + 1
     assert np.isfinite(report.standard_error).all()
     assert report.unobservable == ()
-    assert report.sentence == "all 7 masses and frictions are seen"
+    assert report.sentence == "all 7 masses and frictions are observed"
 
 
 @pytest.mark.parametrize(("name", "rank"), [("I2", 4), ("L2", 5), ("F2", 5)])
-def test_under_one_rigid_body_only_weight_centre_and_inertia_are_seen(name, rank):
+def test_under_one_rigid_body_only_weight_center_and_inertia_are_seen(name, rank):
     obj = load_object(name)
     report = expected(obj.shape, obj.truth, all_turns(obj), preset("ideal"), Assumptions("rigid"))
     assert report.rank == rank

@@ -67,18 +67,18 @@ def test_lifts_are_of_inner_grasps_and_of_rigid_bodies_alone():
 def test_a_lift_shows_two_more_of_an_f_and_leaves_one_way_open(capsys):
     main(["identify", "F2", "--assumed-support", "rigid", "--lifts", "1"])
     said = " ".join(capsys.readouterr().out.split())
-    assert "6 of 7 masses and frictions are seen" in said
+    assert "6 of 7 masses and frictions are observed" in said
 
 
 def test_it_says_what_is_seen(capsys):
     main(["identify", "L2"])
     said = capsys.readouterr().out
     assert "L2, own_weight, ft300s: 1 weigh, 6 accelerate, 6 rotate" in said
-    assert "all 7 masses and frictions are seen" in said
+    assert "all 7 masses and frictions are observed" in said
     main(["identify", "F2", "--assumed-support", "rigid"])
     said = " ".join(capsys.readouterr().out.split())
     assert "the combination A1 - B1 - A3 + B3" in said
-    assert said.count("not seen") == 12
+    assert said.count("not observed") == 12
 
 
 def test_a_group_without_mass_is_seen_but_has_no_part_of_it(tmp_path, capsys):
@@ -92,7 +92,7 @@ def test_a_group_without_mass_is_seen_but_has_no_part_of_it(tmp_path, capsys):
 
 def test_a_weighing_alone_shows_one_direction(capsys):
     main(["identify", "I1", "--pivots", "0"])
-    assert "1 of 7 masses and frictions are seen" in capsys.readouterr().out
+    assert "1 of 7 masses and frictions are observed" in capsys.readouterr().out
 
 
 def test_a_sensor_that_is_not_there_is_refused(capsys):
@@ -123,7 +123,7 @@ def test_what_is_not_seen_is_hatched_and_said():
     model = load_object("L2")
     figure = error_figure(model, np.array([0.01, np.inf, 0.02, 0.03, 0.01, 0.01]), "some trials")
     axis, bar = figure.axes
-    assert [text.get_text() for text in axis.texts] == ["10.0", "not seen", "20.0", "30.0", "10.0", "10.0"]
+    assert [text.get_text() for text in axis.texts] == ["10.0", "not observed", "20.0", "30.0", "10.0", "10.0"]
     assert "standard error" in bar.get_xlabel()
     hatched = [patches for patches in axis.collections if patches.get_hatch()]
     assert len(hatched) == 1 and len(hatched[0].get_paths()) == 9

@@ -184,7 +184,7 @@ def test_a_hinge_that_never_turns_is_not_seen():
     more = [Rotate(0, duration=4.0, pivot=(-0.09, 0.02)), Slide(0, -np.pi / 2, duration=4.0)]
     trials = [SimulationRunner().run(Trial(half, action)) for action in [*drags(THREE), *more]]
     found = HiddenStates().estimate(half.shape, half.total_mass, trials, 0)
-    assert found.status == "ok" and found.message == "hinge 1 stands in every window: its friction is not seen"
+    assert found.status == "ok" and found.message == "hinge 1 stands in every window: its friction is not observed"
     columns = hinge_columns(half.hinge_friction, found.diagnostics)
     assert_allclose(columns["hinge_Nm"], [0.004, np.nan], rtol=0.02)
     assert columns["hinge_error"] < 0.02 and np.isnan(columns["hinge_error_Nm"][1])

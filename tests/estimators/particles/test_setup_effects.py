@@ -48,10 +48,10 @@ def wrenches(trials):
     return observed(trials).wrench.numpy().ravel()
 
 
-@pytest.mark.parametrize("millimetres", [0.0, 0.5, 1.0, 2.0, 5.0])
-def test_a_known_foot_near_the_pivot_drags_as_in_the_mean_over_the_errors_of_its_place(millimetres):
+@pytest.mark.parametrize("millimeters", [0.0, 0.5, 1.0, 2.0, 5.0])
+def test_a_known_foot_near_the_pivot_drags_as_in_the_mean_over_the_errors_of_its_place(millimeters):
     foot = OBJECT.shape.particles[np.argmin(np.linalg.norm(OBJECT.shape.particles - [0.0, 0.02], axis=1))]
-    beside = Rotate(0, duration=2.5, pivot=(float(foot[0]) + 1e-3 * millimetres, float(foot[1])))
+    beside = Rotate(0, duration=2.5, pivot=(float(foot[0]) + 1e-3 * millimeters, float(foot[1])))
     model, exact = ParticleModel.of(OBJECT.shape), observed([analytic_trial(OBJECT, beside)])
     stated = SetupErrors(grasp_offset=5e-4, particle_offset=5e-4)
     each = torch.ones(len(model.particles), dtype=torch.float64)
@@ -60,7 +60,7 @@ def test_a_known_foot_near_the_pivot_drags_as_in_the_mean_over_the_errors_of_its
     mean = torch.stack([sharp.rows({"grasp_offset": offset}) for offset in offsets]).mean(0)
     faded = replace(exact, setup=stated).table(model, 1e-6).dragged(each).rows({})
     assert_allclose(faded[:, :2], mean[:, :2], atol=0.12)  # a foot drags 1 N
-    if 0 < millimetres < 1:
+    if 0 < millimeters < 1:
         assert float((sharp.rows({}) - mean)[:, :2].norm(dim=1).min()) > 0.4
 
 

@@ -181,7 +181,7 @@ def test_rests_that_are_interpolated_are_no_poses(tmp_path: Path):
 
 
 @pytest.mark.parametrize("unit", [1e3, 1e2])
-def test_a_tool_that_would_be_metres_away_names_the_unit(unit: float, tmp_path: Path):
+def test_a_tool_that_would_be_meters_away_names_the_unit(unit: float, tmp_path: Path):
     poses, _ = recorded_poses(*recorded(tmp_path))
     scale = np.repeat([1.0, unit], 3)
     far = [type(p)(p.hand, scale * p.wrench, scale * p.standard_error) for p in poses]

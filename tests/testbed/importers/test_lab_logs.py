@@ -58,7 +58,7 @@ def imported(turn: Trajectory, tmp_path_factory: pytest.TempPathFactory) -> Traj
 
 
 def windows_agree(imported: Trajectory, original: Trajectory, part: float) -> None:
-    """Steady wrenches agree within a part of the drag, 1 % of it in metres for torque."""
+    """Steady wrenches agree within a part of the drag, 1 % of it in meters for torque."""
     ours, theirs = steady_windows(imported), steady_windows(original)
     assert len(ours) == len(theirs)
     for a, b in zip(ours, theirs, strict=True):

@@ -25,7 +25,7 @@ def test_a_line_stays_a_line(rate: float, seed: int, slope: float, level: float)
     series = Series(time, (level + slope * time)[:, None])
     base = common_base([series], 0.2)
     assert_allclose(np.diff(base), 0.01, atol=1e-9)
-    inner = slice(1, -1)  # at an end, half a sample's average is not centred
+    inner = slice(1, -1)  # at an end, half a sample's average is not centered
     assert_allclose(resampled(series, base)[inner, 0], (level + slope * base)[inner], atol=1e-8)
 
 

@@ -1,4 +1,4 @@
-"""Colours of mass groups: told apart by everybody, and the same in the simulation and in the recordings."""
+"""Colors of mass groups: told apart by everybody, and the same in the simulation and in the recordings."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ LEAST = 0.08
 
 
 def oklab(linear: np.ndarray) -> np.ndarray:
-    """OKLab coordinates of linear RGB colours, (N, 3)."""
+    """OKLab coordinates of linear RGB colors, (N, 3)."""
     cones = np.array([[0.4122, 0.5363, 0.0514], [0.2119, 0.6807, 0.1074], [0.0883, 0.2817, 0.6300]])
     parts = np.array([[0.2105, 0.7936, -0.0041], [1.9780, -2.4286, 0.4506], [0.0259, 0.7828, -0.8087]])
     return np.cbrt(linear @ cones.T) @ parts.T

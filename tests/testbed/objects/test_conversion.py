@@ -29,7 +29,7 @@ RED, GREY = [200, 30, 30, 255], [120, 120, 120, 255]
 
 
 def box(size: tuple[float, float, float], middle: tuple[float, float, float], color: list[int]) -> trimesh.Trimesh:
-    """Box in one colour, m."""
+    """Box in one color, m."""
     made = trimesh.creation.box(size)
     made.visual = trimesh.visual.ColorVisuals(made, face_colors=color)
     return made.apply_translation(middle)
@@ -64,7 +64,7 @@ def saved(mesh: trimesh.Trimesh, path: Path, scale: float = 1.0) -> Path:
         ("mm.off", 1e3, "unit mm, taken from"),
     ],
 )
-def test_every_format_is_one_object_in_metres(tmp_path: Path, name: str, scale: float, told: str):
+def test_every_format_is_one_object_in_meters(tmp_path: Path, name: str, scale: float, told: str):
     made = convert_mesh(saved(mallet(), tmp_path / name, scale), parts="bodies")
     assert told in made.notes[0]
     assert_allclose(np.sort(made.volumes), np.sort([np.prod(HEAD), np.prod(SHAFT)]), rtol=1e-3)  # of triangles saved
@@ -205,7 +205,7 @@ def test_parts_by_bodies_colours_planes_and_points_share_the_volume(tmp_path: Pa
     assert_allclose([part.volume() for part in parts], np.array([0.12, 0.08]) * 0.03 * 0.02, rtol=0.05)
     with pytest.raises(InvalidValueError, match="clusters:2 to"):
         cut(bar, "clusters:1")
-    for wrong in ("0", "99", "1.5", "colour"):
+    for wrong in ("0", "99", "1.5", "color"):
         with pytest.raises(InvalidValueError, match="planes as"):
             cut(bar, wrong)
 

@@ -148,9 +148,9 @@ def by_drake(text: str, names: list[str], angles: Sequence[float], ending: str) 
     bodies = []
     for link in links:
         whole = plant.CalcSpatialInertia(context, plant.world_frame(), link)
-        centre = whole.get_com()
-        inertia = whole.Shift(centre).CalcRotationalInertia().CopyToFullMatrix3()
-        bodies.append(RigidBody(whole.get_mass(), centre, inertia))
+        center = whole.get_com()
+        inertia = whole.Shift(center).CalcRotationalInertia().CopyToFullMatrix3()
+        bodies.append(RigidBody(whole.get_mass(), center, inertia))
     return bodies
 
 
@@ -171,10 +171,10 @@ def by_hand(text: str, names: list[str], angles: Sequence[float]) -> list[RigidB
 def joined(bodies: list[RigidBody]) -> RigidBody:
     """One body of several, by their pseudo-inertias, which add up."""
     total = np.sum([body.pseudo_inertia for body in bodies], axis=0)
-    centre, second = total[:3, 3] / total[3, 3], total[:3, :3]
+    center, second = total[:3, 3] / total[3, 3], total[:3, :3]
     about_origin = np.trace(second) * np.eye(3) - second
-    shift = total[3, 3] * (centre @ centre * np.eye(3) - np.outer(centre, centre))
-    return RigidBody(total[3, 3], centre, about_origin - shift)
+    shift = total[3, 3] * (center @ center * np.eye(3) - np.outer(center, center))
+    return RigidBody(total[3, 3], center, about_origin - shift)
 
 
 READERS = {
@@ -203,7 +203,7 @@ def turned_links(given: Exported, angles: Sequence[float]) -> list[RigidBody]:
 @pytest.mark.parametrize("inertial", [False, True], ids=["blocks", "inertial"])
 @pytest.mark.parametrize("read", READERS)
 @pytest.mark.parametrize(("model", "angle"), CASES.values(), ids=CASES)
-def test_mass_centre_and_inertia_come_back(model, angle, read, inertial):
+def test_mass_center_and_inertia_come_back(model, angle, read, inertial):
     given, (write, load) = exported(model), READERS[read]
     angles = [angle, -0.3 * angle][: len(model.hinge_friction)]
     read_back = load(write(given, inertial=inertial), [link.name for link in given.links], angles)

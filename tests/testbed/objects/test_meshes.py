@@ -306,7 +306,7 @@ BAR, SLAB, THREAD = box((0.1, 0.04, 0.02)), box((0.04, 0.04, 0.02)), box((0.05, 
 def test_the_hand_opens_as_far_as_there_is_room():
     (alone,), (beside,) = (cut(mesh, places=across(0.05, 0.01)).shape.grasps for mesh in (BAR_20, FORK))
     assert alone.opening is None
-    # its neighbour is 40 mm off the middle, a finger 8 mm thick; 25 mm are needed
+    # its neighbor is 40 mm off the middle, a finger 8 mm thick; 25 mm are needed
     assert beside.opening == pytest.approx((2 * 0.032 + 0.025) / 2, abs=1e-6)
 
 

@@ -123,8 +123,8 @@ def test_a_wrong_field_is_refused_with_file_field_and_value(written, line: str, 
 
 def test_all_errors_of_a_file_are_told_at_once(written):
     with pytest.raises(InvalidFileError) as refused:
-        load_object(written(PAIR.replace('layout = ["11"]\n', "") + "size_m = -1\ncolour = 3"))
-    for said in ("blocks.layout: missing", "blocks.size_m: got -1", "blocks.colour: no such field"):
+        load_object(written(PAIR.replace('layout = ["11"]\n', "") + "size_m = -1\ncolor = 3"))
+    for said in ("blocks.layout: missing", "blocks.size_m: got -1", "blocks.color: no such field"):
         assert said in str(refused.value)
 
 

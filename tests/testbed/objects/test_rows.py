@@ -77,7 +77,7 @@ def test_the_open_fingers_need_room_beside_a_row():
     gap = ["11011", "10001", "11111"]
     assert "A3-B3" not in names(gap, 0.015)
     assert "A3-B3" in names(["1100011", "1000001", "1111111"], 0.02, Hand(0.05))
-    # A finger wider than its block meets a neighbour that stands out
+    # A finger wider than its block meets a neighbor that stands out
     stair = ["111", "110", "110"]
     assert "A1-B1" in names(stair, 0.03, Hand(finger_width=0.02))
     assert {"A1-B1", "A2-B2"} & set(names(stair, 0.03, Hand(finger_width=0.04))) == {"A1-B1"}

@@ -132,5 +132,5 @@ def test_a_sensor_whose_last_counts_toggle_is_dead(axes, pattern):
 def at_rest(count: int) -> np.ndarray:
     """Wrenches of an FT-300S at rest, correlated from frame to frame and rounded to counts, (count, 6)."""
     white = np.random.default_rng(3).standard_normal((count, 6))
-    coloured = np.asarray(lfilter([math.sqrt(1 - 0.3**2)], [1.0, -0.3], white, axis=0))
-    return np.round((coloured * np.array(NOISE) + [3.3, -2.1, 9.2, 0.11, -0.21, 0.31]) * COUNTS) / COUNTS
+    colored = np.asarray(lfilter([math.sqrt(1 - 0.3**2)], [1.0, -0.3], white, axis=0))
+    return np.round((colored * np.array(NOISE) + [3.3, -2.1, 9.2, 0.11, -0.21, 0.31]) * COUNTS) / COUNTS

@@ -77,10 +77,10 @@ def test_an_honest_sensor_agrees_and_a_dishonest_one_does_not_whatever_the_draw(
 
 
 def test_an_object_hangs_where_its_moment_says():
-    centre, weight = np.array([0.03, -0.02, -0.05]), np.array([0, 0, 0.6 * GRAVITY])
-    held = np.concatenate([weight, np.cross(centre, weight)])
+    center, weight = np.array([0.03, -0.02, -0.05]), np.array([0, 0, 0.6 * GRAVITY])
+    held = np.concatenate([weight, np.cross(center, weight)])
     found = held_center(held, COVARIANCE)
-    assert_allclose(found.offset, centre[:2], atol=1e-12)
+    assert_allclose(found.offset, center[:2], atol=1e-12)
     rng = np.random.default_rng(0)
     draws = [held_center(held + rng.multivariate_normal(np.zeros(6), COVARIANCE), COVARIANCE) for _ in range(300)]
     assert_allclose(np.cov([d.offset for d in draws], rowvar=False), found.covariance, rtol=0.3, atol=2e-10)

@@ -32,8 +32,8 @@ def long_record() -> Trajectory:
 
 
 def lag1(samples: np.ndarray) -> np.ndarray:
-    centred = samples - samples.mean(axis=0)
-    return (centred[1:] * centred[:-1]).sum(axis=0) / (centred**2).sum(axis=0)
+    centered = samples - samples.mean(axis=0)
+    return (centered[1:] * centered[:-1]).sum(axis=0) / (centered**2).sum(axis=0)
 
 
 @pytest.mark.parametrize("start", ORIENTATIONS)

@@ -44,10 +44,10 @@ def test_a_turn_keeps_its_pivot_and_its_speed(pivot):
     steady = motion.phase == Phase.STEADY
     poses = tool_poses(motion, steady)
     yaw = np.unwrap(poses[:, 3]) - grasp.angle
-    centre = transform_point(
+    center = transform_point(
         pose_from_point(poses[:, :2], grasp.position, yaw), grasp.position if pivot is None else np.array(pivot)
     )
-    assert_allclose(centre, np.broadcast_to(centre[0], centre.shape), atol=2e-5)
+    assert_allclose(center, np.broadcast_to(center[0], center.shape), atol=2e-5)
     assert_allclose(poses[:, 2], SETTINGS.grip.tcp_height, atol=2e-6)
     there = motion.segment[steady] == 0
     assert_allclose(np.diff(yaw[there]) * 100, math.radians(10), rtol=1e-3)

@@ -41,7 +41,7 @@ from tests.helpers.recorded import put_trial
 ROOT = Path(__file__).parents[3]
 SIZE = (240, 160)
 THIRD = group_rgba(2)[:3]
-"""Colour of L2's third block, at the far end of its foot."""
+"""Color of L2's third block, at the far end of its foot."""
 PROBE = "import mujoco.egl; mujoco.egl.GLContext(8, 8).free()"
 EGL = os.environ | {"MUJOCO_GL": "egl"}
 
@@ -169,9 +169,9 @@ def corners(playback: Playback, view: str) -> np.ndarray:
     """Corners of the boxes around all geoms that a view frames, m, world."""
     model, data, found = playback.model, playback.data, []
     for geom in np.flatnonzero(bodies_named(model, VIEWS[view].frames)[model.geom_bodyid]):  # pyright: ignore[reportArgumentType]
-        centre, half = model.geom_aabb[geom, :3], model.geom_aabb[geom, 3:]
+        center, half = model.geom_aabb[geom, :3], model.geom_aabb[geom, 3:]
         for signs in np.ndindex(2, 2, 2):
-            local = centre + (2 * np.array(signs) - 1) * half
+            local = center + (2 * np.array(signs) - 1) * half
             found.append(data.geom_xpos[geom] + data.geom_xmat[geom].reshape(3, 3) @ local)
     return np.array(found)
 
@@ -216,7 +216,7 @@ def test_a_film_is_of_twenty_seconds_or_as_asked(turn, duration, asked, pace):
 
 
 def middle_of(picture: np.ndarray, color: tuple[float, float, float]) -> np.ndarray:
-    """Middle of all that has a colour's hue, -1 to 1 from left to right and from bottom to top."""
+    """Middle of all that has a color's hue, -1 to 1 from left to right and from bottom to top."""
     pixels = picture.astype(float)
     bright = pixels.max(axis=-1, keepdims=True)
     close = np.abs(pixels / np.maximum(bright, 1) - np.array(color) / max(color)).max(axis=-1) < 0.08

@@ -48,8 +48,8 @@ def coulomb(obj: ObjectModel, window: SteadyWindow, rigid: bool) -> np.ndarray:
         balance = np.append(obj.total_mass * GRAVITY - fz, GRAVITY * obj.particle_mass @ arm + moment)
         load = basis @ np.linalg.solve(basis.T @ basis, balance)
     else:
-        centre = np.array([shape.particles[shape.mass_group == g].mean(axis=0) for g in range(shape.n_m)])
-        offset = shape.particles - centre[shape.mass_group]
+        center = np.array([shape.particles[shape.mass_group == g].mean(axis=0) for g in range(shape.n_m)])
+        offset = shape.particles - center[shape.mass_group]
         tilt = offset / (offset**2).sum(axis=0)
         held = shape.mass_group == shape.mass_group[np.argmin(np.linalg.norm(arm, axis=1))]
         load = obj.particle_mass * GRAVITY + tilt @ moment - held * fz / held.sum()

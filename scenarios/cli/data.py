@@ -28,7 +28,7 @@ def import_(
     find: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False,
     grasps: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME ...")] = (),
 ) -> None:
-    """Read another robot's logs (tables, MCAP, ROS 2 bags) as trials, for every method.
+    """Read another robot's logs (CSV, Parquet, HDF5, MCAP, ROS 2 bags) as trials, for every method.
 
     MAPPING is a TOML file that says which column is what, in which unit, and what was done: docs/formats.md has one to
     begin with. All errors are listed at once, and then nothing is written. A log that is imported again, by a

@@ -1,4 +1,4 @@
-"""Import of logs from other robots, CSV or MCAP, by a mapping of their columns and units."""
+"""Import of logs from other robots, tables, MCAP or ROS 2 bags, by a mapping of their columns and units."""
 
 from testbed.importers.importer import import_trajectory
 from testbed.importers.logs import LogError

@@ -42,7 +42,9 @@ TurnRateUnit = Annotated[str, _unit_of("turn rate")]
 ForceUnit = Annotated[str, _unit_of("force")]
 TorqueUnit = Annotated[str, _unit_of("torque")]
 Text = Annotated[str, Field(min_length=1)]
-Three = Annotated[list[Text], Field(min_length=3, max_length=3)]
+Cell = Text | Finite
+"""Column by name, or a constant."""
+Three = Annotated[list[Cell], Field(min_length=3, max_length=3)]
 Vector = Annotated[list[Finite], Field(min_length=3, max_length=3)]
 UnitQuaternion = Annotated[list[Finite], Field(min_length=4, max_length=4), AfterValidator(_turn)]
 OrientationAs = Literal["wxyz", "xyzw", "rotation_vector", "roll_pitch_yaw", "yaw"]
@@ -90,6 +92,11 @@ class SensorMap(Table):
             raise InvalidValueError("force, torque", [self.force, self.torque], "columns of both, or of neither")
         return self
 
+    @property
+    def measured(self) -> list[bool]:
+        """True for each component of the wrench that is a column, False for a constant."""
+        return [not isinstance(cell, float) for cell in [*(self.force or [""] * 3), *(self.torque or [""] * 3)]]
+
 
 class PoseMap(Table):
     """Columns, messages or frame of a pose."""
@@ -97,9 +104,9 @@ class PoseMap(Table):
     topic: Text | None = None
     frame: Text | None = None
     base: Text | None = None
-    position: Annotated[list[Text], Field(min_length=2, max_length=3)] | None = None
+    position: Annotated[list[Cell], Field(min_length=2, max_length=3)] | None = None
     position_unit: LengthUnit = "m"
-    orientation: Annotated[list[Text], Field(min_length=1, max_length=4)] | None = None
+    orientation: Annotated[list[Cell], Field(min_length=1, max_length=4)] | None = None
     orientation_as: OrientationAs = "wxyz"
     angle_unit: AngleUnit = "rad"
 
@@ -203,6 +210,7 @@ class Columns(Table):
     comment: str = "#"
     header: bool = True
     longest_gap_s: Positive = 0.1
+    where: dict[Text, Finite] = Field(default={})
     time: TimeMap = TimeMap()
     sensor: SensorMap
     hand: HandMap

@@ -69,7 +69,7 @@ def import_trajectory(
     twist = resampled(velocity, base) if velocity else differentiated(position, hand)
     position[:, 2] -= table.hand.table_height_m
     phase, segment = _phases(table, action, base - streams.begin_s, position[:, 2], twist)
-    check_sensor_alive(wrench, base[0] + time[np.flatnonzero(segment >= 0)[[0, -1]]])
+    check_sensor_alive(wrench, base[0] + time[np.flatnonzero(segment >= 0)[[0, -1]]], table.sensor.measured)
     yaw, grip = np.zeros(count), np.zeros(2)  # of a push: its object is where the camera sees it
     if action.grasp is not None:
         grasp = model.shape.grasps[action.grasp]

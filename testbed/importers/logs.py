@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -81,6 +81,26 @@ class Series(NamedTuple):
     """Time by the log's clock [s], strictly increasing."""
     values: Float[np.ndarray, "N K"]
     """Values in the log's units."""
+
+
+def columns_of(field: str, names: Sequence[str | float], path: Path) -> list[str]:
+    """Names of columns among names and constants.
+
+    Raises:
+        InvalidValueError: constants alone.
+    """
+    found = [name for name in names if isinstance(name, str)]
+    if not found:
+        raise InvalidValueError(field, list(names), "one column or more beside constants", file=path)
+    return found
+
+
+def filled(columns: Series, names: Sequence[str | float]) -> Series:
+    """Series of names and constants from that of the columns."""
+    values = np.empty((len(columns.time_s), len(names)))
+    measured = np.array([isinstance(name, str) for name in names])
+    values[:, measured], values[:, ~measured] = columns.values, [n for n in names if not isinstance(n, str)]
+    return Series(columns.time_s, values)
 
 
 def in_order(path: Path, field: str, time: np.ndarray, values: np.ndarray) -> Series:

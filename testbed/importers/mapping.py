@@ -91,6 +91,7 @@ class LogMap(Table):
     file: Text
     from_s: NonNegative = 0.0
     to_s: Positive | None = None
+    where: dict[Text, Finite] = Field(default={})
     sensor_file: Text | None = None
     closing_deg: Finite | None = None
     action: RecordedAction | None = None
@@ -106,7 +107,8 @@ class LogMap(Table):
     def stretch(self) -> str:
         """The stretch in words; empty of a whole log."""
         end = "its end" if self.to_s is None else f"{self.to_s:g} s"
-        return f"{self.from_s:g} s to {end}" if self.from_s or self.to_s else ""
+        within = [f"{self.from_s:g} s to {end}"] if self.from_s or self.to_s else []
+        return ", ".join([*(f"{name} {value:g}" for name, value in self.where.items()), *within])
 
     @property
     def moved(self) -> tuple[float, float]:
@@ -139,8 +141,8 @@ class Mapping(Columns):
             InvalidValueError: two of them name the same stretch.
         """
         named = [entry for entry in self.logs if (folder / entry.file).resolve() == log.resolve()]
-        for earlier, later in pairwise(sorted(named, key=lambda entry: entry.moved)):
-            if later.moved[0] < earlier.moved[1] - 1e-9:
+        for earlier, later in pairwise(sorted(named, key=lambda entry: (*entry.where.items(), entry.moved))):
+            if earlier.where == later.where and later.moved[0] < earlier.moved[1] - 1e-9:
                 given = ", ".join(filter(None, (later.file, later.stretch)))
                 allowed = (
                     "each stretch (from_s, to_s) of a file once: a trial is one, tare to release; another [[logs]] "
@@ -162,7 +164,7 @@ class Mapping(Columns):
 
     def for_entry(self, own: LogMap) -> Mapping:
         """Mapping of one trial."""
-        changes: dict[str, Any] = {"action": own.action, "phases": own.phases}
+        changes: dict[str, Any] = {"action": own.action, "phases": own.phases, "where": self.where | own.where}
         if own.sensor_file is not None:
             changes["sensor"] = self.sensor.model_copy(update={"file": own.sensor_file})
         if own.closing_deg is not None:

@@ -13,8 +13,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from testbed.errors import short
-from testbed.importers.columns import TimeMap
-from testbed.importers.logs import LogError, Series, factor, in_order, read_all, unknown
+from testbed.importers.columns import Cell, TimeMap
+from testbed.importers.logs import LogError, Series, columns_of, factor, filled, in_order, read_all, unknown
 from testbed.parsing.process import ParserError, parsed
 
 JOINT_STATE = "sensor_msgs/JointState"
@@ -79,15 +79,16 @@ class MessageLog:
             self._topics[topic] = [m._replace(text=_by_name(m.content)) for m in found] if joints else found
         return self._topics[topic]
 
-    def series(self, field: str, names: Sequence[str], topic: str | None, time: TimeMap) -> Series:
-        """Fields by dotted path, list items by number and joints by name; see `CsvLog.series`."""
+    def series(self, field: str, names: Sequence[Cell], topic: str | None, time: TimeMap) -> Series:
+        """Fields by dotted path, list items by number and joints by name; see `TableLog.series`."""
+        sought = columns_of(field, names, self.path)
         kind, messages = self.type_of(field, topic), self.messages(str(topic))
         if kind == JOINT_STATE:  # several publishers may each know some of the joints
-            messages = [m for m in messages if _has(m.content, *names)] or messages
+            messages = [m for m in messages if _has(m.content, *sought)] or messages
         values, stamps = read_all(
-            partial(self.values, field, names, str(topic), messages), partial(self.stamps, str(topic), messages, time)
+            partial(self.values, field, sought, str(topic), messages), partial(self.stamps, str(topic), messages, time)
         )
-        return in_order(self.path, field, stamps, values)
+        return filled(in_order(self.path, field, stamps, values), names)
 
     def values(self, field: str, names: Sequence[str], topic: str, messages: Sequence[Message]) -> np.ndarray:
         """Fields of messages, shape (N, K), see `series`."""

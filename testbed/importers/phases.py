@@ -116,19 +116,22 @@ def without_faults(wrench: Series) -> tuple[Series, str]:
     return Series(time[~left_out], values[~left_out]), "; ".join(parts)
 
 
-def check_sensor_alive(wrench: Series, moved: Float[np.ndarray, "2"]) -> None:
+def check_sensor_alive(wrench: Series, moved: Float[np.ndarray, "2"], measured: Sequence[bool]) -> None:
     """Check that no component of the wrench is stuck, in the whole log or while the object moves.
 
     Args:
         wrench: as logged.
         moved: begin and end of the motion, by the log's clock [s].
+        measured: False for components that the mapping gives as constants.
 
     Raises:
         LogError: a component has one value throughout; or one for long in motion, though its noise is several counts.
     """
     inside = (wrench.time_s >= moved[0]) & (wrench.time_s <= moved[1])
     time = wrench.time_s[inside]
-    for name, column in zip(COMPONENTS, wrench.values.T, strict=True):
+    for name, column, counts in zip(COMPONENTS, wrench.values.T, measured, strict=True):
+        if not counts:
+            continue
         levels = np.unique(column)
         if len(levels) == 1:
             raise LogError(f"sensor: {name} is {column[0]:g} in all samples; allowed: a component that is measured")

@@ -11,13 +11,13 @@ import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
 from testbed.errors import InvalidValueError
-from testbed.importers.columns import CameraMap, HandMap, PartMap, PoseMap, TimeMap
+from testbed.importers.columns import CameraMap, Cell, HandMap, PartMap, PoseMap, TimeMap
 from testbed.importers.logs import LogError, Series, factor, in_order, unknown
 from testbed.importers.messages import JOINT_STATE, Message, MessageLog, inside
-from testbed.importers.tables import CsvLog
+from testbed.importers.tables import TableLog
 from testbed.importers.urdf import forward_kinematics, joints_to
 
-Log = CsvLog | MessageLog
+Log = TableLog | MessageLog
 Pose = tuple[Series, Rotation]
 """Position [m], shape (N, 3), and orientation, N of them."""
 _FIELDS = {
@@ -95,7 +95,7 @@ def _pose(log: Log, field: str, of: PoseMap, time: TimeMap) -> Pose:
 
 
 def _from_columns(
-    log: Log, field: str, of: PoseMap, position: Sequence[str], orientation: Sequence[str], time: TimeMap
+    log: Log, field: str, of: PoseMap, position: Sequence[Cell], orientation: Sequence[Cell], time: TimeMap
 ) -> Pose:
     columns = f"{field}.position, {field}.orientation"
     stamps, values = log.series(columns, [*position, *orientation], of.topic, time)

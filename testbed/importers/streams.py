@@ -20,7 +20,7 @@ from testbed.importers.mapping import Mapping
 from testbed.importers.messages import open_messages
 from testbed.importers.phases import RATE, common_base, resampled, resampled_rotation, without_faults
 from testbed.importers.poses import Log, Pose, hand_pose, seen_pose
-from testbed.importers.tables import CsvLog
+from testbed.importers.tables import ArrayLog, CsvLog
 from testbed.sensing.camera import PoseStream
 
 _SLOPE_WINDOW = 0.15
@@ -28,7 +28,9 @@ _SLOPE_WINDOW = 0.15
 _AROUND = 1.0
 """Time before and after a trial of which a camera's frames are kept [s]."""
 _TABLES = (".csv", ".tsv", ".txt")
+_ARRAYS = (".parquet", ".h5", ".hdf5")
 _BAGS = (".db3", ".mcap")
+_SUFFIXES = ", ".join(_TABLES + _ARRAYS + _BAGS)
 MOST_TURNS = 20.0
 """Angle of a joint, in turns, beyond which it is none: cables and hoses end sooner."""
 _WRENCHES = {"geometry_msgs/WrenchStamped": "wrench.", "geometry_msgs/Wrench": ""}
@@ -162,12 +164,14 @@ def open_log(path: Path, table: Columns) -> Log:
     if path.is_dir():
         return open_messages(path)
     if not path.is_file():
-        raise InvalidValueError("log", str(path), f"an existing file ({', '.join(_TABLES + _BAGS)}) or bag folder")
+        raise InvalidValueError("log", str(path), f"an existing file ({_SUFFIXES}) or bag folder")
     if path.suffix in _TABLES:
         return CsvLog(path, table)
+    if path.suffix in _ARRAYS:
+        return ArrayLog(path, table)
     if path.suffix in _BAGS:
         return open_messages(path)
-    raise InvalidValueError("log", str(path), f"a file that ends in {', '.join(_TABLES + _BAGS)}, or a bag folder")
+    raise InvalidValueError("log", str(path), f"a file that ends in {_SUFFIXES}, or a bag folder")
 
 
 def sensor_log(log: Log, table: Columns, folder: Path) -> Log:

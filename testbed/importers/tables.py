@@ -1,8 +1,9 @@
-"""Tables of numbers as logs."""
+"""Tables of numbers as logs: text, Parquet and HDF5."""
 
 from __future__ import annotations
 
 import json
+from abc import ABC, abstractmethod
 from codecs import BOM_UTF16_BE, BOM_UTF16_LE
 from collections.abc import Sequence
 from functools import partial
@@ -13,22 +14,123 @@ import numpy as np
 import pandas as pd
 
 from testbed.errors import InvalidValueError, short
-from testbed.importers.columns import ISO, Columns, TimeMap
-from testbed.importers.logs import LogError, Series, factor, in_order, read_all, unknown
+from testbed.importers.columns import ISO, Cell, Columns, TimeMap
+from testbed.importers.logs import LogError, Series, columns_of, factor, filled, in_order, read_all, unknown
+from testbed.parsing.process import ParserError, parsed
 
 MOST_LETTERS = 2**17
 """Longest line of a table that is read."""
 SEPARATORS = ("\t", ";", ",")
 """Characters that separate columns in most tables."""
+EPISODE = "episode_index"
+"""Column of LeRobot's data that says which episode a row is of."""
 _SECOND = 1_000_000_000
+_MOST_LISTED = 12
 
 
-class CsvLog:
-    """Table with a header line. A row may leave a group of columns blank, if the table joins several rates."""
+class TableLog(ABC):
+    """Columns by name, each with the number of its rows. A row may leave a group of columns blank."""
+
+    path: Path
+    epoch_s: int
+    """Whole second since 1970 from which dates count; 0 of numbers, which count from where the log says."""
+    _names: list[str]
+    _where: dict[str, float]
+
+    def type_of(self, field: str, topic: str | None) -> str:
+        """Empty: a table has no messages.
+
+        Raises:
+            InvalidValueError: a topic is given.
+        """
+        if topic is not None:
+            raise InvalidValueError(f"{field}.topic", topic, "none: a table has no topics", file=self.path)
+        return ""
+
+    def series(self, field: str, names: Sequence[Cell], topic: str | None, time: TimeMap) -> Series:
+        """Columns by name.
+
+        Args:
+            field: the mapping's name for them, in errors.
+            names: columns of a table, or fields of a message; a number is a constant.
+            topic: topic of the messages; None for a table.
+            time: column and unit of the time.
+
+        Raises:
+            InvalidValueError: no such column, field or topic; the message names the nearest.
+            LogError: cells that are not numbers, or times that go back.
+        """
+        self.type_of(field, topic)
+        sought = columns_of(field, names, self.path)
+        rules = [partial(self._numbers, "where", name) for name in self._where]
+        stamps, *columns = read_all(
+            partial(self._stamps, "time.column", str(time.column), time.unit),
+            *(partial(self._numbers, field, name) for name in sought),
+            *rules,
+        )
+        named = dict(zip([str(time.column), *sought, *self._where], [stamps, *columns], strict=True))
+        if len({len(values) for values in named.values()}) > 1:
+            counts = ", ".join(f"{name} {len(values)}" for name, values in named.items())
+            raise LogError(f"{self.path}: {field}: columns of unequal length ({counts}); allowed: one time for all")
+        values, kept = np.column_stack(columns[: len(sought)]), np.full(len(stamps), True)
+        for (name, wanted), column in zip(self._where.items(), columns[len(sought) :], strict=True):
+            kept &= column == wanted
+            if not kept.any():
+                known = ", ".join(f"{value:g}" for value in np.unique(column[~np.isnan(column)])[:_MOST_LISTED])
+                raise InvalidValueError(f"where.{name}", wanted, f"one of {known or 'nothing'}", file=self.path)
+        there = np.flatnonzero(kept & ~np.isnan(values).all(axis=1))
+        stamps, values = stamps[there], values[there]
+        rows = np.column_stack([stamps, values])
+        if (bad := ~np.isfinite(rows)).any():
+            row, column = np.argwhere(bad)[0]
+            name = [str(time.column), *sought][column]
+            raise LogError(f"{self.path}: {self._place(int(there[row]))}: {name} is blank or not finite")
+        try:
+            return filled(in_order(self.path, field, stamps, values), names)
+        except LogError as error:
+            if EPISODE in self._names and EPISODE not in self._where:
+                allowed = f"one episode, as where = {{ {EPISODE} = 0 }} in its [[logs]] table"
+                raise LogError(f"{error}; it has episodes: allowed: {allowed}") from None
+            raise
+
+    def _column(self, field: str, name: str) -> int:
+        """Index of a column.
+
+        Raises:
+            InvalidValueError: no such column; the message names the nearest.
+            LogError: several have this name.
+        """
+        if name not in self._names:
+            raise unknown(field, name, self._names, self.path)
+        if (count := self._names.count(name)) > 1:
+            raise LogError(f"{self.path}: {field}: {name}: {count} columns have this name; allowed: one")
+        return self._names.index(name)
+
+    def _since_epoch(self, stamps: np.ndarray) -> np.ndarray:
+        """Seconds of dates from the second of the first one, exact to the nanosecond; NaN of none."""
+        there, nanoseconds = ~np.isnat(stamps), stamps.astype(np.int64)
+        if self.epoch_s == 0 and there.any():
+            self.epoch_s = int(nanoseconds[there][0]) // _SECOND
+        return np.where(there, (nanoseconds - self.epoch_s * _SECOND) / _SECOND, np.nan)
+
+    @abstractmethod
+    def _place(self, row: int) -> str:
+        """Name of a row, in errors."""
+
+    @abstractmethod
+    def _numbers(self, field: str, name: str) -> np.ndarray:
+        """Numbers of a column, NaN where it is blank."""
+
+    @abstractmethod
+    def _stamps(self, field: str, name: str, unit: str) -> np.ndarray:
+        """Times [s] of a column, NaN where it is blank."""
+
+
+class CsvLog(TableLog):
+    """Table of text with a header line. A row may leave columns blank, if the table joins several rates."""
 
     def __init__(self, path: Path, mapping: Columns):
-        self.path, self._decimal = path, mapping.decimal
-        self.epoch_s = 0  # dates count from the second of the first; numbers from where the log says
+        self.path, self.epoch_s, self._where, self._decimal = path, 0, mapping.where, mapping.decimal
         try:
             lines = _decoded(path).split("\n")
             _check_lines(path, lines)
@@ -52,48 +154,12 @@ class CsvLog:
         self._lines = np.array(kept[mapping.header : len(table)]) + 1
         self._table = table[int(mapping.header) :]
 
-    def type_of(self, field: str, topic: str | None) -> str:
-        """Empty: a table has no messages.
-
-        Raises:
-            InvalidValueError: a topic is given.
-        """
-        if topic is not None:
-            raise InvalidValueError(f"{field}.topic", topic, "none: a table has no topics", file=self.path)
-        return ""
-
-    def series(self, field: str, names: Sequence[str], topic: str | None, time: TimeMap) -> Series:
-        """Columns by name.
-
-        Args:
-            field: the mapping's name for them, in errors.
-            names: columns of a table, or fields of a message.
-            topic: topic of the messages; None for a table.
-            time: column and unit of the time.
-
-        Raises:
-            InvalidValueError: no such column, field or topic; the message names the nearest.
-            LogError: cells that are not numbers, or times that go back.
-        """
-        self.type_of(field, topic)
-        fields = [("time.column", str(time.column)), *((field, name) for name in names)]
-        stamps = partial(self._dates if time.unit == ISO else self._numbers, *fields[0])
-        rows = np.column_stack(read_all(stamps, *(partial(self._numbers, *pair) for pair in fields[1:])))
-        there = ~np.isnan(rows[:, 1:]).all(axis=1)
-        rows, lines = rows[there], self._lines[there]
-        if (bad := ~np.isfinite(rows)).any():
-            row, column = np.argwhere(bad)[0]
-            raise LogError(f"{self.path}: line {lines[row]}: {fields[column][1]} is blank or not finite")
-        scale = 1.0 if time.unit == ISO else factor("time", time.unit)
-        return in_order(self.path, field, rows[:, 0] * scale, rows[:, 1:])
+    def _place(self, row: int) -> str:
+        return f"line {self._lines[row]}"
 
     def _cells(self, field: str, name: str) -> pd.Series:
         """Cells of a column with decimal points."""
-        if name not in self._names:
-            raise unknown(field, name, self._names, self.path)
-        if (count := self._names.count(name)) > 1:
-            raise LogError(f"{self.path}: {field}: {name}: {count} columns have this name; allowed: one")
-        cells = pd.Series(self._table.iloc[:, self._names.index(name)])
+        cells = pd.Series(self._table.iloc[:, self._column(field, name)])
         return cells if self._decimal == "." else cells.str.replace(self._decimal, ".", regex=False)
 
     def _numbers(self, field: str, name: str) -> np.ndarray:
@@ -102,14 +168,12 @@ class CsvLog:
         self._check(name, cells, numbers, "a number")
         return numbers
 
-    def _dates(self, field: str, name: str) -> np.ndarray:
-        """Seconds from the log's epoch, exact to the nanosecond; without a time zone they are UTC."""
-        cells = self._cells(field, name)
+    def _stamps(self, field: str, name: str, unit: str) -> np.ndarray:
+        if unit != ISO:
+            return self._numbers(field, name) * factor("time", unit)
+        cells = self._cells(field, name)  # without a time zone they are UTC
         dates = pd.DatetimeIndex(pd.to_datetime(cells, errors="coerce", format="ISO8601", utc=True)).as_unit("ns")
-        stamps = dates.asi8
-        if self.epoch_s == 0 and dates.notna().any():
-            self.epoch_s = int(stamps[dates.notna()][0]) // _SECOND
-        seconds = np.where(dates.isna(), np.nan, (stamps - self.epoch_s * _SECOND) / _SECOND)
+        seconds = self._since_epoch(dates.asi8.view("datetime64[ns]"))
         self._check(name, cells, seconds, "a date by ISO 8601, as 2026-01-31T12:00:00.125")
         return seconds
 
@@ -119,6 +183,41 @@ class CsvLog:
             at = int(wrong[0])
             got = f"{self.path}: line {self._lines[at]}: {name}: got {short(cells.iloc[at])}"
             raise LogError(f"{got}; allowed: {allowed}, or blank")
+
+
+class ArrayLog(TableLog):
+    """Parquet or HDF5 file. Items of lists and columns of arrays have a name with a dot and a number, as `pose.0`."""
+
+    def __init__(self, path: Path, mapping: Columns):
+        self.path, self.epoch_s, self._where = path, 0, mapping.where
+        try:
+            with parsed("testbed.parsing.tables", path.absolute()) as found, np.load(found) as arrays:
+                self._names = [str(name) for name in arrays["names"]]
+                self._arrays = [arrays[f"column_{i}"] for i in range(len(self._names))]
+        except ImportError as error:
+            needed = f"{error}: not installed; pip install 'heft-testbed[robot]'"
+            raise LogError(f"{path}: reading an HDF5 file needs {needed}") from None
+        except ParserError as error:
+            raise LogError(f"{path}: {error}") from None
+
+    def _place(self, row: int) -> str:
+        return f"row {row}"
+
+    def _numbers(self, field: str, name: str) -> np.ndarray:
+        values = self._arrays[self._column(field, name)]
+        if values.dtype.kind == "M":
+            raise LogError(f"{self.path}: {field}: {name} holds times; allowed: numbers")
+        return values.astype(float)
+
+    def _stamps(self, field: str, name: str, unit: str) -> np.ndarray:
+        values = self._arrays[self._column(field, name)]
+        if values.dtype.kind == "M":
+            return self._since_epoch(values)
+        if unit == ISO:
+            raise InvalidValueError("time.unit", unit, f"a unit of time: {name} holds numbers", file=self.path)
+        if values.dtype.kind == "i" and unit == "ns":  # more digits than a float has
+            return self._since_epoch(values.astype("datetime64[ns]"))
+        return values * factor("time", unit)
 
 
 def _decoded(path: Path) -> str:

@@ -140,8 +140,9 @@ class Estimate:
         """Standard error of each friction; None without an answer, NaN where the method gives none."""
         if self.distribution is None:
             return None
-        count = len(self.distribution.friction)
-        return np.array([self.diagnostics.get(f"friction_{k}_std", np.nan) for k in range(count)])
+        report, count = self.identifiability, len(self.distribution.friction)
+        errors = np.full(count, np.nan) if report is None else report.friction_error
+        return np.array([self.diagnostics.get(f"friction_{k}_std", errors[k]) for k in range(count)])
 
     def table(self, shape: ObjectShape) -> pd.DataFrame:
         """Masses of the groups [kg], then frictions, a row each: value and standard error.

@@ -36,7 +36,7 @@ COMMANDS = {
     "identify": ("scenarios.cli.plan:identify", "Predict what trials of an object would show of its masses."),
     "plan": ("scenarios.cli.plan:plan", "Plan actions that show an object's masses in little robot time."),
     "touch": ("scenarios.cli.touch:touch", "Choose and simulate actions until an object's masses are known."),
-    "import": ("scenarios.cli.data:import_", "Read another robot's logs (tables, MCAP, ROS 2 bags) as trials."),
+    "import": ("scenarios.cli.data:import_", "Read another robot's logs (CSV, Parquet, HDF5, MCAP, bags) as trials."),
     "estimate": ("scenarios.cli.data:estimate", "Estimate from the measured trials of a folder by every method."),
     "calibrate": ("scenarios.cli.data:calibrate", "Calibrate a force/torque sensor from a recording of still poses."),
     "payload": ("scenarios.cli.export:payload", "Write the payload of a robot's flange for its controller."),
@@ -97,6 +97,7 @@ def main(arguments: list[str] | None = None) -> None:
 
 def command() -> None:
     """Console command: `main`, ended though a plug-in leaves threads behind."""
+    os.environ.setdefault("OMP_NUM_THREADS", "1")  # problems are small: threads take longer than they save
     code: Any = 0
     try:
         main()

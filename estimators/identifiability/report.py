@@ -61,7 +61,8 @@ class Identifiability:
         """Summary of what is seen and what is open."""
         text = f"all {self.unknowns} masses and frictions are observed"
         if self.rank < self.unknowns:
-            text = f"{self.rank} of {self.unknowns} masses and frictions are observed; open: {'; '.join(self.unobservable)}"
+            open_ = "; ".join(self.unobservable)
+            text = f"{self.rank} of {self.unknowns} masses and frictions are observed; open: {open_}"
         hinges = [f"{1e3 * error:.2g}" for error in self.hinge_error]
         more = [f"friction of hinges: standard error {', '.join(hinges)} mN m"] if hinges else []
         return "; ".join([text, *more])

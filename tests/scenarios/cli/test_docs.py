@@ -177,7 +177,7 @@ def anchors(page: Path) -> set[str]:
 
 
 def links() -> Iterator[tuple[str, str]]:
-    for page in (*PAGES, ROOT / "README.md", ROOT / "CONTRIBUTING.md"):
+    for page in (*PAGES, *sorted(DOCS.glob("api/*.md")), README, ROOT / "CONTRIBUTING.md"):
         for target in re.findall(r"\]\(([^)\s]+)\)", FENCE.sub("", page.read_text(encoding="utf-8"))):
             if not re.match(r"[a-z]+:", target):
                 yield str(page.relative_to(ROOT)), target

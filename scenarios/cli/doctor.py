@@ -62,7 +62,7 @@ def doctor(
         title, trials, found = _diagnosed(folder, row)
         console.print(f"{title}: {NOTHING if found is None else found.verdict}", style="bold")
         if found is not None:
-            if found.causes:
+            if found.named or not found.misfit.by_chance:
                 console.print(_table(found))
             console.print(f"trials that fit least: {_worst(found, trials)}")
             name = file_name(f"doctor_{row['object']}_{row['key'][:8]}")
@@ -99,10 +99,10 @@ def _table(found: Diagnosis):
     from estimators.posterior.posterior import CAUSES
 
     table = Table(box=box.SIMPLE_HEAD)
-    for column in ("odds of being larger than stated", "size", "if so"):
-        table.add_column(column, justify="right" if column != "if so" else "left")
+    for column in ("error", "odds of being larger than stated", "size", "what to check"):
+        table.add_column(column, justify="right" if column in ("odds of being larger than stated", "size") else "left")
     for cause in found.causes[:MOST_LISTED]:
-        table.add_row(odds(cause.odds), cause.formatted, CAUSES[cause.name].cause)
+        table.add_row(cause.name.replace("_", " "), odds(cause.odds), cause.formatted, CAUSES[cause.name].cause)
     return table
 
 

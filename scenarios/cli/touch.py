@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shlex
+import sys
 import time
 from dataclasses import fields
 from pathlib import Path
@@ -41,6 +42,8 @@ def touch(
     """Try an object in simulation until its masses are known: weigh, plan, act, estimate, and stop by itself.
 
     After each trial, all measurements so far decide the next. Trials are kept: the same command goes on from them.
+
+    Exit code: 1 without an answer.
 
     Examples: heft touch docs/objects/T.toml --until 5%
               heft touch L2 --until 1% --budget 5min --record --out results/L2_touched
@@ -111,6 +114,8 @@ def touch(
         except HeftError as error:
             print(f"no recording: {error}")
         print(f"report: {report(folder)}; all of it in {folder}/\nlook: heft view {folder}")
+    if not result.last.answered:
+        sys.exit(1)
 
 
 def _command(object_: str, search: Search, support: str | None, out: Path | None) -> str:

@@ -177,7 +177,7 @@ def test_the_overview_counts_answers_that_are_ok_and_has_the_papers_figures():
 
 def test_points_are_named_by_what_differs_among_them():
     rows = [row("a", 0, 0.1) | {"axis.k": k, "sensing": sensing} for k in (1, 2.5) for sensing in ("low", "high")]
-    assert list(points_of(rows)) == ["low, 1", "high, 1", "low, 2.5", "high, 2.5"]
+    assert list(points_of(rows)) == ["low, k 1", "high, k 1", "low, k 2.5", "high, k 2.5"]
 
 
 def test_the_middle_object_is_chosen_among_those_with_a_map_and_an_answer():

@@ -99,6 +99,9 @@ def number(value: float, like: float | None = None) -> str:
     return f"{value:.{2 if size < 10 else 1 if size < 100 else 0}f}"
 
 
+DOUBT = "?: not all of these answers have the status ok"
+
+
 @dataclass(frozen=True)
 class Entry:
     """A mean over draws or objects, or a text."""
@@ -120,6 +123,11 @@ class Entry:
             return Entry(status)
         missing = f"{summary.missing} of {len(draws)} draws without an answer" if summary.missing else ""
         return Entry("", summary, missing, best)
+
+    @property
+    def doubted(self) -> bool:
+        """True if some of its answers have another status than ok."""
+        return self.summary is not None and self.missing.endswith(" ok")
 
     @property
     def words(self) -> str:
@@ -166,12 +174,7 @@ def metric_table(rows: Sequence[Row], metric: Metric, title: str, objects: Seque
     lines = []
     for method in methods:
         cells = [
-            Entry.of(
-                draws[name][method],
-                of[name][method][0]["status"] if of[name][method] else "-",
-                best=best[name] == method,
-            )
-            for name in objects
+            _over_draws(of[name][method], draws[name][method], metric, best=best[name] == method) for name in objects
         ]
         lines.append(((method,), tuple(cells)))
         if published := metric.paper.get(method):
@@ -182,8 +185,19 @@ def metric_table(rows: Sequence[Row], metric: Metric, title: str, objects: Seque
         scores = [draws_of(select(known, object=name), metric.reference, metric.scale) for name in objects]
         lines.append(((TRUTH,), tuple(Entry.of(score) for score in scores)))
     counts = (len(draws[name][method]) for name in objects for method in methods)
-    note = _one_unknown(rows, objects) if metric is NAD else ""
+    doubted = any(cell.doubted for _, cells in lines for cell in cells)
+    notes = [DOUBT] if doubted else []
+    notes += filter(None, [_one_unknown(rows, objects) if metric is NAD else ""])
+    note = "; ".join(notes)
     return Table(_counted(title, counts, "draw"), tuple(objects), tuple(lines), note=note, folded=metric.folded)
+
+
+def _over_draws(rows: Sequence[Row], draws: Draws, metric: Metric, *, best: bool) -> Entry:
+    """Mean over draws of a method, and how many answers are ok where not all are; its status without an answer."""
+    entry = Entry.of(draws, rows[0]["status"] if rows else "-", best=best)
+    good = sum(row["status"] == "ok" for row in rows)
+    doubt = metric is NAD and entry.summary is not None and good < len(rows)
+    return replace(entry, missing=f"{good} of {len(rows)} ok") if doubt else entry
 
 
 def _methods_with(rows: Sequence[Row], metric: Metric) -> list[str]:
@@ -244,7 +258,7 @@ def points_of(rows: Sequence[Row]) -> dict[str, list[Row]]:
     """Rows by support, sensing and point of a sweep, named by what differs among them."""
     axes = axes_of(rows)
     words = [
-        (support_name(row["support"]), row["sensing"], *(_setting(row.get(axis)) for axis in axes)) for row in rows
+        (support_name(row["support"]), row["sensing"], *(_named(axis, row.get(axis)) for axis in axes)) for row in rows
     ]
     varied = [len(set(each)) > 1 for each in zip(*words, strict=True)]
     groups: dict[str, list[Row]] = {}
@@ -362,6 +376,11 @@ def quantile_table(results: Sequence[Row], metric: Metric) -> Table:
     of_claims = ("error / claimed", "90 % hold") if metric is NAD else ()
     columns = ("objects", "10 %", "median", "90 %", "mean", *of_claims, "no answer")
     return Table(f"{metric.title}, over objects", columns, tuple(lines), heads)
+
+
+def _named(axis: str, value: object) -> str:
+    """Setting with the last word of its field."""
+    return f"{axis.rpartition('.')[2]} {_setting(value)}"
 
 
 def _setting(value: object) -> str:

@@ -70,12 +70,15 @@ def _drawn(table: Table) -> RichTable:
 
 
 def _text(cell: Entry) -> Text:
-    """Mean and spread "0.6±0.3" over the interval "[0.4 0.9]"; "-n" counts draws without an answer, "*" the best."""
+    """Mean and spread "0.6±0.3" over the interval "[0.4 0.9]"; "-n" counts draws without an answer.
+
+    "*" marks the best, "?" answers of which some are not ok.
+    """
     text, summary = Text(cell.text), cell.summary
     if summary is None and cell.missing:
         text.append(f" ({cell.missing})", "dim")
     if summary is not None:
-        missing = f" -{summary.missing}" if summary.missing else ""
+        missing = ("?" if cell.doubted else "") + (f" -{summary.missing}" if summary.missing else "")
         if summary.mean > BEYOND:
             return Text(f"{cell.words}{missing}")
         text = Text(f"{summary.mean:.2f}{missing}")

@@ -95,6 +95,12 @@ class OnTable:
         sensed = torch.linalg.solve(self.windows.from_sensor, read[..., None])[..., 0]
         return replace(planned, windows=replace(planned.windows, sensed=sensed))
 
+    def with_load(self, part: float) -> OnTable:
+        """The same windows with the gripper's load a part of the stated size."""
+        windows = self.windows
+        sizes = {"load_size": part * windows.load_size, "load_change": part * windows.load_change}
+        return replace(self, windows=replace(windows, **sizes))
+
     @cached_property
     def middles(self) -> Table:
         """Forward model with every particle on its middle: errors of the motion act on feet, each at one place."""

@@ -33,6 +33,9 @@ LOOSE = 1 / 3
 """Error of a group's mass, as a part of that before any trial, up to which it counts as known. Ours."""
 SEEN = 1e-6
 """Strength of a direction of the masses, as a part of the strongest, below which it counts as open."""
+LEAST_SHOWN = 0.02
+"""Least part of the prior's variance that measurements are taken to explain of a nuisance: below it they show nothing,
+and what the search leaves of its optimum would count. Ours."""
 IMPLAUSIBLE = 1e-6
 """Probability below which a part of a misfit is no chance, many parts being looked at."""
 
@@ -168,7 +171,8 @@ class Posterior:
     def parts(self) -> list[Part]:
         """Parts of the misfit, the least plausible first: of every measurement, and of every nuisance.
 
-        A nuisance that is drawn anew in each trial is a part for each.
+        A nuisance that is drawn anew in each trial is a part for each. One of a single number is held against the
+        scatter that its estimate has by the prior: where the measurements show little of it, that is far below 1.
         """
         found, begin = [], 0
         for measurement in self.measurements:
@@ -179,6 +183,9 @@ class Posterior:
             if name in OBJECT:
                 continue
             z = self.optimum.z[self.unknowns.at[name]]
+            if len(z) == 1:
+                shown = 1 - self.covariance.diagonal()[self.unknowns.at[name]]
+                z = z / shown.clamp(min=LEAST_SHOWN).sqrt()
             each = z.reshape(len(block.mean), -1) if block.by_trial else z[None]
             found += [Part.of(name, one, k if block.by_trial else None) for k, one in enumerate(each)]
         return sorted(found, key=lambda part: part.log_chance)

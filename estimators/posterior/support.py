@@ -15,7 +15,9 @@ import torch
 from scipy.stats import norm
 
 from estimators.posterior.estimator import posterior_of
+from estimators.posterior.on_table import OnTable
 from estimators.posterior.posterior import Posterior
+from estimators.posterior.solver import solve
 from estimators.wrench.model import RIGID
 from estimators.wrench.support import ERRORS
 from testbed.objects.model import ObjectShape
@@ -26,6 +28,8 @@ DECISIVE = 2.0
 """log10 of the Bayes factor from which one model is taken over the other."""
 EVIDENCE = "log10_bayes_factor", "rigid_share", "rigid_share_error"
 """Entries of `Estimate.diagnostics` by a support test: fields of `SupportTest`."""
+LOADS = 1.0, 0.3, 0.1
+"""Sizes of the gripper's load, as parts of that stated, that a choice of the support allows. Ours."""
 MAX_MISFIT = 10.0
 """Misfit beyond which one rigid body does not explain the wrenches either."""
 STIFF = 0.9
@@ -85,7 +89,8 @@ def support_test(
     """Choice between the posteriors of two support models.
 
     The Bayes factor takes the errors of the model that one rigid body has for both, up to a common factor: neither wins
-    by its exactness.
+    by its exactness. The gripper's load is as large as stated or smaller: where there is none, the model under which it
+    would move friction more may not lose by what did not happen.
     Beforehand an object is as likely of one material throughout as of any masses. Then springs between the groups are
     fitted from the likelier model on: where their share differs from its own, neither holds.
 
@@ -158,7 +163,16 @@ def _springs(
 
 
 def _log_evidence(posterior: Posterior, shape: ObjectShape, weight: float) -> float:
-    """Log evidence of one material throughout or of any masses, each as likely beforehand."""
+    """Log evidence of one material throughout or of any masses, and of each of `LOADS`, each as likely beforehand."""
     even = torch.full((shape.n_m,), weight / float(shape.particles_per_group.sum()), dtype=torch.float64)
-    each = torch.tensor([fit.log_evidence_to_scale for fit in (posterior, posterior.given(even))])
-    return float(torch.logsumexp(each, 0)) - math.log(2)
+    fits = [_with_load(posterior, part) for part in LOADS]
+    found = [each.log_evidence_to_scale for fit in fits for each in (fit, fit.given(even))]
+    return float(torch.logsumexp(torch.tensor(found), 0)) - math.log(len(found))
+
+
+def _with_load(posterior: Posterior, part: float) -> Posterior:
+    """Posterior with the gripper's load a part of the stated size."""
+    if part == 1:
+        return posterior
+    smaller = [m.with_load(part) if isinstance(m, OnTable) else m for m in posterior.measurements]
+    return Posterior(posterior.unknowns, smaller, solve(smaller, posterior.unknowns, posterior.optimum.z))

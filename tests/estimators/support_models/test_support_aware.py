@@ -100,6 +100,7 @@ def test_one_material_throughout_drags_alike_either_way_and_it_says_so(rigid):
     obj = load_object("I1")
     test = decided(obj, data(obj, rigid=rigid))
     assert test.kind == "undecided"
+    assert test.log10_bayes_factor == pytest.approx(0, abs=0.2), "neither wins by the errors that it counts"
     assert "cannot be told apart" in test.sentence
     answer = aware(obj, rigid=rigid)
     assert answer.status == "underdetermined"

@@ -319,7 +319,8 @@ class Scenario(Strict):
             ):
                 known = [key for key in plain if key != "sweep"]
                 allowed = f"a field as it stands in the file, such as grid.feet; tables and fields: {', '.join(known)}"
-                raise InvalidValueError("sweep.axes", name, allowed)
+                inner = [f"{key}.{field}" for key in known if isinstance(plain[key], dict) for field in plain[key]]
+                raise InvalidValueError("sweep.axes", name, allowed + nearest(name, [*known, *inner]))
             table[path[-1]] = value
         try:
             return Scenario.model_validate(changed)

@@ -68,8 +68,8 @@ def import_(
         print(f"wrong   {text}")
     bad, name = sum(not log.trajectory.ok for log in imported), imported[0].object.name
     print(
-        f"{len(imported)} trial{'s' * (len(imported) > 1)} of {name} in {out}, {bad} of them no data; "
-        f"heft estimate {out} asks every method"
+        f"{len(imported)} trial{'s' * (len(imported) > 1)} of {name} in {out}, "
+        f"{f'{bad} of them not usable' if bad else 'all usable'}; next: heft estimate {out}"
         + ("" if weight is not None else f", once it knows what {name} weighs: --weight KG"),
     )
     if bad:

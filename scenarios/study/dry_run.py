@@ -113,6 +113,11 @@ def check_code(scenario: Scenario, *, foreign: bool = True) -> None:
                 raise InvalidValueError(f"{name}.{error.field}", error.given, error.allowed) from None
 
 
+def in_words(seconds: float) -> str:
+    """Duration in seconds, or from two minutes on in minutes."""
+    return f"{seconds:.0f} s" if seconds < 120 else f"{seconds / 60:.0f} min"
+
+
 def show_dry_run(console: Console, scenario: Scenario, folder: Path, workers: int) -> None:
     """Print how many trials and estimates there are, and how long they take; nothing is run, imported or written.
 
@@ -130,7 +135,7 @@ def show_dry_run(console: Console, scenario: Scenario, folder: Path, workers: in
     )
     on = max(workers, 1)
     console.print(
-        f"about {size.seconds / on / 60:.0f} min on {on} worker(s), {size.seconds / 60:.0f} min of computing; into "
+        f"about {in_words(size.seconds / on)} on {on} worker(s), {in_words(size.seconds)} of computing; into "
         f"{folder}/, where what is done already is not done again",
     )
     if size.unknown:

@@ -69,7 +69,7 @@ def test_push(example):
 @pytest.mark.slow
 def test_own_log_and_how_its_results_are_read(example):
     printed = example("own_log.py")
-    assert "4 trials of L2 in results/lab, 0 of them no data" in printed
+    assert "4 trials of L2 in results/lab, all usable" in printed
     nad = re.search(r"^ *hidden_states +([\d.]+)", printed, re.MULTILINE)
     assert nad is not None and float(nad[1]) < 5
     read = example("read_a_sweep.py", "results/lab")

@@ -39,7 +39,7 @@ def test_a_recording_is_found_and_imported(
     assert ended("import", "lab.found.toml", "--out", "lab") == 0
     said = capsys.readouterr().out
     assert "ok      day.csv, 0 s to 14.12 s: L2: accelerate (grasp 3" in said
-    assert "2 trials of L2 in lab, 0 of them no data" in said
+    assert "2 trials of L2 in lab, all usable" in said
     stored = [t for _, t in load_trajectories("lab")]
     assert sorted(t.provenance["stretch"] for t in stored) == ["0 s to 14.12 s", "14.12 s to 28 s"]
     assert ended("import", "lab.found.toml", "--out", "lab") == 0  # the same again takes the same place

@@ -71,7 +71,7 @@ def test_logs_become_trials_that_play_again(lab: Path, capsys: pytest.CaptureFix
     said = capsys.readouterr().out
     assert "ok      1.csv: L2: rotate (grasp 2, " in said
     assert "drift: assumed, for want of a second tare" in said
-    assert "4 trials of L2 in lab, 0 of them no data; heft estimate lab" in said
+    assert "4 trials of L2 in lab, all usable; next: heft estimate lab" in said
     for i, turn in enumerate(TURNS):
         with ReplayRunner(lab / "lab") as bench:
             played = bench.run(Trial(L2, turn))

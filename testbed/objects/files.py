@@ -45,6 +45,10 @@ class _Table(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
+DENSEST = 1e5
+"""Density of a block above which its mass is taken for grams, four times that of osmium [kg/m^3]. Ours."""
+
+
 class Blocks(_Table, strict=True):
     """The [blocks] table of an object file."""
 
@@ -58,6 +62,11 @@ class Blocks(_Table, strict=True):
     @model_validator(mode="after")
     def _fits_together(self) -> Self:
         parse_layout(self.layout)
+        heaviest = max(self.mass_kg, default=0.0) if isinstance(self.mass_kg, list) else self.mass_kg or 0.0
+        most = DENSEST * self.size_m**2 * self.height_m
+        if heaviest > most:
+            allowed = f"at most {most:.3g} kg in a block of {self.size_m:g} x {self.size_m:g} x {self.height_m:g} m"
+            raise InvalidValueError("mass_kg", heaviest, f"{allowed}: kilograms, not grams")
         return self
 
 

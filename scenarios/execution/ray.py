@@ -95,11 +95,26 @@ class RayExecutor:
         except self._ray.exceptions.RayTaskError as error:  # arguments or a value that cannot be sent
             value = Failure(str(error).strip().splitlines()[-1], f"{error}\n")
         except self._ray.exceptions.RayError as error:
+            self._check_cluster(error)
             times = "once" if self._limits.tries == 1 else f"{self._limits.tries} times"
             kind = type(error).__name__
             reason = f"its worker process was lost, or hung for {self._limits.timeout_s:g} s: {kind} (tried {times})"
             value = Failure(reason, f"{error}\n")
         return given_back(label, value)
+
+    def _check_cluster(self, error: Exception) -> None:
+        """Raise HeftError where no machine of the cluster is left: that is no fault of the task's."""
+        try:
+            left = any(node["Alive"] for node in self._ray.nodes())
+        except Exception:  # whatever Ray raises where its head is gone
+            left = False
+        if not left:
+            self._labels.clear()
+            what = type(error).__name__
+            raise HeftError(
+                f"the Ray cluster is gone ({what}): what is done is kept; the same command goes on from there, on the "
+                f"cluster at {ADDRESS} or a new one of its own"
+            ) from None
 
 
 def _import_ray() -> Any:

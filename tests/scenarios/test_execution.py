@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import errno
+import importlib
 import multiprocessing
 import os
 import re
 import sys
+import time
 from collections.abc import Mapping
 from pathlib import Path
 from types import ModuleType
@@ -108,6 +110,18 @@ def test_a_cluster_is_joined_only_where_the_environment_names_it(monkeypatch):
     with pytest.raises(ConnectionError):
         open_executor("ray", 2).__enter__()
     assert asked == ["10.0.0.1:6379", "local"]
+
+
+@pytest.mark.slow
+def test_a_lost_cluster_is_no_failure_of_its_tasks():
+    pytest.importorskip("ray", reason="Ray is not installed: pip install 'heft-testbed[ray]'")
+    with open_executor("ray", 1, Limits(tries=3)) as executor:
+        executor.start("first", time.sleep, 0.1)
+        assert executor.wait() == ("first", None)
+        executor.start("second", time.sleep, 60.0)
+        importlib.import_module("ray._private.worker").global_worker.node.kill_raylet()
+        with pytest.raises(HeftError, match=r"the Ray cluster is gone .*the same command goes on from there"):
+            executor.wait()
 
 
 @pytest.mark.slow

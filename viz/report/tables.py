@@ -99,7 +99,7 @@ def number(value: float, like: float | None = None) -> str:
     return f"{value:.{2 if size < 10 else 1 if size < 100 else 0}f}"
 
 
-DOUBT = "?: not all of these answers have the status ok"
+DOUBT = "?: some of these answers have a status other than ok"
 
 
 @dataclass(frozen=True)
@@ -295,7 +295,7 @@ def overview(groups: Mapping[str, Sequence[Row]], most: int | None = None) -> Ta
             lines[method].append(Entry(number(float(np.median(published[method]))) if published[method] else ""))
     cut = f": best {len(best)} of {len(methods)} methods" if len(best) < len(methods) else ""
     some = any(cell.missing for m in best for cell in lines[m])
-    note = "ok: answers that do not say themselves that they cannot be trusted" if some else ""
+    note = "ok: number of answers with the status ok; do not use the others" if some else ""
     return Table(
         f"Normalized absolute difference (NAD), median over objects, %{cut}",
         columns,

@@ -14,7 +14,7 @@ import os
 import re
 import sys
 from collections.abc import Callable, Collection, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, redirect_stdout
 from dataclasses import dataclass
 from functools import lru_cache
 from importlib.metadata import entry_points
@@ -237,7 +237,8 @@ def placed_errors(kind: type[Any], call: str = "", *, unless: tuple[type[Excepti
 def _imported(name: str, path: str, field: str) -> Any:
     importlib.invalidate_caches()
     try:
-        return importlib.import_module(name)
+        with redirect_stdout(sys.stderr):  # what it prints is no table of heft's
+            return importlib.import_module(name)
     except ModuleNotFoundError as error:
         missing = error.name or name
         if f"{name}.".startswith(f"{missing}."):

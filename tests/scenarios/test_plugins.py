@@ -96,6 +96,8 @@ class Later:
 
 def function(shape):
     return shape
+
+print("of the user, as it is imported")
 '''
 
 
@@ -287,4 +289,5 @@ def test_worker_processes_run_policies_and_methods_of_the_current_folder(here, c
     assert (made["of_user:Outermost"], made["of_user:Endless"]) == (2, 3) and made["reversed_pairs"] >= 2
     shown = capsys.readouterr()
     assert "report: out" in shown.out and "even as ever" not in shown.out + shown.err
+    assert "as it is imported" in shown.err and "as it is imported" not in shown.out
     assert "even as ever" in (here / "out" / "notes" / "mine.log").read_text(encoding="utf-8")

@@ -30,6 +30,8 @@ EVIDENCE = "log10_bayes_factor", "rigid_share", "rigid_share_error"
 """Entries of `Estimate.diagnostics` by a support test: fields of `SupportTest`."""
 LOADS = 1.0, 0.3, 0.1
 """Sizes of the gripper's load, as parts of that stated, that a choice of the support allows. Ours."""
+CLEAR = 20.0
+"""log10 of a Bayes factor at the stated load beyond which smaller loads change no choice. Ours."""
 MAX_MISFIT = 10.0
 """Misfit beyond which one rigid body does not explain the wrenches either."""
 STIFF = 0.9
@@ -104,7 +106,9 @@ def support_test(
     """
     alike = posterior_of(shape, weight, trajectories, "own_weight", errors=RIGID, near=own)
     assert alike is not None
-    bayes = (_log_evidence(alike, shape, weight) - _log_evidence(rigid, shape, weight)) / math.log(10)
+    bayes = _bayes_factor(alike, rigid, shape, weight, LOADS[:1])
+    if abs(bayes) < CLEAR:
+        bayes = _bayes_factor(alike, rigid, shape, weight, LOADS)
     likelier, near, end = ("own_weight", own, 0.0) if bayes >= -DECISIVE else ("rigid", rigid, 1.0)
     start, errors = min(end, STIFF), ERRORS[likelier]
     sprung = posterior_of(shape, weight, trajectories, "springs", errors=errors, near=near, rigid_share=start)
@@ -162,10 +166,15 @@ def _springs(
     return shared if possible and shared.explained.explains and gained > DECISIVE * math.log(10) else None
 
 
-def _log_evidence(posterior: Posterior, shape: ObjectShape, weight: float) -> float:
-    """Log evidence of one material throughout or of any masses, and of each of `LOADS`, each as likely beforehand."""
+def _bayes_factor(own: Posterior, rigid: Posterior, shape: ObjectShape, weight: float, loads: Sequence[float]) -> float:
+    """log10 of the Bayes factor of own weight over one rigid body, loads of the gripper of each size as likely."""
+    return (_log_evidence(own, shape, weight, loads) - _log_evidence(rigid, shape, weight, loads)) / math.log(10)
+
+
+def _log_evidence(posterior: Posterior, shape: ObjectShape, weight: float, loads: Sequence[float]) -> float:
+    """Log evidence of one material throughout or of any masses, and of each load, each as likely beforehand."""
     even = torch.full((shape.n_m,), weight / float(shape.particles_per_group.sum()), dtype=torch.float64)
-    fits = [_with_load(posterior, part) for part in LOADS]
+    fits = [_with_load(posterior, part) for part in loads]
     found = [each.log_evidence_to_scale for fit in fits for each in (fit, fit.given(even))]
     return float(torch.logsumexp(torch.tensor(found), 0)) - math.log(len(found))
 

@@ -45,8 +45,8 @@ class _Table(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
-DENSEST = 1e5
-"""Density of a block above which its mass is taken for grams, four times that of osmium [kg/m^3]. Ours."""
+DENSEST = 2e5
+"""Density of a block above which its mass is taken for grams, nine times that of osmium [kg/m^3]. Ours."""
 
 
 class Blocks(_Table, strict=True):

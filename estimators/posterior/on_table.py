@@ -96,7 +96,7 @@ class OnTable:
         return replace(planned, windows=replace(planned.windows, sensed=sensed))
 
     def with_load(self, part: float) -> OnTable:
-        """The same windows with the gripper's load a part of the stated size."""
+        """Windows with the gripper's load a part of the stated size."""
         windows = self.windows
         sizes = {"load_size": part * windows.load_size, "load_change": part * windows.load_change}
         return replace(self, windows=replace(windows, **sizes))

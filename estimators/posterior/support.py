@@ -106,9 +106,7 @@ def support_test(
     """
     alike = posterior_of(shape, weight, trajectories, "own_weight", errors=RIGID, near=own)
     assert alike is not None
-    bayes = _bayes_factor(alike, rigid, shape, weight, LOADS[:1])
-    if abs(bayes) < CLEAR:
-        bayes = _bayes_factor(alike, rigid, shape, weight, LOADS)
+    bayes = _bayes_factor(alike, rigid, shape, weight)
     likelier, near, end = ("own_weight", own, 0.0) if bayes >= -DECISIVE else ("rigid", rigid, 1.0)
     start, errors = min(end, STIFF), ERRORS[likelier]
     sprung = posterior_of(shape, weight, trajectories, "springs", errors=errors, near=near, rigid_share=start)
@@ -166,17 +164,24 @@ def _springs(
     return shared if possible and shared.explained.explains and gained > DECISIVE * math.log(10) else None
 
 
-def _bayes_factor(own: Posterior, rigid: Posterior, shape: ObjectShape, weight: float, loads: Sequence[float]) -> float:
-    """log10 of the Bayes factor of own weight over one rigid body, loads of the gripper of each size as likely."""
-    return (_log_evidence(own, shape, weight, loads) - _log_evidence(rigid, shape, weight, loads)) / math.log(10)
+def _bayes_factor(own: Posterior, rigid: Posterior, shape: ObjectShape, weight: float) -> float:
+    """log10 of the Bayes factor of own weight over one rigid body, each of `LOADS` as likely beforehand."""
+    found: tuple[list[float], list[float]] = ([], [])
+    log10 = 0.0
+    for part in LOADS:
+        for evidence, posterior in zip(found, (own, rigid), strict=True):
+            evidence.extend(_log_evidences(_with_load(posterior, part), shape, weight))
+        on_own, on_rigid = (float(torch.logsumexp(torch.tensor(each), 0)) for each in found)
+        log10 = (on_own - on_rigid) / math.log(10)
+        if part == LOADS[0] and abs(log10) >= CLEAR:
+            break
+    return log10
 
 
-def _log_evidence(posterior: Posterior, shape: ObjectShape, weight: float, loads: Sequence[float]) -> float:
-    """Log evidence of one material throughout or of any masses, and of each load, each as likely beforehand."""
+def _log_evidences(posterior: Posterior, shape: ObjectShape, weight: float) -> list[float]:
+    """Log evidence of any masses, and of one material throughout."""
     even = torch.full((shape.n_m,), weight / float(shape.particles_per_group.sum()), dtype=torch.float64)
-    fits = [_with_load(posterior, part) for part in loads]
-    found = [each.log_evidence_to_scale for fit in fits for each in (fit, fit.given(even))]
-    return float(torch.logsumexp(torch.tensor(found), 0)) - math.log(len(found))
+    return [fit.log_evidence_to_scale for fit in (posterior, posterior.given(even))]
 
 
 def _with_load(posterior: Posterior, part: float) -> Posterior:

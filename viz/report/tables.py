@@ -114,6 +114,8 @@ class Entry:
     """Number of draws or estimates without an answer, or with status ok, in words."""
     best: bool = False
     """True if significantly better than every other method."""
+    doubted: bool = False
+    """True if some of its answers have a status other than ok."""
 
     @staticmethod
     def of(draws: Draws, status: str = "-", *, best: bool = False) -> Entry:
@@ -123,11 +125,6 @@ class Entry:
             return Entry(status)
         missing = f"{summary.missing} of {len(draws)} draws without an answer" if summary.missing else ""
         return Entry("", summary, missing, best)
-
-    @property
-    def doubted(self) -> bool:
-        """True if some of its answers have another status than ok."""
-        return self.summary is not None and self.missing.endswith(" ok")
 
     @property
     def words(self) -> str:
@@ -185,10 +182,8 @@ def metric_table(rows: Sequence[Row], metric: Metric, title: str, objects: Seque
         scores = [draws_of(select(known, object=name), metric.reference, metric.scale) for name in objects]
         lines.append(((TRUTH,), tuple(Entry.of(score) for score in scores)))
     counts = (len(draws[name][method]) for name in objects for method in methods)
-    doubted = any(cell.doubted for _, cells in lines for cell in cells)
-    notes = [DOUBT] if doubted else []
-    notes += filter(None, [_one_unknown(rows, objects) if metric is NAD else ""])
-    note = "; ".join(notes)
+    doubt = DOUBT if any(cell.doubted for _, cells in lines for cell in cells) else ""
+    note = "; ".join(filter(None, [doubt, _one_unknown(rows, objects) if metric is NAD else ""]))
     return Table(_counted(title, counts, "draw"), tuple(objects), tuple(lines), note=note, folded=metric.folded)
 
 
@@ -197,7 +192,7 @@ def _over_draws(rows: Sequence[Row], draws: Draws, metric: Metric, *, best: bool
     entry = Entry.of(draws, rows[0]["status"] if rows else "-", best=best)
     good = sum(row["status"] == "ok" for row in rows)
     doubt = metric is NAD and entry.summary is not None and good < len(rows)
-    return replace(entry, missing=f"{good} of {len(rows)} ok") if doubt else entry
+    return replace(entry, missing=f"{good} of {len(rows)} ok", doubted=True) if doubt else entry
 
 
 def _methods_with(rows: Sequence[Row], metric: Metric) -> list[str]:

@@ -25,7 +25,7 @@ QUICK = [block for block in SHOWN if block.mark.startswith("output: ")]
 LONG = sorted(
     (block for block in SHOWN if block.mark.startswith("long output: ")), key=lambda block: block.page == "python.md"
 )
-"""Of commands that take long, in order: python.md reads what the tutorial has run."""
+"""Blocks of commands that take long, in order: python.md reads results of the tutorial."""
 NUMBER = re.compile(r"\d+(?:\.\d+)?")
 
 

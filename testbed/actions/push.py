@@ -28,7 +28,7 @@ from testbed.validation import check_positive_fields, frozen_array, is_number
 
 GAP = 0.01
 """Least way of the fingertip before it meets the face [m]."""
-SPEEDS = (0.01, 0.2)
+SPEEDS = (0.005, 0.2)
 """Least and greatest speed of a push [m/s]: slower ones stick, and after faster ones an object slides on."""
 TIP_HEIGHT = 0.008
 """Height over the table of a fingertip's edge, on a peg between the closed fingers [m]: pushed higher up, an object's

@@ -10,7 +10,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validat
 from testbed.errors import InvalidValueError
 from testbed.importers.logs import factor
 from testbed.objects.files import Side
-from testbed.objects.model import ROBOTIQ_2F85, Hand
+from testbed.objects.model import GRAVITY, ROBOTIQ_2F85, Hand
 from testbed.sensing.camera import CAMERAS
 from testbed.sensing.presets import preset
 from testbed.toml import Finite, NonNegative, Positive
@@ -47,8 +47,8 @@ Cell = Text | Finite
 Three = Annotated[list[Cell], Field(min_length=3, max_length=3)]
 Vector = Annotated[list[Finite], Field(min_length=3, max_length=3)]
 UnitQuaternion = Annotated[list[Finite], Field(min_length=4, max_length=4), AfterValidator(_turn)]
-OrientationAs = Literal["wxyz", "xyzw", "rotation_vector", "roll_pitch_yaw", "yaw"]
-_COLUMNS = {"wxyz": 4, "xyzw": 4, "rotation_vector": 3, "roll_pitch_yaw": 3, "yaw": 1}
+OrientationAs = Literal["wxyz", "xyzw", "rotation_vector", "roll_pitch_yaw", "yaw", "matrix"]
+_COLUMNS = {"wxyz": 4, "xyzw": 4, "rotation_vector": 3, "roll_pitch_yaw": 3, "yaw": 1, "matrix": 9}
 """Columns of an orientation, by how it is given."""
 
 
@@ -79,6 +79,7 @@ class SensorMap(Table):
     force_unit: ForceUnit = "N"
     torque_unit: TorqueUnit = "N m"
     calibration: Text | None = None
+    zeroed: bool = False
     sign: Literal[1, -1] = 1
     in_hand_wxyz: UnitQuaternion = [1.0, 0.0, 0.0, 0.0]
     bias_std_N: NonNegative = preset("ft300s").force_bias
@@ -106,7 +107,7 @@ class PoseMap(Table):
     base: Text | None = None
     position: Annotated[list[Cell], Field(min_length=2, max_length=3)] | None = None
     position_unit: LengthUnit = "m"
-    orientation: Annotated[list[Cell], Field(min_length=1, max_length=4)] | None = None
+    orientation: Annotated[list[Cell], Field(min_length=1, max_length=9)] | None = None
     orientation_as: OrientationAs = "wxyz"
     angle_unit: AngleUnit = "rad"
 
@@ -210,7 +211,9 @@ class Columns(Table):
     comment: str = "#"
     header: bool = True
     longest_gap_s: Positive = 0.1
+    rows: Literal["samples", "poses"] = "samples"
     where: dict[Text, Finite] = Field(default={})
+    gravity: Annotated[float, Field(ge=9.7, le=9.9)] = GRAVITY
     time: TimeMap = TimeMap()
     sensor: SensorMap
     hand: HandMap

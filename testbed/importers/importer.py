@@ -111,7 +111,7 @@ def import_trajectory(
         },
         figures={"wrench_delay_s": delay.seconds, "wrench_delay_std_s": delay.std} if delay else {},
     )
-    trajectory = as_seen(compensate(trajectory))
+    trajectory = as_seen(compensate(trajectory, zeroed=table.sensor.zeroed))
     if doubt := frame_mismatch(trajectory, model.shape):
         raise LogError(f"camera: {doubt}; check in_base and object of [camera], tcp_in_hand_m and closing_deg")
     return judge_drift(trajectory, limit or DriftLimit())
@@ -134,6 +134,8 @@ def delay_of(log: Path, mapping: Path, entry: LogMap | None = None) -> Delay | N
 def _entry_table(log: Path, mapping: Path, entry: LogMap | None) -> tuple[Mapping, np.ndarray, LogMap]:
     """The mapping of one trial, calibrated, the gains of the axes, and its [[logs]] table."""
     whole = load_toml(mapping, Mapping)
+    if whole.rows == "poses":
+        raise InvalidValueError("rows", "poses", "samples: rows of poses are for heft calibrate", file=mapping)
     entry = entry or whole.entry(log, mapping.parent)
     return *calibrated(whole.for_entry(entry), mapping), entry
 
@@ -194,5 +196,5 @@ def _moment(seconds: float) -> str:
 
 def _phases(table: Mapping, action: Action, time: np.ndarray, height: np.ndarray, twist: np.ndarray) -> Phases:
     if table.phases:
-        return phases_from_windows(table.phases, time)
-    return phases_from_motion(action, height, twist)
+        return phases_from_windows(table.phases, time, table.sensor.zeroed)
+    return phases_from_motion(action, height, twist, table.sensor.zeroed)

@@ -93,6 +93,7 @@ class LogMap(Table):
     to_s: Positive | None = None
     where: dict[Text, Finite] = Field(default={})
     sensor_file: Text | None = None
+    camera_files: list[Text] | None = None
     closing_deg: Finite | None = None
     action: RecordedAction | None = None
     phases: Windows | None = None
@@ -167,6 +168,12 @@ class Mapping(Columns):
         changes: dict[str, Any] = {"action": own.action, "phases": own.phases, "where": self.where | own.where}
         if own.sensor_file is not None:
             changes["sensor"] = self.sensor.model_copy(update={"file": own.sensor_file})
+        if own.camera_files is not None:
+            parts = [] if self.camera is None else self.camera.parts
+            if len(own.camera_files) != len(parts):
+                raise InvalidValueError("logs.camera_files", own.camera_files, f"a file for each of {len(parts)} parts")
+            files = [part.model_copy(update={"file": f}) for part, f in zip(parts, own.camera_files, strict=True)]
+            changes["camera"] = self.camera and self.camera.model_copy(update={"parts": files})
         if own.closing_deg is not None:
             changes["hand"] = self.hand.model_copy(update={"closing_deg": own.closing_deg})
         return self.model_copy(update={"logs": [], **{k: v for k, v in changes.items() if v is not None}})

@@ -54,6 +54,8 @@ MOST_LEFT_OUT = 0.2
 """Part of the samples from which lost frames and spikes refuse a log. Ours."""
 MOST_NAMED = 3
 """Spikes of a component that are named by their times."""
+_SHORTEST_LOG = 0.5
+"""Least time that all columns of a log share [s]: a push at 0.2 m/s lasts that long."""
 _SMOOTHING = 0.25
 """Time over which motion is averaged [s]."""
 
@@ -77,8 +79,10 @@ def common_base(series: Iterable[Series], longest_gap: float) -> Float[np.ndarra
         begins.append(one.time_s[0])
         ends.append(one.time_s[-1])
     begin, end = max(begins), min(ends)
-    if end - begin < 1.0:
-        raise LogError(f"log: its columns have {max(end - begin, 0.0):.2f} s in common; allowed: 1 s or more")
+    if end - begin < _SHORTEST_LOG:
+        raise LogError(
+            f"log: its columns have {max(end - begin, 0.0):.2f} s in common; allowed: {_SHORTEST_LOG:g} s or more"
+        )
     return begin + np.arange(int((end - begin) * RATE + 1e-6) + 1) / RATE
 
 
@@ -162,15 +166,15 @@ def resampled_rotation(time: Float[np.ndarray, "N"], rotations: Rotation, base: 
     return Slerp(time, rotations)(np.clip(base, time[0], time[-1]))
 
 
-def phases_from_windows(windows: Sequence[PhaseWindow], time: Float[np.ndarray, "T"]) -> Phases:
-    """Phases by the mapping's windows; a gap belongs to the way to the next one.
+def phases_from_windows(windows: Sequence[PhaseWindow], time: Float[np.ndarray, "T"], zeroed: bool = False) -> Phases:
+    """Phases by the mapping's windows; a gap belongs to the way to the next one. A zeroed sensor needs no tare.
 
     Raises:
         LogError: no tare before the first steady window, no steady window, or one beyond the log's end.
     """
     phase, segment = np.full(len(time), Phase.RELEASE), np.full(len(time), -1)
     steady = [w for w in windows if w.kind == Phase.STEADY]
-    if not steady or not any(w.kind == Phase.TARE and w.from_s < steady[0].from_s for w in windows):
+    if not steady or not (zeroed or any(w.kind == Phase.TARE and w.from_s < steady[0].from_s for w in windows)):
         raise LogError('phases: allowed: one or more "steady", after one or more "tare"')
     phase[time < steady[-1].to_s] = Phase.RAMP
     phase[time < steady[0].from_s] = Phase.APPROACH
@@ -186,7 +190,9 @@ def phases_from_windows(windows: Sequence[PhaseWindow], time: Float[np.ndarray, 
     return phase, segment
 
 
-def phases_from_motion(action: Action, height: Float[np.ndarray, "T"], velocity: Float[np.ndarray, "T 6"]) -> Phases:
+def phases_from_motion(
+    action: Action, height: Float[np.ndarray, "T"], velocity: Float[np.ndarray, "T 6"], zeroed: bool = False
+) -> Phases:
     """Phases of a turn, a slide or a push from the tool's motion at 100 Hz.
 
     The tool is steady at the action's speed, and tares where it rests above the grasp, before and perhaps after.
@@ -195,6 +201,7 @@ def phases_from_motion(action: Action, height: Float[np.ndarray, "T"], velocity:
         action: the recorded action.
         height: height of the TCP [m].
         velocity: velocity of the TCP, base axes [m/s, rad/s].
+        zeroed: True for a sensor that was zeroed before: then there need be no tare.
 
     Raises:
         LogError: an accelerated turn, another number of steady stretches than the action has, or no tare.
@@ -210,21 +217,23 @@ def phases_from_motion(action: Action, height: Float[np.ndarray, "T"], velocity:
     held = float(np.median(height[np.concatenate(stretches)]))
     tares = [run for run in runs(still & (height > held + ABOVE)) if len(run) >= SHORTEST_TARE * RATE]
     before, after = [t for t in tares if t[-1] < first], [t for t in tares if t[0] > last]
-    if not before:
+    if not (before or zeroed):
         raise LogError(
             f"phases: no tare: the tool never rests for {SHORTEST_TARE:g} s, {1e3 * ABOVE:.0f} mm or more over where "
-            "it holds the object, before it moves it; give [[phases]]"
+            "it holds the object, before it moves it; give [[phases]], or sensor.zeroed = true if it was zeroed before"
         )
     phase, segment = np.full(count, Phase.RELEASE), np.full(count, -1)
-    down = int(np.flatnonzero(height[:first] > held + ABOVE / 5)[-1]) + 1
-    starts = int(np.flatnonzero(still[:first])[-1]) + 1
+    down, starts = (
+        int(np.flatnonzero(inside)[-1]) + 1 if inside.any() else 0
+        for inside in (height[:first] > held + ABOVE / 5, still[:first])
+    )
     stops = last + 1 + int(np.argmax(np.append(still[last + 1 :], True)))
     phase[:down] = Phase.APPROACH
     phase[down:starts] = Phase.SETTLE
     phase[starts:stops] = Phase.RAMP
     for i, stretch in enumerate(stretches):
         phase[stretch], segment[stretch] = Phase.STEADY, i
-    for tare in (before[-1], *after[-1:]):
+    for tare in (*before[-1:], *after[-1:]):
         phase[tare] = Phase.TARE
     return phase, segment
 

@@ -103,6 +103,8 @@ def _from_columns(
     where = np.pad(where * factor("length", of.position_unit), ((0, 0), (0, 3 - len(position))))
     if of.orientation_as in ("wxyz", "xyzw"):
         rotation = _quaternions(f"{field}.orientation", given, of.orientation_as == "wxyz")
+    elif of.orientation_as == "matrix":
+        rotation = _matrices(f"{field}.orientation", given.reshape(-1, 3, 3))
     elif of.orientation_as == "rotation_vector":
         rotation = Rotation.from_rotvec(given * factor("angle", of.angle_unit))
     else:
@@ -117,6 +119,15 @@ def _quaternions(field: str, given: np.ndarray, scalar_first: bool = False) -> R
     if abs(lengths[worst] - 1) > 0.01:
         raise LogError(f"{field}: length {lengths[worst]:g} at sample {worst}; allowed: unit quaternions")
     return Rotation.from_quat(given, scalar_first=scalar_first)
+
+
+def _matrices(field: str, given: np.ndarray) -> Rotation:
+    off = np.abs(given @ given.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2))
+    off = np.maximum(off, np.abs(np.linalg.det(given) - 1))
+    worst = int(np.argmax(off))
+    if off[worst] > 0.02:
+        raise LogError(f"{field}: no rotation at sample {worst}; allowed: matrices row by row, of determinant 1")
+    return Rotation.from_matrix(given)
 
 
 class _Edge(NamedTuple):

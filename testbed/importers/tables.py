@@ -36,6 +36,8 @@ class TableLog(ABC):
     """Whole second since 1970 from which dates count; 0 of numbers, which count from where the log says."""
     _names: list[str]
     _where: dict[str, float]
+    _numbered: bool
+    """True for rows without times, which are numbered: poses of their own."""
 
     def type_of(self, field: str, topic: str | None) -> str:
         """Empty: a table has no messages.
@@ -63,11 +65,14 @@ class TableLog(ABC):
         self.type_of(field, topic)
         sought = columns_of(field, names, self.path)
         rules = [partial(self._numbers, "where", name) for name in self._where]
-        stamps, *columns = read_all(
-            partial(self._stamps, "time.column", str(time.column), time.unit),
-            *(partial(self._numbers, field, name) for name in sought),
-            *rules,
-        )
+        numbers = [partial(self._numbers, field, name) for name in sought]
+        if self._numbered:
+            columns = read_all(*numbers, *rules)
+            stamps = np.arange(len(columns[0]), dtype=float)
+        else:
+            stamps, *columns = read_all(
+                partial(self._stamps, "time.column", str(time.column), time.unit), *numbers, *rules
+            )
         named = dict(zip([str(time.column), *sought, *self._where], [stamps, *columns], strict=True))
         if len({len(values) for values in named.values()}) > 1:
             counts = ", ".join(f"{name} {len(values)}" for name, values in named.items())
@@ -130,7 +135,8 @@ class CsvLog(TableLog):
     """Table of text with a header line. A row may leave columns blank, if the table joins several rates."""
 
     def __init__(self, path: Path, mapping: Columns):
-        self.path, self.epoch_s, self._where, self._decimal = path, 0, mapping.where, mapping.decimal
+        self.path, self.epoch_s, self._decimal = path, 0, mapping.decimal
+        self._where, self._numbered = mapping.where, mapping.rows == "poses"
         try:
             lines = _decoded(path).split("\n")
             _check_lines(path, lines)
@@ -189,7 +195,8 @@ class ArrayLog(TableLog):
     """Parquet or HDF5 file. Items of lists and columns of arrays have a name with a dot and a number, as `pose.0`."""
 
     def __init__(self, path: Path, mapping: Columns):
-        self.path, self.epoch_s, self._where = path, 0, mapping.where
+        self.path, self.epoch_s = path, 0
+        self._where, self._numbered = mapping.where, mapping.rows == "poses"
         try:
             with parsed("testbed.parsing.tables", path.absolute()) as found, np.load(found) as arrays:
                 self._names = [str(name) for name in arrays["names"]]

@@ -14,24 +14,28 @@ from testbed.objects.model import GRAVITY
 from testbed.trajectory import Phase, Tool, Trajectory
 
 
-def compensate(trajectory: Trajectory) -> Trajectory:
+def compensate(trajectory: Trajectory, zeroed: bool = False) -> Trajectory:
     """Trajectory with `wrench_on_object_world` from its raw sensor record, simulated or real.
 
     Tare: the mean of the raw record while hovering, less what the tool weighs there, is the sensor's bias; where a
-    trial ends with another tare, that one only shows the drift. Tool: gravity and inertia of all that hangs below the
-    sensor, from the hand's own motion. What remains is moved to the TCP, world axes.
+    trial ends with another tare, that one only shows the drift. A sensor that was zeroed before, with the tool as it
+    hangs at the first sample, needs no tare: without one its zero stays. Tool: gravity and inertia of all that hangs
+    below the sensor, from the hand's own motion. What remains is moved to the TCP, world axes.
 
     Raises:
         InvalidValueError: no tare samples, or no tool.
     """
     tool, tares = trajectory.tool, _tares(trajectory)
-    if tool is None or not tares:
+    if tool is None or not (tares or zeroed):
         raise InvalidValueError(
             "Trajectory", "no tool" if tool is None else "no samples in phase TARE", "a record with a tool and a tare"
         )
     axes = rotation_matrix(trajectory.sensor_orientation)
     load = tool_wrench(tool, trajectory, axes)
-    bias = (trajectory.sensor_wrench - load)[tares[0]].mean(axis=0)
+    if tares:
+        bias = (trajectory.sensor_wrench - load)[tares[0]].mean(axis=0)
+    else:
+        bias = -tool_pulls(tool, axes[:1], np.array([[0.0, 0.0, GRAVITY]]))[0, 0]
     at_sensor = trajectory.sensor_wrench - bias - load
     world = rotate_wrench(axes, move_wrench(at_sensor, tool.tcp))
     return replace(trajectory, wrench_on_object_world=world)

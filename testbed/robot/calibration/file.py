@@ -10,6 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from testbed.errors import InvalidValueError
 from testbed.files import write_whole
+from testbed.objects.model import GRAVITY
 from testbed.robot.calibration.hand_eye import HandEye
 from testbed.robot.calibration.static_poses import Calibration
 from testbed.robot.interfaces import Pose
@@ -54,6 +55,7 @@ class CalibrationFile(BaseModel):
     gain: Gains = [1.0] * 6
     gain_std: Annotated[list[NonNegative], Field(min_length=6, max_length=6)] = [0.0] * 6
     bias_walk: Annotated[list[Walk], Field(min_length=6, max_length=6)] = [0.0] * 6
+    gravity: Annotated[float, Field(ge=9.7, le=9.9)] = GRAVITY
 
     @model_validator(mode="after")
     def _makes_a_calibration(self) -> Self:
@@ -77,6 +79,7 @@ class CalibrationFile(BaseModel):
             gain=np.array(self.gain),
             gain_std=np.array(self.gain_std),
             bias_walk=np.array(self.bias_walk),
+            gravity=self.gravity,
         )
 
 
@@ -121,6 +124,7 @@ def save_calibration(path: Path, calibration: Calibration, sensor: str, made: st
         "poses": c.poses,
         **({"gain": c.gain.tolist(), "gain_std": c.gain_std.tolist()} if c.gain_std.any() else {}),
         **({"bias_walk": c.bias_walk.tolist()} if c.bias_walk.any() else {}),
+        **({"gravity": c.gravity} if c.gravity != GRAVITY else {}),
     }
     _write(path, fields)
 

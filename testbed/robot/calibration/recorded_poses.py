@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,11 +11,11 @@ from scipy.spatial.transform import Rotation
 
 from testbed.errors import InvalidValueError
 from testbed.importers.columns import Columns
-from testbed.importers.logs import LogError, read_all
+from testbed.importers.logs import LogError, Series, read_all
 from testbed.importers.phases import RATE, common_base, resampled, resampled_rotation, runs
-from testbed.importers.poses import hand_pose
+from testbed.importers.poses import Pose, hand_pose
 from testbed.importers.streams import in_sensor_axes, open_log, read_wrench, sensor_log
-from testbed.robot.calibration.static_poses import StaticPose
+from testbed.robot.calibration.static_poses import UNKNOWNS, StaticPose, calibrate, residuals
 from testbed.sensing.windows import mean_covariance
 from testbed.toml import load_toml
 
@@ -40,7 +41,8 @@ def recorded_poses(log: Path, mapping: Path) -> tuple[list[StaticPose], str]:
     Of the mapping file [time], [sensor] and [hand] are read; the sensor's sign and mount do not count.
 
     Each rest of a second or more is a pose. With fewer than six rests, so is each half second of slow motion, whose
-    scatter is taken about a parabola. A pose has `MEASURED` samples of the sensor or more, and of the hand.
+    scatter is taken about a parabola. A pose has `MEASURED` samples of the sensor or more, and of the hand. With
+    `rows = "poses"` each row of a table is a pose; the scatter of a fit is then the error of its reading.
 
     Raises:
         InvalidFileError: the mapping does not fit its schema; one line per error.
@@ -59,6 +61,8 @@ def recorded_poses(log: Path, mapping: Path) -> tuple[list[StaticPose], str]:
     )
     wrench = wrench._replace(time_s=wrench.time_s + (other.epoch_s - source.epoch_s))
     wrench = in_sensor_axes(wrench, pose, table.sensor)
+    if table.rows == "poses":
+        return _of_rows(wrench, pose, table.gravity), left_out
     base = common_base([wrench, pose[0]], table.longest_gap_s)
     hand, position = resampled_rotation(pose[0].time_s, pose[1], base).as_quat(), resampled(pose[0], base)
     values = resampled(wrench, base)
@@ -85,6 +89,17 @@ def recorded_poses(log: Path, mapping: Path) -> tuple[list[StaticPose], str]:
             f"{FEWEST} or more, each tilted another way"
         )
     return moving, left_out
+
+
+def _of_rows(wrench: Series, pose: Pose, gravity: float) -> list[StaticPose]:
+    """Poses of rows, those without a wrench left out; the scatter of a fit, axis by axis, is the error of a reading."""
+    hands = pose[1].as_quat(scalar_first=True)[np.isin(pose[0].time_s, wrench.time_s)]
+    poses = [StaticPose(hand, read, np.ones(6)) for hand, read in zip(hands, wrench.values, strict=True)]
+    if len(poses) < FEWEST:
+        raise LogError(f"poses: {len(poses)} rows; allowed: {FEWEST} or more, each tilted another way")
+    left, rows = residuals(calibrate(poses, gravity=gravity), poses), 6 * len(poses)
+    scatter = np.sqrt((left**2).mean(axis=0) * rows / (rows - UNKNOWNS))
+    return [replace(each, standard_error=np.maximum(scatter, 1e-9)) for each in poses]
 
 
 def _measured(time: np.ndarray, base: np.ndarray) -> np.ndarray:

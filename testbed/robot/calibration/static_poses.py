@@ -8,8 +8,9 @@ center of mass,
 and u is known in the hand's frame from the arm's pose. Sign is +1 for a sensor that reports what the arm does to the
 tool, as heft counts, and -1 for one that reports what the tool does to the arm. A sensor with one axis mirrored, in
 force and torque, is the same thing as one negated and turned by 180 degrees about that axis. The gain of each axis is
-1 unless an error of it is stated; then it is found as far as the poses determine it. The bias of a sensor that warms up
-walks from pose to pose: what is left of a fit shows by how much, and the next fit weighs the readings accordingly.
+1 unless an error of it is stated; then it is found as far as the poses determine it. Each axis scatters in its own way,
+and the bias of a sensor that warms up walks from pose to pose: what is left of a fit shows by how much, and the next
+fit weighs the readings accordingly.
 
 The hand is the frame whose pose the arm reports; its z axis points out of the flange. The arm's base is taken as level.
 """
@@ -41,7 +42,8 @@ from testbed.validation import (
 
 Sign = Literal[1, -1]
 TELLING = 25.0
-"""Difference of squared misfit that settles the sign: five standard deviations."""
+"""Difference of squared misfit that settles the sign, and that axes scatter each in its own way: five standard
+deviations."""
 HANDED = 0.2
 """Residual of the forces' directions, from 0 to 1, that settles the sign by the forces alone. Ours."""
 FARTHEST = 0.5
@@ -49,8 +51,10 @@ FARTHEST = 0.5
 WALKS = 20.0
 """Twice the gain of log likelihood from which the bias of an axis walks: scatter alone gains as much in one calibration
 of 100,000."""
+UNKNOWNS = 13
+"""Number of unknowns without gains: turn, mass, center, bias."""
 ROUNDS = 3
-"""Fits of a bias that walks, each weighed by what the last one left."""
+"""Fits of readings that scatter more than their noise, each weighed by what the last one left."""
 MISFIT = 3.0
 """Squared misfit beyond which something else than noise is at work; 1 is expected."""
 
@@ -127,11 +131,13 @@ class Calibration:
     bias_walk: Float[np.ndarray, "6"] = field(default_factory=lambda: np.zeros(6))
     """Standard deviation of the bias's change from pose to pose [N, N m], 0 of an axis whose bias stays; `bias` is then
     that of the first pose."""
+    gravity: float = GRAVITY
+    """Acceleration of free fall by which the tool was weighed [m/s^2]."""
 
     def __post_init__(self) -> None:
         if self.sign not in (1, -1):
             raise InvalidValueError("Calibration.sign", self.sign, "1 or -1")
-        check_positive_fields(self, "mass", "mass_std")
+        check_positive_fields(self, "mass", "mass_std", "gravity")
         object.__setattr__(self, "sensor_in_hand", unit_quaternion("Calibration.sensor_in_hand", self.sensor_in_hand))
         freeze_arrays(self, sensor_in_hand_std=(3,), bias=(6,), bias_std=(6,), com=(3,), com_std=(3,))
         freeze_arrays(self, gain=(6,), gain_std=(6,), bias_walk=(6,))
@@ -146,7 +152,7 @@ class Calibration:
         return Tool(self.mass, self.com, inertia, tcp)
 
 
-def calibrate(poses: Sequence[StaticPose], gain_error: float = 0.0) -> Calibration:
+def calibrate(poses: Sequence[StaticPose], gain_error: float = 0.0, gravity: float = GRAVITY) -> Calibration:
     """Mount, bias, tool and gains by weighted least squares on the readings.
 
     Standard deviations come from the readings' own, or from their scatter if that is larger; a bias that walks from
@@ -155,6 +161,7 @@ def calibrate(poses: Sequence[StaticPose], gain_error: float = 0.0) -> Calibrati
     Args:
         poses: readings at rest, in order of time.
         gain_error: standard deviation of each axis' gain beforehand; 0 takes them as 1.
+        gravity: acceleration of free fall [m/s^2].
 
     Raises:
         CalibrationError: too few poses, or too alike to determine rotation, sign or tool.
@@ -164,10 +171,10 @@ def calibrate(poses: Sequence[StaticPose], gain_error: float = 0.0) -> Calibrati
     if not (is_number(gain_error) and 0 <= gain_error < 1):
         raise InvalidValueError("gain_error", gain_error, "a number from 0 to below 1")
     errors = _Errors.of(poses)
-    fits = {sign: _fit(poses, sign, gain_error, errors) for sign in (1, -1)}
+    fits = {sign: _fit(poses, sign, gain_error, errors, gravity) for sign in (1, -1)}
     sign, other = sorted(fits, key=lambda s: fits[s].cost)
     best = fits[sign]
-    freedom = 6 * len(poses) - 13
+    freedom = 6 * len(poses) - UNKNOWNS
     misfit = 2 * best.cost / freedom
     jacobian = best.jac
     lengths = np.linalg.norm(jacobian, axis=0)
@@ -189,11 +196,11 @@ def calibrate(poses: Sequence[StaticPose], gain_error: float = 0.0) -> Calibrati
         )
     widening = max(misfit, 1.0)
     for _ in range(ROUNDS):
-        left = errors.raw(best.fun[: 6 * len(poses)])
-        if not (walking := _Errors.walking(errors.noise, left)).walk.any():
+        scattered = _Errors.scattered(errors.noise, errors.raw(best.fun[: 6 * len(poses)]))
+        if scattered is None:
             break
-        errors = walking
-        best = _fit(poses, sign, gain_error, errors)
+        errors = scattered
+        best = _fit(poses, sign, gain_error, errors, gravity)
         jacobian, widening = best.jac, max(2 * best.cost / freedom, 1.0)
     covariance = np.linalg.inv(jacobian.T @ jacobian) * widening
     mass, com = best.x[3], best.x[4:7] / best.x[3]
@@ -226,6 +233,7 @@ def calibrate(poses: Sequence[StaticPose], gain_error: float = 0.0) -> Calibrati
         misfit=float(misfit),
         poses=len(poses),
         bias_walk=errors.walk,
+        gravity=gravity,
         **({"gain": best.x[13:], "gain_std": std[13:]} if gain_error else {}),
     )
 
@@ -234,7 +242,7 @@ def residuals(calibration: Calibration, poses: Sequence[StaticPose]) -> Float[np
     """Readings less the model's [N, N m]."""
     mount = Rotation.from_quat(calibration.sensor_in_hand, scalar_first=True)
     held = mount.inv().apply(np.array([pose.up for pose in poses]))
-    load = calibration.mass * GRAVITY * np.hstack([held, np.cross(calibration.com, held)])
+    load = calibration.mass * calibration.gravity * np.hstack([held, np.cross(calibration.com, held)])
     return np.array([pose.wrench for pose in poses]) - calibration.sign * calibration.gain * load - calibration.bias
 
 
@@ -261,12 +269,20 @@ class _Errors:
         return _Errors(noise, np.zeros(6), np.array([np.diag(each) for each in noise.T]))
 
     @staticmethod
-    def walking(noise: Float[np.ndarray, "N 6"], left: Float[np.ndarray, "N 6"]) -> _Errors:
-        """Noise, a factor of it and a walk for each axis, the likeliest by the residuals of a fit."""
+    def scattered(noise: Float[np.ndarray, "N 6"], left: Float[np.ndarray, "N 6"]) -> _Errors | None:
+        """Noise, a factor of it and a walk for each axis, the likeliest by the residuals of a fit.
+
+        None where no bias walks and one factor explains the scatter of all axes.
+        """
         order = np.arange(len(noise))
         together = np.minimum(order[:, None], order).astype(float)
         found = [_likeliest(np.diag(own**2), together, of_axis) for own, of_axis in zip(noise.T, left.T, strict=True)]
-        return _Errors(noise, np.array([walk for walk, _ in found]), np.array([root for _, root in found]))
+        walk = np.array([walk for walk, _ in found])
+        scatter = ((left / noise) ** 2).mean(axis=0)
+        unlike = len(noise) * np.log(scatter.mean() / scatter).sum()
+        if not walk.any() and unlike < TELLING:
+            return None
+        return _Errors(noise, walk, np.array([root for _, root in found]))
 
     def whitened(self, left: Float[np.ndarray, "N 6"]) -> Float[np.ndarray, "N 6"]:
         """Residuals over their errors."""
@@ -302,11 +318,11 @@ def _likeliest(
     bounds = [(0.0, None), (None, None)]
     best = minimize(lambda x: cost(covariance(x)), start, method="L-BFGS-B", bounds=bounds)
     if cost(alone) - float(best.fun) < WALKS:
-        return 0.0, np.linalg.cholesky(noise)
+        return 0.0, np.linalg.cholesky(alone)
     return float(np.exp(best.x[1] / 2)), np.linalg.cholesky(covariance(best.x))
 
 
-def _fit(poses: Sequence[StaticPose], sign: int, gain_error: float, errors: _Errors) -> OptimizeResult:
+def _fit(poses: Sequence[StaticPose], sign: int, gain_error: float, errors: _Errors, gravity: float) -> OptimizeResult:
     """Least squares under one sign: turn from `start` [rad], sensor axes, mass, mass times center, bias, gains."""
     up, wrench = (np.array([getattr(p, name) for p in poses]) for name in ("up", "wrench"))
     force, middle = sign * wrench[:, :3], up - up.mean(axis=0)
@@ -315,11 +331,11 @@ def _fit(poses: Sequence[StaticPose], sign: int, gain_error: float, errors: _Err
     start, force_left, *_ = Rotation.align_vectors(
         *(vectors / max(float(np.linalg.norm(vectors)), 1e-12) for vectors in (middle, about))
     )
-    mass = max(float(np.sum(start.apply(force) * middle) / max(np.sum(middle**2), 1e-12) / GRAVITY), 1e-3)
+    mass = max(float(np.sum(start.apply(force) * middle) / max(np.sum(middle**2), 1e-12) / gravity), 1e-3)
 
     def missed(x: np.ndarray) -> np.ndarray:
         held = (start * Rotation.from_rotvec(x[:3])).inv().apply(up)
-        load = GRAVITY * np.hstack([x[3] * held, np.cross(x[4:7], held)])
+        load = gravity * np.hstack([x[3] * held, np.cross(x[4:7], held)])
         gain = x[13:] if gain_error else np.ones(6)
         missing = errors.whitened(sign * gain * load + x[7:13] - wrench).ravel()
         return np.append(missing, (gain - 1) / gain_error) if gain_error else missing

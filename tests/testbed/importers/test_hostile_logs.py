@@ -105,14 +105,14 @@ def test_a_small_file_that_unpacks_to_gigabytes_is_refused(tmp_path: Path):
 )
 def test_a_line_that_is_no_row_of_a_table_is_refused(text: str, reason: str, tmp_path: Path):
     (path := tmp_path / "log.csv").write_text(text, encoding="utf-8")
-    columns = SimpleNamespace(decimal=".", comment="#", separator=",", header=True, where={})
+    columns = SimpleNamespace(rows="samples", decimal=".", comment="#", separator=",", header=True, where={})
     with pytest.raises(LogError, match=reason):
         CsvLog(path, columns)  # pyright: ignore[reportArgumentType]
 
 
 def test_a_long_cell_is_cut_in_the_message(tmp_path: Path):
     (path := tmp_path / "log.csv").write_text(f"t,a\n1,2\n2,{'x' * 9999}\n", encoding="utf-8")
-    log = CsvLog(path, SimpleNamespace(decimal=".", comment="#", separator=",", header=True, where={}))  # pyright: ignore[reportArgumentType]
+    log = CsvLog(path, SimpleNamespace(rows="samples", decimal=".", comment="#", separator=",", header=True, where={}))  # pyright: ignore[reportArgumentType]
     with pytest.raises(LogError, match=r"line 3: a: got 'xx.*\.\.\.; allowed: a number") as error:
         log.series("sensor", ["a"], None, TimeMap(column="t"))
     assert len(str(error.value)) < 400

@@ -277,7 +277,7 @@ def test_a_wrong_log_is_refused(turn: Trajectory, tmp_path: Path):
         (tmp_path / name).write_text("")
     for name, error in (
         ("gone.csv", "silent for 0.41 s at 2.99 s; allowed: 0.1 s"),
-        ("short.csv", "0.49 s in common; allowed: 1 s or more"),
+        ("short.csv", "0.49 s in common; allowed: 0.5 s or more"),
         ("empty.csv", "empty.csv: cannot be read"),
         ("log.xls", ".csv, .tsv, .txt, .parquet, .h5, .hdf5, .db3, .mcap"),
         ("none.csv", "an existing file (.csv"),

@@ -32,7 +32,8 @@ def import_(
 
     MAPPING is a TOML file that says which column is what, in which unit, and what was done: docs/formats.md has one to
     begin with. All errors are listed at once, and then nothing is written. A log that is imported again, by a
-    corrected mapping, takes the place of its earlier import. Exit code: 1 where a trial is no data.
+    corrected mapping, takes the place of its earlier import. Exit code: 1 where a trial is no data, or --find cannot
+    read a log.
 
     Examples: heft import lab.toml turn_1.csv turn_2.csv --weight 1.8
               heft import lab.toml                 (the logs that its [[logs]] name)
@@ -46,14 +47,15 @@ def import_(
         weight: mass of the object as a scale read it; every method needs it once.
         support: support of the object's weight, as far as you know: own_weight, rigid, or a stiffness in N/m; if
             left out, rigid for an object on points of contact, else own_weight.
-        find: print the tares, turns and slides that the logs hold, and write MAPPING with a [[logs]] table for each
-            action as *.found.toml, to be corrected and imported; nothing is imported.
+        find: print the tares, turns, slides and pushes that the logs hold, and write MAPPING with a [[logs]] table for
+            each action as *.found.toml, to be corrected and imported; nothing is imported.
         grasps: with --find, grasps of the first actions, where the motion fits several.
     """
     if find or grasps:
         from scenarios.cli.find import show_found
 
-        show_found(mapping, logs, grasps)
+        if not show_found(mapping, logs, grasps):
+            sys.exit(1)
         return
     from scenarios.cli.run import show_progress
     from scenarios.results.logs import import_logs
@@ -88,9 +90,10 @@ def calibrate(
     """Calibrate a force/torque sensor from a recording: its mount, sign, bias and gains, and the tool below it.
 
     In the recording the arm holds still in six or more poses, for two seconds or more, tilted by 30 degrees and more
-    about two axes and both ways, one of them upside down or level; or it moves slowly through as many. Of MAPPING,
-    [time], [sensor] and [hand] are read; the sign and the mount there do not count, for they are found. With the
-    file that is written named as `calibration` in the [sensor] table of a mapping, heft import reckons with it.
+    about two axes and both ways, one of them upside down or level; or it moves slowly through as many; or LOG is a
+    table with one row per pose (rows = "poses" in MAPPING). Of MAPPING, [time], [sensor] and [hand] are read; the
+    sign and the mount there do not count, for they are found. With the file that is written named as `calibration` in
+    the [sensor] table of a mapping, heft import reckons with it.
 
     Examples: heft calibrate lab.toml poses.csv
               heft calibrate lab.toml poses.mcap --gain-error 0.02 --figure results/residuals
@@ -103,13 +106,15 @@ def calibrate(
         out: file to write.
         figure: readings less model at every pose, written as FILE.pdf and FILE.png.
     """
+    from testbed.importers.columns import Columns
     from testbed.robot.calibration.file import save_calibration
     from testbed.robot.calibration.recorded_poses import recorded_poses
     from testbed.robot.calibration.static_poses import calibrate as fit
     from testbed.robot.calibration.static_poses import in_words
+    from testbed.toml import load_toml
 
     poses, left_out = recorded_poses(log, mapping)
-    found = fit(poses, gain_error)
+    found = fit(poses, gain_error, load_toml(mapping, Columns).gravity)
     print(f"{len(poses)} poses, misfit {found.misfit:.2g} in place of 1")
     if left_out:
         print(f"left out of the wrench: {left_out}")

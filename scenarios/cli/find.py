@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
@@ -12,32 +13,47 @@ from rich.table import Table
 from rich.text import Text
 
 from scenarios.cli.terminal import open_console
-from testbed.errors import InvalidValueError
+from testbed.actions.push import Push
+from testbed.errors import HeftError, InvalidValueError
 from testbed.files import write_whole
+from testbed.importers.logs import LogError
 from testbed.importers.mapping import Mapping
 from testbed.importers.segments import Segment, find_segments
 from testbed.toml import load_toml, toml_text
 
 
-def show_found(mapping: Path, logs: Sequence[Path], grasps: Sequence[str]) -> None:
+def show_found(mapping: Path, logs: Sequence[Path], grasps: Sequence[str]) -> bool:
     """Print the segments of recordings, and write the mapping with a [[logs]] table for each action.
 
+    Returns:
+        True if all logs could be read; the others are named at the end.
+
     Raises:
-        HeftError: a file is not what it should be, or the grasps are ambiguous.
+        HeftError: no log is what it should be.
     """
     table = load_toml(mapping, Mapping)
     if table.logs or not logs:
         raise InvalidValueError("--find", str(mapping), "a mapping without [[logs]], and the recordings after it")
     console, text, known = open_console(), mapping.read_text(encoding="utf-8").rstrip() + "\n", True
+    failed: list[HeftError] = []
     for log in logs:
-        found = find_segments(log, mapping, grasps)
+        try:
+            found = find_segments(log, mapping, grasps)
+        except HeftError as error:
+            failed.append(error)
+            continue
         console.print(_table(log, found))
         known &= _say_grasps(found)
         text += "".join(_entries(os.path.relpath(log, mapping.parent), found, table.hand.closing_deg))
+    if len(failed) == len(logs):
+        raise LogError("\n".join(map(str, failed)))
+    for error in failed:
+        print(f"left out: {error}", file=sys.stderr)
     if known:
         path = mapping.with_suffix(".found.toml")
         write_whole(path, lambda part: part.write_text(text, encoding="utf-8"))
         print(f"{path}: look it through, correct what is wrong, then heft import {path}")
+    return not failed
 
 
 def _table(log: Path, found: Sequence[Segment]) -> Table:
@@ -51,16 +67,29 @@ def _table(log: Path, found: Sequence[Segment]) -> Table:
         if segment.action is not None:
             center = segment.center and f"({1e3 * segment.center[0]:.0f}, {1e3 * segment.center[1]:.0f})"
             cells[2] = _kind(segment)
-            cells += [*_extent(segment), center or "", " or ".join(segment.grasps) or "none fits"]
+            cells += [*_extent(segment), center or "", _place(segment)]
             cells.append(f"{segment.tare[0]:.1f}" if segment.tare else "none")
+        elif segment.reason:
+            cells += ["", "", "", segment.reason]
         table.add_row(*map(Text, cells), style="" if segment.action else "dim")
     table.caption, table.caption_justify = "center: from the middle between the pads, as they close and across", "left"
     return table
 
 
+def _place(segment: Segment) -> str:
+    """Grasps that an action fits, or the point and direction of a push."""
+    action = segment.action
+    if isinstance(action, Push):
+        x, y = (f"{1e3 * value:.0f}" for value in action.point)
+        return f"at ({x}, {y}) mm towards {math.degrees(action.direction):.0f} deg"
+    return " or ".join(segment.grasps) or "none fits"
+
+
 def _kind(segment: Segment) -> str:
     action = segment.action
     assert action is not None
+    if action.pushes:
+        return "push"
     if not action.turns:
         return "slide"
     side = "left" if action.steady[0].speed > 0 else "right"
@@ -72,6 +101,8 @@ def _extent(segment: Segment) -> tuple[str, str]:
     action = segment.action
     assert action is not None
     first = action.steady[0]
+    if isinstance(action, Push):
+        return f"{1e3 * action.speed:.1f} mm/s", f"{1e3 * action.length:.0f} mm"
     if not action.turns:
         return f"{1e3 * first.speed:.1f} mm/s", f"{1e3 * first.speed * first.seconds:.0f} mm"
     if action.accelerated:
@@ -82,7 +113,7 @@ def _extent(segment: Segment) -> tuple[str, str]:
 
 def _say_grasps(found: Sequence[Segment]) -> bool:
     """True if every grasp is known; else what to do is printed."""
-    actions = [segment for segment in found if segment.action or segment.kind == "other motion"]
+    actions = [segment for segment in found if segment.held]
     if all(len(action.grasps) == 1 for action in actions):
         return True
     if all(action.grasps for action in actions):
@@ -100,16 +131,18 @@ def _entries(file: str, found: Sequence[Segment], closing_deg: float) -> Iterato
     """[[logs]] tables of the actions. One whose motion or tare heft import would not find has its [[phases]]."""
     for segment in found:
         action = segment.action
-        if action is None or segment.tare is None:
+        if action is None:
             continue
-        given = {name: value for name, value in action.to_dict().items() if name != "grasp" and value is not None}
-        said = {"kind": given.pop("kind"), "grasp": segment.grasps[0] if segment.grasps else 0, **given}
+        said = {name: value for name, value in action.to_dict().items() if value is not None}
+        if not action.pushes:
+            said["grasp"] = segment.grasps[0] if segment.grasps else 0
         line = toml_text({"action": [said]}).strip().removeprefix("action = [").removesuffix("]")
         times = {"file": file, "from_s": segment.trial[0], "to_s": segment.trial[1]}
         times |= {"closing_deg": closing_deg + 180.0} if segment.flipped else {}
         text = f"\n[[logs]]\n{toml_text(times)}action = {line}\n"
-        if action.accelerated or not segment.alone:
-            windows = [("tare", segment.tare), *(("steady", window) for window in segment.steady)]
+        if action.accelerated or action.pushes or not segment.alone:
+            windows = [("tare", segment.tare)] if segment.tare else []
+            windows += [("steady", window) for window in segment.steady]
             text += "phases = [\n"
             for phase, (begin, end) in windows:
                 text += f'    {{ phase = "{phase}", from_s = {begin:g}, to_s = {end:g} }},\n'

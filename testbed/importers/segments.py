@@ -1,4 +1,4 @@
-"""Segments of a long recording: its tares, turns and slides, found from pose and wrench, and the grasp of each."""
+"""Segments of a recording: its tares, turns, slides and pushes, found from pose and wrench, and the grasp of each."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from testbed.actions.accelerate import Accelerate
 from testbed.actions.base import TableAction
+from testbed.actions.push import Push
 from testbed.actions.rotate import Rotate
 from testbed.actions.slide import Slide
 from testbed.errors import InvalidValueError, nearest
@@ -20,12 +21,25 @@ from testbed.frames import perpendicular, rotation_2d
 from testbed.importers.importer import calibrated, object_of
 from testbed.importers.logs import LogError
 from testbed.importers.mapping import Mapping
-from testbed.importers.phases import ABOVE, RATE, SHORTEST_TARE, STEADY_WITHIN, STILL, linear_stretches, resampled, runs
+from testbed.importers.phases import (
+    ABOVE,
+    PUSHED_WITHIN,
+    RATE,
+    SHORTEST_TARE,
+    STEADY_WITHIN,
+    STILL,
+    check_sensor_alive,
+    linear_stretches,
+    resampled,
+    runs,
+)
 from testbed.importers.streams import Streams, closing_yaw, differentiated, open_log
+from testbed.objects.faces import face_at, room_at
 from testbed.objects.model import ObjectShape
+from testbed.sensing.push_windows import TOUCHING
 from testbed.toml import load_toml
 
-Kind = Literal["tare", "held still", "turn", "accelerated turn", "slide", "other motion", "empty hand"]
+Kind = Literal["tare", "held still", "turn", "accelerated turn", "slide", "push", "other motion", "empty hand"]
 SHORTEST = 0.5
 """Shortest motion that is reported [s]."""
 LONGEST_TURN_ROUND = 2.0
@@ -41,6 +55,10 @@ _DRAG = 0.15, 0.01
 """Force in the table's plane [N] and torque about its normal [N m] below which nothing is held, beside noise."""
 _LIFTED = 0.5
 """Change of the vertical force over the first tare above which a high hand carries something [N]."""
+_STRAIGHT = np.radians(3.0)
+"""Turn of a push's heading below which its path is straight [rad]."""
+_IMPACT = 5
+"""Samples over which the force of a push is averaged."""
 _AT_GRASP = 0.003
 """Distance of a center from the TCP up to which a turn is about the grasp [m]."""
 
@@ -52,14 +70,15 @@ class Segment:
     kind: Kind
     from_s: float
     to_s: float
-    action: TableAction | None = None
+    action: TableAction | Push | None = None
     """Action on the table, in the object's frame if its grasp is found: else from the TCP, x as the pads close."""
     steady: tuple[tuple[float, float], ...] = ()
     """Stretches of constant speed or acceleration."""
     tare: tuple[float, float] | None = None
-    """The last tare before."""
+    """The last tare before; None of a zeroed sensor without one."""
     trial: tuple[float, float] = (0.0, 0.0)
-    """Stretch of the log that is the trial: from its tare to the middle of the next one."""
+    """Stretch of the log that is the trial: from its tare to the middle of the next one; without a tare, between the
+    middles of the rests before and after."""
     alone: bool = True
     """True if the tare is right before it; False if another action of the same grasp is between."""
     grasps: tuple[str, ...] = ()
@@ -72,13 +91,23 @@ class Segment:
     """TCP and closing direction at its begin [m, m, rad], base axes."""
     closing_end: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """The same at its end."""
+    reason: str = ""
+    """Why a motion beside the object is no push."""
+    lay: tuple[float, float, float] | None = None
+    """Pose at its begin of a rigid object that a camera sees [m, m, rad], base axes."""
+
+    @property
+    def held(self) -> bool:
+        """True if the pads hold the object, in an action or another motion."""
+        return not self.reason and (self.kind == "other motion" or (self.action is not None and not self.action.pushes))
 
 
 def find_segments(log: Path, mapping: Path, grasps: Sequence[str] = ()) -> list[Segment]:
     """Segments of a recording, in order.
 
     A tare is a rest of the hand above the table, a motion that the sensor feels is one of the object. A turn and its
-    way back are one action. The grasps are those between which the object moves as the hand left it each time.
+    way back are one action. A motion beside a rigid object that a camera sees is a push. The grasps are those where the
+    camera sees the object, or else those between which it moves as the hand left it each time.
 
     Args:
         log: a table, an .mcap file, or a ROS 2 bag.
@@ -99,16 +128,42 @@ def find_segments(log: Path, mapping: Path, grasps: Sequence[str] = ()) -> list[
     position, hand = streams.tcp(table, base)
     sensor = hand * Rotation.from_quat(table.sensor.in_hand_wxyz, scalar_first=True)
     wrench = table.sensor.sign * resampled(streams.wrench, base) / gain
-    motion = _Motion(
-        base - streams.begin_s, position, closing_yaw(hand, table.hand), differentiated(position, hand), wrench, sensor
-    )
+    lying = _Lying.of(streams, table, base, shape)
+    time, yaw, twist = base - streams.begin_s, closing_yaw(hand, table.hand), differentiated(position, hand)
+    motion = _Motion(time, position, yaw, twist, wrench, sensor, lying, table.sensor.zeroed)
     found = _trials(motion.segments())
-    if not any(segment.action for segment in found):
+    if not any(segment.action or segment.reason for segment in found):
+        check_sensor_alive(streams.wrench, base[[0, 0]], table.sensor.measured)
         raise LogError(
             f"{log}: no motion of the object was found: allowed: the hand rests {1e3 * ABOVE:.0f} mm or more above its "
-            f"grasp for {SHORTEST:g} s, goes down, and turns or slides the object"
+            f"grasp for {SHORTEST:g} s (or sensor.zeroed = true), goes down, and turns, slides or pushes the object"
         )
     return _with_grasps(found, shape, [names.index(name) for name in grasps])
+
+
+@dataclass(frozen=True, eq=False)
+class _Lying:
+    """A rigid object that a camera sees."""
+
+    shape: ObjectShape
+    pose: np.ndarray
+    """Its planar pose at each sample [m, m, rad], base axes."""
+
+    @staticmethod
+    def of(streams: Streams, table: Mapping, base: np.ndarray, shape: ObjectShape) -> _Lying | None:
+        """None without a camera, and of hinged objects."""
+        camera = streams.camera(table, base)
+        if camera is None or camera.poses.shape[1] > 1:
+            return None
+        there = ~np.isnan(camera.poses[:, 0]).any(axis=1)
+        frames = camera.poses[there, 0].T
+        pose = np.column_stack([np.interp(base - base[0], camera.time_s[there], values) for values in frames])
+        return _Lying(shape, pose)
+
+    def seen(self, at: np.ndarray, place: np.ndarray) -> np.ndarray:
+        """Places of the base's axes, in the object's frame at some samples [m], shape (N, 2)."""
+        pose = self.pose[at]
+        return (rotation_2d(-pose[:, 2]) @ (place - pose[:, :2])[..., None])[..., 0]
 
 
 class _Motion:
@@ -122,7 +177,10 @@ class _Motion:
         twist: np.ndarray,
         wrench: np.ndarray,
         sensor: Rotation,
+        lying: _Lying | None,
+        zeroed: bool,
     ):
+        self.lying, self.zeroed, self.force = lying, zeroed, uniform_filter1d(wrench[:, :3], _IMPACT, axis=0)
         self.time, self.position, self.yaw, self.sensor = time, position, yaw, sensor
         self.height, size = position[:, 2], round(_SMOOTHING * RATE)
         self.twist, self.wrench = (uniform_filter1d(values, size, axis=0) for values in (twist, wrench))
@@ -143,8 +201,8 @@ class _Motion:
         found = []
         for part, height in zip(parts, heights, strict=True):
             before = [t for t in tares if t[-1] < part[0] and self.height[t].mean() > height + ABOVE]
-            if before:
-                found.append(self._motion(part, before[-1]))
+            if before or self.zeroed:
+                found.append(self._motion(part, before[-1] if before else None))
         for rest in self.rests:
             kind: Kind = "tare" if any(rest is tare for tare in tares) else "held still"
             found.append(Segment(kind, *self._ends(rest)))
@@ -178,30 +236,77 @@ class _Motion:
         x, y = self.position[index, :2].tolist()
         return x, y, float(self.yaw[index])
 
-    def _drags(self, part: np.ndarray, tare: np.ndarray) -> bool:
+    def _drags(self, part: np.ndarray, tare: np.ndarray | None) -> bool:
         """True if the sensor feels the motion."""
-        felt = self.wrench[part] - self.wrench[tare].mean(axis=0)
+        felt = self.wrench[part] - (0.0 if tare is None else self.wrench[tare].mean(axis=0))
         force, torque = (self._world(part, felt[:, columns]) for columns in (slice(3), slice(3, 6)))
-        least = np.array(_DRAG) + 3 * np.array([self.noise[:3].max(), self.noise[3:].max()])
         seen = np.median(np.linalg.norm(force[:, :2], axis=1)), np.median(np.abs(torque[:, 2]))
-        return bool((np.array(seen) > least).any())
+        return bool((np.array(seen) > self._least()).any())
 
-    def _motion(self, part: np.ndarray, tare: np.ndarray) -> Segment:
+    def _least(self) -> np.ndarray:
+        """Force in the plane [N] and torque [N m] that the sensor feels."""
+        return np.array(_DRAG) + 3 * np.array([self.noise[:3].max(), self.noise[3:].max()])
+
+    def _motion(self, part: np.ndarray, tare: np.ndarray | None) -> Segment:
         ends, kind = self._ends(part), "other motion"
         action, steady = None, []
         turned, way = abs(float(self.yaw[part[-1]] - self.yaw[part[0]])), float(self.speed[part].sum() / RATE)
-        if not self._drags(part, tare):
+        if self.lying and room_at(self.lying.shape, self.lying.seen(part[:1], self.position[part[:1], :2])[0]) > 0:
+            kind, action, steady = self._push(part, tare, self.lying)
+        elif not self._drags(part, tare):
             kind = "empty hand"
         elif turned > _ROTATION:
             kind, action, steady = self._turn(part)
         elif way > _WAY:
             kind, action, steady = self._slide(part)
-        poses = self._pose(part[0]), self._pose(part[-1])
+        action, reason = (None, action) if isinstance(action, str) else (action, "")
         windows = tuple(self._ends(run) for run in steady)
-        center = self._center(np.concatenate(steady)) if steady and kind != "slide" else None
+        x, y, yaw = (0.0, 0.0, 0.0) if self.lying is None else self.lying.pose[part[0]].tolist()
         return Segment(
-            kind, *ends, action, windows, self._ends(tare), center=center, closing=poses[0], closing_end=poses[1]
+            kind,
+            *ends,
+            action,
+            windows,
+            None if tare is None else self._ends(tare),
+            center=self._center(np.concatenate(steady)) if steady and kind not in ("slide", "push") else None,
+            closing=self._pose(part[0]),
+            closing_end=self._pose(part[-1]),
+            reason=reason,
+            lay=None if self.lying is None else (x, y, yaw),
         )
+
+    def _push(self, part: np.ndarray, tare: np.ndarray | None, lying: _Lying) -> tuple[Kind, Push | str | None, list]:
+        """A push, from where the force rises, along an arc; or the reason why it is none."""
+        felt = self.force[part] - (0.0 if tare is None else self.force[tare].mean(axis=0))
+        force = np.linalg.norm(self._world(part, felt)[:, :2], axis=1)
+        usual = float(np.quantile(force, 0.9))
+        if usual < self._least()[0]:
+            return "empty hand", None, []
+        contact = part[max(runs(force > TOUCHING * usual), key=len)]
+        most = float(np.quantile(self.speed[contact], 0.8))  # the arm gives way as it meets the object
+        speed = float(np.median(self.speed[contact][np.abs(self.speed[contact] - most) < STEADY_WITHIN * most]))
+        near = part[max(runs(np.abs(self.speed[part] - speed) < PUSHED_WITHIN * speed), key=len)]
+        kept = np.intersect1d(contact, near)
+        place = self.position[:, :2]
+        way = np.linalg.norm(np.diff(place[contact], axis=0), axis=1).sum()
+        along = np.cumsum(self.speed[kept]) / RATE
+        heading = np.unwrap(np.arctan2(self.twist[kept, 1], self.twist[kept, 0]))
+        curvature, begin = np.polyfit(along, heading, 1)
+        if abs(curvature * way) < _STRAIGHT:
+            curvature, begin = 0.0, float(np.median(heading))
+        tips = lying.seen(contact, place[contact])
+        face, _ = face_at(lying.shape, tips[0])
+        radius = float(np.median([face_at(lying.shape, tip)[1] for tip in tips]))
+        try:
+            direction = float(np.remainder(begin - lying.pose[contact[0], 2] + np.pi, 2 * np.pi) - np.pi)
+            point = tuple(face.nearest(tips[0]).round(5).tolist())
+            action = Push(
+                point, round(direction, 3), round(curvature, 2), round(speed, 4), round(float(way), 3), round(radius, 4)
+            )
+            action.face(lying.shape)
+        except InvalidValueError as error:
+            return "other motion", str(error), []
+        return "push", action, [near]
 
     def _constant(self, part: np.ndarray, rate: np.ndarray) -> tuple[float, np.ndarray]:
         """Median speed, and the longest stretch near it."""
@@ -280,29 +385,36 @@ def _trials(found: list[Segment]) -> list[Segment]:
     """Segments with the stretch of the log that is the trial of each action."""
     done, actions = [], [segment for segment in found if segment.action]
     tares = [(segment.from_s, segment.to_s) for segment in found if segment.kind == "tare"]
+    last = round(max((segment.to_s for segment in found), default=0.0), 2)
     for segment in found:
-        if segment.action is None or segment.tare is None:
+        if segment.action is None:
             done.append(segment)
             continue
-        at, middle = actions.index(segment), round(sum(segment.tare) / 2, 2)
+        at = actions.index(segment)
+        following = actions[at + 1] if at + 1 < len(actions) else None
+        if segment.tare is None:
+            begin = round((actions[at - 1].to_s + segment.from_s) / 2, 2) if at else 0.0
+            end = round((segment.to_s + following.from_s) / 2, 2) if following else last
+            done.append(replace(segment, trial=(begin, end), alone=False))
+            continue
+        middle = round(sum(segment.tare) / 2, 2)
         alone = at == 0 or actions[at - 1].tare != segment.tare
         begin = middle if alone and at and segment.tare[1] - middle >= SHORTEST else segment.tare[0]
         after = [tare for tare in tares if tare[0] > segment.to_s]
-        following = actions[at + 1] if at + 1 < len(actions) else None
         if following is not None and following.tare == segment.tare:
             end = round((segment.to_s + following.from_s) / 2, 2)
         elif after:
             middle = round(sum(after[0]) / 2, 2)
             end = (middle if after[0][1] - middle >= SHORTEST else after[0][0]) if following else after[0][1]
         else:
-            end = round(max(other.to_s for other in found), 2)
+            end = last
         done.append(replace(segment, trial=(begin, end), alone=alone))
     return done
 
 
 def _with_grasps(found: list[Segment], shape: ObjectShape, given: list[int]) -> list[Segment]:
     """Segments with the grasps that they fit: along each chain of grasps the object stays where the hand left it."""
-    actions = [segment for segment in found if segment.action or segment.kind == "other motion"]
+    actions = [segment for segment in found if segment.held]
     names = [grasp.name for grasp in shape.grasps]
     starts = [given[: len(actions)]] if given else [[index] for index in range(len(names))]
     chains = [chain for start in starts if (chain := _chain(actions, shape, start)) is not None]
@@ -310,7 +422,7 @@ def _with_grasps(found: list[Segment], shape: ObjectShape, given: list[int]) -> 
     for i, segment in enumerate(actions):
         grasps = tuple(dict.fromkeys(names[chain[i][0]] for chain in chains))
         action, flipped = segment.action, bool(chains) and chains[0][i][1]
-        if action is not None and len(grasps) == 1:
+        if isinstance(action, TableAction) and len(grasps) == 1:
             action = _in_object(action, shape, names.index(grasps[0]), np.pi * flipped)
         held.append(replace(segment, action=action, grasps=grasps, flipped=flipped))
     return [held.pop(0) if segment in actions else segment for segment in found]
@@ -321,11 +433,13 @@ def _chain(actions: list[Segment], shape: ObjectShape, start: list[int]) -> list
     chain: list[tuple[int, bool]] = []
     yaw, origin = 0.0, np.zeros(2)
     for number, segment in enumerate(actions):
+        if segment.lay is not None:
+            origin, yaw = np.array(segment.lay[:2]), segment.lay[2]
         at = rotation_2d(-yaw) @ (np.array(segment.closing[:2]) - origin)
         turned = np.array([np.exp(1j * (segment.closing[2] - yaw - grasp.angle)) for grasp in shape.grasps])
         off = np.array([np.linalg.norm(at - grasp.position) for grasp in shape.grasps])
         fits = (off < GRASP_WITHIN[0]) & (np.abs(np.angle(turned**2)) / 2 < GRASP_WITHIN[1])
-        if number >= len(start) and not fits.any():
+        if not (fits[start[number]] or segment.lay is None if number < len(start) else fits.any()):
             return None
         index = start[number] if number < len(start) else int(np.argmin(np.where(fits, off, np.inf)))
         flipped = bool(number > 0 and fits[index] and turned[index].real < 0)  # else it was laid anew

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,19 +14,22 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
+from scenarios.cli.main import main
 from testbed.actions.push import Push
 from testbed.actions.rotate import Rotate
 from testbed.errors import HeftError
 from testbed.importers.importer import import_trajectory
+from testbed.importers.segments import find_segments
 from testbed.objects.files import load_object
 from testbed.sensing.camera import PoseStream
+from testbed.sensing.compensation import tare_samples
 from testbed.sensing.link_windows import link_windows
 from testbed.sensing.noise import draw_sensing
 from testbed.sensing.presets import preset
 from testbed.sensing.push_windows import push_windows
 from testbed.sensing.windows import SteadyWindow
 from testbed.simulation.runner import SimulationRunner
-from testbed.trajectory import Trajectory
+from testbed.trajectory import Phase, Trajectory
 from testbed.trial import Trial
 from tests.fakes.lab_bench import EPOCH, mapping_of, phases_of, write_csv, write_toml
 
@@ -48,6 +52,11 @@ CAMERA_TABLE = {
 }
 FOLD = Path("scenarios/library/objects/elbow.toml").resolve()
 LINKS = "upper", "lower"
+CUT = (
+    *("phase", "segment", "object_pose", "object_velocity", "tcp_position", "tcp_velocity", "sensor_orientation"),
+    *("wrench_on_object_world", "joint_position"),
+)
+"""Arrays of a trajectory, but for its times and the sensor's wrench."""
 LABELED = {"object_m": BESIDE.tolist(), "object_wxyz": LABEL.as_quat(scalar_first=True).tolist()}
 
 
@@ -130,6 +139,56 @@ def test_a_push_comes_back_with_the_object_where_the_camera_saw_it(push: Traject
     assert len(push_windows(found)) == len(push_windows(push))  # by phases from the motion
     found = bring(tmp_path, push, mapping | {"phases": phases_of(push)})
     same_windows(push_windows(found), push_windows(push))
+
+
+def test_a_push_is_found(push: Trajectory, tmp_path: Path):
+    """Point, direction and radius by the camera's poses; the log alone gives speed and way."""
+    assert isinstance(push.action, Push)
+    frames = write_frames(tmp_path / "frames.csv", push)
+    log = write_csv(tmp_path / "log.csv", push)
+    table = mapping_with(push, "L2", [part_of(frames)])
+    mapping = write_toml(tmp_path / "map.toml", table | {"action": None, "joints": None})
+    (found,) = [segment for segment in find_segments(log, mapping) if segment.action]
+    assert isinstance(found.action, Push) and found.kind == "push" and found.tare is not None
+    assert_allclose(found.action.point, push.action.point, atol=2e-3, rtol=0)
+    for name, tolerance in (("direction", 0.02), ("speed", 2e-3), ("radius", 1e-3), ("length", 5e-3), ("curvature", 0)):
+        assert getattr(found.action, name) == pytest.approx(getattr(push.action, name), abs=tolerance)
+    main(["import", str(mapping), str(log), "--find"])
+    again = import_trajectory(log, tmp_path / "map.found.toml")
+    assert again.ok and push_windows(again)
+
+
+def test_a_zeroed_sensor_needs_no_tare(push: Trajectory, tmp_path: Path):
+    """The log begins after the tare, whose mean is already subtracted."""
+    assert push.camera is not None and push.tool is not None
+    begin = int(np.flatnonzero(push.segment >= 0)[0]) - 30
+    kept = slice(begin, None)
+    arrays = {name: getattr(push, name)[kept] for name in CUT}
+    stamps = push.time_s[kept] - push.time_s[begin]
+    camera = replace(push.camera, time_s=push.camera.time_s - push.time_s[begin])
+    read = push.sensor_wrench - push.sensor_wrench[tare_samples(push)].mean(axis=0)
+    cut = replace(push, time_s=stamps, camera=camera, **arrays | {"sensor_wrench": read[kept]})
+    mapping = mapping_with(cut, "L2", [part_of(write_frames(tmp_path / "frames.csv", cut))])
+    assert "no tare" in refused(tmp_path, cut, mapping)
+    mapping["sensor"]["zeroed"] = True
+    assert len(push_windows(bring(tmp_path, cut, mapping))) == len(push_windows(push))
+    start = float(push.time_s[begin])
+    steady = [
+        {"phase": "steady", "from_s": phase["from_s"] - start, "to_s": phase["to_s"] - start}
+        for phase in phases_of(push)
+        if phase["phase"] == "steady"
+    ]
+    found = bring(tmp_path, cut, mapping | {"phases": steady})
+    assert not found.mask(Phase.TARE).any()
+    same_windows(push_windows(found), push_windows(push))
+
+
+def test_each_log_may_name_its_frames(push: Trajectory, tmp_path: Path):
+    mapping = mapping_with(push, "L2", [part_of(write_frames(tmp_path / "frames.csv", push)) | {"file": "none.csv"}])
+    named = mapping | {"logs": [{"file": "log.csv", "camera_files": ["frames.csv"]}]}
+    same_frames(bring(tmp_path, push, named).camera, push.camera)
+    several = mapping | {"logs": [{"file": "log.csv", "camera_files": ["frames.csv", "frames.csv"]}]}
+    assert "a file for each of 1 parts" in refused(tmp_path, push, several)
 
 
 def test_links_come_back_each_by_its_own_label(fold: Trajectory, tmp_path: Path):

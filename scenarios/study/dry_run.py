@@ -12,26 +12,29 @@ from estimators.registry import METHODS, check_installed, kind_of
 from scenarios.config import Scenario
 from scenarios.study.experiment import object_paths
 from testbed.errors import InvalidValueError
+from testbed.objects.files import load_object
 
 TRIAL_S = 0.7
 """Time of a trial of the default policy on one core, on average over the library [s]."""
 ESTIMATE_S = {
-    "hidden_states": 0.2,
-    "hidden_states_published": 0.6,
-    "bayes": 0.25,
-    "support_aware": 1.1,
-    "explicit_state": 0.2,
-    "least_squares": 0.3,
-    "random_search": 0.35,
-    "weighted_sampling": 0.35,
-    "diff_lcp": 1.4,
-    "mujoco_sysid": 100.0,
+    "hidden_states": (0.2, 1.0),
+    "hidden_states_published": (0.6, 2.5),
+    "bayes": (0.3, 1.5),
+    "support_aware": (1.5, 14.0),
+    "explicit_state": (0.2, 0.7),
+    "least_squares": (0.3, 1.5),
+    "random_search": (0.35, 1.0),
+    "weighted_sampling": (0.35, 1.0),
+    "diff_lcp": (1.4, 4.0),
+    "mujoco_sysid": (100.0, 300.0),
 }
-"""Time of an estimate and its prediction of the held-out turns on one core [s], in the ideal world."""
-OTHER_S = 0.4
-"""Time of any other estimate by a method of heft's [s]."""
-STATED = 3.0
-"""Factor of those times where the world states errors of a setup."""
+"""Time of an estimate on one core [s]: in the ideal world, and where the world states errors of a setup."""
+OTHER_S = 0.4, 1.2
+"""Times of any other estimate by a method of heft's [s]."""
+JUDGED_S = 0.4
+"""Time to predict the held-out turns by an estimate, and to draw it [s]."""
+LINKED = 4.0
+"""Factor of the times of an estimate and its prediction for an object with hinges."""
 DECISION_S = 1.0
 """Time in which an online policy chooses its next action from 4000 candidates on one core [s]."""
 
@@ -57,6 +60,7 @@ class DryRun:
         """The size of a scenario's run, counted at each point of the sweep."""
         points = scenario.points()
         objects = len(scenario.objects) + sum(family.count for family in scenario.random)
+        linked = sum(load_object(path).shape.chain is not None for path in scenario.objects)
         experiments = trials = estimates = 0
         seconds, unknown, made = 0.0, dict[str, None](), set[str]()
         for _, point in points:
@@ -64,11 +68,12 @@ class DryRun:
             draws = sum(point.draws(sensing) for sensing in point.sensing)
             kinds = {label: kind_of(label, settings) for label, settings in point.methods.items()}
             unknown |= {label: None for label, kind in kinds.items() if kind not in METHODS}
-            each = sum(ESTIMATE_S.get(kind, OTHER_S) for kind in kinds.values() if kind in METHODS)
+            stated = not point.world.build().none
+            each = sum(JUDGED_S + ESTIMATE_S.get(kind, OTHER_S)[stated] for kind in kinds.values() if kind in METHODS)
             in_order = here * len(point.own_draws())
             experiments += in_order
             estimates += here * draws * len(point.methods)
-            seconds += here * draws * each * (1.0 if point.world.build().none else STATED)
+            seconds += (here + (LINKED - 1) * linked * len(point.support)) * draws * each
             if (decides := _of_trials(point)) not in made:
                 made.add(decides)
                 trials += in_order * point.policy.expected_trials

@@ -41,7 +41,12 @@ def nearest(name: str, names: Iterable[str], cutoff: float = 0.5) -> str:
     return f" (nearest: {folded[close[0]]})" if close else ""
 
 
+def one_line(words: str) -> str:
+    """Words without line breaks."""
+    return " ".join(line.strip() for line in words.splitlines())
+
+
 def short(value: object, text: Callable[[object], str] = repr) -> str:
     """A value for a message, cut where it is long."""
-    words = text(value)
+    words = one_line(text(value))
     return words if len(words) <= _LONGEST else words[: _LONGEST - 3] + "..."

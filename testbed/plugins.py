@@ -25,7 +25,7 @@ from typing import Any, Generic, Literal, TypeVar, Union, get_args, get_origin
 
 from pydantic import TypeAdapter, ValidationError
 
-from testbed.errors import HeftError, InvalidValueError, nearest
+from testbed.errors import HeftError, InvalidValueError, nearest, one_line
 from testbed.trial import TrialRunner
 from testbed.validation import arguments_of
 
@@ -231,7 +231,7 @@ def placed_errors(kind: type[Any], call: str = "", *, unless: tuple[type[Excepti
         path = Path(frame.filename)
         place = f"{path.relative_to(Path.cwd()) if path.is_relative_to(Path.cwd()) else path}, line {frame.lineno}"
         begin = f"{call} ends in " if call else ""
-        raise HeftError(f"{begin}{type(error).__name__}: {error} ({place})") from error
+        raise HeftError(f"{begin}{type(error).__name__}: {one_line(str(error))} ({place})") from error
 
 
 def _imported(name: str, path: str, field: str) -> Any:

@@ -56,6 +56,16 @@ def frozen_array(name: str, values: ArrayLike, shape: tuple[int | None, ...], *,
     return array
 
 
+class ReadOnlyArrays:
+    """Base of dataclasses whose arrays are read-only, in other processes too: a pickled array is writable again."""
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        for name, value in state.items():
+            if isinstance(value, np.ndarray):
+                value.setflags(write=False)
+            object.__setattr__(self, name, value)
+
+
 def freeze_arrays(value: object, **shapes: tuple[int | None, ...]) -> None:
     """Replace array fields of a frozen dataclass by checked read-only copies.
 

@@ -13,7 +13,7 @@ from typing import Any, Literal, Protocol
 
 import torch
 
-from testbed.errors import HeftError
+from testbed.errors import HeftError, one_line
 from testbed.files import print_damage_plainly
 
 ExecutorName = Literal["inline", "local", "ray"]
@@ -118,7 +118,9 @@ def call(function: Callable[..., Any], *arguments: Any) -> Any:
     except (Exception, SystemExit) as error:
         if isinstance(error, OSError) and error.errno in _DISK:
             return OSError(error.errno, error.strerror, error.filename)
-        words = str(error) if isinstance(error, HeftError) else f"{type(error).__name__}: {error}".removesuffix(": ")
+        words = str(error)
+        if not isinstance(error, HeftError):
+            words = f"{type(error).__name__}: {one_line(words)}".removesuffix(": ")
         return Failure(words, traceback.format_exc())
 
 

@@ -27,6 +27,7 @@ _MANIFEST = {
     "secret": str,
     "packages": dict,
     "expected": dict,
+    "contents": dict,
     "name": str,
     "command": str,
     "finished": bool,

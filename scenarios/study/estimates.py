@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from collections import Counter, deque
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, nullcontext, redirect_stderr, redirect_stdout
@@ -13,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
 
 from estimators.base import Estimate
 from estimators.evaluation.judged import judged
@@ -267,6 +269,20 @@ def _printing_into(path: Path) -> Iterator[None]:
         yield
 
 
+@contextmanager
+def _restored() -> Iterator[None]:
+    """State of the process as it was, for the estimates after this one: a method may have changed it."""
+    folder, environment, dtype, errors = Path.cwd(), dict(os.environ), torch.get_default_dtype(), np.geterr()
+    try:
+        yield
+    finally:
+        os.chdir(folder)
+        os.environ.clear()
+        os.environ.update(environment)
+        torch.set_default_dtype(dtype)
+        np.seterr(**errors)
+
+
 def _answers(task: EstimateTask, seen: list[list[Trajectory]], seeds: list[int]) -> list[Estimate]:
     """The method's answers, judged by their misfit.
 
@@ -276,7 +292,7 @@ def _answers(task: EstimateTask, seen: list[list[Trajectory]], seeds: list[int])
     method: Any = build_method(task.method, task.settings)
     shape, weights, moved = task.truth.shape, [weight_of(trials[0]) for trials in seen], [t[1:] for t in seen]
     called = f"{task.kind}.estimate{'_many' if len(seen) > 1 else ''}()"
-    with placed_errors(type(method)):
+    with placed_errors(type(method)), _restored():
         if len(seen) > 1:
             answers = list(method.estimate_many(shape, weights, moved, seeds))
         else:

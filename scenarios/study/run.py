@@ -20,7 +20,7 @@ from scenarios.config import Grid, Scenario, Sweep, load_scenario
 from scenarios.execution.executor import Executor, default_workers, work_off
 from scenarios.execution.select import open_executor
 from scenarios.results.files import exclusive, read_manifest, write_json
-from scenarios.results.store import Store, rows_of
+from scenarios.results.store import Store, key_of, object_request, rows_of
 from scenarios.results.trials import MeasuredTrials, measured_trials
 from scenarios.study.dry_run import DryRun, check_code
 from scenarios.study.estimates import EstimateRun, infeasible_row
@@ -28,6 +28,7 @@ from scenarios.study.experiment import Experiment, Progress, ResultCallback, exp
 from scenarios.study.trials import TrialRun
 from testbed.errors import InvalidValueError
 from testbed.files import unless_damaged
+from testbed.objects.files import load_object
 from testbed.worlds.seeds import new_secret
 
 SENSING = "as measured"
@@ -85,12 +86,13 @@ def carry_out(
         store = Store(out.absolute(), _secret_of(out) or new_secret() if secret is None else secret)
         store.remove_leftovers()
         experiments, left_out = experiments_of(scenario, store, progress)
-        write_json(out / "manifest.json", manifest(scenario, store.secret, DryRun.of(scenario)))
+        contents = {"contents": _contents(scenario)}
+        write_json(out / "manifest.json", manifest(scenario, store.secret, DryRun.of(scenario)) | contents)
         estimates = EstimateRun(experiments, store, tasks, progress, on_result)
         trials = TrialRun(deque(experiments), store, tasks, progress, estimates.add, on_result)
         work_off(tasks, estimates.start, trials.start)
         table = store.put_table([*estimates.rows, *map(infeasible_row, left_out)])
-        write_json(out / "manifest.json", manifest(scenario, store.secret))
+        write_json(out / "manifest.json", manifest(scenario, store.secret) | contents)
         yield table, tasks
 
 
@@ -99,12 +101,18 @@ def _secret_of(folder: Path) -> str:
     return (unless_damaged(lambda: read_manifest(folder), "written again") or {}).get("secret", "")
 
 
+def _contents(scenario: Scenario) -> dict[str, str]:
+    """Key of the content of each object that a scenario names: its file may change later."""
+    objects = map(load_object, scenario.objects)
+    return {each.name: key_of(object_request(each)) for each in objects}
+
+
 def check_nothing_lost(folder: Path, scenario: Scenario, secret: str | None = None) -> None:
     """Check that a run into a folder goes on with the results there, or adds to them.
 
     Raises:
-        InvalidValueError: the folder holds results of other objects, methods, seeds, draws or settings; or the secret
-            is blank.
+        InvalidValueError: the folder holds results of other objects, methods, seeds, draws or settings, or of objects
+            whose files have changed; or the secret is blank.
     """
     if secret is not None and not secret.strip():
         raise InvalidValueError("--secret", secret, "a text that is not blank")
@@ -117,6 +125,9 @@ def check_nothing_lost(folder: Path, scenario: Scenario, secret: str | None = No
     kept = found.get("secret", "")
     if not kept or secret not in (None, kept):
         other.append("secret" if kept else "draws without a secret, by heft 0.1.0")
+    if contents := found.get("contents"):
+        now = _contents(scenario)
+        other += [f"{name}, whose file has changed" for name, key in contents.items() if now.get(name, key) != key]
     if other:
         allowed = f"a new folder, as {folder}-2; this one holds results of another run ({', '.join(other)})"
         raise InvalidValueError("--out", str(folder), allowed)

@@ -10,14 +10,14 @@ from jaxtyping import Float, Int
 
 from testbed.errors import InvalidValueError
 from testbed.frames import perpendicular
-from testbed.validation import freeze_arrays
+from testbed.validation import ReadOnlyArrays, freeze_arrays
 
 MOST_LINKS = 3
 """Most links of a chain."""
 
 
 @dataclass(frozen=True, eq=False)
-class Chain:
+class Chain(ReadOnlyArrays):
     """Links of an object: the geometry of its hinges, which methods know, and never their friction.
 
     The object's layout is the chain as it lies before a trial.

@@ -14,7 +14,7 @@ from scipy.spatial import KDTree
 
 from testbed.errors import InvalidValueError
 from testbed.objects.chain import Chain, checked_torques
-from testbed.validation import check_positive_fields, freeze_arrays, frozen_array, is_number
+from testbed.validation import ReadOnlyArrays, check_positive_fields, freeze_arrays, frozen_array, is_number
 
 GRAVITY = 9.81
 """Magnitude of gravity [m/s^2]."""
@@ -68,7 +68,7 @@ ROBOTIQ_2F85 = Hand()
 
 
 @dataclass(frozen=True, eq=False)
-class Grasp:
+class Grasp(ReadOnlyArrays):
     """Grasp of a parallel gripper: pads on two opposite faces."""
 
     name: str
@@ -108,7 +108,7 @@ class Grasp:
 
 
 @dataclass(frozen=True, eq=False)
-class ObjectShape:
+class ObjectShape(ReadOnlyArrays):
     """Known part of an object: geometry and grouping, never mass or friction."""
 
     particles: Float[np.ndarray, "P 2"]
@@ -238,7 +238,7 @@ class ObjectShape:
 
 
 @dataclass(frozen=True, eq=False)
-class MassDistribution:
+class MassDistribution(ReadOnlyArrays):
     """Mass and friction of every group: the truth, or an answer."""
 
     mass: Float[np.ndarray, "n_m"]
@@ -310,7 +310,7 @@ class Solid:
 
 
 @dataclass(frozen=True, eq=False)
-class ObjectModel:
+class ObjectModel(ReadOnlyArrays):
     """A shape together with its true mass distribution: what a simulation needs and an estimator never sees."""
 
     name: str

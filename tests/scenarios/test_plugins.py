@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import pickle
 import sys
 from collections import Counter
 from importlib.metadata import EntryPoint, EntryPoints
@@ -9,15 +11,19 @@ from itertools import product
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
+import torch
 
 from estimators.evaluation.statistics import axis_columns
 from estimators.registry import ESTIMATOR, METHODS, POLICY, build_method
+from estimators.testing.recorded import load_block
 from scenarios.cli.main import main
 from scenarios.config import Policy, Scenario, load_scenario
 from scenarios.results.estimates import load_results
 from scenarios.results.files import read_json
 from scenarios.study.dry_run import check_code
+from scenarios.study.estimates import EstimateTask, _answers
 from testbed import plugins
 from testbed.actions.rotate import Rotate
 from testbed.errors import HeftError, InvalidValueError
@@ -25,6 +31,7 @@ from testbed.objects.files import load_object
 from testbed.objects.model import ObjectShape
 from testbed.plugins import configured, find_class, find_code_here, load_class, source_hash
 from testbed.simulation.settings import SimulationSettings
+from testbed.trajectory import Trajectory
 
 MODULE = '''
 from dataclasses import dataclass
@@ -291,3 +298,31 @@ def test_worker_processes_run_policies_and_methods_of_the_current_folder(here, c
     assert "report: out" in shown.out and "even as ever" not in shown.out + shown.err
     assert "as it is imported" in shown.err and "as it is imported" not in shown.out
     assert "even as ever" in (here / "out" / "notes" / "mine.log").read_text(encoding="utf-8")
+
+
+class Meddler:
+    """Estimator that changes what others in its process rely on, and ends in an error of two lines."""
+
+    def estimate(self, shape, weight, trajectories, seed):
+        os.chdir("/")
+        os.environ["OMP_NUM_THREADS"] = "64"
+        torch.set_default_dtype(torch.float16)
+        np.seterr(all="raise")
+        raise RuntimeError("no\nidea")
+
+
+def test_a_method_leaves_its_process_as_it_was(monkeypatch):
+    monkeypatch.setitem(METHODS, "meddler", Meddler)
+    before = Path.cwd(), dict(os.environ), torch.get_default_dtype(), np.geterr()
+    trials = [Trajectory.of_scale(np.array([17.65]), np.zeros(1), {}), *load_block("I1-own_weight").trials("ideal")]
+    task = EstimateTask(load_object("I1"), "own_weight", {}, (), (), "", "ideal", (0,), "meddler", {}, False)
+    with pytest.raises(HeftError, match=r"RuntimeError: no idea \(tests/scenarios/test_plugins\.py, line \d+\)"):
+        _answers(task, [trials], [0])
+    assert (Path.cwd(), dict(os.environ), torch.get_default_dtype(), np.geterr()) == before
+
+
+def test_arrays_of_an_object_stay_read_only_in_another_process():
+    model = pickle.loads(pickle.dumps(load_object("shears")))
+    for owner in (model, model.shape, model.shape.chain, model.shape.grasps[0], model.truth):
+        for name, value in vars(owner).items():
+            assert not (isinstance(value, np.ndarray) and value.flags.writeable), name

@@ -172,6 +172,17 @@ def test_results_of_object_files_go_on_in_another_checkout(tmp_path):
         check_nothing_lost(tmp_path, asked.model_copy(update={"objects": ["L2", "/here/mallet.toml"]}))
 
 
+def test_results_of_an_object_whose_file_has_changed_are_not_written_over(tmp_path):
+    path = small_scenario(tmp_path, ("own_weight",))
+    asked = load_scenario(str(path))[1]
+    resumed(path, tmp_path / "out")
+    check_nothing_lost(tmp_path / "out", asked.model_copy(update={"seeds": asked.seeds + 1}))
+    mine = tmp_path / "pair.toml"
+    mine.write_text(re.sub("mass_kg = .*", "mass_kg = 0.7", mine.read_text(encoding="utf-8")), encoding="utf-8")
+    with pytest.raises(InvalidValueError, match=r"results of another run \(pair, whose file has changed\)"):
+        check_nothing_lost(tmp_path / "out", asked)
+
+
 @pytest.mark.slow
 def test_records_cut_short_are_made_again(finished, copied):
     records = sorted(copied.glob("trials/*/trajectory.parquet"))

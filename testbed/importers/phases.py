@@ -74,7 +74,7 @@ def common_base(series: Iterable[Series], longest_gap: float) -> Float[np.ndarra
             silent = f"{gaps[at]:.3g}" if gaps[at] > 1.01 * longest_gap else f"{gaps[at]:.6g}"
             raise LogError(
                 f"log: silent for {silent} s at {one.time_s[at] - one.time_s[0]:.2f} s; allowed: "
-                f"{longest_gap:g} s (longest_gap_s): interpolated values would not be measurements"
+                f"{longest_gap:g} s (longest_gap_s): interpolated values, or repeated ones, are no measurements"
             )
         begins.append(one.time_s[0])
         ends.append(one.time_s[-1])

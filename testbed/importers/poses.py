@@ -14,6 +14,7 @@ from testbed.errors import InvalidValueError
 from testbed.importers.columns import CameraMap, Cell, HandMap, PartMap, PoseMap, TimeMap
 from testbed.importers.logs import LogError, Series, factor, in_order, unknown
 from testbed.importers.messages import JOINT_STATE, Message, MessageLog, inside
+from testbed.importers.phases import runs
 from testbed.importers.tables import TableLog
 from testbed.importers.urdf import forward_kinematics, joints_to
 
@@ -29,6 +30,10 @@ _FIELDS = {
 }
 """Fields of position and quaternion of the messages that have them."""
 _TREE = "tf2_msgs/TFMessage"
+FROZEN = 0.1
+"""Time from which a pose that is repeated amid a motion is none [s]."""
+BEFORE = 5
+"""Steps before it that show the motion."""
 _LYING = 20.0
 """Greatest angle between a seen object's z axis and the base's [deg]."""
 
@@ -98,7 +103,7 @@ def _from_columns(
     log: Log, field: str, of: PoseMap, position: Sequence[Cell], orientation: Sequence[Cell], time: TimeMap
 ) -> Pose:
     columns = f"{field}.position, {field}.orientation"
-    stamps, values = log.series(columns, [*position, *orientation], of.topic, time)
+    stamps, values = moving(*log.series(columns, [*position, *orientation], of.topic, time))
     where, given = np.split(values, [len(position)], axis=1)
     where = np.pad(where * factor("length", of.position_unit), ((0, 0), (0, 3 - len(position))))
     if of.orientation_as in ("wxyz", "xyzw"):
@@ -111,6 +116,23 @@ def _from_columns(
         axes = "z" if of.orientation_as == "yaw" else "xyz"
         rotation = Rotation.from_euler(axes, given * factor("angle", of.angle_unit))
     return Series(stamps, where), rotation
+
+
+def moving(stamps: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Poses without those that repeat the one before for `FROZEN` or longer amid a motion.
+
+    What a source repeats when it loses the hand or the object is no measurement. A rest stays: no jump ends it.
+    """
+    steps = np.abs(np.diff(values, axis=0)).max(axis=1)
+    kept = np.full(len(stamps), True)
+    for run in runs(steps == 0):
+        first, last = int(run[0]), int(run[-1]) + 1  # these samples and all between are equal
+        seconds, before = stamps[last] - stamps[first], slice(first - BEFORE, first)
+        if seconds < FROZEN or last == len(steps) or first < BEFORE:
+            continue
+        way = float(np.median(steps[before] / np.diff(stamps)[before])) * seconds
+        kept[run + 1] = not steps[last] > way / 2 > 0
+    return stamps[kept], values[kept]
 
 
 def _quaternions(field: str, given: np.ndarray, scalar_first: bool = False) -> Rotation:

@@ -132,8 +132,12 @@ def find_segments(log: Path, mapping: Path, grasps: Sequence[str] = ()) -> list[
     time, yaw, twist = base - streams.begin_s, closing_yaw(hand, table.hand), differentiated(position, hand)
     motion = _Motion(time, position, yaw, twist, wrench, sensor, lying, table.sensor.zeroed)
     found = _trials(motion.segments())
-    if not any(segment.action or segment.reason for segment in found):
-        check_sensor_alive(streams.wrench, base[[0, 0]], table.sensor.measured)
+    none = not any(segment.action or segment.reason for segment in found)
+    try:
+        check_sensor_alive(streams.wrench, base[[0, -1 if none else 0]], table.sensor.measured)
+    except LogError as error:
+        raise LogError(f"{log}: {error}") from None
+    if none:
         raise LogError(
             f"{log}: no motion of the object was found: allowed: the hand rests {1e3 * ABOVE:.0f} mm or more above its "
             f"grasp for {SHORTEST:g} s (or sensor.zeroed = true), goes down, and turns, slides or pushes the object"

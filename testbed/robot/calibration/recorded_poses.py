@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from testbed.errors import InvalidValueError
 from testbed.importers.columns import Columns
 from testbed.importers.logs import LogError, Series, read_all
-from testbed.importers.phases import RATE, common_base, resampled, resampled_rotation, runs
+from testbed.importers.phases import RATE, check_sensor_alive, common_base, resampled, resampled_rotation, runs
 from testbed.importers.poses import Pose, hand_pose
 from testbed.importers.streams import in_sensor_axes, open_log, read_wrench, sensor_log
 from testbed.robot.calibration.static_poses import UNKNOWNS, StaticPose, calibrate, residuals
@@ -60,6 +60,7 @@ def recorded_poses(log: Path, mapping: Path) -> tuple[list[StaticPose], str]:
         lambda: hand_pose(source, table.hand, table.time, mapping.parent),
     )
     wrench = wrench._replace(time_s=wrench.time_s + (other.epoch_s - source.epoch_s))
+    check_sensor_alive(wrench, wrench.time_s[[0, 0]], table.sensor.measured)
     wrench = in_sensor_axes(wrench, pose, table.sensor)
     if table.rows == "poses":
         return _of_rows(wrench, pose, table.gravity), left_out

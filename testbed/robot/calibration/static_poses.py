@@ -172,6 +172,8 @@ def calibrate(poses: Sequence[StaticPose], gain_error: float = 0.0, gravity: flo
         raise InvalidValueError("gain_error", gain_error, "a number from 0 to below 1")
     errors = _Errors.of(poses)
     fits = {sign: _fit(poses, sign, gain_error, errors, gravity) for sign in (1, -1)}
+    if (least := min(fit.force_left for fit in fits.values())) > HANDED and (other := _turning_otherwise(poses, least)):
+        raise CalibrationError(f"calibration: the force does not turn with the hand, but does {other}")
     sign, other = sorted(fits, key=lambda s: fits[s].cost)
     best = fits[sign]
     freedom = 6 * len(poses) - UNKNOWNS
@@ -322,15 +324,40 @@ def _likeliest(
     return float(np.exp(best.x[1] / 2)), np.linalg.cholesky(covariance(best.x))
 
 
+def _turning_otherwise(poses: Sequence[StaticPose], least: float) -> str:
+    """Other reading of the hand's orientations with which the force turns, in words; empty where none is.
+
+    Args:
+        poses: readings at rest.
+        least: residual of the forces' directions with the orientations as they are.
+    """
+    hands, force = (np.array([getattr(pose, name) for pose in poses]) for name in ("hand", "wrench"))
+    inverse = Rotation.from_quat(hands, scalar_first=True).inv().as_quat(scalar_first=True)
+    order, turned = "with quaternions in another order: xyzw or wxyz?", "with their inverse: of the base in the hand?"
+    for words, each in ((order, np.roll(hands, 1, 1)), (order, np.roll(hands, -1, 1)), (turned, inverse)):
+        up = Rotation.from_quat(each, scalar_first=True).inv().apply([0.0, 0.0, 1.0])
+        if min(_aligned(up, sign * force[:, :3])[1] for sign in (1, -1)) < min(HANDED, least / 4):
+            return words
+    return ""
+
+
+def _aligned(up: Float[np.ndarray, "N 3"], force: Float[np.ndarray, "N 3"]) -> tuple[Rotation, float]:
+    """Rotation that turns the changes of forces into those of a vector that points up, and its residual, 0 to 1.
+
+    Differences are free of the bias: Kabsch's rotation.
+    """
+    middle, about = up - up.mean(axis=0), force - force.mean(axis=0)
+    rotation, left, *_ = Rotation.align_vectors(
+        *(vectors / max(float(np.linalg.norm(vectors)), 1e-12) for vectors in (middle, about))
+    )
+    return rotation, float(left)
+
+
 def _fit(poses: Sequence[StaticPose], sign: int, gain_error: float, errors: _Errors, gravity: float) -> OptimizeResult:
     """Least squares under one sign: turn from `start` [rad], sensor axes, mass, mass times center, bias, gains."""
     up, wrench = (np.array([getattr(p, name) for p in poses]) for name in ("up", "wrench"))
     force, middle = sign * wrench[:, :3], up - up.mean(axis=0)
-    # differences are free of the bias: Kabsch for the rotation, then all the rest is linear
-    about = force - force.mean(axis=0)
-    start, force_left, *_ = Rotation.align_vectors(
-        *(vectors / max(float(np.linalg.norm(vectors)), 1e-12) for vectors in (middle, about))
-    )
+    start, force_left = _aligned(up, force)  # all the rest is linear
     mass = max(float(np.sum(start.apply(force) * middle) / max(np.sum(middle**2), 1e-12) / gravity), 1e-3)
 
     def missed(x: np.ndarray) -> np.ndarray:

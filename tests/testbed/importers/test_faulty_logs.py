@@ -10,6 +10,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from estimators.testing.recorded import load_block
+from testbed.actions.rotate import Rotate
 from testbed.errors import HeftError
 from testbed.importers.importer import import_trajectory
 from testbed.importers.logs import LogError, Series
@@ -187,6 +188,40 @@ def test_a_tool_that_would_be_meters_away_names_the_unit(unit: float, tmp_path: 
     far = [type(p)(p.hand, scale * p.wrench, scale * p.standard_error) for p in poses]
     with pytest.raises(CalibrationError, match=r"\d+\.?\d* m from the sensor; allowed: 0\.5 m; .* \(torque_unit\)"):
         calibrate(far)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda hand: np.roll(hand, 1), "quaternions in another order"),
+        (lambda hand: np.roll(hand, -1), "quaternions in another order"),
+        (lambda hand: hand * [1, -1, -1, -1], "their inverse: of the base in the hand"),
+    ],
+)
+def test_another_reading_of_orientations_is_named(change, words: str, tmp_path: Path):
+    poses, _ = recorded_poses(*recorded(tmp_path))
+    with pytest.raises(CalibrationError, match=words):
+        calibrate([type(p)(change(p.hand), p.wrench, p.standard_error) for p in poses])
+
+
+def test_a_stuck_component_is_named_in_a_calibration(tmp_path: Path):
+    def stick(table: pd.DataFrame) -> pd.DataFrame:
+        return table.assign(fy=1.25)
+
+    with pytest.raises(LogError, match=r"fy is 1\.25 in all samples"):
+        recorded_poses(*changed(tmp_path, stick))
+
+
+def test_a_pose_that_freezes_amid_a_turn_is_a_gap(tmp_path: Path):
+    turn = next(t for t in load_block("L2-own_weight").trials("ft300s") if isinstance(t.action, Rotate))
+    log, mapping = write_csv(tmp_path / "log.csv", turn), write_toml(tmp_path / "map.toml", mapping_of(turn))
+    table = pd.read_csv(log, float_precision="round_trip")
+    at = int(np.flatnonzero(turn.segment == 0)[40])
+    pose = [name for name in table if str(name)[0] in "pq"]
+    table.loc[at : at + 20, pose] = table.loc[at, pose].to_numpy()
+    table.to_csv(log, index=False)
+    with pytest.raises(LogError, match=r"silent for 0\.21 s at .*repeated ones"):
+        import_trajectory(log, mapping)
 
 
 def test_axes_of_two_handednesses_are_named(tmp_path: Path):

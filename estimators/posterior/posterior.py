@@ -17,7 +17,7 @@ from estimators.base import Estimate
 from estimators.identifiability.report import identifiability, prior_masses
 from estimators.particles.links import HINGE_PRIOR
 from estimators.particles.misfit import UNEXPLAINED, Misfit
-from estimators.posterior.solver import Linearized, Measurement, Optimum, Whitened, solve
+from estimators.posterior.solver import ROUNDS, Linearized, Measurement, Optimum, Whitened, solve
 from estimators.posterior.unknowns import SMALLEST, Unknowns
 from estimators.wrench.model import MODEL_PARAMETERS
 from testbed.objects.model import MassDistribution, ObjectShape
@@ -253,11 +253,11 @@ class Posterior:
         volume = torch.log1p(known.clamp(min=0) / factor).sum()
         return -float(free * factor.log() + self.optimum.z.square().sum() + volume + self._log_determinant) / 2
 
-    def given(self, mass: Float[Tensor, "n_m"]) -> Posterior:
+    def given(self, mass: Float[Tensor, "n_m"], rounds: int = ROUNDS) -> Posterior:
         """Posterior of the same measurements with known masses, kg a particle; the search starts from this optimum."""
         unknowns = self.unknowns.given(mass=mass)
         start = unknowns.start(**self.unknowns.values(self.optimum.z))
-        return Posterior(unknowns, self.measurements, solve(self.measurements, unknowns, start))
+        return Posterior(unknowns, self.measurements, solve(self.measurements, unknowns, start, rounds))
 
     @cached_property
     def covariance(self) -> Float[Tensor, "n n"]:

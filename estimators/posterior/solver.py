@@ -86,7 +86,9 @@ class Optimum:
     converged: bool
 
 
-def solve(measurements: Sequence[Measurement], unknowns: Unknowns, start: Float[Tensor, "n"]) -> Optimum:
+def solve(
+    measurements: Sequence[Measurement], unknowns: Unknowns, start: Float[Tensor, "n"], most: int = ROUNDS
+) -> Optimum:
     """Minimum of |residual|^2 + |z|^2 by Gauss-Newton steps, damped where one does not decrease it.
 
     Steps are straight in the masses, of which the weighing knows the sum, not in their logarithms. Masses and loads
@@ -94,7 +96,7 @@ def solve(measurements: Sequence[Measurement], unknowns: Unknowns, start: Float[
     """
     z, damping, eye = start, 0.0, torch.eye(len(unknowns), dtype=torch.float64)
     converged, rounds, residual = False, 0, torch.zeros(0, dtype=torch.float64)
-    while not converged and rounds < ROUNDS:
+    while not converged and rounds < most:
         rounds += 1
         found = [each.linearized(unknowns, z) for each in measurements]
         rows = [Whitened.of(each) for each in found]

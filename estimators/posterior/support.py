@@ -32,6 +32,8 @@ LOADS = 1.0, 0.3, 0.1
 """Sizes of the gripper's load, as parts of that stated, that a choice of the support allows. Ours."""
 CLEAR = 20.0
 """log10 of a Bayes factor at the stated load beyond which smaller loads change no choice. Ours."""
+FEW, FAR = 4, 30.0
+"""Rounds of a search after which masses of one material that are less likely by a factor of e^30 play no part. Ours."""
 MAX_MISFIT = 10.0
 """Misfit beyond which one rigid body does not explain the wrenches either."""
 STIFF = 0.9
@@ -170,7 +172,10 @@ def _bayes_factor(own: Posterior, rigid: Posterior, shape: ObjectShape, weight: 
     log10 = 0.0
     for part in LOADS:
         for evidence, posterior in zip(found, (own, rigid), strict=True):
-            evidence.extend(_log_evidences(_with_load(posterior, part), shape, weight))
+            fit = _with_load(posterior, part)
+            evidence.append(fit.log_evidence_to_scale)
+            if part == LOADS[0] or evidence[1] > evidence[0] - FAR:
+                evidence.append(_of_one_material(fit, shape, weight))
         on_own, on_rigid = (float(torch.logsumexp(torch.tensor(each), 0)) for each in found)
         log10 = (on_own - on_rigid) / math.log(10)
         if part == LOADS[0] and abs(log10) >= CLEAR:
@@ -178,10 +183,13 @@ def _bayes_factor(own: Posterior, rigid: Posterior, shape: ObjectShape, weight: 
     return log10
 
 
-def _log_evidences(posterior: Posterior, shape: ObjectShape, weight: float) -> list[float]:
-    """Log evidence of any masses, and of one material throughout."""
+def _of_one_material(posterior: Posterior, shape: ObjectShape, weight: float) -> float:
+    """Log evidence of one material throughout; of masses far from it as a few rounds of the search leave it."""
     even = torch.full((shape.n_m,), weight / float(shape.particles_per_group.sum()), dtype=torch.float64)
-    return [fit.log_evidence_to_scale for fit in (posterior, posterior.given(even))]
+    fit = posterior.given(even, FEW)
+    if not fit.optimum.converged and fit.log_evidence_to_scale > posterior.log_evidence_to_scale - FAR:
+        fit = posterior.given(even)
+    return fit.log_evidence_to_scale
 
 
 def _with_load(posterior: Posterior, part: float) -> Posterior:

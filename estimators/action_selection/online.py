@@ -42,7 +42,7 @@ class Decision:
     estimate: Estimate | None
     """Answer to the trials so far; None before the first."""
     nad: float
-    """Expected NAD of the answer, or of one that used all that was felt where there is none, as a ratio."""
+    """Expected NAD of the answer, or of one that used all trials where there is none, as a ratio."""
     even_nad: float
     """Expected NAD of even masses, known from the weight alone, as a ratio."""
     standard_error: Float[np.ndarray, "n_m"]

@@ -74,6 +74,6 @@ def random_pushes(shape: ObjectShape, count: int, seed: int) -> list[Push]:
     found = []
     for _ in range(count):
         face = every[rng.choice(len(every), p=share / share.sum())]
-        part, aside, curvature = rng.uniform(EDGE, 1 - EDGE), rng.uniform(-AIM, AIM), rng.uniform(-CURVED, CURVED)
-        found.append(Push.into(face, part, aside, curvature))
+        part, angle, curvature = rng.uniform(EDGE, 1 - EDGE), rng.uniform(-AIM, AIM), rng.uniform(-CURVED, CURVED)
+        found.append(Push.into(face, part, angle, curvature))
     return found

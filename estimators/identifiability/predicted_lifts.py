@@ -10,7 +10,7 @@ from estimators.identifiability.predicted import BEFORE, HEIGHT, RATE, TOOL_COM,
 from testbed.actions.base import Action
 from testbed.actions.lift import Lift
 from testbed.objects.model import GRAVITY
-from testbed.sensing.lift_windows import ASIDE, LiftWindow
+from testbed.sensing.lift_windows import SIDEWAYS, LiftWindow
 from testbed.sensing.presets import Sensing
 from testbed.sensing.windows import TRIM_END, trim_start
 from testbed.worlds.setup_errors import EXACT_SETUP, SetupErrors
@@ -39,8 +39,8 @@ def predicted_lift(action: Lift, sensing: Sensing, setup: SetupErrors = EXACT_SE
         heavier = TOOL_MASS * (pull - [0.0, 0.0, GRAVITY])
         pull_rate = GRAVITY * (upwards[kept[-1]] - upwards[kept[0]]) * RATE / (len(kept) - 1)
         tool_rate = TOOL_MASS * np.concatenate([pull_rate, np.cross([0.0, 0.0, -TOOL_COM], pull_rate)])
-        aside = ASIDE @ axes[kept].mean(axis=0)
-        moved = aside - ASIDE
+        sideways = SIDEWAYS @ axes[kept].mean(axis=0)
+        moved = sideways - SIDEWAYS
         windows.append(
             LiftWindow(
                 grasp=action.grasp,
@@ -58,7 +58,7 @@ def predicted_lift(action: Lift, sensing: Sensing, setup: SetupErrors = EXACT_SE
                 tool_mass=TOOL_MASS,
                 tool_rate=tool_rate,
                 pull_rate=pull_rate,
-                pull_tilt=aside,
+                pull_tilt=sideways,
                 tool_tilt=TOOL_MASS * np.hstack([moved, np.cross([0.0, 0.0, -TOOL_COM], moved)]),
                 setup=setup,
             )

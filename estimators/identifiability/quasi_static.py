@@ -74,8 +74,8 @@ class Drag:
             normal: unit vectors into the faces.
             mu: friction of each fingertip against its face.
         """
-        into, aside = (velocity * normal).sum(axis=1), cross_2d(normal, velocity)
-        begun = np.arctan2(aside, into)
+        into, across = (velocity * normal).sum(axis=1), cross_2d(normal, velocity)
+        begun = np.arctan2(across, into)
         found, slope = self._turning(point, normal, begun)
         cone = np.arctan(mu)
         slides = np.flatnonzero(np.abs(slope) > cone)

@@ -143,10 +143,10 @@ def friction_equations(
     rows, motion = linear.by_particle, linear.motion(mass)
     load = windows.gripper_load(linear.lever, motion, height)
     support = own_weight(model, mass, load)
-    aside = (rows @ (friction * (support.lean + support.change(load)))[..., None])[..., 0]
+    of_load = (rows @ (friction * (support.lean + support.change(load)))[..., None])[..., 0]
     response = rows @ (friction[:, None] * support.response)
     apart, common = wrench_errors(windows, linear, response, errors)
-    b = pad(windows.wrench, (0, windows.hinges)) - motion - aside  # no sensor is at a hinge
+    b = pad(windows.wrench, (0, windows.hinges)) - motion - of_load  # no sensor is at a hinge
     hinges = None
     if windows.articulated:
         moved = support.beside - support.held_by(own_weight(model, mass, GripperLoad.none(model)))

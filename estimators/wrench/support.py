@@ -207,8 +207,8 @@ def own_weight(model: ParticleModel, mass: Float[Tensor, "P"], load: GripperLoad
     lift = (gripped / gripped.sum(-1, keepdim=True).clamp(min=1)).mean(-2)
     # fz acts at the grasp point: what lies beside the middle of the held groups' feet tilts
     middle_held = center.gather(1, held[..., None].expand(-1, -1, 2)).mean(1)
-    aside = (tilt @ middle_held[..., None])[..., 0]
-    return OwnWeight(share, lean, torch.cat([(aside - lift)[..., None], tilt], -1), shared)
+    tilted = (tilt @ middle_held[..., None])[..., 0]
+    return OwnWeight(share, lean, torch.cat([(tilted - lift)[..., None], tilt], -1), shared)
 
 
 def own_weight_loads(model: ParticleModel, mass: Float[Tensor, "P"], load: GripperLoad) -> Float[Tensor, "K P"]:

@@ -185,8 +185,8 @@ class Table:
         more = self._inertial(theta, window, middle) if "mass" in theta else None
         if "anisotropy" in theta:
             along = unit.mean(-2)
-            aside = load.sum(-1)[..., None] * (self._pulled(theta, window, along) - along)
-            force, torque = force + aside, torque + cross(middle.place, aside)
+            beside = load.sum(-1)[..., None] * (self._pulled(theta, window, along) - along)
+            force, torque = force + beside, torque + cross(middle.place, beside)
         if "friction_law" in theta:
             beside = self._beside_law(theta["friction_law"], load.sum(-1), force, middle.place)
             force, torque = force + beside, torque + cross(middle.place, beside)

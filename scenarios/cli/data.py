@@ -93,7 +93,7 @@ def calibrate(
     about two axes and both ways, one of them upside down or level; or it moves slowly through as many; or LOG is a
     table with one row per pose (rows = "poses" in MAPPING). Of MAPPING, [time], [sensor] and [hand] are read; the
     sign and the mount there do not count, for they are found. With the file that is written named as `calibration` in
-    the [sensor] table of a mapping, heft import reckons with it.
+    the [sensor] table of a mapping, heft import uses it.
 
     Examples: heft calibrate lab.toml poses.csv
               heft calibrate lab.toml poses.mcap --gain-error 0.02 --figure results/residuals

@@ -61,7 +61,7 @@ def identify(
     Args:
         object_: name in the library, or path to a TOML file.
         sensing: preset of the sensor, and of the camera that sees pushes.
-        world: ideal, lab or rough, whose errors of the setup are reckoned with.
+        world: ideal, lab or rough, whose errors of the setup are allowed for.
         assumed_support: rigid for an object on points of contact, else own_weight, if left out.
         pivots: turns there and back, as the rank-driven policy draws them; 0 for none, accelerated ones neither. Of an
             object with hinges random ones, one way, and none accelerated.
@@ -247,7 +247,7 @@ def plan(
         search: shared with heft touch.
         policy: greedy (best of each moment), batch (made better by exchange), random, published, or reversed_pairs.
         criterion: quantity to minimize: I (the expected NAD), A (trace of the covariance) or D (its volume).
-        world: ideal, lab or rough, whose errors of the setup are reckoned with.
+        world: ideal, lab or rough, whose errors of the setup are allowed for.
         friction: assumed coefficient.
         weight: what the object weighs, kg; that of its masses if left out.
         figure: the plan as a picture, written as FILE.pdf and FILE.png.

@@ -57,7 +57,7 @@ class ActiveRun:
     support: Support
     """True support of the simulated object."""
     assumed: tuple[str, ...]
-    """Support models that the policy reckons with."""
+    """Support models that the policy assumes."""
     sensing: str
     """Name of the sensor's preset."""
     candidates: int

@@ -20,7 +20,7 @@ ESTIMATE_S = {
     "hidden_states": (0.2, 1.0),
     "hidden_states_published": (0.6, 2.5),
     "bayes": (0.3, 1.5),
-    "support_aware": (1.5, 14.0),
+    "support_aware": (1.5, 7.0),
     "explicit_state": (0.2, 0.7),
     "least_squares": (0.3, 1.5),
     "random_search": (0.35, 1.0),

@@ -319,8 +319,8 @@ def _check(called: str, answer: Any, shape: ObjectShape) -> None:
 def infeasible_row(experiment: InfeasibleExperiment) -> dict[str, Any]:
     """Row of an experiment that the robot cannot do."""
     labels = {"object": experiment.name, "support": experiment.support}
-    nobody = {"sensing": "", "seed": 0, "method": "", "kind": "", "status": "infeasible", "message": experiment.reason}
-    return NO_ANSWER | NOT_RUN | labels | nobody | axis_columns(experiment.axes)
+    unset = {"sensing": "", "seed": 0, "method": "", "kind": "", "status": "infeasible", "message": experiment.reason}
+    return NO_ANSWER | NOT_RUN | labels | unset | axis_columns(experiment.axes)
 
 
 def _unusable(trials: Sequence[Trajectory]) -> str:

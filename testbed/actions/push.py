@@ -85,10 +85,10 @@ class Push(Action, kind="push"):
             raise InvalidValueError("Push.length", self.length, f"at least {LEAST_LENGTH:g}, m")
 
     @classmethod
-    def into(cls, face: Face, part: float = 0.5, aside: float = 0.0, curvature: float = 0.0) -> Self:
+    def into(cls, face: Face, part: float = 0.5, angle: float = 0.0, curvature: float = 0.0) -> Self:
         """Push into a face at a part of its length, at an angle from its normal [rad]: straight into its middle."""
         x, y = face.begin + part * (face.end - face.begin)
-        direction = math.atan2(-face.normal[1], -face.normal[0]) + aside
+        direction = math.atan2(-face.normal[1], -face.normal[0]) + angle
         return cls((float(x), float(y)), float(direction), float(curvature))
 
     @property

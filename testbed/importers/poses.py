@@ -74,8 +74,8 @@ def seen_pose(log: Log, field: str, part: PartMap, camera: CameraMap, time: Time
     mount = Rotation.from_quat(camera.in_base_wxyz, scalar_first=True)
     place = mount.apply(series.values + seen.apply(part.object_m)) + camera.in_base_m
     turned = mount * seen * Rotation.from_quat(part.object_wxyz, scalar_first=True)
-    aside = np.degrees(np.arccos(np.clip(turned.as_matrix()[:, 2, 2], -1.0, 1.0)))
-    if (usual := float(np.median(aside))) > _LYING:
+    tilt = np.degrees(np.arccos(np.clip(turned.as_matrix()[:, 2, 2], -1.0, 1.0)))
+    if (usual := float(np.median(tilt))) > _LYING:
         raise LogError(
             f"{field}: the object's z axis is {usual:.0f} deg from the base's; allowed: {_LYING:g} deg, up from the "
             "table: check object_wxyz and in_base_wxyz"

@@ -242,8 +242,8 @@ class _Motion:
 
     def _drags(self, part: np.ndarray, tare: np.ndarray | None) -> bool:
         """True if the sensor feels the motion."""
-        felt = self.wrench[part] - (0.0 if tare is None else self.wrench[tare].mean(axis=0))
-        force, torque = (self._world(part, felt[:, columns]) for columns in (slice(3), slice(3, 6)))
+        net = self.wrench[part] - (0.0 if tare is None else self.wrench[tare].mean(axis=0))
+        force, torque = (self._world(part, net[:, columns]) for columns in (slice(3), slice(3, 6)))
         seen = np.median(np.linalg.norm(force[:, :2], axis=1)), np.median(np.abs(torque[:, 2]))
         return bool((np.array(seen) > self._least()).any())
 
@@ -281,8 +281,8 @@ class _Motion:
 
     def _push(self, part: np.ndarray, tare: np.ndarray | None, lying: _Lying) -> tuple[Kind, Push | str | None, list]:
         """A push, from where the force rises, along an arc; or the reason why it is none."""
-        felt = self.force[part] - (0.0 if tare is None else self.force[tare].mean(axis=0))
-        force = np.linalg.norm(self._world(part, felt)[:, :2], axis=1)
+        net = self.force[part] - (0.0 if tare is None else self.force[tare].mean(axis=0))
+        force = np.linalg.norm(self._world(part, net)[:, :2], axis=1)
         usual = float(np.quantile(force, 0.9))
         if usual < self._least()[0]:
             return "empty hand", None, []

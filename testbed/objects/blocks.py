@@ -159,9 +159,9 @@ def _has_room(
     beside: Float[np.ndarray, "N 2"], closing: tuple[int, int], width: float, size: float, hand: Hand
 ) -> bool:
     """True if no block, `beside` a row's middle [m], is where the open fingers come down."""
-    along, aside = np.abs(beside @ closing), np.abs(beside @ closing[::-1])
+    along, across = np.abs(beside @ closing), np.abs(beside @ closing[::-1])
     ends = (along + size / 2 > width / 2 + 1e-9) & (along - size / 2 < hand.stroke / 2 + hand.finger_depth - 1e-9)
-    return not (ends & (aside < (hand.finger_width + size) / 2 - 1e-9)).any()
+    return not (ends & (across < (hand.finger_width + size) / 2 - 1e-9)).any()
 
 
 def _letters(column: int) -> str:

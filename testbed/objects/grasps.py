@@ -10,7 +10,7 @@ from jaxtyping import Float, Int
 
 from testbed.errors import InvalidValueError
 from testbed.objects.model import FINGER_DEPTH, PAD_HEIGHT, PAD_WIDTH, SPARE_OPENING, STROKE, TOUCH, Grasp
-from testbed.objects.rays import ASIDE, RayGrid, grid_hits
+from testbed.objects.rays import OFF_CENTER, RayGrid, grid_hits
 
 _PATCH = 0.001
 """Distance of the rays that find a grasp's faces [m]."""
@@ -47,8 +47,8 @@ def grasp_at(mesh: trimesh.Trimesh, place: GraspPlace, field: str) -> Grasp:
     if not len(up):
         given = f"an object {mesh.bounds[1, 2] * 1e3:.1f} mm high"
         raise InvalidValueError(field, given, f"one above the pads' lower edge, {PAD_HEIGHT[0] * 1e3:g} mm")
-    aside = _PATCH * ASIDE
-    corner = np.array([*place.at, 0.0]) + (along[0] + aside[0]) * side + [0.0, 0.0, up[0] + aside[1]]
+    across = _PATCH * OFF_CENTER
+    corner = np.array([*place.at, 0.0]) + (along[0] + across[0]) * side + [0.0, 0.0, up[0] + across[1]]
     # side x up points along the closing direction
     grid = RayGrid(corner, _PATCH * side, np.array([0.0, 0.0, _PATCH]), (len(along), len(up)))
     hits, ray, out = grid_hits(mesh, grid)

@@ -19,7 +19,7 @@ from testbed.files import read_file
 from testbed.objects.chain import Chain
 from testbed.objects.grasps import GraspPlace, grasp_at
 from testbed.objects.model import TOUCH, MassDistribution, ObjectModel, ObjectShape, Solid
-from testbed.objects.rays import ASIDE, RayGrid, grid_hits
+from testbed.objects.rays import OFF_CENTER, RayGrid, grid_hits
 from testbed.validation import check_integer
 
 logging.getLogger("trimesh").addHandler(logging.NullHandler())  # what it reads badly is said once, by heft
@@ -249,7 +249,7 @@ def _cells(parts: list[Part], cell: float, low: Float[np.ndarray, "2"], high: Fl
     ticks = [(high[k] + low[k]) / 2 + (np.arange(count[k]) - (count[k] - 1) / 2) * cell for k in (0, 1)]
     centers = np.stack(np.meshgrid(*ticks, indexing="ij"), axis=-1).reshape(-1, 2)
     step, rays = cell / _RAYS, count * _RAYS
-    first = [ticks[k][0] + ((0.5 / _RAYS - 0.5) + ASIDE[k]) * cell for k in (0, 1)]
+    first = [ticks[k][0] + ((0.5 / _RAYS - 0.5) + OFF_CENTER[k]) * cell for k in (0, 1)]
     grid = RayGrid(np.array([*first, 0.0]), np.array([step, 0, 0]), np.array([0, step, 0]), (rays[0], rays[1]))
     material = np.zeros((len(parts), rays.prod()))
     underside = np.full((len(parts), rays.prod()), np.inf)

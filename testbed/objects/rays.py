@@ -12,7 +12,7 @@ _PAIRS = 4_000_000
 """Pairs of triangle and ray that are tested at once."""
 
 
-ASIDE = np.array([0.00137, 0.00071])
+OFF_CENTER = np.array([0.00137, 0.00071])
 """Shift of rays in steps of their grid: none then runs within a wall of a mesh that is symmetric about it."""
 
 

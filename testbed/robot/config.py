@@ -106,7 +106,7 @@ class RobotSettings:
 
 
 _SEEN = CAMERAS["30hz"]
-_ASIDE = 0.05
+_OFF_AXIS = 0.05
 """Largest distance of the tool's center of mass from its axis [m]."""
 Corner = Annotated[list[Place], Field(min_length=3, max_length=3)]
 
@@ -315,8 +315,8 @@ class RobotFile(Strict):
             allowed = f"{sheet.mass / 2:.2f} to {3 * sheet.mass:.2f} kg: the gripper's is {sheet.mass:.2f} kg"
             raise InvalidValueError("calibration.tool_mass_kg", mass, allowed)
         x, y, z = calibration.com @ turn
-        if not (math.hypot(x, y) <= _ASIDE and 0 < z < self.sensor.to_tcp_m):
-            allowed = f"a place between sensor and tool center point, at most {_ASIDE} m aside, hand axes, m"
+        if not (math.hypot(x, y) <= _OFF_AXIS and 0 < z < self.sensor.to_tcp_m):
+            allowed = f"a place between sensor and tool center point, at most {_OFF_AXIS} m off the axis, hand axes, m"
             raise InvalidValueError("calibration.tool_com_m", [x, y, z], allowed)
         tool = calibration.tool(turn @ [0.0, 0.0, self.sensor.to_tcp_m], turn @ sheet.inertia @ turn.T)
         return replace(settings, tool=tool, sensor_orientation=mount, sensor_sign=calibration.sign)

@@ -38,7 +38,7 @@ class Target:
         return np.array([0.0, 0.0, self.yaw_rate]) + self.tilt_rate
 
     @property
-    def aside(self) -> float:
+    def tilt_angle(self) -> float:
         """Angle of the approach axis from straight down [rad]."""
         return math.acos(float(np.clip(Rotation.from_rotvec(self.tilt).as_matrix()[2, 2], -1.0, 1.0)))
 
@@ -104,4 +104,4 @@ def sampled(leg: Leg) -> tuple[Float[np.ndarray, "N 3"], Float[np.ndarray, "N 6"
     """Positions [m], twists [m/s, rad/s] and tilts from straight down [rad] along a leg."""
     targets = [leg.at(t) for t in np.linspace(0.0, leg.duration, max(math.ceil(leg.duration / 0.05), 2) + 1)]
     twists = [np.append(t.velocity, t.angular_velocity) for t in targets]
-    return np.array([t.position for t in targets]), np.array(twists), np.array([t.aside for t in targets])
+    return np.array([t.position for t in targets]), np.array(twists), np.array([t.tilt_angle for t in targets])

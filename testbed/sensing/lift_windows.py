@@ -16,7 +16,7 @@ from testbed.trajectory import Phase, Trajectory
 from testbed.validation import freeze_arrays
 from testbed.worlds.setup_errors import SetupErrors
 
-ASIDE = GRAVITY * np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0]])
+SIDEWAYS = GRAVITY * np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0]])
 """Change of what carries against gravity [m/s^2] with a tilt of all about the table's x and y, a rad; table axes."""
 
 
@@ -98,7 +98,7 @@ def lift_windows(trajectory: Trajectory) -> list[LiftWindow]:
     drift = from_sensor @ np.diag(trajectory.sensor_drift_std**2) @ from_sensor.T
     sensor_axes = rotation_matrix(trajectory.sensor_orientation)
     on_tool = tool_wrench(tool, trajectory, sensor_axes)
-    aside = tool_pulls(tool, sensor_axes, ASIDE)
+    pulls = tool_pulls(tool, sensor_axes, SIDEWAYS)
     tared = trajectory.time_s[tare].mean()
     stretches = steady_samples(trajectory)
     lasting = np.array([np.ptp(trajectory.time_s[kept]) for kept in stretches])
@@ -124,8 +124,8 @@ def lift_windows(trajectory: Trajectory) -> list[LiftWindow]:
                 tool_mass=tool.mass,
                 tool_rate=_rate(trajectory.time_s[kept], on_tool[kept]),
                 pull_rate=_rate(trajectory.time_s[kept], motion[kept, :3]),
-                pull_tilt=ASIDE @ axes[kept].mean(axis=0),
-                tool_tilt=aside[kept].mean(axis=0) - aside[tare].mean(axis=0),
+                pull_tilt=SIDEWAYS @ axes[kept].mean(axis=0),
+                tool_tilt=pulls[kept].mean(axis=0) - pulls[tare].mean(axis=0),
                 setup=trajectory.setup,
             )
         )

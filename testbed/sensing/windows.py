@@ -169,8 +169,8 @@ def _tool_tilts(trajectory: Trajectory, stretches: Sequence[Int[np.ndarray, "N"]
     tool, tare = trajectory.tool, tare_samples(trajectory)
     if tool is None or len(tare) == 0:
         return [np.zeros((2, 6))] * len(stretches)
-    aside = tool_pulls(tool, rotation_matrix(trajectory.sensor_orientation), GRAVITY * np.eye(2, 3))
-    return [aside[kept].mean(axis=0) - aside[tare].mean(axis=0) for kept in stretches]
+    pulls = tool_pulls(tool, rotation_matrix(trajectory.sensor_orientation), GRAVITY * np.eye(2, 3))
+    return [pulls[kept].mean(axis=0) - pulls[tare].mean(axis=0) for kept in stretches]
 
 
 def bias_and_drift(

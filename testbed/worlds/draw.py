@@ -90,8 +90,8 @@ class WorldDraw:
         """Points of contact of an object and their mean friction."""
         points, known = int(self.world.contact_points), len(body.shape.feet)
         if known:
-            aside = self.normal("foot_offset", 2 * known).reshape(-1, 2)
-            feet = Feet.known(body, aside, self.normal("foot_load", known))
+            offset = self.normal("foot_offset", 2 * known).reshape(-1, 2)
+            feet = Feet.known(body, offset, self.normal("foot_load", known))
         else:
             feet = Feet.drawn(body, points, self.rng("contact_points")) if points else Feet.of(body)
         group = 1 + self.normal("group_friction", body.shape.n_m)

@@ -55,16 +55,16 @@ class Feet:
         return Feet(particle, shape.particles[particle], still, stiffness, _friction(model, particle))
 
     @staticmethod
-    def known(model: ObjectModel, aside: Float[np.ndarray, "F 2"], uneven: Float[np.ndarray, "F"]) -> Feet:
+    def known(model: ObjectModel, offset: Float[np.ndarray, "F 2"], uneven: Float[np.ndarray, "F"]) -> Feet:
         """Feet of known places, each group's with its weight about its own center of mass.
 
         Args:
             model: an object that stands on feet.
-            aside: distance of each foot from its place [m].
+            offset: distance of each foot from its place [m].
             uneven: load of each foot beyond an even share, as a part of it, as far as balance leaves it open.
         """
         shape = model.shape
-        position, stiffness = shape.particles[shape.feet] + aside, np.ones(len(shape.feet))
+        position, stiffness = shape.particles[shape.feet] + offset, np.ones(len(shape.feet))
         for group in range(shape.n_m):
             own = shape.mass_group[shape.feet] == group
             lever = position[own] - shape.middle_of(group)

@@ -50,7 +50,7 @@ class World(SetupErrors):
 
     @property
     def stated(self) -> SetupErrors:
-        """Errors as a lab states them: what a method or a policy may reckon with."""
+        """Errors as a lab states them, which methods and policies may use."""
         common = {name: getattr(self, name) for name in PARAMETERS}
         return SetupErrors(**common | {"delay": self.delay / math.sqrt(3)})  # drawn evenly from 0 to `delay`
 

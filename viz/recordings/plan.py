@@ -57,8 +57,8 @@ def _log_actions(node: Node, plan: PlanView) -> None:
         tip = arrow.way[-1]
         back = tip - arrow.way[-2]
         back = back / np.linalg.norm(back) * 10 * pixel
-        aside = np.array([-back[1], back[0]]) / 2
-        log_stroke(place / "way", [arrow.way, np.array([tip - back + aside, tip, tip - back - aside])], color)
+        half_width = np.array([-back[1], back[0]]) / 2
+        log_stroke(place / "way", [arrow.way, np.array([tip - back + half_width, tip, tip - back - half_width])], color)
         marks = [arrow.grasp] if arrow.pivot is None else [arrow.grasp, arrow.pivot]
         (place / "marks").log(rr.Points2D(marks, colors=[color], radii=rr.Radius.ui_points(4.0), draw_order=31.0))
         if arrow.pivot is not None:

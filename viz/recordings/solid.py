@@ -17,7 +17,7 @@ PAD = np.array([0.007, 0.022, 0.022])
 
 
 def object_page(model: ObjectModel) -> Page:
-    """The recording of an object, for approval before it is felt."""
+    """The recording of an object, for approval before any trial."""
 
     def log(stream: rr.RecordingStream) -> None:
         node = Node(stream, "object")

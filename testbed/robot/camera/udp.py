@@ -167,9 +167,9 @@ class UdpCamera:
         if axes[2, 2] < math.cos(_LYING):
             if self._lay:  # a tag seen from above flips now and then
                 return np.full(3, math.nan)
-            aside = math.degrees(math.acos(float(np.clip(axes[2, 2], -1.0, 1.0))))
+            tilt = math.degrees(math.acos(float(np.clip(axes[2, 2], -1.0, 1.0))))
             raise CameraLostError(
-                f"camera: the object's z axis is {aside:.0f} deg from the base's; allowed: "
+                f"camera: the object's z axis is {tilt:.0f} deg from the base's; allowed: "
                 f"{math.degrees(_LYING):.0f} deg, up from the table: check object_wxyz and in_base_wxyz"
             )
         self._lay = True

@@ -45,7 +45,7 @@ def test_the_leg_in_the_air_moves_as_it_says_it_does():
         assert_allclose(turned.as_rotvec() / 0.008, now.angular_velocity, atol=0.03)
         assert_allclose((ahead.position - behind.position) / 0.008, now.velocity, atol=2e-3)
         assert np.linalg.norm(now.velocity) <= settings.descent_speed + 1e-9
-        most = max(most, now.aside)
+        most = max(most, now.tilt_angle)
     assert most == pytest.approx(TRIAL.action.tilt, abs=1e-3)  # pyright: ignore[reportAttributeAccessIssue]
     assert "tilted by up to 20.0 deg" in described(plan, settings)
 

@@ -4,10 +4,11 @@ Objects of four to eight blocks, 30 to 60 mm, 0.05 to 0.8 kg, friction 0.15 to 0
 Coulomb world of its own contact points, offsets, frictions and sensor errors, drawn anew for each object; in `plastic`
 friction departs from Coulomb's law by 10 %. Six turns there and back and six accelerated ones. A row a kind of contact:
 methods know the spreads of the errors, never the draw. NAD is the median over all answers in percent; then the root
-mean square of error over claimed error, the 90 % intervals that hold the truth and their median width as a part of the
-object's mass, the answers with status ok, and those of them with a group off by more than three times its claimed
-error. In brackets 95 % intervals, by a bootstrap over objects, and for the silent ones the exact upper bound. Below,
-the methods paired on the same trials.
+mean square of the errors over that of the bound, the posterior spread by the trials' information at the truth with the
+errors of the setup as drawn beforehand; that of error over claimed error, the 90 % intervals that hold the truth and
+their median width as a part of the object's mass, the answers with status ok, and those of them with a group off by
+more than three times its claimed error. In brackets 95 % intervals, by a bootstrap over objects, and for the silent
+ones the exact upper bound. Below, the methods paired on the same trials.
 """
 
 from __future__ import annotations
@@ -28,6 +29,8 @@ from rich.table import Table
 from scipy.spatial.transform import Rotation
 from scipy.stats import beta
 
+from estimators.action_selection.design import Guess, prior_belief
+from estimators.identifiability.information import shown_information
 from estimators.registry import build_method
 from estimators.testing.analytic_world import DOWN, HEIGHT, RATE, TOOL, record
 from testbed.actions.accelerate import Accelerate
@@ -38,6 +41,7 @@ from testbed.objects.blocks import parse_layout
 from testbed.objects.files import ObjectFile
 from testbed.objects.model import GRAVITY, ObjectModel
 from testbed.objects.random import Family
+from testbed.sensing.presets import preset
 from testbed.trajectory import Phase, Trajectory
 from testbed.worlds.feet import Feet
 from testbed.worlds.presets import UNSTATED
@@ -356,6 +360,20 @@ class Judged:
     """Median width of the 90 % intervals, as a part of the object's mass."""
     seconds: float
     misfit: float
+    errors: tuple[float, ...]
+    """Errors of the groups, as parts of the object's mass; empty without an answer."""
+    bound: tuple[float, ...]
+    """Standard deviations of the groups by the information of the trials, as parts of the object's mass."""
+
+
+def bound(obj: ObjectModel, made: list[Trajectory], weight: float, setup: SetupErrors, support: str) -> np.ndarray:
+    """Standard deviations of the masses of the groups that no estimator can beat on average over setups [kg].
+
+    Those of the posterior by the information of the trials at the true masses and frictions (van Trees' bound).
+    """
+    guess = Guess(weight, preset("ft300s"), setup=setup, supports=(support,))
+    information = shown_information(obj.shape, obj.truth, made, guess.assumptions()[0]).information()
+    return np.sqrt(np.diag(prior_belief(obj.shape, guess).after(information[None]).covariance()[0]))
 
 
 def judged(job: tuple[int, str, str], seed: int, methods: tuple[str, ...], given: SetupErrors | None) -> list[Judged]:
@@ -365,20 +383,22 @@ def judged(job: tuple[int, str, str], seed: int, methods: tuple[str, ...], given
     obj = drawn(index, seed, pattern)
     rng = np.random.default_rng(seed * 1000 + index)
     made, weight = trials(obj, pattern, setup, given or setup, rng)
-    rows = []
+    rows, support = [], "rigid" if pattern in RIGID else "own_weight"
+    least = tuple(bound(obj, made, weight, setup, support) / obj.total_mass)
     for name in methods:
         begin = time.process_time()
         found = build_method(name, SETTINGS.get(name, {})).estimate(obj.shape, weight, made, 0)
         spent, misfit = time.process_time() - begin, found.diagnostics.get("misfit", np.nan)
-        nad, off, width = np.nan, np.zeros(0), np.nan
+        nad, off, width, errors = np.nan, np.zeros(0), np.nan, ()
         if found.distribution is not None:
             off, claimed = found.distribution.group_mass(obj.shape) - obj.group_mass, found.group_error(obj.shape)
-            nad = float(np.abs(off).sum() / obj.total_mass)
+            nad, errors = float(np.abs(off).sum() / obj.total_mass), tuple(off / obj.total_mass)
             if claimed is None:
                 off = np.zeros(0)
             else:
                 off, width = off / claimed, float(np.median(2 * NINETY * claimed) / obj.total_mass)
-        rows.append(Judged(index, world, pattern, name, found.status, nad, tuple(off), width, spent, misfit))
+        scores = found.status, nad, tuple(off), width, spent, misfit, errors, least
+        rows.append(Judged(index, world, pattern, name, *scores))
     return rows
 
 
@@ -404,7 +424,8 @@ def main() -> None:
         rows = [row for part in pool.imap(judge, jobs) for row in part]
     table = Table(box=box.SIMPLE_HEAD)
     names = ("world", "contacts", "method")
-    for column in (*names, "NAD", "off / claimed", "90 % hold", "width, %", "ok, %", "silent, %", "misfit", "s"):
+    numbers = ("NAD", "RMSE / bound", "off / claimed", "90 % hold", "width, %", "ok, %", "silent, %", "misfit", "s")
+    for column in (*names, *numbers):
         table.add_column(column, justify="left" if column in names else "right")
     for world in args.worlds:
         for kind in [*kinds[world], "all"] if len(kinds[world]) > 1 else kinds[world]:
@@ -446,9 +467,12 @@ def summary(part: list[Judged]) -> list[str]:
     ok = [r for r in part if r.status == "ok"]
     silent = sum(any(abs(z) > 3 for z in r.off) for r in ok)
     claimed = len(off) > 0
+    answered = [r for r in part if r.errors]
+    errors, least = (np.concatenate([getattr(r, name) for r in answered]) for name in ("errors", "bound"))
     most = float(beta.ppf(0.975, silent + 1, len(part) - silent)) if silent < len(part) else 1.0
     return [
         f"{100 * np.nanmedian([r.nad for r in part]):.1f}",
+        f"{np.sqrt(np.mean(errors**2) / np.mean(least**2)):.2f}",
         f"{np.sqrt(np.mean(off**2)):.2f}" if claimed else "",
         f"{100 * np.mean(np.abs(off) < NINETY):.0f} {holding(part)}" if claimed else "",
         f"{100 * np.nanmedian([r.width for r in part]):.0f}" if claimed else "",

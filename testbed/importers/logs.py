@@ -112,7 +112,7 @@ def in_order(path: Path, field: str, time: np.ndarray, values: np.ndarray) -> Se
         LogError: times that go back further or stand, or fewer than two of them.
     """
     steps = np.diff(time)
-    if 0 < (steps < 0).mean() <= _MOST_SHARED and -steps.min() < np.median(steps):
+    if (steps < 0).any() and (steps < 0).mean() <= _MOST_SHARED and -steps.min() < np.median(steps):
         order = np.argsort(time, kind="stable")
         time, values = time[order], values[order]
         steps = np.diff(time)

@@ -280,7 +280,7 @@ class _Errors:
         together = np.minimum(order[:, None], order).astype(float)
         found = [_likeliest(np.diag(own**2), together, of_axis) for own, of_axis in zip(noise.T, left.T, strict=True)]
         walk = np.array([walk for walk, _ in found])
-        scatter = ((left / noise) ** 2).mean(axis=0)
+        scatter = np.maximum(((left / noise) ** 2).mean(axis=0), 1.0)
         unlike = len(noise) * np.log(scatter.mean() / scatter).sum()
         if not walk.any() and unlike < TELLING:
             return None

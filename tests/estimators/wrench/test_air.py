@@ -17,7 +17,7 @@ from estimators.wrench.setup import stated_sizes
 from testbed.actions.lift import Lift
 from testbed.frames import move_wrench, rotate_wrench, rotation_matrix
 from testbed.sensing.compensation import compensate, tool_pulls, tool_wrench
-from testbed.sensing.lift_windows import ASIDE, LiftWindow, lift_windows
+from testbed.sensing.lift_windows import SIDEWAYS, LiftWindow, lift_windows
 from testbed.trajectory import Phase, Trajectory
 from testbed.worlds.setup_errors import PARAMETERS, SetupErrors
 from tests.fakes.lifted_world import lifted
@@ -80,7 +80,7 @@ ANGLE, COM, DELAY, HEAVIER = np.array([0.004, -0.003, 0.005]), np.array([1e-3, -
 TURNED = Rotation.from_rotvec(ANGLE).as_matrix()[None]
 LATE = np.maximum(np.arange(len(PLAIN.time_s)) - 2, 0)
 TILT, TILTED = 0.004, lifted(OBJECT, ACTION, tilt=0.004)
-ON_TOOL = tool_pulls(TOOL, rotation_matrix(PLAIN.sensor_orientation), ASIDE)[:, 0]
+ON_TOOL = tool_pulls(TOOL, rotation_matrix(PLAIN.sensor_orientation), SIDEWAYS)[:, 0]
 FLAWS = {
     "gain": (GAIN, lambda: seen(PLAIN, sensor_wrench=PLAIN.sensor_wrench * (1 + GAIN))),
     "crosstalk": (CROSS.ravel(), lambda: seen(PLAIN, sensor_wrench=PLAIN.sensor_wrench @ (np.eye(6) + CROSS).T)),

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -11,6 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from testbed.errors import HeftError, InvalidValueError, nearest
+from testbed.parsing.process import ParserError, parsed
 
 _GRAVITY = 9.80665  # of the kilogram-force and the pound-force, by definition
 _POUND = 0.45359237
@@ -33,7 +35,10 @@ FACTORS: dict[str, dict[str, float]] = {
     },
 }
 """SI value of each unit, by quantity."""
-_MOST_LISTED = 12
+MOST_LISTED = 12
+"""Most names or values of a log in an error."""
+SECOND = 1_000_000_000
+"""Nanoseconds of a second."""
 _MOST_SHARED = 0.05
 """Largest part of the samples that may have the time of another: a clock's resolution."""
 
@@ -60,6 +65,31 @@ def read_all(*reads: Callable[[], Any]) -> list[Any]:
     if errors:
         raise LogError("\n".join(dict.fromkeys(line for error in errors for line in str(error).splitlines())))
     return results
+
+
+@contextmanager
+def parsed_log(module: str, path: Path, what: str, package: str, *words: str) -> Iterator[Path]:
+    """Result of a parser of a log in a process of its own, a file that is deleted on exit.
+
+    Args:
+        module: parser.
+        path: log.
+        what: kind of log, in errors.
+        package: package that reads it, where the parser names none.
+        words: further arguments of the parser.
+
+    Raises:
+        LogError: the parser refuses the file, or a package is not installed.
+    """
+    try:
+        with parsed(module, path.absolute(), *words) as found:
+            yield found
+    except ImportError as error:
+        needed = str(error).partition(".")[0] or package
+        allowed = f"{needed}: not installed; pip install 'heft-testbed[robot]'"
+        raise LogError(f"{path}: reading {what} needs {allowed}") from None
+    except ParserError as error:
+        raise LogError(f"{path}: {error}") from None
 
 
 def factor(quantity: str, unit: str) -> float:
@@ -136,6 +166,6 @@ def in_order(path: Path, field: str, time: np.ndarray, values: np.ndarray) -> Se
 
 def unknown(field: str, name: str | None, known: list[str], path: Path) -> InvalidValueError:
     """Error for a name that a log does not have; it names the nearest."""
-    listed = ", ".join(known[:_MOST_LISTED]) + (", ..." if len(known) > _MOST_LISTED else "")
+    listed = ", ".join(known[:MOST_LISTED]) + (", ..." if len(known) > MOST_LISTED else "")
     allowed = f"one of {listed or 'nothing: it is empty'}{nearest(str(name), known, 0.4)}"
     return InvalidValueError(field, name, allowed, file=path)

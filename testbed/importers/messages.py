@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -14,12 +13,21 @@ import numpy as np
 
 from testbed.errors import short
 from testbed.importers.columns import Cell, TimeMap
-from testbed.importers.logs import LogError, Series, columns_of, factor, filled, in_order, read_all, unknown
-from testbed.parsing.process import ParserError, parsed
+from testbed.importers.logs import (
+    SECOND,
+    LogError,
+    Series,
+    columns_of,
+    factor,
+    filled,
+    in_order,
+    parsed_log,
+    read_all,
+    unknown,
+)
 
 JOINT_STATE = "sensor_msgs/JointState"
 _STAMP = "header.stamp"
-_SECOND = 1_000_000_000
 _NANOSECONDS = ("nanosec", "nsec")
 _LARGEST = sys.float_info.max
 _NOT_THERE = (KeyError, IndexError, ValueError, TypeError)
@@ -116,12 +124,12 @@ class MessageLog:
             stamps = np.array([getattr(m, column) for m in messages], dtype=np.int64)
         elif fraction:
             names = [f"{column}.sec", f"{column}.{fraction}"]
-            stamps = self.values("time.column", names, topic, messages).astype(np.int64) @ np.array([_SECOND, 1])
+            stamps = self.values("time.column", names, topic, messages).astype(np.int64) @ np.array([SECOND, 1])
         else:
             return self.values("time.column", [column], topic, messages)[:, 0] * factor("time", time.unit)
         if self._epoch is None and len(stamps):
-            self._epoch = int(stamps[0]) // _SECOND
-        return (stamps - self.epoch_s * _SECOND) / _SECOND
+            self._epoch = int(stamps[0]) // SECOND
+        return (stamps - self.epoch_s * SECOND) / SECOND
 
 
 def open_messages(path: Path) -> MessageLog:
@@ -133,19 +141,7 @@ def open_messages(path: Path) -> MessageLog:
     is_mcap = path.suffix == ".mcap"
     what, package = ("an MCAP file", "mcap") if is_mcap else ("a ROS 2 bag", "rosbags")
 
-    @contextmanager
-    def result(*words: str) -> Iterator[Path]:
-        try:
-            with parsed("testbed.parsing.logs", path.absolute(), *words) as found:
-                yield found
-        except ImportError as error:
-            needed = str(error).partition(".")[0] or package
-            raise LogError(
-                f"{path}: reading {what} needs {needed}: not installed; pip install 'heft-testbed[robot]'"
-            ) from None
-        except ParserError as error:
-            raise LogError(f"{path}: {error}") from None
-
+    result = partial(parsed_log, "testbed.parsing.logs", path, what, package)
     with result() as found:
         topics = json.loads(found.read_bytes())
 

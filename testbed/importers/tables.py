@@ -15,8 +15,19 @@ import pandas as pd
 
 from testbed.errors import InvalidValueError, short
 from testbed.importers.columns import ISO, Cell, Columns, TimeMap
-from testbed.importers.logs import LogError, Series, columns_of, factor, filled, in_order, read_all, unknown
-from testbed.parsing.process import ParserError, parsed
+from testbed.importers.logs import (
+    MOST_LISTED,
+    SECOND,
+    LogError,
+    Series,
+    columns_of,
+    factor,
+    filled,
+    in_order,
+    parsed_log,
+    read_all,
+    unknown,
+)
 
 MOST_LETTERS = 2**17
 """Longest line of a table that is read."""
@@ -24,8 +35,6 @@ SEPARATORS = ("\t", ";", ",")
 """Characters that separate columns in most tables."""
 EPISODE = "episode_index"
 """Column of LeRobot's data that says which episode a row is of."""
-_SECOND = 1_000_000_000
-_MOST_LISTED = 12
 
 
 class TableLog(ABC):
@@ -81,7 +90,7 @@ class TableLog(ABC):
         for (name, wanted), column in zip(self._where.items(), columns[len(sought) :], strict=True):
             kept &= column == wanted
             if not kept.any():
-                known = ", ".join(f"{value:g}" for value in np.unique(column[~np.isnan(column)])[:_MOST_LISTED])
+                known = ", ".join(f"{value:g}" for value in np.unique(column[~np.isnan(column)])[:MOST_LISTED])
                 raise InvalidValueError(f"where.{name}", wanted, f"one of {known or 'nothing'}", file=self.path)
         there = np.flatnonzero(kept & ~np.isnan(values).all(axis=1))
         stamps, values = stamps[there], values[there]
@@ -115,8 +124,8 @@ class TableLog(ABC):
         """Seconds of dates from the second of the first one, exact to the nanosecond; NaN of none."""
         there, nanoseconds = ~np.isnat(stamps), stamps.astype(np.int64)
         if self.epoch_s == 0 and there.any():
-            self.epoch_s = int(nanoseconds[there][0]) // _SECOND
-        return np.where(there, (nanoseconds - self.epoch_s * _SECOND) / _SECOND, np.nan)
+            self.epoch_s = int(nanoseconds[there][0]) // SECOND
+        return np.where(there, (nanoseconds - self.epoch_s * SECOND) / SECOND, np.nan)
 
     @abstractmethod
     def _place(self, row: int) -> str:
@@ -197,15 +206,9 @@ class ArrayLog(TableLog):
     def __init__(self, path: Path, mapping: Columns):
         self.path, self.epoch_s = path, 0
         self._where, self._numbered = mapping.where, mapping.rows == "poses"
-        try:
-            with parsed("testbed.parsing.tables", path.absolute()) as found, np.load(found) as arrays:
-                self._names = [str(name) for name in arrays["names"]]
-                self._arrays = [arrays[f"column_{i}"] for i in range(len(self._names))]
-        except ImportError as error:
-            needed = f"{error}: not installed; pip install 'heft-testbed[robot]'"
-            raise LogError(f"{path}: reading an HDF5 file needs {needed}") from None
-        except ParserError as error:
-            raise LogError(f"{path}: {error}") from None
+        with parsed_log("testbed.parsing.tables", path, "an HDF5 file", "h5py") as found, np.load(found) as arrays:
+            self._names = [str(name) for name in arrays["names"]]
+            self._arrays = [arrays[f"column_{i}"] for i in range(len(self._names))]
 
     def _place(self, row: int) -> str:
         return f"row {row}"

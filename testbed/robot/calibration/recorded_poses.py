@@ -64,15 +64,18 @@ def recorded_poses(log: Path, mapping: Path) -> tuple[list[StaticPose], str]:
     wrench = in_sensor_axes(wrench, pose, table.sensor)
     if table.rows == "poses":
         return _of_rows(wrench, pose, table.gravity), left_out
+    every = max(float(np.median(np.diff(times))) for times in (wrench.time_s, pose[0].time_s))
+    if every > SHORTEST_S / MEASURED:
+        raise LogError(
+            f"poses: a sample every {every:.3g} s; allowed: {MEASURED} or more measured in {SHORTEST_S:g} s; or, where "
+            'each row of a table is a still pose, rows = "poses" in the mapping'
+        )
     base = common_base([wrench, pose[0]], table.longest_gap_s)
     hand, position = resampled_rotation(pose[0].time_s, pose[1], base).as_quat(), resampled(pose[0], base)
     values = resampled(wrench, base)
     turn, way = _motion(hand, position)
     margin = np.ones(2 * round(SETTLED_S * RATE) + 1)
     measured = _measured(wrench.time_s, base) & _measured(pose[0].time_s, base)
-    if not measured.any():
-        every = max(float(np.median(np.diff(times))) for times in (wrench.time_s, pose[0].time_s))
-        raise LogError(f"poses: a sample every {every:.3g} s; allowed: {MEASURED} or more measured in {SHORTEST_S:g} s")
     still = binary_erosion((turn < STILL_TURN) & (way < STILL_WAY) & measured, margin)
     found = [_pose(hand[run], values[run], 0) for run in runs(still) if len(run) >= SHORTEST_S * RATE]
     if len(found) >= FEWEST:

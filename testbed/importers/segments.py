@@ -164,8 +164,8 @@ class _Lying:
         pose = np.column_stack([np.interp(base - base[0], camera.time_s[there], values) for values in frames])
         return _Lying(shape, pose)
 
-    def seen(self, at: np.ndarray, place: np.ndarray) -> np.ndarray:
-        """Places of the base's axes, in the object's frame at some samples [m], shape (N, 2)."""
+    def in_object(self, at: np.ndarray, place: np.ndarray) -> np.ndarray:
+        """Points in the object's frame at some samples [m], shape (N, 2), from base axes."""
         pose = self.pose[at]
         return (rotation_2d(-pose[:, 2]) @ (place - pose[:, :2])[..., None])[..., 0]
 
@@ -248,14 +248,14 @@ class _Motion:
         return bool((np.array(seen) > self._least()).any())
 
     def _least(self) -> np.ndarray:
-        """Force in the plane [N] and torque [N m] that the sensor feels."""
+        """Least force in the plane [N] and torque [N m] of a motion of the object."""
         return np.array(_DRAG) + 3 * np.array([self.noise[:3].max(), self.noise[3:].max()])
 
     def _motion(self, part: np.ndarray, tare: np.ndarray | None) -> Segment:
         ends, kind = self._ends(part), "other motion"
         action, steady = None, []
         turned, way = abs(float(self.yaw[part[-1]] - self.yaw[part[0]])), float(self.speed[part].sum() / RATE)
-        if self.lying and room_at(self.lying.shape, self.lying.seen(part[:1], self.position[part[:1], :2])[0]) > 0:
+        if self.lying and room_at(self.lying.shape, self.lying.in_object(part[:1], self.position[part[:1], :2])[0]) > 0:
             kind, action, steady = self._push(part, tare, self.lying)
         elif not self._drags(part, tare):
             kind = "empty hand"
@@ -291,6 +291,8 @@ class _Motion:
         speed = float(np.median(self.speed[contact][np.abs(self.speed[contact] - most) < STEADY_WITHIN * most]))
         near = part[max(runs(np.abs(self.speed[part] - speed) < PUSHED_WITHIN * speed), key=len)]
         kept = np.intersect1d(contact, near)
+        if len(kept) < SHORTEST_TARE * RATE:
+            return "other motion", f"the tip keeps no speed for {SHORTEST_TARE:g} s while it pushes", []
         place = self.position[:, :2]
         way = np.linalg.norm(np.diff(place[contact], axis=0), axis=1).sum()
         along = np.cumsum(self.speed[kept]) / RATE
@@ -298,7 +300,7 @@ class _Motion:
         curvature, begin = np.polyfit(along, heading, 1)
         if abs(curvature * way) < _STRAIGHT:
             curvature, begin = 0.0, float(np.median(heading))
-        tips = lying.seen(contact, place[contact])
+        tips = lying.in_object(contact, place[contact])
         face, _ = face_at(lying.shape, tips[0])
         radius = float(np.median([face_at(lying.shape, tip)[1] for tip in tips]))
         try:

@@ -14,6 +14,7 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
+from estimators.testing.recorded import load_block
 from scenarios.cli.main import main
 from testbed.actions.push import Push
 from testbed.actions.rotate import Rotate
@@ -156,6 +157,20 @@ def test_a_push_is_found(push: Trajectory, tmp_path: Path):
     main(["import", str(mapping), str(log), "--find"])
     again = import_trajectory(log, tmp_path / "map.found.toml")
     assert again.ok and push_windows(again)
+
+
+def test_the_camera_names_the_grasp_of_a_turn(tmp_path: Path):
+    """Several grasps fit the hand's path of one turn; one fits the object's pose."""
+    turn = next(t for t in load_block("L2-own_weight").trials("ft300s") if isinstance(t.action, Rotate))
+    watched = replace(turn, camera=PoseStream(turn.time_s, turn.object_pose[:, None], 0.001, 0.01, 0.01))
+    log, frames = write_csv(tmp_path / "log.csv", watched), write_frames(tmp_path / "frames.csv", watched)
+    table = mapping_with(watched, "L2", [part_of(frames)]) | {"action": None, "joints": None}
+    blind = write_toml(tmp_path / "blind.toml", {name: value for name, value in table.items() if name != "camera"})
+    grasp = load_object("L2").shape.grasps[turn.action.grasp or 0].name
+    for mapping, one in ((blind, False), (write_toml(tmp_path / "map.toml", table), True)):
+        (found,) = [segment for segment in find_segments(log, mapping) if segment.action]
+        assert grasp in found.grasps and (len(found.grasps) == 1) == one
+    assert isinstance(found.action, Rotate) and found.action.grasp == turn.action.grasp
 
 
 def test_a_zeroed_sensor_needs_no_tare(push: Trajectory, tmp_path: Path):

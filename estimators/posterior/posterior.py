@@ -240,7 +240,7 @@ class Posterior:
         """Log of the probability density of all rows, up to a constant, by Laplace's approximation."""
         return -(self.deviance + float(torch.linalg.slogdet(self._precision)[1])) / 2
 
-    @property
+    @cached_property
     def log_evidence_to_scale(self) -> float:
         """`log_evidence` where the errors of the rows are stated up to a common factor, which the rows show.
 

@@ -233,7 +233,7 @@ def phases_from_motion(
     phase[starts:stops] = Phase.RAMP
     for i, stretch in enumerate(stretches):
         phase[stretch], segment[stretch] = Phase.STEADY, i
-    for tare in (*before[-1:], *after[-1:]):
+    for tare in (before[-1], *after[-1:]) if before else ():  # a later one is no zero
         phase[tare] = Phase.TARE
     return phase, segment
 

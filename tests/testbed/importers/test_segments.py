@@ -18,7 +18,7 @@ from testbed.actions.slide import Slide
 from testbed.errors import HeftError, InvalidValueError
 from testbed.importers.importer import import_trajectory
 from testbed.importers.mapping import LogMap
-from testbed.importers.phases import linear_stretches
+from testbed.importers.phases import linear_stretches, phases_from_motion
 from testbed.importers.segments import Segment, find_segments
 from testbed.sensing.windows import steady_windows
 from testbed.trajectory import Phase, Trajectory
@@ -209,3 +209,15 @@ def test_actions_of_known_blocks_come_back(name: str, tmp_path: Path, monkeypatc
             assert segment.action.back
         if len(segment.grasps) == 1 and isinstance(segment.action, Rotate) and isinstance(trial.action, Rotate):
             assert_allclose(segment.action.center(known.model.shape), trial.action.center(known.model.shape), atol=2e-3)
+
+
+def test_a_zeroed_sensor_is_not_zeroed_again_after_the_motion():
+    """A rest above the table that follows the motion is a tare only where one precedes it."""
+    height, speed = np.zeros(600), np.zeros((600, 6))
+    speed[50:450, 0], height[500:] = 0.02, 0.05
+    slide = Slide(0, 0.0, 0.02, 3.9)
+    phase, segment = phases_from_motion(slide, height, speed, zeroed=True)
+    assert (segment >= 0).any() and not (phase == Phase.TARE).any()
+    begun = np.pad(height, (100, 0), constant_values=0.05)
+    phase, _ = phases_from_motion(slide, begun, np.pad(speed, ((100, 0), (0, 0))), zeroed=True)
+    assert (phase[:100] == Phase.TARE).any() and (phase[600:] == Phase.TARE).any()

@@ -52,8 +52,8 @@ def hand_pose(log: Log, hand: HandMap, time: TimeMap, folder: Path) -> Pose:
         LogError: values that are no pose.
     """
     if isinstance(log, MessageLog) and not hand.position and log.type_of("hand", hand.topic) == JOINT_STATE:
-        return _from_joints(log, hand, time, folder)
-    return _pose(log, "hand", hand, time)
+        return without_frozen(_from_joints(log, hand, time, folder))
+    return without_frozen(_pose(log, "hand", hand, time))
 
 
 def seen_pose(log: Log, field: str, part: PartMap, camera: CameraMap, time: TimeMap) -> Pose:
@@ -70,7 +70,7 @@ def seen_pose(log: Log, field: str, part: PartMap, camera: CameraMap, time: Time
         InvalidValueError: as `hand_pose`.
         LogError: values that are no pose, or a frame that does not lie on the table.
     """
-    series, seen = _pose(log, field, part, time)
+    series, seen = without_frozen(_pose(log, field, part, time))
     mount = Rotation.from_quat(camera.in_base_wxyz, scalar_first=True)
     place = mount.apply(series.values + seen.apply(part.object_m)) + camera.in_base_m
     turned = mount * seen * Rotation.from_quat(part.object_wxyz, scalar_first=True)
@@ -103,7 +103,7 @@ def _from_columns(
     log: Log, field: str, of: PoseMap, position: Sequence[Cell], orientation: Sequence[Cell], time: TimeMap
 ) -> Pose:
     columns = f"{field}.position, {field}.orientation"
-    stamps, values = moving(*log.series(columns, [*position, *orientation], of.topic, time))
+    stamps, values = log.series(columns, [*position, *orientation], of.topic, time)
     where, given = np.split(values, [len(position)], axis=1)
     where = np.pad(where * factor("length", of.position_unit), ((0, 0), (0, 3 - len(position))))
     if of.orientation_as in ("wxyz", "xyzw"):
@@ -118,12 +118,14 @@ def _from_columns(
     return Series(stamps, where), rotation
 
 
-def moving(stamps: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def without_frozen(pose: Pose) -> Pose:
     """Poses without those that repeat the one before for `FROZEN` or longer amid a motion.
 
     What a source repeats when it loses the hand or the object is no measurement. A rest stays: no jump ends it.
     """
-    steps = np.abs(np.diff(values, axis=0)).max(axis=1)
+    (stamps, place), turned = pose
+    quaternion = turned.as_quat()
+    steps = np.abs(np.diff(np.hstack([place, quaternion]), axis=0)).max(axis=1)
     kept = np.full(len(stamps), True)
     for run in runs(steps == 0):
         first, last = int(run[0]), int(run[-1]) + 1  # these samples and all between are equal
@@ -132,7 +134,7 @@ def moving(stamps: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarr
             continue
         way = float(np.median(steps[before] / np.diff(stamps)[before])) * seconds
         kept[run + 1] = not steps[last] > way / 2 > 0
-    return stamps[kept], values[kept]
+    return pose if kept.all() else (Series(stamps[kept], place[kept]), Rotation.from_quat(quaternion[kept]))
 
 
 def _quaternions(field: str, given: np.ndarray, scalar_first: bool = False) -> Rotation:

@@ -125,12 +125,13 @@ def columns_of(field: str, names: Sequence[str | float], path: Path) -> list[str
     return found
 
 
-def filled(columns: Series, names: Sequence[str | float]) -> Series:
-    """Series of names and constants from that of the columns."""
-    values = np.empty((len(columns.time_s), len(names)))
+def ordered(path: Path, field: str, time: np.ndarray, columns: np.ndarray, names: Sequence[str | float]) -> Series:
+    """Series of names and constants in the order of time, from the columns; see `in_order`."""
+    series = in_order(path, field, time, columns)
+    values = np.empty((len(series.time_s), len(names)))
     measured = np.array([isinstance(name, str) for name in names])
-    values[:, measured], values[:, ~measured] = columns.values, [n for n in names if not isinstance(n, str)]
-    return Series(columns.time_s, values)
+    values[:, measured], values[:, ~measured] = series.values, [n for n in names if not isinstance(n, str)]
+    return Series(series.time_s, values)
 
 
 def in_order(path: Path, field: str, time: np.ndarray, values: np.ndarray) -> Series:

@@ -13,18 +13,7 @@ import numpy as np
 
 from testbed.errors import short
 from testbed.importers.columns import Cell, TimeMap
-from testbed.importers.logs import (
-    SECOND,
-    LogError,
-    Series,
-    columns_of,
-    factor,
-    filled,
-    in_order,
-    parsed_log,
-    read_all,
-    unknown,
-)
+from testbed.importers.logs import SECOND, LogError, Series, columns_of, factor, ordered, parsed_log, read_all, unknown
 
 JOINT_STATE = "sensor_msgs/JointState"
 _STAMP = "header.stamp"
@@ -96,7 +85,7 @@ class MessageLog:
         values, stamps = read_all(
             partial(self.values, field, sought, str(topic), messages), partial(self.stamps, str(topic), messages, time)
         )
-        return filled(in_order(self.path, field, stamps, values), names)
+        return ordered(self.path, field, stamps, values, names)
 
     def values(self, field: str, names: Sequence[str], topic: str, messages: Sequence[Message]) -> np.ndarray:
         """Fields of messages, shape (N, K), see `series`."""

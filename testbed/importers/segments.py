@@ -242,7 +242,7 @@ class _Motion:
 
     def _drags(self, part: np.ndarray, tare: np.ndarray | None) -> bool:
         """True if the sensor feels the motion."""
-        net = self.wrench[part] - (0.0 if tare is None else self.wrench[tare].mean(axis=0))
+        net = _net(self.wrench, part, tare)
         force, torque = (self._world(part, net[:, columns]) for columns in (slice(3), slice(3, 6)))
         seen = np.median(np.linalg.norm(force[:, :2], axis=1)), np.median(np.abs(torque[:, 2]))
         return bool((np.array(seen) > self._least()).any())
@@ -281,8 +281,7 @@ class _Motion:
 
     def _push(self, part: np.ndarray, tare: np.ndarray | None, lying: _Lying) -> tuple[Kind, Push | str | None, list]:
         """A push, from where the force rises, along an arc; or the reason why it is none."""
-        net = self.force[part] - (0.0 if tare is None else self.force[tare].mean(axis=0))
-        force = np.linalg.norm(self._world(part, net)[:, :2], axis=1)
+        force = np.linalg.norm(self._world(part, _net(self.force, part, tare))[:, :2], axis=1)
         usual = float(np.quantile(force, 0.9))
         if usual < self._least()[0]:
             return "empty hand", None, []
@@ -347,6 +346,11 @@ class _Motion:
         across = (rotation_2d(-self.yaw[part]) @ perpendicular(self.twist[part, :2])[..., None])[..., 0]
         x, y = np.median(across / self.rate[part, None], axis=0).tolist()  # the hand still settles in the first second
         return x, y
+
+
+def _net(values: np.ndarray, part: np.ndarray, tare: np.ndarray | None) -> np.ndarray:
+    """Readings of a part of a recording less those of its tare, or of a zeroed sensor as they are."""
+    return values[part] - (0.0 if tare is None else values[tare].mean(axis=0))
 
 
 def _pivot(x: float, y: float) -> tuple[float, float] | None:

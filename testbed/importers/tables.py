@@ -22,8 +22,7 @@ from testbed.importers.logs import (
     Series,
     columns_of,
     factor,
-    filled,
-    in_order,
+    ordered,
     parsed_log,
     read_all,
     unknown,
@@ -47,6 +46,10 @@ class TableLog(ABC):
     _where: dict[str, float]
     _numbered: bool
     """True for rows without times, which are numbered: poses of their own."""
+
+    def __init__(self, path: Path, mapping: Columns):
+        self.path, self.epoch_s = path, 0
+        self._where, self._numbered = mapping.where, mapping.rows == "poses"
 
     def type_of(self, field: str, topic: str | None) -> str:
         """Empty: a table has no messages.
@@ -100,7 +103,7 @@ class TableLog(ABC):
             name = [str(time.column), *sought][column]
             raise LogError(f"{self.path}: {self._place(int(there[row]))}: {name} is blank or not finite")
         try:
-            return filled(in_order(self.path, field, stamps, values), names)
+            return ordered(self.path, field, stamps, values, names)
         except LogError as error:
             if EPISODE in self._names and EPISODE not in self._where:
                 allowed = f"one episode, as where = {{ {EPISODE} = 0 }} in its [[logs]] table"
@@ -144,8 +147,8 @@ class CsvLog(TableLog):
     """Table of text with a header line. A row may leave columns blank, if the table joins several rates."""
 
     def __init__(self, path: Path, mapping: Columns):
-        self.path, self.epoch_s, self._decimal = path, 0, mapping.decimal
-        self._where, self._numbered = mapping.where, mapping.rows == "poses"
+        super().__init__(path, mapping)
+        self._decimal = mapping.decimal
         try:
             lines = _decoded(path).split("\n")
             _check_lines(path, lines)
@@ -204,8 +207,7 @@ class ArrayLog(TableLog):
     """Parquet or HDF5 file. Items of lists and columns of arrays have a name with a dot and a number, as `pose.0`."""
 
     def __init__(self, path: Path, mapping: Columns):
-        self.path, self.epoch_s = path, 0
-        self._where, self._numbered = mapping.where, mapping.rows == "poses"
+        super().__init__(path, mapping)
         with parsed_log("testbed.parsing.tables", path, "an HDF5 file", "h5py") as found, np.load(found) as arrays:
             self._names = [str(name) for name in arrays["names"]]
             self._arrays = [arrays[f"column_{i}"] for i in range(len(self._names))]

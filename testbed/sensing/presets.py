@@ -65,7 +65,7 @@ class Sensing:
 
     @property
     def stated(self) -> Sensing:
-        """Sensor whose errors are those of its data sheet: which methods and policies may use."""
+        """Sensor with the errors of its data sheet, which methods and policies may use."""
         name = re.sub(r":(bias|drift)=[^:]*", "", self.name)
         return replace(self, name=name, true_bias=1.0, true_drift=1.0)
 

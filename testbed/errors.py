@@ -5,6 +5,7 @@ from __future__ import annotations
 import difflib
 from collections.abc import Callable, Iterable
 from pathlib import Path
+from typing import Self
 
 _LONGEST = 120
 """Letters of a value in a message."""
@@ -28,6 +29,10 @@ class InvalidValueError(HeftError, ValueError):
         self.field, self.given, self.allowed, self.file = field, given, allowed, file
         where = f"{file}: " if file is not None else ""
         super().__init__(f"{where}{short(field, str)}: got {short(given)}; allowed: {allowed}")
+
+    def __reduce__(self) -> tuple[type[Self], tuple[str, object, str, Path | str | None]]:
+        """Arguments with which another process builds it again: an exception keeps its message alone."""
+        return type(self), (self.field, self.given, self.allowed, self.file)
 
 
 class InfeasibleTrialError(HeftError):

@@ -23,6 +23,7 @@ from testbed.sensing.presets import preset
 from testbed.sensing.windows import steady_windows
 from testbed.simulation.rendering import Playback
 from testbed.simulation.runner import SimulationRunner
+from testbed.simulation.settings import GripSettings, SimulationSettings
 from testbed.trajectory import Phase
 from testbed.trial import OWN_WEIGHT, RIGID, Support, Trial
 from tests.helpers.blocks import blocks
@@ -108,6 +109,19 @@ def test_it_goes_as_high_as_its_tilt_needs():
 def test_what_cannot_be_lifted_is_refused_before_moving(obj, action, support, said):
     with pytest.raises(InfeasibleTrialError, match=f"^{said}"):
         RUNNER.check(Trial(obj, action, support))
+
+
+@pytest.mark.slow
+def test_a_runner_without_checks_lets_an_object_slip():
+    gentle, trial = (
+        SimulationSettings(grip=GripSettings(force=20.0)),
+        Trial(blocks(["1111"], [0.3] * 4), Lift(0, tilt=0.0), RIGID),
+    )
+    with pytest.raises(InfeasibleTrialError, match="grip"):
+        SimulationRunner(gentle).run_clean(trial)
+    slipped = SimulationRunner(gentle, refuses=False).run_clean(trial)
+    assert slipped.status == "slipped"
+    assert "in the grip" in slipped.reason
 
 
 def test_a_lift_is_no_turn():

@@ -28,7 +28,7 @@ SUPPORTS = {"own_weight": OWN_WEIGHT, "rigid": RIGID}
 
 @dataclass(frozen=True)
 class MujocoSysid(Peer):
-    """Fits mass and friction by `mujoco.sysid`: rollouts of a planar MuJoCo scene, the toolbox's default optimiser.
+    """Fits mass and friction by `mujoco.sysid`: rollouts of a planar MuJoCo scene, the toolbox's optimizer "scipy".
 
     It gets M and the errors' covariance and starts at uniform mass, as every peer. Its covariance is the toolbox's.
     Needs the extra `sysid`.
@@ -38,7 +38,7 @@ class MujocoSysid(Peer):
     """It moves the object in one piece."""
 
     iterations: int = 200
-    """Most iterations of the toolbox's optimizer: its default."""
+    """Most guesses of the toolbox's optimizer, slopes apart: its default."""
     support: SupportModel = "own_weight"
     """Support in its scene: own_weight, as every baseline assumes, or rigid."""
 

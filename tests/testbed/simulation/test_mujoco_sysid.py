@@ -15,6 +15,7 @@ from estimators.evaluation.metrics import normalized_absolute_difference
 from estimators.particles.observe import observe
 from estimators.testing.analytic_world import accelerated, drawn_object, turns
 from estimators.testing.conformance import CONFORMANCE, WITHOUT_DRAWS, small_object
+from estimators.testing.recorded import load_block
 from testbed.errors import InvalidValueError
 from testbed.simulation.planar_sysid import compile_scene, planar_scene, sink_depths
 from testbed.trial import OWN_WEIGHT, RIGID
@@ -64,6 +65,17 @@ def test_a_toolbox_without_its_needs_says_which_command_installs_them(monkeypatc
     monkeypatch.delattr(sysid, "SystemTrajectory", raising=False)
     with pytest.raises(InvalidValueError, match=re.escape("pip install 'heft-testbed[sysid]'")):
         MujocoSysid().estimate(PAIR.shape, PAIR.total_mass, turns(PAIR), 0)
+
+
+@pytest.mark.slow
+@with_toolbox
+def test_it_reaches_the_minimum_where_the_valley_bends(capsys):
+    known = load_block("F2-own_weight")  # its default optimizer ended at 16 %
+    shape, trials = known.model.shape, known.trials("ft300s", 0)
+    answer = MujocoSysid().estimate(shape, known.weighed("ft300s", 0), trials, 0)
+    assert answer.distribution is not None
+    assert normalized_absolute_difference(shape, answer.distribution, known.model.truth) < 0.03
+    assert capsys.readouterr().out == ""
 
 
 @pytest.mark.parametrize("wrong", [{"support": "springs"}, {"weighting": "velocity"}, {"iterations": 0}], ids=str)

@@ -37,7 +37,7 @@ from estimators.evaluation.metrics import normalized_absolute_difference
 from estimators.hidden_states.estimator import HiddenStates
 from scenarios.config import load_scenario
 from scenarios.policies import Policy
-from scenarios.runners import FeasibilityCheck, feasible_grasps, told
+from scenarios.runners import FeasibilityCheck, feasible_grasps, redacted
 from testbed.actions.base import Action
 from testbed.errors import HeftError, InfeasibleTrialError
 from testbed.objects.files import asset_folder
@@ -75,7 +75,7 @@ def made(model: ObjectModel, policy: ActionPolicy, refused: dict[Action, str], s
             try:
                 found.append(runner.run_clean(Trial(model, action)))
             except InfeasibleTrialError as error:
-                refused[action] = told(str(error))
+                refused[action] = redacted(str(error))
     return [trial for trial in found if trial.ok]
 
 

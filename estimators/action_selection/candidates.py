@@ -28,6 +28,10 @@ SWEEP_POINTS = 7
 """Points of a turn's path that are compared with the reach."""
 SLIDE_PART, ACCELERATED_PART, LIFT_PART, PUSH_PART = 0.1, 0.02, 0.005, 0.025
 """Parts of all candidates; the rest are turns."""
+SLIDE_DURATION = (1.6, 4.0)
+"""Least and greatest time at constant speed of a slide [s]."""
+HALF = 4
+"""Number of accelerations of a short accelerated turn, half of the default's."""
 MOST_PUSHES, MOST_DRAGS = 200, 100
 """Most pushes among the candidates, and most slides and turns of links: each is followed to its end."""
 
@@ -132,7 +136,7 @@ class ActionFamily:
         """Straight lines of 5 cm/s; centered in the workspace, so all within reach."""
         positions, angles = _places(shape)
         grasps, ways = rng.choice(allowed, count), rng.uniform(-math.pi, math.pi, count)
-        durations = np.exp(rng.uniform(np.log(1.6), np.log(4.0), count)).round(1)
+        durations = np.exp(rng.uniform(np.log(SLIDE_DURATION[0]), np.log(SLIDE_DURATION[1]), count)).round(1)
         length = Slide.speed * (durations + RAMP_TIME)
         along = length[:, None] * np.column_stack([np.cos(ways), np.sin(ways)])
         at = positions[grasps]
@@ -148,7 +152,7 @@ class ActionFamily:
         for index in range(count):
             grasp, sign = int(allowed[index % len(allowed)]), (1.0, -1.0)[(index // len(allowed)) % 2]
             whole = Accelerate(grasp)
-            steps = whole.accelerations[: (None, 4)[int(rng.integers(2))]]
+            steps = whole.accelerations[: (None, HALF)[int(rng.integers(2))]]
             if index < 2 * len(allowed):
                 steps = whole.accelerations
             found.append(Accelerate(grasp, tuple(sign * a for a in steps), whole.hold, sign * whole.start_speed))

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Literal, get_args
 
 import numpy as np
@@ -201,17 +202,26 @@ class Design:
         for place, action in zip(places, self.candidates, strict=True):
             if place not in way:
                 way[place] = self.time.between(self.shape, last, action)
-        return np.array([self.time.of(a) + way[place] for place, a in zip(places, self.candidates, strict=True)])
+        return self._own_seconds + np.array([way[place] for place in places])
+
+    @cached_property
+    def _own_seconds(self) -> Float[np.ndarray, "C"]:
+        """Robot time of every candidate by itself [s]."""
+        return np.array([self.time.of(action) for action in self.candidates])
 
     def novel(self, done: Sequence[Action]) -> np.ndarray:
         """True for each candidate that no action done is the same as, or nearly, (C,).
 
         Accelerated turns and lifts are ruled out before a trial at constant speed: alone they give no answer.
         """
+        begun = any(steady(action) for action in done)
+        return self.unlike(done) & np.array([begun or steady(a) for a in self.candidates], dtype=bool)
+
+    def unlike(self, done: Sequence[Action]) -> np.ndarray:
+        """True for each candidate that no action done is the same as, or nearly, (C,)."""
         # turns at constant speed are compared by grasp and center, pushes by point, other actions as a whole
         taken = {action for action in done if not _placed(action)}
-        begun = any(steady(action) for action in done)
-        keep = np.array([(begun or steady(a)) and a not in taken for a in self.candidates], dtype=bool)
+        keep = np.array([a not in taken for a in self.candidates], dtype=bool)
         placed = [action for action in done if _placed(action)]
         if placed and keep.size:
             mine, where = zip(*[_place(self.shape, a) for a in self.candidates], strict=True)

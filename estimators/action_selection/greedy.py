@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Literal, get_args
 
 import numpy as np
@@ -22,6 +22,9 @@ from testbed.trajectory import Trajectory
 from testbed.validation import check_integer
 
 Kind = Literal["random", "greedy", "batch"]
+Index = Callable[[Design, Belief, np.ndarray, np.ndarray, float], np.ndarray]
+"""Index of each candidate, the largest first, from design, belief, the fall of the criterion's logarithm, the robot
+time of each [s], and the robot time that is left [s]."""
 MOST_CHECKS = 60
 """Candidates whose feasibility is checked for one choice, before it is given up."""
 PASSES = 4
@@ -32,6 +35,13 @@ NOTHING = "there is nothing to grip or to push, or nothing within reach"
 """Why there is no action."""
 DRAWN_PER_TRIAL = 20
 """Actions that a random plan may draw for each trial."""
+
+
+def gain_rate(
+    design: Design, belief: Belief, gain: Float[np.ndarray, "C"], seconds: Float[np.ndarray, "C"], left: float
+) -> Float[np.ndarray, "C"]:
+    """Fall of the criterion's logarithm per second of robot time."""
+    return gain / seconds
 
 
 @dataclass(frozen=True)
@@ -56,6 +66,8 @@ class PlannedPolicy:
     """Seed of the candidates, and of the order of `random`."""
     feasible: Feasible = always_feasible
     """Check of an action by the robot or simulator."""
+    index: Index = gain_rate
+    """Value by which greedy chooses."""
 
     def __post_init__(self) -> None:
         if self.kind not in get_args(Kind):
@@ -93,7 +105,8 @@ def _planned(policy: PlannedPolicy, shape: ObjectShape, failed: tuple[Action, ..
     if policy.kind == "random":
         order = np.random.default_rng(policy.seed).permutation(len(kept))
         kept = [kept[i] for i in order[: DRAWN_PER_TRIAL * policy.goal.most]]
-    search = {"random": random_plan, "greedy": greedy_plan, "batch": batch_plan}[policy.kind]
+    greedy = partial(greedy_plan, index=policy.index)
+    search = {"random": random_plan, "greedy": greedy, "batch": batch_plan}[policy.kind]
     return search(design.of_some(kept), prior_belief(shape, policy.guess), policy.goal, log)
 
 
@@ -106,9 +119,15 @@ def _prepared(policy: PlannedPolicy, shape: ObjectShape) -> tuple[Design, Feasib
 
 
 def greedy_choice(
-    design: Design, belief: Belief, done: Sequence[Action], goal: Goal, left: float, log: FeasibilityLog
+    design: Design,
+    belief: Belief,
+    done: Sequence[Action],
+    goal: Goal,
+    left: float,
+    log: FeasibilityLog,
+    index: Index = gain_rate,
 ) -> tuple[int | None, str]:
-    """Candidate that teaches most a second of robot time; or None, and why there is none.
+    """Candidate of the largest index, by default the gain per second; or None, and why there is none.
 
     Where a candidate meets the goal by itself, it is the shortest that does.
     """
@@ -124,28 +143,28 @@ def greedy_choice(
     if not affordable.any():
         least = f"{seconds[useful].min():.0f} s"
         return None, f"the budget is spent: {left:.0f} s are left, and the shortest trial that teaches takes {least}"
-    score = np.where(affordable, gain / seconds, -np.inf)
+    score = np.where(affordable, index(design, belief, gain, seconds, left), -np.inf)
     if goal.until is not None and design.criterion == "I" and now > goal.until:
         ends = affordable & (after <= goal.until)
         score = np.where(ends, 1e6 / seconds, score)
-    for count, index in enumerate(_in_order(score)):
+    for count, best in enumerate(_in_order(score)):
         if count == MOST_CHECKS:
             break
-        if not log.refusal(design.candidates[index]):
-            return index, ""
+        if not log.refusal(design.candidates[best]):
+            return best, ""
     return None, f"the bench can do none of the {min(MOST_CHECKS, int(affordable.sum()))} best"
 
 
-def greedy_plan(design: Design, before: Belief, goal: Goal, log: FeasibilityLog) -> Plan:
+def greedy_plan(design: Design, before: Belief, goal: Goal, log: FeasibilityLog, index: Index = gain_rate) -> Plan:
     """Plan of one action after the other, each the best of its moment."""
     steps: list[PlanStep] = []
     belief, spent = before, 0.0
     while not (why := goal.ended(belief, len(steps))):
         done = [step.action for step in steps]
-        index, why = greedy_choice(design, belief, done, goal, goal.left(spent), log)
-        if index is None:
+        best, why = greedy_choice(design, belief, done, goal, goal.left(spent), log, index)
+        if best is None:
             break
-        steps.append(plan_step(design, belief, done[-1] if done else None, index))
+        steps.append(plan_step(design, belief, done[-1] if done else None, best))
         belief, spent = steps[-1].belief, spent + steps[-1].seconds
     return Plan(before, tuple(steps), why, log.rejected)
 

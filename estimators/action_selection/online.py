@@ -97,7 +97,7 @@ class OnlinePolicy:
         setup = self.guess.setup if windows is None else windows.setup
         hinges = _hinges(shape, self.guess, estimate)
         guess = replace(self.guess, supports=_supports(self.guess, estimate), setup=setup, hinge_friction=hinges)
-        at = _expansion_point(shape, guess, windows, estimate)
+        at = expansion_point(shape, guess, windows, estimate)
         misfit = estimate.diagnostics.get("misfit", 1.0) if estimate is not None else 1.0
         disagree = guess.supports == ("own_weight",) and misfit > UNEXPLAINED
         contradictory = estimate is not None and estimate.status == "contradictory"
@@ -172,7 +172,7 @@ def _hinges(shape: ObjectShape, guess: Guess, estimate: Estimate | None) -> tupl
     return tuple(max(estimate.diagnostics[f"hinge_{h}_Nm"], 0.0) for h in range(len(shape.chain.hinges)))
 
 
-def _expansion_point(
+def expansion_point(
     shape: ObjectShape, guess: Guess, windows: Observations | None, estimate: Estimate | None
 ) -> MassDistribution:
     """Point at which information is taken: the answer, or uniform masses with the friction of the measured drag.

@@ -113,9 +113,16 @@ def _planned(policy: PlannedPolicy, shape: ObjectShape, failed: tuple[Action, ..
 @lru_cache(maxsize=2)
 def _prepared(policy: PlannedPolicy, shape: ObjectShape) -> tuple[Design, FeasibilityLog]:
     """All candidates, and checks of them: where actions fail, none is predicted or checked again."""
+    alike = replace(policy, kind="greedy", index=gain_rate, goal=Goal(), feasible=always_feasible)
+    return _predicted(alike, shape), FeasibilityLog(policy.feasible)
+
+
+@lru_cache(maxsize=2)
+def _predicted(policy: PlannedPolicy, shape: ObjectShape) -> Design:
+    """All candidates, the same for every way to choose among them."""
     grasps = range(len(shape.grasps)) if policy.grasps is None else policy.grasps
     candidates = policy.family.sample(shape, grasps, policy.candidates, policy.seed)
-    return Design.of(shape, candidates, policy.guess, policy.criterion), FeasibilityLog(policy.feasible)
+    return Design.of(shape, candidates, policy.guess, policy.criterion)
 
 
 def greedy_choice(

@@ -6,7 +6,8 @@ policies   NAD against robot seconds for every policy, expected against achieved
 more       what more turns buy: expected NAD after 1 to 8 planned turns
 
 Options: --objects N drawn objects, in turn with the library's six (4), --first N of these (all), --draws N of the
-sensor (4), --workers N (2), --sensing (ft300s), --figure FILE, --rows FILE (keeps what was measured; goes on from it).
+sensor (4), --workers N (2), --sensing (ft300s), --policies NAMES (all), --figure FILE, --rows FILE (keeps what was
+measured; goes on from it).
 """
 
 from __future__ import annotations
@@ -36,6 +37,7 @@ from estimators.action_selection.greedy import PlannedPolicy, batch_plan, greedy
 from estimators.action_selection.online import OnlinePolicy
 from estimators.action_selection.plan import FeasibilityLog, Goal
 from estimators.action_selection.rank import RANK_DRIVEN, RankDriven
+from estimators.action_selection.trained import SHIPPED, TrainedIndex
 from estimators.base import ActionPolicy
 from estimators.evaluation.metrics import normalized_absolute_difference
 from estimators.hidden_states.estimator import HiddenStates
@@ -44,7 +46,7 @@ from estimators.particles.observe import observe
 from estimators.particles.windows import Observations
 from estimators.wrench.model import ModelErrors
 from scenarios.policies import Policy
-from scenarios.runners import FeasibilityCheck, feasible_grasps, told
+from scenarios.runners import FeasibilityCheck, feasible_grasps, redacted
 from testbed.actions.base import Action
 from testbed.errors import HeftError, InfeasibleTrialError
 from testbed.files import write_whole
@@ -59,6 +61,7 @@ from testbed.trajectory import Trajectory
 from testbed.trial import Trial
 
 LIBRARY = ("I1", "I2", "L1", "L2", "F1", "F2")
+COMPARED = ("published", "reversed_pairs", "random", "greedy", "batch", "trained", "online")
 TURNS = 5
 """There and back, so ten of the paper's."""
 BUDGET = 110.0
@@ -169,7 +172,7 @@ def policies(options: argparse.Namespace) -> None:
     asked = [model for model in both[: options.first] if model.name not in known]
     begin = time.perf_counter()
     with ProcessPoolExecutor(options.workers, get_context("spawn"), torch.set_num_threads, (1,)) as pool:
-        tasks = [pool.submit(_runs, model, options.sensing, options.draws) for model in asked]
+        tasks = [pool.submit(_runs, model, options.sensing, options.draws, options.policies) for model in asked]
         for count, task in enumerate(as_completed(tasks), 1):
             rows += task.result()
             print(f"{count} of {len(asked)} objects, {time.perf_counter() - begin:.0f} s", flush=True)
@@ -184,12 +187,12 @@ def _keep(rows: list[dict[str, Any]], path: Path) -> None:
     write_whole(path, lambda part: part.write_text(json.dumps(rows)))
 
 
-def _runs(model: ObjectModel, sensing_name: str, draws: int) -> list[dict[str, Any]]:
+def _runs(model: ObjectModel, sensing_name: str, draws: int, kinds: Sequence[str]) -> list[dict[str, Any]]:
     """Result of one object."""
-    return list(_rows(model, sensing_name, draws))
+    return list(_rows(model, sensing_name, draws, kinds))
 
 
-def _rows(model: ObjectModel, sensing_name: str, draws: int) -> Iterator[dict[str, Any]]:
+def _rows(model: ObjectModel, sensing_name: str, draws: int, kinds: Sequence[str]) -> Iterator[dict[str, Any]]:
     """Rows of an object: NAD after each trial of each policy, mean over draws; 1 draw where the policy sees it."""
     shape, sensing = model.shape, preset(sensing_name)
     weight = read_scale(model.total_mass, sensing, crc32(model.name.encode()))
@@ -203,7 +206,7 @@ def _rows(model: ObjectModel, sensing_name: str, draws: int) -> Iterator[dict[st
         try:
             yield made(action)
         except InfeasibleTrialError as error:
-            refused[action] = told(str(error))
+            refused[action] = redacted(str(error))
 
     check = FeasibilityCheck(shape, guess, refused=refused)
     goal = Goal(budget_s=BUDGET, most=20)
@@ -214,8 +217,11 @@ def _rows(model: ObjectModel, sensing_name: str, draws: int) -> Iterator[dict[st
             kind: PlannedPolicy(guess, kind, goal=goal, feasible=check)  # pyright: ignore[reportArgumentType]
             for kind in ("random", "greedy", "batch")
         },
+        "trained": PlannedPolicy(guess, goal=goal, index=TrainedIndex.load(SHIPPED), feasible=check),
     }
     for name, policy in ahead.items():
+        if name not in kinds:
+            continue
         clean: list[Trajectory] = []
         refused.clear()
         while (action := policy.next(shape, clean)) is not None and action not in refused:
@@ -231,6 +237,8 @@ def _rows(model: ObjectModel, sensing_name: str, draws: int) -> Iterator[dict[st
                 "nad": float(np.mean([_nad(model, weight, seen[:count]) for seen in drawn_])),
                 "expected": plan.steps[count - 1].belief.expected_nad if plan is not None and as_planned else None,
             }
+    if "online" not in kinds:
+        return
     online = OnlinePolicy(guess, goal, feasible=check, estimator=HiddenStates())
     felt: list[Trajectory] = []
     refused.clear()
@@ -282,7 +290,7 @@ def _told(rows: list[dict[str, Any]]) -> None:
             found = 100 * found[np.isfinite(found)]
             cells.append("-" if len(found) < len(objects) / 2 else _band(found))
         print(f"| {kind} | " + " | ".join(cells) + " |")
-    for against in ("reversed_pairs", "published"):
+    for against in sorted({"reversed_pairs", "published"} & {*kinds}):
         last = {o: run[o, against][-1] for o in objects if run[o, against]}
         median = np.median([row["robot_s"] for row in last.values()])
         print(f"robot time to the final NAD of {against}, as a part of its own (median {median:.0f} s)")
@@ -339,6 +347,7 @@ def main() -> None:
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--sensing", default="ft300s")
+    parser.add_argument("--policies", nargs="+", choices=COMPARED, default=COMPARED)
     parser.add_argument("--figure", type=Path, default=None)
     parser.add_argument("--rows", type=Path, default=None)
     options = parser.parse_args()

@@ -150,28 +150,26 @@ class PlanningEnv(gymnasium.Env[dict[str, np.ndarray], np.ndarray]):
         return np.asarray(canvas.buffer_rgba())[..., :3].copy()
 
     def _attempt(self, action: Action) -> tuple[float, str]:
-        """Robot time of an action [s], and why it was refused or failed; the belief after it."""
+        """Robot time of an action [s], and why it was refused or failed; takes it into the belief."""
         time = RobotTime()
         way = time.between(self.box.shape, self.done[-1] if self.done else None, action)
         seconds, why = way + time.of(action), self.box.refusal(action)
         if not why and seconds > self.left:
             why = f"it takes {seconds:.0f} s, and {self.left:.0f} s are left"
-        if not why and self.backend == "expected":
+        if why:
+            return way + time.around, why
+        if self.backend == "expected":
             if Design(self.box.shape, (action,), ()).unlike(self.done)[0]:
                 self.belief = self.belief.after(self._predicted(action))
-        elif not why:
+        else:
             try:
                 trial = self._trial(action)
             except InfeasibleTrialError as error:
-                why = redacted(str(error))
-            else:
-                why = "" if trial.ok else trial.reason or trial.status
-                seconds = way + robot_seconds([trial]) if self.backend == "mujoco" else seconds
-                self._learn(trial)
-                self.done.append(action)
-                return seconds, why
-        if why:
-            return way + time.around, why
+                return way + time.around, redacted(str(error))
+            self._learn(trial)
+            why = "" if trial.ok else trial.reason or trial.status
+            if self.backend == "mujoco":
+                seconds = way + robot_seconds([trial])
         self.done.append(action)
         return seconds, why
 

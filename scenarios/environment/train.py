@@ -1,9 +1,8 @@
-"""Training of the index of `TrainedPolicy` in the environment, by CMA-ES: python -m scenarios.environment.train."""
+"""Training of the index of `TrainedPolicy` in the environment by CMA-ES: python -m scenarios.environment.train."""
 
 from __future__ import annotations
 
-import warnings
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -22,38 +21,10 @@ from scenarios.environment.planning import PlanningEnv
 from testbed.errors import HeftError
 from testbed.validation import check_integer
 
+SPREAD = 0.3
+"""First standard deviation of the weights, about those of greedy."""
 UNSEEN = 1_000_000
-"""Seed of the first object on which weights are compared with greedy, none of which they are trained on."""
-
-
-class Course:
-    """Objects of an environment with the candidates of each, predicted once."""
-
-    def __init__(self, env: PlanningEnv, seeds: Sequence[int], candidates: int):
-        self.env, self.designs = env, dict[int, Design]()
-        for seed in track(seeds, "predicting candidates", transient=True):
-            env.reset(seed=seed)
-            drawn = env.family.sample(env.box.shape, env.box.grasps, candidates, seed)
-            near = dict.fromkeys(env.box.action(env.box.point(action)) for action in drawn)
-            kept = [action for action in near if not env.box.refusal(action)]
-            self.designs[seed] = Design.of(env.box.shape, kept, env.guess)
-
-    def falls(self, index: Index) -> Float[np.ndarray, "episodes"]:
-        """Fall of the logarithm of the expected NAD in an episode of each object, actions chosen by an index."""
-        return np.array([self._fall(seed, index) for seed in self.designs])
-
-    def _fall(self, seed: int, index: Index) -> float:
-        env, design, total, over = self.env, self.designs[seed], 0.0, False
-        env.reset(seed=seed)
-        each = (design.information_of([i]) for i in range(len(design.candidates)))
-        env.predictions.update(zip(design.candidates, each, strict=True))
-        while not over:
-            best, _ = greedy_choice(design, env.belief, env.done, Goal(), env.left, FeasibilityLog(), index)
-            if best is None:
-                break
-            _, reward, _, over, info = env.step(env.box.point(design.candidates[best]))
-            total += reward * info["seconds"]
-        return total
+"""Distance of the seeds of the objects for comparison from those for training."""
 
 
 def train(
@@ -64,68 +35,88 @@ def train(
     population: int = 10,
     candidates: int = 400,
     budget_s: float = 110.0,
-    spread: float = 0.3,
     seed: int = 0,
-) -> tuple[TrainedIndex, Float[np.ndarray, "2 episodes"]]:
+) -> Float[np.ndarray, "2 unseen"]:
     """Search the weights that lower the expected NAD of drawn objects most, and compare them with greedy on others.
 
     Args:
         out: file of the weights.
         objects: number of objects to train on.
-        unseen: number of objects to compare on.
-        generations: of CMA-ES, which begins with greedy.
-        population: of a generation.
-        candidates: actions of each object.
+        unseen: number of other objects to compare on.
+        generations: generations of CMA-ES, which begins with greedy.
+        population: candidates of weights in a generation, at least 3.
+        candidates: actions to choose from.
         budget_s: robot time of an episode [s].
-        spread: first standard deviation of the weights.
         seed: seed of the objects and of the search.
+
+    Returns:
+        Fall of the logarithm of the expected NAD of each unseen object, by greedy and by the trained index.
     """
     for name, value in {"objects": objects, "unseen": unseen, "generations": generations}.items():
         check_integer(name, value)
+    check_integer("population", population, least=3)
     env = PlanningEnv("expected", "log_nad", budget_s)
-    course = Course(env, range(seed, seed + objects), candidates)
+    known = _designs(env, range(seed, seed + objects), candidates)
 
     def index(weights: Float[np.ndarray, "9"]) -> TrainedIndex:
         return TrainedIndex(tuple(tuple(row) for row in weights.reshape(SHAPE).round(4).tolist()), budget_s)
 
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", RuntimeWarning)  # rounding in the first steps of the covariance
-        search = CMA(np.zeros(int(np.prod(SHAPE))), spread, seed=seed, population_size=population)
+    search = CMA(np.zeros(int(np.prod(SHAPE))), SPREAD, seed=seed, population_size=population)
     for _ in track(range(generations), "training", transient=True):
-        drawn = [search.ask() for _ in range(search.population_size)]
-        search.tell([(weights, -float(course.falls(index(weights)).mean())) for weights in drawn])
+        drawn = [search.ask() for _ in range(population)]
+        search.tell([(weights, -float(_falls(env, known, index(weights)).mean())) for weights in drawn])
     found = index(search.mean)
-    others = Course(env, range(UNSEEN + seed, UNSEEN + seed + unseen), candidates)
-    falls = np.array([others.falls(each) for each in (gain_rate, found)])
+    others = _designs(env, range(UNSEEN + seed, UNSEEN + seed + unseen), candidates)
+    falls = np.array([_falls(env, others, each) for each in (gain_rate, found)])
     found.save(out, objects=objects, generations=generations, population=population, seed=seed)
-    return found, falls
+    return falls
 
 
-def main(out: Path, objects: int = 24, unseen: int = 24, generations: int = 20, seed: int = 0) -> None:
-    """Train the weights of heft's trained policy, and compare it with greedy on objects that it was not trained on.
+def _designs(env: PlanningEnv, seeds: Sequence[int], candidates: int) -> dict[int, Design]:
+    """Candidates of the object of each seed, predicted once."""
+    found = {}
+    for seed in track(seeds, "predicting", transient=True):
+        env.reset(seed=seed)
+        drawn = env.family.sample(env.box.shape, env.box.grasps, candidates, seed)
+        near = dict.fromkeys(env.box.action(env.box.point(action)) for action in drawn)
+        found[seed] = Design.of(env.box.shape, [a for a in near if not env.box.refusal(a)], env.guess)
+    return found
 
-    Args:
-        out: file of the weights.
-        objects: number of objects to train on.
-        unseen: number of objects to compare on.
-        generations: generations of the search.
-        seed: seed of the objects and of the search.
-    """
+
+def _falls(env: PlanningEnv, designs: Mapping[int, Design], index: Index) -> Float[np.ndarray, "episodes"]:
+    """Fall of the logarithm of the expected NAD in an episode of each object, actions chosen by an index."""
+    return np.array([_fall(env, seed, design, index) for seed, design in designs.items()])
+
+
+def _fall(env: PlanningEnv, seed: int, design: Design, index: Index) -> float:
+    env.reset(seed=seed)
+    total, over = 0.0, False
+    env.predictions.update({a: design.information_of([i]) for i, a in enumerate(design.candidates)})
+    while not over:
+        best, _ = greedy_choice(design, env.belief, env.done, Goal(), env.left, FeasibilityLog(), index)
+        if best is None:
+            break
+        _, reward, _, over, info = env.step(env.box.point(design.candidates[best]))
+        total += reward * info["seconds"]
+    return total
+
+
+def main() -> None:
+    """Train, and print the comparison."""
     torch.set_num_threads(1)
-    console = Console()
-    _, falls = train(out, objects, unseen, generations, seed=seed)
-    for name, each in zip(("greedy", "trained"), falls, strict=True):
-        left = 100 * np.exp(-each.mean())
-        console.print(f"{name}: expected NAD falls to {left:.2f} % of its first value in {len(each)} unseen episodes")
+    try:
+        falls = tyro.cli(train)
+    except HeftError as error:
+        raise SystemExit(str(error)) from None
+    greedy, trained = 100 * np.exp(-falls.mean(axis=1))
     better = falls[1] - falls[0]
-    console.print(
-        f"trained over greedy: lower by {100 * (1 - np.exp(-better.mean())):.1f} % (geometric mean, standard error "
-        f"{100 * better.std() / np.sqrt(len(better)):.1f} %); better on {(better > 1e-9).sum()} of {len(better)}"
+    error = 100 * better.std() / np.sqrt(len(better))
+    Console(soft_wrap=True).print(
+        f"{len(better)} unseen objects: expected NAD falls to {greedy:.2f} % of its first value by greedy, "
+        f"{trained:.2f} % by the trained index: {100 * (1 - np.exp(-better.mean())):.1f} % lower (geometric mean, "
+        f"standard error {error:.1f} %); lower on {(better > 1e-9).sum()}, higher on {(better < -1e-9).sum()}"
     )
 
 
 if __name__ == "__main__":
-    try:
-        tyro.cli(main)
-    except HeftError as error:
-        raise SystemExit(str(error)) from None
+    main()

@@ -22,6 +22,7 @@ from scenarios.study.run import run_scenario
 from testbed.actions.rotate import Rotate
 from testbed.errors import InvalidValueError
 from testbed.objects.files import load_object
+from tests.helpers.pages import DOCS, blocks_of, run_file
 from tests.helpers.runs import quiet, small_scenario
 
 pytestmark = pytest.mark.slow
@@ -142,6 +143,15 @@ def test_the_expected_backend_needs_no_mujoco():
     assert done.stdout.strip() == "False"
 
 
+def test_the_episode_of_the_documentation_runs(tmp_path, monkeypatch, capsys):
+    blocks = blocks_of(DOCS / "environment.md")
+    (code,) = (block.text for block in blocks if block.title == "episode.py")
+    (tmp_path / "episode.py").write_text(code, encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    run_file("episode.py")
+    assert capsys.readouterr().out == next(block.text for block in blocks if block.mark.endswith("episode.py"))
+
+
 def test_two_environments_in_processes_of_their_own():
     alone = gymnasium.make_vec(ID, 2, "sync", budget_s=40.0)
     apart = gymnasium.make_vec(ID, 2, "async", vector_kwargs={"context": "spawn"}, budget_s=40.0)
@@ -167,7 +177,7 @@ def test_two_environments_in_processes_of_their_own():
         ({"reward": "final"}, "reward"),
         ({"budget_s": 0.0}, "budget_s"),
         ({"blocks": (1, 4)}, "blocks"),
-        ({"object": "fold_2"}, "object"),
+        ({"object": "shears"}, "object"),
     ],
 )
 def test_settings_that_mean_nothing_are_named(settings, field):
@@ -176,10 +186,10 @@ def test_settings_that_mean_nothing_are_named(settings, field):
     assert error.value.field == f"PlanningEnv.{field}"
 
 
-def test_training_improves_on_what_it_is_trained_on_and_its_policy_runs_in_a_scenario(tmp_path: Path):
+def test_the_policy_of_a_short_training_runs_in_a_scenario(tmp_path: Path):
     weights = tmp_path / "w.json"
-    found, falls = train(weights, objects=2, unseen=2, generations=2, population=4, candidates=40, budget_s=60.0)
-    assert TrainedIndex.load(weights) == found
+    falls = train(weights, objects=2, unseen=2, generations=2, population=4, candidates=40, budget_s=60.0)
+    assert TrainedIndex.load(weights).budget_s == 60.0
     assert falls.shape == (2, 2)
     assert (falls > 1).all()
     small_scenario(tmp_path)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
 from enum import IntEnum
 from pathlib import Path
@@ -210,17 +211,10 @@ _CAMERA = ("camera.time_s", "camera.poses")
 _CAMERA_ERRORS = ("position_std", "angle_std", "delay_std")
 
 
-def save_trajectory(trajectory: Trajectory, path: Path) -> None:
-    """Write a trajectory as Parquet (zstd, byte-stream split), whole or not at all."""
-    columns: dict[str, np.ndarray] = {
-        "time_s": trajectory.time_s,
-        "phase": trajectory.phase,
-        "segment": trajectory.segment,
-    }
-    for name, units in SERIES.items():
-        columns |= {f"{name}.{unit}": getattr(trajectory, name)[:, i] for i, unit in enumerate(units)}
+def header_of(trajectory: Trajectory) -> dict[str, Any]:
+    """All of a trajectory but its series and its camera's frames, as plain data."""
     tool, camera = trajectory.tool, trajectory.camera
-    header = {
+    return {
         "schema_version": SCHEMA_VERSION,
         "action": trajectory.action.to_dict(),
         "status": trajectory.status,
@@ -233,8 +227,19 @@ def save_trajectory(trajectory: Trajectory, path: Path) -> None:
         "tool": None if tool is None else {k: np.asarray(v).tolist() for k, v in asdict(tool).items()},
         "camera": None if camera is None else {name: getattr(camera, name) for name in _CAMERA_ERRORS},
     }
+
+
+def save_trajectory(trajectory: Trajectory, path: Path) -> None:
+    """Write a trajectory as Parquet (zstd, byte-stream split), whole or not at all."""
+    columns: dict[str, np.ndarray] = {
+        "time_s": trajectory.time_s,
+        "phase": trajectory.phase,
+        "segment": trajectory.segment,
+    }
+    for name, units in SERIES.items():
+        columns |= {f"{name}.{unit}": getattr(trajectory, name)[:, i] for i, unit in enumerate(units)}
     table = _with_camera(pa.table(columns), trajectory.camera).replace_schema_metadata(
-        {"heft": json.dumps(header), "checksum": UNSEALED}
+        {"heft": json.dumps(header_of(trajectory)), "checksum": UNSEALED}
     )
     floats = [name for name, values in columns.items() if values.dtype == np.float64]
     write_sealed(
@@ -249,6 +254,35 @@ def save_trajectory(trajectory: Trajectory, path: Path) -> None:
     )
 
 
+def trajectory_of(header: dict[str, Any], series: Mapping[str, np.ndarray], camera: PoseStream | None) -> Trajectory:
+    """Trajectory of a header as `header_of` makes it.
+
+    Args:
+        header: plain data.
+        series: `time_s`, `phase`, `segment` and the arrays of `SERIES`, by name; others are ignored.
+        camera: poses of the object by a camera, or None.
+
+    Raises:
+        ValueError: a header of another schema.
+        KeyError: a header or series that lacks an entry.
+    """
+    if header["schema_version"] != SCHEMA_VERSION:
+        raise ValueError(f"schema {header['schema_version']}; this version of heft reads {SCHEMA_VERSION}")
+    return Trajectory(
+        action=action_from_dict(header["action"]),
+        status=header["status"],
+        reason=header["reason"],
+        **{name: series[name] for name in ("time_s", "phase", "segment", *SERIES)},
+        tool=None if header["tool"] is None else Tool(**header["tool"]),
+        sensor_bias_std=header["sensor_bias_std"],
+        sensor_drift_std=header.get("sensor_drift_std", [0.0] * 6),  # records from before it was kept
+        setup=SetupErrors(**header.get("setup", {})),
+        camera=camera,
+        figures=header["figures"],
+        provenance=header["provenance"],
+    )
+
+
 def load_trajectory(path: Path) -> Trajectory:
     """Read a trajectory back.
 
@@ -259,26 +293,9 @@ def load_trajectory(path: Path) -> Trajectory:
     def parsed(data: bytes) -> Trajectory:
         table = read_table(data)
         header: dict[str, Any] = json.loads((table.schema.metadata or {})[b"heft"])
-        if header["schema_version"] != SCHEMA_VERSION:
-            raise ValueError(f"schema {header['schema_version']}; this version of heft reads {SCHEMA_VERSION}")
         columns = {name: table.column(name).to_numpy() for name in table.column_names if name not in _CAMERA}
         series = {name: np.stack([columns[f"{name}.{u}"] for u in units], axis=1) for name, units in SERIES.items()}
-        return Trajectory(
-            action=action_from_dict(header["action"]),
-            status=header["status"],
-            reason=header["reason"],
-            time_s=columns["time_s"],
-            phase=columns["phase"],
-            segment=columns["segment"],
-            **series,
-            tool=None if header["tool"] is None else Tool(**header["tool"]),
-            sensor_bias_std=header["sensor_bias_std"],
-            sensor_drift_std=header.get("sensor_drift_std", [0.0] * 6),  # records from before it was kept
-            setup=SetupErrors(**header.get("setup", {})),
-            camera=_camera_of(table, header.get("camera")),
-            figures=header["figures"],
-            provenance=header["provenance"],
-        )
+        return trajectory_of(header, columns | series, _camera_of(table, header.get("camera")))
 
     return load_sealed(path, "trajectory file", parsed)
 

@@ -99,15 +99,16 @@ def read_manifest(folder: Path) -> dict[str, Any] | None:
 
 def write_json(path: Path, data: dict[str, Any]) -> None:
     """Write JSON with its checksum, whole or not at all; NaN becomes null."""
-    text = json.dumps(_plain(data) | {"checksum": UNSEALED}, indent=1) + "\n"
+    text = json.dumps(plain(data) | {"checksum": UNSEALED}, indent=1) + "\n"
     write_sealed(path, lambda part: part.write_text(text, encoding="utf-8"))
 
 
-def _plain(value: Any) -> Any:
+def plain(value: Any) -> Any:
+    """Value as JSON has it: NaN and infinity become null, arrays lists."""
     if isinstance(value, dict):
-        return {str(k): _plain(v) for k, v in value.items()}
+        return {str(k): plain(v) for k, v in value.items()}
     if isinstance(value, list | tuple | np.ndarray):
-        return [_plain(v) for v in value]
+        return [plain(v) for v in value]
     if isinstance(value, float | np.floating):
         return float(value) if np.isfinite(value) else None
     return value.item() if isinstance(value, np.generic) else value

@@ -177,8 +177,8 @@ class Store:
 
     def put_object(self, path: Path, file: ObjectFile) -> None:
         """Write a drawn object as a file that a user can take."""
-        blocks = file.blocks.model_dump(exclude_none=True) if file.blocks else {}
-        text = toml_text({"name": file.name, "blocks": blocks}) + f"# {UNSEALED}\n"
+        given = {name: value for name, value in file.model_dump(exclude_none=True).items() if value}
+        text = toml_text(given) + f"# {UNSEALED}\n"
         write_sealed(path, lambda part: part.write_text(text, encoding="utf-8"))
 
     def has_object(self, path: Path) -> bool:

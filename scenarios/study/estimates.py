@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import os
 from collections import Counter, deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext, redirect_stderr, redirect_stdout
 from dataclasses import dataclass, field
 from functools import lru_cache, partial
@@ -253,8 +253,10 @@ def estimate(draws: Sequence[tuple[EstimateTask, int, str]], store: Store) -> No
     trials = [sensed_trials(store, task.keys + task.held_out, task.sensing, seed) for task, seed, _ in draws]
     seen = [drawn[: len(task.keys)] for drawn, (task, _, _) in zip(trials, draws, strict=True)]
     task = draws[0][0]
-    with nullcontext() if task.kind in METHODS else _printing_into(store.log(task.method)):
-        answers = _answers(task, seen, [seed for _, seed, _ in draws])
+    with nullcontext() if task.kind in METHODS else printing_into(store.log(task.method)):
+        weights, moved = [weight_of(trials[0]) for trials in seen], [trials[1:] for trials in seen]
+        seeds = [seed for _, seed, _ in draws]
+        answers = judged_answers(task.method, task.settings, task.truth.shape, weights, moved, seeds)
     for (task, seed, key), drawn, given, answer in zip(draws, trials, seen, answers, strict=True):
         labels = task.labels() | {"trial_keys": list(task.keys), "held_out_keys": list(task.held_out)}
         judged = judge(task.truth, answer, given, drawn[len(given) :], task.true_support)
@@ -262,7 +264,7 @@ def estimate(draws: Sequence[tuple[EstimateTask, int, str]], store: Store) -> No
 
 
 @contextmanager
-def _printing_into(path: Path) -> Iterator[None]:
+def printing_into(path: Path) -> Iterator[None]:
     """Output of another package's code into the end of a file: not among the tables, and kept in a crash."""
     path.parent.mkdir(exist_ok=True)
     with path.open("a", encoding="utf-8", buffering=1) as log, redirect_stdout(log), redirect_stderr(log):
@@ -283,22 +285,36 @@ def _restored() -> Iterator[None]:
         np.seterr(**errors)
 
 
-def _answers(task: EstimateTask, seen: list[list[Trajectory]], seeds: list[int]) -> list[Estimate]:
-    """The method's answers, judged by their misfit.
+def judged_answers(
+    label: str,
+    settings: Mapping[str, Any],
+    shape: ObjectShape,
+    weights: Sequence[float],
+    moved: Sequence[Sequence[Trajectory]],
+    seeds: Sequence[int],
+) -> list[Estimate]:
+    """Answers of a method on draws of one object's trials, judged by their misfit.
+
+    Args:
+        label: label of the method.
+        settings: its settings.
+        shape: geometry and groups.
+        weights: M as weighed of each draw, kg.
+        moved: trials of each draw, without the weighing.
+        seeds: seed of each draw.
 
     Raises:
         HeftError: the method raised an error, or an answer is none for this object.
     """
-    method: Any = build_method(task.method, task.settings)
-    shape, weights, moved = task.truth.shape, [weight_of(trials[0]) for trials in seen], [t[1:] for t in seen]
-    called = f"{task.kind}.estimate{'_many' if len(seen) > 1 else ''}()"
+    method: Any = build_method(label, settings)
+    called = f"{kind_of(label, settings)}.estimate{'_many' if len(moved) > 1 else ''}()"
     with placed_errors(type(method)), _restored():
-        if len(seen) > 1:
+        if len(moved) > 1:
             answers = list(method.estimate_many(shape, weights, moved, seeds))
         else:
             answers = [method.estimate(shape, *one) for one in zip(weights, moved, seeds, strict=True)]
-    if len(answers) != len(seen):
-        raise InvalidValueError(called, f"{len(answers)} answers", f"{len(seen)}, one a draw")
+    if len(answers) != len(moved):
+        raise InvalidValueError(called, f"{len(answers)} answers", f"{len(moved)}, one a draw")
     for answer in answers:
         _check(called, answer, shape)
     return [judged(each, shape, weight, given) for each, weight, given in zip(answers, weights, moved, strict=True)]

@@ -23,7 +23,7 @@ from scenarios.config import Policy, Scenario, load_scenario
 from scenarios.results.estimates import load_results
 from scenarios.results.files import read_json
 from scenarios.study.dry_run import check_code
-from scenarios.study.estimates import EstimateTask, _answers
+from scenarios.study.estimates import judged_answers
 from testbed import plugins
 from testbed.actions.rotate import Rotate
 from testbed.errors import HeftError, InvalidValueError
@@ -31,7 +31,6 @@ from testbed.objects.files import load_object
 from testbed.objects.model import ObjectShape
 from testbed.plugins import configured, find_class, find_code_here, load_class, source_hash
 from testbed.simulation.settings import SimulationSettings
-from testbed.trajectory import Trajectory
 
 MODULE = '''
 from dataclasses import dataclass
@@ -314,10 +313,9 @@ class Meddler:
 def test_a_method_leaves_its_process_as_it_was(monkeypatch):
     monkeypatch.setitem(METHODS, "meddler", Meddler)
     before = Path.cwd(), dict(os.environ), torch.get_default_dtype(), np.geterr()
-    trials = [Trajectory.of_scale(np.array([17.65]), np.zeros(1), {}), *load_block("I1-own_weight").trials("ideal")]
-    task = EstimateTask(load_object("I1"), "own_weight", {}, (), (), "", "ideal", (0,), "meddler", {}, False)
+    trials = load_block("I1-own_weight").trials("ideal")
     with pytest.raises(HeftError, match=r"RuntimeError: no idea \(tests/scenarios/test_plugins\.py, line \d+\)"):
-        _answers(task, [trials], [0])
+        judged_answers("meddler", {}, load_object("I1").shape, [1.8], [trials], [0])
     assert (Path.cwd(), dict(os.environ), torch.get_default_dtype(), np.geterr()) == before
 
 

@@ -36,6 +36,9 @@ COMMANDS = {
     "identify": ("scenarios.cli.plan:identify", "Predict what trials of an object would show of its masses."),
     "plan": ("scenarios.cli.plan:plan", "Plan actions that show an object's masses in little robot time."),
     "touch": ("scenarios.cli.touch:touch", "Choose and simulate actions until an object's masses are known."),
+    "benchmark make": ("scenarios.cli.benchmark.make:make", "Simulate a benchmark with hidden test masses."),
+    "benchmark answer": ("scenarios.cli.benchmark.answer:answer", "Answer a benchmark's problems by methods, as CSV."),
+    "score": ("scenarios.cli.benchmark.score:score", "Score answers to a benchmark: accuracy, honesty, robot time."),
     "import": ("scenarios.cli.data:import_", "Read another robot's logs (CSV, Parquet, HDF5, MCAP, bags) as trials."),
     "estimate": ("scenarios.cli.data:estimate", "Estimate from the measured trials of a folder by every method."),
     "calibrate": ("scenarios.cli.data:calibrate", "Calibrate a force/torque sensor from a recording of still poses."),
@@ -48,10 +51,13 @@ COMMANDS = {
     "robot verify": ("scenarios.cli.robot.check:verify", "Check the sensor's sign, rotation and zero by trials."),
 }  # fmt: skip
 """Function of each command, and its line in `heft --help`."""
-GROUPS = {"robot": "The real robot: check it, show its sensor, calibrate it, run a trial on it, verify its trials."}
+GROUPS = {
+    "benchmark": "A benchmark with hidden truth: make it, and answer it by heft's methods or your own.",
+    "robot": "The real robot: check it, show its sensor, calibrate it, run a trial on it, verify its trials.",
+}
 """First words of commands of two words."""
-TOPICS = {"run": "Run and compare", "objects": "Objects and library", "identify": "Plan", "import": "Measured data",
-          "robot check": "Real robot"}  # fmt: skip
+TOPICS = {"run": "Run and compare", "objects": "Objects and library", "identify": "Plan", "benchmark make": "Benchmark",
+          "import": "Measured data", "robot check": "Real robot"}  # fmt: skip
 """Headings of `heft --help`, by the first command under each."""
 ABOUT = "What can a robot learn about an object's mass distribution from the wrench at its wrist?"
 

@@ -1,0 +1,1 @@
+"""Benchmark with hidden truth: a published set of simulated trials, answers as CSV, and their scores."""

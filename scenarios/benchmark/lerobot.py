@@ -1,0 +1,126 @@
+"""Metadata that make the samples a LeRobot dataset of version 3.0: features, tasks, episodes, splits, statistics."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+
+from scenarios.benchmark.dataset import PREFIX, write_rows
+from testbed.files import write_whole
+from testbed.trajectory import SERIES
+
+FPS = 100
+"""Samples a second."""
+TASKS = {
+    "rotate": "Turn the object on the table about a grasp.",
+    "accelerate": "Turn the object on the table about a grasp with stepped acceleration.",
+    "slide": "Slide the object over the table.",
+    "push": "Push a face of the object.",
+    "path": "Drag the object along a path.",
+    "lift": "Lift the object and tilt it in the air.",
+}
+"""Task of each kind of action, in words."""
+SCALARS = {
+    "timestamp": "float32",
+    "frame_index": "int64",
+    "episode_index": "int64",
+    "index": "int64",
+    "task_index": "int64",
+    "time_s": "float64",
+    "phase": "int64",
+    "segment": "int64",
+}
+"""Types of the columns of one number."""
+
+
+@dataclass(eq=False)
+class Statistics:
+    """Statistics of the columns over all samples, a trial at a time."""
+
+    count: int = 0
+    of: dict[str, tuple[np.ndarray, ...]] = field(default_factory=dict)
+    """Least, most, sum and sum of squares of each column."""
+
+    def add(self, samples: pa.Table) -> None:
+        """Take the samples of a trial."""
+        self.count += len(samples)
+        for name, column in zip(samples.column_names, samples.columns, strict=True):
+            flat = column.combine_chunks()
+            nested = isinstance(flat, pa.FixedSizeListArray)
+            values = (flat.flatten() if nested else flat).to_numpy().reshape(len(samples), -1).astype(float)
+            new = values.min(0), values.max(0), values.sum(0), (values**2).sum(0)
+            old = self.of.get(name, (np.full_like(new[0], np.inf), np.full_like(new[0], -np.inf), 0.0, 0.0))
+            self.of[name] = np.minimum(old[0], new[0]), np.maximum(old[1], new[1]), old[2] + new[2], old[3] + new[3]
+
+    def table(self) -> dict[str, dict[str, list[float]]]:
+        """Least, most, mean, standard deviation and number of samples of each column."""
+        found = {}
+        for name, (low, high, total, squares) in self.of.items():
+            mean = total / self.count
+            spread = np.sqrt(np.maximum(squares / self.count - mean**2, 0))
+            found[name] = {key: v.tolist() for key, v in (("min", low), ("max", high), ("mean", mean), ("std", spread))}
+            found[name]["count"] = [self.count]
+        return found
+
+
+def write_meta(folder: Path, trials: Sequence[dict[str, Any]], splits: Sequence[str], statistics: Statistics) -> None:
+    """Write the folder `meta`.
+
+    Args:
+        folder: the published folder.
+        trials: rows of the table of trials, in order of their episodes.
+        splits: split of each trial.
+        statistics: statistics of all samples.
+    """
+    tasks = list(TASKS.values())
+    end = np.cumsum([trial["samples"] for trial in trials])
+    episodes = [
+        {
+            "episode_index": index,
+            "tasks": [TASKS[trial["action"]]],
+            "length": trial["samples"],
+            "data/chunk_index": 0,
+            "data/file_index": 0,
+            "dataset_from_index": int(stop) - trial["samples"],
+            "dataset_to_index": int(stop),
+            "meta/episodes/chunk_index": 0,
+            "meta/episodes/file_index": 0,
+            "problem": trial["problem"],
+            "trial": trial["trial"],
+        }
+        for index, (trial, stop) in enumerate(zip(trials, end, strict=True))
+    ]
+    write_rows(folder / "meta/episodes/chunk-000/file-000.parquet", episodes)
+    frame = pd.DataFrame({"task_index": range(len(tasks))}, index=pd.Index(tasks, name="task"))
+    write_whole(folder / "meta/tasks.parquet", frame.to_parquet)
+    plain = {name: {"dtype": dtype, "shape": [1], "names": None} for name, dtype in SCALARS.items()}
+    series = {
+        PREFIX + name: {"dtype": "float32", "shape": [len(units)], "names": list(units)}
+        for name, units in SERIES.items()
+    }
+    ranges = {name: [i for i, split in enumerate(splits) if split == name] for name in dict.fromkeys(splits)}
+    info = {
+        "codebase_version": "v3.0",
+        "robot_type": "kinova_gen3",
+        "total_episodes": len(trials),
+        "total_frames": int(end[-1]),
+        "total_tasks": len(tasks),
+        "chunks_size": 1000,
+        "data_files_size_in_mb": 100,
+        "video_files_size_in_mb": 200,
+        "fps": FPS,
+        "splits": {name: f"{own[0]}:{own[-1] + 1}" for name, own in ranges.items()},
+        "data_path": "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet",
+        "video_path": None,
+        "features": plain | series,
+    }
+    for name, content in (("info", info), ("stats", statistics.table())):
+        text = json.dumps(content, indent=1) + "\n"
+        write_whole(folder / f"meta/{name}.json", lambda part, text=text: part.write_text(text, encoding="utf-8"))

@@ -1,0 +1,158 @@
+"""`heft score`: scores of answers to a benchmark, as tables and JSON."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import tyro
+
+from scenarios.cli.terminal import open_console
+from testbed.errors import InvalidValueError
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from scenarios.benchmark.answers import Answer
+    from scenarios.benchmark.dataset import Benchmark, Truth
+
+EVEN = "even masses"
+"""Name of the answer that every mass is as large as its part of the area: the reference."""
+MOST_NAMED = 3
+"""Problems that a line names."""
+COLUMNS = {
+    "problems": ("problems", 1.0, ".0f"),
+    "answered": ("ok, %", 100.0, ".0f"),
+    "nad": ("NAD, %", 100.0, ".3g"),
+    "nad_median": ("median", 100.0, ".3g"),
+    "com_error_m": ("c, mm", 1e3, ".2g"),
+    "inertia_error": ("I, %", 100.0, ".2g"),
+    "held": ("90 % hold", 100.0, ".0f"),
+    "interval_score": ("interval, %", 100.0, ".3g"),
+    "silent": ("silent, %", 100.0, ".0f"),
+    "robot_s": ("robot, s", 1.0, ".0f"),
+}
+"""Heading, factor and format of each figure."""
+NOTES = (
+    "NAD: mean and median; c, I: median errors of center of mass and inertia; interval: mean interval score of 90 % "
+    "intervals over the object's mass, less is better; silent: of the answers that claim errors, those with status ok "
+    "and a mass off by more than 3 of them; -: no errors claimed. A missing answer counts as even masses."
+)
+
+
+def score(
+    answers: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="ANSWERS.csv ...")],
+    *,
+    benchmark: Annotated[Path, tyro.conf.arg(metavar="DIR")],
+    truth: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None,
+    split: Annotated[str | None, tyro.conf.arg(metavar="SPLIT")] = None,
+    json: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None,
+) -> None:
+    """Score answers to a benchmark by world and kind; several files are compared.
+
+    Examples: heft score mine.csv --benchmark results/benchmark
+              heft score results/answers/*.csv --benchmark results/benchmark --json scores.json
+
+    Args:
+        answers: CSV files with the columns problem, group, mass_kg, error_kg, status; the last two may be left out.
+        benchmark: published folder.
+        truth: truth of the test split; without it train and validation are scored alone.
+        split: split to score; that of the answers if left out.
+        json: file for all figures and the rows of all problems.
+    """
+    from json import dumps
+
+    from scenarios.benchmark import score as scoring
+    from scenarios.benchmark.answers import read_answers
+    from scenarios.benchmark.dataset import Benchmark
+    from scenarios.results.files import plain
+    from testbed.files import write_whole
+
+    opened = Benchmark.open(benchmark)
+    given = {path.stem: read_answers(path, opened.problems) for path in answers}
+    if len(given) < len(answers):
+        raise InvalidValueError("ANSWERS.csv", [str(path) for path in answers], "files of different names")
+    known = scoring.truths(opened, truth)
+    chosen = split or _split_of(opened, given, known)
+    rows = {name: scoring.score(opened, each, known, chosen) for name, each in given.items()}
+    for name, each in rows.items():
+        if missing := [row["problem"] for row in each if not row["answered"]]:
+            count = f"{len(missing)} of {len(each)} problems"
+            print(f"{name}: {count} have no answer and count as even masses: {', '.join(missing[:MOST_NAMED])}")
+    rows[EVEN] = scoring.score(opened, {}, known, chosen)
+    console = open_console()
+    for table in _by_cell(chosen, rows) if len(given) == 1 else _by_method(chosen, rows):
+        console.print(table)
+    console.print(NOTES)
+    if json is not None:
+        content = {
+            name: {"all": scoring.figures(each), "cells": _cells(each), "problems": each} for name, each in rows.items()
+        }
+        text = dumps(plain({"split": chosen, "answers": content}), indent=1) + "\n"
+        write_whole(json, lambda part: part.write_text(text, encoding="utf-8"))
+
+
+def _split_of(benchmark: Benchmark, given: Mapping[str, Mapping[str, Answer]], known: Mapping[str, Truth]) -> str:
+    """Split of the answers; where they are of several, the last of which the truth is known."""
+    of = {benchmark.problems[name].split for answers in given.values() for name in answers}
+    scored = [each.split for each in benchmark.problems.values() if each.split in of and each.problem in known]
+    return scored[-1] if scored else next(iter(of), "validation")
+
+
+def _cells(rows: Sequence[Mapping[str, Any]]) -> dict[str, dict[str, float]]:
+    """Figures by world and kind."""
+    from scenarios.benchmark.score import figures
+
+    names = dict.fromkeys((row["world"], row["kind"]) for row in rows)
+    return {
+        f"{world}, {kind}": figures([row for row in rows if (row["world"], row["kind"]) == (world, kind)])
+        for world, kind in names
+    }
+
+
+def _table(title: str, first: str, lines: Mapping[str, Mapping[str, float]]) -> Table:
+    """Table with a column a figure."""
+    from rich import box
+    from rich.table import Table
+
+    table = Table(title=title, title_justify="left", box=box.SIMPLE)
+    table.add_column(first, no_wrap=True)
+    for heading, _, _ in COLUMNS.values():
+        table.add_column(heading, justify="right")
+    for name, found in lines.items():
+        cells = [_number(factor * found[key], form) for key, (_, factor, form) in COLUMNS.items()]
+        table.add_row(name, *cells)
+    return table
+
+
+def _number(value: float, form: str) -> str:
+    return "-" if value != value else format(value, form)  # noqa: PLR0124  NaN
+
+
+def _by_cell(split: str, rows: Mapping[str, Sequence[Mapping[str, Any]]]) -> list[Table]:
+    """Table of one method, a row a world and kind, and one of the reference."""
+    from scenarios.benchmark.score import figures
+
+    (name, own), (_, even) = rows.items()
+    return [_table(f"{name}, {split}", "world, kind", _cells(own) | {"all": figures(own), EVEN: figures(even)})]
+
+
+def _by_method(split: str, rows: Mapping[str, Sequence[Mapping[str, Any]]]) -> list[Table]:
+    """Tables of several methods: all figures, and the mean NAD of each world and of each kind."""
+    from rich import box
+    from rich.table import Table
+
+    from scenarios.benchmark.score import figures
+
+    whole = _table(f"all problems, {split}", "answers", {name: figures(each) for name, each in rows.items()})
+    first = next(iter(rows.values()))
+    parts = [(field, value) for field in ("world", "kind") for value in dict.fromkeys(row[field] for row in first)]
+    nad = Table(title=f"mean NAD by world, then by kind, %, {split}", title_justify="left", box=box.SIMPLE)
+    nad.add_column("answers", no_wrap=True)
+    for _, value in parts:
+        nad.add_column(value, justify="right")
+    for name, each in rows.items():
+        found = [figures([row for row in each if row[field] == value])["nad"] for field, value in parts]
+        nad.add_row(name, *(_number(100 * value, ".3g") for value in found))
+    return [whole, nad]
